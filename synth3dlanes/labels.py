@@ -1,0 +1,166 @@
+"""Labels: what a network must predict from an image, and their JSON form (`labels.json`, spec section 5).
+
+Points are in camera coordinates (x right, y along the viewing direction, z up), metres. Pure data.
+"""
+
+import json
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from synth3dlanes.errors import FormatError
+
+LABELS_VERSION = 1
+
+Kind = Literal["centerline", "delimiter"]
+RoadName = Literal["main", "exit"]
+Marking = Literal["none", "solid", "dashed"]
+
+
+@dataclass(frozen=True, eq=False)
+class CameraLabel:
+    """The camera that the points are relative to; `img_from_cam` acts on (x, y, z) of the camera frame."""
+
+    width_px: int
+    height_px: int
+    img_from_cam: Float[np.ndarray, "3 3"]
+    height_m: float
+    pitch_rad: float
+    road_from_cam: Float[np.ndarray, "4 4"]
+    world_from_cam: Float[np.ndarray, "4 4"]
+
+
+@dataclass(frozen=True, eq=False)
+class Lane:
+    """One curve, near to far. `left`/`right`: a centre line names the delimiters that bound it on its own stretch
+    (behind the split, before the merge); a delimiter names the centre lines that it bounds there; None at the
+    road's outside. `object_visible` is None until the scene has been rendered."""
+
+    id: str
+    kind: Kind
+    road: RoadName
+    marking: Marking
+    left: str | None
+    right: str | None
+    xyz_cam: Float[np.ndarray, "n 3"]
+    in_image: Bool[np.ndarray, " n"]
+    terrain_visible: Bool[np.ndarray, " n"]
+    object_visible: Bool[np.ndarray, " n"] | None
+
+    @property
+    def visible(self) -> Bool[np.ndarray, " n"]:
+        """Seen in the image: inside it, not behind the ground, and not behind an object where that is known."""
+        seen = self.in_image & self.terrain_visible
+        return seen if self.object_visible is None else seen & self.object_visible
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A lane between two junctions: number from the left as the host drives, stations (world y on the main
+    reference line) where it starts and ends in driving order, neighbours, and the centre lines that use it."""
+
+    id: str
+    road: RoadName
+    lane: int
+    s_start_m: float
+    s_end_m: float
+    left: str | None
+    right: str | None
+    centerlines: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class LaneGraph:
+    """Segments and their successors in driving direction. `ramp_start_s_m` is None where the ramp is unused."""
+
+    segments: tuple[Segment, ...]
+    successors: dict[str, tuple[str, ...]]
+    ramp_start_s_m: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Labels:
+    """Everything exact that is known about one image."""
+
+    camera: CameraLabel
+    lanes: tuple[Lane, ...]
+    graph: LaneGraph
+
+
+def to_json(labels: Labels) -> str:
+    """The labels as one line of JSON: points rounded to 0.1 mm, matrices to 1e-9; equal labels give equal text."""
+    camera = labels.camera
+    document = {
+        "format": "synth3dlanes.labels",
+        "version": LABELS_VERSION,
+        "camera": {
+            "width_px": camera.width_px,
+            "height_px": camera.height_px,
+            "img_from_cam": _rounded(camera.img_from_cam, 9),
+            "height_m": camera.height_m,
+            "pitch_rad": camera.pitch_rad,
+            "road_from_cam": _rounded(camera.road_from_cam, 9),
+            "world_from_cam": _rounded(camera.world_from_cam, 9),
+        },
+        "lanes": [_lane_document(lane) for lane in labels.lanes],
+        "graph": {
+            "segments": [
+                {**vars(segment), "centerlines": list(segment.centerlines)} for segment in labels.graph.segments
+            ],
+            "successors": {key: list(value) for key, value in labels.graph.successors.items()},
+            "ramp_start_s_m": labels.graph.ramp_start_s_m,
+        },
+    }
+    return json.dumps(document, separators=(",", ":"), allow_nan=False)
+
+
+def from_json(text: str | bytes, where: str) -> Labels:
+    """Parse `labels.json`; raise FormatError, its message beginning with `where`."""
+    try:
+        document = json.loads(text)
+        found = (document["format"], document["version"])
+        if found != ("synth3dlanes.labels", LABELS_VERSION):
+            raise FormatError(f"{where}: expected synth3dlanes.labels version {LABELS_VERSION}, got {found}")
+        camera = dict(document["camera"])
+        for name in ("img_from_cam", "road_from_cam", "world_from_cam"):
+            camera[name] = np.array(camera[name], dtype=float)
+        graph = document["graph"]
+        return Labels(
+            camera=CameraLabel(**camera),
+            lanes=tuple(_lane(lane) for lane in document["lanes"]),
+            graph=LaneGraph(
+                segments=tuple(
+                    Segment(**{**segment, "centerlines": tuple(segment["centerlines"])})
+                    for segment in graph["segments"]
+                ),
+                successors={key: tuple(value) for key, value in graph["successors"].items()},
+                ramp_start_s_m=graph["ramp_start_s_m"],
+            ),
+        )
+    except (KeyError, TypeError, AttributeError, json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise FormatError(f"{where}: not a labels file: {type(error).__name__}: {error}") from None
+
+
+def _rounded(values: Float[np.ndarray, "..."], decimals: int) -> Any:
+    # Adding 0.0 turns -0.0 into 0.0, which would otherwise be a second spelling of the same number.
+    return (np.round(values, decimals) + 0.0).tolist()
+
+
+def _lane_document(lane: Lane) -> dict[str, Any]:
+    document = dict(vars(lane))
+    document["xyz_cam"] = _rounded(lane.xyz_cam, 4)
+    for name in ("in_image", "terrain_visible", "object_visible"):
+        mask = document[name]
+        document[name] = None if mask is None else mask.astype(int).tolist()
+    return document
+
+
+def _lane(document: dict[str, Any]) -> Lane:
+    fields = dict(document)
+    fields["xyz_cam"] = np.array(fields["xyz_cam"], dtype=float).reshape(-1, 3)
+    for name in ("in_image", "terrain_visible", "object_visible"):
+        if fields[name] is not None:
+            fields[name] = np.array(fields[name], dtype=bool)
+    return Lane(**fields)
