@@ -14,3 +14,15 @@ class RenderSettings:
     samples: int = QUALITY_SAMPLES["standard"]
     passes: tuple[str, ...] = ()
     device: str = "cpu"
+
+# Semantic ids of pixels; a material carries its id as its pass index.
+SEMANTIC_IDS = {"sky": 0, "terrain": 1, "road": 2, "shoulder": 3, "marking": 4, "car": 5, "tree": 6}
+
+# Instance ids of pixels: 0 is everything else; car i has FIRST_CAR_ID + i, the painted delimiter i in the order of the
+# labels' delimiters FIRST_DELIMITER_ID + i, tree i FIRST_TREE_ID + i. At most 2048: exact in half floats.
+FIRST_CAR_ID = 1
+FIRST_DELIMITER_ID = 200
+FIRST_TREE_ID = 300
+
+# Depth of a pixel that hits nothing.
+NO_HIT_DEPTH_M = float("inf")

@@ -1,0 +1,264 @@
+"""Every hyper-parameter of the baseline, and the named models. Pure data; checkpoints carry these as JSON."""
+
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from synth3dlanes.errors import ParamsError
+
+Variant = Literal["full", "image_view", "top_view", "early_ipm", "late_ipm"]
+PoseTarget = Literal["plane", "horizon", "fixed"]
+LaneType = Literal["c1", "c2", "d"]
+Positive = Annotated[float, Field(gt=0)]
+Count = Annotated[int, Field(ge=1)]
+
+PAPER_KNOTS_M = (5.0, 20.0, 40.0, 60.0, 80.0, 100.0)
+TEN_KNOTS_M = (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0)
+
+
+class Strict(BaseModel):
+    """Frozen; unknown keys, NaN and infinity are errors."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+Config = TypeVar("Config", bound=Strict)
+
+
+class Grid(Strict):
+    """The top view: the first map's cells, over x in [-columns*cell/2, ...] and y from `y_min_m`; four maps follow,
+    each half the size of the last, and every column of the last one is an anchor (paper: 16 cm, 38.4 cm, 1.28 m)."""
+
+    rows: Count = 208
+    columns: Count = 128
+    cell_x_m: Positive = 0.16
+    cell_y_m: Positive = 0.384
+    y_min_m: float = 0.0
+
+
+class ModelConfig(Strict):
+    """One network. Widths are per stage at image strides 2, 4, 8, 16; `vgg16` has 64 channels before the first."""
+
+    name: str
+    backbone: Literal["vgg16", "residual"]
+    image_channels: tuple[Count, Count, Count, Count]
+    image_blocks: tuple[int, int, int, int]
+    projected_channels: tuple[Count, Count, Count, Count]
+    top_channels: tuple[Count, Count, Count]
+    head_channels: Count
+    pose_channels: tuple[Count, ...]
+    pose_convolutions: Count
+    variant: Variant = "full"
+    grid: Grid = Grid()
+    image_height_px: Count = 360
+    image_width_px: Count = 480
+    reference_intrinsics: tuple[float, float, float, float] = (415.7, 415.7, 240.0, 180.0)
+    """fx, fy, cx, cy of the training images; only the anchors of `image_view` depend on them."""
+    types: tuple[LaneType, ...] = ("c1", "c2", "d")
+    has_elevation: bool = True
+    knots_y_m: tuple[float, ...] = PAPER_KNOTS_M
+    spline: Literal["natural", "pchip"] = "natural"
+    pose_target: PoseTarget = "plane"
+    fixed_pitch_deg: float = 2.5
+    fixed_height_m: Positive = 1.65
+    grid_gradient: bool = False
+    """Whether the lane loss reaches the pose through the sampling grid; the paper supervises the pose instead."""
+    batch_norm: bool = True
+    plane_heights_m: tuple[float, ...] = (0.0,)
+    has_visibility: bool = False
+    has_bev_masks: bool = False
+
+
+class Augmentation(Strict):
+    """Exact changes of image and labels alike, applied on the device; zero switches each off."""
+
+    flip: Annotated[float, Field(ge=0, le=1)] = 0.5
+    brightness: Annotated[float, Field(ge=0)] = 0.2
+    contrast: Annotated[float, Field(ge=0)] = 0.2
+    noise: Annotated[float, Field(ge=0)] = 0.02
+    pitch_deg: Annotated[float, Field(ge=0)] = 0.0
+    yaw_deg: Annotated[float, Field(ge=0)] = 0.0
+    """Virtual rotations of the camera: the image is warped by K R K^-1, exact for the whole 3D scene."""
+    top_shift_m: Annotated[float, Field(ge=0)] = 0.0
+    top_yaw_deg: Annotated[float, Field(ge=0)] = 0.0
+    """The top-view grid moved sideways and turned, the targets with it; the image is untouched."""
+    plane_pitch_deg: Annotated[float, Field(ge=0)] = 0.0
+    plane_height_m: Annotated[float, Field(ge=0)] = 0.0
+    """Standard deviation of noise on the pose that drives the warp; targets move too if `target_frame` is `grid`."""
+
+
+class LossConfig(Strict):
+    """Weights of Eq. 1 (all 1 in the paper). Lengths count in metres. The pitch's unit is not stated: degrees here,
+    since one degree is one metre of elevation at 57 m, while radians would make the term vanish."""
+
+    detection: float = 1.0
+    geometry: float = 1.0
+    pose: float = 1.0
+    knot_sigma_m: tuple[float, ...] | None = None
+    """Divide each knot's error by this (ours; favours near points). None is the paper's plain L1 in metres."""
+    supervise_occluded: bool = False
+    visibility: float = 0.0
+    bev_masks: float = 0.0
+    kinds: tuple[Literal["centerline", "delimiter"], ...] = ("centerline", "delimiter")
+    """Kinds that the data label; the others enter no term."""
+
+
+class TrainConfig(Strict):
+    """One run. `steps` counts optimiser steps over all GPUs; `batch` is the batch of all GPUs together."""
+
+    model: ModelConfig
+    loss: LossConfig = LossConfig()
+    augmentation: Augmentation = Augmentation()
+    seed: int = 0
+    batch: Count = 16
+    epochs: Positive = 20.0
+    max_minutes: Positive | None = None
+    optimizer: Literal["adamw", "adam"] = "adamw"
+    schedule: Literal["cosine", "cyclic"] = "cosine"
+    learning_rate: Positive = 1e-3
+    min_learning_rate: Positive = 1e-6
+    warmup_fraction: Annotated[float, Field(ge=0, lt=1)] = 0.04
+    cycle_epochs: Positive = 2.0
+    weight_decay: Annotated[float, Field(ge=0)] = 0.02
+    clip_norm: Positive = 10.0
+    ema_decay: Annotated[float, Field(ge=0, lt=1)] = 0.999
+    grid_pose: Literal["predicted", "label"] = "predicted"
+    """Which pose drives the warp after the start: the predicted one (paper) or the label's."""
+    label_pose_fraction: Annotated[float, Field(ge=0, le=1)] = 0.1
+    """Share of the steps, from the start, that warp by the label's pose with noise of 0.15 deg and 4 cm."""
+    target_frame: Literal["label", "grid"] = "label"
+    fov_mask: bool = False
+    validate_every_epochs: Positive = 1.0
+    train_split: str = "train"
+    val_split: str = "val"
+    max_images: Count | None = None
+    device: str = "auto"
+    compile: bool = True
+    storage: Literal["auto", "rgb", "yuv420"] = "auto"
+    pretrained: str | None = None
+
+
+PAPER = ModelConfig(
+    name="paper",
+    backbone="vgg16",
+    image_channels=(128, 256, 512, 512),
+    image_blocks=(2, 3, 3, 3),
+    projected_channels=(128, 128, 256, 256),
+    top_channels=(128, 256, 256),
+    head_channels=64,
+    pose_channels=(256, 128, 64),
+    pose_convolutions=3,
+)
+COMPACT = ModelConfig(
+    name="compact",
+    backbone="residual",
+    image_channels=(32, 64, 128, 192),
+    image_blocks=(1, 2, 2, 2),
+    projected_channels=(32, 32, 48, 64),
+    top_channels=(48, 96, 128),
+    head_channels=48,
+    pose_channels=(64, 48, 32),
+    pose_convolutions=1,
+)
+SMALL = COMPACT.model_copy(
+    update={
+        "name": "small",
+        "image_channels": (24, 48, 96, 128),
+        "image_blocks": (1, 2, 2, 1),
+        "projected_channels": (24, 24, 32, 48),
+        "top_channels": (32, 64, 96),
+        "head_channels": 40,
+    }
+)
+NANO = COMPACT.model_copy(
+    update={
+        "name": "nano",
+        "image_channels": (16, 24, 48, 64),
+        "image_blocks": (0, 1, 1, 1),
+        "projected_channels": (16, 16, 24, 32),
+        "top_channels": (24, 32, 48),
+        "head_channels": 32,
+        "pose_channels": (48, 32, 24),
+    }
+)
+TINY = NANO.model_copy(
+    update={
+        "name": "tiny",
+        "image_height_px": 120,
+        "image_width_px": 160,
+        "reference_intrinsics": (138.6, 138.6, 80.0, 60.0),
+        "grid": Grid(rows=104, cell_y_m=0.768),
+    }
+)
+IMPROVED = COMPACT.model_copy(
+    update={
+        "name": "improved",
+        "projected_channels": (16, 16, 24, 32),
+        "plane_heights_m": (-4.0, -1.5, 0.0, 1.2, 3.0),
+        "knots_y_m": TEN_KNOTS_M,
+        "has_visibility": True,
+        "has_bev_masks": True,
+    }
+)
+MODELS = {model.name: model for model in (PAPER, COMPACT, SMALL, NANO, TINY, IMPROVED)}
+IMPROVED_AUGMENTATION = Augmentation(
+    pitch_deg=1.0, yaw_deg=2.0, top_shift_m=0.64, top_yaw_deg=3.0, plane_pitch_deg=0.3, plane_height_m=0.05
+)
+IMPROVED_LOSS = LossConfig(
+    knot_sigma_m=(0.08, 0.09, 0.095, 0.10, 0.14, 0.18, 0.25, 0.32, 0.55, 0.9),
+    geometry=0.25,
+    supervise_occluded=True,
+    visibility=0.2,
+    bev_masks=1.0,
+)
+TUSIMPLE = {"types": ("d",), "has_elevation": False, "pose_target": "fixed"}
+
+ABLATIONS: dict[str, dict[str, Any]] = {
+    "full": {},
+    "image_view": {"variant": "image_view"},
+    "top_view": {"variant": "top_view"},
+    "early_ipm": {"variant": "early_ipm"},
+    "late_ipm": {"variant": "late_ipm"},
+    "horizon": {"pose_target": "horizon"},
+    "fixed_position": {"pose_target": "fixed"},
+    "no_supervision": {"grid_gradient": True},
+}
+"""What each row of the paper's Table 1 changes in the model. `flat_ground` is an evaluation of `full`;
+`no_supervision` (the paper: "failed to produce satisfying results") also takes the pose loss away."""
+
+
+def train_config(model: str, overrides: dict[str, Any] | None = None, ablation: str = "full") -> TrainConfig:
+    """The named model's default run, changed by dotted keys: {"model.grid.rows": 104, "batch": 8}."""
+    problems = [
+        f"{what}: expected one of {', '.join(known)}, got {found!r}"
+        for what, found, known in (("model", model, MODELS), ("ablation", ablation, ABLATIONS))
+        if found not in known
+    ]
+    if problems:
+        raise ParamsError(*problems)
+    document: dict[str, Any] = {"model": {**MODELS[model].model_dump(), **ABLATIONS[ablation]}}
+    if ablation == "no_supervision":
+        document |= {"loss": {"pose": 0.0}, "label_pose_fraction": 0.0}
+    if model == "paper":
+        document |= {"optimizer": "adam", "schedule": "cyclic", "learning_rate": 5e-4, "weight_decay": 0.0, "batch": 64}
+    if model == "improved":
+        document |= {"loss": IMPROVED_LOSS.model_dump(), "augmentation": IMPROVED_AUGMENTATION.model_dump()}
+        document |= {"target_frame": "grid"}
+    for key, value in (overrides or {}).items():
+        _set(document, key.split("."), value)
+    return parse(TrainConfig, document, "train")
+
+
+def parse(kind: type[Config], document: dict[str, Any] | str, where: str) -> Config:
+    """Validate; every problem in one ParamsError."""
+    try:
+        return kind.model_validate_json(document) if isinstance(document, str) else kind.model_validate(document)
+    except ValidationError as error:
+        lines = [f"{where}.{'.'.join(map(str, p['loc']))}: {p['msg']}, got {p['input']!r:.60}" for p in error.errors()]
+        raise ParamsError(*lines) from None
+
+
+def _set(document: dict[str, Any], path: list[str], value: Any) -> None:
+    for step in path[:-1]:
+        document = document.setdefault(step, {})
+    document[path[-1]] = value

@@ -1,0 +1,121 @@
+"""Labels as the baseline sees them: curves that run forward through Y_ref, sampled at fixed y. Pure numpy.
+
+Frame: the road frame of the labels unless a name says otherwise. The same curves feed targets and metric.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from baseline_model.poses import Pose, horizon_pose, transform
+from synth3dlanes.labels import Kind, Labels
+
+Y_REF_M = 20.0
+HALF_WIDTH_M = 10.24
+"""A lane counts only if it crosses Y_ref inside the top view: 16 columns of 1.28 m."""
+NEAR_KNOTS_M = (5.0, 20.0, 40.0)
+"""A lane of which fewer than two of these points are visible cannot be placed, and is ignored."""
+SAME_CURVE_M = 0.3
+METRIC_Y_M = np.arange(101) * 0.8
+MIN_VALID_POINTS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """One lane with strictly increasing road y. `visible` means not behind the ground; cars do not hide lanes
+    (the paper drops points occluded "by the terrain")."""
+
+    kind: Kind
+    xyz_cam: Float[np.ndarray, "n 3"]
+    xyz_road: Float[np.ndarray, "n 3"]
+    visible: Bool[np.ndarray, " n"]
+
+
+@dataclass(frozen=True, eq=False)
+class Resampled:
+    """A curve at given y: x and z, whether it reaches that far, and whether it is visible there."""
+
+    x_m: Float[np.ndarray, " y"]
+    z_m: Float[np.ndarray, " y"]
+    in_range: Bool[np.ndarray, " y"]
+    visible: Bool[np.ndarray, " y"]
+
+
+def plane_pose(labels: Labels) -> Pose:
+    """The pose relative to P_road that the labels state."""
+    return Pose(labels.camera.pitch_rad, labels.camera.height_m)
+
+
+def road_curves(labels: Labels) -> tuple[Curve, ...]:
+    """Every lane with at least two forward points; of curves that coincide wherever they are visible, one."""
+    curves = []
+    for lane in labels.lanes:
+        xyz_road = transform(labels.camera.road_from_cam, lane.xyz_cam)
+        part = _forward_part(xyz_road[:, 1])
+        if part.stop - part.start >= 2:
+            curves.append(Curve(lane.kind, lane.xyz_cam[part], xyz_road[part], lane.terrain_visible[part]))
+    return _without_duplicates(curves)
+
+
+def resample(curve: Curve, y_m: Float[np.ndarray, " y"]) -> Resampled:
+    """Linear between the label's samples, which are 1 m apart: under 2 mm off for any road here. A place is
+    visible if both its neighbours are."""
+    y_curve_m = curve.xyz_road[:, 1]
+    after = np.clip(np.searchsorted(y_curve_m, y_m), 1, len(y_curve_m) - 1)
+    in_range = (y_m >= y_curve_m[0]) & (y_m <= y_curve_m[-1])
+    return Resampled(
+        x_m=np.interp(y_m, y_curve_m, curve.xyz_road[:, 0]),
+        z_m=np.interp(y_m, y_curve_m, curve.xyz_road[:, 2]),
+        in_range=in_range,
+        visible=in_range & curve.visible[after - 1] & curve.visible[after],
+    )
+
+
+def is_usable(curve: Curve) -> bool:
+    """Whether training and metric count the lane: it crosses Y_ref inside the top view, on both sides of it, and
+    at least two of the three near points are visible (paper, section 3.4; the last part is ours)."""
+    at = resample(curve, np.array([Y_REF_M, *NEAR_KNOTS_M]))
+    return bool(at.in_range[0] and abs(at.x_m[0]) <= HALF_WIDTH_M and at.visible[1:].sum() >= 2)
+
+
+def target_pose(labels: Labels, curves: tuple[Curve, ...], mode: str) -> Pose:
+    """The pose that a network learns: the tangent plane (`plane`) or the plane towards the host lane's farthest
+    visible point (`horizon`). `fixed` keeps the tangent plane here: the network does not learn it."""
+    plane = plane_pose(labels)
+    centerlines = [curve for curve in curves if curve.kind == "centerline" and curve.visible.any()]
+    if mode != "horizon" or not centerlines:
+        return plane
+    host = min(centerlines, key=lambda curve: abs(curve.xyz_road[np.argmin(np.abs(curve.xyz_road[:, 1] - 5.0)), 0]))
+    farthest_road = host.xyz_road[np.flatnonzero(host.visible)[-1]]
+    return horizon_pose(plane, farthest_road) if farthest_road[1] > Y_REF_M else plane
+
+
+def _forward_part(y_m: Float[np.ndarray, " n"]) -> slice:
+    """The longest run of strictly increasing y around the sample nearest to Y_ref."""
+    if len(y_m) == 0:
+        return slice(0, 0)
+    middle = int(np.argmin(np.abs(y_m - Y_REF_M)))
+    turns = np.flatnonzero(np.diff(y_m) < 1e-6)
+    before, behind = turns[turns < middle], turns[turns >= middle]
+    return slice(int(before[-1]) + 1 if len(before) else 0, int(behind[0]) + 1 if len(behind) else len(y_m))
+
+
+def _without_duplicates(curves: list[Curve]) -> tuple[Curve, ...]:
+    sampled = [resample(curve, METRIC_Y_M) for curve in curves]
+    kept: list[int] = []
+    # The one that shows more is looked at first, so that the shorter copy goes.
+    for index in sorted(range(len(curves)), key=lambda i: -int(sampled[i].visible.sum())):
+        same = (_repeats(sampled[index], sampled[k]) for k in kept if curves[k].kind == curves[index].kind)
+        if not any(same):
+            kept.append(index)
+    return tuple(curves[index] for index in sorted(kept))
+
+
+def _repeats(candidate: Resampled, other: Resampled) -> bool:
+    """Whether `candidate` shows nothing that `other` does not show within 0.3 m."""
+    seen = candidate.visible
+    if seen.sum() < MIN_VALID_POINTS or not other.visible[seen].all():
+        return False
+    distance_m = np.hypot(candidate.x_m[seen] - other.x_m[seen], candidate.z_m[seen] - other.z_m[seen])
+    return bool(distance_m.max() < SAME_CURVE_M)

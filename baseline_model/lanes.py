@@ -1,0 +1,150 @@
+"""What a detector says about an image: lanes with scores, as JSON lines and from anchors. Numpy and scipy.
+
+Frame: lanes are in camera coordinates, the file format of `evaluate --predictions` (spec, section 6).
+"""
+
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.interpolate import CubicSpline, PchipInterpolator
+
+from baseline_model.poses import Pose, cam_from_road, transform
+from synth3dlanes.errors import FormatError
+from synth3dlanes.labels import Kind
+
+DENSE_Y_M = np.arange(101.0)
+"""Decoded lanes are sampled every metre of road y; linear interpolation between is under 2 mm off the spline."""
+MIN_SCORE = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Detection:
+    """One detected lane, near to far."""
+
+    kind: Kind
+    score: float
+    xyz_cam: Float[np.ndarray, "n 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """All detections of one image; `pose` is None from predictors that do not estimate it."""
+
+    key: str
+    lanes: tuple[Detection, ...]
+    pose: Pose | None
+
+
+def keep_local_maxima(scores: Float[np.ndarray, "t a"]) -> Bool[np.ndarray, "t a"]:
+    """1-D non-maximum suppression along the anchors, per type; of equal neighbours the left one stays."""
+    padded = np.pad(scores, ((0, 0), (1, 1)), constant_values=-np.inf)
+    return (scores > padded[:, :-2]) & (scores >= padded[:, 2:])
+
+
+def interpolate(
+    y_m: Float[np.ndarray, " k"], values: Float[np.ndarray, "k *rest"], at_m: Float[np.ndarray, " y"], spline: str
+) -> Float[np.ndarray, "y *rest"]:
+    """A smooth curve through the knots, continued beyond them. Natural cubic by default: 2.9 cm of error at
+    1 sigma near the car where linear interpolation has 10.5 cm."""
+    if len(y_m) < 2:
+        return np.repeat(values, len(at_m), axis=0)
+    curve = PchipInterpolator(y_m, values) if spline == "pchip" else CubicSpline(y_m, values, bc_type="natural")
+    return np.asarray(curve(at_m))
+
+
+def decode(
+    x_m: Float[np.ndarray, "t a k"],
+    z_m: Float[np.ndarray, "t a k"],
+    scores: Float[np.ndarray, "t a"],
+    pose: Pose,
+    layout: "AnchorLayout",
+) -> tuple[Detection, ...]:
+    """The anchors' output as lanes in camera coordinates, through the pose it is stated in."""
+    types, anchors = np.nonzero(keep_local_maxima(scores) & (scores >= MIN_SCORE))
+    knots_xz = np.stack([x_m[types, anchors] + layout.anchors_m[anchors, None], z_m[types, anchors]], axis=-1)
+    dense_xz = interpolate(layout.knots_y_m, np.moveaxis(knots_xz, 0, 1), DENSE_Y_M, layout.spline)
+    lanes = []
+    for i, (lane_type, anchor) in enumerate(zip(types, anchors, strict=True)):
+        xyz_road = np.stack([dense_xz[:, i, 0], DENSE_Y_M, dense_xz[:, i, 1]], axis=-1)
+        kind: Kind = "delimiter" if layout.types[lane_type] == "d" else "centerline"
+        xyz_cam = transform(cam_from_road(pose), xyz_road)
+        lanes.append(Detection(kind, float(scores[lane_type, anchor]), xyz_cam))
+    return tuple(lanes)
+
+
+@dataclass(frozen=True, eq=False)
+class AnchorLayout:
+    """What the columns and values of the network's output mean."""
+
+    types: tuple[str, ...]
+    anchors_m: Float[np.ndarray, " a"]
+    knots_y_m: Float[np.ndarray, " k"]
+    spline: str
+
+
+def to_line(prediction: Prediction) -> str:
+    """One JSON line; points rounded to a millimetre."""
+    document: dict[str, Any] = {
+        "key": prediction.key,
+        "lanes": [
+            {"kind": lane.kind, "score": round(lane.score, 6), "xyz_cam": (np.round(lane.xyz_cam, 3) + 0.0).tolist()}
+            for lane in prediction.lanes
+        ],
+    }
+    if prediction.pose is not None:
+        document["pose"] = {
+            "pitch_rad": round(float(prediction.pose.pitch_rad), 8),
+            "height_m": round(float(prediction.pose.height_m), 6),
+        }
+    return json.dumps(document, separators=(",", ":"), allow_nan=False)
+
+
+def write_predictions(path: Path, predictions: Iterable[Prediction]) -> None:
+    """Write to a neighbour first, so that a killed run leaves no half file."""
+    partial = path.with_name(path.name + ".tmp")
+    with partial.open("w", encoding="utf-8") as file:
+        for prediction in predictions:
+            file.write(to_line(prediction) + "\n")
+    partial.replace(path)
+
+
+def read_predictions(path: Path) -> Iterator[Prediction]:
+    """Anybody's predictions: `key`, `lanes[]` {`kind`, `score`, `xyz_cam`}, and `pose` where it was estimated."""
+    with path.open(encoding="utf-8") as file:
+        for number, line in enumerate(file, start=1):
+            if line.strip():
+                yield _prediction(line, f"{path}:{number}")
+
+
+def _prediction(line: str, where: str) -> Prediction:
+    try:
+        document = json.loads(line)
+        lanes = tuple(_detection(lane, f"{where}: lanes[{i}]") for i, lane in enumerate(document["lanes"]))
+        pose = document.get("pose")
+        return Prediction(
+            key=str(document["key"]),
+            lanes=lanes,
+            pose=None if pose is None else Pose(float(pose["pitch_rad"]), float(pose["height_m"])),
+        )
+    except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
+        raise FormatError(f"{where}: not a prediction: {type(error).__name__}: {error}") from None
+
+
+def _detection(document: dict[str, Any], where: str) -> Detection:
+    if document["kind"] not in ("centerline", "delimiter"):
+        raise FormatError(f"{where}.kind: expected centerline or delimiter, got {document['kind']!r}")
+    score = float(document["score"])
+    try:
+        xyz_cam = np.array(document["xyz_cam"], dtype=float)
+    except ValueError:
+        raise FormatError(f"{where}.xyz_cam: expected [[x, y, z], ...], got rows of unequal length") from None
+    if xyz_cam.ndim != 2 or xyz_cam.shape[1] != 3 or len(xyz_cam) < 2:
+        raise FormatError(f"{where}.xyz_cam: expected at least two [x, y, z], got shape {xyz_cam.shape}")
+    if not (np.isfinite(score) and np.isfinite(xyz_cam).all()):
+        raise FormatError(f"{where}: expected finite numbers, got NaN or infinity")
+    return Detection(document["kind"], score, xyz_cam)

@@ -1,0 +1,284 @@
+"""The paper's metric (section 4.3): average precision, and errors near and far at 1 and 2 sigma. Numpy only.
+
+Every choice that the paper leaves open is in `MetricConfig` and printed with the result.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from baseline_model.curves import METRIC_Y_M, plane_pose, road_curves
+from baseline_model.lanes import Detection, Prediction
+from baseline_model.matching import (
+    Pairs,
+    Weights,
+    count_steps,
+    find_pairs,
+    match,
+    point_weights,
+    sample_detections,
+    sample_truth,
+)
+from baseline_model.poses import road_from_cam
+from synth3dlanes.labels import Kind, Labels
+
+KINDS: tuple[Kind, ...] = ("centerline", "delimiter")
+NEAR_TO_M = 30.0
+
+
+@dataclass(frozen=True)
+class MetricConfig:
+    """`threshold`: the score at which errors, recall and precision are read. `frame`: `camera` maps detections by
+    the labels' pose; `road_raw` takes them as they are in the road frame of the predicted pose."""
+
+    weights: Weights = "linear"
+    alternatives: tuple[Weights, ...] = ("uniform", "exponential")
+    threshold: float = 0.5
+    frame: Literal["camera", "road_raw"] = "camera"
+    bootstraps: int = 300
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of matched lanes at one threshold, in centimetres; NaN where nothing was matched."""
+
+    threshold: float
+    precision: float
+    recall: float
+    f1: float
+    near_1sigma_cm: float
+    near_2sigma_cm: float
+    far_1sigma_cm: float
+    far_2sigma_cm: float
+    near_median_abs_dx_cm: float
+    near_median_abs_dz_cm: float
+    far_median_abs_dx_cm: float
+    far_median_abs_dz_cm: float
+    bias_dx_cm: float
+    bias_dz_cm: float
+
+
+@dataclass(frozen=True, eq=False)
+class KindReport:
+    """One kind of lane: AP with its 95 % bootstrap interval over images, errors at three operating points."""
+
+    ap: float
+    ap_interval: tuple[float, float]
+    ap_101_points: float
+    ap_by_weights: dict[str, float]
+    n_truth: int
+    n_ignored: int
+    n_detections: int
+    at_threshold: Errors
+    at_best_f1: Errors
+    at_all: Errors
+    recalls: Float[np.ndarray, " r"]
+    precisions: Float[np.ndarray, " r"]
+    error_by_y_cm: Float[np.ndarray, "2 y"]
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """A whole evaluation; pose medians are NaN where no pose was predicted."""
+
+    n_images: int
+    config: MetricConfig
+    kinds: dict[str, KindReport]
+    pitch_median_deg: float
+    height_median_cm: float
+
+
+@dataclass
+class Evaluation:
+    """Collects images one by one: `add` each, then `report`."""
+
+    config: MetricConfig = MetricConfig()
+    _pairs: dict[str, list[Pairs]] = field(default_factory=lambda: {kind: [] for kind in KINDS})
+    _steps: dict[tuple[str, str], list[tuple[int, float, int, int]]] = field(default_factory=dict)
+    _pose_errors: list[tuple[float, float]] = field(default_factory=list)
+    _n_images: int = 0
+
+    def add(self, labels: Labels, prediction: Prediction) -> None:
+        """Compare one image's detections with its labels."""
+        plane = plane_pose(labels)
+        pose = prediction.pose
+        if pose is not None:
+            self._pose_errors.append((abs(pose.pitch_rad - plane.pitch_rad), abs(pose.height_m - plane.height_m)))
+        raw = self.config.frame == "road_raw" and pose is not None
+        to_road = road_from_cam(pose) if raw and pose is not None else labels.camera.road_from_cam
+        curves = road_curves(labels)
+        for kind in KINDS:
+            truth = sample_truth(tuple(curve for curve in curves if curve.kind == kind))
+            lanes: list[Detection] = [lane for lane in prediction.lanes if lane.kind == kind]
+            found = sample_detections(lanes, to_road)
+            for name in (self.config.weights, *self.config.alternatives):
+                pairs = find_pairs(truth, found, point_weights(name))
+                steps = self._steps.setdefault((kind, name), [])
+                steps += [(self._n_images, *step) for step in count_steps(pairs)]
+                if name == self.config.weights:
+                    self._pairs[kind].append(pairs)
+        self._n_images += 1
+
+    def report(self) -> Report:
+        """The numbers over all images added."""
+        medians = np.median(self._pose_errors, axis=0) if self._pose_errors else np.full(2, np.nan)
+        return Report(
+            n_images=self._n_images,
+            config=self.config,
+            kinds={kind: self._kind_report(kind) for kind in KINDS},
+            pitch_median_deg=float(np.degrees(medians[0])),
+            height_median_cm=float(100 * medians[1]),
+        )
+
+    def _kind_report(self, kind: str) -> KindReport:
+        images = self._pairs[kind]
+        truth_per_image = np.array([pairs.n_truth for pairs in images], dtype=int)
+        curves = {name: Counts.of(self._steps.get((kind, name), [])) for name in self._weight_names()}
+        counts = curves[self.config.weights]
+        recalls, precisions = counts.curve(int(truth_per_image.sum()))
+        f1 = 2 * recalls * precisions / np.maximum(recalls + precisions, 1e-12)
+        best = float(counts.thresholds[np.argmax(f1)]) if len(f1) else self.config.threshold
+        lowest = float(counts.thresholds[-1]) if len(f1) else 0.0
+        return KindReport(
+            ap=average_precision(recalls, precisions),
+            ap_interval=bootstrap_interval(counts, truth_per_image, self.config.bootstraps),
+            ap_101_points=ap_at_101_points(recalls, precisions),
+            ap_by_weights={
+                name: average_precision(*other.curve(int(truth_per_image.sum()))) for name, other in curves.items()
+            },
+            n_truth=int(truth_per_image.sum()),
+            n_ignored=sum(pairs.n_ignored for pairs in images),
+            n_detections=sum(len(pairs.score) for pairs in images),
+            at_threshold=_errors(images, self.config.threshold),
+            at_best_f1=_errors(images, best),
+            at_all=_errors(images, lowest),
+            recalls=recalls,
+            precisions=precisions,
+            error_by_y_cm=_error_by_y(images, self.config.threshold),
+        )
+
+    def _weight_names(self) -> tuple[Weights, ...]:
+        return (self.config.weights, *self.config.alternatives)
+
+
+@dataclass(frozen=True, eq=False)
+class Counts:
+    """Changes of true and false positives over all images, by falling threshold; `last` marks the final one of
+    each run of equal scores, since ties enter together."""
+
+    image: Int[np.ndarray, " s"]
+    true: Float[np.ndarray, " s"]
+    false: Float[np.ndarray, " s"]
+    last: Int[np.ndarray, " r"]
+    thresholds: Float[np.ndarray, " r"]
+
+    @staticmethod
+    def of(steps: list[tuple[int, float, int, int]]) -> "Counts":
+        """Sort the steps of all images into one sequence."""
+        table = np.array(steps, dtype=float).reshape(-1, 4)
+        table = table[np.argsort(-table[:, 1], kind="stable")]
+        last = np.flatnonzero(np.append(np.diff(table[:, 1]) != 0, True)) if len(table) else np.zeros(0, dtype=int)
+        return Counts(table[:, 0].astype(int), table[:, 2], table[:, 3], last, table[last, 1])
+
+    def curve(
+        self, n_truth: int, times: Int[np.ndarray, " i"] | None = None
+    ) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, " r"]]:
+        """Recall and precision at each threshold; `times` counts each image that often (bootstrap)."""
+        factor = 1.0 if times is None else times[self.image]
+        true = np.cumsum(self.true * factor)[self.last]
+        false = np.cumsum(self.false * factor)[self.last]
+        precision = true / np.maximum(true + false, 1e-12)
+        return true / n_truth if n_truth else np.full(len(true), np.nan), precision
+
+
+def average_precision(recalls: Float[np.ndarray, " r"], precisions: Float[np.ndarray, " r"]) -> float:
+    """Area under the precision envelope over recall 0 to the largest reached. NaN without any lane: undefined."""
+    if np.isnan(recalls).any():
+        return float("nan")
+    order = np.argsort(recalls, kind="stable")
+    envelope = np.maximum.accumulate(precisions[order][::-1])[::-1]
+    return float(np.sum(np.diff(recalls[order], prepend=0.0) * envelope))
+
+
+def ap_at_101_points(recalls: Float[np.ndarray, " r"], precisions: Float[np.ndarray, " r"]) -> float:
+    """COCO's variant: the envelope's mean at recalls 0, 0.01, ..., 1."""
+    if np.isnan(recalls).any():
+        return float("nan")
+    wanted = np.linspace(0, 1, 101)[:, None]
+    return float(np.where(recalls[None] >= wanted - 1e-12, precisions[None], 0.0).max(1, initial=0.0).mean())
+
+
+def bootstrap_interval(counts: Counts, truth_per_image: Int[np.ndarray, " i"], n_draws: int) -> tuple[float, float]:
+    """95 % interval of AP when the images are drawn anew; fixed seed, so that a report repeats exactly."""
+    if not truth_per_image.sum() or not n_draws:
+        return (float("nan"), float("nan"))
+    rng = np.random.default_rng(0)
+    n_images = len(truth_per_image)
+    draws = []
+    for _ in range(n_draws):
+        times = np.bincount(rng.integers(0, n_images, n_images), minlength=n_images)
+        draws.append(average_precision(*counts.curve(int(truth_per_image @ times), times)))
+    low, high = np.nanpercentile(draws, [2.5, 97.5])
+    return (float(low), float(high))
+
+
+def _errors(images: list[Pairs], threshold: float) -> Errors:
+    matched = [(pairs, match(pairs, threshold)) for pairs in images]
+    n_true = sum(len(accepted) for _, accepted in matched)
+    n_false = sum(_n_false(pairs, accepted, threshold) for pairs, accepted in matched)
+    n_truth = sum(pairs.n_truth for pairs in images)
+    precision = n_true / (n_true + n_false) if n_true + n_false else float("nan")
+    recall = n_true / n_truth if n_truth else float("nan")
+    dx_m, dz_m = _pooled(matched)
+    error_m = np.hypot(dx_m, dz_m)
+    is_near = METRIC_Y_M <= NEAR_TO_M
+
+    def cm(values_m: Float[np.ndarray, "m y"], percent: float) -> float:
+        return _percentile_cm(values_m.ravel(), percent)
+
+    return Errors(
+        threshold=threshold,
+        precision=precision,
+        recall=recall,
+        f1=2 * n_true / (n_true + n_false + n_truth) if n_true + n_false + n_truth else float("nan"),
+        near_1sigma_cm=cm(error_m[:, is_near], 68.0),
+        near_2sigma_cm=cm(error_m[:, is_near], 95.0),
+        far_1sigma_cm=cm(error_m[:, ~is_near], 68.0),
+        far_2sigma_cm=cm(error_m[:, ~is_near], 95.0),
+        near_median_abs_dx_cm=cm(np.abs(dx_m[:, is_near]), 50.0),
+        near_median_abs_dz_cm=cm(np.abs(dz_m[:, is_near]), 50.0),
+        far_median_abs_dx_cm=cm(np.abs(dx_m[:, ~is_near]), 50.0),
+        far_median_abs_dz_cm=cm(np.abs(dz_m[:, ~is_near]), 50.0),
+        bias_dx_cm=cm(dx_m, 50.0),
+        bias_dz_cm=cm(dz_m, 50.0),
+    )
+
+
+def _n_false(pairs: Pairs, accepted: list[int], threshold: float) -> int:
+    unmatched = (pairs.score >= threshold) & ~pairs.forgiven
+    unmatched[pairs.detection[accepted]] = False
+    return int(unmatched.sum())
+
+
+def _pooled(
+    matched: list[tuple[Pairs, list[int]]],
+) -> tuple[Float[np.ndarray, "m y"], Float[np.ndarray, "m y"]]:
+    none = np.zeros((0, len(METRIC_Y_M)), dtype=np.float32)
+    dx_m = np.concatenate([none, *(pairs.dx_m[accepted] for pairs, accepted in matched)])
+    dz_m = np.concatenate([none, *(pairs.dz_m[accepted] for pairs, accepted in matched)])
+    return dx_m, dz_m
+
+
+def _percentile_cm(values_m: Float[np.ndarray, " n"], percent: float) -> float:
+    finite = values_m[~np.isnan(values_m)]
+    return float(100 * np.percentile(finite, percent)) if len(finite) else float("nan")
+
+
+def _error_by_y(images: list[Pairs], threshold: float) -> Float[np.ndarray, "2 y"]:
+    dx_m, dz_m = _pooled([(pairs, match(pairs, threshold)) for pairs in images])
+    error_m = np.hypot(dx_m, dz_m)
+    columns = [[_percentile_cm(error_m[:, k], percent) for k in range(len(METRIC_Y_M))] for percent in (68.0, 95.0)]
+    return np.array(columns)

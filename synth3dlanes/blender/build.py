@@ -1,0 +1,136 @@
+"""Scene -> Blender's data: meshes of this scene, and instances of the assets. World frame."""
+
+from dataclasses import dataclass
+
+import bpy
+import mathutils
+import numpy as np
+
+from synth3dlanes.blender.assets import Assets, load_assets
+from synth3dlanes.blender.camera import set_camera
+from synth3dlanes.blender.materials import Materials, make_materials, set_materials
+from synth3dlanes.blender.world import make_world, set_light
+from synth3dlanes.geometry import meshes, placement
+from synth3dlanes.geometry.camera import world_from_cam
+from synth3dlanes.geometry.ground import Ground
+from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.geometry.transforms import Matrix4, from_axes
+from synth3dlanes.scene import Scene
+from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_TREE_ID
+
+
+@dataclass(frozen=True, eq=False)
+class Studio:
+    """What every scene of a process shares, and the names of all data that must outlive a scene."""
+
+    assets: Assets
+    materials: Materials
+    camera: bpy.types.Object
+    kept: frozenset[tuple[str, str]]
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """An object standing in the scene: its mesh, its pose and its instance id."""
+
+    mesh: bpy.types.Mesh
+    world_from_object: Matrix4
+    scale: float
+    instance_id: int
+
+
+def open_studio() -> Studio:
+    """An empty Blender with the assets loaded, once per process."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.context.preferences.edit.use_global_undo = False
+    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    bpy.context.scene.collection.objects.link(camera)
+    bpy.context.scene.camera = camera
+    make_world()
+    assets, materials = load_assets(), make_materials()
+    return Studio(assets, materials, camera, frozenset(_names()))
+
+
+def build(studio: Studio, scene: Scene) -> list[Placed]:
+    """Remove the last scene, add this one; return its cars and trees."""
+    clear(studio)
+    plan = RoadPlan(scene)
+    ground = Ground(plan)
+    set_materials(studio.materials, scene)
+    _add_surfaces(studio.materials, ground, scene)
+    placed = _placed_objects(studio.assets, ground)
+    for item, color in zip(placed, [(*car.color, car.gloss) for car in scene.cars] + [None] * len(scene.trees), strict=True):
+        scaled = item.world_from_object @ np.diag([item.scale] * 3 + [1.0])
+        _add_object(item.mesh, item.instance_id, mathutils.Matrix(scaled.tolist()), color)
+    set_camera(studio.camera, scene.camera, world_from_cam(plan))
+    set_light(scene)
+    return placed
+
+
+def clear(studio: Studio) -> None:
+    """Remove everything that came after the studio was opened: objects *and* meshes, or memory grows."""
+    newer = [block for kind in ("objects", "meshes") for block in getattr(bpy.data, kind) if (kind, block.name) not in studio.kept]
+    bpy.data.batch_remove(newer)
+
+
+def _names() -> list[tuple[str, str]]:
+    return [(kind, block.name) for kind in ("objects", "meshes") for block in getattr(bpy.data, kind)]
+
+
+def _add_surfaces(materials: Materials, ground: Ground, scene: Scene) -> None:
+    road = materials.roads[scene.surface.road_texture - 1]
+    terrain = materials.terrains[scene.surface.terrain_texture - 1]
+    for mesh in [meshes.terrain_mesh(ground), *meshes.verge_meshes(ground)]:
+        _add_object(new_mesh(mesh, [terrain]), 0)
+    for mesh in meshes.road_meshes(ground):
+        _add_object(new_mesh(mesh, [road, materials.shoulder]), 0)
+    for number, mesh in enumerate(meshes.paint_meshes(ground.plan).values()):
+        if len(mesh.faces):
+            _add_object(new_mesh(mesh, [materials.marking]), FIRST_DELIMITER_ID + number)
+
+
+def _placed_objects(assets: Assets, ground: Ground) -> list[Placed]:
+    scene = ground.plan.scene
+    cars = [
+        Placed(assets.cars[car.model - 1], placement.world_from_car(ground.plan, car), car.scale, FIRST_CAR_ID + i)
+        for i, car in enumerate(scene.cars)
+    ]
+    feet = placement.tree_positions(ground, scene.trees)
+    trees = []
+    for i, (tree, foot) in enumerate(zip(scene.trees, feet, strict=True)):
+        c, s = np.cos(tree.yaw_rad), np.sin(tree.yaw_rad)
+        pose = from_axes(np.array([c, s, 0]), np.array([-s, c, 0]), np.array([0, 0, 1.0]), foot)
+        trees.append(Placed(assets.trees[tree.model - 1], pose, tree.scale, FIRST_TREE_ID + i))
+    return cars + trees
+
+
+def new_mesh(mesh: meshes.Mesh, materials: list[bpy.types.Material]) -> bpy.types.Mesh:
+    """A Blender mesh of smooth quads with its UV layer in metres."""
+    data = bpy.data.meshes.new("surface")
+    n_faces = len(mesh.faces)
+    data.vertices.add(len(mesh.vertices_world))
+    data.vertices.foreach_set("co", mesh.vertices_world.astype(np.float32).ravel())
+    data.loops.add(4 * n_faces)
+    data.loops.foreach_set("vertex_index", mesh.faces.astype(np.int32).ravel())
+    data.polygons.add(n_faces)
+    data.polygons.foreach_set("loop_start", np.arange(0, 4 * n_faces, 4, dtype=np.int32))
+    data.polygons.foreach_set("material_index", mesh.material.astype(np.int32))
+    data.polygons.foreach_set("use_smooth", np.ones(n_faces, dtype=bool))
+    layer = data.uv_layers.new(name="UVMap")
+    layer.uv.foreach_set("vector", mesh.uv_m[mesh.faces.ravel()].astype(np.float32).ravel())
+    for material in materials:
+        data.materials.append(material)
+    data.update(calc_edges=True)
+    return data
+
+
+def _add_object(
+    mesh: bpy.types.Mesh, instance_id: int, matrix: mathutils.Matrix | None = None, color: tuple[float, ...] | None = None
+) -> None:
+    item = bpy.data.objects.new("item", mesh)
+    item.pass_index = instance_id
+    if matrix is not None:
+        item.matrix_world = matrix
+    if color is not None:
+        item.color = color
+    bpy.context.scene.collection.objects.link(item)

@@ -1,0 +1,128 @@
+"""Scene -> image, passes and the last mask of its labels, with Cycles (settings from the measured costs in bench)."""
+
+import os
+import time
+from dataclasses import dataclass, replace
+from functools import cache
+
+import bpy
+import cycles  # type: ignore[import-not-found]
+import numpy as np
+from jaxtyping import Shaped, UInt8
+
+from synth3dlanes.blender.build import Placed, Studio, build, open_studio
+from synth3dlanes.blender.occlusion import hidden_by_objects
+from synth3dlanes.blender.tonemap import tonemap
+from synth3dlanes.geometry.transforms import transform
+from synth3dlanes.labels import Labels
+from synth3dlanes.scene import Scene
+from synth3dlanes.settings import NO_HIT_DEPTH_M, RenderSettings
+
+# Cycles writes 1e10 where a ray hits nothing.
+CYCLES_NO_HIT = 1e9
+
+
+@dataclass(frozen=True, eq=False)
+class Rendering:
+    """An image, its labels with `object_visible`, the passes asked for, and seconds spent by stage."""
+
+    image: UInt8[np.ndarray, "h w 3"]
+    labels: Labels
+    passes: dict[str, Shaped[np.ndarray, "h w ..."]]
+    timings: dict[str, float]
+
+
+@cache
+def studio() -> Studio:
+    """This process's Blender with the assets in it."""
+    return open_studio()
+
+
+def render(scene: Scene, labels: Labels, settings: RenderSettings) -> Rendering:
+    """Render one scene; equal arguments give equal pixels on one kind of machine."""
+    clock = [time.perf_counter()]
+    placed = build(studio(), scene)
+    clock.append(time.perf_counter())
+    _configure(scene, settings)
+    layers = _run_cycles()
+    clock.append(time.perf_counter())
+    image = tonemap(layers["Combined"][..., :3])
+    passes = {name: _pass(name, layers) for name in settings.passes}
+    clock.append(time.perf_counter())
+    seen = with_object_visibility(labels, placed)
+    clock.append(time.perf_counter())
+    stages = ("build", "cycles", "image", "occlusion")
+    return Rendering(image, seen, passes, dict(zip(stages, np.diff(clock).tolist(), strict=True)))
+
+
+def with_object_visibility(labels: Labels, placed: list[Placed]) -> Labels:
+    """The labels with every point's `object_visible`."""
+    world_from_cam = labels.camera.world_from_cam
+    points = transform(world_from_cam, np.concatenate([lane.xyz_cam for lane in labels.lanes]))
+    visible = ~hidden_by_objects(placed, world_from_cam[:3, 3], points)
+    ends = np.cumsum([len(lane.xyz_cam) for lane in labels.lanes])[:-1]
+    lanes = (
+        replace(lane, object_visible=mask) for lane, mask in zip(labels.lanes, np.split(visible, ends), strict=True)
+    )
+    return replace(labels, lanes=tuple(lanes))
+
+
+def _configure(scene: Scene, settings: RenderSettings) -> None:
+    blender = bpy.context.scene
+    blender.render.engine = "CYCLES"
+    blender.render.threads_mode = "FIXED"
+    blender.render.threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    blender.render.use_persistent_data = False
+    blender.render.use_compositing = False
+    blender.render.use_sequencer = False
+    blender.render.film_transparent = False
+    options = blender.cycles
+    options.samples = settings.samples
+    options.seed = 0
+    options.use_adaptive_sampling = False
+    options.use_denoising = True
+    options.denoiser = "OPENIMAGEDENOISE"
+    options.denoising_input_passes = "RGB_ALBEDO_NORMAL"
+    options.denoising_prefilter = "FAST"
+    options.denoising_quality = "FAST"
+    options.max_bounces, options.diffuse_bounces, options.glossy_bounces = 2, 1, 1
+    options.transmission_bounces, options.volume_bounces, options.transparent_max_bounces = 1, 0, 2
+    options.caustics_reflective = options.caustics_refractive = False
+    options.pixel_filter_type, options.filter_width = "BOX", 1.0
+    options.use_light_tree = False
+    options.use_auto_tile = False
+    options.film_exposure = scene.light.exposure
+    layer = blender.view_layers[0]
+    layer.use_pass_z = "depth" in settings.passes
+    layer.use_pass_object_index = "instance" in settings.passes
+    layer.use_pass_material_index = "semantic" in settings.passes
+
+
+def _run_cycles() -> dict[str, np.ndarray]:
+    """Render and read every pass in memory: `Render Result` has no pixels without a window, and files are slow."""
+    layers: dict[str, np.ndarray] = {}
+    original = cycles.CyclesRender.render
+
+    def render_and_read(self: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> None:
+        original(self, depsgraph)
+        result = self.get_result()
+        for render_pass in result.layers[0].passes:
+            pixels = np.zeros((result.resolution_y * result.resolution_x, render_pass.channels), dtype=np.float32)
+            render_pass.rect.foreach_get(pixels)
+            layers[render_pass.name] = pixels.reshape(result.resolution_y, result.resolution_x, -1)[::-1]
+
+    cycles.CyclesRender.render = render_and_read
+    try:
+        bpy.ops.render.render()
+    finally:
+        cycles.CyclesRender.render = original
+    return layers
+
+
+def _pass(name: str, layers: dict[str, np.ndarray]) -> np.ndarray:
+    if name == "depth":
+        depth = layers["Depth"][..., 0]
+        return np.where(depth > CYCLES_NO_HIT, np.float32(NO_HIT_DEPTH_M), depth)
+    if name == "semantic":
+        return layers["IndexMA"][..., 0].astype(np.uint8)
+    return layers["IndexOB"][..., 0].astype(np.uint16)

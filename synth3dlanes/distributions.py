@@ -1,0 +1,144 @@
+"""The distributions that a parameter can have, and how they are read from `[low, high]`, `{value: weight}` or a constant.
+
+A distribution is a value with one method, `draw(u)`. No side effects.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import Annotated, Any, Generic, TypeVar
+
+import yaml
+from pydantic import PlainSerializer, PlainValidator
+
+Value = TypeVar("Value", bool, int, float)
+
+
+@dataclass(frozen=True)
+class Uniform:
+    """Every number of [low, high) alike. Like all distributions it turns exactly one u of [0, 1) into a value,
+    so that fixing one parameter never moves another draw."""
+
+    low: float
+    high: float
+
+    def draw(self, u: float) -> float:
+        """The value at u in [0, 1)."""
+        return self.low + (self.high - self.low) * u
+
+
+@dataclass(frozen=True)
+class Integers:
+    """Every integer from low to high, both included, alike."""
+
+    low: int
+    high: int
+
+    def draw(self, u: float) -> int:
+        """The value at u in [0, 1)."""
+        return self.low + math.floor(u * (self.high - self.low + 1))
+
+
+@dataclass(frozen=True)
+class Choice(Generic[Value]):
+    """Some values with positive weights; a constant is a choice of one."""
+
+    values: tuple[Value, ...]
+    weights: tuple[float, ...]
+
+    def draw(self, u: float) -> Value:
+        """The value at u in [0, 1)."""
+        limits = list(accumulate(self.weights))
+        return next(
+            (value for value, limit in zip(self.values, limits, strict=True) if u * limits[-1] < limit), self.values[-1]
+        )
+
+
+def _form(distribution: Uniform | Integers | Choice[Any]) -> Any:
+    """The YAML form that a distribution was read from."""
+    if not isinstance(distribution, Choice):
+        return [distribution.low, distribution.high]
+    if len(distribution.values) == 1:
+        return distribution.values[0]
+    return dict(zip(distribution.values, distribution.weights, strict=True))
+
+
+Real = Annotated[Uniform | Choice[float], PlainSerializer(_form)]
+Integer = Annotated[Integers | Choice[int], PlainSerializer(_form)]
+
+
+def _is_real(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _is_integer(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _choice(form: Any, is_legal: Callable[[Any], bool], legal: str) -> Choice[Any]:
+    """Read `{value: weight}` or a constant."""
+    if not isinstance(form, dict):
+        form = {form: 1} if isinstance(form, bool | int | float | str) else {}
+    # Keys are text where the parameters come from JSON.
+    values = tuple(yaml.safe_load(key) if isinstance(key, str) and key.strip() else key for key in form)
+    if not values or not all(map(is_legal, values)):
+        raise ValueError(f"expected {legal}")
+    if not all(_is_real(weight) and weight > 0 for weight in form.values()):
+        raise ValueError("expected positive weights in {value: weight}")
+    return Choice(values, tuple(float(weight) for weight in form.values()))
+
+
+def _between(low: float, high: float, is_number: Callable[[object], bool], above: bool) -> Callable[[Any], bool]:
+    return lambda value: is_number(value) and (low < value if above else low <= value) and value <= high
+
+
+def _is_pair(form: object) -> bool:
+    return isinstance(form, list | tuple)
+
+
+def reals(low: float, high: float, above: bool = False) -> PlainValidator:
+    """Legal limits of a real parameter: low..high, low itself only unless `above`."""
+    is_legal = _between(low, high, _is_real, above)
+    legal = f"numbers in {'(' if above else '['}{low:g}, {high:g}] as [low, high], {{value: weight}} or a constant"
+
+    def parse(form: Any) -> Uniform | Choice[float]:
+        if isinstance(form, Uniform | Choice):
+            return form
+        if not _is_pair(form):
+            choice = _choice(form, is_legal, legal)
+            return Choice(tuple(map(float, choice.values)), choice.weights)
+        low_value, high_value = _checked_pair(form, is_legal, legal)
+        return Uniform(float(low_value), float(high_value))
+
+    return PlainValidator(parse)
+
+
+def integers(low: int, high: int) -> PlainValidator:
+    """Legal limits of an integer parameter, both included."""
+    is_legal = _between(low, high, _is_integer, above=False)
+    legal = f"integers from {low} to {high} as [low, high], {{value: weight}} or a constant"
+
+    def parse(form: Any) -> Integers | Choice[int]:
+        if isinstance(form, Integers | Choice):
+            return form
+        return Integers(*_checked_pair(form, is_legal, legal)) if _is_pair(form) else _choice(form, is_legal, legal)
+
+    return PlainValidator(parse)
+
+
+def _checked_pair(form: Sequence[Any], is_legal: Callable[[Any], bool], legal: str) -> tuple[Any, Any]:
+    if len(form) != 2 or not all(map(is_legal, form)):
+        raise ValueError(f"expected {legal}")
+    if form[0] > form[1]:
+        raise ValueError("expected [low, high] with low <= high")
+    return form[0], form[1]
+
+
+def _parse_flag(form: Any) -> Choice[bool]:
+    if isinstance(form, Choice):
+        return form
+    return _choice(form, lambda value: isinstance(value, bool), "true, false or {true: weight, false: weight}")
+
+
+Flag = Annotated[Choice[bool], PlainSerializer(_form), PlainValidator(_parse_flag)]

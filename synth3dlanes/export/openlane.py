@@ -1,0 +1,176 @@
+"""OpenLane v1: one JSON a frame, points in the camera frame with Waymo's axes (`_waymo`), metres, image 1920x1280.
+
+Waymo's axes are x forward, y left, z up. `extrinsic` is vehicle_from_camera in those axes; ours puts the vehicle's
+origin at the camera's foot on the road plane.
+"""
+
+import json
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from synth3dlanes.errors import FormatError
+from synth3dlanes.export.lines import (
+    DECIMALS,
+    NEAR_START_M,
+    Annotation,
+    Frame,
+    Line,
+    View,
+    keep_lines,
+    lines_ahead,
+    road_from_cv,
+)
+from synth3dlanes.labels import CameraLabel, Labels
+
+VIEW = View(1920, 1280, 2015.0)
+WAYMO_FROM_CV = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+MAX_LINES = 20
+MIN_LENGTH_M = 5.0
+STEP_M = 0.5
+FRAMES_PER_SEGMENT = 100
+UV_DECIMALS = 4
+CATEGORIES = {"none": 0, "dashed": 1, "solid": 2}
+CASES = ("up_down", "curve", "merge_split")
+LINKS: dict[str, str] = {}
+
+README = """OpenLane v1 layout.
+
+- `images/{training,validation}/segment-*/`: 1920x1280, intrinsics per frame (f = 2015, c = (960, 640), pixel
+  corners at whole numbers). `lane3d_1000/{training,validation}/segment-*/`: one JSON a frame, on one line.
+- Lists: `lists/{training,validation}.txt`; `lane3d_1000/test/1000_{up_down,curve,merge_split}_case.txt` with copies
+  of their labels in `lane3d_1000/test/*_case/`. There are no night, weather or intersection scenes.
+- `xyz`: 3 x n, metres, camera frame with Waymo axes (x forward, y left, z up), every 0.5 m or closer, near to far
+  from the image border. `extrinsic`: vehicle_from_camera in the same axes, the vehicle's origin at the camera's foot
+  on the road plane. `uv`: exact projections of the visible points, in their order.
+- `visibility` is a prefix: terrain hides lanes, cars do not. `category`: 1 white dashed, 2 white solid.
+  `attribute`: 1 to 4 = the lines left-left, left, right, right-right of the camera, 0 all others.
+- `track_id` counts within a segment; every frame is a scene of its own, so no id occurs in two frames.
+- Centre lines are not part of the format. PersFormer caches `.cache/*.pkl` by name: delete it after exporting again.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class OpenLaneLine:
+    """One line of a frame as plain arrays, points transposed to n x 3."""
+
+    xyz_waymo: Float[np.ndarray, "n 3"]
+    visible: Bool[np.ndarray, " n"]
+    uv_img: Float[np.ndarray, "m 2"]
+    category: int
+    attribute: int
+    track_id: int
+
+
+@dataclass(frozen=True, eq=False)
+class OpenLaneFrame:
+    """One label file."""
+
+    file_path: str
+    img_from_cv: Float[np.ndarray, "3 3"]
+    vehicle_from_cam_waymo: Float[np.ndarray, "4 4"]
+    lines: tuple[OpenLaneLine, ...]
+
+
+def annotate(labels: Labels, frame: Frame) -> Annotation:
+    """The frame's label file, copies for the test cases that it belongs to, and its list entries."""
+    dropped = Counter[str]()
+    part = "training" if frame.is_train else "validation"
+    segment, place = divmod(frame.number, FRAMES_PER_SEGMENT)
+    # Names must begin with "seg", hold no dot and no "jpg": loaders and evaluators cut and replace there.
+    name = f"segment-{segment:06d}/{frame.split}-{frame.key}"
+    file_path = f"{part}/{name}.jpg"
+    lines = _kept(labels, dropped)
+    attributes = _attributes(lines, labels.camera)
+    document = {
+        "extrinsic": np.round(vehicle_from_cam_waymo(labels.camera), 12).tolist(),
+        "intrinsic": VIEW.img_from_cv.tolist(),
+        "lane_lines": [
+            _line_document(line, attributes[i], place * (MAX_LINES + 1) + i + 1) for i, line in enumerate(lines)
+        ],
+        "file_path": file_path,
+    }
+    text = json.dumps(document)
+    files, listed = {f"lane3d_1000/{part}/{name}.json": text}, [f"lists/{part}.txt"]
+    for case in CASES:
+        if case in frame.tags and not frame.is_train:
+            files[f"lane3d_1000/test/{case}_case/{name}.json"] = text
+            listed.append(f"lane3d_1000/test/1000_{case}_case.txt")
+    return Annotation(f"images/{file_path}", len(lines), dropped, files, ((file_path, tuple(listed)),))
+
+
+def vehicle_from_cam_waymo(camera: CameraLabel) -> Float[np.ndarray, "4 4"]:
+    """The field `extrinsic`: pitched by p (positive = down) about the left axis, then raised by the height."""
+    c, s = np.cos(camera.pitch_rad), np.sin(camera.pitch_rad)
+    return np.array([[c, 0, s, 0], [0, 1.0, 0, 0], [-s, 0, c, camera.height_m], [0, 0, 0, 1]])
+
+
+def read(text: str, where: str) -> OpenLaneFrame:
+    """Parse one label file."""
+    try:
+        document = json.loads(text)
+        lines = tuple(
+            OpenLaneLine(
+                xyz_waymo=np.array(line["xyz"], dtype=float).reshape(3, -1).T,
+                visible=np.array(line["visibility"], dtype=float) > 0,
+                uv_img=np.array(line["uv"], dtype=float).reshape(2, -1).T,
+                category=line["category"],
+                attribute=line["attribute"],
+                track_id=line["track_id"],
+            )
+            for line in document["lane_lines"]
+        )
+        return OpenLaneFrame(
+            document["file_path"], np.array(document["intrinsic"]), np.array(document["extrinsic"]), lines
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise FormatError(f"{where}: not an OpenLane label file: {type(error).__name__}: {error}") from None
+
+
+def ground_from_waymo(
+    points_waymo: Float[np.ndarray, "n 3"], vehicle_from_cam: Float[np.ndarray, "4 4"]
+) -> Float[np.ndarray, "n 3"]:
+    """The frame of OpenLane's evaluator: x right, y forward, z up, origin exactly under the camera."""
+    points_vehicle = points_waymo @ vehicle_from_cam[:3, :3].T + np.array([0.0, 0.0, vehicle_from_cam[2, 3]])
+    return np.column_stack([-points_vehicle[:, 1], points_vehicle[:, 0], points_vehicle[:, 2]])
+
+
+def _kept(labels: Labels, dropped: Counter[str]) -> tuple[Line, ...]:
+    kept = []
+    for line in lines_ahead(labels, VIEW, "delimiter", STEP_M):
+        entered = np.flatnonzero(line.in_view & line.visible)
+        line = line.part(slice(int(entered[0]), None)) if len(entered) else line
+        length_m = np.linalg.norm(np.diff(line.points_cv[line.visible], axis=0), axis=1).sum()
+        if len(entered) and length_m < MIN_LENGTH_M:
+            dropped[f"its visible part is shorter than {MIN_LENGTH_M:g} m (Anchor3DLane drops those)"] += 1
+        else:
+            kept.append(line)
+    return keep_lines(kept, dropped, MAX_LINES, f"beyond the {MAX_LINES} nearest (Anchor3DLane drops such frames)")
+
+
+def _attributes(lines: tuple[Line, ...], camera: CameraLabel) -> list[int]:
+    """1 to 4 for the two nearest lines on either side of the camera, where they begin beside it."""
+    attributes = [0] * len(lines)
+    x_m = [float(road_from_cv(camera, line.points_cv[:1])[0, 0]) for line in lines]
+    beside = [i for i, line in enumerate(lines) if line.points_cv[0, 2] <= NEAR_START_M]
+    left = sorted((i for i in beside if x_m[i] < 0), key=lambda i: -x_m[i])
+    right = sorted((i for i in beside if x_m[i] >= 0), key=lambda i: x_m[i])
+    for side, numbers in ((left, (2, 1)), (right, (3, 4))):
+        for i, number in zip(side, numbers, strict=False):
+            attributes[i] = number
+    return attributes
+
+
+def _line_document(line: Line, attribute: int, track_id: int) -> dict[str, Any]:
+    points_cv = np.round(line.points_cv, DECIMALS)
+    return {
+        "category": CATEGORIES[line.marking],
+        "visibility": line.visible.astype(float).tolist(),
+        "uv": np.round(VIEW.project(points_cv[line.visible]), UV_DECIMALS).T.tolist(),
+        "xyz": (points_cv @ WAYMO_FROM_CV.T + 0.0).T.tolist(),
+        "attribute": attribute,
+        "track_id": track_id,
+    }

@@ -1,0 +1,87 @@
+"""tuSimple: JSON lines, 2D points by image row (`x` per row, -2 = absent), image 1280x720. No 3D."""
+
+import json
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from synth3dlanes.errors import FormatError
+from synth3dlanes.export.lines import Annotation, Frame, Line, View, keep_lines, lines_ahead
+from synth3dlanes.labels import Labels
+
+VIEW = View(1280, 720, 2015.0 * 2 / 3)
+ROWS_PX = np.arange(160, 720, 10)
+ABSENT = -2
+MAX_LINES = 5
+LINKS: dict[str, str] = {}
+
+README = """tuSimple layout.
+
+- `clips/<split>/<key>/20.jpg`, 1280x720; `label_data_train.json` and `test_label.json`, JSON lines with `raw_file`,
+  `h_samples` (rows 160 to 710, every 10) and `lanes` (x per row in whole pixels, -2 = absent).
+- One to five lines a frame, the nearest to the camera (the official accuracy fails on none and exceeds 1 on more);
+  a line ends where it would come back to a row that it has crossed. Frames without lines are left out.
+- Terrain hides lines, cars do not. `sidecar.jsonl` holds the camera (f = 1343.3, c = (640, 360)), its height over
+  the road and its pitch (radians, positive = down).
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class TusimpleFrame:
+    """One line of a label file as plain arrays."""
+
+    raw_file: str
+    rows_px: Int[np.ndarray, " r"]
+    lanes_u_px: Float[np.ndarray, "l r"]
+
+
+def annotate(labels: Labels, frame: Frame) -> Annotation | None:
+    """The frame's label line; None for a frame without lines, which the benchmark cannot score."""
+    dropped = Counter[str]()
+    raw_file = f"clips/{frame.split}/{frame.key}/20.jpg"
+    rows = [(line, rows_of(line)) for line in lines_ahead(labels, VIEW, "delimiter")]
+    crossing = [line for line, u_px in rows if np.count_nonzero(u_px != ABSENT) >= 2]
+    if len(crossing) < len(rows):
+        dropped["crosses fewer than two rows of the image"] += len(rows) - len(crossing)
+    kept = keep_lines(crossing, dropped, MAX_LINES, f"beyond the {MAX_LINES} nearest (the score exceeds 1 with more)")
+    if not kept:
+        return None
+    lanes = [rows_of(line).tolist() for line in kept]
+    document = {"lanes": lanes, "h_samples": ROWS_PX.tolist(), "raw_file": raw_file}
+    sidecar = {
+        "raw_file": raw_file,
+        "source": f"{frame.split}/{frame.key}",
+        "f_px": VIEW.f_px,
+        "camera_height_m": labels.camera.height_m,
+        "camera_pitch_rad": labels.camera.pitch_rad,
+        "lanes_ids": [line.id for line in kept],
+    }
+    label_file = "label_data_train.json" if frame.is_train else "test_label.json"
+    shared = ((json.dumps(document), (label_file,)), (json.dumps(sidecar), ("sidecar.jsonl",)))
+    return Annotation(raw_file, len(kept), dropped, shared=shared)
+
+
+def rows_of(line: Line) -> Int[np.ndarray, " r"]:
+    """The line's column at each row: the projected polyline up to where it turns over, ABSENT elsewhere."""
+    absent = np.full(len(ROWS_PX), ABSENT)
+    u_px, v_px = VIEW.project(line.points_cv[line.visible]).T
+    turns = np.flatnonzero(np.diff(v_px) >= 0)
+    n = int(turns[0]) + 1 if len(turns) else len(v_px)
+    if n < 2:
+        return absent
+    columns_px = np.rint(np.interp(ROWS_PX, v_px[:n][::-1], u_px[:n][::-1])).astype(int)
+    crossed = (ROWS_PX >= v_px[n - 1]) & (ROWS_PX <= v_px[0]) & (columns_px >= 0) & (columns_px < VIEW.width_px)
+    return np.where(crossed, columns_px, absent)
+
+
+def read(line: str, where: str) -> TusimpleFrame:
+    """Parse one line of a label file."""
+    try:
+        document = json.loads(line)
+        rows_px = np.array(document["h_samples"], dtype=int)
+        lanes_u_px = np.array(document["lanes"], dtype=float).reshape(-1, len(rows_px))
+        return TusimpleFrame(document["raw_file"], rows_px, lanes_u_px)
+    except (KeyError, TypeError, ValueError) as error:
+        raise FormatError(f"{where}: not a tuSimple label line: {type(error).__name__}: {error}") from None

@@ -1,0 +1,157 @@
+"""What a scene and its labels say, as groups of (name, value) in words and units a driver would use."""
+
+import math
+from collections import Counter
+
+import numpy as np
+
+from synth3dlanes.catalogue import CARS, TREES
+from synth3dlanes.geometry.transforms import transform
+from synth3dlanes.labels import Labels, Lane
+from synth3dlanes.scene import Road, Scene
+
+Facts = dict[str, str]
+
+LANE_COLUMNS = ("lane", "kind", "road", "marking", "points", "image", "ground", "objects", "seen to")
+
+_BASELINE_M = 5
+"""Slopes and bends are read over this length of road, which the rounding of labels cannot disturb."""
+
+
+def describe(scene: Scene, labels: Labels) -> dict[str, Facts]:
+    """Everything worth a line, by group: source, road, shape, camera, light, objects, paint and surface."""
+    return {
+        "drawn from": {"seed": str(scene.seed), "split": scene.split, "index": str(scene.index)},
+        "road": _road(scene, labels),
+        "shape": _shape(scene, labels),
+        "camera": _camera(scene, labels),
+        "light": {
+            "sun": f"{90 - math.degrees(scene.light.sun_zenith_rad):.0f}° above the horizon, "
+            f"azimuth {math.degrees(scene.light.sun_azimuth_rad) % 360:.0f}°",
+            "exposure": f"{scene.light.exposure:.2f}",
+        },
+        "objects": {
+            "cars": _counted([CARS[car.model - 1].name for car in scene.cars]),
+            "trees": _counted([TREES[tree.model - 1].name for tree in scene.trees]),
+        },
+        "paint": {
+            "dashes": f"{scene.markings.dash_cycle_m * scene.markings.dash_fraction:.2f} m painted every "
+            f"{scene.markings.dash_cycle_m:.2f} m",
+            "width": f"{100 * scene.markings.width_m:.1f} cm",
+            "gray, gloss": f"{scene.markings.grayscale:.2f}, {scene.markings.gloss:.2f}",
+        },
+        "surface": {
+            "road": f"texture {scene.surface.road_texture}, scale {scene.surface.road_texture_scale:.1f}, "
+            f"gloss {scene.surface.road_gloss:.2f}",
+            "terrain": f"texture {scene.surface.terrain_texture}, scale {scene.surface.terrain_texture_scale:.1f}, "
+            f"turned {math.degrees(scene.surface.texture_orientation_rad):.0f}°",
+        },
+    }
+
+
+def topology_words(road: Road) -> str:
+    """The plan of the road after its flips, as the host meets it: "merge from the left, two-lane exit"."""
+    if road.topology == 1:
+        return "one road, no exit"
+    junction = "merge from" if road.flip_lateral else "split to"
+    side = "left" if road.flip_longitudinal else "right"
+    kinds = {
+        2: "one-lane exit, its lane also stays on the main road",
+        3: "one-lane exit, the main road opens a new lane",
+        4: "two-lane exit, the main road keeps one of the two lanes",
+    }
+    if road.flip_lateral:
+        kinds[3] = "one-lane exit, the main road loses a lane"
+        kinds[4] = "two-lane exit, one of its lanes joins the main road's"
+        kinds[2] = "one-lane exit, it joins the main road's outer lane"
+    return f"{junction} the {side}, {kinds[road.topology]}"
+
+
+def lane_row(lane: Lane) -> tuple[str, ...]:
+    """A lane by `LANE_COLUMNS`: all its points, those in the image, of them those over the ground, of them those
+    that no object hides ("-" before rendering), and how far it is seen."""
+    objects = "-" if lane.object_visible is None else str(int(lane.visible.sum()))
+    reach = f"{lane.xyz_cam[lane.visible, 1].max():.0f} m" if lane.visible.any() else "-"
+    in_image, over_ground = int(lane.in_image.sum()), int((lane.in_image & lane.terrain_visible).sum())
+    counts = (str(len(lane.xyz_cam)), str(in_image), str(over_ground), objects, reach)
+    return (lane.id, lane.kind, lane.road, lane.marking, *counts)
+
+
+def steepest_grade(lane: Lane, labels: Labels) -> float:
+    """The largest rise over run along the lane, signed (up is positive); 0 for a lane too short to tell."""
+    points_world = transform(labels.camera.world_from_cam, lane.xyz_cam)[::_BASELINE_M]
+    if len(points_world) < 2:
+        return 0.0
+    steps = np.diff(points_world, axis=0)
+    grades = steps[:, 2] / np.hypot(steps[:, 0], steps[:, 1])
+    return float(grades[np.argmax(np.abs(grades))])
+
+
+def sharpest_bend(lane: Lane, labels: Labels) -> float:
+    """The largest curvature of the lane seen from above, in 1/m, signed (to the right is positive)."""
+    points_world = transform(labels.camera.world_from_cam, lane.xyz_cam)[::_BASELINE_M, :2]
+    if len(points_world) < 3:
+        return 0.0
+    steps = np.diff(points_world, axis=0)
+    turns = np.diff(np.unwrap(np.arctan2(steps[:, 0], steps[:, 1])))
+    lengths = np.hypot(*steps.T)
+    curvatures = 2 * turns / (lengths[1:] + lengths[:-1])
+    return float(curvatures[np.argmax(np.abs(curvatures))])
+
+
+def heights_over_road_plane(labels: Labels) -> tuple[float, float]:
+    """The lowest and the highest lane point above the plane of the road at the host."""
+    points_cam = np.concatenate([lane.xyz_cam for lane in labels.lanes])
+    heights_m = transform(labels.camera.road_from_cam, points_cam)[:, 2]
+    return round(float(heights_m.min()), 3) + 0.0, round(float(heights_m.max()), 3) + 0.0
+
+
+def _road(scene: Scene, labels: Labels) -> Facts:
+    road = scene.road
+    facts = {
+        "topology": f"{road.topology}: {topology_words(road)}",
+        "lanes": f"{road.n_lanes}, each {road.lane_width_m:.2f} m wide",
+        "shoulder": f"{road.shoulder_factor * road.lane_width_m:.2f} m",
+    }
+    if road.topology > 1:
+        start_m = labels.graph.ramp_start_s_m
+        facts["exit"] = (
+            f"leaves at {math.degrees(road.exit_angle_rad):.1f}°, {road.exit_offset_m:.1f} m of bend over 60 m"
+        )
+        facts["ramp"] = (
+            "unused: the roads never part inside the scene"
+            if start_m is None
+            else f"{road.ramp_height_m:.1f} m high over {road.ramp_height_m * road.ramp_slope:.1f} m from y = {start_m:.0f} m"
+        )
+    return facts
+
+
+def _shape(scene: Scene, labels: Labels) -> Facts:
+    centerlines = [lane for lane in labels.lanes if lane.kind == "centerline"]
+    bend = max((sharpest_bend(lane, labels) for lane in centerlines), key=abs, default=0.0)
+    grade = max((steepest_grade(lane, labels) for lane in centerlines), key=abs, default=0.0)
+    low_m, high_m = heights_over_road_plane(labels)
+    radius = f"{1 / abs(bend):.0f} m to the {'right' if bend > 0 else 'left'}" if abs(bend) > 1e-4 else "straight"
+    return {
+        "sharpest bend": radius,
+        "steepest grade": f"{100 * abs(grade):.1f} % {'up' if grade > 0 else 'down'}",
+        "lanes over the road plane": f"{low_m:+.1f} to {high_m:+.1f} m",
+        "hills and hollows": str(len(scene.terrain.gaussians)),
+    }
+
+
+def _camera(scene: Scene, labels: Labels) -> Facts:
+    camera = scene.camera
+    side = "right" if camera.offset_m > 0 else "left"
+    return {
+        "place": f"lane {camera.lane} at y = {camera.y_m:.1f} m, {abs(camera.offset_m):.2f} m {side} of its centre",
+        "height, pitch": f"{camera.height_m:.3f} m, {math.degrees(camera.pitch_rad):.2f}° down",
+        "image": f"{camera.width_px} x {camera.height_px} px, "
+        f"{2 * math.degrees(math.atan(camera.width_px / 2 / camera.fx_px)):.0f}° wide (fx = {camera.fx_px:.1f})",
+        "lanes in labels": _counted([f"{lane.kind} {lane.road}" for lane in labels.lanes]),
+    }
+
+
+def _counted(names: list[str]) -> str:
+    counts = ", ".join(f"{count} {name}" for name, count in sorted(Counter(names).items()))
+    return f"{len(names)}: {counts}" if names else "none"

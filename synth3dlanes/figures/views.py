@@ -1,0 +1,141 @@
+"""The four views of an inspect figure, each drawn into given matplotlib axes. Metres in the road frame at the host."""
+
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from matplotlib.axes import Axes
+from matplotlib.patches import Circle, Polygon
+from mpl_toolkits.mplot3d import Axes3D
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+from synth3dlanes.figures import colors
+from synth3dlanes.figures.overlay import stretches_img
+from synth3dlanes.figures.world import AHEAD_M, BEHIND_M, SceneView
+from synth3dlanes.geometry.transforms import transform
+from synth3dlanes.labels import Labels, Lane
+
+_HIDDEN_OPACITY = 0.4
+_HALF_WIDTH_3D_M = 32.0
+_HEIGHT_FACTOR_3D = 2.0
+
+
+def draw_image(axes: Axes, labels: Labels, image: UInt8[np.ndarray, "h w 3"] | None) -> None:
+    """The image with its lanes, or an empty frame of its size."""
+    width_px, height_px = labels.camera.width_px, labels.camera.height_px
+    if image is None:
+        axes.set_facecolor("#eceff3")
+        axes.text(width_px / 2, 14, "not rendered", ha="center", va="top", color=colors.FAINT)
+    else:
+        axes.imshow(image, extent=(0, width_px, height_px, 0))
+    for lane in labels.lanes:
+        for is_seen, points_img in stretches_img(labels.camera, lane):
+            style: Literal["-", ":"] = "-" if is_seen else ":"
+            color = colors.hexadecimal(colors.KINDS[lane.kind])
+            axes.plot(*points_img.T, style, color=color, linewidth=1.2 if is_seen else 1.0)
+    axes.set(xlim=(0, width_px), ylim=(height_px, 0), aspect="equal", xlabel="u [px]", ylabel="v [px]")
+    axes.set_title("image: solid = seen, dotted = hidden")
+
+
+def draw_top(axes: Axes, view: SceneView) -> None:
+    """From above, driving to the right: roads, lanes, cars at their size, trees and what the camera can see."""
+    for left, right in view.roads.values():
+        axes.add_patch(Polygon(np.concatenate([left, right[::-1]])[:, [1, 0]], color=colors.ROAD, zorder=1))
+    _frustum_from_above(axes, view.labels)
+    for tree in view.trees:
+        patch = Circle((tree.foot_road[1], tree.foot_road[0]), tree.radius_m, color=colors.TREE, alpha=0.45, zorder=2)
+        axes.add_patch(patch)
+    for lane in view.labels.lanes:
+        _plot(axes, lane, transform(view.labels.camera.road_from_cam, lane.xyz_cam)[:, [1, 0]])
+    for car in view.cars:
+        face = colors.hexadecimal(car.color)
+        axes.add_patch(Polygon(car.corners_road[:, [1, 0]], facecolor=face, edgecolor=colors.INK, zorder=5))
+    low, high = _lateral_extent(view)
+    axes.set(xlim=(-BEHIND_M, AHEAD_M), ylim=(high, low), aspect="equal")
+    axes.set(xlabel="y forward [m]", ylabel="x right [m]")
+    axes.set_title("from above")
+
+
+def draw_side(axes: Axes, view: SceneView) -> None:
+    """Heights over the road plane at the host against the way ahead."""
+    ground = view.ground_along_main
+    floor = ground[:, 2].min() - 5
+    axes.fill_between(ground[:, 1], ground[:, 2], floor, color=colors.GROUND, alpha=0.5, zorder=1)
+    heights = [ground[:, 2]]
+    for lane in view.labels.lanes:
+        points_road = transform(view.labels.camera.road_from_cam, lane.xyz_cam)
+        heights.append(points_road[:, 2])
+        _plot(axes, lane, points_road[:, [1, 2]])
+    foot = view.ramp_foot
+    if foot is not None and -BEHIND_M < foot[1] < AHEAD_M:
+        axes.axvline(foot[1], color=colors.FAINT, linestyle="--", linewidth=1)
+        words = "ramp of the exit ends" if view.scene.road.flip_lateral else "ramp of the exit begins"
+        axes.annotate(words, (foot[1], 0.97), xycoords=("data", "axes fraction"), va="top", xytext=(4, 0), textcoords="offset points")  # fmt: skip
+    height_m = view.labels.camera.height_m
+    axes.plot(0, height_m, "o", color=colors.FRUSTUM, markeredgecolor=colors.INK, zorder=6)
+    axes.axhline(0, color=colors.FAINT, linewidth=0.8, zorder=0)
+    low, high = min(map(np.min, heights)), max(height_m, *map(np.max, heights))
+    margin = max(0.5, 0.08 * (high - low))
+    axes.set(xlim=(-BEHIND_M, AHEAD_M), ylim=(low - margin, high + margin))
+    axes.set(xlabel="y forward [m]", ylabel="z up [m]")
+    axes.set_title("from the side (ground along the main road in green)")
+
+
+def draw_3d(axes: Axes3D, view: SceneView) -> None:
+    """Terrain, roads, lanes, cars and the camera in space; heights are stretched so that hills show."""
+    grid = view.ground_grid(_HALF_WIDTH_3D_M, 4.0)
+    axes.plot_surface(*np.moveaxis(grid, -1, 0), color=colors.GROUND, alpha=0.55, linewidth=0.2, edgecolor="#8fa883", zorder=0)  # fmt: skip
+    for left, right in view.roads.values():
+        keep = (np.abs(left[:, 0]) < _HALF_WIDTH_3D_M) & (np.abs(right[:, 0]) < _HALF_WIDTH_3D_M)
+        quads = np.stack([left[:-1], left[1:], right[1:], right[:-1]], 1)[keep[1:] & keep[:-1]]
+        axes.add_collection3d(Poly3DCollection(quads, facecolor=colors.ROAD, edgecolor="none", zorder=1))
+    for lane in view.labels.lanes:
+        points_road = transform(view.labels.camera.road_from_cam, lane.xyz_cam)
+        points_road = np.where(np.abs(points_road[:, :1]) < _HALF_WIDTH_3D_M, points_road, np.nan)
+        _plot(axes, lane, points_road)
+    for car in view.cars:
+        if abs(car.corners_road[0, 0]) < _HALF_WIDTH_3D_M and -BEHIND_M < car.corners_road[0, 1] < AHEAD_M:
+            sides = _box(car.corners_road, car.height_m)
+            axes.add_collection3d(
+                Poly3DCollection(sides, facecolor=colors.hexadecimal(car.color), edgecolor=colors.INK, linewidth=0.4, zorder=5)  # fmt: skip
+            )
+    axes.scatter(0, 0, view.labels.camera.height_m, color=colors.FRUSTUM, edgecolor=colors.INK, s=36, zorder=6)
+    low, high = grid[..., 2].min(), grid[..., 2].max() + 2
+    axes.set(xlim=(-_HALF_WIDTH_3D_M, _HALF_WIDTH_3D_M), ylim=(-BEHIND_M, AHEAD_M), zlim=(low, high))
+    axes.set_box_aspect((2 * _HALF_WIDTH_3D_M, AHEAD_M + BEHIND_M, _HEIGHT_FACTOR_3D * (high - low)), zoom=1.25)
+    axes.set(xlabel="x right [m]", ylabel="y forward [m]", zlabel="z up [m]")
+    axes.view_init(elev=24, azim=-112)
+    axes.set_title(f"in space (heights x {_HEIGHT_FACTOR_3D:g})")
+
+
+def _plot(axes: Any, lane: Lane, points: Float[np.ndarray, "n d"]) -> None:
+    """One lane in a plan, section or space: whole and faint, and full where it is seen."""
+    color = colors.hexadecimal(colors.KINDS[lane.kind])
+    axes.plot(*points.T, color=color, linewidth=1, alpha=_HIDDEN_OPACITY, zorder=3)
+    seen = np.where(lane.visible[:, None], points, np.nan)
+    axes.plot(*seen.T, color=color, linewidth=1.6, linestyle=(0, (5, 2)) if lane.marking == "dashed" else "-", zorder=4)
+
+
+def _frustum_from_above(axes: Axes, labels: Labels) -> None:
+    camera = labels.camera
+    inverse = np.linalg.inv(camera.img_from_cam)
+    corners_img = np.array([[0.0, camera.height_px / 2, 1], [camera.width_px, camera.height_px / 2, 1]])
+    rays_cam = corners_img @ inverse.T
+    rays_road = rays_cam @ camera.road_from_cam[:3, :3].T
+    ends = rays_road[:, :2] / rays_road[:, 1:2] * AHEAD_M
+    triangle = np.array([[0, 0], *ends])[:, [1, 0]]
+    axes.add_patch(Polygon(triangle, facecolor=colors.FRUSTUM, alpha=0.13, edgecolor="none", zorder=1.5))
+    axes.plot(0, 0, ">", color=colors.FRUSTUM, markeredgecolor=colors.INK, markersize=9, zorder=6)
+
+
+def _lateral_extent(view: SceneView) -> tuple[float, float]:
+    """From the leftmost to the rightmost lane, with room for what stands beside them."""
+    lanes_road = [transform(view.labels.camera.road_from_cam, lane.xyz_cam)[:, 0] for lane in view.labels.lanes]
+    low, high = min(map(np.min, lanes_road), default=0.0), max(map(np.max, lanes_road), default=0.0)
+    return max(-45.0, min(low - 8, -14.0)), min(45.0, max(high + 8, 14.0))
+
+
+def _box(corners: Float[np.ndarray, "4 3"], height_m: float) -> list[Float[np.ndarray, "4 3"]]:
+    top = corners + [0.0, 0.0, height_m]
+    around = [np.stack([corners[i], corners[i - 1], top[i - 1], top[i]]) for i in range(4)]
+    return [*around, top]

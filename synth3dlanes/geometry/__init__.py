@@ -1,0 +1,1 @@
+"""The world as pure numpy: frames, terrain, road, lanes, visibility and meshes. No Blender, no files."""

@@ -1,0 +1,48 @@
+"""The host's camera: where it stands and how it sees. World and camera frames (spec section 1)."""
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.geometry import terrain as ground
+from synth3dlanes.geometry.lanes import host_segment, path_of_segment
+from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.geometry.transforms import Matrix4, from_axes, road_from_cam
+from synth3dlanes.scene import Camera
+
+TANGENT_STEP_M = 1e-3
+
+
+def img_from_cam(camera: Camera) -> Float[np.ndarray, "3 3"]:
+    """The projection that acts on (x, y, z) of the camera frame: u = cx + fx x/y, v = cy - fy z/y."""
+    return np.array(
+        [[camera.fx_px, camera.cx_px, 0], [0, camera.cy_px, -camera.fy_px], [0, 1, 0]],
+        dtype=float,
+    )
+
+
+def project(img_from_cam: Float[np.ndarray, "3 3"], points_cam: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
+    """Pixels (u, v) of points in front of the camera; NaN behind it. (0, 0) is the image's top-left corner."""
+    homogeneous = points_cam @ img_from_cam.T
+    depth = np.where(homogeneous[:, 2:] > 0, homogeneous[:, 2:], np.nan)
+    return homogeneous[:, :2] / depth
+
+
+def world_from_road(plan: RoadPlan) -> Matrix4:
+    """The road frame at the host: its foot on the surface, z the surface normal, y along the lane."""
+    camera = plan.scene.camera
+    lane = path_of_segment(plan, host_segment(plan, camera.lane, camera.y_m))
+    s = plan.plan_station(camera.y_m + np.array([0.0, -TANGENT_STEP_M, TANGENT_STEP_M]))
+    t = lane.main_offset(plan, s) + camera.offset_m * plan.flips[0]
+    foot, behind, ahead = plan.lift(plan.main_xy(s, t))
+    dx, dy = ground.gradient_at(plan.scene.terrain, foot[:2])
+    z = np.array([-dx, -dy, 1.0]) / np.sqrt(dx * dx + dy * dy + 1)
+    along = ahead - behind
+    y = along - (along @ z) * z
+    y /= np.linalg.norm(y)
+    return from_axes(np.cross(y, z), y, z, foot)
+
+
+def world_from_cam(plan: RoadPlan) -> Matrix4:
+    """The camera frame in the world."""
+    camera = plan.scene.camera
+    return world_from_road(plan) @ road_from_cam(camera.height_m, camera.pitch_rad)

@@ -1,0 +1,158 @@
+"""The ground as built: terrain, pavement, verges and embankments, as one height over (x, y). World frame.
+
+A paved area ends in shoulders. From a shoulder's edge the ground falls gently (the verge), or down an embankment
+where the exit is raised, until it dives under the terrain, whose mesh is pressed down below pavement and verge.
+`meshes.py` builds exactly this; `visibility.py` looks over it.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.geometry import terrain
+from synth3dlanes.geometry.road import RoadPlan
+
+Values = Float[np.ndarray, "*n"]
+Points2 = Float[np.ndarray, "*n 2"]
+
+# Terrain cells near the road, and all depths and widths of verges for that cell; they grow with the cell further off.
+CELL_M = 1.25
+MAX_CELL_SCALE = 8.0
+PRESS_M = 0.3
+PRESSED_TO_M = 2.0
+VERGE_M = 4.0
+VERGE_FALL = 0.05
+# Horizontal over vertical of the embankment beside a raised exit, and how far its foot goes below the terrain.
+EMBANKMENT_SLOPE = 1.5
+# Growth of the terrain's cells outside the fine area, per metre.
+GROWTH = 0.06
+# Stretch behind the split over which the pavement of a lane that leaves narrows away (topology 4).
+TAPER_M = 20.0
+
+
+@dataclass(frozen=True)
+class Ground:
+    """Ground heights of one scene. `fine` is (x0, y0, x1, y1) of the area with fine terrain cells."""
+
+    plan: RoadPlan
+
+    @cached_property
+    def edge_m(self) -> float:
+        """Outer edge of the main road's shoulder before the split, left or right of the reference line."""
+        return self.plan.n_lanes * self.plan.width_m / 2 + self.plan.shoulder_m
+
+    @cached_property
+    def exit_edge_m(self) -> float:
+        """Outer edge of the exit's shoulder, left or right of its reference line."""
+        return self.plan.exit_half_m + self.plan.shoulder_m
+
+    def main_right_edge(self, s: Values) -> Values:
+        """Plan offset of the main pavement's right edge; narrows where main lanes leave for good (topology 4)."""
+        lost_m = (self.plan.n_lanes - self.plan.n_main_after) * self.plan.width_m
+        return np.asarray(self.edge_m - lost_m * np.clip(s / min(TAPER_M, self.plan.nose_m), 0, 1))
+
+    @cached_property
+    def fine(self) -> tuple[float, float, float, float]:
+        """The part of the world that the camera sees from near: fine terrain cells cover its roads."""
+        y = self.plan.scene.camera.y_m
+        s = np.linspace(y - 8, y + 160, 85)
+        xy = [self.plan.main_xy(self.plan.plan_station(s), t) for t in (-self.edge_m, self.edge_m)]
+        if self.plan.has_exit:
+            stations = np.clip(self.plan.plan_station(s), 0, None)
+            xy += [self.plan.exit_xy(stations, t) for t in (-self.exit_edge_m, self.exit_edge_m)]
+        points = np.concatenate(xy)
+        points = points[(points[:, 1] > y - 10) & (points[:, 1] < y + 165)]
+        x0, x1 = points[:, 0].min() - 10, points[:, 0].max() + 10
+        return float(x0), float(y - 10), float(x1), float(y + 165)
+
+    def cell_scale(self, xy_world: Points2) -> Values:
+        """Terrain cell size as a multiple of CELL_M, as `meshes.terrain_axes` lays it out."""
+        x0, y0, x1, y1 = self.fine
+        out = np.maximum(
+            np.maximum(x0 - xy_world[..., 0], xy_world[..., 0] - x1),
+            np.maximum(y0 - xy_world[..., 1], xy_world[..., 1] - y1),
+        )
+        return np.clip(1 + np.clip(out, 0, None) * GROWTH / CELL_M, 1, MAX_CELL_SCALE)
+
+    def edge_distances(self, xy_world: Points2) -> tuple[Values, Values, Values]:
+        """Distance outside the main pavement, outside the exit's pavement (negative inside, infinite far away),
+        and the exit's height over the terrain at the nearest station."""
+        s, t = self.plan.project_main(xy_world)
+        main = np.maximum(-self.edge_m - t, t - self.main_right_edge(s))
+        outside = np.full(s.shape, np.inf)
+        raised = np.zeros(s.shape)
+        if self.plan.has_exit:
+            reach = self._reach_m(xy_world) + 1.5 * self.plan.opening(np.clip(s + 20, 0, None))
+            close = (s > -20) & (t > self.main_right_edge(s) - self.plan.width_m - 1) & (t < self.edge_m + reach)
+            if close.any():
+                se, te = self.plan.project_exit(xy_world[close], s[close])
+                outside[close] = np.where(se >= 0, np.abs(te) - self.exit_edge_m, np.inf)
+                raised[close] = self.plan.ramp(se)
+        return main, outside, raised
+
+    def above_terrain(self, xy_world: Points2) -> Values:
+        """Height of the built ground over the analytic terrain at any points (0 away from roads)."""
+        flat = xy_world.reshape(-1, 2)
+        above = np.zeros(len(flat))
+        near = self._near(flat)
+        xy = flat[near]
+        main, exits, raised = self.edge_distances(xy)
+        scale = self.cell_scale(xy)
+        distance = np.minimum(main, exits)
+        main_profile = profile(main, 0.0, scale)
+        exit_profile = np.where(np.isfinite(exits), profile(np.where(np.isfinite(exits), exits, 0), raised, scale), -np.inf)
+        built = np.where(main <= 0, np.where(exits <= 0, np.maximum(raised, 0), 0.0), np.maximum(main_profile, exit_profile))
+        above[near] = np.where(distance <= 0, built, np.maximum(built, -press(distance, scale)))
+        return above.reshape(xy_world.shape[:-1])
+
+    def terrain_mesh_height(self, xy_world: Points2) -> Values:
+        """Height of the terrain mesh: the terrain, pressed down below pavement and verges."""
+        flat = xy_world.reshape(-1, 2)
+        pressed = np.zeros(len(flat))
+        near = self._near(flat)
+        main, exits, _ = self.edge_distances(flat[near])
+        pressed[near] = press(np.minimum(main, exits), self.cell_scale(flat[near]))
+        z = terrain.height_at(self.plan.scene.terrain, flat) - pressed
+        return np.asarray(z.reshape(xy_world.shape[:-1]))
+
+    def height(self, xy_world: Points2) -> Values:
+        """Height of the ground as built."""
+        return terrain.height_at(self.plan.scene.terrain, xy_world) + self.above_terrain(xy_world)
+
+    def clearance(self, xy_world: Points2) -> Values:
+        """Distance from the nearest pavement (shoulders included), negative on it, infinite far away."""
+        flat = xy_world.reshape(-1, 2)
+        clear = np.full(len(flat), np.inf)
+        near = self._near(flat)
+        main, exits, _ = self.edge_distances(flat[near])
+        clear[near] = np.minimum(main, exits)
+        return clear.reshape(xy_world.shape[:-1])
+
+    def _near(self, xy_world: Points2) -> np.ndarray:
+        """Which points lie close enough to a road to be worth projecting."""
+        xy = xy_world * self.plan.flips
+        x, slope, _ = self.plan._f(xy[:, 1])
+        across = (xy[:, 0] - x) / np.sqrt(1 + slope * slope)
+        reach = self.edge_m + self._reach_m(xy_world)
+        right = reach + (self.plan.opening(np.clip(xy[:, 1] + 20, 0, None)) * 1.5 if self.plan.has_exit else 0.0)
+        return (across > -reach) & (across < right)
+
+    def _reach_m(self, xy_world: Points2) -> Values:
+        """How far from a shoulder's edge the ground may differ from the terrain."""
+        return EMBANKMENT_SLOPE * self.plan.scene.road.ramp_height_m + VERGE_M * self.cell_scale(xy_world)
+
+
+def press(distance_m: Values, scale: Values) -> Values:
+    """How far the terrain mesh is pressed down at a distance from the pavement."""
+    fade = (VERGE_M * scale - distance_m) / ((VERGE_M - PRESSED_TO_M) * scale)
+    return PRESS_M * scale * np.clip(fade, 0, 1)
+
+
+def profile(distance_m: Values, raised_m: Values | float, scale: Values | float) -> Values:
+    """Height over the terrain of verge and embankment at a distance from the shoulder's edge; below the pressed
+    terrain from about 3 m (times the cell scale) beyond the embankment's foot."""
+    d = np.clip(distance_m, 0, None)
+    slope = np.where(np.asarray(raised_m) > 0, np.asarray(raised_m) - d / EMBANKMENT_SLOPE, 0.0)
+    return np.clip(slope, 0, None) - VERGE_FALL * np.minimum(d, 3 * VERGE_M * np.asarray(scale))

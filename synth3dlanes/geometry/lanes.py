@@ -1,0 +1,244 @@
+"""The lane graph and every lane curve of a road plan: what is a lane, what is painted, what follows what.
+
+Curves are functions of the plan station (see road.py); their world points come from `Curve.points_world`.
+The four topologies are the paper's Table 'Road and lane topology'.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.labels import Kind, LaneGraph, Marking, RoadName, Segment
+
+Values = Float[np.ndarray, " n"]
+
+# min(q, width) has a corner at the nose; rounded over so that a lane's course is smooth, moved by 1.5 cm at most.
+CORNER_M = 0.06
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One lane curve: offset `stem_m` from the main reference for stations below 0, and above it either `fork_m`
+    from the reference of `fork_road`, or, for `opens`, from `stem_m` over to `fork_m` as the exit opens. `stem_m`
+    None: the curve exists only above 0. It spans the stations [start_m, end_m]."""
+
+    id: str
+    kind: Kind
+    road: RoadName
+    marking: Marking
+    left: str | None
+    right: str | None
+    stem_m: float | None
+    fork_road: RoadName
+    fork_m: float
+    start_m: float = -np.inf
+    end_m: float = np.inf
+    opens: bool = False
+
+    def xy_world(self, plan: RoadPlan, s: Values) -> Float[np.ndarray, "n 2"]:
+        """World (x, y) at plan stations."""
+        if self.fork_road == "main":
+            return plan.main_xy(s, self.main_offset(plan, s))
+        on_exit = s >= 0
+        stem_m = self.fork_m if self.stem_m is None else self.stem_m
+        return np.where(
+            on_exit[:, None],
+            plan.exit_xy(np.maximum(s, 0), self.fork_m),
+            plan.main_xy(np.minimum(s, self.joint_m(plan)), stem_m),
+        )
+
+    def points_world(self, plan: RoadPlan, s: Values, above_m: Values | float = 0.0) -> Float[np.ndarray, "n 3"]:
+        """Points on the road surface at plan stations."""
+        on_exit = (s >= 0) & (self.fork_road == "exit")
+        return plan.lift(self.xy_world(plan, s), np.where(on_exit, plan.ramp(s), 0.0) + above_m)
+
+    def main_offset(self, plan: RoadPlan, s: Values) -> Values:
+        """Offset from the main reference, for curves that stay on the main road."""
+        if self.stem_m is None or not self.opens:
+            return np.full(s.shape, self.fork_m)
+        width = plan.width_m
+        return self.stem_m + np.sign(self.fork_m - self.stem_m) * smooth_min(plan.opening(np.maximum(s, 0)), width)
+
+    def joint_m(self, plan: RoadPlan) -> float:
+        """Last station of the stem: right of the exit's reference its normal at the split points backwards."""
+        return -max(0.0, self.fork_m) * float(np.sin(plan.scene.road.exit_angle_rad))
+
+
+def smooth_min(q: Values, width_m: float) -> Values:
+    """min(q, width) with its corner rounded; exactly q and exactly width away from it."""
+    h = np.clip(2 * CORNER_M - np.abs(q - width_m), 0, None)
+    return np.minimum(q, width_m) - h * h / (8 * CORNER_M)
+
+
+def curves(plan: RoadPlan) -> tuple[Curve, ...]:
+    """Centre lines, one per path through the graph, then delimiters, one per painted line; plan's left to right.
+
+    References between them are by id; a flip of x swaps every left and right.
+    """
+    lines = _centerlines(plan) + _delimiters(plan)
+    if plan.flips[0] < 0:
+        lines = [replace(line, left=line.right, right=line.left) for line in lines]
+    return tuple(lines)
+
+
+def _center_id(plan: RoadPlan, road: RoadName, lane: int) -> str:
+    n = plan.n_main_after if road == "main" else plan.n_exit_lanes
+    return f"{road}_{seen_from_left(plan, lane, n)}"
+
+
+def _line_id(plan: RoadPlan, road: RoadName, j: int) -> str:
+    """Delimiter j = 0..n of a road of n lanes; numbered from 0 at the left edge as the host drives."""
+    n = plan.n_main_after if road == "main" else plan.n_exit_lanes
+    return f"{road}_line_{n - j if plan.flips[0] < 0 else j}"
+
+
+def seen_from_left(plan: RoadPlan, lane: int, n: int) -> int:
+    """Lane number from the host's left of the plan's lane 1..n (an involution)."""
+    return n + 1 - lane if plan.flips[0] < 0 else lane
+
+
+def _centerlines(plan: RoadPlan) -> list[Curve]:
+    def center(road: RoadName, lane: int, stem_m: float, fork_m: float, opens: bool = False) -> Curve:
+        left, right = _line_id(plan, road, lane - 1), _line_id(plan, road, lane)
+        return Curve(
+            _center_id(plan, road, lane), "centerline", road, "none", left, right, stem_m, road, fork_m, opens=opens
+        )
+
+    def middle_m(lane: int) -> float:
+        return plan.boundary_m(lane) - plan.width_m / 2
+
+    n, topology = plan.n_lanes, plan.scene.road.topology
+    main = [center("main", lane, middle_m(lane), middle_m(lane)) for lane in range(1, plan.n_main_after + 1)]
+    if topology == 3:
+        main[-1] = center("main", n, middle_m(n - 1), middle_m(n), opens=True)
+    first_taken = n - plan.n_exit_lanes
+    exits = [
+        center("exit", lane, middle_m(first_taken + lane), middle_m(first_taken + lane) - plan.exit_base_m)
+        for lane in range(1, plan.n_exit_lanes + 1)
+    ]
+    return main + exits
+
+
+def _delimiters(plan: RoadPlan) -> list[Curve]:
+    n, topology, half = plan.n_lanes, plan.scene.road.topology, plan.exit_half_m
+
+    def line(
+        road: RoadName, j: int, marking: Marking, stem_m: float | None, fork_m: float, start_m: float = -np.inf
+    ) -> Curve:
+        count = plan.n_main_after if road == "main" else plan.n_exit_lanes
+        left = _center_id(plan, road, j) if j > 0 else None
+        right = _center_id(plan, road, j + 1) if j < count else None
+        name = _line_id(plan, road, j)
+        return Curve(name, "delimiter", road, marking, left, right, stem_m, road, fork_m, start_m=start_m)
+
+    def through(j: int) -> Curve:
+        return line("main", j, "dashed" if 0 < j < n else "solid", plan.boundary_m(j), plan.boundary_m(j))
+
+    if topology == 1:
+        return [through(j) for j in range(n + 1)]
+    kept = {2: n, 3: n - 1, 4: n - 1}[topology]
+    lines = [through(j) for j in range(kept)]
+    if topology == 3:
+        # The dashed line between the last two lanes leads along the exit's left side to the nose.
+        stem = Curve(
+            "stem_line", "delimiter", "main", "dashed", _center_id(plan, "main", n - 1), _center_id(plan, "exit", 1),
+            plan.boundary_m(n - 1), "exit", -half, end_m=plan.nose_m,
+        )  # fmt: skip
+        lines += [stem, line("main", n - 1, "dashed", None, plan.boundary_m(n - 1), plan.nose_m)]
+    lines += [
+        line("main", plan.n_main_after, "solid", None, plan.boundary_m(plan.n_main_after), plan.nose_m),
+        line("exit", 0, "solid", None, -half, plan.nose_m),
+    ]
+    if topology == 4:
+        lines.append(line("exit", 1, "dashed", plan.boundary_m(n - 1), 0.0))
+    return [*lines, line("exit", plan.n_exit_lanes, "solid", plan.boundary_m(n), half)]
+
+
+def lane_graph(plan: RoadPlan, centerline_ids: Sequence[str]) -> LaneGraph:
+    """Segments between junctions in the host's view and their successors in driving direction.
+
+    Only centre lines in `centerline_ids` are named by the segments that they use.
+    """
+    if not plan.has_exit:
+        return LaneGraph(_segments(plan, "main", "main", plan.n_lanes, -100.0, 100.0, centerline_ids), {}, None)
+    merge = plan.flips[1] < 0
+    stem_from, stem_to = (0.0, 100.0) if merge else (-100.0, 0.0)
+    fork_from, fork_to = (-100.0, 0.0) if merge else (0.0, 100.0)
+    segments = (
+        _segments(plan, "stem", "main", plan.n_lanes, stem_from, stem_to, centerline_ids)
+        + _segments(plan, "main", "main", plan.n_main_after, fork_from, fork_to, centerline_ids)
+        + _segments(plan, "exit", "exit", plan.n_exit_lanes, fork_from, fork_to, centerline_ids)
+    )
+    pairs = [(s, f) if not merge else (f, s) for s, f in connections(plan)]
+    successors = {a: tuple(y for x, y in pairs if x == a) for a, _ in sorted(pairs)}
+    start = plan.ramp_start_m
+    return LaneGraph(segments, successors, None if start is None else round(float(start * plan.flips[1]), 4) + 0.0)
+
+
+def connections(plan: RoadPlan) -> list[tuple[str, str]]:
+    """(stem segment, fork segment) of every path; the fork segment's id is also the id of the path's centre line."""
+    n = plan.n_lanes
+    main: list[tuple[int, RoadName, int]] = [(lane, "main", lane) for lane in range(1, plan.n_main_after + 1)]
+    if plan.scene.road.topology == 3:
+        main[-1] = (n - 1, "main", n)
+    exits: list[tuple[int, RoadName, int]] = [(n - plan.n_exit_lanes + lane, "exit", lane) for lane in range(1, plan.n_exit_lanes + 1)]
+    return [
+        (f"stem_{seen_from_left(plan, stem, n)}", _center_id(plan, road, lane))
+        for stem, road, lane in main + exits
+    ]
+
+
+def _segments(
+    plan: RoadPlan, prefix: str, road: RoadName, n: int, s_start_m: float, s_end_m: float, known: Sequence[str]
+) -> tuple[Segment, ...]:
+    def used_by(name: str) -> tuple[str, ...]:
+        paths = [fork for stem, fork in connections(plan) if stem == name] if prefix == "stem" else [name]
+        return tuple(path for path in paths if path in known)
+
+    names = [f"{prefix}_{lane}" for lane in range(1, n + 1)]
+    return tuple(
+        Segment(
+            id=name,
+            road=road,
+            lane=lane,
+            s_start_m=s_start_m,
+            s_end_m=s_end_m,
+            left=names[lane - 2] if lane > 1 else None,
+            right=names[lane] if lane < n else None,
+            centerlines=used_by(name),
+        )
+        for lane, name in enumerate(names, start=1)
+    )
+
+
+def path_of_segment(plan: RoadPlan, segment_id: str) -> Curve:
+    """A centre line that runs along a lane segment (for cars)."""
+    path_id = segment_id
+    if segment_id.startswith("stem_"):
+        path_id = next(fork for stem, fork in connections(plan) if stem == segment_id)
+    return next(line for line in _centerlines(plan) if line.id == path_id)
+
+
+def host_segment(plan: RoadPlan, lane: int, s_world: float) -> str:
+    """The segment of the host's lane, counted from the left among the main lanes present at a station."""
+    return f"{'stem' if _at_stem(plan, s_world) else 'main'}_{lane}"
+
+
+def lanes_present(plan: RoadPlan, s_world: float) -> int:
+    """How many main-road lanes there are at a world station."""
+    return plan.n_lanes if _at_stem(plan, s_world) else plan.n_main_after
+
+
+def segments_at(plan: RoadPlan, s_world: float) -> list[str]:
+    """All lane segments at a world station."""
+    road = "stem" if _at_stem(plan, s_world) else "main"
+    main = [f"{road}_{lane}" for lane in range(1, lanes_present(plan, s_world) + 1)]
+    exits = [] if road == "stem" else [f"exit_{lane}" for lane in range(1, plan.n_exit_lanes + 1)]
+    return main + exits
+
+
+def _at_stem(plan: RoadPlan, s_world: float) -> bool:
+    return plan.has_exit and bool(plan.plan_station(np.array(s_world)) < 0)

@@ -1,0 +1,229 @@
+"""The scene's surfaces as vertex and face arrays, built to `ground.py`'s description. World frame.
+
+Rows follow stations (world y along the main reference line), so that road, shoulders and paint share them.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from synth3dlanes.geometry.ground import CELL_M, EMBANKMENT_SLOPE, GROWTH, VERGE_M, Ground, profile
+from synth3dlanes.geometry.lanes import Curve, curves
+from synth3dlanes.geometry.road import RoadPlan
+
+Values = Float[np.ndarray, " n"]
+
+HORIZON_M = 4000.0
+BEHIND_M = 300.0
+ROAD_BEHIND_M = 30.0
+ROAD_AHEAD_M = 420.0
+PAINT_AHEAD_M = 250.0
+LANE_COLUMNS = 4
+ROAD, SHOULDER = 0, 1
+# Paint floats over the road by more than the road's faces can rise between their rows, which are longer far away.
+PAINT_LIFT_M = ((0.0, 0.004), (40.0, 0.004), (80.0, 0.015), (160.0, 0.05), (250.0, 0.15))
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Quads; `uv_m` are metres (across, along) or world (x, y) for terrain; `material` is a slot per face."""
+
+    vertices_world: Float[np.ndarray, "v 3"]
+    faces: Int[np.ndarray, "f 4"]
+    uv_m: Float[np.ndarray, "v 2"]
+    material: Int[np.ndarray, " f"]
+
+
+def terrain_mesh(ground: Ground) -> Mesh:
+    """A grid of CELL_M around the near road, growing outwards to the horizon."""
+    x0, y0, x1, y1 = ground.fine
+    xs = _axis(x0, x1, HORIZON_M, HORIZON_M)
+    ys = _axis(y0, y1, BEHIND_M, HORIZON_M)
+    xy = np.stack(np.meshgrid(xs, ys), -1)
+    vertices = np.concatenate([xy, ground.terrain_mesh_height(xy)[..., None]], -1)
+    return _grid(vertices, xy, np.zeros(len(xs) - 1, dtype=int))
+
+
+def road_stations(plan: RoadPlan) -> Values:
+    """World stations of the rows of road and paint: half a metre near, longer far away; always the split itself."""
+    y = plan.scene.camera.y_m
+    rows = [
+        np.arange(-ROAD_BEHIND_M, 0, 1.0),
+        np.arange(0, 80, 0.5),
+        np.arange(80, 160, 1.0),
+        np.arange(160, ROAD_AHEAD_M, 2.0),
+    ]
+    return np.unique(np.append(y + np.concatenate(rows), 0.0))
+
+
+def road_meshes(ground: Ground) -> list[Mesh]:
+    """Pavement of the main road and, where it has left the main pavement, of the exit."""
+    plan = ground.plan
+    s = plan.plan_station(road_stations(plan))
+    meshes = [_main_mesh(ground, s)]
+    if plan.has_exit:
+        meshes.append(_exit_mesh(ground, np.sort(s[s >= 0])))
+    return meshes
+
+
+def verge_meshes(ground: Ground) -> list[Mesh]:
+    """Verges and embankments along every edge of the pavement, down to below the terrain mesh."""
+    plan = ground.plan
+    s = plan.plan_station(road_stations(plan))
+    level = np.zeros(s.shape)
+    free = np.full(s.shape, np.inf)
+    right = ground.main_right_edge(s)
+    meshes = [
+        _verge(ground, lambda d: plan.main_xy(s, -ground.edge_m - d), level, free),
+        _verge(ground, lambda d: plan.main_xy(s, right + d), level, free),
+    ]
+    if plan.has_exit:
+        se = np.sort(s[s >= 0])
+        edge, raised = ground.exit_edge_m, plan.ramp(se)
+        meshes += [
+            _verge(ground, lambda d: plan.exit_xy(se, edge + d), raised, np.full(se.shape, np.inf)),
+            _verge(ground, lambda d: plan.exit_xy(se, -edge - d), raised, _gap(ground, se)),
+        ]
+    return meshes
+
+
+def paint_meshes(plan: RoadPlan) -> dict[str, Mesh]:
+    """The paint of every delimiter, by its id."""
+    return {curve.id: _paint(plan, curve) for curve in curves(plan) if curve.kind == "delimiter"}
+
+
+def _axis(low: float, high: float, out_low: float, out_high: float) -> Values:
+    """Coordinates CELL_M apart in [low, high]; outside, each cell grows by GROWTH per metre from there."""
+    inner = np.linspace(low, high, int(np.ceil((high - low) / CELL_M)) + 1)
+
+    def outside(reach_m: float) -> Values:
+        n = int(np.ceil(np.log1p(reach_m * GROWTH / CELL_M) / np.log1p(GROWTH)))
+        return np.asarray(CELL_M / GROWTH * ((1 + GROWTH) ** np.arange(1, n + 1) - 1))
+
+    return np.concatenate([low - outside(out_low)[::-1], inner, high + outside(out_high)])
+
+
+def _grid(vertices: Float[np.ndarray, "r c 3"], uv: Float[np.ndarray, "r c 2"], column_material: np.ndarray) -> Mesh:
+    """Quads between rows and columns, facing up; one material a column, or a face where it has two dimensions."""
+    rows, columns = vertices.shape[:2]
+    i = np.arange(rows * columns).reshape(rows, columns)
+    faces = np.stack([i[:-1, :-1], i[:-1, 1:], i[1:, 1:], i[1:, :-1]], -1).reshape(-1, 4)
+    across, along = vertices[:-1, 1:] - vertices[:-1, :-1], vertices[1:, :-1] - vertices[:-1, :-1]
+    if (across[..., 0] * along[..., 1] - across[..., 1] * along[..., 0]).sum() < 0:
+        faces = faces[:, ::-1]
+    material = np.broadcast_to(column_material, (rows - 1, columns - 1)).reshape(-1)
+    return Mesh(vertices.reshape(-1, 3), faces, uv.reshape(-1, 2), material)
+
+
+def _columns(half_m: float, edge_m: float, n_lanes: int) -> tuple[Values, np.ndarray]:
+    lanes = np.linspace(-half_m, half_m, n_lanes * LANE_COLUMNS + 1)
+    material = np.full(len(lanes) + 1, ROAD)
+    material[[0, -1]] = SHOULDER
+    return np.concatenate([[-edge_m], lanes, [edge_m]]), material
+
+
+def _main_mesh(ground: Ground, s: Values) -> Mesh:
+    plan = ground.plan
+    t, column_material = _columns(ground.edge_m - plan.shoulder_m, ground.edge_m, plan.n_lanes)
+    right = ground.main_right_edge(s)[:, None]
+    offsets = np.minimum(t[None, :-1], right - plan.shoulder_m)
+    offsets = np.concatenate([offsets, right], axis=1)
+    stations = np.broadcast_to(s[:, None], offsets.shape)
+    xy = plan.main_xy(stations, offsets)
+    material = np.tile(column_material, (len(s) - 1, 1))
+    if plan.has_exit:
+        # Where the exit's lanes still lie over the main shoulder, that shoulder is road.
+        middle = (xy[:-1, -2:].mean(axis=1) + xy[1:, -2:].mean(axis=1)) / 2
+        se, te = plan.project_exit(middle, (s[:-1] + s[1:]) / 2)
+        material[(se >= 0) & (np.abs(te) < plan.exit_half_m), -1] = ROAD
+    return _grid(plan.lift(xy), np.stack([offsets, stations], -1) * plan.flips, material)
+
+
+def _exit_mesh(ground: Ground, s: Values) -> Mesh:
+    plan = ground.plan
+    t, material = _columns(plan.exit_half_m, ground.exit_edge_m, plan.n_exit_lanes)
+    offsets = np.maximum(t, _inner_edge(ground, s)[:, None])
+    stations = np.broadcast_to(s[:, None], offsets.shape)
+    vertices = plan.lift(plan.exit_xy(stations, offsets), plan.ramp(stations))
+    return _grid(vertices, np.stack([offsets, stations], -1) * plan.flips, material)
+
+
+def _inner_edge(ground: Ground, s: Values) -> Values:
+    """Exit offset at which the exit's cross-section leaves the main pavement: its own left edge once separate."""
+    return np.clip(_crossing(ground, s, ground.exit_edge_m), -ground.exit_edge_m, ground.exit_edge_m)
+
+
+def _gap(ground: Ground, s: Values) -> Values:
+    """Room for the exit's inner embankment: from its left edge to the main pavement; 0 while they touch."""
+    return np.clip(-ground.exit_edge_m - _crossing(ground, s, -ground.exit_edge_m), 0, None)
+
+
+def _crossing(ground: Ground, s: Values, high: float) -> Values:
+    """Exit offset, up to `high`, at which its cross-section at s crosses the main pavement's right edge."""
+    plan = ground.plan
+    low = -ground.exit_edge_m - EMBANKMENT_SLOPE * plan.scene.road.ramp_height_m - VERGE_M
+
+    def outside(t: Values) -> Values:
+        at, main_t = plan.project_main(plan.exit_xy(s, t))
+        return np.asarray(main_t - ground.main_right_edge(at))
+
+    below, above = np.full(s.shape, low), np.full(s.shape, high)
+    for _ in range(24):
+        middle = (below + above) / 2
+        is_outside = outside(middle) > 0
+        above = np.where(is_outside, middle, above)
+        below = np.where(is_outside, below, middle)
+    return np.asarray(above)
+
+
+def _verge(ground: Ground, edge_plus, raised: Values, room_m: Values) -> Mesh:  # type: ignore[no-untyped-def]
+    """A strip outwards from an edge: `edge_plus(d)` gives world points d metres outside it, one a row."""
+    scale = ground.cell_scale(edge_plus(np.zeros(raised.shape)))
+    foot = EMBANKMENT_SLOPE * raised
+    columns = [0.0 * foot, 0.5 * foot, foot] + [foot + VERGE_M * scale * share for share in (0.33, 0.66, 1.0)]
+    distance = np.stack(columns, axis=1)
+    squeeze = np.minimum(1.0, room_m / distance[:, -1])
+    xy = np.stack([edge_plus(distance[:, j] * squeeze) for j in range(distance.shape[1])], axis=1)
+    above = profile(distance, raised[:, None], scale[:, None])
+    return _grid(ground.plan.lift(xy, above), xy, np.zeros(distance.shape[1] - 1, dtype=int))
+
+
+def _paint(plan: RoadPlan, curve: Curve) -> Mesh:
+    markings = plan.scene.markings
+    y = plan.scene.camera.y_m
+    world = road_stations(plan)
+    rows = np.sort(plan.plan_station(world[world < y + PAINT_AHEAD_M]))
+    low, high = max(rows[0], curve.start_m), min(rows[-1], curve.end_m)
+    if low >= high:
+        rows = np.array([low, low])
+    else:
+        rows = np.concatenate([[low], rows[(rows > low) & (rows < high)], [high]])
+    painted = np.ones(len(rows) - 1, dtype=bool)
+    if curve.marking == "dashed":
+        rows, painted = _dashes(plan, curve, rows)
+    lift = np.interp(np.abs(plan.plan_station(rows) - y), *zip(*PAINT_LIFT_M, strict=True))
+    offsets = np.array([-0.5, 0.5]) * markings.width_m
+    vertices = np.stack([_beside(curve, t).points_world(plan, rows, lift) for t in offsets], axis=1)
+    uv = np.stack(np.broadcast_arrays(offsets[None, :], rows[:, None]), -1)
+    mesh = _grid(vertices, uv, np.zeros(1, dtype=int))
+    return replace(mesh, faces=mesh.faces[painted], material=mesh.material[painted])
+
+
+def _beside(curve: Curve, t: float) -> Curve:
+    return replace(curve, stem_m=None if curve.stem_m is None else curve.stem_m + t, fork_m=curve.fork_m + t)
+
+
+def _dashes(plan: RoadPlan, curve: Curve, rows: Values) -> tuple[Values, np.ndarray]:
+    """Rows with all ends of dashes among them, and whether the strip behind each row is painted. Dashes are
+    counted along the line from the split, so that they do not move with the camera."""
+    cycle, fraction = plan.scene.markings.dash_cycle_m, plan.scene.markings.dash_fraction
+    xyz = curve.points_world(plan, rows)
+    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz, axis=0), axis=1))])
+    length -= np.interp(0.0, rows, length)
+    numbers = np.arange(np.floor(length[0] / cycle), np.ceil(length[-1] / cycle) + 1)
+    ends = np.concatenate([numbers, numbers + fraction]) * cycle
+    ends = np.interp(ends[(ends > length[0]) & (ends < length[-1])], length, rows)
+    rows_all = np.unique(np.concatenate([rows, ends]))
+    middle = np.interp((rows_all[1:] + rows_all[:-1]) / 2, rows, length)
+    return rows_all, np.mod(middle / cycle, 1.0) < fraction

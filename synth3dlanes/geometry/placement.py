@@ -1,0 +1,73 @@
+"""Where cars and trees stand. World frame; cars and trees have x right, y forward, z up and their foot at z = 0."""
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.catalogue import CARS
+from synth3dlanes.geometry.ground import Ground
+from synth3dlanes.geometry.lanes import path_of_segment
+from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.geometry.transforms import Matrix4, from_axes, transform
+from synth3dlanes.scene import Car, Tree
+
+# Trunks go this far into the ground, so that none hovers on a slope.
+TREE_SINK_M = 0.1
+
+
+def lane_place(plan: RoadPlan, lane: str, s_world: float) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+    """World (x, y) on a lane segment's centre line and the unit heading there, as the host drives."""
+    path = path_of_segment(plan, lane)
+    behind, middle, ahead = path.xy_world(plan, plan.plan_station(s_world + np.array([-0.5, 0.0, 0.5])))
+    along = ahead - behind
+    return middle, along / np.linalg.norm(along)
+
+
+def world_from_car(plan: RoadPlan, car: Car) -> Matrix4:
+    """The pose (without scale) in which the car's four tyres stand on the road as well as a rigid body can."""
+    middle, (hx, hy) = lane_place(plan, car.lane, car.s_m)
+    model = CARS[car.model - 1]
+    x, y = model.track_m / 2 * car.scale, model.wheelbase_m / 2 * car.scale
+    wheels_car = np.array([[-x, y, 0], [x, y, 0], [-x, -y, 0], [x, -y, 0]])
+    pose = from_axes(np.array([hy, -hx, 0]), np.array([hx, hy, 0]), np.array([0, 0, 1.0]), np.array([*middle, 0.0]))
+    on_exit = car.lane.startswith("exit")
+    for _ in range(3):
+        wheels = transform(pose, wheels_car)[:, :2]
+        above: Float[np.ndarray, "4"] | float = 0.0
+        if on_exit:
+            guess = np.full(4, float(plan.plan_station(np.array(car.s_m))))
+            above = plan.ramp(plan.project_exit(wheels, guess)[0])
+        contacts = plan.lift(wheels, above)
+        slope_x, slope_y, z = np.linalg.lstsq(
+            np.column_stack([contacts[:, :2] - middle, np.ones(4)]), contacts[:, 2], rcond=None
+        )[0]
+        up = np.array([-slope_x, -slope_y, 1.0])
+        up /= np.linalg.norm(up)
+        forward = np.array([hx, hy, slope_x * hx + slope_y * hy])
+        forward /= np.linalg.norm(forward)
+        pose = from_axes(np.cross(forward, up), forward, up, np.array([*middle, z]))
+    return pose
+
+
+def tree_positions(ground: Ground, trees: tuple[Tree, ...]) -> Float[np.ndarray, "n 3"]:
+    """The feet of trees on the ground as built."""
+    xy = np.array([[tree.x_m, tree.y_m] for tree in trees]).reshape(-1, 2)
+    return np.column_stack([xy, ground.height(xy) - TREE_SINK_M])
+
+
+Footprint = Float[np.ndarray, "4 2"]
+
+
+def footprint(middle: Float[np.ndarray, "2"], heading: Float[np.ndarray, "2"], length_m: float, width_m: float) -> Footprint:
+    """Corners of a rectangle on the ground, seen from above."""
+    along, across = heading * length_m / 2, np.array([heading[1], -heading[0]]) * width_m / 2
+    return middle + np.array([along + across, along - across, -along - across, -along + across])
+
+
+def overlap(a: Footprint, b: Footprint) -> bool:
+    """Whether two rectangles share a point: no side of either separates them."""
+    for corners in (a, b):
+        for side in (corners[1] - corners[0], corners[2] - corners[1]):
+            pa, pb = a @ side, b @ side
+            if pa.max() < pb.min() or pb.max() < pa.min():
+                return False
+    return True

@@ -1,0 +1,244 @@
+"""The road plan: main road, exit and ramp as smooth functions of a station, and the way back from a point.
+
+Two coordinate systems. The *plan* is the road before its flips: the exit leaves to the right for stations s >= 0.
+The *world* is the plan with x and y mirrored as the scene says. A station `s` is the y of a point on the main
+reference line; `t` is the distance to the right of a reference line along its normal. Metres throughout.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import brentq
+
+from synth3dlanes.geometry import terrain as ground
+from synth3dlanes.labels import RoadName
+from synth3dlanes.scene import Scene
+
+Values = Float[np.ndarray, "*n"]
+Points2 = Float[np.ndarray, "*n 2"]
+Points3 = Float[np.ndarray, "*n 3"]
+
+# Knots of the quartic (paper, Table 'Lane top view geometry'); beyond them roads continue along their tangents.
+S_END_M = 100.0
+# An exit is continued straight where the inside of a bend would squeeze its stations below this share of their
+# length on the main road: past that the displaced curve turns back on itself.
+MIN_STRETCH = 0.3
+# A ramp steeper than this is never built, so that a ramp length of zero cannot divide by zero.
+MIN_RAMP_LENGTH_M = 0.1
+# Enough for a foot point to settle below 1e-6 m within 30 m of a road of the sharpest drawn bend.
+NEWTON_STEPS = 4
+
+
+@dataclass(frozen=True)
+class RoadPlan:
+    """The geometry of one scene's roads."""
+
+    scene: Scene
+
+    # -- sizes
+
+    @property
+    def n_lanes(self) -> int:
+        return self.scene.road.n_lanes
+
+    @property
+    def has_exit(self) -> bool:
+        return self.scene.road.topology > 1
+
+    @property
+    def n_exit_lanes(self) -> int:
+        return {1: 0, 2: 1, 3: 1, 4: 2}[self.scene.road.topology]
+
+    @property
+    def n_main_after(self) -> int:
+        """Main lanes behind the split (before the merge)."""
+        return self.n_lanes - 1 if self.scene.road.topology == 4 else self.n_lanes
+
+    @property
+    def width_m(self) -> float:
+        """Width of one lane."""
+        return self.scene.road.lane_width_m
+
+    @property
+    def shoulder_m(self) -> float:
+        return self.scene.road.shoulder_factor * self.width_m
+
+    def boundary_m(self, j: int) -> float:
+        """Lateral place of boundary j = 0..n of the main road before the split, from the plan's left."""
+        return (j - self.n_lanes / 2) * self.width_m
+
+    @property
+    def exit_half_m(self) -> float:
+        """Half the width of the exit's lanes."""
+        return self.n_exit_lanes * self.width_m / 2
+
+    @property
+    def exit_base_m(self) -> float:
+        """Lateral place of the exit's reference line at the split: the middle of the lanes it takes."""
+        return self.boundary_m(self.n_lanes) - self.exit_half_m
+
+    # -- flips
+
+    @cached_property
+    def flips(self) -> Float[np.ndarray, "2"]:
+        """(+-1, +-1): world = plan * flips."""
+        road = self.scene.road
+        return np.array([-1.0 if road.flip_longitudinal else 1.0, -1.0 if road.flip_lateral else 1.0])
+
+    def plan_station(self, s_world: Values) -> Values:
+        """Plan station of a world station (and the other way round)."""
+        return s_world * self.flips[1]
+
+    # -- the main road in the plan
+
+    @cached_property
+    def _quartic(self) -> tuple[Float[np.ndarray, "5"], ...]:
+        road = self.scene.road
+        ys = np.array([-100.0, -50.0, 50.0, 100.0])
+        xs = [road.offset_m50_m + road.offset_m100_m, road.offset_m50_m]
+        xs += [road.offset_p50_m, road.offset_p50_m + road.offset_p100_m]
+        f = np.concatenate([[0.0], np.linalg.solve(ys[:, None] ** np.arange(1, 5), np.array(xs))])
+        df = f[1:] * np.arange(1, 5)
+        return f, df, df[1:] * np.arange(1, 4)
+
+    def _f(self, s: Values) -> tuple[Values, Values, Values]:
+        """x of the reference line with its first two derivatives, straight beyond the outer knots."""
+        f, df, ddf = (_horner(c, np.clip(s, -S_END_M, S_END_M)) for c in self._quartic)
+        beyond = s - np.clip(s, -S_END_M, S_END_M)
+        return f + beyond * df, df, np.where(beyond == 0, ddf, 0.0)
+
+    def _main_frame(self, s: Values) -> tuple[Points2, Points2, Values, Values]:
+        """Point, right normal, speed |dM/ds| and turn rate d(heading)/ds (to the right) of the reference line."""
+        x, slope, bend = self._f(s)
+        speed = np.sqrt(1 + slope * slope)
+        return (
+            np.stack([x, s], -1),
+            np.stack([1 / speed, -slope / speed], -1),
+            speed,
+            bend / (speed * speed),
+        )
+
+    def _main_plan(self, s: Values, t: Values | float) -> Points2:
+        point, normal, _, _ = self._main_frame(s)
+        return point + np.asarray(t)[..., None] * normal
+
+    def stations_along(self, road: RoadName, s_world: float, lengths_m: Values) -> Values:
+        """World stations at the given lengths of a road ahead of `s_world`, measured along its reference line."""
+        grid = s_world + np.linspace(0, 1.05 * lengths_m[-1], 8 * int(lengths_m[-1]) + 9)
+        middle = self.plan_station((grid[1:] + grid[:-1]) / 2)
+        speed = self._main_frame(middle)[2]
+        if road == "exit":
+            speed = np.where(middle < 0, speed, np.linalg.norm(self._exit_frame(middle)[1], axis=-1))
+        arc = np.concatenate([[0.0], np.cumsum(speed * np.diff(grid))])
+        return np.interp(lengths_m, arc, grid)
+
+    # -- the exit in the plan
+
+    def _q_polynomial(self, s: Values) -> tuple[Values, Values]:
+        road = self.scene.road
+        slope = np.tan(road.exit_angle_rad)
+        return s * slope + road.exit_offset_m * (s / 60) ** 2, slope + road.exit_offset_m * s / 1800
+
+    @cached_property
+    def exit_end_m(self) -> float:
+        """Station behind which the exit runs straight: 100, or earlier where a bend would fold it."""
+        s = np.linspace(0, S_END_M, 401)
+        _, _, speed, turn = self._main_frame(s)
+        displaced = self.exit_base_m + self._q_polynomial(s)[0]
+        folded = np.flatnonzero(speed - turn * displaced < MIN_STRETCH * speed)
+        return float(s[folded[0]]) if folded.size else S_END_M
+
+    def opening(self, s: Values) -> Values:
+        """q(s): how far the exit lanes have moved away from the main road, along the main road's normal."""
+        inside = np.clip(s, 0, self.exit_end_m)
+        q, dq = self._q_polynomial(inside)
+        return np.asarray(q + np.clip(s - inside, 0, None) * dq)
+
+    def _station_where_open(self, q_m: float) -> float:
+        """Smallest station with opening(s) >= q_m; infinity where there is no exit."""
+        if not self.has_exit:
+            return float("inf")
+        return float(brentq(lambda s: float(self.opening(np.array(s))) - q_m, 0.0, 1e4, xtol=1e-10))
+
+    @cached_property
+    def nose_m(self) -> float:
+        """Station of the nose, where the opening is one lane wide."""
+        return self._station_where_open(self.width_m)
+
+    @cached_property
+    def ramp_start_m(self) -> float | None:
+        """Station where the shoulders have separated and the ramp begins; None where that is outside the scene."""
+        start = self._station_where_open(self.width_m + 2 * self.shoulder_m)
+        return start if start <= S_END_M else None
+
+    def ramp(self, s: Values) -> Values:
+        """Height of the exit above the terrain."""
+        road = self.scene.road
+        if self.ramp_start_m is None:
+            return np.zeros(np.shape(s))
+        length = max(road.ramp_height_m * road.ramp_slope, MIN_RAMP_LENGTH_M)
+        u = np.clip((s - self.ramp_start_m) / length, 0, 1)
+        return np.asarray(road.ramp_height_m * u * u * (3 - 2 * u))
+
+    def _exit_frame(self, s: Values) -> tuple[Points2, Points2, Points2]:
+        """Point, derivative by station and right normal of the exit's reference line, for s >= 0."""
+        inside = np.clip(s, 0, self.exit_end_m)
+        point, normal, speed, turn = self._main_frame(inside)
+        q, dq = self._q_polynomial(inside)
+        displaced = self.exit_base_m + q
+        tangent = np.stack([-normal[..., 1], normal[..., 0]], -1)
+        step = (speed - turn * displaced)[..., None] * tangent + dq[..., None] * normal
+        right = np.stack([step[..., 1], -step[..., 0]], -1) / np.linalg.norm(step, axis=-1, keepdims=True)
+        return point + displaced[..., None] * normal + (s - inside)[..., None] * step, step, right
+
+    def _exit_plan(self, s: Values, t: Values | float) -> Points2:
+        point, _, right = self._exit_frame(s)
+        return point + np.asarray(t)[..., None] * right
+
+    # -- points in the world
+
+    def main_xy(self, s: Values, t: Values | float) -> Points2:
+        """World (x, y) at plan station s and plan offset t of the main road."""
+        return self._main_plan(s, t) * self.flips
+
+    def exit_xy(self, s: Values, t: Values | float) -> Points2:
+        """World (x, y) at plan station s >= 0 and plan offset t of the exit."""
+        return self._exit_plan(s, t) * self.flips
+
+    def lift(self, xy_world: Points2, above_m: Values | float = 0.0) -> Points3:
+        """Put points on the terrain, or `above_m` over it."""
+        z = ground.height_at(self.scene.terrain, xy_world) + above_m
+        return np.concatenate([xy_world, np.asarray(z)[..., None]], -1)
+
+    # -- from the world back to stations
+
+    def project_main(self, xy_world: Points2) -> tuple[Values, Values]:
+        """(s, t) in the plan of world points near the main road (Newton on the foot point)."""
+        xy = xy_world * self.flips
+        s = xy[..., 1].copy()
+        for _ in range(NEWTON_STEPS):
+            point, normal, speed, turn = self._main_frame(s)
+            to = xy - point
+            along = to[..., 1] * normal[..., 0] - to[..., 0] * normal[..., 1]
+            t = (to * normal).sum(-1)
+            s = s + np.clip(along / np.maximum(speed - turn * t, 0.3 * speed), -20, 20)
+        point, normal, _, _ = self._main_frame(s)
+        return s, ((xy - point) * normal).sum(-1)
+
+    def project_exit(self, xy_world: Points2, s: Values) -> tuple[Values, Values]:
+        """(s, t) in the plan of world points near the exit, from a first guess of s; s may come out negative."""
+        xy = xy_world * self.flips
+        for _ in range(NEWTON_STEPS):
+            point, step, _ = self._exit_frame(s)
+            s = s + np.clip(((xy - point) * step).sum(-1) / (step * step).sum(-1), -20, 20)
+        point, _, right = self._exit_frame(s)
+        return s, ((xy - point) * right).sum(-1)
+
+
+def _horner(coefficients: Float[np.ndarray, " k"], s: Values) -> Values:
+    value = np.full(np.shape(s), coefficients[-1])
+    for c in coefficients[-2::-1]:
+        value = value * s + c
+    return value

@@ -1,0 +1,36 @@
+"""Rigid transforms between frames, named `b_from_a`: inner names must meet.
+
+Every 3D frame is x right, y forward, z up; angles are radians.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+Matrix4 = Float[np.ndarray, "4 4"]
+Points = Float[np.ndarray, "*n 3"]
+
+
+def transform(b_from_a: Matrix4, points_a: Points) -> Points:
+    """Express points of frame a in frame b."""
+    return points_a @ b_from_a[:3, :3].T + b_from_a[:3, 3]
+
+
+def invert(b_from_a: Matrix4) -> Matrix4:
+    """The rigid transform `a_from_b`."""
+    a_from_b = np.eye(4)
+    a_from_b[:3, :3] = b_from_a[:3, :3].T
+    a_from_b[:3, 3] = -b_from_a[:3, :3].T @ b_from_a[:3, 3]
+    return a_from_b
+
+
+def from_axes(x: Points, y: Points, z: Points, origin: Points) -> Matrix4:
+    """The transform out of the frame whose unit axes and origin are given in the outer frame."""
+    outer_from_inner = np.eye(4)
+    outer_from_inner[:3] = np.column_stack([x, y, z, origin])
+    return outer_from_inner
+
+
+def road_from_cam(height_m: float, pitch_rad: float) -> Matrix4:
+    """The camera over the road plane: looking down by `pitch_rad` (positive = down), `height_m` above its foot."""
+    c, s = np.cos(pitch_rad), np.sin(pitch_rad)
+    return np.array([[1.0, 0, 0, 0], [0, c, s, 0], [0, -s, c, height_m], [0, 0, 0, 1]])

@@ -1,0 +1,86 @@
+"""Scene -> Labels: every lane curve in camera coordinates with its masks. No Blender; `object_visible` stays None."""
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.geometry import camera as cameras
+from synth3dlanes.geometry.ground import Ground
+from synth3dlanes.geometry.lanes import Curve, curves, lane_graph
+from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.geometry.transforms import invert, road_from_cam, transform
+from synth3dlanes.geometry.visibility import seen_over_ground
+from synth3dlanes.labels import CameraLabel, Labels, Lane, RoadName
+from synth3dlanes.scene import Scene
+
+Values = Float[np.ndarray, " n"]
+
+STEP_M = 1.0
+RANGE_M = 110.0
+
+
+def ground_truth(scene: Scene) -> Labels:
+    """Everything exact about a scene: curves every metre of their road from the camera to 110 m ahead (spec section 4)."""
+    plan = RoadPlan(scene)
+    world_from_cam = cameras.world_from_cam(plan)
+    camera = CameraLabel(
+        width_px=scene.camera.width_px,
+        height_px=scene.camera.height_px,
+        img_from_cam=cameras.img_from_cam(scene.camera),
+        height_m=scene.camera.height_m,
+        pitch_rad=scene.camera.pitch_rad,
+        road_from_cam=road_from_cam(scene.camera.height_m, scene.camera.pitch_rad),
+        world_from_cam=world_from_cam,
+    )
+    lengths_m = np.arange(0, RANGE_M + STEP_M / 2, STEP_M)
+    s_world: dict[RoadName, Values] = {
+        "main": plan.stations_along("main", scene.camera.y_m, lengths_m),
+        "exit": plan.stations_along("exit", scene.camera.y_m, lengths_m),
+    }
+    sampled = {}
+    for curve in curves(plan):
+        s = stations_of(plan, curve, s_world[curve.road])
+        if len(s) > 1:
+            sampled[curve] = curve.points_world(plan, s)
+    known = {curve.id for curve in sampled}
+    points_world = np.concatenate(list(sampled.values()))
+    points_cam = transform(invert(world_from_cam), points_world)
+    in_image = inside_image(camera, points_cam)
+    seen = seen_over_ground(Ground(plan), world_from_cam[:3, 3], points_world)
+    ends = np.cumsum([len(points) for points in sampled.values()])[:-1]
+    lanes = tuple(
+        Lane(
+            id=curve.id,
+            kind=curve.kind,
+            road=curve.road,
+            marking=curve.marking,
+            left=curve.left if curve.left in known else None,
+            right=curve.right if curve.right in known else None,
+            xyz_cam=xyz,
+            in_image=inside,
+            terrain_visible=visible,
+            object_visible=None,
+        )
+        for curve, xyz, inside, visible in zip(
+            sampled, np.split(points_cam, ends), np.split(in_image, ends), np.split(seen, ends), strict=True
+        )
+    )
+    centerlines = [lane.id for lane in lanes if lane.kind == "centerline"]
+    return Labels(camera, lanes, lane_graph(plan, centerlines))
+
+
+def stations_of(plan: RoadPlan, curve: Curve, s_world: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
+    """Plan stations of one curve in driving order: the common stations it spans, and its own exact ends."""
+    s = plan.plan_station(s_world)
+    low, high = min(s[0], s[-1]), max(s[0], s[-1])
+    ends = [end for end in (curve.start_m, curve.end_m) if low < end < high]
+    kept = s[(s > curve.start_m) & (s < curve.end_m)]
+    if curve.fork_road == "exit" and curve.stem_m is not None:
+        kept = kept[(kept >= 0) | (kept <= curve.joint_m(plan))]
+    return np.sort(np.concatenate([kept, ends]))[:: 1 if plan.flips[1] > 0 else -1]
+
+
+def inside_image(camera: CameraLabel, points_cam: Float[np.ndarray, "n 3"]) -> np.ndarray:
+    """Which points project into the image, in front of the camera."""
+    uv = cameras.project(camera.img_from_cam, points_cam)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(((uv >= 0) & (uv <= [camera.width_px, camera.height_px])).all(axis=1))

@@ -1,0 +1,228 @@
+"""Params: the ranges that scenes are drawn from, and their YAML form (`params/*.yaml`, spec section 2).
+
+Metres and degrees. Reading a file is the only side effect.
+"""
+
+import difflib
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from synth3dlanes.catalogue import CARS, TREES
+from synth3dlanes.distributions import Flag, Integer, Real, integers, reals
+from synth3dlanes.errors import ParamsError
+from synth3dlanes.yaml_text import read_yaml
+
+Fraction = Annotated[Real, reals(0, 1)]
+Orientation = Annotated[Real, reals(-360, 360)]
+Offset = Annotated[Real, reals(-50, 50)]
+
+
+class Group(BaseModel):
+    """A group of parameters: frozen, every key given, no other key."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class TerrainParams(Group):
+    """Terrain 3D. `center_m` and `sd_m` are drawn once for x and once for y."""
+
+    n_gaussians: Annotated[Integer, integers(0, 50)]
+    center_m: Annotated[Real, reals(-1000, 1000)]
+    magnitude_m: Annotated[Real, reals(-200, 200)]
+    sd_m: Annotated[Real, reals(1, 10000)]
+    orientation_deg: Orientation
+
+
+class RoadParams(Group):
+    """Topology, top view and ramp."""
+
+    topology: Annotated[Integer, integers(1, 4)]
+    flip_longitudinal: Flag
+    flip_lateral: Flag
+    n_lanes: Annotated[Integer, integers(2, 8)]
+    lane_width_m: Annotated[Real, reals(2, 6)]
+    shoulder_factor: Annotated[Real, reals(0, 2)]
+    offset_m100_m: Offset
+    offset_m50_m: Offset
+    offset_p50_m: Offset
+    offset_p100_m: Offset
+    exit_angle_deg: Annotated[Real, reals(0, 15, above=True)]
+    exit_offset_m: Annotated[Real, reals(0, 50)]
+    ramp_height_m: Annotated[Real, reals(0, 20)]
+    ramp_slope: Annotated[Real, reals(0, 200, above=True)]
+
+
+class MarkingsParams(Group):
+    """Paint."""
+
+    dash_cycle_m: Annotated[Real, reals(0.1, 50)]
+    dash_fraction: Annotated[Real, reals(0, 1, above=True)]
+    width_m: Annotated[Real, reals(0.02, 1)]
+    grayscale: Fraction
+    gloss: Fraction
+
+
+class SurfaceParams(Group):
+    """Textures of road and terrain."""
+
+    road_texture: Annotated[Integer, integers(1, 3)]
+    road_texture_scale: Annotated[Real, reals(0, 1000, above=True)]
+    road_gloss: Fraction
+    terrain_texture: Annotated[Integer, integers(1, 2)]
+    terrain_texture_scale: Annotated[Real, reals(0, 1000, above=True)]
+    texture_orientation_deg: Orientation
+
+
+class CarParams(Group):
+    """Cars; `color` is drawn once per channel."""
+
+    n: Annotated[Integer, integers(0, 100)]
+    model: Annotated[Integer, integers(1, len(CARS))]
+    scale: Annotated[Real, reals(0.1, 10)]
+    color: Fraction
+    gloss: Fraction
+    s_m: Annotated[Real, reals(-150, 150)]
+
+
+class TreeParams(Group):
+    """Trees."""
+
+    n: Annotated[Integer, integers(0, 5000)]
+    model: Annotated[Integer, integers(1, len(TREES))]
+    scale: Annotated[Real, reals(0.1, 10)]
+    yaw_deg: Orientation
+    x_m: Annotated[Real, reals(-1000, 1000)]
+    y_m: Annotated[Real, reals(-1000, 1000)]
+
+
+class CameraParams(Group):
+    """The host's camera. A `lane` beyond the lanes present is cut to them before the draw."""
+
+    lane: Annotated[Integer, integers(1, 8)]
+    y_m: Annotated[Real, reals(-100, 0)]
+    offset_m: Annotated[Real, reals(-2, 2)]
+    height_m: Annotated[Real, reals(0.3, 10)]
+    pitch_deg: Annotated[Real, reals(-30, 60)]
+    width_px: Annotated[Integer, integers(16, 8192)]
+    height_px: Annotated[Integer, integers(16, 8192)]
+    horizontal_fov_deg: Annotated[Real, reals(5, 150)]
+
+
+class LightParams(Group):
+    """Sun and film exposure."""
+
+    sun_zenith_deg: Annotated[Real, reals(0, 90)]
+    sun_azimuth_deg: Orientation
+    exposure: Annotated[Real, reals(0, 100, above=True)]
+
+
+class Params(Group):
+    """The distribution of every parameter of a scene. Names are those of `scene.json`, in degrees for radians.
+
+    `model_dump(mode="json")` gives the YAML forms back; `Params.model_validate` reads them.
+    """
+
+    terrain: TerrainParams
+    road: RoadParams
+    markings: MarkingsParams
+    surface: SurfaceParams
+    cars: CarParams
+    trees: TreeParams
+    camera: CameraParams
+    light: LightParams
+
+
+def presets_folder() -> Path:
+    """Where the presets lie: beside the modules in an installed wheel, at the root of a checkout."""
+    installed = Path(__file__).parent / "_params"
+    return installed if installed.is_dir() else Path(__file__).parents[1] / "params"
+
+
+def preset_names() -> list[str]:
+    """The names that `load_params` knows."""
+    return sorted(path.stem for path in presets_folder().glob("*.yaml"))
+
+
+def load_params(source: str, overrides: Sequence[str] = ()) -> Params:
+    """Read a preset (by name) or a YAML file, then apply overrides like `road.n_lanes=3`.
+
+    Raises one ParamsError with a line for every problem found, each naming file and key.
+    """
+    if source in preset_names():
+        path, where = presets_folder() / f"{source}.yaml", f"params/{source}.yaml"
+    elif Path(source).suffix in (".yaml", ".yml"):
+        path, where = Path(source), source
+    else:
+        raise ParamsError(f"{source}: expected one of {', '.join(preset_names())}, or the path of a .yaml file")
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ParamsError(f"{where}: cannot read: {getattr(error, 'strerror', None) or error}") from None
+    document, problems = read_yaml(text, where)
+    if not isinstance(document, dict):
+        raise ParamsError(*(problems or [f"{where}: expected groups of parameters, got {document!r:.40}"]))
+    overridden, override_problems = _override(document, overrides)
+    try:
+        params = Params.model_validate(document)
+    except ValidationError as error:
+        raise ParamsError(*problems, *override_problems, *_problems(error, where, overridden)) from None
+    if problems or override_problems:
+        raise ParamsError(*problems, *override_problems)
+    return params
+
+
+def params_yaml(params: Params) -> str:
+    """The parameters as a YAML file that `load_params` reads back to equal Params."""
+    return yaml.safe_dump(params.model_dump(), sort_keys=False, default_flow_style=None, width=100)
+
+
+def _override(document: dict[Any, Any], overrides: Iterable[str]) -> tuple[set[str], list[str]]:
+    """Set `group.key` in place; return the keys that were set and the problems."""
+    done: set[str] = set()
+    problems: list[str] = []
+    for override in overrides:
+        path, equals, text = override.partition("=")
+        steps = path.strip().split(".")
+        if not equals or len(steps) != 2:
+            problems.append(f"--set {override}: expected group.key=value")
+            continue
+        value, value_problems = read_yaml(text, f"--set {path.strip()}")
+        problems += value_problems
+        group = document.get(steps[0])
+        if isinstance(group, dict) and not value_problems:
+            group[steps[1]] = value
+            done.add(path.strip())
+        elif steps[0] not in Params.model_fields:
+            problems.append(f"--set {path.strip()}: {_unknown(steps[0], Params.model_fields)}")
+    return done, problems
+
+
+def _problems(error: ValidationError, where: str, overridden: set[str]) -> list[str]:
+    lines = []
+    for problem in error.errors():
+        path = ".".join(str(step) for step in problem["loc"])
+        place = f"--set {path}" if path in overridden else f"{where}: {path}"
+        if problem["type"] == "missing":
+            text = "missing key"
+        elif problem["type"] == "extra_forbidden":
+            text = _unknown(str(problem["loc"][-1]), _keys(problem["loc"][:-1]))
+        elif problem["type"] == "value_error":
+            text = f"{problem['ctx']['error']}, got {problem['input']!r:.60}"
+        else:
+            text = f"expected a group of parameters, got {problem['input']!r:.60}"
+        lines.append(f"{place}: {text}")
+    return lines
+
+
+def _keys(group: tuple[int | str, ...]) -> Iterable[str]:
+    model = Params.model_fields[str(group[0])].annotation if group else Params
+    return model.model_fields if isinstance(model, type) and issubclass(model, BaseModel) else ()
+
+
+def _unknown(key: str, known: Iterable[str]) -> str:
+    close = difflib.get_close_matches(key, list(known), n=1)
+    return "unknown key" + (f"; did you mean {close[0]}?" if close else "")

@@ -1,0 +1,194 @@
+"""Params -> Scene: one world drawn from named random streams. Degrees become radians here."""
+
+import hashlib
+import math
+from typing import Any, TypeVar
+
+import numpy as np
+
+from synth3dlanes.catalogue import CARS, TREES
+from synth3dlanes.distributions import Choice, Integers
+from synth3dlanes.errors import ParamsError
+from synth3dlanes.geometry import placement
+from synth3dlanes.geometry.ground import Ground
+from synth3dlanes.geometry.lanes import host_segment, lanes_present, segments_at
+from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.params import CameraParams, Group, Params
+from synth3dlanes.scene import (
+    SCENE_VERSION,
+    Camera,
+    Car,
+    Gaussian,
+    Light,
+    Markings,
+    Road,
+    Scene,
+    Surface,
+    Terrain,
+    Tree,
+)
+
+# Numbers in a scene are rounded to a micrometre, a microradian: readable, and equal on every machine.
+DECIMALS = 6
+CAR_GAP_M = (1.0, 0.3)
+HOST_SIZE_M = (5.0, 2.0)
+TRIES = 2000
+# A camera for the bare road, until the host's is drawn: its lane depends on the lanes that there are.
+NO_CAMERA = Camera(
+    lane=1, y_m=-50, offset_m=0, height_m=1.5, pitch_rad=0, width_px=8, height_px=8, fx_px=8, fy_px=8, cx_px=4, cy_px=4
+)
+# A tree stands clear of the pavement by this and by this share of its crown.
+TREE_GAP_M, TREE_GAP_OF_CROWN = 1.0, 0.5
+
+
+def stream(seed: int, split: str, index: int, name: str) -> np.random.Generator:
+    """The random numbers of one group of parameters of one scene, independent of every other group and scene."""
+    digest = hashlib.sha256(f"{seed}/{split}/{index}/{name}".encode()).digest()
+    return np.random.Generator(np.random.PCG64(int.from_bytes(digest[:16], "big")))
+
+
+def sample_scene(params: Params, seed: int, split: str, index: int) -> Scene:
+    """Scene `index` of a split: it depends on these four arguments alone.
+
+    Raises ParamsError where cars or trees find no room in the ranges given.
+    """
+
+    draws = {name: Draw(group, stream(seed, split, index, name)) for name, group in params}
+    bare = Scene(
+        format="synth3dlanes.scene",
+        version=SCENE_VERSION,
+        seed=seed,
+        split=split,
+        index=index,
+        terrain=_terrain(draws["terrain"]),
+        road=_road(draws["road"]),
+        markings=_plain(Markings, draws["markings"]),
+        surface=_plain(Surface, draws["surface"]),
+        cars=(),
+        trees=(),
+        camera=NO_CAMERA,
+        light=_plain(Light, draws["light"]),
+    )
+    plan = RoadPlan(bare)
+    camera = _camera(params.camera, draws["camera"], plan)
+    car_places = Draw(params.cars, stream(seed, split, index, "car_places"))
+    tree_places = Draw(params.trees, stream(seed, split, index, "tree_places"))
+    cars = _cars(plan, camera, draws["cars"], car_places)
+    with_camera = RoadPlan(bare.model_copy(update={"camera": camera}))
+    trees = _trees(Ground(with_camera), draws["trees"], tree_places)
+    return with_camera.scene.model_copy(update={"cars": cars, "trees": trees})
+
+
+P = TypeVar("P", Markings, Surface, Light)
+
+
+class Draw:
+    """Draws the parameters of one group in turn, with one random number each."""
+
+    def __init__(self, group: Group, rng: np.random.Generator) -> None:
+        self.group = group
+        self.rng = rng
+
+    def __call__(self, key: str) -> Any:
+        """A value of the group's parameter `key`: radians for degrees, rounded; integers and flags as they are."""
+        return self.rows((key,), 1)[0][0]
+
+    def rows(self, keys: tuple[str, ...], n: int) -> list[tuple[Any, ...]]:
+        """`n` draws of several parameters, row by row."""
+        numbers = self.rng.random((n, len(keys))).T.tolist()
+        return list(zip(*(self._column(key, us) for key, us in zip(keys, numbers, strict=True)), strict=True))
+
+    def _column(self, key: str, us: list[float]) -> list[Any]:
+        values = [getattr(self.group, key).draw(u) for u in us]
+        if key.endswith("_deg"):
+            values = [math.radians(value) for value in values]
+        return [round(value, DECIMALS) if isinstance(value, float) else value for value in values]
+
+
+def _plain(part: type[P], draw: Draw) -> P:
+    """A part whose every field is one parameter."""
+    return part(**{field: draw(field.replace("_rad", "_deg")) for field in part.model_fields})
+
+
+def _terrain(draw: Draw) -> Terrain:
+    def gaussian() -> Gaussian:
+        return Gaussian(
+            center_m=(draw("center_m"), draw("center_m")),
+            magnitude_m=draw("magnitude_m"),
+            sd_m=(draw("sd_m"), draw("sd_m")),
+            orientation_rad=draw("orientation_deg"),
+        )
+
+    return Terrain(gaussians=tuple(gaussian() for _ in range(draw("n_gaussians"))))
+
+
+def _road(draw: Draw) -> Road:
+    return Road(**{field: draw(field.replace("_rad", "_deg")) for field in Road.model_fields})
+
+
+def _camera(params: CameraParams, draw: Draw, plan: RoadPlan) -> Camera:
+    u_lane = draw.rng.random()
+    y_m = draw("y_m")
+    width_px, height_px = draw("width_px"), draw("height_px")
+    focal_px = round(width_px / 2 / math.tan(draw("horizontal_fov_deg") / 2), DECIMALS)
+    return Camera(
+        lane=_host_lane(params.lane, u_lane, lanes_present(plan, y_m)),
+        y_m=y_m,
+        offset_m=draw("offset_m"),
+        height_m=draw("height_m"),
+        pitch_rad=draw("pitch_deg"),
+        width_px=width_px,
+        height_px=height_px,
+        fx_px=focal_px,
+        fy_px=focal_px,
+        cx_px=width_px / 2,
+        cy_px=height_px / 2,
+    )
+
+
+def _host_lane(lanes: Integers | Choice[int], u: float, present: int) -> int:
+    """Uniform over the lanes asked for that are present; the last present one where there is none."""
+    if isinstance(lanes, Integers):
+        lanes = Integers(min(lanes.low, present), min(lanes.high, present))
+    return min(lanes.draw(u), present)
+
+
+def _cars(plan: RoadPlan, camera: Camera, looks: Draw, places: Draw) -> tuple[Car, ...]:
+    foot, heading = placement.lane_place(plan, host_segment(plan, camera.lane, camera.y_m), camera.y_m)
+    taken = [placement.footprint(foot, heading, *HOST_SIZE_M)]
+    cars = []
+    for number in range(looks("n")):
+        model, scale = looks("model"), looks("scale")
+        (color,) = zip(*looks.rows(("color",), 3), strict=True)
+        gloss = looks("gloss")
+        size = CARS[model - 1].length_m * scale + CAR_GAP_M[0], CARS[model - 1].width_m * scale + CAR_GAP_M[1]
+        for _ in range(TRIES):
+            s_m = places("s_m")
+            lanes = segments_at(plan, s_m)
+            lane = lanes[int(places.rng.random() * len(lanes))]
+            place = placement.footprint(*placement.lane_place(plan, lane, s_m), *size)
+            if not any(placement.overlap(place, other) for other in taken):
+                break
+        else:
+            raise ParamsError(f"cars.n: no room for car {number + 1} within cars.s_m of scene {plan.scene.index}")
+        taken.append(place)
+        cars.append(Car(model=model, scale=scale, color=color, gloss=gloss, lane=lane, s_m=s_m))
+    return tuple(cars)
+
+
+def _trees(ground: Ground, looks: Draw, places: Draw) -> tuple[Tree, ...]:
+    drawn = looks.rows(("model", "yaw_deg", "scale"), looks("n"))
+    gap_m = np.array([TREE_GAP_M + TREE_GAP_OF_CROWN * scale * TREES[model - 1].crown_radius_m for model, _, scale in drawn])
+    xy = np.zeros((len(drawn), 2))
+    pending = np.arange(len(drawn))
+    for _ in range(TRIES):
+        if not pending.size:
+            break
+        xy[pending] = places.rows(("x_m", "y_m"), len(pending))
+        pending = pending[ground.clearance(xy[pending]) < gap_m[pending]]
+    else:
+        raise ParamsError(f"trees.x_m, trees.y_m: no room off the roads for {pending.size} trees of scene {ground.plan.scene.index}")
+    return tuple(
+        Tree(model=model, x_m=x, y_m=y, yaw_rad=yaw, scale=scale)
+        for (model, yaw, scale), (x, y) in zip(drawn, xy.tolist(), strict=True)
+    )
