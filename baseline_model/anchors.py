@@ -74,7 +74,7 @@ def encode(
     anchors = torch.tensor(anchor_positions_m(config), device=device)
     y_query = torch.cat([knots, torch.tensor([Y_REF_M, *NEAR_KNOTS_M], device=device)])
     xyz_top = torch.einsum("bij,blnj->blni", top_from_cam[:, :3, :3], curves.xyz_cam) + top_from_cam[:, None, None, :3, 3]
-    x_m, z_m, in_range, visible = _sample(xyz_top, curves.visible, y_query)
+    x_m, z_m, in_range, visible = sample_curves(xyz_top, curves.visible, y_query)
     n_knots = len(knots)
     x_ref_m = x_m[..., n_knots]
     crosses = (curves.kind > 0) & in_range[..., n_knots]
@@ -90,7 +90,7 @@ def encode(
     return targets._replace(scored=scored), torch.where(curves.kind > 0, status, ABSENT)
 
 
-def _sample(
+def sample_curves(
     xyz: Float[Tensor, "b l n 3"], visible: Bool[Tensor, "b l n"], y_m: Float[Tensor, " y"]
 ) -> tuple[Float[Tensor, "b l y"], Float[Tensor, "b l y"], Bool[Tensor, "b l y"], Bool[Tensor, "b l y"]]:
     """x, z, whether the curve reaches y, whether it is visible there; linear between samples, clamped outside."""

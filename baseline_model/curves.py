@@ -47,14 +47,16 @@ def plane_pose(labels: Labels) -> Pose:
     return Pose(labels.camera.pitch_rad, labels.camera.height_m)
 
 
-def road_curves(labels: Labels) -> tuple[Curve, ...]:
-    """Every lane with at least two forward points; of curves that coincide wherever they are visible, one."""
+def road_curves(labels: Labels, *, in_image_only: bool = False) -> tuple[Curve, ...]:
+    """Every lane with at least two forward points; of curves that coincide wherever they are visible, one.
+    Points beside the picture (neighbour lanes nearer than 6 m) count, as in the paper, unless `in_image_only`."""
     curves = []
     for lane in labels.lanes:
         xyz_road = transform(labels.camera.road_from_cam, lane.xyz_cam)
         part = _forward_part(xyz_road[:, 1])
         if part.stop - part.start >= 2:
-            curves.append(Curve(lane.kind, lane.xyz_cam[part], xyz_road[part], lane.terrain_visible[part]))
+            visible = lane.terrain_visible & lane.in_image if in_image_only else lane.terrain_visible
+            curves.append(Curve(lane.kind, lane.xyz_cam[part], xyz_road[part], visible[part]))
     return _without_duplicates(curves)
 
 

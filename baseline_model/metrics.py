@@ -138,18 +138,17 @@ class Evaluation:
         truth_per_image = np.array([pairs.n_truth for pairs in images], dtype=int)
         curves = {name: Counts.of(self._steps.get((kind, name), [])) for name in self._weight_names()}
         counts = curves[self.config.weights]
-        recalls, precisions = counts.curve(int(truth_per_image.sum()))
+        n_truth = int(truth_per_image.sum())
+        recalls, precisions = counts.curve(n_truth)
         f1 = 2 * recalls * precisions / np.maximum(recalls + precisions, 1e-12)
         best = float(counts.thresholds[np.argmax(f1)]) if len(f1) else self.config.threshold
         lowest = float(counts.thresholds[-1]) if len(f1) else 0.0
         return KindReport(
-            ap=average_precision(recalls, precisions),
+            ap=counts.ap(n_truth),
             ap_interval=bootstrap_interval(counts, truth_per_image, self.config.bootstraps),
-            ap_101_points=ap_at_101_points(recalls, precisions),
-            ap_by_weights={
-                name: average_precision(*other.curve(int(truth_per_image.sum()))) for name, other in curves.items()
-            },
-            n_truth=int(truth_per_image.sum()),
+            ap_101_points=ap_at_101_points(recalls, precisions) if n_truth else float("nan"),
+            ap_by_weights={name: other.ap(n_truth) for name, other in curves.items()},
+            n_truth=n_truth,
             n_ignored=sum(pairs.n_ignored for pairs in images),
             n_detections=sum(len(pairs.score) for pairs in images),
             at_threshold=_errors(images, self.config.threshold),
@@ -190,14 +189,15 @@ class Counts:
         factor = 1.0 if times is None else times[self.image]
         true = np.cumsum(self.true * factor)[self.last]
         false = np.cumsum(self.false * factor)[self.last]
-        precision = true / np.maximum(true + false, 1e-12)
-        return true / n_truth if n_truth else np.full(len(true), np.nan), precision
+        return true / max(n_truth, 1), true / np.maximum(true + false, 1e-12)
+
+    def ap(self, n_truth: int, times: Int[np.ndarray, " i"] | None = None) -> float:
+        """Average precision; NaN where there is no lane to find, since recall is undefined there."""
+        return average_precision(*self.curve(n_truth, times)) if n_truth else float("nan")
 
 
 def average_precision(recalls: Float[np.ndarray, " r"], precisions: Float[np.ndarray, " r"]) -> float:
-    """Area under the precision envelope over recall 0 to the largest reached. NaN without any lane: undefined."""
-    if np.isnan(recalls).any():
-        return float("nan")
+    """Area under the precision envelope over recall 0 to the largest reached."""
     order = np.argsort(recalls, kind="stable")
     envelope = np.maximum.accumulate(precisions[order][::-1])[::-1]
     return float(np.sum(np.diff(recalls[order], prepend=0.0) * envelope))
@@ -205,8 +205,6 @@ def average_precision(recalls: Float[np.ndarray, " r"], precisions: Float[np.nda
 
 def ap_at_101_points(recalls: Float[np.ndarray, " r"], precisions: Float[np.ndarray, " r"]) -> float:
     """COCO's variant: the envelope's mean at recalls 0, 0.01, ..., 1."""
-    if np.isnan(recalls).any():
-        return float("nan")
     wanted = np.linspace(0, 1, 101)[:, None]
     return float(np.where(recalls[None] >= wanted - 1e-12, precisions[None], 0.0).max(1, initial=0.0).mean())
 
@@ -220,7 +218,7 @@ def bootstrap_interval(counts: Counts, truth_per_image: Int[np.ndarray, " i"], n
     draws = []
     for _ in range(n_draws):
         times = np.bincount(rng.integers(0, n_images, n_images), minlength=n_images)
-        draws.append(average_precision(*counts.curve(int(truth_per_image @ times), times)))
+        draws.append(counts.ap(int(truth_per_image @ times), times))
     low, high = np.nanpercentile(draws, [2.5, 97.5])
     return (float(low), float(high))
 

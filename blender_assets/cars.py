@@ -88,11 +88,11 @@ def wheel(shape: Shape, model: CarModel, x: float, y: float, width: float) -> No
     rim = 0.66 * radius
     tread = np.array([(-half, rim), (-half, 0.90 * radius), (-0.8 * half, 0.985 * radius), (-0.6 * half, radius),
                       (0.6 * half, radius), (0.8 * half, 0.985 * radius), (half, 0.90 * radius), (half, rim)])
-    vertices, faces = lathe_x(tread * [out, 1], 36, (x, y, radius))
+    vertices, faces = lathe_x(tread * [out, 1], 28, (x, y, radius))
     shape.add(vertices, faces if out < 0 else faces[:, ::-1], TYRE)
     dish = np.array([(half, rim), (half - 0.012, 0.94 * rim), (half - 0.05, 0.9 * rim), (half - 0.055, 0.0)])
-    vertices, faces = lathe_x(dish * [out, 1], 36, (x, y, radius))
-    shape.add(vertices, faces if out < 0 else faces[:, ::-1], np.repeat([RIM, RIM, TRIM], 36))
+    vertices, faces = lathe_x(dish * [out, 1], 28, (x, y, radius))
+    shape.add(vertices, faces if out < 0 else faces[:, ::-1], np.repeat([RIM, RIM, TRIM], 28))
     hub, hub_faces = rounded_box((x + out * (half - 0.03), y, radius), (0.04, 0.36 * rim, 0.36 * rim), 0.03)
     shape.add(hub, hub_faces, RIM)
     spoke, spoke_faces = rounded_box((0, 0, 0.52 * rim), (0.025, 0.20 * rim, 0.92 * rim), 0.012, 1)

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from library import make_library
 from sky import make_clouds, make_sky
 from textures import make_textures
 
@@ -13,6 +14,7 @@ def main() -> None:
     make_textures(HERE / "textures")
     make_sky(HERE / "sky.npz")
     make_clouds(HERE / "textures")
+    make_library(HERE / "assets.blend")
 
 
 if __name__ == "__main__":

@@ -141,7 +141,7 @@ def worn_wear(rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
     for _ in range(5):
         size = rng.integers((60, 90), (200, 420))
         dx, dy = (x - rng.integers(w)) % w, (y - rng.integers(h)) % h
-        edge = np.minimum.reduce([dx, size[0] - dx, (dy - 0.0) * 0.6, (size[1] - dy) * 0.6])
+        edge = np.minimum.reduce([dx, size[0] - dx, dy * 0.6, (size[1] - dy) * 0.6])
         shade = rng.choice([0.62, 0.72, 0.8, 1.18])
         factor = np.where(edge > 0, shade * (1 + 0.03 * clouds(rng, WEAR_SIZE, 20, 200, 0.3)), factor)
         factor = np.where((edge > 0) & (edge < 2.0), 0.5, factor)
@@ -152,7 +152,7 @@ def worn_wear(rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
         factor *= 1 - 0.55 * present * (1 - smoothstep(1.2, 2.8, away))
     for row in rng.uniform(0, h, 9):
         present = smoothstep(-0.5, 0.0, clouds(rng, (8, w), 1, 4, 0.5)[:1])
-        away = np.abs((y - row + 0.8 * wander.T.mean(axis=1)[None, :] * 0 + 1.2 * wander + h / 2) % h - h / 2)
+        away = np.abs((y - row + 1.2 * wander + h / 2) % h - h / 2)
         factor *= 1 - 0.5 * present * (1 - smoothstep(1.0, 2.4, away))
     return 0.5 * factor
 
@@ -171,6 +171,21 @@ def concrete_wear(rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
     factor *= 1 - 0.60 * (1 - smoothstep(0.6, 1.6, to_row))
     factor *= 1 - 0.5 * (1 - smoothstep(0.8, 2.0, to_column))
     return 0.5 * factor
+
+
+def terrain_macro(rng: np.random.Generator) -> Float[np.ndarray, "h w 3"]:
+    """Growth and dryness over tens of metres: a tint on the terrain's albedo, 0.5 = unchanged."""
+    lush = clouds(rng, SIZE, 1, 40, 1.0)
+    dry = clouds(rng, SIZE, 1, 24, 1.0)
+    tints = np.exp(0.16 * lush)[..., None] * np.exp(dry[..., None] * np.array([0.13, 0.03, 0.06]))
+    return 0.5 * tints
+
+
+def marking_cover(rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
+    """How much of the paint is left, 1 = all: dirt, scuffs and a few rubbed spots."""
+    grain = clouds(rng, SIZE, 60, 512, 0.0)
+    rubbed = smoothstep(0.9, 2.4, clouds(rng, SIZE, 8, 120, 0.7))
+    return 0.93 + 0.04 * grain + 0.04 * clouds(rng, SIZE, 1, 20, 0.8) - 0.42 * rubbed
 
 
 SURFACES: dict[str, Callable[[np.random.Generator], Surface]] = {
@@ -215,3 +230,5 @@ def make_textures(folder: Path) -> None:
         save(folder / f"{name}_normal.jpg", 0.5 + 0.5 * normals(surface))
     for number, (name, draw) in enumerate(WEAR.items()):
         save(folder / f"{name}_wear.jpg", draw(np.random.default_rng([2, number])))
+    save(folder / "terrain_macro.jpg", terrain_macro(np.random.default_rng([5, 0])))
+    save(folder / "marking_cover.jpg", marking_cover(np.random.default_rng([5, 1])))

@@ -1,4 +1,4 @@
-"""The distributions that a parameter can have, and how they are read from `[low, high]`, `{value: weight}` or a constant.
+"""The distributions that a parameter can have, read from `[low, high]`, `{value: weight}` or a constant.
 
 A distribution is a value with one method, `draw(u)`. No side effects.
 """

@@ -175,6 +175,18 @@ def load_params(source: str, overrides: Sequence[str] = ()) -> Params:
     return params
 
 
+def check_params(sources: Iterable[str], overrides: Sequence[str] = ()) -> None:
+    """Load every source; raise one ParamsError with the problems of all."""
+    problems: list[str] = []
+    for source in sources:
+        try:
+            load_params(source, overrides)
+        except ParamsError as error:
+            problems += error.problems
+    if problems:
+        raise ParamsError(*dict.fromkeys(problems))
+
+
 def params_yaml(params: Params) -> str:
     """The parameters as a YAML file that `load_params` reads back to equal Params."""
     return yaml.safe_dump(params.model_dump(), sort_keys=False, default_flow_style=None, width=100)

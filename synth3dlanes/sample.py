@@ -5,9 +5,10 @@ import math
 from typing import Any, TypeVar
 
 import numpy as np
+from jaxtyping import Float
 
 from synth3dlanes.catalogue import CARS, TREES
-from synth3dlanes.distributions import Choice, Integers
+from synth3dlanes.distributions import Choice, Integers, Uniform
 from synth3dlanes.errors import ParamsError
 from synth3dlanes.geometry import placement
 from synth3dlanes.geometry.ground import Ground
@@ -91,18 +92,25 @@ class Draw:
 
     def __call__(self, key: str) -> Any:
         """A value of the group's parameter `key`: radians for degrees, rounded; integers and flags as they are."""
-        return self.rows((key,), 1)[0][0]
+        return self._rounded(key, getattr(self.group, key).draw(self.rng.random()))
 
     def rows(self, keys: tuple[str, ...], n: int) -> list[tuple[Any, ...]]:
         """`n` draws of several parameters, row by row."""
-        numbers = self.rng.random((n, len(keys))).T.tolist()
-        return list(zip(*(self._column(key, us) for key, us in zip(keys, numbers, strict=True)), strict=True))
+        numbers = self.rng.random((n, len(keys)))
+        return list(zip(*(self._column(key, numbers[:, j]) for j, key in enumerate(keys)), strict=True))
 
-    def _column(self, key: str, us: list[float]) -> list[Any]:
-        values = [getattr(self.group, key).draw(u) for u in us]
+    def _column(self, key: str, us: Float[np.ndarray, " n"]) -> list[Any]:
+        distribution = getattr(self.group, key)
+        if not isinstance(distribution, Uniform):
+            return [self._rounded(key, distribution.draw(u)) for u in us.tolist()]
+        values = distribution.low + (distribution.high - distribution.low) * us
+        return list(np.round(np.radians(values) if key.endswith("_deg") else values, DECIMALS).tolist())
+
+    @staticmethod
+    def _rounded(key: str, value: Any) -> Any:
         if key.endswith("_deg"):
-            values = [math.radians(value) for value in values]
-        return [round(value, DECIMALS) if isinstance(value, float) else value for value in values]
+            value = math.radians(value)
+        return round(value, DECIMALS) if isinstance(value, float) else value
 
 
 def _plain(part: type[P], draw: Draw) -> P:
@@ -167,7 +175,7 @@ def _cars(plan: RoadPlan, camera: Camera, looks: Draw, places: Draw) -> tuple[Ca
             lanes = segments_at(plan, s_m)
             lane = lanes[int(places.rng.random() * len(lanes))]
             place = placement.footprint(*placement.lane_place(plan, lane, s_m), *size)
-            if not any(placement.overlap(place, other) for other in taken):
+            if not placement.overlaps_any(place, np.array(taken)):
                 break
         else:
             raise ParamsError(f"cars.n: no room for car {number + 1} within cars.s_m of scene {plan.scene.index}")

@@ -3,7 +3,6 @@
 World frame, metres and radians. Pure data: nothing here reads files or computes geometry.
 """
 
-import json
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -144,7 +143,7 @@ class Scene(Part):
 
 def to_json(scene: Scene) -> str:
     """The scene as one line of JSON; equal scenes give equal text."""
-    return json.dumps(scene.model_dump(mode="json"), separators=(",", ":"))
+    return scene.model_dump_json()
 
 
 def from_json(text: str | bytes, where: str) -> Scene:

@@ -107,7 +107,7 @@ def _run_cycles() -> dict[str, np.ndarray]:
         original(self, depsgraph)
         result = self.get_result()
         for render_pass in result.layers[0].passes:
-            pixels = np.zeros((result.resolution_y * result.resolution_x, render_pass.channels), dtype=np.float32)
+            pixels = np.zeros(result.resolution_y * result.resolution_x * render_pass.channels, dtype=np.float32)
             render_pass.rect.foreach_get(pixels)
             layers[render_pass.name] = pixels.reshape(result.resolution_y, result.resolution_x, -1)[::-1]
 

@@ -83,13 +83,14 @@ def annotate(labels: Labels, frame: Frame) -> Annotation:
     # Names must begin with "seg", hold no dot and no "jpg": loaders and evaluators cut and replace there.
     name = f"segment-{segment:06d}/{frame.split}-{frame.key}"
     file_path = f"{part}/{name}.jpg"
-    lines = _kept(labels, dropped)
-    attributes = _attributes(lines, labels.camera)
+    ahead = lines_ahead(labels, VIEW, "delimiter", STEP_M)
+    lines = _kept(ahead, dropped)
+    attributes = _attributes(ahead, labels.camera)
     document = {
         "extrinsic": np.round(vehicle_from_cam_waymo(labels.camera), 12).tolist(),
         "intrinsic": VIEW.img_from_cv.tolist(),
         "lane_lines": [
-            _line_document(line, attributes[i], place * (MAX_LINES + 1) + i + 1) for i, line in enumerate(lines)
+            _line_document(line, attributes[line.id], place * (MAX_LINES + 1) + i + 1) for i, line in enumerate(lines)
         ],
         "file_path": file_path,
     }
@@ -138,9 +139,9 @@ def ground_from_waymo(
     return np.column_stack([-points_vehicle[:, 1], points_vehicle[:, 0], points_vehicle[:, 2]])
 
 
-def _kept(labels: Labels, dropped: Counter[str]) -> tuple[Line, ...]:
+def _kept(ahead: tuple[Line, ...], dropped: Counter[str]) -> tuple[Line, ...]:
     kept = []
-    for line in lines_ahead(labels, VIEW, "delimiter", STEP_M):
+    for line in ahead:
         entered = np.flatnonzero(line.in_view & line.visible)
         line = line.part(slice(int(entered[0]), None)) if len(entered) else line
         length_m = np.linalg.norm(np.diff(line.points_cv[line.visible], axis=0), axis=1).sum()
@@ -151,17 +152,17 @@ def _kept(labels: Labels, dropped: Counter[str]) -> tuple[Line, ...]:
     return keep_lines(kept, dropped, MAX_LINES, f"beyond the {MAX_LINES} nearest (Anchor3DLane drops such frames)")
 
 
-def _attributes(lines: tuple[Line, ...], camera: CameraLabel) -> list[int]:
-    """1 to 4 for the two nearest lines on either side of the camera, where they begin beside it."""
-    attributes = [0] * len(lines)
-    x_m = [float(road_from_cv(camera, line.points_cv[:1])[0, 0]) for line in lines]
-    beside = [i for i, line in enumerate(lines) if line.points_cv[0, 2] <= NEAR_START_M]
-    left = sorted((i for i in beside if x_m[i] < 0), key=lambda i: -x_m[i])
-    right = sorted((i for i in beside if x_m[i] >= 0), key=lambda i: x_m[i])
-    for side, numbers in ((left, (2, 1)), (right, (3, 4))):
-        for i, number in zip(side, numbers, strict=False):
-            attributes[i] = number
-    return attributes
+def _attributes(ahead: tuple[Line, ...], camera: CameraLabel) -> dict[str, int]:
+    """1 to 4 for the two nearest lines on either side of the camera, of those that pass beside it; by line id."""
+    x_m = {
+        line.id: float(road_from_cv(camera, line.points_cv[:1])[0, 0])
+        for line in ahead
+        if line.points_cv[0, 2] <= NEAR_START_M
+    }
+    left = sorted((line_id for line_id in x_m if x_m[line_id] < 0), key=lambda line_id: -x_m[line_id])
+    right = sorted((line_id for line_id in x_m if x_m[line_id] >= 0), key=lambda line_id: x_m[line_id])
+    numbered = {**dict(zip(left, (2, 1), strict=False)), **dict(zip(right, (3, 4), strict=False))}
+    return {line.id: numbered.get(line.id, 0) for line in ahead}
 
 
 def _line_document(line: Line, attribute: int, track_id: int) -> dict[str, Any]:

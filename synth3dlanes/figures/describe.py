@@ -4,18 +4,17 @@ import math
 from collections import Counter
 
 import numpy as np
+from jaxtyping import Float
 
 from synth3dlanes.catalogue import CARS, TREES
+from synth3dlanes.figures.shape import bends, grades
 from synth3dlanes.geometry.transforms import transform
 from synth3dlanes.labels import Labels, Lane
 from synth3dlanes.scene import Road, Scene
 
 Facts = dict[str, str]
 
-LANE_COLUMNS = ("lane", "kind", "road", "marking", "points", "image", "ground", "objects", "seen to")
-
-_BASELINE_M = 5
-"""Slopes and bends are read over this length of road, which the rounding of labels cannot disturb."""
+LANE_COLUMNS = ("lane", "kind", "road", "marking", "points", "image", "ground", "objects", "seen")
 
 
 def describe(scene: Scene, labels: Labels) -> dict[str, Facts]:
@@ -77,28 +76,6 @@ def lane_row(lane: Lane) -> tuple[str, ...]:
     return (lane.id, lane.kind, lane.road, lane.marking, *counts)
 
 
-def steepest_grade(lane: Lane, labels: Labels) -> float:
-    """The largest rise over run along the lane, signed (up is positive); 0 for a lane too short to tell."""
-    points_world = transform(labels.camera.world_from_cam, lane.xyz_cam)[::_BASELINE_M]
-    if len(points_world) < 2:
-        return 0.0
-    steps = np.diff(points_world, axis=0)
-    grades = steps[:, 2] / np.hypot(steps[:, 0], steps[:, 1])
-    return float(grades[np.argmax(np.abs(grades))])
-
-
-def sharpest_bend(lane: Lane, labels: Labels) -> float:
-    """The largest curvature of the lane seen from above, in 1/m, signed (to the right is positive)."""
-    points_world = transform(labels.camera.world_from_cam, lane.xyz_cam)[::_BASELINE_M, :2]
-    if len(points_world) < 3:
-        return 0.0
-    steps = np.diff(points_world, axis=0)
-    turns = np.diff(np.unwrap(np.arctan2(steps[:, 0], steps[:, 1])))
-    lengths = np.hypot(*steps.T)
-    curvatures = 2 * turns / (lengths[1:] + lengths[:-1])
-    return float(curvatures[np.argmax(np.abs(curvatures))])
-
-
 def heights_over_road_plane(labels: Labels) -> tuple[float, float]:
     """The lowest and the highest lane point above the plane of the road at the host."""
     points_cam = np.concatenate([lane.xyz_cam for lane in labels.lanes])
@@ -128,8 +105,8 @@ def _road(scene: Scene, labels: Labels) -> Facts:
 
 def _shape(scene: Scene, labels: Labels) -> Facts:
     centerlines = [lane for lane in labels.lanes if lane.kind == "centerline"]
-    bend = max((sharpest_bend(lane, labels) for lane in centerlines), key=abs, default=0.0)
-    grade = max((steepest_grade(lane, labels) for lane in centerlines), key=abs, default=0.0)
+    bend = _extreme([bends(lane, labels) for lane in centerlines])
+    grade = _extreme([grades(lane, labels) for lane in centerlines])
     low_m, high_m = heights_over_road_plane(labels)
     radius = f"{1 / abs(bend):.0f} m to the {'right' if bend > 0 else 'left'}" if abs(bend) > 1e-4 else "straight"
     return {
@@ -138,6 +115,11 @@ def _shape(scene: Scene, labels: Labels) -> Facts:
         "lanes over the road plane": f"{low_m:+.1f} to {high_m:+.1f} m",
         "hills and hollows": str(len(scene.terrain.gaussians)),
     }
+
+
+def _extreme(values: list[Float[np.ndarray, "?n"]]) -> float:
+    """The value that is farthest from 0; 0 where there is none."""
+    return float(max(np.concatenate(values), key=abs, default=0.0))
 
 
 def _camera(scene: Scene, labels: Labels) -> Facts:

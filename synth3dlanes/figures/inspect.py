@@ -34,8 +34,8 @@ def summary(scene: Scene, labels: Labels) -> RenderableType:
 def draw_inspect(scene: Scene, labels: Labels, image: UInt8[np.ndarray, "h w 3"] | None) -> Figure:
     """The image, the scene in space, from above and from the side, on one page; without an image, lanes alone."""
     view = SceneView(scene, labels)
-    figure = Figure(figsize=(15, 12.5), layout="constrained")
-    grid = figure.add_gridspec(3, 2, height_ratios=(10, 7, 4), width_ratios=(1, 1))
+    figure = Figure(figsize=(15, 14.5), layout="constrained")
+    grid = figure.add_gridspec(3, 2, height_ratios=(9.5, 8.5, 4), width_ratios=(1, 1))
     views.draw_image(figure.add_subplot(grid[0, 0]), labels, image)
     space = figure.add_subplot(grid[0, 1], projection="3d", computed_zorder=False)
     assert isinstance(space, Axes3D)
@@ -43,12 +43,14 @@ def draw_inspect(scene: Scene, labels: Labels, image: UInt8[np.ndarray, "h w 3"]
     views.draw_top(figure.add_subplot(grid[1, :]), view)
     views.draw_side(figure.add_subplot(grid[2, :]), view)
     handles = [
-        Line2D([], [], color=colors.hexadecimal(color), linewidth=2, label="centre line" if kind == "centerline" else kind)
+        Line2D(
+            [], [], color=colors.hexadecimal(color), linewidth=2, label="centre line" if kind == "centerline" else kind
+        )
         for kind, color in colors.KINDS.items()
     ]
     figure.legend(handles=handles, loc="upper right", ncols=2, frameon=False)
     figure.suptitle(
         f"seed {scene.seed}, {scene.split} {scene.index}: {scene.road.n_lanes} lanes, {topology_words(scene.road)}",
-        fontsize=14, color=colors.INK,
+        fontsize=14, x=0.01, ha="left", color=colors.INK,
     )  # fmt: skip
     return figure

@@ -18,6 +18,7 @@ from synth3dlanes.labels import Labels, Lane
 _HIDDEN_OPACITY = 0.4
 _HALF_WIDTH_3D_M = 32.0
 _HEIGHT_FACTOR_3D = 2.0
+_WINDOW_M = 46.0
 
 
 def draw_image(axes: Axes, labels: Labels, image: UInt8[np.ndarray, "h w 3"] | None) -> None:
@@ -70,7 +71,9 @@ def draw_side(axes: Axes, view: SceneView) -> None:
     if foot is not None and -BEHIND_M < foot[1] < AHEAD_M:
         axes.axvline(foot[1], color=colors.FAINT, linestyle="--", linewidth=1)
         words = "ramp of the exit ends" if view.scene.road.flip_lateral else "ramp of the exit begins"
-        axes.annotate(words, (foot[1], 0.97), xycoords=("data", "axes fraction"), va="top", xytext=(4, 0), textcoords="offset points")  # fmt: skip
+        side, gap = ("left", 4) if foot[1] < AHEAD_M / 2 else ("right", -4)
+        place = {"xycoords": ("data", "axes fraction"), "xytext": (gap, 0), "textcoords": "offset points"}
+        axes.annotate(words, (foot[1], 0.05), ha=side, va="bottom", **place)
     height_m = view.labels.camera.height_m
     axes.plot(0, height_m, "o", color=colors.FRUSTUM, markeredgecolor=colors.INK, zorder=6)
     axes.axhline(0, color=colors.FAINT, linewidth=0.8, zorder=0)
@@ -94,15 +97,17 @@ def draw_3d(axes: Axes3D, view: SceneView) -> None:
         points_road = np.where(np.abs(points_road[:, :1]) < _HALF_WIDTH_3D_M, points_road, np.nan)
         _plot(axes, lane, points_road)
     for car in view.cars:
-        if abs(car.corners_road[0, 0]) < _HALF_WIDTH_3D_M and -BEHIND_M < car.corners_road[0, 1] < AHEAD_M:
-            sides = _box(car.corners_road, car.height_m)
+        if _in_space(car.corners_road[0]):
+            sides, face = _box(car.corners_road, car.height_m), colors.hexadecimal(car.color)
             axes.add_collection3d(
-                Poly3DCollection(sides, facecolor=colors.hexadecimal(car.color), edgecolor=colors.INK, linewidth=0.4, zorder=5)  # fmt: skip
+                Poly3DCollection(sides, facecolor=face, edgecolor=colors.INK, linewidth=0.4, zorder=5)
             )
+    for x, y, z, height_m in ((*tree.foot_road, tree.height_m) for tree in view.trees if _in_space(tree.foot_road)):
+        axes.plot([x, x], [y, y], [z, z + height_m], color=colors.TREE, linewidth=1, alpha=0.5, zorder=2)
     axes.scatter(0, 0, view.labels.camera.height_m, color=colors.FRUSTUM, edgecolor=colors.INK, s=36, zorder=6)
     low, high = grid[..., 2].min(), grid[..., 2].max() + 2
     axes.set(xlim=(-_HALF_WIDTH_3D_M, _HALF_WIDTH_3D_M), ylim=(-BEHIND_M, AHEAD_M), zlim=(low, high))
-    axes.set_box_aspect((2 * _HALF_WIDTH_3D_M, AHEAD_M + BEHIND_M, _HEIGHT_FACTOR_3D * (high - low)), zoom=1.25)
+    axes.set_box_aspect((2 * _HALF_WIDTH_3D_M, AHEAD_M + BEHIND_M, _HEIGHT_FACTOR_3D * (high - low)), zoom=1.4)
     axes.set(xlabel="x right [m]", ylabel="y forward [m]", zlabel="z up [m]")
     axes.view_init(elev=24, azim=-112)
     axes.set_title(f"in space (heights x {_HEIGHT_FACTOR_3D:g})")
@@ -129,10 +134,17 @@ def _frustum_from_above(axes: Axes, labels: Labels) -> None:
 
 
 def _lateral_extent(view: SceneView) -> tuple[float, float]:
-    """From the leftmost to the rightmost lane, with room for what stands beside them."""
-    lanes_road = [transform(view.labels.camera.road_from_cam, lane.xyz_cam)[:, 0] for lane in view.labels.lanes]
-    low, high = min(map(np.min, lanes_road), default=0.0), max(map(np.max, lanes_road), default=0.0)
-    return max(-45.0, min(low - 8, -14.0)), min(45.0, max(high + 8, 14.0))
+    """A window as wide as the page allows around the middle of the lanes; wider where they need it."""
+    lanes_road = np.concatenate(
+        [transform(view.labels.camera.road_from_cam, lane.xyz_cam) for lane in view.labels.lanes]
+    )
+    low, high = lanes_road[:, 0].min(), lanes_road[:, 0].max()
+    half_m = max(_WINDOW_M, high - low + 6) / 2
+    return (low + high) / 2 - half_m, (low + high) / 2 + half_m
+
+
+def _in_space(point_road: Float[np.ndarray, "3"]) -> bool:
+    return bool(abs(point_road[0]) < _HALF_WIDTH_3D_M and -BEHIND_M < point_road[1] < AHEAD_M)
 
 
 def _box(corners: Float[np.ndarray, "4 3"], height_m: float) -> list[Float[np.ndarray, "4 3"]]:

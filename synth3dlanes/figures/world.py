@@ -68,18 +68,13 @@ class SceneView:
     def roads(self) -> dict[str, tuple[Points3, Points3]]:
         """Both edges of each road, shoulders included: "main" and, where one is near, "exit"."""
         plan, s = self.plan, self._stations
-        right_m = np.where(s < 0, plan.boundary_m(plan.n_lanes), plan.boundary_m(plan.n_main_after))
-        edges_world = {
-            "main": (plan.lift(plan.main_xy(s, plan.boundary_m(0) - plan.shoulder_m)),
-                     plan.lift(plan.main_xy(s, right_m + plan.shoulder_m))),
-        }  # fmt: skip
+        left, right = plan.main_xy(s, -self.ground.edge_m), plan.main_xy(s, self.ground.main_right_edge(s))
+        edges_world = {"main": (plan.lift(left), plan.lift(right))}
         beyond = s[s >= 0]
         if plan.has_exit and beyond.size > 1:
-            half_m, ramp_m = plan.exit_half_m + plan.shoulder_m, plan.ramp(beyond)
-            edges_world["exit"] = (
-                plan.lift(plan.exit_xy(beyond, -half_m), ramp_m),
-                plan.lift(plan.exit_xy(beyond, half_m), ramp_m),
-            )
+            edge_m, ramp_m = self.ground.exit_edge_m, plan.ramp(beyond)
+            left, right = plan.exit_xy(beyond, -edge_m), plan.exit_xy(beyond, edge_m)
+            edges_world["exit"] = (plan.lift(left, ramp_m), plan.lift(right, ramp_m))
         return {
             name: (transform(self.road_from_world, left), transform(self.road_from_world, right))
             for name, (left, right) in edges_world.items()
@@ -101,14 +96,16 @@ class SceneView:
         return transform(self.road_from_world, foot_world)[0]
 
     def ground_grid(self, half_width_m: float, step_m: float) -> Float[np.ndarray, "rows columns 3"]:
-        """The terrain on a grid over the window: rows go forward, columns to the right."""
+        """The ground as built on a grid over the window: rows go forward, columns to the right."""
         y, x = np.meshgrid(
             np.arange(-BEHIND_M, AHEAD_M + step_m / 2, step_m),
             np.arange(-half_width_m, half_width_m + step_m / 2, step_m),
             indexing="ij",
         )
         flat_world = transform(invert(self.road_from_world), np.stack([x, y, np.zeros_like(x)], -1))
-        return transform(self.road_from_world, self.plan.lift(flat_world[..., :2]))
+        xy_world = flat_world[..., :2]
+        built_world = np.concatenate([xy_world, self.ground.height(xy_world)[..., None]], -1)
+        return transform(self.road_from_world, built_world)
 
     @cached_property
     def cars(self) -> list[CarOutline]:

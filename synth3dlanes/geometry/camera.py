@@ -34,7 +34,7 @@ def world_from_road(plan: RoadPlan) -> Matrix4:
     s = plan.plan_station(camera.y_m + np.array([0.0, -TANGENT_STEP_M, TANGENT_STEP_M]))
     t = lane.main_offset(plan, s) + camera.offset_m * plan.flips[0]
     foot, behind, ahead = plan.lift(plan.main_xy(s, t))
-    dx, dy = ground.gradient_at(plan.scene.terrain, foot[:2])
+    ((dx, dy),) = ground.gradient_at(plan.scene.terrain, foot[None, :2])
     z = np.array([-dx, -dy, 1.0]) / np.sqrt(dx * dx + dy * dy + 1)
     along = ahead - behind
     y = along - (along @ z) * z

@@ -32,7 +32,7 @@ GROWTH = 0.06
 TAPER_M = 20.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Ground:
     """Ground heights of one scene. `fine` is (x0, y0, x1, y1) of the area with fine terrain cells."""
 

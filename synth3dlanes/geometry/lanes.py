@@ -6,6 +6,7 @@ The four topologies are the paper's Table 'Road and lane topology'.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float
@@ -15,7 +16,8 @@ from synth3dlanes.labels import Kind, LaneGraph, Marking, RoadName, Segment
 
 Values = Float[np.ndarray, " n"]
 
-# min(q, width) has a corner at the nose; rounded over so that a lane's course is smooth, moved by 1.5 cm at most.
+# min(q, width) has a corner at the nose; rounded over where q is this close to the
+# width, so that a lane's course is smooth; it moves by 1.5 cm at most.
 CORNER_M = 0.06
 
 
@@ -69,8 +71,8 @@ class Curve:
 
 def smooth_min(q: Values, width_m: float) -> Values:
     """min(q, width) with its corner rounded; exactly q and exactly width away from it."""
-    h = np.clip(2 * CORNER_M - np.abs(q - width_m), 0, None)
-    return np.minimum(q, width_m) - h * h / (8 * CORNER_M)
+    h = np.clip(CORNER_M - np.abs(q - width_m), 0, None)
+    return np.minimum(q, width_m) - h * h / (4 * CORNER_M)
 
 
 def curves(plan: RoadPlan) -> tuple[Curve, ...]:
@@ -78,7 +80,7 @@ def curves(plan: RoadPlan) -> tuple[Curve, ...]:
 
     References between them are by id; a flip of x swaps every left and right.
     """
-    lines = _centerlines(plan) + _delimiters(plan)
+    lines = [*_centerlines(plan), *_delimiters(plan)]
     if plan.flips[0] < 0:
         lines = [replace(line, left=line.right, right=line.left) for line in lines]
     return tuple(lines)
@@ -100,7 +102,8 @@ def seen_from_left(plan: RoadPlan, lane: int, n: int) -> int:
     return n + 1 - lane if plan.flips[0] < 0 else lane
 
 
-def _centerlines(plan: RoadPlan) -> list[Curve]:
+@lru_cache(maxsize=8)
+def _centerlines(plan: RoadPlan) -> tuple[Curve, ...]:
     def center(road: RoadName, lane: int, stem_m: float, fork_m: float, opens: bool = False) -> Curve:
         left, right = _line_id(plan, road, lane - 1), _line_id(plan, road, lane)
         return Curve(
@@ -119,7 +122,7 @@ def _centerlines(plan: RoadPlan) -> list[Curve]:
         center("exit", lane, middle_m(first_taken + lane), middle_m(first_taken + lane) - plan.exit_base_m)
         for lane in range(1, plan.n_exit_lanes + 1)
     ]
-    return main + exits
+    return (*main, *exits)
 
 
 def _delimiters(plan: RoadPlan) -> list[Curve]:
@@ -144,7 +147,7 @@ def _delimiters(plan: RoadPlan) -> list[Curve]:
     if topology == 3:
         # The dashed line between the last two lanes leads along the exit's left side to the nose.
         stem = Curve(
-            "stem_line", "delimiter", "main", "dashed", _center_id(plan, "main", n - 1), _center_id(plan, "exit", 1),
+            "stem_line", "delimiter", "main", "dashed", _center_id(plan, "main", n), _center_id(plan, "exit", 1),
             plan.boundary_m(n - 1), "exit", -half, end_m=plan.nose_m,
         )  # fmt: skip
         lines += [stem, line("main", n - 1, "dashed", None, plan.boundary_m(n - 1), plan.nose_m)]
@@ -241,4 +244,4 @@ def segments_at(plan: RoadPlan, s_world: float) -> list[str]:
 
 
 def _at_stem(plan: RoadPlan, s_world: float) -> bool:
-    return plan.has_exit and bool(plan.plan_station(np.array(s_world)) < 0)
+    return plan.has_exit and bool(s_world * plan.flips[1] < 0)

@@ -6,7 +6,7 @@ Rows follow stations (world y along the main reference line), so that road, shou
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.geometry.ground import CELL_M, EMBANKMENT_SLOPE, GROWTH, VERGE_M, Ground, profile
 from synth3dlanes.geometry.lanes import Curve, curves
@@ -214,7 +214,9 @@ def _beside(curve: Curve, t: float) -> Curve:
     return replace(curve, stem_m=None if curve.stem_m is None else curve.stem_m + t, fork_m=curve.fork_m + t)
 
 
-def _dashes(plan: RoadPlan, curve: Curve, rows: Values) -> tuple[Values, np.ndarray]:
+def _dashes(
+    plan: RoadPlan, curve: Curve, rows: Values
+) -> tuple[Float[np.ndarray, " m"], Bool[np.ndarray, " m-1"]]:
     """Rows with all ends of dashes among them, and whether the strip behind each row is painted. Dashes are
     counted along the line from the split, so that they do not move with the camera."""
     cycle, fraction = plan.scene.markings.dash_cycle_m, plan.scene.markings.dash_fraction

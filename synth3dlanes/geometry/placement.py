@@ -34,7 +34,7 @@ def world_from_car(plan: RoadPlan, car: Car) -> Matrix4:
         wheels = transform(pose, wheels_car)[:, :2]
         above: Float[np.ndarray, "4"] | float = 0.0
         if on_exit:
-            guess = np.full(4, float(plan.plan_station(np.array(car.s_m))))
+            guess = np.full(4, car.s_m * plan.flips[1])
             above = plan.ramp(plan.project_exit(wheels, guess)[0])
         contacts = plan.lift(wheels, above)
         slope_x, slope_y, z = np.linalg.lstsq(
@@ -63,11 +63,11 @@ def footprint(middle: Float[np.ndarray, "2"], heading: Float[np.ndarray, "2"], l
     return middle + np.array([along + across, along - across, -along - across, -along + across])
 
 
-def overlap(a: Footprint, b: Footprint) -> bool:
-    """Whether two rectangles share a point: no side of either separates them."""
-    for corners in (a, b):
-        for side in (corners[1] - corners[0], corners[2] - corners[1]):
-            pa, pb = a @ side, b @ side
-            if pa.max() < pb.min() or pb.max() < pa.min():
-                return False
-    return True
+def overlaps_any(place: Footprint, others: Float[np.ndarray, "k 4 2"]) -> bool:
+    """Whether a rectangle shares a point with any of the others: no side of either separates the two."""
+    separated = np.zeros(len(others), dtype=bool)
+    for corners in (np.broadcast_to(place, others.shape), others):
+        for side in (corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 1]):
+            ours, theirs = place @ side.T, (others * side[:, None]).sum(axis=2).T
+            separated |= (ours.max(axis=0) < theirs.min(axis=0)) | (theirs.max(axis=0) < ours.min(axis=0))
+    return not separated.all()

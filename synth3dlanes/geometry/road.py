@@ -31,7 +31,7 @@ MIN_RAMP_LENGTH_M = 0.1
 NEWTON_STEPS = 4
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RoadPlan:
     """The geometry of one scene's roads."""
 
@@ -94,7 +94,7 @@ class RoadPlan:
     # -- the main road in the plan
 
     @cached_property
-    def _quartic(self) -> tuple[Float[np.ndarray, "5"], ...]:
+    def _quartic(self) -> tuple[Float[np.ndarray, "_"], ...]:
         road = self.scene.road
         ys = np.array([-100.0, -50.0, 50.0, 100.0])
         xs = [road.offset_m50_m + road.offset_m100_m, road.offset_m50_m]
@@ -105,8 +105,9 @@ class RoadPlan:
 
     def _f(self, s: Values) -> tuple[Values, Values, Values]:
         """x of the reference line with its first two derivatives, straight beyond the outer knots."""
-        f, df, ddf = (_horner(c, np.clip(s, -S_END_M, S_END_M)) for c in self._quartic)
-        beyond = s - np.clip(s, -S_END_M, S_END_M)
+        inside = np.clip(s, -S_END_M, S_END_M)
+        f, df, ddf = (_horner(c, inside) for c in self._quartic)
+        beyond = s - inside
         return f + beyond * df, df, np.where(beyond == 0, ddf, 0.0)
 
     def _main_frame(self, s: Values) -> tuple[Points2, Points2, Values, Values]:
@@ -160,7 +161,7 @@ class RoadPlan:
         """Smallest station with opening(s) >= q_m; infinity where there is no exit."""
         if not self.has_exit:
             return float("inf")
-        return float(brentq(lambda s: float(self.opening(np.array(s))) - q_m, 0.0, 1e4, xtol=1e-10))
+        return float(brentq(lambda s: self.opening(np.array([s]))[0] - q_m, 0.0, 1e4, xtol=1e-10))
 
     @cached_property
     def nose_m(self) -> float:

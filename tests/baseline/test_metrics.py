@@ -130,11 +130,12 @@ def test_hidden_points_are_not_compared(roads):
 def test_points_missing_from_a_prediction_cost_the_match_distance(roads):
     labels = roads.labels(_straight(0.0))
     whole = roads.as_prediction(labels)
-    for last, expected in ((70, 1.0), (8, 0.0)):
-        short = [dataclasses.replace(lane, xyz_cam=lane.xyz_cam[:last] + [0.3, 0, 0]) for lane in whole.lanes]
-        centerline = _evaluate([(labels, _with_lanes(whole, short))]).kinds["centerline"]
+    for shift_m, expected in ((1.45, 1.0), (1.55, 0.0)):
+        half = [dataclasses.replace(lane, xyz_cam=lane.xyz_cam[:40] + [shift_m, 0, 0]) for lane in whole.lanes]
+        centerline = _evaluate([(labels, _with_lanes(whole, half))]).kinds["centerline"]
         assert centerline.ap == expected
-    assert expected == 0.0
+        if expected:
+            assert centerline.at_threshold.far_2sigma_cm == pytest.approx(145.0, abs=1e-3)
 
 
 def test_pairs_go_by_distance_and_not_by_score(roads):

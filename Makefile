@@ -1,0 +1,44 @@
+# Every target sets itself up: a virtual environment, pinned packages, missing system libraries.
+BIN := .venv/bin
+DEMO ?= demo
+export MPLBACKEND := Agg
+
+.PHONY: help setup demo test check format golden assets bench
+.DEFAULT_GOAL := help
+
+help:  ## this list
+	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
+
+setup: .venv/ready  ## .venv with the pinned packages
+
+.venv/ready: pyproject.toml constraints.txt scripts/setup
+	scripts/setup
+
+demo: .venv/ready  ## 12 labelled 480x360 scenes, a gallery and one scene explained, in demo/
+	$(BIN)/synth3dlanes generate --n 12 --seed 1 --out $(DEMO)/data --workers 2
+	$(BIN)/synth3dlanes gallery $(DEMO)/data --out $(DEMO)/gallery.png --columns 4
+	$(BIN)/synth3dlanes inspect $(DEMO)/data/train:00000000 --out $(DEMO)/inspect.png
+	@echo "Look at $(DEMO)/gallery.png and $(DEMO)/inspect.png"
+
+test: .venv/ready  ## the tests (all but slow and gpu)
+	$(BIN)/pytest
+
+check: .venv/ready  ## what CI runs: format, lint, imports, types, tests
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/lint-imports
+	$(BIN)/mypy
+	$(BIN)/pytest
+
+format: .venv/ready  ## let ruff repair what it can
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+golden: .venv/ready  ## rewrite tests/golden from the code; review the diff
+	$(BIN)/python tests/golden/make.py
+
+assets: .venv/ready  ## rebuild cars, trees, textures and skies from their scripts
+	$(BIN)/python blender_assets/make.py
+
+bench: .venv/ready  ## seconds per image by stage, against the render floor
+	$(BIN)/synth3dlanes bench

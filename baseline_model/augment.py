@@ -1,0 +1,116 @@
+"""Augmentation on the device, exact for the 3D labels: mirror, virtual camera rotation, moved top view, colours."""
+
+import math
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+from torch.nn import functional
+
+from baseline_model.anchors import CENTERLINE, DELIMITER, CurveBatch, sample_curves
+from baseline_model.config import Augmentation
+from baseline_model.data import Batch
+from baseline_model.projection import road_from_cam, top_from_road
+
+
+class Augmented(NamedTuple):
+    """The changed batch, and how the top-view grid was moved on its plane."""
+
+    batch: Batch
+    top_from_road: Float[Tensor, "b 4 4"]
+
+
+def generator_for(seed: int, step: int, rank: int, device: torch.device) -> torch.Generator:
+    """Randomness of one step on one process: a resumed run repeats it without stored state."""
+    mixed = (seed * 1_000_003 + step) * 1_009 + rank
+    return torch.Generator(device).manual_seed(mixed & (2**63 - 1))
+
+
+def augment(batch: Batch, config: Augmentation, generator: torch.Generator) -> Augmented:
+    """Apply everything that is switched on."""
+    device, n = batch.image.device, len(batch.image)
+
+    def uniform(limit: float) -> Float[Tensor, " b"]:
+        return (torch.rand(n, generator=generator, device=device) * 2 - 1) * limit
+
+    batch = flip(batch, torch.rand(n, generator=generator, device=device) < config.flip)
+    pitch_rad, yaw_rad = uniform(math.radians(config.pitch_deg)), uniform(math.radians(config.yaw_deg))
+    if config.pitch_deg or config.yaw_deg:
+        batch = rotate(batch, pitch_rad, yaw_rad)
+    gain, offset = 1 + uniform(config.contrast), uniform(config.brightness)
+    noise = torch.randn(batch.image.shape, generator=generator, device=device) * config.noise
+    image = ((batch.image - 0.5) * gain[:, None, None, None] + 0.5 + offset[:, None, None, None] + noise).clamp(0, 1)
+    moved = top_from_road(uniform(math.radians(config.top_yaw_deg)), uniform(config.top_shift_m))
+    return Augmented(batch._replace(image=image), moved)
+
+
+def noisy(
+    pose: Float[Tensor, "b 2"], pitch_deg: float, height_m: float, generator: torch.Generator
+) -> Float[Tensor, "b 2"]:
+    """The pose with normal noise: what a pose branch at the paper's accuracy would say."""
+    sd = torch.tensor([math.radians(pitch_deg), height_m], device=pose.device)
+    return pose + sd * torch.randn(pose.shape, generator=generator, device=pose.device)
+
+
+def flip(batch: Batch, chosen: Bool[Tensor, " b"]) -> Batch:
+    """Mirror left and right: x -> -x, cx -> W - cx. Association runs after this, so "leftmost" is drawn anew."""
+    width = batch.image.shape[-1]
+    image = torch.where(chosen[:, None, None, None], batch.image.flip(-1), batch.image)
+    intrinsics = batch.intrinsics.clone()
+    intrinsics[:, 2] = torch.where(chosen, width - intrinsics[:, 2], intrinsics[:, 2])
+    xyz = batch.curves.xyz_cam.clone()
+    xyz[..., 0] = torch.where(chosen[:, None, None], -xyz[..., 0], xyz[..., 0])
+    return batch._replace(image=image, intrinsics=intrinsics, curves=batch.curves._replace(xyz_cam=xyz))
+
+
+def rotate(batch: Batch, pitch_rad: Float[Tensor, " b"], yaw_rad: Float[Tensor, " b"]) -> Batch:
+    """Look as if the camera had pitched further down and turned right about the road's normal: a pure rotation,
+    so K R K^-1 is exact for the whole scene. Yaw turns the lanes in the road frame; the pose's height stays, its
+    pitch grows by the added pitch."""
+    zero = torch.zeros_like(pitch_rad)
+    road_from_old = road_from_cam(torch.stack([batch.plane_pose[:, 0], zero], dim=-1))[:, :3, :3]
+    road_from_new = road_from_cam(torch.stack([batch.plane_pose[:, 0] + pitch_rad, zero], dim=-1))[:, :3, :3]
+    # The heading turns right by yaw, hence the world turns left (counter-clockwise from above) around the camera.
+    turned = top_from_road(-yaw_rad, zero)[:, :3, :3]
+    new_from_old = road_from_new.transpose(-1, -2) @ turned @ road_from_old
+    curves = batch.curves._replace(xyz_cam=torch.einsum("bij,blnj->blni", new_from_old, batch.curves.xyz_cam))
+    added = torch.stack([pitch_rad, zero], dim=-1)
+    return batch._replace(
+        image=_warp(batch.image, batch.intrinsics, new_from_old.transpose(-1, -2)),
+        curves=curves,
+        plane_pose=batch.plane_pose + added,
+        target_pose=batch.target_pose + added,
+    )
+
+
+def _warp(
+    image: Float[Tensor, "b 3 h w"], intrinsics: Float[Tensor, "b 4"], old_from_new: Float[Tensor, "b 3 3"]
+) -> Float[Tensor, "b 3 h w"]:
+    """The picture a rotated camera would take; borders repeat the edge."""
+    height, width = image.shape[2], image.shape[3]
+    fx, fy, cx, cy = (value[:, None, None] for value in intrinsics.unbind(-1))
+    u = (torch.arange(width, device=image.device) + 0.5)[None, None, :]
+    v = (torch.arange(height, device=image.device) + 0.5)[None, :, None]
+    right, down = ((u - cx) / fx).expand(-1, height, -1), ((v - cy) / fy).expand(-1, -1, width)
+    rays_new = torch.stack([right, torch.ones_like(right), -down], dim=-1)
+    rays_old = torch.einsum("bij,bhwj->bhwi", old_from_new, rays_new)
+    u_old = cx + fx * rays_old[..., 0] / rays_old[..., 1]
+    v_old = cy - fy * rays_old[..., 2] / rays_old[..., 1]
+    grid = torch.stack([2 * u_old / width - 1, 2 * v_old / height - 1], dim=-1)
+    return functional.grid_sample(image, grid, padding_mode="border", align_corners=False)
+
+
+def lane_masks(
+    curves: CurveBatch, top_from_cam: Float[Tensor, "b 4 4"], points_top: Float[Tensor, "rows columns 3"]
+) -> Float[Tensor, "b 2 rows columns"]:
+    """Top-view masks of centre lines and delimiters, one cell wide to each side: a target of the `improved` model."""
+    xyz_top = torch.einsum("bij,blnj->blni", top_from_cam[:, :3, :3], curves.xyz_cam)
+    xyz_top = xyz_top + top_from_cam[:, None, None, :3, 3]
+    y_m = points_top[:, 0, 1].flip(0)
+    x_m, _, _, visible = sample_curves(xyz_top, curves.visible, y_m)
+    x_m, visible = x_m.flip(-1), visible.flip(-1)
+    cell_m = points_top[0, 1, 0] - points_top[0, 0, 0]
+    on = ((x_m[..., None] - points_top[0, :, 0]).abs() <= cell_m) & visible[..., None]
+    masks = [(on & (curves.kind == kind)[..., None, None]).any(1) for kind in (CENTERLINE, DELIMITER)]
+    return torch.stack(masks, dim=1).float()

@@ -1,0 +1,87 @@
+"""The image-view pathway: VGG16, or residual pairs of chosen widths. Four maps at strides 2, 4, 8, 16."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from baseline_model.config import ModelConfig
+from baseline_model.layers import PIXELS, Lattice, ResidualPair, convolution, convolutions, lattice_after
+
+# Mean and spread of ImageNet, RGB in 0..1: what published VGG16 weights expect.
+IMAGE_MEAN = (0.485, 0.456, 0.406)
+IMAGE_STD = (0.229, 0.224, 0.225)
+
+
+class ImagePathway(nn.Module):
+    """Normalises RGB in 0..1 and returns the map of each stage; `lattices` says where their features lie."""
+
+    def __init__(self, config: ModelConfig, n_stages: int = 4) -> None:
+        super().__init__()
+        self.has_rays = config.backbone == "residual"
+        stages = _vgg_stages(config) if config.backbone == "vgg16" else _residual_stages(config)
+        self.stages = nn.ModuleList(stages[:n_stages])
+        self.lattices = self._follow()
+        self.mean: Tensor
+        self.std: Tensor
+        self.register_buffer("mean", torch.tensor(IMAGE_MEAN)[:, None, None], persistent=False)
+        self.register_buffer("std", torch.tensor(IMAGE_STD)[:, None, None], persistent=False)
+
+    def forward(
+        self, image: Float[Tensor, "b 3 h w"], rays: Float[Tensor, "b 2 h w"] | None = None
+    ) -> list[Float[Tensor, "..."]]:
+        """One map per stage. `rays`: two further channels, the tangents of each pixel's viewing ray, by which a
+        shallow network can read the pitch."""
+        features = (image - self.mean) / self.std
+        if self.has_rays:
+            assert rays is not None
+            features = torch.cat([features, rays], dim=1)
+        maps = []
+        for stage in self.stages:
+            features = stage(features)
+            maps.append(features)
+        return maps
+
+    def sizes(self, height_px: int, width_px: int) -> list[tuple[int, int]]:
+        """Rows and columns of each map: every stage halves, rounding down."""
+        return [(height_px // 2 ** (i + 1), width_px // 2 ** (i + 1)) for i in range(len(self.stages))]
+
+    def _follow(self) -> list[Lattice]:
+        lattices, lattice = [], PIXELS
+        for stage in self.stages:
+            lattice = lattice_after(_main_path(stage), lattice)
+            lattices.append(lattice)
+        return lattices
+
+
+def _main_path(module: nn.Module) -> list[nn.Module]:
+    """Layers in the order data passes them; a residual pair's shortcut is left out (its lattice is the same)."""
+    if isinstance(module, ResidualPair):
+        return [*_main_path(module.first), *_main_path(module.second)]
+    if isinstance(module, nn.Sequential):
+        return [layer for child in module for layer in _main_path(child)]
+    return [module]
+
+
+def _vgg_stages(config: ModelConfig) -> list[nn.Module]:
+    batch_norm = config.batch_norm
+    first = convolutions(3, 64, 2, batch_norm=batch_norm)
+    stages: list[nn.Module] = []
+    channels = 64
+    for index, (width, n) in enumerate(zip(config.image_channels, config.image_blocks, strict=True)):
+        layers = [nn.MaxPool2d(2), *convolutions(channels, width, n, batch_norm=batch_norm)]
+        stages.append(nn.Sequential(*first, *layers) if index == 0 else nn.Sequential(*layers))
+        channels = width
+    return stages
+
+
+def _residual_stages(config: ModelConfig) -> list[nn.Module]:
+    # The 4x4 step-2 convolution and the 2x2 pools keep features centred on their cells (offset = stride / 2).
+    batch_norm = config.batch_norm
+    stages: list[nn.Module] = []
+    channels = config.image_channels[0]
+    for index, (width, n) in enumerate(zip(config.image_channels, config.image_blocks, strict=True)):
+        down = convolution(5, width, 4, batch_norm=batch_norm, step=2) if index == 0 else nn.MaxPool2d(2)
+        pairs = [ResidualPair(channels if i == 0 else width, width, batch_norm=batch_norm) for i in range(n)]
+        stages.append(nn.Sequential(down, *pairs))
+        channels = width
+    return stages

@@ -1,0 +1,69 @@
+"""Checkpoints: tensors and plain values only, readable with `weights_only=True`, and self-describing.
+
+`config` is the run's TrainConfig as JSON, so a checkpoint alone rebuilds its network.
+"""
+
+import os
+import pickle
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from baseline_model.config import TrainConfig, parse
+from baseline_model.model import LaneNet
+from synth3dlanes.errors import FormatError
+
+FORMAT = "synth3dlanes.baseline"
+VERSION = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """Weights to use (`model`; averaged ones where training averages) and, in `last.pt`, all that resuming needs."""
+
+    config: TrainConfig
+    about: dict[str, Any]
+    model: dict[str, Tensor]
+    resume: dict[str, Any] | None
+
+
+def save(path: Path, checkpoint: Checkpoint) -> None:
+    """Write to a neighbour, flush, rename: a kill leaves the old file or the new one."""
+    document = {
+        "format": FORMAT,
+        "version": VERSION,
+        "config": checkpoint.config.model_dump_json(),
+        "about": checkpoint.about,
+        "model": checkpoint.model,
+        "resume": checkpoint.resume,
+    }
+    partial = path.with_name(path.name + ".tmp")
+    with partial.open("wb") as file:
+        torch.save(document, file)
+        file.flush()
+        os.fsync(file.fileno())
+    partial.replace(path)
+
+
+def load(path: Path) -> Checkpoint:
+    """Read without executing anything; FormatError if it is not one of ours."""
+    try:
+        document = torch.load(path, map_location="cpu", weights_only=True)
+    except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise FormatError(f"{path}: expected a baseline checkpoint, got {reason:.100}") from None
+    found = (document.get("format"), document.get("version")) if isinstance(document, dict) else type(document)
+    if found != (FORMAT, VERSION):
+        raise FormatError(f"{path}: expected {FORMAT} version {VERSION}, got {found}")
+    config = parse(TrainConfig, document["config"], f"{path}: config")
+    return Checkpoint(config, document["about"], document["model"], document["resume"])
+
+
+def build(checkpoint: Checkpoint, device: torch.device) -> LaneNet:
+    """The network of a checkpoint, ready to predict."""
+    model = LaneNet(checkpoint.config.model)
+    model.load_state_dict(checkpoint.model)
+    return model.to(device, memory_format=torch.channels_last).eval()  # type: ignore[call-overload,no-any-return]

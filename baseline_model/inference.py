@@ -1,0 +1,86 @@
+"""From images to detected lanes with a trained network."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from baseline_model.data import LabelledImage, intrinsics_of, resize
+from baseline_model.lanes import AnchorLayout, Prediction, decode
+from baseline_model.model import LaneNet, Output
+from baseline_model.poses import Pose
+from synth3dlanes.errors import ParamsError
+
+Intrinsics = tuple[float, float, float, float]
+
+
+def choose_device(name: str) -> torch.device:
+    """`auto` takes the first GPU, if any."""
+    if name == "auto":
+        name = "cuda" if torch.cuda.is_available() else "cpu"
+    try:
+        return torch.device(name)
+    except RuntimeError:
+        raise ParamsError(f"device: expected auto, cpu or cuda[:n], got {name!r}") from None
+
+
+def mixed_precision(device: torch.device) -> AbstractContextManager[object]:
+    """bfloat16 on GPUs; pose, warp, head output and loss stay in float32."""
+    return torch.autocast("cuda", dtype=torch.bfloat16) if device.type == "cuda" else nullcontext()
+
+
+def layout_of(model: LaneNet) -> AnchorLayout:
+    """The meaning of the network's columns and values."""
+    config = model.config
+    anchors_m = model.anchors_m.cpu().numpy().astype(float)
+    return AnchorLayout(config.types, anchors_m, np.array(config.knots_y_m), config.spline)
+
+
+def predictions_of(keys: Sequence[str], output: Output, layout: AnchorLayout) -> Iterator[Prediction]:
+    """Decode a batch."""
+    x_m, z_m, poses = (value.double().cpu().numpy() for value in (output.x_m, output.z_m, output.pose))
+    scores = output.logit.double().sigmoid().cpu().numpy()
+    for i, key in enumerate(keys):
+        pose = Pose(float(poses[i, 0]), float(poses[i, 1]))
+        yield Prediction(key, decode(x_m[i], z_m[i], scores[i], pose, layout), pose)
+
+
+@torch.inference_mode()
+def run(model: LaneNet, images: Float[Tensor, "b 3 h w"], intrinsics: Float[Tensor, "b 4"]) -> Output:
+    """One forward pass without gradients."""
+    with mixed_precision(images.device):
+        output: Output = model(images, intrinsics)
+    return output
+
+
+def predict_images(
+    model: LaneNet, images: Iterable[tuple[str, UInt8[np.ndarray, "h w 3"], Intrinsics]], batch: int = 16
+) -> Iterator[Prediction]:
+    """Detect lanes in images of any size with known intrinsics (fx, fy, cx, cy in pixels)."""
+    size_px = (model.config.image_height_px, model.config.image_width_px)
+    device, layout = model.anchors_m.device, layout_of(model)
+    waiting: list[tuple[str, UInt8[np.ndarray, "h w 3"], Intrinsics]] = []
+
+    def flush() -> Iterator[Prediction]:
+        if waiting:
+            pixels = torch.from_numpy(np.stack([image for _, image, _ in waiting])).to(device)
+            rgb = pixels.permute(0, 3, 1, 2).float().div(255).contiguous(memory_format=torch.channels_last)
+            intrinsics = torch.tensor([values for _, _, values in waiting], device=device)
+            yield from predictions_of([key for key, _, _ in waiting], run(model, rgb, intrinsics), layout)
+            waiting.clear()
+
+    for key, image, intrinsics in images:
+        small, scaled = resize(image, intrinsics, size_px)
+        waiting.append((key, small, scaled))
+        if len(waiting) == batch:
+            yield from flush()
+    yield from flush()
+
+
+def predict_samples(model: LaneNet, samples: Sequence[LabelledImage], batch: int = 16) -> Iterator[Prediction]:
+    """Detect lanes in labelled images; of the labels only the intrinsics are looked at."""
+    chosen = (samples[index] for index in range(len(samples)))
+    return predict_images(model, ((s.key, np.array(s.image), intrinsics_of(s.labels)) for s in chosen), batch)

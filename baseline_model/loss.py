@@ -1,0 +1,67 @@
+"""Eq. 1 of the paper, with the terms of the `improved` model beside it. Per image, so that a bad one can be named."""
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+from torch.nn import functional
+
+from baseline_model.anchors import Targets
+from baseline_model.config import LaneType, LossConfig
+from baseline_model.model import Output
+
+BEV_POSITIVE_WEIGHT = 5.0
+"""Lane cells are a few percent of the top view."""
+
+
+def loss(
+    output: Output,
+    targets: Targets,
+    target_pose: Float[Tensor, "b 2"],
+    bev_target: Float[Tensor, "b 2 rows columns"] | None,
+    types: tuple[LaneType, ...],
+    config: LossConfig,
+) -> dict[str, Float[Tensor, " b"]]:
+    """Terms of each image; `total` is their weighted sum.
+
+    Geometry is summed over anchors and valid knots in metres and not divided by their number, as in Eq. 1; a hidden
+    knot contributes exactly nothing. The pose term is in degrees and metres.
+    """
+    labelled = [("delimiter" if name == "d" else "centerline") in config.kinds for name in types]
+    of_kind = torch.tensor(labelled, device=output.logit.device)[:, None]
+    terms = {"detection": _detection(output, targets, of_kind), "geometry": _geometry(output, targets, of_kind, config)}
+    error = (output.pose - target_pose).abs()
+    terms["pose"] = torch.rad2deg(error[:, 0]) + error[:, 1]
+    weights = {"detection": config.detection, "geometry": config.geometry, "pose": config.pose}
+    if output.visible_logit is not None:
+        known = (targets.assigned & of_kind)[..., None]
+        entropy = functional.binary_cross_entropy_with_logits(
+            output.visible_logit, targets.visible.float(), reduction="none"
+        )
+        terms["visibility"] = (entropy * known).sum((1, 2, 3))
+        weights["visibility"] = config.visibility
+    if output.bev_logit is not None and bev_target is not None:
+        positive = torch.tensor(BEV_POSITIVE_WEIGHT, device=output.logit.device)
+        entropy = functional.binary_cross_entropy_with_logits(
+            output.bev_logit, bev_target, reduction="none", pos_weight=positive
+        )
+        terms["bev_masks"] = entropy.mean((1, 2, 3))
+        weights["bev_masks"] = config.bev_masks
+    terms["total"] = torch.stack([weights[name] * value for name, value in terms.items()]).sum(0)
+    return terms
+
+
+def _detection(output: Output, targets: Targets, of_kind: Bool[Tensor, "t 1"]) -> Float[Tensor, " b"]:
+    entropy = functional.binary_cross_entropy_with_logits(output.logit, targets.assigned.float(), reduction="none")
+    return (entropy * (targets.scored & of_kind)).sum((1, 2))
+
+
+def _geometry(
+    output: Output, targets: Targets, of_kind: Bool[Tensor, "t 1"], config: LossConfig
+) -> Float[Tensor, " b"]:
+    known = targets.in_range if config.supervise_occluded else targets.visible
+    known = known & (targets.assigned & of_kind)[..., None]
+    error_m = (output.x_m - targets.x_m).abs() + (output.z_m - targets.z_m).abs()
+    if config.knot_sigma_m is not None:
+        error_m = error_m / torch.tensor(config.knot_sigma_m, device=error_m.device)
+    # `where`, not a product: a hidden knot must not spread an infinity either.
+    return torch.where(known, error_m, torch.zeros_like(error_m)).sum((1, 2, 3))

@@ -1,0 +1,236 @@
+"""3D-LaneNet (paper, section 3): dual pathway, road projection branch, lane head. One module for every variant."""
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional
+
+from baseline_model.anchors import anchor_positions_m, spread_m
+from baseline_model.backbone import ImagePathway
+from baseline_model.config import ModelConfig
+from baseline_model.layers import PIXELS, convolution, convolutions
+from baseline_model.poses import MEAN_HEIGHT_M, MEAN_PITCH_RAD
+from baseline_model.projection import Projection, cell_centres, invert_rigid, road_from_cam, sampling_grid
+
+PRIOR_LOGIT = -2.9
+"""Confidence starts at 0.05, about the share of anchors that hold a lane."""
+PITCH_SPREAD_RAD, HEIGHT_SPREAD_M = 0.0251, 0.144
+"""Standard deviation of the paper's uniform ranges (0..5 deg, 1.4..1.9 m)."""
+
+
+class Output(NamedTuple):
+    """What the network says, by anchor; the only place that knows the channel layout is `LaneHead`."""
+
+    x_m: Float[Tensor, "b t a k"]
+    z_m: Float[Tensor, "b t a k"]
+    logit: Float[Tensor, "b t a"]
+    visible_logit: Float[Tensor, "b t a k"] | None
+    pose: Float[Tensor, "b 2"]
+    """(pitch_rad, height_m), predicted or fixed."""
+    cam_from_top: Float[Tensor, "b 4 4"]
+    """The transform that drove the warp."""
+    bev_logit: Float[Tensor, "b 2 rows columns"] | None
+
+
+class PoseBranch(nn.Module):
+    """Road projection branch: residuals on the mean pose, zero at the start. No dropout: it would shake the warp."""
+
+    def __init__(self, channels: int, size: tuple[int, int], config: ModelConfig) -> None:
+        super().__init__()
+        layers: list[nn.Module] = []
+        rows, columns = size
+        for width in config.pose_channels:
+            if min(rows, columns) >= 4:
+                layers.append(nn.MaxPool2d(2))
+                rows, columns = rows // 2, columns // 2
+            layers += convolutions(channels, width, config.pose_convolutions, batch_norm=config.batch_norm)
+            channels = width
+        self.features = nn.Sequential(*layers, nn.Flatten(), nn.Linear(channels * rows * columns, 64), nn.ReLU())
+        self.residual = nn.Linear(64, 2)
+        nn.init.zeros_(self.residual.weight)
+        nn.init.zeros_(self.residual.bias)
+
+    def forward(self, features: Float[Tensor, "b c h w"]) -> Float[Tensor, "b 2"]:
+        """(pitch_rad, height_m)."""
+        hidden = self.features(features)
+        with torch.autocast(features.device.type, enabled=False):
+            pitch, height = self.residual(hidden.float()).unbind(-1)
+            return torch.stack(
+                [MEAN_PITCH_RAD + PITCH_SPREAD_RAD * pitch, MEAN_HEIGHT_M + HEIGHT_SPREAD_M * height], dim=-1
+            )
+
+
+class LaneHead(nn.Module):
+    """Convolutions without padding along y reduce the map to one row; each of its columns is an anchor.
+
+    Channels per anchor: for each type K offsets x, K heights z (unless the data are flat), a logit, and K visibility
+    logits where configured."""
+
+    def __init__(self, channels: int, rows: int, config: ModelConfig) -> None:
+        super().__init__()
+        width, batch_norm = config.head_channels, config.batch_norm
+        layers: list[nn.Module] = []
+        for kernel, at_most in ((3, 3), (5, rows)):
+            while rows - (kernel - 1) >= 4 and sum(_kernel(layer) == kernel for layer in layers) < at_most:
+                layers.append(convolution(channels, width, kernel, batch_norm=batch_norm, valid_rows=True))
+                channels, rows = width, rows - (kernel - 1)
+        self.reduce = nn.Sequential(*layers)
+        self.fold = nn.Sequential(nn.Conv2d(channels, 2 * width, (rows, 5), padding=(0, 2)), nn.ReLU(inplace=True))
+        self.parts = [len(config.knots_y_m)] * (1 + config.has_elevation) + [1]
+        self.parts += [len(config.knots_y_m)] * config.has_visibility
+        self.n_types, self.has_elevation = len(config.types), config.has_elevation
+        self.out = nn.Conv2d(2 * width, self.n_types * sum(self.parts), (1, 5), padding=(0, 2))
+        nn.init.normal_(self.out.weight, std=0.01)
+        nn.init.zeros_(self.out.bias)  # type: ignore[arg-type]
+        self.x_spread_m: Tensor
+        self.z_spread_m: Tensor
+        for name, values in zip(("x_spread_m", "z_spread_m"), spread_m(config), strict=True):
+            self.register_buffer(name, values, persistent=False)
+
+    def forward(
+        self, features: Float[Tensor, "b c h w"]
+    ) -> tuple[Float[Tensor, "b t a k"], Float[Tensor, "b t a k"], Float[Tensor, "b t a"], Tensor | None]:
+        """x_m, z_m, logit, visible_logit."""
+        raw = self.out(self.fold(self.reduce(features)))[:, :, 0].float()
+        values = raw.unflatten(1, (self.n_types, -1)).transpose(2, 3)
+        parts = list(values.split(self.parts, dim=-1))
+        x_m = parts.pop(0) * self.x_spread_m
+        z_m = parts.pop(0) * self.z_spread_m if self.has_elevation else torch.zeros_like(x_m)
+        logit = parts.pop(0)[..., 0] + PRIOR_LOGIT
+        return x_m, z_m, logit, parts.pop(0) if parts else None
+
+
+class LaneNet(nn.Module):
+    """The network. `config.variant` says which projections exist and what the head reads."""
+
+    def __init__(self, config: ModelConfig) -> None:
+        super().__init__()
+        self.config = config
+        grid, variant = config.grid, config.variant
+        is_pose_learned = config.pose_target != "fixed"
+        needs_all = is_pose_learned or variant in ("full", "late_ipm", "image_view")
+        self.image = ImagePathway(config, n_stages=4 if needs_all else 1) if self._needs_image(config) else None
+        sizes = [(config.image_height_px // 2 ** (i + 1), config.image_width_px // 2 ** (i + 1)) for i in range(4)]
+        channels = config.image_channels
+        self.pose = PoseBranch(channels[3], sizes[3], config) if is_pose_learned else None
+        levels = {"full": (0, 1, 2, 3), "early_ipm": (0,), "late_ipm": (3,)}.get(variant, ())
+        self.projections = nn.ModuleDict(
+            {
+                str(level): Projection(
+                    channels[level], config.projected_channels[level], grid, level, config.plane_heights_m
+                )
+                for level in levels
+            }
+        )
+        self.stem = ImagePathway(config, n_stages=1) if variant == "top_view" else None
+        if self.stem is not None:
+            self.stem_points: Tensor
+            self.register_buffer("stem_points", cell_centres(grid, -1), persistent=False)
+        self.top, head_channels = self._top_pathway(config)
+        rows = sizes[3][0] if variant == "image_view" else grid.rows // 8
+        self.head = LaneHead(head_channels, rows, config)
+        self.bev = nn.Conv2d(self.top_width(1), 2, 1) if config.has_bev_masks and len(self.top) else None
+        fixed = torch.tensor([config.fixed_pitch_deg * torch.pi / 180, config.fixed_height_m])
+        self.fixed_pose: Tensor
+        self.register_buffer("fixed_pose", fixed, persistent=False)
+        self.anchors_m: Tensor
+        self.register_buffer("anchors_m", torch.tensor(anchor_positions_m(config)), persistent=False)
+
+    @staticmethod
+    def _needs_image(config: ModelConfig) -> bool:
+        return config.variant != "top_view" or config.pose_target != "fixed"
+
+    def top_width(self, level: int) -> int:
+        """Channels of the top-view map after `level` pools, with what was projected into it."""
+        projected = self.projections[str(level)].channels if str(level) in self.projections else 0
+        return self.config.top_channels[level - 1] + int(projected)
+
+    def _top_pathway(self, config: ModelConfig) -> tuple[nn.ModuleList, int]:
+        if config.variant == "image_view":
+            return nn.ModuleList(), config.image_channels[3]
+        if config.variant == "late_ipm":
+            return nn.ModuleList(), int(self.projections["3"].channels)
+        channels = config.image_channels[0] if self.stem is not None else int(self.projections["0"].channels)
+        stages = []
+        for level, width in enumerate(config.top_channels, start=1):
+            block = convolutions(channels, width, 3, batch_norm=config.batch_norm)
+            stages.append(nn.Sequential(nn.MaxPool2d(2), *block))
+            channels = self.top_width(level)
+        return nn.ModuleList(stages), channels
+
+    def forward(
+        self,
+        image: Float[Tensor, "b 3 h w"],
+        intrinsics: Float[Tensor, "b 4"],
+        warp_pose: Float[Tensor, "b 2"] | None = None,
+        top_from_road: Float[Tensor, "b 4 4"] | None = None,
+    ) -> Output:
+        """`image` is RGB in 0..1, `intrinsics` fx, fy, cx, cy in pixels. `warp_pose` replaces the predicted pose in
+        the warp (training); `top_from_road` moves the top-view grid on its plane (augmentation)."""
+        maps = self.image(image, self._rays(image, intrinsics)) if self.image is not None else []
+        pose = self.pose(maps[3]) if self.pose is not None else self.fixed_pose.expand(len(image), 2)
+        driving = pose if self.config.grid_gradient else pose.detach()
+        if warp_pose is not None and self.pose is not None:
+            driving = warp_pose
+        with torch.autocast(image.device.type, enabled=False):
+            cam_from_top = invert_rigid(road_from_cam(driving))
+            if top_from_road is not None:
+                cam_from_top = cam_from_top @ invert_rigid(top_from_road)
+        features, bev_logit = self._top_features(image, intrinsics, maps, cam_from_top)
+        x_m, z_m, logit, visible_logit = self.head(features)
+        return Output(x_m, z_m, logit, visible_logit, pose, cam_from_top, bev_logit)
+
+    def _top_features(
+        self,
+        image: Float[Tensor, "b 3 h w"],
+        intrinsics: Float[Tensor, "b 4"],
+        maps: list[Float[Tensor, "..."]],
+        cam_from_top: Float[Tensor, "b 4 4"],
+    ) -> tuple[Float[Tensor, "b c rows columns"], Float[Tensor, "b 2 r2 c2"] | None]:
+        """What the head reads, and the mask logits of the map pooled once where configured."""
+        if self.config.variant == "image_view":
+            return maps[3], None
+        lattices = self.image.lattices if self.image is not None else []
+        projected = {
+            level: projection(maps[int(level)], cam_from_top, intrinsics, lattices[int(level)])
+            for level, projection in self.projections.items()
+        }
+        if self.config.variant == "late_ipm":
+            return projected["3"], None
+        features = self._stem_features(image, intrinsics, cam_from_top) if self.stem is not None else projected["0"]
+        bev_logit = None
+        for level, stage in enumerate(self.top, start=1):
+            features = stage(features)
+            if str(level) in projected:
+                features = torch.cat([features, projected[str(level)].to(features.dtype)], dim=1)
+            if level == 1 and self.bev is not None:
+                bev_logit = self.bev(features).float()
+        return features, bev_logit
+
+    def _stem_features(
+        self, image: Float[Tensor, "b 3 h w"], intrinsics: Float[Tensor, "b 4"], cam_from_top: Float[Tensor, "b 4 4"]
+    ) -> Float[Tensor, "b c rows columns"]:
+        """`top_view`: the picture itself is warped, at twice the first map's resolution, and then convolved."""
+        assert self.stem is not None
+        size = (image.shape[2], image.shape[3])
+        grid = sampling_grid(self.stem_points, cam_from_top, intrinsics, PIXELS, size)
+        with torch.autocast(image.device.type, enabled=False):
+            channels = torch.cat([image.float(), self._rays(image, intrinsics)], dim=1)
+            warped = functional.grid_sample(channels, grid, align_corners=False)
+        return self.stem(warped[:, :3], warped[:, 3:])[0]  # type: ignore[no-any-return]
+
+    @staticmethod
+    def _rays(image: Float[Tensor, "b 3 h w"], intrinsics: Float[Tensor, "b 4"]) -> Float[Tensor, "b 2 h w"]:
+        """Tangents of each pixel's viewing ray, right and down."""
+        fx, fy, cx, cy = (value[:, None, None] for value in intrinsics.unbind(-1))
+        height, width = image.shape[2], image.shape[3]
+        u = (torch.arange(width, device=image.device) + 0.5)[None, None, :]
+        v = (torch.arange(height, device=image.device) + 0.5)[None, :, None]
+        return torch.stack([((u - cx) / fx).expand(-1, height, -1), ((v - cy) / fy).expand(-1, -1, width)], dim=1)
+
+
+def _kernel(layer: nn.Module) -> int:
+    first = layer[0] if isinstance(layer, nn.Sequential) else layer
+    return int(first.kernel_size[0]) if isinstance(first, nn.Conv2d) else 0

@@ -1,0 +1,135 @@
+"""assets.blend: one mesh a car and a tree, with their materials.
+
+Semantic ids are the materials' `pass_index`: car 5, tree 6. Body paint reads the object: `obj.color = (r, g, b, gloss)`.
+"""
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+from jaxtyping import Float, Int
+
+from cars import build_all
+from synth3dlanes.blender.shaders import Graph, coated, new_material
+from trees import Tree, fit, grow_all
+
+CAR_ID, TREE_ID = 5, 6
+FOLIAGE = {  # linear reflectance at either end of the random range
+    "broadleaf": ((0.055, 0.095, 0.022), (0.105, 0.125, 0.030)),
+    "conifer": ((0.026, 0.055, 0.026), (0.048, 0.078, 0.034)),
+    "poplar": ((0.060, 0.105, 0.026), (0.120, 0.140, 0.040)),
+    "bush": ((0.058, 0.088, 0.028), (0.120, 0.115, 0.042)),
+    "dead": ((0.1, 0.1, 0.1), (0.1, 0.1, 0.1)),
+    "young": ((0.075, 0.125, 0.028), (0.150, 0.160, 0.045)),
+}
+BARKS = {"conifer": (0.085, 0.055, 0.038), "dead": (0.16, 0.145, 0.125), "poplar": (0.15, 0.14, 0.115)}
+
+
+def paint() -> bpy.types.Material:
+    """Body paint: the object's colour (a display value, hence the gamma) under a clear coat of the object's gloss."""
+    material, graph = new_material("car_paint", CAR_ID)
+    info = graph.node("ShaderNodeObjectInfo")
+    color = graph.node("ShaderNodeGamma", {"Color": info.outputs["Color"], "Gamma": 2.0})
+    dim = graph.mix_color(color.outputs[0], (0.02, 0.02, 0.02), 0.12)
+    roughness = graph.math("MULTIPLY_ADD", info.outputs["Alpha"], -0.28, 0.32)
+    amount = graph.math("MULTIPLY_ADD", info.outputs["Alpha"], 0.7, 0.3)
+    coated(graph, dim, roughness, amount)
+    return material
+
+
+def plain(name: str, color: tuple[float, float, float], roughness: float, ior: float, amount: float) -> bpy.types.Material:
+    """A coated material of one colour."""
+    material, graph = new_material(name, CAR_ID)
+    coated(graph, color, roughness, amount, ior)
+    return material
+
+
+def car_materials() -> list[bpy.types.Material]:
+    """The slots of every car, in the order of `car_body`."""
+    return [
+        paint(),
+        plain("car_glass", (0.012, 0.014, 0.015), 0.02, 1.55, 1.0),
+        plain("car_tyre", (0.022, 0.022, 0.023), 0.6, 1.3, 0.5),
+        plain("car_rim", (0.30, 0.30, 0.31), 0.25, 2.6, 1.0),
+        plain("car_trim", (0.024, 0.024, 0.025), 0.45, 1.4, 0.6),
+        plain("car_head", (0.55, 0.56, 0.58), 0.06, 1.7, 1.0),
+        plain("car_tail", (0.36, 0.008, 0.010), 0.08, 1.5, 1.0),
+        plain("car_plate", (0.68, 0.68, 0.62), 0.4, 1.4, 0.5),
+    ]
+
+
+def bark(name: str) -> bpy.types.Material:
+    """Matt wood."""
+    material, graph = new_material(f"{name}_bark", TREE_ID)
+    graph.surface(graph.node("ShaderNodeBsdfDiffuse", {"Color": (*BARKS.get(name, (0.11, 0.085, 0.062)), 1)}))
+    return material
+
+
+def leaf(name: str) -> bpy.types.Material:
+    """Leaves: a colour by the tree's own random number, times the leaf's shade."""
+    material, graph = new_material(f"{name}_leaf", TREE_ID)
+    info = graph.node("ShaderNodeObjectInfo")
+    shade = graph.node("ShaderNodeAttribute", {}, attribute_name="shade")
+    hue = graph.mix_color(*FOLIAGE[name], info.outputs["Random"])
+    color = graph.node("ShaderNodeVectorMath", {0: hue, 1: shade.outputs["Vector"]}, operation="MULTIPLY")
+    graph.surface(graph.node("ShaderNodeBsdfDiffuse", {"Color": color.outputs[0]}))
+    return material
+
+
+def to_mesh(
+    name: str,
+    vertices: Float[np.ndarray, "v 3"],
+    faces: Int[np.ndarray, "f 4"],
+    materials: Int[np.ndarray, " f"],
+    slots: list[bpy.types.Material],
+) -> bpy.types.Mesh:
+    """A Blender mesh kept with a fake user; a face's last corner is -1 where it is a triangle."""
+    mesh = bpy.data.meshes.new(name)
+    counts = np.where(faces[:, 3] < 0, 3, 4)
+    corners = faces[faces >= 0]
+    mesh.vertices.add(len(vertices))
+    mesh.vertices.foreach_set("co", vertices.astype(np.float32).ravel())
+    mesh.loops.add(len(corners))
+    mesh.loops.foreach_set("vertex_index", corners.astype(np.int32))
+    mesh.polygons.add(len(faces))
+    mesh.polygons.foreach_set("loop_start", np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.int32))
+    mesh.polygons.foreach_set("material_index", materials.astype(np.int32))
+    for slot in slots:
+        mesh.materials.append(slot)
+    mesh.update(calc_edges=True)
+    mesh.use_fake_user = True
+    return mesh
+
+
+def cars() -> set[bpy.types.ID]:
+    """The six cars, smooth but for edges sharper than 40 degrees."""
+    slots = car_materials()
+    meshes = set()
+    for model, shape in build_all():
+        mesh = to_mesh(model.name, *shape.arrays(), slots)
+        mesh.set_sharp_from_angle(angle=np.deg2rad(40))
+        meshes.add(mesh)
+    return meshes
+
+
+def tree_mesh(name: str, tree: Tree, vertices: Float[np.ndarray, "v 3"]) -> bpy.types.Mesh:
+    """One tree with its shades and shading normals."""
+    _, faces, materials = tree.shape.arrays()
+    mesh = to_mesh(name, vertices, faces, materials, [bark(name), leaf(name)])
+    shade = mesh.attributes.new("shade", "FLOAT", "POINT")
+    shade.data.foreach_set("value", np.concatenate(tree.shades).astype(np.float32))
+    own = np.zeros(3 * len(vertices), np.float32)
+    mesh.vertices.foreach_get("normal", own)
+    normals = np.concatenate(tree.normals)
+    given = np.any(normals, axis=1, keepdims=True)
+    mesh.normals_split_custom_set_from_vertices(np.where(given, normals, own.reshape(-1, 3)).tolist())
+    return mesh
+
+
+def make_library(path: Path) -> None:
+    """Write all meshes with their materials."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    meshes = cars()
+    for model, tree in grow_all():
+        meshes.add(tree_mesh(model.name, tree, fit(tree, model)[0]))
+    bpy.data.libraries.write(str(path), meshes, fake_user=True, compress=True)

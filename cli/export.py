@@ -1,0 +1,38 @@
+"""`synth3dlanes export`: a dataset in the format of somebody else's tools."""
+
+from pathlib import Path
+
+import click
+
+
+@click.command()
+@click.argument("source", metavar="DIR")
+@click.option("--format", "format_name", required=True, type=click.Choice(["apollo", "openlane", "once", "tusimple"]))
+@click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Folder to write.")
+@click.option("--verify", "is_verified", is_flag=True, help="Score the exported ground truth; exit 1 if not perfect.")
+@click.option("--workers", default=1, show_default=True, type=click.IntRange(min=1), help="Processes.")
+def export(source: str, format_name: str, out: Path, is_verified: bool, workers: int) -> None:
+    """Write the dataset DIR as Apollo Sim-3D, OpenLane, ONCE-3DLanes or tuSimple.
+
+    Run again to resume or to add frames that DIR has gained. OUT/README.md says what was dropped and why.
+    """
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+    from synth3dlanes.export.run import export as export_dataset
+    from synth3dlanes.export.verify import verify
+
+    with Progress("frames", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()) as bar:
+        task = bar.add_task("", total=None)
+        summary = export_dataset(
+            source, out, format_name, workers, lambda done, total: bar.update(task, completed=done, total=total)
+        )
+    click.echo(f"{out}: {summary.n_train} training and {summary.n_test} test frames, {summary.n_lines} lane lines")
+    if is_verified:
+        results = verify(out, format_name, most_frames=500)
+        for result in results:
+            click.echo(f"{result.name}: {result.n_frames} frames, {result.n_lines} lines")
+            for label, score in (("ground truth", result.perfect), ("moved 2 m", result.shifted)):
+                click.echo(f"  {label}: " + "  ".join(f"{key} {value:.4f}" for key, value in score.items()))
+        problems = [problem for result in results for problem in result.problems]
+        if problems:
+            raise click.ClickException("\n".join(problems))

@@ -1,0 +1,58 @@
+"""The group of all commands, and what a user sees of an error: one line per problem and exit code 2.
+
+Imports nothing heavy: every command imports what it needs when it runs.
+"""
+
+from typing import IO, Any
+
+import click
+from click.exceptions import NoArgsIsHelpError
+
+from synth3dlanes import __version__
+from synth3dlanes.errors import FormatError, ParamsError
+
+from .generate import generate
+from .look import gallery, inspect
+from .params import params
+from .scenes import render, sample
+
+
+class BadInput(click.ClickException):
+    """Problems that the user can mend, one a line."""
+
+    exit_code = 2
+
+    def show(self, file: IO[Any] | None = None) -> None:
+        """Print the problems and nothing else on stderr."""
+        click.echo(self.message, file=file, err=True)
+
+
+class Commands(click.Group):
+    """A group whose commands may raise the library's errors."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command; bad input of any kind becomes BadInput."""
+        try:
+            return super().invoke(ctx)
+        except NoArgsIsHelpError:
+            raise
+        except click.UsageError as error:
+            command = error.ctx.command_path if error.ctx else ctx.command_path
+            raise BadInput(f"{command}: {error.format_message()}") from error
+        except (ParamsError, FormatError) as error:
+            raise BadInput(str(error)) from error
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            place = f"{error.filename}: " if error.filename else ""
+            raise BadInput(f"{place}{error.strerror or error}") from error
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "show_default": True})
+@click.version_option(__version__)
+def main() -> None:
+    """Synthetic 3D-lane images with exact ground truth."""
+
+
+for command in (generate, sample, render, inspect, gallery, params):
+    main.add_command(command)

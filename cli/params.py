@@ -1,0 +1,36 @@
+"""`synth3dlanes params`: look at parameter files."""
+
+import json
+
+import click
+
+from .options import json_option, set_option
+
+
+@click.group()
+def params() -> None:
+    """Look at parameter files."""
+
+
+@params.command()
+@click.argument("source", default="appendix_i")
+@set_option
+@json_option
+def show(source: str, changes: tuple[str, ...], as_json: bool) -> None:
+    """Print a preset or a file with changes applied; a complete file of its own."""
+    from synth3dlanes.params import load_params, params_yaml
+
+    loaded = load_params(source, changes)
+    click.echo(json.dumps(loaded.model_dump(mode="json")) if as_json else params_yaml(loaded), nl=as_json)
+
+
+@params.command()
+@click.argument("sources", nargs=-1, required=True)
+@set_option
+def check(sources: tuple[str, ...], changes: tuple[str, ...]) -> None:
+    """Check parameter files and name every problem in them."""
+    from synth3dlanes.params import check_params
+
+    check_params(sources, changes)
+    for source in sources:
+        click.echo(f"{source}: ok")

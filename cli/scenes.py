@@ -1,0 +1,59 @@
+"""`synth3dlanes sample` and `render`: one scene at a time."""
+
+from pathlib import Path
+
+import click
+
+from .options import (
+    device_option,
+    params_option,
+    passes_option,
+    require_blender,
+    samples_option,
+    seed_option,
+    set_option,
+    split_option,
+)
+
+
+@click.command()
+@click.option("--index", type=click.IntRange(min=0), default=0, help="Which scene of the split.")
+@click.option("--n", type=click.IntRange(min=1), default=1, help="How many, from --index on; one JSON a line.")
+@seed_option
+@split_option
+@params_option
+@set_option
+def sample(index: int, n: int, seed: int, split: str, source: str, changes: tuple[str, ...]) -> None:
+    """Draw scenes and print their scene.json. No Blender."""
+    from synth3dlanes.params import load_params
+    from synth3dlanes.sample import sample_scene
+    from synth3dlanes.scene import to_json
+
+    params = load_params(source, changes)
+    for number in range(index, index + n):
+        click.echo(to_json(sample_scene(params, seed, split, number)))
+
+
+@click.command()
+@click.argument("scene_path", metavar="SCENE.JSON", type=click.Path(path_type=Path))
+@click.option(
+    "--out", type=click.Path(path_type=Path), help="The image to write, .png or .jpg.  [default: NAME.png, here]"
+)
+@set_option
+@samples_option
+@passes_option
+@device_option
+def render(
+    scene_path: Path, out: Path | None, changes: tuple[str, ...], samples: int, passes: tuple[str, ...], device: str
+) -> None:
+    """Render exactly one scene: image, NAME.labels.json and, with --passes, NAME.passes.exr.
+
+    --set light.exposure=3 changes one factor of it, --set cars=[] removes the cars; the changed scene is then
+    written to NAME.scene.json.
+    """
+    require_blender()
+    from synth3dlanes.settings import RenderSettings
+    from synth3dlanes.single import render_file
+
+    for path in render_file(scene_path, out, changes, RenderSettings(samples, passes, device)):
+        click.echo(path)

@@ -1,0 +1,88 @@
+"""A small vocabulary for building Cycles node graphs: cheap diffuse plus gloss, and sums of nodes.
+
+Principled BSDF costs 10 to 20 % of a render more than these (docs/decisions.md).
+"""
+
+from typing import Any
+
+import bpy
+
+Socket = Any  # a socket, a number or a tuple: what a node input takes
+
+
+class Graph:
+    """Writes one node tree; each method adds a node and returns it or its output."""
+
+    def __init__(self, tree: Any) -> None:
+        self.tree = tree
+
+    def node(self, kind: str, inputs: dict[str | int, Socket] | None = None, **settings: Any) -> Any:
+        """Add a node, set its properties, and connect or set its inputs."""
+        node = self.tree.nodes.new(kind)
+        for name, value in settings.items():
+            setattr(node, name, value)
+        for key, value in (inputs or {}).items():
+            self.plug(node.inputs[key], value)
+        return node
+
+    def plug(self, socket: Any, value: Socket) -> None:
+        """Connect an output to an input, or set the input's value."""
+        if isinstance(value, bpy.types.NodeSocket):
+            self.tree.links.new(value, socket)
+        elif isinstance(value, tuple) and socket.type == "RGBA" and len(value) == 3:
+            socket.default_value = (*value, 1.0)
+        else:
+            socket.default_value = value
+
+    def value(self, name: str, default: float = 0.0) -> Any:
+        """A named number that `set_materials` changes per scene."""
+        node = self.node("ShaderNodeValue", name=name, label=name)
+        node.outputs[0].default_value = default
+        return node.outputs[0]
+
+    def math(self, operation: str, a: Socket, b: Socket = 0.0, c: Socket = 0.0) -> Any:
+        """A scalar operation."""
+        return self.node("ShaderNodeMath", {0: a, 1: b, 2: c}, operation=operation).outputs[0]
+
+    def vector(self, operation: str, a: Socket, b: Socket = (0.0, 0.0, 0.0), c: Socket = (0.0, 0.0, 0.0)) -> Any:
+        """A vector operation; colours pass as vectors."""
+        return self.node("ShaderNodeVectorMath", {0: a, 1: b, 2: c}, operation=operation).outputs[0]
+
+    def scale(self, a: Socket, factor: Socket) -> Any:
+        """A vector times a number."""
+        return self.node("ShaderNodeVectorMath", {0: a, "Scale": factor}, operation="SCALE").outputs[0]
+
+    def mix_color(self, a: Socket, b: Socket, factor: Socket) -> Any:
+        """`a` where the factor is 0, `b` where it is 1."""
+        node = self.tree.nodes.new("ShaderNodeMix")
+        node.data_type = "RGBA"
+        self.plug(node.inputs[0], factor)
+        self.plug(node.inputs[6], a)
+        self.plug(node.inputs[7], b)
+        return node.outputs[2]
+
+    def surface(self, node: Any) -> None:
+        """Make a shader the material's surface."""
+        self.node("ShaderNodeOutputMaterial", {"Surface": node.outputs[0]})
+
+
+def new_material(name: str, semantic_id: int) -> tuple[bpy.types.Material, Graph]:
+    """An empty material whose `pass_index` is its semantic id."""
+    material = bpy.data.materials.new(name)
+    material.use_nodes = True
+    material.node_tree.nodes.clear()
+    material.pass_index = semantic_id
+    material.use_fake_user = True
+    return material, Graph(material.node_tree)
+
+
+def coated(
+    graph: Graph, color: Socket, roughness: Socket, amount: Socket, ior: float = 1.45, normal: Socket | None = None
+) -> None:
+    """Diffuse under a reflecting coat: the coat's share is `amount` times the Fresnel reflectance."""
+    bend = {} if normal is None else {"Normal": normal}
+    base = graph.node("ShaderNodeBsdfDiffuse", {"Color": color, **bend})
+    coat = graph.node("ShaderNodeBsdfAnisotropic", {"Color": (1.0, 1.0, 1.0), "Roughness": roughness, **bend})
+    fresnel = graph.node("ShaderNodeFresnel", {"IOR": ior, **bend})
+    share = graph.math("MULTIPLY", fresnel.outputs[0], amount)
+    graph.surface(graph.node("ShaderNodeMixShader", {0: share, 1: base.outputs[0], 2: coat.outputs[0]}))

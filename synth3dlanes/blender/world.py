@@ -1,0 +1,117 @@
+"""Sky and sun: a clear-sky radiance table with clouds drawn into one equirectangular image, and a sun lamp.
+
+World frame, azimuth counter-clockwise from x. The table (blender_assets/sky.py) holds no sun disc; the lamp is the sun.
+"""
+
+from zlib import crc32
+
+import bpy
+import mathutils
+import numpy as np
+from jaxtyping import Float
+from PIL import Image
+
+from synth3dlanes.blender.assets import assets_dir
+from synth3dlanes.blender.shaders import Graph
+from synth3dlanes.scene import Light, Scene
+
+# Irradiance of the sun outside the atmosphere in the picture's units: sets how bright exposure 1 is.
+SUN_STRENGTH = 3.4
+SUN_ANGLE_RAD = 0.0093  # the sun's diameter
+SKY_SHAPE = (512, 1024)
+HORIZON = SKY_SHAPE[0] // 2
+N_CLOUD_MAPS = 4
+BELOW_HORIZON = 0.6  # of the horizon's radiance
+CLOUD_ALBEDO = 0.75
+
+
+def make_world() -> None:
+    """Make the scene's world and sun, once per process.
+
+    The sampling method must be set here: Cycles builds its 4k importance map for a world that had another one first.
+    """
+    world = bpy.data.worlds.new("sky")
+    world.cycles.sampling_method = "NONE"
+    world.use_nodes = True
+    world.node_tree.nodes.clear()
+    graph = Graph(world.node_tree)
+    image = bpy.data.images.new("sky", SKY_SHAPE[1], SKY_SHAPE[0], float_buffer=True)
+    image.colorspace_settings.name = "Non-Color"
+    texture = graph.node("ShaderNodeTexEnvironment", image=image)
+    background = graph.node("ShaderNodeBackground", {"Color": texture.outputs[0]})
+    graph.node("ShaderNodeOutputWorld", {"Surface": background.outputs[0]})
+    bpy.context.scene.world = world
+    lamp = bpy.data.lights.new("sun", "SUN")
+    lamp.angle = SUN_ANGLE_RAD
+    bpy.context.scene.collection.objects.link(bpy.data.objects.new("sun", lamp))
+
+
+def set_light(scene: Scene) -> None:
+    """Point and colour the sun and repaint the sky for one scene; its clouds follow from seed, split and index."""
+    light = scene.light
+    rng = np.random.default_rng([scene.seed, crc32(scene.split.encode()), scene.index, crc32(b"clouds")])
+    pixels = np.ones((*SKY_SHAPE, 4), np.float32)
+    pixels[..., :3] = SUN_STRENGTH * sky_image(light, cloud_cover(rng))
+    image = bpy.data.images["sky"]
+    image.pixels.foreach_set(pixels.ravel())
+    image.update()
+    sun = bpy.data.objects["sun"]
+    sun.rotation_mode = "QUATERNION"
+    sun.rotation_quaternion = mathutils.Vector(sun_direction(light).tolist()).to_track_quat("Z", "Y")
+    color = sun_color(light)
+    sun.data.energy = SUN_STRENGTH * float(color.max())
+    sun.data.color = (color / color.max()).tolist()
+
+
+def sun_direction(light: Light) -> Float[np.ndarray, "3"]:
+    """Unit vector towards the sun, world frame."""
+    zenith, azimuth = light.sun_zenith_rad, light.sun_azimuth_rad
+    return np.array([np.sin(zenith) * np.cos(azimuth), np.sin(zenith) * np.sin(azimuth), np.cos(zenith)])
+
+
+def sun_color(light: Light) -> Float[np.ndarray, "3"]:
+    """The sun's irradiance after the atmosphere, as a share of that outside it."""
+    with np.load(assets_dir() / "sky.npz") as table:
+        return np.array([np.interp(light.sun_zenith_rad, table["sun_zenith_rad"], c) for c in table["sun_transmittance"].T])
+
+
+def cloud_cover(rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
+    """Opacity 0..1 of one of the cloud maps, turned to a random azimuth; rows from zenith to horizon."""
+    file = assets_dir() / "textures" / f"clouds_{rng.integers(1, N_CLOUD_MAPS + 1)}.png"
+    with Image.open(file) as picture:
+        cover = np.asarray(picture, np.float32) / 255
+    strength = rng.uniform(0.0, 1.0)
+    return strength * np.roll(cover, rng.integers(cover.shape[1]), axis=1)
+
+
+def sky_image(light: Light, cover: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "H W 3"]:
+    """Radiance in Blender's equirectangular layout: bottom row first, azimuth falling from pi to -pi."""
+    elevation = np.pi * ((np.arange(SKY_SHAPE[0]) + 0.5) / SKY_SHAPE[0] - 0.5)
+    azimuth = np.pi - 2 * np.pi * (np.arange(SKY_SHAPE[1]) + 0.5) / SKY_SHAPE[1]
+    from_sun = np.abs((azimuth - light.sun_azimuth_rad + np.pi) % (2 * np.pi) - np.pi)
+    clear = clear_sky(light, np.maximum(elevation[HORIZON:], 0), from_sun)
+    ambient = clear.mean(axis=(0, 1))
+    sunlit = CLOUD_ALBEDO * (sun_color(light) * (0.3 + 0.7 * np.cos(light.sun_zenith_rad))) / np.pi
+    cloud = sunlit * (0.95 - 0.45 * cover[::-1, :, None]) + ambient
+    upper = clear + cover[::-1, :, None] * (cloud - clear)
+    lower = np.broadcast_to(BELOW_HORIZON * clear[:1].mean(axis=1, keepdims=True), upper.shape)
+    return np.concatenate([lower, upper]).astype(np.float32)
+
+
+def clear_sky(
+    light: Light, elevation_rad: Float[np.ndarray, " h"], from_sun_rad: Float[np.ndarray, " w"]
+) -> Float[np.ndarray, "h w 3"]:
+    """Cloudless radiance per unit of solar irradiance, interpolated in the table."""
+    with np.load(assets_dir() / "sky.npz") as table:
+        radiance = table["radiance"]
+        at_sun = _weights(table["sun_zenith_rad"], np.array([light.sun_zenith_rad]))[0]
+        by_elevation = _weights(table["elevation_rad"], elevation_rad)
+        by_azimuth = _weights(table["azimuth_rad"], from_sun_rad)
+    dome = np.tensordot(at_sun, radiance, 1)
+    rows = np.tensordot(by_elevation, dome, 1)
+    return np.moveaxis(np.tensordot(by_azimuth, rows, (1, 1)), 0, 1)
+
+
+def _weights(knots: Float[np.ndarray, " k"], x: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n k"]:
+    """The matrix of linear interpolation: row i holds the weights of the knots at x[i]."""
+    return np.stack([np.interp(x, knots, unit) for unit in np.eye(len(knots), dtype=np.float32)], axis=1)

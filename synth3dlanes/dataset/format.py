@@ -1,0 +1,138 @@
+"""Sample <-> tar members: their names, their bytes, and how a tar holds them (spec section 5).
+
+Pure bytes: nothing here opens a file. Equal samples give equal bytes.
+"""
+
+import io
+import tarfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import OpenEXR
+from jaxtyping import Shaped, UInt8
+from PIL import Image, UnidentifiedImageError
+
+from synth3dlanes import labels as labels_module
+from synth3dlanes.errors import FormatError
+from synth3dlanes.labels import Labels
+
+DATASET_FORMAT = "synth3dlanes.dataset"
+DATASET_VERSION = 1
+IMAGE_FORMATS = ("jpg", "png")
+JPEG_QUALITY = 95
+SCENE, LABELS, PASSES = "scene.json", "labels.json", "passes.exr"
+# A name in the index for each member of a sample; the image's is the same for every image format.
+COLUMN_OF_MEMBER = {"jpg": "image", "png": "image", SCENE: "scene", LABELS: "labels", PASSES: "passes"}
+BLOCK = 512
+
+# Integers up to here are exact in a half float.
+EXACT_IN_HALF = 2048
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One labelled image as read back; `scene_json` is the text that `synth3dlanes render` takes."""
+
+    key: str
+    image: UInt8[np.ndarray, "h w 3"]
+    labels: Labels
+    scene_json: bytes
+
+
+def key_of(index: int) -> str:
+    """The name of scene `index` of a split: eight digits, no dot (webdataset cuts a key at its first dot)."""
+    return f"{index:08d}"
+
+
+def member_names(image_format: str, passes: Sequence[str]) -> tuple[str, ...]:
+    """What follows `{key}.` in the names of a sample's members, in their order in the tar."""
+    return (image_format, SCENE, LABELS, *([PASSES] if passes else []))
+
+
+def encode(
+    image: UInt8[np.ndarray, "h w 3"],
+    labels: Labels,
+    scene_json: str,
+    passes: Mapping[str, Shaped[np.ndarray, "h w ..."]],
+    image_format: str,
+) -> dict[str, bytes]:
+    """A sample's members, named as `member_names` does."""
+    members = {
+        image_format: encode_image(image, image_format),
+        SCENE: scene_json.encode(),
+        LABELS: labels_module.to_json(labels).encode(),
+    }
+    return {**members, PASSES: write_passes(passes)} if passes else members
+
+
+def encode_image(image: UInt8[np.ndarray, "h w 3"], image_format: str) -> bytes:
+    """The image as JPEG of quality 95, or as PNG, which is exact."""
+    stream = io.BytesIO()
+    if image_format == "jpg":
+        Image.fromarray(image).save(stream, "JPEG", quality=JPEG_QUALITY)
+    else:
+        Image.fromarray(image).save(stream, "PNG")
+    return stream.getvalue()
+
+
+def decode_image(data: bytes, where: str) -> UInt8[np.ndarray, "h w 3"]:
+    """The pixels of a JPEG or PNG; raise FormatError, its message beginning with `where`."""
+    try:
+        return np.array(Image.open(io.BytesIO(data), formats=("JPEG", "PNG")).convert("RGB"))
+    except (UnidentifiedImageError, OSError, SyntaxError) as error:
+        raise FormatError(f"{where}: expected a JPEG or PNG image, got {error}") from None
+
+
+def write_passes(passes: Mapping[str, Shaped[np.ndarray, "h w ..."]]) -> bytes:
+    """The passes as one OpenEXR image with ZIP compression, which is exact.
+
+    Channels: `depth` float32, planar y_cam in metres at the pixel's centre, infinite where nothing is hit;
+    `normal.X`, `.Y`, `.Z` half; `semantic` and `instance` half, or float32 where an id is beyond 2048.
+    """
+    channels: dict[str, np.ndarray] = {}
+    for name, values in passes.items():
+        if name == "depth":
+            channels[name] = values.astype(np.float32)
+        elif name == "normal":
+            channels |= {f"normal.{axis}": values[..., i].astype(np.float16) for i, axis in enumerate("XYZ")}
+        else:
+            channels[name] = values.astype(np.float16 if values.max() <= EXACT_IN_HALF else np.float32)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    stream = io.BytesIO()
+    OpenEXR.File(header, {name: np.ascontiguousarray(channel) for name, channel in channels.items()}).write(stream)
+    return stream.getvalue()
+
+
+def read_passes(data: bytes, where: str) -> dict[str, Shaped[np.ndarray, "h w ..."]]:
+    """The passes by name: `depth` and `normal` float32, `semantic` uint8, `instance` uint16."""
+    try:
+        channels = OpenEXR.File(io.BytesIO(data), separate_channels=True).channels()
+    except (RuntimeError, ValueError) as error:
+        raise FormatError(f"{where}: expected an OpenEXR image, got {error}") from None
+    pixels = {name: channel.pixels for name, channel in channels.items()}
+    types = {"depth": np.float32, "semantic": np.uint8, "instance": np.uint16}
+    passes = {name: pixels[name].astype(dtype) for name, dtype in types.items() if name in pixels}
+    if "normal.X" in pixels:
+        passes["normal"] = np.stack([pixels[f"normal.{axis}"] for axis in "XYZ"], axis=-1).astype(np.float32)
+    return passes
+
+
+def tar_bytes(key: str, members: Mapping[str, bytes]) -> bytes:
+    """The members as they stand in a tar: time, owner and mode fixed. Joined, such pieces are a tar but for its end."""
+    pieces = []
+    for name, data in members.items():
+        header = tarfile.TarInfo(f"{key}.{name}")
+        header.size = len(data)
+        pieces += [header.tobuf(tarfile.USTAR_FORMAT), data, bytes(-len(data) % BLOCK)]
+    return b"".join(pieces)
+
+
+def tar_end(size: int) -> bytes:
+    """What closes a tar of `size` bytes: two empty blocks, then up to a whole record as every tar does."""
+    return bytes(2 * BLOCK + -(size + 2 * BLOCK) % tarfile.RECORDSIZE)
+
+
+def member_name(header: bytes) -> str:
+    """The file name in a tar header, for checking that an index points where it should."""
+    return header[:100].rstrip(b"\0").decode("utf-8", "replace")

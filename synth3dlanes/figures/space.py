@@ -1,0 +1,146 @@
+"""A scene as coloured triangles for the 3D view of a page. Road frame at the host; the very meshes that are rendered."""
+
+import base64
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from synth3dlanes.figures import colors
+from synth3dlanes.figures.colors import Rgb
+from synth3dlanes.figures.world import AHEAD_M, BEHIND_M, SceneView, TreeOutline
+from synth3dlanes.geometry.meshes import Mesh, paint_meshes, road_meshes, terrain_mesh, verge_meshes
+from synth3dlanes.geometry.transforms import transform
+from synth3dlanes.labels import Kind
+
+_HALF_WIDTH_M = 70.0
+_LANE_HALF_WIDTH_M = 0.09
+_LANE_LIFT_M = 0.12
+_FRUSTUM_M = 3.0
+
+_GRASS, _VERGE, _ASPHALT, _PAINT = (122, 150, 96), (138, 152, 108), (112, 116, 122), (240, 240, 235)
+_LEAVES, _TRUNK = (62, 118, 62), (96, 74, 52)
+
+
+@dataclass(frozen=True, eq=False)
+class Triangles:
+    """One thing to switch on and off: vertices, a colour each, and triangles of vertex numbers."""
+
+    name: str
+    vertices_road: Float[np.ndarray, "v 3"]
+    colors: Int[np.ndarray, "v 3"]
+    faces: Int[np.ndarray, "f 3"]
+
+    def document(self) -> dict[str, str]:
+        """The arrays as little-endian base64 text: float32, uint8 and uint32."""
+        arrays = {
+            "vertices": self.vertices_road.astype("<f4"),
+            "colors": self.colors.astype("u1"),
+            "faces": self.faces.astype("<u4"),
+        }
+        return {"name": self.name} | {key: base64.b64encode(value.tobytes()).decode() for key, value in arrays.items()}
+
+
+def triangles(view: SceneView) -> list[Triangles]:
+    """Everything in a scene near the host, by name."""
+    ground = view.ground
+    surfaces = [_mesh(view, mesh, _VERGE) for mesh in verge_meshes(ground)]
+    roads = [_mesh(view, mesh, _ASPHALT) for mesh in road_meshes(ground)]
+    paint = [_mesh(view, mesh, _PAINT) for mesh in paint_meshes(view.plan).values()]
+    return [
+        _merge("terrain", [_mesh(view, terrain_mesh(ground), _GRASS), *surfaces]),
+        _merge("road", roads),
+        _merge("paint", paint),
+        _merge("centre lines", _lanes(view, "centerline")),
+        _merge("delimiters", _lanes(view, "delimiter")),
+        _merge("cars", [_prism(car.corners_road, car.height_m, car.color) for car in view.cars]),
+        _merge("trees", [part for tree in view.trees if _is_near(tree.foot_road[None])[0] for part in _tree(tree)]),
+        _merge("camera", [_camera(view)]),
+    ]
+
+
+def _mesh(view: SceneView, mesh: Mesh, color: Rgb) -> Triangles:
+    """The part of a mesh near the host."""
+    vertices_road = transform(view.road_from_world, mesh.vertices_world)
+    quads = mesh.faces[_is_near(vertices_road)[mesh.faces].all(axis=1)]
+    used, numbers = np.unique(quads, return_inverse=True)
+    return _quads(vertices_road[used], numbers.reshape(-1, 4), color)
+
+
+def _is_near(points_road: Float[np.ndarray, "n 3"]) -> np.ndarray:
+    x, y = points_road[:, 0], points_road[:, 1]
+    return np.asarray((np.abs(x) < _HALF_WIDTH_M) & (y > -BEHIND_M) & (y < AHEAD_M))
+
+
+def _quads(vertices_road: Float[np.ndarray, "v 3"], quads: Int[np.ndarray, "f 4"], color: Rgb) -> Triangles:
+    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    return Triangles("", vertices_road, np.tile(np.array(color), (len(vertices_road), 1)), faces)
+
+
+def _lanes(view: SceneView, kind: Kind) -> list[Triangles]:
+    """Each lane as a narrow ribbon, paler where it is not seen."""
+    ribbons = []
+    for lane in view.labels.lanes:
+        if lane.kind != kind:
+            continue
+        points_road = transform(view.labels.camera.road_from_cam, lane.xyz_cam) + [0.0, 0.0, _LANE_LIFT_M]
+        along = np.gradient(points_road, axis=0)
+        right = np.stack([along[:, 1], -along[:, 0], np.zeros(len(along))], -1)
+        right *= _LANE_HALF_WIDTH_M / np.linalg.norm(right, axis=1, keepdims=True)
+        n = len(points_road)
+        i = np.arange(n - 1)
+        ribbon = _quads(
+            np.concatenate([points_road - right, points_road + right]),
+            np.stack([i, i + n, i + n + 1, i + 1], -1),
+            (0, 0, 0),
+        )
+        seen = np.tile(lane.visible, 2)[:, None]
+        color = np.array(colors.KINDS[kind])
+        ribbons.append(Triangles("", ribbon.vertices_road, np.where(seen, color, (color + 2 * 190) // 3), ribbon.faces))
+    return ribbons
+
+
+def _prism(corners_road: Float[np.ndarray, "4 3"], height_m: float, color: Rgb) -> Triangles:
+    vertices = np.concatenate([corners_road, corners_road + [0.0, 0.0, height_m]])
+    sides = [[i, j, j + 4, i + 4] for i, j in pairwise([0, 1, 2, 3, 0])]
+    return _quads(vertices, np.array([[4, 5, 6, 7], *sides]), color)
+
+
+def _tree(tree: TreeOutline) -> list[Triangles]:
+    """A trunk and a crown of two cones."""
+    angles = np.arange(6) * np.pi / 3
+    ring = np.stack([np.cos(angles), np.sin(angles), np.zeros(6)], -1)
+    middle = ring * tree.radius_m + [0.0, 0.0, 0.35 * tree.height_m]
+    ends = [[0.0, 0.0, 0.12 * tree.height_m], [0.0, 0.0, tree.height_m]]
+    crown = tree.foot_road + np.concatenate([middle, ends])
+    around = list(pairwise([*range(6), 0]))
+    faces = np.array([[i, j, 7] for i, j in around] + [[j, i, 6] for i, j in around])
+    trunk_m = 0.04 * tree.height_m
+    trunk = _prism(tree.foot_road + ring[[0, 1, 3, 4]] * trunk_m, 0.3 * tree.height_m, _TRUNK)
+    return [Triangles("", crown, np.tile(np.array(_LEAVES), (8, 1)), faces), trunk]
+
+
+def _camera(view: SceneView) -> Triangles:
+    """The pyramid that the image spans."""
+    camera = view.labels.camera
+    corners_img = np.array(
+        [[0, 0, 1], [camera.width_px, 0, 1], [camera.width_px, camera.height_px, 1], [0, camera.height_px, 1]]
+    )
+    rays_cam = corners_img @ np.linalg.inv(camera.img_from_cam).T * _FRUSTUM_M
+    vertices = transform(camera.road_from_cam, np.concatenate([np.zeros((1, 3)), rays_cam]))
+    faces = np.array([[0, i, j] for i, j in pairwise([1, 2, 3, 4, 1])])
+    return Triangles("", vertices, np.tile([242, 183, 5], (5, 1)), faces)
+
+
+def _merge(name: str, parts: list[Triangles]) -> Triangles:
+    """Several parts as one, under a name."""
+    if not parts:
+        return Triangles(name, np.zeros((0, 3)), np.zeros((0, 3), dtype=int), np.zeros((0, 3), dtype=int))
+    starts = np.cumsum([0, *(len(part.vertices_road) for part in parts[:-1])])
+    return Triangles(
+        name,
+        np.concatenate([part.vertices_road for part in parts]),
+        np.concatenate([part.colors for part in parts]),
+        np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)]),
+    )

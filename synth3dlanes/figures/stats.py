@@ -1,0 +1,235 @@
+"""Declared against drawn: does every parameter of a set of scenes follow its distribution, and what do labels show?"""
+
+import dataclasses
+import json
+import math
+from collections import Counter, defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy import stats
+
+from synth3dlanes.distributions import Choice, Integers, Uniform
+from synth3dlanes.figures.describe import topology_words
+from synth3dlanes.figures.shape import bends, grades
+from synth3dlanes.labels import Labels
+from synth3dlanes.params import Params
+from synth3dlanes.scene import Scene
+
+Values = Float[np.ndarray, " n"]
+Distribution = Uniform | Integers | Choice[Any]
+
+CONDITIONED = {
+    "camera.lane": "cut to the road",
+    "cars.s_m": "kept apart",
+    "trees.x_m": "kept off roads",
+    "trees.y_m": "kept off roads",
+}
+"""Parameters whose drawn values are not meant to keep the declared distribution, only its range; and why."""
+
+_ROUNDING = 1e-4
+"""Scenes hold radians rounded to 1e-6, which is this many degrees at most."""
+
+
+@dataclass(frozen=True)
+class ParameterStatistics:
+    """One parameter: what was declared, what was drawn, and how well they agree.
+
+    `test` is "KS" (continuous), "chi2" (discrete), "equal" (constant) or the reason why none is due.
+    """
+
+    key: str
+    declared: str
+    low: float
+    high: float
+    count: int
+    minimum: float
+    maximum: float
+    mean: float
+    outside: int
+    test: str
+    statistic: float | None
+    p_value: float | None
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A measured quantity of labels: its range, mean and percentiles."""
+
+    name: str
+    count: int
+    minimum: float
+    p05: float
+    median: float
+    p95: float
+    maximum: float
+    mean: float
+
+
+@dataclass(frozen=True, eq=False)
+class SceneStatistics:
+    """Statistics of scenes; `drawn` keeps the values, in the declared units, for plots."""
+
+    n_scenes: int
+    parameters: tuple[ParameterStatistics, ...]
+    topologies: dict[str, int]
+    drawn: dict[str, Values]
+
+
+@dataclass(frozen=True, eq=False)
+class LabelStatistics:
+    """Statistics of labels; `measured` keeps the values for plots."""
+
+    n_images: int
+    summaries: tuple[Summary, ...]
+    measured: dict[str, Values]
+
+
+def scene_statistics(scenes: Iterable[Scene], params: Params) -> SceneStatistics:
+    """Compare every parameter with its declared distribution. Keeps all drawn values: some 15 kB a scene."""
+    collected: dict[str, list[Values]] = defaultdict(list)
+    topologies: Counter[str] = Counter()
+    n_scenes = 0
+    for scene in scenes:
+        n_scenes += 1
+        topologies[topology_words(scene.road)] += 1
+        for key, values in drawn_values(scene).items():
+            collected[key].append(np.array(values, dtype=float))
+    drawn = {key: np.concatenate(values) for key, values in collected.items()}
+    parameters = tuple(
+        _parameter(f"{name}.{key}", getattr(group, key), drawn.get(f"{name}.{key}", np.zeros(0)))
+        for name, group in params
+        for key in type(group).model_fields
+    )
+    return SceneStatistics(n_scenes, parameters, dict(sorted(topologies.items())), drawn)
+
+
+def drawn_values(scene: Scene) -> dict[str, list[float]]:
+    """Every value that a scene holds for each parameter, by the parameter's key and in its units."""
+    values: dict[str, list[float]] = {}
+    for group in ("road", "markings", "surface", "camera", "light"):
+        part = getattr(scene, group)
+        values |= {
+            _key(group, field): [_declared_unit(field, getattr(part, field))] for field in type(part).model_fields
+        }
+    values["camera.horizontal_fov_deg"] = [2 * math.degrees(math.atan(scene.camera.width_px / 2 / scene.camera.fx_px))]
+    values["terrain.n_gaussians"] = [len(scene.terrain.gaussians)]
+    values["cars.n"], values["trees.n"] = [len(scene.cars)], [len(scene.trees)]
+    for group, parts in (("terrain", scene.terrain.gaussians), ("cars", scene.cars), ("trees", scene.trees)):
+        for part in parts:
+            for field, value in part:
+                if isinstance(value, str):
+                    continue
+                several = value if isinstance(value, tuple) else (value,)
+                values.setdefault(_key(group, field), []).extend(_declared_unit(field, one) for one in several)
+    return values
+
+
+def label_statistics(labels: Iterable[Labels]) -> LabelStatistics:
+    """Slope, bend, visibility and number of lanes over all images."""
+    collected: dict[str, list[Values]] = defaultdict(list)
+    n_images = 0
+    for one in labels:
+        n_images += 1
+        for name, values in _measure(one).items():
+            collected[name].append(values)
+    measured = {name: np.concatenate(values) for name, values in collected.items()}
+    return LabelStatistics(n_images, tuple(_summary(name, values) for name, values in measured.items()), measured)
+
+
+def to_json(scenes: SceneStatistics, labels: LabelStatistics | None) -> str:
+    """The statistics (without the values behind them) as one JSON document."""
+    document: dict[str, Any] = {
+        "n_scenes": scenes.n_scenes,
+        "topologies": scenes.topologies,
+        "parameters": [dataclasses.asdict(parameter) for parameter in scenes.parameters],
+    }
+    if labels is not None:
+        document["labels"] = [dataclasses.asdict(summary) for summary in labels.summaries]
+    return json.dumps(document, allow_nan=False)
+
+
+def form(distribution: Distribution) -> str:
+    """A distribution as the parameter files write it."""
+    if isinstance(distribution, Choice):
+        if len(distribution.values) == 1:
+            return str(distribution.values[0]).lower()
+        pairs = zip(distribution.values, distribution.weights, strict=True)
+        return "{" + ", ".join(f"{str(value).lower()}: {weight:g}" for value, weight in pairs) + "}"
+    return f"[{distribution.low:g}, {distribution.high:g}]"
+
+
+def _key(group: str, field: str) -> str:
+    return f"{group}.{field.replace('_rad', '_deg')}"
+
+
+def _declared_unit(field: str, value: float) -> float:
+    return math.degrees(value) if field.endswith("_rad") else float(value)
+
+
+def _parameter(key: str, distribution: Distribution, values: Values) -> ParameterStatistics:
+    low, high = (float(limit) for limit in _limits(distribution))
+    if not values.size:
+        return ParameterStatistics(key, form(distribution), low, high, 0, 0.0, 0.0, 0.0, 0, "none drawn", None, None)
+    outside = int(((values < low - _ROUNDING) | (values > high + _ROUNDING)).sum())
+    test, statistic, p_value = _agreement(distribution, values)
+    if key in CONDITIONED:
+        test, p_value = CONDITIONED[key], None
+    extent = (float(values.min()), float(values.max()), float(values.mean()))
+    return ParameterStatistics(
+        key, form(distribution), low, high, values.size, *extent, outside, test, statistic, p_value
+    )
+
+
+def _limits(distribution: Distribution) -> tuple[float, float]:
+    if isinstance(distribution, Choice):
+        return min(distribution.values), max(distribution.values)
+    return distribution.low, distribution.high
+
+
+def _agreement(distribution: Distribution, values: Values) -> tuple[str, float | None, float | None]:
+    """(test, statistic, p value) of the hypothesis that the values were drawn from the distribution."""
+    if isinstance(distribution, Uniform) and distribution.high > distribution.low:
+        result = stats.kstest(values, stats.uniform(distribution.low, distribution.high - distribution.low).cdf)
+        return "KS", float(result.statistic), float(result.pvalue)
+    if isinstance(distribution, Integers):
+        allowed = np.arange(distribution.low, distribution.high + 1, dtype=float)
+        weights = np.ones(len(allowed))
+    elif isinstance(distribution, Choice):
+        allowed, weights = np.array(distribution.values, dtype=float), np.array(distribution.weights)
+    else:
+        allowed, weights = np.array([distribution.low]), np.ones(1)
+    is_each = np.abs(values[:, None] - allowed) <= _ROUNDING
+    if len(allowed) == 1 or not is_each.any(axis=1).all():
+        return "equal", float((~is_each.any(axis=1)).sum()), float(is_each.any(axis=1).all())
+    result = stats.chisquare(is_each.sum(axis=0), len(values) * weights / weights.sum())
+    return "chi2", float(result.statistic), float(result.pvalue)
+
+
+def _measure(labels: Labels) -> dict[str, Values]:
+    centerlines = [lane for lane in labels.lanes if lane.kind == "centerline"]
+    in_image = np.concatenate([lane.in_image for lane in labels.lanes])
+    over_ground = np.concatenate([lane.terrain_visible for lane in labels.lanes])[in_image]
+    visible = np.concatenate([lane.visible for lane in labels.lanes])[in_image]
+    reach_m = [lane.xyz_cam[lane.visible, 1].max() for lane in centerlines if lane.visible.any()]
+    measured = {
+        "grade [%]": 100 * np.concatenate([grades(lane, labels) for lane in centerlines]),
+        "curvature [1/km]": 1000 * np.concatenate([bends(lane, labels) for lane in centerlines]),
+        "centre lines in an image": np.array([sum(lane.in_image.any() for lane in centerlines)], dtype=float),
+        "farthest seen point of a centre line [m]": np.array(reach_m, dtype=float),
+    }
+    if in_image.any():
+        measured["share of points in the image over the ground"] = np.array([over_ground.mean()])
+        if all(lane.object_visible is not None for lane in labels.lanes):
+            measured["share of points in the image past ground and objects"] = np.array([visible.mean()])
+    return measured
+
+
+def _summary(name: str, values: Values) -> Summary:
+    if not values.size:
+        return Summary(name, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    points = np.percentile(values, [0, 5, 50, 95, 100]).tolist()
+    return Summary(name, values.size, *points, float(values.mean()))

@@ -1,0 +1,138 @@
+"use strict";
+
+// A checkbox shows or hides what its data-shows selects.
+for (const box of document.querySelectorAll("input[data-shows]")) {
+  const apply = () => {
+    for (const part of document.querySelectorAll(box.dataset.shows)) part.classList.toggle("off", !box.checked);
+  };
+  box.addEventListener("change", apply);
+  apply();
+}
+
+const data = document.getElementById("space-data");
+if (data) showSpace(JSON.parse(data.textContent), document.getElementById("space"), document.getElementById("space-bar"));
+
+// An orbitable view of triangles: x right, y forward, z up, metres. Angles in radians.
+function showSpace(space, canvas, bar) {
+  const gl = canvas.getContext("webgl2", { antialias: true, preserveDrawingBuffer: true });
+  if (!gl) {
+    bar.textContent = "This browser has no WebGL 2, which the 3D view needs.";
+    return;
+  }
+  const program = link(gl,
+    `#version 300 es
+    uniform mat4 clip_from_road; in vec3 point; in vec3 color; out vec3 place; out vec3 tint;
+    void main() { place = point; tint = color; gl_Position = clip_from_road * vec4(point, 1.0); }`,
+    `#version 300 es
+    precision highp float; in vec3 place; in vec3 tint; out vec4 pixel;
+    void main() {
+      vec3 normal = normalize(cross(dFdx(place), dFdy(place)));
+      float light = 0.62 + 0.38 * abs(dot(normal, normalize(vec3(0.35, -0.45, 0.82))));
+      pixel = vec4(tint * light, 1.0);
+    }`);
+  const groups = space.groups.map((group) => upload(gl, program, group));
+  const view = { ...space.views["behind"] };
+  const draw = () => requestAnimationFrame(() => render(gl, program, groups, view, space.fov_rad, canvas));
+
+  groups.forEach((group) => bar.append(checkbox(group, draw)));
+  for (const [name, start] of Object.entries(space.views)) {
+    const button = document.createElement("button");
+    button.textContent = name;
+    button.addEventListener("click", () => { Object.assign(view, start); draw(); });
+    bar.append(button);
+  }
+  steer(canvas, view, draw);
+  new ResizeObserver(draw).observe(canvas);
+}
+
+function link(gl, vertexText, fragmentText) {
+  const program = gl.createProgram();
+  for (const [kind, text] of [[gl.VERTEX_SHADER, vertexText], [gl.FRAGMENT_SHADER, fragmentText]]) {
+    const shader = gl.createShader(kind);
+    gl.shaderSource(shader, text);
+    gl.compileShader(shader);
+    gl.attachShader(program, shader);
+  }
+  gl.linkProgram(program);
+  if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program));
+  return program;
+}
+
+function upload(gl, program, group) {
+  const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  const array = gl.createVertexArray();
+  gl.bindVertexArray(array);
+  const attribute = (name, values, type, normalized) => {
+    gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+    gl.bufferData(gl.ARRAY_BUFFER, values, gl.STATIC_DRAW);
+    const place = gl.getAttribLocation(program, name);
+    gl.enableVertexAttribArray(place);
+    gl.vertexAttribPointer(place, 3, type, normalized, 0, 0);
+  };
+  attribute("point", bytes(group.vertices), gl.FLOAT, false);
+  attribute("color", bytes(group.colors), gl.UNSIGNED_BYTE, true);
+  const faces = bytes(group.faces);
+  gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+  gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, faces, gl.STATIC_DRAW);
+  return { name: group.name, array, count: faces.length / 4, shown: true };
+}
+
+function checkbox(group, draw) {
+  const label = document.createElement("label"), box = document.createElement("input");
+  box.type = "checkbox";
+  box.checked = group.shown;
+  box.addEventListener("change", () => { group.shown = box.checked; draw(); });
+  label.append(box, " " + group.name);
+  return label;
+}
+
+// Drag to turn, shift-drag or right-drag to move, wheel to come closer.
+function steer(canvas, view, draw) {
+  canvas.addEventListener("pointerdown", (event) => canvas.setPointerCapture(event.pointerId));
+  canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+  canvas.addEventListener("pointermove", (event) => {
+    if (!event.buttons) return;
+    const [right, ahead] = [event.movementX, event.movementY], step = view.distance_m / 500;
+    if (event.shiftKey || event.buttons & 2) {
+      const [c, s] = [Math.cos(view.azimuth_rad), Math.sin(view.azimuth_rad)];
+      const [x, y, z] = view.target;
+      view.target = [x - step * (right * c + ahead * s), y + step * (ahead * c - right * s), z];
+    } else {
+      view.azimuth_rad -= right / 200;
+      view.elevation_rad = Math.min(1.57, Math.max(-0.2, view.elevation_rad + ahead / 200));
+    }
+    draw();
+  });
+  canvas.addEventListener("wheel", (event) => {
+    event.preventDefault();
+    view.distance_m = Math.min(600, Math.max(2, view.distance_m * Math.exp(event.deltaY / 800)));
+    draw();
+  }, { passive: false });
+}
+
+function render(gl, program, groups, view, fovRad, canvas) {
+  canvas.width = canvas.clientWidth * devicePixelRatio;
+  canvas.height = canvas.clientHeight * devicePixelRatio;
+  gl.viewport(0, 0, canvas.width, canvas.height);
+  gl.clearColor(0.87, 0.91, 0.95, 1);
+  gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+  gl.enable(gl.DEPTH_TEST);
+  gl.useProgram(program);
+  gl.uniformMatrix4fv(gl.getUniformLocation(program, "clip_from_road"), true, clipFromRoad(view, fovRad, canvas.width / canvas.height));
+  for (const group of groups.filter((one) => one.shown)) {
+    gl.bindVertexArray(group.array);
+    gl.drawElements(gl.TRIANGLES, group.count, gl.UNSIGNED_INT, 0);
+  }
+}
+
+// Row by row. The eye stands `distance_m` from the target, behind it at azimuth 0, above it by the elevation.
+function clipFromRoad(view, fovRad, aspect) {
+  const [ca, sa, ce, se] = [Math.cos(view.azimuth_rad), Math.sin(view.azimuth_rad), Math.cos(view.elevation_rad), Math.sin(view.elevation_rad)];
+  const right = [ca, sa, 0], forward = [-sa * ce, ca * ce, -se], up = [-sa * se, ca * se, ce];
+  const eye = view.target.map((value, i) => value - view.distance_m * forward[i]);
+  const row = (axis, scale) => [...axis.map((value) => value * scale), -scale * axis.reduce((sum, value, i) => sum + value * eye[i], 0)];
+  const [near, far] = [0.3, 1500], focal = 1 / Math.tan(fovRad / 2);
+  const depth = row(forward, 1), k = (far + near) / (far - near);
+  const clipDepth = depth.map((value, i) => k * value - (i === 3 ? 2 * far * near / (far - near) : 0));
+  return new Float32Array([...row(right, focal / aspect), ...row(up, focal), ...clipDepth, ...depth]);
+}

@@ -1,0 +1,127 @@
+"""The four topologies as the paper's table says, in words and in places."""
+
+import numpy as np
+import pytest
+
+from synth3dlanes.geometry.lanes import connections, curves, lane_graph, smooth_min
+from synth3dlanes.geometry.road import RoadPlan
+from tests.scenes import changed
+
+
+def plan_of(topology, n=3, **road):
+    return RoadPlan(changed(road={"topology": topology, "n_lanes": n, **road}))
+
+
+def by_id(plan):
+    return {curve.id: curve for curve in curves(plan)}
+
+
+def x_at(plan, curve, s):
+    return float(curve.xy_world(plan, np.array([s]))[0, 0])
+
+
+@pytest.mark.parametrize(
+    ("topology", "expected"),
+    [
+        (2, {("stem_1", "main_1"), ("stem_2", "main_2"), ("stem_3", "main_3"), ("stem_3", "exit_1")}),
+        (3, {("stem_1", "main_1"), ("stem_2", "main_2"), ("stem_2", "main_3"), ("stem_3", "exit_1")}),
+        (4, {("stem_1", "main_1"), ("stem_2", "main_2"), ("stem_2", "exit_1"), ("stem_3", "exit_2")}),
+    ],
+)
+def test_who_leads_where(topology, expected):
+    assert set(connections(plan_of(topology))) == expected
+
+
+def test_a_left_exit_takes_the_left_lanes_and_numbers_still_count_from_the_left():
+    plan = plan_of(4, flip_longitudinal=True)
+    assert set(connections(plan)) == {
+        ("stem_3", "main_2"), ("stem_2", "main_1"), ("stem_2", "exit_2"), ("stem_1", "exit_1")
+    }  # fmt: skip
+    places = [x_at(plan, by_id(plan)[name], 90.0) for name in ("exit_1", "exit_2", "main_1", "main_2")]
+    assert places == sorted(places), "from left to right: the exit's lanes, then the main road's"
+
+
+@pytest.mark.parametrize(("topology", "n_lines"), [(1, 4), (2, 6), (3, 7), (4, 6)])
+def test_every_painted_line_once(topology, n_lines):
+    lines = [curve for curve in curves(plan_of(topology)) if curve.kind == "delimiter"]
+    assert len(lines) == n_lines
+    solid = {line.id for line in lines if line.marking == "solid"}
+    outer = {1: {"main_line_0", "main_line_3"}}.get(topology)
+    main_after = 2 if topology == 4 else 3
+    exit_lanes = 2 if topology == 4 else 1
+    assert solid == (outer or {"main_line_0", f"main_line_{main_after}", "exit_line_0", f"exit_line_{exit_lanes}"})
+
+
+@pytest.mark.parametrize("topology", [2, 3, 4])
+@pytest.mark.parametrize("n", [2, 3, 4])
+def test_lines_that_begin_at_the_nose_begin_together(topology, n):
+    plan = plan_of(topology, n)
+    lines = by_id(plan)
+    main_right = lines[f"main_line_{plan.n_main_after}"]
+    exit_left = lines["exit_line_0"]
+    assert main_right.start_m == exit_left.start_m == plan.nose_m
+    ends = [line.xy_world(plan, np.array([plan.nose_m]))[0] for line in (main_right, exit_left)]
+    # The exit's edge is offset along its own normal, which leans by the angle between the two roads.
+    assert np.linalg.norm(ends[1] - ends[0]) < 1.2
+
+
+@pytest.mark.parametrize("topology", [2, 3, 4])
+def test_curves_run_on_without_a_break_through_the_split(topology):
+    plan = plan_of(topology, n=4, offset_p50_m=9, offset_m50_m=-6)
+    for curve in curves(plan):
+        if curve.stem_m is None:
+            continue
+        s = np.linspace(-3, min(3, curve.end_m), 601)
+        steps = np.linalg.norm(np.diff(curve.xy_world(plan, s), axis=0), axis=1)
+        assert steps.max() < 0.45, curve.id
+        across = [plan.project_main(curve.xy_world(plan, s))[1]]
+        assert np.abs(np.diff(across)).max() < 0.03, f"{curve.id} jumps sideways"
+
+
+def test_lane_centres_are_where_the_specification_puts_them():
+    plan = plan_of(3, n=4)
+    w = plan.width_m
+    lines = by_id(plan)
+    for lane in (1, 2, 3):
+        assert x_at(plan, lines[f"main_{lane}"], -30.0) == pytest.approx((lane - 2.5) * w)
+    assert x_at(plan, lines["main_4"], -30.0) == pytest.approx(0.5 * w), "before the split it is lane 3"
+    assert x_at(plan, lines["main_4"], 90.0) == pytest.approx(1.5 * w), "after it, lane 4"
+    q = float(plan.opening(np.array([20.0]))[0])
+    assert x_at(plan, lines["main_4"], 20.0) == pytest.approx(0.5 * w + min(q, w), abs=0.02)
+    assert x_at(plan, lines["exit_1"], 20.0) == pytest.approx(1.5 * w + q)
+
+
+def test_the_rounded_minimum_stays_within_two_centimetres_and_has_no_corner():
+    q = np.linspace(2, 5, 3001)
+    value = smooth_min(q, 3.5)
+    assert np.abs(value - np.minimum(q, 3.5)).max() <= 0.0151
+    assert np.abs(np.diff(value, 2)).max() < 2e-5
+
+
+@pytest.mark.parametrize("merge", [False, True])
+def test_the_graph_runs_in_driving_direction(merge):
+    plan = plan_of(2, flip_lateral=merge)
+    graph = lane_graph(plan, [curve.id for curve in curves(plan)])
+    if merge:
+        assert graph.successors["exit_1"] == ("stem_3",)
+        assert {x.id: x.s_start_m for x in graph.segments}["stem_1"] == 0
+    else:
+        assert graph.successors["stem_3"] == ("main_3", "exit_1")
+        assert {x.id: x.s_end_m for x in graph.segments}["stem_1"] == 0
+    stem = next(x for x in graph.segments if x.id == "stem_3")
+    assert set(stem.centerlines) == {"main_3", "exit_1"}, "both paths of a split share their stem"
+
+
+@pytest.mark.parametrize("flip", [False, True])
+@pytest.mark.parametrize("topology", [1, 2, 3, 4])
+def test_what_is_called_left_lies_to_the_left(topology, flip):
+    plan = plan_of(topology, flip_longitudinal=flip)
+    lines = by_id(plan)
+    for curve in lines.values():
+        s = 30.0 if curve.id == "stem_line" else 80.0
+        if curve.id == "stem_line":
+            s = plan.nose_m - 1
+        for side, sign in ((curve.left, -1), (curve.right, 1)):
+            if side in lines:
+                gap = x_at(plan, lines[side], s) - x_at(plan, curve, s)
+                assert 0 < sign * gap < 1.2 * plan.width_m, (curve.id, side)

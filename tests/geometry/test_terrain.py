@@ -1,0 +1,45 @@
+"""Terrain: closed forms and the gradient against finite differences."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from synth3dlanes.geometry.terrain import gradient_at, height_at
+from synth3dlanes.scene import Gaussian, Terrain
+
+GAUSSIANS = st.builds(
+    Gaussian,
+    center_m=st.tuples(st.floats(-150, 150), st.floats(-150, 150)),
+    magnitude_m=st.floats(-50, 50),
+    sd_m=st.tuples(st.floats(25, 250), st.floats(25, 250)),
+    orientation_rad=st.floats(0, np.pi / 2),
+)
+TERRAINS = st.builds(Terrain, gaussians=st.lists(GAUSSIANS, min_size=1, max_size=7).map(tuple))
+
+
+@given(TERRAINS, st.floats(-200, 200), st.floats(-200, 200))
+def test_gradient_equals_central_differences(terrain, x, y):
+    step = 1e-3
+    around = np.array([[x + step, y], [x - step, y], [x, y + step], [x, y - step]])
+    z = height_at(terrain, around)
+    differences = [(z[0] - z[1]) / (2 * step), (z[2] - z[3]) / (2 * step)]
+    np.testing.assert_allclose(gradient_at(terrain, np.array([[x, y]]))[0], differences, atol=1e-6)
+
+
+@given(TERRAINS)
+def test_height_is_the_sum_of_bells_read_from_the_specification(terrain):
+    points = np.random.default_rng(3).uniform(-200, 200, (20, 2))
+    expected = np.zeros(20)
+    for g in terrain.gaussians:
+        c, s = np.cos(g.orientation_rad), np.sin(g.orientation_rad)
+        rotation = np.array([[c, -s], [s, c]])
+        covariance = rotation @ np.diag(np.square(g.sd_m)) @ rotation.T
+        for i, r in enumerate(points - np.array(g.center_m)):
+            expected[i] += g.magnitude_m * np.exp(-0.5 * r @ np.linalg.solve(covariance, r))
+    np.testing.assert_allclose(height_at(terrain, points), expected, atol=1e-9)
+
+
+def test_orientation_turns_the_long_axis_counter_clockwise():
+    ridge = Gaussian(center_m=(0, 0), magnitude_m=10, sd_m=(200, 25), orientation_rad=np.pi / 4)
+    z = height_at(Terrain(gaussians=(ridge,)), np.array([[70.0, 70.0], [70.0, -70.0]]))
+    assert z[0] > 8 > 1 > z[1], "the ridge runs towards +x +y"

@@ -1,0 +1,48 @@
+"""What the ground hides."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from synth3dlanes.geometry.ground import Ground
+from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.geometry.visibility import seen_over_ground
+from tests.scenes import changed, hill
+
+
+def seen(scene, eye, points):
+    return seen_over_ground(Ground(RoadPlan(scene)), np.array(eye, dtype=float), np.array(points, dtype=float))
+
+
+def test_everything_is_seen_on_a_plain():
+    points = [[x, y, 0] for x in (-5, 0, 5) for y in range(-45, 60, 5)]
+    assert seen(changed(), [0, -50, 1.5], points).all()
+
+
+def test_a_crest_hides_the_road_behind_it_and_not_the_road_before_it():
+    scene = changed(terrain={"gaussians": (hill(0, 0, 8, 25),)})
+    heights = Ground(RoadPlan(scene)).height(np.array([[0.0, -60], [0, -20], [0, 50]]))
+    before, behind = seen(scene, [0, -60, heights[0] + 1.5], [[0, -20, heights[1]], [0, 50, heights[2]]])
+    assert before and not behind
+
+
+@settings(max_examples=25)
+@given(st.floats(2, 15), st.floats(0.1, 10), st.floats(20, 60))
+def test_raising_the_terrain_between_a_fixed_eye_and_fixed_points_never_reveals(magnitude, more, sd):
+    points = [[x, y, 1.0] for x in (-20, -3, 0, 3, 20) for y in (30, 60, 90)]
+    low, high = (
+        seen(changed(terrain={"gaussians": (hill(0, 0, height, sd),)}), [0, -60, 6.0], points)
+        for height in (magnitude, magnitude + more)
+    )
+    assert not (high & ~low).any()
+
+
+def test_a_raised_exit_hides_the_ground_behind_it():
+    """From the main road, what lies beyond the exit's embankment at ground level is hidden; above it is not."""
+    road = {"topology": 2, "exit_offset_m": 10, "ramp_height_m": 4, "ramp_slope": 2}
+    plan = RoadPlan(changed(road=road))
+    s = np.array([plan.ramp_start_m + 15])
+    beyond = plan.exit_xy(s, 20.0)[0]
+    eye = [0, s[0], 1.5]
+    low, high = seen(changed(road=road), eye, [[*beyond, 0.0], [*beyond, 12.0]])
+    assert high and not low

@@ -1,0 +1,66 @@
+"""Scenes made by hand for tests: a straight flat road, and the same with any part changed."""
+
+from typing import Any
+
+from synth3dlanes.scene import Camera, Gaussian, Light, Markings, Road, Scene, Surface, Terrain
+
+FLAT = Scene(
+    format="synth3dlanes.scene",
+    version=1,
+    seed=0,
+    split="test",
+    index=0,
+    terrain=Terrain(gaussians=()),
+    road=Road(
+        topology=1,
+        flip_longitudinal=False,
+        flip_lateral=False,
+        n_lanes=3,
+        lane_width_m=3.5,
+        shoulder_factor=0.4,
+        offset_m100_m=0,
+        offset_m50_m=0,
+        offset_p50_m=0,
+        offset_p100_m=0,
+        exit_angle_rad=0.05,
+        exit_offset_m=5,
+        ramp_height_m=4,
+        ramp_slope=3,
+    ),
+    markings=Markings(dash_cycle_m=4, dash_fraction=0.5, width_m=0.12, grayscale=0.9, gloss=0.6),
+    surface=Surface(
+        road_texture=1,
+        road_texture_scale=20,
+        road_gloss=0.1,
+        terrain_texture=1,
+        terrain_texture_scale=10,
+        texture_orientation_rad=0.3,
+    ),
+    cars=(),
+    trees=(),
+    camera=Camera(
+        lane=2,
+        y_m=-50,
+        offset_m=0,
+        height_m=1.6,
+        pitch_rad=0.05,
+        width_px=480,
+        height_px=360,
+        fx_px=415.7,
+        fy_px=415.7,
+        cx_px=240,
+        cy_px=180,
+    ),
+    light=Light(sun_zenith_rad=0.5, sun_azimuth_rad=1, exposure=2),
+)
+
+
+def changed(scene: Scene = FLAT, **parts: dict[str, Any]) -> Scene:
+    """The scene with fields of its parts replaced: `changed(road={"topology": 2})`."""
+    updates = {name: getattr(scene, name).model_copy(update=fields) for name, fields in parts.items()}
+    return Scene.model_validate(scene.model_copy(update=updates).model_dump())
+
+
+def hill(x_m: float, y_m: float, magnitude_m: float, sd_m: float) -> Gaussian:
+    """A round Gaussian."""
+    return Gaussian(center_m=(x_m, y_m), magnitude_m=magnitude_m, sd_m=(sd_m, sd_m), orientation_rad=0)
