@@ -35,7 +35,7 @@ format: .venv/ready  ## let ruff repair what it can
 	$(BIN)/ruff check --fix .
 
 golden: .venv/ready  ## rewrite tests/golden from the code; review the diff
-	$(BIN)/python tests/golden/make.py
+	$(BIN)/python -m tests.golden.make
 
 assets: .venv/ready  ## rebuild cars, trees, textures and skies from their scripts
 	$(BIN)/python blender_assets/make.py

@@ -7,7 +7,7 @@ Everything decoded once; batches are gathered by index on the training device. O
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -28,6 +28,7 @@ N_POINTS = 112
 N_DECODERS = 8
 
 
+@runtime_checkable
 class LabelledImage(Protocol):
     """What a reader yields (`synth3dlanes.dataset.read.Sample`, `baseline_model.foreign`)."""
 
@@ -37,6 +38,14 @@ class LabelledImage(Protocol):
     def image(self) -> UInt8[np.ndarray, "h w 3"]: ...
     @property
     def labels(self) -> Labels: ...
+
+
+@runtime_checkable
+class Samples(Protocol):
+    """Random access to labelled images, counted from 0."""
+
+    def __len__(self) -> int: ...
+    def __getitem__(self, index: int, /) -> LabelledImage: ...
 
 
 class Batch(NamedTuple):
@@ -103,7 +112,7 @@ class _Record(NamedTuple):
 
 
 def load(
-    samples: Sequence[LabelledImage],
+    samples: Samples,
     size_px: tuple[int, int],
     pose_mode: str,
     storage: Literal["auto", "rgb", "yuv420"] = "auto",
@@ -170,9 +179,7 @@ def yuv_from_rgb(rgb: UInt8[Tensor, "3 h w"]) -> tuple[UInt8[Tensor, "1 h w"], U
     return luma.round().clamp(0, 255).byte()[None], half.round().clamp(0, 255).byte()
 
 
-def rgb_from_yuv(
-    luma: Float[Tensor, "b 1 h w"], chroma: Float[Tensor, "b 2 h2 w2"]
-) -> Float[Tensor, "b 3 h w"]:
+def rgb_from_yuv(luma: Float[Tensor, "b 1 h w"], chroma: Float[Tensor, "b 2 h2 w2"]) -> Float[Tensor, "b 3 h w"]:
     """Inverse of `yuv_from_rgb` in 0..1, chroma interpolated."""
     size = (luma.shape[2], luma.shape[3])
     blue, red = (functional.interpolate(chroma, size, mode="bilinear") - 128 / 255).split(1, dim=1)
@@ -195,8 +202,10 @@ def resize(
         return image, intrinsics
     fx, fy, cx, cy = intrinsics
     sx, sy = width / image.shape[1], height / image.shape[0]
-    small = Image.fromarray(image).resize((width, height), Image.Resampling.BOX if sx < 1 else Image.Resampling.BILINEAR)
-    return np.asarray(small), (fx * sx, fy * sy, cx * sx, cy * sy)
+    small = Image.fromarray(image).resize(
+        (width, height), Image.Resampling.BOX if sx < 1 else Image.Resampling.BILINEAR
+    )
+    return np.array(small), (fx * sx, fy * sy, cx * sx, cy * sy)
 
 
 def _record(sample: LabelledImage, size_px: tuple[int, int], pose_mode: str, fov_mask: bool) -> _Record:

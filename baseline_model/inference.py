@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from baseline_model.data import LabelledImage, intrinsics_of, resize
+from baseline_model.data import Samples, intrinsics_of, resize
 from baseline_model.lanes import AnchorLayout, Prediction, decode
 from baseline_model.model import LaneNet, Output
 from baseline_model.poses import Pose
@@ -80,7 +80,7 @@ def predict_images(
     yield from flush()
 
 
-def predict_samples(model: LaneNet, samples: Sequence[LabelledImage], batch: int = 16) -> Iterator[Prediction]:
+def predict_samples(model: LaneNet, samples: Samples, batch: int = 16) -> Iterator[Prediction]:
     """Detect lanes in labelled images; of the labels only the intrinsics are looked at."""
     chosen = (samples[index] for index in range(len(samples)))
     return predict_images(model, ((s.key, np.array(s.image), intrinsics_of(s.labels)) for s in chosen), batch)

@@ -50,9 +50,7 @@ def convolution(
 
 def convolutions(channels_in: int, channels_out: int, n: int, *, batch_norm: bool) -> list[nn.Module]:
     """n 3x3 convolutions in a row, as in VGG."""
-    return [
-        convolution(channels_in if i == 0 else channels_out, channels_out, batch_norm=batch_norm) for i in range(n)
-    ]
+    return [convolution(channels_in if i == 0 else channels_out, channels_out, batch_norm=batch_norm) for i in range(n)]
 
 
 class ResidualPair(nn.Module):

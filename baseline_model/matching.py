@@ -98,7 +98,7 @@ def sample_detections(lanes: list[Detection], road_from_cam: Float[np.ndarray, "
         z_m[i] = np.interp(METRIC_Y_M, y_m, xyz_road[:, 2])
         # A whole road-frame range, tilted by a slightly wrong pose, starts or ends centimetres inside; that is
         # no gap. Lanes reach half a step beyond their ends.
-        present[i] = (METRIC_Y_M >= y_m[0] - 0.4) & (METRIC_Y_M <= y_m[-1] + 0.4)
+        present[i] = (y_m[0] - 0.4 <= METRIC_Y_M) & (y_m[-1] + 0.4 >= METRIC_Y_M)
         off_region[i] = y_m[0] <= Y_REF_M <= y_m[-1] and abs(np.interp(Y_REF_M, y_m, xyz_road[:, 0])) > HALF_WIDTH_M
     return Sampled(x_m, z_m, present, np.array([lane.score for lane in lanes], dtype=float), off_region)
 

@@ -3,7 +3,6 @@
 Every choice that the paper leaves open is in `MetricConfig` and printed with the result.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Literal
 

@@ -82,7 +82,9 @@ class Projection(nn.Module):
     A 1x1 convolution without bias, where the width changes, comes first: being linear it gives the same as after
     the sampling, for less work."""
 
-    def __init__(self, channels_in: int, channels_out: int, grid: Grid, level: int, planes_m: tuple[float, ...]) -> None:
+    def __init__(
+        self, channels_in: int, channels_out: int, grid: Grid, level: int, planes_m: tuple[float, ...]
+    ) -> None:
         super().__init__()
         same = channels_in == channels_out
         self.reduce = nn.Identity() if same else nn.Conv2d(channels_in, channels_out, 1, bias=False)

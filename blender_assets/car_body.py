@@ -48,7 +48,7 @@ def stations(model: CarModel, style: Style) -> tuple[Float[np.ndarray, " n"], Fl
     """Where sections are taken, and the underside height there with the wheel arches cut in."""
     tail, nose = style.plan[-1][0], style.plan[0][0]
     ends = style.end_radius_m * (1 - np.cos(np.linspace(0, np.pi / 2, 5)))
-    y = np.concatenate([tail + ends, np.linspace(tail, nose, 44)[2:-2], nose - ends])
+    y = np.concatenate([tail + ends, np.linspace(tail, nose, 32)[2:-2], nose - ends])
     if style.bed is not None:
         y = np.concatenate([y, [style.bed[0] - 0.004, style.bed[0], style.bed[1], style.bed[1] + 0.004]])
     underside = curve(style.sill, y)
@@ -57,7 +57,7 @@ def stations(model: CarModel, style: Style) -> tuple[Float[np.ndarray, " n"], Fl
         if not tail < axle < nose:
             continue
         outside = np.abs(y - axle) > radius + 0.004
-        angle = np.linspace(0, np.pi, 17)
+        angle = np.linspace(0, np.pi, 15)
         arch_y = axle + np.concatenate([[radius + 0.002], radius * np.cos(angle), [-radius - 0.002]])
         low = curve(style.sill, arch_y[[0, -1]])
         arch_z = np.concatenate([low[:1], model.wheel_radius_m + radius * np.sin(angle), low[1:]])
@@ -102,6 +102,16 @@ FLANK_H = np.array([-0.2, 0.0, 0.22, 0.48, 0.66, 0.84, 1.0])
 FLANK_X = np.array([0.93, 0.955, 0.985, 1.0, 1.0, 0.984, 0.958])
 
 
+def flank(
+    model: CarModel, style: Style, y_m: float, share: Float[np.ndarray, " k"]
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """x and z of points on the flank at `y_m`, at these shares of the way from sill to belt."""
+    at = np.array([y_m])
+    sill, belt = curve(style.sill, at), curve(style.belt, at)
+    half = model.width_m / 2 * curve(style.plan, at)
+    return half * PchipInterpolator(FLANK_H, FLANK_X)(share), sill + share * (belt - sill)
+
+
 def lower_body(shape: Shape, model: CarModel, style: Style) -> None:
     """The body up to bonnet, boot and the foot of the windows."""
     y, underside = stations(model, style)
@@ -111,11 +121,11 @@ def lower_body(shape: Shape, model: CarModel, style: Style) -> None:
     belt, deck = curve(style.belt, y) - 0.5 * shrink, curve(style.deck, y) - 0.5 * shrink
     sill = curve(style.sill, y)
     bottom = underside + 0.5 * shrink
-    flank = PchipInterpolator(FLANK_H, FLANK_X)
+    outline = PchipInterpolator(FLANK_H, FLANK_X)
     levels = np.array([0.0, 0.06, 0.2, 0.35, 0.5, 0.62, 0.75, 0.88, 1.0])
     lowest = np.minimum(bottom + style.dark_sill_m, belt)
     side_z = np.concatenate([bottom[:, None], lowest[:, None] + levels * (belt - lowest)[:, None]], axis=1)
-    side_x = half[:, None] * flank((side_z - sill[:, None]) / (belt - sill)[:, None])
+    side_x = half[:, None] * outline((side_z - sill[:, None]) / (belt - sill)[:, None])
     edge = side_x[:, -1:]
     lift = (deck - belt)[:, None]
     top_x = edge * np.array([0.985, 0.95, 0.88, 0.7, 0.4, 0.0])
@@ -132,7 +142,7 @@ def lower_body(shape: Shape, model: CarModel, style: Style) -> None:
     if style.bed is not None:
         material[inside[:-1] & inside[1:], -4:] = TRIM
     loft(shape, y, x, z, material)
-    cap(shape, x[0], y[0], z[0], -0.02)
+    cap(shape, x[0], y[0], z[0], -0.005)
     cap(shape, x[-1], y[-1], z[-1], 0.03)
 
 
@@ -140,7 +150,7 @@ def cabin(shape: Shape, model: CarModel, style: Style) -> None:
     """Pillars, roof and glass."""
     tail, nose = style.roof[-1][0], style.roof[0][0]
     marks = [v for pair in style.windows + style.screens for v in pair] + [k[0] for k in style.roof]
-    y = np.unique(np.round(np.concatenate([np.linspace(tail, nose, 34), marks]), 4))
+    y = np.unique(np.round(np.concatenate([np.linspace(tail, nose, 24), marks]), 4))
     knots = np.array(sorted(style.roof))
     top = 0.5 * np.interp(y, knots[:, 0], knots[:, 1]) + 0.5 * curve(style.roof, y)
     belt = curve(style.belt, y)

@@ -2,45 +2,45 @@
 
 import numpy as np
 
-from car_body import GLASS, HEAD, PAINT, PLATE, RIM, TAIL, TRIM, TYRE, Style, cabin, lower_body
+from car_body import GLASS, HEAD, PAINT, PLATE, RIM, TAIL, TRIM, TYRE, Style, cabin, flank, lower_body
 from shapes import Shape, lathe_x, rounded_box, tube
 from synth3dlanes.catalogue import CARS, CarModel
 
 STYLES = {
     "hatchback": Style(
-        plan=((1.95, 0.80), (1.75, 0.93), (1.2, 0.99), (0.2, 1.0), (-1.2, 0.99), (-1.75, 0.95), (-1.96, 0.88)),
-        sill=((1.95, 0.26), (1.5, 0.19), (-1.5, 0.19), (-1.96, 0.30)),
-        belt=((1.95, 0.66), (1.5, 0.80), (0.9, 0.90), (-1.0, 0.96), (-1.96, 0.98)),
-        deck=((1.95, 0.74), (1.5, 0.89), (0.85, 1.00), (-1.96, 1.03)),
+        plan=((1.985, 0.80), (1.75, 0.93), (1.2, 0.99), (0.2, 1.0), (-1.2, 0.99), (-1.75, 0.95), (-1.99, 0.88)),
+        sill=((1.985, 0.26), (1.5, 0.19), (-1.5, 0.19), (-1.99, 0.30)),
+        belt=((1.985, 0.66), (1.5, 0.80), (0.9, 0.90), (-1.0, 0.96), (-1.99, 0.98)),
+        deck=((1.985, 0.74), (1.5, 0.89), (0.85, 1.00), (-1.99, 1.03)),
         roof=((1.12, 0.93), (0.95, 1.01), (0.22, 1.40), (-0.3, 1.47), (-1.0, 1.45), (-1.55, 1.39), (-1.72, 1.33), (-1.95, 0.98)),
         windows=((0.72, -0.12), (-0.19, -0.92), (-1.0, -1.45)),
         screens=((0.92, 0.27), (-1.72, -1.90)),
     ),
     "sedan": Style(
-        plan=((2.31, 0.78), (2.1, 0.92), (1.5, 0.99), (0.2, 1.0), (-1.4, 0.99), (-2.05, 0.94), (-2.31, 0.86)),
-        sill=((2.31, 0.26), (1.9, 0.19), (-1.9, 0.19), (-2.31, 0.32)),
-        belt=((2.31, 0.64), (1.9, 0.77), (1.0, 0.88), (-1.2, 0.96), (-2.31, 0.97)),
-        deck=((2.31, 0.71), (1.9, 0.85), (1.0, 0.97), (-1.2, 1.06), (-2.0, 1.07), (-2.31, 1.04)),
+        plan=((2.345, 0.78), (2.1, 0.92), (1.5, 0.99), (0.2, 1.0), (-1.4, 0.99), (-2.05, 0.94), (-2.345, 0.86)),
+        sill=((2.345, 0.26), (1.9, 0.19), (-1.9, 0.19), (-2.345, 0.32)),
+        belt=((2.345, 0.64), (1.9, 0.77), (1.0, 0.88), (-1.2, 0.96), (-2.345, 0.97)),
+        deck=((2.345, 0.71), (1.9, 0.85), (1.0, 0.97), (-1.2, 1.06), (-2.0, 1.07), (-2.345, 1.04)),
         roof=((1.28, 0.90), (1.1, 0.98), (0.3, 1.37), (-0.2, 1.45), (-0.8, 1.43), (-1.1, 1.38), (-1.85, 1.06), (-1.97, 1.00)),
         windows=((0.85, -0.05), (-0.12, -0.98), (-1.05, -1.3)),
         screens=((1.08, 0.36), (-1.12, -1.80)),
         tumblehome_m=0.16,
     ),
     "suv": Style(
-        plan=((2.26, 0.82), (2.05, 0.94), (1.4, 0.99), (0.2, 1.0), (-1.4, 1.0), (-2.0, 0.96), (-2.26, 0.89)),
-        sill=((2.26, 0.34), (1.8, 0.26), (-1.8, 0.26), (-2.26, 0.38)),
-        belt=((2.26, 0.82), (1.9, 0.93), (1.0, 1.03), (-1.2, 1.10), (-2.26, 1.12)),
-        deck=((2.26, 0.90), (1.9, 1.03), (0.95, 1.13), (-2.26, 1.16)),
+        plan=((2.29, 0.82), (2.05, 0.94), (1.4, 0.99), (0.2, 1.0), (-1.4, 1.0), (-2.0, 0.96), (-2.29, 0.89)),
+        sill=((2.29, 0.34), (1.8, 0.26), (-1.8, 0.26), (-2.29, 0.38)),
+        belt=((2.29, 0.82), (1.9, 0.93), (1.0, 1.03), (-1.2, 1.10), (-2.29, 1.12)),
+        deck=((2.29, 0.90), (1.9, 1.03), (0.95, 1.13), (-2.29, 1.16)),
         roof=((1.15, 1.05), (1.0, 1.13), (0.40, 1.58), (-0.2, 1.68), (-1.0, 1.70), (-1.85, 1.65), (-2.0, 1.57), (-2.24, 1.10)),
         windows=((0.82, -0.02), (-0.10, -0.90), (-1.0, -1.75)),
         screens=((0.97, 0.46), (-2.0, -2.17)),
         dark_sill_m=0.14,
     ),
     "pickup": Style(
-        plan=((2.60, 0.84), (2.4, 0.94), (1.7, 0.99), (0.2, 1.0), (-2.2, 1.0), (-2.56, 0.97)),
-        sill=((2.60, 0.42), (2.2, 0.34), (-2.0, 0.36), (-2.56, 0.46)),
-        belt=((2.60, 0.94), (2.2, 1.03), (1.3, 1.08), (-0.6, 1.10), (-2.56, 1.10)),
-        deck=((2.60, 1.02), (2.2, 1.12), (1.3, 1.19), (-0.6, 1.18), (-0.75, 1.12), (-2.56, 1.12)),
+        plan=((2.63, 0.84), (2.4, 0.94), (1.7, 0.99), (0.2, 1.0), (-2.2, 1.0), (-2.56, 0.97)),
+        sill=((2.63, 0.42), (2.2, 0.34), (-2.0, 0.36), (-2.56, 0.46)),
+        belt=((2.63, 0.94), (2.2, 1.03), (1.3, 1.08), (-0.6, 1.10), (-2.56, 1.10)),
+        deck=((2.63, 1.02), (2.2, 1.12), (1.3, 1.19), (-0.6, 1.18), (-0.75, 1.12), (-2.56, 1.12)),
         roof=((1.40, 1.10), (1.25, 1.19), (0.65, 1.66), (0.2, 1.77), (-0.3, 1.80), (-0.66, 1.76), (-0.74, 1.70), (-0.90, 1.10)),
         windows=((1.02, 0.25), (0.17, -0.55)),
         screens=((1.22, 0.72), (-0.75, -0.87)),
@@ -49,10 +49,10 @@ STYLES = {
         end_radius_m=0.06,
     ),
     "van": Style(
-        plan=((2.68, 0.84), (2.45, 0.94), (1.9, 0.99), (0.2, 1.0), (-2.4, 1.0), (-2.70, 0.97)),
-        sill=((2.68, 0.30), (2.3, 0.24), (-2.4, 0.24), (-2.70, 0.34)),
-        belt=((2.68, 0.92), (2.3, 1.08), (1.7, 1.18), (-2.70, 1.20)),
-        deck=((2.68, 1.00), (2.3, 1.17), (1.75, 1.30), (-2.70, 1.30)),
+        plan=((2.71, 0.84), (2.45, 0.94), (1.9, 0.99), (0.2, 1.0), (-2.4, 1.0), (-2.72, 0.97)),
+        sill=((2.71, 0.30), (2.3, 0.24), (-2.4, 0.24), (-2.72, 0.34)),
+        belt=((2.71, 0.92), (2.3, 1.08), (1.7, 1.18), (-2.72, 1.20)),
+        deck=((2.71, 1.00), (2.3, 1.17), (1.75, 1.30), (-2.72, 1.30)),
         roof=((2.02, 1.18), (1.88, 1.28), (1.25, 2.05), (0.9, 2.26), (0.0, 2.35), (-2.5, 2.33), (-2.62, 2.27), (-2.69, 1.20)),
         windows=((1.68, 0.85),),
         screens=((1.84, 1.22),),
@@ -75,10 +75,12 @@ STYLES = {
 }
 
 
-def box(shape: Shape, material: int, x: float, y: float, z: float, size: tuple[float, float, float], r: float) -> None:
+def box(
+    shape: Shape, material: int, x: float, y: float, z: float, size: tuple[float, float, float], r: float, n: int = 2
+) -> None:
     """A rounded box at (x, y, z) and, off the middle, its mirror image."""
     for side in (1, -1) if x else (1,):
-        vertices, faces = rounded_box((side * x, y, z), size, r)
+        vertices, faces = rounded_box((side * x, y, z), size, r, n)
         shape.add(vertices, faces, material)
 
 
@@ -88,11 +90,11 @@ def wheel(shape: Shape, model: CarModel, x: float, y: float, width: float) -> No
     rim = 0.66 * radius
     tread = np.array([(-half, rim), (-half, 0.90 * radius), (-0.8 * half, 0.985 * radius), (-0.6 * half, radius),
                       (0.6 * half, radius), (0.8 * half, 0.985 * radius), (half, 0.90 * radius), (half, rim)])
-    vertices, faces = lathe_x(tread * [out, 1], 28, (x, y, radius))
+    vertices, faces = lathe_x(tread * [out, 1], 24, (x, y, radius))
     shape.add(vertices, faces if out < 0 else faces[:, ::-1], TYRE)
     dish = np.array([(half, rim), (half - 0.012, 0.94 * rim), (half - 0.05, 0.9 * rim), (half - 0.055, 0.0)])
-    vertices, faces = lathe_x(dish * [out, 1], 28, (x, y, radius))
-    shape.add(vertices, faces if out < 0 else faces[:, ::-1], np.repeat([RIM, RIM, TRIM], 28))
+    vertices, faces = lathe_x(dish * [out, 1], 24, (x, y, radius))
+    shape.add(vertices, faces if out < 0 else faces[:, ::-1], np.repeat([RIM, RIM, TRIM], 24))
     hub, hub_faces = rounded_box((x + out * (half - 0.03), y, radius), (0.04, 0.36 * rim, 0.36 * rim), 0.03)
     shape.add(hub, hub_faces, RIM)
     spoke, spoke_faces = rounded_box((0, 0, 0.52 * rim), (0.025, 0.20 * rim, 0.92 * rim), 0.012, 1)
@@ -116,23 +118,26 @@ def wheels(shape: Shape, model: CarModel) -> None:
 
 def arch_lips(shape: Shape, model: CarModel, material: int, thickness_m: float) -> None:
     """A bead around each wheel opening."""
-    angle = np.linspace(-0.25, np.pi + 0.25, 21)
+    angle = np.linspace(-0.25, np.pi + 0.25, 19)
     radius = model.wheel_radius_m + 0.07
     for side in (1, -1):
         for axle in (model.wheelbase_m / 2, -model.wheelbase_m / 2):
             path = np.stack([np.full_like(angle, side * (model.width_m / 2 * 0.985 - thickness_m / 2)),
                              axle + radius * np.cos(angle), model.wheel_radius_m + radius * np.sin(angle)], axis=1)
-            vertices, faces = tube(path, np.full(len(path), thickness_m), 6)
+            vertices, faces = tube(path, np.full(len(path), thickness_m), 4)
             shape.add(vertices, faces, material)
 
 
 def rear(shape: Shape, model: CarModel, z: dict[str, float], lamp: tuple[float, float], wrap_m: float) -> None:
     """Tail lamps, plate, bumper and its dark lower half; `lamp` is its width and height."""
     tail, half = -model.length_m / 2, model.width_m / 2
-    box(shape, TAIL, half * 0.80 - lamp[0] / 2 + 0.04, tail + 0.05 + wrap_m / 2, z["lamp"], (lamp[0], wrap_m, lamp[1]), 0.035)
-    box(shape, PAINT, 0, tail + 0.15, z["bumper"], (2 * half * 0.93, 0.30, 0.22), 0.08)
-    box(shape, TRIM, 0, tail + 0.155, z["bumper"] - 0.13, (2 * half * 0.86, 0.29, 0.16), 0.06)
-    box(shape, PLATE, 0, tail + 0.025 + z["plate_in"], z["plate"], (0.50, 0.03, 0.11), 0.008)
+    lamp_x = half * 0.80 - lamp[0] / 2 + 0.05
+    box(shape, TAIL, lamp_x, tail + 0.008 + wrap_m / 2, z["lamp"], (lamp[0], wrap_m, lamp[1]), 0.05, 3)
+    box(shape, HEAD, lamp_x - 0.18 * lamp[0], tail + 0.029, z["lamp"] - 0.22 * lamp[1],
+        (0.42 * lamp[0], 0.05, 0.24 * lamp[1]), 0.015)
+    box(shape, PAINT, 0, tail + 0.14, z["bumper"], (2 * half * 0.94, 0.28, 0.26), 0.055, 3)
+    box(shape, TRIM, 0, tail + 0.15, z["bumper"] - 0.14, (2 * half * 0.87, 0.28, 0.16), 0.05)
+    box(shape, PLATE, 0, tail + 0.024, z["plate"], (0.50, 0.03, 0.11), 0.008)
     box(shape, TAIL, half * 0.70, tail + 0.02, z["bumper"] - 0.12, (0.16, 0.03, 0.035), 0.01)
 
 
@@ -152,19 +157,35 @@ def mirrors(shape: Shape, model: CarModel, y: float, z: float, size: tuple[float
     box(shape, GLASS, model.width_m / 2 - size[0] / 2, y - size[1] / 2, z, (size[0] * 0.8, 0.012, size[2] * 0.75), 0.005)
 
 
-def body(model: CarModel) -> Shape:
-    """Loft, cabin, wheels and floor: what every model has."""
+def doors(shape: Shape, model: CarModel, seams_m: tuple[float, ...], handles_m: tuple[float, ...]) -> None:
+    """Door gaps as dark lines on the flank, and handles, at the given y."""
+    style = STYLES[model.name]
+    share = np.linspace(0.08, 1.0, 7)
+    for y in seams_m:
+        x, z = flank(model, style, y, share)
+        for side in (1, -1):
+            path = np.stack([side * (x - 0.003), np.full_like(x, y), z], axis=1)
+            vertices, faces = tube(path, np.full(len(path), 0.007), 4)
+            shape.add(vertices, faces, TRIM)
+    for y in handles_m:
+        x, z = flank(model, style, y, np.array([0.84]))
+        box(shape, TRIM, float(x[0]) - 0.004, y, float(z[0]), (0.022, 0.16, 0.026), 0.008, 1)
+
+
+def body(model: CarModel, seams_m: tuple[float, ...] = (), handles_m: tuple[float, ...] = ()) -> Shape:
+    """Loft, cabin, doors, wheels and floor: what every model has."""
     shape = Shape()
     lower_body(shape, model, STYLES[model.name])
     cabin(shape, model, STYLES[model.name])
+    doors(shape, model, seams_m, handles_m)
     wheels(shape, model)
     return shape
 
 
 def hatchback(model: CarModel) -> Shape:
     """A small five-door with upright lamps beside the rear window."""
-    shape = body(model)
-    rear(shape, model, {"lamp": 0.86, "bumper": 0.47, "plate": 0.74, "plate_in": 0.03}, (0.26, 0.24), 0.22)
+    shape = body(model, (0.75, -0.15, -0.8), (-0.02, -0.8))
+    rear(shape, model, {"lamp": 0.86, "bumper": 0.47, "plate": 0.74}, (0.26, 0.24), 0.22)
     front(shape, model, 0.66, 0.44)
     mirrors(shape, model, 0.68, 1.02, (0.17, 0.10, 0.13))
     arch_lips(shape, model, PAINT, 0.012)
@@ -174,20 +195,20 @@ def hatchback(model: CarModel) -> Shape:
 
 def sedan(model: CarModel) -> Shape:
     """A three-box saloon with wide lamps under the boot lid."""
-    shape = body(model)
-    rear(shape, model, {"lamp": 0.86, "bumper": 0.50, "plate": 0.74, "plate_in": 0.03}, (0.42, 0.16), 0.20)
+    shape = body(model, (0.95, -0.08, -0.95), (0.05, -0.85))
+    rear(shape, model, {"lamp": 0.86, "bumper": 0.50, "plate": 0.74}, (0.42, 0.16), 0.20)
     front(shape, model, 0.64, 0.43)
     mirrors(shape, model, 0.80, 1.00, (0.18, 0.10, 0.13))
     arch_lips(shape, model, PAINT, 0.012)
-    box(shape, RIM, 0, -model.length_m / 2 + 0.055, 0.90, (0.62, 0.02, 0.03), 0.008)
-    box(shape, TRIM, 0, -model.length_m / 2 + 0.03, 0.66, (1.5, 0.03, 0.012), 0.004)
+    box(shape, RIM, 0, -model.length_m / 2 + 0.018, 0.90, (0.62, 0.02, 0.03), 0.008)
+    box(shape, TRIM, 0, -model.length_m / 2 + 0.030, 0.66, (1.5, 0.03, 0.012), 0.004)
     return shape
 
 
 def suv(model: CarModel) -> Shape:
     """A tall estate with roof rails and dark cladding."""
-    shape = body(model)
-    rear(shape, model, {"lamp": 1.02, "bumper": 0.58, "plate": 0.86, "plate_in": 0.03}, (0.30, 0.22), 0.22)
+    shape = body(model, (0.85, -0.06, -0.9), (0.06, -0.8))
+    rear(shape, model, {"lamp": 1.02, "bumper": 0.58, "plate": 0.86}, (0.30, 0.22), 0.22)
     front(shape, model, 0.80, 0.53)
     mirrors(shape, model, 0.76, 1.18, (0.19, 0.11, 0.16))
     arch_lips(shape, model, TRIM, 0.028)
@@ -199,7 +220,7 @@ def suv(model: CarModel) -> Shape:
 
 def pickup(model: CarModel) -> Shape:
     """A crew cab with an open bed, tailgate and upright lamps."""
-    shape = body(model)
+    shape = body(model, (1.05, 0.21, -0.58, -0.9), (0.33, -0.42))
     tail = -model.length_m / 2
     box(shape, TAIL, 0.85, tail + 0.135, 0.92, (0.14, 0.16, 0.34), 0.03)
     box(shape, RIM, 0, tail + 0.08, 0.56, (1.78, 0.16, 0.17), 0.05)
@@ -214,12 +235,12 @@ def pickup(model: CarModel) -> Shape:
 
 def van(model: CarModel) -> Shape:
     """A high-roofed panel van: two windowed rear doors, a sliding-door rail."""
-    shape = body(model)
+    shape = body(model, (1.75, 0.75, -0.55), (0.9, 0.6))
     tail = -model.length_m / 2
-    rear(shape, model, {"lamp": 1.08, "bumper": 0.46, "plate": 0.78, "plate_in": 0.03}, (0.15, 0.52), 0.18)
-    box(shape, GLASS, 0.40, tail + 0.062, 1.62, (0.60, 0.07, 0.52), 0.05)
-    box(shape, TRIM, 0, tail + 0.055, 1.32, (0.014, 0.08, 1.45), 0.003)
-    box(shape, TRIM, 0.08, tail + 0.045, 1.06, (0.05, 0.03, 0.14), 0.01)
+    rear(shape, model, {"lamp": 1.08, "bumper": 0.46, "plate": 0.78}, (0.15, 0.52), 0.18)
+    box(shape, GLASS, 0.40, tail + 0.045, 1.62, (0.60, 0.07, 0.52), 0.05)
+    box(shape, TRIM, 0, tail + 0.052, 1.32, (0.014, 0.08, 1.45), 0.003)
+    box(shape, TRIM, 0.08, tail + 0.02, 1.06, (0.05, 0.03, 0.14), 0.01)
     box(shape, TRIM, 0.988, -1.0, 1.16, (0.02, 2.2, 0.025), 0.006)
     front(shape, model, 0.88, 0.50)
     mirrors(shape, model, 1.72, 1.36, (0.20, 0.12, 0.27))
@@ -229,7 +250,7 @@ def van(model: CarModel) -> Shape:
 
 def truck(model: CarModel) -> Shape:
     """A two-axle box truck: cab, cargo box with rear doors, chassis, side and rear guards."""
-    shape = body(model)
+    shape = body(model, (3.5, 2.6), (2.72,))
     tail, half = -model.length_m / 2, model.width_m / 2
     box(shape, PAINT, 0, -1.00, 2.175, (model.width_m, 6.16, 2.25), 0.03)
     box(shape, RIM, half - 0.05, tail + 0.05, 2.175, (0.11, 0.10, 2.26), 0.01)

@@ -15,12 +15,12 @@ from trees import Tree, fit, grow_all
 
 CAR_ID, TREE_ID = 5, 6
 FOLIAGE = {  # linear reflectance at either end of the random range
-    "broadleaf": ((0.055, 0.095, 0.022), (0.105, 0.125, 0.030)),
-    "conifer": ((0.026, 0.055, 0.026), (0.048, 0.078, 0.034)),
-    "poplar": ((0.060, 0.105, 0.026), (0.120, 0.140, 0.040)),
-    "bush": ((0.058, 0.088, 0.028), (0.120, 0.115, 0.042)),
+    "broadleaf": ((0.075, 0.115, 0.028), (0.135, 0.150, 0.042)),
+    "conifer": ((0.040, 0.072, 0.036), (0.068, 0.095, 0.045)),
+    "poplar": ((0.080, 0.125, 0.034), (0.150, 0.165, 0.050)),
+    "bush": ((0.075, 0.105, 0.034), (0.150, 0.140, 0.052)),
     "dead": ((0.1, 0.1, 0.1), (0.1, 0.1, 0.1)),
-    "young": ((0.075, 0.125, 0.028), (0.150, 0.160, 0.045)),
+    "young": ((0.090, 0.140, 0.034), (0.170, 0.180, 0.055)),
 }
 BARKS = {"conifer": (0.085, 0.055, 0.038), "dead": (0.16, 0.145, 0.125), "poplar": (0.15, 0.14, 0.115)}
 
@@ -72,7 +72,10 @@ def leaf(name: str) -> bpy.types.Material:
     shade = graph.node("ShaderNodeAttribute", {}, attribute_name="shade")
     hue = graph.mix_color(*FOLIAGE[name], info.outputs["Random"])
     color = graph.node("ShaderNodeVectorMath", {0: hue, 1: shade.outputs["Vector"]}, operation="MULTIPLY")
-    graph.surface(graph.node("ShaderNodeBsdfDiffuse", {"Color": color.outputs[0]}))
+    geometry = graph.node("ShaderNodeNewGeometry")  # keep the normal out of the crown on a leaf's back, too
+    side = graph.math("MULTIPLY_ADD", geometry.outputs["Backfacing"], -2.0, 1.0)
+    normal = graph.scale(geometry.outputs["Normal"], side)
+    graph.surface(graph.node("ShaderNodeBsdfDiffuse", {"Color": color.outputs[0], "Normal": normal}))
     return material
 
 
@@ -131,5 +134,5 @@ def make_library(path: Path) -> None:
     bpy.ops.wm.read_factory_settings(use_empty=True)
     meshes = cars()
     for model, tree in grow_all():
-        meshes.add(tree_mesh(model.name, tree, fit(tree, model)[0]))
+        meshes.add(tree_mesh(model.name, tree, fit(tree, model)))
     bpy.data.libraries.write(str(path), meshes, fake_user=True, compress=True)

@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 from PIL import Image
+from scipy.ndimage import map_coordinates
 
 from noise import clouds, smoothstep
 
 EARTH_M, TOP_M = 6_360_000.0, 6_460_000.0
 RAYLEIGH = np.array([5.802e-6, 13.558e-6, 33.1e-6])  # 1/m at 680, 550, 440 nm, sea level
-MIE_SCATTER, MIE_EXTINCT = 7.0e-6, 7.8e-6  # a slightly hazy day
+MIE_SCATTER, MIE_EXTINCT = 14.0e-6, 15.5e-6  # a slightly hazy day
 OZONE = np.array([0.650e-6, 1.881e-6, 0.085e-6])
 MIE_G = 0.78
 GROUND_ALBEDO = 0.2
@@ -136,18 +137,21 @@ def make_sky(path: Path) -> None:
 
 
 def make_clouds(folder: Path) -> None:
-    """Write four cloud-cover maps of the upper hemisphere, rows from zenith to horizon, periodic in azimuth."""
+    """Write four cloud-cover maps of the upper hemisphere, rows from zenith to horizon, periodic in azimuth.
+
+    Clouds lie on a plane overhead; four by four samples a pixel keep them smooth where the plane is seen edge-on.
+    """
     folder.mkdir(exist_ok=True)
-    plane = (2048, 2048)
-    kinds = [(0.55, 1.7, 1.6), (0.15, 1.5, 1.55), (-0.35, 1.1, 1.5), (0.1, 2.4, 1.25)]
-    rows, columns = 256, 1024
-    elevation = np.pi / 2 * (1 - (np.arange(rows) + 0.5) / rows)
+    plane, fine = (2048, 2048), 4
+    kinds = [(0.5, 1.6, 1.7), (0.1, 1.4, 1.7), (-0.4, 1.2, 1.6), (0.0, 2.4, 1.35)]  # cover, softness, slope
+    rows, columns = 256 * fine, 1024 * fine
+    elevation = np.pi / 2 * (1 - (np.arange(rows) + 0.5) / rows)[:, None]
     azimuth = 2 * np.pi * (np.arange(columns) + 0.5) / columns
-    reach = 1 / np.tan(np.maximum(elevation, 0.02)[:, None] + 0.06)  # on a flat cloud base of unit height
-    u = (60 * reach * np.cos(azimuth)) % plane[1]
-    v = (60 * reach * np.sin(azimuth)) % plane[0]
+    reach = 190 / np.tan(np.maximum(elevation, 0.02) + 0.07)
+    where = np.stack([reach * np.sin(azimuth), reach * np.cos(azimuth)])
+    fade = smoothstep(0.0, 0.10, elevation)
     for number, (cover, soft, slope) in enumerate(kinds):
-        noise = clouds(np.random.default_rng([3, number]), plane, 12, 700, slope)
-        density = smoothstep(cover, cover + soft, noise)
-        hemisphere = density[v.astype(int), u.astype(int)]
+        noise = clouds(np.random.default_rng([3, number]), plane, 6, 900, slope)
+        density = map_coordinates(smoothstep(cover, cover + soft, noise), where, order=1, mode="grid-wrap") * fade
+        hemisphere = density.reshape(256, fine, 1024, fine).mean(axis=(1, 3))
         Image.fromarray(np.round(255 * hemisphere).astype(np.uint8)).save(folder / f"clouds_{number + 1}.png")

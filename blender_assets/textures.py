@@ -58,7 +58,7 @@ def worn_asphalt(rng: np.random.Generator) -> Surface:
     weak = smoothstep(-0.2, 0.8, clouds(rng, SIZE, 1, 5, 0.5))
     crack = (1 - smoothstep(0.5, 1.6, border)) * weak
     stain = smoothstep(0.9, 2.0, clouds(rng, SIZE, 2, 14, 0.8))
-    gray = 0.118 * np.exp(0.15 * mottle + 0.26 * grain) + 0.10 * stones
+    gray = 0.100 * np.exp(0.11 * mottle + 0.26 * grain) + 0.10 * stones
     gray *= (1 - 0.6 * crack) * (1 - 0.22 * stain)
     return Surface(
         tint(gray, (1.03, 1.0, 0.95)), 0.74 + 0.06 * grain - 0.1 * stain, 0.0016 * grain - 0.004 * crack, 5.0
@@ -70,7 +70,7 @@ def concrete(rng: np.random.Generator) -> Surface:
     brush = clouds(rng, (SIZE[0], 8), 100, 512, 0.0)[:, :1] + 0.6 * clouds(rng, SIZE, 60, 512, 0.0)
     mottle = clouds(rng, SIZE, 2, 120, 1.0)
     pores = smoothstep(2.0, 2.8, clouds(rng, SIZE, 120, 400, 0.0))
-    gray = 0.27 * np.exp(0.10 * mottle + 0.05 * brush) * (1 - 0.45 * pores)
+    gray = 0.235 * np.exp(0.10 * mottle + 0.05 * brush) * (1 - 0.45 * pores)
     return Surface(tint(gray, (1.04, 1.0, 0.92)), 0.70 + 0.05 * mottle, 0.0007 * brush - 0.002 * pores, 5.0)
 
 
@@ -135,7 +135,7 @@ def worn_wear(rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
     """Polished wheel paths, an oil strip, tar-sealed cracks and rectangular patches."""
     h, w = WEAR_SIZE
     x, y = np.meshgrid(np.arange(w), np.arange(h))
-    factor = 1 + 0.09 * clouds(rng, WEAR_SIZE, 1, 60, 0.8)
+    factor = 1 + 0.06 * clouds(rng, WEAR_SIZE, 1, 60, 0.8)
     ragged = 1 + 0.25 * clouds(rng, WEAR_SIZE, 2, 30, 0.8)
     factor += ragged * (0.16 * tracks(WEAR_SIZE, 0.23, 0.10) - 0.16 * tracks(WEAR_SIZE, 0.0, 0.10))
     for _ in range(5):
@@ -145,7 +145,7 @@ def worn_wear(rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
         shade = rng.choice([0.62, 0.72, 0.8, 1.18])
         factor = np.where(edge > 0, shade * (1 + 0.03 * clouds(rng, WEAR_SIZE, 20, 200, 0.3)), factor)
         factor = np.where((edge > 0) & (edge < 2.0), 0.5, factor)
-    wander = 16 * clouds(rng, WEAR_SIZE, 1, 40, 1.3)
+    wander = 7 * clouds(rng, WEAR_SIZE, 2, 200, 1.2)
     for column in (0.49, 0.985, 0.27):
         present = smoothstep(-0.2, 0.3, clouds(rng, (h, 8), 1, 5, 0.5)[:, :1])
         away = np.abs((x - column * w + wander + w / 2) % w - w / 2)

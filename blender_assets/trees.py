@@ -13,6 +13,7 @@ from shapes import Shape, tube
 from synth3dlanes.catalogue import TREES, TreeModel
 
 BARK, LEAF = 0, 1
+ROOT = np.array([0, 0, -0.3])  # trunks go into the ground, so that none floats on a slope
 
 
 @dataclass
@@ -54,24 +55,20 @@ def leaves(
     points: Float[np.ndarray, "n 3"],
     outward: Float[np.ndarray, "n 3"],
     shade: Float[np.ndarray, " n"],
-    length_m: float,
-    width_m: float,
+    size_m: tuple[float, float],
 ) -> None:
-    """Add a folded diamond (two triangles) at each point, facing roughly outward and hanging a little."""
+    """Add a leaf (one triangle, length by width) at each point, facing roughly outward and hanging a little."""
     n = len(points)
-    facing = unit(unit(outward) + 0.75 * rng.standard_normal((n, 3)) + [0, 0, 0.35])
+    facing = unit(unit(outward) + 0.8 * rng.standard_normal((n, 3)) + [0, 0, 0.35])
     along = unit(np.cross(facing, rng.standard_normal((n, 3))) - [0, 0, 0.3])
     across = unit(np.cross(along, facing))
     size = rng.uniform(0.7, 1.3, (n, 1))
-    tip, side = 0.5 * length_m * size * along, 0.5 * width_m * size * across
-    fold = -0.25 * width_m * size * facing
-    corners = np.stack([points - tip, points + side + fold, points + tip, points - side + fold], axis=1)
-    base = 4 * np.arange(n)[:, None]
-    faces = np.concatenate([base + [[0, 1, 2, -1]], base + [[0, 2, 3, -1]]])
-    faces[:, 3] = -1
+    tip, side = 0.5 * size_m[0] * size * along, 0.5 * size_m[1] * size * across
+    corners = np.stack([points - tip - side, points - 0.6 * tip + side, points + tip], axis=1)
+    faces = np.concatenate([np.arange(3 * n).reshape(n, 3), np.full((n, 1), -1)], axis=1)
     tree.shape.add(corners.reshape(-1, 3), faces, LEAF)
-    tree.shades.append(np.repeat(shade * rng.uniform(0.8, 1.2, n), 4))
-    tree.normals.append(np.repeat(unit(0.7 * unit(outward) + 0.5 * facing), 4, axis=0))
+    tree.shades.append(np.repeat(shade * rng.uniform(0.8, 1.25, n), 3))
+    tree.normals.append(np.repeat(unit(unit(outward) + 0.45 * facing), 3, axis=0))
 
 
 def clumps(
@@ -83,7 +80,7 @@ def clumps(
     leaf_m: tuple[float, float],
     crown: Float[np.ndarray, "3"],
 ) -> None:
-    """Scatter `n` leaves over clumps of foliage, most of them near the clumps' skins."""
+    """Scatter `n` leaves of `leaf_m` (length, width) over clumps of foliage, most of them near the clumps' skins."""
     which = rng.choice(len(centers), n, p=radii_m**2 / (radii_m**2).sum())
     direction = unit(rng.standard_normal((n, 3)))
     depth = rng.uniform(0.25, 1, n) ** 0.45
@@ -91,14 +88,14 @@ def clumps(
     points = centers[which] + offset
     out = unit(0.6 * direction + 0.6 * unit(points - crown) + [0, 0, 0.15])
     below = np.clip(0.5 + 0.5 * direction[:, 2], 0, 1)
-    leaves(tree, rng, points, out, 0.45 + 0.25 * depth + 0.35 * below, *leaf_m)
+    leaves(tree, rng, points, out, 0.40 + 0.35 * depth + 0.30 * below, leaf_m)
 
 
 def broadleaf(rng: np.random.Generator, model: TreeModel) -> Tree:
     """A wide lumpy crown on forked limbs."""
     tree, h, r = Tree(), model.height_m, model.crown_radius_m
     top = np.array([0.15, -0.1, 0.72 * h])
-    trunk = limb_path(rng, np.zeros(3), top, 0, 9)
+    trunk = limb_path(rng, ROOT, top, 0, 9)
     branch(tree, trunk, 0.21, 0.06, 9)
     crown = np.array([0, 0, 0.60 * h])
     centers, radii = [np.array([0.1, 0, 0.86 * h])], [0.13 * h]
@@ -113,14 +110,14 @@ def broadleaf(rng: np.random.Generator, model: TreeModel) -> Tree:
             branch(tree, limb_path(rng, center * 0.7 + start * 0.3, center + rng.normal(0, 0.5, 3), 0), 0.03, 0.008, 3)
         centers.append(center)
         radii.append(r * rng.uniform(0.24, 0.36))
-    clumps(tree, rng, np.array(centers), np.array(radii), 4000, (0.34, 0.22), crown)
+    clumps(tree, rng, np.array(centers), np.array(radii), 7900, (0.33, 0.24), crown)
     return tree
 
 
 def conifer(rng: np.random.Generator, model: TreeModel) -> Tree:
     """A spruce: whorls of drooping branches with hanging sprays of needles."""
     tree, h, r = Tree(), model.height_m, model.crown_radius_m
-    branch(tree, np.array([[0, 0, 0], [0, 0, 0.5 * h], [0, 0, 0.985 * h]]), 0.17, 0.012, 7)
+    branch(tree, np.array([ROOT, [0, 0, 0.5 * h], [0, 0, 0.985 * h]]), 0.17, 0.012, 7)
     points, outs, shades = [], [], []
     for k in range(26):
         level = k / 25
@@ -133,21 +130,21 @@ def conifer(rng: np.random.Generator, model: TreeModel) -> Tree:
             end = np.array([0, 0, z - 0.30 * reach]) + reach * out
             path = limb_path(rng, np.array([0, 0, z + 0.05 * reach]), end, 0.05, 4)
             branch(tree, path, 0.028 * (1.2 - level), 0.006, 3)
-            m = int(5 + 16 * reach / r)
+            m = int(8 + 32 * reach / r)
             t = np.linspace(0.18, 1.0, m)[:, None]
             side = np.cross(out, [0, 0, 1.0]) * rng.uniform(-0.32, 0.32, (m, 1)) * reach * (1.1 - 0.8 * t)
             on = np.stack([np.interp(t[:, 0], np.linspace(0, 1, 4), path[:, a]) for a in range(3)], -1) + side
             points.append(on - [0, 0, 0.08])
             outs.append(np.broadcast_to(out + [0, 0, 0.55], on.shape))
             shades.append(0.35 + 0.65 * t[:, 0])
-    leaves(tree, rng, np.concatenate(points), np.concatenate(outs), np.concatenate(shades), 0.50, 0.22)
+    leaves(tree, rng, np.concatenate(points), np.concatenate(outs), np.concatenate(shades), (0.52, 0.15))
     return tree
 
 
 def poplar(rng: np.random.Generator, model: TreeModel) -> Tree:
     """A tall column of steep branches."""
     tree, h, r = Tree(), model.height_m, model.crown_radius_m
-    branch(tree, limb_path(rng, np.zeros(3), np.array([0, 0, 0.95 * h]), 0, 8), 0.2, 0.02, 7)
+    branch(tree, limb_path(rng, ROOT, np.array([0, 0, 0.95 * h]), 0, 8), 0.2, 0.02, 7)
     centers, radii = [], []
     for k in range(40):
         level = k / 39
@@ -158,7 +155,7 @@ def poplar(rng: np.random.Generator, model: TreeModel) -> Tree:
         branch(tree, limb_path(rng, foot, center, 0), 0.035, 0.01, 3)
         centers.append(center)
         radii.append(r * (0.46 - 0.22 * level) * rng.uniform(0.85, 1.15))
-    clumps(tree, rng, np.array(centers), np.array(radii), 4200, (0.30, 0.22), np.array([0, 0, 0.5 * h]))
+    clumps(tree, rng, np.array(centers), np.array(radii), 7900, (0.30, 0.22), np.array([0, 0, 0.5 * h]))
     return tree
 
 
@@ -175,14 +172,14 @@ def bush(rng: np.random.Generator, model: TreeModel) -> Tree:
         radii.append(rng.uniform(0.26, 0.36) * r)
     low = np.array(centers) * [1.12, 1.12, 0.42]
     centers_all = np.concatenate([np.array(centers), low])
-    clumps(tree, rng, centers_all, np.array(radii + radii), 3200, (0.15, 0.10), np.array([0, 0, 0.25 * h]))
+    clumps(tree, rng, centers_all, np.array(radii + radii), 6500, (0.13, 0.09), np.array([0, 0, 0.25 * h]))
     return tree
 
 
 def dead(rng: np.random.Generator, model: TreeModel) -> Tree:
     """A bare tree: limbs, boughs and twigs, no leaf."""
     tree, h, r = Tree(), model.height_m, model.crown_radius_m
-    trunk = limb_path(rng, np.zeros(3), np.array([0.2, 0.1, 0.95 * h]), 0, 10)
+    trunk = limb_path(rng, ROOT, np.array([0.2, 0.1, 0.95 * h]), 0, 10)
     branch(tree, trunk, 0.19, 0.015, 9)
     for k in range(18):
         angle, start = 2.4 * k, trunk[3 + int(6 * k / 18)]
@@ -207,7 +204,7 @@ def dead(rng: np.random.Generator, model: TreeModel) -> Tree:
 def young(rng: np.random.Generator, model: TreeModel) -> Tree:
     """A planted sapling: thin stem, small egg-shaped crown."""
     tree, h, r = Tree(), model.height_m, model.crown_radius_m
-    stem = limb_path(rng, np.zeros(3), np.array([0, 0, 0.9 * h]), 0, 7)
+    stem = limb_path(rng, ROOT, np.array([0, 0, 0.9 * h]), 0, 7)
     branch(tree, stem, 0.045, 0.01, 7)
     centers, radii = [np.array([0, 0, 0.86 * h])], [0.30 * r]
     for k in range(13):
@@ -217,21 +214,21 @@ def young(rng: np.random.Generator, model: TreeModel) -> Tree:
         branch(tree, limb_path(rng, np.array([0, 0, center[2] - 0.35 * r]), center, 0.05), 0.018, 0.005, 4)
         centers.append(center)
         radii.append(rng.uniform(0.27, 0.38) * r)
-    clumps(tree, rng, np.array(centers), np.array(radii), 2000, (0.16, 0.11), np.array([0, 0, 0.62 * h]))
+    clumps(tree, rng, np.array(centers), np.array(radii), 4200, (0.15, 0.11), np.array([0, 0, 0.62 * h]))
     return tree
 
 
 GROW = {"broadleaf": broadleaf, "conifer": conifer, "poplar": poplar, "bush": bush, "dead": dead, "young": young}
 
 
-def fit(tree: Tree, model: TreeModel) -> tuple[Float[np.ndarray, "v 3"], float]:
+def fit(tree: Tree, model: TreeModel) -> Float[np.ndarray, "v 3"]:
     """Vertices scaled so that height and crown radius are the catalogue's."""
     vertices = np.concatenate(tree.shape.vertices)
     reach = np.quantile(np.hypot(vertices[:, 0], vertices[:, 1]), 0.999)
     wide = model.crown_radius_m / reach
     tall = model.height_m / vertices[:, 2].max()
     fitted = vertices * [wide, wide, tall]
-    return np.where(fitted[:, 2:] < 0.0, fitted * [1, 1, 0.2], fitted), tall
+    return fitted
 
 
 def grow_all() -> list[tuple[TreeModel, Tree]]:

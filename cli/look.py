@@ -22,7 +22,7 @@ def inspect(where: str, image: Path | None, out: Path | None, as_json: bool) -> 
 
     from synth3dlanes.figures.describe import describe
     from synth3dlanes.figures.inspect import draw_inspect, summary
-    from synth3dlanes.single import load_any
+    from synth3dlanes.look_up import load_any
 
     found = load_any(where, image)
     path = out or Path(f"{found.name}.inspect.png")
@@ -44,7 +44,7 @@ def inspect(where: str, image: Path | None, out: Path | None, as_json: bool) -> 
 def gallery(folder: str, out: Path, n: int, columns: int, shuffle: int | None, lanes: bool) -> None:
     """Many samples of a data set (DIR) or of one split (DIR/train) on one sheet."""
     from synth3dlanes.figures.gallery import draw_gallery
-    from synth3dlanes.single import some_samples
+    from synth3dlanes.look_up import some_samples
 
     samples = some_samples(folder, n, shuffle)
     labels = [sample.labels for sample in samples] if lanes else None

@@ -11,6 +11,7 @@ from click.exceptions import NoArgsIsHelpError
 from synth3dlanes import __version__
 from synth3dlanes.errors import FormatError, ParamsError
 
+from .export import export
 from .generate import generate
 from .look import gallery, inspect
 from .params import params
@@ -54,5 +55,5 @@ def main() -> None:
     """Synthetic 3D-lane images with exact ground truth."""
 
 
-for command in (generate, sample, render, inspect, gallery, params):
+for command in (generate, sample, render, inspect, gallery, params, export):
     main.add_command(command)

@@ -1,12 +1,9 @@
 """Options that several commands share."""
 
-import importlib.util
-import sys
 from typing import Any
 
 import click
 
-from synth3dlanes.errors import ParamsError
 from synth3dlanes.settings import DEVICES, PASSES, QUALITY_SAMPLES
 
 
@@ -45,10 +42,3 @@ passes_option = click.option(
     "--passes", type=Names(PASSES), default="", metavar="NAMES", help=f"Of {','.join(PASSES)}: extra images in an EXR."
 )
 device_option = click.option("--device", type=click.Choice(DEVICES), default="auto", help="What Cycles renders on.")
-
-
-def require_blender() -> None:
-    """Say which Python can render where this one cannot."""
-    if importlib.util.find_spec("bpy") is None:
-        python = ".".join(map(str, sys.version_info[:2]))
-        raise ParamsError(f"rendering needs Blender's module bpy 4.5, which exists for Python 3.11 (this is {python})")

@@ -8,7 +8,6 @@ from .options import (
     device_option,
     params_option,
     passes_option,
-    require_blender,
     samples_option,
     seed_option,
     set_option,
@@ -51,9 +50,11 @@ def render(
     --set light.exposure=3 changes one factor of it, --set cars=[] removes the cars; the changed scene is then
     written to NAME.scene.json.
     """
+    from synth3dlanes.generate import require_blender
+
     require_blender()
     from synth3dlanes.settings import RenderSettings
-    from synth3dlanes.single import render_file
+    from synth3dlanes.render_file import render_file
 
     for path in render_file(scene_path, out, changes, RenderSettings(samples, passes, device)):
         click.echo(path)

@@ -111,7 +111,7 @@ def _road(name: str) -> bpy.types.Material:
     color = graph.vector("MULTIPLY", graph.scale(fine, 2.0), wear)
     gloss = graph.value("gloss")
     roughness = graph.math("MULTIPLY_ADD", gloss, -1.5, _image(graph, f"{name}_roughness.jpg", uv, is_color=False))
-    amount = graph.math("MULTIPLY_ADD", gloss, 2.5, 0.2)
+    amount = graph.math("MULTIPLY_ADD", gloss, 1.2, 0.15)
     coated(graph, color, roughness, amount, normal=_bumpy_normal(graph, name, uv, 0.6))
     return material
 
@@ -121,8 +121,8 @@ def _shoulder() -> bpy.types.Material:
     material, graph = new_material("shoulder", SHOULDER_ID)
     uv = _tile_uv(graph)
     macro_uv = graph.scale(_metres(graph), 1 / 17.0)
-    color = graph.vector("MULTIPLY", _image(graph, "shoulder_albedo.jpg", uv, is_color=True),
-                         graph.scale(_image(graph, "terrain_macro.jpg", macro_uv, is_color=False), 2.0))
+    macro = graph.math("MULTIPLY", _image(graph, "terrain_macro.jpg", macro_uv, is_color=False), 2.0)
+    color = graph.scale(_image(graph, "shoulder_albedo.jpg", uv, is_color=True), macro)
     normal = _bumpy_normal(graph, "shoulder", uv, 0.6)
     graph.surface(graph.node("ShaderNodeBsdfDiffuse", {"Color": color, "Normal": normal}))
     return material

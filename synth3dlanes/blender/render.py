@@ -43,8 +43,8 @@ def render(scene: Scene, labels: Labels, settings: RenderSettings) -> Rendering:
     clock = [time.perf_counter()]
     placed = build(studio(), scene)
     clock.append(time.perf_counter())
-    _configure(scene, settings)
-    layers = _run_cycles()
+    configure(settings, scene.light.exposure)
+    layers = run_cycles()
     clock.append(time.perf_counter())
     image = tonemap(layers["Combined"][..., :3])
     passes = {name: _pass(name, layers) for name in settings.passes}
@@ -67,7 +67,8 @@ def with_object_visibility(labels: Labels, placed: list[Placed]) -> Labels:
     return replace(labels, lanes=tuple(lanes))
 
 
-def _configure(scene: Scene, settings: RenderSettings) -> None:
+def configure(settings: RenderSettings, exposure: float) -> None:
+    """Cycles' settings, chosen for cost: see docs/decisions.md."""
     blender = bpy.context.scene
     blender.render.engine = "CYCLES"
     blender.render.threads_mode = "FIXED"
@@ -91,14 +92,14 @@ def _configure(scene: Scene, settings: RenderSettings) -> None:
     options.pixel_filter_type, options.filter_width = "BOX", 1.0
     options.use_light_tree = False
     options.use_auto_tile = False
-    options.film_exposure = scene.light.exposure
+    options.film_exposure = exposure
     layer = blender.view_layers[0]
     layer.use_pass_z = "depth" in settings.passes
     layer.use_pass_object_index = "instance" in settings.passes
     layer.use_pass_material_index = "semantic" in settings.passes
 
 
-def _run_cycles() -> dict[str, np.ndarray]:
+def run_cycles() -> dict[str, np.ndarray]:
     """Render and read every pass in memory: `Render Result` has no pixels without a window, and files are slow."""
     layers: dict[str, np.ndarray] = {}
     original = cycles.CyclesRender.render

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 FILM_SPEED = 1.1
-CONTRAST = 0.35
+CONTRAST = 0.25
 
 
 def response(linear: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:

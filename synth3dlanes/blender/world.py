@@ -21,7 +21,7 @@ SUN_ANGLE_RAD = 0.0093  # the sun's diameter
 SKY_SHAPE = (512, 1024)
 HORIZON = SKY_SHAPE[0] // 2
 N_CLOUD_MAPS = 4
-BELOW_HORIZON = 0.6  # of the horizon's radiance
+BELOW_HORIZON = 0.9  # of the horizon's radiance
 CLOUD_ALBEDO = 0.75
 
 
@@ -92,7 +92,7 @@ def sky_image(light: Light, cover: Float[np.ndarray, "h w"]) -> Float[np.ndarray
     clear = clear_sky(light, np.maximum(elevation[HORIZON:], 0), from_sun)
     ambient = clear.mean(axis=(0, 1))
     sunlit = CLOUD_ALBEDO * (sun_color(light) * (0.3 + 0.7 * np.cos(light.sun_zenith_rad))) / np.pi
-    cloud = sunlit * (0.95 - 0.45 * cover[::-1, :, None]) + ambient
+    cloud = sunlit * (1.25 - 0.5 * cover[::-1, :, None]) + ambient
     upper = clear + cover[::-1, :, None] * (cloud - clear)
     lower = np.broadcast_to(BELOW_HORIZON * clear[:1].mean(axis=1, keepdims=True), upper.shape)
     return np.concatenate([lower, upper]).astype(np.float32)

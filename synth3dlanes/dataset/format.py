@@ -4,9 +4,11 @@ Pure bytes: nothing here opens a file. Equal samples give equal bytes.
 """
 
 import io
+import json
 import tarfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -136,3 +138,15 @@ def tar_end(size: int) -> bytes:
 def member_name(header: bytes) -> str:
     """The file name in a tar header, for checking that an index points where it should."""
     return header[:100].rstrip(b"\0").decode("utf-8", "replace")
+
+
+def parse_description(data: bytes, where: str) -> dict[str, Any]:
+    """The contents of `dataset.json`; raise FormatError where they are not of this format and version."""
+    try:
+        document = json.loads(data)
+    except ValueError as error:
+        raise FormatError(f"{where}: expected JSON, got {error}") from None
+    found = (document.get("format"), document.get("version")) if isinstance(document, dict) else type(document).__name__
+    if found != (DATASET_FORMAT, DATASET_VERSION):
+        raise FormatError(f"{where}: expected {DATASET_FORMAT} version {DATASET_VERSION}, got {found}")
+    return dict(document)

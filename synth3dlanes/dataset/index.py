@@ -23,7 +23,9 @@ PARTS: dict[str, type[BaseModel]] = {
     "light": Light,
 }
 ARROW_TYPES = {int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
-PLACE_COLUMNS = [f"{column}_{what}" for column in dict.fromkeys(COLUMN_OF_MEMBER.values()) for what in ("offset", "size")]
+PLACE_COLUMNS = [
+    f"{column}_{what}" for column in dict.fromkeys(COLUMN_OF_MEMBER.values()) for what in ("offset", "size")
+]
 
 
 def _arrow_type(annotation: Any) -> pa.DataType:

@@ -22,9 +22,11 @@ import pyarrow.parquet as pq
 
 from synth3dlanes import labels as labels_module
 from synth3dlanes import scene as scene_module
-from synth3dlanes.dataset.format import LABELS, SCENE, key_of, tar_bytes, tar_end
+from synth3dlanes.dataset.format import BLOCK, COLUMN_OF_MEMBER, LABELS, SCENE, key_of, tar_bytes, tar_end
 from synth3dlanes.dataset.index import index_row, table
 from synth3dlanes.errors import FormatError
+
+REMEDY = "remove this shard's tar and parquet and run again to make it anew"
 
 
 @dataclass(frozen=True)
@@ -69,11 +71,7 @@ class Shard:
 
     def joined(self) -> set[int]:
         """The indices of the samples in the tar."""
-        if not self.path("parquet").exists():
-            return set(self._places_in_tar())
-        rows = self._rows()
-        self._check_tar(rows)
-        return set(rows["index"].to_pylist())
+        return self._joined_by_index() if self.path("parquet").exists() else set(self._places_in_tar())
 
     def needs_join(self, n: int) -> bool:
         """Whether there are samples below `n` outside the tar, or a tar without its index."""
@@ -99,10 +97,12 @@ class Shard:
                 stream.write(data)
                 rows.append(row)
             stream.write(tar_end(stream.tell()))
-            _sync(stream.fileno())
+            stream.flush()
+            os.fsync(stream.fileno())
         with index.open("wb") as stream:
             pq.write_table(table(rows), stream)
-            _sync(stream.fileno())
+            stream.flush()
+            os.fsync(stream.fileno())
         if rows:
             # Without its index there is no shard, so nobody meets a tar and an index that do not fit.
             self.path("parquet").unlink(missing_ok=True)
@@ -125,9 +125,105 @@ class Shard:
         if not any(parts.iterdir()):
             parts.rmdir()
 
-    def _rows(self) -> pa.Table:
-        path = self.path("parquet")
+    def missing(self, n: int) -> list[int]:
+        """The indices below `n` of samples that are nowhere yet."""
+        found = self.joined() | self.parts().keys()
+        return [index for index in self.indices(n) if index not in found]
+
+    def _joined_by_index(self) -> set[int]:
+        path, last = self.path("parquet"), COLUMN_OF_MEMBER[self.names[-1]]
         try:
-            return pq.read_table(path, columns=["index", f"{self._last_member}_offset", f"{self._last_member}_size"])
-        except (pa.ArrowException, OSError, KeyError) as error:
-            raise FormatError(f"{path}: expected the index of a shard, got {error}") from None
+            rows = pq.read_table(path, columns=["index", f"{last}_offset", f"{last}_size"])
+        except (pa.ArrowException, OSError) as error:
+            raise FormatError(f"{path}: expected the index of a shard, got {error}; {REMEDY}") from None
+        if rows.num_columns != 3 or any(column.null_count for column in rows.columns):
+            raise FormatError(f"{path}: expected a place for {self.names[-1]} of every sample, got none; {REMEDY}")
+        end = max((sum(place) for place in zip(*(rows[i].to_pylist() for i in (1, 2)), strict=True)), default=0)
+        tar = self.path("tar")
+        size = tar.stat().st_size if tar.exists() else 0
+        if size < end:
+            raise FormatError(f"{tar}: expected at least {end} bytes, got {size}; {REMEDY}")
+        return set(rows["index"].to_pylist())
+
+    def _places_in_tar(self) -> dict[int, Place]:
+        tar = self.path("tar")
+        places, problem = scan(tar, self.names) if tar.exists() else ({}, "")
+        if problem and self.path("parquet").exists():
+            raise FormatError(f"{problem}; {REMEDY}")
+        return places
+
+    def _place_of_part(self, index: int, path: Path) -> Place:
+        places, problem = scan(path, self.names)
+        if problem or list(places) != [index]:
+            raise FormatError(problem or f"{path}: expected sample {index}, got {list(places)}")
+        return places[index]
+
+    def _read(self, index: int, place: Place, offset: int) -> tuple[bytes, dict[str, Any]]:
+        """A sample's bytes and its row of the index, once they stand at `offset`."""
+        with place.path.open("rb") as stream:
+            stream.seek(place.offset)
+            data = stream.read(place.end - place.offset)
+        scene, labels = (_member(data, place, name) for name in (SCENE, LABELS))
+        where = f"{place.path}: {key_of(index)}"
+        moved = {name: (start - place.offset + offset, size) for name, (start, size) in place.members.items()}
+        return data, index_row(
+            key_of(index),
+            moved,
+            scene_module.from_json(scene, f"{where}.{SCENE}"),
+            labels_module.from_json(labels, f"{where}.{LABELS}"),
+        )
+
+
+def scan(path: Path, names: tuple[str, ...]) -> tuple[dict[int, Place], str]:
+    """The whole samples of a tar up to the first fault, by index, and what that fault is ("" for none)."""
+    places: dict[int, Place] = {}
+    try:
+        with tarfile.open(path, "r:") as tar:
+            for members in _groups(tar, len(names)):
+                key, found = members[0].name.partition(".")[0], tuple(m.name.partition(".")[2] for m in members)
+                if found != names or not key.isdecimal() or {m.name.partition(".")[0] for m in members} != {key}:
+                    return places, f"{path}: expected members {names} of one sample, got {[m.name for m in members]}"
+                last = members[-1]
+                end = last.offset_data + last.size + -last.size % BLOCK
+                where = {name: (m.offset_data, m.size) for name, m in zip(names, members, strict=True)}
+                places[int(key)] = Place(path, members[0].offset, end, where)
+    except (tarfile.TarError, OSError) as error:
+        return places, f"{path}: expected a whole tar, got {error}"
+    return places, ""
+
+
+def _groups(tar: tarfile.TarFile, size: int) -> Iterator[list[tarfile.TarInfo]]:
+    group: list[tarfile.TarInfo] = []
+    for member in tar:
+        group.append(member)
+        if len(group) == size:
+            yield group
+            group = []
+    if group:
+        yield group
+
+
+def _member(data: bytes, place: Place, name: str) -> bytes:
+    start, size = place.members[name]
+    return data[start - place.offset : start - place.offset + size]
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file that appears whole or not at all, whatever is killed and whoever else writes it."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with temporary.open("wb") as stream:
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -151,7 +151,8 @@ def _is_evaluated(points_apollo: Float[np.ndarray, "n 3"]) -> bool:
     # The evaluator counts a line that it cannot match, so at least two of its own samples must be on the line,
     # and the loaders want two of the line's points in the same band.
     x_m, y_m, _ = points_apollo.T
-    sampled_y_m = EVALUATED_Y_M[(EVALUATED_Y_M >= y_m[0]) & (EVALUATED_Y_M <= y_m[-1])]
+    start_m, end_m = y_m[0], y_m[-1]
+    sampled_y_m = EVALUATED_Y_M[(start_m <= EVALUATED_Y_M) & (end_m >= EVALUATED_Y_M)]
     in_band = np.abs(np.interp(sampled_y_m, y_m, x_m)) <= HALF_WIDTH_M
     return bool(np.count_nonzero(in_band) >= 2 and np.count_nonzero(np.abs(x_m) < HALF_WIDTH_M) >= 2)
 

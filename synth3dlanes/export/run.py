@@ -22,6 +22,7 @@ import numpy as np
 
 from synth3dlanes import scene as scene_format
 from synth3dlanes.dataset.read import Reader
+from synth3dlanes.dataset.write import write_whole
 from synth3dlanes.errors import ParamsError
 from synth3dlanes.export import apollo, once, openlane, tusimple
 from synth3dlanes.export.lines import Annotation, Frame, View, scene_tags
@@ -51,7 +52,8 @@ FORMATS: dict[str, Format] = {"apollo": apollo, "openlane": openlane, "once": on
 
 @dataclass(frozen=True)
 class Chunk:
-    """Frames `start` to `stop` of one split. `every_fifth_tests`: the dataset has no split of its own for tests."""
+    """Frames `start` to `stop` of one split. `every_fifth_tests`: the dataset has no split of its own for tests.
+    `part` names the done mark after the frames, so that a chunk that has got others is a new one."""
 
     source: str
     split: str
@@ -59,11 +61,7 @@ class Chunk:
     every_fifth_tests: bool
     start: int
     stop: int
-
-    @property
-    def part(self) -> str:
-        """The name of the chunk's done mark; a chunk that grew gets another one."""
-        return f"{self.split_number}-{self.start:08d}-{self.stop:08d}.jsonl"
+    part: str
 
 
 @dataclass(frozen=True)
@@ -106,12 +104,14 @@ def _plan(source: str) -> list[Chunk]:
     if not splits:
         raise ParamsError(f"{source}: expected a dataset with finished shards (split/00000.parquet), found none")
     source = source.rstrip("/")
-    return [
-        Chunk(source, split, number, len(splits) == 1, start, min(start + FRAMES_PER_CHUNK, n_frames))
-        for number, split in enumerate(splits)
-        for n_frames in [len(_reader(f"{source}/{split}"))]
-        for start in range(0, n_frames, FRAMES_PER_CHUNK)
-    ]
+    chunks = []
+    for number, split in enumerate(splits):
+        reader = _reader(f"{source}/{split}")
+        for start in range(0, len(reader), FRAMES_PER_CHUNK):
+            stop = min(start + FRAMES_PER_CHUNK, len(reader))
+            part = f"{number}-{reader.key(start)}-{reader.key(stop - 1)}-{stop - start}.jsonl"
+            chunks.append(Chunk(source, split, number, len(splits) == 1, start, stop, part))
+    return chunks
 
 
 def _claim(out: Path, options: dict[str, Any]) -> None:
@@ -124,7 +124,7 @@ def _claim(out: Path, options: dict[str, Any]) -> None:
     elif out.exists() and any(out.iterdir()):
         raise ParamsError(f"{out}: expected an empty folder or an unfinished export, got a folder with other files")
     (out / ".parts").mkdir(parents=True, exist_ok=True)
-    _write_atomically(mark, json.dumps(options))
+    write_whole(mark, json.dumps(options).encode())
 
 
 def _run(chunks: Sequence[Chunk], out: Path, format_name: str, workers: int) -> Iterator[int]:
@@ -147,10 +147,9 @@ def _reader(url: str) -> Reader:
 
 def _export_chunk(chunk: Chunk, out: Path, format_name: str) -> int:
     reader = _reader(f"{chunk.source}/{chunk.split}")
-    records = [
-        _export_frame(reader, index, chunk, out, FORMATS[format_name]) for index in range(chunk.start, chunk.stop)
-    ]
-    _write_atomically(out / ".parts" / chunk.part, "\n".join(map(json.dumps, records)))
+    foreign, indices = FORMATS[format_name], range(chunk.start, chunk.stop)
+    records = [_export_frame(reader, index, chunk, out, foreign) for index in indices]
+    write_whole(out / ".parts" / chunk.part, "\n".join(map(json.dumps, records)).encode())
     return len(records)
 
 
@@ -161,8 +160,8 @@ def _export_frame(reader: Reader, index: int, chunk: Chunk, out: Path, foreign: 
     frame = Frame(
         split=chunk.split,
         key=sample.key,
-        number=chunk.split_number * FRAMES_PER_SPLIT + index,
-        is_train=index % 5 != 4 if chunk.every_fifth_tests else chunk.split == "train",
+        number=chunk.split_number * FRAMES_PER_SPLIT + int(sample.key),
+        is_train=int(sample.key) % 5 != 4 if chunk.every_fifth_tests else chunk.split == "train",
         tags=scene_tags(sample.labels, foreign.VIEW),
         illumination=int(np.digitize(scene.light.exposure, EXPOSURE_STEPS)),
     )
@@ -242,9 +241,3 @@ def _readme(source: str, format_name: str, summary: Summary) -> str:
         "",
     ]
     return "\n".join(lines)
-
-
-def _write_atomically(path: Path, text: str) -> None:
-    temporary = path.with_name(f"{path.name}.tmp")
-    temporary.write_text(text)
-    os.replace(temporary, path)

@@ -120,7 +120,8 @@ def _sampled(line: Line3d) -> _Sampled:
     assert len(line.points_ground) >= 2, "the evaluators cannot resample a line of one point"
     x_m, y_m, z_m = line.points_ground[np.argsort(line.points_ground[:, 1], kind="stable")].T
     sample_x_m = np.interp(SAMPLES_Y_M, y_m, x_m)
-    seen = (SAMPLES_Y_M >= y_m[0]) & (SAMPLES_Y_M <= y_m[-1]) & (np.abs(sample_x_m) <= HALF_WIDTH_M)
+    start_m, end_m = y_m[0], y_m[-1]
+    seen = (start_m <= SAMPLES_Y_M) & (end_m >= SAMPLES_Y_M) & (np.abs(sample_x_m) <= HALF_WIDTH_M)
     return _Sampled(sample_x_m, np.interp(SAMPLES_Y_M, y_m, z_m), seen, line.category)
 
 

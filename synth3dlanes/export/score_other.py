@@ -1,4 +1,4 @@
-"""Scores as the ONCE-3DLanes (3D, frame `_cv`) and tuSimple (2D rows) benchmarks define them, from their description."""
+"""Scores as the ONCE-3DLanes (3D, frame `_cv`) and tuSimple (2D rows) benchmarks define them, as described."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -44,7 +44,7 @@ def annotate(labels: Labels, frame: Frame) -> Annotation | None:
     rows = [(line, rows_of(line)) for line in lines_ahead(labels, VIEW, "delimiter")]
     crossing = [line for line, u_px in rows if np.count_nonzero(u_px != ABSENT) >= 2]
     if len(crossing) < len(rows):
-        dropped["crosses fewer than two rows of the image"] += len(rows) - len(crossing)
+        dropped["its visible part crosses fewer than two rows of the image"] += len(rows) - len(crossing)
     kept = keep_lines(crossing, dropped, MAX_LINES, f"beyond the {MAX_LINES} nearest (the score exceeds 1 with more)")
     if not kept:
         return None
@@ -72,8 +72,9 @@ def rows_of(line: Line) -> Int[np.ndarray, " r"]:
     if n < 2:
         return absent
     columns_px = np.rint(np.interp(ROWS_PX, v_px[:n][::-1], u_px[:n][::-1])).astype(int)
-    crossed = (ROWS_PX >= v_px[n - 1]) & (ROWS_PX <= v_px[0]) & (columns_px >= 0) & (columns_px < VIEW.width_px)
-    return np.where(crossed, columns_px, absent)
+    top_px, bottom_px = v_px[n - 1], v_px[0]
+    inside = (columns_px >= 0) & (columns_px < VIEW.width_px)
+    return np.where(inside & (top_px <= ROWS_PX) & (bottom_px >= ROWS_PX), columns_px, absent)
 
 
 def read(line: str, where: str) -> TusimpleFrame:

@@ -15,9 +15,17 @@ from PIL import Image
 
 from synth3dlanes.export import apollo, once, openlane, tusimple
 from synth3dlanes.export.lines import View
-from synth3dlanes.export.score_3d import HALF_WIDTH_M, NEAR, Frames, Line3d, prune, samples_seen
-from synth3dlanes.export.score_3d import score_apollo, score_openlane
-from synth3dlanes.export.score_other import score_once, score_tusimple
+from synth3dlanes.export.score_3d import (
+    HALF_WIDTH_M,
+    NEAR,
+    Frames,
+    Line3d,
+    prune,
+    samples_seen,
+    score_apollo,
+    score_openlane,
+)
+from synth3dlanes.export.score_other import ROW_SHARE, score_once, score_tusimple
 
 SHIFT_M = 2.0
 TOLERANCE_M = 1e-3
@@ -48,16 +56,14 @@ def _apollo(out: Path, most_frames: int) -> Iterator[Verified]:
             frames = [apollo.read(line, name) for line in islice(file, most_frames)]
         problems = _image_problems([out / apollo.ROOT / frame.raw_file for frame in frames], apollo.VIEW)
         for kind in ("lane", "center"):
-            true = [
-                [
-                    Line3d(points, visible)
-                    for points, visible in zip(
-                        getattr(frame, f"{kind}_lines_apollo"), getattr(frame, f"{kind}_lines_visible"), strict=True
-                    )
-                ]
-                for frame in frames
-            ]
+            true = [_apollo_lines(frame, is_center=kind == "center") for frame in frames]
             yield _verified_3d(f"{name} {kind} lines", true, problems, is_openlane=False)
+
+
+def _apollo_lines(frame: apollo.ApolloFrame, is_center: bool) -> list[Line3d]:
+    lines = (frame.lane_lines_apollo, frame.lane_lines_visible)
+    centers = (frame.center_lines_apollo, frame.center_lines_visible)
+    return [Line3d(points, visible) for points, visible in zip(*(centers if is_center else lines), strict=True)]
 
 
 def _openlane(out: Path, most_frames: int) -> Iterator[Verified]:
@@ -74,18 +80,16 @@ def _openlane(out: Path, most_frames: int) -> Iterator[Verified]:
             for image, frame in zip(images, frames, strict=True)
             if frame.file_path != image
         ]
-        true = [
-            [
-                Line3d(
-                    openlane.ground_from_waymo(line.xyz_waymo, frame.vehicle_from_cam_waymo),
-                    line.visible,
-                    line.category,
-                )
-                for line in frame.lines
-            ]
-            for frame in frames
-        ]
+        true = [_openlane_lines(frame) for frame in frames]
         yield _verified_3d(str(path.relative_to(out)), true, problems, is_openlane=True)
+
+
+def _openlane_lines(frame: openlane.OpenLaneFrame) -> list[Line3d]:
+    vehicle_from_cam = frame.vehicle_from_cam_waymo
+    return [
+        Line3d(openlane.ground_from_waymo(line.xyz_waymo, vehicle_from_cam), line.visible, line.category)
+        for line in frame.lines
+    ]
 
 
 def _verified_3d(name: str, true: list[list[Line3d]], problems: list[str], is_openlane: bool) -> Verified:
@@ -148,10 +152,13 @@ def _tusimple(out: Path, most_frames: int) -> Iterator[Verified]:
         with path.open() as file:
             frames = [tusimple.read(line, path.name) for line in islice(file, most_frames)]
         true = [frame.lanes_u_px for frame in frames]
+        # Rows where both are absent count as right, so a line on fewer than 15 % of the rows cannot be missed.
+        least = (1 - ROW_SHARE) * len(tusimple.ROWS_PX)
         alone = [
             (lane[None], _moved_rows(lane[None], sidecars[frame.raw_file]))
             for frame in frames
             for lane in frame.lanes_u_px
+            if np.count_nonzero(lane >= 0) > least
         ]
         rows_px = tusimple.ROWS_PX.astype(float)
         perfect = score_tusimple([(lanes, lanes.copy()) for lanes in true], rows_px)
@@ -161,7 +168,7 @@ def _tusimple(out: Path, most_frames: int) -> Iterator[Verified]:
             problems.append(f"{path.name}: expected ground truth to score 1, 0, 0, got {perfect}")
         if shifted.false_negative < 0.95:
             problems.append(f"{path.name}: expected lines moved {SHIFT_M} m aside to be missed, got {shifted}")
-        yield Verified(path.name, len(frames), len(alone), asdict(perfect), asdict(shifted), tuple(problems))
+        yield Verified(path.name, len(frames), sum(map(len, true)), asdict(perfect), asdict(shifted), tuple(problems))
 
 
 def _moved_rows(lanes_u_px: np.ndarray, sidecar: dict[str, float]) -> np.ndarray:

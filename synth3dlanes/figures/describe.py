@@ -95,11 +95,8 @@ def _road(scene: Scene, labels: Labels) -> Facts:
         facts["exit"] = (
             f"leaves at {math.degrees(road.exit_angle_rad):.1f}°, {road.exit_offset_m:.1f} m of bend over 60 m"
         )
-        facts["ramp"] = (
-            "unused: the roads never part inside the scene"
-            if start_m is None
-            else f"{road.ramp_height_m:.1f} m high over {road.ramp_height_m * road.ramp_slope:.1f} m from y = {start_m:.0f} m"
-        )
+        size = f"{road.ramp_height_m:.1f} m high over {road.ramp_height_m * road.ramp_slope:.1f} m"
+        facts["ramp"] = "unused: the roads part too late" if start_m is None else f"{size} from y = {start_m:.0f} m"
     return facts
 
 
@@ -117,7 +114,7 @@ def _shape(scene: Scene, labels: Labels) -> Facts:
     }
 
 
-def _extreme(values: list[Float[np.ndarray, "?n"]]) -> float:
+def _extreme(values: list[Float[np.ndarray, " _"]]) -> float:
     """The value that is farthest from 0; 0 where there is none."""
     return float(max(np.concatenate(values), key=abs, default=0.0))
 

@@ -16,7 +16,8 @@ def draw_gallery(
     images: Sequence[UInt8[np.ndarray, "h w 3"]], labels: Sequence[Labels] | None, columns: int
 ) -> Image.Image:
     """A contact sheet, row by row from the top left, every cell the size of the first image; lanes drawn if given."""
-    assert images and columns > 0
+    assert images
+    assert columns > 0
     height_px, width_px = images[0].shape[:2]
     columns = min(columns, len(images))
     rows = -(-len(images) // columns)

@@ -4,7 +4,6 @@ import numpy as np
 from jaxtyping import UInt8
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from mpl_toolkits.mplot3d import Axes3D
 from rich.console import Group, RenderableType
 from rich.table import Table
 
@@ -38,7 +37,6 @@ def draw_inspect(scene: Scene, labels: Labels, image: UInt8[np.ndarray, "h w 3"]
     grid = figure.add_gridspec(3, 2, height_ratios=(9.5, 8.5, 4), width_ratios=(1, 1))
     views.draw_image(figure.add_subplot(grid[0, 0]), labels, image)
     space = figure.add_subplot(grid[0, 1], projection="3d", computed_zorder=False)
-    assert isinstance(space, Axes3D)
     views.draw_3d(space, view)
     views.draw_top(figure.add_subplot(grid[1, :]), view)
     views.draw_side(figure.add_subplot(grid[2, :]), view)

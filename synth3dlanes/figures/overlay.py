@@ -40,7 +40,7 @@ def draw_overlay(image: UInt8[np.ndarray, "h w 3"], labels: Labels) -> UInt8[np.
 def stretches_img(camera: CameraLabel, lane: Lane) -> Iterator[tuple[bool, Float[np.ndarray, "n 2"]]]:
     """The lane in the image as polylines (is_seen, points), cut where it goes out of sight or comes into it.
 
-    A line that crosses the border of the image is drawn across it, as seen: its mask there says "outside", not "hidden".
+    A line that crosses the border of the image is drawn across it: its mask there says "outside", not "hidden".
     """
     in_front = lane.xyz_cam[:, 1] > NEAR_M
     in_image = lane.in_image & in_front
@@ -63,18 +63,18 @@ def _draw_lane(
     draw: ImageDraw.ImageDraw, camera: CameraLabel, lane: Lane, scale: Float[np.ndarray, "2"], thickness_px: float
 ) -> None:
     for is_seen, points_img in stretches_img(camera, lane):
-        # Pillow's coordinates name pixel centres; ours name pixel corners.
-        points = points_img * scale * _SUPERSAMPLING - 0.5
-        width = thickness_px * _SUPERSAMPLING
+        # Pillow draws through whole pixels; an odd width lies evenly about them.
+        points = np.floor(points_img * scale * _SUPERSAMPLING)
+        width = 2 * round(thickness_px * _SUPERSAMPLING / 2) + 1
         if is_seen:
-            draw.line([tuple(point) for point in points.tolist()], fill=255, width=round(width), joint="curve")
+            draw.line([tuple(point) for point in points.tolist()], fill=255, width=width, joint="curve")
             continue
         for u, v in _dots(points, 4 * width):
             radius = width / 2
             draw.ellipse((u - radius, v - radius, u + radius, v + radius), fill=round(255 * _HIDDEN_OPACITY))
 
 
-def _dots(points: Float[np.ndarray, "n 2"], spacing: float) -> list[tuple[float, float]]:
+def _dots(points: Float[np.ndarray, "n 2"], spacing: int) -> list[tuple[float, float]]:
     """Points evenly spaced along a polyline, its start among them."""
     travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     at = np.arange(0.0, travelled[-1], spacing)

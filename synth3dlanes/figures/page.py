@@ -32,7 +32,7 @@ _MASKS = {"seen": "#17a34a", "hidden by the ground": "#f59e0b", "hidden by objec
 def scene_page(scene: Scene, labels: Labels, image: Picture | None) -> str:
     """One scene: the image with lanes and masks to switch on and off, the scene in space, and all its parameters."""
     title = f"seed {scene.seed}, {scene.split} {scene.index}: {topology_words(scene.road)}"
-    picture = f'<div><div class="bar">{_switches(labels)}</div>{_svg(labels, image)}</div>'
+    picture = f'<div><div class="bar">{_switches([labels])}</div>{_svg(labels, image)}</div>'
     space = '<div><div class="bar" id="space-bar"></div><canvas id="space"></canvas></div>'
     groups = "".join(
         f"<section><h2>{escape(group)}</h2>{_table((), facts.items())}</section>"
@@ -56,7 +56,7 @@ def report_page(
         f"<figure>{_svg(sample, image)}<figcaption>{escape(name)}</figcaption></figure>"
         for name, image, sample in samples
     )
-    switches = _switch(".lane", "lanes", colors.INK, is_on=True)
+    switches = _switches(sample for _, _, sample in samples)
     plots = io.BytesIO()
     draw_statistics(scenes, labels).savefig(plots, format="png", dpi=75)
     measured = _table(
@@ -88,7 +88,8 @@ def _page(title: str, body: str) -> str:
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
-        f'<meta name="viewport" content="width=device-width"><link rel="icon" href="data:,"><style>{style}</style></head>'
+        '<meta name="viewport" content="width=device-width"><link rel="icon" href="data:,">'
+        f"<style>{style}</style></head>"
         f"<body><h1>{escape(title)}</h1>{body}<script>{script}</script></body></html>\n"
     )
 
@@ -100,8 +101,7 @@ def _svg(labels: Labels, image: Picture | None) -> str:
     below = "" if image is None else f'<image width="{width}" height="{height}" href="{_jpeg(image)}"></image>'
     lanes = "".join(_polylines(labels, lane) for lane in labels.lanes)
     masks = "".join(
-        f'<g class="mask {name.replace(" ", "-")}" fill="{color}">{_dots(labels, name)}</g>'
-        for name, color in _MASKS.items()
+        f'<g class="mask {_class(name)}" fill="{color}">{_dots(labels, name)}</g>' for name, color in _MASKS.items()
     )
     return f'<svg viewBox="0 0 {size}">{below}{lanes}{masks}</svg>'
 
@@ -131,20 +131,21 @@ def _dots(labels: Labels, mask: str) -> str:
     return "".join(dots)
 
 
-def _switches(labels: Labels) -> str:
-    """Check boxes for the image: lanes by kind, hidden stretches, and one for each mask (off at first)."""
+def _switches(labels: Iterable[Labels]) -> str:
+    """Check boxes for the images: lanes by kind, hidden stretches, and one for each mask (off at first)."""
+    masks = dict(_MASKS)
+    if any(lane.object_visible is None for one in labels for lane in one.lanes):
+        del masks["hidden by objects"]
     lanes = [
         _switch(f".lane.{kind}", name, colors.hexadecimal(colors.KINDS[kind]), is_on=True)
         for name, kind in _LAYERS.items()
     ]
-    masks = dict(_MASKS)
-    if any(lane.object_visible is None for lane in labels.lanes):
-        del masks["hidden by objects"]
-    dots = [
-        _switch(f".mask.{name.replace(' ', '-')}", f"points {name}", color, is_on=False)
-        for name, color in masks.items()
-    ]
+    dots = [_switch(f".mask.{_class(name)}", f"points {name}", color, is_on=False) for name, color in masks.items()]
     return "".join([*lanes, _switch(".lane .hidden", "hidden parts", colors.INK, is_on=True), *dots])
+
+
+def _class(mask: str) -> str:
+    return mask.replace(" ", "-")
 
 
 def _switch(shows: str, name: str, color: str, is_on: bool) -> str:
@@ -160,12 +161,12 @@ def _jpeg(image: Picture) -> str:
 
 def _space(view: SceneView) -> str:
     camera = view.labels.camera
-    eye = [0.0, 0.0, camera.height_m]
-    forward = camera.road_from_cam[:3, 1]
+    eye = camera.road_from_cam[:3, 3]
     fov_rad = 2 * math.atan(camera.height_px / 2 / -camera.img_from_cam[1, 2])
+    ahead = eye + 30 * camera.road_from_cam[:3, 1]
     views = {
         "behind": {"target": [0, 35, 0], "azimuth_rad": 0.5, "elevation_rad": 0.45, "distance_m": 75},
-        "driver": {"target": (eye + 30 * forward).tolist(), "azimuth_rad": 0, "elevation_rad": camera.pitch_rad, "distance_m": 30},
+        "driver": {"target": ahead.tolist(), "azimuth_rad": 0, "elevation_rad": camera.pitch_rad, "distance_m": 30},
         "above": {"target": [0, 50, 0], "azimuth_rad": 0, "elevation_rad": math.pi / 2, "distance_m": 150},
     }  # fmt: skip
     return json.dumps({"fov_rad": fov_rad, "views": views, "groups": [group.document() for group in triangles(view)]})

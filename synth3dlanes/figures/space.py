@@ -1,4 +1,4 @@
-"""A scene as coloured triangles for the 3D view of a page. Road frame at the host; the very meshes that are rendered."""
+"""A scene as coloured triangles for the 3D view of a page: the very meshes that are rendered. Road frame."""
 
 import base64
 from dataclasses import dataclass
@@ -10,13 +10,13 @@ from jaxtyping import Float, Int
 from synth3dlanes.figures import colors
 from synth3dlanes.figures.colors import Rgb
 from synth3dlanes.figures.world import AHEAD_M, BEHIND_M, SceneView, TreeOutline
-from synth3dlanes.geometry.meshes import Mesh, paint_meshes, road_meshes, terrain_mesh, verge_meshes
+from synth3dlanes.geometry.meshes import PAINT_LIFT_M, Mesh, paint_meshes, road_meshes, terrain_mesh, verge_meshes
 from synth3dlanes.geometry.transforms import transform
 from synth3dlanes.labels import Kind
 
 _HALF_WIDTH_M = 70.0
-_LANE_HALF_WIDTH_M = 0.09
-_LANE_LIFT_M = 0.12
+_LANE_HALF_WIDTH_M = 0.06
+_LANE_OVER_PAINT_M = 0.006
 _FRUSTUM_M = 3.0
 
 _GRASS, _VERGE, _ASPHALT, _PAINT = (122, 150, 96), (138, 152, 108), (112, 116, 122), (240, 240, 235)
@@ -84,7 +84,8 @@ def _lanes(view: SceneView, kind: Kind) -> list[Triangles]:
     for lane in view.labels.lanes:
         if lane.kind != kind:
             continue
-        points_road = transform(view.labels.camera.road_from_cam, lane.xyz_cam) + [0.0, 0.0, _LANE_LIFT_M]
+        points_road = transform(view.labels.camera.road_from_cam, lane.xyz_cam)
+        points_road[:, 2] += np.interp(points_road[:, 1], *zip(*PAINT_LIFT_M, strict=True)) + _LANE_OVER_PAINT_M
         along = np.gradient(points_road, axis=0)
         right = np.stack([along[:, 1], -along[:, 0], np.zeros(len(along))], -1)
         right *= _LANE_HALF_WIDTH_M / np.linalg.norm(right, axis=1, keepdims=True)
@@ -102,7 +103,7 @@ def _lanes(view: SceneView, kind: Kind) -> list[Triangles]:
 
 
 def _prism(corners_road: Float[np.ndarray, "4 3"], height_m: float, color: Rgb) -> Triangles:
-    vertices = np.concatenate([corners_road, corners_road + [0.0, 0.0, height_m]])
+    vertices = np.concatenate([corners_road, corners_road + np.array([0.0, 0.0, height_m])])
     sides = [[i, j, j + 4, i + 4] for i, j in pairwise([0, 1, 2, 3, 0])]
     return _quads(vertices, np.array([[4, 5, 6, 7], *sides]), color)
 

@@ -166,12 +166,12 @@ def _key(group: str, field: str) -> str:
     return f"{group}.{field.replace('_rad', '_deg')}"
 
 
-def _declared_unit(field: str, value: float) -> float:
+def _declared_unit(field: str, value: float | int) -> float:
     return math.degrees(value) if field.endswith("_rad") else float(value)
 
 
 def _parameter(key: str, distribution: Distribution, values: Values) -> ParameterStatistics:
-    low, high = (float(limit) for limit in _limits(distribution))
+    low, high = _limits(distribution)
     if not values.size:
         return ParameterStatistics(key, form(distribution), low, high, 0, 0.0, 0.0, 0.0, 0, "none drawn", None, None)
     outside = int(((values < low - _ROUNDING) | (values > high + _ROUNDING)).sum())
@@ -186,8 +186,8 @@ def _parameter(key: str, distribution: Distribution, values: Values) -> Paramete
 
 def _limits(distribution: Distribution) -> tuple[float, float]:
     if isinstance(distribution, Choice):
-        return min(distribution.values), max(distribution.values)
-    return distribution.low, distribution.high
+        return float(min(distribution.values)), float(max(distribution.values))
+    return float(distribution.low), float(distribution.high)
 
 
 def _agreement(distribution: Distribution, values: Values) -> tuple[str, float | None, float | None]:
@@ -205,8 +205,8 @@ def _agreement(distribution: Distribution, values: Values) -> tuple[str, float |
     is_each = np.abs(values[:, None] - allowed) <= _ROUNDING
     if len(allowed) == 1 or not is_each.any(axis=1).all():
         return "equal", float((~is_each.any(axis=1)).sum()), float(is_each.any(axis=1).all())
-    result = stats.chisquare(is_each.sum(axis=0), len(values) * weights / weights.sum())
-    return "chi2", float(result.statistic), float(result.pvalue)
+    counts = stats.chisquare(is_each.sum(axis=0), len(values) * weights / weights.sum())
+    return "chi2", float(counts.statistic), float(counts.pvalue)
 
 
 def _measure(labels: Labels) -> dict[str, Values]:
@@ -218,18 +218,18 @@ def _measure(labels: Labels) -> dict[str, Values]:
     measured = {
         "grade [%]": 100 * np.concatenate([grades(lane, labels) for lane in centerlines]),
         "curvature [1/km]": 1000 * np.concatenate([bends(lane, labels) for lane in centerlines]),
-        "centre lines in an image": np.array([sum(lane.in_image.any() for lane in centerlines)], dtype=float),
-        "farthest seen point of a centre line [m]": np.array(reach_m, dtype=float),
+        "centre lines an image": np.array([sum(lane.in_image.any() for lane in centerlines)], dtype=float),
+        "seen to [m]": np.array(reach_m, dtype=float),
     }
     if in_image.any():
-        measured["share of points in the image over the ground"] = np.array([over_ground.mean()])
+        measured["points over the ground [%]"] = np.array([100 * over_ground.mean()])
         if all(lane.object_visible is not None for lane in labels.lanes):
-            measured["share of points in the image past ground and objects"] = np.array([visible.mean()])
+            measured["points seen in the end [%]"] = np.array([100 * visible.mean()])
     return measured
 
 
 def _summary(name: str, values: Values) -> Summary:
     if not values.size:
         return Summary(name, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    points = np.percentile(values, [0, 5, 50, 95, 100]).tolist()
-    return Summary(name, values.size, *points, float(values.mean()))
+    low, p05, median, p95, high = np.percentile(values, [0, 5, 50, 95, 100]).tolist()
+    return Summary(name, values.size, low, p05, median, p95, high, float(values.mean()))

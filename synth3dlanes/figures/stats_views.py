@@ -51,9 +51,10 @@ def draw_statistics(scenes: SceneStatistics, labels: LabelStatistics | None) -> 
     rows = math.ceil((len(measured) + len(varying)) / _COLUMNS)
     figure = Figure(figsize=(2.6 * _COLUMNS, 1.75 * rows + 0.6), layout="constrained")
     grid = figure.subplots(rows, _COLUMNS, squeeze=False).ravel()
+    blue = colors.hexadecimal(colors.KINDS["centerline"])
     for axes, (name, values) in zip(grid, measured.items(), strict=False):
         low, high = np.percentile(values, [0.5, 99.5])
-        _histogram(axes, name, values, np.linspace(low, max(high, low + 1e-6), 41), colors.hexadecimal(colors.KINDS["centerline"]))  # fmt: skip
+        _histogram(axes, name, values, np.linspace(low, max(high, low + 1e-6), 41), blue)
     for axes, row in zip(grid[len(measured) :], varying, strict=False):
         good = colors.TREE if is_fine(row) else colors.hexadecimal(colors.KINDS["delimiter"])
         _histogram(axes, row.key, scenes.drawn[row.key], _edges(row), good)

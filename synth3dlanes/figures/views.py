@@ -6,8 +6,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Polygon
-from mpl_toolkits.mplot3d import Axes3D
-from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from mpl_toolkits.mplot3d import Axes3D, art3d  # type: ignore[import-untyped]
 
 from synth3dlanes.figures import colors
 from synth3dlanes.figures.overlay import stretches_img
@@ -72,8 +71,9 @@ def draw_side(axes: Axes, view: SceneView) -> None:
         axes.axvline(foot[1], color=colors.FAINT, linestyle="--", linewidth=1)
         words = "ramp of the exit ends" if view.scene.road.flip_lateral else "ramp of the exit begins"
         side, gap = ("left", 4) if foot[1] < AHEAD_M / 2 else ("right", -4)
-        place = {"xycoords": ("data", "axes fraction"), "xytext": (gap, 0), "textcoords": "offset points"}
-        axes.annotate(words, (foot[1], 0.05), ha=side, va="bottom", **place)
+        axes.annotate(
+            words, (foot[1], 0.05), (gap, 0), ("data", "axes fraction"), "offset points", ha=side, va="bottom"
+        )
     height_m = view.labels.camera.height_m
     axes.plot(0, height_m, "o", color=colors.FRUSTUM, markeredgecolor=colors.INK, zorder=6)
     axes.axhline(0, color=colors.FAINT, linewidth=0.8, zorder=0)
@@ -87,11 +87,12 @@ def draw_side(axes: Axes, view: SceneView) -> None:
 def draw_3d(axes: Axes3D, view: SceneView) -> None:
     """Terrain, roads, lanes, cars and the camera in space; heights are stretched so that hills show."""
     grid = view.ground_grid(_HALF_WIDTH_3D_M, 4.0)
-    axes.plot_surface(*np.moveaxis(grid, -1, 0), color=colors.GROUND, alpha=0.55, linewidth=0.2, edgecolor="#8fa883", zorder=0)  # fmt: skip
+    look = {"color": colors.GROUND, "edgecolor": "#8fa883", "linewidth": 0.2, "alpha": 0.55}
+    axes.plot_surface(*np.moveaxis(grid, -1, 0), **look, zorder=0)
     for left, right in view.roads.values():
         keep = (np.abs(left[:, 0]) < _HALF_WIDTH_3D_M) & (np.abs(right[:, 0]) < _HALF_WIDTH_3D_M)
         quads = np.stack([left[:-1], left[1:], right[1:], right[:-1]], 1)[keep[1:] & keep[:-1]]
-        axes.add_collection3d(Poly3DCollection(quads, facecolor=colors.ROAD, edgecolor="none", zorder=1))
+        axes.add_collection3d(art3d.Poly3DCollection(quads, facecolor=colors.ROAD, edgecolor="none", zorder=1))
     for lane in view.labels.lanes:
         points_road = transform(view.labels.camera.road_from_cam, lane.xyz_cam)
         points_road = np.where(np.abs(points_road[:, :1]) < _HALF_WIDTH_3D_M, points_road, np.nan)
@@ -100,7 +101,7 @@ def draw_3d(axes: Axes3D, view: SceneView) -> None:
         if _in_space(car.corners_road[0]):
             sides, face = _box(car.corners_road, car.height_m), colors.hexadecimal(car.color)
             axes.add_collection3d(
-                Poly3DCollection(sides, facecolor=face, edgecolor=colors.INK, linewidth=0.4, zorder=5)
+                art3d.Poly3DCollection(sides, facecolor=face, edgecolor=colors.INK, linewidth=0.4, zorder=5)
             )
     for x, y, z, height_m in ((*tree.foot_road, tree.height_m) for tree in view.trees if _in_space(tree.foot_road)):
         axes.plot([x, x], [y, y], [z, z + height_m], color=colors.TREE, linewidth=1, alpha=0.5, zorder=2)
@@ -148,6 +149,6 @@ def _in_space(point_road: Float[np.ndarray, "3"]) -> bool:
 
 
 def _box(corners: Float[np.ndarray, "4 3"], height_m: float) -> list[Float[np.ndarray, "4 3"]]:
-    top = corners + [0.0, 0.0, height_m]
+    top = corners + np.array([0.0, 0.0, height_m])
     around = [np.stack([corners[i], corners[i - 1], top[i - 1], top[i]]) for i in range(4)]
     return [*around, top]

@@ -56,7 +56,7 @@ class SceneView:
 
     @cached_property
     def road_from_world(self) -> Matrix4:
-        return self.labels.camera.road_from_cam @ invert(self.labels.camera.world_from_cam)
+        return np.asarray(self.labels.camera.road_from_cam @ invert(self.labels.camera.world_from_cam))
 
     @cached_property
     def _stations(self) -> Float[np.ndarray, " n"]:
@@ -93,7 +93,7 @@ class SceneView:
         if start_s_m is None:
             return None
         foot_world = self.plan.lift(self.plan.exit_xy(np.array([start_s_m]) * self.plan.flips[1], 0.0))
-        return transform(self.road_from_world, foot_world)[0]
+        return np.asarray(transform(self.road_from_world, foot_world)[0])
 
     def ground_grid(self, half_width_m: float, step_m: float) -> Float[np.ndarray, "rows columns 3"]:
         """The ground as built on a grid over the window: rows go forward, columns to the right."""

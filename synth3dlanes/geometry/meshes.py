@@ -22,7 +22,7 @@ PAINT_AHEAD_M = 250.0
 LANE_COLUMNS = 4
 ROAD, SHOULDER = 0, 1
 # Paint floats over the road by more than the road's faces can rise between their rows, which are longer far away.
-PAINT_LIFT_M = ((0.0, 0.004), (40.0, 0.004), (80.0, 0.015), (160.0, 0.05), (250.0, 0.15))
+PAINT_LIFT_M = ((0.0, 0.003), (40.0, 0.004), (80.0, 0.012), (160.0, 0.05), (250.0, 0.15))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,79 @@
+"""Score a checkpoint, or anybody's predictions, against the labels of a split."""
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from baseline_model import checkpoint as checkpoints
+from baseline_model.data import Samples
+from baseline_model.flat_ground import through_flat_ground
+from baseline_model.inference import choose_device, predict_samples
+from baseline_model.lanes import Prediction, read_predictions
+from baseline_model.metrics import Evaluation, MetricConfig, Report
+from baseline_model.sources import open_split
+from synth3dlanes.errors import FormatError
+from synth3dlanes.labels import Labels
+
+LabelsAt = Callable[[int], Labels]
+
+
+def evaluate_checkpoint(
+    checkpoint: str | Path, data_dir: str | Path, config: MetricConfig | None = None, device: str = "auto"
+) -> Report:
+    """Run the checkpoint's network over a split (`DIR/test`) and score it."""
+    model = checkpoints.build(checkpoints.load(Path(checkpoint)), choose_device(device))
+    samples = open_split(data_dir)
+    return score(predict_samples(model, samples), samples, config)
+
+
+def evaluate_predictions(file: str | Path, data_dir: str | Path, config: MetricConfig | None = None) -> Report:
+    """Score predictions in JSON lines (spec, section 6). Images without a line count as images without detections;
+    a key that the split does not have, or that comes twice, is an error."""
+    samples = open_split(data_dir)
+    places = {_key(samples, i): i for i in range(len(samples))}
+    evaluation = Evaluation(config or MetricConfig())
+    done: set[str] = set()
+    for prediction in read_predictions(Path(file)):
+        if prediction.key not in places:
+            raise FormatError(f"{file}: expected keys of {data_dir}, got {prediction.key!r}")
+        if prediction.key in done:
+            raise FormatError(f"{file}: expected each key once, got {prediction.key!r} again")
+        done.add(prediction.key)
+        evaluation.add(labels_at(samples, places[prediction.key]), prediction)
+    for key, place in places.items():
+        if key not in done:
+            evaluation.add(labels_at(samples, place), Prediction(key, (), None))
+    return evaluation.report()
+
+
+def evaluate_flat_ground(
+    checkpoint: str | Path, data_dir: str | Path, config: MetricConfig | None = None, device: str = "auto"
+) -> dict[str, Report]:
+    """The paper's `flat ground` row: the network's lanes seen in the image and put back onto a plane known from the
+    labels, either the tangent plane or the `horizon` plane. The paper prints the better one."""
+    model = checkpoints.build(checkpoints.load(Path(checkpoint)), choose_device(device))
+    samples = open_split(data_dir)
+    found = list(predict_samples(model, samples))
+    reports = {}
+    for plane in ("plane", "horizon"):
+        flat = (through_flat_ground(p, labels_at(samples, i), plane) for i, p in enumerate(found))
+        reports[f"flat_ground:{plane}"] = score(flat, samples, config)
+    return reports
+
+
+def score(predictions: Iterable[Prediction], samples: Samples, config: MetricConfig | None = None) -> Report:
+    """Score predictions that come in the order of the samples."""
+    evaluation = Evaluation(config or MetricConfig())
+    for index, prediction in enumerate(predictions):
+        evaluation.add(labels_at(samples, index), prediction)
+    return evaluation.report()
+
+
+def labels_at(samples: Samples, index: int) -> Labels:
+    """Labels alone where the source can give them without the image."""
+    alone: LabelsAt | None = getattr(samples, "labels", None)
+    return samples[index].labels if alone is None else alone(index)
+
+
+def _key(samples: Samples, index: int) -> str:
+    alone: Callable[[int], str] | None = getattr(samples, "key", None)
+    return samples[index].key if alone is None else alone(index)

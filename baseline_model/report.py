@@ -1,0 +1,162 @@
+"""A report as JSON, as text and as plots."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from baseline_model.curves import METRIC_Y_M
+from baseline_model.metrics import Errors, KindReport, Report
+
+PAPER_DELIMITERS = (0.971, 12.9, 33.0, 30.0, 106.0)
+PAPER_TABLE_1: dict[str, tuple[float, float, float, float, float]] = {
+    "full": (0.952, 13.3, 34.4, 33.1, 122.0),
+    "image_view": (0.819, 20.3, 50.0, 74.7, 241.0),
+    "top_view": (0.929, 17.5, 39.6, 49.5, 208.0),
+    "early_ipm": (0.934, 13.7, 35.5, 43.5, 189.0),
+    "late_ipm": (0.948, 14.5, 37.2, 37.4, 139.0),
+    "horizon": (0.949, 14.8, 40.4, 36.7, 132.0),
+    "fixed_position": (0.948, 13.6, 37.3, 35.4, 139.0),
+    "flat_ground": (0.566, 46.9, 114.0, 99.0, 289.0),
+}
+"""AP, near 1 and 2 sigma, far 1 and 2 sigma in cm, centre lines of synthetic-3D-lanes."""
+
+
+def to_document(report: Report) -> dict[str, Any]:
+    """Plain values; NaN becomes null. The keys of spec section 6 come first."""
+    document: dict[str, Any] = {name: _kind_document(kind) for name, kind in report.kinds.items()}
+    document["pose"] = {
+        "pitch_median_deg": _plain(report.pitch_median_deg),
+        "height_median_cm": _plain(report.height_median_cm),
+    }
+    document["settings"] = {
+        "n_images": report.n_images,
+        "weights": report.config.weights,
+        "threshold": report.config.threshold,
+        "frame": report.config.frame,
+        "match_m": 1.5,
+    }
+    return document
+
+
+def summary_line(report: Report) -> str:
+    """One line for a log."""
+    parts = []
+    for name, kind in report.kinds.items():
+        errors = kind.at_threshold
+        near, far = _cm(errors.near_1sigma_cm), _cm(errors.far_1sigma_cm)
+        parts.append(f"{name} AP {kind.ap:.3f} near {near} far {far} cm")
+    pose = f"pose {report.pitch_median_deg:.2f} deg {report.height_median_cm:.1f} cm"
+    return "; ".join([*parts, pose])
+
+
+def to_text(report: Report) -> str:
+    """The report for people, with every choice that the paper leaves open."""
+    config = report.config
+    lines = [
+        f"{report.n_images} images; errors in cm, at confidence >= {config.threshold}; frame {config.frame}; "
+        f"weights {config.weights}; match below 1.5 m",
+        f"{'':14}{'AP':>7}{'95 % interval':>17}{'near 1s':>9}{'near 2s':>9}{'far 1s':>9}{'far 2s':>9}"
+        f"{'recall':>8}{'precision':>10}",
+    ]
+    papers = {"centerline": PAPER_TABLE_1["full"], "delimiter": PAPER_DELIMITERS}
+    for name, kind in report.kinds.items():
+        low, high = kind.ap_interval
+        errors = kind.at_threshold
+        cells = "".join(f"{_cm(value):>9}" for value in _four(errors))
+        lines.append(
+            f"{name:14}{kind.ap:7.3f}{f'{low:.3f}..{high:.3f}':>17}{cells}{errors.recall:8.3f}{errors.precision:10.3f}"
+        )
+        ap, *paper = papers[name]
+        lines.append(f"{'  paper':14}{ap:7.3f}{'':>17}" + "".join(f"{_cm(value):>9}" for value in paper))
+    lines.append(
+        f"pose: median {report.pitch_median_deg:.3f} deg, {report.height_median_cm:.2f} cm (paper: 0.09 deg, 2.4 cm)"
+    )
+    for name, kind in report.kinds.items():
+        lines += _appendix(name, kind)
+    return "\n".join(lines)
+
+
+def table_1(rows: dict[str, Report]) -> str:
+    """The paper's Table 1 (centre lines) beside ours; `paper / ours` in each cell."""
+    names = ("AP", "near 1s", "near 2s", "far 1s", "far 2s")
+    lines = [f"{'paper / ours':16}" + "".join(f"{name:>18}" for name in names)]
+    for name, report in rows.items():
+        kind = report.kinds["centerline"]
+        ours = [f"{kind.ap:.3f}", *(_cm(value) for value in _four(kind.at_threshold))]
+        paper = PAPER_TABLE_1.get(name.split(":")[0])
+        theirs = ["-"] * 5 if paper is None else [f"{paper[0]:.3f}", *(_cm(value) for value in paper[1:])]
+        lines.append(f"{name:16}" + "".join(f"{a + ' / ' + b:>18}" for a, b in zip(theirs, ours, strict=True)))
+    return "\n".join(lines)
+
+
+def save_plots(report: Report, path: Path) -> None:
+    """Precision against recall, and error against distance."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10, 4), layout="constrained")
+    FigureCanvasAgg(figure)
+    left, right = figure.subplots(1, 2)
+    for (name, kind), colour in zip(report.kinds.items(), ("tab:blue", "tab:orange"), strict=True):
+        left.plot(kind.recalls, kind.precisions, color=colour, label=f"{name}, AP {kind.ap:.3f}")
+        one, two = kind.error_by_y_cm
+        right.plot(METRIC_Y_M, one, color=colour, label=f"{name}, 1 sigma")
+        right.plot(METRIC_Y_M, two, color=colour, linestyle=":", label=f"{name}, 2 sigma")
+    left.set(xlabel="recall", ylabel="precision", xlim=(0, 1.02), ylim=(0, 1.02))
+    right.set(xlabel="distance [m]", ylabel="error [cm]", yscale="log")
+    for axes in (left, right):
+        axes.grid(alpha=0.3)
+        axes.legend()
+    figure.savefig(path, dpi=120)
+
+
+def _kind_document(kind: KindReport) -> dict[str, Any]:
+    at = kind.at_threshold
+    document: dict[str, Any] = {"ap": kind.ap, "precision": at.precision, "recall": at.recall}
+    document |= {name: value for name, value in vars(at).items() if name.endswith("sigma_cm")}
+    document |= {name: value for name, value in vars(at).items() if name not in document}
+    document |= {"ap_101_points": kind.ap_101_points}
+    document |= {"n_truth": kind.n_truth, "n_ignored": kind.n_ignored, "n_detections": kind.n_detections}
+    document = {name: _plain(value) for name, value in document.items()}
+    document["ap_interval"] = [_plain(value) for value in kind.ap_interval]
+    document["ap_by_weights"] = {name: _plain(value) for name, value in kind.ap_by_weights.items()}
+    for name, errors in (("at_best_f1", kind.at_best_f1), ("at_all", kind.at_all)):
+        document[name] = {key: _plain(value) for key, value in vars(errors).items()}
+    return document
+
+
+def _appendix(name: str, kind: KindReport) -> list[str]:
+    other = ", ".join(f"{weights} {ap:.3f}" for weights, ap in kind.ap_by_weights.items())
+    lines = [
+        f"{name}: {kind.n_truth} lanes, {kind.n_ignored} ignored, {kind.n_detections} detections; "
+        f"AP by weights: {other}; 101 points {kind.ap_101_points:.3f}"
+    ]
+    for label, errors in (("best F1", kind.at_best_f1), ("all", kind.at_all)):
+        cells = " / ".join(_cm(value) for value in _four(errors))
+        lines.append(
+            f"  {label} (>= {errors.threshold:.2f}): F1 {errors.f1:.3f}, precision {errors.precision:.3f}, "
+            f"recall {errors.recall:.3f}; near, far: {cells}"
+        )
+    at = kind.at_threshold
+    lines.append(
+        f"  medians |dx|, |dz|: near {_cm(at.near_median_abs_dx_cm)}, {_cm(at.near_median_abs_dz_cm)}; "
+        f"far {_cm(at.far_median_abs_dx_cm)}, {_cm(at.far_median_abs_dz_cm)}; "
+        f"bias {_cm(at.bias_dx_cm)}, {_cm(at.bias_dz_cm)}"
+    )
+    return lines
+
+
+def _four(errors: Errors) -> tuple[float, float, float, float]:
+    return errors.near_1sigma_cm, errors.near_2sigma_cm, errors.far_1sigma_cm, errors.far_2sigma_cm
+
+
+def _cm(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.1f}"
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, float | np.floating):
+        return None if math.isnan(value) else float(value)
+    return value

@@ -1,0 +1,53 @@
+"""Open what people name on the command line: a split of our dataset, an Apollo Sim-3D or an OpenLane folder."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from baseline_model.data import LabelledImage, Samples
+from synth3dlanes.errors import FormatError
+
+
+@dataclass(frozen=True, eq=False)
+class Chosen:
+    """Some samples of a source, by index; nothing is read before it is asked for."""
+
+    source: Samples
+    index: Sequence[int]
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def __getitem__(self, at: int) -> LabelledImage:
+        return self.source[self.index[at]]
+
+
+def open_split(path: str | Path) -> Samples:
+    """Random access to labelled images. Ours is `DIR/SPLIT`; an Apollo split is its JSON-lines file, with `images/`
+    in a folder above it; an OpenLane split is `.../lane3d_1000/SPLIT`, with `images/` beside `lane3d_1000`."""
+    from baseline_model.foreign import ApolloSplit, OpenLaneSplit, is_openlane
+    from synth3dlanes.dataset.read import Reader
+
+    text = str(path)
+    if text.endswith(".json"):
+        return ApolloSplit(Path(path))
+    if "://" not in text and is_openlane(Path(path)):
+        return OpenLaneSplit(Path(path))
+    reader: Samples = Reader(text)
+    return reader
+
+
+def training_and_validation(
+    data_dir: str, train_split: str, val_split: str, max_images: int | None
+) -> tuple[Samples, Samples]:
+    """Both splits of a dataset. Without a validation split, every twentieth training sample is held out."""
+    train = open_split(f"{data_dir}/{train_split}")
+    n = len(train) if max_images is None else min(max_images, len(train))
+    try:
+        val = open_split(f"{data_dir}/{val_split}")
+    except (FormatError, FileNotFoundError):
+        if n < 20:
+            return Chosen(train, range(n)), Chosen(train, range(n))
+        held_out = range(19, n, 20)
+        return Chosen(train, [i for i in range(n) if i % 20 != 19]), Chosen(train, held_out)
+    return Chosen(train, range(n)), val

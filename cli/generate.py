@@ -1,0 +1,5 @@
+"""`synth3dlanes generate`: many labelled scenes into shards."""
+import click
+@click.command()
+def generate() -> None:
+    """."""

@@ -1,0 +1,67 @@
+"""One factor of a scene changed and nothing else, for twins that differ in exactly that: `light.exposure=3`.
+
+No side effects.
+"""
+
+import difflib
+import json
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from synth3dlanes.errors import FormatError, ParamsError
+from synth3dlanes.scene import Scene, from_json
+from synth3dlanes.yaml_text import read_yaml
+
+
+def change_scene(scene: Scene, changes: Sequence[str]) -> Scene:
+    """The scene with every change `path=value` applied; a path is like `camera.pitch_deg` or `cars.0.color`.
+
+    The value is YAML, angles ending in `_deg` are degrees. Raises ParamsError with one line per problem.
+    """
+    document = scene.model_dump(mode="json")
+    problems: list[str] = []
+    for change in changes:
+        path, equals, text = (part.strip() for part in change.partition("="))
+        if not equals:
+            problems.append(f"--set {change}: expected path=value")
+            continue
+        value, value_problems = read_yaml(text, f"--set {path}")
+        problems += value_problems or _put(document, path, value)
+    if problems:
+        raise ParamsError(*problems)
+    try:
+        return from_json(json.dumps(document), "--set")
+    except FormatError as error:
+        raise ParamsError(*str(error).splitlines()) from None
+
+
+def _put(document: dict[str, Any], path: str, value: Any) -> list[str]:
+    *steps, last = path.split(".")
+    place: Any = document
+    for step in steps:
+        keys = _keys(place)
+        if step not in keys:
+            return [_unknown(path, step, keys)]
+        place = place[int(step) if isinstance(place, list) else step]
+    keys = _keys(place)
+    radians_key = last.removesuffix("_deg") + "_rad"
+    if last.endswith("_deg") and radians_key in keys:
+        if not isinstance(value, int | float):
+            return [f"--set {path}: expected degrees, got {value!r}"]
+        last, value = radians_key, math.radians(value)
+    if last not in keys:
+        return [_unknown(path, last, keys)]
+    place[int(last) if isinstance(place, list) else last] = value
+    return []
+
+
+def _keys(place: Any) -> list[str]:
+    if isinstance(place, list):
+        return [str(number) for number in range(len(place))]
+    return list(place) if isinstance(place, dict) else []
+
+
+def _unknown(path: str, step: str, keys: list[str]) -> str:
+    close = difflib.get_close_matches(step, keys, n=1)
+    return f"--set {path}: unknown key {step}" + (f"; did you mean {close[0]}?" if close else "")

@@ -1,0 +1,77 @@
+"""A dataset's folder: `dataset.json`, which says what it holds, and the lock that one run at a time has on a shard."""
+
+import fcntl
+import json
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+from synth3dlanes.dataset.format import DATASET_FORMAT, DATASET_VERSION, parse_description
+from synth3dlanes.dataset.write import write_whole
+from synth3dlanes.errors import FormatError, ParamsError
+
+
+@contextmanager
+def claim(root: Path, recipe: dict[str, Any], split: str, n: int, shards: Iterable[int]) -> Iterator[Path]:
+    """Make or enter a dataset folder and hold the lock on some of a split's shards; yields the split's folder.
+
+    Raises ParamsError where the folder cannot be written, holds another recipe's samples, or another run holds one of
+    these shards. The locks go when this process does, however it ends.
+    """
+    folder = root / split
+    with ExitStack() as stack:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with (root / ".lock").open("ab") as lock:
+                fcntl.lockf(lock, fcntl.LOCK_EX)
+                _enter(root, recipe, split, n)
+            locks = stack.enter_context((folder / ".lock").open("ab"))
+        except OSError as error:
+            raise ParamsError(f"--out {root}: expected a folder to write to, got {error}") from None
+        for shard in shards:
+            _lock(locks, shard, root)
+        yield folder
+
+
+def _lock(locks: IO[bytes], shard: int, root: Path) -> None:
+    """One byte of the lock file stands for a shard. The lock is POSIX's: it works on network file systems too."""
+    try:
+        fcntl.lockf(locks, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, shard)
+    except (BlockingIOError, PermissionError):
+        raise ParamsError(f"--out {root}: expected no other run on it, got one that is making shard {shard}") from None
+
+
+def _enter(root: Path, recipe: dict[str, Any], split: str, n: int) -> None:
+    """Write `dataset.json`, or check that it names the same recipe; note the largest `n` asked for."""
+    path = root / "dataset.json"
+    asked = {"format": DATASET_FORMAT, "version": DATASET_VERSION, **recipe}
+    found = read_description(root) if path.exists() else None
+    if found is None and any(root.glob("*/*.parquet")):
+        raise ParamsError(f"{path}: expected it beside the shards that are there, got none")
+    splits = dict(found.pop("splits", {})) if found else {}
+    # Through JSON, so that a tuple equals the list that it was written as.
+    problems = [] if found is None else list(_differences(found, json.loads(json.dumps(asked)), ""))
+    if problems:
+        raise ParamsError(*(f"{path}: {problem}" for problem in problems))
+    splits[split] = {"n": max(n, splits.get(split, {}).get("n", 0))}
+    document = {**asked, "splits": dict(sorted(splits.items()))}
+    if {**(found or {}), "splits": splits} != document:
+        write_whole(path, (json.dumps(document, indent=1) + "\n").encode())
+
+
+def read_description(root: Path) -> dict[str, Any]:
+    """`dataset.json` of a folder; raise FormatError where it is not one of this version."""
+    path = root / "dataset.json"
+    try:
+        return parse_description(path.read_bytes(), str(path))
+    except OSError as error:
+        raise FormatError(f"{path}: expected the description of a dataset, got {error.strerror}") from None
+
+
+def _differences(found: Any, asked: Any, name: str) -> Iterator[str]:
+    if isinstance(found, dict) and isinstance(asked, dict):
+        for key in [*found, *(key for key in asked if key not in found)]:
+            yield from _differences(found.get(key), asked.get(key), f"{name}.{key}" if name else key)
+    elif found != asked:
+        yield f"{name}: expected {json.dumps(found)} as in this dataset, got {json.dumps(asked)}"

@@ -1,0 +1,166 @@
+"""Read a split of a dataset: its length, any sample at once, any member alone. Needs neither Blender nor torch.
+
+The folder may be any address that fsspec knows (`s3://...`). A Reader holds no open file, so it may be pickled, forked
+and used by many threads.
+"""
+
+from collections.abc import Iterator
+
+import fsspec
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from jaxtyping import Shaped, UInt8
+
+from synth3dlanes import labels as labels_module
+from synth3dlanes.dataset.format import (
+    BLOCK,
+    COLUMN_OF_MEMBER,
+    LABELS,
+    PASSES,
+    SCENE,
+    Sample,
+    decode_image,
+    member_name,
+    member_names,
+    parse_description,
+    read_passes,
+)
+from synth3dlanes.errors import FormatError
+from synth3dlanes.labels import Labels
+
+
+class Reader:
+    """The samples of `DIR/train` in the order of their keys. Raises FormatError where a file is not what it should be.
+
+    `index` is the table of all samples: places, scene parameters, label summary (`docs/format.md`).
+    """
+
+    def __init__(self, url: str) -> None:
+        self.url = str(url).rstrip("/")
+        self._files, self._root = fsspec.core.url_to_fs(self.url)
+        where = f"{self._root.rpartition('/')[0]}/dataset.json"
+        self.description = parse_description(self._read(where), where)
+        self._names = member_names(self.description["image_format"], self.description["render"]["passes"])
+        paths = sorted(path for path in self._list() if path.endswith(".parquet"))
+        if not paths:
+            raise FormatError(f"{self.url}: expected shards (00000.tar with 00000.parquet), got none")
+        tables = [self._table(path) for path in paths]
+        self._tars = [f"{path.removesuffix('.parquet')}.tar" for path in paths]
+        self._shard = np.repeat(np.arange(len(tables)), [table.num_rows for table in tables])
+        self.index = pa.concat_tables(tables)
+        self._columns = {
+            name: tuple(self.index[f"{COLUMN_OF_MEMBER[name]}_{what}"].to_numpy() for what in ("offset", "size"))
+            for name in self._names
+        }
+        self._indices = self.index["index"].to_numpy()
+
+    def __len__(self) -> int:
+        return len(self._indices)
+
+    def __iter__(self) -> Iterator[Sample]:
+        return (self[i] for i in range(len(self)))
+
+    def __getitem__(self, i: int) -> Sample:
+        raw = self.raw(i)
+        image_name, where = self._names[0], self._where(i)
+        return Sample(
+            key=self.key(i),
+            image=decode_image(raw[image_name], f"{where}.{image_name}"),
+            labels=labels_module.from_json(raw[LABELS], f"{where}.{LABELS}"),
+            scene_json=raw[SCENE],
+        )
+
+    def key(self, i: int) -> str:
+        """The key of sample i: eight digits."""
+        return str(self.index["key"][self._position(i)])
+
+    def image(self, i: int) -> UInt8[np.ndarray, "h w 3"]:
+        """The image of sample i alone."""
+        name = self._names[0]
+        return decode_image(self.member(i, name), f"{self._where(i)}.{name}")
+
+    def labels(self, i: int) -> Labels:
+        """The labels of sample i; its image is not read."""
+        return labels_module.from_json(self.member(i, LABELS), f"{self._where(i)}.{LABELS}")
+
+    def passes(self, i: int) -> dict[str, Shaped[np.ndarray, "h w ..."]]:
+        """The passes of sample i by name; none where the dataset was made without."""
+        return read_passes(self.member(i, PASSES), f"{self._where(i)}.{PASSES}") if PASSES in self._names else {}
+
+    def raw(self, i: int) -> dict[str, bytes]:
+        """The bytes of each member of sample i by its name without the key, in one read."""
+        return self._members(i, self._names)
+
+    def member(self, i: int, name: str) -> bytes:
+        """The bytes of one member of sample i, for example `scene.json`."""
+        return self._members(i, (name,))[name]
+
+    def position(self, key: str) -> int:
+        """The i of the sample with this key."""
+        i = int(np.searchsorted(self._indices, int(key))) if key.isdecimal() else len(self)
+        if i == len(self) or self._indices[i] != int(key):
+            raise FormatError(f"{self.url}: expected a sample {key}, got none among its {len(self)}")
+        return i
+
+    def shuffled(self, seed: int) -> Iterator[Sample]:
+        """Every sample once, in an order that depends on the seed alone."""
+        return (self[int(i)] for i in np.random.default_rng(seed).permutation(len(self)))
+
+    def _members(self, i: int, names: tuple[str, ...]) -> dict[str, bytes]:
+        """Read from the first of these members to the last; each one's tar header must carry its name."""
+        i = self._position(i)
+        places = {name: (int(self._columns[name][0][i]), int(self._columns[name][1][i])) for name in names}
+        start = min(offset for offset, _ in places.values()) - BLOCK
+        end = max(offset + size for offset, size in places.values())
+        tar = self._tars[self._shard[i]]
+        data = self._read(tar, start, end)
+        if len(data) < end - start:
+            raise FormatError(f"{tar}: expected at least {end} bytes, got {start + len(data)}")
+        members = {}
+        for name, (offset, size) in places.items():
+            found, expected = member_name(data[offset - start - BLOCK : offset - start]), f"{self.key(i)}.{name}"
+            if found != expected:
+                raise FormatError(f"{tar}: expected {expected} at byte {offset}, got {found[:60]!r}")
+            members[name] = data[offset - start : offset - start + size]
+        return members
+
+    def _table(self, path: str) -> pa.Table:
+        try:
+            table = pq.read_table(pa.BufferReader(self._read(path)))
+        except pa.ArrowException as error:
+            raise FormatError(f"{path}: expected the index of a shard, got {error}") from None
+        columns = [f"{COLUMN_OF_MEMBER[name]}_{what}" for name in self._names for what in ("offset", "size")]
+        for column in ("key", "index", *columns):
+            if column not in table.column_names or table[column].null_count:
+                raise FormatError(f"{path}: expected a column {column} without gaps, got {table.column_names}")
+        return table
+
+    def _list(self) -> list[str]:
+        try:
+            return [str(path) for path in self._files.ls(self._root, detail=False)]
+        except OSError as error:
+            raise FormatError(f"{self.url}: expected the folder of a split, got {error}") from None
+
+    def _read(self, path: str, start: int | None = None, end: int | None = None) -> bytes:
+        try:
+            return bytes(self._files.cat_file(path, start, end))
+        except OSError as error:
+            raise FormatError(f"{path}: expected a file, got {error}") from None
+
+    def _position(self, i: int) -> int:
+        if not -len(self) <= i < len(self):
+            raise IndexError(f"{self.url}: expected a sample in 0..{len(self) - 1}, got {i}")
+        return i % len(self)
+
+    def _where(self, i: int) -> str:
+        return f"{self._tars[self._shard[self._position(i)]]}: {self.key(i)}"
+
+
+def find(place: str) -> Sample:
+    """The sample that `DIR/train:00000017` names."""
+    url, colon, key = place.rpartition(":")
+    if not (url and colon and key.isdecimal()):
+        raise FormatError(f"{place}: expected a split's folder, a colon and a key, as in DIR/train:00000017")
+    reader = Reader(url)
+    return reader[reader.position(key)]

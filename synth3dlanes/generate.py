@@ -1,0 +1,84 @@
+"""One sample: scene -> labels -> image -> bytes. Blender is loaded with the first sample."""
+
+import importlib.util
+import sys
+import time
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from synth3dlanes import __version__
+from synth3dlanes import scene as scene_module
+from synth3dlanes.dataset.format import encode, member_names
+from synth3dlanes.errors import ParamsError
+from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.params import Params
+from synth3dlanes.sample import sample_scene
+from synth3dlanes.settings import RenderSettings
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """All that decides the bytes of a split's samples, but for their index."""
+
+    params: Params
+    seed: int
+    split: str
+    settings: RenderSettings
+    image_format: str
+
+    def description(self) -> dict[str, Any]:
+        """What `dataset.json` says about it; samples of two recipes that differ here do not mix."""
+        return {
+            "generator": __version__,
+            "seed": self.seed,
+            "image_format": self.image_format,
+            "render": asdict(self.settings),
+            "params": self.params.model_dump(mode="json"),
+        }
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The members of every sample."""
+        return member_names(self.image_format, self.settings.passes)
+
+
+@dataclass(frozen=True)
+class Made:
+    """A sample's members by name, and seconds by stage."""
+
+    members: dict[str, bytes]
+    timings: dict[str, float]
+
+
+def require_blender() -> None:
+    """Raise ParamsError where this Python has no bpy."""
+    if importlib.util.find_spec("bpy") is None:
+        version = ".".join(map(str, sys.version_info[:2]))
+        raise ParamsError(
+            "generate: expected Blender's module bpy, which there is for Python 3.11 alone, got none in Python "
+            f"{version} ({sys.executable}); with Python 3.11: pip install 'bpy==4.5.*'"
+        )
+
+
+def make_sample(recipe: Recipe, index: int) -> Made:
+    """Draw, label, render and encode sample `index`."""
+    # Loaded here: only the processes that render may carry Blender.
+    from synth3dlanes.blender.render import render
+
+    clock = [time.perf_counter()]
+    scene = sample_scene(recipe.params, recipe.seed, recipe.split, index)
+    clock.append(time.perf_counter())
+    labels = ground_truth(scene)
+    clock.append(time.perf_counter())
+    rendering = render(scene, labels, recipe.settings)
+    clock.append(time.perf_counter())
+    text = scene_module.to_json(scene)
+    members = encode(rendering.image, rendering.labels, text, rendering.passes, recipe.image_format)
+    clock.append(time.perf_counter())
+    timings = {"sample": clock[1] - clock[0], "labels": clock[2] - clock[1], **rendering.timings}
+    return Made(members, {**timings, "encode": clock[4] - clock[3]})
+
+
+def scene_json(recipe: Recipe, index: int) -> str:
+    """The scene of sample `index` as `scene.json`, without Blender."""
+    return scene_module.to_json(sample_scene(recipe.params, recipe.seed, recipe.split, index))

@@ -1,0 +1,36 @@
+"""scene.json -> image, labels and passes as files. Imports bpy."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from synth3dlanes.blender.render import render
+from synth3dlanes.change import change_scene
+from synth3dlanes.dataset.format import SCENE, encode
+from synth3dlanes.errors import ParamsError
+from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.look_up import load_scene, scene_name
+from synth3dlanes.scene import to_json
+from synth3dlanes.settings import RenderSettings
+
+
+def render_file(
+    scene_path: Path, image_path: Path | None, changes: Sequence[str], settings: RenderSettings
+) -> list[Path]:
+    """Render exactly the scene of a file, some factors changed; return the files written, the image first.
+
+    They are named as the members of a sample. The scene is among them only where it was changed.
+    """
+    scene = change_scene(load_scene(scene_path), changes)
+    image_path = image_path or Path(f"{scene_name(scene_path)}.png")
+    image_format = image_path.suffix.removeprefix(".")
+    if image_format not in ("png", "jpg"):
+        raise ParamsError(f"--out {image_path}: expected a name that ends in .png or .jpg")
+    image_path.parent.mkdir(parents=True, exist_ok=True)
+    rendering = render(scene, ground_truth(scene), settings)
+    members = encode(rendering.image, rendering.labels, to_json(scene), rendering.passes, image_format)
+    files = {image_path.with_suffix(f".{name}"): data for name, data in members.items() if changes or name != SCENE}
+    if any(path.resolve() == scene_path.resolve() for path in files):
+        raise ParamsError(f"--out {image_path}: would overwrite {scene_path} with the changed scene; name another")
+    for path, data in files.items():
+        path.write_bytes(data)
+    return list(files)

@@ -1,0 +1,169 @@
+"""Targets: association, order, validity, and that decoding gives the curves back."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+
+def _encode(labels, **changes):
+    from baseline_model.anchors import encode
+    from baseline_model.config import NANO
+    from baseline_model.curves import plane_pose, road_curves
+    from baseline_model.data import pack
+    from baseline_model.poses import road_from_cam
+
+    config = NANO.model_copy(update=changes)
+    to_top = torch.from_numpy(road_from_cam(plane_pose(labels))).float()[None]
+    return encode(pack([road_curves(labels)]), to_top, config)
+
+
+def _line(x_m, slope=0.0):
+    return lambda y: (x_m + slope * (y - 20.0), 0.0 * y)
+
+
+def test_anchors_are_the_centres_of_the_last_maps_columns():
+    from baseline_model.anchors import anchor_positions_m
+    from baseline_model.config import PAPER
+
+    assert anchor_positions_m(PAPER) == pytest.approx(np.arange(16) * 1.28 - 9.60)
+    image_view = anchor_positions_m(PAPER.model_copy(update={"variant": "image_view"}))
+    assert len(image_view) == 30
+    assert image_view[0] == pytest.approx(-11.19, abs=0.005)
+
+
+def test_a_lane_goes_to_the_anchor_nearest_at_twenty_metres(roads):
+    # At 5 m this lane is nearest to the anchor at -0.64, at 20 m to the one at 1.92.
+    targets, _ = _encode(roads.labels([_line(2.0, slope=0.15)]))
+    (at,) = torch.nonzero(targets.assigned).tolist()
+    assert at == [0, 0, 9]
+    assert targets.x_m[0, 0, 9].tolist() == pytest.approx([0.08 + 0.15 * (y - 20) for y in (5, 20, 40, 60, 80, 100)])
+
+
+def test_a_lane_midway_goes_left(roads):
+    targets, _ = _encode(roads.labels([_line(0.0)]))
+    assert torch.nonzero(targets.assigned).tolist() == [[0, 0, 7]]
+
+
+def test_two_paths_of_a_split_share_an_anchor_in_order(roads):
+    stem_then_right = lambda y: (np.maximum(y - 30, 0) * 0.1, 0.0 * y)  # noqa: E731
+    for lanes in ([stem_then_right, _line(0.02)], [_line(0.02), stem_then_right]):
+        targets, status = _encode(roads.labels(lanes))
+        assert targets.assigned[0, :2, 7].tolist() == [True, True]
+        assert targets.x_m[0, 0, 7, 4] < targets.x_m[0, 1, 7, 4], "c1 is the one on the left where they differ"
+        assert status[0].tolist() == [1, 1]
+
+
+def test_a_third_centerline_is_dropped_and_only_the_leftmost_delimiter_stays(roads):
+    from baseline_model.anchors import DROPPED, KEPT
+
+    lanes = [_line(0.1, slope) for slope in (0.05, -0.05, 0.0)]
+    targets, status = _encode(roads.labels(lanes, [_line(0.5, 0.03), _line(0.1)]))
+    assert status[0].tolist() == [DROPPED, KEPT, KEPT, DROPPED, KEPT]
+    assert targets.assigned.sum() == 3
+    assert targets.x_m[0, 2, 8, 1] == pytest.approx(0.1 - 0.64, abs=1e-4)
+
+
+def test_knots_beyond_the_lane_or_hidden_by_ground_are_masked(roads):
+    long, short = _line(0.0), (_line(4.0), 8.0, 55.0)
+    targets, _ = _encode(roads.labels([long, short], hidden=(35.0, 65.0)))
+    assert targets.visible[0, 0, 7].tolist() == [True, True, False, False, True, True]
+    assert targets.in_range[0, 0, 7].tolist() == [True] * 6
+    short_anchor = torch.nonzero(targets.assigned)[1, 2]
+    assert targets.in_range[0, 0, short_anchor].tolist() == [False, True, True, False, False, False]
+    assert targets.visible[0, 0, short_anchor].tolist() == [False, True, False, False, False, False]
+
+
+def test_ignored_lanes_are_neither_positive_nor_negative(roads):
+    from baseline_model.anchors import IGNORED
+
+    # Crosses Y_ref but too little of it is seen; the second starts behind Y_ref; the third is outside the top view.
+    labels = roads.labels([_line(0.1), (_line(4.0), 30.0, 110.0), _line(10.5)], hidden=(10.0, 200.0))
+    targets, status = _encode(labels)
+    assert status[0].tolist() == [IGNORED] * 3
+    assert not targets.assigned.any()
+    unscored = torch.nonzero(~targets.scored).tolist()
+    assert unscored == [[0, 0, 7], [0, 0, 8], [0, 1, 7], [0, 1, 8]]
+
+
+def test_training_and_metric_ignore_the_same_lanes(roads):
+    from baseline_model.anchors import IGNORED
+    from baseline_model.curves import is_usable, road_curves
+
+    rng = np.random.default_rng(7)
+    for _ in range(200):
+        lanes = [(_line(rng.uniform(-13, 13), rng.uniform(-0.2, 0.2)), rng.uniform(0, 30), 110.0) for _ in range(4)]
+        start = rng.uniform(0, 60)
+        labels = roads.labels(lanes, hidden=(start, start + rng.uniform(0, 60)))
+        _, status = _encode(labels)
+        curves = road_curves(labels)
+        usable = [is_usable(curve) for curve in curves]
+        assert [s != IGNORED for s in status[0].tolist()] == usable
+
+
+def test_mirrored_scene_gives_mirrored_targets(roads):
+    rng = np.random.default_rng(11)
+    for _ in range(50):
+        x_m, slopes, bends = rng.uniform(-9, 9, 4), rng.uniform(-0.1, 0.1, 4), rng.uniform(-2e-3, 2e-3, 4)
+        curve = lambda a, s, b, sign: lambda y: (sign * (a + s * (y - 20) + b * (y - 20) ** 2), 0.01 * y)  # noqa: E731
+        pair = []
+        for sign in (1, -1):
+            lanes = [curve(*values, sign) for values in zip(x_m, slopes, bends, strict=True)]
+            pair.append(_encode(roads.labels(lanes[:3], lanes[3:]))[0])
+        straight, mirrored = pair
+        both = straight.assigned & mirrored.assigned.flip(2)
+        # A type may change (c2 becomes c1) but where a slot is used alone on its anchor, the geometry mirrors.
+        alone = (straight.assigned[:, 0] & ~straight.assigned[:, 1])[0]
+        x, x_mirrored = straight.x_m[0, 0][alone], mirrored.x_m[0, 0].flip(0)[alone]
+        assert torch.allclose(x, -x_mirrored, atol=1e-4)
+        assert (straight.assigned.sum((0, 1)) == mirrored.assigned.sum((0, 1)).flip(0)).all()
+        assert both[0, 2].equal(straight.assigned[0, 2])
+
+
+@pytest.mark.parametrize(("knots", "near_cm"), [("paper", 4.0), ("ten", 0.5)])
+def test_encode_then_decode_is_the_identity_within_the_splines_error(roads, knots, near_cm):
+    from baseline_model.config import NANO, PAPER_KNOTS_M, TEN_KNOTS_M
+    from baseline_model.statistics import statistics_of
+
+    rng = np.random.default_rng(13)
+    model = NANO.model_copy(update={"knots_y_m": PAPER_KNOTS_M if knots == "paper" else TEN_KNOTS_M})
+    statistics = statistics_of([roads.random(rng) for _ in range(100)], model)
+    for report in statistics.ceiling.kinds.values():
+        assert report.ap > 0.99
+        assert report.at_threshold.near_1sigma_cm < near_cm
+    assert statistics.ceiling.pitch_median_deg == 0.0
+    assert statistics.counts["centerline"]["dropped"] == 0
+    assert sum(statistics.counts["centerline"].values()) > 200
+
+
+def test_horizon_pose_puts_the_farthest_point_on_the_plane(roads):
+    from baseline_model.curves import plane_pose, road_curves, target_pose
+    from baseline_model.poses import road_from_cam, transform
+
+    labels = roads.labels([lambda y: (0.0 * y, 0.03 * y + 1e-4 * y**2)])
+    curves = road_curves(labels)
+    pose = target_pose(labels, curves, "horizon")
+    end_road = transform(road_from_cam(pose), curves[0].xyz_cam[-1:])[0]
+    foot_road = transform(
+        road_from_cam(pose), transform(np.linalg.inv(road_from_cam(plane_pose(labels))), np.zeros((1, 3)))
+    )
+    assert end_road[2] == pytest.approx(0.0, abs=1e-9)
+    assert foot_road[0, 2] == pytest.approx(0.0, abs=1e-9)
+    assert pose.pitch_rad > plane_pose(labels).pitch_rad, "over rising ground the camera looks down more steeply"
+
+
+def test_suppression_keeps_one_of_a_plateau():
+    from baseline_model.lanes import keep_local_maxima
+
+    scores = np.array([[0.1, 0.7, 0.7, 0.2, 0.9, 0.3, 0.4]])
+    assert keep_local_maxima(scores).tolist() == [[False, True, False, False, True, False, True]]
+
+
+def test_the_default_spline_is_the_natural_cubic():
+    from baseline_model.lanes import interpolate
+
+    knots = np.array([5.0, 20, 40, 60, 80, 100])
+    row_at_zero = interpolate(knots, np.eye(6), np.array([0.0]), "natural")
+    # The notes' noise gain at y = 0: 1.48 for natural ends, 2.15 for not-a-knot.
+    assert math.hypot(*row_at_zero[0]) == pytest.approx(1.48, abs=0.005)

@@ -1,0 +1,65 @@
+"""Scenes, labels and images for the tests of figures."""
+
+import numpy as np
+import pytest
+
+from synth3dlanes.geometry.transforms import invert, road_from_cam, transform
+from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph
+from synth3dlanes.scene import Car, Scene, Tree
+from tests.scenes import FLAT, changed, hill
+
+HEIGHT_M, PITCH_RAD = 1.5, 0.03
+
+
+CARS = (
+    Car(model=2, scale=1.0, color=(0.8, 0.1, 0.1), gloss=0.5, lane="main_1", s_m=-20.0),
+    Car(model=6, scale=1.0, color=(0.2, 0.3, 0.9), gloss=0.5, lane="main_2", s_m=30.0),
+)
+TREES = (Tree(model=1, x_m=14.0, y_m=0.0, yaw_rad=0.0, scale=1.0),)
+
+
+@pytest.fixture
+def flat_scene() -> Scene:
+    """A straight, flat road with two cars and a tree."""
+    return FLAT.model_copy(update={"cars": CARS, "trees": TREES})
+
+
+@pytest.fixture
+def exit_scene() -> Scene:
+    """A hilly, curved road onto which two lanes merge from the left, over a ramp."""
+    road = {"topology": 4, "flip_lateral": True, "flip_longitudinal": True, "offset_p50_m": 4.0, "offset_p100_m": 7.0}
+    hills = (hill(20, 30, 9, 40), hill(-60, -40, -12, 60))
+    scene = changed(FLAT, road=road, terrain={"gaussians": hills})
+    return scene.model_copy(update={"cars": CARS, "trees": TREES})
+
+
+@pytest.fixture
+def gray_image() -> np.ndarray:
+    return np.full((360, 480, 3), 120, dtype=np.uint8)
+
+
+@pytest.fixture
+def straight_labels() -> Labels:
+    """A flat road in closed form: one centre line straight ahead, a delimiter 2 m to its right, hidden from 50 m on."""
+    pose = road_from_cam(HEIGHT_M, PITCH_RAD)
+    world_from_cam = pose.copy()
+    camera = CameraLabel(
+        width_px=480,
+        height_px=360,
+        img_from_cam=np.array([[400.0, 240.0, 0.0], [0.0, 180.0, -400.0], [0.0, 1.0, 0.0]]),
+        height_m=HEIGHT_M,
+        pitch_rad=PITCH_RAD,
+        road_from_cam=pose,
+        world_from_cam=world_from_cam,
+    )
+    y_m = np.arange(0.0, 111.0)
+
+    def lane(name: str, kind: str, x_m: float) -> Lane:
+        points_road = np.stack([np.full_like(y_m, x_m), y_m, np.zeros_like(y_m)], -1)
+        points_cam = transform(invert(pose), points_road)
+        in_image = y_m >= 4
+        marking = "none" if kind == "centerline" else "solid"
+        return Lane(name, kind, "main", marking, None, None, points_cam, in_image, y_m < 50, None)  # type: ignore[arg-type]
+
+    lanes = (lane("main_1", "centerline", 0.0), lane("main_line_1", "delimiter", 2.0))
+    return Labels(camera, lanes, LaneGraph((), {}, None))

@@ -1,0 +1,84 @@
+"""Pages stand alone: nothing in them leads outside."""
+
+import base64
+import json
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from synth3dlanes.figures.page import report_page, scene_page
+from synth3dlanes.figures.stats import label_statistics, scene_statistics
+from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.params import load_params
+from synth3dlanes.sample import sample_scene
+
+VOID = {"meta", "link", "input", "img", "circle"}
+
+
+class Wellformed(HTMLParser):
+    """Checks that tags nest, and collects every address."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.addresses: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.addresses += [value or "" for name, value in attrs if name in ("src", "href")]
+        if tag not in VOID or tag == "circle":
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def check(page: str) -> Wellformed:
+    parser = Wellformed()
+    parser.feed(page)
+    assert parser.open == []
+    assert all(address.startswith("data:") for address in parser.addresses)
+    assert not re.search(r"https?://|//cdn|@import|fetch\(|XMLHttpRequest|import\(", page)
+    return parser
+
+
+@pytest.mark.parametrize("with_image", [False, True])
+def test_a_scene_page_loads_nothing(with_image, gray_image, exit_scene):
+    scene = exit_scene
+    parser = check(scene_page(scene, ground_truth(scene), gray_image if with_image else None))
+    assert len(parser.addresses) == 1 + with_image
+
+
+def test_every_switch_has_something_to_switch(exit_scene):
+    scene = exit_scene
+    page = scene_page(scene, ground_truth(scene), None)
+    classes = set(" ".join(re.findall(r'class="([^"]*)"', page)).split())
+    switches = re.findall(r'data-shows="([^"]*)"', page)
+    assert len(switches) == 5
+    assert all(name in classes for switch in switches for name in re.findall(r"[\w-]+", switch))
+
+
+def test_the_space_holds_the_road_of_the_scene(flat_scene):
+    scene = flat_scene
+    page = scene_page(scene, ground_truth(scene), None)
+    found = re.search(r'id="space-data">(.*?)</script>', page, re.DOTALL)
+    assert found is not None
+    groups = {group["name"]: group for group in json.loads(found[1])["groups"]}
+    vertices = np.frombuffer(base64.b64decode(groups["road"]["vertices"]), "<f4").reshape(-1, 3)
+    faces = np.frombuffer(base64.b64decode(groups["road"]["faces"]), "<u4")
+    half_m = 1.5 * 3.5 + 0.4 * 3.5
+    assert np.allclose([vertices[:, 0].min(), vertices[:, 0].max()], [-half_m, half_m], atol=1e-3)
+    assert np.abs(vertices[:, 2]).max() < 1e-3
+    assert faces.max() == len(vertices) - 1
+
+
+def test_a_report_shows_samples_and_distributions(gray_image):
+    params = load_params("appendix_i", ["trees.n=5", "cars.n=3"])
+    scenes = [sample_scene(params, 1, "train", index) for index in range(6)]
+    labels = [ground_truth(scene) for scene in scenes]
+    samples = [(f"{scene.index:08d}", gray_image, one) for scene, one in zip(scenes, labels, strict=True)]
+    page = report_page("a <set>", samples, scene_statistics(scenes, params), label_statistics(labels))
+    check(page)
+    assert "a &lt;set&gt;" in page
+    assert page.count("<figure>") == 6

@@ -1,0 +1,56 @@
+"""Statistics find what is wrong and pass what is right."""
+
+import json
+
+import numpy as np
+import pytest
+
+from synth3dlanes.figures.stats import label_statistics, scene_statistics, to_json
+from synth3dlanes.figures.stats_views import draw_statistics, is_fine, statistics_table
+from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.params import load_params
+from synth3dlanes.sample import sample_scene
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    params = load_params("appendix_i", ["trees.n=5", "cars.n=3"])
+    return params, [sample_scene(params, 5, "train", index) for index in range(150)]
+
+
+def test_drawn_scenes_agree_with_what_was_declared(scenes):
+    params, drawn = scenes
+    statistics = scene_statistics(drawn, params)
+    assert statistics.n_scenes == sum(statistics.topologies.values()) == 150
+    assert {row.key for row in statistics.parameters} == {
+        f"{name}.{key}" for name, group in params for key in type(group).model_fields
+    }
+    assert [row.key for row in statistics.parameters if not is_fine(row) or row.count == 0] == []
+
+
+@pytest.mark.parametrize("declared", ["road.lane_width_m=[3.2, 3.5]", "camera.height_m=[1.0, 3.0]", "road.n_lanes=3"])
+def test_another_declaration_is_found_out(scenes, declared):
+    statistics = scene_statistics(scenes[1], load_params("appendix_i", [declared]))
+    rows = {row.key: row for row in statistics.parameters}
+    assert not is_fine(rows[declared.split("=")[0]])
+
+
+def test_labels_of_a_climb_show_its_grade(exit_scene):
+    labels = ground_truth(exit_scene)
+    grade = label_statistics([labels]).summaries[0]
+    assert grade.name == "grade [%]"
+    points_world = labels.lanes[0].xyz_cam @ labels.camera.world_from_cam[:3, :3].T
+    steps = np.diff(points_world, axis=0)
+    steepest = (steps[:, 2] / np.hypot(steps[:, 0], steps[:, 1])).max()
+    assert grade.maximum >= 100 * steepest - 1
+
+
+def test_text_json_and_plots(scenes):
+    statistics = scene_statistics(scenes[1], scenes[0])
+    labels = label_statistics(ground_truth(scene) for scene in scenes[1][:5])
+    document = json.loads(to_json(statistics, labels))
+    assert document["n_scenes"] == 150
+    assert len(document["labels"]) == len(labels.summaries)
+    assert statistics_table(statistics, labels) is not None
+    titles = {axes.get_title() for axes in draw_statistics(statistics, labels).axes}
+    assert {"grade [%]", "road.lane_width_m", "light.exposure"} <= titles

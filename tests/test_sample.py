@@ -1,0 +1,164 @@
+"""The sampler: declared distributions, streams that do not touch each other, objects that have room."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from synth3dlanes.errors import ParamsError
+from synth3dlanes.geometry.ground import Ground
+from synth3dlanes.geometry.lanes import lanes_present, segments_at
+from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.params import load_params
+from synth3dlanes.sample import sample_scene
+
+N = 600
+# With some 40 tests of uniformity, a true null falls below this once in 250 runs; the draws are fixed, so never here.
+P_VALUE = 1e-4
+
+
+@pytest.fixture(scope="module")
+def params():
+    return load_params("appendix_i")
+
+
+@pytest.fixture(scope="module")
+def scenes(params):
+    return [sample_scene(params, 0, "train", index) for index in range(N)]
+
+
+def uniform(values, low, high):
+    return stats.kstest(values, stats.uniform(low, high - low).cdf).pvalue
+
+
+# The paper's Appendix I, read again here: part of the scene, field, range.
+RANGES = [
+    ("road", "lane_width_m", 3.2, 4.0),
+    ("road", "shoulder_factor", 0.2, 0.6),
+    ("road", "offset_m100_m", -10, 10),
+    ("road", "offset_m50_m", -10, 10),
+    ("road", "offset_p50_m", -10, 10),
+    ("road", "offset_p100_m", -10, 10),
+    ("road", "exit_angle_rad", np.radians(1), np.radians(5)),
+    ("road", "exit_offset_m", 0, 10),
+    ("road", "ramp_height_m", 2, 6),
+    ("road", "ramp_slope", 0.5, 4.5),
+    ("markings", "dash_cycle_m", 0.5, 4.5),
+    ("markings", "dash_fraction", 0.3, 1),
+    ("markings", "width_m", 0.1, 0.15),
+    ("markings", "grayscale", 0.2, 1),
+    ("markings", "gloss", 0.5, 1),
+    ("surface", "road_texture_scale", 10, 30),
+    ("surface", "road_gloss", 0, 0.2),
+    ("surface", "terrain_texture_scale", 5, 15),
+    ("surface", "texture_orientation_rad", 0, np.pi / 2),
+    ("camera", "y_m", -80, -20),
+    ("camera", "offset_m", -0.4, 0.4),
+    ("camera", "height_m", 1.4, 1.9),
+    ("camera", "pitch_rad", 0, np.radians(5)),
+    ("light", "sun_zenith_rad", 0, np.pi / 4),
+    ("light", "sun_azimuth_rad", 0, 2 * np.pi),
+    ("light", "exposure", 1, 3),
+]
+
+
+@pytest.mark.parametrize(("part", "field", "low", "high"), RANGES)
+def test_scalars_are_uniform_over_appendix_i(scenes, part, field, low, high):
+    assert uniform([getattr(getattr(scene, part), field) for scene in scenes], low, high) > P_VALUE
+
+
+def test_terrain_is_uniform(scenes):
+    gaussians = [g for scene in scenes for g in scene.terrain.gaussians]
+    for values, low, high in (
+        ([x for g in gaussians for x in g.center_m], -150, 150),
+        ([g.magnitude_m for g in gaussians], -50, 50),
+        ([x for g in gaussians for x in g.sd_m], 25, 250),
+        ([g.orientation_rad for g in gaussians], 0, np.pi / 2),
+    ):
+        assert uniform(values, low, high) > P_VALUE
+
+
+def test_counts_types_and_flips_are_evenly_drawn(scenes):
+    counts = {
+        "gaussians": ([len(s.terrain.gaussians) for s in scenes], range(1, 8)),
+        "topology": ([s.road.topology for s in scenes], range(1, 5)),
+        "lanes": ([s.road.n_lanes for s in scenes], range(2, 5)),
+        "flip x": ([s.road.flip_longitudinal for s in scenes], (False, True)),
+        "flip y": ([s.road.flip_lateral for s in scenes], (False, True)),
+        "road texture": ([s.surface.road_texture for s in scenes], range(1, 4)),
+        "terrain texture": ([s.surface.terrain_texture for s in scenes], range(1, 3)),
+        "cars": ([len(s.cars) for s in scenes], range(1, 25)),
+        "car models": ([car.model for s in scenes for car in s.cars], range(1, 7)),
+        "tree models": ([tree.model for s in scenes[:100] for tree in s.trees], range(1, 7)),
+    }
+    for name, (values, legal) in counts.items():
+        found = [sum(value == x for value in values) for x in legal]
+        assert sum(found) == len(values), name
+        assert stats.chisquare(found).pvalue > P_VALUE, name
+    assert uniform([len(s.trees) for s in scenes], 39.5, 800.5) > P_VALUE
+
+
+def test_looks_of_cars_are_uniform(scenes):
+    cars = [car for scene in scenes for car in scene.cars]
+    assert uniform([car.scale for car in cars], 0.9, 1.1) > P_VALUE
+    assert uniform([car.gloss for car in cars], 0.3, 1) > P_VALUE
+    for channel in range(3):
+        assert uniform([car.color[channel] for car in cars], 0, 1) > P_VALUE
+
+
+def test_the_host_stands_in_every_lane_present_alike(scenes):
+    places = [(s.camera.lane - 0.5) / lanes_present(RoadPlan(s), s.camera.y_m) for s in scenes]
+    assert 0 < min(places) and max(places) < 1
+    assert np.mean(places) == pytest.approx(0.5, abs=0.04)
+
+
+def test_groups_have_streams_of_their_own(params):
+    """Changing one group leaves every other as it was, unless it depends on it by its meaning."""
+    scene = sample_scene(params, 0, "train", 3)
+    other = sample_scene(load_params("appendix_i", ["terrain.n_gaussians=2", "light.exposure=1", "trees.n=50"]), 0, "train", 3)
+    for part in ("road", "markings", "surface", "cars", "camera"):
+        assert getattr(other, part) == getattr(scene, part)
+    assert other.light.sun_azimuth_rad == scene.light.sun_azimuth_rad, "a constant still uses up its draw"
+
+
+def test_scenes_differ_by_seed_split_and_index(params):
+    texts = {
+        sample_scene(params, *where).road
+        for where in ((0, "train", 0), (1, "train", 0), (0, "test", 0), (0, "train", 1))
+    }
+    assert len(texts) == 4
+
+
+def test_trees_stand_off_every_road_and_cars_in_lanes_that_exist(scenes):
+    for scene in scenes[:60]:
+        plan = RoadPlan(scene)
+        xy = np.array([[tree.x_m, tree.y_m] for tree in scene.trees])
+        assert Ground(plan).clearance(xy).min() >= 1.0
+        for car in scene.cars:
+            assert car.lane in segments_at(plan, car.s_m)
+
+
+def test_cars_keep_apart(scenes):
+    """Circles along each car's axis, an independent and stricter-than-none test of overlap."""
+    from synth3dlanes.catalogue import CARS
+    from synth3dlanes.geometry.placement import lane_place
+
+    for scene in scenes[:60]:
+        plan = RoadPlan(scene)
+        circles, owners = [], []
+        for i, car in enumerate(scene.cars):
+            middle, heading = lane_place(plan, car.lane, car.s_m)
+            model = CARS[car.model - 1]
+            reach = (model.length_m - model.width_m) / 2 * car.scale
+            for along in np.linspace(-reach, reach, 7):
+                circles.append([*(middle + along * heading), model.width_m / 2 * car.scale])
+                owners.append(i)
+        circles, owners = np.array(circles), np.array(owners)
+        gap = np.linalg.norm(circles[:, None, :2] - circles[None, :, :2], axis=2) - circles[:, None, 2] - circles[None, :, 2]
+        assert gap[owners[:, None] != owners[None, :]].min(initial=1) > 0
+
+
+def test_no_room_is_an_error_that_names_the_parameters():
+    with pytest.raises(ParamsError, match=r"trees\.x_m, trees\.y_m: no room"):
+        sample_scene(load_params("appendix_i", ["trees.x_m=0", "trees.y_m=0"]), 0, "train", 0)
+    with pytest.raises(ParamsError, match=r"cars\.n: no room for car"):
+        sample_scene(load_params("appendix_i", ["cars.n=90", "cars.s_m=[0, 10]"]), 0, "train", 0)
