@@ -92,6 +92,11 @@ def encode(
     return targets._replace(scored=scored), torch.where(curves.kind > 0, status, ABSENT)
 
 
+def transform_points(b_from_a: Float[Tensor, "b 4 4"], points_a: Float[Tensor, "b l n 3"]) -> Float[Tensor, "b l n 3"]:
+    """Apply each image's rigid transform to its curves."""
+    return torch.einsum("bij,blnj->blni", b_from_a[:, :3, :3], points_a) + b_from_a[:, None, None, :3, 3]
+
+
 def sample_curves(
     xyz: Float[Tensor, "b l n 3"], visible: Bool[Tensor, "b l n"], y_m: Float[Tensor, " y"]
 ) -> tuple[Float[Tensor, "b l y"], Float[Tensor, "b l y"], Bool[Tensor, "b l y"], Bool[Tensor, "b l y"]]:

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
-from baseline_model.anchors import CENTERLINE, DELIMITER, CurveBatch, sample_curves
+from baseline_model.anchors import CENTERLINE, DELIMITER, CurveBatch, sample_curves, transform_points
 from baseline_model.config import Augmentation
 from baseline_model.data import Batch
 from baseline_model.projection import road_from_cam, top_from_road
@@ -105,8 +105,7 @@ def lane_masks(
     curves: CurveBatch, top_from_cam: Float[Tensor, "b 4 4"], points_top: Float[Tensor, "rows columns 3"]
 ) -> Float[Tensor, "b 2 rows columns"]:
     """Top-view masks of centre lines and delimiters, one cell wide to each side: a target of the `improved` model."""
-    xyz_top = torch.einsum("bij,blnj->blni", top_from_cam[:, :3, :3], curves.xyz_cam)
-    xyz_top = xyz_top + top_from_cam[:, None, None, :3, 3]
+    xyz_top = transform_points(top_from_cam, curves.xyz_cam)
     y_m = points_top[:, 0, 1].flip(0)
     x_m, _, _, visible = sample_curves(xyz_top, curves.visible, y_m)
     x_m, visible = x_m.flip(-1), visible.flip(-1)

@@ -56,7 +56,7 @@ class Batch(NamedTuple):
     curves: CurveBatch
     plane_pose: Float[Tensor, "b 2"]
     target_pose: Float[Tensor, "b 2"]
-    index: Int[Tensor, " b"]
+    places: Int[Tensor, " b"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +182,8 @@ def yuv_from_rgb(rgb: UInt8[Tensor, "3 h w"]) -> tuple[UInt8[Tensor, "1 h w"], U
 def rgb_from_yuv(luma: Float[Tensor, "b 1 h w"], chroma: Float[Tensor, "b 2 h2 w2"]) -> Float[Tensor, "b 3 h w"]:
     """Inverse of `yuv_from_rgb` in 0..1, chroma interpolated."""
     size = (luma.shape[2], luma.shape[3])
-    blue, red = (functional.interpolate(chroma, size, mode="bilinear") - 128 / 255).split(1, dim=1)
+    colour = functional.interpolate(chroma, size, mode="bilinear") - 128 / 255
+    blue, red = colour[:, :1], colour[:, 1:]
     rgb = [luma + 1.402 * red, luma - 0.344136 * blue - 0.714136 * red, luma + 1.772 * blue]
     return torch.cat(rgb, dim=1).clamp(0, 1)
 

@@ -47,8 +47,8 @@ def keep_local_maxima(scores: Float[np.ndarray, "t a"]) -> Bool[np.ndarray, "t a
 
 
 def interpolate(
-    y_m: Float[np.ndarray, " k"], values: Float[np.ndarray, "k *rest"], at_m: Float[np.ndarray, " y"], spline: str
-) -> Float[np.ndarray, "y *rest"]:
+    y_m: Float[np.ndarray, " k"], values: Float[np.ndarray, "k ..."], at_m: Float[np.ndarray, " y"], spline: str
+) -> Float[np.ndarray, "y ..."]:
     """A smooth curve through the knots, continued beyond them. Natural cubic by default: 2.9 cm of error at
     1 sigma near the car where linear interpolation has 10.5 cm."""
     if len(y_m) < 2:

@@ -22,6 +22,7 @@ def lattice_after(layers: Iterable[nn.Module], before: Lattice) -> Lattice:
     stride, offset = before
     for layer in layers:
         if isinstance(layer, nn.Conv2d | nn.MaxPool2d):
+            assert not isinstance(layer.padding, str)
             kernel, step, padding = (_single(value) for value in (layer.kernel_size, layer.stride, layer.padding))
             offset += stride * ((kernel - 1) / 2 - padding)
             stride *= step

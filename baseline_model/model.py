@@ -144,15 +144,19 @@ class LaneNet(nn.Module):
 
     def top_width(self, level: int) -> int:
         """Channels of the top-view map after `level` pools, with what was projected into it."""
-        projected = self.projections[str(level)].channels if str(level) in self.projections else 0
-        return self.config.top_channels[level - 1] + int(projected)
+        return self.config.top_channels[level - 1] + self._projected_width(level)
+
+    def _projected_width(self, level: int) -> int:
+        if str(level) not in self.projections:
+            return 0
+        return self.config.projected_channels[level] * len(self.config.plane_heights_m)
 
     def _top_pathway(self, config: ModelConfig) -> tuple[nn.ModuleList, int]:
         if config.variant == "image_view":
             return nn.ModuleList(), config.image_channels[3]
         if config.variant == "late_ipm":
-            return nn.ModuleList(), int(self.projections["3"].channels)
-        channels = config.image_channels[0] if self.stem is not None else int(self.projections["0"].channels)
+            return nn.ModuleList(), self._projected_width(3)
+        channels = config.image_channels[0] if self.stem is not None else self._projected_width(0)
         stages = []
         for level, width in enumerate(config.top_channels, start=1):
             block = convolutions(channels, width, 3, batch_norm=config.batch_norm)

@@ -9,6 +9,7 @@ import torch
 from torch import nn
 
 from baseline_model.config import TrainConfig
+from baseline_model.model import LaneNet
 
 EMA_START = 10
 """The average begins short, (1 + step) / (10 + step), so that early weights leave it soon."""
@@ -69,8 +70,9 @@ def optimizer_for(model: nn.Module, config: TrainConfig, device: torch.device) -
 class RunningAverage:
     """Exponential average of weights and batch-norm statistics; evaluation and `best.pt` use it."""
 
-    def __init__(self, model: nn.Module, decay: float) -> None:
-        self.model = copy.deepcopy(model).eval().requires_grad_(False)
+    def __init__(self, model: LaneNet, decay: float) -> None:
+        self.model: LaneNet = copy.deepcopy(model)
+        self.model.eval().requires_grad_(False)
         self.decay = decay
 
     @torch.no_grad()

@@ -34,9 +34,8 @@ def load_vgg16(image: ImagePathway, source: str) -> str:
     with torch.no_grad():
         for index, (layer, (weight, bias)) in enumerate(zip(convolutions, layers, strict=True)):
             if layer.weight.shape != weight.shape:
-                raise FormatError(
-                    f"{path}: convolution {index}: expected shape {tuple(layer.weight.shape)}, got {tuple(weight.shape)}"
-                )
+                expected, got = tuple(layer.weight.shape), tuple(weight.shape)
+                raise FormatError(f"{path}: convolution {index}: expected shape {expected}, got {got}")
             layer.weight.copy_(weight)
             if layer.bias is not None:
                 layer.bias.copy_(bias)

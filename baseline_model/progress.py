@@ -85,4 +85,4 @@ def _tensorboard(out_dir: Path) -> Any:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError:
         return None
-    return SummaryWriter(str(out_dir / "tensorboard"))  # type: ignore[no-untyped-call]
+    return SummaryWriter(str(out_dir / "tensorboard"))

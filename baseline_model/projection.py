@@ -88,7 +88,6 @@ class Projection(nn.Module):
         super().__init__()
         same = channels_in == channels_out
         self.reduce = nn.Identity() if same else nn.Conv2d(channels_in, channels_out, 1, bias=False)
-        self.channels = channels_out * len(planes_m)
         self.points_top: Tensor
         points = torch.stack([cell_centres(grid, level, z) for z in planes_m])
         self.register_buffer("points_top", points, persistent=False)

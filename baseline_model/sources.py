@@ -33,8 +33,7 @@ def open_split(path: str | Path) -> Samples:
         return ApolloSplit(Path(path))
     if "://" not in text and is_openlane(Path(path)):
         return OpenLaneSplit(Path(path))
-    reader: Samples = Reader(text)
-    return reader
+    return Reader(text)
 
 
 def training_and_validation(

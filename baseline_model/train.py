@@ -119,7 +119,7 @@ def _step(
     terms = step_loss(trainee.model, output, augmented, config)
     names = [data.keys[int(i)] for i in index]
     _check_finite(terms, names, step)
-    terms["total"].mean().backward()
+    terms["total"].mean().backward()  # type: ignore[no-untyped-call]
     norm = nn.utils.clip_grad_norm_(trainee.model.parameters(), config.clip_norm)
     if not bool(torch.isfinite(norm)):
         raise Diverged(f"step {step}: expected a finite gradient, got {float(norm)} from samples {', '.join(names)}")

@@ -143,7 +143,7 @@ def lower_body(shape: Shape, model: CarModel, style: Style) -> None:
         material[inside[:-1] & inside[1:], -4:] = TRIM
     loft(shape, y, x, z, material)
     cap(shape, x[0], y[0], z[0], -0.005)
-    cap(shape, x[-1], y[-1], z[-1], 0.03)
+    cap(shape, x[-1], y[-1], z[-1], 0.005)
 
 
 def cabin(shape: Shape, model: CarModel, style: Style) -> None:

@@ -144,11 +144,11 @@ def rear(shape: Shape, model: CarModel, z: dict[str, float], lamp: tuple[float, 
 def front(shape: Shape, model: CarModel, z_lamp: float, z_bumper: float) -> None:
     """Head lamps, grille, bumper and plate."""
     nose, half = model.length_m / 2, model.width_m / 2
-    box(shape, HEAD, half * 0.64, nose - 0.16, z_lamp, (0.36, 0.16, 0.13), 0.05)
-    box(shape, TRIM, 0, nose - 0.13, z_lamp - 0.04, (0.72, 0.14, 0.14), 0.04)
-    box(shape, PAINT, 0, nose - 0.16, z_bumper, (2 * half * 0.86, 0.32, 0.20), 0.09)
-    box(shape, TRIM, 0, nose - 0.15, z_bumper - 0.12, (2 * half * 0.74, 0.28, 0.12), 0.05)
-    box(shape, PLATE, 0, nose - 0.02, z_bumper, (0.50, 0.03, 0.11), 0.008)
+    box(shape, HEAD, half * 0.64, nose - 0.10, z_lamp, (0.36, 0.18, 0.13), 0.05)
+    box(shape, TRIM, 0, nose - 0.08, z_lamp - 0.04, (0.72, 0.14, 0.14), 0.04)
+    box(shape, PAINT, 0, nose - 0.165, z_bumper, (2 * half * 0.86, 0.32, 0.20), 0.09)
+    box(shape, TRIM, 0, nose - 0.145, z_bumper - 0.12, (2 * half * 0.74, 0.28, 0.12), 0.05)
+    box(shape, PLATE, 0, nose - 0.016, z_bumper, (0.50, 0.03, 0.11), 0.008)
 
 
 def mirrors(shape: Shape, model: CarModel, y: float, z: float, size: tuple[float, float, float]) -> None:

@@ -43,32 +43,29 @@ def blend(
 def fresh_asphalt(rng: np.random.Generator) -> Surface:
     """Dark bitumen with fine pale aggregate."""
     grain = clouds(rng, SIZE, 120, 512, 0.0)
-    mottle = clouds(rng, SIZE, 3, 90, 0.9)
+    mottle = clouds(rng, SIZE, 10, 120, 0.7)
     stones = smoothstep(1.2, 2.2, clouds(rng, SIZE, 150, 420, 0.0))
     gray = 0.066 * np.exp(0.16 * mottle + 0.30 * grain) + 0.10 * stones
     return Surface(tint(gray, (1.0, 1.0, 1.03)), 0.62 + 0.06 * grain, 0.0012 * grain, 5.0)
 
 
 def worn_asphalt(rng: np.random.Generator) -> Surface:
-    """Bleached asphalt: coarse aggregate worn bare, hairline cracks, stains."""
+    """Bleached asphalt: coarse aggregate worn bare, hairline cracks."""
     grain = clouds(rng, SIZE, 100, 512, 0.0)
-    mottle = clouds(rng, SIZE, 2, 60, 0.8)
+    mottle = clouds(rng, SIZE, 9, 90, 0.6)
     stones = smoothstep(0.9, 2.0, clouds(rng, SIZE, 110, 330, 0.0))
     _, border = cells(rng, SIZE, 14, 14.0)
     weak = smoothstep(-0.2, 0.8, clouds(rng, SIZE, 1, 5, 0.5))
     crack = (1 - smoothstep(0.5, 1.6, border)) * weak
-    stain = smoothstep(0.9, 2.0, clouds(rng, SIZE, 2, 14, 0.8))
     gray = 0.100 * np.exp(0.11 * mottle + 0.26 * grain) + 0.10 * stones
-    gray *= (1 - 0.6 * crack) * (1 - 0.22 * stain)
-    return Surface(
-        tint(gray, (1.03, 1.0, 0.95)), 0.74 + 0.06 * grain - 0.1 * stain, 0.0016 * grain - 0.004 * crack, 5.0
-    )
+    gray *= 1 - 0.6 * crack
+    return Surface(tint(gray, (1.03, 1.0, 0.95)), 0.74 + 0.06 * grain, 0.0016 * grain - 0.004 * crack, 5.0)
 
 
 def concrete(rng: np.random.Generator) -> Surface:
     """Pale cement, brushed across the road, with pores and blotches; the joints are in its wear map."""
     brush = clouds(rng, (SIZE[0], 8), 100, 512, 0.0)[:, :1] + 0.6 * clouds(rng, SIZE, 60, 512, 0.0)
-    mottle = clouds(rng, SIZE, 2, 120, 1.0)
+    mottle = clouds(rng, SIZE, 7, 160, 0.8)
     pores = smoothstep(2.0, 2.8, clouds(rng, SIZE, 120, 400, 0.0))
     gray = 0.235 * np.exp(0.10 * mottle + 0.05 * brush) * (1 - 0.45 * pores)
     return Surface(tint(gray, (1.04, 1.0, 0.92)), 0.70 + 0.05 * mottle, 0.0007 * brush - 0.002 * pores, 5.0)
@@ -177,7 +174,7 @@ def terrain_macro(rng: np.random.Generator) -> Float[np.ndarray, "h w 3"]:
     """Growth and dryness over tens of metres: a tint on the terrain's albedo, 0.5 = unchanged."""
     lush = clouds(rng, SIZE, 1, 40, 1.0)
     dry = clouds(rng, SIZE, 1, 24, 1.0)
-    tints = np.exp(0.16 * lush)[..., None] * np.exp(dry[..., None] * np.array([0.13, 0.03, 0.06]))
+    tints = np.exp(0.16 * lush)[..., None] * np.exp(dry[..., None] * np.array([0.09, 0.05, -0.02]))
     return 0.5 * tints
 
 

@@ -88,7 +88,7 @@ def clumps(
     points = centers[which] + offset
     out = unit(0.6 * direction + 0.6 * unit(points - crown) + [0, 0, 0.15])
     below = np.clip(0.5 + 0.5 * direction[:, 2], 0, 1)
-    leaves(tree, rng, points, out, 0.40 + 0.35 * depth + 0.30 * below, leaf_m)
+    leaves(tree, rng, points, out, 0.52 + 0.28 * depth + 0.22 * below, leaf_m)
 
 
 def broadleaf(rng: np.random.Generator, model: TreeModel) -> Tree:
@@ -146,16 +146,16 @@ def poplar(rng: np.random.Generator, model: TreeModel) -> Tree:
     tree, h, r = Tree(), model.height_m, model.crown_radius_m
     branch(tree, limb_path(rng, ROOT, np.array([0, 0, 0.95 * h]), 0, 8), 0.2, 0.02, 7)
     centers, radii = [], []
-    for k in range(40):
-        level = k / 39
-        width = r * (0.52 * np.sin(np.pi * (0.12 + 0.80 * level)) ** 0.7)
+    for k in range(70):
+        level = k / 69
+        width = r * (0.56 * np.sin(np.pi * (0.12 + 0.80 * level)) ** 0.7)
         angle = 2.4 * k
         center = np.array([width * np.cos(angle), width * np.sin(angle), (0.13 + 0.82 * level) * h])
         foot = np.array([0, 0, center[2] - 0.11 * h])
-        branch(tree, limb_path(rng, foot, center, 0), 0.035, 0.01, 3)
+        branch(tree, limb_path(rng, foot, center, 0, 4), 0.035, 0.01, 3)
         centers.append(center)
-        radii.append(r * (0.46 - 0.22 * level) * rng.uniform(0.85, 1.15))
-    clumps(tree, rng, np.array(centers), np.array(radii), 7900, (0.30, 0.22), np.array([0, 0, 0.5 * h]))
+        radii.append(r * (0.38 - 0.16 * level) * rng.uniform(0.8, 1.2))
+    clumps(tree, rng, np.array(centers), np.array(radii), 7700, (0.30, 0.22), np.array([0, 0, 0.5 * h]))
     return tree
 
 

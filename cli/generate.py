@@ -1,5 +1,161 @@
-"""`synth3dlanes generate`: many labelled scenes into shards."""
+"""`synth3dlanes generate`: many labelled scenes into shards, with progress on stderr."""
+
+import json
+import re
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
 import click
+
+from .options import (
+    device_option,
+    json_option,
+    params_option,
+    passes_option,
+    samples_option,
+    seed_option,
+    set_option,
+    split_option,
+)
+
+if TYPE_CHECKING:
+    from synth3dlanes.progress import Event
+
+# Where there is no terminal to redraw, a line this often.
+LINE_EVERY_S = 30.0
+WORTH_A_LINE = ("restart", "set_aside", "pause", "resume")
+
+
+class Workers(click.ParamType):
+    """A number of processes, or auto for one per core (0)."""
+
+    name = "workers"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """Read it."""
+        if value == "auto":
+            return 0
+        if str(value).isdecimal() and int(value) > 0:
+            return int(value)
+        self.fail(f"expected auto or a positive number, got {value!r}", param, ctx)
+
+
+class PartOf(click.ParamType):
+    """i/n: which of the machines that share the work this is."""
+
+    name = "part"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        """Read it; whether i is within 1..n is the library's to say."""
+        found = re.fullmatch(r"(\d+)/(\d+)", value)
+        if found is None:
+            self.fail(f"expected i/n such as 2/8, got {value!r}", param, ctx)
+        return int(found[1]), int(found[2])
+
+
 @click.command()
-def generate() -> None:
-    """."""
+@click.option("--n", type=click.IntRange(min=1), required=True, help="How many samples the split is to hold.")
+@click.option("--out", metavar="DIR", type=click.Path(path_type=Path), required=True, help="The data set.")
+@split_option
+@seed_option
+@params_option
+@set_option
+@click.option("--workers", metavar="N|auto", type=Workers(), default="auto", help="Processes; auto: one per core.")
+@device_option
+@samples_option
+@passes_option
+@click.option("--image-format", type=click.Choice(["jpg", "png"]), default="jpg", help="jpg is of quality 95.")
+@click.option("--executor", type=click.Choice(["local"]), default="local", help="Where the workers run.")
+@click.option("--part", metavar="I/N", type=PartOf(), default="1/1", help="Make the i-th of n parts, one per machine.")
+@json_option
+@click.pass_context
+def generate(
+    ctx: click.Context,
+    n: int,
+    out: Path,
+    split: str,
+    seed: int,
+    source: str,
+    changes: tuple[str, ...],
+    workers: int,
+    device: str,
+    samples: int,
+    passes: tuple[str, ...],
+    image_format: str,
+    executor: str,
+    part: tuple[int, int],
+    as_json: bool,
+) -> None:
+    """Make N labelled scenes in DIR/SPLIT.
+
+    Run it again: it resumes where it was stopped, however that was; a larger N extends the split. Ctrl-C lets the
+    samples at hand finish.
+    """
+    from synth3dlanes.generate import Recipe
+    from synth3dlanes.params import load_params
+    from synth3dlanes.run import Plan
+    from synth3dlanes.run import generate as run
+    from synth3dlanes.settings import RenderSettings
+
+    recipe = Recipe(load_params(source, changes), seed, split, RenderSettings(samples, passes, device), image_format)
+    with _progress() as notify:
+        report = run(Plan(out, n, recipe, workers, part), notify)
+    if report.problem:
+        click.echo(report.problem, err=True)
+    if as_json:
+        click.echo(json.dumps(asdict(report)))
+    else:
+        click.echo(f"{out}/{split}: {report.done} of {report.asked} samples, {report.made} made now")
+    ctx.exit(report.exit_code)
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[["Event"], None]]:
+    """What to call with every event: redraws a bar on a terminal, else prints a line now and then."""
+    if sys.stderr.isatty():
+        with _bar() as notify:
+            yield notify
+        return
+    printed = time.monotonic()
+
+    def notify_in_lines(event: "Event") -> None:
+        nonlocal printed
+        if event.kind in ("start", *WORTH_A_LINE):
+            click.echo(event.message, err=True)
+        elif event.kind == "end" or time.monotonic() - printed > LINE_EVERY_S:
+            printed = time.monotonic()
+            click.echo(f"{event.done}/{event.asked}  {_pace(event)}", err=True)
+
+    yield notify_in_lines
+
+
+@contextmanager
+def _bar() -> Iterator[Callable[["Event"], None]]:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.fields[pace]}"))
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("", total=None, pace="")
+
+        def notify(event: "Event") -> None:
+            if event.kind in ("start", *WORTH_A_LINE):
+                bar.console.print(event.message, markup=False)
+            bar.update(task, completed=event.done, total=event.asked, pace=_pace(event))
+
+        yield notify
+
+
+def _pace(event: "Event") -> str:
+    """Rate and time left, as far as they are known."""
+    if not event.rate_per_s or event.eta_s is None:
+        return ""
+    minutes, seconds = divmod(round(event.eta_s), 60)
+    hours, minutes = divmod(minutes, 60)
+    set_aside = f", {event.set_aside} set aside" if event.set_aside else ""
+    return f"{3600 * event.rate_per_s:,.0f} images/h, {hours}:{minutes:02}:{seconds:02} left{set_aside}"

@@ -1,5 +1,6 @@
 """Options that several commands share."""
 
+import re
 from typing import Any
 
 import click
@@ -26,6 +27,18 @@ class Names(click.ParamType):
         return tuple(name for name in self.known if name in names)
 
 
+class FileName(click.ParamType):
+    """A name that can be a folder's: letters, digits, `_` and `-`."""
+
+    name = "name"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Check it."""
+        if re.fullmatch(r"[A-Za-z0-9_-]+", value) is None:
+            self.fail(f"expected letters, digits, _ or -, got {value!r}", param, ctx)
+        return str(value)
+
+
 params_option = click.option(
     "--params", "source", metavar="FILE", default="appendix_i", help="A preset's name or a YAML file."
 )
@@ -33,7 +46,9 @@ set_option = click.option(
     "--set", "changes", metavar="GROUP.KEY=VALUE", multiple=True, help="Change one parameter; repeatable."
 )
 seed_option = click.option("--seed", type=click.IntRange(min=0), default=0, help="Of the whole data set.")
-split_option = click.option("--split", metavar="NAME", default="train", help="Its scenes differ from other splits'.")
+split_option = click.option(
+    "--split", metavar="NAME", type=FileName(), default="train", help="Its scenes differ from other splits'."
+)
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for a machine.")
 samples_option = click.option(
     "--samples", metavar="K", type=click.IntRange(min=1), default=QUALITY_SAMPLES["standard"], help="Rays per pixel."

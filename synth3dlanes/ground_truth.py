@@ -1,15 +1,17 @@
 """Scene -> Labels: every lane curve in camera coordinates with its masks. No Blender; `object_visible` stays None."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.geometry import camera as cameras
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.lanes import Curve, curves, lane_graph
+from synth3dlanes.geometry.lanes import Curve, curves, host_segment, lane_graph, path_of_segment
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.transforms import invert, road_from_cam, transform
 from synth3dlanes.geometry.visibility import seen_over_ground
-from synth3dlanes.labels import CameraLabel, Labels, Lane, RoadName
+from synth3dlanes.labels import CameraLabel, Labels, Lane, RoadName, RoadPlane
 from synth3dlanes.scene import Scene
 
 Values = Float[np.ndarray, " n"]
@@ -65,7 +67,21 @@ def ground_truth(scene: Scene) -> Labels:
         )
     )
     centerlines = [lane.id for lane in lanes if lane.kind == "centerline"]
-    return Labels(camera, lanes, lane_graph(plan, centerlines))
+    return Labels(camera, lanes, lane_graph(plan, centerlines), horizon_plane(plan, camera, lanes))
+
+
+def horizon_plane(plan: RoadPlan, camera: CameraLabel, lanes: Sequence[Lane]) -> RoadPlane | None:
+    """The plane through the camera's foot and the farthest point of the host lane that is seen over the ground."""
+    segment = host_segment(plan, plan.scene.camera.lane, plan.scene.camera.y_m)
+    host = next(lane for lane in lanes if lane.id == path_of_segment(plan, segment).id)
+    seen = np.flatnonzero(host.in_image & host.terrain_visible)
+    if not seen.size:
+        return None
+    _, y, z = transform(camera.road_from_cam, host.xyz_cam[seen[-1]])
+    slope_rad = float(np.arctan2(z, y))
+    return RoadPlane(
+        pitch_rad=round(camera.pitch_rad + slope_rad, 9), height_m=round(camera.height_m * float(np.cos(slope_rad)), 9)
+    )
 
 
 def stations_of(plan: RoadPlan, curve: Curve, s_world: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:

@@ -80,13 +80,28 @@ class LaneGraph:
     ramp_start_s_m: float | None
 
 
+@dataclass(frozen=True)
+class RoadPlane:
+    """A plane through the camera's foot, without roll: the camera's pitch (positive = down) and height over it."""
+
+    pitch_rad: float
+    height_m: float
+
+
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """Everything exact that is known about one image."""
+    """Everything exact that is known about one image.
+
+    The plane that touches the road at the host is `camera`'s own pitch and height; `horizon` is the plane through the
+    farthest point of the host lane that is seen (the paper's 'horizon' variant), None where none is seen.
+    `car_visible_fraction` has, for each car of the scene, the seen share of its silhouette; None until rendered.
+    """
 
     camera: CameraLabel
     lanes: tuple[Lane, ...]
     graph: LaneGraph
+    horizon: RoadPlane | None = None
+    car_visible_fraction: tuple[float, ...] | None = None
 
 
 def to_json(labels: Labels) -> str:
@@ -112,6 +127,8 @@ def to_json(labels: Labels) -> str:
             "successors": {key: list(value) for key, value in labels.graph.successors.items()},
             "ramp_start_s_m": labels.graph.ramp_start_s_m,
         },
+        "horizon": None if labels.horizon is None else vars(labels.horizon),
+        "car_visible_fraction": labels.car_visible_fraction,
     }
     return json.dumps(document, separators=(",", ":"), allow_nan=False)
 
@@ -138,9 +155,15 @@ def from_json(text: str | bytes, where: str) -> Labels:
                 successors={key: tuple(value) for key, value in graph["successors"].items()},
                 ramp_start_s_m=graph["ramp_start_s_m"],
             ),
+            horizon=None if document["horizon"] is None else RoadPlane(**document["horizon"]),
+            car_visible_fraction=_tuple(document["car_visible_fraction"]),
         )
     except (KeyError, TypeError, AttributeError, json.JSONDecodeError, UnicodeDecodeError) as error:
         raise FormatError(f"{where}: not a labels file: {type(error).__name__}: {error}") from None
+
+
+def _tuple(values: list[float] | None) -> tuple[float, ...] | None:
+    return None if values is None else tuple(values)
 
 
 def _rounded(values: Float[np.ndarray, "..."], decimals: int) -> Any:

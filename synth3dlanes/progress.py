@@ -21,8 +21,10 @@ SHARD_SAMPLES = 1000
 
 @dataclass(frozen=True)
 class Event:
-    """One thing that happened, and where the run stands. Kinds: start, sample, restart, set_aside, shard, pause, resume,
-    end. `eta_s` is None until there is something to go by."""
+    """One thing that happened, and where the run stands; `eta_s` is None until there is something to go by.
+
+    Kinds: start, sample, restart, set_aside, shard, pause, resume, end.
+    """
 
     kind: str
     message: str

@@ -22,7 +22,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from threading import current_thread, main_thread
 from types import FrameType
@@ -53,7 +53,7 @@ class Plan:
     recipe: Recipe
     workers: int = 0
     part: tuple[int, int] = (1, 1)
-    limits: Limits = Limits()
+    limits: Limits = field(default_factory=Limits)
     shard_size: int = SHARD_SIZE
     maker: Callable[[Recipe, int], Made] = make_sample
 
@@ -164,7 +164,7 @@ class _Run:
                 while self.todo and not self._stopping and pool.busy < pool.n and self._has_room():
                     self._start(pool, *self.todo.popleft())
                 for outcome in pool.wait(POLL_S):
-                    self._handle(*outcome.task, outcome)
+                    self._handle(outcome)
                 for number in [number for number, join in self.joins.items() if join.done()]:
                     self._joined(number, self.joins.pop(number))
                 if time.monotonic() > self.stop_by:
@@ -181,7 +181,8 @@ class _Run:
         else:
             pool.start((kind, index), scene_json, recipe, index)
 
-    def _handle(self, kind: str, index: int, outcome: Outcome) -> None:
+    def _handle(self, outcome: Outcome) -> None:
+        kind, index = outcome.task
         if kind == "scene":
             if outcome.status == "done":
                 write_whole(self._failed(index) / "scene.json", f"{outcome.value}\n".encode())

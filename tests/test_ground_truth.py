@@ -114,3 +114,15 @@ def test_labels_come_back_from_their_file():
 def test_scenes_come_back_from_their_file():
     scene = changed(road={"topology": 3})
     assert scene_file.from_json(scene_file.to_json(scene), "scene.json") == scene
+
+
+def test_the_horizon_plane_of_a_plain_is_the_road_itself_and_a_rise_tilts_it_up():
+    flat = ground_truth(changed())
+    assert (flat.horizon.pitch_rad, flat.horizon.height_m) == (pytest.approx(0.05), pytest.approx(1.6))
+    rising = ground_truth(changed(terrain={"gaussians": (hill(0, 200, 40, 90),)}))
+    assert rising.horizon.pitch_rad > rising.camera.pitch_rad, "the plane rises ahead: the camera looks down at it more"
+    host = next(lane for lane in rising.lanes if lane.id == "main_2")
+    far = transform(rising.camera.road_from_cam, host.xyz_cam)[np.flatnonzero(host.in_image & host.terrain_visible)[-1]]
+    slope = np.arctan2(far[2], far[1])
+    assert rising.horizon.pitch_rad == pytest.approx(0.05 + slope)
+    assert rising.horizon.height_m == pytest.approx(1.6 * np.cos(slope))

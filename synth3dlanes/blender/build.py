@@ -21,10 +21,12 @@ from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_TREE_I
 
 @dataclass(frozen=True, eq=False)
 class Studio:
-    """What every scene of a process shares, and the names of all data that must outlive a scene."""
+    """What every scene of a process shares, and the names of all data that must outlive a scene. `plain` is the
+    cheapest material, for renders that only need shapes."""
 
     assets: Assets
     materials: Materials
+    plain: bpy.types.Material
     camera: bpy.types.Object
     kept: frozenset[tuple[str, str]]
 
@@ -48,7 +50,7 @@ def open_studio() -> Studio:
     bpy.context.scene.camera = camera
     make_world()
     assets, materials = load_assets(), make_materials()
-    return Studio(assets, materials, camera, frozenset(_names()))
+    return Studio(assets, materials, bpy.data.materials.new("plain"), camera, frozenset(_names()))
 
 
 def build(studio: Studio, scene: Scene) -> list[Placed]:

@@ -112,7 +112,7 @@ def _road(name: str) -> bpy.types.Material:
     gloss = graph.value("gloss")
     roughness = graph.math("MULTIPLY_ADD", gloss, -1.5, _image(graph, f"{name}_roughness.jpg", uv, is_color=False))
     amount = graph.math("MULTIPLY_ADD", gloss, 1.2, 0.15)
-    coated(graph, color, roughness, amount, normal=_bumpy_normal(graph, name, uv, 0.6))
+    coated(graph, color, roughness, amount, normal=_bumpy_normal(graph, name, uv, 0.4))
     return material
 
 

@@ -3,6 +3,7 @@
 Each asset's mesh gets one search tree per process; a ray is brought into an object's own frame.
 """
 
+from collections.abc import Callable
 from functools import cache
 
 import bpy
@@ -12,10 +13,14 @@ from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
 from synth3dlanes.blender.build import Placed
+from synth3dlanes.geometry.camera import project
 from synth3dlanes.geometry.transforms import invert, transform
+from synth3dlanes.labels import Labels
 
 # A point on the road is not hidden by what touches it from beyond this distance.
 END_M = 0.02
+# Rays across a car's bounding sphere, each way: some 60 of them meet a car, so that a share is good to a few per cent.
+SILHOUETTE_RAYS = 16
 
 
 def hidden_by_objects(
@@ -37,6 +42,56 @@ def hidden_by_objects(
         for ray, direction, distance in zip(rays, to / reach[:, None], reach - END_M / item.scale, strict=True):
             hidden[ray] = tree.ray_cast(origin, Vector(direction), distance)[0] is not None
     return hidden
+
+
+def seen_fractions(
+    cars: list[Placed],
+    placed: list[Placed],
+    labels: Labels,
+    seen_over_ground: Callable[[Float[np.ndarray, "n 3"]], Bool[np.ndarray, " n"]],
+) -> tuple[float, ...]:
+    """For each car the share of its silhouette that is inside the image and behind neither ground nor objects."""
+    camera = labels.camera
+    eye = camera.world_from_cam[:3, 3]
+    nothing = np.zeros((0, 3))
+    surfaces = [_silhouette(car, eye) if _reaches_image(car, labels) else nothing for car in cars]
+    points = np.concatenate([*surfaces, nothing])
+    uv = project(camera.img_from_cam, transform(invert(camera.world_from_cam), points))
+    with np.errstate(invalid="ignore"):
+        seen = ((uv >= 0) & (uv <= [camera.width_px, camera.height_px])).all(axis=1)
+    seen[seen] = seen_over_ground(points[seen])
+    seen[seen] = ~hidden_by_objects(placed, eye, points[seen])
+    shares = np.split(seen, np.cumsum([len(surface) for surface in surfaces]))[:-1]
+    return tuple(round(float(share.mean()), 3) if share.size else 0.0 for share in shares)
+
+
+def _reaches_image(car: Placed, labels: Labels) -> bool:
+    """Whether the car's bounding sphere reaches across all four sides of the view."""
+    center, radius = _bounding_sphere(car.mesh.name)
+    camera = labels.camera
+    center_cam = transform(invert(camera.world_from_cam), transform(car.world_from_object, center * car.scale))
+    u, v, y = camera.img_from_cam
+    sides = np.array([u, v, camera.width_px * y - u, camera.height_px * y - v])
+    sides /= np.linalg.norm(sides, axis=1, keepdims=True)
+    return bool((sides @ center_cam > -radius * car.scale).all())
+
+
+def _silhouette(car: Placed, eye_world: Float[np.ndarray, "3"]) -> Float[np.ndarray, "n 3"]:
+    """World points of the car's surface as seen from the eye, on an even grid over its bounding sphere's disc."""
+    center, radius = _bounding_sphere(car.mesh.name)
+    eye = transform(invert(car.world_from_object), eye_world) / car.scale
+    forward = center - eye
+    distance = np.linalg.norm(forward)
+    forward /= distance
+    right = np.cross(forward, [0, 0, 1.0])
+    right /= np.linalg.norm(right)
+    grid = (np.arange(SILHOUETTE_RAYS) + 0.5) / SILHOUETTE_RAYS * 2 - 1
+    across, up = (axis.reshape(-1, 1) for axis in np.meshgrid(grid, grid))
+    rays = center + radius * (across * right + up * np.cross(right, forward)) - eye
+    tree = _search_tree(car.mesh.name)
+    hits = (tree.ray_cast(Vector(eye), Vector(ray))[0] for ray in rays / np.linalg.norm(rays, axis=1)[:, None])
+    points = np.array([hit for hit in hits if hit is not None]).reshape(-1, 3)
+    return transform(car.world_from_object, points * car.scale)
 
 
 def _rays_near(

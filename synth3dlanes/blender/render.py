@@ -3,7 +3,7 @@
 import os
 import time
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 
 import bpy
 import cycles  # type: ignore[import-not-found]
@@ -11,9 +11,12 @@ import numpy as np
 from jaxtyping import Shaped, UInt8
 
 from synth3dlanes.blender.build import Placed, Studio, build, open_studio
-from synth3dlanes.blender.occlusion import hidden_by_objects
+from synth3dlanes.blender.occlusion import hidden_by_objects, seen_fractions
 from synth3dlanes.blender.tonemap import tonemap
-from synth3dlanes.geometry.transforms import transform
+from synth3dlanes.geometry.ground import Ground
+from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.geometry.transforms import Matrix4, transform
+from synth3dlanes.geometry.visibility import seen_over_ground
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import NO_HIT_DEPTH_M, RenderSettings
@@ -47,24 +50,29 @@ def render(scene: Scene, labels: Labels, settings: RenderSettings) -> Rendering:
     layers = run_cycles()
     clock.append(time.perf_counter())
     image = tonemap(layers["Combined"][..., :3])
-    passes = {name: _pass(name, layers) for name in settings.passes}
+    passes = {name: _pass(name, layers) for name in settings.passes if name != "normal"}
+    if "normal" in settings.passes:
+        passes["normal"] = _normals(labels.camera.world_from_cam)
     clock.append(time.perf_counter())
-    seen = with_object_visibility(labels, placed)
+    seen = with_object_visibility(scene, labels, placed)
     clock.append(time.perf_counter())
-    stages = ("build", "cycles", "image", "occlusion")
+    stages = ("build", "cycles", "passes", "occlusion")
     return Rendering(image, seen, passes, dict(zip(stages, np.diff(clock).tolist(), strict=True)))
 
 
-def with_object_visibility(labels: Labels, placed: list[Placed]) -> Labels:
-    """The labels with every point's `object_visible`."""
+def with_object_visibility(scene: Scene, labels: Labels, placed: list[Placed]) -> Labels:
+    """The labels with every point's `object_visible` and the seen share of every car."""
     world_from_cam = labels.camera.world_from_cam
+    eye = world_from_cam[:3, 3]
     points = transform(world_from_cam, np.concatenate([lane.xyz_cam for lane in labels.lanes]))
-    visible = ~hidden_by_objects(placed, world_from_cam[:3, 3], points)
+    visible = ~hidden_by_objects(placed, eye, points)
     ends = np.cumsum([len(lane.xyz_cam) for lane in labels.lanes])[:-1]
     lanes = (
         replace(lane, object_visible=mask) for lane, mask in zip(labels.lanes, np.split(visible, ends), strict=True)
     )
-    return replace(labels, lanes=tuple(lanes))
+    over_ground = partial(seen_over_ground, Ground(RoadPlan(scene)), eye)
+    cars = seen_fractions(placed[: len(scene.cars)], placed, labels, over_ground)
+    return replace(labels, lanes=tuple(lanes), car_visible_fraction=cars)
 
 
 def configure(settings: RenderSettings, exposure: float) -> None:
@@ -73,7 +81,8 @@ def configure(settings: RenderSettings, exposure: float) -> None:
     blender.render.engine = "CYCLES"
     blender.render.threads_mode = "FIXED"
     blender.render.threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    blender.render.use_persistent_data = False
+    # Kept for the second render that normals need, and for no longer: it hides changes between scenes.
+    blender.render.use_persistent_data = "normal" in settings.passes
     blender.render.use_compositing = False
     blender.render.use_sequencer = False
     blender.render.film_transparent = False
@@ -127,3 +136,19 @@ def _pass(name: str, layers: dict[str, np.ndarray]) -> np.ndarray:
     if name == "semantic":
         return layers["IndexMA"][..., 0].astype(np.uint8)
     return layers["IndexOB"][..., 0].astype(np.uint16)
+
+
+def _normals(world_from_cam: Matrix4) -> np.ndarray:
+    """Camera-frame unit normals at the pixels' centres, zero in the sky. Cycles averages normals over a pixel's
+    samples, so they take a render of their own: one sample, no light."""
+    blender = bpy.context.scene
+    layer = blender.view_layers[0]
+    layer.material_override, layer.use_pass_normal = studio().plain, True
+    blender.cycles.samples, blender.cycles.filter_width, blender.cycles.max_bounces = 1, 0.01, 0
+    blender.cycles.use_denoising = False
+    try:
+        normals = run_cycles()["Normal"]
+    finally:
+        layer.material_override, layer.use_pass_normal = None, False
+        blender.render.use_persistent_data = False
+    return np.asarray(normals @ world_from_cam[:3, :3].astype(np.float32))

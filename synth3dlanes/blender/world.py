@@ -3,6 +3,7 @@
 World frame, azimuth counter-clockwise from x. The table (blender_assets/sky.py) holds no sun disc; the lamp is the sun.
 """
 
+from functools import cache
 from zlib import crc32
 
 import bpy
@@ -51,7 +52,7 @@ def set_light(scene: Scene) -> None:
     light = scene.light
     rng = np.random.default_rng([scene.seed, crc32(scene.split.encode()), scene.index, crc32(b"clouds")])
     pixels = np.ones((*SKY_SHAPE, 4), np.float32)
-    pixels[..., :3] = SUN_STRENGTH * sky_image(light, cloud_cover(rng))
+    pixels[..., :3] = np.moveaxis(SUN_STRENGTH * sky_image(light, cloud_cover(rng)), 0, -1)
     image = bpy.data.images["sky"]
     image.pixels.foreach_set(pixels.ravel())
     image.update()
@@ -69,10 +70,16 @@ def sun_direction(light: Light) -> Float[np.ndarray, "3"]:
     return np.array([np.sin(zenith) * np.cos(azimuth), np.sin(zenith) * np.sin(azimuth), np.cos(zenith)])
 
 
+@cache
+def _sky_table() -> dict[str, Float[np.ndarray, "..."]]:
+    with np.load(assets_dir() / "sky.npz") as table:
+        return dict(table)
+
+
 def sun_color(light: Light) -> Float[np.ndarray, "3"]:
     """The sun's irradiance after the atmosphere, as a share of that outside it."""
-    with np.load(assets_dir() / "sky.npz") as table:
-        return np.array([np.interp(light.sun_zenith_rad, table["sun_zenith_rad"], c) for c in table["sun_transmittance"].T])
+    table = _sky_table()
+    return _weights(table["sun_zenith_rad"], np.array([light.sun_zenith_rad]))[0] @ table["sun_transmittance"]
 
 
 def cloud_cover(rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
@@ -80,38 +87,41 @@ def cloud_cover(rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
     file = assets_dir() / "textures" / f"clouds_{rng.integers(1, N_CLOUD_MAPS + 1)}.png"
     with Image.open(file) as picture:
         cover = np.asarray(picture, np.float32) / 255
-    strength = rng.uniform(0.0, 1.0)
+    strength = np.float32(rng.uniform(0.0, 1.0))
     return strength * np.roll(cover, rng.integers(cover.shape[1]), axis=1)
 
 
-def sky_image(light: Light, cover: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "H W 3"]:
+def sky_image(light: Light, cover: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "3 H W"]:
     """Radiance in Blender's equirectangular layout: bottom row first, azimuth falling from pi to -pi."""
     elevation = np.pi * ((np.arange(SKY_SHAPE[0]) + 0.5) / SKY_SHAPE[0] - 0.5)
     azimuth = np.pi - 2 * np.pi * (np.arange(SKY_SHAPE[1]) + 0.5) / SKY_SHAPE[1]
     from_sun = np.abs((azimuth - light.sun_azimuth_rad + np.pi) % (2 * np.pi) - np.pi)
-    clear = clear_sky(light, np.maximum(elevation[HORIZON:], 0), from_sun)
-    ambient = clear.mean(axis=(0, 1))
-    sunlit = CLOUD_ALBEDO * (sun_color(light) * (0.3 + 0.7 * np.cos(light.sun_zenith_rad))) / np.pi
-    cloud = sunlit * (1.25 - 0.5 * cover[::-1, :, None]) + ambient
-    upper = clear + cover[::-1, :, None] * (cloud - clear)
-    lower = np.broadcast_to(BELOW_HORIZON * clear[:1].mean(axis=1, keepdims=True), upper.shape)
-    return np.concatenate([lower, upper]).astype(np.float32)
+    clear = clear_sky(light, elevation[HORIZON:], from_sun)
+    sunlit = sun_color(light) * (0.3 + 0.7 * np.cos(light.sun_zenith_rad)) * CLOUD_ALBEDO / np.pi
+    ambient = clear.mean(axis=(1, 2))
+    opacity = cover[::-1]
+    thickness_shade = 1.25 - 0.5 * opacity
+    sky = np.zeros((3, *SKY_SHAPE), np.float32)
+    for channel in range(3):
+        cloud = sunlit[channel] * thickness_shade + ambient[channel]
+        sky[channel, HORIZON:] = clear[channel] + opacity * (cloud - clear[channel])
+        sky[channel, :HORIZON] = BELOW_HORIZON * clear[channel, 0].mean()
+    return sky
 
 
 def clear_sky(
     light: Light, elevation_rad: Float[np.ndarray, " h"], from_sun_rad: Float[np.ndarray, " w"]
-) -> Float[np.ndarray, "h w 3"]:
+) -> Float[np.ndarray, "3 h w"]:
     """Cloudless radiance per unit of solar irradiance, interpolated in the table."""
-    with np.load(assets_dir() / "sky.npz") as table:
-        radiance = table["radiance"]
-        at_sun = _weights(table["sun_zenith_rad"], np.array([light.sun_zenith_rad]))[0]
-        by_elevation = _weights(table["elevation_rad"], elevation_rad)
-        by_azimuth = _weights(table["azimuth_rad"], from_sun_rad)
-    dome = np.tensordot(at_sun, radiance, 1)
-    rows = np.tensordot(by_elevation, dome, 1)
-    return np.moveaxis(np.tensordot(by_azimuth, rows, (1, 1)), 0, 1)
+    table = _sky_table()
+    at_sun = _weights(table["sun_zenith_rad"], np.array([light.sun_zenith_rad]))[0]
+    by_elevation = _weights(table["elevation_rad"], elevation_rad)
+    by_azimuth = _weights(table["azimuth_rad"], from_sun_rad)
+    dome = np.moveaxis(np.tensordot(at_sun, table["radiance"], 1), -1, 0)
+    radiance: Float[np.ndarray, "3 h w"] = by_elevation @ dome @ by_azimuth.T
+    return radiance
 
 
 def _weights(knots: Float[np.ndarray, " k"], x: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n k"]:
     """The matrix of linear interpolation: row i holds the weights of the knots at x[i]."""
-    return np.stack([np.interp(x, knots, unit) for unit in np.eye(len(knots), dtype=np.float32)], axis=1)
+    return np.stack([np.interp(x, knots, unit) for unit in np.eye(len(knots))], axis=1).astype(np.float32)

@@ -8,7 +8,7 @@ from synth3dlanes.errors import ParamsError
 from synth3dlanes.export.lines import View
 from synth3dlanes.labels import CameraLabel
 
-TOLERANCE_PX = 1e-6
+TOLERANCE_PX = 0.01  # scenes round their angles, so a native camera's focal length is off by parts in a million
 
 
 def resample(image: UInt8[np.ndarray, "h w 3"], camera: CameraLabel, view: View, where: str) -> Image.Image:
@@ -30,7 +30,9 @@ def resample(image: UInt8[np.ndarray, "h w 3"], camera: CameraLabel, view: View,
             f"that ends {-slack_px:.1f} px short of it: render with a wider field of view"
         )
     source = Image.fromarray(image)
-    if source.size == (view.width_px, view.height_px) and np.allclose(box, (0, 0, *source.size), atol=TOLERANCE_PX):
+    if source.size == (view.width_px, view.height_px) and np.allclose(
+        box, (0, 0, *source.size), rtol=0, atol=TOLERANCE_PX
+    ):
         return source
     inside = np.clip(box, 0, (width_px, height_px, width_px, height_px)).tolist()
     return source.resize((view.width_px, view.height_px), Image.Resampling.BICUBIC, box=tuple(inside))

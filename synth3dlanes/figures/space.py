@@ -85,7 +85,7 @@ def _lanes(view: SceneView, kind: Kind) -> list[Triangles]:
         if lane.kind != kind:
             continue
         points_road = transform(view.labels.camera.road_from_cam, lane.xyz_cam)
-        points_road[:, 2] += np.interp(points_road[:, 1], *zip(*PAINT_LIFT_M, strict=True)) + _LANE_OVER_PAINT_M
+        points_road[:, 2] += np.interp(points_road[:, 1], *np.array(PAINT_LIFT_M).T) + _LANE_OVER_PAINT_M
         along = np.gradient(points_road, axis=0)
         right = np.stack([along[:, 1], -along[:, 0], np.zeros(len(along))], -1)
         right *= _LANE_HALF_WIDTH_M / np.linalg.norm(right, axis=1, keepdims=True)

@@ -131,7 +131,7 @@ def test_points_missing_from_a_prediction_cost_the_match_distance(roads):
     labels = roads.labels(_straight(0.0))
     whole = roads.as_prediction(labels)
     for shift_m, expected in ((1.45, 1.0), (1.55, 0.0)):
-        half = [dataclasses.replace(lane, xyz_cam=lane.xyz_cam[:40] + [shift_m, 0, 0]) for lane in whole.lanes]
+        half = [_moved(lane, shift_m, n_points=40) for lane in whole.lanes]
         centerline = _evaluate([(labels, _with_lanes(whole, half))]).kinds["centerline"]
         assert centerline.ap == expected
         if expected:
@@ -143,8 +143,8 @@ def test_pairs_go_by_distance_and_not_by_score(roads):
     # right one (two hits); by distance B takes the left one and A finds nothing within reach.
     labels = roads.labels(_straight(0.0, 2.0))
     line = roads.as_prediction(roads.labels(_straight(0.0))).lanes[0]
-    a = dataclasses.replace(line, score=0.95, xyz_cam=line.xyz_cam - [0.4, 0, 0])
-    b = dataclasses.replace(line, score=0.55, xyz_cam=line.xyz_cam + [0.3, 0, 0])
+    a = dataclasses.replace(_moved(line, -0.4), score=0.95)
+    b = dataclasses.replace(_moved(line, 0.3), score=0.55)
     prediction = _with_lanes(roads.as_prediction(labels), [a, b])
     assert _evaluate([(labels, prediction)]).kinds["centerline"].at_threshold.recall == 0.5
 
@@ -153,8 +153,8 @@ def test_matching_starts_anew_at_every_threshold(roads):
     # At 0.9 the sure one takes the only lane. At 0.5 the nearer one does and the sure one turns into a false alarm.
     labels = roads.labels(_straight(0.0))
     line = roads.as_prediction(labels).lanes[0]
-    sure = dataclasses.replace(line, score=0.9, xyz_cam=line.xyz_cam + [1.0, 0, 0])
-    near = dataclasses.replace(line, score=0.5, xyz_cam=line.xyz_cam + [0.1, 0, 0])
+    sure = dataclasses.replace(_moved(line, 1.0), score=0.9)
+    near = dataclasses.replace(_moved(line, 0.1), score=0.5)
     centerline = _evaluate([(labels, _with_lanes(roads.as_prediction(labels), [sure, near]))]).kinds["centerline"]
     assert list(zip(centerline.recalls, centerline.precisions, strict=True)) == [(1.0, 1.0), (1.0, 0.5)]
     assert centerline.at_threshold.near_1sigma_cm == pytest.approx(10.0, abs=1e-3)
@@ -201,3 +201,7 @@ def test_speed_for_five_thousand_images(roads):
 
 def _rescored(lane, rng):
     return dataclasses.replace(lane, score=float(rng.uniform(0, 1)))
+
+
+def _moved(lane, shift_m, n_points=None):
+    return dataclasses.replace(lane, xyz_cam=lane.xyz_cam[:n_points] + np.array([shift_m, 0.0, 0.0]))

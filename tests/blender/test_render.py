@@ -18,6 +18,7 @@ from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import sample_scene
+from synth3dlanes.scene import Car
 from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS, RenderSettings
 from tests.scenes import changed, hill
 
@@ -216,3 +217,46 @@ def test_exposure_changes_the_image_and_nothing_else():
         np.testing.assert_array_equal(dim.passes[name], bright.passes[name])
     for a, b in zip(dim.labels.lanes, bright.labels.lanes, strict=True):
         assert all(np.array_equal(x, y) for x, y in zip(dataclasses.astuple(a), dataclasses.astuple(b), strict=True))
+
+
+def test_normals_are_the_terrains_on_the_ground_and_face_the_camera():
+    without_ramp = load_params("appendix_i", ["trees.n=40", "cars.n=1", "road.topology=1"])
+    scene = sample_scene(without_ramp, 7, "test", 0)
+    settings = RenderSettings(samples=1, passes=("depth", "normal", "semantic"))
+    result = rendered(scene, settings)
+    normal, semantic = result.passes["normal"], result.passes["semantic"]
+    length = np.linalg.norm(normal, axis=-1)
+    np.testing.assert_allclose(length[semantic > 0], 1, atol=1e-4)
+    assert not length[semantic == 0].any()
+    v, u = np.nonzero((semantic == SEMANTIC_IDS["road"]) & (result.passes["depth"] < 40))
+    camera = result.labels.camera
+    rays = np.column_stack([(u + 0.5 - 240) / scene.camera.fx_px, np.ones(len(u)), (180 - v - 0.5) / scene.camera.fy_px])
+    points_world = transform(camera.world_from_cam, rays * result.passes["depth"][v, u][:, None])
+    slope = gradient_at(scene.terrain, points_world[:, :2])
+    expected = np.column_stack([-slope, np.ones(len(u))]) / np.sqrt(1 + (slope**2).sum(axis=1))[:, None]
+    cosine = ((normal[v, u] @ camera.world_from_cam[:3, :3].T) * expected).sum(axis=1)
+    assert np.percentile(cosine, 2) > np.cos(np.radians(1))
+    assert ((normal[v, u] * rays).sum(axis=1) < 0).all()
+
+
+def test_asking_for_passes_changes_no_pixel():
+    scene = sample_scene(load_params("appendix_i", ["cars.n=5", "trees.n=100"]), 5, "test", 3)
+    plain = rendered(scene, RenderSettings(samples=2)).image
+    with_passes = rendered(scene, RenderSettings(samples=2, passes=("depth", "normal", "semantic", "instance"))).image
+    np.testing.assert_array_equal(plain, with_passes)
+    np.testing.assert_array_equal(plain, rendered(scene, RenderSettings(samples=2)).image)
+
+
+def test_seen_share_of_cars():
+    """A lone car ahead is seen whole; with a truck before it, hardly; one behind the camera, not at all."""
+    car = {"model": 1, "scale": 1.0, "color": (1, 0, 0), "gloss": 0.5, "lane": "main_2"}
+    ahead, behind = Car(**car, s_m=-20), Car(**car, s_m=-90)
+    truck = Car(**{**car, "model": 6}, s_m=-32)
+    scene = changed()
+
+    def shares(*cars):
+        return rendered(scene.model_copy(update={"cars": cars}), RenderSettings(samples=1)).labels.car_visible_fraction
+
+    assert shares(ahead, behind) == (1.0, 0.0)
+    hidden, before = shares(ahead, truck)
+    assert hidden < 0.1 and before > 0.95

@@ -1,0 +1,64 @@
+"""A network as ONNX: inputs `image` (RGB in 0..1) and `intrinsics`, outputs by name, any batch size."""
+
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from baseline_model import checkpoint as checkpoints
+from baseline_model.model import LaneNet, Output
+from synth3dlanes.errors import ParamsError
+
+OPSET = 18
+INPUTS = ("image", "intrinsics")
+OUTPUTS = ("x_m", "z_m", "score", "pose")
+
+
+class _Plain(nn.Module):
+    """The network with confidences for logits and no optional outputs. x is relative to the road, not the anchor."""
+
+    def __init__(self, model: LaneNet) -> None:
+        super().__init__()
+        self.model = model
+
+    def forward(
+        self, image: Float[Tensor, "b 3 h w"], intrinsics: Float[Tensor, "b 4"]
+    ) -> tuple[Float[Tensor, "b t a k"], Float[Tensor, "b t a k"], Float[Tensor, "b t a"], Float[Tensor, "b 2"]]:
+        output: Output = self.model(image, intrinsics)
+        x_m = output.x_m + self.model.anchors_m[:, None]
+        return x_m, output.z_m, output.logit.sigmoid(), output.pose
+
+
+def export_onnx(checkpoint: str | Path, path: str | Path) -> Path:
+    """Write the checkpoint's network; the knots' y, the types and the whole configuration go into its metadata."""
+    try:
+        import onnx  # type: ignore[import-not-found,import-untyped,unused-ignore]
+    except ImportError:
+        raise ParamsError("onnx: expected the packages onnx and onnxscript: pip install onnx onnxscript") from None
+    loaded = checkpoints.load(Path(checkpoint))
+    model = checkpoints.build(loaded, torch.device("cpu"))
+    config = model.config
+    # A batch of two: an exporter takes a size of one for a constant.
+    image = torch.zeros(2, 3, config.image_height_px, config.image_width_px)
+    intrinsics = torch.tensor([config.reference_intrinsics] * 2)
+    batch = torch.export.Dim("batch", min=1)
+    target = Path(path)
+    program: Any = torch.onnx.export(
+        _Plain(model).eval(),
+        (image, intrinsics),
+        input_names=INPUTS,
+        output_names=OUTPUTS,
+        opset_version=OPSET,
+        dynamo=True,
+        dynamic_shapes={"image": {0: batch}, "intrinsics": {0: batch}},
+        verbose=False,
+    )
+    proto = program.model_proto
+    onnx.helper.set_model_props(
+        proto,
+        {"config": config.model_dump_json(), "types": ",".join(config.types), "knots_y_m": str(list(config.knots_y_m))},
+    )
+    onnx.save(proto, target)
+    return target

@@ -1,0 +1,61 @@
+"""Pictures like the paper's results figure: image and 3D side by side, ground truth blue, detections red."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from baseline_model.lanes import Prediction
+from baseline_model.poses import Pose, project, road_from_cam, transform
+from synth3dlanes.labels import Labels
+
+TRUTH, FOUND = "#1f5fff", "#ff2020"
+FAR_M = 80.0
+
+
+def save_overlay(
+    path: Path,
+    image: UInt8[np.ndarray, "h w 3"],
+    img_from_cam: Float[np.ndarray, "3 3"],
+    prediction: Prediction,
+    labels: Labels | None,
+    threshold: float = 0.5,
+) -> None:
+    """Detections of at least this confidence; centre lines solid, delimiters dashed; to 80 m."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    height, width = image.shape[:2]
+    figure = Figure(figsize=(11, 4.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    left = figure.add_subplot(1, 2, 1)
+    right = figure.add_subplot(1, 2, 2, projection="3d")
+    left.imshow(image)
+    left.set(xlim=(0, width), ylim=(height, 0), title=prediction.key)
+    left.set_axis_off()
+    pose = Pose(labels.camera.pitch_rad, labels.camera.height_m) if labels is not None else prediction.pose
+    to_road = np.eye(4) if pose is None else road_from_cam(pose)
+    for colour, style, xyz_cam in _curves(prediction, labels, threshold):
+        xyz_road = transform(to_road, xyz_cam)
+        in_reach = (xyz_road[:, 1] >= 0) & (xyz_road[:, 1] <= FAR_M)
+        uv = project(img_from_cam, xyz_cam)
+        # Pixel (0, 0) of imshow is centred at the origin, ours has its corner there.
+        left.plot(*(np.where(in_reach[:, None], uv, np.nan) - 0.5).T, style, color=colour, linewidth=1.4)
+        right.plot(*xyz_road[in_reach].T, style, color=colour, linewidth=1.4)
+    right.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", ylim=(0, FAR_M), xlim=(-12, 12))
+    right.set_box_aspect((1.0, 2.0, 0.6))
+    right.view_init(elev=25, azim=-70)
+    figure.savefig(path, dpi=100)
+
+
+def _curves(
+    prediction: Prediction, labels: Labels | None, threshold: float
+) -> Iterable[tuple[str, str, Float[np.ndarray, "n 3"]]]:
+    style = {"centerline": "-", "delimiter": "--"}
+    for lane in labels.lanes if labels is not None else ():
+        hidden = ~lane.terrain_visible[:, None]
+        yield TRUTH, style[lane.kind], np.where(hidden, np.nan, lane.xyz_cam)
+    for found in prediction.lanes:
+        if found.score >= threshold:
+            yield FOUND, style[found.kind], found.xyz_cam

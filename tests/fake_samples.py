@@ -1,0 +1,101 @@
+"""Sample makers that need no Blender, for tests of what happens around them; `python -m tests.fake_samples` is a run."""
+
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from synth3dlanes import scene as scene_module
+from synth3dlanes.dataset.format import encode
+from synth3dlanes.generate import Made, Recipe
+from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph, Segment
+from synth3dlanes.params import load_params
+from synth3dlanes.run import Plan, generate
+from synth3dlanes.settings import RenderSettings
+from tests.scenes import FLAT
+
+BAD = 3
+
+
+def recipe(seed: int = 7, split: str = "train", image_format: str = "png", overrides: tuple[str, ...] = ()) -> Recipe:
+    return Recipe(load_params("tiny", overrides), seed, split, RenderSettings(), image_format)
+
+
+def labels(index: int) -> Labels:
+    y_m = np.arange(0.0, 60)
+    camera = CameraLabel(24, 16, np.eye(3), 1.5, 0.02, np.eye(4), np.eye(4))
+    xyz_cam = np.stack([np.full_like(y_m, index % 3), y_m, 0.1 * y_m - 1.5], axis=1)
+    seen = y_m > 5
+    lane = Lane("c1", "centerline", "main", "none", None, None, xyz_cam, seen, seen, y_m > 7)
+    graph = LaneGraph((Segment("s1", "main", 1, -100.0, 100.0, None, None, ("c1",)),), {"s1": ()}, None)
+    return Labels(camera, (lane,), graph)
+
+
+def image(index: int) -> np.ndarray:
+    return np.random.default_rng(index).integers(0, 256, (16, 24, 3), dtype=np.uint8)
+
+
+def make(recipe: Recipe, index: int) -> Made:
+    scene = FLAT.model_copy(update={"seed": recipe.seed, "split": recipe.split, "index": index})
+    members = encode(image(index), labels(index), scene_module.to_json(scene), {}, recipe.image_format)
+    return Made(members, {"fake": 0.0})
+
+
+def make_slowly(recipe: Recipe, index: int) -> Made:
+    time.sleep(0.15)
+    return make(recipe, index)
+
+
+def crash_on_bad(recipe: Recipe, index: int) -> Made:
+    if index == BAD:
+        raise ValueError("this scene is bad")
+    return make(recipe, index)
+
+
+def always_crash(recipe: Recipe, index: int) -> Made:
+    raise ValueError(f"no scene is good, nor is {index}")
+
+
+def hang_on_bad(recipe: Recipe, index: int) -> Made:
+    if index == BAD:
+        time.sleep(1000)
+    return make(recipe, index)
+
+
+def eat_memory_on_bad(recipe: Recipe, index: int) -> Made:
+    if index == BAD:
+        eaten = np.ones(1 << 28)
+        time.sleep(1000 * float(eaten[0]))
+    return make(recipe, index)
+
+
+def miss_a_library(recipe: Recipe, index: int) -> Made:
+    raise ImportError("libmissing.so.1: cannot open shared object file")
+
+
+def be_killed_once(recipe: Recipe, index: int) -> Made:
+    mark = Path(os.environ["SYNTH3DLANES_TEST_MARK"]) / str(index)
+    if not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return make(recipe, index)
+
+
+def main() -> None:
+    out, n, workers = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+    plan = Plan(out, n, recipe(), workers=workers, shard_size=10, maker=make_slowly)
+
+    def tell(event: object) -> None:
+        print(event, flush=True)  # noqa: T201
+
+    sys.exit(generate(plan, tell).exit_code)
+
+
+if __name__ == "__main__":
+    # Workers must find the makers under the module's own name, not as __main__.
+    from tests.fake_samples import main as main_of_module
+
+    main_of_module()
