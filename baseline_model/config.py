@@ -1,5 +1,7 @@
 """Every hyper-parameter of the baseline, and the named models. Pure data; checkpoints carry these as JSON."""
 
+import json
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -197,7 +199,6 @@ IMPROVED = COMPACT.model_copy(
         "has_bev_masks": True,
     }
 )
-MODELS = {model.name: model for model in (PAPER, COMPACT, SMALL, NANO, TINY, IMPROVED)}
 IMPROVED_AUGMENTATION = Augmentation(pitch_deg=1.0, yaw_deg=2.0, top_shift_m=0.64, top_yaw_deg=3.0)
 IMPROVED_LOSS = LossConfig(
     knot_sigma_m=(0.08, 0.09, 0.095, 0.10, 0.14, 0.18, 0.25, 0.32, 0.55, 0.9),
@@ -206,16 +207,29 @@ IMPROVED_LOSS = LossConfig(
     visibility=0.2,
     bev_masks=1.0,
 )
-TUSIMPLE = {
+TUSIMPLE: dict[str, Any] = {
     "types": ("d",),
     "has_elevation": False,
     "pose_target": "fixed",
     "fixed_pitch_deg": 9.0,
     "fixed_height_m": 1.6,
-    "reference_intrinsics": (375.0, 514.3, 240.0, 164.6),
+    "reference_intrinsics": (375.0, 562.5, 240.0, 180.0),
 }
 """The image-only variant (paper, 4.4) on 1280x720 pictures without their top 80 rows; pitch and height stand for
 the hand-picked homography that makes straight lanes parallel."""
+
+MODELS = {
+    model.name: model
+    for model in (
+        PAPER,
+        COMPACT,
+        SMALL,
+        NANO,
+        TINY,
+        IMPROVED,
+        PAPER.model_copy(update={"name": "tusimple", **TUSIMPLE}),
+    )
+}
 
 ABLATIONS: dict[str, dict[str, Any]] = {
     "full": {},
@@ -243,12 +257,14 @@ def train_config(model: str, overrides: dict[str, Any] | None = None, ablation: 
     document: dict[str, Any] = {"model": {**MODELS[model].model_dump(), **ABLATIONS[ablation]}}
     if ablation == "no_supervision":
         document |= {"loss": {"pose": 0.0}, "label_pose_fraction": 0.0}
-    if model == "paper":
+    if model in ("paper", "tusimple"):
         document |= {"optimizer": "adam", "schedule": "cyclic", "learning_rate": 5e-4, "weight_decay": 0.0, "batch": 64}
     if model == "improved":
         document |= {"loss": IMPROVED_LOSS.model_dump(), "augmentation": IMPROVED_AUGMENTATION.model_dump()}
         # The warp's plane always jitters about the label's, and the lanes are stated on the jittered plane.
         document |= {"target_frame": "grid", "label_pose_fraction": 1.0, "label_pose_noise_deg": 0.3}
+    if model == "tusimple":
+        document |= {"loss": {"kinds": ("delimiter",)}}
     for key, value in (overrides or {}).items():
         _set(document, key.split("."), value)
     return parse(TrainConfig, document, "train")
@@ -261,6 +277,20 @@ def parse(kind: type[Config], document: dict[str, Any] | str, where: str) -> Con
     except ValidationError as error:
         lines = [f"{where}.{'.'.join(map(str, p['loc']))}: {p['msg']}, got {p['input']!r:.60}" for p in error.errors()]
         raise ParamsError(*lines) from None
+
+
+def overrides_from(texts: Sequence[str]) -> dict[str, Any]:
+    """`KEY=VALUE` texts as dotted keys; values are JSON where they parse as such, else text."""
+    overrides: dict[str, Any] = {}
+    for text in texts:
+        key, equals, value = text.partition("=")
+        if not (key and equals):
+            raise ParamsError(f"--set: expected KEY=VALUE, got {text!r}")
+        try:
+            overrides[key] = json.loads(value)
+        except json.JSONDecodeError:
+            overrides[key] = value
+    return overrides
 
 
 def _set(document: dict[str, Any], path: list[str], value: Any) -> None:

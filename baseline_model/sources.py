@@ -5,6 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from baseline_model.data import LabelledImage, Samples
+from baseline_model.foreign import ApolloSplit, OpenLaneSplit, is_openlane
+from baseline_model.tusimple import TusimpleSplit, is_tusimple
+from synth3dlanes.dataset.read import Reader
 from synth3dlanes.errors import FormatError
 
 
@@ -24,13 +27,10 @@ class Chosen:
 
 def open_split(path: str | Path) -> Samples:
     """Random access to labelled images. Ours is `DIR/SPLIT`; an Apollo split is its JSON-lines file, with `images/`
-    in a folder above it; an OpenLane split is `.../lane3d_1000/SPLIT`, with `images/` beside `lane3d_1000`."""
-    from baseline_model.foreign import ApolloSplit, OpenLaneSplit, is_openlane
-    from synth3dlanes.dataset.read import Reader
-
+    in a folder above it; a tuSimple split is its label file; an OpenLane split is `.../lane3d_1000/SPLIT`, with `images/` beside `lane3d_1000`."""
     text = str(path)
     if text.endswith(".json"):
-        return ApolloSplit(Path(path))
+        return TusimpleSplit(Path(path)) if is_tusimple(Path(path)) else ApolloSplit(Path(path))
     if "://" not in text and is_openlane(Path(path)):
         return OpenLaneSplit(Path(path))
     return Reader(text)
@@ -39,14 +39,14 @@ def open_split(path: str | Path) -> Samples:
 def training_and_validation(
     data_dir: str, train_split: str, val_split: str, max_images: int | None
 ) -> tuple[Samples, Samples]:
-    """Both splits of a dataset. Without a validation split, every twentieth training sample is held out."""
+    """Both splits of a dataset. Without a validation split, every tenth training sample is held out."""
     train = open_split(f"{data_dir}/{train_split}")
     n = len(train) if max_images is None else min(max_images, len(train))
     try:
         val = open_split(f"{data_dir}/{val_split}")
     except (FormatError, FileNotFoundError):
-        if n < 20:
+        if n < 10:
             return Chosen(train, range(n)), Chosen(train, range(n))
-        held_out = range(19, n, 20)
-        return Chosen(train, [i for i in range(n) if i % 20 != 19]), Chosen(train, held_out)
+        held_out = range(9, n, 10)
+        return Chosen(train, [i for i in range(n) if i % 10 != 9]), Chosen(train, held_out)
     return Chosen(train, range(n)), val

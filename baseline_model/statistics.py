@@ -1,5 +1,6 @@
 """What the representation keeps of a dataset's labels, and the best score it allows. No network is involved."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -117,6 +118,12 @@ def to_document(statistics: TargetStatistics) -> dict[str, Any]:
     """Plain values."""
     document = {name: value for name, value in vars(statistics).items() if name != "ceiling"}
     return document | {"ceiling": report_document(statistics.ceiling)}
+
+
+def describe_targets(data_dir: str | Path, *, as_json: bool = False) -> str:
+    """Statistics and ceiling of a split, as text or JSON."""
+    statistics = target_statistics(data_dir)
+    return json.dumps(to_document(statistics)) if as_json else to_text(statistics)
 
 
 def _targets(labels: Labels, model: ModelConfig) -> tuple[Targets, torch.Tensor, torch.Tensor, Pose]:

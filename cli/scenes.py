@@ -53,8 +53,8 @@ def render(
     from synth3dlanes.generate import require_blender
 
     require_blender()
-    from synth3dlanes.settings import RenderSettings
     from synth3dlanes.render_file import render_file
+    from synth3dlanes.settings import RenderSettings
 
     for path in render_file(scene_path, out, changes, RenderSettings(samples, passes, device)):
         click.echo(path)

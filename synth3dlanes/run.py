@@ -15,6 +15,7 @@ meet: they may share a folder (each shard has its lock) or have their folders co
 
 import math
 import os
+import re
 import shutil
 import signal
 import time
@@ -37,6 +38,7 @@ from synth3dlanes.progress import Event, Forecast, Meter, forecast, open_log
 from synth3dlanes.workers import DISK_FULL, Limits, Outcome, Pool
 
 SHARD_SIZE = 1000
+SPLIT = re.compile(r"[A-Za-z0-9_-]+")
 MAX_FAILURES, MAX_KILLS, MAX_IN_A_ROW = 3, 20, 10
 # How long the samples at hand may take once the run is to stop.
 GRACE_S = 20.0
@@ -58,10 +60,11 @@ class Plan:
     maker: Callable[[Recipe, int], Made] = make_sample
 
     def __post_init__(self) -> None:
-        part, parts = self.part
+        (part, parts), split = self.part, self.recipe.split
         problems = [
             *([] if self.n >= 0 else [f"--n: expected 0 or more, got {self.n}"]),
             *([] if self.workers >= 0 else [f"--workers: expected 0 or more, got {self.workers}"]),
+            *([] if SPLIT.fullmatch(split) else [f"--split: expected letters, digits, - and _, got {split!r}"]),
             *([] if 1 <= part <= parts else [f"--part: expected i/n with 1 <= i <= n, got {part}/{parts}"]),
         ]
         if problems:

@@ -1,4 +1,4 @@
-"""Sample makers that need no Blender, for tests of what happens around them; `python -m tests.fake_samples` is a run."""
+"""Sample makers without Blender, for tests of what happens around them; `python -m tests.fake_samples` is a run."""
 
 import os
 import signal

@@ -116,7 +116,7 @@ class Reader:
         tar = self._tars[self._shard[i]]
         data = self._read(tar, start, end)
         if len(data) < end - start:
-            raise FormatError(f"{tar}: expected at least {end} bytes, got {start + len(data)}")
+            raise FormatError(f"{tar}: expected {end - start} bytes from byte {start}, got {len(data)}")
         members = {}
         for name, (offset, size) in places.items():
             found, expected = member_name(data[offset - start - BLOCK : offset - start]), f"{self.key(i)}.{name}"

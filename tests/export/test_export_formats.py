@@ -81,7 +81,7 @@ def test_apollo_projection_reproduces_our_pixels(pose):
 
 def test_foot_of_camera_coordinates_would_be_off_by_the_figures_of_the_notes():
     camera = cf.camera_label(1.9, np.radians(5))
-    # The notes quote (16.4, 14.9) px at 6 m for a line 1.8 m aside, and 4.8 px of height at 10 m.
+    # (16.4, 14.9) px at 6 m, (6.0, 4.8) px at 10 m. The notes do not say how far aside: half a lane fits.
     points_road = np.array([[1.8, 6.0, 0], [1.8, 10.0, 0]])
     points_cam = (points_road - camera.road_from_cam[:3, 3]) @ camera.road_from_cam[:3, :3]
     right_img = apollo.VIEW.project(points_cam @ CV_FROM_CAM.T)

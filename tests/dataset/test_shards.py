@@ -1,0 +1,257 @@
+"""Shards: written in any order, joined, damaged, read."""
+
+import json
+import pickle
+import shutil
+import subprocess
+import sys
+from itertools import permutations
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from synth3dlanes import labels as labels_module
+from synth3dlanes.dataset.folder import claim
+from synth3dlanes.dataset.index import SCHEMA
+from synth3dlanes.dataset.read import Reader, find
+from synth3dlanes.dataset.write import Shard, scan
+from synth3dlanes.errors import FormatError, ParamsError
+from tests import fake_samples
+
+
+def a_shard(folder, image_format="png"):
+    recipe = fake_samples.recipe(image_format=image_format)
+    (folder / "train").mkdir(parents=True, exist_ok=True)
+    with claim(folder, {**recipe.description(), "shard_size": 10}, "train", 4, [0]):
+        return Shard(folder / "train", 0, 10, recipe.names)
+
+
+def add(shard, *indices):
+    for index in indices:
+        shard.write_part(index, fake_samples.make(fake_samples.recipe(image_format=shard.names[0]), index).members)
+
+
+def contents(shard):
+    return shard.path("tar").read_bytes(), shard.path("parquet").read_bytes()
+
+
+@pytest.fixture
+def shard(tmp_path):
+    shard = a_shard(tmp_path)
+    add(shard, 0, 1, 2, 3)
+    shard.join(4)
+    return shard
+
+
+def test_order_of_completion_leaves_no_trace(tmp_path, shard):
+    for number, order in enumerate(permutations(range(4))):
+        other = a_shard(tmp_path / str(number))
+        add(other, *order)
+        other.join(4)
+        assert contents(other) == contents(shard)
+
+
+@pytest.mark.parametrize("steps", [[(0, 1), (2, 3)], [(1, 3), (0, 2)], [(3,), (1,), (0, 2)]])
+def test_joined_in_steps_gives_the_same_shard(tmp_path, shard, steps):
+    other = a_shard(tmp_path / "other")
+    for step in steps:
+        add(other, *step)
+        other.join(4)
+        assert not other.path("parts").exists()
+    assert contents(other) == contents(shard)
+
+
+def test_a_join_killed_between_its_renames_is_repeated(tmp_path, shard):
+    other = a_shard(tmp_path / "other")
+    add(other, 0, 1)
+    other.join(2)
+    half = contents(other)
+    add(other, 2, 3)
+    other.join(4)
+    for tar, parquet, parts in [
+        (half[0], None, (2, 3)),
+        (contents(shard)[0], None, (2, 3)),
+        (contents(shard)[0], None, ()),
+        (contents(shard)[0], contents(shard)[1], (2, 3)),
+    ]:
+        other.path("tar").write_bytes(tar)
+        other.path("parquet").unlink(missing_ok=True)
+        if parquet:
+            other.path("parquet").write_bytes(parquet)
+        add(other, *parts)
+        other.path("tar.tmp").write_bytes(b"rubbish")
+        other.path("parquet.tmp").write_bytes(b"rubbish")
+        assert other.missing(4) == []
+        assert other.needs_join(4)
+        other.join(4)
+        assert contents(other) == contents(shard)
+        assert not other.needs_join(4)
+        assert sorted(path.name for path in other.folder.iterdir()) == [".lock", "00000.parquet", "00000.tar"]
+
+
+@pytest.mark.parametrize("keep", [0, 1, 511, 512, 700, 2048, -512])
+def test_a_damaged_part_is_made_anew_and_the_others_stay(tmp_path, shard, keep):
+    other = a_shard(tmp_path / "other")
+    add(other, 0, 1, 2, 3)
+    part = other.parts()[2]
+    part.write_bytes(part.read_bytes()[:keep])
+    other.join(4)
+    assert other.missing(4) == [2]
+    add(other, 2)
+    other.join(4)
+    assert contents(other) == contents(shard)
+
+
+def test_a_tar_cut_short_without_index_keeps_its_whole_samples(tmp_path, shard):
+    whole = contents(shard)
+    places, problem = scan(shard.path("tar"), shard.names)
+    assert (list(places), problem) == ([0, 1, 2, 3], "")
+    shard.path("parquet").unlink()
+    shard.path("tar").write_bytes(whole[0][: places[2].offset + 700])
+    assert shard.missing(4) == [2, 3]
+    add(shard, 2, 3)
+    shard.join(4)
+    assert contents(shard) == whole
+
+
+def test_a_finished_tar_cut_short_is_an_error_and_stays_as_it_is(shard):
+    data = contents(shard)[0]
+    shard.path("tar").write_bytes(data[:-12000])
+    with pytest.raises(FormatError, match=r"00000\.tar: expected at least \d+ bytes, got"):
+        shard.missing(4)
+    shard.path("parquet").write_bytes(b"PAR1 rubbish")
+    with pytest.raises(FormatError, match=r"00000\.parquet: expected the index"):
+        shard.missing(4)
+
+
+def test_parts_beyond_n_stay_for_a_larger_n(tmp_path, shard):
+    other = a_shard(tmp_path / "other")
+    add(other, 0, 1, 3)
+    other.join(2)
+    assert (other.joined(), set(other.parts())) == ({0, 1}, {3})
+
+
+def test_samples_come_back(tmp_path, shard):
+    reader = Reader(str(shard.folder))
+    assert len(reader) == 4
+    for i, sample in enumerate(reader):
+        assert sample.key == f"{i:08d}"
+        np.testing.assert_array_equal(sample.image, fake_samples.image(i))
+        np.testing.assert_array_equal(reader.image(i), sample.image)
+        text = labels_module.to_json(fake_samples.labels(i))
+        assert labels_module.to_json(sample.labels) == text == labels_module.to_json(reader.labels(i))
+        assert json.loads(sample.scene_json)["index"] == i
+        assert list(reader.raw(i)) == ["png", "scene.json", "labels.json"]
+    assert reader[-1].key == "00000003"
+    with pytest.raises(IndexError):
+        reader[4]
+    assert find(f"{shard.folder}:00000002").key == "00000002"
+    with pytest.raises(FormatError, match="expected a sample 00000009"):
+        find(f"{shard.folder}:00000009")
+    assert pickle.loads(pickle.dumps(reader)).key(1) == "00000001"
+
+
+def test_labels_are_read_without_the_image(shard):
+    data = bytearray(contents(shard)[0])
+    places, _ = scan(shard.path("tar"), shard.names)
+    start, size = places[1].members["png"]
+    data[start : start + size] = bytes(size)
+    shard.path("tar").write_bytes(data)
+    reader = Reader(str(shard.folder))
+    assert reader.labels(1).lanes[0].id == "c1"
+    with pytest.raises(FormatError, match=r"00000\.tar: 00000001\.png: expected a JPEG or PNG"):
+        reader[1]
+
+
+def test_shuffled_is_a_permutation_that_the_seed_decides(shard):
+    reader = Reader(f"file://{shard.folder}")
+    orders = {seed: [sample.key for sample in reader.shuffled(seed)] for seed in range(8)}
+    assert all(sorted(order) == [f"{i:08d}" for i in range(4)] for order in orders.values())
+    assert len({tuple(order) for order in orders.values()}) > 3
+    assert orders[5] == [sample.key for sample in reader.shuffled(5)]
+
+
+def test_index_has_scene_and_label_columns(shard):
+    table = Reader(str(shard.folder)).index
+    assert table.schema.equals(SCHEMA)
+    row = table.to_pylist()[1]
+    expected = {"n_lanes": 3, "flip_lateral": False, "marking_width_m": 0.12, "camera_height_m": 1.6, "exposure": 2.0}
+    expected |= {"junction": "none", "max_grade": 0.1, "n_centerlines": 1, "n_visible_centerlines": 1, "n_cars": 0}
+    assert {name: row[name] for name in expected} == expected
+    assert row["object_hidden_fraction"] == pytest.approx(2 / 54)
+
+
+def test_reader_names_what_is_wrong(tmp_path, shard):
+    with pytest.raises(FormatError, match=r"dataset\.json: expected a file"):
+        Reader(str(tmp_path / "nowhere" / "train"))
+    with pytest.raises(FormatError, match="expected the folder of a split"):
+        Reader(str(tmp_path / "val"))
+    reader = Reader(str(shard.folder))
+    data = contents(shard)[0]
+    shard.path("tar").write_bytes(data[:3000])
+    with pytest.raises(FormatError, match=r"00000\.tar: expected \d+ bytes from byte \d+, got 0"):
+        reader[3]
+    shard.path("tar").write_bytes(data[512:])
+    with pytest.raises(FormatError, match=r"expected 00000001\.labels\.json at byte"):
+        reader.labels(1)
+    shard.path("tar").unlink()
+    with pytest.raises(FormatError, match=r"00000\.tar: expected a file"):
+        reader.labels(1)
+    table = pq.read_table(shard.path("parquet"))
+    pq.write_table(table.drop_columns(["labels_offset"]), shard.path("parquet"))
+    with pytest.raises(FormatError, match=r"00000\.parquet: expected a column labels_offset"):
+        Reader(str(shard.folder))
+    shard.path("parquet").write_bytes(b"rubbish")
+    with pytest.raises(FormatError, match=r"00000\.parquet: expected the index"):
+        Reader(str(shard.folder))
+
+
+def enter(root, shards=(0,), split="train", n=4, **changes):
+    return claim(root, {**fake_samples.recipe().description(), "shard_size": 10, **changes}, split, n, shards)
+
+
+def test_another_recipe_is_refused_by_name(tmp_path):
+    with enter(tmp_path):
+        before = (tmp_path / "dataset.json").read_bytes()
+    overridden = fake_samples.recipe(overrides=("road.n_lanes=3",)).description()["params"]
+    with pytest.raises(ParamsError) as caught, enter(tmp_path, params=overridden, seed=8):
+        pass
+    assert [problem.partition("dataset.json: ")[2] for problem in caught.value.problems] == [
+        "seed: expected 7 as in this dataset, got 8",
+        "params.road.n_lanes: expected [2, 4] as in this dataset, got 3",
+    ]
+    assert (tmp_path / "dataset.json").read_bytes() == before
+
+
+def test_splits_are_added_and_n_only_grows(tmp_path):
+    for split, n in [("val", 3), ("train", 9), ("val", 2)]:
+        with enter(tmp_path, split=split, n=n):
+            pass
+    assert json.loads((tmp_path / "dataset.json").read_text())["splits"] == {"train": {"n": 9}, "val": {"n": 3}}
+
+
+def test_a_folder_that_cannot_be_written_is_refused(tmp_path, shard):
+    (tmp_path / "file").touch()
+    for root in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(ParamsError, match="expected a folder to write to"), enter(root):
+            pass
+    shutil.copytree(shard.folder, tmp_path / "orphan" / "train")
+    with pytest.raises(ParamsError, match="beside the shards"), enter(tmp_path / "orphan"):
+        pass
+    (tmp_path / "dataset.json").write_text("{")
+    with pytest.raises(FormatError, match=r"dataset\.json: expected JSON"), enter(tmp_path):
+        pass
+
+
+def test_shards_are_locked_against_other_processes_one_by_one(tmp_path):
+    code = (
+        "import sys; from pathlib import Path; from tests.dataset.test_shards import enter\n"
+        "with enter(Path(sys.argv[1]), [int(sys.argv[2])]): pass"
+    )
+    with enter(tmp_path, shards=[0, 2]):
+        for shard, free in [(0, False), (1, True), (2, False)]:
+            run = subprocess.run([sys.executable, "-c", code, tmp_path, str(shard)], capture_output=True, text=True)
+            assert (run.returncode == 0) == free, run.stderr
+            assert free or f"got one that is making shard {shard}" in run.stderr
+    assert subprocess.run([sys.executable, "-c", code, tmp_path, "2"]).returncode == 0

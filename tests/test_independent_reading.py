@@ -1,0 +1,112 @@
+"""The labels against a second reading of the specification, from the two JSON files alone.
+
+Nothing of the project's geometry is used: curves are dense polylines, derivatives are differences.
+"""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from synth3dlanes import labels as label_file
+from synth3dlanes import scene as scene_file
+from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.params import load_params
+from synth3dlanes.sample import sample_scene
+
+Y = np.arange(-100, 100.0001, 0.02)
+
+
+def right_of(xy):
+    step = np.gradient(xy, axis=0)
+    return np.column_stack([step[:, 1], -step[:, 0]]) / np.linalg.norm(step, axis=1)[:, None]
+
+
+def terrain(scene, xy):
+    z = np.zeros(len(xy))
+    for g in scene["terrain"]["gaussians"]:
+        a = g["orientation_rad"]
+        d = xy - g["center_m"]
+        along = (d @ [np.cos(a), np.sin(a)]) / g["sd_m"][0]
+        across = (d @ [-np.sin(a), np.cos(a)]) / g["sd_m"][1]
+        z += g["magnitude_m"] * np.exp(-(along**2 + across**2) / 2)
+    return z
+
+
+def expected_centres(scene):
+    """Plan polylines and ramp heights of all lanes: {(road, lane of the plan): (xy, above)}."""
+    r = scene["road"]
+    n, w, kind = r["n_lanes"], r["lane_width_m"], r["topology"]
+    knots = [r["offset_m50_m"] + r["offset_m100_m"], r["offset_m50_m"], 0, r["offset_p50_m"],
+             r["offset_p50_m"] + r["offset_p100_m"]]  # fmt: skip
+    main = np.column_stack([np.polyval(np.polyfit([-1, -0.5, 0, 0.5, 1], knots, 4), Y / 100), Y])
+    normal = right_of(main)
+    centre = {k: (k - (n + 1) / 2) * w for k in range(1, n + 1)}
+    q = np.clip(Y, 0, None) * np.tan(r["exit_angle_rad"]) + r["exit_offset_m"] * (np.clip(Y, 0, None) / 60) ** 2
+    flat = np.zeros_like(Y)
+    lanes = {("main", k): (main + c * normal, flat) for k, c in centre.items()}
+    if kind == 1:
+        return lanes
+    if kind == 3:
+        lanes["main", n] = (main + (centre[n - 1] + np.minimum(q, w))[:, None] * normal, flat)
+    if kind == 4:
+        del lanes["main", n]
+    count = 2 if kind == 4 else 1
+    middle = centre[n] if count == 1 else (centre[n] + centre[n - 1]) / 2
+    reference = (main + (middle + q)[:, None] * normal)[Y >= 0]
+    own = right_of(reference)
+    separated = Y[(Y >= 0) & (q >= w + 2 * r["shoulder_factor"] * w)]
+    above = np.zeros(len(reference))
+    if separated.size:
+        u = np.clip((Y[Y >= 0] - separated[0]) / (r["ramp_height_m"] * r["ramp_slope"]), 0, 1)
+        above = r["ramp_height_m"] * (3 * u**2 - 2 * u**3)
+    for k in range(1, count + 1):
+        t = (k - (count + 1) / 2) * w
+        stem = (main + (middle + t) * normal)[Y < 0]
+        lanes["exit", k] = (np.concatenate([stem, reference + t * own]), np.concatenate([flat[Y < 0], above]))
+    return lanes
+
+
+@pytest.mark.parametrize("index", range(40))
+def test_lanes_agree_with_a_second_reading(index):
+    drawn = sample_scene(load_params("appendix_i", ["trees.n=0", "cars.n=0"]), 4711, "train", index)
+    scene = json.loads(scene_file.to_json(drawn))
+    labels = json.loads(label_file.to_json(ground_truth(drawn)))
+    world_from_cam = np.array(labels["camera"]["world_from_cam"])
+    flips = np.array([-1 if scene["road"]["flip_longitudinal"] else 1, -1 if scene["road"]["flip_lateral"] else 1])
+    found = {lane["id"]: lane for lane in labels["lanes"] if lane["kind"] == "centerline"}
+    expected = expected_centres(scene)
+    assert len(found) == len(expected)
+    for (road, k), (xy_plan, above) in expected.items():
+        count = sum(name == road for name, _ in expected)
+        lane = found[f"{road}_{count + 1 - k if flips[0] < 0 else k}"]
+        points = np.array(lane["xyz_cam"]) @ world_from_cam[:3, :3].T + world_from_cam[:3, 3]
+        xy = xy_plan * flips
+        inside = np.abs(points[:, 1]) < 90
+        gap, at = cKDTree(xy).query(points[inside, :2])
+        assert gap.max() < 0.02 + 0.011, (road, k)  # the polyline's own points lie up to 2 cm apart
+        z = terrain(scene, points[inside, :2]) + above[at]
+        steep = np.abs(np.gradient(above, Y))[at] > 0.5  # there half a polyline step alone is centimetres
+        assert np.abs(z - points[inside, 2])[~steep].max() < 0.03, (road, k)
+
+
+@pytest.mark.parametrize("index", range(20))
+def test_the_camera_stands_its_height_over_the_surface_along_its_normal(index):
+    drawn = sample_scene(load_params("appendix_i", ["trees.n=0", "cars.n=0"]), 4711, "test", index)
+    scene = json.loads(scene_file.to_json(drawn))
+    labels = json.loads(label_file.to_json(ground_truth(drawn)))
+    world_from_cam = np.array(labels["camera"]["world_from_cam"])
+    eye = world_from_cam[:3, 3]
+    # The foot is the surface point whose normal goes through the eye: walk to it.
+    foot = eye[:2].copy()
+    for _ in range(300):
+        h = 1e-4
+        z, zx, zy = terrain(scene, foot + np.array([[0, 0], [h, 0], [0, h]]))
+        slope = np.array([zx - z, zy - z]) / h
+        foot += 0.2 * (eye[:2] + slope * (eye[2] - z) - foot)
+    assert np.linalg.norm(eye - [*foot, z]) == pytest.approx(scene["camera"]["height_m"], abs=1e-4)
+    axis = world_from_cam[:3, 1]
+    normal = np.array([*-slope, 1]) / np.sqrt(1 + slope @ slope)
+    assert np.arcsin(-axis @ normal) == pytest.approx(scene["camera"]["pitch_rad"], abs=1e-4)
+    assert abs(world_from_cam[:3, 0] @ normal) < 1e-4, "no roll relative to the road"
