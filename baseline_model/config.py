@@ -218,18 +218,8 @@ TUSIMPLE: dict[str, Any] = {
 """The image-only variant (paper, 4.4) on 1280x720 pictures without their top 80 rows; pitch and height stand for
 the hand-picked homography that makes straight lanes parallel."""
 
-MODELS = {
-    model.name: model
-    for model in (
-        PAPER,
-        COMPACT,
-        SMALL,
-        NANO,
-        TINY,
-        IMPROVED,
-        PAPER.model_copy(update={"name": "tusimple", **TUSIMPLE}),
-    )
-}
+IMAGE_ONLY = PAPER.model_copy(update={"name": "tusimple", **TUSIMPLE})
+MODELS = {model.name: model for model in (PAPER, COMPACT, SMALL, NANO, TINY, IMPROVED, IMAGE_ONLY)}
 
 ABLATIONS: dict[str, dict[str, Any]] = {
     "full": {},

@@ -26,8 +26,8 @@ class Chosen:
 
 
 def open_split(path: str | Path) -> Samples:
-    """Random access to labelled images. Ours is `DIR/SPLIT`; an Apollo split is its JSON-lines file, with `images/`
-    in a folder above it; a tuSimple split is its label file; an OpenLane split is `.../lane3d_1000/SPLIT`, with `images/` beside `lane3d_1000`."""
+    """Random access to labelled images. Ours is `DIR/SPLIT`; an Apollo or a tuSimple split is its JSON-lines file,
+    Apollo's images lying in a folder above it; an OpenLane split is `.../lane3d_1000/SPLIT`, beside `.../images`."""
     text = str(path)
     if text.endswith(".json"):
         return TusimpleSplit(Path(path)) if is_tusimple(Path(path)) else ApolloSplit(Path(path))

@@ -117,12 +117,13 @@ def _step(
     with mixed_precision(process.device):
         output: Output = network(batch.image, batch.intrinsics, warp_pose, augmented.top_from_road)
     terms = step_loss(trainee.model, output, augmented, config)
-    names = [data.keys[int(i)] for i in index]
-    _check_finite(terms, names, step)
+    if not bool(torch.isfinite(terms["total"]).all()):
+        raise Diverged(f"step {step}: {_blame(trainee, data, augmented, warp_pose)}")
     terms["total"].mean().backward()  # type: ignore[no-untyped-call]
     norm = nn.utils.clip_grad_norm_(trainee.model.parameters(), config.clip_norm)
     if not bool(torch.isfinite(norm)):
-        raise Diverged(f"step {step}: expected a finite gradient, got {float(norm)} from samples {', '.join(names)}")
+        names = ", ".join(data.keys[int(i)] for i in index)
+        raise Diverged(f"step {step}: expected a finite gradient, got {float(norm)} from samples {names}")
     trainee.optimizer.step()
     trainee.average.update(trainee.model, step)
     return {name: value.detach().mean() for name, value in terms.items()}
@@ -144,12 +145,16 @@ def step_loss(model: LaneNet, output: Output, augmented: Augmented, config: Trai
     return loss(output, targets, pose, bev_target, config.model.types, config.loss)
 
 
-def _check_finite(terms: dict[str, Float[Tensor, " b"]], names: list[str], step: int) -> None:
-    total = terms["total"].detach()
-    if not bool(torch.isfinite(total).all()):
-        bad = [names[i] for i in torch.nonzero(~torch.isfinite(total))[:, 0].tolist()]
-        at = {name: float(value[names.index(bad[0])]) for name, value in terms.items()}
-        raise Diverged(f"step {step}: expected a finite loss, got {at} from sample {', '.join(bad)}")
+def _blame(trainee: Run, data: ResidentData, augmented: Augmented, warp_pose: Float[Tensor, "b 2"] | None) -> str:
+    """Which samples made the loss infinite. Batch norm mixes a batch, so each is looked at without it."""
+    batch, model = augmented.batch, trainee.model.eval()
+    with torch.no_grad():
+        output: Output = model(batch.image, batch.intrinsics, warp_pose, augmented.top_from_road)
+        terms = step_loss(model, output, augmented, trainee.config)
+    keys = [data.keys[int(i)] for i in batch.places]
+    bad = torch.nonzero(~torch.isfinite(terms["total"]))[:, 0].tolist() or list(range(len(keys)))
+    values = {name: float(value[bad[0]]) for name, value in terms.items()}
+    return f"expected a finite loss, got {values} from sample {', '.join(keys[i] for i in bad)}"
 
 
 def _validate(trainee: Run, val: ResidentData, val_labels: list[Labels]) -> Report | None:

@@ -167,5 +167,5 @@ def _lean_rad(x_px: Float[np.ndarray, " r"], rows_px: Float[np.ndarray, " r"]) -
     seen = x_px >= 0
     if seen.sum() < 2:
         return 0.0
-    slope = np.polynomial.polynomial.polyfit(rows_px[seen], x_px[seen], 1)[1]
+    slope, _ = np.polyfit(rows_px[seen], x_px[seen], 1)
     return float(np.arctan(slope))

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import PchipInterpolator
-
 from shapes import Shape, grid_faces
+
 from synth3dlanes.catalogue import CarModel
 
 PAINT, GLASS, TYRE, RIM, TRIM, HEAD, TAIL, PLATE = range(8)
@@ -48,7 +48,7 @@ def stations(model: CarModel, style: Style) -> tuple[Float[np.ndarray, " n"], Fl
     """Where sections are taken, and the underside height there with the wheel arches cut in."""
     tail, nose = style.plan[-1][0], style.plan[0][0]
     ends = style.end_radius_m * (1 - np.cos(np.linspace(0, np.pi / 2, 5)))
-    y = np.concatenate([tail + ends, np.linspace(tail, nose, 32)[2:-2], nose - ends])
+    y = np.concatenate([tail + ends, np.linspace(tail, nose, 30)[2:-2], nose - ends])
     if style.bed is not None:
         y = np.concatenate([y, [style.bed[0] - 0.004, style.bed[0], style.bed[1], style.bed[1] + 0.004]])
     underside = curve(style.sill, y)
@@ -73,7 +73,10 @@ def rounding(y: Float[np.ndarray, " n"], tail: float, nose: float, radius: float
 
 
 def loft(
-    shape: Shape, y: Float[np.ndarray, " n"], x: Float[np.ndarray, "n k"], z: Float[np.ndarray, "n k"],
+    shape: Shape,
+    y: Float[np.ndarray, " n"],
+    x: Float[np.ndarray, "n k"],
+    z: Float[np.ndarray, "n k"],
     material: Float[np.ndarray, "n-1 k-1"],
 ) -> None:
     """Skin right-hand sections and their mirror image; `material` is per quad."""
@@ -158,8 +161,17 @@ def cabin(shape: Shape, model: CarModel, style: Style) -> None:
     radius = 0.075
     side_top = np.maximum(top - radius, belt - 0.05)
     full = knots[:, 1].max()
-    levels = np.stack([belt - 0.05, belt + 0.015, belt + 0.2 * (full - belt), belt + 0.4 * (full - belt),
-                       np.full_like(y, full - radius - 0.045), side_top], axis=1)
+    levels = np.stack(
+        [
+            belt - 0.05,
+            belt + 0.015,
+            belt + 0.2 * (full - belt),
+            belt + 0.4 * (full - belt),
+            np.full_like(y, full - radius - 0.045),
+            side_top,
+        ],
+        axis=1,
+    )
     side_z = np.minimum(levels, side_top[:, None])
     rise = np.clip((side_z - belt[:, None]) / (full - belt)[:, None], 0, 1)
     side_x = foot[:, None] - style.tumblehome_m * (0.6 * rise + 0.4 * rise**2)

@@ -1,78 +1,11 @@
 """The six cars of the catalogue: body styles, wheels, lamps, plates and trim."""
 
 import numpy as np
-
-from car_body import GLASS, HEAD, PAINT, PLATE, RIM, TAIL, TRIM, TYRE, Style, cabin, flank, lower_body
+from car_body import GLASS, HEAD, PAINT, PLATE, RIM, TAIL, TRIM, TYRE, cabin, flank, lower_body
+from car_styles import STYLES
 from shapes import Shape, lathe_x, rounded_box, tube
-from synth3dlanes.catalogue import CARS, CarModel
 
-STYLES = {
-    "hatchback": Style(
-        plan=((1.985, 0.80), (1.75, 0.93), (1.2, 0.99), (0.2, 1.0), (-1.2, 0.99), (-1.75, 0.95), (-1.99, 0.88)),
-        sill=((1.985, 0.26), (1.5, 0.19), (-1.5, 0.19), (-1.99, 0.30)),
-        belt=((1.985, 0.66), (1.5, 0.80), (0.9, 0.90), (-1.0, 0.96), (-1.99, 0.98)),
-        deck=((1.985, 0.74), (1.5, 0.89), (0.85, 1.00), (-1.99, 1.03)),
-        roof=((1.12, 0.93), (0.95, 1.01), (0.22, 1.40), (-0.3, 1.47), (-1.0, 1.45), (-1.55, 1.39), (-1.72, 1.33), (-1.95, 0.98)),
-        windows=((0.72, -0.12), (-0.19, -0.92), (-1.0, -1.45)),
-        screens=((0.92, 0.27), (-1.72, -1.90)),
-    ),
-    "sedan": Style(
-        plan=((2.345, 0.78), (2.1, 0.92), (1.5, 0.99), (0.2, 1.0), (-1.4, 0.99), (-2.05, 0.94), (-2.345, 0.86)),
-        sill=((2.345, 0.26), (1.9, 0.19), (-1.9, 0.19), (-2.345, 0.32)),
-        belt=((2.345, 0.64), (1.9, 0.77), (1.0, 0.88), (-1.2, 0.96), (-2.345, 0.97)),
-        deck=((2.345, 0.71), (1.9, 0.85), (1.0, 0.97), (-1.2, 1.06), (-2.0, 1.07), (-2.345, 1.04)),
-        roof=((1.28, 0.90), (1.1, 0.98), (0.3, 1.37), (-0.2, 1.45), (-0.8, 1.43), (-1.1, 1.38), (-1.85, 1.06), (-1.97, 1.00)),
-        windows=((0.85, -0.05), (-0.12, -0.98), (-1.05, -1.3)),
-        screens=((1.08, 0.36), (-1.12, -1.80)),
-        tumblehome_m=0.16,
-    ),
-    "suv": Style(
-        plan=((2.29, 0.82), (2.05, 0.94), (1.4, 0.99), (0.2, 1.0), (-1.4, 1.0), (-2.0, 0.96), (-2.29, 0.89)),
-        sill=((2.29, 0.34), (1.8, 0.26), (-1.8, 0.26), (-2.29, 0.38)),
-        belt=((2.29, 0.82), (1.9, 0.93), (1.0, 1.03), (-1.2, 1.10), (-2.29, 1.12)),
-        deck=((2.29, 0.90), (1.9, 1.03), (0.95, 1.13), (-2.29, 1.16)),
-        roof=((1.15, 1.05), (1.0, 1.13), (0.40, 1.58), (-0.2, 1.68), (-1.0, 1.70), (-1.85, 1.65), (-2.0, 1.57), (-2.24, 1.10)),
-        windows=((0.82, -0.02), (-0.10, -0.90), (-1.0, -1.75)),
-        screens=((0.97, 0.46), (-2.0, -2.17)),
-        dark_sill_m=0.14,
-    ),
-    "pickup": Style(
-        plan=((2.63, 0.84), (2.4, 0.94), (1.7, 0.99), (0.2, 1.0), (-2.2, 1.0), (-2.56, 0.97)),
-        sill=((2.63, 0.42), (2.2, 0.34), (-2.0, 0.36), (-2.56, 0.46)),
-        belt=((2.63, 0.94), (2.2, 1.03), (1.3, 1.08), (-0.6, 1.10), (-2.56, 1.10)),
-        deck=((2.63, 1.02), (2.2, 1.12), (1.3, 1.19), (-0.6, 1.18), (-0.75, 1.12), (-2.56, 1.12)),
-        roof=((1.40, 1.10), (1.25, 1.19), (0.65, 1.66), (0.2, 1.77), (-0.3, 1.80), (-0.66, 1.76), (-0.74, 1.70), (-0.90, 1.10)),
-        windows=((1.02, 0.25), (0.17, -0.55)),
-        screens=((1.22, 0.72), (-0.75, -0.87)),
-        bed=(-2.48, -0.98, 0.74),
-        dark_sill_m=0.10,
-        end_radius_m=0.06,
-    ),
-    "van": Style(
-        plan=((2.71, 0.84), (2.45, 0.94), (1.9, 0.99), (0.2, 1.0), (-2.4, 1.0), (-2.72, 0.97)),
-        sill=((2.71, 0.30), (2.3, 0.24), (-2.4, 0.24), (-2.72, 0.34)),
-        belt=((2.71, 0.92), (2.3, 1.08), (1.7, 1.18), (-2.72, 1.20)),
-        deck=((2.71, 1.00), (2.3, 1.17), (1.75, 1.30), (-2.72, 1.30)),
-        roof=((2.02, 1.18), (1.88, 1.28), (1.25, 2.05), (0.9, 2.26), (0.0, 2.35), (-2.5, 2.33), (-2.62, 2.27), (-2.69, 1.20)),
-        windows=((1.68, 0.85),),
-        screens=((1.84, 1.22),),
-        tumblehome_m=0.12,
-        dark_sill_m=0.12,
-        end_radius_m=0.06,
-    ),
-    "truck": Style(
-        plan=((4.05, 0.88), (3.9, 0.95), (3.5, 0.98), (2.3, 0.98)),
-        sill=((4.05, 0.46), (3.7, 0.42), (2.3, 0.50)),
-        belt=((4.05, 1.38), (3.6, 1.46), (2.3, 1.50)),
-        deck=((4.05, 1.44), (3.6, 1.55), (2.3, 1.58)),
-        roof=((4.02, 1.42), (3.98, 1.60), (3.78, 2.40), (3.6, 2.66), (3.0, 2.78), (2.4, 2.80), (2.32, 1.50)),
-        windows=((3.74, 2.85),),
-        screens=((3.97, 3.70),),
-        tumblehome_m=0.10,
-        dark_sill_m=0.16,
-        end_radius_m=0.06,
-    ),
-}
+from synth3dlanes.catalogue import CARS, CarModel
 
 
 def box(
@@ -88,8 +21,18 @@ def wheel(shape: Shape, model: CarModel, x: float, y: float, width: float) -> No
     """Tyre, dished rim and spokes; `x` is the middle of the tread, outward its sign."""
     radius, out, half = model.wheel_radius_m, np.sign(x), width / 2
     rim = 0.66 * radius
-    tread = np.array([(-half, rim), (-half, 0.90 * radius), (-0.8 * half, 0.985 * radius), (-0.6 * half, radius),
-                      (0.6 * half, radius), (0.8 * half, 0.985 * radius), (half, 0.90 * radius), (half, rim)])
+    tread = np.array(
+        [
+            (-half, rim),
+            (-half, 0.90 * radius),
+            (-0.8 * half, 0.985 * radius),
+            (-0.6 * half, radius),
+            (0.6 * half, radius),
+            (0.8 * half, 0.985 * radius),
+            (half, 0.90 * radius),
+            (half, rim),
+        ]
+    )
     vertices, faces = lathe_x(tread * [out, 1], 24, (x, y, radius))
     shape.add(vertices, faces if out < 0 else faces[:, ::-1], TYRE)
     dish = np.array([(half, rim), (half - 0.012, 0.94 * rim), (half - 0.05, 0.9 * rim), (half - 0.055, 0.0)])
@@ -112,8 +55,15 @@ def wheels(shape: Shape, model: CarModel) -> None:
         for axle in (half_base, -half_base):
             twin = model.name == "truck" and axle < 0
             wheel(shape, model, side * (half_track - (0.06 if twin else 0)), axle, width + (0.26 if twin else 0))
-    box(shape, TRIM, 0, 0, model.wheel_radius_m + 0.12,
-        (model.track_m - width - 0.14, model.wheelbase_m + 0.9, 0.36), 0.05)
+    box(
+        shape,
+        TRIM,
+        0,
+        0,
+        model.wheel_radius_m + 0.12,
+        (model.track_m - width - 0.14, model.wheelbase_m + 0.9, 0.36),
+        0.05,
+    )
 
 
 def arch_lips(shape: Shape, model: CarModel, material: int, thickness_m: float) -> None:
@@ -122,8 +72,14 @@ def arch_lips(shape: Shape, model: CarModel, material: int, thickness_m: float) 
     radius = model.wheel_radius_m + 0.07
     for side in (1, -1):
         for axle in (model.wheelbase_m / 2, -model.wheelbase_m / 2):
-            path = np.stack([np.full_like(angle, side * (model.width_m / 2 * 0.985 - thickness_m / 2)),
-                             axle + radius * np.cos(angle), model.wheel_radius_m + radius * np.sin(angle)], axis=1)
+            path = np.stack(
+                [
+                    np.full_like(angle, side * (model.width_m / 2 * 0.985 - thickness_m / 2)),
+                    axle + radius * np.cos(angle),
+                    model.wheel_radius_m + radius * np.sin(angle),
+                ],
+                axis=1,
+            )
             vertices, faces = tube(path, np.full(len(path), thickness_m), 4)
             shape.add(vertices, faces, material)
 
@@ -133,8 +89,15 @@ def rear(shape: Shape, model: CarModel, z: dict[str, float], lamp: tuple[float, 
     tail, half = -model.length_m / 2, model.width_m / 2
     lamp_x = half * 0.80 - lamp[0] / 2 + 0.05
     box(shape, TAIL, lamp_x, tail + 0.008 + wrap_m / 2, z["lamp"], (lamp[0], wrap_m, lamp[1]), 0.05, 3)
-    box(shape, HEAD, lamp_x - 0.18 * lamp[0], tail + 0.029, z["lamp"] - 0.22 * lamp[1],
-        (0.42 * lamp[0], 0.05, 0.24 * lamp[1]), 0.015)
+    box(
+        shape,
+        HEAD,
+        lamp_x - 0.18 * lamp[0],
+        tail + 0.029,
+        z["lamp"] - 0.22 * lamp[1],
+        (0.42 * lamp[0], 0.05, 0.24 * lamp[1]),
+        0.015,
+    )
     box(shape, PAINT, 0, tail + 0.14, z["bumper"], (2 * half * 0.94, 0.28, 0.26), 0.055, 3)
     box(shape, TRIM, 0, tail + 0.15, z["bumper"] - 0.14, (2 * half * 0.87, 0.28, 0.16), 0.05)
     box(shape, PLATE, 0, tail + 0.024, z["plate"], (0.50, 0.03, 0.11), 0.008)
@@ -154,7 +117,9 @@ def front(shape: Shape, model: CarModel, z_lamp: float, z_bumper: float) -> None
 def mirrors(shape: Shape, model: CarModel, y: float, z: float, size: tuple[float, float, float]) -> None:
     """Door mirrors, kept within the body's width."""
     box(shape, PAINT, model.width_m / 2 - size[0] / 2, y, z, size, 0.05)
-    box(shape, GLASS, model.width_m / 2 - size[0] / 2, y - size[1] / 2, z, (size[0] * 0.8, 0.012, size[2] * 0.75), 0.005)
+    box(
+        shape, GLASS, model.width_m / 2 - size[0] / 2, y - size[1] / 2, z, (size[0] * 0.8, 0.012, size[2] * 0.75), 0.005
+    )
 
 
 def doors(shape: Shape, model: CarModel, seams_m: tuple[float, ...], handles_m: tuple[float, ...]) -> None:

@@ -1,17 +1,17 @@
 """assets.blend: one mesh a car and a tree, with their materials.
 
-Semantic ids are the materials' `pass_index`: car 5, tree 6. Body paint reads the object: `obj.color = (r, g, b, gloss)`.
+A material's `pass_index` is its semantic id: car 5, tree 6. Body paint reads `obj.color = (r, g, b, gloss)`.
 """
 
 from pathlib import Path
 
 import bpy
 import numpy as np
-from jaxtyping import Float, Int
-
 from cars import build_all
-from synth3dlanes.blender.shaders import Graph, coated, new_material
+from jaxtyping import Float, Int
 from trees import Tree, fit, grow_all
+
+from synth3dlanes.blender.shaders import coated, new_material
 
 CAR_ID, TREE_ID = 5, 6
 FOLIAGE = {  # linear reflectance at either end of the random range
@@ -37,7 +37,9 @@ def paint() -> bpy.types.Material:
     return material
 
 
-def plain(name: str, color: tuple[float, float, float], roughness: float, ior: float, amount: float) -> bpy.types.Material:
+def plain(
+    name: str, color: tuple[float, float, float], roughness: float, ior: float, amount: float
+) -> bpy.types.Material:
     """A coated material of one colour."""
     material, graph = new_material(name, CAR_ID)
     coated(graph, color, roughness, amount, ior)

@@ -36,7 +36,9 @@ def grid_faces(rows: int, columns: int, wrap: bool = False) -> Int[np.ndarray, "
     """Quads of a rows x columns vertex grid; `wrap` joins the last column to the first."""
     r, c = np.meshgrid(np.arange(rows - 1), np.arange(columns if wrap else columns - 1), indexing="ij")
     c1 = (c + 1) % columns
-    return np.stack([r * columns + c, r * columns + c1, (r + 1) * columns + c1, (r + 1) * columns + c], -1).reshape(-1, 4)
+    return np.stack([r * columns + c, r * columns + c1, (r + 1) * columns + c1, (r + 1) * columns + c], -1).reshape(
+        -1, 4
+    )
 
 
 def rounded_box(

@@ -5,14 +5,14 @@ orders are an isotropic source summed as a geometric series (Hillaire 2020, "A s
 Radiance is per unit of solar irradiance outside the atmosphere. The sun's disc is not in it.
 """
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+from noise import clouds, smoothstep
 from PIL import Image
 from scipy.ndimage import map_coordinates
-
-from noise import clouds, smoothstep
 
 EARTH_M, TOP_M = 6_360_000.0, 6_460_000.0
 RAYLEIGH = np.array([5.802e-6, 13.558e-6, 33.1e-6])  # 1/m at 680, 550, 440 nm, sea level
@@ -69,7 +69,7 @@ def march(
     radiance, transfer = np.zeros(directions.shape), np.zeros(directions.shape)
     through = np.ones(directions.shape)
     edges = np.linspace(0, 1, steps + 1) ** 2  # finer near the eye, where the air is dense
-    for near, far in zip(edges[:-1], edges[1:], strict=True):
+    for near, far in pairwise(edges):
         s = length * (near + far) / 2
         at = np.array([0, 0, r]) + s[..., None] * directions
         radius = np.linalg.norm(at, axis=-1)

@@ -10,9 +10,8 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from PIL import Image
-
 from noise import cells, clouds, smoothstep
+from PIL import Image
 
 SIZE = (1024, 1024)
 WEAR_SIZE = (2048, 512)  # 48 m of road by two lanes

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
-
 from shapes import Shape, tube
+
 from synth3dlanes.catalogue import TREES, TreeModel
 
 BARK, LEAF = 0, 1
@@ -135,7 +135,7 @@ def conifer(rng: np.random.Generator, model: TreeModel) -> Tree:
             side = np.cross(out, [0, 0, 1.0]) * rng.uniform(-0.32, 0.32, (m, 1)) * reach * (1.1 - 0.8 * t)
             on = np.stack([np.interp(t[:, 0], np.linspace(0, 1, 4), path[:, a]) for a in range(3)], -1) + side
             points.append(on - [0, 0, 0.08])
-            outs.append(np.broadcast_to(out + [0, 0, 0.55], on.shape))
+            outs.append(np.broadcast_to(out + np.array([0, 0, 0.55]), on.shape))
             shades.append(0.35 + 0.65 * t[:, 0])
     leaves(tree, rng, np.concatenate(points), np.concatenate(outs), np.concatenate(shades), (0.52, 0.15))
     return tree

@@ -21,7 +21,7 @@ RANGE_M = 110.0
 
 
 def ground_truth(scene: Scene) -> Labels:
-    """Everything exact about a scene: curves every metre of their road from the camera to 110 m ahead (spec section 4)."""
+    """Everything exact about a scene: curves every metre of road from the camera to 110 m ahead (spec section 4)."""
     plan = RoadPlan(scene)
     world_from_cam = cameras.world_from_cam(plan)
     camera = CameraLabel(

@@ -14,6 +14,7 @@ from jaxtyping import UInt8
 from synth3dlanes.dataset.folder import read_description
 from synth3dlanes.dataset.format import Sample, decode_image
 from synth3dlanes.dataset.read import Reader, find
+from synth3dlanes.errors import FormatError
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene, from_json
@@ -53,6 +54,8 @@ def some_samples(folder: str, n: int, shuffle: int | None) -> list[Sample]:
     """The first `n` samples of a split, or `n` at random by a seed; of a data set's first split where none is named."""
     if (Path(folder) / "dataset.json").exists():
         folder = f"{folder}/{next(iter(read_description(Path(folder))['splits']))}"
+    elif "://" not in folder and not Path(folder).is_dir():
+        raise FormatError(f"{folder}: expected a data set or one of its splits, got no folder")
     reader = Reader(folder)
     samples = iter(reader) if shuffle is None else reader.shuffled(shuffle)
     return list(islice(samples, n))

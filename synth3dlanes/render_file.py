@@ -25,12 +25,12 @@ def render_file(
     image_format = image_path.suffix.removeprefix(".")
     if image_format not in ("png", "jpg"):
         raise ParamsError(f"--out {image_path}: expected a name that ends in .png or .jpg")
+    if changes and image_path.with_suffix(f".{SCENE}").resolve() == scene_path.resolve():
+        raise ParamsError(f"--out {image_path}: would overwrite {scene_path} with the changed scene; name another")
     image_path.parent.mkdir(parents=True, exist_ok=True)
     rendering = render(scene, ground_truth(scene), settings)
     members = encode(rendering.image, rendering.labels, to_json(scene), rendering.passes, image_format)
     files = {image_path.with_suffix(f".{name}"): data for name, data in members.items() if changes or name != SCENE}
-    if any(path.resolve() == scene_path.resolve() for path in files):
-        raise ParamsError(f"--out {image_path}: would overwrite {scene_path} with the changed scene; name another")
     for path, data in files.items():
         path.write_bytes(data)
     return list(files)

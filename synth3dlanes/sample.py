@@ -186,17 +186,18 @@ def _cars(plan: RoadPlan, camera: Camera, looks: Draw, places: Draw) -> tuple[Ca
 
 def _trees(ground: Ground, looks: Draw, places: Draw) -> tuple[Tree, ...]:
     drawn = looks.rows(("model", "yaw_deg", "scale"), looks("n"))
-    gap_m = np.array([TREE_GAP_M + TREE_GAP_OF_CROWN * scale * TREES[model - 1].crown_radius_m for model, _, scale in drawn])
-    xy = np.zeros((len(drawn), 2))
-    pending = np.arange(len(drawn))
+    trees: list[Tree] = []
     for _ in range(TRIES):
-        if not pending.size:
-            break
-        xy[pending] = places.rows(("x_m", "y_m"), len(pending))
-        pending = pending[ground.clearance(xy[pending]) < gap_m[pending]]
-    else:
-        raise ParamsError(f"trees.x_m, trees.y_m: no room off the roads for {pending.size} trees of scene {ground.plan.scene.index}")
-    return tuple(
-        Tree(model=model, x_m=x, y_m=y, yaw_rad=yaw, scale=scale)
-        for (model, yaw, scale), (x, y) in zip(drawn, xy.tolist(), strict=True)
+        if len(trees) == len(drawn):
+            return tuple(trees)
+        xy = np.array(places.rows(("x_m", "y_m"), 2 * (len(drawn) - len(trees)) + 16))
+        for (x, y), clearance_m in zip(xy.tolist(), ground.clearance(xy).tolist(), strict=True):
+            if len(trees) == len(drawn):
+                break
+            model, yaw_rad, scale = drawn[len(trees)]
+            if clearance_m >= TREE_GAP_M + TREE_GAP_OF_CROWN * scale * TREES[model - 1].crown_radius_m:
+                trees.append(Tree(model=model, x_m=x, y_m=y, yaw_rad=yaw_rad, scale=scale))
+    missing = len(drawn) - len(trees)
+    raise ParamsError(
+        f"trees.x_m, trees.y_m: no room off the roads for {missing} trees of scene {ground.plan.scene.index}"
     )

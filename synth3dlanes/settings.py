@@ -15,6 +15,7 @@ class RenderSettings:
     passes: tuple[str, ...] = ()
     device: str = "cpu"
 
+
 # Semantic ids of pixels; a material carries its id as its pass index.
 SEMANTIC_IDS = {"sky": 0, "terrain": 1, "road": 2, "shoulder": 3, "marking": 4, "car": 5, "tree": 6}
 

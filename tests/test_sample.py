@@ -107,14 +107,17 @@ def test_looks_of_cars_are_uniform(scenes):
 
 def test_the_host_stands_in_every_lane_present_alike(scenes):
     places = [(s.camera.lane - 0.5) / lanes_present(RoadPlan(s), s.camera.y_m) for s in scenes]
-    assert 0 < min(places) and max(places) < 1
+    assert min(places) > 0
+    assert max(places) < 1
     assert np.mean(places) == pytest.approx(0.5, abs=0.04)
 
 
 def test_groups_have_streams_of_their_own(params):
     """Changing one group leaves every other as it was, unless it depends on it by its meaning."""
     scene = sample_scene(params, 0, "train", 3)
-    other = sample_scene(load_params("appendix_i", ["terrain.n_gaussians=2", "light.exposure=1", "trees.n=50"]), 0, "train", 3)
+    other = sample_scene(
+        load_params("appendix_i", ["terrain.n_gaussians=2", "light.exposure=1", "trees.n=50"]), 0, "train", 3
+    )
     for part in ("road", "markings", "surface", "cars", "camera"):
         assert getattr(other, part) == getattr(scene, part)
     assert other.light.sun_azimuth_rad == scene.light.sun_azimuth_rad, "a constant still uses up its draw"
@@ -153,7 +156,11 @@ def test_cars_keep_apart(scenes):
                 circles.append([*(middle + along * heading), model.width_m / 2 * car.scale])
                 owners.append(i)
         circles, owners = np.array(circles), np.array(owners)
-        gap = np.linalg.norm(circles[:, None, :2] - circles[None, :, :2], axis=2) - circles[:, None, 2] - circles[None, :, 2]
+        gap = (
+            np.linalg.norm(circles[:, None, :2] - circles[None, :, :2], axis=2)
+            - circles[:, None, 2]
+            - circles[None, :, 2]
+        )
         assert gap[owners[:, None] != owners[None, :]].min(initial=1) > 0
 
 

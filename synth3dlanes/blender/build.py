@@ -61,7 +61,9 @@ def build(studio: Studio, scene: Scene) -> list[Placed]:
     set_materials(studio.materials, scene)
     _add_surfaces(studio.materials, ground, scene)
     placed = _placed_objects(studio.assets, ground)
-    for item, color in zip(placed, [(*car.color, car.gloss) for car in scene.cars] + [None] * len(scene.trees), strict=True):
+    for item, color in zip(
+        placed, [(*car.color, car.gloss) for car in scene.cars] + [None] * len(scene.trees), strict=True
+    ):
         scaled = item.world_from_object @ np.diag([item.scale] * 3 + [1.0])
         _add_object(item.mesh, item.instance_id, mathutils.Matrix(scaled.tolist()), color)
     set_camera(studio.camera, scene.camera, world_from_cam(plan))
@@ -71,7 +73,12 @@ def build(studio: Studio, scene: Scene) -> list[Placed]:
 
 def clear(studio: Studio) -> None:
     """Remove everything that came after the studio was opened: objects *and* meshes, or memory grows."""
-    newer = [block for kind in ("objects", "meshes") for block in getattr(bpy.data, kind) if (kind, block.name) not in studio.kept]
+    newer = [
+        block
+        for kind in ("objects", "meshes")
+        for block in getattr(bpy.data, kind)
+        if (kind, block.name) not in studio.kept
+    ]
     bpy.data.batch_remove(newer)
 
 
@@ -127,7 +134,10 @@ def new_mesh(mesh: meshes.Mesh, materials: list[bpy.types.Material]) -> bpy.type
 
 
 def _add_object(
-    mesh: bpy.types.Mesh, instance_id: int, matrix: mathutils.Matrix | None = None, color: tuple[float, ...] | None = None
+    mesh: bpy.types.Mesh,
+    instance_id: int,
+    matrix: mathutils.Matrix | None = None,
+    color: tuple[float, ...] | None = None,
 ) -> None:
     item = bpy.data.objects.new("item", mesh)
     item.pass_index = instance_id

@@ -100,7 +100,10 @@ def _rays_near(
     """Which rays pass through which object's bounding sphere before they end."""
     spheres = [_bounding_sphere(item.mesh.name) for item in placed]
     centers = np.array(
-        [transform(item.world_from_object, item.scale * center) for item, (center, _) in zip(placed, spheres, strict=True)]
+        [
+            transform(item.world_from_object, item.scale * center)
+            for item, (center, _) in zip(placed, spheres, strict=True)
+        ]
     ).reshape(-1, 3)
     radii = np.array([item.scale * radius for item, (_, radius) in zip(placed, spheres, strict=True)])
     to = points_world - eye_world

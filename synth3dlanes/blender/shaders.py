@@ -80,7 +80,7 @@ def coated(
     graph: Graph, color: Socket, roughness: Socket, amount: Socket, ior: float = 1.45, normal: Socket | None = None
 ) -> None:
     """Diffuse under a reflecting coat: the coat's share is `amount` times the Fresnel reflectance."""
-    bend = {} if normal is None else {"Normal": normal}
+    bend: dict[str | int, Socket] = {} if normal is None else {"Normal": normal}
     base = graph.node("ShaderNodeBsdfDiffuse", {"Color": color, **bend})
     coat = graph.node("ShaderNodeBsdfAnisotropic", {"Color": (1.0, 1.0, 1.0), "Roughness": roughness, **bend})
     fresnel = graph.node("ShaderNodeFresnel", {"IOR": ior, **bend})

@@ -18,8 +18,7 @@ def response(linear: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
     """The curve itself: radiance >= 0 to display values 0..1."""
     film = -np.expm1(-FILM_SPEED * linear)
     display = np.where(film <= 0.0031308, 12.92 * film, 1.055 * np.maximum(film, 1e-9) ** (1 / 2.4) - 0.055)
-    curve: Float[np.ndarray, "..."] = display + CONTRAST * (display**2 * (3 - 2 * display) - display)
-    return curve
+    return np.asarray(display + CONTRAST * (display**2 * (3 - 2 * display) - display))
 
 
 @cache

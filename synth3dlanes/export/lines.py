@@ -37,7 +37,7 @@ class View:
     def project(self, points_cv: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
         """Pixels of points in front of the camera."""
         homogeneous_img = points_cv @ self.img_from_cv.T
-        return homogeneous_img[:, :2] / homogeneous_img[:, 2:]
+        return np.asarray(homogeneous_img[:, :2] / homogeneous_img[:, 2:])
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def keep_lines(lines: Sequence[Line], dropped: Counter[str], most: int, reason: 
 def road_from_cv(camera: CameraLabel, points_cv: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
     """Points in the spec's road frame: origin at the camera's foot on the road plane."""
     points_cam = points_cv @ CV_FROM_CAM
-    return points_cam @ camera.road_from_cam[:3, :3].T + camera.road_from_cam[:3, 3]
+    return np.asarray(points_cam @ camera.road_from_cam[:3, :3].T + camera.road_from_cam[:3, 3])
 
 
 def scene_tags(labels: Labels, view: View) -> frozenset[str]:
@@ -171,7 +171,7 @@ def _in_view(points_img: Float[np.ndarray, "n 2"], view: View) -> Bool[np.ndarra
     inside &= (v_px >= BORDER_PX) & (v_px <= view.height_px - BORDER_PX)
     steps_img = np.diff(points_img, axis=0, prepend=points_img[:1] - np.diff(points_img[:2], axis=0))
     rising = (steps_img[:, 1] < 0) & (np.abs(steps_img[:, 0]) <= -MAX_FLAT_STEP * steps_img[:, 1])
-    return inside & rising
+    return np.asarray(inside & rising)
 
 
 def _refine(

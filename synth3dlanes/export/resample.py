@@ -49,7 +49,7 @@ def source_pixels(camera: CameraLabel, view: View, points_img: Float[np.ndarray,
     (fx_px, cx_px, _), (_, cy_px, minus_fy_px), _ = camera.img_from_cam
     center_img = np.array([view.width_px / 2, view.height_px / 2])
     rays = (points_img - center_img) / view.f_px
-    return rays * np.array([fx_px, -minus_fy_px]) + np.array([cx_px, cy_px])
+    return np.asarray(rays * np.array([fx_px, -minus_fy_px]) + np.array([cx_px, cy_px]))
 
 
 def _degrees(half_px: float, f_px: float) -> str:

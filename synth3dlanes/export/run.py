@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
-from typing import IO, Any, Protocol
+from typing import IO, Any, Protocol, runtime_checkable
 
 import fsspec
 import numpy as np
@@ -36,6 +36,7 @@ EXPOSURE_STEPS = (5 / 3, 7 / 3)  # thirds of the paper's range 1..3
 NO_LINES = "no lane line is left, which the benchmark cannot score"
 
 
+@runtime_checkable
 class Format(Protocol):
     """What a foreign format's module offers."""
 

@@ -9,8 +9,10 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 from PIL import Image
 
 from synth3dlanes.export import apollo, once, openlane, tusimple
@@ -172,7 +174,7 @@ def _tusimple(out: Path, most_frames: int) -> Iterator[Verified]:
         yield Verified(path.name, len(frames), sum(map(len, true)), asdict(perfect), asdict(shifted), tuple(problems))
 
 
-def _moved_rows(lanes_u_px: np.ndarray, sidecar: dict[str, float]) -> np.ndarray:
+def _moved_rows(lanes_u_px: Float[np.ndarray, "l r"], sidecar: dict[str, Any]) -> Float[np.ndarray, "l r"]:
     # On the road plane one metre aside is |v - horizon| cos(pitch) / height pixels in row v.
     pitch_rad = sidecar["camera_pitch_rad"]
     horizon_px = tusimple.VIEW.height_px / 2 - tusimple.VIEW.f_px * np.tan(pitch_rad)

@@ -102,8 +102,12 @@ class Ground:
         scale = self.cell_scale(xy)
         distance = np.minimum(main, exits)
         main_profile = profile(main, 0.0, scale)
-        exit_profile = np.where(np.isfinite(exits), profile(np.where(np.isfinite(exits), exits, 0), raised, scale), -np.inf)
-        built = np.where(main <= 0, np.where(exits <= 0, np.maximum(raised, 0), 0.0), np.maximum(main_profile, exit_profile))
+        exit_profile = np.where(
+            np.isfinite(exits), profile(np.where(np.isfinite(exits), exits, 0), raised, scale), -np.inf
+        )
+        built = np.where(
+            main <= 0, np.where(exits <= 0, np.maximum(raised, 0), 0.0), np.maximum(main_profile, exit_profile)
+        )
         above[near] = np.where(distance <= 0, built, np.maximum(built, -press(distance, scale)))
         return above.reshape(xy_world.shape[:-1])
 

@@ -187,10 +187,11 @@ def connections(plan: RoadPlan) -> list[tuple[str, str]]:
     main: list[tuple[int, RoadName, int]] = [(lane, "main", lane) for lane in range(1, plan.n_main_after + 1)]
     if plan.scene.road.topology == 3:
         main[-1] = (n - 1, "main", n)
-    exits: list[tuple[int, RoadName, int]] = [(n - plan.n_exit_lanes + lane, "exit", lane) for lane in range(1, plan.n_exit_lanes + 1)]
+    exits: list[tuple[int, RoadName, int]] = [
+        (n - plan.n_exit_lanes + lane, "exit", lane) for lane in range(1, plan.n_exit_lanes + 1)
+    ]
     return [
-        (f"stem_{seen_from_left(plan, stem, n)}", _center_id(plan, road, lane))
-        for stem, road, lane in main + exits
+        (f"stem_{seen_from_left(plan, stem, n)}", _center_id(plan, road, lane)) for stem, road, lane in main + exits
     ]
 
 

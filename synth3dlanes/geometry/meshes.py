@@ -3,6 +3,7 @@
 Rows follow stations (world y along the main reference line), so that road, shoulders and paint share them.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +23,8 @@ PAINT_AHEAD_M = 250.0
 LANE_COLUMNS = 4
 ROAD, SHOULDER = 0, 1
 # Paint floats over the road by more than the road's faces can rise between their rows, which are longer far away.
-PAINT_LIFT_M = ((0.0, 0.003), (40.0, 0.004), (80.0, 0.012), (160.0, 0.05), (250.0, 0.15))
+PAINT_LIFT_M = (0.003, 0.004, 0.012, 0.05, 0.15)
+PAINT_LIFT_AT_M = (0.0, 40.0, 80.0, 160.0, 250.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +179,9 @@ def _crossing(ground: Ground, s: Values, high: float) -> Values:
     return np.asarray(above)
 
 
-def _verge(ground: Ground, edge_plus, raised: Values, room_m: Values) -> Mesh:  # type: ignore[no-untyped-def]
+def _verge(
+    ground: Ground, edge_plus: Callable[[Values], Float[np.ndarray, "n 2"]], raised: Values, room_m: Values
+) -> Mesh:
     """A strip outwards from an edge: `edge_plus(d)` gives world points d metres outside it, one a row."""
     scale = ground.cell_scale(edge_plus(np.zeros(raised.shape)))
     foot = EMBANKMENT_SLOPE * raised
@@ -195,14 +199,11 @@ def _paint(plan: RoadPlan, curve: Curve) -> Mesh:
     world = road_stations(plan)
     rows = np.sort(plan.plan_station(world[world < y + PAINT_AHEAD_M]))
     low, high = max(rows[0], curve.start_m), min(rows[-1], curve.end_m)
-    if low >= high:
-        rows = np.array([low, low])
-    else:
-        rows = np.concatenate([[low], rows[(rows > low) & (rows < high)], [high]])
+    rows = np.array([low, low]) if low >= high else np.concatenate([[low], rows[(rows > low) & (rows < high)], [high]])
     painted = np.ones(len(rows) - 1, dtype=bool)
     if curve.marking == "dashed":
         rows, painted = _dashes(plan, curve, rows)
-    lift = np.interp(np.abs(plan.plan_station(rows) - y), *zip(*PAINT_LIFT_M, strict=True))
+    lift = np.interp(np.abs(plan.plan_station(rows) - y), PAINT_LIFT_AT_M, PAINT_LIFT_M)
     offsets = np.array([-0.5, 0.5]) * markings.width_m
     vertices = np.stack([_beside(curve, t).points_world(plan, rows, lift) for t in offsets], axis=1)
     uv = np.stack(np.broadcast_arrays(offsets[None, :], rows[:, None]), -1)
@@ -214,9 +215,7 @@ def _beside(curve: Curve, t: float) -> Curve:
     return replace(curve, stem_m=None if curve.stem_m is None else curve.stem_m + t, fork_m=curve.fork_m + t)
 
 
-def _dashes(
-    plan: RoadPlan, curve: Curve, rows: Values
-) -> tuple[Float[np.ndarray, " m"], Bool[np.ndarray, " m-1"]]:
+def _dashes(plan: RoadPlan, curve: Curve, rows: Values) -> tuple[Float[np.ndarray, " m"], Bool[np.ndarray, " m-1"]]:
     """Rows with all ends of dashes among them, and whether the strip behind each row is painted. Dashes are
     counted along the line from the split, so that they do not move with the camera."""
     cycle, fraction = plan.scene.markings.dash_cycle_m, plan.scene.markings.dash_fraction

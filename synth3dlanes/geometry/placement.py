@@ -32,7 +32,7 @@ def world_from_car(plan: RoadPlan, car: Car) -> Matrix4:
     on_exit = car.lane.startswith("exit")
     for _ in range(3):
         wheels = transform(pose, wheels_car)[:, :2]
-        above: Float[np.ndarray, "4"] | float = 0.0
+        above: Float[np.ndarray, 4] | float = 0.0
         if on_exit:
             guess = np.full(4, car.s_m * plan.flips[1])
             above = plan.ramp(plan.project_exit(wheels, guess)[0])
@@ -57,7 +57,9 @@ def tree_positions(ground: Ground, trees: tuple[Tree, ...]) -> Float[np.ndarray,
 Footprint = Float[np.ndarray, "4 2"]
 
 
-def footprint(middle: Float[np.ndarray, "2"], heading: Float[np.ndarray, "2"], length_m: float, width_m: float) -> Footprint:
+def footprint(
+    middle: Float[np.ndarray, "2"], heading: Float[np.ndarray, "2"], length_m: float, width_m: float
+) -> Footprint:
     """Corners of a rectangle on the ground, seen from above."""
     along, across = heading * length_m / 2, np.array([heading[1], -heading[0]]) * width_m / 2
     return middle + np.array([along + across, along - across, -along - across, -along + across])

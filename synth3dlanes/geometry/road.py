@@ -94,7 +94,7 @@ class RoadPlan:
     # -- the main road in the plan
 
     @cached_property
-    def _quartic(self) -> tuple[Float[np.ndarray, "_"], ...]:
+    def _quartic(self) -> tuple[Float[np.ndarray, " _"], ...]:
         road = self.scene.road
         ys = np.array([-100.0, -50.0, 50.0, 100.0])
         xs = [road.offset_m50_m + road.offset_m100_m, road.offset_m50_m]

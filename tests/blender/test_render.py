@@ -170,7 +170,7 @@ def test_our_projection_is_blenders_even_off_centre_and_with_oblong_pixels():
     labels: Labels = ground_truth(scene)
     uv = project(labels.camera.img_from_cam, points_cam)
     for point, pixel in zip(transform(world_from_cam(RoadPlan(scene)), points_cam), uv, strict=True):
-        x, y, depth = world_to_camera_view(bpy.context.scene, bpy.context.scene.camera, Vector(point))
+        x, y, _depth = world_to_camera_view(bpy.context.scene, bpy.context.scene.camera, Vector(point))
         np.testing.assert_allclose([x * 480, (1 - y) * 360], pixel, atol=0.01)
 
 
@@ -230,7 +230,9 @@ def test_normals_are_the_terrains_on_the_ground_and_face_the_camera():
     assert not length[semantic == 0].any()
     v, u = np.nonzero((semantic == SEMANTIC_IDS["road"]) & (result.passes["depth"] < 40))
     camera = result.labels.camera
-    rays = np.column_stack([(u + 0.5 - 240) / scene.camera.fx_px, np.ones(len(u)), (180 - v - 0.5) / scene.camera.fy_px])
+    rays = np.column_stack(
+        [(u + 0.5 - 240) / scene.camera.fx_px, np.ones(len(u)), (180 - v - 0.5) / scene.camera.fy_px]
+    )
     points_world = transform(camera.world_from_cam, rays * result.passes["depth"][v, u][:, None])
     slope = gradient_at(scene.terrain, points_world[:, :2])
     expected = np.column_stack([-slope, np.ones(len(u))]) / np.sqrt(1 + (slope**2).sum(axis=1))[:, None]
@@ -259,4 +261,5 @@ def test_seen_share_of_cars():
 
     assert shares(ahead, behind) == (1.0, 0.0)
     hidden, before = shares(ahead, truck)
-    assert hidden < 0.1 and before > 0.95
+    assert hidden < 0.1
+    assert before > 0.95

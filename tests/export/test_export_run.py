@@ -54,7 +54,8 @@ def test_images_have_the_formats_size_and_no_list_ends_in_a_blank_line(exported)
     images = [path for path in out.rglob("*.jpg") if path.is_file()]
     assert len(images) == summary.n_train + summary.n_test
     for path in images:
-        assert Image.open(path).size == (view.width_px, view.height_px)
+        with Image.open(path) as image:
+            assert image.size == (view.width_px, view.height_px)
     for path in [*out.glob("data_splits/*/*.json"), *out.rglob("*.txt"), *out.glob("*label*.json")]:
         assert path.read_text().strip("\n") == path.read_text() != ""
 

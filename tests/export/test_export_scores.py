@@ -104,8 +104,8 @@ def test_once_perfect_shifted_and_distance():
     perfect = score_once([(true, true)] * 2 + [([], [])])
     assert (perfect.f_score, perfect.distance_m) == (1, 0)
     assert score_once([(true, true[::-1])]).f_score == 1, "the order does not matter where lines can be assigned"
-    assert score_once([(true, [x + [2, 0, 0] for x in true])]).f_score == 0
-    found = score_once([(true, [x + [0.1, 0, 0] for x in true])])
+    assert score_once([(true, [x + np.array([2.0, 0, 0]) for x in true])]).f_score == 0
+    found = score_once([(true, [x + np.array([0.1, 0, 0]) for x in true])])
     assert found.f_score == 1
     assert found.distance_m == pytest.approx(0.1)
 

@@ -1,0 +1,253 @@
+"""The network's shapes, its start, the loss, and what augmentation does to image and labels."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+
+def _batch(roads, n=2, size_px=(160, 120), seed=0):
+    from baseline_model.data import load
+
+    samples = roads.samples(np.random.default_rng(seed), n, size_px)
+    data = load(samples, (size_px[1], size_px[0]), "plane")
+    return data.batch(torch.arange(n), torch.device("cpu"))
+
+
+def _targets(batch, config):
+    from baseline_model.anchors import encode
+    from baseline_model.projection import road_from_cam
+
+    return encode(batch.curves, road_from_cam(batch.target_pose), config)[0]
+
+
+@pytest.mark.parametrize(
+    "row", ["full", "image_view", "top_view", "early_ipm", "late_ipm", "horizon", "fixed_position", "no_supervision"]
+)
+def test_every_ablation_gives_39_values_per_anchor_from_the_same_start(roads, row):
+    from baseline_model.config import ABLATIONS, TINY
+    from baseline_model.model import LaneNet
+
+    batch = _batch(roads)
+    torch.manual_seed(0)
+    model = LaneNet(TINY.model_copy(update=ABLATIONS[row])).eval()
+    torch.manual_seed(0)
+    full = LaneNet(TINY)
+    n_anchors = 10 if row == "image_view" else 16
+    with torch.no_grad():
+        output = model(batch.image, batch.intrinsics)
+    assert output.x_m.shape == output.z_m.shape == (2, 3, n_anchors, 6)
+    assert output.logit.shape == (2, 3, n_anchors)
+    assert model.head.out.out_channels == 39
+    for mine, its in zip(model.image.parameters() if model.image else [], full.image.parameters(), strict=False):
+        assert mine.equal(its)
+
+
+def test_paper_has_the_sizes_of_the_notes():
+    from baseline_model.config import PAPER
+    from baseline_model.model import LaneNet
+
+    model = LaneNet(PAPER)
+    assert sum(p.numel() for p in model.parameters()) == pytest.approx(23.7e6, rel=0.005)
+    assert [layer[0].kernel_size[0] for layer in model.head.reduce] == [3, 3, 3, 5, 5, 5, 5]
+    assert model.head.fold[0].kernel_size == (4, 5)
+    assert LaneNet(PAPER.model_copy(update={"variant": "image_view"})).anchors_m.shape == (30,)
+
+
+def test_the_network_starts_at_the_mean_pose_and_a_low_confidence(roads):
+    from baseline_model.config import TINY
+    from baseline_model.model import LaneNet
+
+    batch = _batch(roads)
+    with torch.no_grad():
+        output = LaneNet(TINY).eval()(batch.image, batch.intrinsics)
+    assert torch.rad2deg(output.pose[:, 0]).tolist() == pytest.approx([2.5, 2.5])
+    assert output.pose[:, 1].tolist() == pytest.approx([1.65, 1.65])
+    assert output.logit.sigmoid().mean() == pytest.approx(0.05, abs=0.02)
+
+
+def test_lane_loss_reaches_the_pose_only_through_a_grid_with_gradient(roads):
+    from baseline_model.config import TINY
+    from baseline_model.model import LaneNet
+
+    batch = _batch(roads)
+    for has_gradient in (False, True):
+        torch.manual_seed(1)
+        model = LaneNet(TINY.model_copy(update={"grid_gradient": has_gradient}))
+        model(batch.image, batch.intrinsics).x_m.sum().backward()
+        gradient = model.pose.residual.bias.grad
+        assert (gradient is not None and bool(gradient.abs().sum() > 0)) == has_gradient
+
+
+def test_improved_has_its_extra_heads_and_planes(roads):
+    from baseline_model.augment import lane_masks
+    from baseline_model.config import IMPROVED, TINY
+    from baseline_model.model import LaneNet
+    from baseline_model.projection import cell_centres, road_from_cam
+
+    extra = {
+        name: getattr(IMPROVED, name) for name in ("plane_heights_m", "knots_y_m", "has_visibility", "has_bev_masks")
+    }
+    config = TINY.model_copy(update=extra)
+    batch = _batch(roads)
+    with torch.no_grad():
+        output = LaneNet(config)(batch.image, batch.intrinsics)
+    assert output.visible_logit.shape == output.x_m.shape == (2, 3, 16, 10)
+    points = cell_centres(config.grid, 1)
+    masks = lane_masks(batch.curves, road_from_cam(batch.plane_pose), points)
+    assert masks.shape == output.bev_logit.shape
+    # The mask of a lane lies where the lane is.
+    xyz_road = batch.curves.xyz_cam[0, 0] @ road_from_cam(batch.plane_pose)[0, :3, :3].T
+    row = int((points[:, 0, 1] - 20.0).abs().argmin())
+    x_at_row = np.interp(float(points[row, 0, 1]), xyz_road[:, 1].numpy(), xyz_road[:, 0].numpy())
+    nearest = int((points[row, :, 0] - x_at_row).abs().argmin())
+    assert masks[0, 0, row, nearest] == 1
+
+
+def test_loss_of_perfect_output_is_only_the_confidence(roads):
+    from baseline_model.config import TINY, LossConfig
+    from baseline_model.loss import loss
+
+    batch = _batch(roads)
+    targets = _targets(batch, TINY)
+    terms = loss(_output(targets, batch), targets, batch.target_pose, None, TINY.types, LossConfig())
+    assert terms["geometry"].abs().max() == 0
+    assert terms["pose"].abs().max() == 0
+    assert terms["detection"].max() < 1e-3
+    off = _output(targets, batch)._replace(pose=batch.target_pose + torch.tensor([math.radians(1.0), 0.1]))
+    terms = loss(off, targets, batch.target_pose, None, TINY.types, LossConfig())
+    assert terms["pose"].tolist() == pytest.approx([1.1, 1.1], rel=1e-4), "a degree counts as much as a metre"
+
+
+def test_hidden_knots_and_ignored_lanes_get_no_gradient(roads):
+    from baseline_model.config import TINY, LossConfig
+    from baseline_model.data import pack
+    from baseline_model.loss import loss
+    from baseline_model.projection import road_from_cam
+
+    labels = roads.labels([lambda y: (0.1, 0 * y), (lambda y: (4.1, 0 * y), 0.0, 15.0), lambda y: (10.6, 0 * y)],
+                          hidden=(50.0, 200.0))  # fmt: skip
+    from baseline_model.anchors import encode
+    from baseline_model.curves import road_curves
+
+    pose = torch.tensor([[labels.camera.pitch_rad, labels.camera.height_m]])
+    targets, _ = encode(pack([road_curves(labels)]), road_from_cam(pose), TINY)
+    x_m, z_m, logit = (torch.randn(1, 3, 16, *tail, requires_grad=True) for tail in ((6,), (6,), ()))
+    output = _output(targets, None)._replace(x_m=x_m, z_m=z_m, logit=logit, pose=pose)
+    loss(output, targets, pose, None, TINY.types, LossConfig())["total"].sum().backward()
+    touched = torch.nonzero(x_m.grad[0]).tolist()
+    assert touched == [[0, 8, 0], [0, 8, 1], [0, 8, 2]]
+    assert torch.nonzero(z_m.grad[0]).tolist() == touched
+    assert bool((logit.grad != 0).all()), "these ignored lanes pass no anchor within 0.64 m at Y_ref"
+
+
+def test_unlabelled_kinds_enter_no_term(roads):
+    from baseline_model.config import TINY, LossConfig
+    from baseline_model.loss import loss
+
+    batch = _batch(roads)
+    targets = _targets(batch, TINY)
+    logit = torch.zeros_like(targets.x_m[..., 0]).requires_grad_()
+    x_m = torch.zeros_like(targets.x_m).requires_grad_()
+    output = _output(targets, batch)._replace(logit=logit, x_m=x_m)
+    config = LossConfig(kinds=("delimiter",))
+    loss(output, targets, batch.target_pose, None, TINY.types, config)["total"].sum().backward()
+    assert logit.grad[:, :2].abs().max() == x_m.grad[:, :2].abs().max() == 0
+    assert logit.grad[:, 2].abs().min() > 0
+
+
+def test_flip_twice_is_the_identity_and_once_mirrors_the_targets(roads):
+    from baseline_model.augment import flip
+    from baseline_model.config import TINY
+
+    batch = _batch(roads, n=4)
+    chosen = torch.tensor([True, False, True, True])
+    once, twice = flip(batch, chosen), flip(flip(batch, chosen), chosen)
+    assert twice.image.equal(batch.image)
+    assert twice.curves.xyz_cam.equal(batch.curves.xyz_cam)
+    assert twice.intrinsics.equal(batch.intrinsics)
+    before, after = _targets(batch, TINY), _targets(once, TINY)
+    assert after.assigned[0].any(0).equal(before.assigned[0].any(0).flip(0))
+    assert after.assigned[1].equal(before.assigned[1])
+    where = before.assigned[0, 0]
+    assert torch.allclose(after.x_m[0, 0].flip(0)[where], -before.x_m[0, 0][where], atol=1e-4)
+
+
+@pytest.mark.parametrize(("pitch_deg", "yaw_deg"), [(1.5, 0.0), (0.0, 4.0), (-1.0, -3.0)])
+def test_virtual_rotation_moves_picture_and_labels_together(roads, pitch_deg, yaw_deg):
+    from baseline_model.augment import rotate
+    from baseline_model.projection import road_from_cam
+
+    batch = _batch(roads, n=1, size_px=(480, 360))
+    point_cam = torch.tensor([[1.0, 18.0, -0.8]])
+    curves = batch.curves._replace(xyz_cam=point_cam.expand(batch.curves.xyz_cam.shape).clone())
+    batch = batch._replace(image=_spot(_pixel(batch.intrinsics, point_cam)), curves=curves)
+    turned = rotate(batch, torch.tensor([math.radians(pitch_deg)]), torch.tensor([math.radians(yaw_deg)]))
+    expected = _pixel(turned.intrinsics, turned.curves.xyz_cam[0, 0, :1])
+    assert _centroid(turned.image) == pytest.approx(expected.tolist(), abs=0.15)
+    # Looking further down lifts the world in the picture; turning right moves it left.
+    before = _pixel(batch.intrinsics, point_cam)
+    if pitch_deg:
+        assert (expected[1] < before[1]) == (pitch_deg > 0)
+    if yaw_deg:
+        assert (expected[0] < before[0]) == (yaw_deg > 0)
+    # No roll arises: relative to the new pose's plane, the point stands as high as it stood.
+    old_road = road_from_cam(batch.plane_pose)[0] @ torch.tensor([*point_cam[0], 1.0])
+    new_road = road_from_cam(turned.plane_pose)[0] @ torch.tensor([*turned.curves.xyz_cam[0, 0, 0], 1.0])
+    assert new_road[2] == pytest.approx(float(old_road[2]), abs=1e-5)
+    assert new_road[:2].norm() == pytest.approx(float(old_road[:2].norm()), abs=1e-5)
+    assert math.degrees(float(turned.plane_pose[0, 0] - batch.plane_pose[0, 0])) == pytest.approx(pitch_deg, abs=1e-4)
+
+
+def test_augmentation_of_a_step_repeats(roads):
+    from baseline_model.augment import augment, generator_for
+    from baseline_model.config import IMPROVED_AUGMENTATION
+
+    batch = _batch(roads)
+    first, second, other = (
+        augment(batch, IMPROVED_AUGMENTATION, generator_for(3, step, 0, torch.device("cpu"))) for step in (7, 7, 8)
+    )
+    assert first.batch.image.equal(second.batch.image)
+    assert not first.batch.image.equal(other.batch.image)
+
+
+def test_a_top_view_moved_right_sees_lanes_further_left(roads):
+    from baseline_model.anchors import encode
+    from baseline_model.config import TINY
+    from baseline_model.curves import road_curves
+    from baseline_model.data import pack
+    from baseline_model.projection import road_from_cam, top_from_road
+
+    labels = roads.labels([lambda y: (1.0, 0 * y)])
+    pose = torch.tensor([[labels.camera.pitch_rad, labels.camera.height_m]])
+    moved = top_from_road(torch.zeros(1), torch.tensor([0.5])) @ road_from_cam(pose)
+    targets, _ = encode(pack([road_curves(labels)]), moved, TINY)
+    anchor = int(torch.nonzero(targets.assigned)[0, 2])
+    x_m = targets.x_m[0, 0, anchor] + (anchor - 7.5) * 1.28
+    assert x_m.tolist() == pytest.approx([0.5] * 6, abs=1e-4)
+
+
+def _output(targets, batch):
+    from baseline_model.model import Output
+
+    logit = torch.where(targets.assigned, 20.0, -20.0)
+    pose = torch.zeros(len(logit), 2) if batch is None else batch.target_pose
+    return Output(targets.x_m, targets.z_m, logit, None, pose, torch.eye(4).expand(len(logit), 4, 4), None)
+
+
+def _pixel(intrinsics, point_cam):
+    fx, fy, cx, cy = intrinsics[0]
+    x, y, z = point_cam[0]
+    return torch.stack([cx + fx * x / y, cy - fy * z / y])
+
+
+def _spot(at_px):
+    v, u = torch.meshgrid(torch.arange(360) + 0.5, torch.arange(480) + 0.5, indexing="ij")
+    return torch.exp(-((u - at_px[0]) ** 2 + (v - at_px[1]) ** 2) / 18)[None, None].expand(1, 3, -1, -1)
+
+
+def _centroid(image):
+    weight = image[0, 0]
+    v, u = torch.meshgrid(torch.arange(360) + 0.5, torch.arange(480) + 0.5, indexing="ij")
+    return [float((weight * u).sum() / weight.sum()), float((weight * v).sum() / weight.sum())]

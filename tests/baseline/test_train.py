@@ -1,0 +1,181 @@
+"""The training loop: it learns, resumes exactly, names bad samples; checkpoints are safe; results travel in files."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+import torch
+
+PLAIN = {"augmentation": {"flip": 0.0, "noise": 0.0, "brightness": 0.0, "contrast": 0.0}}
+SMALL_PX = (160, 120)
+
+
+def _config(**overrides):
+    from baseline_model.config import train_config
+
+    return train_config("tiny", {"batch": 2, "epochs": 3.0, "validate_every_epochs": 3.0, "device": "cpu", **overrides})
+
+
+def _samples(roads, n=4, seed=0):
+    return roads.samples(np.random.default_rng(seed), n, SMALL_PX)
+
+
+def test_a_killed_run_continues_as_if_nothing_had_happened(roads, tmp_path, monkeypatch):
+    from baseline_model import checkpoint, train
+
+    samples, config = _samples(roads), _config()
+    whole = train.train_on(config, samples, samples, tmp_path / "whole")
+    monkeypatch.setattr(train, "SAVE_EVERY_S", 0.0)
+    real_step, n_calls = train._step, []
+
+    def killed(*arguments):
+        n_calls.append(1)
+        if len(n_calls) == 4:
+            raise KeyboardInterrupt
+        return real_step(*arguments)
+
+    monkeypatch.setattr(train, "_step", killed)
+    with pytest.raises(KeyboardInterrupt):
+        train.train_on(config, samples, samples, tmp_path / "killed")
+    resumed = train.train_on(config, samples, samples, tmp_path / "killed")
+    assert len(n_calls) == 4 + 3, "three steps, the kill, the other three"
+    first, second = checkpoint.load(whole), checkpoint.load(resumed)
+    assert first.model.keys() == second.model.keys()
+    assert all(first.model[name].equal(second.model[name]) for name in first.model)
+
+
+def test_another_configuration_does_not_continue_a_run(roads, tmp_path):
+    from baseline_model.train import train_on
+    from synth3dlanes.errors import ParamsError
+
+    samples = _samples(roads)
+    train_on(_config(epochs=1.0), samples, samples, tmp_path)
+    with pytest.raises(ParamsError, match=r"other settings \(learning_rate\)"):
+        train_on(_config(epochs=1.0, learning_rate=1e-2), samples, samples, tmp_path)
+
+
+def test_nan_stops_the_run_and_names_the_sample(roads, tmp_path):
+    from baseline_model.train import Diverged, train_on
+
+    samples = _samples(roads)
+    bad = samples[2]
+    lane = bad.labels.lanes[0]
+    broken = dataclasses.replace(lane, xyz_cam=np.where([[True, True, False]], lane.xyz_cam, np.nan))
+    samples[2] = dataclasses.replace(bad, labels=dataclasses.replace(bad.labels, lanes=(broken,)))
+    with pytest.raises(Diverged, match=r"step \d+: .*from sample 00000002$"):
+        train_on(_config(), samples, samples[:1], tmp_path)
+
+
+def test_order_is_a_permutation_of_seed_and_epoch():
+    from baseline_model.run_state import Process
+    from baseline_model.train import batch_index, sample_order
+
+    cpu = torch.device("cpu")
+    assert sorted(sample_order(10, 0, 0).tolist()) == list(range(10))
+    assert sample_order(10, 0, 0).equal(sample_order(10, 0, 0))
+    assert not sample_order(10, 0, 0).equal(sample_order(10, 0, 1))
+    config = _config(batch=4)
+    alone = [batch_index(10, step, config, Process(0, 1, cpu)) for step in range(3)]
+    assert set(torch.cat(alone).tolist()) == set(range(10))
+    both = [batch_index(10, 1, config, Process(rank, 2, cpu)) for rank in range(2)]
+    assert sorted(torch.cat(both).tolist()) == sorted(alone[1].tolist()), "two processes share one process's batch"
+
+
+def test_schedules(roads):
+    from baseline_model.optim import Schedule
+
+    cosine = _config(learning_rate=1e-3)
+    rates = [Schedule().rate(step, 1000, 100, cosine) for step in range(1000)]
+    assert rates[0] == pytest.approx(1e-3 / 40)
+    assert max(rates) == pytest.approx(1e-3)
+    assert rates[-1] < 1e-5
+    assert np.argmax(rates) in (39, 40)
+    cyclic = _config(schedule="cyclic", learning_rate=5e-4, cycle_epochs=2.0)
+    schedule = Schedule()
+    assert schedule.rate(0, 1000, 100, cyclic) == schedule.rate(200, 1000, 100, cyclic) == pytest.approx(5e-4)
+    assert schedule.rate(199, 1000, 100, cyclic) == pytest.approx(1e-6, abs=1e-7)
+    for step, score in ((100, 0.5), (200, 0.6), (300, 0.4), (400, 0.55)):
+        schedule.validated(score, step, 100, cyclic)
+    assert schedule.rate(400, 1000, 100, cyclic) == pytest.approx(2.5e-4), "a cycle without progress halves the peak"
+
+
+def test_checkpoints_execute_nothing_and_describe_themselves(roads, tmp_path):
+    from baseline_model import checkpoint
+    from baseline_model.train import train_on
+    from synth3dlanes.errors import FormatError
+
+    samples = _samples(roads)
+    config = _config(epochs=1.0)
+    best = train_on(config, samples, samples, tmp_path)
+    assert torch.load(best, weights_only=True)["format"] == "synth3dlanes.baseline"
+    loaded = checkpoint.load(best)
+    assert loaded.config == config
+    assert loaded.about["train"]["n_images"] == 4
+    assert checkpoint.build(loaded, torch.device("cpu")).config == config.model
+    lines = (tmp_path / "history.jsonl").read_text().splitlines()
+    assert json.loads(lines[-1])["val"]["settings"]["n_images"] == 4
+    for content in (b"not a checkpoint", b""):
+        (tmp_path / "x.pt").write_bytes(content)
+        with pytest.raises(FormatError, match=r"x\.pt: expected a baseline checkpoint"):
+            checkpoint.load(tmp_path / "x.pt")
+    torch.save({"format": "other"}, tmp_path / "x.pt")
+    with pytest.raises(FormatError, match=r"expected synth3dlanes\.baseline version 1"):
+        checkpoint.load(tmp_path / "x.pt")
+
+
+def test_storage_as_yuv_is_close_to_rgb_and_half_its_size(roads):
+    from baseline_model.data import load
+
+    samples = _samples(roads)
+    size_px = (SMALL_PX[1], SMALL_PX[0])
+    rgb, yuv = (load(samples, size_px, "plane", kind) for kind in ("rgb", "yuv420"))
+    index, cpu = torch.arange(4), torch.device("cpu")
+    assert yuv.image.numel() + yuv.chroma.numel() == rgb.image.numel() // 2
+    difference = (rgb.batch(index, cpu).image - yuv.batch(index, cpu).image).abs()
+    assert difference.mean() < 0.01
+    assert rgb.keys == yuv.keys == tuple(f"{i:08d}" for i in range(4))
+
+
+def test_resizing_scales_the_intrinsics_so_that_projections_scale(roads):
+    from baseline_model.data import intrinsics_of, resize
+
+    labels = roads.labels([lambda y: (1.0, 0 * y)])
+    image, (fx, fy, cx, cy) = resize(np.zeros((360, 480, 3), dtype=np.uint8), intrinsics_of(labels), (90, 160))
+    x, y, z = labels.lanes[0].xyz_cam[30]
+    matrix = labels.camera.img_from_cam @ [x, y, z]
+    assert image.shape == (90, 160, 3)
+    assert cx + fx * x / y == pytest.approx(matrix[0] / matrix[2] / 3)
+    assert cy - fy * z / y == pytest.approx(matrix[1] / matrix[2] / 4)
+
+
+def test_it_overfits_a_few_images(roads, tmp_path):
+    """The whole chain at once: any slip in grid, targets, decoding or frames keeps AP from rising."""
+    from baseline_model.checkpoint import build, load
+    from baseline_model.evaluate import score
+    from baseline_model.inference import predict_samples
+    from baseline_model.train import train_on
+
+    samples = _samples(roads, n=4, seed=1)
+    settings = {"batch": 4, "epochs": 200.0, "validate_every_epochs": 200.0, "learning_rate": 5e-3}
+    config = _config(**settings, weight_decay=0.0, ema_decay=0.9, label_pose_fraction=0.5, **PLAIN)
+    best = train_on(config, samples, samples, tmp_path)
+    report = score(predict_samples(build(load(best), torch.device("cpu")), samples), samples)
+    for kind in report.kinds.values():
+        assert kind.ap > 0.98
+        assert kind.at_threshold.near_1sigma_cm < 40
+    assert report.pitch_median_deg < 0.3
+
+
+@pytest.mark.slow
+def test_sixteen_images_to_average_precision_one(roads, tmp_path):
+    from baseline_model.config import train_config
+    from baseline_model.train import train_on
+
+    samples = roads.samples(np.random.default_rng(0), 16)
+    settings = {"batch": 8, "epochs": 400.0, "validate_every_epochs": 100.0, "learning_rate": 4e-3, "device": "cpu"}
+    config = train_config("nano", {**settings, "weight_decay": 0.0, "ema_decay": 0.95, **PLAIN})
+    train_on(config, samples, samples, tmp_path)
+    last = json.loads((tmp_path / "history.jsonl").read_text().splitlines()[-1])["val"]
+    assert last["centerline"]["ap"] == pytest.approx(1.0)
+    assert last["delimiter"]["ap"] == pytest.approx(1.0)

@@ -1,0 +1,73 @@
+"""Bad input of every kind: one clear line per problem on stderr, nothing on stdout, exit code 2, nothing half-written."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from click.testing import Result
+
+Run = Callable[..., Result]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["generate", "--n", "-3", "--out", "d"], "synth3dlanes generate: Invalid value for '--n': -3 is not in the range"),
+        (["generate", "--out", "d"], "synth3dlanes generate: Missing option '--n'."),
+        (["generate", "--n", "3", "--out", "file/d"], "--out file/d: expected a folder to write to"),
+        (["generate", "--n", "3", "--out", "d", "--params", "no.yaml"], "no.yaml: cannot read: No such file or directory"),
+        (["generate", "--n", "3", "--out", "d", "--set", "road.lanes=3"], "--set road.lanes: unknown key; did you mean n_lanes?"),
+        (["generate", "--n", "3", "--out", "d", "--passes", "deth"], "synth3dlanes generate: Invalid value for '--passes'"),
+        (["generate", "--n", "3", "--out", "d", "--split", "../up"], "synth3dlanes generate: Invalid value for '--split'"),
+        (["generate", "--n", "3", "--out", "d", "--workers", "-1"], "synth3dlanes generate: Invalid value for '--workers'"),
+        (["generate", "--n", "3", "--out", "d", "--part", "3/2"], "--part: expected i/n with 1 <= i <= n, got 3/2"),
+        (["sample", "--set", "camera.pitch_deg=[5, 0]"], "--set camera.pitch_deg: expected [low, high] with low <= high, got [5, 0]"),
+        (["sample", "--index", "-1"], "synth3dlanes sample: Invalid value for '--index'"),
+        (["render", "none.json"], "none.json: No such file or directory"),
+        (["render", "broken.json"], "broken.json: Invalid JSON"),
+        (["inspect", "broken.json"], "broken.json: Invalid JSON"),
+        (["inspect", "file/train:3"], "file/dataset.json: expected a file"),
+        (["gallery", "none"], "none: expected a data set"),
+        (["params", "check", "tiny", "no.yaml"], "no.yaml: cannot read: No such file or directory"),
+        (["sampel"], "synth3dlanes: No such command 'sampel'."),
+    ],
+)  # fmt: skip
+def test_one_line_and_exit_code_2(arguments: list[str], expected: str, run: Run, in_tmp_path: Path) -> None:
+    (in_tmp_path / "file").touch()
+    (in_tmp_path / "broken.json").write_text('{"format": "synth3dlanes.sc')
+    result = run(*arguments)
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert expected in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert {path.name for path in in_tmp_path.iterdir()} == {"file", "broken.json"}
+
+
+def test_every_problem_has_a_line(run: Run) -> None:
+    result = run("sample", "--set", "road.n_lanes=9", "--set", "light.exposure=0", "--set", "typo")
+    assert result.exit_code == 2
+    assert [line.split(":")[0] for line in sorted(result.stderr.splitlines())] == [
+        "--set light.exposure",
+        "--set road.n_lanes",
+        "--set typo",
+    ]
+
+
+def test_a_scene_with_two_mistakes_names_both(run: Run, in_tmp_path: Path) -> None:
+    text = run("sample").stdout.replace('"exposure":', '"exposur":').replace('"topology":', '"topology":1')
+    (in_tmp_path / "scene.json").write_text(text)
+    result = run("inspect", "scene.json")
+    assert result.exit_code == 2
+    lines = result.stderr.splitlines()
+    assert all(line.startswith("scene.json: ") for line in lines)
+    assert {line.split(": ")[1] for line in lines} == {"road.topology", "light.exposure", "light.exposur"}
+
+
+def test_render_will_not_overwrite_its_scene(run: Run, in_tmp_path: Path) -> None:
+    scene = run("sample", "--params", "tiny").stdout
+    (in_tmp_path / "a.scene.json").write_text(scene)
+    result = run("render", "a.scene.json", "--set", "light.exposure=3")
+    assert result.exit_code == 2
+    assert "would overwrite a.scene.json" in result.stderr
+    assert (in_tmp_path / "a.scene.json").read_text() == scene
+    assert not (in_tmp_path / "a.png").exists()

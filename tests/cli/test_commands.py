@@ -1,0 +1,68 @@
+"""What each command prints and writes."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import Result
+from PIL import Image
+
+Run = Callable[..., Result]
+
+
+def test_sample_prints_the_scene_of_its_index(run: Run) -> None:
+    many = run("sample", "--n", 3, "--index", 16, "--params", "tiny").stdout.splitlines()
+    assert [json.loads(line)["index"] for line in many] == [16, 17, 18]
+    assert run("sample", "--index", 17, "--params", "tiny").stdout.splitlines() == many[1:2]
+    assert run("sample", "--index", 17, "--params", "tiny", "--seed", 1).stdout.splitlines() != many[1:2]
+
+
+def test_params_show_prints_a_complete_file(run: Run, in_tmp_path: Path) -> None:
+    text = run("params", "show", "--set", "road.n_lanes=3").stdout
+    (in_tmp_path / "mine.yaml").write_text(text)
+    assert "n_lanes: 3\n" in text
+    assert run("params", "check", "mine.yaml", "tiny").stdout == "mine.yaml: ok\ntiny: ok\n"
+    assert run("params", "show", "mine.yaml").stdout == text
+    assert json.loads(run("params", "show", "--json").stdout)["light"]["exposure"] == [1, 3]
+
+
+def test_inspect_explains_a_scene_that_was_never_rendered(run: Run, in_tmp_path: Path) -> None:
+    (in_tmp_path / "7.scene.json").write_text(run("sample", "--index", 7, "--params", "tiny").stdout)
+    result = run("inspect", "7.scene.json")
+    assert result.exit_code == 0
+    assert "Figure: 7.inspect.png" in result.stdout
+    assert Image.open(in_tmp_path / "7.inspect.png").width > 1000
+    facts = json.loads(run("inspect", "7.scene.json", "--json").stdout)
+    assert facts["figure"] == "7.inspect.png"
+    assert facts["drawn from"] == {"seed": "0", "split": "train", "index": "7"}
+
+
+@pytest.mark.render
+def test_from_nothing_to_pictures(run: Run, in_tmp_path: Path) -> None:
+    made = run(
+        "generate", "--n", 2, "--out", "d", "--params", "tiny", "--workers", 1, "--image-format", "png", "--json"
+    )
+    assert made.exit_code == 0, made.stderr
+    assert json.loads(made.stdout)["done"] == 2
+    again = run("generate", "--n", 2, "--out", "d", "--params", "tiny", "--workers", 1, "--image-format", "png")
+    assert again.stdout == "d/train: 2 of 2 samples, 0 made now\n"
+
+    assert run("gallery", "d", "--out", "g.png", "--columns", 2).exit_code == 0
+    assert Image.open(in_tmp_path / "g.png").width > 2 * 96
+    inspected = run("inspect", "d/train:1")
+    assert "Figure: 00000001.inspect.png" in inspected.stdout
+    missing = run("inspect", "d/train:2")
+    assert (missing.exit_code, missing.stdout) == (2, "")
+
+    from synth3dlanes.dataset.read import Reader
+
+    sample = Reader("d/train")[1]
+    (in_tmp_path / "scene.json").write_bytes(sample.scene_json)
+    rendered = run("render", "scene.json", "--passes", "depth")
+    assert rendered.stdout.split() == ["scene.png", "scene.labels.json", "scene.passes.exr"]
+    np.testing.assert_array_equal(np.array(Image.open("scene.png")), sample.image)
+    changed = run("render", "scene.json", "--set", "light.exposure=3", "--out", "new/bright.jpg")
+    assert changed.stdout.split() == ["new/bright.jpg", "new/bright.scene.json", "new/bright.labels.json"]
+    assert json.loads((in_tmp_path / "new/bright.scene.json").read_text())["light"]["exposure"] == 3

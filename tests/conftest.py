@@ -1,0 +1,52 @@
+"""What all tests share. Our packages are imported inside fixtures, or the shape checks would miss them."""
+
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import settings
+
+# Machines are slow at times; a failure must be the same one tomorrow.
+settings.register_profile("house", deadline=None, derandomize=True)
+settings.load_profile("house")
+
+collect_ignore_glob = [] if importlib.util.find_spec("torch") else ["baseline/*"]
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    if importlib.util.find_spec("bpy") is None:
+        for item in items:
+            if item.get_closest_marker("render"):
+                item.add_marker(pytest.mark.skip(reason="there is no bpy for this Python"))
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """Random numbers, the same in every run."""
+    return np.random.default_rng(20190901)
+
+
+@pytest.fixture
+def flat_scene() -> Any:
+    """A straight road on a plain, no cars or trees."""
+    from tests.scenes import FLAT
+
+    return FLAT
+
+
+@pytest.fixture
+def hilly_scene() -> Any:
+    """Scene 17 of Appendix I: hills, an exit, cars and trees."""
+    from synth3dlanes.params import load_params
+    from synth3dlanes.sample import sample_scene
+
+    return sample_scene(load_params("appendix_i"), 0, "train", 17)
+
+
+@pytest.fixture
+def in_tmp_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working directory."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path

@@ -1,0 +1,179 @@
+"""Parameter files: every preset loads, and every kind of mistake names its file and key."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from synth3dlanes.distributions import Choice, Integers, Uniform
+from synth3dlanes.errors import ParamsError
+from synth3dlanes.params import Params, check_params, load_params, params_yaml, preset_names, presets_folder
+
+APPENDIX_I = (presets_folder() / "appendix_i.yaml").read_text()
+UNIT = st.floats(0, 1, exclude_max=True)
+
+
+def problems(text: str, folder: Path, overrides: tuple[str, ...] = ()) -> list[str]:
+    """What is wrong with a file of this text, without the file's name."""
+    path = folder / "flat.yaml"
+    path.write_text(text)
+    with pytest.raises(ParamsError) as error:
+        load_params(str(path), overrides)
+    assert all(line.startswith((f"{path}: ", "--set ")) for line in error.value.problems)
+    return [line.removeprefix(f"{path}: ") for line in error.value.problems]
+
+
+@pytest.mark.parametrize("name", preset_names())
+def test_a_preset_survives_yaml_and_json(name: str, tmp_path: Path) -> None:
+    params = load_params(name)
+    path = tmp_path / "copy.yaml"
+    path.write_text(params_yaml(params))
+    assert load_params(str(path)) == params
+    assert Params.model_validate(params.model_dump(mode="json")) == params
+
+
+def test_appendix_i_has_the_papers_ranges() -> None:
+    params = load_params("appendix_i")
+    assert params.terrain.n_gaussians == Integers(1, 7)
+    assert params.terrain.magnitude_m == Uniform(-50, 50)
+    assert params.terrain.sd_m == Uniform(25, 250)
+    assert params.road.topology == Integers(1, 4)
+    assert params.road.flip_lateral == Choice((True, False), (1, 1))
+    assert params.road.lane_width_m == Uniform(3.2, 4.0)
+    assert params.road.ramp_slope == Uniform(0.5, 4.5)
+    assert params.markings.dash_fraction == Uniform(0.3, 1)
+    assert params.cars.n == Integers(1, 24)
+    assert params.trees.n == Integers(40, 800)
+    assert params.camera.pitch_deg == Uniform(0, 5)
+    assert params.camera.width_px == Choice((480,), (1,))
+    assert params.light.exposure == Uniform(1, 3)
+
+
+def test_presets_differ_where_they_say() -> None:
+    paper, tiny = (load_params(name).model_dump() for name in ("appendix_i", "tiny"))
+    differing = {(group, key) for group in paper for key in paper[group] if paper[group][key] != tiny[group][key]}
+    assert differing == {("cars", "n"), ("trees", "n"), ("camera", "width_px"), ("camera", "height_px")}
+
+
+def test_realistic_ramps_rise_by_four_to_eight_percent() -> None:
+    slope = load_params("realistic").road.ramp_slope
+    assert isinstance(slope, Uniform)
+    assert (1 / slope.high, 1 / slope.low) == (0.04, 0.08)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        (
+            "pitch_deg: [0, 5]",
+            "pitch_deg: [5, 0]",
+            "camera.pitch_deg: expected [low, high] with low <= high, got [5, 0]",
+        ),
+        ("pitch_deg: [0, 5]", "pitsch_deg: [0, 5]", "camera.pitsch_deg: unknown key; did you mean pitch_deg?"),
+        ("  pitch_deg: [0, 5]", "  #", "camera.pitch_deg: missing key"),
+        ("light:", "lihgt:", "lihgt: unknown key; did you mean light?"),
+        ("exposure: [1, 3]", "exposure: [1, 3]\n  exposure: 2", "key 'exposure' is given twice"),
+        ("exposure: [1, 3]", "exposure: [1, .inf]", "light.exposure: expected numbers in (0, 100]"),
+        ("exposure: [1, 3]", "exposure: bright", "light.exposure: expected numbers in (0, 100]"),
+        ("exposure: [1, 3]", "exposure: [1, 2, 3]", "light.exposure: expected numbers in (0, 100]"),
+        ("exposure: [1, 3]", "exposure: 0", "light.exposure: expected numbers in (0, 100]"),
+        ("exposure: [1, 3]", "exposure: true", "light.exposure: expected numbers in (0, 100]"),
+        ("exposure: [1, 3]", "exposure:", "light.exposure: expected numbers in (0, 100]"),
+        ("exposure: [1, 3]", "exposure: {1: 2, 2: -1}", "light.exposure: expected positive weights"),
+        ("exposure: [1, 3]", "exposure: {}", "light.exposure: expected numbers"),
+        ("exposure: [1, 3]", "exposure: [1, 3", "not YAML: "),
+        ("exposure: [1, 3]", "exposure: !!python/object/apply:os.getcwd []", "not YAML: "),
+        ("n_lanes: [2, 4]", "n_lanes: [2, 9]", "road.n_lanes: expected integers from 2 to 8"),
+        ("n_lanes: [2, 4]", "n_lanes: [2, 3.5]", "road.n_lanes: expected integers from 2 to 8"),
+        ("dash_fraction: [0.3, 1]", "dash_fraction: [0, 1]", "markings.dash_fraction: expected numbers in (0, 1]"),
+        ("flip_lateral: {true: 1, false: 1}", "flip_lateral: 1", "road.flip_lateral: expected true, false or {true:"),
+    ],
+)
+def test_a_mistake_is_one_line_that_names_file_and_key(old: str, new: str, expected: str, tmp_path: Path) -> None:
+    assert old in APPENDIX_I
+    found = problems(APPENDIX_I.replace(old, new), tmp_path)
+    assert any(expected in line for line in found), found
+    assert all("\n" not in line for line in found)
+
+
+def test_all_mistakes_come_at_once(tmp_path: Path) -> None:
+    text = APPENDIX_I.replace("pitch_deg: [0, 5]", "pitch_deg: [5, 0]").replace("model: [1, 6]", "model: 7")
+    found = problems(text, tmp_path, ("road.n_lanes=1", "light.expsure=2", "light"))
+    keys = sorted(line.split(": ")[0] for line in found)
+    assert keys == [
+        "--set light",
+        "--set light.expsure",
+        "--set road.n_lanes",
+        "camera.pitch_deg",
+        "cars.model",
+        "trees.model",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("source", "expected"),
+    [
+        ("appendix_ii", "appendix_ii: expected one of "),
+        ("none.yaml", "none.yaml: cannot read: No such file or directory"),
+        ("empty.yaml", "empty.yaml: expected groups of parameters, got None"),
+        ("binary.yaml", "binary.yaml: cannot read: "),
+        ("folder.yaml", "folder.yaml: cannot read: Is a directory"),
+    ],
+)
+def test_a_file_that_is_none(source: str, expected: str, in_tmp_path: Path) -> None:
+    (in_tmp_path / "empty.yaml").touch()
+    (in_tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00\xd8")
+    (in_tmp_path / "folder.yaml").mkdir()
+    with pytest.raises(ParamsError) as error:
+        load_params(source)
+    assert str(error.value).startswith(expected)
+
+
+def test_check_names_the_problems_of_every_file() -> None:
+    with pytest.raises(ParamsError) as error:
+        check_params(["one.yaml", "tiny", "two.yaml"])
+    assert [line.split(":")[0] for line in error.value.problems] == ["one.yaml", "two.yaml"]
+
+
+def test_overrides_take_every_form() -> None:
+    overrides = (
+        "road.n_lanes=3",
+        "camera.pitch_deg=[1, 2]",
+        "cars.n={2: 1, 5: 3}",
+        "terrain.sd_m=1e2",
+        "road.flip_lateral=yes",
+    )
+    params = load_params("appendix_i", overrides)
+    assert params.road.n_lanes == Choice((3,), (1,))
+    assert params.camera.pitch_deg == Uniform(1, 2)
+    assert params.cars.n == Choice((2, 5), (1, 3))
+    assert params.terrain.sd_m == Choice((100.0,), (1,))
+    assert params.road.flip_lateral == Choice((True,), (1,))
+
+
+@given(low=st.integers(-5, 5), size=st.integers(1, 9), u=UNIT)
+def test_integers_share_the_unit_interval_evenly(low: int, size: int, u: float) -> None:
+    value = Integers(low, low + size - 1).draw(u)
+    assert low <= value < low + size
+    assert (value - low) / size <= u + 1e-12
+
+
+@given(low=st.floats(-1e3, 1e3), size=st.floats(0, 1e3), u=UNIT)
+def test_a_uniform_draw_stays_in_range_and_moves_with_u(low: float, size: float, u: float) -> None:
+    uniform = Uniform(low, low + size)
+    assert uniform.low <= uniform.draw(u) <= uniform.high
+    assert uniform.draw(u / 2) <= uniform.draw(u)
+
+
+def test_a_choice_follows_its_weights(rng: np.random.Generator) -> None:
+    choice = Choice((2, 3, 4), (5.0, 3.0, 2.0))
+    drawn = [choice.draw(u) for u in rng.random(20_000)]
+    shares = np.bincount(drawn, minlength=5)[2:] / len(drawn)
+    np.testing.assert_allclose(shares, (0.5, 0.3, 0.2), atol=0.02)
+    assert choice.draw(np.nextafter(1, 0)) == 4
+
+
+def test_a_constant_is_constant() -> None:
+    assert {Choice((1.5,), (1.0,)).draw(u) for u in (0.0, 0.5, 0.999999)} == {1.5}
