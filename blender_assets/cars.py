@@ -68,7 +68,7 @@ def wheels(shape: Shape, model: CarModel) -> None:
 
 def arch_lips(shape: Shape, model: CarModel, material: int, thickness_m: float) -> None:
     """A bead around each wheel opening."""
-    angle = np.linspace(-0.25, np.pi + 0.25, 19)
+    angle = np.linspace(-0.25, np.pi + 0.25, 17)
     radius = model.wheel_radius_m + 0.07
     for side in (1, -1):
         for axle in (model.wheelbase_m / 2, -model.wheelbase_m / 2):

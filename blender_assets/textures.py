@@ -66,7 +66,7 @@ def concrete(rng: np.random.Generator) -> Surface:
     brush = clouds(rng, (SIZE[0], 8), 100, 512, 0.0)[:, :1] + 0.6 * clouds(rng, SIZE, 60, 512, 0.0)
     mottle = clouds(rng, SIZE, 7, 160, 0.8)
     pores = smoothstep(2.0, 2.8, clouds(rng, SIZE, 120, 400, 0.0))
-    gray = 0.235 * np.exp(0.10 * mottle + 0.05 * brush) * (1 - 0.45 * pores)
+    gray = 0.205 * np.exp(0.10 * mottle + 0.05 * brush) * (1 - 0.45 * pores)
     return Surface(tint(gray, (1.04, 1.0, 0.92)), 0.70 + 0.05 * mottle, 0.0007 * brush - 0.002 * pores, 5.0)
 
 
@@ -88,25 +88,25 @@ def grass(rng: np.random.Generator) -> Surface:
     """Meadow seen from above: tufts of blades, dark gaps, dry straw."""
     blades = 0.5 * (clouds(rng, SIZE, 90, 512, 0.2) + clouds(rng, SIZE, 40, 160, 0.6))
     tufts = clouds(rng, SIZE, 12, 90, 0.9)
-    patch = clouds(rng, SIZE, 1, 9, 0.8)
+    patch = clouds(rng, SIZE, 6, 30, 0.6)
     value = np.exp(0.34 * blades + 0.24 * tufts)
     green = tint(value, (0.068, 0.096, 0.026))
     olive = tint(value, (0.115, 0.118, 0.042))
     straw = tint(value, (0.235, 0.195, 0.098))
     color = blend(green, olive, smoothstep(-1.0, 1.4, patch + 0.5 * tufts))
-    dry = smoothstep(0.7, 2.2, clouds(rng, SIZE, 2, 40, 0.7) + 0.5 * blades)
+    dry = smoothstep(0.7, 2.2, clouds(rng, SIZE, 9, 60, 0.5) + 0.5 * blades)
     return Surface(blend(color, straw, 0.75 * dry), np.full(SIZE, 0.9), 0.03 * tufts + 0.02 * blades, 10.0)
 
 
 def dry_soil(rng: np.random.Generator) -> Surface:
     """Pale crusted earth with pebbles, shrink cracks and tufts of dead grass."""
     grain = clouds(rng, SIZE, 70, 512, 0.3)
-    lumps = clouds(rng, SIZE, 6, 90, 1.0)
+    lumps = clouds(rng, SIZE, 9, 90, 0.9)
     _, border = cells(rng, SIZE, 420, 9.0)
-    crusted = smoothstep(-0.2, 1.0, clouds(rng, SIZE, 1, 6, 0.6))
+    crusted = smoothstep(-0.2, 1.0, clouds(rng, SIZE, 5, 14, 0.5))
     crack = (1 - smoothstep(0.6, 2.2, border)) * crusted
     pebbles = smoothstep(1.9, 2.6, clouds(rng, SIZE, 60, 200, 0.0))
-    tuft = smoothstep(0.9, 1.9, clouds(rng, SIZE, 5, 60, 0.7))
+    tuft = smoothstep(0.9, 1.9, clouds(rng, SIZE, 9, 70, 0.6))
     soil = tint(np.exp(0.14 * grain + 0.13 * lumps) * (1 - 0.5 * crack), (0.255, 0.180, 0.112))
     color = blend(soil, tint(np.exp(0.3 * grain), (0.185, 0.165, 0.085)), 0.75 * tuft)
     color = blend(color, tint(np.exp(0.2 * lumps), (0.33, 0.29, 0.24)), 0.6 * pebbles)
@@ -173,7 +173,7 @@ def terrain_macro(rng: np.random.Generator) -> Float[np.ndarray, "h w 3"]:
     """Growth and dryness over tens of metres: a tint on the terrain's albedo, 0.5 = unchanged."""
     lush = clouds(rng, SIZE, 1, 40, 1.0)
     dry = clouds(rng, SIZE, 1, 24, 1.0)
-    tints = np.exp(0.16 * lush)[..., None] * np.exp(dry[..., None] * np.array([0.09, 0.05, -0.02]))
+    tints = np.exp(0.22 * lush)[..., None] * np.exp(dry[..., None] * np.array([0.09, 0.05, -0.02]))
     return 0.5 * tints
 
 

@@ -16,6 +16,7 @@ from .generate import generate
 from .look import gallery, inspect
 from .params import params
 from .scenes import render, sample
+from .validate import validate
 
 
 class BadInput(click.ClickException):
@@ -55,5 +56,5 @@ def main() -> None:
     """Synthetic 3D-lane images with exact ground truth."""
 
 
-for command in (generate, sample, render, inspect, gallery, params, export):
+for command in (generate, sample, render, inspect, gallery, params, export, validate):
     main.add_command(command)

@@ -1,14 +1,16 @@
-"""One sample: scene -> labels -> image -> bytes. Blender is loaded with the first sample."""
+"""One sample: scene -> labels -> image -> bytes -> disk. Blender is loaded with the first sample."""
 
 import importlib.util
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from synth3dlanes import __version__
 from synth3dlanes import scene as scene_module
 from synth3dlanes.dataset.format import encode, member_names
+from synth3dlanes.dataset.write import Shard
 from synth3dlanes.errors import ParamsError
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.params import Params
@@ -77,6 +79,18 @@ def make_sample(recipe: Recipe, index: int) -> Made:
     clock.append(time.perf_counter())
     timings = {"sample": clock[1] - clock[0], "labels": clock[2] - clock[1], **rendering.timings}
     return Made(members, {**timings, "encode": clock[4] - clock[3]})
+
+
+def make_part(
+    maker: Callable[[Recipe, int], Made], recipe: Recipe, shard: Shard, index: int
+) -> dict[str, float | dict[str, float]]:
+    """What a worker does: make one sample and keep it; returns its size and the seconds by stage."""
+    start = time.perf_counter()
+    made = maker(recipe, index)
+    before = time.perf_counter()
+    size = shard.write_part(index, made.members)
+    end = time.perf_counter()
+    return {"bytes": size, "seconds": end - start, "stages": {**made.timings, "write": end - before}}
 
 
 def scene_json(recipe: Recipe, index: int) -> str:

@@ -1,20 +1,21 @@
 """What a run tells while it goes: events, rate and time left, the forecast before it starts, the log."""
 
+import io
 import json
 import os
 import time
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 from synth3dlanes.generate import Recipe
 
 # Measured on scenes of Appendix I at 480x360: core-seconds an image, bytes a pixel, bytes of text.
 SECONDS_PER_PIXEL_SAMPLE, SECONDS_PER_PIXEL, SECONDS_PER_SCENE = 2.3e-6, 1.6e-6, 0.25
-BYTES_PER_PIXEL = {"jpg": 0.5, "png": 1.6}
-BYTES_PER_PIXEL_OF_PASS = {"depth": 2.5, "normal": 3.0, "semantic": 0.2, "instance": 0.3}
-BYTES_OF_TEXT = 150_000
+BYTES_PER_PIXEL = {"jpg": 0.45, "png": 1.6}
+BYTES_PER_PIXEL_OF_PASS = {"depth": 2.4, "normal": 3.0, "semantic": 0.2, "instance": 0.4}
+BYTES_OF_TEXT = 80_000
 # A joined shard lies there twice for a moment.
 SHARD_SAMPLES = 1000
 
@@ -112,8 +113,8 @@ def forecast(recipe: Recipe, samples: int, workers: int) -> Forecast:
     )
 
 
-def open_log(folder: Path, split: str) -> TextIO:
-    """A new log of JSON lines, each written out at once."""
+def open_log(folder: Path, split: str) -> io.FileIO:
+    """A new log for JSON lines, each written out at once."""
     folder.mkdir(exist_ok=True)
     name = f"{split}-{datetime.now(UTC):%Y%m%dT%H%M%S}-{os.uname().nodename}-{os.getpid()}.jsonl"
-    return (folder / name).open("a", buffering=1)
+    return io.FileIO(folder / name, "a")

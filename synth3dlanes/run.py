@@ -22,7 +22,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import current_thread, main_thread
@@ -33,7 +33,7 @@ from synth3dlanes.dataset.folder import claim
 from synth3dlanes.dataset.format import key_of
 from synth3dlanes.dataset.write import Shard, write_whole
 from synth3dlanes.errors import ParamsError
-from synth3dlanes.generate import Made, Recipe, make_sample, require_blender, scene_json
+from synth3dlanes.generate import Made, Recipe, make_part, make_sample, require_blender, scene_json
 from synth3dlanes.progress import Event, Forecast, Meter, forecast, open_log
 from synth3dlanes.workers import DISK_FULL, Limits, Outcome, Pool
 
@@ -290,7 +290,9 @@ class _Run:
 
     def _tell(self, kind: str, message: str, **details: Any) -> None:
         event = self.meter.event(kind, message, details)
-        self.log.write(event.line())
+        # A full disk may cost lines of the log, not the run.
+        with suppress(OSError):
+            self.log.write(event.line().encode())
         self.notify(event)
 
     def _shard(self, index: int) -> Shard:
@@ -298,18 +300,6 @@ class _Run:
 
     def _failed(self, index: int) -> Path:
         return self.plan.out / "failed" / self.plan.recipe.split / key_of(index)
-
-
-def make_part(
-    maker: Callable[[Recipe, int], Made], recipe: Recipe, shard: Shard, index: int
-) -> dict[str, float | dict[str, float]]:
-    """What a worker does: make one sample and keep it; returns its size and the seconds by stage."""
-    start = time.perf_counter()
-    made = maker(recipe, index)
-    before = time.perf_counter()
-    size = shard.write_part(index, made.members)
-    end = time.perf_counter()
-    return {"bytes": size, "seconds": end - start, "stages": {**made.timings, "write": end - before}}
 
 
 def _join_shard(shard: Shard, n: int) -> list[int]:

@@ -20,6 +20,9 @@ SCALE_LENGTH_M = 100.0
 WEAR_LENGTH_M = 48.0  # the wear maps show two lanes by this length
 SHOULDER_TILES = 30.0  # as a texture scale
 N_ROADS, N_TERRAINS = 3, 2
+# Cycles has no mipmaps: far terrain fades to its texture's mean (linear), or the grain would alias at few samples.
+BLUR_DISTANCE_M = 160.0
+TERRAIN_MEANS = {"terrain_1": (0.108, 0.12, 0.042), "terrain_2": (0.249, 0.179, 0.11)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +135,10 @@ def _terrain(name: str) -> bpy.types.Material:
     """Fine texture times two scales of a map of growth and dryness, so that no hill looks like a carpet."""
     material, graph = new_material(name, TERRAIN_ID)
     uv, metres = _tile_uv(graph), _metres(graph)
-    color = _image(graph, f"{name}_albedo.jpg", uv, is_color=True)
+    fine = _image(graph, f"{name}_albedo.jpg", uv, is_color=True)
+    distance_m = graph.node("ShaderNodeCameraData").outputs["View Distance"]
+    blur = graph.math("MINIMUM", graph.math("DIVIDE", distance_m, BLUR_DISTANCE_M), 0.9)
+    color = graph.mix_color(fine, TERRAIN_MEANS[name], blur)
     for length_m in (41.0, 233.0):
         macro = _image(graph, "terrain_macro.jpg", graph.scale(metres, 1 / length_m), is_color=False)
         color = graph.vector("MULTIPLY", color, graph.scale(macro, 2.0))

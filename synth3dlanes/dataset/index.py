@@ -33,7 +33,7 @@ def _arrow_type(annotation: Any) -> pa.DataType:
 
 
 SCHEMA = pa.schema(
-    [("key", pa.string()), ("index", pa.int64())]
+    [("key", pa.string()), ("index", pa.int64()), ("sha256", pa.string())]
     + [(name, pa.int64()) for name in PLACE_COLUMNS]
     + [(name, pa.int64()) for name in ("n_gaussians", "n_cars", "n_trees")]
     + [
@@ -47,9 +47,12 @@ SCHEMA = pa.schema(
 )
 
 
-def index_row(key: str, places: dict[str, tuple[int, int]], scene: Scene, labels: Labels) -> dict[str, Any]:
-    """One row of the index; `places` gives offset and size in the tar of each member by its name."""
-    row: dict[str, Any] = {"key": key, "index": int(key)}
+def index_row(
+    key: str, places: dict[str, tuple[int, int]], sha256: str, scene: Scene, labels: Labels
+) -> dict[str, Any]:
+    """One row of the index; `places` gives offset and size in the tar of each member by its name, `sha256` is of all
+    the sample's bytes there, from its first header to its last block."""
+    row: dict[str, Any] = {"key": key, "index": int(key), "sha256": sha256}
     for member, (offset, size) in places.items():
         column = COLUMN_OF_MEMBER[member]
         row |= {f"{column}_offset": offset, f"{column}_size": size}

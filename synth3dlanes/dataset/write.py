@@ -10,6 +10,7 @@ shard take part again when it is joined anew, so a larger n continues it. Nobody
 (`folder.claim`) joins it.
 """
 
+import hashlib
 import os
 import tarfile
 from collections.abc import Iterator, Mapping
@@ -169,6 +170,7 @@ class Shard:
         return data, index_row(
             key_of(index),
             moved,
+            hashlib.sha256(data).hexdigest(),
             scene_module.from_json(scene, f"{where}.{SCENE}"),
             labels_module.from_json(labels, f"{where}.{LABELS}"),
         )

@@ -10,7 +10,7 @@ from PIL import Image
 bpy = pytest.importorskip("bpy")
 
 from synth3dlanes.blender.assets import Assets, assets_dir, load_assets  # noqa: E402
-from synth3dlanes.blender.materials import Materials, make_materials  # noqa: E402
+from synth3dlanes.blender.materials import TERRAIN_MEANS, Materials, make_materials  # noqa: E402
 from synth3dlanes.blender.world import SKY_SHAPE, clear_sky, cloud_cover, sky_image, sun_color, sun_direction  # noqa: E402
 from synth3dlanes.catalogue import CARS, TREES  # noqa: E402
 from synth3dlanes.scene import Light  # noqa: E402
@@ -88,6 +88,14 @@ def test_textures_tile(path: Path) -> None:
         inside = np.abs(np.diff(lines, axis=0)).mean(axis=(1, 2))
         seam = np.abs(lines[0] - lines[-1]).mean()
         assert seam <= 1.5 * np.quantile(inside, 0.99) + 1, f"axis {axis}: seam {seam}, inside {inside.mean()}"
+
+
+@pytest.mark.parametrize("name", TERRAIN_MEANS)
+def test_far_terrain_has_the_mean_colour_of_its_texture(name: str) -> None:
+    with Image.open(assets_dir() / "textures" / f"{name}_albedo.jpg") as picture:
+        srgb = np.asarray(picture, float) / 255
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    np.testing.assert_allclose(linear.mean(axis=(0, 1)), TERRAIN_MEANS[name], atol=2e-3)
 
 
 def test_assets_stay_small() -> None:

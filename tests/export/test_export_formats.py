@@ -3,7 +3,6 @@
 import json
 from dataclasses import replace
 
-import closed_form as cf
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,6 +11,7 @@ from hypothesis import strategies as st
 from synth3dlanes.errors import FormatError
 from synth3dlanes.export import apollo, once, openlane, tusimple
 from synth3dlanes.export.lines import CV_FROM_CAM, scene_tags
+from tests.export import closed_form as cf
 
 ROUNDING_M = 2e-6
 # Built inside the tests: the shape checks draw random numbers, which Hypothesis forbids in a strategy.

@@ -2,7 +2,6 @@
 
 import json
 
-import closed_form as cf
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -14,6 +13,7 @@ from synth3dlanes.export.lines import View
 from synth3dlanes.export.resample import resample, source_pixels
 from synth3dlanes.export.run import export
 from synth3dlanes.export.verify import verify
+from tests.export import closed_form as cf
 
 FORMATS = {"apollo": apollo, "openlane": openlane, "once": once, "tusimple": tusimple}
 N_TRAIN, N_TEST = 7, 4

@@ -1,0 +1,39 @@
+"""`synth3dlanes validate`: is a data set whole, and do its labels fit its pixels?"""
+
+import json
+import os
+from pathlib import Path
+
+import click
+
+from .options import json_option
+
+
+@click.command()
+@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+@click.option("--workers", type=click.IntRange(min=0), default=0, help="Processes; 0: one per core.")
+@click.option("--limit", metavar="N", type=click.IntRange(min=0), help="Check N samples of each split, not all.")
+@json_option
+@click.pass_context
+def validate(ctx: click.Context, folder: Path, workers: int, limit: int | None, as_json: bool) -> None:
+    """Check every file and sample of the data set DIR, and prove its labels against its pixels.
+
+    Exits with 1 if anything fails, each fault in a line of its own; DIR/validation then has a picture of each sample
+    that failed.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+    from synth3dlanes.validate.run import validate as check
+
+    columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("", total=None)
+        report = check(
+            folder, workers or os.cpu_count() or 1, limit, lambda done, total: bar.update(task, completed=done, total=total)
+        )
+    if as_json:
+        click.echo(json.dumps(report.document()))
+    else:
+        Console(soft_wrap=True).print(report.text())
+    ctx.exit(1 if report.problems else 0)

@@ -1,0 +1,76 @@
+"""What validation hands on: faults, by name, and numbers, as distributions of constant size."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+# Bands of distance ahead of the camera; the guarantees of spec section 4 hold up to PROOF_M.
+PROOF_M = 40.0
+BANDS_M = (0.0, 10.0, 20.0, PROOF_M, 80.0, np.inf)
+BAND_NAMES = ("0-10 m", "10-20 m", "20-40 m", "40-80 m", "80+ m")
+# Values are counted in bins 10 % wide, so that the memory does not grow with the dataset; all below the first is 0.
+EDGES = 1e-4 * 1.1 ** np.arange(180)
+WORST = 5
+
+
+class Finding(NamedTuple):
+    """A fault of a sample, and the lane that has it ("" for none in particular)."""
+
+    lane: str
+    reason: str
+
+
+class Problem(NamedTuple):
+    """A fault of a dataset: the sample (`train:00000017`) or file, the lane ("" for none in particular), the reason."""
+
+    where: str
+    lane: str
+    reason: str
+
+    def line(self) -> str:
+        """The problem in one line."""
+        reason = " ".join(self.reason.split())
+        return ": ".join(part for part in (self.where, self.lane, reason) if part)
+
+
+class Measure(NamedTuple):
+    """Values of one kind with the distance ahead of each. Those named `*_visible` are 1 where pixels disagree, else 0."""
+
+    name: str
+    y_m: Float[np.ndarray, " n"]
+    values: Float[np.ndarray, " n"]
+
+    def worst(self) -> float:
+        """What a sample is ranked by: the largest value within the range of the guarantees; of flags their sum."""
+        near = self.values[self.y_m < PROOF_M]
+        return float(near.sum() if self.name.endswith("visible") else near.max(initial=0.0))
+
+
+@dataclass
+class Distribution:
+    """How often which value came, by band of distance."""
+
+    counts: Int[np.ndarray, "bands bins"] = field(
+        default_factory=lambda: np.zeros((len(BAND_NAMES), len(EDGES) + 1), dtype=int)
+    )
+    totals: Float[np.ndarray, " bands"] = field(default_factory=lambda: np.zeros(len(BAND_NAMES)))
+
+    def add(self, measure: Measure) -> None:
+        """Count the values of one more sample."""
+        bands = np.searchsorted(BANDS_M, measure.y_m, side="right") - 1
+        np.add.at(self.counts, (bands, np.searchsorted(EDGES, measure.values, side="right")), 1)
+        np.add.at(self.totals, bands, measure.values)
+
+    def summary(self, bands: slice) -> dict[str, float]:
+        """Count, mean and percentiles of a range of bands; a percentile is its bin's upper edge."""
+        counts = self.counts[bands].sum(axis=0)
+        n = int(counts.sum())
+        if n == 0:
+            return {"n": 0}
+        cumulative = np.cumsum(counts)
+        at = [int(np.searchsorted(cumulative, q / 100 * n)) for q in (50, 95, 99)]
+        upper = [0.0 if i == 0 else float(EDGES[min(i, len(EDGES) - 1)]) for i in at]
+        mean = float(self.totals[bands].sum()) / n
+        return {"n": n, "mean": mean, "median": upper[0], "p95": upper[1], "p99": upper[2]}

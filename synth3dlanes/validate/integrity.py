@@ -1,0 +1,146 @@
+"""Shards against their indices: every byte accounted for, every sample once. Reads the files of one local dataset."""
+
+import hashlib
+import tarfile
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from synth3dlanes.dataset.format import BLOCK, COLUMN_OF_MEMBER, key_of, tar_end
+from synth3dlanes.errors import FormatError
+from synth3dlanes.validate.findings import Problem
+
+NAMED_AT_MOST = 5
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A sample as the index has it: the tar, offset and size there of each member, and the digest of its bytes."""
+
+    split: str
+    index: int
+    tar: Path
+    members: dict[str, tuple[int, int]]
+    sha256: str
+
+    @property
+    def name(self) -> str:
+        """As `synth3dlanes inspect` takes it after the folder: `train:00000017`."""
+        return f"{self.split}:{key_of(self.index)}"
+
+    @property
+    def end(self) -> int:
+        """Where the sample's last block ends in the tar."""
+        end = max(offset + size for offset, size in self.members.values())
+        return end + -end % BLOCK
+
+    def parts(self) -> set[tuple[str, int, int]]:
+        """Its members as the tar should hold them: name, offset, size."""
+        return {(f"{key_of(self.index)}.{name}", *place) for name, place in self.members.items()}
+
+
+def check_shard(parquet: Path, names: Sequence[str], shard_size: int) -> tuple[list[Problem], list[Entry]]:
+    """The faults of one shard, and the samples that lie in its tar where its index says."""
+    try:
+        entries, problems = _entries(parquet, names)
+    except FormatError as error:
+        return [Problem(str(parquet), "", str(error))], []
+    tar = parquet.with_suffix(".tar")
+    found, fault = walk(tar)
+    if entries and not fault:
+        end = max(entry.end for entry in entries)
+        expected, size = end + len(tar_end(end)), tar.stat().st_size
+        fault = "" if size == expected else f"expected {expected} bytes, got {size}"
+    problems += [Problem(str(tar), "", fault)] if fault else []
+    problems += _not_once(entries, found, tar)
+    first, whole = int(parquet.stem) * shard_size, {}
+    for entry in entries:
+        missing = sorted(entry.parts() - set(found))
+        if missing:
+            name, offset, size = missing[0]
+            reason = f"expected {name} with {size} bytes at byte {offset} of {tar}, got none: the tar is cut or changed"
+            problems.append(Problem(entry.name, "", reason))
+        elif not first <= entry.index < first + shard_size:
+            reason = f"expected samples {first} to {first + shard_size - 1} in {parquet}, got this one"
+            problems.append(Problem(entry.name, "", reason))
+        else:
+            whole[entry.index] = entry
+    return problems, list(whole.values())
+
+
+def check_presence(split: str, n: int, entries: Sequence[Entry]) -> Iterator[Problem]:
+    """Every index from 0 to n - 1 is there, and once in all shards of its split."""
+    counts = Counter(entry.index for entry in entries)
+    missing = [key_of(index) for index in range(n) if index not in counts]
+    if missing:
+        more = f" and {len(missing) - NAMED_AT_MOST} more" if len(missing) > NAMED_AT_MOST else ""
+        reason = f"expected {n} samples, {len(missing)} missing: {', '.join(missing[:NAMED_AT_MOST])}{more}"
+        yield Problem(split, "", reason)
+    for index in sorted(counts):
+        if index >= n:
+            yield Problem(f"{split}:{key_of(index)}", "", f"expected {n} samples in dataset.json, got one beyond them")
+
+
+def read_sample(entry: Entry) -> tuple[dict[str, bytes], str]:
+    """A sample's members by name, and what is wrong with its bytes ("" for nothing)."""
+    start = min(offset for offset, _ in entry.members.values()) - BLOCK
+    with entry.tar.open("rb") as stream:
+        stream.seek(start)
+        data = stream.read(entry.end - start)
+    members = {name: data[offset - start :][:size] for name, (offset, size) in entry.members.items()}
+    digest = hashlib.sha256(data).hexdigest()
+    fault = "" if digest == entry.sha256 else f"expected bytes of SHA-256 {entry.sha256:.12}..., got {digest:.12}..."
+    return members, fault
+
+
+def walk(tar: Path) -> tuple[list[tuple[str, int, int]], str]:
+    """Name, offset and size of each member of a tar up to its first fault, and that fault ("" for none)."""
+    found: list[tuple[str, int, int]] = []
+    try:
+        with tarfile.open(tar, "r:") as stream:
+            for member in stream:
+                found.append((member.name, member.offset_data, member.size))
+    except (tarfile.TarError, OSError) as error:
+        return found, f"expected a whole tar, got {error}"
+    return found, ""
+
+
+def _entries(parquet: Path, names: Sequence[str]) -> tuple[list[Entry], list[Problem]]:
+    """The rows of an index; raise FormatError where it is none."""
+    places = {name: [f"{COLUMN_OF_MEMBER[name]}_{what}" for what in ("offset", "size")] for name in names}
+    columns = ["key", "index", "sha256", *(column for pair in places.values() for column in pair)]
+    try:
+        table = pq.read_table(parquet)
+    except (pa.ArrowException, OSError) as error:
+        raise FormatError(f"expected the index of a shard, got {error}") from None
+    for column in columns:
+        if column not in table.column_names or table[column].null_count:
+            raise FormatError(f"expected a column {column} without gaps, got none")
+    split, tar = parquet.parent.name, parquet.with_suffix(".tar")
+    entries, problems = [], []
+    for row in table.select(columns).to_pylist():
+        if row["key"] != key_of(row["index"]):
+            reason = f"expected key {key_of(row['index'])} for index {row['index']}, got {row['key']} in {parquet}"
+            problems.append(Problem(f"{split}:{row['key']}", "", reason))
+            continue
+        members = {name: (row[offset], row[size]) for name, (offset, size) in places.items()}
+        entries.append(Entry(split, row["index"], tar, members, row["sha256"]))
+    return entries, problems
+
+
+def _not_once(entries: Sequence[Entry], found: Sequence[tuple[str, int, int]], tar: Path) -> Iterator[Problem]:
+    """Samples that are more than once in the index or in the tar, and members that only the tar knows."""
+    split = tar.parent.name
+    for name, count in Counter(entry.name for entry in entries).items():
+        if count > 1:
+            yield Problem(name, "", f"expected this key once in the index {tar.with_suffix('.parquet')}, got {count}")
+    copies = {name.partition(".")[0]: count for name, count in Counter(name for name, _, _ in found).items() if count > 1}
+    for key, count in copies.items():
+        yield Problem(f"{split}:{key}", "", f"expected this key once in {tar}, got {count}")
+    known = {key_of(entry.index) for entry in entries}
+    for key in sorted({name.partition(".")[0] for name, _, _ in found} - known):
+        yield Problem(f"{split}:{key}", "", f"expected every sample of {tar} in its index, not this one")

@@ -1,0 +1,105 @@
+"""What came out of a validation: problems by name, distributions, the worst samples; for people and for machines."""
+
+import heapq
+from dataclasses import dataclass, field
+from typing import Any
+
+from rich.console import Group, RenderableType
+from rich.markup import escape
+from rich.table import Table
+
+from synth3dlanes.validate.findings import (
+    BAND_NAMES,
+    BANDS_M,
+    PROOF_M,
+    WORST,
+    Distribution,
+    Finding,
+    Measure,
+    Problem,
+)
+
+MEASURES = {
+    "paint_px": "pixels from delimiter points to their paint (semantic pass)",
+    "image_ridge_m": "metres from delimiters to the ridge of brightness across them (image)",
+    "depth_m": "metres along y between label points and the rendered surface (depth pass)",
+    "surface_m": "metres along the normal between label points and the rendered surface (depth pass)",
+    "terrain_visible": "share of points whose terrain_visible the passes contradict",
+    "object_visible": "share of points whose object_visible the passes contradict",
+}
+WITHIN_PROOF = slice(0, BANDS_M.index(PROOF_M))
+
+
+@dataclass
+class Report:
+    """Grows by one sample at a time; of samples without faults only counts stay, and a digest of each."""
+
+    n_samples: int = 0
+    problems: list[Problem] = field(default_factory=list)
+    distributions: dict[str, Distribution] = field(default_factory=dict)
+    worst: dict[str, list[tuple[float, str]]] = field(default_factory=dict)
+    _worlds: dict[str, str] = field(default_factory=dict)
+
+    def sample(self, name: str, digest: str, findings: list[Finding], measures: list[Measure]) -> None:
+        """Take in one sample. A world that has been there before is a fault of the sample that repeats it."""
+        self.n_samples += 1
+        self.problems += [Problem(name, finding.lane, finding.reason) for finding in findings]
+        if digest:
+            first = self._worlds.setdefault(digest, name)
+            if first != name:
+                self.problems.append(Problem(name, "", f"expected a scene of its own, got that of {first}"))
+        for measure in measures:
+            self.distributions.setdefault(measure.name, Distribution()).add(measure)
+            ranking = self.worst.setdefault(measure.name, [])
+            heapq.heappush(ranking, (measure.worst(), name))
+            if len(ranking) > WORST:
+                heapq.heappop(ranking)
+
+    @property
+    def failed(self) -> list[str]:
+        """The samples and files that have a problem."""
+        return sorted({problem.where for problem in self.problems})
+
+    def document(self) -> dict[str, Any]:
+        """Everything, for JSON."""
+        return {
+            "samples": self.n_samples,
+            "failed": self.failed,
+            "problems": [problem._asdict() for problem in sorted(self.problems)],
+            "distributions": {
+                name: {
+                    "all": found.summary(slice(None)),
+                    f"0-{PROOF_M:.0f} m": found.summary(WITHIN_PROOF),
+                    **{band: found.summary(slice(i, i + 1)) for i, band in enumerate(BAND_NAMES)},
+                }
+                for name, found in self.distributions.items()
+            },
+            "worst": {
+                name: [{"sample": sample, "value": value} for value, sample in sorted(ranking, reverse=True)]
+                for name, ranking in self.worst.items()
+            },
+        }
+
+    def text(self) -> RenderableType:
+        """Distributions, the worst samples, then one line per problem."""
+        document = self.document()
+        parts: list[RenderableType] = []
+        for name, words in MEASURES.items():
+            if name in document["distributions"]:
+                parts += [f"\n[bold]{name}[/bold]  {words}", _table(document["distributions"][name])]
+                worst = [f"{item['sample']} {item['value']:.3g}" for item in document["worst"][name] if item["value"] > 0]
+                parts += [f"  worst within {PROOF_M:.0f} m: {', '.join(worst)}"] if worst else []
+        parts += ["", *(f"[red]{escape(problem.line())}[/red]" for problem in sorted(self.problems))]
+        verdict = f"[red]{len(self.failed)} failed[/red]" if self.problems else "[green]all right[/green]"
+        return Group(*parts, f"{self.n_samples} samples checked: {verdict}")
+
+
+def _table(bands: dict[str, dict[str, float]]) -> Table:
+    table = Table(box=None, padding=(0, 2))
+    columns = ("n", "mean", "median", "p95", "p99")
+    for name in ("", *columns):
+        table.add_column(name, justify="right")
+    for band, numbers in bands.items():
+        if numbers["n"]:
+            table.add_row(band, *(f"{numbers[name]:.3g}" if name != "n" else f"{numbers[name]:,}" for name in columns))
+    return table

@@ -1,0 +1,157 @@
+"""Validate a dataset: shards, then samples, in parallel; what comes back is of constant size per sample."""
+
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Shaped
+from PIL import Image
+
+from synth3dlanes import labels as labels_module
+from synth3dlanes import scene as scene_module
+from synth3dlanes.dataset.folder import read_description
+from synth3dlanes.dataset.format import LABELS, PASSES, SCENE, decode_image, member_names, read_passes
+from synth3dlanes.errors import FormatError, ParamsError
+from synth3dlanes.figures.overlay import draw_overlay
+from synth3dlanes.scene import Scene
+from synth3dlanes.validate.findings import Finding, Measure, Problem
+from synth3dlanes.validate.image_proof import prove_image
+from synth3dlanes.validate.integrity import Entry, check_presence, check_shard, read_sample
+from synth3dlanes.validate.obstacles import check_objects
+from synth3dlanes.validate.paint import Paint
+from synth3dlanes.validate.passes_proof import prove_passes
+from synth3dlanes.validate.report import Report
+from synth3dlanes.validate.structure import check_shape, check_values
+
+PICTURES = "validation"
+
+Map = Callable[..., Iterator[Any]]
+
+
+class Checked(NamedTuple):
+    """What one sample's check found; `digest` is of its world, whatever split, seed and index it was drawn for."""
+
+    name: str
+    digest: str
+    findings: list[Finding]
+    measures: list[Measure]
+
+
+def validate(root: Path, workers: int, limit: int | None, progress: Callable[[int, int], None]) -> Report:
+    """Check all shards of a dataset and its samples, or the first `limit` samples of every split.
+
+    Writes an overlay picture of each sample that fails to ROOT/validation. `progress` gets (samples done, in all).
+    """
+    if not root.is_dir():
+        raise ParamsError(f"{root}: expected the folder of a dataset, got none")
+    report = Report()
+    try:
+        description = read_description(root)
+        names = member_names(description["image_format"], description["render"]["passes"])
+        splits = {split: int(value["n"]) for split, value in description["splits"].items()}
+        shard_size, seed = int(description["shard_size"]), int(description["seed"])
+    except FormatError as error:
+        report.problem(Problem("", "", str(error)))
+        return report
+    except (KeyError, TypeError, ValueError) as error:
+        report.problem(Problem(f"{root / 'dataset.json'}", "", f"expected a dataset's description, got no {error}"))
+        return report
+    for picture in (root / PICTURES).glob("*.png"):
+        picture.unlink()
+    with _mapping(workers) as run:
+        entries = _check_shards(root, run, names, shard_size, splits, report)
+        todo = [entry for split in entries.values() for entry in split[:limit]]
+        progress(0, len(todo))
+        for done, checked in enumerate(run(partial(check_sample, root, seed), todo), start=1):
+            report.sample(checked.name, checked.digest, checked.findings, checked.measures)
+            progress(done, len(todo))
+    return report
+
+
+def _check_shards(
+    root: Path, run: Map, names: Sequence[str], shard_size: int, splits: dict[str, int], report: Report
+) -> dict[str, list[Entry]]:
+    """The readable samples of every split, in order."""
+    shards = sorted(root.glob("*/*.tar"))
+    entries: dict[str, list[Entry]] = {split: [] for split in splits}
+    parquets = sorted({*root.glob("*/*.parquet"), *(tar.with_suffix(".parquet") for tar in shards)})
+    for parquet, (problems, found) in zip(
+        parquets, run(partial(check_shard, names=names, shard_size=shard_size), parquets), strict=True
+    ):
+        for problem in problems:
+            report.problem(problem)
+        entries.setdefault(parquet.parent.name, []).extend(found)
+    for split, found in entries.items():
+        for problem in check_presence(split, splits.get(split, 0), found):
+            report.problem(problem)
+    return entries
+
+
+def check_sample(root: Path, seed: int, entry: Entry) -> Checked:
+    """All faults of one sample; leaves its picture where it has any."""
+    members, fault = read_sample(entry)
+    findings = [Finding("", fault)] if fault else []
+    measures: list[Measure] = []
+    try:
+        scene = scene_module.from_json(members[SCENE], SCENE)
+    except FormatError as error:
+        return Checked(entry.name, "", [*findings, Finding("", str(error))], measures)
+    findings += _origin(scene, entry, seed)
+    try:
+        labels = labels_module.from_json(members[LABELS], LABELS)
+        image = decode_image(next(iter(members.values())), next(iter(members)))
+        passes = read_passes(members[PASSES], PASSES) if PASSES in members else {}
+    except FormatError as error:
+        return Checked(entry.name, world_digest(scene), [*findings, Finding("", str(error))], measures)
+    misshapen = [*_sizes(scene, {"image": image, **passes}), *check_shape(scene, labels)]
+    findings += misshapen
+    if not misshapen:
+        paint = Paint(scene)
+        findings += [*check_values(scene, labels), *check_objects(scene, labels)]
+        for found, measured in (prove_passes(paint, labels, passes), prove_image(paint, labels, image)):
+            findings += found
+            measures += measured
+    if findings:
+        folder = root / PICTURES
+        folder.mkdir(exist_ok=True)
+        picture = Image.fromarray(image if misshapen else draw_overlay(image, labels))
+        picture.save(folder / f"{entry.name.replace(':', '-')}.png")
+    return Checked(entry.name, world_digest(scene), findings, measures)
+
+
+def world_digest(scene: Scene) -> str:
+    """The same for scenes that show the same world, whatever they were drawn for."""
+    document = scene.model_dump_json(exclude={"seed", "split", "index"})
+    return hashlib.sha256(document.encode()).hexdigest()
+
+
+def _origin(scene: Scene, entry: Entry, seed: int) -> Iterator[Finding]:
+    found = {"index": scene.index, "split": scene.split, "seed": scene.seed}
+    for name, expected in {"index": entry.index, "split": entry.split, "seed": seed}.items():
+        if found[name] != expected:
+            yield Finding("", f"{SCENE}: {name}: expected {expected}, got {found[name]}")
+
+
+def _sizes(scene: Scene, pictures: Mapping[str, Shaped[np.ndarray, "..."]]) -> Iterator[Finding]:
+    width_px, height_px = scene.camera.width_px, scene.camera.height_px
+    for name, pixels in pictures.items():
+        if pixels.shape[:2] != (height_px, width_px):
+            found = "x".join(str(size) for size in pixels.shape[1::-1])
+            yield Finding("", f"{name}: expected {width_px}x{height_px} pixels, got {found}")
+
+
+@contextmanager
+def _mapping(workers: int) -> Iterator[Map]:
+    """`map`, in this process or in several; results come in order."""
+    if workers == 1:
+        yield map
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        yield partial(pool.map, chunksize=4)

@@ -1,0 +1,139 @@
+"""Labels against their own schema, their scene and the ground truth drawn from it again. No pixels."""
+
+from collections import Counter
+from collections.abc import Iterator
+
+import numpy as np
+
+from synth3dlanes.geometry.camera import project
+from synth3dlanes.geometry.terrain import height_at
+from synth3dlanes.geometry.transforms import invert, road_from_cam
+from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.labels import Labels, Lane
+from synth3dlanes.scene import Scene
+from synth3dlanes.validate.findings import Finding
+
+# labels.json rounds points to 0.1 mm and matrices to 1e-9.
+POINT_M = 1e-4
+MATRIX = 1e-8
+# A point this close to the image's border may fall on either side of it once rounded.
+BORDER_PX = 0.2
+MASKS = ("in_image", "terrain_visible", "object_visible")
+
+
+def check_shape(scene: Scene, labels: Labels) -> Iterator[Finding]:
+    """What must hold before any point may be used: sizes, finite values, masks as long as points, known references."""
+    camera = labels.camera
+    for name in ("img_from_cam", "road_from_cam", "world_from_cam"):
+        matrix = getattr(camera, name)
+        shape = (3, 3) if name == "img_from_cam" else (4, 4)
+        if matrix.shape != shape or not np.isfinite(matrix).all():
+            yield Finding("", f"expected camera.{name} as finite {shape[0]}x{shape[1]}, got shape {matrix.shape}")
+    for id_, count in Counter(lane.id for lane in labels.lanes).items():
+        if count > 1:
+            yield Finding(id_, f"expected lanes with ids of their own, got {count} with this one")
+    for lane in labels.lanes:
+        n = len(lane.xyz_cam)
+        if n < 2 or not np.isfinite(lane.xyz_cam).all():
+            yield Finding(lane.id, f"expected two finite points or more, got {n}")
+        for name in MASKS:
+            mask = getattr(lane, name)
+            if mask is None or len(mask) != n:
+                yield Finding(lane.id, f"expected {n} values in {name}, got {'none' if mask is None else len(mask)}")
+    yield from _references(labels)
+    shares = labels.car_visible_fraction
+    if shares is None or len(shares) != len(scene.cars) or not all(0 <= share <= 1 for share in shares):
+        yield Finding("", f"expected the visible fraction of {len(scene.cars)} cars in 0..1, got {shares}")
+
+
+def check_values(scene: Scene, labels: Labels) -> Iterator[Finding]:
+    """The camera stands where the scene says, and every lane is ordered, projected and labelled as it should be."""
+    yield from _camera(scene, labels)
+    for lane in labels.lanes:
+        yield from _order(lane)
+        uv = project(labels.camera.img_from_cam, lane.xyz_cam)
+        size = np.array([labels.camera.width_px, labels.camera.height_px])
+        with np.errstate(invalid="ignore"):
+            inside = np.minimum(uv, size - uv).min(axis=1)
+            wrong = np.where(lane.in_image, ~(inside > -BORDER_PX), inside > BORDER_PX)
+        if wrong.any():
+            yield Finding(lane.id, f"in_image: expected our projection's, got another at {_at(wrong)}")
+    yield from _against_ground_truth(scene, labels)
+
+
+def _references(labels: Labels) -> Iterator[Finding]:
+    kinds = {lane.id: lane.kind for lane in labels.lanes}
+    for lane in labels.lanes:
+        for side in ("left", "right"):
+            id_ = getattr(lane, side)
+            if id_ is not None and kinds.get(id_) in (None, lane.kind):
+                yield Finding(lane.id, f"{side}: expected the id of a line of the other kind or null, got {id_}")
+    segments = {segment.id for segment in labels.graph.segments}
+    named = [name for segment in labels.graph.segments for name in (segment.left, segment.right) if name is not None]
+    named += [name for key, values in labels.graph.successors.items() for name in (key, *values)]
+    lines = {name for segment in labels.graph.segments for name in segment.centerlines}
+    unknown = sorted({*named} - segments) + sorted(name for name in lines if kinds.get(name) != "centerline")
+    if unknown:
+        yield Finding("", f"graph: expected ids of segments and centre lines, got {', '.join(unknown)}")
+
+
+def _order(lane: Lane) -> Iterator[Finding]:
+    """Near to far: every step goes on, and none turns back on the one before."""
+    steps = np.diff(lane.xyz_cam, axis=0)
+    back = np.linalg.norm(steps, axis=1) < POINT_M
+    back[1:] |= (steps[1:] * steps[:-1]).sum(axis=1) <= 0
+    if back.any():
+        yield Finding(lane.id, f"expected points that advance along the line, got a step back at {_at(back)}")
+    near, far = np.linalg.norm(lane.xyz_cam[[0, -1]], axis=1)
+    if near > far:
+        yield Finding(lane.id, f"expected points from near to far, got {near:.1f} m first and {far:.1f} m last")
+
+
+def _camera(scene: Scene, labels: Labels) -> Iterator[Finding]:
+    camera, asked = labels.camera, scene.camera
+    for name in ("width_px", "height_px", "height_m", "pitch_rad"):
+        if getattr(camera, name) != getattr(asked, name):
+            yield Finding("", f"camera.{name}: expected {getattr(asked, name)} as in the scene, got {getattr(camera, name)}")
+    rotation = camera.world_from_cam[:3, :3]
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=MATRIX) or np.linalg.det(rotation) < 0:
+        yield Finding("", "camera.world_from_cam: expected a rotation, got another matrix")
+    pose = road_from_cam(asked.height_m, asked.pitch_rad)
+    if not np.allclose(camera.road_from_cam, pose, atol=MATRIX):
+        yield Finding("", "camera.road_from_cam: expected the scene's pitch and height, got another transform")
+    foot = (camera.world_from_cam @ invert(pose))[:3, 3]
+    gap_m = abs(foot[2] - float(height_at(scene.terrain, foot[None, :2])[0]))
+    if gap_m > POINT_M:
+        yield Finding("", f"camera: expected its foot on the road, got it {gap_m:.4f} m off")
+
+
+def _against_ground_truth(scene: Scene, labels: Labels) -> Iterator[Finding]:
+    """Everything but what only a rendered scene can tell equals the ground truth of the scene, computed again."""
+    expected = ground_truth(scene)
+    for name in ("img_from_cam", "road_from_cam", "world_from_cam"):
+        if not np.allclose(getattr(labels.camera, name), getattr(expected.camera, name), atol=MATRIX):
+            yield Finding("", f"camera.{name}: expected the scene's ground truth, got another")
+    if labels.graph != expected.graph or labels.horizon != expected.horizon:
+        yield Finding("", "graph, horizon: expected the scene's ground truth, got another")
+    ids = [lane.id for lane in labels.lanes]
+    if ids != [lane.id for lane in expected.lanes]:
+        yield Finding("", f"expected lanes {[lane.id for lane in expected.lanes]}, got {ids}")
+        return
+    for lane, true in zip(labels.lanes, expected.lanes, strict=True):
+        for name in ("kind", "road", "marking", "left", "right"):
+            if getattr(lane, name) != getattr(true, name):
+                yield Finding(lane.id, f"{name}: expected {getattr(true, name)} by its scene, got {getattr(lane, name)}")
+        if lane.xyz_cam.shape != true.xyz_cam.shape:
+            yield Finding(lane.id, f"expected {len(true.xyz_cam)} points by its scene, got {len(lane.xyz_cam)}")
+            continue
+        off_m = np.linalg.norm(lane.xyz_cam - true.xyz_cam, axis=1)
+        if off_m.max() > POINT_M:
+            yield Finding(lane.id, f"expected points where its scene has them, got them up to {off_m.max():.4f} m off")
+        for name in ("in_image", "terrain_visible"):
+            wrong = getattr(lane, name) != getattr(true, name)
+            if wrong.any():
+                yield Finding(lane.id, f"{name}: expected the mask of its scene, got another at {_at(wrong)}")
+
+
+def _at(wrong: np.ndarray) -> str:
+    """Which points, in words."""
+    return f"{int(wrong.sum())} of {len(wrong)} points, the first is {int(wrong.argmax())}"
