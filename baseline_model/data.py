@@ -211,6 +211,8 @@ def resize(
 
 def _record(sample: LabelledImage, size_px: tuple[int, int], pose_mode: str, fov_mask: bool) -> _Record:
     labels = sample.labels
+    if not all(np.isfinite(lane.xyz_cam).all() for lane in labels.lanes):
+        raise FormatError(f"sample {sample.key}: expected finite lane points, got NaN or infinity")
     image, intrinsics = resize(np.array(sample.image), intrinsics_of(labels), size_px)
     curves = road_curves(labels, in_image_only=fov_mask)
     plane = Pose(labels.camera.pitch_rad, labels.camera.height_m)

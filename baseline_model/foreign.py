@@ -20,7 +20,7 @@ from synth3dlanes.labels import CameraLabel, Kind, Labels, Lane, LaneGraph
 APOLLO_SIZE_PX = (1920, 1080)
 APOLLO_IMG_FROM_CAM = ((2015.0, 960.0, 0.0), (0.0, 540.0, -2015.0), (0.0, 1.0, 0.0))
 """The set's intrinsics; its files do not carry them."""
-STEP_M = 1.0
+STEP_M = 0.5
 MALFORMED = (KeyError, TypeError, IndexError, ValueError)
 
 
@@ -162,7 +162,7 @@ def _labels(
 
 
 def _thinned(xyz_cam: Float[np.ndarray, "n 3"]) -> list[int]:
-    """Points at least a metre further along y than the last one kept: some files have one every 25 cm, in any order."""
+    """Points at least half a metre further along y than the last one kept: some files have one every 25 cm, in any order."""
     kept: list[int] = []
     for index in np.argsort(xyz_cam[:, 1], kind="stable").tolist():
         if not kept or xyz_cam[index, 1] >= xyz_cam[kept[-1], 1] + STEP_M - 1e-6:

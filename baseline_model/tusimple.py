@@ -27,6 +27,7 @@ IMG_FROM_CAM = np.array([[1000.0, 640.0, 0.0], [0.0, 320.0, -1000.0], [0.0, 1.0,
 POSE = Pose(float(np.radians(9.0)), 1.6)
 FAR_M = 110.0
 ABSENT = -2
+Lines = Sequence[Sequence[int | float]]
 POINT_PX, LINE_SHARE, MAX_EXTRA, MAX_LINES = 20.0, 0.85, 2, 4
 
 
@@ -119,7 +120,7 @@ def image_line(lane: Detection, rows_px: Float[np.ndarray, " r"]) -> list[int]:
 
 
 def accuracy(
-    found: Sequence[Sequence[float]], truth: Sequence[Sequence[float]], rows_px: Sequence[float], run_time_ms: float
+    found: Lines, truth: Lines, rows_px: Sequence[int | float], run_time_ms: float
 ) -> tuple[float, float, float]:
     """Accuracy, false positive and false negative rate of one image, as the benchmark defines them.
 

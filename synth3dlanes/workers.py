@@ -126,9 +126,10 @@ class Pool:
 
     def wait(self, seconds: float) -> Iterator[Outcome]:
         """The tasks that came to an end, after at most this many seconds."""
-        ready = set(wait([worker.pipe for _, worker in self._busy()], seconds)) if self.busy else time.sleep(seconds)
-        for slot, worker in self._busy():
-            if ready and worker.pipe in ready:
+        busy = self._busy()
+        ready = wait([worker.pipe for _, worker in busy], seconds)
+        for slot, worker in busy:
+            if worker.pipe in ready:
                 yield self._receive(slot, worker)
             elif time.monotonic() - worker.started > self.limits.seconds:
                 yield self._stop(slot, worker, f"no progress for {self.limits.seconds:g} s")
@@ -162,8 +163,8 @@ class Pool:
             status, value, reason = worker.pipe.recv()
         except (EOFError, ConnectionResetError, pickle.UnpicklingError):
             code = worker.process.wait()
-            status = "killed" if code in (-signal.SIGKILL, -signal.SIGTERM) else "failed"
-            return self._stop(slot, worker, f"worker ended with {code}", status)
+            killed = code in (-signal.SIGKILL, -signal.SIGTERM)
+            return self._stop(slot, worker, f"worker ended with {code}", "killed" if killed else "failed")
         worker.task, worker.n_tasks = None, worker.n_tasks + 1
         if worker.n_tasks >= self.limits.tasks or worker.rss_bytes > self.limits.rss_bytes:
             self._retire(slot)

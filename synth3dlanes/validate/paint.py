@@ -18,31 +18,26 @@ from synth3dlanes.geometry.transforms import transform
 from synth3dlanes.labels import CameraLabel, Lane
 from synth3dlanes.scene import Scene
 
-# Paint thinner than this on the image may fall between the pixels' single samples.
+# Paint that looks thinner or a dash that looks shorter than this may fall between the pixels' single samples.
 RESOLVED_PX = 1.0
 
 Points = Float[np.ndarray, "n 3"]
+Values = Float[np.ndarray, " n"]
 
 
 @dataclass(frozen=True, eq=False)
 class Strip:
-    """Points along a line, the unit vector across it in the surface, the surface's normal, whether there is paint at
-    their stations, and how wide it looks across the line on the image."""
+    """Points along a line, the unit vector across it in the surface, the surface's normal, and whether there is paint
+    at their stations that pixels can show."""
 
     points_cam: Points
     across_cam: Points
     normal_cam: Points
-    painted: Bool[np.ndarray, " n"]
-    width_px: Float[np.ndarray, " n"]
-
-    @property
-    def resolved(self) -> Bool[np.ndarray, " n"]:
-        """Where there is paint that pixels can show."""
-        return self.painted & (self.width_px >= RESOLVED_PX)
+    resolved: Bool[np.ndarray, " n"]
 
 
 class Paint:
-    """The paint of one scene: stretches of stations that are painted, by the delimiter's id."""
+    """The paint of one scene: stretches of plan stations that are painted, by the delimiter's id."""
 
     def __init__(self, scene: Scene) -> None:
         self.width_m = scene.markings.width_m
@@ -51,8 +46,7 @@ class Paint:
         self._curves = {curve.id: curve for curve in curves(self._plan)}
         self._stretches = {}
         for id_, mesh in paint_meshes(self._plan).items():
-            ends = np.sort(mesh.uv_m[mesh.faces, 1], axis=1)[:, [0, -1]]
-            self._stretches[id_] = ends[np.argsort(ends[:, 0])]
+            self._stretches[id_] = _merged(np.sort(mesh.uv_m[mesh.faces, 1], axis=1)[:, [0, -1]])
 
     def strip(self, camera: CameraLabel, lane: Lane, points_cam: Points) -> Strip:
         """What is known about points along a lane; they must be two or more, in order."""
@@ -69,21 +63,31 @@ class Paint:
             for step in (-half_m * across, half_m * across, -0.01 * along, 0.01 * along)
         )
         side, course = right - left, ahead - behind
+        length_px = np.hypot(*course.T) / 0.02 * self._painted_m(lane.id, points_world)
         width_px = np.abs(side[:, 0] * course[:, 1] - side[:, 1] * course[:, 0]) / np.hypot(*course.T)
-        return Strip(points_cam, across, np.cross(across, along), self._painted(lane.id, points_world), width_px)
+        resolved = (length_px >= RESOLVED_PX) & (width_px >= RESOLVED_PX)
+        return Strip(points_cam, across, np.cross(across, along), resolved)
 
-    def _painted(self, id_: str, points_world: Points) -> Bool[np.ndarray, " n"]:
+    def _painted_m(self, id_: str, points_world: Points) -> Values:
+        """How long the stretch of paint is that each point is on; 0 off the paint."""
         stretches = self._stretches.get(id_, np.zeros((0, 2)))
         if not len(stretches):
-            return np.zeros(len(points_world), dtype=bool)
+            return np.zeros(len(points_world))
         s = self._stations(self._curves[id_], points_world[:, :2])
-        last_begun = np.clip(np.searchsorted(stretches[:, 0], s, side="right") - 1, 0, None)
-        return np.asarray((s >= stretches[last_begun, 0]) & (s <= stretches[last_begun, 1]))
+        start, end = stretches[np.clip(np.searchsorted(stretches[:, 0], s, side="right") - 1, 0, None)].T
+        return np.where((s >= start) & (s <= end), end - start, 0.0)
 
-    def _stations(self, curve: Curve, xy_world: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
+    def _stations(self, curve: Curve, xy_world: Float[np.ndarray, "n 2"]) -> Values:
         """Plan stations of points beside a curve."""
         s, _ = self._plan.project_main(xy_world)
         if curve.fork_road == "exit":
             on_exit, _ = self._plan.project_exit(xy_world, np.maximum(s, 0))
             s = np.where((s >= 0) & (on_exit >= 0), on_exit, s)
         return s
+
+
+def _merged(stretches: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "m 2"]:
+    """Stretches in order, those that touch made one."""
+    ordered = stretches[np.argsort(stretches[:, 0])]
+    first = np.append(True, ordered[1:, 0] > ordered[:-1, 1] + 1e-6)[: len(ordered)]
+    return np.column_stack([ordered[first, 0], ordered[np.roll(first, -1), 1]])

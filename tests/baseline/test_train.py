@@ -61,10 +61,23 @@ def test_nan_stops_the_run_and_names_the_sample(roads, tmp_path):
     samples = _samples(roads)
     bad = samples[2]
     lane = bad.labels.lanes[0]
-    broken = dataclasses.replace(lane, xyz_cam=np.where([[True, True, False]], lane.xyz_cam, np.nan))
+    far = np.arange(len(lane.xyz_cam))[:, None] > 60
+    broken = dataclasses.replace(lane, xyz_cam=np.where(far & [[True, False, False]], 3.3e38, lane.xyz_cam))
     samples[2] = dataclasses.replace(bad, labels=dataclasses.replace(bad.labels, lanes=(broken,)))
     with pytest.raises(Diverged, match=r"step \d+: .*from sample 00000002$"):
         train_on(_config(), samples, samples[:1], tmp_path)
+
+
+def test_labels_that_are_not_numbers_are_refused_by_name(roads):
+    from baseline_model.data import load
+    from synth3dlanes.errors import FormatError
+
+    (sample,) = _samples(roads, n=1)
+    lane = sample.labels.lanes[0]
+    broken = dataclasses.replace(lane, xyz_cam=lane.xyz_cam * np.nan)
+    sample = dataclasses.replace(sample, labels=dataclasses.replace(sample.labels, lanes=(broken,)))
+    with pytest.raises(FormatError, match="sample 00000000: expected finite"):
+        load([sample], (120, 160), "plane")
 
 
 def test_order_is_a_permutation_of_seed_and_epoch():

@@ -1,0 +1,175 @@
+"""From a checkpoint to files: predictions, pictures, reports, ONNX, flat ground; and from files to scores."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+
+@pytest.fixture(scope="module")
+def checkpoint(tmp_path_factory):
+    """An untrained tiny network: every path through the files is the same as a trained one's."""
+    from baseline_model import checkpoint as checkpoints
+    from baseline_model.config import train_config
+    from baseline_model.model import LaneNet
+
+    torch.manual_seed(0)
+    config = train_config("tiny")
+    path = tmp_path_factory.mktemp("run") / "best.pt"
+    checkpoints.save(path, checkpoints.Checkpoint(config, {}, LaneNet(config.model).state_dict(), None))
+    return path
+
+
+@pytest.fixture
+def split(roads, tmp_path, monkeypatch):
+    """A split of drawn pictures behind the name DIR/test."""
+    from baseline_model import evaluate, predict, statistics
+
+    samples = roads.samples(np.random.default_rng(4), 5, (160, 120))
+    for module in (evaluate, predict, statistics):
+        monkeypatch.setattr(module, "open_split", lambda path: samples)
+    return samples
+
+
+def test_a_predictions_file_scores_as_the_checkpoint_does(checkpoint, split, tmp_path):
+    from baseline_model.evaluate import evaluate_checkpoint, evaluate_predictions
+    from baseline_model.predict import predict
+    from baseline_model.report import to_document
+
+    path = predict(checkpoint, "DIR/test", tmp_path / "out", n_overlays=2, device="cpu")
+    from_file = to_document(evaluate_predictions(path, "DIR/test"))
+    direct = to_document(evaluate_checkpoint(checkpoint, "DIR/test", device="cpu"))
+    for kind in ("centerline", "delimiter"):
+        assert from_file[kind]["ap"] == pytest.approx(direct[kind]["ap"], abs=0.02)
+        assert from_file[kind]["n_detections"] == direct[kind]["n_detections"]
+    assert from_file["pose"] == pytest.approx(direct["pose"], abs=1e-3)
+    pictures = sorted((tmp_path / "out").glob("*.png"))
+    assert len(pictures) == 2
+    with Image.open(pictures[0]) as picture:
+        assert picture.width > 600
+
+
+def test_the_truth_written_as_predictions_reads_as_perfect(roads, split, tmp_path):
+    from baseline_model.evaluate import evaluate_predictions
+    from baseline_model.lanes import write_predictions
+    from baseline_model.report import save_plots, to_document, to_text
+
+    path = tmp_path / "p.jsonl"
+    write_predictions(path, (roads.as_prediction(sample.labels, sample.key) for sample in split))
+    report = evaluate_predictions(path, "DIR/test")
+    document = json.loads(json.dumps(to_document(report), allow_nan=False))
+    wanted = {"ap", "precision", "recall", "near_1sigma_cm", "near_2sigma_cm", "far_1sigma_cm", "far_2sigma_cm"}
+    for kind in ("centerline", "delimiter"):
+        assert wanted <= document[kind].keys()
+        assert document[kind]["ap"] == pytest.approx(1.0)
+        assert document[kind]["far_2sigma_cm"] < 0.2
+    assert document["pose"] == pytest.approx({"pitch_median_deg": 0.0, "height_median_cm": 0.0}, abs=1e-4)
+    assert "centerline" in to_text(report)
+    save_plots(report, tmp_path / "plots.png")
+    assert (tmp_path / "plots.png").stat().st_size > 10_000
+    # Half of the lines missing counts as half of the images without detections.
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(lines[:2]) + "\n")
+    assert evaluate_predictions(path, "DIR/test").kinds["centerline"].at_threshold.recall < 0.7
+
+
+@pytest.mark.parametrize(
+    ("line", "problem"),
+    [
+        ("{", "p.jsonl:1: not a prediction"),
+        ('{"key": "00000000"}', "KeyError: 'lanes'"),
+        ('{"key": "9", "lanes": []}', "expected keys of DIR/test, got '9'"),
+        ('{"key": "00000000", "lanes": []}\n{"key": "00000000", "lanes": []}', "each key once"),
+        ('{"key": "0", "lanes": [{"kind": "x", "score": 1, "xyz_cam": []}]}', r"lanes\[0\].kind: expected centerline"),
+        ('{"key": "0", "lanes": [{"kind": "delimiter", "score": 1, "xyz_cam": [[0, 1]]}]}', "got shape"),
+        ('{"key": "0", "lanes": [{"kind": "delimiter", "score": NaN, "xyz_cam": [[0,1,2],[0,2,3]]}]}', "finite"),
+    ],
+)
+def test_wrong_predictions_files_are_refused(split, tmp_path, line, problem):
+    from baseline_model.evaluate import evaluate_predictions
+    from synth3dlanes.errors import FormatError
+
+    path = tmp_path / "p.jsonl"
+    path.write_text(line + "\n")
+    with pytest.raises(FormatError, match=problem):
+        evaluate_predictions(path, "DIR/test")
+
+
+def test_image_folders_need_intrinsics_and_give_the_same_as_a_split(checkpoint, split, tmp_path):
+    from baseline_model.data import intrinsics_of
+    from baseline_model.lanes import read_predictions
+    from baseline_model.predict import predict
+    from synth3dlanes.errors import ParamsError
+
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for sample in split[:2]:
+        Image.fromarray(sample.image).save(folder / f"{sample.key}.png")
+    with pytest.raises(ParamsError, match="expected fx,fy,cx,cy"):
+        predict(checkpoint, folder, tmp_path / "a", device="cpu")
+    intrinsics = intrinsics_of(split[0].labels)
+    path = predict(checkpoint, folder, tmp_path / "a", intrinsics, n_overlays=1, device="cpu")
+    of_split = predict(checkpoint, "DIR/test", tmp_path / "b", n_overlays=0, device="cpu")
+    for mine, its in zip(read_predictions(path), read_predictions(of_split), strict=False):
+        assert mine.key == its.key + ".png"
+        assert len(mine.lanes) == len(its.lanes) > 0
+        assert mine.lanes[0].xyz_cam == pytest.approx(its.lanes[0].xyz_cam, abs=2e-3)
+
+
+def test_flat_ground_is_exact_on_a_plane_and_wrong_on_a_hill(roads):
+    from baseline_model.evaluate import score
+    from baseline_model.flat_ground import through_flat_ground
+
+    flat = roads.labels([lambda y: (0.002 * y**2, 0 * y)])
+    hill = roads.labels([lambda y: (0 * y + 3.0, 1e-4 * y**2)])
+    for labels, low, high in ((flat, 0.0, 0.1), (hill, 5.0, np.inf)):
+        projected = through_flat_ground(roads.as_prediction(labels), labels, "plane")
+        sample = dataclasses.replace(roads.samples(np.random.default_rng(0), 1)[0], labels=labels)
+        errors = score([projected], [sample]).kinds["centerline"].at_threshold
+        assert low <= errors.far_2sigma_cm <= high
+
+
+def test_table_puts_the_papers_numbers_beside_ours(roads, split):
+    from baseline_model.evaluate import score
+    from baseline_model.report import table_1
+
+    report = score([roads.as_prediction(sample.labels) for sample in split], split)
+    table = table_1({"full": report, "late_ipm": report, "flat_ground:horizon": report})
+    assert "0.952 / 1.000" in table.splitlines()[1]
+    assert "37.4 / 0.0" in table.splitlines()[2]
+    assert "0.566 / 1.000" in table.splitlines()[3]
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_onnx_gives_equal_outputs(checkpoint, tmp_path):
+    import onnxruntime
+
+    from baseline_model import checkpoint as checkpoints
+    from baseline_model.onnx_export import OUTPUTS, export_onnx
+
+    path = export_onnx(checkpoint, tmp_path / "m.onnx")
+    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    model = checkpoints.build(checkpoints.load(checkpoint), torch.device("cpu"))
+    image = torch.rand(3, 3, 120, 160, generator=torch.Generator().manual_seed(0))
+    intrinsics = torch.tensor([[138.6, 138.6, 80.0, 60.0]]).repeat(3, 1)
+    values = session.run(list(OUTPUTS), {"image": image.numpy(), "intrinsics": intrinsics.numpy()})
+    with torch.no_grad():
+        output = model(image, intrinsics)
+    expected = (output.x_m + model.anchors_m[:, None], output.z_m, output.logit.sigmoid(), output.pose)
+    for value, wanted in zip(values, expected, strict=True):
+        assert value == pytest.approx(wanted.numpy(), abs=1e-3)
+    assert json.loads(session.get_modelmeta().custom_metadata_map["config"])["name"] == "tiny"
+
+
+def test_statistics_count_every_lane(split):
+    from baseline_model.statistics import describe_targets
+
+    text = describe_targets("DIR/test")
+    document = json.loads(describe_targets("DIR/test", as_json=True))
+    n_lanes = sum(len(sample.labels.lanes) for sample in split)
+    assert sum(sum(counts.values()) for counts in document["counts"].values()) == n_lanes
+    assert document["visible_share"]["20.0"] == 1.0
+    assert "ceiling, centerline: AP 1.0000" in text
