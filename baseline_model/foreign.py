@@ -162,7 +162,7 @@ def _labels(
 
 
 def _thinned(xyz_cam: Float[np.ndarray, "n 3"]) -> list[int]:
-    """Points at least half a metre further along y than the last one kept: some files have one every 25 cm, in any order."""
+    """Points half a metre further along y than the last one kept: some files have one every 25 cm, in any order."""
     kept: list[int] = []
     for index in np.argsort(xyz_cam[:, 1], kind="stable").tolist():
         if not kept or xyz_cam[index, 1] >= xyz_cam[kept[-1], 1] + STEP_M - 1e-6:

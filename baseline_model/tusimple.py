@@ -133,7 +133,7 @@ def accuracy(
     for line in truth:
         x_px = np.asarray(line, dtype=float)
         limit_px = POINT_PX / np.cos(_lean_rad(x_px, rows))
-        shares = [float((np.abs(_filled(np.asarray(f)) - _filled(x_px)) < limit_px).mean()) for f in found]
+        shares = [float((np.abs(_filled(np.asarray(f, dtype=float)) - _filled(x_px)) < limit_px).mean()) for f in found]
         best.append(max(shares, default=0.0))
     n_matched = sum(share >= LINE_SHARE for share in best)
     n_missed = len(best) - n_matched

@@ -50,7 +50,7 @@ class Commands(click.Group):
             raise BadInput(f"{place}{error.strerror or error}") from error
 
 
-@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "show_default": True})
+@click.group("synth3dlanes", cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "show_default": True})
 @click.version_option(__version__)
 def main() -> None:
     """Synthetic 3D-lane images with exact ground truth."""

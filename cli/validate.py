@@ -30,7 +30,10 @@ def validate(ctx: click.Context, folder: Path, workers: int, limit: int | None, 
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task("", total=None)
         report = check(
-            folder, workers or os.cpu_count() or 1, limit, lambda done, total: bar.update(task, completed=done, total=total)
+            folder,
+            workers or os.cpu_count() or 1,
+            limit,
+            lambda done, total: bar.update(task, completed=done, total=total),
         )
     if as_json:
         click.echo(json.dumps(report.document()))

@@ -14,7 +14,7 @@ from synth3dlanes.generate import Recipe
 # Measured on scenes of Appendix I at 480x360: core-seconds an image, bytes a pixel, bytes of text.
 SECONDS_PER_PIXEL_SAMPLE, SECONDS_PER_PIXEL, SECONDS_PER_SCENE = 2.3e-6, 1.6e-6, 0.25
 BYTES_PER_PIXEL = {"jpg": 0.45, "png": 1.6}
-BYTES_PER_PIXEL_OF_PASS = {"depth": 2.4, "normal": 3.0, "semantic": 0.2, "instance": 0.4}
+BYTES_PER_PIXEL_OF_PASS = {"depth": 2.4, "normal": 3.0, "semantic": 0.2, "instance": 0.4, "height": 0.3}
 BYTES_OF_TEXT = 80_000
 # A joined shard lies there twice for a moment.
 SHARD_SAMPLES = 1000

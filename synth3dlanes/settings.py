@@ -2,7 +2,9 @@
 
 from dataclasses import dataclass
 
-PASSES = ("depth", "normal", "semantic", "instance")
+# Passes of the image's own pixels, and beside them the height map over the road plane.
+PIXEL_PASSES = ("depth", "normal", "semantic", "instance")
+PASSES = (*PIXEL_PASSES, "height")
 DEVICES = ("auto", "cpu", "cuda", "optix", "hip", "oneapi", "metal")
 QUALITY_SAMPLES = {"draft": 2, "standard": 4, "high": 8}
 

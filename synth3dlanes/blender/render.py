@@ -11,9 +11,11 @@ import numpy as np
 from jaxtyping import Shaped, UInt8
 
 from synth3dlanes.blender.build import Placed, Studio, build, open_studio
+from synth3dlanes.blender.devices import use_device
 from synth3dlanes.blender.occlusion import hidden_by_objects, seen_fractions
 from synth3dlanes.blender.tonemap import tonemap
 from synth3dlanes.geometry.ground import Ground
+from synth3dlanes.geometry.height_map import height_map
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.transforms import Matrix4, transform
 from synth3dlanes.geometry.visibility import seen_over_ground
@@ -21,6 +23,7 @@ from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import NO_HIT_DEPTH_M, RenderSettings
 
+PASS_OF = {"depth": "Depth", "semantic": "IndexMA", "instance": "IndexOB"}
 # Cycles writes 1e10 where a ray hits nothing.
 CYCLES_NO_HIT = 1e9
 
@@ -31,7 +34,7 @@ class Rendering:
 
     image: UInt8[np.ndarray, "h w 3"]
     labels: Labels
-    passes: dict[str, Shaped[np.ndarray, "h w ..."]]
+    passes: dict[str, Shaped[np.ndarray, "..."]]
     timings: dict[str, float]
 
 
@@ -50,9 +53,11 @@ def render(scene: Scene, labels: Labels, settings: RenderSettings) -> Rendering:
     layers = run_cycles()
     clock.append(time.perf_counter())
     image = tonemap(layers["Combined"][..., :3])
-    passes = {name: _pass(name, layers) for name in settings.passes if name != "normal"}
+    passes = {name: _pass(name, layers) for name in settings.passes if name in PASS_OF}
     if "normal" in settings.passes:
         passes["normal"] = _normals(labels.camera.world_from_cam)
+    if "height" in settings.passes:
+        passes["height"] = height_map(RoadPlan(scene)).astype(np.float32)
     clock.append(time.perf_counter())
     seen = with_object_visibility(scene, labels, placed)
     clock.append(time.perf_counter())
@@ -79,6 +84,7 @@ def configure(settings: RenderSettings, exposure: float) -> None:
     """Cycles' settings, chosen for cost: see docs/decisions.md."""
     blender = bpy.context.scene
     blender.render.engine = "CYCLES"
+    use_device(settings.device)
     blender.render.threads_mode = "FIXED"
     blender.render.threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     # Kept for the second render that normals need, and for no longer: it hides changes between scenes.
@@ -113,15 +119,15 @@ def run_cycles() -> dict[str, np.ndarray]:
     layers: dict[str, np.ndarray] = {}
     original = cycles.CyclesRender.render
 
-    def render_and_read(self: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> None:
-        original(self, depsgraph)
-        result = self.get_result()
+    def read_passes(engine: bpy.types.RenderEngine) -> None:
+        result = engine.get_result()
         for render_pass in result.layers[0].passes:
             pixels = np.zeros(result.resolution_y * result.resolution_x * render_pass.channels, dtype=np.float32)
             render_pass.rect.foreach_get(pixels)
             layers[render_pass.name] = pixels.reshape(result.resolution_y, result.resolution_x, -1)[::-1]
 
-    cycles.CyclesRender.render = render_and_read
+    # A lambda: Blender counts the arguments of what it calls, and a decorator (of shape checks) would hide them.
+    cycles.CyclesRender.render = lambda engine, depsgraph: (original(engine, depsgraph), read_passes(engine))
     try:
         bpy.ops.render.render()
     finally:
@@ -130,12 +136,11 @@ def run_cycles() -> dict[str, np.ndarray]:
 
 
 def _pass(name: str, layers: dict[str, np.ndarray]) -> np.ndarray:
+    """A pass that Cycles takes from the first sample, at the pixel's very centre."""
+    values = layers[PASS_OF[name]][..., 0]
     if name == "depth":
-        depth = layers["Depth"][..., 0]
-        return np.where(depth > CYCLES_NO_HIT, np.float32(NO_HIT_DEPTH_M), depth)
-    if name == "semantic":
-        return layers["IndexMA"][..., 0].astype(np.uint8)
-    return layers["IndexOB"][..., 0].astype(np.uint16)
+        return np.where(values > CYCLES_NO_HIT, np.float32(NO_HIT_DEPTH_M), values)
+    return values.astype(np.uint8 if name == "semantic" else np.uint16)
 
 
 def _normals(world_from_cam: Matrix4) -> np.ndarray:

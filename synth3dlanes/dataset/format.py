@@ -23,9 +23,11 @@ DATASET_FORMAT = "synth3dlanes.dataset"
 DATASET_VERSION = 1
 IMAGE_FORMATS = ("jpg", "png")
 JPEG_QUALITY = 95
-SCENE, LABELS, PASSES = "scene.json", "labels.json", "passes.exr"
+SCENE, LABELS, PASSES, HEIGHT = "scene.json", "labels.json", "passes.exr", "height.exr"
 # A name in the index for each member of a sample; the image's is the same for every image format.
-COLUMN_OF_MEMBER = {"jpg": "image", "png": "image", SCENE: "scene", LABELS: "labels", PASSES: "passes"}
+COLUMN_OF_MEMBER = {
+    "jpg": "image", "png": "image", SCENE: "scene", LABELS: "labels", PASSES: "passes", HEIGHT: "height"
+}  # fmt: skip
 BLOCK = 512
 
 # Integers up to here are exact in a half float.
@@ -49,14 +51,15 @@ def key_of(index: int) -> str:
 
 def member_names(image_format: str, passes: Sequence[str]) -> tuple[str, ...]:
     """What follows `{key}.` in the names of a sample's members, in their order in the tar."""
-    return (image_format, SCENE, LABELS, *([PASSES] if passes else []))
+    pixel_passes = [PASSES] if set(passes) - {"height"} else []
+    return (image_format, SCENE, LABELS, *pixel_passes, *([HEIGHT] if "height" in passes else []))
 
 
 def encode(
     image: UInt8[np.ndarray, "h w 3"],
     labels: Labels,
     scene_json: str,
-    passes: Mapping[str, Shaped[np.ndarray, "h w ..."]],
+    passes: Mapping[str, Shaped[np.ndarray, "..."]],
     image_format: str,
 ) -> dict[str, bytes]:
     """A sample's members, named as `member_names` does."""
@@ -65,7 +68,12 @@ def encode(
         SCENE: scene_json.encode(),
         LABELS: labels_module.to_json(labels).encode(),
     }
-    return {**members, PASSES: write_passes(passes)} if passes else members
+    of_pixels = {name: values for name, values in passes.items() if name != "height"}
+    if of_pixels:
+        members[PASSES] = write_passes(of_pixels)
+    if "height" in passes:
+        members[HEIGHT] = write_passes({"height": passes["height"]})
+    return members
 
 
 def encode_image(image: UInt8[np.ndarray, "h w 3"], image_format: str) -> bytes:
@@ -86,15 +94,16 @@ def decode_image(data: bytes, where: str) -> UInt8[np.ndarray, "h w 3"]:
         raise FormatError(f"{where}: expected a JPEG or PNG image, got {error}") from None
 
 
-def write_passes(passes: Mapping[str, Shaped[np.ndarray, "h w ..."]]) -> bytes:
+def write_passes(passes: Mapping[str, Shaped[np.ndarray, "..."]]) -> bytes:
     """The passes as one OpenEXR image with ZIP compression, which is exact.
 
-    Channels: `depth` float32, planar y_cam in metres at the pixel's centre, infinite where nothing is hit;
+    Channels: `depth` and `height` float32, the first planar y_cam in metres at the
+    pixel's centre, infinite where nothing is hit, the second metres over the road plane (`geometry.height_map`);
     `normal.X`, `.Y`, `.Z` half; `semantic` and `instance` half, or float32 where an id is beyond 2048.
     """
     channels: dict[str, np.ndarray] = {}
     for name, values in passes.items():
-        if name == "depth":
+        if name in ("depth", "height"):
             channels[name] = values.astype(np.float32)
         elif name == "normal":
             channels |= {f"normal.{axis}": values[..., i].astype(np.float16) for i, axis in enumerate("XYZ")}
@@ -106,14 +115,14 @@ def write_passes(passes: Mapping[str, Shaped[np.ndarray, "h w ..."]]) -> bytes:
     return stream.getvalue()
 
 
-def read_passes(data: bytes, where: str) -> dict[str, Shaped[np.ndarray, "h w ..."]]:
-    """The passes by name: `depth` and `normal` float32, `semantic` uint8, `instance` uint16."""
+def read_passes(data: bytes, where: str) -> dict[str, Shaped[np.ndarray, "..."]]:
+    """The passes by name: `depth`, `height` and `normal` float32, `semantic` uint8, `instance` uint16."""
     try:
         channels = OpenEXR.File(io.BytesIO(data), separate_channels=True).channels()
     except (RuntimeError, ValueError) as error:
         raise FormatError(f"{where}: expected an OpenEXR image, got {error}") from None
     pixels = {name: channel.pixels for name, channel in channels.items()}
-    types = {"depth": np.float32, "semantic": np.uint8, "instance": np.uint16}
+    types = {"depth": np.float32, "height": np.float32, "semantic": np.uint8, "instance": np.uint16}
     passes = {name: pixels[name].astype(dtype) for name, dtype in types.items() if name in pixels}
     if "normal.X" in pixels:
         passes["normal"] = np.stack([pixels[f"normal.{axis}"] for axis in "XYZ"], axis=-1).astype(np.float32)

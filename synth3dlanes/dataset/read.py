@@ -17,6 +17,7 @@ from synth3dlanes.dataset.format import (
     BLOCK,
     COLUMN_OF_MEMBER,
     LABELS,
+    HEIGHT,
     PASSES,
     SCENE,
     Sample,
@@ -84,9 +85,13 @@ class Reader:
         """The labels of sample i; its image is not read."""
         return labels_module.from_json(self.member(i, LABELS), f"{self._where(i)}.{LABELS}")
 
-    def passes(self, i: int) -> dict[str, Shaped[np.ndarray, "h w ..."]]:
+    def passes(self, i: int) -> dict[str, Shaped[np.ndarray, "..."]]:
         """The passes of sample i by name; none where the dataset was made without."""
-        return read_passes(self.member(i, PASSES), f"{self._where(i)}.{PASSES}") if PASSES in self._names else {}
+        found = {}
+        for name in (PASSES, HEIGHT):
+            if name in self._names:
+                found |= read_passes(self.member(i, name), f"{self._where(i)}.{name}")
+        return found
 
     def raw(self, i: int) -> dict[str, bytes]:
         """The bytes of each member of sample i by its name without the key, in one read."""

@@ -16,6 +16,7 @@ from synth3dlanes.geometry.road import RoadPlan
 
 Values = Float[np.ndarray, "*n"]
 Points2 = Float[np.ndarray, "*n 2"]
+Spread = Float[np.ndarray, "*#n"]
 
 # Terrain cells near the road, and all depths and widths of verges for that cell; they grow with the cell further off.
 CELL_M = 1.25
@@ -154,7 +155,7 @@ def press(distance_m: Values, scale: Values) -> Values:
     return PRESS_M * scale * np.clip(fade, 0, 1)
 
 
-def profile(distance_m: Values, raised_m: Values | float, scale: Values | float) -> Values:
+def profile(distance_m: Spread, raised_m: Spread | float, scale: Spread) -> Spread:
     """Height over the terrain of verge and embankment at a distance from the shoulder's edge; below the pressed
     terrain from about 3 m (times the cell scale) beyond the embankment's foot."""
     d = np.clip(distance_m, 0, None)

@@ -36,7 +36,7 @@ class Problem(NamedTuple):
 
 
 class Measure(NamedTuple):
-    """Values of one kind with the distance ahead of each. Those named `*_visible` are 1 where pixels disagree, else 0."""
+    """Values of one kind with the distance ahead of each; those named `*_visible` are 1 where pixels disagree."""
 
     name: str
     y_m: Float[np.ndarray, " n"]

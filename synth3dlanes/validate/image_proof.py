@@ -26,14 +26,13 @@ SEARCH_M = 0.75
 IN_PLACE_M = 0.06
 # Fewer profiles than this can all lie in one shadow, tar seam or worn stretch.
 MIN_PROFILES = 15
-# Gray levels of 255: asphalt's own texture leaves 1 to 5 in the median of a line.
-CONTRAST = 12.0
-FAINT = 8.0
-# A ridge elsewhere must be this much stronger than what is in place: an edge of a shadow reaches 2.5 times.
+# Gray levels of 255 in the median of a line: chance leaves 1 to 4 where no paint is, paint of the road's own gray 5.
+CONTRAST, FAINT = 12.0, 4.0
+# A ridge elsewhere must be this much stronger than what is in place: the edge of a shadow reaches 2.7 times.
 STRONGER = 3.0
-# With fewer profiles in all, no image is judged as a whole; and of those that there are, less than this share in place
-# condemns it (0.37 is the least of clean scenes).
-MIN_IMAGE_PROFILES, MIN_SHARE = 60, 0.25
+# With fewer profiles in all, no image is judged as a whole; one with a smaller share of them in place is not the
+# labels' image. Measured on 200 scenes: no clean one fails, and 88 % of images taken from another scene do.
+MIN_IMAGE_PROFILES, MIN_SHARE = 60, 0.4
 
 OFFSETS_M = np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M)
 
@@ -56,9 +55,7 @@ class Contrast(NamedTuple):
         return "in place" if self.in_place >= FAINT and 2 * self.in_place >= self.ridge else "unclear"
 
 
-def prove_image(
-    paint: Paint, labels: Labels, image: UInt8[np.ndarray, "h w 3"]
-) -> tuple[list[Finding], list[Measure]]:
+def prove_image(paint: Paint, labels: Labels, image: UInt8[np.ndarray, "h w 3"]) -> tuple[list[Finding], list[Measure]]:
     """Faults of lines and of the image as a whole; measure `image_ridge_m` is the ridge's distance from its place."""
     luma = image @ np.array([0.3, 0.6, 0.1])
     lines = [line for lane in labels.lanes if lane.kind == "delimiter" for line in _contrast(paint, labels, lane, luma)]
@@ -73,7 +70,9 @@ def prove_image(
     ]
     n, in_place = sum(line.n for line in lines), sum(line.n for line in lines if line.verdict == "in place")
     if n >= MIN_IMAGE_PROFILES and in_place < MIN_SHARE * n:
-        findings.append(Finding("", f"image: expected paint under its delimiters, got it under {in_place} of {n} profiles"))
+        findings.append(
+            Finding("", f"image: expected paint under its delimiters, got it under {in_place} of {n} profiles")
+        )
     clear = [line for line in lines if line.verdict != "unclear"]
     y_m, ridges_m = np.array([[line.y_m, abs(line.ridge_m)] for line in clear]).reshape(-1, 2).T
     return findings, [Measure("image_ridge_m", y_m, ridges_m)]

@@ -138,7 +138,9 @@ def _not_once(entries: Sequence[Entry], found: Sequence[tuple[str, int, int]], t
     for name, count in Counter(entry.name for entry in entries).items():
         if count > 1:
             yield Problem(name, "", f"expected this key once in the index {tar.with_suffix('.parquet')}, got {count}")
-    copies = {name.partition(".")[0]: count for name, count in Counter(name for name, _, _ in found).items() if count > 1}
+    copies = {
+        name.partition(".")[0]: count for name, count in Counter(name for name, _, _ in found).items() if count > 1
+    }
     for key, count in copies.items():
         yield Problem(f"{split}:{key}", "", f"expected this key once in {tar}, got {count}")
     known = {key_of(entry.index) for entry in entries}

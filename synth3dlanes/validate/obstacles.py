@@ -13,7 +13,7 @@ from synth3dlanes.catalogue import CARS, TREES
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.placement import tree_positions, world_from_car
 from synth3dlanes.geometry.road import RoadPlan
-from synth3dlanes.geometry.transforms import Matrix4, from_axes, invert, transform
+from synth3dlanes.geometry.transforms import Matrix4, invert, transform
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
 from synth3dlanes.validate.findings import Finding
@@ -24,8 +24,6 @@ ROOM = 1.15
 CORE_WIDTH, CORE_LENGTH, CORE_HEIGHT = 0.7, 0.7, (0.3, 0.5)
 # A sight line may graze the core's edges.
 MAX_WRONG = 1
-
-Rays = tuple[Float[np.ndarray, "3"], Float[np.ndarray, "n 3"]]
 
 
 def check_objects(scene: Scene, labels: Labels) -> Iterator[Finding]:
@@ -39,7 +37,9 @@ def check_objects(scene: Scene, labels: Labels) -> Iterator[Finding]:
         if through > MAX_WRONG:
             yield Finding(lane.id, f"object_visible: expected points behind cars as hidden, got {through} as seen")
         if unhidden:
-            yield Finding(lane.id, f"object_visible: got {unhidden} points as hidden where no car or tree is in the way")
+            yield Finding(
+                lane.id, f"object_visible: got {unhidden} points as hidden where no car or tree is in the way"
+            )
 
 
 def _hidden(
@@ -57,10 +57,11 @@ def _hidden(
         may |= _meets(pose, car.scale, (-half * ROOM, half * ROOM + up * ROOM), eye_world, points_world)
         must |= _meets(pose, car.scale, (-shrunk + low * up, shrunk + high * up), eye_world, points_world)
     for tree, foot in zip(scene.trees, tree_positions(Ground(plan), scene.trees), strict=True):
-        shape = TREES[tree.model - 1]
+        shape, pose = TREES[tree.model - 1], np.eye(4)
+        pose[:3, 3] = foot
         crown = np.array([shape.crown_radius_m, shape.crown_radius_m, 0.0])
         box = (-crown * ROOM, crown * ROOM + [0, 0, shape.height_m * ROOM])
-        may |= _meets(from_axes(*np.eye(3), foot), tree.scale, box, eye_world, points_world)
+        may |= _meets(pose, tree.scale, box, eye_world, points_world)
     return may, must
 
 

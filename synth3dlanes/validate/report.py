@@ -87,7 +87,9 @@ class Report:
         for name, words in MEASURES.items():
             if name in document["distributions"]:
                 parts += [f"\n[bold]{name}[/bold]  {words}", _table(document["distributions"][name])]
-                worst = [f"{item['sample']} {item['value']:.3g}" for item in document["worst"][name] if item["value"] > 0]
+                worst = [
+                    f"{item['sample']} {item['value']:.3g}" for item in document["worst"][name] if item["value"] > 0
+                ]
                 parts += [f"  worst within {PROOF_M:.0f} m: {', '.join(worst)}"] if worst else []
         parts += ["", *(f"[red]{escape(problem.line())}[/red]" for problem in sorted(self.problems))]
         verdict = f"[red]{len(self.failed)} failed[/red]" if self.problems else "[green]all right[/green]"

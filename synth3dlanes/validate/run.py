@@ -4,7 +4,6 @@ import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -58,10 +57,12 @@ def validate(root: Path, workers: int, limit: int | None, progress: Callable[[in
         splits = {split: int(value["n"]) for split, value in description["splits"].items()}
         shard_size, seed = int(description["shard_size"]), int(description["seed"])
     except FormatError as error:
-        report.problem(Problem("", "", str(error)))
+        report.problems.append(Problem("", "", str(error)))
         return report
     except (KeyError, TypeError, ValueError) as error:
-        report.problem(Problem(f"{root / 'dataset.json'}", "", f"expected a dataset's description, got no {error}"))
+        report.problems.append(
+            Problem(f"{root / 'dataset.json'}", "", f"expected a dataset's description, got no {error}")
+        )
         return report
     for picture in (root / PICTURES).glob("*.png"):
         picture.unlink()
@@ -85,12 +86,10 @@ def _check_shards(
     for parquet, (problems, found) in zip(
         parquets, run(partial(check_shard, names=names, shard_size=shard_size), parquets), strict=True
     ):
-        for problem in problems:
-            report.problem(problem)
+        report.problems += problems
         entries.setdefault(parquet.parent.name, []).extend(found)
     for split, found in entries.items():
-        for problem in check_presence(split, splits.get(split, 0), found):
-            report.problem(problem)
+        report.problems += check_presence(split, splits.get(split, 0), found)
     return entries
 
 

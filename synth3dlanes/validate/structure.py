@@ -93,7 +93,9 @@ def _camera(scene: Scene, labels: Labels) -> Iterator[Finding]:
     camera, asked = labels.camera, scene.camera
     for name in ("width_px", "height_px", "height_m", "pitch_rad"):
         if getattr(camera, name) != getattr(asked, name):
-            yield Finding("", f"camera.{name}: expected {getattr(asked, name)} as in the scene, got {getattr(camera, name)}")
+            yield Finding(
+                "", f"camera.{name}: expected {getattr(asked, name)} as in the scene, got {getattr(camera, name)}"
+            )
     rotation = camera.world_from_cam[:3, :3]
     if not np.allclose(rotation @ rotation.T, np.eye(3), atol=MATRIX) or np.linalg.det(rotation) < 0:
         yield Finding("", "camera.world_from_cam: expected a rotation, got another matrix")
@@ -121,7 +123,9 @@ def _against_ground_truth(scene: Scene, labels: Labels) -> Iterator[Finding]:
     for lane, true in zip(labels.lanes, expected.lanes, strict=True):
         for name in ("kind", "road", "marking", "left", "right"):
             if getattr(lane, name) != getattr(true, name):
-                yield Finding(lane.id, f"{name}: expected {getattr(true, name)} by its scene, got {getattr(lane, name)}")
+                yield Finding(
+                    lane.id, f"{name}: expected {getattr(true, name)} by its scene, got {getattr(lane, name)}"
+                )
         if lane.xyz_cam.shape != true.xyz_cam.shape:
             yield Finding(lane.id, f"expected {len(true.xyz_cam)} points by its scene, got {len(lane.xyz_cam)}")
             continue

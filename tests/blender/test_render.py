@@ -263,3 +263,10 @@ def test_seen_share_of_cars():
     hidden, before = shares(ahead, truck)
     assert hidden < 0.1
     assert before > 0.95
+
+
+def test_the_height_map_comes_with_the_passes():
+    scene = changed(terrain={"gaussians": (hill(0, 60, 6, 50),)})
+    height = rendered(scene, RenderSettings(samples=1, passes=("height",))).passes["height"]
+    assert height.shape == (200, 100)
+    assert height[0, 50] > 1 > abs(height[-1, 50]), "row 0 is the farthest, on the hill; the last is at the camera's foot"

@@ -10,32 +10,35 @@ Run = Callable[..., Result]
 
 
 @pytest.mark.parametrize(
-    ("arguments", "expected"),
+    ("command", "expected"),
     [
-        (["generate", "--n", "-3", "--out", "d"], "synth3dlanes generate: Invalid value for '--n': -3 is not in the range"),
-        (["generate", "--out", "d"], "synth3dlanes generate: Missing option '--n'."),
-        (["generate", "--n", "3", "--out", "file/d"], "--out file/d: expected a folder to write to"),
-        (["generate", "--n", "3", "--out", "d", "--params", "no.yaml"], "no.yaml: cannot read: No such file or directory"),
-        (["generate", "--n", "3", "--out", "d", "--set", "road.lanes=3"], "--set road.lanes: unknown key; did you mean n_lanes?"),
-        (["generate", "--n", "3", "--out", "d", "--passes", "deth"], "synth3dlanes generate: Invalid value for '--passes'"),
-        (["generate", "--n", "3", "--out", "d", "--split", "../up"], "synth3dlanes generate: Invalid value for '--split'"),
-        (["generate", "--n", "3", "--out", "d", "--workers", "-1"], "synth3dlanes generate: Invalid value for '--workers'"),
-        (["generate", "--n", "3", "--out", "d", "--part", "3/2"], "--part: expected i/n with 1 <= i <= n, got 3/2"),
-        (["sample", "--set", "camera.pitch_deg=[5, 0]"], "--set camera.pitch_deg: expected [low, high] with low <= high, got [5, 0]"),
-        (["sample", "--index", "-1"], "synth3dlanes sample: Invalid value for '--index'"),
-        (["render", "none.json"], "none.json: No such file or directory"),
-        (["render", "broken.json"], "broken.json: Invalid JSON"),
-        (["inspect", "broken.json"], "broken.json: Invalid JSON"),
-        (["inspect", "file/train:3"], "file/dataset.json: expected a file"),
-        (["gallery", "none"], "none: expected a data set"),
-        (["params", "check", "tiny", "no.yaml"], "no.yaml: cannot read: No such file or directory"),
-        (["sampel"], "synth3dlanes: No such command 'sampel'."),
+        ("generate --n -3 --out d", "synth3dlanes generate: Invalid value for '--n': -3 is not in the range x>=1."),
+        ("generate --out d", "synth3dlanes generate: Missing option '--n'."),
+        ("generate --n 3 --out file/d", "--out file/d: expected a folder to write to"),
+        ("generate --n 3 --out d --params no.yaml", "no.yaml: cannot read: No such file or directory"),
+        ("generate --n 3 --out d --set road.lanes=3", "--set road.lanes: unknown key; did you mean n_lanes?"),
+        ("generate --n 3 --out d --passes deth", "synth3dlanes generate: Invalid value for '--passes'"),
+        ("generate --n 3 --out d --split ../up", "synth3dlanes generate: Invalid value for '--split'"),
+        ("generate --n 3 --out d --workers -1", "synth3dlanes generate: Invalid value for '--workers'"),
+        ("generate --n 3 --out d --part 3/2", "--part: expected i/n with 1 <= i <= n, got 3/2"),
+        (
+            "sample --set camera.pitch_deg=[5,0]",
+            "--set camera.pitch_deg: expected [low, high] with low <= high, got [5,",
+        ),
+        ("sample --index -1", "synth3dlanes sample: Invalid value for '--index'"),
+        ("render none.json", "none.json: No such file or directory"),
+        ("render broken.json", "broken.json: Invalid JSON"),
+        ("inspect broken.json", "broken.json: Invalid JSON"),
+        ("inspect file/train:3", "file/dataset.json: expected a file"),
+        ("gallery none", "none: expected a data set"),
+        ("params check tiny no.yaml", "no.yaml: cannot read: No such file or directory"),
+        ("sampel", "synth3dlanes: No such command 'sampel'."),
     ],
-)  # fmt: skip
-def test_one_line_and_exit_code_2(arguments: list[str], expected: str, run: Run, in_tmp_path: Path) -> None:
+)
+def test_one_line_and_exit_code_2(command: str, expected: str, run: Run, in_tmp_path: Path) -> None:
     (in_tmp_path / "file").touch()
     (in_tmp_path / "broken.json").write_text('{"format": "synth3dlanes.sc')
-    result = run(*arguments)
+    result = run(*command.split())
     assert result.exit_code == 2
     assert result.stdout == ""
     assert expected in result.stderr

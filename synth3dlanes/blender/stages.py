@@ -1,0 +1,45 @@
+"""Where the time of a render goes, from what Cycles tells of itself while it works (bpy.app.handlers.render_stats).
+
+Cycles tells what it begins, so a stage lasts until the next begins; measured on one thread, the marks cost microseconds.
+"""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import bpy
+
+# The words with which a stage begins, in their order; "after" is copying the result out.
+BEGINNINGS = {"Updating Scene": "bvh", "Sample 0/": "tracing", "Finished": "after"}
+
+
+@contextmanager
+def cycles_stages() -> Iterator[dict[str, float]]:
+    """Seconds of the one render that runs inside, once it is left: `sync` (Blender's scene to Cycles'), `bvh` (search
+    trees, textures, the rest of the device's scene), `tracing` (all samples and the denoiser), `after`."""
+    marks: dict[str, float] = {}
+    stages: dict[str, float] = {}
+
+    def begin(_: object, __: object) -> None:
+        marks["sync"] = time.perf_counter()
+
+    def tell(status: str) -> None:
+        words = status.rpartition("ViewLayer | ")[2]
+        for beginning, stage in BEGINNINGS.items():
+            if words.startswith(beginning):
+                marks.setdefault(stage, time.perf_counter())
+
+    def end(_: object, __: object) -> None:
+        marks["end"] = time.perf_counter()
+
+    handlers = bpy.app.handlers
+    hooks = [(handlers.render_init, begin), (handlers.render_stats, tell), (handlers.render_post, end)]
+    for hook, function in hooks:
+        hook.append(function)
+    try:
+        yield stages
+    finally:
+        for hook, function in hooks:
+            hook.remove(function)
+    ends = [*list(marks.values())[1:], marks["end"]]
+    stages |= {stage: later - mark for (stage, mark), later in zip(marks.items(), ends, strict=True) if stage != "end"}
