@@ -3,7 +3,7 @@
 Frame: the road frame of the labels unless a name says otherwise. The same curves feed targets and metric.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -24,12 +24,14 @@ MIN_VALID_POINTS = 10
 @dataclass(frozen=True, eq=False)
 class Curve:
     """One lane with strictly increasing road y. `visible` means not behind the ground; cars do not hide lanes
-    (the paper drops points occluded "by the terrain")."""
+    (the paper drops points occluded "by the terrain"). `is_repeat`: wherever it is seen, another lane of its kind
+    lies there as well (two paths that part out of sight); it is not learned and not counted."""
 
     kind: Kind
     xyz_cam: Float[np.ndarray, "n 3"]
     xyz_road: Float[np.ndarray, "n 3"]
     visible: Bool[np.ndarray, " n"]
+    is_repeat: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +50,7 @@ def plane_pose(labels: Labels) -> Pose:
 
 
 def road_curves(labels: Labels, *, in_image_only: bool = False) -> tuple[Curve, ...]:
-    """Every lane with at least two forward points; of curves that coincide wherever they are visible, one.
+    """Every lane with at least two forward points; of curves that coincide wherever they are visible, one is no repeat.
     Points beside the picture (neighbour lanes nearer than 6 m) count, as in the paper, unless `in_image_only`."""
     curves = []
     for lane in labels.lanes:
@@ -57,7 +59,7 @@ def road_curves(labels: Labels, *, in_image_only: bool = False) -> tuple[Curve, 
         if part.stop - part.start >= 2:
             visible = lane.terrain_visible & lane.in_image if in_image_only else lane.terrain_visible
             curves.append(Curve(lane.kind, lane.xyz_cam[part], xyz_road[part], visible[part]))
-    return _without_duplicates(curves)
+    return _with_repeats_marked(curves)
 
 
 def resample(curve: Curve, y_m: Float[np.ndarray, " y"]) -> Resampled:
@@ -103,15 +105,15 @@ def _forward_part(y_m: Float[np.ndarray, " n"]) -> slice:
     return slice(int(before[-1]) + 1 if len(before) else 0, int(behind[0]) + 1 if len(behind) else len(y_m))
 
 
-def _without_duplicates(curves: list[Curve]) -> tuple[Curve, ...]:
+def _with_repeats_marked(curves: list[Curve]) -> tuple[Curve, ...]:
     sampled = [resample(curve, METRIC_Y_M) for curve in curves]
     kept: list[int] = []
-    # The one that shows more is looked at first, so that the shorter copy goes.
+    # The one that shows more is looked at first, so that the shorter copy is the repeat.
     for index in sorted(range(len(curves)), key=lambda i: -int(sampled[i].visible.sum())):
         same = (_repeats(sampled[index], sampled[k]) for k in kept if curves[k].kind == curves[index].kind)
         if not any(same):
             kept.append(index)
-    return tuple(curves[index] for index in sorted(kept))
+    return tuple(replace(curve, is_repeat=index not in kept) for index, curve in enumerate(curves))
 
 
 def _repeats(candidate: Resampled, other: Resampled) -> bool:

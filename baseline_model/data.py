@@ -155,7 +155,8 @@ def load(
 
 
 def pack(curves: Sequence[tuple[Curve, ...]]) -> CurveBatch:
-    """Curves of several images in one padded block; the last point repeats, so that y stays sorted."""
+    """Curves of several images in one padded block, repeats left out; the last point repeats, so y stays sorted."""
+    curves = [tuple(curve for curve in of_image if not curve.is_repeat) for of_image in curves]
     n_lanes = max([1, *(len(of_image) for of_image in curves)])
     n_points = max([N_POINTS, *(len(curve.visible) for of_image in curves for curve in of_image)])
     xyz = np.zeros((len(curves), n_lanes, n_points, 3), dtype=np.float32)

@@ -38,7 +38,7 @@ def point_weights(name: Weights) -> Float[np.ndarray, " y"]:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """Labelled lanes of one kind at y_k. Ignored ones neither count nor punish; their points are all unhidden."""
+    """Labelled lanes of one kind at y_k. Ignored ones neither count nor punish."""
 
     x_m: Float[np.ndarray, "l y"]
     z_m: Float[np.ndarray, "l y"]
@@ -48,7 +48,8 @@ class Truth:
 
 @dataclass(frozen=True, eq=False)
 class Sampled:
-    """Detected lanes of one kind at y_k, with their scores; `off_region` ones cross Y_ref outside the top view."""
+    """Detected lanes of one kind at y_k, with their scores; `off_region` ones cross Y_ref outside the top view or
+    have no point within 0..80 m."""
 
     x_m: Float[np.ndarray, "p y"]
     z_m: Float[np.ndarray, "p y"]
@@ -73,14 +74,16 @@ class Pairs:
 
 
 def sample_truth(curves: tuple[Curve, ...]) -> Truth:
-    """Labelled curves at y_k; ignored are those training ignores and those with under 8 m to compare."""
+    """Labelled curves at y_k; ignored are repeats, those training ignores and those with under 8 m to compare. What
+    is ignored is compared even where the ground hides it if so little else is left."""
     size = (len(curves), len(METRIC_Y_M))
     x_m, z_m, valid = np.zeros(size), np.zeros(size), np.zeros(size, dtype=bool)
     ignored = np.zeros(len(curves), dtype=bool)
     for i, curve in enumerate(curves):
         at = resample(curve, METRIC_Y_M)
-        x_m[i], z_m[i], valid[i] = at.x_m, at.z_m, at.visible
-        ignored[i] = at.visible.sum() < MIN_VALID_POINTS or not is_usable(curve)
+        has_few = at.visible.sum() < MIN_VALID_POINTS
+        ignored[i] = has_few or curve.is_repeat or not is_usable(curve)
+        x_m[i], z_m[i], valid[i] = at.x_m, at.z_m, at.in_range if has_few else at.visible
     return Truth(x_m, z_m, valid, ignored)
 
 
@@ -99,7 +102,8 @@ def sample_detections(lanes: list[Detection], road_from_cam: Float[np.ndarray, "
         # A whole road-frame range, tilted by a slightly wrong pose, starts or ends centimetres inside; that is
         # no gap. Lanes reach half a step beyond their ends.
         present[i] = (y_m[0] - 0.4 <= METRIC_Y_M) & (y_m[-1] + 0.4 >= METRIC_Y_M)
-        off_region[i] = y_m[0] <= Y_REF_M <= y_m[-1] and abs(np.interp(Y_REF_M, y_m, xyz_road[:, 0])) > HALF_WIDTH_M
+        x_ref_m = np.interp(Y_REF_M, y_m, xyz_road[:, 0])
+        off_region[i] = not present[i].any() or (y_m[0] <= Y_REF_M <= y_m[-1] and abs(x_ref_m) > HALF_WIDTH_M)
     return Sampled(x_m, z_m, present, np.array([lane.score for lane in lanes], dtype=float), off_region)
 
 

@@ -120,11 +120,11 @@ def new_mesh(mesh: meshes.Mesh, materials: list[bpy.types.Material]) -> bpy.type
     data.vertices.add(len(mesh.vertices_world))
     data.vertices.foreach_set("co", mesh.vertices_world.astype(np.float32).ravel())
     data.loops.add(4 * n_faces)
-    data.loops.foreach_set("vertex_index", mesh.faces.astype(np.int32).ravel())
     data.polygons.add(n_faces)
     data.polygons.foreach_set("loop_start", np.arange(0, 4 * n_faces, 4, dtype=np.int32))
-    data.polygons.foreach_set("material_index", mesh.material.astype(np.int32))
-    data.polygons.foreach_set("use_smooth", np.ones(n_faces, dtype=bool))
+    # As attributes, since loops and polygons take them one by one.
+    data.attributes[".corner_vert"].data.foreach_set("value", mesh.faces.astype(np.int32).ravel())
+    data.attributes.new("material_index", "INT", "FACE").data.foreach_set("value", mesh.material.astype(np.int32))
     layer = data.uv_layers.new(name="UVMap")
     layer.uv.foreach_set("vector", mesh.uv_m[mesh.faces.ravel()].astype(np.float32).ravel())
     for material in materials:

@@ -119,7 +119,7 @@ def run_cycles() -> dict[str, np.ndarray]:
     layers: dict[str, np.ndarray] = {}
     original = cycles.CyclesRender.render
 
-    def read_passes(engine: bpy.types.RenderEngine) -> None:
+    def read_passes(engine: bpy.types.RenderEngine, _: None) -> None:
         result = engine.get_result()
         for render_pass in result.layers[0].passes:
             pixels = np.zeros(result.resolution_y * result.resolution_x * render_pass.channels, dtype=np.float32)
@@ -127,7 +127,7 @@ def run_cycles() -> dict[str, np.ndarray]:
             layers[render_pass.name] = pixels.reshape(result.resolution_y, result.resolution_x, -1)[::-1]
 
     # A lambda: Blender counts the arguments of what it calls, and a decorator (of shape checks) would hide them.
-    cycles.CyclesRender.render = lambda engine, depsgraph: (original(engine, depsgraph), read_passes(engine))
+    cycles.CyclesRender.render = lambda engine, depsgraph: read_passes(engine, original(engine, depsgraph))
     try:
         bpy.ops.render.render()
     finally:

@@ -16,8 +16,8 @@ from synth3dlanes import labels as labels_module
 from synth3dlanes.dataset.format import (
     BLOCK,
     COLUMN_OF_MEMBER,
-    LABELS,
     HEIGHT,
+    LABELS,
     PASSES,
     SCENE,
     Sample,

@@ -1,4 +1,4 @@
-"""Bad input of every kind: one clear line per problem on stderr, nothing on stdout, exit code 2, nothing half-written."""
+"""Bad input of every kind: one clear line per problem on stderr, exit code 2, nothing half-written."""
 
 from collections.abc import Callable
 from pathlib import Path
