@@ -3,7 +3,7 @@ BIN := .venv/bin
 DEMO ?= demo
 export MPLBACKEND := Agg
 
-.PHONY: help setup demo test check format golden assets bench
+.PHONY: help setup demo test check format docs golden assets bench
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -33,6 +33,9 @@ check: .venv/ready  ## what CI runs: format, lint, imports, types, tests
 format: .venv/ready  ## let ruff repair what it can
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
+
+docs: .venv/ready  ## rewrite the generated pages of docs/
+	$(BIN)/python -m scripts.docs
 
 golden: .venv/ready  ## rewrite tests/golden from the code; review the diff
 	$(BIN)/python -m tests.golden.make

@@ -66,4 +66,4 @@ def build(checkpoint: Checkpoint, device: torch.device) -> LaneNet:
     """The network of a checkpoint, ready to predict."""
     model = LaneNet(checkpoint.config.model)
     model.load_state_dict(checkpoint.model)
-    return model.to(device, memory_format=torch.channels_last).eval()  # type: ignore[call-overload,no-any-return]
+    return model.to(device, memory_format=torch.channels_last).eval()  # type: ignore[call-overload]

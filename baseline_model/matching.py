@@ -49,7 +49,7 @@ class Truth:
 @dataclass(frozen=True, eq=False)
 class Sampled:
     """Detected lanes of one kind at y_k, with their scores; `off_region` ones cross Y_ref outside the top view or
-    have no point within 0..80 m."""
+    have under 8 m within 0..80 m."""
 
     x_m: Float[np.ndarray, "p y"]
     z_m: Float[np.ndarray, "p y"]
@@ -103,7 +103,9 @@ def sample_detections(lanes: list[Detection], road_from_cam: Float[np.ndarray, "
         # no gap. Lanes reach half a step beyond their ends.
         present[i] = (y_m[0] - 0.4 <= METRIC_Y_M) & (y_m[-1] + 0.4 >= METRIC_Y_M)
         x_ref_m = np.interp(Y_REF_M, y_m, xyz_road[:, 0])
-        off_region[i] = not present[i].any() or (y_m[0] <= Y_REF_M <= y_m[-1] and abs(x_ref_m) > HALF_WIDTH_M)
+        off_region[i] = present[i].sum() < MIN_VALID_POINTS or (
+            y_m[0] <= Y_REF_M <= y_m[-1] and abs(x_ref_m) > HALF_WIDTH_M
+        )
     return Sampled(x_m, z_m, present, np.array([lane.score for lane in lanes], dtype=float), off_region)
 
 

@@ -223,7 +223,7 @@ class LaneNet(nn.Module):
         with torch.autocast(image.device.type, enabled=False):
             channels = torch.cat([image.float(), self._rays(image, intrinsics)], dim=1)
             warped = functional.grid_sample(channels, grid, align_corners=False)
-        return self.stem(warped[:, :3], warped[:, 3:])[0]  # type: ignore[no-any-return]
+        return self.stem(warped[:, :3], warped[:, 3:])[0]
 
     @staticmethod
     def _rays(image: Float[Tensor, "b 3 h w"], intrinsics: Float[Tensor, "b 4"]) -> Float[Tensor, "b 2 h w"]:

@@ -69,7 +69,7 @@ class Log:
             if isinstance(value, float)
         }
         self._write(step, {"step": step, "val": document}, scalars)
-        self.bar.console.print(f"step {step}: {summary_line(report)}", highlight=False)
+        self.bar.console.print(f"step {step}: {summary_line(report)}", highlight=False, soft_wrap=True)
 
     def _write(self, step: int, document: dict[str, Any], scalars: dict[str, float]) -> None:
         with (self.out_dir / "history.jsonl").open("a", encoding="utf-8") as file:

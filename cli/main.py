@@ -11,9 +11,11 @@ from click.exceptions import NoArgsIsHelpError
 from synth3dlanes import __version__
 from synth3dlanes.errors import FormatError, ParamsError
 
+from .bench import bench
 from .export import export
 from .generate import generate
 from .look import gallery, inspect
+from .model import ablation, evaluate, onnx, predict, train
 from .params import params
 from .scenes import render, sample
 from .validate import validate
@@ -50,11 +52,16 @@ class Commands(click.Group):
             raise BadInput(f"{place}{error.strerror or error}") from error
 
 
-@click.group("synth3dlanes", cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "show_default": True})
+@click.group(
+    "synth3dlanes", cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "show_default": True}
+)
 @click.version_option(__version__)
 def main() -> None:
     """Synthetic 3D-lane images with exact ground truth."""
 
 
-for command in (generate, sample, render, inspect, gallery, params, export, validate):
+for command in (
+    *(generate, sample, render, inspect, gallery, params, export, validate, bench),
+    *(train, predict, evaluate, ablation, onnx),
+):
     main.add_command(command)

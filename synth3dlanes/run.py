@@ -14,7 +14,6 @@ meet: they may share a folder (each shard has its lock) or have their folders co
 """
 
 import math
-import os
 import re
 import shutil
 import signal
@@ -23,7 +22,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import current_thread, main_thread
 from types import FrameType
@@ -33,7 +32,8 @@ from synth3dlanes.dataset.folder import claim
 from synth3dlanes.dataset.format import key_of
 from synth3dlanes.dataset.write import Shard, write_whole
 from synth3dlanes.errors import ParamsError
-from synth3dlanes.generate import Made, Recipe, make_part, make_sample, require_blender, scene_json
+from synth3dlanes.generate import Made, Recipe, make_part, make_sample, scene_json
+from synth3dlanes.machine import Seats, n_cores, settle
 from synth3dlanes.progress import Event, Forecast, Meter, forecast, open_log
 from synth3dlanes.workers import DISK_FULL, Limits, Outcome, Pool
 
@@ -56,6 +56,7 @@ class Plan:
     workers: int = 0
     part: tuple[int, int] = (1, 1)
     limits: Limits = field(default_factory=Limits)
+    seats: Seats = field(default_factory=Seats)
     shard_size: int = SHARD_SIZE
     maker: Callable[[Recipe, int], Made] = make_sample
 
@@ -77,8 +78,7 @@ class Plan:
 
     def n_workers(self, n_tasks: int) -> int:
         """How many workers there is work and room for."""
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        return max(1, min(self.workers or cores, n_tasks))
+        return max(1, min(self.workers or n_cores(), n_tasks))
 
 
 @dataclass(frozen=True)
@@ -104,10 +104,12 @@ class Report:
 def generate(plan: Plan, notify: Callable[[Event], None]) -> Report:
     """Make what is missing of a plan's samples; `notify` hears of everything that happens.
 
-    Raises ParamsError where it cannot start: no Blender, no room, another run or another recipe in the folder.
+    Raises ParamsError where it cannot start: no Blender, no such device, no room, another run or another recipe in the
+    folder.
     """
     if plan.maker is make_sample:
-        require_blender()
+        recipe, seats = settle(plan.recipe)
+        plan = replace(plan, recipe=recipe, seats=seats, workers=plan.workers or seats.workers)
     recipe = {**plan.recipe.description(), "shard_size": plan.shard_size}
     with claim(plan.out, recipe, plan.recipe.split, plan.n, plan.shards()) as folder:
         return _Run(plan, folder, notify).go()
@@ -139,7 +141,8 @@ class _Run:
         self._check_room(expected)
         self.log = open_log(self.plan.out / "logs", self.plan.recipe.split)
         with self.log:
-            self._tell("start", expected.text(), **vars(expected))
+            device, names = self.plan.recipe.settings.device, self.plan.seats.names
+            self._tell("start", expected.text(), **vars(expected), device=device, device_names=names)
             try:
                 self._loop()
             except OSError as error:
@@ -158,7 +161,8 @@ class _Run:
 
     def _loop(self) -> None:
         n_workers = self.plan.n_workers(len(self.todo))
-        with self._signals(), ThreadPoolExecutor(1) as self.joiner, Pool(n_workers, self.plan.limits) as pool:
+        workers = Pool(n_workers, self.plan.limits, masks=self.plan.seats.masks)
+        with self._signals(), ThreadPoolExecutor(1) as self.joiner, workers as pool:
             self.joins: dict[int, Future[list[int]]] = {}
             for number, shard in self.shards.items():
                 if not self.left[number] and shard.needs_join(self.plan.n):

@@ -9,6 +9,7 @@ It dies with its parent, and leaves Ctrl-C and SIGTERM to it.
 
 import ctypes
 import errno
+import fcntl
 import os
 import pickle
 import signal
@@ -17,13 +18,13 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, Pipe, wait
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal
+from typing import IO, Any, Literal
 
 import psutil
 
@@ -78,16 +79,21 @@ class Worker:
 
 @dataclass
 class Pool:
-    """Up to `n` workers; use it as a context manager, which kills them at the end."""
+    """Up to `n` workers; use it as a context manager, which kills them at the end.
+
+    `masks` are what their environments have besides ours, in turns: each shows its worker one GPU alone.
+    """
 
     n: int
     limits: Limits
     pinned: bool = True
+    masks: Sequence[Mapping[str, str]] = ({},)
     _workers: list[Worker | None] = field(default_factory=list)
 
     def __enter__(self) -> "Pool":
         self._scratch = tempfile.TemporaryDirectory(prefix="synth3dlanes-")
-        self._cores = sorted(os.sched_getaffinity(0)) if self.pinned and hasattr(os, "sched_getaffinity") else [-1]
+        is_pinned = self.pinned and hasattr(os, "sched_getaffinity")
+        self._leases, self._cores = _lease(self.n, sorted(os.sched_getaffinity(0))) if is_pinned else ([], [-1])
         self._workers = [None] * self.n
         return self
 
@@ -96,6 +102,8 @@ class Pool:
     ) -> None:
         for slot in range(self.n):
             self._retire(slot)
+        for lease in self._leases:
+            lease.close()
         self._scratch.cleanup()
 
     @property
@@ -150,6 +158,7 @@ class Pool:
                 stdout=stream,
                 stderr=stream,
                 pass_fds=[theirs.fileno()],
+                env={**os.environ, **self.masks[slot % len(self.masks)]},
                 start_new_session=True,
             )
         theirs.close()
@@ -181,6 +190,21 @@ class Pool:
             worker.process.kill()
             worker.process.wait()
             worker.pipe.close()
+
+
+def _lease(n: int, cores: Sequence[int]) -> tuple[list[IO[bytes]], list[int]]:
+    """Locks on up to `n` cores that no other pool on this machine has, and all cores in the order to pin workers to."""
+    leases: dict[int, IO[bytes]] = {}
+    for core in cores:
+        lease = Path(tempfile.gettempdir(), f"synth3dlanes-{os.getuid()}-core-{core}").open("ab")
+        try:
+            fcntl.flock(lease, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            leases[core] = lease
+        except BlockingIOError:
+            lease.close()
+        if len(leases) == n:
+            break
+    return list(leases.values()), [*leases, *(core for core in cores if core not in leases)]
 
 
 def _work(pipe: Connection) -> None:

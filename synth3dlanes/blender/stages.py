@@ -6,6 +6,7 @@ Cycles tells what it begins, so a stage lasts until the next begins; measured on
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import pairwise
 
 import bpy
 
@@ -15,13 +16,13 @@ BEGINNINGS = {"Updating Scene": "bvh", "Sample 0/": "tracing", "Finished": "afte
 
 @contextmanager
 def cycles_stages() -> Iterator[dict[str, float]]:
-    """Seconds of the one render that runs inside, once it is left: `sync` (Blender's scene to Cycles'), `bvh` (search
+    """Seconds of the first render that runs inside, once it is left: `sync` (Blender's scene to Cycles'), `bvh` (search
     trees, textures, the rest of the device's scene), `tracing` (all samples and the denoiser), `after`."""
     marks: dict[str, float] = {}
     stages: dict[str, float] = {}
 
     def begin(_: object, __: object) -> None:
-        marks["sync"] = time.perf_counter()
+        marks.setdefault("sync", time.perf_counter())
 
     def tell(status: str) -> None:
         words = status.rpartition("ViewLayer | ")[2]
@@ -30,7 +31,7 @@ def cycles_stages() -> Iterator[dict[str, float]]:
                 marks.setdefault(stage, time.perf_counter())
 
     def end(_: object, __: object) -> None:
-        marks["end"] = time.perf_counter()
+        marks.setdefault("end", time.perf_counter())
 
     handlers = bpy.app.handlers
     hooks = [(handlers.render_init, begin), (handlers.render_stats, tell), (handlers.render_post, end)]
@@ -41,5 +42,4 @@ def cycles_stages() -> Iterator[dict[str, float]]:
     finally:
         for hook, function in hooks:
             hook.remove(function)
-    ends = [*list(marks.values())[1:], marks["end"]]
-    stages |= {stage: later - mark for (stage, mark), later in zip(marks.items(), ends, strict=True) if stage != "end"}
+    stages |= {stage: marks[later] - marks[stage] for stage, later in pairwise(("sync", *BEGINNINGS.values(), "end"))}

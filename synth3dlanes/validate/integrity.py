@@ -3,9 +3,10 @@
 import hashlib
 import tarfile
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -43,46 +44,52 @@ class Entry:
         return {(f"{key_of(self.index)}.{name}", *place) for name, place in self.members.items()}
 
 
-def check_shard(parquet: Path, names: Sequence[str], shard_size: int) -> tuple[list[Problem], list[Entry]]:
-    """The faults of one shard, and the samples that lie in its tar where its index says."""
+class ShardCheck(NamedTuple):
+    """The faults of a shard, the samples that lie in its tar where its index says, and the indices that it names."""
+
+    problems: list[Problem]
+    entries: list[Entry]
+    indices: frozenset[int]
+
+
+def check_shard(parquet: Path, names: Sequence[str], shard_size: int) -> ShardCheck:
+    """Compare the index of a shard with its tar, member by member."""
     try:
         entries, problems = _entries(parquet, names)
     except FormatError as error:
-        return [Problem(str(parquet), "", str(error))], []
+        return ShardCheck([Problem(_place(parquet), "", str(error))], [], frozenset())
     tar = parquet.with_suffix(".tar")
     found, fault = walk(tar)
     if entries and not fault:
         end = max(entry.end for entry in entries)
         expected, size = end + len(tar_end(end)), tar.stat().st_size
         fault = "" if size == expected else f"expected {expected} bytes, got {size}"
-    problems += [Problem(str(tar), "", fault)] if fault else []
+    problems += [Problem(_place(tar), "", fault)] if fault else []
     problems += _not_once(entries, found, tar)
     first, whole = int(parquet.stem) * shard_size, {}
     for entry in entries:
         missing = sorted(entry.parts() - set(found))
         if missing:
             name, offset, size = missing[0]
-            reason = f"expected {name} with {size} bytes at byte {offset} of {tar}, got none: the tar is cut or changed"
+            reason = f"expected {size} bytes of {name} at byte {offset} of {_place(tar)}, got a cut or changed tar"
             problems.append(Problem(entry.name, "", reason))
         elif not first <= entry.index < first + shard_size:
-            reason = f"expected samples {first} to {first + shard_size - 1} in {parquet}, got this one"
+            reason = f"expected samples {first} to {first + shard_size - 1} in {_place(parquet)}, got this one"
             problems.append(Problem(entry.name, "", reason))
         else:
             whole[entry.index] = entry
-    return problems, list(whole.values())
+    return ShardCheck(problems, list(whole.values()), frozenset(entry.index for entry in entries))
 
 
-def check_presence(split: str, n: int, entries: Sequence[Entry]) -> Iterator[Problem]:
-    """Every index from 0 to n - 1 is there, and once in all shards of its split."""
-    counts = Counter(entry.index for entry in entries)
-    missing = [key_of(index) for index in range(n) if index not in counts]
+def check_presence(split: str, n: int, indices: Set[int]) -> Iterator[Problem]:
+    """Every index from 0 to n - 1 is in the shards of a split, and no other."""
+    missing = [key_of(index) for index in range(n) if index not in indices]
     if missing:
         more = f" and {len(missing) - NAMED_AT_MOST} more" if len(missing) > NAMED_AT_MOST else ""
         reason = f"expected {n} samples, {len(missing)} missing: {', '.join(missing[:NAMED_AT_MOST])}{more}"
         yield Problem(split, "", reason)
-    for index in sorted(counts):
-        if index >= n:
-            yield Problem(f"{split}:{key_of(index)}", "", f"expected {n} samples in dataset.json, got one beyond them")
+    for index in sorted(index for index in indices if index >= n):
+        yield Problem(f"{split}:{key_of(index)}", "", f"expected {n} samples by dataset.json, got one beyond them")
 
 
 def read_sample(entry: Entry) -> tuple[dict[str, bytes], str]:
@@ -98,15 +105,22 @@ def read_sample(entry: Entry) -> tuple[dict[str, bytes], str]:
 
 
 def walk(tar: Path) -> tuple[list[tuple[str, int, int]], str]:
-    """Name, offset and size of each member of a tar up to its first fault, and that fault ("" for none)."""
+    """Name, offset and size of each whole member of a tar up to its first fault, and that fault ("" for none)."""
     found: list[tuple[str, int, int]] = []
+    fault = ""
     try:
         with tarfile.open(tar, "r:") as stream:
             for member in stream:
                 found.append((member.name, member.offset_data, member.size))
     except (tarfile.TarError, OSError) as error:
-        return found, f"expected a whole tar, got {error}"
-    return found, ""
+        fault = f"expected a whole tar, got {error}"
+    total = tar.stat().st_size if found else 0
+    return [(name, offset, size) for name, offset, size in found if offset + size <= total], fault
+
+
+def _place(path: Path) -> str:
+    """A file's name with its split's."""
+    return f"{path.parent.name}/{path.name}"
 
 
 def _entries(parquet: Path, names: Sequence[str]) -> tuple[list[Entry], list[Problem]]:
@@ -124,7 +138,9 @@ def _entries(parquet: Path, names: Sequence[str]) -> tuple[list[Entry], list[Pro
     entries, problems = [], []
     for row in table.select(columns).to_pylist():
         if row["key"] != key_of(row["index"]):
-            reason = f"expected key {key_of(row['index'])} for index {row['index']}, got {row['key']} in {parquet}"
+            reason = (
+                f"expected key {key_of(row['index'])} for index {row['index']}, got {row['key']} in {_place(parquet)}"
+            )
             problems.append(Problem(f"{split}:{row['key']}", "", reason))
             continue
         members = {name: (row[offset], row[size]) for name, (offset, size) in places.items()}
@@ -137,12 +153,14 @@ def _not_once(entries: Sequence[Entry], found: Sequence[tuple[str, int, int]], t
     split = tar.parent.name
     for name, count in Counter(entry.name for entry in entries).items():
         if count > 1:
-            yield Problem(name, "", f"expected this key once in the index {tar.with_suffix('.parquet')}, got {count}")
+            yield Problem(
+                name, "", f"expected this key once in the index {_place(tar.with_suffix('.parquet'))}, got {count}"
+            )
     copies = {
         name.partition(".")[0]: count for name, count in Counter(name for name, _, _ in found).items() if count > 1
     }
     for key, count in copies.items():
-        yield Problem(f"{split}:{key}", "", f"expected this key once in {tar}, got {count}")
+        yield Problem(f"{split}:{key}", "", f"expected this key once in {_place(tar)}, got {count}")
     known = {key_of(entry.index) for entry in entries}
     for key in sorted({name.partition(".")[0] for name, _, _ in found} - known):
-        yield Problem(f"{split}:{key}", "", f"expected every sample of {tar} in its index, not this one")
+        yield Problem(f"{split}:{key}", "", f"expected every sample of {_place(tar)} in its index, not this one")

@@ -16,8 +16,8 @@ from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.findings import PROOF_M, Finding, Measure
 from synth3dlanes.validate.paint import Paint, Strip
 
-# A fault of labels is a line's, not a point's: a line fails where more than this share of its points, and more than one,
-# is off; single ones, such as on the foot of a car, are left to the distributions.
+# A fault of labels is a line's, not a point's: a line fails where more than this share of its points, and more than
+# one, is off; single ones, such as on the foot of a car, are left to the distributions.
 MAX_SHARE, MAX_SINGLE = 0.1, 1
 # Spec section 4.
 LIMITS = {"paint_px": (1.0, "px of the paint"), "surface_m": (0.02, "m of the rendered surface")}

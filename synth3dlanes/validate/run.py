@@ -1,7 +1,7 @@
 """Validate a dataset: shards, then samples, in parallel; what comes back is of constant size per sample."""
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from functools import partial
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Shaped
+from jaxtyping import UInt8
 from PIL import Image
 
 from synth3dlanes import labels as labels_module
@@ -25,7 +25,7 @@ from synth3dlanes.validate.image_proof import prove_image
 from synth3dlanes.validate.integrity import Entry, check_presence, check_shard, read_sample
 from synth3dlanes.validate.obstacles import check_objects
 from synth3dlanes.validate.paint import Paint
-from synth3dlanes.validate.passes_proof import prove_passes
+from synth3dlanes.validate.passes_proof import Passes, prove_passes
 from synth3dlanes.validate.report import Report
 from synth3dlanes.validate.structure import check_shape, check_values
 
@@ -53,7 +53,8 @@ def validate(root: Path, workers: int, limit: int | None, progress: Callable[[in
     report = Report()
     try:
         description = read_description(root)
-        names = member_names(description["image_format"], description["render"]["passes"])
+        passes = tuple(description["render"]["passes"])
+        names = member_names(description["image_format"], passes)
         splits = {split: int(value["n"]) for split, value in description["splits"].items()}
         shard_size, seed = int(description["shard_size"]), int(description["seed"])
     except FormatError as error:
@@ -70,7 +71,7 @@ def validate(root: Path, workers: int, limit: int | None, progress: Callable[[in
         entries = _check_shards(root, run, names, shard_size, splits, report)
         todo = [entry for split in entries.values() for entry in split[:limit]]
         progress(0, len(todo))
-        for done, checked in enumerate(run(partial(check_sample, root, seed), todo), start=1):
+        for done, checked in enumerate(run(partial(check_sample, root, seed, passes), todo), start=1):
             report.sample(checked.name, checked.digest, checked.findings, checked.measures)
             progress(done, len(todo))
     return report
@@ -80,49 +81,52 @@ def _check_shards(
     root: Path, run: Map, names: Sequence[str], shard_size: int, splits: dict[str, int], report: Report
 ) -> dict[str, list[Entry]]:
     """The readable samples of every split, in order."""
-    shards = sorted(root.glob("*/*.tar"))
+    parquets = sorted(
+        {path.with_suffix(".parquet") for kind in ("tar", "parquet") for path in root.glob(f"*/*.{kind}")}
+    )
     entries: dict[str, list[Entry]] = {split: [] for split in splits}
-    parquets = sorted({*root.glob("*/*.parquet"), *(tar.with_suffix(".parquet") for tar in shards)})
-    for parquet, (problems, found) in zip(
-        parquets, run(partial(check_shard, names=names, shard_size=shard_size), parquets), strict=True
-    ):
-        report.problems += problems
-        entries.setdefault(parquet.parent.name, []).extend(found)
-    for split, found in entries.items():
+    indices: dict[str, set[int]] = {split: set() for split in splits}
+    check = partial(check_shard, names=names, shard_size=shard_size)
+    for parquet, shard in zip(parquets, run(check, parquets), strict=True):
+        split = parquet.parent.name
+        report.problems += shard.problems
+        entries.setdefault(split, []).extend(shard.entries)
+        indices.setdefault(split, set()).update(shard.indices)
+    for split, found in indices.items():
         report.problems += check_presence(split, splits.get(split, 0), found)
     return entries
 
 
-def check_sample(root: Path, seed: int, entry: Entry) -> Checked:
+def check_sample(root: Path, seed: int, pass_names: tuple[str, ...], entry: Entry) -> Checked:
     """All faults of one sample; leaves its picture where it has any."""
     members, fault = read_sample(entry)
     findings = [Finding("", fault)] if fault else []
     measures: list[Measure] = []
+    digest = ""
     try:
         scene = scene_module.from_json(members[SCENE], SCENE)
-    except FormatError as error:
-        return Checked(entry.name, "", [*findings, Finding("", str(error))], measures)
-    findings += _origin(scene, entry, seed)
-    try:
+        digest = world_digest(scene)
+        findings += _origin(scene, entry, seed)
         labels = labels_module.from_json(members[LABELS], LABELS)
         image = decode_image(next(iter(members.values())), next(iter(members)))
         passes = read_passes(members[PASSES], PASSES) if PASSES in members else {}
-    except FormatError as error:
-        return Checked(entry.name, world_digest(scene), [*findings, Finding("", str(error))], measures)
-    misshapen = [*_sizes(scene, {"image": image, **passes}), *check_shape(scene, labels)]
-    findings += misshapen
+    except ValueError as error:
+        reason = str(error) if isinstance(error, FormatError) else f"{LABELS}: expected arrays of numbers, got {error}"
+        return Checked(entry.name, digest, [*findings, Finding("", reason)], measures)
+    misshapen = [*_pictures(scene, pass_names, image, passes), *check_shape(scene, labels)]
     if not misshapen:
-        paint = Paint(scene)
         findings += [*check_values(scene, labels), *check_objects(scene, labels)]
+        paint = Paint(scene)
         for found, measured in (prove_passes(paint, labels, passes), prove_image(paint, labels, image)):
             findings += found
             measures += measured
+    findings += misshapen
     if findings:
         folder = root / PICTURES
         folder.mkdir(exist_ok=True)
         picture = Image.fromarray(image if misshapen else draw_overlay(image, labels))
         picture.save(folder / f"{entry.name.replace(':', '-')}.png")
-    return Checked(entry.name, world_digest(scene), findings, measures)
+    return Checked(entry.name, digest, findings, measures)
 
 
 def world_digest(scene: Scene) -> str:
@@ -138,9 +142,14 @@ def _origin(scene: Scene, entry: Entry, seed: int) -> Iterator[Finding]:
             yield Finding("", f"{SCENE}: {name}: expected {expected}, got {found[name]}")
 
 
-def _sizes(scene: Scene, pictures: Mapping[str, Shaped[np.ndarray, "..."]]) -> Iterator[Finding]:
+def _pictures(
+    scene: Scene, pass_names: tuple[str, ...], image: UInt8[np.ndarray, "_ _ 3"], passes: Passes
+) -> Iterator[Finding]:
+    """Are there the passes that dataset.json names, and have all pictures the camera's size?"""
+    if set(passes) != set(pass_names):
+        yield Finding("", f"{PASSES}: expected {', '.join(pass_names)}, got {', '.join(passes)}")
     width_px, height_px = scene.camera.width_px, scene.camera.height_px
-    for name, pixels in pictures.items():
+    for name, pixels in {"image": image, **passes}.items():
         if pixels.shape[:2] != (height_px, width_px):
             found = "x".join(str(size) for size in pixels.shape[1::-1])
             yield Finding("", f"{name}: expected {width_px}x{height_px} pixels, got {found}")

@@ -168,9 +168,26 @@ def test_average_precision_by_hand(roads):
     assert ap_at_101_points(recalls, precisions) == pytest.approx((26 * 1.0 + 50 * 0.75) / 101)
 
 
+def test_generated_labels_as_predictions_are_perfect(roads):
+    """Splits, merges, crests and lanes that end: whatever the labels hold, they must not count against themselves."""
+    from synth3dlanes.ground_truth import ground_truth
+    from synth3dlanes.params import load_params
+    from synth3dlanes.sample import sample_scene
+
+    params = load_params("appendix_i")
+    many = [ground_truth(sample_scene(params, 0, "test", index)) for index in range(60)]
+    report = _evaluate([(labels, roads.as_prediction(labels)) for labels in many])
+    for kind in report.kinds.values():
+        assert kind.ap == pytest.approx(1.0)
+        assert kind.at_threshold.precision == 1.0
+        assert kind.at_threshold.far_2sigma_cm == pytest.approx(0.0, abs=1e-3)
+
+
 def test_of_coinciding_paths_one_is_counted(roads):
     labels = roads.labels(_straight(0.0, 0.1))
-    assert _evaluate([(labels, roads.as_prediction(labels))]).kinds["centerline"].n_truth == 1
+    centerline = _evaluate([(labels, roads.as_prediction(labels))]).kinds["centerline"]
+    assert (centerline.n_truth, centerline.n_ignored) == (1, 1)
+    assert centerline.at_threshold.precision == 1.0
 
 
 def test_bootstrap_interval_holds_the_value_and_repeats(roads):

@@ -169,7 +169,7 @@ def test_statistics_count_every_lane(split):
 
     text = describe_targets("DIR/test")
     document = json.loads(describe_targets("DIR/test", as_json=True))
-    n_lanes = sum(len(sample.labels.lanes) for sample in split)
+    n_lanes = sum(len(sample.labels.lanes) for sample in split)  # none of these repeats another
     assert sum(sum(counts.values()) for counts in document["counts"].values()) == n_lanes
     assert document["visible_share"]["20.0"] == 1.0
     assert "ceiling, centerline: AP 1.0000" in text

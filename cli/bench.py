@@ -1,0 +1,111 @@
+"""`synth3dlanes bench`: how fast, where the time goes, how good."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from .generate import Workers
+from .options import device_option, json_option, params_option, passes_option, samples_option, set_option
+
+if TYPE_CHECKING:
+    from synth3dlanes.bench import Bench
+
+
+@click.command()
+@click.option("--n", type=click.IntRange(min=1), default=30, help="Scenes to time, after warming up.")
+@params_option
+@set_option
+@click.option("--workers", metavar="N|auto", type=Workers(), default="auto", help="Processes; auto: one per core.")
+@device_option
+@samples_option
+@passes_option
+@click.option("--quality", is_flag=True, help="Compare three scenes with 1024 samples a pixel; takes many minutes.")
+@click.option("--naive", is_flag=True, help="Time Blender's defaults on the same scenes; takes minutes.")
+@click.option(
+    "--against",
+    metavar="FILE",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="What --json once printed: compare.",
+)
+@json_option
+def bench(
+    n: int,
+    source: str,
+    changes: tuple[str, ...],
+    workers: int,
+    device: str,
+    samples: int,
+    passes: tuple[str, ...],
+    quality: bool,
+    naive: bool,
+    against: Path | None,
+    as_json: bool,
+) -> None:
+    """Time N fresh scenes, stage by stage, against the floor of path tracing and denoising.
+
+    Their samples are written as `generate` does, and thrown away.
+    """
+    from rich.console import Console
+
+    from synth3dlanes import bench as measuring
+    from synth3dlanes.generate import Recipe
+    from synth3dlanes.machine import settle
+    from synth3dlanes.params import load_params
+    from synth3dlanes.settings import RenderSettings
+
+    stored = json.loads(against.read_text()) if against else None
+    recipe, seats = settle(Recipe(load_params(source, changes), 0, "bench", RenderSettings(samples, passes, device), "jpg"))
+    with Console(stderr=True).status("warming up") as status:
+        found = measuring.bench(recipe, n, workers or seats.workers, list(seats.masks), status.update)
+        if quality:
+            found = replace(found, quality=measuring.measure_quality(recipe, status.update))
+        if naive:
+            found = replace(found, naive=measuring.measure_naive(recipe, status.update))
+    if as_json:
+        click.echo(json.dumps(found.document(), indent=1))
+    else:
+        _print(found)
+    if stored:
+        _print_comparison(measuring.compare(found, stored), err=as_json)
+
+
+def _print(found: "Bench") -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("stage", "seconds", "of the floor", title=f"{found.scenes} scenes, {found.workers} workers")
+    for name, seconds in found.stages.items():
+        table.add_row(name, f"{seconds:.4f}", f"{seconds / found.floor_seconds_per_image:.3f}")
+    table.add_section()
+    table.add_row("all", f"{found.seconds_per_image:.3f}", f"{found.ratio:.3f}")
+    table.add_row("floor", f"{found.floor_seconds_per_image:.3f}", "1")
+    console = Console()
+    console.print(table)
+    width, height = found.size_px
+    memory = " ".join(f"{mib:.0f}" for mib in found.memory_mib)
+    console.print(
+        f"{found.images_per_hour:,.0f} images/h, {found.images_per_hour_per_worker:,.0f} a worker "
+        f"({width}x{height}, {found.samples} samples, {found.device}); {found.core_seconds_per_image:.2f} core-seconds"
+        f" an image\nmemory of a worker, MiB: peak {found.peak_memory_mib:.0f}; by quarters of the run {memory}"
+    )
+    if found.quality:
+        pairs = zip(found.quality.psnr_db, found.quality.ssim, strict=True)
+        console.print("against the reference: " + "; ".join(f"{a:.2f} dB, SSIM {b:.4f}" for a, b in pairs))
+    if found.naive:
+        console.print(
+            f"naively: {found.naive.seconds_same_samples:.1f} s at {found.samples} samples, "
+            f"{found.naive.seconds:.1f} s at {found.naive.samples}"
+        )
+
+
+def _print_comparison(rows: list[tuple[str, float, float]], err: bool) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("over the floor", "now", "stored", "now / stored", title="Against the stored result")
+    for name, now, before in rows:
+        table.add_row(name, f"{now:.4f}", f"{before:.4f}", f"{now / before:.2f}" if before else "-")
+    Console(stderr=err).print(table)

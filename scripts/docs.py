@@ -1,0 +1,123 @@
+"""The pages of docs/ that say what the code says: `python -m scripts.docs` (`make docs`) writes them anew."""
+
+import json
+import re
+from pathlib import Path
+
+import click
+from pydantic import BaseModel, ValidationError
+from synth3dlanes_cli.main import main
+
+from synth3dlanes.params import Params, load_params, presets_folder
+from synth3dlanes.scene import Scene
+
+FOLDER = Path(__file__).parents[1] / "docs"
+
+CLI_HEAD = """# Commands
+
+`synth3dlanes COMMAND --help` says the same. `--json` is there wherever a machine may read the result. Bad input is one
+clear line per problem on stderr and exit code 2; 1 means that the work itself failed, 130 that a signal stopped it.
+"""
+
+PARAMS_HEAD = """# Parameters
+
+A parameter file is YAML with every key below, each in one of three forms:
+
+```yaml
+lane_width_m: [3.2, 4.0]      # uniform; integers include both ends
+n_lanes: {2: 0.5, 3: 0.3}     # value: weight
+height_m: 1.5                 # constant
+```
+
+Start from a preset: `synth3dlanes params show realistic > mine.yaml`, check it with `synth3dlanes params check
+mine.yaml`, use it with `--params mine.yaml`. One key is changed by `--set camera.pitch_deg=3`. A fixed key never moves
+the draws of the others. Lengths are metres, angles degrees.
+"""
+
+
+def pages() -> dict[str, str]:
+    """Every generated page by its name."""
+    return {
+        "cli.md": cli_page(),
+        "params.md": params_page(),
+        "scene.schema.json": json.dumps(Scene.model_json_schema(), indent=1) + "\n",
+    }
+
+
+def cli_page() -> str:
+    """The help of every command."""
+    parts = [CLI_HEAD]
+    for name, command in commands():
+        context = click.Context(command, info_name=name, terminal_width=100, max_content_width=100)
+        context.show_default = True
+        parts += [f"## {name}\n", f"```\n{command.get_help(context)}\n```\n"]
+    return "\n".join(parts)
+
+
+def commands() -> list[tuple[str, click.Command]]:
+    """Every command with its full name; groups are spelled out."""
+    found = []
+    for name, command in sorted(main.commands.items()):
+        below = command.commands if isinstance(command, click.Group) else {}
+        found += [(f"synth3dlanes {name} {sub}", below[sub]) for sub in sorted(below)]
+        found += [] if below else [(f"synth3dlanes {name}", command)]
+    return found
+
+
+def params_page() -> str:
+    """Every key: what it may be, what two presets say, what it means."""
+    paper, realistic = (load_params(name).model_dump() for name in ("appendix_i", "realistic"))
+    legal, comments = legal_values(), preset_comments()
+    parts = [PARAMS_HEAD]
+    for group, keys in paper.items():
+        parts += [f"## {group}\n", "| key | legal | appendix_i | realistic | |", "|---|---|---|---|---|"]
+        for key, form in keys.items():
+            cells = (f"`{key}`", legal[group, key], shown(form), shown(realistic[group][key]), comments[group, key])
+            parts.append(f"| {' | '.join(cells)} |")
+        parts.append("")
+    return "\n".join(parts)
+
+
+def shown(form: object) -> str:
+    """A value as in YAML, with numbers as short as they can be."""
+    if isinstance(form, list):
+        return f"[{', '.join(map(shown, form))}]"
+    if isinstance(form, dict):
+        return "even odds" if len(set(form.values())) == 1 else str(form)
+    return f"{form:g}" if isinstance(form, float) else str(form)
+
+
+def legal_values() -> dict[tuple[str, str], str]:
+    """What each key may be, in the words of its own error message."""
+    nothing = {
+        name: dict.fromkeys(field.annotation.model_fields)
+        for name, field in Params.model_fields.items()
+        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel)
+    }
+    try:
+        Params.model_validate(nothing)
+    except ValidationError as error:
+        return {
+            (str(problem["loc"][0]), str(problem["loc"][1])): str(problem["ctx"]["error"])
+            .removeprefix("expected ")
+            .split(" as ")[0]
+            .split(" or {")[0]
+            for problem in error.errors()
+        }
+    raise AssertionError("every key must refuse a value of none")
+
+
+def preset_comments() -> dict[tuple[str, str], str]:
+    """What the comment beside each key of the reference preset says."""
+    comments, group = {}, ""
+    for line in (presets_folder() / "appendix_i.yaml").read_text().splitlines():
+        if found := re.match(r"(\w+):", line):
+            group = found[1]
+        elif found := re.match(r"  (\w+):[^#]*(?:# (.*))?$", line):
+            comments[group, found[1]] = found[2] or ""
+    return comments
+
+
+if __name__ == "__main__":
+    for name, text in pages().items():
+        (FOLDER / name).write_text(text)

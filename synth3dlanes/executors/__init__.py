@@ -1,0 +1,1 @@
+"""Executors of shards beyond this machine."""

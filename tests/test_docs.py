@@ -1,0 +1,84 @@
+"""The documentation says what the code does."""
+
+import json
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from jsonschema import Draft202012Validator
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+
+
+@pytest.mark.parametrize("name", ["cli.md", "params.md", "scene.schema.json"])
+def test_a_generated_page_is_fresh(name: str) -> None:
+    from scripts.docs import pages
+
+    assert (DOCS / name).read_text() == pages()[name], "run `make docs`"
+
+
+def test_every_command_and_option_is_explained() -> None:
+    from scripts.docs import commands
+
+    readme = (ROOT / "README.md").read_text()
+    for name, command in commands():
+        assert command.help, name
+        assert f"`{name}" in readme, f"{name} is missing in README.md"
+
+
+def test_every_parameter_has_its_meaning_in_the_reference_preset() -> None:
+    from scripts.docs import preset_comments
+    from synth3dlanes.params import load_params
+
+    keys = {(group, key) for group, values in load_params("appendix_i").model_dump().items() for key in values}
+    assert set(preset_comments()) == keys
+
+
+def test_every_column_pass_and_id_is_in_the_format_page() -> None:
+    from synth3dlanes.dataset.index import SCHEMA
+    from synth3dlanes.settings import PASSES, SEMANTIC_IDS
+
+    text = re.sub(r"```.*?```", "", (DOCS / "format.md").read_text(), flags=re.DOTALL)
+    named = set(re.findall(r"`([^`]+)`", text))
+    assert set(SCHEMA.names) | set(PASSES) | set(SEMANTIC_IDS) <= named
+
+
+def validator(name: str) -> Draft202012Validator:
+    schema = json.loads((DOCS / name).read_text())
+    Draft202012Validator.check_schema(schema)
+    return Draft202012Validator(schema)
+
+
+def test_real_scenes_and_labels_follow_their_schemas(hilly_scene: Any) -> None:
+    from synth3dlanes import labels, scene
+    from synth3dlanes.ground_truth import ground_truth
+
+    validator("scene.schema.json").validate(json.loads(scene.to_json(hilly_scene)))
+    document = json.loads(labels.to_json(ground_truth(hilly_scene)))
+    validator("labels.schema.json").validate(document)
+    del document["lanes"][0]["marking"]
+    assert not validator("labels.schema.json").is_valid(document)
+
+
+def test_every_package_is_installed() -> None:
+    """A folder with code that pyproject.toml forgets would be missing from the wheel alone."""
+    tool = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
+    folders = {tool["package-dir"].get(name, name.replace(".", "/")) for name in tool["packages"]}
+    for top in ("synth3dlanes", "cli", "baseline_model", "params", "blender_assets"):
+        found = {path.parent.relative_to(ROOT).as_posix() for path in (ROOT / top).rglob("*.py")}
+        assert found <= folders
+
+
+def test_links_between_pages_lead_somewhere() -> None:
+    for page in [*ROOT.glob("*.md"), *DOCS.glob("*.md")]:
+        for target in re.findall(r"\]\(([^)#]+)", page.read_text()):
+            assert "://" in target or (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_the_changelog_knows_this_version() -> None:
+    from synth3dlanes import __version__
+
+    assert f"## [{__version__}]" in (ROOT / "CHANGELOG.md").read_text()

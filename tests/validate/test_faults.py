@@ -1,0 +1,267 @@
+"""Every planted fault is found, and named by sample, lane and reason; the dataset that they are planted in is clean."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from click.testing import CliRunner
+
+from synth3dlanes.dataset.format import LABELS, SCENE, decode_image, encode_image, tar_bytes
+from synth3dlanes.dataset.read import Reader
+from synth3dlanes.labels import Labels, Lane
+from synth3dlanes.validate.findings import Problem
+from synth3dlanes.validate.integrity import walk
+from synth3dlanes.validate.report import Report
+from tests.validate.conftest import Change, N, check, drop_passes, relabel, seal
+
+pytestmark = pytest.mark.render
+
+SAMPLE = 1
+NAME = "train:00000001"
+
+
+def line_to_spoil(labels: Labels) -> Lane:
+    """The delimiter with most seen points nearby."""
+    lines = [lane for lane in labels.lanes if lane.kind == "delimiter"]
+    return max(lines, key=lambda lane: (lane.visible & (lane.xyz_cam[:, 1] < 25)).sum())
+
+
+def with_lane(labels: Labels, lane: Lane) -> Labels:
+    return replace(labels, lanes=tuple(lane if lane.id == old.id else old for old in labels.lanes))
+
+
+def reasons(report: Report, where: str, lane: str) -> str:
+    return "\n".join(problem.reason for problem in report.problems if (problem.where, problem.lane) == (where, lane))
+
+
+def spoilt_lane(root: Path) -> str:
+    return line_to_spoil(Reader(f"{root}/train").labels(SAMPLE)).id
+
+
+def test_a_clean_dataset_passes_with_and_without_passes(dataset):
+    report = check(dataset)
+    assert report.problems == []
+    assert report.n_samples == N
+    numbers = report.document()["distributions"]
+    assert numbers["paint_px"]["0-40 m"]["p95"] < 1
+    assert numbers["surface_m"]["0-40 m"]["p95"] < 0.02
+    assert numbers["depth_m"]["0-40 m"]["median"] < 0.01
+    assert min(numbers[name]["all"]["n"] for name in ("terrain_visible", "object_visible")) > 100
+    drop_passes(dataset)
+    report = check(dataset)
+    assert report.problems == []
+    assert report.document()["distributions"]["image_ridge_m"]["all"]["n"] > 5
+
+
+def shifted(labels: Labels) -> Labels:
+    lane = line_to_spoil(labels)
+    return with_lane(labels, replace(lane, xyz_cam=lane.xyz_cam + np.array([0.5, 0, 0])))
+
+
+def test_a_lane_shifted_by_half_a_metre_is_found_by_scene_and_paint_and_image(dataset):
+    lane = spoilt_lane(dataset)
+    seal(dataset, relabel(SAMPLE, shifted))
+    report = check(dataset)
+    assert report.failed == [NAME]
+    found = reasons(report, NAME, lane)
+    for words in ("0.5000 m off", "px of the paint", "image: expected the line's paint"):
+        assert words in found
+    assert {problem.lane for problem in report.problems} == {lane}
+    drop_passes(dataset)
+    assert "image: expected the line's paint" in reasons(check(dataset), NAME, lane)
+
+
+def test_a_lane_lifted_by_ten_centimetres_is_off_the_rendered_surface(dataset):
+    lane = spoilt_lane(dataset)
+    seal(
+        dataset,
+        relabel(
+            SAMPLE,
+            lambda labels: with_lane(
+                labels,
+                replace(line_to_spoil(labels), xyz_cam=line_to_spoil(labels).xyz_cam + np.array([0, 0, 0.1])),
+            ),
+        ),
+    )
+    assert "m of the rendered surface" in reasons(check(dataset), NAME, lane)
+
+
+@pytest.mark.parametrize(
+    ("mask", "words"),
+    [
+        ("in_image", ["in_image: expected our projection's", "in_image: expected the mask of its scene"]),
+        ("terrain_visible", ["expected the mask of its scene", "terrain_visible: expected what the passes show"]),
+        ("object_visible", ["no car or tree is in the way", "object_visible: expected what the passes show"]),
+    ],
+)
+def test_a_flipped_mask_is_found(dataset, mask, words):
+    lane = spoilt_lane(dataset)
+
+    def flipped(labels: Labels) -> Labels:
+        spoilt = line_to_spoil(labels)
+        return with_lane(labels, replace(spoilt, **{mask: ~getattr(spoilt, mask)}))
+
+    seal(dataset, relabel(SAMPLE, flipped))
+    report = check(dataset)
+    assert report.failed == [NAME]
+    assert all(word in reasons(report, NAME, lane) for word in words)
+
+
+def test_a_truncated_tar_is_found_with_the_samples_that_it_has_lost(dataset):
+    tar = dataset / "train/00000.tar"
+    last = max(offset + size for name, offset, size in walk(tar)[0] if name.startswith("00000002"))
+    with tar.open("r+b") as stream:
+        stream.truncate(last - 1000)
+    report = check(dataset)
+    assert {"train:00000002", "train:00000003", "train/00000.tar"} == set(report.failed)
+    assert "got a cut or changed tar" in reasons(report, "train:00000003", "")
+    assert report.n_samples == 2
+
+
+@pytest.mark.parametrize("has_passes", [True, False])
+def test_swapped_images_are_found(dataset, has_passes):
+    def swap(samples: dict[int, dict[str, bytes]]) -> None:
+        samples[1]["jpg"], samples[2]["jpg"] = samples[2]["jpg"], samples[1]["jpg"]
+
+    seal(dataset, swap)
+    if not has_passes:
+        drop_passes(dataset)
+    report = check(dataset)
+    assert report.failed == ["train:00000001", "train:00000002"]
+    assert all(problem.reason.startswith("image:") for problem in report.problems)
+
+
+def test_a_duplicated_key_is_found_in_the_index_and_in_the_tar(dataset):
+    parquet = dataset / "train/00000.parquet"
+    rows = pq.read_table(parquet)
+    pq.write_table(pa.concat_tables([rows, rows.slice(SAMPLE, 1)]), parquet)
+    assert "expected this key once in the index" in reasons(check(dataset), NAME, "")
+    pq.write_table(rows, parquet)
+    raw = Reader(f"{dataset}/train").raw(SAMPLE)
+    with (dataset / "train/00000.tar").open("r+b") as stream:
+        _, offset, size = walk(dataset / "train/00000.tar")[0][-1]
+        stream.seek(offset + size + -size % 512)
+        stream.write(tar_bytes("00000001", raw) + bytes(10240))
+    assert "once in" in reasons(check(dataset), NAME, "")
+
+
+def test_one_changed_byte_of_a_sample_is_found(dataset):
+    tar = dataset / "train/00000.tar"
+    offset = next(offset for name, offset, _ in walk(tar)[0] if name == "00000001.jpg")
+    data = bytearray(tar.read_bytes())
+    data[offset + 5000] ^= 1
+    tar.write_bytes(data)
+    report = check(dataset)
+    assert report.failed == [NAME]
+    assert "SHA-256" in reasons(report, NAME, "")
+
+
+def test_a_missing_sample_is_named(dataset):
+    seal(dataset, lambda samples: samples.pop(SAMPLE) and None)
+    assert check(dataset).problems == [Problem("train", "", "expected 4 samples, 1 missing: 00000001")]
+
+
+def test_a_scene_in_two_splits_is_found_whatever_its_index(dataset):
+    shutil.copytree(dataset / "train", dataset / "test")
+    path = dataset / "dataset.json"
+    document = json.loads(path.read_text())
+    document["splits"]["test"] = {"n": 1}
+    path.write_text(json.dumps(document))
+
+    def keep_third_as_first(samples: dict[int, dict[str, bytes]]) -> None:
+        third = samples[2]
+        third[SCENE] = json.dumps(json.loads(third[SCENE]) | {"split": "test", "index": 0}).encode()
+        samples.clear()
+        samples[0] = third
+
+    seal(dataset, keep_third_as_first, "test")
+    report = check(dataset)
+    assert report.problems == [Problem("test:00000000", "", "expected a scene of its own, got that of train:00000002")]
+
+
+def spoil_scene(samples: dict[int, dict[str, bytes]]) -> None:
+    samples[SAMPLE][SCENE] = json.dumps(json.loads(samples[SAMPLE][SCENE]) | {"index": 7}).encode()
+
+
+def spoil_image(samples: dict[int, dict[str, bytes]]) -> None:
+    image = decode_image(samples[SAMPLE]["jpg"], "")
+    samples[SAMPLE]["jpg"] = encode_image(image[:-2], "jpg")
+
+
+def pitch(labels: Labels) -> Labels:
+    return replace(labels, camera=replace(labels.camera, pitch_rad=labels.camera.pitch_rad + 0.01))
+
+
+def turned(labels: Labels) -> Labels:
+    lane = line_to_spoil(labels)
+    return with_lane(labels, replace(lane, xyz_cam=np.ascontiguousarray(lane.xyz_cam[::-1])))
+
+
+def without_neighbour(labels: Labels) -> Labels:
+    return with_lane(labels, replace(line_to_spoil(labels), left="main_99"))
+
+
+def twice_the_same_id(labels: Labels) -> Labels:
+    return replace(labels, lanes=(*labels.lanes, labels.lanes[0]))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (spoil_scene, "index: expected 1, got 7"),
+        (spoil_image, "expected 480x360 pixels, got 480x358"),
+        (relabel(SAMPLE, pitch), "camera.pitch_rad: expected"),
+        (relabel(SAMPLE, turned), "expected points from near to far"),
+        (relabel(SAMPLE, without_neighbour), "left: expected the id of a line of the other kind"),
+        (relabel(SAMPLE, twice_the_same_id), "expected lanes with ids of their own"),
+    ],
+)
+def test_what_does_not_fit_its_scene_or_schema_is_found(dataset, change: Change, words):
+    seal(dataset, change)
+    report = check(dataset)
+    assert report.failed == [NAME]
+    assert any(words in problem.line() for problem in report.problems)
+
+
+def test_labels_out_of_shape_are_found(dataset):
+    spoils = {
+        1: (lambda lane: lane["in_image"].pop(), "values in in_image, got"),
+        2: (lambda lane: lane["xyz_cam"][3].pop(), "labels.json: expected arrays of numbers"),
+        3: (lambda lane: lane.pop("marking"), "labels.json: not a labels file"),
+    }
+    reader, tar = Reader(f"{dataset}/train"), dataset / "train/00000.tar"
+    places = {name: (offset, size) for name, offset, size in walk(tar)[0]}
+    for index, (spoil, _) in spoils.items():
+        document = json.loads(reader.raw(index)[LABELS])
+        spoil(document["lanes"][0])
+        offset, size = places[f"{index:08d}.{LABELS}"]
+        with tar.open("r+b") as stream:
+            stream.seek(offset)
+            stream.write(json.dumps(document, separators=(",", ":")).encode().ljust(size))
+    # In processes of their own, where no shape checks of the tests step in before.
+    report = check(dataset, workers=2)
+    for index, (_, words) in spoils.items():
+        where = f"train:{index:08d}"
+        assert any(problem.where == where and words in problem.reason for problem in report.problems)
+
+
+def test_the_command_exits_with_1_names_faults_in_lines_and_leaves_a_picture(dataset):
+    from synth3dlanes_cli.main import main
+
+    clean = CliRunner().invoke(main, ["validate", str(dataset), "--workers", "2", "--json"])
+    assert clean.exit_code == 0
+    assert json.loads(clean.stdout)["problems"] == []
+    assert not (dataset / "validation").exists()
+    lane = spoilt_lane(dataset)
+    seal(dataset, relabel(SAMPLE, shifted))
+    result = CliRunner().invoke(main, ["validate", str(dataset), "--workers", "1"])
+    assert result.exit_code == 1
+    assert any(line.startswith(f"{NAME}: {lane}: ") for line in result.stdout.splitlines())
+    assert (dataset / "validation/train-00000001.png").stat().st_size > 10_000
+    assert CliRunner().invoke(main, ["validate", str(dataset), "--limit", "1"]).exit_code == 0
+    assert CliRunner().invoke(main, ["validate", str(dataset / "nowhere")]).exit_code == 2

@@ -1,0 +1,118 @@
+"""The measuring itself, on numbers and pictures whose answers are known."""
+
+from dataclasses import replace
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.scene import Scene
+from synth3dlanes.validate.findings import BAND_NAMES, Distribution, Measure
+from synth3dlanes.validate.image_proof import prove_image
+from synth3dlanes.validate.obstacles import check_objects
+from synth3dlanes.validate.paint import Paint
+from synth3dlanes.validate.structure import check_values
+from tests.scenes import FLAT, changed
+
+
+@given(st.lists(st.floats(1e-3, 1e3), min_size=20, max_size=200))
+def test_percentiles_of_counts_are_those_of_the_values_to_ten_per_cent(values):
+    found = Distribution()
+    array = np.array(values)
+    for part in np.array_split(array, 3):
+        found.add(Measure("x_m", np.full(len(part), 15.0), part))
+    numbers = found.summary(slice(1, 2))
+    assert numbers["n"] == len(values)
+    assert np.isclose(numbers["mean"], array.mean())
+    for name, q in (("median", 50), ("p95", 95), ("p99", 99)):
+        true = np.percentile(array, q, method="inverted_cdf")
+        assert true <= numbers[name] * (1 + 1e-9)
+        assert numbers[name] <= true * 1.1 * (1 + 1e-9)
+    assert found.summary(slice(2, len(BAND_NAMES)))["n"] == 0
+
+
+def rendered(labels):
+    return replace(
+        labels,
+        lanes=tuple(replace(lane, object_visible=np.ones(len(lane.xyz_cam), bool)) for lane in labels.lanes),
+    )
+
+
+def test_points_on_dashes_are_told_from_those_between_also_aside_of_the_line():
+    scene = changed(markings={"dash_cycle_m": 4.0, "dash_fraction": 0.5})
+    labels = ground_truth(scene)
+    lane = next(lane for lane in labels.lanes if lane.marking == "dashed")
+    for aside_m in (0.0, 0.5):
+        points_cam = lane.xyz_cam + np.array([aside_m, 0, 0])
+        y_m = scene.camera.y_m + np.arange(len(points_cam))
+        near = (np.arange(len(points_cam)) < 15) & (np.abs(np.mod(y_m, 2)) > 0.1)
+        resolved = Paint(scene).strip(labels.camera, lane, points_cam).resolved
+        np.testing.assert_array_equal(resolved[near], (np.mod(y_m, 4) < 2)[near])
+
+
+def test_across_is_to_the_right_and_the_normal_up():
+    labels = ground_truth(FLAT)
+    lane = labels.lanes[0]
+    strip = Paint(FLAT).strip(labels.camera, lane, lane.xyz_cam)
+    assert (strip.across_cam[:, 0] > 0.99).all()
+    assert (strip.normal_cam[:, 2] > 0.99).all()
+
+
+def painted_picture(scene: Scene, aside_m: float, paint: float, noise: float) -> np.ndarray:
+    """A road of gray 90 seen from the scene's camera, with solid lines `aside_m` right of their places."""
+    camera = scene.camera
+    v, u = np.mgrid[: camera.height_px, : camera.width_px] + 0.5
+    right, down = (u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px
+    c, s = np.cos(camera.pitch_rad), np.sin(camera.pitch_rad)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = camera.height_m / (c * down + s)
+        x_m = right * distance
+    image = 90 + np.random.default_rng(0).normal(0, noise, u.shape)
+    n, width_m = scene.road.n_lanes, scene.road.lane_width_m
+    middle_m = (camera.lane - (n + 1) / 2) * width_m
+    for j in range(n + 1):
+        place_m = (j - n / 2) * width_m - middle_m + aside_m
+        image[(np.abs(x_m - place_m) < scene.markings.width_m / 2) & (distance > 0)] = paint
+    return np.repeat(np.clip(image, 0, 255).astype(np.uint8)[..., None], 3, axis=2)
+
+
+def test_bright_and_dark_paint_is_found_in_place_and_aside():
+    scene = changed(markings={"dash_cycle_m": 4.5, "dash_fraction": 1.0})
+    labels = rendered(ground_truth(scene))
+    for paint in (200.0, 40.0):
+        findings, (measure,) = prove_image(Paint(scene), labels, painted_picture(scene, 0.0, paint, 8))
+        assert findings == []
+        assert len(measure.values) >= 2
+        assert measure.values.max() < 0.05
+        findings, (measure,) = prove_image(Paint(scene), labels, painted_picture(scene, 0.5, paint, 8))
+        assert len([finding for finding in findings if "+0.50 m aside" in finding.reason]) == len(measure.values) >= 2
+
+
+def test_an_image_without_any_paint_is_not_that_of_the_labels_and_no_line_is_blamed():
+    scene = changed(markings={"dash_fraction": 1.0})
+    findings, _ = prove_image(Paint(scene), rendered(ground_truth(scene)), painted_picture(scene, 0.0, 90.0, 8))
+    assert [finding.lane for finding in findings] == [""]
+
+
+def test_ground_truth_passes_its_own_check(hilly_scene):
+    labels = rendered(ground_truth(hilly_scene))
+    assert list(check_values(hilly_scene, labels)) == []
+
+
+def test_points_seen_through_a_car_and_points_hidden_by_nothing_are_faults():
+    from synth3dlanes.scene import Car
+
+    car = Car(model=6, scale=1.0, color=(1, 1, 1), gloss=0.5, lane="main_2", s_m=-35.0)
+    scene = FLAT.model_copy(update={"cars": (car,)})
+    labels = rendered(ground_truth(scene))
+    host = "main_2"
+    through = {finding.lane for finding in check_objects(scene, labels)}
+    assert host in through
+    far = {lane.id: lane.xyz_cam[:, 1] > 17 for lane in labels.lanes}
+    hidden = replace(
+        labels,
+        lanes=tuple(replace(lane, object_visible=~far[lane.id] | (lane.id != host)) for lane in labels.lanes),
+    )
+    assert host not in {finding.lane for finding in check_objects(scene, hidden)}
+    assert "no car or tree" in next(iter(check_objects(FLAT, hidden))).reason
