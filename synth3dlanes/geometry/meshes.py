@@ -20,7 +20,7 @@ BEHIND_M = 300.0
 ROAD_BEHIND_M = 30.0
 ROAD_AHEAD_M = 420.0
 PAINT_AHEAD_M = 250.0
-LANE_COLUMNS = 4
+LANE_COLUMNS, SHOULDER_COLUMNS = 4, 4
 ROAD, SHOULDER = 0, 1
 # Paint floats over the road by more than the road's faces can rise between their rows, which are longer far away.
 PAINT_LIFT_M = (0.003, 0.004, 0.012, 0.05, 0.15)
@@ -118,27 +118,29 @@ def _grid(vertices: Float[np.ndarray, "r c 3"], uv: Float[np.ndarray, "r c 2"], 
     return Mesh(vertices.reshape(-1, 3), faces, uv.reshape(-1, 2), material)
 
 
-def _columns(half_m: float, edge_m: float, n_lanes: int) -> tuple[Values, np.ndarray]:
+def _columns(half_m: float, edge_m: float, n_lanes: int) -> tuple[Values, Int[np.ndarray, " m"]]:
+    """Offsets across a pavement whose lanes end at +-half_m and whose shoulders at +-edge_m, and faces' materials."""
+    shoulder = np.linspace(half_m, edge_m, SHOULDER_COLUMNS + 1)[1:]
     lanes = np.linspace(-half_m, half_m, n_lanes * LANE_COLUMNS + 1)
-    material = np.full(len(lanes) + 1, ROAD)
-    material[[0, -1]] = SHOULDER
-    return np.concatenate([[-edge_m], lanes, [edge_m]]), material
+    material = np.full(len(lanes) - 1 + 2 * SHOULDER_COLUMNS, ROAD)
+    material[:SHOULDER_COLUMNS] = material[-SHOULDER_COLUMNS:] = SHOULDER
+    return np.concatenate([-shoulder[::-1], lanes, shoulder]), material
 
 
 def _main_mesh(ground: Ground, s: Values) -> Mesh:
-    plan = ground.plan
+    plan, k = ground.plan, SHOULDER_COLUMNS
     t, column_material = _columns(ground.edge_m - plan.shoulder_m, ground.edge_m, plan.n_lanes)
     right = ground.main_right_edge(s)[:, None]
-    offsets = np.minimum(t[None, :-1], right - plan.shoulder_m)
-    offsets = np.concatenate([offsets, right], axis=1)
+    lanes = np.minimum(t[:-k], right - plan.shoulder_m)
+    offsets = np.concatenate([lanes, t[-k:] - ground.edge_m + right], axis=1)
     stations = np.broadcast_to(s[:, None], offsets.shape)
     xy = plan.main_xy(stations, offsets)
     material = np.tile(column_material, (len(s) - 1, 1))
     if plan.has_exit:
         # Where the exit's lanes still lie over the main shoulder, that shoulder is road.
-        middle = (xy[:-1, -2:].mean(axis=1) + xy[1:, -2:].mean(axis=1)) / 2
-        se, te = plan.project_exit(middle, (s[:-1] + s[1:]) / 2)
-        material[(se >= 0) & (np.abs(te) < plan.exit_half_m), -1] = ROAD
+        middle = (xy[:-1, -k - 1 : -1] + xy[:-1, -k:] + xy[1:, -k - 1 : -1] + xy[1:, -k:]) / 4
+        se, te = plan.project_exit(middle, np.broadcast_to((s[:-1, None] + s[1:, None]) / 2, middle.shape[:2]))
+        material[:, -k:][(se >= 0) & (np.abs(te) < plan.exit_half_m)] = ROAD
     return _grid(plan.lift(xy), np.stack([offsets, stations], -1) * plan.flips, material)
 
 
