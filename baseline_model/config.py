@@ -200,7 +200,11 @@ IMPROVED = COMPACT.model_copy(
     }
 )
 IMPROVED_AUGMENTATION = Augmentation(pitch_deg=1.0, yaw_deg=2.0, top_shift_m=0.64, top_yaw_deg=3.0)
+OUR_LOSS = LossConfig(detection=20.0)
+"""The far knots' metres outweigh Eq. 1's confidence term a hundredfold: with equal weights six images took over 200
+steps to AP 0.9, with 20 they took 50 to AP 1. `paper` keeps the equal weights."""
 IMPROVED_LOSS = LossConfig(
+    detection=20.0,
     knot_sigma_m=(0.08, 0.09, 0.095, 0.10, 0.14, 0.18, 0.25, 0.32, 0.55, 0.9),
     geometry=0.25,
     supervise_occluded=True,
@@ -244,17 +248,11 @@ def train_config(model: str, overrides: dict[str, Any] | None = None, ablation: 
     ]
     if problems:
         raise ParamsError(*problems)
-    document: dict[str, Any] = {"model": {**MODELS[model].model_dump(), **ABLATIONS[ablation]}}
+    document = _defaults(model)
+    document["model"] |= ABLATIONS[ablation]
     if ablation == "no_supervision":
-        document |= {"loss": {"pose": 0.0}, "label_pose_fraction": 0.0}
-    if model in ("paper", "tusimple"):
-        document |= {"optimizer": "adam", "schedule": "cyclic", "learning_rate": 5e-4, "weight_decay": 0.0, "batch": 64}
-    if model == "improved":
-        document |= {"loss": IMPROVED_LOSS.model_dump(), "augmentation": IMPROVED_AUGMENTATION.model_dump()}
-        # The warp's plane always jitters about the label's, and the lanes are stated on the jittered plane.
-        document |= {"target_frame": "grid", "label_pose_fraction": 1.0, "label_pose_noise_deg": 0.3}
-    if model == "tusimple":
-        document |= {"loss": {"kinds": ("delimiter",)}}
+        document["label_pose_fraction"] = 0.0
+        document["loss"]["pose"] = 0.0
     for key, value in (overrides or {}).items():
         _set(document, key.split("."), value)
     return parse(TrainConfig, document, "train")
@@ -267,6 +265,20 @@ def parse(kind: type[Config], document: dict[str, Any] | str, where: str) -> Con
     except ValidationError as error:
         lines = [f"{where}.{'.'.join(map(str, p['loc']))}: {p['msg']}, got {p['input']!r:.60}" for p in error.errors()]
         raise ParamsError(*lines) from None
+
+
+def _defaults(model: str) -> dict[str, Any]:
+    """How the named model is trained: `paper` as in the paper where it says so, ours as they learn best."""
+    document: dict[str, Any] = {"model": MODELS[model].model_dump(), "loss": OUR_LOSS.model_dump()}
+    if model in ("paper", "tusimple"):
+        document |= {"optimizer": "adam", "schedule": "cyclic", "learning_rate": 5e-4, "weight_decay": 0.0, "batch": 64}
+        kinds = ("delimiter",) if model == "tusimple" else ("centerline", "delimiter")
+        document["loss"] = LossConfig(kinds=kinds).model_dump()
+    if model == "improved":
+        document |= {"loss": IMPROVED_LOSS.model_dump(), "augmentation": IMPROVED_AUGMENTATION.model_dump()}
+        # The warp's plane always jitters about the label's, and the lanes are stated on the jittered plane.
+        document |= {"target_frame": "grid", "label_pose_fraction": 1.0, "label_pose_noise_deg": 0.3}
+    return document
 
 
 def overrides_from(texts: Sequence[str]) -> dict[str, Any]:

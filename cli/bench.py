@@ -57,7 +57,9 @@ def bench(
     from synth3dlanes.settings import RenderSettings
 
     stored = json.loads(against.read_text()) if against else None
-    recipe, seats = settle(Recipe(load_params(source, changes), 0, "bench", RenderSettings(samples, passes, device), "jpg"))
+    recipe, seats = settle(
+        Recipe(load_params(source, changes), 0, "bench", RenderSettings(samples, passes, device), "jpg")
+    )
     with Console(stderr=True).status("warming up") as status:
         found = measuring.bench(recipe, n, workers or seats.workers, list(seats.masks), status.update)
         if quality:

@@ -60,7 +60,7 @@ class PartOf(click.ParamType):
 
 @click.command()
 @click.option("--n", type=click.IntRange(min=1), required=True, help="How many samples the split is to hold.")
-@click.option("--out", metavar="DIR", type=click.Path(path_type=Path), required=True, help="The data set.")
+@click.option("--out", metavar="DIR", required=True, help="The data set; with Ray also a URL such as s3://lanes/v1.")
 @split_option
 @seed_option
 @params_option
@@ -70,14 +70,15 @@ class PartOf(click.ParamType):
 @samples_option
 @passes_option
 @click.option("--image-format", type=click.Choice(["jpg", "png"]), default="jpg", help="jpg is of quality 95.")
-@click.option("--executor", type=click.Choice(["local"]), default="local", help="Where the workers run.")
+@click.option("--executor", type=click.Choice(["local", "ray"]), default="local", help="Where the workers run.")
+@click.option("--address", default="auto", help="Of the Ray cluster; auto: the one that this machine belongs to.")
 @click.option("--part", metavar="I/N", type=PartOf(), default="1/1", help="Make the i-th of n parts, one per machine.")
 @json_option
 @click.pass_context
 def generate(
     ctx: click.Context,
     n: int,
-    out: Path,
+    out: str,
     split: str,
     seed: int,
     source: str,
@@ -88,6 +89,7 @@ def generate(
     passes: tuple[str, ...],
     image_format: str,
     executor: str,
+    address: str,
     part: tuple[int, int],
     as_json: bool,
 ) -> None:
@@ -96,15 +98,15 @@ def generate(
     Run it again: it resumes where it was stopped, however that was; a larger N extends the split. Ctrl-C lets the
     samples at hand finish.
     """
+    from synth3dlanes.executors import generate as run
     from synth3dlanes.generate import Recipe
     from synth3dlanes.params import load_params
     from synth3dlanes.run import Plan
-    from synth3dlanes.run import generate as run
     from synth3dlanes.settings import RenderSettings
 
     recipe = Recipe(load_params(source, changes), seed, split, RenderSettings(samples, passes, device), image_format)
     with _progress() as notify:
-        report = run(Plan(out, n, recipe, workers, part), notify)
+        report = run(Plan(Path(out), n, recipe, workers, part), out, executor, address, notify)
     if report.problem:
         click.echo(report.problem, err=True)
     if as_json:

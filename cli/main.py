@@ -3,6 +3,8 @@
 Imports nothing heavy: every command imports what it needs when it runs.
 """
 
+import os
+import sys
 from typing import IO, Any
 
 import click
@@ -14,10 +16,11 @@ from synth3dlanes.errors import FormatError, ParamsError
 from .bench import bench
 from .export import export
 from .generate import generate
-from .look import gallery, inspect
+from .look import gallery, inspect, report
 from .model import ablation, evaluate, onnx, predict, train
 from .params import params
 from .scenes import render, sample
+from .stats import stats
 from .validate import validate
 
 
@@ -61,7 +64,23 @@ def main() -> None:
 
 
 for command in (
-    *(generate, sample, render, inspect, gallery, params, export, validate, bench),
+    *(generate, sample, render, inspect, gallery, report, stats, params, export, validate, bench),
     *(train, predict, evaluate, ablation, onnx),
 ):
     main.add_command(command)
+
+
+def run() -> None:
+    """The program: `main`, and an exit that does not wait for Blender, which may hang or crash in an orderly one."""
+    try:
+        main()
+    except SystemExit as leaving:
+        if "bpy" not in sys.modules or not isinstance(leaving.code, int):
+            raise
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(leaving.code)
+
+
+if __name__ == "__main__":
+    run()

@@ -1,17 +1,17 @@
 """`synth3dlanes validate`: is a data set whole, and do its labels fit its pixels?"""
 
 import json
-import os
 from pathlib import Path
 
 import click
 
+from .generate import Workers
 from .options import json_option
 
 
 @click.command()
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-@click.option("--workers", type=click.IntRange(min=0), default=0, help="Processes; 0: one per core.")
+@click.option("--workers", metavar="N|auto", type=Workers(), default="auto", help="Processes; auto: one per core.")
 @click.option("--limit", metavar="N", type=click.IntRange(min=0), help="Check N samples of each split, not all.")
 @json_option
 @click.pass_context
@@ -31,7 +31,7 @@ def validate(ctx: click.Context, folder: Path, workers: int, limit: int | None, 
         task = bar.add_task("", total=None)
         report = check(
             folder,
-            workers or os.cpu_count() or 1,
+            workers,
             limit,
             lambda done, total: bar.update(task, completed=done, total=total),
         )

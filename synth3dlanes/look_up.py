@@ -4,19 +4,22 @@ Reads files; no Blender.
 """
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 
+import fsspec
 import numpy as np
 from jaxtyping import UInt8
+from pydantic import ValidationError
 
-from synth3dlanes.dataset.folder import read_description
-from synth3dlanes.dataset.format import Sample, decode_image
+from synth3dlanes.dataset.format import SCENE, Sample, decode_image
+from synth3dlanes.dataset.query import rows_where
 from synth3dlanes.dataset.read import Reader, find
-from synth3dlanes.errors import FormatError
+from synth3dlanes.errors import FormatError, ParamsError
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
+from synth3dlanes.params import Params
 from synth3dlanes.scene import Scene, from_json
 
 
@@ -50,12 +53,48 @@ def load_any(where: str, image_path: Path | None) -> Found:
     return Found(scene_name(Path(where)), scene, ground_truth(scene), image)
 
 
-def some_samples(folder: str, n: int, shuffle: int | None) -> list[Sample]:
-    """The first `n` samples of a split, or `n` at random by a seed; of a data set's first split where none is named."""
-    if (Path(folder) / "dataset.json").exists():
-        folder = f"{folder}/{next(iter(read_description(Path(folder))['splits']))}"
-    elif "://" not in folder and not Path(folder).is_dir():
+def readers(folder: str) -> list[Reader]:
+    """Readers of every split of a data set that has finished shards, or of the one split that is named."""
+    files, root = fsspec.core.url_to_fs(folder)
+    if not files.isdir(root):
         raise FormatError(f"{folder}: expected a data set or one of its splits, got no folder")
-    reader = Reader(folder)
-    samples = iter(reader) if shuffle is None else reader.shuffled(shuffle)
-    return list(islice(samples, n))
+    if not files.exists(f"{root}/dataset.json"):
+        return [Reader(folder)]
+    splits = sorted({path.rsplit("/", 2)[-2] for path in files.glob(f"{root}/*/*.parquet")})
+    if not splits:
+        raise FormatError(f"{folder}: expected finished shards (SPLIT/00000.parquet), got none")
+    return [Reader(f"{folder.rstrip('/')}/{split}") for split in splits]
+
+
+def spread(found: Sequence[Reader], n: int) -> list[tuple[Reader, int]]:
+    """At most `n` samples, evenly over all splits: where each is to be read."""
+    places = [(reader, i) for reader in found for i in range(len(reader))]
+    count = min(n, len(places))
+    return [places[number * len(places) // count] for number in range(count)]
+
+
+def read_scene(reader: Reader, i: int) -> Scene:
+    """The scene of one sample; nothing else of it is read."""
+    return from_json(reader.member(i, SCENE), f"{reader.url}:{reader.key(i)}")
+
+
+def params_of(reader: Reader) -> Params:
+    """The parameters that a data set was drawn from."""
+    try:
+        return Params.model_validate(reader.description["params"])
+    except (KeyError, ValidationError) as error:
+        raise FormatError(f"{reader.url}: expected all parameters in dataset.json, got {error}") from None
+
+
+def some_samples(folder: str, n: int, shuffle: int | None, where: str | None) -> list[Sample]:
+    """The first `n` samples of a split, or `n` at random by a seed, of those that `where` selects by the index.
+
+    Of a data set, its first split is taken. Raises ParamsError where no sample is left.
+    """
+    reader = readers(folder)[0]
+    chosen = np.arange(len(reader)) if where is None else rows_where(reader.index, where)
+    if not len(chosen):
+        raise ParamsError(f"--where {where}: expected a sample of {reader.url} that fits, got none of {len(reader)}")
+    if shuffle is not None:
+        chosen = np.random.default_rng(shuffle).permutation(chosen)
+    return [reader[int(i)] for i in chosen[:n]]

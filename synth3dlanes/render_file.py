@@ -1,6 +1,10 @@
 """scene.json -> image, labels and passes as files. Imports bpy."""
 
-from collections.abc import Sequence
+import ctypes
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from synth3dlanes.blender.render import render
@@ -28,9 +32,25 @@ def render_file(
     if changes and image_path.with_suffix(f".{SCENE}").resolve() == scene_path.resolve():
         raise ParamsError(f"--out {image_path}: would overwrite {scene_path} with the changed scene; name another")
     image_path.parent.mkdir(parents=True, exist_ok=True)
-    rendering = render(scene, ground_truth(scene), settings)
+    with _blender_silent():
+        rendering = render(scene, ground_truth(scene), settings)
     members = encode(rendering.image, rendering.labels, to_json(scene), rendering.passes, image_format)
     files = {image_path.with_suffix(f".{name}"): data for name, data in members.items() if changes or name != SCENE}
     for path, data in files.items():
         path.write_bytes(data)
     return list(files)
+
+
+@contextmanager
+def _blender_silent() -> Iterator[None]:
+    """Blender writes every step of a render to stdout, past Python, where our own result is to stand alone."""
+    sys.stdout.flush()
+    stdout, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    try:
+        yield
+    finally:
+        ctypes.CDLL(None).fflush(None)
+        os.dup2(stdout, 1)
+        os.close(stdout)
+        os.close(nowhere)

@@ -16,16 +16,13 @@ meet: they may share a folder (each shard has its lock) or have their folders co
 import math
 import re
 import shutil
-import signal
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from threading import current_thread, main_thread
-from types import FrameType
 from typing import Any
 
 from synth3dlanes.dataset.folder import claim
@@ -35,6 +32,7 @@ from synth3dlanes.errors import ParamsError
 from synth3dlanes.generate import Made, Recipe, make_part, make_sample, scene_json
 from synth3dlanes.machine import Seats, n_cores, settle
 from synth3dlanes.progress import Event, Forecast, Meter, forecast, open_log
+from synth3dlanes.signals import stopping_on_signals
 from synth3dlanes.workers import DISK_FULL, Limits, Outcome, Pool
 
 SHARD_SIZE = 1000
@@ -76,6 +74,19 @@ class Plan:
         part, parts = self.part
         return list(range(part - 1, math.ceil(self.n / self.shard_size), parts))
 
+    def only(self, number: int) -> "Plan":
+        """The plan for one shard alone."""
+        return replace(self, part=(number + 1, math.ceil(self.n / self.shard_size)))
+
+    def layout(self, root: Path) -> dict[int, Shard]:
+        """This part's shards by number, in the data set at `root`."""
+        folder = root / self.recipe.split
+        return {number: Shard(folder, number, self.shard_size, self.recipe.names) for number in self.shards()}
+
+    def description(self) -> dict[str, Any]:
+        """What `dataset.json` says about the recipe and the layout."""
+        return {**self.recipe.description(), "shard_size": self.shard_size}
+
     def n_workers(self, n_tasks: int) -> int:
         """How many workers there is work and room for."""
         return max(1, min(self.workers or n_cores(), n_tasks))
@@ -110,8 +121,7 @@ def generate(plan: Plan, notify: Callable[[Event], None]) -> Report:
     if plan.maker is make_sample:
         recipe, seats = settle(plan.recipe)
         plan = replace(plan, recipe=recipe, seats=seats, workers=plan.workers or seats.workers)
-    recipe = {**plan.recipe.description(), "shard_size": plan.shard_size}
-    with claim(plan.out, recipe, plan.recipe.split, plan.n, plan.shards()) as folder:
+    with claim(plan.out, plan.description(), plan.recipe.split, plan.n, plan.shards()) as folder:
         return _Run(plan, folder, notify).go()
 
 
@@ -121,7 +131,7 @@ class _Run:
     def __init__(self, plan: Plan, folder: Path, notify: Callable[[Event], None]) -> None:
         self.plan = plan
         self.notify = notify
-        self.shards = {k: Shard(folder, k, plan.shard_size, plan.recipe.names) for k in plan.shards()}
+        self.shards = plan.layout(plan.out)
         missing = {number: shard.missing(plan.n) for number, shard in self.shards.items()}
         self.left = {number: len(indices) for number, indices in missing.items()}
         self.todo = deque(("make", index) for indices in missing.values() for index in indices)
@@ -162,7 +172,7 @@ class _Run:
     def _loop(self) -> None:
         n_workers = self.plan.n_workers(len(self.todo))
         workers = Pool(n_workers, self.plan.limits, masks=self.plan.seats.masks)
-        with self._signals(), ThreadPoolExecutor(1) as self.joiner, workers as pool:
+        with stopping_on_signals(self._interrupt), ThreadPoolExecutor(1) as self.joiner, workers as pool:
             self.joins: dict[int, Future[list[int]]] = {}
             for number, shard in self.shards.items():
                 if not self.left[number] and shard.needs_join(self.plan.n):
@@ -272,25 +282,9 @@ class _Run:
                 f"--out {self.plan.out}: expected {needed:.3g} GB free for {len(self.todo)} samples, got {there:.3g} GB"
             )
 
-    @contextmanager
-    def _signals(self) -> Iterator[None]:
-        """The first SIGINT or SIGTERM stops the run in order, the second at once."""
-
-        def stop(number: int, _: FrameType | None) -> None:
-            if self.interrupted:
-                raise KeyboardInterrupt
-            self.interrupted = True
-            self.stop_by = time.monotonic() + GRACE_S
-
-        if current_thread() is not main_thread():
-            yield
-            return
-        before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
-        try:
-            yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
+    def _interrupt(self) -> None:
+        self.interrupted = True
+        self.stop_by = time.monotonic() + GRACE_S
 
     def _tell(self, kind: str, message: str, **details: Any) -> None:
         event = self.meter.event(kind, message, details)

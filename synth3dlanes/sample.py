@@ -33,7 +33,7 @@ from synth3dlanes.scene import (
 DECIMALS = 6
 CAR_GAP_M = (1.0, 0.3)
 HOST_SIZE_M = (5.0, 2.0)
-TRIES = 2000
+TRIES = 300
 # A camera for the bare road, until the host's is drawn: its lane depends on the lanes that there are.
 NO_CAMERA = Camera(
     lane=1, y_m=-50, offset_m=0, height_m=1.5, pitch_rad=0, width_px=8, height_px=8, fx_px=8, fy_px=8, cx_px=4, cy_px=4

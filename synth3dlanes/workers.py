@@ -24,7 +24,7 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, Pipe, wait
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any, Literal
+from typing import Any, Literal
 
 import psutil
 
@@ -103,7 +103,7 @@ class Pool:
         for slot in range(self.n):
             self._retire(slot)
         for lease in self._leases:
-            lease.close()
+            os.close(lease)
         self._scratch.cleanup()
 
     @property
@@ -192,16 +192,18 @@ class Pool:
             worker.pipe.close()
 
 
-def _lease(n: int, cores: Sequence[int]) -> tuple[list[IO[bytes]], list[int]]:
-    """Locks on up to `n` cores that no other pool on this machine has, and all cores in the order to pin workers to."""
-    leases: dict[int, IO[bytes]] = {}
+def _lease(n: int, cores: Sequence[int]) -> tuple[list[int], list[int]]:
+    """Locks (descriptors) on up to `n` cores that no other pool on this machine has, and all cores in the order to pin
+    workers to."""
+    leases: dict[int, int] = {}
     for core in cores:
-        lease = Path(tempfile.gettempdir(), f"synth3dlanes-{os.getuid()}-core-{core}").open("ab")
+        path = Path(tempfile.gettempdir(), f"synth3dlanes-{os.getuid()}-core-{core}")
+        lease = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
         try:
             fcntl.flock(lease, fcntl.LOCK_EX | fcntl.LOCK_NB)
             leases[core] = lease
         except BlockingIOError:
-            lease.close()
+            os.close(lease)
         if len(leases) == n:
             break
     return list(leases.values()), [*leases, *(core for core in cores if core not in leases)]

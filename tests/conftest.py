@@ -1,6 +1,8 @@
 """What all tests share. Our packages are imported inside fixtures, or the shape checks would miss them."""
 
 import importlib.util
+import os
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,7 @@ from hypothesis import settings
 settings.register_profile("house", deadline=None, derandomize=True)
 settings.load_profile("house")
 
+EXIT_STATUS = pytest.StashKey[int]()
 collect_ignore_glob = [] if importlib.util.find_spec("torch") else ["baseline/*"]
 
 
@@ -20,6 +23,20 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         for item in items:
             if item.get_closest_marker("render"):
                 item.add_marker(pytest.mark.skip(reason="there is no bpy for this Python"))
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
+    session.config.stash[EXIT_STATUS] = exitstatus
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """Blender may hang or crash in an orderly exit, long after the last test."""
+    if "bpy" in sys.modules:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(config.stash.get(EXIT_STATUS, 1))
 
 
 @pytest.fixture

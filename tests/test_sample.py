@@ -11,7 +11,7 @@ from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import sample_scene
 
-N = 600
+N = 400
 # With some 40 tests of uniformity, a true null falls below this once in 250 runs; the draws are fixed, so never here.
 P_VALUE = 1e-4
 
@@ -109,7 +109,7 @@ def test_the_host_stands_in_every_lane_present_alike(scenes):
     places = [(s.camera.lane - 0.5) / lanes_present(RoadPlan(s), s.camera.y_m) for s in scenes]
     assert min(places) > 0
     assert max(places) < 1
-    assert np.mean(places) == pytest.approx(0.5, abs=0.04)
+    assert np.mean(places) == pytest.approx(0.5, abs=0.05)
 
 
 def test_groups_have_streams_of_their_own(params):

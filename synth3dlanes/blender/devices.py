@@ -8,7 +8,7 @@ from synth3dlanes.devices import Device, choose
 
 
 def found_devices() -> tuple[Device, ...]:
-    """Everything that Cycles finds on this machine. They show up only once asked for, GPU drivers being what they are."""
+    """Everything that Cycles finds on this machine; GPUs show up only once asked for."""
     preferences = _preferences()
     preferences.refresh_devices()
     return tuple(Device(device.type.lower(), device.name) for device in preferences.devices)

@@ -1,6 +1,6 @@
 """Where the time of a render goes, from what Cycles tells of itself while it works (bpy.app.handlers.render_stats).
 
-Cycles tells what it begins, so a stage lasts until the next begins; measured on one thread, the marks cost microseconds.
+Cycles tells what it begins, so a stage lasts until the next begins. The marks themselves cost microseconds.
 """
 
 import time

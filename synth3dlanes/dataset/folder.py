@@ -11,13 +11,23 @@ from synth3dlanes.dataset.format import DATASET_FORMAT, DATASET_VERSION, parse_d
 from synth3dlanes.dataset.write import write_whole
 from synth3dlanes.errors import FormatError, ParamsError
 
+# Besides its own byte, a shard has one for the process that has the shard made by others.
+DRIVER_LOCKS = 1 << 40
+
+
+class Claimed(ParamsError):
+    """Another run holds a shard."""
+
 
 @contextmanager
-def claim(root: Path, recipe: dict[str, Any], split: str, n: int, shards: Iterable[int]) -> Iterator[Path]:
+def claim(
+    root: Path, recipe: dict[str, Any], split: str, n: int, shards: Iterable[int], is_driver: bool = False
+) -> Iterator[Path]:
     """Make or enter a dataset folder and hold the lock on some of a split's shards; yields the split's folder.
 
     Raises ParamsError where the folder cannot be written, holds another recipe's samples, or another run holds one of
-    these shards. The locks go when this process does, however it ends.
+    these shards. The locks go when this process does, however it ends. A driver's locks keep other drivers out, and
+    leave each shard to the process that makes it.
     """
     folder = root / split
     with ExitStack() as stack:
@@ -30,16 +40,16 @@ def claim(root: Path, recipe: dict[str, Any], split: str, n: int, shards: Iterab
         except OSError as error:
             raise ParamsError(f"--out {root}: expected a folder to write to, got {error}") from None
         for shard in shards:
-            _lock(locks, shard, root)
+            _lock(locks, shard, DRIVER_LOCKS * is_driver, root)
         yield folder
 
 
-def _lock(locks: IO[bytes], shard: int, root: Path) -> None:
+def _lock(locks: IO[bytes], shard: int, first: int, root: Path) -> None:
     """One byte of the lock file stands for a shard. The lock is POSIX's: it works on network file systems too."""
     try:
-        fcntl.lockf(locks, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, shard)
+        fcntl.lockf(locks, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, first + shard)
     except (BlockingIOError, PermissionError):
-        raise ParamsError(f"--out {root}: expected no other run on it, got one that is making shard {shard}") from None
+        raise Claimed(f"--out {root}: expected no other run on it, got one that is making shard {shard}") from None
 
 
 def _enter(root: Path, recipe: dict[str, Any], split: str, n: int) -> None:

@@ -1,1 +1,25 @@
-"""Executors of shards beyond this machine."""
+"""Where a plan is carried out: on this machine, or on a Ray cluster."""
+
+import importlib.util
+from collections.abc import Callable
+
+from synth3dlanes import run
+from synth3dlanes.errors import ParamsError
+from synth3dlanes.executors.store import is_url
+from synth3dlanes.progress import Event
+from synth3dlanes.run import Plan, Report
+
+EXECUTORS = ("local", "ray")
+
+
+def generate(plan: Plan, out: str, executor: str, address: str, notify: Callable[[Event], None]) -> Report:
+    """`run.generate` with either executor; `out` may be a URL that fsspec knows where Ray makes the samples."""
+    if executor == "local":
+        if is_url(out):
+            raise ParamsError(f"--out: expected a folder, or --executor ray, which writes to URLs; got {out}")
+        return run.generate(plan, notify)
+    if importlib.util.find_spec("ray") is None:
+        raise ParamsError("--executor ray: expected Ray, got none: pip install 'synth3dlanes[cluster]'")
+    from synth3dlanes.executors.ray import generate_on_ray
+
+    return generate_on_ray(plan, out if is_url(out) else "", address, notify)

@@ -44,6 +44,13 @@ def is_fine(parameter: ParameterStatistics) -> bool:
     return parameter.outside == 0 and (parameter.p_value is None or parameter.p_value >= DOUBTFUL_P)
 
 
+def verdict(scenes: SceneStatistics) -> str:
+    """One line: how many parameters are as declared, and which are not."""
+    bad = [row.key for row in scenes.parameters if not is_fine(row)]
+    fine = f"{len(scenes.parameters) - len(bad)} of {len(scenes.parameters)} parameters as declared"
+    return f"{fine}; not: {', '.join(bad)}" if bad else fine
+
+
 def draw_statistics(scenes: SceneStatistics, labels: LabelStatistics | None) -> Figure:
     """One page of histograms: what the labels show, then every parameter that varies over its declared range."""
     measured: Mapping[str, Float[np.ndarray, " _"]] = {} if labels is None else labels.measured

@@ -73,7 +73,7 @@ def prove_image(paint: Paint, labels: Labels, image: UInt8[np.ndarray, "h w 3"])
         findings.append(
             Finding("", f"image: expected paint under its delimiters, got it under {in_place} of {n} profiles")
         )
-    clear = [line for line in lines if line.verdict != "unclear"]
+    clear = [line for line in lines if line.verdict != "unclear" and line.ridge >= CONTRAST]
     y_m, ridges_m = np.array([[line.y_m, abs(line.ridge_m)] for line in clear]).reshape(-1, 2).T
     return findings, [Measure("image_ridge_m", y_m, ridges_m)]
 

@@ -7,11 +7,14 @@ it is seen from the sixteen: where these disagree, an edge is less than two pixe
 from collections.abc import Iterator, Mapping
 
 import numpy as np
-from jaxtyping import Bool, Float, Integer, Shaped
+from jaxtyping import Bool, Float, Int, Integer, Shaped
+from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
+from synth3dlanes.geometry import height_map
 from synth3dlanes.geometry.camera import project
-from synth3dlanes.labels import Labels, Lane
+from synth3dlanes.geometry.transforms import transform
+from synth3dlanes.labels import CameraLabel, Labels, Lane
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.findings import PROOF_M, Finding, Measure
 from synth3dlanes.validate.paint import Paint, Strip
@@ -19,21 +22,25 @@ from synth3dlanes.validate.paint import Paint, Strip
 # A fault of labels is a line's, not a point's: a line fails where more than this share of its points, and more than
 # one, is off; single ones, such as on the foot of a car, are left to the distributions.
 MAX_SHARE, MAX_SINGLE = 0.1, 1
-# Spec section 4.
-LIMITS = {"paint_px": (1.0, "px of the paint"), "surface_m": (0.02, "m of the rendered surface")}
+# Spec section 4; the height map is interpolated between cells 0.4 m apart.
+LIMITS = {
+    "paint_px": (1.0, "px of the paint"),
+    "surface_m": (0.02, "m of the rendered surface"),
+    "height_m": (0.05, "m of the height map"),
+}
 MASKS = ("terrain_visible", "object_visible")
 # Pixels that differ by more in depth belong to two surfaces, or to one seen at too flat an angle to interpolate.
 SMOOTH = 1.2
 # Nearer than a point by this much hides it: more than a pixel's depth on the point's own surface would not differ.
 NEARER, NEARER_M = 0.985, 0.05
 
-Passes = Mapping[str, Shaped[np.ndarray, "h w ..."]]
+Passes = Mapping[str, Shaped[np.ndarray, "..."]]
 Pixels = Float[np.ndarray, "n 2"]
-Values = Float[np.ndarray, " n"]
+Places = Int[np.ndarray, "k n"]
 
 
 def prove_passes(paint: Paint, labels: Labels, passes: Passes) -> tuple[list[Finding], list[Measure]]:
-    """Faults of lines by whichever of depth and semantic there are, and every value measured on the way."""
+    """Faults of lines by whichever of depth, semantic and height there are, and every value measured on the way."""
     findings: list[Finding] = []
     measures: list[Measure] = []
     for lane in labels.lanes:
@@ -45,7 +52,9 @@ def prove_passes(paint: Paint, labels: Labels, passes: Passes) -> tuple[list[Fin
         if "depth" in passes:
             found += _surface(lane, strip, uv, passes)
         if "depth" in passes and "semantic" in passes:
-            found += _sight(lane, uv, passes)
+            found += _sight(labels.camera, lane, strip, uv, passes)
+        if "height" in passes and lane.road == "main":
+            found.append(_height(labels.camera, lane, passes["height"]))
         measures += found
         findings += [finding for measure in found for finding in _judge(lane.id, measure)]
     return findings, _joined(measures)
@@ -85,28 +94,40 @@ def _paint(lane: Lane, strip: Strip, uv: Pixels, semantic: Integer[np.ndarray, "
 def _surface(lane: Lane, strip: Strip, uv: Pixels, passes: Passes) -> list[Measure]:
     """How far the rendered surface is from each seen point: along the line of sight, and along its own normal. At a
     crest one pixel spans metres of depth, so the first would judge the interpolation."""
-    inverse, (fx, fy) = _around(1 / passes["depth"], uv, 1)
+    rows, columns = _around(uv, passes["depth"].shape, 1)
+    fx, fy = uv[:, 0] - 0.5 - columns[0], uv[:, 1] - 0.5 - rows[0]
+    inverse = 1 / passes["depth"][rows, columns]
     with np.errstate(divide="ignore", invalid="ignore"):
         smooth = lane.visible & (inverse.max(axis=0) < SMOOTH * inverse.min(axis=0))
         upper, lower = (inverse[i] * (1 - fx) + inverse[i + 1] * fx for i in (0, 2))
         error = 1 / (upper * (1 - fy) + lower * fy) / lane.xyz_cam[:, 1] - 1
     if "semantic" in passes:
-        smooth &= ~_of_objects(_around(passes["semantic"], uv, 1)[0]).any(axis=0)
+        smooth &= ~_of_objects(passes["semantic"][rows, columns]).any(axis=0)
     y_m, error = lane.xyz_cam[smooth, 1], error[smooth]
     gap_m = np.abs(error * (strip.points_cam * strip.normal_cam).sum(axis=1)[smooth])
     return [Measure("depth_m", y_m, np.abs(error * y_m)), Measure("surface_m", y_m, gap_m)]
 
 
-def _sight(lane: Lane, uv: Pixels, passes: Passes) -> list[Measure]:
+def _height(camera: CameraLabel, lane: Lane, height_m: Float[np.ndarray, "r c"]) -> Measure:
+    """How far points on the main road lie above or below the height map."""
+    x, y, z = transform(camera.road_from_cam, lane.xyz_cam).T
+    (rows, columns), (width_m, length_m) = height_map.SHAPE, height_map.CELL_M
+    row, column = (rows * length_m - y) / length_m - 0.5, x / width_m + columns / 2 - 0.5
+    at = (row >= 0) & (row <= rows - 1) & (column >= 0) & (column <= columns - 1)
+    expected = map_coordinates(height_m, [row[at], column[at]], order=1)
+    return Measure("height_m", lane.xyz_cam[at, 1], np.abs(z[at] - expected))
+
+
+def _sight(camera: CameraLabel, lane: Lane, strip: Strip, uv: Pixels, passes: Passes) -> list[Measure]:
     """Where the passes are sure that a point is seen, or hidden by ground, or by an object: do the masks agree?"""
-    y_m = lane.xyz_cam[:, 1]
-    nearer = _around(passes["depth"], uv, 2)[0] < NEARER * y_m - NEARER_M
-    objects = _of_objects(_around(passes["semantic"], uv, 2)[0])
+    rows, columns = _around(uv, passes["depth"].shape, 2)
+    nearer = passes["depth"][rows, columns] < NEARER * _own_depth(camera, strip, rows, columns) - NEARER_M
+    objects = _of_objects(passes["semantic"][rows, columns])
     clear = lane.in_image & ~nearer.any(axis=0)
     by_ground = lane.in_image & (nearer & ~objects).all(axis=0)
     by_object = lane.in_image & (nearer & objects).all(axis=0)
     return [
-        Measure(name, y_m[at], (mask != clear)[at].astype(float))
+        Measure(name, lane.xyz_cam[at, 1], (mask != clear)[at].astype(float))
         for name, mask, at in (
             ("terrain_visible", lane.terrain_visible, clear | by_ground),
             ("object_visible", lane.object_visible, clear | by_object),
@@ -114,23 +135,28 @@ def _sight(lane: Lane, uv: Pixels, passes: Passes) -> list[Measure]:
     ]
 
 
+def _own_depth(camera: CameraLabel, strip: Strip, rows: Places, columns: Places) -> Float[np.ndarray, "k n"]:
+    """The depth that pixels around points would have if nothing hid the points: that of the plane through the point in
+    pixels that look at it from nearby, and no more than the point's own in those that look over it."""
+    pixels = np.stack([columns + 0.5, rows + 0.5, np.ones(rows.shape)], axis=-1)
+    rays_cam = pixels @ np.linalg.inv(camera.img_from_cam).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = (strip.points_cam * strip.normal_cam).sum(axis=1) / (rays_cam * strip.normal_cam).sum(axis=2)
+    y_m = strip.points_cam[:, 1]
+    return np.where((depth > 0) & (depth < y_m), depth, y_m)
+
+
 def _of_objects(semantic: Integer[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:
     return (semantic == SEMANTIC_IDS["car"]) | (semantic == SEMANTIC_IDS["tree"])
 
 
-def _around(
-    values: Shaped[np.ndarray, "h w"], uv: Pixels, reach: int
-) -> tuple[Shaped[np.ndarray, "k n"], tuple[Values, Values]]:
-    """The square of 2 x reach pixels a side about each place, row by row (anything, where that is not in the image),
-    and how far the place lies between the two columns and rows in its middle."""
-    height_px, width_px = values.shape
-    x, y = np.nan_to_num(uv - 0.5).T
-    j, i = np.floor(np.clip([x, y], 0, [[width_px - 2], [height_px - 2]])).astype(int)
-    steps = range(1 - reach, reach + 1)
-    around = [
-        values[np.clip(i + di, 0, height_px - 1), np.clip(j + dj, 0, width_px - 1)] for di in steps for dj in steps
-    ]
-    return np.stack(around), (x - j, y - i)
+def _around(uv: Pixels, shape: tuple[int, ...], reach: int) -> tuple[Places, Places]:
+    """Rows and columns of the square of 2 x reach pixels a side about each place, row by row (any, where the place is
+    not in the image)."""
+    sizes = np.array([shape[1], shape[0]])
+    j, i = np.floor(np.clip(np.nan_to_num(uv - 0.5), 0, sizes - 2)).astype(int).T
+    dy, dx = (steps.ravel()[:, None] for steps in np.mgrid[1 - reach : reach + 1, 1 - reach : reach + 1])
+    return np.clip(i + dy, 0, shape[0] - 1), np.clip(j + dx, 0, shape[1] - 1)
 
 
 def _joined(measures: list[Measure]) -> list[Measure]:

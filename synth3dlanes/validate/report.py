@@ -24,6 +24,7 @@ MEASURES = {
     "image_ridge_m": "metres from delimiters to the ridge of brightness across them (image)",
     "depth_m": "metres along y between label points and the rendered surface (depth pass)",
     "surface_m": "metres along the normal between label points and the rendered surface (depth pass)",
+    "height_m": "metres between label points on the main road and the height map",
     "terrain_visible": "share of points whose terrain_visible the passes contradict",
     "object_visible": "share of points whose object_visible the passes contradict",
 }

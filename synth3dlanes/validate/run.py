@@ -1,6 +1,7 @@
 """Validate a dataset: shards, then samples, in parallel; what comes back is of constant size per sample."""
 
 import hashlib
+import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
@@ -10,15 +11,16 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Shaped, UInt8
 from PIL import Image
 
 from synth3dlanes import labels as labels_module
 from synth3dlanes import scene as scene_module
 from synth3dlanes.dataset.folder import read_description
-from synth3dlanes.dataset.format import LABELS, PASSES, SCENE, decode_image, member_names, read_passes
+from synth3dlanes.dataset.format import HEIGHT, LABELS, PASSES, SCENE, decode_image, member_names, read_passes
 from synth3dlanes.errors import FormatError, ParamsError
 from synth3dlanes.figures.overlay import draw_overlay
+from synth3dlanes.geometry import height_map
 from synth3dlanes.scene import Scene
 from synth3dlanes.validate.findings import Finding, Measure, Problem
 from synth3dlanes.validate.image_proof import prove_image
@@ -109,7 +111,9 @@ def check_sample(root: Path, seed: int, pass_names: tuple[str, ...], entry: Entr
         findings += _origin(scene, entry, seed)
         labels = labels_module.from_json(members[LABELS], LABELS)
         image = decode_image(next(iter(members.values())), next(iter(members)))
-        passes = read_passes(members[PASSES], PASSES) if PASSES in members else {}
+        passes: dict[str, Shaped[np.ndarray, ...]] = {}
+        for name in members.keys() & {PASSES, HEIGHT}:
+            passes |= read_passes(members[name], name)
     except ValueError as error:
         reason = str(error) if isinstance(error, FormatError) else f"{LABELS}: expected arrays of numbers, got {error}"
         return Checked(entry.name, digest, [*findings, Finding("", reason)], measures)
@@ -147,19 +151,21 @@ def _pictures(
 ) -> Iterator[Finding]:
     """Are there the passes that dataset.json names, and have all pictures the camera's size?"""
     if set(passes) != set(pass_names):
-        yield Finding("", f"{PASSES}: expected {', '.join(pass_names)}, got {', '.join(passes)}")
-    width_px, height_px = scene.camera.width_px, scene.camera.height_px
+        yield Finding("", f"passes: expected {', '.join(pass_names)}, got {', '.join(passes) or 'none'}")
+    camera = scene.camera
     for name, pixels in {"image": image, **passes}.items():
-        if pixels.shape[:2] != (height_px, width_px):
+        rows, columns = height_map.SHAPE if name == "height" else (camera.height_px, camera.width_px)
+        if pixels.shape[:2] != (rows, columns):
             found = "x".join(str(size) for size in pixels.shape[1::-1])
-            yield Finding("", f"{name}: expected {width_px}x{height_px} pixels, got {found}")
+            yield Finding("", f"{name}: expected {columns}x{rows} pixels, got {found}")
 
 
 @contextmanager
 def _mapping(workers: int) -> Iterator[Map]:
-    """`map`, in this process or in several; results come in order."""
+    """`map`, in this process or in several (0: one for each core); results come in order."""
     if workers == 1:
         yield map
         return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    with ProcessPoolExecutor(workers or cores, mp_context=get_context("spawn")) as pool:
         yield partial(pool.map, chunksize=4)

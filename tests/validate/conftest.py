@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from synth3dlanes import labels as labels_module
-from synth3dlanes.dataset.format import LABELS, PASSES, key_of
+from synth3dlanes.dataset.format import HEIGHT, LABELS, PASSES, key_of
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.write import Shard
 from synth3dlanes.labels import Labels
@@ -30,7 +30,7 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from synth3dlanes.settings import RenderSettings
 
     root = tmp_path_factory.mktemp("validate") / "data"
-    settings = RenderSettings(samples=2, passes=("depth", "semantic", "instance"), device="cpu")
+    settings = RenderSettings(samples=2, passes=("depth", "semantic", "instance", "height"), device="cpu")
     plan = Plan(root, N, Recipe(load_params("appendix_i", CHANGES), 4, "train", settings, "jpg"), workers=2)
     assert generate(plan, lambda event: None).exit_code == 0
     return root
@@ -61,7 +61,7 @@ def drop_passes(root: Path) -> None:
 
     def change(samples: dict[int, Members]) -> None:
         for members in samples.values():
-            del members[PASSES]
+            del members[PASSES], members[HEIGHT]
 
     seal(root, change)
     path = root / "dataset.json"
