@@ -241,13 +241,9 @@ ABLATIONS: dict[str, dict[str, Any]] = {
 
 def train_config(model: str, overrides: dict[str, Any] | None = None, ablation: str = "full") -> TrainConfig:
     """The named model's default run, changed by dotted keys: {"model.grid.rows": 104, "batch": 8}."""
-    problems = [
-        f"{what}: expected one of {', '.join(known)}, got {found!r}"
-        for what, found, known in (("model", model, MODELS), ("ablation", ablation, ABLATIONS))
-        if found not in known
-    ]
-    if problems:
-        raise ParamsError(*problems)
+    for what, name, known in (("model", model, MODELS), ("ablation", ablation, ABLATIONS)):
+        if name not in known:
+            raise ParamsError(f"{what}: expected one of {', '.join(known)}, got {name!r}")
     document = _defaults(model)
     document["model"] |= ABLATIONS[ablation]
     if ablation == "no_supervision":

@@ -51,8 +51,9 @@ def inspect(where: str, image: Path | None, out: Path | None, html: Path | None,
 @click.option("--shuffle", metavar="SEED", type=click.IntRange(min=0), help="Random samples instead of the first.")
 @click.option("--lanes/--no-lanes", default=True, help="Draw the labels on the images.")
 @click.option("--where", metavar="QUERY", help="Only samples that fit, by the columns of the index.")
+@click.option("--width", metavar="PX", type=click.IntRange(min=100), help="Shrink the sheet to this width.")
 def gallery(
-    folder: str, out: Path, n: int, columns: int, shuffle: int | None, lanes: bool, where: str | None
+    folder: str, out: Path, n: int, columns: int, shuffle: int | None, lanes: bool, where: str | None, width: int | None
 ) -> None:
     """Many samples of a data set (DIR) or of one split (DIR/train) on one sheet.
 
@@ -63,7 +64,9 @@ def gallery(
 
     samples = some_samples(folder, n, shuffle, where)
     labels = [sample.labels for sample in samples] if lanes else None
-    draw_gallery([sample.image for sample in samples], labels, columns).save(out)
+    sheet = draw_gallery([sample.image for sample in samples], labels, columns)
+    sheet.thumbnail((width or sheet.width, sheet.height))
+    sheet.save(out)
     click.echo(f"Gallery: {out}")
 
 
@@ -85,6 +88,8 @@ def report(folder: str, html: Path, n: int, samples: int) -> None:
     places = spread(found, n)
     scenes = scene_statistics((read_scene(reader, i) for reader, i in places), params_of(found[0]))
     labels = label_statistics(reader.labels(i) for reader, i in places)
-    shown = [(f"{reader.url}:{reader.key(i)}", reader.image(i), reader.labels(i)) for reader, i in spread(found, samples)]
+    shown = [
+        (f"{reader.url}:{reader.key(i)}", reader.image(i), reader.labels(i)) for reader, i in spread(found, samples)
+    ]
     html.write_text(report_page(folder, shown, scenes, labels), encoding="utf-8")
     click.echo(f"Page: {html}")

@@ -1,10 +1,14 @@
 """`synth3dlanes stats`: does what was drawn follow what was declared, and what do the labels show?"""
 
+import sys
 from pathlib import Path
 
 import click
 
 from .options import json_option, seed_option, set_option
+
+# Of what is no terminal: wide enough for every column whole.
+WIDTH = 140
 
 
 @click.command()
@@ -49,7 +53,7 @@ def stats(
     if as_json:
         click.echo(to_json(scenes, labels))
         return
-    Console(soft_wrap=True).print(statistics_table(scenes, labels))
+    Console(width=None if sys.stdout.isatty() else WIDTH).print(statistics_table(scenes, labels))
     click.echo(verdict(scenes))
     if out:
         click.echo(f"Plots: {out}")

@@ -96,4 +96,6 @@ def test_a_missing_value_fits_nothing() -> None:
     index = pa.table({"size": pa.array([1, None, 3])})
     for compare in (operator.eq, operator.ne):
         sign = "=" if compare is operator.eq else "!="
-        assert rows_where(index, f"size {sign} 1").tolist() == np.flatnonzero([compare(1, 1), 0, compare(3, 1)]).tolist()
+        assert (
+            rows_where(index, f"size {sign} 1").tolist() == np.flatnonzero([compare(1, 1), 0, compare(3, 1)]).tolist()
+        )

@@ -1,0 +1,110 @@
+"""Commands about whole data sets, on one of Appendix I scenes with plain images."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import Result
+from PIL import Image
+
+Run = Callable[..., Result]
+N = 12
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set of 12 scenes of Appendix I, labelled, on images without contents."""
+    from synth3dlanes import scene as scene_module
+    from synth3dlanes.dataset.folder import claim
+    from synth3dlanes.dataset.format import encode
+    from synth3dlanes.dataset.write import Shard
+    from synth3dlanes.generate import Recipe
+    from synth3dlanes.ground_truth import ground_truth
+    from synth3dlanes.params import load_params
+    from synth3dlanes.sample import sample_scene
+    from synth3dlanes.settings import RenderSettings
+
+    params = load_params("appendix_i", ["trees.n=5", "cars.n=3"])
+    recipe = Recipe(params, 0, "train", RenderSettings(), "png")
+    root = tmp_path_factory.mktemp("whole") / "d"
+    with claim(root, {**recipe.description(), "shard_size": 5}, "train", N, range(3)) as split:
+        for number in range(3):
+            shard = Shard(split, number, 5, recipe.names)
+            for index in shard.indices(N):
+                scene = sample_scene(params, 0, "train", index)
+                image = np.full((360, 480, 3), 20 * index, np.uint8)
+                members = encode(image, ground_truth(scene), scene_module.to_json(scene), {}, "png")
+                shard.write_part(index, members)
+            shard.join(N)
+    return root
+
+
+def test_stats_of_a_data_set(run: Run, folder: Path, in_tmp_path: Path) -> None:
+    result = run("stats", folder, "--out", "plots.png")
+    assert result.exit_code == 0, result.stderr
+    assert "12 scenes" in result.stdout
+    assert "labels of 12 images" in result.stdout
+    assert "53 of 53 parameters as declared\nPlots: plots.png\n" in result.stdout
+    assert "…" not in result.stdout
+    with Image.open("plots.png") as plots:
+        assert plots.width > 1000
+    document = json.loads(run("stats", f"{folder}/train", "--n", 5, "--json").stdout)
+    assert document["n_scenes"] == 5
+    assert {"grade [%]", "curvature [1/km]"} <= {row["name"] for row in document["labels"]}
+
+
+def test_stats_of_scenes_drawn_now(run: Run) -> None:
+    drawn = ("stats", "--params", "tiny", "--n", 30, "--json")
+    document = json.loads(run(*drawn).stdout)
+    assert document["n_scenes"] == 30
+    assert "labels" not in document
+    assert all(row["outside"] == 0 for row in document["parameters"])
+    assert json.loads(run(*drawn, "--seed", 1).stdout)["parameters"] != document["parameters"]
+    assert run(*drawn).stdout == run(*drawn).stdout
+
+
+@pytest.mark.parametrize("arguments", [[], ["d", "--params", "tiny"], ["d", "--seed", "3"], ["d", "--set", "cars.n=1"]])
+def test_stats_is_of_one_thing(run: Run, arguments: list[str]) -> None:
+    result = run("stats", *arguments)
+    assert (result.exit_code, result.stdout, result.stderr.count("\n")) == (2, "", 1)
+
+
+def test_gallery_shows_what_a_query_selects(run: Run, folder: Path, in_tmp_path: Path) -> None:
+    from synth3dlanes.dataset.read import Reader
+
+    wanted = Reader(f"{folder}/train").index.to_pylist()
+    wanted = [row["index"] for row in wanted if row["n_lanes"] == 3 and row["junction"] != "none"]
+    query = "n_lanes = 3 and junction != 'none'"
+    assert len(wanted) > 1
+    result = run("gallery", folder, "--where", query, "--no-lanes", "--columns", len(wanted), "--out", "g.png")
+    assert result.exit_code == 0, result.stderr
+    with Image.open("g.png") as sheet:
+        row = np.array(sheet)[180, :, 0]
+    assert [int(row[4 + 240 + 484 * k]) for k in range(len(wanted))] == [20 * index for index in wanted]
+
+
+@pytest.mark.parametrize(
+    ("query", "expected"),
+    [
+        ("n_lane = 4", "--where n_lane = 4: unknown column n_lane; did you mean n_lanes?"),
+        ("n_lanes > 90", "--where n_lanes > 90: expected a sample of"),
+    ],
+)
+def test_a_query_that_selects_nothing(run: Run, folder: Path, query: str, expected: str) -> None:
+    result = run("gallery", folder, "--where", query)
+    assert (result.exit_code, result.stdout, result.stderr.count("\n")) == (2, "", 1)
+    assert expected in result.stderr
+
+
+def test_pages(run: Run, folder: Path, in_tmp_path: Path) -> None:
+    result = run("report", folder, "--samples", 3)
+    assert (result.exit_code, result.stdout) == (0, "Page: report.html\n"), result.stderr
+    assert Path("report.html").read_text().count("<figure>") == 3
+    result = run("inspect", f"{folder}/train:3", "--html", "page.html")
+    assert "Page: page.html" in result.stdout
+    assert "data:image/jpeg" in Path("page.html").read_text()
+    assert {path.name for path in in_tmp_path.iterdir()} == {"report.html", "page.html"}
+    both = json.loads(run("inspect", f"{folder}/train:3", "--html", "b.html", "--out", "b.png", "--json").stdout)
+    assert (both["page"], both["figure"]) == ("b.html", "b.png")
