@@ -80,9 +80,10 @@ def report(folder: str, html: Path, n: int, samples: int) -> None:
 
     One file that loads nothing from anywhere.
     """
+    from synth3dlanes.dataset.splits import readers, spread
     from synth3dlanes.figures.page import report_page
     from synth3dlanes.figures.stats import label_statistics, scene_statistics
-    from synth3dlanes.look_up import params_of, read_scene, readers, spread
+    from synth3dlanes.look_up import params_of, read_scene
 
     found = readers(folder)
     places = spread(found, n)

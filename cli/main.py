@@ -14,6 +14,7 @@ from synth3dlanes import __version__
 from synth3dlanes.errors import FormatError, ParamsError
 
 from .bench import bench
+from .data_sets import info, merge, split
 from .export import export
 from .generate import generate
 from .look import gallery, inspect, report
@@ -64,7 +65,7 @@ def main() -> None:
 
 
 for command in (
-    *(generate, sample, render, inspect, gallery, report, stats, params, export, validate, bench),
+    *(generate, sample, render, inspect, gallery, report, stats, info, split, merge, params, export, validate, bench),
     *(train, predict, evaluate, ablation, onnx),
 ):
     main.add_command(command)

@@ -4,11 +4,9 @@ Reads files; no Blender.
 """
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import fsspec
 import numpy as np
 from jaxtyping import UInt8
 from pydantic import ValidationError
@@ -16,6 +14,7 @@ from pydantic import ValidationError
 from synth3dlanes.dataset.format import SCENE, Sample, decode_image
 from synth3dlanes.dataset.query import rows_where
 from synth3dlanes.dataset.read import Reader, find
+from synth3dlanes.dataset.splits import readers
 from synth3dlanes.errors import FormatError, ParamsError
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
@@ -51,26 +50,6 @@ def load_any(where: str, image_path: Path | None) -> Found:
     scene = load_scene(Path(where))
     image = None if image_path is None else decode_image(image_path.read_bytes(), str(image_path))
     return Found(scene_name(Path(where)), scene, ground_truth(scene), image)
-
-
-def readers(folder: str) -> list[Reader]:
-    """Readers of every split of a data set that has finished shards, or of the one split that is named."""
-    files, root = fsspec.core.url_to_fs(folder)
-    if not files.isdir(root):
-        raise FormatError(f"{folder}: expected a data set or one of its splits, got no folder")
-    if not files.exists(f"{root}/dataset.json"):
-        return [Reader(folder)]
-    splits = sorted({path.rsplit("/", 2)[-2] for path in files.glob(f"{root}/*/*.parquet")})
-    if not splits:
-        raise FormatError(f"{folder}: expected finished shards (SPLIT/00000.parquet), got none")
-    return [Reader(f"{folder.rstrip('/')}/{split}") for split in splits]
-
-
-def spread(found: Sequence[Reader], n: int) -> list[tuple[Reader, int]]:
-    """At most `n` samples, evenly over all splits: where each is to be read."""
-    places = [(reader, i) for reader in found for i in range(len(reader))]
-    count = min(n, len(places))
-    return [places[number * len(places) // count] for number in range(count)]
 
 
 def read_scene(reader: Reader, i: int) -> Scene:

@@ -61,7 +61,7 @@ def _enter(root: Path, recipe: dict[str, Any], split: str, n: int) -> None:
         raise ParamsError(f"{path}: expected it beside the shards that are there, got none")
     splits = dict(found.pop("splits", {})) if found else {}
     # Through JSON, so that a tuple equals the list that it was written as.
-    problems = [] if found is None else list(_differences(found, json.loads(json.dumps(asked)), ""))
+    problems = [] if found is None else list(differences(found, json.loads(json.dumps(asked))))
     if problems:
         raise ParamsError(*(f"{path}: {problem}" for problem in problems))
     splits[split] = {"n": max(n, splits.get(split, {}).get("n", 0))}
@@ -79,9 +79,10 @@ def read_description(root: Path) -> dict[str, Any]:
         raise FormatError(f"{path}: expected the description of a dataset, got {error.strerror}") from None
 
 
-def _differences(found: Any, asked: Any, name: str) -> Iterator[str]:
+def differences(found: Any, asked: Any, name: str = "") -> Iterator[str]:
+    """A line for every key of a recipe that differs from what a data set has."""
     if isinstance(found, dict) and isinstance(asked, dict):
         for key in [*found, *(key for key in asked if key not in found)]:
-            yield from _differences(found.get(key), asked.get(key), f"{name}.{key}" if name else key)
+            yield from differences(found.get(key), asked.get(key), f"{name}.{key}" if name else key)
     elif found != asked:
         yield f"{name}: expected {json.dumps(found)} as in this dataset, got {json.dumps(asked)}"

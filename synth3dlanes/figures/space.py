@@ -10,7 +10,15 @@ from jaxtyping import Float, Int
 from synth3dlanes.figures import colors
 from synth3dlanes.figures.colors import Rgb
 from synth3dlanes.figures.world import AHEAD_M, BEHIND_M, SceneView, TreeOutline
-from synth3dlanes.geometry.meshes import PAINT_LIFT_M, Mesh, paint_meshes, road_meshes, terrain_mesh, verge_meshes
+from synth3dlanes.geometry.meshes import (
+    PAINT_LIFT_AT_M,
+    PAINT_LIFT_M,
+    Mesh,
+    paint_meshes,
+    road_meshes,
+    terrain_mesh,
+    verge_meshes,
+)
 from synth3dlanes.geometry.transforms import transform
 from synth3dlanes.labels import Kind
 
@@ -85,7 +93,7 @@ def _lanes(view: SceneView, kind: Kind) -> list[Triangles]:
         if lane.kind != kind:
             continue
         points_road = transform(view.labels.camera.road_from_cam, lane.xyz_cam)
-        points_road[:, 2] += np.interp(points_road[:, 1], *np.array(PAINT_LIFT_M).T) + _LANE_OVER_PAINT_M
+        points_road[:, 2] += np.interp(points_road[:, 1], PAINT_LIFT_AT_M, PAINT_LIFT_M) + _LANE_OVER_PAINT_M
         along = np.gradient(points_road, axis=0)
         right = np.stack([along[:, 1], -along[:, 0], np.zeros(len(along))], -1)
         right *= _LANE_HALF_WIDTH_M / np.linalg.norm(right, axis=1, keepdims=True)

@@ -1,0 +1,93 @@
+"""`synth3dlanes info`, `split` and `merge`: data sets as wholes."""
+
+import json
+import re
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import click
+
+from .options import json_option
+
+
+class Shares(click.ParamType):
+    """Names of new splits and the share of each, as in train=0.8,val=0.2."""
+
+    name = "shares"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> dict[str, float]:
+        """Read them."""
+        shares: dict[str, float] = {}
+        for part in str(value).split(","):
+            found = re.fullmatch(r"([A-Za-z0-9_-]+)=([0-9]*\.?[0-9]+)", part.strip())
+            if found is None or found[1] in shares or float(found[2]) <= 0:
+                self.fail(f"expected different NAME=SHARE with shares above 0, got {part!r}", param, ctx)
+            shares[found[1]] = float(found[2])
+        return shares
+
+
+@click.command()
+@click.argument("folder", metavar="DIR")
+@json_option
+def info(folder: str, as_json: bool) -> None:
+    """What a data set holds: recipe, splits, samples, bytes, and whether all that was asked for is there."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from synth3dlanes.dataset.info import dataset_info
+
+    found = dataset_info(folder)
+    if as_json:
+        splits = [{**asdict(split), "complete": split.is_complete} for split in found.splits]
+        click.echo(json.dumps({"recipe": found.recipe, "splits": splits}))
+        return
+    recipe = found.recipe
+    passes = ", ".join(recipe["render"]["passes"]) or "none"
+    click.echo(f"{folder}: synth3dlanes {recipe['generator']}, seed {recipe['seed']}, {recipe['image_format']}")
+    click.echo(f"{recipe['render']['samples']} rays a pixel on {recipe['render']['device']}, passes: {passes}")
+    if "derived" in recipe:
+        click.echo(f"derived: {json.dumps(recipe['derived'])}")
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for name in ("split", "asked for", "there", "in progress", "set aside", "shards", "MB", ""):
+        table.add_column(name, justify="left" if name in ("split", "") else "right")
+    for split in found.splits:
+        numbers = (split.asked, split.joined, split.waiting, split.set_aside, split.shards, round(split.bytes / 1e6))
+        table.add_row(split.name, *map(str, numbers), "complete" if split.is_complete else "incomplete")
+    Console(soft_wrap=True).print(table)
+
+
+@click.command()
+@click.argument("folder", metavar="DIR/SPLIT")
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="The new data set.")
+@click.option(
+    "--into", metavar="SHARES", type=Shares(), default="train=0.8,val=0.1,test=0.1", help="New splits and their shares."
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, help="Who goes where depends on it alone.")
+def split(folder: str, out: Path, into: dict[str, float], seed: int) -> None:
+    """Deal the samples of one split at random to new splits, copied as they are and numbered anew.
+
+    To draw splits of their own, `generate --split val` is better. Run again to resume.
+    """
+    from synth3dlanes.dataset.read import Reader
+    from synth3dlanes.dataset.rearrange import cut
+
+    _tell(out, cut(Reader(folder), into, seed, out))
+
+
+@click.command()
+@click.argument("folders", metavar="DIR...", nargs=-1, required=True)
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="The new data set.")
+def merge(folders: tuple[str, ...], out: Path) -> None:
+    """Put data sets of one recipe together, such as the parts that several machines made with --part.
+
+    Shards are linked where the file system allows it. No sample may be in two of them. Run again to resume.
+    """
+    from synth3dlanes.dataset.rearrange import merge as merge_data_sets
+
+    _tell(out, merge_data_sets(folders, out))
+
+
+def _tell(out: Path, counts: dict[str, int]) -> None:
+    for name, count in counts.items():
+        click.echo(f"{out}/{name}: {count} samples")

@@ -1,0 +1,123 @@
+"""Data sets made of data sets: one split cut in several, parts put together. Nothing is decoded, nothing drawn.
+
+Both are resumed by calling them again: what is done is what lies on disk.
+"""
+
+import os
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from synth3dlanes.dataset.folder import claim, differences
+from synth3dlanes.dataset.format import key_of, member_names
+from synth3dlanes.dataset.read import Reader
+from synth3dlanes.dataset.splits import readers, split_name
+from synth3dlanes.dataset.write import Shard
+from synth3dlanes.errors import ParamsError
+
+# By number in a split: the reader that has the sample, and its position there.
+Places = dict[int, tuple[Reader, int]]
+
+
+def deal(n: int, shares: Mapping[str, float], seed: int) -> dict[str, list[int]]:
+    """Positions 0 to n - 1 dealt at random by a seed, in order within each name; the shares count as weights."""
+    order = np.random.default_rng(seed).permutation(n)
+    ends = np.round(n * np.cumsum(list(shares.values())) / sum(shares.values())).astype(int)
+    return {name: np.sort(part).tolist() for name, part in zip(shares, np.split(order, ends[:-1]), strict=True)}
+
+
+def cut(source: Reader, shares: Mapping[str, float], seed: int, out: Path) -> dict[str, int]:
+    """Deal one split's samples to new splits in OUT, numbered anew from 0; returns how many each has.
+
+    `scene.json` still says where a sample was drawn from, and `derived` in `dataset.json` what was done; so `generate`
+    does not add to it.
+    """
+    dealt = deal(len(source), shares, seed)
+    empty = [name for name, positions in dealt.items() if not positions]
+    if empty:
+        raise ParamsError(f"--into: expected a sample for each split, got none of {len(source)} for {', '.join(empty)}")
+    origin = {"cut": source.url, "n": len(source), "seed": seed, "into": dict(shares)}
+    for name, positions in dealt.items():
+        places = {number: (source, i) for number, i in enumerate(positions)}
+        _put(out, {**_recipe(source), "derived": origin}, name, len(places), places)
+    return {name: len(positions) for name, positions in dealt.items()}
+
+
+def merge(sources: Sequence[str], out: Path) -> dict[str, int]:
+    """Put data sets of one recipe together, each sample under its own number; returns how many each split has.
+
+    Shards that one source alone has are linked where the file system can. Raises ParamsError where recipes differ or
+    two hold the same sample. The result is what one run would have made, and `generate` may continue it.
+    """
+    found = [reader for source in sources for reader in readers(source)]
+    first = found[0]
+    problems = [
+        f"{first.url}: {line} in {other.url}"
+        for other in found[1:]
+        for line in differences(_recipe(first), _recipe(other))
+    ]
+    if problems:
+        raise ParamsError(*dict.fromkeys(problems))
+    counts = {}
+    merged = {name: [one for one in found if split_name(one) == name] for name in sorted(map(split_name, found))}
+    places = {name: _union(several) for name, several in merged.items()}
+    for name, several in merged.items():
+        n = max(int(one.description["splits"][name]["n"]) for one in several)
+        _put(out, _recipe(first), name, n, places[name])
+        counts[name] = len(places[name])
+    return counts
+
+
+def _recipe(reader: Reader) -> dict[str, Any]:
+    return {key: value for key, value in reader.description.items() if key not in ("format", "version", "splits")}
+
+
+def _union(several: Sequence[Reader]) -> Places:
+    places: Places = {}
+    for reader in several:
+        for i, index in enumerate(reader.index["index"].to_pylist()):
+            if index in places:
+                other = places[index][0].url
+                raise ParamsError(f"{reader.url}: expected samples that {other} has not, got {key_of(index)} in both")
+            places[index] = (reader, i)
+    return places
+
+
+def _put(out: Path, recipe: dict[str, Any], split: str, n: int, places: Places) -> None:
+    """Write the samples that are not there yet, shard by shard."""
+    size, names = int(recipe["shard_size"]), member_names(recipe["image_format"], recipe["render"]["passes"])
+    shards: dict[int, Places] = {}
+    for index, place in places.items():
+        shards.setdefault(index // size, {})[index] = place
+    with claim(out, recipe, split, n, sorted(shards)) as folder:
+        for number, members in sorted(shards.items()):
+            shard = Shard(folder, number, size, names)
+            if not shard.path("parquet").exists():
+                _link_whole(shard, members)
+            for index in sorted(members.keys() & set(shard.missing(n))):
+                reader, i = members[index]
+                shard.write_part(index, reader.raw(i))
+            if shard.needs_join(n):
+                shard.join(n)
+
+
+def _link_whole(shard: Shard, members: Places) -> None:
+    """Take over the files of a shard that lies on this file system just as it shall be."""
+    sources = {id(reader): reader for reader, _ in members.values()}
+    positions = sorted(i for _, i in members.values())
+    reader = next(iter(sources.values()))
+    theirs = Shard(Path(reader.url), shard.number, shard.size, shard.names)
+    is_theirs = len(sources) == 1 and theirs.path("parquet").exists() and theirs.joined() == members.keys()
+    if not is_theirs or any(int(reader.key(i)) != index for i, index in zip(positions, sorted(members), strict=True)):
+        return
+    for suffix in ("tar", "parquet"):
+        temporary = shard.path(f"{suffix}.tmp")
+        temporary.unlink(missing_ok=True)
+        try:
+            os.link(theirs.path(suffix), temporary)
+        except OSError:
+            shutil.copyfile(theirs.path(suffix), temporary)
+        os.replace(temporary, shard.path(suffix))

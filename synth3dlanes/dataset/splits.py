@@ -1,0 +1,33 @@
+"""All splits of a data set at once, or the one that is named. Reads indices; the address may be any of fsspec's."""
+
+from collections.abc import Sequence
+
+import fsspec
+
+from synth3dlanes.dataset.read import Reader
+from synth3dlanes.errors import FormatError
+
+
+def readers(folder: str) -> list[Reader]:
+    """Readers of every split of a data set that has finished shards, or of the one split that is named."""
+    files, root = fsspec.core.url_to_fs(folder)
+    if not files.isdir(root):
+        raise FormatError(f"{folder}: expected a data set or one of its splits, got no folder")
+    if not files.exists(f"{root}/dataset.json"):
+        return [Reader(folder)]
+    splits = sorted({path.rsplit("/", 2)[-2] for path in files.glob(f"{root}/*/*.parquet")})
+    if not splits:
+        raise FormatError(f"{folder}: expected finished shards (SPLIT/00000.parquet), got none")
+    return [Reader(f"{folder.rstrip('/')}/{split}") for split in splits]
+
+
+def spread(found: Sequence[Reader], n: int) -> list[tuple[Reader, int]]:
+    """At most `n` samples, evenly over all splits: where each is to be read."""
+    places = [(reader, i) for reader in found for i in range(len(reader))]
+    count = min(n, len(places))
+    return [places[number * len(places) // count] for number in range(count)]
+
+
+def split_name(reader: Reader) -> str:
+    """What the split is called: its folder's name."""
+    return reader.url.rpartition("/")[2]

@@ -1,0 +1,176 @@
+"""Killed at random moments, full, forbidden, broken: in the end the same bytes (tests/soak.py; `make soak` is longer)."""
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from synth3dlanes import run
+from synth3dlanes.errors import FormatError, ParamsError
+from synth3dlanes.executors import generate, store
+from synth3dlanes.run import Plan
+from tests import fake_samples, soak
+
+N, KILLS = 60, 8
+needs_ray = pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="the extra `cluster` is not installed")
+needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can mount file systems")
+
+
+def plan(out: Path, n: int = N, **changes) -> Plan:
+    changes = {"workers": 2, "maker": fake_samples.make, **changes}
+    return Plan(out, n, fake_samples.recipe(), shard_size=10, **changes)
+
+
+def go(a_plan: Plan):
+    return run.generate(a_plan, lambda _: None)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> dict[str, bytes]:
+    return soak.undisturbed(tmp_path_factory.mktemp("whole"), N)
+
+
+def test_kills_on_this_machine(tmp_path, whole):
+    assert soak.soak(tmp_path / "out", N, KILLS, seed=1) == KILLS
+    soak.check(tmp_path / "out", N, whole)
+
+
+@needs_ray
+@pytest.mark.timeout(400)
+def test_kills_and_a_lost_node_on_ray_and_other_executors_after_it(tmp_path, whole):
+    with soak.cluster_of_two(6393) as cluster:
+        assert soak.soak(tmp_path / "out", N, KILLS, 2, cluster) >= KILLS
+        soak.check(tmp_path / "out", N, whole)
+        _begin_here_and_go_on_with_ray(tmp_path / "mixed", cluster.address, whole)
+        _make_in_a_store(tmp_path / "store", cluster.address, whole)
+        _refuse_a_second_run(tmp_path / "twice", cluster.address)
+
+
+def _on_ray(out: str, n: int, address: str, folder: Path | None = None) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "tests.fake_samples", out, str(n), "1", address]
+    return subprocess.Popen(
+        command, cwd=soak.ROOT, env=soak.ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+def _begin_here_and_go_on_with_ray(out: Path, address: str, whole: dict[str, bytes]) -> None:
+    go(plan(out, 25))
+    process = _on_ray(str(out), N, address)
+    told, errors = process.communicate()
+    assert process.returncode == 0, errors
+    assert told.count("kind='sample'") == N - 25
+    soak.check(out, N, whole)
+
+
+def _make_in_a_store(folder: Path, address: str, whole: dict[str, bytes]) -> None:
+    url = f"file://{folder}"
+    for n in (25, N):
+        process = _on_ray(url, n, address)
+        assert process.wait() == 0, process.communicate()[1]
+    soak.check(folder, N, whole)
+    assert {path.name for path in folder.iterdir()} == {"dataset.json", "logs", "train"}
+    # A shard without its index is not there: whatever stopped its upload, it is made again.
+    (folder / "train" / "00002.parquet").unlink()
+    (folder / "train" / "00002.tar").write_bytes(b"half a tar")
+    process = _on_ray(url, N, address)
+    assert process.wait() == 0, process.communicate()[1]
+    soak.check(folder, N, whole)
+    with pytest.raises(ParamsError, match="image_format"):
+        store.announce(replace(plan(folder), recipe=fake_samples.recipe(image_format="jpg")), url)
+
+
+def _refuse_a_second_run(out: Path, address: str) -> None:
+    first = _on_ray(str(out), N, address)
+    assert next(line for line in first.stdout if "kind='sample'" in line)
+    second = _on_ray(str(out), N, address)
+    _, errors = second.communicate()
+    first.kill()
+    first.communicate()
+    assert second.returncode != 0
+    assert "expected no other run on it, got one that is making shard" in errors
+
+
+def test_a_store_needs_ray_and_ray_a_cluster(tmp_path):
+    with pytest.raises(ParamsError, match="--executor ray, which writes to URLs; got s3://lanes"):
+        generate(plan(tmp_path), "s3://lanes", "local", "", print)
+
+
+@contextmanager
+def small_disk(folder: Path, size: str):
+    folder.mkdir()
+    subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "none", str(folder)], check=True)
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", "--lazy", str(folder)], check=True)
+
+
+@pytest.fixture
+def full_disk(tmp_path):
+    with small_disk(tmp_path / "disk", "8M") as folder:
+        yield folder
+
+
+@needs_root
+def test_a_full_disk_makes_the_run_wait_and_nothing_is_lost(full_disk, whole):
+    ballast = full_disk / "ballast"
+    paused = []
+
+    def tell(event):
+        if event.kind == "sample" and event.done == 8:
+            with suppress(OSError), ballast.open("wb", buffering=0) as stream:
+                while stream.write(bytes(4096)):
+                    pass
+        if event.kind == "pause":
+            paused.append(event.message)
+            ballast.unlink(missing_ok=True)
+
+    small = plan(full_disk / "out", 20)
+    report = run.generate(small, tell)
+    assert report.exit_code == 0
+    assert paused
+    assert all("waiting for" in message and str(full_disk) in message for message in paused)
+    shards = ("00000.parquet", "00000.tar", "00001.parquet", "00001.tar")
+    assert soak.files(full_disk / "out") == {name: whole[name] for name in shards}
+
+
+@needs_root
+def test_a_read_only_folder_is_named(tmp_path):
+    with small_disk(tmp_path / "disk", "8M") as folder:
+        subprocess.run(["mount", "-o", "remount,ro", str(folder)], check=True)
+        with pytest.raises(ParamsError, match=f"--out {folder}/out: expected a folder to write to, got .*Read-only"):
+            go(plan(folder / "out"))
+
+
+def test_a_vanished_folder_is_named_and_comes_back(tmp_path, whole):
+    out = tmp_path / "out"
+
+    def tell(event):
+        if event.kind == "sample" and event.done == 25:
+            out.rename(tmp_path / "moved")
+
+    report = run.generate(plan(out), tell)
+    assert report.exit_code == 1
+    assert str(out) in report.problem
+    shutil.rmtree(out, ignore_errors=True)
+    (tmp_path / "moved").rename(out)
+    assert go(plan(out)).exit_code == 0
+    soak.check(out, N, whole)
+
+
+def test_a_half_written_tar_is_made_whole_or_named(tmp_path, whole):
+    assert go(plan(tmp_path)).exit_code == 0
+    tar, index = tmp_path / "train" / "00001.tar", tmp_path / "train" / "00001.parquet"
+    tar.write_bytes(tar.read_bytes()[:20_000])
+    with pytest.raises(FormatError, match=r"00001\.tar: expected at least \d+ bytes, got 20000; remove this shard's"):
+        go(plan(tmp_path))
+    index.unlink()
+    report = go(plan(tmp_path))
+    assert 0 < report.made <= 10
+    soak.check(tmp_path, N, whole)
