@@ -48,7 +48,9 @@ def cli_page() -> str:
     """The help of every command."""
     parts = [CLI_HEAD]
     for name, command in commands():
-        context = click.Context(command, info_name=name, terminal_width=100, max_content_width=100)
+        context = click.Context(
+            command, info_name=name, terminal_width=100, max_content_width=100, help_option_names=["-h", "--help"]
+        )
         context.show_default = True
         parts += [f"## {name}\n", f"```\n{command.get_help(context)}\n```\n"]
     return "\n".join(parts)

@@ -158,7 +158,9 @@ def from_json(text: str | bytes, where: str) -> Labels:
             horizon=None if document["horizon"] is None else RoadPlane(**document["horizon"]),
             car_visible_fraction=_tuple(document["car_visible_fraction"]),
         )
-    except (KeyError, TypeError, AttributeError, json.JSONDecodeError, UnicodeDecodeError) as error:
+    except FormatError:
+        raise
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise FormatError(f"{where}: not a labels file: {type(error).__name__}: {error}") from None
 
 

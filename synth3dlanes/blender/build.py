@@ -1,5 +1,6 @@
 """Scene -> Blender's data: meshes of this scene, and instances of the assets. World frame."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import bpy
@@ -53,13 +54,16 @@ def open_studio() -> Studio:
     return Studio(assets, materials, bpy.data.materials.new("plain"), camera, frozenset(_names()))
 
 
-def build(studio: Studio, scene: Scene) -> list[Placed]:
-    """Remove the last scene, add this one; return its cars and trees."""
+def build(studio: Studio, scene: Scene, labelled: Sequence[str] = ()) -> list[Placed]:
+    """Remove the last scene, add this one; return its cars and trees.
+
+    Instance ids of delimiters count those in `labelled` first, in its order, then those out of the labels' range.
+    """
     clear(studio)
     plan = RoadPlan(scene)
     ground = Ground(plan)
     set_materials(studio.materials, scene)
-    _add_surfaces(studio.materials, ground, scene)
+    _add_surfaces(studio.materials, ground, scene, labelled)
     placed = _placed_objects(studio.assets, ground)
     for item, color in zip(
         placed, [(*car.color, car.gloss) for car in scene.cars] + [None] * len(scene.trees), strict=True
@@ -86,16 +90,17 @@ def _names() -> list[tuple[str, str]]:
     return [(kind, block.name) for kind in ("objects", "meshes") for block in getattr(bpy.data, kind)]
 
 
-def _add_surfaces(materials: Materials, ground: Ground, scene: Scene) -> None:
+def _add_surfaces(materials: Materials, ground: Ground, scene: Scene, labelled: Sequence[str]) -> None:
     road = materials.roads[scene.surface.road_texture - 1]
     terrain = materials.terrains[scene.surface.terrain_texture - 1]
     for mesh in [meshes.terrain_mesh(ground), *meshes.verge_meshes(ground)]:
         _add_object(new_mesh(mesh, [terrain]), 0)
     for mesh in meshes.road_meshes(ground):
         _add_object(new_mesh(mesh, [road, materials.shoulder]), 0)
-    for number, mesh in enumerate(meshes.paint_meshes(ground.plan).values()):
-        if len(mesh.faces):
-            _add_object(new_mesh(mesh, [materials.marking]), FIRST_DELIMITER_ID + number)
+    paint = meshes.paint_meshes(ground.plan)
+    for number, name in enumerate([*labelled, *(name for name in paint if name not in labelled)]):
+        if len(paint[name].faces):
+            _add_object(new_mesh(paint[name], [materials.marking]), FIRST_DELIMITER_ID + number)
 
 
 def _placed_objects(assets: Assets, ground: Ground) -> list[Placed]:

@@ -47,7 +47,7 @@ def studio() -> Studio:
 def render(scene: Scene, labels: Labels, settings: RenderSettings) -> Rendering:
     """Render one scene; equal arguments give equal pixels on one kind of machine."""
     clock = [time.perf_counter()]
-    placed = build(studio(), scene)
+    placed = build(studio(), scene, [lane.id for lane in labels.lanes if lane.kind == "delimiter"])
     clock.append(time.perf_counter())
     configure(settings, scene.light.exposure)
     layers = run_cycles()

@@ -59,14 +59,14 @@ def _enter(root: Path, recipe: dict[str, Any], split: str, n: int) -> None:
     found = read_description(root) if path.exists() else None
     if found is None and any(root.glob("*/*.parquet")):
         raise ParamsError(f"{path}: expected it beside the shards that are there, got none")
-    splits = dict(found.pop("splits", {})) if found else {}
+    before = dict(found.pop("splits", {})) if found else {}
     # Through JSON, so that a tuple equals the list that it was written as.
     problems = [] if found is None else list(differences(found, json.loads(json.dumps(asked))))
     if problems:
         raise ParamsError(*(f"{path}: {problem}" for problem in problems))
-    splits[split] = {"n": max(n, splits.get(split, {}).get("n", 0))}
-    document = {**asked, "splits": dict(sorted(splits.items()))}
-    if {**(found or {}), "splits": splits} != document:
+    splits = {**before, split: {"n": max(n, before.get(split, {}).get("n", 0))}}
+    if found is None or splits != before:
+        document = {**asked, "splits": dict(sorted(splits.items()))}
         write_whole(path, (json.dumps(document, indent=1) + "\n").encode())
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.geometry import terrain
-from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.geometry.road import S_END_M, RoadPlan
 
 Values = Float[np.ndarray, "*n"]
 Points2 = Float[np.ndarray, "*n 2"]
@@ -31,6 +31,8 @@ EMBANKMENT_SLOPE = 1.5
 GROWTH = 0.06
 # Stretch behind the split over which the pavement of a lane that leaves narrows away (topology 4).
 TAPER_M = 20.0
+# The crests of a ramp are followed this far beyond the scene.
+CREST_BEYOND_M = 30.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +70,15 @@ class Ground:
         x0, x1 = points[:, 0].min() - 10, points[:, 0].max() + 10
         return float(x0), float(y - 10), float(x1), float(y + 165)
 
+    def crests(self) -> list[Float[np.ndarray, "m 3"]]:
+        """The edges of the raised exit's shoulders, world points a metre apart: the lines over which one must look to
+        see what lies beyond it."""
+        plan = self.plan
+        if plan.ramp_start_m is None:
+            return []
+        s = np.arange(plan.ramp_start_m, S_END_M + CREST_BEYOND_M)
+        return [plan.lift(plan.exit_xy(s, edge), plan.ramp(s)) for edge in (-self.exit_edge_m, self.exit_edge_m)]
+
     def cell_scale(self, xy_world: Points2) -> Values:
         """Terrain cell size as a multiple of CELL_M, as `meshes.terrain_axes` lays it out."""
         x0, y0, x1, y1 = self.fine
@@ -77,13 +88,14 @@ class Ground:
         )
         return np.clip(1 + np.clip(out, 0, None) * GROWTH / CELL_M, 1, MAX_CELL_SCALE)
 
-    def edge_distances(self, xy_world: Points2) -> tuple[Values, Values, Values]:
-        """Distance outside the main pavement, outside the exit's pavement (negative inside, infinite far away),
-        and the exit's height over the terrain at the nearest station."""
+    def edge_distances(self, xy_world: Points2) -> tuple[Values, Values, Values, Values]:
+        """Distance outside the main pavement and outside the exit's (negative inside, infinite far away), the exit's
+        height over the terrain at the nearest station, and the room for its embankment on this side of it."""
         s, t = self.plan.project_main(xy_world)
         main = np.maximum(-self.edge_m - t, t - self.main_right_edge(s))
         outside = np.full(s.shape, np.inf)
         raised = np.zeros(s.shape)
+        room = np.full(s.shape, np.inf)
         if self.plan.has_exit:
             reach = self._reach_m(xy_world) + 1.5 * self.plan.opening(np.clip(s + 20, 0, None))
             close = (s > -20) & (t > self.main_right_edge(s) - self.plan.width_m - 1) & (t < self.edge_m + reach)
@@ -91,7 +103,8 @@ class Ground:
                 se, te = self.plan.project_exit(xy_world[close], s[close])
                 outside[close] = np.where(se >= 0, np.abs(te) - self.exit_edge_m, np.inf)
                 raised[close] = self.plan.ramp(se)
-        return main, outside, raised
+                room[close] = np.where(te < 0, np.clip(main[close] + outside[close], 0, None), np.inf)
+        return main, outside, raised, room
 
     def above_terrain(self, xy_world: Points2) -> Values:
         """Height of the built ground over the analytic terrain at any points (0 away from roads)."""
@@ -99,12 +112,13 @@ class Ground:
         above = np.zeros(len(flat))
         near = self._near(flat)
         xy = flat[near]
-        main, exits, raised = self.edge_distances(xy)
+        main, exits, raised, room = self.edge_distances(xy)
         scale = self.cell_scale(xy)
         distance = np.minimum(main, exits)
         main_profile = profile(main, 0.0, scale)
+        squeeze = np.clip(room / embankment_width(raised, scale), 1e-6, 1)
         exit_profile = np.where(
-            np.isfinite(exits), profile(np.where(np.isfinite(exits), exits, 0), raised, scale), -np.inf
+            np.isfinite(exits), profile(np.where(np.isfinite(exits), exits / squeeze, 0), raised, scale), -np.inf
         )
         built = np.where(
             main <= 0, np.where(exits <= 0, np.maximum(raised, 0), 0.0), np.maximum(main_profile, exit_profile)
@@ -117,7 +131,7 @@ class Ground:
         flat = xy_world.reshape(-1, 2)
         pressed = np.zeros(len(flat))
         near = self._near(flat)
-        main, exits, _ = self.edge_distances(flat[near])
+        main, exits, _, _ = self.edge_distances(flat[near])
         pressed[near] = press(np.minimum(main, exits), self.cell_scale(flat[near]))
         z = terrain.height_at(self.plan.scene.terrain, flat) - pressed
         return np.asarray(z.reshape(xy_world.shape[:-1]))
@@ -131,7 +145,7 @@ class Ground:
         flat = xy_world.reshape(-1, 2)
         clear = np.full(len(flat), np.inf)
         near = self._near(flat)
-        main, exits, _ = self.edge_distances(flat[near])
+        main, exits, _, _ = self.edge_distances(flat[near])
         clear[near] = np.minimum(main, exits)
         return clear.reshape(xy_world.shape[:-1])
 
@@ -153,6 +167,12 @@ def press(distance_m: Values, scale: Values) -> Values:
     """How far the terrain mesh is pressed down at a distance from the pavement."""
     fade = (VERGE_M * scale - distance_m) / ((VERGE_M - PRESSED_TO_M) * scale)
     return PRESS_M * scale * np.clip(fade, 0, 1)
+
+
+def embankment_width(raised_m: Values, scale: Values) -> Values:
+    """Width of the strip from a shoulder's edge down to below the terrain, where there is room for it; in less room
+    the same strip is squeezed."""
+    return np.asarray(EMBANKMENT_SLOPE * raised_m + VERGE_M * scale)
 
 
 def profile(distance_m: Spread, raised_m: Spread | float, scale: Spread) -> Spread:

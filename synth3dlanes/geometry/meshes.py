@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from synth3dlanes.geometry.ground import CELL_M, EMBANKMENT_SLOPE, GROWTH, VERGE_M, Ground, profile
+from synth3dlanes.geometry.ground import CELL_M, EMBANKMENT_SLOPE, GROWTH, VERGE_M, Ground, embankment_width, profile
 from synth3dlanes.geometry.lanes import Curve, curves
 from synth3dlanes.geometry.road import RoadPlan
 
@@ -189,7 +189,7 @@ def _verge(
     foot = EMBANKMENT_SLOPE * raised
     columns = [0.0 * foot, 0.5 * foot, foot] + [foot + VERGE_M * scale * share for share in (0.33, 0.66, 1.0)]
     distance = np.stack(columns, axis=1)
-    squeeze = np.minimum(1.0, room_m / distance[:, -1])
+    squeeze = np.minimum(1.0, room_m / embankment_width(raised, scale))
     xy = np.stack([edge_plus(distance[:, j] * squeeze) for j in range(distance.shape[1])], axis=1)
     above = profile(distance, raised[:, None], scale[:, None])
     return _grid(ground.plan.lift(xy, above), xy, np.zeros(distance.shape[1] - 1, dtype=int))

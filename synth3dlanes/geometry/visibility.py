@@ -23,4 +23,22 @@ def seen_over_ground(
     hidden = ground.height(sight[:, :2]) > sight[:, 2] + TOLERANCE_M
     seen = np.ones(len(to), dtype=bool)
     seen[ray[hidden]] = False
+    for crest in ground.crests():
+        seen &= ~_behind_crest(eye_world, to, crest)
     return seen
+
+
+def _behind_crest(
+    eye_world: Float[np.ndarray, "3"], to: Float[np.ndarray, "n 3"], crest_world: Float[np.ndarray, "m 3"]
+) -> Bool[np.ndarray, " n"]:
+    """Which sight lines, given from the eye to their ends, pass below a line of crest before they end. A crest is
+    sharper than STEP_M: its crossing seen from above is computed, not searched."""
+    start = crest_world[:-1] - eye_world
+    along = np.diff(crest_world, axis=0)
+    x, y = to[:, :1], to[:, 1:2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        across = x * along[:, 1] - y * along[:, 0]
+        share = (start[:, 0] * along[:, 1] - start[:, 1] * along[:, 0]) / across
+        place = (start[:, 0] * y - start[:, 1] * x) / across
+        below = share * to[:, 2:] < start[:, 2] + place * along[:, 2] - TOLERANCE_M
+    return np.asarray(((share > 0) & (share < 1) & (place >= 0) & (place <= 1) & below).any(axis=1))

@@ -269,4 +269,19 @@ def test_the_height_map_comes_with_the_passes():
     scene = changed(terrain={"gaussians": (hill(0, 60, 6, 50),)})
     height = rendered(scene, RenderSettings(samples=1, passes=("height",))).passes["height"]
     assert height.shape == (200, 100)
-    assert height[0, 50] > 1 > abs(height[-1, 50]), "row 0 is the farthest, on the hill; the last is at the camera's foot"
+    assert height[0, 50] > 1 > abs(height[-1, 50]), (
+        "row 0 is the farthest, on the hill; the last is at the camera's foot"
+    )
+
+
+def test_instance_ids_of_paint_follow_the_labels():
+    scene = changed(road={"topology": 3, "flip_lateral": True, "exit_offset_m": 8.0}, camera={"lane": 3, "y_m": -60})
+    result = rendered(scene)
+    delimiters = [lane for lane in result.labels.lanes if lane.kind == "delimiter"]
+    instance = result.passes["instance"]
+    for i, lane in enumerate(delimiters):
+        near = lane.visible & (lane.xyz_cam[:, 1] < 25)
+        u, v = np.floor(project(result.labels.camera.img_from_cam, lane.xyz_cam[near])).astype(int).T
+        ids = instance[np.clip(v, 0, 359), np.clip(u, 0, 479)]
+        painted = ids[ids >= FIRST_DELIMITER_ID]
+        assert (painted == FIRST_DELIMITER_ID + i).all(), lane.id

@@ -108,3 +108,26 @@ def test_pages(run: Run, folder: Path, in_tmp_path: Path) -> None:
     assert {path.name for path in in_tmp_path.iterdir()} == {"report.html", "page.html"}
     both = json.loads(run("inspect", f"{folder}/train:3", "--html", "b.html", "--out", "b.png", "--json").stdout)
     assert (both["page"], both["figure"]) == ("b.html", "b.png")
+
+
+def test_split_info_and_merge(run: Run, folder: Path, in_tmp_path: Path) -> None:
+    assert "complete" in run("info", folder).stdout
+    result = run("split", f"{folder}/train", "--into", "train=3,val=1", "--out", "s")
+    assert result.stdout == "s/train: 9 samples\ns/val: 3 samples\n", result.stderr
+    told = json.loads(run("info", "s", "--json").stdout)
+    assert [(one["name"], one["joined"], one["complete"]) for one in told["splits"]] == [
+        ("train", 9, True),
+        ("val", 3, True),
+    ]
+    assert "derived" in run("info", "s").stdout
+    assert run("validate", "s", "--workers", 1, "--json").exit_code in (0, 1)
+    assert run("merge", folder, "--out", "m").stdout == "m/train: 12 samples\n"
+    again = run("merge", folder, folder, "--out", "n")
+    assert (again.exit_code, again.stderr.count("\n")) == (2, 1)
+
+
+@pytest.mark.parametrize("shares", ["", "train", "train=0", "a=1,a=1", "../up=1", "a=-1"])
+def test_shares_that_are_none(run: Run, folder: Path, in_tmp_path: Path, shares: str) -> None:
+    result = run("split", f"{folder}/train", "--out", "s", "--into", shares)
+    assert (result.exit_code, result.stdout, result.stderr.count("\n")) == (2, "", 1)
+    assert list(in_tmp_path.iterdir()) == []
