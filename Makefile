@@ -3,7 +3,7 @@ BIN := .venv/bin
 DEMO ?= demo
 export MPLBACKEND := Agg
 
-.PHONY: help setup demo test check format docs golden assets bench
+.PHONY: help setup demo test check format docs golden assets bench soak
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -43,5 +43,8 @@ golden: .venv/ready  ## rewrite tests/golden from the code; review the diff
 assets: .venv/ready  ## rebuild cars, trees, textures and skies from their scripts
 	$(BIN)/python blender_assets/make.py
 
-bench: .venv/ready  ## seconds per image by stage, against the render floor
-	$(BIN)/synth3dlanes bench
+bench: .venv/ready  ## seconds by stage over the render floor, against docs/bench.json and a naive pipeline
+	$(BIN)/synth3dlanes bench --naive --against docs/bench.json
+
+soak: .venv/ready  ## 50 SIGKILLs here and 50 on a Ray cluster of two nodes; the same bytes in the end
+	$(BIN)/python -m tests.soak --kills 50

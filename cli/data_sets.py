@@ -52,7 +52,7 @@ def info(folder: str, as_json: bool) -> None:
     for name in ("split", "asked for", "there", "in progress", "set aside", "shards", "MB", ""):
         table.add_column(name, justify="left" if name in ("split", "") else "right")
     for split in found.splits:
-        numbers = (split.asked, split.joined, split.waiting, split.set_aside, split.shards, round(split.bytes / 1e6))
+        numbers = (split.asked, split.joined, split.waiting, split.set_aside, split.shards, f"{split.bytes / 1e6:.1f}")
         table.add_row(split.name, *map(str, numbers), "complete" if split.is_complete else "incomplete")
     Console(soft_wrap=True).print(table)
 

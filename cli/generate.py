@@ -105,7 +105,7 @@ def generate(
     from synth3dlanes.settings import RenderSettings
 
     recipe = Recipe(load_params(source, changes), seed, split, RenderSettings(samples, passes, device), image_format)
-    with _progress() as notify:
+    with progress() as notify:
         report = run(Plan(Path(out), n, recipe, workers, part), out, executor, address, notify)
     if report.problem:
         click.echo(report.problem, err=True)
@@ -117,7 +117,7 @@ def generate(
 
 
 @contextmanager
-def _progress() -> Iterator[Callable[["Event"], None]]:
+def progress() -> Iterator[Callable[["Event"], None]]:
     """What to call with every event: redraws a bar on a terminal, else prints a line now and then."""
     if sys.stderr.isatty():
         with _bar() as notify:

@@ -22,6 +22,7 @@ from .model import ablation, evaluate, onnx, predict, train
 from .params import params
 from .scenes import render, sample
 from .stats import stats
+from .twins import twins
 from .validate import validate
 
 
@@ -65,7 +66,23 @@ def main() -> None:
 
 
 for command in (
-    *(generate, sample, render, inspect, gallery, report, stats, info, split, merge, params, export, validate, bench),
+    *(
+        generate,
+        sample,
+        render,
+        twins,
+        inspect,
+        gallery,
+        report,
+        stats,
+        info,
+        split,
+        merge,
+        params,
+        export,
+        validate,
+        bench,
+    ),
     *(train, predict, evaluate, ablation, onnx),
 ):
     main.add_command(command)

@@ -15,6 +15,7 @@ from synth3dlanes.errors import ParamsError
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.params import Params
 from synth3dlanes.sample import sample_scene
+from synth3dlanes.scene import Scene
 from synth3dlanes.settings import RenderSettings
 
 
@@ -27,6 +28,10 @@ class Recipe:
     split: str
     settings: RenderSettings
     image_format: str
+
+    def scene(self, index: int) -> Scene:
+        """The world of sample `index`."""
+        return sample_scene(self.params, self.seed, self.split, index)
 
     def description(self) -> dict[str, Any]:
         """What `dataset.json` says about it; samples of two recipes that differ here do not mix."""
@@ -68,7 +73,7 @@ def make_sample(recipe: Recipe, index: int) -> Made:
     from synth3dlanes.blender.render import render
 
     clock = [time.perf_counter()]
-    scene = sample_scene(recipe.params, recipe.seed, recipe.split, index)
+    scene = recipe.scene(index)
     clock.append(time.perf_counter())
     labels = ground_truth(scene)
     clock.append(time.perf_counter())
@@ -95,4 +100,4 @@ def make_part(
 
 def scene_json(recipe: Recipe, index: int) -> str:
     """The scene of sample `index` as `scene.json`, without Blender."""
-    return scene_module.to_json(sample_scene(recipe.params, recipe.seed, recipe.split, index))
+    return scene_module.to_json(recipe.scene(index))

@@ -44,6 +44,21 @@ def test_the_bench_adds_up_and_compares(tmp_path):
     assert "end to end" in again.stdout
 
 
+@pytest.mark.render
+def test_more_samples_come_closer_to_the_reference_and_naive_is_slower():
+    from synth3dlanes.bench import measure_naive, measure_quality
+    from synth3dlanes.generate import Recipe
+    from synth3dlanes.params import load_params
+    from synth3dlanes.settings import RenderSettings
+
+    recipes = [Recipe(load_params("tiny"), 0, "bench", RenderSettings(samples), "jpg") for samples in (1, 8)]
+    rough, fine = (measure_quality(recipe, lambda _: None, samples=64) for recipe in recipes)
+    assert all(a < b for a, b in zip(rough.psnr_db + rough.ssim, fine.psnr_db + fine.ssim, strict=True))
+    assert min(fine.psnr_db) > 28
+    naive = measure_naive(recipes[0], lambda _: None)
+    assert naive.seconds > naive.seconds_same_samples > 0
+
+
 @pytest.mark.slow
 @pytest.mark.render
 @pytest.mark.timeout(3600)

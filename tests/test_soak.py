@@ -52,18 +52,22 @@ def test_kills_and_a_lost_node_on_ray_and_other_executors_after_it(tmp_path, who
         _refuse_a_second_run(tmp_path / "twice", cluster.address)
 
 
-def _on_ray(out: str, n: int, address: str, folder: Path | None = None) -> subprocess.Popen[str]:
+def _on_ray(out: str, n: int, address: str) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "tests.fake_samples", out, str(n), "1", address]
     return subprocess.Popen(
         command, cwd=soak.ROOT, env=soak.ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
 
 
-def _begin_here_and_go_on_with_ray(out: Path, address: str, whole: dict[str, bytes]) -> None:
-    go(plan(out, 25))
-    process = _on_ray(str(out), N, address)
+def _finish(process: subprocess.Popen[str]) -> str:
     told, errors = process.communicate()
     assert process.returncode == 0, errors
+    return told
+
+
+def _begin_here_and_go_on_with_ray(out: Path, address: str, whole: dict[str, bytes]) -> None:
+    go(plan(out, 25))
+    told = _finish(_on_ray(str(out), N, address))
     assert told.count("kind='sample'") == N - 25
     soak.check(out, N, whole)
 
@@ -71,15 +75,13 @@ def _begin_here_and_go_on_with_ray(out: Path, address: str, whole: dict[str, byt
 def _make_in_a_store(folder: Path, address: str, whole: dict[str, bytes]) -> None:
     url = f"file://{folder}"
     for n in (25, N):
-        process = _on_ray(url, n, address)
-        assert process.wait() == 0, process.communicate()[1]
+        _finish(_on_ray(url, n, address))
     soak.check(folder, N, whole)
     assert {path.name for path in folder.iterdir()} == {"dataset.json", "logs", "train"}
     # A shard without its index is not there: whatever stopped its upload, it is made again.
     (folder / "train" / "00002.parquet").unlink()
     (folder / "train" / "00002.tar").write_bytes(b"half a tar")
-    process = _on_ray(url, N, address)
-    assert process.wait() == 0, process.communicate()[1]
+    _finish(_on_ray(url, N, address))
     soak.check(folder, N, whole)
     with pytest.raises(ParamsError, match="image_format"):
         store.announce(replace(plan(folder), recipe=fake_samples.recipe(image_format="jpg")), url)

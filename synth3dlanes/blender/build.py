@@ -51,7 +51,16 @@ def open_studio() -> Studio:
     bpy.context.scene.camera = camera
     make_world()
     assets, materials = load_assets(), make_materials()
-    return Studio(assets, materials, bpy.data.materials.new("plain"), camera, frozenset(_names()))
+    return Studio(assets, materials, _plain(), camera, frozenset(_names()))
+
+
+def _plain() -> bpy.types.Material:
+    """A material without a shader: nothing is lit, nothing bounces."""
+    material = bpy.data.materials.new("plain")
+    material.use_nodes = True
+    material.node_tree.nodes.clear()
+    material.node_tree.nodes.new("ShaderNodeOutputMaterial")
+    return material
 
 
 def build(studio: Studio, scene: Scene, labelled: Sequence[str] = ()) -> list[Placed]:

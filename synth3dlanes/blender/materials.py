@@ -82,9 +82,6 @@ def _image(graph: Graph, file: str, vector: Any, is_color: bool) -> Any:
     """A repeating texture's colour output."""
     image = bpy.data.images.load(str(assets_dir() / "textures" / file), check_existing=True)
     image.colorspace_settings.name = "sRGB" if is_color else "Non-Color"
-    # Cycles would decode the file anew for every scene; packed, it takes Blender's pixels.
-    if image.packed_file is None:
-        image.pack()
     return graph.node("ShaderNodeTexImage", {"Vector": vector}, image=image).outputs["Color"]
 
 

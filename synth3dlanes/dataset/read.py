@@ -87,7 +87,7 @@ class Reader:
 
     def passes(self, i: int) -> dict[str, Shaped[np.ndarray, "..."]]:
         """The passes of sample i by name; none where the dataset was made without."""
-        found: dict[str, Shaped[np.ndarray, "..."]] = {}
+        found: dict[str, Shaped[np.ndarray, ...]] = {}
         for name in (PASSES, HEIGHT):
             if name in self._names:
                 found |= read_passes(self.member(i, name), f"{self._where(i)}.{name}")

@@ -270,7 +270,7 @@ def test_the_height_map_comes_with_the_passes():
     height = rendered(scene, RenderSettings(samples=1, passes=("height",))).passes["height"]
     assert height.shape == (200, 100)
     assert height[0, 50] > 1 > abs(height[-1, 50]), (
-        "row 0 is the farthest, on the hill; the last is at the camera's foot"
+        "row 0 is farthest, on the hill; the last is at the foot"
     )
 
 

@@ -120,7 +120,8 @@ def test_split_info_and_merge(run: Run, folder: Path, in_tmp_path: Path) -> None
         ("val", 3, True),
     ]
     assert "derived" in run("info", "s").stdout
-    assert run("validate", "s", "--workers", 1, "--json").exit_code in (0, 1)
+    # Plain images fail the proof of pixels; where the samples came from is no fault.
+    assert "scene.json: index" not in run("validate", "s", "--workers", 1).output
     assert run("merge", folder, "--out", "m").stdout == "m/train: 12 samples\n"
     again = run("merge", folder, folder, "--out", "n")
     assert (again.exit_code, again.stderr.count("\n")) == (2, 1)
