@@ -49,9 +49,8 @@ def cli_page() -> str:
     parts = [CLI_HEAD]
     for name, command in commands():
         context = click.Context(
-            command, info_name=name, terminal_width=100, max_content_width=100, help_option_names=["-h", "--help"]
+            command, info_name=name, terminal_width=100, max_content_width=100, **main.context_settings
         )
-        context.show_default = True
         parts += [f"## {name}\n", f"```\n{command.get_help(context)}\n```\n"]
     return "\n".join(parts)
 

@@ -12,6 +12,7 @@ import errno
 import fcntl
 import os
 import pickle
+import re
 import signal
 import subprocess
 import sys
@@ -31,6 +32,8 @@ import psutil
 STDERR_TAIL = 8000
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 PR_SET_PDEATHSIG = 1
+# Folders that Blender adds to sys.path where it is loaded; with them a worker would load it by halves.
+BLENDERS_PATH = re.compile(r"/bpy/\d+\.\d+/scripts")
 
 
 @dataclass(frozen=True)
@@ -163,7 +166,7 @@ class Pool:
             )
         theirs.close()
         with suppress(BrokenPipeError):
-            ours.send(sys.path)
+            ours.send([path for path in sys.path if not BLENDERS_PATH.search(path)])
         return Worker(process, ours, stderr)
 
     def _receive(self, slot: int, worker: Worker) -> Outcome:

@@ -1,4 +1,4 @@
-"""Killed at random moments, full, forbidden, broken: in the end the same bytes (tests/soak.py; `make soak` is longer)."""
+"""Killed at random moments, full, forbidden, broken: the same bytes in the end (tests/soak.py; longer: `make soak`)."""
 
 import importlib.util
 import os
