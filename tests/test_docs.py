@@ -82,3 +82,18 @@ def test_the_changelog_knows_this_version() -> None:
     from synth3dlanes import __version__
 
     assert f"## [{__version__}]" in (ROOT / "CHANGELOG.md").read_text()
+
+
+def test_commands_in_the_pages_exist_with_their_options() -> None:
+    import click
+
+    from scripts.docs import commands
+
+    known = dict(commands())
+    pages = [ROOT / "README.md", *DOCS.glob("*.md")]
+    lines = [line for page in pages for line in re.findall(r"^synth3dlanes [^\n`]+$", page.read_text(), re.MULTILINE)]
+    assert len(lines) > 15
+    for line in lines:
+        command = next(known[name] for name in sorted(known, key=len, reverse=True) if line.startswith(f"{name} "))
+        options = {option for param in command.params if isinstance(param, click.Option) for option in param.opts}
+        assert set(re.findall(r"(?<= )--[\w-]+", line)) <= options, line

@@ -269,9 +269,7 @@ def test_the_height_map_comes_with_the_passes():
     scene = changed(terrain={"gaussians": (hill(0, 60, 6, 50),)})
     height = rendered(scene, RenderSettings(samples=1, passes=("height",))).passes["height"]
     assert height.shape == (200, 100)
-    assert height[0, 50] > 1 > abs(height[-1, 50]), (
-        "row 0 is farthest, on the hill; the last is at the foot"
-    )
+    assert height[0, 50] > 1 > abs(height[-1, 50]), "row 0 is farthest, on the hill; the last is at the foot"
 
 
 def test_instance_ids_of_paint_follow_the_labels():
