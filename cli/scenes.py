@@ -25,12 +25,10 @@ from .options import (
 def sample(index: int, n: int, seed: int, split: str, source: str, changes: tuple[str, ...]) -> None:
     """Draw scenes and print their scene.json. No Blender."""
     from synth3dlanes.params import load_params
-    from synth3dlanes.sample import sample_scene
-    from synth3dlanes.scene import to_json
+    from synth3dlanes.sample import scene_texts
 
-    params = load_params(source, changes)
-    for number in range(index, index + n):
-        click.echo(to_json(sample_scene(params, seed, split, number)))
+    for text in scene_texts(load_params(source, changes), seed, split, range(index, index + n)):
+        click.echo(text)
 
 
 @click.command()

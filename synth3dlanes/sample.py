@@ -2,6 +2,10 @@
 
 import hashlib
 import math
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
 from typing import Any, TypeVar
 
 import numpy as np
@@ -27,6 +31,7 @@ from synth3dlanes.scene import (
     Surface,
     Terrain,
     Tree,
+    to_json,
 )
 
 # Numbers in a scene are rounded to a micrometre, a microradian: readable, and equal on every machine.
@@ -34,6 +39,8 @@ DECIMALS = 6
 CAR_GAP_M = (1.0, 0.3)
 HOST_SIZE_M = (5.0, 2.0)
 TRIES = 300
+# From this many scenes on, processes are quicker than one; each is handed CHUNK at a time.
+WORTH_PROCESSES, CHUNK = 200, 25
 # A camera for the bare road, until the host's is drawn: its lane depends on the lanes that there are.
 NO_CAMERA = Camera(
     lane=1, y_m=-50, offset_m=0, height_m=1.5, pitch_rad=0, width_px=8, height_px=8, fx_px=8, fy_px=8, cx_px=4, cy_px=4
@@ -81,6 +88,20 @@ def sample_scene(params: Params, seed: int, split: str, index: int) -> Scene:
 
 
 P = TypeVar("P", Markings, Surface, Light)
+
+
+def scene_texts(params: Params, seed: int, split: str, indices: range) -> Iterator[str]:
+    """The `scene.json` of each index in turn; many are drawn by a process a core."""
+    draw = partial(_scene_text, params, seed, split)
+    if len(indices) < WORTH_PROCESSES:
+        yield from map(draw, indices)
+        return
+    with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
+        yield from pool.map(draw, indices, chunksize=CHUNK)
+
+
+def _scene_text(params: Params, seed: int, split: str, index: int) -> str:
+    return to_json(sample_scene(params, seed, split, index))
 
 
 class Draw:

@@ -70,6 +70,8 @@ def test_every_package_is_installed() -> None:
     for top in ("synth3dlanes", "cli", "baseline_model", "params", "blender_assets"):
         found = {path.parent.relative_to(ROOT).as_posix() for path in (ROOT / top).rglob("*.py")}
         assert found <= folders
+    beside_code = {path for path in (ROOT / "synth3dlanes").rglob("*.*") if path.suffix not in (".py", ".pyc")}
+    assert beside_code == set((ROOT / "synth3dlanes/figures").glob(*tool["package-data"]["synth3dlanes.figures"]))
 
 
 def test_links_between_pages_lead_somewhere() -> None:

@@ -9,7 +9,8 @@ from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.lanes import lanes_present, segments_at
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.params import load_params
-from synth3dlanes.sample import sample_scene
+from synth3dlanes.sample import sample_scene, scene_texts
+from synth3dlanes.scene import to_json
 
 N = 400
 # With some 40 tests of uniformity, a true null falls below this once in 250 runs; the draws are fixed, so never here.
@@ -169,3 +170,8 @@ def test_no_room_is_an_error_that_names_the_parameters():
         sample_scene(load_params("appendix_i", ["trees.x_m=0", "trees.y_m=0"]), 0, "train", 0)
     with pytest.raises(ParamsError, match=r"cars\.n: no room for car"):
         sample_scene(load_params("appendix_i", ["cars.n=90", "cars.s_m=[0, 10]"]), 0, "train", 0)
+
+
+def test_many_scenes_from_several_processes_are_the_same_scenes(params, scenes):
+    texts = list(scene_texts(params, 0, "train", range(200)))
+    assert texts == [to_json(scene) for scene in scenes[:200]]
