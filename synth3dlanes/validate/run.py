@@ -116,9 +116,8 @@ def check_sample(root: Path, seed: int | None, pass_names: tuple[str, ...], entr
         passes: dict[str, Shaped[np.ndarray, ...]] = {}
         for name in members.keys() & {PASSES, HEIGHT}:
             passes |= read_passes(members[name], name)
-    except ValueError as error:
-        reason = str(error) if isinstance(error, FormatError) else f"{LABELS}: expected arrays of numbers, got {error}"
-        return Checked(entry.name, digest, [*findings, Finding("", reason)], measures)
+    except FormatError as error:
+        return Checked(entry.name, digest, [*findings, Finding("", str(error))], measures)
     misshapen = [*_pictures(scene, pass_names, image, passes), *check_shape(scene, labels)]
     if not misshapen:
         findings += [*check_values(scene, labels), *check_objects(scene, labels)]
