@@ -23,7 +23,7 @@ PAINT_AHEAD_M = 250.0
 LANE_COLUMNS, SHOULDER_COLUMNS = 4, 4
 ROAD, SHOULDER = 0, 1
 # Paint floats over the road by more than the road's faces can rise between their rows, which are longer far away.
-PAINT_LIFT_M = (0.003, 0.004, 0.012, 0.05, 0.15)
+PAINT_LIFT_M = (0.0015, 0.002, 0.008, 0.04, 0.12)
 PAINT_LIFT_AT_M = (0.0, 40.0, 80.0, 160.0, 250.0)
 
 
