@@ -13,8 +13,8 @@ import numpy as np
 from synth3dlanes.blender.assets import assets_dir
 from synth3dlanes.blender.shaders import Graph, coated, new_material
 from synth3dlanes.scene import Scene
+from synth3dlanes.settings import SEMANTIC_IDS
 
-TERRAIN_ID, ROAD_ID, SHOULDER_ID, MARKING_ID = 1, 2, 3, 4
 # A texture scale is the number of tiles in 100 m: road tiles of 3 to 10 m, terrain tiles of 7 to 20 m.
 SCALE_LENGTH_M = 100.0
 WEAR_LENGTH_M = 48.0  # the wear maps show two lanes by this length
@@ -106,7 +106,7 @@ def _tile_uv(graph: Graph) -> Any:
 
 def _road(name: str) -> bpy.types.Material:
     """Fine texture times the lane-aligned wear map; a rough coat that `gloss` polishes."""
-    material, graph = new_material(name, ROAD_ID)
+    material, graph = new_material(name, SEMANTIC_IDS["road"])
     uv = _tile_uv(graph)
     wear_uv = graph.node("ShaderNodeMapping", {"Vector": _metres(graph)}, name="wear_uv").outputs[0]
     fine = _image(graph, f"{name}_albedo.jpg", uv, is_color=True)
@@ -121,7 +121,7 @@ def _road(name: str) -> bpy.types.Material:
 
 def _shoulder() -> bpy.types.Material:
     """Gravel, matt."""
-    material, graph = new_material("shoulder", SHOULDER_ID)
+    material, graph = new_material("shoulder", SEMANTIC_IDS["shoulder"])
     uv = _tile_uv(graph)
     macro_uv = graph.scale(_metres(graph), 1 / 17.0)
     macro = graph.math("MULTIPLY", _image(graph, "terrain_macro.jpg", macro_uv, is_color=False), 2.0)
@@ -133,7 +133,7 @@ def _shoulder() -> bpy.types.Material:
 
 def _terrain(name: str) -> bpy.types.Material:
     """Fine texture times two scales of a map of growth and dryness, so that no hill looks like a carpet."""
-    material, graph = new_material(name, TERRAIN_ID)
+    material, graph = new_material(name, SEMANTIC_IDS["terrain"])
     uv, metres = _tile_uv(graph), _metres(graph)
     fine = _image(graph, f"{name}_albedo.jpg", uv, is_color=True)
     distance_m = graph.node("ShaderNodeCameraData").outputs["View Distance"]
@@ -149,7 +149,7 @@ def _terrain(name: str) -> bpy.types.Material:
 
 def _marking() -> bpy.types.Material:
     """Paint of the sampled grayscale and gloss, rubbed thin in places."""
-    material, graph = new_material("marking", MARKING_ID)
+    material, graph = new_material("marking", SEMANTIC_IDS["marking"])
     cover = _image(graph, "marking_cover.jpg", graph.scale(_metres(graph), 1 / 5.0), is_color=False)
     shade = graph.math("MULTIPLY", graph.math("MULTIPLY", graph.value("grayscale"), 0.85), cover)
     gloss = graph.value("gloss")
