@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @device_option
 @samples_option
 @passes_option
-@click.option("--quality", is_flag=True, help="Compare three scenes with 1024 samples a pixel; takes many minutes.")
+@click.option("--reference", is_flag=True, help="Compare three scenes with 1024 samples a pixel; takes many minutes.")
 @click.option("--naive", is_flag=True, help="Time Blender's defaults on the same scenes; takes minutes.")
 @click.option(
     "--against",
@@ -39,7 +39,7 @@ def bench(
     device: str,
     samples: int,
     passes: tuple[str, ...],
-    quality: bool,
+    reference: bool,
     naive: bool,
     against: Path | None,
     as_json: bool,
@@ -62,7 +62,7 @@ def bench(
     )
     with Console(stderr=True).status("warming up") as status:
         found = measuring.bench(recipe, n, workers or seats.workers, list(seats.masks), status.update)
-        if quality:
+        if reference:
             found = replace(found, quality=measuring.measure_quality(recipe, status.update))
         if naive:
             found = replace(found, naive=measuring.measure_naive(recipe, status.update))

@@ -8,9 +8,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
+
+from synth3dlanes.events import LEVELS, Event, duration
 
 from .options import (
     device_option,
@@ -23,12 +25,8 @@ from .options import (
     split_option,
 )
 
-if TYPE_CHECKING:
-    from synth3dlanes.progress import Event
-
 # Where there is no terminal to redraw, a line this often.
 LINE_EVERY_S = 30.0
-WORTH_A_LINE = ("restart", "set_aside", "pause", "resume")
 
 
 class Workers(click.ParamType):
@@ -73,6 +71,12 @@ class PartOf(click.ParamType):
 @click.option("--executor", type=click.Choice(["local", "ray"]), default="local", help="Where the workers run.")
 @click.option("--address", default="auto", help="Of the Ray cluster; auto: the one that this machine belongs to.")
 @click.option("--part", metavar="I/N", type=PartOf(), default="1/1", help="Make the i-th of n parts, one per machine.")
+@click.option(
+    "--log-level",
+    type=click.Choice(LEVELS),
+    default="info",
+    help="What to print while working; the log in DIR/logs holds everything.",
+)
 @json_option
 @click.pass_context
 def generate(
@@ -91,6 +95,7 @@ def generate(
     executor: str,
     address: str,
     part: tuple[int, int],
+    log_level: str,
     as_json: bool,
 ) -> None:
     """Make N labelled scenes in DIR/SPLIT.
@@ -105,31 +110,32 @@ def generate(
     from synth3dlanes.settings import RenderSettings
 
     recipe = Recipe(load_params(source, changes), seed, split, RenderSettings(samples, passes, device), image_format)
-    with progress() as notify:
+    with progress(log_level) as notify:
         report = run(Plan(Path(out), n, recipe, workers, part), out, executor, address, notify)
     if report.problem:
         click.echo(report.problem, err=True)
     if as_json:
         click.echo(json.dumps(asdict(report)))
     else:
-        click.echo(f"{out}/{split}: {report.done} of {report.asked} samples, {report.made} made now")
+        click.echo(f"{out}/{split}: {report.text()}")
     ctx.exit(report.exit_code)
 
 
 @contextmanager
-def progress() -> Iterator[Callable[["Event"], None]]:
-    """What to call with every event: redraws a bar on a terminal, else prints a line now and then."""
+def progress(level: str = "info") -> Iterator[Callable[[Event], None]]:
+    """What to call with every event: prints what matters, and redraws a bar on a terminal, else tells the pace now and
+    then."""
     if sys.stderr.isatty():
-        with _bar() as notify:
+        with _bar(level) as notify:
             yield notify
         return
     printed = time.monotonic()
 
-    def notify_in_lines(event: "Event") -> None:
+    def notify_in_lines(event: Event) -> None:
         nonlocal printed
-        if event.kind in ("start", *WORTH_A_LINE):
+        if event.kind != "end" and event.matters(level):
             click.echo(event.message, err=True)
-        elif event.kind == "end" or time.monotonic() - printed > LINE_EVERY_S:
+        if event.kind == "end" or time.monotonic() - printed > LINE_EVERY_S:
             printed = time.monotonic()
             click.echo(f"{event.done}/{event.asked}  {_pace(event)}", err=True)
 
@@ -137,7 +143,7 @@ def progress() -> Iterator[Callable[["Event"], None]]:
 
 
 @contextmanager
-def _bar() -> Iterator[Callable[["Event"], None]]:
+def _bar(level: str) -> Iterator[Callable[[Event], None]]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -145,19 +151,17 @@ def _bar() -> Iterator[Callable[["Event"], None]]:
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task("", total=None, pace="")
 
-        def notify(event: "Event") -> None:
-            if event.kind in ("start", *WORTH_A_LINE):
+        def notify(event: Event) -> None:
+            if event.kind != "end" and event.matters(level):
                 bar.console.print(event.message, markup=False)
             bar.update(task, completed=event.done, total=event.asked, pace=_pace(event))
 
         yield notify
 
 
-def _pace(event: "Event") -> str:
+def _pace(event: Event) -> str:
     """Rate and time left, as far as they are known."""
     if not event.rate_per_s or event.eta_s is None:
         return ""
-    minutes, seconds = divmod(round(event.eta_s), 60)
-    hours, minutes = divmod(minutes, 60)
     set_aside = f", {event.set_aside} set aside" if event.set_aside else ""
-    return f"{3600 * event.rate_per_s:,.0f} images/h, {hours}:{minutes:02}:{seconds:02} left{set_aside}"
+    return f"{3600 * event.rate_per_s:,.0f} images/h, {duration(event.eta_s)} left{set_aside}"

@@ -1,7 +1,8 @@
 """Options that several commands share."""
 
 import re
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import click
 
@@ -50,9 +51,32 @@ split_option = click.option(
     "--split", metavar="NAME", type=FileName(), default="train", help="Its scenes differ from other splits'."
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for a machine.")
-samples_option = click.option(
-    "--samples", metavar="K", type=click.IntRange(min=1), default=QUALITY_SAMPLES["standard"], help="Rays per pixel."
-)
+QUALITY = "synth3dlanes.quality"
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+def samples_option(command: Command) -> Command:
+    """`--quality`, and `--samples` for those who want another number; the command hears of the number alone."""
+    levels = ", ".join(f"{name} {samples}" for name, samples in QUALITY_SAMPLES.items())
+    number = click.option(
+        "--samples",
+        metavar="K",
+        type=click.IntRange(min=1),
+        callback=lambda ctx, _, value: value or QUALITY_SAMPLES[ctx.meta[QUALITY]],
+        help="Rays per pixel, whatever --quality says.",
+    )
+    level = click.option(
+        "--quality",
+        type=click.Choice(list(QUALITY_SAMPLES)),
+        default="standard",
+        is_eager=True,
+        expose_value=False,
+        callback=lambda ctx, _, value: ctx.meta.__setitem__(QUALITY, value),
+        help=f"Rays per pixel: {levels}.",
+    )
+    return level(number(command))
+
+
 passes_option = click.option(
     "--passes", type=Names(PASSES), default="", metavar="NAMES", help=f"Of {','.join(PASSES)}: extra images in an EXR."
 )

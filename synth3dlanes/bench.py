@@ -26,7 +26,6 @@ from synth3dlanes.dataset.format import decode_image
 from synth3dlanes.dataset.write import Shard
 from synth3dlanes.errors import ParamsError
 from synth3dlanes.generate import Recipe, make_part, make_sample
-from synth3dlanes.sample import sample_scene
 from synth3dlanes.workers import Limits, Outcome, Pool
 
 WARM_UP = 2
@@ -81,9 +80,10 @@ class Bench:
 
 @dataclass(frozen=True)
 class Timed:
-    """One sample's times and the memory of its worker after it."""
+    """One sample's times and the memory of its worker after it. `ended` is on the machine's monotonic clock."""
 
     worker: int
+    ended: float
     core_seconds: float
     stages: dict[str, float]
     rss_bytes: int
@@ -95,13 +95,14 @@ def bench(recipe: Recipe, n: int, workers: int, masks: list[dict[str, str]], not
     with tempfile.TemporaryDirectory(prefix="synth3dlanes-bench-") as folder:
         shard = Shard(Path(folder), 0, 1 << 30, recipe.names)
         with Pool(workers, SLOW, masks=masks) as pool:
-            seconds, timed = _time_samples(pool, recipe, shard, n, notify)
+            timed = _time_samples(pool, recipe, shard, n, notify)
             notify("the denoiser")
             denoise = _one(pool, time_denoiser, recipe)
         start = time.perf_counter()
         shard.join(1 << 30)
         join = (time.perf_counter() - start) / len(shard.joined())
-    per_image = workers * seconds / n + join
+    per_image = _seconds_between(timed) + join
+    timed = timed[-n:]
     stages = {name: mean(sample.stages[name] for sample in timed) for name in timed[0].stages}
     stages["path tracing"], floor = stages["path tracing"] - denoise, stages["path tracing"]
     stages |= {"denoise": denoise, "join": join, "waiting": max(0.0, per_image - sum(stages.values()) - denoise - join)}
@@ -158,7 +159,7 @@ def time_sample(recipe: Recipe, shard: Shard, index: int) -> Timed:
     from synth3dlanes.blender.render import studio
     from synth3dlanes.blender.stages import cycles_stages
 
-    studio()
+    studio(recipe.library)
     start = time.process_time()
     with cycles_stages() as inside:
         stages: dict[str, float] = make_part(make_sample, recipe, shard, index)["stages"]  # type: ignore[assignment]
@@ -167,28 +168,28 @@ def time_sample(recipe: Recipe, shard: Shard, index: int) -> Timed:
     stages |= {"sync": inside["sync"], "bvh": inside["bvh"], "path tracing": inside["tracing"]}
     stages["call"] = cycles - inside["sync"] - inside["bvh"] - inside["tracing"]
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-    return Timed(os.getpid(), core_seconds, stages, psutil.Process().memory_info().rss, peak)
+    return Timed(os.getpid(), time.monotonic(), core_seconds, stages, psutil.Process().memory_info().rss, peak)
 
 
 def time_denoiser(recipe: Recipe) -> float:
     """In a worker: seconds of the denoiser."""
     from synth3dlanes.blender.yardsticks import denoise_seconds
 
-    return denoise_seconds(sample_scene(recipe.params, recipe.seed, recipe.split, 0), recipe.settings)
+    return denoise_seconds(recipe.scene(0), recipe.settings, recipe.library)
 
 
 def time_naive(recipe: Recipe, index: int, samples: int) -> float:
     """In a worker: seconds of a naive render."""
     from synth3dlanes.blender.yardsticks import naive_seconds
 
-    return naive_seconds(sample_scene(recipe.params, recipe.seed, recipe.split, index), recipe.settings, samples)
+    return naive_seconds(recipe.scene(index), recipe.settings, recipe.library, samples)
 
 
 def make_reference(recipe: Recipe, index: int) -> UInt8[np.ndarray, "h w 3"]:
     """In a worker: a converged picture."""
     from synth3dlanes.blender.yardsticks import reference
 
-    return reference(sample_scene(recipe.params, recipe.seed, recipe.split, index), recipe.settings)
+    return reference(recipe.scene(index), recipe.settings, recipe.library)
 
 
 def psnr(image: UInt8[np.ndarray, "h w 3"], truth: UInt8[np.ndarray, "h w 3"]) -> float:
@@ -225,31 +226,35 @@ def compare(now: Bench, stored: Mapping[str, Any]) -> list[tuple[str, float, flo
     return pairs
 
 
-def _time_samples(
-    pool: Pool, recipe: Recipe, shard: Shard, n: int, notify: Callable[[str], None]
-) -> tuple[float, list[Timed]]:
-    """Seconds and times of the first `n` samples after every worker is warm; all stay busy to the end."""
+def _time_samples(pool: Pool, recipe: Recipe, shard: Shard, n: int, notify: Callable[[str], None]) -> list[Timed]:
+    """The last warm-up sample of every worker and the `n` samples that follow; all workers stay busy to the end."""
     indices, seen = count(), Counter[int]()
-    timed: list[Timed] = []
-    start = 0.0
-    while len(timed) < n:
+    timed: dict[int, Timed] = {}
+    warm: list[Timed] = []
+    while len(warm) < pool.n + n:
         while pool.busy < pool.n:
             index = next(indices)
             pool.start(index, time_sample, recipe, shard, index)
         for outcome in pool.wait(1.0):
             sample: Timed = _value(outcome)
-            if start:
-                timed.append(sample)
-                notify(f"sample {len(timed)} of {n}")
-            else:
-                seen[sample.worker] += 1
-                if len(seen) == pool.n and min(seen.values()) >= WARM_UP:
-                    start = time.perf_counter()
-    end = time.perf_counter()
+            seen[sample.worker] += 1
+            if warm or (len(seen) == pool.n and min(seen.values()) >= WARM_UP):
+                warm = warm or [other for worker, other in timed.items() if worker != sample.worker]
+                warm.append(sample)
+                notify(f"sample {max(0, len(warm) - pool.n)} of {n}")
+            timed[sample.worker] = sample
     while pool.busy:
         for outcome in pool.wait(1.0):
             _value(outcome)
-    return end - start, timed[:n]
+    return warm[: pool.n + n]
+
+
+def _seconds_between(timed: list[Timed]) -> float:
+    """Mean time from one end of a sample to the next of the same worker, so that what lies between them counts."""
+    ends: dict[int, list[float]] = {}
+    for sample in timed:
+        ends.setdefault(sample.worker, []).append(sample.ended)
+    return sum(max(times) - min(times) for times in ends.values()) / (len(timed) - len(ends))
 
 
 def _memory_mib(timed: list[Timed]) -> Float[np.ndarray, " n"]:

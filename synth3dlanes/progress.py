@@ -1,7 +1,6 @@
-"""What a run tells while it goes: events, rate and time left, the forecast before it starts, the log."""
+"""Where a run stands: rate and time left, the forecast before it starts, the log."""
 
 import io
-import json
 import os
 import time
 from dataclasses import dataclass, field
@@ -9,6 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from synth3dlanes.events import Event, duration
 from synth3dlanes.generate import Recipe
 
 # Measured on scenes of Appendix I at 480x360: core-seconds an image, bytes a pixel, bytes of text.
@@ -18,28 +18,6 @@ BYTES_PER_PIXEL_OF_PASS = {"depth": 2.4, "normal": 3.0, "semantic": 0.2, "instan
 BYTES_OF_TEXT = 80_000
 # A joined shard lies there twice for a moment.
 SHARD_SAMPLES = 1000
-
-
-@dataclass(frozen=True)
-class Event:
-    """One thing that happened, and where the run stands; `eta_s` is None until there is something to go by.
-
-    Kinds: start, sample, restart, set_aside, shard, pause, resume, end.
-    """
-
-    kind: str
-    message: str
-    done: int
-    asked: int
-    set_aside: int
-    seconds: float
-    rate_per_s: float | None
-    eta_s: float | None
-    details: dict[str, Any]
-
-    def line(self) -> str:
-        """The event as a line of the log."""
-        return json.dumps({"time": datetime.now(UTC).isoformat(timespec="milliseconds"), **vars(self)}) + "\n"
 
 
 @dataclass
@@ -96,8 +74,8 @@ class Forecast:
     def text(self) -> str:
         """The forecast in a line."""
         return (
-            f"{self.samples} samples to make with {self.workers} workers: about "
-            f"{self.seconds / 3600:.1f} h and {self.bytes_kept / 1e9:.2g} GB"
+            f"{self.samples} samples to make with {self.workers} workers: about {duration(self.seconds)} "
+            f"and {self.bytes_kept / 1e9:.2g} GB"
         )
 
 

@@ -29,9 +29,10 @@ from synth3dlanes.dataset.folder import claim
 from synth3dlanes.dataset.format import key_of
 from synth3dlanes.dataset.write import Shard, write_whole
 from synth3dlanes.errors import ParamsError
+from synth3dlanes.events import Event, duration
 from synth3dlanes.generate import Made, Recipe, make_part, make_sample, scene_json
 from synth3dlanes.machine import Seats, n_cores, settle
-from synth3dlanes.progress import Event, Forecast, Meter, forecast, open_log
+from synth3dlanes.progress import Forecast, Meter, forecast, open_log
 from synth3dlanes.signals import stopping_on_signals
 from synth3dlanes.workers import DISK_FULL, Limits, Outcome, Pool
 
@@ -94,7 +95,8 @@ class Plan:
 
 @dataclass(frozen=True)
 class Report:
-    """What a run has done: samples made by it, samples there are now of those asked for, and what went wrong."""
+    """What a run has done: samples made by it, samples there are now of those asked for, and what went wrong.
+    `restarts` counts workers that were replaced for a fault."""
 
     made: int
     done: int
@@ -102,7 +104,15 @@ class Report:
     set_aside: tuple[int, ...]
     interrupted: bool
     problem: str
+    restarts: int
     seconds: float
+
+    def text(self) -> str:
+        """What a person wants to know of it, in a line."""
+        pace = f" in {duration(self.seconds)} ({3600 * self.made / self.seconds:,.0f} images/h)" if self.made else ""
+        faults = {"restarts of workers": self.restarts, "samples set aside": len(self.set_aside)}
+        told = "".join(f", {count} {what}" for what, count in faults.items() if count)
+        return f"{self.done} of {self.asked} samples, {self.made} made now{pace}{told}"
 
     @property
     def exit_code(self) -> int:
@@ -138,7 +148,7 @@ class _Run:
         self.meter = Meter(sum(len(shard.indices(plan.n)) for shard in self.shards.values()), len(self.todo))
         self.failures: Counter[int] = Counter()
         self.kills: Counter[int] = Counter()
-        self.in_a_row = 0
+        self.in_a_row = self.restarts = 0
         self.interrupted = False
         self.problem = ""
         self.stop_by = math.inf
@@ -166,6 +176,7 @@ class _Run:
             tuple(sorted(meter.set_aside)),
             self.interrupted,
             self.problem,
+            self.restarts,
             meter.seconds,
         )
 
@@ -221,6 +232,7 @@ class _Run:
             self._retry(index, outcome)
 
     def _retry(self, index: int, outcome: Outcome) -> None:
+        self.restarts += 1
         (self.kills if outcome.status == "killed" else self.failures)[index] += 1
         self._tell("restart", f"{key_of(index)}: {outcome.reason}", index=index, stderr=outcome.stderr)
         if self.failures[index] < MAX_FAILURES and self.kills[index] < MAX_KILLS:
@@ -234,8 +246,7 @@ class _Run:
         self.todo.appendleft(("scene", index))
         self._tell("set_aside", f"{key_of(index)}: {outcome.reason}; see {folder}", index=index)
         if self.in_a_row >= MAX_IN_A_ROW:
-            last_line = (outcome.stderr.strip().splitlines() or [outcome.reason])[-1]
-            self.problem = f"{MAX_IN_A_ROW} scenes in a row failed, the last with: {last_line}"
+            self.problem = f"{MAX_IN_A_ROW} scenes in a row failed, the last with: {outcome.reason}"
 
     def _finished(self, index: int) -> None:
         number = index // self.plan.shard_size

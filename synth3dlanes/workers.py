@@ -185,7 +185,8 @@ class Pool:
     def _stop(self, slot: int, worker: Worker, reason: str, status: Literal["killed", "failed"] = "failed") -> Outcome:
         self._retire(slot)
         stderr = worker.stderr.read_bytes()[-STDERR_TAIL:].decode("utf-8", "replace")
-        return Outcome(worker.task, status, reason=reason, stderr=stderr)
+        last_words = "".join(f": {line}" for line in stderr.strip().splitlines()[-1:])
+        return Outcome(worker.task, status, reason=reason + last_words, stderr=stderr)
 
     def _retire(self, slot: int) -> None:
         worker, self._workers[slot] = self._workers[slot], None

@@ -1,1 +1,13 @@
 """The only package that imports bpy: Scene -> image. It reads geometry and computes no label but `object_visible`."""
+
+import shutil
+
+import bpy
+
+
+def drop_scratch() -> None:
+    """Remove Blender's temporary folder, which nothing here needs: Blender itself does so in an orderly exit alone."""
+    shutil.rmtree(bpy.app.tempdir, ignore_errors=True)
+
+
+drop_scratch()

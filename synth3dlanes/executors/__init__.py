@@ -5,8 +5,8 @@ from collections.abc import Callable
 
 from synth3dlanes import run
 from synth3dlanes.errors import ParamsError
+from synth3dlanes.events import Event
 from synth3dlanes.executors.store import is_url
-from synth3dlanes.progress import Event
 from synth3dlanes.run import Plan, Report
 
 EXECUTORS = ("local", "ray")

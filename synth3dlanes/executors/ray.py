@@ -18,10 +18,11 @@ from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 from synth3dlanes.dataset.folder import Claimed, claim
 from synth3dlanes.devices import WORKERS_PER_GPU
 from synth3dlanes.errors import ParamsError
+from synth3dlanes.events import Event
 from synth3dlanes.executors import store
 from synth3dlanes.generate import make_sample
 from synth3dlanes.machine import settle
-from synth3dlanes.progress import Event, Meter, forecast
+from synth3dlanes.progress import Meter, forecast
 from synth3dlanes.run import GRACE_S, Plan, Report
 from synth3dlanes.run import generate as generate_here
 from synth3dlanes.signals import stopping_on_signals
@@ -130,6 +131,7 @@ class _Driver:
         self.meter = Meter(asked, sum(map(len, self.before.values())))
         self.seen: set[int] = set()
         self.problem = ""
+        self.restarts = 0
         self.interrupted = False
         self.stop_by = float("inf")
 
@@ -156,7 +158,8 @@ class _Driver:
         self._tell("end", self.problem or "interrupted" * self.interrupted or "complete", {})
         asked, made = self.meter.asked, sum(map(len, self.before.values())) - left
         set_aside = tuple(sorted(self.meter.set_aside))
-        return Report(made, asked - left, asked, set_aside, self.interrupted, self.problem, self.meter.seconds)
+        seconds = self.meter.seconds
+        return Report(made, asked - left, asked, set_aside, self.interrupted, self.problem, self.restarts, seconds)
 
     def _step(self) -> None:
         ready, _ = ray.wait(list(self.tasks), timeout=POLL_S)
@@ -186,6 +189,8 @@ class _Driver:
             if kind == "sample" and index not in self.seen:
                 self.seen.add(index)
                 self.meter.sample()
+            elif kind == "restart":
+                self.restarts += 1
             elif kind == "set_aside":
                 self.meter.set_aside.append(index)
             self._tell(kind, message, details)

@@ -1,0 +1,37 @@
+"""What `generate` makes of its options, and what it prints while it works."""
+
+import pytest
+from synth3dlanes_cli.generate import generate, progress
+
+from synth3dlanes.events import LEVEL_OF, LEVELS, Event, duration
+
+
+@pytest.mark.parametrize(
+    ("options", "samples"),
+    [
+        ((), 4),
+        (("--quality", "draft"), 2),
+        (("--quality", "high"), 8),
+        (("--samples", "7"), 7),
+        (("--samples", "7", "--quality", "high"), 7),
+        (("--quality", "high", "--samples", "7"), 7),
+    ],
+)
+def test_quality_is_a_name_for_a_number_of_samples(options, samples):
+    assert generate.make_context("generate", ["--n", "1", "--out", "d", *options]).params["samples"] == samples
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_the_log_level_decides_what_is_printed(level, capsys):
+    with progress(level) as notify:
+        for kind in LEVEL_OF:
+            notify(Event(kind, f"<{kind}>", 1, 2, 0, 1.0, 1.0, 1.0, {}))
+    printed = capsys.readouterr().err
+    graver = {kind for kind, own in LEVEL_OF.items() if LEVELS.index(own) >= LEVELS.index(level)} - {"end"}
+    assert {kind for kind in LEVEL_OF if f"<{kind}>" in printed} == graver
+    assert "1/2  3,600 images/h, 0:00:01 left" in printed
+    assert "<set_aside>" in printed
+
+
+def test_durations_are_read_as_clocks():
+    assert [duration(seconds) for seconds in (0.4, 65, 3725.6)] == ["0:00:00", "0:01:05", "1:02:06"]
