@@ -1,6 +1,6 @@
 """assets.blend: one mesh a car and a tree, with their materials.
 
-A material's `pass_index` is its semantic id: car 5, tree 6. Body paint reads `obj.color = (r, g, b, gloss)`.
+A material's `pass_index` is its semantic id. Body paint reads `obj.color = (r, g, b, gloss)`.
 """
 
 from pathlib import Path
@@ -12,8 +12,9 @@ from jaxtyping import Float, Int
 from trees import Tree, fit, grow_all
 
 from synth3dlanes.blender.shaders import coated, new_material
+from synth3dlanes.settings import SEMANTIC_IDS
 
-CAR_ID, TREE_ID = 5, 6
+CAR_ID, TREE_ID = SEMANTIC_IDS["car"], SEMANTIC_IDS["tree"]
 FOLIAGE = {  # linear reflectance at either end of the random range
     "broadleaf": ((0.075, 0.115, 0.028), (0.135, 0.150, 0.042)),
     "conifer": ((0.040, 0.072, 0.036), (0.068, 0.095, 0.045)),

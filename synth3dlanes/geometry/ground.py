@@ -152,7 +152,7 @@ class Ground:
     def _near(self, xy_world: Points2) -> np.ndarray:
         """Which points lie close enough to a road to be worth projecting."""
         xy = xy_world * self.plan.flips
-        x, slope, _ = self.plan._f(xy[:, 1])
+        x, slope, _ = self.plan.main_line(xy[:, 1])
         across = (xy[:, 0] - x) / np.sqrt(1 + slope * slope)
         reach = self.edge_m + self._reach_m(xy_world)
         right = reach + (self.plan.opening(np.clip(xy[:, 1] + 20, 0, None)) * 1.5 if self.plan.has_exit else 0.0)

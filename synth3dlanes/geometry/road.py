@@ -103,7 +103,7 @@ class RoadPlan:
         df = f[1:] * np.arange(1, 5)
         return f, df, df[1:] * np.arange(1, 4)
 
-    def _f(self, s: Values) -> tuple[Values, Values, Values]:
+    def main_line(self, s: Values) -> tuple[Values, Values, Values]:
         """x of the reference line with its first two derivatives, straight beyond the outer knots."""
         inside = np.clip(s, -S_END_M, S_END_M)
         f, df, ddf = (_horner(c, inside) for c in self._quartic)
@@ -112,7 +112,7 @@ class RoadPlan:
 
     def _main_frame(self, s: Values) -> tuple[Points2, Points2, Values, Values]:
         """Point, right normal, speed |dM/ds| and turn rate d(heading)/ds (to the right) of the reference line."""
-        x, slope, bend = self._f(s)
+        x, slope, bend = self.main_line(s)
         speed = np.sqrt(1 + slope * slope)
         return (
             np.stack([x, s], -1),
