@@ -8,6 +8,7 @@ import click
 from pydantic import BaseModel, ValidationError
 from synth3dlanes_cli.main import main
 
+from synth3dlanes.catalogue import BUILT_IN
 from synth3dlanes.params import Params, load_params, presets_folder
 from synth3dlanes.scene import Scene
 
@@ -41,7 +42,18 @@ def pages() -> dict[str, str]:
         "cli.md": cli_page(),
         "params.md": params_page(),
         "scene.schema.json": json.dumps(Scene.model_json_schema(), indent=1) + "\n",
+        "cluster.md": with_files((FOLDER / "cluster.md").read_text()),
     }
+
+
+def with_files(page: str) -> str:
+    """A page with every block that is marked `<!-- file NAME -->` filled anew from that file of docs/."""
+    return re.sub(
+        r"(?<=<!-- file )(\S+)( -->\n```\w+\n).*?(?=^```$)",
+        lambda found: found[1] + found[2] + (FOLDER / found[1]).read_text(),
+        page,
+        flags=re.DOTALL | re.MULTILINE,
+    )
 
 
 def cli_page() -> str:
@@ -96,7 +108,7 @@ def legal_values() -> dict[tuple[str, str], str]:
         if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel)
     }
     try:
-        Params.model_validate(nothing)
+        Params.model_validate(nothing, context=BUILT_IN.assets)
     except ValidationError as error:
         return {
             (str(problem["loc"][0]), str(problem["loc"][1])): str(problem["ctx"]["error"])

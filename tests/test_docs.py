@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 
 
-@pytest.mark.parametrize("name", ["cli.md", "params.md", "scene.schema.json"])
+@pytest.mark.parametrize("name", ["cli.md", "params.md", "scene.schema.json", "cluster.md"])
 def test_a_generated_page_is_fresh(name: str) -> None:
     from scripts.docs import pages
 
@@ -74,28 +74,26 @@ def test_every_package_is_installed() -> None:
     assert beside_code == set((ROOT / "synth3dlanes/figures").glob(*tool["package-data"]["synth3dlanes.figures"]))
 
 
+def anchors(page: Path) -> set[str]:
+    """Where links into a page may lead: its headings as GitHub spells them."""
+    headings = re.findall(r"^#+ (.+)$", re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL), re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
 def test_links_between_pages_lead_somewhere() -> None:
     for page in [*ROOT.glob("*.md"), *DOCS.glob("*.md")]:
-        for target in re.findall(r"\]\(([^)#]+)", page.read_text()):
-            assert "://" in target or (page.parent / target).exists(), f"{page.name}: {target}"
+        for target, anchor in re.findall(r"\]\(([^)#\s]*)(?:#([^)]+))?\)", page.read_text()):
+            place = page.parent / target if target else page
+            assert "://" in target or place.exists(), f"{page.name}: {target}"
+            assert not anchor or "://" in target or anchor in anchors(place), f"{page.name}: {target}#{anchor}"
+
+
+def test_the_index_has_every_page() -> None:
+    linked = set(re.findall(r"\]\(([^)#/]+)\)", (DOCS / "README.md").read_text()))
+    assert {path.name for pattern in ("*.md", "*.schema.json") for path in DOCS.glob(pattern)} - {"README.md"} <= linked
 
 
 def test_the_changelog_knows_this_version() -> None:
     from synth3dlanes import __version__
 
     assert f"## [{__version__}]" in (ROOT / "CHANGELOG.md").read_text()
-
-
-def test_commands_in_the_pages_exist_with_their_options() -> None:
-    import click
-
-    from scripts.docs import commands
-
-    known = dict(commands())
-    pages = [ROOT / "README.md", *DOCS.glob("*.md")]
-    lines = [line for page in pages for line in re.findall(r"^synth3dlanes [^\n`]+$", page.read_text(), re.MULTILINE)]
-    assert len(lines) > 15
-    for line in lines:
-        command = next(known[name] for name in sorted(known, key=len, reverse=True) if line.startswith(f"{name} "))
-        options = {option for param in command.params if isinstance(param, click.Option) for option in param.opts}
-        assert set(re.findall(r"(?<= )--[\w-]+", line)) <= options, line
