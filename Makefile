@@ -3,7 +3,7 @@ BIN := .venv/bin
 DEMO ?= demo
 export MPLBACKEND := Agg
 
-.PHONY: help setup demo test check format docs golden assets bench soak
+.PHONY: help setup demo test check format docs pictures golden assets bench soak
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -21,9 +21,11 @@ demo: .venv/ready  ## 12 labelled 480x360 scenes, a gallery and one scene explai
 	@echo "Look at $(DEMO)/gallery.png and $(DEMO)/inspect.png"
 
 test: .venv/ready  ## the tests (all but slow and gpu)
+	scripts/browser
 	$(BIN)/pytest
 
 check: .venv/ready  ## what CI runs: format, lint, imports, types, tests
+	scripts/browser
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
@@ -36,6 +38,9 @@ format: .venv/ready  ## let ruff repair what it can
 
 docs: .venv/ready  ## rewrite the generated pages of docs/
 	$(BIN)/python -m scripts.docs
+
+pictures: .venv/ready  ## draw docs/pictures/frames.png anew
+	$(BIN)/python -m scripts.frames_picture
 
 golden: .venv/ready  ## rewrite tests/golden from the code; review the diff
 	$(BIN)/python -m tests.golden.make

@@ -3,7 +3,6 @@
 import json
 import re
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import click
@@ -59,12 +58,12 @@ def info(folder: str, as_json: bool) -> None:
 
 @click.command()
 @click.argument("folder", metavar="DIR/SPLIT")
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="The new data set.")
+@click.option("--out", metavar="DIR", required=True, help="The new data set: a folder or a URL such as s3://lanes/v1.")
 @click.option(
     "--into", metavar="SHARES", type=Shares(), default="train=0.8,val=0.1,test=0.1", help="New splits and their shares."
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, help="Who goes where depends on it alone.")
-def split(folder: str, out: Path, into: dict[str, float], seed: int) -> None:
+def split(folder: str, out: str, into: dict[str, float], seed: int) -> None:
     """Deal the samples of one split at random to new splits, copied as they are and numbered anew.
 
     To draw splits of their own, `generate --split val` is better. Run again to resume.
@@ -77,8 +76,8 @@ def split(folder: str, out: Path, into: dict[str, float], seed: int) -> None:
 
 @click.command()
 @click.argument("folders", metavar="DIR...", nargs=-1, required=True)
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="The new data set.")
-def merge(folders: tuple[str, ...], out: Path) -> None:
+@click.option("--out", metavar="DIR", required=True, help="The new data set: a folder or a URL such as s3://lanes/v1.")
+def merge(folders: tuple[str, ...], out: str) -> None:
     """Put data sets of one recipe together, such as the parts that several machines made with --part.
 
     Shards are linked where the file system allows it. No sample may be in two of them. Run again to resume.
@@ -88,6 +87,6 @@ def merge(folders: tuple[str, ...], out: Path) -> None:
     _tell(out, merge_data_sets(folders, out))
 
 
-def _tell(out: Path, counts: dict[str, int]) -> None:
+def _tell(out: str, counts: dict[str, int]) -> None:
     for name, count in counts.items():
         click.echo(f"{out}/{name}: {count} samples")

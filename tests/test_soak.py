@@ -3,6 +3,7 @@
 import importlib.util
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from contextlib import contextmanager, suppress
@@ -98,9 +99,20 @@ def _refuse_a_second_run(out: Path, address: str) -> None:
     assert "expected no other run on it, got one that is making shard" in errors
 
 
-def test_a_store_needs_ray_and_ray_a_cluster(tmp_path):
-    with pytest.raises(ParamsError, match="--executor ray, which writes to URLs; got s3://lanes"):
-        generate(plan(tmp_path), "s3://lanes", "local", "", print)
+def test_a_store_keeps_what_an_interrupted_run_has_made(tmp_path):
+    url = f"file://{tmp_path}/store"
+    a_plan = plan(Path(url), 10, maker=fake_samples.make_slowly)
+
+    def tell(event):
+        if event.kind == "sample" and event.done == 3:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    first = generate(a_plan, url, "local", "", tell)
+    assert first.exit_code == 130
+    assert 3 <= first.done < 10
+    assert len(store.missing(a_plan, url)[0]) == 10 - first.done
+    again = generate(a_plan, url, "local", "", lambda _: None)
+    assert (again.exit_code, again.made) == (0, 10 - first.done)
 
 
 @contextmanager

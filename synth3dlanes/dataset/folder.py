@@ -55,19 +55,26 @@ def _lock(locks: IO[bytes], shard: int, first: int, root: Path) -> None:
 def _enter(root: Path, recipe: dict[str, Any], split: str, n: int) -> None:
     """Write `dataset.json`, or check that it names the same recipe; note the largest `n` asked for."""
     path = root / "dataset.json"
-    asked = {"format": DATASET_FORMAT, "version": DATASET_VERSION, **recipe}
     found = read_description(root) if path.exists() else None
     if found is None and any(root.glob("*/*.parquet")):
         raise ParamsError(f"{path}: expected it beside the shards that are there, got none")
-    before = dict(found.pop("splits", {})) if found else {}
-    # Through JSON, so that a tuple equals the list that it was written as.
-    problems = [] if found is None else list(differences(found, json.loads(json.dumps(asked))))
-    if problems:
-        raise ParamsError(*(f"{path}: {problem}" for problem in problems))
+    text = description_bytes(found, recipe, split, n, str(path))
+    if found is None or path.read_bytes() != text:
+        write_whole(path, text)
+
+
+def description_bytes(found: dict[str, Any] | None, recipe: dict[str, Any], split: str, n: int, where: str) -> bytes:
+    """`dataset.json` once a split of `n` is asked for; raise ParamsError where another recipe is `found` there."""
+    asked = {"format": DATASET_FORMAT, "version": DATASET_VERSION, **recipe}
+    recipe_found, before = dict(found or {}), {}
+    if found is not None:
+        before = dict(recipe_found.pop("splits", {}))
+        # Through JSON, so that a tuple equals the list that it was written as.
+        problems = list(differences(recipe_found, json.loads(json.dumps(asked))))
+        if problems:
+            raise ParamsError(*(f"{where}: {problem}" for problem in problems))
     splits = {**before, split: {"n": max(n, before.get(split, {}).get("n", 0))}}
-    if found is None or splits != before:
-        document = {**asked, "splits": dict(sorted(splits.items()))}
-        write_whole(path, (json.dumps(document, indent=1) + "\n").encode())
+    return (json.dumps({**asked, "splits": dict(sorted(splits.items()))}, indent=1) + "\n").encode()
 
 
 def read_description(root: Path) -> dict[str, Any]:

@@ -12,15 +12,17 @@ from pydantic import BaseModel
 
 from synth3dlanes.dataset.format import COLUMN_OF_MEMBER
 from synth3dlanes.labels import Labels, Lane
-from synth3dlanes.scene import Camera, Light, Markings, Road, Scene, Surface
+from synth3dlanes.scene import Air, Camera, Light, Markings, Road, Scene, Sensor, Surface
 
-PREFIXES = {"road": "", "markings": "marking_", "surface": "", "camera": "camera_", "light": ""}
+PREFIXES = {"markings": "marking_", "camera": "camera_"}
 PARTS: dict[str, type[BaseModel]] = {
     "road": Road,
     "markings": Markings,
     "surface": Surface,
     "camera": Camera,
     "light": Light,
+    "air": Air,
+    "sensor": Sensor,
 }
 ARROW_TYPES = {int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
 PLACE_COLUMNS = [
@@ -37,7 +39,7 @@ SCHEMA = pa.schema(
     + [(name, pa.int64()) for name in PLACE_COLUMNS]
     + [(name, pa.int64()) for name in ("n_gaussians", "n_cars", "n_trees")]
     + [
-        (PREFIXES[group] + name, _arrow_type(field.annotation))
+        (PREFIXES.get(group, "") + name, _arrow_type(field.annotation))
         for group, part in PARTS.items()
         for name, field in part.model_fields.items()
     ]
@@ -58,7 +60,7 @@ def index_row(
         row |= {f"{column}_offset": offset, f"{column}_size": size}
     row |= {"n_gaussians": len(scene.terrain.gaussians), "n_cars": len(scene.cars), "n_trees": len(scene.trees)}
     for group in PARTS:
-        row |= {PREFIXES[group] + name: value for name, value in getattr(scene, group)}
+        row |= {PREFIXES.get(group, "") + name: value for name, value in getattr(scene, group)}
     return row | _topology(scene, labels) | _summary(labels)
 
 

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from typing import Any
 
-import fsspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from synth3dlanes.dataset.address import connect, naming, refusals
 from synth3dlanes.dataset.format import parse_description
 from synth3dlanes.errors import FormatError
 
@@ -39,14 +39,16 @@ class DatasetInfo:
 
 def dataset_info(url: str) -> DatasetInfo:
     """Count and weigh the data set at any address that fsspec knows."""
-    files, root = fsspec.core.url_to_fs(url)
-    where = f"{root}/dataset.json"
+    files, root = connect(url)
+    where = f"{url.rstrip('/')}/dataset.json"
     try:
-        recipe = parse_description(files.cat_file(where), where)
-    except OSError as error:
+        recipe = parse_description(files.cat_file(f"{root}/dataset.json"), where)
+    except refusals() as error:
         raise FormatError(f"{where}: expected the description of a data set, got {error}") from None
     splits = recipe.pop("splits")
-    return DatasetInfo(recipe, tuple(_split(files, root, name, int(entry["n"])) for name, entry in splits.items()))
+    with naming(url):
+        found = tuple(_split(files, root, name, int(entry["n"])) for name, entry in splits.items())
+    return DatasetInfo(recipe, found)
 
 
 def _split(files: Any, root: str, name: str, asked: int) -> SplitInfo:

@@ -1,18 +1,18 @@
 """Read a split of a dataset: its length, any sample at once, any member alone. Needs neither Blender nor torch.
 
-The folder may be any address that fsspec knows (`s3://...`). A Reader holds no open file, so it may be pickled, forked
-and used by many threads.
+The folder may be any address that fsspec knows (`s3://...`). A Reader holds no open file and no connection, so it may
+be pickled, forked and used by many threads.
 """
 
 from collections.abc import Iterator
 
-import fsspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from jaxtyping import Shaped, UInt8
 
 from synth3dlanes import labels as labels_module
+from synth3dlanes.dataset.address import connect, refusals
 from synth3dlanes.dataset.format import (
     BLOCK,
     COLUMN_OF_MEMBER,
@@ -39,7 +39,7 @@ class Reader:
 
     def __init__(self, url: str) -> None:
         self.url = str(url).rstrip("/")
-        self._files, self._root = fsspec.core.url_to_fs(self.url)
+        _, self._root = connect(self.url)
         where = f"{self._root.rpartition('/')[0]}/dataset.json"
         self.description = parse_description(self._read(where), where)
         self._names = member_names(self.description["image_format"], self.description["render"]["passes"])
@@ -143,14 +143,14 @@ class Reader:
 
     def _list(self) -> list[str]:
         try:
-            return [str(path) for path in self._files.ls(self._root, detail=False)]
-        except OSError as error:
+            return [str(path) for path in connect(self.url)[0].ls(self._root, detail=False)]
+        except refusals() as error:
             raise FormatError(f"{self.url}: expected the folder of a split, got {error}") from None
 
     def _read(self, path: str, start: int | None = None, end: int | None = None) -> bytes:
         try:
-            return bytes(self._files.cat_file(path, start, end))
-        except OSError as error:
+            return bytes(connect(self.url)[0].cat_file(path, start=start, end=end))
+        except refusals() as error:
             raise FormatError(f"{path}: expected a file, got {error}") from None
 
     def _position(self, i: int) -> int:

@@ -1,16 +1,19 @@
 """Data sets made of data sets: one split cut in several, parts put together. Nothing is decoded, nothing drawn.
 
-Both are resumed by calling them again: what is done is what lies on disk.
+Both are resumed by calling them again: what is done is what lies on disk. Both read and write URLs, too.
 """
 
 import os
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
+from synth3dlanes.dataset import stores
+from synth3dlanes.dataset.address import is_url
 from synth3dlanes.dataset.folder import claim, differences
 from synth3dlanes.dataset.format import key_of, member_names
 from synth3dlanes.dataset.read import Reader
@@ -29,7 +32,7 @@ def deal(n: int, shares: Mapping[str, float], seed: int) -> dict[str, list[int]]
     return {name: np.sort(part).tolist() for name, part in zip(shares, np.split(order, ends[:-1]), strict=True)}
 
 
-def cut(source: Reader, shares: Mapping[str, float], seed: int, out: Path) -> dict[str, int]:
+def cut(source: Reader, shares: Mapping[str, float], seed: int, out: str) -> dict[str, int]:
     """Deal one split's samples to new splits in OUT, numbered anew from 0; returns how many each has.
 
     `scene.json` still says where a sample was drawn from, and `derived` in `dataset.json` what was done; so `generate`
@@ -46,7 +49,7 @@ def cut(source: Reader, shares: Mapping[str, float], seed: int, out: Path) -> di
     return {name: len(positions) for name, positions in dealt.items()}
 
 
-def merge(sources: Sequence[str], out: Path) -> dict[str, int]:
+def merge(sources: Sequence[str], out: str) -> dict[str, int]:
     """Put data sets of one recipe together, each sample under its own number; returns how many each split has.
 
     Shards that one source alone has are linked where the file system can. Raises ParamsError where recipes differ or
@@ -86,22 +89,36 @@ def _union(several: Sequence[Reader]) -> Places:
     return places
 
 
-def _put(out: Path, recipe: dict[str, Any], split: str, n: int, places: Places) -> None:
+def _put(out: str, recipe: dict[str, Any], split: str, n: int, places: Places) -> None:
     """Write the samples that are not there yet, shard by shard."""
     size, names = int(recipe["shard_size"]), member_names(recipe["image_format"], recipe["render"]["passes"])
     shards: dict[int, Places] = {}
     for index, place in places.items():
         shards.setdefault(index // size, {})[index] = place
-    with claim(out, recipe, split, n, sorted(shards)) as folder:
+    if is_url(out):
+        stores.announce(out, recipe, split, n)
         for number, members in sorted(shards.items()):
-            shard = Shard(folder, number, size, names)
-            if not shard.path("parquet").exists():
-                _link_whole(shard, members)
-            for index in sorted(members.keys() & set(shard.missing(n))):
-                reader, i = members[index]
-                shard.write_part(index, reader.raw(i))
-            if shard.needs_join(n):
-                shard.join(n)
+            if not members.keys() <= stores.indices(out, split, number):
+                with TemporaryDirectory(prefix="synth3dlanes-") as folder:
+                    shard = Shard(Path(folder) / split, number, size, names)
+                    shard.folder.mkdir()
+                    stores.fetch_shard(out, shard)
+                    _fill(shard, members, n)
+                    stores.put_shard(out, shard)
+        return
+    with claim(Path(out), recipe, split, n, sorted(shards)) as home:
+        for number, members in sorted(shards.items()):
+            _fill(Shard(home, number, size, names), members, n)
+
+
+def _fill(shard: Shard, members: Places, n: int) -> None:
+    if not shard.path("parquet").exists():
+        _link_whole(shard, members)
+    for index in sorted(members.keys() & set(shard.missing(n))):
+        reader, i = members[index]
+        shard.write_part(index, reader.raw(i))
+    if shard.needs_join(n):
+        shard.join(n)
 
 
 def _link_whole(shard: Shard, members: Places) -> None:

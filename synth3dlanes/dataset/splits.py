@@ -2,20 +2,20 @@
 
 from collections.abc import Sequence
 
-import fsspec
-
+from synth3dlanes.dataset.address import connect, naming
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.errors import FormatError
 
 
 def readers(folder: str) -> list[Reader]:
     """Readers of every split of a data set that has finished shards, or of the one split that is named."""
-    files, root = fsspec.core.url_to_fs(folder)
-    if not files.isdir(root):
-        raise FormatError(f"{folder}: expected a data set or one of its splits, got no folder")
-    if not files.exists(f"{root}/dataset.json"):
-        return [Reader(folder)]
-    splits = sorted({path.rsplit("/", 2)[-2] for path in files.glob(f"{root}/*/*.parquet")})
+    files, root = connect(folder)
+    with naming(folder):
+        if not files.isdir(root):
+            raise FormatError(f"{folder}: expected a data set or one of its splits, got no folder")
+        if not files.exists(f"{root}/dataset.json"):
+            return [Reader(folder)]
+        splits = sorted({path.rsplit("/", 2)[-2] for path in files.glob(f"{root}/*/*.parquet")})
     if not splits:
         raise FormatError(f"{folder}: expected finished shards (SPLIT/00000.parquet), got none")
     return [Reader(f"{folder.rstrip('/')}/{split}") for split in splits]

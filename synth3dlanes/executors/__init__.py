@@ -4,22 +4,22 @@ import importlib.util
 from collections.abc import Callable
 
 from synth3dlanes import run
+from synth3dlanes.dataset.address import is_url
 from synth3dlanes.errors import ParamsError
 from synth3dlanes.events import Event
-from synth3dlanes.executors.store import is_url
+from synth3dlanes.executors.store import generate_into_store
 from synth3dlanes.run import Plan, Report
 
 EXECUTORS = ("local", "ray")
 
 
 def generate(plan: Plan, out: str, executor: str, address: str, notify: Callable[[Event], None]) -> Report:
-    """`run.generate` with either executor; `out` may be a URL that fsspec knows where Ray makes the samples."""
+    """`run.generate` with either executor; `out` may be a URL that fsspec knows."""
+    url = out if is_url(out) else ""
     if executor == "local":
-        if is_url(out):
-            raise ParamsError(f"--out: expected a folder, or --executor ray, which writes to URLs; got {out}")
-        return run.generate(plan, notify)
+        return generate_into_store(plan, url, notify) if url else run.generate(plan, notify)
     if importlib.util.find_spec("ray") is None:
         raise ParamsError("--executor ray: expected Ray, got none: pip install 'synth3dlanes[cluster]'")
     from synth3dlanes.executors.ray import generate_on_ray
 
-    return generate_on_ray(plan, out if is_url(out) else "", address, notify)
+    return generate_on_ray(plan, url, address, notify)

@@ -8,8 +8,6 @@ follow one another on the same data set.
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import ray
@@ -77,19 +75,9 @@ def make_shard(plan: Plan, number: int, url: str, board: Any) -> Report:
         if event.kind not in ("start", "end"):
             board.post.remote(event.kind, event.message, event.details)
 
-    plan = plan.only(number)
-    if not url:
-        return _generate_patiently(plan, tell)
-    with TemporaryDirectory(prefix="synth3dlanes-") as folder:
-        scratch = replace(plan, out=Path(folder))
-        shard = scratch.layout(scratch.out)[number]
-        index, tar = (str(shard.path(suffix).relative_to(folder)) for suffix in ("parquet", "tar"))
-        store.fetch(url, [index], scratch.out)
-        if shard.path("parquet").exists():
-            store.fetch(url, [tar, "dataset.json"], scratch.out)
-        report = generate_here(scratch, tell)
-        store.put_shard(plan, url, number, scratch.out)
-        return report
+    if url:
+        return store.make_shard(plan, number, url, tell)
+    return _generate_patiently(plan.only(number), tell)
 
 
 def _generate_patiently(plan: Plan, tell: Callable[[Event], None]) -> Report:
@@ -112,7 +100,7 @@ def _on_cluster(plan: Plan) -> Plan:
         if plan.maker is make_sample:
             settings = replace(plan.recipe.settings, device="cpu")
             plan = replace(plan, recipe=replace(plan.recipe, settings=settings))
-        room = min(int(node.get("CPU", 1)) for node in nodes)
+        room = min((int(node["CPU"]) for node in nodes if node.get("CPU", 0) >= 1), default=1)
         return replace(plan, workers=plan.workers or max(1, min(MAX_WORKERS, room)))
     if not with_gpus:
         raise ParamsError(f"--device: expected {asked} in the Ray cluster, found {len(nodes)} nodes without a GPU")

@@ -1,76 +1,77 @@
-"""Finished shards at a URL (fsspec: s3://, gs://, sftp://, ...). A shard is done once its parquet is there.
+"""Shards made for a store (`dataset.stores`): each on this machine's own disk, then copied out whole."""
 
-A store is no file system: nothing there is locked or continued in place. A shard is fetched, continued on a node's own
-disk, and put back whole. Two runs that make the same shard put the same bytes.
-"""
-
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
-import fsspec
-import pyarrow.parquet as pq
-
-from synth3dlanes.dataset.folder import claim
-from synth3dlanes.run import Plan
-
-
-def is_url(out: str) -> bool:
-    """Whether this names a store, not a folder."""
-    return "://" in out
+from synth3dlanes.dataset import stores
+from synth3dlanes.events import Event
+from synth3dlanes.generate import make_sample
+from synth3dlanes.machine import settle
+from synth3dlanes.progress import Meter, forecast
+from synth3dlanes.run import Plan, Report, generate
 
 
 def announce(plan: Plan, url: str) -> None:
     """Write `dataset.json`; raise ParamsError where the store holds another recipe's samples."""
-    with TemporaryDirectory() as folder:
-        fetch(url, ["dataset.json"], Path(folder))
-        with claim(Path(folder), plan.description(), plan.recipe.split, plan.n, []):
-            put(url, ["dataset.json"], Path(folder))
+    stores.announce(url, plan.description(), plan.recipe.split, plan.n)
 
 
 def missing(plan: Plan, url: str) -> dict[int, list[int]]:
     """By shard the indices of the plan's samples that the store does not hold."""
-    system, root = fsspec.url_to_fs(url)
-    found: dict[int, list[int]] = {}
-    for number, shard in plan.layout(Path(root)).items():
-        path, present = str(shard.path("parquet")), set[int]()
-        if system.exists(path):
-            with system.open(path, "rb") as stream:
-                present = set(pq.read_table(stream, columns=["index"])["index"].to_pylist())
-        found[number] = [index for index in shard.indices(plan.n) if index not in present]
-    return found
+    shards = plan.layout(plan.out)
+    there = {number: stores.indices(url, plan.recipe.split, number) for number in shards}
+    return {number: sorted(set(shards[number].indices(plan.n)) - there[number]) for number in shards}
 
 
-def fetch(url: str, names: list[str], folder: Path) -> None:
-    """Copy files into a folder; those that the store lacks are left out."""
-    system, root = fsspec.url_to_fs(url)
-    for name in names:
-        if system.exists(f"{root}/{name}"):
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            system.get_file(f"{root}/{name}", str(folder / name))
+def make_shard(plan: Plan, number: int, url: str, notify: Callable[[Event], None]) -> Report:
+    """Make what a shard lacks; copy it out with failed scenes and logs, also where the run has ended early."""
+    with TemporaryDirectory(prefix="synth3dlanes-") as folder:
+        root = Path(folder)
+        scratch = replace(plan.only(number), out=root)
+        shard = scratch.layout(root)[number]
+        stores.fetch_shard(url, shard)
+        report = generate(scratch, notify)
+        if shard.needs_join(plan.n):
+            shard.join(plan.n)
+        files = (path for kind in ("failed", "logs") for path in sorted((root / kind).rglob("*")) if path.is_file())
+        stores.put(url, [str(path.relative_to(root)) for path in files], root)
+        if report.made and shard.path("parquet").exists():
+            stores.put_shard(url, shard)
+        return report
 
 
-def put(url: str, names: list[str], folder: Path) -> None:
-    """Copy files out of a folder, in this order. Each appears by renaming, for stores that show half a file."""
-    system, root = fsspec.url_to_fs(url)
-    for name in names:
-        system.makedirs(f"{root}/{name}".rpartition("/")[0], exist_ok=True)
-        system.put_file(str(folder / name), f"{root}/{name}.tmp")
-        system.mv(f"{root}/{name}.tmp", f"{root}/{name}")
+def generate_into_store(plan: Plan, url: str, notify: Callable[[Event], None]) -> Report:
+    """Make what is missing at the URL on this machine, one shard after the other."""
+    if plan.maker is make_sample:
+        recipe, seats = settle(plan.recipe)
+        plan = replace(plan, recipe=recipe, seats=seats, workers=plan.workers or seats.workers)
+    announce(plan, url)
+    todo = {number: indices for number, indices in missing(plan, url).items() if indices}
+    asked = sum(len(shard.indices(plan.n)) for shard in plan.layout(plan.out).values())
+    meter, reports = Meter(asked, sum(map(len, todo.values()))), list[Report]()
 
+    def tell(kind: str, message: str, details: dict[str, Any]) -> None:
+        notify(meter.event(kind, message, details))
 
-def put_shard(plan: Plan, url: str, number: int, folder: Path) -> None:
-    """Copy out one shard, its failed scenes and logs: the index last, and the old one gone before the new tar comes."""
-    system, root = fsspec.url_to_fs(url)
-    shard = plan.layout(folder)[number]
-    tar, index = (str(shard.path(suffix).relative_to(folder)) for suffix in ("tar", "parquet"))
-    others = [
-        str(path.relative_to(folder))
-        for kind in ("failed", "logs")
-        for path in sorted((folder / kind).rglob("*"))
-        if path.is_file()
-    ]
-    put(url, others, folder)
-    if (folder / index).exists():
-        if system.exists(f"{root}/{index}"):
-            system.rm_file(f"{root}/{index}")
-        put(url, [tar, index], folder)
+    def hear(event: Event) -> None:
+        if event.kind == "sample":
+            meter.sample()
+        elif event.kind == "set_aside":
+            meter.set_aside.append(event.details["index"])
+        if event.kind not in ("start", "end"):
+            tell(event.kind, event.message, event.details)
+
+    expected = forecast(plan.recipe, meter.missing, plan.n_workers(meter.missing))
+    tell("start", expected.text(), vars(expected))
+    for number in todo:
+        reports.append(make_shard(plan, number, url, hear))
+        if reports[-1].problem or reports[-1].interrupted:
+            break
+    problem, interrupted = (reports[-1].problem, reports[-1].interrupted) if reports else ("", False)
+    tell("end", problem or "interrupted" * interrupted or "complete", {})
+    set_aside = tuple(sorted(meter.set_aside))
+    restarts = sum(report.restarts for report in reports)
+    return Report(meter.made, meter.done, asked, set_aside, interrupted, problem, restarts, meter.seconds)

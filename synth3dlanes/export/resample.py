@@ -1,11 +1,12 @@
-"""An image as another camera at the same place would have taken it. Pixel corners at whole numbers."""
+"""An image as another camera at the same place, without roll, would have taken it. Pixel corners at whole numbers."""
 
 import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image
 
+from synth3dlanes.dataset.upright import ours_from_upright, warp
 from synth3dlanes.errors import ParamsError
-from synth3dlanes.export.lines import View
+from synth3dlanes.export.lines import CV_FROM_CAM, View
 from synth3dlanes.labels import CameraLabel
 
 TOLERANCE_PX = 0.01  # scenes round their angles, so a native camera's focal length is off by parts in a million
@@ -14,10 +15,13 @@ TOLERANCE_PX = 0.01  # scenes round their angles, so a native camera's focal len
 def resample(image: UInt8[np.ndarray, "h w 3"], camera: CameraLabel, view: View, where: str) -> Image.Image:
     """The image through the foreign intrinsics; raise ParamsError where it does not cover the foreign view.
 
-    Without rotation a change of K is a scaling and a crop, which Pillow does exactly: `box` are the foreign image's
-    borders in our pixels, corners at whole numbers, and it filters when it shrinks.
+    Without roll a change of K is a scaling and a crop, which Pillow does exactly: `box` are the foreign image's borders
+    in our pixels, corners at whole numbers, and it filters when it shrinks. With roll it is a homography, drawn larger
+    and averaged where it shrinks.
     """
-    left, top, right, bottom = box = source_box(camera, view)
+    corners_img = np.array([[0.0, 0.0], [view.width_px, 0.0], [view.width_px, view.height_px], [0.0, view.height_px]])
+    corners = source_pixels(camera, view, corners_img)
+    left, top, right, bottom = box = (*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist())
     width_px, height_px = camera.width_px, camera.height_px
     slack_px = min(left, top, width_px - right, height_px - bottom)
     if image.shape[:2] != (height_px, width_px):
@@ -29,6 +33,11 @@ def resample(image: UInt8[np.ndarray, "h w 3"], camera: CameraLabel, view: View,
             f"({_degrees(view.width_px / 2, view.f_px)} x {_degrees(view.height_px / 2, view.f_px)} deg), got one "
             f"that ends {-slack_px:.1f} px short of it: render with a wider field of view"
         )
+    if camera.roll_rad:
+        shrink = max(1, round(camera.img_from_cam[0, 0] / view.f_px))
+        finer = np.diag([1 / shrink, 1 / shrink, 1.0])
+        size = view.width_px * shrink, view.height_px * shrink
+        return warp(image, _ours_from_theirs(camera, view) @ finer, size).reduce(shrink)
     source = Image.fromarray(image)
     if source.size == (view.width_px, view.height_px) and np.allclose(
         box, (0, 0, *source.size), rtol=0, atol=TOLERANCE_PX
@@ -38,18 +47,14 @@ def resample(image: UInt8[np.ndarray, "h w 3"], camera: CameraLabel, view: View,
     return source.resize((view.width_px, view.height_px), Image.Resampling.BICUBIC, box=tuple(inside))
 
 
-def source_box(camera: CameraLabel, view: View) -> tuple[float, float, float, float]:
-    """Left, top, right and bottom border of the foreign image in our pixels."""
-    (u0, v0), (u1, v1) = source_pixels(camera, view, np.array([[0.0, 0.0], [view.width_px, view.height_px]]))
-    return float(u0), float(v0), float(u1), float(v1)
-
-
 def source_pixels(camera: CameraLabel, view: View, points_img: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-    """Where points of the foreign image lie in ours: K_ours K_theirs^-1."""
-    (fx_px, cx_px, _), (_, cy_px, minus_fy_px), _ = camera.img_from_cam
-    center_img = np.array([view.width_px / 2, view.height_px / 2])
-    rays = (points_img - center_img) / view.f_px
-    return np.asarray(rays * np.array([fx_px, -minus_fy_px]) + np.array([cx_px, cy_px]))
+    """Where points of the foreign image lie in ours."""
+    homogeneous = np.column_stack([points_img, np.ones(len(points_img))]) @ _ours_from_theirs(camera, view).T
+    return np.asarray(homogeneous[:, :2] / homogeneous[:, 2:])
+
+
+def _ours_from_theirs(camera: CameraLabel, view: View) -> Float[np.ndarray, "3 3"]:
+    return ours_from_upright(camera, view.img_from_cv @ CV_FROM_CAM)
 
 
 def _degrees(half_px: float, f_px: float) -> str:

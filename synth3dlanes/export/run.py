@@ -22,6 +22,7 @@ import numpy as np
 
 from synth3dlanes import scene as scene_format
 from synth3dlanes.dataset.read import Reader
+from synth3dlanes.dataset.upright import upright_labels
 from synth3dlanes.dataset.write import write_whole
 from synth3dlanes.errors import ParamsError
 from synth3dlanes.export import apollo, once, openlane, tusimple
@@ -157,16 +158,16 @@ def _export_chunk(chunk: Chunk, out: Path, format_name: str) -> int:
 def _export_frame(reader: Reader, index: int, chunk: Chunk, out: Path, foreign: Format) -> dict[str, Any]:
     sample = reader[index]
     where = f"{chunk.source}/{chunk.split}:{sample.key}"
-    scene = scene_format.from_json(sample.scene_json, where)
+    scene, labels = scene_format.from_json(sample.scene_json, where), upright_labels(sample.labels)
     frame = Frame(
         split=chunk.split,
         key=sample.key,
         number=chunk.split_number * FRAMES_PER_SPLIT + int(sample.key),
         is_train=int(sample.key) % 5 != 4 if chunk.every_fifth_tests else chunk.split == "train",
-        tags=scene_tags(sample.labels, foreign.VIEW),
+        tags=scene_tags(labels, foreign.VIEW),
         illumination=int(np.digitize(scene.light.exposure, EXPOSURE_STEPS)),
     )
-    annotation = foreign.annotate(sample.labels, frame)
+    annotation = foreign.annotate(labels, frame)
     if annotation is None:
         return {"is_left_out": True}
     image = out / annotation.image

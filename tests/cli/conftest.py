@@ -1,7 +1,9 @@
 """The command as a user runs it, in this process."""
 
 from collections.abc import Callable
+from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
@@ -12,3 +14,31 @@ def run(in_tmp_path: object) -> Callable[..., Result]:
     from synth3dlanes_cli.main import main
 
     return lambda *arguments: CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set of 12 scenes of Appendix I, labelled, on images without contents."""
+    from synth3dlanes import scene as scene_module
+    from synth3dlanes.dataset.folder import claim
+    from synth3dlanes.dataset.format import encode
+    from synth3dlanes.dataset.write import Shard
+    from synth3dlanes.generate import Recipe
+    from synth3dlanes.ground_truth import ground_truth
+    from synth3dlanes.params import load_params
+    from synth3dlanes.sample import sample_scene
+    from synth3dlanes.settings import RenderSettings
+
+    params = load_params("appendix_i", ["trees.n=5", "cars.n=3"])
+    recipe = Recipe(params, 0, "train", RenderSettings(), "png")
+    root = tmp_path_factory.mktemp("whole") / "d"
+    with claim(root, {**recipe.description(), "shard_size": 5}, "train", 12, range(3)) as split:
+        for number in range(3):
+            shard = Shard(split, number, 5, recipe.names)
+            for index in shard.indices(12):
+                scene = sample_scene(params, 0, "train", index)
+                image = np.full((360, 480, 3), 20 * index, np.uint8)
+                members = encode(image, ground_truth(scene), scene_module.to_json(scene), {}, "png")
+                shard.write_part(index, members)
+            shard.join(12)
+    return root

@@ -1,6 +1,7 @@
 """Commands about whole data sets, on one of Appendix I scenes with plain images."""
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,35 +11,6 @@ from click.testing import Result
 from PIL import Image
 
 Run = Callable[..., Result]
-N = 12
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A data set of 12 scenes of Appendix I, labelled, on images without contents."""
-    from synth3dlanes import scene as scene_module
-    from synth3dlanes.dataset.folder import claim
-    from synth3dlanes.dataset.format import encode
-    from synth3dlanes.dataset.write import Shard
-    from synth3dlanes.generate import Recipe
-    from synth3dlanes.ground_truth import ground_truth
-    from synth3dlanes.params import load_params
-    from synth3dlanes.sample import sample_scene
-    from synth3dlanes.settings import RenderSettings
-
-    params = load_params("appendix_i", ["trees.n=5", "cars.n=3"])
-    recipe = Recipe(params, 0, "train", RenderSettings(), "png")
-    root = tmp_path_factory.mktemp("whole") / "d"
-    with claim(root, {**recipe.description(), "shard_size": 5}, "train", N, range(3)) as split:
-        for number in range(3):
-            shard = Shard(split, number, 5, recipe.names)
-            for index in shard.indices(N):
-                scene = sample_scene(params, 0, "train", index)
-                image = np.full((360, 480, 3), 20 * index, np.uint8)
-                members = encode(image, ground_truth(scene), scene_module.to_json(scene), {}, "png")
-                shard.write_part(index, members)
-            shard.join(N)
-    return root
 
 
 def test_stats_of_a_data_set(run: Run, folder: Path, in_tmp_path: Path) -> None:
@@ -46,7 +18,7 @@ def test_stats_of_a_data_set(run: Run, folder: Path, in_tmp_path: Path) -> None:
     assert result.exit_code == 0, result.stderr
     assert "12 scenes" in result.stdout
     assert "labels of 12 images" in result.stdout
-    assert "53 of 53 parameters as declared\nPlots: plots.png\n" in result.stdout
+    assert re.search(r"\n(\d+) of \1 parameters as declared\nPlots: plots.png\n$", result.stdout)
     assert "…" not in result.stdout
     with Image.open("plots.png") as plots:
         assert plots.width > 1000

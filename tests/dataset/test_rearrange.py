@@ -53,7 +53,7 @@ def test_everybody_is_dealt_once_and_in_proportion(n: int, weights: list[float],
 
 def test_a_cut_split_is_a_data_set(tmp_path):
     source = Reader(f"{make(tmp_path / 'a', list(range(8)))}/train")
-    counts = cut(source, {"train": 3, "val": 1}, 0, tmp_path / "b")
+    counts = cut(source, {"train": 3, "val": 1}, 0, str(tmp_path / "b"))
     assert counts == {"train": 6, "val": 2}
     came = {}
     for name, count in counts.items():
@@ -74,16 +74,16 @@ def test_a_cut_split_is_a_data_set(tmp_path):
 
 def test_a_cut_is_continued_and_another_one_refused(tmp_path):
     source = Reader(f"{make(tmp_path / 'a', list(range(8)))}/train")
-    cut(source, {"x": 1, "y": 1}, 0, tmp_path / "b")
+    cut(source, {"x": 1, "y": 1}, 0, str(tmp_path / "b"))
     before = files(tmp_path / "b")
     (tmp_path / "b/x/00001.parquet").unlink()
     (tmp_path / "b/x/00001.tar").unlink()
-    cut(source, {"x": 1, "y": 1}, 0, tmp_path / "b")
+    cut(source, {"x": 1, "y": 1}, 0, str(tmp_path / "b"))
     assert files(tmp_path / "b") == before
     with pytest.raises(ParamsError, match=r"derived\.seed: expected 0 as in this dataset, got 1"):
-        cut(source, {"x": 1, "y": 1}, 1, tmp_path / "b")
+        cut(source, {"x": 1, "y": 1}, 1, str(tmp_path / "b"))
     with pytest.raises(ParamsError, match="got none of 8 for y"):
-        cut(source, {"x": 1, "y": 0.001}, 0, tmp_path / "c")
+        cut(source, {"x": 1, "y": 0.001}, 0, str(tmp_path / "c"))
     assert not (tmp_path / "c").exists()
     recipe = fake_samples.recipe(split="x")
     with (
@@ -100,11 +100,11 @@ def test_merged_parts_are_what_one_run_makes(tmp_path, monkeypatch, linked):
     whole = make(tmp_path / "whole", list(range(8)))
     first = make(tmp_path / "a", [0, 1, 2, 6, 7])
     second = make(tmp_path / "b", [3, 4, 5])
-    assert merge([str(first), str(second)], tmp_path / "c") == {"train": 8}
+    assert merge([str(first), str(second)], str(tmp_path / "c")) == {"train": 8}
     assert files(tmp_path / "c") == files(whole)
     tar = tmp_path / "c/train/00001.tar"
     assert tar.samefile(second / "train/00001.tar") is linked
-    assert merge([str(first), str(second)], tmp_path / "c") == {"train": 8}
+    assert merge([str(first), str(second)], str(tmp_path / "c")) == {"train": 8}
     assert files(tmp_path / "c") == files(whole)
 
 
@@ -112,14 +112,14 @@ def test_shards_that_several_share_are_joined_anew(tmp_path):
     whole = make(tmp_path / "whole", list(range(8)))
     parts = [make(tmp_path / name, indices) for name, indices in {"a": [0, 4, 7], "b": [1, 2, 3], "c": [5, 6]}.items()]
     before = [files(part) for part in parts]
-    merge([str(part) for part in parts], tmp_path / "d")
+    merge([str(part) for part in parts], str(tmp_path / "d"))
     assert files(tmp_path / "d") == files(whole)
     assert [files(part) for part in parts] == before
 
 
 def test_splits_are_merged_by_name(tmp_path):
     train, val = make(tmp_path / "a", [0, 1]), make(tmp_path / "b", [0, 1], split="val")
-    assert merge([str(train), str(val)], tmp_path / "c") == {"train": 2, "val": 2}
+    assert merge([str(train), str(val)], str(tmp_path / "c")) == {"train": 2, "val": 2}
     assert [reader.url.rpartition("/")[2] for reader in readers(str(tmp_path / "c"))] == ["train", "val"]
 
 
@@ -130,11 +130,11 @@ def test_what_does_not_go_together(tmp_path):
         make(tmp_path / "other", [3], seed=8),
     )
     with pytest.raises(ParamsError, match="one/train has not, got 00000001 in both"):
-        merge([str(one), str(same)], tmp_path / "c")
+        merge([str(one), str(same)], str(tmp_path / "c"))
     with pytest.raises(ParamsError, match=r"one/train: seed: expected 7 as in this dataset, got 8 in .*other/train"):
-        merge([str(one), str(other)], tmp_path / "c")
+        merge([str(one), str(other)], str(tmp_path / "c"))
     with pytest.raises(FormatError, match="expected a data set or one of its splits"):
-        merge([str(one), str(tmp_path / "none")], tmp_path / "c")
+        merge([str(one), str(tmp_path / "none")], str(tmp_path / "c"))
     assert not (tmp_path / "c").exists()
 
 

@@ -8,13 +8,15 @@ from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph
 FRAME = Frame(split="train", key="00000017", number=17, is_train=True, tags=frozenset(), illumination=1)
 
 
-def camera_label(height_m=1.6, pitch_rad=0.05, size_px=(1920, 1280), f_px=2015.0):
+def camera_label(height_m=1.6, pitch_rad=0.05, size_px=(1920, 1280), f_px=2015.0, roll_rad=0.0):
     """A camera over its road plane, as wide as every export's."""
     c, s = np.cos(pitch_rad), np.sin(pitch_rad)
     road_from_cam = np.array([[1, 0, 0, 0], [0, c, s, 0], [0, -s, c, height_m], [0, 0, 0, 1.0]])
+    c, s = np.cos(roll_rad), np.sin(roll_rad)
+    road_from_cam = road_from_cam @ np.array([[c, 0, s, 0], [0, 1, 0, 0], [-s, 0, c, 0], [0, 0, 0, 1.0]])
     width_px, height_px = size_px
     img_from_cam = np.array([[f_px, width_px / 2, 0], [0, height_px / 2, -f_px], [0, 1.0, 0]])
-    return CameraLabel(width_px, height_px, img_from_cam, height_m, pitch_rad, road_from_cam, road_from_cam)
+    return CameraLabel(width_px, height_px, img_from_cam, height_m, pitch_rad, road_from_cam, road_from_cam, roll_rad)
 
 
 def lane(camera, points_road, name="d0", kind="delimiter", marking="solid", hidden_from_m=np.inf, road="main"):

@@ -30,9 +30,8 @@ def write_split():
     from synth3dlanes.params import load_params
     from synth3dlanes.sample import sample_scene
 
-    params = load_params("appendix_i")
-
-    def write(root, split, n):
+    def write(root, split, n, changes=()):
+        params = load_params("appendix_i", changes)
         with claim(root, {"image_format": "jpg", "render": {"passes": []}}, split, n, [0]) as folder:
             shard = Shard(folder, 0, 1000, member_names("jpg", ()))
             for index in shard.missing(n):

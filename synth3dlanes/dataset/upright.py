@@ -1,0 +1,77 @@
+"""Pictures and labels of a rolled camera as one without roll has them, for networks and formats that know no roll.
+
+Both cameras stand in one place, so they see the same rays: the change is a homography, exact at every depth.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from PIL import Image
+
+from synth3dlanes.labels import CameraLabel, Labels
+
+# Pixels that the warp's bicubic filter may need beyond the border.
+FILTER_PX = 3
+
+
+def upright_from_cam(camera: CameraLabel) -> Float[np.ndarray, "3 3"]:
+    """The rotation about the viewing axis that takes the roll out."""
+    c, s = np.cos(camera.roll_rad), np.sin(camera.roll_rad)
+    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+
+
+def upright_labels(labels: Labels) -> Labels:
+    """The labels as the same camera without roll would have them: same place, viewing axis and intrinsics.
+
+    What either picture does not show is not in the image.
+    """
+    camera = labels.camera
+    if camera.roll_rad == 0:
+        return labels
+    turn = np.eye(4)
+    turn[:3, :3] = upright_from_cam(camera)
+    upright = replace(
+        camera,
+        roll_rad=0.0,
+        road_from_cam=camera.road_from_cam @ turn.T,
+        world_from_cam=camera.world_from_cam @ turn.T,
+    )
+    turned = ((lane, lane.xyz_cam @ turn[:3, :3].T) for lane in labels.lanes)
+    lanes = tuple(
+        replace(lane, xyz_cam=xyz_cam, in_image=lane.in_image & _inside(upright, xyz_cam)) for lane, xyz_cam in turned
+    )
+    return replace(labels, camera=upright, lanes=lanes)
+
+
+def upright_image(image: UInt8[np.ndarray, "h w 3"], camera: CameraLabel) -> UInt8[np.ndarray, "h w 3"]:
+    """The picture that belongs to `upright_labels`; corners that the rolled camera did not see repeat its border."""
+    if camera.roll_rad == 0:
+        return image
+    rows, columns = image.shape[:2]
+    reach = int(np.ceil(max(rows, columns) * abs(np.sin(camera.roll_rad)))) + FILTER_PX
+    padded = np.pad(image, ((reach, reach), (reach, reach), (0, 0)), mode="edge")
+    shift = np.array([[1.0, 0, reach], [0, 1, reach], [0, 0, 1]])
+    back = shift @ ours_from_upright(camera, camera.img_from_cam)
+    return np.asarray(warp(padded, back, (columns, rows)))
+
+
+def ours_from_upright(camera: CameraLabel, img_from_upright: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
+    """The homography from pixels of an upright camera with the matrix `img_from_upright` to the camera's: K R K'^-1."""
+    return np.asarray(camera.img_from_cam @ upright_from_cam(camera).T @ np.linalg.inv(img_from_upright))
+
+
+def warp(
+    image: UInt8[np.ndarray, "h w 3"], source_from_target: Float[np.ndarray, "3 3"], size: tuple[int, int]
+) -> Image.Image:
+    """The picture of `size` (width, height) whose pixels lie in the image where the homography says."""
+    coefficients = (source_from_target / source_from_target[2, 2]).ravel()[:8]
+    return Image.fromarray(image).transform(
+        size, Image.Transform.PERSPECTIVE, coefficients.tolist(), Image.Resampling.BICUBIC
+    )
+
+
+def _inside(camera: CameraLabel, points_cam: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+    u, v, depth = camera.img_from_cam @ points_cam.T
+    inside = (u >= 0) & (u <= camera.width_px * depth) & (v >= 0) & (v <= camera.height_px * depth)
+    return np.asarray(inside & (depth > 0))

@@ -1,0 +1,176 @@
+"""Data sets in an S3 store: a server that speaks S3 and checks credentials, in a process of its own."""
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import boto3
+import pytest
+import s3fs
+from botocore.exceptions import EndpointConnectionError
+from click.testing import Result
+
+from synth3dlanes.executors import generate
+from synth3dlanes.run import Plan
+from tests import fake_samples
+
+Run = Callable[..., Result]
+START_S = 60.0
+KEYS = {"AWS_ACCESS_KEY_ID": "nobody", "AWS_SECRET_ACCESS_KEY": "nothing", "AWS_DEFAULT_REGION": "us-east-1"}
+EVERYTHING = {"Version": "2012-10-17", "Statement": [{"Effect": "Allow", "Action": "*", "Resource": "*"}]}
+# What the server lets pass before it asks who it is: the requests that `_let_in` makes.
+UNASKED = "4"
+
+
+def _let_in() -> dict[str, str]:
+    """Make the bucket `lanes` and a user who may do everything; returns the user's keys."""
+    until = time.monotonic() + START_S
+    while True:
+        try:
+            boto3.client("s3").create_bucket(Bucket="lanes")
+            break
+        except EndpointConnectionError:
+            assert time.monotonic() < until, "the S3 server does not start"
+            time.sleep(0.1)
+    iam = boto3.client("iam")
+    iam.create_user(UserName="lane")
+    iam.put_user_policy(UserName="lane", PolicyName="all", PolicyDocument=json.dumps(EVERYTHING))
+    key = iam.create_access_key(UserName="lane")["AccessKey"]
+    return {"AWS_ACCESS_KEY_ID": key["AccessKeyId"], "AWS_SECRET_ACCESS_KEY": key["SecretAccessKey"]}
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
+    """The environment in which `s3://lanes` is there."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    log = tmp_path_factory.mktemp("server") / "log"
+    environment = {**os.environ, "INITIAL_NO_AUTH_ACTION_COUNT": UNASKED}
+    command = [sys.executable, "-m", "moto.server", "-p", str(port)]
+    with log.open("wb") as stream:
+        process = subprocess.Popen(command, env=environment, stdout=stream, stderr=stream)
+    try:
+        with pytest.MonkeyPatch.context() as patch:
+            found = {**KEYS, "AWS_ENDPOINT_URL": f"http://127.0.0.1:{port}"}
+            for name, value in found.items():
+                patch.setenv(name, value)
+            found |= _let_in()
+        yield found
+    finally:
+        process.kill()
+        process.wait()
+
+
+@pytest.fixture
+def store(server: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> Iterator[s3fs.S3FileSystem]:
+    """The store as the library sees it, and as it is in fact: nothing is remembered."""
+    for name, value in server.items():
+        monkeypatch.setenv(name, value)
+    s3fs.S3FileSystem.clear_instance_cache()
+    yield s3fs.S3FileSystem(use_listings_cache=False)
+    s3fs.S3FileSystem.clear_instance_cache()
+
+
+def files_at(store: s3fs.S3FileSystem, place: str) -> dict[str, bytes]:
+    return {name.removeprefix(f"{place}/"): store.cat_file(name) for name in store.find(place)}
+
+
+def files_in(folder: Path) -> dict[str, bytes]:
+    found = (path for path in folder.rglob("*") if path.is_file() and path.name != ".lock")
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in found}
+
+
+def test_generate_continues_in_a_store_and_makes_the_same_bytes(store: s3fs.S3FileSystem, tmp_path: Path) -> None:
+    def go(out: str, n: int) -> int:
+        plan = Plan(Path(out), n, fake_samples.recipe(), workers=1, shard_size=4, maker=fake_samples.make)
+        report = generate(plan, out, "local", "", events.append)
+        assert (report.exit_code, report.done, report.asked) == (0, n, n)
+        return report.made
+
+    events: list = []
+    assert go(str(tmp_path / "here"), 6) == 6
+    url = "s3://lanes/generated"
+    assert [go(url, n) for n in (3, 6, 6)] == [3, 3, 0]
+    assert [(event.done, event.asked) for event in events if event.kind == "sample"][-3:] == [(4, 6), (5, 6), (6, 6)]
+    made = {name: data for name, data in files_at(store, "lanes/generated").items() if not name.startswith("logs/")}
+    expected = {name: data for name, data in files_in(tmp_path / "here").items() if not name.startswith("logs/")}
+    assert made == expected
+    # A shard without its index is not there: whatever stopped its upload, it is made again.
+    store.rm_file("lanes/generated/train/00001.parquet")
+    store.pipe_file("lanes/generated/train/00001.tar", b"half a tar")
+    assert go(url, 6) == 2
+    assert store.cat_file("lanes/generated/train/00001.tar") == expected["train/00001.tar"]
+
+
+def test_every_command_that_reads_reads_a_store(store: s3fs.S3FileSystem, run: Run, folder: Path) -> None:
+    url = "s3://lanes/read"
+    assert run("merge", folder, "--out", url).stdout == f"{url}/train: 12 samples\n"
+    assert files_at(store, "lanes/read") == files_in(folder)
+    for command in (("info", "PLACE", "--json"), ("stats", "PLACE", "--json", "--n", 4), ("evaluate", "PLACE/train")):
+        told = []
+        for place in (str(folder), url):
+            result = run(*(str(word).replace("PLACE", place) for word in command))
+            assert result.exit_code == 0, result.output
+            told.append(result.stdout.replace(place, "PLACE"))
+        assert told[0] == told[1], command
+    for command in (
+        ("inspect", f"{url}/train:00000003", "--html", "page.html"),
+        ("gallery", url, "--where", "n_lanes = 3", "--columns", 2, "--out", "gallery.png"),
+        ("export", url, "--format", "tusimple", "--out", "exported"),
+    ):
+        result = run(*command)
+        assert result.exit_code == 0, (command, result.output)
+    assert len(list(Path("exported/clips").glob("train/*/20.jpg"))) == 12
+
+
+def test_split_and_merge_write_to_a_store(store: s3fs.S3FileSystem, run: Run, folder: Path) -> None:
+    shares = ("--into", "train=2,val=1")
+    assert run("split", f"{folder}/train", *shares, "--out", "parts").exit_code == 0
+    for _ in range(2):
+        result = run("split", f"{folder}/train", *shares, "--out", "s3://lanes/parts")
+        assert result.stdout == "s3://lanes/parts/train: 8 samples\ns3://lanes/parts/val: 4 samples\n", result.output
+        assert files_at(store, "lanes/parts") == files_in(Path("parts"))
+        store.rm("lanes/parts/train", recursive=True)
+    assert run("split", f"{folder}/train", *shares, "--out", "s3://lanes/parts").exit_code == 0
+    assert run("merge", "s3://lanes/parts", "--out", "s3://lanes/merged").exit_code == 0
+    assert files_at(store, "lanes/merged") == files_in(Path("parts"))
+    assert run("merge", "s3://lanes/merged", "--out", "here").exit_code == 0
+    assert files_in(Path("here")) == files_in(Path("parts"))
+    result = run("split", f"{folder}/train", *shares, "--seed", 1, "--out", "s3://lanes/parts")
+    assert result.exit_code == 2
+    assert "s3://lanes/parts/dataset.json: derived.seed: expected 0 as in this dataset, got 1" in result.stderr
+
+
+@pytest.mark.parametrize("fault", ["no such bucket", "wrong keys", "no keys", "no server"])
+def test_a_store_that_refuses_is_named(
+    store: s3fs.S3FileSystem, run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch, fault: str
+) -> None:
+    if fault == "wrong keys":
+        monkeypatch.setenv("AWS_ACCESS_KEY_ID", "AKIAIOSFODNN7EXAMPLE")
+    elif fault == "no keys":
+        monkeypatch.delenv("AWS_ACCESS_KEY_ID")
+        monkeypatch.delenv("AWS_SECRET_ACCESS_KEY")
+        monkeypatch.setenv("AWS_EC2_METADATA_DISABLED", "true")
+    elif fault == "no server":
+        monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
+        monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
+    place = f"s3://{'nowhere' if fault == 'no such bucket' else 'lanes'}/v1"
+    generate = ("generate", "--n", 1, "--params", "tiny", "--device", "cpu", "--out", place)
+    for command in (("info", place), ("stats", place), ("merge", folder, "--out", place), generate):
+        s3fs.S3FileSystem.clear_instance_cache()
+        result = run(*command)
+        assert (result.exit_code, result.stdout) == (2, ""), result.output
+        assert result.stderr.startswith(place)
+        assert result.stderr.count("\n") == 1
+
+
+def test_an_address_that_nothing_opens_is_named(run: Run, folder: Path) -> None:
+    for command in (("info", "lake://a/b"), ("merge", folder, "--out", "lake://a/b")):
+        result = run(*command)
+        assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
+        assert result.stderr.startswith("lake://a/b: expected a folder or an address that fsspec can open")
