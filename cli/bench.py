@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING
 import click
 
 from .generate import Workers
-from .options import device_option, json_option, params_option, passes_option, samples_option, set_option
+from .options import (
+    assets_option,
+    device_option,
+    json_option,
+    open_assets,
+    params_option,
+    passes_option,
+    samples_option,
+    set_option,
+)
 
 if TYPE_CHECKING:
     from synth3dlanes.bench import Bench
@@ -18,6 +27,7 @@ if TYPE_CHECKING:
 @click.option("--n", type=click.IntRange(min=1), default=30, help="Scenes to time, after warming up.")
 @params_option
 @set_option
+@assets_option
 @click.option("--workers", metavar="N|auto", type=Workers(), default="auto", help="Processes; auto: one per core.")
 @device_option
 @samples_option
@@ -35,6 +45,7 @@ def bench(
     n: int,
     source: str,
     changes: tuple[str, ...],
+    assets: Path | None,
     workers: int,
     device: str,
     samples: int,
@@ -57,9 +68,9 @@ def bench(
     from synth3dlanes.settings import RenderSettings
 
     stored = json.loads(against.read_text()) if against else None
-    recipe, seats = settle(
-        Recipe(load_params(source, changes), 0, "bench", RenderSettings(samples, passes, device), "jpg")
-    )
+    library = open_assets(assets)
+    params, settings = load_params(source, changes, library.assets), RenderSettings(samples, passes, device)
+    recipe, seats = settle(Recipe(params, 0, "bench", settings, "jpg", library=library))
     with Console(stderr=True).status("warming up") as status:
         found = measuring.bench(recipe, n, workers or seats.workers, list(seats.masks), status.update)
         if reference:

@@ -15,8 +15,10 @@ import click
 from synth3dlanes.events import LEVELS, Event, duration
 
 from .options import (
+    assets_option,
     device_option,
     json_option,
+    open_assets,
     params_option,
     passes_option,
     samples_option,
@@ -58,11 +60,12 @@ class PartOf(click.ParamType):
 
 @click.command()
 @click.option("--n", type=click.IntRange(min=1), required=True, help="How many samples the split is to hold.")
-@click.option("--out", metavar="DIR", required=True, help="The data set; with Ray also a URL such as s3://lanes/v1.")
+@click.option("--out", metavar="DIR", required=True, help="The data set: a folder or a URL such as s3://lanes/v1.")
 @split_option
 @seed_option
 @params_option
 @set_option
+@assets_option
 @click.option("--workers", metavar="N|auto", type=Workers(), default="auto", help="Processes; auto: one per core.")
 @device_option
 @samples_option
@@ -87,6 +90,7 @@ def generate(
     seed: int,
     source: str,
     changes: tuple[str, ...],
+    assets: Path | None,
     workers: int,
     device: str,
     samples: int,
@@ -109,7 +113,9 @@ def generate(
     from synth3dlanes.run import Plan
     from synth3dlanes.settings import RenderSettings
 
-    recipe = Recipe(load_params(source, changes), seed, split, RenderSettings(samples, passes, device), image_format)
+    library = open_assets(assets)
+    params, settings = load_params(source, changes, library.assets), RenderSettings(samples, passes, device)
+    recipe = Recipe(params, seed, split, settings, image_format, library=library)
     with progress(log_level) as notify:
         report = run(Plan(Path(out), n, recipe, workers, part), out, executor, address, notify)
     if report.problem:

@@ -13,6 +13,7 @@ from click.exceptions import NoArgsIsHelpError
 from synth3dlanes import __version__
 from synth3dlanes.errors import FormatError, ParamsError
 
+from .assets import assets
 from .bench import bench
 from .data_sets import info, merge, split
 from .export import export
@@ -79,6 +80,7 @@ for command in (
         split,
         merge,
         params,
+        assets,
         export,
         validate,
         bench,

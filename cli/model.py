@@ -12,7 +12,10 @@ from synth3dlanes.errors import ParamsError
 from .options import json_option
 
 MODEL_NAMES = ("paper", "compact", "small", "nano", "tiny", "improved", "tusimple")
-ROW_NAMES = ("full", "image_view", "top_view", "early_ipm", "late_ipm", "horizon", "fixed_position", "no_supervision")
+ROW_NAMES = (
+    *("full", "image_view", "top_view", "early_ipm", "late_ipm", "horizon", "fixed_position"),
+    *("no_supervision", "improved"),
+)
 
 model_option = click.option("--model", type=click.Choice(MODEL_NAMES), default="compact", show_default=True)
 changes_option = click.option(
@@ -124,16 +127,28 @@ def evaluate(
 @out_option
 @model_option
 @click.option("--row", "rows", multiple=True, type=click.Choice(ROW_NAMES), help="Only these; repeatable.")
+@click.option("--sizes", metavar="N,N,...", help="Instead, train on so many images each: a learning curve.")
+@click.option("--test", default="test", show_default=True, help="The split to test on.")
 @changes_option
-def ablation(data: str, out: Path, model: str, rows: tuple[str, ...], changes: tuple[str, ...]) -> None:
-    """Train every variant of the paper's Table 1 on DIR alike, test on DIR/test, print both tables side by side."""
-    _need_torch()
-    from baseline_model.ablation import ROWS
-    from baseline_model.ablation import ablation as run
-    from baseline_model.config import overrides_from
-    from baseline_model.report import table_1
+def ablation(
+    data: str, out: Path, model: str, rows: tuple[str, ...], sizes: str | None, test: str, changes: tuple[str, ...]
+) -> None:
+    """Train every variant of the paper's Table 1 on DIR alike, test on DIR/test, print both tables side by side.
 
-    click.echo(table_1(run(data, out, model, rows or ROWS, overrides_from(changes))))
+    Run again to continue. OUT/table.txt, .md and .json hold the table. With --sizes all train equally long: epochs
+    count passes over the largest size; OUT/curve.png shows the curve.
+    """
+    _need_torch()
+    from baseline_model import ablation as comparing
+    from baseline_model.config import overrides_from
+
+    if rows and sizes is not None:
+        raise click.UsageError("expected --row or --sizes, got both")
+    if sizes is None:
+        comparing.ablation(data, out, model, rows or comparing.ROWS, overrides_from(changes), test)
+    else:
+        comparing.learning_curve(data, out, _sizes(sizes), model, overrides_from(changes), test)
+    click.echo((out / "table.txt").read_text(encoding="utf-8"), nl=False)
 
 
 @click.command()
@@ -163,3 +178,10 @@ def _intrinsics(text: str | None) -> tuple[float, float, float, float] | None:
     except ValueError:
         raise ParamsError(f"--intrinsics: expected FX,FY,CX,CY, got {text!r}") from None
     return (fx, fy, cx, cy)
+
+
+def _sizes(text: str) -> list[int]:
+    parts = text.split(",")
+    if not all(part.strip().isdecimal() and int(part) > 0 for part in parts):
+        raise ParamsError(f"--sizes: expected whole numbers over 0 as 250,500, got {text!r}")
+    return [int(part) for part in parts]

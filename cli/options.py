@@ -2,11 +2,15 @@
 
 import re
 from collections.abc import Callable
-from typing import Any, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from synth3dlanes.settings import DEVICES, PASSES, QUALITY_SAMPLES
+
+if TYPE_CHECKING:
+    from synth3dlanes.catalogue import Library
 
 
 class Names(click.ParamType):
@@ -81,3 +85,19 @@ passes_option = click.option(
     "--passes", type=Names(PASSES), default="", metavar="NAMES", help=f"Of {','.join(PASSES)}: extra images in an EXR."
 )
 device_option = click.option("--device", type=click.Choice(DEVICES), default="auto", help="What Cycles renders on.")
+assets_option = click.option(
+    "--assets",
+    metavar="DIR",
+    type=click.Path(path_type=Path),
+    help="Cars, trees, textures and skies of your own (docs/assets.md).",
+)
+
+
+def open_assets(folder: Path | None) -> "Library":
+    """Check the folder of `--assets`; warnings go to stderr."""
+    from synth3dlanes.library import open_library
+
+    library, warnings = open_library(folder)
+    for warning in warnings:
+        click.echo(f"--assets {folder}: {warning}", err=True)
+    return library

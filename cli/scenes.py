@@ -5,7 +5,9 @@ from pathlib import Path
 import click
 
 from .options import (
+    assets_option,
     device_option,
+    open_assets,
     params_option,
     passes_option,
     samples_option,
@@ -22,12 +24,16 @@ from .options import (
 @split_option
 @params_option
 @set_option
-def sample(index: int, n: int, seed: int, split: str, source: str, changes: tuple[str, ...]) -> None:
-    """Draw scenes and print their scene.json. No Blender."""
+@assets_option
+def sample(
+    index: int, n: int, seed: int, split: str, source: str, changes: tuple[str, ...], assets: Path | None
+) -> None:
+    """Draw scenes and print their scene.json. No Blender, but to measure --assets."""
     from synth3dlanes.params import load_params
     from synth3dlanes.sample import scene_texts
 
-    for text in scene_texts(load_params(source, changes), seed, split, range(index, index + n)):
+    own = open_assets(assets).assets
+    for text in scene_texts(load_params(source, changes, own), seed, split, range(index, index + n), own):
         click.echo(text)
 
 
@@ -40,8 +46,15 @@ def sample(index: int, n: int, seed: int, split: str, source: str, changes: tupl
 @samples_option
 @passes_option
 @device_option
+@assets_option
 def render(
-    scene_path: Path, out: Path | None, changes: tuple[str, ...], samples: int, passes: tuple[str, ...], device: str
+    scene_path: Path,
+    out: Path | None,
+    changes: tuple[str, ...],
+    samples: int,
+    passes: tuple[str, ...],
+    device: str,
+    assets: Path | None,
 ) -> None:
     """Render exactly one scene: image, NAME.labels.json and, with --passes, NAME.passes.exr.
 
@@ -54,5 +67,6 @@ def render(
     from synth3dlanes.render_file import render_file
     from synth3dlanes.settings import RenderSettings
 
-    for path in render_file(scene_path, out, changes, RenderSettings(samples, passes, device)):
+    settings, library = RenderSettings(samples, passes, device), open_assets(assets)
+    for path in render_file(scene_path, out, changes, settings, library):
         click.echo(path)

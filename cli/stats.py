@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from .options import json_option, seed_option, set_option
+from .options import assets_option, json_option, open_assets, seed_option, set_option
 
 # Of what is no terminal: wide enough for every column whole.
 WIDTH = 140
@@ -16,11 +16,19 @@ WIDTH = 140
 @click.option("--n", type=click.IntRange(min=1), default=2000, help="Scenes to read or draw; of DIR, evenly over it.")
 @click.option("--params", "source", metavar="FILE", help="Scenes drawn from these anew, instead of DIR's. No Blender.")
 @set_option
+@assets_option
 @seed_option
 @click.option("--out", type=click.Path(path_type=Path), help="One page of plots to write.")
 @json_option
 def stats(
-    folder: str | None, n: int, source: str | None, changes: tuple[str, ...], seed: int, out: Path | None, as_json: bool
+    folder: str | None,
+    n: int,
+    source: str | None,
+    changes: tuple[str, ...],
+    assets: Path | None,
+    seed: int,
+    out: Path | None,
+    as_json: bool,
 ) -> None:
     """Compare every parameter's drawn values with its declared distribution; sum up slopes, bends, visibility.
 
@@ -39,15 +47,16 @@ def stats(
     if (folder is None) == (source is None):
         raise click.UsageError("Expected either DIR or --params FILE.")
     if folder is not None:
-        if changes or seed:
-            raise click.UsageError("--set and --seed go with --params: scenes of DIR are as they are.")
+        if changes or seed or assets:
+            raise click.UsageError("--set, --assets and --seed go with --params: scenes of DIR are as they are.")
         found = readers(folder)
         places = spread(found, n)
         scenes = scene_statistics((read_scene(reader, i) for reader, i in places), params_of(found[0]))
         labels = label_statistics(reader.labels(i) for reader, i in places)
     else:
-        params = load_params(str(source), changes)
-        scenes = scene_statistics((sample_scene(params, seed, "train", index) for index in range(n)), params)
+        own = open_assets(assets).assets
+        params = load_params(str(source), changes, own)
+        scenes = scene_statistics((sample_scene(params, seed, "train", index, own) for index in range(n)), params)
         labels = None
     if out:
         draw_statistics(scenes, labels).savefig(out, dpi=100)

@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from .generate import Workers, progress
-from .options import device_option
+from .options import assets_option, device_option, open_assets
 
 
 @click.command()
@@ -15,8 +15,11 @@ from .options import device_option
 @click.option("--n", type=click.IntRange(min=1), default=10, help="The first so many scenes of the split.")
 @click.option("--workers", metavar="N|auto", type=Workers(), default="auto", help="Processes; auto: one per core.")
 @device_option
+@assets_option
 @click.pass_context
-def twins(ctx: click.Context, folder: str, vary: str, out: Path, n: int, workers: int, device: str) -> None:
+def twins(
+    ctx: click.Context, folder: str, vary: str, out: Path, n: int, workers: int, device: str, assets: Path | None
+) -> None:
     """Render scenes of a split again for each value of one factor, everything else being equal.
 
     OUT/twin_1 has the first value, OUT/twin_2 the second: sample i is the same scene in all. Labels are equal where
@@ -28,7 +31,7 @@ def twins(ctx: click.Context, folder: str, vary: str, out: Path, n: int, workers
     from synth3dlanes.run import Plan, generate
     from synth3dlanes.twins import twin_recipes
 
-    recipes = twin_recipes(folder, vary, device)
+    recipes = twin_recipes(folder, vary, device, open_assets(assets))
     require_blender()
     count = min(n, len(Reader(folder)))
     for recipe, value in zip(recipes, recipes[0].values, strict=True):

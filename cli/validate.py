@@ -10,12 +10,12 @@ from .options import json_option
 
 
 @click.command()
-@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+@click.argument("folder", metavar="DIR")
 @click.option("--workers", metavar="N|auto", type=Workers(), default="auto", help="Processes; auto: one per core.")
 @click.option("--limit", metavar="N", type=click.IntRange(min=0), help="Check N samples of each split, not all.")
 @json_option
 @click.pass_context
-def validate(ctx: click.Context, folder: Path, workers: int, limit: int | None, as_json: bool) -> None:
+def validate(ctx: click.Context, folder: str, workers: int, limit: int | None, as_json: bool) -> None:
     """Check every file and sample of the data set DIR, and prove its labels against its pixels.
 
     Exits with 1 if anything fails, each fault in a line of its own; DIR/validation then has a picture of each sample
@@ -24,13 +24,19 @@ def validate(ctx: click.Context, folder: Path, workers: int, limit: int | None, 
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
+    from synth3dlanes.dataset.address import is_url
+    from synth3dlanes.errors import ParamsError
     from synth3dlanes.validate.run import validate as check
 
+    if is_url(folder):
+        raise ParamsError(
+            f"{folder}: expected a folder here, got a URL; synth3dlanes merge {folder} --out DIR copies it"
+        )
     columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task("", total=None)
         report = check(
-            folder,
+            Path(folder),
             workers,
             limit,
             lambda done, total: bar.update(task, completed=done, total=total),

@@ -1,32 +1,61 @@
-"""The car and tree models that exist: their names and sizes, in metres.
+"""The models, textures and skies that scenes count from 1: ours, and what a user's own take the place of.
 
-`blender_assets/` builds its meshes to these sizes, the sampler keeps their footprints apart, and geometry stands
-their wheels on the surface. A model's number in a scene is its place in the tuple, counted from 1.
+`blender_assets/` builds our meshes to these sizes, the sampler keeps their footprints apart, and geometry stands
+their wheels on the surface. Of a user's files `synth3dlanes.library` measures the same. Metres, no side effects.
 """
 
-from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass
+
+Kind = Literal["cars", "trees", "roads", "terrains", "skies"]
+KINDS: tuple[Kind, ...] = ("cars", "trees", "roads", "terrains", "skies")
+STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
+Metres = Annotated[float, Field(gt=0)]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class CarModel:
-    """Body size and wheels: axles at y = +-wheelbase/2 from the origin, wheels at x = +-track/2, tyres on z = 0."""
+    """Body size and wheels: axles at y = +-wheelbase/2 from the origin, wheels at x = +-track/2, tyres on z = 0.
+    `sha256` is the digest of a user's file, empty for ours."""
 
     name: str
-    length_m: float
-    width_m: float
-    height_m: float
-    wheelbase_m: float
-    track_m: float
-    wheel_radius_m: float
+    length_m: Metres
+    width_m: Metres
+    height_m: Metres
+    wheelbase_m: Metres
+    track_m: Metres
+    wheel_radius_m: Metres
+    sha256: str = ""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class TreeModel:
     """Height over the ground and the radius of the crown, at scale 1."""
 
     name: str
-    height_m: float
-    crown_radius_m: float
+    height_m: Metres
+    crown_radius_m: Metres
+    sha256: str = ""
+
+
+@dataclass(frozen=True, config=STRICT)
+class Texture:
+    """A set of albedo, roughness and normal map."""
+
+    name: str
+    sha256: str
+
+
+@dataclass(frozen=True, config=STRICT)
+class Sky:
+    """A picture of the whole sky; `sun_azimuth_rad` is where its sun stands, from the picture's middle column to the
+    left, which is counter-clockwise from above."""
+
+    name: str
+    sun_azimuth_rad: float
+    sha256: str
 
 
 CARS = (
@@ -46,3 +75,46 @@ TREES = (
     TreeModel("dead", 7.5, 2.2),
     TreeModel("young", 4.2, 1.1),
 )
+
+
+@dataclass(frozen=True, config=STRICT)
+class Assets:
+    """A user's own models, textures and skies. Of a kind that is empty, ours are taken."""
+
+    OURS: ClassVar[dict[Kind, int]] = {"cars": len(CARS), "trees": len(TREES), "roads": 3, "terrains": 2, "skies": 0}
+
+    cars: tuple[CarModel, ...] = ()
+    trees: tuple[TreeModel, ...] = ()
+    roads: tuple[Texture, ...] = ()
+    terrains: tuple[Texture, ...] = ()
+    skies: tuple[Sky, ...] = ()
+
+    @property
+    def car_models(self) -> tuple[CarModel, ...]:
+        """The cars that there are."""
+        return self.cars or CARS
+
+    @property
+    def tree_models(self) -> tuple[TreeModel, ...]:
+        """The trees that there are."""
+        return self.trees or TREES
+
+    def count(self, kind: Kind) -> int:
+        """How many there are of a kind."""
+        return len(self.own(kind)) or self.OURS[kind]
+
+    def own(self, kind: Kind) -> tuple[CarModel | TreeModel | Texture | Sky, ...]:
+        """The user's own of a kind."""
+        own: tuple[CarModel | TreeModel | Texture | Sky, ...] = getattr(self, kind)
+        return own
+
+
+@dataclass(frozen=True, config=STRICT)
+class Library:
+    """A folder with own assets on this machine, and what was found in it; no folder where all are ours."""
+
+    folder: str
+    assets: Assets
+
+
+BUILT_IN = Library("", Assets())

@@ -4,11 +4,12 @@ import importlib.util
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from synth3dlanes import __version__
 from synth3dlanes import scene as scene_module
+from synth3dlanes.catalogue import BUILT_IN, KINDS, Library
 from synth3dlanes.dataset.format import encode, member_names
 from synth3dlanes.dataset.write import Shard
 from synth3dlanes.errors import ParamsError
@@ -28,10 +29,11 @@ class Recipe:
     split: str
     settings: RenderSettings
     image_format: str
+    library: Library = field(default=BUILT_IN, kw_only=True)
 
     def scene(self, index: int) -> Scene:
         """The world of sample `index`."""
-        return sample_scene(self.params, self.seed, self.split, index)
+        return sample_scene(self.params, self.seed, self.split, index, self.library.assets)
 
     def description(self) -> dict[str, Any]:
         """What `dataset.json` says about it; samples of two recipes that differ here do not mix."""
@@ -41,6 +43,7 @@ class Recipe:
             "image_format": self.image_format,
             "render": asdict(self.settings),
             "params": self.params.model_dump(mode="json"),
+            "assets": {kind: {own.name: asdict(own) for own in self.library.assets.own(kind)} for kind in KINDS},
         }
 
     @property
@@ -77,7 +80,7 @@ def make_sample(recipe: Recipe, index: int) -> Made:
     clock.append(time.perf_counter())
     labels = ground_truth(scene)
     clock.append(time.perf_counter())
-    rendering = render(scene, labels, recipe.settings)
+    rendering = render(scene, labels, recipe.settings, recipe.library)
     clock.append(time.perf_counter())
     text = scene_module.to_json(scene)
     members = encode(rendering.image, rendering.labels, text, rendering.passes, recipe.image_format)

@@ -8,6 +8,8 @@ import json
 from dataclasses import dataclass
 from typing import Any
 
+from synth3dlanes.asset_folder import require_assets
+from synth3dlanes.catalogue import BUILT_IN, Library
 from synth3dlanes.change import change_scene
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.errors import ParamsError
@@ -36,10 +38,10 @@ class TwinRecipe(Recipe):
         return {**super().description(), "derived": {"of": self.source, "vary": self.path, "values": list(self.values)}}
 
 
-def twin_recipes(source: str, vary: str, device: str) -> list[TwinRecipe]:
+def twin_recipes(source: str, vary: str, device: str, library: Library = BUILT_IN) -> list[TwinRecipe]:
     """A recipe for every value in `vary`, which is like `light.exposure=1,2,3`; rendered as the source was.
 
-    Raises ParamsError where a value does not fit the first scene of the source.
+    Raises ParamsError where a value does not fit the first scene of the source, or `library` is not what that shows.
     """
     path, equals, text = (part.strip() for part in vary.partition("="))
     values, problems = read_yaml(f"[{text}]", f"--vary {path}")
@@ -48,10 +50,11 @@ def twin_recipes(source: str, vary: str, device: str) -> list[TwinRecipe]:
     reader = Reader(source)
     render, shown = reader.description["render"], tuple(json.dumps(value) for value in values)
     settings = RenderSettings(int(render["samples"]), tuple(render["passes"]), device)
+    require_assets(read_scene(reader, 0).assets, library, source)
     params, seed = params_of(reader), int(reader.description["seed"])
     image_format = str(reader.description["image_format"])
     recipes = [
-        TwinRecipe(params, seed, f"twin_{k}", settings, image_format, reader.url, path, shown)
+        TwinRecipe(params, seed, f"twin_{k}", settings, image_format, reader.url, path, shown, library=library)
         for k in range(1, len(shown) + 1)
     ]
     for recipe in recipes:

@@ -1,20 +1,11 @@
-"""Cars and trees out of `blender_assets/assets.blend`, and where that folder is. One load per process."""
+"""Where our built assets are, and the meshes out of `blender_assets/assets.blend`."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 
 import bpy
 
-from synth3dlanes.catalogue import CARS, TREES
 from synth3dlanes.errors import FormatError
-
-
-@dataclass(frozen=True, eq=False)
-class Assets:
-    """One mesh a model, in the catalogue's order; a car's object sets `color = (r, g, b, gloss)`."""
-
-    cars: tuple[bpy.types.Mesh, ...]
-    trees: tuple[bpy.types.Mesh, ...]
 
 
 def assets_dir() -> Path:
@@ -24,10 +15,9 @@ def assets_dir() -> Path:
     return installed if installed.is_dir() else package.parent / "blender_assets"
 
 
-def load_assets() -> Assets:
-    """Append every catalogue mesh with its materials; all keep a fake user and so outlive any scene."""
+def load_meshes(names: Sequence[str]) -> tuple[bpy.types.Mesh, ...]:
+    """Append meshes with their materials; all keep a fake user and so outlive any scene."""
     path = assets_dir() / "assets.blend"
-    names = [model.name for model in CARS + TREES]
     if not path.is_file():
         raise FormatError(f"{path}: expected the asset library, found no file; `make assets` builds it")
     with bpy.data.libraries.load(str(path)) as (library, wanted):
@@ -35,7 +25,6 @@ def load_assets() -> Assets:
         if missing:
             raise FormatError(f"{path}: expected meshes named like the catalogue, found no {', '.join(missing)}")
         wanted.meshes = list(names)
-    meshes = tuple(wanted.meshes)
-    for mesh in meshes:
+    for mesh in wanted.meshes:
         mesh.use_fake_user = True
-    return Assets(meshes[: len(CARS)], meshes[len(CARS) :])
+    return tuple(wanted.meshes)

@@ -1,0 +1,235 @@
+"""Looks through a folder of own assets: measures what is right, and says of everything else what is wrong with it.
+
+For a process of its own: it empties Blender for every file.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import bpy
+import numpy as np
+from jaxtyping import Float
+from PIL import Image, UnidentifiedImageError
+
+from synth3dlanes.asset_folder import (
+    Checked,
+    Folder,
+    Notes,
+    Row,
+    digest,
+    read_notes,
+    scan,
+    texture_digest,
+)
+from synth3dlanes.blender.own_models import Imported, ModelKind, import_model, points_of
+from synth3dlanes.blender.own_sky import brightest_azimuth, read_sky
+from synth3dlanes.catalogue import Assets, CarModel, Kind, Sky, Texture, TreeModel
+from synth3dlanes.errors import FormatError
+
+CAR_LENGTH_M, TREE_HEIGHT_M = (2.5, 20.0), (0.3, 60.0)
+TRIANGLES: dict[ModelKind, int] = {"car": 15_000, "tree": 10_000}
+TOO_MANY = 10  # times as many are an error
+# A car's lowest point may be so far from z = 0: it is moved there. A tree's roots may go so far below it.
+STANDS_M, FLOATS_M, ROOTS = 0.05, 0.02, 0.15
+# Tyres without a name are what is so near to the ground; without tyres, shares of the body's size.
+CONTACT_M, WHEELBASE, TRACK, WHEEL_RADIUS = 0.03, 0.6, 0.84, 0.2
+MIN_TEXTURE_PX = 256
+DECIMALS = 4  # of metres
+UNITS = ((100.0, "centimetres"), (1000.0, "millimetres"), (39.37, "inches"), (0.01, "units of 100 m"))
+
+
+@dataclass
+class Findings:
+    """What was found so far."""
+
+    rows: list[Row] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+
+def check_folder(root: Path) -> Checked:
+    """Everything about a folder; raise ParamsError where there is none."""
+    folder = scan(root)
+    notes, note_problems = read_notes(root, folder)
+    found = Findings(problems=[*folder.problems, *note_problems])
+    found.warnings += [f"{name}: not used: its name or ending says nothing here" for name in folder.unknown]
+    cars = [_car(name, path, notes, found) for name, path in folder.models["cars"].items()]
+    trees = [_tree(name, path, found) for name, path in folder.models["trees"].items()]
+    assets = Assets(
+        tuple(car for car in cars if car),
+        tuple(tree for tree in trees if tree),
+        tuple(_textures(folder, "roads", found)),
+        tuple(_textures(folder, "terrains", found)),
+        tuple(_skies(folder, notes, found)),
+    )
+    return Checked(assets, tuple(found.rows), tuple(found.problems), tuple(found.warnings))
+
+
+def _car(name: str, path: Path, notes: Notes, found: Findings) -> CarModel | None:
+    where = f"cars/{path.name}"
+    imported = _model(path, "car", where, found)
+    if imported is None:
+        return None
+    points = points_of(imported.mesh)
+    width_m, length_m, height_m = (points.max(axis=0) - points.min(axis=0)).tolist()
+    problems = _out_of_scale(where, "a length (along y)", length_m, CAR_LENGTH_M)
+    if length_m <= width_m:
+        problems.append(f"{where}: expected its front towards +y, got {width_m:.2f} m by x, {length_m:.2f} m by y")
+    low_m = -float(imported.moved[2])
+    if not problems and abs(low_m) > STANDS_M:
+        problems.append(f"{where}: expected its wheels on z = 0, got its lowest point at {low_m:.2f} m")
+    found.problems += problems
+    if problems:
+        return None
+    noted = notes.cars.get(name)
+    wheelbase_m, track_m, radius_m = (
+        (noted.wheelbase_m, noted.track_m, noted.wheel_radius_m) if noted else _wheels(points, imported.wheels)
+    )
+    model = CarModel(
+        name,
+        length_m=round(length_m, DECIMALS),
+        width_m=round(width_m, DECIMALS),
+        height_m=round(height_m, DECIMALS),
+        wheelbase_m=round(wheelbase_m, DECIMALS),
+        track_m=round(track_m, DECIMALS),
+        wheel_radius_m=round(radius_m, DECIMALS),
+        sha256=digest(path),
+    )
+    size = f"{model.length_m:.2f} x {model.width_m:.2f} x {model.height_m:.2f} m, wheelbase {model.wheelbase_m:.2f} m"
+    _add_row(found, "cars", model, size, _triangles(imported.mesh))
+    return model
+
+
+def _tree(name: str, path: Path, found: Findings) -> TreeModel | None:
+    where = f"trees/{path.name}"
+    imported = _model(path, "tree", where, found)
+    if imported is None:
+        return None
+    points = points_of(imported.mesh)
+    low_m, height_m = float(points[:, 2].min()), float(points[:, 2].max())
+    crown_m = float(np.quantile(np.hypot(points[:, 0], points[:, 1]), 0.999))
+    problems = _out_of_scale(where, "a height", height_m, TREE_HEIGHT_M)
+    if not problems and not -ROOTS * height_m <= low_m <= FLOATS_M:
+        problems.append(f"{where}: expected its trunk to begin at z = 0, got its lowest point at {low_m:.2f} m")
+    middle = (points.min(axis=0) + points.max(axis=0))[:2] / 2
+    if not problems and np.hypot(*middle) > 0.5 * crown_m:
+        problems.append(
+            f"{where}: expected its trunk at x = y = 0, got its middle at ({middle[0]:.2f}, {middle[1]:.2f}) m"
+        )
+    found.problems += problems
+    if problems:
+        return None
+    model = TreeModel(name, round(height_m, DECIMALS), round(crown_m, DECIMALS), digest(path))
+    _add_row(found, "trees", model, f"{height_m:.2f} m high, crown {2 * crown_m:.2f} m", _triangles(imported.mesh))
+    return model
+
+
+def _model(path: Path, kind: ModelKind, where: str, found: Findings) -> Imported | None:
+    """The file's mesh in an empty Blender; None and a problem where it cannot be used."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    try:
+        imported = import_model(path, kind, "model")
+    except (RuntimeError, OSError) as error:
+        found.problems.append(f"{where}: cannot read it: {' '.join(str(error).split())}")
+        return None
+    if imported is None:
+        found.problems.append(f"{where}: expected a mesh, found no face in it")
+        return None
+    problems = list(_lost_pictures(where))
+    triangles, limit = _triangles(imported.mesh), TRIANGLES[kind]
+    if triangles > TOO_MANY * limit:
+        problems.append(f"{where}: expected at most {limit:,} triangles, got {triangles:,}; decimate it")
+    elif triangles > limit:
+        found.warnings.append(f"{where}: {triangles:,} triangles, more than {limit:,}, cost time and memory")
+    found.problems += problems
+    return None if problems else imported
+
+
+def _lost_pictures(where: str) -> Iterator[str]:
+    """Pictures that would be pink elsewhere: all must be inside the file."""
+    for image in bpy.data.images:
+        if image.source in ("FILE", "SEQUENCE", "TILED", "MOVIE") and not image.packed_files:
+            yield f"{where}: expected its pictures packed (File > External Data > Pack Resources), got {image.filepath}"
+        elif image.source == "FILE" and not image.size[0]:
+            yield f"{where}: expected a picture {image.name}, cannot read it"
+
+
+def _out_of_scale(where: str, what: str, metres: float, limits: tuple[float, float]) -> list[str]:
+    low, high = limits
+    if low <= metres <= high:
+        return []
+    unit = next((unit for factor, unit in UNITS if low <= metres / factor <= high), None)
+    guess = f"; modelled in {unit}?" if unit else ""
+    return [f"{where}: expected {what} of {low:g} to {high:g} m, got {metres:.4g} m{guess}"]
+
+
+def _wheels(points: Float[np.ndarray, "v 3"], named: Float[np.ndarray, "n 3"]) -> tuple[float, float, float]:
+    """Wheelbase, track and radius: from the vertices of what is named wheel*, else from what touches the ground, else
+    shares of the body's size."""
+    width_m, length_m, height_m = (points.max(axis=0) - points.min(axis=0)).tolist()
+    radius_m = min(WHEEL_RADIUS * height_m, 0.5)
+    for tyres, is_whole in ((named, True), (points[points[:, 2] < CONTACT_M], False)):
+        corners = [tyres[(sx * tyres[:, 0] > 0) & (sy * tyres[:, 1] > 0)] for sy in (1, -1) for sx in (-1, 1)]
+        if all(map(len, corners)):
+            low, high = (np.array([reach(corner, axis=0) for corner in corners]) for reach in (np.min, np.max))
+            (x0, y0, _), (x1, y1, _), (x2, y2, _), (x3, y3, _) = (low + high) / 2
+            if is_whole:
+                radius_m = float((high - low)[:, 2].mean() / 2)
+            return float(y0 + y1 - y2 - y3) / 2, float(x1 + x3 - x0 - x2) / 2, radius_m
+    return WHEELBASE * length_m, TRACK * width_m, radius_m
+
+
+def _textures(folder: Folder, kind: Kind, found: Findings) -> Iterator[Texture]:
+    for name, files in folder.textures[kind].items():
+        problems, sizes = [], []
+        for path in (files.albedo, files.roughness, files.normal):
+            size, problem = _picture_size(path)
+            sizes.append(f"{size[0]} px")
+            problems += [f"{kind}/{path.name}: {problem}"] if problem else []
+        found.problems += problems
+        if not problems:
+            texture = Texture(name, texture_digest(files))
+            _add_row(found, kind, texture, " ".join(dict.fromkeys(sizes)), 0)
+            yield texture
+
+
+def _picture_size(path: Path) -> tuple[tuple[int, int], str]:
+    """A texture's size in pixels, and what is wrong with it."""
+    try:
+        with Image.open(path) as picture:
+            picture.load()
+            width, height = picture.size
+    except (UnidentifiedImageError, OSError) as error:
+        return (0, 0), f"cannot read it: {error}"
+    if width != height:
+        return (width, height), f"expected a square picture, got {width}x{height}"
+    wrong = f"expected at least {MIN_TEXTURE_PX} px, got {width}" if width < MIN_TEXTURE_PX else ""
+    return (width, height), wrong
+
+
+def _skies(folder: Folder, notes: Notes, found: Findings) -> Iterator[Sky]:
+    for name, path in folder.models["skies"].items():
+        try:
+            upper = read_sky(path)
+        except (FormatError, RuntimeError) as error:
+            found.problems.append(f"skies/{error}")
+            continue
+        noted = notes.skies.get(name)
+        azimuth_rad = math.radians(noted.sun_azimuth_deg) if noted else brightest_azimuth(upper)
+        sky = Sky(name, round(azimuth_rad, 6), digest(path))
+        _add_row(found, "skies", sky, f"sun at {math.degrees(azimuth_rad):.0f} deg", 0)
+        yield sky
+
+
+def _triangles(mesh: bpy.types.Mesh) -> int:
+    mesh.calc_loop_triangles()
+    return len(mesh.loop_triangles)
+
+
+def _add_row(
+    found: Findings, kind: Kind, model: CarModel | TreeModel | Texture | Sky, size: str, triangles: int
+) -> None:
+    number = 1 + sum(row.kind == kind for row in found.rows)
+    found.rows.append(Row(kind, number, model.name, size, triangles, model.sha256))
