@@ -11,7 +11,7 @@ from cars import build_all
 from jaxtyping import Float, Int
 from trees import Tree, fit, grow_all
 
-from synth3dlanes.blender.shaders import coated, new_material
+from synth3dlanes.blender.shaders import car_paint, coated, new_material
 from synth3dlanes.settings import SEMANTIC_IDS
 
 CAR_ID, TREE_ID = SEMANTIC_IDS["car"], SEMANTIC_IDS["tree"]
@@ -27,14 +27,9 @@ BARKS = {"conifer": (0.085, 0.055, 0.038), "dead": (0.16, 0.145, 0.125), "poplar
 
 
 def paint() -> bpy.types.Material:
-    """Body paint: the object's colour (a display value, hence the gamma) under a clear coat of the object's gloss."""
+    """Body paint, whose colour and gloss are the object's."""
     material, graph = new_material("car_paint", CAR_ID)
-    info = graph.node("ShaderNodeObjectInfo")
-    color = graph.node("ShaderNodeGamma", {"Color": info.outputs["Color"], "Gamma": 2.0})
-    dim = graph.mix_color(color.outputs[0], (0.02, 0.02, 0.02), 0.12)
-    roughness = graph.math("MULTIPLY_ADD", info.outputs["Alpha"], -0.28, 0.32)
-    amount = graph.math("MULTIPLY_ADD", info.outputs["Alpha"], 0.7, 0.3)
-    coated(graph, dim, roughness, amount)
+    car_paint(graph)
     return material
 
 

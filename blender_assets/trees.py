@@ -80,15 +80,25 @@ def clumps(
     leaf_m: tuple[float, float],
     crown: Float[np.ndarray, "3"],
 ) -> None:
-    """Scatter `n` leaves of `leaf_m` (length, width) over clumps of foliage, most of them near the clumps' skins."""
+    """Scatter `n` leaves of `leaf_m` (length, width) over clumps of foliage, most of them near the clumps' skins, some
+    beyond: a skin without stray leaves looks like a ball."""
     which = rng.choice(len(centers), n, p=radii_m**2 / (radii_m**2).sum())
     direction = unit(rng.standard_normal((n, 3)))
-    depth = rng.uniform(0.25, 1, n) ** 0.45
+    depth = rng.uniform(0.2, 1, n) ** 0.55 * (1 + 0.5 * rng.random(n) ** 4)
     offset = direction * (radii_m[which] * depth)[:, None] * [1, 1, 0.8]
     points = centers[which] + offset
     out = unit(0.6 * direction + 0.6 * unit(points - crown) + [0, 0, 0.15])
     below = np.clip(0.5 + 0.5 * direction[:, 2], 0, 1)
     leaves(tree, rng, points, out, 0.52 + 0.28 * depth + 0.22 * below, leaf_m)
+
+
+def scattered(
+    rng: np.random.Generator, centers: Float[np.ndarray, "c 3"], radii_m: Float[np.ndarray, " c"], n: int
+) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, " k"]]:
+    """Each clump as `n` smaller ones of unlike sizes around it: crowns are ragged, not made of balls."""
+    around = unit(rng.standard_normal((n, len(centers), 3))) * rng.uniform(0.35, 0.95, (n, len(centers), 1))
+    small = radii_m * rng.uniform(0.3, 0.75, (n, len(centers)))
+    return (centers + radii_m[:, None] * around * [1, 1, 0.75]).reshape(-1, 3), small.ravel()
 
 
 def broadleaf(rng: np.random.Generator, model: TreeModel) -> Tree:
@@ -110,7 +120,7 @@ def broadleaf(rng: np.random.Generator, model: TreeModel) -> Tree:
             branch(tree, limb_path(rng, center * 0.7 + start * 0.3, center + rng.normal(0, 0.5, 3), 0), 0.03, 0.008, 3)
         centers.append(center)
         radii.append(r * rng.uniform(0.24, 0.36))
-    clumps(tree, rng, np.array(centers), np.array(radii), 7900, (0.33, 0.24), crown)
+    clumps(tree, rng, *scattered(rng, np.array(centers), np.array(radii), 4), 7900, (0.33, 0.24), crown)
     return tree
 
 
@@ -155,7 +165,8 @@ def poplar(rng: np.random.Generator, model: TreeModel) -> Tree:
         branch(tree, limb_path(rng, foot, center, 0, 4), 0.035, 0.01, 3)
         centers.append(center)
         radii.append(r * (0.38 - 0.16 * level) * rng.uniform(0.8, 1.2))
-    clumps(tree, rng, np.array(centers), np.array(radii), 7700, (0.30, 0.22), np.array([0, 0, 0.5 * h]))
+    foliage = scattered(rng, np.array(centers), np.array(radii), 3)
+    clumps(tree, rng, *foliage, 7700, (0.30, 0.22), np.array([0, 0, 0.5 * h]))
     return tree
 
 
@@ -214,7 +225,8 @@ def young(rng: np.random.Generator, model: TreeModel) -> Tree:
         branch(tree, limb_path(rng, np.array([0, 0, center[2] - 0.35 * r]), center, 0.05), 0.018, 0.005, 4)
         centers.append(center)
         radii.append(rng.uniform(0.27, 0.38) * r)
-    clumps(tree, rng, np.array(centers), np.array(radii), 4200, (0.15, 0.11), np.array([0, 0, 0.62 * h]))
+    foliage = scattered(rng, np.array(centers), np.array(radii), 3)
+    clumps(tree, rng, *foliage, 4200, (0.15, 0.11), np.array([0, 0, 0.62 * h]))
     return tree
 
 

@@ -12,7 +12,11 @@ from typing import Annotated, Any, Generic, TypeVar
 import yaml
 from pydantic import PlainSerializer, PlainValidator
 
+from synth3dlanes.catalogue import Assets, Kind
+
 Value = TypeVar("Value", bool, int, float)
+# Of models or textures of one kind, where nothing says how many there are.
+MAX_NUMBER = 9999
 
 
 @dataclass(frozen=True)
@@ -116,15 +120,31 @@ def reals(low: float, high: float, above: bool = False) -> PlainValidator:
 
 def integers(low: int, high: int) -> PlainValidator:
     """Legal limits of an integer parameter, both included."""
+    return PlainValidator(lambda form: _parse_integers(form, low, high))
+
+
+def _parse_integers(form: Any, low: int, high: int) -> Integers | Choice[int]:
+    """Read an integer parameter with these limits."""
+    if isinstance(form, Integers | Choice):
+        return form
     is_legal = _between(low, high, _is_integer, above=False)
     legal = f"integers from {low} to {high} as [low, high], {{value: weight}} or a constant"
+    return Integers(*_checked_pair(form, is_legal, legal)) if _is_pair(form) else _choice(form, is_legal, legal)
 
-    def parse(form: Any) -> Integers | Choice[int]:
-        if isinstance(form, Integers | Choice):
-            return form
-        return Integers(*_checked_pair(form, is_legal, legal)) if _is_pair(form) else _choice(form, is_legal, legal)
 
-    return PlainValidator(parse)
+def numbers(kind: Kind) -> PlainValidator:
+    """Legal numbers of models or textures: those of the `Assets` in the validation's context.
+
+    `[1, n]` with all that ours are, as the presets say it, stands for all that there are. Without a context, as in
+    `dataset.json`, numbers are taken as they are.
+    """
+    return PlainValidator(lambda form, info: _parse_numbers(form, kind, info.context))
+
+
+def _parse_numbers(form: Any, kind: Kind, assets: Assets | None) -> Integers | Choice[int]:
+    if assets is not None and _is_pair(form) and list(form) == [1, Assets.OURS[kind]]:
+        return Integers(1, assets.count(kind))
+    return _parse_integers(form, 1, assets.count(kind) if assets else MAX_NUMBER)
 
 
 def _checked_pair(form: Sequence[Any], is_legal: Callable[[Any], bool], legal: str) -> tuple[Any, Any]:

@@ -30,8 +30,9 @@ def ground_truth(scene: Scene) -> Labels:
         img_from_cam=cameras.img_from_cam(scene.camera),
         height_m=scene.camera.height_m,
         pitch_rad=scene.camera.pitch_rad,
-        road_from_cam=road_from_cam(scene.camera.height_m, scene.camera.pitch_rad),
+        road_from_cam=road_from_cam(scene.camera.height_m, scene.camera.pitch_rad, scene.camera.roll_rad),
         world_from_cam=world_from_cam,
+        roll_rad=scene.camera.roll_rad,
     )
     lengths_m = np.arange(0, RANGE_M + STEP_M / 2, STEP_M)
     s_world: dict[RoadName, Values] = {

@@ -21,7 +21,8 @@ Marking = Literal["none", "solid", "dashed"]
 
 @dataclass(frozen=True, eq=False)
 class CameraLabel:
-    """The camera that the points are relative to; `img_from_cam` acts on (x, y, z) of the camera frame."""
+    """The camera that the points are relative to; `img_from_cam` acts on (x, y, z) of the camera frame. `roll_rad` is
+    about the viewing axis, positive clockwise as the driver sees it; labels written before it have none."""
 
     width_px: int
     height_px: int
@@ -30,6 +31,7 @@ class CameraLabel:
     pitch_rad: float
     road_from_cam: Float[np.ndarray, "4 4"]
     world_from_cam: Float[np.ndarray, "4 4"]
+    roll_rad: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +118,7 @@ def to_json(labels: Labels) -> str:
             "img_from_cam": _rounded(camera.img_from_cam, 9),
             "height_m": camera.height_m,
             "pitch_rad": camera.pitch_rad,
+            "roll_rad": camera.roll_rad,
             "road_from_cam": _rounded(camera.road_from_cam, 9),
             "world_from_cam": _rounded(camera.world_from_cam, 9),
         },

@@ -11,8 +11,8 @@ from typing import Annotated, Any
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from synth3dlanes.catalogue import CARS, TREES
-from synth3dlanes.distributions import Flag, Integer, Real, integers, reals
+from synth3dlanes.catalogue import BUILT_IN, Assets
+from synth3dlanes.distributions import Flag, Integer, Real, integers, numbers, reals
 from synth3dlanes.errors import ParamsError
 from synth3dlanes.yaml_text import read_yaml
 
@@ -64,26 +64,33 @@ class MarkingsParams(Group):
     width_m: Annotated[Real, reals(0.02, 1)]
     grayscale: Fraction
     gloss: Fraction
+    left_yellow: Flag
+    left_double: Flag
+    wear: Fraction
+    missing: Fraction
 
 
 class SurfaceParams(Group):
     """Textures of road and terrain."""
 
-    road_texture: Annotated[Integer, integers(1, 3)]
+    road_texture: Annotated[Integer, numbers("roads")]
     road_texture_scale: Annotated[Real, reals(0, 1000, above=True)]
     road_gloss: Fraction
-    terrain_texture: Annotated[Integer, integers(1, 2)]
+    terrain_texture: Annotated[Integer, numbers("terrains")]
     terrain_texture_scale: Annotated[Real, reals(0, 1000, above=True)]
     texture_orientation_deg: Orientation
+    wetness: Fraction
+    shoulder_texture: Annotated[Integer, integers(1, 2)]
 
 
 class CarParams(Group):
-    """Cars; `color` is drawn once per channel."""
+    """Cars; `color` is drawn once per channel, `saturation` per car."""
 
     n: Annotated[Integer, integers(0, 100)]
-    model: Annotated[Integer, integers(1, len(CARS))]
+    model: Annotated[Integer, numbers("cars")]
     scale: Annotated[Real, reals(0.1, 10)]
     color: Fraction
+    saturation: Fraction
     gloss: Fraction
     s_m: Annotated[Real, reals(-150, 150)]
 
@@ -92,7 +99,7 @@ class TreeParams(Group):
     """Trees."""
 
     n: Annotated[Integer, integers(0, 5000)]
-    model: Annotated[Integer, integers(1, len(TREES))]
+    model: Annotated[Integer, numbers("trees")]
     scale: Annotated[Real, reals(0.1, 10)]
     yaw_deg: Orientation
     x_m: Annotated[Real, reals(-1000, 1000)]
@@ -100,7 +107,8 @@ class TreeParams(Group):
 
 
 class CameraParams(Group):
-    """The host's camera. A `lane` beyond the lanes present is cut to them before the draw."""
+    """The host's camera. A `lane` beyond the lanes present is cut to them before the draw; `principal_offset_px` is
+    drawn once for x and once for y."""
 
     lane: Annotated[Integer, integers(1, 8)]
     y_m: Annotated[Real, reals(-100, 0)]
@@ -110,14 +118,31 @@ class CameraParams(Group):
     width_px: Annotated[Integer, integers(16, 8192)]
     height_px: Annotated[Integer, integers(16, 8192)]
     horizontal_fov_deg: Annotated[Real, reals(5, 150)]
+    roll_deg: Annotated[Real, reals(-30, 30)]
+    principal_offset_px: Annotated[Real, reals(-1000, 1000)]
 
 
 class LightParams(Group):
-    """Sun and film exposure."""
+    """Sun and film exposure; `metering` is how far the exposure makes up for the scene's daylight."""
 
     sun_zenith_deg: Annotated[Real, reals(0, 90)]
     sun_azimuth_deg: Orientation
     exposure: Annotated[Real, reals(0, 100, above=True)]
+    metering: Fraction
+
+
+class AirParams(Group):
+    """Haze or fog by its meteorological visibility, and the share of the sun behind a closed layer of clouds."""
+
+    visibility_m: Annotated[Real, reals(20, 1_000_000)]
+    overcast: Fraction
+
+
+class SensorParams(Group):
+    """Metres driven during the exposure, and noise at middle gray in 8-bit levels (standard deviation)."""
+
+    motion_blur_m: Annotated[Real, reals(0, 1)]
+    noise: Annotated[Real, reals(0, 32)]
 
 
 class Params(Group):
@@ -134,6 +159,8 @@ class Params(Group):
     trees: TreeParams
     camera: CameraParams
     light: LightParams
+    air: AirParams
+    sensor: SensorParams
 
 
 def presets_folder() -> Path:
@@ -147,10 +174,11 @@ def preset_names() -> list[str]:
     return sorted(path.stem for path in presets_folder().glob("*.yaml"))
 
 
-def load_params(source: str, overrides: Sequence[str] = ()) -> Params:
+def load_params(source: str, overrides: Sequence[str] = (), assets: Assets = BUILT_IN.assets) -> Params:
     """Read a preset (by name) or a YAML file, then apply overrides like `road.n_lanes=3`.
 
-    Raises one ParamsError with a line for every problem found, each naming file and key.
+    Numbers of models and textures are of those in `assets`; see `distributions.numbers`. Raises one ParamsError with a
+    line for every problem found, each naming file and key.
     """
     if source in preset_names():
         path, where = presets_folder() / f"{source}.yaml", f"params/{source}.yaml"
@@ -167,7 +195,7 @@ def load_params(source: str, overrides: Sequence[str] = ()) -> Params:
         raise ParamsError(*(problems or [f"{where}: expected groups of parameters, got {document!r:.40}"]))
     overridden, override_problems = _override(document, overrides)
     try:
-        params = Params.model_validate(document)
+        params = Params.model_validate(document, context=assets)
     except ValidationError as error:
         raise ParamsError(*problems, *override_problems, *_problems(error, where, overridden)) from None
     if problems or override_problems:

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.catalogue import CARS, TREES
+from synth3dlanes.catalogue import BUILT_IN, Assets
 from synth3dlanes.distributions import Choice, Integers, Uniform
 from synth3dlanes.errors import ParamsError
 from synth3dlanes.geometry import placement
@@ -21,6 +21,7 @@ from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.params import CameraParams, Group, Params
 from synth3dlanes.scene import (
     SCENE_VERSION,
+    Air,
     Camera,
     Car,
     Gaussian,
@@ -28,6 +29,7 @@ from synth3dlanes.scene import (
     Markings,
     Road,
     Scene,
+    Sensor,
     Surface,
     Terrain,
     Tree,
@@ -55,8 +57,8 @@ def stream(seed: int, split: str, index: int, name: str) -> np.random.Generator:
     return np.random.Generator(np.random.PCG64(int.from_bytes(digest[:16], "big")))
 
 
-def sample_scene(params: Params, seed: int, split: str, index: int) -> Scene:
-    """Scene `index` of a split: it depends on these four arguments alone.
+def sample_scene(params: Params, seed: int, split: str, index: int, assets: Assets = BUILT_IN.assets) -> Scene:
+    """Scene `index` of a split: it depends on these arguments alone.
 
     Raises ParamsError where cars or trees find no room in the ranges given.
     """
@@ -76,23 +78,30 @@ def sample_scene(params: Params, seed: int, split: str, index: int) -> Scene:
         trees=(),
         camera=NO_CAMERA,
         light=_plain(Light, draws["light"]),
+        air=_plain(Air, draws["air"]),
+        sensor=_plain(Sensor, draws["sensor"]),
+        sky=_sky(assets, stream(seed, split, index, "sky")),
+        assets=assets,
     )
     plan = RoadPlan(bare)
     camera = _camera(params.camera, draws["camera"], plan)
     car_places = Draw(params.cars, stream(seed, split, index, "car_places"))
     tree_places = Draw(params.trees, stream(seed, split, index, "tree_places"))
-    cars = _cars(plan, camera, draws["cars"], car_places)
+    paints = Draw(params.cars, stream(seed, split, index, "car_saturation"))
+    cars = _cars(plan, camera, draws["cars"], paints, car_places)
     with_camera = RoadPlan(bare.model_copy(update={"camera": camera}))
     trees = _trees(Ground(with_camera), draws["trees"], tree_places)
     return with_camera.scene.model_copy(update={"cars": cars, "trees": trees})
 
 
-P = TypeVar("P", Markings, Surface, Light)
+P = TypeVar("P", Markings, Surface, Light, Air, Sensor)
 
 
-def scene_texts(params: Params, seed: int, split: str, indices: range) -> Iterator[str]:
+def scene_texts(
+    params: Params, seed: int, split: str, indices: range, assets: Assets = BUILT_IN.assets
+) -> Iterator[str]:
     """The `scene.json` of each index in turn; many are drawn by a process a core."""
-    draw = partial(_scene_text, params, seed, split)
+    draw = partial(_scene_text, params, seed, split, assets)
     if len(indices) < WORTH_PROCESSES:
         yield from map(draw, indices)
         return
@@ -100,8 +109,8 @@ def scene_texts(params: Params, seed: int, split: str, indices: range) -> Iterat
         yield from pool.map(draw, indices, chunksize=CHUNK)
 
 
-def _scene_text(params: Params, seed: int, split: str, index: int) -> str:
-    return to_json(sample_scene(params, seed, split, index))
+def _scene_text(params: Params, seed: int, split: str, assets: Assets, index: int) -> str:
+    return to_json(sample_scene(params, seed, split, index, assets))
 
 
 class Draw:
@@ -139,6 +148,10 @@ def _plain(part: type[P], draw: Draw) -> P:
     return part(**{field: draw(field.replace("_rad", "_deg")) for field in part.model_fields})
 
 
+def _sky(assets: Assets, rng: np.random.Generator) -> int:
+    return 1 + int(rng.random() * len(assets.skies)) if assets.skies else 0
+
+
 def _terrain(draw: Draw) -> Terrain:
     def gaussian() -> Gaussian:
         return Gaussian(
@@ -170,8 +183,9 @@ def _camera(params: CameraParams, draw: Draw, plan: RoadPlan) -> Camera:
         height_px=height_px,
         fx_px=focal_px,
         fy_px=focal_px,
-        cx_px=width_px / 2,
-        cy_px=height_px / 2,
+        roll_rad=draw("roll_deg"),
+        cx_px=width_px / 2 + draw("principal_offset_px"),
+        cy_px=height_px / 2 + draw("principal_offset_px"),
     )
 
 
@@ -182,7 +196,7 @@ def _host_lane(lanes: Integers | Choice[int], u: float, present: int) -> int:
     return min(lanes.draw(u), present)
 
 
-def _cars(plan: RoadPlan, camera: Camera, looks: Draw, places: Draw) -> tuple[Car, ...]:
+def _cars(plan: RoadPlan, camera: Camera, looks: Draw, paints: Draw, places: Draw) -> tuple[Car, ...]:
     foot, heading = placement.lane_place(plan, host_segment(plan, camera.lane, camera.y_m), camera.y_m)
     taken = [placement.footprint(foot, heading, *HOST_SIZE_M)]
     cars = []
@@ -190,7 +204,8 @@ def _cars(plan: RoadPlan, camera: Camera, looks: Draw, places: Draw) -> tuple[Ca
         model, scale = looks("model"), looks("scale")
         (color,) = zip(*looks.rows(("color",), 3), strict=True)
         gloss = looks("gloss")
-        size = CARS[model - 1].length_m * scale + CAR_GAP_M[0], CARS[model - 1].width_m * scale + CAR_GAP_M[1]
+        body = plan.scene.assets.car_models[model - 1]
+        size = body.length_m * scale + CAR_GAP_M[0], body.width_m * scale + CAR_GAP_M[1]
         for _ in range(TRIES):
             s_m = places("s_m")
             lanes = segments_at(plan, s_m)
@@ -201,12 +216,14 @@ def _cars(plan: RoadPlan, camera: Camera, looks: Draw, places: Draw) -> tuple[Ca
         else:
             raise ParamsError(f"cars.n: no room for car {number + 1} within cars.s_m of scene {plan.scene.index}")
         taken.append(place)
-        cars.append(Car(model=model, scale=scale, color=color, gloss=gloss, lane=lane, s_m=s_m))
+        saturation = paints("saturation")
+        cars.append(Car(model=model, scale=scale, color=color, gloss=gloss, lane=lane, s_m=s_m, saturation=saturation))
     return tuple(cars)
 
 
 def _trees(ground: Ground, looks: Draw, places: Draw) -> tuple[Tree, ...]:
     drawn = looks.rows(("model", "yaw_deg", "scale"), looks("n"))
+    models = ground.plan.scene.assets.tree_models
     trees: list[Tree] = []
     for _ in range(TRIES):
         if len(trees) == len(drawn):
@@ -216,7 +233,7 @@ def _trees(ground: Ground, looks: Draw, places: Draw) -> tuple[Tree, ...]:
             if len(trees) == len(drawn):
                 break
             model, yaw_rad, scale = drawn[len(trees)]
-            if clearance_m >= TREE_GAP_M + TREE_GAP_OF_CROWN * scale * TREES[model - 1].crown_radius_m:
+            if clearance_m >= TREE_GAP_M + TREE_GAP_OF_CROWN * scale * models[model - 1].crown_radius_m:
                 trees.append(Tree(model=model, x_m=x, y_m=y, yaw_rad=yaw_rad, scale=scale))
     missing = len(drawn) - len(trees)
     raise ParamsError(

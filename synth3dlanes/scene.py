@@ -1,12 +1,14 @@
 """Scene: one world, fully decided, and its JSON form (`scene.json`, spec section 5).
 
-World frame, metres and radians. Pure data: nothing here reads files or computes geometry.
+World frame, metres and radians. Pure data: nothing here reads files or computes geometry. Fields with a default came
+later: scenes written before are read, and show what they showed.
 """
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from synth3dlanes.catalogue import Assets, Kind
 from synth3dlanes.errors import FormatError
 
 SCENE_VERSION = 1
@@ -57,17 +59,23 @@ class Road(Part):
 
 
 class Markings(Part):
-    """Paint: `dash_fraction` is the painted share of `dash_cycle_m`."""
+    """Paint: `dash_fraction` is the painted share of `dash_cycle_m`, `wear` the share of paint that is rubbed off,
+    `missing` the share of each line's length that has lost it in stretches. `left_yellow` and `left_double` (two
+    stripes of `width_m`, as far apart) are of the leftmost line as the host drives."""
 
     dash_cycle_m: Positive
     dash_fraction: Annotated[float, Field(gt=0, le=1)]
     width_m: Positive
     grayscale: Unit
     gloss: Unit
+    left_yellow: bool = False
+    left_double: bool = False
+    wear: Unit = 0.0
+    missing: Unit = 0.0
 
 
 class Surface(Part):
-    """Textures of road and terrain; types count from 1."""
+    """Textures of road and terrain, types counted from 1; `wetness` is of the pavement: 0 dry, 1 under water."""
 
     road_texture: Annotated[int, Field(ge=1)]
     road_texture_scale: Positive
@@ -75,11 +83,14 @@ class Surface(Part):
     terrain_texture: Annotated[int, Field(ge=1)]
     terrain_texture_scale: Positive
     texture_orientation_rad: float
+    wetness: Unit = 0.0
+    shoulder_texture: Annotated[int, Field(ge=1, le=2)] = 1
 
 
 class Car(Part):
     """A car on the centre of lane segment `lane` (its id in the lane graph) at station `s_m` (world y on the
-    main reference line), heading as the host does. Models count from 1."""
+    main reference line), heading as the host does. Models count from 1. `saturation` takes the body's colour from
+    itself (1) to the gray of its first channel (0)."""
 
     model: Annotated[int, Field(ge=1)]
     scale: Positive
@@ -87,6 +98,7 @@ class Car(Part):
     gloss: Unit
     lane: str
     s_m: float
+    saturation: Unit = 1.0
 
 
 class Tree(Part):
@@ -100,7 +112,8 @@ class Tree(Part):
 
 
 class Camera(Part):
-    """The host's camera: lane from the left as it drives, station `y_m`, lateral offset positive to the right."""
+    """The host's camera: lane from the left as it drives, station `y_m`, lateral offset positive to the right, roll
+    about its axis positive clockwise as the driver sees it."""
 
     lane: Annotated[int, Field(ge=1)]
     y_m: float
@@ -113,18 +126,35 @@ class Camera(Part):
     fy_px: Positive
     cx_px: float
     cy_px: float
+    roll_rad: float = 0.0
 
 
 class Light(Part):
-    """The sun, azimuth counter-clockwise from world x, and the film exposure factor."""
+    """The sun, azimuth counter-clockwise from world x, the film exposure factor, and the share (as an exponent) of
+    the scene's daylight that the exposure makes up for."""
 
     sun_zenith_rad: Annotated[float, Field(ge=0, le=1.6)]
     sun_azimuth_rad: float
     exposure: Positive
+    metering: Unit = 0.0
+
+
+class Air(Part):
+    """Meteorological visibility, at which 2 % of a contrast is left, and the share of the sun that clouds hide."""
+
+    visibility_m: Positive = 1e6
+    overcast: Unit = 0.0
+
+
+class Sensor(Part):
+    """Metres driven during the exposure, and the noise's standard deviation at middle gray in 8-bit levels."""
+
+    motion_blur_m: Annotated[float, Field(ge=0)] = 0.0
+    noise: Annotated[float, Field(ge=0)] = 0.0
 
 
 class Scene(Part):
-    """One world. `(seed, split, index)` say where it was drawn from."""
+    """One world. `(seed, split, index)` say where it was drawn from; `sky` counts a user's skies from 1, 0 is ours."""
 
     format: Literal["synth3dlanes.scene"]
     version: Literal[1]
@@ -139,6 +169,25 @@ class Scene(Part):
     trees: tuple[Tree, ...]
     camera: Camera
     light: Light
+    air: Air = Air()
+    sensor: Sensor = Sensor()
+    sky: Annotated[int, Field(ge=0)] = 0
+    assets: Assets = Assets()
+
+    @model_validator(mode="after")
+    def _has_its_models(self) -> "Scene":
+        """Every number of a model, texture or sky is one that there is."""
+        used: list[tuple[str, Kind, int]] = [
+            *((f"cars.{i}.model", "cars", car.model) for i, car in enumerate(self.cars)),
+            *((f"trees.{i}.model", "trees", tree.model) for i, tree in enumerate(self.trees)),
+            ("surface.road_texture", "roads", self.surface.road_texture),
+            ("surface.terrain_texture", "terrains", self.surface.terrain_texture),
+            ("sky", "skies", self.sky),
+        ]
+        for path, kind, number in used:
+            if number > self.assets.count(kind):
+                raise ValueError(f"{path}: expected at most {self.assets.count(kind)}, got {number}")
+        return self
 
 
 def to_json(scene: Scene) -> str:
@@ -159,6 +208,9 @@ def validation_problems(error: ValidationError, where: str) -> list[str]:
     lines = []
     for problem in error.errors():
         path = ".".join(str(step) for step in problem["loc"])
+        if problem["type"] == "value_error":
+            lines.append(f"{where}: {problem['ctx']['error']}")
+            continue
         found = "" if problem["type"] == "missing" else f", got {problem['input']!r:.60}"
         lines.append(f"{where}: {path + ': ' if path else ''}{problem['msg']}{found}")
     return lines

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from synth3dlanes.scene import Camera, Gaussian, Light, Markings, Road, Scene, Surface, Terrain
+from synth3dlanes.scene import Air, Camera, Gaussian, Light, Markings, Road, Scene, Sensor, Surface, Terrain
 
 FLAT = Scene(
     format="synth3dlanes.scene",
@@ -51,7 +51,9 @@ FLAT = Scene(
         cx_px=240,
         cy_px=180,
     ),
-    light=Light(sun_zenith_rad=0.5, sun_azimuth_rad=1, exposure=2),
+    light=Light(sun_zenith_rad=0.5, sun_azimuth_rad=1, exposure=2, metering=0),
+    air=Air(visibility_m=30_000, overcast=0),
+    sensor=Sensor(motion_blur_m=0, noise=0),
 )
 
 

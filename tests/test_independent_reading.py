@@ -110,3 +110,32 @@ def test_the_camera_stands_its_height_over_the_surface_along_its_normal(index):
     normal = np.array([*-slope, 1]) / np.sqrt(1 + slope @ slope)
     assert np.arcsin(-axis @ normal) == pytest.approx(scene["camera"]["pitch_rad"], abs=1e-4)
     assert abs(world_from_cam[:3, 0] @ normal) < 1e-4, "no roll relative to the road"
+
+
+@pytest.mark.parametrize("index", range(10))
+def test_the_cameras_right_side_sinks_by_its_roll(index):
+    """As seen by the driver, who looks along the axis with the road's normal up, clockwise is right side down."""
+    changes = ["trees.n=0", "cars.n=0", "camera.roll_deg=[-4, 4]", "camera.principal_offset_px=[-20, 20]"]
+    drawn = sample_scene(load_params("appendix_i", changes), 4711, "test", index)
+    scene = json.loads(scene_file.to_json(drawn))
+    camera = json.loads(label_file.to_json(ground_truth(drawn)))["camera"]
+    assert camera["roll_rad"] == scene["camera"]["roll_rad"] != 0
+    road_from_cam = np.array(camera["road_from_cam"])
+    right, axis, up = road_from_cam[:3, :3].T
+    assert np.arcsin(-axis[2]) == pytest.approx(scene["camera"]["pitch_rad"], abs=1e-8)
+    assert axis[0] == pytest.approx(0, abs=1e-8)
+    unrolled_up = np.array([0, 0, 1]) - axis[2] * axis
+    unrolled_right = np.cross(axis, unrolled_up / np.linalg.norm(unrolled_up))
+    turned_right = np.arctan2(up @ unrolled_right, up @ unrolled_up / np.linalg.norm(unrolled_up))
+    assert turned_right == pytest.approx(scene["camera"]["roll_rad"], abs=1e-8), "the top leans to the right"
+    assert np.sign(-right[2]) == np.sign(scene["camera"]["roll_rad"]), "the right side is down"
+    (_, cx, _), (_, cy, _), _ = camera["img_from_cam"]
+    assert (cx, cy) == (scene["camera"]["cx_px"], scene["camera"]["cy_px"])
+    assert max(abs(cx - 240), abs(cy - 180)) <= 20
+    assert (cx, cy) != (240, 180)
+    # The road frame is the camera's without roll: labels in it do not depend on the roll.
+    level = ground_truth(drawn.model_copy(update={"camera": drawn.camera.model_copy(update={"roll_rad": 0.0})}))
+    rolled = ground_truth(drawn)
+    for a, b in zip(level.lanes, rolled.lanes, strict=True):
+        in_road = b.xyz_cam @ rolled.camera.road_from_cam[:3, :3].T
+        np.testing.assert_allclose(in_road, a.xyz_cam @ level.camera.road_from_cam[:3, :3].T, atol=1e-9)

@@ -7,16 +7,18 @@ import bpy
 import mathutils
 import numpy as np
 
-from synth3dlanes.blender.assets import Assets, load_assets
+from synth3dlanes.blender import drop_scratch
 from synth3dlanes.blender.camera import set_camera
+from synth3dlanes.blender.library import Assets, load_assets
 from synth3dlanes.blender.materials import Materials, make_materials, set_materials
-from synth3dlanes.blender.world import make_world, set_light
-from synth3dlanes.geometry import meshes, placement
+from synth3dlanes.blender.world import add_haze, make_world, set_light
+from synth3dlanes.catalogue import BUILT_IN, Library
+from synth3dlanes.geometry import meshes, paint, placement
 from synth3dlanes.geometry.camera import world_from_cam
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.transforms import Matrix4, from_axes
-from synth3dlanes.scene import Scene
+from synth3dlanes.scene import Car, Scene
 from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_TREE_ID
 
 
@@ -42,15 +44,18 @@ class Placed:
     instance_id: int
 
 
-def open_studio() -> Studio:
+def open_studio(library: Library = BUILT_IN) -> Studio:
     """An empty Blender with the assets loaded, once per process."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
+    drop_scratch()
     bpy.context.preferences.edit.use_global_undo = False
     camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
     bpy.context.scene.collection.objects.link(camera)
     bpy.context.scene.camera = camera
     make_world()
-    assets, materials = load_assets(), make_materials()
+    assets = load_assets(library)
+    materials = make_materials(assets.roads, assets.terrains)
+    add_haze()
     return Studio(assets, materials, _plain(), camera, frozenset(_names()))
 
 
@@ -75,13 +80,19 @@ def build(studio: Studio, scene: Scene, labelled: Sequence[str] = ()) -> list[Pl
     _add_surfaces(studio.materials, ground, scene, labelled)
     placed = _placed_objects(studio.assets, ground)
     for item, color in zip(
-        placed, [(*car.color, car.gloss) for car in scene.cars] + [None] * len(scene.trees), strict=True
+        placed, [(*body_color(car), car.gloss) for car in scene.cars] + [None] * len(scene.trees), strict=True
     ):
         scaled = item.world_from_object @ np.diag([item.scale] * 3 + [1.0])
         _add_object(item.mesh, item.instance_id, mathutils.Matrix(scaled.tolist()), color)
     set_camera(studio.camera, scene.camera, world_from_cam(plan))
-    set_light(scene)
+    set_light(scene, studio.assets.skies)
     return placed
+
+
+def body_color(car: Car) -> tuple[float, float, float]:
+    """The colour of a car's body: as drawn, or nearer to the gray of its first channel, which may be black or white."""
+    red, green, blue = (car.saturation * channel + (1 - car.saturation) * car.color[0] for channel in car.color)
+    return red, green, blue
 
 
 def clear(studio: Studio) -> None:
@@ -101,15 +112,18 @@ def _names() -> list[tuple[str, str]]:
 
 def _add_surfaces(materials: Materials, ground: Ground, scene: Scene, labelled: Sequence[str]) -> None:
     road = materials.roads[scene.surface.road_texture - 1]
+    shoulder = materials.shoulders[scene.surface.shoulder_texture - 1]
     terrain = materials.terrains[scene.surface.terrain_texture - 1]
     for mesh in [meshes.terrain_mesh(ground), *meshes.verge_meshes(ground)]:
         _add_object(new_mesh(mesh, [terrain]), 0)
     for mesh in meshes.road_meshes(ground):
-        _add_object(new_mesh(mesh, [road, materials.shoulder]), 0)
-    paint = meshes.paint_meshes(ground.plan)
-    for number, name in enumerate([*labelled, *(name for name in paint if name not in labelled)]):
-        if len(paint[name].faces):
-            _add_object(new_mesh(paint[name], [materials.marking]), FIRST_DELIMITER_ID + number)
+        _add_object(new_mesh(mesh, [road, shoulder]), 0)
+    strips = paint.paint_meshes(ground.plan)
+    yellow = paint.left_edges(ground.plan) if scene.markings.left_yellow else frozenset()
+    for number, name in enumerate([*labelled, *(name for name in strips if name not in labelled)]):
+        if len(strips[name].faces):
+            material = materials.yellow_marking if name in yellow else materials.marking
+            _add_object(new_mesh(strips[name], [material]), FIRST_DELIMITER_ID + number)
 
 
 def _placed_objects(assets: Assets, ground: Ground) -> list[Placed]:

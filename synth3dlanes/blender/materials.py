@@ -4,14 +4,18 @@ Every mesh carries a UV layer "UVMap" in metres: terrain (world x, world y), roa
 middle, along it), paint (across, along). A material's `pass_index` is its semantic id.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import bpy
 import numpy as np
+from PIL import Image
 
-from synth3dlanes.blender.assets import assets_dir
-from synth3dlanes.blender.shaders import Graph, coated, new_material
+from synth3dlanes.asset_folder import TextureFiles
+from synth3dlanes.blender.shaders import Graph, coated, new_material, texture
+from synth3dlanes.blender.weathering import Look, rub_level, rubbed, wet
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import SEMANTIC_IDS
 
@@ -19,10 +23,15 @@ from synth3dlanes.settings import SEMANTIC_IDS
 SCALE_LENGTH_M = 100.0
 WEAR_LENGTH_M = 48.0  # the wear maps show two lanes by this length
 SHOULDER_TILES = 30.0  # as a texture scale
-N_ROADS, N_TERRAINS = 3, 2
+ROAD_TILE_M, ROAD_ROUGHNESS = 5.0, 0.8  # of the road that shows through rubbed paint
 # Cycles has no mipmaps: far terrain fades to its texture's mean (linear), or the grain would alias at few samples.
 BLUR_DISTANCE_M = 160.0
-TERRAIN_MEANS = {"terrain_1": (0.108, 0.12, 0.042), "terrain_2": (0.249, 0.179, 0.11)}
+MACRO_TILES = 20.0  # and the maps of growth fade over so many of their tiles, before their repetition shows
+# Traffic paint as shares of its grayscale, linear.
+WHITE, YELLOW = (1.0, 1.0, 1.0), (1.0, 0.56, 0.06)
+TERRAIN_MEANS = {"terrain_1": (0.103, 0.109, 0.052), "terrain_2": (0.249, 0.179, 0.11)}
+# Woods on far terrain (linear): patches of hundreds of metres that begin here and are whole at twice the distance.
+WOODS, WOODS_LENGTH_M, WOODS_FROM_M = (0.035, 0.045, 0.025), 2900.0, 220.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,18 +39,20 @@ class Materials:
     """Road and terrain materials by texture type, counted from 0 here."""
 
     roads: tuple[bpy.types.Material, ...]
-    shoulder: bpy.types.Material
+    shoulders: tuple[bpy.types.Material, ...]
     terrains: tuple[bpy.types.Material, ...]
     marking: bpy.types.Material
+    yellow_marking: bpy.types.Material
 
 
-def make_materials() -> Materials:
+def make_materials(roads: Sequence[TextureFiles], terrains: Sequence[TextureFiles]) -> Materials:
     """Build all of them with their textures; call once per process."""
     return Materials(
-        tuple(_road(f"road_{k + 1}") for k in range(N_ROADS)),
-        _shoulder(),
-        tuple(_terrain(f"terrain_{k + 1}") for k in range(N_TERRAINS)),
-        _marking(),
+        tuple(_road(f"road_{k + 1}", files) for k, files in enumerate(roads)),
+        (_gravel_shoulder(), _paved_shoulder()),
+        tuple(_terrain(f"terrain_{k + 1}", files) for k, files in enumerate(terrains)),
+        _marking("marking", WHITE),
+        _marking("yellow_marking", YELLOW),
     )
 
 
@@ -57,9 +68,20 @@ def set_materials(materials: Materials, scene: Scene) -> None:
         _set(road, "gloss", surface.road_gloss)
     for terrain in materials.terrains:
         _orient(terrain, surface.terrain_texture_scale, angle_rad)
-    _orient(materials.shoulder, SHOULDER_TILES, angle_rad)
-    _set(materials.marking, "grayscale", scene.markings.grayscale)
-    _set(materials.marking, "gloss", scene.markings.gloss)
+    gravel, paved = materials.shoulders
+    _orient(gravel, SHOULDER_TILES, angle_rad)
+    _orient(paved, surface.road_texture_scale, angle_rad)
+    under = materials.roads[surface.road_texture - 1].node_tree.nodes["albedo"].image
+    paved.node_tree.nodes["albedo"].image = under
+    for marking in (materials.marking, materials.yellow_marking):
+        _set(marking, "grayscale", scene.markings.grayscale)
+        _set(marking, "gloss", scene.markings.gloss)
+        _set(marking, "rub_level", rub_level(scene.markings.wear))
+        _set(marking, "is_rubbed", float(scene.markings.wear > 0))
+        _set(marking, "road_gloss", surface.road_gloss)
+        marking.node_tree.nodes["albedo"].image = under
+    for wettable in (*materials.roads, *materials.shoulders, materials.marking, materials.yellow_marking):
+        _set(wettable, "wetness", surface.wetness)
 
 
 def _set(material: bpy.types.Material, name: str, value: float) -> None:
@@ -78,23 +100,16 @@ def _orient(material: bpy.types.Material, texture_scale: float, angle_rad: float
     tilt["Location"].default_value = (-strength * (c + s), -strength * (c - s), 0)
 
 
-def _image(graph: Graph, file: str, vector: Any, is_color: bool) -> Any:
-    """A repeating texture's colour output."""
-    image = bpy.data.images.load(str(assets_dir() / "textures" / file), check_existing=True)
-    image.colorspace_settings.name = "sRGB" if is_color else "Non-Color"
-    return graph.node("ShaderNodeTexImage", {"Vector": vector}, image=image).outputs["Color"]
-
-
 def _metres(graph: Graph) -> Any:
     return graph.node("ShaderNodeUVMap", uv_map="UVMap").outputs[0]
 
 
-def _bumpy_normal(graph: Graph, name: str, uv: Any, strength: float) -> Any:
+def _bumpy_normal(graph: Graph, file: Path | str, uv: Any, strength: float) -> Any:
     """The surface normal tilted by a normal map.
 
     The tilt is added in world x and y: the ground is nearly level, and this needs no tangents on the meshes.
     """
-    texel = _image(graph, f"{name}_normal.jpg", uv, is_color=False)
+    texel = texture(graph, file, uv, is_color=False)
     tilt = graph.node("ShaderNodeMapping", {"Vector": texel, "Scale": (2 * strength, 2 * strength, 0)}, name="tilt")
     normal = graph.node("ShaderNodeNewGeometry").outputs["Normal"]
     return graph.vector("NORMALIZE", graph.vector("ADD", normal, tilt.outputs[0]))
@@ -104,55 +119,104 @@ def _tile_uv(graph: Graph) -> Any:
     return graph.node("ShaderNodeMapping", {"Vector": _metres(graph)}, name="tile_uv").outputs[0]
 
 
-def _road(name: str) -> bpy.types.Material:
-    """Fine texture times the lane-aligned wear map; a rough coat that `gloss` polishes."""
+def _road(name: str, files: TextureFiles) -> bpy.types.Material:
+    """Fine texture times the lane-aligned wear map, a user's times that of fresh asphalt; a rough coat that `gloss`
+    polishes."""
     material, graph = new_material(name, SEMANTIC_IDS["road"])
     uv = _tile_uv(graph)
     wear_uv = graph.node("ShaderNodeMapping", {"Vector": _metres(graph)}, name="wear_uv").outputs[0]
-    fine = _image(graph, f"{name}_albedo.jpg", uv, is_color=True)
-    wear = _image(graph, f"{name}_wear.jpg", wear_uv, is_color=False)
+    fine = _albedo(graph, files.albedo, uv)
+    wear_file = "road_1_wear.jpg" if files.albedo.is_absolute() else f"{name}_wear.jpg"
+    wear = texture(graph, wear_file, wear_uv, is_color=False)
     color = graph.vector("MULTIPLY", graph.scale(fine, 2.0), wear)
     gloss = graph.value("gloss")
-    roughness = graph.math("MULTIPLY_ADD", gloss, -1.5, _image(graph, f"{name}_roughness.jpg", uv, is_color=False))
+    roughness = graph.math("MULTIPLY_ADD", gloss, -1.5, texture(graph, files.roughness, uv, is_color=False))
     amount = graph.math("MULTIPLY_ADD", gloss, 1.2, 0.15)
-    coated(graph, color, roughness, amount, normal=_bumpy_normal(graph, name, uv, 0.4))
+    look = wet(graph, Look(color, roughness, amount, _bumpy_normal(graph, files.normal, uv, 0.4)))
+    coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
     return material
 
 
-def _shoulder() -> bpy.types.Material:
-    """Gravel, matt."""
+def _albedo(graph: Graph, file: Path | str, uv: Any) -> Any:
+    """A road's fine texture, on the node `albedo`."""
+    color = texture(graph, file, uv, is_color=True)
+    color.node.name = "albedo"
+    return color
+
+
+def _gravel_shoulder() -> bpy.types.Material:
+    """Gravel, matt when dry."""
     material, graph = new_material("shoulder", SEMANTIC_IDS["shoulder"])
     uv = _tile_uv(graph)
     macro_uv = graph.scale(_metres(graph), 1 / 17.0)
-    macro = graph.math("MULTIPLY", _image(graph, "terrain_macro.jpg", macro_uv, is_color=False), 2.0)
-    color = graph.scale(_image(graph, "shoulder_albedo.jpg", uv, is_color=True), macro)
-    normal = _bumpy_normal(graph, "shoulder", uv, 0.6)
-    graph.surface(graph.node("ShaderNodeBsdfDiffuse", {"Color": color, "Normal": normal}))
+    macro = graph.math("MULTIPLY", texture(graph, "terrain_macro.jpg", macro_uv, is_color=False), 2.0)
+    color = graph.scale(texture(graph, "shoulder_albedo.jpg", uv, is_color=True), macro)
+    normal = _bumpy_normal(graph, "shoulder_normal.jpg", uv, 0.6)
+    look = wet(graph, Look(color, 0.8, 0.0, normal))
+    coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
     return material
 
 
-def _terrain(name: str) -> bpy.types.Material:
+def _paved_shoulder() -> bpy.types.Material:
+    """The road's own pavement without its traffic: no wheel paths, dust in patches."""
+    material, graph = new_material("paved_shoulder", SEMANTIC_IDS["shoulder"])
+    uv = _tile_uv(graph)
+    dust = texture(graph, "terrain_macro.jpg", graph.scale(_metres(graph), 1 / 23.0), is_color=False)
+    color = graph.vector("MULTIPLY", graph.scale(_albedo(graph, "road_1_albedo.jpg", uv), 2.0), dust)
+    look = wet(graph, Look(color, ROAD_ROUGHNESS, 0.15, _bumpy_normal(graph, "road_1_normal.jpg", uv, 0.4)))
+    coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
+    return material
+
+
+def _terrain(name: str, files: TextureFiles) -> bpy.types.Material:
     """Fine texture times two scales of a map of growth and dryness, so that no hill looks like a carpet."""
     material, graph = new_material(name, SEMANTIC_IDS["terrain"])
     uv, metres = _tile_uv(graph), _metres(graph)
-    fine = _image(graph, f"{name}_albedo.jpg", uv, is_color=True)
+    fine = texture(graph, files.albedo, uv, is_color=True)
     distance_m = graph.node("ShaderNodeCameraData").outputs["View Distance"]
     blur = graph.math("MINIMUM", graph.math("DIVIDE", distance_m, BLUR_DISTANCE_M), 0.9)
-    color = graph.mix_color(fine, TERRAIN_MEANS[name], blur)
+    mean = mean_color(files.albedo) if files.albedo.is_absolute() else TERRAIN_MEANS[name]
+    color = graph.mix_color(fine, mean, blur)
     for length_m in (41.0, 233.0):
-        macro = _image(graph, "terrain_macro.jpg", graph.scale(metres, 1 / length_m), is_color=False)
-        color = graph.vector("MULTIPLY", color, graph.scale(macro, 2.0))
-    normal = _bumpy_normal(graph, name, uv, 0.8)
+        macro = texture(graph, "terrain_macro.jpg", graph.scale(metres, 1 / length_m), is_color=False)
+        fade = graph.clamp(graph.math("DIVIDE", distance_m, MACRO_TILES * length_m))
+        color = graph.vector("MULTIPLY", color, graph.mix_color(graph.scale(macro, 2.0), (1.0, 1.0, 1.0), fade))
+    color = graph.mix_color(color, WOODS, _far_woods(graph, metres, distance_m))
+    flat = graph.node("ShaderNodeNewGeometry").outputs["Normal"]
+    normal = graph.mix_color(_bumpy_normal(graph, files.normal, uv, 0.8), flat, blur)
     graph.surface(graph.node("ShaderNodeBsdfDiffuse", {"Color": color, "Normal": normal}))
     return material
 
 
-def _marking() -> bpy.types.Material:
-    """Paint of the sampled grayscale and gloss, rubbed thin in places."""
-    material, graph = new_material("marking", SEMANTIC_IDS["marking"])
-    cover = _image(graph, "marking_cover.jpg", graph.scale(_metres(graph), 1 / 5.0), is_color=False)
+def _far_woods(graph: Graph, metres: Any, distance_m: Any) -> Any:
+    """Where far terrain is dark with woods or scrub, 0..1: without it a plain is one carpet to the horizon."""
+    patches = texture(graph, "terrain_macro.jpg", graph.scale(metres, 1 / WOODS_LENGTH_M), is_color=False)
+    begun = graph.clamp(graph.math("MULTIPLY_ADD", distance_m, 1 / WOODS_FROM_M, -1.0))
+    return graph.math("MULTIPLY", begun, graph.clamp(graph.math("MULTIPLY_ADD", patches, -9.0, 4.7)))
+
+
+def mean_color(file: Path) -> tuple[float, float, float]:
+    """The mean linear reflectance of an albedo map."""
+    with Image.open(file) as picture:
+        srgb = np.asarray(picture.convert("RGB"), np.float32) / 255
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    red, green, blue = linear.mean(axis=(0, 1)).tolist()
+    return red, green, blue
+
+
+def _marking(name: str, tint: tuple[float, float, float]) -> bpy.types.Material:
+    """Paint of the sampled grayscale and gloss, thin in places, and bare road where it is rubbed off."""
+    material, graph = new_material(name, SEMANTIC_IDS["marking"])
+    cover = texture(graph, "marking_cover.jpg", graph.scale(_metres(graph), 1 / 5.0), is_color=False)
     shade = graph.math("MULTIPLY", graph.math("MULTIPLY", graph.value("grayscale"), 0.85), cover)
-    gloss = graph.value("gloss")
-    roughness = graph.math("MULTIPLY_ADD", gloss, -0.4, 0.75)
-    coated(graph, graph.node("ShaderNodeCombineColor", {0: shade, 1: shade, 2: shade}).outputs[0], roughness, gloss)
+    painted = graph.node("ShaderNodeCombineColor", {k: graph.math("MULTIPLY", shade, tint[k]) for k in range(3)})
+    bare, gloss = rubbed(graph), graph.value("gloss")
+    position = graph.node("ShaderNodeNewGeometry").outputs["Position"]
+    road = _albedo(graph, "road_1_albedo.jpg", graph.scale(position, 1 / ROAD_TILE_M))
+    color = graph.mix_color(painted.outputs[0], road, bare)
+    roughness = graph.mix(graph.math("MULTIPLY_ADD", gloss, -0.4, 0.75), ROAD_ROUGHNESS, bare)
+    amount = graph.mix(gloss, graph.math("MULTIPLY_ADD", graph.value("road_gloss"), 1.2, 0.15), bare)
+    normal = graph.node("ShaderNodeNewGeometry").outputs["Normal"]
+    look = wet(graph, Look(color, roughness, amount, normal))
+    coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
     return material

@@ -3,7 +3,7 @@
 import os
 import time
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import lru_cache, partial
 
 import bpy
 import cycles  # type: ignore[import-not-found]
@@ -12,8 +12,10 @@ from jaxtyping import Shaped, UInt8
 
 from synth3dlanes.blender.build import Placed, Studio, build, open_studio
 from synth3dlanes.blender.devices import use_device
+from synth3dlanes.blender.film import CYCLES_NO_HIT, develop
 from synth3dlanes.blender.occlusion import hidden_by_objects, seen_fractions
-from synth3dlanes.blender.tonemap import tonemap
+from synth3dlanes.blender.sky import film_factor
+from synth3dlanes.catalogue import BUILT_IN, Library
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.height_map import height_map
 from synth3dlanes.geometry.road import RoadPlan
@@ -24,8 +26,6 @@ from synth3dlanes.scene import Scene
 from synth3dlanes.settings import NO_HIT_DEPTH_M, RenderSettings
 
 PASS_OF = {"depth": "Depth", "semantic": "IndexMA", "instance": "IndexOB"}
-# Cycles writes 1e10 where a ray hits nothing.
-CYCLES_NO_HIT = 1e9
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,24 +38,26 @@ class Rendering:
     timings: dict[str, float]
 
 
-@cache
-def studio() -> Studio:
-    """This process's Blender with the assets in it."""
-    return open_studio()
+opened = lru_cache(maxsize=1)(open_studio)
 
 
-def render(scene: Scene, labels: Labels, settings: RenderSettings) -> Rendering:
+def studio(library: Library = BUILT_IN) -> Studio:
+    """This process's Blender with the assets in it; those of another library take their place."""
+    return opened(library)
+
+
+def render(scene: Scene, labels: Labels, settings: RenderSettings, library: Library = BUILT_IN) -> Rendering:
     """Render one scene; equal arguments give equal pixels on one kind of machine."""
     clock = [time.perf_counter()]
-    placed = build(studio(), scene, [lane.id for lane in labels.lanes if lane.kind == "delimiter"])
+    placed = build(studio(library), scene, [lane.id for lane in labels.lanes if lane.kind == "delimiter"])
     clock.append(time.perf_counter())
-    configure(settings, scene.light.exposure)
+    configure(settings, film_factor(scene))
     layers = run_cycles()
     clock.append(time.perf_counter())
-    image = tonemap(layers["Combined"][..., :3])
+    image = develop(scene, layers)
     passes = {name: _pass(name, layers) for name in settings.passes if name in PASS_OF}
     if "normal" in settings.passes:
-        passes["normal"] = _normals(labels.camera.world_from_cam)
+        passes["normal"] = _normals(labels.camera.world_from_cam, studio(library).plain)
     if "height" in settings.passes:
         passes["height"] = height_map(RoadPlan(scene)).astype(np.float32)
     clock.append(time.perf_counter())
@@ -80,7 +82,7 @@ def with_object_visibility(scene: Scene, labels: Labels, placed: list[Placed]) -
     return replace(labels, lanes=tuple(lanes), car_visible_fraction=cars)
 
 
-def configure(settings: RenderSettings, exposure: float) -> None:
+def configure(settings: RenderSettings, film: float) -> None:
     """Cycles' settings, chosen for cost: see docs/decisions.md."""
     blender = bpy.context.scene
     blender.render.engine = "CYCLES"
@@ -107,11 +109,11 @@ def configure(settings: RenderSettings, exposure: float) -> None:
     options.pixel_filter_type, options.filter_width = "BOX", 1.0
     options.use_light_tree = False
     options.use_auto_tile = False
-    options.film_exposure = exposure
+    options.film_exposure = film
     layer = blender.view_layers[0]
-    layer.use_pass_z = "depth" in settings.passes
+    layer.use_pass_z = True
     layer.use_pass_object_index = "instance" in settings.passes
-    layer.use_pass_material_index = "semantic" in settings.passes
+    layer.use_pass_material_index = True
 
 
 def run_cycles() -> dict[str, np.ndarray]:
@@ -143,12 +145,12 @@ def _pass(name: str, layers: dict[str, np.ndarray]) -> np.ndarray:
     return values.astype(np.uint8 if name == "semantic" else np.uint16)
 
 
-def _normals(world_from_cam: Matrix4) -> np.ndarray:
+def _normals(world_from_cam: Matrix4, plain: bpy.types.Material) -> np.ndarray:
     """Camera-frame unit normals at the pixels' centres, zero in the sky. Cycles averages normals over a pixel's
     samples, so they take a render of their own: one sample, no light."""
     blender = bpy.context.scene
     layer = blender.view_layers[0]
-    layer.material_override, layer.use_pass_normal = studio().plain, True
+    layer.material_override, layer.use_pass_normal = plain, True
     blender.cycles.samples, blender.cycles.filter_width, blender.cycles.max_bounces = 1, 0.01, 0
     blender.cycles.use_denoising = False
     try:

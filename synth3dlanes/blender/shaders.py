@@ -3,9 +3,12 @@
 Principled BSDF costs 10 to 20 % of a render more than these (docs/decisions.md).
 """
 
+from pathlib import Path
 from typing import Any
 
 import bpy
+
+from synth3dlanes.blender.assets import assets_dir
 
 Socket = Any  # a socket, a number or a tuple: what a node input takes
 
@@ -52,6 +55,14 @@ class Graph:
         """A vector times a number."""
         return self.node("ShaderNodeVectorMath", {0: a, "Scale": factor}, operation="SCALE").outputs[0]
 
+    def clamp(self, a: Socket) -> Any:
+        """A number, kept within 0..1."""
+        return self.node("ShaderNodeClamp", {0: a}).outputs[0]
+
+    def mix(self, a: Socket, b: Socket, factor: Socket) -> Any:
+        """The number `a` where the factor is 0, `b` where it is 1."""
+        return self.node("ShaderNodeMix", {0: factor, 2: a, 3: b}, data_type="FLOAT").outputs[0]
+
     def mix_color(self, a: Socket, b: Socket, factor: Socket) -> Any:
         """`a` where the factor is 0, `b` where it is 1."""
         node = self.tree.nodes.new("ShaderNodeMix")
@@ -76,6 +87,16 @@ def new_material(name: str, semantic_id: int) -> tuple[bpy.types.Material, Graph
     return material, Graph(material.node_tree)
 
 
+def texture(graph: Graph, file: Path | str, vector: Socket, is_color: bool) -> Any:
+    """The colour output of a repeating texture: one of ours, or any file by its absolute path."""
+    image = bpy.data.images.load(str(assets_dir() / "textures" / file), check_existing=True)
+    image.colorspace_settings.name = "sRGB" if is_color else "Non-Color"
+    if image.packed_file is None:
+        # Cycles takes a packed image's pixels from memory, and would decode a file's anew for every render.
+        image.pack()
+    return graph.node("ShaderNodeTexImage", {"Vector": vector}, image=image).outputs["Color"]
+
+
 def coated(
     graph: Graph, color: Socket, roughness: Socket, amount: Socket, ior: float = 1.45, normal: Socket | None = None
 ) -> None:
@@ -86,3 +107,14 @@ def coated(
     fresnel = graph.node("ShaderNodeFresnel", {"IOR": ior, **bend})
     share = graph.math("MULTIPLY", fresnel.outputs[0], amount)
     graph.surface(graph.node("ShaderNodeMixShader", {0: share, 1: base.outputs[0], 2: coat.outputs[0]}))
+
+
+def car_paint(graph: Graph) -> None:
+    """Body paint: the object's colour (a display value, hence the gamma) under a clear coat of the object's gloss.
+    It reads `object.color = (r, g, b, gloss)`."""
+    info = graph.node("ShaderNodeObjectInfo")
+    color = graph.node("ShaderNodeGamma", {"Color": info.outputs["Color"], "Gamma": 2.0})
+    dim = graph.mix_color(color.outputs[0], (0.02, 0.02, 0.02), 0.12)
+    roughness = graph.math("MULTIPLY_ADD", info.outputs["Alpha"], -0.28, 0.32)
+    amount = graph.math("MULTIPLY_ADD", info.outputs["Alpha"], 0.7, 0.3)
+    coated(graph, dim, roughness, amount)

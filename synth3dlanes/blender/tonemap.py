@@ -10,6 +10,7 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float, UInt8
 
+MIDDLE_GRAY = 0.18
 FILM_SPEED = 1.1
 CONTRAST = 0.25
 
@@ -19,6 +20,13 @@ def response(linear: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
     film = -np.expm1(-FILM_SPEED * linear)
     display = np.where(film <= 0.0031308, 12.92 * film, 1.055 * np.maximum(film, 1e-9) ** (1 / 2.4) - 0.055)
     return np.asarray(display + CONTRAST * (display**2 * (3 - 2 * display) - display))
+
+
+def levels_per_radiance(linear: float) -> float:
+    """The slope of the curve, in levels of 255."""
+    step = 1e-4
+    below, above = response(np.array([linear - step, linear + step]))
+    return float(255 * (above - below) / (2 * step))
 
 
 @cache

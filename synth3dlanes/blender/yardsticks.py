@@ -8,26 +8,28 @@ import numpy as np
 from jaxtyping import UInt8
 
 from synth3dlanes.blender.build import build, open_studio
-from synth3dlanes.blender.render import configure, run_cycles, studio
+from synth3dlanes.blender.film import develop
+from synth3dlanes.blender.render import configure, opened, run_cycles, studio
+from synth3dlanes.blender.sky import film_factor
 from synth3dlanes.blender.stages import cycles_stages
-from synth3dlanes.blender.tonemap import tonemap
+from synth3dlanes.catalogue import Library
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import RenderSettings
 
 
-def reference(scene: Scene, settings: RenderSettings) -> UInt8[np.ndarray, "h w 3"]:
+def reference(scene: Scene, settings: RenderSettings, library: Library) -> UInt8[np.ndarray, "h w 3"]:
     """The scene with these samples, other random numbers than `render` takes, and nothing denoised."""
-    build(studio(), scene)
-    configure(settings, scene.light.exposure)
+    build(studio(library), scene)
+    configure(settings, film_factor(scene))
     bpy.context.scene.cycles.seed = 1
     bpy.context.scene.cycles.use_denoising = False
-    return tonemap(run_cycles()["Combined"][..., :3])
+    return develop(scene, run_cycles())
 
 
-def denoise_seconds(scene: Scene, settings: RenderSettings, repeats: int = 3) -> float:
+def denoise_seconds(scene: Scene, settings: RenderSettings, library: Library, repeats: int = 3) -> float:
     """What the denoiser adds to the tracing of a scene; it depends on the picture's size alone."""
-    build(studio(), scene)
-    configure(settings, scene.light.exposure)
+    build(studio(library), scene)
+    configure(settings, film_factor(scene))
     seconds: dict[bool, list[float]] = {False: [], True: []}
     for is_on in (False, True) * repeats:
         bpy.context.scene.cycles.use_denoising = is_on
@@ -37,18 +39,18 @@ def denoise_seconds(scene: Scene, settings: RenderSettings, repeats: int = 3) ->
     return max(0.0, median(seconds[True]) - median(seconds[False]))
 
 
-def naive_seconds(scene: Scene, settings: RenderSettings, samples: int) -> float:
+def naive_seconds(scene: Scene, settings: RenderSettings, library: Library, samples: int) -> float:
     """The seconds of a render by Blender's defaults: a fresh file for each scene, a mesh of its own for each object,
     the world's importance map, 12 bounces, the denoiser at its best. Only the samples are fewer than its 4096."""
     start = time.perf_counter()
-    build(open_studio(), scene)
+    build(open_studio(library), scene)
     for item in bpy.context.scene.objects:
         if item.type == "MESH":
             item.data = item.data.copy()
     bpy.context.scene.world.cycles.sampling_method = "AUTOMATIC"
     bpy.context.scene.render.engine = "CYCLES"
     bpy.context.scene.cycles.samples = samples
-    tonemap(run_cycles()["Combined"][..., :3])
+    develop(scene, run_cycles())
     seconds = time.perf_counter() - start
-    studio.cache_clear()
+    opened.cache_clear()
     return seconds

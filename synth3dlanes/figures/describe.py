@@ -6,7 +6,6 @@ from collections import Counter
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.catalogue import CARS, TREES
 from synth3dlanes.figures.shape import bends, grades
 from synth3dlanes.geometry.transforms import transform
 from synth3dlanes.labels import Labels, Lane
@@ -27,21 +26,32 @@ def describe(scene: Scene, labels: Labels) -> dict[str, Facts]:
         "light": {
             "sun": f"{90 - math.degrees(scene.light.sun_zenith_rad):.0f}° above the horizon, "
             f"azimuth {math.degrees(scene.light.sun_azimuth_rad) % 360:.0f}°",
-            "exposure": f"{scene.light.exposure:.2f}",
+            "exposure": f"{scene.light.exposure:.2f}, metering {scene.light.metering:.2f}",
+        },
+        "air": {
+            "visibility": f"{scene.air.visibility_m / 1000:.1f} km",
+            "overcast": f"{100 * scene.air.overcast:.0f} % of the sun hidden",
+        },
+        "sensor": {
+            "motion blur": f"{scene.sensor.motion_blur_m:.2f} m",
+            "noise": f"{scene.sensor.noise:.1f} levels at middle gray",
         },
         "objects": {
-            "cars": _counted([CARS[car.model - 1].name for car in scene.cars]),
-            "trees": _counted([TREES[tree.model - 1].name for tree in scene.trees]),
+            "cars": _counted([scene.assets.car_models[car.model - 1].name for car in scene.cars]),
+            "trees": _counted([scene.assets.tree_models[tree.model - 1].name for tree in scene.trees]),
         },
         "paint": {
             "dashes": f"{scene.markings.dash_cycle_m * scene.markings.dash_fraction:.2f} m painted every "
             f"{scene.markings.dash_cycle_m:.2f} m",
             "width": f"{100 * scene.markings.width_m:.1f} cm",
             "gray, gloss": f"{scene.markings.grayscale:.2f}, {scene.markings.gloss:.2f}",
+            "leftmost line": f"{'double' if scene.markings.left_double else 'single'}, "
+            f"{'yellow' if scene.markings.left_yellow else 'white'}",
+            "rubbed off, missing": f"{100 * scene.markings.wear:.0f} %, {100 * scene.markings.missing:.0f} %",
         },
         "surface": {
             "road": f"texture {scene.surface.road_texture}, scale {scene.surface.road_texture_scale:.1f}, "
-            f"gloss {scene.surface.road_gloss:.2f}",
+            f"gloss {scene.surface.road_gloss:.2f}, wetness {scene.surface.wetness:.2f}",
             "terrain": f"texture {scene.surface.terrain_texture}, scale {scene.surface.terrain_texture_scale:.1f}, "
             f"turned {math.degrees(scene.surface.texture_orientation_rad):.0f}°",
         },
@@ -124,9 +134,11 @@ def _camera(scene: Scene, labels: Labels) -> Facts:
     side = "right" if camera.offset_m > 0 else "left"
     return {
         "place": f"lane {camera.lane} at y = {camera.y_m:.1f} m, {abs(camera.offset_m):.2f} m {side} of its centre",
-        "height, pitch": f"{camera.height_m:.3f} m, {math.degrees(camera.pitch_rad):.2f}° down",
+        "height, pitch, roll": f"{camera.height_m:.3f} m, {math.degrees(camera.pitch_rad):.2f}° down, "
+        f"{math.degrees(camera.roll_rad):.2f}° clockwise",
         "image": f"{camera.width_px} x {camera.height_px} px, "
-        f"{2 * math.degrees(math.atan(camera.width_px / 2 / camera.fx_px)):.0f}° wide (fx = {camera.fx_px:.1f})",
+        f"{2 * math.degrees(math.atan(camera.width_px / 2 / camera.fx_px)):.0f}° wide (fx = {camera.fx_px:.1f}), "
+        f"centre at ({camera.cx_px:.1f}, {camera.cy_px:.1f})",
         "lanes in labels": _counted([f"{lane.kind} {lane.road}" for lane in labels.lanes]),
     }
 

@@ -10,15 +10,8 @@ from jaxtyping import Float, Int
 from synth3dlanes.figures import colors
 from synth3dlanes.figures.colors import Rgb
 from synth3dlanes.figures.world import AHEAD_M, BEHIND_M, SceneView, TreeOutline
-from synth3dlanes.geometry.meshes import (
-    PAINT_LIFT_AT_M,
-    PAINT_LIFT_M,
-    Mesh,
-    paint_meshes,
-    road_meshes,
-    terrain_mesh,
-    verge_meshes,
-)
+from synth3dlanes.geometry.meshes import Mesh, road_meshes, terrain_mesh, verge_meshes
+from synth3dlanes.geometry.paint import PAINT_LIFT_AT_M, PAINT_LIFT_M, paint_meshes
 from synth3dlanes.geometry.transforms import transform
 from synth3dlanes.labels import Kind
 

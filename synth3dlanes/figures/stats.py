@@ -110,12 +110,14 @@ def scene_statistics(scenes: Iterable[Scene], params: Params) -> SceneStatistics
 def drawn_values(scene: Scene) -> dict[str, list[float]]:
     """Every value that a scene holds for each parameter, by the parameter's key and in its units."""
     values: dict[str, list[float]] = {}
-    for group in ("road", "markings", "surface", "camera", "light"):
+    for group in ("road", "markings", "surface", "camera", "light", "air", "sensor"):
         part = getattr(scene, group)
         values |= {
             _key(group, field): [_declared_unit(field, getattr(part, field))] for field in type(part).model_fields
         }
     values["camera.horizontal_fov_deg"] = [2 * math.degrees(math.atan(scene.camera.width_px / 2 / scene.camera.fx_px))]
+    offsets_px = scene.camera.cx_px - scene.camera.width_px / 2, scene.camera.cy_px - scene.camera.height_px / 2
+    values["camera.principal_offset_px"] = list(offsets_px)
     values["terrain.n_gaussians"] = [len(scene.terrain.gaussians)]
     values["cars.n"], values["trees.n"] = [len(scene.cars)], [len(scene.trees)]
     for group, parts in (("terrain", scene.terrain.gaussians), ("cars", scene.cars), ("trees", scene.trees)):

@@ -6,7 +6,6 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.catalogue import CARS, TREES
 from synth3dlanes.figures.colors import Rgb
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.placement import tree_positions, world_from_car
@@ -114,17 +113,18 @@ class SceneView:
     @cached_property
     def trees(self) -> list[TreeOutline]:
         feet_world = tree_positions(self.ground, self.scene.trees)
+        models = self.scene.assets.tree_models
         return [
             TreeOutline(
                 foot_road,
-                TREES[tree.model - 1].crown_radius_m * tree.scale,
-                TREES[tree.model - 1].height_m * tree.scale,
+                models[tree.model - 1].crown_radius_m * tree.scale,
+                models[tree.model - 1].height_m * tree.scale,
             )
             for tree, foot_road in zip(self.scene.trees, transform(self.road_from_world, feet_world), strict=True)
         ]
 
     def _car(self, car: Car) -> CarOutline:
-        model = CARS[car.model - 1]
+        model = self.scene.assets.car_models[car.model - 1]
         half_m = car.scale * np.array([model.width_m, model.length_m, 0.0]) / 2
         corners_car = half_m * [(1, 1, 0), (1, -1, 0), (-1, -1, 0), (-1, 1, 0)]
         corners_road = transform(self.road_from_world @ world_from_car(self.plan, car), corners_car)

@@ -45,4 +45,4 @@ def world_from_road(plan: RoadPlan) -> Matrix4:
 def world_from_cam(plan: RoadPlan) -> Matrix4:
     """The camera frame in the world."""
     camera = plan.scene.camera
-    return world_from_road(plan) @ road_from_cam(camera.height_m, camera.pitch_rad)
+    return world_from_road(plan) @ road_from_cam(camera.height_m, camera.pitch_rad, camera.roll_rad)

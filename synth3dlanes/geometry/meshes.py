@@ -4,13 +4,13 @@ Rows follow stations (world y along the main reference line), so that road, shou
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from synth3dlanes.geometry.ground import CELL_M, EMBANKMENT_SLOPE, GROWTH, VERGE_M, Ground, embankment_width, profile
-from synth3dlanes.geometry.lanes import Curve, curves
+from synth3dlanes.geometry.horizon import far_hills
 from synth3dlanes.geometry.road import RoadPlan
 
 Values = Float[np.ndarray, " n"]
@@ -19,12 +19,8 @@ HORIZON_M = 4000.0
 BEHIND_M = 300.0
 ROAD_BEHIND_M = 30.0
 ROAD_AHEAD_M = 420.0
-PAINT_AHEAD_M = 250.0
 LANE_COLUMNS, SHOULDER_COLUMNS = 4, 4
 ROAD, SHOULDER = 0, 1
-# Paint floats over the road by more than the road's faces can rise between their rows, which are longer far away.
-PAINT_LIFT_M = (0.0015, 0.002, 0.008, 0.04, 0.12)
-PAINT_LIFT_AT_M = (0.0, 40.0, 80.0, 160.0, 250.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,13 +34,14 @@ class Mesh:
 
 
 def terrain_mesh(ground: Ground) -> Mesh:
-    """A grid of CELL_M around the near road, growing outwards to the horizon."""
+    """A grid of CELL_M around the near road, growing outwards to the horizon and its hills."""
     x0, y0, x1, y1 = ground.fine
     xs = _axis(x0, x1, HORIZON_M, HORIZON_M)
     ys = _axis(y0, y1, BEHIND_M, HORIZON_M)
     xy = np.stack(np.meshgrid(xs, ys), -1)
-    vertices = np.concatenate([xy, ground.terrain_mesh_height(xy)[..., None]], -1)
-    return _grid(vertices, xy, np.zeros(len(xs) - 1, dtype=int))
+    z = ground.terrain_mesh_height(xy) + far_hills(ground.plan.scene, xy)
+    vertices = np.concatenate([xy, z[..., None]], -1)
+    return grid(vertices, xy, np.zeros(len(xs) - 1, dtype=int))
 
 
 def road_stations(plan: RoadPlan) -> Values:
@@ -90,9 +87,16 @@ def verge_meshes(ground: Ground) -> list[Mesh]:
     return meshes
 
 
-def paint_meshes(plan: RoadPlan) -> dict[str, Mesh]:
-    """The paint of every delimiter, by its id."""
-    return {curve.id: _paint(plan, curve) for curve in curves(plan) if curve.kind == "delimiter"}
+def grid(vertices: Float[np.ndarray, "r c 3"], uv: Float[np.ndarray, "r c 2"], column_material: np.ndarray) -> Mesh:
+    """Quads between rows and columns, facing up; one material a column, or a face where it has two dimensions."""
+    rows, columns = vertices.shape[:2]
+    i = np.arange(rows * columns).reshape(rows, columns)
+    faces = np.stack([i[:-1, :-1], i[:-1, 1:], i[1:, 1:], i[1:, :-1]], -1).reshape(-1, 4)
+    across, along = vertices[:-1, 1:] - vertices[:-1, :-1], vertices[1:, :-1] - vertices[:-1, :-1]
+    if (across[..., 0] * along[..., 1] - across[..., 1] * along[..., 0]).sum() < 0:
+        faces = faces[:, ::-1]
+    material = np.broadcast_to(column_material, (rows - 1, columns - 1)).reshape(-1)
+    return Mesh(vertices.reshape(-1, 3), faces, uv.reshape(-1, 2), material)
 
 
 def _axis(low: float, high: float, out_low: float, out_high: float) -> Values:
@@ -104,18 +108,6 @@ def _axis(low: float, high: float, out_low: float, out_high: float) -> Values:
         return np.asarray(CELL_M / GROWTH * ((1 + GROWTH) ** np.arange(1, n + 1) - 1))
 
     return np.concatenate([low - outside(out_low)[::-1], inner, high + outside(out_high)])
-
-
-def _grid(vertices: Float[np.ndarray, "r c 3"], uv: Float[np.ndarray, "r c 2"], column_material: np.ndarray) -> Mesh:
-    """Quads between rows and columns, facing up; one material a column, or a face where it has two dimensions."""
-    rows, columns = vertices.shape[:2]
-    i = np.arange(rows * columns).reshape(rows, columns)
-    faces = np.stack([i[:-1, :-1], i[:-1, 1:], i[1:, 1:], i[1:, :-1]], -1).reshape(-1, 4)
-    across, along = vertices[:-1, 1:] - vertices[:-1, :-1], vertices[1:, :-1] - vertices[:-1, :-1]
-    if (across[..., 0] * along[..., 1] - across[..., 1] * along[..., 0]).sum() < 0:
-        faces = faces[:, ::-1]
-    material = np.broadcast_to(column_material, (rows - 1, columns - 1)).reshape(-1)
-    return Mesh(vertices.reshape(-1, 3), faces, uv.reshape(-1, 2), material)
 
 
 def _columns(half_m: float, edge_m: float, n_lanes: int) -> tuple[Values, Int[np.ndarray, " m"]]:
@@ -141,7 +133,7 @@ def _main_mesh(ground: Ground, s: Values) -> Mesh:
         middle = (xy[:-1, -k - 1 : -1] + xy[:-1, -k:] + xy[1:, -k - 1 : -1] + xy[1:, -k:]) / 4
         se, te = plan.project_exit(middle, np.broadcast_to((s[:-1, None] + s[1:, None]) / 2, middle.shape[:2]))
         material[:, -k:][(se >= 0) & (np.abs(te) < plan.exit_half_m)] = ROAD
-    return _grid(plan.lift(xy), np.stack([offsets, stations], -1) * plan.flips, material)
+    return grid(plan.lift(xy), np.stack([offsets, stations], -1) * plan.flips, material)
 
 
 def _exit_mesh(ground: Ground, s: Values) -> Mesh:
@@ -150,7 +142,7 @@ def _exit_mesh(ground: Ground, s: Values) -> Mesh:
     offsets = np.maximum(t, _inner_edge(ground, s)[:, None])
     stations = np.broadcast_to(s[:, None], offsets.shape)
     vertices = plan.lift(plan.exit_xy(stations, offsets), plan.ramp(stations))
-    return _grid(vertices, np.stack([offsets, stations], -1) * plan.flips, material)
+    return grid(vertices, np.stack([offsets, stations], -1) * plan.flips, material)
 
 
 def _inner_edge(ground: Ground, s: Values) -> Values:
@@ -191,42 +183,14 @@ def _verge(
     distance = np.stack(columns, axis=1)
     squeeze = np.minimum(1.0, room_m / embankment_width(raised, scale))
     xy = np.stack([edge_plus(distance[:, j] * squeeze) for j in range(distance.shape[1])], axis=1)
-    above = profile(distance, raised[:, None], scale[:, None])
-    return _grid(ground.plan.lift(xy, above), xy, np.zeros(distance.shape[1] - 1, dtype=int))
+    vertices = ground.plan.lift(xy, profile(distance, raised[:, None], scale[:, None]))
+    return grid(vertices, _unrolled(vertices), np.zeros(distance.shape[1] - 1, dtype=int))
 
 
-def _paint(plan: RoadPlan, curve: Curve) -> Mesh:
-    markings = plan.scene.markings
-    y = plan.scene.camera.y_m
-    world = road_stations(plan)
-    rows = np.sort(plan.plan_station(world[world < y + PAINT_AHEAD_M]))
-    low, high = max(rows[0], curve.start_m), min(rows[-1], curve.end_m)
-    rows = np.array([low, low]) if low >= high else np.concatenate([[low], rows[(rows > low) & (rows < high)], [high]])
-    painted = np.ones(len(rows) - 1, dtype=bool)
-    if curve.marking == "dashed":
-        rows, painted = _dashes(plan, curve, rows)
-    lift = np.interp(np.abs(plan.plan_station(rows) - y), PAINT_LIFT_AT_M, PAINT_LIFT_M)
-    offsets = np.array([-0.5, 0.5]) * markings.width_m
-    vertices = np.stack([_beside(curve, t).points_world(plan, rows, lift) for t in offsets], axis=1)
-    uv = np.stack(np.broadcast_arrays(offsets[None, :], rows[:, None]), -1)
-    mesh = _grid(vertices, uv, np.zeros(1, dtype=int))
-    return replace(mesh, faces=mesh.faces[painted], material=mesh.material[painted])
-
-
-def _beside(curve: Curve, t: float) -> Curve:
-    return replace(curve, stem_m=None if curve.stem_m is None else curve.stem_m + t, fork_m=curve.fork_m + t)
-
-
-def _dashes(plan: RoadPlan, curve: Curve, rows: Values) -> tuple[Float[np.ndarray, " m"], Bool[np.ndarray, " m-1"]]:
-    """Rows with all ends of dashes among them, and whether the strip behind each row is painted. Dashes are
-    counted along the line from the split, so that they do not move with the camera."""
-    cycle, fraction = plan.scene.markings.dash_cycle_m, plan.scene.markings.dash_fraction
-    xyz = curve.points_world(plan, rows)
-    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz, axis=0), axis=1))])
-    length -= np.interp(0.0, rows, length)
-    numbers = np.arange(np.floor(length[0] / cycle), np.ceil(length[-1] / cycle) + 1)
-    ends = np.concatenate([numbers, numbers + fraction]) * cycle
-    ends = np.interp(ends[(ends > length[0]) & (ends < length[-1])], length, rows)
-    rows_all = np.unique(np.concatenate([rows, ends]))
-    middle = np.interp((rows_all[1:] + rows_all[:-1]) / 2, rows, length)
-    return rows_all, np.mod(middle / cycle, 1.0) < fraction
+def _unrolled(vertices: Float[np.ndarray, "r c 3"]) -> Float[np.ndarray, "r c 2"]:
+    """World (x, y) of rows that start at the first column, as if their slopes were laid out level: on a steep
+    embankment a texture seen from above would be drawn out to streaks."""
+    outward = vertices[:, :, :2] - vertices[:, :1, :2]
+    steps_m = np.linalg.norm(np.diff(vertices, axis=1, prepend=vertices[:, :1]), axis=2)
+    reach_m = np.maximum(np.linalg.norm(outward, axis=2, keepdims=True), 1e-6)
+    return np.asarray(vertices[:, :1, :2] + outward / reach_m * np.cumsum(steps_m, axis=1)[..., None])

@@ -3,7 +3,6 @@
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.catalogue import CARS
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.lanes import path_of_segment
 from synth3dlanes.geometry.road import RoadPlan
@@ -25,7 +24,7 @@ def lane_place(plan: RoadPlan, lane: str, s_world: float) -> tuple[Float[np.ndar
 def world_from_car(plan: RoadPlan, car: Car) -> Matrix4:
     """The pose (without scale) in which the car's four tyres stand on the road as well as a rigid body can."""
     middle, (hx, hy) = lane_place(plan, car.lane, car.s_m)
-    model = CARS[car.model - 1]
+    model = plan.scene.assets.car_models[car.model - 1]
     x, y = model.track_m / 2 * car.scale, model.wheelbase_m / 2 * car.scale
     wheels_car = np.array([[-x, y, 0], [x, y, 0], [-x, -y, 0], [x, -y, 0]])
     pose = from_axes(np.array([hy, -hx, 0]), np.array([hx, hy, 0]), np.array([0, 0, 1.0]), np.array([*middle, 0.0]))

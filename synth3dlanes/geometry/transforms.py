@@ -30,7 +30,10 @@ def from_axes(x: Points, y: Points, z: Points, origin: Points) -> Matrix4:
     return outer_from_inner
 
 
-def road_from_cam(height_m: float, pitch_rad: float) -> Matrix4:
-    """The camera over the road plane: looking down by `pitch_rad` (positive = down), `height_m` above its foot."""
+def road_from_cam(height_m: float, pitch_rad: float, roll_rad: float = 0.0) -> Matrix4:
+    """The camera over the road plane: looking down by `pitch_rad` (positive = down), `height_m` above its foot, turned
+    about its viewing axis by `roll_rad` (positive = clockwise as the driver sees it: its right side sinks)."""
     c, s = np.cos(pitch_rad), np.sin(pitch_rad)
-    return np.array([[1.0, 0, 0, 0], [0, c, s, 0], [0, -s, c, height_m], [0, 0, 0, 1]])
+    pitched = np.array([[1.0, 0, 0, 0], [0, c, s, 0], [0, -s, c, height_m], [0, 0, 0, 1]])
+    c, s = np.cos(roll_rad), np.sin(roll_rad)
+    return pitched @ np.array([[c, 0, s, 0], [0, 1.0, 0, 0], [-s, 0, c, 0], [0, 0, 0, 1]])

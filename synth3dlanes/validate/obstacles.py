@@ -9,7 +9,6 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Bool, Float
 
-from synth3dlanes.catalogue import CARS, TREES
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.placement import tree_positions, world_from_car
 from synth3dlanes.geometry.road import RoadPlan
@@ -49,7 +48,7 @@ def _hidden(
     plan = RoadPlan(scene)
     may, must = (np.zeros(len(points_world), dtype=bool) for _ in range(2))
     for car in scene.cars:
-        model, pose = CARS[car.model - 1], world_from_car(plan, car)
+        model, pose = scene.assets.car_models[car.model - 1], world_from_car(plan, car)
         half = np.array([model.width_m, model.length_m, 0.0]) / 2
         up = np.array([0, 0, model.height_m])
         low, high = CORE_HEIGHT
@@ -57,7 +56,7 @@ def _hidden(
         may |= _meets(pose, car.scale, (-half * ROOM, half * ROOM + up * ROOM), eye_world, points_world)
         must |= _meets(pose, car.scale, (-shrunk + low * up, shrunk + high * up), eye_world, points_world)
     for tree, foot in zip(scene.trees, tree_positions(Ground(plan), scene.trees), strict=True):
-        shape, pose = TREES[tree.model - 1], np.eye(4)
+        shape, pose = scene.assets.tree_models[tree.model - 1], np.eye(4)
         pose[:3, 3] = foot
         crown = np.array([shape.crown_radius_m, shape.crown_radius_m, 0.0])
         box = (-crown * ROOM, crown * ROOM + [0, 0, shape.height_m * ROOM])

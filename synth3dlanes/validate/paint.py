@@ -11,14 +11,14 @@ from jaxtyping import Bool, Float
 
 from synth3dlanes.geometry.camera import project
 from synth3dlanes.geometry.lanes import Curve, curves
-from synth3dlanes.geometry.meshes import paint_meshes
+from synth3dlanes.geometry.paint import paint_meshes, stripes_m
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.terrain import gradient_at
 from synth3dlanes.geometry.transforms import transform
 from synth3dlanes.labels import CameraLabel, Lane
 from synth3dlanes.scene import Scene
 
-# Paint that looks thinner or a dash that looks shorter than this may fall between the pixels' single samples.
+# Paint that looks thinner or a dash that looks less high than this may fall between the pixels' single samples.
 RESOLVED_PX = 1.0
 
 Points = Float[np.ndarray, "n 3"]
@@ -37,10 +37,12 @@ class Strip:
 
 
 class Paint:
-    """The paint of one scene: stretches of plan stations that are painted, by the delimiter's id."""
+    """The paint of one scene: stretches of plan stations that are painted, by the delimiter's id; `worn` is the share
+    of it that is rubbed off."""
 
     def __init__(self, scene: Scene) -> None:
         self.width_m = scene.markings.width_m
+        self.worn = scene.markings.wear
         self._scene = scene
         self._plan = RoadPlan(scene)
         self._curves = {curve.id: curve for curve in curves(self._plan)}
@@ -63,10 +65,14 @@ class Paint:
             for step in (-half_m * across, half_m * across, -0.01 * along, 0.01 * along)
         )
         side, course = right - left, ahead - behind
-        length_px = np.hypot(*course.T) / 0.02 * self._painted_m(lane.id, points_world)
+        height_px = np.abs(course[:, 1]) / 0.02 * self._painted_m(lane.id, points_world)
         width_px = np.abs(side[:, 0] * course[:, 1] - side[:, 1] * course[:, 0]) / np.hypot(*course.T)
-        resolved = (length_px >= RESOLVED_PX) & (width_px >= RESOLVED_PX)
+        resolved = (height_px >= RESOLVED_PX) & (width_px >= RESOLVED_PX)
         return Strip(points_cam, across, np.cross(across, along), resolved)
+
+    def stripes_m(self, id_: str) -> tuple[float, ...]:
+        """Where the stripes of a line have their middles, across it."""
+        return stripes_m(self._plan, id_) if id_ in self._curves else (0.0,)
 
     def _painted_m(self, id_: str, points_world: Points) -> Values:
         """How long the stretch of paint is that each point is on; 0 off the paint."""

@@ -48,7 +48,7 @@ def prove_passes(paint: Paint, labels: Labels, passes: Passes) -> tuple[list[Fin
         strip = paint.strip(labels.camera, lane, lane.xyz_cam)
         found = []
         if "semantic" in passes and lane.kind == "delimiter":
-            found.append(_paint(lane, strip, uv, passes["semantic"]))
+            found.append(_paint(labels.camera, lane, strip, paint.stripes_m(lane.id), passes["semantic"]))
         if "depth" in passes:
             found += _surface(lane, strip, uv, passes)
         if "depth" in passes and "semantic" in passes:
@@ -79,16 +79,25 @@ def _judge(lane_id: str, measure: Measure) -> Iterator[Finding]:
         yield Finding(lane_id, f"passes: expected points within {limit} {words}, got {off}")
 
 
-def _paint(lane: Lane, strip: Strip, uv: Pixels, semantic: Integer[np.ndarray, "h w"]) -> Measure:
-    """Pixels from each seen point whose paint is wide enough to show to the nearest pixel of paint; 0 inside one."""
+def _paint(
+    camera: CameraLabel, lane: Lane, strip: Strip, stripes_m: tuple[float, ...], semantic: Integer[np.ndarray, "h w"]
+) -> Measure:
+    """Pixels from the stripes beside each seen point, where paint is wide enough to show, to the nearest pixel of
+    paint; 0 inside one. Of two stripes the one that is farther from its paint counts."""
     at = lane.visible & strip.resolved
     v, u = np.nonzero(semantic == SEMANTIC_IDS["marking"])
     if not len(v):
         return Measure("paint_px", lane.xyz_cam[at, 1], np.full(int(at.sum()), float(max(semantic.shape))))
     centers = np.column_stack([u, v]) + 0.5
-    _, nearest = cKDTree(centers).query(uv[at])
-    outside = np.clip(np.abs(uv[at] - centers[nearest]) - 0.5, 0, None)
-    return Measure("paint_px", lane.xyz_cam[at, 1], np.hypot(*outside.T))
+    tree, size = cKDTree(centers), semantic.shape[::-1]
+    farthest = np.zeros(int(at.sum()))
+    for aside_m in stripes_m:
+        uv = project(camera.img_from_cam, strip.points_cam[at] + aside_m * strip.across_cam[at])
+        inside = ((uv >= 0) & (uv <= size)).all(axis=1)
+        _, nearest = tree.query(uv[inside])
+        outside = np.clip(np.abs(uv[inside] - centers[nearest]) - 0.5, 0, None)
+        farthest[inside] = np.maximum(farthest[inside], np.hypot(*outside.T))
+    return Measure("paint_px", lane.xyz_cam[at, 1], farthest)
 
 
 def _surface(lane: Lane, strip: Strip, uv: Pixels, passes: Passes) -> list[Measure]:

@@ -27,6 +27,9 @@ MEASURES = {
     "height_m": "metres between label points on the main road and the height map",
     "terrain_visible": "share of points whose terrain_visible the passes contradict",
     "object_visible": "share of points whose object_visible the passes contradict",
+    "clipped_share": "share of the image's pixels with a channel at 0 or 255",
+    "wheel_gap_m": "metres between tyres and the rendered road, by their distance ahead",
+    "tree_gap_m": "metres between trunks' places and the rendered ground, by their distance ahead",
 }
 WITHIN_PROOF = slice(0, BANDS_M.index(PROOF_M))
 

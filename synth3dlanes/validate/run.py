@@ -23,12 +23,14 @@ from synth3dlanes.figures.overlay import draw_overlay
 from synth3dlanes.geometry import height_map
 from synth3dlanes.scene import Scene
 from synth3dlanes.validate.findings import Finding, Measure, Problem
+from synth3dlanes.validate.frame import check_frame
 from synth3dlanes.validate.image_proof import prove_image
 from synth3dlanes.validate.integrity import Entry, check_presence, check_shard, read_sample
 from synth3dlanes.validate.obstacles import check_objects
 from synth3dlanes.validate.paint import Paint
 from synth3dlanes.validate.passes_proof import Passes, prove_passes
 from synth3dlanes.validate.report import Report
+from synth3dlanes.validate.standing import check_standing
 from synth3dlanes.validate.structure import check_shape, check_values
 
 PICTURES = "validation"
@@ -122,7 +124,12 @@ def check_sample(root: Path, seed: int | None, pass_names: tuple[str, ...], entr
     if not misshapen:
         findings += [*check_values(scene, labels), *check_objects(scene, labels)]
         paint = Paint(scene)
-        for found, measured in (prove_passes(paint, labels, passes), prove_image(paint, labels, image)):
+        for found, measured in (
+            prove_passes(paint, labels, passes),
+            prove_image(paint, labels, image),
+            check_frame(image, passes),
+            check_standing(scene, labels, passes),
+        ):
             findings += found
             measures += measured
     findings += misshapen

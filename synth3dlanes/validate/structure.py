@@ -84,14 +84,14 @@ def _order(lane: Lane) -> Iterator[Finding]:
     back[1:] |= (steps[1:] * steps[:-1]).sum(axis=1) <= 0
     if back.any():
         yield Finding(lane.id, f"expected points that advance along the line, got a step back at {_at(back)}")
-    near, far = np.linalg.norm(lane.xyz_cam[[0, -1]], axis=1)
+    near, far = lane.xyz_cam[[0, -1], 1]
     if near > far:
         yield Finding(lane.id, f"expected points from near to far, got {near:.1f} m first and {far:.1f} m last")
 
 
 def _camera(scene: Scene, labels: Labels) -> Iterator[Finding]:
     camera, asked = labels.camera, scene.camera
-    for name in ("width_px", "height_px", "height_m", "pitch_rad"):
+    for name in ("width_px", "height_px", "height_m", "pitch_rad", "roll_rad"):
         if getattr(camera, name) != getattr(asked, name):
             yield Finding(
                 "", f"camera.{name}: expected {getattr(asked, name)} as in the scene, got {getattr(camera, name)}"
@@ -99,9 +99,9 @@ def _camera(scene: Scene, labels: Labels) -> Iterator[Finding]:
     rotation = camera.world_from_cam[:3, :3]
     if not np.allclose(rotation @ rotation.T, np.eye(3), atol=MATRIX) or np.linalg.det(rotation) < 0:
         yield Finding("", "camera.world_from_cam: expected a rotation, got another matrix")
-    pose = road_from_cam(asked.height_m, asked.pitch_rad)
+    pose = road_from_cam(asked.height_m, asked.pitch_rad, asked.roll_rad)
     if not np.allclose(camera.road_from_cam, pose, atol=MATRIX):
-        yield Finding("", "camera.road_from_cam: expected the scene's pitch and height, got another transform")
+        yield Finding("", "camera.road_from_cam: expected the scene's height, pitch and roll, got another transform")
     foot = (camera.world_from_cam @ invert(pose))[:3, 3]
     gap_m = abs(foot[2] - float(height_at(scene.terrain, foot[None, :2])[0]))
     if gap_m > POINT_M:

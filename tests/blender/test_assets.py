@@ -9,11 +9,13 @@ from PIL import Image
 
 bpy = pytest.importorskip("bpy")
 
-from synth3dlanes.blender.assets import Assets, assets_dir, load_assets  # noqa: E402
+from synth3dlanes.blender.assets import assets_dir  # noqa: E402
+from synth3dlanes.blender.library import Assets, load_assets  # noqa: E402
 from synth3dlanes.blender.materials import TERRAIN_MEANS, Materials, make_materials  # noqa: E402
-from synth3dlanes.blender.world import SKY_SHAPE, clear_sky, cloud_cover, sky_image, sun_color, sun_direction  # noqa: E402
+from synth3dlanes.blender.sky import SKY_SHAPE, clear_sky, cloud_cover, daylight, sun_color, sun_direction  # noqa: E402
 from synth3dlanes.catalogue import CARS, TREES  # noqa: E402
 from synth3dlanes.scene import Light  # noqa: E402
+from tests.scenes import changed  # noqa: E402
 
 BODY_TOLERANCE_M = 0.03
 MAX_BYTES = 25e6
@@ -27,7 +29,7 @@ def assets() -> Assets:
 
 @pytest.fixture(scope="module")
 def materials(assets: Assets) -> Materials:
-    return make_materials()
+    return make_materials(assets.roads, assets.terrains)
 
 
 def points(mesh: bpy.types.Mesh, slot: str | None = None) -> np.ndarray:
@@ -73,7 +75,7 @@ def test_triangle_caps(assets: Assets) -> None:
 
 
 def test_every_material_has_its_semantic_id(assets: Assets, materials: Materials) -> None:
-    expected = [(materials.terrains, 1), (materials.roads, 2), ((materials.shoulder,), 3), ((materials.marking,), 4)]
+    expected = [(materials.terrains, 1), (materials.roads, 2), (materials.shoulders, 3), ((materials.marking,), 4)]
     expected += [(mesh.materials, 5) for mesh in assets.cars] + [(mesh.materials, 6) for mesh in assets.trees]
     for group, semantic_id in expected:
         assert [material.pass_index for material in group] == [semantic_id] * len(group)
@@ -125,14 +127,14 @@ def test_a_high_sun_leaves_a_blue_zenith_and_a_low_sun_is_red() -> None:
 
 @pytest.mark.parametrize("azimuth_deg", [0.0, 90.0, 200.0])
 def test_the_image_is_brightest_where_the_lamp_shines_from(azimuth_deg: float) -> None:
-    sun = light(60, azimuth_deg)
-    sky = sky_image(sun, np.zeros((SKY_SHAPE[0] // 2, SKY_SHAPE[1]), np.float32)).sum(axis=0)
-    row = SKY_SHAPE[0] // 2 + round(SKY_SHAPE[0] * 30 / 180)
-    column = int(np.argmax(sky[row]))
+    scene = changed(light={"sun_zenith_rad": np.deg2rad(60), "sun_azimuth_rad": np.deg2rad(azimuth_deg)})
+    sky = daylight(scene).sky.sum(axis=0)
+    row = SKY_SHAPE[0] // 2 + round(SKY_SHAPE[0] * 12 / 180)  # below the clouds, above the haze
+    column = int(np.argmax(np.convolve(np.tile(sky[row], 3), np.ones(65) / 65, "same")[1024:2048]))
     u = (column + 0.5) / SKY_SHAPE[1]
     azimuth_rad = -(u - 0.5) * 2 * np.pi  # Blender's equirectangular projection
     seen = np.array([np.cos(azimuth_rad), np.sin(azimuth_rad)])
-    assert seen @ sun_direction(sun)[:2] > 0.999 * np.sin(sun.sun_zenith_rad)
+    assert seen @ sun_direction(scene.light)[:2] > 0.999 * np.sin(scene.light.sun_zenith_rad)
 
 
 def test_clouds_follow_their_generator() -> None:

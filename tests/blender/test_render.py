@@ -116,9 +116,18 @@ def emissive_line(scene, delimiter):
     return image
 
 
-@pytest.mark.parametrize("line", [0, 3])
-def test_projected_delimiter_runs_through_the_middle_of_its_rendered_paint(line):
-    scene = changed(terrain={"gaussians": (hill(10, 0, 6, 60), hill(-40, -20, -8, 45))}, road={"offset_p50_m": 4})
+ODD_CAMERA = {"roll_rad": 0.05, "cx_px": 252.0, "cy_px": 171.0, "fy_px": 430.0}
+
+
+@pytest.mark.parametrize(("line", "is_double", "camera"), [(0, False, {}), (3, False, {}), (0, True, ODD_CAMERA)])
+def test_projected_delimiter_runs_through_the_middle_of_its_rendered_paint(line, is_double, camera):
+    """Also between the stripes of a double line, seen by a camera that is rolled, off-centre and not square."""
+    scene = changed(
+        terrain={"gaussians": (hill(10, 0, 6, 60), hill(-40, -20, -8, 45))},
+        road={"offset_p50_m": 4},
+        markings={"left_double": is_double},
+        camera=camera,
+    )
     image = emissive_line(scene, FIRST_DELIMITER_ID + line)
     labels = ground_truth(scene)
     lane = next(x for x in labels.lanes if x.id == f"main_line_{line}")
@@ -136,6 +145,27 @@ def test_projected_delimiter_runs_through_the_middle_of_its_rendered_paint(line)
         errors.append((centroid - u[1]) / np.hypot(1, u[2] - u[0]))
     assert len(errors) > 40
     assert np.abs(errors).max() < 0.5
+
+
+def test_yellow_worn_and_wet_paint_is_the_same_paint_to_every_pass():
+    behind = {"camera": {"lane": 1}, "light": {"sun_azimuth_rad": -1.6}}  # a sun ahead would glitter on the water
+    plain = rendered(changed(**behind))
+    odd = rendered(changed(**behind, markings={"left_yellow": True, "wear": 0.3}, surface={"wetness": 0.4}))
+    for name in plain.passes:
+        np.testing.assert_array_equal(plain.passes[name], odd.passes[name])
+    near = plain.passes["depth"] < 20
+    lines = [(plain.passes["instance"] == FIRST_DELIMITER_ID + line) & near for line in (0, 1)]
+    road = (plain.passes["semantic"] == SEMANTIC_IDS["road"]) & near
+
+    def yellowness(image, pixels):
+        red, green, blue = image[pixels].mean(axis=0)
+        return (red + green) / 2 - blue
+
+    assert yellowness(odd.image, lines[0]) > 40 > 10 > yellowness(odd.image, lines[1]), "left is yellow, next is white"
+    assert yellowness(plain.image, lines[0]) < 10
+    steep = road & (plain.passes["depth"] < 8)
+    assert odd.image[steep].mean() < 0.93 * plain.image[steep].mean(), "a wet road is darker where one looks down on it"
+    assert odd.image[lines[1]].mean() < 0.9 * plain.image[lines[1]].mean(), "worn paint is darker"
 
 
 def arrays(scene):

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from synth3dlanes.geometry.camera import img_from_cam, project, world_from_cam, world_from_road
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.terrain import gradient_at, height_at
-from synth3dlanes.geometry.transforms import transform
+from synth3dlanes.geometry.transforms import invert, transform
 from tests.scenes import FLAT, changed, hill
 
 
@@ -67,6 +67,26 @@ def test_pitched_down_on_a_flat_road_the_axis_meets_it_at_height_over_tangent():
     scene = changed(camera={"pitch_rad": 0.08})
     axis = transform(world_from_cam(RoadPlan(scene)), np.array([[0, 1.6 / np.sin(0.08), 0]]))[0]
     np.testing.assert_allclose(axis, [0, -50 + 1.6 / np.tan(0.08), 0], atol=1e-9)
+
+
+@given(st.floats(-0.3, 0.3), st.floats(-0.1, 0.2))
+def test_roll_clockwise_sinks_the_cameras_right_side_and_lifts_the_right_end_of_the_horizon(roll, pitch):
+    scene = changed(camera={"roll_rad": roll, "pitch_rad": pitch})
+    level = changed(camera={"pitch_rad": pitch})
+    right_world = world_from_cam(RoadPlan(scene))[:3, 0]
+    assert right_world[2] == pytest.approx(-np.sin(roll) * np.cos(pitch)), "clockwise: the right side is down"
+    far_world = np.array([[-4e5, 1e6, 0], [4e5, 1e6, 0]])
+    far_img = project(img_from_cam(scene.camera), transform(invert(world_from_cam(RoadPlan(scene))), far_world))
+    down = (far_img[1] - far_img[0])[1] / (far_img[1] - far_img[0])[0]
+    assert down == pytest.approx(-np.tan(roll), abs=1e-3), "the horizon turns the other way: its right end rises"
+    np.testing.assert_allclose(
+        world_from_cam(RoadPlan(scene))[:3, [1, 3]], world_from_cam(RoadPlan(level))[:3, [1, 3]], atol=1e-12
+    )
+
+
+def test_the_principal_point_is_where_the_viewing_axis_meets_the_image():
+    camera = changed(camera={"cx_px": 250, "cy_px": 170}).camera
+    np.testing.assert_allclose(project(img_from_cam(camera), np.array([[0, 7.0, 0]])), [[250, 170]])
 
 
 def test_there_is_no_roll_about_the_axis_on_a_banked_road():

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from synth3dlanes.geometry import meshes
+from synth3dlanes.geometry import meshes, paint
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.lanes import curves
 from synth3dlanes.geometry.road import RoadPlan
@@ -78,7 +78,7 @@ def test_faces_look_up_and_carry_their_material(topology):
 
 
 def test_dashes_cover_their_share_and_do_not_move_with_the_camera():
-    near, far = (meshes.paint_meshes(RoadPlan(changed(camera={"y_m": y})))["main_line_1"] for y in (-50, -30.3))
+    near, far = (paint.paint_meshes(RoadPlan(changed(camera={"y_m": y})))["main_line_1"] for y in (-50, -30.3))
     painted = [
         {(round(lo, 3), round(hi, 3)) for lo, hi in zip(*_spans(mesh), strict=True) if lo > -20 and hi < 20}
         for mesh in (near, far)
@@ -97,7 +97,7 @@ def _spans(mesh):
 
 def test_paint_is_as_wide_as_the_scene_says_and_centred_on_the_delimiter():
     plan = plan_of(2)
-    mesh = meshes.paint_meshes(plan)["main_line_0"]
+    mesh = paint.paint_meshes(plan)["main_line_0"]
     left, right = mesh.vertices_world[0::2], mesh.vertices_world[1::2]
     np.testing.assert_allclose(np.linalg.norm((right - left)[:, :2], axis=1), 0.12, atol=1e-6)
     _, t = plan.project_main(((left + right) / 2)[:200, :2])

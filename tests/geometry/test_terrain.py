@@ -4,6 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from synth3dlanes.geometry.horizon import far_hills
 from synth3dlanes.geometry.terrain import gradient_at, height_at
 from synth3dlanes.scene import Gaussian, Terrain
 
@@ -43,3 +44,15 @@ def test_orientation_turns_the_long_axis_counter_clockwise():
     ridge = Gaussian(center_m=(0, 0), magnitude_m=10, sd_m=(200, 25), orientation_rad=np.pi / 4)
     z = height_at(Terrain(gaussians=(ridge,)), np.array([[70.0, 70.0], [70.0, -70.0]]))
     assert z[0] > 8 > 1 > z[1], "the ridge runs towards +x +y"
+
+
+def test_far_hills_rise_behind_all_roads_and_nowhere_else(flat_scene):
+    angles, radii_m = np.meshgrid(np.linspace(0, 2 * np.pi, 90), np.linspace(0, 4000, 161))
+    xy = np.stack([radii_m * np.cos(angles), radii_m * np.sin(angles)], axis=-1)
+    scenes = [flat_scene.model_copy(update={"index": index}) for index in range(20)]
+    heights_m = np.array([far_hills(scene, xy) for scene in scenes])
+    assert not heights_m[:, radii_m < 500].any()
+    assert heights_m.min() == 0
+    assert 40 < heights_m.max() < 300
+    assert len({round(float(height.max()), 3) for height in heights_m}) == 20, "every scene has its own"
+    np.testing.assert_array_equal(far_hills(scenes[0], xy), heights_m[0])

@@ -17,6 +17,9 @@ from synth3dlanes.validate.report import Report
 N, SHARD_SIZE = 4, 1000
 # Bright paint, so that every line shows in the image; objects enough to hide something.
 CHANGES = ["markings.grayscale=0.9", "cars.n=16", "trees.n=80"]
+# What the labels must hold against beyond the paper.
+CHANGES += ["camera.roll_deg=[-2, 2]", "camera.principal_offset_px=[-8, 8]", "markings.left_double={true: 1, false: 1}"]
+CHANGES += ["markings.left_yellow={true: 1, false: 1}", "markings.wear=[0, 0.5]", "surface.wetness={0: 1, 0.8: 1}"]
 
 Members = dict[str, bytes]
 Change = Callable[[dict[int, Members]], None]

@@ -8,10 +8,14 @@ from hypothesis import strategies as st
 
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.scene import Scene
+from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.findings import BAND_NAMES, Distribution, Measure
+from synth3dlanes.validate.frame import check_frame
 from synth3dlanes.validate.image_proof import prove_image
 from synth3dlanes.validate.obstacles import check_objects
 from synth3dlanes.validate.paint import Paint
+from synth3dlanes.validate.passes_proof import prove_passes
+from synth3dlanes.validate.standing import check_standing
 from synth3dlanes.validate.structure import check_values
 from tests.scenes import FLAT, changed
 
@@ -60,10 +64,13 @@ def test_across_is_to_the_right_and_the_normal_up():
 
 
 def painted_picture(scene: Scene, aside_m: float, paint: float, noise: float) -> np.ndarray:
-    """A road of gray 90 seen from the scene's camera, with solid lines `aside_m` right of their places."""
+    """A road of gray 90 seen from the scene's camera, with solid lines `aside_m` right of their places; the leftmost
+    may be two stripes."""
     camera = scene.camera
     v, u = np.mgrid[: camera.height_px, : camera.width_px] + 0.5
     right, down = (u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px
+    c, s = np.cos(camera.roll_rad), np.sin(camera.roll_rad)
+    right, down = c * right - s * down, s * right + c * down
     c, s = np.cos(camera.pitch_rad), np.sin(camera.pitch_rad)
     with np.errstate(divide="ignore", invalid="ignore"):
         distance = camera.height_m / (c * down + s)
@@ -73,7 +80,10 @@ def painted_picture(scene: Scene, aside_m: float, paint: float, noise: float) ->
     middle_m = (camera.lane - (n + 1) / 2) * width_m
     for j in range(n + 1):
         place_m = (j - n / 2) * width_m - middle_m + aside_m
-        image[(np.abs(x_m - place_m) < scene.markings.width_m / 2) & (distance > 0)] = paint
+        from_middle_m = np.abs(x_m - place_m)
+        if j == 0 and scene.markings.left_double:
+            from_middle_m = np.abs(from_middle_m - scene.markings.width_m)
+        image[(from_middle_m < scene.markings.width_m / 2) & (distance > 0)] = paint
     return np.repeat(np.clip(image, 0, 255).astype(np.uint8)[..., None], 3, axis=2)
 
 
@@ -87,6 +97,25 @@ def test_bright_and_dark_paint_is_found_in_place_and_aside():
         assert measure.values.max() < 0.05
         findings, (measure,) = prove_image(Paint(scene), labels, painted_picture(scene, 0.5, paint, 8))
         assert len([finding for finding in findings if "+0.50 m aside" in finding.reason]) == len(measure.values) >= 2
+
+
+def test_a_double_line_is_judged_by_both_its_stripes_also_by_a_rolled_camera():
+    scene = changed(
+        markings={"dash_fraction": 1.0, "left_double": True, "width_m": 0.2},
+        camera={"roll_rad": 0.05, "cx_px": 250, "lane": 1},
+    )
+    labels, paint = rendered(ground_truth(scene)), Paint(scene)
+    left = next(lane.id for lane in labels.lanes if lane.kind == "delimiter" and lane.left is None)
+    for aside_m in (0.0, 0.2, 0.4):
+        picture = painted_picture(scene, aside_m, 200.0, 8)
+        findings, (measure,) = prove_image(paint, labels, picture)
+        semantic = np.where(picture[..., 0] > 150, 4, 2).astype(np.uint8)
+        faults = {finding.lane for finding in prove_passes(paint, labels, {"semantic": semantic})[0]}
+        if aside_m == 0:
+            assert (findings, faults) == ([], set())
+            assert measure.values.max() < 0.05
+        else:
+            assert left in faults, "one stripe on the other's place is not enough"
 
 
 def test_an_image_without_any_paint_is_not_that_of_the_labels_and_no_line_is_blamed():
@@ -116,3 +145,34 @@ def test_points_seen_through_a_car_and_points_hidden_by_nothing_are_faults():
     )
     assert host not in {finding.lane for finding in check_objects(scene, hidden)}
     assert "no car or tree" in next(iter(check_objects(FLAT, hidden))).reason
+
+
+def test_black_white_and_pink_pictures_are_faults():
+    gray = np.full((40, 60, 3), 120, np.uint8)
+    findings, (measure,) = check_frame(gray, {})
+    assert (findings, measure.values[0]) == ([], 0)
+    ground = {"semantic": np.full((40, 60), SEMANTIC_IDS["road"], np.uint8)}
+    for color, words in (((0, 0, 0), "black"), ((255, 255, 255), "white"), ((250, 30, 240), "pink")):
+        spoilt = gray.copy()
+        spoilt[10:] = color
+        findings, _ = check_frame(np.full_like(gray, color), ground)
+        assert [words in finding.reason for finding in findings] == [True]
+        assert check_frame(spoilt, ground)[1][0].values[0] == (0.75 if words != "pink" else 0)
+
+
+def test_wheels_stand_on_the_meshes_and_terrain_in_the_road_is_a_fault(hilly_scene):
+    findings, measures = check_standing(hilly_scene, rendered(ground_truth(hilly_scene)), {})
+    gaps = {measure.name: measure.values for measure in measures}
+    assert findings == []
+    assert gaps["wheel_gap_m"].size > 8
+    assert gaps["wheel_gap_m"].max() < 0.03
+    labels = rendered(ground_truth(FLAT))
+    down = (np.arange(360)[:, None] + 0.5 - 180) / FLAT.camera.fy_px * np.ones((1, 480))
+    c, s = np.cos(FLAT.camera.pitch_rad), np.sin(FLAT.camera.pitch_rad)
+    with np.errstate(divide="ignore"):
+        depth_m = np.where(c * down + s > 0, FLAT.camera.height_m / (c * down + s), np.inf)
+    road = np.full((360, 480), SEMANTIC_IDS["road"], np.uint8)
+    assert check_standing(FLAT, labels, {"depth": depth_m, "semantic": road})[0] == []
+    road[250:260, 230:240] = SEMANTIC_IDS["terrain"]
+    (finding,) = check_standing(FLAT, labels, {"depth": depth_m, "semantic": road})[0]
+    assert "terrain at 25 pixels" in finding.reason

@@ -1,0 +1,117 @@
+"""The paint of the delimiters as strips over the road: dashes, double lines, stretches that are gone. World frame."""
+
+from dataclasses import replace
+from zlib import crc32
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from synth3dlanes.geometry.lanes import Curve, curves
+from synth3dlanes.geometry.meshes import Mesh, Values, grid, road_stations
+from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.scene import Scene
+
+PAINT_AHEAD_M = 250.0
+# Paint floats over the road by more than the road's faces can rise between their rows, which are longer far away.
+PAINT_LIFT_M = (0.0015, 0.002, 0.008, 0.04, 0.12)
+PAINT_LIFT_AT_M = (0.0, 40.0, 80.0, 160.0, 250.0)
+# Lost paint is in stretches of 3 to 12 m, laid out along this much of a line to either side of the split.
+GONE_M, GONE_REACH_M = (3.0, 12.0), 600.0
+
+Intervals = Float[np.ndarray, "_ 2"]
+
+
+def paint_meshes(plan: RoadPlan) -> dict[str, Mesh]:
+    """The paint of every delimiter, by its id."""
+    return {curve.id: _paint(plan, curve) for curve in curves(plan) if curve.kind == "delimiter"}
+
+
+def left_edges(plan: RoadPlan) -> frozenset[str]:
+    """The lines that no lane lies to the left of, as the host drives: the left edge of the road, and of its exit."""
+    return frozenset(curve.id for curve in curves(plan) if curve.kind == "delimiter" and curve.left is None)
+
+
+def stripes_m(plan: RoadPlan, line_id: str) -> tuple[float, ...]:
+    """Where the stripes of a line have their middles, aside of its own: a double line's gap is as wide as a stripe."""
+    markings = plan.scene.markings
+    is_double = markings.left_double and line_id in left_edges(plan)
+    return (-markings.width_m, markings.width_m) if is_double else (0.0,)
+
+
+def _paint(plan: RoadPlan, curve: Curve) -> Mesh:
+    markings = plan.scene.markings
+    y = plan.scene.camera.y_m
+    world = road_stations(plan)
+    rows = np.sort(plan.plan_station(world[world < y + PAINT_AHEAD_M]))
+    low, high = max(rows[0], curve.start_m), min(rows[-1], curve.end_m)
+    rows = np.array([low, low]) if low >= high else np.concatenate([[low], rows[(rows > low) & (rows < high)], [high]])
+    rows, painted = _painted_rows(plan, curve, rows)
+    lift = np.interp(np.abs(plan.plan_station(rows) - y), PAINT_LIFT_AT_M, PAINT_LIFT_M)
+    stripes = []
+    for middle_m in stripes_m(plan, curve.id):
+        offsets = middle_m + np.array([-0.5, 0.5]) * markings.width_m
+        vertices = np.stack([_beside(curve, t).points_world(plan, rows, lift) for t in offsets], axis=1)
+        uv = np.stack(np.broadcast_arrays(offsets[None, :], rows[:, None]), -1)
+        mesh = grid(vertices, uv, np.zeros(1, dtype=int))
+        stripes.append(replace(mesh, faces=mesh.faces[painted], material=mesh.material[painted]))
+    return _joined(stripes)
+
+
+def _joined(meshes: list[Mesh]) -> Mesh:
+    first = np.cumsum([0, *(len(mesh.vertices_world) for mesh in meshes)])
+    return Mesh(
+        np.concatenate([mesh.vertices_world for mesh in meshes]),
+        np.concatenate([mesh.faces + n for mesh, n in zip(meshes, first, strict=False)]),
+        np.concatenate([mesh.uv_m for mesh in meshes]),
+        np.concatenate([mesh.material for mesh in meshes]),
+    )
+
+
+def _beside(curve: Curve, t: float) -> Curve:
+    return replace(curve, stem_m=None if curve.stem_m is None else curve.stem_m + t, fork_m=curve.fork_m + t)
+
+
+def _painted_rows(
+    plan: RoadPlan, curve: Curve, rows: Values
+) -> tuple[Float[np.ndarray, " m"], Bool[np.ndarray, " m-1"]]:
+    """Rows with all ends of paint among them, and whether the strip behind each row is painted. Lengths are counted
+    along the line from the split, so that dashes and gaps do not move with the camera."""
+    xyz = curve.points_world(plan, rows)
+    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz, axis=0), axis=1))])
+    length -= np.interp(0.0, rows, length)
+    dashes, gone = _dashes(plan.scene, curve, length), _gone(plan.scene, curve)
+    ends = np.concatenate([dashes.ravel(), gone.ravel()])
+    ends = np.interp(ends[(ends > length[0]) & (ends < length[-1])], length, rows)
+    rows_all = np.unique(np.concatenate([rows, ends]))
+    middle = np.interp((rows_all[1:] + rows_all[:-1]) / 2, rows, length)
+    return rows_all, _inside(dashes, middle) & ~_inside(gone, middle)
+
+
+def _dashes(scene: Scene, curve: Curve, length: Values) -> Intervals:
+    """Where the line is painted by its kind, along its length."""
+    if curve.marking != "dashed":
+        return np.array([[-np.inf, np.inf]])
+    cycle, fraction = scene.markings.dash_cycle_m, scene.markings.dash_fraction
+    numbers = np.arange(np.floor(length[0] / cycle), np.ceil(length[-1] / cycle) + 1)
+    return np.stack([numbers, numbers + fraction], axis=1) * cycle
+
+
+def _gone(scene: Scene, curve: Curve) -> Intervals:
+    """Where the line has lost its paint: a stretch somewhere in each period of stretch / share metres."""
+    share = scene.markings.missing
+    if share == 0:
+        return np.zeros((0, 2))
+    words = (scene.split, "missing paint", curve.id)
+    rng = np.random.default_rng([scene.seed, scene.index, *(crc32(word.encode()) for word in words)])
+    gone_m = rng.uniform(*GONE_M, int(np.ceil(2 * GONE_REACH_M * share / GONE_M[0])))
+    period_m = gone_m / share
+    start_m = np.cumsum(period_m) - period_m - GONE_REACH_M + rng.uniform(0, 1, len(gone_m)) * (period_m - gone_m)
+    return np.stack([start_m, start_m + gone_m], axis=1)
+
+
+def _inside(intervals: Intervals, at: Float[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
+    """Which places lie in one of the intervals; these are in order and apart."""
+    if not len(intervals):
+        return np.zeros(at.shape, dtype=bool)
+    before = np.clip(np.searchsorted(intervals[:, 0], at, side="right") - 1, 0, None)
+    return np.asarray((at >= intervals[before, 0]) & (at < intervals[before, 1]))

@@ -1,0 +1,54 @@
+"""Paint beyond the paper: double lines about their label, lost stretches; and who is the leftmost line."""
+
+import numpy as np
+import pytest
+
+from synth3dlanes.geometry.paint import left_edges, paint_meshes
+from synth3dlanes.geometry.road import RoadPlan
+from tests.scenes import changed
+
+
+def painted_share(mesh, low=-40, high=150):
+    """Painted metres of a straight road's line per metre, by the ends of its faces."""
+    y = mesh.vertices_world[mesh.faces][:, :, 1]
+    return (np.clip(y.max(axis=1), low, high) - np.clip(y.min(axis=1), low, high)).sum() / (high - low)
+
+
+@pytest.mark.parametrize("flip", [False, True])
+def test_a_double_line_is_two_stripes_about_the_left_edge_and_nothing_else_changes(flip):
+    road = {"flip_longitudinal": flip}
+    single = paint_meshes(RoadPlan(changed(road=road)))
+    double = paint_meshes(RoadPlan(changed(road=road, markings={"left_double": True, "width_m": 0.12})))
+    x = np.unique(np.round(double["main_line_0"].vertices_world[:, 0], 6))
+    np.testing.assert_allclose(x, -5.25 + 0.12 * np.array([-1.5, -0.5, 0.5, 1.5]), atol=1e-6)
+    for name in single.keys() - {"main_line_0"}:
+        np.testing.assert_array_equal(single[name].vertices_world, double[name].vertices_world)
+
+
+@pytest.mark.parametrize("flip", [False, True])
+def test_left_edges_have_no_paint_to_their_left(flip):
+    plan = RoadPlan(changed(road={"topology": 4, "flip_longitudinal": flip}))
+    assert left_edges(plan) == {"main_line_0", "exit_line_0"}
+    strips = paint_meshes(plan)
+    behind = {name: mesh.vertices_world[mesh.vertices_world[:, 1] < -30, 0] for name, mesh in strips.items()}
+    leftmost = min((x.min(), name) for name, x in behind.items() if len(x))[1]
+    assert leftmost == ("exit_line_0" if flip else "main_line_0")
+
+
+def test_missing_paint_is_the_share_asked_for_in_stretches_that_stay_where_they_are():
+    shares = []
+    for seed in range(40):
+        scene = changed(markings={"missing": 0.4}).model_copy(update={"seed": seed})
+        shares += [painted_share(mesh) for name, mesh in paint_meshes(RoadPlan(scene)).items() if name[-1] in "03"]
+    assert np.mean(shares) == pytest.approx(0.6, abs=0.02)
+    assert len(np.unique(np.round(shares, 3))) > 40, "every line of every scene has its own gaps"
+    near, far = (
+        paint_meshes(RoadPlan(changed(markings={"missing": 0.4}, camera={"y_m": y})))["main_line_0"] for y in (-60, -20)
+    )
+    assert painted_share(near, 0, 100) == pytest.approx(painted_share(far, 0, 100))
+
+
+def test_all_of_the_paint_may_be_missing_and_none_is_by_default():
+    bare = paint_meshes(RoadPlan(changed(markings={"missing": 1.0})))
+    assert [painted_share(mesh) for mesh in bare.values()] == pytest.approx([0] * 4)
+    assert painted_share(paint_meshes(RoadPlan(changed()))["main_line_0"]) == pytest.approx(1.0)
