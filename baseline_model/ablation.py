@@ -1,15 +1,17 @@
-"""Train every row of the paper's Table 1 alike and print it beside the paper's numbers."""
+"""Networks trained alike and tested on the same images: the rows of the paper's Table 1, or sizes of data set."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from baseline_model.config import ABLATIONS, train_config
+from baseline_model.config import TrainConfig, train_config
 from baseline_model.evaluate import evaluate_checkpoint, evaluate_flat_ground
 from baseline_model.metrics import Report
-from baseline_model.report import table_1, to_document
+from baseline_model.report import Cells, curve_cells, markdown, save_curve, table_1_cells, text, to_document
+from baseline_model.sources import open_split
 from baseline_model.train import train
+from synth3dlanes.errors import ParamsError
 
 ROWS = ("full", "image_view", "top_view", "early_ipm", "late_ipm", "horizon", "fixed_position")
 
@@ -22,18 +24,54 @@ def ablation(
     overrides: dict[str, Any] | None = None,
     test_split: str = "test",
 ) -> dict[str, Report]:
-    """Same seed, schedule, epochs and start for all (paper, 4.3). Finished rows are not trained again; writes
-    `table.txt` and `table.json`."""
-    unknown = [row for row in rows if row not in ABLATIONS]
-    configs = {row: train_config(model, overrides, row) for row in [*unknown, *rows]}
-    out, test = Path(out_dir), f"{data_dir}/{test_split}"
+    """Same seed, schedule, epochs and start for all (paper, 4.3). `flat_ground` comes with `full`."""
+    configs = {row: train_config(model, overrides, row) for row in rows}
+    return _compare(configs, str(data_dir), Path(out_dir), test_split, table_1_cells)
+
+
+def learning_curve(
+    data_dir: str | Path,
+    out_dir: str | Path,
+    sizes: Sequence[int],
+    model: str = "nano",
+    overrides: dict[str, Any] | None = None,
+    test_split: str = "test",
+) -> dict[str, Report]:
+    """The first images of the training split, for each of these numbers. All train equally long: `epochs` counts
+    passes over the largest number."""
+    whole = train_config(model, overrides)
+    n_images = len(open_split(f"{data_dir}/{whole.train_split}"))
+    if max(sizes) > n_images:
+        raise ParamsError(f"{data_dir}/{whole.train_split}: expected at least {max(sizes)} images, got {n_images}")
+    configs = {}
+    for size in sorted(set(sizes)):
+        longer = max(sizes) / size
+        passes = {"epochs": whole.epochs * longer, "validate_every_epochs": whole.validate_every_epochs * longer}
+        configs[str(size)] = whole.model_copy(update={"max_images": size, **passes})
+    reports = _compare(configs, str(data_dir), Path(out_dir), test_split, curve_cells)
+    save_curve(reports, Path(out_dir) / "curve.png")
+    return reports
+
+
+def _compare(
+    configs: dict[str, TrainConfig],
+    data_dir: str,
+    out_dir: Path,
+    test_split: str,
+    cells: Callable[[dict[str, Report]], Cells],
+) -> dict[str, Report]:
+    """Train each into a folder of its name and write `table.txt`, `.md` and `.json` after each. What is trained
+    already is not trained again."""
+    test = f"{data_dir}/{test_split}"
+    open_split(test)  # a missing one is better known now than after hours
     reports: dict[str, Report] = {}
-    for row, config in configs.items():
-        best = train(config, data_dir, out / row)
-        reports[row] = evaluate_checkpoint(best, test, device=config.device)
-        if row == "full":
+    for name, config in configs.items():
+        best = train(config, data_dir, out_dir / name)
+        reports[name] = evaluate_checkpoint(best, test, device=config.device)
+        if name == "full":
             reports |= evaluate_flat_ground(best, test, device=config.device)
-        (out / "table.txt").write_text(table_1(reports) + "\n", encoding="utf-8")
-        document = {name: to_document(report) for name, report in reports.items()}
-        (out / "table.json").write_text(json.dumps(document), encoding="utf-8")
+        document = {row: to_document(report) for row, report in reports.items()}
+        (out_dir / "table.json").write_text(json.dumps(document), encoding="utf-8")
+        (out_dir / "table.txt").write_text(text(cells(reports)) + "\n", encoding="utf-8")
+        (out_dir / "table.md").write_text(markdown(cells(reports)) + "\n", encoding="utf-8")
     return reports

@@ -39,8 +39,11 @@ def augment(batch: Batch, config: Augmentation, generator: torch.Generator) -> A
     if config.pitch_deg or config.yaw_deg:
         batch = rotate(batch, pitch_rad, yaw_rad)
     gain, offset = 1 + uniform(config.contrast), uniform(config.brightness)
-    noise = torch.randn(batch.image.shape, generator=generator, device=device) * config.noise
-    image = ((batch.image - 0.5) * gain[:, None, None, None] + 0.5 + offset[:, None, None, None] + noise).clamp(0, 1)
+    # One field of noise for the batch, its strength and sign drawn per image: a field each took a CPU longer than
+    # the first convolution.
+    noise = torch.randn(batch.image.shape[1:], generator=generator, device=device)
+    gain, offset, strength = (v[:, None, None, None] for v in (gain, offset, uniform(config.noise)))
+    image = torch.addcmul(offset + (1 - gain) / 2, batch.image, gain).addcmul_(noise, strength).clamp_(0, 1)
     moved = top_from_road(uniform(math.radians(config.top_yaw_deg)), uniform(config.top_shift_m))
     return Augmented(batch._replace(image=image), moved)
 
@@ -56,7 +59,8 @@ def noisy(
 def flip(batch: Batch, chosen: Bool[Tensor, " b"]) -> Batch:
     """Mirror left and right: x -> -x, cx -> W - cx. Association runs after this, so "leftmost" is drawn anew."""
     width = batch.image.shape[-1]
-    image = torch.where(chosen[:, None, None, None], batch.image.flip(-1), batch.image)
+    image = batch.image.clone()
+    image[chosen] = batch.image[chosen].flip(-1)
     intrinsics = batch.intrinsics.clone()
     intrinsics[:, 2] = torch.where(chosen, width - intrinsics[:, 2], intrinsics[:, 2])
     xyz = batch.curves.xyz_cam.clone()

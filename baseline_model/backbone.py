@@ -31,7 +31,7 @@ class ImagePathway(nn.Module):
     ) -> list[Float[Tensor, "..."]]:
         """One map per stage. `rays`: two further channels, the tangents of each pixel's viewing ray, by which a
         shallow network can read the pitch."""
-        features = (image - self.mean) / self.std
+        features = torch.addcmul(-self.mean / self.std, image, 1 / self.std)
         if self.has_rays:
             assert rays is not None
             features = torch.cat([features, rays], dim=1)

@@ -1,6 +1,7 @@
 """Score a checkpoint, or anybody's predictions, against the labels of a split."""
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 
 from baseline_model import checkpoint as checkpoints
@@ -10,6 +11,7 @@ from baseline_model.inference import choose_device, predict_samples
 from baseline_model.lanes import Prediction, read_predictions
 from baseline_model.metrics import Evaluation, MetricConfig, Report
 from baseline_model.sources import open_split
+from baseline_model.tusimple import TusimpleSplit, mean_accuracy
 from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels
 
@@ -30,19 +32,14 @@ def evaluate_predictions(file: str | Path, data_dir: str | Path, config: MetricC
     a key that the split does not have, or that comes twice, is an error."""
     samples = open_split(data_dir)
     places = {_key(samples, i): i for i in range(len(samples))}
-    evaluation = Evaluation(config or MetricConfig())
-    done: set[str] = set()
+    found: dict[str, Prediction] = {}
     for prediction in read_predictions(Path(file)):
         if prediction.key not in places:
             raise FormatError(f"{file}: expected keys of {data_dir}, got {prediction.key!r}")
-        if prediction.key in done:
+        if prediction.key in found:
             raise FormatError(f"{file}: expected each key once, got {prediction.key!r} again")
-        done.add(prediction.key)
-        evaluation.add(labels_at(samples, places[prediction.key]), prediction)
-    for key, place in places.items():
-        if key not in done:
-            evaluation.add(labels_at(samples, place), Prediction(key, (), None))
-    return evaluation.report()
+        found[prediction.key] = prediction
+    return score((found.get(key, Prediction(key, (), None)) for key in places), samples, config)
 
 
 def evaluate_flat_ground(
@@ -62,10 +59,15 @@ def evaluate_flat_ground(
 
 def score(predictions: Iterable[Prediction], samples: Samples, config: MetricConfig | None = None) -> Report:
     """Score predictions that come in the order of the samples."""
-    evaluation = Evaluation(config or MetricConfig())
+    config = config or MetricConfig()
+    tusimple = None
+    if isinstance(samples, TusimpleSplit):
+        predictions = list(predictions)
+        tusimple = mean_accuracy(predictions, samples, config.threshold)
+    evaluation = Evaluation(config)
     for index, prediction in enumerate(predictions):
         evaluation.add(labels_at(samples, index), prediction)
-    return evaluation.report()
+    return replace(evaluation.report(), tusimple=tusimple)
 
 
 def labels_at(samples: Samples, index: int) -> Labels:

@@ -27,9 +27,12 @@ def choose_device(name: str) -> torch.device:
         raise ParamsError(f"device: expected auto, cpu or cuda[:n], got {name!r}") from None
 
 
-def mixed_precision(device: torch.device) -> AbstractContextManager[object]:
-    """bfloat16 on GPUs; pose, warp, head output and loss stay in float32."""
-    return torch.autocast("cuda", dtype=torch.bfloat16) if device.type == "cuda" else nullcontext()
+def mixed_precision(device: torch.device, precision: str = "auto") -> AbstractContextManager[object]:
+    """Autocast to bfloat16 if asked for, or if `auto` finds hardware for it (`TrainConfig.precision`)."""
+    is_fast = device.type == "cuda" or torch.cpu.get_capabilities().get("avx512_bf16", False)
+    if precision == "bfloat16" or (precision == "auto" and is_fast):
+        return torch.autocast(device.type, dtype=torch.bfloat16)
+    return nullcontext()
 
 
 def layout_of(model: LaneNet) -> AnchorLayout:
@@ -50,8 +53,8 @@ def predictions_of(keys: Sequence[str], output: Output, layout: AnchorLayout) ->
 
 @torch.inference_mode()
 def run(model: LaneNet, images: Float[Tensor, "b 3 h w"], intrinsics: Float[Tensor, "b 4"]) -> Output:
-    """One forward pass without gradients."""
-    with mixed_precision(images.device):
+    """One forward pass without gradients; on CPUs in float32, so that all of them give the same lanes."""
+    with mixed_precision(images.device, "auto" if images.device.type == "cuda" else "float32"):
         output: Output = model(images, intrinsics)
     return output
 

@@ -88,6 +88,8 @@ class Report:
     kinds: dict[str, KindReport]
     pitch_median_deg: float
     height_median_cm: float
+    tusimple: tuple[float, float, float] | None = None
+    """That benchmark's accuracy, false positive and false negative rate, where its files are the truth."""
 
 
 @dataclass

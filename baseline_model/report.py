@@ -9,6 +9,8 @@ import numpy as np
 from baseline_model.curves import METRIC_Y_M
 from baseline_model.metrics import Errors, KindReport, Report
 
+Cells = list[list[str]]
+COLUMNS = ("AP", "near 1s", "near 2s", "far 1s", "far 2s")
 PAPER_DELIMITERS = (0.971, 12.9, 33.0, 30.0, 106.0)
 PAPER_TABLE_1: dict[str, tuple[float, float, float, float, float]] = {
     "full": (0.952, 13.3, 34.4, 33.1, 122.0),
@@ -37,6 +39,8 @@ def to_document(report: Report) -> dict[str, Any]:
         "frame": report.config.frame,
         "match_m": 1.5,
     }
+    if report.tusimple is not None:
+        document["tusimple"] = dict(zip(("accuracy", "fp", "fn"), report.tusimple, strict=True))
     return document
 
 
@@ -73,22 +77,68 @@ def to_text(report: Report) -> str:
     lines.append(
         f"pose: median {report.pitch_median_deg:.3f} deg, {report.height_median_cm:.2f} cm (paper: 0.09 deg, 2.4 cm)"
     )
+    if report.tusimple is not None:
+        accuracy, fp, fn = report.tusimple
+        lines.append(f"tuSimple: accuracy {accuracy:.4f}, FP {fp:.4f}, FN {fn:.4f} (paper: accuracy 0.951)")
     for name, kind in report.kinds.items():
         lines += _appendix(name, kind)
     return "\n".join(lines)
 
 
-def table_1(rows: dict[str, Report]) -> str:
+def table_1_cells(rows: dict[str, Report]) -> Cells:
     """The paper's Table 1 (centre lines) beside ours; `paper / ours` in each cell."""
-    names = ("AP", "near 1s", "near 2s", "far 1s", "far 2s")
-    lines = [f"{'paper / ours':16}" + "".join(f"{name:>18}" for name in names)]
+    cells = [["paper / ours", *COLUMNS]]
     for name, report in rows.items():
-        kind = report.kinds["centerline"]
-        ours = [f"{kind.ap:.3f}", *(_cm(value) for value in _four(kind.at_threshold))]
         paper = PAPER_TABLE_1.get(name.split(":")[0])
-        theirs = ["-"] * 5 if paper is None else [f"{paper[0]:.3f}", *(_cm(value) for value in paper[1:])]
-        lines.append(f"{name:16}" + "".join(f"{a + ' / ' + b:>18}" for a, b in zip(theirs, ours, strict=True)))
-    return "\n".join(lines)
+        theirs = ["-"] * 5 if paper is None else _row(*paper)
+        cells.append([name, *(f"{a} / {b}" for a, b in zip(theirs, _ours(report), strict=True))])
+    return cells
+
+
+def curve_cells(rows: dict[str, Report]) -> Cells:
+    """A row for each number of training images (centre lines), and the paper's 300,000."""
+    ours = [[f"{int(name):,}", *_ours(report)] for name, report in rows.items()]
+    return [["images", *COLUMNS], *ours, ["300,000 (paper)", *_row(*PAPER_TABLE_1["full"])]]
+
+
+def text(cells: Cells) -> str:
+    """A table for a terminal."""
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    return "\n".join(
+        "  ".join([row[0].ljust(widths[0]), *(cell.rjust(w) for cell, w in zip(row[1:], widths[1:], strict=True))])
+        for row in cells
+    )
+
+
+def markdown(cells: Cells) -> str:
+    """The same for a README."""
+    head, *rows = ["| " + " | ".join(row) + " |" for row in cells]
+    return "\n".join([head, "|---" + "|---:" * (len(cells[0]) - 1) + "|", *rows])
+
+
+def save_curve(rows: dict[str, Report], path: Path) -> None:
+    """AP with its 95 % interval, and far and near errors, against the number of training images."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9, 3.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    left, right = figure.subplots(1, 2)
+    sizes = [int(name) for name in rows]
+    for kind, colour in (("centerline", "tab:blue"), ("delimiter", "tab:orange")):
+        found = [report.kinds[kind] for report in rows.values()]
+        left.plot(sizes, [k.ap for k in found], "o-", color=colour, label=kind)
+        left.fill_between(sizes, *zip(*(k.ap_interval for k in found), strict=True), color=colour, alpha=0.2)
+        right.plot(sizes, [k.at_threshold.near_1sigma_cm for k in found], "o-", color=colour, label=f"{kind}, near")
+        right.plot(sizes, [k.at_threshold.far_1sigma_cm for k in found], "o:", color=colour, label=f"{kind}, far")
+    left.set(ylabel="AP", ylim=(0, 1))
+    right.set(ylabel="error, 1 sigma [cm]", yscale="log")
+    for axes in (left, right):
+        axes.set(xlabel="training images", xscale="log", xticks=sizes, xticklabels=sizes)
+        axes.minorticks_off()
+        axes.grid(alpha=0.3)
+        axes.legend()
+    figure.savefig(path, dpi=120)
 
 
 def save_plots(report: Report, path: Path) -> None:
@@ -150,6 +200,15 @@ def _appendix(name: str, kind: KindReport) -> list[str]:
 
 def _four(errors: Errors) -> tuple[float, float, float, float]:
     return errors.near_1sigma_cm, errors.near_2sigma_cm, errors.far_1sigma_cm, errors.far_2sigma_cm
+
+
+def _ours(report: Report) -> list[str]:
+    kind = report.kinds["centerline"]
+    return _row(kind.ap, *_four(kind.at_threshold))
+
+
+def _row(ap: float, *errors_cm: float) -> list[str]:
+    return [f"{ap:.3f}", *(_cm(value) for value in errors_cm)]
 
 
 def _cm(value: float) -> str:

@@ -1,6 +1,8 @@
 """What a training run is made of and how it is kept: processes, state, `last.pt`."""
 
+import ctypes
 import os
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,6 +20,9 @@ from synth3dlanes.errors import ParamsError
 
 MEMORY_SHARE = 0.5
 """Data move to the GPU if they leave at least the other half of its free memory to the network."""
+
+M_MMAP_MAX, M_TRIM_THRESHOLD = -4, -1
+"""Names of malloc.h."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +63,18 @@ def start_process(config: TrainConfig) -> Process:
     if device.type == "cuda":
         torch.backends.cudnn.benchmark = True
         torch.set_float32_matmul_precision("high")
+    else:
+        _keep_freed_memory()
     return Process(rank, world, device)
+
+
+def _keep_freed_memory() -> None:
+    """Have malloc reuse the memory of large tensors. By default each is mapped and unmapped, and its pages are faulted
+    in, at every step: a quarter of a CPU's time. glibc only; others have no `mallopt`."""
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
+    if mallopt is not None:
+        for option, value in ((M_MMAP_MAX, 0), (M_TRIM_THRESHOLD, 2**31 - 1)):
+            mallopt(option, value)
 
 
 def fits(data: ResidentData, device: torch.device) -> bool:

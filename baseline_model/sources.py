@@ -1,14 +1,17 @@
 """Open what people name on the command line: a split of our dataset, an Apollo Sim-3D or an OpenLane folder."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from baseline_model.data import LabelledImage, Samples
 from baseline_model.foreign import ApolloSplit, OpenLaneSplit, is_openlane
 from baseline_model.tusimple import TusimpleSplit, is_tusimple
+from synth3dlanes.dataset.format import Sample
 from synth3dlanes.dataset.read import Reader
+from synth3dlanes.dataset.upright import upright_image, upright_labels
 from synth3dlanes.errors import FormatError
+from synth3dlanes.labels import Labels
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +28,29 @@ class Chosen:
         return self.source[self.index[at]]
 
 
+@dataclass(frozen=True, eq=False)
+class Upright:
+    """A split of ours with the roll taken out of pictures and labels: the pose that a network learns has none."""
+
+    reader: Reader
+
+    def __len__(self) -> int:
+        return len(self.reader)
+
+    def __getitem__(self, index: int) -> Sample:
+        sample = self.reader[index]
+        image = upright_image(sample.image, sample.labels.camera)
+        return replace(sample, image=image, labels=upright_labels(sample.labels))
+
+    def key(self, index: int) -> str:
+        """The sample's name, read from the index alone."""
+        return self.reader.key(index)
+
+    def labels(self, index: int) -> Labels:
+        """The labels, without decoding the image."""
+        return upright_labels(self.reader.labels(index))
+
+
 def open_split(path: str | Path) -> Samples:
     """Random access to labelled images. Ours is `DIR/SPLIT`; an Apollo or a tuSimple split is its JSON-lines file,
     Apollo's images lying in a folder above it; an OpenLane split is `.../lane3d_1000/SPLIT`, beside `.../images`."""
@@ -33,7 +59,7 @@ def open_split(path: str | Path) -> Samples:
         return TusimpleSplit(Path(path)) if is_tusimple(Path(path)) else ApolloSplit(Path(path))
     if "://" not in text and is_openlane(Path(path)):
         return OpenLaneSplit(Path(path))
-    return Reader(text)
+    return Upright(Reader(text))
 
 
 def training_and_validation(

@@ -114,7 +114,7 @@ def _step(
         group["lr"] = rate
     network.train()
     trainee.optimizer.zero_grad(set_to_none=True)
-    with mixed_precision(process.device):
+    with mixed_precision(process.device, config.precision):
         output: Output = network(batch.image, batch.intrinsics, warp_pose, augmented.top_from_road)
     terms = step_loss(trainee.model, output, augmented, config)
     if not bool(torch.isfinite(terms["total"]).all()):

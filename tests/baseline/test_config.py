@@ -11,6 +11,7 @@ def test_every_model_and_row_makes_a_run_that_survives_json():
         assert parse(TrainConfig, config.model_dump_json(), "x") == config
     for row in ABLATIONS:
         assert train_config("compact", {"batch": 8}, row).batch == 8
+    assert train_config("compact", ablation="improved") == train_config("improved")
 
 
 def test_paper_keeps_the_papers_recipe():

@@ -26,12 +26,12 @@ def _targets(batch, config):
     "row", ["full", "image_view", "top_view", "early_ipm", "late_ipm", "horizon", "fixed_position", "no_supervision"]
 )
 def test_every_ablation_gives_39_values_per_anchor_from_the_same_start(roads, row):
-    from baseline_model.config import ABLATIONS, TINY
+    from baseline_model.config import TINY, train_config
     from baseline_model.model import LaneNet
 
     batch = _batch(roads)
     torch.manual_seed(0)
-    model = LaneNet(TINY.model_copy(update=ABLATIONS[row])).eval()
+    model = LaneNet(train_config("tiny", ablation=row).model).eval()
     torch.manual_seed(0)
     full = LaneNet(TINY)
     n_anchors = 10 if row == "image_view" else 16
@@ -82,14 +82,11 @@ def test_lane_loss_reaches_the_pose_only_through_a_grid_with_gradient(roads):
 
 def test_improved_has_its_extra_heads_and_planes(roads):
     from baseline_model.augment import lane_masks
-    from baseline_model.config import IMPROVED, TINY
+    from baseline_model.config import TINY, improved
     from baseline_model.model import LaneNet
     from baseline_model.projection import cell_centres, road_from_cam
 
-    extra = {
-        name: getattr(IMPROVED, name) for name in ("plane_heights_m", "knots_y_m", "has_visibility", "has_bev_masks")
-    }
-    config = TINY.model_copy(update=extra)
+    config = improved(TINY)
     batch = _batch(roads)
     with torch.no_grad():
         output = LaneNet(config)(batch.image, batch.intrinsics)

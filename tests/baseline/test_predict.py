@@ -134,10 +134,13 @@ def test_flat_ground_is_exact_on_a_plane_and_wrong_on_a_hill(roads):
 
 def test_table_puts_the_papers_numbers_beside_ours(roads, split):
     from baseline_model.evaluate import score
-    from baseline_model.report import table_1
+    from baseline_model.report import markdown, table_1_cells, text
 
     report = score([roads.as_prediction(sample.labels) for sample in split], split)
-    table = table_1({"full": report, "late_ipm": report, "flat_ground:horizon": report})
+    cells = table_1_cells({"full": report, "late_ipm": report, "flat_ground:horizon": report})
+    table = text(cells)
+    assert len({len(line) for line in table.splitlines()}) == 1
+    assert markdown(cells).splitlines()[1] == "|---|---:|---:|---:|---:|---:|"
     assert "0.952 / 1.000" in table.splitlines()[1]
     assert "37.4 / 0.0" in table.splitlines()[2]
     assert "0.566 / 1.000" in table.splitlines()[3]

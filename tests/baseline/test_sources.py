@@ -1,0 +1,67 @@
+"""What the baseline is handed of our own data sets: rolled cameras turned upright, everything else as it is."""
+
+import numpy as np
+import pytest
+from PIL import Image, ImageDraw
+
+N = 3
+
+
+@pytest.fixture(scope="module")
+def split_of(tmp_path_factory):
+    """Writes scenes of one seed to a split, their cameras rolled or not, and opens it as training does."""
+    from baseline_model.sources import open_split
+    from synth3dlanes import scene as scene_format
+    from synth3dlanes.dataset.folder import claim
+    from synth3dlanes.dataset.format import encode, member_names
+    from synth3dlanes.dataset.write import Shard
+    from synth3dlanes.ground_truth import ground_truth
+    from synth3dlanes.params import load_params
+    from synth3dlanes.sample import sample_scene
+
+    def write(*changes):
+        root = tmp_path_factory.mktemp("sources") / "data"
+        with claim(root, {"image_format": "png", "render": {"passes": []}}, "train", N, [0]) as folder:
+            shard = Shard(folder, 0, 1000, member_names("png", ()))
+            for index in range(N):
+                scene = sample_scene(load_params("appendix_i", ["trees.n=0", *changes]), 4, "train", index)
+                labels = ground_truth(scene)
+                shard.write_part(index, encode(_picture(labels), labels, scene_format.to_json(scene), {}, "png"))
+            shard.join(N)
+        return open_split(root / "train")
+
+    return write
+
+
+def _picture(labels):
+    """Bright discs on the lanes 8 to 20 m ahead."""
+    image = Image.new("RGB", (labels.camera.width_px, labels.camera.height_px))
+    draw = ImageDraw.Draw(image)
+    for lane in labels.lanes:
+        for point in lane.xyz_cam[8:20:6]:
+            u, v, depth = labels.camera.img_from_cam @ point
+            draw.circle((u / depth - 0.5, v / depth - 0.5), 4, fill=(255, 255, 255))
+    return np.asarray(image)
+
+
+def test_targets_of_a_rolled_image_are_those_of_the_same_scene_without_roll(split_of):
+    from baseline_model.data import load
+
+    shift = "camera.principal_offset_px=[-8, 8]"
+    level, rolled = (
+        load(split_of(shift, change), (360, 480), "horizon") for change in ("camera.roll_deg=0", "camera.roll_deg=3")
+    )
+    np.testing.assert_allclose(rolled.intrinsics, level.intrinsics)
+    np.testing.assert_allclose(rolled.plane_pose, level.plane_pose)
+    np.testing.assert_allclose(rolled.target_pose, level.target_pose, atol=1e-5)
+    np.testing.assert_allclose(rolled.curves.xyz_cam, level.curves.xyz_cam, atol=2e-4)
+    np.testing.assert_array_equal(rolled.curves.visible, level.curves.visible)
+    a, b = (data.image.numpy()[:, :, 20:-20, 20:-20].ravel() for data in (level, rolled))
+    assert np.corrcoef(a, b)[0, 1] > 0.85, "the pictures show the lanes in the same places"
+
+
+def test_the_index_gives_keys_and_labels_without_pictures(split_of):
+    samples = split_of("camera.roll_deg=2")
+    assert len(samples) == N
+    assert samples.key(1) == samples[1].key == "00000001"
+    assert samples.labels(1).camera.roll_rad == samples[1].labels.camera.roll_rad == 0
