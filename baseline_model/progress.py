@@ -45,9 +45,10 @@ class Log:
             self.board.close()
 
     def step(self, step: int, learning_rate: float, terms: dict[str, Float[Tensor, ""]]) -> None:
-        """After an optimiser step; written every two seconds, since reading a GPU value waits for it."""
+        """After an optimiser step; written every two seconds and at the end, since reading a GPU value waits for it."""
         now = time.monotonic()
-        if not self.is_shown or now - self.written_at < WRITE_EVERY_S:
+        is_last = step == self.bar.tasks[0].total
+        if not self.is_shown or (now - self.written_at < WRITE_EVERY_S and not is_last):
             return
         self.written_at = now
         speed = (step - self.first_step) * self.batch / max(now - self.started_at, 1e-6)
