@@ -29,3 +29,6 @@ FIRST_TREE_ID = 300
 
 # Depth of a pixel that hits nothing.
 NO_HIT_DEPTH_M = float("inf")
+
+# The environment variable in which workers find a folder that they share and that goes when their run ends.
+SCRATCH = "SYNTH3DLANES_SCRATCH"

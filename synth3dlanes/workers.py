@@ -151,6 +151,9 @@ class Pool:
         return [(slot, worker) for slot, worker in enumerate(self._workers) if worker and worker.task is not None]
 
     def _launch(self, slot: int) -> Worker:
+        # Not at the top: the worker's program imports nothing of ours before it is pinned.
+        from synth3dlanes.settings import SCRATCH
+
         ours, theirs = Pipe()
         stderr = Path(self._scratch.name) / f"{slot}.txt"
         core = self._cores[slot % len(self._cores)]
@@ -161,7 +164,7 @@ class Pool:
                 stdout=stream,
                 stderr=stream,
                 pass_fds=[theirs.fileno()],
-                env={**os.environ, **self.masks[slot % len(self.masks)]},
+                env={**os.environ, SCRATCH: self._scratch.name, **self.masks[slot % len(self.masks)]},
                 start_new_session=True,
             )
         theirs.close()

@@ -9,6 +9,7 @@ from typing import Any
 import bpy
 
 from synth3dlanes.blender.assets import assets_dir
+from synth3dlanes.blender.quick_copy import quick_copy
 
 Socket = Any  # a socket, a number or a tuple: what a node input takes
 
@@ -89,11 +90,8 @@ def new_material(name: str, semantic_id: int) -> tuple[bpy.types.Material, Graph
 
 def texture(graph: Graph, file: Path | str, vector: Socket, is_color: bool) -> Any:
     """The colour output of a repeating texture: one of ours, or any file by its absolute path."""
-    image = bpy.data.images.load(str(assets_dir() / "textures" / file), check_existing=True)
+    image = bpy.data.images.load(str(quick_copy(assets_dir() / "textures" / file)), check_existing=True)
     image.colorspace_settings.name = "sRGB" if is_color else "Non-Color"
-    if image.packed_file is None:
-        # Cycles takes a packed image's pixels from memory, and would decode a file's anew for every render.
-        image.pack()
     return graph.node("ShaderNodeTexImage", {"Vector": vector}, image=image).outputs["Color"]
 
 

@@ -30,7 +30,7 @@ OVERCAST_LOSS = 0.65  # share of the daylight that a closed layer of clouds send
 FOG_AIRLIGHT = 0.6  # of E / pi: thick fog is lit from all sides
 GROUND_ALBEDO = 0.14
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-ELEVATION_RAD = np.pi * ((np.arange(SKY_SHAPE[0]) + 0.5) / SKY_SHAPE[0] - 0.5)
+ELEVATION_RAD = (np.pi * ((np.arange(SKY_SHAPE[0]) + 0.5) / SKY_SHAPE[0] - 0.5)).astype(np.float32)
 AZIMUTH_RAD = np.pi - 2 * np.pi * (np.arange(SKY_SHAPE[1]) + 0.5) / SKY_SHAPE[1]
 # The sun for which full metering changes nothing.
 REFERENCE_SUN = Light(sun_zenith_rad=0.5, sun_azimuth_rad=0.0, exposure=1.0, metering=1.0)
@@ -97,7 +97,8 @@ def sun_direction(light: Light) -> Rgb:
 def sun_color(light: Light) -> Rgb:
     """The sun's irradiance after the atmosphere, as a share of that outside it."""
     table = _sky_table()
-    return _weights(table["sun_zenith_rad"], np.array([light.sun_zenith_rad]))[0] @ table["sun_transmittance"]
+    at_sun = _weights(table["sun_zenith_rad"], np.array([light.sun_zenith_rad]))[0]
+    return np.asarray(at_sun @ table["sun_transmittance"], np.float32)
 
 
 def cloud_cover(rng: np.random.Generator) -> Float[np.ndarray, "h w"]:

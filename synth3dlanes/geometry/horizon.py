@@ -25,6 +25,8 @@ def far_hills(scene: Scene, xy_world: Float[np.ndarray, "*n 2"]) -> Float[np.nda
     angles, phases = 2 * np.pi * rng.random((2, N_WAVES))
     weights = lengths_m / lengths_m.sum()
     waves = 2 * np.pi / lengths_m * np.stack([np.cos(angles), np.sin(angles)])
-    rolling = 0.4 + 2.5 * (np.sin(xy_world @ waves + phases) @ weights)
     share = np.clip((np.hypot(xy_world[..., 0], xy_world[..., 1]) - BEGIN_M) / (WHOLE_M - BEGIN_M), 0, 1)
-    return np.asarray(height_m * share**2 * (3 - 2 * share) * np.maximum(rolling, 0))
+    far, heights_m = share > 0, np.zeros_like(share)
+    rolling = 0.4 + 2.5 * (np.sin(xy_world[far] @ waves + phases) @ weights)
+    heights_m[far] = height_m * share[far] ** 2 * (3 - 2 * share[far]) * np.maximum(rolling, 0)
+    return heights_m
