@@ -23,7 +23,9 @@ from synth3dlanes.run import Plan, generate
 from tests import fake_samples
 
 ROOT = Path(__file__).parents[1]
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "RAY_USAGE_STATS_ENABLED": "0"}
+# Without the mode, a node asks for a token where one lies in the home folder, as other uses of Ray may leave it.
+RAY = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_AUTH_MODE": "disabled"}
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), **RAY}
 START_S = 60.0
 
 
