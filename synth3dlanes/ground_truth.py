@@ -18,6 +18,8 @@ Values = Float[np.ndarray, " n"]
 
 STEP_M = 1.0
 RANGE_M = 110.0
+# A common station this near to a line's own end is left out: two points in one place have no direction.
+APART_M = 0.01
 
 
 def ground_truth(scene: Scene) -> Labels:
@@ -89,8 +91,9 @@ def stations_of(plan: RoadPlan, curve: Curve, s_world: Float[np.ndarray, " n"]) 
     """Plan stations of one curve in driving order: the common stations it spans, and its own exact ends."""
     s = plan.plan_station(s_world)
     low, high = min(s[0], s[-1]), max(s[0], s[-1])
-    ends = [end for end in (curve.start_m, curve.end_m) if low < end < high]
+    ends = np.array([end for end in (curve.start_m, curve.end_m) if low < end < high])
     kept = s[(s > curve.start_m) & (s < curve.end_m)]
+    kept = kept[(np.abs(kept[:, None] - ends) > APART_M).all(axis=1)]
     if curve.fork_road == "exit" and curve.stem_m is not None:
         kept = kept[(kept >= 0) | (kept <= curve.joint_m(plan))]
     return np.sort(np.concatenate([kept, ends]))[:: 1 if plan.flips[1] > 0 else -1]

@@ -4,7 +4,7 @@ Rows follow stations (world y along the main reference line), so that road, shou
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -176,7 +176,8 @@ def _crossing(ground: Ground, s: Values, high: float) -> Values:
 def _verge(
     ground: Ground, edge_plus: Callable[[Values], Float[np.ndarray, "n 2"]], raised: Values, room_m: Values
 ) -> Mesh:
-    """A strip outwards from an edge: `edge_plus(d)` gives world points d metres outside it, one a row."""
+    """A strip outwards from an edge: `edge_plus(d)` gives world points d metres outside it, one a row. There is none
+    where there is no room: its edge would shine through the pavement in points."""
     scale = ground.cell_scale(edge_plus(np.zeros(raised.shape)))
     foot = EMBANKMENT_SLOPE * raised
     columns = [0.0 * foot, 0.5 * foot, foot] + [foot + VERGE_M * scale * share for share in (0.33, 0.66, 1.0)]
@@ -184,7 +185,9 @@ def _verge(
     squeeze = np.minimum(1.0, room_m / embankment_width(raised, scale))
     xy = np.stack([edge_plus(distance[:, j] * squeeze) for j in range(distance.shape[1])], axis=1)
     vertices = ground.plan.lift(xy, profile(distance, raised[:, None], scale[:, None]))
-    return grid(vertices, _unrolled(vertices), np.zeros(distance.shape[1] - 1, dtype=int))
+    mesh = grid(vertices, _unrolled(vertices), np.zeros(distance.shape[1] - 1, dtype=int))
+    is_open = np.repeat((room_m[:-1] > 0) | (room_m[1:] > 0), distance.shape[1] - 1)
+    return replace(mesh, faces=mesh.faces[is_open], material=mesh.material[is_open])
 
 
 def _unrolled(vertices: Float[np.ndarray, "r c 3"]) -> Float[np.ndarray, "r c 2"]:

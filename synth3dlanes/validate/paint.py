@@ -36,13 +36,22 @@ class Strip:
     resolved: Bool[np.ndarray, " n"]
 
 
+# Paint beyond these is rubbed off, of concrete's own gray, under water or lost in fog.
+MAX_WORN, MIN_GRAYSCALE, MAX_WETNESS, MIN_VISIBILITY_M = 0.7, 0.3, 0.8, 300.0
+
+
 class Paint:
-    """The paint of one scene: stretches of plan stations that are painted, by the delimiter's id; `worn` is the share
-    of it that is rubbed off."""
+    """The paint of one scene: stretches of plan stations that are painted, by the delimiter's id; `shows` unless a
+    right picture may lack it."""
 
     def __init__(self, scene: Scene) -> None:
         self.width_m = scene.markings.width_m
-        self.worn = scene.markings.wear
+        self.shows = (
+            scene.markings.wear <= MAX_WORN
+            and scene.markings.grayscale >= MIN_GRAYSCALE
+            and scene.surface.wetness <= MAX_WETNESS
+            and scene.air.visibility_m >= MIN_VISIBILITY_M
+        )
         self._scene = scene
         self._plan = RoadPlan(scene)
         self._curves = {curve.id: curve for curve in curves(self._plan)}
