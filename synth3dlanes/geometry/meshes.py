@@ -84,7 +84,7 @@ def verge_meshes(ground: Ground) -> list[Mesh]:
             _verge(ground, lambda d: plan.exit_xy(se, edge + d), raised, np.full(se.shape, np.inf)),
             _verge(ground, lambda d: plan.exit_xy(se, -edge - d), raised, _gap(ground, se)),
         ]
-    return meshes
+    return [mesh for mesh in meshes if len(mesh.faces)]
 
 
 def grid(vertices: Float[np.ndarray, "r c 3"], uv: Float[np.ndarray, "r c 2"], column_material: np.ndarray) -> Mesh:

@@ -102,3 +102,12 @@ def test_paint_is_as_wide_as_the_scene_says_and_centred_on_the_delimiter():
     np.testing.assert_allclose(np.linalg.norm((right - left)[:, :2], axis=1), 0.12, atol=1e-6)
     _, t = plan.project_main(((left + right) / 2)[:200, :2])
     np.testing.assert_allclose(t, plan.boundary_m(0), atol=1e-6)
+
+
+def test_there_is_no_inner_verge_while_the_exit_touches_the_main_road():
+    """Just before a merge is over the roads touch all the way; Blender cannot take an empty mesh."""
+    road = {"topology": 2, "flip_lateral": True, "exit_angle_rad": 0.0175, "exit_offset_m": 0}
+    touching = meshes.verge_meshes(Ground(RoadPlan(changed(road=road, camera={"y_m": -5.0}))))
+    apart = meshes.verge_meshes(Ground(plan_of(2)))
+    assert [len(apart), len(touching)] == [4, 3]
+    assert all(len(mesh.faces) for mesh in apart + touching)
