@@ -65,6 +65,14 @@ def test_running_again_does_nothing_and_a_larger_n_extends(tmp_path, whole):
     assert contents(tmp_path) == whole
 
 
+def test_an_empty_folder_that_a_killed_join_left_goes(tmp_path, whole):
+    go(plan(tmp_path))
+    (tmp_path / "train" / "00001.parts").mkdir()
+    report, _ = go(plan(tmp_path))
+    assert (report.made, report.exit_code) == (0, 0)
+    assert contents(tmp_path) == whole
+
+
 def test_parts_are_disjoint_and_make_the_whole(tmp_path, whole):
     made = []
     for part in (1, 2):

@@ -75,9 +75,10 @@ class Shard:
         return self._joined_by_index() if self.path("parquet").exists() else set(self._places_in_tar())
 
     def needs_join(self, n: int) -> bool:
-        """Whether there are samples below `n` outside the tar, or a tar without its index."""
-        has_parts = any(index < n for index in self.parts())
-        return has_parts or (self.path("tar").exists() and not self.path("parquet").exists())
+        """Whether there are samples below `n` outside the tar, a tar without its index, or what a killed join left."""
+        parts = self.parts()
+        is_left_over = any(index < n for index in parts) or (not parts and self.path("parts").is_dir())
+        return is_left_over or (self.path("tar").exists() and not self.path("parquet").exists())
 
     def join(self, n: int) -> None:
         """Join the tar and the parts below `n`. A part that cannot be read is removed: its sample is missing still."""
