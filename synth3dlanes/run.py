@@ -88,6 +88,13 @@ class Plan:
         """What `dataset.json` says about the recipe and the layout."""
         return {**self.recipe.description(), "shard_size": self.shard_size}
 
+    def settled(self) -> "Plan":
+        """The plan with this machine's device and workers; raise ParamsError without Blender or that device."""
+        if self.maker is not make_sample:
+            return self
+        recipe, seats = settle(self.recipe)
+        return replace(self, recipe=recipe, seats=seats, workers=self.workers or seats.workers)
+
     def n_workers(self, n_tasks: int) -> int:
         """How many workers there is work and room for."""
         return max(1, min(self.workers or n_cores(), n_tasks))
@@ -128,9 +135,7 @@ def generate(plan: Plan, notify: Callable[[Event], None]) -> Report:
     Raises ParamsError where it cannot start: no Blender, no such device, no room, another run or another recipe in the
     folder.
     """
-    if plan.maker is make_sample:
-        recipe, seats = settle(plan.recipe)
-        plan = replace(plan, recipe=recipe, seats=seats, workers=plan.workers or seats.workers)
+    plan = plan.settled()
     with claim(plan.out, plan.description(), plan.recipe.split, plan.n, plan.shards()) as folder:
         return _Run(plan, folder, notify).go()
 

@@ -1,6 +1,5 @@
 """Params -> Scene: one world drawn from named random streams. Degrees become radians here."""
 
-import hashlib
 import math
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -35,6 +34,7 @@ from synth3dlanes.scene import (
     Tree,
     to_json,
 )
+from synth3dlanes.streams import stream
 
 # Numbers in a scene are rounded to a micrometre, a microradian: readable, and equal on every machine.
 DECIMALS = 6
@@ -49,12 +49,6 @@ NO_CAMERA = Camera(
 )
 # A tree stands clear of the pavement by this and by this share of its crown.
 TREE_GAP_M, TREE_GAP_OF_CROWN = 1.0, 0.5
-
-
-def stream(seed: int, split: str, index: int, name: str) -> np.random.Generator:
-    """The random numbers of one group of parameters of one scene, independent of every other group and scene."""
-    digest = hashlib.sha256(f"{seed}/{split}/{index}/{name}".encode()).digest()
-    return np.random.Generator(np.random.PCG64(int.from_bytes(digest[:16], "big")))
 
 
 def sample_scene(params: Params, seed: int, split: str, index: int, assets: Assets = BUILT_IN.assets) -> Scene:

@@ -10,9 +10,9 @@ from synth3dlanes.blender.tonemap import tonemap
 from synth3dlanes.blender.world import HAZE_PASS
 from synth3dlanes.geometry.camera import world_from_cam, world_from_road
 from synth3dlanes.geometry.road import RoadPlan
-from synth3dlanes.sample import stream
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.streams import stream
 
 # Cycles writes 1e10 where a ray hits nothing.
 CYCLES_NO_HIT = 1e9

@@ -15,8 +15,8 @@ from PIL import Image
 from synth3dlanes.blender.assets import assets_dir
 from synth3dlanes.geometry.camera import world_from_cam
 from synth3dlanes.geometry.road import RoadPlan
-from synth3dlanes.sample import stream
 from synth3dlanes.scene import Light, Scene
+from synth3dlanes.streams import stream
 
 # Irradiance of the sun outside the atmosphere: sets how bright exposure 1 is.
 SUN_STRENGTH = 3.4

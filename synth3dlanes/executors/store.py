@@ -8,8 +8,6 @@ from typing import Any
 
 from synth3dlanes.dataset import stores
 from synth3dlanes.events import Event
-from synth3dlanes.generate import make_sample
-from synth3dlanes.machine import settle
 from synth3dlanes.progress import Meter, forecast
 from synth3dlanes.run import Plan, Report, generate
 
@@ -45,9 +43,7 @@ def make_shard(plan: Plan, number: int, url: str, notify: Callable[[Event], None
 
 def generate_into_store(plan: Plan, url: str, notify: Callable[[Event], None]) -> Report:
     """Make what is missing at the URL on this machine, one shard after the other."""
-    if plan.maker is make_sample:
-        recipe, seats = settle(plan.recipe)
-        plan = replace(plan, recipe=recipe, seats=seats, workers=plan.workers or seats.workers)
+    plan = plan.settled()
     announce(plan, url)
     todo = {number: indices for number, indices in missing(plan, url).items() if indices}
     asked = sum(len(shard.indices(plan.n)) for shard in plan.layout(plan.out).values())

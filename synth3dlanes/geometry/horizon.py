@@ -3,12 +3,11 @@
 They rise beyond every road and label, so that nothing but the picture knows of them.
 """
 
-import zlib
-
 import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.scene import Scene
+from synth3dlanes.streams import stream
 
 # Hills begin here and are whole there, as distances from the world's origin; roads end at 420 m.
 BEGIN_M, WHOLE_M = 500.0, 1600.0
@@ -19,7 +18,7 @@ MAX_HEIGHT_M = 90.0
 
 def far_hills(scene: Scene, xy_world: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
     """Height to add to the terrain: waves of many directions, drawn from seed, split and index; 0 near the roads."""
-    rng = np.random.default_rng([scene.seed, zlib.crc32(scene.split.encode()), scene.index, zlib.crc32(b"far_hills")])
+    rng = stream(scene.seed, scene.split, scene.index, "far_hills")
     height_m = MAX_HEIGHT_M * rng.random() ** 1.5
     lengths_m = np.geomspace(*WAVELENGTHS_M, N_WAVES)
     angles, phases = 2 * np.pi * rng.random((2, N_WAVES))

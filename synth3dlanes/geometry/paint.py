@@ -1,7 +1,6 @@
 """The paint of the delimiters as strips over the road: dashes, double lines, stretches that are gone. World frame."""
 
 from dataclasses import replace
-from zlib import crc32
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -10,6 +9,7 @@ from synth3dlanes.geometry.lanes import Curve, curves
 from synth3dlanes.geometry.meshes import Mesh, Values, grid, road_stations
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.scene import Scene
+from synth3dlanes.streams import stream
 
 PAINT_AHEAD_M = 250.0
 # Paint floats over the road by more than the road's faces can rise between their rows, which are longer far away.
@@ -101,8 +101,7 @@ def _gone(scene: Scene, curve: Curve) -> Intervals:
     share = scene.markings.missing
     if share == 0:
         return np.zeros((0, 2))
-    words = (scene.split, "missing paint", curve.id)
-    rng = np.random.default_rng([scene.seed, scene.index, *(crc32(word.encode()) for word in words)])
+    rng = stream(scene.seed, scene.split, scene.index, f"missing_paint/{curve.id}")
     gone_m = rng.uniform(*GONE_M, int(np.ceil(2 * GONE_REACH_M * share / GONE_M[0])))
     period_m = gone_m / share
     start_m = np.cumsum(period_m) - period_m - GONE_REACH_M + rng.uniform(0, 1, len(gone_m)) * (period_m - gone_m)
