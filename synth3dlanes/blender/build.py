@@ -119,7 +119,7 @@ def _add_surfaces(materials: Materials, ground: Ground, scene: Scene, labelled: 
     for mesh in meshes.road_meshes(ground):
         _add_object(new_mesh(mesh, [road, shoulder]), 0)
     strips = paint.paint_meshes(ground.plan)
-    yellow = paint.left_edges(ground.plan) if scene.markings.left_yellow else frozenset()
+    yellow = paint.yellow_lines(ground.plan)
     for number, name in enumerate([*labelled, *(name for name in strips if name not in labelled)]):
         if len(strips[name].faces):
             material = materials.yellow_marking if name in yellow else materials.marking

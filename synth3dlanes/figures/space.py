@@ -11,7 +11,7 @@ from synth3dlanes.figures import colors
 from synth3dlanes.figures.colors import Rgb
 from synth3dlanes.figures.world import AHEAD_M, BEHIND_M, SceneView, TreeOutline
 from synth3dlanes.geometry.meshes import Mesh, road_meshes, terrain_mesh, verge_meshes
-from synth3dlanes.geometry.paint import PAINT_LIFT_AT_M, PAINT_LIFT_M, paint_meshes
+from synth3dlanes.geometry.paint import PAINT_LIFT_AT_M, PAINT_LIFT_M, paint_meshes, yellow_lines
 from synth3dlanes.geometry.transforms import transform
 from synth3dlanes.labels import Kind
 
@@ -20,7 +20,8 @@ _LANE_HALF_WIDTH_M = 0.06
 _LANE_OVER_PAINT_M = 0.006
 _FRUSTUM_M = 3.0
 
-_GRASS, _VERGE, _ASPHALT, _PAINT = (122, 150, 96), (138, 152, 108), (112, 116, 122), (240, 240, 235)
+_GRASS, _VERGE, _ASPHALT = (122, 150, 96), (138, 152, 108), (112, 116, 122)
+_WHITE, _YELLOW = (240, 240, 235), (236, 190, 60)
 _LEAVES, _TRUNK = (62, 118, 62), (96, 74, 52)
 
 
@@ -48,7 +49,8 @@ def triangles(view: SceneView) -> list[Triangles]:
     ground = view.ground
     surfaces = [_mesh(view, mesh, _VERGE) for mesh in verge_meshes(ground)]
     roads = [_mesh(view, mesh, _ASPHALT) for mesh in road_meshes(ground)]
-    paint = [_mesh(view, mesh, _PAINT) for mesh in paint_meshes(view.plan).values()]
+    yellow = yellow_lines(view.plan)
+    paint = [_mesh(view, mesh, _YELLOW if name in yellow else _WHITE) for name, mesh in paint_meshes(view.plan).items()]
     return [
         _merge("terrain", [_mesh(view, terrain_mesh(ground), _GRASS), *surfaces]),
         _merge("road", roads),

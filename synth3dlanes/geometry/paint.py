@@ -31,6 +31,11 @@ def left_edges(plan: RoadPlan) -> frozenset[str]:
     return frozenset(curve.id for curve in curves(plan) if curve.kind == "delimiter" and curve.left is None)
 
 
+def yellow_lines(plan: RoadPlan) -> frozenset[str]:
+    """The lines painted yellow; all others are white."""
+    return left_edges(plan) if plan.scene.markings.left_yellow else frozenset()
+
+
 def stripes_m(plan: RoadPlan, line_id: str) -> tuple[float, ...]:
     """Where the stripes of a line have their middles, aside of its own: a double line's gap is as wide as a stripe."""
     markings = plan.scene.markings

@@ -59,18 +59,31 @@ def test_every_switch_has_something_to_switch(exit_scene):
     assert all(name in classes for switch in switches for name in re.findall(r"[\w-]+", switch))
 
 
-def test_the_space_holds_the_road_of_the_scene(flat_scene):
-    scene = flat_scene
-    page = scene_page(scene, ground_truth(scene), None)
-    found = re.search(r'id="space-data">(.*?)</script>', page, re.DOTALL)
+def space_of(scene, name):
+    """Vertices, their colours and faces of one group of the page's 3D view."""
+    found = re.search(r'id="space-data">(.*?)</script>', scene_page(scene, ground_truth(scene), None), re.DOTALL)
     assert found is not None
-    groups = {group["name"]: group for group in json.loads(found[1])["groups"]}
-    vertices = np.frombuffer(base64.b64decode(groups["road"]["vertices"]), "<f4").reshape(-1, 3)
-    faces = np.frombuffer(base64.b64decode(groups["road"]["faces"]), "<u4")
+    (group,) = [group for group in json.loads(found[1])["groups"] if group["name"] == name]
+    types = {"vertices": "<f4", "colors": "u1", "faces": "<u4"}
+    vertices, colors, faces = (np.frombuffer(base64.b64decode(group[key]), dtype) for key, dtype in types.items())
+    return vertices.reshape(-1, 3), colors.reshape(-1, 3), faces
+
+
+def test_the_space_holds_the_road_of_the_scene(flat_scene):
+    vertices, _, faces = space_of(flat_scene, "road")
     half_m = 1.5 * 3.5 + 0.4 * 3.5
     assert np.allclose([vertices[:, 0].min(), vertices[:, 0].max()], [-half_m, half_m], atol=1e-3)
     assert np.abs(vertices[:, 2]).max() < 1e-3
     assert faces.max() == len(vertices) - 1
+
+
+@pytest.mark.parametrize("is_yellow", [False, True])
+def test_only_the_left_edge_is_yellow_where_the_scene_says_so(flat_scene, is_yellow):
+    markings = flat_scene.markings.model_copy(update={"left_yellow": is_yellow})
+    vertices, colors, _ = space_of(flat_scene.model_copy(update={"markings": markings}), "paint")
+    looks_yellow = colors[:, 0].astype(int) - colors[:, 2] > 60
+    left_edge_m = vertices[:, 0].min()
+    assert np.array_equal(looks_yellow, is_yellow & (vertices[:, 0] < left_edge_m + 0.5))
 
 
 def test_a_report_shows_samples_and_distributions(gray_image):
