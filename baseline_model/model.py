@@ -119,7 +119,7 @@ class LaneNet(nn.Module):
         self.projections = nn.ModuleDict(
             {
                 str(level): Projection(
-                    channels[level], config.projected_channels[level], grid, level, config.plane_heights_m
+                    channels[level], config.projected_channels[level], grid, level, config.planes_m(level)
                 )
                 for level in levels
             }
@@ -149,7 +149,7 @@ class LaneNet(nn.Module):
     def _projected_width(self, level: int) -> int:
         if str(level) not in self.projections:
             return 0
-        return self.config.projected_channels[level] * len(self.config.plane_heights_m)
+        return self.config.projected_channels[level] * len(self.config.planes_m(level))
 
     def _top_pathway(self, config: ModelConfig) -> tuple[nn.ModuleList, int]:
         if config.variant == "image_view":

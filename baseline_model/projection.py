@@ -103,8 +103,7 @@ class Projection(nn.Module):
         features = self.reduce(features)
         with torch.autocast(features.device.type, enabled=False):
             size = (features.shape[2], features.shape[3])
-            layers = []
-            for points_top in self.points_top:
-                grid = sampling_grid(points_top, cam_from_top, intrinsics, lattice, size)
-                layers.append(functional.grid_sample(features.float(), grid, align_corners=False))
-        return torch.cat(layers, dim=1).contiguous(memory_format=torch.channels_last)
+            grid = sampling_grid(self.points_top.flatten(0, 1), cam_from_top, intrinsics, lattice, size)
+            sampled = functional.grid_sample(features.float(), grid, align_corners=False)
+        planes = sampled.unflatten(2, self.points_top.shape[:2])
+        return planes.flatten(1, 2).contiguous(memory_format=torch.channels_last)
