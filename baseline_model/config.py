@@ -277,7 +277,7 @@ def _defaults(model: str, *, is_improved: bool) -> dict[str, Any]:
     document: dict[str, Any] = {"model": MODELS[model].model_dump(), "loss": OUR_LOSS.model_dump()}
     document["target_frame"] = "grid"
     if model in ("nano", "tiny"):
-        document |= {"learning_rate": 2e-3, "batch": 8}
+        document["learning_rate"] = 2e-3
     if model in ("paper", "tusimple"):
         document |= {"optimizer": "adam", "schedule": "cyclic", "learning_rate": 5e-4, "weight_decay": 0.0, "batch": 64}
         kinds = ("delimiter",) if model == "tusimple" else ("centerline", "delimiter")

@@ -105,5 +105,5 @@ class Projection(nn.Module):
             size = (features.shape[2], features.shape[3])
             grid = sampling_grid(self.points_top.flatten(0, 1), cam_from_top, intrinsics, lattice, size)
             sampled = functional.grid_sample(features.float(), grid, align_corners=False)
-        planes = sampled.unflatten(2, self.points_top.shape[:2])
-        return planes.flatten(1, 2).contiguous(memory_format=torch.channels_last)
+        rows, columns = self.points_top.shape[1:3]
+        return sampled.reshape(len(sampled), -1, rows, columns).contiguous(memory_format=torch.channels_last)
