@@ -199,11 +199,11 @@ def test_virtual_rotation_moves_picture_and_labels_together(roads, pitch_deg, ya
 
 def test_augmentation_of_a_step_repeats(roads):
     from baseline_model.augment import augment, generator_for
-    from baseline_model.config import IMPROVED_AUGMENTATION
+    from baseline_model.config import OUR_AUGMENTATION
 
     batch = _batch(roads)
     first, second, other = (
-        augment(batch, IMPROVED_AUGMENTATION, generator_for(3, step, 0, torch.device("cpu"))) for step in (7, 7, 8)
+        augment(batch, OUR_AUGMENTATION, generator_for(3, step, 0, torch.device("cpu"))) for step in (7, 7, 8)
     )
     assert first.batch.image.equal(second.batch.image)
     assert not first.batch.image.equal(other.batch.image)
