@@ -106,4 +106,4 @@ class Projection(nn.Module):
             grid = sampling_grid(self.points_top.flatten(0, 1), cam_from_top, intrinsics, lattice, size)
             sampled = functional.grid_sample(features.float(), grid, align_corners=False)
         rows, columns = self.points_top.shape[1:3]
-        return sampled.reshape(len(sampled), -1, rows, columns).contiguous(memory_format=torch.channels_last)
+        return sampled.reshape(sampled.shape[0], -1, rows, columns).contiguous(memory_format=torch.channels_last)

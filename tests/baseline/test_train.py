@@ -65,7 +65,7 @@ def test_nan_stops_the_run_and_names_the_sample(roads, tmp_path):
     broken = dataclasses.replace(lane, xyz_cam=np.where(far & [[True, False, False]], 3.3e38, lane.xyz_cam))
     samples[2] = dataclasses.replace(bad, labels=dataclasses.replace(bad.labels, lanes=(broken,)))
     with pytest.raises(Diverged, match=r"step \d+: .*from sample 00000002$"):
-        train_on(_config(), samples, samples[:1], tmp_path)
+        train_on(_config(**PLAIN), samples, samples[:1], tmp_path)
 
 
 def test_labels_that_are_not_numbers_are_refused_by_name(roads):
