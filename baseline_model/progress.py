@@ -2,6 +2,7 @@
 
 import json
 import time
+from datetime import timedelta
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -15,25 +16,25 @@ from baseline_model.metrics import Report
 from baseline_model.report import summary_line, to_document
 
 WRITE_EVERY_S = 2.0
+LINE_EVERY_S = 30.0
 
 
-class Log:
-    """Only the process of rank 0 shows and writes anything."""
+class Line:
+    """How far something is and how long it will take: redrawn on a terminal, elsewhere a new line now and then."""
 
-    def __init__(self, out_dir: Path, n_steps: int, step: int, batch: int, *, is_shown: bool) -> None:
-        self.out_dir, self.batch, self.is_shown = out_dir, batch, is_shown
+    def __init__(self, what: str, total: int, done: int = 0, *, is_shown: bool) -> None:
+        self.console, self.is_shown, self.printed_at = Console(stderr=True), is_shown, time.monotonic()
         columns = (
-            TextColumn("step {task.completed:.0f}/{task.total:.0f}"),
+            TextColumn(f"{what} {{task.completed:.0f}}/{{task.total:.0f}}"),
             BarColumn(),
-            TextColumn("{task.fields[rate]:.1f} samples/s  loss {task.fields[loss]:.3f}"),
+            TextColumn("{task.fields[note]}"),
             TimeRemainingColumn(),
         )
-        self.bar = Progress(*columns, console=Console(stderr=True), disable=not is_shown)
-        self.task = self.bar.add_task("", total=n_steps, completed=step, rate=0.0, loss=float("nan"))
-        self.board = _tensorboard(out_dir) if is_shown else None
-        self.first_step, self.started_at, self.written_at = step, time.monotonic(), 0.0
+        self.what, is_bar = what, is_shown and self.console.is_terminal
+        self.bar = Progress(*columns, console=self.console, get_time=time.monotonic, disable=not is_bar)
+        self.task = self.bar.add_task("", total=total, completed=done, note="")
 
-    def __enter__(self) -> "Log":
+    def __enter__(self) -> "Line":
         self.bar.start()
         return self
 
@@ -41,20 +42,52 @@ class Log:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.bar.stop()
+
+    def update(self, done: int, total: int, note: str = "") -> None:
+        """Now `done` of `total`."""
+        self.bar.update(self.task, completed=done, total=total, note=note)
+        is_due = time.monotonic() - self.printed_at > LINE_EVERY_S
+        if self.is_shown and self.bar.disable and is_due:
+            self.printed_at = time.monotonic()
+            left_s = self.bar.tasks[0].time_remaining
+            left = "" if left_s is None else f"  {timedelta(seconds=round(left_s))} left"
+            self.say(f"{self.what} {done}/{total}  {note}{left}")
+
+    def say(self, text: str) -> None:
+        """A line that stays."""
+        self.console.print(text, highlight=False, markup=False, soft_wrap=True)
+
+
+class Log:
+    """What training tells. Only the process of rank 0 shows and writes anything."""
+
+    def __init__(self, out_dir: Path, n_steps: int, step: int, batch: int, *, is_shown: bool) -> None:
+        self.out_dir, self.batch, self.is_shown, self.n_steps = out_dir, batch, is_shown, n_steps
+        self.line = Line("step", n_steps, step, is_shown=is_shown)
+        self.board = _tensorboard(out_dir) if is_shown else None
+        self.first_step, self.started_at, self.written_at = step, time.monotonic(), 0.0
+
+    def __enter__(self) -> "Log":
+        self.line.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.line.__exit__(kind, error, trace)
         if self.board is not None:
             self.board.close()
 
     def step(self, step: int, learning_rate: float, terms: dict[str, Float[Tensor, ""]]) -> None:
         """After an optimiser step; written every two seconds and at the end, since reading a GPU value waits for it."""
         now = time.monotonic()
-        is_last = step == self.bar.tasks[0].total
-        if not self.is_shown or (now - self.written_at < WRITE_EVERY_S and not is_last):
+        if not self.is_shown or (now - self.written_at < WRITE_EVERY_S and step < self.n_steps):
             return
         self.written_at = now
         speed = (step - self.first_step) * self.batch / max(now - self.started_at, 1e-6)
         values = {name: float(value) for name, value in terms.items()}
-        self.bar.update(self.task, completed=step, rate=speed, loss=values["total"])
-        scalars = {**{f"loss/{name}": value for name, value in values.items()}}
+        self.line.update(step, self.n_steps, f"{speed:.1f} samples/s  loss {values['total']:.3f}")
+        scalars = {f"loss/{name}": value for name, value in values.items()}
         scalars |= {"learning_rate": learning_rate, "samples_per_s": speed}
         self._write(step, {"step": step, **scalars}, scalars)
 
@@ -70,7 +103,7 @@ class Log:
             if isinstance(value, float)
         }
         self._write(step, {"step": step, "val": document}, scalars)
-        self.bar.console.print(f"step {step}: {summary_line(report)}", highlight=False, soft_wrap=True)
+        self.line.say(f"step {step}: {summary_line(report)}")
 
     def _write(self, step: int, document: dict[str, Any], scalars: dict[str, float]) -> None:
         with (self.out_dir / "history.jsonl").open("a", encoding="utf-8") as file:

@@ -22,7 +22,7 @@ from baseline_model.inference import layout_of, mixed_precision, predictions_of,
 from baseline_model.loss import loss
 from baseline_model.metrics import Evaluation, MetricConfig, Report
 from baseline_model.model import LaneNet, Output
-from baseline_model.progress import Log
+from baseline_model.progress import Line, Log
 from baseline_model.projection import cell_centres, invert_rigid, road_from_cam
 from baseline_model.report import to_document
 from baseline_model.run_state import Process, Run, fits, prepare, save, start_process
@@ -49,7 +49,8 @@ def train_on(config: TrainConfig, train_samples: Samples, val_samples: Samples, 
     process = start_process(config)
     size_px = (config.model.image_height_px, config.model.image_width_px)
     mode = config.model.pose_target
-    data = load(train_samples, size_px, mode, config.storage, fov_mask=config.fov_mask)
+    with Line("decoding", len(train_samples), is_shown=process.rank == 0) as line:
+        data = load(train_samples, size_px, mode, config.storage, fov_mask=config.fov_mask, on_progress=line.update)
     val = load(val_samples, size_px, mode, config.storage)
     val_labels = [val_samples[i].labels for i in range(len(val_samples))]
     if process.device.type == "cuda" and fits(data, process.device):
