@@ -73,9 +73,7 @@ def encode(
     knots = torch.tensor(config.knots_y_m, device=device)
     anchors = torch.tensor(anchor_positions_m(config), device=device)
     y_query = torch.cat([knots, torch.tensor([Y_REF_M, *NEAR_KNOTS_M], device=device)])
-    xyz_top = (
-        torch.einsum("bij,blnj->blni", top_from_cam[:, :3, :3], curves.xyz_cam) + top_from_cam[:, None, None, :3, 3]
-    )
+    xyz_top = transform_points(top_from_cam, curves.xyz_cam)
     x_m, z_m, in_range, visible = sample_curves(xyz_top, curves.visible, y_query)
     n_knots = len(knots)
     x_ref_m = x_m[..., n_knots]

@@ -4,6 +4,7 @@ Everything random in step s follows from (seed, s), so that a killed run continu
 """
 
 import time
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -57,11 +58,9 @@ def train_on(config: TrainConfig, train_samples: Samples, val_samples: Samples, 
         data = data.to(process.device)
     about = {"train": describe(data), "val": describe(val), "torch": str(torch.__version__)}
     trainee = prepare(config, process, out_dir, about)
-    network: nn.Module = trainee.model
     if process.device.type == "cuda" and config.compile:
-        network = torch.compile(network)  # type: ignore[assignment]
-    if process.world > 1:
-        network = DistributedDataParallel(network)
+        trainee.model.compile()
+    network = DistributedDataParallel(trainee.model) if process.world > 1 else trainee.model
 
     steps_per_epoch = -(-len(data) // config.batch)
     n_steps = max(1, round(config.epochs * steps_per_epoch))
@@ -86,6 +85,7 @@ def train_on(config: TrainConfig, train_samples: Samples, val_samples: Samples, 
     return out_dir / "best.pt"
 
 
+@lru_cache(maxsize=1)
 def sample_order(n: int, seed: int, epoch: int) -> Int[Tensor, " n"]:
     """The order of one epoch."""
     return torch.randperm(n, generator=torch.Generator().manual_seed(seed * 1_000_003 + epoch))

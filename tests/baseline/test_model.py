@@ -44,6 +44,28 @@ def test_every_ablation_gives_39_values_per_anchor_from_the_same_start(roads, ro
         assert mine.equal(its)
 
 
+@pytest.mark.parametrize("row", ["full", "improved"])
+def test_compiled_it_is_one_graph_with_the_same_lanes_and_gradients(roads, row):
+    from baseline_model.config import train_config
+    from baseline_model.model import LaneNet
+
+    batch = _batch(roads)
+    lanes, gradients = [], []
+    for is_compiled in (False, True):
+        torch.manual_seed(0)
+        model = LaneNet(train_config("tiny", ablation=row).model)
+        if is_compiled:
+            model.compile(backend="aot_eager", fullgraph=True)
+        with torch.autocast("cpu", dtype=torch.bfloat16):
+            output = model(batch.image, batch.intrinsics, batch.target_pose, torch.eye(4).expand(2, 4, 4))
+        (output.x_m.sum() + output.logit.sum()).backward()
+        lanes.append(output.x_m.detach())
+        gradients.append(next(model.parameters()).grad)
+    assert gradients[0].abs().max() > 0
+    torch.testing.assert_close(lanes[1], lanes[0])
+    torch.testing.assert_close(gradients[1], gradients[0])
+
+
 def test_paper_has_the_sizes_of_the_notes():
     from baseline_model.config import PAPER
     from baseline_model.model import LaneNet
