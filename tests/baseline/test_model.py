@@ -1,6 +1,8 @@
 """The network's shapes, its start, the loss, and what augmentation does to image and labels."""
 
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -44,12 +46,13 @@ def test_every_ablation_gives_39_values_per_anchor_from_the_same_start(roads, ro
         assert mine.equal(its)
 
 
-@pytest.mark.parametrize("row", ["full", "improved"])
-def test_compiled_it_is_one_graph_with_the_same_lanes_and_gradients(roads, row):
-    from baseline_model.config import train_config
-    from baseline_model.model import LaneNet
+COMPILED = """
+import torch
+from baseline_model.config import train_config
+from baseline_model.model import LaneNet
 
-    batch = _batch(roads)
+image, intrinsics = torch.rand(2, 3, 120, 160), torch.tensor([[138.6, 138.6, 80.0, 60.0]] * 2)
+for row in ("full", "improved"):
     lanes, gradients = [], []
     for is_compiled in (False, True):
         torch.manual_seed(0)
@@ -57,13 +60,20 @@ def test_compiled_it_is_one_graph_with_the_same_lanes_and_gradients(roads, row):
         if is_compiled:
             model.compile(backend="aot_eager", fullgraph=True)
         with torch.autocast("cpu", dtype=torch.bfloat16):
-            output = model(batch.image, batch.intrinsics, batch.target_pose, torch.eye(4).expand(2, 4, 4))
+            output = model(image, intrinsics, torch.tensor([[0.04, 1.6]] * 2), torch.eye(4).expand(2, 4, 4))
         (output.x_m.sum() + output.logit.sum()).backward()
         lanes.append(output.x_m.detach())
         gradients.append(next(model.parameters()).grad)
     assert gradients[0].abs().max() > 0
     torch.testing.assert_close(lanes[1], lanes[0])
     torch.testing.assert_close(gradients[1], gradients[0])
+"""
+
+
+def test_compiled_it_is_one_graph_with_the_same_lanes_and_gradients():
+    # Apart from this process, whose checks of every array's shape the compiler cannot follow.
+    run = subprocess.run([sys.executable, "-c", COMPILED], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
 
 
 def test_paper_has_the_sizes_of_the_notes():
