@@ -32,10 +32,11 @@ def claim(
     folder = root / split
     with ExitStack() as stack:
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            root.mkdir(parents=True, exist_ok=True)
             with (root / ".lock").open("ab") as lock:
                 fcntl.lockf(lock, fcntl.LOCK_EX)
                 _enter(root, recipe, split, n)
+            folder.mkdir(exist_ok=True)
             locks = stack.enter_context((folder / ".lock").open("ab"))
         except OSError as error:
             raise ParamsError(f"--out {root}: expected a folder to write to, got {error}") from None

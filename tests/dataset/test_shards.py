@@ -215,13 +215,14 @@ def test_another_recipe_is_refused_by_name(tmp_path):
     with enter(tmp_path):
         before = (tmp_path / "dataset.json").read_bytes()
     overridden = fake_samples.recipe(overrides=("road.n_lanes=3",)).description()["params"]
-    with pytest.raises(ParamsError) as caught, enter(tmp_path, params=overridden, seed=8):
+    with pytest.raises(ParamsError) as caught, enter(tmp_path, split="val", params=overridden, seed=8):
         pass
     assert [problem.partition("dataset.json: ")[2] for problem in caught.value.problems] == [
         "seed: expected 7 as in this dataset, got 8",
         "params.road.n_lanes: expected [2, 4] as in this dataset, got 3",
     ]
     assert (tmp_path / "dataset.json").read_bytes() == before
+    assert not (tmp_path / "val").exists()
 
 
 def test_splits_are_added_and_n_only_grows(tmp_path):
