@@ -108,7 +108,7 @@ def _warp(
 def lane_masks(
     curves: CurveBatch, top_from_cam: Float[Tensor, "b 4 4"], points_top: Float[Tensor, "rows columns 3"]
 ) -> Float[Tensor, "b 2 rows columns"]:
-    """Top-view masks of centre lines and delimiters, one cell wide to each side: a target of the `improved` model."""
+    """Top-view masks of centre lines and delimiters, one cell wide to each side."""
     xyz_top = transform_points(top_from_cam, curves.xyz_cam)
     y_m = points_top[:, 0, 1].flip(0)
     x_m, _, _, visible = sample_curves(xyz_top, curves.visible, y_m)

@@ -1,4 +1,4 @@
-"""Eq. 1 of the paper, with the terms of the `improved` model beside it. Per image, so that a bad one can be named."""
+"""Eq. 1 of the paper, with the terms of our own outputs beside it. Per image, so that a bad one can be named."""
 
 import torch
 from jaxtyping import Bool, Float

@@ -132,7 +132,8 @@ def save_curve(rows: dict[str, Report], path: Path) -> None:
         right.plot(sizes, [k.at_threshold.near_1sigma_cm for k in found], "o-", color=colour, label=f"{kind}, near")
         right.plot(sizes, [k.at_threshold.far_1sigma_cm for k in found], "o:", color=colour, label=f"{kind}, far")
     left.set(ylabel="AP", ylim=(0, 1))
-    right.set(ylabel="error, 1 sigma [cm]", yscale="log")
+    right.set(ylabel="error, 1 sigma [cm]")
+    right.set_ylim(bottom=0)
     for axes in (left, right):
         axes.set(xlabel="training images", xscale="log", xticks=sizes, xticklabels=sizes)
         axes.minorticks_off()

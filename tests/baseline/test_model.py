@@ -52,11 +52,12 @@ from baseline_model.config import train_config
 from baseline_model.model import LaneNet
 
 image, intrinsics = torch.rand(2, 3, 120, 160), torch.tensor([[138.6, 138.6, 80.0, 60.0]] * 2)
-for row in ("full", "improved"):
+ours = {"model.plane_heights_m": [0.0, 3.0], "model.has_bev_masks": True}
+for row, changes in {"full": {}, "improved": ours}.items():
     lanes, gradients = [], []
     for is_compiled in (False, True):
         torch.manual_seed(0)
-        model = LaneNet(train_config("tiny", ablation=row).model)
+        model = LaneNet(train_config("tiny", changes, row).model)
         if is_compiled:
             model.compile(backend="aot_eager", fullgraph=True)
         with torch.autocast("cpu", dtype=torch.bfloat16):
@@ -112,13 +113,13 @@ def test_lane_loss_reaches_the_pose_only_through_a_grid_with_gradient(roads):
         assert (gradient is not None and bool(gradient.abs().sum() > 0)) == has_gradient
 
 
-def test_improved_has_its_extra_heads_and_planes(roads):
+def test_improved_has_its_extra_heads_and_takes_masks_and_planes(roads):
     from baseline_model.augment import lane_masks
     from baseline_model.config import TINY, improved
     from baseline_model.model import LaneNet
     from baseline_model.projection import cell_centres, road_from_cam
 
-    config = improved(TINY)
+    config = improved(TINY).model_copy(update={"plane_heights_m": (-1.5, 0.0, 3.0), "has_bev_masks": True})
     batch = _batch(roads)
     with torch.no_grad():
         output = LaneNet(config)(batch.image, batch.intrinsics)
