@@ -19,12 +19,16 @@ Intrinsics = tuple[float, float, float, float]
 
 def choose_device(name: str) -> torch.device:
     """`auto` takes the first GPU, if any."""
+    n_gpus = torch.cuda.device_count()
     if name == "auto":
-        name = "cuda" if torch.cuda.is_available() else "cpu"
+        name = "cuda" if n_gpus else "cpu"
     try:
-        return torch.device(name)
+        device = torch.device(name)
     except RuntimeError:
         raise ParamsError(f"device: expected auto, cpu or cuda[:n], got {name!r}") from None
+    if device.type == "cuda" and (device.index or 0) >= n_gpus:
+        raise ParamsError(f"device: expected one of the {n_gpus} GPUs that PyTorch sees here, got {name!r}")
+    return device
 
 
 def mixed_precision(device: torch.device, precision: str = "auto") -> AbstractContextManager[object]:

@@ -176,3 +176,30 @@ def test_statistics_count_every_lane(split):
     assert sum(sum(counts.values()) for counts in document["counts"].values()) == n_lanes
     assert document["visible_share"]["20.0"] == 1.0
     assert "ceiling, centerline: AP 1.0000" in text
+
+
+@pytest.mark.parametrize(
+    ("n_gpus", "name", "chosen"), [(0, "auto", "cpu"), (2, "auto", "cuda"), (2, "cuda:1", "cuda:1"), (2, "cpu", "cpu")]
+)
+def test_devices_that_are_there(monkeypatch, n_gpus, name, chosen):
+    from baseline_model.inference import choose_device
+
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: n_gpus)
+    assert str(choose_device(name)) == chosen
+
+
+@pytest.mark.parametrize(
+    ("n_gpus", "name", "problem"),
+    [
+        (0, "cuda", "expected one of the 0 GPUs that PyTorch sees here, got 'cuda'"),
+        (2, "cuda:2", "expected one of the 2 GPUs that PyTorch sees here, got 'cuda:2'"),
+        (2, "gpu", "expected auto, cpu or cuda"),
+    ],
+)
+def test_devices_that_are_not(monkeypatch, n_gpus, name, problem):
+    from baseline_model.inference import choose_device
+    from synth3dlanes.errors import ParamsError
+
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: n_gpus)
+    with pytest.raises(ParamsError, match=problem):
+        choose_device(name)
