@@ -45,6 +45,7 @@ def export_onnx(checkpoint: str | Path, path: str | Path) -> Path:
     intrinsics = torch.tensor([config.reference_intrinsics] * 2)
     batch = torch.export.Dim("batch", min=1)
     target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
     program: Any = torch.onnx.export(
         _Plain(model).eval(),
         (image, intrinsics),

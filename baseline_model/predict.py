@@ -41,12 +41,13 @@ def predict(
     `source` is a split of a dataset, an image, or a folder of images; images need their `intrinsics` (fx, fy, cx, cy
     in pixels of these images)."""
     model = checkpoints.build(checkpoints.load(Path(checkpoint)), choose_device(device))
+    pictures = _pictures(source, intrinsics)
     out = Path(out_dir)
     out.mkdir(parents=True, exist_ok=True)
     shown: list[_Picture] = []
 
     def images() -> Iterator[tuple[str, UInt8[np.ndarray, "h w 3"], Intrinsics]]:
-        for picture in _pictures(source, intrinsics):
+        for picture in pictures:
             if len(shown) < n_overlays:
                 shown.append(picture)
             yield picture.key, picture.image, picture.intrinsics
@@ -72,21 +73,23 @@ def img_from_cam(intrinsics: Intrinsics) -> Float[np.ndarray, "3 3"]:
 
 
 def _pictures(source: str | Path, intrinsics: Intrinsics | None) -> Iterator[_Picture]:
+    """What is to be looked at; the source is opened now, its images are when they are asked for."""
     files = _image_files(Path(source)) if "://" not in str(source) else []
-    if not files:
-        samples = open_split(source)
-        for index in range(len(samples)):
-            sample = samples[index]
-            yield _Picture(sample.key, np.array(sample.image), intrinsics_of(sample.labels), sample.labels)
-        return
-    if intrinsics is None:
-        raise ParamsError("intrinsics: expected fx,fy,cx,cy in pixels for image files, got none")
-    for file in files:
-        try:
-            with Image.open(file) as image:
-                yield _Picture(file.name, np.array(image.convert("RGB")), intrinsics, None)
-        except (OSError, UnidentifiedImageError) as error:
-            raise FormatError(f"{file}: expected an image, got {error}") from None
+    if files:
+        if intrinsics is None:
+            raise ParamsError("intrinsics: expected fx,fy,cx,cy in pixels for image files, got none")
+        return (_Picture(file.name, _read_image(file), intrinsics, None) for file in files)
+    samples = open_split(source)
+    chosen = (samples[index] for index in range(len(samples)))
+    return (_Picture(s.key, np.array(s.image), intrinsics_of(s.labels), s.labels) for s in chosen)
+
+
+def _read_image(file: Path) -> UInt8[np.ndarray, "h w 3"]:
+    try:
+        with Image.open(file) as image:
+            return np.array(image.convert("RGB"))
+    except (OSError, UnidentifiedImageError) as error:
+        raise FormatError(f"{file}: expected an image, got {error}") from None
 
 
 def _image_files(source: Path) -> list[Path]:

@@ -7,10 +7,10 @@ from pathlib import Path
 from baseline_model.data import LabelledImage, Samples
 from baseline_model.foreign import ApolloSplit, OpenLaneSplit, is_openlane
 from baseline_model.tusimple import TusimpleSplit, is_tusimple
+from synth3dlanes.dataset.address import connect, naming
 from synth3dlanes.dataset.format import Sample
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.upright import upright_image, upright_labels
-from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels
 
 
@@ -68,11 +68,14 @@ def training_and_validation(
     """Both splits of a dataset. Without a validation split, every tenth training sample is held out."""
     train = open_split(f"{data_dir}/{train_split}")
     n = len(train) if max_images is None else min(max_images, len(train))
-    try:
-        val = open_split(f"{data_dir}/{val_split}")
-    except (FormatError, FileNotFoundError):
-        if n < 10:
-            return Chosen(train, range(n)), Chosen(train, range(n))
-        held_out = range(9, n, 10)
-        return Chosen(train, [i for i in range(n) if i % 10 != 9]), Chosen(train, held_out)
-    return Chosen(train, range(n)), val
+    if _exists(f"{data_dir}/{val_split}"):
+        return Chosen(train, range(n)), open_split(f"{data_dir}/{val_split}")
+    if n < 10:
+        return Chosen(train, range(n)), Chosen(train, range(n))
+    return Chosen(train, [i for i in range(n) if i % 10 != 9]), Chosen(train, range(9, n, 10))
+
+
+def _exists(place: str) -> bool:
+    files, root = connect(place)
+    with naming(place):
+        return bool(files.exists(root))

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 from jaxtyping import Shaped, UInt8
 
 from synth3dlanes import labels as labels_module
-from synth3dlanes.dataset.address import connect, refusals
+from synth3dlanes.dataset.address import connect, naming, refusals
 from synth3dlanes.dataset.format import (
     BLOCK,
     COLUMN_OF_MEMBER,
@@ -39,8 +39,11 @@ class Reader:
 
     def __init__(self, url: str) -> None:
         self.url = str(url).rstrip("/")
-        _, self._root = connect(self.url)
+        files, self._root = connect(self.url)
         where = f"{self._root.rpartition('/')[0]}/dataset.json"
+        with naming(self.url):
+            if not files.exists(where):
+                raise FormatError(f"{self.url}: expected a split of a data set, as DIR/train, got no {where}")
         self.description = parse_description(self._read(where), where)
         self._names = member_names(self.description["image_format"], self.description["render"]["passes"])
         paths = sorted(path for path in self._list() if path.endswith(".parquet"))

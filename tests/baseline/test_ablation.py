@@ -15,6 +15,7 @@ def drawn_splits(roads, monkeypatch):
     from baseline_model import ablation, evaluate, sources
 
     splits = {name: roads.samples(np.random.default_rng(n), n, (160, 120)) for name, n in SIZES.items()}
+    monkeypatch.setattr(sources, "_exists", lambda path: True)
     for module in (ablation, evaluate, sources):
         monkeypatch.setattr(module, "open_split", lambda path: splits[str(path).rpartition("/")[2]])
 

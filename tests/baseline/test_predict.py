@@ -110,6 +110,7 @@ def test_image_folders_need_intrinsics_and_give_the_same_as_a_split(checkpoint, 
         Image.fromarray(sample.image).save(folder / f"{sample.key}.png")
     with pytest.raises(ParamsError, match="expected fx,fy,cx,cy"):
         predict(checkpoint, folder, tmp_path / "a", device="cpu")
+    assert not (tmp_path / "a").exists()
     intrinsics = intrinsics_of(split[0].labels)
     path = predict(checkpoint, folder, tmp_path / "a", intrinsics, n_overlays=1, device="cpu")
     of_split = predict(checkpoint, "DIR/test", tmp_path / "b", n_overlays=0, device="cpu")

@@ -1,5 +1,8 @@
 """What the baseline is handed of our own data sets: rolled cameras turned upright, everything else as it is."""
 
+import shutil
+from pathlib import Path
+
 import numpy as np
 import pytest
 from PIL import Image, ImageDraw
@@ -65,3 +68,27 @@ def test_the_index_gives_keys_and_labels_without_pictures(split_of):
     assert len(samples) == N
     assert samples.key(1) == samples[1].key == "00000001"
     assert samples.labels(1).camera.roll_rad == samples[1].labels.camera.roll_rad == 0
+
+
+def test_without_a_validation_split_every_tenth_sample_is_held_out(tmp_path, monkeypatch):
+    from baseline_model import sources
+
+    monkeypatch.setattr(sources, "open_split", lambda place: list(range(25)) if place.endswith("train") else ["val"])
+    train, val = sources.training_and_validation(str(tmp_path), "train", "val", None)
+    assert list(val.index) == [9, 19]
+    assert sorted([*train.index, *val.index]) == list(range(25))
+    (tmp_path / "val").mkdir()
+    train, val = sources.training_and_validation(str(tmp_path), "train", "val", 12)
+    assert list(train.index) == list(range(12))
+    assert val == ["val"]
+
+
+def test_a_validation_split_that_is_damaged_is_an_error_and_not_missing(split_of):
+    from baseline_model.sources import training_and_validation
+    from synth3dlanes.errors import FormatError
+
+    root = Path(split_of().reader.url).parent
+    shutil.copytree(root / "train", root / "val")
+    (root / "val" / "00000.parquet").write_bytes(b"rubbish")
+    with pytest.raises(FormatError, match=r"val/00000\.parquet: expected the index"):
+        training_and_validation(str(root), "train", "val", None)

@@ -29,7 +29,7 @@ Run = Callable[..., Result]
         ("render none.json", "none.json: No such file or directory"),
         ("render broken.json", "broken.json: Invalid JSON"),
         ("inspect broken.json", "broken.json: Invalid JSON"),
-        ("inspect file/train:3", "file/dataset.json: expected a file"),
+        ("inspect file/train:3", "file/train: expected a split of a data set, as DIR/train, got no "),
         ("gallery none", "none: expected a data set"),
         ("params check tiny no.yaml", "no.yaml: cannot read: No such file or directory"),
         ("sampel", "synth3dlanes: No such command 'sampel'."),

@@ -183,8 +183,9 @@ def test_index_has_scene_and_label_columns(shard):
 
 
 def test_reader_names_what_is_wrong(tmp_path, shard):
-    with pytest.raises(FormatError, match=r"dataset\.json: expected a file"):
-        Reader(str(tmp_path / "nowhere" / "train"))
+    for place in (tmp_path / "nowhere" / "train", shard.folder.parent):
+        with pytest.raises(FormatError, match=r"expected a split of a data set, as DIR/train, got no .*/dataset\.json"):
+            Reader(str(place))
     with pytest.raises(FormatError, match="expected the folder of a split"):
         Reader(str(tmp_path / "val"))
     reader = Reader(str(shard.folder))
