@@ -47,6 +47,8 @@ def load_any(where: str, image_path: Path | None) -> Found:
     if re.fullmatch(r".+:\d+", where):
         sample = find(where)
         return Found(sample.key, from_json(sample.scene_json, where), sample.labels, sample.image)
+    if Path(where).is_dir():
+        raise FormatError(f"{where}: expected a scene.json or a sample, as DIR/train:00000017, got a folder")
     scene = load_scene(Path(where))
     image = None if image_path is None else decode_image(image_path.read_bytes(), str(image_path))
     return Found(scene_name(Path(where)), scene, ground_truth(scene), image)

@@ -30,6 +30,7 @@ Run = Callable[..., Result]
         ("render broken.json", "broken.json: Invalid JSON"),
         ("inspect broken.json", "broken.json: Invalid JSON"),
         ("inspect file/train:3", "file/train: expected a split of a data set, as DIR/train, got no "),
+        ("inspect .", ".: expected a scene.json or a sample, as DIR/train:00000017, got a folder"),
         ("gallery none", "none: expected a data set"),
         ("params check tiny no.yaml", "no.yaml: cannot read: No such file or directory"),
         ("sampel", "synth3dlanes: No such command 'sampel'."),
