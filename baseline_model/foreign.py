@@ -56,7 +56,7 @@ class ApolloSplit:
         roots = [root for root in self.path.parents if (root / key).is_file()]
         if not roots:
             raise FormatError(f"{self.path}:{index + 1}: expected an image {key} in a folder above, got none")
-        return ForeignSample(key, _image(roots[0] / key), self.labels(index))
+        return ForeignSample(key, read_image(roots[0] / key), self.labels(index))
 
     def key(self, index: int) -> str:
         """`raw_file`."""
@@ -100,7 +100,7 @@ class OpenLaneSplit:
     def __getitem__(self, index: int, /) -> ForeignSample:
         key = self.key(index)
         path = self.path.parents[1] / "images" / key
-        return ForeignSample(key, _image(path), self._labels(index, path))
+        return ForeignSample(key, read_image(path), self._labels(index, path))
 
     def key(self, index: int) -> str:
         """`file_path`."""
@@ -170,6 +170,15 @@ def _thinned(xyz_cam: Float[np.ndarray, "n 3"]) -> list[int]:
     return kept
 
 
+def read_image(path: Path) -> UInt8[np.ndarray, "h w 3"]:
+    """The pixels of an image file of any kind; raise FormatError where it is none."""
+    try:
+        with Image.open(path) as image:
+            return np.array(image.convert("RGB"))
+    except (OSError, UnidentifiedImageError) as error:
+        raise FormatError(f"{path}: expected an image, got {error}") from None
+
+
 def _parse(text: str, where: str, key: str) -> dict[str, Any]:
     try:
         document = json.loads(text)
@@ -178,14 +187,6 @@ def _parse(text: str, where: str, key: str) -> dict[str, Any]:
     if not isinstance(document, dict) or key not in document:
         raise FormatError(f"{where}: expected a frame with {key}, got {type(document).__name__} without it")
     return document
-
-
-def _image(path: Path) -> UInt8[np.ndarray, "h w 3"]:
-    try:
-        with Image.open(path) as image:
-            return np.array(image.convert("RGB"))
-    except (OSError, UnidentifiedImageError) as error:
-        raise FormatError(f"{path}: expected an image, got {error}") from None
 
 
 def _size(path: Path) -> tuple[int, int]:

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, UInt8
-from PIL import Image, UnidentifiedImageError
 
 from baseline_model import checkpoint as checkpoints
 from baseline_model.data import intrinsics_of
+from baseline_model.foreign import read_image
 from baseline_model.inference import Intrinsics, choose_device, predict_images
 from baseline_model.lanes import Prediction, write_predictions
 from baseline_model.overlay import save_overlay
 from baseline_model.sources import open_split
-from synth3dlanes.errors import FormatError, ParamsError
+from synth3dlanes.errors import ParamsError
 from synth3dlanes.labels import Labels
 
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp")
@@ -78,18 +78,10 @@ def _pictures(source: str | Path, intrinsics: Intrinsics | None) -> Iterator[_Pi
     if files:
         if intrinsics is None:
             raise ParamsError("intrinsics: expected fx,fy,cx,cy in pixels for image files, got none")
-        return (_Picture(file.name, _read_image(file), intrinsics, None) for file in files)
+        return (_Picture(file.name, read_image(file), intrinsics, None) for file in files)
     samples = open_split(source)
     chosen = (samples[index] for index in range(len(samples)))
     return (_Picture(s.key, np.array(s.image), intrinsics_of(s.labels), s.labels) for s in chosen)
-
-
-def _read_image(file: Path) -> UInt8[np.ndarray, "h w 3"]:
-    try:
-        with Image.open(file) as image:
-            return np.array(image.convert("RGB"))
-    except (OSError, UnidentifiedImageError) as error:
-        raise FormatError(f"{file}: expected an image, got {error}") from None
 
 
 def _image_files(source: Path) -> list[Path]:
