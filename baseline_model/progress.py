@@ -2,9 +2,9 @@
 
 import json
 import time
+from contextlib import ExitStack
 from datetime import timedelta
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from jaxtyping import Float
@@ -19,10 +19,11 @@ WRITE_EVERY_S = 2.0
 LINE_EVERY_S = 30.0
 
 
-class Line:
+class Line(ExitStack):
     """How far something is and how long it will take: redrawn on a terminal, elsewhere a new line now and then."""
 
     def __init__(self, what: str, total: int, done: int = 0, *, is_shown: bool) -> None:
+        super().__init__()
         self.console, self.is_shown, self.printed_at = Console(stderr=True), is_shown, time.monotonic()
         columns = (
             TextColumn(f"{what} {{task.completed:.0f}}/{{task.total:.0f}}"),
@@ -31,17 +32,9 @@ class Line:
             TimeRemainingColumn(),
         )
         self.what, is_bar = what, is_shown and self.console.is_terminal
-        self.bar = Progress(*columns, console=self.console, get_time=time.monotonic, disable=not is_bar)
+        bar = Progress(*columns, console=self.console, get_time=time.monotonic, disable=not is_bar)
+        self.bar = self.enter_context(bar)
         self.task = self.bar.add_task("", total=total, completed=done, note="")
-
-    def __enter__(self) -> "Line":
-        self.bar.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.bar.stop()
 
     def update(self, done: int, total: int, note: str = "") -> None:
         """Now `done` of `total`."""
@@ -58,25 +51,17 @@ class Line:
         self.console.print(text, highlight=False, markup=False, soft_wrap=True)
 
 
-class Log:
+class Log(ExitStack):
     """What training tells. Only the process of rank 0 shows and writes anything."""
 
     def __init__(self, out_dir: Path, n_steps: int, step: int, batch: int, *, is_shown: bool) -> None:
+        super().__init__()
         self.out_dir, self.batch, self.is_shown, self.n_steps = out_dir, batch, is_shown, n_steps
-        self.line = Line("step", n_steps, step, is_shown=is_shown)
+        self.line = self.enter_context(Line("step", n_steps, step, is_shown=is_shown))
         self.board = _tensorboard(out_dir) if is_shown else None
-        self.first_step, self.started_at, self.written_at = step, time.monotonic(), 0.0
-
-    def __enter__(self) -> "Log":
-        self.line.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.line.__exit__(kind, error, trace)
         if self.board is not None:
-            self.board.close()
+            self.callback(self.board.close)
+        self.first_step, self.started_at, self.written_at = step, time.monotonic(), 0.0
 
     def step(self, step: int, learning_rate: float, terms: dict[str, Float[Tensor, ""]]) -> None:
         """After an optimiser step; written every two seconds and at the end, since reading a GPU value waits for it."""
