@@ -218,7 +218,7 @@ IMPROVED_LOSS = OUR_LOSS.model_copy(
         "supervise_occluded": True,
     }
 )
-"""Sizes are the knot errors that would give the paper's near accuracy. They favour near lanes at the cost of far ones."""
+"""Sizes are the knot errors that would give the paper's near accuracy. They favour near lanes over far ones."""
 TUSIMPLE: dict[str, Any] = {
     "types": ("d",),
     "has_elevation": False,
