@@ -75,8 +75,8 @@ def ground_truth(scene: Scene) -> Labels:
 
 def horizon_plane(plan: RoadPlan, camera: CameraLabel, lanes: Sequence[Lane]) -> RoadPlane | None:
     """The plane through the camera's foot and the farthest point of the host lane that is seen over the ground."""
-    segment = host_segment(plan, plan.scene.camera.lane, plan.scene.camera.y_m)
-    host = next(lane for lane in lanes if lane.id == path_of_segment(plan, segment).id)
+    path = path_of_segment(plan, host_segment(plan))
+    host = next(lane for lane in lanes if lane.id == path.id)
     seen = np.flatnonzero(host.in_image & host.terrain_visible)
     if not seen.size:
         return None

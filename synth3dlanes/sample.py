@@ -15,7 +15,6 @@ from synth3dlanes.distributions import Choice, Integers, Uniform
 from synth3dlanes.errors import ParamsError
 from synth3dlanes.geometry import placement
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.lanes import host_segment, lanes_present, segments_at
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.params import CameraParams, Group, Params
 from synth3dlanes.scene import (
@@ -39,7 +38,6 @@ from synth3dlanes.streams import stream
 # Numbers in a scene are rounded to a micrometre, a microradian: readable, and equal on every machine.
 DECIMALS = 6
 CAR_GAP_M = (1.0, 0.3)
-HOST_SIZE_M = (5.0, 2.0)
 TRIES = 300
 # From this many scenes on, processes are quicker than one; each is handed CHUNK at a time.
 WORTH_PROCESSES, CHUNK = 200, 25
@@ -77,15 +75,14 @@ def sample_scene(params: Params, seed: int, split: str, index: int, assets: Asse
         sky=_sky(assets, stream(seed, split, index, "sky")),
         assets=assets,
     )
-    plan = RoadPlan(bare)
-    camera = _camera(params.camera, draws["camera"], plan)
+    camera = _camera(params.camera, draws["camera"], bare.road)
+    plan = RoadPlan(bare.model_copy(update={"camera": camera}))
     car_places = Draw(params.cars, stream(seed, split, index, "car_places"))
     tree_places = Draw(params.trees, stream(seed, split, index, "tree_places"))
     paints = Draw(params.cars, stream(seed, split, index, "car_saturation"))
-    cars = _cars(plan, camera, draws["cars"], paints, car_places)
-    with_camera = RoadPlan(bare.model_copy(update={"camera": camera}))
-    trees = _trees(Ground(with_camera), draws["trees"], tree_places)
-    return with_camera.scene.model_copy(update={"cars": cars, "trees": trees})
+    cars = _cars(plan, draws["cars"], paints, car_places)
+    trees = _trees(Ground(plan), draws["trees"], tree_places)
+    return plan.scene.model_copy(update={"cars": cars, "trees": trees})
 
 
 P = TypeVar("P", Markings, Surface, Light, Air, Sensor)
@@ -162,13 +159,13 @@ def _road(draw: Draw) -> Road:
     return Road(**{field: draw(field.replace("_rad", "_deg")) for field in Road.model_fields})
 
 
-def _camera(params: CameraParams, draw: Draw, plan: RoadPlan) -> Camera:
+def _camera(params: CameraParams, draw: Draw, road: Road) -> Camera:
     u_lane = draw.rng.random()
     y_m = draw("y_m")
     width_px, height_px = draw("width_px"), draw("height_px")
     focal_px = round(width_px / 2 / math.tan(draw("horizontal_fov_deg") / 2), DECIMALS)
     return Camera(
-        lane=_host_lane(params.lane, u_lane, lanes_present(plan, y_m)),
+        lane=_host_lane(params.lane, u_lane, road.lanes_present(y_m)),
         y_m=y_m,
         offset_m=draw("offset_m"),
         height_m=draw("height_m"),
@@ -190,9 +187,8 @@ def _host_lane(lanes: Integers | Choice[int], u: float, present: int) -> int:
     return min(lanes.draw(u), present)
 
 
-def _cars(plan: RoadPlan, camera: Camera, looks: Draw, paints: Draw, places: Draw) -> tuple[Car, ...]:
-    foot, heading = placement.lane_place(plan, host_segment(plan, camera.lane, camera.y_m), camera.y_m)
-    taken = [placement.footprint(foot, heading, *HOST_SIZE_M)]
+def _cars(plan: RoadPlan, looks: Draw, paints: Draw, places: Draw) -> tuple[Car, ...]:
+    taken = [placement.host_footprint(plan)]
     cars = []
     for number in range(looks("n")):
         model, scale = looks("model"), looks("scale")
@@ -202,7 +198,7 @@ def _cars(plan: RoadPlan, camera: Camera, looks: Draw, paints: Draw, places: Dra
         size = body.length_m * scale + CAR_GAP_M[0], body.width_m * scale + CAR_GAP_M[1]
         for _ in range(TRIES):
             s_m = places("s_m")
-            lanes = segments_at(plan, s_m)
+            lanes = plan.scene.road.segments_at(s_m)
             lane = lanes[int(places.rng.random() * len(lanes))]
             place = placement.footprint(*placement.lane_place(plan, lane, s_m), *size)
             if not placement.overlaps_any(place, np.array(taken)):

@@ -57,6 +57,27 @@ class Road(Part):
     ramp_height_m: Annotated[float, Field(ge=0)]
     ramp_slope: Positive
 
+    @property
+    def n_exit_lanes(self) -> int:
+        """Lanes of the exit (Appendix I, Table 'Road and lane topology')."""
+        return {1: 0, 2: 1, 3: 1, 4: 2}[self.topology]
+
+    @property
+    def n_main_after(self) -> int:
+        """Main lanes behind the split (before the merge)."""
+        return self.n_lanes - 1 if self.topology == 4 else self.n_lanes
+
+    def segments_at(self, s_m: float) -> tuple[str, ...]:
+        """The ids of the lane segments at a world station, those of the main road first, each from the left."""
+        if self.topology > 1 and (-s_m if self.flip_lateral else s_m) < 0:
+            return tuple(f"stem_{lane}" for lane in range(1, self.n_lanes + 1))
+        main = (f"main_{lane}" for lane in range(1, self.n_main_after + 1))
+        return (*main, *(f"exit_{lane}" for lane in range(1, self.n_exit_lanes + 1)))
+
+    def lanes_present(self, s_m: float) -> int:
+        """How many main-road lanes there are at a world station."""
+        return sum(not segment.startswith("exit") for segment in self.segments_at(s_m))
+
 
 class Markings(Part):
     """Paint: `dash_fraction` is the painted share of `dash_cycle_m`, `wear` the share of paint that is rubbed off,
@@ -187,6 +208,22 @@ class Scene(Part):
         for path, kind, number in used:
             if number > self.assets.count(kind):
                 raise ValueError(f"{path}: expected at most {self.assets.count(kind)}, got {number}")
+        return self
+
+    @model_validator(mode="after")
+    def _has_its_lanes(self) -> "Scene":
+        """The host and every car are in a lane that there is where they stand."""
+        present = self.road.lanes_present(self.camera.y_m)
+        if self.camera.lane > present:
+            raise ValueError(
+                f"camera.lane: expected at most {present} at y_m = {self.camera.y_m:g}, got {self.camera.lane}"
+            )
+        for i, car in enumerate(self.cars):
+            lanes = self.road.segments_at(car.s_m)
+            if car.lane not in lanes:
+                raise ValueError(
+                    f"cars.{i}.lane: expected one of {', '.join(lanes)} at s_m = {car.s_m:g}, got {car.lane}"
+                )
         return self
 
 

@@ -6,7 +6,6 @@ from scipy import stats
 
 from synth3dlanes.errors import ParamsError
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.lanes import lanes_present, segments_at
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import sample_scene, scene_texts
@@ -107,7 +106,7 @@ def test_looks_of_cars_are_uniform(scenes):
 
 
 def test_the_host_stands_in_every_lane_present_alike(scenes):
-    places = [(s.camera.lane - 0.5) / lanes_present(RoadPlan(s), s.camera.y_m) for s in scenes]
+    places = [(s.camera.lane - 0.5) / s.road.lanes_present(s.camera.y_m) for s in scenes]
     assert min(places) > 0
     assert max(places) < 1
     assert np.mean(places) == pytest.approx(0.5, abs=0.05)
@@ -138,7 +137,7 @@ def test_trees_stand_off_every_road_and_cars_in_lanes_that_exist(scenes):
         xy = np.array([[tree.x_m, tree.y_m] for tree in scene.trees])
         assert Ground(plan).clearance(xy).min() >= 1.0
         for car in scene.cars:
-            assert car.lane in segments_at(plan, car.s_m)
+            assert car.lane in scene.road.segments_at(car.s_m)
 
 
 def test_cars_keep_apart(scenes):

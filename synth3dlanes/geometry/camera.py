@@ -30,7 +30,7 @@ def project(img_from_cam: Float[np.ndarray, "3 3"], points_cam: Float[np.ndarray
 def world_from_road(plan: RoadPlan) -> Matrix4:
     """The road frame at the host: its foot on the surface, z the surface normal, y along the lane."""
     camera = plan.scene.camera
-    lane = path_of_segment(plan, host_segment(plan, camera.lane, camera.y_m))
+    lane = path_of_segment(plan, host_segment(plan))
     s = plan.plan_station(camera.y_m + np.array([0.0, -TANGENT_STEP_M, TANGENT_STEP_M]))
     t = lane.main_offset(plan, s) + camera.offset_m * plan.flips[0]
     foot, behind, ahead = plan.lift(plan.main_xy(s, t))

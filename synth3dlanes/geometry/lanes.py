@@ -44,12 +44,11 @@ class Curve:
         """World (x, y) at plan stations."""
         if self.fork_road == "main":
             return plan.main_xy(s, self.main_offset(plan, s))
-        on_exit = s >= 0
-        stem_m = self.fork_m if self.stem_m is None else self.stem_m
+        stem = np.minimum(s, self.joint_m(plan))
         return np.where(
-            on_exit[:, None],
+            (s >= 0)[:, None],
             plan.exit_xy(np.maximum(s, 0), self.fork_m),
-            plan.main_xy(np.minimum(s, self.joint_m(plan)), stem_m),
+            plan.main_xy(stem, self.main_offset(plan, stem)),
         )
 
     def points_world(self, plan: RoadPlan, s: Values, above_m: Values | float = 0.0) -> Float[np.ndarray, "n 3"]:
@@ -58,11 +57,11 @@ class Curve:
         return plan.lift(self.xy_world(plan, s), np.where(on_exit, plan.ramp(s), 0.0) + above_m)
 
     def main_offset(self, plan: RoadPlan, s: Values) -> Values:
-        """Offset from the main reference, for curves that stay on the main road."""
-        if self.stem_m is None or not self.opens:
-            return np.full(s.shape, self.fork_m)
-        width = plan.width_m
-        return self.stem_m + np.sign(self.fork_m - self.stem_m) * smooth_min(plan.opening(np.maximum(s, 0)), width)
+        """Offset from the main reference where the curve runs on the main road: everywhere but on the exit."""
+        stem_m = self.fork_m if self.stem_m is None else self.stem_m
+        if not self.opens:
+            return np.full(s.shape, stem_m)
+        return stem_m + np.sign(self.fork_m - stem_m) * smooth_min(plan.opening(np.maximum(s, 0)), plan.width_m)
 
     def joint_m(self, plan: RoadPlan) -> float:
         """Last station of the stem: right of the exit's reference its normal at the split points backwards."""
@@ -226,23 +225,7 @@ def path_of_segment(plan: RoadPlan, segment_id: str) -> Curve:
     return next(line for line in _centerlines(plan) if line.id == path_id)
 
 
-def host_segment(plan: RoadPlan, lane: int, s_world: float) -> str:
-    """The segment of the host's lane, counted from the left among the main lanes present at a station."""
-    return f"{'stem' if _at_stem(plan, s_world) else 'main'}_{lane}"
-
-
-def lanes_present(plan: RoadPlan, s_world: float) -> int:
-    """How many main-road lanes there are at a world station."""
-    return plan.n_lanes if _at_stem(plan, s_world) else plan.n_main_after
-
-
-def segments_at(plan: RoadPlan, s_world: float) -> list[str]:
-    """All lane segments at a world station."""
-    road = "stem" if _at_stem(plan, s_world) else "main"
-    main = [f"{road}_{lane}" for lane in range(1, lanes_present(plan, s_world) + 1)]
-    exits = [] if road == "stem" else [f"exit_{lane}" for lane in range(1, plan.n_exit_lanes + 1)]
-    return main + exits
-
-
-def _at_stem(plan: RoadPlan, s_world: float) -> bool:
-    return plan.has_exit and bool(s_world * plan.flips[1] < 0)
+def host_segment(plan: RoadPlan) -> str:
+    """The segment of the host's lane, counted from the left among the main lanes present where it stands."""
+    camera = plan.scene.camera
+    return plan.scene.road.segments_at(camera.y_m)[camera.lane - 1]

@@ -3,12 +3,15 @@
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.geometry.camera import world_from_road
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.lanes import path_of_segment
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.transforms import Matrix4, from_axes, transform
 from synth3dlanes.scene import Car, Tree
 
+# Length and width of the host's own body, whose middle is over the camera's foot.
+HOST_SIZE_M = (5.0, 2.0)
 # Trunks go this far into the ground, so that none hovers on a slope.
 TREE_SINK_M = 0.1
 
@@ -62,6 +65,13 @@ def footprint(
     """Corners of a rectangle on the ground, seen from above."""
     along, across = heading * length_m / 2, np.array([heading[1], -heading[0]]) * width_m / 2
     return middle + np.array([along + across, along - across, -along - across, -along + across])
+
+
+def host_footprint(plan: RoadPlan) -> Footprint:
+    """The ground that the host's own body covers, where it stands in its lane."""
+    outer = world_from_road(plan)
+    heading = outer[:2, 1] / np.linalg.norm(outer[:2, 1])
+    return footprint(outer[:2, 3], heading, *HOST_SIZE_M)
 
 
 def overlaps_any(place: Footprint, others: Float[np.ndarray, "k 4 2"]) -> bool:

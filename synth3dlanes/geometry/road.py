@@ -49,12 +49,12 @@ class RoadPlan:
 
     @property
     def n_exit_lanes(self) -> int:
-        return {1: 0, 2: 1, 3: 1, 4: 2}[self.scene.road.topology]
+        return self.scene.road.n_exit_lanes
 
     @property
     def n_main_after(self) -> int:
         """Main lanes behind the split (before the merge)."""
-        return self.n_lanes - 1 if self.scene.road.topology == 4 else self.n_lanes
+        return self.scene.road.n_main_after
 
     @property
     def width_m(self) -> float:
