@@ -61,9 +61,6 @@ def render(
     --set light.exposure=3 changes one factor of it, --set cars=[] removes the cars; the changed scene is then
     written to NAME.scene.json.
     """
-    from synth3dlanes.generate import require_blender
-
-    require_blender()
     from synth3dlanes.render_file import render_file
     from synth3dlanes.settings import RenderSettings
 

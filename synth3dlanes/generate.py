@@ -72,21 +72,27 @@ def require_blender() -> None:
 
 def make_sample(recipe: Recipe, index: int) -> Made:
     """Draw, label, render and encode sample `index`."""
+    start = time.perf_counter()
+    scene = recipe.scene(index)
+    seconds = time.perf_counter() - start
+    made = make_image(scene, recipe.settings, recipe.image_format, recipe.library)
+    return Made(made.members, {"sample": seconds, **made.timings})
+
+
+def make_image(scene: Scene, settings: RenderSettings, image_format: str, library: Library) -> Made:
+    """Label, render and encode a scene."""
     # Loaded here: only the processes that render may carry Blender.
     from synth3dlanes.blender.render import render
 
     clock = [time.perf_counter()]
-    scene = recipe.scene(index)
-    clock.append(time.perf_counter())
     labels = ground_truth(scene)
     clock.append(time.perf_counter())
-    rendering = render(scene, labels, recipe.settings, recipe.library)
+    rendering = render(scene, labels, settings, library)
     clock.append(time.perf_counter())
     text = scene_module.to_json(scene)
-    members = encode(rendering.image, rendering.labels, text, rendering.passes, recipe.image_format)
+    members = encode(rendering.image, rendering.labels, text, rendering.passes, image_format)
     clock.append(time.perf_counter())
-    timings = {"sample": clock[1] - clock[0], "labels": clock[2] - clock[1], **rendering.timings}
-    return Made(members, {**timings, "encode": clock[4] - clock[3]})
+    return Made(members, {"labels": clock[1] - clock[0], **rendering.timings, "encode": clock[3] - clock[2]})
 
 
 def make_part(

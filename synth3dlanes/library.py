@@ -8,7 +8,7 @@ from synth3dlanes.asset_folder import Checked
 from synth3dlanes.catalogue import BUILT_IN, Library
 from synth3dlanes.errors import ParamsError
 from synth3dlanes.generate import require_blender
-from synth3dlanes.workers import Limits, Pool
+from synth3dlanes.workers import Limits, call
 
 PATIENCE = Limits(seconds=1800.0, rss_bytes=16 << 30)
 
@@ -40,13 +40,10 @@ def write_example(folder: Path) -> None:
 
 def _in_blender(function: Callable[[Path], Any], folder: Path) -> Any:
     require_blender()
-    with Pool(1, PATIENCE, pinned=False) as pool:
-        pool.start("assets", function, folder)
-        while True:
-            for outcome in pool.wait(1.0):
-                if outcome.status != "done":
-                    raise ParamsError(f"--assets {folder}: {outcome.reason}\n{outcome.stderr}".rstrip())
-                return outcome.value
+    outcome = call(PATIENCE, function, folder)
+    if outcome.status != "done":
+        raise ParamsError(f"--assets {folder}: {outcome.reason}\n{outcome.stderr}".rstrip())
+    return outcome.value
 
 
 # Blender's modules are loaded in the worker: this process stays without.

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from synth3dlanes.devices import Device, choose, default_workers, masks
 from synth3dlanes.errors import ParamsError
 from synth3dlanes.generate import Recipe, require_blender
-from synth3dlanes.workers import Limits, Pool
+from synth3dlanes.workers import Limits, call
 
 
 @dataclass(frozen=True)
@@ -47,14 +47,11 @@ def list_devices() -> tuple[Device, ...]:
 
 
 def _ask(asked: str) -> tuple[Device, ...]:
-    with Pool(1, Limits(), pinned=False) as pool:
-        pool.start("devices", list_devices)
-        while True:
-            for outcome in pool.wait(1.0):
-                if outcome.status != "done":
-                    raise ParamsError(
-                        f"--device {asked}: expected Blender to list this machine's devices, got {outcome.reason}"
-                        f"\n{outcome.stderr}".rstrip()
-                    )
-                devices: tuple[Device, ...] = outcome.value
-                return devices
+    outcome = call(Limits(), list_devices)
+    if outcome.status != "done":
+        raise ParamsError(
+            f"--device {asked}: expected Blender to list this machine's devices, got {outcome.reason}"
+            f"\n{outcome.stderr}".rstrip()
+        )
+    devices: tuple[Device, ...] = outcome.value
+    return devices

@@ -1,22 +1,22 @@
-"""scene.json -> image, labels and passes as files. Imports bpy."""
+"""scene.json -> image, labels and passes as files: the very bytes that a data set has of the scene."""
 
-import ctypes
-import os
-import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+import math
+from collections.abc import Sequence
 from pathlib import Path
 
 from synth3dlanes.asset_folder import require_assets
-from synth3dlanes.blender.render import render
 from synth3dlanes.catalogue import Library
 from synth3dlanes.change import change_scene
-from synth3dlanes.dataset.format import SCENE, encode
+from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.errors import ParamsError
-from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.generate import make_image, require_blender
 from synth3dlanes.look_up import load_scene, scene_name
-from synth3dlanes.scene import to_json
+from synth3dlanes.scene import Scene
 from synth3dlanes.settings import RenderSettings
+from synth3dlanes.workers import Limits, call
+
+# A scene may be as large as its file says.
+PATIENCE = Limits(seconds=math.inf, rss_bytes=1 << 50)
 
 
 def render_file(
@@ -26,6 +26,7 @@ def render_file(
 
     They are named as the members of a sample. The scene is among them only where it was changed.
     """
+    require_blender()
     scene = change_scene(load_scene(scene_path), changes)
     require_assets(scene.assets, library, str(scene_path))
     image_path = image_path or Path(f"{scene_name(scene_path)}.png")
@@ -34,26 +35,24 @@ def render_file(
         raise ParamsError(f"--out {image_path}: expected a name that ends in .png or .jpg")
     if changes and image_path.with_suffix(f".{SCENE}").resolve() == scene_path.resolve():
         raise ParamsError(f"--out {image_path}: would overwrite {scene_path} with the changed scene; name another")
-    image_path.parent.mkdir(parents=True, exist_ok=True)
-    with _blender_silent():
-        rendering = render(scene, ground_truth(scene), settings, library)
-    members = encode(rendering.image, rendering.labels, to_json(scene), rendering.passes, image_format)
+    # Pinned as all workers are: on one core more than another, Cycles rounds some sums otherwise.
+    outcome = call(PATIENCE, _make, scene, settings, image_format, library, pinned=True)
+    if outcome.status != "done":
+        raise ParamsError(f"{scene_path}: expected an image, got {outcome.reason}\n{outcome.stderr}".rstrip())
+    if isinstance(outcome.value, ParamsError):
+        raise outcome.value
+    members: dict[str, bytes] = outcome.value
     files = {image_path.with_suffix(f".{name}"): data for name, data in members.items() if changes or name != SCENE}
+    image_path.parent.mkdir(parents=True, exist_ok=True)
     for path, data in files.items():
         path.write_bytes(data)
     return list(files)
 
 
-@contextmanager
-def _blender_silent() -> Iterator[None]:
-    """Blender writes every step of a render to stdout, past Python, where our own result is to stand alone."""
-    sys.stdout.flush()
-    stdout, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 1)
+def _make(
+    scene: Scene, settings: RenderSettings, image_format: str, library: Library
+) -> dict[str, bytes] | ParamsError:
     try:
-        yield
-    finally:
-        ctypes.CDLL(None).fflush(None)
-        os.dup2(stdout, 1)
-        os.close(stdout)
-        os.close(nowhere)
+        return make_image(scene, settings, image_format, library).members
+    except ParamsError as error:
+        return error

@@ -199,6 +199,15 @@ class Pool:
             worker.pipe.close()
 
 
+def call(limits: Limits, function: Callable[..., Any], *args: Any, pinned: bool = False) -> Outcome:
+    """Run `function(*args)` in a worker of its own, so that this process stays without Blender."""
+    with Pool(1, limits, pinned) as pool:
+        pool.start(function.__name__, function, *args)
+        while True:
+            for outcome in pool.wait(1.0):
+                return outcome
+
+
 def _lease(n: int, cores: Sequence[int]) -> tuple[list[int], list[int]]:
     """Locks (descriptors) on up to `n` cores that no other pool on this machine has, and all cores in the order to pin
     workers to."""

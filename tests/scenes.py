@@ -2,6 +2,10 @@
 
 from typing import Any
 
+import numpy as np
+
+from synth3dlanes.geometry.camera import world_from_cam
+from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.scene import Air, Camera, Gaussian, Light, Markings, Road, Scene, Sensor, Surface, Terrain
 
 FLAT = Scene(
@@ -66,3 +70,9 @@ def changed(scene: Scene = FLAT, **parts: dict[str, Any]) -> Scene:
 def hill(x_m: float, y_m: float, magnitude_m: float, sd_m: float) -> Gaussian:
     """A round Gaussian."""
     return Gaussian(center_m=(x_m, y_m), magnitude_m=magnitude_m, sd_m=(sd_m, sd_m), orientation_rad=0)
+
+
+def seen_on_flat_ground(plan: RoadPlan, points_world: np.ndarray) -> np.ndarray:
+    """Where the camera's rays through points over a flat world meet the ground."""
+    eye = world_from_cam(plan)[:3, 3]
+    return np.asarray(eye + (points_world - eye) * (eye[2] / (eye[2] - points_world[..., 2:])))

@@ -29,6 +29,8 @@ VERGE_FALL = 0.05
 EMBANKMENT_SLOPE = 1.5
 # Growth of the terrain's cells outside the fine area, per metre.
 GROWTH = 0.06
+# Lanes' pavement beyond the paint of an edge line.
+PAINT_ROOM_M = 0.05
 # Stretch behind the split over which the pavement of a lane that leaves narrows away (topology 4).
 TAPER_M = 20.0
 # The crests of a ramp are followed this far beyond the scene.
@@ -50,6 +52,13 @@ class Ground:
     def exit_edge_m(self) -> float:
         """Outer edge of the exit's shoulder, left or right of its reference line."""
         return self.plan.exit_half_m + self.plan.shoulder_m
+
+    @cached_property
+    def under_paint_m(self) -> float:
+        """How far the lanes' pavement reaches out of them: under all the paint of their edge lines."""
+        markings = self.plan.scene.markings
+        outer_m = markings.width_m * (1.5 if markings.left_double else 0.5)
+        return min(outer_m + PAINT_ROOM_M, self.plan.shoulder_m)
 
     def main_right_edge(self, s: Values) -> Values:
         """Plan offset of the main pavement's right edge; narrows where main lanes leave for good (topology 4)."""

@@ -1,6 +1,6 @@
-"""Far hills: what closes the view behind the paper's terrain. World frame.
+"""What closes the view behind the paper's terrain: far hills, and the roads that lead on into them. World frame.
 
-They rise beyond every road and label, so that nothing but the picture knows of them.
+All of it lies beyond every label, so that nothing but the picture knows of it.
 """
 
 import numpy as np
@@ -9,11 +9,14 @@ from jaxtyping import Float
 from synth3dlanes.scene import Scene
 from synth3dlanes.streams import stream
 
-# Hills begin here and are whole there, as distances from the world's origin; roads end at 420 m.
+# Hills begin here and are whole there, as distances from the world's origin.
 BEGIN_M, WHOLE_M = 500.0, 1600.0
 N_WAVES = 14
 WAVELENGTHS_M = (600.0, 3000.0)
 MAX_HEIGHT_M = 90.0
+# Beyond this station a road lies on a dam that rises by this much a metre: the ground's faces are large there, and
+# would come up through the road.
+DAM_FROM_M, DAM_RISE = 400.0, 0.004
 
 
 def far_hills(scene: Scene, xy_world: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
@@ -29,3 +32,8 @@ def far_hills(scene: Scene, xy_world: Float[np.ndarray, "*n 2"]) -> Float[np.nda
     rolling = 0.4 + 2.5 * (np.sin(xy_world[far] @ waves + phases) @ weights)
     heights_m[far] = height_m * share[far] ** 2 * (3 - 2 * share[far]) * np.maximum(rolling, 0)
     return heights_m
+
+
+def far_dam(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """Height of a road's far dam at stations; 0 wherever there are labels."""
+    return DAM_RISE * np.clip(np.abs(s) - DAM_FROM_M, 0, None)

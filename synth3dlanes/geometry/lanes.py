@@ -51,10 +51,13 @@ class Curve:
             plan.main_xy(stem, self.main_offset(plan, stem)),
         )
 
-    def points_world(self, plan: RoadPlan, s: Values, above_m: Values | float = 0.0) -> Float[np.ndarray, "n 3"]:
+    def points_world(self, plan: RoadPlan, s: Values) -> Float[np.ndarray, "n 3"]:
         """Points on the road surface at plan stations."""
-        on_exit = (s >= 0) & (self.fork_road == "exit")
-        return plan.lift(self.xy_world(plan, s), np.where(on_exit, plan.ramp(s), 0.0) + above_m)
+        return plan.lift(self.xy_world(plan, s), self.raised(plan, s))
+
+    def raised(self, plan: RoadPlan, s: Values) -> Values:
+        """Height of the road surface above the terrain at plan stations."""
+        return np.where((s >= 0) & (self.fork_road == "exit"), plan.ramp(s), 0.0)
 
     def main_offset(self, plan: RoadPlan, s: Values) -> Values:
         """Offset from the main reference where the curve runs on the main road: everywhere but on the exit."""
@@ -64,8 +67,9 @@ class Curve:
         return stem_m + np.sign(self.fork_m - stem_m) * smooth_min(plan.opening(np.maximum(s, 0)), plan.width_m)
 
     def joint_m(self, plan: RoadPlan) -> float:
-        """Last station of the stem: right of the exit's reference its normal at the split points backwards."""
-        return -max(0.0, self.fork_m) * float(np.sin(plan.scene.road.exit_angle_rad))
+        """Last station of the stem: abreast of the first point on the exit; right of its reference that is below 0."""
+        start = plan.exit_xy(np.zeros(1), self.fork_m)
+        return min(0.0, float(plan.project_main(start)[0][0]))
 
 
 def smooth_min(q: Values, width_m: float) -> Values:

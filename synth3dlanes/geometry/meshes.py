@@ -7,10 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.geometry.ground import CELL_M, EMBANKMENT_SLOPE, GROWTH, VERGE_M, Ground, embankment_width, profile
-from synth3dlanes.geometry.horizon import far_hills
+from synth3dlanes.geometry.horizon import far_dam, far_hills
 from synth3dlanes.geometry.road import RoadPlan
 
 Values = Float[np.ndarray, " n"]
@@ -18,7 +18,10 @@ Values = Float[np.ndarray, " n"]
 HORIZON_M = 4000.0
 BEHIND_M = 300.0
 ROAD_BEHIND_M = 30.0
-ROAD_AHEAD_M = 420.0
+# From here to the horizon each row of the road is longer than the one before by this share.
+FAR_ROWS_M, FAR_ROWS_GROWTH = 420.0, 0.03
+# The exit's inner edge goes on below the main road or its own verge: their rows differ, and ground would show between.
+SEAM_M, SEAM_FALL_M = 0.05, 0.01
 LANE_COLUMNS, SHOULDER_COLUMNS = 4, 4
 ROAD, SHOULDER = 0, 1
 
@@ -45,15 +48,25 @@ def terrain_mesh(ground: Ground) -> Mesh:
 
 
 def road_stations(plan: RoadPlan) -> Values:
-    """World stations of the rows of road and paint: half a metre near, longer far away; always the split itself."""
+    """World stations of the rows of road and paint, past the horizon: half a metre near, longer far away; always the
+    split itself."""
     y = plan.scene.camera.y_m
+    n_far = int(np.log(2 * HORIZON_M / FAR_ROWS_M) / np.log1p(FAR_ROWS_GROWTH))
     rows = [
         np.arange(-ROAD_BEHIND_M, 0, 1.0),
         np.arange(0, 80, 0.5),
         np.arange(80, 160, 1.0),
-        np.arange(160, ROAD_AHEAD_M, 2.0),
+        np.arange(160, FAR_ROWS_M, 2.0),
+        FAR_ROWS_M * (1 + FAR_ROWS_GROWTH) ** np.arange(n_far),
     ]
     return np.unique(np.append(y + np.concatenate(rows), 0.0))
+
+
+def lift_far(
+    plan: RoadPlan, xy_world: Float[np.ndarray, "*n 2"], above_m: Float[np.ndarray, "*#n"]
+) -> Float[np.ndarray, "*n 3"]:
+    """Put points on the ground, its far hills among it, or `above_m` over it."""
+    return plan.lift(xy_world, above_m + far_hills(plan.scene, xy_world))
 
 
 def road_meshes(ground: Ground) -> list[Mesh]:
@@ -63,28 +76,27 @@ def road_meshes(ground: Ground) -> list[Mesh]:
     meshes = [_main_mesh(ground, s)]
     if plan.has_exit:
         meshes.append(_exit_mesh(ground, np.sort(s[s >= 0])))
-    return meshes
+    return [over_terrain(mesh) for mesh in meshes]
 
 
 def verge_meshes(ground: Ground) -> list[Mesh]:
     """Verges and embankments along every edge of the pavement, down to below the terrain mesh."""
     plan = ground.plan
     s = plan.plan_station(road_stations(plan))
-    level = np.zeros(s.shape)
-    free = np.full(s.shape, np.inf)
+    raised, free = far_dam(s), np.full(s.shape, np.inf)
     right = ground.main_right_edge(s)
     meshes = [
-        _verge(ground, lambda d: plan.main_xy(s, -ground.edge_m - d), level, free),
-        _verge(ground, lambda d: plan.main_xy(s, right + d), level, free),
+        _verge(ground, lambda d: plan.main_xy(s, -ground.edge_m - d), raised, free),
+        _verge(ground, lambda d: plan.main_xy(s, right + d), raised, free),
     ]
     if plan.has_exit:
         se = np.sort(s[s >= 0])
-        edge, raised = ground.exit_edge_m, plan.ramp(se)
+        edge, raised = ground.exit_edge_m, plan.ramp(se) + far_dam(se)
         meshes += [
             _verge(ground, lambda d: plan.exit_xy(se, edge + d), raised, np.full(se.shape, np.inf)),
             _verge(ground, lambda d: plan.exit_xy(se, -edge - d), raised, _gap(ground, se)),
         ]
-    return [mesh for mesh in meshes if len(mesh.faces)]
+    return [mesh for mesh in map(over_terrain, meshes) if len(mesh.faces)]
 
 
 def grid(vertices: Float[np.ndarray, "r c 3"], uv: Float[np.ndarray, "r c 2"], column_material: np.ndarray) -> Mesh:
@@ -99,6 +111,19 @@ def grid(vertices: Float[np.ndarray, "r c 3"], uv: Float[np.ndarray, "r c 2"], c
     return Mesh(vertices.reshape(-1, 3), faces, uv.reshape(-1, 2), material)
 
 
+def is_facing_up(mesh: Mesh) -> Bool[np.ndarray, " f"]:
+    """Which faces a camera above them sees from their front."""
+    a, b, c, d = (mesh.vertices_world[mesh.faces[:, i], :2] for i in range(4))
+    across, along = c - a, d - b
+    return np.asarray(across[:, 0] * along[:, 1] - across[:, 1] * along[:, 0] >= 0)
+
+
+def over_terrain(mesh: Mesh) -> Mesh:
+    """The mesh without its faces beyond the end of the terrain's."""
+    kept = (np.abs(mesh.vertices_world[mesh.faces, :2]) < HORIZON_M).all(axis=(1, 2))
+    return replace(mesh, faces=mesh.faces[kept], material=mesh.material[kept])
+
+
 def _axis(low: float, high: float, out_low: float, out_high: float) -> Values:
     """Coordinates CELL_M apart in [low, high]; outside, each cell grows by GROWTH per metre from there."""
     inner = np.linspace(low, high, int(np.ceil((high - low) / CELL_M)) + 1)
@@ -110,20 +135,21 @@ def _axis(low: float, high: float, out_low: float, out_high: float) -> Values:
     return np.concatenate([low - outside(out_low)[::-1], inner, high + outside(out_high)])
 
 
-def _columns(half_m: float, edge_m: float, n_lanes: int) -> tuple[Values, Int[np.ndarray, " m"]]:
+def _columns(ground: Ground, half_m: float, edge_m: float, n_lanes: int) -> tuple[Values, Int[np.ndarray, " m"]]:
     """Offsets across a pavement whose lanes end at +-half_m and whose shoulders at +-edge_m, and faces' materials."""
-    shoulder = np.linspace(half_m, edge_m, SHOULDER_COLUMNS + 1)[1:]
+    paved_m = half_m + ground.under_paint_m
+    shoulder = np.linspace(paved_m, edge_m, SHOULDER_COLUMNS + 1)[1:]
     lanes = np.linspace(-half_m, half_m, n_lanes * LANE_COLUMNS + 1)
-    material = np.full(len(lanes) - 1 + 2 * SHOULDER_COLUMNS, ROAD)
+    material = np.full(len(lanes) + 1 + 2 * SHOULDER_COLUMNS, ROAD)
     material[:SHOULDER_COLUMNS] = material[-SHOULDER_COLUMNS:] = SHOULDER
-    return np.concatenate([-shoulder[::-1], lanes, shoulder]), material
+    return np.concatenate([-shoulder[::-1], [-paved_m], lanes, [paved_m], shoulder]), material
 
 
 def _main_mesh(ground: Ground, s: Values) -> Mesh:
     plan, k = ground.plan, SHOULDER_COLUMNS
-    t, column_material = _columns(ground.edge_m - plan.shoulder_m, ground.edge_m, plan.n_lanes)
+    t, column_material = _columns(ground, ground.edge_m - plan.shoulder_m, ground.edge_m, plan.n_lanes)
     right = ground.main_right_edge(s)[:, None]
-    lanes = np.minimum(t[:-k], right - plan.shoulder_m)
+    lanes = np.minimum(t[:-k], right - plan.shoulder_m + ground.under_paint_m)
     offsets = np.concatenate([lanes, t[-k:] - ground.edge_m + right], axis=1)
     stations = np.broadcast_to(s[:, None], offsets.shape)
     xy = plan.main_xy(stations, offsets)
@@ -133,15 +159,19 @@ def _main_mesh(ground: Ground, s: Values) -> Mesh:
         middle = (xy[:-1, -k - 1 : -1] + xy[:-1, -k:] + xy[1:, -k - 1 : -1] + xy[1:, -k:]) / 4
         se, te = plan.project_exit(middle, np.broadcast_to((s[:-1, None] + s[1:, None]) / 2, middle.shape[:2]))
         material[:, -k:][(se >= 0) & (np.abs(te) < plan.exit_half_m)] = ROAD
-    return grid(plan.lift(xy), np.stack([offsets, stations], -1) * plan.flips, material)
+    vertices = lift_far(plan, xy, far_dam(stations))
+    return grid(vertices, np.stack([offsets, stations], -1) * plan.flips, material)
 
 
 def _exit_mesh(ground: Ground, s: Values) -> Mesh:
     plan = ground.plan
-    t, material = _columns(plan.exit_half_m, ground.exit_edge_m, plan.n_exit_lanes)
-    offsets = np.maximum(t, _inner_edge(ground, s)[:, None])
+    t, material = _columns(ground, plan.exit_half_m, ground.exit_edge_m, plan.n_exit_lanes)
+    inner = _inner_edge(ground, s)[:, None]
+    offsets = np.concatenate([inner - SEAM_M, np.maximum(t, inner)], axis=1)
+    material = np.concatenate([material[:1], material])
     stations = np.broadcast_to(s[:, None], offsets.shape)
-    vertices = plan.lift(plan.exit_xy(stations, offsets), plan.ramp(stations))
+    vertices = lift_far(plan, plan.exit_xy(stations, offsets), plan.ramp(stations) + far_dam(stations))
+    vertices[:, 0, 2] -= SEAM_FALL_M
     return grid(vertices, np.stack([offsets, stations], -1) * plan.flips, material)
 
 
@@ -184,7 +214,7 @@ def _verge(
     distance = np.stack(columns, axis=1)
     squeeze = np.minimum(1.0, room_m / embankment_width(raised, scale))
     xy = np.stack([edge_plus(distance[:, j] * squeeze) for j in range(distance.shape[1])], axis=1)
-    vertices = ground.plan.lift(xy, profile(distance, raised[:, None], scale[:, None]))
+    vertices = lift_far(ground.plan, xy, profile(distance, raised[:, None], scale[:, None]))
     mesh = grid(vertices, _unrolled(vertices), np.zeros(distance.shape[1] - 1, dtype=int))
     is_open = np.repeat((room_m[:-1] > 0) | (room_m[1:] > 0), distance.shape[1] - 1)
     return replace(mesh, faces=mesh.faces[is_open], material=mesh.material[is_open])

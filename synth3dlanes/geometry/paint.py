@@ -5,16 +5,24 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float
 
+from synth3dlanes.geometry.camera import world_from_cam
+from synth3dlanes.geometry.horizon import far_dam
 from synth3dlanes.geometry.lanes import Curve, curves
-from synth3dlanes.geometry.meshes import Mesh, Values, grid, road_stations
+from synth3dlanes.geometry.meshes import Mesh, Values, grid, is_facing_up, lift_far, over_terrain, road_stations
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.scene import Scene
 from synth3dlanes.streams import stream
 
-PAINT_AHEAD_M = 250.0
 # Paint floats over the road by more than the road's faces can rise between their rows, which are longer far away.
-PAINT_LIFT_M = (0.0015, 0.002, 0.008, 0.04, 0.12)
-PAINT_LIFT_AT_M = (0.0, 40.0, 80.0, 160.0, 250.0)
+PAINT_LIFT_M = (0.0015, 0.002, 0.008, 0.04, 0.12, 2.0)
+PAINT_LIFT_AT_M = (0.0, 40.0, 80.0, 160.0, 250.0, 4000.0)
+# It is moved in by its height's share of the camera's; never by as much as this.
+MAX_SHARE = 0.05
+# The road's direction is taken over this length.
+ALONG_M = 0.01
+# Farther ahead than this dashes and gaps are much smaller than a pixel: a line narrower by the share of paint stands
+# for them.
+DASHES_M = 420.0
 # Lost paint is in stretches of 3 to 12 m, laid out along this much of a line to either side of the split.
 GONE_M, GONE_REACH_M = (3.0, 12.0), 600.0
 
@@ -45,21 +53,53 @@ def stripes_m(plan: RoadPlan, line_id: str) -> tuple[float, ...]:
 
 def _paint(plan: RoadPlan, curve: Curve) -> Mesh:
     markings = plan.scene.markings
-    y = plan.scene.camera.y_m
-    world = road_stations(plan)
-    rows = np.sort(plan.plan_station(world[world < y + PAINT_AHEAD_M]))
+    rows = np.sort(plan.plan_station(road_stations(plan)))
     low, high = max(rows[0], curve.start_m), min(rows[-1], curve.end_m)
     rows = np.array([low, low]) if low >= high else np.concatenate([[low], rows[(rows > low) & (rows < high)], [high]])
     rows, painted = _painted_rows(plan, curve, rows)
-    lift = np.interp(np.abs(plan.plan_station(rows) - y), PAINT_LIFT_AT_M, PAINT_LIFT_M)
+    ahead_m = plan.plan_station(rows) - plan.scene.camera.y_m
+    painted_share = (markings.dash_fraction if curve.marking == "dashed" else 1.0) * (1 - markings.missing)
+    share = np.where(ahead_m > DASHES_M, painted_share, 1.0)
+    lift_m = np.interp(np.abs(ahead_m), PAINT_LIFT_AT_M, PAINT_LIFT_M)
     stripes = []
     for middle_m in stripes_m(plan, curve.id):
         offsets = middle_m + np.array([-0.5, 0.5]) * markings.width_m
-        vertices = np.stack([_beside(curve, t).points_world(plan, rows, lift) for t in offsets], axis=1)
+        sides, onwards = (_sides(plan, curve, offsets, at) for at in (rows, rows + ALONG_M))
+        middle = sides.mean(axis=1, keepdims=True)
+        floating = _floating(
+            plan, middle + share[:, None, None] * (sides - middle), (onwards - sides).mean(axis=1), lift_m
+        )
         uv = np.stack(np.broadcast_arrays(offsets[None, :], rows[:, None]), -1)
-        mesh = grid(vertices, uv, np.zeros(1, dtype=int))
-        stripes.append(replace(mesh, faces=mesh.faces[painted], material=mesh.material[painted]))
-    return _joined(stripes)
+        mesh = grid(floating, uv, np.zeros(1, dtype=int))
+        # Where the stem meets the exit a face of millimetres may turn back over the last one.
+        kept = painted & is_facing_up(mesh)
+        stripes.append(replace(mesh, faces=mesh.faces[kept], material=mesh.material[kept]))
+    return over_terrain(_joined(stripes))
+
+
+def _sides(plan: RoadPlan, curve: Curve, offsets_m: Float[np.ndarray, "2"], s: Values) -> Float[np.ndarray, "n 2 3"]:
+    """Points of the road on both sides of a stripe."""
+    lines = [_beside(curve, t) for t in offsets_m]
+    return np.stack(
+        [lift_far(plan, line.xy_world(plan, s), line.raised(plan, s) + far_dam(s)) for line in lines], axis=1
+    )
+
+
+def _floating(
+    plan: RoadPlan, sides: Float[np.ndarray, "n 2 3"], along: Float[np.ndarray, "n 3"], lift_m: Values
+) -> Float[np.ndarray, "n 2 3"]:
+    """A stripe raised by `lift_m` over the road, and moved across its line until the camera sees it there: what floats
+    is seen outside of its place otherwise. `along` is the line's direction."""
+    across = sides[:, 1] - sides[:, 0]
+    normal = np.cross(across, along)
+    to_eye = world_from_cam(plan)[:3, 3] - sides.mean(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        eye_over_road_m = np.clip((to_eye * normal).sum(axis=-1) / normal[:, 2], 0, None)
+        # lift over height, but back to nothing where one looks along the road or at it from below
+        share = lift_m * eye_over_road_m / (eye_over_road_m**2 + (lift_m / MAX_SHARE) ** 2)
+        aside = (to_eye * across).sum(axis=-1) / (across * across).sum(axis=-1)
+    moved = np.where(np.isfinite(share * aside), share * aside, 0.0)[:, None] * across
+    return np.asarray(sides + (moved + lift_m[:, None] * [0, 0, 1])[:, None])
 
 
 def _joined(meshes: list[Mesh]) -> Mesh:
@@ -81,6 +121,8 @@ def _painted_rows(
 ) -> tuple[Float[np.ndarray, " m"], Bool[np.ndarray, " m-1"]]:
     """Rows with all ends of paint among them, and whether the strip behind each row is painted. Lengths are counted
     along the line from the split, so that dashes and gaps do not move with the camera."""
+    is_far = plan.plan_station(rows) - plan.scene.camera.y_m > DASHES_M
+    far, rows = (np.zeros(0), rows) if is_far.all() else (rows[is_far], rows[~is_far])
     xyz = curve.points_world(plan, rows)
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz, axis=0), axis=1))])
     length -= np.interp(0.0, rows, length)
@@ -89,7 +131,9 @@ def _painted_rows(
     ends = np.interp(ends[(ends > length[0]) & (ends < length[-1])], length, rows)
     rows_all = np.unique(np.concatenate([rows, ends]))
     middle = np.interp((rows_all[1:] + rows_all[:-1]) / 2, rows, length)
-    return rows_all, _inside(dashes, middle) & ~_inside(gone, middle)
+    painted = _inside(dashes, middle) & ~_inside(gone, middle)
+    both = [(rows_all, painted), (far, np.full(len(far), plan.scene.markings.missing < 1))][:: int(plan.flips[1])]
+    return np.concatenate([rows for rows, _ in both]), np.concatenate([painted for _, painted in both])
 
 
 def _dashes(scene: Scene, curve: Curve, length: Values) -> Intervals:

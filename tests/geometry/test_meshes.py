@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from synth3dlanes.geometry import meshes, paint
+from synth3dlanes.geometry.camera import img_from_cam, project, world_from_cam
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.lanes import curves
 from synth3dlanes.geometry.road import RoadPlan
-from tests.scenes import changed, hill
+from synth3dlanes.geometry.transforms import invert, transform
+from tests.scenes import changed, hill, seen_on_flat_ground
 
 HILLS = (hill(30, -20, 25, 50), hill(-60, 60, -30, 40), hill(10, 90, 15, 30))
 CURVED = {"offset_m50_m": 6, "offset_p50_m": -7, "offset_p100_m": 9, "exit_offset_m": 6, "ramp_height_m": 5}
@@ -78,10 +80,14 @@ def test_faces_look_up_and_carry_their_material(topology):
 
 
 def test_dashes_cover_their_share_and_do_not_move_with_the_camera():
-    near, far = (paint.paint_meshes(RoadPlan(changed(camera={"y_m": y})))["main_line_1"] for y in (-50, -30.3))
+    plans = [RoadPlan(changed(camera={"y_m": y})) for y in (-50, -30.3)]
     painted = [
-        {(round(lo, 3), round(hi, 3)) for lo, hi in zip(*_spans(mesh), strict=True) if lo > -20 and hi < 20}
-        for mesh in (near, far)
+        {
+            (round(lo, 3), round(hi, 3))
+            for lo, hi in zip(*_spans(plan, "main_line_1"), strict=True)
+            if -20 < lo < hi < 20
+        }
+        for plan in plans
     ]
     edges = [sorted({e for span in spans for e in span}) for spans in painted]
     starts = [[e for e in spans if abs(e / 4 - round(e / 4)) < 1e-6] for spans in edges]
@@ -90,18 +96,48 @@ def test_dashes_cover_their_share_and_do_not_move_with_the_camera():
     np.testing.assert_allclose(lengths, 20, atol=2.01)
 
 
-def _spans(mesh):
-    y = mesh.vertices_world[mesh.faces][:, :, 1]
+def _spans(plan, line):
+    mesh = paint.paint_meshes(plan)[line]
+    y = plan.plan_station(mesh.uv_m[mesh.faces][:, :, 1])
     return y.min(axis=1), y.max(axis=1)
 
 
-def test_paint_is_as_wide_as_the_scene_says_and_centred_on_the_delimiter():
-    plan = plan_of(2)
+def test_paint_is_seen_as_wide_as_the_scene_says_and_centred_on_the_delimiter():
+    """Though it floats over the road: there it would be seen outside of its place by its height over the camera's."""
+    plan = RoadPlan(changed(road={**CURVED, "topology": 2}))
     mesh = paint.paint_meshes(plan)["main_line_0"]
-    left, right = mesh.vertices_world[0::2], mesh.vertices_world[1::2]
-    np.testing.assert_allclose(np.linalg.norm((right - left)[:, :2], axis=1), 0.12, atol=1e-6)
-    _, t = plan.project_main(((left + right) / 2)[:200, :2])
-    np.testing.assert_allclose(t, plan.boundary_m(0), atol=1e-6)
+    near = (mesh.uv_m[:, 1] > -45) & (mesh.uv_m[:, 1] < 10)
+    seen = seen_on_flat_ground(plan, mesh.vertices_world[near])
+    left, right = seen[0::2], seen[1::2]
+    np.testing.assert_allclose(np.linalg.norm((right - left)[:, :2], axis=1), 0.12, atol=5e-4)
+    _, t = plan.project_main(((left + right) / 2)[:, :2])
+    np.testing.assert_allclose(t, plan.boundary_m(0), atol=1e-4)
+    _, straight_above = plan.project_main(((left + right) / 2 + mesh.vertices_world[near][0::2] - left)[:, :2])
+    assert (np.abs(straight_above - t) > 1e-3).all(), "for which it had to be moved"
+    assert (mesh.vertices_world[near, 2] > 0.0014).all(), "and it floats, or the road would show through"
+
+
+def test_the_eye_sees_paint_in_its_place_on_hills_and_ramps():
+    """Across its line, within a tenth of a pixel, wherever the road is not seen edge on."""
+    for topology in (2, 3, 4):
+        plan = plan_of(topology)
+        eye_world = world_from_cam(plan)
+        strips = paint.paint_meshes(plan)
+        for curve in curves(plan):
+            if curve.kind == "delimiter" and len(strips[curve.id].faces):
+                mesh = strips[curve.id]
+                s = mesh.uv_m[0::2, 1]
+                middle = (mesh.vertices_world[0::2] + mesh.vertices_world[1::2]) / 2
+                near = (s > -47) & (s < 10)
+                on_road, onwards, floating = (
+                    project(img_from_cam(plan.scene.camera), transform(invert(eye_world), points[near]))
+                    for points in (curve.points_world(plan, s), curve.points_world(plan, s + 0.01), middle)
+                )
+                along = onwards - on_road
+                off = floating - on_road
+                aside_px = np.abs(off[:, 0] * along[:, 1] - off[:, 1] * along[:, 0]) / np.hypot(*along.T)
+                steep = np.hypot(*along.T) > 0.005
+                assert aside_px[steep].max(initial=0) < 0.1, curve.id
 
 
 def test_there_is_no_inner_verge_while_the_exit_touches_the_main_road():
@@ -111,3 +147,60 @@ def test_there_is_no_inner_verge_while_the_exit_touches_the_main_road():
     apart = meshes.verge_meshes(Ground(plan_of(2)))
     assert [len(apart), len(touching)] == [4, 3]
     assert all(len(mesh.faces) for mesh in apart + touching)
+
+
+@pytest.mark.parametrize("topology", [1, 2, 3, 4])
+@pytest.mark.parametrize("flip", [False, True])
+def test_roads_and_their_paint_end_where_the_terrain_does(topology, flip):
+    plan = plan_of(topology, flip_lateral=flip)
+    ground = Ground(plan)
+    terrain = meshes.terrain_mesh(ground)
+    strips = {name: mesh for name, mesh in paint.paint_meshes(plan).items() if len(mesh.faces)}
+    through = [mesh for name, mesh in strips.items() if name in ("main_line_0", "main_line_1")]
+    road, *exits = meshes.road_meshes(ground)
+    for mesh in [road, *through] + ([] if flip else exits):
+        points = mesh.vertices_world[mesh.faces].reshape(-1, 3)
+        assert np.abs(points[:, :2]).max() > 0.93 * meshes.HORIZON_M
+        far = points[(points[:, 1] > 400) & (points[:, 1] < 1500)][::23]
+        assert np.nanmin(far[:, 2] - heights_at(terrain, far[:, :2])) > 0, "and no ground comes up through them"
+
+
+@pytest.mark.parametrize("topology", [2, 3, 4])
+def test_the_exit_goes_on_below_the_main_road_so_that_no_ground_shows_between(topology):
+    plan = plan_of(topology)
+    ground = Ground(plan)
+    road, exit_road = meshes.road_meshes(ground)
+    s = exit_road.uv_m[:, 1]
+    touching = (s > 1) & (s < 0.8 * plan.nose_m)
+    first = np.flatnonzero(touching & (np.diff(s, prepend=-1) != 0))
+    assert len(first) > 20
+    seam, edge = exit_road.vertices_world[first], exit_road.vertices_world[first + 1]
+    at, t = plan.project_main(edge[:, :2])
+    np.testing.assert_allclose(t, ground.main_right_edge(at), atol=1e-3)
+    assert (heights_at(road, seam[:, :2]) - seam[:, 2] > 0.005).all()
+
+
+@pytest.mark.parametrize("is_double", [False, True])
+@pytest.mark.parametrize("topology", [1, 2, 4])
+def test_all_paint_of_an_edge_line_lies_on_the_lanes_pavement(topology, is_double):
+    scene = changed(road={**CURVED, "topology": topology}, markings={"left_double": is_double, "width_m": 0.15})
+    plan = RoadPlan(scene)
+    road = meshes.road_meshes(Ground(plan))[0]
+    paved = road.uv_m[road.faces[road.material == meshes.ROAD]]
+    widest = [0.0, 0.0]
+    for name in ("main_line_0", f"main_line_{plan.n_main_after}"):
+        mesh = paint.paint_meshes(plan)[name]
+        s = mesh.uv_m[:, 1]
+        _, t = plan.project_main(mesh.vertices_world[(s > -45) & (s < -2), :2])
+        widest = [min(widest[0], t.min(initial=0)), max(widest[1], t.max(initial=0))]
+    behind = paved[(paved[..., 1] < -2).all(axis=1)]
+    assert behind[..., 0].min() < widest[0]
+    assert behind[..., 0].max() > widest[1]
+
+
+def test_paint_faces_up():
+    for topology in (2, 3, 4):
+        for flip in (False, True):
+            for mesh in paint.paint_meshes(plan_of(topology, flip_lateral=flip)).values():
+                a, b, c, d = (mesh.vertices_world[mesh.faces[:, i]] for i in range(4))
+                assert (np.cross(c - a, d - b)[:, 2] >= 0).all()
