@@ -1,5 +1,6 @@
 """Bad input of every kind: one clear line per problem on stderr, exit code 2, nothing half-written."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -65,6 +66,29 @@ def test_a_scene_with_two_mistakes_names_both(run: Run, in_tmp_path: Path) -> No
     lines = result.stderr.splitlines()
     assert all(line.startswith("scene.json: ") for line in lines)
     assert {line.split(": ")[1] for line in lines} == {"road.topology", "light.exposure", "light.exposur"}
+
+
+@pytest.mark.parametrize("command", ["render", "inspect"])
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("lane", "exit_7", "cars.0.lane: expected one of "),
+        ("lane", "stem_1", "cars.0.lane: expected one of "),
+        ("n_lanes", 2, "camera.lane: expected at most 2 "),
+    ],
+)
+def test_a_lane_that_is_not_there_is_one_line(
+    command: str, key: str, value: str | int, words: str, run: Run, in_tmp_path: Path
+) -> None:
+    changes = ["road.n_lanes=4", "road.topology=1", "camera.lane=4"]
+    scene = json.loads(run("sample", *(word for change in changes for word in ("--set", change))).stdout)
+    (scene["road"] if key == "n_lanes" else scene["cars"][0])[key] = value
+    (in_tmp_path / "scene.json").write_text(json.dumps(scene))
+    result = run(command, "scene.json")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr.startswith(f"scene.json: {words}")
+    assert result.stderr.count("\n") == 1
+    assert [path.name for path in in_tmp_path.iterdir()] == ["scene.json"]
 
 
 def test_render_will_not_overwrite_its_scene(run: Run, in_tmp_path: Path) -> None:

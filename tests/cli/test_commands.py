@@ -1,6 +1,8 @@
 """What each command prints and writes."""
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -71,3 +73,19 @@ def test_from_nothing_to_pictures(run: Run, in_tmp_path: Path) -> None:
     changed = run("render", "scene.json", "--set", "light.exposure=3", "--out", "new/bright.jpg")
     assert changed.stdout.split() == ["new/bright.jpg", "new/bright.scene.json", "new/bright.labels.json"]
     assert json.loads((in_tmp_path / "new/bright.scene.json").read_text())["light"]["exposure"] == 3
+
+
+@pytest.mark.render
+def test_render_makes_the_very_bytes_that_the_data_set_has(in_tmp_path: Path) -> None:
+    """A worker has one core, a user's process all of them; at full size every rounding shows."""
+    program = [sys.executable, "-m", "synth3dlanes_cli.main"]
+    passes = ["--passes", "depth,normal,semantic,instance"]
+    subprocess.run([*program, "generate", "--n", "1", "--out", "d", *passes], check=True, capture_output=True)
+
+    from synth3dlanes.dataset.read import Reader
+
+    members = Reader("d/train").raw(0)
+    (in_tmp_path / "a.scene.json").write_bytes(members["scene.json"])
+    subprocess.run([*program, "render", "a.scene.json", "--out", "a.jpg", *passes], check=True, capture_output=True)
+    for name in ("jpg", "labels.json", "passes.exr"):
+        assert (in_tmp_path / f"a.{name}").read_bytes() == members[name], name
