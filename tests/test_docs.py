@@ -71,7 +71,11 @@ def test_every_package_is_installed() -> None:
         found = {path.parent.relative_to(ROOT).as_posix() for path in (ROOT / top).rglob("*.py")}
         assert found <= folders
     beside_code = {path for path in (ROOT / "synth3dlanes").rglob("*.*") if path.suffix not in (".py", ".pyc")}
-    assert beside_code == set((ROOT / "synth3dlanes/figures").glob(*tool["package-data"]["synth3dlanes.figures"]))
+    data = {name: patterns for name, patterns in tool["package-data"].items() if name not in tool["package-dir"]}
+    folders_of = {name: ROOT / name.replace(".", "/") for name in data}
+    assert beside_code == {
+        p for name, patterns in data.items() for glob in patterns for p in folders_of[name].glob(glob)
+    }
 
 
 def anchors(page: Path) -> set[str]:
