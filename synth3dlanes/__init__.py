@@ -1,3 +1,3 @@
 """Synthetic 3D-lane images with exact ground truth."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
