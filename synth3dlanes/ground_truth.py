@@ -24,7 +24,12 @@ APART_M = 0.01
 
 def ground_truth(scene: Scene) -> Labels:
     """Everything exact about a scene: curves every metre of road from the camera to 110 m ahead (spec section 4)."""
-    plan = RoadPlan(scene)
+    return labels_on(Ground(RoadPlan(scene)))
+
+
+def labels_on(ground: Ground) -> Labels:
+    """The ground truth of a scene, given its ground."""
+    plan, scene = ground.plan, ground.plan.scene
     world_from_cam = cameras.world_from_cam(plan)
     camera = CameraLabel(
         width_px=scene.camera.width_px,
@@ -50,7 +55,7 @@ def ground_truth(scene: Scene) -> Labels:
     points_world = np.concatenate(list(sampled.values()))
     points_cam = transform(invert(world_from_cam), points_world)
     in_image = inside_image(camera, points_cam)
-    seen = seen_over_ground(Ground(plan), world_from_cam[:3, 3], points_world)
+    seen = seen_over_ground(ground, world_from_cam[:3, 3], points_world)
     ends = np.cumsum([len(points) for points in sampled.values()])[:-1]
     lanes = tuple(
         Lane(

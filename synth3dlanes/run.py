@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from synth3dlanes.dataset.folder import claim
-from synth3dlanes.dataset.format import key_of
+from synth3dlanes.dataset.format import key_of, recipe_text
 from synth3dlanes.dataset.write import Shard, write_whole
 from synth3dlanes.errors import ParamsError
 from synth3dlanes.events import Event, duration
@@ -81,8 +81,8 @@ class Plan:
 
     def layout(self, root: Path) -> dict[int, Shard]:
         """This part's shards by number, in the data set at `root`."""
-        folder = root / self.recipe.split
-        return {number: Shard(folder, number, self.shard_size, self.recipe.names) for number in self.shards()}
+        folder, names, recipe = root / self.recipe.split, self.recipe.names, recipe_text(self.description())
+        return {number: Shard(folder, number, self.shard_size, names, recipe) for number in self.shards()}
 
     def description(self) -> dict[str, Any]:
         """What `dataset.json` says about the recipe and the layout."""

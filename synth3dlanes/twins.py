@@ -12,6 +12,7 @@ from synth3dlanes.asset_folder import require_assets
 from synth3dlanes.catalogue import BUILT_IN, Library
 from synth3dlanes.change import change_scene
 from synth3dlanes.dataset.read import Reader
+from synth3dlanes.dataset.rearrange import how_derived
 from synth3dlanes.errors import ParamsError
 from synth3dlanes.generate import Recipe
 from synth3dlanes.look_up import params_of, read_scene
@@ -35,7 +36,8 @@ class TwinRecipe(Recipe):
 
     def description(self) -> dict[str, Any]:
         """As of any recipe, and what was varied."""
-        return {**super().description(), "derived": {"of": self.source, "vary": self.path, "values": list(self.values)}}
+        varied = {"of": self.source, "vary": self.path, "values": list(self.values)}
+        return {**super().description(), "derived": {**varied, **how_derived(Reader(self.source))}}
 
 
 def twin_recipes(source: str, vary: str, device: str, library: Library = BUILT_IN) -> list[TwinRecipe]:

@@ -200,3 +200,19 @@ def test_the_cameras_right_side_sinks_by_its_roll(index):
     for a, b in zip(level.lanes, rolled.lanes, strict=True):
         in_road = b.xyz_cam @ rolled.camera.road_from_cam[:3, :3].T
         np.testing.assert_allclose(in_road, a.xyz_cam @ level.camera.road_from_cam[:3, :3].T, atol=1e-9)
+
+
+@pytest.mark.parametrize(("seed", "split", "index"), [(2026, "test", 9), *((4711, "trees", i) for i in range(20))])
+def test_no_tree_stands_on_an_exit_or_its_shoulders(seed, split, index):
+    """The first is one that leaves so sharply that its far part lies abreast of an early station."""
+    changes = ["cars.n=1", "road.topology={2: 1, 3: 1, 4: 1}"] if split == "trees" else ["cars.n=1"]
+    drawn = sample_scene(load_params("appendix_i", changes), seed, split, index)
+    scene = json.loads(scene_file.to_json(drawn))
+    road = scene["road"]
+    flips = np.array([-1 if road["flip_longitudinal"] else 1, -1 if road["flip_lateral"] else 1])
+    trees = np.array([[tree["x_m"], tree["y_m"]] for tree in scene["trees"]]) * flips
+    lanes = [xy for (name, _), (xy, _) in expected_centres(scene).items() if name == "exit"]
+    middle = np.mean(lanes, axis=0)[Y >= 0][1:-1]
+    ahead = middle[-1] + (middle[-1] - middle[-2]) / 0.02 * np.linspace(0, 200, 4001)[:, None]
+    gap, _ = cKDTree(np.concatenate([middle, ahead])).query(trees)
+    assert gap.min() > (len(lanes) / 2 + road["shoulder_factor"]) * road["lane_width_m"]

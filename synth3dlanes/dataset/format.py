@@ -29,9 +29,17 @@ COLUMN_OF_MEMBER = {
     "jpg": "image", "png": "image", SCENE: "scene", LABELS: "labels", PASSES: "passes", HEIGHT: "height"
 }  # fmt: skip
 BLOCK = 512
+# Where the metadata of a shard's parquet has the recipe that its samples were made from.
+RECIPE = b"synth3dlanes.recipe"
 
 # Integers up to here are exact in a half float.
 EXACT_IN_HALF = 2048
+NORMAL = ("normal.X", "normal.Y", "normal.Z")
+CHANNEL_TYPES = {
+    **dict.fromkeys(("depth", "height"), (np.float32,)),
+    **dict.fromkeys(NORMAL, (np.float16,)),
+    **dict.fromkeys(("semantic", "instance"), (np.float16, np.float32)),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +98,7 @@ def decode_image(data: bytes, where: str) -> UInt8[np.ndarray, "h w 3"]:
     """The pixels of a JPEG or PNG; raise FormatError, its message beginning with `where`."""
     try:
         return np.array(Image.open(io.BytesIO(data), formats=("JPEG", "PNG")).convert("RGB"))
-    except (UnidentifiedImageError, OSError, SyntaxError) as error:
+    except (UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise FormatError(f"{where}: expected a JPEG or PNG image, got {error}") from None
 
 
@@ -106,7 +114,7 @@ def write_passes(passes: Mapping[str, Shaped[np.ndarray, "..."]]) -> bytes:
         if name in ("depth", "height"):
             channels[name] = values.astype(np.float32)
         elif name == "normal":
-            channels |= {f"normal.{axis}": values[..., i].astype(np.float16) for i, axis in enumerate("XYZ")}
+            channels |= {axis: values[..., i].astype(np.float16) for i, axis in enumerate(NORMAL)}
         else:
             channels[name] = values.astype(np.float16 if values.max() <= EXACT_IN_HALF else np.float32)
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
@@ -116,17 +124,38 @@ def write_passes(passes: Mapping[str, Shaped[np.ndarray, "..."]]) -> bytes:
 
 
 def read_passes(data: bytes, where: str) -> dict[str, Shaped[np.ndarray, "..."]]:
-    """The passes by name: `depth`, `height` and `normal` float32, `semantic` uint8, `instance` uint16."""
+    """The passes by name: `depth`, `height` and `normal` float32, `semantic` uint8, `instance` uint16.
+
+    Raises FormatError, its message beginning with `where`, for what `write_passes` does not write.
+    """
     try:
         channels = OpenEXR.File(io.BytesIO(data), separate_channels=True).channels()
-    except (RuntimeError, ValueError) as error:
+        pixels = {name: channel.pixels for name, channel in channels.items()}
+    except (RuntimeError, ValueError, MemoryError) as error:
         raise FormatError(f"{where}: expected an OpenEXR image, got {error}") from None
-    pixels = {name: channel.pixels for name, channel in channels.items()}
-    types = {"depth": np.float32, "height": np.float32, "semantic": np.uint8, "instance": np.uint16}
-    passes = {name: pixels[name].astype(dtype) for name, dtype in types.items() if name in pixels}
-    if "normal.X" in pixels:
-        passes["normal"] = np.stack([pixels[f"normal.{axis}"] for axis in "XYZ"], axis=-1).astype(np.float32)
-    return passes
+    for name, values in pixels.items():
+        if values.dtype not in CHANNEL_TYPES.get(name, ()):
+            types = " or ".join(np.dtype(dtype).name for dtype in CHANNEL_TYPES.get(name, ()))
+            raise FormatError(f"{where}: {name}: expected {types or 'no such channel'}, got {values.dtype}")
+    if len({values.shape for values in pixels.values()}) > 1:
+        raise FormatError(f"{where}: expected channels of one size, got several")
+    passes = {name: pixels[name] for name in ("depth", "height") if name in pixels}
+    for name, dtype in (("semantic", np.uint8), ("instance", np.uint16)):
+        if name in pixels:
+            passes[name] = _ids(pixels[name], dtype, f"{where}: {name}")
+    normal = [pixels[name] for name in NORMAL if name in pixels]
+    if normal and len(normal) < len(NORMAL):
+        raise FormatError(f"{where}: expected channels {', '.join(NORMAL)}, got {len(normal)} of them")
+    return passes | ({"normal": np.stack(normal, axis=-1).astype(np.float32)} if normal else {})
+
+
+def _ids(values: Shaped[np.ndarray, "h w"], dtype: type[np.unsignedinteger], where: str) -> Shaped[np.ndarray, "h w"]:
+    """Whole numbers that were written as floats."""
+    with np.errstate(invalid="ignore"):
+        ids = values.astype(dtype)
+    if not np.array_equal(ids, values):
+        raise FormatError(f"{where}: expected whole numbers from 0 to {np.iinfo(dtype).max}, got others")
+    return ids
 
 
 def tar_bytes(key: str, members: Mapping[str, bytes]) -> bytes:
@@ -159,3 +188,22 @@ def parse_description(data: bytes, where: str) -> dict[str, Any]:
     if found != (DATASET_FORMAT, DATASET_VERSION):
         raise FormatError(f"{where}: expected {DATASET_FORMAT} version {DATASET_VERSION}, got {found}")
     return dict(document)
+
+
+def recipe_text(description: Mapping[str, Any]) -> str:
+    """What `dataset.json` says about how samples are made, all but its version and its splits; equal recipes give
+    equal text."""
+    recipe = {key: value for key, value in description.items() if key not in ("format", "version", "splits")}
+    # Through JSON, so that a tuple equals the list that it is read back as; 3.0 equals 3.
+    canonical = json.loads(json.dumps(recipe), parse_float=_whole)
+    return json.dumps(canonical, sort_keys=True, separators=(",", ":"))
+
+
+def recipe_of(metadata: Mapping[bytes, bytes] | None) -> str:
+    """The recipe that a shard was made from, by its parquet's metadata; "" where it does not say."""
+    return (metadata or {}).get(RECIPE, b"").decode("utf-8", "replace")
+
+
+def _whole(text: str) -> float:
+    number = float(text)
+    return int(number) if number.is_integer() else number

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 from pydantic import BaseModel
 
-from synth3dlanes.dataset.format import COLUMN_OF_MEMBER
+from synth3dlanes.dataset.format import COLUMN_OF_MEMBER, RECIPE
 from synth3dlanes.labels import Labels, Lane
 from synth3dlanes.scene import Air, Camera, Light, Markings, Road, Scene, Sensor, Surface
 
@@ -64,9 +64,10 @@ def index_row(
     return row | _topology(scene, labels) | _summary(labels)
 
 
-def table(rows: list[dict[str, Any]]) -> pa.Table:
-    """The index of a shard; its columns do not depend on its rows."""
-    return pa.Table.from_pylist(rows, schema=SCHEMA)
+def table(rows: list[dict[str, Any]], recipe: str = "") -> pa.Table:
+    """The index of a shard; its columns do not depend on its rows. `recipe` is what they were made from, "" where
+    nobody says."""
+    return pa.Table.from_pylist(rows, schema=SCHEMA.with_metadata({RECIPE: recipe}) if recipe else SCHEMA)
 
 
 def _topology(scene: Scene, labels: Labels) -> dict[str, Any]:

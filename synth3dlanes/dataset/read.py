@@ -26,6 +26,7 @@ from synth3dlanes.dataset.format import (
     member_names,
     parse_description,
     read_passes,
+    recipe_of,
 )
 from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels
@@ -34,7 +35,8 @@ from synth3dlanes.labels import Labels
 class Reader:
     """The samples of `DIR/train` in the order of their keys. Raises FormatError where a file is not what it should be.
 
-    `index` is the table of all samples: places, scene parameters, label summary (`docs/format.md`).
+    `index` is the table of all samples: places, scene parameters, label summary (`docs/format.md`); `recipes` are those
+    that its shards were made from, by their indices ("" where one does not say).
     """
 
     def __init__(self, url: str) -> None:
@@ -53,6 +55,7 @@ class Reader:
         self._tars = [f"{path.removesuffix('.parquet')}.tar" for path in paths]
         self._shard = np.repeat(np.arange(len(tables)), [table.num_rows for table in tables])
         self.index = pa.concat_tables(tables)
+        self.recipes = {recipe_of(table.schema.metadata) for table in tables}
         self._columns = {
             name: tuple(self.index[f"{COLUMN_OF_MEMBER[name]}_{what}"].to_numpy() for what in ("offset", "size"))
             for name in self._names

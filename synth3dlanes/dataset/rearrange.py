@@ -11,11 +11,12 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
 
 from synth3dlanes.dataset import stores
 from synth3dlanes.dataset.address import is_url
 from synth3dlanes.dataset.folder import claim, differences
-from synth3dlanes.dataset.format import key_of, member_names
+from synth3dlanes.dataset.format import key_of, member_names, recipe_of, recipe_text
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.splits import readers, split_name
 from synth3dlanes.dataset.write import Shard
@@ -42,7 +43,7 @@ def cut(source: Reader, shares: Mapping[str, float], seed: int, out: str) -> dic
     empty = [name for name, positions in dealt.items() if not positions]
     if empty:
         raise ParamsError(f"--into: expected a sample for each split, got none of {len(source)} for {', '.join(empty)}")
-    origin = {"cut": source.url, "n": len(source), "seed": seed, "into": dict(shares)}
+    origin = {"cut": source.url, "n": len(source), "seed": seed, "into": dict(shares), **how_derived(source)}
     for name, positions in dealt.items():
         places = {number: (source, i) for number, i in enumerate(positions)}
         _put(out, {**_recipe(source), "derived": origin}, name, len(places), places)
@@ -74,6 +75,11 @@ def merge(sources: Sequence[str], out: str) -> dict[str, int]:
     return counts
 
 
+def how_derived(source: Reader) -> dict[str, Any]:
+    """The `derived` of a data set that was made of another itself, for that of one made of it."""
+    return {key: value for key, value in source.description.items() if key == "derived"}
+
+
 def _recipe(reader: Reader) -> dict[str, Any]:
     return {key: value for key, value in reader.description.items() if key not in ("format", "version", "splits")}
 
@@ -90,8 +96,12 @@ def _union(several: Sequence[Reader]) -> Places:
 
 
 def _put(out: str, recipe: dict[str, Any], split: str, n: int, places: Places) -> None:
-    """Write the samples that are not there yet, shard by shard."""
+    """Write the samples that are not there yet, shard by shard. Their recipe is noted there where that of all sources
+    is."""
     size, names = int(recipe["shard_size"]), member_names(recipe["image_format"], recipe["render"]["passes"])
+    sources = {id(reader): reader for reader, _ in places.values()}.values()
+    is_known = all(reader.recipes == {recipe_text(reader.description)} for reader in sources)
+    text = recipe_text(recipe) if is_known else ""
     shards: dict[int, Places] = {}
     for index, place in places.items():
         shards.setdefault(index // size, {})[index] = place
@@ -100,7 +110,7 @@ def _put(out: str, recipe: dict[str, Any], split: str, n: int, places: Places) -
         for number, members in sorted(shards.items()):
             if not members.keys() <= stores.indices(out, split, number):
                 with TemporaryDirectory(prefix="synth3dlanes-") as folder:
-                    shard = Shard(Path(folder) / split, number, size, names)
+                    shard = Shard(Path(folder) / split, number, size, names, text)
                     shard.folder.mkdir()
                     stores.fetch_shard(out, shard)
                     _fill(shard, members, n)
@@ -108,7 +118,7 @@ def _put(out: str, recipe: dict[str, Any], split: str, n: int, places: Places) -
         return
     with claim(Path(out), recipe, split, n, sorted(shards)) as home:
         for number, members in sorted(shards.items()):
-            _fill(Shard(home, number, size, names), members, n)
+            _fill(Shard(home, number, size, names, text), members, n)
 
 
 def _fill(shard: Shard, members: Places, n: int) -> None:
@@ -128,6 +138,7 @@ def _link_whole(shard: Shard, members: Places) -> None:
     reader = next(iter(sources.values()))
     theirs = Shard(Path(reader.url), shard.number, shard.size, shard.names)
     is_theirs = len(sources) == 1 and theirs.path("parquet").exists() and theirs.joined() == members.keys()
+    is_theirs = is_theirs and recipe_of(pq.read_schema(theirs.path("parquet")).metadata) == shard.recipe
     if not is_theirs or any(int(reader.key(i)) != index for i, index in zip(positions, sorted(members), strict=True)):
         return
     for suffix in ("tar", "parquet"):

@@ -42,12 +42,14 @@ class Place:
 
 @dataclass(frozen=True)
 class Shard:
-    """Shard `number` of the split in `folder`; `names` are the members of each of its samples, in order."""
+    """Shard `number` of the split in `folder`; `names` are the members of each of its samples, in order, and `recipe`
+    is what they are made from (`format.recipe_text`), for its index; "" for none."""
 
     folder: Path
     number: int
     size: int
     names: tuple[str, ...]
+    recipe: str = ""
 
     def path(self, suffix: str) -> Path:
         """The shard's file or folder with this suffix."""
@@ -102,7 +104,7 @@ class Shard:
             stream.flush()
             os.fsync(stream.fileno())
         with index.open("wb") as stream:
-            pq.write_table(table(rows), stream)
+            pq.write_table(table(rows, self.recipe), stream)
             stream.flush()
             os.fsync(stream.fileno())
         if rows:

@@ -33,6 +33,8 @@ GROWTH = 0.06
 PAINT_ROOM_M = 0.05
 # Stretch behind the split over which the pavement of a lane that leaves narrows away (topology 4).
 TAPER_M = 20.0
+# From the split to where no exit is in the scene any more.
+EXIT_STATIONS_M = np.concatenate([np.arange(0.0, 400.0, 2.0), np.geomspace(400.0, 20_000.0, 40)])
 # The crests of a ramp are followed this far beyond the scene.
 CREST_BEYOND_M = 30.0
 
@@ -164,8 +166,18 @@ class Ground:
         x, slope, _ = self.plan.main_line(xy[:, 1])
         across = (xy[:, 0] - x) / np.sqrt(1 + slope * slope)
         reach = self.edge_m + self._reach_m(xy_world)
-        right = reach + (self.plan.opening(np.clip(xy[:, 1] + 20, 0, None)) * 1.5 if self.plan.has_exit else 0.0)
+        right = reach
+        if self.plan.has_exit:
+            # An exit that leaves at an angle is abreast of a y at a station far beyond it.
+            station = np.interp(xy[:, 1], self._exit_y, EXIT_STATIONS_M)
+            right = reach + self.plan.opening(station + 20) * 1.5
         return (across > -reach) & (across < right)
+
+    @cached_property
+    def _exit_y(self) -> Values:
+        """Plan y of the exit's reference line at EXIT_STATIONS_M."""
+        y = self.plan.exit_xy(EXIT_STATIONS_M, 0.0)[:, 1] * self.plan.flips[1]
+        return np.asarray(np.maximum.accumulate(y))
 
     def _reach_m(self, xy_world: Points2) -> Values:
         """How far from a shoulder's edge the ground may differ from the terrain."""

@@ -38,13 +38,21 @@ class Mesh:
 
 def terrain_mesh(ground: Ground) -> Mesh:
     """A grid of CELL_M around the near road, growing outwards to the horizon and its hills."""
-    x0, y0, x1, y1 = ground.fine
-    xs = _axis(x0, x1, HORIZON_M, HORIZON_M)
-    ys = _axis(y0, y1, BEHIND_M, HORIZON_M)
+    xs, ys = terrain_axes(ground)
     xy = np.stack(np.meshgrid(xs, ys), -1)
-    z = ground.terrain_mesh_height(xy) + far_hills(ground.plan.scene, xy)
-    vertices = np.concatenate([xy, z[..., None]], -1)
+    vertices = np.concatenate([xy, terrain_heights(ground, xy)[..., None]], -1)
     return grid(vertices, xy, np.zeros(len(xs) - 1, dtype=int))
+
+
+def terrain_axes(ground: Ground) -> tuple[Values, Float[np.ndarray, " m"]]:
+    """World x of the columns of the terrain's vertices, and world y of their rows."""
+    x0, y0, x1, y1 = ground.fine
+    return _axis(x0, x1, HORIZON_M, HORIZON_M), _axis(y0, y1, BEHIND_M, HORIZON_M)
+
+
+def terrain_heights(ground: Ground, xy_world: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
+    """Heights of the terrain's vertices."""
+    return ground.terrain_mesh_height(xy_world) + far_hills(ground.plan.scene, xy_world)
 
 
 def road_stations(plan: RoadPlan) -> Values:

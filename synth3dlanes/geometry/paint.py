@@ -53,10 +53,7 @@ def stripes_m(plan: RoadPlan, line_id: str) -> tuple[float, ...]:
 
 def _paint(plan: RoadPlan, curve: Curve) -> Mesh:
     markings = plan.scene.markings
-    rows = np.sort(plan.plan_station(road_stations(plan)))
-    low, high = max(rows[0], curve.start_m), min(rows[-1], curve.end_m)
-    rows = np.array([low, low]) if low >= high else np.concatenate([[low], rows[(rows > low) & (rows < high)], [high]])
-    rows, painted = _painted_rows(plan, curve, rows)
+    rows, painted = painted_rows(plan, curve)
     ahead_m = plan.plan_station(rows) - plan.scene.camera.y_m
     painted_share = (markings.dash_fraction if curve.marking == "dashed" else 1.0) * (1 - markings.missing)
     share = np.where(ahead_m > DASHES_M, painted_share, 1.0)
@@ -116,11 +113,12 @@ def _beside(curve: Curve, t: float) -> Curve:
     return replace(curve, stem_m=None if curve.stem_m is None else curve.stem_m + t, fork_m=curve.fork_m + t)
 
 
-def _painted_rows(
-    plan: RoadPlan, curve: Curve, rows: Values
-) -> tuple[Float[np.ndarray, " m"], Bool[np.ndarray, " m-1"]]:
-    """Rows with all ends of paint among them, and whether the strip behind each row is painted. Lengths are counted
-    along the line from the split, so that dashes and gaps do not move with the camera."""
+def painted_rows(plan: RoadPlan, curve: Curve) -> tuple[Float[np.ndarray, " m"], Bool[np.ndarray, " m-1"]]:
+    """Rows of a line with all ends of paint among them, and whether the strip behind each row is painted. Lengths are
+    counted along the line from the split, so that dashes and gaps do not move with the camera."""
+    rows = np.sort(plan.plan_station(road_stations(plan)))
+    low, high = max(rows[0], curve.start_m), min(rows[-1], curve.end_m)
+    rows = np.array([low, low]) if low >= high else np.concatenate([[low], rows[(rows > low) & (rows < high)], [high]])
     is_far = plan.plan_station(rows) - plan.scene.camera.y_m > DASHES_M
     far, rows = (np.zeros(0), rows) if is_far.all() else (rows[is_far], rows[~is_far])
     xyz = curve.points_world(plan, rows)

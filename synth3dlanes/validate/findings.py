@@ -48,6 +48,14 @@ class Measure(NamedTuple):
         return float(near.sum() if self.name.endswith("visible") else near.max(initial=0.0))
 
 
+class Signed(NamedTuple):
+    """One sample's signed value for a test over the whole data set, on average 0 where images and labels are of one
+    world; `name` is a key of `bias.TESTS`."""
+
+    name: str
+    value: float
+
+
 @dataclass
 class Distribution:
     """How often which value came, by band of distance."""

@@ -1,30 +1,40 @@
 """Shards against their indices: every byte accounted for, every sample once. Reads the files of one local dataset."""
 
 import hashlib
+import re
 import tarfile
 from collections import Counter
 from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from synth3dlanes.dataset.format import BLOCK, COLUMN_OF_MEMBER, key_of, tar_end
+from synth3dlanes.dataset.format import BLOCK, COLUMN_OF_MEMBER, key_of, recipe_of, tar_end
+from synth3dlanes.dataset.index import SCHEMA, index_row
 from synth3dlanes.errors import FormatError
-from synth3dlanes.validate.findings import Problem
+from synth3dlanes.labels import Labels
+from synth3dlanes.scene import Scene
+from synth3dlanes.validate.documents import differences, some
+from synth3dlanes.validate.findings import Finding, Problem
 
 NAMED_AT_MOST = 5
+KEY = re.compile("[0-9]{8}")
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A sample as the index has it: the tar, offset and size there of each member, and the digest of its bytes."""
+    """A sample as the index has it: its row there, the tar, offset and size there of each member, and the digest of its
+    bytes."""
 
     split: str
     index: int
     tar: Path
+    row: int
     members: dict[str, tuple[int, int]]
     sha256: str
 
@@ -45,23 +55,30 @@ class Entry:
 
 
 class ShardCheck(NamedTuple):
-    """The faults of a shard, the samples that lie in its tar where its index says, and the indices that it names."""
+    """The faults of a shard, the samples that lie in its tar where its index says, the indices that it names, and the
+    recipe that it was made from ("" where it does not say)."""
 
     problems: list[Problem]
-    entries: list[Entry]
-    indices: frozenset[int]
+    entries: Sequence[Entry] = ()
+    indices: frozenset[int] = frozenset()
+    recipe: str = ""
 
 
 def check_shard(parquet: Path, names: Sequence[str], shard_size: int) -> ShardCheck:
     """Compare the index of a shard with its tar, member by member."""
     try:
-        entries, problems = _entries(parquet, names)
+        if not parquet.stem.isdecimal():
+            raise FormatError("expected the number of a shard, as in 00000.parquet, got another name")
+        # Of an earlier validation.
+        _read_index.cache_clear()
+        table = _read_index(parquet)
+        entries, problems = _entries(table, parquet, names)
     except FormatError as error:
-        return ShardCheck([Problem(_place(parquet), "", str(error))], [], frozenset())
+        return ShardCheck([Problem(_place(parquet), "", str(error))])
     tar = parquet.with_suffix(".tar")
     found, fault = walk(tar)
-    if entries and not fault:
-        end = max(entry.end for entry in entries)
+    if found and not fault:
+        end = max(offset + size + -size % BLOCK for _, offset, size in found)
         expected, size = end + len(tar_end(end)), tar.stat().st_size
         fault = "" if size == expected else f"expected {expected} bytes, got {size}"
     problems += [Problem(_place(tar), "", fault)] if fault else []
@@ -78,17 +95,19 @@ def check_shard(parquet: Path, names: Sequence[str], shard_size: int) -> ShardCh
             problems.append(Problem(entry.name, "", reason))
         else:
             whole[entry.index] = entry
-    return ShardCheck(problems, list(whole.values()), frozenset(entry.index for entry in entries))
+    indices = frozenset(entry.index for entry in entries)
+    return ShardCheck(problems, list(whole.values()), indices, recipe_of(table.schema.metadata))
 
 
 def check_presence(split: str, n: int, indices: Set[int]) -> Iterator[Problem]:
     """Every index from 0 to n - 1 is in the shards of a split, and no other."""
-    missing = [key_of(index) for index in range(n) if index not in indices]
-    if missing:
-        more = f" and {len(missing) - NAMED_AT_MOST} more" if len(missing) > NAMED_AT_MOST else ""
-        reason = f"expected {n} samples, {len(missing)} missing: {', '.join(missing[:NAMED_AT_MOST])}{more}"
-        yield Problem(split, "", reason)
-    for index in sorted(index for index in indices if index >= n):
+    n_missing = n - sum(0 <= index < n for index in indices)
+    if n_missing:
+        absent = (index for index in range(n) if index not in indices)
+        named = [key_of(index) for index in islice(absent, min(n_missing, NAMED_AT_MOST))]
+        more = f" and {n_missing - NAMED_AT_MOST} more" if n_missing > NAMED_AT_MOST else ""
+        yield Problem(split, "", f"expected {n} samples, {n_missing} missing: {', '.join(named)}{more}")
+    for index in sorted(index for index in indices if not 0 <= index < n):
         yield Problem(f"{split}:{key_of(index)}", "", f"expected {n} samples by dataset.json, got one beyond them")
 
 
@@ -102,6 +121,16 @@ def read_sample(entry: Entry) -> tuple[dict[str, bytes], str]:
     digest = hashlib.sha256(data).hexdigest()
     fault = "" if digest == entry.sha256 else f"expected bytes of SHA-256 {entry.sha256:.12}..., got {digest:.12}..."
     return members, fault
+
+
+def check_row(entry: Entry, scene: Scene, labels: Labels) -> Iterator[Finding]:
+    """Every column of a sample's row in the index is what scene, labels and places give."""
+    parquet = entry.tar.with_suffix(".parquet")
+    found = _read_index(parquet).slice(entry.row, 1).to_pylist()[0]
+    expected = index_row(key_of(entry.index), entry.members, entry.sha256, scene, labels)
+    wrong = list(differences(expected, {name: found[name] for name in SCHEMA.names}))
+    if wrong:
+        yield Finding("", f"{_place(parquet)}: {some(wrong)}")
 
 
 def walk(tar: Path) -> tuple[list[tuple[str, int, int]], str]:
@@ -123,28 +152,41 @@ def _place(path: Path) -> str:
     return f"{path.parent.name}/{path.name}"
 
 
-def _entries(parquet: Path, names: Sequence[str]) -> tuple[list[Entry], list[Problem]]:
-    """The rows of an index; raise FormatError where it is none."""
-    places = {name: [f"{COLUMN_OF_MEMBER[name]}_{what}" for what in ("offset", "size")] for name in names}
-    columns = ["key", "index", "sha256", *(column for pair in places.values() for column in pair)]
+@lru_cache(maxsize=1)
+def _read_index(parquet: Path) -> pa.Table:
+    """The index of a shard; raise FormatError where it is none. Samples are asked for in order, so one is kept."""
     try:
-        table = pq.read_table(parquet)
+        with parquet.open("rb") as stream:
+            table = pq.read_table(stream)
+        table.validate(full=True)
     except (pa.ArrowException, OSError) as error:
         raise FormatError(f"expected the index of a shard, got {error}") from None
+    for field in SCHEMA:
+        if table.column_names.count(field.name) != 1:
+            raise FormatError(f"expected one column {field.name}, got {table.column_names.count(field.name)}")
+        found = table.schema.field(field.name).type
+        if found != field.type:
+            raise FormatError(f"expected a column {field.name} of {field.type}, got {found}")
+    return table
+
+
+def _entries(table: pa.Table, parquet: Path, names: Sequence[str]) -> tuple[list[Entry], list[Problem]]:
+    """The rows of an index; raise FormatError where they name no places."""
+    places = {name: [f"{COLUMN_OF_MEMBER[name]}_{what}" for what in ("offset", "size")] for name in names}
+    columns = ["key", "index", "sha256", *(column for pair in places.values() for column in pair)]
     for column in columns:
-        if column not in table.column_names or table[column].null_count:
-            raise FormatError(f"expected a column {column} without gaps, got none")
+        if table[column].null_count:
+            raise FormatError(f"expected a column {column} without gaps, got {table[column].null_count} of them")
     split, tar = parquet.parent.name, parquet.with_suffix(".tar")
     entries, problems = [], []
-    for row in table.select(columns).to_pylist():
-        if row["key"] != key_of(row["index"]):
-            reason = (
-                f"expected key {key_of(row['index'])} for index {row['index']}, got {row['key']} in {_place(parquet)}"
-            )
-            problems.append(Problem(f"{split}:{row['key']}", "", reason))
+    for number, row in enumerate(table.select(columns).to_pylist()):
+        key, expected = row["key"], key_of(row["index"])
+        if key != expected:
+            reason = f"expected key {expected} for index {row['index']}, got {key!r:.40} in {_place(parquet)}"
+            problems.append(Problem(f"{split}:{key if KEY.fullmatch(key) else expected}", "", reason))
             continue
         members = {name: (row[offset], row[size]) for name, (offset, size) in places.items()}
-        entries.append(Entry(split, row["index"], tar, members, row["sha256"]))
+        entries.append(Entry(split, row["index"], tar, number, members, row["sha256"]))
     return entries, problems
 
 

@@ -11,15 +11,18 @@ from jaxtyping import Bool, Float
 
 from synth3dlanes.geometry.camera import project
 from synth3dlanes.geometry.lanes import Curve, curves
-from synth3dlanes.geometry.paint import paint_meshes, stripes_m
+from synth3dlanes.geometry.paint import painted_rows, stripes_m
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.terrain import gradient_at
 from synth3dlanes.geometry.transforms import transform
 from synth3dlanes.labels import CameraLabel, Lane
 from synth3dlanes.scene import Scene
+from synth3dlanes.validate.places import Places
 
 # Paint that looks thinner or a dash that looks less high than this may fall between the pixels' single samples.
 RESOLVED_PX = 1.0
+# Along a line paint is seen up to this far beyond its end: it floats over the road.
+END_M = 0.06
 
 Points = Float[np.ndarray, "n 3"]
 Values = Float[np.ndarray, " n"]
@@ -28,11 +31,12 @@ Values = Float[np.ndarray, " n"]
 @dataclass(frozen=True, eq=False)
 class Strip:
     """Points along a line, the unit vector across it in the surface, the surface's normal, and whether there is paint
-    at their stations that pixels can show."""
+    at their stations, and paint that single pixels can show."""
 
     points_cam: Points
     across_cam: Points
     normal_cam: Points
+    painted: Bool[np.ndarray, " n"]
     resolved: Bool[np.ndarray, " n"]
 
 
@@ -54,10 +58,11 @@ class Paint:
         )
         self._scene = scene
         self._plan = RoadPlan(scene)
-        self._curves = {curve.id: curve for curve in curves(self._plan)}
+        self._curves = {curve.id: curve for curve in curves(self._plan) if curve.kind == "delimiter"}
         self._stretches = {}
-        for id_, mesh in paint_meshes(self._plan).items():
-            self._stretches[id_] = _merged(np.sort(mesh.uv_m[mesh.faces, 1], axis=1)[:, [0, -1]])
+        for id_, curve in self._curves.items():
+            rows, painted = painted_rows(self._plan, curve)
+            self._stretches[id_] = _merged(np.column_stack([rows[:-1], rows[1:]])[painted])
 
     def strip(self, camera: CameraLabel, lane: Lane, points_cam: Points) -> Strip:
         """What is known about points along a lane; they must be two or more, in order."""
@@ -74,14 +79,33 @@ class Paint:
             for step in (-half_m * across, half_m * across, -0.01 * along, 0.01 * along)
         )
         side, course = right - left, ahead - behind
-        height_px = np.abs(course[:, 1]) / 0.02 * self._painted_m(lane.id, points_world)
+        painted_m = self._painted_m(lane.id, points_world)
+        height_px = np.abs(course[:, 1]) / 0.02 * painted_m
         width_px = np.abs(side[:, 0] * course[:, 1] - side[:, 1] * course[:, 0]) / np.hypot(*course.T)
         resolved = (height_px >= RESOLVED_PX) & (width_px >= RESOLVED_PX)
-        return Strip(points_cam, across, np.cross(across, along), resolved)
+        return Strip(points_cam, across, np.cross(across, along), painted_m > 0, resolved)
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """The delimiters that there are, also out of the labels' range."""
+        return tuple(self._stretches)
 
     def stripes_m(self, id_: str) -> tuple[float, ...]:
         """Where the stripes of a line have their middles, across it."""
         return stripes_m(self._plan, id_) if id_ in self._curves else (0.0,)
+
+    def beyond_m(self, id_: str, place: Places) -> Values:
+        """How far points on the road lie outside the paint of a line: across it, or beyond END_M along it; negative
+        inside."""
+        stretches, curve = self._stretches[id_], self._curves[id_]
+        if not len(stretches):
+            return np.full(place.s.shape, np.inf)
+        aside = np.abs(place.right_of(curve)[:, None] - np.array(self.stripes_m(id_)))
+        s = place.station(curve)
+        start, end = stretches[np.clip(np.searchsorted(stretches[:, 0], s, side="right") - 1, 0, None)].T
+        after = np.append(stretches[:, 0], np.inf)[np.searchsorted(stretches[:, 0], s, side="right")]
+        along = np.minimum(np.maximum(start - s, s - end), after - s)
+        return np.maximum(aside.min(axis=1) - self.width_m / 2, along - END_M)
 
     def _painted_m(self, id_: str, points_world: Points) -> Values:
         """How long the stretch of paint is that each point is on; 0 off the paint."""

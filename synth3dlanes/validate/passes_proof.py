@@ -5,6 +5,7 @@ it is seen from the sixteen: where these disagree, an edge is less than two pixe
 """
 
 from collections.abc import Iterator, Mapping
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Integer, Shaped
@@ -15,7 +16,7 @@ from synth3dlanes.geometry import height_map
 from synth3dlanes.geometry.camera import project
 from synth3dlanes.geometry.transforms import transform
 from synth3dlanes.labels import CameraLabel, Labels, Lane
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS
 from synth3dlanes.validate.findings import PROOF_M, Finding, Measure
 from synth3dlanes.validate.paint import Paint, Strip
 
@@ -39,16 +40,25 @@ Pixels = Float[np.ndarray, "n 2"]
 Places = Int[np.ndarray, "k n"]
 
 
+class Marked(NamedTuple):
+    """The pixels of paint in an image of a shape: their centres, and a tree to search them by."""
+
+    shape: tuple[int, ...]
+    centers: Pixels
+    tree: cKDTree
+
+
 def prove_passes(paint: Paint, labels: Labels, passes: Passes) -> tuple[list[Finding], list[Measure]]:
     """Faults of lines by whichever of depth, semantic and height there are, and every value measured on the way."""
     findings: list[Finding] = []
     measures: list[Measure] = []
+    marked = _marked(passes) if {"semantic", "instance"} & set(passes) else None
     for lane in labels.lanes:
         uv = project(labels.camera.img_from_cam, lane.xyz_cam)
         strip = paint.strip(labels.camera, lane, lane.xyz_cam)
         found = []
-        if "semantic" in passes and lane.kind == "delimiter":
-            found.append(_paint(labels.camera, lane, strip, paint.stripes_m(lane.id), passes["semantic"]))
+        if marked and lane.kind == "delimiter":
+            found.append(_paint(labels.camera, lane, strip, paint.stripes_m(lane.id), marked, passes))
         if "depth" in passes:
             found += _surface(lane, strip, uv, passes)
         if "depth" in passes and "semantic" in passes:
@@ -79,25 +89,50 @@ def _judge(lane_id: str, measure: Measure) -> Iterator[Finding]:
         yield Finding(lane_id, f"passes: expected points within {limit} {words}, got {off}")
 
 
+def _marked(passes: Passes) -> Marked:
+    if "semantic" in passes:
+        is_paint = passes["semantic"] == SEMANTIC_IDS["marking"]
+    else:
+        is_paint = (passes["instance"] >= FIRST_DELIMITER_ID) & (passes["instance"] < FIRST_TREE_ID)
+    v, u = np.nonzero(is_paint)
+    centers = np.column_stack([u, v]) + 0.5
+    return Marked(is_paint.shape, centers, cKDTree(centers))
+
+
 def _paint(
-    camera: CameraLabel, lane: Lane, strip: Strip, stripes_m: tuple[float, ...], semantic: Integer[np.ndarray, "h w"]
+    camera: CameraLabel, lane: Lane, strip: Strip, stripes_m: tuple[float, ...], marked: Marked, passes: Passes
 ) -> Measure:
     """Pixels from the stripes beside each seen point, where paint is wide enough to show, to the nearest pixel of
-    paint; 0 inside one. Of two stripes the one that is farther from its paint counts."""
+    paint; 0 inside one. Of two stripes the one that is farther from its paint counts, unless something hides it."""
     at = lane.visible & strip.resolved
-    v, u = np.nonzero(semantic == SEMANTIC_IDS["marking"])
-    if not len(v):
-        return Measure("paint_px", lane.xyz_cam[at, 1], np.full(int(at.sum()), float(max(semantic.shape))))
-    centers = np.column_stack([u, v]) + 0.5
-    tree, size = cKDTree(centers), semantic.shape[::-1]
     farthest = np.zeros(int(at.sum()))
+    if not len(marked.centers):
+        return Measure("paint_px", lane.xyz_cam[at, 1], farthest + max(marked.shape))
     for aside_m in stripes_m:
-        uv = project(camera.img_from_cam, strip.points_cam[at] + aside_m * strip.across_cam[at])
-        inside = ((uv >= 0) & (uv <= size)).all(axis=1)
-        _, nearest = tree.query(uv[inside])
-        outside = np.clip(np.abs(uv[inside] - centers[nearest]) - 0.5, 0, None)
+        points_cam = strip.points_cam[at] + aside_m * strip.across_cam[at]
+        uv = project(camera.img_from_cam, points_cam)
+        inside = ((uv >= 0) & (uv <= marked.shape[::-1])).all(axis=1)
+        if len(stripes_m) > 1:
+            inside &= ~_may_be_hidden(points_cam, uv, marked.shape, passes)
+        _, nearest = marked.tree.query(uv[inside])
+        outside = np.clip(np.abs(uv[inside] - marked.centers[nearest]) - 0.5, 0, None)
         farthest[inside] = np.maximum(farthest[inside], np.hypot(*outside.T))
     return Measure("paint_px", lane.xyz_cam[at, 1], farthest)
+
+
+def _may_be_hidden(
+    points_cam: Float[np.ndarray, "n 3"], uv: Pixels, shape: tuple[int, ...], passes: Passes
+) -> Bool[np.ndarray, " n"]:
+    """Which points have an object, or something nearer than they are, in one of the pixels around."""
+    rows, columns = _around(uv, shape, 2)
+    if "semantic" in passes:
+        hidden = _of_objects(passes["semantic"][rows, columns]).any(axis=0)
+    else:
+        ids = passes["instance"][rows, columns]
+        hidden = (((ids > 0) & (ids < FIRST_DELIMITER_ID)) | (ids >= FIRST_TREE_ID)).any(axis=0)
+    if "depth" in passes:
+        hidden |= (passes["depth"][rows, columns] < points_cam[:, 1] / SMOOTH).any(axis=0)
+    return hidden
 
 
 def _surface(lane: Lane, strip: Strip, uv: Pixels, passes: Passes) -> list[Measure]:
@@ -128,11 +163,15 @@ def _height(camera: CameraLabel, lane: Lane, height_m: Float[np.ndarray, "r c"])
 
 
 def _sight(camera: CameraLabel, lane: Lane, strip: Strip, uv: Pixels, passes: Passes) -> list[Measure]:
-    """Where the passes are sure that a point is seen, or hidden by ground, or by an object: do the masks agree?"""
+    """Where the passes are sure that a point is seen, or hidden by ground, or by an object: do the masks agree? A point
+    is only seen for certain where a pixel shows something as far away: a crest may hide it between two rows."""
     rows, columns = _around(uv, passes["depth"].shape, 2)
-    nearer = passes["depth"][rows, columns] < NEARER * _own_depth(camera, strip, rows, columns) - NEARER_M
+    depth = passes["depth"][rows, columns]
+    nearer = depth < NEARER * _own_depth(camera, strip, rows, columns) - NEARER_M
     objects = _of_objects(passes["semantic"][rows, columns])
-    clear = lane.in_image & ~nearer.any(axis=0)
+    y_m = strip.points_cam[:, 1]
+    shown = ((depth < SMOOTH * y_m) & (depth > y_m / SMOOTH)).any(axis=0)
+    clear = lane.in_image & ~nearer.any(axis=0) & shown
     by_ground = lane.in_image & (nearer & ~objects).all(axis=0)
     by_object = lane.in_image & (nearer & objects).all(axis=0)
     return [

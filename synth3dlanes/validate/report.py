@@ -1,6 +1,7 @@
 """What came out of a validation: problems by name, distributions, the worst samples; for people and for machines."""
 
 import heapq
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -8,6 +9,7 @@ from rich.console import Group, RenderableType
 from rich.markup import escape
 from rich.table import Table
 
+from synth3dlanes.validate.bias import TESTS, Mean, judge
 from synth3dlanes.validate.findings import (
     BAND_NAMES,
     BANDS_M,
@@ -17,6 +19,7 @@ from synth3dlanes.validate.findings import (
     Finding,
     Measure,
     Problem,
+    Signed,
 )
 
 MEASURES = {
@@ -42,9 +45,17 @@ class Report:
     problems: list[Problem] = field(default_factory=list)
     distributions: dict[str, Distribution] = field(default_factory=dict)
     worst: dict[str, list[tuple[float, str]]] = field(default_factory=dict)
+    means: dict[str, Mean] = field(default_factory=dict)
     _worlds: dict[str, str] = field(default_factory=dict)
 
-    def sample(self, name: str, digest: str, findings: list[Finding], measures: list[Measure]) -> None:
+    def sample(
+        self,
+        name: str,
+        digest: str,
+        findings: Sequence[Finding],
+        measures: Sequence[Measure],
+        signed: Sequence[Signed] = (),
+    ) -> None:
         """Take in one sample. A world that has been there before is a fault of the sample that repeats it."""
         self.n_samples += 1
         self.problems += [Problem(name, finding.lane, finding.reason) for finding in findings]
@@ -58,6 +69,12 @@ class Report:
             heapq.heappush(ranking, (measure.worst(), name))
             if len(ranking) > WORST:
                 heapq.heappop(ranking)
+        for value in signed:
+            self.means.setdefault(value.name, Mean()).add(value.value)
+
+    def judge(self) -> None:
+        """Once all samples are in: the tests over the whole data set."""
+        self.problems += judge(self.means)
 
     @property
     def failed(self) -> list[str]:
@@ -82,10 +99,11 @@ class Report:
                 name: [{"sample": sample, "value": value} for value, sample in sorted(ranking, reverse=True)]
                 for name, ranking in self.worst.items()
             },
+            "means": {name: found.summary(TESTS[name].least) for name, found in self.means.items()},
         }
 
     def text(self) -> RenderableType:
-        """Distributions, the worst samples, then one line per problem."""
+        """Distributions, the worst samples, means over the data set, then one line per problem."""
         document = self.document()
         parts: list[RenderableType] = []
         for name, words in MEASURES.items():
@@ -95,6 +113,8 @@ class Report:
                     f"{item['sample']} {item['value']:.3g}" for item in document["worst"][name] if item["value"] > 0
                 ]
                 parts += [f"  worst within {PROOF_M:.0f} m: {', '.join(worst)}"] if worst else []
+        if self.means:
+            parts += ["\n[bold]means[/bold]  of the samples' signed values; 0 where all is right", _means(self.means)]
         parts += ["", *(f"[red]{escape(problem.line())}[/red]" for problem in sorted(self.problems))]
         verdict = f"[red]{len(self.failed)} failed[/red]" if self.problems else "[green]all right[/green]"
         return Group(*parts, f"{self.n_samples} samples checked: {verdict}")
@@ -108,4 +128,16 @@ def _table(bands: dict[str, dict[str, float]]) -> Table:
     for band, numbers in bands.items():
         if numbers["n"]:
             table.add_row(band, *(f"{numbers[name]:.3g}" if name != "n" else f"{numbers[name]:,}" for name in columns))
+    return table
+
+
+def _means(means: dict[str, Mean]) -> Table:
+    table = Table(box=None, padding=(0, 2))
+    for name in ("", "mean", "standard error", "t", "samples", "may be", ""):
+        table.add_column(name, justify="left" if not name else "right")
+    for name, test in TESTS.items():
+        if name in means:
+            found = means[name]
+            numbers = (f"{test.shown(found.mean)}", test.shown(found.standard_error), f"{found.t:.1f}", f"{found.n:,}")
+            table.add_row(name, *numbers, test.shown(test.least), f"positive: {test.positive}")
     return table

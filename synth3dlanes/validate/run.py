@@ -11,40 +11,67 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Shaped, UInt8
+from jaxtyping import UInt8
 from PIL import Image
 
-from synth3dlanes import labels as labels_module
-from synth3dlanes import scene as scene_module
-from synth3dlanes.dataset.folder import read_description
-from synth3dlanes.dataset.format import HEIGHT, LABELS, PASSES, SCENE, decode_image, member_names, read_passes
+from synth3dlanes.dataset.format import SCENE, parse_description, recipe_text
 from synth3dlanes.errors import FormatError, ParamsError
-from synth3dlanes.figures.overlay import draw_overlay
+from synth3dlanes.figures.overlay import draw_overlay, stretches_img
 from synth3dlanes.geometry import height_map
+from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
-from synth3dlanes.validate.findings import Finding, Measure, Problem
+from synth3dlanes.validate.alignment import check_alignment
+from synth3dlanes.validate.colours import check_colours
+from synth3dlanes.validate.contents import read_contents
+from synth3dlanes.validate.findings import Finding, Measure, Problem, Signed
 from synth3dlanes.validate.frame import check_frame
+from synth3dlanes.validate.hills import check_hills
+from synth3dlanes.validate.host import check_host
+from synth3dlanes.validate.ids import prove_ids
 from synth3dlanes.validate.image_proof import prove_image
-from synth3dlanes.validate.integrity import Entry, check_presence, check_shard, read_sample
+from synth3dlanes.validate.integrity import Entry, check_presence, check_row, check_shard, read_sample
+from synth3dlanes.validate.normals import check_normals
 from synth3dlanes.validate.obstacles import check_objects
-from synth3dlanes.validate.paint import Paint
+from synth3dlanes.validate.origin import DESCRIPTION, Layout, Origin, drawn_otherwise, made_otherwise, read_part
 from synth3dlanes.validate.passes_proof import Passes, prove_passes
+from synth3dlanes.validate.pavement import prove_pavement
 from synth3dlanes.validate.report import Report
+from synth3dlanes.validate.sharpness import check_sharpness
+from synth3dlanes.validate.signed import signed_values
 from synth3dlanes.validate.standing import check_standing
-from synth3dlanes.validate.structure import check_shape, check_values
+from synth3dlanes.validate.structure import check_shape, check_values, points_to_pixels
+from synth3dlanes.validate.world import World
 
 PICTURES = "validation"
+# Lines that lead farther out of the image are not drawn.
+MAX_PX = 1e5
+# What geometry raises where a scene or labels make none. Samples of a clean data set raise nothing.
+NO_GEOMETRY = (
+    ArithmeticError, AssertionError, LookupError, MemoryError, RuntimeError, RuntimeWarning, StopIteration, ValueError
+)  # fmt: skip
 
+Picture = UInt8[np.ndarray, "h w 3"]
 Map = Callable[..., Iterator[Any]]
 
 
+class Proved(NamedTuple):
+    """What one proof found in a sample, and what it measured there."""
+
+    findings: Sequence[Finding] = ()
+    measures: Sequence[Measure] = ()
+    signed: Sequence[Signed] = ()
+
+
 class Checked(NamedTuple):
-    """What one sample's check found; `digest` is of its world, whatever split, seed and index it was drawn for."""
+    """What one sample's check found; `digest` is of its world, whatever split, seed and index it was drawn for, and
+    `redrawn` how it differs from the world that dataset.json draws ("" for not at all)."""
 
     name: str
     digest: str
-    findings: list[Finding]
-    measures: list[Measure]
+    redrawn: str
+    findings: Sequence[Finding]
+    measures: Sequence[Measure] = ()
+    signed: Sequence[Signed] = ()
 
 
 def validate(root: Path, workers: int, limit: int | None, progress: Callable[[int, int], None]) -> Report:
@@ -56,89 +83,136 @@ def validate(root: Path, workers: int, limit: int | None, progress: Callable[[in
         raise ParamsError(f"{root}: expected the folder of a dataset, got none")
     report = Report()
     try:
-        description = read_description(root)
-        passes = tuple(description["render"]["passes"])
-        names = member_names(description["image_format"], passes)
-        splits = {split: int(value["n"]) for split, value in description["splits"].items()}
-        shard_size = int(description["shard_size"])
-        # Where samples were dealt anew or varied, scene.json names the data set that they came from.
-        seed = None if "derived" in description else int(description["seed"])
+        description = _read_description(root)
+        layout = read_part(Layout, description)
     except FormatError as error:
-        report.problems.append(Problem("", "", str(error)))
+        report.problems.append(Problem(DESCRIPTION, "", str(error)))
         return report
-    except (KeyError, TypeError, ValueError) as error:
-        report.problems.append(
-            Problem(f"{root / 'dataset.json'}", "", f"expected a dataset's description, got no {error}")
-        )
-        return report
+    try:
+        origin = read_part(Origin, description)
+    except FormatError as error:
+        report.problems.append(Problem(DESCRIPTION, "", str(error)))
+        origin = None
     for picture in (root / PICTURES).glob("*.png"):
         picture.unlink()
     with _mapping(workers) as run:
-        entries = _check_shards(root, run, names, shard_size, splits, report)
+        entries, recipes = _check_shards(root, run, layout, report)
+        edits = list(made_otherwise(recipes, recipe_text(description)))
         todo = [entry for split in entries.values() for entry in split[:limit]]
+        redrawn: dict[str, str] = {}
         progress(0, len(todo))
-        for done, checked in enumerate(run(partial(check_sample, root, seed, passes), todo), start=1):
-            report.sample(checked.name, checked.digest, checked.findings, checked.measures)
+        for done, checked in enumerate(run(partial(check_sample, root, origin, layout), todo), start=1):
+            report.sample(checked.name, checked.digest, checked.findings, checked.measures, checked.signed)
+            redrawn |= {checked.name: checked.redrawn} if checked.redrawn else {}
             progress(done, len(todo))
+    report.problems += [*edits, *drawn_otherwise(redrawn, len(todo), is_edited=bool(edits))]
+    report.judge()
     return report
 
 
+def _read_description(root: Path) -> dict[str, Any]:
+    """The contents of dataset.json; raise FormatError where it is none."""
+    path = root / DESCRIPTION
+    try:
+        return parse_description(path.read_bytes(), DESCRIPTION)
+    except OSError as error:
+        raise FormatError(f"expected the description of a data set, got {error.strerror}") from None
+    except FormatError as error:
+        raise FormatError(str(error).removeprefix(f"{DESCRIPTION}: ")) from None
+
+
 def _check_shards(
-    root: Path, run: Map, names: Sequence[str], shard_size: int, splits: dict[str, int], report: Report
-) -> dict[str, list[Entry]]:
-    """The readable samples of every split, in order."""
+    root: Path, run: Map, layout: Layout, report: Report
+) -> tuple[dict[str, list[Entry]], dict[str, str]]:
+    """The readable samples of every split, in order, and the recipes of all shards by the names of these."""
     parquets = sorted(
         {path.with_suffix(".parquet") for kind in ("tar", "parquet") for path in root.glob(f"*/*.{kind}")}
     )
-    entries: dict[str, list[Entry]] = {split: [] for split in splits}
-    indices: dict[str, set[int]] = {split: set() for split in splits}
-    check = partial(check_shard, names=names, shard_size=shard_size)
+    entries: dict[str, list[Entry]] = {split: [] for split in layout.splits}
+    indices: dict[str, set[int]] = {split: set() for split in layout.splits}
+    recipes = {}
+    check = partial(check_shard, names=layout.names, shard_size=layout.shard_size)
     for parquet, shard in zip(parquets, run(check, parquets), strict=True):
         split = parquet.parent.name
         report.problems += shard.problems
         entries.setdefault(split, []).extend(shard.entries)
         indices.setdefault(split, set()).update(shard.indices)
+        recipes[f"{split}/{parquet.stem}"] = shard.recipe
     for split, found in indices.items():
-        report.problems += check_presence(split, splits.get(split, 0), found)
-    return entries
+        report.problems += check_presence(split, layout.splits[split].n if split in layout.splits else 0, found)
+    return entries, recipes
 
 
-def check_sample(root: Path, seed: int | None, pass_names: tuple[str, ...], entry: Entry) -> Checked:
-    """All faults of one sample; leaves its picture where it has any. Without a seed, it may come from anywhere."""
+def check_sample(root: Path, origin: Origin | None, layout: Layout, entry: Entry) -> Checked:
+    """All faults of one sample; leaves its picture where it has any. Without an origin, it may come from anywhere."""
     members, fault = read_sample(entry)
-    findings = [Finding("", fault)] if fault else []
-    measures: list[Measure] = []
-    digest = ""
-    try:
-        scene = scene_module.from_json(members[SCENE], SCENE)
-        digest = world_digest(scene)
-        findings += [] if seed is None else _origin(scene, entry, seed)
-        labels = labels_module.from_json(members[LABELS], LABELS)
-        image = decode_image(next(iter(members.values())), next(iter(members)))
-        passes: dict[str, Shaped[np.ndarray, ...]] = {}
-        for name in members.keys() & {PASSES, HEIGHT}:
-            passes |= read_passes(members[name], name)
-    except FormatError as error:
-        return Checked(entry.name, digest, [*findings, Finding("", str(error))], measures)
-    misshapen = [*_pictures(scene, pass_names, image, passes), *check_shape(scene, labels)]
-    if not misshapen:
-        findings += [*check_values(scene, labels), *check_objects(scene, labels)]
-        paint = Paint(scene)
-        for found, measured in (
-            prove_passes(paint, labels, passes),
-            prove_image(paint, labels, image),
-            check_frame(image, passes),
-            check_standing(scene, labels, passes),
-        ):
-            findings += found
-            measures += measured
-    findings += misshapen
+    (scene, labels, image, passes), unread = read_contents(members)
+    findings = [*([Finding("", fault)] if fault else []), *unread]
+    digest = "" if scene is None else world_digest(scene)
+    redrawn = "" if scene is None or origin is None else origin.fault(scene, entry.split, entry.index)
+    if scene is None or labels is None or image is None or passes is None:
+        return Checked(entry.name, digest, redrawn, findings)
+    misshapen = [*_pictures(scene, layout, image, passes), *check_shape(scene, labels)]
+    proved = [] if misshapen else list(_prove(entry, World(scene), labels, image, passes))
+    findings += [*misshapen, *(finding for proof in proved for finding in proof.findings)]
     if findings:
         folder = root / PICTURES
         folder.mkdir(exist_ok=True)
-        picture = Image.fromarray(image if misshapen else draw_overlay(image, labels))
+        picture = Image.fromarray(image if misshapen else _picture(image, labels))
         picture.save(folder / f"{entry.name.replace(':', '-')}.png")
-    return Checked(entry.name, digest, findings, measures)
+    measures = [measure for proof in proved for measure in proof.measures]
+    return Checked(
+        entry.name, digest, redrawn, findings, measures, [value for proof in proved for value in proof.signed]
+    )
+
+
+def _prove(entry: Entry, world: World, labels: Labels, image: Picture, passes: Passes) -> Iterator[Proved]:
+    """Run every proof. Where a scene makes no geometry or a proof cannot go on, that is a finding."""
+    try:
+        assert world.truth.lanes
+    except NO_GEOMETRY as error:
+        found = f"{type(error).__name__} {error}"
+        yield Proved([Finding("", f"{SCENE}: expected a world whose lanes can be computed, got {found}")])
+        return
+    for name, proof in _proofs(entry, world, labels, image, passes).items():
+        try:
+            yield proof()
+        except NO_GEOMETRY as error:
+            yield Proved([Finding("", f"{name}: expected what can be judged, got {type(error).__name__} {error}")])
+
+
+def _proofs(
+    entry: Entry, world: World, labels: Labels, image: Picture, passes: Passes
+) -> dict[str, Callable[[], Proved]]:
+    """The proofs of a sample by what they judge: of its index, its scene and its labels, then of its pixels."""
+    proofs = {
+        "index": lambda: Proved([*check_row(entry, world.scene, labels)]),
+        "labels": lambda: Proved([*check_values(world, labels)]),
+        "host": lambda: Proved([*check_host(world, labels)]),
+        "object_visible": lambda: Proved([*check_objects(world, labels)]),
+        "frame": lambda: Proved(*check_frame(image, passes)),
+        "standing": lambda: Proved(*check_standing(world, labels, passes)),
+    }
+    if not points_to_pixels(labels):
+        return proofs
+    return proofs | {
+        "passes": lambda: Proved(*prove_passes(world.paint, labels, passes)),
+        "image": lambda: Proved(*prove_image(world, labels, image)),
+        "sharpness": lambda: Proved([*check_sharpness(image)]),
+        "colours": lambda: Proved([*check_colours(world, labels.camera, image, passes)]),
+        "alignment": lambda: Proved([*check_alignment(image, passes)]),
+        "pavement": lambda: Proved(*prove_pavement(world, labels, passes)),
+        "hills": lambda: Proved([*check_hills(world, labels, passes)]),
+        "normals": lambda: Proved([*check_normals(labels.camera, passes)]),
+        "ids": lambda: Proved(*prove_ids(world, labels, passes)),
+        "bias": lambda: Proved(signed=[*signed_values(world.scene, world.paint, labels, image, passes)]),
+    }
+
+
+def _picture(image: Picture, labels: Labels) -> Picture:
+    """The image with its lanes, where these can be drawn."""
+    lines_img = [line for lane in labels.lanes for _, line in stretches_img(labels.camera, lane)]
+    return draw_overlay(image, labels) if all((np.abs(line) < MAX_PX).all() for line in lines_img) else image
 
 
 def world_digest(scene: Scene) -> str:
@@ -147,19 +221,11 @@ def world_digest(scene: Scene) -> str:
     return hashlib.sha256(document.encode()).hexdigest()
 
 
-def _origin(scene: Scene, entry: Entry, seed: int) -> Iterator[Finding]:
-    found = {"index": scene.index, "split": scene.split, "seed": scene.seed}
-    for name, expected in {"index": entry.index, "split": entry.split, "seed": seed}.items():
-        if found[name] != expected:
-            yield Finding("", f"{SCENE}: {name}: expected {expected}, got {found[name]}")
-
-
-def _pictures(
-    scene: Scene, pass_names: tuple[str, ...], image: UInt8[np.ndarray, "_ _ 3"], passes: Passes
-) -> Iterator[Finding]:
+def _pictures(scene: Scene, layout: Layout, image: Picture, passes: Passes) -> Iterator[Finding]:
     """Are there the passes that dataset.json names, and have all pictures the camera's size?"""
-    if set(passes) != set(pass_names):
-        yield Finding("", f"passes: expected {', '.join(pass_names)}, got {', '.join(passes) or 'none'}")
+    if set(passes) != set(layout.render.passes):
+        names = ", ".join(layout.render.passes)
+        yield Finding("", f"passes: expected {names or 'none'}, got {', '.join(passes) or 'none'}")
     camera = scene.camera
     for name, pixels in {"image": image, **passes}.items():
         rows, columns = height_map.SHAPE if name == "height" else (camera.height_px, camera.width_px)

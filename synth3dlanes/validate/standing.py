@@ -10,14 +10,13 @@ from jaxtyping import Float
 
 from synth3dlanes.geometry import meshes
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.placement import TREE_SINK_M, tree_positions, world_from_car
-from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.geometry.placement import TREE_SINK_M
 from synth3dlanes.geometry.transforms import invert, transform
 from synth3dlanes.labels import CameraLabel, Labels
-from synth3dlanes.scene import Scene
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.findings import Finding, Measure
 from synth3dlanes.validate.passes_proof import Passes
+from synth3dlanes.validate.world import World
 
 # A fault is what one would see: a rigid car on a crest may have a wheel 5 cm off, and beyond RANGE_M the ground's faces
 # are metres long. A trunk's place is 0.1 m in the ground, and its root goes 0.3 m deeper.
@@ -26,25 +25,19 @@ MAX_WHEEL_M, MAX_TREE_M, RANGE_M = 0.1, 0.4, 120.0
 INSIDE_M, STEP, NEAR_M = 0.3, 2, 80.0
 MAX_THROUGH = 3
 
+Points = Float[np.ndarray, "n 3"]
 Points2 = Float[np.ndarray, "n 2"]
 Values = Float[np.ndarray, " n"]
 
 
-def check_standing(scene: Scene, labels: Labels, passes: Passes) -> tuple[list[Finding], list[Measure]]:
+def check_standing(world: World, labels: Labels, passes: Passes) -> tuple[list[Finding], list[Measure]]:
     """Faults by object, with measures `wheel_gap_m` and `tree_gap_m`; with depth and semantic ids, of the road, too."""
-    plan = RoadPlan(scene)
-    ground = Ground(plan)
-    surfaces = meshes.road_meshes(ground)
-    wheels = _wheels(plan)
-    feet = tree_positions(ground, scene.trees)
+    wheels = _ahead(labels.camera, _wheels(world))
+    places = _ahead(labels.camera, world.trees_world + np.array([0, 0, TREE_SINK_M]))
+    on_ground_m = np.fmax(_height(world.verges, places[:, :2]), terrain_height(world.ground, places[:, :2]))
     measures = [
-        _measure("wheel_gap_m", labels.camera, wheels, _height(surfaces, wheels[:, :2])),
-        _measure(
-            "tree_gap_m",
-            labels.camera,
-            feet + np.array([0, 0, TREE_SINK_M]),
-            np.fmax(_height(meshes.verge_meshes(ground), feet[:, :2]), _terrain_height(ground, feet[:, :2])),
-        ),
+        _measure("wheel_gap_m", labels.camera, wheels, _height(world.pavement, wheels[:, :2])),
+        _measure("tree_gap_m", labels.camera, places, on_ground_m),
     ]
     findings = []
     for measure, limit_m in zip(measures, (MAX_WHEEL_M, MAX_TREE_M), strict=True):
@@ -53,61 +46,67 @@ def check_standing(scene: Scene, labels: Labels, passes: Passes) -> tuple[list[F
             reason = f"{measure.name}: expected at most {limit_m} m, got {off_m.size} beyond, up to {off_m.max():.2f} m"
             findings.append(Finding("", reason))
     if {"depth", "semantic"} <= set(passes):
-        findings += _through(ground, labels.camera, passes)
+        findings += _through(world.ground, labels.camera, passes)
     return findings, measures
 
 
-def _wheels(plan: RoadPlan) -> Float[np.ndarray, "n 3"]:
+def _wheels(world: World) -> Points:
     """Where the tyres of all cars end."""
     wheels = [np.zeros((0, 3))]
-    for car in plan.scene.cars:
-        model = plan.scene.assets.car_models[car.model - 1]
+    for car, world_from_car in zip(world.scene.cars, world.world_from_cars, strict=True):
+        model = world.scene.assets.car_models[car.model - 1]
         x, y = model.track_m / 2 * car.scale, model.wheelbase_m / 2 * car.scale
-        wheels.append(transform(world_from_car(plan, car), np.array([[-x, y, 0], [x, y, 0], [-x, -y, 0], [x, -y, 0]])))
+        wheels.append(transform(world_from_car, np.array([[-x, y, 0], [x, y, 0], [-x, -y, 0], [x, -y, 0]])))
     return np.concatenate(wheels)
 
 
-def _measure(name: str, camera: CameraLabel, points_world: Float[np.ndarray, "n 3"], ground_m: Values) -> Measure:
-    """Gaps of points over ground, either way, where there is ground and ahead of the camera."""
+def _ahead(camera: CameraLabel, points_world: Points) -> Float[np.ndarray, "m 3"]:
+    """The points that are ahead of the camera."""
+    return points_world[transform(invert(camera.world_from_cam), points_world)[:, 1] > 0]
+
+
+def _measure(name: str, camera: CameraLabel, points_world: Points, ground_m: Values) -> Measure:
+    """Gaps of points over ground, either way, where there is ground."""
     ahead_m = transform(invert(camera.world_from_cam), points_world)[:, 1]
-    known = np.isfinite(ground_m) & (ahead_m > 0)
+    known = np.isfinite(ground_m)
     return Measure(name, ahead_m[known], np.abs(points_world[:, 2] - ground_m)[known])
 
 
 def _height(surfaces: Sequence[meshes.Mesh], xy: Points2) -> Values:
     """Height of the uppermost face over each point, NaN where there is none."""
-    height_m = np.full(len(xy), np.nan)
+    height_m = np.full(len(xy), -np.inf)
     for mesh in surfaces:
         corners = mesh.vertices_world[mesh.faces]
         low, high = corners[..., :2].min(axis=1), corners[..., :2].max(axis=1)
-        for i, point in enumerate(xy):
-            for quad in corners[((low <= point) & (point <= high)).all(axis=1)]:
-                for triangle in (quad[[0, 1, 2]], quad[[0, 2, 3]]):
-                    height_m[i] = np.fmax(height_m[i], _on_triangle(triangle, point))
-    return height_m
+        # First by y alone, along which a road has its faces.
+        i, face = np.nonzero((low[:, 1] <= xy[:, 1, None]) & (xy[:, 1, None] <= high[:, 1]))
+        over = (low[face, 0] <= xy[i, 0]) & (xy[i, 0] <= high[face, 0])
+        i, face = i[over], face[over]
+        for triangle in ([0, 1, 2], [0, 2, 3]):
+            np.fmax.at(height_m, i, _on_triangles(corners[face][:, triangle], xy[i]))
+    return np.where(np.isfinite(height_m), height_m, np.nan)
 
 
-def _on_triangle(triangle: Float[np.ndarray, "3 3"], point: Float[np.ndarray, "2"]) -> float:
-    """Height of a triangle over a point, NaN beside it."""
-    edges = triangle[1:, :2] - triangle[0, :2]
-    area = edges[0, 0] * edges[1, 1] - edges[0, 1] * edges[1, 0]
-    if abs(area) < 1e-9:
-        return float("nan")
-    a, b = np.linalg.solve(edges.T, point - triangle[0, :2])
-    if min(a, b) < -1e-9 or a + b > 1 + 1e-9:
-        return float("nan")
-    return float(triangle[0, 2] + np.array([a, b]) @ (triangle[1:, 2] - triangle[0, 2]))
+def _on_triangles(triangles: Float[np.ndarray, "n 3 3"], xy: Points2) -> Values:
+    """Height of each triangle over its point, NaN beside it."""
+    (ax, ay, az), (bx, by, bz) = np.moveaxis(triangles[:, 1:] - triangles[:, :1], 0, -1)
+    x, y = (xy - triangles[:, 0, :2]).T
+    area = ax * by - ay * bx
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a, b = (x * by - y * bx) / area, (ax * y - ay * x) / area
+        inside = (np.abs(area) > 1e-9) & (np.minimum(a, b) > -1e-9) & (a + b < 1 + 1e-9)
+        return np.where(inside, triangles[:, 0, 2] + a * az + b * bz, np.nan)
 
 
-def _terrain_height(ground: Ground, xy: Points2) -> Values:
+def terrain_height(ground: Ground, xy: Points2) -> Values:
     """Height of the terrain's mesh, taken as bilinear in its cells."""
-    vertices = meshes.terrain_mesh(ground).vertices_world
-    xs, ys = np.unique(vertices[:, 0]), np.unique(vertices[:, 1])
-    z = vertices[:, 2].reshape(len(ys), len(xs))
+    xs, ys = meshes.terrain_axes(ground)
     j = np.clip(np.searchsorted(xs, xy[:, 0]) - 1, 0, len(xs) - 2)
     i = np.clip(np.searchsorted(ys, xy[:, 1]) - 1, 0, len(ys) - 2)
+    corners = np.stack([xs[[j, j + 1, j, j + 1]], ys[[i, i, i + 1, i + 1]]], axis=-1)
+    z = meshes.terrain_heights(ground, corners)
     a, b = (xy[:, 0] - xs[j]) / (xs[j + 1] - xs[j]), (xy[:, 1] - ys[i]) / (ys[i + 1] - ys[i])
-    near, far = z[i, j] + a * (z[i, j + 1] - z[i, j]), z[i + 1, j] + a * (z[i + 1, j + 1] - z[i + 1, j])
+    near, far = z[0] + a * (z[1] - z[0]), z[2] + a * (z[3] - z[2])
     return np.asarray(near + b * (far - near))
 
 

@@ -4,38 +4,40 @@ from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
+from jaxtyping import Float
 
 from synth3dlanes.geometry.camera import project
 from synth3dlanes.geometry.terrain import height_at
 from synth3dlanes.geometry.transforms import invert, road_from_cam
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.labels import Labels, Lane
+from synth3dlanes.labels import CameraLabel, Labels, Lane
 from synth3dlanes.scene import Scene
+from synth3dlanes.validate.documents import shown
 from synth3dlanes.validate.findings import Finding
+from synth3dlanes.validate.world import World
 
 # labels.json rounds points to 0.1 mm and matrices to 1e-9.
 POINT_M = 1e-4
 MATRIX = 1e-8
 # A point this close to the image's border may fall on either side of it once rounded.
 BORDER_PX = 0.2
+# Roads and cameras have no numbers beyond this, and no dashes shorter than that.
+MAX_M, MIN_CYCLE_M = 1000.0, 0.001
 MASKS = ("in_image", "terrain_visible", "object_visible")
 
 
 def check_shape(scene: Scene, labels: Labels) -> Iterator[Finding]:
-    """What must hold before any point may be used: sizes, finite values, masks as long as points, known references."""
-    camera = labels.camera
-    for name in ("img_from_cam", "road_from_cam", "world_from_cam"):
-        matrix = getattr(camera, name)
-        shape = (3, 3) if name == "img_from_cam" else (4, 4)
-        if matrix.shape != shape or not np.isfinite(matrix).all():
-            yield Finding("", f"expected camera.{name} as finite {shape[0]}x{shape[1]}, got shape {matrix.shape}")
+    """What must hold before any point may be used: numbers that roads can have, points, masks as long as these, known
+    references."""
+    yield from _sizes(scene)
+    if not labels.lanes:
+        yield Finding("", "expected lanes, got none")
     for id_, count in Counter(lane.id for lane in labels.lanes).items():
         if count > 1:
             yield Finding(id_, f"expected lanes with ids of their own, got {count} with this one")
     for lane in labels.lanes:
         n = len(lane.xyz_cam)
-        if n < 2 or not np.isfinite(lane.xyz_cam).all():
-            yield Finding(lane.id, f"expected two finite points or more, got {n}")
+        if n < 2:
+            yield Finding(lane.id, f"expected two points or more, got {n}")
         for name in MASKS:
             mask = getattr(lane, name)
             if mask is None or len(mask) != n:
@@ -43,22 +45,42 @@ def check_shape(scene: Scene, labels: Labels) -> Iterator[Finding]:
     yield from _references(labels)
     shares = labels.car_visible_fraction
     if shares is None or len(shares) != len(scene.cars) or not all(0 <= share <= 1 for share in shares):
-        yield Finding("", f"expected the visible fraction of {len(scene.cars)} cars in 0..1, got {shares}")
+        reason = f"car_visible_fraction: expected {len(scene.cars)} of them in 0..1, got {shown(shares)}"
+        yield Finding("", reason)
 
 
-def check_values(scene: Scene, labels: Labels) -> Iterator[Finding]:
+def check_values(world: World, labels: Labels) -> Iterator[Finding]:
     """The camera stands where the scene says, and every lane is ordered, projected and labelled as it should be."""
-    yield from _camera(scene, labels)
+    yield from _camera(world.scene, labels)
     for lane in labels.lanes:
         yield from _order(lane)
-        uv = project(labels.camera.img_from_cam, lane.xyz_cam)
-        size = np.array([labels.camera.width_px, labels.camera.height_px])
-        with np.errstate(invalid="ignore"):
-            inside = np.minimum(uv, size - uv).min(axis=1)
-            wrong = np.where(lane.in_image, ~(inside > -BORDER_PX), inside > BORDER_PX)
+        inside_px = _inside_px(labels.camera, lane)
+        wrong = np.where(lane.in_image, ~(inside_px > -BORDER_PX), inside_px > BORDER_PX)
         if wrong.any():
             yield Finding(lane.id, f"in_image: expected our projection's, got another at {_at(wrong)}")
-    yield from _against_ground_truth(scene, labels)
+    yield from _against_ground_truth(world.truth, labels)
+
+
+def points_to_pixels(labels: Labels) -> bool:
+    """Whether pixels may be asked about the points that are said to be in the image: all of them are."""
+    return all((_inside_px(labels.camera, lane)[lane.in_image] > -BORDER_PX).all() for lane in labels.lanes)
+
+
+def _inside_px(camera: CameraLabel, lane: Lane) -> Float[np.ndarray, " n"]:
+    """How far from the nearest border of the image each point projects, negative outside; NaN behind the camera."""
+    uv = project(camera.img_from_cam, lane.xyz_cam)
+    return np.asarray(np.minimum(uv, [camera.width_px, camera.height_px] - uv).min(axis=1))
+
+
+def _sizes(scene: Scene) -> Iterator[Finding]:
+    """Numbers that no road has: computing with them would take memory and time without end."""
+    for group in ("road", "camera"):
+        for name, value in getattr(scene, group):
+            if name.endswith("_m") and abs(value) > MAX_M:
+                yield Finding("", f"scene.json: {group}.{name}: expected at most {MAX_M:g} m, got {value:g}")
+    cycle_m = scene.markings.dash_cycle_m
+    if cycle_m < MIN_CYCLE_M:
+        yield Finding("", f"scene.json: markings.dash_cycle_m: expected at least {MIN_CYCLE_M:g} m, got {cycle_m:g}")
 
 
 def _references(labels: Labels) -> Iterator[Finding]:
@@ -108,9 +130,8 @@ def _camera(scene: Scene, labels: Labels) -> Iterator[Finding]:
         yield Finding("", f"camera: expected its foot on the road, got it {gap_m:.4f} m off")
 
 
-def _against_ground_truth(scene: Scene, labels: Labels) -> Iterator[Finding]:
+def _against_ground_truth(expected: Labels, labels: Labels) -> Iterator[Finding]:
     """Everything but what only a rendered scene can tell equals the ground truth of the scene, computed again."""
-    expected = ground_truth(scene)
     for name in ("img_from_cam", "road_from_cam", "world_from_cam"):
         if not np.allclose(getattr(labels.camera, name), getattr(expected.camera, name), atol=MATRIX):
             yield Finding("", f"camera.{name}: expected the scene's ground truth, got another")
@@ -130,7 +151,7 @@ def _against_ground_truth(scene: Scene, labels: Labels) -> Iterator[Finding]:
             yield Finding(lane.id, f"expected {len(true.xyz_cam)} points by its scene, got {len(lane.xyz_cam)}")
             continue
         off_m = np.linalg.norm(lane.xyz_cam - true.xyz_cam, axis=1)
-        if off_m.max() > POINT_M:
+        if not off_m.max() <= POINT_M:
             yield Finding(lane.id, f"expected points where its scene has them, got them up to {off_m.max():.4f} m off")
         for name in ("in_image", "terrain_visible"):
             wrong = getattr(lane, name) != getattr(true, name)

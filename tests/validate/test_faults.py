@@ -17,7 +17,8 @@ from synth3dlanes.labels import Labels, Lane
 from synth3dlanes.validate.findings import Problem
 from synth3dlanes.validate.integrity import walk
 from synth3dlanes.validate.report import Report
-from tests.validate.conftest import Change, N, check, drop_passes, relabel, seal
+from tests.validate.conftest import N
+from tests.validate.sealing import Change, check, drop_passes, relabel, seal
 
 pytestmark = pytest.mark.render
 

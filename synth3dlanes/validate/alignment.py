@@ -1,0 +1,89 @@
+"""The image against its passes: are its edges where these have theirs?
+
+Where two neighbouring pixels of the passes show two things, the image steps from one to the other between the same two
+pixels, more than between any others nearby. That holds in fog, in motion and in every part of an image, so that an
+image that is moved or stretched by a pixel, and that of another scene, are found in any sample.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.validate.findings import Finding
+from synth3dlanes.validate.passes_proof import Passes
+
+# Steps are looked for this many pixels aside.
+REACH_PX = 6
+# Of a large image rows and columns are left out, so that about this many pixels are asked.
+MAX_PIXELS = 250_000
+
+
+class Part(NamedTuple):
+    """A part of the image by shares of its width or height, and how many borders must be in it: fewer leave it to
+    chance."""
+
+    name: str
+    first: float
+    last: float
+    least: int
+
+
+# In 480 rendered images of all presets the steps beside the borders are at most 0.9 times those on them in any of these
+# parts, and those REACH_PX away 0.75 times; in images moved by one pixel they are at least 1.4 times, in others' images
+# as large. What is stretched may be in place in the middle.
+MOVED, BLANK = 1.1, 0.9
+ACROSS = (
+    Part("the image", 0, 1, 100),
+    Part("its left third", 0, 1 / 3, 250),
+    Part("its middle third", 1 / 3, 2 / 3, 250),
+    Part("its right third", 2 / 3, 1, 250),
+)
+DOWN = (Part("the image", 0, 1, 250),)
+GROUND = [SEMANTIC_IDS[name] for name in ("terrain", "road", "shoulder", "marking")]
+LUMA = np.array([0.3, 0.6, 0.1])
+
+
+def check_alignment(image: UInt8[np.ndarray, "h w 3"], passes: Passes) -> Iterator[Finding]:
+    """Faults of the image's place on its passes, and of its being theirs at all."""
+    if "semantic" not in passes:
+        return
+    every = int(np.ceil(image.shape[0] * image.shape[1] / MAX_PIXELS))
+    rows, columns = np.s_[::every], np.s_[:, ::every]
+    yield from _judge(image[rows] @ LUMA, _things(passes, rows), "right", ACROSS)
+    things = _things(passes, columns)
+    # The ground next to the host is blurred along its way.
+    things[np.isin(passes["semantic"][columns], GROUND)] = 0
+    yield from _judge((image[columns] @ LUMA).T, things.T, "down", DOWN)
+
+
+def _things(passes: Passes, of: tuple[slice, ...] | slice) -> Int[np.ndarray, "r c"]:
+    """A number for each thing that is seen; trees are one, for their twigs overlap."""
+    semantic = passes["semantic"][of].astype(int)
+    if "instance" not in passes:
+        return semantic
+    return np.where(semantic == SEMANTIC_IDS["tree"], 0, passes["instance"][of].astype(int)) * 16 + semantic
+
+
+def _judge(
+    luma: Float[np.ndarray, "r c"], things: Int[np.ndarray, "r c"], way: str, parts: tuple[Part, ...]
+) -> Iterator[Finding]:
+    """Faults along the rows."""
+    steps = np.abs(np.diff(luma, axis=1))
+    n = steps.shape[1]
+    rows, columns = np.nonzero(things[:, 1:] != things[:, :-1])
+    inner = (columns >= REACH_PX) & (columns < n - REACH_PX)
+    rows, columns = rows[inner], columns[inner]
+    around = np.stack([steps[rows, columns + k] for k in range(-REACH_PX, REACH_PX + 1)], axis=1)
+    for part in parts:
+        inside = (columns >= part.first * n) & (columns < part.last * n)
+        if inside.sum() < part.least:
+            continue
+        mean = around[inside].mean(axis=0)
+        moved_px, here = int(mean.argmax()) - REACH_PX, mean[REACH_PX]
+        found = f"{moved_px:+d} px {way}" if mean.max() > MOVED * here else ""
+        found = found or ("none" if max(mean[0], mean[-1]) > BLANK * here else "")
+        if found:
+            yield Finding("", f"image: expected edges where the passes have them, got {found} in {part.name}")

@@ -1,0 +1,56 @@
+"""Where cars are in the image, with their shadows, by their boxes alone: works without passes."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial import ConvexHull
+
+from synth3dlanes.geometry.camera import project
+from synth3dlanes.geometry.transforms import invert, transform
+from synth3dlanes.labels import CameraLabel
+from synth3dlanes.validate.world import World
+
+# What is nearer than this is brought here, so that all of a car beside the camera can be projected.
+NEAR_M = 0.3
+# Shadows of a low sun are followed this far.
+LOWEST_SUN_RAD, MAX_SHADOW_M = 0.05, 15.0
+# Shadows have soft edges, and cars mirrors.
+ROOM_PX = 3.0
+
+Pixels = Float[np.ndarray, "n 2"]
+
+
+def corners_world(world: World, car: int) -> Float[np.ndarray, "8 3"]:
+    """The corners of the box that a car is in."""
+    item = world.scene.cars[car]
+    model = world.scene.assets.car_models[item.model - 1]
+    half = np.array([model.width_m, model.length_m]) / 2
+    low, high = np.array([*-half, 0.0]), np.array([*half, model.height_m])
+    corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1)), axis=-1).reshape(-1, 3)
+    return transform(world.world_from_cars[car], corners * item.scale)
+
+
+def may_show_cars(world: World, camera: CameraLabel, uv: Pixels, within_m: float) -> Bool[np.ndarray, " n"]:
+    """Which places of the image a car or its shadow may cover, if they show what is no farther ahead than that."""
+    hidden = np.zeros(len(uv), dtype=bool)
+    for car in range(len(world.scene.cars)):
+        corners = corners_world(world, car)
+        points = np.concatenate([corners, _shadow(world, car, corners)])
+        points_cam = transform(invert(camera.world_from_cam), points)
+        if points_cam[:, 1].max() < NEAR_M or points_cam[:, 1].min() > within_m:
+            continue
+        points_cam[:, 1] = np.maximum(points_cam[:, 1], NEAR_M)
+        outline = project(camera.img_from_cam, points_cam)
+        near = ((uv > outline.min(axis=0) - ROOM_PX) & (uv < outline.max(axis=0) + ROOM_PX)).all(axis=1) & ~hidden
+        if near.any():
+            sides = ConvexHull(outline).equations
+            hidden[near] = (uv[near] @ sides[:, :2].T + sides[:, 2] < ROOM_PX).all(axis=1)
+    return hidden
+
+
+def _shadow(world: World, car: int, corners: Float[np.ndarray, "8 3"]) -> Float[np.ndarray, "8 3"]:
+    """Where the shadows of the corners fall on level ground."""
+    light, foot_m = world.scene.light, world.world_from_cars[car][2, 3]
+    rise = np.tan(max(np.pi / 2 - light.sun_zenith_rad, LOWEST_SUN_RAD))
+    length_m = np.minimum((corners[:, 2] - foot_m) / rise, MAX_SHADOW_M)
+    away = -np.array([np.cos(light.sun_azimuth_rad), np.sin(light.sun_azimuth_rad)])
+    return np.column_stack([corners[:, :2] + length_m[:, None] * away, np.full(len(corners), foot_m)])

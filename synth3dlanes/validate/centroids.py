@@ -1,0 +1,198 @@
+"""Where the paint of each delimiter lies in the pixels, against where its labels put it: signed, across the line.
+
+    views = line_views(paint, labels)                            # once a sample
+    for line in paint_offsets(views, passes["instance"]):        # or image_offsets(views, image)
+        line.mean_m           # how far the paint's centroid lies to the right of its label; negative: to the left
+        line.n_px.sum()       # by so many pixels of paint: from 100 on, the mean of a right line is good to some 3 mm
+        line.points_cam, line.n_px, line.moment_m                # the same slice by slice
+
+Rows of the image cut a line into slices. A pass has one sample at each pixel's centre. So in each slice the pixels that
+are paint are compared with those whose centres the labels' paint covers: where both are of one world these are the
+same pixels, and no rounding to whole pixels is left. The difference of their first moments over their number is the
+offset of the centroid. Slices are not asked where a car, a tree or another line comes near, where the paint ends, or
+where the line leaves the image.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Integer, UInt8
+from scipy.interpolate import CubicSpline
+
+from synth3dlanes.geometry.camera import project
+from synth3dlanes.labels import CameraLabel, Labels, Lane
+from synth3dlanes.settings import FIRST_DELIMITER_ID
+from synth3dlanes.validate.paint import Paint
+
+# Labels have a point for every metre, and between two of them a line may bend by millimetres.
+STEPS = 4
+RANGE_M = 80.0
+# Paint is looked for this far beyond its edges, and this many pixels at least.
+REACH_M, REACH_PX = 0.5, 3.0
+# Of a line in a large image only so many rows are asked.
+MAX_ROWS = 200
+# In the image: up to where, from how many slices and how many gray levels of contrast on, and the width of the road
+# beside a line that its paint is compared with.
+IMAGE_RANGE_M, MIN_SLICES, MIN_CONTRAST, BESIDE_M = 30.0, 15, 10.0, 0.12
+LUMA = np.array([0.3, 0.6, 0.1])
+
+Values = Float[np.ndarray, " n"]
+Points = Float[np.ndarray, "n 3"]
+
+
+class Offset(NamedTuple):
+    """The paint of one line, slice by slice: where it is, how many pixels of paint it has, and by how many metres these
+    lie to the right of their label, summed up. Of an image there is one slice for the whole line, with a pixel a row.
+    """
+
+    lane: Lane
+    points_cam: Points
+    n_px: Values
+    moment_m: Values
+
+    @property
+    def mean_m(self) -> float:
+        """How far the centroid of all of it lies to the right."""
+        return float(self.moment_m.sum() / self.n_px.sum())
+
+
+class Slices(NamedTuple):
+    """Where rows of the image cut the paint of one line: from column `left_px` to `right_px` at the row's middle."""
+
+    row: Int[np.ndarray, " n"]
+    left_px: Values
+    right_px: Values
+    points_cam: Points
+
+    def take(self, kept: np.ndarray) -> "Slices":
+        """Some of them."""
+        return Slices(self.row[kept], self.left_px[kept], self.right_px[kept], self.points_cam[kept])
+
+
+class View(NamedTuple):
+    """A line's slices and the pixels about them: where they are, how far right of the line they show the road, whether
+    they are within reach, whether on its edge, and whether they should be paint."""
+
+    lane: Lane
+    slices: Slices
+    column: Int[np.ndarray, "n k"]
+    right_m: Float[np.ndarray, "n k"]
+    near: Bool[np.ndarray, "n k"]
+    edge: Bool[np.ndarray, "n k"]
+    painted: Bool[np.ndarray, "n k"]
+    half_m: float
+
+    @property
+    def row(self) -> Int[np.ndarray, "n 1"]:
+        """The pixels' rows."""
+        return self.slices.row[:, None]
+
+
+def line_views(paint: Paint, labels: Labels) -> list[View]:
+    """One view of every delimiter, in the labels' order."""
+    return [_view(paint, labels.camera, lane) for lane in labels.lanes if lane.kind == "delimiter"]
+
+
+def paint_offsets(views: Sequence[View], instance: Integer[np.ndarray, "h w"]) -> Iterator[Offset]:
+    """The offset of every delimiter that shows any paint, by the pixels' ids."""
+    for number, view in enumerate(views, start=FIRST_DELIMITER_ID):
+        ids = instance[view.row, view.column]
+        is_paint = view.near & (ids == number)
+        is_other = view.near & (ids != number) & (ids != 0)
+        # Slices without a pixel of paint count too: of two thin lines that overlap one alone may be met.
+        asked = ~(is_other | (is_paint & view.edge)).any(axis=1)
+        n_px = is_paint.sum(axis=1)[asked].astype(float)
+        surplus = is_paint.astype(float) - (view.painted & view.near)
+        if n_px.any():
+            yield Offset(view.lane, view.slices.points_cam[asked], n_px, (surplus * view.right_m)[asked].sum(axis=1))
+
+
+def image_offsets(views: Sequence[View], image: UInt8[np.ndarray, "h w 3"]) -> Iterator[Offset]:
+    """The offset of every line between two lanes whose paint is brighter, or darker, than the road beside it. At the
+    road's edges pavement ends under the paint, and one side's brightness is not the other's."""
+    for view in views:
+        if view.lane.left is None or view.lane.right is None:
+            continue
+        slices = view.slices
+        px_m = (2 * view.half_m / (slices.right_px - slices.left_px))[:, None]
+        luma, end_m = image[view.row, view.column] @ LUMA, view.half_m + px_m
+        left, right = (
+            _mean(luma, view.near & (side * view.right_m > end_m) & (side * view.right_m < end_m + px_m + BESIDE_M))
+            for side in (-1, 1)
+        )
+        brighter = np.where(np.abs(view.right_m) < end_m, luma - np.where(view.right_m < 0, left, right), 0.0)
+        asked = (slices.points_cam[:, 1] < IMAGE_RANGE_M) & np.isfinite(brighter).all(axis=1)
+        if asked.sum() < MIN_SLICES:
+            continue
+        area, moment = (
+            float(np.median((values * px_m)[asked].sum(axis=1))) for values in (brighter, brighter * view.right_m)
+        )
+        if abs(area) > MIN_CONTRAST * 2 * view.half_m:
+            middle = np.median(slices.points_cam[asked], axis=0)[None]
+            n = np.array([float(asked.sum())])
+            yield Offset(view.lane, middle, n, n * moment / area)
+
+
+def _mean(values: Float[np.ndarray, "n k"], of: Bool[np.ndarray, "n k"]) -> Float[np.ndarray, "n 1"]:
+    """The mean of some values of each row, NaN where there are none."""
+    with np.errstate(invalid="ignore"):
+        return np.where(of, values, 0.0).sum(axis=1, keepdims=True) / of.sum(axis=1, keepdims=True)
+
+
+def _view(paint: Paint, camera: CameraLabel, lane: Lane) -> View:
+    """The slices of a line that lie in the image with all their surroundings, and these."""
+    stripes_m = np.array(paint.stripes_m(lane.id))
+    half_m = float(np.abs(stripes_m).max()) + paint.width_m / 2
+    slices = _slices(paint, camera, lane, half_m)
+    width_px, row = camera.width_px, slices.row
+    pad = np.maximum(REACH_M / (2 * half_m) * (slices.right_px - slices.left_px), REACH_PX)
+    inside = (slices.left_px >= pad) & (slices.right_px + pad <= width_px) & (row >= 0) & (row < camera.height_px)
+    slices, pad = slices.take(inside), pad[inside, None]
+    left, right = slices.left_px[:, None], slices.right_px[:, None]
+    first = np.floor(left - pad).astype(int)
+    column = first + np.arange(int((right + pad - first).max(initial=0)) + 1)
+    center = column + 0.5
+    beyond = np.maximum(left - center, center - right)
+    right_m = half_m * (2 * center - left - right) / (right - left)
+    painted = (np.abs(right_m[..., None] - stripes_m) < paint.width_m / 2).any(axis=-1)
+    column = np.clip(column, 0, width_px - 1)
+    return View(lane, slices, column, right_m, beyond < pad, beyond > pad - 1, painted, half_m)
+
+
+def _slices(paint: Paint, camera: CameraLabel, lane: Lane, half_m: float) -> Slices:
+    """All slices of a line's seen and painted stretches; the paint reaches `half_m` to either side."""
+    none = Slices(np.zeros(0, dtype=int), np.zeros(0), np.zeros(0), np.zeros((0, 3)))
+    seen = lane.visible & (lane.xyz_cam[:, 1] < RANGE_M)
+    steps = np.flatnonzero(seen[:-1] & seen[1:])
+    if not steps.size:
+        return none
+    at = np.arange(steps[0] * STEPS, (steps[-1] + 1) * STEPS + 1) / STEPS
+    length = np.cumsum(np.maximum(np.linalg.norm(np.diff(lane.xyz_cam, axis=0), axis=1), 1e-6))
+    length = np.concatenate([[0.0], length])
+    points_cam = CubicSpline(length, lane.xyz_cam)(np.interp(at, np.arange(len(length)), length))
+    strip = paint.strip(camera, lane, points_cam)
+    left, right = (project(camera.img_from_cam, points_cam + side_m * strip.across_cam) for side_m in (-half_m, half_m))
+    shows = np.isin(at[:-1].astype(int), steps) & strip.painted[:-1] & strip.painted[1:]
+    # Up the image, or a row would meet the line twice.
+    shows &= (np.diff(left[:, 1]) < 0) & (np.diff(right[:, 1]) < 0)
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], shows, [False]])))
+    runs = [slice(first, last + 1) for first, last in ends.reshape(-1, 2)]
+    parts = [none, *(_run(left[run], right[run], points_cam[run]) for run in runs)]
+    slices = Slices(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+    kept = np.flatnonzero(slices.right_px > slices.left_px)
+    return slices.take(kept[:: 1 + len(kept) // MAX_ROWS])
+
+
+def _run(
+    left: Float[np.ndarray, "p 2"], right: Float[np.ndarray, "p 2"], points_cam: Float[np.ndarray, "p 3"]
+) -> Slices:
+    """The slices of one stretch of paint, of which the image shows both edges, farther ones higher up."""
+    lowest, highest = min(left[0, 1], right[0, 1]), max(left[-1, 1], right[-1, 1])
+    row = np.arange(int(np.ceil(highest - 0.5)), int(np.floor(lowest - 0.5)) + 1)
+    # From the far end on: np.interp wants rising numbers.
+    left, right, points_cam = left[::-1], right[::-1], points_cam[::-1]
+    middle_v = (left[:, 1] + right[:, 1]) / 2
+    left_px, right_px = (np.interp(row + 0.5, side[:, 1], side[:, 0]) for side in (left, right))
+    at = np.stack([np.interp(row + 0.5, middle_v, axis) for axis in points_cam.T], axis=1)
+    return Slices(row, left_px, right_px, at)

@@ -1,0 +1,120 @@
+"""What a sample's members hold. What cannot be read, or is not as it was written, is a finding; nothing is printed."""
+
+import json
+import os
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, redirect_stdout
+from io import StringIO
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from jaxtyping import UInt8
+
+from synth3dlanes import labels as labels_module
+from synth3dlanes import scene as scene_module
+from synth3dlanes.dataset.format import HEIGHT, LABELS, PASSES, SCENE, decode_image, read_passes
+from synth3dlanes.errors import FormatError
+from synth3dlanes.labels import Labels
+from synth3dlanes.scene import Scene
+from synth3dlanes.validate.documents import differences, misfits, some
+from synth3dlanes.validate.findings import Finding
+from synth3dlanes.validate.passes_proof import Passes
+
+# What files of these formats begin with.
+MAGIC = {"jpg": b"\xff\xd8\xff", "png": b"\x89PNG\r\n\x1a\n"}
+
+Read = TypeVar("Read")
+
+
+class Contents(NamedTuple):
+    """A sample's members as read; None for what cannot be."""
+
+    scene: Scene | None
+    labels: Labels | None
+    image: UInt8[np.ndarray, "h w 3"] | None
+    passes: Passes | None
+
+
+def read_contents(members: Mapping[str, bytes]) -> tuple[Contents, list[Finding]]:
+    """Every member on its own, and what is wrong with them."""
+    findings: list[Finding] = []
+
+    def read(name: str, parse: Callable[[bytes, str], Read]) -> Read | None:
+        try:
+            return parse(members[name], name)
+        except FormatError as error:
+            findings.append(Finding("", some(str(error).splitlines())))
+            return None
+
+    image_name = next(iter(members))
+    pictures = [read(name, _passes) for name in (PASSES, HEIGHT) if name in members]
+    passes = {name: pixels for found in pictures if found is not None for name, pixels in found.items()}
+    is_read = not any(found is None for found in pictures)
+    return (
+        Contents(read(SCENE, _scene), read(LABELS, _labels), read(image_name, _image), passes if is_read else None),
+        findings,
+    )
+
+
+def _scene(data: bytes, name: str) -> Scene:
+    scene = scene_module.from_json(data, name)
+    _require_text(data, scene_module.to_json(scene), name)
+    return scene
+
+
+def _labels(data: bytes, name: str) -> Labels:
+    labels = labels_module.from_json(data, name)
+    wrong = list(misfits(labels, Labels))
+    if wrong:
+        raise FormatError(f"{name}: {some(wrong)}")
+    _require_text(data, labels_module.to_json(labels), name)
+    return labels
+
+
+def _require_text(data: bytes, canonical: str, name: str) -> None:
+    """Raise FormatError where a document says more or other than was read of it. Keys may lack that came later."""
+    if data == canonical.encode():
+        return
+    wrong = list(differences(json.loads(canonical), json.loads(data), may_lack=True))
+    if wrong:
+        raise FormatError(f"{name}: {some(wrong)}")
+
+
+def _image(data: bytes, name: str) -> UInt8[np.ndarray, "h w 3"]:
+    if not data.startswith(MAGIC[name]):
+        raise FormatError(f"{name}: expected an image of this format, got another")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            return decode_image(data, name)
+        except Warning as warning:
+            raise FormatError(f"{name}: expected an image, got a warning: {warning}") from None
+
+
+def _passes(data: bytes, name: str) -> Passes:
+    with _silence() as said:
+        passes = read_passes(data, name)
+    if said.getvalue():
+        raise FormatError(f"{name}: expected an OpenEXR image, got a warning: {' '.join(said.getvalue().split())}")
+    for pass_name, values in passes.items():
+        is_number = values > 0 if pass_name == "depth" else np.isfinite(values)
+        if not is_number.all():
+            told = "distances or infinity" if pass_name == "depth" else "finite numbers"
+            raise FormatError(f"{name}: {pass_name}: expected {told}, got another at {(~is_number).sum()} places")
+    return passes
+
+
+@contextmanager
+def _silence() -> Iterator[StringIO]:
+    """OpenEXR tells Python's stdout and C's stderr what it thinks of a damaged file; gives the former."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    try:
+        with open(os.devnull, "wb") as nowhere, redirect_stdout(StringIO()) as said:
+            os.dup2(nowhere.fileno(), 2)
+            yield said
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)

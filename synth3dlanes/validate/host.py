@@ -1,0 +1,50 @@
+"""The host by its law: in the lane that its scene names, beside the middle by the offset there, and clear of all cars.
+
+Computed from the labels' own points, not as the camera was placed: `geometry.camera` is not asked.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.geometry.placement import HOST_SIZE_M, footprint, overlaps_any
+from synth3dlanes.geometry.transforms import invert, transform
+from synth3dlanes.labels import Labels, Lane
+from synth3dlanes.validate.findings import Finding
+from synth3dlanes.validate.world import World
+
+LAW_M = 0.001
+
+
+def check_host(world: World, labels: Labels) -> Iterator[Finding]:
+    """Faults of where the host stands."""
+    camera = world.scene.camera
+    segment = world.scene.road.segments_at(camera.y_m)[camera.lane - 1]
+    paths = next((found.centerlines for found in labels.graph.segments if found.id == segment), ())
+    lanes = [lane for lane in labels.lanes if lane.id in paths]
+    world_from_road = labels.camera.world_from_cam @ invert(labels.camera.road_from_cam)
+    foot, ahead = world_from_road[:2, 3], world_from_road[:2, 1]
+    asides_m = [aside_m for lane in lanes for aside_m in _asides(labels, lane, foot)]
+    if not asides_m:
+        yield Finding("", f"host: expected a centre line of its lane {segment}, got none")
+    elif min(abs(aside_m - camera.offset_m) for aside_m in asides_m) > LAW_M:
+        found = min(asides_m, key=lambda aside_m: abs(aside_m - camera.offset_m))
+        yield Finding(
+            lanes[0].id, f"host: expected it {camera.offset_m:+.3f} m aside of its lane's middle, got {found:+.3f} m"
+        )
+    body = footprint(foot, ahead / np.linalg.norm(ahead), *HOST_SIZE_M)
+    for i, (car, pose) in enumerate(zip(world.scene.cars, world.world_from_cars, strict=True)):
+        model, along = world.scene.assets.car_models[car.model - 1], pose[:2, 1] / np.linalg.norm(pose[:2, 1])
+        place = footprint(pose[:2, 3], along, model.length_m * car.scale, model.width_m * car.scale)
+        if overlaps_any(body, place[None]):
+            yield Finding("", f"cars.{i}: expected it clear of the host's body, got it there")
+
+
+def _asides(labels: Labels, lane: Lane, foot: Float[np.ndarray, "2"]) -> tuple[float, float]:
+    """How far right of a lane a place beside its first point is: across its first step, drawn out where needed; and
+    from that point, which is the one where the lane opens and is not parallel to the road."""
+    first, second = transform(labels.camera.world_from_cam, lane.xyz_cam[:2])[:, :2]
+    (dx, dy), (x, y) = (second - first) / np.linalg.norm(second - first), foot - first
+    across_m = float(x * dy - y * dx)
+    return across_m, float(np.copysign(np.hypot(x, y), across_m))

@@ -1,0 +1,217 @@
+"""Instance ids, and where there are none semantic ids, against the scene: is paint where its line is painted, are cars
+and trees within their own bodies, and is of every car as much seen as its label says?
+
+Pixels are taken back into the scene by their depth.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Integer
+from scipy.spatial import ConvexHull, cKDTree
+
+from synth3dlanes.geometry.camera import project
+from synth3dlanes.geometry.terrain import gradient_at, height_at
+from synth3dlanes.geometry.transforms import invert, transform
+from synth3dlanes.labels import CameraLabel, Labels
+from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS
+from synth3dlanes.validate.findings import PROOF_M, Finding, Measure
+from synth3dlanes.validate.passes_proof import Passes
+from synth3dlanes.validate.pavement import unproject
+from synth3dlanes.validate.places import places
+from synth3dlanes.validate.world import World
+
+# Of a kind, so many pixels are asked, evenly spread over the image.
+MAX_PIXELS = 10_000
+# Single pixels are left alone, and of a body this share: a wrong id has nearly all of its pixels elsewhere.
+MAX_SINGLE, MAX_SHARE = 3, 0.05
+# Of a line so many pixels of paint may lie farther beyond its edges. In 60 random scenes of each preset none does where
+# the eye sees paint no farther along the sight line than MAX_FLOAT_M from the road that it floats over.
+MAX_BEYOND_M, MAX_FLOAT_M, MAX_SHARE_BEYOND = 0.01, 0.05, 0.02
+# Cars end with their nominal boxes, to 1 %; twigs reach 10 % beyond a tree's.
+CAR_ROOM, TREE_ROOM = 1.05, 1.15
+# What of the box that a car is in, as seen, is car: 0.52 to 0.93 for all of ours; of a user's at most all.
+FILL, OWN_FILL = (0.5, 0.95), (0.2, 1.0)
+# Shares are counted by some 60 rays, pixels by their centres; the worst of 2,300 cars is off by 0.16.
+MAX_SHARE_OFF, SLACK_PX = 0.25, 6
+# A car with a corner nearer than this is seen too widely for its box to say how much of it is seen.
+MIN_CORNER_M = 0.5
+
+KIND_OF_ID = np.zeros(FIRST_TREE_ID + 1, dtype=np.uint8)
+KIND_OF_ID[FIRST_CAR_ID:FIRST_DELIMITER_ID] = SEMANTIC_IDS["car"]
+KIND_OF_ID[FIRST_DELIMITER_ID:FIRST_TREE_ID] = SEMANTIC_IDS["marking"]
+KIND_OF_ID[FIRST_TREE_ID:] = SEMANTIC_IDS["tree"]
+
+Values = Float[np.ndarray, " n"]
+Points = Float[np.ndarray, "n 3"]
+Ids = Integer[np.ndarray, "h w"]
+
+
+def prove_ids(world: World, labels: Labels, passes: Passes) -> tuple[list[Finding], list[Measure]]:
+    """Faults of ids by line and by object; measure `beyond_paint_m` is how far pixels of paint lie outside it."""
+    findings: list[Finding] = []
+    measures: list[Measure] = []
+    if {"semantic", "instance"} <= set(passes):
+        findings += _agreement(passes["semantic"], passes["instance"])
+    if "instance" in passes:
+        findings += _shares(world, labels, passes["instance"])
+    if "depth" in passes and {"semantic", "instance"} & set(passes):
+        found, measure = _paint(world, labels, passes)
+        findings += [*found, *_bodies(world, labels.camera, passes)]
+        measures.append(measure)
+    return findings, measures
+
+
+def _kind(instance: Ids) -> Ids:
+    """Semantic ids of what has instance ids, by these; 0 for everything else."""
+    return KIND_OF_ID[np.minimum(instance, len(KIND_OF_ID) - 1)]
+
+
+def _agreement(semantic: Ids, instance: Ids) -> Iterator[Finding]:
+    """Both passes are of one sample: where one says car, the other has the id of a car."""
+    kind = _kind(instance)
+    for name in ("car", "marking", "tree"):
+        is_semantic, is_instance = semantic == SEMANTIC_IDS[name], kind == SEMANTIC_IDS[name]
+        wrong = int((is_semantic != is_instance).sum())
+        if wrong > MAX_SINGLE:
+            yield Finding(
+                "",
+                f"instance: expected ids of the kind {name} at the {is_semantic.sum()} pixels that semantic has so, "
+                f"got them at {(is_semantic & is_instance).sum()} of these and at {(is_instance & ~is_semantic).sum()} "
+                "others",
+            )
+
+
+def _paint(world: World, labels: Labels, passes: Passes) -> tuple[list[Finding], Measure]:
+    """Pixels of paint against the paint of their line; without instance ids, of any line."""
+    camera = labels.camera
+    name = "instance" if "instance" in passes else "semantic"
+    kind = _kind(passes["instance"]) if name == "instance" else passes["semantic"]
+    rows, columns = _some((kind == SEMANTIC_IDS["marking"]) & np.isfinite(passes["depth"]))
+    points_cam = unproject(camera, passes["depth"], rows, columns)
+    points, asked = on_road(world, camera, points_cam)
+    asked &= points_cam[:, 1] < PROOF_M
+    points, rows, columns, y_m = points[asked], rows[asked], columns[asked], points_cam[asked, 1]
+    place = places(world.ground, points[:, :2])
+    labelled = [lane.id for lane in labels.lanes if lane.kind == "delimiter"]
+    ids = [*labelled, *(id_ for id_ in world.paint.ids if id_ not in labelled)]
+    beyond_m = np.full(len(points), np.inf)
+    number = passes[name][rows, columns].astype(int) - FIRST_DELIMITER_ID
+    for i, id_ in enumerate(ids):
+        own = number == i if name == "instance" else np.ones(len(points), dtype=bool)
+        beyond_m[own] = np.minimum(beyond_m[own], world.paint.beyond_m(id_, place.at(own)))
+    findings = []
+    for i, id_ in enumerate([*labelled, ""] if name == "instance" else [""]):
+        own = number == i if id_ else (number < 0) | (number >= len(labelled))
+        wrong = beyond_m[own] > MAX_BEYOND_M
+        if wrong.sum() > max(MAX_SINGLE, MAX_SHARE_BEYOND * len(wrong)):
+            outside = f"{wrong.sum()} of {len(wrong)} pixels up to {min(beyond_m[own].max(), 99):.2f} m outside"
+            findings.append(Finding(id_, f"{name}: expected paint where the line is painted, got {outside}"))
+    return findings, Measure("beyond_paint_m", y_m, np.clip(beyond_m, 0, 99))
+
+
+def on_road(world: World, camera: CameraLabel, points_cam: Points) -> tuple[Points, Bool[np.ndarray, " n"]]:
+    """World points that float over the road put where the eye sees them on it, and which could be, for certain."""
+    terrain, points = world.scene.terrain, transform(camera.world_from_cam, points_cam)
+    place = places(world.ground, points[:, :2])
+    sight = points - camera.world_from_cam[:3, 3]
+    sight /= np.linalg.norm(sight, axis=1, keepdims=True)
+    falls = (sight[:, :2] * gradient_at(terrain, points[:, :2])).sum(axis=1) - sight[:, 2]
+    over_m = points[:, 2] - height_at(terrain, points[:, :2]) - place.raised()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        way_m = np.clip(np.where(falls > 0, over_m / falls, np.inf), -1, 1)
+    return points + way_m[:, None] * sight, (np.abs(way_m) < MAX_FLOAT_M) & ~place.on_slope()
+
+
+def _bodies(world: World, camera: CameraLabel, passes: Passes) -> Iterator[Finding]:
+    """Pixels of cars and trees against their bodies; without instance ids, against all of them."""
+    kind = _kind(passes["instance"]) if "instance" in passes else passes["semantic"]
+    name = "instance" if "instance" in passes else "semantic"
+    for thing, first, inside in (("car", FIRST_CAR_ID, _in_car), ("tree", FIRST_TREE_ID, _in_tree)):
+        rows, columns = _some((kind == SEMANTIC_IDS[thing]) & np.isfinite(passes["depth"]))
+        points = transform(camera.world_from_cam, unproject(camera, passes["depth"], rows, columns))
+        own = passes[name][rows, columns].astype(int) - first if name == "instance" else np.full(len(rows), -1)
+        wrong = ~inside(world, points, own)
+        for i in np.unique(own[wrong]):
+            n, n_wrong = int((own == i).sum()), int(wrong[own == i].sum())
+            if n_wrong > max(MAX_SINGLE, MAX_SHARE * n):
+                whose = f"{thing} {i}" if i >= 0 else f"a {thing}"
+                yield Finding("", f"{name}: expected pixels of {whose} within its body, got {n_wrong} of {n} outside")
+
+
+def _in_car(world: World, points: Points, own: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Which points are within the box of their car, -1 for any."""
+    inside = np.zeros(len(points), dtype=bool)
+    for i, (car, pose) in enumerate(zip(world.scene.cars, world.world_from_cars, strict=True)):
+        at = np.flatnonzero((own == i) | (own < 0))
+        if at.size:
+            low, high = _box(world, i)
+            body = transform(invert(pose), points[at]) / car.scale
+            inside[at] |= ((body > low) & (body < high)).all(axis=1)
+    return inside
+
+
+def _box(world: World, car: int) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """The box that a car is in, at scale 1."""
+    model = world.scene.assets.car_models[world.scene.cars[car].model - 1]
+    half = np.array([model.width_m, model.length_m, 0.0]) / 2 * CAR_ROOM
+    rest_m = (CAR_ROOM - 1) * model.height_m
+    return -half - np.array([0, 0, rest_m]), half + np.array([0, 0, model.height_m + rest_m])
+
+
+def _in_tree(world: World, points: Points, own: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Which points are within the cylinder of their tree, -1 for the nearest."""
+    trees = world.scene.trees
+    if not trees:
+        return np.zeros(len(points), dtype=bool)
+    models = [world.scene.assets.tree_models[tree.model - 1] for tree in trees]
+    radius, height = (
+        np.array(
+            [
+                [model.crown_radius_m * tree.scale, model.height_m * tree.scale]
+                for tree, model in zip(trees, models, strict=True)
+            ]
+        ).T
+        * TREE_ROOM
+    )
+    if (own < 0).any():
+        distance, _ = cKDTree(world.trees_world[:, :2]).query(points[:, :2])
+        return np.asarray(distance < radius.max())
+    known = own < len(trees)
+    tree = np.where(known, own, 0)
+    up = points - world.trees_world[tree]
+    rest = (TREE_ROOM - 1) * height[tree]
+    return known & (np.hypot(up[:, 0], up[:, 1]) < radius[tree]) & (up[:, 2] > -rest) & (up[:, 2] < height[tree])
+
+
+def _shares(world: World, labels: Labels, instance: Ids) -> Iterator[Finding]:
+    """The seen share of each car against the number of its pixels."""
+    assert labels.car_visible_fraction is not None
+    counts = np.bincount(instance.ravel(), minlength=FIRST_DELIMITER_ID)[FIRST_CAR_ID:]
+    for i, share in enumerate(labels.car_visible_fraction):
+        low, high = _seen_share(world, labels.camera, i, int(counts[i]))
+        if not low - MAX_SHARE_OFF <= share <= high + MAX_SHARE_OFF:
+            yield Finding(
+                "",
+                f"car_visible_fraction: expected {low:.2f} to {high:.2f} of car {i} by its {counts[i]} pixels, "
+                f"got {share:.2f}",
+            )
+
+
+def _seen_share(world: World, camera: CameraLabel, car: int, n_px: int) -> tuple[float, float]:
+    """Between which shares of a car's silhouette its pixels may be, by the size of its box in the image."""
+    low, high = (corner / CAR_ROOM * world.scene.cars[car].scale for corner in _box(world, car))
+    corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1)), axis=-1).reshape(-1, 3)
+    corners_cam = transform(invert(camera.world_from_cam), transform(world.world_from_cars[car], corners))
+    if corners_cam[:, 1].min() < MIN_CORNER_M:
+        return 0.0, float(n_px > 0)
+    box_px = float(ConvexHull(project(camera.img_from_cam, corners_cam)).volume)
+    least, most = OWN_FILL if world.scene.assets.cars else FILL
+    return max(n_px - SLACK_PX, 0) / (most * box_px), min((n_px + SLACK_PX) / (least * box_px), 1.0)
+
+
+def _some(of: Bool[np.ndarray, "h w"]) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """Rows and columns of at most MAX_PIXELS of the pixels."""
+    rows, columns = np.nonzero(of)
+    step = 1 + len(rows) // MAX_PIXELS
+    return rows[::step], columns[::step]

@@ -1,0 +1,102 @@
+"""Where points seen from above lie on the roads of a scene, and what should be there. In the plan; metres.
+
+Everything here is as Blender is given it: surfaces are straight between their rows of vertices.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from synth3dlanes.geometry import meshes
+from synth3dlanes.geometry.ground import Ground
+from synth3dlanes.geometry.lanes import Curve
+from synth3dlanes.settings import SEMANTIC_IDS
+
+# The exit is looked for this far behind the split, and this far left of the lanes that it takes.
+BEHIND_M, ASIDE_M = 20.0, 1.0
+# Faces of the exit that end on the main pavement are cut; this far outside it there are none of them.
+CUT_M = 0.3
+# Of the main right shoulder what is this near to the exit's lanes may be covered by them: their faces are whole.
+COVER_M = 2.0
+
+Values = Float[np.ndarray, " n"]
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Points by stations and offsets on the main road and on the exit; these are NaN where it is not near."""
+
+    ground: Ground
+    s: Values
+    t: Values
+    exit_s: Values
+    exit_t: Values
+
+    def at(self, which: Bool[np.ndarray, " n"]) -> "Places":
+        """Some of the points."""
+        return Places(self.ground, self.s[which], self.t[which], self.exit_s[which], self.exit_t[which])
+
+    def outside(self) -> Values:
+        """Distance outside the nearest pavement, negative on it."""
+        return np.fmin(self._outside_main(), self._outside_exit())
+
+    def raised(self) -> Values:
+        """Height of the pavement over the terrain."""
+        plan = self.ground.plan
+        raised = np.zeros(self.s.shape)
+        on_exit = self._outside_exit() < np.minimum(self._outside_main(), CUT_M)
+        if plan.ramp_start_m is not None and on_exit.any():
+            rows = np.sort(plan.plan_station(meshes.road_stations(plan)))
+            raised[on_exit] = np.interp(self.exit_s[on_exit], rows, plan.ramp(rows))
+        return raised
+
+    def on_slope(self) -> Bool[np.ndarray, " n"]:
+        """Which points are on the ramp where it rises."""
+        raised = self.raised()
+        return (raised > 0) & (raised < self.ground.plan.scene.road.ramp_height_m)
+
+    def right_of(self, curve: Curve) -> Values:
+        """Distance to the right of a curve, as the plan has it."""
+        on_main = self.t - curve.main_offset(self.ground.plan, self.s)
+        return np.where(self._follows_exit(curve), self.exit_t - curve.fork_m, on_main)
+
+    def station(self, curve: Curve) -> Values:
+        """The stations beside a curve."""
+        return np.where(self._follows_exit(curve), self.exit_s, self.s)
+
+    def surface(self, margin_m: float) -> Int[np.ndarray, " n"]:
+        """Semantic id of road or shoulder where only one can be, by more than a margin; 0 elsewhere."""
+        plan, ground = self.ground.plan, self.ground
+        main, exits = self._outside_main(), self._outside_exit()
+        right = ground.main_right_edge(self.s) - plan.shoulder_m
+        beyond = np.maximum(-plan.n_lanes * plan.width_m / 2 - self.t, self.t - right)
+        is_covered = (self.s > -BEHIND_M) & (np.abs(self.exit_t) < plan.exit_half_m + COVER_M)
+        beyond = np.where((self.t > right - margin_m) & is_covered, 0.0, beyond)
+        on_exit = (main > CUT_M) & (exits < 0)
+        beyond = np.where(on_exit, np.abs(self.exit_t) - plan.exit_half_m, beyond)
+        known = on_exit | (main < 0)
+        road, shoulder = SEMANTIC_IDS["road"], SEMANTIC_IDS["shoulder"]
+        paved_m = ground.under_paint_m + margin_m
+        return np.where(known & (beyond < -margin_m), road, np.where(known & (beyond > paved_m), shoulder, 0))
+
+    def _follows_exit(self, curve: Curve) -> Bool[np.ndarray, " n"]:
+        return (curve.fork_road == "exit") & (self.s >= 0) & (self.exit_s >= 0)
+
+    def _outside_main(self) -> Values:
+        return np.maximum(-self.ground.edge_m - self.t, self.t - self.ground.main_right_edge(self.s))
+
+    def _outside_exit(self) -> Values:
+        aside = np.maximum(-meshes.SEAM_M - self.exit_t, self.exit_t) - self.ground.exit_edge_m
+        return np.where(self.exit_s >= 0, aside, np.nan)
+
+
+def places(ground: Ground, xy_world: Float[np.ndarray, "n 2"]) -> Places:
+    """Put points that are near a road on it."""
+    plan = ground.plan
+    s, t = plan.project_main(xy_world)
+    exit_s, exit_t = np.full(s.shape, np.nan), np.full(s.shape, np.nan)
+    if plan.has_exit:
+        near = (s > -BEHIND_M) & (t > plan.boundary_m(plan.n_lanes - plan.n_exit_lanes) - ASIDE_M)
+        exit_s[near], exit_t[near] = plan.project_exit(xy_world[near], np.maximum(s[near], 0))
+    return Places(ground, s, t, exit_s, exit_t)

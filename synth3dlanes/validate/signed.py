@@ -1,0 +1,165 @@
+"""The signed values of one sample for the tests over the whole data set (`bias.TESTS`): paint, surface and hills."""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from synth3dlanes.geometry.camera import project
+from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.geometry.terrain import gradient_at, height_at
+from synth3dlanes.geometry.transforms import transform
+from synth3dlanes.labels import Labels
+from synth3dlanes.scene import Scene
+from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.validate.centroids import Offset, image_offsets, line_views, paint_offsets
+from synth3dlanes.validate.findings import Signed
+from synth3dlanes.validate.paint import Paint
+from synth3dlanes.validate.passes_proof import Passes
+
+# Less paint, in pixels or in slices of an image, leaves a sample's mean to chance.
+MIN_WEIGHT = {"paint": 30.0, "image": 15.0, "exit": 30.0}
+# A line this near to the camera's vertical plane is on neither side of it.
+ASIDE_M = 0.5
+# Paint of the exit says how it opens from this far behind the split on.
+MIN_EXIT_M = 5.0
+# The surface is judged near the camera; what grows with distance, also far away. Fewer points are left out.
+NEAR_M, FAR_M, MIN_POINTS = 25.0, 110.0, 10
+# A pixel that shows something this much nearer or farther than its point shows another thing.
+OTHER = 0.2
+# Hills this high, in the root mean square, show an error in per cent of them, and ramps where some points are so. The
+# faces of far rows cut the corners of shorter ramps.
+MIN_HEIGHT_M, MIN_RAMP_POINTS, MIN_RAMP_M = 0.3, 3, 8.0
+RAMP_SHARES = np.linspace(-0.2, 0.2, 81)
+# Causes are told apart up to this condition of their fit. A point counts in full up to these multiples of the usual
+# error and at least to some millimetres.
+MAX_CONDITION, ROUNDS, OUTLIER, OUTLIER_M = 200.0, 4, 3.0, 0.003
+# Without paint, which floats over the road.
+PAVEMENT = [SEMANTIC_IDS[name] for name in ("road", "shoulder")]
+
+Values = Float[np.ndarray, " n"]
+Points = Float[np.ndarray, "n 3"]
+
+
+def signed_values(
+    scene: Scene, paint: Paint, labels: Labels, image: UInt8[np.ndarray, "h w 3"], passes: Passes
+) -> Iterator[Signed]:
+    """All that this sample has to say, by whichever passes there are."""
+    plan, views = RoadPlan(scene), line_views(paint, labels)
+    if "instance" in passes:
+        lines = list(paint_offsets(views, passes["instance"]))
+        yield from _sides("paint", lines)
+        yield from _exit(plan, labels, [line for line in lines if line.lane.road == "exit"])
+    if paint.shows:
+        yield from _sides("image", list(image_offsets(views, image)))
+    if "depth" in passes:
+        yield from _surface(plan, labels, passes)
+
+
+def _sides(name: str, lines: Sequence[Offset]) -> Iterator[Signed]:
+    """How far paint lies to the right, and how far outward: away from the camera's vertical plane."""
+    points_cam, n_px, moment_m = _joined(lines)
+    side = np.sign(points_cam[:, 0]) * (np.abs(points_cam[:, 0]) > ASIDE_M)
+    for which, sign in (("right", np.ones(len(side))), ("outward", side)):
+        weight = float(n_px @ np.abs(sign))
+        if weight >= MIN_WEIGHT[name]:
+            yield Signed(f"{name}_{which}_m", float(moment_m @ sign) / weight)
+
+
+def _exit(plan: RoadPlan, labels: Labels, lines: Sequence[Offset]) -> Iterator[Signed]:
+    """How much more the exit's paint leaves the main road with every metre from the split."""
+    points_cam, n_px, moment_m = _joined(lines)
+    s_m, _ = plan.project_main(transform(labels.camera.world_from_cam, points_cam)[:, :2])
+    s_m = np.where(s_m > MIN_EXIT_M, s_m, 0.0)
+    if n_px @ np.sign(s_m) >= MIN_WEIGHT["exit"]:
+        yield Signed("exit_opening", float(plan.flips[0] * (s_m @ moment_m) / (n_px @ s_m**2)))
+
+
+def _surface(plan: RoadPlan, labels: Labels, passes: Passes) -> Iterator[Signed]:
+    """How far the rendered road lies above its labels, and what of it a longer lens, farther depth, higher hills and a
+    higher ramp would explain, each as a share."""
+    points_cam, points_world, on_exit = _seen(labels, passes)
+    s_m = _exit_stations(plan, points_world)
+    raised_m = on_exit * plan.ramp(s_m)
+    slope = gradient_at(plan.scene.terrain, points_world[:, :2])
+    up_world = np.column_stack([-slope, np.ones(len(slope))])
+    up_world /= np.linalg.norm(up_world, axis=1, keepdims=True)
+    up_cam, upright = up_world @ labels.camera.world_from_cam[:3, :3], up_world[:, 2]
+    above_m = (points_world[:, 2] - height_at(plan.scene.terrain, points_world[:, :2]) - raised_m) * upright
+    level, near = raised_m == 0, points_cam[:, 1] < NEAR_M
+    if (level & near).sum() >= MIN_POINTS:
+        yield Signed("surface_above_m", float(np.median(above_m[level & near])))
+    if level.sum() >= MIN_POINTS:
+        causes = {
+            "focal_length": (up_cam * points_cam * [1, 0, 1]).sum(axis=1),
+            "depth_scale": (up_cam * points_cam).sum(axis=1),
+            "relief": transform(labels.camera.road_from_cam, points_cam)[:, 2] * upright,
+        }
+        yield from _shares({name: moved_m[level] for name, moved_m in causes.items()}, above_m[level])
+    length_m = plan.scene.road.ramp_height_m * plan.scene.road.ramp_slope
+    if length_m > MIN_RAMP_M and (raised_m > MIN_HEIGHT_M).sum() >= MIN_RAMP_POINTS:
+        yield Signed("ramp", _ramp_share(plan, s_m[~level], (raised_m + above_m / upright)[~level]))
+
+
+def _shares(causes: Mapping[str, Values], above_m: Values) -> Iterator[Signed]:
+    """The shares of all causes that together explain how far points lie above, by least squares in which those count
+    less that lie far off. Nothing, where one cause looks like another, as lens and depth on a flat road do."""
+    found = {name: moved_m for name, moved_m in causes.items() if _size(moved_m) > MIN_HEIGHT_M}
+    a = np.column_stack(list(found.values()))
+    if np.linalg.cond(a / np.linalg.norm(a, axis=0)) > MAX_CONDITION:
+        return
+    weight = np.ones(len(above_m))
+    for _ in range(ROUNDS):
+        shares = np.linalg.lstsq(a * weight[:, None], above_m * weight, rcond=None)[0]
+        off = np.abs(above_m - a @ shares)
+        weight = 1 / np.sqrt(np.maximum(1, off / max(OUTLIER * float(np.median(off)), OUTLIER_M)))
+    for name, share in zip(found, shares, strict=True):
+        yield Signed(name, float(share))
+
+
+def _seen(labels: Labels, passes: Passes) -> tuple[Points, Points, Bool[np.ndarray, " n"]]:
+    """What pixels show at seen points of the road: where that is, and which of it belongs to the exit. Points of
+    lines are asked on the exit alone: without semantic ids, paint is not told from the road."""
+    camera = labels.camera
+    lanes = [lane for lane in labels.lanes if lane.kind == "centerline" or lane.road == "exit"]
+    seen = [lane.visible & (lane.xyz_cam[:, 1] > 0) & (lane.xyz_cam[:, 1] < FAR_M) for lane in lanes]
+    labelled_cam = np.concatenate([lane.xyz_cam[at] for lane, at in zip(lanes, seen, strict=True)])
+    on_exit = np.repeat([lane.road == "exit" for lane in lanes], [int(at.sum()) for at in seen])
+    last = [camera.width_px - 1, camera.height_px - 1]
+    column, row = np.clip(np.floor(project(camera.img_from_cam, labelled_cam)), 0, last).astype(int).T
+    depth_m = passes["depth"][row, column].astype(float)
+    same = np.abs(depth_m / labelled_cam[:, 1] - 1) < OTHER
+    if "semantic" in passes:
+        same &= np.isin(passes["semantic"][row, column], PAVEMENT)
+    rays_cam = np.column_stack([column + 0.5, row + 0.5, np.ones(len(row))]) @ np.linalg.inv(camera.img_from_cam).T
+    points_cam = rays_cam[same] * depth_m[same, None]
+    return points_cam, transform(camera.world_from_cam, points_cam), on_exit[same]
+
+
+def _exit_stations(plan: RoadPlan, points_world: Points) -> Values:
+    """Plan stations of points on the exit; negative before the split."""
+    s_m, _ = plan.project_main(points_world[:, :2])
+    if not plan.has_exit:
+        return s_m
+    return plan.project_exit(points_world[:, :2], np.maximum(s_m, 0))[0]
+
+
+def _ramp_share(plan: RoadPlan, s_m: Values, height_m: Values) -> float:
+    """How much higher than the plan's a ramp is that fits heights over the terrain best. A higher one is longer, too,
+    so that at its foot it is lower."""
+    road = plan.scene.road
+    raised = [road.model_copy(update={"ramp_height_m": (1 + share) * road.ramp_height_m}) for share in RAMP_SHARES]
+    plans = [RoadPlan(plan.scene.model_copy(update={"road": road})) for road in raised]
+    return float(RAMP_SHARES[np.argmin([np.abs(height_m - other.ramp(s_m)).sum() for other in plans])])
+
+
+def _joined(lines: Sequence[Offset]) -> tuple[Points, Values, Values]:
+    """The slices of all lines: places, pixels, moments."""
+    points_cam = np.concatenate([np.zeros((0, 3)), *(line.points_cam for line in lines)])
+    n_px, moment_m = (np.concatenate([np.zeros(0), *(line[i] for line in lines)]) for i in (2, 3))
+    return points_cam, n_px, moment_m
+
+
+def _size(values: Values) -> float:
+    """The root mean square; 0 of none."""
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0

@@ -1,0 +1,172 @@
+"""Faults planted in copies of a small clean data set, and what validate says of each.
+
+    python -m tests.validate.planted --params diverse --n 12      # the table of docs/validate.md
+    python -m tests.validate.planted --clean DIR DIR ...          # false alarms and speed on clean data sets
+
+A fault is planted in all samples that have what it changes. It is found in a sample where a problem of that sample
+says one of its words, and over the whole set where a problem of the set does.
+"""
+
+import argparse
+import re
+import shutil
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+from synth3dlanes.change import change_scene
+from synth3dlanes.dataset.format import HEIGHT, PASSES
+from synth3dlanes.generate import Recipe
+from synth3dlanes.params import Params, load_params
+from synth3dlanes.run import Plan, generate
+from synth3dlanes.scene import Scene
+from synth3dlanes.settings import PASSES as ALL_PASSES
+from synth3dlanes.settings import RenderSettings
+from tests.validate.faults import FAULTS, WORLDS, Fault
+from tests.validate.sealing import Members, check, read_members, seal
+
+IMAGE = "jpg"
+# Few samples a pixel: passes are taken at the pixels' centres, and do not depend on them.
+SETTINGS = RenderSettings(samples=2, passes=ALL_PASSES, device="cpu")
+SAMPLE = re.compile(r"\w+:\d{8}")
+
+HEADER = "| planted | in samples | found in | over the set | named as |\n|---|---|---|---|---|"
+HEADER_CLEAN = "| clean data set | samples | alarms | samples a second |\n|---|---|---|---|"
+
+
+class Result(NamedTuple):
+    """In how many samples a fault was planted, in how many it was named, whether over the whole set, and one problem
+    that names it."""
+
+    fault: str
+    planted: int
+    samples: int
+    over_all: bool
+    named: str
+
+    @property
+    def is_found(self) -> bool:
+        """Over the whole set, or in most samples that have it: it may be out of sight in some."""
+        return self.over_all or 2 * self.samples > self.planted > 0
+
+    def row(self) -> str:
+        """A row of the table."""
+        return f"| {self.fault} | {self.planted} | {self.samples} | {'yes' if self.over_all else ''} | {self.named} |"
+
+
+@dataclass(frozen=True)
+class Worlds(Recipe):
+    """Samples of a recipe in worlds that differ: sample i is `jobs[i]`, the number of a world and an index."""
+
+    jobs: tuple[tuple[int, int], ...]
+
+    def scene(self, index: int) -> Scene:
+        """The changed scene; it keeps the index that it was drawn for."""
+        world, source = self.jobs[index]
+        return changed(super().scene(source), world)
+
+
+def changed(scene: Scene, world: int) -> Scene:
+    """A scene in another world; it may be the same."""
+    return change_scene(scene, WORLDS[world].changes(scene))
+
+
+def render(folder: Path, params: Params, seed: int, n: int, workers: int) -> tuple[Path, list[Fault]]:
+    """A clean data set of n samples with all passes, and all faults that may be planted in it."""
+    recipe = Recipe(params, seed, "train", SETTINGS, IMAGE)
+    clean = folder / "clean"
+    assert generate(Plan(clean, n, recipe, workers), lambda event: None).exit_code == 0
+    scenes = [recipe.scene(index) for index in range(n)]
+    jobs = tuple((w, i) for w in range(len(WORLDS)) for i in range(n) if changed(scenes[i], w) != scenes[i])
+    worlds = Worlds(params, seed, "train", SETTINGS, IMAGE, jobs=jobs)
+    assert generate(Plan(folder / "worlds", len(jobs), worlds, workers), lambda event: None).exit_code == 0
+    rendered = read_members(folder / "worlds")
+    others = [{i: rendered[job] for job, (at, i) in enumerate(jobs) if at == w} for w in range(len(WORLDS))]
+    faults = [
+        Fault(world.name, partial(seal, change=partial(in_place, other)), world.words)
+        for world, other in zip(WORLDS, others, strict=True)
+    ]
+    return clean, [*FAULTS, *faults]
+
+
+def in_place(others: dict[int, Members], samples: dict[int, Members]) -> None:
+    """Put other images and passes beside the labels."""
+    for index, members in others.items():
+        samples[index].update({name: members[name] for name in (IMAGE, PASSES, HEIGHT)})
+
+
+def table(clean: Path, faults: Iterable[Fault], folder: Path) -> Iterator[Result]:
+    """What validate says of each fault; it must say nothing of the clean data set."""
+    problems = check(clean).problems
+    assert not problems, problems[0].line()
+    before = read_members(clean)
+    for fault in faults:
+        root = Path(shutil.copytree(clean, folder / "planted"))
+        fault.plant(root)
+        (split,) = {path.parent.name for path in root.glob("*/*.parquet")}
+        after = read_members(root, split)
+        n_planted = sum(after[index] != before[index] for index in after) or len(after)
+        yield _result(fault, n_planted, root)
+        shutil.rmtree(root)
+
+
+def _result(fault: Fault, n_planted: int, root: Path) -> Result:
+    try:
+        problems = check(root).problems
+    except Exception as error:  # noqa: BLE001 - that validate crashes is what the table is to show
+        return Result(fault.name, n_planted, 0, False, f"crash: {type(error).__name__}")
+    named = [problem for problem in problems if re.search(fault.words, problem.reason)]
+    samples = {problem.where for problem in named if SAMPLE.fullmatch(problem.where)}
+    over_all = [problem.reason for problem in named if problem.where not in samples]
+    reasons = over_all or [problem.reason for problem in named]
+    kinds = Counter(re.sub(r"[\d.]+", "", reason) for reason in reasons)
+    common = next((r for r in reasons if re.sub(r"[\d.]+", "", r) == kinds.most_common(1)[0][0]), "missed")
+    return Result(fault.name, n_planted, len(samples), bool(over_all), " ".join(common.split()))
+
+
+def false_alarms(root: Path) -> str:
+    """A row on a clean data set, validated by one process."""
+    start = time.perf_counter()
+    report = check(root)
+    per_s = report.n_samples / (time.perf_counter() - start)
+    return f"| {root.name} | {report.n_samples} | {len(report.failed)} | {per_s:.1f} |"
+
+
+def tell(lines: Iterable[str], header: str) -> None:
+    """Print a table row by row."""
+    print(header)  # noqa: T201
+    for line in lines:
+        print(line, flush=True)  # noqa: T201
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print a table."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--params", default="appendix_i", help="the preset in which faults are planted")
+    parser.add_argument("--n", type=int, default=12, help="its number of samples")
+    parser.add_argument("--seed", type=int, default=7)
+    parser.add_argument("--only", default="", help="plant faults with this in their names alone")
+    parser.add_argument("--workers", type=int, default=1, help="processes that render")
+    parser.add_argument("--data", type=Path, help="a folder that keeps what is rendered for the next time")
+    parser.add_argument("--clean", nargs="+", type=Path, help="clean data sets, for false alarms")
+    options = parser.parse_args(arguments)
+    if options.clean:
+        tell(map(false_alarms, options.clean), HEADER_CLEAN)
+        return
+    with tempfile.TemporaryDirectory(prefix="planted-") as folder:
+        rendered = options.data or Path(folder, "rendered")
+        clean, faults = render(rendered, load_params(options.params), options.seed, options.n, options.workers)
+        results = table(clean, [fault for fault in faults if options.only in fault.name], Path(folder))
+        tell((result.row() for result in results), HEADER)
+
+
+if __name__ == "__main__":
+    # Workers must find the recipe under the module's own name, not as __main__.
+    from tests.validate.planted import main as main_of_module
+
+    main_of_module()

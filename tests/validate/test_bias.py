@@ -1,0 +1,312 @@
+"""The tests over a whole data set: the estimators on rasters of known answers, and what is made of their values."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from synth3dlanes.geometry.camera import project
+from synth3dlanes.geometry.ground import Ground
+from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.geometry.transforms import transform
+from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.labels import Labels
+from synth3dlanes.scene import Scene
+from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, SEMANTIC_IDS
+from synth3dlanes.validate.bias import TESTS, Mean, judge
+from synth3dlanes.validate.centroids import Offset, image_offsets, line_views, paint_offsets
+from synth3dlanes.validate.findings import Signed
+from synth3dlanes.validate.paint import Paint
+from synth3dlanes.validate.report import Report
+from synth3dlanes.validate.signed import signed_values
+from tests.scenes import changed, hill
+
+SOLID = changed(markings={"dash_fraction": 1.0})
+LEVEL = changed(SOLID, camera={"pitch_rad": 0.0})
+
+
+def seen(labels: Labels) -> Labels:
+    """The labels of a scene without objects, as rendered."""
+    lanes = (replace(lane, object_visible=np.ones(len(lane.xyz_cam), bool)) for lane in labels.lanes)
+    return replace(labels, lanes=tuple(lanes))
+
+
+def rays_road(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Where each pixel's centre looks on a flat and straight road: metres to the camera's right and ahead of it."""
+    camera = scene.camera
+    v, u = np.mgrid[: camera.height_px, : camera.width_px] + 0.5
+    right, down = (u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px
+    c, s = np.cos(camera.roll_rad), np.sin(camera.roll_rad)
+    right, down = c * right - s * down, s * right + c * down
+    c, s = np.cos(camera.pitch_rad), np.sin(camera.pitch_rad)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        way = camera.height_m / (c * down + s)
+    return np.where(way > 0, right * way, np.nan), np.where(way > 0, (c - s * down) * way, np.nan)
+
+
+def instance_ids(scene: Scene, aside_m: float = 0.0, wider: float = 1.0) -> np.ndarray:
+    """The ids of the lines of a flat road, drawn pixel by pixel: lines `aside_m` right of their places, lanes `wider`
+    than the scene's."""
+    x_m, y_m = rays_road(scene)
+    road, markings = scene.road, scene.markings
+    width_m = wider * road.lane_width_m
+    ids = np.zeros(x_m.shape, np.uint16)
+    station = scene.camera.y_m + y_m
+    for j in range(road.n_lanes + 1):
+        place_m = (j + 0.5 - scene.camera.lane) * width_m - scene.camera.offset_m + aside_m
+        across_m = np.abs(x_m - place_m)
+        if j == 0 and markings.left_double:
+            across_m = np.abs(across_m - markings.width_m)
+        is_inner = 0 < j < road.n_lanes
+        on = np.mod(station, markings.dash_cycle_m) < markings.dash_fraction * markings.dash_cycle_m
+        with np.errstate(invalid="ignore"):
+            ids[(across_m < markings.width_m / 2) & (on | (not is_inner))] = FIRST_DELIMITER_ID + j
+    return ids
+
+
+def offsets(scene: Scene, ids: np.ndarray) -> list[Offset]:
+    return list(paint_offsets(line_views(Paint(scene), seen(ground_truth(scene))), ids))
+
+
+def mean_m(lines: list[Offset]) -> float:
+    return sum(line.moment_m.sum() for line in lines) / sum(line.n_px.sum() for line in lines)
+
+
+SCENES = {
+    "solid": SOLID,
+    "dashed": changed(markings={"dash_cycle_m": 3.0, "dash_fraction": 0.5}),
+    "thin": changed(SOLID, markings={"width_m": 0.06}),
+    "rolled, double, aside": changed(
+        SOLID, markings={"left_double": True}, camera={"roll_rad": 0.04, "cx_px": 251.3, "offset_m": 0.3, "lane": 1}
+    ),
+}
+
+
+@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
+@pytest.mark.parametrize("aside_m", [-0.08, -0.004, 0.0, 0.011, 0.15])
+def test_paint_drawn_at_pixels_centres_is_found_within_a_millimetre_of_its_place(scene, aside_m):
+    lines = offsets(scene, instance_ids(scene, aside_m))
+    assert len(lines) >= 3
+    assert mean_m(lines) == pytest.approx(aside_m, abs=1e-3 if aside_m else 3e-4)
+    for line in lines:
+        assert line.mean_m == pytest.approx(aside_m, abs=3e-3 if line.n_px.sum() > 300 else 1e-2)
+
+
+def test_lines_near_cars_and_on_the_image_border_are_not_asked_there():
+    ids = instance_ids(SOLID, 0.02)
+    whole = {line.lane.id: line for line in offsets(SOLID, ids)}
+    x_m, _ = rays_road(SOLID)
+    # A car stands over the right half of the line that is left of the host.
+    left_m = -SOLID.road.lane_width_m / 2
+    with np.errstate(invalid="ignore"):
+        hidden = (x_m > left_m + 0.02) & (x_m < left_m + 1) & (np.arange(360)[:, None] > 250)
+    ids[hidden] = FIRST_CAR_ID
+    half = {line.lane.id: line for line in offsets(SOLID, ids)}
+    assert half["main_line_1"].n_px.sum() < 0.8 * whole["main_line_1"].n_px.sum()
+    assert half["main_line_1"].mean_m == pytest.approx(0.02, abs=4e-3)
+    assert half["main_line_2"].mean_m == whole["main_line_2"].mean_m
+
+
+def signed(scene: Scene, image: np.ndarray, passes: dict[str, np.ndarray]) -> dict[str, float]:
+    """The signed values of a sample with these pixels, by name."""
+    labels = seen(ground_truth(scene))
+    return {found.name: found.value for found in signed_values(scene, Paint(scene), labels, image, passes)}
+
+
+def words(values: dict[str, float]) -> dict[str, str]:
+    """What is said of a data set of twelve samples, all about so."""
+    report = Report()
+    for i in range(12):
+        report.sample(
+            f"train:{i:08d}", "", [], [], [Signed(name, value * (1 + i / 50)) for name, value in values.items()]
+        )
+    report.judge()
+    return {problem.reason.split(":")[0]: problem.reason for problem in report.problems}
+
+
+GRAY = np.full((360, 480, 3), 90, np.uint8)
+
+
+@pytest.mark.parametrize(("wider", "side"), [(1.01, "outward"), (0.99, "inward")])
+def test_lanes_of_another_width_are_outward_or_inward_and_said_so(wider, side):
+    values = signed(SOLID, GRAY, {"instance": instance_ids(SOLID, wider=wider)})
+    # Lines stand 1.75 and 5.25 m aside; the near ones show more pixels.
+    assert 0.0175 < (wider - 1) / 0.01 * values["paint_outward_m"] < 0.035
+    assert abs(values["paint_right_m"]) < 1e-3
+    assert "image_outward_m" not in values
+    (reason,) = words(values).values()
+    assert f"cm {side} on average" in reason
+    assert "lane width" in reason
+
+
+@pytest.mark.parametrize(("aside_m", "side"), [(0.02, "to the right"), (-0.02, "to the left")])
+def test_paint_aside_is_to_the_right_or_to_the_left_in_ids_and_in_the_image(aside_m, side):
+    ids = instance_ids(SOLID, aside_m)
+    image = np.where(ids > 0, 200, 90)[..., None].repeat(3, axis=2).astype(np.uint8)
+    values = signed(SOLID, image, {"instance": ids})
+    assert values["paint_right_m"] == pytest.approx(aside_m, abs=1e-3)
+    assert values["image_right_m"] == pytest.approx(aside_m, abs=4e-3)
+    assert abs(values["paint_outward_m"]) < 2e-3
+    found = words(values)
+    assert set(found) == {"paint_right_m", "image_right_m"}
+    assert all(f"cm {side} on average" in reason for reason in found.values())
+    assert "image_right_m" in words(signed(SOLID, image, {})), "also without passes"
+
+
+def test_dark_paint_and_a_shadow_across_leave_lines_of_the_image_in_place():
+    ids = instance_ids(SOLID)
+    for paint in (40, 230):
+        image = np.where(ids > 0, paint, 110)[..., None].repeat(3, axis=2).astype(float)
+        image[250:270] *= 0.4
+        lines = list(image_offsets(line_views(Paint(SOLID), seen(ground_truth(SOLID))), image.astype(np.uint8)))
+        assert {line.lane.id for line in lines} == {"main_line_1", "main_line_2"}, "edges of the road are not asked"
+        assert all(abs(line.mean_m) < 4e-3 for line in lines)
+
+
+# -- surfaces
+
+HILLY = changed(
+    terrain={"gaussians": (hill(10, 70, 9, 40), hill(-60, -10, -6, 40))},
+    road={"topology": 2, "exit_angle_rad": 0.08, "exit_offset_m": 9.0, "ramp_slope": 8, "shoulder_factor": 0.2},
+    camera={
+        "y_m": -20,
+        "lane": 3,
+        "height_px": 120,
+        "width_px": 160,
+        "fx_px": 140,
+        "fy_px": 140,
+        "cx_px": 60,
+        "cy_px": 60,
+    },
+)
+
+
+def depth_of(scene: Scene, seen_as: Scene = HILLY) -> np.ndarray:
+    """The depth of a scene's ground in the pixels at the lanes of another scene's labels, by search along the rays."""
+    labels, own, ground = ground_truth(seen_as), ground_truth(scene).camera, Ground(RoadPlan(scene))
+    points_cam = np.concatenate([lane.xyz_cam[lane.visible] for lane in labels.lanes])
+    shape = (labels.camera.height_px, labels.camera.width_px)
+    column, row = np.unique(np.floor(project(labels.camera.img_from_cam, points_cam)).astype(int), axis=0).T
+    rays_cam = np.column_stack([column + 0.5, row + 0.5, np.ones(len(row))]) @ np.linalg.inv(own.img_from_cam).T
+
+    def is_under(way_m: np.ndarray) -> np.ndarray:
+        points = transform(own.world_from_cam, rays_cam * way_m[:, None])
+        return ground.height(points[:, :2]) > points[:, 2]
+
+    high_m = np.full(len(row), 130.0)
+    for way_m in np.geomspace(130.0, 2.0, 60):
+        high_m = np.where(is_under(np.full(len(row), way_m)), way_m, high_m)
+    low_m = high_m / 1.08
+    for _ in range(20):
+        middle_m = (low_m + high_m) / 2
+        under = is_under(middle_m)
+        low_m, high_m = np.where(under, low_m, middle_m), np.where(under, middle_m, high_m)
+    depth_m = np.full(shape, np.inf, np.float32)
+    depth_m[np.minimum(row, shape[0] - 1), np.minimum(column, shape[1] - 1)] = high_m
+    return depth_m
+
+
+IMAGE = np.full((120, 160, 3), 90, np.uint8)
+
+
+def test_depth_of_the_scene_itself_is_at_its_labels_height():
+    values = signed(HILLY, IMAGE, {"depth": depth_of(HILLY)})
+    assert set(values) == {"surface_above_m", "focal_length", "depth_scale", "relief", "ramp"}
+    assert max(map(abs, values.values())) < 2e-4
+    assert words(values) == {}
+
+
+def higher_hills(factor: float) -> Scene:
+    gaussians = (g.model_copy(update={"magnitude_m": factor * g.magnitude_m}) for g in HILLY.terrain.gaussians)
+    return changed(HILLY, terrain={"gaussians": tuple(gaussians)})
+
+
+@pytest.mark.parametrize(
+    ("world", "factor", "share", "said"),
+    [
+        (HILLY, 1.005, {"depth_scale": 0.005}, "% more"),
+        (HILLY, 0.995, {"depth_scale": -0.005}, "% less"),
+        (changed(HILLY, camera={"fx_px": 141.4, "fy_px": 141.4}), 1.0, {"focal_length": 0.01}, "% more"),
+        (changed(HILLY, camera={"fx_px": 138.6, "fy_px": 138.6}), 1.0, {"focal_length": -0.01}, "% less"),
+        (higher_hills(1.02), 1.0, {"relief": 0.02}, "% higher ones"),
+        (higher_hills(0.98), 1.0, {"relief": -0.02}, "% lower ones"),
+        (changed(HILLY, road={"ramp_height_m": 4.4}), 1.0, {"ramp": 0.1}, "% a higher one"),
+        (changed(HILLY, road={"ramp_height_m": 3.6}), 1.0, {"ramp": -0.1}, "% a lower one"),
+    ],
+)
+def test_depth_of_another_world_is_told_by_its_cause_and_its_sign(world, factor, share, said):
+    values = signed(HILLY, IMAGE, {"depth": depth_of(world) * np.float32(factor)})
+    ((name, value),) = share.items()
+    assert values[name] == pytest.approx(value, rel=0.2)
+    others = {other: abs(values[other]) for other in {"focal_length", "depth_scale", "relief"} - {name}}
+    assert max(others.values()) < 0.3 * abs(value)
+    assert f"{said} on average" in words(values)[name]
+
+
+@pytest.mark.parametrize(("factor", "side"), [(1.005, "below"), (0.995, "above")])
+def test_depth_too_far_or_too_near_leaves_the_road_below_or_above(factor, side):
+    """On a flat road nothing tells it from a lens of another focal length."""
+    x_m, y_m = rays_road(LEVEL)
+    semantic = np.full(x_m.shape, SEMANTIC_IDS["road"], np.uint8)
+    depth_m = np.where(np.isnan(y_m), np.inf, y_m).astype(np.float32) * np.float32(factor)
+    values = signed(LEVEL, GRAY, {"depth": depth_m, "semantic": semantic})
+    assert set(values) == {"surface_above_m"}
+    assert values["surface_above_m"] == pytest.approx((1 - factor) * LEVEL.camera.height_m, rel=0.02)
+    assert f"cm {side} on average" in words(values)["surface_above_m"]
+
+
+# -- what is made of the values
+
+
+def test_a_running_mean_is_that_of_all_its_values(rng):
+    values = rng.normal(0.003, 0.02, 500)
+    mean = Mean()
+    for value in values:
+        mean.add(float(value))
+    error = values.std(ddof=1) / np.sqrt(len(values))
+    assert (mean.n, mean.mean, mean.standard_error) == (500, pytest.approx(values.mean()), pytest.approx(error))
+    assert mean.t == pytest.approx(values.mean() / error)
+
+
+def verdict(values: np.ndarray, name: str = "paint_outward_m") -> str:
+    mean = Mean()
+    for value in values:
+        mean.add(float(value))
+    return "".join(problem.line() for problem in judge({name: mean}))
+
+
+def test_a_mean_must_be_both_large_and_sure(rng):
+    least = TESTS["paint_outward_m"].least
+    assert "data set: paint_outward_m" in verdict(rng.normal(5 * least, 3 * least, 12))
+    assert verdict(rng.normal(0.5 * least, least, 100_000)) == "", "micrometres are nobody's fault"
+    assert verdict(np.append(rng.normal(0, 0.1 * least, 11), 200 * least)) == "", "one sample alone is no bias"
+    assert verdict(np.full(3, 10 * least)) == "", "three samples say nothing"
+
+
+def test_chance_alone_is_no_fault(rng):
+    """Values as scattered as the least mean that matters, and much more: 3,000 clean data sets of each size."""
+    for n, scatter in ((4, 10), (12, 30), (60, 30)):
+        failed = sum(verdict(rng.normal(0, scatter * TESTS["relief"].least, n), "relief") != "" for _ in range(3000))
+        assert failed <= 3
+
+
+def test_means_are_told_in_the_text_and_in_json():
+    report = Report()
+    for i in range(8):
+        report.sample(f"train:{i:08d}", "", [], [], [Signed("paint_outward_m", 0.018 + 0.001 * (i % 3))])
+    report.sample("train:00000008", "", [], [], [Signed("relief", 0.0)])
+    report.judge()
+    document = json.loads(json.dumps(report.document(), allow_nan=False))
+    found = document["means"]["paint_outward_m"]
+    assert (found["n"], found["fails"]) == (8, True)
+    assert found["mean"] == pytest.approx(0.018875)
+    assert found["t"] == pytest.approx(found["mean"] / found["standard_error"])
+    assert document["failed"] == ["data set"]
+    assert document["means"]["relief"]["fails"] is False
+    console = Console(width=200, record=True)
+    console.print(report.text())
+    text = console.export_text()
+    assert "paint_outward_m: expected paint under its labels, got 1.9 cm outward on average" in text
+    assert "lane width" in text

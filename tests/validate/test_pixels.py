@@ -1,0 +1,309 @@
+"""What is wrong with the pixels of one sample is found in that sample, and named: by line, by car, and in any case by
+what is wrong. Planted in images and passes as they were rendered, which are clean."""
+
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from synth3dlanes.dataset.format import PASSES, decode_image, encode_image, read_passes, write_passes
+from synth3dlanes.dataset.read import Reader
+from synth3dlanes.labels import Labels
+from synth3dlanes.scene import from_json
+from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS
+from synth3dlanes.validate.alignment import check_alignment
+from synth3dlanes.validate.colours import check_colours
+from synth3dlanes.validate.findings import Finding
+from synth3dlanes.validate.hills import check_hills
+from synth3dlanes.validate.ids import prove_ids
+from synth3dlanes.validate.image_proof import prove_image
+from synth3dlanes.validate.normals import check_normals
+from synth3dlanes.validate.passes_proof import prove_passes
+from synth3dlanes.validate.pavement import prove_pavement
+from synth3dlanes.validate.sharpness import check_sharpness
+from synth3dlanes.validate.world import World
+from tests.validate.sealing import Members, check, seal
+
+pytestmark = pytest.mark.render
+
+CAR, TREE, MARKING = (SEMANTIC_IDS[name] for name in ("car", "tree", "marking"))
+ROAD, SHOULDER, TERRAIN = (SEMANTIC_IDS[name] for name in ("road", "shoulder", "terrain"))
+
+
+class Sample(NamedTuple):
+    """One sample, as the proofs take it."""
+
+    world: World
+    labels: Labels
+    image: np.ndarray
+    passes: dict[str, np.ndarray]
+
+    def with_pass(self, name: str, change: Callable[[np.ndarray], np.ndarray]) -> "Sample":
+        return self._replace(passes={**self.passes, name: change(self.passes[name])})
+
+    def without(self, *names: str) -> "Sample":
+        return self._replace(passes={name: pixels for name, pixels in self.passes.items() if name not in names})
+
+
+def findings(sample: Sample) -> list[Finding]:
+    """What all proofs of pixels say."""
+    world, labels, image, passes = sample
+    return [
+        *prove_passes(world.paint, labels, passes)[0],
+        *prove_image(world, labels, image)[0],
+        *check_sharpness(image),
+        *check_colours(world, labels.camera, image, passes),
+        *check_alignment(image, passes),
+        *prove_pavement(world, labels, passes)[0],
+        *check_hills(world, labels, passes),
+        *check_normals(labels.camera, passes),
+        *prove_ids(world, labels, passes)[0],
+    ]
+
+
+def reasons(sample: Sample) -> str:
+    return "\n".join(finding.reason for finding in findings(sample))
+
+
+@pytest.fixture(scope="module")
+def samples(rendered: Path) -> list[Sample]:
+    reader = Reader(f"{rendered}/train")
+    return [
+        Sample(World(from_json(sample.scene_json, "")), sample.labels, sample.image, reader.passes(i))
+        for i, sample in enumerate(reader)
+    ]
+
+
+def test_clean_pixels_are_clean_whichever_passes_there_are(samples):
+    names = ("depth", "normal", "semantic", "instance", "height")
+    for sample in samples:
+        assert findings(sample) == []
+        assert findings(sample.without(*names)) == []
+    for name in names:
+        assert findings(samples[0].without(name)) == []
+        assert findings(samples[0].without(*(other for other in names if other != name))) == []
+
+
+def swapped(pixels: np.ndarray, a: int, b: int) -> np.ndarray:
+    return np.where(pixels == a, b, np.where(pixels == b, a, pixels)).astype(pixels.dtype)
+
+
+def to_the_right(pixels: np.ndarray, by: int) -> np.ndarray:
+    return np.concatenate([np.repeat(pixels[:, :1], by, axis=1), pixels[:, :-by]], axis=1)
+
+
+def in_world(sample: Sample) -> Sample:
+    rotation = sample.labels.camera.world_from_cam[:3, :3]
+    return sample.with_pass("normal", lambda normal: (normal @ rotation.T).astype(np.float32))
+
+
+def all_to_the_right(sample: Sample) -> Sample:
+    passes = {name: pixels if name == "height" else to_the_right(pixels, 1) for name, pixels in sample.passes.items()}
+    return sample._replace(passes=passes)
+
+
+ONE_SAMPLE: dict[str, tuple[Callable[[Sample], Sample], str]] = {
+    "normals in the world frame": (in_world, "normal: expected the road's in the camera frame"),
+    "normals negated": (lambda s: s.with_pass("normal", np.negative), "normal: expected it to face the camera"),
+    "normals zero": (lambda s: s.with_pass("normal", np.zeros_like), "normal: expected none in the sky alone"),
+    "normals too long": (
+        lambda s: s.with_pass("normal", lambda normal: normal * np.float32(1.05)),
+        "normal: expected unit length",
+    ),
+    "normals with x and y swapped": (
+        lambda s: s.with_pass("normal", lambda n: n[..., [1, 0, 2]]),
+        "normal: expected",
+    ),
+    "instance ids zero": (lambda s: s.with_pass("instance", np.zeros_like), "instance: expected ids of the kind car"),
+    "instance ids one too large": (
+        lambda s: s.with_pass("instance", lambda ids: np.where(ids > 0, ids + 1, 0).astype(ids.dtype)),
+        "instance: expected pixels of car",
+    ),
+    "car and tree swapped": (
+        lambda s: s.with_pass("semantic", lambda ids: swapped(ids, CAR, TREE)),
+        "instance: expected ids of the kind tree",
+    ),
+    "car and tree swapped, without instance ids": (
+        lambda s: s.with_pass("semantic", lambda ids: swapped(ids, CAR, TREE)).without("instance"),
+        "semantic: expected pixels of a car within its body",
+    ),
+    "road and shoulder swapped": (
+        lambda s: s.with_pass("semantic", lambda ids: swapped(ids, ROAD, SHOULDER)),
+        "semantic: expected road by the plan",
+    ),
+    "terrain and road swapped": (
+        lambda s: s.with_pass("semantic", lambda ids: swapped(ids, ROAD, TERRAIN)),
+        "semantic: expected pavement within its edges",
+    ),
+    "road and paint swapped": (
+        lambda s: s.with_pass("semantic", lambda ids: swapped(ids, ROAD, MARKING)).without("instance"),
+        "semantic: expected paint where the line is painted",
+    ),
+    "all passes 1 px to the right": (all_to_the_right, "instance: expected paint where the line is painted"),
+    "depth 0.5 % too large": (
+        lambda s: s.with_pass("depth", lambda depth: depth * np.float32(1.005)),
+        "depth: expected the road as far as it is, got it 1.005",
+    ),
+    "sky hit": (
+        lambda s: s.with_pass("depth", lambda depth: np.where(np.isfinite(depth), depth, np.float32(1e10))),
+        "depth: expected none in the sky alone",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", ONE_SAMPLE)
+def test_a_fault_of_passes_is_found_in_every_sample_that_has_it(samples, fault):
+    plant, words = ONE_SAMPLE[fault]
+    for sample in samples:
+        assert words in reasons(plant(sample))
+
+
+def test_passes_of_another_sample_are_found_each(samples):
+    for sample, other in zip(samples, [*samples[1:], samples[0]], strict=True):
+        for name in ("depth", "normal", "semantic", "instance"):
+            found = reasons(sample._replace(passes={**sample.passes, name: other.passes[name]}))
+            assert {"depth": "depth:", "normal": "normal:"}.get(name, "instance: expected ids of the kind") in found
+
+
+def most_seen(sample: Sample, low: int, high: int) -> list[int]:
+    """Instance ids from low to high, those with most pixels first."""
+    ids, n = np.unique(sample.passes["instance"], return_counts=True)
+    is_kind = (ids >= low) & (ids < high)
+    return ids[is_kind][np.argsort(-n[is_kind])].tolist()
+
+
+def test_two_lines_with_each_others_ids_are_both_named(samples):
+    for sample in samples:
+        first, second, *_ = most_seen(sample, FIRST_DELIMITER_ID, FIRST_TREE_ID)
+        lines = [lane.id for lane in sample.labels.lanes if lane.kind == "delimiter"]
+        found = findings(sample.with_pass("instance", lambda ids, a=first, b=second: swapped(ids, a, b)))
+        named = {finding.lane for finding in found if "expected paint where the line is painted" in finding.reason}
+        assert named == {lines[first - FIRST_DELIMITER_ID], lines[second - FIRST_DELIMITER_ID]}
+
+
+def test_two_cars_with_each_others_ids_are_both_named(samples):
+    n = 0
+    for sample in samples:
+        cars = most_seen(sample, FIRST_CAR_ID, FIRST_DELIMITER_ID)[:2]
+        if len(cars) == 2 and (sample.passes["instance"] == cars[1]).sum() > 20:
+            found = reasons(sample.with_pass("instance", lambda ids, cars=cars: swapped(ids, *cars)))
+            assert all(f"pixels of car {car - FIRST_CAR_ID} within its body" in found for car in cars)
+            n += 1
+    assert n
+
+
+def test_seen_shares_of_cars_in_another_order_or_none_are_found_and_the_car_is_named(samples):
+    n = 0
+    for sample in samples:
+        shares = np.array(sample.labels.car_visible_fraction)
+        for wrong in (shares[::-1], np.zeros_like(shares), np.ones_like(shares)):
+            cars = np.flatnonzero(np.abs(wrong - shares) > 0.6)
+            labels = replace(sample.labels, car_visible_fraction=tuple(wrong.tolist()))
+            found = reasons(sample._replace(labels=labels))
+            assert all(f"of car {car} by its" in found for car in cars)
+            n += len(cars)
+    assert n > 10
+
+
+def as_jpeg(image: np.ndarray) -> np.ndarray:
+    return decode_image(encode_image(np.ascontiguousarray(image), "jpg"), "")
+
+
+def resized(image: np.ndarray, width: int, height: int, how: Image.Resampling) -> np.ndarray:
+    return np.array(Image.fromarray(image).resize((width, height), how))
+
+
+def stretched(image: np.ndarray, share: float) -> np.ndarray:
+    height, width = image.shape[:2]
+    wide = resized(image, round(width * (1 + share)), height, Image.Resampling.BILINEAR)
+    left = (wide.shape[1] - width) // 2
+    return wide[:, left : left + width]
+
+
+def halved(image: np.ndarray, how: Image.Resampling) -> np.ndarray:
+    height, width = image.shape[:2]
+    return resized(resized(image, width // 2, height // 2, Image.Resampling.BOX), width, height, how)
+
+
+IMAGES: dict[str, tuple[Callable[[np.ndarray], np.ndarray], str]] = {
+    "1 px right": (lambda image: to_the_right(image, 1), "edges where the passes have them, got +1 px right"),
+    "3 px right": (lambda image: to_the_right(image, 3), "edges where the passes have them, got +3 px right"),
+    "3 px down": (lambda image: np.swapaxes(to_the_right(np.swapaxes(image, 0, 1), 3), 0, 1), "got +3 px down"),
+    "stretched by 1 %": (lambda image: stretched(image, 0.01), "px right in its"),
+    "stretched by 5 %": (lambda image: stretched(image, 0.05), "edges where the passes have them"),
+    "mirrored": (lambda image: image[:, ::-1], "edges where the passes have them"),
+    "BGR": (lambda image: image[..., ::-1], "expected red, green and blue in this order"),
+    **{
+        f"half resolution, {how.name}": (lambda image, how=how: halved(image, how), "expected detail of single pixels")
+        for how in (Image.Resampling.NEAREST, Image.Resampling.BILINEAR, Image.Resampling.LANCZOS)
+    },
+}
+
+
+@pytest.mark.parametrize("fault", IMAGES)
+def test_a_fault_of_the_image_is_found_in_every_sample_that_has_it(samples, fault):
+    plant, words = IMAGES[fault]
+    for sample in samples:
+        assert words in reasons(sample._replace(image=as_jpeg(plant(sample.image))))
+
+
+def test_the_image_of_another_sample_has_no_edges_here(samples):
+    for sample, other in zip(samples, [*samples[1:], samples[0]], strict=True):
+        assert "edges where the passes have them" in reasons(sample._replace(image=other.image))
+
+
+@pytest.mark.parametrize("fault", ["3 px right", "stretched by 5 %", "BGR", "half resolution, BILINEAR"])
+def test_without_passes_the_image_still_tells_where_it_shows_paint_and_terrain(samples, fault):
+    plant, words = IMAGES[fault]
+    words = "got it clearest" if "passes" in words else words
+    told = [words in reasons(s._replace(image=as_jpeg(plant(s.image)), passes={})) for s in samples]
+    assert sum(told) >= len(samples) - 1
+
+
+def change_passes(members: Members, **changes: Callable[[np.ndarray], np.ndarray]) -> None:
+    passes = read_passes(members[PASSES], PASSES)
+    members[PASSES] = write_passes({**passes, **{name: change(passes[name]) for name, change in changes.items()}})
+
+
+def spoil_image(members: Members) -> None:
+    members["jpg"] = encode_image(np.ascontiguousarray(to_the_right(decode_image(members["jpg"], ""), 3)), "jpg")
+
+
+def spoil_colours(members: Members) -> None:
+    members["jpg"] = encode_image(np.ascontiguousarray(decode_image(members["jpg"], "")[..., ::-1]), "jpg")
+
+
+def spoil_sharpness(members: Members) -> None:
+    image = Image.open(io.BytesIO(members["jpg"]))
+    members["jpg"] = encode_image(np.array(image.reduce(2).resize(image.size)), "jpg")
+
+
+Spoils = Sequence[tuple[Callable[[Members], None], str]]
+OF_PASSES: Spoils = (
+    (lambda members: change_passes(members, normal=np.negative), "normal: "),
+    (lambda members: change_passes(members, instance=np.zeros_like), "instance: "),
+    (lambda members: change_passes(members, semantic=lambda ids: swapped(ids, ROAD, SHOULDER)), "semantic: "),
+)
+OF_IMAGES: Spoils = (
+    (spoil_image, "image: expected edges"),
+    (spoil_colours, "image: expected red, green and blue"),
+    (spoil_sharpness, "image: expected detail"),
+)
+
+
+@pytest.mark.parametrize("spoils", [OF_PASSES, OF_IMAGES])
+def test_validate_names_the_samples_that_were_spoilt_and_no_other(dataset, spoils):
+    def spoil_each(samples: dict[int, Members]) -> None:
+        for index, (spoil, _) in enumerate(spoils, start=1):
+            spoil(samples[index])
+
+    seal(dataset, spoil_each)
+    report = check(dataset)
+    assert report.failed == [f"train:{index:08d}" for index in range(1, len(spoils) + 1)]
+    for name, (_, words) in zip(report.failed, spoils, strict=True):
+        assert any(problem.where == name and words in problem.reason for problem in report.problems)

@@ -1,0 +1,103 @@
+"""Where points lie on the roads, against the very meshes that Blender is given, in random scenes of two presets."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from synth3dlanes.catalogue import BUILT_IN
+from synth3dlanes.geometry import meshes
+from synth3dlanes.geometry.camera import world_from_cam
+from synth3dlanes.geometry.paint import paint_meshes
+from synth3dlanes.geometry.terrain import height_at
+from synth3dlanes.geometry.transforms import invert, transform
+from synth3dlanes.geometry.visibility import seen_over_ground
+from synth3dlanes.labels import CameraLabel
+from synth3dlanes.params import load_params
+from synth3dlanes.sample import sample_scene
+from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.validate.ids import MAX_BEYOND_M, on_road
+from synth3dlanes.validate.pavement import MAX_ASIDE_M, MAX_GAP_M, RANGE_M
+from synth3dlanes.validate.places import Places, places
+from synth3dlanes.validate.world import World
+
+N_SCENES, N_POINTS = 9, 600
+
+
+def worlds(preset: str) -> Iterator[World]:
+    params = load_params(preset)
+    return (World(sample_scene(params, 3, "test", index, BUILT_IN.assets)) for index in range(N_SCENES))
+
+
+def ahead(world: World, mesh: meshes.Mesh, reach_m: float) -> meshes.Mesh:
+    """The faces from the camera to so far ahead of it."""
+    y_m = mesh.vertices_world[mesh.faces][..., 1] - world.scene.camera.y_m
+    kept = (y_m.min(axis=1) > 0) & (y_m.max(axis=1) < reach_m)
+    return replace(mesh, faces=mesh.faces[kept], material=mesh.material[kept])
+
+
+def on_faces(mesh: meshes.Mesh, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Points spread over the triangles of faces, and the face of each."""
+    face = rng.integers(len(mesh.faces), size=N_POINTS)
+    a, b, c = np.moveaxis(mesh.vertices_world[mesh.faces[face]][:, [0, 1, 2]], 1, 0)
+    u, v = rng.random((2, N_POINTS, 1))
+    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+    return a + u * (b - a) + v * (c - a), face
+
+
+def is_shown_of_exit(place: Places) -> np.ndarray:
+    """Points of the exit that are not on its seam, which goes on below the main road or the exit's own verge."""
+    ground = place.ground
+    return (place.t > ground.main_right_edge(place.s)) & (place.exit_t > -ground.exit_edge_m)
+
+
+@pytest.mark.parametrize("preset", ["appendix_i", "diverse"])
+def test_road_and_shoulder_lie_where_the_formulas_have_them(preset):
+    rng, n_known, n_exit, n_raised = np.random.default_rng(0), 0, 0, 0
+    for world in worlds(preset):
+        for number, whole in enumerate(world.pavement):
+            mesh = ahead(world, whole, RANGE_M)
+            if not len(mesh.faces):
+                continue
+            points, face = on_faces(mesh, rng)
+            place = places(world.ground, points[:, :2])
+            if number == 1:
+                shown = is_shown_of_exit(place)
+                points, face, place = points[shown], face[shown], place.at(shown)
+            assert place.outside().max() < MAX_ASIDE_M
+            gap_m = points[:, 2] - height_at(world.scene.terrain, points[:, :2]) - place.raised()
+            assert np.abs(gap_m).max() < MAX_GAP_M
+            expected = place.surface(MAX_ASIDE_M)
+            found = np.where(mesh.material[face] == meshes.ROAD, SEMANTIC_IDS["road"], SEMANTIC_IDS["shoulder"])
+            np.testing.assert_array_equal(expected[expected > 0], found[expected > 0])
+            n_known += (expected > 0).sum()
+            n_exit, n_raised = n_exit + (number == 1), n_raised + (place.raised() > 0.5).sum()
+    assert n_known > 0.5 * N_SCENES * N_POINTS
+    assert n_exit > 3
+    assert n_raised > 20
+
+
+@pytest.mark.parametrize("preset", ["appendix_i", "diverse"])
+def test_paint_is_seen_within_its_own_line_and_outside_all_others(preset):
+    rng, n = np.random.default_rng(0), 0
+    for world in worlds(preset):
+        camera = camera_of(world)
+        for id_, whole in paint_meshes(world.plan).items():
+            mesh = ahead(world, whole, 40.0)
+            if not len(mesh.faces):
+                continue
+            points, _ = on_faces(mesh, rng)
+            points = points[seen_over_ground(world.ground, camera.world_from_cam[:3, 3], points)]
+            on, asked = on_road(world, camera, transform(invert(camera.world_from_cam), points))
+            place = places(world.ground, on[asked][:, :2])
+            assert world.paint.beyond_m(id_, place).max(initial=-1) < MAX_BEYOND_M
+            others = [other for other in world.paint.ids if other.startswith("main") and other != id_]
+            if id_.startswith("main") and asked.any():
+                assert min(world.paint.beyond_m(other, place).min() for other in others) > 1
+            n += asked.sum()
+    assert n > 2000
+
+
+def camera_of(world: World) -> CameraLabel:
+    return replace(world.truth.camera, world_from_cam=world_from_cam(world.plan))

@@ -1,0 +1,66 @@
+"""The table of docs/validate.md in small: every planted fault is found and named, the clean data set is clean."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.validate.sealing import check, describe, drop_passes, seal
+
+pytestmark = pytest.mark.render
+
+N, FEW, SEED = 8, 2, 20
+# Small images from near a junction: merges show the exit's paint, splits its ramp.
+CHANGES = ["camera.width_px=320", "camera.height_px=240", "camera.y_m=[-36, -28]", "cars.n=8", "trees.n=25"]
+CHANGES += ["road.topology=[2, 4]", "road.exit_angle_deg=[3, 5]", "road.exit_offset_m=[5, 10]"]
+CHANGES += ["road.shoulder_factor=0.2", "road.ramp_slope=[4, 4.5]", "markings.grayscale=0.9", "markings.width_m=0.15"]
+CHANGES += ["terrain.magnitude_m=[-20, 20]", "terrain.sd_m=[80, 250]"]
+# Found over the whole set alone, so they need more than a few samples.
+OF_THE_SET = ("passes 1 px", "depth x", "world:")
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory: pytest.TempPathFactory) -> tuple:
+    """The clean data set with all faults, and the first few samples of it as a data set of their own."""
+    from synth3dlanes.params import load_params
+    from tests.validate.planted import render
+
+    folder = tmp_path_factory.mktemp("planted")
+    return render(folder, load_params("appendix_i", CHANGES), SEED, N, workers=2)
+
+
+def first(clean: Path, n: int, to: Path) -> Path:
+    """The first samples of a data set."""
+    import shutil
+
+    root = Path(shutil.copytree(clean, to))
+    seal(root, lambda samples: [samples.pop(index) for index in range(n, N)] and None)
+    describe(root, lambda document: document.update(splits={"train": {"n": n}}))
+    return root
+
+
+def test_every_planted_fault_is_found_and_named(rendered, tmp_path):
+    from tests.validate.planted import table
+
+    clean, faults = rendered
+    few = first(clean, FEW, tmp_path / "few")
+    of_the_set = [fault for fault in faults if fault.name.startswith(OF_THE_SET)]
+    results = [
+        *table(clean, of_the_set, tmp_path),
+        *table(few, [fault for fault in faults if fault not in of_the_set], tmp_path),
+    ]
+    assert len(results) == len(faults)
+    missed = [result.row() for result in results if not result.is_found]
+    assert not missed, "\n" + "\n".join(missed)
+
+
+def test_the_image_alone_tells_other_lanes(rendered, tmp_path):
+    """Without passes, the tests over the set go by the ridge of brightness."""
+    import shutil
+
+    clean, faults = rendered
+    (wider,) = (fault for fault in faults if fault.name == "world: lanes 1 % wider")
+    root = Path(shutil.copytree(clean, tmp_path / "data"))
+    wider.plant(root)
+    drop_passes(root)
+    report = check(root)
+    assert any("paint in the image" in problem.reason and "outward" in problem.reason for problem in report.problems)
