@@ -46,7 +46,7 @@ MIN_IMAGE_PROFILES, MIN_SHARE = 60, 0.4
 # they are, a line counts by at most so many times its median. In place they are 0.99 times as clear as where they are
 # clearest, in the worst of 91 images; moved by 3 px, 0.91 times in the best.
 MOVES_PX, STRETCHES, MAX_OF_MEDIAN = np.arange(-12, 13) / 2, np.arange(-10, 11) / 200, 1.5
-MIN_CLEAR, MIN_MEAN, MIN_MOVE_PX = 0.95, 6.0, 1.0
+MIN_CLEAR, MIN_MEAN, MIN_MOVE_PX = 0.95, 6.0, 2.25
 
 OFFSETS_M = np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M)
 PLACES_M = OFFSETS_M[np.abs(OFFSETS_M) <= SEARCH_M + STEP_M / 2]

@@ -22,6 +22,8 @@ ROOM = 1.15
 CORE_SIDES, CORE_HEIGHT = ((-0.7, -0.7), (0.7, 0.2)), (0.38, 0.5)
 # A sight line may graze the core's edges.
 MAX_WRONG = 1
+# So many points of a line were behind twigs that reach out of their boxes, at most, in 1,350 scenes.
+MAX_TWIGS = 2
 
 Points = Float[np.ndarray, "n 3"]
 Corners = Float[np.ndarray, "k 3"]
@@ -49,7 +51,7 @@ def check_objects(world: World, labels: Labels) -> Iterator[Finding]:
         if of_through.sum() > MAX_WRONG:
             reason = f"object_visible: expected points behind cars as hidden, got {of_through.sum()} as seen"
             yield Finding(lane.id, reason)
-        if of_unhidden.any():
+        if of_unhidden.sum() > MAX_TWIGS:
             reason = f"object_visible: got {of_unhidden.sum()} points as hidden where no car or tree is in the way"
             yield Finding(lane.id, reason)
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Integer, Shaped
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 from scipy.spatial import cKDTree
 
 from synth3dlanes.geometry import height_map
@@ -23,6 +23,11 @@ from synth3dlanes.validate.paint import Paint, Strip
 # A fault of labels is a line's, not a point's: a line fails where more than this share of its points, and more than
 # one, is off; single ones, such as on the foot of a car, are left to the distributions.
 MAX_SHARE, MAX_SINGLE = 0.1, 1
+# Masks may differ from the passes where a sight line grazes a crest or a twig: at up to 5 points of a line in 1,350
+# scenes.
+MAX_GRAZING = 5
+# The height map is asked where its 3 x 3 cells differ by less: a slope of about a half against the road plane.
+MAX_SPREAD_M = 0.4
 # Spec section 4; the height map is interpolated between cells 0.4 m apart.
 LIMITS = {
     "paint_px": (1.0, "px of the paint"),
@@ -78,7 +83,7 @@ def _judge(lane_id: str, measure: Measure) -> Iterator[Finding]:
     values = measure.values if is_flag else measure.values[measure.y_m < PROOF_M]
     limit, words = (0.0, "") if is_flag else LIMITS[measure.name]
     wrong = int((values > limit).sum())
-    if wrong <= max(MAX_SINGLE, MAX_SHARE * len(values)):
+    if wrong <= max(MAX_GRAZING if is_flag else MAX_SINGLE, MAX_SHARE * len(values)):
         return
     if is_flag:
         yield Finding(
@@ -158,6 +163,9 @@ def _height(camera: CameraLabel, lane: Lane, height_m: Float[np.ndarray, "r c"])
     (rows, columns), (width_m, length_m) = height_map.SHAPE, height_map.CELL_M
     row, column = (rows * length_m - y) / length_m - 0.5, x / width_m + columns / 2 - 0.5
     at = (row >= 0) & (row <= rows - 1) & (column >= 0) & (column <= columns - 1)
+    # Where the ground is steep against the road plane, it is no longer one height over each place of that plane.
+    spread_m = maximum_filter(height_m, 3) - minimum_filter(height_m, 3)
+    at[at] = spread_m[np.rint(row[at]).astype(int), np.rint(column[at]).astype(int)] < MAX_SPREAD_M
     expected = map_coordinates(height_m, [row[at], column[at]], order=1)
     return Measure("height_m", lane.xyz_cam[at, 1], np.abs(z[at] - expected))
 

@@ -24,9 +24,9 @@ MAX_PIXELS = 45_000
 RANGE_M = 110.0
 # Points of the meshes of 2,000 random scenes lie within 8 mm of the formulas up to RANGE_M, and 2 mm of the edges.
 MAX_GAP_M, MAX_ASIDE_M = 0.015, 0.01
-# The median of a depth over what it should be, against 1: 0.001 in the tightest bend of 120 rendered scenes, whose
-# faces are flat.
-MAX_SCALE = 0.0025
+# The median of a depth over what it should be, against 1: 0.0039 at most in 1,350 rendered scenes, whose faces are
+# flat. What is less is left to the test `depth_scale` over the whole set.
+MAX_SCALE = 0.0045
 # Normals are the surface's own: their median is off by 0.02 degrees at most (half floats).
 MAX_TURN = 0.005
 # Single pixels are left to the distributions; a share is of the pixels asked, with few of them in all nothing is said.

@@ -185,7 +185,10 @@ def test_a_scene_in_two_splits_is_found_whatever_its_index(dataset):
 
     seal(dataset, keep_third_as_first, "test")
     report = check(dataset)
-    assert report.problems == [Problem("test:00000000", "", "expected a scene of its own, got that of train:00000002")]
+    assert report.failed == ["test:00000000"]
+    own, redrawn = sorted(reasons(report, "test:00000000", "").splitlines())
+    assert own == "expected a scene of its own, got that of train:00000002"
+    assert redrawn.startswith("scene.json: not what dataset.json draws: ")
 
 
 def spoil_scene(samples: dict[int, dict[str, bytes]]) -> None:

@@ -44,14 +44,14 @@ def seen(scene: Scene) -> Labels:
     return replace(labels, lanes=tuple(lanes), car_visible_fraction=(1.0,) * len(scene.cars))
 
 
-def draw(root: Path, recipe: Recipe = RECIPE, n: int = N) -> Path:
-    """A data set of scenes that were never rendered."""
+def draw(root: Path, recipe: Recipe = RECIPE, n: int = N, size: tuple[int, int] = (8, 8)) -> Path:
+    """A data set of scenes that were never rendered. Of images of another size than the camera's no pixel is asked."""
     description = {**recipe.description(), "shard_size": 1000}
     with claim(root, description, recipe.split, n, [0]) as folder:
         shard = Shard(folder, 0, 1000, recipe.names, recipe_text(description))
         for index in range(n):
             scene = recipe.scene(index)
-            text, image = scene_module.to_json(scene), np.full((72, 96, 3), 100, np.uint8)
+            text, image = scene_module.to_json(scene), np.full((*size, 3), 100, np.uint8)
             shard.write_part(index, encode(image, seen(scene), text, {}, "png"))
         shard.join(n)
     return root
@@ -68,7 +68,7 @@ def dataset(drawn: Path, tmp_path: Path) -> Path:
 
 
 def problems(root: Path) -> list[Problem]:
-    """What is said about where samples come from; the images show nothing, which is another matter."""
+    """What is said about where samples come from; the images are another matter."""
     return [found for found in check(root).problems if "dataset.json" in (found.where, *found.reason.split(" "))]
 
 
@@ -171,7 +171,8 @@ def test_params_that_draw_nothing_are_a_problem_of_dataset_json(dataset: Path) -
 
 def test_a_shard_of_another_recipe_than_the_others_is_named(dataset: Path, tmp_path: Path) -> None:
     describe(dataset, lambda document: document.update(splits={"train": {"n": 1002}}))
-    other = Shard(dataset / "train", 1, 1000, RECIPE.names, '{"seed":8}')
+    made = {**RECIPE.description(), "shard_size": 1000, "seed": 8}
+    other = Shard(dataset / "train", 1, 1000, RECIPE.names, recipe_text(made))
     raw = Reader(f"{dataset}/train").raw(0)
     for index in (1000, 1001):
         other.write_part(index, raw)
@@ -248,14 +249,16 @@ def test_a_set_made_of_older_shards_does_not_say_more_than_they_do(dataset: Path
 
 
 @pytest.mark.parametrize("column", ["lane_width_m", "max_grade", "n_cars", "flip_lateral", "junction", "sha256"])
-def test_an_edited_column_of_the_index_is_named(dataset: Path, column: str) -> None:
+def test_an_edited_column_of_the_index_is_named(tmp_path: Path, column: str) -> None:
+    dataset = draw(tmp_path, n=2, size=(72, 96))
     path = dataset / "train/00000.parquet"
     table = pq.read_table(path)
     field, values = table.schema.field(column), table[column].to_pylist()
-    before = values[2]
-    values[2] = {"junction": "nowhere", "sha256": "0" * 64, "flip_lateral": not before}.get(column) or before + 1
+    before = values[1]
+    others = {"junction": "nowhere", "sha256": "0" * 64, "flip_lateral": before is False}
+    values[1] = others[column] if column in others else before + 1
     at = table.schema.get_field_index(column)
     pq.write_table(table.set_column(at, field, pa.array(values, field.type)), path)
-    found = [problem for problem in check(dataset).problems if problem.where == "train:00000002"]
-    words = "SHA-256" if column == "sha256" else f"{column}: expected {json.dumps(before)}, got {json.dumps(values[2])}"
+    found = [problem for problem in check(dataset).problems if problem.where == "train:00000001"]
+    words = "SHA-256" if column == "sha256" else f"{column}: expected {json.dumps(before)}, got {json.dumps(values[1])}"
     assert any(words in problem.reason for problem in found)
