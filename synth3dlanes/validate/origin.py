@@ -23,6 +23,8 @@ from synth3dlanes.validate.documents import NAMED_AT_MOST, differences, some
 from synth3dlanes.validate.findings import Problem
 
 DESCRIPTION = "dataset.json"
+# More samples than these are not named one by one where no sample fits dataset.json.
+MANY = 20
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
 
@@ -156,10 +158,12 @@ def _recipes_differ(expected: str, found: str) -> str:
         return "expected JSON, got something else"
 
 
-def drawn_otherwise(faults: Mapping[str, str], n: int, is_edited: bool) -> Iterator[Problem]:
+def drawn_otherwise(faults: Mapping[str, str], n: int, recipes: Mapping[str, str], recipe: str) -> Iterator[Problem]:
     """A problem for each of `n` samples whose scene is not the one drawn again: `faults` has its differences by name.
-    One for all of them where it is dataset.json that was changed."""
-    if len(faults) == n > 1 or (is_edited and len(faults) > NAMED_AT_MOST):
+    One for all of them where dataset.json is to blame: its shards say so, or none says otherwise and no sample fits."""
+    is_edited = any(made not in ("", recipe) for made in recipes.values())
+    is_unsure = not any(recipes.values()) and len(faults) == n
+    if len(faults) > NAMED_AT_MOST if is_edited else is_unsure and len(faults) > MANY:
         name, fault = next(iter(faults.items()))
         reason = f"draws other scenes than {len(faults)} of {n} samples have; {name}: {fault}"
         yield Problem(DESCRIPTION, "", reason)

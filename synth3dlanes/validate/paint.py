@@ -41,7 +41,7 @@ class Strip:
 
 
 # Paint beyond these is rubbed off, of concrete's own gray, under water or lost in fog.
-MAX_WORN, MIN_GRAYSCALE, MAX_WETNESS, MIN_VISIBILITY_M = 0.7, 0.3, 0.8, 300.0
+MAX_WORN, MIN_GRAYSCALE, MAX_WETNESS, MIN_VISIBILITY_M = 0.7, 0.35, 0.8, 300.0
 
 
 class Paint:

@@ -97,7 +97,6 @@ def validate(root: Path, workers: int, limit: int | None, progress: Callable[[in
         picture.unlink()
     with _mapping(workers) as run:
         entries, recipes = _check_shards(root, run, layout, report)
-        edits = list(made_otherwise(recipes, recipe_text(description)))
         todo = [entry for split in entries.values() for entry in split[:limit]]
         redrawn: dict[str, str] = {}
         progress(0, len(todo))
@@ -105,7 +104,9 @@ def validate(root: Path, workers: int, limit: int | None, progress: Callable[[in
             report.sample(checked.name, checked.digest, checked.findings, checked.measures, checked.signed)
             redrawn |= {checked.name: checked.redrawn} if checked.redrawn else {}
             progress(done, len(todo))
-    report.problems += [*edits, *drawn_otherwise(redrawn, len(todo), is_edited=bool(edits))]
+    recipe = recipe_text(description)
+    report.problems += made_otherwise(recipes, recipe)
+    report.problems += drawn_otherwise(redrawn, len(todo), recipes, recipe)
     report.judge()
     return report
 
@@ -200,7 +201,7 @@ def _proofs(
         "image": lambda: Proved(*prove_image(world, labels, image)),
         "sharpness": lambda: Proved([*check_sharpness(image)]),
         "colours": lambda: Proved([*check_colours(world, labels.camera, image, passes)]),
-        "alignment": lambda: Proved([*check_alignment(image, passes)]),
+        "alignment": lambda: Proved([*check_alignment(image, passes)] if world.paint.shows else []),
         "pavement": lambda: Proved(*prove_pavement(world, labels, passes)),
         "hills": lambda: Proved([*check_hills(world, labels, passes)]),
         "normals": lambda: Proved([*check_normals(labels.camera, passes)]),

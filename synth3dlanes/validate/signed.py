@@ -105,6 +105,8 @@ def _shares(causes: Mapping[str, Values], above_m: Values) -> Iterator[Signed]:
     """The shares of all causes that together explain how far points lie above, by least squares in which those count
     less that lie far off. Nothing, where one cause looks like another, as lens and depth on a flat road do."""
     found = {name: moved_m for name, moved_m in causes.items() if _size(moved_m) > MIN_HEIGHT_M}
+    if not found:
+        return
     a = np.column_stack(list(found.values()))
     if np.linalg.cond(a / np.linalg.norm(a, axis=0)) > MAX_CONDITION:
         return

@@ -29,7 +29,7 @@ from synth3dlanes.scene import Scene
 from synth3dlanes.settings import RenderSettings
 from synth3dlanes.twins import twin_recipes
 from synth3dlanes.validate.findings import Problem
-from synth3dlanes.validate.origin import Origin
+from synth3dlanes.validate.origin import MANY, Origin, drawn_otherwise
 from tests import fake_samples
 from tests.validate.sealing import check, describe, seal
 
@@ -123,9 +123,9 @@ def test_a_split_of_another_splits_scenes_is_found_whatever_numbers_they_have(da
             members[SCENE] = json.dumps({**json.loads(members[SCENE]), "index": index, **rewritten}).encode()
 
     seal(dataset, change, "test")
-    (found,) = problems(dataset)
-    assert found.where == "dataset.json"
-    assert "draws other scenes than 4 of 4 samples have; test:00000000: " in found.reason
+    found = problems(dataset)
+    assert sorted(problem.where for problem in found) == [f"test:{index:08d}" for index in range(N)]
+    assert all("not what dataset.json draws: " in problem.reason for problem in found)
 
 
 def test_one_scene_of_another_split_is_named(dataset: Path) -> None:
@@ -162,6 +162,19 @@ def test_an_edited_description_is_a_problem_of_dataset_json_alone(dataset: Path,
     assert {problem.where for problem in found} == {"dataset.json"}
     assert len(found) <= 2
     assert any(words in problem.reason for problem in found)
+
+
+@pytest.mark.parametrize("n", [MANY, MANY + 1])
+def test_many_samples_that_all_fit_no_recipe_are_one_problem(n: int) -> None:
+    faults = {f"train:{index:08d}": "light.exposure: expected 1, got 2" for index in range(n)}
+    for recipes, is_one in (
+        ({"train/00000": ""}, n > MANY),
+        ({"train/00000": "{}"}, False),
+        ({"train/00000": "[]"}, True),
+    ):
+        found = list(drawn_otherwise(faults, n, recipes, "{}"))
+        assert [problem.where for problem in found] == (["dataset.json"] if is_one else list(faults))
+        assert len(list(drawn_otherwise(faults, n + 1, recipes, "{}"))) == (1 if recipes["train/00000"] == "[]" else n)
 
 
 def test_params_that_draw_nothing_are_a_problem_of_dataset_json(dataset: Path) -> None:

@@ -1,12 +1,13 @@
 """The table of docs/validate.md in small: every planted fault is found and named, the clean data set is clean."""
 
+import shutil
 from pathlib import Path
 
 import pytest
 
 from tests.validate.sealing import check, describe, drop_passes, seal
 
-pytestmark = pytest.mark.render
+pytestmark = [pytest.mark.render, pytest.mark.timeout(900)]
 
 N, FEW, SEED = 8, 2, 20
 # Small images from near a junction: merges show the exit's paint, splits its ramp.
@@ -20,7 +21,7 @@ OF_THE_SET = ("passes 1 px", "depth x", "world:")
 
 @pytest.fixture(scope="module")
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> tuple:
-    """The clean data set with all faults, and the first few samples of it as a data set of their own."""
+    """The clean data set, and the faults to plant in it."""
     from synth3dlanes.params import load_params
     from tests.validate.planted import render
 
@@ -30,8 +31,6 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> tuple:
 
 def first(clean: Path, n: int, to: Path) -> Path:
     """The first samples of a data set."""
-    import shutil
-
     root = Path(shutil.copytree(clean, to))
     seal(root, lambda samples: [samples.pop(index) for index in range(n, N)] and None)
     describe(root, lambda document: document.update(splits={"train": {"n": n}}))
@@ -55,8 +54,6 @@ def test_every_planted_fault_is_found_and_named(rendered, tmp_path):
 
 def test_the_image_alone_tells_other_lanes(rendered, tmp_path):
     """Without passes, the tests over the set go by the ridge of brightness."""
-    import shutil
-
     clean, faults = rendered
     (wider,) = (fault for fault in faults if fault.name == "world: lanes 1 % wider")
     root = Path(shutil.copytree(clean, tmp_path / "data"))
