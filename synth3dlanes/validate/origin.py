@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
+from synth3dlanes import __version__
 from synth3dlanes.catalogue import Assets
 from synth3dlanes.change import change_scene
 from synth3dlanes.dataset.format import SCENE, member_names
@@ -158,15 +159,20 @@ def _recipes_differ(expected: str, found: str) -> str:
         return "expected JSON, got something else"
 
 
-def drawn_otherwise(faults: Mapping[str, str], n: int, recipes: Mapping[str, str], recipe: str) -> Iterator[Problem]:
+def drawn_otherwise(
+    faults: Mapping[str, str], n: int, generator: str, recipes: Mapping[str, str], recipe: str
+) -> Iterator[Problem]:
     """A problem for each of `n` samples whose scene is not the one drawn again: `faults` has its differences by name.
-    One for all of them where dataset.json is to blame: its shards say so, or none says otherwise and no sample fits."""
+    One for all of them where another version drew them, or dataset.json is to blame: its shards say so, or none says
+    otherwise and no sample fits."""
+    example = next((f"{name}: {fault}" for name, fault in faults.items()), "")
     is_edited = any(made not in ("", recipe) for made in recipes.values())
     is_unsure = not any(recipes.values()) and len(faults) == n
-    if len(faults) > NAMED_AT_MOST if is_edited else is_unsure and len(faults) > MANY:
-        name, fault = next(iter(faults.items()))
-        reason = f"draws other scenes than {len(faults)} of {n} samples have; {name}: {fault}"
-        yield Problem(DESCRIPTION, "", reason)
-        return
-    for name, fault in faults.items():
-        yield Problem(name, "", f"{SCENE}: not what {DESCRIPTION} draws: {fault}")
+    if faults and generator != __version__:
+        reason = f"made by version {generator}, which drew other scenes than this one, {__version__}, for {len(faults)}"
+        yield Problem(DESCRIPTION, "", f"{reason} of {n} samples: validate it with that version; {example}")
+    elif len(faults) > NAMED_AT_MOST if is_edited else is_unsure and len(faults) > MANY:
+        yield Problem(DESCRIPTION, "", f"draws other scenes than {len(faults)} of {n} samples have; {example}")
+    else:
+        for name, fault in faults.items():
+            yield Problem(name, "", f"{SCENE}: not what {DESCRIPTION} draws: {fault}")

@@ -106,7 +106,7 @@ def validate(root: Path, workers: int, limit: int | None, progress: Callable[[in
             progress(done, len(todo))
     recipe = recipe_text(description)
     report.problems += made_otherwise(recipes, recipe)
-    report.problems += drawn_otherwise(redrawn, len(todo), recipes, recipe)
+    report.problems += drawn_otherwise(redrawn, len(todo), layout.generator, recipes, recipe)
     report.judge()
     return report
 

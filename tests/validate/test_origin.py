@@ -172,9 +172,20 @@ def test_many_samples_that_all_fit_no_recipe_are_one_problem(n: int) -> None:
         ({"train/00000": "{}"}, False),
         ({"train/00000": "[]"}, True),
     ):
-        found = list(drawn_otherwise(faults, n, recipes, "{}"))
+        found = list(drawn_otherwise(faults, n, __version__, recipes, "{}"))
         assert [problem.where for problem in found] == (["dataset.json"] if is_one else list(faults))
-        assert len(list(drawn_otherwise(faults, n + 1, recipes, "{}"))) == (1 if recipes["train/00000"] == "[]" else n)
+        assert len(list(drawn_otherwise(faults, n + 1, __version__, recipes, "{}"))) == (
+            1 if recipes["train/00000"] == "[]" else n
+        )
+
+
+def test_scenes_of_another_version_are_one_problem_that_names_it() -> None:
+    (found,) = drawn_otherwise({"train:00000003": "light.exposure: expected 1, got 2"}, 9, "0.0.1", {"0": "{}"}, "{}")
+    assert found.where == "dataset.json"
+    assert found.reason.startswith(
+        f"made by version 0.0.1, which drew other scenes than this one, {__version__}, for 1 of 9"
+    )
+    assert list(drawn_otherwise({}, 9, "0.0.1", {"0": "{}"}, "{}")) == []
 
 
 def test_params_that_draw_nothing_are_a_problem_of_dataset_json(dataset: Path) -> None:
