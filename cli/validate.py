@@ -19,7 +19,7 @@ def validate(ctx: click.Context, folder: str, workers: int, limit: int | None, a
     """Check every file and sample of the data set DIR, and prove its labels against its pixels.
 
     Exits with 1 if anything fails, each fault in a line of its own; DIR/validation then has a picture of each sample
-    that failed.
+    whose labels or pixels fail.
     """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
