@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from baseline_model.poses import Pose, horizon_pose, transform
+from baseline_model.poses import Pose, horizon_pose
+from synth3dlanes.frames import transform
 from synth3dlanes.labels import Kind, Labels
 
 Y_REF_M = 20.0

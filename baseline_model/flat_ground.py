@@ -7,7 +7,8 @@ from jaxtyping import Float
 
 from baseline_model.curves import road_curves, target_pose
 from baseline_model.lanes import Detection, Prediction
-from baseline_model.poses import Pose, road_from_cam, transform
+from baseline_model.poses import Pose, road_from_cam
+from synth3dlanes.frames import transform
 from synth3dlanes.labels import Labels
 
 

@@ -13,8 +13,9 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from PIL import Image, UnidentifiedImageError
 
-from baseline_model.poses import Pose, project, road_from_cam
+from baseline_model.poses import Pose, road_from_cam
 from synth3dlanes.errors import FormatError
+from synth3dlanes.frames import project
 from synth3dlanes.labels import CameraLabel, Kind, Labels, Lane, LaneGraph
 
 APOLLO_SIZE_PX = (1920, 1080)

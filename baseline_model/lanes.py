@@ -13,8 +13,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
-from baseline_model.poses import Pose, cam_from_road, transform
+from baseline_model.poses import Pose, cam_from_road
 from synth3dlanes.errors import FormatError
+from synth3dlanes.frames import transform
 from synth3dlanes.labels import Kind
 
 DENSE_Y_M = np.arange(101.0)

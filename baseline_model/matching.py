@@ -19,7 +19,7 @@ from baseline_model.curves import (
     resample,
 )
 from baseline_model.lanes import Detection
-from baseline_model.poses import transform
+from synth3dlanes.frames import transform
 
 Weights = Literal["linear", "uniform", "exponential"]
 MATCH_M = 1.5

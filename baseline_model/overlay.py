@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from baseline_model.lanes import Prediction
-from baseline_model.poses import Pose, project, road_from_cam, transform
+from baseline_model.poses import Pose, road_from_cam
+from synth3dlanes.frames import project, transform
 from synth3dlanes.labels import Labels
 
 TRUTH, FOUND = "#1f5fff", "#ff2020"

@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes import frames
+
 MEAN_PITCH_RAD = float(np.radians(2.5))
 MEAN_HEIGHT_M = 1.65
 
@@ -24,25 +26,12 @@ MEAN_POSE = Pose(MEAN_PITCH_RAD, MEAN_HEIGHT_M)
 
 def road_from_cam(pose: Pose) -> Float[np.ndarray, "4 4"]:
     """The road frame has its origin at the camera's foot, so the camera sits at (0, 0, height) of it."""
-    cos, sin = np.cos(pose.pitch_rad), np.sin(pose.pitch_rad)
-    return np.array([[1, 0, 0, 0], [0, cos, sin, 0], [0, -sin, cos, pose.height_m], [0, 0, 0, 1]], dtype=float)
+    return frames.road_from_cam(pose.height_m, pose.pitch_rad)
 
 
 def cam_from_road(pose: Pose) -> Float[np.ndarray, "4 4"]:
     """Inverse of `road_from_cam`: p_cam = R (p_road - C) with C above the origin of the *road* frame."""
-    return np.linalg.inv(road_from_cam(pose))
-
-
-def transform(b_from_a: Float[np.ndarray, "4 4"], points_a: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-    """Apply a rigid transform to points."""
-    return points_a @ b_from_a[:3, :3].T + b_from_a[:3, 3]
-
-
-def project(img_from_cam: Float[np.ndarray, "3 3"], points_cam: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
-    """Pixel positions; points at or behind the camera give NaN."""
-    homogeneous = points_cam @ img_from_cam.T
-    depth_m = np.where(homogeneous[..., 2:] > 1e-6, homogeneous[..., 2:], np.nan)
-    return homogeneous[..., :2] / depth_m
+    return frames.invert(road_from_cam(pose))
 
 
 def horizon_pose(plane: Pose, farthest_road: Float[np.ndarray, " 3"]) -> Pose:

@@ -26,9 +26,10 @@ from baseline_model.data import Samples, pack
 from baseline_model.evaluate import labels_at
 from baseline_model.lanes import DENSE_Y_M, Detection, Prediction, interpolate
 from baseline_model.metrics import Evaluation, MetricConfig, Report
-from baseline_model.poses import MEAN_POSE, Pose, cam_from_road, road_from_cam, transform
+from baseline_model.poses import MEAN_POSE, Pose, cam_from_road, road_from_cam
 from baseline_model.report import to_document as report_document
 from baseline_model.sources import open_split
+from synth3dlanes.frames import transform
 from synth3dlanes.labels import Kind, Labels
 
 

@@ -17,8 +17,9 @@ from PIL import Image, UnidentifiedImageError
 
 from baseline_model.foreign import MALFORMED, ForeignSample
 from baseline_model.lanes import Detection, Prediction
-from baseline_model.poses import Pose, project, road_from_cam, transform
+from baseline_model.poses import Pose, road_from_cam
 from synth3dlanes.errors import FormatError
+from synth3dlanes.frames import project, transform
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph
 
 SIZE_PX = (1280, 640)

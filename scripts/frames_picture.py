@@ -15,8 +15,8 @@ from PIL import Image
 from synth3dlanes.figures import colors
 from synth3dlanes.figures.views import draw_image
 from synth3dlanes.figures.world import SceneView
-from synth3dlanes.geometry.camera import project, world_from_road
-from synth3dlanes.geometry.transforms import Matrix4, road_from_cam, transform
+from synth3dlanes.frames import Matrix4, project, road_from_cam, transform
+from synth3dlanes.geometry.camera import world_from_road
 from synth3dlanes.labels import Labels, from_json
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import sample_scene

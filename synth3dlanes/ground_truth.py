@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.frames import inside_image, invert, project, road_from_cam, transform
 from synth3dlanes.geometry import camera as cameras
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.lanes import Curve, curves, host_segment, lane_graph, path_of_segment
 from synth3dlanes.geometry.road import RoadPlan
-from synth3dlanes.geometry.transforms import invert, road_from_cam, transform
 from synth3dlanes.geometry.visibility import seen_over_ground
 from synth3dlanes.labels import CameraLabel, Labels, Lane, RoadName, RoadPlane
 from synth3dlanes.scene import Scene
@@ -54,7 +54,7 @@ def labels_on(ground: Ground) -> Labels:
     known = {curve.id for curve in sampled}
     points_world = np.concatenate(list(sampled.values()))
     points_cam = transform(invert(world_from_cam), points_world)
-    in_image = inside_image(camera, points_cam)
+    in_image = inside_image(project(camera.img_from_cam, points_cam), camera.width_px, camera.height_px)
     seen = seen_over_ground(ground, world_from_cam[:3, 3], points_world)
     ends = np.cumsum([len(points) for points in sampled.values()])[:-1]
     lanes = tuple(
@@ -102,10 +102,3 @@ def stations_of(plan: RoadPlan, curve: Curve, s_world: Float[np.ndarray, " n"]) 
     if curve.fork_road == "exit" and curve.stem_m is not None:
         kept = kept[(kept >= 0) | (kept <= curve.joint_m(plan))]
     return np.sort(np.concatenate([kept, ends]))[:: 1 if plan.flips[1] > 0 else -1]
-
-
-def inside_image(camera: CameraLabel, points_cam: Float[np.ndarray, "n 3"]) -> np.ndarray:
-    """Which points project into the image, in front of the camera."""
-    uv = cameras.project(camera.img_from_cam, points_cam)
-    with np.errstate(invalid="ignore"):
-        return np.asarray(((uv >= 0) & (uv <= [camera.width_px, camera.height_px])).all(axis=1))

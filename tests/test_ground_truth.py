@@ -8,8 +8,7 @@ import pytest
 
 from synth3dlanes import labels as label_file
 from synth3dlanes import scene as scene_file
-from synth3dlanes.geometry.camera import project
-from synth3dlanes.geometry.transforms import transform
+from synth3dlanes.frames import project, transform
 from synth3dlanes.ground_truth import ground_truth
 from tests.golden.make import GOLDEN, golden_text
 from tests.scenes import changed, hill

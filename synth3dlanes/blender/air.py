@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.blender.sky import AZIMUTH_RAD, Daylight, seen_through_haze
-from synth3dlanes.geometry.transforms import Matrix4
+from synth3dlanes.frames import Matrix4
 from synth3dlanes.scene import Camera, Scene
 
 WAVELENGTHS_NM = np.array([680.0, 550.0, 440.0])

@@ -13,11 +13,11 @@ from synth3dlanes.blender.library import Assets, load_assets
 from synth3dlanes.blender.materials import Materials, make_materials, set_materials
 from synth3dlanes.blender.world import add_haze, make_world, set_light
 from synth3dlanes.catalogue import BUILT_IN, Library
+from synth3dlanes.frames import Matrix4, from_axes
 from synth3dlanes.geometry import meshes, paint, placement
 from synth3dlanes.geometry.camera import world_from_cam
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.road import RoadPlan
-from synth3dlanes.geometry.transforms import Matrix4, from_axes
 from synth3dlanes.scene import Car, Scene
 from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_TREE_ID
 

@@ -13,8 +13,7 @@ from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
 from synth3dlanes.blender.build import Placed
-from synth3dlanes.geometry.camera import project
-from synth3dlanes.geometry.transforms import invert, transform
+from synth3dlanes.frames import invert, project, transform
 from synth3dlanes.labels import Labels
 
 # A point on the road is not hidden by what touches it from beyond this distance.

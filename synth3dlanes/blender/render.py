@@ -16,10 +16,10 @@ from synth3dlanes.blender.film import CYCLES_NO_HIT, develop
 from synth3dlanes.blender.occlusion import hidden_by_objects, seen_fractions
 from synth3dlanes.blender.sky import film_factor
 from synth3dlanes.catalogue import BUILT_IN, Library
+from synth3dlanes.frames import Matrix4, transform
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.height_map import height_map
 from synth3dlanes.geometry.road import RoadPlan
-from synth3dlanes.geometry.transforms import Matrix4, transform
 from synth3dlanes.geometry.visibility import seen_over_ground
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene

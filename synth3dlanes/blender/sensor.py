@@ -5,7 +5,8 @@ from jaxtyping import Float
 from scipy.ndimage import map_coordinates
 
 from synth3dlanes.blender.tonemap import MIDDLE_GRAY, levels_per_radiance
-from synth3dlanes.geometry.camera import img_from_cam, project
+from synth3dlanes.frames import project
+from synth3dlanes.geometry.camera import img_from_cam
 from synth3dlanes.scene import Camera
 
 # Taps along a pixel's way during the exposure are at most so far apart; shorter ways are not blurred.

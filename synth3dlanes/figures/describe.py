@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.figures.shape import bends, grades
-from synth3dlanes.geometry.transforms import transform
+from synth3dlanes.frames import transform
 from synth3dlanes.labels import Labels, Lane
 from synth3dlanes.scene import Road, Scene
 

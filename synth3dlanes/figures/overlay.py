@@ -8,7 +8,7 @@ from jaxtyping import Float, Int, UInt8
 from PIL import Image, ImageDraw
 
 from synth3dlanes.figures.colors import KINDS
-from synth3dlanes.geometry.camera import project
+from synth3dlanes.frames import project
 from synth3dlanes.labels import CameraLabel, Labels, Lane
 
 NEAR_M = 0.5

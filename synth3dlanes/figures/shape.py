@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.geometry.transforms import transform
+from synth3dlanes.frames import transform
 from synth3dlanes.labels import Labels, Lane
 
 _BASELINE_POINTS = 5

@@ -10,9 +10,9 @@ from jaxtyping import Float, Int
 from synth3dlanes.figures import colors
 from synth3dlanes.figures.colors import Rgb
 from synth3dlanes.figures.world import AHEAD_M, BEHIND_M, SceneView, TreeOutline
+from synth3dlanes.frames import transform
 from synth3dlanes.geometry.meshes import Mesh, road_meshes, terrain_mesh, verge_meshes
 from synth3dlanes.geometry.paint import PAINT_LIFT_AT_M, PAINT_LIFT_M, paint_meshes, yellow_lines
-from synth3dlanes.geometry.transforms import transform
 from synth3dlanes.labels import Kind
 
 _HALF_WIDTH_M = 70.0

@@ -7,10 +7,10 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.figures.colors import Rgb
+from synth3dlanes.frames import Matrix4, invert, transform
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.placement import tree_positions, world_from_car
 from synth3dlanes.geometry.road import RoadPlan
-from synth3dlanes.geometry.transforms import Matrix4, invert, transform
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Car, Scene
 

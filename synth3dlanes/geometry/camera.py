@@ -3,10 +3,10 @@
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.frames import Matrix4, from_axes, road_from_cam
 from synth3dlanes.geometry import terrain as ground
 from synth3dlanes.geometry.lanes import host_segment, path_of_segment
 from synth3dlanes.geometry.road import RoadPlan
-from synth3dlanes.geometry.transforms import Matrix4, from_axes, road_from_cam
 from synth3dlanes.scene import Camera
 
 TANGENT_STEP_M = 1e-3
@@ -18,13 +18,6 @@ def img_from_cam(camera: Camera) -> Float[np.ndarray, "3 3"]:
         [[camera.fx_px, camera.cx_px, 0], [0, camera.cy_px, -camera.fy_px], [0, 1, 0]],
         dtype=float,
     )
-
-
-def project(img_from_cam: Float[np.ndarray, "3 3"], points_cam: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
-    """Pixels (u, v) of points in front of the camera; NaN behind it. (0, 0) is the image's top-left corner."""
-    homogeneous = points_cam @ img_from_cam.T
-    depth = np.where(homogeneous[:, 2:] > 0, homogeneous[:, 2:], np.nan)
-    return homogeneous[:, :2] / depth
 
 
 def world_from_road(plan: RoadPlan) -> Matrix4:

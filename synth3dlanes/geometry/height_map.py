@@ -3,10 +3,10 @@
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.frames import transform
 from synth3dlanes.geometry.camera import world_from_road
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.road import RoadPlan
-from synth3dlanes.geometry.transforms import transform
 
 # The paper's top view, 20 m x 80 m, from the camera's foot on; row 0 is the farthest.
 CELL_M = (0.2, 0.4)

@@ -3,11 +3,11 @@
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.frames import Matrix4, from_axes, transform
 from synth3dlanes.geometry.camera import world_from_road
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.lanes import path_of_segment
 from synth3dlanes.geometry.road import RoadPlan
-from synth3dlanes.geometry.transforms import Matrix4, from_axes, transform
 from synth3dlanes.scene import Car, Tree
 
 # Length and width of the host's own body, whose middle is over the camera's foot.

@@ -4,8 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import ConvexHull
 
-from synth3dlanes.geometry.camera import project
-from synth3dlanes.geometry.transforms import invert, transform
+from synth3dlanes.frames import invert, project, transform
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.validate.world import World
 

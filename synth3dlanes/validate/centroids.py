@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Integer, UInt8
 from scipy.interpolate import CubicSpline
 
-from synth3dlanes.geometry.camera import project
+from synth3dlanes.frames import project
 from synth3dlanes.labels import CameraLabel, Labels, Lane
 from synth3dlanes.settings import FIRST_DELIMITER_ID
 from synth3dlanes.validate.paint import Paint

@@ -8,8 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from synth3dlanes.geometry.camera import project
-from synth3dlanes.geometry.transforms import invert, transform
+from synth3dlanes.frames import invert, project, transform
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.bodies import may_show_cars

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from synth3dlanes.frames import transform
 from synth3dlanes.geometry.ground import EMBANKMENT_SLOPE, VERGE_M
 from synth3dlanes.geometry.terrain import gradient_at
-from synth3dlanes.geometry.transforms import transform
 from synth3dlanes.labels import Labels
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.findings import Finding

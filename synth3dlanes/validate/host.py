@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.placement import HOST_SIZE_M, footprint, overlaps_any
-from synth3dlanes.geometry.transforms import invert, transform
 from synth3dlanes.labels import Labels, Lane
 from synth3dlanes.validate.findings import Finding
 from synth3dlanes.validate.world import World

@@ -10,9 +10,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
 from scipy.spatial import ConvexHull, cKDTree
 
-from synth3dlanes.geometry.camera import project
+from synth3dlanes.frames import invert, project, transform
 from synth3dlanes.geometry.terrain import gradient_at, height_at
-from synth3dlanes.geometry.transforms import invert, transform
 from synth3dlanes.labels import CameraLabel, Labels
 from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS
 from synth3dlanes.validate.findings import PROOF_M, Finding, Measure

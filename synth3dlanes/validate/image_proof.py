@@ -14,8 +14,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from scipy.ndimage import map_coordinates
 
-from synth3dlanes.geometry.camera import project
-from synth3dlanes.geometry.transforms import transform
+from synth3dlanes.frames import project, transform
 from synth3dlanes.labels import CameraLabel, Labels, Lane
 from synth3dlanes.validate.bodies import may_show_cars
 from synth3dlanes.validate.findings import PROOF_M, Finding, Measure

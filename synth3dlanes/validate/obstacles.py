@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from synth3dlanes.geometry.transforms import transform
+from synth3dlanes.frames import transform
 from synth3dlanes.labels import Labels
 from synth3dlanes.validate.findings import Finding
 from synth3dlanes.validate.world import World

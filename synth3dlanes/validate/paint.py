@@ -9,12 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from synth3dlanes.geometry.camera import project
+from synth3dlanes.frames import project, transform
 from synth3dlanes.geometry.lanes import Curve, curves
 from synth3dlanes.geometry.paint import painted_rows, stripes_m
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.terrain import gradient_at
-from synth3dlanes.geometry.transforms import transform
 from synth3dlanes.labels import CameraLabel, Lane
 from synth3dlanes.scene import Scene
 from synth3dlanes.validate.places import Places

@@ -12,9 +12,8 @@ from jaxtyping import Bool, Float, Int, Integer, Shaped
 from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 from scipy.spatial import cKDTree
 
+from synth3dlanes.frames import project, transform
 from synth3dlanes.geometry import height_map
-from synth3dlanes.geometry.camera import project
-from synth3dlanes.geometry.transforms import transform
 from synth3dlanes.labels import CameraLabel, Labels, Lane
 from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS
 from synth3dlanes.validate.findings import PROOF_M, Finding, Measure

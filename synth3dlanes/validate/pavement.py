@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
 
+from synth3dlanes.frames import transform
 from synth3dlanes.geometry.terrain import gradient_at, height_at
-from synth3dlanes.geometry.transforms import transform
 from synth3dlanes.labels import CameraLabel, Labels
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.findings import PROOF_M, Finding, Measure

@@ -5,10 +5,9 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from synth3dlanes.geometry.camera import project
+from synth3dlanes.frames import project, transform
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.terrain import gradient_at, height_at
-from synth3dlanes.geometry.transforms import transform
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import SEMANTIC_IDS

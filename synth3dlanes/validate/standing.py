@@ -8,10 +8,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry import meshes
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.placement import TREE_SINK_M
-from synth3dlanes.geometry.transforms import invert, transform
 from synth3dlanes.labels import CameraLabel, Labels
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.findings import Finding, Measure

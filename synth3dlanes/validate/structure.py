@@ -6,9 +6,8 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.geometry.camera import project
+from synth3dlanes.frames import invert, project, road_from_cam
 from synth3dlanes.geometry.terrain import height_at
-from synth3dlanes.geometry.transforms import invert, road_from_cam
 from synth3dlanes.labels import CameraLabel, Labels, Lane
 from synth3dlanes.scene import Scene
 from synth3dlanes.validate.documents import shown

@@ -6,11 +6,11 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.frames import Matrix4
 from synth3dlanes.geometry import meshes
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.placement import tree_positions, world_from_car
 from synth3dlanes.geometry.road import RoadPlan
-from synth3dlanes.geometry.transforms import Matrix4
 from synth3dlanes.ground_truth import labels_on
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene

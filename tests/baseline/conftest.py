@@ -45,7 +45,8 @@ def roads() -> Roads:
 def make_labels(centers, delimiters=(), *, pitch_rad=0.04, height_m=1.6, size_px=(480, 360), hidden=None):
     """Labels of lanes given as functions y -> (x, z) in the road frame, or (function, y_from, y_to).
     `hidden` is an interval of y that the ground hides."""
-    from baseline_model.poses import Pose, cam_from_road, road_from_cam, transform
+    from baseline_model.poses import Pose, cam_from_road, road_from_cam
+    from synth3dlanes.frames import transform
     from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph
 
     pose = Pose(pitch_rad, height_m)
@@ -99,7 +100,7 @@ def drawn_samples(rng, n, size_px=(480, 360)):
     """Samples whose images show the delimiters as bright lines and the centre lines as dark ones, on grey."""
     from PIL import Image, ImageDraw
 
-    from baseline_model.poses import project
+    from synth3dlanes.frames import project
 
     samples = []
     for index in range(n):

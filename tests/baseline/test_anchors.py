@@ -159,7 +159,8 @@ def test_ceiling_on_generated_scenes():
 
 def test_horizon_pose_puts_the_farthest_point_on_the_plane(roads):
     from baseline_model.curves import plane_pose, road_curves, target_pose
-    from baseline_model.poses import road_from_cam, transform
+    from baseline_model.poses import road_from_cam
+    from synth3dlanes.frames import transform
 
     labels = roads.labels([lambda y: (0.0 * y, 0.03 * y + 1e-4 * y**2)])
     curves = road_curves(labels)

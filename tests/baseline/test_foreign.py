@@ -96,8 +96,9 @@ def test_foreign_frames_that_are_broken_are_refused(tmp_path):
 def tusimple(roads, tmp_path):
     """Two straight lines and a bent one on the fixed plane, as their x at rows 160, 170, ..., 710."""
     from baseline_model.lanes import Detection
-    from baseline_model.poses import cam_from_road, transform
+    from baseline_model.poses import cam_from_road
     from baseline_model.tusimple import POSE, image_line
+    from synth3dlanes.frames import transform
 
     rows = np.arange(160.0, 711.0, 10.0)
     y_m = np.arange(3.0, 105.0)

@@ -16,7 +16,8 @@ INTRINSICS = torch.tensor([[415.7, 415.7, 240.0, 180.0]])
 @given(pitch=PITCHES, height=HEIGHTS, x=st.floats(-10, 10), y=st.floats(3, 100))
 @settings(max_examples=50, deadline=None)
 def test_projection_of_ground_points_is_the_homography_of_the_notes(pitch, height, x, y):
-    from baseline_model.poses import Pose, cam_from_road, project, transform
+    from baseline_model.poses import Pose, cam_from_road
+    from synth3dlanes.frames import project, transform
 
     cos, sin = math.cos(pitch), math.sin(pitch)
     h_r2i = np.array([[415.7, 0, 240.0], [0, 415.7, 180.0], [0, 0, 1]]) @ np.array(

@@ -10,10 +10,10 @@ from mathutils import Vector
 
 from synth3dlanes.blender import build as builder
 from synth3dlanes.blender import render as renderer
-from synth3dlanes.geometry.camera import project, world_from_cam
+from synth3dlanes.frames import project, transform
+from synth3dlanes.geometry.camera import world_from_cam
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.terrain import gradient_at
-from synth3dlanes.geometry.transforms import transform
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import load_params

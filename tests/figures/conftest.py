@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from synth3dlanes.geometry.transforms import invert, road_from_cam, transform
+from synth3dlanes.frames import invert, road_from_cam, transform
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph
 from synth3dlanes.scene import Car, Scene, Tree
 from tests.scenes import FLAT, changed, hill

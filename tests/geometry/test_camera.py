@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from synth3dlanes.geometry.camera import img_from_cam, project, world_from_cam, world_from_road
+from synth3dlanes.frames import invert, project, transform
+from synth3dlanes.geometry.camera import img_from_cam, world_from_cam, world_from_road
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.terrain import gradient_at, height_at
-from synth3dlanes.geometry.transforms import invert, transform
 from tests.scenes import FLAT, changed, hill
 
 

@@ -3,9 +3,9 @@
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
+from synth3dlanes.frames import transform
 from synth3dlanes.geometry.height_map import height_map
 from synth3dlanes.geometry.road import RoadPlan
-from synth3dlanes.geometry.transforms import transform
 from synth3dlanes.ground_truth import ground_truth
 from tests.scenes import changed, hill
 

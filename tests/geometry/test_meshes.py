@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from synth3dlanes.frames import invert, project, transform
 from synth3dlanes.geometry import meshes, paint
-from synth3dlanes.geometry.camera import img_from_cam, project, world_from_cam
+from synth3dlanes.geometry.camera import img_from_cam, world_from_cam
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.lanes import curves
 from synth3dlanes.geometry.road import RoadPlan
-from synth3dlanes.geometry.transforms import invert, transform
 from tests.scenes import changed, hill, seen_on_flat_ground
 
 HILLS = (hill(30, -20, 25, 50), hill(-60, 60, -30, 40), hill(10, 90, 15, 30))

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from synth3dlanes.geometry.camera import project
+from synth3dlanes.frames import project, transform
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.road import RoadPlan
-from synth3dlanes.geometry.transforms import transform
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene

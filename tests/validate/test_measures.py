@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from synth3dlanes.geometry.camera import project
+from synth3dlanes.frames import project
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import SEMANTIC_IDS

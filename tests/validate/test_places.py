@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from synth3dlanes.catalogue import BUILT_IN
+from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry import meshes
 from synth3dlanes.geometry.camera import world_from_cam
 from synth3dlanes.geometry.paint import paint_meshes
 from synth3dlanes.geometry.terrain import height_at
-from synth3dlanes.geometry.transforms import invert, transform
 from synth3dlanes.geometry.visibility import seen_over_ground
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.params import load_params

@@ -1,10 +1,10 @@
-"""Rigid transforms between frames, named `b_from_a`: inner names must meet.
+"""Rigid transforms between frames, named `b_from_a`, and the projection into the image. numpy alone.
 
-Every 3D frame is x right, y forward, z up; angles are radians.
+Every 3D frame is x right, y forward, z up; angles are radians. Pixels (u, v) count from the image's top-left corner.
 """
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 Matrix4 = Float[np.ndarray, "4 4"]
 Points = Float[np.ndarray, "*n 3"]
@@ -37,3 +37,16 @@ def road_from_cam(height_m: float, pitch_rad: float, roll_rad: float = 0.0) -> M
     pitched = np.array([[1.0, 0, 0, 0], [0, c, s, 0], [0, -s, c, height_m], [0, 0, 0, 1]])
     c, s = np.cos(roll_rad), np.sin(roll_rad)
     return pitched @ np.array([[c, 0, s, 0], [0, 1.0, 0, 0], [-s, 0, c, 0], [0, 0, 0, 1]])
+
+
+def project(img_from_cam: Float[np.ndarray, "3 3"], points_cam: Points) -> Float[np.ndarray, "*n 2"]:
+    """Pixels (u, v) of points in front of the camera; NaN behind it."""
+    homogeneous = points_cam @ img_from_cam.T
+    depth = np.where(homogeneous[..., 2:] > 0, homogeneous[..., 2:], np.nan)
+    return np.asarray(homogeneous[..., :2] / depth)
+
+
+def inside_image(uv: Float[np.ndarray, "*n 2"], width_px: int, height_px: int) -> Bool[np.ndarray, "*n"]:
+    """Which pixels lie in an image of this size; NaN does not."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(((uv >= 0) & (uv <= [width_px, height_px])).all(axis=-1))
