@@ -11,7 +11,7 @@ from baseline_model.metrics import Report
 from baseline_model.report import Cells, curve_cells, markdown, save_curve, table_1_cells, text, to_document
 from baseline_model.sources import open_split
 from baseline_model.train import train
-from synth3dlanes.errors import ParamsError
+from synth3dlanes.errors import InputError
 
 ROWS = ("full", "image_view", "top_view", "early_ipm", "late_ipm", "horizon", "fixed_position")
 
@@ -42,7 +42,7 @@ def learning_curve(
     whole = train_config(model, overrides)
     n_images = len(open_split(f"{data_dir}/{whole.train_split}"))
     if max(sizes) > n_images:
-        raise ParamsError(f"{data_dir}/{whole.train_split}: expected at least {max(sizes)} images, got {n_images}")
+        raise InputError(f"{data_dir}/{whole.train_split}: expected at least {max(sizes)} images, got {n_images}")
     configs = {}
     for size in sorted(set(sizes)):
         longer = max(sizes) / size

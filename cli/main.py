@@ -4,6 +4,7 @@ Imports nothing heavy: every command imports what it needs when it runs.
 """
 
 import os
+import re
 import sys
 from typing import IO, Any
 
@@ -11,7 +12,7 @@ import click
 from click.exceptions import NoArgsIsHelpError
 
 from synth3dlanes import __version__
-from synth3dlanes.errors import FormatError, ParamsError
+from synth3dlanes.errors import FormatError, InputError
 
 from .assets import assets
 from .bench import bench
@@ -49,13 +50,28 @@ class Commands(click.Group):
         except click.UsageError as error:
             command = error.ctx.command_path if error.ctx else ctx.command_path
             raise BadInput(f"{command}: {error.format_message()}") from error
-        except (ParamsError, FormatError) as error:
+        except InputError as error:
+            flags = self._flags(ctx)
+            raise BadInput("\n".join(_naming_flags(problem, flags) for problem in error.problems)) from error
+        except FormatError as error:
             raise BadInput(str(error)) from error
         except BrokenPipeError:
             raise
         except OSError as error:
             place = f"{error.filename}: " if error.filename else ""
             raise BadInput(f"{place}{error.strerror or error}") from error
+
+    def _flags(self, ctx: click.Context) -> dict[str, str]:
+        """The flag for each value that the invoked command hands to the library."""
+        command = self.commands.get(ctx.invoked_subcommand or "", self)
+        flags = {param.name or "": param.opts[0] for param in command.params if isinstance(param, click.Option)}
+        return {**flags, "overrides": "--set"}
+
+
+def _naming_flags(problem: str, flags: dict[str, str]) -> str:
+    """A library's message begins with the name of an argument; the user knows it as a flag."""
+    name = re.match(r"\w*", problem).group()  # type: ignore[union-attr]
+    return flags.get(name, name) + problem[len(name) :]
 
 
 @click.group(

@@ -25,11 +25,11 @@ def validate(ctx: click.Context, folder: str, workers: int, limit: int | None, a
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
     from synth3dlanes.dataset.address import is_url
-    from synth3dlanes.errors import ParamsError
+    from synth3dlanes.errors import InputError
     from synth3dlanes.validate.run import validate as check
 
     if is_url(folder):
-        raise ParamsError(
+        raise InputError(
             f"{folder}: expected a folder here, got a URL; synth3dlanes merge {folder} --out DIR copies it"
         )
     columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())

@@ -10,7 +10,7 @@ from typing import Annotated
 from pydantic import Field, ValidationError
 
 from synth3dlanes.catalogue import KINDS, Assets, Kind, Library
-from synth3dlanes.errors import FormatError, ParamsError
+from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.scene import Part, Positive, validation_problems
 from synth3dlanes.yaml_text import read_yaml
 
@@ -101,9 +101,9 @@ class Checked:
 
 
 def scan(root: Path) -> Folder:
-    """List the folder; raise ParamsError where there is none."""
+    """List the folder; raise InputError where there is none."""
     if not root.is_dir():
-        raise ParamsError(f"--assets {root}: expected a folder, found none")
+        raise InputError(f"assets {root}: expected a folder, found none")
     problems: list[str] = []
     unknown = [path.name for path in sorted(root.iterdir()) if path.name not in (*KINDS, NOTES)]
     models: dict[Kind, dict[str, Path]] = {kind: {} for kind in KINDS}
@@ -158,7 +158,7 @@ def texture_digest(files: TextureFiles) -> str:
 
 
 def require_assets(recorded: Assets, library: Library, where: str) -> None:
-    """Raise ParamsError unless the folder holds what the scene was drawn for, by name and digest."""
+    """Raise InputError unless the folder holds what the scene was drawn for, by name and digest."""
     problems = []
     for kind in KINDS:
         expected, found = (
@@ -166,13 +166,13 @@ def require_assets(recorded: Assets, library: Library, where: str) -> None:
             for assets in (recorded, library.assets)
         )
         if expected != found:
-            holds = f"--assets {library.folder} holds" if library.folder else "there is no --assets, which means"
+            holds = f"{library.folder} holds" if library.folder else "no folder of assets was given, which means"
             problems.append(
                 f"{where}: expected {kind} {', '.join(expected) or 'of ours'}; {holds} {', '.join(found) or 'ours'}"
-                "; give --assets with the folder that it was drawn with"
+                "; give the folder of assets that it was drawn with"
             )
     if problems:
-        raise ParamsError(*problems)
+        raise InputError(*problems)
 
 
 def verified(path: Path, sha256: str) -> Path:

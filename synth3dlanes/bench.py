@@ -24,7 +24,7 @@ from scipy.ndimage import gaussian_filter
 
 from synth3dlanes.dataset.format import decode_image
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.errors import ParamsError
+from synth3dlanes.errors import InputError
 from synth3dlanes.generate import Recipe, make_part, make_sample
 from synth3dlanes.workers import Limits, Outcome, Pool
 
@@ -271,5 +271,5 @@ def _one(pool: Pool, function: Callable[..., Any], *args: Any) -> Any:
 
 def _value(outcome: Outcome) -> Any:
     if outcome.status != "done":
-        raise ParamsError(f"bench: expected {outcome.task} to be made, got {outcome.reason}\n{outcome.stderr}".rstrip())
+        raise InputError(f"bench: expected {outcome.task} to be made, got {outcome.reason}\n{outcome.stderr}".rstrip())
     return outcome.value

@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from synth3dlanes.errors import FormatError, ParamsError
+from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.scene import Scene, from_json
 from synth3dlanes.yaml_text import read_yaml
 
@@ -17,23 +17,23 @@ from synth3dlanes.yaml_text import read_yaml
 def change_scene(scene: Scene, changes: Sequence[str]) -> Scene:
     """The scene with every change `path=value` applied; a path is like `camera.pitch_deg` or `cars.0.color`.
 
-    The value is YAML, angles ending in `_deg` are degrees. Raises ParamsError with one line per problem.
+    The value is YAML, angles ending in `_deg` are degrees. Raises InputError with one line per problem.
     """
     document = scene.model_dump(mode="json")
     problems: list[str] = []
     for change in changes:
         path, equals, text = (part.strip() for part in change.partition("="))
         if not equals:
-            problems.append(f"--set {change}: expected path=value")
+            problems.append(f"changes {change}: expected path=value")
             continue
-        value, value_problems = read_yaml(text, f"--set {path}")
+        value, value_problems = read_yaml(text, f"changes {path}")
         problems += value_problems or _put(document, path, value)
     if problems:
-        raise ParamsError(*problems)
+        raise InputError(*problems)
     try:
-        return from_json(json.dumps(document), "--set")
+        return from_json(json.dumps(document), "changes")
     except FormatError as error:
-        raise ParamsError(*str(error).splitlines()) from None
+        raise InputError(*str(error).splitlines()) from None
 
 
 def _put(document: dict[str, Any], path: str, value: Any) -> list[str]:
@@ -48,7 +48,7 @@ def _put(document: dict[str, Any], path: str, value: Any) -> list[str]:
     radians_key = last.removesuffix("_deg") + "_rad"
     if last.endswith("_deg") and radians_key in keys:
         if not isinstance(value, int | float):
-            return [f"--set {path}: expected degrees, got {value!r}"]
+            return [f"changes {path}: expected degrees, got {value!r}"]
         last, value = radians_key, math.radians(value)
     if last not in keys:
         return [_unknown(path, last, keys)]
@@ -64,4 +64,4 @@ def _keys(place: Any) -> list[str]:
 
 def _unknown(path: str, step: str, keys: list[str]) -> str:
     close = difflib.get_close_matches(step, keys, n=1)
-    return f"--set {path}: unknown key {step}" + (f"; did you mean {close[0]}?" if close else "")
+    return f"changes {path}: unknown key {step}" + (f"; did you mean {close[0]}?" if close else "")

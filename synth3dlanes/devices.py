@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from synth3dlanes.errors import ParamsError
+from synth3dlanes.errors import InputError
 
 BEST_FIRST = ("optix", "cuda", "hip", "oneapi", "metal", "cpu")
 # A process sees only the GPUs that this variable names. Apple's machines have one.
@@ -26,11 +26,11 @@ class Device:
 
 
 def choose(asked: str, found: Sequence[Device]) -> str:
-    """The kind asked for, or for `auto` the best there is; raise ParamsError where it is absent."""
+    """The kind asked for, or for `auto` the best there is; raise InputError where it is absent."""
     kinds = {device.kind for device in found} | {"cpu"}
     if asked != "auto" and asked not in kinds:
         names = ", ".join(f"{device.kind} ({device.name})" for device in found) or "nothing"
-        raise ParamsError(f"--device: expected {asked} on this machine, found {names}")
+        raise InputError(f"device: expected {asked} on this machine, found {names}")
     return asked if asked != "auto" else next(kind for kind in BEST_FIRST if kind in kinds)
 
 

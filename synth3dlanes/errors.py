@@ -1,12 +1,14 @@
 """The two errors that a user can cause; the message says where, what was expected and what was found.
 
+A function names its own arguments ("workers: expected 0 or more, got -1"); which flag gave a value, `cli` knows.
+
 ValueError
- +-- ParamsError   a parameter file, an override or a command-line value is wrong
+ +-- InputError   a parameter file, an override or a command-line value is wrong
  +-- FormatError   bytes read from disk are not what their format says
 """
 
 
-class ParamsError(ValueError):
+class InputError(ValueError):
     """One or more wrong parameters; `problems` holds one line each."""
 
     def __init__(self, *problems: str) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 from synth3dlanes.asset_folder import Checked
 from synth3dlanes.catalogue import BUILT_IN, Library
-from synth3dlanes.errors import ParamsError
+from synth3dlanes.errors import InputError
 from synth3dlanes.generate import require_blender
 from synth3dlanes.workers import Limits, call
 
@@ -14,27 +14,27 @@ PATIENCE = Limits(seconds=1800.0, rss_bytes=16 << 30)
 
 
 def open_library(folder: Path | None) -> tuple[Library, tuple[str, ...]]:
-    """What a folder holds and what is worth a warning; no folder is ours. Raises ParamsError with every problem."""
+    """What a folder holds and what is worth a warning; no folder is ours. Raises InputError with every problem."""
     if folder is None:
         return BUILT_IN, ()
     checked = check_assets(folder)
     if checked.problems:
-        raise ParamsError(*(f"--assets {folder}: {problem}" for problem in checked.problems))
+        raise InputError(*(f"assets {folder}: {problem}" for problem in checked.problems))
     return Library(str(folder.resolve()), checked.assets), checked.warnings
 
 
 def check_assets(folder: Path) -> Checked:
-    """Look through a folder; raise ParamsError where there is none, or where Blender gives up over it."""
+    """Look through a folder; raise InputError where there is none, or where Blender gives up over it."""
     if not folder.is_dir():
-        raise ParamsError(f"--assets {folder}: expected a folder, found none")
+        raise InputError(f"assets {folder}: expected a folder, found none")
     checked: Checked = _in_blender(_check, folder)
     return checked
 
 
 def write_example(folder: Path) -> None:
-    """Make an example of such a folder; raise ParamsError where something is there."""
+    """Make an example of such a folder; raise InputError where something is there."""
     if folder.exists():
-        raise ParamsError(f"{folder}: expected no such folder yet, found one")
+        raise InputError(f"{folder}: expected no such folder yet, found one")
     _in_blender(_example, folder)
 
 
@@ -42,7 +42,7 @@ def _in_blender(function: Callable[[Path], Any], folder: Path) -> Any:
     require_blender()
     outcome = call(PATIENCE, function, folder)
     if outcome.status != "done":
-        raise ParamsError(f"--assets {folder}: {outcome.reason}\n{outcome.stderr}".rstrip())
+        raise InputError(f"assets {folder}: {outcome.reason}\n{outcome.stderr}".rstrip())
     return outcome.value
 
 

@@ -15,7 +15,7 @@ from synth3dlanes.dataset.format import SCENE, Sample, decode_image
 from synth3dlanes.dataset.query import rows_where
 from synth3dlanes.dataset.read import Reader, find
 from synth3dlanes.dataset.splits import readers
-from synth3dlanes.errors import FormatError, ParamsError
+from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import Params
@@ -70,12 +70,12 @@ def params_of(reader: Reader) -> Params:
 def some_samples(folder: str, n: int, shuffle: int | None, where: str | None) -> list[Sample]:
     """The first `n` samples of a split, or `n` at random by a seed, of those that `where` selects by the index.
 
-    Of a data set, its first split is taken. Raises ParamsError where no sample is left.
+    Of a data set, its first split is taken. Raises InputError where no sample is left.
     """
     reader = readers(folder)[0]
     chosen = np.arange(len(reader)) if where is None else rows_where(reader.index, where)
     if not len(chosen):
-        raise ParamsError(f"--where {where}: expected a sample of {reader.url} that fits, got none of {len(reader)}")
+        raise InputError(f"where {where}: expected a sample of {reader.url} that fits, got none of {len(reader)}")
     if shuffle is not None:
         chosen = np.random.default_rng(shuffle).permutation(chosen)
     return [reader[int(i)] for i in chosen[:n]]

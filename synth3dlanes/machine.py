@@ -4,7 +4,7 @@ import os
 from dataclasses import dataclass, replace
 
 from synth3dlanes.devices import Device, choose, default_workers, masks
-from synth3dlanes.errors import ParamsError
+from synth3dlanes.errors import InputError
 from synth3dlanes.generate import Recipe, require_blender
 from synth3dlanes.workers import Limits, call
 
@@ -19,7 +19,7 @@ class Seats:
 
 
 def settle(recipe: Recipe) -> tuple[Recipe, Seats]:
-    """The recipe with the device that it will be made on, and the seats there; raise ParamsError without that device.
+    """The recipe with the device that it will be made on, and the seats there; raise InputError without that device.
 
     Pixels differ a little between devices, so the device found is part of the recipe: `dataset.json` records it, and
     samples of two devices do not mix.
@@ -49,8 +49,8 @@ def list_devices() -> tuple[Device, ...]:
 def _ask(asked: str) -> tuple[Device, ...]:
     outcome = call(Limits(), list_devices)
     if outcome.status != "done":
-        raise ParamsError(
-            f"--device {asked}: expected Blender to list this machine's devices, got {outcome.reason}"
+        raise InputError(
+            f"device {asked}: expected Blender to list this machine's devices, got {outcome.reason}"
             f"\n{outcome.stderr}".rstrip()
         )
     devices: tuple[Device, ...] = outcome.value

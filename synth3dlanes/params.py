@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from synth3dlanes.catalogue import BUILT_IN, Assets
 from synth3dlanes.distributions import Flag, Integer, Real, integers, numbers, reals
-from synth3dlanes.errors import ParamsError
+from synth3dlanes.errors import InputError
 from synth3dlanes.yaml_text import read_yaml
 
 Fraction = Annotated[Real, reals(0, 1)]
@@ -177,7 +177,7 @@ def preset_names() -> list[str]:
 def load_params(source: str, overrides: Sequence[str] = (), assets: Assets = BUILT_IN.assets) -> Params:
     """Read a preset (by name) or a YAML file, then apply overrides like `road.n_lanes=3`.
 
-    Numbers of models and textures are of those in `assets`; see `distributions.numbers`. Raises one ParamsError with a
+    Numbers of models and textures are of those in `assets`; see `distributions.numbers`. Raises one InputError with a
     line for every problem found, each naming file and key.
     """
     if source in preset_names():
@@ -185,34 +185,34 @@ def load_params(source: str, overrides: Sequence[str] = (), assets: Assets = BUI
     elif Path(source).suffix in (".yaml", ".yml"):
         path, where = Path(source), source
     else:
-        raise ParamsError(f"{source}: expected one of {', '.join(preset_names())}, or the path of a .yaml file")
+        raise InputError(f"{source}: expected one of {', '.join(preset_names())}, or the path of a .yaml file")
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise ParamsError(f"{where}: cannot read: {getattr(error, 'strerror', None) or error}") from None
+        raise InputError(f"{where}: cannot read: {getattr(error, 'strerror', None) or error}") from None
     document, problems = read_yaml(text, where)
     if not isinstance(document, dict):
-        raise ParamsError(*(problems or [f"{where}: expected groups of parameters, got {document!r:.40}"]))
+        raise InputError(*(problems or [f"{where}: expected groups of parameters, got {document!r:.40}"]))
     overridden, override_problems = _override(document, overrides)
     try:
         params = Params.model_validate(document, context=assets)
     except ValidationError as error:
-        raise ParamsError(*problems, *override_problems, *_problems(error, where, overridden)) from None
+        raise InputError(*problems, *override_problems, *_problems(error, where, overridden)) from None
     if problems or override_problems:
-        raise ParamsError(*problems, *override_problems)
+        raise InputError(*problems, *override_problems)
     return params
 
 
 def check_params(sources: Iterable[str], overrides: Sequence[str] = ()) -> None:
-    """Load every source; raise one ParamsError with the problems of all."""
+    """Load every source; raise one InputError with the problems of all."""
     problems: list[str] = []
     for source in sources:
         try:
             load_params(source, overrides)
-        except ParamsError as error:
+        except InputError as error:
             problems += error.problems
     if problems:
-        raise ParamsError(*dict.fromkeys(problems))
+        raise InputError(*dict.fromkeys(problems))
 
 
 def params_yaml(params: Params) -> str:
@@ -228,16 +228,16 @@ def _override(document: dict[Any, Any], overrides: Iterable[str]) -> tuple[set[s
         path, equals, text = override.partition("=")
         steps = path.strip().split(".")
         if not equals or len(steps) != 2:
-            problems.append(f"--set {override}: expected group.key=value")
+            problems.append(f"overrides {override}: expected group.key=value")
             continue
-        value, value_problems = read_yaml(text, f"--set {path.strip()}")
+        value, value_problems = read_yaml(text, f"overrides {path.strip()}")
         problems += value_problems
         group = document.get(steps[0])
         if isinstance(group, dict) and not value_problems:
             group[steps[1]] = value
             done.add(path.strip())
         elif steps[0] not in Params.model_fields:
-            problems.append(f"--set {path.strip()}: {_unknown(steps[0], Params.model_fields)}")
+            problems.append(f"overrides {path.strip()}: {_unknown(steps[0], Params.model_fields)}")
     return done, problems
 
 
@@ -245,7 +245,7 @@ def _problems(error: ValidationError, where: str, overridden: set[str]) -> list[
     lines = []
     for problem in error.errors():
         path = ".".join(str(step) for step in problem["loc"])
-        place = f"--set {path}" if path in overridden else f"{where}: {path}"
+        place = f"overrides {path}" if path in overridden else f"{where}: {path}"
         if problem["type"] == "missing":
             text = "missing key"
         elif problem["type"] == "extra_forbidden":

@@ -8,7 +8,7 @@ from synth3dlanes.asset_folder import require_assets
 from synth3dlanes.catalogue import Library
 from synth3dlanes.change import change_scene
 from synth3dlanes.dataset.format import SCENE
-from synth3dlanes.errors import ParamsError
+from synth3dlanes.errors import InputError
 from synth3dlanes.generate import make_image, require_blender
 from synth3dlanes.look_up import load_scene, scene_name
 from synth3dlanes.scene import Scene
@@ -32,14 +32,14 @@ def render_file(
     image_path = image_path or Path(f"{scene_name(scene_path)}.png")
     image_format = image_path.suffix.removeprefix(".")
     if image_format not in ("png", "jpg"):
-        raise ParamsError(f"--out {image_path}: expected a name that ends in .png or .jpg")
+        raise InputError(f"out {image_path}: expected a name that ends in .png or .jpg")
     if changes and image_path.with_suffix(f".{SCENE}").resolve() == scene_path.resolve():
-        raise ParamsError(f"--out {image_path}: would overwrite {scene_path} with the changed scene; name another")
+        raise InputError(f"out {image_path}: would overwrite {scene_path} with the changed scene; name another")
     # Pinned as all workers are: on one core more than another, Cycles rounds some sums otherwise.
     outcome = call(PATIENCE, _make, scene, settings, image_format, library, pinned=True)
     if outcome.status != "done":
-        raise ParamsError(f"{scene_path}: expected an image, got {outcome.reason}\n{outcome.stderr}".rstrip())
-    if isinstance(outcome.value, ParamsError):
+        raise InputError(f"{scene_path}: expected an image, got {outcome.reason}\n{outcome.stderr}".rstrip())
+    if isinstance(outcome.value, InputError):
         raise outcome.value
     members: dict[str, bytes] = outcome.value
     files = {image_path.with_suffix(f".{name}"): data for name, data in members.items() if changes or name != SCENE}
@@ -49,10 +49,8 @@ def render_file(
     return list(files)
 
 
-def _make(
-    scene: Scene, settings: RenderSettings, image_format: str, library: Library
-) -> dict[str, bytes] | ParamsError:
+def _make(scene: Scene, settings: RenderSettings, image_format: str, library: Library) -> dict[str, bytes] | InputError:
     try:
         return make_image(scene, settings, image_format, library).members
-    except ParamsError as error:
+    except InputError as error:
         return error

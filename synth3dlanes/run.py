@@ -28,7 +28,7 @@ from typing import Any
 from synth3dlanes.dataset.folder import claim
 from synth3dlanes.dataset.format import key_of, recipe_text
 from synth3dlanes.dataset.write import Shard, write_whole
-from synth3dlanes.errors import ParamsError
+from synth3dlanes.errors import InputError
 from synth3dlanes.events import Event, duration
 from synth3dlanes.generate import Made, Recipe, make_part, make_sample, scene_json
 from synth3dlanes.machine import Seats, n_cores, settle
@@ -62,13 +62,13 @@ class Plan:
     def __post_init__(self) -> None:
         (part, parts), split = self.part, self.recipe.split
         problems = [
-            *([] if self.n >= 0 else [f"--n: expected 0 or more, got {self.n}"]),
-            *([] if self.workers >= 0 else [f"--workers: expected 0 or more, got {self.workers}"]),
-            *([] if SPLIT.fullmatch(split) else [f"--split: expected letters, digits, - and _, got {split!r}"]),
-            *([] if 1 <= part <= parts else [f"--part: expected i/n with 1 <= i <= n, got {part}/{parts}"]),
+            *([] if self.n >= 0 else [f"n: expected 0 or more, got {self.n}"]),
+            *([] if self.workers >= 0 else [f"workers: expected 0 or more, got {self.workers}"]),
+            *([] if SPLIT.fullmatch(split) else [f"split: expected letters, digits, - and _, got {split!r}"]),
+            *([] if 1 <= part <= parts else [f"part: expected i/n with 1 <= i <= n, got {part}/{parts}"]),
         ]
         if problems:
-            raise ParamsError(*problems)
+            raise InputError(*problems)
 
     def shards(self) -> list[int]:
         """The numbers of this part's shards."""
@@ -89,7 +89,7 @@ class Plan:
         return {**self.recipe.description(), "shard_size": self.shard_size}
 
     def settled(self) -> "Plan":
-        """The plan with this machine's device and workers; raise ParamsError without Blender or that device."""
+        """The plan with this machine's device and workers; raise InputError without Blender or that device."""
         if self.maker is not make_sample:
             return self
         recipe, seats = settle(self.recipe)
@@ -132,7 +132,7 @@ class Report:
 def generate(plan: Plan, notify: Callable[[Event], None]) -> Report:
     """Make what is missing of a plan's samples; `notify` hears of everything that happens.
 
-    Raises ParamsError where it cannot start: no Blender, no such device, no room, another run or another recipe in the
+    Raises InputError where it cannot start: no Blender, no such device, no room, another run or another recipe in the
     folder.
     """
     plan = plan.settled()
@@ -294,8 +294,8 @@ class _Run:
         free = shutil.disk_usage(self.plan.out).free
         if self.todo and free < expected.bytes_needed + self.free_mark:
             needed, there = ((size / 1e9) for size in (expected.bytes_needed + self.free_mark, free))
-            raise ParamsError(
-                f"--out {self.plan.out}: expected {needed:.3g} GB free for {len(self.todo)} samples, got {there:.3g} GB"
+            raise InputError(
+                f"out {self.plan.out}: expected {needed:.3g} GB free for {len(self.todo)} samples, got {there:.3g} GB"
             )
 
     def _interrupt(self) -> None:

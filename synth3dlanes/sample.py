@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from synth3dlanes.catalogue import BUILT_IN, Assets
 from synth3dlanes.distributions import Choice, Integers, Uniform
-from synth3dlanes.errors import ParamsError
+from synth3dlanes.errors import InputError
 from synth3dlanes.geometry import placement
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.road import RoadPlan
@@ -52,7 +52,7 @@ TREE_GAP_M, TREE_GAP_OF_CROWN = 1.0, 0.5
 def sample_scene(params: Params, seed: int, split: str, index: int, assets: Assets = BUILT_IN.assets) -> Scene:
     """Scene `index` of a split: it depends on these arguments alone.
 
-    Raises ParamsError where cars or trees find no room in the ranges given.
+    Raises InputError where cars or trees find no room in the ranges given.
     """
 
     draws = {name: Draw(group, stream(seed, split, index, name)) for name, group in params}
@@ -204,7 +204,7 @@ def _cars(plan: RoadPlan, looks: Draw, paints: Draw, places: Draw) -> tuple[Car,
             if not placement.overlaps_any(place, np.array(taken)):
                 break
         else:
-            raise ParamsError(f"cars.n: no room for car {number + 1} within cars.s_m of scene {plan.scene.index}")
+            raise InputError(f"cars.n: no room for car {number + 1} within cars.s_m of scene {plan.scene.index}")
         taken.append(place)
         saturation = paints("saturation")
         cars.append(Car(model=model, scale=scale, color=color, gloss=gloss, lane=lane, s_m=s_m, saturation=saturation))
@@ -226,6 +226,6 @@ def _trees(ground: Ground, looks: Draw, places: Draw) -> tuple[Tree, ...]:
             if clearance_m >= TREE_GAP_M + TREE_GAP_OF_CROWN * scale * models[model - 1].crown_radius_m:
                 trees.append(Tree(model=model, x_m=x, y_m=y, yaw_rad=yaw_rad, scale=scale))
     missing = len(drawn) - len(trees)
-    raise ParamsError(
+    raise InputError(
         f"trees.x_m, trees.y_m: no room off the roads for {missing} trees of scene {ground.plan.scene.index}"
     )

@@ -13,7 +13,7 @@ from synth3dlanes.catalogue import BUILT_IN, Library
 from synth3dlanes.change import change_scene
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import how_derived
-from synth3dlanes.errors import ParamsError
+from synth3dlanes.errors import InputError
 from synth3dlanes.generate import Recipe
 from synth3dlanes.look_up import params_of, read_scene
 from synth3dlanes.scene import Scene
@@ -43,12 +43,12 @@ class TwinRecipe(Recipe):
 def twin_recipes(source: str, vary: str, device: str, library: Library = BUILT_IN) -> list[TwinRecipe]:
     """A recipe for every value in `vary`, which is like `light.exposure=1,2,3`; rendered as the source was.
 
-    Raises ParamsError where a value does not fit the first scene of the source, or `library` is not what that shows.
+    Raises InputError where a value does not fit the first scene of the source, or `library` is not what that shows.
     """
     path, equals, text = (part.strip() for part in vary.partition("="))
-    values, problems = read_yaml(f"[{text}]", f"--vary {path}")
+    values, problems = read_yaml(f"[{text}]", f"vary {path}")
     if not equals or problems or not values:
-        raise ParamsError(*(problems or [f"--vary {vary}: expected path=value,value,..."]))
+        raise InputError(*(problems or [f"vary {vary}: expected path=value,value,..."]))
     reader = Reader(source)
     render, shown = reader.description["render"], tuple(json.dumps(value) for value in values)
     settings = RenderSettings(int(render["samples"]), tuple(render["passes"]), device)
@@ -62,8 +62,8 @@ def twin_recipes(source: str, vary: str, device: str, library: Library = BUILT_I
     for recipe in recipes:
         try:
             recipe.scene(0)
-        except ParamsError as error:
-            problems += [line.replace("--set", "--vary", 1) for line in error.problems]
+        except InputError as error:
+            problems += [line.replace("changes", "vary", 1) for line in error.problems]
     if problems:
-        raise ParamsError(*dict.fromkeys(problems))
+        raise InputError(*dict.fromkeys(problems))
     return recipes

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from synth3dlanes.change import change_scene
-from synth3dlanes.errors import ParamsError
+from synth3dlanes.errors import InputError
 from synth3dlanes.scene import Scene
 
 
@@ -33,17 +33,17 @@ def test_lists_take_indices_and_can_be_emptied(hilly_scene: Scene) -> None:
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        ("light.exposur=3", "--set light.exposur: unknown key exposur; did you mean exposure?"),
-        ("lihgt.exposure=3", "--set lihgt.exposure: unknown key lihgt; did you mean light?"),
-        ("cars.99.gloss=1", "--set cars.99.gloss: unknown key 99"),
-        ("light.exposure", "--set light.exposure: expected path=value"),
-        ("light.exposure=-1", "--set: light.exposure: Input should be greater than 0, got -1"),
-        ("light.exposure=[1", "--set light.exposure: line 1: not YAML: "),
-        ("camera.pitch_deg=flat", "--set camera.pitch_deg: expected degrees, got 'flat'"),
+        ("light.exposur=3", "changes light.exposur: unknown key exposur; did you mean exposure?"),
+        ("lihgt.exposure=3", "changes lihgt.exposure: unknown key lihgt; did you mean light?"),
+        ("cars.99.gloss=1", "changes cars.99.gloss: unknown key 99"),
+        ("light.exposure", "changes light.exposure: expected path=value"),
+        ("light.exposure=-1", "changes: light.exposure: Input should be greater than 0, got -1"),
+        ("light.exposure=[1", "changes light.exposure: line 1: not YAML: "),
+        ("camera.pitch_deg=flat", "changes camera.pitch_deg: expected degrees, got 'flat'"),
     ],
 )
 def test_a_mistake_is_one_line(change: str, expected: str, hilly_scene: Scene) -> None:
-    with pytest.raises(ParamsError) as error:
+    with pytest.raises(InputError) as error:
         change_scene(hilly_scene, [change])
     assert str(error.value).startswith(expected)
     assert "\n" not in str(error.value)

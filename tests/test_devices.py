@@ -6,7 +6,7 @@ import pytest
 
 from synth3dlanes import machine
 from synth3dlanes.devices import Device, choose, default_workers, masks
-from synth3dlanes.errors import ParamsError
+from synth3dlanes.errors import InputError
 from synth3dlanes.machine import settle
 from synth3dlanes.run import Plan, generate
 from synth3dlanes.settings import DEVICES, RenderSettings
@@ -36,7 +36,7 @@ def test_auto_takes_the_best_and_a_name_takes_that_or_fails(found, best):
         if asked == "cpu" or asked in {device.kind for device in found}:
             assert choose(asked, found) == asked
         else:
-            with pytest.raises(ParamsError, match=f"--device: expected {asked} on this machine, found") as error:
+            with pytest.raises(InputError, match=f"device: expected {asked} on this machine, found") as error:
                 choose(asked, found)
             assert all(device.name in str(error.value) for device in found)
 
@@ -99,7 +99,7 @@ def my_cores() -> list[int]:
 @pytest.mark.render
 def test_a_run_fails_before_it_begins_where_the_device_is_absent(tmp_path):
     recipe = replace(fake_samples.recipe(), settings=RenderSettings(device="metal"))
-    with pytest.raises(ParamsError, match=r"--device: expected metal on this machine, found .*cpu \("):
+    with pytest.raises(InputError, match=r"device: expected metal on this machine, found .*cpu \("):
         generate(Plan(tmp_path / "out", 4, recipe), print)
     assert not (tmp_path / "out").exists()
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from synth3dlanes.distributions import Choice, Integers, Uniform
-from synth3dlanes.errors import ParamsError
+from synth3dlanes.errors import InputError
 from synth3dlanes.params import Params, check_params, load_params, params_yaml, preset_names, presets_folder
 
 APPENDIX_I = (presets_folder() / "appendix_i.yaml").read_text()
@@ -19,9 +19,9 @@ def problems(text: str, folder: Path, overrides: tuple[str, ...] = ()) -> list[s
     """What is wrong with a file of this text, without the file's name."""
     path = folder / "flat.yaml"
     path.write_text(text)
-    with pytest.raises(ParamsError) as error:
+    with pytest.raises(InputError) as error:
         load_params(str(path), overrides)
-    assert all(line.startswith((f"{path}: ", "--set ")) for line in error.value.problems)
+    assert all(line.startswith((f"{path}: ", "overrides ")) for line in error.value.problems)
     return [line.removeprefix(f"{path}: ") for line in error.value.problems]
 
 
@@ -103,9 +103,9 @@ def test_all_mistakes_come_at_once(tmp_path: Path) -> None:
     found = problems(text, tmp_path, ("road.n_lanes=1", "light.expsure=2", "light"))
     keys = sorted(line.split(": ")[0] for line in found)
     assert keys == [
-        "--set light",
-        "--set light.expsure",
-        "--set road.n_lanes",
+        "overrides light",
+        "overrides light.expsure",
+        "overrides road.n_lanes",
         "camera.pitch_deg",
         "cars.model",
         "trees.model",
@@ -126,13 +126,13 @@ def test_a_file_that_is_none(source: str, expected: str, in_tmp_path: Path) -> N
     (in_tmp_path / "empty.yaml").touch()
     (in_tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00\xd8")
     (in_tmp_path / "folder.yaml").mkdir()
-    with pytest.raises(ParamsError) as error:
+    with pytest.raises(InputError) as error:
         load_params(source)
     assert str(error.value).startswith(expected)
 
 
 def test_check_names_the_problems_of_every_file() -> None:
-    with pytest.raises(ParamsError) as error:
+    with pytest.raises(InputError) as error:
         check_params(["one.yaml", "tiny", "two.yaml"])
     assert [line.split(":")[0] for line in error.value.problems] == ["one.yaml", "two.yaml"]
 

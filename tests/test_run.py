@@ -17,7 +17,7 @@ import pytest
 
 from synth3dlanes import run
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.errors import ParamsError
+from synth3dlanes.errors import InputError
 from synth3dlanes.run import Plan, generate
 from synth3dlanes.workers import Limits
 from tests import fake_samples
@@ -141,7 +141,7 @@ def test_a_second_run_in_the_folder_is_refused(tmp_path):
     command = [sys.executable, "-m", "tests.fake_samples", str(tmp_path), str(N), "1"]
     first = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert next(line for line in first.stdout if "kind='start'" in line)
-    with pytest.raises(ParamsError, match="expected no other run on it"):
+    with pytest.raises(InputError, match="expected no other run on it"):
         go(plan(tmp_path))
     first.kill()
     first.communicate()
@@ -224,7 +224,7 @@ def test_waits_for_room_and_goes_on(tmp_path, whole, monkeypatch):
     assert seen.index("pause") < seen.index("resume")
     assert contents(tmp_path) == whole
     free[0] = 10**6
-    with pytest.raises(ParamsError, match=r"expected .* GB free for 77 samples, got 0\.001 GB"):
+    with pytest.raises(InputError, match=r"expected .* GB free for 77 samples, got 0\.001 GB"):
         go(plan(tmp_path, n=100))
 
 
@@ -246,15 +246,15 @@ def test_a_vanished_folder_is_named(tmp_path):
     [({"n": -3}, "--n: expected"), ({"workers": -1}, "--workers"), ({"part": (3, 2)}, "--part: expected i/n")],
 )
 def test_impossible_plans_are_refused(tmp_path, changes, message):
-    with pytest.raises(ParamsError, match=message):
+    with pytest.raises(InputError, match=message):
         plan(tmp_path, **changes)
-    with pytest.raises(ParamsError, match="--split"):
+    with pytest.raises(InputError, match="split: "):
         replace(plan(tmp_path), recipe=fake_samples.recipe(split="../x"))
     assert not list(tmp_path.iterdir())
 
 
 def test_a_python_without_blender_is_told_which_one(tmp_path, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(ParamsError, match=r"Python 3\.11 .*pip install 'bpy==4\.5\.\*'"):
+    with pytest.raises(InputError, match=r"Python 3\.11 .*pip install 'bpy==4\.5\.\*'"):
         generate(replace(plan(tmp_path), maker=run.make_sample), print)
     assert not list(tmp_path.iterdir())

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from synth3dlanes.errors import ParamsError
+from synth3dlanes.errors import InputError
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.params import load_params
@@ -165,9 +165,9 @@ def test_cars_keep_apart(scenes):
 
 
 def test_no_room_is_an_error_that_names_the_parameters():
-    with pytest.raises(ParamsError, match=r"trees\.x_m, trees\.y_m: no room"):
+    with pytest.raises(InputError, match=r"trees\.x_m, trees\.y_m: no room"):
         sample_scene(load_params("appendix_i", ["trees.x_m=0", "trees.y_m=0"]), 0, "train", 0)
-    with pytest.raises(ParamsError, match=r"cars\.n: no room for car"):
+    with pytest.raises(InputError, match=r"cars\.n: no room for car"):
         sample_scene(load_params("appendix_i", ["cars.n=90", "cars.s_m=[0, 10]"]), 0, "train", 0)
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from synth3dlanes import run
-from synth3dlanes.errors import FormatError, ParamsError
+from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.executors import generate, store
 from synth3dlanes.run import Plan
 from tests import fake_samples, soak
@@ -84,7 +84,7 @@ def _make_in_a_store(folder: Path, address: str, whole: dict[str, bytes]) -> Non
     (folder / "train" / "00002.tar").write_bytes(b"half a tar")
     _finish(_on_ray(url, N, address))
     soak.check(folder, N, whole)
-    with pytest.raises(ParamsError, match="image_format"):
+    with pytest.raises(InputError, match="image_format"):
         store.announce(replace(plan(folder), recipe=fake_samples.recipe(image_format="jpg")), url)
 
 
@@ -158,7 +158,7 @@ def test_a_full_disk_makes_the_run_wait_and_nothing_is_lost(full_disk, whole):
 def test_a_read_only_folder_is_named(tmp_path):
     with small_disk(tmp_path / "disk", "8M") as folder:
         subprocess.run(["mount", "-o", "remount,ro", str(folder)], check=True)
-        with pytest.raises(ParamsError, match=f"--out {folder}/out: expected a folder to write to, got .*Read-only"):
+        with pytest.raises(InputError, match=f"out {folder}/out: expected a folder to write to, got .*Read-only"):
             go(plan(folder / "out"))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.errors import ParamsError
+from synth3dlanes.errors import InputError
 from synth3dlanes.generate import scene_json
 from synth3dlanes.run import Plan, generate
 from synth3dlanes.scene import Scene, from_json
@@ -47,15 +47,15 @@ def test_twins_share_a_data_set_that_generate_does_not_continue(source: str) -> 
 @pytest.mark.parametrize(
     ("vary", "expected"),
     [
-        ("light.exposur=1", "--vary light.exposur: unknown key exposur; did you mean exposure?"),
-        ("light.exposure", "--vary light.exposure: expected path=value,value,..."),
-        ("light.exposure=", "--vary light.exposure=: expected path=value,value,..."),
+        ("light.exposur=1", "vary light.exposur: unknown key exposur; did you mean exposure?"),
+        ("light.exposure", "vary light.exposure: expected path=value,value,..."),
+        ("light.exposure=", "vary light.exposure=: expected path=value,value,..."),
         ("light.exposure=1,-2", "light.exposure: Input should be greater than 0, got -2"),
-        ("light.exposure=[1", "--vary light.exposure"),
+        ("light.exposure=[1", "vary light.exposure"),
     ],
 )
 def test_what_cannot_be_varied(source: str, vary: str, expected: str) -> None:
-    with pytest.raises(ParamsError) as caught:
+    with pytest.raises(InputError) as caught:
         twin_recipes(source, vary, "cpu")
     assert expected in str(caught.value)
     assert len(caught.value.problems) == 1

@@ -50,7 +50,7 @@ class Findings:
 
 
 def check_folder(root: Path) -> Checked:
-    """Everything about a folder; raise ParamsError where there is none."""
+    """Everything about a folder; raise InputError where there is none."""
     folder = scan(root)
     notes, note_problems = read_notes(root, folder)
     found = Findings(problems=[*folder.problems, *note_problems])

@@ -15,7 +15,7 @@ def found_devices() -> tuple[Device, ...]:
 
 
 def use_device(asked: str) -> None:
-    """Render on this kind of device, on all of it that the process sees; raise ParamsError where there is none."""
+    """Render on this kind of device, on all of it that the process sees; raise InputError where there is none."""
     kind = "cpu" if asked == "cpu" else choose(asked, found_devices())
     preferences, options = _preferences(), bpy.context.scene.cycles
     options.device = "CPU" if kind == "cpu" else "GPU"

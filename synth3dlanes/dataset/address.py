@@ -7,7 +7,7 @@ from typing import Any
 
 import fsspec
 
-from synth3dlanes.errors import FormatError, ParamsError
+from synth3dlanes.errors import FormatError, InputError
 
 
 def is_url(place: str) -> bool:
@@ -16,11 +16,11 @@ def is_url(place: str) -> bool:
 
 
 def connect(url: str) -> tuple[Any, str]:
-    """The file system of an address and the path in it; raise ParamsError where fsspec knows no such address."""
+    """The file system of an address and the path in it; raise InputError where fsspec knows no such address."""
     try:
         files, root = fsspec.core.url_to_fs(url)
     except (ImportError, ValueError) as error:
-        raise ParamsError(f"{url}: expected a folder or an address that fsspec can open, got {error}") from None
+        raise InputError(f"{url}: expected a folder or an address that fsspec can open, got {error}") from None
     return files, str(root).rstrip("/")
 
 

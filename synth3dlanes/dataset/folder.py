@@ -9,13 +9,13 @@ from typing import IO, Any
 
 from synth3dlanes.dataset.format import DATASET_FORMAT, DATASET_VERSION, parse_description
 from synth3dlanes.dataset.write import write_whole
-from synth3dlanes.errors import FormatError, ParamsError
+from synth3dlanes.errors import FormatError, InputError
 
 # Besides its own byte, a shard has one for the process that has the shard made by others.
 DRIVER_LOCKS = 1 << 40
 
 
-class Claimed(ParamsError):
+class Claimed(InputError):
     """Another run holds a shard."""
 
 
@@ -25,7 +25,7 @@ def claim(
 ) -> Iterator[Path]:
     """Make or enter a dataset folder and hold the lock on some of a split's shards; yields the split's folder.
 
-    Raises ParamsError where the folder cannot be written, holds another recipe's samples, or another run holds one of
+    Raises InputError where the folder cannot be written, holds another recipe's samples, or another run holds one of
     these shards. The locks go when this process does, however it ends. A driver's locks keep other drivers out, and
     leave each shard to the process that makes it.
     """
@@ -39,7 +39,7 @@ def claim(
             folder.mkdir(exist_ok=True)
             locks = stack.enter_context((folder / ".lock").open("ab"))
         except OSError as error:
-            raise ParamsError(f"--out {root}: expected a folder to write to, got {error}") from None
+            raise InputError(f"out {root}: expected a folder to write to, got {error}") from None
         for shard in shards:
             _lock(locks, shard, DRIVER_LOCKS * is_driver, root)
         yield folder
@@ -50,7 +50,7 @@ def _lock(locks: IO[bytes], shard: int, first: int, root: Path) -> None:
     try:
         fcntl.lockf(locks, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, first + shard)
     except (BlockingIOError, PermissionError):
-        raise Claimed(f"--out {root}: expected no other run on it, got one that is making shard {shard}") from None
+        raise Claimed(f"out {root}: expected no other run on it, got one that is making shard {shard}") from None
 
 
 def _enter(root: Path, recipe: dict[str, Any], split: str, n: int) -> None:
@@ -58,14 +58,14 @@ def _enter(root: Path, recipe: dict[str, Any], split: str, n: int) -> None:
     path = root / "dataset.json"
     found = read_description(root) if path.exists() else None
     if found is None and any(root.glob("*/*.parquet")):
-        raise ParamsError(f"{path}: expected it beside the shards that are there, got none")
+        raise InputError(f"{path}: expected it beside the shards that are there, got none")
     text = description_bytes(found, recipe, split, n, str(path))
     if found is None or path.read_bytes() != text:
         write_whole(path, text)
 
 
 def description_bytes(found: dict[str, Any] | None, recipe: dict[str, Any], split: str, n: int, where: str) -> bytes:
-    """`dataset.json` once a split of `n` is asked for; raise ParamsError where another recipe is `found` there."""
+    """`dataset.json` once a split of `n` is asked for; raise InputError where another recipe is `found` there."""
     asked = {"format": DATASET_FORMAT, "version": DATASET_VERSION, **recipe}
     recipe_found, before = dict(found or {}), {}
     if found is not None:
@@ -73,7 +73,7 @@ def description_bytes(found: dict[str, Any] | None, recipe: dict[str, Any], spli
         # Through JSON, so that a tuple equals the list that it was written as.
         problems = list(differences(recipe_found, json.loads(json.dumps(asked))))
         if problems:
-            raise ParamsError(*(f"{where}: {problem}" for problem in problems))
+            raise InputError(*(f"{where}: {problem}" for problem in problems))
     splits = {**before, split: {"n": max(n, before.get(split, {}).get("n", 0))}}
     return (json.dumps({**asked, "splits": dict(sorted(splits.items()))}, indent=1) + "\n").encode()
 

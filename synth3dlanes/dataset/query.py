@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from jaxtyping import Int
 
-from synth3dlanes.errors import ParamsError
+from synth3dlanes.errors import InputError
 
 Kind = Literal["a truth value", "a number", "text"]
 COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
@@ -38,11 +38,11 @@ class _Term(NamedTuple):
 def rows_where(index: pa.Table, where: str) -> Int[np.ndarray, " k"]:
     """The positions of the rows for which the query holds, in order; a comparison with a missing value never does.
 
-    Raises ParamsError with the closest column where one is unknown.
+    Raises InputError with the closest column where one is unknown.
     """
     try:
         term = _read(ast.parse(_with_double_equals(where), mode="eval").body, index, where)
-    except ParamsError:
+    except InputError:
         raise
     except (SyntaxError, tokenize.TokenError, ValueError, OverflowError, RecursionError, MemoryError):
         raise _problem(where, f"expected {GRAMMAR}, got something else") from None
@@ -118,5 +118,5 @@ def _expect(term: _Term, kind: Kind, where: str) -> pc.Expression:
     return term.value
 
 
-def _problem(where: str, text: str) -> ParamsError:
-    return ParamsError(f"--where {' '.join(where.split())}: {text}")
+def _problem(where: str, text: str) -> InputError:
+    return InputError(f"where {' '.join(where.split())}: {text}")

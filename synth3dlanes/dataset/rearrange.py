@@ -20,7 +20,7 @@ from synth3dlanes.dataset.format import key_of, member_names, recipe_of, recipe_
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.splits import readers, split_name
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.errors import ParamsError
+from synth3dlanes.errors import InputError
 
 # By number in a split: the reader that has the sample, and its position there.
 Places = dict[int, tuple[Reader, int]]
@@ -42,7 +42,7 @@ def cut(source: Reader, shares: Mapping[str, float], seed: int, out: str) -> dic
     dealt = deal(len(source), shares, seed)
     empty = [name for name, positions in dealt.items() if not positions]
     if empty:
-        raise ParamsError(f"--into: expected a sample for each split, got none of {len(source)} for {', '.join(empty)}")
+        raise InputError(f"into: expected a sample for each split, got none of {len(source)} for {', '.join(empty)}")
     origin = {"cut": source.url, "n": len(source), "seed": seed, "into": dict(shares), **how_derived(source)}
     for name, positions in dealt.items():
         places = {number: (source, i) for number, i in enumerate(positions)}
@@ -53,7 +53,7 @@ def cut(source: Reader, shares: Mapping[str, float], seed: int, out: str) -> dic
 def merge(sources: Sequence[str], out: str) -> dict[str, int]:
     """Put data sets of one recipe together, each sample under its own number; returns how many each split has.
 
-    Shards that one source alone has are linked where the file system can. Raises ParamsError where recipes differ or
+    Shards that one source alone has are linked where the file system can. Raises InputError where recipes differ or
     two hold the same sample. The result is what one run would have made, and `generate` may continue it.
     """
     found = [reader for source in sources for reader in readers(source)]
@@ -64,7 +64,7 @@ def merge(sources: Sequence[str], out: str) -> dict[str, int]:
         for line in differences(_recipe(first), _recipe(other))
     ]
     if problems:
-        raise ParamsError(*dict.fromkeys(problems))
+        raise InputError(*dict.fromkeys(problems))
     counts = {}
     merged = {name: [one for one in found if split_name(one) == name] for name in sorted(map(split_name, found))}
     places = {name: _union(several) for name, several in merged.items()}
@@ -90,7 +90,7 @@ def _union(several: Sequence[Reader]) -> Places:
         for i, index in enumerate(reader.index["index"].to_pylist()):
             if index in places:
                 other = places[index][0].url
-                raise ParamsError(f"{reader.url}: expected samples that {other} has not, got {key_of(index)} in both")
+                raise InputError(f"{reader.url}: expected samples that {other} has not, got {key_of(index)} in both")
             places[index] = (reader, i)
     return places
 

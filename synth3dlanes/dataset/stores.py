@@ -16,19 +16,19 @@ from synth3dlanes.dataset.address import connect, naming
 from synth3dlanes.dataset.folder import description_bytes
 from synth3dlanes.dataset.format import parse_description
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.errors import FormatError, ParamsError
+from synth3dlanes.errors import FormatError, InputError
 
 DESCRIPTION = "dataset.json"
 
 
 def announce(url: str, recipe: dict[str, Any], split: str, n: int) -> None:
-    """Write `dataset.json`; raise ParamsError where the store holds another recipe's samples."""
+    """Write `dataset.json`; raise InputError where the store holds another recipe's samples."""
     files, root = connect(url)
     with naming(url):
         where = f"{root}/{DESCRIPTION}"
         before = files.cat_file(where) if files.exists(where) else None
         if before is None and files.glob(f"{root}/*/*.parquet"):
-            raise ParamsError(f"{url}/{DESCRIPTION}: expected it beside the shards that are there, got none")
+            raise InputError(f"{url}/{DESCRIPTION}: expected it beside the shards that are there, got none")
         found = parse_description(before, f"{url}/{DESCRIPTION}") if before else None
         after = description_bytes(found, recipe, split, n, f"{url}/{DESCRIPTION}")
         if after != before:

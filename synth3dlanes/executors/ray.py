@@ -15,7 +15,7 @@ from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
 from synth3dlanes.dataset.folder import Claimed, claim
 from synth3dlanes.devices import WORKERS_PER_GPU
-from synth3dlanes.errors import ParamsError
+from synth3dlanes.errors import InputError
 from synth3dlanes.events import Event
 from synth3dlanes.executors import store
 from synth3dlanes.generate import make_sample
@@ -54,7 +54,7 @@ def generate_on_ray(plan: Plan, url: str, address: str, notify: Callable[[Event]
     try:
         ray.init(address=address, log_to_driver=False, logging_level="error")
     except ConnectionError as error:
-        raise ParamsError(f"--address: expected a Ray cluster, got {error}") from None
+        raise InputError(f"address: expected a Ray cluster, got {error}") from None
     try:
         plan = _on_cluster(plan)
         if url:
@@ -103,7 +103,7 @@ def _on_cluster(plan: Plan) -> Plan:
         room = min((int(node["CPU"]) for node in nodes if node.get("CPU", 0) >= 1), default=1)
         return replace(plan, workers=plan.workers or max(1, min(MAX_WORKERS, room)))
     if not with_gpus:
-        raise ParamsError(f"--device: expected {asked} in the Ray cluster, found {len(nodes)} nodes without a GPU")
+        raise InputError(f"device: expected {asked} in the Ray cluster, found {len(nodes)} nodes without a GPU")
     recipe, _ = ray.get(ray.remote(settle).options(num_gpus=1).remote(plan.recipe))
     room = min(int(node.get("CPU", 1) // node["GPU"]) for node in with_gpus)
     return replace(plan, recipe=recipe, workers=plan.workers or max(1, min(WORKERS_PER_GPU, room)))

@@ -13,7 +13,7 @@ from synth3dlanes.run import Plan, Report, generate
 
 
 def announce(plan: Plan, url: str) -> None:
-    """Write `dataset.json`; raise ParamsError where the store holds another recipe's samples."""
+    """Write `dataset.json`; raise InputError where the store holds another recipe's samples."""
     stores.announce(url, plan.description(), plan.recipe.split, plan.n)
 
 

@@ -5,7 +5,7 @@ from jaxtyping import Float, UInt8
 from PIL import Image
 
 from synth3dlanes.dataset.upright import ours_from_upright, warp
-from synth3dlanes.errors import ParamsError
+from synth3dlanes.errors import InputError
 from synth3dlanes.export.lines import CV_FROM_CAM, View
 from synth3dlanes.labels import CameraLabel
 
@@ -13,7 +13,7 @@ TOLERANCE_PX = 0.01  # scenes round their angles, so a native camera's focal len
 
 
 def resample(image: UInt8[np.ndarray, "h w 3"], camera: CameraLabel, view: View, where: str) -> Image.Image:
-    """The image through the foreign intrinsics; raise ParamsError where it does not cover the foreign view.
+    """The image through the foreign intrinsics; raise InputError where it does not cover the foreign view.
 
     Without roll a change of K is a scaling and a crop, which Pillow does exactly: `box` are the foreign image's borders
     in our pixels, corners at whole numbers, and it filters when it shrinks. With roll it is a homography, drawn larger
@@ -26,9 +26,9 @@ def resample(image: UInt8[np.ndarray, "h w 3"], camera: CameraLabel, view: View,
     slack_px = min(left, top, width_px - right, height_px - bottom)
     if image.shape[:2] != (height_px, width_px):
         got = f"{image.shape[1]}x{image.shape[0]}"
-        raise ParamsError(f"{where}: expected an image of {width_px}x{height_px} as in its labels, got {got}")
+        raise InputError(f"{where}: expected an image of {width_px}x{height_px} as in its labels, got {got}")
     if slack_px < -TOLERANCE_PX:
-        raise ParamsError(
+        raise InputError(
             f"{where}: expected an image that covers {view.width_px}x{view.height_px} px at f = {view.f_px:g} px "
             f"({_degrees(view.width_px / 2, view.f_px)} x {_degrees(view.height_px / 2, view.f_px)} deg), got one "
             f"that ends {-slack_px:.1f} px short of it: render with a wider field of view"

@@ -24,7 +24,7 @@ from synth3dlanes import scene as scene_format
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.upright import upright_labels
 from synth3dlanes.dataset.write import write_whole
-from synth3dlanes.errors import ParamsError
+from synth3dlanes.errors import InputError
 from synth3dlanes.export import apollo, once, openlane, tusimple
 from synth3dlanes.export.lines import Annotation, Frame, View, scene_tags
 from synth3dlanes.export.resample import resample
@@ -104,7 +104,7 @@ def _plan(source: str) -> list[Chunk]:
     filesystem, root = fsspec.url_to_fs(source)
     splits = sorted({path.rsplit("/", 2)[-2] for path in filesystem.glob(f"{root.rstrip('/')}/*/*.parquet")})
     if not splits:
-        raise ParamsError(f"{source}: expected a dataset with finished shards (split/00000.parquet), found none")
+        raise InputError(f"{source}: expected a dataset with finished shards (split/00000.parquet), found none")
     source = source.rstrip("/")
     chunks = []
     for number, split in enumerate(splits):
@@ -122,9 +122,9 @@ def _claim(out: Path, options: dict[str, Any]) -> None:
     if mark.exists():
         found = json.loads(mark.read_text())
         if found != options:
-            raise ParamsError(f"{out}: expected an empty folder or the export {options}, got the export {found}")
+            raise InputError(f"{out}: expected an empty folder or the export {options}, got the export {found}")
     elif out.exists() and any(out.iterdir()):
-        raise ParamsError(f"{out}: expected an empty folder or an unfinished export, got a folder with other files")
+        raise InputError(f"{out}: expected an empty folder or an unfinished export, got a folder with other files")
     (out / ".parts").mkdir(parents=True, exist_ok=True)
     write_whole(mark, json.dumps(options).encode())
 

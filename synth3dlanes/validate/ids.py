@@ -26,7 +26,7 @@ MAX_PIXELS = 10_000
 MAX_SINGLE, MAX_SHARE = 3, 0.05
 # Of a line so many pixels of paint may lie farther beyond its edges. In 60 random scenes of each preset none does where
 # the eye sees paint no farther along the sight line than MAX_FLOAT_M from the road that it floats over.
-MAX_BEYOND_M, MAX_FLOAT_M, MAX_SHARE_BEYOND = 0.006, 0.05, 0.02
+MAX_BEYOND_M, MAX_FLOAT_M, MAX_SHARE_BEYOND = 0.01, 0.05, 0.02
 # Cars end with their nominal boxes, to 1 %; twigs reach 10 % beyond a tree's.
 CAR_ROOM, TREE_ROOM = 1.05, 1.15
 # What of the box that a car is in, as seen, is car: 0.52 to 0.93 for all of ours; of a user's at most all.

@@ -171,26 +171,32 @@ def _contrast(line: Line) -> Contrast:
 
 def _moved(lines: Sequence[Line], width_px: int) -> Iterator[Finding]:
     """Are all lines together clearest where they are, not where the image would have them if it were moved or
-    stretched?"""
-    strength = np.zeros((len(MOVES_PX), len(STRETCHES)))
-    for line in lines:
-        aside_px = MOVES_PX[:, None, None] + STRETCHES[:, None] * (line.u_px - width_px / 2)
-        place = np.rint((aside_px / line.px_per_m + SEARCH_M) / STEP_M).astype(int)
-        inside = (place >= 0) & (place < len(PLACES_M))
-        ridges = line.ridges[np.arange(len(line.ridges)), np.clip(place, 0, len(PLACES_M) - 1)]
-        most = MAX_OF_MEDIAN * np.abs(np.median(line.ridges, axis=0)).max()
-        strength += np.abs(np.clip(np.where(inside, ridges, 0.0), -most, most).sum(axis=2))
-    i, j = np.unravel_index(strength.argmax(), strength.shape)
-    here = strength[len(MOVES_PX) // 2, len(STRETCHES) // 2]
+    stretched? Two lines at least must say so, and none the contrary: one alone may have a bright road and a dark
+    shoulder beside it."""
+    strengths = np.array([_strengths(line, width_px) for line in lines])
+    total = strengths.sum(axis=0)
+    i, j = np.unravel_index(total.argmax(), total.shape)
+    here, there = strengths[:, len(MOVES_PX) // 2, len(STRETCHES) // 2], strengths[:, i, j]
     u_px = np.concatenate([line.u_px for line in lines])
+    is_clear = there > CONTRAST / 2 * np.array([len(line.u_px) for line in lines])
     moved_px = np.median(np.abs(MOVES_PX[i] + STRETCHES[j] * (u_px - width_px / 2)))
-    is_elsewhere = moved_px > MIN_MOVE_PX and here < MIN_CLEAR * strength[i, j]
-    if strength[i, j] > MIN_MEAN * len(u_px) and is_elsewhere:
+    agree, contradict = (here < MIN_CLEAR * there)[is_clear], (there < MIN_CLEAR * here)[is_clear]
+    if agree.sum() > 1 and not contradict.any() and here.sum() < MIN_CLEAR * there.sum() and moved_px > MIN_MOVE_PX:
         yield Finding(
             "",
             f"image: expected paint under its delimiters, got it clearest {MOVES_PX[i]:+.1f} px to the right and "
             f"stretched by {100 * STRETCHES[j]:+.1f} %",
         )
+
+
+def _strengths(line: Line, width_px: int) -> Float[np.ndarray, "a b"]:
+    """How clear the line is where moves and stretches of the image would have it, summed over its profiles."""
+    aside_px = MOVES_PX[:, None, None] + STRETCHES[:, None] * (line.u_px - width_px / 2)
+    place = np.rint((aside_px / line.px_per_m + SEARCH_M) / STEP_M).astype(int)
+    inside = (place >= 0) & (place < len(PLACES_M))
+    ridges = line.ridges[np.arange(len(line.ridges)), np.clip(place, 0, len(PLACES_M) - 1)]
+    most = MAX_OF_MEDIAN * np.abs(np.median(line.ridges, axis=0)).max()
+    return np.abs(np.clip(np.where(inside, ridges, 0.0), -most, most).sum(axis=2))
 
 
 def _every_pixel(camera: CameraLabel, lane: Lane) -> Float[np.ndarray, "n 3"]:

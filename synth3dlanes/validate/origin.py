@@ -16,7 +16,7 @@ from synth3dlanes import __version__
 from synth3dlanes.catalogue import Assets
 from synth3dlanes.change import change_scene
 from synth3dlanes.dataset.format import SCENE, member_names
-from synth3dlanes.errors import FormatError, ParamsError
+from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.params import Params
 from synth3dlanes.sample import sample_scene
 from synth3dlanes.scene import Scene, validation_problems
@@ -54,7 +54,7 @@ class Layout(Part):
     """What the files of a data set are by its dataset.json; what it says of scenes is `Origin`'s."""
 
     format: str
-    version: int
+    version: Annotated[int, Field(strict=True)]
     generator: str
     seed: Any
     params: Any
@@ -90,7 +90,7 @@ class Derived(Part):
             return before
         number = split.removeprefix("twin_")
         if not (number.isdecimal() and 1 <= int(number) <= len(self.values)):
-            raise ParamsError(f"expected splits twin_1 to twin_{len(self.values)}, got {split}")
+            raise InputError(f"expected splits twin_1 to twin_{len(self.values)}, got {split}")
         return [*before, f"{self.vary}={self.values[int(number) - 1]}"]
 
 
@@ -115,7 +115,7 @@ class Origin(Part):
         """How the scene of a sample differs from the one drawn again for it, in a line; "" where it does not."""
         try:
             drawn = self._drawn(scene, split, index)
-        except (ParamsError, ValueError, LookupError, ArithmeticError) as error:
+        except (InputError, ValueError, LookupError, ArithmeticError) as error:
             return f"expected to draw it again, got {' '.join(str(error).split())}"
         if scene == drawn:
             return ""

@@ -15,7 +15,7 @@ from jaxtyping import UInt8
 from PIL import Image
 
 from synth3dlanes.dataset.format import SCENE, parse_description, recipe_text
-from synth3dlanes.errors import FormatError, ParamsError
+from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.figures.overlay import draw_overlay, stretches_img
 from synth3dlanes.geometry import height_map
 from synth3dlanes.labels import Labels
@@ -80,7 +80,7 @@ def validate(root: Path, workers: int, limit: int | None, progress: Callable[[in
     Writes an overlay picture of each sample that fails to ROOT/validation. `progress` gets (samples done, in all).
     """
     if not root.is_dir():
-        raise ParamsError(f"{root}: expected the folder of a dataset, got none")
+        raise InputError(f"{root}: expected the folder of a dataset, got none")
     report = Report()
     try:
         description = _read_description(root)

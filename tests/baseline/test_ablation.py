@@ -43,10 +43,10 @@ def test_rows_stand_beside_the_papers_and_are_trained_once(drawn_splits, tmp_pat
 
 def test_sizes_of_the_learning_curve_train_for_equally_many_steps(drawn_splits, tmp_path):
     from baseline_model.ablation import learning_curve
-    from synth3dlanes.errors import ParamsError
+    from synth3dlanes.errors import InputError
 
     learning_curve("d", tmp_path, [2, 4], "tiny", FEW)
     assert _steps(tmp_path / "2") == _steps(tmp_path / "4") == 2
     assert (tmp_path / "curve.png").exists()
-    with pytest.raises(ParamsError, match="d/train: expected at least 5 images, got 4"):
+    with pytest.raises(InputError, match="d/train: expected at least 5 images, got 4"):
         learning_curve("d", tmp_path, [5], "tiny", FEW)

@@ -29,14 +29,14 @@ def test_paper_keeps_the_papers_recipe():
 
 def test_overrides_name_every_problem():
     from baseline_model.config import overrides_from, train_config
-    from synth3dlanes.errors import ParamsError
+    from synth3dlanes.errors import InputError
 
     config = train_config("nano", overrides_from(["model.grid.rows=104", 'loss.kinds=["delimiter"]', "device=cpu"]))
     assert (config.model.grid.rows, config.loss.kinds, config.device) == (104, ("delimiter",), "cpu")
-    with pytest.raises(ParamsError) as caught:
+    with pytest.raises(InputError) as caught:
         train_config("nano", overrides_from(["model.foo=1", "batch=many"]))
     assert len(caught.value.problems) == 2
-    with pytest.raises(ParamsError, match="expected KEY=VALUE"):
+    with pytest.raises(InputError, match="expected KEY=VALUE"):
         overrides_from(["batch"])
-    with pytest.raises(ParamsError, match="model: expected one of paper"):
+    with pytest.raises(InputError, match="model: expected one of paper"):
         train_config("huge")

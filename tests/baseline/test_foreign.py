@@ -172,7 +172,7 @@ def test_vgg16_weights_from_files(tmp_path):
     from baseline_model.backbone import IMAGE_STD, ImagePathway
     from baseline_model.config import PAPER
     from baseline_model.pretrained import load_vgg16
-    from synth3dlanes.errors import FormatError, ParamsError
+    from synth3dlanes.errors import FormatError, InputError
 
     channels = [3, 64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512]
     generator = torch.Generator().manual_seed(0)
@@ -201,7 +201,7 @@ def test_vgg16_weights_from_files(tmp_path):
     blue_255 = layers[0][0][:, 0] * 255 * IMAGE_STD[2]
     assert torch.allclose(kernel[:, 2], blue_255)
     assert convolutions[7].weight.equal(layers[7][0])
-    with pytest.raises(ParamsError, match="no such file"):
+    with pytest.raises(InputError, match="no such file"):
         load_vgg16(image, str(tmp_path / "none.pth"))
     (tmp_path / "bad.pth").write_bytes(b"x")
     with pytest.raises(FormatError, match=r"bad\.pth: expected a state dict"):

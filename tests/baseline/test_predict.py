@@ -102,13 +102,13 @@ def test_image_folders_need_intrinsics_and_give_the_same_as_a_split(checkpoint, 
     from baseline_model.data import intrinsics_of
     from baseline_model.lanes import read_predictions
     from baseline_model.predict import predict
-    from synth3dlanes.errors import ParamsError
+    from synth3dlanes.errors import InputError
 
     folder = tmp_path / "images"
     folder.mkdir()
     for sample in split[:2]:
         Image.fromarray(sample.image).save(folder / f"{sample.key}.png")
-    with pytest.raises(ParamsError, match="expected fx,fy,cx,cy"):
+    with pytest.raises(InputError, match="expected fx,fy,cx,cy"):
         predict(checkpoint, folder, tmp_path / "a", device="cpu")
     assert not (tmp_path / "a").exists()
     intrinsics = intrinsics_of(split[0].labels)
@@ -199,8 +199,8 @@ def test_devices_that_are_there(monkeypatch, n_gpus, name, chosen):
 )
 def test_devices_that_are_not(monkeypatch, n_gpus, name, problem):
     from baseline_model.inference import choose_device
-    from synth3dlanes.errors import ParamsError
+    from synth3dlanes.errors import InputError
 
     monkeypatch.setattr(torch.cuda, "device_count", lambda: n_gpus)
-    with pytest.raises(ParamsError, match=problem):
+    with pytest.raises(InputError, match=problem):
         choose_device(name)

@@ -47,11 +47,11 @@ def test_a_killed_run_continues_as_if_nothing_had_happened(roads, tmp_path, monk
 
 def test_another_configuration_does_not_continue_a_run(roads, tmp_path):
     from baseline_model.train import train_on
-    from synth3dlanes.errors import ParamsError
+    from synth3dlanes.errors import InputError
 
     samples = _samples(roads)
     train_on(_config(epochs=1.0), samples, samples, tmp_path)
-    with pytest.raises(ParamsError, match=r"other settings \(learning_rate\)"):
+    with pytest.raises(InputError, match=r"other settings \(learning_rate\)"):
         train_on(_config(epochs=1.0, learning_rate=1e-2), samples, samples, tmp_path)
 
 

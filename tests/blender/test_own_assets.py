@@ -24,7 +24,7 @@ from synth3dlanes.blender.own_sky import hung, load_sky  # noqa: E402
 from synth3dlanes.blender.sky import AZIMUTH_RAD, HORIZON, LUMINANCE, daylight, irradiance  # noqa: E402
 from synth3dlanes.catalogue import BUILT_IN, CARS, TREES, CarModel, Library, TreeModel  # noqa: E402
 from synth3dlanes.distributions import Integers  # noqa: E402
-from synth3dlanes.errors import FormatError, ParamsError  # noqa: E402
+from synth3dlanes.errors import FormatError, InputError  # noqa: E402
 from synth3dlanes.frames import transform  # noqa: E402
 from synth3dlanes.generate import Recipe  # noqa: E402
 from synth3dlanes.geometry.ground import Ground  # noqa: E402
@@ -119,7 +119,7 @@ def test_numbers_run_over_the_folder_and_narrower_ones_must_be_in_it(library: Li
     assert load_params("tiny", (), three).cars.model == Integers(1, 3)
     assert load_params("tiny", ["cars.model=[2, 3]"], three).cars.model == Integers(2, 3)
     assert load_params("tiny").cars.model == Integers(1, 6)
-    with pytest.raises(ParamsError, match=r"--set cars.model: expected integers from 1 to 3 .*, got 4"):
+    with pytest.raises(InputError, match=r"overrides cars.model: expected integers from 1 to 3 .*, got 4"):
         load_params("tiny", ["cars.model=4"], three)
 
 
@@ -129,7 +129,7 @@ def test_the_scene_records_what_it_was_drawn_with(scene: Scene, library: Library
     assert read.assets == library.assets
     assert (scene.sky, scene.surface.road_texture, {car.model for car in scene.cars}) == (1, 1, {1})
     require_assets(read.assets, library, "scene.json")
-    with pytest.raises(ParamsError, match=r"scene.json: expected cars 'box' with digest \w+; there is no --assets"):
+    with pytest.raises(InputError, match=r"scene.json: expected cars 'box' with digest \w+; there is no --assets"):
         require_assets(read.assets, BUILT_IN, "scene.json")
     with pytest.raises(FormatError, match=r"cars.0.model: expected at most 1, got 2"):
         from_json(to_json(scene).replace('"model":1', '"model":2', 1), "scene.json")

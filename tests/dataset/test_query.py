@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from synth3dlanes.dataset.index import SCHEMA
 from synth3dlanes.dataset.query import rows_where
-from synth3dlanes.errors import ParamsError
+from synth3dlanes.errors import InputError
 
 N_LANES = [2, 3, 4, 4, 3, 2]
 GRADES = [0.0, 0.05, 0.1, 0.15, 0.2, -0.1]
@@ -60,7 +60,7 @@ def test_any_query_means_what_python_means(query: str) -> None:
 @pytest.mark.parametrize(
     ("where", "expected"),
     [
-        ("n_lane = 4", "--where n_lane = 4: unknown column n_lane; did you mean n_lanes?"),
+        ("n_lane = 4", "where n_lane = 4: unknown column n_lane; did you mean n_lanes?"),
         ("n_lanes", "expected a truth value, got a number: n_lanes"),
         ("n_lanes = 'four'", "expected a number, got text"),
         ("flip_lateral = 1", "expected a truth value, got a number"),
@@ -79,7 +79,7 @@ def test_any_query_means_what_python_means(query: str) -> None:
     ],
 )
 def test_what_is_no_query(where: str, expected: str) -> None:
-    with pytest.raises(ParamsError) as caught:
+    with pytest.raises(InputError) as caught:
         rows_where(INDEX, where)
     assert expected in str(caught.value)
     assert "\n" not in str(caught.value)

@@ -12,7 +12,7 @@ from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import cut, deal, merge
 from synth3dlanes.dataset.splits import readers, spread
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.errors import FormatError, ParamsError
+from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.scene import from_json
 from tests import fake_samples
 
@@ -80,14 +80,14 @@ def test_a_cut_is_continued_and_another_one_refused(tmp_path):
     (tmp_path / "b/x/00001.tar").unlink()
     cut(source, {"x": 1, "y": 1}, 0, str(tmp_path / "b"))
     assert files(tmp_path / "b") == before
-    with pytest.raises(ParamsError, match=r"derived\.seed: expected 0 as in this dataset, got 1"):
+    with pytest.raises(InputError, match=r"derived\.seed: expected 0 as in this dataset, got 1"):
         cut(source, {"x": 1, "y": 1}, 1, str(tmp_path / "b"))
-    with pytest.raises(ParamsError, match="got none of 8 for y"):
+    with pytest.raises(InputError, match="got none of 8 for y"):
         cut(source, {"x": 1, "y": 0.001}, 0, str(tmp_path / "c"))
     assert not (tmp_path / "c").exists()
     recipe = fake_samples.recipe(split="x")
     with (
-        pytest.raises(ParamsError, match="derived"),
+        pytest.raises(InputError, match="derived"),
         claim(tmp_path / "b", {**recipe.description(), "shard_size": SIZE}, "x", 9, [0]),
     ):
         pass
@@ -129,9 +129,9 @@ def test_what_does_not_go_together(tmp_path):
         make(tmp_path / "same", [1, 2]),
         make(tmp_path / "other", [3], seed=8),
     )
-    with pytest.raises(ParamsError, match="one/train has not, got 00000001 in both"):
+    with pytest.raises(InputError, match="one/train has not, got 00000001 in both"):
         merge([str(one), str(same)], str(tmp_path / "c"))
-    with pytest.raises(ParamsError, match=r"one/train: seed: expected 7 as in this dataset, got 8 in .*other/train"):
+    with pytest.raises(InputError, match=r"one/train: seed: expected 7 as in this dataset, got 8 in .*other/train"):
         merge([str(one), str(other)], str(tmp_path / "c"))
     with pytest.raises(FormatError, match="expected a data set or one of its splits"):
         merge([str(one), str(tmp_path / "none")], str(tmp_path / "c"))

@@ -16,7 +16,7 @@ from synth3dlanes.dataset.folder import claim
 from synth3dlanes.dataset.index import SCHEMA
 from synth3dlanes.dataset.read import Reader, find
 from synth3dlanes.dataset.write import Shard, scan
-from synth3dlanes.errors import FormatError, ParamsError
+from synth3dlanes.errors import FormatError, InputError
 from tests import fake_samples
 
 
@@ -216,7 +216,7 @@ def test_another_recipe_is_refused_by_name(tmp_path):
     with enter(tmp_path):
         before = (tmp_path / "dataset.json").read_bytes()
     overridden = fake_samples.recipe(overrides=("road.n_lanes=3",)).description()["params"]
-    with pytest.raises(ParamsError) as caught, enter(tmp_path, split="val", params=overridden, seed=8):
+    with pytest.raises(InputError) as caught, enter(tmp_path, split="val", params=overridden, seed=8):
         pass
     assert [problem.partition("dataset.json: ")[2] for problem in caught.value.problems] == [
         "seed: expected 7 as in this dataset, got 8",
@@ -236,10 +236,10 @@ def test_splits_are_added_and_n_only_grows(tmp_path):
 def test_a_folder_that_cannot_be_written_is_refused(tmp_path, shard):
     (tmp_path / "file").touch()
     for root in (tmp_path / "file", tmp_path / "file" / "below"):
-        with pytest.raises(ParamsError, match="expected a folder to write to"), enter(root):
+        with pytest.raises(InputError, match="expected a folder to write to"), enter(root):
             pass
     shutil.copytree(shard.folder, tmp_path / "orphan" / "train")
-    with pytest.raises(ParamsError, match="beside the shards"), enter(tmp_path / "orphan"):
+    with pytest.raises(InputError, match="beside the shards"), enter(tmp_path / "orphan"):
         pass
     (tmp_path / "dataset.json").write_text("{")
     with pytest.raises(FormatError, match=r"dataset\.json: expected JSON"), enter(tmp_path):

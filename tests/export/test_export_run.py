@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 from PIL import Image
 
-from synth3dlanes.errors import ParamsError
+from synth3dlanes.errors import InputError
 from synth3dlanes.export import apollo, once, openlane, tusimple
 from synth3dlanes.export.lines import View
 from synth3dlanes.export.resample import resample, source_pixels
@@ -131,13 +131,13 @@ def test_frames_without_lanes_come_last(dataset, tmp_path, monkeypatch):
 
 def test_a_folder_of_something_else_is_refused(dataset, tmp_path):
     (tmp_path / "precious.txt").write_text("mine")
-    with pytest.raises(ParamsError, match="expected an empty folder"):
+    with pytest.raises(InputError, match="expected an empty folder"):
         export(str(dataset), tmp_path, "once", 1, lambda done, total: None)
     out = tmp_path / "out"
     export(str(dataset), out, "once", 1, lambda done, total: None)
-    with pytest.raises(ParamsError, match="got the export"):
+    with pytest.raises(InputError, match="got the export"):
         export(str(dataset), out, "tusimple", 1, lambda done, total: None)
-    with pytest.raises(ParamsError, match="expected a dataset"):
+    with pytest.raises(InputError, match="expected a dataset"):
         export(str(tmp_path / "out"), tmp_path / "other", "once", 1, lambda done, total: None)
 
 
@@ -211,9 +211,9 @@ def test_a_native_image_is_not_touched_and_a_narrow_one_is_refused():
     cropped = np.asarray(resample(pixels, cf.camera_label(), apollo.VIEW, "test"))
     np.testing.assert_array_equal(cropped, pixels[100:1180])
     narrow = cf.camera_label(size_px=(1920, 1280), f_px=2100.0)
-    with pytest.raises(ParamsError, match=r"^DIR/train:00000000: expected an image that covers 1920x1280"):
+    with pytest.raises(InputError, match=r"^DIR/train:00000000: expected an image that covers 1920x1280"):
         resample(pixels, narrow, openlane.VIEW, "DIR/train:00000000")
-    with pytest.raises(ParamsError, match="expected an image of 1920x1280 as in its labels, got 640x480"):
+    with pytest.raises(InputError, match="expected an image of 1920x1280 as in its labels, got 640x480"):
         resample(np.zeros((480, 640, 3), dtype=np.uint8), cf.camera_label(), View(100, 100, 2015.0), "x")
 
 
