@@ -102,14 +102,16 @@ def test_all_mistakes_come_at_once(tmp_path: Path) -> None:
     text = APPENDIX_I.replace("pitch_deg: [0, 5]", "pitch_deg: [5, 0]").replace("model: [1, 6]", "model: 7")
     found = problems(text, tmp_path, ("road.n_lanes=1", "light.expsure=2", "light"))
     keys = sorted(line.split(": ")[0] for line in found)
-    assert keys == [
-        "overrides light",
-        "overrides light.expsure",
-        "overrides road.n_lanes",
-        "camera.pitch_deg",
-        "cars.model",
-        "trees.model",
-    ]
+    assert keys == sorted(
+        [
+            "overrides light",
+            "overrides light.expsure",
+            "overrides road.n_lanes",
+            "camera.pitch_deg",
+            "cars.model",
+            "trees.model",
+        ]
+    )
 
 
 @pytest.mark.parametrize(
