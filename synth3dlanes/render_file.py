@@ -4,8 +4,8 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from synth3dlanes.asset_folder import require_assets
-from synth3dlanes.catalogue import Library
+from synth3dlanes.assets.catalogue import Library
+from synth3dlanes.assets.folder import require_assets
 from synth3dlanes.change import change_scene
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.errors import InputError
@@ -14,6 +14,7 @@ from synth3dlanes.look_up import load_scene, scene_name
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import RenderSettings
 from synth3dlanes.workers import Limits, call
+from synth3dlanes.world import resolve
 
 # A scene may be as large as its file says.
 PATIENCE = Limits(seconds=math.inf, rss_bytes=1 << 50)
@@ -51,6 +52,6 @@ def render_file(
 
 def _make(scene: Scene, settings: RenderSettings, image_format: str, library: Library) -> dict[str, bytes] | InputError:
     try:
-        return make_image(scene, settings, image_format, library).members
+        return make_image(resolve(scene), settings, image_format, library).members
     except InputError as error:
         return error

@@ -1,12 +1,13 @@
-"""What the camera does to the light that arrives: motion blur, then noise. Pure numpy, linear light on the film."""
+"""What the camera does to the light that arrives: motion blur, then noise. Linear light on the film."""
 
 import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import map_coordinates
 
-from synth3dlanes.blender.tonemap import MIDDLE_GRAY, levels_per_radiance
 from synth3dlanes.frames import project
 from synth3dlanes.geometry.camera import img_from_cam
+from synth3dlanes.imaging.film import MIDDLE_GRAY, levels_per_radiance
+from synth3dlanes.imaging.lens import rays
 from synth3dlanes.scene import Camera
 
 # Taps along a pixel's way during the exposure are at most so far apart; shorter ways are not blurred.
@@ -25,10 +26,7 @@ def motion_blur(
     v, u = np.nonzero(np.isfinite(depth_m))
     uv = np.column_stack([u, v]) + 0.5
     image, depth = img_from_cam(camera), depth_m[v, u].astype(float)
-    rays_cam = np.column_stack(
-        [(uv[:, 0] - camera.cx_px) / camera.fx_px, np.ones(len(u)), (camera.cy_px - uv[:, 1]) / camera.fy_px]
-    )
-    points_cam = rays_cam * depth[:, None]
+    points_cam = rays(camera, uv) * depth[:, None]
     way_px = np.hypot(*(project(image, points_cam + driven_cam / 2) - project(image, points_cam - driven_cam / 2)).T)
     moving = way_px > SHORTEST_PX
     if not moving.any():

@@ -9,10 +9,10 @@ from jaxtyping import Float
 from synth3dlanes.figures.colors import Rgb
 from synth3dlanes.frames import Matrix4, invert, transform
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.placement import tree_positions, world_from_car
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Car, Scene
+from synth3dlanes.world import World, resolve
 
 BEHIND_M = 10.0
 AHEAD_M = 120.0
@@ -46,12 +46,16 @@ class SceneView:
     labels: Labels
 
     @cached_property
-    def plan(self) -> RoadPlan:
-        return RoadPlan(self.scene)
+    def world(self) -> World:
+        return resolve(self.scene)
 
-    @cached_property
+    @property
+    def plan(self) -> RoadPlan:
+        return self.world.plan
+
+    @property
     def ground(self) -> Ground:
-        return Ground(self.plan)
+        return self.world.ground
 
     @cached_property
     def road_from_world(self) -> Matrix4:
@@ -108,11 +112,13 @@ class SceneView:
 
     @cached_property
     def cars(self) -> list[CarOutline]:
-        return [self._car(car) for car in self.scene.cars]
+        return [
+            self._car(car, pose) for car, pose in zip(self.scene.cars, self.world.view.world_from_cars, strict=True)
+        ]
 
     @cached_property
     def trees(self) -> list[TreeOutline]:
-        feet_world = tree_positions(self.ground, self.scene.trees)
+        feet_world = self.world.trees_world
         models = self.scene.assets.tree_models
         return [
             TreeOutline(
@@ -123,10 +129,10 @@ class SceneView:
             for tree, foot_road in zip(self.scene.trees, transform(self.road_from_world, feet_world), strict=True)
         ]
 
-    def _car(self, car: Car) -> CarOutline:
+    def _car(self, car: Car, world_from_car: Matrix4) -> CarOutline:
         model = self.scene.assets.car_models[car.model - 1]
         half_m = car.scale * np.array([model.width_m, model.length_m, 0.0]) / 2
         corners_car = half_m * [(1, 1, 0), (1, -1, 0), (-1, -1, 0), (-1, 1, 0)]
-        corners_road = transform(self.road_from_world @ world_from_car(self.plan, car), corners_car)
+        corners_road = transform(self.road_from_world @ world_from_car, corners_car)
         red, green, blue = (round(255 * channel) for channel in car.color)
         return CarOutline(corners_road, model.height_m * car.scale, (red, green, blue))

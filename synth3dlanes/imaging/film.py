@@ -1,4 +1,4 @@
-"""Scene-linear radiance -> the 8-bit picture. Pure numpy, no randomness.
+"""The film: linear light to the 8-bit picture, without randomness.
 
 Each channel passes three steps, all increasing: an exponential film response 1 - exp(-1.1 x), which keeps middle gray
 (0.18) where it is and rolls highlights off instead of clipping them (white at x = 5); the sRGB curve; a gentle

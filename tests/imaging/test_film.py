@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from synth3dlanes.blender.tonemap import response, tonemap
+from synth3dlanes.imaging.film import response, tonemap
 
 
 def test_more_light_is_never_darker() -> None:

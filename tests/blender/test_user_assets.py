@@ -13,26 +13,26 @@ bpy = pytest.importorskip("bpy")
 
 from PIL import Image  # noqa: E402
 
-from synth3dlanes.asset_folder import Checked, require_assets  # noqa: E402
+from synth3dlanes.assets.catalogue import BUILT_IN, CARS, TREES, CarModel, Library, TreeModel  # noqa: E402
+from synth3dlanes.assets.folder import Checked, require_assets  # noqa: E402
 from synth3dlanes.blender import example_assets as example  # noqa: E402
 from synth3dlanes.blender import render as renderer  # noqa: E402
 from synth3dlanes.blender.assets import load_meshes  # noqa: E402
 from synth3dlanes.blender.build import build  # noqa: E402
 from synth3dlanes.blender.check_assets import _wheels, check_folder  # noqa: E402
-from synth3dlanes.blender.own_models import points_of  # noqa: E402
-from synth3dlanes.blender.own_sky import hung, load_sky  # noqa: E402
-from synth3dlanes.blender.sky import AZIMUTH_RAD, HORIZON, LUMINANCE, daylight, irradiance  # noqa: E402
-from synth3dlanes.catalogue import BUILT_IN, CARS, TREES, CarModel, Library, TreeModel  # noqa: E402
+from synth3dlanes.blender.sky_file import read_sky  # noqa: E402
+from synth3dlanes.blender.user_models import points_of  # noqa: E402
 from synth3dlanes.distributions import Integers  # noqa: E402
 from synth3dlanes.errors import FormatError, InputError  # noqa: E402
 from synth3dlanes.frames import transform  # noqa: E402
-from synth3dlanes.generate import Recipe  # noqa: E402
-from synth3dlanes.geometry.ground import Ground  # noqa: E402
-from synth3dlanes.geometry.road import RoadPlan  # noqa: E402
-from synth3dlanes.ground_truth import ground_truth  # noqa: E402
+from synth3dlanes.generate import Recipe, take_picture  # noqa: E402
+from synth3dlanes.imaging.daylight import daylight  # noqa: E402
+from synth3dlanes.imaging.sky import AZIMUTH_RAD, HORIZON, LUMINANCE, irradiance  # noqa: E402
+from synth3dlanes.imaging.user_sky import hang, prepare_sky  # noqa: E402
 from synth3dlanes.params import load_params  # noqa: E402
 from synth3dlanes.scene import Scene, from_json, to_json  # noqa: E402
 from synth3dlanes.settings import RenderSettings  # noqa: E402
+from synth3dlanes.world import resolve  # noqa: E402
 
 pytestmark = pytest.mark.render
 
@@ -129,7 +129,7 @@ def test_the_scene_records_what_it_was_drawn_with(scene: Scene, library: Library
     assert read.assets == library.assets
     assert (scene.sky, scene.surface.road_texture, {car.model for car in scene.cars}) == (1, 1, {1})
     require_assets(read.assets, library, "scene.json")
-    with pytest.raises(InputError, match=r"scene.json: expected cars 'box' with digest \w+; there is no --assets"):
+    with pytest.raises(InputError, match=r"scene.json: expected cars 'box' with digest \w+; no folder of assets"):
         require_assets(read.assets, BUILT_IN, "scene.json")
     with pytest.raises(FormatError, match=r"cars.0.model: expected at most 1, got 2"):
         from_json(to_json(scene).replace('"model":1', '"model":2', 1), "scene.json")
@@ -144,9 +144,9 @@ def test_samples_of_other_assets_do_not_mix(library: Library) -> None:
 
 
 def test_wheels_touch_the_road_and_trees_the_ground(scene: Scene, library: Library) -> None:
-    studio = renderer.studio(library)
-    placed = build(studio, scene)
-    ground = Ground(RoadPlan(scene))
+    world = resolve(scene)
+    light = daylight(scene, world.view.eye_world[2])
+    placed, ground = build(renderer.studio(library), world, world.view, light), world.ground
     for item in placed[: len(scene.cars)]:
         points = points_of(item.mesh)
         tyres = points[points[:, 2] < 1e-3] * item.scale
@@ -160,11 +160,10 @@ def test_wheels_touch_the_road_and_trees_the_ground(scene: Scene, library: Libra
 
 def test_rendered_twice_with_ours_in_between(scene: Scene, library: Library) -> None:
     settings = RenderSettings(2, ("semantic", "instance"))
-    labels = ground_truth(scene)
-    first = renderer.render(scene, labels, settings, library)
+    first = take_picture(resolve(scene), settings, library)
     ours = scene.model_copy(update={"assets": BUILT_IN.assets, "sky": 0})
-    between = renderer.render(ours, labels, settings)
-    again = renderer.render(scene, labels, settings, library)
+    between = take_picture(resolve(ours), settings)
+    again = take_picture(resolve(scene), settings, library)
     np.testing.assert_array_equal(first.image, again.image)
     assert np.abs(first.image.astype(int) - between.image).mean() > 5
     semantic, instance = first.passes["semantic"], first.passes["instance"]
@@ -183,10 +182,10 @@ def test_paint_is_the_scenes_and_glass_its_own(scene: Scene, library: Library) -
 
 
 def test_the_sky_is_turned_to_the_sun_and_as_bright_as_ours(scene: Scene, folder: Path, library: Library) -> None:
-    sky = load_sky(folder / "skies" / "evening.hdr", library.assets.skies[0].sun_azimuth_rad)
+    sky = prepare_sky(read_sky(folder / "skies" / "evening.hdr"), library.assets.skies[0].sun_azimuth_rad)
     clear = scene.model_copy(update={"air": scene.air.model_copy(update={"visibility_m": 1e6, "overcast": 0.0})})
-    light = daylight(clear)
-    upper = hung(sky, clear, light)[:, HORIZON:]
+    light = daylight(clear, clear.camera.height_m)
+    upper = hang(sky, clear, light)[:, HORIZON:]
     assert LUMINANCE @ irradiance(upper) == pytest.approx(LUMINANCE @ irradiance(light.sky[:, HORIZON:]), rel=0.02)
     row = upper.sum(axis=0)[np.unravel_index(upper.sum(axis=0).argmax(), upper.shape[1:])[0]]
     brightest = AZIMUTH_RAD[np.flatnonzero(row > 0.95 * row.max())].mean()

@@ -1,4 +1,4 @@
-"""Sun and sky as Blender's: the daylight of `sky.py` as one equirectangular image and a lamp."""
+"""Sun, sky and haze as Blender's: the daylight as one equirectangular image and a lamp."""
 
 from collections.abc import Sequence
 
@@ -6,9 +6,11 @@ import bpy
 import mathutils
 import numpy as np
 
-from synth3dlanes.blender.own_sky import OwnSky, hung
 from synth3dlanes.blender.shaders import Graph
-from synth3dlanes.blender.sky import KOSCHMIEDER, SKY_SHAPE, daylight, sun_direction
+from synth3dlanes.imaging.daylight import Daylight
+from synth3dlanes.imaging.haze import KOSCHMIEDER
+from synth3dlanes.imaging.sky import SKY_SHAPE, sun_direction
+from synth3dlanes.imaging.user_sky import UserSky, hang
 from synth3dlanes.scene import Scene
 
 SUN_ANGLE_RAD = 0.0093  # the sun's diameter
@@ -52,11 +54,10 @@ def add_haze() -> None:
     aov.name, aov.type = HAZE_PASS, "COLOR"
 
 
-def set_light(scene: Scene, skies: Sequence[OwnSky]) -> None:
+def set_light(scene: Scene, light: Daylight, skies: Sequence[UserSky]) -> None:
     """Point and colour the sun, repaint the sky and set the air for one scene."""
-    light = daylight(scene)
     pixels = np.ones((*SKY_SHAPE, 4), np.float32)
-    sky = hung(skies[scene.sky - 1], scene, light) if scene.sky else light.sky
+    sky = hang(skies[scene.sky - 1], scene, light) if scene.sky else light.sky
     pixels[..., :3] = np.moveaxis(sky, 0, -1)
     image = bpy.data.images["sky"]
     image.pixels.foreach_set(pixels.ravel())

@@ -4,24 +4,14 @@ Equirectangular in Blender's layout: bottom row first, azimuth falling from pi t
 """
 
 from dataclasses import dataclass
-from pathlib import Path
 
-import bpy
 import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import gaussian_filter
 
-from synth3dlanes.blender.sky import (
-    AZIMUTH_RAD,
-    ELEVATION_RAD,
-    HORIZON,
-    LUMINANCE,
-    SKY_SHAPE,
-    Daylight,
-    irradiance,
-    seen_through_haze,
-)
-from synth3dlanes.errors import FormatError
+from synth3dlanes.imaging.daylight import Daylight
+from synth3dlanes.imaging.haze import seen_through_haze
+from synth3dlanes.imaging.sky import AZIMUTH_RAD, ELEVATION_RAD, HORIZON, LUMINANCE, SKY_SHAPE, irradiance
 from synth3dlanes.scene import Scene
 
 # The lamp is the sun: what is brighter than so many times the sky's median is dimmed to that.
@@ -30,38 +20,18 @@ SPOT_PX = 4.0  # the sky's picture is blurred by that before its brightest spot 
 
 
 @dataclass(frozen=True, eq=False)
-class OwnSky:
+class UserSky:
     """Radiance above the horizon per unit of its luminous irradiance, and where in the picture the sun stands."""
 
     upper: Float[np.ndarray, "3 h w"]
     sun_azimuth_rad: float
 
 
-def read_sky(path: Path) -> Float[np.ndarray, "3 h w"]:
-    """The picture's upper half at the size of our dome; raise FormatError where it is none."""
-    image = bpy.data.images.load(str(path))
-    try:
-        width, height = image.size
-        if width == 0:
-            raise FormatError(f"{path.name}: expected a picture, cannot read it")
-        if width != 2 * height:
-            raise FormatError(f"{path.name}: expected twice as wide as high (equirectangular), got {width}x{height}")
-        pixels = np.zeros(width * height * image.channels, dtype=np.float32)
-        image.pixels.foreach_get(pixels)
-    finally:
-        bpy.data.images.remove(image)
-    upper = pixels.reshape(height, width, -1)[height // 2 :, :, :3]
-    if not np.isfinite(upper).all() or upper.min() < 0 or upper.max() <= 0:
-        raise FormatError(f"{path.name}: expected light above the horizon, got black, negative or infinite values")
-    return _resized(np.moveaxis(upper, -1, 0), HORIZON, SKY_SHAPE[1])
-
-
-def load_sky(path: Path, sun_azimuth_rad: float) -> OwnSky:
+def prepare_sky(upper: Float[np.ndarray, "3 h w"], sun_azimuth_rad: float) -> UserSky:
     """The sky without its sun's disc, at unit brightness."""
-    upper = read_sky(path)
     luminance = np.tensordot(LUMINANCE, upper, 1)
     upper = upper * np.minimum(1, BRIGHTEST * np.median(luminance) / np.maximum(luminance, 1e-9))
-    return OwnSky(upper / (LUMINANCE @ irradiance(upper)), sun_azimuth_rad)
+    return UserSky(upper / (LUMINANCE @ irradiance(upper)), sun_azimuth_rad)
 
 
 def brightest_azimuth(upper: Float[np.ndarray, "3 h w"]) -> float:
@@ -71,7 +41,7 @@ def brightest_azimuth(upper: Float[np.ndarray, "3 h w"]) -> float:
     return float(AZIMUTH_RAD[spots.max(axis=0).argmax()])
 
 
-def hung(sky: OwnSky, scene: Scene, light: Daylight) -> Float[np.ndarray, "3 H W"]:
+def hang(sky: UserSky, scene: Scene, light: Daylight) -> Float[np.ndarray, "3 H W"]:
     """The dome of `light` with the sky's picture above the horizon, behind the scene's haze."""
     turn_rad = scene.light.sun_azimuth_rad - sky.sun_azimuth_rad
     # Azimuth falls along the columns.
@@ -82,8 +52,11 @@ def hung(sky: OwnSky, scene: Scene, light: Daylight) -> Float[np.ndarray, "3 H W
     return np.concatenate([light.sky[:, :HORIZON], upper.astype(np.float32)], axis=1)
 
 
-def _resized(upper: Float[np.ndarray, "3 a b"], height: int, width: int) -> Float[np.ndarray, "3 h w"]:
-    """Means over the pixels that fall together, or the nearest pixel where there are too few."""
+def resized(
+    upper: Float[np.ndarray, "3 a b"], height: int = HORIZON, width: int = SKY_SHAPE[1]
+) -> Float[np.ndarray, "3 h w"]:
+    """At the size of the dome's upper half: means over the pixels that fall together, or the nearest pixel where there
+    are too few."""
     for axis, size in ((1, height), (2, width)):
         n = upper.shape[axis]
         at = (np.arange(size) * n) // size
