@@ -51,8 +51,8 @@ def train(
     Several GPUs: torchrun --nproc-per-node 8 -m synth3dlanes_cli.main train ...
     """
     _need_torch()
-    from baseline_model.config import overrides_from, train_config
-    from baseline_model.train import train as run
+    from synth3dlanes_baseline.config import overrides_from, train_config
+    from synth3dlanes_baseline.train import train as run
 
     named: dict[str, Any] = {"epochs": epochs, "batch": batch, "pretrained": pretrained}
     given = {name: value for name, value in named.items() if value is not None}
@@ -70,7 +70,7 @@ def train(
 def predict(checkpoint: Path, source: str, out: Path, intrinsics: str | None, overlays: int, device: str) -> None:
     """Detect lanes; write OUT/predictions.jsonl and pictures of image and 3D, truth blue, detections red."""
     _need_torch()
-    from baseline_model.predict import predict as run
+    from synth3dlanes_baseline.predict import predict as run
 
     click.echo(run(checkpoint, source, out, _intrinsics(intrinsics), overlays, device))
 
@@ -101,10 +101,10 @@ def evaluate(
     _need_torch()
     import json
 
-    from baseline_model import evaluate as scoring
-    from baseline_model import report as reporting
-    from baseline_model.metrics import MetricConfig
-    from baseline_model.statistics import describe_targets
+    from synth3dlanes_baseline import evaluate as scoring
+    from synth3dlanes_baseline import report as reporting
+    from synth3dlanes_baseline.metrics import MetricConfig
+    from synth3dlanes_baseline.statistics import describe_targets
 
     if checkpoint is not None and predictions is not None:
         raise click.UsageError("expected --checkpoint or --predictions, got both")
@@ -139,8 +139,8 @@ def ablation(
     count passes over the largest size; OUT/curve.png shows the curve.
     """
     _need_torch()
-    from baseline_model import ablation as comparing
-    from baseline_model.config import overrides_from
+    from synth3dlanes_baseline import ablation as comparing
+    from synth3dlanes_baseline.config import overrides_from
 
     if rows and sizes is not None:
         raise click.UsageError("expected --row or --sizes, got both")
@@ -157,7 +157,7 @@ def ablation(
 def onnx(checkpoint: Path, path: Path) -> None:
     """Write a checkpoint's network as ONNX: inputs image and intrinsics, outputs x_m, z_m, score, pose."""
     _need_torch()
-    from baseline_model.onnx_export import export_onnx
+    from synth3dlanes_baseline.onnx_export import export_onnx
 
     click.echo(export_onnx(checkpoint, path))
 
