@@ -55,6 +55,7 @@ class Layout(Part):
 
     format: str
     version: Annotated[int, Field(strict=True)]
+    license: str = ""
     generator: str
     seed: Any
     params: Any
