@@ -109,7 +109,8 @@ def test_the_index_has_every_page() -> None:
     assert {path.name for pattern in ("*.md", "*.schema.json") for path in DOCS.glob(pattern)} - {"README.md"} <= linked
 
 
-def test_the_changelog_knows_this_version() -> None:
+def test_the_changelog_and_the_citation_know_this_version() -> None:
     from synth3dlanes import __version__
 
     assert f"## [{__version__}]" in (ROOT / "CHANGELOG.md").read_text()
+    assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text()
