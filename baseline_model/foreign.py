@@ -13,10 +13,11 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from PIL import Image, UnidentifiedImageError
 
-from baseline_model.poses import Pose, road_from_cam
 from synth3dlanes.errors import FormatError
 from synth3dlanes.frames import project
 from synth3dlanes.labels import CameraLabel, Kind, Labels, Lane, LaneGraph
+
+from .poses import Pose, road_from_cam
 
 APOLLO_SIZE_PX = (1920, 1080)
 APOLLO_IMG_FROM_CAM = ((2015.0, 960.0, 0.0), (0.0, 540.0, -2015.0), (0.0, 1.0, 0.0))

@@ -4,14 +4,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from baseline_model.data import LabelledImage, Samples
-from baseline_model.foreign import ApolloSplit, OpenLaneSplit, is_openlane
-from baseline_model.tusimple import TusimpleSplit, is_tusimple
 from synth3dlanes.dataset.address import connect, naming
 from synth3dlanes.dataset.format import Sample
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.upright import upright_image, upright_labels
 from synth3dlanes.labels import Labels
+
+from .data import LabelledImage, Samples
+from .foreign import ApolloSplit, OpenLaneSplit, is_openlane
+from .tusimple import TusimpleSplit, is_tusimple
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,12 +15,13 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image, UnidentifiedImageError
 
-from baseline_model.foreign import MALFORMED, ForeignSample
-from baseline_model.lanes import Detection, Prediction
-from baseline_model.poses import Pose, road_from_cam
 from synth3dlanes.errors import FormatError
 from synth3dlanes.frames import project, transform
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph
+
+from .foreign import MALFORMED, ForeignSample
+from .lanes import Detection, Prediction
+from .poses import Pose, road_from_cam
 
 SIZE_PX = (1280, 640)
 CROP_TOP_PX = 80

@@ -11,7 +11,13 @@ from .options import assets_option, device_option, open_assets
 @click.command()
 @click.argument("folder", metavar="DIR/SPLIT")
 @click.option("--vary", metavar="PATH=VALUES", required=True, help="The factor and its values: light.exposure=1,2,3")
-@click.option("--out", metavar="DIR", type=click.Path(file_okay=False, path_type=Path), required=True)
+@click.option(
+    "--out",
+    metavar="DIR",
+    type=click.Path(file_okay=False, path_type=Path),
+    required=True,
+    help="The folder to write them to.",
+)
 @click.option("--n", type=click.IntRange(min=1), default=10, help="The first so many scenes of the split.")
 @click.option("--workers", metavar="N|auto", type=Workers(), default="auto", help="Processes; auto: one per core.")
 @device_option

@@ -177,7 +177,8 @@ def test_blocks_and_inline_commands(page: Path) -> None:
     for word in re.findall(r"`make (\w+)`", prose):
         parse(["make", word])
     for module in re.findall(r"python -m (\S+?)`", prose):
-        assert (ROOT / f"{module.replace('.', '/')}.py").exists()
+        path = ROOT / module.replace(".", "/")
+        assert path.with_suffix(".py").exists() or (path / "__main__.py").exists()
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     for named in re.findall(r"(?<=\.)\[([a-z,]+)\]", page.read_text()):
         assert set(named.split(",")) <= set(extras)

@@ -11,6 +11,8 @@ PROBE = "import sys; import {}; print(*sorted({{'bpy', 'torch', 'matplotlib', 'p
 @pytest.mark.parametrize(
     ("module", "allowed"),
     [
+        ("synth3dlanes", set()),
+        ("synth3dlanes.api", {"pyarrow"}),
         ("synth3dlanes_cli.main", set()),
         ("synth3dlanes.geometry.lanes", set()),
         ("synth3dlanes.sample", set()),

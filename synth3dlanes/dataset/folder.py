@@ -7,7 +7,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import IO, Any
 
-from synth3dlanes.dataset.format import DATASET_FORMAT, DATASET_VERSION, parse_description
+from synth3dlanes.dataset.format import DATA_LICENSE, DATASET_FORMAT, DATASET_VERSION, parse_description
 from synth3dlanes.dataset.write import write_whole
 from synth3dlanes.errors import FormatError, InputError
 
@@ -65,8 +65,13 @@ def _enter(root: Path, recipe: dict[str, Any], split: str, n: int) -> None:
 
 
 def description_bytes(found: dict[str, Any] | None, recipe: dict[str, Any], split: str, n: int, where: str) -> bytes:
-    """`dataset.json` once a split of `n` is asked for; raise InputError where another recipe is `found` there."""
-    asked = {"format": DATASET_FORMAT, "version": DATASET_VERSION, **recipe}
+    """`dataset.json` once a split of `n` is asked for; raise InputError where another recipe is `found` there.
+
+    A data set keeps the licence that it has. A new one made with a user's own assets gets none: theirs is not known.
+    """
+    new = {} if any(recipe.get("assets", {}).values()) else {"license": DATA_LICENSE}
+    licence = {key: value for key, value in (found or new).items() if key == "license"}
+    asked = {"format": DATASET_FORMAT, "version": DATASET_VERSION, **licence, **recipe}
     recipe_found, before = dict(found or {}), {}
     if found is not None:
         before = dict(recipe_found.pop("splits", {}))
@@ -88,7 +93,9 @@ def read_description(root: Path) -> dict[str, Any]:
 
 
 def differences(found: Any, asked: Any, name: str = "") -> Iterator[str]:
-    """A line for every key of a recipe that differs from what a data set has."""
+    """A line for every key of a recipe that differs from what a data set has; one of the two may have no licence."""
+    if name == "license" and None in (found, asked):
+        return
     if isinstance(found, dict) and isinstance(asked, dict):
         for key in [*found, *(key for key in asked if key not in found)]:
             yield from differences(found.get(key), asked.get(key), f"{name}.{key}" if name else key)

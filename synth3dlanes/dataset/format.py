@@ -21,6 +21,8 @@ from synth3dlanes.labels import Labels
 
 DATASET_FORMAT = "synth3dlanes.dataset"
 DATASET_VERSION = 1
+# Of the images and labels that are made with the built-in assets.
+DATA_LICENSE = "CC0-1.0"
 IMAGE_FORMATS = ("jpg", "png")
 JPEG_QUALITY = 95
 SCENE, LABELS, PASSES, HEIGHT = "scene.json", "labels.json", "passes.exr", "height.exr"
@@ -191,9 +193,9 @@ def parse_description(data: bytes, where: str) -> dict[str, Any]:
 
 
 def recipe_text(description: Mapping[str, Any]) -> str:
-    """What `dataset.json` says about how samples are made, all but its version and its splits; equal recipes give
+    """What `dataset.json` says about how samples are made, all but its version, licence and splits; equal recipes give
     equal text."""
-    recipe = {key: value for key, value in description.items() if key not in ("format", "version", "splits")}
+    recipe = {key: value for key, value in description.items() if key not in ("format", "version", "license", "splits")}
     # Through JSON, so that a tuple equals the list that it is read back as; 3.0 equals 3.
     canonical = json.loads(json.dumps(recipe), parse_float=_whole)
     return json.dumps(canonical, sort_keys=True, separators=(",", ":"))

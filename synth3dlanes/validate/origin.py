@@ -56,6 +56,7 @@ class Layout(Part):
 
     format: str
     version: Annotated[int, Field(strict=True)]
+    license: str = ""
     generator: str
     seed: Any
     params: Any

@@ -22,8 +22,8 @@ def _blank(path, size):
 
 
 def test_apollo_round_trip(labels, tmp_path):
-    from baseline_model.foreign import ApolloSplit
-    from baseline_model.sources import open_split
+    from synth3dlanes_baseline.foreign import ApolloSplit
+    from synth3dlanes_baseline.sources import open_split
 
     pitch, height = labels.camera.pitch_rad, labels.camera.height_m / np.cos(labels.camera.pitch_rad)
     cos, sin = np.cos(pitch), np.sin(pitch)
@@ -51,8 +51,8 @@ def test_apollo_round_trip(labels, tmp_path):
 
 
 def test_openlane_round_trip(labels, tmp_path):
-    from baseline_model.foreign import OpenLaneSplit
-    from baseline_model.sources import open_split
+    from synth3dlanes_baseline.foreign import OpenLaneSplit
+    from synth3dlanes_baseline.sources import open_split
 
     cos, sin = np.cos(labels.camera.pitch_rad), np.sin(labels.camera.pitch_rad)
     key = "validation/segment-1/100.jpg"
@@ -81,7 +81,8 @@ def test_openlane_round_trip(labels, tmp_path):
 
 
 def test_foreign_frames_that_are_broken_are_refused(tmp_path):
-    from baseline_model.sources import open_split
+    from synth3dlanes_baseline.sources import open_split
+
     from synth3dlanes.errors import FormatError
 
     path = tmp_path / "train.json"
@@ -95,9 +96,10 @@ def test_foreign_frames_that_are_broken_are_refused(tmp_path):
 @pytest.fixture
 def tusimple(roads, tmp_path):
     """Two straight lines and a bent one on the fixed plane, as their x at rows 160, 170, ..., 710."""
-    from baseline_model.lanes import Detection
-    from baseline_model.poses import cam_from_road
-    from baseline_model.tusimple import POSE, image_line
+    from synth3dlanes_baseline.lanes import Detection
+    from synth3dlanes_baseline.poses import cam_from_road
+    from synth3dlanes_baseline.tusimple import POSE, image_line
+
     from synth3dlanes.frames import transform
 
     rows = np.arange(160.0, 711.0, 10.0)
@@ -114,9 +116,9 @@ def tusimple(roads, tmp_path):
 
 
 def test_tusimple_lines_go_to_the_plane_and_back(tusimple):
-    from baseline_model.lanes import Detection, Prediction
-    from baseline_model.sources import open_split
-    from baseline_model.tusimple import TusimpleSplit, mean_accuracy
+    from synth3dlanes_baseline.lanes import Detection, Prediction
+    from synth3dlanes_baseline.sources import open_split
+    from synth3dlanes_baseline.tusimple import TusimpleSplit, mean_accuracy
 
     split = open_split(tusimple)
     assert isinstance(split, TusimpleSplit)
@@ -129,13 +131,13 @@ def test_tusimple_lines_go_to_the_plane_and_back(tusimple):
 
 
 def test_tusimple_model_learns_only_delimiters_without_height(tusimple):
-    from baseline_model.anchors import encode
-    from baseline_model.config import MODELS
-    from baseline_model.curves import road_curves
-    from baseline_model.data import pack
-    from baseline_model.model import LaneNet
-    from baseline_model.projection import road_from_cam
-    from baseline_model.sources import open_split
+    from synth3dlanes_baseline.anchors import encode
+    from synth3dlanes_baseline.config import MODELS
+    from synth3dlanes_baseline.curves import road_curves
+    from synth3dlanes_baseline.data import pack
+    from synth3dlanes_baseline.model import LaneNet
+    from synth3dlanes_baseline.projection import road_from_cam
+    from synth3dlanes_baseline.sources import open_split
 
     config = MODELS["tusimple"]
     assert LaneNet(config).head.out.out_channels == 7, "K + 1 per anchor"
@@ -148,7 +150,7 @@ def test_tusimple_model_learns_only_delimiters_without_height(tusimple):
 
 
 def test_tusimple_accuracy_by_hand():
-    from baseline_model.tusimple import accuracy
+    from synth3dlanes_baseline.tusimple import accuracy
 
     rows = list(range(160, 711, 50))
     upright = [600.0] * len(rows)
@@ -168,10 +170,10 @@ def test_tusimple_accuracy_by_hand():
 
 def test_vgg16_weights_from_files(tmp_path):
     import h5py
+    from synth3dlanes_baseline.backbone import IMAGE_STD, ImagePathway
+    from synth3dlanes_baseline.config import PAPER
+    from synth3dlanes_baseline.pretrained import load_vgg16
 
-    from baseline_model.backbone import IMAGE_STD, ImagePathway
-    from baseline_model.config import PAPER
-    from baseline_model.pretrained import load_vgg16
     from synth3dlanes.errors import FormatError, InputError
 
     channels = [3, 64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512]

@@ -13,7 +13,8 @@ N = 3
 @pytest.fixture(scope="module")
 def split_of(tmp_path_factory):
     """Writes scenes of one seed to a split, their cameras rolled or not, and opens it as training does."""
-    from baseline_model.sources import open_split
+    from synth3dlanes_baseline.sources import open_split
+
     from synth3dlanes import scene as scene_format
     from synth3dlanes.dataset.folder import claim
     from synth3dlanes.dataset.format import encode, member_names
@@ -48,7 +49,7 @@ def _picture(labels):
 
 
 def test_targets_of_a_rolled_image_are_those_of_the_same_scene_without_roll(split_of):
-    from baseline_model.data import load
+    from synth3dlanes_baseline.data import load
 
     shift = "camera.principal_offset_px=[-8, 8]"
     level, rolled = (
@@ -71,7 +72,7 @@ def test_the_index_gives_keys_and_labels_without_pictures(split_of):
 
 
 def test_without_a_validation_split_every_tenth_sample_is_held_out(tmp_path, monkeypatch):
-    from baseline_model import sources
+    from synth3dlanes_baseline import sources
 
     monkeypatch.setattr(sources, "open_split", lambda place: list(range(25)) if place.endswith("train") else ["val"])
     train, val = sources.training_and_validation(str(tmp_path), "train", "val", None)
@@ -84,7 +85,8 @@ def test_without_a_validation_split_every_tenth_sample_is_held_out(tmp_path, mon
 
 
 def test_a_validation_split_that_is_damaged_is_an_error_and_not_missing(split_of):
-    from baseline_model.sources import training_and_validation
+    from synth3dlanes_baseline.sources import training_and_validation
+
     from synth3dlanes.errors import FormatError
 
     root = Path(split_of().reader.url).parent
