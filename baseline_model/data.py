@@ -30,7 +30,7 @@ N_DECODERS = 8
 
 @runtime_checkable
 class LabelledImage(Protocol):
-    """What a reader yields (`synth3dlanes.dataset.read.Sample`, `baseline_model.foreign`)."""
+    """What a reader yields (`synth3dlanes.dataset.read.Sample`, `synth3dlanes.formats.reading.ForeignSample`)."""
 
     @property
     def key(self) -> str: ...

@@ -11,7 +11,7 @@ from baseline_model.inference import choose_device, predict_samples
 from baseline_model.lanes import Prediction, read_predictions
 from baseline_model.metrics import Evaluation, MetricConfig, Report
 from baseline_model.sources import open_split
-from baseline_model.tusimple import TusimpleSplit, mean_accuracy
+from baseline_model.tusimple import TusimpleOnPlane, mean_accuracy
 from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels
 
@@ -61,7 +61,7 @@ def score(predictions: Iterable[Prediction], samples: Samples, config: MetricCon
     """Score predictions that come in the order of the samples."""
     config = config or MetricConfig()
     tusimple = None
-    if isinstance(samples, TusimpleSplit):
+    if isinstance(samples, TusimpleOnPlane):
         predictions = list(predictions)
         tusimple = mean_accuracy(predictions, samples, config.threshold)
     evaluation = Evaluation(config)

@@ -18,8 +18,8 @@ def export(source: str, format_name: str, out: Path, is_verified: bool, workers:
     """
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
-    from synth3dlanes.export.run import export as export_dataset
-    from synth3dlanes.export.verify import verify
+    from synth3dlanes.formats.export import export as export_dataset
+    from synth3dlanes.formats.verify import verify
 
     with Progress("frames", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()) as bar:
         task = bar.add_task("", total=None)

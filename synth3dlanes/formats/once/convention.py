@@ -1,0 +1,6 @@
+"""ONCE-3DLanes' camera and folder. Points are in the OpenCV camera frame (`_cv`), metres, far to near."""
+
+from synth3dlanes.formats.writing import Pinhole
+
+CAMERA = Pinhole(1920, 1020, 2015.0)
+ROOT = "ONCE_3DLanes"
