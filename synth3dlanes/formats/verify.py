@@ -13,4 +13,8 @@ CHECKS = {"apollo": apollo.verify, "openlane": openlane.verify, "once": once.ver
 
 def verify(out: Path, format_name: str, most_frames: int) -> tuple[Verified, ...]:
     """Score at most the first `most_frames` frames of every list of an export."""
-    return tuple(CHECKS[format_name](out, most_frames))
+    verified = tuple(CHECKS[format_name](out, most_frames))
+    if not any(result.n_lines for result in verified):
+        problem = f"{out}: expected lane lines to score, found none"
+        return (*verified, Verified("all lists", 0, 0, {}, {}, (problem,)))
+    return verified

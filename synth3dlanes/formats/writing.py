@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -13,6 +14,9 @@ from synth3dlanes.labels import Labels
 CV_FROM_CAM = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """OpenCV's camera axes (frame `_cv`: x right, y down, z forward) from ours."""
 DECIMALS = 6
+
+Part = Literal["train", "val", "test"]
+PARTS: tuple[Part, ...] = ("train", "val", "test")
 
 
 @dataclass(frozen=True)
@@ -35,15 +39,31 @@ class Pinhole:
 
 @dataclass(frozen=True)
 class Frame:
-    """One of our images and what decides where a format files it: `key` counts within `split`, `number` within the
-    export, `tags` name the kind of scene, `illumination` is 0 (dark) to 2 (bright)."""
+    """One of our images and what decides how a format files and labels it: `key` counts within `split`, `number` within
+    the export. It is used for `part`; `parts` are all that the data set has. `pinhole` is the camera of the exported
+    image. `yellow` and `double` name the delimiters painted so; `tags` the kinds of scene; `illumination` is 0 (dark)
+    to 2 (bright)."""
 
     split: str
     key: str
     number: int
-    is_train: bool
+    part: Part
+    parts: frozenset[Part]
+    pinhole: Pinhole
     tags: frozenset[str]
     illumination: int
+    yellow: frozenset[str] = frozenset()
+    double: frozenset[str] = frozenset()
+
+    @property
+    def is_train(self) -> bool:
+        """Whether networks train on it."""
+        return self.part == "train"
+
+    def serves_as(self, part: Part) -> bool:
+        """Whether tools that open this part find the frame: where a data set has val frames only or test frames only,
+        they serve as both."""
+        return part == self.part or (not self.is_train and part != "train" and part not in self.parts)
 
 
 @dataclass(frozen=True)
@@ -60,10 +80,16 @@ class Annotation:
 
 @dataclass(frozen=True)
 class Format:
-    """One foreign format: the camera that its tools assume, the README of an export, links within it, and the function
-    that writes one frame; that returns None where the format has no place for the frame."""
+    """One foreign format: the camera of its images, the README of an export, links within it, and the function that
+    writes one frame; that returns None where the format has no place for the frame.
+
+    Where labels carry intrinsics, a frame that is too narrow for the camera gets a longer focal length of its own.
+    `lists` are files that tools open even where no frame belongs there.
+    """
 
     camera: Pinhole
+    has_intrinsics: bool
     readme: str
-    links: Mapping[str, str]
     annotate: Callable[[Labels, Frame], Annotation | None]
+    links: Mapping[str, str] = field(default_factory=dict)
+    lists: tuple[str, ...] = ()

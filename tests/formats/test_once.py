@@ -4,16 +4,20 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 
 from synth3dlanes.formats.once import write
 from synth3dlanes.formats.once.read import parse
+from synth3dlanes.formats.writing import Pinhole
 from tests.formats import closed_form as cf
 from tests.formats.random_roads import ROUNDING_M, cameras, distance_to_lane_m, roads
 
+FRAME = cf.frame(Pinhole(1920, 1020, 2015.0))
 
-def once_frame(labels, frame=cf.FRAME):
-    (text,) = write.annotate(labels, frame).files.values()
+
+def once_frame(labels, frame=FRAME):
+    text, *_ = write.annotate(labels, frame).files.values()
     return parse(text, "test")
 
 
@@ -39,19 +43,43 @@ def test_once_axes_are_right_down_forward():
     assert points_cv[0, 2] > 90 > 10 > points_cv[-1, 2] > 0
 
 
-def test_once_layout_avoids_the_words_that_loaders_replace():
-    for is_train, part in ((True, "train"), (False, "val")):
-        annotation = write.annotate(cf.labels_of(cf.camera_label()), replace(cf.FRAME, is_train=is_train))
-        ((path, text),) = annotation.files.items()
-        assert path == f"ONCE_3DLanes/{part}/000000/cam01/00000017.json"
-        assert path.replace(part, "data").replace(".json", ".jpg") == annotation.image
+@pytest.mark.parametrize(
+    ("part", "parts", "folders"),
+    [
+        ("train", {"train", "val"}, {"train"}),
+        ("val", {"train", "val"}, {"val", "test"}),
+        ("test", {"train", "test"}, {"val", "test"}),
+        ("val", {"train", "val", "test"}, {"val"}),
+        ("test", {"train", "val", "test"}, {"test"}),
+    ],
+)
+def test_once_layout_is_that_of_its_loaders(part, parts, folders):
+    frame = replace(FRAME, part=part, parts=frozenset(parts))
+    annotation = write.annotate(cf.labels_of(cf.camera_label()), frame)
+    # PersFormer opens train/ and test/, LATR train/ and val/: <folder>/*/*/*.json
+    assert set(annotation.files) == {f"ONCE_3DLanes/{folder}/000000/cam01/00000017.json" for folder in folders}
+    for path, text in annotation.files.items():
+        # The first of these words that is anywhere in the path becomes "data".
+        word = next(word for word in ("train", "val", "test") if word in path)
+        assert path.replace(word, "data").replace(".json", ".jpg") == annotation.image
+        assert "\n" not in text
         assert json.loads(text)["lanes"] == []
         assert np.shape(json.loads(text)["calibration"]) == (3, 4)
+    # Anchor3DLane: data_lists/<part>.txt, lines below raw_data/
+    lines, lists = annotation.shared[1]
+    assert annotation.image == f"ONCE_3DLanes/data/{lines}"
+    assert set(lists) == {f"data_lists/{folder}.txt" for folder in folders}
+
+
+def test_once_calibration_is_the_frames_own():
+    frame = replace(FRAME, pinhole=Pinhole(1920, 1020, 1200.0))
+    found = once_frame(cf.labels_of(cf.camera_label()), frame)
+    np.testing.assert_array_equal(found.img_from_cv, [[1200, 0, 960, 0], [0, 1200, 510, 0], [0, 0, 1, 0]])
 
 
 def test_once_leaves_out_what_its_evaluator_cannot_assign():
     camera = cf.camera_label()
     labels = cf.labels_of(camera, cf.lane(camera, cf.curve(2.0)), cf.lane(camera, cf.curve(4.0, start_m=30.0), "far"))
-    annotation = write.annotate(labels, cf.FRAME)
+    annotation = write.annotate(labels, FRAME)
     assert annotation.n_lines == 1
     assert sum(annotation.dropped.values()) == 1

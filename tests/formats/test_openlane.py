@@ -1,19 +1,24 @@
 """OpenLane: frames, pixels, categories, layout, and the way back through our own reader."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 
 from synth3dlanes.formats.openlane import write
 from synth3dlanes.formats.openlane.convention import ground_from_waymo, vehicle_from_cam_waymo
 from synth3dlanes.formats.openlane.read import parse
+from synth3dlanes.formats.writing import Pinhole
 from tests.formats import closed_form as cf
 from tests.formats.random_roads import ROUNDING_M, cameras, roads
 
+FRAME = cf.frame(Pinhole(1920, 1280, 2015.0))
 
-def openlane_frame(labels, frame=cf.FRAME):
+
+def openlane_frame(labels, frame=FRAME):
     (text,) = write.annotate(labels, frame).files.values()
     return parse(text, "test")
 
@@ -69,7 +74,7 @@ def test_openlane_categories_attributes_and_ids():
     # The middle line runs under the camera (x = 0), which counts as right.
     assert [line.attribute for line in by_x] == [1, 2, 3, 4, 0]
     assert len({line.track_id for line in by_x}) == 5
-    other = openlane_frame(cf.road(cf.camera_label()), replace(cf.FRAME, number=18))
+    other = openlane_frame(cf.road(cf.camera_label()), replace(FRAME, number=18))
     assert not {line.track_id for line in by_x} & {line.track_id for line in other.lines}
 
 
@@ -83,16 +88,73 @@ def test_openlane_starts_at_the_image_border():
 
 
 def test_openlane_layout():
-    frame = replace(cf.FRAME, is_train=False, tags=frozenset({"curve", "steep"}))
+    frame = replace(FRAME, part="test", tags=frozenset({"curve", "steep"}))
     annotation = write.annotate(cf.road(cf.camera_label()), frame)
-    assert annotation.image == "images/validation/segment-000000/train-00000017.jpg"
+    name = "segment-000000_with_camera_labels/train-00000017"
+    assert annotation.image == f"images/validation/{name}.jpg"
     assert set(annotation.files) == {
-        "lane3d_1000/validation/segment-000000/train-00000017.json",
-        "lane3d_1000/test/curve_case/segment-000000/train-00000017.json",
+        f"lane3d_1000/validation/{name}.json",
+        f"lane3d_1000/test/curve_case/{name}.json",
     }
     for text in annotation.files.values():
         assert "\n" not in text
-        assert json.loads(text)["file_path"] == "validation/segment-000000/train-00000017.jpg"
+        assert json.loads(text)["file_path"] == f"validation/{name}.jpg"
         assert "cam_pitch" not in text
-    listed = ("lists/validation.txt", "lane3d_1000/test/1000_curve_case.txt")
-    assert annotation.shared == (("validation/segment-000000/train-00000017.jpg", listed),)
+    assert annotation.shared == (
+        (f"validation/{name}.jpg", ("lane3d_1000/test/1000_curve.txt", "lists/validation.txt")),
+        (f"validation/{name}", ("data_lists/validation.txt",)),
+    )
+
+
+@pytest.mark.parametrize(
+    ("part", "parts", "folder"),
+    [
+        ("train", {"train", "val", "test"}, "training"),
+        ("val", {"train", "val", "test"}, "validation"),
+        ("test", {"train", "val", "test"}, "test"),
+        ("test", {"train", "test"}, "validation"),
+        ("val", {"train", "val"}, "validation"),
+    ],
+)
+def test_openlane_names_are_those_that_loaders_look_for(part, parts, folder):
+    frame = replace(FRAME, part=part, parts=frozenset(parts), number=1234)
+    annotation = write.annotate(cf.road(cf.camera_label()), frame)
+    # PersFormer takes the segment's name by this expression, and opens every label below the folder.
+    (segment,) = re.findall(r"/segment-(.*)_with_camera_labels", annotation.image)
+    assert segment == "000012"
+    assert annotation.image.startswith(f"images/{folder}/segment-")
+    # Anchor3DLane finds labels by seg*/*.json, and names by what stands before the first dot.
+    (path,) = annotation.files
+    assert re.fullmatch(rf"lane3d_1000/{folder}/seg[^/.]*/[^/.]*\.json", path)
+    # Evaluators replace "jpg" in lines of the list.
+    assert path == f"lane3d_1000/{annotation.shared[0][0].replace('jpg', 'json')}"
+
+
+def test_openlane_categories_are_those_of_the_paint():
+    # OpenLane: 1 white-dash, 2 white-solid, 3 double-white-dash, 4 double-white-solid; 7 to 10 the same in yellow.
+    expected = {
+        ("dashed", False, False): 1,
+        ("solid", False, False): 2,
+        ("dashed", False, True): 3,
+        ("solid", False, True): 4,
+        ("dashed", True, False): 7,
+        ("solid", True, False): 8,
+        ("dashed", True, True): 9,
+        ("solid", True, True): 10,
+        ("none", True, True): 0,
+    }
+    camera = cf.camera_label()
+    for (marking, is_yellow, is_double), category in expected.items():
+        labels = cf.labels_of(camera, cf.lane(camera, cf.curve(2.0), "d0", marking=marking))
+        ids = frozenset({"d0"})
+        frame = replace(FRAME, yellow=ids if is_yellow else ids - ids, double=ids if is_double else ids - ids)
+        assert [line.category for line in openlane_frame(labels, frame).lines] == [category]
+
+
+def test_a_narrow_frame_has_its_own_intrinsics():
+    frame = replace(FRAME, pinhole=Pinhole(1920, 1280, 2500.0))
+    for line in (found := openlane_frame(cf.road(cf.camera_label()), frame)).lines:
+        ahead_m, left_m, up_m = line.xyz_waymo[line.visible].T
+        expected = np.stack([960 - 2500 * left_m / ahead_m, 640 - 2500 * up_m / ahead_m], axis=1)
+        np.testing.assert_allclose(line.uv_img, expected, atol=1e-4)
+    np.testing.assert_array_equal(found.img_from_cv, [[2500, 0, 960], [0, 2500, 640], [0, 0, 1]])

@@ -19,6 +19,8 @@ def verify(out: Path, most_frames: int) -> Iterator[Verified]:
         name = str(path.relative_to(out))
         with path.open() as file:
             frames = [parse(line, name) for line in islice(file, most_frames)]
+        if not frames:
+            continue
         problems = image_problems([out / ROOT / frame.raw_file for frame in frames], CAMERA)
         for kind in ("lane", "center"):
             true = [_lines(frame, is_center=kind == "center") for frame in frames]

@@ -2,6 +2,7 @@
 
 import json
 from collections import Counter
+from collections.abc import Iterable
 
 import numpy as np
 from jaxtyping import Float
@@ -53,17 +54,22 @@ def annotate(labels: Labels, frame: Frame) -> Annotation:
         document |= {name: points, f"{name}_visibility": [line.visible.astype(float).tolist() for line in lines]}
     is_rare, is_held_out = "steep" in frame.tags, frame.illumination == HELD_OUT_ILLUMINATION
     splits = _splits(frame.is_train, is_rare, is_held_out)
-    part = "train" if frame.is_train else "test"
+    # Tools open train and test; val is for people.
+    parts = {frame.part, "test"} if frame.serves_as("test") else {frame.part}
     return Annotation(
         image=f"{ROOT}/{raw_file}",
         n_lines=len(groups["delimiter"]),
         dropped=dropped,
         shared=(
-            (json.dumps(document), tuple(f"data_splits/{split}/{part}.json" for split in splits)),
-            (raw_file, tuple(f"data_lists/{split}/{part}.txt" for split in splits)),
+            (json.dumps(document), _lists("data_splits", splits, parts, "json")),
+            (raw_file, _lists("data_lists", splits, parts, "txt")),
             (_sidecar(labels, frame, raw_file, groups), ("sidecar.jsonl",)),
         ),
     )
+
+
+def _lists(folder: str, splits: Iterable[str], parts: Iterable[str], suffix: str) -> tuple[str, ...]:
+    return tuple(f"{folder}/{split}/{part}.{suffix}" for split in splits for part in sorted(parts))
 
 
 def image_path(frame: Frame) -> str:
@@ -130,4 +136,4 @@ def _sidecar(labels: Labels, frame: Frame, raw_file: str, groups: dict[Kind, tup
     return json.dumps(document)
 
 
-FORMAT = Format(CAMERA, README, {"images": f"{ROOT}/images"}, annotate)
+FORMAT = Format(CAMERA, False, README, annotate, {"images": f"{ROOT}/images"})

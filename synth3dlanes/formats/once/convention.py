@@ -2,5 +2,6 @@
 
 from synth3dlanes.formats.writing import Pinhole
 
-CAMERA = Pinhole(1920, 1020, 2015.0)
+CAMERA = Pinhole(1920, 1020, 958.0)
+"""About the cameras of the original; every label file carries its own intrinsics."""
 ROOT = "ONCE_3DLanes"

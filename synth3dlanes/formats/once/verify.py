@@ -17,6 +17,8 @@ def verify(out: Path, most_frames: int) -> Iterator[Verified]:
     root = out / ROOT
     for path in sorted((root / "list").glob("*.txt")):
         part, names = path.stem, path.read_text().splitlines()[:most_frames]
+        if not names:
+            continue
         true = [parse((root / part / f"{name}.json").read_text(), name).lanes_cv for name in names]
         copies = [[points_cv.copy() for points_cv in lanes] for lanes in true]
         alone = [([points_cv], [points_cv + np.array([SHIFT_M, 0, 0])]) for lanes in true for points_cv in lanes]

@@ -16,20 +16,30 @@ MIN_LENGTH_M = 5.0
 STEP_M = 0.5
 FRAMES_PER_SEGMENT = 100
 UV_DECIMALS = 4
-CATEGORIES = {"none": 0, "dashed": 1, "solid": 2}
-CASES = ("up_down", "curve", "merge_split")
+CASES = {
+    "curve": "1000_curve.txt",
+    "extreme_weather": "1000_extreme_weather.txt",
+    "intersection": "1000_intersection.txt",
+    "merge_split": "1000_merge_split_case.txt",
+    "night": "1000_night.txt",
+    "up_down": "1000_updown.txt",
+}
+"""The lists that evaluation scripts open, by kind of scene."""
 
 README = """OpenLane v1 layout.
 
-- `images/{training,validation}/segment-*/`: 1920x1280, intrinsics per frame (f = 2015, c = (960, 640), pixel
-  corners at whole numbers). `lane3d_1000/{training,validation}/segment-*/`: one JSON a frame, on one line.
-- Lists: `lists/{training,validation}.txt`; `lane3d_1000/test/1000_{up_down,curve,merge_split}_case.txt` with copies
-  of their labels in `lane3d_1000/test/*_case/`. There are no night, weather or intersection scenes.
+- `images/{training,validation}/segment-*_with_camera_labels/`: 1920x1280, intrinsics per frame: c = (960, 640) (pixel
+  corners at whole numbers); f = 2015, or longer where the frame's own field of view is narrower than that.
+- `lane3d_1000/{training,validation}/segment-*/`: one JSON a frame, on one line. Test frames are in `validation`, or in
+  `test` beside the cases where the data set has val frames too.
+- Lists: `lists/*.txt`, and `data_lists/*.txt` for Anchor3DLane; `lane3d_1000/test/1000_*.txt` with copies of the labels
+  in `lane3d_1000/test/*_case/`. There are no night, weather or intersection scenes: these lists are empty.
 - `xyz`: 3 x n, metres, camera frame with Waymo axes (x forward, y left, z up), every 0.5 m or closer, near to far
   from the image border. `extrinsic`: vehicle_from_camera in the same axes, the vehicle's origin at the camera's foot
   on the road plane. `uv`: exact projections of the visible points, in their order.
-- `visibility` is a prefix: terrain hides lanes, cars do not. `category`: 1 white dashed, 2 white solid.
-  `attribute`: 1 to 4 = the lines left-left, left, right, right-right of the camera, 0 all others.
+- `visibility` is a prefix: terrain hides lanes, cars do not. `category`: 1 white dashed, 2 white solid, 3 and 4 the
+  same doubled, 7 to 10 the same four in yellow. `attribute`: 1 to 4 = the lines left-left, left, right, right-right of
+  the camera, 0 all others.
 - `track_id` counts within a segment; every frame is a scene of its own, so no id occurs in two frames.
 - Centre lines are not part of the format. PersFormer caches `.cache/*.pkl` by name: delete it after exporting again.
 """
@@ -38,29 +48,37 @@ README = """OpenLane v1 layout.
 def annotate(labels: Labels, frame: Frame) -> Annotation:
     """The frame's label file, copies for the test cases that it belongs to, and its list entries."""
     dropped = Counter[str]()
-    part = "training" if frame.is_train else "validation"
+    folder = "training" if frame.is_train else "validation" if frame.serves_as("val") else "test"
     segment, place = divmod(frame.number, FRAMES_PER_SEGMENT)
-    # Names must begin with "seg", hold no dot and no "jpg": loaders and evaluators cut and replace there.
-    name = f"segment-{segment:06d}/{frame.split}-{frame.key}"
-    file_path = f"{part}/{name}.jpg"
-    ahead = lines_ahead(labels, CAMERA, "delimiter", STEP_M)
+    # Loaders look for "/segment-(.*)_with_camera_labels"; they cut at the first dot and replace every "jpg".
+    name = f"segment-{segment:06d}_with_camera_labels/{frame.split}-{frame.key}"
+    file_path = f"{folder}/{name}.jpg"
+    ahead = lines_ahead(labels, frame.pinhole, "delimiter", STEP_M)
     lines = _kept(ahead, dropped)
     attributes = _attributes(ahead, labels.camera)
     document = {
         "extrinsic": np.round(vehicle_from_cam_waymo(labels.camera.height_m, labels.camera.pitch_rad), 12).tolist(),
-        "intrinsic": CAMERA.img_from_cv.tolist(),
+        "intrinsic": frame.pinhole.img_from_cv.tolist(),
         "lane_lines": [
-            _line_document(line, attributes[line.id], place * (MAX_LINES + 1) + i + 1) for i, line in enumerate(lines)
+            _line_document(line, frame, attributes[line.id], place * (MAX_LINES + 1) + i + 1)
+            for i, line in enumerate(lines)
         ],
         "file_path": file_path,
     }
     text = json.dumps(document)
-    files, listed = {f"lane3d_1000/{part}/{name}.json": text}, [f"lists/{part}.txt"]
-    for case in CASES:
-        if case in frame.tags and not frame.is_train:
-            files[f"lane3d_1000/test/{case}_case/{name}.json"] = text
-            listed.append(f"lane3d_1000/test/1000_{case}_case.txt")
-    return Annotation(f"images/{file_path}", len(lines), dropped, files, ((file_path, tuple(listed)),))
+    files, listed = {f"lane3d_1000/{folder}/{name}.json": text}, [f"lists/{folder}.txt"]
+    for case in [case for case in CASES if case in frame.tags and not frame.is_train]:
+        files[f"lane3d_1000/test/{case}_case/{name}.json"] = text
+        listed.append(f"lane3d_1000/test/{CASES[case]}")
+    shared = ((file_path, tuple(sorted(listed))), (f"{folder}/{name}", (f"data_lists/{folder}.txt",)))
+    return Annotation(f"images/{file_path}", len(lines), dropped, files, shared)
+
+
+def category(line: Line, frame: Frame) -> int:
+    """1 white dashed, 2 white solid, 3 and 4 the same doubled, 7 to 10 the same four in yellow; 0 unknown."""
+    if line.marking == "none":
+        return 0
+    return 1 + (line.marking == "solid") + 2 * (line.id in frame.double) + 6 * (line.id in frame.yellow)
 
 
 def _kept(ahead: tuple[Line, ...], dropped: Counter[str]) -> tuple[Line, ...]:
@@ -89,16 +107,16 @@ def _attributes(ahead: tuple[Line, ...], camera: CameraLabel) -> dict[str, int]:
     return {line.id: numbered.get(line.id, 0) for line in ahead}
 
 
-def _line_document(line: Line, attribute: int, track_id: int) -> dict[str, Any]:
+def _line_document(line: Line, frame: Frame, attribute: int, track_id: int) -> dict[str, Any]:
     points_cv = np.round(line.points_cv, DECIMALS)
     return {
-        "category": CATEGORIES[line.marking],
+        "category": category(line, frame),
         "visibility": line.visible.astype(float).tolist(),
-        "uv": np.round(CAMERA.project(points_cv[line.visible]), UV_DECIMALS).T.tolist(),
+        "uv": np.round(frame.pinhole.project(points_cv[line.visible]), UV_DECIMALS).T.tolist(),
         "xyz": (points_cv @ CV_FROM_CAM @ WAYMO_FROM_CAM.T + 0.0).T.tolist(),
         "attribute": attribute,
         "track_id": track_id,
     }
 
 
-FORMAT = Format(CAMERA, README, {}, annotate)
+FORMAT = Format(CAMERA, True, README, annotate, lists=tuple(f"lane3d_1000/test/{name}" for name in CASES.values()))

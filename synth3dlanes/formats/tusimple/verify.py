@@ -26,6 +26,8 @@ def verify(out: Path, most_frames: int) -> Iterator[Verified]:
     for path in sorted(out.glob("*label*.json")):
         with path.open() as file:
             frames = [parse(line, path.name) for line in islice(file, most_frames)]
+        if not frames:
+            continue
         true = [frame.lanes_u_px for frame in frames]
         perfect = score([(lanes, lanes.copy()) for lanes in true], ROWS_PX.astype(float))
         shifted = _score_shifted(frames, sidecars)
