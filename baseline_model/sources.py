@@ -8,11 +8,13 @@ from synth3dlanes.dataset.address import connect, naming
 from synth3dlanes.dataset.format import Sample
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.upright import upright_image, upright_labels
+from synth3dlanes.formats.apollo.read import ApolloSplit
+from synth3dlanes.formats.openlane.read import OpenLaneSplit, is_openlane
+from synth3dlanes.formats.tusimple.read import TusimpleSplit, is_tusimple
 from synth3dlanes.labels import Labels
 
 from .data import LabelledImage, Samples
-from .foreign import ApolloSplit, OpenLaneSplit, is_openlane
-from .tusimple import TusimpleSplit, is_tusimple
+from .tusimple import TusimpleOnPlane
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +59,8 @@ def open_split(path: str | Path) -> Samples:
     Apollo's images lying in a folder above it; an OpenLane split is `.../lane3d_1000/SPLIT`, beside `.../images`."""
     text = str(path)
     if text.endswith(".json"):
-        return TusimpleSplit(Path(path)) if is_tusimple(Path(path)) else ApolloSplit(Path(path))
+        file = Path(path)
+        return TusimpleOnPlane(TusimpleSplit(file)) if is_tusimple(file) else ApolloSplit(file)
     if "://" not in text and is_openlane(Path(path)):
         return OpenLaneSplit(Path(path))
     return Upright(Reader(text))

@@ -14,8 +14,8 @@ from jaxtyping import Shaped, UInt8
 
 from synth3dlanes import labels as labels_format
 from synth3dlanes import scene as scene_format
-from synth3dlanes.asset_folder import require_assets
-from synth3dlanes.catalogue import BUILT_IN, Library
+from synth3dlanes.assets.catalogue import BUILT_IN, Library
+from synth3dlanes.assets.folder import require_assets
 from synth3dlanes.change import change_scene as _change_scene
 from synth3dlanes.dataset.format import HEIGHT, IMAGE_FORMATS, LABELS, PASSES, decode_image, encode, read_passes
 from synth3dlanes.dataset.read import Reader
@@ -23,7 +23,7 @@ from synth3dlanes.dataset.write import write_whole
 from synth3dlanes.errors import InputError
 from synth3dlanes.events import Event
 from synth3dlanes.executors import generate
-from synth3dlanes.export.run import FORMATS, Summary, export
+from synth3dlanes.formats.export import FORMATS, Summary, export
 from synth3dlanes.generate import Recipe, make_image, require_blender
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
@@ -37,6 +37,7 @@ from synth3dlanes.scene import Scene
 from synth3dlanes.settings import DEVICES, QUALITY_SAMPLES, RenderSettings
 from synth3dlanes.settings import PASSES as PASS_NAMES
 from synth3dlanes.workers import Limits, call
+from synth3dlanes.world import resolve
 
 STANDARD = QUALITY_SAMPLES["standard"]
 # A scene may be as large as its author wants.
@@ -193,7 +194,7 @@ def export_dataset(source: str | Path, out: str | Path, format_name: str, *, wor
 def _members(scene: Scene, settings: RenderSettings, library: Library) -> dict[str, bytes] | InputError:
     """In the worker: a sample of the scene as a data set of PNG images has it."""
     try:
-        return make_image(scene, settings, "png", library).members
+        return make_image(resolve(scene), settings, "png", library).members
     except InputError as error:
         return error
 

@@ -18,6 +18,8 @@ PROBE = "import sys; import {}; print(*sorted({{'bpy', 'torch', 'matplotlib', 'p
         ("synth3dlanes.sample", set()),
         ("synth3dlanes.ground_truth", set()),
         ("synth3dlanes.dataset.read", {"pyarrow"}),
+        ("synth3dlanes.formats.apollo.read", set()),
+        ("synth3dlanes.formats.export", {"pyarrow"}),
         ("synth3dlanes.look_up", {"pyarrow"}),
         ("synth3dlanes.run", {"pyarrow"}),
     ],

@@ -94,3 +94,18 @@ def test_a_validation_split_that_is_damaged_is_an_error_and_not_missing(split_of
     (root / "val" / "00000.parquet").write_bytes(b"rubbish")
     with pytest.raises(FormatError, match=r"val/00000\.parquet: expected the index"):
         training_and_validation(str(root), "train", "val", None)
+
+
+def test_foreign_splits_are_known_by_their_files(tmp_path):
+    from synth3dlanes_baseline.sources import open_split
+    from synth3dlanes_baseline.tusimple import TusimpleOnPlane
+
+    from synth3dlanes.formats.apollo.read import ApolloSplit
+    from synth3dlanes.formats.openlane.read import OpenLaneSplit
+
+    (tmp_path / "train.json").write_text('{"raw_file": "images/00/1.jpg", "laneLines": []}\n')
+    (tmp_path / "label_data_0313.json").write_text('{"raw_file": "clips/1/20.jpg", "lanes": [], "h_samples": [240]}\n')
+    (tmp_path / "validation/segment-1").mkdir(parents=True)
+    assert isinstance(open_split(tmp_path / "train.json"), ApolloSplit)
+    assert isinstance(open_split(tmp_path / "label_data_0313.json"), TusimpleOnPlane)
+    assert isinstance(open_split(tmp_path / "validation"), OpenLaneSplit)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from synth3dlanes.catalogue import Assets, Library, Texture
+from synth3dlanes.assets.catalogue import Assets, Library, Texture
 from synth3dlanes.dataset.folder import claim, description_bytes
 from synth3dlanes.dataset.format import recipe_text
 from synth3dlanes.dataset.read import Reader
