@@ -23,7 +23,8 @@ from synth3dlanes.dataset.write import write_whole
 from synth3dlanes.errors import InputError
 from synth3dlanes.events import Event
 from synth3dlanes.executors import generate
-from synth3dlanes.formats.export import FORMATS, Summary, export
+from synth3dlanes.formats.export import FORMATS, export
+from synth3dlanes.formats.summary import Summary
 from synth3dlanes.generate import Recipe, make_image, require_blender
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
