@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from synth3dlanes.events import LEVELS, Event, duration
+from synth3dlanes.production.events import LEVELS, Event, duration
 
 from .options import (
     assets_option,
@@ -107,10 +107,10 @@ def generate(
     Run it again: it resumes where it was stopped, however that was; a larger N extends the split. Ctrl-C lets the
     samples at hand finish.
     """
-    from synth3dlanes.executors import generate as run
-    from synth3dlanes.generate import Recipe
     from synth3dlanes.params import load_params
-    from synth3dlanes.run import Plan
+    from synth3dlanes.production.executors import generate as run
+    from synth3dlanes.production.recipe import Recipe
+    from synth3dlanes.production.run import Plan
     from synth3dlanes.settings import RenderSettings
 
     library = open_assets(assets)

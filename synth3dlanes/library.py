@@ -7,8 +7,8 @@ from typing import Any
 from synth3dlanes.asset_folder import Checked
 from synth3dlanes.catalogue import BUILT_IN, Library
 from synth3dlanes.errors import InputError
-from synth3dlanes.generate import require_blender
-from synth3dlanes.workers import Limits, call
+from synth3dlanes.production.recipe import require_blender
+from synth3dlanes.production.workers import Limits, call
 
 PATIENCE = Limits(seconds=1800.0, rss_bytes=16 << 30)
 

@@ -10,11 +10,11 @@ import numpy as np
 
 from synth3dlanes import scene as scene_module
 from synth3dlanes.dataset.format import encode
-from synth3dlanes.executors import generate
-from synth3dlanes.generate import Made, Recipe
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph, Segment
 from synth3dlanes.params import load_params
-from synth3dlanes.run import Plan
+from synth3dlanes.production.executors import generate
+from synth3dlanes.production.recipe import Made, Recipe
+from synth3dlanes.production.run import Plan
 from synth3dlanes.settings import RenderSettings
 from tests.scenes import FLAT
 

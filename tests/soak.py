@@ -19,7 +19,7 @@ import numpy as np
 import psutil
 
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.run import Plan, generate
+from synth3dlanes.production.run import Plan, generate
 from tests import fake_samples
 
 ROOT = Path(__file__).parents[1]
@@ -86,7 +86,7 @@ def pool_workers(roots: list[psutil.Process]) -> list[psutil.Process]:
         with suppress(psutil.Error):
             for process in root.children(recursive=True):
                 with suppress(psutil.Error):
-                    if any(part.endswith("synth3dlanes/workers.py") for part in process.cmdline()):
+                    if any(part.endswith("production/workers.py") for part in process.cmdline()):
                         found.append(process)
     return found
 

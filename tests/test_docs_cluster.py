@@ -22,7 +22,7 @@ PROGRAM = f"""#!{sys.executable}
 import functools
 import sys
 sys.path.insert(0, {str(ROOT)!r})
-from synth3dlanes import run
+from synth3dlanes.production import run
 from synth3dlanes_cli.main import main
 from tests import fake_samples
 run.Plan = functools.partial(run.Plan, shard_size=1, maker=fake_samples.make)

@@ -26,11 +26,11 @@ from synth3dlanes.catalogue import BUILT_IN, CARS, TREES, CarModel, Library, Tre
 from synth3dlanes.distributions import Integers  # noqa: E402
 from synth3dlanes.errors import FormatError, InputError  # noqa: E402
 from synth3dlanes.frames import transform  # noqa: E402
-from synth3dlanes.generate import Recipe  # noqa: E402
 from synth3dlanes.geometry.ground import Ground  # noqa: E402
 from synth3dlanes.geometry.road import RoadPlan  # noqa: E402
 from synth3dlanes.ground_truth import ground_truth  # noqa: E402
 from synth3dlanes.params import load_params  # noqa: E402
+from synth3dlanes.production.recipe import Recipe  # noqa: E402
 from synth3dlanes.scene import Scene, from_json, to_json  # noqa: E402
 from synth3dlanes.settings import RenderSettings  # noqa: E402
 

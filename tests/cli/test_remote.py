@@ -15,8 +15,8 @@ import s3fs
 from botocore.exceptions import EndpointConnectionError
 from click.testing import Result
 
-from synth3dlanes.executors import generate
-from synth3dlanes.run import Plan
+from synth3dlanes.production.executors import generate
+from synth3dlanes.production.run import Plan
 from tests import fake_samples
 
 Run = Callable[..., Result]

@@ -39,9 +39,9 @@ VALUES: list[Any] = [
 
 @pytest.fixture(scope="module")
 def clean(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    from synth3dlanes.generate import Recipe
     from synth3dlanes.params import load_params
-    from synth3dlanes.run import Plan, generate
+    from synth3dlanes.production.recipe import Recipe
+    from synth3dlanes.production.run import Plan, generate
     from synth3dlanes.settings import PASSES, RenderSettings
 
     root = tmp_path_factory.mktemp("edits") / "data"

@@ -19,15 +19,15 @@ from synth3dlanes.dataset.format import SCENE, encode, recipe_of, recipe_text
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import cut, merge
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.executors import generate
-from synth3dlanes.generate import Recipe
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import load_params, preset_names
-from synth3dlanes.run import Plan
+from synth3dlanes.production.executors import generate
+from synth3dlanes.production.recipe import Recipe
+from synth3dlanes.production.run import Plan
+from synth3dlanes.production.twins import twin_recipes
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import RenderSettings
-from synth3dlanes.twins import twin_recipes
 from synth3dlanes.validate.findings import Problem
 from synth3dlanes.validate.origin import MANY, Origin, drawn_otherwise
 from tests import fake_samples

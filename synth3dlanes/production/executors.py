@@ -3,12 +3,12 @@
 import importlib.util
 from collections.abc import Callable
 
-from synth3dlanes import run
 from synth3dlanes.dataset.address import is_url
 from synth3dlanes.errors import InputError
-from synth3dlanes.events import Event
-from synth3dlanes.executors.store import generate_into_store
-from synth3dlanes.run import Plan, Report
+from synth3dlanes.production import run
+from synth3dlanes.production.events import Event
+from synth3dlanes.production.run import Plan, Report
+from synth3dlanes.production.store import generate_into_store
 
 EXECUTORS = ("local", "ray")
 
@@ -20,6 +20,6 @@ def generate(plan: Plan, out: str, executor: str, address: str, notify: Callable
         return generate_into_store(plan, url, notify) if url else run.generate(plan, notify)
     if importlib.util.find_spec("ray") is None:
         raise InputError("executor ray: expected Ray, got none: pip install 'synth3dlanes[cluster]'")
-    from synth3dlanes.executors.ray import generate_on_ray
+    from synth3dlanes.production.ray import generate_on_ray
 
     return generate_on_ray(plan, url, address, notify)

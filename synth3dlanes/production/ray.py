@@ -14,16 +14,15 @@ import ray
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
 from synth3dlanes.dataset.folder import Claimed, claim
-from synth3dlanes.devices import WORKERS_PER_GPU
 from synth3dlanes.errors import InputError
-from synth3dlanes.events import Event
-from synth3dlanes.executors import store
-from synth3dlanes.generate import make_sample
-from synth3dlanes.machine import settle
-from synth3dlanes.progress import Meter, forecast
-from synth3dlanes.run import GRACE_S, Plan, Report
-from synth3dlanes.run import generate as generate_here
-from synth3dlanes.signals import stopping_on_signals
+from synth3dlanes.production import store
+from synth3dlanes.production.devices import WORKERS_PER_GPU, resolve_device
+from synth3dlanes.production.events import Event
+from synth3dlanes.production.progress import Meter, forecast
+from synth3dlanes.production.recipe import make_sample
+from synth3dlanes.production.run import GRACE_S, Plan, Report
+from synth3dlanes.production.run import generate as generate_here
+from synth3dlanes.production.signals import stopping_on_signals
 
 # More workers would wait for the last sample of a shard, fewer for shards: the cores that one task asks for at most.
 MAX_WORKERS = 8
@@ -104,7 +103,7 @@ def _on_cluster(plan: Plan) -> Plan:
         return replace(plan, workers=plan.workers or max(1, min(MAX_WORKERS, room)))
     if not with_gpus:
         raise InputError(f"device: expected {asked} in the Ray cluster, found {len(nodes)} nodes without a GPU")
-    recipe, _ = ray.get(ray.remote(settle).options(num_gpus=1).remote(plan.recipe))
+    recipe, _ = ray.get(ray.remote(resolve_device).options(num_gpus=1).remote(plan.recipe))
     room = min(int(node.get("CPU", 1) // node["GPU"]) for node in with_gpus)
     return replace(plan, recipe=recipe, workers=plan.workers or max(1, min(WORKERS_PER_GPU, room)))
 

@@ -7,9 +7,9 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from synth3dlanes.dataset import stores
-from synth3dlanes.events import Event
-from synth3dlanes.progress import Meter, forecast
-from synth3dlanes.run import Plan, Report, generate
+from synth3dlanes.production.events import Event
+from synth3dlanes.production.progress import Meter, forecast
+from synth3dlanes.production.run import Plan, Report, generate
 
 
 def announce(plan: Plan, url: str) -> None:

@@ -15,11 +15,11 @@ import numpy as np
 import psutil
 import pytest
 
-from synth3dlanes import run
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.errors import InputError
-from synth3dlanes.run import Plan, generate
-from synth3dlanes.workers import Limits
+from synth3dlanes.production import run
+from synth3dlanes.production.run import Plan, generate
+from synth3dlanes.production.workers import Limits
 from tests import fake_samples
 
 N = 23
@@ -243,7 +243,7 @@ def test_a_vanished_folder_is_named(tmp_path):
 
 @pytest.mark.parametrize(
     ("changes", "message"),
-    [({"n": -3}, "--n: expected"), ({"workers": -1}, "--workers"), ({"part": (3, 2)}, "--part: expected i/n")],
+    [({"n": -3}, "^n: expected"), ({"workers": -1}, "^workers"), ({"part": (3, 2)}, "^part: expected i/n")],
 )
 def test_impossible_plans_are_refused(tmp_path, changes, message):
     with pytest.raises(InputError, match=message):

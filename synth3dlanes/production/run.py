@@ -29,12 +29,12 @@ from synth3dlanes.dataset.folder import claim
 from synth3dlanes.dataset.format import key_of, recipe_text
 from synth3dlanes.dataset.write import Shard, write_whole
 from synth3dlanes.errors import InputError
-from synth3dlanes.events import Event, duration
-from synth3dlanes.generate import Made, Recipe, make_part, make_sample, scene_json
-from synth3dlanes.machine import Seats, n_cores, settle
-from synth3dlanes.progress import Forecast, Meter, forecast, open_log
-from synth3dlanes.signals import stopping_on_signals
-from synth3dlanes.workers import DISK_FULL, Limits, Outcome, Pool
+from synth3dlanes.production.devices import WorkerSlots, n_cores, resolve_device
+from synth3dlanes.production.events import Event, duration
+from synth3dlanes.production.progress import Forecast, Meter, forecast, open_log
+from synth3dlanes.production.recipe import Made, Recipe, make_part, make_sample, scene_json
+from synth3dlanes.production.signals import stopping_on_signals
+from synth3dlanes.production.workers import DISK_FULL, Limits, Outcome, Pool
 
 SHARD_SIZE = 1000
 SPLIT = re.compile(r"[A-Za-z0-9_-]+")
@@ -55,7 +55,7 @@ class Plan:
     workers: int = 0
     part: tuple[int, int] = (1, 1)
     limits: Limits = field(default_factory=Limits)
-    seats: Seats = field(default_factory=Seats)
+    slots: WorkerSlots = field(default_factory=WorkerSlots)
     shard_size: int = SHARD_SIZE
     maker: Callable[[Recipe, int], Made] = make_sample
 
@@ -92,8 +92,8 @@ class Plan:
         """The plan with this machine's device and workers; raise InputError without Blender or that device."""
         if self.maker is not make_sample:
             return self
-        recipe, seats = settle(self.recipe)
-        return replace(self, recipe=recipe, seats=seats, workers=self.workers or seats.workers)
+        recipe, slots = resolve_device(self.recipe)
+        return replace(self, recipe=recipe, slots=slots, workers=self.workers or slots.workers)
 
     def n_workers(self, n_tasks: int) -> int:
         """How many workers there is work and room for."""
@@ -166,7 +166,7 @@ class _Run:
         self._check_room(expected)
         self.log = open_log(self.plan.out / "logs", self.plan.recipe.split)
         with self.log:
-            device, names = self.plan.recipe.settings.device, self.plan.seats.names
+            device, names = self.plan.recipe.settings.device, self.plan.slots.names
             self._tell("start", expected.text(), **vars(expected), device=device, device_names=names)
             try:
                 self._loop()
@@ -187,7 +187,7 @@ class _Run:
 
     def _loop(self) -> None:
         n_workers = self.plan.n_workers(len(self.todo))
-        workers = Pool(n_workers, self.plan.limits, masks=self.plan.seats.masks)
+        workers = Pool(n_workers, self.plan.limits, masks=self.plan.slots.masks)
         with stopping_on_signals(self._interrupt), ThreadPoolExecutor(1) as self.joiner, workers as pool:
             self.joins: dict[int, Future[list[int]]] = {}
             for number, shard in self.shards.items():

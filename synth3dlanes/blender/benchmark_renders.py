@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import UInt8
 
 from synth3dlanes.blender.build import build, open_studio
+from synth3dlanes.blender.cycles_timing import cycles_stages
 from synth3dlanes.blender.film import develop
 from synth3dlanes.blender.render import configure, opened, run_cycles, studio
 from synth3dlanes.blender.sky import film_factor
-from synth3dlanes.blender.stages import cycles_stages
 from synth3dlanes.catalogue import Library
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import RenderSettings

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from synth3dlanes import run
 from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.executors import generate, store
-from synth3dlanes.run import Plan
+from synth3dlanes.production import run, store
+from synth3dlanes.production.executors import generate
+from synth3dlanes.production.run import Plan
 from tests import fake_samples, soak
 
 N, KILLS = 60, 8

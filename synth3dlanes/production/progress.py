@@ -8,8 +8,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from synth3dlanes.events import Event, duration
-from synth3dlanes.generate import Recipe
+from synth3dlanes.production.events import Event, duration
+from synth3dlanes.production.recipe import Recipe
 
 # Measured on scenes of Appendix I at 480x360: core-seconds an image, bytes a pixel, bytes of text.
 SECONDS_PER_PIXEL_SAMPLE, SECONDS_PER_PIXEL, SECONDS_PER_SCENE = 2.3e-6, 1.6e-6, 0.25
