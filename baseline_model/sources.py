@@ -7,7 +7,7 @@ from pathlib import Path
 from baseline_model.data import LabelledImage, Samples
 from baseline_model.foreign import ApolloSplit, OpenLaneSplit, is_openlane
 from baseline_model.tusimple import TusimpleSplit, is_tusimple
-from synth3dlanes.dataset.address import connect, naming
+from synth3dlanes.dataset.address import connect, translate_store_errors
 from synth3dlanes.dataset.format import Sample
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.upright import upright_image, upright_labels
@@ -77,5 +77,5 @@ def training_and_validation(
 
 def _exists(place: str) -> bool:
     files, root = connect(place)
-    with naming(place):
+    with translate_store_errors(place):
         return bool(files.exists(root))

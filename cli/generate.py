@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import click
 
@@ -96,7 +96,7 @@ def generate(
     samples: int,
     passes: tuple[str, ...],
     image_format: str,
-    executor: str,
+    executor: Literal["local", "ray"],
     address: str,
     part: tuple[int, int],
     log_level: str,
@@ -108,16 +108,16 @@ def generate(
     samples at hand finish.
     """
     from synth3dlanes.params import load_params
-    from synth3dlanes.production.executors import generate as run
+    from synth3dlanes.production.plan import Plan
     from synth3dlanes.production.recipe import Recipe
-    from synth3dlanes.production.run import Plan
+    from synth3dlanes.production.run import generate as run
     from synth3dlanes.settings import RenderSettings
 
     library = open_assets(assets)
     params, settings = load_params(source, changes, library.assets), RenderSettings(samples, passes, device)
     recipe = Recipe(params, seed, split, settings, image_format, library=library)
     with progress(log_level) as notify:
-        report = run(Plan(Path(out), n, recipe, workers, part), out, executor, address, notify)
+        report = run(Plan(out, n, recipe, workers, part), notify, executor, address)
     if report.problem:
         click.echo(report.problem, err=True)
     if as_json:

@@ -10,8 +10,8 @@ from typing import Annotated
 from pydantic import Field, ValidationError
 
 from synth3dlanes.catalogue import KINDS, Assets, Kind, Library
-from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.scene import Part, Positive, validation_problems
+from synth3dlanes.errors import FormatError, InputError, validation_problems
+from synth3dlanes.scene import Part, Positive
 from synth3dlanes.yaml_text import read_yaml
 
 NOTES = "assets.yaml"

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from synth3dlanes.catalogue import Assets, Kind
-from synth3dlanes.errors import FormatError
+from synth3dlanes.errors import FormatError, validation_problems
 
 SCENE_VERSION = 1
 
@@ -238,16 +238,3 @@ def from_json(text: str | bytes, where: str) -> Scene:
         return Scene.model_validate_json(text)
     except ValidationError as error:
         raise FormatError("\n".join(validation_problems(error, where))) from None
-
-
-def validation_problems(error: ValidationError, where: str) -> list[str]:
-    """One line per problem: where, what was expected, what was found."""
-    lines = []
-    for problem in error.errors():
-        path = ".".join(str(step) for step in problem["loc"])
-        if problem["type"] == "value_error":
-            lines.append(f"{where}: {problem['ctx']['error']}")
-            continue
-        found = "" if problem["type"] == "missing" else f", got {problem['input']!r:.60}"
-        lines.append(f"{where}: {path + ': ' if path else ''}{problem['msg']}{found}")
-    return lines

@@ -19,7 +19,8 @@ import numpy as np
 import psutil
 
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.production.run import Plan, generate
+from synth3dlanes.production.plan import Plan
+from synth3dlanes.production.run import generate
 from tests import fake_samples
 
 ROOT = Path(__file__).parents[1]
@@ -93,7 +94,7 @@ def pool_workers(roots: list[psutil.Process]) -> list[psutil.Process]:
 
 @dataclass
 class Cluster:
-    """Two Ray nodes on this machine, with a core each, by `ray start`."""
+    """Ray nodes on this machine, with a core each, by `ray start`."""
 
     folder: Path
     port: int
@@ -133,17 +134,17 @@ class Cluster:
 
 
 @contextmanager
-def cluster_of_two(port: int) -> Iterator[Cluster]:
-    """Two nodes; they are killed at the end."""
+def cluster(port: int, n_nodes: int = 2) -> Iterator[Cluster]:
+    """A cluster whose nodes are killed at the end."""
     # Ray's sockets need a short path.
     with tempfile.TemporaryDirectory(prefix="ray", ignore_cleanup_errors=True) as folder:
-        cluster = Cluster(Path(folder), port)
+        found = Cluster(Path(folder), port)
         try:
-            cluster.add_node()
-            cluster.add_node()
-            yield cluster
+            for _ in range(n_nodes):
+                found.add_node()
+            yield found
         finally:
-            for node in reversed(cluster.nodes):
+            for node in reversed(found.nodes):
                 kill_tree(node)
 
 
@@ -177,8 +178,8 @@ def main() -> None:
         check(Path(folder, "local"), options.n, expected)
         print(f"local: {done} kills, {options.n} samples, same bytes, {time.monotonic() - start:.0f} s")  # noqa: T201
         start = time.monotonic()
-        with cluster_of_two(6391) as cluster:
-            done = soak(Path(folder, "ray"), options.n, options.kills, options.seed, cluster)
+        with cluster(6391) as nodes:
+            done = soak(Path(folder, "ray"), options.n, options.kills, options.seed, nodes)
         check(Path(folder, "ray"), options.n, expected)
         print(f"ray: {done} kills, {options.n} samples, same bytes, {time.monotonic() - start:.0f} s")  # noqa: T201
 

@@ -24,9 +24,8 @@ from scipy.ndimage import gaussian_filter
 
 from synth3dlanes.dataset.format import decode_image
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.errors import InputError
 from synth3dlanes.production.recipe import Recipe, make_part, make_sample
-from synth3dlanes.production.workers import Limits, Outcome, Pool
+from synth3dlanes.production.workers import Limits, Pool
 
 WARM_UP = 2
 REFERENCE_SAMPLES, REFERENCE_SCENES = 1024, 3
@@ -236,7 +235,7 @@ def _time_samples(pool: Pool, recipe: Recipe, shard: Shard, n: int, notify: Call
             index = next(indices)
             pool.start(index, time_sample, recipe, shard, index)
         for outcome in pool.wait(1.0):
-            sample: Timed = _value(outcome)
+            sample: Timed = outcome.result("bench")
             seen[sample.worker] += 1
             if warm or (len(seen) == pool.n and min(seen.values()) >= WARM_UP):
                 warm = warm or [other for worker, other in timed.items() if worker != sample.worker]
@@ -245,7 +244,7 @@ def _time_samples(pool: Pool, recipe: Recipe, shard: Shard, n: int, notify: Call
             timed[sample.worker] = sample
     while pool.busy:
         for outcome in pool.wait(1.0):
-            _value(outcome)
+            outcome.result("bench")
     return warm[: pool.n + n]
 
 
@@ -266,10 +265,4 @@ def _one(pool: Pool, function: Callable[..., Any], *args: Any) -> Any:
     pool.start(function.__name__, function, *args)
     while True:
         for outcome in pool.wait(10.0):
-            return _value(outcome)
-
-
-def _value(outcome: Outcome) -> Any:
-    if outcome.status != "done":
-        raise InputError(f"bench: expected {outcome.task} to be made, got {outcome.reason}\n{outcome.stderr}".rstrip())
-    return outcome.value
+            return outcome.result("bench")

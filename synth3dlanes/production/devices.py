@@ -4,7 +4,6 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from synth3dlanes.errors import InputError
 from synth3dlanes.production.recipe import Recipe, require_blender
 from synth3dlanes.production.workers import Limits, call
 from synth3dlanes.settings import Device, choose_device
@@ -76,11 +75,5 @@ def list_devices() -> tuple[Device, ...]:
 
 
 def _ask(asked: str) -> tuple[Device, ...]:
-    outcome = call(Limits(), list_devices)
-    if outcome.status != "done":
-        raise InputError(
-            f"device {asked}: expected Blender to list this machine's devices, got {outcome.reason}"
-            f"\n{outcome.stderr}".rstrip()
-        )
-    devices: tuple[Device, ...] = outcome.value
+    devices: tuple[Device, ...] = call(Limits(), list_devices).result(f"device {asked}: Blender cannot list devices")
     return devices

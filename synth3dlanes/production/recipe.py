@@ -12,7 +12,7 @@ from synth3dlanes import scene as scene_module
 from synth3dlanes.catalogue import BUILT_IN, KINDS, Library
 from synth3dlanes.dataset.format import encode, member_names
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.errors import InputError
+from synth3dlanes.errors import MissingPackageError
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.params import Params
 from synth3dlanes.sample import sample_scene
@@ -61,12 +61,12 @@ class Made:
 
 
 def require_blender() -> None:
-    """Raise InputError where this Python has no bpy."""
+    """Raise MissingPackageError where this Python has no bpy."""
     if importlib.util.find_spec("bpy") is None:
         version = ".".join(map(str, sys.version_info[:2]))
-        raise InputError(
-            "generate: expected Blender's module bpy, which there is for Python 3.11 alone, got none in Python "
-            f"{version} ({sys.executable}); with Python 3.11: pip install 'bpy==4.5.*'"
+        raise MissingPackageError(
+            f"Blender's module bpy is not installed in Python {version} ({sys.executable}). It is published for "
+            "Python 3.11 only; with that: pip install 'bpy==4.5.*'"
         )
 
 

@@ -37,11 +37,9 @@ def render_file(
         raise InputError(f"out {image_path}: would overwrite {scene_path} with the changed scene; name another")
     # Pinned as all workers are: on one core more than another, Cycles rounds some sums otherwise.
     outcome = call(PATIENCE, _make, scene, settings, image_format, library, pinned=True)
-    if outcome.status != "done":
-        raise InputError(f"{scene_path}: expected an image, got {outcome.reason}\n{outcome.stderr}".rstrip())
-    if isinstance(outcome.value, InputError):
-        raise outcome.value
-    members: dict[str, bytes] = outcome.value
+    members: dict[str, bytes] | InputError = outcome.result(str(scene_path))
+    if isinstance(members, InputError):
+        raise members
     files = {image_path.with_suffix(f".{name}"): data for name, data in members.items() if changes or name != SCENE}
     image_path.parent.mkdir(parents=True, exist_ok=True)
     for path, data in files.items():

@@ -14,8 +14,9 @@ from typing import NamedTuple
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from synth3dlanes.dataset.format import BLOCK, COLUMN_OF_MEMBER, key_of, recipe_of, tar_end
-from synth3dlanes.dataset.index import SCHEMA, index_row
+from synth3dlanes.dataset.columns import SCHEMA, index_row
+from synth3dlanes.dataset.format import BLOCK, COLUMN_OF_MEMBER, key_of, tar_end
+from synth3dlanes.dataset.index import recipe_of
 from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene

@@ -16,10 +16,10 @@ from synth3dlanes import __version__
 from synth3dlanes.catalogue import Assets
 from synth3dlanes.change import change_scene
 from synth3dlanes.dataset.format import SCENE, member_names
-from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.errors import FormatError, InputError, validation_problems
 from synth3dlanes.params import Params
 from synth3dlanes.sample import sample_scene
-from synth3dlanes.scene import Scene, validation_problems
+from synth3dlanes.scene import Scene
 from synth3dlanes.validate.documents import NAMED_AT_MOST, differences, some
 from synth3dlanes.validate.findings import Problem
 

@@ -14,7 +14,8 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
-from synth3dlanes.dataset.format import SCENE, parse_description, recipe_text
+from synth3dlanes.dataset.description import parse_description, recipe_text
+from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.figures.overlay import draw_overlay, stretches_img
 from synth3dlanes.geometry import height_map

@@ -15,8 +15,8 @@ import s3fs
 from botocore.exceptions import EndpointConnectionError
 from click.testing import Result
 
-from synth3dlanes.production.executors import generate
-from synth3dlanes.production.run import Plan
+from synth3dlanes.production.plan import Plan
+from synth3dlanes.production.run import generate
 from tests import fake_samples
 
 Run = Callable[..., Result]
@@ -87,8 +87,8 @@ def files_in(folder: Path) -> dict[str, bytes]:
 
 def test_generate_continues_in_a_store_and_makes_the_same_bytes(store: s3fs.S3FileSystem, tmp_path: Path) -> None:
     def go(out: str, n: int) -> int:
-        plan = Plan(Path(out), n, fake_samples.recipe(), workers=1, shard_size=4, maker=fake_samples.make)
-        report = generate(plan, out, "local", "", events.append)
+        plan = Plan(out, n, fake_samples.recipe(), workers=1, shard_size=4, maker=fake_samples.make)
+        report = generate(plan, events.append)
         assert (report.exit_code, report.done, report.asked) == (0, n, n)
         return report.made
 

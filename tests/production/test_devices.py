@@ -7,7 +7,8 @@ import pytest
 from synth3dlanes.errors import InputError
 from synth3dlanes.production import devices
 from synth3dlanes.production.devices import default_workers, masks, resolve_device
-from synth3dlanes.production.run import Plan, generate
+from synth3dlanes.production.plan import Plan
+from synth3dlanes.production.run import generate
 from synth3dlanes.production.workers import Limits, Pool
 from synth3dlanes.settings import DEVICES, Device, RenderSettings, choose_device
 from tests import fake_samples
