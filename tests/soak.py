@@ -109,7 +109,7 @@ class Cluster:
     def add_node(self) -> None:
         """Start a node and wait until it is there; the first is the head."""
         where = ["--head", f"--port={self.port}", f"--temp-dir={self.folder}", "--include-dashboard=false"]
-        command = [str(Path(sys.executable).parent / "ray"), "start", "--block", "--num-cpus=1"]
+        command = [sys.executable, "-m", "ray.scripts.scripts", "start", "--block", "--num-cpus=1"]
         command += ["--object-store-memory=80000000", "--disable-usage-stats"]
         command += [f"--address={self.address}"] if self.nodes else where
         log = self.folder / f"node-{len(self.nodes)}.log"
