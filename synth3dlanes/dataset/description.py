@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from synth3dlanes.dataset.format import member_names
 from synth3dlanes.errors import FormatError, InputError, validation_problems
 
 DESCRIPTION = "dataset.json"
@@ -54,6 +55,11 @@ class Description(Part):
     shard_size: Positive
     splits: dict[SplitName, Split]
     derived: dict[str, Any] | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The members of every sample."""
+        return member_names(self.image_format, self.render.passes)
 
 
 def parse_description(data: bytes, where: str) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import socket
 import subprocess
 import sys
@@ -126,6 +127,26 @@ def test_every_command_that_reads_reads_a_store(store: s3fs.S3FileSystem, run: R
         result = run(*command)
         assert result.exit_code == 0, (command, result.output)
     assert len(list(Path("exported/clips").glob("train/*/20.jpg"))) == 12
+
+
+def test_validate_finds_in_a_store_what_it_finds_in_a_folder(store: s3fs.S3FileSystem, run: Run, folder: Path) -> None:
+    shutil.copytree(folder, "here")
+    url = "s3://lanes/validated"
+    assert run("merge", folder, "--out", url).exit_code == 0
+    Path("here/train/00001.parquet").unlink()
+    store.rm_file("lanes/validated/train/00001.parquet")
+    told = {}
+    for workers, place in ((1, "here"), (1, url), (2, url)):
+        result = run("validate", place, "--json", "--workers", workers, "--limit", 2)
+        assert result.exit_code == 1, result.output
+        told[workers, place] = json.loads(result.stdout)
+    assert told[1, "here"] == told[1, url] == told[2, url]
+    failed = told[1, url]["failed"]
+    assert {"train", "train/00001.parquet", "train:00000000"} <= set(failed)
+    assert files_at(store, "lanes/validated/validation") == files_in(Path("here/validation")) != {}
+    result = run("validate", "s3://lanes/nowhere")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert "s3://lanes/nowhere: expected the folder of a dataset, got none\n" in result.stderr
 
 
 def test_split_and_merge_write_to_a_store(store: s3fs.S3FileSystem, run: Run, folder: Path) -> None:
