@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from synth3dlanes.dataset.address import connect, naming
+from synth3dlanes.dataset.address import connect, translate_store_errors
 from synth3dlanes.dataset.format import Sample
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.upright import upright_image, upright_labels
@@ -69,7 +69,8 @@ def open_split(path: str | Path) -> Samples:
 def training_and_validation(
     data_dir: str, train_split: str, val_split: str, max_images: int | None
 ) -> tuple[Samples, Samples]:
-    """Both splits of a dataset. Without a validation split, every tenth training sample is held out."""
+    """Both splits of a data set, a folder or a URL. Without `val_split` every tenth training sample is held out."""
+    data_dir = data_dir.rstrip("/")
     train = open_split(f"{data_dir}/{train_split}")
     n = len(train) if max_images is None else min(max_images, len(train))
     if _exists(f"{data_dir}/{val_split}"):
@@ -81,5 +82,5 @@ def training_and_validation(
 
 def _exists(place: str) -> bool:
     files, root = connect(place)
-    with naming(place):
+    with translate_store_errors(place):
         return bool(files.exists(root))

@@ -7,8 +7,8 @@ from typing import Any
 from synth3dlanes.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.assets.folder import Checked
 from synth3dlanes.errors import InputError
-from synth3dlanes.generate import require_blender
-from synth3dlanes.workers import Limits, call
+from synth3dlanes.production.recipe import require_blender
+from synth3dlanes.production.workers import Limits, call
 
 PATIENCE = Limits(seconds=1800.0, rss_bytes=16 << 30)
 
@@ -24,7 +24,7 @@ def open_library(folder: Path | None) -> tuple[Library, tuple[str, ...]]:
 
 
 def check_assets(folder: Path) -> Checked:
-    """Look through a folder; raise InputError where there is none, or where Blender gives up over it."""
+    """Look through a folder; raise InputError where there is none, WorkerError where Blender crashes over it."""
     if not folder.is_dir():
         raise InputError(f"assets {folder}: expected a folder, found none")
     checked: Checked = _in_blender(_check, folder)
@@ -34,16 +34,13 @@ def check_assets(folder: Path) -> Checked:
 def write_example(folder: Path) -> None:
     """Make an example of such a folder; raise InputError where something is there."""
     if folder.exists():
-        raise InputError(f"{folder}: expected no such folder yet, found one")
+        raise InputError(f"{folder}: already exists")
     _in_blender(_example, folder)
 
 
 def _in_blender(function: Callable[[Path], Any], folder: Path) -> Any:
     require_blender()
-    outcome = call(PATIENCE, function, folder)
-    if outcome.status != "done":
-        raise InputError(f"assets {folder}: {outcome.reason}\n{outcome.stderr}".rstrip())
-    return outcome.value
+    return call(PATIENCE, function, folder).result(f"assets {folder}")
 
 
 # Blender's modules are loaded in the worker: this process stays without.

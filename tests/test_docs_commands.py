@@ -117,11 +117,10 @@ def look_up(group: click.Group, words: list[str]) -> None:
 
 @pytest.fixture(scope="module", autouse=True)
 def shards_of_one() -> Iterator[None]:
-    from synth3dlanes import run
-    from synth3dlanes.executors import store  # noqa: F401 - its type hints must mean the class itself
+    from synth3dlanes.production import plan
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run, "Plan", functools.partial(run.Plan, shard_size=1))
+        patch.setattr(plan, "Plan", functools.partial(plan.Plan, shard_size=1))
         yield
 
 

@@ -22,10 +22,11 @@ def split_of(tmp_path_factory):
     from synth3dlanes.ground_truth import ground_truth
     from synth3dlanes.params import load_params
     from synth3dlanes.sample import sample_scene
+    from tests import fake_samples
 
     def write(*changes):
         root = tmp_path_factory.mktemp("sources") / "data"
-        with claim(root, {"image_format": "png", "render": {"passes": []}}, "train", N, [0]) as folder:
+        with claim(root, {**fake_samples.recipe().description(), "shard_size": 1000}, "train", N, [0]) as folder:
             shard = Shard(folder, 0, 1000, member_names("png", ()))
             for index in range(N):
                 scene = sample_scene(load_params("appendix_i", ["trees.n=0", *changes]), 4, "train", index)
@@ -109,3 +110,21 @@ def test_foreign_splits_are_known_by_their_files(tmp_path):
     assert isinstance(open_split(tmp_path / "train.json"), ApolloSplit)
     assert isinstance(open_split(tmp_path / "label_data_0313.json"), TusimpleOnPlane)
     assert isinstance(open_split(tmp_path / "validation"), OpenLaneSplit)
+
+
+def test_both_splits_are_read_from_a_store(split_of):
+    import fsspec
+    from synth3dlanes_baseline.sources import training_and_validation
+
+    root = Path(split_of().reader.url).parent
+    store = fsspec.filesystem("memory")
+    for path in root.rglob("*.*"):
+        store.pipe_file(f"/lanes/{path.relative_to(root).as_posix()}", path.read_bytes())
+        store.pipe_file(f"/lanes/{path.relative_to(root).as_posix().replace('train/', 'val/')}", path.read_bytes())
+    here, _ = training_and_validation(str(root), "train", "val", None)
+    train, val = training_and_validation("memory://lanes/", "train", "val", 2)
+    assert (len(here), len(train), len(val)) == (N, 2, N)
+    for there in (train, val):
+        assert there[1].key == "00000001"
+        np.testing.assert_array_equal(there[1].image, here[1].image)
+    store.rm("/lanes", recursive=True)

@@ -6,10 +6,10 @@ import pytest
 pytest.importorskip("bpy")
 
 from synth3dlanes.blender.render import render
-from synth3dlanes.generate import take_picture
 from synth3dlanes.ground_truth import label
 from synth3dlanes.imaging.daylight import daylight
 from synth3dlanes.imaging.haze import through_air
+from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.scene import Car, Tree
 from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
 from synth3dlanes.world import resolve

@@ -11,12 +11,12 @@ from mathutils import Vector
 from synth3dlanes.blender import build as builder
 from synth3dlanes.blender import render as renderer
 from synth3dlanes.frames import project, transform
-from synth3dlanes.generate import take_picture
 from synth3dlanes.geometry.terrain import gradient_at
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.imaging.daylight import daylight
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import load_params
+from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.sample import sample_scene
 from synth3dlanes.scene import Car
 from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS, RenderSettings

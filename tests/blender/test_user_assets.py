@@ -25,11 +25,11 @@ from synth3dlanes.blender.user_models import points_of  # noqa: E402
 from synth3dlanes.distributions import Integers  # noqa: E402
 from synth3dlanes.errors import FormatError, InputError  # noqa: E402
 from synth3dlanes.frames import transform  # noqa: E402
-from synth3dlanes.generate import Recipe, take_picture  # noqa: E402
 from synth3dlanes.imaging.daylight import daylight  # noqa: E402
 from synth3dlanes.imaging.sky import AZIMUTH_RAD, HORIZON, LUMINANCE, irradiance  # noqa: E402
 from synth3dlanes.imaging.user_sky import hang, prepare_sky  # noqa: E402
 from synth3dlanes.params import load_params  # noqa: E402
+from synth3dlanes.production.recipe import Recipe, take_picture  # noqa: E402
 from synth3dlanes.scene import Scene, from_json, to_json  # noqa: E402
 from synth3dlanes.settings import RenderSettings  # noqa: E402
 from synth3dlanes.world import resolve  # noqa: E402

@@ -3,7 +3,7 @@
 import pytest
 from synth3dlanes_cli.generate import generate, progress
 
-from synth3dlanes.events import LEVEL_OF, LEVELS, Event, duration
+from synth3dlanes.production.events import LEVEL_OF, LEVELS, Event, duration
 
 
 @pytest.mark.parametrize(

@@ -29,10 +29,12 @@ def write_split():
     from synth3dlanes.ground_truth import ground_truth
     from synth3dlanes.params import load_params
     from synth3dlanes.sample import sample_scene
+    from tests import fake_samples
 
     def write(root, split, n, changes=()):
         params = load_params("appendix_i", changes)
-        with claim(root, {"image_format": "jpg", "render": {"passes": []}}, split, n, [0]) as folder:
+        description = {**fake_samples.recipe(image_format="jpg").description(), "shard_size": 1000}
+        with claim(root, description, split, n, [0]) as folder:
             shard = Shard(folder, 0, 1000, member_names("jpg", ()))
             for index in shard.missing(n):
                 scene = sample_scene(params, 0, split, index)

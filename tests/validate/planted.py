@@ -21,9 +21,10 @@ from typing import NamedTuple
 
 from synth3dlanes.change import change_scene
 from synth3dlanes.dataset.format import HEIGHT, PASSES
-from synth3dlanes.generate import Recipe
 from synth3dlanes.params import Params, load_params
-from synth3dlanes.run import Plan, generate
+from synth3dlanes.production.plan import Plan
+from synth3dlanes.production.recipe import Recipe
+from synth3dlanes.production.run import generate
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import PASSES as ALL_PASSES
 from synth3dlanes.settings import RenderSettings

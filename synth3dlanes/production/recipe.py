@@ -15,7 +15,7 @@ from synth3dlanes import scene as scene_module
 from synth3dlanes.assets.catalogue import BUILT_IN, KINDS, Library
 from synth3dlanes.dataset.format import encode, member_names
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.errors import InputError
+from synth3dlanes.errors import MissingPackageError
 from synth3dlanes.geometry.height_map import height_map
 from synth3dlanes.ground_truth import label
 from synth3dlanes.imaging.daylight import daylight
@@ -84,12 +84,12 @@ class Made:
 
 
 def require_blender() -> None:
-    """Raise InputError where this Python has no bpy."""
+    """Raise MissingPackageError where this Python has no bpy."""
     if importlib.util.find_spec("bpy") is None:
         version = ".".join(map(str, sys.version_info[:2]))
-        raise InputError(
-            "generate: expected Blender's module bpy, which there is for Python 3.11 alone, got none in Python "
-            f"{version} ({sys.executable}); with Python 3.11: pip install 'bpy==4.5.*'"
+        raise MissingPackageError(
+            f"Blender's module bpy is not installed in Python {version} ({sys.executable}). It is published for "
+            "Python 3.11 only; with that: pip install 'bpy==4.5.*'"
         )
 
 

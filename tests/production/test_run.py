@@ -15,11 +15,13 @@ import numpy as np
 import psutil
 import pytest
 
-from synth3dlanes import run
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.errors import InputError
-from synth3dlanes.run import Plan, generate
-from synth3dlanes.workers import Limits
+from synth3dlanes.errors import ClaimedError, DiskFullError, InputError, MissingPackageError
+from synth3dlanes.production import local
+from synth3dlanes.production.plan import Plan
+from synth3dlanes.production.recipe import make_sample
+from synth3dlanes.production.run import generate
+from synth3dlanes.production.workers import Limits
 from tests import fake_samples
 
 N = 23
@@ -141,7 +143,7 @@ def test_a_second_run_in_the_folder_is_refused(tmp_path):
     command = [sys.executable, "-m", "tests.fake_samples", str(tmp_path), str(N), "1"]
     first = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert next(line for line in first.stdout if "kind='start'" in line)
-    with pytest.raises(InputError, match="expected no other run on it"):
+    with pytest.raises(ClaimedError, match=r"shard \d is locked by another run"):
         go(plan(tmp_path))
     first.kill()
     first.communicate()
@@ -176,7 +178,7 @@ def test_a_bad_scene_is_set_aside_and_blocks_nothing(tmp_path, whole, maker, lim
 
 
 def test_a_machine_at_fault_stops_the_run(tmp_path, monkeypatch):
-    monkeypatch.setattr(run, "MAX_IN_A_ROW", 4)
+    monkeypatch.setattr(local, "MAX_IN_A_ROW", 4)
     report, _ = go(plan(tmp_path, n=1000, maker=fake_samples.always_crash))
     assert report.exit_code == 1
     last_words = "worker ended with 1: ValueError: no scene is good"
@@ -224,7 +226,7 @@ def test_waits_for_room_and_goes_on(tmp_path, whole, monkeypatch):
     assert seen.index("pause") < seen.index("resume")
     assert contents(tmp_path) == whole
     free[0] = 10**6
-    with pytest.raises(InputError, match=r"expected .* GB free for 77 samples, got 0\.001 GB"):
+    with pytest.raises(DiskFullError, match=r"77 samples need .* GB, but only 0\.001 GB are free"):
         go(plan(tmp_path, n=100))
 
 
@@ -243,7 +245,7 @@ def test_a_vanished_folder_is_named(tmp_path):
 
 @pytest.mark.parametrize(
     ("changes", "message"),
-    [({"n": -3}, "--n: expected"), ({"workers": -1}, "--workers"), ({"part": (3, 2)}, "--part: expected i/n")],
+    [({"n": -3}, "^n: expected"), ({"workers": -1}, "^workers"), ({"part": (3, 2)}, "^part: expected i/n")],
 )
 def test_impossible_plans_are_refused(tmp_path, changes, message):
     with pytest.raises(InputError, match=message):
@@ -255,6 +257,6 @@ def test_impossible_plans_are_refused(tmp_path, changes, message):
 
 def test_a_python_without_blender_is_told_which_one(tmp_path, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"Python 3\.11 .*pip install 'bpy==4\.5\.\*'"):
-        generate(replace(plan(tmp_path), maker=run.make_sample), print)
+    with pytest.raises(MissingPackageError, match=r"Python 3\.11 .*pip install 'bpy==4\.5\.\*'"):
+        generate(replace(plan(tmp_path), maker=make_sample), print)
     assert not list(tmp_path.iterdir())

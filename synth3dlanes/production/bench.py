@@ -24,9 +24,8 @@ from scipy.ndimage import gaussian_filter
 
 from synth3dlanes.dataset.format import decode_image
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.errors import InputError
-from synth3dlanes.generate import Recipe, make_part, make_sample
-from synth3dlanes.workers import Limits, Outcome, Pool
+from synth3dlanes.production.recipe import Recipe, make_part, make_sample
+from synth3dlanes.production.workers import Limits, Pool
 
 WARM_UP = 2
 REFERENCE_SAMPLES, REFERENCE_SCENES = 1024, 3
@@ -156,8 +155,8 @@ def measure_naive(recipe: Recipe, notify: Callable[[str], None]) -> Naive:
 def time_sample(recipe: Recipe, shard: Shard, index: int) -> Timed:
     """In a worker: make and write a sample, watching Cycles."""
     # Loaded here, as in `generate`: only workers carry Blender.
+    from synth3dlanes.blender.cycles_timing import cycles_stages
     from synth3dlanes.blender.render import studio
-    from synth3dlanes.blender.stages import cycles_stages
 
     studio(recipe.library)
     start = time.process_time()
@@ -173,21 +172,21 @@ def time_sample(recipe: Recipe, shard: Shard, index: int) -> Timed:
 
 def time_denoiser(recipe: Recipe) -> float:
     """In a worker: seconds of the denoiser."""
-    from synth3dlanes.blender.yardsticks import denoise_seconds
+    from synth3dlanes.blender.benchmark_renders import denoise_seconds
 
     return denoise_seconds(recipe.scene(0), recipe.settings, recipe.library)
 
 
 def time_naive(recipe: Recipe, index: int, samples: int) -> float:
     """In a worker: seconds of a naive render."""
-    from synth3dlanes.blender.yardsticks import naive_seconds
+    from synth3dlanes.blender.benchmark_renders import naive_seconds
 
     return naive_seconds(recipe.scene(index), recipe.settings, recipe.library, samples)
 
 
 def make_reference(recipe: Recipe, index: int) -> UInt8[np.ndarray, "h w 3"]:
     """In a worker: a converged picture."""
-    from synth3dlanes.blender.yardsticks import reference
+    from synth3dlanes.blender.benchmark_renders import reference
 
     return reference(recipe.scene(index), recipe.settings, recipe.library)
 
@@ -236,7 +235,7 @@ def _time_samples(pool: Pool, recipe: Recipe, shard: Shard, n: int, notify: Call
             index = next(indices)
             pool.start(index, time_sample, recipe, shard, index)
         for outcome in pool.wait(1.0):
-            sample: Timed = _value(outcome)
+            sample: Timed = outcome.result("bench")
             seen[sample.worker] += 1
             if warm or (len(seen) == pool.n and min(seen.values()) >= WARM_UP):
                 warm = warm or [other for worker, other in timed.items() if worker != sample.worker]
@@ -245,7 +244,7 @@ def _time_samples(pool: Pool, recipe: Recipe, shard: Shard, n: int, notify: Call
             timed[sample.worker] = sample
     while pool.busy:
         for outcome in pool.wait(1.0):
-            _value(outcome)
+            outcome.result("bench")
     return warm[: pool.n + n]
 
 
@@ -266,10 +265,4 @@ def _one(pool: Pool, function: Callable[..., Any], *args: Any) -> Any:
     pool.start(function.__name__, function, *args)
     while True:
         for outcome in pool.wait(10.0):
-            return _value(outcome)
-
-
-def _value(outcome: Outcome) -> Any:
-    if outcome.status != "done":
-        raise InputError(f"bench: expected {outcome.task} to be made, got {outcome.reason}\n{outcome.stderr}".rstrip())
-    return outcome.value
+            return outcome.result("bench")

@@ -7,10 +7,11 @@ import pytest
 
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.errors import InputError
-from synth3dlanes.generate import scene_json
-from synth3dlanes.run import Plan, generate
+from synth3dlanes.production.plan import Plan
+from synth3dlanes.production.recipe import scene_json
+from synth3dlanes.production.run import generate
+from synth3dlanes.production.twins import twin_recipes
 from synth3dlanes.scene import Scene, from_json
-from synth3dlanes.twins import twin_recipes
 from tests import fake_samples
 
 

@@ -9,11 +9,11 @@ from synth3dlanes.assets.folder import require_assets
 from synth3dlanes.change import change_scene
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.errors import InputError
-from synth3dlanes.generate import make_image, require_blender
-from synth3dlanes.look_up import load_scene, scene_name
+from synth3dlanes.open_source import load_scene, scene_name
+from synth3dlanes.production.recipe import make_image, require_blender
+from synth3dlanes.production.workers import Limits, call
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import RenderSettings
-from synth3dlanes.workers import Limits, call
 from synth3dlanes.world import resolve
 
 # A scene may be as large as its file says.
@@ -37,17 +37,28 @@ def render_file(
     if changes and image_path.with_suffix(f".{SCENE}").resolve() == scene_path.resolve():
         raise InputError(f"out {image_path}: would overwrite {scene_path} with the changed scene; name another")
     # Pinned as all workers are: on one core more than another, Cycles rounds some sums otherwise.
-    outcome = call(PATIENCE, _make, scene, settings, image_format, library, pinned=True)
-    if outcome.status != "done":
-        raise InputError(f"{scene_path}: expected an image, got {outcome.reason}\n{outcome.stderr}".rstrip())
-    if isinstance(outcome.value, InputError):
-        raise outcome.value
-    members: dict[str, bytes] = outcome.value
+    members = render_members(scene, settings, image_format, library, str(scene_path))
     files = {image_path.with_suffix(f".{name}"): data for name, data in members.items() if changes or name != SCENE}
     image_path.parent.mkdir(parents=True, exist_ok=True)
     for path, data in files.items():
         path.write_bytes(data)
     return list(files)
+
+
+def render_members(
+    scene: Scene, settings: RenderSettings, image_format: str, library: Library, where: str
+) -> dict[str, bytes]:
+    """The members of a sample of the scene, made in a worker of its own.
+
+    Raises MissingPackageError without Blender, InputError for a device that is not there, WorkerError where Blender
+    fails; the message begins with `where`.
+    """
+    require_blender()
+    outcome = call(PATIENCE, _make, scene, settings, image_format, library, pinned=True)
+    members: dict[str, bytes] | InputError = outcome.result(where)
+    if isinstance(members, InputError):
+        raise members
+    return members
 
 
 def _make(scene: Scene, settings: RenderSettings, image_format: str, library: Library) -> dict[str, bytes] | InputError:

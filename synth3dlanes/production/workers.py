@@ -59,6 +59,18 @@ class Outcome:
     reason: str = ""
     stderr: str = ""
 
+    def result(self, what: str) -> Any:
+        """What the task returned. Raises DiskFullError or WorkerError where it did not; the message begins with `what`,
+        and what the worker printed is a note."""
+        if self.status == "done":
+            return self.value
+        # Not at the top: the worker's program imports nothing of ours before it is pinned.
+        from synth3dlanes.errors import DiskFullError, WorkerError
+
+        error = (DiskFullError if self.status == "full" else WorkerError)(f"{what}: {self.reason}")
+        error.add_note(self.stderr)
+        raise error
+
 
 @dataclass
 class Worker:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from synth3dlanes.bench import psnr, ssim
+from synth3dlanes.production.bench import psnr, ssim
 
 
 def test_psnr_and_ssim_of_known_differences(rng):
@@ -46,9 +46,9 @@ def test_the_bench_adds_up_and_compares(tmp_path):
 
 @pytest.mark.render
 def test_more_samples_come_closer_to_the_reference_and_naive_is_slower():
-    from synth3dlanes.bench import measure_naive, measure_quality
-    from synth3dlanes.generate import Recipe
     from synth3dlanes.params import load_params
+    from synth3dlanes.production.bench import measure_naive, measure_quality
+    from synth3dlanes.production.recipe import Recipe
     from synth3dlanes.settings import RenderSettings
 
     recipes = [Recipe(load_params("tiny"), 0, "bench", RenderSettings(samples), "jpg") for samples in (1, 8)]
@@ -64,9 +64,9 @@ def test_more_samples_come_closer_to_the_reference_and_naive_is_slower():
 @pytest.mark.timeout(3600)
 def test_memory_stays_flat():
     """A thousand small scenes in one worker."""
-    from synth3dlanes.bench import bench
-    from synth3dlanes.generate import Recipe
     from synth3dlanes.params import load_params
+    from synth3dlanes.production.bench import bench
+    from synth3dlanes.production.recipe import Recipe
     from synth3dlanes.settings import RenderSettings
 
     size = ("camera.width_px=96", "camera.height_px=72")

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import pytest
 
-from synth3dlanes import machine
-from synth3dlanes.devices import Device, choose, default_workers, masks
 from synth3dlanes.errors import InputError
-from synth3dlanes.machine import settle
-from synth3dlanes.run import Plan, generate
-from synth3dlanes.settings import DEVICES, RenderSettings
-from synth3dlanes.workers import Limits, Pool
+from synth3dlanes.production import devices
+from synth3dlanes.production.devices import default_workers, masks, resolve_device
+from synth3dlanes.production.plan import Plan
+from synth3dlanes.production.run import generate
+from synth3dlanes.production.workers import Limits, Pool
+from synth3dlanes.settings import DEVICES, Device, RenderSettings, choose_device
 from tests import fake_samples
 
 CPU = Device("cpu", "AMD EPYC")
@@ -31,13 +31,13 @@ RADEON = [CPU, Device("hip", "Radeon")]
     ],
 )
 def test_auto_takes_the_best_and_a_name_takes_that_or_fails(found, best):
-    assert choose("auto", found) == best
+    assert choose_device("auto", found) == best
     for asked in DEVICES[1:]:
         if asked == "cpu" or asked in {device.kind for device in found}:
-            assert choose(asked, found) == asked
+            assert choose_device(asked, found) == asked
         else:
             with pytest.raises(InputError, match=f"device: expected {asked} on this machine, found") as error:
-                choose(asked, found)
+                choose_device(asked, found)
             assert all(device.name in str(error.value) for device in found)
 
 
@@ -107,15 +107,15 @@ def test_a_run_fails_before_it_begins_where_the_device_is_absent(tmp_path):
 @pytest.mark.render
 def test_the_device_found_is_part_of_the_recipe(monkeypatch):
     auto = replace(fake_samples.recipe(), settings=RenderSettings(device="auto"))
-    monkeypatch.setattr(machine, "_ask", lambda asked: tuple(TWO_NVIDIA))
-    recipe, seats = settle(auto)
+    monkeypatch.setattr(devices, "_ask", lambda asked: tuple(TWO_NVIDIA))
+    recipe, slots = resolve_device(auto)
     assert recipe.description()["render"]["device"] == "optix"
-    assert seats.names == ("NVIDIA H200 0", "NVIDIA H200 1")
-    assert len(seats.masks) == 2
+    assert slots.names == ("NVIDIA H200 0", "NVIDIA H200 1")
+    assert len(slots.masks) == 2
     monkeypatch.undo()
-    assert settle(replace(auto, settings=RenderSettings(device="cpu")))[0].settings.device == "cpu"
+    assert resolve_device(replace(auto, settings=RenderSettings(device="cpu")))[0].settings.device == "cpu"
 
 
 @pytest.mark.render
 def test_blender_finds_this_processor():
-    assert [device.kind for device in machine._ask("auto")].count("cpu") == 1
+    assert [device.kind for device in devices._ask("auto")].count("cpu") == 1
