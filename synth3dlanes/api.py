@@ -24,7 +24,6 @@ from synth3dlanes.formats.export import FORMATS, export
 from synth3dlanes.formats.summary import Summary
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
-from synth3dlanes.library import open_library
 from synth3dlanes.open_source import load_scene as _load_scene
 from synth3dlanes.params import Params
 from synth3dlanes.params import load_params as _load_params
@@ -34,6 +33,7 @@ from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.render_file import render_members
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.tally import Report
+from synth3dlanes.production.user_assets import open_library
 from synth3dlanes.sample import sample_scene as _sample_scene
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import DEVICES, QUALITY_SAMPLES, RenderSettings
