@@ -68,7 +68,7 @@ _HOMES = {
     "Sample": "dataset.format",
     "Scene": "scene",
     "draw_overlay": "figures.overlay",
-    "read_scene": "look_up",
+    "read_scene": "open_source",
 }
 
 
