@@ -129,6 +129,7 @@ def _export_frame(reader: Reader, index: int, chunk: Chunk, out: Path, foreign: 
         **record,
         "left_out": None,
         "f_px": pinhole.f_px,
+        "enlarged": pinhole.f_px / float(sample.labels.camera.img_from_cam[0, 0]),
         "n_lines": annotation.n_lines,
         "dropped": annotation.dropped,
         "files": [annotation.image, *annotation.files],

@@ -66,4 +66,11 @@ def _kept(labels: Labels, pinhole: Pinhole, dropped: Counter[str]) -> tuple[Line
     return keep_lines(near, dropped, MAX_LINES, f"beyond the {MAX_LINES} nearest (cap of Anchor3DLane)")
 
 
-FORMAT = Format(CAMERA, True, README, annotate, {"annotations": ROOT, "raw_data": f"{ROOT}/data"})
+FORMAT = Format(
+    CAMERA,
+    True,
+    README,
+    annotate,
+    links={"annotations": ROOT, "raw_data": f"{ROOT}/data"},
+    replaced_words=PARTS,
+)
