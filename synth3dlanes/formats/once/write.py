@@ -47,9 +47,10 @@ def annotate(labels: Labels, frame: Frame) -> Annotation:
     }
     text = json.dumps(document)
     files = {f"{ROOT}/{part}/{name}.json": text for part in parts}
+    # Anchor3DLane has no cache of training frames without lanes.
     shared = (
         (name, tuple(f"{ROOT}/list/{part}.txt" for part in parts)),
-        (f"{name}.jpg", tuple(f"data_lists/{part}.txt" for part in parts)),
+        (f"{name}.jpg", tuple(f"data_lists/{part}.txt" for part in parts) if lines or not frame.is_train else ()),
     )
     return Annotation(f"{ROOT}/data/{name}.jpg", len(lines), dropped, files, shared)
 
