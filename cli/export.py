@@ -7,7 +7,13 @@ import click
 
 @click.command()
 @click.argument("source", metavar="DIR")
-@click.option("--format", "format_name", required=True, type=click.Choice(["apollo", "openlane", "once", "tusimple"]))
+@click.option(
+    "--format",
+    "format_name",
+    required=True,
+    type=click.Choice(["apollo", "openlane", "once", "tusimple"]),
+    help="Format to write.",
+)
 @click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Folder to write.")
 @click.option("--verify", "is_verified", is_flag=True, help="Score the exported ground truth; exit 1 if not perfect.")
 @click.option("--workers", default=1, show_default=True, type=click.IntRange(min=1), help="Processes.")

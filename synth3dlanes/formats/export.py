@@ -154,9 +154,10 @@ def _frame(key: str, chunk: Chunk, pinhole: Pinhole, scene: Scene, labels: Label
 
 
 def _remove(out: Path, mark: Path) -> None:
-    """Undo a chunk whose frames have changed."""
+    """Undo a chunk whose frames have changed; the lists that name them are written anew at the end."""
     for record in _records([mark]):
-        for path in record.get("files", ()):
+        lists = (path for _, paths in record.get("shared", ()) for path in paths)
+        for path in (*record.get("files", ()), *lists):
             (out / path).unlink(missing_ok=True)
     mark.unlink()
 

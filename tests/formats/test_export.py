@@ -316,17 +316,19 @@ def test_a_set_for_tests_alone_gives_no_training_frames(write_split, tmp_path):
     }
 
 
-def test_frames_that_were_made_again_are_exported_again(write_split, tmp_path):
-    root, out = tmp_path / "data", tmp_path / "out"
-    write_split(root, "train", 3)
-    export(str(root), out, "openlane", 1, lambda done, total: None)
+@pytest.mark.parametrize("format_name", ["apollo", "openlane"])
+def test_frames_that_were_made_again_are_exported_again(format_name, write_split, tmp_path):
+    root, out, fresh = tmp_path / "data", tmp_path / "out", tmp_path / "fresh"
+    write_split(root, "train", 5)
+    export(str(root), out, format_name, 1, lambda done, total: None)
+    before = files_of(out)
     shutil.rmtree(root)
     open_reader.cache_clear()
     write_split(root, "train", 2, ["camera.height_m=1.77"])
-    export(str(root), out, "openlane", 1, lambda done, total: None)
-    fresh = tmp_path / "fresh"
-    export(str(root), fresh, "openlane", 1, lambda done, total: None)
+    for folder in (out, fresh):
+        export(str(root), folder, format_name, 1, lambda done, total: None)
     assert files_of(out) == files_of(fresh)
+    assert before.keys() - files_of(out).keys(), "images and lists of the frames that are gone"
 
 
 def test_warnings_of_replaced_words_and_of_enlarged_images(write_split, tmp_path, monkeypatch):
