@@ -85,9 +85,9 @@ def test_once_calibration_is_the_frames_own():
     np.testing.assert_array_equal(found.img_from_cv, [[1200, 0, 960, 0], [0, 1200, 510, 0], [0, 0, 1, 0]])
 
 
-def test_once_leaves_out_what_its_evaluator_cannot_assign():
+def test_once_lines_that_its_evaluator_cannot_assign_come_last():
     camera = cf.camera_label()
-    labels = cf.labels_of(camera, cf.lane(camera, cf.curve(2.0)), cf.lane(camera, cf.curve(4.0, start_m=30.0), "far"))
-    annotation = write.annotate(labels, FRAME)
-    assert annotation.n_lines == 1
-    assert sum(annotation.dropped.values()) == 1
+    # The evaluator's raster ends 10 m ahead and 10 m aside.
+    far = cf.lane(camera, cf.curve(1.0, start_m=12.0), "far")
+    labels = cf.labels_of(camera, far, cf.lane(camera, cf.curve(-2.0)), cf.lane(camera, cf.curve(4.0)))
+    assert [round(points_cv[-1, 0]) for points_cv in once_frame(labels).lanes_cv] == [-2, 4, 1]
