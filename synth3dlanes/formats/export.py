@@ -129,6 +129,7 @@ def _export_frame(reader: Reader, index: int, chunk: Chunk, out: Path, foreign: 
         **record,
         "left_out": None,
         "f_px": pinhole.f_px,
+        "enlarged": pinhole.f_px / float(sample.labels.camera.img_from_cam[0, 0]),
         "n_lines": annotation.n_lines,
         "dropped": annotation.dropped,
         "files": [annotation.image, *annotation.files],
@@ -153,9 +154,10 @@ def _frame(key: str, chunk: Chunk, pinhole: Pinhole, scene: Scene, labels: Label
 
 
 def _remove(out: Path, mark: Path) -> None:
-    """Undo a chunk whose frames have changed."""
+    """Undo a chunk whose frames have changed; the lists that name them are written anew at the end."""
     for record in _records([mark]):
-        for path in record.get("files", ()):
+        lists = (path for _, paths in record.get("shared", ()) for path in paths)
+        for path in (*record.get("files", ()), *lists):
             (out / path).unlink(missing_ok=True)
     mark.unlink()
 

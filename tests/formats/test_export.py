@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from synth3dlanes.errors import InputError
 from synth3dlanes.formats.export import FORMATS, export
 from synth3dlanes.formats.plan import assign, open_reader, parts_of
 from synth3dlanes.formats.resample import fitting_pinhole, resample, source_pixels
+from synth3dlanes.formats.summary import warnings
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.formats.writing import Pinhole
 from tests.formats import closed_form as cf
@@ -314,17 +316,31 @@ def test_a_set_for_tests_alone_gives_no_training_frames(write_split, tmp_path):
     }
 
 
-def test_frames_that_were_made_again_are_exported_again(write_split, tmp_path):
-    root, out = tmp_path / "data", tmp_path / "out"
-    write_split(root, "train", 3)
-    export(str(root), out, "openlane", 1, lambda done, total: None)
+@pytest.mark.parametrize("format_name", ["apollo", "openlane"])
+def test_frames_that_were_made_again_are_exported_again(format_name, write_split, tmp_path):
+    root, out, fresh = tmp_path / "data", tmp_path / "out", tmp_path / "fresh"
+    write_split(root, "train", 5)
+    export(str(root), out, format_name, 1, lambda done, total: None)
+    before = files_of(out)
     shutil.rmtree(root)
     open_reader.cache_clear()
     write_split(root, "train", 2, ["camera.height_m=1.77"])
-    export(str(root), out, "openlane", 1, lambda done, total: None)
-    fresh = tmp_path / "fresh"
-    export(str(root), fresh, "openlane", 1, lambda done, total: None)
+    for folder in (out, fresh):
+        export(str(root), folder, format_name, 1, lambda done, total: None)
     assert files_of(out) == files_of(fresh)
+    assert before.keys() - files_of(out).keys(), "images and lists of the frames that are gone"
+
+
+def test_warnings_of_replaced_words_and_of_enlarged_images(write_split, tmp_path, monkeypatch):
+    write_split(tmp_path / "data", "train", 2)
+    monkeypatch.chdir(tmp_path)
+    for out, n_words in (("evaluation", 1), ("plain", 0)):
+        summary = export("data", Path(out), "once", 1, lambda done, total: None)
+        # 480 px become 1920 px.
+        assert summary.enlarged == pytest.approx(4, abs=0.01)
+        found = warnings(Path("/elsewhere") / out, FORMATS["once"], summary)
+        assert len([line for line in found if line.endswith("replace val in the whole path: move it")]) == n_words
+        assert [line for line in found if "enlarged 4.0 times to 1920x1020" in line]
 
 
 @pytest.mark.parametrize("name", ["apollo", "openlane"])

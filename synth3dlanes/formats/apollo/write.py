@@ -31,6 +31,8 @@ README = f"""Apollo Sim-3D / Gen-LaneNet layout.
   exact and z = 0 the local road plane; `sidecar.jsonl` holds the true height, road_from_cam, the intrinsics, our
   keys and lane ids, and `max_z_over_h`.
 - Visibility is a prefix: terrain hides lanes, cars do not. Lines are ordered from the car outwards.
+- The evaluator charges 1.5 m where a line has no near (to 40 m) or no far part: so ground truth as prediction has F = 1
+  but errors of some centimetres near and decimetres far.
 - LATR explodes the lists into its own folders: delete those after exporting again.
 """
 
