@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from baseline_model import checkpoint as checkpoints
 from baseline_model.model import LaneNet, Output
-from synth3dlanes.errors import InputError
+from synth3dlanes.errors import MissingPackageError
 
 OPSET = 18
 INPUTS = ("image", "intrinsics")
@@ -36,7 +36,7 @@ def export_onnx(checkpoint: str | Path, path: str | Path) -> Path:
     try:
         import onnx  # type: ignore[import-not-found,import-untyped,unused-ignore]
     except ImportError:
-        raise InputError("onnx: expected the packages onnx and onnxscript: pip install onnx onnxscript") from None
+        raise MissingPackageError("onnx and onnxscript are not installed: pip install onnx onnxscript") from None
     loaded = checkpoints.load(Path(checkpoint))
     model = checkpoints.build(loaded, torch.device("cpu"))
     config = model.config

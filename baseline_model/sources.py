@@ -65,7 +65,7 @@ def open_split(path: str | Path) -> Samples:
 def training_and_validation(
     data_dir: str, train_split: str, val_split: str, max_images: int | None
 ) -> tuple[Samples, Samples]:
-    """Both splits of a dataset, a folder or a URL. Without a validation split every tenth training sample is held out."""
+    """Both splits of a dataset, a folder or a URL. Without a validation split, every tenth sample is held out."""
     data_dir = data_dir.rstrip("/")
     train = open_split(f"{data_dir}/{train_split}")
     n = len(train) if max_images is None else min(max_images, len(train))
