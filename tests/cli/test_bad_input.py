@@ -35,6 +35,7 @@ Run = Callable[..., Result]
         ("inspect .", ".: expected a scene.json or a sample, as DIR/train:00000017, got a folder"),
         ("gallery none", "none: expected a data set"),
         ("params check tiny no.yaml", "no.yaml: cannot read: No such file or directory"),
+        ("bench --against broken.json", "broken.json: Invalid JSON"),
         ("sampel", "synth3dlanes: No such command 'sampel'."),
     ],
 )
