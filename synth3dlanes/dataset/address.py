@@ -30,12 +30,12 @@ def connect(url: str) -> tuple[Any, str]:
 
 
 @contextmanager
-def translate_store_errors(place: str, expected: str = "to reach it") -> Iterator[None]:
-    """Whatever a file system refuses becomes a FormatError that names the place and what was expected there."""
+def translate_store_errors(place: str, problem: str = "cannot be reached") -> Iterator[None]:
+    """Whatever a file system refuses becomes a FormatError that names the place and the problem."""
     try:
         yield
     except store_errors() as error:
-        raise FormatError(f"{place}: expected {expected}, got {type(error).__name__}: {error}") from None
+        raise FormatError(f"{place}: {problem}: {type(error).__name__}: {error}") from None
 
 
 def store_errors() -> tuple[type[Exception], ...]:

@@ -16,7 +16,7 @@ Run = Callable[..., Result]
     [
         ("generate --n -3 --out d", "synth3dlanes generate: Invalid value for '--n': -3 is not in the range x>=1."),
         ("generate --out d", "synth3dlanes generate: Missing option '--n'."),
-        ("generate --n 3 --out file/d", "--out file/d: expected a folder to write to"),
+        ("generate --n 3 --out file/d", "--out file/d: cannot write to this folder"),
         ("generate --n 3 --out d --params no.yaml", "no.yaml: cannot read: No such file or directory"),
         ("generate --n 3 --out d --set road.lanes=3", "--set road.lanes: unknown key; did you mean n_lanes?"),
         ("generate --n 3 --out d --passes deth", "synth3dlanes generate: Invalid value for '--passes'"),
