@@ -16,7 +16,7 @@ PROBE = "import sys; import {}; print(*sorted({{'bpy', 'torch', 'matplotlib', 'p
         ("synth3dlanes.sample", set()),
         ("synth3dlanes.ground_truth", set()),
         ("synth3dlanes.dataset.read", {"pyarrow"}),
-        ("synth3dlanes.open_source", {"pyarrow"}),
+        ("synth3dlanes.sources", {"pyarrow"}),
         ("synth3dlanes.production.run", {"pyarrow"}),
     ],
 )

@@ -15,10 +15,10 @@ from synth3dlanes.change import change_scene
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import how_derived
 from synth3dlanes.errors import InputError
-from synth3dlanes.open_source import params_of, read_scene
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import RenderSettings
+from synth3dlanes.sources import params_of, read_scene
 from synth3dlanes.yaml_text import read_yaml
 
 

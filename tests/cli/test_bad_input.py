@@ -124,3 +124,26 @@ def test_an_edited_description_is_named_by_every_command(run: Run, folder: Path,
     result = run("validate", "d", "--workers", 1)
     assert result.exit_code == 1
     assert "dataset.json: splits.train: Input should be" in result.stdout
+
+
+def test_a_missing_package_and_a_crashed_worker_are_one_line(
+    run: Run, in_tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from synth3dlanes.production.workers import Outcome
+
+    Path("mine").mkdir()
+    crashed = Outcome("check", "failed", reason="worker ended with 1: boom", stderr="Traceback\nboom")
+    monkeypatch.setattr("synth3dlanes.library.require_blender", lambda: None)
+    monkeypatch.setattr("synth3dlanes.library.call", lambda *_: crashed)
+    result = run("assets", "mine")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr == "assets mine: worker ended with 1: boom\n"
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    for command, words in (
+        (("generate", "--n", 1, "--params", "tiny", "--out", "d"), "Blender's module bpy is not installed"),
+        (("train", "d", "--out", "e"), "PyTorch is not installed: pip install 'synth3dlanes[train]'"),
+    ):
+        result = run(*command)
+        assert (result.exit_code, result.stderr.count("\n")) == (2, 1), result.output
+        assert result.stderr.startswith(words)
+    assert {path.name for path in in_tmp_path.iterdir()} == {"mine"}
