@@ -5,13 +5,14 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from baseline_model.config import TrainConfig, train_config
-from baseline_model.evaluate import evaluate_checkpoint, evaluate_flat_ground
-from baseline_model.metrics import Report
-from baseline_model.report import Cells, curve_cells, markdown, save_curve, table_1_cells, text, to_document
-from baseline_model.sources import open_split
-from baseline_model.train import train
 from synth3dlanes.errors import InputError
+
+from .config import TrainConfig, train_config
+from .evaluate import evaluate_checkpoint, evaluate_flat_ground
+from .metrics import Report
+from .report import Cells, curve_cells, markdown, save_curve, table_1_cells, text, to_document
+from .sources import open_split
+from .train import train
 
 ROWS = ("full", "image_view", "top_view", "early_ipm", "late_ipm", "horizon", "fixed_position")
 

@@ -9,8 +9,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from baseline_model.config import ModelConfig
-from baseline_model.curves import HALF_WIDTH_M, NEAR_KNOTS_M, Y_REF_M
+from .config import ModelConfig
+from .curves import HALF_WIDTH_M, NEAR_KNOTS_M, Y_REF_M
 
 CENTERLINE, DELIMITER = 1, 2
 """Kinds in `CurveBatch.kind`; 0 is padding."""

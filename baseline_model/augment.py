@@ -8,10 +8,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
-from baseline_model.anchors import CENTERLINE, DELIMITER, CurveBatch, sample_curves, transform_points
-from baseline_model.config import Augmentation
-from baseline_model.data import Batch
-from baseline_model.projection import road_from_cam, top_from_road
+from .anchors import CENTERLINE, DELIMITER, CurveBatch, sample_curves, transform_points
+from .config import Augmentation
+from .data import Batch
+from .projection import road_from_cam, top_from_road
 
 
 class Augmented(NamedTuple):

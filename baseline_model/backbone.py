@@ -4,8 +4,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from baseline_model.config import ModelConfig
-from baseline_model.layers import PIXELS, Lattice, ResidualPair, convolution, convolutions, lattice_after
+from .config import ModelConfig
+from .layers import PIXELS, Lattice, ResidualPair, convolution, convolutions, lattice_after
 
 # Mean and spread of ImageNet, RGB in 0..1: what published VGG16 weights expect.
 IMAGE_MEAN = (0.485, 0.456, 0.406)

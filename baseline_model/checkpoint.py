@@ -12,9 +12,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from baseline_model.config import TrainConfig, parse
-from baseline_model.model import LaneNet
 from synth3dlanes.errors import FormatError
+
+from .config import TrainConfig, parse
+from .model import LaneNet
 
 FORMAT = "synth3dlanes.baseline"
 VERSION = 1

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from baseline_model.poses import Pose, horizon_pose
 from synth3dlanes.frames import transform
 from synth3dlanes.labels import Kind, Labels
+
+from .poses import Pose, horizon_pose
 
 Y_REF_M = 20.0
 HALF_WIDTH_M = 10.24

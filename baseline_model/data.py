@@ -16,11 +16,12 @@ from PIL import Image
 from torch import Tensor
 from torch.nn import functional
 
-from baseline_model.anchors import CENTERLINE, DELIMITER, CurveBatch
-from baseline_model.curves import Curve, road_curves, target_pose
-from baseline_model.poses import Pose
 from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels
+
+from .anchors import CENTERLINE, DELIMITER, CurveBatch
+from .curves import Curve, road_curves, target_pose
+from .poses import Pose
 
 RGB_LIMIT_BYTES = 8 * 2**30
 """Above this `auto` stores YUV 4:2:0: half the bytes, and JPEG has no finer chroma anyway."""
@@ -30,7 +31,7 @@ N_DECODERS = 8
 
 @runtime_checkable
 class LabelledImage(Protocol):
-    """What a reader yields (`synth3dlanes.dataset.read.Sample`, `baseline_model.foreign`)."""
+    """What a reader yields (`synth3dlanes.dataset.read.Sample`, `synth3dlanes.formats.reading.ForeignSample`)."""
 
     @property
     def key(self) -> str: ...

@@ -4,16 +4,17 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from baseline_model import checkpoint as checkpoints
-from baseline_model.data import Samples
-from baseline_model.flat_ground import through_flat_ground
-from baseline_model.inference import choose_device, predict_samples
-from baseline_model.lanes import Prediction, read_predictions
-from baseline_model.metrics import Evaluation, MetricConfig, Report
-from baseline_model.sources import open_split
-from baseline_model.tusimple import TusimpleSplit, mean_accuracy
 from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels
+
+from . import checkpoint as checkpoints
+from .data import Samples
+from .flat_ground import through_flat_ground
+from .inference import choose_device, predict_samples
+from .lanes import Prediction, read_predictions
+from .metrics import Evaluation, MetricConfig, Report
+from .sources import open_split
+from .tusimple import TusimpleOnPlane, mean_accuracy
 
 LabelsAt = Callable[[int], Labels]
 
@@ -61,7 +62,7 @@ def score(predictions: Iterable[Prediction], samples: Samples, config: MetricCon
     """Score predictions that come in the order of the samples."""
     config = config or MetricConfig()
     tusimple = None
-    if isinstance(samples, TusimpleSplit):
+    if isinstance(samples, TusimpleOnPlane):
         predictions = list(predictions)
         tusimple = mean_accuracy(predictions, samples, config.threshold)
     evaluation = Evaluation(config)

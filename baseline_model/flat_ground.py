@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from baseline_model.curves import road_curves, target_pose
-from baseline_model.lanes import Detection, Prediction
-from baseline_model.poses import Pose, road_from_cam
 from synth3dlanes.frames import transform
 from synth3dlanes.labels import Labels
+
+from .curves import road_curves, target_pose
+from .lanes import Detection, Prediction
+from .poses import Pose, road_from_cam
 
 
 def through_flat_ground(prediction: Prediction, labels: Labels, plane: str) -> Prediction:

@@ -8,11 +8,12 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from baseline_model.data import Samples, intrinsics_of, resize
-from baseline_model.lanes import AnchorLayout, Prediction, decode
-from baseline_model.model import LaneNet, Output
-from baseline_model.poses import Pose
 from synth3dlanes.errors import InputError
+
+from .data import Samples, intrinsics_of, resize
+from .lanes import AnchorLayout, Prediction, decode
+from .model import LaneNet, Output
+from .poses import Pose
 
 Intrinsics = tuple[float, float, float, float]
 

@@ -13,10 +13,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
-from baseline_model.poses import Pose, cam_from_road
 from synth3dlanes.errors import FormatError
 from synth3dlanes.frames import transform
 from synth3dlanes.labels import Kind
+
+from .poses import Pose, cam_from_road
 
 DENSE_Y_M = np.arange(101.0)
 """Decoded lanes are sampled every metre of road y; linear interpolation between is under 2 mm off the spline."""

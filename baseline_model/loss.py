@@ -5,9 +5,9 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
-from baseline_model.anchors import Targets
-from baseline_model.config import LaneType, LossConfig
-from baseline_model.model import Output
+from .anchors import Targets
+from .config import LaneType, LossConfig
+from .model import Output
 
 BEV_POSITIVE_WEIGHT = 5.0
 """Lane cells are a few percent of the top view."""

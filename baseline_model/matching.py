@@ -9,7 +9,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from baseline_model.curves import (
+from synth3dlanes.frames import transform
+
+from .curves import (
     HALF_WIDTH_M,
     METRIC_Y_M,
     MIN_VALID_POINTS,
@@ -18,8 +20,7 @@ from baseline_model.curves import (
     is_usable,
     resample,
 )
-from baseline_model.lanes import Detection
-from synth3dlanes.frames import transform
+from .lanes import Detection
 
 Weights = Literal["linear", "uniform", "exponential"]
 MATCH_M = 1.5

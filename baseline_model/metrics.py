@@ -9,9 +9,11 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from baseline_model.curves import METRIC_Y_M, plane_pose, road_curves
-from baseline_model.lanes import Detection, Prediction
-from baseline_model.matching import (
+from synth3dlanes.labels import Kind, Labels
+
+from .curves import METRIC_Y_M, plane_pose, road_curves
+from .lanes import Detection, Prediction
+from .matching import (
     Pairs,
     Weights,
     count_steps,
@@ -21,8 +23,7 @@ from baseline_model.matching import (
     sample_detections,
     sample_truth,
 )
-from baseline_model.poses import road_from_cam
-from synth3dlanes.labels import Kind, Labels
+from .poses import road_from_cam
 
 KINDS: tuple[Kind, ...] = ("centerline", "delimiter")
 NEAR_TO_M = 30.0

@@ -7,12 +7,12 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from baseline_model.anchors import anchor_positions_m, spread_m
-from baseline_model.backbone import ImagePathway
-from baseline_model.config import ModelConfig
-from baseline_model.layers import PIXELS, convolution, convolutions
-from baseline_model.poses import MEAN_HEIGHT_M, MEAN_PITCH_RAD
-from baseline_model.projection import Projection, cell_centres, invert_rigid, road_from_cam, sampling_grid
+from .anchors import anchor_positions_m, spread_m
+from .backbone import ImagePathway
+from .config import ModelConfig
+from .layers import PIXELS, convolution, convolutions
+from .poses import MEAN_HEIGHT_M, MEAN_PITCH_RAD
+from .projection import Projection, cell_centres, invert_rigid, road_from_cam, sampling_grid
 
 PRIOR_LOGIT = -2.9
 """Confidence starts at 0.05, about the share of anchors that hold a lane."""

@@ -7,9 +7,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from baseline_model import checkpoint as checkpoints
-from baseline_model.model import LaneNet, Output
 from synth3dlanes.errors import MissingPackageError
+
+from . import checkpoint as checkpoints
+from .model import LaneNet, Output
 
 OPSET = 18
 INPUTS = ("image", "intrinsics")

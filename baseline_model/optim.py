@@ -8,8 +8,8 @@ from typing import Any
 import torch
 from torch import nn
 
-from baseline_model.config import TrainConfig
-from baseline_model.model import LaneNet
+from .config import TrainConfig
+from .model import LaneNet
 
 EMA_START = 10
 """The average begins short, (1 + step) / (10 + step), so that early weights leave it soon."""

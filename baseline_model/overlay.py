@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from baseline_model.lanes import Prediction
-from baseline_model.poses import Pose, road_from_cam
 from synth3dlanes.frames import project, transform
 from synth3dlanes.labels import Labels
+
+from .lanes import Prediction
+from .poses import Pose, road_from_cam
 
 TRUTH, FOUND = "#1f5fff", "#ff2020"
 FAR_M = 80.0

@@ -7,15 +7,16 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from baseline_model import checkpoint as checkpoints
-from baseline_model.data import intrinsics_of
-from baseline_model.foreign import read_image
-from baseline_model.inference import Intrinsics, choose_device, predict_images
-from baseline_model.lanes import Prediction, write_predictions
-from baseline_model.overlay import save_overlay
-from baseline_model.sources import open_split
 from synth3dlanes.errors import InputError
+from synth3dlanes.formats.reading import read_image
 from synth3dlanes.labels import Labels
+
+from . import checkpoint as checkpoints
+from .data import intrinsics_of
+from .inference import Intrinsics, choose_device, predict_images
+from .lanes import Prediction, write_predictions
+from .overlay import save_overlay
+from .sources import open_split
 
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp")
 

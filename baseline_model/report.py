@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from baseline_model.curves import METRIC_Y_M
-from baseline_model.metrics import Errors, KindReport, Report
+from .curves import METRIC_Y_M
+from .metrics import Errors, KindReport, Report
 
 Cells = list[list[str]]
 COLUMNS = ("AP", "near 1s", "near 2s", "far 1s", "far 2s")

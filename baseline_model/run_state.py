@@ -9,14 +9,15 @@ from typing import Any
 
 import torch
 
-from baseline_model import checkpoint as checkpoints
-from baseline_model.config import TrainConfig
-from baseline_model.data import ResidentData
-from baseline_model.inference import choose_device
-from baseline_model.model import LaneNet
-from baseline_model.optim import RunningAverage, Schedule, optimizer_for
-from baseline_model.pretrained import load_vgg16
 from synth3dlanes.errors import InputError
+
+from . import checkpoint as checkpoints
+from .config import TrainConfig
+from .data import ResidentData
+from .inference import choose_device
+from .model import LaneNet
+from .optim import RunningAverage, Schedule, optimizer_for
+from .pretrained import load_vgg16
 
 MEMORY_SHARE = 0.5
 """Data move to the GPU if they leave at least the other half of its free memory to the network."""

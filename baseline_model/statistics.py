@@ -9,7 +9,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from baseline_model.anchors import (
+from synth3dlanes.frames import transform
+from synth3dlanes.labels import Kind, Labels
+
+from .anchors import (
     CENTERLINE,
     DELIMITER,
     DROPPED,
@@ -20,17 +23,15 @@ from baseline_model.anchors import (
     encode,
     spread_m,
 )
-from baseline_model.config import COMPACT, ModelConfig
-from baseline_model.curves import plane_pose, road_curves, target_pose
-from baseline_model.data import Samples, pack
-from baseline_model.evaluate import labels_at
-from baseline_model.lanes import DENSE_Y_M, Detection, Prediction, interpolate
-from baseline_model.metrics import Evaluation, MetricConfig, Report
-from baseline_model.poses import MEAN_POSE, Pose, cam_from_road, road_from_cam
-from baseline_model.report import to_document as report_document
-from baseline_model.sources import open_split
-from synth3dlanes.frames import transform
-from synth3dlanes.labels import Kind, Labels
+from .config import COMPACT, ModelConfig
+from .curves import plane_pose, road_curves, target_pose
+from .data import Samples, pack
+from .evaluate import labels_at
+from .lanes import DENSE_Y_M, Detection, Prediction, interpolate
+from .metrics import Evaluation, MetricConfig, Report
+from .poses import MEAN_POSE, Pose, cam_from_road, road_from_cam
+from .report import to_document as report_document
+from .sources import open_split
 
 
 @dataclass(frozen=True, eq=False)

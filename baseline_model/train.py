@@ -14,21 +14,22 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
-from baseline_model import checkpoint as checkpoints
-from baseline_model.anchors import encode
-from baseline_model.augment import Augmented, augment, generator_for, lane_masks, noisy
-from baseline_model.config import TrainConfig
-from baseline_model.data import ResidentData, Samples, describe, load
-from baseline_model.inference import layout_of, mixed_precision, predictions_of, run
-from baseline_model.loss import loss
-from baseline_model.metrics import Evaluation, MetricConfig, Report
-from baseline_model.model import LaneNet, Output
-from baseline_model.progress import Line, Log
-from baseline_model.projection import cell_centres, invert_rigid, road_from_cam
-from baseline_model.report import to_document
-from baseline_model.run_state import Process, Run, fits, prepare, save, start_process
-from baseline_model.sources import training_and_validation
 from synth3dlanes.labels import Labels
+
+from . import checkpoint as checkpoints
+from .anchors import encode
+from .augment import Augmented, augment, generator_for, lane_masks, noisy
+from .config import TrainConfig
+from .data import ResidentData, Samples, describe, load
+from .inference import layout_of, mixed_precision, predictions_of, run
+from .loss import loss
+from .metrics import Evaluation, MetricConfig, Report
+from .model import LaneNet, Output
+from .progress import Line, Log
+from .projection import cell_centres, invert_rigid, road_from_cam
+from .report import to_document
+from .run_state import Process, Run, fits, prepare, save, start_process
+from .sources import training_and_validation
 
 SAVE_EVERY_S = 300.0
 

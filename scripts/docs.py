@@ -8,16 +8,27 @@ import click
 from pydantic import BaseModel, ValidationError
 from synth3dlanes_cli.main import main
 
-from synth3dlanes.catalogue import BUILT_IN
+from synth3dlanes.assets.catalogue import BUILT_IN
 from synth3dlanes.params import Params, load_params, presets_folder
 from synth3dlanes.scene import Scene
 
 FOLDER = Path(__file__).parents[1] / "docs"
 
-CLI_HEAD = """# Commands
+CLI_HEAD = r"""# Commands
 
 `synth3dlanes COMMAND --help` says the same. `--json` is there wherever a machine may read the result. Bad input is one
 clear line per problem on stderr and exit code 2; 1 means that the work itself failed, 130 that a signal stopped it.
+`python -m synth3dlanes COMMAND` is the same program, for where its script is not on the path.
+
+## Shell completion
+
+Commands, options and their values complete in bash 4.4 or later, zsh and fish. One line, in the shell's startup file:
+
+| shell | file | line |
+|---|---|---|
+| bash | `~/.bashrc` | `eval "$(_SYNTH3DLANES_COMPLETE=bash_source synth3dlanes)"` |
+| zsh | `~/.zshrc` | `eval "$(_SYNTH3DLANES_COMPLETE=zsh_source synth3dlanes)"` |
+| fish | `~/.config/fish/completions/synth3dlanes.fish` | `_SYNTH3DLANES_COMPLETE=fish_source synth3dlanes \| source` |
 """
 
 PARAMS_HEAD = """# Parameters

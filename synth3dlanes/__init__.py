@@ -1,3 +1,82 @@
-"""Synthetic 3D-lane images with exact ground truth."""
+"""Synthetic 3D-lane images with exact ground truth: docs/api.md has all names below with examples.
+
+Importing this package loads none of its modules; each name loads what it needs when it is first used.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from synth3dlanes.api import (
+        Rendered,
+        change_scene,
+        export_dataset,
+        generate_dataset,
+        label,
+        load_params,
+        load_scene,
+        open_assets,
+        open_dataset,
+        render,
+        sample_scene,
+        save_scene,
+    )
+    from synth3dlanes.dataset.format import Sample
+    from synth3dlanes.dataset.read import Reader
+    from synth3dlanes.errors import FormatError, InputError
+    from synth3dlanes.figures.overlay import draw_overlay
+    from synth3dlanes.labels import Labels, Lane
+    from synth3dlanes.params import Params
+    from synth3dlanes.scene import Scene
+    from synth3dlanes.sources import read_scene
 
 __version__ = "0.2.0"
+
+__all__ = [
+    "FormatError",
+    "InputError",
+    "Labels",
+    "Lane",
+    "Params",
+    "Reader",
+    "Rendered",
+    "Sample",
+    "Scene",
+    "change_scene",
+    "draw_overlay",
+    "export_dataset",
+    "generate_dataset",
+    "label",
+    "load_params",
+    "load_scene",
+    "open_assets",
+    "open_dataset",
+    "read_scene",
+    "render",
+    "sample_scene",
+    "save_scene",
+]
+
+# Where names live that are not functions of `api`.
+_HOMES = {
+    "FormatError": "errors",
+    "InputError": "errors",
+    "Labels": "labels",
+    "Lane": "labels",
+    "Params": "params",
+    "Reader": "dataset.read",
+    "Sample": "dataset.format",
+    "Scene": "scene",
+    "draw_overlay": "figures.overlay",
+    "read_scene": "sources",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOMES.get(name, 'api')}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Generic, TypeVar
 import yaml
 from pydantic import PlainSerializer, PlainValidator
 
-from synth3dlanes.catalogue import Assets, Kind
+from synth3dlanes.assets.catalogue import Assets, Kind
 
 Value = TypeVar("Value", bool, int, float)
 # Of models or textures of one kind, where nothing says how many there are.

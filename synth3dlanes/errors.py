@@ -12,11 +12,6 @@ Exception
       +-- WorkerError          a worker process crashed, hung or was killed
 """
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from pydantic import ValidationError
-
 
 class Synth3dlanesError(Exception):
     """Every error that this library raises on purpose."""
@@ -48,16 +43,3 @@ class MissingPackageError(Synth3dlanesError):
 
 class WorkerError(Synth3dlanesError):
     """A worker process ended without a result; the message has its last words."""
-
-
-def validation_problems(error: "ValidationError", where: str) -> list[str]:
-    """One line per problem: where, what was expected, what was found."""
-    lines = []
-    for problem in error.errors():
-        path = ".".join(str(step) for step in problem["loc"])
-        if problem["type"] == "value_error":
-            lines.append(f"{where}: {problem['ctx']['error']}")
-            continue
-        found = "" if problem["type"] == "missing" else f", got {problem['input']!r:.60}"
-        lines.append(f"{where}: {path + ': ' if path else ''}{problem['msg']}{found}")
-    return lines

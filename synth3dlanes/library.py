@@ -4,8 +4,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from synth3dlanes.asset_folder import Checked
-from synth3dlanes.catalogue import BUILT_IN, Library
+from synth3dlanes.assets.catalogue import BUILT_IN, Library
+from synth3dlanes.assets.folder import Checked
 from synth3dlanes.errors import InputError
 from synth3dlanes.production.recipe import require_blender
 from synth3dlanes.production.workers import Limits, call

@@ -6,22 +6,17 @@ later: scenes written before are read, and show what they showed.
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+import numpy as np
+from pydantic import Field, ValidationError, model_validator
 
-from synth3dlanes.catalogue import Assets, Kind
-from synth3dlanes.errors import FormatError, validation_problems
+from synth3dlanes.assets.catalogue import Assets, Kind
+from synth3dlanes.errors import FormatError
+from synth3dlanes.schema import Part, Positive, Unit, validation_problems
+from synth3dlanes.streams import stream
 
 SCENE_VERSION = 1
 
-Unit = Annotated[float, Field(ge=0, le=1)]
-Positive = Annotated[float, Field(gt=0)]
 Color = tuple[Unit, Unit, Unit]
-
-
-class Part(BaseModel):
-    """A frozen part of a scene; unknown keys, missing keys, NaN and infinity are errors."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class Gaussian(Part):
@@ -194,6 +189,10 @@ class Scene(Part):
     sensor: Sensor = Sensor()
     sky: Annotated[int, Field(ge=0)] = 0
     assets: Assets = Assets()
+
+    def stream(self, name: str) -> np.random.Generator:
+        """The random numbers for what the scene leaves to its renderer, such as `clouds`."""
+        return stream(self.seed, self.split, self.index, name)
 
     @model_validator(mode="after")
     def _has_its_models(self) -> "Scene":

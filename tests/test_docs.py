@@ -6,6 +6,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import click
 import pytest
 from jsonschema import Draft202012Validator
 
@@ -27,6 +28,17 @@ def test_every_command_and_option_is_explained() -> None:
     for name, command in commands():
         assert command.help, name
         assert f"`{name}" in readme, f"{name} is missing in README.md"
+        options = [option for option in command.params if isinstance(option, click.Option)]
+        assert not [option.opts for option in options if not option.help], f"{name}: these have no help"
+
+
+def test_every_group_is_explained() -> None:
+    """`commands` lists no groups, whose help is a page of its own."""
+    from synth3dlanes_cli.main import main
+
+    groups = [main, *(command for command in main.commands.values() if isinstance(command, click.Group))]
+    assert len(groups) > 1
+    assert all(group.help for group in groups)
 
 
 def test_every_parameter_has_its_meaning_in_the_reference_preset() -> None:
@@ -97,7 +109,8 @@ def test_the_index_has_every_page() -> None:
     assert {path.name for pattern in ("*.md", "*.schema.json") for path in DOCS.glob(pattern)} - {"README.md"} <= linked
 
 
-def test_the_changelog_knows_this_version() -> None:
+def test_the_changelog_and_the_citation_know_this_version() -> None:
     from synth3dlanes import __version__
 
     assert f"## [{__version__}]" in (ROOT / "CHANGELOG.md").read_text()
+    assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text()

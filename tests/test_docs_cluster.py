@@ -112,6 +112,6 @@ def test_the_container_gets_every_file_that_pip_needs():
     ignored = (CLUSTER / "Containerfile.dockerignore").read_text().split()
     kept = {name.removeprefix("!") for name in ignored if name.startswith("!")}
     project = (ROOT / "pyproject.toml").read_text()
-    folders = {"baseline_model", "synth3dlanes", *re.findall(r'_?\w+"? = "(cli|params|blender_assets)"', project)}
-    assert kept == folders | {"README.md", "constraints.txt", "pyproject.toml"}
+    folders = {"synth3dlanes", *re.findall(r'_?\w+"? = "(baseline_model|cli|params|blender_assets)"', project)}
+    assert kept == folders | {"LICENSE", "README.md", "constraints.txt", "pyproject.toml"}
     assert all((ROOT / name).exists() for name in kept)

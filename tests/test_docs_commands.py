@@ -1,7 +1,7 @@
 """Every command and every Python example of the pages runs, in its page's order and folder, and prints what they say.
 
 What is made smaller: `small` says. What is only parsed stands under `<!-- not run: why -->` in the page. Blocks under
-`<!-- file NAME -->` are files of docs/, which test_docs_cluster.py runs; docs/loaders.md has tests/export's own test.
+`<!-- file NAME -->` are files of docs/, which test_docs_cluster.py runs; docs/loaders.md has tests/formats's own test.
 Inline commands have placeholders, so there only names and options are looked up.
 """
 
@@ -176,7 +176,8 @@ def test_blocks_and_inline_commands(page: Path) -> None:
     for word in re.findall(r"`make (\w+)`", prose):
         parse(["make", word])
     for module in re.findall(r"python -m (\S+?)`", prose):
-        assert (ROOT / f"{module.replace('.', '/')}.py").exists()
+        path = ROOT / module.replace(".", "/")
+        assert path.with_suffix(".py").exists() or (path / "__main__.py").exists()
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     for named in re.findall(r"(?<=\.)\[([a-z,]+)\]", page.read_text()):
         assert set(named.split(",")) <= set(extras)

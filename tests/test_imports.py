@@ -11,11 +11,15 @@ PROBE = "import sys; import {}; print(*sorted({{'bpy', 'torch', 'matplotlib', 'p
 @pytest.mark.parametrize(
     ("module", "allowed"),
     [
+        ("synth3dlanes", set()),
+        ("synth3dlanes.api", {"pyarrow"}),
         ("synth3dlanes_cli.main", set()),
         ("synth3dlanes.geometry.lanes", set()),
         ("synth3dlanes.sample", set()),
         ("synth3dlanes.ground_truth", set()),
         ("synth3dlanes.dataset.read", {"pyarrow"}),
+        ("synth3dlanes.formats.apollo.read", set()),
+        ("synth3dlanes.formats.export", {"pyarrow"}),
         ("synth3dlanes.sources", {"pyarrow"}),
         ("synth3dlanes.production.run", {"pyarrow"}),
     ],

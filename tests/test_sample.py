@@ -5,11 +5,10 @@ import pytest
 from scipy import stats
 
 from synth3dlanes.errors import InputError
-from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import sample_scene, scene_texts
 from synth3dlanes.scene import to_json
+from synth3dlanes.world import resolve
 
 N = 400
 # With some 40 tests of uniformity, a true null falls below this once in 250 runs; the draws are fixed, so never here.
@@ -133,20 +132,20 @@ def test_scenes_differ_by_seed_split_and_index(params):
 
 def test_trees_stand_off_every_road_and_cars_in_lanes_that_exist(scenes):
     for scene in scenes[:60]:
-        plan = RoadPlan(scene)
+        ground = resolve(scene).ground
         xy = np.array([[tree.x_m, tree.y_m] for tree in scene.trees])
-        assert Ground(plan).clearance(xy).min() >= 1.0
+        assert ground.clearance(xy).min() >= 1.0
         for car in scene.cars:
             assert car.lane in scene.road.segments_at(car.s_m)
 
 
 def test_cars_keep_apart(scenes):
     """Circles along each car's axis, an independent and stricter-than-none test of overlap."""
-    from synth3dlanes.catalogue import CARS
+    from synth3dlanes.assets.catalogue import CARS
     from synth3dlanes.geometry.placement import lane_place
 
     for scene in scenes[:60]:
-        plan = RoadPlan(scene)
+        plan = resolve(scene).plan
         circles, owners = [], []
         for i, car in enumerate(scene.cars):
             middle, heading = lane_place(plan, car.lane, car.s_m)

@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image, UnidentifiedImageError
 
-from synth3dlanes.asset_folder import (
+from synth3dlanes.assets.catalogue import Assets, CarModel, Kind, Sky, Texture, TreeModel
+from synth3dlanes.assets.folder import (
     Checked,
     Folder,
     Notes,
@@ -23,10 +24,10 @@ from synth3dlanes.asset_folder import (
     scan,
     texture_digest,
 )
-from synth3dlanes.blender.own_models import Imported, ModelKind, import_model, points_of
-from synth3dlanes.blender.own_sky import brightest_azimuth, read_sky
-from synth3dlanes.catalogue import Assets, CarModel, Kind, Sky, Texture, TreeModel
+from synth3dlanes.blender.sky_file import read_sky
+from synth3dlanes.blender.user_models import Imported, ModelKind, import_model, points_of
 from synth3dlanes.errors import FormatError
+from synth3dlanes.imaging.user_sky import brightest_azimuth
 
 CAR_LENGTH_M, TREE_HEIGHT_M = (2.5, 20.0), (0.3, 60.0)
 TRIANGLES: dict[ModelKind, int] = {"car": 15_000, "tree": 10_000}

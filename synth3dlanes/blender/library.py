@@ -5,12 +5,13 @@ from pathlib import Path
 
 import bpy
 
-from synth3dlanes.asset_folder import ROLES, Folder, TextureFiles, scan, texture_digest, verified
+from synth3dlanes.assets.catalogue import BUILT_IN, CARS, TREES, CarModel, Kind, Library, Texture, TreeModel
+from synth3dlanes.assets.folder import ROLES, Folder, TextureFiles, scan, texture_digest, verified
 from synth3dlanes.blender.assets import load_meshes
-from synth3dlanes.blender.own_models import ModelKind, import_model
-from synth3dlanes.blender.own_sky import OwnSky, load_sky
-from synth3dlanes.catalogue import BUILT_IN, CARS, TREES, CarModel, Kind, Library, Texture, TreeModel
+from synth3dlanes.blender.sky_file import read_sky
+from synth3dlanes.blender.user_models import ModelKind, import_model
 from synth3dlanes.errors import FormatError
+from synth3dlanes.imaging.user_sky import UserSky, prepare_sky
 
 NOTHING = Folder({}, {}, (), ())
 
@@ -24,7 +25,7 @@ class Assets:
     trees: tuple[bpy.types.Mesh, ...]
     roads: tuple[TextureFiles, ...]
     terrains: tuple[TextureFiles, ...]
-    skies: tuple[OwnSky, ...]
+    skies: tuple[UserSky, ...]
 
 
 def load_assets(library: Library = BUILT_IN) -> Assets:
@@ -37,7 +38,8 @@ def load_assets(library: Library = BUILT_IN) -> Assets:
         _own_textures(folder, "roads", own.roads) or tuple(our_texture(f"road_{k}") for k in (1, 2, 3)),
         _own_textures(folder, "terrains", own.terrains) or tuple(our_texture(f"terrain_{k}") for k in (1, 2)),
         tuple(
-            load_sky(verified(_path(folder, "skies", sky.name), sky.sha256), sky.sun_azimuth_rad) for sky in own.skies
+            prepare_sky(read_sky(verified(_path(folder, "skies", sky.name), sky.sha256)), sky.sun_azimuth_rad)
+            for sky in own.skies
         ),
     )
 

@@ -7,24 +7,21 @@ import json
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from synth3dlanes.dataset.format import member_names
-from synth3dlanes.errors import FormatError, InputError, validation_problems
+from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.schema import Part, validation_problems
 
 DESCRIPTION = "dataset.json"
 DATASET_FORMAT = "synth3dlanes.dataset"
 DATASET_VERSION = 1
+# Of the images and labels that are made with the built-in assets.
+DATA_LICENSE = "CC0-1.0"
 
 Count = Annotated[int, Field(ge=0, strict=True)]
-Positive = Annotated[int, Field(ge=1, strict=True)]
+AtLeastOne = Annotated[int, Field(ge=1, strict=True)]
 SplitName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
-
-
-class Part(BaseModel):
-    """A part of dataset.json."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class Split(Part):
@@ -36,7 +33,7 @@ class Split(Part):
 class Render(Part):
     """How images were rendered: samples a pixel, passes beside the image, the device."""
 
-    samples: Positive
+    samples: AtLeastOne
     passes: tuple[Literal["depth", "normal", "semantic", "instance", "height"], ...]
     device: str
 
@@ -46,13 +43,14 @@ class Description(Part):
 
     format: Literal["synth3dlanes.dataset"]
     version: Literal[1]
+    license: str | None = None
     generator: str
     seed: Count
     image_format: Literal["jpg", "png"]
     render: Render
     params: dict[str, Any]
-    assets: dict[str, Any] = {}
-    shard_size: Positive
+    assets: dict[str, Any] = Field(default_factory=dict)
+    shard_size: AtLeastOne
     splits: dict[SplitName, Split]
     derived: dict[str, Any] | None = None
 
@@ -84,13 +82,16 @@ def parse_description(data: bytes, where: str) -> dict[str, Any]:
 def updated_description(before: bytes | None, recipe: dict[str, Any], split: str, n: int, where: str) -> bytes:
     """`dataset.json` once a split of `n` is asked for; `before` is what it holds now, None where there is none.
 
+    A data set keeps the licence that it has. A new one made with a user's own assets gets none: theirs is not known.
     Raises InputError with a line for each key of the recipe that differs from the one there, and FormatError as
     `parse_description` does.
     """
-    asked = {"format": DATASET_FORMAT, "version": DATASET_VERSION, **recipe}
+    found = None if before is None else parse_description(before, where)
+    new = {} if any(recipe.get("assets", {}).values()) else {"license": DATA_LICENSE}
+    licence = {key: value for key, value in (found or new).items() if key == "license"}
+    asked = {"format": DATASET_FORMAT, "version": DATASET_VERSION, **licence, **recipe}
     splits: dict[str, Any] = {}
-    if before is not None:
-        found = parse_description(before, where)
+    if found is not None:
         splits = found.pop("splits")
         # Through JSON, so that a tuple equals the list that it was written as.
         problems = list(differences(found, json.loads(json.dumps(asked))))
@@ -101,7 +102,9 @@ def updated_description(before: bytes | None, recipe: dict[str, Any], split: str
 
 
 def differences(found: Any, asked: Any, name: str = "") -> Iterator[str]:
-    """A line for every key of a recipe that differs from what a data set has."""
+    """A line for every key of a recipe that differs from what a data set has; one of the two may have no licence."""
+    if name == "license" and None in (found, asked):
+        return
     if isinstance(found, dict) and isinstance(asked, dict):
         for key in [*found, *(key for key in asked if key not in found)]:
             yield from differences(found.get(key), asked.get(key), f"{name}.{key}" if name else key)
@@ -115,9 +118,10 @@ def recipe_of_description(description: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def recipe_text(description: Mapping[str, Any]) -> str:
-    """The recipe of a description as text; equal recipes give equal text."""
+    """The recipe of a description, without the licence, as text; equal recipes give equal text."""
+    recipe = {key: value for key, value in recipe_of_description(description).items() if key != "license"}
     # Through JSON, so that a tuple equals the list that it is read back as; 3.0 equals 3.
-    canonical = json.loads(json.dumps(recipe_of_description(description)), parse_float=_whole)
+    canonical = json.loads(json.dumps(recipe), parse_float=_whole)
     return json.dumps(canonical, sort_keys=True, separators=(",", ":"))
 
 

@@ -64,11 +64,13 @@ def merge(sources: Sequence[str], out: str) -> dict[str, int]:
     if problems:
         raise InputError(*dict.fromkeys(problems))
     counts = {}
+    # All of them: some may have no licence.
+    recipe = {key: value for reader in found for key, value in _recipe(reader).items()}
     merged = {name: [one for one in found if split_name(one) == name] for name in sorted(map(split_name, found))}
     places = {name: _union(several) for name, several in merged.items()}
     for name, several in merged.items():
         n = max(map(split_size, several))
-        _put(out, _recipe(first), name, n, places[name])
+        _put(out, recipe, name, n, places[name])
         counts[name] = len(places[name])
     return counts
 

@@ -25,9 +25,10 @@ from scipy.ndimage import gaussian_filter
 
 from synth3dlanes.dataset.format import decode_image
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.errors import FormatError, validation_problems
+from synth3dlanes.errors import FormatError
 from synth3dlanes.production.recipe import Recipe, make_part, make_sample
 from synth3dlanes.production.workers import Limits, Pool
+from synth3dlanes.schema import validation_problems
 
 WARM_UP = 2
 REFERENCE_SAMPLES, REFERENCE_SCENES = 1024, 3

@@ -4,8 +4,8 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from synth3dlanes.asset_folder import require_assets
-from synth3dlanes.catalogue import Library
+from synth3dlanes.assets.catalogue import Library
+from synth3dlanes.assets.folder import require_assets
 from synth3dlanes.change import change_scene
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.errors import InputError
@@ -14,6 +14,7 @@ from synth3dlanes.production.workers import Limits, call
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import RenderSettings
 from synth3dlanes.sources import load_scene, scene_name
+from synth3dlanes.world import resolve
 
 # A scene may be as large as its file says.
 PATIENCE = Limits(seconds=math.inf, rss_bytes=1 << 50)
@@ -36,10 +37,7 @@ def render_file(
     if changes and image_path.with_suffix(f".{SCENE}").resolve() == scene_path.resolve():
         raise InputError(f"out {image_path}: would overwrite {scene_path} with the changed scene; name another")
     # Pinned as all workers are: on one core more than another, Cycles rounds some sums otherwise.
-    outcome = call(PATIENCE, _make, scene, settings, image_format, library, pinned=True)
-    members: dict[str, bytes] | InputError = outcome.result(str(scene_path))
-    if isinstance(members, InputError):
-        raise members
+    members = render_members(scene, settings, image_format, library, str(scene_path))
     files = {image_path.with_suffix(f".{name}"): data for name, data in members.items() if changes or name != SCENE}
     image_path.parent.mkdir(parents=True, exist_ok=True)
     for path, data in files.items():
@@ -47,8 +45,24 @@ def render_file(
     return list(files)
 
 
+def render_members(
+    scene: Scene, settings: RenderSettings, image_format: str, library: Library, where: str
+) -> dict[str, bytes]:
+    """The members of a sample of the scene, made in a worker of its own.
+
+    Raises MissingPackageError without Blender, InputError for a device that is not there, WorkerError where Blender
+    fails; the message begins with `where`.
+    """
+    require_blender()
+    outcome = call(PATIENCE, _make, scene, settings, image_format, library, pinned=True)
+    members: dict[str, bytes] | InputError = outcome.result(where)
+    if isinstance(members, InputError):
+        raise members
+    return members
+
+
 def _make(scene: Scene, settings: RenderSettings, image_format: str, library: Library) -> dict[str, bytes] | InputError:
     try:
-        return make_image(scene, settings, image_format, library).members
+        return make_image(resolve(scene), settings, image_format, library).members
     except InputError as error:
         return error

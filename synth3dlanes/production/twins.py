@@ -9,16 +9,16 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-from synth3dlanes.asset_folder import require_assets
-from synth3dlanes.catalogue import BUILT_IN, Library
+from synth3dlanes.assets.catalogue import BUILT_IN, Library
+from synth3dlanes.assets.folder import require_assets
 from synth3dlanes.change import change_scene
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import how_derived
 from synth3dlanes.errors import InputError
 from synth3dlanes.production.recipe import Recipe
-from synth3dlanes.scene import Scene
 from synth3dlanes.settings import RenderSettings
 from synth3dlanes.sources import params_of, read_scene
+from synth3dlanes.world import World, resolve
 from synth3dlanes.yaml_text import read_yaml
 
 
@@ -30,10 +30,10 @@ class TwinRecipe(Recipe):
     path: str
     values: tuple[str, ...]
 
-    def scene(self, index: int) -> Scene:
-        """The changed scene; it keeps the seed, split and index that it was drawn for."""
+    def world(self, index: int) -> World:
+        """The world of the changed scene, which keeps the seed, split and index that it was drawn for."""
         value = self.values[int(self.split.removeprefix("twin_")) - 1]
-        return change_scene(read_scene(_reader(self.source), index), [f"{self.path}={value}"])
+        return resolve(change_scene(read_scene(_reader(self.source), index), [f"{self.path}={value}"]))
 
     def description(self) -> dict[str, Any]:
         """As of any recipe, and what was varied."""

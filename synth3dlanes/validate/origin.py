@@ -13,14 +13,15 @@ import yaml
 from pydantic import BeforeValidator, ConfigDict, Field, ValidationError
 
 from synth3dlanes import __version__
-from synth3dlanes.catalogue import Assets
+from synth3dlanes.assets.catalogue import Assets
 from synth3dlanes.change import change_scene
-from synth3dlanes.dataset.description import DESCRIPTION, Part
+from synth3dlanes.dataset.description import DESCRIPTION
 from synth3dlanes.dataset.format import SCENE
-from synth3dlanes.errors import FormatError, InputError, validation_problems
+from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.params import Params
 from synth3dlanes.sample import sample_scene
 from synth3dlanes.scene import Scene
+from synth3dlanes.schema import Part, validation_problems
 from synth3dlanes.validate.documents import NAMED_AT_MOST, differences, some
 from synth3dlanes.validate.findings import Problem
 

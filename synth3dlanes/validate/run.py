@@ -15,6 +15,7 @@ from synth3dlanes.dataset.description import DESCRIPTION, Description, parse_des
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.geometry import height_map
+from synth3dlanes.ground_truth import label
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
 from synth3dlanes.validate.alignment import check_alignment
@@ -31,6 +32,7 @@ from synth3dlanes.validate.integrity import Entry, check_presence, check_row, ch
 from synth3dlanes.validate.normals import check_normals
 from synth3dlanes.validate.obstacles import check_objects
 from synth3dlanes.validate.origin import Origin, drawn_otherwise, made_otherwise, read_origin
+from synth3dlanes.validate.paint import Paint
 from synth3dlanes.validate.passes_proof import Passes, prove_passes
 from synth3dlanes.validate.pavement import prove_pavement
 from synth3dlanes.validate.pictures import Picture, draw, remove_pictures, save_picture
@@ -39,7 +41,7 @@ from synth3dlanes.validate.sharpness import check_sharpness
 from synth3dlanes.validate.signed import signed_values
 from synth3dlanes.validate.standing import check_standing
 from synth3dlanes.validate.structure import check_shape, check_values, points_to_pixels
-from synth3dlanes.validate.world import World
+from synth3dlanes.world import World, resolve
 
 # What geometry raises where a scene or labels make none. Samples of a clean data set raise nothing.
 NO_GEOMETRY = (
@@ -158,7 +160,7 @@ def check_sample(place: str, origin: Origin | None, description: Description, en
     if scene is None or labels is None or image is None or passes is None:
         return Checked(entry.name, digest, redrawn, findings)
     misshapen = [*_pictures(scene, description, image, passes), *check_shape(scene, labels)]
-    proved = [] if misshapen else list(_prove(entry, World(scene), labels, image, passes))
+    proved = [] if misshapen else list(_prove(entry, resolve(scene), labels, image, passes))
     findings += [*misshapen, *(finding for proof in proved for finding in proof.findings)]
     if findings:
         save_picture(place, entry.name.replace(":", "-"), image if misshapen else draw(image, labels))
@@ -171,12 +173,12 @@ def check_sample(place: str, origin: Origin | None, description: Description, en
 def _prove(entry: Entry, world: World, labels: Labels, image: Picture, passes: Passes) -> Iterator[Proved]:
     """Run every proof. Where a scene makes no geometry or a proof cannot go on, that is a finding."""
     try:
-        assert world.truth.lanes
+        truth, paint = label(world, world.view), Paint(world)
     except NO_GEOMETRY as error:
         found = f"{type(error).__name__} {error}"
         yield Proved([Finding("", f"{SCENE}: expected a world whose lanes can be computed, got {found}")])
         return
-    for name, proof in _proofs(entry, world, labels, image, passes).items():
+    for name, proof in _proofs(entry, paint, truth, labels, image, passes).items():
         try:
             yield proof()
         except NO_GEOMETRY as error:
@@ -184,12 +186,13 @@ def _prove(entry: Entry, world: World, labels: Labels, image: Picture, passes: P
 
 
 def _proofs(
-    entry: Entry, world: World, labels: Labels, image: Picture, passes: Passes
+    entry: Entry, paint: Paint, truth: Labels, labels: Labels, image: Picture, passes: Passes
 ) -> dict[str, Callable[[], Proved]]:
     """The proofs of a sample by what they judge: of its index, its scene and its labels, then of its pixels."""
+    world = paint.world
     proofs = {
         "index": lambda: Proved([*check_row(entry, world.scene, labels)]),
-        "labels": lambda: Proved([*check_values(world, labels)]),
+        "labels": lambda: Proved([*check_values(world.scene, truth, labels)]),
         "host": lambda: Proved([*check_host(world, labels)]),
         "object_visible": lambda: Proved([*check_objects(world, labels)]),
         "frame": lambda: Proved(*check_frame(image, passes)),
@@ -198,16 +201,16 @@ def _proofs(
     if not points_to_pixels(labels):
         return proofs
     return proofs | {
-        "passes": lambda: Proved(*prove_passes(world.paint, labels, passes)),
-        "image": lambda: Proved(*prove_image(world, labels, image)),
+        "passes": lambda: Proved(*prove_passes(paint, labels, passes)),
+        "image": lambda: Proved(*prove_image(paint, labels, image)),
         "sharpness": lambda: Proved([*check_sharpness(image)]),
         "colours": lambda: Proved([*check_colours(world, labels.camera, image, passes)]),
-        "alignment": lambda: Proved([*check_alignment(image, passes)] if world.paint.shows else []),
+        "alignment": lambda: Proved([*check_alignment(image, passes)] if paint.shows else []),
         "pavement": lambda: Proved(*prove_pavement(world, labels, passes)),
         "hills": lambda: Proved([*check_hills(world, labels, passes)]),
         "normals": lambda: Proved([*check_normals(labels.camera, passes)]),
-        "ids": lambda: Proved(*prove_ids(world, labels, passes)),
-        "bias": lambda: Proved(signed=[*signed_values(world.scene, world.paint, labels, image, passes)]),
+        "ids": lambda: Proved(*prove_ids(paint, labels, passes)),
+        "bias": lambda: Proved(signed=[*signed_values(paint, labels, image, passes)]),
     }
 
 

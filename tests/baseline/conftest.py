@@ -45,7 +45,8 @@ def roads() -> Roads:
 def make_labels(centers, delimiters=(), *, pitch_rad=0.04, height_m=1.6, size_px=(480, 360), hidden=None):
     """Labels of lanes given as functions y -> (x, z) in the road frame, or (function, y_from, y_to).
     `hidden` is an interval of y that the ground hides."""
-    from baseline_model.poses import Pose, cam_from_road, road_from_cam
+    from synth3dlanes_baseline.poses import Pose, cam_from_road, road_from_cam
+
     from synth3dlanes.frames import transform
     from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph
 
@@ -118,8 +119,8 @@ def drawn_samples(rng, n, size_px=(480, 360)):
 
 def as_prediction(labels, key="0", score=0.9, shift_m=0.0):
     """The labels as a detector would report them, moved sideways by `shift_m`."""
-    from baseline_model.curves import plane_pose
-    from baseline_model.lanes import Detection, Prediction
+    from synth3dlanes_baseline.curves import plane_pose
+    from synth3dlanes_baseline.lanes import Detection, Prediction
 
     shift = np.array([shift_m, 0.0, 0.0])
     lanes = tuple(Detection(lane.kind, score, lane.xyz_cam + shift) for lane in labels.lanes)

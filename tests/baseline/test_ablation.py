@@ -12,7 +12,7 @@ FEW = {"batch": 2, "epochs": 1.0, "device": "cpu"}
 @pytest.fixture
 def drawn_splits(roads, monkeypatch):
     """`DIR/train` and its like, drawn in memory."""
-    from baseline_model import ablation, evaluate, sources
+    from synth3dlanes_baseline import ablation, evaluate, sources
 
     splits = {name: roads.samples(np.random.default_rng(n), n, (160, 120)) for name, n in SIZES.items()}
     monkeypatch.setattr(sources, "_exists", lambda path: True)
@@ -21,13 +21,13 @@ def drawn_splits(roads, monkeypatch):
 
 
 def _steps(folder):
-    from baseline_model import checkpoint
+    from synth3dlanes_baseline import checkpoint
 
     return checkpoint.load(folder / "best.pt").about["step"]
 
 
 def test_rows_stand_beside_the_papers_and_are_trained_once(drawn_splits, tmp_path):
-    from baseline_model.ablation import ablation
+    from synth3dlanes_baseline.ablation import ablation
 
     reports = ablation("d", tmp_path, "tiny", ("full", "top_view"), FEW)
     assert set(reports) == {"full", "flat_ground:plane", "flat_ground:horizon", "top_view"}
@@ -42,7 +42,8 @@ def test_rows_stand_beside_the_papers_and_are_trained_once(drawn_splits, tmp_pat
 
 
 def test_sizes_of_the_learning_curve_train_for_equally_many_steps(drawn_splits, tmp_path):
-    from baseline_model.ablation import learning_curve
+    from synth3dlanes_baseline.ablation import learning_curve
+
     from synth3dlanes.errors import InputError
 
     learning_curve("d", tmp_path, [2, 4], "tiny", FEW)

@@ -8,11 +8,11 @@ import torch
 
 
 def _encode(labels, **changes):
-    from baseline_model.anchors import encode
-    from baseline_model.config import NANO
-    from baseline_model.curves import plane_pose, road_curves
-    from baseline_model.data import pack
-    from baseline_model.poses import road_from_cam
+    from synth3dlanes_baseline.anchors import encode
+    from synth3dlanes_baseline.config import NANO
+    from synth3dlanes_baseline.curves import plane_pose, road_curves
+    from synth3dlanes_baseline.data import pack
+    from synth3dlanes_baseline.poses import road_from_cam
 
     config = NANO.model_copy(update=changes)
     to_top = torch.from_numpy(road_from_cam(plane_pose(labels))).float()[None]
@@ -24,8 +24,8 @@ def _line(x_m, slope=0.0):
 
 
 def test_anchors_are_the_centres_of_the_last_maps_columns():
-    from baseline_model.anchors import anchor_positions_m
-    from baseline_model.config import PAPER
+    from synth3dlanes_baseline.anchors import anchor_positions_m
+    from synth3dlanes_baseline.config import PAPER
 
     assert anchor_positions_m(PAPER) == pytest.approx(np.arange(16) * 1.28 - 9.60)
     image_view = anchor_positions_m(PAPER.model_copy(update={"variant": "image_view"}))
@@ -58,7 +58,7 @@ def test_two_paths_of_a_split_share_an_anchor_in_order(roads):
 
 
 def test_a_third_centerline_is_dropped_and_only_the_leftmost_delimiter_stays(roads):
-    from baseline_model.anchors import DROPPED, KEPT
+    from synth3dlanes_baseline.anchors import DROPPED, KEPT
 
     lanes = [_line(0.1, slope) for slope in (0.05, -0.05, 0.0)]
     targets, status = _encode(roads.labels(lanes, [_line(0.5, 0.03), _line(0.1)]))
@@ -78,7 +78,7 @@ def test_knots_beyond_the_lane_or_hidden_by_ground_are_masked(roads):
 
 
 def test_ignored_lanes_are_neither_positive_nor_negative(roads):
-    from baseline_model.anchors import IGNORED
+    from synth3dlanes_baseline.anchors import IGNORED
 
     # Crosses Y_ref but too little of it is seen; the second starts behind Y_ref; the third is outside the top view.
     labels = roads.labels([_line(0.1), (_line(4.0), 30.0, 110.0), _line(10.5)], hidden=(10.0, 200.0))
@@ -90,8 +90,8 @@ def test_ignored_lanes_are_neither_positive_nor_negative(roads):
 
 
 def test_training_and_metric_ignore_the_same_lanes(roads):
-    from baseline_model.anchors import IGNORED
-    from baseline_model.curves import is_usable, road_curves
+    from synth3dlanes_baseline.anchors import IGNORED
+    from synth3dlanes_baseline.curves import is_usable, road_curves
 
     rng = np.random.default_rng(7)
     for _ in range(200):
@@ -128,8 +128,8 @@ def test_mirrored_scene_gives_mirrored_targets(roads):
 
 @pytest.mark.parametrize(("knots", "near_cm"), [("paper", 4.0), ("ten", 0.5)])
 def test_encode_then_decode_is_the_identity_within_the_splines_error(roads, knots, near_cm):
-    from baseline_model.config import NANO, PAPER_KNOTS_M, TEN_KNOTS_M
-    from baseline_model.statistics import statistics_of
+    from synth3dlanes_baseline.config import NANO, PAPER_KNOTS_M, TEN_KNOTS_M
+    from synth3dlanes_baseline.statistics import statistics_of
 
     rng = np.random.default_rng(13)
     model = NANO.model_copy(update={"knots_y_m": PAPER_KNOTS_M if knots == "paper" else TEN_KNOTS_M})
@@ -144,7 +144,8 @@ def test_encode_then_decode_is_the_identity_within_the_splines_error(roads, knot
 
 def test_ceiling_on_generated_scenes():
     """What the anchors, six knots and a natural spline can say at best; 1,000 scenes gave 3.5 cm and AP 1.000."""
-    from baseline_model.statistics import statistics_of
+    from synth3dlanes_baseline.statistics import statistics_of
+
     from synth3dlanes.ground_truth import ground_truth
     from synth3dlanes.params import load_params
     from synth3dlanes.sample import sample_scene
@@ -158,8 +159,9 @@ def test_ceiling_on_generated_scenes():
 
 
 def test_horizon_pose_puts_the_farthest_point_on_the_plane(roads):
-    from baseline_model.curves import plane_pose, road_curves, target_pose
-    from baseline_model.poses import road_from_cam
+    from synth3dlanes_baseline.curves import plane_pose, road_curves, target_pose
+    from synth3dlanes_baseline.poses import road_from_cam
+
     from synth3dlanes.frames import transform
 
     labels = roads.labels([lambda y: (0.0 * y, 0.03 * y + 1e-4 * y**2)])
@@ -174,14 +176,14 @@ def test_horizon_pose_puts_the_farthest_point_on_the_plane(roads):
 
 
 def test_suppression_keeps_one_of_a_plateau():
-    from baseline_model.lanes import keep_local_maxima
+    from synth3dlanes_baseline.lanes import keep_local_maxima
 
     scores = np.array([[0.1, 0.7, 0.7, 0.2, 0.9, 0.3, 0.4]])
     assert keep_local_maxima(scores).tolist() == [[False, True, False, False, True, False, True]]
 
 
 def test_the_default_spline_is_the_natural_cubic():
-    from baseline_model.lanes import interpolate
+    from synth3dlanes_baseline.lanes import interpolate
 
     knots = np.array([5.0, 20, 40, 60, 80, 100])
     row_at_zero = interpolate(knots, np.eye(6), np.array([0.0]), "natural")

@@ -4,7 +4,7 @@ import pytest
 
 
 def test_every_model_and_row_makes_a_run_that_survives_json():
-    from baseline_model.config import ABLATIONS, MODELS, TrainConfig, parse, train_config
+    from synth3dlanes_baseline.config import ABLATIONS, MODELS, TrainConfig, parse, train_config
 
     for model in MODELS:
         config = train_config(model)
@@ -15,7 +15,7 @@ def test_every_model_and_row_makes_a_run_that_survives_json():
 
 
 def test_paper_keeps_the_papers_recipe():
-    from baseline_model.config import PAPER_KNOTS_M, train_config
+    from synth3dlanes_baseline.config import PAPER_KNOTS_M, train_config
 
     config = train_config("paper")
     assert (config.optimizer, config.schedule) == ("adam", "cyclic")
@@ -28,7 +28,8 @@ def test_paper_keeps_the_papers_recipe():
 
 
 def test_overrides_name_every_problem():
-    from baseline_model.config import overrides_from, train_config
+    from synth3dlanes_baseline.config import overrides_from, train_config
+
     from synth3dlanes.errors import InputError
 
     config = train_config("nano", overrides_from(["model.grid.rows=104", 'loss.kinds=["delimiter"]', "device=cpu"]))

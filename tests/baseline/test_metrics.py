@@ -8,7 +8,7 @@ import pytest
 
 
 def _evaluate(pairs, **changes):
-    from baseline_model.metrics import Evaluation, MetricConfig
+    from synth3dlanes_baseline.metrics import Evaluation, MetricConfig
 
     evaluation = Evaluation(MetricConfig(**{"bootstraps": 0, **changes}))
     for labels, prediction in pairs:
@@ -161,7 +161,7 @@ def test_matching_starts_anew_at_every_threshold(roads):
 
 
 def test_average_precision_by_hand(roads):
-    from baseline_model.metrics import ap_at_101_points, average_precision
+    from synth3dlanes_baseline.metrics import ap_at_101_points, average_precision
 
     recalls, precisions = np.array([0.25, 0.25, 0.5, 0.75]), np.array([1.0, 0.5, 0.6, 0.75])
     assert average_precision(recalls, precisions) == pytest.approx(0.25 * 1.0 + 0.5 * 0.75)

@@ -10,7 +10,7 @@ import torch
 
 
 def _batch(roads, n=2, size_px=(160, 120), seed=0):
-    from baseline_model.data import load
+    from synth3dlanes_baseline.data import load
 
     samples = roads.samples(np.random.default_rng(seed), n, size_px)
     data = load(samples, (size_px[1], size_px[0]), "plane")
@@ -18,8 +18,8 @@ def _batch(roads, n=2, size_px=(160, 120), seed=0):
 
 
 def _targets(batch, config):
-    from baseline_model.anchors import encode
-    from baseline_model.projection import road_from_cam
+    from synth3dlanes_baseline.anchors import encode
+    from synth3dlanes_baseline.projection import road_from_cam
 
     return encode(batch.curves, road_from_cam(batch.target_pose), config)[0]
 
@@ -28,8 +28,8 @@ def _targets(batch, config):
     "row", ["full", "image_view", "top_view", "early_ipm", "late_ipm", "horizon", "fixed_position", "no_supervision"]
 )
 def test_every_ablation_gives_39_values_per_anchor_from_the_same_start(roads, row):
-    from baseline_model.config import TINY, train_config
-    from baseline_model.model import LaneNet
+    from synth3dlanes_baseline.config import TINY, train_config
+    from synth3dlanes_baseline.model import LaneNet
 
     batch = _batch(roads)
     torch.manual_seed(0)
@@ -48,8 +48,8 @@ def test_every_ablation_gives_39_values_per_anchor_from_the_same_start(roads, ro
 
 COMPILED = """
 import torch
-from baseline_model.config import train_config
-from baseline_model.model import LaneNet
+from synth3dlanes_baseline.config import train_config
+from synth3dlanes_baseline.model import LaneNet
 
 image, intrinsics = torch.rand(2, 3, 120, 160), torch.tensor([[138.6, 138.6, 80.0, 60.0]] * 2)
 ours = {"model.plane_heights_m": [0.0, 3.0], "model.has_bev_masks": True}
@@ -78,8 +78,8 @@ def test_compiled_it_is_one_graph_with_the_same_lanes_and_gradients():
 
 
 def test_paper_has_the_sizes_of_the_notes():
-    from baseline_model.config import PAPER
-    from baseline_model.model import LaneNet
+    from synth3dlanes_baseline.config import PAPER
+    from synth3dlanes_baseline.model import LaneNet
 
     model = LaneNet(PAPER)
     assert sum(p.numel() for p in model.parameters()) == pytest.approx(23.7e6, rel=0.005)
@@ -89,8 +89,8 @@ def test_paper_has_the_sizes_of_the_notes():
 
 
 def test_the_network_starts_at_the_mean_pose_and_a_low_confidence(roads):
-    from baseline_model.config import TINY
-    from baseline_model.model import LaneNet
+    from synth3dlanes_baseline.config import TINY
+    from synth3dlanes_baseline.model import LaneNet
 
     batch = _batch(roads)
     with torch.no_grad():
@@ -101,8 +101,8 @@ def test_the_network_starts_at_the_mean_pose_and_a_low_confidence(roads):
 
 
 def test_lane_loss_reaches_the_pose_only_through_a_grid_with_gradient(roads):
-    from baseline_model.config import TINY
-    from baseline_model.model import LaneNet
+    from synth3dlanes_baseline.config import TINY
+    from synth3dlanes_baseline.model import LaneNet
 
     batch = _batch(roads)
     for has_gradient in (False, True):
@@ -114,10 +114,10 @@ def test_lane_loss_reaches_the_pose_only_through_a_grid_with_gradient(roads):
 
 
 def test_improved_has_its_extra_heads_and_takes_masks_and_planes(roads):
-    from baseline_model.augment import lane_masks
-    from baseline_model.config import TINY, improved
-    from baseline_model.model import LaneNet
-    from baseline_model.projection import cell_centres, road_from_cam
+    from synth3dlanes_baseline.augment import lane_masks
+    from synth3dlanes_baseline.config import TINY, improved
+    from synth3dlanes_baseline.model import LaneNet
+    from synth3dlanes_baseline.projection import cell_centres, road_from_cam
 
     config = improved(TINY).model_copy(update={"plane_heights_m": (-1.5, 0.0, 3.0), "has_bev_masks": True})
     batch = _batch(roads)
@@ -136,8 +136,8 @@ def test_improved_has_its_extra_heads_and_takes_masks_and_planes(roads):
 
 
 def test_loss_of_perfect_output_is_only_the_confidence(roads):
-    from baseline_model.config import TINY, LossConfig
-    from baseline_model.loss import loss
+    from synth3dlanes_baseline.config import TINY, LossConfig
+    from synth3dlanes_baseline.loss import loss
 
     batch = _batch(roads)
     targets = _targets(batch, TINY)
@@ -151,15 +151,15 @@ def test_loss_of_perfect_output_is_only_the_confidence(roads):
 
 
 def test_hidden_knots_and_ignored_lanes_get_no_gradient(roads):
-    from baseline_model.config import TINY, LossConfig
-    from baseline_model.data import pack
-    from baseline_model.loss import loss
-    from baseline_model.projection import road_from_cam
+    from synth3dlanes_baseline.config import TINY, LossConfig
+    from synth3dlanes_baseline.data import pack
+    from synth3dlanes_baseline.loss import loss
+    from synth3dlanes_baseline.projection import road_from_cam
 
     labels = roads.labels([lambda y: (0.1, 0 * y), (lambda y: (4.1, 0 * y), 0.0, 15.0), lambda y: (10.6, 0 * y)],
                           hidden=(50.0, 200.0))  # fmt: skip
-    from baseline_model.anchors import encode
-    from baseline_model.curves import road_curves
+    from synth3dlanes_baseline.anchors import encode
+    from synth3dlanes_baseline.curves import road_curves
 
     pose = torch.tensor([[labels.camera.pitch_rad, labels.camera.height_m]])
     targets, _ = encode(pack([road_curves(labels)]), road_from_cam(pose), TINY)
@@ -173,8 +173,8 @@ def test_hidden_knots_and_ignored_lanes_get_no_gradient(roads):
 
 
 def test_unlabelled_kinds_enter_no_term(roads):
-    from baseline_model.config import TINY, LossConfig
-    from baseline_model.loss import loss
+    from synth3dlanes_baseline.config import TINY, LossConfig
+    from synth3dlanes_baseline.loss import loss
 
     batch = _batch(roads)
     targets = _targets(batch, TINY)
@@ -188,8 +188,8 @@ def test_unlabelled_kinds_enter_no_term(roads):
 
 
 def test_flip_twice_is_the_identity_and_once_mirrors_the_targets(roads):
-    from baseline_model.augment import flip
-    from baseline_model.config import TINY
+    from synth3dlanes_baseline.augment import flip
+    from synth3dlanes_baseline.config import TINY
 
     batch = _batch(roads, n=4)
     chosen = torch.tensor([True, False, True, True])
@@ -206,8 +206,8 @@ def test_flip_twice_is_the_identity_and_once_mirrors_the_targets(roads):
 
 @pytest.mark.parametrize(("pitch_deg", "yaw_deg"), [(1.5, 0.0), (0.0, 4.0), (-1.0, -3.0)])
 def test_virtual_rotation_moves_picture_and_labels_together(roads, pitch_deg, yaw_deg):
-    from baseline_model.augment import rotate
-    from baseline_model.projection import road_from_cam
+    from synth3dlanes_baseline.augment import rotate
+    from synth3dlanes_baseline.projection import road_from_cam
 
     batch = _batch(roads, n=1, size_px=(480, 360))
     point_cam = torch.tensor([[1.0, 18.0, -0.8]])
@@ -231,8 +231,8 @@ def test_virtual_rotation_moves_picture_and_labels_together(roads, pitch_deg, ya
 
 
 def test_augmentation_of_a_step_repeats(roads):
-    from baseline_model.augment import augment, generator_for
-    from baseline_model.config import OUR_AUGMENTATION
+    from synth3dlanes_baseline.augment import augment, generator_for
+    from synth3dlanes_baseline.config import OUR_AUGMENTATION
 
     batch = _batch(roads)
     first, second, other = (
@@ -243,11 +243,11 @@ def test_augmentation_of_a_step_repeats(roads):
 
 
 def test_a_top_view_moved_right_sees_lanes_further_left(roads):
-    from baseline_model.anchors import encode
-    from baseline_model.config import TINY
-    from baseline_model.curves import road_curves
-    from baseline_model.data import pack
-    from baseline_model.projection import road_from_cam, top_from_road
+    from synth3dlanes_baseline.anchors import encode
+    from synth3dlanes_baseline.config import TINY
+    from synth3dlanes_baseline.curves import road_curves
+    from synth3dlanes_baseline.data import pack
+    from synth3dlanes_baseline.projection import road_from_cam, top_from_road
 
     labels = roads.labels([lambda y: (1.0, 0 * y)])
     pose = torch.tensor([[labels.camera.pitch_rad, labels.camera.height_m]])
@@ -259,7 +259,7 @@ def test_a_top_view_moved_right_sees_lanes_further_left(roads):
 
 
 def _output(targets, batch):
-    from baseline_model.model import Output
+    from synth3dlanes_baseline.model import Output
 
     logit = torch.where(targets.assigned, 20.0, -20.0)
     pose = torch.zeros(len(logit), 2) if batch is None else batch.target_pose

@@ -12,9 +12,9 @@ from PIL import Image
 @pytest.fixture(scope="module")
 def checkpoint(tmp_path_factory):
     """An untrained tiny network: every path through the files is the same as a trained one's."""
-    from baseline_model import checkpoint as checkpoints
-    from baseline_model.config import train_config
-    from baseline_model.model import LaneNet
+    from synth3dlanes_baseline import checkpoint as checkpoints
+    from synth3dlanes_baseline.config import train_config
+    from synth3dlanes_baseline.model import LaneNet
 
     torch.manual_seed(0)
     config = train_config("tiny")
@@ -26,7 +26,7 @@ def checkpoint(tmp_path_factory):
 @pytest.fixture
 def split(roads, tmp_path, monkeypatch):
     """A split of drawn pictures behind the name DIR/test."""
-    from baseline_model import evaluate, predict, statistics
+    from synth3dlanes_baseline import evaluate, predict, statistics
 
     samples = roads.samples(np.random.default_rng(4), 5, (160, 120))
     for module in (evaluate, predict, statistics):
@@ -35,9 +35,9 @@ def split(roads, tmp_path, monkeypatch):
 
 
 def test_a_predictions_file_scores_as_the_checkpoint_does(checkpoint, split, tmp_path):
-    from baseline_model.evaluate import evaluate_checkpoint, evaluate_predictions
-    from baseline_model.predict import predict
-    from baseline_model.report import to_document
+    from synth3dlanes_baseline.evaluate import evaluate_checkpoint, evaluate_predictions
+    from synth3dlanes_baseline.predict import predict
+    from synth3dlanes_baseline.report import to_document
 
     path = predict(checkpoint, "DIR/test", tmp_path / "out", n_overlays=2, device="cpu")
     from_file = to_document(evaluate_predictions(path, "DIR/test"))
@@ -53,9 +53,9 @@ def test_a_predictions_file_scores_as_the_checkpoint_does(checkpoint, split, tmp
 
 
 def test_the_truth_written_as_predictions_reads_as_perfect(roads, split, tmp_path):
-    from baseline_model.evaluate import evaluate_predictions
-    from baseline_model.lanes import write_predictions
-    from baseline_model.report import save_plots, to_document, to_text
+    from synth3dlanes_baseline.evaluate import evaluate_predictions
+    from synth3dlanes_baseline.lanes import write_predictions
+    from synth3dlanes_baseline.report import save_plots, to_document, to_text
 
     path = tmp_path / "p.jsonl"
     write_predictions(path, (roads.as_prediction(sample.labels, sample.key) for sample in split))
@@ -89,7 +89,8 @@ def test_the_truth_written_as_predictions_reads_as_perfect(roads, split, tmp_pat
     ],
 )
 def test_wrong_predictions_files_are_refused(split, tmp_path, line, problem):
-    from baseline_model.evaluate import evaluate_predictions
+    from synth3dlanes_baseline.evaluate import evaluate_predictions
+
     from synth3dlanes.errors import FormatError
 
     path = tmp_path / "p.jsonl"
@@ -99,9 +100,10 @@ def test_wrong_predictions_files_are_refused(split, tmp_path, line, problem):
 
 
 def test_image_folders_need_intrinsics_and_give_the_same_as_a_split(checkpoint, split, tmp_path):
-    from baseline_model.data import intrinsics_of
-    from baseline_model.lanes import read_predictions
-    from baseline_model.predict import predict
+    from synth3dlanes_baseline.data import intrinsics_of
+    from synth3dlanes_baseline.lanes import read_predictions
+    from synth3dlanes_baseline.predict import predict
+
     from synth3dlanes.errors import InputError
 
     folder = tmp_path / "images"
@@ -121,8 +123,8 @@ def test_image_folders_need_intrinsics_and_give_the_same_as_a_split(checkpoint, 
 
 
 def test_flat_ground_is_exact_on_a_plane_and_wrong_on_a_hill(roads):
-    from baseline_model.evaluate import score
-    from baseline_model.flat_ground import through_flat_ground
+    from synth3dlanes_baseline.evaluate import score
+    from synth3dlanes_baseline.flat_ground import through_flat_ground
 
     flat = roads.labels([lambda y: (0.002 * y**2, 0 * y)])
     hill = roads.labels([lambda y: (0 * y + 3.0, 1e-4 * y**2)])
@@ -134,8 +136,8 @@ def test_flat_ground_is_exact_on_a_plane_and_wrong_on_a_hill(roads):
 
 
 def test_table_puts_the_papers_numbers_beside_ours(roads, split):
-    from baseline_model.evaluate import score
-    from baseline_model.report import markdown, table_1_cells, text
+    from synth3dlanes_baseline.evaluate import score
+    from synth3dlanes_baseline.report import markdown, table_1_cells, text
 
     report = score([roads.as_prediction(sample.labels) for sample in split], split)
     cells = table_1_cells({"full": report, "late_ipm": report, "flat_ground:horizon": report})
@@ -150,9 +152,8 @@ def test_table_puts_the_papers_numbers_beside_ours(roads, split):
 @pytest.mark.filterwarnings("ignore")
 def test_onnx_gives_equal_outputs(checkpoint, tmp_path):
     import onnxruntime
-
-    from baseline_model import checkpoint as checkpoints
-    from baseline_model.onnx_export import OUTPUTS, export_onnx
+    from synth3dlanes_baseline import checkpoint as checkpoints
+    from synth3dlanes_baseline.onnx_export import OUTPUTS, export_onnx
 
     path = export_onnx(checkpoint, tmp_path / "m.onnx")
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
@@ -169,7 +170,7 @@ def test_onnx_gives_equal_outputs(checkpoint, tmp_path):
 
 
 def test_statistics_count_every_lane(split):
-    from baseline_model.statistics import describe_targets
+    from synth3dlanes_baseline.statistics import describe_targets
 
     text = describe_targets("DIR/test")
     document = json.loads(describe_targets("DIR/test", as_json=True))
@@ -183,7 +184,7 @@ def test_statistics_count_every_lane(split):
     ("n_gpus", "name", "chosen"), [(0, "auto", "cpu"), (2, "auto", "cuda"), (2, "cuda:1", "cuda:1"), (2, "cpu", "cpu")]
 )
 def test_devices_that_are_there(monkeypatch, n_gpus, name, chosen):
-    from baseline_model.inference import choose_device
+    from synth3dlanes_baseline.inference import choose_device
 
     monkeypatch.setattr(torch.cuda, "device_count", lambda: n_gpus)
     assert str(choose_device(name)) == chosen
@@ -198,7 +199,8 @@ def test_devices_that_are_there(monkeypatch, n_gpus, name, chosen):
     ],
 )
 def test_devices_that_are_not(monkeypatch, n_gpus, name, problem):
-    from baseline_model.inference import choose_device
+    from synth3dlanes_baseline.inference import choose_device
+
     from synth3dlanes.errors import InputError
 
     monkeypatch.setattr(torch.cuda, "device_count", lambda: n_gpus)

@@ -13,7 +13,8 @@ N = 3
 @pytest.fixture(scope="module")
 def split_of(tmp_path_factory):
     """Writes scenes of one seed to a split, their cameras rolled or not, and opens it as training does."""
-    from baseline_model.sources import open_split
+    from synth3dlanes_baseline.sources import open_split
+
     from synth3dlanes import scene as scene_format
     from synth3dlanes.dataset.folder import claim
     from synth3dlanes.dataset.format import encode, member_names
@@ -49,7 +50,7 @@ def _picture(labels):
 
 
 def test_targets_of_a_rolled_image_are_those_of_the_same_scene_without_roll(split_of):
-    from baseline_model.data import load
+    from synth3dlanes_baseline.data import load
 
     shift = "camera.principal_offset_px=[-8, 8]"
     level, rolled = (
@@ -72,7 +73,7 @@ def test_the_index_gives_keys_and_labels_without_pictures(split_of):
 
 
 def test_without_a_validation_split_every_tenth_sample_is_held_out(tmp_path, monkeypatch):
-    from baseline_model import sources
+    from synth3dlanes_baseline import sources
 
     monkeypatch.setattr(sources, "open_split", lambda place: list(range(25)) if place.endswith("train") else ["val"])
     train, val = sources.training_and_validation(str(tmp_path), "train", "val", None)
@@ -85,7 +86,8 @@ def test_without_a_validation_split_every_tenth_sample_is_held_out(tmp_path, mon
 
 
 def test_a_validation_split_that_is_damaged_is_an_error_and_not_missing(split_of):
-    from baseline_model.sources import training_and_validation
+    from synth3dlanes_baseline.sources import training_and_validation
+
     from synth3dlanes.errors import FormatError
 
     root = Path(split_of().reader.url).parent
@@ -95,10 +97,24 @@ def test_a_validation_split_that_is_damaged_is_an_error_and_not_missing(split_of
         training_and_validation(str(root), "train", "val", None)
 
 
+def test_foreign_splits_are_known_by_their_files(tmp_path):
+    from synth3dlanes_baseline.sources import open_split
+    from synth3dlanes_baseline.tusimple import TusimpleOnPlane
+
+    from synth3dlanes.formats.apollo.read import ApolloSplit
+    from synth3dlanes.formats.openlane.read import OpenLaneSplit
+
+    (tmp_path / "train.json").write_text('{"raw_file": "images/00/1.jpg", "laneLines": []}\n')
+    (tmp_path / "label_data_0313.json").write_text('{"raw_file": "clips/1/20.jpg", "lanes": [], "h_samples": [240]}\n')
+    (tmp_path / "validation/segment-1").mkdir(parents=True)
+    assert isinstance(open_split(tmp_path / "train.json"), ApolloSplit)
+    assert isinstance(open_split(tmp_path / "label_data_0313.json"), TusimpleOnPlane)
+    assert isinstance(open_split(tmp_path / "validation"), OpenLaneSplit)
+
+
 def test_both_splits_are_read_from_a_store(split_of):
     import fsspec
-
-    from baseline_model.sources import training_and_validation
+    from synth3dlanes_baseline.sources import training_and_validation
 
     root = Path(split_of().reader.url).parent
     store = fsspec.filesystem("memory")

@@ -12,7 +12,7 @@ SMALL_PX = (160, 120)
 
 
 def _config(**overrides):
-    from baseline_model.config import train_config
+    from synth3dlanes_baseline.config import train_config
 
     return train_config("tiny", {"batch": 2, "epochs": 3.0, "validate_every_epochs": 3.0, "device": "cpu", **overrides})
 
@@ -22,7 +22,7 @@ def _samples(roads, n=4, seed=0):
 
 
 def test_a_killed_run_continues_as_if_nothing_had_happened(roads, tmp_path, monkeypatch):
-    from baseline_model import checkpoint, train
+    from synth3dlanes_baseline import checkpoint, train
 
     samples, config = _samples(roads), _config()
     whole = train.train_on(config, samples, samples, tmp_path / "whole")
@@ -46,7 +46,8 @@ def test_a_killed_run_continues_as_if_nothing_had_happened(roads, tmp_path, monk
 
 
 def test_another_configuration_does_not_continue_a_run(roads, tmp_path):
-    from baseline_model.train import train_on
+    from synth3dlanes_baseline.train import train_on
+
     from synth3dlanes.errors import InputError
 
     samples = _samples(roads)
@@ -56,7 +57,7 @@ def test_another_configuration_does_not_continue_a_run(roads, tmp_path):
 
 
 def test_nan_stops_the_run_and_names_the_sample(roads, tmp_path):
-    from baseline_model.train import Diverged, train_on
+    from synth3dlanes_baseline.train import Diverged, train_on
 
     samples = _samples(roads)
     bad = samples[2]
@@ -69,7 +70,8 @@ def test_nan_stops_the_run_and_names_the_sample(roads, tmp_path):
 
 
 def test_labels_that_are_not_numbers_are_refused_by_name(roads):
-    from baseline_model.data import load
+    from synth3dlanes_baseline.data import load
+
     from synth3dlanes.errors import FormatError
 
     (sample,) = _samples(roads, n=1)
@@ -81,8 +83,8 @@ def test_labels_that_are_not_numbers_are_refused_by_name(roads):
 
 
 def test_order_is_a_permutation_of_seed_and_epoch():
-    from baseline_model.run_state import Process
-    from baseline_model.train import batch_index, sample_order
+    from synth3dlanes_baseline.run_state import Process
+    from synth3dlanes_baseline.train import batch_index, sample_order
 
     cpu = torch.device("cpu")
     assert sorted(sample_order(10, 0, 0).tolist()) == list(range(10))
@@ -96,7 +98,7 @@ def test_order_is_a_permutation_of_seed_and_epoch():
 
 
 def test_schedules(roads):
-    from baseline_model.optim import Schedule
+    from synth3dlanes_baseline.optim import Schedule
 
     cosine = _config(learning_rate=1e-3)
     rates = [Schedule().rate(step, 1000, 100, cosine) for step in range(1000)]
@@ -114,8 +116,9 @@ def test_schedules(roads):
 
 
 def test_checkpoints_execute_nothing_and_describe_themselves(roads, tmp_path):
-    from baseline_model import checkpoint
-    from baseline_model.train import train_on
+    from synth3dlanes_baseline import checkpoint
+    from synth3dlanes_baseline.train import train_on
+
     from synth3dlanes.errors import FormatError
 
     samples = _samples(roads)
@@ -138,7 +141,7 @@ def test_checkpoints_execute_nothing_and_describe_themselves(roads, tmp_path):
 
 
 def test_storage_as_yuv_is_close_to_rgb_and_half_its_size(roads):
-    from baseline_model.data import load
+    from synth3dlanes_baseline.data import load
 
     samples = _samples(roads)
     size_px = (SMALL_PX[1], SMALL_PX[0])
@@ -151,7 +154,7 @@ def test_storage_as_yuv_is_close_to_rgb_and_half_its_size(roads):
 
 
 def test_resizing_scales_the_intrinsics_so_that_projections_scale(roads):
-    from baseline_model.data import intrinsics_of, resize
+    from synth3dlanes_baseline.data import intrinsics_of, resize
 
     labels = roads.labels([lambda y: (1.0, 0 * y)])
     image, (fx, fy, cx, cy) = resize(np.zeros((360, 480, 3), dtype=np.uint8), intrinsics_of(labels), (90, 160))
@@ -164,10 +167,10 @@ def test_resizing_scales_the_intrinsics_so_that_projections_scale(roads):
 
 def test_it_overfits_a_few_images(roads, tmp_path):
     """The whole chain at once: any slip in grid, targets, decoding or frames keeps AP from rising."""
-    from baseline_model.checkpoint import build, load
-    from baseline_model.evaluate import score
-    from baseline_model.inference import predict_samples
-    from baseline_model.train import train_on
+    from synth3dlanes_baseline.checkpoint import build, load
+    from synth3dlanes_baseline.evaluate import score
+    from synth3dlanes_baseline.inference import predict_samples
+    from synth3dlanes_baseline.train import train_on
 
     samples = _samples(roads, n=4, seed=1)
     # The label's pose drives the warp in training, the predicted one in the end.
@@ -184,8 +187,8 @@ def test_it_overfits_a_few_images(roads, tmp_path):
 
 @pytest.mark.slow
 def test_sixteen_images_to_average_precision_one(roads, tmp_path):
-    from baseline_model.config import train_config
-    from baseline_model.train import train_on
+    from synth3dlanes_baseline.config import train_config
+    from synth3dlanes_baseline.train import train_on
 
     samples = roads.samples(np.random.default_rng(0), 16)
     settings = {"batch": 8, "epochs": 80.0, "validate_every_epochs": 20.0, "learning_rate": 4e-3, "device": "cpu"}

@@ -1,6 +1,7 @@
 """What each command prints and writes."""
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -89,3 +90,22 @@ def test_render_makes_the_very_bytes_that_the_data_set_has(in_tmp_path: Path) ->
     subprocess.run([*program, "render", "a.scene.json", "--out", "a.jpg", *passes], check=True, capture_output=True)
     for name in ("jpg", "labels.json", "passes.exr"):
         assert (in_tmp_path / f"a.{name}").read_bytes() == members[name], name
+
+
+def test_it_runs_as_a_module_too(run: Run) -> None:
+    words = [sys.executable, "-m", "synth3dlanes", "params", "show", "tiny"]
+    as_module = subprocess.run(words, capture_output=True, text=True, timeout=60, check=True)
+    assert as_module.stdout == run("params", "show", "tiny").stdout
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [("synth3dlanes gen", "generate"), ("synth3dlanes generate --dev", "--device"), ("synth3dlanes params sh", "show")],
+)
+def test_the_shell_completes(line: str, expected: str) -> None:
+    """As the lines of docs/cli.md have it do."""
+    program = "from synth3dlanes_cli.main import main; main(prog_name='synth3dlanes')"
+    asked = {"_SYNTH3DLANES_COMPLETE": "bash_complete", "COMP_WORDS": line, "COMP_CWORD": str(line.count(" "))}
+    command = [sys.executable, "-c", program]
+    completed = subprocess.run(command, env={**os.environ, **asked}, capture_output=True, text=True, timeout=60)
+    assert completed.stdout == f"plain,{expected}\n"

@@ -1,0 +1,202 @@
+"""The functions of `import synth3dlanes` (docs/api.md): each joins a few functions of the modules below.
+
+Nothing here loads Blender: `render` and `generate_dataset` do so in worker processes.
+"""
+
+import warnings
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Shaped, UInt8
+
+from synth3dlanes import labels as labels_format
+from synth3dlanes import scene as scene_format
+from synth3dlanes.assets.catalogue import BUILT_IN, Library
+from synth3dlanes.assets.folder import require_assets
+from synth3dlanes.change import change_scene as _change_scene
+from synth3dlanes.dataset.format import HEIGHT, IMAGE_FORMATS, LABELS, PASSES, decode_image, encode, read_passes
+from synth3dlanes.dataset.read import Reader
+from synth3dlanes.dataset.write import write_whole
+from synth3dlanes.errors import InputError
+from synth3dlanes.formats.export import FORMATS, export
+from synth3dlanes.formats.summary import Summary
+from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.labels import Labels
+from synth3dlanes.library import open_library
+from synth3dlanes.params import Params
+from synth3dlanes.params import load_params as _load_params
+from synth3dlanes.production.events import Event
+from synth3dlanes.production.plan import Plan
+from synth3dlanes.production.recipe import Recipe
+from synth3dlanes.production.render_file import render_members
+from synth3dlanes.production.run import generate
+from synth3dlanes.production.tally import Report
+from synth3dlanes.sample import sample_scene as _sample_scene
+from synth3dlanes.scene import Scene
+from synth3dlanes.settings import DEVICES, QUALITY_SAMPLES, RenderSettings
+from synth3dlanes.settings import PASSES as PASS_NAMES
+from synth3dlanes.sources import load_scene as _load_scene
+
+STANDARD = QUALITY_SAMPLES["standard"]
+
+
+@dataclass(frozen=True, eq=False)
+class Rendered:
+    """A rendered scene. Image, labels and passes are those that a data set of PNG images has of the scene."""
+
+    scene: Scene
+    image: UInt8[np.ndarray, "h w 3"]
+    labels: Labels
+    passes: dict[str, Shaped[np.ndarray, "..."]]
+
+    def save(self, path: str | Path) -> list[Path]:
+        """Write the image (.png or .jpg) and beside it the labels, the scene and the passes; return the files.
+
+        The files beside `scene.png` are `scene.labels.json`, `scene.scene.json` and `scene.passes.exr`. Raises
+        InputError for another ending.
+        """
+        path = Path(path)
+        image_format = _one_of("path", path.suffix.removeprefix("."), IMAGE_FORMATS)
+        text = scene_format.to_json(self.scene)
+        members = encode(self.image, self.labels, text, self.passes, image_format)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        for name, data in members.items():
+            write_whole(path.with_suffix(f".{name}"), data)
+        return [path.with_suffix(f".{name}") for name in members]
+
+
+def open_assets(folder: str | Path) -> Library:
+    """Check a folder of your own cars, trees, textures and skies (docs/assets.md), for every `assets` below.
+
+    Warns of what is odd; raises InputError with every problem, and where there is no Blender.
+    """
+    library, found = open_library(Path(folder))
+    for warning in found:
+        warnings.warn(f"{folder}: {warning}", stacklevel=2)
+    return library
+
+
+def load_params(
+    source: str | Path = "appendix_i", overrides: str | Sequence[str] = (), assets: Library = BUILT_IN
+) -> Params:
+    """Read a preset (by name) or a YAML file, then apply overrides such as `cars.n=3`.
+
+    Raises InputError with a line for every problem.
+    """
+    return _load_params(str(source), _several(overrides), assets.assets)
+
+
+def sample_scene(
+    params: Params, *, seed: int = 0, split: str = "train", index: int = 0, assets: Library = BUILT_IN
+) -> Scene:
+    """Draw scene `index` of a split; equal arguments give equal scenes. Raises InputError where nothing fits."""
+    return _sample_scene(params, seed, split, index, assets.assets)
+
+
+def change_scene(scene: Scene, changes: str | Sequence[str]) -> Scene:
+    """The scene with changes such as `light.sun_azimuth_deg=200`, `cars.0.lane=2` or `cars=[]`.
+
+    Keys are those of `scene.json`; angles may be given in degrees. Raises InputError with a line for every problem.
+    """
+    return _change_scene(scene, _several(changes))
+
+
+def load_scene(path: str | Path) -> Scene:
+    """Read a `scene.json`; raise FormatError with a line for every problem."""
+    return _load_scene(Path(path))
+
+
+def save_scene(scene: Scene, path: str | Path) -> None:
+    """Write a `scene.json`, which `load_scene` and `synth3dlanes render` read."""
+    write_whole(Path(path), f"{scene_format.to_json(scene)}\n".encode())
+
+
+def label(scene: Scene) -> Labels:
+    """The exact labels of a scene, without rendering it. `object_visible` is None: it needs `render`."""
+    return ground_truth(scene)
+
+
+def render(
+    scene: Scene,
+    *,
+    samples: int = STANDARD,
+    passes: str | Sequence[str] = (),
+    device: str = "auto",
+    assets: Library = BUILT_IN,
+) -> Rendered:
+    """Render a scene with `samples` rays a pixel, in a process of its own; about five seconds.
+
+    Passes are some of depth, normal, semantic, instance and height. Raises InputError for a bad argument and where
+    `assets` are not those of the scene; MissingPackageError without Blender; WorkerError where Blender fails.
+    """
+    settings = _settings(samples, passes, device)
+    require_assets(scene.assets, assets, "scene")
+    members = render_members(scene, settings, "png", assets, "render")
+    found: dict[str, Shaped[np.ndarray, ...]] = {}
+    for name in (PASSES, HEIGHT):
+        if name in members:
+            found |= read_passes(members[name], name)
+    return Rendered(scene, decode_image(members["png"], "png"), labels_format.from_json(members[LABELS], LABELS), found)
+
+
+def generate_dataset(
+    params: Params,
+    out: str | Path,
+    *,
+    n: int,
+    seed: int = 0,
+    split: str = "train",
+    samples: int = STANDARD,
+    passes: str | Sequence[str] = (),
+    image_format: str = "jpg",
+    device: str = "auto",
+    workers: int = 0,
+    assets: Library = BUILT_IN,
+    notify: Callable[[Event], None] | None = None,
+) -> Report:
+    """Make samples 0 to n - 1 of a split in `out`, a folder or a URL; what is there already is kept.
+
+    `workers` 0 is one for each core; `notify` is called with every event, whose `message` is a line of text. A problem
+    on the way does not raise: see `problem`, `done` and `asked` of the result. Raises InputError where it cannot start.
+    """
+    settings = _settings(samples, passes, device)
+    image_format = _one_of("image_format", image_format, IMAGE_FORMATS)
+    recipe = Recipe(params, seed, split, settings, image_format, library=assets)
+    plan = Plan(out, n, recipe, workers)
+    return generate(plan, notify or (lambda event: None))
+
+
+def open_dataset(place: str | Path, split: str = "train") -> Reader:
+    """Open a split of a data set, in a folder or at a URL. Raises FormatError where there is none."""
+    return Reader(f"{str(place).rstrip('/')}/{split}")
+
+
+def export_dataset(source: str | Path, out: str | Path, format_name: str, *, workers: int = 1) -> Summary:
+    """Write a data set as `apollo`, `openlane`, `once` or `tusimple` and return what was written.
+
+    `out` is a new folder, or one with the same export: frames that it has are kept. Raises InputError otherwise.
+    """
+    format_name = _one_of("format_name", format_name, FORMATS)
+    return export(str(source), Path(out), format_name, workers, lambda done, total: None)
+
+
+def _settings(samples: int, passes: str | Sequence[str], device: str) -> RenderSettings:
+    """Checked, with the passes in their usual order."""
+    if samples < 1:
+        raise InputError(f"samples: expected 1 or more, got {samples}")
+    asked = [_one_of("passes", name, PASS_NAMES) for name in _several(passes)]
+    ordered = tuple(name for name in PASS_NAMES if name in asked)
+    return RenderSettings(samples, ordered, _one_of("device", device, DEVICES))
+
+
+def _several(values: str | Sequence[str]) -> Sequence[str]:
+    """A single text is a list of one."""
+    return [values] if isinstance(values, str) else values
+
+
+def _one_of(argument: str, value: str, known: Iterable[str]) -> str:
+    if value not in known:
+        raise InputError(f"{argument}: expected one of {', '.join(known)}, got {value!r}")
+    return value

@@ -1,0 +1,118 @@
+"""What `import synth3dlanes` offers is typed, documented, lazy, and equal to what the commands make."""
+
+import ast
+import json
+import pkgutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import synth3dlanes
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_every_name_has_a_type_and_a_home() -> None:
+    """A type checker reads the imports under TYPE_CHECKING; they must name what a program gets."""
+    tree = ast.parse(Path(synth3dlanes.__file__).read_text())
+    (block,) = (node for node in tree.body if isinstance(node, ast.If))
+    declared = {alias.name: node.module for node in block.body for alias in node.names}
+    assert sorted(declared) == synth3dlanes.__all__
+    for name, module in declared.items():
+        assert getattr(synth3dlanes, name) is getattr(sys.modules[module], name)
+
+
+def test_no_name_is_a_module_too() -> None:
+    """Importing such a module would put it in the place of the function."""
+    modules = {module.name for module in pkgutil.iter_modules(synth3dlanes.__path__)}
+    assert not modules & set(synth3dlanes.__all__)
+
+
+def test_names_are_listed_and_others_refused() -> None:
+    assert set(synth3dlanes.__all__) < set(dir(synth3dlanes))
+    with pytest.raises(AttributeError, match="no_such_name"):
+        _ = synth3dlanes.no_such_name
+
+
+def test_every_name_is_in_the_page() -> None:
+    page = (ROOT / "docs" / "api.md").read_text()
+    assert not [name for name in synth3dlanes.__all__ if f"`{name}" not in page]
+
+
+def test_importing_it_loads_nothing_of_it() -> None:
+    command = [sys.executable, "-c", "import sys, synth3dlanes; print(*sys.modules)"]
+    loaded = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout.split()
+    assert [name for name in loaded if name.startswith(("synth3dlanes", "numpy", "pydantic"))] == ["synth3dlanes"]
+
+
+def test_a_scene_is_that_of_the_data_set(tmp_path: Path) -> None:
+    from click.testing import CliRunner
+    from synth3dlanes_cli.main import main
+
+    params = synth3dlanes.load_params("appendix_i", "cars.n=3")
+    scene = synth3dlanes.sample_scene(params, seed=2, split="val", index=5)
+    words = ["sample", "--seed", "2", "--split", "val", "--index", "5", "--set", "cars.n=3"]
+    assert json.loads(CliRunner().invoke(main, words).stdout) == scene.model_dump(mode="json")
+    synth3dlanes.save_scene(scene, tmp_path / "scene.json")
+    assert synth3dlanes.load_scene(str(tmp_path / "scene.json")) == scene
+
+
+def test_changes_and_labels() -> None:
+    scene = synth3dlanes.sample_scene(synth3dlanes.load_params())
+    lower = synth3dlanes.change_scene(scene, ["light.sun_azimuth_deg=200", "camera.height_m=1.25"])
+    assert lower.light.sun_azimuth_rad == pytest.approx(np.radians(200))
+    assert synth3dlanes.label(lower).camera.height_m == 1.25
+    assert synth3dlanes.label(lower).lanes[0].object_visible is None
+
+
+@pytest.mark.render
+def test_a_render_is_what_a_data_set_has(tmp_path: Path) -> None:
+    """To the byte, once it is saved."""
+    names = ("height", "depth", "instance")
+    params = synth3dlanes.load_params("tiny", "trees.n=3")
+    report = synth3dlanes.generate_dataset(params, tmp_path, n=1, seed=4, passes=names, image_format="png", workers=1)
+    assert (report.done, report.problem) == (1, "")
+    reader = synth3dlanes.open_dataset(tmp_path)
+    scene = synth3dlanes.read_scene(reader, 0)
+    assert scene == synth3dlanes.sample_scene(params, seed=4)
+    rendered = synth3dlanes.render(scene, passes=names)
+    np.testing.assert_array_equal(rendered.image, reader.image(0))
+    assert list(rendered.passes) == list(reader.passes(0))
+    for name, values in reader.passes(0).items():
+        np.testing.assert_array_equal(rendered.passes[name], values)
+    saved = {path.name.removeprefix("saved."): path.read_bytes() for path in rendered.save(tmp_path / "saved.png")}
+    assert saved == reader.raw(0)
+
+
+@pytest.mark.parametrize(
+    ("function", "arguments", "problem"),
+    [
+        ("render", {"passes": "colour"}, "passes: expected one of depth, normal, semantic, instance, height"),
+        ("render", {"samples": 0}, "samples: expected 1 or more, got 0"),
+        ("render", {"device": "gpu"}, "device: expected one of auto, cpu"),
+        ("generate_dataset", {"out": "o", "n": 1, "image_format": "bmp"}, "image_format: expected one of jpg, png"),
+        ("generate_dataset", {"out": "o", "n": -1}, "n: expected 0 or more, got -1"),
+        ("export_dataset", {"source": "d", "out": "o", "format_name": "coco"}, "format_name: expected one of apollo"),
+    ],
+)
+def test_a_wrong_argument_is_named(
+    function: str, arguments: dict[str, Any], problem: str, flat_scene: Any, in_tmp_path: Path
+) -> None:
+    first = {"render": {"scene": flat_scene}, "generate_dataset": {"params": synth3dlanes.load_params("tiny")}}
+    with pytest.raises(synth3dlanes.InputError) as caught:
+        getattr(synth3dlanes, function)(**first.get(function, {}), **arguments)
+    assert caught.value.problems[0].startswith(problem)
+    assert not list(in_tmp_path.iterdir())
+
+
+def test_an_image_is_saved_as_png_or_jpg_alone(flat_scene: Any, in_tmp_path: Path) -> None:
+    from synth3dlanes.api import Rendered
+
+    rendered = Rendered(flat_scene, np.zeros((2, 3, 3), np.uint8), synth3dlanes.label(flat_scene), {})
+    with pytest.raises(synth3dlanes.InputError, match="path: expected one of jpg, png, got 'gif'"):
+        rendered.save("scene.gif")
+    assert not list(in_tmp_path.iterdir())
