@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from synth3dlanes.errors import FormatError, InputError
     from synth3dlanes.figures.overlay import draw_overlay
     from synth3dlanes.labels import Labels, Lane
-    from synth3dlanes.open_source import read_scene
     from synth3dlanes.params import Params
     from synth3dlanes.scene import Scene
+    from synth3dlanes.sources import read_scene
 
 __version__ = "0.2.0"
 
@@ -68,7 +68,7 @@ _HOMES = {
     "Sample": "dataset.format",
     "Scene": "scene",
     "draw_overlay": "figures.overlay",
-    "read_scene": "open_source",
+    "read_scene": "sources",
 }
 
 

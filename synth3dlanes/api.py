@@ -24,7 +24,6 @@ from synth3dlanes.formats.export import FORMATS, export
 from synth3dlanes.formats.summary import Summary
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
-from synth3dlanes.open_source import load_scene as _load_scene
 from synth3dlanes.params import Params
 from synth3dlanes.params import load_params as _load_params
 from synth3dlanes.production.events import Event
@@ -38,6 +37,7 @@ from synth3dlanes.sample import sample_scene as _sample_scene
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import DEVICES, QUALITY_SAMPLES, RenderSettings
 from synth3dlanes.settings import PASSES as PASS_NAMES
+from synth3dlanes.sources import load_scene as _load_scene
 
 STANDARD = QUALITY_SAMPLES["standard"]
 

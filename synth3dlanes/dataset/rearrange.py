@@ -16,7 +16,7 @@ from synth3dlanes.dataset.destination import Destination
 from synth3dlanes.dataset.format import key_of, member_names
 from synth3dlanes.dataset.index import read_recipe
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.dataset.splits import readers, split_name
+from synth3dlanes.dataset.splits import readers, split_name, split_size
 from synth3dlanes.dataset.write import Shard
 from synth3dlanes.errors import InputError
 
@@ -69,7 +69,7 @@ def merge(sources: Sequence[str], out: str) -> dict[str, int]:
     merged = {name: [one for one in found if split_name(one) == name] for name in sorted(map(split_name, found))}
     places = {name: _union(several) for name, several in merged.items()}
     for name, several in merged.items():
-        n = max(one.description["splits"][name]["n"] for one in several)
+        n = max(map(split_size, several))
         _put(out, recipe, name, n, places[name])
         counts[name] = len(places[name])
     return counts
@@ -90,7 +90,7 @@ def _union(several: Sequence[Reader]) -> Places:
         for i, index in enumerate(reader.index["index"].to_pylist()):
             if index in places:
                 other = places[index][0].url
-                raise InputError(f"{reader.url}: expected samples that {other} has not, got {key_of(index)} in both")
+                raise InputError(f"{reader.url}: sample {key_of(index)} is also in {other}")
             places[index] = (reader, i)
     return places
 

@@ -29,6 +29,14 @@ def spread(found: Sequence[Reader], n: int) -> list[tuple[Reader, int]]:
     return [places[number * len(places) // count] for number in range(count)]
 
 
+def split_size(reader: Reader) -> int:
+    """How many samples the split shall have; raise FormatError where `dataset.json` does not name it."""
+    name, splits = split_name(reader), reader.description["splits"]
+    if name not in splits:
+        raise FormatError(f"{reader.url}: {DESCRIPTION} has no split {name}, only {', '.join(splits) or 'none'}")
+    return int(splits[name]["n"])
+
+
 def split_name(reader: Reader) -> str:
     """What the split is called: its folder's name."""
     return reader.url.rpartition("/")[2]
