@@ -129,7 +129,9 @@ def test_the_scene_records_what_it_was_drawn_with(scene: Scene, library: Library
     assert read.assets == library.assets
     assert (scene.sky, scene.surface.road_texture, {car.model for car in scene.cars}) == (1, 1, {1})
     require_assets(read.assets, library, "scene.json")
-    with pytest.raises(InputError, match=r"scene.json: expected cars 'box' with digest \w+; there is no --assets"):
+    with pytest.raises(
+        InputError, match=r"scene.json: expected cars 'box' with digest \w+; no folder of assets was given"
+    ):
         require_assets(read.assets, BUILT_IN, "scene.json")
     with pytest.raises(FormatError, match=r"cars.0.model: expected at most 1, got 2"):
         from_json(to_json(scene).replace('"model":1', '"model":2', 1), "scene.json")
