@@ -29,6 +29,13 @@ if TYPE_CHECKING:
     from synth3dlanes.params import Params
     from synth3dlanes.scene import Scene
     from synth3dlanes.sources import read_scene
+else:
+    # Type checkers must not see it: they would take any name for one of ours.
+    def __getattr__(name: str) -> Any:
+        if name not in __all__:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(import_module(f"{__name__}.{_HOMES.get(name, 'api')}"), name)
+
 
 __version__ = "0.2.0"
 
@@ -70,12 +77,6 @@ _HOMES = {
     "draw_overlay": "figures.overlay",
     "read_scene": "sources",
 }
-
-
-def __getattr__(name: str) -> Any:
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_HOMES.get(name, 'api')}"), name)
 
 
 def __dir__() -> list[str]:
