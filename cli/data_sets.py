@@ -69,9 +69,9 @@ def split(folder: str, out: str, into: dict[str, float], seed: int) -> None:
     To draw splits of their own, `generate --split val` is better. Run again to resume.
     """
     from synth3dlanes.dataset.read import Reader
-    from synth3dlanes.dataset.rearrange import cut
+    from synth3dlanes.dataset.rearrange import split_dataset
 
-    _tell(out, cut(Reader(folder), into, seed, out))
+    _tell(out, split_dataset(Reader(folder), into, seed, out))
 
 
 @click.command()

@@ -80,17 +80,18 @@ def report(folder: str, html: Path, n: int, samples: int) -> None:
 
     One file that loads nothing from anywhere.
     """
-    from synth3dlanes.dataset.splits import readers, spread
+    from synth3dlanes.dataset.splits import evenly_spaced, readers
     from synth3dlanes.figures.page import report_page
     from synth3dlanes.figures.stats import label_statistics, scene_statistics
     from synth3dlanes.sources import params_of, read_scene
 
     found = readers(folder)
-    places = spread(found, n)
+    places = evenly_spaced(found, n)
     scenes = scene_statistics((read_scene(reader, i) for reader, i in places), params_of(found[0]))
     labels = label_statistics(reader.labels(i) for reader, i in places)
     shown = [
-        (f"{reader.url}:{reader.key(i)}", reader.image(i), reader.labels(i)) for reader, i in spread(found, samples)
+        (f"{reader.url}:{reader.key(i)}", reader.image(i), reader.labels(i))
+        for reader, i in evenly_spaced(found, samples)
     ]
     html.write_text(report_page(folder, shown, scenes, labels), encoding="utf-8")
     click.echo(f"Page: {html}")

@@ -37,7 +37,7 @@ def stats(
     """
     from rich.console import Console
 
-    from synth3dlanes.dataset.splits import readers, spread
+    from synth3dlanes.dataset.splits import evenly_spaced, readers
     from synth3dlanes.figures.stats import label_statistics, scene_statistics, to_json
     from synth3dlanes.figures.stats_views import draw_statistics, statistics_table, verdict
     from synth3dlanes.params import load_params
@@ -50,7 +50,7 @@ def stats(
         if changes or seed or assets:
             raise click.UsageError("--set, --assets and --seed go with --params: scenes of DIR are as they are.")
         found = readers(folder)
-        places = spread(found, n)
+        places = evenly_spaced(found, n)
         scenes = scene_statistics((read_scene(reader, i) for reader, i in places), params_of(found[0]))
         labels = label_statistics(reader.labels(i) for reader, i in places)
     else:

@@ -22,7 +22,7 @@ def readers(folder: str) -> list[Reader]:
     return [Reader(f"{folder.rstrip('/')}/{split}") for split in splits]
 
 
-def spread(found: Sequence[Reader], n: int) -> list[tuple[Reader, int]]:
+def evenly_spaced(found: Sequence[Reader], n: int) -> list[tuple[Reader, int]]:
     """At most `n` samples, evenly over all splits: where each is to be read."""
     places = [(reader, i) for reader in found for i in range(len(reader))]
     count = min(n, len(places))
