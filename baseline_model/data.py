@@ -31,7 +31,7 @@ N_DECODERS = 8
 
 @runtime_checkable
 class LabelledImage(Protocol):
-    """What a reader yields (`synth3dlanes.dataset.read.Sample`, `synth3dlanes_baseline.foreign`)."""
+    """What a reader yields (`synth3dlanes.dataset.read.Sample`, `synth3dlanes.formats.reading.ForeignSample`)."""
 
     @property
     def key(self) -> str: ...

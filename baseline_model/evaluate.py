@@ -14,7 +14,7 @@ from .inference import choose_device, predict_samples
 from .lanes import Prediction, read_predictions
 from .metrics import Evaluation, MetricConfig, Report
 from .sources import open_split
-from .tusimple import TusimpleSplit, mean_accuracy
+from .tusimple import TusimpleOnPlane, mean_accuracy
 
 LabelsAt = Callable[[int], Labels]
 
@@ -62,7 +62,7 @@ def score(predictions: Iterable[Prediction], samples: Samples, config: MetricCon
     """Score predictions that come in the order of the samples."""
     config = config or MetricConfig()
     tusimple = None
-    if isinstance(samples, TusimpleSplit):
+    if isinstance(samples, TusimpleOnPlane):
         predictions = list(predictions)
         tusimple = mean_accuracy(predictions, samples, config.threshold)
     evaluation = Evaluation(config)

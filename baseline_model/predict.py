@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from synth3dlanes.errors import InputError
+from synth3dlanes.formats.reading import read_image
 from synth3dlanes.labels import Labels
 
 from . import checkpoint as checkpoints
 from .data import intrinsics_of
-from .foreign import read_image
 from .inference import Intrinsics, choose_device, predict_images
 from .lanes import Prediction, write_predictions
 from .overlay import save_overlay

@@ -4,15 +4,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from synth3dlanes.dataset.address import connect, naming
+from synth3dlanes.dataset.address import connect, translate_store_errors
 from synth3dlanes.dataset.format import Sample
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.upright import upright_image, upright_labels
+from synth3dlanes.formats.apollo.read import ApolloSplit
+from synth3dlanes.formats.openlane.read import OpenLaneSplit, is_openlane
+from synth3dlanes.formats.tusimple.read import TusimpleSplit, is_tusimple
 from synth3dlanes.labels import Labels
 
 from .data import LabelledImage, Samples
-from .foreign import ApolloSplit, OpenLaneSplit, is_openlane
-from .tusimple import TusimpleSplit, is_tusimple
+from .tusimple import TusimpleOnPlane
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +59,8 @@ def open_split(path: str | Path) -> Samples:
     Apollo's images lying in a folder above it; an OpenLane split is `.../lane3d_1000/SPLIT`, beside `.../images`."""
     text = str(path)
     if text.endswith(".json"):
-        return TusimpleSplit(Path(path)) if is_tusimple(Path(path)) else ApolloSplit(Path(path))
+        file = Path(path)
+        return TusimpleOnPlane(TusimpleSplit(file)) if is_tusimple(file) else ApolloSplit(file)
     if "://" not in text and is_openlane(Path(path)):
         return OpenLaneSplit(Path(path))
     return Upright(Reader(text))
@@ -66,7 +69,8 @@ def open_split(path: str | Path) -> Samples:
 def training_and_validation(
     data_dir: str, train_split: str, val_split: str, max_images: int | None
 ) -> tuple[Samples, Samples]:
-    """Both splits of a dataset. Without a validation split, every tenth training sample is held out."""
+    """Both splits of a data set, a folder or a URL. Without `val_split` every tenth training sample is held out."""
+    data_dir = data_dir.rstrip("/")
     train = open_split(f"{data_dir}/{train_split}")
     n = len(train) if max_images is None else min(max_images, len(train))
     if _exists(f"{data_dir}/{val_split}"):
@@ -78,5 +82,5 @@ def training_and_validation(
 
 def _exists(place: str) -> bool:
     files, root = connect(place)
-    with naming(place):
+    with translate_store_errors(place):
         return bool(files.exists(root))

@@ -5,7 +5,7 @@ from car_body import GLASS, HEAD, PAINT, PLATE, RIM, TAIL, TRIM, TYRE, cabin, fl
 from car_styles import STYLES
 from shapes import Shape, lathe_x, rounded_box, tube
 
-from synth3dlanes.catalogue import CARS, CarModel
+from synth3dlanes.assets.catalogue import CARS, CarModel
 
 
 def box(

@@ -20,7 +20,7 @@ from .options import (
 )
 
 if TYPE_CHECKING:
-    from synth3dlanes.bench import Bench
+    from synth3dlanes.production.bench import Bench
 
 
 @click.command()
@@ -61,18 +61,18 @@ def bench(
     """
     from rich.console import Console
 
-    from synth3dlanes import bench as measuring
-    from synth3dlanes.generate import Recipe
-    from synth3dlanes.machine import settle
     from synth3dlanes.params import load_params
+    from synth3dlanes.production import bench as measuring
+    from synth3dlanes.production.devices import resolve_device
+    from synth3dlanes.production.recipe import Recipe
     from synth3dlanes.settings import RenderSettings
 
     stored = json.loads(against.read_text()) if against else None
     library = open_assets(assets)
     params, settings = load_params(source, changes, library.assets), RenderSettings(samples, passes, device)
-    recipe, seats = settle(Recipe(params, 0, "bench", settings, "jpg", library=library))
+    recipe, slots = resolve_device(Recipe(params, 0, "bench", settings, "jpg", library=library))
     with Console(stderr=True).status("warming up") as status:
-        found = measuring.bench(recipe, n, workers or seats.workers, list(seats.masks), status.update)
+        found = measuring.bench(recipe, n, workers or slots.workers, list(slots.masks), status.update)
         if reference:
             found = replace(found, quality=measuring.measure_quality(recipe, status.update))
         if naive:

@@ -20,19 +20,26 @@ import click
 def export(source: str, format_name: str, out: Path, is_verified: bool, workers: int) -> None:
     """Write the dataset DIR as Apollo Sim-3D, OpenLane, ONCE-3DLanes or tuSimple.
 
-    Run again to resume or to add frames that DIR has gained. OUT/README.md says what was dropped and why.
+    Run again to resume or to add frames that DIR has gained. OUT/README.md says which frames became
+    what, what was left out and why.
     """
+    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
-    from synth3dlanes.export.run import export as export_dataset
-    from synth3dlanes.export.verify import verify
+    from synth3dlanes.formats.export import export as export_dataset
+    from synth3dlanes.formats.verify import verify
+    from synth3dlanes.formats.writing import PARTS
 
-    with Progress("frames", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()) as bar:
+    columns = ("frames", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task("", total=None)
         summary = export_dataset(
             source, out, format_name, workers, lambda done, total: bar.update(task, completed=done, total=total)
         )
-    click.echo(f"{out}: {summary.n_train} training and {summary.n_test} test frames, {summary.n_lines} lane lines")
+    frames = ", ".join(f"{summary.n_frames[part]} {part}" for part in PARTS)
+    click.echo(f"{out}: {frames} frames, {summary.n_lines} lane lines")
+    for reason, count in summary.left_out.items():
+        click.echo(f"left out {count} frames: {reason}")
     if is_verified:
         results = verify(out, format_name, most_frames=500)
         for result in results:

@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import click
 
-from synth3dlanes.events import LEVELS, Event, duration
+from synth3dlanes.production.events import LEVELS, Event, duration
 
 from .options import (
     assets_option,
@@ -96,7 +96,7 @@ def generate(
     samples: int,
     passes: tuple[str, ...],
     image_format: str,
-    executor: str,
+    executor: Literal["local", "ray"],
     address: str,
     part: tuple[int, int],
     log_level: str,
@@ -107,17 +107,17 @@ def generate(
     Run it again: it resumes where it was stopped, however that was; a larger N extends the split. Ctrl-C lets the
     samples at hand finish.
     """
-    from synth3dlanes.executors import generate as run
-    from synth3dlanes.generate import Recipe
     from synth3dlanes.params import load_params
-    from synth3dlanes.run import Plan
+    from synth3dlanes.production.plan import Plan
+    from synth3dlanes.production.recipe import Recipe
+    from synth3dlanes.production.run import generate as run
     from synth3dlanes.settings import RenderSettings
 
     library = open_assets(assets)
     params, settings = load_params(source, changes, library.assets), RenderSettings(samples, passes, device)
     recipe = Recipe(params, seed, split, settings, image_format, library=library)
     with progress(log_level) as notify:
-        report = run(Plan(Path(out), n, recipe, workers, part), out, executor, address, notify)
+        report = run(Plan(out, n, recipe, workers, part), notify, executor, address)
     if report.problem:
         click.echo(report.problem, err=True)
     if as_json:

@@ -24,7 +24,7 @@ def inspect(where: str, image: Path | None, out: Path | None, html: Path | None,
     from synth3dlanes.figures.describe import describe
     from synth3dlanes.figures.inspect import draw_inspect, summary
     from synth3dlanes.figures.page import scene_page
-    from synth3dlanes.look_up import load_any
+    from synth3dlanes.open_source import load_any
 
     found = load_any(where, image)
     written = {}
@@ -60,7 +60,7 @@ def gallery(
     A query is like --where "flip_lateral and n_lanes = 4" or --where "junction = 'merge' and max_grade > 0.1".
     """
     from synth3dlanes.figures.gallery import draw_gallery
-    from synth3dlanes.look_up import some_samples
+    from synth3dlanes.open_source import some_samples
 
     samples = some_samples(folder, n, shuffle, where)
     labels = [sample.labels for sample in samples] if lanes else None
@@ -83,7 +83,7 @@ def report(folder: str, html: Path, n: int, samples: int) -> None:
     from synth3dlanes.dataset.splits import readers, spread
     from synth3dlanes.figures.page import report_page
     from synth3dlanes.figures.stats import label_statistics, scene_statistics
-    from synth3dlanes.look_up import params_of, read_scene
+    from synth3dlanes.open_source import params_of, read_scene
 
     found = readers(folder)
     places = spread(found, n)

@@ -12,7 +12,7 @@ import click
 from click.exceptions import NoArgsIsHelpError
 
 from synth3dlanes import __version__
-from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.errors import InputError, Synth3dlanesError
 
 from .assets import assets
 from .bench import bench
@@ -53,7 +53,7 @@ class Commands(click.Group):
         except InputError as error:
             flags = self._flags(ctx)
             raise BadInput("\n".join(_naming_flags(problem, flags) for problem in error.problems)) from error
-        except FormatError as error:
+        except Synth3dlanesError as error:
             raise BadInput(str(error)) from error
         except BrokenPipeError:
             raise

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import click
 
-from synth3dlanes.errors import InputError
+from synth3dlanes.errors import InputError, MissingPackageError
 
 from .options import json_option
 
@@ -188,7 +188,7 @@ def _need_torch() -> None:
     # 4.8 s with spinning and 0.4 s without; on idle cores it makes no difference. Read when torch is first loaded.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     if importlib.util.find_spec("torch") is None:
-        raise InputError("expected torch, got none: pip install 'synth3dlanes[train]'")
+        raise MissingPackageError("PyTorch is not installed: pip install 'synth3dlanes[train]'")
 
 
 def _intrinsics(text: str | None) -> tuple[float, float, float, float] | None:
@@ -197,12 +197,12 @@ def _intrinsics(text: str | None) -> tuple[float, float, float, float] | None:
     try:
         fx, fy, cx, cy = (float(part) for part in text.split(","))
     except ValueError:
-        raise InputError(f"--intrinsics: expected FX,FY,CX,CY, got {text!r}") from None
+        raise InputError(f"intrinsics: expected FX,FY,CX,CY, got {text!r}") from None
     return (fx, fy, cx, cy)
 
 
 def _sizes(text: str) -> list[int]:
     parts = text.split(",")
     if not all(part.strip().isdecimal() and int(part) > 0 for part in parts):
-        raise InputError(f"--sizes: expected whole numbers over 0 as 250,500, got {text!r}")
+        raise InputError(f"sizes: expected whole numbers over 0 as 250,500, got {text!r}")
     return [int(part) for part in parts]

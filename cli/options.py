@@ -10,7 +10,7 @@ import click
 from synth3dlanes.settings import DEVICES, PASSES, QUALITY_SAMPLES
 
 if TYPE_CHECKING:
-    from synth3dlanes.catalogue import Library
+    from synth3dlanes.assets.catalogue import Library
 
 
 class Names(click.ParamType):
@@ -95,7 +95,7 @@ assets_option = click.option(
 
 def open_assets(folder: Path | None) -> "Library":
     """Check the folder of `--assets`; warnings go to stderr."""
-    from synth3dlanes.library import open_library
+    from synth3dlanes.production.user_assets import open_library
 
     library, warnings = open_library(folder)
     for warning in warnings:

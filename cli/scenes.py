@@ -61,7 +61,7 @@ def render(
     --set light.exposure=3 changes one factor of it, --set cars=[] removes the cars; the changed scene is then
     written to NAME.scene.json.
     """
-    from synth3dlanes.render_file import render_file
+    from synth3dlanes.production.render_file import render_file
     from synth3dlanes.settings import RenderSettings
 
     settings, library = RenderSettings(samples, passes, device), open_assets(assets)

@@ -40,7 +40,7 @@ def stats(
     from synth3dlanes.dataset.splits import readers, spread
     from synth3dlanes.figures.stats import label_statistics, scene_statistics, to_json
     from synth3dlanes.figures.stats_views import draw_statistics, statistics_table, verdict
-    from synth3dlanes.look_up import params_of, read_scene
+    from synth3dlanes.open_source import params_of, read_scene
     from synth3dlanes.params import load_params
     from synth3dlanes.sample import sample_scene
 

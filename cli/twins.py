@@ -33,9 +33,10 @@ def twins(
     surface.road_texture, cars. Run again to resume.
     """
     from synth3dlanes.dataset.read import Reader
-    from synth3dlanes.generate import require_blender
-    from synth3dlanes.run import Plan, generate
-    from synth3dlanes.twins import twin_recipes
+    from synth3dlanes.production.plan import Plan
+    from synth3dlanes.production.recipe import require_blender
+    from synth3dlanes.production.run import generate
+    from synth3dlanes.production.twins import twin_recipes
 
     recipes = twin_recipes(folder, vary, device, open_assets(assets))
     require_blender()

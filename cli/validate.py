@@ -1,7 +1,6 @@
 """`synth3dlanes validate`: is a data set whole, and do its labels fit its pixels?"""
 
 import json
-from pathlib import Path
 
 import click
 
@@ -24,19 +23,13 @@ def validate(ctx: click.Context, folder: str, workers: int, limit: int | None, a
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
-    from synth3dlanes.dataset.address import is_url
-    from synth3dlanes.errors import InputError
     from synth3dlanes.validate.run import validate as check
 
-    if is_url(folder):
-        raise InputError(
-            f"{folder}: expected a folder here, got a URL; synth3dlanes merge {folder} --out DIR copies it"
-        )
     columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task("", total=None)
         report = check(
-            Path(folder),
+            folder,
             workers,
             limit,
             lambda done, total: bar.update(task, completed=done, total=total),

@@ -8,7 +8,7 @@ import click
 from pydantic import BaseModel, ValidationError
 from synth3dlanes_cli.main import main
 
-from synth3dlanes.catalogue import BUILT_IN
+from synth3dlanes.assets.catalogue import BUILT_IN
 from synth3dlanes.params import Params, load_params, presets_folder
 from synth3dlanes.scene import Scene
 

@@ -13,10 +13,9 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from PIL import Image
 
 from synth3dlanes.figures import colors
+from synth3dlanes.figures.scene_view import SceneView
 from synth3dlanes.figures.views import draw_image
-from synth3dlanes.figures.world import SceneView
 from synth3dlanes.frames import Matrix4, project, road_from_cam, transform
-from synth3dlanes.geometry.camera import world_from_road
 from synth3dlanes.labels import Labels, from_json
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import sample_scene
@@ -254,7 +253,7 @@ def draw_plan(axes: Axes, view: SceneView) -> None:
     for letter, tip, shift in (("x", (16.0, 0), (18, 0)), ("y", (0, 16.0), (0, 12))):
         arrow(axes, np.zeros(2), np.array(tip), f"${letter}_{{world}}$", WORLD, shift)
     axes.plot(0, 0, "o", color=WORLD, zorder=6)
-    foot = world_from_road(plan)[:2, 3]
+    foot = view.world.view.world_from_road[:2, 3]
     sides = np.array([[-np.tan(np.pi / 6) * 26, 26, 0], [np.tan(np.pi / 6) * 26, 26, 0]])
     sides_world = transform(view.labels.camera.world_from_cam, sides)
     axes.add_patch(Polygon(np.vstack([foot, sides_world[:, :2]]), color=colors.FRUSTUM, alpha=0.35, zorder=2))

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from synth3dlanes.errors import FormatError, InputError
     from synth3dlanes.figures.overlay import draw_overlay
     from synth3dlanes.labels import Labels, Lane
-    from synth3dlanes.look_up import read_scene
+    from synth3dlanes.open_source import read_scene
     from synth3dlanes.params import Params
     from synth3dlanes.scene import Scene
 else:
@@ -75,7 +75,7 @@ _HOMES = {
     "Sample": "dataset.format",
     "Scene": "scene",
     "draw_overlay": "figures.overlay",
-    "read_scene": "look_up",
+    "read_scene": "open_source",
 }
 
 

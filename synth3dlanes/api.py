@@ -3,7 +3,6 @@
 Nothing here loads Blender: `render` and `generate_dataset` do so in worker processes.
 """
 
-import math
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -14,33 +13,33 @@ from jaxtyping import Shaped, UInt8
 
 from synth3dlanes import labels as labels_format
 from synth3dlanes import scene as scene_format
-from synth3dlanes.asset_folder import require_assets
-from synth3dlanes.catalogue import BUILT_IN, Library
+from synth3dlanes.assets.catalogue import BUILT_IN, Library
+from synth3dlanes.assets.folder import require_assets
 from synth3dlanes.change import change_scene as _change_scene
 from synth3dlanes.dataset.format import HEIGHT, IMAGE_FORMATS, LABELS, PASSES, decode_image, encode, read_passes
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.write import write_whole
 from synth3dlanes.errors import InputError
-from synth3dlanes.events import Event
-from synth3dlanes.executors import generate
-from synth3dlanes.export.run import FORMATS, Summary, export
-from synth3dlanes.generate import Recipe, make_image, require_blender
+from synth3dlanes.formats.export import FORMATS, export
+from synth3dlanes.formats.summary import Summary
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
-from synth3dlanes.library import open_library
-from synth3dlanes.look_up import load_scene as _load_scene
+from synth3dlanes.open_source import load_scene as _load_scene
 from synth3dlanes.params import Params
 from synth3dlanes.params import load_params as _load_params
-from synth3dlanes.run import Plan, Report
+from synth3dlanes.production.events import Event
+from synth3dlanes.production.plan import Plan
+from synth3dlanes.production.recipe import Recipe
+from synth3dlanes.production.render_file import render_members
+from synth3dlanes.production.run import generate
+from synth3dlanes.production.tally import Report
+from synth3dlanes.production.user_assets import open_library
 from synth3dlanes.sample import sample_scene as _sample_scene
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import DEVICES, QUALITY_SAMPLES, RenderSettings
 from synth3dlanes.settings import PASSES as PASS_NAMES
-from synth3dlanes.workers import Limits, call
 
 STANDARD = QUALITY_SAMPLES["standard"]
-# A scene may be as large as its author wants.
-PATIENCE = Limits(seconds=math.inf, rss_bytes=1 << 50)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,19 +132,12 @@ def render(
 ) -> Rendered:
     """Render a scene with `samples` rays a pixel, in a process of its own; about five seconds.
 
-    Passes are some of depth, normal, semantic, instance and height. Raises InputError for a bad argument, where
-    there is no Blender, and where `assets` are not those of the scene; RuntimeError where Blender fails.
+    Passes are some of depth, normal, semantic, instance and height. Raises InputError for a bad argument and where
+    `assets` are not those of the scene; MissingPackageError without Blender; WorkerError where Blender fails.
     """
     settings = _settings(samples, passes, device)
-    require_blender()
     require_assets(scene.assets, assets, "scene")
-    # Pinned as the workers that make data sets are: Cycles rounds some sums by the number of cores.
-    outcome = call(PATIENCE, _members, scene, settings, assets, pinned=True)
-    if outcome.status != "done":
-        raise RuntimeError(f"render: {outcome.reason}\n{outcome.stderr}".rstrip())
-    if isinstance(outcome.value, InputError):
-        raise outcome.value
-    members: dict[str, bytes] = outcome.value
+    members = render_members(scene, settings, "png", assets, "render")
     found: dict[str, Shaped[np.ndarray, ...]] = {}
     for name in (PASSES, HEIGHT):
         if name in members:
@@ -177,8 +169,8 @@ def generate_dataset(
     settings = _settings(samples, passes, device)
     image_format = _one_of("image_format", image_format, IMAGE_FORMATS)
     recipe = Recipe(params, seed, split, settings, image_format, library=assets)
-    plan = Plan(Path(out), n, recipe, workers)
-    return generate(plan, str(out), "local", "auto", notify or (lambda event: None))
+    plan = Plan(out, n, recipe, workers)
+    return generate(plan, notify or (lambda event: None))
 
 
 def open_dataset(place: str | Path, split: str = "train") -> Reader:
@@ -193,14 +185,6 @@ def export_dataset(source: str | Path, out: str | Path, format_name: str, *, wor
     """
     format_name = _one_of("format_name", format_name, FORMATS)
     return export(str(source), Path(out), format_name, workers, lambda done, total: None)
-
-
-def _members(scene: Scene, settings: RenderSettings, library: Library) -> dict[str, bytes] | InputError:
-    """In the worker: a sample of the scene as a data set of PNG images has it."""
-    try:
-        return make_image(scene, settings, "png", library).members
-    except InputError as error:
-        return error
 
 
 def _settings(samples: int, passes: str | Sequence[str], device: str) -> RenderSettings:

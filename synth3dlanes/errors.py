@@ -1,20 +1,45 @@
-"""The two errors that a user can cause; the message says where, what was expected and what was found.
+"""What goes wrong, by name. The message says where and, for a value, what was expected and what was found.
 
 A function names its own arguments ("workers: expected 0 or more, got -1"); which flag gave a value, `cli` knows.
 
-ValueError
- +-- InputError   a parameter file, an override or a command-line value is wrong
- +-- FormatError   bytes read from disk are not what their format says
+Exception
+ +-- Synth3dlanesError       all of ours
+      +-- InputError           an argument, a parameter file or an override is wrong; a ValueError
+      |    +-- ClaimedError      another run holds the lock on a shard
+      +-- FormatError          a file does not follow its format, or a store refuses to give it; a ValueError
+      +-- DiskFullError        there is too little room for what is to be written
+      +-- MissingPackageError  a package that this function needs is not installed
+      +-- WorkerError          a worker process crashed, hung or was killed
 """
 
 
-class InputError(ValueError):
-    """One or more wrong parameters; `problems` holds one line each."""
+class Synth3dlanesError(Exception):
+    """Every error that this library raises on purpose."""
+
+
+class InputError(Synth3dlanesError, ValueError):
+    """One or more wrong values; `problems` holds one line each."""
 
     def __init__(self, *problems: str) -> None:
         super().__init__("\n".join(problems))
         self.problems = problems
 
 
-class FormatError(ValueError):
+class ClaimedError(InputError):
+    """Another run holds the lock on a shard."""
+
+
+class FormatError(Synth3dlanesError, ValueError):
     """A file that does not follow its format; the message names the place."""
+
+
+class DiskFullError(Synth3dlanesError):
+    """There is too little room on a disk; the message names the disk, what is needed and what is free."""
+
+
+class MissingPackageError(Synth3dlanesError):
+    """A package is not installed; the message says what to install."""
+
+
+class WorkerError(Synth3dlanesError):
+    """A worker process ended without a result; the message has its last words."""

@@ -1,18 +1,15 @@
-"""Scene -> Labels: every lane curve in camera coordinates with its masks. No Blender; `object_visible` stays None."""
-
-from collections.abc import Sequence
+"""World and View -> Labels: every lane curve in camera coordinates with its masks. `object_visible` stays None."""
 
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import inside_image, invert, project, road_from_cam, transform
-from synth3dlanes.geometry import camera as cameras
-from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.lanes import Curve, curves, host_segment, lane_graph, path_of_segment
+from synth3dlanes.frames import inside_image, invert, project, transform
+from synth3dlanes.geometry.lanes import Curve, host_segment, lane_graph, path_of_segment
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.visibility import seen_over_ground
 from synth3dlanes.labels import CameraLabel, Labels, Lane, RoadName, RoadPlane
 from synth3dlanes.scene import Scene
+from synth3dlanes.world import View, World, resolve
 
 Values = Float[np.ndarray, " n"]
 
@@ -23,39 +20,39 @@ APART_M = 0.01
 
 
 def ground_truth(scene: Scene) -> Labels:
-    """Everything exact about a scene: curves every metre of road from the camera to 110 m ahead (spec section 4)."""
-    return labels_on(Ground(RoadPlan(scene)))
+    """Everything exact about a scene: curves every metre of road from the camera to 110 m ahead."""
+    world = resolve(scene)
+    return label(world, world.view)
 
 
-def labels_on(ground: Ground) -> Labels:
-    """The ground truth of a scene, given its ground."""
-    plan, scene = ground.plan, ground.plan.scene
-    world_from_cam = cameras.world_from_cam(plan)
+def label(world: World, view: View) -> Labels:
+    """The ground truth of a world as one view sees it."""
+    plan, lens = world.plan, view.camera
     camera = CameraLabel(
-        width_px=scene.camera.width_px,
-        height_px=scene.camera.height_px,
-        img_from_cam=cameras.img_from_cam(scene.camera),
-        height_m=scene.camera.height_m,
-        pitch_rad=scene.camera.pitch_rad,
-        road_from_cam=road_from_cam(scene.camera.height_m, scene.camera.pitch_rad, scene.camera.roll_rad),
-        world_from_cam=world_from_cam,
-        roll_rad=scene.camera.roll_rad,
+        width_px=lens.width_px,
+        height_px=lens.height_px,
+        img_from_cam=view.img_from_cam,
+        height_m=lens.height_m,
+        pitch_rad=lens.pitch_rad,
+        road_from_cam=view.road_from_cam,
+        world_from_cam=view.world_from_cam,
+        roll_rad=lens.roll_rad,
     )
     lengths_m = np.arange(0, RANGE_M + STEP_M / 2, STEP_M)
     s_world: dict[RoadName, Values] = {
-        "main": plan.stations_along("main", scene.camera.y_m, lengths_m),
-        "exit": plan.stations_along("exit", scene.camera.y_m, lengths_m),
+        "main": plan.stations_along("main", lens.y_m, lengths_m),
+        "exit": plan.stations_along("exit", lens.y_m, lengths_m),
     }
     sampled = {}
-    for curve in curves(plan):
+    for curve in world.lines:
         s = stations_of(plan, curve, s_world[curve.road])
         if len(s) > 1:
             sampled[curve] = curve.points_world(plan, s)
     known = {curve.id for curve in sampled}
     points_world = np.concatenate(list(sampled.values()))
-    points_cam = transform(invert(world_from_cam), points_world)
+    points_cam = transform(invert(view.world_from_cam), points_world)
     in_image = inside_image(project(camera.img_from_cam, points_cam), camera.width_px, camera.height_px)
-    seen = seen_over_ground(ground, world_from_cam[:3, 3], points_world)
+    seen = seen_over_ground(world.ground, view.eye_world, points_world)
     ends = np.cumsum([len(points) for points in sampled.values()])[:-1]
     lanes = tuple(
         Lane(
@@ -74,14 +71,18 @@ def labels_on(ground: Ground) -> Labels:
             sampled, np.split(points_cam, ends), np.split(in_image, ends), np.split(seen, ends), strict=True
         )
     )
+    host = path_of_segment(plan, host_segment(plan, lens)).id
     centerlines = [lane.id for lane in lanes if lane.kind == "centerline"]
-    return Labels(camera, lanes, lane_graph(plan, centerlines), horizon_plane(plan, camera, lanes))
+    return Labels(
+        camera,
+        lanes,
+        lane_graph(plan, centerlines),
+        horizon_plane(camera, next(lane for lane in lanes if lane.id == host)),
+    )
 
 
-def horizon_plane(plan: RoadPlan, camera: CameraLabel, lanes: Sequence[Lane]) -> RoadPlane | None:
-    """The plane through the camera's foot and the farthest point of the host lane that is seen over the ground."""
-    path = path_of_segment(plan, host_segment(plan))
-    host = next(lane for lane in lanes if lane.id == path.id)
+def horizon_plane(camera: CameraLabel, host: Lane) -> RoadPlane | None:
+    """The plane through the camera's foot and the farthest point of the host's lane that is seen over the ground."""
     seen = np.flatnonzero(host.in_image & host.terrain_visible)
     if not seen.size:
         return None

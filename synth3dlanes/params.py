@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from synth3dlanes.catalogue import BUILT_IN, Assets
+from synth3dlanes.assets.catalogue import BUILT_IN, Assets
 from synth3dlanes.distributions import Flag, Integer, Real, integers, numbers, reals
 from synth3dlanes.errors import InputError
 from synth3dlanes.yaml_text import read_yaml

@@ -1,8 +1,9 @@
-"""Params -> Scene: one world drawn from named random streams. Degrees become radians here."""
+"""Params -> Scene: one scene drawn from named random streams. Degrees become radians here."""
 
 import math
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from functools import partial
 from multiprocessing import get_context
 from typing import Any, TypeVar
@@ -10,12 +11,11 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.catalogue import BUILT_IN, Assets
+from synth3dlanes.assets.catalogue import BUILT_IN, Assets
 from synth3dlanes.distributions import Choice, Integers, Uniform
 from synth3dlanes.errors import InputError
 from synth3dlanes.geometry import placement
-from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.geometry.camera import world_from_road
 from synth3dlanes.params import CameraParams, Group, Params
 from synth3dlanes.scene import (
     SCENE_VERSION,
@@ -34,6 +34,7 @@ from synth3dlanes.scene import (
     to_json,
 )
 from synth3dlanes.streams import stream
+from synth3dlanes.world import World, resolve
 
 # Numbers in a scene are rounded to a micrometre, a microradian: readable, and equal on every machine.
 DECIMALS = 6
@@ -41,10 +42,6 @@ CAR_GAP_M = (1.0, 0.3)
 TRIES = 300
 # From this many scenes on, processes are quicker than one; each is handed CHUNK at a time.
 WORTH_PROCESSES, CHUNK = 200, 25
-# A camera for the bare road, until the host's is drawn: its lane depends on the lanes that there are.
-NO_CAMERA = Camera(
-    lane=1, y_m=-50, offset_m=0, height_m=1.5, pitch_rad=0, width_px=8, height_px=8, fx_px=8, fy_px=8, cx_px=4, cy_px=4
-)
 # A tree stands clear of the pavement by this and by this share of its crown.
 TREE_GAP_M, TREE_GAP_OF_CROWN = 1.0, 0.5
 
@@ -54,8 +51,13 @@ def sample_scene(params: Params, seed: int, split: str, index: int, assets: Asse
 
     Raises InputError where cars or trees find no room in the ranges given.
     """
+    return sample_world(params, seed, split, index, assets).scene
 
+
+def sample_world(params: Params, seed: int, split: str, index: int, assets: Assets = BUILT_IN.assets) -> World:
+    """Scene `index` of a split, resolved: its road is drawn first, then host, cars and trees are placed on it."""
     draws = {name: Draw(group, stream(seed, split, index, name)) for name, group in params}
+    road = _road(draws["road"])
     bare = Scene(
         format="synth3dlanes.scene",
         version=SCENE_VERSION,
@@ -63,26 +65,25 @@ def sample_scene(params: Params, seed: int, split: str, index: int, assets: Asse
         split=split,
         index=index,
         terrain=_terrain(draws["terrain"]),
-        road=_road(draws["road"]),
+        road=road,
         markings=_plain(Markings, draws["markings"]),
         surface=_plain(Surface, draws["surface"]),
         cars=(),
         trees=(),
-        camera=NO_CAMERA,
+        camera=_camera(params.camera, draws["camera"], road),
         light=_plain(Light, draws["light"]),
         air=_plain(Air, draws["air"]),
         sensor=_plain(Sensor, draws["sensor"]),
         sky=_sky(assets, stream(seed, split, index, "sky")),
         assets=assets,
     )
-    camera = _camera(params.camera, draws["camera"], bare.road)
-    plan = RoadPlan(bare.model_copy(update={"camera": camera}))
+    world = resolve(bare)
     car_places = Draw(params.cars, stream(seed, split, index, "car_places"))
     tree_places = Draw(params.trees, stream(seed, split, index, "tree_places"))
     paints = Draw(params.cars, stream(seed, split, index, "car_saturation"))
-    cars = _cars(plan, draws["cars"], paints, car_places)
-    trees = _trees(Ground(plan), draws["trees"], tree_places)
-    return plan.scene.model_copy(update={"cars": cars, "trees": trees})
+    cars = _cars(world, draws["cars"], paints, car_places)
+    trees = _trees(world, draws["trees"], tree_places)
+    return replace(world, scene=bare.model_copy(update={"cars": cars, "trees": trees}))
 
 
 P = TypeVar("P", Markings, Surface, Light, Air, Sensor)
@@ -187,45 +188,44 @@ def _host_lane(lanes: Integers | Choice[int], u: float, present: int) -> int:
     return min(lanes.draw(u), present)
 
 
-def _cars(plan: RoadPlan, looks: Draw, paints: Draw, places: Draw) -> tuple[Car, ...]:
-    taken = [placement.host_footprint(plan)]
+def _cars(world: World, looks: Draw, paints: Draw, places: Draw) -> tuple[Car, ...]:
+    scene = world.scene
+    taken = [placement.host_footprint(world_from_road(world.plan, scene.camera))]
     cars = []
     for number in range(looks("n")):
         model, scale = looks("model"), looks("scale")
         (color,) = zip(*looks.rows(("color",), 3), strict=True)
         gloss = looks("gloss")
-        body = plan.scene.assets.car_models[model - 1]
+        body = scene.assets.car_models[model - 1]
         size = body.length_m * scale + CAR_GAP_M[0], body.width_m * scale + CAR_GAP_M[1]
         for _ in range(TRIES):
             s_m = places("s_m")
-            lanes = plan.scene.road.segments_at(s_m)
+            lanes = scene.road.segments_at(s_m)
             lane = lanes[int(places.rng.random() * len(lanes))]
-            place = placement.footprint(*placement.lane_place(plan, lane, s_m), *size)
+            place = placement.footprint(*placement.lane_place(world.plan, lane, s_m), *size)
             if not placement.overlaps_any(place, np.array(taken)):
                 break
         else:
-            raise InputError(f"cars.n: no room for car {number + 1} within cars.s_m of scene {plan.scene.index}")
+            raise InputError(f"cars.n: no room for car {number + 1} within cars.s_m of scene {scene.index}")
         taken.append(place)
         saturation = paints("saturation")
         cars.append(Car(model=model, scale=scale, color=color, gloss=gloss, lane=lane, s_m=s_m, saturation=saturation))
     return tuple(cars)
 
 
-def _trees(ground: Ground, looks: Draw, places: Draw) -> tuple[Tree, ...]:
+def _trees(world: World, looks: Draw, places: Draw) -> tuple[Tree, ...]:
     drawn = looks.rows(("model", "yaw_deg", "scale"), looks("n"))
-    models = ground.plan.scene.assets.tree_models
+    models = world.scene.assets.tree_models
     trees: list[Tree] = []
     for _ in range(TRIES):
         if len(trees) == len(drawn):
             return tuple(trees)
         xy = np.array(places.rows(("x_m", "y_m"), 2 * (len(drawn) - len(trees)) + 16))
-        for (x, y), clearance_m in zip(xy.tolist(), ground.clearance(xy).tolist(), strict=True):
+        for (x, y), clearance_m in zip(xy.tolist(), world.ground.clearance(xy).tolist(), strict=True):
             if len(trees) == len(drawn):
                 break
             model, yaw_rad, scale = drawn[len(trees)]
             if clearance_m >= TREE_GAP_M + TREE_GAP_OF_CROWN * scale * models[model - 1].crown_radius_m:
                 trees.append(Tree(model=model, x_m=x, y_m=y, yaw_rad=yaw_rad, scale=scale))
     missing = len(drawn) - len(trees)
-    raise InputError(
-        f"trees.x_m, trees.y_m: no room off the roads for {missing} trees of scene {ground.plan.scene.index}"
-    )
+    raise InputError(f"trees.x_m, trees.y_m: no room off the roads for {missing} trees of scene {world.scene.index}")

@@ -6,22 +6,17 @@ later: scenes written before are read, and show what they showed.
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+import numpy as np
+from pydantic import Field, ValidationError, model_validator
 
-from synth3dlanes.catalogue import Assets, Kind
+from synth3dlanes.assets.catalogue import AssetKind, Assets
 from synth3dlanes.errors import FormatError
+from synth3dlanes.schema import Part, Positive, Unit, validation_problems
+from synth3dlanes.streams import stream
 
 SCENE_VERSION = 1
 
-Unit = Annotated[float, Field(ge=0, le=1)]
-Positive = Annotated[float, Field(gt=0)]
 Color = tuple[Unit, Unit, Unit]
-
-
-class Part(BaseModel):
-    """A frozen part of a scene; unknown keys, missing keys, NaN and infinity are errors."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class Gaussian(Part):
@@ -195,10 +190,14 @@ class Scene(Part):
     sky: Annotated[int, Field(ge=0)] = 0
     assets: Assets = Assets()
 
+    def stream(self, name: str) -> np.random.Generator:
+        """The random numbers for what the scene leaves to its renderer, such as `clouds`."""
+        return stream(self.seed, self.split, self.index, name)
+
     @model_validator(mode="after")
     def _has_its_models(self) -> "Scene":
         """Every number of a model, texture or sky is one that there is."""
-        used: list[tuple[str, Kind, int]] = [
+        used: list[tuple[str, AssetKind, int]] = [
             *((f"cars.{i}.model", "cars", car.model) for i, car in enumerate(self.cars)),
             *((f"trees.{i}.model", "trees", tree.model) for i, tree in enumerate(self.trees)),
             ("surface.road_texture", "roads", self.surface.road_texture),
@@ -238,16 +237,3 @@ def from_json(text: str | bytes, where: str) -> Scene:
         return Scene.model_validate_json(text)
     except ValidationError as error:
         raise FormatError("\n".join(validation_problems(error, where))) from None
-
-
-def validation_problems(error: ValidationError, where: str) -> list[str]:
-    """One line per problem: where, what was expected, what was found."""
-    lines = []
-    for problem in error.errors():
-        path = ".".join(str(step) for step in problem["loc"])
-        if problem["type"] == "value_error":
-            lines.append(f"{where}: {problem['ctx']['error']}")
-            continue
-        found = "" if problem["type"] == "missing" else f", got {problem['input']!r:.60}"
-        lines.append(f"{where}: {path + ': ' if path else ''}{problem['msg']}{found}")
-    return lines

@@ -1,11 +1,15 @@
 """How a scene is rendered: everything about the pictures that is not in the scene itself. No bpy."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+from synth3dlanes.errors import InputError
 
 # Passes of the image's own pixels, and beside them the height map over the road plane.
 PIXEL_PASSES = ("depth", "normal", "semantic", "instance")
 PASSES = (*PIXEL_PASSES, "height")
 DEVICES = ("auto", "cpu", "cuda", "optix", "hip", "oneapi", "metal")
+BEST_DEVICE_FIRST = ("optix", "cuda", "hip", "oneapi", "metal", "cpu")
 QUALITY_SAMPLES = {"draft": 2, "standard": 4, "high": 8}
 
 
@@ -16,6 +20,23 @@ class RenderSettings:
     samples: int = QUALITY_SAMPLES["standard"]
     passes: tuple[str, ...] = ()
     device: str = "cpu"
+
+
+@dataclass(frozen=True)
+class Device:
+    """Something that Cycles can render on; `kind` is one of DEVICES but auto."""
+
+    kind: str
+    name: str
+
+
+def choose_device(asked: str, found: Sequence[Device]) -> str:
+    """The kind asked for, or for `auto` the best there is; raise InputError where it is absent."""
+    kinds = {device.kind for device in found} | {"cpu"}
+    if asked != "auto" and asked not in kinds:
+        names = ", ".join(f"{device.kind} ({device.name})" for device in found) or "nothing"
+        raise InputError(f"device: expected {asked} on this machine, found {names}")
+    return asked if asked != "auto" else next(kind for kind in BEST_DEVICE_FIRST if kind in kinds)
 
 
 # Semantic ids of pixels; a material carries its id as its pass index.

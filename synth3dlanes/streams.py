@@ -1,8 +1,12 @@
 """Random numbers by name: whatever is drawn for a scene has a stream of its own, and moves nothing else."""
 
 import hashlib
+from collections.abc import Callable
 
 import numpy as np
+
+# From the name of what is drawn to its random numbers.
+Streams = Callable[[str], np.random.Generator]
 
 
 def stream(seed: int, split: str, index: int, name: str) -> np.random.Generator:

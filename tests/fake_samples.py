@@ -10,11 +10,11 @@ import numpy as np
 
 from synth3dlanes import scene as scene_module
 from synth3dlanes.dataset.format import encode
-from synth3dlanes.executors import generate
-from synth3dlanes.generate import Made, Recipe
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph, Segment
 from synth3dlanes.params import load_params
-from synth3dlanes.run import Plan
+from synth3dlanes.production.plan import Plan
+from synth3dlanes.production.recipe import Made, Recipe
+from synth3dlanes.production.run import generate
 from synth3dlanes.settings import RenderSettings
 from tests.scenes import FLAT
 
@@ -93,13 +93,12 @@ def insist_on_one_core(recipe: Recipe, index: int) -> Made:
 def main() -> None:
     """Arguments: folder, n, workers, and the address of a Ray cluster if it is to do it."""
     (out, n, workers), address = sys.argv[1:4], sys.argv[4:]
-    plan = Plan(Path(out), int(n), recipe(), workers=int(workers), shard_size=10, maker=make_slowly)
+    plan = Plan(out, int(n), recipe(), workers=int(workers), shard_size=10, maker=make_slowly)
 
     def tell(event: object) -> None:
         print(event, flush=True)  # noqa: T201
 
-    executor = "ray" if address else "local"
-    sys.exit(generate(plan, out, executor, "".join(address), tell).exit_code)
+    sys.exit(generate(plan, tell, "ray" if address else "local", "".join(address)).exit_code)
 
 
 if __name__ == "__main__":

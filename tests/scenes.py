@@ -4,9 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from synth3dlanes.geometry.camera import world_from_cam
-from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.scene import Air, Camera, Gaussian, Light, Markings, Road, Scene, Sensor, Surface, Terrain
+from synth3dlanes.world import World
 
 FLAT = Scene(
     format="synth3dlanes.scene",
@@ -72,7 +71,7 @@ def hill(x_m: float, y_m: float, magnitude_m: float, sd_m: float) -> Gaussian:
     return Gaussian(center_m=(x_m, y_m), magnitude_m=magnitude_m, sd_m=(sd_m, sd_m), orientation_rad=0)
 
 
-def seen_on_flat_ground(plan: RoadPlan, points_world: np.ndarray) -> np.ndarray:
+def seen_on_flat_ground(world: World, points_world: np.ndarray) -> np.ndarray:
     """Where the camera's rays through points over a flat world meet the ground."""
-    eye = world_from_cam(plan)[:3, 3]
+    eye = world.view.eye_world
     return np.asarray(eye + (points_world - eye) * (eye[2] / (eye[2] - points_world[..., 2:])))

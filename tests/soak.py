@@ -19,7 +19,8 @@ import numpy as np
 import psutil
 
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.run import Plan, generate
+from synth3dlanes.production.plan import Plan
+from synth3dlanes.production.run import generate
 from tests import fake_samples
 
 ROOT = Path(__file__).parents[1]
@@ -86,14 +87,14 @@ def pool_workers(roots: list[psutil.Process]) -> list[psutil.Process]:
         with suppress(psutil.Error):
             for process in root.children(recursive=True):
                 with suppress(psutil.Error):
-                    if any(part.endswith("synth3dlanes/workers.py") for part in process.cmdline()):
+                    if any(part.endswith("production/workers.py") for part in process.cmdline()):
                         found.append(process)
     return found
 
 
 @dataclass
 class Cluster:
-    """Two Ray nodes on this machine, with a core each, by `ray start`."""
+    """Ray nodes on this machine, with a core each, by `ray start`."""
 
     folder: Path
     port: int
@@ -108,7 +109,7 @@ class Cluster:
     def add_node(self) -> None:
         """Start a node and wait until it is there; the first is the head."""
         where = ["--head", f"--port={self.port}", f"--temp-dir={self.folder}", "--include-dashboard=false"]
-        command = [str(Path(sys.executable).parent / "ray"), "start", "--block", "--num-cpus=1"]
+        command = [sys.executable, "-m", "ray.scripts.scripts", "start", "--block", "--num-cpus=1"]
         command += ["--object-store-memory=80000000", "--disable-usage-stats"]
         command += [f"--address={self.address}"] if self.nodes else where
         log = self.folder / f"node-{len(self.nodes)}.log"
@@ -133,17 +134,17 @@ class Cluster:
 
 
 @contextmanager
-def cluster_of_two(port: int) -> Iterator[Cluster]:
-    """Two nodes; they are killed at the end."""
+def cluster(port: int, n_nodes: int = 2) -> Iterator[Cluster]:
+    """A cluster whose nodes are killed at the end."""
     # Ray's sockets need a short path.
     with tempfile.TemporaryDirectory(prefix="ray", ignore_cleanup_errors=True) as folder:
-        cluster = Cluster(Path(folder), port)
+        found = Cluster(Path(folder), port)
         try:
-            cluster.add_node()
-            cluster.add_node()
-            yield cluster
+            for _ in range(n_nodes):
+                found.add_node()
+            yield found
         finally:
-            for node in reversed(cluster.nodes):
+            for node in reversed(found.nodes):
                 kill_tree(node)
 
 
@@ -177,8 +178,8 @@ def main() -> None:
         check(Path(folder, "local"), options.n, expected)
         print(f"local: {done} kills, {options.n} samples, same bytes, {time.monotonic() - start:.0f} s")  # noqa: T201
         start = time.monotonic()
-        with cluster_of_two(6391) as cluster:
-            done = soak(Path(folder, "ray"), options.n, options.kills, options.seed, cluster)
+        with cluster(6391) as nodes:
+            done = soak(Path(folder, "ray"), options.n, options.kills, options.seed, nodes)
         check(Path(folder, "ray"), options.n, expected)
         print(f"ray: {done} kills, {options.n} samples, same bytes, {time.monotonic() - start:.0f} s")  # noqa: T201
 

@@ -22,10 +22,10 @@ PROGRAM = f"""#!{sys.executable}
 import functools
 import sys
 sys.path.insert(0, {str(ROOT)!r})
-from synth3dlanes import run
+from synth3dlanes.production import plan
 from synth3dlanes_cli.main import main
 from tests import fake_samples
-run.Plan = functools.partial(run.Plan, shard_size=1, maker=fake_samples.make)
+plan.Plan = functools.partial(plan.Plan, shard_size=1, maker=fake_samples.make)
 if __name__ == "__main__":
     main([{str(N)!r} if word == "300000" else word for word in sys.argv[1:]])
 """

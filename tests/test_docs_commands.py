@@ -1,7 +1,7 @@
 """Every command and every Python example of the pages runs, in its page's order and folder, and prints what they say.
 
 What is made smaller: `small` says. What is only parsed stands under `<!-- not run: why -->` in the page. Blocks under
-`<!-- file NAME -->` are files of docs/, which test_docs_cluster.py runs; docs/loaders.md has tests/export's own test.
+`<!-- file NAME -->` are files of docs/, which test_docs_cluster.py runs; docs/loaders.md has tests/formats's own test.
 Inline commands have placeholders, so there only names and options are looked up.
 """
 
@@ -117,11 +117,10 @@ def look_up(group: click.Group, words: list[str]) -> None:
 
 @pytest.fixture(scope="module", autouse=True)
 def shards_of_one() -> Iterator[None]:
-    from synth3dlanes import run
-    from synth3dlanes.executors import store  # noqa: F401 - its type hints must mean the class itself
+    from synth3dlanes.production import plan
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run, "Plan", functools.partial(run.Plan, shard_size=1))
+        patch.setattr(plan, "Plan", functools.partial(plan.Plan, shard_size=1))
         yield
 
 

@@ -10,6 +10,7 @@ from synth3dlanes import labels as label_file
 from synth3dlanes import scene as scene_file
 from synth3dlanes.frames import invert, project, road_from_cam, transform
 from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.world import resolve
 from tests.golden.make import GOLDEN, golden_text
 from tests.scenes import changed, hill
 
@@ -69,11 +70,10 @@ def test_paths_share_their_stem_and_every_curve_runs_near_to_far(topology, merge
 def test_lines_of_a_split_begin_exactly_at_the_nose():
     scene = changed(road={"topology": 2, "exit_offset_m": 5})
     labels = ground_truth(scene)
-    from synth3dlanes.geometry.road import RoadPlan
 
     lanes = {lane.id: lane for lane in labels.lanes}
     points_world = transform(labels.camera.world_from_cam, lanes["main_line_3"].xyz_cam)
-    assert points_world[0, 1] == pytest.approx(RoadPlan(scene).nose_m, abs=1e-6)
+    assert points_world[0, 1] == pytest.approx(resolve(scene).plan.nose_m, abs=1e-6)
 
 
 def test_every_reference_names_a_lane_that_exists():

@@ -18,8 +18,10 @@ PROBE = "import sys; import {}; print(*sorted({{'bpy', 'torch', 'matplotlib', 'p
         ("synth3dlanes.sample", set()),
         ("synth3dlanes.ground_truth", set()),
         ("synth3dlanes.dataset.read", {"pyarrow"}),
-        ("synth3dlanes.look_up", {"pyarrow"}),
-        ("synth3dlanes.run", {"pyarrow"}),
+        ("synth3dlanes.formats.apollo.read", set()),
+        ("synth3dlanes.formats.export", {"pyarrow"}),
+        ("synth3dlanes.open_source", {"pyarrow"}),
+        ("synth3dlanes.production.run", {"pyarrow"}),
     ],
 )
 def test_importing_does_not_load(module: str, allowed: set[str]) -> None:

@@ -5,10 +5,10 @@ import pytest
 from scipy import stats
 
 from synth3dlanes.errors import InputError
-from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import sample_scene, scene_texts
 from synth3dlanes.scene import to_json
+from synth3dlanes.world import resolve
 
 N = 400
 # With some 40 tests of uniformity, a true null falls below this once in 250 runs; the draws are fixed, so never here.
@@ -132,11 +132,11 @@ def test_scenes_differ_by_seed_split_and_index(params):
 
 def test_cars_keep_apart(scenes):
     """Circles along each car's axis, an independent and stricter-than-none test of overlap."""
-    from synth3dlanes.catalogue import CARS
+    from synth3dlanes.assets.catalogue import CARS
     from synth3dlanes.geometry.placement import lane_place
 
     for scene in scenes[:60]:
-        plan = RoadPlan(scene)
+        plan = resolve(scene).plan
         circles, owners = [], []
         for i, car in enumerate(scene.cars):
             middle, heading = lane_place(plan, car.lane, car.s_m)

@@ -1,18 +1,11 @@
-"""Where our built assets are, and the meshes out of `blender_assets/assets.blend`."""
+"""The meshes out of `blender_assets/assets.blend`."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import bpy
 
+from synth3dlanes.assets.built_in import assets_dir
 from synth3dlanes.errors import FormatError
-
-
-def assets_dir() -> Path:
-    """The folder of built assets: inside an installed wheel, beside the package in a checkout."""
-    package = Path(__file__).resolve().parents[1]
-    installed = package / "_assets"
-    return installed if installed.is_dir() else package.parent / "blender_assets"
 
 
 def load_meshes(names: Sequence[str]) -> tuple[bpy.types.Mesh, ...]:

@@ -1,4 +1,4 @@
-"""Scene -> Blender's data: meshes of this scene, and instances of the assets. World frame."""
+"""World and View -> Blender's data: the surfaces of this world, and instances of the assets. World frame."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,19 +7,19 @@ import bpy
 import mathutils
 import numpy as np
 
+from synth3dlanes.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.blender import drop_scratch
 from synth3dlanes.blender.camera import set_camera
-from synth3dlanes.blender.library import Assets, load_assets
+from synth3dlanes.blender.light import add_haze, make_world, set_light
+from synth3dlanes.blender.load_assets import LoadedAssets, load_assets
 from synth3dlanes.blender.materials import Materials, make_materials, set_materials
-from synth3dlanes.blender.world import add_haze, make_world, set_light
-from synth3dlanes.catalogue import BUILT_IN, Library
 from synth3dlanes.frames import Matrix4, from_axes
-from synth3dlanes.geometry import meshes, paint, placement
-from synth3dlanes.geometry.camera import world_from_cam
-from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.road import RoadPlan
-from synth3dlanes.scene import Car, Scene
+from synth3dlanes.geometry.meshes import Mesh
+from synth3dlanes.geometry.paint import is_yellow
+from synth3dlanes.imaging.daylight import Daylight
+from synth3dlanes.scene import Car
 from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_TREE_ID
+from synth3dlanes.world import View, World
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ class Studio:
     """What every scene of a process shares, and the names of all data that must outlive a scene. `plain` is the
     cheapest material, for renders that only need shapes."""
 
-    assets: Assets
+    assets: LoadedAssets
     materials: Materials
     plain: bpy.types.Material
     camera: bpy.types.Object
@@ -68,24 +68,23 @@ def _plain() -> bpy.types.Material:
     return material
 
 
-def build(studio: Studio, scene: Scene, labelled: Sequence[str] = ()) -> list[Placed]:
-    """Remove the last scene, add this one; return its cars and trees.
+def build(studio: Studio, world: World, view: View, light: Daylight, labelled: Sequence[str] = ()) -> list[Placed]:
+    """Remove the last world, add this one; return its cars and trees.
 
     Instance ids of delimiters count those in `labelled` first, in its order, then those out of the labels' range.
     """
     clear(studio)
-    plan = RoadPlan(scene)
-    ground = Ground(plan)
+    scene = world.scene
     set_materials(studio.materials, scene)
-    _add_surfaces(studio.materials, ground, scene, labelled)
-    placed = _placed_objects(studio.assets, ground)
+    _add_surfaces(studio.materials, world, view, labelled)
+    placed = _placed_objects(studio.assets, world, view)
     for item, color in zip(
         placed, [(*body_color(car), car.gloss) for car in scene.cars] + [None] * len(scene.trees), strict=True
     ):
         scaled = item.world_from_object @ np.diag([item.scale] * 3 + [1.0])
         _add_object(item.mesh, item.instance_id, mathutils.Matrix(scaled.tolist()), color)
-    set_camera(studio.camera, scene.camera, world_from_cam(plan))
-    set_light(scene, studio.assets.skies)
+    set_camera(studio.camera, view.camera, view.world_from_cam)
+    set_light(scene, light, studio.assets.skies)
     return placed
 
 
@@ -110,38 +109,38 @@ def _names() -> list[tuple[str, str]]:
     return [(kind, block.name) for kind in ("objects", "meshes") for block in getattr(bpy.data, kind)]
 
 
-def _add_surfaces(materials: Materials, ground: Ground, scene: Scene, labelled: Sequence[str]) -> None:
+def _add_surfaces(materials: Materials, world: World, view: View, labelled: Sequence[str]) -> None:
+    scene = world.scene
     road = materials.roads[scene.surface.road_texture - 1]
     shoulder = materials.shoulders[scene.surface.shoulder_texture - 1]
     terrain = materials.terrains[scene.surface.terrain_texture - 1]
-    for mesh in [meshes.terrain_mesh(ground), *meshes.verge_meshes(ground)]:
+    for mesh in [world.terrain, *world.verges]:
         _add_object(new_mesh(mesh, [terrain]), 0)
-    for mesh in meshes.road_meshes(ground):
+    for mesh in world.pavement:
         _add_object(new_mesh(mesh, [road, shoulder]), 0)
-    strips = paint.paint_meshes(ground.plan)
-    yellow = paint.yellow_lines(ground.plan)
+    strips = world.paint(view)
+    yellow = {line.id for line in world.lines if is_yellow(line, scene.markings)}
     for number, name in enumerate([*labelled, *(name for name in strips if name not in labelled)]):
         if len(strips[name].faces):
             material = materials.yellow_marking if name in yellow else materials.marking
             _add_object(new_mesh(strips[name], [material]), FIRST_DELIMITER_ID + number)
 
 
-def _placed_objects(assets: Assets, ground: Ground) -> list[Placed]:
-    scene = ground.plan.scene
+def _placed_objects(assets: LoadedAssets, world: World, view: View) -> list[Placed]:
+    scene = world.scene
     cars = [
-        Placed(assets.cars[car.model - 1], placement.world_from_car(ground.plan, car), car.scale, FIRST_CAR_ID + i)
-        for i, car in enumerate(scene.cars)
+        Placed(assets.cars[car.model - 1], pose, car.scale, FIRST_CAR_ID + i)
+        for i, (car, pose) in enumerate(zip(scene.cars, view.world_from_cars, strict=True))
     ]
-    feet = placement.tree_positions(ground, scene.trees)
     trees = []
-    for i, (tree, foot) in enumerate(zip(scene.trees, feet, strict=True)):
+    for i, (tree, foot) in enumerate(zip(scene.trees, world.trees_world, strict=True)):
         c, s = np.cos(tree.yaw_rad), np.sin(tree.yaw_rad)
         pose = from_axes(np.array([c, s, 0]), np.array([-s, c, 0]), np.array([0, 0, 1.0]), foot)
         trees.append(Placed(assets.trees[tree.model - 1], pose, tree.scale, FIRST_TREE_ID + i))
     return cars + trees
 
 
-def new_mesh(mesh: meshes.Mesh, materials: list[bpy.types.Material]) -> bpy.types.Mesh:
+def new_mesh(mesh: Mesh, materials: list[bpy.types.Material]) -> bpy.types.Mesh:
     """A Blender mesh of smooth quads with its UV layer in metres."""
     data = bpy.data.meshes.new("surface")
     n_faces = len(mesh.faces)

@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image, UnidentifiedImageError
 
-from synth3dlanes.asset_folder import (
+from synth3dlanes.assets.catalogue import AssetKind, Assets, CarModel, Sky, Texture, TreeModel
+from synth3dlanes.assets.folder import (
     Checked,
     Folder,
     Notes,
@@ -23,10 +24,10 @@ from synth3dlanes.asset_folder import (
     scan,
     texture_digest,
 )
-from synth3dlanes.blender.own_models import Imported, ModelKind, import_model, points_of
-from synth3dlanes.blender.own_sky import brightest_azimuth, read_sky
-from synth3dlanes.catalogue import Assets, CarModel, Kind, Sky, Texture, TreeModel
+from synth3dlanes.blender.sky_file import read_sky
+from synth3dlanes.blender.user_models import Imported, ModelKind, import_model, points_of
 from synth3dlanes.errors import FormatError
+from synth3dlanes.imaging.user_sky import brightest_azimuth
 
 CAR_LENGTH_M, TREE_HEIGHT_M = (2.5, 20.0), (0.3, 60.0)
 TRIANGLES: dict[ModelKind, int] = {"car": 15_000, "tree": 10_000}
@@ -181,7 +182,7 @@ def _wheels(points: Float[np.ndarray, "v 3"], named: Float[np.ndarray, "n 3"]) -
     return WHEELBASE * length_m, TRACK * width_m, radius_m
 
 
-def _textures(folder: Folder, kind: Kind, found: Findings) -> Iterator[Texture]:
+def _textures(folder: Folder, kind: AssetKind, found: Findings) -> Iterator[Texture]:
     for name, files in folder.textures[kind].items():
         problems, sizes = [], []
         for path in (files.albedo, files.roughness, files.normal):
@@ -229,7 +230,7 @@ def _triangles(mesh: bpy.types.Mesh) -> int:
 
 
 def _add_row(
-    found: Findings, kind: Kind, model: CarModel | TreeModel | Texture | Sky, size: str, triangles: int
+    found: Findings, kind: AssetKind, model: CarModel | TreeModel | Texture | Sky, size: str, triangles: int
 ) -> None:
     number = 1 + sum(row.kind == kind for row in found.rows)
     found.rows.append(Row(kind, number, model.name, size, triangles, model.sha256))

@@ -4,7 +4,7 @@ from typing import Any
 
 import bpy
 
-from synth3dlanes.devices import Device, choose
+from synth3dlanes.settings import Device, choose_device
 
 
 def found_devices() -> tuple[Device, ...]:
@@ -16,7 +16,7 @@ def found_devices() -> tuple[Device, ...]:
 
 def use_device(asked: str) -> None:
     """Render on this kind of device, on all of it that the process sees; raise InputError where there is none."""
-    kind = "cpu" if asked == "cpu" else choose(asked, found_devices())
+    kind = "cpu" if asked == "cpu" else choose_device(asked, found_devices())
     preferences, options = _preferences(), bpy.context.scene.cycles
     options.device = "CPU" if kind == "cpu" else "GPU"
     options.denoising_use_gpu = kind != "cpu"

@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 from PIL import Image
 
-from synth3dlanes.asset_folder import TextureFiles
+from synth3dlanes.assets.folder import TextureFiles
 from synth3dlanes.blender.shaders import Graph, coated, new_material, texture
 from synth3dlanes.blender.weathering import Look, rub_level, rubbed, wet
 from synth3dlanes.scene import Scene

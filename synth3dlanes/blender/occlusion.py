@@ -13,7 +13,7 @@ from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
 from synth3dlanes.blender.build import Placed
-from synth3dlanes.frames import invert, project, transform
+from synth3dlanes.frames import inside_image, invert, project, transform
 from synth3dlanes.labels import Labels
 
 # A point on the road is not hidden by what touches it from beyond this distance.
@@ -56,8 +56,7 @@ def seen_fractions(
     surfaces = [_silhouette(car, eye) if _reaches_image(car, labels) else nothing for car in cars]
     points = np.concatenate([*surfaces, nothing])
     uv = project(camera.img_from_cam, transform(invert(camera.world_from_cam), points))
-    with np.errstate(invalid="ignore"):
-        seen = ((uv >= 0) & (uv <= [camera.width_px, camera.height_px])).all(axis=1)
+    seen = inside_image(uv, camera.width_px, camera.height_px)
     seen[seen] = seen_over_ground(points[seen])
     seen[seen] = ~hidden_by_objects(placed, eye, points[seen])
     shares = np.split(seen, np.cumsum([len(surface) for surface in surfaces]))[:-1]

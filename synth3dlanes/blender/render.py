@@ -1,4 +1,4 @@
-"""Scene -> image, passes and the last mask of its labels, with Cycles (settings from the measured costs in bench)."""
+"""World and View -> radiance and id layers, and the last masks of the labels. With Cycles: docs/decisions.md."""
 
 import os
 import time
@@ -8,33 +8,30 @@ from functools import lru_cache, partial
 import bpy
 import cycles  # type: ignore[import-not-found]
 import numpy as np
-from jaxtyping import Shaped, UInt8
 
+from synth3dlanes.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.blender.build import Placed, Studio, build, open_studio
 from synth3dlanes.blender.devices import use_device
-from synth3dlanes.blender.film import CYCLES_NO_HIT, develop
+from synth3dlanes.blender.light import HAZE_PASS
 from synth3dlanes.blender.occlusion import hidden_by_objects, seen_fractions
-from synth3dlanes.blender.sky import film_factor
-from synth3dlanes.catalogue import BUILT_IN, Library
 from synth3dlanes.frames import Matrix4, transform
-from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.height_map import height_map
-from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.visibility import seen_over_ground
+from synth3dlanes.imaging.daylight import Daylight, film_factor
+from synth3dlanes.imaging.layers import Layers
 from synth3dlanes.labels import Labels
-from synth3dlanes.scene import Scene
 from synth3dlanes.settings import NO_HIT_DEPTH_M, RenderSettings
+from synth3dlanes.world import View, World
 
-PASS_OF = {"depth": "Depth", "semantic": "IndexMA", "instance": "IndexOB"}
+# Cycles writes 1e10 where a ray hits nothing.
+CYCLES_NO_HIT = 1e9
 
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
-    """An image, its labels with `object_visible`, the passes asked for, and seconds spent by stage."""
+    """Layers, the labels with `object_visible`, and seconds spent by stage."""
 
-    image: UInt8[np.ndarray, "h w 3"]
+    layers: Layers
     labels: Labels
-    passes: dict[str, Shaped[np.ndarray, "..."]]
     timings: dict[str, float]
 
 
@@ -46,39 +43,43 @@ def studio(library: Library = BUILT_IN) -> Studio:
     return opened(library)
 
 
-def render(scene: Scene, labels: Labels, settings: RenderSettings, library: Library = BUILT_IN) -> Rendering:
-    """Render one scene; equal arguments give equal pixels on one kind of machine."""
+def render(
+    world: World,
+    view: View,
+    light: Daylight,
+    labels: Labels,
+    settings: RenderSettings,
+    library: Library = BUILT_IN,
+) -> Rendering:
+    """Render one view; equal arguments give equal pixels on one kind of machine."""
     clock = [time.perf_counter()]
-    placed = build(studio(library), scene, [lane.id for lane in labels.lanes if lane.kind == "delimiter"])
+    lines = [lane.id for lane in labels.lanes if lane.kind == "delimiter"]
+    placed = build(studio(library), world, view, light, lines)
     clock.append(time.perf_counter())
-    configure(settings, film_factor(scene))
-    layers = run_cycles()
+    film = film_factor(world.scene.light, light)
+    configure(settings, film)
+    layers = read_layers(run_cycles(), film)
     clock.append(time.perf_counter())
-    image = develop(scene, layers)
-    passes = {name: _pass(name, layers) for name in settings.passes if name in PASS_OF}
     if "normal" in settings.passes:
-        passes["normal"] = _normals(labels.camera.world_from_cam, studio(library).plain)
-    if "height" in settings.passes:
-        passes["height"] = height_map(RoadPlan(scene)).astype(np.float32)
+        layers = replace(layers, normal=_normals(view.world_from_cam, studio(library).plain))
     clock.append(time.perf_counter())
-    seen = with_object_visibility(scene, labels, placed)
+    seen = with_object_visibility(world, view, labels, placed)
     clock.append(time.perf_counter())
     stages = ("build", "cycles", "passes", "occlusion")
-    return Rendering(image, seen, passes, dict(zip(stages, np.diff(clock).tolist(), strict=True)))
+    return Rendering(layers, seen, dict(zip(stages, np.diff(clock).tolist(), strict=True)))
 
 
-def with_object_visibility(scene: Scene, labels: Labels, placed: list[Placed]) -> Labels:
+def with_object_visibility(world: World, view: View, labels: Labels, placed: list[Placed]) -> Labels:
     """The labels with every point's `object_visible` and the seen share of every car."""
-    world_from_cam = labels.camera.world_from_cam
-    eye = world_from_cam[:3, 3]
-    points = transform(world_from_cam, np.concatenate([lane.xyz_cam for lane in labels.lanes]))
+    eye = view.eye_world
+    points = transform(view.world_from_cam, np.concatenate([lane.xyz_cam for lane in labels.lanes]))
     visible = ~hidden_by_objects(placed, eye, points)
     ends = np.cumsum([len(lane.xyz_cam) for lane in labels.lanes])[:-1]
     lanes = (
         replace(lane, object_visible=mask) for lane, mask in zip(labels.lanes, np.split(visible, ends), strict=True)
     )
-    over_ground = partial(seen_over_ground, Ground(RoadPlan(scene)), eye)
-    cars = seen_fractions(placed[: len(scene.cars)], placed, labels, over_ground)
+    over_ground = partial(seen_over_ground, world.ground, eye)
+    cars = seen_fractions(placed[: len(world.scene.cars)], placed, labels, over_ground)
     return replace(labels, lanes=tuple(lanes), car_visible_fraction=cars)
 
 
@@ -137,12 +138,16 @@ def run_cycles() -> dict[str, np.ndarray]:
     return layers
 
 
-def _pass(name: str, layers: dict[str, np.ndarray]) -> np.ndarray:
-    """A pass that Cycles takes from the first sample, at the pixel's very centre."""
-    values = layers[PASS_OF[name]][..., 0]
-    if name == "depth":
-        return np.where(values > CYCLES_NO_HIT, np.float32(NO_HIT_DEPTH_M), values)
-    return values.astype(np.uint8 if name == "semantic" else np.uint16)
+def read_layers(passes: dict[str, np.ndarray], film: float) -> Layers:
+    """Cycles' passes as layers. Depth and ids are those of the first sample, at the pixel's very centre."""
+    depth = passes["Depth"][..., 0]
+    return Layers(
+        radiance=passes["Combined"][..., :3] / np.float32(film),
+        haze=passes[HAZE_PASS][..., :2],
+        depth_m=np.where(depth > CYCLES_NO_HIT, np.float32(NO_HIT_DEPTH_M), depth),
+        semantic=passes["IndexMA"][..., 0].astype(np.uint8),
+        instance=passes["IndexOB"][..., 0].astype(np.uint16) if "IndexOB" in passes else None,
+    )
 
 
 def _normals(world_from_cam: Matrix4, plain: bpy.types.Material) -> np.ndarray:

@@ -8,7 +8,7 @@ from typing import Any
 
 import bpy
 
-from synth3dlanes.blender.assets import assets_dir
+from synth3dlanes.assets.built_in import assets_dir
 from synth3dlanes.blender.quick_copy import quick_copy
 
 Socket = Any  # a socket, a number or a tuple: what a node input takes

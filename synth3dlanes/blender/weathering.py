@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image
 
-from synth3dlanes.blender.assets import assets_dir
+from synth3dlanes.assets.built_in import assets_dir
 from synth3dlanes.blender.shaders import Graph, Socket, texture
 
 # Water lies deeper where this map is dark: hollows of metres.

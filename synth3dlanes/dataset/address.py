@@ -25,15 +25,15 @@ def connect(url: str) -> tuple[Any, str]:
 
 
 @contextmanager
-def naming(place: str) -> Iterator[None]:
-    """Whatever a store refuses becomes a FormatError that names the place."""
+def translate_store_errors(place: str, expected: str = "to reach it") -> Iterator[None]:
+    """Whatever a file system refuses becomes a FormatError that names the place and what was expected there."""
     try:
         yield
-    except refusals() as error:
-        raise FormatError(f"{place}: expected to reach it, got {type(error).__name__}: {error}") from None
+    except store_errors() as error:
+        raise FormatError(f"{place}: expected {expected}, got {type(error).__name__}: {error}") from None
 
 
-def refusals() -> tuple[type[Exception], ...]:
-    """What file systems raise. Amazon's library has errors of its own for no credentials and no connection."""
+def store_errors() -> tuple[type[Exception], ...]:
+    """What file systems raise. Amazon's library, once loaded, has its own for no credentials and no connection."""
     amazon = sys.modules.get("botocore.exceptions")
     return (OSError, amazon.BotoCoreError) if amazon else (OSError,)

@@ -4,11 +4,9 @@ Pure bytes: nothing here opens a file. Equal samples give equal bytes.
 """
 
 import io
-import json
 import tarfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -19,10 +17,6 @@ from synth3dlanes import labels as labels_module
 from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels
 
-DATASET_FORMAT = "synth3dlanes.dataset"
-DATASET_VERSION = 1
-# Of the images and labels that are made with the built-in assets.
-DATA_LICENSE = "CC0-1.0"
 IMAGE_FORMATS = ("jpg", "png")
 JPEG_QUALITY = 95
 SCENE, LABELS, PASSES, HEIGHT = "scene.json", "labels.json", "passes.exr", "height.exr"
@@ -31,8 +25,6 @@ COLUMN_OF_MEMBER = {
     "jpg": "image", "png": "image", SCENE: "scene", LABELS: "labels", PASSES: "passes", HEIGHT: "height"
 }  # fmt: skip
 BLOCK = 512
-# Where the metadata of a shard's parquet has the recipe that its samples were made from.
-RECIPE = b"synth3dlanes.recipe"
 
 # Integers up to here are exact in a half float.
 EXACT_IN_HALF = 2048
@@ -178,34 +170,3 @@ def tar_end(size: int) -> bytes:
 def member_name(header: bytes) -> str:
     """The file name in a tar header, for checking that an index points where it should."""
     return header[:100].rstrip(b"\0").decode("utf-8", "replace")
-
-
-def parse_description(data: bytes, where: str) -> dict[str, Any]:
-    """The contents of `dataset.json`; raise FormatError where they are not of this format and version."""
-    try:
-        document = json.loads(data)
-    except ValueError as error:
-        raise FormatError(f"{where}: expected JSON, got {error}") from None
-    found = (document.get("format"), document.get("version")) if isinstance(document, dict) else type(document).__name__
-    if found != (DATASET_FORMAT, DATASET_VERSION):
-        raise FormatError(f"{where}: expected {DATASET_FORMAT} version {DATASET_VERSION}, got {found}")
-    return dict(document)
-
-
-def recipe_text(description: Mapping[str, Any]) -> str:
-    """What `dataset.json` says about how samples are made, all but its version, licence and splits; equal recipes give
-    equal text."""
-    recipe = {key: value for key, value in description.items() if key not in ("format", "version", "license", "splits")}
-    # Through JSON, so that a tuple equals the list that it is read back as; 3.0 equals 3.
-    canonical = json.loads(json.dumps(recipe), parse_float=_whole)
-    return json.dumps(canonical, sort_keys=True, separators=(",", ":"))
-
-
-def recipe_of(metadata: Mapping[bytes, bytes] | None) -> str:
-    """The recipe that a shard was made from, by its parquet's metadata; "" where it does not say."""
-    return (metadata or {}).get(RECIPE, b"").decode("utf-8", "replace")
-
-
-def _whole(text: str) -> float:
-    number = float(text)
-    return int(number) if number.is_integer() else number

@@ -3,12 +3,9 @@
 from dataclasses import dataclass
 from typing import Any
 
-import pyarrow as pa
-import pyarrow.parquet as pq
-
-from synth3dlanes.dataset.address import connect, naming, refusals
-from synth3dlanes.dataset.format import parse_description
-from synth3dlanes.errors import FormatError
+from synth3dlanes.dataset.address import connect, translate_store_errors
+from synth3dlanes.dataset.description import DESCRIPTION, parse_description
+from synth3dlanes.dataset.index import read_indices
 
 
 @dataclass(frozen=True)
@@ -40,14 +37,12 @@ class DatasetInfo:
 def dataset_info(url: str) -> DatasetInfo:
     """Count and weigh the data set at any address that fsspec knows."""
     files, root = connect(url)
-    where = f"{url.rstrip('/')}/dataset.json"
-    try:
-        recipe = parse_description(files.cat_file(f"{root}/dataset.json"), where)
-    except refusals() as error:
-        raise FormatError(f"{where}: expected the description of a data set, got {error}") from None
+    where = f"{url.rstrip('/')}/{DESCRIPTION}"
+    with translate_store_errors(where, "the description of a data set"):
+        recipe = parse_description(files.cat_file(f"{root}/{DESCRIPTION}"), where)
     splits = recipe.pop("splits")
-    with naming(url):
-        found = tuple(_split(files, root, name, int(entry["n"])) for name, entry in splits.items())
+    with translate_store_errors(url):
+        found = tuple(_split(files, root, name, entry["n"]) for name, entry in splits.items())
     return DatasetInfo(recipe, found)
 
 
@@ -57,11 +52,8 @@ def _split(files: Any, root: str, name: str, asked: int) -> SplitInfo:
     indices: set[int] = set()
     shards = [path for path in sizes if path.endswith(".parquet") and "/" not in path]
     for path in shards:
-        where = f"{root}/{name}/{path}"
-        try:
-            indices |= set(pq.read_table(files.open(where), columns=["index"])["index"].to_pylist())
-        except (pa.ArrowException, KeyError) as error:
-            raise FormatError(f"{where}: expected the index of a shard, got {error}") from None
+        with files.open(f"{root}/{name}/{path}") as stream:
+            indices |= read_indices(stream, f"{root}/{name}/{path}")
     parts = {path for path in sizes if ".parts/" in path and path.endswith(".tar")}
     waiting = {int(path.rpartition("/")[2].removesuffix(".tar")) for path in parts} - indices
     failed = files.ls(f"{root}/failed/{name}") if files.isdir(f"{root}/failed/{name}") else []

@@ -8,14 +8,13 @@ from collections.abc import Iterator
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from jaxtyping import Shaped, UInt8
 
 from synth3dlanes import labels as labels_module
-from synth3dlanes.dataset.address import connect, naming, refusals
+from synth3dlanes.dataset.address import connect, translate_store_errors
+from synth3dlanes.dataset.description import DESCRIPTION, parse_description
 from synth3dlanes.dataset.format import (
     BLOCK,
-    COLUMN_OF_MEMBER,
     HEIGHT,
     LABELS,
     PASSES,
@@ -24,10 +23,9 @@ from synth3dlanes.dataset.format import (
     decode_image,
     member_name,
     member_names,
-    parse_description,
     read_passes,
-    recipe_of,
 )
+from synth3dlanes.dataset.index import place_columns, read_index, recipe_of, require_columns
 from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels
 
@@ -42,8 +40,8 @@ class Reader:
     def __init__(self, url: str) -> None:
         self.url = str(url).rstrip("/")
         files, self._root = connect(self.url)
-        where = f"{self._root.rpartition('/')[0]}/dataset.json"
-        with naming(self.url):
+        where = f"{self._root.rpartition('/')[0]}/{DESCRIPTION}"
+        with translate_store_errors(self.url):
             if not files.exists(where):
                 raise FormatError(f"{self.url}: expected a split of a data set, as DIR/train, got no {where}")
         self.description = parse_description(self._read(where), where)
@@ -57,8 +55,7 @@ class Reader:
         self.index = pa.concat_tables(tables)
         self.recipes = {recipe_of(table.schema.metadata) for table in tables}
         self._columns = {
-            name: tuple(self.index[f"{COLUMN_OF_MEMBER[name]}_{what}"].to_numpy() for what in ("offset", "size"))
-            for name in self._names
+            name: tuple(self.index[column].to_numpy() for column in place_columns([name])) for name in self._names
         }
         self._indices = self.index["index"].to_numpy()
 
@@ -137,27 +134,17 @@ class Reader:
         return members
 
     def _table(self, path: str) -> pa.Table:
-        try:
-            table = pq.read_table(pa.BufferReader(self._read(path)))
-        except pa.ArrowException as error:
-            raise FormatError(f"{path}: expected the index of a shard, got {error}") from None
-        columns = [f"{COLUMN_OF_MEMBER[name]}_{what}" for name in self._names for what in ("offset", "size")]
-        for column in ("key", "index", *columns):
-            if column not in table.column_names or table[column].null_count:
-                raise FormatError(f"{path}: expected a column {column} without gaps, got {table.column_names}")
+        table = read_index(pa.BufferReader(self._read(path)), path)
+        require_columns(table, ["key", "index", *place_columns(self._names)], path)
         return table
 
     def _list(self) -> list[str]:
-        try:
+        with translate_store_errors(self.url, "the folder of a split"):
             return [str(path) for path in connect(self.url)[0].ls(self._root, detail=False)]
-        except refusals() as error:
-            raise FormatError(f"{self.url}: expected the folder of a split, got {error}") from None
 
     def _read(self, path: str, start: int | None = None, end: int | None = None) -> bytes:
-        try:
+        with translate_store_errors(path, "a file"):
             return bytes(connect(self.url)[0].cat_file(path, start=start, end=end))
-        except refusals() as error:
-            raise FormatError(f"{path}: expected a file, got {error}") from None
 
     def _position(self, i: int) -> int:
         if not -len(self) <= i < len(self):

@@ -7,16 +7,14 @@ import os
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 
-from synth3dlanes.dataset import stores
-from synth3dlanes.dataset.address import is_url
-from synth3dlanes.dataset.folder import claim, differences
-from synth3dlanes.dataset.format import key_of, member_names, recipe_of, recipe_text
+from synth3dlanes.dataset.description import differences, recipe_of_description, recipe_text
+from synth3dlanes.dataset.destination import Destination
+from synth3dlanes.dataset.format import key_of, member_names
+from synth3dlanes.dataset.index import read_recipe
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.splits import readers, split_name
 from synth3dlanes.dataset.write import Shard
@@ -71,7 +69,7 @@ def merge(sources: Sequence[str], out: str) -> dict[str, int]:
     merged = {name: [one for one in found if split_name(one) == name] for name in sorted(map(split_name, found))}
     places = {name: _union(several) for name, several in merged.items()}
     for name, several in merged.items():
-        n = max(int(one.description["splits"][name]["n"]) for one in several)
+        n = max(one.description["splits"][name]["n"] for one in several)
         _put(out, recipe, name, n, places[name])
         counts[name] = len(places[name])
     return counts
@@ -83,7 +81,7 @@ def how_derived(source: Reader) -> dict[str, Any]:
 
 
 def _recipe(reader: Reader) -> dict[str, Any]:
-    return {key: value for key, value in reader.description.items() if key not in ("format", "version", "splits")}
+    return recipe_of_description(reader.description)
 
 
 def _union(several: Sequence[Reader]) -> Places:
@@ -107,20 +105,13 @@ def _put(out: str, recipe: dict[str, Any], split: str, n: int, places: Places) -
     shards: dict[int, Places] = {}
     for index, place in places.items():
         shards.setdefault(index // size, {})[index] = place
-    if is_url(out):
-        stores.announce(out, recipe, split, n)
+    destination = Destination(out)
+    with destination.claim(recipe, split, n, sorted(shards)):
         for number, members in sorted(shards.items()):
-            if not members.keys() <= stores.indices(out, split, number):
-                with TemporaryDirectory(prefix="synth3dlanes-") as folder:
-                    shard = Shard(Path(folder) / split, number, size, names, text)
-                    shard.folder.mkdir()
-                    stores.fetch_shard(out, shard)
-                    _fill(shard, members, n)
-                    stores.put_shard(out, shard)
-        return
-    with claim(Path(out), recipe, split, n, sorted(shards)) as home:
-        for number, members in sorted(shards.items()):
-            _fill(Shard(home, number, size, names, text), members, n)
+            shard = Shard(Path(split), number, size, names, text)
+            if destination.needs_join(shard, n) or members.keys() & set(destination.missing(shard, n)):
+                with destination.working_copy(shard) as here:
+                    _fill(here, members, n)
 
 
 def _fill(shard: Shard, members: Places, n: int) -> None:
@@ -140,7 +131,7 @@ def _link_whole(shard: Shard, members: Places) -> None:
     reader = next(iter(sources.values()))
     theirs = Shard(Path(reader.url), shard.number, shard.size, shard.names)
     is_theirs = len(sources) == 1 and theirs.path("parquet").exists() and theirs.joined() == members.keys()
-    is_theirs = is_theirs and recipe_of(pq.read_schema(theirs.path("parquet")).metadata) == shard.recipe
+    is_theirs = is_theirs and read_recipe(theirs.path("parquet")) == shard.recipe
     if not is_theirs or any(int(reader.key(i)) != index for i, index in zip(positions, sorted(members), strict=True)):
         return
     for suffix in ("tar", "parquet"):

@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 
-from synth3dlanes.dataset.address import connect, naming
+from synth3dlanes.dataset.address import connect, translate_store_errors
+from synth3dlanes.dataset.description import DESCRIPTION
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.errors import FormatError
 
@@ -10,10 +11,10 @@ from synth3dlanes.errors import FormatError
 def readers(folder: str) -> list[Reader]:
     """Readers of every split of a data set that has finished shards, or of the one split that is named."""
     files, root = connect(folder)
-    with naming(folder):
+    with translate_store_errors(folder):
         if not files.isdir(root):
             raise FormatError(f"{folder}: expected a data set or one of its splits, got no folder")
-        if not files.exists(f"{root}/dataset.json"):
+        if not files.exists(f"{root}/{DESCRIPTION}"):
             return [Reader(folder)]
         splits = sorted({path.rsplit("/", 2)[-2] for path in files.glob(f"{root}/*/*.parquet")})
     if not splits:

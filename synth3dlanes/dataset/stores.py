@@ -9,46 +9,37 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import pyarrow as pa
-import pyarrow.parquet as pq
-
-from synth3dlanes.dataset.address import connect, naming
-from synth3dlanes.dataset.folder import description_bytes
-from synth3dlanes.dataset.format import parse_description
+from synth3dlanes.dataset.address import connect, translate_store_errors
+from synth3dlanes.dataset.description import DESCRIPTION, updated_description
+from synth3dlanes.dataset.index import read_indices
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.errors import FormatError, InputError
-
-DESCRIPTION = "dataset.json"
+from synth3dlanes.errors import InputError
 
 
 def announce(url: str, recipe: dict[str, Any], split: str, n: int) -> None:
     """Write `dataset.json`; raise InputError where the store holds another recipe's samples."""
     files, root = connect(url)
-    with naming(url):
+    with translate_store_errors(url):
         where = f"{root}/{DESCRIPTION}"
         before = files.cat_file(where) if files.exists(where) else None
         if before is None and files.glob(f"{root}/*/*.parquet"):
-            raise InputError(f"{url}/{DESCRIPTION}: expected it beside the shards that are there, got none")
-        found = parse_description(before, f"{url}/{DESCRIPTION}") if before else None
-        after = description_bytes(found, recipe, split, n, f"{url}/{DESCRIPTION}")
+            raise InputError(f"{url}/{DESCRIPTION}: missing, but there are shards beside it")
+        after = updated_description(before, recipe, split, n, f"{url}/{DESCRIPTION}")
         if after != before:
             with TemporaryDirectory() as folder:
                 (Path(folder) / DESCRIPTION).write_bytes(after)
                 put(url, [DESCRIPTION], Path(folder))
 
 
-def indices(url: str, split: str, number: int) -> set[int]:
+def indices(url: str, shard: Shard) -> set[int]:
     """The indices of the samples that a store has in a shard; none where there is no such shard."""
     files, root = connect(url)
-    where = f"{split}/{number:05d}.parquet"
-    with naming(f"{url}/{where}"):
+    where = shard.path("parquet").as_posix()
+    with translate_store_errors(f"{url}/{where}"):
         if not files.exists(f"{root}/{where}"):
             return set()
-        try:
-            table = pq.read_table(pa.BufferReader(files.cat_file(f"{root}/{where}")), columns=["index"])
-        except pa.ArrowException as error:
-            raise FormatError(f"{url}/{where}: expected the index of a shard, got {error}") from None
-    return set(table["index"].to_pylist())
+        with files.open(f"{root}/{where}") as stream:
+            return read_indices(stream, f"{url}/{where}")
 
 
 def fetch_shard(url: str, shard: Shard) -> None:
@@ -64,7 +55,7 @@ def put_shard(url: str, shard: Shard) -> None:
     """Copy out a shard: the index last, and the old one gone before the new tar comes."""
     files, root = connect(url)
     tar, index = _names(shard)
-    with naming(f"{url}/{index}"):
+    with translate_store_errors(f"{url}/{index}"):
         if files.exists(f"{root}/{index}"):
             files.rm_file(f"{root}/{index}")
     put(url, [tar, index], shard.folder.parent)
@@ -74,7 +65,7 @@ def fetch(url: str, names: list[str], folder: Path) -> None:
     """Copy files into a folder; those that the store lacks are left out."""
     files, root = connect(url)
     for name in names:
-        with naming(f"{url}/{name}"):
+        with translate_store_errors(f"{url}/{name}"):
             if files.exists(f"{root}/{name}"):
                 (folder / name).parent.mkdir(parents=True, exist_ok=True)
                 files.get_file(f"{root}/{name}", str(folder / name))
@@ -84,7 +75,7 @@ def put(url: str, names: list[str], folder: Path) -> None:
     """Copy files out of a folder, in this order. Each appears by renaming, for stores that show half a file."""
     files, root = connect(url)
     for name in names:
-        with naming(f"{url}/{name}"):
+        with translate_store_errors(f"{url}/{name}"):
             # Elsewhere a path begins with a bucket, which would be made without a word; folders need no making there.
             if root.startswith("/"):
                 files.makedirs(f"{root}/{name}".rpartition("/")[0], exist_ok=True)

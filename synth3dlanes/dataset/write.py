@@ -14,17 +14,17 @@ import hashlib
 import os
 import tarfile
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
 import pyarrow.parquet as pq
 
 from synth3dlanes import labels as labels_module
 from synth3dlanes import scene as scene_module
-from synth3dlanes.dataset.format import BLOCK, COLUMN_OF_MEMBER, LABELS, SCENE, key_of, tar_bytes, tar_end
-from synth3dlanes.dataset.index import index_row, table
+from synth3dlanes.dataset.columns import index_row, table
+from synth3dlanes.dataset.format import BLOCK, LABELS, SCENE, key_of, tar_bytes, tar_end
+from synth3dlanes.dataset.index import place_columns, read_index
 from synth3dlanes.errors import FormatError
 
 REMEDY = "remove this shard's tar and parquet and run again to make it anew"
@@ -43,13 +43,18 @@ class Place:
 @dataclass(frozen=True)
 class Shard:
     """Shard `number` of the split in `folder`; `names` are the members of each of its samples, in order, and `recipe`
-    is what they are made from (`format.recipe_text`), for its index; "" for none."""
+    is what they are made from (`description.recipe_text`), for its index; "" for none. A folder that is relative to a
+    data set becomes one here by `within`."""
 
     folder: Path
     number: int
     size: int
     names: tuple[str, ...]
     recipe: str = ""
+
+    def within(self, root: Path) -> "Shard":
+        """The same shard in the data set at `root`."""
+        return replace(self, folder=root / self.folder)
 
     def path(self, suffix: str) -> Path:
         """The shard's file or folder with this suffix."""
@@ -135,14 +140,12 @@ class Shard:
         return [index for index in self.indices(n) if index not in found]
 
     def _joined_by_index(self) -> set[int]:
-        path, last = self.path("parquet"), COLUMN_OF_MEMBER[self.names[-1]]
+        path, places = self.path("parquet"), place_columns(self.names[-1:])
         try:
-            rows = pq.read_table(path, columns=["index", f"{last}_offset", f"{last}_size"])
-        except (pa.ArrowException, OSError) as error:
-            raise FormatError(f"{path}: expected the index of a shard, got {error}; {REMEDY}") from None
-        if rows.num_columns != 3 or any(column.null_count for column in rows.columns):
-            raise FormatError(f"{path}: expected a place for {self.names[-1]} of every sample, got none; {REMEDY}")
-        end = max((sum(place) for place in zip(*(rows[i].to_pylist() for i in (1, 2)), strict=True)), default=0)
+            rows = read_index(path, str(path), ["index", *places])
+        except FormatError as error:
+            raise FormatError(f"{error}; {REMEDY}") from None
+        end = max((sum(place) for place in zip(*(rows[name].to_pylist() for name in places), strict=True)), default=0)
         tar = self.path("tar")
         size = tar.stat().st_size if tar.exists() else 0
         if size < end:

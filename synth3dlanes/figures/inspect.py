@@ -9,7 +9,7 @@ from rich.table import Table
 
 from synth3dlanes.figures import colors, views
 from synth3dlanes.figures.describe import LANE_COLUMNS, describe, lane_row, topology_words
-from synth3dlanes.figures.world import SceneView
+from synth3dlanes.figures.scene_view import SceneView
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
 

@@ -9,11 +9,11 @@ from jaxtyping import Float, Int
 
 from synth3dlanes.figures import colors
 from synth3dlanes.figures.colors import Rgb
-from synth3dlanes.figures.world import AHEAD_M, BEHIND_M, SceneView, TreeOutline
+from synth3dlanes.figures.scene_view import AHEAD_M, BEHIND_M, SceneView, TreeOutline
 from synth3dlanes.frames import transform
-from synth3dlanes.geometry.meshes import Mesh, road_meshes, terrain_mesh, verge_meshes
-from synth3dlanes.geometry.paint import PAINT_LIFT_AT_M, PAINT_LIFT_M, paint_meshes, yellow_lines
-from synth3dlanes.labels import Kind
+from synth3dlanes.geometry.meshes import Mesh
+from synth3dlanes.geometry.paint import PAINT_LIFT_AT_M, PAINT_LIFT_M, is_yellow
+from synth3dlanes.labels import LaneKind
 
 _HALF_WIDTH_M = 70.0
 _LANE_HALF_WIDTH_M = 0.06
@@ -46,13 +46,14 @@ class Triangles:
 
 def triangles(view: SceneView) -> list[Triangles]:
     """Everything in a scene near the host, by name."""
-    ground = view.ground
-    surfaces = [_mesh(view, mesh, _VERGE) for mesh in verge_meshes(ground)]
-    roads = [_mesh(view, mesh, _ASPHALT) for mesh in road_meshes(ground)]
-    yellow = yellow_lines(view.plan)
-    paint = [_mesh(view, mesh, _YELLOW if name in yellow else _WHITE) for name, mesh in paint_meshes(view.plan).items()]
+    world = view.world
+    surfaces = [_mesh(view, mesh, _VERGE) for mesh in world.verges]
+    roads = [_mesh(view, mesh, _ASPHALT) for mesh in world.pavement]
+    yellow = {line.id for line in world.lines if is_yellow(line, world.scene.markings)}
+    strips = world.paint(world.view)
+    paint = [_mesh(view, mesh, _YELLOW if name in yellow else _WHITE) for name, mesh in strips.items()]
     return [
-        _merge("terrain", [_mesh(view, terrain_mesh(ground), _GRASS), *surfaces]),
+        _merge("terrain", [_mesh(view, world.terrain, _GRASS), *surfaces]),
         _merge("road", roads),
         _merge("paint", paint),
         _merge("centre lines", _lanes(view, "centerline")),
@@ -81,7 +82,7 @@ def _quads(vertices_road: Float[np.ndarray, "v 3"], quads: Int[np.ndarray, "f 4"
     return Triangles("", vertices_road, np.tile(np.array(color), (len(vertices_road), 1)), faces)
 
 
-def _lanes(view: SceneView, kind: Kind) -> list[Triangles]:
+def _lanes(view: SceneView, kind: LaneKind) -> list[Triangles]:
     """Each lane as a narrow ribbon, paler where it is not seen."""
     ribbons = []
     for lane in view.labels.lanes:

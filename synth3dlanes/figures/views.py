@@ -10,7 +10,7 @@ from mpl_toolkits.mplot3d import Axes3D, art3d  # type: ignore[import-untyped]
 
 from synth3dlanes.figures import colors
 from synth3dlanes.figures.overlay import stretches_img
-from synth3dlanes.figures.world import AHEAD_M, BEHIND_M, SceneView
+from synth3dlanes.figures.scene_view import AHEAD_M, BEHIND_M, SceneView
 from synth3dlanes.frames import transform
 from synth3dlanes.labels import Labels, Lane
 

@@ -3,8 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import Matrix4, from_axes, road_from_cam
-from synth3dlanes.geometry import terrain as ground
+from synth3dlanes.frames import Matrix4, from_axes
+from synth3dlanes.geometry import terrain
 from synth3dlanes.geometry.lanes import host_segment, path_of_segment
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.scene import Camera
@@ -20,22 +20,15 @@ def img_from_cam(camera: Camera) -> Float[np.ndarray, "3 3"]:
     )
 
 
-def world_from_road(plan: RoadPlan) -> Matrix4:
+def world_from_road(plan: RoadPlan, camera: Camera) -> Matrix4:
     """The road frame at the host: its foot on the surface, z the surface normal, y along the lane."""
-    camera = plan.scene.camera
-    lane = path_of_segment(plan, host_segment(plan))
+    lane = path_of_segment(plan, host_segment(plan, camera))
     s = plan.plan_station(camera.y_m + np.array([0.0, -TANGENT_STEP_M, TANGENT_STEP_M]))
     t = lane.main_offset(plan, s) + camera.offset_m * plan.flips[0]
     foot, behind, ahead = plan.lift(plan.main_xy(s, t))
-    ((dx, dy),) = ground.gradient_at(plan.scene.terrain, foot[None, :2])
+    ((dx, dy),) = terrain.gradient_at(plan.terrain, foot[None, :2])
     z = np.array([-dx, -dy, 1.0]) / np.sqrt(dx * dx + dy * dy + 1)
     along = ahead - behind
     y = along - (along @ z) * z
     y /= np.linalg.norm(y)
     return from_axes(np.cross(y, z), y, z, foot)
-
-
-def world_from_cam(plan: RoadPlan) -> Matrix4:
-    """The camera frame in the world."""
-    camera = plan.scene.camera
-    return world_from_road(plan) @ road_from_cam(camera.height_m, camera.pitch_rad, camera.roll_rad)

@@ -12,7 +12,9 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.geometry import terrain
+from synth3dlanes.geometry.horizon import FarHills
 from synth3dlanes.geometry.road import S_END_M, RoadPlan
+from synth3dlanes.scene import Markings
 
 Values = Float[np.ndarray, "*n"]
 Points2 = Float[np.ndarray, "*n 2"]
@@ -41,9 +43,13 @@ CREST_BEYOND_M = 30.0
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """Ground heights of one scene. `fine` is (x0, y0, x1, y1) of the area with fine terrain cells."""
+    """Ground heights around a road. It is built finest ahead of the world station `near_m`, where the host stands;
+    `fine` is (x0, y0, x1, y1) of the area with fine terrain cells. Its pavement reaches under the `markings`."""
 
     plan: RoadPlan
+    near_m: float
+    markings: Markings
+    hills: FarHills
 
     @cached_property
     def edge_m(self) -> float:
@@ -58,8 +64,7 @@ class Ground:
     @cached_property
     def under_paint_m(self) -> float:
         """How far the lanes' pavement reaches out of them: under all the paint of their edge lines."""
-        markings = self.plan.scene.markings
-        outer_m = markings.width_m * (1.5 if markings.left_double else 0.5)
+        outer_m = self.markings.width_m * (1.5 if self.markings.left_double else 0.5)
         return min(outer_m + PAINT_ROOM_M, self.plan.shoulder_m)
 
     def main_right_edge(self, s: Values) -> Values:
@@ -70,7 +75,7 @@ class Ground:
     @cached_property
     def fine(self) -> tuple[float, float, float, float]:
         """The part of the world that the camera sees from near: fine terrain cells cover its roads."""
-        y = self.plan.scene.camera.y_m
+        y = self.near_m
         s = np.linspace(y - 8, y + 160, 85)
         xy = [self.plan.main_xy(self.plan.plan_station(s), t) for t in (-self.edge_m, self.edge_m)]
         if self.plan.has_exit:
@@ -144,12 +149,12 @@ class Ground:
         near = self._near(flat)
         main, exits, _, _ = self.edge_distances(flat[near])
         pressed[near] = press(np.minimum(main, exits), self.cell_scale(flat[near]))
-        z = terrain.height_at(self.plan.scene.terrain, flat) - pressed
+        z = terrain.height_at(self.plan.terrain, flat) - pressed
         return np.asarray(z.reshape(xy_world.shape[:-1]))
 
     def height(self, xy_world: Points2) -> Values:
         """Height of the ground as built."""
-        return terrain.height_at(self.plan.scene.terrain, xy_world) + self.above_terrain(xy_world)
+        return terrain.height_at(self.plan.terrain, xy_world) + self.above_terrain(xy_world)
 
     def clearance(self, xy_world: Points2) -> Values:
         """Distance from the nearest pavement (shoulders included), negative on it, infinite far away."""
@@ -181,7 +186,7 @@ class Ground:
 
     def _reach_m(self, xy_world: Points2) -> Values:
         """How far from a shoulder's edge the ground may differ from the terrain."""
-        return EMBANKMENT_SLOPE * self.plan.scene.road.ramp_height_m + VERGE_M * self.cell_scale(xy_world)
+        return EMBANKMENT_SLOPE * self.plan.road.ramp_height_m + VERGE_M * self.cell_scale(xy_world)
 
 
 def press(distance_m: Values, scale: Values) -> Values:

@@ -3,10 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import transform
-from synth3dlanes.geometry.camera import world_from_road
+from synth3dlanes.frames import Matrix4, transform
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.road import RoadPlan
 
 # The paper's top view, 20 m x 80 m, from the camera's foot on; row 0 is the farthest.
 CELL_M = (0.2, 0.4)
@@ -14,7 +12,7 @@ SHAPE = (200, 100)
 STEPS = 12
 
 
-def height_map(plan: RoadPlan) -> Float[np.ndarray, "200 100"]:
+def height_map(ground: Ground, world_from_road: Matrix4) -> Float[np.ndarray, "200 100"]:
     """Height of the ground as built over the plane that touches the road at the host, at each cell's middle.
 
     Column c lies at x = (c + 0.5) 0.2 - 10 m, row r at y = 80 - (r + 0.5) 0.4 m.
@@ -24,10 +22,8 @@ def height_map(plan: RoadPlan) -> Float[np.ndarray, "200 100"]:
     y = rows * CELL_M[1] - (np.arange(rows) + 0.5) * CELL_M[1]
     points_road = np.zeros((rows * columns, 3))
     points_road[:, 0], points_road[:, 1] = (axis.ravel() for axis in np.meshgrid(x, y))
-    outer = world_from_road(plan)
-    ground = Ground(plan)
     for _ in range(STEPS):
-        points_world = transform(outer, points_road)
+        points_world = transform(world_from_road, points_road)
         below = ground.height(points_world[:, :2]) - points_world[:, 2]
-        points_road[:, 2] += below * outer[2, 2]
+        points_road[:, 2] += below * world_from_road[2, 2]
     return points_road[:, 2].reshape(SHAPE)

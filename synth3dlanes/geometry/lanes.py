@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.geometry.road import RoadPlan
-from synth3dlanes.labels import Kind, LaneGraph, Marking, RoadName, Segment
+from synth3dlanes.labels import LaneGraph, LaneKind, Marking, RoadName, Segment
+from synth3dlanes.scene import Camera
 
 Values = Float[np.ndarray, " n"]
 
@@ -28,7 +29,7 @@ class Curve:
     None: the curve exists only above 0. It spans the stations [start_m, end_m]."""
 
     id: str
-    kind: Kind
+    kind: LaneKind
     road: RoadName
     marking: Marking
     left: str | None
@@ -116,7 +117,7 @@ def _centerlines(plan: RoadPlan) -> tuple[Curve, ...]:
     def middle_m(lane: int) -> float:
         return plan.boundary_m(lane) - plan.width_m / 2
 
-    n, topology = plan.n_lanes, plan.scene.road.topology
+    n, topology = plan.n_lanes, plan.road.topology
     main = [center("main", lane, middle_m(lane), middle_m(lane)) for lane in range(1, plan.n_main_after + 1)]
     if topology == 3:
         main[-1] = center("main", n, middle_m(n - 1), middle_m(n), opens=True)
@@ -129,7 +130,7 @@ def _centerlines(plan: RoadPlan) -> tuple[Curve, ...]:
 
 
 def _delimiters(plan: RoadPlan) -> list[Curve]:
-    n, topology, half = plan.n_lanes, plan.scene.road.topology, plan.exit_half_m
+    n, topology, half = plan.n_lanes, plan.road.topology, plan.exit_half_m
 
     def line(
         road: RoadName, j: int, marking: Marking, stem_m: float | None, fork_m: float, start_m: float = -np.inf
@@ -188,7 +189,7 @@ def connections(plan: RoadPlan) -> list[tuple[str, str]]:
     """(stem segment, fork segment) of every path; the fork segment's id is also the id of the path's centre line."""
     n = plan.n_lanes
     main: list[tuple[int, RoadName, int]] = [(lane, "main", lane) for lane in range(1, plan.n_main_after + 1)]
-    if plan.scene.road.topology == 3:
+    if plan.road.topology == 3:
         main[-1] = (n - 1, "main", n)
     exits: list[tuple[int, RoadName, int]] = [
         (n - plan.n_exit_lanes + lane, "exit", lane) for lane in range(1, plan.n_exit_lanes + 1)
@@ -229,7 +230,6 @@ def path_of_segment(plan: RoadPlan, segment_id: str) -> Curve:
     return next(line for line in _centerlines(plan) if line.id == path_id)
 
 
-def host_segment(plan: RoadPlan) -> str:
+def host_segment(plan: RoadPlan, camera: Camera) -> str:
     """The segment of the host's lane, counted from the left among the main lanes present where it stands."""
-    camera = plan.scene.camera
-    return plan.scene.road.segments_at(camera.y_m)[camera.lane - 1]
+    return plan.road.segments_at(camera.y_m)[camera.lane - 1]

@@ -10,8 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.geometry.ground import CELL_M, EMBANKMENT_SLOPE, GROWTH, VERGE_M, Ground, embankment_width, profile
-from synth3dlanes.geometry.horizon import far_dam, far_hills
-from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.geometry.horizon import far_dam
 
 Values = Float[np.ndarray, " n"]
 
@@ -52,13 +51,12 @@ def terrain_axes(ground: Ground) -> tuple[Values, Float[np.ndarray, " m"]]:
 
 def terrain_heights(ground: Ground, xy_world: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
     """Heights of the terrain's vertices."""
-    return ground.terrain_mesh_height(xy_world) + far_hills(ground.plan.scene, xy_world)
+    return ground.terrain_mesh_height(xy_world) + ground.hills.height(xy_world)
 
 
-def road_stations(plan: RoadPlan) -> Values:
+def road_stations(near_m: float) -> Values:
     """World stations of the rows of road and paint, past the horizon: half a metre near, longer far away; always the
     split itself."""
-    y = plan.scene.camera.y_m
     n_far = int(np.log(2 * HORIZON_M / FAR_ROWS_M) / np.log1p(FAR_ROWS_GROWTH))
     rows = [
         np.arange(-ROAD_BEHIND_M, 0, 1.0),
@@ -67,20 +65,20 @@ def road_stations(plan: RoadPlan) -> Values:
         np.arange(160, FAR_ROWS_M, 2.0),
         FAR_ROWS_M * (1 + FAR_ROWS_GROWTH) ** np.arange(n_far),
     ]
-    return np.unique(np.append(y + np.concatenate(rows), 0.0))
+    return np.unique(np.append(near_m + np.concatenate(rows), 0.0))
 
 
 def lift_far(
-    plan: RoadPlan, xy_world: Float[np.ndarray, "*n 2"], above_m: Float[np.ndarray, "*#n"]
+    ground: Ground, xy_world: Float[np.ndarray, "*n 2"], above_m: Float[np.ndarray, "*#n"]
 ) -> Float[np.ndarray, "*n 3"]:
     """Put points on the ground, its far hills among it, or `above_m` over it."""
-    return plan.lift(xy_world, above_m + far_hills(plan.scene, xy_world))
+    return ground.plan.lift(xy_world, above_m + ground.hills.height(xy_world))
 
 
 def road_meshes(ground: Ground) -> list[Mesh]:
     """Pavement of the main road and, where it has left the main pavement, of the exit."""
     plan = ground.plan
-    s = plan.plan_station(road_stations(plan))
+    s = plan.plan_station(road_stations(ground.near_m))
     meshes = [_main_mesh(ground, s)]
     if plan.has_exit:
         meshes.append(_exit_mesh(ground, np.sort(s[s >= 0])))
@@ -90,7 +88,7 @@ def road_meshes(ground: Ground) -> list[Mesh]:
 def verge_meshes(ground: Ground) -> list[Mesh]:
     """Verges and embankments along every edge of the pavement, down to below the terrain mesh."""
     plan = ground.plan
-    s = plan.plan_station(road_stations(plan))
+    s = plan.plan_station(road_stations(ground.near_m))
     raised, free = far_dam(s), np.full(s.shape, np.inf)
     right = ground.main_right_edge(s)
     meshes = [
@@ -167,7 +165,7 @@ def _main_mesh(ground: Ground, s: Values) -> Mesh:
         middle = (xy[:-1, -k - 1 : -1] + xy[:-1, -k:] + xy[1:, -k - 1 : -1] + xy[1:, -k:]) / 4
         se, te = plan.project_exit(middle, np.broadcast_to((s[:-1, None] + s[1:, None]) / 2, middle.shape[:2]))
         material[:, -k:][(se >= 0) & (np.abs(te) < plan.exit_half_m)] = ROAD
-    vertices = lift_far(plan, xy, far_dam(stations))
+    vertices = lift_far(ground, xy, far_dam(stations))
     return grid(vertices, np.stack([offsets, stations], -1) * plan.flips, material)
 
 
@@ -178,7 +176,7 @@ def _exit_mesh(ground: Ground, s: Values) -> Mesh:
     offsets = np.concatenate([inner - SEAM_M, np.maximum(t, inner)], axis=1)
     material = np.concatenate([material[:1], material])
     stations = np.broadcast_to(s[:, None], offsets.shape)
-    vertices = lift_far(plan, plan.exit_xy(stations, offsets), plan.ramp(stations) + far_dam(stations))
+    vertices = lift_far(ground, plan.exit_xy(stations, offsets), plan.ramp(stations) + far_dam(stations))
     vertices[:, 0, 2] -= SEAM_FALL_M
     return grid(vertices, np.stack([offsets, stations], -1) * plan.flips, material)
 
@@ -196,7 +194,7 @@ def _gap(ground: Ground, s: Values) -> Values:
 def _crossing(ground: Ground, s: Values, high: float) -> Values:
     """Exit offset, up to `high`, at which its cross-section at s crosses the main pavement's right edge."""
     plan = ground.plan
-    low = -ground.exit_edge_m - EMBANKMENT_SLOPE * plan.scene.road.ramp_height_m - VERGE_M
+    low = -ground.exit_edge_m - EMBANKMENT_SLOPE * plan.road.ramp_height_m - VERGE_M
 
     def outside(t: Values) -> Values:
         at, main_t = plan.project_main(plan.exit_xy(s, t))
@@ -222,7 +220,7 @@ def _verge(
     distance = np.stack(columns, axis=1)
     squeeze = np.minimum(1.0, room_m / embankment_width(raised, scale))
     xy = np.stack([edge_plus(distance[:, j] * squeeze) for j in range(distance.shape[1])], axis=1)
-    vertices = lift_far(ground.plan, xy, profile(distance, raised[:, None], scale[:, None]))
+    vertices = lift_far(ground, xy, profile(distance, raised[:, None], scale[:, None]))
     mesh = grid(vertices, _unrolled(vertices), np.zeros(distance.shape[1] - 1, dtype=int))
     is_open = np.repeat((room_m[:-1] > 0) | (room_m[1:] > 0), distance.shape[1] - 1)
     return replace(mesh, faces=mesh.faces[is_open], material=mesh.material[is_open])

@@ -1,17 +1,17 @@
 """The paint of the delimiters as strips over the road: dashes, double lines, stretches that are gone. World frame."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from synth3dlanes.geometry.camera import world_from_cam
+from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.horizon import far_dam
-from synth3dlanes.geometry.lanes import Curve, curves
+from synth3dlanes.geometry.lanes import Curve
 from synth3dlanes.geometry.meshes import Mesh, Values, grid, is_facing_up, lift_far, over_terrain, road_stations
-from synth3dlanes.geometry.road import RoadPlan
-from synth3dlanes.scene import Scene
-from synth3dlanes.streams import stream
+from synth3dlanes.scene import Markings
+from synth3dlanes.streams import Streams
 
 # Paint floats over the road by more than the road's faces can rise between their rows, which are longer far away.
 PAINT_LIFT_M = (0.0015, 0.002, 0.008, 0.04, 0.12, 2.0)
@@ -29,43 +29,44 @@ GONE_M, GONE_REACH_M = (3.0, 12.0), 600.0
 Intervals = Float[np.ndarray, "_ 2"]
 
 
-def paint_meshes(plan: RoadPlan) -> dict[str, Mesh]:
-    """The paint of every delimiter, by its id."""
-    return {curve.id: _paint(plan, curve) for curve in curves(plan) if curve.kind == "delimiter"}
+def paint_meshes(
+    ground: Ground, lines: Sequence[Curve], eye_world: Float[np.ndarray, "3"], streams: Streams
+) -> dict[str, Mesh]:
+    """The paint of every delimiter among the lines, by its id, laid to look in place from the eye."""
+    return {line.id: _paint(ground, line, eye_world, streams) for line in lines if line.kind == "delimiter"}
 
 
-def left_edges(plan: RoadPlan) -> frozenset[str]:
-    """The lines that no lane lies to the left of, as the host drives: the left edge of the road, and of its exit."""
-    return frozenset(curve.id for curve in curves(plan) if curve.kind == "delimiter" and curve.left is None)
+def is_left_edge(line: Curve) -> bool:
+    """Whether no lane lies to the left of a delimiter, as the host drives: the left edge of the road, and of its
+    exit."""
+    return line.kind == "delimiter" and line.left is None
 
 
-def yellow_lines(plan: RoadPlan) -> frozenset[str]:
-    """The lines painted yellow; all others are white."""
-    return left_edges(plan) if plan.scene.markings.left_yellow else frozenset()
+def is_yellow(line: Curve, markings: Markings) -> bool:
+    """Whether a delimiter is painted yellow; all others are white."""
+    return markings.left_yellow and is_left_edge(line)
 
 
-def stripes_m(plan: RoadPlan, line_id: str) -> tuple[float, ...]:
+def stripes_m(line: Curve, markings: Markings) -> tuple[float, ...]:
     """Where the stripes of a line have their middles, aside of its own: a double line's gap is as wide as a stripe."""
-    markings = plan.scene.markings
-    is_double = markings.left_double and line_id in left_edges(plan)
+    is_double = markings.left_double and is_left_edge(line)
     return (-markings.width_m, markings.width_m) if is_double else (0.0,)
 
 
-def _paint(plan: RoadPlan, curve: Curve) -> Mesh:
-    markings = plan.scene.markings
-    rows, painted = painted_rows(plan, curve)
-    ahead_m = plan.plan_station(rows) - plan.scene.camera.y_m
+def _paint(ground: Ground, curve: Curve, eye_world: Float[np.ndarray, "3"], streams: Streams) -> Mesh:
+    plan, markings = ground.plan, ground.markings
+    rows, painted = painted_rows(ground, curve, streams)
+    ahead_m = plan.plan_station(rows) - ground.near_m
     painted_share = (markings.dash_fraction if curve.marking == "dashed" else 1.0) * (1 - markings.missing)
     share = np.where(ahead_m > DASHES_M, painted_share, 1.0)
     lift_m = np.interp(np.abs(ahead_m), PAINT_LIFT_AT_M, PAINT_LIFT_M)
     stripes = []
-    for middle_m in stripes_m(plan, curve.id):
+    for middle_m in stripes_m(curve, markings):
         offsets = middle_m + np.array([-0.5, 0.5]) * markings.width_m
-        sides, onwards = (_sides(plan, curve, offsets, at) for at in (rows, rows + ALONG_M))
+        sides, onwards = (_sides(ground, curve, offsets, at) for at in (rows, rows + ALONG_M))
         middle = sides.mean(axis=1, keepdims=True)
-        floating = _floating(
-            plan, middle + share[:, None, None] * (sides - middle), (onwards - sides).mean(axis=1), lift_m
-        )
+        narrowed = middle + share[:, None, None] * (sides - middle)
+        floating = _floating(eye_world, narrowed, (onwards - sides).mean(axis=1), lift_m)
         uv = np.stack(np.broadcast_arrays(offsets[None, :], rows[:, None]), -1)
         mesh = grid(floating, uv, np.zeros(1, dtype=int))
         # Where the stem meets the exit a face of millimetres may turn back over the last one.
@@ -74,22 +75,25 @@ def _paint(plan: RoadPlan, curve: Curve) -> Mesh:
     return over_terrain(_joined(stripes))
 
 
-def _sides(plan: RoadPlan, curve: Curve, offsets_m: Float[np.ndarray, "2"], s: Values) -> Float[np.ndarray, "n 2 3"]:
+def _sides(ground: Ground, curve: Curve, offsets_m: Float[np.ndarray, "2"], s: Values) -> Float[np.ndarray, "n 2 3"]:
     """Points of the road on both sides of a stripe."""
-    lines = [_beside(curve, t) for t in offsets_m]
+    plan, lines = ground.plan, [_beside(curve, t) for t in offsets_m]
     return np.stack(
-        [lift_far(plan, line.xy_world(plan, s), line.raised(plan, s) + far_dam(s)) for line in lines], axis=1
+        [lift_far(ground, line.xy_world(plan, s), line.raised(plan, s) + far_dam(s)) for line in lines], axis=1
     )
 
 
 def _floating(
-    plan: RoadPlan, sides: Float[np.ndarray, "n 2 3"], along: Float[np.ndarray, "n 3"], lift_m: Values
+    eye_world: Float[np.ndarray, "3"],
+    sides: Float[np.ndarray, "n 2 3"],
+    along: Float[np.ndarray, "n 3"],
+    lift_m: Values,
 ) -> Float[np.ndarray, "n 2 3"]:
-    """A stripe raised by `lift_m` over the road, and moved across its line until the camera sees it there: what floats
+    """A stripe raised by `lift_m` over the road, and moved across its line until the eye sees it there: what floats
     is seen outside of its place otherwise. `along` is the line's direction."""
     across = sides[:, 1] - sides[:, 0]
     normal = np.cross(across, along)
-    to_eye = world_from_cam(plan)[:3, 3] - sides.mean(axis=1)
+    to_eye = eye_world - sides.mean(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         eye_over_road_m = np.clip((to_eye * normal).sum(axis=-1) / normal[:, 2], 0, None)
         # lift over height, but back to nothing where one looks along the road or at it from below
@@ -113,42 +117,44 @@ def _beside(curve: Curve, t: float) -> Curve:
     return replace(curve, stem_m=None if curve.stem_m is None else curve.stem_m + t, fork_m=curve.fork_m + t)
 
 
-def painted_rows(plan: RoadPlan, curve: Curve) -> tuple[Float[np.ndarray, " m"], Bool[np.ndarray, " m-1"]]:
+def painted_rows(
+    ground: Ground, curve: Curve, streams: Streams
+) -> tuple[Float[np.ndarray, " m"], Bool[np.ndarray, " m-1"]]:
     """Rows of a line with all ends of paint among them, and whether the strip behind each row is painted. Lengths are
     counted along the line from the split, so that dashes and gaps do not move with the camera."""
-    rows = np.sort(plan.plan_station(road_stations(plan)))
+    plan, markings = ground.plan, ground.markings
+    rows = np.sort(plan.plan_station(road_stations(ground.near_m)))
     low, high = max(rows[0], curve.start_m), min(rows[-1], curve.end_m)
     rows = np.array([low, low]) if low >= high else np.concatenate([[low], rows[(rows > low) & (rows < high)], [high]])
-    is_far = plan.plan_station(rows) - plan.scene.camera.y_m > DASHES_M
+    is_far = plan.plan_station(rows) - ground.near_m > DASHES_M
     far, rows = (np.zeros(0), rows) if is_far.all() else (rows[is_far], rows[~is_far])
     xyz = curve.points_world(plan, rows)
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz, axis=0), axis=1))])
     length -= np.interp(0.0, rows, length)
-    dashes, gone = _dashes(plan.scene, curve, length), _gone(plan.scene, curve)
+    dashes, gone = _dashes(markings, curve, length), _gone(markings, streams(f"missing_paint/{curve.id}"))
     ends = np.concatenate([dashes.ravel(), gone.ravel()])
     ends = np.interp(ends[(ends > length[0]) & (ends < length[-1])], length, rows)
     rows_all = np.unique(np.concatenate([rows, ends]))
     middle = np.interp((rows_all[1:] + rows_all[:-1]) / 2, rows, length)
     painted = _inside(dashes, middle) & ~_inside(gone, middle)
-    both = [(rows_all, painted), (far, np.full(len(far), plan.scene.markings.missing < 1))][:: int(plan.flips[1])]
+    both = [(rows_all, painted), (far, np.full(len(far), markings.missing < 1))][:: int(plan.flips[1])]
     return np.concatenate([rows for rows, _ in both]), np.concatenate([painted for _, painted in both])
 
 
-def _dashes(scene: Scene, curve: Curve, length: Values) -> Intervals:
+def _dashes(markings: Markings, curve: Curve, length: Values) -> Intervals:
     """Where the line is painted by its kind, along its length."""
     if curve.marking != "dashed":
         return np.array([[-np.inf, np.inf]])
-    cycle, fraction = scene.markings.dash_cycle_m, scene.markings.dash_fraction
+    cycle, fraction = markings.dash_cycle_m, markings.dash_fraction
     numbers = np.arange(np.floor(length[0] / cycle), np.ceil(length[-1] / cycle) + 1)
     return np.stack([numbers, numbers + fraction], axis=1) * cycle
 
 
-def _gone(scene: Scene, curve: Curve) -> Intervals:
+def _gone(markings: Markings, rng: np.random.Generator) -> Intervals:
     """Where the line has lost its paint: a stretch somewhere in each period of stretch / share metres."""
-    share = scene.markings.missing
+    share = markings.missing
     if share == 0:
         return np.zeros((0, 2))
-    rng = stream(scene.seed, scene.split, scene.index, f"missing_paint/{curve.id}")
     gone_m = rng.uniform(*GONE_M, int(np.ceil(2 * GONE_REACH_M * share / GONE_M[0])))
     period_m = gone_m / share
     start_m = np.cumsum(period_m) - period_m - GONE_REACH_M + rng.uniform(0, 1, len(gone_m)) * (period_m - gone_m)

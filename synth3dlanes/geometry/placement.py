@@ -3,8 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.assets.catalogue import CarModel
 from synth3dlanes.frames import Matrix4, from_axes, transform
-from synth3dlanes.geometry.camera import world_from_road
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.lanes import path_of_segment
 from synth3dlanes.geometry.road import RoadPlan
@@ -24,10 +24,9 @@ def lane_place(plan: RoadPlan, lane: str, s_world: float) -> tuple[Float[np.ndar
     return middle, along / np.linalg.norm(along)
 
 
-def world_from_car(plan: RoadPlan, car: Car) -> Matrix4:
+def world_from_car(plan: RoadPlan, car: Car, model: CarModel) -> Matrix4:
     """The pose (without scale) in which the car's four tyres stand on the road as well as a rigid body can."""
     middle, (hx, hy) = lane_place(plan, car.lane, car.s_m)
-    model = plan.scene.assets.car_models[car.model - 1]
     x, y = model.track_m / 2 * car.scale, model.wheelbase_m / 2 * car.scale
     wheels_car = np.array([[-x, y, 0], [x, y, 0], [-x, -y, 0], [x, -y, 0]])
     pose = from_axes(np.array([hy, -hx, 0]), np.array([hx, hy, 0]), np.array([0, 0, 1.0]), np.array([*middle, 0.0]))
@@ -67,11 +66,10 @@ def footprint(
     return middle + np.array([along + across, along - across, -along - across, -along + across])
 
 
-def host_footprint(plan: RoadPlan) -> Footprint:
-    """The ground that the host's own body covers, where it stands in its lane."""
-    outer = world_from_road(plan)
-    heading = outer[:2, 1] / np.linalg.norm(outer[:2, 1])
-    return footprint(outer[:2, 3], heading, *HOST_SIZE_M)
+def host_footprint(world_from_road: Matrix4) -> Footprint:
+    """The ground that the host's own body covers, given the road frame at its foot."""
+    heading = world_from_road[:2, 1] / np.linalg.norm(world_from_road[:2, 1])
+    return footprint(world_from_road[:2, 3], heading, *HOST_SIZE_M)
 
 
 def overlaps_any(place: Footprint, others: Float[np.ndarray, "k 4 2"]) -> bool:

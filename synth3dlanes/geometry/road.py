@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 
 from synth3dlanes.geometry import terrain as ground
 from synth3dlanes.labels import RoadName
-from synth3dlanes.scene import Scene
+from synth3dlanes.scene import Road, Terrain
 
 Values = Float[np.ndarray, "*n"]
 Points2 = Float[np.ndarray, "*n 2"]
@@ -33,37 +33,38 @@ NEWTON_STEPS = 4
 
 @dataclass(frozen=True, eq=False)
 class RoadPlan:
-    """The geometry of one scene's roads."""
+    """The geometry of a road over its terrain."""
 
-    scene: Scene
+    road: Road
+    terrain: Terrain
 
     # -- sizes
 
     @property
     def n_lanes(self) -> int:
-        return self.scene.road.n_lanes
+        return self.road.n_lanes
 
     @property
     def has_exit(self) -> bool:
-        return self.scene.road.topology > 1
+        return self.road.topology > 1
 
     @property
     def n_exit_lanes(self) -> int:
-        return self.scene.road.n_exit_lanes
+        return self.road.n_exit_lanes
 
     @property
     def n_main_after(self) -> int:
         """Main lanes behind the split (before the merge)."""
-        return self.scene.road.n_main_after
+        return self.road.n_main_after
 
     @property
     def width_m(self) -> float:
         """Width of one lane."""
-        return self.scene.road.lane_width_m
+        return self.road.lane_width_m
 
     @property
     def shoulder_m(self) -> float:
-        return self.scene.road.shoulder_factor * self.width_m
+        return self.road.shoulder_factor * self.width_m
 
     def boundary_m(self, j: int) -> float:
         """Lateral place of boundary j = 0..n of the main road before the split, from the plan's left."""
@@ -84,7 +85,7 @@ class RoadPlan:
     @cached_property
     def flips(self) -> Float[np.ndarray, "2"]:
         """(+-1, +-1): world = plan * flips."""
-        road = self.scene.road
+        road = self.road
         return np.array([-1.0 if road.flip_longitudinal else 1.0, -1.0 if road.flip_lateral else 1.0])
 
     def plan_station(self, s_world: Values) -> Values:
@@ -95,7 +96,7 @@ class RoadPlan:
 
     @cached_property
     def _quartic(self) -> tuple[Float[np.ndarray, " _"], ...]:
-        road = self.scene.road
+        road = self.road
         ys = np.array([-100.0, -50.0, 50.0, 100.0])
         xs = [road.offset_m50_m + road.offset_m100_m, road.offset_m50_m]
         xs += [road.offset_p50_m, road.offset_p50_m + road.offset_p100_m]
@@ -138,7 +139,7 @@ class RoadPlan:
     # -- the exit in the plan
 
     def _q_polynomial(self, s: Values) -> tuple[Values, Values]:
-        road = self.scene.road
+        road = self.road
         slope = np.tan(road.exit_angle_rad)
         return s * slope + road.exit_offset_m * (s / 60) ** 2, slope + road.exit_offset_m * s / 1800
 
@@ -176,7 +177,7 @@ class RoadPlan:
 
     def ramp(self, s: Values) -> Values:
         """Height of the exit above the terrain."""
-        road = self.scene.road
+        road = self.road
         if self.ramp_start_m is None:
             return np.zeros(np.shape(s))
         length = max(road.ramp_height_m * road.ramp_slope, MIN_RAMP_LENGTH_M)
@@ -210,7 +211,7 @@ class RoadPlan:
 
     def lift(self, xy_world: Points2, above_m: Values | float = 0.0) -> Points3:
         """Put points on the terrain, or `above_m` over it."""
-        z = ground.height_at(self.scene.terrain, xy_world) + above_m
+        z = ground.height_at(self.terrain, xy_world) + above_m
         return np.concatenate([xy_world, np.asarray(z)[..., None]], -1)
 
     # -- from the world back to stations

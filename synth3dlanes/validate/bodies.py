@@ -6,7 +6,7 @@ from scipy.spatial import ConvexHull
 
 from synth3dlanes.frames import invert, project, transform
 from synth3dlanes.labels import CameraLabel
-from synth3dlanes.validate.world import World
+from synth3dlanes.world import World
 
 # What is nearer than this is brought here, so that all of a car beside the camera can be projected.
 NEAR_M = 0.3
@@ -25,7 +25,7 @@ def corners_world(world: World, car: int) -> Float[np.ndarray, "8 3"]:
     half = np.array([model.width_m, model.length_m]) / 2
     low, high = np.array([*-half, 0.0]), np.array([*half, model.height_m])
     corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1)), axis=-1).reshape(-1, 3)
-    return transform(world.world_from_cars[car], corners * item.scale)
+    return transform(world.view.world_from_cars[car], corners * item.scale)
 
 
 def may_show_cars(world: World, camera: CameraLabel, uv: Pixels, within_m: float) -> Bool[np.ndarray, " n"]:
@@ -48,7 +48,7 @@ def may_show_cars(world: World, camera: CameraLabel, uv: Pixels, within_m: float
 
 def _shadow(world: World, car: int, corners: Float[np.ndarray, "8 3"]) -> Float[np.ndarray, "8 3"]:
     """Where the shadows of the corners fall on level ground."""
-    light, foot_m = world.scene.light, world.world_from_cars[car][2, 3]
+    light, foot_m = world.scene.light, world.view.world_from_cars[car][2, 3]
     rise = np.tan(max(np.pi / 2 - light.sun_zenith_rad, LOWEST_SUN_RAD))
     length_m = np.minimum((corners[:, 2] - foot_m) / rise, MAX_SHADOW_M)
     away = -np.array([np.cos(light.sun_azimuth_rad), np.sin(light.sun_azimuth_rad)])

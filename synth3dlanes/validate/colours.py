@@ -14,7 +14,7 @@ from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.bodies import may_show_cars
 from synth3dlanes.validate.findings import Finding
 from synth3dlanes.validate.passes_proof import Passes
-from synth3dlanes.validate.world import World
+from synth3dlanes.world import World
 
 # Places of terrain, in metres ahead of the camera and beside the pavement, and clear of any other.
 AHEAD_M, ASIDE_M, CLEAR_M = np.arange(6.0, 80.0, 2.0), np.array([2.0, 3.5, 5.0, 7.0, 9.0, 12.0]), 1.5

@@ -17,7 +17,7 @@ from synth3dlanes.validate.findings import Finding
 from synth3dlanes.validate.passes_proof import Passes
 from synth3dlanes.validate.pavement import unproject
 from synth3dlanes.validate.standing import terrain_height
-from synth3dlanes.validate.world import World
+from synth3dlanes.world import World
 
 # So many pixels are asked, evenly spread; of fewer than MIN_PIXELS nothing is said.
 MAX_PIXELS, MIN_PIXELS, RANGE_M = 2_000, 20, 120.0

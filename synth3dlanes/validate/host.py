@@ -12,7 +12,7 @@ from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.placement import HOST_SIZE_M, footprint, overlaps_any
 from synth3dlanes.labels import Labels, Lane
 from synth3dlanes.validate.findings import Finding
-from synth3dlanes.validate.world import World
+from synth3dlanes.world import World
 
 LAW_M = 0.001
 
@@ -34,7 +34,7 @@ def check_host(world: World, labels: Labels) -> Iterator[Finding]:
             lanes[0].id, f"host: expected it {camera.offset_m:+.3f} m aside of its lane's middle, got {found:+.3f} m"
         )
     body = footprint(foot, ahead / np.linalg.norm(ahead), *HOST_SIZE_M)
-    for i, (car, pose) in enumerate(zip(world.scene.cars, world.world_from_cars, strict=True)):
+    for i, (car, pose) in enumerate(zip(world.scene.cars, world.view.world_from_cars, strict=True)):
         model, along = world.scene.assets.car_models[car.model - 1], pose[:2, 1] / np.linalg.norm(pose[:2, 1])
         place = footprint(pose[:2, 3], along, model.length_m * car.scale, model.width_m * car.scale)
         if overlaps_any(body, place[None]):

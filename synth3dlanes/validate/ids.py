@@ -15,10 +15,11 @@ from synth3dlanes.geometry.terrain import gradient_at, height_at
 from synth3dlanes.labels import CameraLabel, Labels
 from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS
 from synth3dlanes.validate.findings import PROOF_M, Finding, Measure
+from synth3dlanes.validate.paint import Paint
 from synth3dlanes.validate.passes_proof import Passes
 from synth3dlanes.validate.pavement import unproject
 from synth3dlanes.validate.places import places
-from synth3dlanes.validate.world import World
+from synth3dlanes.world import World
 
 # Of a kind, so many pixels are asked, evenly spread over the image.
 MAX_PIXELS = 10_000
@@ -46,8 +47,9 @@ Points = Float[np.ndarray, "n 3"]
 Ids = Integer[np.ndarray, "h w"]
 
 
-def prove_ids(world: World, labels: Labels, passes: Passes) -> tuple[list[Finding], list[Measure]]:
+def prove_ids(paint: Paint, labels: Labels, passes: Passes) -> tuple[list[Finding], list[Measure]]:
     """Faults of ids by line and by object; measure `beyond_paint_m` is how far pixels of paint lie outside it."""
+    world = paint.world
     findings: list[Finding] = []
     measures: list[Measure] = []
     if {"semantic", "instance"} <= set(passes):
@@ -55,7 +57,7 @@ def prove_ids(world: World, labels: Labels, passes: Passes) -> tuple[list[Findin
     if "instance" in passes:
         findings += _shares(world, labels, passes["instance"])
     if "depth" in passes and {"semantic", "instance"} & set(passes):
-        found, measure = _paint(world, labels, passes)
+        found, measure = _paint(paint, labels, passes)
         findings += [*found, *_bodies(world, labels.camera, passes)]
         measures.append(measure)
     return findings, measures
@@ -81,9 +83,9 @@ def _agreement(semantic: Ids, instance: Ids) -> Iterator[Finding]:
             )
 
 
-def _paint(world: World, labels: Labels, passes: Passes) -> tuple[list[Finding], Measure]:
+def _paint(paint: Paint, labels: Labels, passes: Passes) -> tuple[list[Finding], Measure]:
     """Pixels of paint against the paint of their line; without instance ids, of any line."""
-    camera = labels.camera
+    world, camera = paint.world, labels.camera
     name = "instance" if "instance" in passes else "semantic"
     kind = _kind(passes["instance"]) if name == "instance" else passes["semantic"]
     rows, columns = _some((kind == SEMANTIC_IDS["marking"]) & np.isfinite(passes["depth"]))
@@ -93,12 +95,12 @@ def _paint(world: World, labels: Labels, passes: Passes) -> tuple[list[Finding],
     points, rows, columns, y_m = points[asked], rows[asked], columns[asked], points_cam[asked, 1]
     place = places(world.ground, points[:, :2])
     labelled = [lane.id for lane in labels.lanes if lane.kind == "delimiter"]
-    ids = [*labelled, *(id_ for id_ in world.paint.ids if id_ not in labelled)]
+    ids = [*labelled, *(id_ for id_ in paint.ids if id_ not in labelled)]
     beyond_m = np.full(len(points), np.inf)
     number = passes[name][rows, columns].astype(int) - FIRST_DELIMITER_ID
     for i, id_ in enumerate(ids):
         own = number == i if name == "instance" else np.ones(len(points), dtype=bool)
-        beyond_m[own] = np.minimum(beyond_m[own], world.paint.beyond_m(id_, place.at(own)))
+        beyond_m[own] = np.minimum(beyond_m[own], paint.beyond_m(id_, place.at(own)))
     findings = []
     for i, id_ in enumerate([*labelled, ""] if name == "instance" else [""]):
         own = number == i if id_ else (number < 0) | (number >= len(labelled))
@@ -141,7 +143,7 @@ def _bodies(world: World, camera: CameraLabel, passes: Passes) -> Iterator[Findi
 def _in_car(world: World, points: Points, own: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Which points are within the box of their car, -1 for any."""
     inside = np.zeros(len(points), dtype=bool)
-    for i, (car, pose) in enumerate(zip(world.scene.cars, world.world_from_cars, strict=True)):
+    for i, (car, pose) in enumerate(zip(world.scene.cars, world.view.world_from_cars, strict=True)):
         at = np.flatnonzero((own == i) | (own < 0))
         if at.size:
             low, high = _box(world, i)
@@ -201,7 +203,7 @@ def _seen_share(world: World, camera: CameraLabel, car: int, n_px: int) -> tuple
     """Between which shares of a car's silhouette its pixels may be, by the size of its box in the image."""
     low, high = (corner / CAR_ROOM * world.scene.cars[car].scale for corner in _box(world, car))
     corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1)), axis=-1).reshape(-1, 3)
-    corners_cam = transform(invert(camera.world_from_cam), transform(world.world_from_cars[car], corners))
+    corners_cam = transform(invert(camera.world_from_cam), transform(world.view.world_from_cars[car], corners))
     if corners_cam[:, 1].min() < MIN_CORNER_M:
         return 0.0, float(n_px > 0)
     box_px = float(ConvexHull(project(camera.img_from_cam, corners_cam)).volume)

@@ -18,9 +18,8 @@ from synth3dlanes.frames import project, transform
 from synth3dlanes.labels import CameraLabel, Labels, Lane
 from synth3dlanes.validate.bodies import may_show_cars
 from synth3dlanes.validate.findings import PROOF_M, Finding, Measure
-from synth3dlanes.validate.paint import Strip
+from synth3dlanes.validate.paint import Paint, Strip
 from synth3dlanes.validate.places import places
-from synth3dlanes.validate.world import World
 
 # Profiles reach this far to either side, in steps that resolve the narrowest paint (0.1 m).
 REACH_M, STEP_M = 1.0, 0.025
@@ -88,14 +87,14 @@ class Contrast(NamedTuple):
         return "in place" if self.in_place >= FAINT and 2 * self.in_place >= self.ridge else "unclear"
 
 
-def prove_image(world: World, labels: Labels, image: UInt8[np.ndarray, "h w 3"]) -> tuple[list[Finding], list[Measure]]:
+def prove_image(paint: Paint, labels: Labels, image: UInt8[np.ndarray, "h w 3"]) -> tuple[list[Finding], list[Measure]]:
     """Faults of lines and of the image as a whole; measure `image_ridge_m` is the ridge's distance from its place."""
-    if not world.paint.shows:
+    if not paint.shows:
         return [], []
     luma = image @ np.array([0.3, 0.6, 0.1])
     lanes = [lane for lane in labels.lanes if lane.kind == "delimiter"]
-    cuts = [cut for lane in lanes for cut in _cut(world, labels.camera, lane, luma)]
-    lines = list(_lines(world, labels.camera, cuts))
+    cuts = [cut for lane in lanes for cut in _cut(paint, labels.camera, lane, luma)]
+    lines = list(_lines(paint, labels.camera, cuts))
     contrasts = [_contrast(line) for line in lines]
     findings = [
         Finding(
@@ -118,12 +117,12 @@ def prove_image(world: World, labels: Labels, image: UInt8[np.ndarray, "h w 3"])
     return findings, [Measure("image_ridge_m", y_m, ridges_m)]
 
 
-def _cut(world: World, camera: CameraLabel, lane: Lane, luma: Float[np.ndarray, "h w"]) -> Iterator[Cut]:
+def _cut(paint: Paint, camera: CameraLabel, lane: Lane, luma: Float[np.ndarray, "h w"]) -> Iterator[Cut]:
     """Whole profiles across the line, where there are enough."""
     points_cam = _every_pixel(camera, lane)
     if len(points_cam) < MIN_PROFILES:
         return
-    strip = world.paint.strip(camera, lane, points_cam)
+    strip = paint.strip(camera, lane, points_cam)
     profiles = _profiles(camera, strip, luma)
     whole = np.isfinite(profiles).all(axis=1)
     if whole.sum() >= MIN_PROFILES:
@@ -132,24 +131,24 @@ def _cut(world: World, camera: CameraLabel, lane: Lane, luma: Float[np.ndarray, 
         yield Cut(lane.id, ends_cam[whole], np.asarray(profiles[whole]))
 
 
-def _lines(world: World, camera: CameraLabel, cuts: Sequence[Cut]) -> Iterator[Line]:
+def _lines(paint: Paint, camera: CameraLabel, cuts: Sequence[Cut]) -> Iterator[Line]:
     """The lines of which enough profiles are clear of cars, with what of each is on the road."""
     if not cuts:
         return
     ends_cam = np.concatenate([cut.ends_cam for cut in cuts])
     uv = project(camera.img_from_cam, ends_cam.reshape(-1, 3))
-    is_clear = ~may_show_cars(world, camera, uv, PROOF_M).reshape(-1, 3).any(axis=1)
+    is_clear = ~may_show_cars(paint.world, camera, uv, PROOF_M).reshape(-1, 3).any(axis=1)
     some = np.arange(0, len(ends_cam), ROOM_EVERY)
     outside_m = np.full((len(ends_cam), 3), np.nan)
     ends = transform(camera.world_from_cam, ends_cam[some].reshape(-1, 3))
-    outside_m[some] = places(world.ground, ends[:, :2]).outside().reshape(-1, 3)
+    outside_m[some] = places(paint.world.ground, ends[:, :2]).outside().reshape(-1, 3)
     at = np.cumsum([len(cut.profiles) for cut in cuts])[:-1]
     of_cuts = (np.split(values, at) for values in (is_clear, outside_m, uv[:, 0].reshape(-1, 3)))
     for cut, clear, beyond_m, u_px in zip(cuts, *of_cuts, strict=True):
-        reach_m = BESIDE[1] * world.paint.width_m + max(world.paint.stripes_m(cut.lane))
+        reach_m = BESIDE[1] * paint.width_m + max(paint.stripes_m(cut.lane))
         left_m, right_m = (_room(beyond_m[:, 1], beyond_m[:, side]) - reach_m for side in (0, 2))
         if clear.sum() >= MIN_PROFILES and min(left_m, right_m) > 0:
-            ridges = _ridges(cut.profiles[clear], world.paint.width_m, world.paint.stripes_m(cut.lane))
+            ridges = _ridges(cut.profiles[clear], paint.width_m, paint.stripes_m(cut.lane))
             ridges[:, (-left_m > PLACES_M) | (right_m < PLACES_M)] = 0.0
             px_per_m = (u_px[clear, 2] - u_px[clear, 0]) / (2 * REACH_M)
             yield Line(cut.lane, u_px[clear, 1], px_per_m, cut.ends_cam[clear, 1, 1], ridges)

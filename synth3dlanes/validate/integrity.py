@@ -1,4 +1,4 @@
-"""Shards against their indices: every byte accounted for, every sample once. Reads the files of one local dataset."""
+"""Shards against their indices: every byte accounted for, every sample once. Places may be URLs (`dataset.address`)."""
 
 import hashlib
 import re
@@ -8,14 +8,14 @@ from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
-from pathlib import Path
 from typing import NamedTuple
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from synth3dlanes.dataset.format import BLOCK, COLUMN_OF_MEMBER, key_of, recipe_of, tar_end
-from synth3dlanes.dataset.index import SCHEMA, index_row
+from synth3dlanes.dataset.address import connect, store_errors, translate_store_errors
+from synth3dlanes.dataset.columns import SCHEMA, index_row
+from synth3dlanes.dataset.format import BLOCK, key_of, tar_end
+from synth3dlanes.dataset.index import place_columns, read_index, recipe_of, require_columns
 from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
@@ -33,7 +33,7 @@ class Entry:
 
     split: str
     index: int
-    tar: Path
+    tar: str
     row: int
     members: dict[str, tuple[int, int]]
     sha256: str
@@ -64,26 +64,26 @@ class ShardCheck(NamedTuple):
     recipe: str = ""
 
 
-def check_shard(parquet: Path, names: Sequence[str], shard_size: int) -> ShardCheck:
+def check_shard(parquet: str, names: Sequence[str], shard_size: int) -> ShardCheck:
     """Compare the index of a shard with its tar, member by member."""
     try:
-        if not parquet.stem.isdecimal():
+        if not _stem(parquet).isdecimal():
             raise FormatError("expected the number of a shard, as in 00000.parquet, got another name")
         # Of an earlier validation.
         _read_index.cache_clear()
         table = _read_index(parquet)
         entries, problems = _entries(table, parquet, names)
     except FormatError as error:
-        return ShardCheck([Problem(_place(parquet), "", str(error))])
-    tar = parquet.with_suffix(".tar")
+        return ShardCheck([Problem(_place(parquet), "", str(error).removeprefix(f"{_place(parquet)}: "))])
+    tar = _tar_of(parquet)
     found, fault = walk(tar)
     if found and not fault:
         end = max(offset + size + -size % BLOCK for _, offset, size in found)
-        expected, size = end + len(tar_end(end)), tar.stat().st_size
+        expected, size = end + len(tar_end(end)), _size(tar)
         fault = "" if size == expected else f"expected {expected} bytes, got {size}"
     problems += [Problem(_place(tar), "", fault)] if fault else []
     problems += _not_once(entries, found, tar)
-    first, whole = int(parquet.stem) * shard_size, {}
+    first, whole = int(_stem(parquet)) * shard_size, {}
     for entry in entries:
         missing = sorted(entry.parts() - set(found))
         if missing:
@@ -114,9 +114,9 @@ def check_presence(split: str, n: int, indices: Set[int]) -> Iterator[Problem]:
 def read_sample(entry: Entry) -> tuple[dict[str, bytes], str]:
     """A sample's members by name, and what is wrong with its bytes ("" for nothing)."""
     start = min(offset for offset, _ in entry.members.values()) - BLOCK
-    with entry.tar.open("rb") as stream:
-        stream.seek(start)
-        data = stream.read(entry.end - start)
+    files, path = connect(entry.tar)
+    with translate_store_errors(entry.tar):
+        data = files.cat_file(path, start=start, end=entry.end)
     members = {name: data[offset - start :][:size] for name, (offset, size) in entry.members.items()}
     digest = hashlib.sha256(data).hexdigest()
     fault = "" if digest == entry.sha256 else f"expected bytes of SHA-256 {entry.sha256:.12}..., got {digest:.12}..."
@@ -125,7 +125,7 @@ def read_sample(entry: Entry) -> tuple[dict[str, bytes], str]:
 
 def check_row(entry: Entry, scene: Scene, labels: Labels) -> Iterator[Finding]:
     """Every column of a sample's row in the index is what scene, labels and places give."""
-    parquet = entry.tar.with_suffix(".parquet")
+    parquet = _parquet_of(entry.tar)
     found = _read_index(parquet).slice(entry.row, 1).to_pylist()[0]
     expected = index_row(key_of(entry.index), entry.members, entry.sha256, scene, labels)
     wrong = list(differences(expected, {name: found[name] for name in SCHEMA.names}))
@@ -133,33 +133,58 @@ def check_row(entry: Entry, scene: Scene, labels: Labels) -> Iterator[Finding]:
         yield Finding("", f"{_place(parquet)}: {some(wrong)}")
 
 
-def walk(tar: Path) -> tuple[list[tuple[str, int, int]], str]:
+def walk(tar: str) -> tuple[list[tuple[str, int, int]], str]:
     """Name, offset and size of each whole member of a tar up to its first fault, and that fault ("" for none)."""
     found: list[tuple[str, int, int]] = []
     fault = ""
+    files, path = connect(tar)
     try:
-        with tarfile.open(tar, "r:") as stream:
-            for member in stream:
+        if not files.exists(path):
+            return [], "expected a whole tar, got none"
+        with files.open(path, "rb") as stream, tarfile.open(fileobj=stream, mode="r:") as members:
+            for member in members:
                 found.append((member.name, member.offset_data, member.size))
-    except (tarfile.TarError, OSError) as error:
+    except tarfile.TarError as error:
         fault = f"expected a whole tar, got {error}"
-    total = tar.stat().st_size if found else 0
+    except store_errors() as error:
+        fault = f"expected a whole tar, got {error}"
+    total = _size(tar) if found else 0
     return [(name, offset, size) for name, offset, size in found if offset + size <= total], fault
 
 
-def _place(path: Path) -> str:
+def _place(place: str) -> str:
     """A file's name with its split's."""
-    return f"{path.parent.name}/{path.name}"
+    return "/".join(place.split("/")[-2:])
+
+
+def _stem(place: str) -> str:
+    return place.rpartition("/")[2].partition(".")[0]
+
+
+def _tar_of(parquet: str) -> str:
+    return f"{parquet.removesuffix('.parquet')}.tar"
+
+
+def _parquet_of(tar: str) -> str:
+    return f"{tar.removesuffix('.tar')}.parquet"
+
+
+def _size(place: str) -> int:
+    files, path = connect(place)
+    return int(files.size(path))
 
 
 @lru_cache(maxsize=1)
-def _read_index(parquet: Path) -> pa.Table:
+def _read_index(parquet: str) -> pa.Table:
     """The index of a shard; raise FormatError where it is none. Samples are asked for in order, so one is kept."""
+    files, path = connect(parquet)
+    with translate_store_errors(_place(parquet), "the index of a shard"):
+        if not files.exists(path):
+            raise FormatError("expected the index of a shard, got none")
+        table = read_index(pa.BufferReader(files.cat_file(path)), _place(parquet))
     try:
-        with parquet.open("rb") as stream:
-            table = pq.read_table(stream)
         table.validate(full=True)
-    except (pa.ArrowException, OSError) as error:
+    except pa.ArrowException as error:
         raise FormatError(f"expected the index of a shard, got {error}") from None
     for field in SCHEMA:
         if table.column_names.count(field.name) != 1:
@@ -170,14 +195,12 @@ def _read_index(parquet: Path) -> pa.Table:
     return table
 
 
-def _entries(table: pa.Table, parquet: Path, names: Sequence[str]) -> tuple[list[Entry], list[Problem]]:
+def _entries(table: pa.Table, parquet: str, names: Sequence[str]) -> tuple[list[Entry], list[Problem]]:
     """The rows of an index; raise FormatError where they name no places."""
-    places = {name: [f"{COLUMN_OF_MEMBER[name]}_{what}" for what in ("offset", "size")] for name in names}
-    columns = ["key", "index", "sha256", *(column for pair in places.values() for column in pair)]
-    for column in columns:
-        if table[column].null_count:
-            raise FormatError(f"expected a column {column} without gaps, got {table[column].null_count} of them")
-    split, tar = parquet.parent.name, parquet.with_suffix(".tar")
+    places = {name: place_columns([name]) for name in names}
+    columns = ["key", "index", "sha256", *place_columns(names)]
+    require_columns(table, columns, _place(parquet))
+    split, tar = _place(parquet).partition("/")[0], _tar_of(parquet)
     entries, problems = [], []
     for number, row in enumerate(table.select(columns).to_pylist()):
         key, expected = row["key"], key_of(row["index"])
@@ -190,14 +213,12 @@ def _entries(table: pa.Table, parquet: Path, names: Sequence[str]) -> tuple[list
     return entries, problems
 
 
-def _not_once(entries: Sequence[Entry], found: Sequence[tuple[str, int, int]], tar: Path) -> Iterator[Problem]:
+def _not_once(entries: Sequence[Entry], found: Sequence[tuple[str, int, int]], tar: str) -> Iterator[Problem]:
     """Samples that are more than once in the index or in the tar, and members that only the tar knows."""
-    split = tar.parent.name
+    split = _place(tar).partition("/")[0]
     for name, count in Counter(entry.name for entry in entries).items():
         if count > 1:
-            yield Problem(
-                name, "", f"expected this key once in the index {_place(tar.with_suffix('.parquet'))}, got {count}"
-            )
+            yield Problem(name, "", f"expected this key once in the index {_place(_parquet_of(tar))}, got {count}")
     copies = {
         name.partition(".")[0]: count for name, count in Counter(name for name, _, _ in found).items() if count > 1
     }

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from synth3dlanes.frames import transform
 from synth3dlanes.labels import Labels
 from synth3dlanes.validate.findings import Finding
-from synth3dlanes.validate.world import World
+from synth3dlanes.world import World
 
 # Meshes may stand out of their nominal boxes by mirrors and twigs.
 ROOM = 1.15
@@ -81,7 +81,7 @@ def _cars(world: World) -> tuple[Corners, Corners, Float[np.ndarray, "k 4 4"]]:
     models = [world.scene.assets.car_models[car.model - 1] for car in world.scene.cars]
     sizes = np.array([(model.width_m / 2, model.length_m / 2, model.height_m) for model in models]).reshape(-1, 3)
     sizes *= np.array([car.scale for car in world.scene.cars]).reshape(-1, 1)
-    return sizes * [1, 1, 0], sizes * [0, 0, 1], np.array(world.world_from_cars).reshape(-1, 4, 4)
+    return sizes * [1, 1, 0], sizes * [0, 0, 1], np.array(world.view.world_from_cars).reshape(-1, 4, 4)
 
 
 def _meet(boxes: Boxes, eye_world: Float[np.ndarray, "3"], points_world: Points) -> Bool[np.ndarray, " n"]:

@@ -1,4 +1,4 @@
-"""Is each scene the one that dataset.json draws for its place? What dataset.json must say, and the drawing again.
+"""Is each scene the one that dataset.json draws for its place? Drawing it again.
 
 A set dealt anew by `split` keeps in scene.json the seed, split and index that a scene was drawn for, and is drawn
 again for those; the scenes of `twins` are, too, and then get the recorded change. Which scene of its source a sample of
@@ -7,69 +7,26 @@ such a set is cannot be told: the source may lack some. One scene in two places 
 
 import json
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any
 
 import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BeforeValidator, ConfigDict, Field, ValidationError
 
 from synth3dlanes import __version__
-from synth3dlanes.catalogue import Assets
+from synth3dlanes.assets.catalogue import Assets
 from synth3dlanes.change import change_scene
-from synth3dlanes.dataset.format import SCENE, member_names
+from synth3dlanes.dataset.description import DESCRIPTION
+from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.params import Params
 from synth3dlanes.sample import sample_scene
-from synth3dlanes.scene import Scene, validation_problems
+from synth3dlanes.scene import Scene
+from synth3dlanes.schema import Part, validation_problems
 from synth3dlanes.validate.documents import NAMED_AT_MOST, differences, some
 from synth3dlanes.validate.findings import Problem
 
-DESCRIPTION = "dataset.json"
 # More samples than these are not named one by one where no sample fits dataset.json.
 MANY = 20
-
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
-
-
-class Part(BaseModel):
-    """A part of dataset.json."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class Split(Part):
-    """How many samples a split shall have."""
-
-    n: Annotated[int, Field(ge=0)]
-
-
-class Render(Part):
-    """How images were rendered: samples a pixel, passes beside the image, the device."""
-
-    samples: Annotated[int, Field(ge=1)]
-    passes: tuple[Literal["depth", "normal", "semantic", "instance", "height"], ...]
-    device: str
-
-
-class Layout(Part):
-    """What the files of a data set are by its dataset.json; what it says of scenes is `Origin`'s."""
-
-    format: str
-    version: Annotated[int, Field(strict=True)]
-    license: str = ""
-    generator: str
-    seed: Any
-    params: Any
-    assets: Any = None
-    derived: Any = None
-    image_format: Literal["jpg", "png"]
-    render: Render
-    shard_size: Annotated[int, Field(ge=1)]
-    splits: dict[Name, Split]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The members of every sample."""
-        return member_names(self.image_format, self.render.passes)
 
 
 class Derived(Part):
@@ -129,13 +86,10 @@ class Origin(Part):
         return change_scene(drawn, self.derived.changes(split))
 
 
-AnyPart = TypeVar("AnyPart", bound=Part)
-
-
-def read_part(part: type[AnyPart], description: Mapping[str, Any]) -> AnyPart:
-    """A part of dataset.json; raise FormatError with what is wrong in one line."""
+def read_origin(description: Mapping[str, Any]) -> Origin:
+    """What a dataset.json says of scenes; raise FormatError with what is wrong in one line."""
     try:
-        return part.model_validate(description)
+        return Origin.model_validate(description)
     except ValidationError as error:
         raise FormatError(some([line.removeprefix(": ") for line in validation_problems(error, "")])) from None
     except yaml.YAMLError as error:

@@ -10,13 +10,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from synth3dlanes.frames import project, transform
-from synth3dlanes.geometry.lanes import Curve, curves
+from synth3dlanes.geometry.lanes import Curve
 from synth3dlanes.geometry.paint import painted_rows, stripes_m
-from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.terrain import gradient_at
 from synth3dlanes.labels import CameraLabel, Lane
-from synth3dlanes.scene import Scene
 from synth3dlanes.validate.places import Places
+from synth3dlanes.world import World
 
 # Paint that looks thinner or a dash that looks less high than this may fall between the pixels' single samples.
 RESOLVED_PX = 1.0
@@ -44,10 +43,11 @@ MAX_WORN, MIN_GRAYSCALE, MAX_WETNESS, MIN_VISIBILITY_M = 0.7, 0.35, 0.8, 300.0
 
 
 class Paint:
-    """The paint of one scene: stretches of plan stations that are painted, by the delimiter's id; `shows` unless a
+    """The paint of a world: stretches of plan stations that are painted, by the delimiter's id; `shows` unless a
     right picture may lack it."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, world: World) -> None:
+        scene = world.scene
         self.width_m = scene.markings.width_m
         self.shows = (
             scene.markings.wear <= MAX_WORN
@@ -55,12 +55,11 @@ class Paint:
             and scene.surface.wetness <= MAX_WETNESS
             and scene.air.visibility_m >= MIN_VISIBILITY_M
         )
-        self._scene = scene
-        self._plan = RoadPlan(scene)
-        self._curves = {curve.id: curve for curve in curves(self._plan) if curve.kind == "delimiter"}
+        self.world = world
+        self._curves = {line.id: line for line in world.lines if line.kind == "delimiter"}
         self._stretches = {}
         for id_, curve in self._curves.items():
-            rows, painted = painted_rows(self._plan, curve)
+            rows, painted = painted_rows(world.ground, curve, scene.stream)
             self._stretches[id_] = _merged(np.column_stack([rows[:-1], rows[1:]])[painted])
 
     def strip(self, camera: CameraLabel, lane: Lane, points_cam: Points) -> Strip:
@@ -68,7 +67,7 @@ class Paint:
         points_world = transform(camera.world_from_cam, points_cam)
         steps = np.gradient(points_cam, axis=0)
         along = steps / np.linalg.norm(steps, axis=1, keepdims=True)
-        slope = gradient_at(self._scene.terrain, points_world[:, :2])
+        slope = gradient_at(self.world.scene.terrain, points_world[:, :2])
         up = np.column_stack([-slope, np.ones(len(slope))]) @ camera.world_from_cam[:3, :3]
         across = np.cross(along, up)
         across /= np.linalg.norm(across, axis=1, keepdims=True)
@@ -91,7 +90,7 @@ class Paint:
 
     def stripes_m(self, id_: str) -> tuple[float, ...]:
         """Where the stripes of a line have their middles, across it."""
-        return stripes_m(self._plan, id_) if id_ in self._curves else (0.0,)
+        return stripes_m(self._curves[id_], self.world.scene.markings) if id_ in self._curves else (0.0,)
 
     def beyond_m(self, id_: str, place: Places) -> Values:
         """How far points on the road lie outside the paint of a line: across it, or beyond END_M along it; negative
@@ -117,9 +116,9 @@ class Paint:
 
     def _stations(self, curve: Curve, xy_world: Float[np.ndarray, "n 2"]) -> Values:
         """Plan stations of points beside a curve."""
-        s, _ = self._plan.project_main(xy_world)
+        s, _ = self.world.plan.project_main(xy_world)
         if curve.fork_road == "exit":
-            on_exit, _ = self._plan.project_exit(xy_world, np.maximum(s, 0))
+            on_exit, _ = self.world.plan.project_exit(xy_world, np.maximum(s, 0))
             s = np.where((s >= 0) & (on_exit >= 0), on_exit, s)
         return s
 

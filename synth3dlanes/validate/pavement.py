@@ -17,7 +17,7 @@ from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.findings import PROOF_M, Finding, Measure
 from synth3dlanes.validate.passes_proof import Passes
 from synth3dlanes.validate.places import Places, places
-from synth3dlanes.validate.world import World
+from synth3dlanes.world import World
 
 # Of a large image so many pixels are asked, evenly spread.
 MAX_PIXELS = 45_000

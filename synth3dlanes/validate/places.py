@@ -47,14 +47,14 @@ class Places:
         raised = np.zeros(self.s.shape)
         on_exit = self._outside_exit() < np.minimum(self._outside_main(), CUT_M)
         if plan.ramp_start_m is not None and on_exit.any():
-            rows = np.sort(plan.plan_station(meshes.road_stations(plan)))
+            rows = np.sort(plan.plan_station(meshes.road_stations(self.ground.near_m)))
             raised[on_exit] = np.interp(self.exit_s[on_exit], rows, plan.ramp(rows))
         return raised
 
     def on_slope(self) -> Bool[np.ndarray, " n"]:
         """Which points are on the ramp where it rises."""
         raised = self.raised()
-        return (raised > 0) & (raised < self.ground.plan.scene.road.ramp_height_m)
+        return (raised > 0) & (raised < self.ground.plan.road.ramp_height_m)
 
     def right_of(self, curve: Curve) -> Values:
         """Distance to the right of a curve, as the plan has it."""

@@ -10,19 +10,18 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-from jaxtyping import UInt8
-from PIL import Image
-
-from synth3dlanes.dataset.format import SCENE, parse_description, recipe_text
+from synth3dlanes.dataset.address import connect, translate_store_errors
+from synth3dlanes.dataset.description import DESCRIPTION, Description, parse_description, recipe_text
+from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.figures.overlay import draw_overlay, stretches_img
 from synth3dlanes.geometry import height_map
+from synth3dlanes.ground_truth import label
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
 from synth3dlanes.validate.alignment import check_alignment
 from synth3dlanes.validate.colours import check_colours
 from synth3dlanes.validate.contents import read_contents
+from synth3dlanes.validate.documents import some
 from synth3dlanes.validate.findings import Finding, Measure, Problem, Signed
 from synth3dlanes.validate.frame import check_frame
 from synth3dlanes.validate.hills import check_hills
@@ -32,25 +31,23 @@ from synth3dlanes.validate.image_proof import prove_image
 from synth3dlanes.validate.integrity import Entry, check_presence, check_row, check_shard, read_sample
 from synth3dlanes.validate.normals import check_normals
 from synth3dlanes.validate.obstacles import check_objects
-from synth3dlanes.validate.origin import DESCRIPTION, Layout, Origin, drawn_otherwise, made_otherwise, read_part
+from synth3dlanes.validate.origin import Origin, drawn_otherwise, made_otherwise, read_origin
+from synth3dlanes.validate.paint import Paint
 from synth3dlanes.validate.passes_proof import Passes, prove_passes
 from synth3dlanes.validate.pavement import prove_pavement
+from synth3dlanes.validate.pictures import Picture, draw, remove_pictures, save_picture
 from synth3dlanes.validate.report import Report
 from synth3dlanes.validate.sharpness import check_sharpness
 from synth3dlanes.validate.signed import signed_values
 from synth3dlanes.validate.standing import check_standing
 from synth3dlanes.validate.structure import check_shape, check_values, points_to_pixels
-from synth3dlanes.validate.world import World
+from synth3dlanes.world import World, resolve
 
-PICTURES = "validation"
-# Lines that lead farther out of the image are not drawn.
-MAX_PX = 1e5
 # What geometry raises where a scene or labels make none. Samples of a clean data set raise nothing.
 NO_GEOMETRY = (
     ArithmeticError, AssertionError, LookupError, MemoryError, RuntimeError, RuntimeWarning, StopIteration, ValueError
 )  # fmt: skip
 
-Picture = UInt8[np.ndarray, "h w 3"]
 Map = Callable[..., Iterator[Any]]
 
 
@@ -74,77 +71,86 @@ class Checked(NamedTuple):
     signed: Sequence[Signed] = ()
 
 
-def validate(root: Path, workers: int, limit: int | None, progress: Callable[[int, int], None]) -> Report:
-    """Check all shards of a dataset and its samples, or the first `limit` samples of every split.
+def validate(place: str | Path, workers: int, limit: int | None, progress: Callable[[int, int], None]) -> Report:
+    """Check all shards of a dataset (a folder or a URL) and its samples, or the first `limit` samples of every split.
 
-    Writes an overlay picture of each sample that fails to ROOT/validation. `progress` gets (samples done, in all).
+    Writes an overlay picture of each sample that fails to PLACE/validation. `progress` gets (samples done, in all).
+    Raises InputError where nothing is at that place, FormatError where its store refuses.
     """
-    if not root.is_dir():
-        raise InputError(f"{root}: expected the folder of a dataset, got none")
+    place = str(place).rstrip("/")
     report = Report()
     try:
-        description = _read_description(root)
-        layout = read_part(Layout, description)
+        document = _read_description(place)
+        description = Description.model_validate(document)
     except FormatError as error:
-        report.problems.append(Problem(DESCRIPTION, "", str(error)))
+        lines = [line.removeprefix(f"{DESCRIPTION}: ") for line in str(error).splitlines()]
+        report.problems.append(Problem(DESCRIPTION, "", some(lines)))
         return report
     try:
-        origin = read_part(Origin, description)
+        origin = read_origin(document)
     except FormatError as error:
         report.problems.append(Problem(DESCRIPTION, "", str(error)))
         origin = None
-    for picture in (root / PICTURES).glob("*.png"):
-        picture.unlink()
+    remove_pictures(place)
     with _mapping(workers) as run:
-        entries, recipes = _check_shards(root, run, layout, report)
+        entries, recipes = _check_shards(place, run, description, report)
         todo = [entry for split in entries.values() for entry in split[:limit]]
         redrawn: dict[str, str] = {}
         progress(0, len(todo))
-        for done, checked in enumerate(run(partial(check_sample, root, origin, layout), todo), start=1):
+        for done, checked in enumerate(run(partial(check_sample, place, origin, description), todo), start=1):
             report.sample(checked.name, checked.digest, checked.findings, checked.measures, checked.signed)
             redrawn |= {checked.name: checked.redrawn} if checked.redrawn else {}
             progress(done, len(todo))
-    recipe = recipe_text(description)
+    recipe = recipe_text(document)
     report.problems += made_otherwise(recipes, recipe)
-    report.problems += drawn_otherwise(redrawn, len(todo), layout.generator, recipes, recipe)
+    report.problems += drawn_otherwise(redrawn, len(todo), description.generator, recipes, recipe)
     report.judge()
     return report
 
 
-def _read_description(root: Path) -> dict[str, Any]:
-    """The contents of dataset.json; raise FormatError where it is none."""
-    path = root / DESCRIPTION
-    try:
-        return parse_description(path.read_bytes(), DESCRIPTION)
-    except OSError as error:
-        raise FormatError(f"expected the description of a data set, got {error.strerror}") from None
-    except FormatError as error:
-        raise FormatError(str(error).removeprefix(f"{DESCRIPTION}: ")) from None
+def _read_description(place: str) -> dict[str, Any]:
+    """The contents of dataset.json; raise FormatError where it is none, InputError where there is no such place."""
+    files, root = connect(place)
+    with translate_store_errors(place):
+        if not files.isdir(root):
+            raise InputError(f"{place}: expected the folder of a dataset, got none")
+        if not files.exists(f"{root}/{DESCRIPTION}"):
+            raise FormatError("expected the description of a data set, got no file")
+        return parse_description(files.cat_file(f"{root}/{DESCRIPTION}"), DESCRIPTION)
+
+
+def _shards(place: str) -> list[str]:
+    """Where the indices of all shards are or should be."""
+    files, root = connect(place)
+    with translate_store_errors(place):
+        names = [str(path).removeprefix(root).lstrip("/") for path in files.find(root, maxdepth=2)]
+    stems = {name.rpartition(".")[0] for name in names if name.count("/") == 1 and name.endswith((".tar", ".parquet"))}
+    return [f"{place}/{stem}.parquet" for stem in sorted(stems)]
 
 
 def _check_shards(
-    root: Path, run: Map, layout: Layout, report: Report
+    place: str, run: Map, description: Description, report: Report
 ) -> tuple[dict[str, list[Entry]], dict[str, str]]:
     """The readable samples of every split, in order, and the recipes of all shards by the names of these."""
-    parquets = sorted(
-        {path.with_suffix(".parquet") for kind in ("tar", "parquet") for path in root.glob(f"*/*.{kind}")}
-    )
-    entries: dict[str, list[Entry]] = {split: [] for split in layout.splits}
-    indices: dict[str, set[int]] = {split: set() for split in layout.splits}
+    parquets = _shards(place)
+    entries: dict[str, list[Entry]] = {split: [] for split in description.splits}
+    indices: dict[str, set[int]] = {split: set() for split in description.splits}
     recipes = {}
-    check = partial(check_shard, names=layout.names, shard_size=layout.shard_size)
+    check = partial(check_shard, names=description.names, shard_size=description.shard_size)
     for parquet, shard in zip(parquets, run(check, parquets), strict=True):
-        split = parquet.parent.name
+        name = parquet.removeprefix(f"{place}/").removesuffix(".parquet")
+        split = name.partition("/")[0]
         report.problems += shard.problems
         entries.setdefault(split, []).extend(shard.entries)
         indices.setdefault(split, set()).update(shard.indices)
-        recipes[f"{split}/{parquet.stem}"] = shard.recipe
+        recipes[name] = shard.recipe
     for split, found in indices.items():
-        report.problems += check_presence(split, layout.splits[split].n if split in layout.splits else 0, found)
+        n = description.splits[split].n if split in description.splits else 0
+        report.problems += check_presence(split, n, found)
     return entries, recipes
 
 
-def check_sample(root: Path, origin: Origin | None, layout: Layout, entry: Entry) -> Checked:
+def check_sample(place: str, origin: Origin | None, description: Description, entry: Entry) -> Checked:
     """All faults of one sample; leaves its picture where it has any. Without an origin, it may come from anywhere."""
     members, fault = read_sample(entry)
     (scene, labels, image, passes), unread = read_contents(members)
@@ -153,14 +159,11 @@ def check_sample(root: Path, origin: Origin | None, layout: Layout, entry: Entry
     redrawn = "" if scene is None or origin is None else origin.fault(scene, entry.split, entry.index)
     if scene is None or labels is None or image is None or passes is None:
         return Checked(entry.name, digest, redrawn, findings)
-    misshapen = [*_pictures(scene, layout, image, passes), *check_shape(scene, labels)]
-    proved = [] if misshapen else list(_prove(entry, World(scene), labels, image, passes))
+    misshapen = [*_pictures(scene, description, image, passes), *check_shape(scene, labels)]
+    proved = [] if misshapen else list(_prove(entry, resolve(scene), labels, image, passes))
     findings += [*misshapen, *(finding for proof in proved for finding in proof.findings)]
     if findings:
-        folder = root / PICTURES
-        folder.mkdir(exist_ok=True)
-        picture = Image.fromarray(image if misshapen else _picture(image, labels))
-        picture.save(folder / f"{entry.name.replace(':', '-')}.png")
+        save_picture(place, entry.name.replace(":", "-"), image if misshapen else draw(image, labels))
     measures = [measure for proof in proved for measure in proof.measures]
     return Checked(
         entry.name, digest, redrawn, findings, measures, [value for proof in proved for value in proof.signed]
@@ -170,12 +173,12 @@ def check_sample(root: Path, origin: Origin | None, layout: Layout, entry: Entry
 def _prove(entry: Entry, world: World, labels: Labels, image: Picture, passes: Passes) -> Iterator[Proved]:
     """Run every proof. Where a scene makes no geometry or a proof cannot go on, that is a finding."""
     try:
-        assert world.truth.lanes
+        truth, paint = label(world, world.view), Paint(world)
     except NO_GEOMETRY as error:
         found = f"{type(error).__name__} {error}"
         yield Proved([Finding("", f"{SCENE}: expected a world whose lanes can be computed, got {found}")])
         return
-    for name, proof in _proofs(entry, world, labels, image, passes).items():
+    for name, proof in _proofs(entry, paint, truth, labels, image, passes).items():
         try:
             yield proof()
         except NO_GEOMETRY as error:
@@ -183,12 +186,13 @@ def _prove(entry: Entry, world: World, labels: Labels, image: Picture, passes: P
 
 
 def _proofs(
-    entry: Entry, world: World, labels: Labels, image: Picture, passes: Passes
+    entry: Entry, paint: Paint, truth: Labels, labels: Labels, image: Picture, passes: Passes
 ) -> dict[str, Callable[[], Proved]]:
     """The proofs of a sample by what they judge: of its index, its scene and its labels, then of its pixels."""
+    world = paint.world
     proofs = {
         "index": lambda: Proved([*check_row(entry, world.scene, labels)]),
-        "labels": lambda: Proved([*check_values(world, labels)]),
+        "labels": lambda: Proved([*check_values(world.scene, truth, labels)]),
         "host": lambda: Proved([*check_host(world, labels)]),
         "object_visible": lambda: Proved([*check_objects(world, labels)]),
         "frame": lambda: Proved(*check_frame(image, passes)),
@@ -197,23 +201,17 @@ def _proofs(
     if not points_to_pixels(labels):
         return proofs
     return proofs | {
-        "passes": lambda: Proved(*prove_passes(world.paint, labels, passes)),
-        "image": lambda: Proved(*prove_image(world, labels, image)),
+        "passes": lambda: Proved(*prove_passes(paint, labels, passes)),
+        "image": lambda: Proved(*prove_image(paint, labels, image)),
         "sharpness": lambda: Proved([*check_sharpness(image)]),
         "colours": lambda: Proved([*check_colours(world, labels.camera, image, passes)]),
-        "alignment": lambda: Proved([*check_alignment(image, passes)] if world.paint.shows else []),
+        "alignment": lambda: Proved([*check_alignment(image, passes)] if paint.shows else []),
         "pavement": lambda: Proved(*prove_pavement(world, labels, passes)),
         "hills": lambda: Proved([*check_hills(world, labels, passes)]),
         "normals": lambda: Proved([*check_normals(labels.camera, passes)]),
-        "ids": lambda: Proved(*prove_ids(world, labels, passes)),
-        "bias": lambda: Proved(signed=[*signed_values(world.scene, world.paint, labels, image, passes)]),
+        "ids": lambda: Proved(*prove_ids(paint, labels, passes)),
+        "bias": lambda: Proved(signed=[*signed_values(paint, labels, image, passes)]),
     }
-
-
-def _picture(image: Picture, labels: Labels) -> Picture:
-    """The image with its lanes, where these can be drawn."""
-    lines_img = [line for lane in labels.lanes for _, line in stretches_img(labels.camera, lane)]
-    return draw_overlay(image, labels) if all((np.abs(line) < MAX_PX).all() for line in lines_img) else image
 
 
 def world_digest(scene: Scene) -> str:
@@ -222,10 +220,10 @@ def world_digest(scene: Scene) -> str:
     return hashlib.sha256(document.encode()).hexdigest()
 
 
-def _pictures(scene: Scene, layout: Layout, image: Picture, passes: Passes) -> Iterator[Finding]:
+def _pictures(scene: Scene, description: Description, image: Picture, passes: Passes) -> Iterator[Finding]:
     """Are there the passes that dataset.json names, and have all pictures the camera's size?"""
-    if set(passes) != set(layout.render.passes):
-        names = ", ".join(layout.render.passes)
+    if set(passes) != set(description.render.passes):
+        names = ", ".join(description.render.passes)
         yield Finding("", f"passes: expected {names or 'none'}, got {', '.join(passes) or 'none'}")
     camera = scene.camera
     for name, pixels in {"image": image, **passes}.items():

@@ -9,7 +9,6 @@ from synth3dlanes.frames import project, transform
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.terrain import gradient_at, height_at
 from synth3dlanes.labels import Labels
-from synth3dlanes.scene import Scene
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.centroids import Offset, image_offsets, line_views, paint_offsets
 from synth3dlanes.validate.findings import Signed
@@ -40,11 +39,9 @@ Values = Float[np.ndarray, " n"]
 Points = Float[np.ndarray, "n 3"]
 
 
-def signed_values(
-    scene: Scene, paint: Paint, labels: Labels, image: UInt8[np.ndarray, "h w 3"], passes: Passes
-) -> Iterator[Signed]:
+def signed_values(paint: Paint, labels: Labels, image: UInt8[np.ndarray, "h w 3"], passes: Passes) -> Iterator[Signed]:
     """All that this sample has to say, by whichever passes there are."""
-    plan, views = RoadPlan(scene), line_views(paint, labels)
+    plan, views = paint.world.plan, line_views(paint, labels)
     if "instance" in passes:
         lines = list(paint_offsets(views, passes["instance"]))
         yield from _sides("paint", lines)
@@ -80,11 +77,11 @@ def _surface(plan: RoadPlan, labels: Labels, passes: Passes) -> Iterator[Signed]
     points_cam, points_world, on_exit = _seen(labels, passes)
     s_m = _exit_stations(plan, points_world)
     raised_m = on_exit * plan.ramp(s_m)
-    slope = gradient_at(plan.scene.terrain, points_world[:, :2])
+    slope = gradient_at(plan.terrain, points_world[:, :2])
     up_world = np.column_stack([-slope, np.ones(len(slope))])
     up_world /= np.linalg.norm(up_world, axis=1, keepdims=True)
     up_cam, upright = up_world @ labels.camera.world_from_cam[:3, :3], up_world[:, 2]
-    above_m = (points_world[:, 2] - height_at(plan.scene.terrain, points_world[:, :2]) - raised_m) * upright
+    above_m = (points_world[:, 2] - height_at(plan.terrain, points_world[:, :2]) - raised_m) * upright
     level, near = raised_m == 0, points_cam[:, 1] < NEAR_M
     if (level & near).sum() >= MIN_POINTS:
         yield Signed("surface_above_m", float(np.median(above_m[level & near])))
@@ -95,7 +92,7 @@ def _surface(plan: RoadPlan, labels: Labels, passes: Passes) -> Iterator[Signed]
             "relief": transform(labels.camera.road_from_cam, points_cam)[:, 2] * upright,
         }
         yield from _shares({name: moved_m[level] for name, moved_m in causes.items()}, above_m[level])
-    length_m = plan.scene.road.ramp_height_m * plan.scene.road.ramp_slope
+    length_m = plan.road.ramp_height_m * plan.road.ramp_slope
     if length_m > MIN_RAMP_M and (raised_m > MIN_HEIGHT_M).sum() >= MIN_RAMP_POINTS:
         yield Signed("ramp", _ramp_share(plan, s_m[~level], (raised_m + above_m / upright)[~level]))
 
@@ -148,9 +145,9 @@ def _exit_stations(plan: RoadPlan, points_world: Points) -> Values:
 def _ramp_share(plan: RoadPlan, s_m: Values, height_m: Values) -> float:
     """How much higher than the plan's a ramp is that fits heights over the terrain best. A higher one is longer, too,
     so that at its foot it is lower."""
-    road = plan.scene.road
+    road = plan.road
     raised = [road.model_copy(update={"ramp_height_m": (1 + share) * road.ramp_height_m}) for share in RAMP_SHARES]
-    plans = [RoadPlan(plan.scene.model_copy(update={"road": road})) for road in raised]
+    plans = [RoadPlan(road, plan.terrain) for road in raised]
     return float(RAMP_SHARES[np.argmin([np.abs(height_m - other.ramp(s_m)).sum() for other in plans])])
 
 

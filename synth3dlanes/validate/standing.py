@@ -16,7 +16,7 @@ from synth3dlanes.labels import CameraLabel, Labels
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.findings import Finding, Measure
 from synth3dlanes.validate.passes_proof import Passes
-from synth3dlanes.validate.world import World
+from synth3dlanes.world import World
 
 # A fault is what one would see: a rigid car on the sharpest crests has a wheel up to 0.21 m off (1,350 scenes; 5 cm in
 # all but a few), and beyond RANGE_M the ground's faces are metres long. A trunk's place is 0.1 m in the ground, and its
@@ -54,7 +54,7 @@ def check_standing(world: World, labels: Labels, passes: Passes) -> tuple[list[F
 def _wheels(world: World) -> Points:
     """Where the tyres of all cars end."""
     wheels = [np.zeros((0, 3))]
-    for car, world_from_car in zip(world.scene.cars, world.world_from_cars, strict=True):
+    for car, world_from_car in zip(world.scene.cars, world.view.world_from_cars, strict=True):
         model = world.scene.assets.car_models[car.model - 1]
         x, y = model.track_m / 2 * car.scale, model.wheelbase_m / 2 * car.scale
         wheels.append(transform(world_from_car, np.array([[-x, y, 0], [x, y, 0], [-x, -y, 0], [x, -y, 0]])))

@@ -12,7 +12,6 @@ from synth3dlanes.labels import CameraLabel, Labels, Lane
 from synth3dlanes.scene import Scene
 from synth3dlanes.validate.documents import shown
 from synth3dlanes.validate.findings import Finding
-from synth3dlanes.validate.world import World
 
 # labels.json rounds points to 0.1 mm and matrices to 1e-9.
 POINT_M = 1e-4
@@ -48,16 +47,16 @@ def check_shape(scene: Scene, labels: Labels) -> Iterator[Finding]:
         yield Finding("", reason)
 
 
-def check_values(world: World, labels: Labels) -> Iterator[Finding]:
+def check_values(scene: Scene, truth: Labels, labels: Labels) -> Iterator[Finding]:
     """The camera stands where the scene says, and every lane is ordered, projected and labelled as it should be."""
-    yield from _camera(world.scene, labels)
+    yield from _camera(scene, labels)
     for lane in labels.lanes:
         yield from _order(lane)
         inside_px = _inside_px(labels.camera, lane)
         wrong = np.where(lane.in_image, ~(inside_px > -BORDER_PX), inside_px > BORDER_PX)
         if wrong.any():
             yield Finding(lane.id, f"in_image: expected our projection's, got another at {_at(wrong)}")
-    yield from _against_ground_truth(world.truth, labels)
+    yield from _against_ground_truth(truth, labels)
 
 
 def points_to_pixels(labels: Labels) -> bool:

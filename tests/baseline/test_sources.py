@@ -22,10 +22,11 @@ def split_of(tmp_path_factory):
     from synth3dlanes.ground_truth import ground_truth
     from synth3dlanes.params import load_params
     from synth3dlanes.sample import sample_scene
+    from tests import fake_samples
 
     def write(*changes):
         root = tmp_path_factory.mktemp("sources") / "data"
-        with claim(root, {"image_format": "png", "render": {"passes": []}}, "train", N, [0]) as folder:
+        with claim(root, {**fake_samples.recipe().description(), "shard_size": 1000}, "train", N, [0]) as folder:
             shard = Shard(folder, 0, 1000, member_names("png", ()))
             for index in range(N):
                 scene = sample_scene(load_params("appendix_i", ["trees.n=0", *changes]), 4, "train", index)
@@ -94,3 +95,36 @@ def test_a_validation_split_that_is_damaged_is_an_error_and_not_missing(split_of
     (root / "val" / "00000.parquet").write_bytes(b"rubbish")
     with pytest.raises(FormatError, match=r"val/00000\.parquet: expected the index"):
         training_and_validation(str(root), "train", "val", None)
+
+
+def test_foreign_splits_are_known_by_their_files(tmp_path):
+    from synth3dlanes_baseline.sources import open_split
+    from synth3dlanes_baseline.tusimple import TusimpleOnPlane
+
+    from synth3dlanes.formats.apollo.read import ApolloSplit
+    from synth3dlanes.formats.openlane.read import OpenLaneSplit
+
+    (tmp_path / "train.json").write_text('{"raw_file": "images/00/1.jpg", "laneLines": []}\n')
+    (tmp_path / "label_data_0313.json").write_text('{"raw_file": "clips/1/20.jpg", "lanes": [], "h_samples": [240]}\n')
+    (tmp_path / "validation/segment-1").mkdir(parents=True)
+    assert isinstance(open_split(tmp_path / "train.json"), ApolloSplit)
+    assert isinstance(open_split(tmp_path / "label_data_0313.json"), TusimpleOnPlane)
+    assert isinstance(open_split(tmp_path / "validation"), OpenLaneSplit)
+
+
+def test_both_splits_are_read_from_a_store(split_of):
+    import fsspec
+    from synth3dlanes_baseline.sources import training_and_validation
+
+    root = Path(split_of().reader.url).parent
+    store = fsspec.filesystem("memory")
+    for path in root.rglob("*.*"):
+        store.pipe_file(f"/lanes/{path.relative_to(root).as_posix()}", path.read_bytes())
+        store.pipe_file(f"/lanes/{path.relative_to(root).as_posix().replace('train/', 'val/')}", path.read_bytes())
+    here, _ = training_and_validation(str(root), "train", "val", None)
+    train, val = training_and_validation("memory://lanes/", "train", "val", 2)
+    assert (len(here), len(train), len(val)) == (N, 2, N)
+    for there in (train, val):
+        assert there[1].key == "00000001"
+        np.testing.assert_array_equal(there[1].image, here[1].image)
+    store.rm("/lanes", recursive=True)

@@ -1,5 +1,6 @@
-"""The built assets: sizes, wheels, triangle caps, semantic ids, tiling textures, sky."""
+"""The built assets: sizes, wheels, triangle caps, semantic ids, tiling textures."""
 
+from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
 
@@ -9,26 +10,25 @@ from PIL import Image
 
 bpy = pytest.importorskip("bpy")
 
-from synth3dlanes.blender.assets import assets_dir  # noqa: E402
-from synth3dlanes.blender.library import Assets, load_assets  # noqa: E402
+from synth3dlanes.assets.built_in import assets_dir  # noqa: E402
+from synth3dlanes.assets.catalogue import CARS, TREES  # noqa: E402
+from synth3dlanes.blender.load_assets import LoadedAssets, load_assets  # noqa: E402
 from synth3dlanes.blender.materials import TERRAIN_MEANS, Materials, make_materials  # noqa: E402
-from synth3dlanes.blender.sky import SKY_SHAPE, clear_sky, cloud_cover, daylight, sun_color, sun_direction  # noqa: E402
-from synth3dlanes.catalogue import CARS, TREES  # noqa: E402
-from synth3dlanes.scene import Light  # noqa: E402
-from tests.scenes import changed  # noqa: E402
+from synth3dlanes.blender.render import opened  # noqa: E402
 
 BODY_TOLERANCE_M = 0.03
 MAX_BYTES = 25e6
 
 
 @pytest.fixture(scope="module")
-def assets() -> Assets:
+def assets() -> Iterator[LoadedAssets]:
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    return load_assets()
+    yield load_assets()
+    opened.cache_clear()
 
 
 @pytest.fixture(scope="module")
-def materials(assets: Assets) -> Materials:
+def materials(assets: LoadedAssets) -> Materials:
     return make_materials(assets.roads, assets.terrains)
 
 
@@ -43,7 +43,7 @@ def points(mesh: bpy.types.Mesh, slot: str | None = None) -> np.ndarray:
 
 
 @pytest.mark.parametrize("number", range(len(CARS)), ids=[m.name for m in CARS])
-def test_a_car_has_the_size_and_wheels_of_the_catalogue(assets: Assets, number: int) -> None:
+def test_a_car_has_the_size_and_wheels_of_the_catalogue(assets: LoadedAssets, number: int) -> None:
     model, mesh = CARS[number], assets.cars[number]
     low, high = points(mesh).min(axis=0), points(mesh).max(axis=0)
     np.testing.assert_allclose(high - low, (model.width_m, model.length_m, model.height_m), atol=BODY_TOLERANCE_M)
@@ -58,7 +58,7 @@ def test_a_car_has_the_size_and_wheels_of_the_catalogue(assets: Assets, number: 
 
 
 @pytest.mark.parametrize("number", range(len(TREES)), ids=[m.name for m in TREES])
-def test_a_tree_has_the_size_of_the_catalogue(assets: Assets, number: int) -> None:
+def test_a_tree_has_the_size_of_the_catalogue(assets: LoadedAssets, number: int) -> None:
     model, co = TREES[number], points(assets.trees[number])
     assert co[:, 2].max() == pytest.approx(model.height_m, abs=BODY_TOLERANCE_M)
     assert -0.5 < co[:, 2].min() < 0
@@ -67,14 +67,14 @@ def test_a_tree_has_the_size_of_the_catalogue(assets: Assets, number: int) -> No
     assert reach.max() < 1.15 * model.crown_radius_m
 
 
-def test_triangle_caps(assets: Assets) -> None:
+def test_triangle_caps(assets: LoadedAssets) -> None:
     for meshes, cap in ((assets.cars, 15_000), (assets.trees, 10_000)):
         for mesh in meshes:
             mesh.calc_loop_triangles()
             assert 1000 < len(mesh.loop_triangles) <= cap, mesh.name
 
 
-def test_every_material_has_its_semantic_id(assets: Assets, materials: Materials) -> None:
+def test_every_material_has_its_semantic_id(assets: LoadedAssets, materials: Materials) -> None:
     expected = [(materials.terrains, 1), (materials.roads, 2), (materials.shoulders, 3), ((materials.marking,), 4)]
     expected += [(mesh.materials, 5) for mesh in assets.cars] + [(mesh.materials, 6) for mesh in assets.trees]
     for group, semantic_id in expected:
@@ -102,43 +102,3 @@ def test_far_terrain_has_the_mean_colour_of_its_texture(name: str) -> None:
 
 def test_assets_stay_small() -> None:
     assert sum(path.stat().st_size for path in assets_dir().rglob("*") if path.is_file()) < MAX_BYTES
-
-
-def light(zenith_deg: float, azimuth_deg: float = 0.0) -> Light:
-    return Light(sun_zenith_rad=np.deg2rad(zenith_deg), sun_azimuth_rad=np.deg2rad(azimuth_deg), exposure=1.0)
-
-
-@pytest.mark.parametrize("zenith_deg", [5.0, 30.0, 45.0, 80.0])
-def test_the_sky_is_symmetric_and_brighter_near_the_sun(zenith_deg: float) -> None:
-    elevation = np.deg2rad([90 - zenith_deg])
-    towards, left, right, away = clear_sky(light(zenith_deg), elevation, np.deg2rad([0, 60, 60, 180])).sum(axis=0)[0]
-    assert left == right
-    assert min(left, away) > 0
-    assert towards > max(left, away)
-
-
-def test_a_high_sun_leaves_a_blue_zenith_and_a_low_sun_is_red() -> None:
-    zenith = clear_sky(light(40), np.array([np.pi / 2]), np.array([0.0]))[:, 0, 0]
-    assert zenith[2] > zenith[1] > zenith[0]
-    noon, evening = sun_color(light(0)), sun_color(light(86))
-    assert np.all(noon > evening)
-    assert evening[0] / evening[2] > 2 * noon[0] / noon[2]
-
-
-@pytest.mark.parametrize("azimuth_deg", [0.0, 90.0, 200.0])
-def test_the_image_is_brightest_where_the_lamp_shines_from(azimuth_deg: float) -> None:
-    scene = changed(light={"sun_zenith_rad": np.deg2rad(60), "sun_azimuth_rad": np.deg2rad(azimuth_deg)})
-    sky = daylight(scene).sky.sum(axis=0)
-    row = SKY_SHAPE[0] // 2 + round(SKY_SHAPE[0] * 12 / 180)  # below the clouds, above the haze
-    column = int(np.argmax(np.convolve(np.tile(sky[row], 3), np.ones(65) / 65, "same")[1024:2048]))
-    u = (column + 0.5) / SKY_SHAPE[1]
-    azimuth_rad = -(u - 0.5) * 2 * np.pi  # Blender's equirectangular projection
-    seen = np.array([np.cos(azimuth_rad), np.sin(azimuth_rad)])
-    assert seen @ sun_direction(scene.light)[:2] > 0.999 * np.sin(scene.light.sun_zenith_rad)
-
-
-def test_clouds_follow_their_generator() -> None:
-    first, again, other = (cloud_cover(np.random.default_rng(seed)) for seed in (1, 1, 2))
-    assert np.array_equal(first, again)
-    assert not np.array_equal(first, other)
-    assert 0 <= first.min() <= first.max() <= 1

@@ -11,15 +11,16 @@ from mathutils import Vector
 from synth3dlanes.blender import build as builder
 from synth3dlanes.blender import render as renderer
 from synth3dlanes.frames import project, transform
-from synth3dlanes.geometry.camera import world_from_cam
-from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.terrain import gradient_at
 from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.imaging.daylight import daylight
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import load_params
+from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.sample import sample_scene
 from synth3dlanes.scene import Car
 from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS, RenderSettings
+from synth3dlanes.world import resolve
 from tests.scenes import changed, hill
 
 pytestmark = pytest.mark.render
@@ -29,7 +30,13 @@ ONE_SAMPLE = RenderSettings(samples=1, passes=("depth", "semantic", "instance"))
 
 
 def rendered(scene, settings=ONE_SAMPLE):
-    return renderer.render(scene, ground_truth(scene), settings)
+    return take_picture(resolve(scene), settings)
+
+
+def built(scene, studio=None):
+    world = resolve(scene)
+    light = daylight(scene, world.view.eye_world[2])
+    return builder.build(studio or renderer.studio(), world, world.view, light)
 
 
 def interpolated_depth(depth, uv):
@@ -92,7 +99,7 @@ def test_terrain_visible_agrees_with_the_depth_of_a_scene_without_objects():
 def emissive_line(scene, delimiter):
     """The linear image of one delimiter's paint alone, glowing in the dark."""
     studio = renderer.studio()
-    builder.build(studio, scene)
+    built(scene, studio)
     glow = bpy.data.materials.new("glow")
     glow.use_nodes = True
     glow.node_tree.nodes.clear()
@@ -169,7 +176,7 @@ def test_yellow_worn_and_wet_paint_is_the_same_paint_to_every_pass():
 
 
 def arrays(scene):
-    builder.build(renderer.studio(), scene)
+    built(scene)
     found = []
     for item in sorted(bpy.context.scene.objects, key=lambda x: x.name):
         if item.type == "MESH" and item.data.name.startswith("surface"):
@@ -194,12 +201,12 @@ def test_no_scene_can_see_the_last_one():
 
 def test_our_projection_is_blenders_even_off_centre_and_with_oblong_pixels():
     scene = changed(camera={"fx_px": 500.0, "fy_px": 430.0, "cx_px": 210.0, "cy_px": 200.0})
-    builder.build(renderer.studio(), scene)
+    built(scene)
     bpy.context.view_layer.update()
     points_cam = np.array([[0, 10, 0], [3, 12, -1], [-4, 20, 2.0]])
     labels: Labels = ground_truth(scene)
     uv = project(labels.camera.img_from_cam, points_cam)
-    for point, pixel in zip(transform(world_from_cam(RoadPlan(scene)), points_cam), uv, strict=True):
+    for point, pixel in zip(transform(resolve(scene).view.world_from_cam, points_cam), uv, strict=True):
         x, y, _depth = world_to_camera_view(bpy.context.scene, bpy.context.scene.camera, Vector(point))
         np.testing.assert_allclose([x * 480, (1 - y) * 360], pixel, atol=0.01)
 

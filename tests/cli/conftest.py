@@ -23,9 +23,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from synth3dlanes.dataset.folder import claim
     from synth3dlanes.dataset.format import encode
     from synth3dlanes.dataset.write import Shard
-    from synth3dlanes.generate import Recipe
     from synth3dlanes.ground_truth import ground_truth
     from synth3dlanes.params import load_params
+    from synth3dlanes.production.recipe import Recipe
     from synth3dlanes.sample import sample_scene
     from synth3dlanes.settings import RenderSettings
 

@@ -1,6 +1,7 @@
 """Bad input of every kind: one clear line per problem on stderr, exit code 2, nothing half-written."""
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -99,3 +100,26 @@ def test_render_will_not_overwrite_its_scene(run: Run, in_tmp_path: Path) -> Non
     assert "would overwrite a.scene.json" in result.stderr
     assert (in_tmp_path / "a.scene.json").read_text() == scene
     assert not (in_tmp_path / "a.png").exists()
+
+
+def test_an_edited_description_is_named_by_every_command(run: Run, folder: Path, in_tmp_path: Path) -> None:
+    shutil.copytree(folder, "d")
+    path = Path("d/dataset.json")
+    path.write_text(json.dumps({**json.loads(path.read_text()), "splits": {"train": 5}}))
+    generate = ("generate", "--n", 1, "--params", "tiny", "--device", "cpu", "--out", "d")
+    commands = [
+        ("info", "d"),
+        ("stats", "d"),
+        ("split", "d/train", "--out", "e"),
+        ("merge", "d", "--out", "e"),
+        generate,
+    ]
+    for command in [*commands, ("inspect", "d/train:00000003"), ("evaluate", "d/train")]:
+        result = run(*command)
+        assert result.exit_code == 2, (command, result.output, result.exception)
+        assert result.stderr.count("\n") == 1, result.stderr
+        assert "dataset.json: splits.train: Input should be" in result.stderr
+        assert result.stderr.endswith("got 5\n")
+    result = run("validate", "d", "--workers", 1)
+    assert result.exit_code == 1
+    assert "dataset.json: splits.train: Input should be" in result.stdout

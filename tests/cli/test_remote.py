@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import socket
 import subprocess
 import sys
@@ -15,8 +16,8 @@ import s3fs
 from botocore.exceptions import EndpointConnectionError
 from click.testing import Result
 
-from synth3dlanes.executors import generate
-from synth3dlanes.run import Plan
+from synth3dlanes.production.plan import Plan
+from synth3dlanes.production.run import generate
 from tests import fake_samples
 
 Run = Callable[..., Result]
@@ -87,8 +88,8 @@ def files_in(folder: Path) -> dict[str, bytes]:
 
 def test_generate_continues_in_a_store_and_makes_the_same_bytes(store: s3fs.S3FileSystem, tmp_path: Path) -> None:
     def go(out: str, n: int) -> int:
-        plan = Plan(Path(out), n, fake_samples.recipe(), workers=1, shard_size=4, maker=fake_samples.make)
-        report = generate(plan, out, "local", "", events.append)
+        plan = Plan(out, n, fake_samples.recipe(), workers=1, shard_size=4, maker=fake_samples.make)
+        report = generate(plan, events.append)
         assert (report.exit_code, report.done, report.asked) == (0, n, n)
         return report.made
 
@@ -126,6 +127,35 @@ def test_every_command_that_reads_reads_a_store(store: s3fs.S3FileSystem, run: R
         result = run(*command)
         assert result.exit_code == 0, (command, result.output)
     assert len(list(Path("exported/clips").glob("train/*/20.jpg"))) == 12
+
+
+def test_train_reads_a_store(store: s3fs.S3FileSystem, run: Run, folder: Path) -> None:
+    pytest.importorskip("torch")
+    url = "s3://lanes/trained"
+    assert run("merge", folder, "--out", url).exit_code == 0
+    result = run("train", url, "--model", "tiny", "--epochs", 1, "--batch", 4, "--device", "cpu", "--out", "model")
+    assert result.exit_code == 0, result.output
+    assert Path("model/best.pt").exists()
+
+
+def test_validate_finds_in_a_store_what_it_finds_in_a_folder(store: s3fs.S3FileSystem, run: Run, folder: Path) -> None:
+    shutil.copytree(folder, "here")
+    url = "s3://lanes/validated"
+    assert run("merge", folder, "--out", url).exit_code == 0
+    Path("here/train/00001.parquet").unlink()
+    store.rm_file("lanes/validated/train/00001.parquet")
+    told = {}
+    for workers, place in ((1, "here"), (1, url), (2, url)):
+        result = run("validate", place, "--json", "--workers", workers, "--limit", 2)
+        assert result.exit_code == 1, result.output
+        told[workers, place] = json.loads(result.stdout)
+    assert told[1, "here"] == told[1, url] == told[2, url]
+    failed = told[1, url]["failed"]
+    assert {"train", "train/00001.parquet", "train:00000000"} <= set(failed)
+    assert files_at(store, "lanes/validated/validation") == files_in(Path("here/validation")) != {}
+    result = run("validate", "s3://lanes/nowhere")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert "s3://lanes/nowhere: expected the folder of a dataset, got none\n" in result.stderr
 
 
 def test_split_and_merge_write_to_a_store(store: s3fs.S3FileSystem, run: Run, folder: Path) -> None:

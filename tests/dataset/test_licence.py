@@ -7,14 +7,13 @@ from typing import Any
 
 import pytest
 
-from synth3dlanes.catalogue import Assets, Library, Texture
-from synth3dlanes.dataset.folder import claim, description_bytes
-from synth3dlanes.dataset.format import recipe_text
+from synth3dlanes.assets.catalogue import Assets, Library, Texture
+from synth3dlanes.dataset.description import recipe_text, updated_description
+from synth3dlanes.dataset.folder import claim
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import cut, merge
 from synth3dlanes.dataset.write import Shard
 from synth3dlanes.errors import InputError
-from synth3dlanes.validate.origin import Layout, read_part
 from tests import fake_samples
 
 SIZE = 2
@@ -46,15 +45,13 @@ def license_as(root: Path, licence: str | None) -> Path:
 
 
 def test_a_new_data_set_is_free_for_all(tmp_path):
-    found = document(make(tmp_path, [0], 2))
-    assert found["license"] == "CC0-1.0"
-    assert read_part(Layout, found).license == "CC0-1.0"
+    assert document(make(tmp_path, [0], 2))["license"] == "CC0-1.0"
 
 
 def test_whose_assets_are_the_users_own_has_the_licence_that_they_choose():
     library = Library("mine", Assets(roads=(Texture("asphalt", "0" * 64),)))
-    recipe = replace(RECIPE, library=library).description()
-    assert "license" not in json.loads(description_bytes(None, recipe, "train", 2, "dataset.json"))
+    description = {**replace(RECIPE, library=library).description(), "shard_size": SIZE}
+    assert "license" not in json.loads(updated_description(None, description, "train", 2, "dataset.json"))
 
 
 @pytest.mark.parametrize("licence", [None, "CC-BY-4.0"])
@@ -62,7 +59,6 @@ def test_an_older_or_edited_one_is_extended_and_keeps_its_licence(tmp_path, lice
     before = document(license_as(make(tmp_path, [0], 2), licence))
     after = document(make(tmp_path, [1], 4))
     assert after == {**before, "splits": {"train": {"n": 4}}}
-    assert read_part(Layout, after).license == (licence or "")
     reader = Reader(f"{tmp_path}/train")
     assert [reader.key(i) for i in range(4)] == [f"{i:08d}" for i in range(4)]
     assert reader.recipes == {recipe_text(after)}

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from synth3dlanes.dataset.index import SCHEMA
+from synth3dlanes.dataset.columns import SCHEMA
 from synth3dlanes.dataset.query import rows_where
 from synth3dlanes.errors import InputError
 

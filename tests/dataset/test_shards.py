@@ -12,8 +12,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from synth3dlanes import labels as labels_module
+from synth3dlanes.dataset.columns import SCHEMA
 from synth3dlanes.dataset.folder import claim
-from synth3dlanes.dataset.index import SCHEMA
 from synth3dlanes.dataset.read import Reader, find
 from synth3dlanes.dataset.write import Shard, scan
 from synth3dlanes.errors import FormatError, InputError
@@ -239,7 +239,7 @@ def test_a_folder_that_cannot_be_written_is_refused(tmp_path, shard):
         with pytest.raises(InputError, match="expected a folder to write to"), enter(root):
             pass
     shutil.copytree(shard.folder, tmp_path / "orphan" / "train")
-    with pytest.raises(InputError, match="beside the shards"), enter(tmp_path / "orphan"):
+    with pytest.raises(InputError, match="shards beside it"), enter(tmp_path / "orphan"):
         pass
     (tmp_path / "dataset.json").write_text("{")
     with pytest.raises(FormatError, match=r"dataset\.json: expected JSON"), enter(tmp_path):
@@ -255,5 +255,5 @@ def test_shards_are_locked_against_other_processes_one_by_one(tmp_path):
         for shard, free in [(0, False), (1, True), (2, False)]:
             run = subprocess.run([sys.executable, "-c", code, tmp_path, str(shard)], capture_output=True, text=True)
             assert (run.returncode == 0) == free, run.stderr
-            assert free or f"got one that is making shard {shard}" in run.stderr
+            assert free or f"shard {shard} is locked by another run" in run.stderr
     assert subprocess.run([sys.executable, "-c", code, tmp_path, "2"]).returncode == 0

@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from synth3dlanes.figures.inspect import draw_inspect, summary
-from synth3dlanes.figures.world import SceneView
+from synth3dlanes.figures.scene_view import SceneView
 from synth3dlanes.ground_truth import ground_truth
 
 

@@ -7,10 +7,10 @@ import pytest
 
 from synth3dlanes.figures.colors import KINDS
 from synth3dlanes.figures.overlay import draw_overlay, stretches_img
-from synth3dlanes.labels import Kind, Labels
+from synth3dlanes.labels import Labels, LaneKind
 
 
-def middle_of(drawn: np.ndarray, row: int, kind: Kind, background: int = 120) -> float:
+def middle_of(drawn: np.ndarray, row: int, kind: LaneKind, background: int = 120) -> float:
     """Mean column (at pixel centres) of one colour in a row, weighted by how strongly it was drawn."""
     line = drawn[row].astype(float) - background
     color = np.array(KINDS[kind], dtype=float) - background

@@ -5,13 +5,18 @@ from scipy.interpolate import RegularGridInterpolator
 
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.height_map import height_map
-from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.world import resolve
 from tests.scenes import changed, hill
 
 
+def map_of(scene):
+    world = resolve(scene)
+    return height_map(world.ground, world.view.world_from_road)
+
+
 def test_a_plain_is_flat():
-    inside = height_map(RoadPlan(changed()))[:, 35:65]
+    inside = map_of(changed())[:, 35:65]
     np.testing.assert_allclose(inside, 0, atol=1e-9)
 
 
@@ -20,7 +25,7 @@ def test_lane_points_lie_on_the_map():
         terrain={"gaussians": (hill(20, 0, 8, 50), hill(-40, -60, -9, 60))},
         road={"topology": 2, "offset_p50_m": 4, "ramp_slope": 4},
     )
-    heights = height_map(RoadPlan(scene))
+    heights = map_of(scene)
     read = RegularGridInterpolator(
         (0.2 + 0.4 * np.arange(200), -9.9 + 0.2 * np.arange(100)), heights[::-1], bounds_error=False
     )
@@ -36,5 +41,5 @@ def test_lane_points_lie_on_the_map():
 
 
 def test_ground_that_rises_to_the_right_is_higher_in_the_right_columns():
-    heights = height_map(RoadPlan(changed(terrain={"gaussians": (hill(60, -20, 20, 30),)})))
+    heights = map_of(changed(terrain={"gaussians": (hill(60, -20, 20, 30),)}))
     assert heights[150, 90] > heights[150, 10] + 0.1

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from synth3dlanes.geometry.lanes import connections, curves, lane_graph, smooth_min
-from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.world import resolve
 from tests.scenes import changed
 
 
 def plan_of(topology, n=3, **road):
-    return RoadPlan(changed(road={"topology": topology, "n_lanes": n, **road}))
+    return resolve(changed(road={"topology": topology, "n_lanes": n, **road})).plan
 
 
 def by_id(plan):

@@ -6,19 +6,16 @@ import numpy as np
 import pytest
 
 from synth3dlanes.frames import invert, project, transform
-from synth3dlanes.geometry import meshes, paint
-from synth3dlanes.geometry.camera import img_from_cam, world_from_cam
-from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.lanes import curves
-from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.geometry import meshes
+from synth3dlanes.world import resolve
 from tests.scenes import changed, hill, seen_on_flat_ground
 
 HILLS = (hill(30, -20, 25, 50), hill(-60, 60, -30, 40), hill(10, 90, 15, 30))
 CURVED = {"offset_m50_m": 6, "offset_p50_m": -7, "offset_p100_m": 9, "exit_offset_m": 6, "ramp_height_m": 5}
 
 
-def plan_of(topology, **road):
-    return RoadPlan(changed(terrain={"gaussians": HILLS}, road={**CURVED, "topology": topology, **road}))
+def world_of(topology, **road):
+    return resolve(changed(terrain={"gaussians": HILLS}, road={**CURVED, "topology": topology, **road}))
 
 
 def heights_at(mesh, xy):
@@ -42,10 +39,10 @@ def heights_at(mesh, xy):
 @pytest.mark.parametrize("flip", [False, True])
 @pytest.mark.parametrize("topology", [1, 2, 3, 4])
 def test_every_label_point_lies_on_the_pavement(topology, flip):
-    plan = plan_of(topology, flip_lateral=flip, flip_longitudinal=flip)
-    pavement = meshes.road_meshes(Ground(plan))
+    world = world_of(topology, flip_lateral=flip, flip_longitudinal=flip)
+    plan, pavement = world.plan, world.pavement
     s = plan.plan_station(np.arange(-49.0, 45, 3.7))
-    for curve in curves(plan):
+    for curve in world.lines:
         stations = s[(s > curve.start_m) & (s < curve.end_m)]
         points = curve.points_world(plan, stations)
         gaps = np.abs([heights_at(mesh, points[:, :2]) - points[:, 2] for mesh in pavement])
@@ -55,9 +52,8 @@ def test_every_label_point_lies_on_the_pavement(topology, flip):
 
 @pytest.mark.parametrize("topology", [1, 2, 3, 4])
 def test_no_terrain_comes_through_a_road(topology):
-    plan = plan_of(topology)
-    ground = Ground(plan)
-    terrain = meshes.terrain_mesh(ground)
+    world = world_of(topology)
+    ground, terrain = world.ground, world.terrain
     x0, y0, x1, y1 = ground.fine
     near = ((terrain.vertices_world[:, :2] > [x0 - 3, y0]) & (terrain.vertices_world[:, :2] < [x1 + 3, y1])).all(axis=1)
     kept = near[terrain.faces].all(axis=1)
@@ -71,8 +67,8 @@ def test_no_terrain_comes_through_a_road(topology):
 
 @pytest.mark.parametrize("topology", [2, 3, 4])
 def test_faces_look_up_and_carry_their_material(topology):
-    plan = plan_of(topology, flip_longitudinal=True)
-    for mesh in [*meshes.road_meshes(Ground(plan)), meshes.terrain_mesh(Ground(plan))]:
+    world = world_of(topology, flip_longitudinal=True)
+    for mesh in [*world.pavement, world.terrain]:
         a, b, c, d = (mesh.vertices_world[mesh.faces[:, i]] for i in range(4))
         up = np.cross(c - a, d - b)[:, 2]
         assert (up > -1e-6).all()
@@ -80,14 +76,14 @@ def test_faces_look_up_and_carry_their_material(topology):
 
 
 def test_dashes_cover_their_share_and_do_not_move_with_the_camera():
-    plans = [RoadPlan(changed(camera={"y_m": y})) for y in (-50, -30.3)]
+    worlds = [resolve(changed(camera={"y_m": y})) for y in (-50, -30.3)]
     painted = [
         {
             (round(lo, 3), round(hi, 3))
-            for lo, hi in zip(*_spans(plan, "main_line_1"), strict=True)
+            for lo, hi in zip(*_spans(world, "main_line_1"), strict=True)
             if -20 < lo < hi < 20
         }
-        for plan in plans
+        for world in worlds
     ]
     edges = [sorted({e for span in spans for e in span}) for spans in painted]
     starts = [[e for e in spans if abs(e / 4 - round(e / 4)) < 1e-6] for spans in edges]
@@ -96,18 +92,18 @@ def test_dashes_cover_their_share_and_do_not_move_with_the_camera():
     np.testing.assert_allclose(lengths, 20, atol=2.01)
 
 
-def _spans(plan, line):
-    mesh = paint.paint_meshes(plan)[line]
-    y = plan.plan_station(mesh.uv_m[mesh.faces][:, :, 1])
+def _spans(world, line):
+    mesh = world.paint(world.view)[line]
+    y = world.plan.plan_station(mesh.uv_m[mesh.faces][:, :, 1])
     return y.min(axis=1), y.max(axis=1)
 
 
 def test_paint_is_seen_as_wide_as_the_scene_says_and_centred_on_the_delimiter():
     """Though it floats over the road: there it would be seen outside of its place by its height over the camera's."""
-    plan = RoadPlan(changed(road={**CURVED, "topology": 2}))
-    mesh = paint.paint_meshes(plan)["main_line_0"]
+    world = resolve(changed(road={**CURVED, "topology": 2}))
+    plan, mesh = world.plan, world.paint(world.view)["main_line_0"]
     near = (mesh.uv_m[:, 1] > -45) & (mesh.uv_m[:, 1] < 10)
-    seen = seen_on_flat_ground(plan, mesh.vertices_world[near])
+    seen = seen_on_flat_ground(world, mesh.vertices_world[near])
     left, right = seen[0::2], seen[1::2]
     np.testing.assert_allclose(np.linalg.norm((right - left)[:, :2], axis=1), 0.12, atol=5e-4)
     _, t = plan.project_main(((left + right) / 2)[:, :2])
@@ -120,17 +116,17 @@ def test_paint_is_seen_as_wide_as_the_scene_says_and_centred_on_the_delimiter():
 def test_the_eye_sees_paint_in_its_place_on_hills_and_ramps():
     """Across its line, within a tenth of a pixel, wherever the road is not seen edge on."""
     for topology in (2, 3, 4):
-        plan = plan_of(topology)
-        eye_world = world_from_cam(plan)
-        strips = paint.paint_meshes(plan)
-        for curve in curves(plan):
+        world = world_of(topology)
+        plan, view = world.plan, world.view
+        strips = world.paint(view)
+        for curve in world.lines:
             if curve.kind == "delimiter" and len(strips[curve.id].faces):
                 mesh = strips[curve.id]
                 s = mesh.uv_m[0::2, 1]
                 middle = (mesh.vertices_world[0::2] + mesh.vertices_world[1::2]) / 2
                 near = (s > -47) & (s < 10)
                 on_road, onwards, floating = (
-                    project(img_from_cam(plan.scene.camera), transform(invert(eye_world), points[near]))
+                    project(view.img_from_cam, transform(invert(view.world_from_cam), points[near]))
                     for points in (curve.points_world(plan, s), curve.points_world(plan, s + 0.01), middle)
                 )
                 along = onwards - on_road
@@ -143,8 +139,8 @@ def test_the_eye_sees_paint_in_its_place_on_hills_and_ramps():
 def test_there_is_no_inner_verge_while_the_exit_touches_the_main_road():
     """Just before a merge is over the roads touch all the way; Blender cannot take an empty mesh."""
     road = {"topology": 2, "flip_lateral": True, "exit_angle_rad": 0.0175, "exit_offset_m": 0}
-    touching = meshes.verge_meshes(Ground(RoadPlan(changed(road=road, camera={"y_m": -5.0}))))
-    apart = meshes.verge_meshes(Ground(plan_of(2)))
+    touching = resolve(changed(road=road, camera={"y_m": -5.0})).verges
+    apart = world_of(2).verges
     assert [len(apart), len(touching)] == [4, 3]
     assert all(len(mesh.faces) for mesh in apart + touching)
 
@@ -152,12 +148,11 @@ def test_there_is_no_inner_verge_while_the_exit_touches_the_main_road():
 @pytest.mark.parametrize("topology", [1, 2, 3, 4])
 @pytest.mark.parametrize("flip", [False, True])
 def test_roads_and_their_paint_end_where_the_terrain_does(topology, flip):
-    plan = plan_of(topology, flip_lateral=flip)
-    ground = Ground(plan)
-    terrain = meshes.terrain_mesh(ground)
-    strips = {name: mesh for name, mesh in paint.paint_meshes(plan).items() if len(mesh.faces)}
+    world = world_of(topology, flip_lateral=flip)
+    terrain = world.terrain
+    strips = {name: mesh for name, mesh in world.paint(world.view).items() if len(mesh.faces)}
     through = [mesh for name, mesh in strips.items() if name in ("main_line_0", "main_line_1")]
-    road, *exits = meshes.road_meshes(ground)
+    road, *exits = world.pavement
     for mesh in [road, *through] + ([] if flip else exits):
         points = mesh.vertices_world[mesh.faces].reshape(-1, 3)
         assert np.abs(points[:, :2]).max() > 0.93 * meshes.HORIZON_M
@@ -167,9 +162,9 @@ def test_roads_and_their_paint_end_where_the_terrain_does(topology, flip):
 
 @pytest.mark.parametrize("topology", [2, 3, 4])
 def test_the_exit_goes_on_below_the_main_road_so_that_no_ground_shows_between(topology):
-    plan = plan_of(topology)
-    ground = Ground(plan)
-    road, exit_road = meshes.road_meshes(ground)
+    world = world_of(topology)
+    plan, ground = world.plan, world.ground
+    road, exit_road = world.pavement
     s = exit_road.uv_m[:, 1]
     touching = (s > 1) & (s < 0.8 * plan.nose_m)
     first = np.flatnonzero(touching & (np.diff(s, prepend=-1) != 0))
@@ -184,12 +179,12 @@ def test_the_exit_goes_on_below_the_main_road_so_that_no_ground_shows_between(to
 @pytest.mark.parametrize("topology", [1, 2, 4])
 def test_all_paint_of_an_edge_line_lies_on_the_lanes_pavement(topology, is_double):
     scene = changed(road={**CURVED, "topology": topology}, markings={"left_double": is_double, "width_m": 0.15})
-    plan = RoadPlan(scene)
-    road = meshes.road_meshes(Ground(plan))[0]
+    world = resolve(scene)
+    plan, road = world.plan, world.pavement[0]
     paved = road.uv_m[road.faces[road.material == meshes.ROAD]]
     widest = [0.0, 0.0]
     for name in ("main_line_0", f"main_line_{plan.n_main_after}"):
-        mesh = paint.paint_meshes(plan)[name]
+        mesh = world.paint(world.view)[name]
         s = mesh.uv_m[:, 1]
         _, t = plan.project_main(mesh.vertices_world[(s > -45) & (s < -2), :2])
         widest = [min(widest[0], t.min(initial=0)), max(widest[1], t.max(initial=0))]
@@ -201,6 +196,7 @@ def test_all_paint_of_an_edge_line_lies_on_the_lanes_pavement(topology, is_doubl
 def test_paint_faces_up():
     for topology in (2, 3, 4):
         for flip in (False, True):
-            for mesh in paint.paint_meshes(plan_of(topology, flip_lateral=flip)).values():
+            world = world_of(topology, flip_lateral=flip)
+            for mesh in world.paint(world.view).values():
                 a, b, c, d = (mesh.vertices_world[mesh.faces[:, i]] for i in range(4))
                 assert (np.cross(c - a, d - b)[:, 2] >= 0).all()

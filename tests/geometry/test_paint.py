@@ -3,27 +3,28 @@
 import numpy as np
 import pytest
 
-from synth3dlanes.geometry.paint import left_edges, paint_meshes
-from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.geometry.paint import is_left_edge
+from synth3dlanes.world import resolve
 from tests.scenes import changed, seen_on_flat_ground
 
 
-def painted_share(plan, name, low=-40, high=90):
+def painted_share(world, name, low=-40, high=90):
     """Painted metres of a straight road's line per metre, by the ends of its faces."""
-    mesh = paint_meshes(plan)[name]
-    y = plan.plan_station(mesh.uv_m[mesh.faces][:, :, 1])
+    mesh = world.paint(world.view)[name]
+    y = world.plan.plan_station(mesh.uv_m[mesh.faces][:, :, 1])
     return (np.clip(y.max(axis=1), low, high) - np.clip(y.min(axis=1), low, high)).sum() / (high - low)
 
 
 @pytest.mark.parametrize("flip", [False, True])
 def test_a_double_line_is_two_stripes_about_the_left_edge_and_nothing_else_changes(flip):
     road = {"flip_longitudinal": flip}
-    single = paint_meshes(RoadPlan(changed(road=road)))
-    plan = RoadPlan(changed(road=road, markings={"left_double": True, "width_m": 0.12}))
-    double = paint_meshes(plan)
+    plain = resolve(changed(road=road))
+    single = plain.paint(plain.view)
+    world = resolve(changed(road=road, markings={"left_double": True, "width_m": 0.12}))
+    double = world.paint(world.view)
     points = double["main_line_0"].vertices_world
     near = points[(points[:, 1] > -45) & (points[:, 1] < 0)]
-    x = np.unique(np.round(seen_on_flat_ground(plan, near)[:, 0], 3))
+    x = np.unique(np.round(seen_on_flat_ground(world, near)[:, 0], 3))
     np.testing.assert_allclose(x, -5.25 + 0.12 * np.array([-1.5, -0.5, 0.5, 1.5]), atol=1e-6)
     for name in single.keys() - {"main_line_0"}:
         np.testing.assert_array_equal(single[name].vertices_world, double[name].vertices_world)
@@ -31,9 +32,9 @@ def test_a_double_line_is_two_stripes_about_the_left_edge_and_nothing_else_chang
 
 @pytest.mark.parametrize("flip", [False, True])
 def test_left_edges_have_no_paint_to_their_left(flip):
-    plan = RoadPlan(changed(road={"topology": 4, "flip_longitudinal": flip}))
-    assert left_edges(plan) == {"main_line_0", "exit_line_0"}
-    strips = paint_meshes(plan)
+    world = resolve(changed(road={"topology": 4, "flip_longitudinal": flip}))
+    assert {line.id for line in world.lines if is_left_edge(line)} == {"main_line_0", "exit_line_0"}
+    strips = world.paint(world.view)
     behind = {name: mesh.vertices_world[mesh.vertices_world[:, 1] < -30, 0] for name, mesh in strips.items()}
     leftmost = min((x.min(), name) for name, x in behind.items() if len(x))[1]
     assert leftmost == ("exit_line_0" if flip else "main_line_0")
@@ -43,14 +44,14 @@ def test_missing_paint_is_the_share_asked_for_in_stretches_that_stay_where_they_
     shares = []
     for seed in range(40):
         scene = changed(markings={"missing": 0.4}).model_copy(update={"seed": seed})
-        shares += [painted_share(RoadPlan(scene), name) for name in ("main_line_0", "main_line_3")]
+        shares += [painted_share(resolve(scene), name) for name in ("main_line_0", "main_line_3")]
     assert np.mean(shares) == pytest.approx(0.6, abs=0.02)
     assert len(np.unique(np.round(shares, 3))) > 40, "every line of every scene has its own gaps"
-    near, far = (RoadPlan(changed(markings={"missing": 0.4}, camera={"y_m": y})) for y in (-60, -20))
+    near, far = (resolve(changed(markings={"missing": 0.4}, camera={"y_m": y})) for y in (-60, -20))
     assert painted_share(near, "main_line_0", 0, 90) == pytest.approx(painted_share(far, "main_line_0", 0, 90))
 
 
 def test_all_of_the_paint_may_be_missing_and_none_is_by_default():
-    bare = RoadPlan(changed(markings={"missing": 1.0}))
+    bare = resolve(changed(markings={"missing": 1.0}))
     assert [painted_share(bare, f"main_line_{i}") for i in range(4)] == pytest.approx([0] * 4)
-    assert painted_share(RoadPlan(changed()), "main_line_0") == pytest.approx(1.0)
+    assert painted_share(resolve(changed()), "main_line_0") == pytest.approx(1.0)

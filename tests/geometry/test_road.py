@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.world import resolve
 from tests.scenes import changed
 
 CURVED = {"offset_m100_m": 8.0, "offset_m50_m": -5.0, "offset_p50_m": 6.0, "offset_p100_m": -9.0}
 
 
 def curved(**road):
-    return RoadPlan(changed(road={**CURVED, "topology": 2, **road}))
+    return resolve(changed(road={**CURVED, "topology": 2, **road})).plan
 
 
 def reference(plan):
     """The quartic by a generic fit, as a numpy polynomial of y."""
-    r = plan.scene.road
+    r = plan.road
     xs = [r.offset_m50_m + r.offset_m100_m, r.offset_m50_m, 0, r.offset_p50_m, r.offset_p50_m + r.offset_p100_m]
     return np.polynomial.Polynomial.fit([-100, -50, 0, 50, 100], xs, 4).convert()
 
@@ -42,7 +42,7 @@ def test_lanes_keep_their_distance_along_the_normal():
 
 def test_exit_is_displaced_by_q_along_the_main_normal():
     plan = curved()
-    road = plan.scene.road
+    road = plan.road
     s = np.linspace(0, 95, 39)
     q = s * np.tan(road.exit_angle_rad) + road.exit_offset_m * (s / 60) ** 2
     base = (road.n_lanes / 2 - 0.5) * road.lane_width_m
@@ -62,14 +62,14 @@ def test_exit_lanes_keep_their_width_along_the_exits_own_normal():
 @pytest.mark.parametrize("topology", [2, 3, 4])
 def test_nose_and_ramp_begin_where_the_specification_says(topology):
     plan = curved(topology=topology)
-    w = plan.scene.road.lane_width_m
+    w = plan.road.lane_width_m
     assert plan.opening(np.array([plan.nose_m]))[0] == pytest.approx(w)
-    assert plan.opening(np.array([plan.ramp_start_m]))[0] == pytest.approx(w + 2 * w * plan.scene.road.shoulder_factor)
+    assert plan.opening(np.array([plan.ramp_start_m]))[0] == pytest.approx(w + 2 * w * plan.road.shoulder_factor)
 
 
 def test_ramp_rises_from_its_start_to_its_height_by_a_smoothstep():
     plan = curved()
-    length = plan.scene.road.ramp_height_m * plan.scene.road.ramp_slope
+    length = plan.road.ramp_height_m * plan.road.ramp_slope
     s = plan.ramp_start_m + length * np.array([-1, 0, 0.25, 0.5, 0.75, 1, 2])
     np.testing.assert_allclose(plan.ramp(s), 4 * np.array([0, 0, 0.15625, 0.5, 0.84375, 1, 1]), atol=1e-12)
 

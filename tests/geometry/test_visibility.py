@@ -4,14 +4,13 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.visibility import seen_over_ground
+from synth3dlanes.world import resolve
 from tests.scenes import changed, hill
 
 
 def seen(scene, eye, points):
-    return seen_over_ground(Ground(RoadPlan(scene)), np.array(eye, dtype=float), np.array(points, dtype=float))
+    return seen_over_ground(resolve(scene).ground, np.array(eye, dtype=float), np.array(points, dtype=float))
 
 
 def test_everything_is_seen_on_a_plain():
@@ -21,7 +20,7 @@ def test_everything_is_seen_on_a_plain():
 
 def test_a_crest_hides_the_road_behind_it_and_not_the_road_before_it():
     scene = changed(terrain={"gaussians": (hill(0, 0, 8, 25),)})
-    heights = Ground(RoadPlan(scene)).height(np.array([[0.0, -60], [0, -20], [0, 50]]))
+    heights = resolve(scene).ground.height(np.array([[0.0, -60], [0, -20], [0, 50]]))
     before, behind = seen(scene, [0, -60, heights[0] + 1.5], [[0, -20, heights[1]], [0, 50, heights[2]]])
     assert before
     assert not behind
@@ -41,7 +40,7 @@ def test_raising_the_terrain_between_a_fixed_eye_and_fixed_points_never_reveals(
 def test_a_raised_exit_hides_the_ground_behind_it():
     """From the main road, what lies beyond the exit's embankment at ground level is hidden; above it is not."""
     road = {"topology": 2, "exit_offset_m": 10, "ramp_height_m": 4, "ramp_slope": 2}
-    plan = RoadPlan(changed(road=road))
+    plan = resolve(changed(road=road)).plan
     s = np.array([plan.ramp_start_m + 15])
     beyond = plan.exit_xy(s, 20.0)[0]
     eye = [0, s[0], 1.5]

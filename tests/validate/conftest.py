@@ -15,9 +15,10 @@ CHANGES += ["markings.left_yellow={true: 1, false: 1}", "markings.wear=[0, 0.5]"
 
 @pytest.fixture(scope="session")
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    from synth3dlanes.generate import Recipe
     from synth3dlanes.params import load_params
-    from synth3dlanes.run import Plan, generate
+    from synth3dlanes.production.plan import Plan
+    from synth3dlanes.production.recipe import Recipe
+    from synth3dlanes.production.run import generate
     from synth3dlanes.settings import RenderSettings
 
     root = tmp_path_factory.mktemp("validate") / "data"

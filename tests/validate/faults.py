@@ -27,10 +27,10 @@ from synth3dlanes.dataset.format import (
     read_passes,
     write_passes,
 )
-from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.world import resolve
 from tests.validate.sealing import Members, describe, seal
 
 Passes = dict[str, np.ndarray]
@@ -206,7 +206,7 @@ def wider_exit(scene: Scene) -> list[str]:
 
 def higher_ramp(scene: Scene) -> list[str]:
     """A ramp of 10 % more height, where it is used."""
-    plan = RoadPlan(scene)
+    plan = resolve(scene).plan
     is_used = plan.has_exit and plan.ramp_start_m is not None
     return scaled("road.ramp_height_m", 1.1)(scene) if is_used else []
 

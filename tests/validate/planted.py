@@ -21,12 +21,14 @@ from typing import NamedTuple
 
 from synth3dlanes.change import change_scene
 from synth3dlanes.dataset.format import HEIGHT, PASSES
-from synth3dlanes.generate import Recipe
 from synth3dlanes.params import Params, load_params
-from synth3dlanes.run import Plan, generate
+from synth3dlanes.production.plan import Plan
+from synth3dlanes.production.recipe import Recipe
+from synth3dlanes.production.run import generate
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import PASSES as ALL_PASSES
 from synth3dlanes.settings import RenderSettings
+from synth3dlanes.world import World, resolve
 from tests.validate.faults import FAULTS, WORLDS, Fault
 from tests.validate.sealing import Members, check, read_members, seal
 
@@ -65,10 +67,10 @@ class Worlds(Recipe):
 
     jobs: tuple[tuple[int, int], ...]
 
-    def scene(self, index: int) -> Scene:
-        """The changed scene; it keeps the index that it was drawn for."""
-        world, source = self.jobs[index]
-        return changed(super().scene(source), world)
+    def world(self, index: int) -> World:
+        """The world of the changed scene, which keeps the index that it was drawn for."""
+        number, source = self.jobs[index]
+        return resolve(changed(super().world(source).scene, number))
 
 
 def changed(scene: Scene, world: int) -> Scene:

@@ -5,7 +5,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from synth3dlanes import labels as labels_module
-from synth3dlanes.dataset.format import LABELS, key_of, recipe_text
+from synth3dlanes.dataset.description import recipe_text
+from synth3dlanes.dataset.format import LABELS, key_of
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.write import Shard
 from synth3dlanes.labels import Labels

@@ -8,8 +8,6 @@ import pytest
 from rich.console import Console
 
 from synth3dlanes.frames import project, transform
-from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
@@ -20,6 +18,7 @@ from synth3dlanes.validate.findings import Signed
 from synth3dlanes.validate.paint import Paint
 from synth3dlanes.validate.report import Report
 from synth3dlanes.validate.signed import signed_values
+from synth3dlanes.world import resolve
 from tests.scenes import changed, hill
 
 SOLID = changed(markings={"dash_fraction": 1.0})
@@ -66,7 +65,7 @@ def instance_ids(scene: Scene, aside_m: float = 0.0, wider: float = 1.0) -> np.n
 
 
 def offsets(scene: Scene, ids: np.ndarray) -> list[Offset]:
-    return list(paint_offsets(line_views(Paint(scene), seen(ground_truth(scene))), ids))
+    return list(paint_offsets(line_views(Paint(resolve(scene)), seen(ground_truth(scene))), ids))
 
 
 def mean_m(lines: list[Offset]) -> float:
@@ -111,7 +110,7 @@ def test_lines_near_cars_and_on_the_image_border_are_not_asked_there():
 def signed(scene: Scene, image: np.ndarray, passes: dict[str, np.ndarray]) -> dict[str, float]:
     """The signed values of a sample with these pixels, by name."""
     labels = seen(ground_truth(scene))
-    return {found.name: found.value for found in signed_values(scene, Paint(scene), labels, image, passes)}
+    return {found.name: found.value for found in signed_values(Paint(resolve(scene)), labels, image, passes)}
 
 
 def words(values: dict[str, float]) -> dict[str, str]:
@@ -159,7 +158,9 @@ def test_dark_paint_and_a_shadow_across_leave_lines_of_the_image_in_place():
     for paint in (40, 230):
         image = np.where(ids > 0, paint, 110)[..., None].repeat(3, axis=2).astype(float)
         image[250:270] *= 0.4
-        lines = list(image_offsets(line_views(Paint(SOLID), seen(ground_truth(SOLID))), image.astype(np.uint8)))
+        lines = list(
+            image_offsets(line_views(Paint(resolve(SOLID)), seen(ground_truth(SOLID))), image.astype(np.uint8))
+        )
         assert {line.lane.id for line in lines} == {"main_line_1", "main_line_2"}, "edges of the road are not asked"
         assert all(abs(line.mean_m) < 4e-3 for line in lines)
 
@@ -184,7 +185,7 @@ HILLY = changed(
 
 def depth_of(scene: Scene, seen_as: Scene = HILLY) -> np.ndarray:
     """The depth of a scene's ground in the pixels at the lanes of another scene's labels, by search along the rays."""
-    labels, own, ground = ground_truth(seen_as), ground_truth(scene).camera, Ground(RoadPlan(scene))
+    labels, own, ground = ground_truth(seen_as), ground_truth(scene).camera, resolve(scene).ground
     points_cam = np.concatenate([lane.xyz_cam[lane.visible] for lane in labels.lanes])
     shape = (labels.camera.height_px, labels.camera.width_px)
     column, row = np.unique(np.floor(project(labels.camera.img_from_cam, points_cam)).astype(int), axis=0).T

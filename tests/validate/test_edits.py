@@ -19,8 +19,8 @@ from PIL import Image
 
 from synth3dlanes import labels as labels_module
 from synth3dlanes import scene as scene_module
+from synth3dlanes.dataset.columns import index_row
 from synth3dlanes.dataset.format import BLOCK, COLUMN_OF_MEMBER, HEIGHT, LABELS, PASSES, SCENE, tar_bytes, tar_end
-from synth3dlanes.dataset.index import index_row
 from synth3dlanes.errors import FormatError
 from synth3dlanes.validate.report import Report
 from tests.validate.sealing import Members, check, describe, read_members
@@ -39,9 +39,10 @@ VALUES: list[Any] = [
 
 @pytest.fixture(scope="module")
 def clean(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    from synth3dlanes.generate import Recipe
     from synth3dlanes.params import load_params
-    from synth3dlanes.run import Plan, generate
+    from synth3dlanes.production.plan import Plan
+    from synth3dlanes.production.recipe import Recipe
+    from synth3dlanes.production.run import generate
     from synth3dlanes.settings import PASSES, RenderSettings
 
     root = tmp_path_factory.mktemp("edits") / "data"

@@ -118,7 +118,7 @@ def test_a_flipped_mask_is_found(dataset, mask, words):
 
 def test_a_truncated_tar_is_found_with_the_samples_that_it_has_lost(dataset):
     tar = dataset / "train/00000.tar"
-    last = max(offset + size for name, offset, size in walk(tar)[0] if name.startswith("00000002"))
+    last = max(offset + size for name, offset, size in walk(str(tar))[0] if name.startswith("00000002"))
     with tar.open("r+b") as stream:
         stream.truncate(last - 1000)
     report = check(dataset)
@@ -148,7 +148,7 @@ def test_a_duplicated_key_is_found_in_the_index_and_in_the_tar(dataset):
     pq.write_table(rows, parquet)
     raw = Reader(f"{dataset}/train").raw(SAMPLE)
     with (dataset / "train/00000.tar").open("r+b") as stream:
-        _, offset, size = walk(dataset / "train/00000.tar")[0][-1]
+        _, offset, size = walk(f"{dataset}/train/00000.tar")[0][-1]
         stream.seek(offset + size + -size % 512)
         stream.write(tar_bytes("00000001", raw) + bytes(10240))
     assert "once in" in reasons(check(dataset), NAME, "")
@@ -156,7 +156,7 @@ def test_a_duplicated_key_is_found_in_the_index_and_in_the_tar(dataset):
 
 def test_one_changed_byte_of_a_sample_is_found(dataset):
     tar = dataset / "train/00000.tar"
-    offset = next(offset for name, offset, _ in walk(tar)[0] if name == "00000001.jpg")
+    offset = next(offset for name, offset, _ in walk(str(tar))[0] if name == "00000001.jpg")
     data = bytearray(tar.read_bytes())
     data[offset + 5000] ^= 1
     tar.write_bytes(data)
@@ -242,7 +242,7 @@ def test_labels_out_of_shape_are_found(dataset):
         3: (lambda lane: lane.pop("marking"), "labels.json: not a labels file"),
     }
     reader, tar = Reader(f"{dataset}/train"), dataset / "train/00000.tar"
-    places = {name: (offset, size) for name, offset, size in walk(tar)[0]}
+    places = {name: (offset, size) for name, offset, size in walk(str(tar))[0]}
     for index, (spoil, _) in spoils.items():
         document = json.loads(reader.raw(index)[LABELS])
         spoil(document["lanes"][0])

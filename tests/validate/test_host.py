@@ -11,7 +11,7 @@ from synth3dlanes.params import load_params, preset_names
 from synth3dlanes.sample import sample_scene
 from synth3dlanes.scene import Car, Scene
 from synth3dlanes.validate.host import check_host
-from synth3dlanes.validate.world import World
+from synth3dlanes.world import resolve
 from tests.scenes import FLAT, changed
 
 # Before a split, and before a merge: beside lanes that open, too.
@@ -19,7 +19,7 @@ EVERYWHERE = ["camera.y_m=[-100, 0]", "camera.offset_m=[-1, 1]", "road.exit_angl
 
 
 def faults(scene: Scene, labels: Labels) -> list[tuple[str, str]]:
-    return [(found.lane, found.reason) for found in check_host(World(scene), labels)]
+    return [(found.lane, found.reason) for found in check_host(resolve(scene), labels)]
 
 
 @pytest.mark.parametrize("preset", preset_names())

@@ -19,7 +19,7 @@ from synth3dlanes.validate.paint import Paint
 from synth3dlanes.validate.passes_proof import prove_passes
 from synth3dlanes.validate.standing import check_standing
 from synth3dlanes.validate.structure import check_values
-from synth3dlanes.validate.world import World
+from synth3dlanes.world import resolve
 from tests.scenes import FLAT, changed
 
 
@@ -54,14 +54,14 @@ def test_points_on_dashes_are_told_from_those_between_also_aside_of_the_line():
         points_cam = lane.xyz_cam + np.array([aside_m, 0, 0])
         y_m = scene.camera.y_m + np.arange(len(points_cam))
         near = (np.arange(len(points_cam)) < 15) & (np.abs(np.mod(y_m, 2)) > 0.1)
-        resolved = Paint(scene).strip(labels.camera, lane, points_cam).resolved
+        resolved = Paint(resolve(scene)).strip(labels.camera, lane, points_cam).resolved
         np.testing.assert_array_equal(resolved[near], (np.mod(y_m, 4) < 2)[near])
 
 
 def test_across_is_to_the_right_and_the_normal_up():
     labels = ground_truth(FLAT)
     lane = labels.lanes[0]
-    strip = Paint(FLAT).strip(labels.camera, lane, lane.xyz_cam)
+    strip = Paint(resolve(FLAT)).strip(labels.camera, lane, lane.xyz_cam)
     assert (strip.across_cam[:, 0] > 0.99).all()
     assert (strip.normal_cam[:, 2] > 0.99).all()
 
@@ -94,11 +94,11 @@ def test_bright_and_dark_paint_is_found_in_place_and_aside():
     scene = changed(markings={"dash_cycle_m": 4.5, "dash_fraction": 1.0})
     labels = rendered(ground_truth(scene))
     for paint in (200.0, 40.0):
-        findings, (measure,) = prove_image(World(scene), labels, painted_picture(scene, 0.0, paint, 8))
+        findings, (measure,) = prove_image(Paint(resolve(scene)), labels, painted_picture(scene, 0.0, paint, 8))
         assert findings == []
         assert len(measure.values) >= 2
         assert measure.values.max() < 0.05
-        findings, (measure,) = prove_image(World(scene), labels, painted_picture(scene, 0.5, paint, 8))
+        findings, (measure,) = prove_image(Paint(resolve(scene)), labels, painted_picture(scene, 0.5, paint, 8))
         assert len([finding for finding in findings if "+0.50 m aside" in finding.reason]) == len(measure.values) >= 2
 
 
@@ -107,13 +107,13 @@ def test_a_double_line_is_judged_by_both_its_stripes_also_by_a_rolled_camera():
         markings={"dash_fraction": 1.0, "left_double": True, "width_m": 0.2},
         camera={"roll_rad": 0.05, "cx_px": 250, "lane": 1},
     )
-    labels, world = rendered(ground_truth(scene)), World(scene)
+    labels, paint = rendered(ground_truth(scene)), Paint(resolve(scene))
     left = next(lane.id for lane in labels.lanes if lane.kind == "delimiter" and lane.left is None)
     for aside_m in (0.0, 0.2, 0.4):
         picture = painted_picture(scene, aside_m, 200.0, 8)
-        findings, (measure,) = prove_image(world, labels, picture)
+        findings, (measure,) = prove_image(paint, labels, picture)
         semantic = np.where(picture[..., 0] > 150, 4, 2).astype(np.uint8)
-        faults = {finding.lane for finding in prove_passes(world.paint, labels, {"semantic": semantic})[0]}
+        faults = {finding.lane for finding in prove_passes(paint, labels, {"semantic": semantic})[0]}
         if aside_m == 0:
             assert (findings, faults) == ([], set())
             assert measure.values.max() < 0.05
@@ -123,14 +123,14 @@ def test_a_double_line_is_judged_by_both_its_stripes_also_by_a_rolled_camera():
 
 def test_an_image_that_is_moved_or_stretched_is_told_by_all_its_lines_together():
     scene = changed(markings={"dash_fraction": 1.0})
-    world, labels = World(scene), rendered(ground_truth(scene))
+    paint, labels = Paint(resolve(scene)), rendered(ground_truth(scene))
     picture = painted_picture(scene, 0.0, 200.0, 8)
-    assert prove_image(world, labels, picture)[0] == []
+    assert prove_image(paint, labels, picture)[0] == []
     for px in (-3, 3):
-        reasons = " ".join(finding.reason for finding in prove_image(world, labels, np.roll(picture, px, axis=1))[0])
+        reasons = " ".join(finding.reason for finding in prove_image(paint, labels, np.roll(picture, px, axis=1))[0])
         assert f"clearest {px:+.1f} px to the right and stretched by +0.0 %" in reasons
     wide = np.array(Image.fromarray(picture).resize((504, 360)))[:, 12:-12]
-    assert "stretched by +5.0 %" in " ".join(finding.reason for finding in prove_image(world, labels, wide)[0])
+    assert "stretched by +5.0 %" in " ".join(finding.reason for finding in prove_image(paint, labels, wide)[0])
 
 
 def test_what_is_bright_beside_the_pavement_or_about_a_car_is_not_paint_aside():
@@ -144,14 +144,14 @@ def test_what_is_bright_beside_the_pavement_or_about_a_car_is_not_paint_aside():
         faint, strips = painted_picture(scene, 0.0, 92.0, 0), painted_picture(scene, -0.6, 200.0, 0)
         both = np.maximum(faint, strips)
         left = next(lane.id for lane in labels.lanes if lane.kind == "delimiter" and lane.left is None)
-        blamed = {finding.lane for finding in prove_image(World(scene), labels, both)[0]}
+        blamed = {finding.lane for finding in prove_image(Paint(resolve(scene)), labels, both)[0]}
         assert left not in blamed
         assert blamed, "the lines that are clear of both are asked"
 
 
 def test_a_stripe_behind_a_car_is_not_asked_where_the_other_is_seen():
     scene = changed(markings={"dash_fraction": 1.0, "left_double": True, "width_m": 0.2}, camera={"lane": 1})
-    labels, world = rendered(ground_truth(scene)), World(scene)
+    labels, paint = rendered(ground_truth(scene)), Paint(resolve(scene))
     left = next(lane for lane in labels.lanes if lane.kind == "delimiter" and lane.left is None)
     semantic = np.where(painted_picture(scene, 0.0, 200.0, 8)[..., 0] > 150, 4, 2).astype(np.uint8)
     # Right of the line's middle, over its right stripe and not much more.
@@ -159,20 +159,22 @@ def test_a_stripe_behind_a_car_is_not_asked_where_the_other_is_seen():
     for row in range(int(v.min()) + 1, int(v.max())):
         first = int(np.interp(row, v[::-1], u[::-1])) + 2
         semantic[row, first : first + (row - int(v.min())) // 2 + 8] = SEMANTIC_IDS["car"]
-    assert prove_passes(world.paint, labels, {"semantic": semantic})[0] == []
+    assert prove_passes(paint, labels, {"semantic": semantic})[0] == []
     semantic[semantic == SEMANTIC_IDS["car"]] = SEMANTIC_IDS["road"]
-    assert {finding.lane for finding in prove_passes(world.paint, labels, {"semantic": semantic})[0]} >= {left.id}
+    assert {finding.lane for finding in prove_passes(paint, labels, {"semantic": semantic})[0]} >= {left.id}
 
 
 def test_an_image_without_any_paint_is_not_that_of_the_labels_and_no_line_is_blamed():
     scene = changed(markings={"dash_fraction": 1.0})
-    findings, _ = prove_image(World(scene), rendered(ground_truth(scene)), painted_picture(scene, 0.0, 90.0, 8))
+    findings, _ = prove_image(
+        Paint(resolve(scene)), rendered(ground_truth(scene)), painted_picture(scene, 0.0, 90.0, 8)
+    )
     assert [finding.lane for finding in findings] == [""]
 
 
 def test_ground_truth_passes_its_own_check(hilly_scene):
     labels = rendered(ground_truth(hilly_scene))
-    assert list(check_values(World(hilly_scene), labels)) == []
+    assert list(check_values(hilly_scene, ground_truth(hilly_scene), labels)) == []
 
 
 def test_points_seen_through_a_car_and_points_hidden_by_nothing_are_faults():
@@ -182,15 +184,15 @@ def test_points_seen_through_a_car_and_points_hidden_by_nothing_are_faults():
     scene = FLAT.model_copy(update={"cars": (car,)})
     labels = rendered(ground_truth(scene))
     host = "main_2"
-    through = {finding.lane for finding in check_objects(World(scene), labels)}
+    through = {finding.lane for finding in check_objects(resolve(scene), labels)}
     assert host in through
     far = {lane.id: lane.xyz_cam[:, 1] > 17 for lane in labels.lanes}
     hidden = replace(
         labels,
         lanes=tuple(replace(lane, object_visible=~far[lane.id] | (lane.id != host)) for lane in labels.lanes),
     )
-    assert host not in {finding.lane for finding in check_objects(World(scene), hidden)}
-    assert "no car or tree" in next(iter(check_objects(World(FLAT), hidden))).reason
+    assert host not in {finding.lane for finding in check_objects(resolve(scene), hidden)}
+    assert "no car or tree" in next(iter(check_objects(resolve(FLAT), hidden))).reason
 
 
 def test_black_white_and_pink_pictures_are_faults():
@@ -207,7 +209,7 @@ def test_black_white_and_pink_pictures_are_faults():
 
 
 def test_wheels_stand_on_the_meshes_and_terrain_in_the_road_is_a_fault(hilly_scene):
-    findings, measures = check_standing(World(hilly_scene), rendered(ground_truth(hilly_scene)), {})
+    findings, measures = check_standing(resolve(hilly_scene), rendered(ground_truth(hilly_scene)), {})
     gaps = {measure.name: measure.values for measure in measures}
     assert findings == []
     assert gaps["wheel_gap_m"].size > 8
@@ -218,7 +220,7 @@ def test_wheels_stand_on_the_meshes_and_terrain_in_the_road_is_a_fault(hilly_sce
     with np.errstate(divide="ignore"):
         depth_m = np.where(c * down + s > 0, FLAT.camera.height_m / (c * down + s), np.inf)
     road = np.full((360, 480), SEMANTIC_IDS["road"], np.uint8)
-    assert check_standing(World(FLAT), labels, {"depth": depth_m, "semantic": road})[0] == []
+    assert check_standing(resolve(FLAT), labels, {"depth": depth_m, "semantic": road})[0] == []
     road[250:260, 230:240] = SEMANTIC_IDS["terrain"]
-    (finding,) = check_standing(World(FLAT), labels, {"depth": depth_m, "semantic": road})[0]
+    (finding,) = check_standing(resolve(FLAT), labels, {"depth": depth_m, "semantic": road})[0]
     assert "terrain at 25 pixels" in finding.reason

@@ -14,20 +14,22 @@ import pytest
 from synth3dlanes import __version__
 from synth3dlanes import scene as scene_module
 from synth3dlanes.change import change_scene
+from synth3dlanes.dataset.description import recipe_text
 from synth3dlanes.dataset.folder import claim
-from synth3dlanes.dataset.format import SCENE, encode, recipe_of, recipe_text
+from synth3dlanes.dataset.format import SCENE, encode
+from synth3dlanes.dataset.index import read_recipe
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import cut, merge
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.executors import generate
-from synth3dlanes.generate import Recipe
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import load_params, preset_names
-from synth3dlanes.run import Plan
+from synth3dlanes.production.plan import Plan
+from synth3dlanes.production.recipe import Recipe
+from synth3dlanes.production.run import generate
+from synth3dlanes.production.twins import twin_recipes
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import RenderSettings
-from synth3dlanes.twins import twin_recipes
 from synth3dlanes.validate.findings import Problem
 from synth3dlanes.validate.origin import MANY, Origin, drawn_otherwise
 from tests import fake_samples
@@ -213,7 +215,7 @@ def test_a_shard_that_does_not_say_its_recipe_is_accepted(dataset: Path) -> None
 
 
 def recipes(root: Path) -> set[str]:
-    return {recipe_of(pq.read_schema(path).metadata) for path in root.glob("*/*.parquet")}
+    return {read_recipe(path) for path in root.glob("*/*.parquet")}
 
 
 def test_whoever_makes_a_shard_notes_the_same_recipe_in_it(tmp_path: Path) -> None:
@@ -221,8 +223,9 @@ def test_whoever_makes_a_shard_notes_the_same_recipe_in_it(tmp_path: Path) -> No
 
     def made(name: str, n: int, part: tuple[int, int] = (1, 1), url: bool = False) -> Path:
         root = tmp_path / name
-        plan = Plan(root, n, fake_samples.recipe(), 1, part, shard_size=2, maker=fake_samples.make)
-        assert generate(plan, root.as_uri() if url else str(root), "local", "", lambda event: None).exit_code == 0
+        out = root.as_uri() if url else root
+        plan = Plan(out, n, fake_samples.recipe(), 1, part, shard_size=2, maker=fake_samples.make)
+        assert generate(plan, lambda event: None).exit_code == 0
         return root
 
     whole = made("whole", 5)

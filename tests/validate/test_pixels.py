@@ -23,10 +23,11 @@ from synth3dlanes.validate.hills import check_hills
 from synth3dlanes.validate.ids import prove_ids
 from synth3dlanes.validate.image_proof import prove_image
 from synth3dlanes.validate.normals import check_normals
+from synth3dlanes.validate.paint import Paint
 from synth3dlanes.validate.passes_proof import prove_passes
 from synth3dlanes.validate.pavement import prove_pavement
 from synth3dlanes.validate.sharpness import check_sharpness
-from synth3dlanes.validate.world import World
+from synth3dlanes.world import resolve
 from tests.validate.sealing import Members, check, seal
 
 pytestmark = pytest.mark.render
@@ -38,7 +39,7 @@ ROAD, SHOULDER, TERRAIN = (SEMANTIC_IDS[name] for name in ("road", "shoulder", "
 class Sample(NamedTuple):
     """One sample, as the proofs take it."""
 
-    world: World
+    paint: Paint
     labels: Labels
     image: np.ndarray
     passes: dict[str, np.ndarray]
@@ -52,17 +53,18 @@ class Sample(NamedTuple):
 
 def findings(sample: Sample) -> list[Finding]:
     """What all proofs of pixels say."""
-    world, labels, image, passes = sample
+    paint, labels, image, passes = sample
+    world = paint.world
     return [
-        *prove_passes(world.paint, labels, passes)[0],
-        *prove_image(world, labels, image)[0],
+        *prove_passes(paint, labels, passes)[0],
+        *prove_image(paint, labels, image)[0],
         *check_sharpness(image),
         *check_colours(world, labels.camera, image, passes),
         *check_alignment(image, passes),
         *prove_pavement(world, labels, passes)[0],
         *check_hills(world, labels, passes),
         *check_normals(labels.camera, passes),
-        *prove_ids(world, labels, passes)[0],
+        *prove_ids(paint, labels, passes)[0],
     ]
 
 
@@ -74,7 +76,7 @@ def reasons(sample: Sample) -> str:
 def samples(rendered: Path) -> list[Sample]:
     reader = Reader(f"{rendered}/train")
     return [
-        Sample(World(from_json(sample.scene_json, "")), sample.labels, sample.image, reader.passes(i))
+        Sample(Paint(resolve(from_json(sample.scene_json, ""))), sample.labels, sample.image, reader.passes(i))
         for i, sample in enumerate(reader)
     ]
 

@@ -6,28 +6,27 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from synth3dlanes.catalogue import BUILT_IN
+from synth3dlanes.assets.catalogue import BUILT_IN
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry import meshes
-from synth3dlanes.geometry.camera import world_from_cam
-from synth3dlanes.geometry.paint import paint_meshes
 from synth3dlanes.geometry.terrain import height_at
 from synth3dlanes.geometry.visibility import seen_over_ground
-from synth3dlanes.labels import CameraLabel
+from synth3dlanes.ground_truth import label
 from synth3dlanes.params import load_params
-from synth3dlanes.sample import sample_scene
+from synth3dlanes.sample import sample_world
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.ids import MAX_BEYOND_M, on_road
+from synth3dlanes.validate.paint import Paint
 from synth3dlanes.validate.pavement import MAX_ASIDE_M, MAX_GAP_M, RANGE_M
 from synth3dlanes.validate.places import Places, places
-from synth3dlanes.validate.world import World
+from synth3dlanes.world import World
 
 N_SCENES, N_POINTS = 9, 600
 
 
 def worlds(preset: str) -> Iterator[World]:
     params = load_params(preset)
-    return (World(sample_scene(params, 3, "test", index, BUILT_IN.assets)) for index in range(N_SCENES))
+    return (sample_world(params, 3, "test", index, BUILT_IN.assets) for index in range(N_SCENES))
 
 
 def ahead(world: World, mesh: meshes.Mesh, reach_m: float) -> meshes.Mesh:
@@ -82,8 +81,8 @@ def test_road_and_shoulder_lie_where_the_formulas_have_them(preset):
 def test_paint_is_seen_within_its_own_line_and_outside_all_others(preset):
     rng, n = np.random.default_rng(0), 0
     for world in worlds(preset):
-        camera = camera_of(world)
-        for id_, whole in paint_meshes(world.plan).items():
+        camera, paint = label(world, world.view).camera, Paint(world)
+        for id_, whole in world.paint(world.view).items():
             mesh = ahead(world, whole, 40.0)
             if not len(mesh.faces):
                 continue
@@ -91,13 +90,9 @@ def test_paint_is_seen_within_its_own_line_and_outside_all_others(preset):
             points = points[seen_over_ground(world.ground, camera.world_from_cam[:3, 3], points)]
             on, asked = on_road(world, camera, transform(invert(camera.world_from_cam), points))
             place = places(world.ground, on[asked][:, :2])
-            assert world.paint.beyond_m(id_, place).max(initial=-1) < MAX_BEYOND_M
-            others = [other for other in world.paint.ids if other.startswith("main") and other != id_]
+            assert paint.beyond_m(id_, place).max(initial=-1) < MAX_BEYOND_M
+            others = [other for other in paint.ids if other.startswith("main") and other != id_]
             if id_.startswith("main") and asked.any():
-                assert min(world.paint.beyond_m(other, place).min() for other in others) > 1
+                assert min(paint.beyond_m(other, place).min() for other in others) > 1
             n += asked.sum()
     assert n > 2000
-
-
-def camera_of(world: World) -> CameraLabel:
-    return replace(world.truth.camera, world_from_cam=world_from_cam(world.plan))

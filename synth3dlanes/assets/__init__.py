@@ -1,0 +1,1 @@
+"""Models, textures and skies: those of the project, and a user's own in their place. No Blender."""

@@ -1,0 +1,126 @@
+"""The models, textures and skies that scenes count from 1: ours, and what a user's own take the place of.
+
+`blender_assets/` builds our meshes to these sizes, the sampler keeps their footprints apart, and geometry stands
+their wheels on the surface. Files of a user are measured in the same way by `blender.check_assets`. Metres.
+"""
+
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass
+
+AssetKind = Literal["cars", "trees", "roads", "terrains", "skies"]
+KINDS: tuple[AssetKind, ...] = ("cars", "trees", "roads", "terrains", "skies")
+STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
+Metres = Annotated[float, Field(gt=0)]
+
+
+@dataclass(frozen=True, config=STRICT)
+class CarModel:
+    """Body size and wheels: axles at y = +-wheelbase/2 from the origin, wheels at x = +-track/2, tyres on z = 0.
+    `sha256` is the digest of a user's file, empty for ours."""
+
+    name: str
+    length_m: Metres
+    width_m: Metres
+    height_m: Metres
+    wheelbase_m: Metres
+    track_m: Metres
+    wheel_radius_m: Metres
+    sha256: str = ""
+
+
+@dataclass(frozen=True, config=STRICT)
+class TreeModel:
+    """Height over the ground and the radius of the crown, at scale 1."""
+
+    name: str
+    height_m: Metres
+    crown_radius_m: Metres
+    sha256: str = ""
+
+
+@dataclass(frozen=True, config=STRICT)
+class Texture:
+    """A set of albedo, roughness and normal map."""
+
+    name: str
+    sha256: str
+
+
+@dataclass(frozen=True, config=STRICT)
+class Sky:
+    """A picture of the whole sky; `sun_azimuth_rad` is where its sun stands, from the picture's middle column to the
+    left, which is counter-clockwise from above."""
+
+    name: str
+    sun_azimuth_rad: float
+    sha256: str
+
+
+CARS = (
+    CarModel("hatchback", 4.05, 1.76, 1.47, 2.55, 1.52, 0.31),
+    CarModel("sedan", 4.75, 1.83, 1.45, 2.80, 1.58, 0.33),
+    CarModel("suv", 4.65, 1.88, 1.70, 2.70, 1.60, 0.36),
+    CarModel("pickup", 5.35, 1.92, 1.80, 3.25, 1.64, 0.38),
+    CarModel("van", 5.50, 2.00, 2.35, 3.40, 1.72, 0.35),
+    CarModel("truck", 8.20, 2.45, 3.30, 4.60, 2.05, 0.48),
+)
+
+TREES = (
+    TreeModel("broadleaf", 9.0, 3.2),
+    TreeModel("conifer", 12.0, 2.4),
+    TreeModel("poplar", 14.0, 1.6),
+    TreeModel("bush", 1.8, 1.3),
+    TreeModel("dead", 7.5, 2.2),
+    TreeModel("young", 4.2, 1.1),
+)
+
+
+@dataclass(frozen=True, config=STRICT)
+class Assets:
+    """A user's own models, textures and skies. Of a kind that is empty, ours are taken."""
+
+    OURS: ClassVar[dict[AssetKind, int]] = {
+        "cars": len(CARS),
+        "trees": len(TREES),
+        "roads": 3,
+        "terrains": 2,
+        "skies": 0,
+    }
+
+    cars: tuple[CarModel, ...] = ()
+    trees: tuple[TreeModel, ...] = ()
+    roads: tuple[Texture, ...] = ()
+    terrains: tuple[Texture, ...] = ()
+    skies: tuple[Sky, ...] = ()
+
+    @property
+    def car_models(self) -> tuple[CarModel, ...]:
+        """The cars that there are."""
+        return self.cars or CARS
+
+    @property
+    def tree_models(self) -> tuple[TreeModel, ...]:
+        """The trees that there are."""
+        return self.trees or TREES
+
+    def count(self, kind: AssetKind) -> int:
+        """How many there are of a kind."""
+        return len(self.own(kind)) or self.OURS[kind]
+
+    def own(self, kind: AssetKind) -> tuple[CarModel | TreeModel | Texture | Sky, ...]:
+        """The user's own of a kind."""
+        own: tuple[CarModel | TreeModel | Texture | Sky, ...] = getattr(self, kind)
+        return own
+
+
+@dataclass(frozen=True, config=STRICT)
+class Library:
+    """A folder with own assets on this machine, and what was found in it; no folder where all are ours."""
+
+    folder: str
+    assets: Assets
+
+
+BUILT_IN = Library("", Assets())

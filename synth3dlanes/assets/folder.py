@@ -1,0 +1,223 @@
+"""A folder of a user's own assets: which files are there, their digests, and `assets.yaml`. Reads files; no Blender."""
+
+import hashlib
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field, ValidationError
+
+from synth3dlanes.assets.catalogue import KINDS, AssetKind, Assets, Library
+from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.schema import Part, Positive, validation_problems
+from synth3dlanes.yaml_text import read_yaml
+
+NOTES = "assets.yaml"
+SUFFIXES: dict[AssetKind, tuple[str, ...]] = {
+    "cars": (".blend", ".glb"),
+    "trees": (".blend", ".glb"),
+    "skies": (".hdr", ".exr"),
+    "roads": (".jpg", ".jpeg", ".png", ".tif", ".tiff"),
+    "terrains": (".jpg", ".jpeg", ".png", ".tif", ".tiff"),
+}
+TEXTURE_KINDS: tuple[AssetKind, ...] = ("roads", "terrains")
+ROLES = ("albedo", "roughness", "normal")
+# What the great libraries of textures call the maps, with the picture's size behind it: asphalt_02_nor_gl_2k.jpg.
+ROLE_WORDS = {
+    "albedo": r"albedo|base_?colou?r|diffuse|diff|colou?r|col",
+    "roughness": r"roughness|rough",
+    "normal": r"normal[_-]?gl|nor[_-]?gl|normal",
+}
+ROLE_NAME = re.compile(
+    r"(?:(?P<name>.+?)[_-])??(?:"
+    + "|".join(f"(?P<{role}>{words})" for role, words in ROLE_WORDS.items())
+    + r")(?:[_-]\d+k)?",
+    re.IGNORECASE,
+)
+
+
+@dataclass(frozen=True)
+class TextureFiles:
+    """The maps of one texture; the normal map is OpenGL's (y up)."""
+
+    albedo: Path
+    roughness: Path
+    normal: Path
+
+
+@dataclass(frozen=True)
+class Folder:
+    """What lies there, by kind and name in alphabetical order, and what is wrong with it or has no meaning."""
+
+    models: dict[AssetKind, dict[str, Path]]
+    textures: dict[AssetKind, dict[str, TextureFiles]]
+    problems: tuple[str, ...]
+    unknown: tuple[str, ...]
+
+
+class CarNotes(Part):
+    """Where the wheels of a car stand, if neither names nor footprint tell."""
+
+    wheelbase_m: Positive
+    track_m: Positive
+    wheel_radius_m: Positive
+
+
+class SkyNotes(Part):
+    """Where the sun of a sky's picture stands: degrees from its middle column to the left."""
+
+    sun_azimuth_deg: Annotated[float, Field(ge=-360, le=360)]
+
+
+class Notes(Part):
+    """`assets.yaml`: what its author knows better, by the file's name without its ending."""
+
+    cars: dict[str, CarNotes] = Field(default_factory=dict)
+    skies: dict[str, SkyNotes] = Field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table of what was found."""
+
+    kind: AssetKind
+    number: int
+    name: str
+    size: str
+    triangles: int
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Checked:
+    """A folder that was looked through: what can be used, and what keeps it from being used."""
+
+    assets: Assets
+    rows: tuple[Row, ...] = ()
+    problems: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def scan(root: Path) -> Folder:
+    """List the folder; raise InputError where there is none."""
+    if not root.is_dir():
+        raise InputError(f"assets {root}: expected a folder, found none")
+    problems: list[str] = []
+    unknown = [path.name for path in sorted(root.iterdir()) if path.name not in (*KINDS, NOTES)]
+    models: dict[AssetKind, dict[str, Path]] = {kind: {} for kind in KINDS}
+    textures: dict[AssetKind, dict[str, TextureFiles]] = {kind: {} for kind in TEXTURE_KINDS}
+    for kind in KINDS:
+        if kind in TEXTURE_KINDS:
+            textures[kind] = _texture_sets(root, kind, problems, unknown)
+            continue
+        for path in _entries(root / kind):
+            if path.suffix.lower() not in SUFFIXES[kind]:
+                unknown.append(f"{kind}/{path.name}")
+            elif path.stem in models[kind]:
+                problems.append(
+                    f"{kind}/{path.name}: expected one file of this name, got {models[kind][path.stem].name}"
+                )
+            else:
+                models[kind][path.stem] = path
+    if not problems and not any(models.values()) and not any(textures.values()):
+        problems.append(f"{root}: expected files in {', '.join(f'{kind}/' for kind in KINDS)}, found none")
+    return Folder(models, textures, tuple(problems), tuple(unknown))
+
+
+def read_notes(root: Path, folder: Folder) -> tuple[Notes, list[str]]:
+    """`assets.yaml` and its problems, names that no file has among them."""
+    path = root / NOTES
+    if not path.exists():
+        return Notes(), []
+    document, problems = read_yaml(path.read_text(encoding="utf-8"), NOTES)
+    try:
+        notes = Notes.model_validate(document or {})
+    except ValidationError as error:
+        return Notes(), problems + validation_problems(error, NOTES)
+    by_kind: list[tuple[AssetKind, list[str]]] = [("cars", list(notes.cars)), ("skies", list(notes.skies))]
+    for kind, names in by_kind:
+        problems += [
+            f"{NOTES}: {kind}.{name}: expected the name of a file in {kind}/"
+            for name in names
+            if name not in folder.models[kind]
+        ]
+    return notes, problems
+
+
+def digest(*paths: Path) -> str:
+    """The SHA-256 of a file's bytes; of several, that of their digests one after the other."""
+    digests = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
+    return digests[0] if len(digests) == 1 else hashlib.sha256(" ".join(digests).encode()).hexdigest()
+
+
+def texture_digest(files: TextureFiles) -> str:
+    """The digest of a texture set."""
+    return digest(files.albedo, files.roughness, files.normal)
+
+
+def require_assets(recorded: Assets, library: Library, where: str) -> None:
+    """Raise InputError unless the folder holds what the scene was drawn for, by name and digest."""
+    problems = []
+    for kind in KINDS:
+        expected, found = (
+            [f"'{own.name}' with digest {own.sha256[:12]}" for own in assets.own(kind)]
+            for assets in (recorded, library.assets)
+        )
+        if expected != found:
+            holds = f"{library.folder} holds" if library.folder else "no folder of assets was given, which means"
+            problems.append(
+                f"{where}: expected {kind} {', '.join(expected) or 'of ours'}; {holds} {', '.join(found) or 'ours'}"
+                "; give the folder of assets that it was drawn with"
+            )
+    if problems:
+        raise InputError(*problems)
+
+
+def verified(path: Path, sha256: str) -> Path:
+    """The path of a file that is still what was checked; raise FormatError where it is not."""
+    if digest(path) != sha256:
+        raise FormatError(f"{path}: expected the file of digest {sha256[:12]} as checked before the run, got another")
+    return path
+
+
+def _entries(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if not path.name.startswith(".")) if folder.is_dir() else []
+
+
+def _texture_sets(root: Path, kind: AssetKind, problems: list[str], unknown: list[str]) -> dict[str, TextureFiles]:
+    """The sets of one kind; of one that lacks a map, a problem."""
+    maps: dict[str, dict[str, Path]] = {}
+    for path, folder_name in _texture_files(root / kind):
+        relative = path.relative_to(root)
+        found = ROLE_NAME.fullmatch(path.stem) if path.suffix.lower() in SUFFIXES[kind] else None
+        name = folder_name or (found and found["name"])
+        if found is None or not name:
+            unknown.append(str(relative))
+            continue
+        role = next(role for role in ROLES if found[role])
+        if role in maps.setdefault(name, {}):
+            problems.append(f"{relative}: expected one {role} map of {name}, got {maps[name][role].name}, too")
+        maps[name][role] = path
+    for name, found_maps in maps.items():
+        missing = [role for role in ROLES if role not in found_maps]
+        if missing:
+            there = ", ".join(path.name for path in found_maps.values())
+            problems.append(
+                f"{kind}/{name}: expected albedo, roughness and normal, got no {', no '.join(missing)} ({there})"
+            )
+    return {
+        name: TextureFiles(*(maps[name][role] for role in ROLES))
+        for name in sorted(maps)
+        if len(maps[name]) == len(ROLES)
+    }
+
+
+def _texture_files(folder: Path) -> Iterator[tuple[Path, str]]:
+    """Every file with the name of its sub-folder."""
+    for path in _entries(folder):
+        if path.is_dir():
+            yield from ((below, path.name) for below in _entries(path))
+        else:
+            yield path, ""

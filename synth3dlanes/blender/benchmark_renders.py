@@ -1,0 +1,66 @@
+"""What our renders are measured against: converged pictures, the denoiser's cost, and a pipeline without our care."""
+
+import time
+from statistics import median
+
+import bpy
+import numpy as np
+from jaxtyping import UInt8
+
+from synth3dlanes.assets.catalogue import Library
+from synth3dlanes.blender.build import build, open_studio
+from synth3dlanes.blender.cycles_timing import cycles_stages
+from synth3dlanes.blender.render import configure, opened, read_layers, run_cycles, studio
+from synth3dlanes.imaging.daylight import Daylight, daylight, film_factor
+from synth3dlanes.imaging.develop import develop
+from synth3dlanes.scene import Scene
+from synth3dlanes.settings import RenderSettings
+from synth3dlanes.world import World, resolve
+
+
+def reference(scene: Scene, settings: RenderSettings, library: Library) -> UInt8[np.ndarray, "h w 3"]:
+    """The scene with these samples, other random numbers than `render` takes, and nothing denoised."""
+    world, light, film = _lit(scene)
+    build(studio(library), world, world.view, light)
+    configure(settings, film)
+    bpy.context.scene.cycles.seed = 1
+    bpy.context.scene.cycles.use_denoising = False
+    return develop(scene, world.view, light, read_layers(run_cycles(), film))
+
+
+def denoise_seconds(scene: Scene, settings: RenderSettings, library: Library, repeats: int = 3) -> float:
+    """What the denoiser adds to the tracing of a scene; it depends on the picture's size alone."""
+    world, light, film = _lit(scene)
+    build(studio(library), world, world.view, light)
+    configure(settings, film)
+    seconds: dict[bool, list[float]] = {False: [], True: []}
+    for is_on in (False, True) * repeats:
+        bpy.context.scene.cycles.use_denoising = is_on
+        with cycles_stages() as stages:
+            run_cycles()
+        seconds[is_on].append(stages["tracing"])
+    return max(0.0, median(seconds[True]) - median(seconds[False]))
+
+
+def naive_seconds(scene: Scene, settings: RenderSettings, library: Library, samples: int) -> float:
+    """The seconds of a render by Blender's defaults: a fresh file for each scene, a mesh of its own for each object,
+    the world's importance map, 12 bounces, the denoiser at its best. Only the samples are fewer than its 4096."""
+    start = time.perf_counter()
+    world, light, film = _lit(scene)
+    build(open_studio(library), world, world.view, light)
+    for item in bpy.context.scene.objects:
+        if item.type == "MESH":
+            item.data = item.data.copy()
+    bpy.context.scene.world.cycles.sampling_method = "AUTOMATIC"
+    bpy.context.scene.render.engine = "CYCLES"
+    bpy.context.scene.cycles.samples = samples
+    develop(scene, world.view, light, read_layers(run_cycles(), film))
+    seconds = time.perf_counter() - start
+    opened.cache_clear()
+    return seconds
+
+
+def _lit(scene: Scene) -> tuple[World, Daylight, float]:
+    world = resolve(scene)
+    light = daylight(scene, float(world.view.eye_world[2]))
+    return world, light, film_factor(scene.light, light)

@@ -1,0 +1,111 @@
+"""The columns of a shard's index: where each sample's members lie, its scene's parameters, a summary of its labels.
+
+Columns are named as in `scene.json`; those of the markings and the camera begin with `marking_` and `camera_`.
+So one writes `flip_lateral and n_lanes = 4`, or `junction = 'merge' and max_grade > 0.1`.
+"""
+
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from pydantic import BaseModel
+
+from synth3dlanes.dataset.format import COLUMN_OF_MEMBER
+from synth3dlanes.dataset.index import RECIPE, place_columns
+from synth3dlanes.labels import Labels, Lane
+from synth3dlanes.scene import Air, Camera, Light, Markings, Road, Scene, Sensor, Surface
+
+PREFIXES = {"markings": "marking_", "camera": "camera_"}
+PARTS: dict[str, type[BaseModel]] = {
+    "road": Road,
+    "markings": Markings,
+    "surface": Surface,
+    "camera": Camera,
+    "light": Light,
+    "air": Air,
+    "sensor": Sensor,
+}
+ARROW_TYPES = {int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
+PLACE_COLUMNS = list(dict.fromkeys(place_columns(tuple(COLUMN_OF_MEMBER))))
+
+
+def _arrow_type(annotation: Any) -> pa.DataType:
+    return ARROW_TYPES[annotation]
+
+
+SCHEMA = pa.schema(
+    [("key", pa.string()), ("index", pa.int64()), ("sha256", pa.string())]
+    + [(name, pa.int64()) for name in PLACE_COLUMNS]
+    + [(name, pa.int64()) for name in ("n_gaussians", "n_cars", "n_trees")]
+    + [
+        (PREFIXES.get(group, "") + name, _arrow_type(field.annotation))
+        for group, part in PARTS.items()
+        for name, field in part.model_fields.items()
+    ]
+    + [("junction", pa.string()), ("exit_side", pa.string()), ("ramp_used", pa.bool_()), ("max_grade", pa.float64())]
+    + [(f"n_{seen}{kind}", pa.int64()) for kind in ("centerlines", "delimiters") for seen in ("", "visible_")]
+    + [("terrain_hidden_fraction", pa.float64()), ("object_hidden_fraction", pa.float64())]
+)
+
+
+def index_row(
+    key: str, places: dict[str, tuple[int, int]], sha256: str, scene: Scene, labels: Labels
+) -> dict[str, Any]:
+    """One row of the index; `places` gives offset and size in the tar of each member by its name, `sha256` is of all
+    the sample's bytes there, from its first header to its last block."""
+    row: dict[str, Any] = {"key": key, "index": int(key), "sha256": sha256}
+    for member, (offset, size) in places.items():
+        column = COLUMN_OF_MEMBER[member]
+        row |= {f"{column}_offset": offset, f"{column}_size": size}
+    row |= {"n_gaussians": len(scene.terrain.gaussians), "n_cars": len(scene.cars), "n_trees": len(scene.trees)}
+    for group in PARTS:
+        row |= {PREFIXES.get(group, "") + name: value for name, value in getattr(scene, group)}
+    return row | _topology(scene, labels) | _summary(labels)
+
+
+def table(rows: list[dict[str, Any]], recipe: str = "") -> pa.Table:
+    """The index of a shard; its columns do not depend on its rows. `recipe` is what they were made from, "" where
+    nobody says."""
+    return pa.Table.from_pylist(rows, schema=SCHEMA.with_metadata({RECIPE: recipe}) if recipe else SCHEMA)
+
+
+def _topology(scene: Scene, labels: Labels) -> dict[str, Any]:
+    if scene.road.topology == 1:
+        return {"junction": "none", "exit_side": "none", "ramp_used": False}
+    return {
+        "junction": "merge" if scene.road.flip_lateral else "split",
+        "exit_side": "left" if scene.road.flip_longitudinal else "right",
+        "ramp_used": labels.graph.ramp_start_s_m is not None,
+    }
+
+
+def _summary(labels: Labels) -> dict[str, Any]:
+    in_image = np.concatenate([lane.in_image for lane in labels.lanes] or [np.zeros(0, bool)])
+    terrain_visible = np.concatenate([lane.terrain_visible for lane in labels.lanes] or [np.zeros(0, bool)])
+    visible = np.concatenate([lane.visible for lane in labels.lanes] or [np.zeros(0, bool)])
+    count = max(int(in_image.sum()), 1)
+    over_ground = in_image & terrain_visible
+    summary: dict[str, Any] = {
+        "max_grade": max_grade(labels),
+        "terrain_hidden_fraction": int((in_image & ~terrain_visible).sum()) / count,
+        "object_hidden_fraction": int((over_ground & ~visible).sum()) / count,
+    }
+    for kind in ("centerline", "delimiter"):
+        lanes = [lane for lane in labels.lanes if lane.kind == kind]
+        summary[f"n_{kind}s"] = len(lanes)
+        summary[f"n_visible_{kind}s"] = sum(bool(lane.visible.any()) for lane in lanes)
+    return summary
+
+
+def max_grade(labels: Labels) -> float:
+    """The steepest grade (rise over run, up or down) of the main road's centre lines ahead; 0.1 is 10 %."""
+    rotation = labels.camera.world_from_cam[:3, :3]
+
+    def steepest(lane: Lane) -> float:
+        steps_world = np.diff(lane.xyz_cam, axis=0) @ rotation.T
+        runs_m = np.hypot(steps_world[:, 0], steps_world[:, 1])
+        steps_world, runs_m = steps_world[runs_m > 0], runs_m[runs_m > 0]
+        return float(np.abs(steps_world[:, 2] / runs_m).max(initial=0.0))
+
+    main = [steepest(lane) for lane in labels.lanes if lane.kind == "centerline" and lane.road == "main"]
+    return round(max(main, default=0.0), 4)

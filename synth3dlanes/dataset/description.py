@@ -1,0 +1,130 @@
+"""`dataset.json`: what the samples of a data set are made from, and how many each split shall have.
+
+The one place that reads it and decides its bytes. People may have edited it, so everything in it is checked.
+"""
+
+import json
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationError
+
+from synth3dlanes.dataset.format import member_names
+from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.schema import Part, validation_problems
+
+DESCRIPTION = "dataset.json"
+DATASET_FORMAT = "synth3dlanes.dataset"
+DATASET_VERSION = 1
+# Of the images and labels that are made with the built-in assets.
+DATA_LICENSE = "CC0-1.0"
+
+Count = Annotated[int, Field(ge=0, strict=True)]
+AtLeastOne = Annotated[int, Field(ge=1, strict=True)]
+SplitName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
+
+
+class Split(Part):
+    """How many samples a split shall have."""
+
+    n: Count
+
+
+class Render(Part):
+    """How images were rendered: samples a pixel, passes beside the image, the device."""
+
+    samples: AtLeastOne
+    passes: tuple[Literal["depth", "normal", "semantic", "instance", "height"], ...]
+    device: str
+
+
+class Description(Part):
+    """The schema of dataset.json. Parameters and own assets are read by those who draw scenes from them."""
+
+    format: Literal["synth3dlanes.dataset"]
+    version: Literal[1]
+    license: str | None = None
+    generator: str
+    seed: Count
+    image_format: Literal["jpg", "png"]
+    render: Render
+    params: dict[str, Any]
+    assets: dict[str, Any] = Field(default_factory=dict)
+    shard_size: AtLeastOne
+    splits: dict[SplitName, Split]
+    derived: dict[str, Any] | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The members of every sample."""
+        return member_names(self.image_format, self.render.passes)
+
+
+def parse_description(data: bytes, where: str) -> dict[str, Any]:
+    """The contents of `dataset.json`, checked against `Description`.
+
+    Raises FormatError with a line for each problem: `where`, the key, what was expected and what was found.
+    """
+    try:
+        document = json.loads(data)
+    except ValueError as error:
+        raise FormatError(f"{where}: expected JSON, got {error}") from None
+    found = (document.get("format"), document.get("version")) if isinstance(document, dict) else type(document).__name__
+    if found != (DATASET_FORMAT, DATASET_VERSION):
+        raise FormatError(f"{where}: expected {DATASET_FORMAT} version {DATASET_VERSION}, got {found}")
+    try:
+        Description.model_validate(document)
+    except ValidationError as error:
+        raise FormatError("\n".join(validation_problems(error, where))) from None
+    return dict(document)
+
+
+def updated_description(before: bytes | None, recipe: dict[str, Any], split: str, n: int, where: str) -> bytes:
+    """`dataset.json` once a split of `n` is asked for; `before` is what it holds now, None where there is none.
+
+    A data set keeps the licence that it has. A new one made with a user's own assets gets none: theirs is not known.
+    Raises InputError with a line for each key of the recipe that differs from the one there, and FormatError as
+    `parse_description` does.
+    """
+    found = None if before is None else parse_description(before, where)
+    new = {} if any(recipe.get("assets", {}).values()) else {"license": DATA_LICENSE}
+    licence = {key: value for key, value in (found or new).items() if key == "license"}
+    asked = {"format": DATASET_FORMAT, "version": DATASET_VERSION, **licence, **recipe}
+    splits: dict[str, Any] = {}
+    if found is not None:
+        splits = found.pop("splits")
+        # Through JSON, so that a tuple equals the list that it was written as.
+        problems = list(differences(found, json.loads(json.dumps(asked))))
+        if problems:
+            raise InputError(*(f"{where}: {problem}" for problem in problems))
+    splits = {**splits, split: {"n": max(n, splits.get(split, {}).get("n", 0))}}
+    return (json.dumps({**asked, "splits": dict(sorted(splits.items()))}, indent=1) + "\n").encode()
+
+
+def differences(found: Any, asked: Any, name: str = "") -> Iterator[str]:
+    """A line for every key of a recipe that differs from what a data set has; one of the two may have no licence."""
+    if name == "license" and None in (found, asked):
+        return
+    if isinstance(found, dict) and isinstance(asked, dict):
+        for key in [*found, *(key for key in asked if key not in found)]:
+            yield from differences(found.get(key), asked.get(key), f"{name}.{key}" if name else key)
+    elif found != asked:
+        yield f"{name}: expected {json.dumps(found)} as in this dataset, got {json.dumps(asked)}"
+
+
+def recipe_of_description(description: Mapping[str, Any]) -> dict[str, Any]:
+    """What a description says about how samples are made: all but format, version and splits."""
+    return {key: value for key, value in description.items() if key not in ("format", "version", "splits")}
+
+
+def recipe_text(description: Mapping[str, Any]) -> str:
+    """The recipe of a description, without the licence, as text; equal recipes give equal text."""
+    recipe = {key: value for key, value in recipe_of_description(description).items() if key != "license"}
+    # Through JSON, so that a tuple equals the list that it is read back as; 3.0 equals 3.
+    canonical = json.loads(json.dumps(recipe), parse_float=_whole)
+    return json.dumps(canonical, sort_keys=True, separators=(",", ":"))
+
+
+def _whole(text: str) -> float:
+    number = float(text)
+    return int(number) if number.is_integer() else number

@@ -1,0 +1,138 @@
+"""The solid things of a scene as outlines in the road frame at the host: roads, ground, cars, trees."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.figures.colors import Rgb
+from synth3dlanes.frames import Matrix4, invert, transform
+from synth3dlanes.geometry.ground import Ground
+from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.labels import Labels
+from synth3dlanes.scene import Car, Scene
+from synth3dlanes.world import World, resolve
+
+BEHIND_M = 10.0
+AHEAD_M = 120.0
+
+Points3 = Float[np.ndarray, "n 3"]
+
+
+@dataclass(frozen=True)
+class CarOutline:
+    """The four corners on the ground, front right first, clockwise from above; height of the body."""
+
+    corners_road: Float[np.ndarray, "4 3"]
+    height_m: float
+    color: Rgb
+
+
+@dataclass(frozen=True)
+class TreeOutline:
+    """Foot, crown radius and height."""
+
+    foot_road: Float[np.ndarray, "3"]
+    radius_m: float
+    height_m: float
+
+
+@dataclass(frozen=True)
+class SceneView:
+    """A scene seen from its host, as far ahead as its labels reach."""
+
+    scene: Scene
+    labels: Labels
+
+    @cached_property
+    def world(self) -> World:
+        return resolve(self.scene)
+
+    @property
+    def plan(self) -> RoadPlan:
+        return self.world.plan
+
+    @property
+    def ground(self) -> Ground:
+        return self.world.ground
+
+    @cached_property
+    def road_from_world(self) -> Matrix4:
+        return np.asarray(self.labels.camera.road_from_cam @ invert(self.labels.camera.world_from_cam))
+
+    @cached_property
+    def _stations(self) -> Float[np.ndarray, " n"]:
+        """Plan stations along the window, in driving order."""
+        y_m = self.scene.camera.y_m
+        return self.plan.plan_station(np.arange(y_m - BEHIND_M, y_m + AHEAD_M + 0.5))
+
+    @cached_property
+    def roads(self) -> dict[str, tuple[Points3, Points3]]:
+        """Both edges of each road, shoulders included: "main" and, where one is near, "exit"."""
+        plan, s = self.plan, self._stations
+        left, right = plan.main_xy(s, -self.ground.edge_m), plan.main_xy(s, self.ground.main_right_edge(s))
+        edges_world = {"main": (plan.lift(left), plan.lift(right))}
+        beyond = s[s >= 0]
+        if plan.has_exit and beyond.size > 1:
+            edge_m, ramp_m = self.ground.exit_edge_m, plan.ramp(beyond)
+            left, right = plan.exit_xy(beyond, -edge_m), plan.exit_xy(beyond, edge_m)
+            edges_world["exit"] = (plan.lift(left, ramp_m), plan.lift(right, ramp_m))
+        return {
+            name: (transform(self.road_from_world, left), transform(self.road_from_world, right))
+            for name, (left, right) in edges_world.items()
+        }
+
+    @cached_property
+    def ground_along_main(self) -> Points3:
+        """The surface along the main road's reference line."""
+        points_world = self.plan.lift(self.plan.main_xy(self._stations, 0.0))
+        return transform(self.road_from_world, points_world)
+
+    @property
+    def ramp_foot(self) -> Float[np.ndarray, "3"] | None:
+        """Where the exit begins to leave the terrain; None where it never does or where that is out of view."""
+        start_s_m = self.labels.graph.ramp_start_s_m
+        if start_s_m is None:
+            return None
+        foot_world = self.plan.lift(self.plan.exit_xy(np.array([start_s_m]) * self.plan.flips[1], 0.0))
+        return np.asarray(transform(self.road_from_world, foot_world)[0])
+
+    def ground_grid(self, half_width_m: float, step_m: float) -> Float[np.ndarray, "rows columns 3"]:
+        """The ground as built on a grid over the window: rows go forward, columns to the right."""
+        y, x = np.meshgrid(
+            np.arange(-BEHIND_M, AHEAD_M + step_m / 2, step_m),
+            np.arange(-half_width_m, half_width_m + step_m / 2, step_m),
+            indexing="ij",
+        )
+        flat_world = transform(invert(self.road_from_world), np.stack([x, y, np.zeros_like(x)], -1))
+        xy_world = flat_world[..., :2]
+        built_world = np.concatenate([xy_world, self.ground.height(xy_world)[..., None]], -1)
+        return transform(self.road_from_world, built_world)
+
+    @cached_property
+    def cars(self) -> list[CarOutline]:
+        return [
+            self._car(car, pose) for car, pose in zip(self.scene.cars, self.world.view.world_from_cars, strict=True)
+        ]
+
+    @cached_property
+    def trees(self) -> list[TreeOutline]:
+        feet_world = self.world.trees_world
+        models = self.scene.assets.tree_models
+        return [
+            TreeOutline(
+                foot_road,
+                models[tree.model - 1].crown_radius_m * tree.scale,
+                models[tree.model - 1].height_m * tree.scale,
+            )
+            for tree, foot_road in zip(self.scene.trees, transform(self.road_from_world, feet_world), strict=True)
+        ]
+
+    def _car(self, car: Car, world_from_car: Matrix4) -> CarOutline:
+        model = self.scene.assets.car_models[car.model - 1]
+        half_m = car.scale * np.array([model.width_m, model.length_m, 0.0]) / 2
+        corners_car = half_m * [(1, 1, 0), (1, -1, 0), (-1, -1, 0), (-1, 1, 0)]
+        corners_road = transform(self.road_from_world @ world_from_car, corners_car)
+        red, green, blue = (round(255 * channel) for channel in car.color)
+        return CarOutline(corners_road, model.height_m * car.scale, (red, green, blue))

@@ -1,0 +1,1 @@
+"""Apollo Sim-3D / Gen-LaneNet."""

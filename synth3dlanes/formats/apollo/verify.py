@@ -1,0 +1,33 @@
+"""The self-check of an Apollo export."""
+
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+
+from synth3dlanes.formats.apollo.convention import CAMERA, ROOT
+from synth3dlanes.formats.apollo.read import ApolloFrame, parse
+from synth3dlanes.formats.apollo.score import RULES, prune, score
+from synth3dlanes.formats.line_score import Line3d
+from synth3dlanes.formats.self_check import Benchmark3d, Verified, image_problems, verify_3d
+
+BENCHMARK = Benchmark3d(score, prune, RULES.missing_m)
+
+
+def verify(out: Path, most_frames: int) -> Iterator[Verified]:
+    """Lane lines and centre lines of every list."""
+    for path in sorted((out / "data_splits").glob("*/*.json")):
+        name = str(path.relative_to(out))
+        with path.open() as file:
+            frames = [parse(line, name) for line in islice(file, most_frames)]
+        if not frames:
+            continue
+        problems = image_problems([out / ROOT / frame.raw_file for frame in frames], CAMERA)
+        for kind in ("lane", "center"):
+            true = [_lines(frame, is_center=kind == "center") for frame in frames]
+            yield verify_3d(f"{name} {kind} lines", true, problems, BENCHMARK)
+
+
+def _lines(frame: ApolloFrame, is_center: bool) -> list[Line3d]:
+    lines = (frame.lane_lines_apollo, frame.lane_lines_visible)
+    centers = (frame.center_lines_apollo, frame.center_lines_visible)
+    return [Line3d(points, visible) for points, visible in zip(*(centers if is_center else lines), strict=True)]

@@ -1,0 +1,156 @@
+"""What the Gen-LaneNet (Apollo) and OpenLane benchmarks share in scoring 3D lines, from their description alone.
+
+Frame: each benchmark's ground frame (x right, y forward, z up), metres. Both sample every line at y = 3..102 m and
+call a pair's sample matched within 1.5 m.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.optimize import linear_sum_assignment
+
+SAMPLES_Y_M = np.arange(3.0, 103.0)
+NEAR = SAMPLES_Y_M <= 40.0
+HALF_WIDTH_M = 10.0
+LOADED_Y_M = 200.0
+MATCH_M = 1.5
+MATCHED_SHARE = 0.75
+
+Points = Float[np.ndarray, "_ 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class Line3d:
+    """A ground-truth line (with visibility) or a predicted one (all visible, with its probability)."""
+
+    points_ground: Points
+    visible: Bool[np.ndarray, " _"]
+    category: int = 0
+    probability: float = 1.0
+
+
+Frames = Sequence[tuple[Sequence[Line3d], Sequence[Line3d]]]
+"""Ground truth and prediction of every frame."""
+
+
+@dataclass(frozen=True)
+class Score3d:
+    """`ap` is Gen-LaneNet's, `category_accuracy` OpenLane's; NaN where undefined."""
+
+    f_score: float
+    recall: float
+    precision: float
+    ap: float
+    category_accuracy: float
+    x_near_m: float
+    x_far_m: float
+    z_near_m: float
+    z_far_m: float
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Where the two benchmarks differ: what a sample costs that neither line has, the error of a near or far part that
+    a pair does not have, and the least cost of a pair that is not identical."""
+
+    absent_m: float
+    missing_m: float
+    least_cost: float
+
+
+@dataclass(frozen=True, eq=False)
+class SampledLine:
+    """A line at `SAMPLES_Y_M`; `seen` where it exists within 10 m beside the axis."""
+
+    x_m: Float[np.ndarray, " y"]
+    z_m: Float[np.ndarray, " y"]
+    seen: Bool[np.ndarray, " y"]
+    category: int
+
+
+@dataclass
+class Tally:
+    """Counts and errors (x near, x far, z near, z far) of pairs over many frames."""
+
+    n_true: int = 0
+    n_predicted: int = 0
+    recalled: int = 0
+    precise: int = 0
+    same_category: int = 0
+    errors_m: list[Float[np.ndarray, " 4"]] = field(default_factory=list)
+
+    def rates(self) -> tuple[float, float]:
+        """Recall and precision."""
+        return self.recalled / max(1, self.n_true), self.precise / max(1, self.n_predicted)
+
+    def score(self, ap: float = float("nan")) -> Score3d:
+        """Rates, and the errors' means over all pairs that have them."""
+        recall, precision = self.rates()
+        columns = np.array(self.errors_m).reshape(-1, 4).T
+        means = [
+            float(np.mean(column[~np.isnan(column)])) if (~np.isnan(column)).any() else np.nan for column in columns
+        ]
+        return Score3d(
+            2 * recall * precision / (recall + precision + 1e-6),
+            recall,
+            precision,
+            ap,
+            self.same_category / len(self.errors_m) if self.errors_m else float("nan"),
+            *means,
+        )
+
+
+def prune(line: Line3d, half_width_m: float) -> Line3d | None:
+    """The part of a true line that an evaluator keeps: visible, within the bounds; None if it drops the line."""
+    points_ground = line.points_ground[line.visible]
+    if len(points_ground) < 2 or points_ground[0, 1] >= SAMPLES_Y_M[-1] or points_ground[-1, 1] <= SAMPLES_Y_M[0]:
+        return None
+    x_m, y_m, _ = points_ground.T
+    points_ground = points_ground[(np.abs(x_m) < half_width_m) & (y_m > 0) & (y_m < LOADED_Y_M)].copy()
+    if len(points_ground) < 2:
+        return None
+    return Line3d(points_ground, np.ones(len(points_ground), dtype=bool), line.category, line.probability)
+
+
+def sample_line(line: Line3d) -> SampledLine:
+    """The line at the evaluator's samples."""
+    assert len(line.points_ground) >= 2, "the evaluators cannot resample a line of one point"
+    x_m, y_m, z_m = line.points_ground[np.argsort(line.points_ground[:, 1], kind="stable")].T
+    sample_x_m = np.interp(SAMPLES_Y_M, y_m, x_m)
+    start_m, end_m = y_m[0], y_m[-1]
+    seen = (start_m <= SAMPLES_Y_M) & (end_m >= SAMPLES_Y_M) & (np.abs(sample_x_m) <= HALF_WIDTH_M)
+    return SampledLine(sample_x_m, np.interp(SAMPLES_Y_M, y_m, z_m), seen, line.category)
+
+
+def add_frame(tally: Tally, true: Sequence[SampledLine], predicted: Sequence[SampledLine], rules: Rules) -> None:
+    """Pair the lines of one frame at the least total cost, and count the pairs."""
+    tally.n_true += len(true)
+    tally.n_predicted += len(predicted)
+    if not true or not predicted:
+        return
+    true_seen = np.stack([line.seen for line in true])[:, None]
+    predicted_seen = np.stack([line.seen for line in predicted])[None]
+    both = true_seen & predicted_seen
+    dx_m = np.abs(np.stack([line.x_m for line in true])[:, None] - np.stack([line.x_m for line in predicted]))
+    dz_m = np.abs(np.stack([line.z_m for line in true])[:, None] - np.stack([line.z_m for line in predicted]))
+    distances_m = np.where(both, np.hypot(dx_m, dz_m), MATCH_M)
+    distances_m = np.where(~true_seen & ~predicted_seen, rules.absent_m, distances_m)
+    sums_m = distances_m.sum(axis=-1)
+    costs = np.where(sums_m > 0, np.maximum(np.trunc(sums_m), rules.least_cost), 0.0)
+    # The tiny share of the exact sum only decides between pairings whose whole costs are equal.
+    for i, j in zip(*linear_sum_assignment(costs + 1e-6 * sums_m), strict=True):
+        if costs[i, j] >= MATCH_M * len(SAMPLES_Y_M):
+            continue
+        n_matched = np.count_nonzero(both[i, j] & (distances_m[i, j] < MATCH_M))
+        tally.recalled += bool(n_matched >= MATCHED_SHARE * max(1, true[i].seen.sum()))
+        tally.precise += bool(n_matched >= MATCHED_SHARE * max(1, predicted[j].seen.sum()))
+        tally.same_category += _is_same_category(true[i].category, predicted[j].category)
+        parts = [(d_m, part) for d_m in (dx_m[i, j], dz_m[i, j]) for part in (both[i, j] & NEAR, both[i, j] & ~NEAR)]
+        tally.errors_m.append(np.array([d_m[part].mean() if part.any() else rules.missing_m for d_m, part in parts]))
+
+
+def _is_same_category(true: int, predicted: int) -> bool:
+    # A right curb (21) may be found as a left one (20), not the other way round.
+    return true == predicted or (true, predicted) == (21, 20)

@@ -1,0 +1,1 @@
+"""ONCE-3DLanes."""

@@ -1,0 +1,31 @@
+"""The self-check of a ONCE export."""
+
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from synth3dlanes.formats.once.convention import CAMERA, ROOT
+from synth3dlanes.formats.once.read import parse
+from synth3dlanes.formats.once.score import score
+from synth3dlanes.formats.self_check import SHIFT_M, TOLERANCE_M, Verified, image_problems
+
+
+def verify(out: Path, most_frames: int) -> Iterator[Verified]:
+    """The lanes of every list."""
+    root = out / ROOT
+    for path in sorted((root / "list").glob("*.txt")):
+        part, names = path.stem, path.read_text().splitlines()[:most_frames]
+        if not names:
+            continue
+        true = [parse((root / part / f"{name}.json").read_text(), name).lanes_cv for name in names]
+        copies = [[points_cv.copy() for points_cv in lanes] for lanes in true]
+        alone = [([points_cv], [points_cv + np.array([SHIFT_M, 0, 0])]) for lanes in true for points_cv in lanes]
+        perfect, shifted = score(list(zip(true, copies, strict=True))), score(alone)
+        problems = image_problems([root / "data" / f"{name}.jpg" for name in names], CAMERA)
+        if alone and (perfect.f_score < 1 or perfect.distance_m > TOLERANCE_M):
+            problems.append(f"{part}: expected ground truth to score F = 1 at distance 0, got {perfect}")
+        if shifted.f_score > 0.01:
+            problems.append(f"{part}: expected lines moved {SHIFT_M} m aside to score F = 0, got {shifted}")
+        yield Verified(part, len(names), len(alone), asdict(perfect), asdict(shifted), tuple(problems))

@@ -1,0 +1,69 @@
+"""Write ONCE-3DLanes: one JSON a frame, points in the OpenCV camera frame (`_cv`), far to near, image 1920x1020."""
+
+import json
+from collections import Counter
+
+import numpy as np
+
+from synth3dlanes.formats.lines import Line, keep_lines, lines_ahead
+from synth3dlanes.formats.once.convention import CAMERA, ROOT
+from synth3dlanes.formats.writing import DECIMALS, PARTS, Annotation, Format, Frame, Pinhole
+from synth3dlanes.labels import Labels
+
+MAX_LINES = 8
+RASTER_DEPTH_M = 10.0
+RASTER_HALF_WIDTH_M = 10.0
+FRAMES_PER_SEQUENCE = 1000
+
+README = f"""ONCE-3DLanes layout.
+
+- `{ROOT}/{{train,val,test}}/<seq>/cam01/*.json`, images in `{ROOT}/data/<seq>/cam01/*.jpg`, 1920x1020. Where the data
+  set has only one of val and test, its frames are in both folders: some tools open the one, some the other.
+- Tools replace "train", "val" or "test" by "data" in the WHOLE path: keep these words out of the folders above.
+- `lanes`: points in the camera frame x right, y down, z forward, metres, far to near. `calibration`: 3x4, one for each
+  frame: c = (960, 510) (pixel corners at whole numbers); f = 958 as in the original, or longer where the frame's own
+  field of view is narrower than that.
+- The format has no extrinsics; loaders assume 1.5 m and 0.5 or 0.3 degrees. The true values are in the extra keys
+  `camera_height_m` and `camera_pitch_rad` (positive = down).
+- The official evaluator assigns lines by what lies within 10 m ahead and 10 m to the side. So lines keep their
+  stretch below the image, and lines that begin further on are left out: it pairs those in the order of the list.
+- `annotations`, `raw_data` (links) and `data_lists` are for Anchor3DLane.
+"""
+
+
+def annotate(labels: Labels, frame: Frame) -> Annotation:
+    """The frame's label file."""
+    dropped = Counter[str]()
+    parts = [part for part in PARTS if frame.serves_as(part)]
+    name = f"{frame.number // FRAMES_PER_SEQUENCE:06d}/cam01/{frame.number:08d}"
+    lines = _kept(labels, frame.pinhole, dropped)
+    document = {
+        "lane_num": len(lines),
+        "lanes": [np.round(line.points_cv[line.visible][::-1], DECIMALS).tolist() for line in lines],
+        "calibration": np.column_stack([frame.pinhole.img_from_cv, np.zeros(3)]).tolist(),
+        "camera_height_m": labels.camera.height_m,
+        "camera_pitch_rad": labels.camera.pitch_rad,
+        "source": f"{frame.split}/{frame.key}",
+    }
+    text = json.dumps(document)
+    files = {f"{ROOT}/{part}/{name}.json": text for part in parts}
+    shared = (
+        (name, tuple(f"{ROOT}/list/{part}.txt" for part in parts)),
+        (f"{name}.jpg", tuple(f"data_lists/{part}.txt" for part in parts)),
+    )
+    return Annotation(f"{ROOT}/data/{name}.jpg", len(lines), dropped, files, shared)
+
+
+def _kept(labels: Labels, pinhole: Pinhole, dropped: Counter[str]) -> tuple[Line, ...]:
+    near = []
+    for line in lines_ahead(labels, pinhole, "delimiter"):
+        x_m, _, z_m = line.points_cv[line.visible].T
+        rastered = (z_m < RASTER_DEPTH_M) & (np.abs(x_m) < RASTER_HALF_WIDTH_M)
+        if line.visible.any() and np.count_nonzero(rastered) < 2:
+            dropped["begins beyond 10 m ahead or 10 m aside, where the official evaluator cannot assign it"] += 1
+        else:
+            near.append(line)
+    return keep_lines(near, dropped, MAX_LINES, f"beyond the {MAX_LINES} nearest (cap of Anchor3DLane)")
+
+
+FORMAT = Format(CAMERA, True, README, annotate, {"annotations": ROOT, "raw_data": f"{ROOT}/data"})

@@ -1,0 +1,29 @@
+"""OpenLane's camera and axes, metres.
+
+Points are in the camera frame with Waymo's axes (`_waymo`): x forward, y left, z up. `extrinsic` is vehicle_from_cam in
+these axes.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.formats.writing import Pinhole
+from synth3dlanes.frames import Matrix4
+
+CAMERA = Pinhole(1920, 1280, 2015.0)
+WAYMO_FROM_CAM = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+def vehicle_from_cam_waymo(height_m: float, pitch_rad: float) -> Matrix4:
+    """The field `extrinsic`, the vehicle's origin at the camera's foot on the road plane: pitched about the left axis,
+    then raised by the height."""
+    c, s = np.cos(pitch_rad), np.sin(pitch_rad)
+    return np.array([[c, 0, s, 0], [0, 1.0, 0, 0], [-s, 0, c, height_m], [0, 0, 0, 1]])
+
+
+def ground_from_waymo(
+    points_waymo: Float[np.ndarray, "n 3"], vehicle_from_cam: Float[np.ndarray, "4 4"]
+) -> Float[np.ndarray, "n 3"]:
+    """The frame of OpenLane's evaluator: x right, y forward, z up, origin exactly under the camera."""
+    points_vehicle = points_waymo @ vehicle_from_cam[:3, :3].T + np.array([0.0, 0.0, vehicle_from_cam[2, 3]])
+    return np.asarray(points_vehicle @ WAYMO_FROM_CAM)

@@ -1,0 +1,122 @@
+"""Write OpenLane v1: one JSON a frame, points in the camera frame with Waymo's axes (`_waymo`), image 1920x1280."""
+
+import json
+from collections import Counter
+from typing import Any
+
+import numpy as np
+
+from synth3dlanes.formats.lines import NEAR_START_M, Line, keep_lines, lines_ahead, road_from_cv
+from synth3dlanes.formats.openlane.convention import CAMERA, WAYMO_FROM_CAM, vehicle_from_cam_waymo
+from synth3dlanes.formats.writing import CV_FROM_CAM, DECIMALS, Annotation, Format, Frame
+from synth3dlanes.labels import CameraLabel, Labels
+
+MAX_LINES = 20
+MIN_LENGTH_M = 5.0
+STEP_M = 0.5
+FRAMES_PER_SEGMENT = 100
+UV_DECIMALS = 4
+CASES = {
+    "curve": "1000_curve.txt",
+    "extreme_weather": "1000_extreme_weather.txt",
+    "intersection": "1000_intersection.txt",
+    "merge_split": "1000_merge_split_case.txt",
+    "night": "1000_night.txt",
+    "up_down": "1000_updown.txt",
+}
+"""The lists that evaluation scripts open, by kind of scene."""
+
+README = """OpenLane v1 layout.
+
+- `images/{training,validation}/segment-*_with_camera_labels/`: 1920x1280, intrinsics per frame: c = (960, 640) (pixel
+  corners at whole numbers); f = 2015, or longer where the frame's own field of view is narrower than that.
+- `lane3d_1000/{training,validation}/segment-*/`: one JSON a frame, on one line. Test frames are in `validation`, or in
+  `test` beside the cases where the data set has val frames too.
+- Lists: `lists/*.txt`, and `data_lists/*.txt` for Anchor3DLane; `lane3d_1000/test/1000_*.txt` with copies of the labels
+  in `lane3d_1000/test/*_case/`. There are no night, weather or intersection scenes: these lists are empty.
+- `xyz`: 3 x n, metres, camera frame with Waymo axes (x forward, y left, z up), every 0.5 m or closer, near to far
+  from the image border. `extrinsic`: vehicle_from_camera in the same axes, the vehicle's origin at the camera's foot
+  on the road plane. `uv`: exact projections of the visible points, in their order.
+- `visibility` is a prefix: terrain hides lanes, cars do not. `category`: 1 white dashed, 2 white solid, 3 and 4 the
+  same doubled, 7 to 10 the same four in yellow. `attribute`: 1 to 4 = the lines left-left, left, right, right-right of
+  the camera, 0 all others.
+- `track_id` counts within a segment; every frame is a scene of its own, so no id occurs in two frames.
+- Centre lines are not part of the format. PersFormer caches `.cache/*.pkl` by name: delete it after exporting again.
+"""
+
+
+def annotate(labels: Labels, frame: Frame) -> Annotation:
+    """The frame's label file, copies for the test cases that it belongs to, and its list entries."""
+    dropped = Counter[str]()
+    folder = "training" if frame.is_train else "validation" if frame.serves_as("val") else "test"
+    segment, place = divmod(frame.number, FRAMES_PER_SEGMENT)
+    # Loaders look for "/segment-(.*)_with_camera_labels"; they cut at the first dot and replace every "jpg".
+    name = f"segment-{segment:06d}_with_camera_labels/{frame.split}-{frame.key}"
+    file_path = f"{folder}/{name}.jpg"
+    ahead = lines_ahead(labels, frame.pinhole, "delimiter", STEP_M)
+    lines = _kept(ahead, dropped)
+    attributes = _attributes(ahead, labels.camera)
+    document = {
+        "extrinsic": np.round(vehicle_from_cam_waymo(labels.camera.height_m, labels.camera.pitch_rad), 12).tolist(),
+        "intrinsic": frame.pinhole.img_from_cv.tolist(),
+        "lane_lines": [
+            _line_document(line, frame, attributes[line.id], place * (MAX_LINES + 1) + i + 1)
+            for i, line in enumerate(lines)
+        ],
+        "file_path": file_path,
+    }
+    text = json.dumps(document)
+    files, listed = {f"lane3d_1000/{folder}/{name}.json": text}, [f"lists/{folder}.txt"]
+    for case in [case for case in CASES if case in frame.tags and not frame.is_train]:
+        files[f"lane3d_1000/test/{case}_case/{name}.json"] = text
+        listed.append(f"lane3d_1000/test/{CASES[case]}")
+    shared = ((file_path, tuple(sorted(listed))), (f"{folder}/{name}", (f"data_lists/{folder}.txt",)))
+    return Annotation(f"images/{file_path}", len(lines), dropped, files, shared)
+
+
+def category(line: Line, frame: Frame) -> int:
+    """1 white dashed, 2 white solid, 3 and 4 the same doubled, 7 to 10 the same four in yellow; 0 unknown."""
+    if line.marking == "none":
+        return 0
+    return 1 + (line.marking == "solid") + 2 * (line.id in frame.double) + 6 * (line.id in frame.yellow)
+
+
+def _kept(ahead: tuple[Line, ...], dropped: Counter[str]) -> tuple[Line, ...]:
+    kept = []
+    for line in ahead:
+        entered = np.flatnonzero(line.in_view & line.visible)
+        line = line.part(slice(int(entered[0]), None)) if len(entered) else line
+        length_m = np.linalg.norm(np.diff(line.points_cv[line.visible], axis=0), axis=1).sum()
+        if len(entered) and length_m < MIN_LENGTH_M:
+            dropped[f"its visible part is shorter than {MIN_LENGTH_M:g} m (Anchor3DLane drops those)"] += 1
+        else:
+            kept.append(line)
+    return keep_lines(kept, dropped, MAX_LINES, f"beyond the {MAX_LINES} nearest (Anchor3DLane drops such frames)")
+
+
+def _attributes(ahead: tuple[Line, ...], camera: CameraLabel) -> dict[str, int]:
+    """1 to 4 for the two nearest lines on either side of the camera, of those that pass beside it; by line id."""
+    x_m = {
+        line.id: float(road_from_cv(camera, line.points_cv[:1])[0, 0])
+        for line in ahead
+        if line.points_cv[0, 2] <= NEAR_START_M
+    }
+    left = sorted((line_id for line_id in x_m if x_m[line_id] < 0), key=lambda line_id: -x_m[line_id])
+    right = sorted((line_id for line_id in x_m if x_m[line_id] >= 0), key=lambda line_id: x_m[line_id])
+    numbered = {**dict(zip(left, (2, 1), strict=False)), **dict(zip(right, (3, 4), strict=False))}
+    return {line.id: numbered.get(line.id, 0) for line in ahead}
+
+
+def _line_document(line: Line, frame: Frame, attribute: int, track_id: int) -> dict[str, Any]:
+    points_cv = np.round(line.points_cv, DECIMALS)
+    return {
+        "category": category(line, frame),
+        "visibility": line.visible.astype(float).tolist(),
+        "uv": np.round(frame.pinhole.project(points_cv[line.visible]), UV_DECIMALS).T.tolist(),
+        "xyz": (points_cv @ CV_FROM_CAM @ WAYMO_FROM_CAM.T + 0.0).T.tolist(),
+        "attribute": attribute,
+        "track_id": track_id,
+    }
+
+
+FORMAT = Format(CAMERA, True, README, annotate, lists=tuple(f"lane3d_1000/test/{name}" for name in CASES.values()))

@@ -1,0 +1,96 @@
+"""Which frames an export holds, in which part of the foreign format, and in which chunks they are written."""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import fsspec
+
+from synth3dlanes.dataset.read import Reader
+from synth3dlanes.errors import InputError
+from synth3dlanes.formats.writing import PARTS, Part
+
+FRAMES_PER_CHUNK = 50
+DEALT_EVERY = 5
+
+
+@dataclass(frozen=True)
+class Split:
+    """A split of the data set and the part that it becomes. Where the data set has training frames only, `is_dealt`:
+    every fifth of them is a test frame."""
+
+    name: str
+    number: int
+    part: Part
+    is_dealt: bool
+
+    def part_of(self, key: str) -> Part:
+        """What the frame of this key is used for."""
+        return "test" if self.is_dealt and int(key) % DEALT_EVERY == DEALT_EVERY - 1 else self.part
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Frames `start` to `stop` of one split. `mark` names the file that says that the chunk is done; it depends on the
+    frames' bytes, so a chunk of other frames is a new one. `parts` are all that the data set has."""
+
+    source: str
+    split: Split
+    parts: frozenset[Part]
+    start: int
+    stop: int
+    mark: str
+
+    @property
+    def url(self) -> str:
+        """The split's address."""
+        return f"{self.source}/{self.split.name}"
+
+
+def plan(source: str) -> list[Chunk]:
+    """The chunks of every split under `source`."""
+    filesystem, root = fsspec.url_to_fs(source)
+    names = sorted({path.rsplit("/", 2)[-2] for path in filesystem.glob(f"{root.rstrip('/')}/*/*.parquet")})
+    if not names:
+        raise InputError(f"{source}: expected a dataset with finished shards (split/00000.parquet), found none")
+    source, splits = source.rstrip("/"), assign(names)
+    parts = parts_of(splits)
+    chunks = []
+    for split in splits:
+        reader = open_reader(f"{source}/{split.name}")
+        for start in range(0, len(reader), FRAMES_PER_CHUNK):
+            stop = min(start + FRAMES_PER_CHUNK, len(reader))
+            mark = f"{split.name}-{reader.key(start)}-{_digest(reader, start, stop)}.jsonl"
+            chunks.append(Chunk(source, split, parts, start, stop, mark))
+    return chunks
+
+
+def assign(names: Sequence[str]) -> tuple[Split, ...]:
+    """Splits called val... and test... keep their part; all others are training frames."""
+    found: list[Part] = [_part(name) for name in names]
+    is_dealt = set(found) == {"train"}
+    return tuple(
+        Split(name, number, part, is_dealt) for number, (name, part) in enumerate(zip(names, found, strict=True))
+    )
+
+
+def parts_of(splits: Sequence[Split]) -> frozenset[Part]:
+    """The parts that have frames."""
+    dealt: set[Part] = {"test"} if any(split.is_dealt for split in splits) else set()
+    return frozenset({split.part for split in splits} | dealt)
+
+
+@lru_cache(maxsize=8)
+def open_reader(url: str) -> Reader:
+    """The reader of a split, kept open."""
+    return Reader(url)
+
+
+def _part(name: str) -> Part:
+    return next((part for part in PARTS if name.startswith(part)), "train")
+
+
+def _digest(reader: Reader, start: int, stop: int) -> str:
+    rows = reader.index.slice(start, stop - start).to_pydict()
+    return hashlib.sha256(repr(rows).encode()).hexdigest()[:16]

@@ -1,0 +1,77 @@
+"""What the self-checks of all formats share: a file's own ground truth must score perfectly, and the same moved aside
+close to nothing.
+
+Ground truth as prediction is the ground truth after the benchmark's own pruning, copied. The negative control takes
+every line for itself and moves it 2 m aside: in a whole frame it would land near its neighbour and match that.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from synth3dlanes.formats.line_score import NEAR, Frames, Line3d, Score3d, sample_line
+from synth3dlanes.formats.writing import Pinhole
+
+SHIFT_M = 2.0
+TOLERANCE_M = 1e-3
+
+
+@dataclass(frozen=True)
+class Verified:
+    """One list of frames, scored; `problems` is empty where the export is right."""
+
+    name: str
+    n_frames: int
+    n_lines: int
+    perfect: dict[str, float]
+    shifted: dict[str, float]
+    problems: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Benchmark3d:
+    """A 3D benchmark's score, its pruning of a line, and what it charges for a near or far part that a line lacks."""
+
+    score: Callable[[Frames], Score3d]
+    prune: Callable[[Line3d], Line3d | None]
+    missing_m: float
+
+
+def verify_3d(name: str, true: Sequence[Sequence[Line3d]], problems: Sequence[str], benchmark: Benchmark3d) -> Verified:
+    """Score the lines of each frame against themselves; `problems` are those that were found before."""
+    predicted = [[pruned for line in lines if (pruned := benchmark.prune(line))] for lines in true]
+    alone: Frames = [([line], [_moved(line)]) for lines in predicted for line in lines]
+    perfect, shifted = benchmark.score(list(zip(true, predicted, strict=True))), benchmark.score(alone)
+    found, n_lines = list(problems), sum(map(len, predicted))
+    if n_lines:
+        if min(perfect.recall, perfect.precision) < 1 or perfect.f_score < 0.99999:
+            found.append(f"{name}: expected ground truth to score F = 1, got {perfect}")
+        for part, error_m, where in ((NEAR, perfect.x_near_m, "near"), (~NEAR, perfect.x_far_m, "far")):
+            lacking = [not (sample_line(line).seen & part).any() for lines in predicted for line in lines]
+            expected_m = benchmark.missing_m * float(np.mean(lacking))
+            if abs(error_m - expected_m) > TOLERANCE_M:
+                found.append(f"{name}: expected a {where} x error of {expected_m:.4f} m, got {error_m:.4f}")
+        if shifted.f_score > 0.01:
+            found.append(f"{name}: expected lines moved {SHIFT_M} m aside to score F = 0, got {shifted.f_score:.3f}")
+    return Verified(name, len(true), n_lines, asdict(perfect), asdict(shifted), tuple(found))
+
+
+def image_problems(paths: Sequence[Path], pinhole: Pinhole) -> list[str]:
+    """Images that are missing, of another size, or no JPEG."""
+    problems = []
+    for path in paths:
+        if not path.is_file():
+            problems.append(f"{path}: expected an image, found no file")
+            continue
+        with Image.open(path) as image:
+            if image.size != (pinhole.width_px, pinhole.height_px) or image.format != "JPEG":
+                expected = f"{pinhole.width_px}x{pinhole.height_px}"
+                problems.append(f"{path}: expected a JPEG of {expected}, got {image.format} {image.size}")
+    return problems
+
+
+def _moved(line: Line3d) -> Line3d:
+    return replace(line, points_ground=line.points_ground + np.array([SHIFT_M, 0, 0]))

@@ -1,0 +1,81 @@
+"""What an export holds, and the README that says so."""
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from synth3dlanes.formats.plan import DEALT_EVERY, Split, parts_of
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Frames by part (train, val, test) and by split; frames left out and lanes dropped by reason; focal lengths."""
+
+    n_frames: Counter[str]
+    n_of_split: Counter[tuple[str, str]]
+    left_out: Counter[str]
+    n_lines: int
+    dropped: Counter[str]
+    f_px: tuple[float, ...]
+
+
+def summarize(records: Iterable[dict[str, Any]]) -> Summary:
+    """Count what the chunks' records say of their frames."""
+    n_frames, left_out, dropped = Counter[str](), Counter[str](), Counter[str]()
+    n_of_split, n_lines, f_px = Counter[tuple[str, str]](), 0, set()
+    for record in records:
+        if record["left_out"]:
+            left_out[record["left_out"]] += 1
+            continue
+        n_frames[record["part"]] += 1
+        n_of_split[record["split"], record["part"]] += 1
+        n_lines += record["n_lines"]
+        dropped.update(record["dropped"])
+        f_px.add(record["f_px"])
+    return Summary(n_frames, n_of_split, left_out, n_lines, dropped, tuple(sorted(f_px)))
+
+
+def readme(source: str, format_name: str, about_format: str, splits: Sequence[Split], summary: Summary) -> str:
+    """`OUT/README.md`."""
+    dropped = [f"| lane: {reason} | {count} |" for reason, count in summary.dropped.most_common()]
+    left_out = [f"| frame: {reason} | {count} |" for reason, count in summary.left_out.most_common()]
+    lines = [
+        f"# {format_name} export of {source}",
+        "",
+        about_format,
+        f"{sum(summary.n_frames.values())} frames with {summary.n_lines} lane lines{_focal_lengths(summary)}.",
+        "",
+        "| split of the data set | used as | frames |",
+        "|---|---|---|",
+        *(f"| {split} | {part} | {count} |" for (split, part), count in sorted(summary.n_of_split.items())),
+        "",
+        *_how_parts_were_made(splits),
+        "| left out because | count |",
+        "|---|---|",
+        *(left_out + dropped or ["| (nothing was left out) | 0 |"]),
+        "",
+        f"`synth3dlanes export {source} --format {format_name} --out FOLDER --verify` scores the ground truth.",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _focal_lengths(summary: Summary) -> str:
+    if not summary.f_px:
+        return ""
+    shortest, longest = summary.f_px[0], summary.f_px[-1]
+    return f", f = {shortest:g} px" if shortest == longest else f", f = {shortest:g} to {longest:g} px"
+
+
+def _how_parts_were_made(splits: Sequence[Split]) -> list[str]:
+    parts, sentences = parts_of(splits), []
+    if any(split.is_dealt for split in splits):
+        ends = " or ".join(str(end) for end in range(DEALT_EVERY - 1, 10, DEALT_EVERY))
+        sentences.append(
+            f"The data set has neither val nor test frames: keys that end in {ends} were made test frames."
+        )
+    for lacking, other in (("val", "test"), ("test", "val")):
+        if lacking not in parts and other in parts:
+            sentences.append(f"It has no {lacking} frames: tools that open {lacking} find the {other} frames.")
+    return [*sentences, ""] if sentences else []

@@ -1,0 +1,20 @@
+"""The self-check of an export: its own ground truth must score perfectly, and the same moved aside close to nothing."""
+
+from pathlib import Path
+
+from synth3dlanes.formats.apollo import verify as apollo
+from synth3dlanes.formats.once import verify as once
+from synth3dlanes.formats.openlane import verify as openlane
+from synth3dlanes.formats.self_check import Verified
+from synth3dlanes.formats.tusimple import verify as tusimple
+
+CHECKS = {"apollo": apollo.verify, "openlane": openlane.verify, "once": once.verify, "tusimple": tusimple.verify}
+
+
+def verify(out: Path, format_name: str, most_frames: int) -> tuple[Verified, ...]:
+    """Score at most the first `most_frames` frames of every list of an export."""
+    verified = tuple(CHECKS[format_name](out, most_frames))
+    if not any(result.n_lines for result in verified):
+        problem = f"{out}: expected lane lines to score, found none"
+        return (*verified, Verified("all lists", 0, 0, {}, {}, (problem,)))
+    return verified

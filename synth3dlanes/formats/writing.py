@@ -1,0 +1,95 @@
+"""What every foreign format's writer takes and returns. Paths are relative to the exported folder."""
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.frames import project
+from synth3dlanes.labels import Labels
+
+CV_FROM_CAM = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""OpenCV's camera axes (frame `_cv`: x right, y down, z forward) from ours."""
+DECIMALS = 6
+
+Part = Literal["train", "val", "test"]
+PARTS: tuple[Part, ...] = ("train", "val", "test")
+
+
+@dataclass(frozen=True)
+class Pinhole:
+    """A camera without distortion, its principal point in the middle of the image."""
+
+    width_px: int
+    height_px: int
+    f_px: float
+
+    @property
+    def img_from_cv(self) -> Float[np.ndarray, "3 3"]:
+        """The usual intrinsic matrix K."""
+        return np.array([[self.f_px, 0, self.width_px / 2], [0, self.f_px, self.height_px / 2], [0, 0, 1.0]])
+
+    def project(self, points_cv: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
+        """Pixels of points in front of the camera."""
+        return project(self.img_from_cv, points_cv)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One of our images and what decides how a format files and labels it: `key` counts within `split`, `number` within
+    the export. It is used for `part`; `parts` are all that the data set has. `pinhole` is the camera of the exported
+    image. `yellow` and `double` name the delimiters painted so; `tags` the kinds of scene; `illumination` is 0 (dark)
+    to 2 (bright)."""
+
+    split: str
+    key: str
+    number: int
+    part: Part
+    parts: frozenset[Part]
+    pinhole: Pinhole
+    tags: frozenset[str]
+    illumination: int
+    yellow: frozenset[str] = frozenset()
+    double: frozenset[str] = frozenset()
+
+    @property
+    def is_train(self) -> bool:
+        """Whether networks train on it."""
+        return self.part == "train"
+
+    def serves_as(self, part: Part) -> bool:
+        """Whether tools that open this part find the frame: where a data set has val frames only or test frames only,
+        they serve as both."""
+        return part == self.part or (not self.is_train and part != "train" and part not in self.parts)
+
+
+@dataclass(frozen=True)
+class Annotation:
+    """A frame in a foreign format: where its image goes, label files of its own, and lines of shared files, each with
+    the files that it belongs to. `dropped` counts lanes by reason."""
+
+    image: str
+    n_lines: int
+    dropped: Counter[str]
+    files: dict[str, str] = field(default_factory=dict)
+    shared: tuple[tuple[str, tuple[str, ...]], ...] = ()
+
+
+@dataclass(frozen=True)
+class Format:
+    """One foreign format: the camera of its images, the README of an export, links within it, and the function that
+    writes one frame; that returns None where the format has no place for the frame.
+
+    Where labels carry intrinsics, a frame that is too narrow for the camera gets a longer focal length of its own.
+    `lists` are files that tools open even where no frame belongs there.
+    """
+
+    camera: Pinhole
+    has_intrinsics: bool
+    readme: str
+    annotate: Callable[[Labels, Frame], Annotation | None]
+    links: Mapping[str, str] = field(default_factory=dict)
+    lists: tuple[str, ...] = ()

@@ -1,0 +1,99 @@
+"""The daylight of a scene: sun, sky dome, and the light of the air towards the horizon.
+
+World frame; RGB radiance and irradiance in the picture's units before exposure. The clear or cloudy sky, a closed layer
+of clouds mixed over it, and a layer of haze that ends both at the horizon in the very colour that far things fade to.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.imaging.haze import HAZE_LAYER_M, KOSCHMIEDER, seen_through_haze
+from synth3dlanes.imaging.sky import (
+    ELEVATION_RAD,
+    HORIZON,
+    LUMINANCE,
+    Dome,
+    Rgb,
+    clear_sky,
+    cloud_cover,
+    cloudy_sky,
+    from_sun,
+    integral,
+    irradiance,
+    overcast_dome,
+    sun_color,
+)
+from synth3dlanes.scene import Light, Scene
+
+# Irradiance of the sun outside the atmosphere: sets how bright exposure 1 is.
+SUN_STRENGTH = 3.4
+OVERCAST_LOSS = 0.65  # share of the daylight that a closed layer of clouds sends back up
+FOG_AIRLIGHT = 0.6  # of E / pi: thick fog is lit from all sides
+GROUND_ALBEDO = 0.14
+# The sun for which full metering changes nothing.
+REFERENCE_SUN = Light(sun_zenith_rad=0.5, sun_azimuth_rad=0.0, exposure=1.0, metering=1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Daylight:
+    """`sun` is its irradiance on a plane facing it, `softness` 0..1 how far clouds have spread it, `sky` the radiance
+    in Blender's equirectangular layout (bottom row first, azimuth falling from pi to -pi), `airlight` the radiance of
+    endless haze at the azimuths of the sky's columns."""
+
+    sun: Rgb
+    softness: float
+    sky: Float[np.ndarray, "3 H W"]
+    airlight: Float[np.ndarray, "3 W"]
+
+
+def daylight(scene: Scene, eye_height_m: float) -> Daylight:
+    """The light of one scene; its clouds follow from seed, split and index. The eye's height over the plain beyond
+    the terrain says how much haze lies between them."""
+    light, per_m = scene.light, KOSCHMIEDER / scene.air.visibility_m
+    cover = cloud_cover(scene.stream("clouds"))
+    through = np.exp(-per_m * HAZE_LAYER_M / max(np.cos(light.sun_zenith_rad), 0.1))
+    hidden = 1 - (1 - scene.air.overcast) * through
+    clear = clear_sky(light, ELEVATION_RAD[HORIZON:], from_sun(light))
+    sun = sun_color(light)
+    whole = sun * np.cos(light.sun_zenith_rad) + irradiance(clear)
+    whole = (whole + 2 * whole.mean()) / 3  # clouds are gray
+    gray = whole * hidden * (1 - OVERCAST_LOSS * hidden)
+    sky = (1 - hidden) * cloudy_sky(light, clear, cover)
+    sky += gray[:, None, None] * overcast_dome(ELEVATION_RAD[HORIZON:, None]) * (0.85 + 0.3 * cover[::-1])
+    airlight = (1 - hidden) * clear[:, 0] + gray[:, None] * overcast_dome(0.0)
+    lit = sun * (1 - hidden) * np.cos(light.sun_zenith_rad) + irradiance(sky)
+    thickness = 1 - np.exp(-per_m * HAZE_LAYER_M)
+    airlight = airlight + thickness * (FOG_AIRLIGHT * lit[:, None] / np.pi - airlight)
+    left = seen_through_haze(scene.air.visibility_m, np.sin(ELEVATION_RAD[HORIZON:]))[:, None]
+    sky = left * sky + (1 - left) * airlight[:, None]
+    below = _ground(lit, airlight, per_m, max(eye_height_m, scene.camera.height_m))
+    dome = SUN_STRENGTH * np.concatenate([below, sky], axis=1).astype(np.float32)
+    return Daylight(SUN_STRENGTH * (1 - hidden) * sun, float(hidden), dome, SUN_STRENGTH * airlight)
+
+
+def film_factor(light: Light, now: Daylight) -> float:
+    """What the film multiplies radiance with: the exposure, times the metering's share of the missing daylight."""
+    ratio = _reference_level() / _level(now.sun, light.sun_zenith_rad, now.sky[:, HORIZON:])
+    return float(light.exposure * ratio**light.metering)
+
+
+def _level(sun: Rgb, sun_zenith_rad: float, upper: Dome) -> float:
+    """The daylight that a picture shows: the mean of what the ground gets and what walls get."""
+    ground = sun * np.cos(sun_zenith_rad) + irradiance(upper)
+    walls = sun * np.sin(sun_zenith_rad) / np.pi + integral(upper, np.cos(ELEVATION_RAD[HORIZON:]) / np.pi)
+    return float(LUMINANCE @ (ground + walls) / 2)
+
+
+@cache
+def _reference_level() -> float:
+    sky = clear_sky(REFERENCE_SUN, ELEVATION_RAD[HORIZON:], from_sun(REFERENCE_SUN))
+    return _level(SUN_STRENGTH * sun_color(REFERENCE_SUN), REFERENCE_SUN.sun_zenith_rad, SUN_STRENGTH * sky)
+
+
+def _ground(lit: Rgb, airlight: Float[np.ndarray, "3 w"], per_m: float, height_m: float) -> Dome:
+    """The plain beyond the terrain's mesh, as seen through the air from that height."""
+    left = np.exp(-per_m * height_m / np.sin(-ELEVATION_RAD[:HORIZON]))[:, None]
+    return np.asarray(left * (GROUND_ALBEDO * lit / np.pi)[:, None, None] + (1 - left) * airlight[:, None])

@@ -1,0 +1,21 @@
+"""What Blender hands back: light and geometry, pixel by pixel, before lens, film and file."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, UInt8, UInt16
+
+
+@dataclass(frozen=True, eq=False)
+class Layers:
+    """`radiance` is linear and denoised, in the daylight's units; `haze` holds 1 - exp(-distance x extinction) and the
+    share of the pixel that is no sky, both antialiased as the radiance is. The others are of the pixels' centres:
+    depth along the viewing direction, infinite in the sky; ids as `settings` lists them; unit normals in the camera
+    frame, zero in the sky. None of what was not asked for."""
+
+    radiance: Float[np.ndarray, "h w 3"]
+    haze: Float[np.ndarray, "h w 2"]
+    depth_m: Float[np.ndarray, "h w"]
+    semantic: UInt8[np.ndarray, "h w"]
+    instance: UInt16[np.ndarray, "h w"] | None = None
+    normal: Float[np.ndarray, "h w 3"] | None = None

@@ -1,0 +1,52 @@
+"""What the camera does to the light that arrives: motion blur, then noise. Linear light on the film."""
+
+import numpy as np
+from jaxtyping import Float
+from scipy.ndimage import map_coordinates
+
+from synth3dlanes.frames import project
+from synth3dlanes.geometry.camera import img_from_cam
+from synth3dlanes.imaging.film import MIDDLE_GRAY, levels_per_radiance
+from synth3dlanes.imaging.lens import rays
+from synth3dlanes.scene import Camera
+
+# Taps along a pixel's way during the exposure are at most so far apart; shorter ways are not blurred.
+TAP_PX, SHORTEST_PX, MAX_TAPS = 2.5, 0.3, 32
+# Share of the variance at middle gray that the read-out adds; the rest is photons' and grows with the light.
+READ_SHARE = 0.1
+
+Image = Float[np.ndarray, "h w 3"]
+
+
+def motion_blur(
+    linear: Image, depth_m: Float[np.ndarray, "h w"], camera: Camera, driven_cam: Float[np.ndarray, "3"]
+) -> Image:
+    """The mean picture over an exposure during which the camera drives `driven_cam`, half of it before the labels'
+    instant and half after. Each pixel gathers along its own way; what has no depth keeps still."""
+    v, u = np.nonzero(np.isfinite(depth_m))
+    uv = np.column_stack([u, v]) + 0.5
+    image, depth = img_from_cam(camera), depth_m[v, u].astype(float)
+    points_cam = rays(camera, uv) * depth[:, None]
+    way_px = np.hypot(*(project(image, points_cam + driven_cam / 2) - project(image, points_cam - driven_cam / 2)).T)
+    moving = way_px > SHORTEST_PX
+    if not moving.any():
+        return linear
+    points_cam, (v, u) = points_cam[moving], (v[moving], u[moving])
+    n_taps = min(int(np.ceil(way_px[moving].max() / TAP_PX)) + 1, MAX_TAPS)
+    total = np.zeros((len(u), 3), np.float32)
+    for share in (np.arange(n_taps) + 0.5) / n_taps - 0.5:
+        columns, rows = project(image, points_cam + share * driven_cam).T - 0.5
+        for channel in range(3):
+            total[:, channel] += map_coordinates(linear[..., channel], [rows, columns], order=1, mode="nearest")
+    blurred = linear.copy()
+    blurred[v, u] = total / n_taps
+    return blurred
+
+
+def add_noise(linear: Image, levels: float, rng: np.random.Generator) -> Image:
+    """The picture with noise of a standard deviation of `levels` (of 255) where it is middle gray: a photon's part
+    whose variance grows with the light, and a constant one of the read-out."""
+    at_gray = levels / levels_per_radiance(MIDDLE_GRAY)
+    light = np.maximum(linear, 0) / np.float32(MIDDLE_GRAY)
+    spread = np.float32(at_gray) * np.sqrt(READ_SHARE + (1 - READ_SHARE) * light, dtype=np.float32)
+    return np.asarray(linear + spread * rng.standard_normal(linear.shape, dtype=np.float32))

@@ -1,0 +1,100 @@
+"""The sun and the sky dome: a clear-sky table without the sun's disc, clouds, the CIE overcast sky.
+
+World frame, azimuth counter-clockwise from x. Domes are in Blender's equirectangular layout (bottom row first, azimuth
+falling from pi to -pi), upper halves start at the horizon. RGB per unit of the sun's irradiance outside the
+atmosphere. `blender_assets/sky.py` makes the table.
+"""
+
+from functools import cache
+
+import numpy as np
+from jaxtyping import Float
+from PIL import Image
+
+from synth3dlanes.assets.built_in import assets_dir
+from synth3dlanes.scene import Light
+
+SKY_SHAPE = (512, 1024)
+HORIZON = SKY_SHAPE[0] // 2
+N_CLOUD_MAPS = 4
+CLOUD_ALBEDO = 0.75
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+ELEVATION_RAD = (np.pi * ((np.arange(SKY_SHAPE[0]) + 0.5) / SKY_SHAPE[0] - 0.5)).astype(np.float32)
+AZIMUTH_RAD = np.pi - 2 * np.pi * (np.arange(SKY_SHAPE[1]) + 0.5) / SKY_SHAPE[1]
+
+Rgb = Float[np.ndarray, "3"]
+Dome = Float[np.ndarray, "3 h w"]
+
+
+def sun_direction(light: Light) -> Rgb:
+    """Unit vector towards the sun, world frame."""
+    zenith, azimuth = light.sun_zenith_rad, light.sun_azimuth_rad
+    return np.array([np.sin(zenith) * np.cos(azimuth), np.sin(zenith) * np.sin(azimuth), np.cos(zenith)])
+
+
+def sun_color(light: Light) -> Rgb:
+    """The sun's irradiance after the atmosphere, as a share of that outside it."""
+    table = _sky_table()
+    at_sun = _weights(table["sun_zenith_rad"], np.array([light.sun_zenith_rad]))[0]
+    return np.asarray(at_sun @ table["sun_transmittance"], np.float32)
+
+
+def cloud_cover(rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
+    """Opacity 0..1 of one of the cloud maps, turned to a random azimuth; rows from zenith to horizon."""
+    file = assets_dir() / "textures" / f"clouds_{rng.integers(1, N_CLOUD_MAPS + 1)}.png"
+    with Image.open(file) as picture:
+        cover = np.asarray(picture, np.float32) / 255
+    strength = np.float32(rng.uniform(0.0, 1.0))
+    return strength * np.roll(cover, rng.integers(cover.shape[1]), axis=1)
+
+
+def clear_sky(light: Light, elevation_rad: Float[np.ndarray, " h"], from_sun_rad: Float[np.ndarray, " w"]) -> Dome:
+    """Cloudless radiance per unit of solar irradiance, interpolated in the table."""
+    table = _sky_table()
+    at_sun = _weights(table["sun_zenith_rad"], np.array([light.sun_zenith_rad]))[0]
+    by_elevation = _weights(table["elevation_rad"], elevation_rad)
+    by_azimuth = _weights(table["azimuth_rad"], from_sun_rad)
+    dome = np.moveaxis(np.tensordot(at_sun, table["radiance"], 1), -1, 0)
+    radiance: Dome = by_elevation @ dome @ by_azimuth.T
+    return radiance
+
+
+def cloudy_sky(light: Light, clear: Dome, cover: Float[np.ndarray, "h w"]) -> Dome:
+    """The clear sky behind sunlit clouds."""
+    sunlit = sun_color(light) * (0.3 + 0.7 * np.cos(light.sun_zenith_rad)) * CLOUD_ALBEDO / np.pi
+    ambient = clear.mean(axis=(1, 2))
+    opacity = cover[::-1]
+    cloud = sunlit[:, None, None] * (1.25 - 0.5 * opacity) + ambient[:, None, None]
+    return np.asarray(clear + opacity * (cloud - clear))
+
+
+def overcast_dome(elevation_rad: Float[np.ndarray, "..."] | float) -> Float[np.ndarray, "..."]:
+    """Radiance of the CIE overcast sky per unit of its horizontal irradiance."""
+    return np.asarray(9 / (7 * np.pi) * (1 + 2 * np.sin(elevation_rad)) / 3)
+
+
+def irradiance(upper: Dome) -> Rgb:
+    """What an upper hemisphere of radiance gives to level ground."""
+    return integral(upper, np.sin(ELEVATION_RAD[HORIZON:]))
+
+
+def integral(upper: Dome, weight: Float[np.ndarray, " h"]) -> Rgb:
+    """The integral of an upper hemisphere over its solid angle, each row with its weight."""
+    solid_angle = np.cos(ELEVATION_RAD[HORIZON:]) * np.pi / SKY_SHAPE[0] * 2 * np.pi
+    return np.asarray(upper.mean(axis=2) @ (weight * solid_angle))
+
+
+def from_sun(light: Light) -> Float[np.ndarray, " w"]:
+    """How far each column of a dome is from the sun's azimuth, in radians."""
+    return np.asarray(np.abs((AZIMUTH_RAD - light.sun_azimuth_rad + np.pi) % (2 * np.pi) - np.pi))
+
+
+@cache
+def _sky_table() -> dict[str, Float[np.ndarray, "..."]]:
+    with np.load(assets_dir() / "sky.npz") as table:
+        return dict(table)
+
+
+def _weights(knots: Float[np.ndarray, " k"], x: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n k"]:
+    """The matrix of linear interpolation: row i holds the weights of the knots at x[i]."""
+    return np.stack([np.interp(x, knots, unit) for unit in np.eye(len(knots))], axis=1).astype(np.float32)

@@ -1,0 +1,268 @@
+"""How fast this machine makes samples, where the time goes, and how good the pictures are.
+
+The samples are real ones, made by the workers that `generate` uses. The floor is what no care can take away: path
+tracing and denoising. A machine's load and make move the seconds; the ratios to the floor stay, so that stored
+results of another machine can be compared by them.
+"""
+
+import os
+import resource
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from itertools import count
+from pathlib import Path
+from statistics import mean
+from typing import Any
+
+import numpy as np
+import psutil
+from jaxtyping import Float, UInt8
+from scipy.ndimage import gaussian_filter
+
+from synth3dlanes.dataset.format import decode_image
+from synth3dlanes.dataset.write import Shard
+from synth3dlanes.production.recipe import Recipe, make_part, make_sample
+from synth3dlanes.production.workers import Limits, Pool
+
+WARM_UP = 2
+REFERENCE_SAMPLES, REFERENCE_SCENES = 1024, 3
+# What a naive user sets, who finds Blender's 4096 too slow.
+NAIVE_SAMPLES, NAIVE_SCENES = 128, 2
+SLOW = Limits(seconds=24 * 3600.0)
+
+
+@dataclass(frozen=True)
+class Quality:
+    """The default picture against a converged one, by scene."""
+
+    psnr_db: list[float]
+    ssim: list[float]
+
+
+@dataclass(frozen=True)
+class Naive:
+    """Seconds of a worker for an image by Blender's defaults, at our samples and at `samples`."""
+
+    seconds_same_samples: float
+    samples: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What was measured. Seconds are a worker's, for one image; `memory_mib` is the mean of each quarter of a run."""
+
+    scenes: int
+    workers: int
+    device: str
+    samples: int
+    size_px: tuple[int, int]
+    images_per_hour: float
+    images_per_hour_per_worker: float
+    seconds_per_image: float
+    core_seconds_per_image: float
+    floor_seconds_per_image: float
+    ratio: float
+    stages: dict[str, float]
+    peak_memory_mib: float
+    memory_mib: list[float]
+    quality: Quality | None = None
+    naive: Naive | None = None
+
+    def document(self) -> dict[str, Any]:
+        """As JSON."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Timed:
+    """One sample's times and the memory of its worker after it. `ended` is on the machine's monotonic clock."""
+
+    worker: int
+    ended: float
+    core_seconds: float
+    stages: dict[str, float]
+    rss_bytes: int
+    peak_bytes: int
+
+
+def bench(recipe: Recipe, n: int, workers: int, masks: list[dict[str, str]], notify: Callable[[str], None]) -> Bench:
+    """Make `n` samples with warm workers, and throw them away."""
+    with tempfile.TemporaryDirectory(prefix="synth3dlanes-bench-") as folder:
+        shard = Shard(Path(folder), 0, 1 << 30, recipe.names)
+        with Pool(workers, SLOW, masks=masks) as pool:
+            timed = _time_samples(pool, recipe, shard, n, notify)
+            notify("the denoiser")
+            denoise = _one(pool, time_denoiser, recipe)
+        start = time.perf_counter()
+        shard.join(1 << 30)
+        join = (time.perf_counter() - start) / len(shard.joined())
+    per_image = _seconds_between(timed) + join
+    timed = timed[-n:]
+    stages = {name: mean(sample.stages[name] for sample in timed) for name in timed[0].stages}
+    stages["path tracing"], floor = stages["path tracing"] - denoise, stages["path tracing"]
+    stages |= {"denoise": denoise, "join": join, "waiting": max(0.0, per_image - sum(stages.values()) - denoise - join)}
+    camera = recipe.params.camera
+    quarters = np.array_split(_memory_mib(timed), 4)
+    return Bench(
+        n,
+        workers,
+        recipe.settings.device,
+        recipe.settings.samples,
+        (int(camera.width_px.draw(0.5)), int(camera.height_px.draw(0.5))),
+        3600 * workers / per_image,
+        3600 / per_image,
+        per_image,
+        mean(sample.core_seconds for sample in timed) + join,
+        floor,
+        per_image / floor,
+        stages,
+        max(sample.peak_bytes for sample in timed) / 2**20,
+        [float(quarter.mean()) for quarter in quarters if quarter.size],
+    )
+
+
+def measure_quality(recipe: Recipe, notify: Callable[[str], None], samples: int = REFERENCE_SAMPLES) -> Quality:
+    """Compare three fixed scenes with their references; takes minutes."""
+    recipe = replace(recipe, split="quality", image_format="png")
+    converged = replace(recipe, settings=replace(recipe.settings, samples=samples, passes=()))
+    psnr_db, ssims = [], []
+    with Pool(1, SLOW, pinned=False) as pool:
+        for index in range(REFERENCE_SCENES):
+            notify(f"reference {index + 1} of {REFERENCE_SCENES}")
+            made = _one(pool, make_sample, recipe, index)
+            image = decode_image(made.members["png"], "bench")
+            truth = _one(pool, make_reference, converged, index)
+            psnr_db.append(psnr(image, truth))
+            ssims.append(ssim(image, truth))
+    return Quality(psnr_db, ssims)
+
+
+def measure_naive(recipe: Recipe, notify: Callable[[str], None]) -> Naive:
+    """Time scenes of the same split the naive way, in one worker pinned like the others."""
+    seconds: dict[int, list[float]] = {recipe.settings.samples: [], NAIVE_SAMPLES: []}
+    with Pool(1, SLOW) as pool:
+        for index in range(NAIVE_SCENES):
+            for samples, times in seconds.items():
+                notify(f"naively: scene {index + 1} of {NAIVE_SCENES} at {samples} samples")
+                times.append(_one(pool, time_naive, recipe, index, samples))
+    return Naive(mean(seconds[recipe.settings.samples]), NAIVE_SAMPLES, mean(seconds[NAIVE_SAMPLES]))
+
+
+def time_sample(recipe: Recipe, shard: Shard, index: int) -> Timed:
+    """In a worker: make and write a sample, watching Cycles."""
+    # Loaded here, as in `generate`: only workers carry Blender.
+    from synth3dlanes.blender.cycles_timing import cycles_stages
+    from synth3dlanes.blender.render import studio
+
+    studio(recipe.library)
+    start = time.process_time()
+    with cycles_stages() as inside:
+        stages: dict[str, float] = make_part(make_sample, recipe, shard, index)["stages"]  # type: ignore[assignment]
+    core_seconds = time.process_time() - start
+    cycles = stages.pop("cycles")
+    stages |= {"sync": inside["sync"], "bvh": inside["bvh"], "path tracing": inside["tracing"]}
+    stages["call"] = cycles - inside["sync"] - inside["bvh"] - inside["tracing"]
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    return Timed(os.getpid(), time.monotonic(), core_seconds, stages, psutil.Process().memory_info().rss, peak)
+
+
+def time_denoiser(recipe: Recipe) -> float:
+    """In a worker: seconds of the denoiser."""
+    from synth3dlanes.blender.benchmark_renders import denoise_seconds
+
+    return denoise_seconds(recipe.scene(0), recipe.settings, recipe.library)
+
+
+def time_naive(recipe: Recipe, index: int, samples: int) -> float:
+    """In a worker: seconds of a naive render."""
+    from synth3dlanes.blender.benchmark_renders import naive_seconds
+
+    return naive_seconds(recipe.scene(index), recipe.settings, recipe.library, samples)
+
+
+def make_reference(recipe: Recipe, index: int) -> UInt8[np.ndarray, "h w 3"]:
+    """In a worker: a converged picture."""
+    from synth3dlanes.blender.benchmark_renders import reference
+
+    return reference(recipe.scene(index), recipe.settings, recipe.library)
+
+
+def psnr(image: UInt8[np.ndarray, "h w 3"], truth: UInt8[np.ndarray, "h w 3"]) -> float:
+    """Peak signal to noise in dB of 8-bit pictures."""
+    error = ((image.astype(float) - truth) ** 2).mean()
+    return float(10 * np.log10(255**2 / error)) if error else float("inf")
+
+
+def ssim(image: UInt8[np.ndarray, "h w 3"], truth: UInt8[np.ndarray, "h w 3"]) -> float:
+    """Structural similarity (Wang et al. 2004) with their Gaussian window of 1.5 px, mean over pixels and channels."""
+
+    def blur(values: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
+        return np.asarray(gaussian_filter(values, (1.5, 1.5, 0), truncate=3.5))
+
+    x, y = image.astype(float), truth.astype(float)
+    mean_x, mean_y = blur(x), blur(y)
+    var_x, var_y, cov = blur(x * x) - mean_x**2, blur(y * y) - mean_y**2, blur(x * y) - mean_x * mean_y
+    c1, c2 = (0.01 * 255) ** 2, (0.03 * 255) ** 2
+    return float(
+        ((2 * mean_x * mean_y + c1) * (2 * cov + c2) / ((mean_x**2 + mean_y**2 + c1) * (var_x + var_y + c2))).mean()
+    )
+
+
+def compare(now: Bench, stored: Mapping[str, Any]) -> list[tuple[str, float, float]]:
+    """Name, value now and stored value of everything that does not depend on the machine: shares of the floor."""
+    pairs = [("end to end", now.ratio, float(stored["ratio"]))]
+    floor = float(stored["floor_seconds_per_image"])
+    for name, seconds in now.stages.items():
+        pairs.append((name, seconds / now.floor_seconds_per_image, stored["stages"].get(name, 0.0) / floor))
+    if now.naive and stored.get("naive"):
+        for name in ("seconds_same_samples", "seconds"):
+            ours, theirs = getattr(now.naive, name), stored["naive"][name]
+            pairs.append((f"naive {name}", ours / now.seconds_per_image, theirs / stored["seconds_per_image"]))
+    return pairs
+
+
+def _time_samples(pool: Pool, recipe: Recipe, shard: Shard, n: int, notify: Callable[[str], None]) -> list[Timed]:
+    """The last warm-up sample of every worker and the `n` samples that follow; all workers stay busy to the end."""
+    indices, seen = count(), Counter[int]()
+    timed: dict[int, Timed] = {}
+    warm: list[Timed] = []
+    while len(warm) < pool.n + n:
+        while pool.busy < pool.n:
+            index = next(indices)
+            pool.start(index, time_sample, recipe, shard, index)
+        for outcome in pool.wait(1.0):
+            sample: Timed = outcome.result("bench")
+            seen[sample.worker] += 1
+            if warm or (len(seen) == pool.n and min(seen.values()) >= WARM_UP):
+                warm = warm or [other for worker, other in timed.items() if worker != sample.worker]
+                warm.append(sample)
+                notify(f"sample {max(0, len(warm) - pool.n)} of {n}")
+            timed[sample.worker] = sample
+    while pool.busy:
+        for outcome in pool.wait(1.0):
+            outcome.result("bench")
+    return warm[: pool.n + n]
+
+
+def _seconds_between(timed: list[Timed]) -> float:
+    """Mean time from one end of a sample to the next of the same worker, so that what lies between them counts."""
+    ends: dict[int, list[float]] = {}
+    for sample in timed:
+        ends.setdefault(sample.worker, []).append(sample.ended)
+    return sum(max(times) - min(times) for times in ends.values()) / (len(timed) - len(ends))
+
+
+def _memory_mib(timed: list[Timed]) -> Float[np.ndarray, " n"]:
+    """Resident memory of the first worker after each of its samples."""
+    return np.array([sample.rss_bytes / 2**20 for sample in timed if sample.worker == timed[0].worker])
+
+
+def _one(pool: Pool, function: Callable[..., Any], *args: Any) -> Any:
+    pool.start(function.__name__, function, *args)
+    while True:
+        for outcome in pool.wait(10.0):
+            return outcome.result("bench")

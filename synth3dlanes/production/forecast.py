@@ -1,0 +1,44 @@
+"""What samples will cost in time and room, before a run starts."""
+
+from dataclasses import dataclass
+
+from synth3dlanes.production.events import duration
+from synth3dlanes.production.recipe import Recipe
+
+# Measured on scenes of Appendix I at 480x360: core-seconds an image, bytes a pixel, bytes of text.
+SECONDS_PER_PIXEL_SAMPLE, SECONDS_PER_PIXEL, SECONDS_PER_SCENE = 2.3e-6, 1.6e-6, 0.25
+BYTES_PER_PIXEL = {"jpg": 0.45, "png": 1.6}
+BYTES_PER_PIXEL_OF_PASS = {"depth": 2.4, "normal": 3.0, "semantic": 0.2, "instance": 0.4, "height": 0.3}
+BYTES_OF_TEXT = 80_000
+# A joined shard lies there twice for a moment.
+SHARD_SAMPLES = 1000
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What the missing samples will take."""
+
+    samples: int
+    workers: int
+    seconds: float
+    bytes_kept: int
+    bytes_needed: int
+
+    def text(self) -> str:
+        """The forecast in a line."""
+        return (
+            f"{self.samples} samples to make with {self.workers} workers: about {duration(self.seconds)} "
+            f"and {self.bytes_kept / 1e9:.2g} GB"
+        )
+
+
+def forecast(recipe: Recipe, samples: int, workers: int) -> Forecast:
+    """Time and size of `samples` more, from the measured costs of a pixel."""
+    camera, settings = recipe.params.camera, recipe.settings
+    pixels = camera.width_px.draw(0.5) * camera.height_px.draw(0.5)
+    seconds = SECONDS_PER_SCENE + pixels * (SECONDS_PER_PIXEL + SECONDS_PER_PIXEL_SAMPLE * settings.samples)
+    per_pixel = BYTES_PER_PIXEL[recipe.image_format] + sum(BYTES_PER_PIXEL_OF_PASS[name] for name in settings.passes)
+    size = BYTES_OF_TEXT + int(pixels * per_pixel)
+    return Forecast(
+        samples, workers, samples * seconds / workers, samples * size, (samples + min(samples, SHARD_SAMPLES)) * size
+    )

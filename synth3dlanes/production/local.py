@@ -1,0 +1,188 @@
+"""Samples made on this machine, by worker processes that are supervised.
+
+What is done is what lies on disk (`dataset.write`): the samples that are nowhere are given to workers one by one, and
+a shard is joined once all its samples are there. Workers write their finished samples themselves, whole or not at all,
+so nothing that anyone holds in memory matters: killing a worker, this process or the machine costs the samples at hand
+and no other.
+
+A sample that fails three times (or whose worker others kill twenty times) is set aside under DIR/failed with its scene
+and the worker's last words; its shard is joined without it, and the next run tries it again. Ten in a row mean that
+the machine is at fault, and stop the run, as do missing files and libraries. A full disk makes it wait.
+"""
+
+import shutil
+import time
+from collections import Counter, deque
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+
+from synth3dlanes.dataset.format import key_of
+from synth3dlanes.dataset.write import Shard, write_whole
+from synth3dlanes.errors import DiskFullError
+from synth3dlanes.production.forecast import forecast
+from synth3dlanes.production.plan import Plan
+from synth3dlanes.production.recipe import make_part, scene_json
+from synth3dlanes.production.tally import Tally
+from synth3dlanes.production.workers import DISK_FULL, Outcome, Pool
+
+MAX_FAILURES, MAX_KILLS, MAX_IN_A_ROW = 3, 20, 10
+POLL_S = 0.5
+FREE_MARK_SHARE, FREE_MARK_BYTES = 0.01, 1 << 30
+
+
+def make_here(plan: Plan, tally: Tally) -> None:
+    """Make what a plan's destination lacks; of a store, one shard after the other.
+
+    Raises DiskFullError where there is no room to begin.
+    """
+    destination = plan.destination
+    if not destination.is_store:
+        shards = {number: shard.within(destination.folder) for number, shard in plan.shards().items()}
+        _Run(plan, destination.folder, shards, tally).go()
+        return
+    for number, missing in plan.missing().items():
+        if missing and not tally.is_stopping:
+            with destination.working_copy(plan.shards()[number]) as shard:
+                _Run(plan, shard.folder.parent, {number: shard}, tally).go()
+                if shard.needs_join(plan.n):
+                    shard.join(plan.n)
+
+
+class _Run:
+    """The making of some shards in the data set at `root`: what is to do, what has failed how often."""
+
+    def __init__(self, plan: Plan, root: Path, shards: dict[int, Shard], tally: Tally) -> None:
+        self.plan, self.root, self.shards, self.tally = plan, root, shards, tally
+        missing = {number: shard.missing(plan.n) for number, shard in shards.items()}
+        self.left = {number: len(indices) for number, indices in missing.items()}
+        self.todo = deque(("make", index) for indices in missing.values() for index in indices)
+        self.failures: Counter[int] = Counter()
+        self.kills: Counter[int] = Counter()
+        self.given_up: set[int] = set()
+        self.in_a_row = 0
+        self.free_mark = min(FREE_MARK_BYTES, int(shutil.disk_usage(root).total * FREE_MARK_SHARE))
+        self.room_needed = self.free_mark
+
+    def go(self) -> None:
+        self._check_room()
+        try:
+            self._loop()
+        except OSError as error:
+            self.tally.problem = f"{self.root}: {type(error).__name__}: {error}"
+
+    def _loop(self) -> None:
+        plan, tally = self.plan, self.tally
+        workers = Pool(plan.n_workers(len(self.todo)), plan.limits, masks=plan.slots.masks)
+        with ThreadPoolExecutor(1) as self.joiner, workers as pool:
+            self.joins: dict[int, Future[list[int]]] = {}
+            for number, shard in self.shards.items():
+                if not self.left[number] and shard.needs_join(plan.n):
+                    self._join(number)
+            while (self.todo and not tally.is_stopping) or pool.busy or self.joins:
+                while self.todo and not tally.is_stopping and pool.busy < pool.n and self._has_room():
+                    self._start(pool, *self.todo.popleft())
+                for outcome in pool.wait(POLL_S):
+                    self._handle(outcome)
+                for number in [number for number, join in self.joins.items() if join.done()]:
+                    self._joined(number, self.joins.pop(number))
+                if time.monotonic() > tally.stop_by:
+                    break
+
+    def _start(self, pool: Pool, kind: str, index: int) -> None:
+        recipe = self.plan.recipe
+        if kind == "make":
+            pool.start((kind, index), make_part, self.plan.maker, recipe, self._shard(index), index)
+        else:
+            pool.start((kind, index), scene_json, recipe, index)
+
+    def _handle(self, outcome: Outcome) -> None:
+        kind, index = outcome.task
+        if kind == "scene":
+            if outcome.status == "done":
+                write_whole(self._failed(index) / "scene.json", f"{outcome.value}\n".encode())
+            self._finished(index)
+        elif outcome.status == "done":
+            self.in_a_row = 0
+            if self._failed(index).exists():
+                shutil.rmtree(self._failed(index))
+            self.tally.tell("sample", key_of(index), index=index, **outcome.value)
+            self._finished(index)
+        elif outcome.status in ("full", "broken"):
+            self.todo.appendleft((kind, index))
+            if outcome.status == "full":
+                self._full(outcome.reason)
+            else:
+                self.tally.problem = self.tally.problem or outcome.reason
+        else:
+            self._retry(index, outcome)
+
+    def _retry(self, index: int, outcome: Outcome) -> None:
+        (self.kills if outcome.status == "killed" else self.failures)[index] += 1
+        self.tally.tell("restart", f"{key_of(index)}: {outcome.reason}", index=index, stderr=outcome.stderr)
+        if self.failures[index] < MAX_FAILURES and self.kills[index] < MAX_KILLS:
+            self.todo.appendleft(("make", index))
+            return
+        self.given_up.add(index)
+        self.in_a_row += 1
+        folder = self._failed(index)
+        folder.mkdir(parents=True, exist_ok=True)
+        write_whole(folder / "stderr.txt", f"{outcome.stderr}\n{outcome.reason}\n".encode())
+        self.todo.appendleft(("scene", index))
+        self.tally.tell("set_aside", f"{key_of(index)}: {outcome.reason}; see {folder}", index=index)
+        if self.in_a_row >= MAX_IN_A_ROW:
+            self.tally.problem = f"{MAX_IN_A_ROW} scenes in a row failed, the last with: {outcome.reason}"
+
+    def _finished(self, index: int) -> None:
+        number = index // self.plan.shard_size
+        self.left[number] -= 1
+        if not self.left[number]:
+            self._join(number)
+
+    def _join(self, number: int) -> None:
+        self.joins[number] = self.joiner.submit(_join_shard, self.shards[number], self.plan.n)
+
+    def _joined(self, number: int, join: Future[list[int]]) -> None:
+        """A part that was found broken is missing again; a full disk is waited for."""
+        error = join.exception()
+        if isinstance(error, OSError) and error.errno in DISK_FULL and not self.tally.is_stopping:
+            self._full(str(error))
+            self._join(number)
+            return
+        lost = [index for index in join.result() if index not in self.given_up]
+        self.left[number] = len(lost)
+        self.todo.extendleft(("make", index) for index in reversed(lost))
+        self.tally.tell("shard", str(self.shards[number].path("tar")), shard=number, lost=lost)
+
+    def _full(self, reason: str) -> None:
+        free = shutil.disk_usage(self.root).free
+        self.room_needed = max(2 * self.free_mark, free + (1 << 20))
+        self.tally.tell("pause", f"{reason}; waiting for {self.room_needed >> 20} MiB free on {self.root}")
+        time.sleep(POLL_S)
+
+    def _has_room(self) -> bool:
+        free = shutil.disk_usage(self.root).free
+        if free < self.room_needed and self.room_needed == self.free_mark:
+            self._full(f"only {free >> 20} MiB free")
+        elif free >= self.room_needed > self.free_mark:
+            self.room_needed = self.free_mark
+            self.tally.tell("resume", f"{free >> 20} MiB free")
+        return free >= self.room_needed
+
+    def _check_room(self) -> None:
+        free, n = shutil.disk_usage(self.root).free, len(self.todo)
+        needed = forecast(self.plan.recipe, n, self.plan.n_workers(n)).bytes_needed + self.free_mark
+        if n and free < needed:
+            raise DiskFullError(
+                f"{self.root}: {n} samples need {needed / 1e9:.3g} GB, but only {free / 1e9:.3g} GB are free"
+            )
+
+    def _shard(self, index: int) -> Shard:
+        return self.shards[index // self.plan.shard_size]
+
+    def _failed(self, index: int) -> Path:
+        return self.root / "failed" / self.plan.recipe.split / key_of(index)
+
+
+def _join_shard(shard: Shard, n: int) -> list[int]:
+    shard.join(n)
+    return shard.missing(n)

@@ -1,0 +1,91 @@
+"""What a run is asked to make: samples of a recipe, where, and by how many workers."""
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from synth3dlanes.dataset.description import recipe_text
+from synth3dlanes.dataset.destination import Destination
+from synth3dlanes.dataset.write import Shard
+from synth3dlanes.errors import InputError
+from synth3dlanes.production.devices import WorkerSlots, n_cores, resolve_device
+from synth3dlanes.production.recipe import Made, Recipe, make_sample
+from synth3dlanes.production.workers import Limits
+
+SHARD_SIZE = 1000
+SPLIT = re.compile(r"[A-Za-z0-9_-]+")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Samples 0 to n - 1 of the recipe's split, in the folder or at the URL `out`.
+
+    `workers` 0 is one for each core. `part` (i, k) is the i-th of k parts, counted from 1.
+    """
+
+    out: str | Path
+    n: int
+    recipe: Recipe
+    workers: int = 0
+    part: tuple[int, int] = (1, 1)
+    limits: Limits = field(default_factory=Limits)
+    slots: WorkerSlots = field(default_factory=WorkerSlots)
+    shard_size: int = SHARD_SIZE
+    maker: Callable[[Recipe, int], Made] = make_sample
+
+    def __post_init__(self) -> None:
+        (part, parts), split = self.part, self.recipe.split
+        problems = [
+            *([] if self.n >= 0 else [f"n: expected 0 or more, got {self.n}"]),
+            *([] if self.workers >= 0 else [f"workers: expected 0 or more, got {self.workers}"]),
+            *([] if SPLIT.fullmatch(split) else [f"split: expected letters, digits, - and _, got {split!r}"]),
+            *([] if 1 <= part <= parts else [f"part: expected i/n with 1 <= i <= n, got {part}/{parts}"]),
+        ]
+        if problems:
+            raise InputError(*problems)
+
+    @property
+    def destination(self) -> Destination:
+        """Where the samples go."""
+        return Destination(self.out)
+
+    def shards(self) -> dict[int, Shard]:
+        """This part's shards by number, relative to the data set."""
+        part, parts = self.part
+        folder, names, recipe = Path(self.recipe.split), self.recipe.names, recipe_text(self.description())
+        numbers = range(part - 1, math.ceil(self.n / self.shard_size), parts)
+        return {number: Shard(folder, number, self.shard_size, names, recipe) for number in numbers}
+
+    def missing(self) -> dict[int, list[int]]:
+        """The indices of the samples that are not there yet, by shard."""
+        destination = self.destination
+        return {number: destination.missing(shard, self.n) for number, shard in self.shards().items()}
+
+    def n_asked(self) -> int:
+        """How many samples this part has."""
+        return sum(len(shard.indices(self.n)) for shard in self.shards().values())
+
+    def only(self, number: int) -> "Plan":
+        """The plan for one shard alone."""
+        return replace(self, part=(number + 1, math.ceil(self.n / self.shard_size)))
+
+    def description(self) -> dict[str, Any]:
+        """What `dataset.json` says about the recipe and the layout."""
+        return {**self.recipe.description(), "shard_size": self.shard_size}
+
+    def resolved(self) -> "Plan":
+        """The plan with this machine's device and workers.
+
+        Raises MissingPackageError without Blender, InputError without the device that is asked for.
+        """
+        if self.maker is not make_sample:
+            return self
+        recipe, slots = resolve_device(self.recipe)
+        return replace(self, recipe=recipe, slots=slots, workers=self.workers or slots.workers)
+
+    def n_workers(self, n_tasks: int) -> int:
+        """How many workers there is work and room for."""
+        return max(1, min(self.workers or n_cores(), n_tasks))

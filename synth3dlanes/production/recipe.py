@@ -1,0 +1,157 @@
+"""One sample: scene -> labels -> image -> bytes -> disk. Blender is loaded with the first sample."""
+
+import importlib.util
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import UInt8
+
+from synth3dlanes import __version__
+from synth3dlanes import scene as scene_module
+from synth3dlanes.assets.catalogue import BUILT_IN, KINDS, Library
+from synth3dlanes.dataset.format import encode, member_names
+from synth3dlanes.dataset.write import Shard
+from synth3dlanes.errors import MissingPackageError
+from synth3dlanes.geometry.height_map import height_map
+from synth3dlanes.ground_truth import label
+from synth3dlanes.imaging.daylight import daylight
+from synth3dlanes.imaging.develop import develop
+from synth3dlanes.imaging.layers import Layers
+from synth3dlanes.labels import Labels
+from synth3dlanes.params import Params
+from synth3dlanes.sample import sample_world
+from synth3dlanes.scene import Scene
+from synth3dlanes.settings import RenderSettings
+from synth3dlanes.world import View, World
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """All that decides the bytes of a split's samples, but for their index."""
+
+    params: Params
+    seed: int
+    split: str
+    settings: RenderSettings
+    image_format: str
+    library: Library = field(default=BUILT_IN, kw_only=True)
+
+    def world(self, index: int) -> World:
+        """The world of sample `index`."""
+        return sample_world(self.params, self.seed, self.split, index, self.library.assets)
+
+    def scene(self, index: int) -> Scene:
+        """The scene of sample `index`."""
+        return self.world(index).scene
+
+    def description(self) -> dict[str, Any]:
+        """What `dataset.json` says about it; samples of two recipes that differ here do not mix."""
+        return {
+            "generator": __version__,
+            "seed": self.seed,
+            "image_format": self.image_format,
+            "render": asdict(self.settings),
+            "params": self.params.model_dump(mode="json"),
+            "assets": {kind: {own.name: asdict(own) for own in self.library.assets.own(kind)} for kind in KINDS},
+        }
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The members of every sample."""
+        return member_names(self.image_format, self.settings.passes)
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """An image, its labels with `object_visible`, the passes asked for, and seconds spent by stage."""
+
+    image: UInt8[np.ndarray, "h w 3"]
+    labels: Labels
+    passes: dict[str, np.ndarray]
+    timings: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Made:
+    """A sample's members by name, and seconds by stage."""
+
+    members: dict[str, bytes]
+    timings: dict[str, float]
+
+
+def require_blender() -> None:
+    """Raise MissingPackageError where this Python has no bpy."""
+    if importlib.util.find_spec("bpy") is None:
+        version = ".".join(map(str, sys.version_info[:2]))
+        raise MissingPackageError(
+            f"Blender's module bpy is not installed in Python {version} ({sys.executable}). It is published for "
+            "Python 3.11 only; with that: pip install 'bpy==4.5.*'"
+        )
+
+
+def make_sample(recipe: Recipe, index: int) -> Made:
+    """Draw, label, render and encode sample `index`."""
+    start = time.perf_counter()
+    world = recipe.world(index)
+    seconds = time.perf_counter() - start
+    made = make_image(world, recipe.settings, recipe.image_format, recipe.library)
+    return Made(made.members, {"sample": seconds, **made.timings})
+
+
+def make_image(world: World, settings: RenderSettings, image_format: str, library: Library) -> Made:
+    """Take a world's picture and encode it with its labels."""
+    shot = take_picture(world, settings, library)
+    start = time.perf_counter()
+    text = scene_module.to_json(world.scene)
+    members = encode(shot.image, shot.labels, text, shot.passes, image_format)
+    return Made(members, {**shot.timings, "encode": time.perf_counter() - start})
+
+
+def take_picture(world: World, settings: RenderSettings, library: Library = BUILT_IN) -> Picture:
+    """Label, render and develop a world as its scene's camera sees it."""
+    # Loaded here: only the processes that render may carry Blender.
+    from synth3dlanes.blender.render import render
+
+    view, clock = world.view, [time.perf_counter()]
+    labels = label(world, view)
+    clock.append(time.perf_counter())
+    light = daylight(world.scene, float(view.eye_world[2]))
+    clock.append(time.perf_counter())
+    rendering = render(world, view, light, labels, settings, library)
+    clock.append(time.perf_counter())
+    image = develop(world.scene, view, light, rendering.layers)
+    passes = _passes(world, view, rendering.layers, settings.passes)
+    clock.append(time.perf_counter())
+    seconds = dict(zip(("labels", "light", "render", "develop"), np.diff(clock).tolist(), strict=True))
+    del seconds["render"]
+    return Picture(image, rendering.labels, passes, {**seconds, **rendering.timings})
+
+
+def _passes(world: World, view: View, layers: Layers, names: Sequence[str]) -> dict[str, np.ndarray]:
+    """The layers that a sample keeps beside its image."""
+    found = {"depth": layers.depth_m, "normal": layers.normal, "semantic": layers.semantic, "instance": layers.instance}
+    passes = {name: layer for name, layer in found.items() if name in names and layer is not None}
+    if "height" in names:
+        passes["height"] = height_map(world.ground, view.world_from_road).astype(np.float32)
+    return passes
+
+
+def make_part(
+    maker: Callable[[Recipe, int], Made], recipe: Recipe, shard: Shard, index: int
+) -> dict[str, float | dict[str, float]]:
+    """What a worker does: make one sample and keep it; returns its size and the seconds by stage."""
+    start = time.perf_counter()
+    made = maker(recipe, index)
+    before = time.perf_counter()
+    size = shard.write_part(index, made.members)
+    end = time.perf_counter()
+    return {"bytes": size, "seconds": end - start, "stages": {**made.timings, "write": end - before}}
+
+
+def scene_json(recipe: Recipe, index: int) -> str:
+    """The scene of sample `index` as `scene.json`, without Blender."""
+    return scene_module.to_json(recipe.scene(index))

@@ -1,0 +1,68 @@
+"""scene.json -> image, labels and passes as files: the very bytes that a data set has of the scene."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from synth3dlanes.assets.catalogue import Library
+from synth3dlanes.assets.folder import require_assets
+from synth3dlanes.change import change_scene
+from synth3dlanes.dataset.format import SCENE
+from synth3dlanes.errors import InputError
+from synth3dlanes.open_source import load_scene, scene_name
+from synth3dlanes.production.recipe import make_image, require_blender
+from synth3dlanes.production.workers import Limits, call
+from synth3dlanes.scene import Scene
+from synth3dlanes.settings import RenderSettings
+from synth3dlanes.world import resolve
+
+# A scene may be as large as its file says.
+PATIENCE = Limits(seconds=math.inf, rss_bytes=1 << 50)
+
+
+def render_file(
+    scene_path: Path, image_path: Path | None, changes: Sequence[str], settings: RenderSettings, library: Library
+) -> list[Path]:
+    """Render exactly the scene of a file, some factors changed; return the files written, the image first.
+
+    They are named as the members of a sample. The scene is among them only where it was changed.
+    """
+    require_blender()
+    scene = change_scene(load_scene(scene_path), changes)
+    require_assets(scene.assets, library, str(scene_path))
+    image_path = image_path or Path(f"{scene_name(scene_path)}.png")
+    image_format = image_path.suffix.removeprefix(".")
+    if image_format not in ("png", "jpg"):
+        raise InputError(f"out {image_path}: expected a name that ends in .png or .jpg")
+    if changes and image_path.with_suffix(f".{SCENE}").resolve() == scene_path.resolve():
+        raise InputError(f"out {image_path}: would overwrite {scene_path} with the changed scene; name another")
+    # Pinned as all workers are: on one core more than another, Cycles rounds some sums otherwise.
+    members = render_members(scene, settings, image_format, library, str(scene_path))
+    files = {image_path.with_suffix(f".{name}"): data for name, data in members.items() if changes or name != SCENE}
+    image_path.parent.mkdir(parents=True, exist_ok=True)
+    for path, data in files.items():
+        path.write_bytes(data)
+    return list(files)
+
+
+def render_members(
+    scene: Scene, settings: RenderSettings, image_format: str, library: Library, where: str
+) -> dict[str, bytes]:
+    """The members of a sample of the scene, made in a worker of its own.
+
+    Raises MissingPackageError without Blender, InputError for a device that is not there, WorkerError where Blender
+    fails; the message begins with `where`.
+    """
+    require_blender()
+    outcome = call(PATIENCE, _make, scene, settings, image_format, library, pinned=True)
+    members: dict[str, bytes] | InputError = outcome.result(where)
+    if isinstance(members, InputError):
+        raise members
+    return members
+
+
+def _make(scene: Scene, settings: RenderSettings, image_format: str, library: Library) -> dict[str, bytes] | InputError:
+    try:
+        return make_image(resolve(scene), settings, image_format, library).members
+    except InputError as error:
+        return error

@@ -1,0 +1,63 @@
+"""A run: make what is missing of a plan's samples, on this machine or on a Ray cluster, and report.
+
+What is done is what lies at the destination, so running again continues, with either executor. Bytes depend on the
+recipe and the index alone: whoever makes a sample, and when, makes the same one. SIGINT and SIGTERM let the samples at
+hand finish. `part` i of n takes the shards whose number is i - 1 modulo n, so parts never meet: they may share a folder
+(each shard has its lock) or have their folders copied together.
+"""
+
+from collections.abc import Callable
+from typing import Literal
+
+from synth3dlanes.production.devices import n_cores
+from synth3dlanes.production.events import Event
+from synth3dlanes.production.forecast import forecast
+from synth3dlanes.production.local import make_here
+from synth3dlanes.production.plan import Plan
+from synth3dlanes.production.signals import stopping_on_signals
+from synth3dlanes.production.tally import Report, Tally, log_name
+
+Executor = Literal["local", "ray"]
+EXECUTORS: tuple[Executor, ...] = ("local", "ray")
+
+
+def generate(
+    plan: Plan, notify: Callable[[Event], None], executor: Executor = "local", address: str = "auto"
+) -> Report:
+    """Make what is missing of a plan's samples; `notify` hears of everything that happens.
+
+    `address` is that of the Ray cluster. Raises where the run cannot start: MissingPackageError without Blender or Ray,
+    DiskFullError without room, InputError without such a device or cluster or where another recipe's samples are
+    there, ClaimedError where another run is making one of the shards.
+    """
+    if executor == "local":
+        plan = plan.resolved()
+        return _run(plan, notify, make_here, plan.workers or n_cores())
+    # Loaded here: Ray is an extra.
+    from synth3dlanes.production.ray import connected, count_cores, make_on_ray, resolved_on_ray
+
+    with connected(address):
+        return _run(resolved_on_ray(plan), notify, make_on_ray, count_cores(), is_driver=True)
+
+
+def _run(
+    plan: Plan,
+    notify: Callable[[Event], None],
+    make: Callable[[Plan, Tally], None],
+    n_workers: int,
+    is_driver: bool = False,
+) -> Report:
+    """Claim, make, report. `n_workers` are all that there are; a driver's are on other machines, and claim shards
+    themselves."""
+    destination, split = plan.destination, plan.recipe.split
+    with destination.claim(plan.description(), split, plan.n, plan.shards(), is_driver):
+        missing = [index for indices in plan.missing().values() for index in indices]
+        expected = forecast(plan.recipe, len(missing), max(1, min(n_workers, len(missing))))
+        with destination.log(log_name(split)) as log:
+            tally = Tally(plan.n_asked(), missing, notify, log)
+            device, names = plan.recipe.settings.device, plan.slots.names
+            tally.tell("start", expected.text(), **vars(expected), device=device, device_names=names)
+            with stopping_on_signals(tally.interrupt):
+                make(plan, tally)
+            tally.tell("end", tally.problem or "interrupted" * tally.interrupted or "complete")
+    return tally.report()

@@ -1,0 +1,130 @@
+"""What a run has done so far: every kind of run counts, logs and reports here."""
+
+import math
+import os
+import time
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+from synth3dlanes.dataset.destination import Log
+from synth3dlanes.production.events import Event, duration
+
+# How long the samples at hand may take once a run is to stop.
+GRACE_S = 20.0
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a run has done: samples made by it, samples there are now of those asked for, and what went wrong.
+    `restarts` counts workers that were replaced for a fault."""
+
+    made: int
+    done: int
+    asked: int
+    set_aside: tuple[int, ...]
+    interrupted: bool
+    problem: str
+    restarts: int
+    seconds: float
+
+    def text(self) -> str:
+        """What a person wants to know of it, in a line."""
+        pace = f" in {duration(self.seconds)} ({3600 * self.made / self.seconds:,.0f} images/h)" if self.made else ""
+        faults = {"restarts of workers": self.restarts, "samples set aside": len(self.set_aside)}
+        told = "".join(f", {count} {what}" for what, count in faults.items() if count)
+        return f"{self.done} of {self.asked} samples, {self.made} made now{pace}{told}"
+
+    @property
+    def exit_code(self) -> int:
+        """0 all is there; 130 stopped by a signal; 1 something is missing."""
+        if self.problem or self.set_aside:
+            return 1
+        return 130 if self.interrupted else 0
+
+
+class Tally:
+    """Counts what happens in a run by its events, tells `notify` of each, and writes it to the log.
+
+    `missing` are the indices of the samples that are to be made, of the `asked` ones. Whoever makes samples calls
+    `tell`, sets `problem` where the run cannot go on, and ends once `is_stopping`, or at `stop_by` at the latest.
+    """
+
+    def __init__(
+        self, asked: int, missing: Iterable[int], notify: Callable[[Event], None], log: Log | None = None
+    ) -> None:
+        self.asked, self.missing = asked, set(missing)
+        self.problem, self.interrupted, self.stop_by = "", False, math.inf
+        self._missing_before = frozenset(self.missing)
+        self._made, self._set_aside, self._restarts = set[int](), set[int](), 0
+        self._notify, self._log = notify, log
+        self._began, self._first = time.monotonic(), 0.0
+
+    @property
+    def is_stopping(self) -> bool:
+        """Whether no further sample is to be begun."""
+        return self.interrupted or bool(self.problem)
+
+    def interrupt(self) -> None:
+        """Somebody wants the run to end."""
+        self.interrupted = True
+        self.stop_by = time.monotonic() + GRACE_S
+
+    def tell(self, kind: str, message: str, /, **details: Any) -> None:
+        """Something has happened. Details that count: `index` of a "sample" or "set_aside", and `lost`, the indices
+        that a "shard" turned out not to have."""
+        self._count(kind, details)
+        event = self._event(kind, message, details)
+        # A full disk may cost lines of the log, not the run.
+        with suppress(OSError):
+            if self._log:
+                self._log.write(event.line().encode())
+        if self._log and kind in ("shard", "end"):
+            self._log.save()
+        self._notify(event)
+
+    def recount(self, missing: Iterable[int]) -> None:
+        """Count by what is there in the end, where events may have been lost on their way."""
+        self.missing = set(missing)
+        self._made = set(self._missing_before - self.missing)
+
+    def report(self) -> Report:
+        """What has been done until now."""
+        return Report(
+            len(self._made),
+            self.asked - len(self.missing),
+            self.asked,
+            tuple(sorted(self._set_aside)),
+            self.interrupted,
+            self.problem,
+            self._restarts,
+            time.monotonic() - self._began,
+        )
+
+    def _count(self, kind: str, details: dict[str, Any]) -> None:
+        if kind == "sample":
+            self._first = self._first or time.monotonic()
+            self._made.add(details["index"])
+            self.missing.discard(details["index"])
+            self._set_aside.discard(details["index"])
+        elif kind == "set_aside":
+            self._set_aside.add(details["index"])
+        elif kind == "restart":
+            self._restarts += 1
+        elif kind == "shard":
+            self.missing.update(details["lost"])
+
+    def _event(self, kind: str, message: str, details: dict[str, Any]) -> Event:
+        """The rate counts from the first sample on, so that starting up does not."""
+        made, now = len(self._made), time.monotonic()
+        rate = (made - 1) / (now - self._first) if made > 1 else None
+        eta_s = (len(self.missing) - len(self._set_aside)) / rate if rate else None
+        done, seconds = self.asked - len(self.missing), round(now - self._began, 3)
+        return Event(kind, message, done, self.asked, len(self._set_aside), seconds, rate, eta_s, details)
+
+
+def log_name(split: str) -> str:
+    """The name of a new log: the split, when, and which process."""
+    return f"{split}-{datetime.now(UTC):%Y%m%dT%H%M%S}-{os.uname().nodename}-{os.getpid()}.jsonl"

@@ -1,0 +1,69 @@
+"""Twins: the scenes of a split rendered again with one factor changed and nothing else, a split for each value.
+
+Sample i of every split is the same world but for that factor, so what a network answers differently it owes to the
+factor alone. Labels are drawn anew from the changed scene; where the factor moves nothing, they are equal bytes.
+"""
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+from synth3dlanes.assets.catalogue import BUILT_IN, Library
+from synth3dlanes.assets.folder import require_assets
+from synth3dlanes.change import change_scene
+from synth3dlanes.dataset.read import Reader
+from synth3dlanes.dataset.rearrange import how_derived
+from synth3dlanes.errors import InputError
+from synth3dlanes.open_source import params_of, read_scene
+from synth3dlanes.production.recipe import Recipe
+from synth3dlanes.settings import RenderSettings
+from synth3dlanes.world import World, resolve
+from synth3dlanes.yaml_text import read_yaml
+
+
+@dataclass(frozen=True)
+class TwinRecipe(Recipe):
+    """The recipe of the split `twin_k`: its sample i is sample i of `source` with value k at `path`."""
+
+    source: str
+    path: str
+    values: tuple[str, ...]
+
+    def world(self, index: int) -> World:
+        """The world of the changed scene, which keeps the seed, split and index that it was drawn for."""
+        value = self.values[int(self.split.removeprefix("twin_")) - 1]
+        return resolve(change_scene(read_scene(Reader(self.source), index), [f"{self.path}={value}"]))
+
+    def description(self) -> dict[str, Any]:
+        """As of any recipe, and what was varied."""
+        varied = {"of": self.source, "vary": self.path, "values": list(self.values)}
+        return {**super().description(), "derived": {**varied, **how_derived(Reader(self.source))}}
+
+
+def twin_recipes(source: str, vary: str, device: str, library: Library = BUILT_IN) -> list[TwinRecipe]:
+    """A recipe for every value in `vary`, which is like `light.exposure=1,2,3`; rendered as the source was.
+
+    Raises InputError where a value does not fit the first scene of the source, or `library` is not what that shows.
+    """
+    path, equals, text = (part.strip() for part in vary.partition("="))
+    values, problems = read_yaml(f"[{text}]", f"vary {path}")
+    if not equals or problems or not values:
+        raise InputError(*(problems or [f"vary {vary}: expected path=value,value,..."]))
+    reader = Reader(source)
+    render, shown = reader.description["render"], tuple(json.dumps(value) for value in values)
+    settings = RenderSettings(int(render["samples"]), tuple(render["passes"]), device)
+    require_assets(read_scene(reader, 0).assets, library, source)
+    params, seed = params_of(reader), int(reader.description["seed"])
+    image_format = str(reader.description["image_format"])
+    recipes = [
+        TwinRecipe(params, seed, f"twin_{k}", settings, image_format, reader.url, path, shown, library=library)
+        for k in range(1, len(shown) + 1)
+    ]
+    for recipe in recipes:
+        try:
+            recipe.scene(0)
+        except InputError as error:
+            problems += [line.replace("changes", "vary", 1) for line in error.problems]
+    if problems:
+        raise InputError(*dict.fromkeys(problems))
+    return recipes

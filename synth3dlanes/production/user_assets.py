@@ -1,0 +1,58 @@
+"""A user's folder of assets, checked and measured once before a run, in a process of its own that carries Blender."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from synth3dlanes.assets.catalogue import BUILT_IN, Library
+from synth3dlanes.assets.folder import Checked
+from synth3dlanes.errors import InputError
+from synth3dlanes.production.recipe import require_blender
+from synth3dlanes.production.workers import Limits, call
+
+PATIENCE = Limits(seconds=1800.0, rss_bytes=16 << 30)
+
+
+def open_library(folder: Path | None) -> tuple[Library, tuple[str, ...]]:
+    """What a folder holds and what is worth a warning; no folder is ours. Raises InputError with every problem."""
+    if folder is None:
+        return BUILT_IN, ()
+    checked = check_assets(folder)
+    if checked.problems:
+        raise InputError(*(f"assets {folder}: {problem}" for problem in checked.problems))
+    return Library(str(folder.resolve()), checked.assets), checked.warnings
+
+
+def check_assets(folder: Path) -> Checked:
+    """Look through a folder; raise InputError where there is none, WorkerError where Blender crashes over it."""
+    if not folder.is_dir():
+        raise InputError(f"assets {folder}: expected a folder, found none")
+    checked: Checked = _in_blender(_check, folder)
+    return checked
+
+
+def write_example(folder: Path) -> None:
+    """Make an example of such a folder; raise InputError where something is there."""
+    if folder.exists():
+        raise InputError(f"{folder}: already exists")
+    _in_blender(_example, folder)
+
+
+def _in_blender(function: Callable[[Path], Any], folder: Path) -> Any:
+    require_blender()
+    return call(PATIENCE, function, folder).result(f"assets {folder}")
+
+
+# Blender's modules are loaded in the worker: this process stays without.
+
+
+def _check(folder: Path) -> Checked:
+    from synth3dlanes.blender.check_assets import check_folder
+
+    return check_folder(folder)
+
+
+def _example(folder: Path) -> None:
+    from synth3dlanes.blender.example_assets import make_example
+
+    make_example(folder)

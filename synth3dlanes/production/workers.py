@@ -1,0 +1,277 @@
+"""Supervised worker processes, each with one task at a time. This file is also the program that a worker runs.
+
+A worker is a fresh process (never a fork: Blender would not survive one) with a pipe of its own, so that whoever kills
+it, and whenever, breaks nothing but its own task. (Pebble's and concurrent.futures' workers share one pipe and its
+locks: a worker killed while it holds them stops all of them.) A task that fails lets its worker crash, the traceback
+going to its stderr; the next task starts a fresh worker. A worker is pinned to one core before it imports anything.
+It dies with its parent, and leaves Ctrl-C and SIGTERM to it.
+"""
+
+import ctypes
+import errno
+import fcntl
+import os
+import pickle
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection, Pipe, wait
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal
+
+import psutil
+
+STDERR_TAIL = 8000
+DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
+PR_SET_PDEATHSIG = 1
+# Folders that Blender adds to sys.path where it is loaded; with them a worker would load it by halves.
+BLENDERS_PATH = re.compile(r"/bpy/\d+\.\d+/scripts")
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When a worker is replaced: a task without an end, more memory than this, more tasks than this."""
+
+    seconds: float = 120.0
+    rss_bytes: int = 4 << 30
+    tasks: int = 5000
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a task.
+
+    "done": `value` is what it returned. "full": the disk is. "broken": this machine cannot do it (a file or library is
+    missing). "killed": somebody killed the worker. "failed": it crashed, hung or took too much memory.
+    """
+
+    task: Any
+    status: Literal["done", "full", "broken", "killed", "failed"]
+    value: Any = None
+    reason: str = ""
+    stderr: str = ""
+
+    def result(self, what: str) -> Any:
+        """What the task returned. Raises DiskFullError or WorkerError where it did not; the message begins with `what`,
+        and what the worker printed is a note."""
+        if self.status == "done":
+            return self.value
+        # Not at the top: the worker's program imports nothing of ours before it is pinned.
+        from synth3dlanes.errors import DiskFullError, WorkerError
+
+        error = (DiskFullError if self.status == "full" else WorkerError)(f"{what}: {self.reason}")
+        error.add_note(self.stderr)
+        raise error
+
+
+@dataclass
+class Worker:
+    """A process, its pipe, and the task that it is on since `started`."""
+
+    process: subprocess.Popen[bytes]
+    pipe: Connection
+    stderr: Path
+    task: Any = None
+    started: float = 0.0
+    n_tasks: int = 0
+    verdict: str = ""
+
+    @property
+    def rss_bytes(self) -> int:
+        """Its resident memory; 0 once it is gone."""
+        with suppress(psutil.Error):
+            return int(psutil.Process(self.process.pid).memory_info().rss)
+        return 0
+
+
+@dataclass
+class Pool:
+    """Up to `n` workers; use it as a context manager, which kills them at the end.
+
+    `masks` are what their environments have besides ours, in turns: each shows its worker one GPU alone.
+    """
+
+    n: int
+    limits: Limits
+    pinned: bool = True
+    masks: Sequence[Mapping[str, str]] = ({},)
+    _workers: list[Worker | None] = field(default_factory=list)
+
+    def __enter__(self) -> "Pool":
+        self._scratch = tempfile.TemporaryDirectory(prefix="synth3dlanes-")
+        is_pinned = self.pinned and hasattr(os, "sched_getaffinity")
+        self._leases, self._cores = _lease(self.n, sorted(os.sched_getaffinity(0))) if is_pinned else ([], [-1])
+        self._workers = [None] * self.n
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for slot in range(self.n):
+            self._retire(slot)
+        for lease in self._leases:
+            os.close(lease)
+        self._scratch.cleanup()
+
+    @property
+    def busy(self) -> int:
+        """How many tasks are under way."""
+        return len(self._busy())
+
+    @property
+    def pids(self) -> list[int]:
+        """The processes that there are now."""
+        return [worker.process.pid for worker in self._workers if worker]
+
+    def start(self, task: Any, function: Callable[..., Any], *args: Any) -> None:
+        """Give `function(*args)` to a worker that has nothing to do; `task` names it in its Outcome."""
+        slot = next(i for i, worker in enumerate(self._workers) if worker is None or worker.task is None)
+        worker = self._workers[slot]
+        if worker is not None and worker.process.poll() is not None:
+            self._retire(slot)
+            worker = None
+        if worker is None:
+            worker = self._workers[slot] = self._launch(slot)
+        with suppress(FileNotFoundError):
+            os.truncate(worker.stderr, 0)
+        worker.task, worker.started = task, time.monotonic()
+        # A worker that has died meanwhile is found out by `wait`.
+        with suppress(BrokenPipeError, ConnectionResetError):
+            worker.pipe.send((function, args))
+
+    def wait(self, seconds: float) -> Iterator[Outcome]:
+        """The tasks that came to an end, after at most this many seconds."""
+        busy = self._busy()
+        ready = wait([worker.pipe for _, worker in busy], seconds)
+        for slot, worker in busy:
+            if worker.pipe in ready:
+                yield self._receive(slot, worker)
+            elif time.monotonic() - worker.started > self.limits.seconds:
+                yield self._stop(slot, worker, f"no progress for {self.limits.seconds:g} s")
+            elif worker.rss_bytes > self.limits.rss_bytes:
+                yield self._stop(slot, worker, f"more than {self.limits.rss_bytes >> 20} MiB of memory")
+
+    def _busy(self) -> list[tuple[int, Worker]]:
+        return [(slot, worker) for slot, worker in enumerate(self._workers) if worker and worker.task is not None]
+
+    def _launch(self, slot: int) -> Worker:
+        # Not at the top: the worker's program imports nothing of ours before it is pinned.
+        from synth3dlanes.settings import SCRATCH
+
+        ours, theirs = Pipe()
+        stderr = Path(self._scratch.name) / f"{slot}.txt"
+        core = self._cores[slot % len(self._cores)]
+        with stderr.open("ab") as stream:
+            process = subprocess.Popen(
+                [sys.executable, "-P", __file__, str(theirs.fileno()), str(core)],
+                stdin=subprocess.DEVNULL,
+                stdout=stream,
+                stderr=stream,
+                pass_fds=[theirs.fileno()],
+                env={**os.environ, SCRATCH: self._scratch.name, **self.masks[slot % len(self.masks)]},
+                start_new_session=True,
+            )
+        theirs.close()
+        with suppress(BrokenPipeError):
+            ours.send([path for path in sys.path if not BLENDERS_PATH.search(path)])
+        return Worker(process, ours, stderr)
+
+    def _receive(self, slot: int, worker: Worker) -> Outcome:
+        task = worker.task
+        try:
+            status, value, reason = worker.pipe.recv()
+        except (EOFError, ConnectionResetError, pickle.UnpicklingError):
+            code = worker.process.wait()
+            killed = code in (-signal.SIGKILL, -signal.SIGTERM)
+            return self._stop(slot, worker, f"worker ended with {code}", "killed" if killed else "failed")
+        worker.task, worker.n_tasks = None, worker.n_tasks + 1
+        if worker.n_tasks >= self.limits.tasks or worker.rss_bytes > self.limits.rss_bytes:
+            self._retire(slot)
+        return Outcome(task, status, value, reason)
+
+    def _stop(self, slot: int, worker: Worker, reason: str, status: Literal["killed", "failed"] = "failed") -> Outcome:
+        self._retire(slot)
+        stderr = worker.stderr.read_bytes()[-STDERR_TAIL:].decode("utf-8", "replace")
+        last_words = "".join(f": {line}" for line in stderr.strip().splitlines()[-1:])
+        return Outcome(worker.task, status, reason=reason + last_words, stderr=stderr)
+
+    def _retire(self, slot: int) -> None:
+        worker, self._workers[slot] = self._workers[slot], None
+        if worker:
+            worker.process.kill()
+            worker.process.wait()
+            worker.pipe.close()
+
+
+def call(limits: Limits, function: Callable[..., Any], *args: Any, pinned: bool = False) -> Outcome:
+    """Run `function(*args)` in a worker of its own, so that this process stays without Blender."""
+    with Pool(1, limits, pinned) as pool:
+        pool.start(function.__name__, function, *args)
+        while True:
+            for outcome in pool.wait(1.0):
+                return outcome
+
+
+def _lease(n: int, cores: Sequence[int]) -> tuple[list[int], list[int]]:
+    """Locks (descriptors) on up to `n` cores that no other pool on this machine has, and all cores in the order to pin
+    workers to."""
+    leases: dict[int, int] = {}
+    for core in cores:
+        path = Path(tempfile.gettempdir(), f"synth3dlanes-{os.getuid()}-core-{core}")
+        lease = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
+        try:
+            fcntl.flock(lease, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            leases[core] = lease
+        except BlockingIOError:
+            os.close(lease)
+        if len(leases) == n:
+            break
+    return list(leases.values()), [*leases, *(core for core in cores if core not in leases)]
+
+
+def _work(pipe: Connection) -> None:
+    """Do tasks until the parent hangs up."""
+    sys.path[:] = pipe.recv()
+    while True:
+        try:
+            function, args = pipe.recv()
+        except EOFError:
+            return
+        try:
+            reply = ("done", function(*args), "")
+        except (OSError, ImportError) as error:
+            full = isinstance(error, OSError) and error.errno in DISK_FULL
+            reply = ("full" if full else "broken", None, f"{type(error).__name__}: {error}")
+        pipe.send(reply)
+
+
+def _crash(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """Print what happened and leave at once: Blender may crash or hang in an orderly exit."""
+    traceback.print_exception(kind, error, trace)
+    sys.stderr.flush()
+    os._exit(1)
+
+
+def _main() -> None:
+    descriptor, core = map(int, sys.argv[1:])
+    if core >= 0:
+        os.sched_setaffinity(0, {core})
+    for name in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(name, signal.SIG_IGN)
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    sys.excepthook = _crash
+    _work(Connection(descriptor))
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    _main()

@@ -1,0 +1,45 @@
+"""A picture of each sample that fails, under `validation` in the data set."""
+
+import io
+from contextlib import suppress
+
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image
+
+from synth3dlanes.dataset.address import connect, store_errors
+from synth3dlanes.figures.overlay import draw_overlay, stretches_img
+from synth3dlanes.labels import Labels
+
+FOLDER = "validation"
+# Lines that lead farther out of the image are not drawn.
+MAX_PX = 1e5
+
+Picture = UInt8[np.ndarray, "h w 3"]
+
+
+def draw(image: Picture, labels: Labels) -> Picture:
+    """The image with its lanes, where these can be drawn."""
+    lines_img = [line for lane in labels.lanes for _, line in stretches_img(labels.camera, lane)]
+    return draw_overlay(image, labels) if all((np.abs(line) < MAX_PX).all() for line in lines_img) else image
+
+
+def save_picture(place: str, name: str, picture: Picture) -> None:
+    """Write a picture beside the data set. A store that may only be read goes without."""
+    files, root = connect(place)
+    stream = io.BytesIO()
+    Image.fromarray(picture).save(stream, "PNG")
+    with suppress(*store_errors()):
+        # Elsewhere a path begins with a bucket; folders need no making there.
+        if root.startswith("/"):
+            files.makedirs(f"{root}/{FOLDER}", exist_ok=True)
+        files.pipe_file(f"{root}/{FOLDER}/{name}.png", stream.getvalue())
+
+
+def remove_pictures(place: str) -> None:
+    """Remove the pictures of an earlier validation."""
+    files, root = connect(place)
+    with suppress(*store_errors()):
+        for path in files.find(f"{root}/{FOLDER}", maxdepth=1):
+            if str(path).endswith(".png"):
+                files.rm_file(path)

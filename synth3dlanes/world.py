@@ -1,0 +1,106 @@
+"""World: a scene resolved once, its roads, its ground and what stands on it. View: one camera at one instant in it.
+
+World frame, metres. Labels, meshes, masks and light are all read off a world and a view.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.frames import Matrix4, road_from_cam
+from synth3dlanes.geometry import meshes
+from synth3dlanes.geometry.camera import img_from_cam, world_from_road
+from synth3dlanes.geometry.ground import Ground
+from synth3dlanes.geometry.horizon import FarHills
+from synth3dlanes.geometry.lanes import Curve, curves
+from synth3dlanes.geometry.paint import paint_meshes
+from synth3dlanes.geometry.placement import tree_positions, world_from_car
+from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.scene import Camera, Scene
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A camera, its road frame, and the poses of all cars (without their scale) at its instant."""
+
+    camera: Camera
+    world_from_road: Matrix4
+    world_from_cars: tuple[Matrix4, ...]
+
+    @cached_property
+    def road_from_cam(self) -> Matrix4:
+        """The camera over the road plane at its foot."""
+        return road_from_cam(self.camera.height_m, self.camera.pitch_rad, self.camera.roll_rad)
+
+    @cached_property
+    def world_from_cam(self) -> Matrix4:
+        """The camera in the world."""
+        return np.asarray(self.world_from_road @ self.road_from_cam)
+
+    @property
+    def eye_world(self) -> Float[np.ndarray, "3"]:
+        """The optical centre."""
+        return np.asarray(self.world_from_cam[:3, 3])
+
+    @cached_property
+    def img_from_cam(self) -> Float[np.ndarray, "3 3"]:
+        """The projection of the camera's lens."""
+        return img_from_cam(self.camera)
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """What follows from a scene alone. Everything is worked out when it is first asked for, and once."""
+
+    scene: Scene
+    ground: Ground
+
+    @property
+    def plan(self) -> RoadPlan:
+        """Its roads."""
+        return self.ground.plan
+
+    @cached_property
+    def lines(self) -> tuple[Curve, ...]:
+        """Every centre line and delimiter."""
+        return curves(self.plan)
+
+    @cached_property
+    def pavement(self) -> list[meshes.Mesh]:
+        """Main road and exit with their shoulders."""
+        return meshes.road_meshes(self.ground)
+
+    @cached_property
+    def verges(self) -> list[meshes.Mesh]:
+        """Verges and embankments along the pavement."""
+        return meshes.verge_meshes(self.ground)
+
+    @cached_property
+    def terrain(self) -> meshes.Mesh:
+        """The land, to the horizon."""
+        return meshes.terrain_mesh(self.ground)
+
+    @cached_property
+    def trees_world(self) -> Float[np.ndarray, "n 3"]:
+        """The feet of all trees."""
+        return tree_positions(self.ground, self.scene.trees)
+
+    @cached_property
+    def view(self) -> View:
+        """What the scene's camera sees, and when."""
+        scene, models = self.scene, self.scene.assets.car_models
+        cars = tuple(world_from_car(self.plan, car, models[car.model - 1]) for car in scene.cars)
+        return View(scene.camera, world_from_road(self.plan, scene.camera), cars)
+
+    def paint(self, view: View) -> dict[str, meshes.Mesh]:
+        """The paint of every delimiter by its id, as it looks in place from a view."""
+        return paint_meshes(self.ground, self.lines, view.eye_world, self.scene.stream)
+
+
+def resolve(scene: Scene) -> World:
+    """The world of a scene."""
+    plan = RoadPlan(scene.road, scene.terrain)
+    hills = FarHills.draw(scene.stream("far_hills"))
+    return World(scene, Ground(plan, scene.camera.y_m, scene.markings, hills))

@@ -1,0 +1,66 @@
+"""The image-only variant: tuSimple's lines go onto the fixed plane and come back, and its model learns from them."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+
+@pytest.fixture
+def tusimple(roads, tmp_path):
+    """Two straight lines and a bent one on the fixed plane, as their x at rows 160, 170, ..., 710."""
+    from synth3dlanes_baseline.lanes import Detection
+    from synth3dlanes_baseline.poses import cam_from_road
+    from synth3dlanes_baseline.tusimple import POSE, image_line
+
+    from synth3dlanes.frames import transform
+
+    rows = np.arange(160.0, 711.0, 10.0)
+    y_m = np.arange(3.0, 105.0)
+    lines = []
+    for x_m in (-1.8 + 0 * y_m, 1.8 + 0 * y_m, 5.4 + 5e-4 * y_m**2):
+        xyz_cam = transform(cam_from_road(POSE), np.stack([x_m, y_m, 0 * y_m], axis=1))
+        lines.append(image_line(Detection("delimiter", 1.0, xyz_cam), rows).tolist())
+    frame = {"raw_file": "clips/1/20.jpg", "lanes": lines, "h_samples": rows.astype(int).tolist()}
+    path = tmp_path / "label_data.json"
+    path.write_text(json.dumps(frame) + "\n")
+    picture = tmp_path / "clips/1/20.jpg"
+    picture.parent.mkdir(parents=True)
+    Image.new("RGB", (1280, 720), (90, 90, 90)).save(picture)
+    return path
+
+
+def test_tusimple_lines_go_to_the_plane_and_back(tusimple):
+    from synth3dlanes_baseline.lanes import Detection, Prediction
+    from synth3dlanes_baseline.sources import open_split
+    from synth3dlanes_baseline.tusimple import TusimpleOnPlane, mean_accuracy
+
+    split = open_split(tusimple)
+    assert isinstance(split, TusimpleOnPlane)
+    sample = split[0]
+    assert sample.image.shape == (640, 1280, 3)
+    lanes = tuple(Detection(lane.kind, 0.9, lane.xyz_cam) for lane in sample.labels.lanes)
+    accuracy, false_positive, false_negative = mean_accuracy([Prediction(sample.key, lanes, None)], split)
+    assert accuracy > 0.98
+    assert (false_positive, false_negative) == (0.0, 0.0)
+
+
+def test_tusimple_model_learns_only_delimiters_without_height(tusimple):
+    from synth3dlanes_baseline.anchors import encode
+    from synth3dlanes_baseline.config import MODELS
+    from synth3dlanes_baseline.curves import road_curves
+    from synth3dlanes_baseline.data import pack
+    from synth3dlanes_baseline.model import LaneNet
+    from synth3dlanes_baseline.projection import road_from_cam
+    from synth3dlanes_baseline.sources import open_split
+
+    config = MODELS["tusimple"]
+    assert LaneNet(config).head.out.out_channels == 7, "K + 1 per anchor"
+    pose = torch.tensor([[np.radians(config.fixed_pitch_deg), config.fixed_height_m]]).float()
+    curves = pack([road_curves(open_split(tusimple)[0].labels)])
+    targets, _ = encode(curves, road_from_cam(pose), config)
+    assert targets.assigned.shape == (1, 1, 16)
+    assert targets.assigned.sum() == 3
+    assert targets.z_m[targets.assigned & True].abs().max() < 1e-3

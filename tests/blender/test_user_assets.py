@@ -1,0 +1,274 @@
+"""A user's own cars, trees, textures and skies: measured, recorded, rendered; and what is wrong with a bad folder."""
+
+import dataclasses
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from PIL import Image  # noqa: E402
+
+from synth3dlanes.assets.catalogue import BUILT_IN, CARS, TREES, CarModel, Library, TreeModel  # noqa: E402
+from synth3dlanes.assets.folder import Checked, require_assets  # noqa: E402
+from synth3dlanes.blender import example_assets as example  # noqa: E402
+from synth3dlanes.blender import render as renderer  # noqa: E402
+from synth3dlanes.blender.assets import load_meshes  # noqa: E402
+from synth3dlanes.blender.build import build  # noqa: E402
+from synth3dlanes.blender.check_assets import _wheels, check_folder  # noqa: E402
+from synth3dlanes.blender.sky_file import read_sky  # noqa: E402
+from synth3dlanes.blender.user_models import points_of  # noqa: E402
+from synth3dlanes.distributions import Integers  # noqa: E402
+from synth3dlanes.errors import FormatError, InputError  # noqa: E402
+from synth3dlanes.frames import transform  # noqa: E402
+from synth3dlanes.imaging.daylight import daylight  # noqa: E402
+from synth3dlanes.imaging.sky import AZIMUTH_RAD, HORIZON, LUMINANCE, irradiance  # noqa: E402
+from synth3dlanes.imaging.user_sky import hang, prepare_sky  # noqa: E402
+from synth3dlanes.params import load_params  # noqa: E402
+from synth3dlanes.production.recipe import Recipe, take_picture  # noqa: E402
+from synth3dlanes.scene import Scene, from_json, to_json  # noqa: E402
+from synth3dlanes.settings import RenderSettings  # noqa: E402
+from synth3dlanes.world import resolve  # noqa: E402
+
+pytestmark = pytest.mark.render
+
+TOUCHES_M = 0.03
+CHANGES = ("cars.n=4", "cars.s_m=[-45, 20]", "trees.n=30")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """The example that docs/assets.md shows."""
+    path = tmp_path_factory.mktemp("own")
+    example.make_example(path)
+    yield path
+    renderer.opened.cache_clear()
+
+
+@pytest.fixture(scope="module")
+def library(folder: Path) -> Library:
+    checked = check_folder(folder)
+    assert (checked.problems, checked.warnings) == ((), ())
+    return Library(str(folder), checked.assets)
+
+
+@pytest.fixture(scope="module")
+def scene(library: Library) -> Scene:
+    recipe = Recipe(load_params("tiny", CHANGES, library.assets), 5, "own", RenderSettings(), "png", library=library)
+    return recipe.scene(2)
+
+
+def test_sizes_are_those_that_the_files_were_made_with(library: Library) -> None:
+    (car,), (tree,), (sky,) = library.assets.cars, library.assets.trees, library.assets.skies
+    sizes = (car.length_m, car.width_m, car.height_m, car.wheelbase_m, car.track_m, car.wheel_radius_m)
+    expected = (4.2, 1.7, 1.5, example.WHEELBASE_M, example.TRACK_M, example.WHEEL_RADIUS_M)
+    assert sizes == pytest.approx(expected, abs=1e-3)
+    assert (tree.height_m, tree.crown_radius_m) == pytest.approx((example.TREE_M, example.CROWN_M), abs=0.02)
+    assert np.rad2deg(sky.sun_azimuth_rad) == pytest.approx(example.SUN_AZIMUTH_DEG, abs=1)
+
+
+def test_a_copy_elsewhere_is_the_same_library_and_notes_overrule(
+    folder: Path, library: Library, tmp_path: Path
+) -> None:
+    shutil.copytree(folder, tmp_path / "copy")
+    assert check_folder(tmp_path / "copy").assets == library.assets
+    notes = {"cars": {"box": {"wheelbase_m": 2.5, "track_m": 1.4, "wheel_radius_m": 0.3}}}
+    (tmp_path / "copy" / "assets.yaml").write_text(
+        json.dumps({**notes, "skies": {"evening": {"sun_azimuth_deg": -20}}})
+    )
+    noted = check_folder(tmp_path / "copy").assets
+    assert (noted.cars[0].wheelbase_m, noted.cars[0].track_m, noted.cars[0].wheel_radius_m) == (2.5, 1.4, 0.3)
+    assert noted.skies[0].sun_azimuth_rad == pytest.approx(np.deg2rad(-20), abs=1e-6)
+    assert noted.cars[0].sha256 == library.assets.cars[0].sha256
+
+
+def test_wheels_without_names_are_what_touches_the_ground_or_shares_of_the_body() -> None:
+    body = np.array([[x, y, z] for x in (-0.9, 0.9) for y in (-2.2, 2.2) for z in (0.3, 1.4)])
+    tyres = np.array(
+        [[x + dx, y + dy, 0] for x in (-0.7, 0.7) for y in (-1.1, 1.5) for dx in (-0.1, 0.1) for dy in (-0.05, 0.05)]
+    )
+    nothing = np.zeros((0, 3))
+    assert _wheels(np.concatenate([body, tyres]), nothing)[:2] == pytest.approx((2.6, 1.4))
+    assert _wheels(body, nothing)[:2] == pytest.approx((0.6 * 4.4, 0.84 * 1.8))
+
+
+@pytest.mark.parametrize("model", [CARS[0], CARS[5], TREES[1]], ids=lambda model: model.name)
+def test_our_own_models_measure_as_our_catalogue_says(model: CarModel | TreeModel, tmp_path: Path) -> None:
+    """Without named wheels: what touches the ground tells where they are."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    (mesh,) = load_meshes([model.name])
+    (tmp_path / "cars").mkdir()
+    (tmp_path / "trees").mkdir()
+    path = tmp_path / ("cars" if isinstance(model, CarModel) else "trees") / f"{model.name}.blend"
+    bpy.data.libraries.write(str(path), {bpy.data.objects.new(model.name, mesh)})
+    checked = check_folder(tmp_path)
+    assert checked.problems == ()
+    (found,) = checked.assets.cars + checked.assets.trees
+    renderer.opened.cache_clear()
+    sizes = set(dataclasses.asdict(model)) - {"name", "sha256", "wheel_radius_m"}
+    for size in sizes:
+        assert getattr(found, size) == pytest.approx(getattr(model, size), abs=0.07), size
+
+
+def test_numbers_run_over_the_folder_and_narrower_ones_must_be_in_it(library: Library) -> None:
+    three = dataclasses.replace(library.assets, cars=library.assets.cars * 3)
+    assert load_params("tiny", (), three).cars.model == Integers(1, 3)
+    assert load_params("tiny", ["cars.model=[2, 3]"], three).cars.model == Integers(2, 3)
+    assert load_params("tiny").cars.model == Integers(1, 6)
+    with pytest.raises(InputError, match=r"overrides cars.model: expected integers from 1 to 3 .*, got 4"):
+        load_params("tiny", ["cars.model=4"], three)
+
+
+def test_the_scene_records_what_it_was_drawn_with(scene: Scene, library: Library) -> None:
+    read = from_json(to_json(scene), "")
+    assert read == scene
+    assert read.assets == library.assets
+    assert (scene.sky, scene.surface.road_texture, {car.model for car in scene.cars}) == (1, 1, {1})
+    require_assets(read.assets, library, "scene.json")
+    with pytest.raises(InputError, match=r"scene.json: expected cars 'box' with digest \w+; no folder of assets"):
+        require_assets(read.assets, BUILT_IN, "scene.json")
+    with pytest.raises(FormatError, match=r"cars.0.model: expected at most 1, got 2"):
+        from_json(to_json(scene).replace('"model":1', '"model":2', 1), "scene.json")
+
+
+def test_samples_of_other_assets_do_not_mix(library: Library) -> None:
+    recipe = Recipe(load_params("tiny"), 0, "own", RenderSettings(), "png")
+    described = dataclasses.replace(recipe, library=library).description()["assets"]
+    assert recipe.description()["assets"]["cars"] == {}
+    assert described["cars"]["box"]["sha256"] == library.assets.cars[0].sha256
+    assert "/" not in json.dumps(described)
+
+
+def test_wheels_touch_the_road_and_trees_the_ground(scene: Scene, library: Library) -> None:
+    world = resolve(scene)
+    light = daylight(scene, world.view.eye_world[2])
+    placed, ground = build(renderer.studio(library), world, world.view, light), world.ground
+    for item in placed[: len(scene.cars)]:
+        points = points_of(item.mesh)
+        tyres = points[points[:, 2] < 1e-3] * item.scale
+        assert np.hypot(*tyres[:, :2].T).min() > 1
+        tyres_world = transform(item.world_from_object, tyres)
+        assert np.abs(tyres_world[:, 2] - ground.height(tyres_world[:, :2])).max() < TOUCHES_M
+    for item in placed[len(scene.cars) :]:
+        foot_world = item.world_from_object[:3, 3]
+        assert 0 <= ground.height(foot_world[None, :2])[0] - foot_world[2] < 0.2
+
+
+def test_rendered_twice_with_ours_in_between(scene: Scene, library: Library) -> None:
+    settings = RenderSettings(2, ("semantic", "instance"))
+    first = take_picture(resolve(scene), settings, library)
+    ours = scene.model_copy(update={"assets": BUILT_IN.assets, "sky": 0})
+    between = take_picture(resolve(ours), settings)
+    again = take_picture(resolve(scene), settings, library)
+    np.testing.assert_array_equal(first.image, again.image)
+    assert np.abs(first.image.astype(int) - between.image).mean() > 5
+    semantic, instance = first.passes["semantic"], first.passes["instance"]
+    assert set(np.unique(semantic)) <= set(range(7))
+    assert {1, 2, 5} <= set(np.unique(semantic))
+    np.testing.assert_array_equal(semantic == 5, (instance > 0) & (instance < 200))
+    np.testing.assert_array_equal(semantic == 6, instance >= 300)
+
+
+def test_paint_is_the_scenes_and_glass_its_own(scene: Scene, library: Library) -> None:
+    mesh = renderer.studio(library).assets.cars[0]
+    kinds = {m.name.split(".")[0]: {node.bl_idname for node in m.node_tree.nodes} for m in mesh.materials}
+    assert "ShaderNodeObjectInfo" in kinds["paint"]
+    assert "ShaderNodeBsdfPrincipled" in kinds["glass"]
+    assert "ShaderNodeObjectInfo" not in kinds["glass"]
+
+
+def test_the_sky_is_turned_to_the_sun_and_as_bright_as_ours(scene: Scene, folder: Path, library: Library) -> None:
+    sky = prepare_sky(read_sky(folder / "skies" / "evening.hdr"), library.assets.skies[0].sun_azimuth_rad)
+    clear = scene.model_copy(update={"air": scene.air.model_copy(update={"visibility_m": 1e6, "overcast": 0.0})})
+    light = daylight(clear, clear.camera.height_m)
+    upper = hang(sky, clear, light)[:, HORIZON:]
+    assert LUMINANCE @ irradiance(upper) == pytest.approx(LUMINANCE @ irradiance(light.sky[:, HORIZON:]), rel=0.02)
+    row = upper.sum(axis=0)[np.unravel_index(upper.sum(axis=0).argmax(), upper.shape[1:])[0]]
+    brightest = AZIMUTH_RAD[np.flatnonzero(row > 0.95 * row.max())].mean()
+    apart = np.angle(np.exp(1j * (brightest - scene.light.sun_azimuth_rad)))
+    assert abs(np.rad2deg(apart)) < 3
+
+
+def test_a_file_that_changed_after_the_check_is_noticed(folder: Path, library: Library, tmp_path: Path) -> None:
+    shutil.copytree(folder, tmp_path / "copy")
+    (tmp_path / "copy" / "roads" / "brick_albedo.png").write_bytes(b"other")
+    with pytest.raises(FormatError, match=r"roads/brick: expected the files that were checked before the run"):
+        renderer.studio(Library(str(tmp_path / "copy"), library.assets))
+
+
+@pytest.fixture(scope="module")
+def bad(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Checked]:
+    """A folder in which everything is wrong, each in its own way."""
+    root = tmp_path_factory.mktemp("bad")
+    for kind in ("cars", "trees", "roads", "terrains", "skies"):
+        (root / kind).mkdir()
+    for name, size_m, z_m in (
+        ("centimetres", (180, 420, 150), 75),
+        ("sideways", (4.2, 1.8, 1.5), 0.75),
+        ("hovering", (1.8, 4.2, 1.5), 0.95),
+        ("clay", (1.8, 4.2, 1.5), 0.75),
+        ("photo", (1.8, 4.2, 1.5), 0.75),
+    ):
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        coat = example.material("paint", (1, 1, 1))
+        example.box("body", size_m, (0, 0, z_m), coat)
+        if name == "clay":
+            bpy.context.object.modifiers.new("fine", "SUBSURF").levels = 7
+        if name == "photo":
+            Image.new("RGB", (8, 8)).save(root / "decal.png")
+            coat.node_tree.nodes.new("ShaderNodeTexImage").image = bpy.data.images.load(str(root / "decal.png"))
+        bpy.data.libraries.write(str(root / "cars" / f"{name}.blend"), {bpy.context.object})
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.data.libraries.write(str(root / "cars" / "empty.blend"), {bpy.data.objects.new("nothing", None)})
+    (root / "cars" / "broken.glb").write_text("glTF")
+    (root / "cars" / "broken.fbx").write_text("")
+    example.box("trunk", (0.2, 0.2, 3), (0, 0, 2.5), example.material("bark", (0, 0, 0)))
+    bpy.data.libraries.write(str(root / "trees" / "floating.blend"), {bpy.context.object})
+    example.texture(root / "roads", "small_", (1, 1, 1), 128)
+    example.texture(root / "roads", "half_", (1, 1, 1), 256)
+    (root / "roads" / "half_roughness.png").rename(root / "roads" / "half_ruoghness.png")
+    example.texture(root / "terrains", "wide_", (1, 1, 1), 256)
+    Image.new("RGB", (512, 256)).save(root / "terrains" / "wide_albedo.png")
+    (root / "terrains" / "wide_normal.png").write_text("no picture")
+    Image.new("RGB", (64, 64)).save(root / "skies" / "square.png")
+    example.sky(root / "skies" / "dome.hdr", 64)
+    picture = bpy.data.images.new("square", 64, 64, float_buffer=True)
+    picture.file_format, picture.filepath_raw = "HDR", str(root / "skies" / "square.hdr")
+    picture.save()
+    (root / "assets.yaml").write_text("cars: {bus: {wheelbase_m: 3, track_m: 2, wheel_radius_m: 0.5}}")
+    yield check_folder(root)
+    renderer.opened.cache_clear()
+
+
+@pytest.mark.parametrize(
+    "expected",
+    [
+        "cars/centimetres.blend: expected a length (along y) of 2.5 to 20 m, got 420 m; modelled in centimetres?",
+        "cars/sideways.blend: expected a length (along y) of 2.5 to 20 m, got 1.8 m",
+        "cars/sideways.blend: expected its front towards +y, got 4.20 m by x, 1.80 m by y",
+        "cars/hovering.blend: expected its wheels on z = 0, got its lowest point at 0.20 m",
+        "cars/clay.blend: expected at most 15,000 triangles, got 196,608; decimate it",
+        "cars/photo.blend: expected its pictures packed (File > External Data > Pack Resources), got ",
+        "cars/empty.blend: expected a mesh, found no face in it",
+        "cars/broken.glb: cannot read it: ",
+        "trees/floating.blend: expected its trunk to begin at z = 0, got its lowest point at 1.00 m",
+        "roads/small_albedo.png: expected at least 256 px, got 128",
+        "roads/half: expected albedo, roughness and normal, got no roughness (half_albedo.png, half_normal.png)",
+        "terrains/wide_albedo.png: expected a square picture, got 512x256",
+        "terrains/wide_normal.png: cannot read it: ",
+        "skies/square.hdr: expected twice as wide as high (equirectangular), got 64x64",
+        "assets.yaml: cars.bus: expected the name of a file in cars/",
+    ],
+)
+def test_each_problem_is_named(bad: Checked, expected: str) -> None:
+    assert sum(problem.startswith(expected) for problem in bad.problems) == 1, "\n".join(bad.problems)
+
+
+def test_what_has_no_meaning_is_listed_and_what_is_right_is_kept(bad: Checked) -> None:
+    unused = {line.split(":")[0] for line in bad.warnings}
+    assert unused == {"cars/broken.fbx", "roads/half_ruoghness.png", "skies/square.png", "decal.png"}
+    assert [row.name for row in bad.rows] == ["dome"]

@@ -1,0 +1,64 @@
+"""`dataset.json` that people have edited: every fault is named by its key, and no command meets a traceback."""
+
+import json
+from collections.abc import Callable
+
+import pytest
+
+from synth3dlanes.dataset.description import parse_description, recipe_text, updated_description
+from synth3dlanes.errors import FormatError, InputError
+from tests import fake_samples
+
+RECIPE = {**fake_samples.recipe().description(), "shard_size": 10}
+TEXT = updated_description(None, RECIPE, "train", 5, "dataset.json")
+
+
+@pytest.mark.parametrize("text", [b"[]", b'{"format": "synth3dlanes.dataset", "version": 2}', b'{"version": 1}'])
+def test_another_version_is_refused(text):
+    with pytest.raises(FormatError, match="version 1, got"):
+        parse_description(text, "dataset.json")
+
+
+def test_what_is_written_is_read_and_written_again():
+    assert parse_description(TEXT, "x")["splits"] == {"train": {"n": 5}}
+    assert updated_description(TEXT, RECIPE, "train", 3, "x") == TEXT
+    assert recipe_text(parse_description(TEXT, "x")) == recipe_text(RECIPE)
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (lambda d: d["splits"].update(train=5), "splits.train: Input should be .*, got 5"),
+        (lambda d: d["splits"].update(train={"n": -1}), "splits.train.n: .*, got -1"),
+        (lambda d: d["splits"].update(train={"n": "5"}), "splits.train.n: .*, got '5'"),
+        (lambda d: d.update(splits=[]), r"splits: .*, got \[\]"),
+        (lambda d: d.pop("splits"), "splits: Field required"),
+        (lambda d: d.update(image_format="gif"), "image_format: .*, got 'gif'"),
+        (lambda d: d["render"].pop("passes"), "render.passes: Field required"),
+        (lambda d: d["render"].update(passes=["smell"]), "render.passes.0: .*, got 'smell'"),
+        (lambda d: d.update(params=7), "params: .*, got 7"),
+        (lambda d: d.update(seed="x"), "seed: .*, got 'x'"),
+        (lambda d: d.update(shard_size=0), "shard_size: .*, got 0"),
+        (lambda d: d.update(sede=1), "sede: Extra inputs"),
+    ],
+)
+def test_an_edited_key_is_named(change: Callable, line: str):
+    document = json.loads(TEXT)
+    change(document)
+    text = json.dumps(document).encode()
+    with pytest.raises(FormatError, match=rf"^a/dataset\.json: {line}"):
+        parse_description(text, "a/dataset.json")
+    with pytest.raises(FormatError, match=rf"^a/dataset\.json: {line}"):
+        updated_description(text, RECIPE, "train", 5, "a/dataset.json")
+
+
+def test_every_fault_has_a_line():
+    document = {**json.loads(TEXT), "shard_size": 0, "seed": "x"}
+    with pytest.raises(FormatError) as caught:
+        parse_description(json.dumps(document).encode(), "x")
+    assert sorted(line.split(": ")[1] for line in str(caught.value).splitlines()) == ["seed", "shard_size"]
+
+
+def test_another_recipe_is_refused_by_key():
+    with pytest.raises(InputError, match=r"^x: seed: expected 7 as in this dataset, got 8$"):
+        updated_description(TEXT, {**RECIPE, "seed": 8}, "train", 5, "x")

@@ -1,0 +1,54 @@
+"""A small dataset on disk: sampled scenes, images that show the lanes, no Blender."""
+
+import numpy as np
+import pytest
+from PIL import Image, ImageDraw
+
+N_TRAIN, N_TEST = 7, 4
+
+
+def _image(labels):
+    camera = labels.camera
+    image = Image.new("RGB", (camera.width_px, camera.height_px), (90, 110, 130))
+    draw = ImageDraw.Draw(image)
+    for lane in labels.lanes:
+        if lane.visible.sum() > 1:
+            homogeneous = lane.xyz_cam[lane.visible] @ camera.img_from_cam.T
+            points_img = homogeneous[:, :2] / homogeneous[:, 2:]
+            draw.line([tuple(point - 0.5) for point in points_img], fill=(255, 255, 255))
+    return np.asarray(image)
+
+
+@pytest.fixture(scope="session")
+def write_split():
+    """Writes `n` samples of a split under a folder, as `generate` lays them out."""
+    from synth3dlanes import scene as scene_format
+    from synth3dlanes.dataset.folder import claim
+    from synth3dlanes.dataset.format import encode, member_names
+    from synth3dlanes.dataset.write import Shard
+    from synth3dlanes.ground_truth import ground_truth
+    from synth3dlanes.params import load_params
+    from synth3dlanes.sample import sample_scene
+    from tests import fake_samples
+
+    def write(root, split, n, changes=()):
+        params = load_params("appendix_i", changes)
+        description = {**fake_samples.recipe(image_format="jpg").description(), "shard_size": 1000}
+        with claim(root, description, split, n, [0]) as folder:
+            shard = Shard(folder, 0, 1000, member_names("jpg", ()))
+            for index in shard.missing(n):
+                scene = sample_scene(params, 0, split, index)
+                labels = ground_truth(scene)
+                shard.write_part(index, encode(_image(labels), labels, scene_format.to_json(scene), {}, "jpg"))
+            shard.join(n)
+
+    return write
+
+
+@pytest.fixture(scope="session")
+def dataset(tmp_path_factory, write_split):
+    """A folder with the splits `train` and `test`."""
+    root = tmp_path_factory.mktemp("dataset")
+    write_split(root, "train", N_TRAIN)
+    write_split(root, "test", N_TEST)
+    return root

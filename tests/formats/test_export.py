@@ -1,0 +1,344 @@
+"""Whole exports of a small dataset: layout, self-check, resuming, and the image's change of intrinsics."""
+
+import json
+import re
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from PIL import Image
+
+from synth3dlanes.errors import InputError
+from synth3dlanes.formats.export import FORMATS, export
+from synth3dlanes.formats.plan import assign, open_reader, parts_of
+from synth3dlanes.formats.resample import fitting_pinhole, resample, source_pixels
+from synth3dlanes.formats.verify import verify
+from synth3dlanes.formats.writing import Pinhole
+from tests.formats import closed_form as cf
+
+N_TRAIN, N_TEST = 7, 4
+SIZE_PX = {"apollo": (1920, 1080), "openlane": (1920, 1280), "once": (1920, 1020), "tusimple": (1280, 720)}
+APOLLO, OPENLANE = (FORMATS[name].camera for name in ("apollo", "openlane"))
+
+
+@pytest.fixture(scope="module", params=FORMATS)
+def exported(request, dataset, tmp_path_factory):
+    out = tmp_path_factory.mktemp("exports") / request.param
+    seen = []
+    summary = export(str(dataset), out, request.param, 1, lambda done, total: seen.append((done, total)))
+    assert seen[0] == (0, N_TRAIN + N_TEST)
+    assert seen[-1] == (N_TRAIN + N_TEST, N_TRAIN + N_TEST)
+    return request.param, out, summary
+
+
+def files_of(out):
+    return {str(path.relative_to(out)): path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()}
+
+
+def test_every_list_scores_perfectly_and_moved_aside_not_at_all(exported):
+    format_name, out, summary = exported
+    results = verify(out, format_name, most_frames=100)
+    assert sum(result.n_lines for result in results) >= summary.n_lines > 20
+    assert [result.problems for result in results] == [()] * len(results)
+
+
+def test_counts_add_up_and_the_readme_names_every_reason(exported):
+    _, out, summary = exported
+    assert sum((summary.n_frames + summary.left_out).values()) == N_TRAIN + N_TEST
+    readme = (out / "README.md").read_text()
+    for reason, count in summary.dropped.items():
+        assert f"| lane: {reason} | {count} |" in readme
+
+
+def test_images_have_the_formats_size_and_no_list_ends_in_a_blank_line(exported):
+    format_name, out, summary = exported
+    size_px = SIZE_PX[format_name]
+    images = [path for path in out.rglob("*.jpg") if path.is_file()]
+    assert len(images) == sum(summary.n_frames.values())
+    for path in images:
+        with Image.open(path) as image:
+            assert image.size == size_px
+    for path in [*out.glob("data_splits/*/*.json"), *out.rglob("*.txt"), *out.glob("*label*.json")]:
+        assert path.read_text().strip("\n") == path.read_text()
+
+
+def test_a_problem_is_found_when_there_is_one(exported, tmp_path):
+    format_name, out, _ = exported
+    if format_name != "apollo":
+        image = next(path for path in out.rglob("*.jpg"))
+        image.rename(tmp_path / "moved.jpg")
+        assert any(result.problems for result in verify(out, format_name, 100))
+        (tmp_path / "moved.jpg").rename(image)
+    else:
+        path = out / "data_splits/standard/test.json"
+        good = path.read_text()
+        document = json.loads(good.splitlines()[0])
+        # Another line beyond the band that the evaluator looks at.
+        document["laneLines"].append([[15.0, y, 0.0] for y in range(1, 100)])
+        document["laneLines_visibility"].append([1.0] * 99)
+        path.write_text(json.dumps(document))
+        assert any(result.problems for result in verify(out, format_name, 100))
+        path.write_text(good)
+
+
+def test_running_again_and_running_in_parallel_give_the_same_bytes(exported, dataset, tmp_path):
+    format_name, out, _ = exported
+    before = files_of(out)
+    export(str(dataset), out, format_name, 1, lambda done, total: None)
+    assert files_of(out) == before
+    if format_name == "tusimple":
+        export(str(dataset), tmp_path / "parallel", format_name, 2, lambda done, total: None)
+        assert files_of(tmp_path / "parallel") == before
+
+
+def test_an_interrupted_export_continues_and_a_grown_dataset_is_added(write_split, tmp_path, monkeypatch):
+    monkeypatch.setattr("synth3dlanes.formats.plan.FRAMES_PER_CHUNK", 2)
+    root, out = tmp_path / "data", tmp_path / "out"
+    write_split(root, "train", 5)
+
+    def stop_after_three(done, total):
+        if done > 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        export(str(root), out, "openlane", 1, stop_after_three)
+    assert not (out / "lists").exists(), "an unfinished export has no list"
+    progress = []
+    export(str(root), out, "openlane", 1, lambda done, total: progress.append(done))
+    assert progress[0] == 4, "two chunks were kept"
+    write_split(root, "train", 6)
+    open_reader.cache_clear()
+    summary = export(str(root), out, "openlane", 1, lambda done, total: None)
+    assert summary.n_frames == {"train": 5, "test": 1}
+    fresh = tmp_path / "fresh"
+    export(str(root), fresh, "openlane", 1, lambda done, total: None)
+    assert files_of(out) == files_of(fresh)
+
+
+def test_frames_without_lanes_come_last(dataset, tmp_path, monkeypatch):
+    foreign = FORMATS["apollo"]
+
+    def first_frame_is_bare(labels, frame):
+        bare = cf.labels_of(labels.camera)
+        return foreign.annotate(bare if frame.key == "00000000" else labels, frame)
+
+    monkeypatch.setitem(FORMATS, "apollo", replace(foreign, annotate=first_frame_is_bare))
+    export(str(dataset), tmp_path / "out", "apollo", 1, lambda done, total: None)
+    lines = (tmp_path / "out/data_splits/standard/train.json").read_text().splitlines()
+    assert [bool(json.loads(line)["laneLines"]) for line in lines] == [True] * (N_TRAIN - 1) + [False]
+
+
+def test_a_folder_of_something_else_is_refused(dataset, tmp_path):
+    (tmp_path / "precious.txt").write_text("mine")
+    with pytest.raises(InputError, match="expected an empty folder"):
+        export(str(dataset), tmp_path, "once", 1, lambda done, total: None)
+    out = tmp_path / "out"
+    export(str(dataset), out, "once", 1, lambda done, total: None)
+    with pytest.raises(InputError, match="got the export"):
+        export(str(dataset), out, "tusimple", 1, lambda done, total: None)
+    with pytest.raises(InputError, match="expected a dataset"):
+        export(str(tmp_path / "out"), tmp_path / "other", "once", 1, lambda done, total: None)
+
+
+def test_the_command_exports_and_verifies(dataset, tmp_path):
+    from cli.export import export as command
+
+    result = CliRunner().invoke(
+        command, [str(dataset), "--format", "once", "--out", str(tmp_path / "out"), "--verify"], catch_exceptions=False
+    )
+    assert result.exit_code == 0, result.output
+    assert f"{N_TRAIN} train, 0 val, {N_TEST} test frames" in result.output
+    assert "ground truth: f_score 1.0000" in result.output
+
+
+def test_a_rolled_camera_exports_the_labels_of_one_without_roll(write_split, tmp_path):
+    shift = "camera.principal_offset_px=[-8, 8]"
+    write_split(tmp_path / "level", "train", 2, [shift])
+    write_split(tmp_path / "rolled", "train", 2, [shift, "camera.roll_deg={-2: 1, 2: 1}"])
+    files = {}
+    for name in ("level", "rolled"):
+        for format_name in FORMATS:
+            out = tmp_path / f"{name}-{format_name}"
+            export(str(tmp_path / name), out, format_name, 1, lambda done, total: None)
+            assert [result.problems for result in verify(out, format_name, 10) if result.problems] == []
+            texts = {path.relative_to(out): path.read_text() for path in sorted(out.rglob("*.json"))}
+            # A rolled image covers a narrower upright one.
+            texts = {path: re.sub(r'"calibration": .*?]], ', "", text) for path, text in texts.items()}
+            files[name, format_name] = {path: text for path, text in texts.items() if path.name != "export.json"}
+    # OpenLane's lines begin at the image's border, where the labels' rounding decides on a point.
+    for format_name in FORMATS.keys() - {"openlane"}:
+        level, rolled = files["level", format_name], files["rolled", format_name]
+        assert level.keys() == rolled.keys()
+        for path in level:
+            a, b = (np.array(re.findall(r"-?\d+\.\d+", text), dtype=float) for text in (level[path], rolled[path]))
+            np.testing.assert_allclose(a, b, atol=2e-3, err_msg=str(path))
+
+
+# ---- images
+
+
+@pytest.mark.parametrize("view", [foreign.camera for foreign in FORMATS.values()])
+@pytest.mark.parametrize(("size_px", "roll_rad"), [((480, 360), 0), ((960, 640), 0.02), ((1920, 1280), 0)])
+def test_a_mark_lands_where_the_foreign_camera_sees_it(view, size_px, roll_rad):
+    f_px = 0.86 * size_px[0]
+    camera = cf.camera_label(size_px=size_px, f_px=f_px, roll_rad=roll_rad)
+    view = fitting_pinhole(camera, view)
+    points_img = np.array([[view.width_px * 0.3, view.height_px * 0.7], [view.width_px * 0.8, view.height_px * 0.4]])
+    rows, columns = np.mgrid[0 : size_px[1], 0 : size_px[0]] + 0.5
+    for point_img in points_img:
+        u_px, v_px = source_pixels(camera, view, point_img[None])[0]
+        spread_px = 3 * f_px / view.f_px + 2
+        spot = np.exp(-((columns - u_px) ** 2 + (rows - v_px) ** 2) / (2 * spread_px**2))
+        image = np.repeat((200 * spot)[..., None].astype(np.uint8), 3, axis=2)
+        found = np.asarray(resample(image, camera, view, "test"))[..., 0].astype(float)
+        v_grid, u_grid = np.mgrid[0 : view.height_px, 0 : view.width_px] + 0.5
+        centroid = np.array([(found * u_grid).sum(), (found * v_grid).sum()]) / found.sum()
+        np.testing.assert_allclose(centroid, point_img, atol=0.15)
+
+
+@pytest.mark.parametrize("roll_rad", [0.0, 0.03])
+def test_source_pixels_are_the_same_rays(roll_rad):
+    camera, level = (cf.camera_label(size_px=(480, 360), f_px=415.7, roll_rad=roll) for roll in (roll_rad, 0.0))
+    points_cv = np.array([[1.0, 0.5, 8.0], [-3.0, 1.2, 20.0]])
+    points_road = (points_cv[:, [0, 2, 1]] * [1, 1, -1]) @ level.road_from_cam[:3, :3].T
+    homogeneous = points_road @ camera.road_from_cam[:3, :3] @ camera.img_from_cam.T
+    ours_img = homogeneous[:, :2] / homogeneous[:, 2:]
+    np.testing.assert_allclose(source_pixels(camera, APOLLO, APOLLO.project(points_cv)), ours_img, atol=1e-9)
+
+
+def test_a_native_image_is_not_touched_and_one_of_another_size_refused():
+    pixels = np.random.default_rng(0).integers(0, 255, (1280, 1920, 3), dtype=np.uint8)
+    native = cf.camera_label(size_px=(1920, 1280), f_px=2014.9991)
+    np.testing.assert_array_equal(np.asarray(resample(pixels, native, OPENLANE, "test")), pixels)
+    cropped = np.asarray(resample(pixels, cf.camera_label(), APOLLO, "test"))
+    np.testing.assert_array_equal(cropped, pixels[100:1180])
+    with pytest.raises(InputError, match=r"^x: expected an image of 1920x1280 as in its labels, got 640x480"):
+        resample(np.zeros((480, 640, 3), dtype=np.uint8), cf.camera_label(), Pinhole(100, 100, 2015.0), "x")
+
+
+@pytest.mark.parametrize("roll_rad", [0.0, 0.02])
+@pytest.mark.parametrize("f_px", [300.0, 415.7, 900.0])
+def test_the_fitting_camera_is_the_widest_that_the_image_covers(f_px, roll_rad):
+    camera = cf.camera_label(size_px=(480, 360), f_px=f_px, roll_rad=roll_rad)
+    fitting = fitting_pinhole(camera, Pinhole(1920, 1020, 1500.0))
+
+    def outside_px(pinhole):
+        """How far the foreign image's border reaches beyond ours."""
+        u, v = np.meshgrid(np.linspace(0, 1920, 49), np.linspace(0, 1020, 49))
+        found = source_pixels(camera, pinhole, np.stack([u.ravel(), v.ravel()], axis=1))
+        return max((-found).max(), (found - [480, 360]).max())
+
+    assert outside_px(fitting) <= 0.0101
+    if roll_rad == 0:
+        # 480 px at f are as wide as 1920 px at 4 f.
+        assert fitting.f_px == pytest.approx(max(1500.0, 4 * f_px), abs=0.2)
+    if fitting.f_px > 1500:
+        assert outside_px(replace(fitting, f_px=0.999 * fitting.f_px)) > 0.05
+
+
+def test_narrow_frames_get_their_own_intrinsics_or_are_left_out_and_counted(write_split, tmp_path):
+    root = tmp_path / "data"
+    write_split(root, "train", 3, ["camera.horizontal_fov_deg={30: 1, 60: 1}"])
+    own_f_px = [
+        camera.img_from_cam[0, 0] for camera in (open_reader(f"{root}/train").labels(i).camera for i in range(3))
+    ]
+    narrow = [f_px for f_px in own_f_px if f_px > 500]
+    assert 0 < len(narrow) < 3, "some frames are narrow and some are not"
+    summaries = {name: export(str(root), tmp_path / name, name, 1, lambda done, total: None) for name in FORMATS}
+    for name in ("openlane", "once"):
+        assert sum(summaries[name].n_frames.values()) == 3
+    for name in ("apollo", "tusimple"):
+        assert list(summaries[name].left_out.values()) == [len(narrow)]
+        assert f"narrower than the format's one camera | {len(narrow)} |" in (tmp_path / name / "README.md").read_text()
+    found = [json.loads(path.read_text())["intrinsic"][0][0] for path in tmp_path.glob("openlane/lane3d_1000/*/seg*/*")]
+    assert sorted(found) == pytest.approx([2015.0] * (3 - len(narrow)) + [4 * f_px for f_px in narrow], abs=0.2)
+    assert [result.problems for name in FORMATS for result in verify(tmp_path / name, name, 9) if result.problems] == []
+
+
+def test_categories_are_those_of_the_scenes_paint(write_split, tmp_path):
+    # The leftmost line of the road, and no other, is yellow and double.
+    changes = ["markings.left_yellow=true", "markings.left_double=true", "road.topology=1", "camera.roll_deg=0"]
+    write_split(tmp_path / "data", "train", 2, changes)
+    export(str(tmp_path / "data"), tmp_path / "out", "openlane", 1, lambda done, total: None)
+    labels = open_reader(f"{tmp_path}/data/train").labels(0)
+    leftmost = min((lane for lane in labels.lanes if lane.kind == "delimiter"), key=lambda lane: lane.xyz_cam[0, 0])
+    (path,) = (tmp_path / "out/lane3d_1000/training").glob("*/train-00000000.json")
+    seen = 0
+    for line in json.loads(path.read_text())["lane_lines"]:
+        gap_m = np.abs(-np.array(line["xyz"][1])[0] - np.interp(line["xyz"][0][0], *leftmost.xyz_cam[:, [1, 0]].T))
+        is_leftmost = gap_m < 0.2
+        seen += is_leftmost
+        assert line["category"] in ((9, 10) if is_leftmost else (1, 2))
+    assert seen == 1
+
+
+@pytest.mark.parametrize(
+    ("names", "parts", "dealt"),
+    [
+        (["test", "train"], ["test", "train"], False),
+        (["test", "train", "val"], ["test", "train", "val"], False),
+        (["test"], ["test"], False),
+        (["validation"], ["val"], False),
+        (["day", "night"], ["train", "train"], True),
+        (["train"], ["train"], True),
+    ],
+)
+def test_splits_keep_the_part_that_their_name_says(names, parts, dealt):
+    splits = assign(names)
+    assert [split.part for split in splits] == parts
+    assert {split.part_of("00000004") for split in splits} == ({"test"} if dealt else set(parts))
+    assert {split.part_of("00000003") for split in splits} == set(parts)
+    assert parts_of(splits) == set(parts) | ({"test"} if dealt else set())
+
+
+def test_a_set_for_tests_alone_gives_no_training_frames(write_split, tmp_path):
+    write_split(tmp_path / "data", "test", 6)
+    for name in FORMATS:
+        summary = export(str(tmp_path / "data"), tmp_path / name, name, 1, lambda done, total: None)
+        assert set(summary.n_frames) == {"test"}
+        assert "tools that open val find the test frames" in (tmp_path / name / "README.md").read_text()
+    assert not (tmp_path / "apollo/data_splits/standard/train.json").exists()
+    assert not (tmp_path / "openlane/images/training").exists()
+    assert not (tmp_path / "once/ONCE_3DLanes/train").exists()
+    assert (tmp_path / "tusimple/label_data_0313.json").read_text() == ""
+    lists = {path.name for path in (tmp_path / "openlane/lane3d_1000/test").glob("*.txt")}
+    assert lists == {  # what public evaluation scripts of OpenLane open
+        "1000_curve.txt",
+        "1000_extreme_weather.txt",
+        "1000_intersection.txt",
+        "1000_merge_split_case.txt",
+        "1000_night.txt",
+        "1000_updown.txt",
+    }
+
+
+def test_frames_that_were_made_again_are_exported_again(write_split, tmp_path):
+    root, out = tmp_path / "data", tmp_path / "out"
+    write_split(root, "train", 3)
+    export(str(root), out, "openlane", 1, lambda done, total: None)
+    shutil.rmtree(root)
+    open_reader.cache_clear()
+    write_split(root, "train", 2, ["camera.height_m=1.77"])
+    export(str(root), out, "openlane", 1, lambda done, total: None)
+    fresh = tmp_path / "fresh"
+    export(str(root), fresh, "openlane", 1, lambda done, total: None)
+    assert files_of(out) == files_of(fresh)
+
+
+@pytest.mark.parametrize("name", ["apollo", "openlane"])
+def test_camera_presets_render_natively_and_change_nothing_else(name):
+    from synth3dlanes.ground_truth import ground_truth
+    from synth3dlanes.params import load_params
+    from synth3dlanes.sample import sample_scene
+
+    params, base = load_params(f"{name}_camera"), load_params("appendix_i")
+    view = FORMATS[name].camera
+    camera = ground_truth(sample_scene(params, 0, "train", 0)).camera
+    pixels = np.random.default_rng(0).integers(0, 255, (view.height_px, view.width_px, 3), dtype=np.uint8)
+    np.testing.assert_array_equal(np.asarray(resample(pixels, camera, view, "test")), pixels)
+    changed = {"width_px", "height_px", "horizontal_fov_deg"}
+    for group in type(params).model_fields:
+        for key, value in getattr(params, group):
+            assert value == getattr(getattr(base, group), key) or key in changed

@@ -1,0 +1,172 @@
+"""The scores against the known answers of the notes (4.2, 4.3), which were measured on the official evaluators."""
+
+import numpy as np
+import pytest
+
+from synth3dlanes.formats.apollo.score import prune
+from synth3dlanes.formats.apollo.score import score as score_apollo
+from synth3dlanes.formats.line_score import Line3d
+from synth3dlanes.formats.once.score import score as score_once
+from synth3dlanes.formats.openlane.score import score as score_openlane
+from synth3dlanes.formats.tusimple.score import score as score_tusimple
+from synth3dlanes.formats.tusimple.score import score_frame
+
+ROWS_PX = np.arange(160.0, 720.0, 10.0)
+
+
+def line(x_m=0.0, start_m=1.0, end_m=108.0, visible_to_m=np.inf, slope=0.0, category=1):
+    """A line straight ahead with a point every metre."""
+    y_m = np.arange(start_m, end_m + 0.5)
+    points = np.column_stack([np.full(len(y_m), x_m), y_m, slope * y_m])
+    return Line3d(points, y_m <= visible_to_m, category)
+
+
+FOUR = [line(x) for x in (-5.4, -1.8, 1.8, 5.4)]
+
+
+@pytest.mark.parametrize("score", [score_apollo, score_openlane])
+def test_ground_truth_is_perfect_and_two_metres_aside_is_nothing(score):
+    perfect = score([(FOUR, [prune(x) for x in FOUR])] * 3)
+    assert (perfect.recall, perfect.precision) == (1, 1)
+    assert 0.99999 < perfect.f_score < 1
+    assert (perfect.x_near_m, perfect.x_far_m, perfect.z_near_m, perfect.z_far_m) == (0, 0, 0, 0)
+    assert score([(FOUR, [line(x.points_ground[0, 0] + 2) for x in FOUR])]).f_score < 1e-6
+
+
+@pytest.mark.parametrize("score", [score_apollo, score_openlane])
+def test_errors_read_in_metres(score):
+    found = score([([line(slope=0.01)], [line(0.1)])])
+    assert found.f_score > 0.999
+    assert found.x_near_m == pytest.approx(0.1)
+    assert found.x_far_m == pytest.approx(0.1)
+    assert found.z_near_m == pytest.approx(0.01 * np.arange(3, 41).mean())
+    assert found.z_far_m == pytest.approx(0.01 * np.arange(41, 103).mean())
+
+
+def test_apollo_ap_is_one_for_perfect_and_a_half_for_nothing():
+    assert score_apollo([(FOUR, FOUR)]).ap == pytest.approx(1.0)
+    assert score_apollo([(FOUR, [])]).ap == pytest.approx(0.5)
+
+
+def test_apollo_line_outside_the_band_caps_recall_but_not_in_openlane():
+    lines = [*FOUR[:3], line(15.0)]
+    found = score_apollo([(lines, lines)])
+    assert found.f_score == pytest.approx(0.75, abs=1e-6)
+    assert found.ap == pytest.approx(0.763, abs=1e-3)
+    assert score_openlane([(lines, lines)]).f_score == pytest.approx(1.0, abs=1e-6)
+
+
+def test_apollo_charges_for_a_missing_far_part_and_openlane_does_not():
+    lines = [*FOUR[:3], line(5.4, end_m=30.0)]
+    assert score_apollo([(lines, lines)]).x_far_m == pytest.approx(0.375)
+    assert score_openlane([(lines, lines)]).x_far_m == 0
+
+
+def test_apollo_full_length_prediction_of_a_half_visible_line_has_no_precision():
+    found = score_apollo([([line(x, visible_to_m=50) for x in (-1.8, 1.8)], [line(-1.8), line(1.8)])])
+    assert (found.precision, found.f_score) == (0, 0)
+    assert found.recall == 1
+
+
+def test_apollo_drops_a_true_line_beyond_the_range_but_keeps_its_prediction():
+    lines = [*FOUR[:3], line(5.4, start_m=103.0, end_m=120.0)]
+    assert score_apollo([(lines, lines)]).precision == pytest.approx(0.75)
+
+
+def test_lines_written_far_to_near_are_dropped():
+    backwards = [Line3d(x.points_ground[::-1], x.visible) for x in FOUR]
+    for score in (score_apollo, score_openlane):
+        found = score([(backwards, backwards)])
+        assert found.f_score == 0
+        assert np.isnan(found.x_near_m)
+
+
+def test_apollo_prediction_of_one_point_is_refused():
+    with pytest.raises(AssertionError):
+        score_apollo([(FOUR, [Line3d(FOUR[0].points_ground[:1], np.ones(1, dtype=bool))])])
+
+
+def test_openlane_category_accuracy_counts_equal_ids_and_one_way_curbs():
+    x_m = (-3.6, 0.0, 3.6)
+    true = [line(x, category=c) for x, c in zip(x_m, (2, 21, 20), strict=True)]
+    predicted = [line(x, category=c) for x, c in zip(x_m, (2, 20, 21), strict=True)]
+    assert score_openlane([(true, predicted)]).category_accuracy == pytest.approx(2 / 3)
+
+
+@pytest.mark.parametrize("score", [score_apollo, score_openlane])
+def test_empty_frames_change_nothing(score):
+    assert repr(score([(FOUR, FOUR), ([], [])])) == repr(score([(FOUR, FOUR)]))
+    assert score([([], [])]).f_score == 0
+
+
+def once_lane(x_m, start_m=5.0):
+    z_m = np.arange(start_m, 90.0)[::-1]
+    return np.column_stack([np.full(len(z_m), x_m), np.full(len(z_m), 1.5), z_m])
+
+
+def test_once_perfect_shifted_and_distance():
+    true = [once_lane(x) for x in (-5.4, -1.8, 1.8)]
+    perfect = score_once([(true, true)] * 2 + [([], [])])
+    assert (perfect.f_score, perfect.distance_m) == (1, 0)
+    assert score_once([(true, true[::-1])]).f_score == 1, "the order does not matter where lines can be assigned"
+    assert score_once([(true, [x + np.array([2.0, 0, 0]) for x in true])]).f_score == 0
+    found = score_once([(true, [x + np.array([0.1, 0, 0]) for x in true])])
+    assert found.f_score == 1
+    assert found.distance_m == pytest.approx(0.1)
+
+
+def test_once_cannot_assign_permuted_lines_that_begin_beyond_ten_metres():
+    true = [once_lane(x, start_m=12.0) for x in (-5.4, -1.8, 1.8)]
+    assert score_once([(true, true)]).f_score == 1
+    assert score_once([(true, [true[1], true[2], true[0]])]).f_score == 0
+
+
+def tusimple_lines(n, slope=0.5):
+    return np.where(ROWS_PX >= 300, 300.0 + 100 * np.arange(n)[:, None] + slope * (ROWS_PX - 300), -2.0)
+
+
+def test_tusimple_perfect_and_missed():
+    found = score_tusimple([(tusimple_lines(4), tusimple_lines(4))], ROWS_PX)
+    assert (found.accuracy, found.false_positive, found.false_negative) == (1, 0, 0)
+    far = np.where(tusimple_lines(4) >= 0, tusimple_lines(4) + 50, -2)
+    found = score_tusimple([(tusimple_lines(4), far)], ROWS_PX)
+    assert (found.false_positive, found.false_negative) == (1, 1)
+    assert found.accuracy == pytest.approx(np.mean(ROWS_PX < 300))
+
+
+def test_tusimple_oddities_of_the_official_accuracy():
+    def accuracy(n):
+        return score_tusimple([(tusimple_lines(n), tusimple_lines(n))], ROWS_PX).accuracy
+
+    assert (accuracy(0), accuracy(5), accuracy(6)) == (0, 1, 1.25)
+    too_many = score_tusimple([(tusimple_lines(2), tusimple_lines(5))], ROWS_PX)
+    assert (too_many.accuracy, too_many.false_positive, too_many.false_negative) == (0, 0, 1)
+
+
+def test_tusimple_tolerance_grows_with_the_slant():
+    slanted = tusimple_lines(1, slope=1.0)
+    near = np.where(slanted >= 0, slanted + 25, -2)
+    assert score_tusimple([(slanted, near)], ROWS_PX).accuracy == 1
+    upright = tusimple_lines(1, slope=0.0)
+    assert score_tusimple([(upright, np.where(upright >= 0, upright + 25, -2))], ROWS_PX).false_negative == 1
+
+
+def test_tusimple_accuracy_by_hand():
+    rows = np.arange(160.0, 711.0, 50.0)
+
+    def rates(found, true):
+        one = score_frame(*(np.array(lines, dtype=float).reshape(-1, len(rows)) for lines in (true, found)), rows)
+        return one.accuracy, one.false_positive, one.false_negative
+
+    upright = np.full(len(rows), 600.0)
+    assert rates([upright], [upright]) == (1.0, 0.0, 0.0)
+    assert rates([upright + 19], [upright])[0] == 1.0
+    assert rates([upright + 21], [upright]) == (0.0, 1.0, 1.0)
+    leaning = 400.0 + rows
+    assert rates([leaning + 27], [leaning])[0] == 1.0, "20 px across is 28 along the row"
+    assert rates([upright] * 4, [upright]) == (0.0, 0.0, 1.0)
+    assert rates([], [upright]) == (0.0, 0.0, 1.0)
+    absent = np.where(rows < 400, -2.0, upright)
+    assert rates([absent], [absent])[0] == 1.0, "absent on both sides is right"
+    five = [np.full(len(rows), 100.0 * i) for i in range(1, 6)]
+    assert rates(five[:4], five) == (1.0, 0.0, 0.0), "the worst of five does not count"

@@ -1,0 +1,107 @@
+"""Air, daylight and sensor: each against its law, in numbers that do not come from the code under test."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from synth3dlanes.imaging.daylight import daylight, film_factor
+from synth3dlanes.imaging.film import tonemap
+from synth3dlanes.imaging.haze import through_air
+from synth3dlanes.imaging.sensor import add_noise, motion_blur
+from synth3dlanes.imaging.sky import overcast_dome
+from synth3dlanes.world import resolve
+from tests.scenes import FLAT, changed
+
+LEVEL = FLAT.camera.model_copy(update={"pitch_rad": 0.0})
+
+
+def lit(**parts):
+    """The flat scene and its daylight with fields changed."""
+    scene = changed(**parts)
+    return scene, daylight(scene, scene.camera.height_m)
+
+
+def film_of(scene):
+    return film_factor(scene.light, daylight(scene, scene.camera.height_m))
+
+
+def test_haze_is_bluish_far_away_and_fog_is_not():
+    for visibility_m, blue_per_red in ((200.0, 1.0), (40_000.0, 1.4)):
+        scene, light = lit(air={"visibility_m": visibility_m})
+        view = resolve(scene).view
+        haze = np.full((360, 480, 2), [0.2, 1], np.float32)
+        black = through_air(np.zeros((360, 480, 3), np.float32), haze, visibility_m, light.airlight, view)
+        airlight = through_air(np.zeros_like(black), np.full_like(haze, 1), visibility_m, light.airlight, view)
+        red, _, blue = (black / airlight)[100, 240]
+        assert blue / red > blue_per_red - 1e-3
+    assert blue / red > 1.4
+
+
+def test_overcast_takes_the_sun_and_most_of_the_light():
+    (_, clear), (_, half), (_, closed) = (lit(air={"overcast": share}) for share in (0, 0.5, 1))
+    assert np.all(closed.sun == 0)
+    assert np.all(clear.sun > half.sun)
+    zenith, horizon = closed.sky[1, -1].mean(), closed.sky[1, 270].mean()
+    assert 2 < zenith / horizon < 3.2, "the CIE overcast sky is three times brighter overhead"
+    assert overcast_dome(np.pi / 2) == pytest.approx(3 * overcast_dome(0.0))
+
+
+def test_full_metering_keeps_the_daylight_of_a_picture():
+    """Of a low sun and of closed clouds; none keeps the exposure as it is."""
+    for parts in ({"light": {"sun_zenith_rad": 1.5}}, {"air": {"overcast": 1}}):
+        fixed, metered = (
+            changed(**{**parts, "light": {**parts.get("light", {}), "metering": metering}}) for metering in (0, 1)
+        )
+        assert film_of(fixed) == fixed.light.exposure
+        assert film_of(metered) > 1.5 * fixed.light.exposure
+    clear = changed(light={"sun_zenith_rad": 0.5, "metering": 1}, air={"visibility_m": 1e6})
+    assert film_of(clear) == pytest.approx(clear.light.exposure, rel=0.1)
+
+
+def road_picture(rng):
+    """Linear stripes across a level road, and its depth."""
+    v = np.arange(360)[:, None] + 0.5
+    depth_m = np.where(v > 185, 1.5 * 415.7 / np.maximum(v - 180, 1), np.inf) * np.ones((1, 480))
+    return rng.random((360, 480, 3), dtype=np.float32), depth_m.astype(np.float32)
+
+
+def test_motion_blur_is_symmetric_in_time_and_in_space(rng):
+    image, depth_m = road_picture(rng)
+    forward = motion_blur(image, depth_m, LEVEL, np.array([0, 0.4, 0.0]))
+    backward = motion_blur(image, depth_m, LEVEL, np.array([0, -0.4, 0.0]))
+    np.testing.assert_allclose(forward, backward, atol=1e-5)
+    mirrored = motion_blur(np.ascontiguousarray(image[:, ::-1]), depth_m, LEVEL, np.array([0, 0.4, 0.0]))
+    np.testing.assert_allclose(mirrored[:, ::-1], forward, atol=1e-5)
+
+
+def test_a_mark_on_the_road_is_smeared_by_the_way_driven_and_stays_centred():
+    """A bright bar across the lane at 6 m: its rows are those of the road 0.2 m nearer to 0.2 m farther."""
+    v = np.arange(360) + 0.5
+    _, depth_m = road_picture(np.random.default_rng(0))
+    bar = np.zeros((360, 480, 3), np.float32)
+    at = 180 + 1.5 * 415.7 / 6.0
+    bar[int(at)] = 1.0
+    blurred = motion_blur(bar, depth_m, LEVEL, np.array([0, 0.4, 0.0]))[:, 240, 0]
+    rows = np.flatnonzero(blurred > 0.02)
+    near, far = 180 + 1.5 * 415.7 / 5.8, 180 + 1.5 * 415.7 / 6.2
+    assert rows.min() + 0.5 == pytest.approx(far, abs=1.5)
+    assert rows.max() + 0.5 == pytest.approx(near, abs=1.5)
+    assert (blurred * v).sum() / blurred.sum() == pytest.approx(at, abs=0.5)
+
+
+def test_the_sky_stands_still(rng):
+    image, depth_m = road_picture(rng)
+    blurred = motion_blur(image, depth_m, LEVEL, np.array([0, 0.5, 0.0]))
+    np.testing.assert_array_equal(blurred[:180], image[:180])
+    np.testing.assert_array_equal(motion_blur(image, np.full_like(depth_m, np.inf), LEVEL, np.ones(3)), image)
+
+
+@given(st.sampled_from([1.0, 2.5, 6.0]))
+def test_noise_at_middle_gray_has_the_deviation_asked_for(levels):
+    gray = np.full((200, 200, 3), 0.18, np.float32)
+    noisy = add_noise(gray, levels, np.random.default_rng(1))
+    picture = tonemap(noisy).astype(float)
+    assert picture.std() == pytest.approx(np.hypot(levels, 12**-0.5), rel=0.04), "with the rounding to whole levels"
+    bright = add_noise(np.full_like(gray, 0.72), levels, np.random.default_rng(2))
+    assert bright.std() / noisy.std() == pytest.approx(np.sqrt(0.1 + 0.9 * 4), rel=0.03), "photons: with the root"

@@ -1,0 +1,121 @@
+"""The device asked for or an error, never another; each worker sees one GPU, and none that a scheduler has hidden."""
+
+from dataclasses import replace
+
+import pytest
+
+from synth3dlanes.errors import InputError
+from synth3dlanes.production import devices
+from synth3dlanes.production.devices import default_workers, masks, resolve_device
+from synth3dlanes.production.plan import Plan
+from synth3dlanes.production.run import generate
+from synth3dlanes.production.workers import Limits, Pool
+from synth3dlanes.settings import DEVICES, Device, RenderSettings, choose_device
+from tests import fake_samples
+
+CPU = Device("cpu", "AMD EPYC")
+TWO_NVIDIA = [CPU, *(Device(kind, f"NVIDIA H200 {i}") for kind in ("cuda", "optix") for i in range(2))]
+RADEON = [CPU, Device("hip", "Radeon")]
+
+
+@pytest.mark.parametrize(
+    ("found", "best"),
+    [
+        ([CPU], "cpu"),
+        ([], "cpu"),
+        (TWO_NVIDIA, "optix"),
+        ([CPU, Device("cuda", "GTX 960")], "cuda"),
+        (RADEON, "hip"),
+        ([CPU, Device("oneapi", "Arc A770")], "oneapi"),
+        ([Device("metal", "M2")], "metal"),
+    ],
+)
+def test_auto_takes_the_best_and_a_name_takes_that_or_fails(found, best):
+    assert choose_device("auto", found) == best
+    for asked in DEVICES[1:]:
+        if asked == "cpu" or asked in {device.kind for device in found}:
+            assert choose_device(asked, found) == asked
+        else:
+            with pytest.raises(InputError, match=f"device: expected {asked} on this machine, found") as error:
+                choose_device(asked, found)
+            assert all(device.name in str(error.value) for device in found)
+
+
+def test_each_gpu_has_a_mask_of_its_own():
+    assert masks("cpu", TWO_NVIDIA, {}) == [{}]
+    assert masks("cuda", TWO_NVIDIA, {}) == [{"CUDA_VISIBLE_DEVICES": "0"}, {"CUDA_VISIBLE_DEVICES": "1"}]
+    assert masks("optix", TWO_NVIDIA, {}) == masks("cuda", TWO_NVIDIA, {})
+    assert masks("hip", RADEON, {}) == [{"HIP_VISIBLE_DEVICES": "0"}]
+    assert masks("metal", [Device("metal", "M2")], {}) == [{}]
+
+
+def test_a_mask_from_a_scheduler_is_divided_not_widened():
+    given = {"CUDA_VISIBLE_DEVICES": "5,GPU-8f3c"}
+    assert [mask["CUDA_VISIBLE_DEVICES"] for mask in masks("optix", TWO_NVIDIA, given)] == ["5", "GPU-8f3c"]
+
+
+def test_workers_fill_cores_or_gpus():
+    assert default_workers("cpu", 0, 12) == 12
+    assert default_workers("optix", 2, 64) == 8
+    assert default_workers("optix", 2, 3) == 3
+
+
+def test_workers_take_turns_with_the_gpus():
+    shown = [{"CUDA_VISIBLE_DEVICES": "0"}, {"CUDA_VISIBLE_DEVICES": "1"}]
+    with Pool(4, Limits(), masks=shown) as pool:
+        for task in range(4):
+            pool.start(task, visible_devices)
+        values = []
+        while pool.busy:
+            values += [outcome.value for outcome in pool.wait(1.0)]
+    assert sorted(values) == ["0", "0", "1", "1"]
+
+
+def visible_devices() -> str:
+    """In a worker, before anything else could be imported."""
+    import os
+
+    return os.environ["CUDA_VISIBLE_DEVICES"]
+
+
+def test_two_pools_on_a_machine_take_different_cores():
+    import os
+
+    with Pool(1, Limits()) as one, Pool(1, Limits()) as other:
+        cores = []
+        for pool in (one, other):
+            pool.start("core", my_cores)
+            cores += [outcome.value for outcome in pool.wait(30.0)]
+    assert len({*map(tuple, cores)}) == min(2, len(os.sched_getaffinity(0)))
+
+
+def my_cores() -> list[int]:
+    """In a worker."""
+    import os
+
+    return sorted(os.sched_getaffinity(0))
+
+
+@pytest.mark.render
+def test_a_run_fails_before_it_begins_where_the_device_is_absent(tmp_path):
+    recipe = replace(fake_samples.recipe(), settings=RenderSettings(device="metal"))
+    with pytest.raises(InputError, match=r"device: expected metal on this machine, found .*cpu \("):
+        generate(Plan(tmp_path / "out", 4, recipe), print)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.render
+def test_the_device_found_is_part_of_the_recipe(monkeypatch):
+    auto = replace(fake_samples.recipe(), settings=RenderSettings(device="auto"))
+    monkeypatch.setattr(devices, "_ask", lambda asked: tuple(TWO_NVIDIA))
+    recipe, slots = resolve_device(auto)
+    assert recipe.description()["render"]["device"] == "optix"
+    assert slots.names == ("NVIDIA H200 0", "NVIDIA H200 1")
+    assert len(slots.masks) == 2
+    monkeypatch.undo()
+    assert resolve_device(replace(auto, settings=RenderSettings(device="cpu")))[0].settings.device == "cpu"
+
+
+@pytest.mark.render
+def test_blender_finds_this_processor():
+    assert [device.kind for device in devices._ask("auto")].count("cpu") == 1

@@ -1,0 +1,262 @@
+"""Runs: whatever is killed, full or broken, the same bytes are there in the end."""
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections import namedtuple
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from synth3dlanes.dataset.read import Reader
+from synth3dlanes.errors import ClaimedError, DiskFullError, InputError, MissingPackageError
+from synth3dlanes.production import local
+from synth3dlanes.production.plan import Plan
+from synth3dlanes.production.recipe import make_sample
+from synth3dlanes.production.run import generate
+from synth3dlanes.production.workers import Limits
+from tests import fake_samples
+
+N = 23
+
+
+def plan(out: Path, n: int = N, workers: int = 2, maker=fake_samples.make, **changes) -> Plan:
+    return Plan(out, n, fake_samples.recipe(), workers=workers, shard_size=10, maker=maker, **changes)
+
+
+def go(a_plan: Plan):
+    events = []
+    return generate(a_plan, events.append), events
+
+
+def contents(out: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted((out / "train").glob("[0-9]*"))}
+
+
+@pytest.fixture(scope="session")
+def whole(tmp_path_factory) -> dict[str, bytes]:
+    """The files of an uninterrupted run with one worker."""
+    out = tmp_path_factory.mktemp("whole")
+    report, _ = go(plan(out, workers=1))
+    assert (report.exit_code, report.made, report.done) == (0, N, N)
+    assert list(contents(out)) == [f"{i:05d}.{suffix}" for i in range(3) for suffix in ("parquet", "tar")]
+    return contents(out)
+
+
+def test_workers_leave_no_trace(tmp_path, whole):
+    report, events = go(plan(tmp_path, workers=3))
+    assert report.exit_code == 0
+    assert contents(tmp_path) == whole
+    assert [sample.key for sample in Reader(str(tmp_path / "train"))] == [f"{i:08d}" for i in range(N)]
+    assert sum(event.kind == "sample" for event in events) == N
+    (log,) = (tmp_path / "logs").iterdir()
+    assert [json.loads(line)["kind"] for line in log.read_text().splitlines()] == [event.kind for event in events]
+
+
+def test_running_again_does_nothing_and_a_larger_n_extends(tmp_path, whole):
+    for n, made, done in [(4, 4, 4), (12, 8, 12), (5, 0, 5), (N, 11, N), (N, 0, N)]:
+        report, _ = go(plan(tmp_path, n))
+        assert (report.made, report.done, report.exit_code) == (made, done, 0)
+    assert contents(tmp_path) == whole
+
+
+def test_an_empty_folder_that_a_killed_join_left_goes(tmp_path, whole):
+    go(plan(tmp_path))
+    (tmp_path / "train" / "00001.parts").mkdir()
+    report, _ = go(plan(tmp_path))
+    assert (report.made, report.exit_code) == (0, 0)
+    assert contents(tmp_path) == whole
+
+
+def test_parts_are_disjoint_and_make_the_whole(tmp_path, whole):
+    made = []
+    for part in (1, 2):
+        out = tmp_path / str(part)
+        report, _ = go(plan(out, part=(part, 2)))
+        made.append(set(contents(out)))
+        assert report.done == report.asked == report.made
+        shutil.copytree(out, tmp_path / "joined", dirs_exist_ok=True)
+    assert not made[0] & made[1]
+    assert contents(tmp_path / "joined") == whole
+    report, _ = go(plan(tmp_path / "joined"))
+    assert (report.made, report.done) == (0, N)
+
+
+def test_sigkill_of_the_run_and_of_workers_at_any_moment(tmp_path, whole):
+    rng = np.random.default_rng(5)
+    command = [sys.executable, "-m", "tests.fake_samples", str(tmp_path), str(N), "2"]
+    finished = set()
+    for _ in range(12):
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+        time.sleep(rng.uniform(0.6, 3.0))
+        workers = psutil.Process(process.pid).children() if process.poll() is None else []
+        for victim in [w for w in workers if rng.random() < 0.7]:
+            with suppress(psutil.NoSuchProcess):  # the run may be over by now
+                victim.kill()
+            time.sleep(rng.uniform(0, 0.3))
+        process.kill()
+        process.communicate()
+        assert not [w for w in workers if _outlives(w)]
+        parts = {path.name for path in (tmp_path / "train").glob("*.parts/[0-9]*.tar")}
+        shards = {path.stem for path in (tmp_path / "train").glob("*.parquet")}
+        assert not {name for name in finished - parts if f"{int(name[:8]) // 10:05d}" not in shards}
+        finished |= parts
+    report, _ = go(plan(tmp_path))
+    assert report.exit_code == 0
+    assert contents(tmp_path) == whole
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".lock", "dataset.json", "logs", "train"]
+
+
+def _outlives(worker: psutil.Process) -> bool:
+    """Whether a worker still runs a moment after its parent."""
+    try:
+        return worker.status() != psutil.STATUS_ZOMBIE and bool(psutil.wait_procs([worker], timeout=5)[1])
+    except psutil.NoSuchProcess:
+        return False
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_stops_in_order_within_seconds(tmp_path, whole, number):
+    command = [sys.executable, "-m", "tests.fake_samples", str(tmp_path), str(N), "2"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert next(line for line in process.stdout if "kind='sample'" in line)
+    start = time.monotonic()
+    process.send_signal(number)
+    rest = process.communicate()[0]
+    assert time.monotonic() - start < 8
+    assert process.returncode == 130
+    assert "interrupted" in rest.splitlines()[-1]
+    assert not [path for path in (tmp_path / "train").rglob("*.tmp")]
+    report, _ = go(plan(tmp_path))
+    assert report.made < N
+    assert contents(tmp_path) == whole
+
+
+def test_a_second_run_in_the_folder_is_refused(tmp_path):
+    command = [sys.executable, "-m", "tests.fake_samples", str(tmp_path), str(N), "1"]
+    first = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert next(line for line in first.stdout if "kind='start'" in line)
+    with pytest.raises(ClaimedError, match=r"shard \d is locked by another run"):
+        go(plan(tmp_path))
+    first.kill()
+    first.communicate()
+    assert go(plan(tmp_path))[0].exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("maker", "limits", "reason"),
+    [
+        (fake_samples.crash_on_bad, Limits(), "worker ended with 1"),
+        (fake_samples.hang_on_bad, Limits(seconds=4.0), "no progress for 4 s"),
+        (fake_samples.eat_memory_on_bad, Limits(rss_bytes=1 << 30), "more than 1024 MiB of memory"),
+    ],
+)
+def test_a_bad_scene_is_set_aside_and_blocks_nothing(tmp_path, whole, maker, limits, reason):
+    report, events = go(plan(tmp_path, maker=maker, limits=limits))
+    assert (report.exit_code, report.set_aside, report.done) == (1, (3,), N - 1)
+    restarts = [event for event in events if event.kind == "restart"]
+    assert len(restarts) == 3
+    assert all(event.details["index"] == 3 and reason in event.message for event in restarts)
+    folder = tmp_path / "failed" / "train" / "00000003"
+    assert json.loads((folder / "scene.json").read_text())["index"] == 3
+    assert (
+        maker is not fake_samples.crash_on_bad or "ValueError: this scene is bad" in (folder / "stderr.txt").read_text()
+    )
+    assert [s.key for s in Reader(str(tmp_path / "train"))] == [f"{i:08d}" for i in range(N) if i != 3]
+    # Once the fault is mended, running again fills the gap.
+    report, _ = go(plan(tmp_path))
+    assert (report.exit_code, report.made) == (0, 1)
+    assert contents(tmp_path) == whole
+    assert not folder.exists()
+
+
+def test_a_machine_at_fault_stops_the_run(tmp_path, monkeypatch):
+    monkeypatch.setattr(local, "MAX_IN_A_ROW", 4)
+    report, _ = go(plan(tmp_path, n=1000, maker=fake_samples.always_crash))
+    assert report.exit_code == 1
+    last_words = "worker ended with 1: ValueError: no scene is good"
+    assert report.problem.startswith(f"4 scenes in a row failed, the last with: {last_words}")
+    report, _ = go(plan(tmp_path, n=1000, maker=fake_samples.miss_a_library))
+    assert report.problem == "ImportError: libmissing.so.1: cannot open shared object file"
+
+
+def test_scenes_whose_workers_others_kill_are_made_anew(tmp_path, whole, monkeypatch):
+    (tmp_path / "marks").mkdir()
+    monkeypatch.setenv("SYNTH3DLANES_TEST_MARK", str(tmp_path / "marks"))
+    report, events = go(plan(tmp_path / "out", n=8, maker=fake_samples.be_killed_once))
+    assert report.exit_code == 0
+    assert sum(event.kind == "restart" for event in events) == 8
+    go(plan(tmp_path / "out"))
+    assert contents(tmp_path / "out") == whole
+
+
+def test_workers_are_recycled_and_pinned(tmp_path, whole):
+    pids = set()
+
+    def look(event):
+        pids.update(worker.pid for worker in psutil.Process().children())
+
+    report = generate(plan(tmp_path, maker=fake_samples.insist_on_one_core, limits=Limits(tasks=4)), look)
+    assert report.exit_code == 0
+    assert len(pids) >= 5
+    assert contents(tmp_path) == whole
+
+
+def test_waits_for_room_and_goes_on(tmp_path, whole, monkeypatch):
+    usage = namedtuple("usage", "total used free")
+    free = [10**12]
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage(10**12, 0, free[0]))
+    seen = []
+
+    def tell(event):
+        seen.append(event.kind)
+        if event.kind == "sample" and event.done == 5:
+            free[0] = 10**6
+        if event.kind == "pause":
+            free[0] = 10**12
+
+    assert generate(plan(tmp_path), tell).exit_code == 0
+    assert seen.index("pause") < seen.index("resume")
+    assert contents(tmp_path) == whole
+    free[0] = 10**6
+    with pytest.raises(DiskFullError, match=r"77 samples need .* GB, but only 0\.001 GB are free"):
+        go(plan(tmp_path, n=100))
+
+
+def test_a_vanished_folder_is_named(tmp_path):
+    out = tmp_path / "out"
+
+    def tell(event):
+        if event.kind == "sample" and event.done == 3:
+            out.rename(tmp_path / "elsewhere")  # at once: a tree removed file by file meets files that workers add
+
+    report = generate(plan(out), tell)
+    assert report.exit_code == 1
+    assert str(out) in report.problem
+    assert "No such file" in report.problem
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [({"n": -3}, "^n: expected"), ({"workers": -1}, "^workers"), ({"part": (3, 2)}, "^part: expected i/n")],
+)
+def test_impossible_plans_are_refused(tmp_path, changes, message):
+    with pytest.raises(InputError, match=message):
+        plan(tmp_path, **changes)
+    with pytest.raises(InputError, match="split: "):
+        replace(plan(tmp_path), recipe=fake_samples.recipe(split="../x"))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_python_without_blender_is_told_which_one(tmp_path, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(MissingPackageError, match=r"Python 3\.11 .*pip install 'bpy==4\.5\.\*'"):
+        generate(replace(plan(tmp_path), maker=make_sample), print)
+    assert not list(tmp_path.iterdir())

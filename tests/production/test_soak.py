@@ -1,0 +1,141 @@
+"""Killed at random moments, full, forbidden, broken: the same bytes in the end (tests/soak.py; longer: `make soak`)."""
+
+import importlib.util
+import os
+import shutil
+import signal
+import subprocess
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.production.plan import Plan
+from synth3dlanes.production.run import generate
+from tests import fake_samples, soak
+
+N, KILLS = 60, 8
+needs_ray = pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="the extra `cluster` is not installed")
+needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can mount file systems")
+
+
+def plan(out: str | Path, n: int = N, **changes) -> Plan:
+    changes = {"workers": 2, "maker": fake_samples.make, **changes}
+    return Plan(out, n, fake_samples.recipe(), shard_size=10, **changes)
+
+
+def go(a_plan: Plan):
+    return generate(a_plan, lambda _: None)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> dict[str, bytes]:
+    return soak.undisturbed(tmp_path_factory.mktemp("whole"), N)
+
+
+def test_kills_on_this_machine(tmp_path, whole):
+    assert soak.soak(tmp_path / "out", N, KILLS, seed=1) == KILLS
+    soak.check(tmp_path / "out", N, whole)
+
+
+@needs_ray
+@pytest.mark.timeout(400)
+def test_kills_and_a_lost_node_on_ray(tmp_path, whole):
+    with soak.cluster(6393) as cluster:
+        assert soak.soak(tmp_path / "out", N, KILLS, 2, cluster) >= KILLS
+        soak.check(tmp_path / "out", N, whole)
+
+
+def test_a_store_keeps_what_an_interrupted_run_has_made(tmp_path):
+    url = f"file://{tmp_path}/store"
+    a_plan = plan(url, 10, maker=fake_samples.make_slowly)
+
+    def tell(event):
+        if event.kind == "sample" and event.done == 3:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    first = generate(a_plan, tell)
+    assert first.exit_code == 130
+    assert 3 <= first.done < 10
+    assert len(a_plan.missing()[0]) == 10 - first.done
+    again = go(a_plan)
+    assert (again.exit_code, again.made) == (0, 10 - first.done)
+    with pytest.raises(InputError, match="image_format"):
+        go(replace(a_plan, recipe=fake_samples.recipe(image_format="jpg")))
+
+
+@contextmanager
+def small_disk(folder: Path, size: str):
+    folder.mkdir()
+    subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "none", str(folder)], check=True)
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", "--lazy", str(folder)], check=True)
+
+
+@pytest.fixture
+def full_disk(tmp_path):
+    with small_disk(tmp_path / "disk", "8M") as folder:
+        yield folder
+
+
+@needs_root
+def test_a_full_disk_makes_the_run_wait_and_nothing_is_lost(full_disk, whole):
+    ballast = full_disk / "ballast"
+    paused = []
+
+    def tell(event):
+        if event.kind == "sample" and event.done == 8:
+            with suppress(OSError), ballast.open("wb", buffering=0) as stream:
+                while stream.write(bytes(4096)):
+                    pass
+        if event.kind == "pause":
+            paused.append(event.message)
+            ballast.unlink(missing_ok=True)
+
+    small = plan(full_disk / "out", 20)
+    report = generate(small, tell)
+    assert report.exit_code == 0
+    assert paused
+    assert all("waiting for" in message and str(full_disk) in message for message in paused)
+    shards = ("00000.parquet", "00000.tar", "00001.parquet", "00001.tar")
+    assert soak.files(full_disk / "out") == {name: whole[name] for name in shards}
+
+
+@needs_root
+def test_a_read_only_folder_is_named(tmp_path):
+    with small_disk(tmp_path / "disk", "8M") as folder:
+        subprocess.run(["mount", "-o", "remount,ro", str(folder)], check=True)
+        with pytest.raises(InputError, match=f"out {folder}/out: expected a folder to write to, got .*Read-only"):
+            go(plan(folder / "out"))
+
+
+def test_a_vanished_folder_is_named_and_comes_back(tmp_path, whole):
+    out = tmp_path / "out"
+
+    def tell(event):
+        if event.kind == "sample" and event.done == 25:
+            out.rename(tmp_path / "moved")
+
+    report = generate(plan(out), tell)
+    assert report.exit_code == 1
+    assert str(out) in report.problem
+    shutil.rmtree(out, ignore_errors=True)
+    (tmp_path / "moved").rename(out)
+    assert go(plan(out)).exit_code == 0
+    soak.check(out, N, whole)
+
+
+def test_a_half_written_tar_is_made_whole_or_named(tmp_path, whole):
+    assert go(plan(tmp_path)).exit_code == 0
+    tar, index = tmp_path / "train" / "00001.tar", tmp_path / "train" / "00001.parquet"
+    tar.write_bytes(tar.read_bytes()[:20_000])
+    with pytest.raises(FormatError, match=r"00001\.tar: expected at least \d+ bytes, got 20000; remove this shard's"):
+        go(plan(tmp_path))
+    index.unlink()
+    report = go(plan(tmp_path))
+    assert 0 < report.made <= 10
+    soak.check(tmp_path, N, whole)
