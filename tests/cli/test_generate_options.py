@@ -2,6 +2,7 @@
 
 import pytest
 from synth3dlanes_cli.generate import generate, progress
+from synth3dlanes_cli.main import main
 
 from synth3dlanes.production.events import LEVEL_OF, Event, duration
 
@@ -18,7 +19,8 @@ from synth3dlanes.production.events import LEVEL_OF, Event, duration
     ],
 )
 def test_quality_is_a_name_for_a_number_of_samples(options, samples):
-    assert generate.make_context("generate", ["--n", "1", "--out", "d", *options]).params["samples"] == samples
+    arguments = ["--n", "1", "--out", "d", *options]
+    assert generate.make_context("generate", arguments, **main.context_settings).params["samples"] == samples
 
 
 @pytest.mark.parametrize(
