@@ -138,4 +138,10 @@ def _sidecar(labels: Labels, frame: Frame, raw_file: str, groups: dict[LaneKind,
     return json.dumps(document)
 
 
-FORMAT = Format(CAMERA, False, README, annotate, {"images": f"{ROOT}/images"})
+FORMAT = Format(
+    camera=CAMERA,
+    has_intrinsics=False,
+    readme=README,
+    annotate=annotate,
+    links={"images": f"{ROOT}/images"},
+)

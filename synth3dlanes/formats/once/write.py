@@ -66,10 +66,10 @@ def _is_rastered(line: Line) -> bool:
 
 
 FORMAT = Format(
-    CAMERA,
-    True,
-    README,
-    annotate,
+    camera=CAMERA,
+    has_intrinsics=True,
+    readme=README,
+    annotate=annotate,
     links={"annotations": ROOT, "raw_data": f"{ROOT}/data"},
     replaced_words=PARTS,
 )

@@ -121,4 +121,10 @@ def _line_document(line: Line, frame: Frame, attribute: int, track_id: int) -> d
     }
 
 
-FORMAT = Format(CAMERA, True, README, annotate, lists=tuple(f"lane3d_1000/test/{name}" for name in CASES.values()))
+FORMAT = Format(
+    camera=CAMERA,
+    has_intrinsics=True,
+    readme=README,
+    annotate=annotate,
+    lists=tuple(f"lane3d_1000/test/{name}" for name in CASES.values()),
+)

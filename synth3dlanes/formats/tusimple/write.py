@@ -85,4 +85,4 @@ def rows_of(line: Line) -> Int[np.ndarray, " r"]:
     return np.where(inside & (top_px <= ROWS_PX) & (bottom_px >= ROWS_PX), columns_px, absent)
 
 
-FORMAT = Format(CAMERA, False, README, annotate, lists=LABEL_FILES)
+FORMAT = Format(camera=CAMERA, has_intrinsics=False, readme=README, annotate=annotate, lists=LABEL_FILES)
