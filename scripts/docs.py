@@ -51,6 +51,8 @@ height_m: 1.5                 # constant
 Start from a preset: `synth3dlanes params show realistic > mine.yaml`. Check the file with `synth3dlanes params check
 mine.yaml` and use it with `--params mine.yaml`. To change a single key, use `--set camera.pitch_deg=3`. Fixing one key
 does not change the random values of the others. Lengths are in metres, angles in degrees.
+
+"ours" marks what the paper does not specify; [decisions.md](decisions.md) has the reasons.
 """
 
 
@@ -101,7 +103,7 @@ def params_page() -> str:
     legal, comments = legal_values(), preset_comments()
     parts = [PARAMS_HEAD]
     for group, keys in paper.items():
-        parts += [f"## {group}\n", "| key | legal | appendix_i | realistic | |", "|---|---|---|---|---|"]
+        parts += [f"## {group}\n", "| key | legal values | appendix_i | realistic | meaning |", "|---|---|---|---|---|"]
         for key, form in keys.items():
             cells = (f"`{key}`", legal[group, key], shown(form), shown(realistic[group][key]), comments[group, key])
             parts.append(f"| {' | '.join(cells)} |")
