@@ -18,7 +18,7 @@ ABSENT, KEPT, IGNORED, DROPPED = 0, 1, 2, 3
 """What became of a curve: `IGNORED` ones do not count anywhere, `DROPPED` ones found their anchor's slots taken."""
 TIE_M = 0.2
 MASK_AROUND_IGNORED_M = 0.64
-# Standard deviation of targets over the paper's parameter ranges (notes/model.md, 2.4): the network's outputs are
+# Standard deviation of the targets, measured over the ranges of the paper's Appendix I: the network's outputs are
 # multiplied by these, which conditions the optimisation and leaves the loss in metres.
 SPREAD_Y_M = (5.0, 20.0, 40.0, 60.0, 80.0, 100.0)
 SPREAD_X_M = (0.59, 0.37, 1.7, 4.7, 8.8, 13.4)

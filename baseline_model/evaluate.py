@@ -29,7 +29,7 @@ def evaluate_checkpoint(
 
 
 def evaluate_predictions(file: str | Path, data_dir: str | Path, config: MetricConfig | None = None) -> Report:
-    """Score predictions in JSON lines (spec, section 6). Images without a line count as images without detections;
+    """Score predictions in JSON lines (docs/baseline.md). Images without a line count as images without detections;
     a key that the split does not have, or that comes twice, is an error."""
     samples = open_split(data_dir)
     places = {_key(samples, i): i for i in range(len(samples))}

@@ -1,6 +1,6 @@
 """What a detector says about an image: lanes with scores, as JSON lines and from anchors. Numpy and scipy.
 
-Frame: lanes are in camera coordinates, the file format of `evaluate --predictions` (spec, section 6).
+Frame: lanes are in camera coordinates, the file format of `evaluate --predictions` (docs/baseline.md).
 """
 
 import json

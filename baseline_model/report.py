@@ -26,7 +26,7 @@ PAPER_TABLE_1: dict[str, tuple[float, float, float, float, float]] = {
 
 
 def to_document(report: Report) -> dict[str, Any]:
-    """Plain values; NaN becomes null. The keys of spec section 6 come first."""
+    """Plain values; NaN becomes null. The scores of each kind of line come first."""
     document: dict[str, Any] = {name: _kind_document(kind) for name, kind in report.kinds.items()}
     document["pose"] = {
         "pitch_median_deg": _plain(report.pitch_median_deg),

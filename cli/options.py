@@ -45,29 +45,37 @@ class FileName(click.ParamType):
 
 
 params_option = click.option(
-    "--params", "source", metavar="FILE", default="appendix_i", help="A preset's name or a YAML file."
+    "--params", "source", metavar="FILE", default="appendix_i", help="Parameters: a YAML file or the name of a preset."
 )
 set_option = click.option(
-    "--set", "changes", metavar="GROUP.KEY=VALUE", multiple=True, help="Change one parameter; repeatable."
+    "--set",
+    "changes",
+    metavar="GROUP.KEY=VALUE",
+    multiple=True,
+    help="Change one parameter, such as light.exposure=3; repeatable.",
 )
-seed_option = click.option("--seed", type=click.IntRange(min=0), default=0, help="Of the whole data set.")
+seed_option = click.option("--seed", type=click.IntRange(min=0), default=0, help="Random seed of the data set.")
 split_option = click.option(
-    "--split", metavar="NAME", type=FileName(), default="train", help="Its scenes differ from other splits'."
+    "--split",
+    metavar="NAME",
+    type=FileName(),
+    default="train",
+    help="Name of the split. Splits of other names have other scenes.",
 )
-json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for a machine.")
+json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 QUALITY = "synth3dlanes.quality"
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 def samples_option(command: Command) -> Command:
-    """`--quality`, and `--samples` for those who want another number; the command hears of the number alone."""
+    """`--quality`, and `--samples` for any other number; the command gets the number as `samples`."""
     levels = ", ".join(f"{name} {samples}" for name, samples in QUALITY_SAMPLES.items())
     number = click.option(
         "--samples",
         metavar="K",
         type=click.IntRange(min=1),
         callback=lambda ctx, _, value: value or QUALITY_SAMPLES[ctx.meta[QUALITY]],
-        help="Rays per pixel, whatever --quality says.",
+        help="Samples per pixel; overrides --quality.",
     )
     level = click.option(
         "--quality",
@@ -76,20 +84,24 @@ def samples_option(command: Command) -> Command:
         is_eager=True,
         expose_value=False,
         callback=lambda ctx, _, value: ctx.meta.__setitem__(QUALITY, value),
-        help=f"Rays per pixel: {levels}.",
+        help=f"Samples per pixel: {levels}.",
     )
     return level(number(command))
 
 
 passes_option = click.option(
-    "--passes", type=Names(PASSES), default="", metavar="NAMES", help=f"Of {','.join(PASSES)}: extra images in an EXR."
+    "--passes",
+    type=Names(PASSES),
+    default="",
+    metavar="NAMES",
+    help=f"Extra images to write as OpenEXR, separated by commas: {', '.join(PASSES)}.",
 )
-device_option = click.option("--device", type=click.Choice(DEVICES), default="auto", help="What Cycles renders on.")
+device_option = click.option("--device", type=click.Choice(DEVICES), default="auto", help="Device to render on.")
 assets_option = click.option(
     "--assets",
     metavar="DIR",
     type=click.Path(path_type=Path),
-    help="Cars, trees, textures and skies of your own (docs/assets.md).",
+    help="Folder of your own cars, trees, textures and skies (docs/assets.md).",
 )
 
 

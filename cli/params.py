@@ -1,4 +1,4 @@
-"""`synth3dlanes params`: look at parameter files."""
+"""`synth3dlanes params`: print and check parameter files."""
 
 import json
 
@@ -9,7 +9,7 @@ from .options import json_option, set_option
 
 @click.group()
 def params() -> None:
-    """Look at parameter files."""
+    """Print and check parameter files."""
 
 
 @params.command()
@@ -17,7 +17,7 @@ def params() -> None:
 @set_option
 @json_option
 def show(source: str, changes: tuple[str, ...], as_json: bool) -> None:
-    """Print a preset or a file with changes applied; a complete file of its own."""
+    """Print a preset or a parameter file, with changes applied, as a complete parameter file."""
     from synth3dlanes.params import load_params, params_yaml
 
     loaded = load_params(source, changes)
@@ -28,7 +28,7 @@ def show(source: str, changes: tuple[str, ...], as_json: bool) -> None:
 @click.argument("sources", metavar="NAME|FILE...", nargs=-1, required=True)
 @set_option
 def check(sources: tuple[str, ...], changes: tuple[str, ...]) -> None:
-    """Check parameter files and name every problem in them."""
+    """Check parameter files and list every problem in them."""
     from synth3dlanes.params import check_params
 
     check_params(sources, changes)

@@ -18,8 +18,13 @@ from .options import (
 
 
 @click.command()
-@click.option("--index", type=click.IntRange(min=0), default=0, help="Which scene of the split.")
-@click.option("--n", type=click.IntRange(min=1), default=1, help="How many, from --index on; one JSON a line.")
+@click.option("--index", type=click.IntRange(min=0), default=0, help="Index of the scene in the split.")
+@click.option(
+    "--n",
+    type=click.IntRange(min=1),
+    default=1,
+    help="Number of scenes, starting at --index; one JSON document per line.",
+)
 @seed_option
 @split_option
 @params_option
@@ -28,7 +33,7 @@ from .options import (
 def sample(
     index: int, n: int, seed: int, split: str, source: str, changes: tuple[str, ...], assets: Path | None
 ) -> None:
-    """Draw scenes and print their scene.json. No Blender, but to measure --assets."""
+    """Draw random scenes and print them as scene.json, without rendering. Blender is needed only to check --assets."""
     from synth3dlanes.params import load_params
     from synth3dlanes.sample import scene_texts
 
@@ -40,7 +45,9 @@ def sample(
 @click.command()
 @click.argument("scene_path", metavar="SCENE.JSON", type=click.Path(path_type=Path))
 @click.option(
-    "--out", type=click.Path(path_type=Path), help="The image to write, .png or .jpg.  [default: NAME.png, here]"
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Image to write, .png or .jpg.  [default: NAME.png in the current folder]",
 )
 @set_option
 @samples_option
@@ -56,10 +63,10 @@ def render(
     device: str,
     assets: Path | None,
 ) -> None:
-    """Render exactly one scene: image, NAME.labels.json and, with --passes, NAME.passes.exr.
+    """Render one scene: writes the image, NAME.labels.json and, with --passes, NAME.passes.exr.
 
-    --set light.exposure=3 changes one factor of it, --set cars=[] removes the cars; the changed scene is then
-    written to NAME.scene.json.
+    --set changes the scene first: --set light.exposure=3 changes the exposure, --set cars=[] removes the cars. The
+    changed scene is written to NAME.scene.json.
     """
     from synth3dlanes.production.render_file import render_file
     from synth3dlanes.settings import RenderSettings

@@ -1,4 +1,4 @@
-"""`synth3dlanes stats`: does what was drawn follow what was declared, and what do the labels show?"""
+"""`synth3dlanes stats`: drawn values against their declared distributions, and statistics of the labels."""
 
 import sys
 from pathlib import Path
@@ -7,18 +7,25 @@ import click
 
 from .options import assets_option, json_option, open_assets, seed_option, set_option
 
-# Of what is no terminal: wide enough for every column whole.
+# Table width where stdout is not a terminal: wide enough for every column.
 WIDTH = 140
 
 
 @click.command()
 @click.argument("folder", metavar="[DIR]", required=False)
-@click.option("--n", type=click.IntRange(min=1), default=2000, help="Scenes to read or draw; of DIR, evenly over it.")
-@click.option("--params", "source", metavar="FILE", help="Scenes drawn from these anew, instead of DIR's. No Blender.")
+@click.option(
+    "--n",
+    type=click.IntRange(min=1),
+    default=2000,
+    help="Number of scenes to draw, or to read from DIR, evenly spaced.",
+)
+@click.option(
+    "--params", "source", metavar="FILE", help="Draw new scenes from these parameters instead of reading DIR."
+)
 @set_option
 @assets_option
 @seed_option
-@click.option("--out", type=click.Path(path_type=Path), help="One page of plots to write.")
+@click.option("--out", type=click.Path(path_type=Path), help="Write the plots to this file.")
 @json_option
 def stats(
     folder: str | None,
@@ -30,10 +37,11 @@ def stats(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Compare every parameter's drawn values with its declared distribution; sum up slopes, bends, visibility.
+    """Compare the drawn values of every parameter with its declared distribution, and summarise slopes, curvature and
+    visibility.
 
-    Takes a data set (DIR), one split (DIR/train), or --params appendix_i for scenes drawn now, which have no images
-    and therefore no statistics of labels.
+    Reads a data set (DIR) or one split (DIR/train). With --params, draws scenes without rendering them; these have no
+    statistics of labels.
     """
     from rich.console import Console
 
@@ -45,10 +53,10 @@ def stats(
     from synth3dlanes.sources import params_of, read_scene
 
     if (folder is None) == (source is None):
-        raise click.UsageError("Expected either DIR or --params FILE.")
+        raise click.UsageError("Give either DIR or --params FILE.")
     if folder is not None:
         if changes or seed or assets:
-            raise click.UsageError("--set, --assets and --seed go with --params: scenes of DIR are as they are.")
+            raise click.UsageError("--set, --assets and --seed can only be used with --params.")
         found = readers(folder)
         places = evenly_spaced(found, n)
         scenes = scene_statistics((read_scene(reader, i) for reader, i in places), params_of(found[0]))

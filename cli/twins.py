@@ -1,30 +1,34 @@
-"""`synth3dlanes twins`: the same scenes, one factor changed."""
+"""`synth3dlanes twins`: render scenes again with one factor changed."""
 
 from pathlib import Path
 
 import click
 
-from .generate import Workers, progress
+from .generate import WORKERS_HELP, Workers, progress
 from .options import assets_option, device_option, open_assets
 
 
 @click.command()
 @click.argument("folder", metavar="DIR/SPLIT")
-@click.option("--vary", metavar="PATH=VALUES", required=True, help="The factor and its values: light.exposure=1,2,3")
-@click.option("--out", metavar="DIR", required=True, help="The new data set: a folder or a URL such as s3://lanes/v1.")
-@click.option("--n", type=click.IntRange(min=1), default=10, help="The first so many scenes of the split.")
-@click.option("--workers", metavar="N|auto", type=Workers(), default="auto", help="Processes; auto: one per core.")
+@click.option(
+    "--vary", metavar="PATH=VALUES", required=True, help="Factor and its values, such as light.exposure=1,2,3."
+)
+@click.option(
+    "--out", metavar="DIR", required=True, help="Data set to create: a folder or a URL such as s3://lanes/v1."
+)
+@click.option("--n", type=click.IntRange(min=1), default=10, help="Number of scenes, from the start of the split.")
+@click.option("--workers", metavar="N|auto", type=Workers(), default="auto", help=WORKERS_HELP)
 @device_option
 @assets_option
 @click.pass_context
 def twins(
     ctx: click.Context, folder: str, vary: str, out: str, n: int, workers: int, device: str, assets: Path | None
 ) -> None:
-    """Render scenes of a split again for each value of one factor, everything else being equal.
+    """Render the scenes of a split again with one factor changed and everything else equal.
 
-    OUT/twin_1 has the first value, OUT/twin_2 the second: sample i is the same scene in all. Labels are equal where
-    the factor does not move lanes, camera or what hides them. A path is as in scene.json: camera.pitch_deg,
-    surface.road_texture, cars. Run again to resume.
+    Each value of the factor becomes a split: OUT/twin_1 has the first value, OUT/twin_2 the second. Sample i shows the
+    same scene in all of them; its labels differ only if the factor changes lanes, camera or occlusion. PATH names a
+    value in scene.json, such as camera.pitch_deg, surface.road_texture or cars. Rerun to resume.
     """
     from synth3dlanes.dataset.read import Reader
     from synth3dlanes.production.plan import Plan

@@ -1,4 +1,4 @@
-"""`synth3dlanes validate`: is a data set whole, and do its labels fit its pixels?"""
+"""`synth3dlanes validate`: check the files of a data set, and its labels against its pixels."""
 
 import json
 
@@ -10,15 +10,17 @@ from .options import json_option
 
 @click.command()
 @click.argument("folder", metavar="DIR")
-@click.option("--workers", metavar="N|auto", type=Workers(), default="auto", help="Processes; auto: one per core.")
-@click.option("--limit", metavar="N", type=click.IntRange(min=0), help="Check N samples of each split, not all.")
+@click.option(
+    "--workers", metavar="N|auto", type=Workers(), default="auto", help="Worker processes; auto: one per core."
+)
+@click.option("--limit", metavar="N", type=click.IntRange(min=0), help="Check only N samples of each split.")
 @json_option
 @click.pass_context
 def validate(ctx: click.Context, folder: str, workers: int, limit: int | None, as_json: bool) -> None:
-    """Check every file and sample of the data set DIR, and prove its labels against its pixels.
+    """Check every file and sample of the data set DIR, and compare its labels with its images and passes.
 
-    Exits with 1 if anything fails, each fault in a line of its own; DIR/validation then has a picture of each sample
-    whose labels or pixels fail.
+    Prints one line per problem and exits with 1 if there is one. DIR/validation then has a picture of each sample
+    whose labels or pixels failed. docs/validate.md lists the checks.
     """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn

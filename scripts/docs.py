@@ -16,13 +16,20 @@ FOLDER = Path(__file__).parents[1] / "docs"
 
 CLI_HEAD = r"""# Commands
 
-`synth3dlanes COMMAND --help` says the same. `--json` is there wherever a machine may read the result. Bad input is one
-clear line per problem on stderr and exit code 2; 1 means that the work itself failed, 130 that a signal stopped it.
-`python -m synth3dlanes COMMAND` is the same program, for where its script is not on the path.
+This page is the output of `synth3dlanes COMMAND --help`. `python -m synth3dlanes COMMAND` runs the same program when
+the `synth3dlanes` script is not on your PATH. Commands whose results other programs may want have `--json`.
+
+| exit code | meaning |
+|---|---|
+| 0 | success |
+| 1 | the command ran but its work failed or is incomplete |
+| 2 | bad input: one line per problem on stderr |
+| 130 | stopped by a signal |
 
 ## Shell completion
 
-Commands, options and their values complete in bash 4.4 or later, zsh and fish. One line, in the shell's startup file:
+Completion of commands, options and their values works in bash 4.4 or later, zsh and fish. Add this line to the startup
+file of your shell:
 
 | shell | file | line |
 |---|---|---|
@@ -33,7 +40,7 @@ Commands, options and their values complete in bash 4.4 or later, zsh and fish. 
 
 PARAMS_HEAD = """# Parameters
 
-A parameter file is YAML with every key below, each in one of three forms:
+A parameter file is a YAML file with all of the keys below. Each value has one of three forms:
 
 ```yaml
 lane_width_m: [3.2, 4.0]      # uniform; integers include both ends
@@ -41,9 +48,11 @@ n_lanes: {2: 0.5, 3: 0.3}     # value: weight
 height_m: 1.5                 # constant
 ```
 
-Start from a preset: `synth3dlanes params show realistic > mine.yaml`, check it with `synth3dlanes params check
-mine.yaml`, use it with `--params mine.yaml`. One key is changed by `--set camera.pitch_deg=3`. A fixed key never moves
-the draws of the others. Lengths are metres, angles degrees.
+Start from a preset: `synth3dlanes params show realistic > mine.yaml`. Check the file with `synth3dlanes params check
+mine.yaml` and use it with `--params mine.yaml`. To change a single key, use `--set camera.pitch_deg=3`. Fixing one key
+does not change the random values of the others. Lengths are in metres, angles in degrees.
+
+"ours" marks what the paper does not specify; [decisions.md](decisions.md) has the reasons.
 """
 
 
@@ -94,7 +103,7 @@ def params_page() -> str:
     legal, comments = legal_values(), preset_comments()
     parts = [PARAMS_HEAD]
     for group, keys in paper.items():
-        parts += [f"## {group}\n", "| key | legal | appendix_i | realistic | |", "|---|---|---|---|---|"]
+        parts += [f"## {group}\n", "| key | legal values | appendix_i | realistic | meaning |", "|---|---|---|---|---|"]
         for key, form in keys.items():
             cells = (f"`{key}`", legal[group, key], shown(form), shown(realistic[group][key]), comments[group, key])
             parts.append(f"| {' | '.join(cells)} |")

@@ -1,4 +1,4 @@
-"""Labels: what a network must predict from an image, and their JSON form (`labels.json`, spec section 5).
+"""Labels: what a network must predict from an image, and their JSON form (`labels.json`; docs/format.md).
 
 Points are in camera coordinates (x right, y along the viewing direction, z up), metres. Pure data.
 """

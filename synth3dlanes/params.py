@@ -1,4 +1,4 @@
-"""Params: the ranges that scenes are drawn from, and their YAML form (`params/*.yaml`, spec section 2).
+"""Params: the ranges that scenes are drawn from, and their YAML form (`params/*.yaml`; docs/params.md).
 
 Metres and degrees. Reading a file is the only side effect.
 """

@@ -1,4 +1,4 @@
-"""Scene: one world, fully decided, and its JSON form (`scene.json`, spec section 5).
+"""Scene: one world, fully decided, and its JSON form (`scene.json`; docs/scene.schema.json).
 
 World frame, metres and radians. Pure data: nothing here reads files or computes geometry. Fields with a default came
 later: scenes written before are read, and show what they showed.

@@ -1,4 +1,4 @@
-"""Labels: closed forms, golden files, and the rules of specification section 4."""
+"""Labels: closed forms, golden files, and the rules of docs/decisions.md."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The labels against a second reading of the specification, from the two JSON files alone.
+"""The labels against a second implementation of the paper's Appendix I, from the two JSON files alone.
 
 Nothing of the project's geometry is used, but for where cars stand: curves are dense polylines, derivatives are
 differences.

@@ -1,4 +1,4 @@
-"""Sample <-> tar members: their names, their bytes, and how a tar holds them (spec section 5).
+"""Sample <-> tar members: their names, their bytes, and how a tar holds them (docs/format.md).
 
 Pure bytes: nothing here opens a file. Equal samples give equal bytes.
 """

@@ -1,4 +1,4 @@
-"""The host's camera: where it stands and how it sees. World and camera frames (spec section 1)."""
+"""The host's camera: where it stands and how it sees. World and camera frames (docs/frames.md)."""
 
 import numpy as np
 from jaxtyping import Float

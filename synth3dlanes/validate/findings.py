@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-# Bands of distance ahead of the camera; the guarantees of spec section 4 hold up to PROOF_M.
+# Bands of distance ahead of the camera; the limits of docs/decisions.md (Checks) hold up to PROOF_M.
 PROOF_M = 40.0
 BANDS_M = (0.0, 10.0, 20.0, PROOF_M, 80.0, np.inf)
 BAND_NAMES = ("0-10 m", "10-20 m", "20-40 m", "40-80 m", "80+ m")

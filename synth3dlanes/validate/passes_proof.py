@@ -27,7 +27,7 @@ MAX_SHARE, MAX_SINGLE = 0.1, 2
 MAX_GRAZING = 5
 # The height map is asked where its 3 x 3 cells differ by less: a slope of about a half against the road plane.
 MAX_SPREAD_M = 0.4
-# Spec section 4; the height map is interpolated between cells 0.4 m apart.
+# Limits of docs/decisions.md (Checks); the height map is interpolated between cells 0.4 m apart.
 LIMITS = {
     "paint_px": (1.0, "px of the paint"),
     "surface_m": (0.02, "m of the rendered surface"),

@@ -1,4 +1,4 @@
-"""The road plan against an independent reading of the specification (section 3)."""
+"""The road plan against an independent reading of the paper's Appendix I."""
 
 import numpy as np
 import pytest

@@ -37,7 +37,7 @@ IMAGE = "jpg"
 SETTINGS = RenderSettings(samples=2, passes=ALL_PASSES, device="cpu")
 SAMPLE = re.compile(r"\w+:\d{8}")
 
-HEADER = "| planted | in samples | found in | over the set | named as |\n|---|---|---|---|---|"
+HEADER = "| fault | in samples | found in | found over the data set | message |\n|---|---|---|---|---|"
 HEADER_CLEAN = "| clean data set | samples | alarms | samples a second |\n|---|---|---|---|"
 
 
