@@ -12,11 +12,7 @@ from typing import Annotated, Any, Generic, TypeVar
 import yaml
 from pydantic import PlainSerializer, PlainValidator
 
-from synth3dlanes.assets.catalogue import AssetKind, Assets
-
 Value = TypeVar("Value", bool, int, float)
-# Of models or textures of one kind, where nothing says how many there are.
-MAX_NUMBER = 9999
 
 
 @dataclass(frozen=True)
@@ -97,7 +93,8 @@ def _between(low: float, high: float, is_number: Callable[[object], bool], above
     return lambda value: is_number(value) and (low < value if above else low <= value) and value <= high
 
 
-def _is_pair(form: object) -> bool:
+def is_pair(form: object) -> bool:
+    """Whether a parameter is written as a list: `[low, high]`."""
     return isinstance(form, list | tuple)
 
 
@@ -109,7 +106,7 @@ def reals(low: float, high: float, above: bool = False) -> PlainValidator:
     def parse(form: Any) -> Uniform | Choice[float]:
         if isinstance(form, Uniform | Choice):
             return form
-        if not _is_pair(form):
+        if not is_pair(form):
             choice = _choice(form, is_legal, legal)
             return Choice(tuple(map(float, choice.values)), choice.weights)
         low_value, high_value = _checked_pair(form, is_legal, legal)
@@ -120,31 +117,16 @@ def reals(low: float, high: float, above: bool = False) -> PlainValidator:
 
 def integers(low: int, high: int) -> PlainValidator:
     """Legal limits of an integer parameter, both included."""
-    return PlainValidator(lambda form: _parse_integers(form, low, high))
+    return PlainValidator(lambda form: parse_integers(form, low, high))
 
 
-def _parse_integers(form: Any, low: int, high: int) -> Integers | Choice[int]:
+def parse_integers(form: Any, low: int, high: int) -> Integers | Choice[int]:
     """Read an integer parameter with these limits."""
     if isinstance(form, Integers | Choice):
         return form
     is_legal = _between(low, high, _is_integer, above=False)
     legal = f"integers from {low} to {high} as [low, high], {{value: weight}} or a constant"
-    return Integers(*_checked_pair(form, is_legal, legal)) if _is_pair(form) else _choice(form, is_legal, legal)
-
-
-def numbers(kind: AssetKind) -> PlainValidator:
-    """Legal numbers of models or textures: those of the `Assets` in the validation's context.
-
-    `[1, n]` with all that ours are, as the presets say it, stands for all that there are. Without a context, as in
-    `dataset.json`, numbers are taken as they are.
-    """
-    return PlainValidator(lambda form, info: _parse_numbers(form, kind, info.context))
-
-
-def _parse_numbers(form: Any, kind: AssetKind, assets: Assets | None) -> Integers | Choice[int]:
-    if assets is not None and _is_pair(form) and list(form) == [1, Assets.OURS[kind]]:
-        return Integers(1, assets.count(kind))
-    return _parse_integers(form, 1, assets.count(kind) if assets else MAX_NUMBER)
+    return Integers(*_checked_pair(form, is_legal, legal)) if is_pair(form) else _choice(form, is_legal, legal)
 
 
 def _checked_pair(form: Sequence[Any], is_legal: Callable[[Any], bool], legal: str) -> tuple[Any, Any]:

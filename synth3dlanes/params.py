@@ -9,16 +9,33 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, PlainValidator, ValidationError
 
-from synth3dlanes.assets.catalogue import BUILT_IN, Assets
-from synth3dlanes.distributions import Flag, Integer, Real, integers, numbers, reals
+from synth3dlanes.assets.catalogue import BUILT_IN, AssetKind, Assets
+from synth3dlanes.distributions import Choice, Flag, Integer, Integers, Real, integers, is_pair, parse_integers, reals
 from synth3dlanes.errors import InputError
 from synth3dlanes.yaml_text import read_yaml
 
 Fraction = Annotated[Real, reals(0, 1)]
 Orientation = Annotated[Real, reals(-360, 360)]
 Offset = Annotated[Real, reals(-50, 50)]
+# Of models or textures of one kind, if the assets are unknown.
+MAX_NUMBER = 9999
+
+
+def numbers(kind: AssetKind) -> PlainValidator:
+    """Legal numbers of models or textures of one kind: those of the `Assets` in the validation's context.
+
+    The range of all built-in ones, as in the presets, stands for all of the context. Without a context, as in
+    `dataset.json`, any number is legal.
+    """
+    return PlainValidator(lambda form, info: _parse_numbers(form, kind, info.context))
+
+
+def _parse_numbers(form: Any, kind: AssetKind, assets: Assets | None) -> Integers | Choice[int]:
+    if assets is not None and is_pair(form) and list(form) == [1, Assets.OURS[kind]]:
+        return Integers(1, assets.count(kind))
+    return parse_integers(form, 1, assets.count(kind) if assets else MAX_NUMBER)
 
 
 class Group(BaseModel):
@@ -177,7 +194,7 @@ def preset_names() -> list[str]:
 def load_params(source: str, overrides: Sequence[str] = (), assets: Assets = BUILT_IN.assets) -> Params:
     """Read a preset (by name) or a YAML file, then apply overrides like `road.n_lanes=3`.
 
-    Numbers of models and textures are of those in `assets`; see `distributions.numbers`. Raises one InputError with a
+    Numbers of models and textures are of those in `assets`; see `numbers`. Raises one InputError with a
     line for every problem found, each naming file and key.
     """
     if source in preset_names():
