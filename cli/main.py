@@ -5,7 +5,9 @@ Imports nothing heavy: every command imports what it needs when it runs.
 
 import os
 import re
+import signal
 import sys
+from types import FrameType
 from typing import IO, Any
 
 import click
@@ -27,6 +29,13 @@ from .stats import stats
 from .twins import twins
 from .validate import validate
 
+# Commands that continue from what they have written.
+RESUMED = ("generate", "twins", "split", "merge", "export", "train", "ablation")
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM arrived."""
+
 
 class BadInput(click.ClickException):
     """Problems that the user can fix, one per line."""
@@ -45,6 +54,10 @@ class Commands(click.Group):
         """Run the command; bad input of any kind becomes BadInput."""
         try:
             return super().invoke(ctx)
+        except KeyboardInterrupt as stop:
+            command = f"{ctx.command_path} {ctx.invoked_subcommand}"
+            click.echo(f"{command}: interrupted{'; rerun to resume' * (ctx.invoked_subcommand in RESUMED)}", err=True)
+            ctx.exit(128 + (signal.SIGTERM if isinstance(stop, Terminated) else signal.SIGINT))
         except NoArgsIsHelpError:
             raise
         except click.UsageError as error:
@@ -106,8 +119,13 @@ for command in (
     main.add_command(command)
 
 
+def _terminate(number: int, frame: FrameType | None) -> None:
+    raise Terminated
+
+
 def run() -> None:
     """The program: `main`, and an exit that does not wait for Blender, which may hang or crash in an orderly one."""
+    signal.signal(signal.SIGTERM, _terminate)
     try:
         main()
     except SystemExit as leaving:

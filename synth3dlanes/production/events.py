@@ -10,7 +10,7 @@ LEVELS = ("debug", "info", "warning", "error")
 LEVEL_OF = {
     **dict.fromkeys(("sample", "shard"), "debug"),
     **dict.fromkeys(("start", "resume", "end"), "info"),
-    **dict.fromkeys(("restart", "pause"), "warning"),
+    **dict.fromkeys(("restart", "pause", "stop"), "warning"),
     "set_aside": "error",
 }
 

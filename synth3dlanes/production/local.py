@@ -83,6 +83,7 @@ class _Run:
                     self._start(pool, *self.todo.popleft())
                 for outcome in pool.wait(POLL_S):
                     self._handle(outcome)
+                tally.acknowledge()
                 for number in [number for number, join in self.joins.items() if join.done()]:
                     self._joined(number, self.joins.pop(number))
                 if time.monotonic() > tally.stop_by:

@@ -132,6 +132,7 @@ def make_on_ray(plan: Plan, tally: Tally) -> None:
     while tasks and time.monotonic() < stop_by:
         ready, _ = ray.wait(list(tasks), timeout=POLL_S)
         _pass_on(board, tally)
+        tally.acknowledge()
         for reference in ready:
             number, problem = tasks.pop(reference), _problem(reference)
             if problem and not tally.problem:

@@ -8,8 +8,8 @@ from types import FrameType
 
 
 @contextmanager
-def stopping_on_signals(stop: Callable[[], None]) -> Iterator[None]:
-    """Call `stop` at the first SIGINT or SIGTERM; the second raises KeyboardInterrupt."""
+def stopping_on_signals(stop: Callable[[int], None]) -> Iterator[None]:
+    """Call `stop` with the number of the first SIGINT or SIGTERM; the second raises KeyboardInterrupt."""
     stopped = False
 
     def handle(number: int, _: FrameType | None) -> None:
@@ -17,7 +17,7 @@ def stopping_on_signals(stop: Callable[[], None]) -> Iterator[None]:
         if stopped:
             raise KeyboardInterrupt
         stopped = True
-        stop()
+        stop(number)
 
     if current_thread() is not main_thread():
         yield

@@ -2,6 +2,7 @@
 
 import math
 import os
+import signal
 import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -29,6 +30,7 @@ class Report:
     problem: str
     restarts: int
     seconds: float
+    stop_signal: int = 0
 
     def text(self) -> str:
         """What a person wants to know of it, in a line."""
@@ -39,10 +41,10 @@ class Report:
 
     @property
     def exit_code(self) -> int:
-        """0 all is there; 130 stopped by a signal; 1 something is missing."""
+        """0 all is there; 1 something is missing; 128 plus the signal that stopped the run: 130 SIGINT, 143 SIGTERM."""
         if self.problem or self.set_aside:
             return 1
-        return 130 if self.interrupted else 0
+        return 128 + self.stop_signal if self.interrupted else 0
 
 
 class Tally:
@@ -57,6 +59,7 @@ class Tally:
     ) -> None:
         self.asked, self.missing = asked, set(missing)
         self.problem, self.interrupted, self.stop_by = "", False, math.inf
+        self._stop_signal, self._is_acknowledged = 0, False
         self._missing_before = frozenset(self.missing)
         self._made, self._set_aside, self._restarts = set[int](), set[int](), 0
         self._notify, self._log = notify, log
@@ -67,10 +70,16 @@ class Tally:
         """Whether no further sample is to be begun."""
         return self.interrupted or bool(self.problem)
 
-    def interrupt(self) -> None:
-        """Somebody wants the run to end."""
-        self.interrupted = True
+    def interrupt(self, number: int = signal.SIGINT) -> None:
+        """Ask the run to end, on a signal; safe in a signal handler."""
+        self.interrupted, self._stop_signal = True, number
         self.stop_by = time.monotonic() + GRACE_S
+
+    def acknowledge(self) -> None:
+        """Tell once that the run is about to end, if it was interrupted; called by whoever makes samples."""
+        if self.interrupted and not self._is_acknowledged:
+            self._is_acknowledged = True
+            self.tell("stop", "interrupted: finishing the samples in progress; Ctrl-C again stops at once")
 
     def tell(self, kind: str, message: str, /, **details: Any) -> None:
         """Something has happened. Details that count: `index` of a "sample" or "set_aside", and `lost`, the indices
@@ -101,6 +110,7 @@ class Tally:
             self.problem,
             self._restarts,
             time.monotonic() - self._began,
+            self._stop_signal,
         )
 
     def _count(self, kind: str, details: dict[str, Any]) -> None:
