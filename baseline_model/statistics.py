@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from synth3dlanes.frames import transform
-from synth3dlanes.labels import Kind, Labels
+from synth3dlanes.labels import Labels, LaneKind
 
 from .anchors import (
     CENTERLINE,
@@ -94,7 +94,7 @@ def decode_targets(key: str, targets: Targets, pose: Pose, model: ModelConfig) -
         xz_m = np.stack([x_m, targets.z_m[0, lane_type, anchor].double().numpy()], axis=-1)
         dense = interpolate(knots[reached], xz_m[reached], DENSE_Y_M, model.spline)
         xyz_road = np.stack([dense[:, 0], DENSE_Y_M, dense[:, 1]], axis=-1)
-        kind: Kind = "delimiter" if model.types[lane_type] == "d" else "centerline"
+        kind: LaneKind = "delimiter" if model.types[lane_type] == "d" else "centerline"
         lanes.append(Detection(kind, 1.0, transform(cam_from_road(pose), xyz_road)))
     return Prediction(key, tuple(lanes), pose)
 

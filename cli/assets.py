@@ -23,7 +23,7 @@ def assets(ctx: click.Context, folder: Path, example: bool, as_json: bool) -> No
     from rich.console import Console
     from rich.table import Table
 
-    from synth3dlanes.library import check_assets, write_example
+    from synth3dlanes.production.user_assets import check_assets, write_example
 
     if example:
         write_example(folder)

@@ -72,7 +72,7 @@ def bench(
     from synth3dlanes.production.recipe import Recipe
     from synth3dlanes.settings import RenderSettings
 
-    stored = json.loads(against.read_text()) if against else None
+    stored = measuring.read_bench(against) if against else None
     library = open_assets(assets)
     params, settings = load_params(source, changes, library.assets), RenderSettings(samples, passes, device)
     recipe, slots = resolve_device(Recipe(params, 0, "bench", settings, "jpg", library=library))

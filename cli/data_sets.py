@@ -74,9 +74,9 @@ def split(folder: str, out: str, into: dict[str, float], seed: int) -> None:
     `generate --split val` instead. Rerun to resume.
     """
     from synth3dlanes.dataset.read import Reader
-    from synth3dlanes.dataset.rearrange import cut
+    from synth3dlanes.dataset.rearrange import split_dataset
 
-    _tell(out, cut(Reader(folder), into, seed, out))
+    _tell(out, split_dataset(Reader(folder), into, seed, out))
 
 
 @click.command()

@@ -31,7 +31,9 @@ def export(source: str, format_name: str, out: Path, is_verified: bool, workers:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
+    from synth3dlanes.formats.export import FORMATS
     from synth3dlanes.formats.export import export as export_dataset
+    from synth3dlanes.formats.summary import warnings
     from synth3dlanes.formats.verify import verify
     from synth3dlanes.formats.writing import PARTS
 
@@ -45,6 +47,8 @@ def export(source: str, format_name: str, out: Path, is_verified: bool, workers:
     click.echo(f"{out}: {frames} frames, {summary.n_lines} lane lines")
     for reason, count in summary.left_out.items():
         click.echo(f"left out {count} frames: {reason}")
+    for warning in warnings(out, FORMATS[format_name], summary):
+        click.echo(f"warning: {warning}", err=True)
     if is_verified:
         results = verify(out, format_name, most_frames=500)
         for result in results:

@@ -30,7 +30,7 @@ def inspect(where: str, image: Path | None, out: Path | None, html: Path | None,
     from synth3dlanes.figures.describe import describe
     from synth3dlanes.figures.inspect import draw_inspect, summary
     from synth3dlanes.figures.page import scene_page
-    from synth3dlanes.open_source import load_any
+    from synth3dlanes.sources import load_any
 
     found = load_any(where, image)
     written = {}
@@ -72,7 +72,7 @@ def gallery(
     --where "junction = 'merge' and max_grade > 0.1".
     """
     from synth3dlanes.figures.gallery import draw_gallery
-    from synth3dlanes.open_source import some_samples
+    from synth3dlanes.sources import some_samples
 
     samples = some_samples(folder, n, shuffle, where)
     labels = [sample.labels for sample in samples] if lanes else None
@@ -98,17 +98,18 @@ def report(folder: str, html: Path, n: int, samples: int) -> None:
     Shows samples with lanes that can be switched on and off, the distributions of all parameters, and statistics of
     the labels. The page is a single file that loads nothing else.
     """
-    from synth3dlanes.dataset.splits import readers, spread
+    from synth3dlanes.dataset.splits import evenly_spaced, readers
     from synth3dlanes.figures.page import report_page
     from synth3dlanes.figures.stats import label_statistics, scene_statistics
-    from synth3dlanes.open_source import params_of, read_scene
+    from synth3dlanes.sources import params_of, read_scene
 
     found = readers(folder)
-    places = spread(found, n)
+    places = evenly_spaced(found, n)
     scenes = scene_statistics((read_scene(reader, i) for reader, i in places), params_of(found[0]))
     labels = label_statistics(reader.labels(i) for reader, i in places)
     shown = [
-        (f"{reader.url}:{reader.key(i)}", reader.image(i), reader.labels(i)) for reader, i in spread(found, samples)
+        (f"{reader.url}:{reader.key(i)}", reader.image(i), reader.labels(i))
+        for reader, i in evenly_spaced(found, samples)
     ]
     html.write_text(report_page(folder, shown, scenes, labels), encoding="utf-8")
     click.echo(f"Page: {html}")

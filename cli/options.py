@@ -107,7 +107,7 @@ assets_option = click.option(
 
 def open_assets(folder: Path | None) -> "Library":
     """Check the folder of `--assets`; warnings go to stderr."""
-    from synth3dlanes.library import open_library
+    from synth3dlanes.production.user_assets import open_library
 
     library, warnings = open_library(folder)
     for warning in warnings:

@@ -45,12 +45,12 @@ def stats(
     """
     from rich.console import Console
 
-    from synth3dlanes.dataset.splits import readers, spread
+    from synth3dlanes.dataset.splits import evenly_spaced, readers
     from synth3dlanes.figures.stats import label_statistics, scene_statistics, to_json
     from synth3dlanes.figures.stats_views import draw_statistics, statistics_table, verdict
-    from synth3dlanes.open_source import params_of, read_scene
     from synth3dlanes.params import load_params
     from synth3dlanes.sample import sample_scene
+    from synth3dlanes.sources import params_of, read_scene
 
     if (folder is None) == (source is None):
         raise click.UsageError("Give either DIR or --params FILE.")
@@ -58,7 +58,7 @@ def stats(
         if changes or seed or assets:
             raise click.UsageError("--set, --assets and --seed can only be used with --params.")
         found = readers(folder)
-        places = spread(found, n)
+        places = evenly_spaced(found, n)
         scenes = scene_statistics((read_scene(reader, i) for reader, i in places), params_of(found[0]))
         labels = label_statistics(reader.labels(i) for reader, i in places)
     else:

@@ -13,20 +13,14 @@ from .options import assets_option, device_option, open_assets
 @click.option(
     "--vary", metavar="PATH=VALUES", required=True, help="Factor and its values, such as light.exposure=1,2,3."
 )
-@click.option(
-    "--out",
-    metavar="DIR",
-    type=click.Path(file_okay=False, path_type=Path),
-    required=True,
-    help="Data set to create.",
-)
+@click.option("--out", metavar="DIR", required=True, help="The new data set: a folder or a URL such as s3://lanes/v1.")
 @click.option("--n", type=click.IntRange(min=1), default=10, help="Number of scenes, from the start of the split.")
 @click.option("--workers", metavar="N|auto", type=Workers(), default="auto", help=WORKERS_HELP)
 @device_option
 @assets_option
 @click.pass_context
 def twins(
-    ctx: click.Context, folder: str, vary: str, out: Path, n: int, workers: int, device: str, assets: Path | None
+    ctx: click.Context, folder: str, vary: str, out: str, n: int, workers: int, device: str, assets: Path | None
 ) -> None:
     """Render the scenes of a split again with one factor changed and everything else equal.
 
@@ -36,12 +30,10 @@ def twins(
     """
     from synth3dlanes.dataset.read import Reader
     from synth3dlanes.production.plan import Plan
-    from synth3dlanes.production.recipe import require_blender
     from synth3dlanes.production.run import generate
     from synth3dlanes.production.twins import twin_recipes
 
     recipes = twin_recipes(folder, vary, device, open_assets(assets))
-    require_blender()
     count = min(n, len(Reader(folder)))
     for recipe, value in zip(recipes, recipes[0].values, strict=True):
         with progress() as notify:

@@ -26,9 +26,16 @@ if TYPE_CHECKING:
     from synth3dlanes.errors import FormatError, InputError
     from synth3dlanes.figures.overlay import draw_overlay
     from synth3dlanes.labels import Labels, Lane
-    from synth3dlanes.open_source import read_scene
     from synth3dlanes.params import Params
     from synth3dlanes.scene import Scene
+    from synth3dlanes.sources import read_scene
+else:
+    # Type checkers must not see it: they would take any name for one of ours.
+    def __getattr__(name: str) -> Any:
+        if name not in __all__:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(import_module(f"{__name__}.{_HOMES.get(name, 'api')}"), name)
+
 
 __version__ = "0.2.0"
 
@@ -68,14 +75,8 @@ _HOMES = {
     "Sample": "dataset.format",
     "Scene": "scene",
     "draw_overlay": "figures.overlay",
-    "read_scene": "look_up",
+    "read_scene": "sources",
 }
-
-
-def __getattr__(name: str) -> Any:
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_HOMES.get(name, 'api')}"), name)
 
 
 def __dir__() -> list[str]:

@@ -24,8 +24,6 @@ from synth3dlanes.formats.export import FORMATS, export
 from synth3dlanes.formats.summary import Summary
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
-from synth3dlanes.library import open_library
-from synth3dlanes.open_source import load_scene as _load_scene
 from synth3dlanes.params import Params
 from synth3dlanes.params import load_params as _load_params
 from synth3dlanes.production.events import Event
@@ -34,10 +32,12 @@ from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.render_file import render_members
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.tally import Report
+from synth3dlanes.production.user_assets import open_library
 from synth3dlanes.sample import sample_scene as _sample_scene
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import DEVICES, QUALITY_SAMPLES, RenderSettings
 from synth3dlanes.settings import PASSES as PASS_NAMES
+from synth3dlanes.sources import load_scene as _load_scene
 
 STANDARD = QUALITY_SAMPLES["standard"]
 
@@ -91,7 +91,11 @@ def load_params(
 def sample_scene(
     params: Params, *, seed: int = 0, split: str = "train", index: int = 0, assets: Library = BUILT_IN
 ) -> Scene:
-    """Draw scene `index` of a split; equal arguments give equal scenes. Raises InputError where nothing fits."""
+    """Draw scene `index` of a split; equal arguments give equal scenes.
+
+    Raises InputError for a bad argument, and where cars or trees find no room in the ranges given.
+    """
+    _at_least(0, seed=seed, index=index)
     return _sample_scene(params, seed, split, index, assets.assets)
 
 
@@ -161,6 +165,7 @@ def generate_dataset(
     `workers` 0 is one for each core; `notify` is called with every event, whose `message` is a line of text. A problem
     on the way does not raise: see `problem`, `done` and `asked` of the result. Raises InputError where it cannot start.
     """
+    _at_least(0, seed=seed)
     settings = _settings(samples, passes, device)
     image_format = _one_of("image_format", image_format, IMAGE_FORMATS)
     recipe = Recipe(params, seed, split, settings, image_format, library=assets)
@@ -184,8 +189,7 @@ def export_dataset(source: str | Path, out: str | Path, format_name: str, *, wor
 
 def _settings(samples: int, passes: str | Sequence[str], device: str) -> RenderSettings:
     """Checked, with the passes in their usual order."""
-    if samples < 1:
-        raise InputError(f"samples: expected 1 or more, got {samples}")
+    _at_least(1, samples=samples)
     asked = [_one_of("passes", name, PASS_NAMES) for name in _several(passes)]
     ordered = tuple(name for name in PASS_NAMES if name in asked)
     return RenderSettings(samples, ordered, _one_of("device", device, DEVICES))
@@ -194,6 +198,12 @@ def _settings(samples: int, passes: str | Sequence[str], device: str) -> RenderS
 def _several(values: str | Sequence[str]) -> Sequence[str]:
     """A single text is a list of one."""
     return [values] if isinstance(values, str) else values
+
+
+def _at_least(least: int, **arguments: int) -> None:
+    for name, value in arguments.items():
+        if value < least:
+            raise InputError(f"{name}: expected {least} or more, got {value}")
 
 
 def _one_of(argument: str, value: str, known: Iterable[str]) -> str:

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Generic, TypeVar
 import yaml
 from pydantic import PlainSerializer, PlainValidator
 
-from synth3dlanes.assets.catalogue import Assets, Kind
+from synth3dlanes.assets.catalogue import AssetKind, Assets
 
 Value = TypeVar("Value", bool, int, float)
 # Of models or textures of one kind, where nothing says how many there are.
@@ -132,7 +132,7 @@ def _parse_integers(form: Any, low: int, high: int) -> Integers | Choice[int]:
     return Integers(*_checked_pair(form, is_legal, legal)) if _is_pair(form) else _choice(form, is_legal, legal)
 
 
-def numbers(kind: Kind) -> PlainValidator:
+def numbers(kind: AssetKind) -> PlainValidator:
     """Legal numbers of models or textures: those of the `Assets` in the validation's context.
 
     `[1, n]` with all that ours are, as the presets say it, stands for all that there are. Without a context, as in
@@ -141,7 +141,7 @@ def numbers(kind: Kind) -> PlainValidator:
     return PlainValidator(lambda form, info: _parse_numbers(form, kind, info.context))
 
 
-def _parse_numbers(form: Any, kind: Kind, assets: Assets | None) -> Integers | Choice[int]:
+def _parse_numbers(form: Any, kind: AssetKind, assets: Assets | None) -> Integers | Choice[int]:
     if assets is not None and _is_pair(form) and list(form) == [1, Assets.OURS[kind]]:
         return Integers(1, assets.count(kind))
     return _parse_integers(form, 1, assets.count(kind) if assets else MAX_NUMBER)

@@ -14,7 +14,7 @@ from synth3dlanes.errors import FormatError
 
 LABELS_VERSION = 1
 
-Kind = Literal["centerline", "delimiter"]
+LaneKind = Literal["centerline", "delimiter"]
 RoadName = Literal["main", "exit"]
 Marking = Literal["none", "solid", "dashed"]
 
@@ -41,7 +41,7 @@ class Lane:
     road's outside. `object_visible` is None until the scene has been rendered."""
 
     id: str
-    kind: Kind
+    kind: LaneKind
     road: RoadName
     marking: Marking
     left: str | None

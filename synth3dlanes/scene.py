@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
-from synth3dlanes.assets.catalogue import Assets, Kind
+from synth3dlanes.assets.catalogue import AssetKind, Assets
 from synth3dlanes.errors import FormatError
 from synth3dlanes.schema import Part, Positive, Unit, validation_problems
 from synth3dlanes.streams import stream
@@ -197,7 +197,7 @@ class Scene(Part):
     @model_validator(mode="after")
     def _has_its_models(self) -> "Scene":
         """Every number of a model, texture or sky is one that there is."""
-        used: list[tuple[str, Kind, int]] = [
+        used: list[tuple[str, AssetKind, int]] = [
             *((f"cars.{i}.model", "cars", car.model) for i, car in enumerate(self.cars)),
             *((f"trees.{i}.model", "trees", tree.model) for i, tree in enumerate(self.trees)),
             ("surface.road_texture", "roads", self.surface.road_texture),

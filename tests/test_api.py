@@ -93,6 +93,9 @@ def test_a_render_is_what_a_data_set_has(tmp_path: Path) -> None:
     [
         ("render", {"passes": "colour"}, "passes: expected one of depth, normal, semantic, instance, height"),
         ("render", {"samples": 0}, "samples: expected 1 or more, got 0"),
+        ("sample_scene", {"seed": -1}, "seed: expected 0 or more, got -1"),
+        ("sample_scene", {"index": -1}, "index: expected 0 or more, got -1"),
+        ("generate_dataset", {"out": "o", "n": 1, "seed": -2}, "seed: expected 0 or more, got -2"),
         ("render", {"device": "gpu"}, "device: expected one of auto, cpu"),
         ("generate_dataset", {"out": "o", "n": 1, "image_format": "bmp"}, "image_format: expected one of jpg, png"),
         ("generate_dataset", {"out": "o", "n": -1}, "n: expected 0 or more, got -1"),
@@ -102,7 +105,8 @@ def test_a_render_is_what_a_data_set_has(tmp_path: Path) -> None:
 def test_a_wrong_argument_is_named(
     function: str, arguments: dict[str, Any], problem: str, flat_scene: Any, in_tmp_path: Path
 ) -> None:
-    first = {"render": {"scene": flat_scene}, "generate_dataset": {"params": synth3dlanes.load_params("tiny")}}
+    params = {"params": synth3dlanes.load_params("tiny")}
+    first = {"render": {"scene": flat_scene}, "sample_scene": params, "generate_dataset": params}
     with pytest.raises(synth3dlanes.InputError) as caught:
         getattr(synth3dlanes, function)(**first.get(function, {}), **arguments)
     assert caught.value.problems[0].startswith(problem)

@@ -117,7 +117,7 @@ def look_up(group: click.Group, words: list[str]) -> None:
 
 @pytest.fixture(scope="module", autouse=True)
 def shards_of_one() -> Iterator[None]:
-    from synth3dlanes.production import plan
+    from synth3dlanes.production import plan, run  # noqa: F401 - its type hints must mean the class itself
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(plan, "Plan", functools.partial(plan.Plan, shard_size=1))

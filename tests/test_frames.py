@@ -16,7 +16,7 @@ def test_inverse_undoes_and_inverts_products(a_from_b, b_from_c):
     np.testing.assert_allclose(invert(a_from_b @ b_from_c), invert(b_from_c) @ invert(a_from_b), atol=1e-12)
 
 
-def test_a_camera_that_looks_down_sees_the_road_ahead_above_its_own_axis_foot():
+def test_the_axis_of_a_camera_that_looks_down_sinks_towards_the_road():
     ahead = transform(road_from_cam(1.5, 0.1), np.array([[0.0, 10, 0]]))[0]
     assert ahead[2] < 1.5, "ten metres along the axis of a camera pitched down is lower than the camera"
     np.testing.assert_allclose(ahead, [0, 10 * np.cos(0.1), 1.5 - 10 * np.sin(0.1)])

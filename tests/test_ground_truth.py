@@ -8,7 +8,7 @@ import pytest
 
 from synth3dlanes import labels as label_file
 from synth3dlanes import scene as scene_file
-from synth3dlanes.frames import project, transform
+from synth3dlanes.frames import invert, project, road_from_cam, transform
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.world import resolve
 from tests.golden.make import GOLDEN, golden_text
@@ -122,6 +122,8 @@ def test_the_horizon_plane_of_a_plain_is_the_road_itself_and_a_rise_tilts_it_up(
     assert rising.horizon.pitch_rad > rising.camera.pitch_rad, "the plane rises ahead: the camera looks down at it more"
     host = next(lane for lane in rising.lanes if lane.id == "main_2")
     far = transform(rising.camera.road_from_cam, host.xyz_cam)[np.flatnonzero(host.in_image & host.terrain_visible)[-1]]
-    slope = np.arctan2(far[2], far[1])
-    assert rising.horizon.pitch_rad == pytest.approx(0.05 + slope)
-    assert rising.horizon.height_m == pytest.approx(1.6 * np.cos(slope))
+    assert far[2] > 1, "the farthest point that is seen lies above the road plane at the host"
+    horizon_from_cam = road_from_cam(rising.horizon.height_m, rising.horizon.pitch_rad)
+    horizon_from_road = horizon_from_cam @ invert(rising.camera.road_from_cam)
+    on_plane = transform(horizon_from_road, np.array([[0, 0, 0], far]))
+    np.testing.assert_allclose(on_plane[:, 2], 0, atol=1e-6, err_msg="the host's foot and that point lie on the plane")

@@ -20,7 +20,7 @@ PROBE = "import sys; import {}; print(*sorted({{'bpy', 'torch', 'matplotlib', 'p
         ("synth3dlanes.dataset.read", {"pyarrow"}),
         ("synth3dlanes.formats.apollo.read", set()),
         ("synth3dlanes.formats.export", {"pyarrow"}),
-        ("synth3dlanes.open_source", {"pyarrow"}),
+        ("synth3dlanes.sources", {"pyarrow"}),
         ("synth3dlanes.production.run", {"pyarrow"}),
     ],
 )

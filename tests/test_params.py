@@ -159,14 +159,16 @@ def test_overrides_take_every_form() -> None:
 def test_integers_share_the_unit_interval_evenly(low: int, size: int, u: float) -> None:
     value = Integers(low, low + size - 1).draw(u)
     assert low <= value < low + size
-    assert (value - low) / size <= u + 1e-12
+    assert (value - low) / size - 1e-12 <= u <= (value - low + 1) / size + 1e-12
 
 
 @given(low=st.floats(-1e3, 1e3), size=st.floats(0, 1e3), u=UNIT)
-def test_a_uniform_draw_stays_in_range_and_moves_with_u(low: float, size: float, u: float) -> None:
+def test_a_uniform_draw_lies_at_its_share_of_the_range(low: float, size: float, u: float) -> None:
     uniform = Uniform(low, low + size)
-    assert uniform.low <= uniform.draw(u) <= uniform.high
-    assert uniform.draw(u / 2) <= uniform.draw(u)
+    value = uniform.draw(u)
+    assert uniform.low <= value <= uniform.high
+    assert value - uniform.low == pytest.approx(u * size, abs=1e-9)
+    assert uniform.high - value == pytest.approx((1 - u) * size, abs=1e-9)
 
 
 def test_a_choice_follows_its_weights(rng: np.random.Generator) -> None:

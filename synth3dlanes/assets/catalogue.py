@@ -1,7 +1,7 @@
 """The models, textures and skies that scenes count from 1: ours, and what a user's own take the place of.
 
 `blender_assets/` builds our meshes to these sizes, the sampler keeps their footprints apart, and geometry stands
-their wheels on the surface. Of a user's files `synth3dlanes.library` measures the same. Metres, no side effects.
+their wheels on the surface. Files of a user are measured in the same way by `blender.check_assets`. Metres.
 """
 
 from typing import Annotated, ClassVar, Literal
@@ -9,8 +9,8 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
-Kind = Literal["cars", "trees", "roads", "terrains", "skies"]
-KINDS: tuple[Kind, ...] = ("cars", "trees", "roads", "terrains", "skies")
+AssetKind = Literal["cars", "trees", "roads", "terrains", "skies"]
+KINDS: tuple[AssetKind, ...] = ("cars", "trees", "roads", "terrains", "skies")
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 Metres = Annotated[float, Field(gt=0)]
 
@@ -81,7 +81,13 @@ TREES = (
 class Assets:
     """A user's own models, textures and skies. Of a kind that is empty, ours are taken."""
 
-    OURS: ClassVar[dict[Kind, int]] = {"cars": len(CARS), "trees": len(TREES), "roads": 3, "terrains": 2, "skies": 0}
+    OURS: ClassVar[dict[AssetKind, int]] = {
+        "cars": len(CARS),
+        "trees": len(TREES),
+        "roads": 3,
+        "terrains": 2,
+        "skies": 0,
+    }
 
     cars: tuple[CarModel, ...] = ()
     trees: tuple[TreeModel, ...] = ()
@@ -99,11 +105,11 @@ class Assets:
         """The trees that there are."""
         return self.trees or TREES
 
-    def count(self, kind: Kind) -> int:
+    def count(self, kind: AssetKind) -> int:
         """How many there are of a kind."""
         return len(self.own(kind)) or self.OURS[kind]
 
-    def own(self, kind: Kind) -> tuple[CarModel | TreeModel | Texture | Sky, ...]:
+    def own(self, kind: AssetKind) -> tuple[CarModel | TreeModel | Texture | Sky, ...]:
         """The user's own of a kind."""
         own: tuple[CarModel | TreeModel | Texture | Sky, ...] = getattr(self, kind)
         return own

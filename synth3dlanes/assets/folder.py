@@ -9,20 +9,20 @@ from typing import Annotated
 
 from pydantic import Field, ValidationError
 
-from synth3dlanes.assets.catalogue import KINDS, Assets, Kind, Library
+from synth3dlanes.assets.catalogue import KINDS, AssetKind, Assets, Library
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.schema import Part, Positive, validation_problems
 from synth3dlanes.yaml_text import read_yaml
 
 NOTES = "assets.yaml"
-SUFFIXES: dict[Kind, tuple[str, ...]] = {
+SUFFIXES: dict[AssetKind, tuple[str, ...]] = {
     "cars": (".blend", ".glb"),
     "trees": (".blend", ".glb"),
     "skies": (".hdr", ".exr"),
     "roads": (".jpg", ".jpeg", ".png", ".tif", ".tiff"),
     "terrains": (".jpg", ".jpeg", ".png", ".tif", ".tiff"),
 }
-TEXTURE_KINDS: tuple[Kind, ...] = ("roads", "terrains")
+TEXTURE_KINDS: tuple[AssetKind, ...] = ("roads", "terrains")
 ROLES = ("albedo", "roughness", "normal")
 # What the great libraries of textures call the maps, with the picture's size behind it: asphalt_02_nor_gl_2k.jpg.
 ROLE_WORDS = {
@@ -51,8 +51,8 @@ class TextureFiles:
 class Folder:
     """What lies there, by kind and name in alphabetical order, and what is wrong with it or has no meaning."""
 
-    models: dict[Kind, dict[str, Path]]
-    textures: dict[Kind, dict[str, TextureFiles]]
+    models: dict[AssetKind, dict[str, Path]]
+    textures: dict[AssetKind, dict[str, TextureFiles]]
     problems: tuple[str, ...]
     unknown: tuple[str, ...]
 
@@ -82,7 +82,7 @@ class Notes(Part):
 class Row:
     """One line of the table of what was found."""
 
-    kind: Kind
+    kind: AssetKind
     number: int
     name: str
     size: str
@@ -106,8 +106,8 @@ def scan(root: Path) -> Folder:
         raise InputError(f"assets {root}: expected a folder, found none")
     problems: list[str] = []
     unknown = [path.name for path in sorted(root.iterdir()) if path.name not in (*KINDS, NOTES)]
-    models: dict[Kind, dict[str, Path]] = {kind: {} for kind in KINDS}
-    textures: dict[Kind, dict[str, TextureFiles]] = {kind: {} for kind in TEXTURE_KINDS}
+    models: dict[AssetKind, dict[str, Path]] = {kind: {} for kind in KINDS}
+    textures: dict[AssetKind, dict[str, TextureFiles]] = {kind: {} for kind in TEXTURE_KINDS}
     for kind in KINDS:
         if kind in TEXTURE_KINDS:
             textures[kind] = _texture_sets(root, kind, problems, unknown)
@@ -136,7 +136,7 @@ def read_notes(root: Path, folder: Folder) -> tuple[Notes, list[str]]:
         notes = Notes.model_validate(document or {})
     except ValidationError as error:
         return Notes(), problems + validation_problems(error, NOTES)
-    by_kind: list[tuple[Kind, list[str]]] = [("cars", list(notes.cars)), ("skies", list(notes.skies))]
+    by_kind: list[tuple[AssetKind, list[str]]] = [("cars", list(notes.cars)), ("skies", list(notes.skies))]
     for kind, names in by_kind:
         problems += [
             f"{NOTES}: {kind}.{name}: expected the name of a file in {kind}/"
@@ -186,7 +186,7 @@ def _entries(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if not path.name.startswith(".")) if folder.is_dir() else []
 
 
-def _texture_sets(root: Path, kind: Kind, problems: list[str], unknown: list[str]) -> dict[str, TextureFiles]:
+def _texture_sets(root: Path, kind: AssetKind, problems: list[str], unknown: list[str]) -> dict[str, TextureFiles]:
     """The sets of one kind; of one that lacks a map, a problem."""
     maps: dict[str, dict[str, Path]] = {}
     for path, folder_name in _texture_files(root / kind):

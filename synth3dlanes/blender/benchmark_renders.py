@@ -54,6 +54,8 @@ def naive_seconds(scene: Scene, settings: RenderSettings, library: Library, samp
     bpy.context.scene.world.cycles.sampling_method = "AUTOMATIC"
     bpy.context.scene.render.engine = "CYCLES"
     bpy.context.scene.cycles.samples = samples
+    layer = bpy.context.scene.view_layers[0]
+    layer.use_pass_z = layer.use_pass_material_index = True  # which `read_layers` wants
     develop(scene, world.view, light, read_layers(run_cycles(), film))
     seconds = time.perf_counter() - start
     opened.cache_clear()

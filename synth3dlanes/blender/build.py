@@ -10,8 +10,8 @@ import numpy as np
 from synth3dlanes.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.blender import drop_scratch
 from synth3dlanes.blender.camera import set_camera
-from synth3dlanes.blender.library import Assets, load_assets
 from synth3dlanes.blender.light import add_haze, make_world, set_light
+from synth3dlanes.blender.load_assets import LoadedAssets, load_assets
 from synth3dlanes.blender.materials import Materials, make_materials, set_materials
 from synth3dlanes.frames import Matrix4, from_axes
 from synth3dlanes.geometry.meshes import Mesh
@@ -27,7 +27,7 @@ class Studio:
     """What every scene of a process shares, and the names of all data that must outlive a scene. `plain` is the
     cheapest material, for renders that only need shapes."""
 
-    assets: Assets
+    assets: LoadedAssets
     materials: Materials
     plain: bpy.types.Material
     camera: bpy.types.Object
@@ -126,7 +126,7 @@ def _add_surfaces(materials: Materials, world: World, view: View, labelled: Sequ
             _add_object(new_mesh(strips[name], [material]), FIRST_DELIMITER_ID + number)
 
 
-def _placed_objects(assets: Assets, world: World, view: View) -> list[Placed]:
+def _placed_objects(assets: LoadedAssets, world: World, view: View) -> list[Placed]:
     scene = world.scene
     cars = [
         Placed(assets.cars[car.model - 1], pose, car.scale, FIRST_CAR_ID + i)

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image, UnidentifiedImageError
 
-from synth3dlanes.assets.catalogue import Assets, CarModel, Kind, Sky, Texture, TreeModel
+from synth3dlanes.assets.catalogue import AssetKind, Assets, CarModel, Sky, Texture, TreeModel
 from synth3dlanes.assets.folder import (
     Checked,
     Folder,
@@ -182,7 +182,7 @@ def _wheels(points: Float[np.ndarray, "v 3"], named: Float[np.ndarray, "n 3"]) -
     return WHEELBASE * length_m, TRACK * width_m, radius_m
 
 
-def _textures(folder: Folder, kind: Kind, found: Findings) -> Iterator[Texture]:
+def _textures(folder: Folder, kind: AssetKind, found: Findings) -> Iterator[Texture]:
     for name, files in folder.textures[kind].items():
         problems, sizes = [], []
         for path in (files.albedo, files.roughness, files.normal):
@@ -230,7 +230,7 @@ def _triangles(mesh: bpy.types.Mesh) -> int:
 
 
 def _add_row(
-    found: Findings, kind: Kind, model: CarModel | TreeModel | Texture | Sky, size: str, triangles: int
+    found: Findings, kind: AssetKind, model: CarModel | TreeModel | Texture | Sky, size: str, triangles: int
 ) -> None:
     number = 1 + sum(row.kind == kind for row in found.rows)
     found.rows.append(Row(kind, number, model.name, size, triangles, model.sha256))

@@ -7,7 +7,7 @@ from typing import Any
 
 import fsspec
 
-from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.errors import FormatError, InputError, MissingPackageError
 
 
 def is_url(place: str) -> bool:
@@ -16,21 +16,26 @@ def is_url(place: str) -> bool:
 
 
 def connect(url: str) -> tuple[Any, str]:
-    """The file system of an address and the path in it; raise InputError where fsspec knows no such address."""
+    """The file system of an address and the path in it.
+
+    Raises InputError where fsspec knows no such address, MissingPackageError where it needs a package for it.
+    """
     try:
         files, root = fsspec.core.url_to_fs(url)
-    except (ImportError, ValueError) as error:
+    except ImportError as error:
+        raise MissingPackageError(f"{url}: {error}") from None
+    except ValueError as error:
         raise InputError(f"{url}: expected a folder or an address that fsspec can open, got {error}") from None
     return files, str(root).rstrip("/")
 
 
 @contextmanager
-def translate_store_errors(place: str, expected: str = "to reach it") -> Iterator[None]:
-    """Whatever a file system refuses becomes a FormatError that names the place and what was expected there."""
+def translate_store_errors(place: str, problem: str = "cannot be reached") -> Iterator[None]:
+    """Whatever a file system refuses becomes a FormatError that names the place and the problem."""
     try:
         yield
     except store_errors() as error:
-        raise FormatError(f"{place}: expected {expected}, got {type(error).__name__}: {error}") from None
+        raise FormatError(f"{place}: {problem}: {type(error).__name__}: {error}") from None
 
 
 def store_errors() -> tuple[type[Exception], ...]:

@@ -38,7 +38,7 @@ def dataset_info(url: str) -> DatasetInfo:
     """Count and weigh the data set at any address that fsspec knows."""
     files, root = connect(url)
     where = f"{url.rstrip('/')}/{DESCRIPTION}"
-    with translate_store_errors(where, "the description of a data set"):
+    with translate_store_errors(where, "cannot be read"):
         recipe = parse_description(files.cat_file(f"{root}/{DESCRIPTION}"), where)
     splits = recipe.pop("splits")
     with translate_store_errors(url):

@@ -139,11 +139,11 @@ class Reader:
         return table
 
     def _list(self) -> list[str]:
-        with translate_store_errors(self.url, "the folder of a split"):
+        with translate_store_errors(self.url, "cannot list the shards"):
             return [str(path) for path in connect(self.url)[0].ls(self._root, detail=False)]
 
     def _read(self, path: str, start: int | None = None, end: int | None = None) -> bytes:
-        with translate_store_errors(path, "a file"):
+        with translate_store_errors(path, "cannot be read"):
             return bytes(connect(self.url)[0].cat_file(path, start=start, end=end))
 
     def _position(self, i: int) -> int:

@@ -1,6 +1,6 @@
-"""Data sets made of data sets: one split cut in several, parts put together. Nothing is decoded, nothing drawn.
+"""Data sets made of data sets: one split divided into several, parts merged. Samples are copied as bytes.
 
-Both are resumed by calling them again: what is done is what lies on disk. Both read and write URLs, too.
+Call either again to resume. Both read and write folders and URLs.
 """
 
 import os
@@ -16,7 +16,7 @@ from synth3dlanes.dataset.destination import Destination
 from synth3dlanes.dataset.format import key_of, member_names
 from synth3dlanes.dataset.index import read_recipe
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.dataset.splits import readers, split_name
+from synth3dlanes.dataset.splits import readers, split_name, split_size
 from synth3dlanes.dataset.write import Shard
 from synth3dlanes.errors import InputError
 
@@ -24,28 +24,28 @@ from synth3dlanes.errors import InputError
 Places = dict[int, tuple[Reader, int]]
 
 
-def deal(n: int, shares: Mapping[str, float], seed: int) -> dict[str, list[int]]:
-    """Positions 0 to n - 1 dealt at random by a seed, in order within each name; the shares count as weights."""
+def assign(n: int, shares: Mapping[str, float], seed: int) -> dict[str, list[int]]:
+    """Positions 0 to n - 1 assigned to names at random by a seed, in order within each name. Shares are weights."""
     order = np.random.default_rng(seed).permutation(n)
     ends = np.round(n * np.cumsum(list(shares.values())) / sum(shares.values())).astype(int)
     return {name: np.sort(part).tolist() for name, part in zip(shares, np.split(order, ends[:-1]), strict=True)}
 
 
-def cut(source: Reader, shares: Mapping[str, float], seed: int, out: str) -> dict[str, int]:
-    """Deal one split's samples to new splits in OUT, numbered anew from 0; returns how many each has.
+def split_dataset(source: Reader, shares: Mapping[str, float], seed: int, out: str) -> dict[str, int]:
+    """Divide one split's samples into new splits in `out`, numbered from 0; returns how many each has.
 
-    `scene.json` still says where a sample was drawn from, and `derived` in `dataset.json` what was done; so `generate`
-    does not add to it.
+    `scene.json` keeps the split and index that a sample was drawn for. `derived` in `dataset.json` says what was done;
+    `generate` does not extend such a data set.
     """
-    dealt = deal(len(source), shares, seed)
-    empty = [name for name, positions in dealt.items() if not positions]
+    assigned = assign(len(source), shares, seed)
+    empty = [name for name, positions in assigned.items() if not positions]
     if empty:
         raise InputError(f"into: expected a sample for each split, got none of {len(source)} for {', '.join(empty)}")
     origin = {"cut": source.url, "n": len(source), "seed": seed, "into": dict(shares), **how_derived(source)}
-    for name, positions in dealt.items():
+    for name, positions in assigned.items():
         places = {number: (source, i) for number, i in enumerate(positions)}
         _put(out, {**_recipe(source), "derived": origin}, name, len(places), places)
-    return {name: len(positions) for name, positions in dealt.items()}
+    return {name: len(positions) for name, positions in assigned.items()}
 
 
 def merge(sources: Sequence[str], out: str) -> dict[str, int]:
@@ -69,7 +69,7 @@ def merge(sources: Sequence[str], out: str) -> dict[str, int]:
     merged = {name: [one for one in found if split_name(one) == name] for name in sorted(map(split_name, found))}
     places = {name: _union(several) for name, several in merged.items()}
     for name, several in merged.items():
-        n = max(one.description["splits"][name]["n"] for one in several)
+        n = max(map(split_size, several))
         _put(out, recipe, name, n, places[name])
         counts[name] = len(places[name])
     return counts
@@ -90,7 +90,7 @@ def _union(several: Sequence[Reader]) -> Places:
         for i, index in enumerate(reader.index["index"].to_pylist()):
             if index in places:
                 other = places[index][0].url
-                raise InputError(f"{reader.url}: expected samples that {other} has not, got {key_of(index)} in both")
+                raise InputError(f"{reader.url}: sample {key_of(index)} is also in {other}")
             places[index] = (reader, i)
     return places
 

@@ -22,11 +22,19 @@ def readers(folder: str) -> list[Reader]:
     return [Reader(f"{folder.rstrip('/')}/{split}") for split in splits]
 
 
-def spread(found: Sequence[Reader], n: int) -> list[tuple[Reader, int]]:
+def evenly_spaced(found: Sequence[Reader], n: int) -> list[tuple[Reader, int]]:
     """At most `n` samples, evenly over all splits: where each is to be read."""
     places = [(reader, i) for reader in found for i in range(len(reader))]
     count = min(n, len(places))
     return [places[number * len(places) // count] for number in range(count)]
+
+
+def split_size(reader: Reader) -> int:
+    """How many samples the split shall have; raise FormatError where `dataset.json` does not name it."""
+    name, splits = split_name(reader), reader.description["splits"]
+    if name not in splits:
+        raise FormatError(f"{reader.url}: {DESCRIPTION} has no split {name}, only {', '.join(splits) or 'none'}")
+    return int(splits[name]["n"])
 
 
 def split_name(reader: Reader) -> str:

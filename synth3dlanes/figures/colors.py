@@ -1,10 +1,10 @@
 """The colours that every figure shares, so that a line means the same thing in all of them."""
 
-from synth3dlanes.labels import Kind
+from synth3dlanes.labels import LaneKind
 
 Rgb = tuple[int, int, int]
 
-KINDS: dict[Kind, Rgb] = {"centerline": (0, 190, 255), "delimiter": (255, 45, 110)}
+KINDS: dict[LaneKind, Rgb] = {"centerline": (0, 190, 255), "delimiter": (255, 45, 110)}
 """Blue and red, readable on asphalt, grass and sky alike, and told apart by colour-blind eyes."""
 
 ROAD = "#c9ced6"

@@ -19,13 +19,13 @@ from synth3dlanes.figures.scene_view import SceneView
 from synth3dlanes.figures.space import triangles
 from synth3dlanes.figures.stats import LabelStatistics, SceneStatistics
 from synth3dlanes.figures.stats_views import draw_statistics, is_fine
-from synth3dlanes.labels import Kind, Labels, Lane
+from synth3dlanes.labels import Labels, Lane, LaneKind
 from synth3dlanes.scene import Scene, to_json
 
 Picture = UInt8[np.ndarray, "h w 3"]
 
 _JPEG_QUALITY = 92
-_LAYERS: dict[str, Kind] = {"centre lines": "centerline", "delimiters": "delimiter"}
+_LAYERS: dict[str, LaneKind] = {"centre lines": "centerline", "delimiters": "delimiter"}
 _MASKS = {"seen": "#17a34a", "hidden by the ground": "#f59e0b", "hidden by objects": "#a21caf"}
 
 

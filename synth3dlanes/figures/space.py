@@ -13,7 +13,7 @@ from synth3dlanes.figures.scene_view import AHEAD_M, BEHIND_M, SceneView, TreeOu
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.meshes import Mesh
 from synth3dlanes.geometry.paint import PAINT_LIFT_AT_M, PAINT_LIFT_M, is_yellow
-from synth3dlanes.labels import Kind
+from synth3dlanes.labels import LaneKind
 
 _HALF_WIDTH_M = 70.0
 _LANE_HALF_WIDTH_M = 0.06
@@ -82,7 +82,7 @@ def _quads(vertices_road: Float[np.ndarray, "v 3"], quads: Int[np.ndarray, "f 4"
     return Triangles("", vertices_road, np.tile(np.array(color), (len(vertices_road), 1)), faces)
 
 
-def _lanes(view: SceneView, kind: Kind) -> list[Triangles]:
+def _lanes(view: SceneView, kind: LaneKind) -> list[Triangles]:
     """Each lane as a narrow ribbon, paler where it is not seen."""
     ribbons = []
     for lane in view.labels.lanes:

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rich.console import Group, RenderableType
+from rich.markup import escape
 from rich.table import Table
 
 from synth3dlanes.figures import colors
@@ -35,7 +36,7 @@ def statistics_table(scenes: SceneStatistics, labels: LabelStatistics | None) ->
     measured = _table(f"labels of {labels.n_images} images", "quantity", "min", "5 %", "median", "95 %", "max", "mean")
     for summary in labels.summaries:
         values = (summary.minimum, summary.p05, summary.median, summary.p95, summary.maximum, summary.mean)
-        measured.add_row(summary.name, *(f"{value:.3g}" for value in values))
+        measured.add_row(escape(summary.name), *(f"{value:.3g}" for value in values))
     return Group(parameters, topologies, measured)
 
 

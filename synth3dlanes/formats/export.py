@@ -18,7 +18,7 @@ import numpy as np
 
 from synth3dlanes import scene as scene_format
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.dataset.upright import upright_labels
+from synth3dlanes.dataset.remove_roll import labels_without_roll
 from synth3dlanes.dataset.write import write_whole
 from synth3dlanes.errors import InputError
 from synth3dlanes.formats.apollo import write as apollo
@@ -111,7 +111,7 @@ def _export_chunk(chunk: Chunk, out: Path, format_name: str) -> int:
 def _export_frame(reader: Reader, index: int, chunk: Chunk, out: Path, foreign: Format) -> dict[str, Any]:
     sample = reader[index]
     where = f"{chunk.url}:{sample.key}"
-    scene, labels = scene_format.from_json(sample.scene_json, where), upright_labels(sample.labels)
+    scene, labels = scene_format.from_json(sample.scene_json, where), labels_without_roll(sample.labels)
     record = {"split": chunk.split.name, "part": chunk.split.part_of(sample.key)}
     pinhole = fitting_pinhole(sample.labels.camera, foreign.camera)
     if pinhole != foreign.camera and not foreign.has_intrinsics:
@@ -129,6 +129,7 @@ def _export_frame(reader: Reader, index: int, chunk: Chunk, out: Path, foreign: 
         **record,
         "left_out": None,
         "f_px": pinhole.f_px,
+        "enlarged": pinhole.f_px / float(sample.labels.camera.img_from_cam[0, 0]),
         "n_lines": annotation.n_lines,
         "dropped": annotation.dropped,
         "files": [annotation.image, *annotation.files],
@@ -153,9 +154,10 @@ def _frame(key: str, chunk: Chunk, pinhole: Pinhole, scene: Scene, labels: Label
 
 
 def _remove(out: Path, mark: Path) -> None:
-    """Undo a chunk whose frames have changed."""
+    """Undo a chunk whose frames have changed; the lists that name them are written anew at the end."""
     for record in _records([mark]):
-        for path in record.get("files", ()):
+        lists = (path for _, paths in record.get("shared", ()) for path in paths)
+        for path in (*record.get("files", ()), *lists):
             (out / path).unlink(missing_ok=True)
     mark.unlink()
 

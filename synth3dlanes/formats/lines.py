@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 
 from synth3dlanes.formats.writing import CV_FROM_CAM, Pinhole
 from synth3dlanes.frames import transform
-from synth3dlanes.labels import CameraLabel, Kind, Labels, Lane, Marking
+from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneKind, Marking
 
 MIN_DEPTH_M = 0.5
 BORDER_PX = 1.0
@@ -34,7 +34,7 @@ class Line:
         return Line(self.id, self.marking, self.points_cv[keep], self.visible[keep], self.in_view[keep])
 
 
-def lines_ahead(labels: Labels, pinhole: Pinhole, kind: Kind, step_m: float | None = None) -> tuple[Line, ...]:
+def lines_ahead(labels: Labels, pinhole: Pinhole, kind: LaneKind, step_m: float | None = None) -> tuple[Line, ...]:
     """The lanes of one kind as the foreign camera sees them, the nearest beside the car first.
 
     The order makes every loader's "first n lines" harmless. `step_m` refines the sampling with a cubic spline.

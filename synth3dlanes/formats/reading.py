@@ -12,7 +12,7 @@ from PIL import Image, UnidentifiedImageError
 
 from synth3dlanes.errors import FormatError
 from synth3dlanes.frames import inside_image, project, road_from_cam
-from synth3dlanes.labels import CameraLabel, Kind, Labels, Lane, LaneGraph
+from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph, LaneKind
 
 MALFORMED = (KeyError, TypeError, IndexError, ValueError)
 """What a document that is not of its format raises on the way to arrays."""
@@ -32,7 +32,7 @@ class ForeignSample:
 class ForeignLane:
     """A lane of a foreign file, in our camera frame."""
 
-    kind: Kind
+    kind: LaneKind
     xyz_cam: Float[np.ndarray, "n 3"]
     visible: Bool[np.ndarray, " n"]
 

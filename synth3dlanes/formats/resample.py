@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image
 
-from synth3dlanes.dataset.upright import ours_from_upright, warp
+from synth3dlanes.dataset.remove_roll import rolled_from_level, warp
 from synth3dlanes.errors import InputError
 from synth3dlanes.formats.writing import CV_FROM_CAM, Pinhole
 from synth3dlanes.labels import CameraLabel
@@ -60,7 +60,7 @@ def source_pixels(
 
 
 def _ours_from_theirs(camera: CameraLabel, pinhole: Pinhole) -> Float[np.ndarray, "3 3"]:
-    return ours_from_upright(camera, pinhole.img_from_cv @ CV_FROM_CAM)
+    return rolled_from_level(camera, pinhole.img_from_cv @ CV_FROM_CAM)
 
 
 def _corners(pinhole: Pinhole) -> Float[np.ndarray, "4 2"]:

@@ -3,14 +3,19 @@
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from synth3dlanes.formats.plan import DEALT_EVERY, Split, parts_of
+from synth3dlanes.formats.writing import Format
+
+MOST_ENLARGED = 1.5
 
 
 @dataclass(frozen=True)
 class Summary:
-    """Frames by part (train, val, test) and by split; frames left out and lanes dropped by reason; focal lengths."""
+    """Frames by part (train, val, test) and by split; frames left out and lanes dropped by reason; focal lengths; how
+    many times images were enlarged at most."""
 
     n_frames: Counter[str]
     n_of_split: Counter[tuple[str, str]]
@@ -18,12 +23,13 @@ class Summary:
     n_lines: int
     dropped: Counter[str]
     f_px: tuple[float, ...]
+    enlarged: float
 
 
 def summarize(records: Iterable[dict[str, Any]]) -> Summary:
     """Count what the chunks' records say of their frames."""
     n_frames, left_out, dropped = Counter[str](), Counter[str](), Counter[str]()
-    n_of_split, n_lines, f_px = Counter[tuple[str, str]](), 0, set()
+    n_of_split, n_lines, f_px, enlarged = Counter[tuple[str, str]](), 0, set[float](), 0.0
     for record in records:
         if record["left_out"]:
             left_out[record["left_out"]] += 1
@@ -33,7 +39,20 @@ def summarize(records: Iterable[dict[str, Any]]) -> Summary:
         n_lines += record["n_lines"]
         dropped.update(record["dropped"])
         f_px.add(record["f_px"])
-    return Summary(n_frames, n_of_split, left_out, n_lines, dropped, tuple(sorted(f_px)))
+        enlarged = max(enlarged, record["enlarged"])
+    return Summary(n_frames, n_of_split, left_out, n_lines, dropped, tuple(sorted(f_px)), enlarged)
+
+
+def warnings(out: Path, foreign: Format, summary: Summary) -> tuple[str, ...]:
+    """What a user should know of the export before training on it."""
+    found = []
+    words = [word for word in foreign.replaced_words if word in str(out.absolute())]
+    if words:
+        found.append(f"{out.absolute()}: tools of this format replace {', '.join(words)} in the whole path: move it")
+    if summary.enlarged > MOST_ENLARGED:
+        size = f"{foreign.camera.width_px}x{foreign.camera.height_px}"
+        found.append(f"{out}: images were enlarged {summary.enlarged:.1f} times to {size}: render larger ones")
+    return tuple(found)
 
 
 def readme(source: str, format_name: str, about_format: str, splits: Sequence[Split], summary: Summary) -> str:

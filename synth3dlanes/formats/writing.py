@@ -84,7 +84,8 @@ class Format:
     writes one frame; that returns None where the format has no place for the frame.
 
     Where labels carry intrinsics, a frame that is too narrow for the camera gets a longer focal length of its own.
-    `lists` are files that tools open even where no frame belongs there.
+    `lists` are files that tools open even where no frame belongs there; `replaced_words` what tools replace wherever a
+    path has it.
     """
 
     camera: Pinhole
@@ -93,3 +94,4 @@ class Format:
     annotate: Callable[[Labels, Frame], Annotation | None]
     links: Mapping[str, str] = field(default_factory=dict)
     lists: tuple[str, ...] = ()
+    replaced_words: tuple[str, ...] = ()

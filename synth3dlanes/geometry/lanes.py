@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.geometry.road import RoadPlan
-from synth3dlanes.labels import Kind, LaneGraph, Marking, RoadName, Segment
+from synth3dlanes.labels import LaneGraph, LaneKind, Marking, RoadName, Segment
 from synth3dlanes.scene import Camera
 
 Values = Float[np.ndarray, " n"]
@@ -29,7 +29,7 @@ class Curve:
     None: the curve exists only above 0. It spans the stations [start_m, end_m]."""
 
     id: str
-    kind: Kind
+    kind: LaneKind
     road: RoadName
     marking: Marking
     left: str | None

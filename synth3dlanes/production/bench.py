@@ -10,7 +10,7 @@ import resource
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -20,12 +20,15 @@ from typing import Any
 import numpy as np
 import psutil
 from jaxtyping import Float, UInt8
+from pydantic import BaseModel, PositiveFloat, ValidationError
 from scipy.ndimage import gaussian_filter
 
 from synth3dlanes.dataset.format import decode_image
 from synth3dlanes.dataset.write import Shard
+from synth3dlanes.errors import FormatError
 from synth3dlanes.production.recipe import Recipe, make_part, make_sample
 from synth3dlanes.production.workers import Limits, Pool
+from synth3dlanes.schema import validation_problems
 
 WARM_UP = 2
 REFERENCE_SAMPLES, REFERENCE_SCENES = 1024, 3
@@ -212,16 +215,41 @@ def ssim(image: UInt8[np.ndarray, "h w 3"], truth: UInt8[np.ndarray, "h w 3"]) -
     )
 
 
-def compare(now: Bench, stored: Mapping[str, Any]) -> list[tuple[str, float, float]]:
+class StoredNaive(BaseModel):
+    """What is compared of a stored `Naive`."""
+
+    seconds_same_samples: PositiveFloat
+    seconds: PositiveFloat
+
+
+class StoredBench(BaseModel):
+    """What is compared of a stored `Bench`."""
+
+    ratio: PositiveFloat
+    seconds_per_image: PositiveFloat
+    floor_seconds_per_image: PositiveFloat
+    stages: dict[str, float]
+    naive: StoredNaive | None = None
+
+
+def read_bench(path: Path) -> StoredBench:
+    """A stored `Bench.document`; raise FormatError with a line for each problem."""
+    try:
+        return StoredBench.model_validate_json(path.read_bytes())
+    except ValidationError as error:
+        raise FormatError("\n".join(validation_problems(error, str(path)))) from None
+
+
+def compare(now: Bench, stored: StoredBench) -> list[tuple[str, float, float]]:
     """Name, value now and stored value of everything that does not depend on the machine: shares of the floor."""
-    pairs = [("end to end", now.ratio, float(stored["ratio"]))]
-    floor = float(stored["floor_seconds_per_image"])
+    pairs = [("end to end", now.ratio, stored.ratio)]
     for name, seconds in now.stages.items():
-        pairs.append((name, seconds / now.floor_seconds_per_image, stored["stages"].get(name, 0.0) / floor))
-    if now.naive and stored.get("naive"):
+        share = stored.stages.get(name, 0.0) / stored.floor_seconds_per_image
+        pairs.append((name, seconds / now.floor_seconds_per_image, share))
+    if now.naive and stored.naive:
         for name in ("seconds_same_samples", "seconds"):
-            ours, theirs = getattr(now.naive, name), stored["naive"][name]
-            pairs.append((f"naive {name}", ours / now.seconds_per_image, theirs / stored["seconds_per_image"]))
+            ours, theirs = getattr(now.naive, name), getattr(stored.naive, name)
+            pairs.append((f"naive {name}", ours / now.seconds_per_image, theirs / stored.seconds_per_image))
     return pairs
 
 

@@ -128,7 +128,7 @@ class _Run:
         folder.mkdir(parents=True, exist_ok=True)
         write_whole(folder / "stderr.txt", f"{outcome.stderr}\n{outcome.reason}\n".encode())
         self.todo.appendleft(("scene", index))
-        self.tally.tell("set_aside", f"{key_of(index)}: {outcome.reason}; see {folder}", index=index)
+        self.tally.tell("set_aside", f"{key_of(index)}: {outcome.reason}; see {self._place(folder)}", index=index)
         if self.in_a_row >= MAX_IN_A_ROW:
             self.tally.problem = f"{MAX_IN_A_ROW} scenes in a row failed, the last with: {outcome.reason}"
 
@@ -151,7 +151,7 @@ class _Run:
         lost = [index for index in join.result() if index not in self.given_up]
         self.left[number] = len(lost)
         self.todo.extendleft(("make", index) for index in reversed(lost))
-        self.tally.tell("shard", str(self.shards[number].path("tar")), shard=number, lost=lost)
+        self.tally.tell("shard", self._place(self.shards[number].path("tar")), shard=number, lost=lost)
 
     def _full(self, reason: str) -> None:
         free = shutil.disk_usage(self.root).free
@@ -181,6 +181,10 @@ class _Run:
 
     def _failed(self, index: int) -> Path:
         return self.root / "failed" / self.plan.recipe.split / key_of(index)
+
+    def _place(self, path: Path) -> str:
+        """Where people find a file: at the destination."""
+        return f"{self.plan.destination.place.rstrip('/')}/{path.relative_to(self.root).as_posix()}"
 
 
 def _join_shard(shard: Shard, n: int) -> list[int]:

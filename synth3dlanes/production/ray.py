@@ -60,7 +60,7 @@ def connected(address: str) -> Iterator[None]:
     try:
         ray.init(address=address, log_to_driver=False, logging_level="error")
     except ConnectionError as error:
-        raise InputError(f"address: expected a Ray cluster, got {error}") from None
+        raise InputError(f"address: cannot connect to a Ray cluster at {address}: {error}") from None
     try:
         yield
     finally:

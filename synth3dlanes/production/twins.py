@@ -6,6 +6,7 @@ factor alone. Labels are drawn anew from the changed scene; where the factor mov
 
 import json
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 from synth3dlanes.assets.catalogue import BUILT_IN, Library
@@ -14,9 +15,9 @@ from synth3dlanes.change import change_scene
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import how_derived
 from synth3dlanes.errors import InputError
-from synth3dlanes.open_source import params_of, read_scene
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.settings import RenderSettings
+from synth3dlanes.sources import params_of, read_scene
 from synth3dlanes.world import World, resolve
 from synth3dlanes.yaml_text import read_yaml
 
@@ -32,12 +33,18 @@ class TwinRecipe(Recipe):
     def world(self, index: int) -> World:
         """The world of the changed scene, which keeps the seed, split and index that it was drawn for."""
         value = self.values[int(self.split.removeprefix("twin_")) - 1]
-        return resolve(change_scene(read_scene(Reader(self.source), index), [f"{self.path}={value}"]))
+        return resolve(change_scene(read_scene(_reader(self.source), index), [f"{self.path}={value}"]))
 
     def description(self) -> dict[str, Any]:
         """As of any recipe, and what was varied."""
         varied = {"of": self.source, "vary": self.path, "values": list(self.values)}
-        return {**super().description(), "derived": {**varied, **how_derived(Reader(self.source))}}
+        return {**super().description(), "derived": {**varied, **how_derived(_reader(self.source))}}
+
+
+@lru_cache(maxsize=1)
+def _reader(source: str) -> Reader:
+    """One for all samples of a process: opening it reads every index of the source."""
+    return Reader(source)
 
 
 def twin_recipes(source: str, vary: str, device: str, library: Library = BUILT_IN) -> list[TwinRecipe]:

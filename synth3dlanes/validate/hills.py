@@ -14,9 +14,9 @@ from synth3dlanes.geometry.terrain import gradient_at
 from synth3dlanes.labels import Labels
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.findings import Finding
+from synth3dlanes.validate.ground_contact import terrain_height
 from synth3dlanes.validate.passes_proof import Passes
 from synth3dlanes.validate.pavement import unproject
-from synth3dlanes.validate.standing import terrain_height
 from synth3dlanes.world import World
 
 # So many pixels are asked, evenly spread; of fewer than MIN_PIXELS nothing is said.

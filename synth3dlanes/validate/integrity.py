@@ -178,7 +178,7 @@ def _size(place: str) -> int:
 def _read_index(parquet: str) -> pa.Table:
     """The index of a shard; raise FormatError where it is none. Samples are asked for in order, so one is kept."""
     files, path = connect(parquet)
-    with translate_store_errors(_place(parquet), "the index of a shard"):
+    with translate_store_errors(_place(parquet), "cannot be read"):
         if not files.exists(path):
             raise FormatError("expected the index of a shard, got none")
         table = read_index(pa.BufferReader(files.cat_file(path)), _place(parquet))

@@ -24,6 +24,7 @@ from synth3dlanes.validate.contents import read_contents
 from synth3dlanes.validate.documents import some
 from synth3dlanes.validate.findings import Finding, Measure, Problem, Signed
 from synth3dlanes.validate.frame import check_frame
+from synth3dlanes.validate.ground_contact import check_ground_contact
 from synth3dlanes.validate.hills import check_hills
 from synth3dlanes.validate.host import check_host
 from synth3dlanes.validate.ids import prove_ids
@@ -39,7 +40,6 @@ from synth3dlanes.validate.pictures import Picture, draw, remove_pictures, save_
 from synth3dlanes.validate.report import Report
 from synth3dlanes.validate.sharpness import check_sharpness
 from synth3dlanes.validate.signed import signed_values
-from synth3dlanes.validate.standing import check_standing
 from synth3dlanes.validate.structure import check_shape, check_values, points_to_pixels
 from synth3dlanes.world import World, resolve
 
@@ -196,7 +196,7 @@ def _proofs(
         "host": lambda: Proved([*check_host(world, labels)]),
         "object_visible": lambda: Proved([*check_objects(world, labels)]),
         "frame": lambda: Proved(*check_frame(image, passes)),
-        "standing": lambda: Proved(*check_standing(world, labels, passes)),
+        "standing": lambda: Proved(*check_ground_contact(world, labels, passes)),
     }
     if not points_to_pixels(labels):
         return proofs

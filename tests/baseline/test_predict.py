@@ -116,7 +116,9 @@ def test_image_folders_need_intrinsics_and_give_the_same_as_a_split(checkpoint, 
     intrinsics = intrinsics_of(split[0].labels)
     path = predict(checkpoint, folder, tmp_path / "a", intrinsics, n_overlays=1, device="cpu")
     of_split = predict(checkpoint, "DIR/test", tmp_path / "b", n_overlays=0, device="cpu")
-    for mine, its in zip(read_predictions(path), read_predictions(of_split), strict=False):
+    pairs = list(zip(read_predictions(path), read_predictions(of_split), strict=False))
+    assert len(pairs) == 2
+    for mine, its in pairs:
         assert mine.key == its.key + ".png"
         assert len(mine.lanes) == len(its.lanes) > 0
         assert mine.lanes[0].xyz_cam == pytest.approx(its.lanes[0].xyz_cam, abs=2e-3)

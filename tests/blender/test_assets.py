@@ -12,7 +12,7 @@ bpy = pytest.importorskip("bpy")
 
 from synth3dlanes.assets.built_in import assets_dir  # noqa: E402
 from synth3dlanes.assets.catalogue import CARS, TREES  # noqa: E402
-from synth3dlanes.blender.library import Assets, load_assets  # noqa: E402
+from synth3dlanes.blender.load_assets import LoadedAssets, load_assets  # noqa: E402
 from synth3dlanes.blender.materials import TERRAIN_MEANS, Materials, make_materials  # noqa: E402
 from synth3dlanes.blender.render import opened  # noqa: E402
 
@@ -21,14 +21,14 @@ MAX_BYTES = 25e6
 
 
 @pytest.fixture(scope="module")
-def assets() -> Iterator[Assets]:
+def assets() -> Iterator[LoadedAssets]:
     bpy.ops.wm.read_factory_settings(use_empty=True)
     yield load_assets()
     opened.cache_clear()
 
 
 @pytest.fixture(scope="module")
-def materials(assets: Assets) -> Materials:
+def materials(assets: LoadedAssets) -> Materials:
     return make_materials(assets.roads, assets.terrains)
 
 
@@ -43,7 +43,7 @@ def points(mesh: bpy.types.Mesh, slot: str | None = None) -> np.ndarray:
 
 
 @pytest.mark.parametrize("number", range(len(CARS)), ids=[m.name for m in CARS])
-def test_a_car_has_the_size_and_wheels_of_the_catalogue(assets: Assets, number: int) -> None:
+def test_a_car_has_the_size_and_wheels_of_the_catalogue(assets: LoadedAssets, number: int) -> None:
     model, mesh = CARS[number], assets.cars[number]
     low, high = points(mesh).min(axis=0), points(mesh).max(axis=0)
     np.testing.assert_allclose(high - low, (model.width_m, model.length_m, model.height_m), atol=BODY_TOLERANCE_M)
@@ -58,7 +58,7 @@ def test_a_car_has_the_size_and_wheels_of_the_catalogue(assets: Assets, number: 
 
 
 @pytest.mark.parametrize("number", range(len(TREES)), ids=[m.name for m in TREES])
-def test_a_tree_has_the_size_of_the_catalogue(assets: Assets, number: int) -> None:
+def test_a_tree_has_the_size_of_the_catalogue(assets: LoadedAssets, number: int) -> None:
     model, co = TREES[number], points(assets.trees[number])
     assert co[:, 2].max() == pytest.approx(model.height_m, abs=BODY_TOLERANCE_M)
     assert -0.5 < co[:, 2].min() < 0
@@ -67,14 +67,14 @@ def test_a_tree_has_the_size_of_the_catalogue(assets: Assets, number: int) -> No
     assert reach.max() < 1.15 * model.crown_radius_m
 
 
-def test_triangle_caps(assets: Assets) -> None:
+def test_triangle_caps(assets: LoadedAssets) -> None:
     for meshes, cap in ((assets.cars, 15_000), (assets.trees, 10_000)):
         for mesh in meshes:
             mesh.calc_loop_triangles()
             assert 1000 < len(mesh.loop_triangles) <= cap, mesh.name
 
 
-def test_every_material_has_its_semantic_id(assets: Assets, materials: Materials) -> None:
+def test_every_material_has_its_semantic_id(assets: LoadedAssets, materials: Materials) -> None:
     expected = [(materials.terrains, 1), (materials.roads, 2), (materials.shoulders, 3), ((materials.marking,), 4)]
     expected += [(mesh.materials, 5) for mesh in assets.cars] + [(mesh.materials, 6) for mesh in assets.trees]
     for group, semantic_id in expected:

@@ -314,9 +314,13 @@ def test_instance_ids_of_paint_follow_the_labels():
     result = rendered(scene)
     delimiters = [lane for lane in result.labels.lanes if lane.kind == "delimiter"]
     instance = result.passes["instance"]
+    hits = []
     for i, lane in enumerate(delimiters):
         near = lane.visible & (lane.xyz_cam[:, 1] < 25)
         u, v = np.floor(project(result.labels.camera.img_from_cam, lane.xyz_cam[near])).astype(int).T
         ids = instance[np.clip(v, 0, 359), np.clip(u, 0, 479)]
         painted = ids[ids >= FIRST_DELIMITER_ID]
         assert (painted == FIRST_DELIMITER_ID + i).all(), lane.id
+        hits.append(len(painted))
+    assert sum(hits) > 30
+    assert np.count_nonzero(hits) >= 4, "several lines are hit, or this would say nothing"

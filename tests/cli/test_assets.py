@@ -17,7 +17,7 @@ def test_a_folder_of_own_assets_from_check_to_picture(run: Run, in_tmp_path: Pat
     assert table.exit_code == 0, table.output
     assert "box" in table.stdout
     refused = run("assets", "mine", "--example")
-    assert (refused.exit_code, refused.stderr) == (2, "mine: expected no such folder yet, found one\n")
+    assert (refused.exit_code, refused.stderr) == (2, "mine: already exists\n")
 
     (in_tmp_path / "mine" / "notes.txt").touch()
     drawn = run("sample", "--params", "tiny", "--set", "cars.n=1", "--assets", "mine")

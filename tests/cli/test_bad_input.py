@@ -16,7 +16,7 @@ Run = Callable[..., Result]
     [
         ("generate --n -3 --out d", "synth3dlanes generate: Invalid value for '--n': -3 is not in the range x>=1."),
         ("generate --out d", "synth3dlanes generate: Missing option '--n'."),
-        ("generate --n 3 --out file/d", "--out file/d: expected a folder to write to"),
+        ("generate --n 3 --out file/d", "--out file/d: cannot write to this folder"),
         ("generate --n 3 --out d --params no.yaml", "no.yaml: cannot read: No such file or directory"),
         ("generate --n 3 --out d --set road.lanes=3", "--set road.lanes: unknown key; did you mean n_lanes?"),
         ("generate --n 3 --out d --passes deth", "synth3dlanes generate: Invalid value for '--passes'"),
@@ -35,6 +35,7 @@ Run = Callable[..., Result]
         ("inspect .", ".: expected a scene.json or a sample, as DIR/train:00000017, got a folder"),
         ("gallery none", "none: expected a data set"),
         ("params check tiny no.yaml", "no.yaml: cannot read: No such file or directory"),
+        ("bench --against broken.json", "broken.json: Invalid JSON"),
         ("sampel", "synth3dlanes: No such command 'sampel'."),
     ],
 )
@@ -123,3 +124,26 @@ def test_an_edited_description_is_named_by_every_command(run: Run, folder: Path,
     result = run("validate", "d", "--workers", 1)
     assert result.exit_code == 1
     assert "dataset.json: splits.train: Input should be" in result.stdout
+
+
+def test_a_missing_package_and_a_crashed_worker_are_one_line(
+    run: Run, in_tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from synth3dlanes.production.workers import Outcome
+
+    Path("mine").mkdir()
+    crashed = Outcome("check", "failed", reason="worker ended with 1: boom", stderr="Traceback\nboom")
+    monkeypatch.setattr("synth3dlanes.production.user_assets.require_blender", lambda: None)
+    monkeypatch.setattr("synth3dlanes.production.user_assets.call", lambda *_: crashed)
+    result = run("assets", "mine")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr == "assets mine: worker ended with 1: boom\n"
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    for command, words in (
+        (("generate", "--n", 1, "--params", "tiny", "--out", "d"), "Blender's module bpy is not installed"),
+        (("train", "d", "--out", "e"), "PyTorch is not installed: pip install 'synth3dlanes[train]'"),
+    ):
+        result = run(*command)
+        assert (result.exit_code, result.stderr.count("\n")) == (2, 1), result.output
+        assert result.stderr.startswith(words)
+    assert {path.name for path in in_tmp_path.iterdir()} == {"mine"}

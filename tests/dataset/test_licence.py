@@ -11,7 +11,7 @@ from synth3dlanes.assets.catalogue import Assets, Library, Texture
 from synth3dlanes.dataset.description import recipe_text, updated_description
 from synth3dlanes.dataset.folder import claim
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.dataset.rearrange import cut, merge
+from synth3dlanes.dataset.rearrange import merge, split_dataset
 from synth3dlanes.dataset.write import Shard
 from synth3dlanes.errors import InputError
 from tests import fake_samples
@@ -69,7 +69,7 @@ def test_an_older_one_is_merged_and_cut(tmp_path):
     assert merge([str(older), str(newer)], str(tmp_path / "c")) == {"train": 4}
     assert document(tmp_path / "c") == document(newer)
     assert Reader(f"{tmp_path}/c/train").recipes == {recipe_text(DESCRIPTION)}
-    assert cut(Reader(f"{older}/train"), {"x": 1}, 0, str(tmp_path / "d")) == {"x": 2}
+    assert split_dataset(Reader(f"{older}/train"), {"x": 1}, 0, str(tmp_path / "d")) == {"x": 2}
     assert document(tmp_path / "d")["license"] == "CC0-1.0"
 
 

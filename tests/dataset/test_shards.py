@@ -186,7 +186,7 @@ def test_reader_names_what_is_wrong(tmp_path, shard):
     for place in (tmp_path / "nowhere" / "train", shard.folder.parent):
         with pytest.raises(FormatError, match=r"expected a split of a data set, as DIR/train, got no .*/dataset\.json"):
             Reader(str(place))
-    with pytest.raises(FormatError, match="expected the folder of a split"):
+    with pytest.raises(FormatError, match="cannot list the shards"):
         Reader(str(tmp_path / "val"))
     reader = Reader(str(shard.folder))
     data = contents(shard)[0]
@@ -197,7 +197,7 @@ def test_reader_names_what_is_wrong(tmp_path, shard):
     with pytest.raises(FormatError, match=r"expected 00000001\.labels\.json at byte"):
         reader.labels(1)
     shard.path("tar").unlink()
-    with pytest.raises(FormatError, match=r"00000\.tar: expected a file"):
+    with pytest.raises(FormatError, match=r"00000\.tar: cannot be read"):
         reader.labels(1)
     table = pq.read_table(shard.path("parquet"))
     pq.write_table(table.drop_columns(["labels_offset"]), shard.path("parquet"))
@@ -236,7 +236,7 @@ def test_splits_are_added_and_n_only_grows(tmp_path):
 def test_a_folder_that_cannot_be_written_is_refused(tmp_path, shard):
     (tmp_path / "file").touch()
     for root in (tmp_path / "file", tmp_path / "file" / "below"):
-        with pytest.raises(InputError, match="expected a folder to write to"), enter(root):
+        with pytest.raises(InputError, match="cannot write to this folder"), enter(root):
             pass
     shutil.copytree(shard.folder, tmp_path / "orphan" / "train")
     with pytest.raises(InputError, match="shards beside it"), enter(tmp_path / "orphan"):

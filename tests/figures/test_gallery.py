@@ -3,6 +3,7 @@
 import numpy as np
 
 from synth3dlanes.figures.gallery import draw_gallery
+from synth3dlanes.figures.overlay import draw_overlay
 
 
 def test_every_image_has_its_cell_in_reading_order(straight_labels):
@@ -17,4 +18,7 @@ def test_lanes_are_drawn_when_given(straight_labels, gray_image):
     plain = draw_gallery([gray_image], None, 4)
     drawn = draw_gallery([gray_image], [straight_labels], 4)
     assert plain.size == drawn.size == (488, 368)
-    assert (np.asarray(plain) != np.asarray(drawn)).any()
+    expected = draw_overlay(gray_image, straight_labels)
+    assert (expected != gray_image).any()
+    for sheet, image in ((plain, gray_image), (drawn, expected)):
+        np.testing.assert_array_equal(np.asarray(sheet)[4:364, 4:484], image)

@@ -7,10 +7,10 @@ import pytest
 
 from synth3dlanes.figures.colors import KINDS
 from synth3dlanes.figures.overlay import draw_overlay, stretches_img
-from synth3dlanes.labels import Kind, Labels
+from synth3dlanes.labels import Labels, LaneKind
 
 
-def middle_of(drawn: np.ndarray, row: int, kind: Kind, background: int = 120) -> float:
+def middle_of(drawn: np.ndarray, row: int, kind: LaneKind, background: int = 120) -> float:
     """Mean column (at pixel centres) of one colour in a row, weighted by how strongly it was drawn."""
     line = drawn[row].astype(float) - background
     color = np.array(KINDS[kind], dtype=float) - background
@@ -35,10 +35,21 @@ def test_a_line_beside_the_road_is_drawn_where_the_pinhole_puts_it(row, straight
     assert middle_of(draw_overlay(gray_image, labels), row, "delimiter") == pytest.approx(expected_u, abs=0.25)
 
 
-def test_hidden_points_are_dotted_and_seen_ones_solid(straight_labels):
-    stretches = list(stretches_img(straight_labels.camera, straight_labels.lanes[0]))
+def test_hidden_points_are_dotted_and_seen_ones_solid(straight_labels, gray_image):
+    lane = straight_labels.lanes[0]
+    stretches = list(stretches_img(straight_labels.camera, lane))
     assert [is_seen for is_seen, _ in stretches] == [True, False]
     assert np.allclose(stretches[0][1][-1], stretches[1][1][0])
+    # Seen up to 7 m, so that the hidden stretch is long in the image.
+    half = replace(lane, terrain_visible=lane.xyz_cam[:, 1] < 7.5)
+    labels = Labels(straight_labels.camera, (half,), straight_labels.graph)
+    drawn = draw_overlay(gray_image, labels)
+    is_line = (drawn != gray_image).any(axis=(1, 2))
+    horizon, border, foot = 168, round(180 + 400 * (1.5 / 7 - 0.03)), 300
+    assert is_line[border + 4 : foot].all(), "solid up to the border"
+    beyond = is_line[horizon + 15 : border - 4]
+    assert beyond.any()
+    assert not beyond.all(), "dots with gaps beyond it"
 
 
 def test_the_image_is_left_as_it_was_and_lines_follow_its_size(straight_labels, gray_image):

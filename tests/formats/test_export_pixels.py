@@ -72,7 +72,7 @@ def once(out):
 
 def tusimple(out):
     """Columns by row, -2 where there is none."""
-    for text in (out / "label_data_train.json").read_text().splitlines():
+    for text in (out / "label_data_0313.json").read_text().splitlines():
         label = json.loads(text)
         found = [np.stack([columns, label["h_samples"]]).astype(float) for columns in label["lanes"]]
         yield out / label["raw_file"], [line[:, line[0] >= 0] for line in found]

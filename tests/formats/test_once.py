@@ -55,7 +55,7 @@ def test_once_axes_are_right_down_forward():
 )
 def test_once_layout_is_that_of_its_loaders(part, parts, folders):
     frame = replace(FRAME, part=part, parts=frozenset(parts))
-    annotation = write.annotate(cf.labels_of(cf.camera_label()), frame)
+    annotation = write.annotate(cf.road(cf.camera_label()), frame)
     # PersFormer opens train/ and test/, LATR train/ and val/: <folder>/*/*/*.json
     assert set(annotation.files) == {f"ONCE_3DLanes/{folder}/000000/cam01/00000017.json" for folder in folders}
     for path, text in annotation.files.items():
@@ -63,12 +63,20 @@ def test_once_layout_is_that_of_its_loaders(part, parts, folders):
         word = next(word for word in ("train", "val", "test") if word in path)
         assert path.replace(word, "data").replace(".json", ".jpg") == annotation.image
         assert "\n" not in text
-        assert json.loads(text)["lanes"] == []
         assert np.shape(json.loads(text)["calibration"]) == (3, 4)
     # Anchor3DLane: data_lists/<part>.txt, lines below raw_data/
     lines, lists = annotation.shared[1]
     assert annotation.image == f"ONCE_3DLanes/data/{lines}"
     assert set(lists) == {f"data_lists/{folder}.txt" for folder in folders}
+
+
+def test_once_frames_without_lanes_are_there_but_not_for_anchor3dlane_to_train_on():
+    for part, n_lists in (("train", 0), ("test", 2)):
+        annotation = write.annotate(cf.labels_of(cf.camera_label()), replace(FRAME, part=part))
+        for text in annotation.files.values():
+            assert json.loads(text)["lanes"] == []
+        # Its converter leaves out training frames without lanes; its loader opens what data_lists name.
+        assert len(annotation.shared[1][1]) == n_lists
 
 
 def test_once_calibration_is_the_frames_own():
@@ -77,9 +85,9 @@ def test_once_calibration_is_the_frames_own():
     np.testing.assert_array_equal(found.img_from_cv, [[1200, 0, 960, 0], [0, 1200, 510, 0], [0, 0, 1, 0]])
 
 
-def test_once_leaves_out_what_its_evaluator_cannot_assign():
+def test_once_lines_that_its_evaluator_cannot_assign_come_last():
     camera = cf.camera_label()
-    labels = cf.labels_of(camera, cf.lane(camera, cf.curve(2.0)), cf.lane(camera, cf.curve(4.0, start_m=30.0), "far"))
-    annotation = write.annotate(labels, FRAME)
-    assert annotation.n_lines == 1
-    assert sum(annotation.dropped.values()) == 1
+    # The evaluator's raster ends 10 m ahead and 10 m aside.
+    far = cf.lane(camera, cf.curve(1.0, start_m=12.0), "far")
+    labels = cf.labels_of(camera, far, cf.lane(camera, cf.curve(-2.0)), cf.lane(camera, cf.curve(4.0)))
+    assert [round(points_cv[-1, 0]) for points_cv in once_frame(labels).lanes_cv] == [-2, 4, 1]

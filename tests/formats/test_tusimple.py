@@ -72,4 +72,16 @@ def test_tusimple_label_files_are_those_that_loaders_open():
     dealt = files_of("train", {"train", "test"})
     assert set(dealt) == LABEL_FILES - {"test_label.json"}
     assert dealt.count("label_data_0313.json") == 16
-    assert set(write.FORMAT.lists) == LABEL_FILES, "they are there even when empty"
+    assert set(write.FORMAT.lists) >= LABEL_FILES, "they are there even when empty"
+
+
+def test_the_list_of_test_images_has_no_lanes():
+    # UFLD opens test_tasks_0627.json for the names of the test images, with these three keys.
+    frame = replace(FRAME, part="test")
+    text, files = write.annotate(cf.road(cf.camera_label()), frame).shared[2]
+    assert files == ("test_tasks_0627.json",)
+    document = json.loads(text)
+    assert document.keys() == {"raw_file", "h_samples", "lanes"}
+    assert document["raw_file"] == "clips/train/00000017/20.jpg"
+    assert document["lanes"] == []
+    assert write.annotate(cf.road(cf.camera_label()), FRAME).shared[2][1] == ()

@@ -9,7 +9,7 @@ from synth3dlanes.production import devices
 from synth3dlanes.production.devices import default_workers, masks, resolve_device
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.run import generate
-from synth3dlanes.production.workers import Limits, Pool
+from synth3dlanes.production.workers import Limits, Outcome, Pool
 from synth3dlanes.settings import DEVICES, Device, RenderSettings, choose_device
 from tests import fake_samples
 
@@ -69,6 +69,21 @@ def test_workers_take_turns_with_the_gpus():
         while pool.busy:
             values += [outcome.value for outcome in pool.wait(1.0)]
     assert sorted(values) == ["0", "0", "1", "1"]
+
+
+def test_what_became_of_a_task_is_an_error_by_name():
+    from synth3dlanes.errors import DiskFullError, WorkerError
+
+    assert Outcome("a", "done", 7).result("x") == 7
+    for status, kind in (
+        ("full", DiskFullError),
+        ("failed", WorkerError),
+        ("killed", WorkerError),
+        ("broken", WorkerError),
+    ):
+        with pytest.raises(kind) as caught:
+            Outcome("a", status, reason="why", stderr="last words").result("x")
+        assert (str(caught.value), caught.value.__notes__) == ("x: why", ["last words"])
 
 
 def visible_devices() -> str:

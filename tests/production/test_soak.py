@@ -109,7 +109,7 @@ def test_a_full_disk_makes_the_run_wait_and_nothing_is_lost(full_disk, whole):
 def test_a_read_only_folder_is_named(tmp_path):
     with small_disk(tmp_path / "disk", "8M") as folder:
         subprocess.run(["mount", "-o", "remount,ro", str(folder)], check=True)
-        with pytest.raises(InputError, match=f"out {folder}/out: expected a folder to write to, got .*Read-only"):
+        with pytest.raises(InputError, match=f"out {folder}/out: cannot write to this folder: .*Read-only"):
             go(plan(folder / "out"))
 
 

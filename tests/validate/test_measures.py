@@ -13,11 +13,11 @@ from synth3dlanes.scene import Scene
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.findings import BAND_NAMES, Distribution, Measure
 from synth3dlanes.validate.frame import check_frame
+from synth3dlanes.validate.ground_contact import check_ground_contact
 from synth3dlanes.validate.image_proof import prove_image
 from synth3dlanes.validate.obstacles import check_objects
 from synth3dlanes.validate.paint import Paint
 from synth3dlanes.validate.passes_proof import prove_passes
-from synth3dlanes.validate.standing import check_standing
 from synth3dlanes.validate.structure import check_values
 from synth3dlanes.world import resolve
 from tests.scenes import FLAT, changed
@@ -209,7 +209,7 @@ def test_black_white_and_pink_pictures_are_faults():
 
 
 def test_wheels_stand_on_the_meshes_and_terrain_in_the_road_is_a_fault(hilly_scene):
-    findings, measures = check_standing(resolve(hilly_scene), rendered(ground_truth(hilly_scene)), {})
+    findings, measures = check_ground_contact(resolve(hilly_scene), rendered(ground_truth(hilly_scene)), {})
     gaps = {measure.name: measure.values for measure in measures}
     assert findings == []
     assert gaps["wheel_gap_m"].size > 8
@@ -220,7 +220,7 @@ def test_wheels_stand_on_the_meshes_and_terrain_in_the_road_is_a_fault(hilly_sce
     with np.errstate(divide="ignore"):
         depth_m = np.where(c * down + s > 0, FLAT.camera.height_m / (c * down + s), np.inf)
     road = np.full((360, 480), SEMANTIC_IDS["road"], np.uint8)
-    assert check_standing(resolve(FLAT), labels, {"depth": depth_m, "semantic": road})[0] == []
+    assert check_ground_contact(resolve(FLAT), labels, {"depth": depth_m, "semantic": road})[0] == []
     road[250:260, 230:240] = SEMANTIC_IDS["terrain"]
-    (finding,) = check_standing(resolve(FLAT), labels, {"depth": depth_m, "semantic": road})[0]
+    (finding,) = check_ground_contact(resolve(FLAT), labels, {"depth": depth_m, "semantic": road})[0]
     assert "terrain at 25 pixels" in finding.reason

@@ -19,7 +19,7 @@ from synth3dlanes.dataset.folder import claim
 from synth3dlanes.dataset.format import SCENE, encode
 from synth3dlanes.dataset.index import read_recipe
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.dataset.rearrange import cut, merge
+from synth3dlanes.dataset.rearrange import merge, split_dataset
 from synth3dlanes.dataset.write import Shard
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
@@ -246,11 +246,11 @@ def test_the_recipe_does_not_depend_on_how_numbers_are_written() -> None:
 
 def test_dealt_and_varied_sets_are_drawn_again_too(drawn: Path, tmp_path: Path) -> None:
     """Also of each other: a cut of twins, twins of a cut, twins of twins."""
-    cut(Reader(f"{drawn}/train"), {"x": 1, "y": 1}, 0, str(tmp_path / "cut"))
+    split_dataset(Reader(f"{drawn}/train"), {"x": 1, "y": 1}, 0, str(tmp_path / "cut"))
     for source in (drawn / "train", tmp_path / "cut/x"):
         for recipe in twin_recipes(str(source), "light.exposure=1.25,2.25", "cpu"):
             draw(tmp_path / f"twins_of_{source.name}", recipe, len(Reader(str(source))))
-    cut(Reader(f"{tmp_path}/twins_of_train/twin_2"), {"all": 1}, 0, str(tmp_path / "cut_twins"))
+    split_dataset(Reader(f"{tmp_path}/twins_of_train/twin_2"), {"all": 1}, 0, str(tmp_path / "cut_twins"))
     for recipe in twin_recipes(f"{tmp_path}/cut_twins/all", "camera.height_m=1.5", "cpu"):
         draw(tmp_path / "twins_twice", recipe)
     twice = scene_module.from_json(Reader(f"{tmp_path}/twins_twice/twin_1").raw(0)[SCENE], "")
@@ -270,7 +270,7 @@ def test_a_set_made_of_older_shards_does_not_say_more_than_they_do(dataset: Path
     path = dataset / "train/00000.parquet"
     pq.write_table(pq.read_table(path).replace_schema_metadata(None), path)
     merge([str(dataset)], str(tmp_path / "merged"))
-    cut(Reader(f"{dataset}/train"), {"all": 1}, 0, str(tmp_path / "cut"))
+    split_dataset(Reader(f"{dataset}/train"), {"all": 1}, 0, str(tmp_path / "cut"))
     assert recipes(tmp_path / "merged") == recipes(tmp_path / "cut") == {""}
     assert problems(tmp_path / "merged") == problems(tmp_path / "cut") == []
 

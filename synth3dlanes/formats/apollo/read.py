@@ -21,7 +21,7 @@ from synth3dlanes.formats.reading import (
 )
 from synth3dlanes.formats.writing import CV_FROM_CAM
 from synth3dlanes.frames import invert, transform
-from synth3dlanes.labels import Kind, Labels
+from synth3dlanes.labels import Labels, LaneKind
 
 PointLists = tuple[Float[np.ndarray, "_ 3"], ...]
 Flags = tuple[Bool[np.ndarray, " _"], ...]
@@ -42,7 +42,7 @@ class ApolloFrame:
     def labels(self) -> Labels:
         """The lanes in our camera frame. The camera is h cos p above the plane z = 0."""
         cam_from_apollo = invert(apollo_from_cam(self.cam_height_m, self.cam_pitch_rad))
-        groups: tuple[tuple[Kind, PointLists, Flags], ...] = (
+        groups: tuple[tuple[LaneKind, PointLists, Flags], ...] = (
             ("delimiter", self.lane_lines_apollo, self.lane_lines_visible),
             ("centerline", self.center_lines_apollo, self.center_lines_visible),
         )

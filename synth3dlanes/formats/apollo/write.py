@@ -11,7 +11,7 @@ from synth3dlanes.formats.apollo.convention import CAMERA, ROOT, apollo_from_cam
 from synth3dlanes.formats.lines import NEAR_START_M, Line, keep_lines, lines_ahead
 from synth3dlanes.formats.writing import CV_FROM_CAM, DECIMALS, Annotation, Format, Frame
 from synth3dlanes.frames import transform
-from synth3dlanes.labels import CameraLabel, Kind, Labels
+from synth3dlanes.labels import CameraLabel, Labels, LaneKind
 
 MAX_LINES = 6
 HALF_WIDTH_M = 10.0
@@ -31,6 +31,8 @@ README = f"""Apollo Sim-3D / Gen-LaneNet layout.
   exact and z = 0 the local road plane; `sidecar.jsonl` holds the true height, road_from_cam, the intrinsics, our
   keys and lane ids, and `max_z_over_h`.
 - Visibility is a prefix: terrain hides lanes, cars do not. Lines are ordered from the car outwards.
+- The evaluator charges 1.5 m where a line has no near (to 40 m) or no far part: so ground truth as prediction has F = 1
+  but errors of some centimetres near and decimetres far.
 - LATR explodes the lists into its own folders: delete those after exporting again.
 """
 
@@ -39,7 +41,7 @@ def annotate(labels: Labels, frame: Frame) -> Annotation:
     """The frame's label line, the lists that it belongs to and its sidecar line."""
     camera, dropped = labels.camera, Counter[str]()
     raw_file = image_path(frame)
-    groups: dict[Kind, tuple[Line, ...]] = {
+    groups: dict[LaneKind, tuple[Line, ...]] = {
         "delimiter": _kept(labels, "delimiter", MAX_LINES, dropped),
         "centerline": _kept(labels, "centerline", len(labels.lanes), dropped),
     }
@@ -85,7 +87,7 @@ def apollo_from_cv(points_cv: Float[np.ndarray, "n 3"], camera: CameraLabel) -> 
     return transform(ground_from_cam, points_cv @ CV_FROM_CAM)
 
 
-def _kept(labels: Labels, kind: Kind, most: int, dropped: Counter[str]) -> tuple[Line, ...]:
+def _kept(labels: Labels, kind: LaneKind, most: int, dropped: Counter[str]) -> tuple[Line, ...]:
     near = []
     for line in lines_ahead(labels, CAMERA, kind):
         if line.visible.sum() >= 2 and not _is_evaluated(apollo_from_cv(line.points_cv[line.visible], labels.camera)):
@@ -114,7 +116,7 @@ def _splits(is_train: bool, is_rare: bool, is_held_out: bool) -> tuple[str, ...]
     return tuple(splits)
 
 
-def _sidecar(labels: Labels, frame: Frame, raw_file: str, groups: dict[Kind, tuple[Line, ...]]) -> str:
+def _sidecar(labels: Labels, frame: Frame, raw_file: str, groups: dict[LaneKind, tuple[Line, ...]]) -> str:
     camera = labels.camera
     heights_m = [
         apollo_from_cv(line.points_cv[line.visible], camera)[:, 2] for lines in groups.values() for line in lines
@@ -136,4 +138,10 @@ def _sidecar(labels: Labels, frame: Frame, raw_file: str, groups: dict[Kind, tup
     return json.dumps(document)
 
 
-FORMAT = Format(CAMERA, False, README, annotate, {"images": f"{ROOT}/images"})
+FORMAT = Format(
+    camera=CAMERA,
+    has_intrinsics=False,
+    readme=README,
+    annotate=annotate,
+    links={"images": f"{ROOT}/images"},
+)

@@ -28,13 +28,16 @@ class OnceScore:
 
 
 def score(frames: Sequence[tuple[Sequence[Points], Sequence[Points]]]) -> OnceScore:
-    """Lines are paired by overlap in a bird's-eye raster of the first 10 m, then matched within 0.3 m in 3D."""
+    """Lines are paired by overlap in a bird's-eye raster of the first 10 m, those without any in the order of the list,
+    then matched within 0.3 m in 3D."""
     n_true = sum(len(true) for true, _ in frames)
     n_predicted = sum(len(predicted) for _, predicted in frames)
     distances_m = []
     for true, predicted in frames:
         overlaps = np.array([[_overlap(_raster(a), _raster(b)) for b in predicted] for a in true])
-        rows, columns = linear_sum_assignment(overlaps.reshape(len(true), len(predicted)), maximize=True)
+        overlaps = overlaps.reshape(len(true), len(predicted))
+        in_order = -1e-6 * np.abs(np.subtract.outer(np.arange(len(true)), np.arange(len(predicted))))
+        rows, columns = linear_sum_assignment(overlaps + in_order, maximize=True)
         distances_m += [_distance_m(true[i], predicted[j]) for i, j in zip(rows, columns, strict=True)]
     matched_m = [distance_m for distance_m in distances_m if distance_m < MATCH_M]
     recall, precision = len(matched_m) / max(1, n_true), len(matched_m) / max(1, n_predicted)

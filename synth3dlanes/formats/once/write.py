@@ -26,7 +26,7 @@ README = f"""ONCE-3DLanes layout.
 - The format has no extrinsics; loaders assume 1.5 m and 0.5 or 0.3 degrees. The true values are in the extra keys
   `camera_height_m` and `camera_pitch_rad` (positive = down).
 - The official evaluator assigns lines by what lies within 10 m ahead and 10 m to the side. So lines keep their
-  stretch below the image, and lines that begin further on are left out: it pairs those in the order of the list.
+  stretch below the image. Lines without a part there come last: it pairs those in the order of the list.
 - `annotations`, `raw_data` (links) and `data_lists` are for Anchor3DLane.
 """
 
@@ -47,23 +47,29 @@ def annotate(labels: Labels, frame: Frame) -> Annotation:
     }
     text = json.dumps(document)
     files = {f"{ROOT}/{part}/{name}.json": text for part in parts}
+    # Anchor3DLane has no cache of training frames without lanes.
     shared = (
         (name, tuple(f"{ROOT}/list/{part}.txt" for part in parts)),
-        (f"{name}.jpg", tuple(f"data_lists/{part}.txt" for part in parts)),
+        (f"{name}.jpg", tuple(f"data_lists/{part}.txt" for part in parts) if lines or not frame.is_train else ()),
     )
     return Annotation(f"{ROOT}/data/{name}.jpg", len(lines), dropped, files, shared)
 
 
 def _kept(labels: Labels, pinhole: Pinhole, dropped: Counter[str]) -> tuple[Line, ...]:
-    near = []
-    for line in lines_ahead(labels, pinhole, "delimiter"):
-        x_m, _, z_m = line.points_cv[line.visible].T
-        rastered = (z_m < RASTER_DEPTH_M) & (np.abs(x_m) < RASTER_HALF_WIDTH_M)
-        if line.visible.any() and np.count_nonzero(rastered) < 2:
-            dropped["begins beyond 10 m ahead or 10 m aside, where the official evaluator cannot assign it"] += 1
-        else:
-            near.append(line)
-    return keep_lines(near, dropped, MAX_LINES, f"beyond the {MAX_LINES} nearest (cap of Anchor3DLane)")
+    lines = sorted(lines_ahead(labels, pinhole, "delimiter"), key=lambda line: not _is_rastered(line))
+    return keep_lines(lines, dropped, MAX_LINES, f"beyond the {MAX_LINES} nearest (cap of Anchor3DLane)")
 
 
-FORMAT = Format(CAMERA, True, README, annotate, {"annotations": ROOT, "raw_data": f"{ROOT}/data"})
+def _is_rastered(line: Line) -> bool:
+    x_m, _, z_m = line.points_cv[line.visible].T
+    return np.count_nonzero((z_m < RASTER_DEPTH_M) & (np.abs(x_m) < RASTER_HALF_WIDTH_M)) >= 2
+
+
+FORMAT = Format(
+    camera=CAMERA,
+    has_intrinsics=True,
+    readme=README,
+    annotate=annotate,
+    links={"annotations": ROOT, "raw_data": f"{ROOT}/data"},
+    replaced_words=PARTS,
+)

@@ -70,7 +70,9 @@ def annotate(labels: Labels, frame: Frame) -> Annotation:
     for case in [case for case in CASES if case in frame.tags and not frame.is_train]:
         files[f"lane3d_1000/test/{case}_case/{name}.json"] = text
         listed.append(f"lane3d_1000/test/{CASES[case]}")
-    shared = ((file_path, tuple(sorted(listed))), (f"{folder}/{name}", (f"data_lists/{folder}.txt",)))
+    # Anchor3DLane has no cache of training frames without lanes.
+    cached = (f"data_lists/{folder}.txt",) if lines or not frame.is_train else ()
+    shared = ((file_path, tuple(sorted(listed))), (f"{folder}/{name}", cached))
     return Annotation(f"images/{file_path}", len(lines), dropped, files, shared)
 
 
@@ -119,4 +121,10 @@ def _line_document(line: Line, frame: Frame, attribute: int, track_id: int) -> d
     }
 
 
-FORMAT = Format(CAMERA, True, README, annotate, lists=tuple(f"lane3d_1000/test/{name}" for name in CASES.values()))
+FORMAT = Format(
+    camera=CAMERA,
+    has_intrinsics=True,
+    readme=README,
+    annotate=annotate,
+    lists=tuple(f"lane3d_1000/test/{name}" for name in CASES.values()),
+)

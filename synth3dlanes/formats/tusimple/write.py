@@ -12,7 +12,8 @@ from synth3dlanes.formats.writing import Annotation, Format, Frame
 from synth3dlanes.labels import Labels
 
 MAX_LINES = 5
-LABEL_FILES = ("label_data_0313.json", "label_data_0531.json", "label_data_0601.json", "test_label.json")
+TEST_LABELS, TEST_TASKS = "test_label.json", "test_tasks_0627.json"
+LABEL_FILES = ("label_data_0313.json", "label_data_0531.json", "label_data_0601.json", TEST_LABELS, TEST_TASKS)
 
 README = """tuSimple layout.
 
@@ -20,7 +21,7 @@ README = """tuSimple layout.
   every 10) and `lanes` (x per row in whole pixels, -2 = absent).
 - `label_data_0313.json`, `label_data_0601.json`: training frames. `label_data_0531.json`: val frames where there are
   test frames beside them, else training frames (keys ending in 7; those ending in 2 are in 0601).
-  `test_label.json`: test frames, or val frames where there are no test frames.
+  `test_label.json`: test frames, or val frames where there are no test frames; `test_tasks_0627.json` names them.
 - One to five lines a frame, the nearest to the camera (the official accuracy fails on none and exceeds 1 on more);
   a line ends where it would come back to a row that it has crossed. Frames without lines are left out.
 - Terrain hides lines, cars do not. `sidecar.jsonl` holds the camera (f = 1343.3, c = (640, 360)), its height over
@@ -49,7 +50,13 @@ def annotate(labels: Labels, frame: Frame) -> Annotation | None:
         "camera_pitch_rad": labels.camera.pitch_rad,
         "lanes_ids": [line.id for line in kept],
     }
-    shared = ((json.dumps(document), (label_file(frame),)), (json.dumps(sidecar), ("sidecar.jsonl",)))
+    task = {"raw_file": raw_file, "h_samples": ROWS_PX.tolist(), "lanes": []}
+    file = label_file(frame)
+    shared = (
+        (json.dumps(document), (file,)),
+        (json.dumps(sidecar), ("sidecar.jsonl",)),
+        (json.dumps(task), (TEST_TASKS,) if file == TEST_LABELS else ()),
+    )
     return Annotation(raw_file, len(kept), dropped, shared=shared)
 
 
@@ -57,7 +64,7 @@ def label_file(frame: Frame) -> str:
     """Tools train on 0313 and 0601, and on 0531 or validate on it; training frames are dealt to the three as in the
     original, where 8 of 10 are in 0313. With splits val and test of its own a data set has val in 0531."""
     if frame.serves_as("test"):
-        return "test_label.json"
+        return TEST_LABELS
     if frame.part == "val":
         return "label_data_0531.json"
     dealt = {2: "0601"} if frame.parts >= {"val", "test"} else {2: "0601", 7: "0531"}
@@ -78,4 +85,4 @@ def rows_of(line: Line) -> Int[np.ndarray, " r"]:
     return np.where(inside & (top_px <= ROWS_PX) & (bottom_px >= ROWS_PX), columns_px, absent)
 
 
-FORMAT = Format(CAMERA, False, README, annotate, lists=LABEL_FILES)
+FORMAT = Format(camera=CAMERA, has_intrinsics=False, readme=README, annotate=annotate, lists=LABEL_FILES)

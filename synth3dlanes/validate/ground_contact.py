@@ -31,7 +31,7 @@ Points2 = Float[np.ndarray, "n 2"]
 Values = Float[np.ndarray, " n"]
 
 
-def check_standing(world: World, labels: Labels, passes: Passes) -> tuple[list[Finding], list[Measure]]:
+def check_ground_contact(world: World, labels: Labels, passes: Passes) -> tuple[list[Finding], list[Measure]]:
     """Faults by object, with measures `wheel_gap_m` and `tree_gap_m`; with depth and semantic ids, of the road, too."""
     wheels = _ahead(labels.camera, _wheels(world))
     places = _ahead(labels.camera, world.trees_world + np.array([0, 0, TREE_SINK_M]))

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import bpy
 
-from synth3dlanes.assets.catalogue import BUILT_IN, CARS, TREES, CarModel, Kind, Library, Texture, TreeModel
+from synth3dlanes.assets.catalogue import BUILT_IN, CARS, TREES, AssetKind, CarModel, Library, Texture, TreeModel
 from synth3dlanes.assets.folder import ROLES, Folder, TextureFiles, scan, texture_digest, verified
 from synth3dlanes.blender.assets import load_meshes
 from synth3dlanes.blender.sky_file import read_sky
@@ -17,7 +17,7 @@ NOTHING = Folder({}, {}, (), ())
 
 
 @dataclass(frozen=True, eq=False)
-class Assets:
+class LoadedAssets:
     """One mesh a model and one set of files a texture, in the order of their numbers; a car's object sets
     `color = (r, g, b, gloss)`."""
 
@@ -28,11 +28,11 @@ class Assets:
     skies: tuple[UserSky, ...]
 
 
-def load_assets(library: Library = BUILT_IN) -> Assets:
+def load_assets(library: Library = BUILT_IN) -> LoadedAssets:
     """Load all models; raise FormatError where a file is no longer the one that was checked."""
     folder = scan(Path(library.folder)) if library.folder else NOTHING
     own = library.assets
-    return Assets(
+    return LoadedAssets(
         _own_meshes(folder, "cars", own.cars) or load_meshes([car.name for car in CARS]),
         _own_meshes(folder, "trees", own.trees) or load_meshes([tree.name for tree in TREES]),
         _own_textures(folder, "roads", own.roads) or tuple(our_texture(f"road_{k}") for k in (1, 2, 3)),
@@ -50,7 +50,7 @@ def our_texture(name: str) -> TextureFiles:
 
 
 def _own_meshes(
-    folder: Folder, kind: Kind, models: tuple[CarModel, ...] | tuple[TreeModel, ...]
+    folder: Folder, kind: AssetKind, models: tuple[CarModel, ...] | tuple[TreeModel, ...]
 ) -> tuple[bpy.types.Mesh, ...]:
     singular: ModelKind = "car" if kind == "cars" else "tree"
     meshes = []
@@ -63,7 +63,7 @@ def _own_meshes(
     return tuple(meshes)
 
 
-def _own_textures(folder: Folder, kind: Kind, textures: tuple[Texture, ...]) -> tuple[TextureFiles, ...]:
+def _own_textures(folder: Folder, kind: AssetKind, textures: tuple[Texture, ...]) -> tuple[TextureFiles, ...]:
     found = []
     for texture in textures:
         files = folder.textures[kind].get(texture.name)
@@ -73,7 +73,7 @@ def _own_textures(folder: Folder, kind: Kind, textures: tuple[Texture, ...]) -> 
     return tuple(found)
 
 
-def _path(folder: Folder, kind: Kind, name: str) -> Path:
+def _path(folder: Folder, kind: AssetKind, name: str) -> Path:
     if name not in folder.models[kind]:
         raise FormatError(f"{kind}/{name}: expected the file that was checked before the run, found none")
     return folder.models[kind][name]

@@ -1,6 +1,6 @@
-"""Pictures and labels of a rolled camera as one without roll has them, for networks and formats that know no roll.
+"""Images and labels of a rolled camera turned level, for networks and formats without roll.
 
-Both cameras stand in one place, so they see the same rays: the change is a homography, exact at every depth.
+Both cameras have the same optical centre, so the change is a homography, exact at every depth.
 """
 
 from dataclasses import replace
@@ -15,13 +15,13 @@ from synth3dlanes.labels import CameraLabel, Labels
 FILTER_PX = 3
 
 
-def upright_from_cam(camera: CameraLabel) -> Float[np.ndarray, "3 3"]:
-    """The rotation about the viewing axis that takes the roll out."""
+def level_from_cam(camera: CameraLabel) -> Float[np.ndarray, "3 3"]:
+    """The rotation about the viewing axis that removes the roll."""
     c, s = np.cos(camera.roll_rad), np.sin(camera.roll_rad)
     return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
 
 
-def upright_labels(labels: Labels) -> Labels:
+def labels_without_roll(labels: Labels) -> Labels:
     """The labels as the same camera without roll would have them: same place, viewing axis and intrinsics.
 
     What either picture does not show is not in the image.
@@ -30,8 +30,8 @@ def upright_labels(labels: Labels) -> Labels:
     if camera.roll_rad == 0:
         return labels
     turn = np.eye(4)
-    turn[:3, :3] = upright_from_cam(camera)
-    upright = replace(
+    turn[:3, :3] = level_from_cam(camera)
+    level = replace(
         camera,
         roll_rad=0.0,
         road_from_cam=camera.road_from_cam @ turn.T,
@@ -39,26 +39,27 @@ def upright_labels(labels: Labels) -> Labels:
     )
     turned = ((lane, lane.xyz_cam @ turn[:3, :3].T) for lane in labels.lanes)
     lanes = tuple(
-        replace(lane, xyz_cam=xyz_cam, in_image=lane.in_image & _inside(upright, xyz_cam)) for lane, xyz_cam in turned
+        replace(lane, xyz_cam=xyz_cam, in_image=lane.in_image & _inside(level, xyz_cam)) for lane, xyz_cam in turned
     )
-    return replace(labels, camera=upright, lanes=lanes)
+    return replace(labels, camera=level, lanes=lanes)
 
 
-def upright_image(image: UInt8[np.ndarray, "h w 3"], camera: CameraLabel) -> UInt8[np.ndarray, "h w 3"]:
-    """The picture that belongs to `upright_labels`; corners that the rolled camera did not see repeat its border."""
+def image_without_roll(image: UInt8[np.ndarray, "h w 3"], camera: CameraLabel) -> UInt8[np.ndarray, "h w 3"]:
+    """The picture that belongs to `labels_without_roll`; corners that the rolled camera did not see
+    repeat its border."""
     if camera.roll_rad == 0:
         return image
     rows, columns = image.shape[:2]
     reach = int(np.ceil(max(rows, columns) * abs(np.sin(camera.roll_rad)))) + FILTER_PX
     padded = np.pad(image, ((reach, reach), (reach, reach), (0, 0)), mode="edge")
     shift = np.array([[1.0, 0, reach], [0, 1, reach], [0, 0, 1]])
-    back = shift @ ours_from_upright(camera, camera.img_from_cam)
+    back = shift @ rolled_from_level(camera, camera.img_from_cam)
     return np.asarray(warp(padded, back, (columns, rows)))
 
 
-def ours_from_upright(camera: CameraLabel, img_from_upright: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-    """The homography from pixels of an upright camera with the matrix `img_from_upright` to the camera's: K R K'^-1."""
-    return np.asarray(camera.img_from_cam @ upright_from_cam(camera).T @ np.linalg.inv(img_from_upright))
+def rolled_from_level(camera: CameraLabel, img_from_level: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
+    """The homography K R K'^-1 from pixels of a level camera with the matrix `img_from_level` to the rolled one's."""
+    return np.asarray(camera.img_from_cam @ level_from_cam(camera).T @ np.linalg.inv(img_from_level))
 
 
 def warp(

@@ -1,0 +1,90 @@
+"""A folder and a store are written by the same calls, and end up with the same bytes."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from synth3dlanes.dataset.description import recipe_text
+from synth3dlanes.dataset.destination import Destination
+from synth3dlanes.dataset.write import Shard
+from synth3dlanes.errors import InputError, MissingPackageError
+from tests import fake_samples
+
+RECIPE = fake_samples.recipe()
+DESCRIPTION = {**RECIPE.description(), "shard_size": 4}
+SHARDS = [Shard(Path("train"), number, 4, RECIPE.names, recipe_text(DESCRIPTION)) for number in range(2)]
+
+
+def extend(destination: Destination, n: int) -> None:
+    """Make what is missing of the first `n` samples."""
+    with destination.claim(DESCRIPTION, "train", n, range(2)):
+        for shard in SHARDS:
+            missing = destination.missing(shard, n)
+            if missing:
+                with destination.working_copy(shard) as here:
+                    for index in missing:
+                        here.write_part(index, fake_samples.make(RECIPE, index).members)
+                    here.join(n)
+
+
+def contents(root: Path) -> dict[str, bytes]:
+    found = (path for path in root.rglob("*") if path.is_file() and path.name != ".lock")
+    return {path.relative_to(root).as_posix(): path.read_bytes() for path in found}
+
+
+def test_a_store_gets_the_bytes_of_a_folder(tmp_path):
+    for name, place in (("here", tmp_path / "here"), ("store", (tmp_path / "store").as_uri())):
+        for n in (3, 6):
+            extend(Destination(place), n)
+        assert [Destination(place).missing(shard, 7) for shard in SHARDS] == [[], [6]], name
+    assert contents(tmp_path / "here") == contents(tmp_path / "store")
+
+
+def test_a_shard_that_has_not_changed_is_not_written_again(tmp_path):
+    store = Destination(tmp_path.as_uri())
+    extend(store, 6)
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.tar")}
+    with store.working_copy(SHARDS[0]) as here:
+        (here.folder.parent / "failed/train/00000003").mkdir(parents=True)
+        (here.folder.parent / "failed/train/00000003/stderr.txt").write_text("why")
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.tar")} == before
+    assert (tmp_path / "failed/train/00000003/stderr.txt").read_text() == "why"
+
+
+def test_another_recipe_is_refused_in_both(tmp_path):
+    for place in (tmp_path / "here", (tmp_path / "store").as_uri()):
+        extend(Destination(place), 3)
+        other = Destination(place).claim({**DESCRIPTION, "seed": 8}, "train", 3, [0])
+        with pytest.raises(InputError, match=r"dataset\.json: seed: expected 7 as in this dataset, got 8"), other:
+            pass
+
+
+def test_a_driver_needs_shards_that_nobody_makes_and_leaves_them_to_others(tmp_path):
+    """Locks are those of a process, so the other run is another process."""
+    code = (
+        "import sys; from tests.dataset.test_destination import *\n"
+        "with Destination(sys.argv[1]).claim(DESCRIPTION, 'train', 3, [0], sys.argv[2] == 'driver'): pass"
+    )
+
+    def other(kind: str) -> str:
+        command = [sys.executable, "-c", code, str(tmp_path), kind]
+        return subprocess.run(command, capture_output=True, text=True, check=False).stderr
+
+    destination = Destination(tmp_path)
+    with destination.claim(DESCRIPTION, "train", 3, [0]):
+        for kind in ("driver", ""):
+            assert f"ClaimedError: out {tmp_path}: shard 0 is locked by another run" in other(kind)
+    with destination.claim(DESCRIPTION, "train", 3, [0], is_driver=True):
+        assert "shard 0 is locked by another run" in other("driver")
+        assert other("") == ""
+
+
+def test_an_address_whose_package_is_missing_says_so(monkeypatch):
+    def refuse(url: str):
+        raise ImportError("Install s3fs to access S3")
+
+    monkeypatch.setattr("fsspec.core.url_to_fs", refuse)
+    with pytest.raises(MissingPackageError, match="s3://a: Install s3fs"):
+        Destination("s3://a").missing(SHARDS[0], 3)
