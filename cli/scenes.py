@@ -43,7 +43,7 @@ def sample(
 
 
 @click.command()
-@click.argument("scene_path", metavar="SCENE.JSON", type=click.Path(path_type=Path))
+@click.argument("source", metavar="SCENE.JSON|DIR/SPLIT:KEY")
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
@@ -55,7 +55,7 @@ def sample(
 @device_option
 @assets_option
 def render(
-    scene_path: Path,
+    source: str,
     out: Path | None,
     changes: tuple[str, ...],
     samples: int,
@@ -63,7 +63,8 @@ def render(
     device: str,
     assets: Path | None,
 ) -> None:
-    """Render one scene: writes the image, NAME.labels.json and, with --passes, NAME.passes.exr.
+    """Render one scene, from a file or a data set. Writes the image, NAME.labels.json and, with --passes,
+    NAME.passes.exr.
 
     --set changes the scene first: --set light.exposure=3 changes the exposure, --set cars=[] removes the cars. The
     changed scene is written to NAME.scene.json.
@@ -72,5 +73,5 @@ def render(
     from synth3dlanes.settings import RenderSettings
 
     settings, library = RenderSettings(samples, passes, device), open_assets(assets)
-    for path in render_file(scene_path, out, changes, settings, library):
+    for path in render_file(source, out, changes, settings, library):
         click.echo(path)

@@ -42,16 +42,26 @@ def load_scene(path: Path) -> Scene:
     return from_json(path.read_bytes(), str(path))
 
 
+def find_scene(where: str) -> tuple[str, Scene]:
+    """A scene and its name, by its file or as a sample of a data set: `DIR/SPLIT:KEY`."""
+    if re.fullmatch(r".+:\d+", where):
+        url, _, key = where.rpartition(":")
+        reader = Reader(url)
+        position = reader.position(key)
+        return reader.key(position), read_scene(reader, position)
+    if Path(where).is_dir():
+        raise FormatError(f"{where}: expected a scene.json or a sample, as DIR/train:00000017, got a folder")
+    return scene_name(Path(where)), load_scene(Path(where))
+
+
 def load_any(where: str, image_path: Path | None) -> Found:
     """Find a sample by `DIR/SPLIT:KEY`, or a scene by its file, with labels drawn from the scene alone."""
     if re.fullmatch(r".+:\d+", where):
         sample = find(where)
         return Found(sample.key, from_json(sample.scene_json, where), sample.labels, sample.image)
-    if Path(where).is_dir():
-        raise FormatError(f"{where}: expected a scene.json or a sample, as DIR/train:00000017, got a folder")
-    scene = load_scene(Path(where))
+    name, scene = find_scene(where)
     image = None if image_path is None else decode_image(image_path.read_bytes(), str(image_path))
-    return Found(scene_name(Path(where)), scene, ground_truth(scene), image)
+    return Found(name, scene, ground_truth(scene), image)
 
 
 def read_scene(reader: Reader, i: int) -> Scene:

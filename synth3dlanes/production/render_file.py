@@ -13,7 +13,7 @@ from synth3dlanes.production.recipe import make_image, require_blender
 from synth3dlanes.production.workers import Limits, call
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import RenderSettings
-from synth3dlanes.sources import load_scene, scene_name
+from synth3dlanes.sources import find_scene
 from synth3dlanes.world import resolve
 
 # A scene may be as large as its file says.
@@ -21,23 +21,25 @@ PATIENCE = Limits(seconds=math.inf, rss_bytes=1 << 50)
 
 
 def render_file(
-    scene_path: Path, image_path: Path | None, changes: Sequence[str], settings: RenderSettings, library: Library
+    source: str, image_path: Path | None, changes: Sequence[str], settings: RenderSettings, library: Library
 ) -> list[Path]:
-    """Render exactly the scene of a file, some factors changed; return the files written, the image first.
+    """Render the scene of a file or of a sample (`DIR/SPLIT:KEY`), some factors changed; return the files written, the
+    image first.
 
     They are named as the members of a sample. The scene is among them only where it was changed.
     """
     require_blender()
-    scene = change_scene(load_scene(scene_path), changes)
-    require_assets(scene.assets, library, str(scene_path))
-    image_path = image_path or Path(f"{scene_name(scene_path)}.png")
+    name, scene = find_scene(source)
+    scene = change_scene(scene, changes)
+    require_assets(scene.assets, library, source)
+    image_path = image_path or Path(f"{name}.png")
     image_format = image_path.suffix.removeprefix(".")
     if image_format not in ("png", "jpg"):
         raise InputError(f"out {image_path}: expected a name that ends in .png or .jpg")
-    if changes and image_path.with_suffix(f".{SCENE}").resolve() == scene_path.resolve():
-        raise InputError(f"out {image_path}: would overwrite {scene_path} with the changed scene; name another")
+    if changes and image_path.with_suffix(f".{SCENE}").resolve() == Path(source).resolve():
+        raise InputError(f"out {image_path}: would overwrite {source} with the changed scene; name another")
     # Pinned as all workers are: on one core more than another, Cycles rounds some sums otherwise.
-    members = render_members(scene, settings, image_format, library, str(scene_path))
+    members = render_members(scene, settings, image_format, library, source)
     files = {image_path.with_suffix(f".{name}"): data for name, data in members.items() if changes or name != SCENE}
     image_path.parent.mkdir(parents=True, exist_ok=True)
     for path, data in files.items():

@@ -86,8 +86,7 @@ def test_render_makes_the_very_bytes_that_the_data_set_has(in_tmp_path: Path) ->
     from synth3dlanes.dataset.read import Reader
 
     members = Reader("d/train").raw(0)
-    (in_tmp_path / "a.scene.json").write_bytes(members["scene.json"])
-    subprocess.run([*program, "render", "a.scene.json", "--out", "a.jpg", *passes], check=True, capture_output=True)
+    subprocess.run([*program, "render", "d/train:0", "--out", "a.jpg", *passes], check=True, capture_output=True)
     for name in ("jpg", "labels.json", "passes.exr"):
         assert (in_tmp_path / f"a.{name}").read_bytes() == members[name], name
 
