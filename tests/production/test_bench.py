@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from synth3dlanes.production.bench import Bench, Naive, Timed, _seconds_between, compare, psnr, ssim
+from synth3dlanes.production.bench import Bench, Naive, StoredBench, Timed, _seconds_between, compare, psnr, ssim
 
 
 def test_psnr_and_ssim_of_known_differences(rng):
@@ -40,7 +40,7 @@ def test_a_comparison_is_free_of_the_machines_speed():
     for group in (slower, slower["stages"], slower["naive"]):
         group.update({name: 3 * group[name] for name in group if name in stages or "seconds" in name})
     slower["stages"]["build"] *= 2
-    found = {name: (ours, theirs) for name, ours, theirs in compare(now, slower)}
+    found = {name: (ours, theirs) for name, ours, theirs in compare(now, StoredBench.model_validate(slower))}
     assert found.pop("build") == pytest.approx((0.25, 0.5))
     assert found["end to end"] == (1.25, 1.25)
     assert found["naive seconds"] == pytest.approx((10, 10))
