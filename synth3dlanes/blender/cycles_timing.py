@@ -1,6 +1,6 @@
-"""Where the time of a render goes, from what Cycles tells of itself while it works (bpy.app.handlers.render_stats).
+"""Seconds per stage of a render, from Cycles' status messages (bpy.app.handlers.render_stats).
 
-Cycles tells what it begins, so a stage lasts until the next begins. The marks themselves cost microseconds.
+Cycles reports the start of each stage, so a stage lasts until the next one starts. Recording costs microseconds.
 """
 
 import time
@@ -10,14 +10,15 @@ from itertools import pairwise
 
 import bpy
 
-# The words with which a stage begins, in their order; "after" is copying the result out.
+# How the message at the start of each stage begins, in order; "after" is copying the result.
 BEGINNINGS = {"Updating Scene": "bvh", "Sample 0/": "tracing", "Finished": "after"}
 
 
 @contextmanager
 def cycles_stages() -> Iterator[dict[str, float]]:
-    """Seconds of the first render that runs inside, once it is left: `sync` (Blender's scene to Cycles'), `bvh` (search
-    trees, textures, the rest of the device's scene), `tracing` (all samples and the denoiser), `after`."""
+    """Time the first render inside the block; the seconds are set when the block ends: `sync` (Blender's scene to
+    Cycles'), `bvh` (search trees, textures, the rest of the device's scene), `tracing` (samples and denoiser),
+    `after`."""
     marks: dict[str, float] = {}
     stages: dict[str, float] = {}
 
