@@ -168,7 +168,7 @@ def require_assets(recorded: Assets, library: Library, where: str) -> None:
         if expected != found:
             wanted, given = (", ".join(names) or "the built-in ones" for names in (expected, found))
             problems.append(
-                f"{where}: {kind}: expected {wanted}, got {given}; use the folder of assets that the scene was drawn with"
+                f"{where}: {kind}: expected {wanted}, got {given}; use the assets folder that the scene was drawn with"
             )
     if problems:
         raise InputError(*problems)
