@@ -32,7 +32,7 @@ def from_axes(x: Points, y: Points, z: Points, origin: Points) -> Matrix4:
 
 def road_from_cam(height_m: float, pitch_rad: float, roll_rad: float = 0.0) -> Matrix4:
     """The camera's pose over the road plane: `height_m` above its foot, pitched by `pitch_rad` (positive = down) and
-    rolled about its viewing axis by `roll_rad` (positive = clockwise as the driver sees it: its right side goes down)."""
+    rolled about its viewing axis by `roll_rad` (positive = clockwise as the driver sees it: right side down)."""
     c, s = np.cos(pitch_rad), np.sin(pitch_rad)
     pitched = np.array([[1.0, 0, 0, 0], [0, c, s, 0], [0, -s, c, height_m], [0, 0, 0, 1]])
     c, s = np.cos(roll_rad), np.sin(roll_rad)
