@@ -251,8 +251,8 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "improved": {},
 }
 """The settings that each row of the paper's Table 1 changes; `image_view` has no top view to augment or to use as
-target frame. `flat_ground` is an evaluation of `full`. The paper mentions `no_supervision` ("failed to produce satisfying
-results"); `improved` has our changes."""
+target frame. `flat_ground` is an evaluation of `full`. The paper mentions `no_supervision` ("failed to produce
+satisfying results"); `improved` has our changes."""
 
 
 def train_config(model: str, overrides: dict[str, Any] | None = None, ablation: str = "full") -> TrainConfig:

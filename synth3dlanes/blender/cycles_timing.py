@@ -25,7 +25,7 @@ def cycles_stages() -> Iterator[dict[str, float]]:
     def begin(_: object, __: object) -> None:
         marks.setdefault("sync", time.perf_counter())
 
-    def tell(status: str) -> None:
+    def mark(status: str) -> None:
         words = status.rpartition("ViewLayer | ")[2]
         for beginning, stage in BEGINNINGS.items():
             if words.startswith(beginning):
@@ -35,7 +35,7 @@ def cycles_stages() -> Iterator[dict[str, float]]:
         marks.setdefault("end", time.perf_counter())
 
     handlers = bpy.app.handlers
-    hooks = [(handlers.render_init, begin), (handlers.render_stats, tell), (handlers.render_post, end)]
+    hooks = [(handlers.render_init, begin), (handlers.render_stats, mark), (handlers.render_post, end)]
     for hook, function in hooks:
         hook.append(function)
     try:

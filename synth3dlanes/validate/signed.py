@@ -117,7 +117,7 @@ def _shares(causes: Mapping[str, Values], above_m: Values) -> Iterator[Signed]:
 
 def _seen(labels: Labels, passes: Passes) -> tuple[Points, Points, Bool[np.ndarray, " n"]]:
     """The surface points that pixels show at visible label points, in camera and world frame, and which of them are on
-    the exit. Delimiters are used on the exit only: without semantic ids, paint cannot be distinguished from the road."""
+    the exit. Delimiters are used on the exit only: paint and road cannot be distinguished without semantic ids."""
     camera = labels.camera
     lanes = [lane for lane in labels.lanes if lane.kind == "centerline" or lane.road == "exit"]
     seen = [lane.visible & (lane.xyz_cam[:, 1] > 0) & (lane.xyz_cam[:, 1] < FAR_M) for lane in lanes]
