@@ -100,11 +100,11 @@ def paint_offsets(views: Sequence[View], instance: Integer[np.ndarray, "h w"]) -
         is_paint = view.near & (ids == number)
         is_other = view.near & (ids != number) & (ids != 0)
         # Slices without paint pixels count too: of two thin overlapping lines, pixels may hit only one.
-        asked = ~(is_other | (is_paint & view.edge)).any(axis=1)
-        n_px = is_paint.sum(axis=1)[asked].astype(float)
+        used = ~(is_other | (is_paint & view.edge)).any(axis=1)
+        n_px = is_paint.sum(axis=1)[used].astype(float)
         surplus = is_paint.astype(float) - (view.painted & view.near)
         if n_px.any():
-            yield Offset(view.lane, view.slices.points_cam[asked], n_px, (surplus * view.right_m)[asked].sum(axis=1))
+            yield Offset(view.lane, view.slices.points_cam[used], n_px, (surplus * view.right_m)[used].sum(axis=1))
 
 
 def image_offsets(views: Sequence[View], image: UInt8[np.ndarray, "h w 3"]) -> Iterator[Offset]:
@@ -121,15 +121,15 @@ def image_offsets(views: Sequence[View], image: UInt8[np.ndarray, "h w 3"]) -> I
             for side in (-1, 1)
         )
         brighter = np.where(np.abs(view.right_m) < end_m, luma - np.where(view.right_m < 0, left, right), 0.0)
-        asked = (slices.points_cam[:, 1] < IMAGE_RANGE_M) & np.isfinite(brighter).all(axis=1)
-        if asked.sum() < MIN_SLICES:
+        used = (slices.points_cam[:, 1] < IMAGE_RANGE_M) & np.isfinite(brighter).all(axis=1)
+        if used.sum() < MIN_SLICES:
             continue
         area, moment = (
-            float(np.median((values * px_m)[asked].sum(axis=1))) for values in (brighter, brighter * view.right_m)
+            float(np.median((values * px_m)[used].sum(axis=1))) for values in (brighter, brighter * view.right_m)
         )
         if abs(area) > MIN_CONTRAST * 2 * view.half_m:
-            middle = np.median(slices.points_cam[asked], axis=0)[None]
-            n = np.array([float(asked.sum())])
+            middle = np.median(slices.points_cam[used], axis=0)[None]
+            n = np.array([float(used.sum())])
             yield Offset(view.lane, middle, n, n * moment / area)
 
 

@@ -91,9 +91,9 @@ def _paint(paint: Paint, labels: Labels, passes: Passes) -> tuple[list[Finding],
     kind = _kind(passes["instance"]) if name == "instance" else passes["semantic"]
     rows, columns = _some((kind == SEMANTIC_IDS["marking"]) & np.isfinite(passes["depth"]))
     points_cam = unproject(camera, passes["depth"], rows, columns)
-    points, asked = on_road(world, camera, points_cam)
-    asked &= points_cam[:, 1] < PROOF_M
-    points, rows, columns, y_m = points[asked], rows[asked], columns[asked], points_cam[asked, 1]
+    points, used = on_road(world, camera, points_cam)
+    used &= points_cam[:, 1] < PROOF_M
+    points, rows, columns, y_m = points[used], rows[used], columns[used], points_cam[used, 1]
     place = places(world.ground, points[:, :2])
     labelled = [lane.id for lane in labels.lanes if lane.kind == "delimiter"]
     ids = [*labelled, *(id_ for id_ in paint.ids if id_ not in labelled)]
