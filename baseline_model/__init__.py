@@ -1,1 +1,1 @@
-"""The bundled baseline: 3D-LaneNet (sections 3 and 4 of the paper), its ablations, its metric and smaller relatives."""
+"""The bundled baseline: 3D-LaneNet (paper, sections 3 and 4), its ablations, its metric and smaller variants."""

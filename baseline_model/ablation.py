@@ -1,4 +1,4 @@
-"""Networks trained alike and tested on the same images: the rows of the paper's Table 1, or sizes of data set."""
+"""Train networks alike and test them on the same images: the rows of the paper's Table 1, or sizes of data set."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -25,7 +25,8 @@ def ablation(
     overrides: dict[str, Any] | None = None,
     test_split: str = "test",
 ) -> dict[str, Report]:
-    """Same seed, schedule, epochs and start for all (paper, 4.3). `flat_ground` comes with `full`."""
+    """Train and score each row with the same seed, schedule, epochs and initialisation (paper, 4.3). `full` also gives
+    `flat_ground`."""
     configs = {row: train_config(model, overrides, row) for row in rows}
     return _compare(configs, str(data_dir), Path(out_dir), test_split, table_1_cells)
 
@@ -38,8 +39,8 @@ def learning_curve(
     overrides: dict[str, Any] | None = None,
     test_split: str = "test",
 ) -> dict[str, Report]:
-    """The first images of the training split, for each of these numbers. All train equally long: `epochs` counts
-    passes over the largest number."""
+    """Train on the first N images of the training split for each N in `sizes`. All train for the same number of steps:
+    `epochs` counts passes over the largest N."""
     whole = train_config(model, overrides)
     n_images = len(open_split(f"{data_dir}/{whole.train_split}"))
     if max(sizes) > n_images:
@@ -61,10 +62,10 @@ def _compare(
     test_split: str,
     cells: Callable[[dict[str, Report]], Cells],
 ) -> dict[str, Report]:
-    """Train each into a folder of its name and write `table.txt`, `.md` and `.json` after each. What is trained
-    already is not trained again."""
+    """Train each into a folder of its name and write `table.txt`, `.md` and `.json` after each. Finished trainings are
+    not repeated."""
     test = f"{data_dir}/{test_split}"
-    open_split(test)  # a missing one is better known now than after hours
+    open_split(test)  # fail now, not after hours of training
     reports: dict[str, Report] = {}
     for name, config in configs.items():
         best = train(config, data_dir, out_dir / name)

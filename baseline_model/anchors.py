@@ -1,6 +1,6 @@
-"""Curves to anchors: what the network must output for an image (paper, sections 3.3.2 and 3.4). Batched torch.
+"""Encode curves as anchor targets of the network (paper, sections 3.3.2 and 3.4). Batched torch.
 
-Frame: `top`, the road frame of the pose that the targets are stated in, possibly moved and turned on its plane.
+Frame: `top`, the road frame of the targets' pose, possibly moved and turned on its plane.
 """
 
 from typing import NamedTuple
@@ -15,11 +15,11 @@ from .curves import HALF_WIDTH_M, NEAR_KNOTS_M, Y_REF_M
 CENTERLINE, DELIMITER = 1, 2
 """Kinds in `CurveBatch.kind`; 0 is padding."""
 ABSENT, KEPT, IGNORED, DROPPED = 0, 1, 2, 3
-"""What became of a curve: `IGNORED` ones do not count anywhere, `DROPPED` ones found their anchor's slots taken."""
+"""Status of a curve: `IGNORED` ones do not count anywhere, `DROPPED` ones found no free slot on their anchor."""
 TIE_M = 0.2
 MASK_AROUND_IGNORED_M = 0.64
-# Standard deviation of the targets, measured over the ranges of the paper's Appendix I: the network's outputs are
-# multiplied by these, which conditions the optimisation and leaves the loss in metres.
+# Standard deviation of targets over the paper's parameter ranges (Appendix I). The network's outputs are multiplied by
+# these, which conditions the optimisation and keeps the loss in metres.
 SPREAD_Y_M = (5.0, 20.0, 40.0, 60.0, 80.0, 100.0)
 SPREAD_X_M = (0.59, 0.37, 1.7, 4.7, 8.8, 13.4)
 SPREAD_Z_M = (0.07, 0.88, 3.4, 7.6, 12.7, 18.0)
@@ -34,7 +34,7 @@ class CurveBatch(NamedTuple):
 
 
 class Targets(NamedTuple):
-    """Per lane type and anchor; `t` follows `ModelConfig.types`. x is relative to the anchor."""
+    """Targets per lane type and anchor, types as in `ModelConfig.types`. x is relative to the anchor."""
 
     x_m: Float[Tensor, "b t a k"]
     z_m: Float[Tensor, "b t a k"]
@@ -42,12 +42,12 @@ class Targets(NamedTuple):
     visible: Bool[Tensor, "b t a k"]
     assigned: Bool[Tensor, "b t a"]
     scored: Bool[Tensor, "b t a"]
-    """False next to an ignored lane: there is a lane, but nothing to learn from it."""
+    """False next to an ignored lane, where confidence is not trained."""
 
 
 def anchor_positions_m(config: ModelConfig) -> tuple[float, ...]:
-    """x of each anchor: the centres of the last top-view map's columns, or for `image_view` where the centre of
-    each column of the last image map meets the road at Y_ref under the fixed pose."""
+    """x of each anchor: the centres of the last top-view map's columns; for `image_view`, the points where the centres
+    of the last image map's columns meet the road at Y_ref under the fixed pose."""
     grid = config.grid
     if config.variant != "image_view":
         pitch_m = 8 * grid.cell_x_m
@@ -60,7 +60,7 @@ def anchor_positions_m(config: ModelConfig) -> tuple[float, ...]:
 
 
 def spread_m(config: ModelConfig) -> tuple[Float[Tensor, " k"], Float[Tensor, " k"]]:
-    """Typical size of the x and z targets at each knot."""
+    """Standard deviation of the x and z targets at each knot."""
     knots = torch.tensor(config.knots_y_m)
     return _interpolate_table(knots, SPREAD_X_M), _interpolate_table(knots, SPREAD_Z_M)
 
@@ -68,7 +68,7 @@ def spread_m(config: ModelConfig) -> tuple[Float[Tensor, " k"], Float[Tensor, " 
 def encode(
     curves: CurveBatch, top_from_cam: Float[Tensor, "b 4 4"], config: ModelConfig
 ) -> tuple[Targets, Int[Tensor, "b l"]]:
-    """Assign every curve to the anchor nearest to it at Y_ref; also say what became of each curve."""
+    """Assign every curve to the nearest anchor at Y_ref; return the targets and the status of each curve."""
     device = curves.xyz_cam.device
     knots = torch.tensor(config.knots_y_m, device=device)
     anchors = torch.tensor(anchor_positions_m(config), device=device)
@@ -98,7 +98,7 @@ def transform_points(b_from_a: Float[Tensor, "b 4 4"], points_a: Float[Tensor, "
 def sample_curves(
     xyz: Float[Tensor, "b l n 3"], visible: Bool[Tensor, "b l n"], y_m: Float[Tensor, " y"]
 ) -> tuple[Float[Tensor, "b l y"], Float[Tensor, "b l y"], Bool[Tensor, "b l y"], Bool[Tensor, "b l y"]]:
-    """x, z, whether the curve reaches y, whether it is visible there; linear between samples, clamped outside."""
+    """x, z, whether the curve reaches y, and whether it is visible there; linear between samples, clamped outside."""
     # A strong virtual yaw can fold a curve's far end; the search needs y sorted.
     y_curve = xyz[..., 1].cummax(-1).values
     query = y_m.expand(*y_curve.shape[:2], -1).contiguous()
@@ -120,8 +120,8 @@ def _rank_from_left(
     anchor: Int[Tensor, "b l"],
     kind: Int[Tensor, "b l"],
 ) -> Int[Tensor, "b l"]:
-    """Place of each curve among those of its kind on its anchor. Curves that are one at Y_ref (a split or merge)
-    are ordered where they differ; the order is mirrored when the scene is."""
+    """Rank from the left of each curve among those of its kind on its anchor. Curves that coincide at Y_ref (a split or
+    merge) are ordered by where they differ; a mirrored scene gives the mirrored order."""
     apart_ref = x_ref_m[:, :, None] - x_ref_m[:, None, :]
     both = valid[:, :, None] & valid[:, None, :]
     apart_elsewhere = ((x_m[:, :, None] - x_m[:, None, :]) * both).sum(-1)
@@ -141,7 +141,8 @@ def _rank_from_left(
 def _slots(
     rank: Int[Tensor, "b l"], usable: Bool[Tensor, "b l"], kind: Int[Tensor, "b l"], config: ModelConfig
 ) -> Int[Tensor, "b l"]:
-    """Index into `types` for each curve, -1 for none: c1 and c2 take centre lines from the left, d one delimiter."""
+    """Index into `types` for each curve, -1 for none: c1 and c2 get the first two centre lines from the left, d the
+    first delimiter."""
     slot = torch.full_like(rank, -1)
     wanted = {"c1": (CENTERLINE, 0), "c2": (CENTERLINE, 1), "d": (DELIMITER, 0)}
     for index, name in enumerate(config.types):
@@ -157,7 +158,7 @@ def _scatter(
     anchors: Float[Tensor, " a"],
     n_types: int,
 ) -> Targets:
-    """Write curves into (type, anchor) cells; curves without a slot go to a cell that is cut off."""
+    """Write curves into (type, anchor) cells; curves without a slot go to an extra cell, which is removed."""
     batch, _, n_knots = at_knots[0].shape
     n_cells = n_types * len(anchors)
     cell = torch.where(slot >= 0, slot * len(anchors) + anchor, n_cells)

@@ -1,4 +1,4 @@
-"""Augmentation on the device, exact for the 3D labels: mirror, virtual camera rotation, moved top view, colours."""
+"""Augmentation on the device, exact for 3D labels: mirroring, virtual camera rotation, moved top view, colours."""
 
 import math
 from typing import NamedTuple
@@ -22,13 +22,13 @@ class Augmented(NamedTuple):
 
 
 def generator_for(seed: int, step: int, rank: int, device: torch.device) -> torch.Generator:
-    """Randomness of one step on one process: a resumed run repeats it without stored state."""
+    """The random generator of one step on one process; a resumed run repeats it without stored state."""
     mixed = (seed * 1_000_003 + step) * 1_009 + rank
     return torch.Generator(device).manual_seed(mixed & (2**63 - 1))
 
 
 def augment(batch: Batch, config: Augmentation, generator: torch.Generator) -> Augmented:
-    """Apply everything that is switched on."""
+    """Apply all enabled augmentations."""
     device, n = batch.image.device, len(batch.image)
 
     def uniform(limit: float) -> Float[Tensor, " b"]:
@@ -39,8 +39,8 @@ def augment(batch: Batch, config: Augmentation, generator: torch.Generator) -> A
     if config.pitch_deg or config.yaw_deg:
         batch = rotate(batch, pitch_rad, yaw_rad)
     gain, offset = 1 + uniform(config.contrast), uniform(config.brightness)
-    # One field of noise for the batch, its strength and sign drawn per image: a field each took a CPU longer than
-    # the first convolution.
+    # One noise field for the batch, with strength and sign per image: a field per image took longer on a CPU than the
+    # first convolution.
     noise = torch.randn(batch.image.shape[1:], generator=generator, device=device)
     gain, offset, strength = (v[:, None, None, None] for v in (gain, offset, uniform(config.noise)))
     image = torch.addcmul(offset + (1 - gain) / 2, batch.image, gain).addcmul_(noise, strength).clamp_(0, 1)
@@ -51,13 +51,13 @@ def augment(batch: Batch, config: Augmentation, generator: torch.Generator) -> A
 def noisy(
     pose: Float[Tensor, "b 2"], pitch_deg: float, height_m: float, generator: torch.Generator
 ) -> Float[Tensor, "b 2"]:
-    """The pose with normal noise: what a pose branch at the paper's accuracy would say."""
+    """The pose with Gaussian noise, like the output of a pose branch with the paper's accuracy."""
     sd = torch.tensor([math.radians(pitch_deg), height_m], device=pose.device)
     return pose + sd * torch.randn(pose.shape, generator=generator, device=pose.device)
 
 
 def flip(batch: Batch, chosen: Bool[Tensor, " b"]) -> Batch:
-    """Mirror left and right: x -> -x, cx -> W - cx. Association runs after this, so "leftmost" is drawn anew."""
+    """Mirror left and right: x -> -x, cx -> W - cx. Anchors are assigned afterwards, from the mirrored order."""
     width = batch.image.shape[-1]
     image = batch.image.clone()
     image[chosen] = batch.image[chosen].flip(-1)
@@ -69,13 +69,13 @@ def flip(batch: Batch, chosen: Bool[Tensor, " b"]) -> Batch:
 
 
 def rotate(batch: Batch, pitch_rad: Float[Tensor, " b"], yaw_rad: Float[Tensor, " b"]) -> Batch:
-    """Look as if the camera had pitched further down and turned right about the road's normal: a pure rotation,
-    so K R K^-1 is exact for the whole scene. Yaw turns the lanes in the road frame; the pose's height stays, its
-    pitch grows by the added pitch."""
+    """Rotate the camera: pitch it down, and turn it right about the road's normal. For a pure rotation, the warp by
+    K R K^-1 is exact for the whole scene. Yaw turns the lanes in the road frame; the pose's height is unchanged and its
+    pitch increases by `pitch_rad`."""
     zero = torch.zeros_like(pitch_rad)
     road_from_old = road_from_cam(torch.stack([batch.plane_pose[:, 0], zero], dim=-1))[:, :3, :3]
     road_from_new = road_from_cam(torch.stack([batch.plane_pose[:, 0] + pitch_rad, zero], dim=-1))[:, :3, :3]
-    # The heading turns right by yaw, hence the world turns left (counter-clockwise from above) around the camera.
+    # The heading turns right by yaw, so the world turns left (counter-clockwise from above) around the camera.
     turned = top_from_road(-yaw_rad, zero)[:, :3, :3]
     new_from_old = road_from_new.transpose(-1, -2) @ turned @ road_from_old
     curves = batch.curves._replace(xyz_cam=torch.einsum("bij,blnj->blni", new_from_old, batch.curves.xyz_cam))
@@ -91,7 +91,7 @@ def rotate(batch: Batch, pitch_rad: Float[Tensor, " b"], yaw_rad: Float[Tensor, 
 def _warp(
     image: Float[Tensor, "b 3 h w"], intrinsics: Float[Tensor, "b 4"], old_from_new: Float[Tensor, "b 3 3"]
 ) -> Float[Tensor, "b 3 h w"]:
-    """The picture a rotated camera would take; borders repeat the edge."""
+    """The image of the rotated camera; pixels outside the original repeat its border."""
     height, width = image.shape[2], image.shape[3]
     fx, fy, cx, cy = (value[:, None, None] for value in intrinsics.unbind(-1))
     u = (torch.arange(width, device=image.device) + 0.5)[None, None, :]
@@ -108,7 +108,7 @@ def _warp(
 def lane_masks(
     curves: CurveBatch, top_from_cam: Float[Tensor, "b 4 4"], points_top: Float[Tensor, "rows columns 3"]
 ) -> Float[Tensor, "b 2 rows columns"]:
-    """Top-view masks of centre lines and delimiters, one cell wide to each side."""
+    """Top-view masks of centre lines and delimiters, which extend one cell to each side."""
     xyz_top = transform_points(top_from_cam, curves.xyz_cam)
     y_m = points_top[:, 0, 1].flip(0)
     x_m, _, _, visible = sample_curves(xyz_top, curves.visible, y_m)

@@ -1,4 +1,4 @@
-"""The image-view pathway: VGG16, or residual pairs of chosen widths. Four maps at strides 2, 4, 8, 16."""
+"""The image-view pathway: VGG16, or residual pairs of given widths. Four maps at strides 2, 4, 8, 16."""
 
 import torch
 from jaxtyping import Float
@@ -7,13 +7,13 @@ from torch import Tensor, nn
 from .config import ModelConfig
 from .layers import PIXELS, Lattice, ResidualPair, convolution, convolutions, lattice_after
 
-# Mean and spread of ImageNet, RGB in 0..1: what published VGG16 weights expect.
+# Mean and standard deviation of ImageNet, RGB in 0..1, as published VGG16 weights expect.
 IMAGE_MEAN = (0.485, 0.456, 0.406)
 IMAGE_STD = (0.229, 0.224, 0.225)
 
 
 class ImagePathway(nn.Module):
-    """Normalises RGB in 0..1 and returns the map of each stage; `lattices` says where their features lie."""
+    """Normalises RGB in 0..1 and returns the map of each stage; `lattices` has the positions of their features."""
 
     def __init__(self, config: ModelConfig, n_stages: int = 4) -> None:
         super().__init__()
@@ -29,8 +29,8 @@ class ImagePathway(nn.Module):
     def forward(
         self, image: Float[Tensor, "b 3 h w"], rays: Float[Tensor, "b 2 h w"] | None = None
     ) -> list[Float[Tensor, "..."]]:
-        """One map per stage. `rays`: two further channels, the tangents of each pixel's viewing ray, by which a
-        shallow network can read the pitch."""
+        """One map per stage. `rays` are two more channels, the tangents of each pixel's viewing ray, from which a
+        shallow network can infer the pitch."""
         features = torch.addcmul(-self.mean / self.std, image, 1 / self.std)
         if self.has_rays:
             assert rays is not None
@@ -54,7 +54,7 @@ class ImagePathway(nn.Module):
 
 
 def _main_path(module: nn.Module) -> list[nn.Module]:
-    """Layers in the order data passes them; a residual pair's shortcut is left out (its lattice is the same)."""
+    """Layers in forward order, without the shortcuts of residual pairs, whose lattice is the same."""
     if isinstance(module, ResidualPair):
         return [*_main_path(module.first), *_main_path(module.second)]
     if isinstance(module, nn.Sequential):

@@ -1,6 +1,6 @@
-"""Checkpoints: tensors and plain values only, readable with `weights_only=True`, and self-describing.
+"""Checkpoints: tensors and plain values only, readable with `weights_only=True`.
 
-`config` is the run's TrainConfig as JSON, so a checkpoint alone rebuilds its network.
+`config` is the run's TrainConfig as JSON, so the network can be rebuilt from a checkpoint alone.
 """
 
 import os
@@ -23,7 +23,7 @@ VERSION = 1
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """Weights to use (`model`; averaged ones where training averages) and, in `last.pt`, all that resuming needs."""
+    """Weights for inference (`model`, averaged over training steps) and, in `last.pt`, the state to resume from."""
 
     config: TrainConfig
     about: dict[str, Any]
@@ -32,7 +32,7 @@ class Checkpoint:
 
 
 def save(path: Path, checkpoint: Checkpoint) -> None:
-    """Write to a neighbour, flush, rename: a kill leaves the old file or the new one."""
+    """Write to a temporary file, flush, rename: a killed run leaves either the old or the new file."""
     document = {
         "format": FORMAT,
         "version": VERSION,
@@ -50,7 +50,7 @@ def save(path: Path, checkpoint: Checkpoint) -> None:
 
 
 def load(path: Path) -> Checkpoint:
-    """Read without executing anything; FormatError if it is not one of ours."""
+    """Load a checkpoint without executing code from it; raise FormatError if it is not a baseline checkpoint."""
     try:
         document = torch.load(path, map_location="cpu", weights_only=True)
     except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError) as error:
@@ -64,7 +64,7 @@ def load(path: Path) -> Checkpoint:
 
 
 def build(checkpoint: Checkpoint, device: torch.device) -> LaneNet:
-    """The network of a checkpoint, ready to predict."""
+    """The network of a checkpoint, in evaluation mode."""
     model = LaneNet(checkpoint.config.model)
     model.load_state_dict(checkpoint.model)
     return model.to(device, memory_format=torch.channels_last).eval()  # type: ignore[call-overload]

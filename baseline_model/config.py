@@ -1,4 +1,4 @@
-"""Every hyper-parameter of the baseline, and the named models. Pure data; checkpoints carry these as JSON."""
+"""All hyper-parameters of the baseline, and the named models. Pure data; checkpoints store them as JSON."""
 
 import json
 from collections.abc import Sequence
@@ -28,8 +28,8 @@ Config = TypeVar("Config", bound=Strict)
 
 
 class Grid(Strict):
-    """The top view: the first map's cells, over x in [-columns*cell/2, ...] and y from `y_min_m`; four maps follow,
-    each half the size of the last, and every column of the last one is an anchor (paper: 16 cm, 38.4 cm, 1.28 m)."""
+    """The cells of the first of four top-view maps, centred on x = 0, with y from `y_min_m`. Each further map has half
+    the size; the columns of the last one are the anchors (paper: cells of 16 cm x 38.4 cm, anchors every 1.28 m)."""
 
     rows: Count = 208
     columns: Count = 128
@@ -64,22 +64,22 @@ class ModelConfig(Strict):
     fixed_pitch_deg: float = 2.5
     fixed_height_m: Positive = 1.65
     grid_gradient: bool = False
-    """Whether the lane loss reaches the pose through the sampling grid; the paper supervises the pose instead."""
+    """Whether the lane loss is backpropagated to the pose through the sampling grid; the paper supervises the pose."""
     batch_norm: bool = True
     has_visibility: bool = False
-    """Ours: a logit per knot that says whether it is visible."""
+    """Our addition: a logit per knot for its visibility."""
     plane_heights_m: tuple[float, ...] = (0.0,)
     has_bev_masks: bool = False
-    """Ours: maps sampled on several planes, and top-view masks of the lanes as a second task. Measured, and no gain
-    (docs/baseline.md)."""
+    """Our additions: maps sampled on several planes, and top-view lane masks as a second task. Neither improved the
+    results (docs/baseline.md)."""
 
     def planes_m(self, level: int) -> tuple[float, ...]:
-        """Heights that a map is sampled at. The first one, by far the largest, stays on the road plane."""
+        """Plane heights at which a map is sampled. The first map, by far the largest, uses the road plane only."""
         return self.plane_heights_m if level else (0.0,)
 
 
 class Augmentation(Strict):
-    """Exact changes of image and labels alike, applied on the device; zero switches each off."""
+    """Augmentations that change image and labels consistently, applied on the device; zero disables each."""
 
     flip: Annotated[float, Field(ge=0, le=1)] = 0.5
     brightness: Annotated[float, Field(ge=0)] = 0.2
@@ -90,24 +90,24 @@ class Augmentation(Strict):
     """Virtual rotations of the camera: the image is warped by K R K^-1, exact for the whole 3D scene."""
     top_shift_m: Annotated[float, Field(ge=0)] = 0.0
     top_yaw_deg: Annotated[float, Field(ge=0)] = 0.0
-    """The top-view grid moved sideways and turned, the targets with it; the image is untouched."""
+    """Shift and rotation of the top-view grid and the targets; the image is unchanged."""
 
 
 class LossConfig(Strict):
-    """Weights of Eq. 1 (all 1 in the paper). Lengths count in metres. The pitch's unit is not stated: degrees here,
-    since one degree is one metre of elevation at 57 m, while radians would make the term vanish."""
+    """Weights of Eq. 1 (all 1 in the paper). Lengths are in metres. The paper does not state the pitch's unit; we use
+    degrees, since one degree is one metre of elevation at 57 m, while radians would make the term negligible."""
 
     detection: float = 1.0
     geometry: float = 1.0
     pose: float = 1.0
     knot_sigma_m: tuple[float, ...] | None = None
-    """Divide each knot's error by this (ours; favours near points). None is the paper's plain L1 in metres."""
+    """Divisor of each knot's error (our addition; favours near points). None: the paper's L1 in metres."""
     supervise_occluded: bool = False
     visibility: float = 0.2
     bev_masks: float = 1.0
-    """Count where the network has these outputs."""
+    """`visibility` and `bev_masks` apply if the network has these outputs."""
     kinds: tuple[Literal["centerline", "delimiter"], ...] = ("centerline", "delimiter")
-    """Kinds that the data label; the others enter no term."""
+    """Kinds of lanes labelled in the data; the others enter no term."""
 
 
 class TrainConfig(Strict):
@@ -129,11 +129,12 @@ class TrainConfig(Strict):
     clip_norm: Positive = 10.0
     ema_decay: Annotated[float, Field(ge=0, lt=1)] = 0.999
     label_pose_fraction: Annotated[float, Field(ge=0, le=1)] = 0.1
-    """Share of the steps, from the start, that warp by the label's pose with noise; then the predicted one (paper)."""
+    """Share of the first steps that warp by the label's pose with noise, as in the paper; later steps use the predicted
+    pose."""
     label_pose_noise_deg: Annotated[float, Field(ge=0)] = 0.15
     label_pose_noise_m: Annotated[float, Field(ge=0)] = 0.04
     target_frame: Literal["label", "grid"] = "label"
-    """Lanes are stated in the frame of the label's pose (paper) or of whatever pose drove the warp."""
+    """Frame of the lane targets: the road frame of the label's pose (paper), or of the pose used in the warp."""
     fov_mask: bool = False
     validate_every_epochs: Positive = 1.0
     train_split: str = "train"
@@ -141,8 +142,8 @@ class TrainConfig(Strict):
     max_images: Count | None = None
     device: str = "auto"
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
-    """`auto`: bfloat16 where the hardware multiplies it, as GPUs and CPUs with AVX512-BF16 do; else float32. Pose,
-    warp, head output and loss stay in float32 always."""
+    """`auto`: bfloat16 on GPUs and on CPUs with AVX512-BF16, else float32. Pose, warp, head output and loss are always
+    in float32."""
     compile: bool = True
     storage: Literal["auto", "rgb", "yuv420"] = "auto"
     pretrained: str | None = None
@@ -203,14 +204,14 @@ TINY = NANO.model_copy(
 
 
 def improved(model: ModelConfig) -> ModelConfig:
-    """The model with our changes, which go with `IMPROVED_LOSS`: ten knots, and whether each is visible."""
+    """The model with our changes, trained with `IMPROVED_LOSS`: ten knots, and a visibility per knot."""
     return model.model_copy(update={"name": "improved", "knots_y_m": TEN_KNOTS_M, "has_visibility": True})
 
 
 OUR_AUGMENTATION = Augmentation(pitch_deg=1.0, yaw_deg=2.0, top_shift_m=0.64, top_yaw_deg=3.0)
 OUR_LOSS = LossConfig(detection=20.0, pose=20.0)
-"""The far knots' metres outweigh Eq. 1's other terms a hundredfold: with equal weights six images took over 200 steps
-to AP 0.9, with 20 for the confidence 50 to AP 1. `paper` keeps the equal weights."""
+"""The errors of far knots outweigh the other terms of Eq. 1 a hundredfold: training on six images took over 200 steps
+to AP 0.9 with equal weights, and 50 steps to AP 1 with a detection weight of 20. `paper` keeps the equal weights."""
 IMPROVED_LOSS = OUR_LOSS.model_copy(
     update={
         "knot_sigma_m": (0.08, 0.09, 0.095, 0.10, 0.14, 0.18, 0.25, 0.32, 0.55, 0.9),
@@ -218,7 +219,7 @@ IMPROVED_LOSS = OUR_LOSS.model_copy(
         "supervise_occluded": True,
     }
 )
-"""Sizes are the knot errors that would give the paper's near accuracy. They favour near lanes over far ones."""
+"""`knot_sigma_m` has the knot errors that would give the paper's near accuracy; it favours near over far points."""
 TUSIMPLE: dict[str, Any] = {
     "types": ("d",),
     "has_elevation": False,
@@ -227,8 +228,8 @@ TUSIMPLE: dict[str, Any] = {
     "fixed_height_m": 1.6,
     "reference_intrinsics": (375.0, 562.5, 240.0, 180.0),
 }
-"""The image-only variant (paper, 4.4) on 1280x720 pictures without their top 80 rows; pitch and height stand for
-the hand-picked homography that makes straight lanes parallel."""
+"""The image-only variant (paper, 4.4) on 1280x720 images without their top 80 rows. Pitch and height replace the
+paper's hand-picked homography, which makes straight lanes parallel."""
 
 IMAGE_ONLY = PAPER.model_copy(update={"name": "tusimple", **TUSIMPLE})
 MODELS = {model.name: model for model in (PAPER, COMPACT, SMALL, NANO, TINY, improved(COMPACT), IMAGE_ONLY)}
@@ -249,13 +250,13 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "no_supervision": {"model.grid_gradient": True, "label_pose_fraction": 0.0, "loss.pose": 0.0},
     "improved": {},
 }
-"""What each row of the paper's Table 1 changes; without a top view there is none to move or to state lanes in.
-`flat_ground` is an evaluation of `full`; `no_supervision` the paper tells of ("failed to produce satisfying results");
-`improved` makes the model ours."""
+"""The settings that each row of the paper's Table 1 changes; `image_view` has no top view to augment or to use as
+target frame. `flat_ground` is an evaluation of `full`. The paper mentions `no_supervision` ("failed to produce
+satisfying results"); `improved` has our changes."""
 
 
 def train_config(model: str, overrides: dict[str, Any] | None = None, ablation: str = "full") -> TrainConfig:
-    """The named model's default run, changed by dotted keys: {"model.grid.rows": 104, "batch": 8}."""
+    """The named model's default configuration, with overrides by dotted keys: {"model.grid.rows": 104, "batch": 8}."""
     for what, name, known in (("model", model, MODELS), ("ablation", ablation, ABLATIONS)):
         if name not in known:
             raise InputError(f"{what}: expected one of {', '.join(known)}, got {name!r}")
@@ -268,7 +269,7 @@ def train_config(model: str, overrides: dict[str, Any] | None = None, ablation: 
 
 
 def parse(kind: type[Config], document: dict[str, Any] | str, where: str) -> Config:
-    """Validate; every problem in one InputError."""
+    """Validate a document; raise one InputError with all problems."""
     try:
         return kind.model_validate_json(document) if isinstance(document, str) else kind.model_validate(document)
     except ValidationError as error:
@@ -277,7 +278,8 @@ def parse(kind: type[Config], document: dict[str, Any] | str, where: str) -> Con
 
 
 def _defaults(model: str, *, is_improved: bool) -> dict[str, Any]:
-    """How the named model is trained: `paper` as in the paper where it says so, ours as they learn best."""
+    """Default training of the named model: `paper` and `tusimple` follow the paper as far as it says, the others use
+    what worked best for them."""
     document: dict[str, Any] = {"model": MODELS[model].model_dump(), "loss": OUR_LOSS.model_dump()}
     document |= {"augmentation": OUR_AUGMENTATION.model_dump(), "target_frame": "grid"}
     if model in ("nano", "tiny"):
@@ -294,7 +296,7 @@ def _defaults(model: str, *, is_improved: bool) -> dict[str, Any]:
 
 
 def overrides_from(texts: Sequence[str]) -> dict[str, Any]:
-    """`KEY=VALUE` texts as dotted keys; values are JSON where they parse as such, else text."""
+    """Parse `KEY=VALUE` texts with dotted keys; values are JSON if they parse as JSON, else text."""
     overrides: dict[str, Any] = {}
     for text in texts:
         key, equals, value = text.partition("=")

@@ -1,6 +1,6 @@
-"""Labels as the baseline sees them: curves that run forward through Y_ref, sampled at fixed y. Pure numpy.
+"""Labels as curves that run forward through Y_ref, sampled at fixed y. Pure numpy.
 
-Frame: the road frame of the labels unless a name says otherwise. The same curves feed targets and metric.
+Frame: the road frame of the labels unless a name says otherwise. Targets and metric use the same curves.
 """
 
 from dataclasses import dataclass, replace
@@ -17,7 +17,7 @@ Y_REF_M = 20.0
 HALF_WIDTH_M = 10.24
 """A lane counts only if it crosses Y_ref inside the top view: 16 columns of 1.28 m."""
 NEAR_KNOTS_M = (5.0, 20.0, 40.0)
-"""A lane of which fewer than two of these points are visible cannot be placed, and is ignored."""
+"""A lane with fewer than two of these points visible cannot be located and is ignored."""
 SAME_CURVE_M = 0.3
 METRIC_Y_M = np.arange(101) * 0.8
 MIN_VALID_POINTS = 10
@@ -25,9 +25,9 @@ MIN_VALID_POINTS = 10
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """One lane with strictly increasing road y. `visible` means not behind the ground; cars do not hide lanes
-    (the paper drops points occluded "by the terrain"). `is_repeat`: wherever it is seen, another lane of its kind
-    lies there as well (two paths that part out of sight); it is not learned and not counted."""
+    """One lane with strictly increasing road y. `visible` means not hidden by the ground; cars do not count (the paper
+    drops points occluded "by the terrain"). `is_repeat`: another lane of its kind coincides with it wherever it is
+    visible (two paths that separate out of sight); it is neither learned nor counted."""
 
     kind: LaneKind
     xyz_cam: Float[np.ndarray, "n 3"]
@@ -38,7 +38,7 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Resampled:
-    """A curve at given y: x and z, whether it reaches that far, and whether it is visible there."""
+    """A curve at given y: x and z, whether the curve reaches y, and whether it is visible there."""
 
     x_m: Float[np.ndarray, " y"]
     z_m: Float[np.ndarray, " y"]
@@ -47,13 +47,13 @@ class Resampled:
 
 
 def plane_pose(labels: Labels) -> Pose:
-    """The pose relative to P_road that the labels state."""
+    """The labels' pose relative to the road plane P_road."""
     return Pose(labels.camera.pitch_rad, labels.camera.height_m)
 
 
 def road_curves(labels: Labels, *, in_image_only: bool = False) -> tuple[Curve, ...]:
-    """Every lane with at least two forward points; of curves that coincide wherever they are visible, one is no repeat.
-    Points beside the picture (neighbour lanes nearer than 6 m) count, as in the paper, unless `in_image_only`."""
+    """Every lane with at least two forward points; of curves that coincide, all but one are marked as repeats. Points
+    outside the image (neighbour lanes nearer than 6 m) count, as in the paper, unless `in_image_only`."""
     curves = []
     for lane in labels.lanes:
         xyz_road = transform(labels.camera.road_from_cam, lane.xyz_cam)
@@ -65,8 +65,8 @@ def road_curves(labels: Labels, *, in_image_only: bool = False) -> tuple[Curve, 
 
 
 def resample(curve: Curve, y_m: Float[np.ndarray, " y"]) -> Resampled:
-    """Linear between the label's samples, which are 1 m apart: under 2 mm off for any road here. A place is
-    visible if both its neighbours are."""
+    """Interpolate linearly between the label's samples, which are 1 m apart; the error is below 2 mm. A point is
+    visible if both neighbouring samples are."""
     y_curve_m = curve.xyz_road[:, 1]
     after = np.clip(np.searchsorted(y_curve_m, y_m), 1, len(y_curve_m) - 1)
     in_range = (y_m >= y_curve_m[0]) & (y_m <= y_curve_m[-1])
@@ -79,15 +79,15 @@ def resample(curve: Curve, y_m: Float[np.ndarray, " y"]) -> Resampled:
 
 
 def is_usable(curve: Curve) -> bool:
-    """Whether training and metric count the lane: it crosses Y_ref inside the top view, on both sides of it, and
-    at least two of the three near points are visible (paper, section 3.4; the last part is ours)."""
+    """Whether training and metric count the lane: it crosses Y_ref inside the top view (paper, section 3.4), and at
+    least two of the three NEAR_KNOTS_M are visible (our condition)."""
     at = resample(curve, np.array([Y_REF_M, *NEAR_KNOTS_M]))
     return bool(at.in_range[0] and abs(at.x_m[0]) <= HALF_WIDTH_M and at.visible[1:].sum() >= 2)
 
 
 def target_pose(labels: Labels, curves: tuple[Curve, ...], mode: str) -> Pose:
-    """The pose that a network learns: the tangent plane (`plane`) or the plane towards the host lane's farthest
-    visible point (`horizon`). `fixed` keeps the tangent plane here: the network does not learn it."""
+    """The pose that a network learns: over the tangent plane (`plane`) or over the plane through the host lane's
+    farthest visible point (`horizon`). `fixed` gives the tangent plane too, which the network does not learn."""
     plane = plane_pose(labels)
     centerlines = [curve for curve in curves if curve.kind == "centerline" and curve.visible.any()]
     if mode != "horizon" or not centerlines:
@@ -110,7 +110,7 @@ def _forward_part(y_m: Float[np.ndarray, " n"]) -> slice:
 def _with_repeats_marked(curves: list[Curve]) -> tuple[Curve, ...]:
     sampled = [resample(curve, METRIC_Y_M) for curve in curves]
     kept: list[int] = []
-    # The one that shows more is looked at first, so that the shorter copy is the repeat.
+    # Curves with more visible points come first, so that the shorter copy is the repeat.
     for index in sorted(range(len(curves)), key=lambda i: -int(sampled[i].visible.sum())):
         same = (_repeats(sampled[index], sampled[k]) for k in kept if curves[k].kind == curves[index].kind)
         if not any(same):
@@ -119,7 +119,7 @@ def _with_repeats_marked(curves: list[Curve]) -> tuple[Curve, ...]:
 
 
 def _repeats(candidate: Resampled, other: Resampled) -> bool:
-    """Whether `candidate` shows nothing that `other` does not show within 0.3 m."""
+    """Whether `other` is visible within 0.3 m wherever `candidate` is visible."""
     seen = candidate.visible
     if seen.sum() < MIN_VALID_POINTS or not other.visible[seen].all():
         return False

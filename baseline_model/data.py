@@ -1,7 +1,7 @@
 """A split held in memory: images as uint8 (RGB, or planar YUV 4:2:0 when large), labels as padded curves.
 
-Everything decoded once; batches are gathered by index on the training device. Order and augmentation depend on
-(seed, epoch, step) alone, so no number of readers changes a run. Curves are in camera coordinates.
+Everything is decoded once; batches are gathered by index on the training device. Order and augmentation depend on
+(seed, epoch, step) alone, not on the number of readers. Curves are in camera coordinates.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,14 +24,14 @@ from .curves import Curve, road_curves, target_pose
 from .poses import Pose
 
 RGB_LIMIT_BYTES = 8 * 2**30
-"""Above this `auto` stores YUV 4:2:0: half the bytes, and JPEG has no finer chroma anyway."""
+"""Above this size, `auto` stores YUV 4:2:0, which takes half the bytes; JPEG has no finer chroma anyway."""
 N_POINTS = 112
 N_DECODERS = 8
 
 
 @runtime_checkable
 class LabelledImage(Protocol):
-    """What a reader yields (`synth3dlanes.dataset.read.Sample`, `synth3dlanes.formats.reading.ForeignSample`)."""
+    """A sample of a reader (`synth3dlanes.dataset.read.Sample`, `synth3dlanes.formats.reading.ForeignSample`)."""
 
     @property
     def key(self) -> str: ...
@@ -43,7 +43,7 @@ class LabelledImage(Protocol):
 
 @runtime_checkable
 class Samples(Protocol):
-    """Random access to labelled images, counted from 0."""
+    """Random access to labelled images by index from 0."""
 
     def __len__(self) -> int: ...
     def __getitem__(self, index: int, /) -> LabelledImage: ...
@@ -62,7 +62,7 @@ class Batch(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ResidentData:
-    """A whole split. `chroma` is None for RGB storage, else `image` holds luma only."""
+    """A whole split. `chroma` is None for RGB storage; otherwise `image` is luma only."""
 
     keys: tuple[str, ...]
     image: UInt8[Tensor, "n c h w"]
@@ -76,7 +76,7 @@ class ResidentData:
         return len(self.keys)
 
     def to(self, device: torch.device) -> "ResidentData":
-        """Everything on the device."""
+        """Copy all tensors to the device."""
         return ResidentData(
             self.keys,
             self.image.to(device),
@@ -156,7 +156,7 @@ def load(
 
 
 def pack(curves: Sequence[tuple[Curve, ...]]) -> CurveBatch:
-    """Curves of several images in one padded block, repeats left out; the last point repeats, so y stays sorted."""
+    """Curves of several images in one padded block, without repeats; padding repeats the last point, so y is sorted."""
     curves = [tuple(curve for curve in of_image if not curve.is_repeat) for of_image in curves]
     n_lanes = max([1, *(len(of_image) for of_image in curves)])
     n_points = max([N_POINTS, *(len(curve.visible) for of_image in curves for curve in of_image)])
@@ -182,7 +182,7 @@ def yuv_from_rgb(rgb: UInt8[Tensor, "3 h w"]) -> tuple[UInt8[Tensor, "1 h w"], U
 
 
 def rgb_from_yuv(luma: Float[Tensor, "b 1 h w"], chroma: Float[Tensor, "b 2 h2 w2"]) -> Float[Tensor, "b 3 h w"]:
-    """Inverse of `yuv_from_rgb` in 0..1, chroma interpolated."""
+    """Inverse of `yuv_from_rgb` for values in 0..1; chroma is interpolated."""
     size = (luma.shape[2], luma.shape[3])
     colour = functional.interpolate(chroma, size, mode="bilinear") - 128 / 255
     blue, red = colour[:, :1], colour[:, 1:]
@@ -199,7 +199,7 @@ def intrinsics_of(labels: Labels) -> tuple[float, float, float, float]:
 def resize(
     image: UInt8[np.ndarray, "h w 3"], intrinsics: tuple[float, float, float, float], size_px: tuple[int, int]
 ) -> tuple[UInt8[np.ndarray, "h2 w2 3"], tuple[float, float, float, float]]:
-    """Squeeze to (height, width); in continuous pixel coordinates the intrinsics simply scale."""
+    """Resize to (height, width), ignoring the aspect ratio; the intrinsics scale with the image."""
     height, width = size_px
     if image.shape[:2] == (height, width):
         return image, intrinsics
@@ -222,7 +222,7 @@ def _record(sample: LabelledImage, size_px: tuple[int, int], pose_mode: str, fov
 
 
 def describe(data: ResidentData) -> dict[str, Any]:
-    """What a checkpoint remembers of its training data."""
+    """The description of training data that checkpoints store."""
     return {
         "n_images": len(data),
         "intrinsics_mean": [round(float(v), 3) for v in data.intrinsics.mean(0)],

@@ -1,4 +1,4 @@
-"""Score a checkpoint, or anybody's predictions, against the labels of a split."""
+"""Score a checkpoint, or predictions from a file, against the labels of a split."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -30,7 +30,7 @@ def evaluate_checkpoint(
 
 def evaluate_predictions(file: str | Path, data_dir: str | Path, config: MetricConfig | None = None) -> Report:
     """Score predictions in JSON lines (docs/baseline.md). Images without a line count as images without detections;
-    a key that the split does not have, or that comes twice, is an error."""
+    unknown and repeated keys are errors."""
     samples = open_split(data_dir)
     places = {_key(samples, i): i for i in range(len(samples))}
     found: dict[str, Prediction] = {}
@@ -46,8 +46,8 @@ def evaluate_predictions(file: str | Path, data_dir: str | Path, config: MetricC
 def evaluate_flat_ground(
     checkpoint: str | Path, data_dir: str | Path, config: MetricConfig | None = None, device: str = "auto"
 ) -> dict[str, Report]:
-    """The paper's `flat ground` row: the network's lanes seen in the image and put back onto a plane known from the
-    labels, either the tangent plane or the `horizon` plane. The paper prints the better one."""
+    """The paper's `flat ground` row: the network's lanes are projected to the image and back onto a plane known from
+    the labels, either the tangent plane or the `horizon` plane. The paper reports the better one."""
     model = checkpoints.build(checkpoints.load(Path(checkpoint)), choose_device(device))
     samples = open_split(data_dir)
     found = list(predict_samples(model, samples))
@@ -59,7 +59,7 @@ def evaluate_flat_ground(
 
 
 def score(predictions: Iterable[Prediction], samples: Samples, config: MetricConfig | None = None) -> Report:
-    """Score predictions that come in the order of the samples."""
+    """Score predictions that are in the order of the samples."""
     config = config or MetricConfig()
     tusimple = None
     if isinstance(samples, TusimpleOnPlane):
@@ -72,7 +72,7 @@ def score(predictions: Iterable[Prediction], samples: Samples, config: MetricCon
 
 
 def labels_at(samples: Samples, index: int) -> Labels:
-    """Labels alone where the source can give them without the image."""
+    """The labels of a sample, without reading its image if the source allows it."""
     alone: LabelsAt | None = getattr(samples, "labels", None)
     return samples[index].labels if alone is None else alone(index)
 

@@ -1,4 +1,4 @@
-"""The flat-ground baseline (paper, Table 1, last row): what image-only detection with a known plane would give."""
+"""The flat-ground baseline (paper, Table 1, last row): image-only detection with a known ground plane."""
 
 from dataclasses import replace
 
@@ -25,15 +25,15 @@ def through_flat_ground(prediction: Prediction, labels: Labels, plane: str) -> P
 
 
 def onto_plane(xyz_cam: Float[np.ndarray, "n 3"], pose: Pose) -> Float[np.ndarray, "m 3"]:
-    """Each point's viewing ray meets the plane at scale * point. Rays at or above the plane's horizon, and points
-    behind the camera, have no such place: those points are dropped and so count as missing."""
+    """Intersect each point's viewing ray with the plane, at scale * point. Rays at or above the plane's horizon and
+    points behind the camera do not intersect it; they are dropped and so count as missing."""
     to_road = road_from_cam(pose)
-    # Height over the plane along the ray is height + scale * (direction's fall): the camera is at z = height.
+    # The height over the plane along the ray is height + scale * fall: the camera is at z = height.
     fall = xyz_cam @ to_road[2, :3]
     meets = (fall < -1e-6) & (xyz_cam[:, 1] > 0.05)
     scale = pose.height_m / -fall[meets]
     flat_cam = xyz_cam[meets] * scale[:, None]
     y_m = transform(to_road, flat_cam)[:, 1]
-    # Uphill lanes shoot away and come back as they pass the horizon; keep the part before y first falls.
+    # Uphill lanes diverge as they approach the horizon and return after it; keep the part before y first decreases.
     turns = np.flatnonzero(np.diff(y_m) <= 0)
     return flat_cam[: int(turns[0]) + 1] if len(turns) else flat_cam

@@ -1,4 +1,4 @@
-"""From images to detected lanes with a trained network."""
+"""Detect lanes in images with a trained network."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -19,7 +19,7 @@ Intrinsics = tuple[float, float, float, float]
 
 
 def choose_device(name: str) -> torch.device:
-    """`auto` takes the first GPU, if any."""
+    """The torch device; `auto` is the first GPU if there is one, else the CPU."""
     n_gpus = torch.cuda.device_count()
     if name == "auto":
         name = "cuda" if n_gpus else "cpu"
@@ -33,7 +33,7 @@ def choose_device(name: str) -> torch.device:
 
 
 def mixed_precision(device: torch.device, precision: str = "auto") -> AbstractContextManager[object]:
-    """Autocast to bfloat16 if asked for, or if `auto` finds hardware for it (`TrainConfig.precision`)."""
+    """Autocast to bfloat16 if requested, or with `auto` if the hardware supports it (`TrainConfig.precision`)."""
     is_fast = device.type == "cuda" or torch.cpu.get_capabilities().get("avx512_bf16", False)
     if precision == "bfloat16" or (precision == "auto" and is_fast):
         return torch.autocast(device.type, dtype=torch.bfloat16)
@@ -41,7 +41,7 @@ def mixed_precision(device: torch.device, precision: str = "auto") -> AbstractCo
 
 
 def layout_of(model: LaneNet) -> AnchorLayout:
-    """The meaning of the network's columns and values."""
+    """The layout of the network's output."""
     config = model.config
     anchors_m = model.anchors_m.cpu().numpy().astype(float)
     return AnchorLayout(config.types, anchors_m, np.array(config.knots_y_m), config.spline)
@@ -58,7 +58,7 @@ def predictions_of(keys: Sequence[str], output: Output, layout: AnchorLayout) ->
 
 @torch.inference_mode()
 def run(model: LaneNet, images: Float[Tensor, "b 3 h w"], intrinsics: Float[Tensor, "b 4"]) -> Output:
-    """One forward pass without gradients; on CPUs in float32, so that all of them give the same lanes."""
+    """One forward pass without gradients; in float32 on CPUs, so that all CPUs give the same lanes."""
     with mixed_precision(images.device, "auto" if images.device.type == "cuda" else "float32"):
         output: Output = model(images, intrinsics)
     return output
@@ -89,6 +89,6 @@ def predict_images(
 
 
 def predict_samples(model: LaneNet, samples: Samples, batch: int = 16) -> Iterator[Prediction]:
-    """Detect lanes in labelled images; of the labels only the intrinsics are looked at."""
+    """Detect lanes in labelled images; only the intrinsics of the labels are used."""
     chosen = (samples[index] for index in range(len(samples)))
     return predict_images(model, ((s.key, np.array(s.image), intrinsics_of(s.labels)) for s in chosen), batch)

@@ -1,6 +1,6 @@
-"""What a detector says about an image: lanes with scores, as JSON lines and from anchors. Numpy and scipy.
+"""Detected lanes with scores: read and written as JSON lines, and decoded from anchors. Numpy and scipy.
 
-Frame: lanes are in camera coordinates, the file format of `evaluate --predictions` (docs/baseline.md).
+Frame: lanes are in camera coordinates, as in the files of `evaluate --predictions` (docs/baseline.md).
 """
 
 import json
@@ -20,7 +20,7 @@ from synth3dlanes.labels import LaneKind
 from .poses import Pose, cam_from_road
 
 DENSE_Y_M = np.arange(101.0)
-"""Decoded lanes are sampled every metre of road y; linear interpolation between is under 2 mm off the spline."""
+"""Decoded lanes are sampled every metre of road y; linear interpolation is within 2 mm of the spline."""
 MIN_SCORE = 0.01
 
 
@@ -35,7 +35,7 @@ class Detection:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """All detections of one image; `pose` is None from predictors that do not estimate it."""
+    """All detections of one image; `pose` is None if it is not estimated."""
 
     key: str
     lanes: tuple[Detection, ...]
@@ -43,7 +43,7 @@ class Prediction:
 
 
 def keep_local_maxima(scores: Float[np.ndarray, "t a"]) -> Bool[np.ndarray, "t a"]:
-    """1-D non-maximum suppression along the anchors, per type; of equal neighbours the left one stays."""
+    """1-D non-maximum suppression along the anchors, per type; of equal neighbours the left one is kept."""
     padded = np.pad(scores, ((0, 0), (1, 1)), constant_values=-np.inf)
     return (scores > padded[:, :-2]) & (scores >= padded[:, 2:])
 
@@ -51,8 +51,8 @@ def keep_local_maxima(scores: Float[np.ndarray, "t a"]) -> Bool[np.ndarray, "t a
 def interpolate(
     y_m: Float[np.ndarray, " k"], values: Float[np.ndarray, "k ..."], at_m: Float[np.ndarray, " y"], spline: str
 ) -> Float[np.ndarray, "y ..."]:
-    """A smooth curve through the knots, continued beyond them. Natural cubic by default: 2.9 cm of error at
-    1 sigma near the car where linear interpolation has 10.5 cm."""
+    """Interpolate smoothly through the knots, and extrapolate beyond them. A natural cubic spline has a 1-sigma error
+    near the car of 2.9 cm, linear interpolation 10.5 cm."""
     if len(y_m) < 2:
         return np.repeat(values, len(at_m), axis=0)
     curve = PchipInterpolator(y_m, values) if spline == "pchip" else CubicSpline(y_m, values, bc_type="natural")
@@ -66,7 +66,7 @@ def decode(
     pose: Pose,
     layout: "AnchorLayout",
 ) -> tuple[Detection, ...]:
-    """The anchors' output as lanes in camera coordinates, through the pose it is stated in."""
+    """Decode the anchors' output, in the road frame of `pose`, as lanes in camera coordinates."""
     types, anchors = np.nonzero(keep_local_maxima(scores) & (scores >= MIN_SCORE))
     knots_xz = np.stack([x_m[types, anchors] + layout.anchors_m[anchors, None], z_m[types, anchors]], axis=-1)
     dense_xz = interpolate(layout.knots_y_m, np.moveaxis(knots_xz, 0, 1), DENSE_Y_M, layout.spline)
@@ -81,7 +81,7 @@ def decode(
 
 @dataclass(frozen=True, eq=False)
 class AnchorLayout:
-    """What the columns and values of the network's output mean."""
+    """The layout of the network's output: types, anchors' x, knots' y, and the spline through the knots."""
 
     types: tuple[str, ...]
     anchors_m: Float[np.ndarray, " a"]
@@ -90,7 +90,7 @@ class AnchorLayout:
 
 
 def to_line(prediction: Prediction) -> str:
-    """One JSON line; points rounded to a millimetre."""
+    """A prediction as one JSON line; points are rounded to a millimetre."""
     document: dict[str, Any] = {
         "key": prediction.key,
         "lanes": [
@@ -107,7 +107,7 @@ def to_line(prediction: Prediction) -> str:
 
 
 def write_predictions(path: Path, predictions: Iterable[Prediction]) -> None:
-    """Write to a neighbour first, so that a killed run leaves no half file."""
+    """Write to a temporary file and rename it, so that a killed run leaves no partial file."""
     partial = path.with_name(path.name + ".tmp")
     with partial.open("w", encoding="utf-8") as file:
         for prediction in predictions:
@@ -116,7 +116,7 @@ def write_predictions(path: Path, predictions: Iterable[Prediction]) -> None:
 
 
 def read_predictions(path: Path) -> Iterator[Prediction]:
-    """Anybody's predictions: `key`, `lanes[]` {`kind`, `score`, `xyz_cam`}, and `pose` where it was estimated."""
+    """Read predictions of any detector: `key`, `lanes[]` {`kind`, `score`, `xyz_cam`}, and optionally `pose`."""
     with path.open(encoding="utf-8") as file:
         for number, line in enumerate(file, start=1):
             if line.strip():

@@ -1,4 +1,4 @@
-"""Building blocks, and the bookkeeping of where in the picture each feature lies."""
+"""Building blocks, and the positions of features in the image (lattices)."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 
 class Lattice(NamedTuple):
-    """Feature index i lies at `offset + stride * i` of the input, in continuous pixels (first pixel: 0 to 1)."""
+    """Feature i is at `offset + stride * i` of the input, in continuous pixels (the first pixel spans 0 to 1)."""
 
     stride: int
     offset: float
@@ -18,7 +18,7 @@ PIXELS = Lattice(1, 0.5)
 
 
 def lattice_after(layers: Iterable[nn.Module], before: Lattice) -> Lattice:
-    """Follow convolutions and pools in order: offset += stride * ((kernel - 1) / 2 - padding), stride *= step."""
+    """The lattice after convolutions and pools: offset += stride * ((kernel - 1) / 2 - padding), stride *= step."""
     stride, offset = before
     for layer in layers:
         if isinstance(layer, nn.Conv2d | nn.MaxPool2d):
@@ -32,7 +32,7 @@ def lattice_after(layers: Iterable[nn.Module], before: Lattice) -> Lattice:
 def convolution(
     channels_in: int, channels_out: int, kernel: int = 3, *, batch_norm: bool, valid_rows: bool = False, step: int = 1
 ) -> nn.Sequential:
-    """Convolution, batch norm if wanted, ReLU. `valid_rows`: no padding along y, so the map loses rows."""
+    """Convolution, optional batch norm, ReLU. `valid_rows`: no padding along y, so the map loses rows."""
     padding = kernel // 2 if step == 1 else (kernel - step) // 2
     layer = nn.Conv2d(
         channels_in,
@@ -55,7 +55,7 @@ def convolutions(channels_in: int, channels_out: int, n: int, *, batch_norm: boo
 
 
 class ResidualPair(nn.Module):
-    """Two 3x3 convolutions with a shortcut past them; keeps the lattice."""
+    """Two 3x3 convolutions with a shortcut connection; keeps the lattice."""
 
     def __init__(self, channels_in: int, channels_out: int, *, batch_norm: bool) -> None:
         super().__init__()

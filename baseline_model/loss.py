@@ -1,4 +1,4 @@
-"""Eq. 1 of the paper, with the terms of our own outputs beside it. Per image, so that a bad one can be named."""
+"""Eq. 1 of the paper, plus terms for our additional outputs. Per image, so that errors can name the sample."""
 
 import torch
 from jaxtyping import Bool, Float
@@ -10,7 +10,7 @@ from .config import LaneType, LossConfig
 from .model import Output
 
 BEV_POSITIVE_WEIGHT = 5.0
-"""Lane cells are a few percent of the top view."""
+"""Weight of lane cells, which are a few percent of the top view."""
 
 
 def loss(
@@ -21,10 +21,10 @@ def loss(
     types: tuple[LaneType, ...],
     config: LossConfig,
 ) -> dict[str, Float[Tensor, " b"]]:
-    """Terms of each image; `total` is their weighted sum.
+    """Loss terms of each image; `total` is their weighted sum.
 
-    Geometry is summed over anchors and valid knots in metres and not divided by their number, as in Eq. 1; a hidden
-    knot contributes exactly nothing. The pose term is in degrees and metres.
+    As in Eq. 1, geometry is summed over anchors and valid knots, in metres, without dividing by their number; hidden
+    knots contribute 0. The pose term is in degrees and metres.
     """
     labelled = [("delimiter" if name == "d" else "centerline") in config.kinds for name in types]
     of_kind = torch.tensor(labelled, device=output.logit.device)[:, None]
@@ -63,5 +63,5 @@ def _geometry(
     error_m = (output.x_m - targets.x_m).abs() + (output.z_m - targets.z_m).abs()
     if config.knot_sigma_m is not None:
         error_m = error_m / torch.tensor(config.knot_sigma_m, device=error_m.device)
-    # `where`, not a product: a hidden knot must not spread an infinity either.
+    # `where` instead of a product, so that infinities at hidden knots do not become NaN.
     return torch.where(known, error_m, torch.zeros_like(error_m)).sum((1, 2, 3))

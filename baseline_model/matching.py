@@ -1,6 +1,6 @@
 """Distances between labelled and detected lanes of one image, and their one-to-one matching. Pure numpy.
 
-Frame: the road frame of the labels, in which y_k = 0, 0.8, ..., 80 m has one meaning for everybody.
+Frame: the road frame of the labels, in which y_k = 0, 0.8, ..., 80 m is the same for all predictions.
 """
 
 from dataclasses import dataclass
@@ -24,11 +24,11 @@ from .lanes import Detection
 
 Weights = Literal["linear", "uniform", "exponential"]
 MATCH_M = 1.5
-"""A pair farther apart than this is not a match; also what a missing point costs (paper: "rather permissive")."""
+"""Pairs farther apart than this do not match; also the cost of a missing point (paper: "rather permissive")."""
 
 
 def point_weights(name: Weights) -> Float[np.ndarray, " y"]:
-    """Weight of each y_k, summing to 1. The paper says only that it decreases: 1 down to 0.2 by default."""
+    """Weight of each y_k, with sum 1. The paper only says that weights decrease; by default from 1 to 0.2, linearly."""
     weights = {
         "linear": 1 - 0.8 * METRIC_Y_M / METRIC_Y_M[-1],
         "uniform": np.ones_like(METRIC_Y_M),
@@ -39,7 +39,7 @@ def point_weights(name: Weights) -> Float[np.ndarray, " y"]:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """Labelled lanes of one kind at y_k. Ignored ones neither count nor punish."""
+    """Labelled lanes of one kind at y_k. Ignored lanes do not count, and their detections are not false positives."""
 
     x_m: Float[np.ndarray, "l y"]
     z_m: Float[np.ndarray, "l y"]
@@ -49,8 +49,8 @@ class Truth:
 
 @dataclass(frozen=True, eq=False)
 class Sampled:
-    """Detected lanes of one kind at y_k, with their scores; `off_region` ones cross Y_ref outside the top view or
-    have under 8 m within 0..80 m."""
+    """Detected lanes of one kind at y_k, with their scores; `off_region` lanes cross Y_ref outside the top view or have
+    less than 8 m within 0..80 m."""
 
     x_m: Float[np.ndarray, "p y"]
     z_m: Float[np.ndarray, "p y"]
@@ -61,8 +61,8 @@ class Sampled:
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """Pairs within reach of each other, nearest first, with their errors at y_k (NaN where not compared).
-    `forgiven` detections are no false positives when unmatched."""
+    """Pairs closer than MATCH_M, nearest first, with their errors at y_k (NaN where not compared). `forgiven`
+    detections do not count as false positives when unmatched."""
 
     n_truth: int
     n_ignored: int
@@ -75,8 +75,8 @@ class Pairs:
 
 
 def sample_truth(curves: tuple[Curve, ...]) -> Truth:
-    """Labelled curves at y_k; ignored are repeats, those training ignores and those with under 8 m to compare. What
-    is ignored is compared even where the ground hides it if so little else is left."""
+    """Labelled curves at y_k. Ignored are repeats, curves that training ignores, and curves with less than 8 m to
+    compare; the latter are compared even where the ground hides them."""
     size = (len(curves), len(METRIC_Y_M))
     x_m, z_m, valid = np.zeros(size), np.zeros(size), np.zeros(size, dtype=bool)
     ignored = np.zeros(len(curves), dtype=bool)
@@ -89,7 +89,7 @@ def sample_truth(curves: tuple[Curve, ...]) -> Truth:
 
 
 def sample_detections(lanes: list[Detection], road_from_cam: Float[np.ndarray, "4 4"]) -> Sampled:
-    """Detected lanes at y_k of the labels' road frame, linear between their points; folds are sorted out by y."""
+    """Detected lanes at y_k of the labels' road frame, linear between their points; folded lanes are sorted by y."""
     size = (len(lanes), len(METRIC_Y_M))
     x_m, z_m, present = np.zeros(size), np.zeros(size), np.zeros(size, dtype=bool)
     off_region = np.zeros(len(lanes), dtype=bool)
@@ -100,8 +100,8 @@ def sample_detections(lanes: list[Detection], road_from_cam: Float[np.ndarray, "
         y_m = xyz_road[:, 1]
         x_m[i] = np.interp(METRIC_Y_M, y_m, xyz_road[:, 0])
         z_m[i] = np.interp(METRIC_Y_M, y_m, xyz_road[:, 2])
-        # A whole road-frame range, tilted by a slightly wrong pose, starts or ends centimetres inside; that is
-        # no gap. Lanes reach half a step beyond their ends.
+        # A lane over the full range, tilted by a slightly wrong pose, starts or ends centimetres inside the range.
+        # This is not a gap, so lanes extend half a step beyond their ends.
         present[i] = (y_m[0] - 0.4 <= METRIC_Y_M) & (y_m[-1] + 0.4 >= METRIC_Y_M)
         x_ref_m = np.interp(Y_REF_M, y_m, xyz_road[:, 0])
         off_region[i] = present[i].sum() < MIN_VALID_POINTS or (
@@ -111,7 +111,7 @@ def sample_detections(lanes: list[Detection], road_from_cam: Float[np.ndarray, "
 
 
 def find_pairs(truth: Truth, found: Sampled, weights: Float[np.ndarray, " y"]) -> Pairs:
-    """All pairs under the match distance, sorted by it."""
+    """All pairs closer than MATCH_M, sorted by distance."""
     dx_m = found.x_m[None] - truth.x_m[:, None]
     dz_m = found.z_m[None] - truth.z_m[:, None]
     compared = truth.valid[:, None] & found.present[None]
@@ -139,7 +139,7 @@ def find_pairs(truth: Truth, found: Sampled, weights: Float[np.ndarray, " y"]) -
 
 
 def match(pairs: Pairs, threshold: float) -> list[int]:
-    """Greedy by distance, not by score (paper: "pairs in decreasing similarity"), among scores >= threshold."""
+    """Match greedily by distance, not by score (paper: "pairs in decreasing similarity"), among scores >= threshold."""
     taken_truth: set[int] = set()
     taken_detection: set[int] = set()
     accepted = []
@@ -153,8 +153,8 @@ def match(pairs: Pairs, threshold: float) -> list[int]:
 
 
 def count_steps(pairs: Pairs) -> list[tuple[float, int, int]]:
-    """How true and false positives change as the threshold falls past each score of this image. Matching starts
-    anew each time: a weaker but nearer detection may take a lane from a stronger one."""
+    """Changes of true and false positives as the threshold decreases past each score of this image. Matching is
+    repeated each time: a detection with a lower score may be nearer and take a lane from another."""
     steps = []
     before = (0, 0)
     for score in np.unique(pairs.score)[::-1]:

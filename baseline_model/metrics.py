@@ -31,8 +31,8 @@ NEAR_TO_M = 30.0
 
 @dataclass(frozen=True)
 class MetricConfig:
-    """`threshold`: the score at which errors, recall and precision are read. `frame`: `camera` maps detections by
-    the labels' pose; `road_raw` takes them as they are in the road frame of the predicted pose."""
+    """`threshold` is the score at which errors, recall and precision are computed. `frame`: `camera` transforms
+    detections to the road by the labels' pose, `road_raw` by the predicted pose."""
 
     weights: Weights = "linear"
     alternatives: tuple[Weights, ...] = ("uniform", "exponential")
@@ -43,7 +43,7 @@ class MetricConfig:
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of matched lanes at one threshold, in centimetres; NaN where nothing was matched."""
+    """Errors of matched lanes at one threshold, in centimetres; NaN without matches."""
 
     threshold: float
     precision: float
@@ -82,7 +82,7 @@ class KindReport:
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """A whole evaluation; pose medians are NaN where no pose was predicted."""
+    """A whole evaluation; pose medians are NaN if no pose was predicted."""
 
     n_images: int
     config: MetricConfig
@@ -90,12 +90,12 @@ class Report:
     pitch_median_deg: float
     height_median_cm: float
     tusimple: tuple[float, float, float] | None = None
-    """That benchmark's accuracy, false positive and false negative rate, where its files are the truth."""
+    """The tuSimple benchmark's accuracy, false positive and false negative rate, for its label files."""
 
 
 @dataclass
 class Evaluation:
-    """Collects images one by one: `add` each, then `report`."""
+    """Accumulates images: call `add` for each, then `report`."""
 
     config: MetricConfig = MetricConfig()
     _pairs: dict[str, list[Pairs]] = field(default_factory=lambda: {kind: [] for kind in KINDS})
@@ -167,8 +167,8 @@ class Evaluation:
 
 @dataclass(frozen=True, eq=False)
 class Counts:
-    """Changes of true and false positives over all images, by falling threshold; `last` marks the final one of
-    each run of equal scores, since ties enter together."""
+    """Changes of true and false positives over all images, by decreasing threshold; `last` indexes the final one of
+    each run of equal scores, since ties are counted together."""
 
     image: Int[np.ndarray, " s"]
     true: Float[np.ndarray, " s"]
@@ -187,19 +187,19 @@ class Counts:
     def curve(
         self, n_truth: int, times: Int[np.ndarray, " i"] | None = None
     ) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, " r"]]:
-        """Recall and precision at each threshold; `times` counts each image that often (bootstrap)."""
+        """Recall and precision at each threshold; `times` is how often each image counts (bootstrap)."""
         factor = 1.0 if times is None else times[self.image]
         true = np.cumsum(self.true * factor)[self.last]
         false = np.cumsum(self.false * factor)[self.last]
         return true / max(n_truth, 1), true / np.maximum(true + false, 1e-12)
 
     def ap(self, n_truth: int, times: Int[np.ndarray, " i"] | None = None) -> float:
-        """Average precision; NaN where there is no lane to find, since recall is undefined there."""
+        """Average precision; NaN without labelled lanes, since recall is undefined then."""
         return average_precision(*self.curve(n_truth, times)) if n_truth else float("nan")
 
 
 def average_precision(recalls: Float[np.ndarray, " r"], precisions: Float[np.ndarray, " r"]) -> float:
-    """Area under the precision envelope over recall 0 to the largest reached."""
+    """Area under the precision envelope, from recall 0 to the largest recall."""
     order = np.argsort(recalls, kind="stable")
     envelope = np.maximum.accumulate(precisions[order][::-1])[::-1]
     return float(np.sum(np.diff(recalls[order], prepend=0.0) * envelope))
@@ -212,7 +212,7 @@ def ap_at_101_points(recalls: Float[np.ndarray, " r"], precisions: Float[np.ndar
 
 
 def bootstrap_interval(counts: Counts, truth_per_image: Int[np.ndarray, " i"], n_draws: int) -> tuple[float, float]:
-    """95 % interval of AP when the images are drawn anew; fixed seed, so that a report repeats exactly."""
+    """95 % bootstrap interval of AP over images, with a fixed seed, so that reports are reproducible."""
     if not truth_per_image.sum() or not n_draws:
         return (float("nan"), float("nan"))
     rng = np.random.default_rng(0)

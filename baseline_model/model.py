@@ -1,4 +1,4 @@
-"""3D-LaneNet (paper, section 3): dual pathway, road projection branch, lane head. One module for every variant."""
+"""3D-LaneNet (paper, section 3): dual pathway, road projection branch, lane head. One module for all variants."""
 
 from typing import NamedTuple
 
@@ -15,13 +15,13 @@ from .poses import MEAN_HEIGHT_M, MEAN_PITCH_RAD
 from .projection import Projection, cell_centres, invert_rigid, road_from_cam, sampling_grid
 
 PRIOR_LOGIT = -2.9
-"""Confidence starts at 0.05, about the share of anchors that hold a lane."""
+"""Initial confidence of 0.05, about the share of anchors with a lane."""
 PITCH_SPREAD_RAD, HEIGHT_SPREAD_M = 0.0251, 0.144
 """Standard deviation of the paper's uniform ranges (0..5 deg, 1.4..1.9 m)."""
 
 
 class Output(NamedTuple):
-    """What the network says, by anchor; the only place that knows the channel layout is `LaneHead`."""
+    """The network's output per anchor; `LaneHead` alone defines the layout of its channels."""
 
     x_m: Float[Tensor, "b t a k"]
     z_m: Float[Tensor, "b t a k"]
@@ -30,12 +30,12 @@ class Output(NamedTuple):
     pose: Float[Tensor, "b 2"]
     """(pitch_rad, height_m), predicted or fixed."""
     cam_from_top: Float[Tensor, "b 4 4"]
-    """The transform that drove the warp."""
+    """The transform used in the warp."""
     bev_logit: Float[Tensor, "b 2 rows columns"] | None
 
 
 class PoseBranch(nn.Module):
-    """Road projection branch: residuals on the mean pose, zero at the start. No dropout: it would shake the warp."""
+    """Road projection branch: residuals on the mean pose, initially zero. No dropout, which would perturb the warp."""
 
     def __init__(self, channels: int, size: tuple[int, int], config: ModelConfig) -> None:
         super().__init__()
@@ -66,7 +66,7 @@ class LaneHead(nn.Module):
     """Convolutions without padding along y reduce the map to one row; each of its columns is an anchor.
 
     Channels per anchor: for each type K offsets x, K heights z (unless the data are flat), a logit, and K visibility
-    logits where configured."""
+    logits if configured."""
 
     def __init__(self, channels: int, rows: int, config: ModelConfig) -> None:
         super().__init__()
@@ -103,7 +103,7 @@ class LaneHead(nn.Module):
 
 
 class LaneNet(nn.Module):
-    """The network. `config.variant` says which projections exist and what the head reads."""
+    """The network. `config.variant` selects its projections and the input of the head."""
 
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
@@ -143,7 +143,7 @@ class LaneNet(nn.Module):
         return config.variant != "top_view" or config.pose_target != "fixed"
 
     def top_width(self, level: int) -> int:
-        """Channels of the top-view map after `level` pools, with what was projected into it."""
+        """Channels of the top-view map after `level` pools, including the projected ones."""
         return self.config.top_channels[level - 1] + self._projected_width(level)
 
     def _projected_width(self, level: int) -> int:
@@ -193,7 +193,7 @@ class LaneNet(nn.Module):
         maps: list[Float[Tensor, "..."]],
         cam_from_top: Float[Tensor, "b 4 4"],
     ) -> tuple[Float[Tensor, "b c rows columns"], Float[Tensor, "b 2 r2 c2"] | None]:
-        """What the head reads, and the mask logits of the map pooled once where configured."""
+        """The input of the head, and the mask logits of the map pooled once, if configured."""
         if self.config.variant == "image_view":
             return maps[3], None
         lattices = self.image.lattices if self.image is not None else []
@@ -216,7 +216,7 @@ class LaneNet(nn.Module):
     def _stem_features(
         self, image: Float[Tensor, "b 3 h w"], intrinsics: Float[Tensor, "b 4"], cam_from_top: Float[Tensor, "b 4 4"]
     ) -> Float[Tensor, "b c rows columns"]:
-        """`top_view`: the picture itself is warped, at twice the first map's resolution, and then convolved."""
+        """`top_view`: the image itself is warped, at twice the first map's resolution, and then convolved."""
         assert self.stem is not None
         size = (image.shape[2], image.shape[3])
         grid = sampling_grid(self.stem_points, cam_from_top, intrinsics, PIXELS, size)

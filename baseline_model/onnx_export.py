@@ -1,4 +1,4 @@
-"""A network as ONNX: inputs `image` (RGB in 0..1) and `intrinsics`, outputs by name, any batch size."""
+"""Export a network to ONNX: inputs `image` (RGB in 0..1) and `intrinsics`, named outputs, any batch size."""
 
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,8 @@ OUTPUTS = ("x_m", "z_m", "score", "pose")
 
 
 class _Plain(nn.Module):
-    """The network with confidences for logits and no optional outputs. x is relative to the road, not the anchor."""
+    """The network with confidences instead of logits and without optional outputs; x is in the road frame, not relative
+    to the anchor."""
 
     def __init__(self, model: LaneNet) -> None:
         super().__init__()
@@ -33,7 +34,7 @@ class _Plain(nn.Module):
 
 
 def export_onnx(checkpoint: str | Path, path: str | Path) -> Path:
-    """Write the checkpoint's network; the knots' y, the types and the whole configuration go into its metadata."""
+    """Export the checkpoint's network; its metadata has the knots' y, the types and the whole configuration."""
     try:
         import onnx  # type: ignore[import-not-found,import-untyped,unused-ignore]
     except ImportError:
@@ -41,7 +42,7 @@ def export_onnx(checkpoint: str | Path, path: str | Path) -> Path:
     loaded = checkpoints.load(Path(checkpoint))
     model = checkpoints.build(loaded, torch.device("cpu"))
     config = model.config
-    # A batch of two: an exporter takes a size of one for a constant.
+    # A batch of two: the exporter would treat a size of one as constant.
     image = torch.zeros(2, 3, config.image_height_px, config.image_width_px)
     intrinsics = torch.tensor([config.reference_intrinsics] * 2)
     batch = torch.export.Dim("batch", min=1)

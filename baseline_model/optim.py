@@ -12,13 +12,13 @@ from .config import TrainConfig
 from .model import LaneNet
 
 EMA_START = 10
-"""The average begins short, (1 + step) / (10 + step), so that early weights leave it soon."""
+"""The decay starts at (1 + step) / (10 + step), so that early weights are soon forgotten."""
 
 
 @dataclass
 class Schedule:
-    """Learning rate at each step. `cyclic` is our reading of the paper's "variation on the cyclic learning rate
-    regime": cosine cycles from the peak to 1e-6, the peak halved after a cycle that did not improve validation."""
+    """Learning rate at each step. `cyclic` is our interpretation of the paper's "variation on the cyclic learning rate
+    regime": cosine cycles from the peak to 1e-6; the peak is halved after a cycle that did not improve validation."""
 
     peak_factor: float = 1.0
     best_of_past_cycles: float = -1.0
@@ -39,7 +39,7 @@ class Schedule:
         return low + (peak - low) * (1 + math.cos(math.pi * share)) / 2
 
     def validated(self, score: float, step: int, steps_per_epoch: int, config: TrainConfig) -> None:
-        """Take note of a validation; at a cycle's end decide the next peak."""
+        """Record a validation's score; at the end of a cycle, set the next peak."""
         self.best_of_this_cycle = max(self.best_of_this_cycle, score)
         period = max(1, round(config.cycle_epochs * steps_per_epoch))
         if step // period > self.cycle:
@@ -54,7 +54,7 @@ class Schedule:
 
 
 def optimizer_for(model: nn.Module, config: TrainConfig, device: torch.device) -> torch.optim.Optimizer:
-    """Adam, or AdamW that decays convolution and matrix weights only."""
+    """Adam, or AdamW with weight decay on convolution and matrix weights only."""
     is_fused = device.type == "cuda"
     if config.optimizer == "adam":
         return torch.optim.Adam(model.parameters(), lr=config.learning_rate, fused=is_fused)
@@ -77,7 +77,7 @@ class RunningAverage:
 
     @torch.no_grad()
     def update(self, model: nn.Module, step: int) -> None:
-        """Move towards the model."""
+        """Update the average with the model's weights."""
         weight = 1 - min(self.decay, (1 + step) / (EMA_START + step))
         pairs = zip(self.model.state_dict().values(), model.state_dict().values(), strict=True)
         for average, current in pairs:

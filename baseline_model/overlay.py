@@ -24,7 +24,7 @@ def save_overlay(
     labels: Labels | None,
     threshold: float = 0.5,
 ) -> None:
-    """Detections of at least this confidence; centre lines solid, delimiters dashed; to 80 m."""
+    """Draw labels, and detections of at least this confidence, up to 80 m; centre lines solid, delimiters dashed."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -42,7 +42,7 @@ def save_overlay(
         xyz_road = transform(to_road, xyz_cam)
         in_reach = (xyz_road[:, 1] >= 0) & (xyz_road[:, 1] <= FAR_M)
         uv = project(img_from_cam, xyz_cam)
-        # Pixel (0, 0) of imshow is centred at the origin, ours has its corner there.
+        # Pixel (0, 0) has its centre at the origin in imshow, its corner in our coordinates.
         left.plot(*(np.where(in_reach[:, None], uv, np.nan) - 0.5).T, style, color=colour, linewidth=1.4)
         right.plot(*xyz_road[in_reach].T, style, color=colour, linewidth=1.4)
     right.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", ylim=(0, FAR_M), xlim=(-12, 12))

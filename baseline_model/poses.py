@@ -15,7 +15,7 @@ MEAN_HEIGHT_M = 1.65
 
 
 class Pose(NamedTuple):
-    """The two numbers that fix the camera relative to a road plane when there is no roll."""
+    """The camera's pose relative to a road plane, without roll."""
 
     pitch_rad: float
     height_m: float
@@ -25,19 +25,20 @@ MEAN_POSE = Pose(MEAN_PITCH_RAD, MEAN_HEIGHT_M)
 
 
 def road_from_cam(pose: Pose) -> Float[np.ndarray, "4 4"]:
-    """The road frame has its origin at the camera's foot, so the camera sits at (0, 0, height) of it."""
+    """The camera's pose in the road frame, whose origin is below the camera: the camera is at (0, 0, height)."""
     return frames.road_from_cam(pose.height_m, pose.pitch_rad)
 
 
 def cam_from_road(pose: Pose) -> Float[np.ndarray, "4 4"]:
-    """Inverse of `road_from_cam`: p_cam = R (p_road - C) with C above the origin of the *road* frame."""
+    """Inverse of `road_from_cam`: p_cam = R (p_road - C), with the camera at C = (0, 0, height) of the road frame."""
     return frames.invert(road_from_cam(pose))
 
 
 def horizon_pose(plane: Pose, farthest_road: Float[np.ndarray, " 3"]) -> Pose:
-    """Tilt the plane through the host's ground point and the farthest visible road point (paper, 4.3 'horizon').
+    """The pose over the plane through the host's ground point and the farthest visible road point (paper, 4.3,
+    'horizon').
 
-    With slope alpha = atan2(z, y) the camera's distance to the tilted plane is height * cos(alpha).
+    With slope alpha = atan2(z, y), the camera's distance from the tilted plane is height * cos(alpha).
     """
     slope_rad = float(np.arctan2(farthest_road[2], farthest_road[1]))
     return Pose(plane.pitch_rad + slope_rad, plane.height_m * float(np.cos(slope_rad)))

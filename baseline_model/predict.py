@@ -74,7 +74,7 @@ def img_from_cam(intrinsics: Intrinsics) -> Float[np.ndarray, "3 3"]:
 
 
 def _pictures(source: str | Path, intrinsics: Intrinsics | None) -> Iterator[_Picture]:
-    """What is to be looked at; the source is opened now, its images are when they are asked for."""
+    """The source's images; the source is opened at once, images are read on iteration."""
     files = _image_files(Path(source)) if "://" not in str(source) else []
     if files:
         if intrinsics is None:

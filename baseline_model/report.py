@@ -1,4 +1,4 @@
-"""A report as JSON, as text and as plots."""
+"""Write a report as JSON, text and plots."""
 
 import math
 from pathlib import Path
@@ -26,7 +26,7 @@ PAPER_TABLE_1: dict[str, tuple[float, float, float, float, float]] = {
 
 
 def to_document(report: Report) -> dict[str, Any]:
-    """Plain values; NaN becomes null. The scores of each kind of line come first."""
+    """The report as JSON values (docs/baseline.md); NaN becomes null."""
     document: dict[str, Any] = {name: _kind_document(kind) for name, kind in report.kinds.items()}
     document["pose"] = {
         "pitch_median_deg": _plain(report.pitch_median_deg),
@@ -56,7 +56,7 @@ def summary_line(report: Report) -> str:
 
 
 def to_text(report: Report) -> str:
-    """The report for people, with every choice that the paper leaves open."""
+    """The report as text, with every choice that the paper leaves open."""
     config = report.config
     lines = [
         f"{report.n_images} images; errors in cm, at confidence >= {config.threshold}; frame {config.frame}; "
@@ -96,13 +96,13 @@ def table_1_cells(rows: dict[str, Report]) -> Cells:
 
 
 def curve_cells(rows: dict[str, Report]) -> Cells:
-    """A row for each number of training images (centre lines), and the paper's 300,000."""
+    """One row per number of training images (centre lines), and the paper's 300,000."""
     ours = [[f"{int(name):,}", *_ours(report)] for name, report in rows.items()]
     return [["images", *COLUMNS], *ours, ["300,000 (paper)", *_row(*PAPER_TABLE_1["full"])]]
 
 
 def text(cells: Cells) -> str:
-    """A table for a terminal."""
+    """The table as plain text."""
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     return "\n".join(
         "  ".join([row[0].ljust(widths[0]), *(cell.rjust(w) for cell, w in zip(row[1:], widths[1:], strict=True))])
@@ -111,13 +111,13 @@ def text(cells: Cells) -> str:
 
 
 def markdown(cells: Cells) -> str:
-    """The same for a README."""
+    """The table as Markdown."""
     head, *rows = ["| " + " | ".join(row) + " |" for row in cells]
     return "\n".join([head, "|---" + "|---:" * (len(cells[0]) - 1) + "|", *rows])
 
 
 def save_curve(rows: dict[str, Report], path: Path) -> None:
-    """AP with its 95 % interval, and far and near errors, against the number of training images."""
+    """Plot AP with its 95 % interval, and near and far errors, against the number of training images."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -143,7 +143,7 @@ def save_curve(rows: dict[str, Report], path: Path) -> None:
 
 
 def save_plots(report: Report, path: Path) -> None:
-    """Precision against recall, and error against distance."""
+    """Plot precision against recall, and error against distance."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

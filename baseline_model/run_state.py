@@ -1,4 +1,4 @@
-"""What a training run is made of and how it is kept: processes, state, `last.pt`."""
+"""The state of a training run: processes, model, optimiser, `last.pt`."""
 
 import ctypes
 import os
@@ -20,15 +20,15 @@ from .optim import RunningAverage, Schedule, optimizer_for
 from .pretrained import load_vgg16
 
 MEMORY_SHARE = 0.5
-"""Data move to the GPU if they leave at least the other half of its free memory to the network."""
+"""Data are moved to the GPU if they take less than this share of its free memory."""
 
 M_MMAP_MAX, M_TRIM_THRESHOLD = -4, -1
-"""Names of malloc.h."""
+"""Constants from malloc.h."""
 
 
 @dataclass(frozen=True)
 class Process:
-    """This process among those that torchrun started; alone, rank 0 of 1."""
+    """This process among those started by torchrun; rank 0 of 1 without torchrun."""
 
     rank: int
     world: int
@@ -37,7 +37,7 @@ class Process:
 
 @dataclass(eq=False)
 class Run:
-    """What changes during training."""
+    """The configuration and mutable state of a training run."""
 
     config: TrainConfig
     process: Process
@@ -51,7 +51,7 @@ class Run:
 
 
 def start_process(config: TrainConfig) -> Process:
-    """Join the other processes where torchrun started several."""
+    """Choose the device, and join the other processes if torchrun started several."""
     world, rank = int(os.environ.get("WORLD_SIZE", "1")), int(os.environ.get("RANK", "0"))
     device = choose_device(config.device)
     if config.batch % world:
@@ -70,8 +70,8 @@ def start_process(config: TrainConfig) -> Process:
 
 
 def _keep_freed_memory() -> None:
-    """Have malloc reuse the memory of large tensors. By default each is mapped and unmapped, and its pages are faulted
-    in, at every step: a quarter of a CPU's time. glibc only; others have no `mallopt`."""
+    """Let malloc reuse the memory of large tensors. By default each is mapped and unmapped at every step, and page
+    faults take a quarter of the CPU time. glibc only; others have no `mallopt`."""
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
     if mallopt is not None:
         for option, value in ((M_MMAP_MAX, 0), (M_TRIM_THRESHOLD, 2**31 - 1)):
@@ -79,7 +79,7 @@ def _keep_freed_memory() -> None:
 
 
 def fits(data: ResidentData, device: torch.device) -> bool:
-    """Whether the data may live on the GPU."""
+    """Whether the data fit into the GPU's memory."""
     parts = [data.image, data.intrinsics, *data.curves, *([] if data.chroma is None else [data.chroma])]
     free, _ = torch.cuda.mem_get_info(device)
     return sum(part.numel() * part.element_size() for part in parts) < MEMORY_SHARE * free
@@ -101,7 +101,7 @@ def save(trainee: Run, out_dir: Path, about: dict[str, Any]) -> None:
 
 
 def prepare(config: TrainConfig, process: Process, out_dir: Path, about: dict[str, Any]) -> Run:
-    """A new run, or the one in `out_dir` where it stopped."""
+    """Start a new run, or resume the one in `out_dir`."""
     torch.manual_seed(config.seed)
     model = LaneNet(config.model)
     if config.pretrained is not None:

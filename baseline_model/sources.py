@@ -1,4 +1,4 @@
-"""Open what people name on the command line: a split of our dataset, an Apollo Sim-3D or an OpenLane folder."""
+"""Open labelled images by path: a split of our dataset, or of Apollo Sim-3D, OpenLane or tuSimple."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ from .tusimple import TusimpleOnPlane
 
 @dataclass(frozen=True, eq=False)
 class Chosen:
-    """Some samples of a source, by index; nothing is read before it is asked for."""
+    """Some samples of a source, by index, read on access."""
 
     source: Samples
     index: Sequence[int]
@@ -33,7 +33,7 @@ class Chosen:
 
 @dataclass(frozen=True, eq=False)
 class Upright:
-    """A split of ours with the roll taken out of pictures and labels: the pose that a network learns has none."""
+    """A split of our dataset with roll removed from images and labels: the pose that a network learns has no roll."""
 
     reader: Reader
 
@@ -46,7 +46,7 @@ class Upright:
         return replace(sample, image=image, labels=labels_without_roll(sample.labels))
 
     def key(self, index: int) -> str:
-        """The sample's name, read from the index alone."""
+        """The sample's key, from the index alone."""
         return self.reader.key(index)
 
     def labels(self, index: int) -> Labels:
@@ -55,8 +55,8 @@ class Upright:
 
 
 def open_split(path: str | Path) -> Samples:
-    """Random access to labelled images. Ours is `DIR/SPLIT`; an Apollo or a tuSimple split is its JSON-lines file,
-    Apollo's images lying in a folder above it; an OpenLane split is `.../lane3d_1000/SPLIT`, beside `.../images`."""
+    """Random access to labelled images. A split of ours is `DIR/SPLIT`; one of Apollo or tuSimple is its JSON-lines
+    file (Apollo's images are in a folder above it); one of OpenLane is `.../lane3d_1000/SPLIT`, beside `.../images`."""
     text = str(path)
     if text.endswith(".json"):
         file = Path(path)
@@ -69,7 +69,8 @@ def open_split(path: str | Path) -> Samples:
 def training_and_validation(
     data_dir: str, train_split: str, val_split: str, max_images: int | None
 ) -> tuple[Samples, Samples]:
-    """Both splits of a data set, a folder or a URL. Without `val_split` every tenth training sample is held out."""
+    """Training and validation split of a data set (folder or URL). Without `val_split`, every tenth training sample is
+    held out; below ten samples, validation uses all of them."""
     data_dir = data_dir.rstrip("/")
     train = open_split(f"{data_dir}/{train_split}")
     n = len(train) if max_images is None else min(max_images, len(train))

@@ -1,4 +1,4 @@
-"""What the representation keeps of a dataset's labels, and the best score it allows. No network is involved."""
+"""Statistics of a dataset's training targets, and the best score that their representation allows. No network."""
 
 import json
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ from .sources import open_split
 
 @dataclass(frozen=True, eq=False)
 class TargetStatistics:
-    """Counts of curves by kind and fate; spread of the targets; and the metric of decoded targets."""
+    """Counts of curves by kind and status, standard deviations of the targets, and the metric of decoded targets."""
 
     n_images: int
     counts: dict[str, dict[str, int]]
@@ -50,14 +50,14 @@ class TargetStatistics:
 def target_statistics(
     data_dir: str | Path, model: ModelConfig = COMPACT, max_images: int | None = None
 ) -> TargetStatistics:
-    """Look at every label of a split (`DIR/train`); images are not read."""
+    """Statistics of all labels of a split (`DIR/train`); images are not read."""
     samples = open_split(data_dir)
     n = len(samples) if max_images is None else min(max_images, len(samples))
     return statistics_of(_all_labels(samples, n), model)
 
 
 def statistics_of(labels: Sequence[Labels], model: ModelConfig = COMPACT) -> TargetStatistics:
-    """The same for labels at hand."""
+    """Statistics of given labels."""
     names = {KEPT: "kept", IGNORED: "ignored", DROPPED: "dropped"}
     kinds = {CENTERLINE: "centerline", DELIMITER: "delimiter"}
     counts = {kind: dict.fromkeys(names.values(), 0) for kind in kinds.values()}
@@ -85,7 +85,7 @@ def statistics_of(labels: Sequence[Labels], model: ModelConfig = COMPACT) -> Tar
 
 
 def decode_targets(key: str, targets: Targets, pose: Pose, model: ModelConfig) -> Prediction:
-    """Targets as a network without error would say them: the spline runs through the knots that the lane reaches."""
+    """The prediction of a network without error: splines through the knots that the lanes reach."""
     anchors, knots = np.array(anchor_positions_m(model)), np.array(model.knots_y_m)
     lanes = []
     for _, lane_type, anchor in torch.nonzero(targets.assigned).tolist():
@@ -100,7 +100,7 @@ def decode_targets(key: str, targets: Targets, pose: Pose, model: ModelConfig) -
 
 
 def to_text(statistics: TargetStatistics) -> str:
-    """For people."""
+    """The statistics as text."""
     lines = [f"{statistics.n_images} images"]
     for kind, counts in statistics.counts.items():
         lines.append(f"{kind:11}" + "".join(f"  {name} {n}" for name, n in counts.items()))
@@ -117,7 +117,7 @@ def to_text(statistics: TargetStatistics) -> str:
 
 
 def to_document(statistics: TargetStatistics) -> dict[str, Any]:
-    """Plain values."""
+    """The statistics as JSON values."""
     document = {name: value for name, value in vars(statistics).items() if name != "ceiling"}
     return document | {"ceiling": report_document(statistics.ceiling)}
 

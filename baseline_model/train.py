@@ -1,6 +1,6 @@
-"""Training: one visible loop, exact resume, one or several GPUs (torchrun).
+"""Training: one loop, exact resume, one or several GPUs (torchrun).
 
-Everything random in step s follows from (seed, s), so that a killed run continues as if nothing had happened.
+All randomness in step s follows from (seed, s), so that a killed run resumes with identical results.
 """
 
 import time
@@ -39,7 +39,7 @@ class Diverged(FloatingPointError):
 
 
 def train(config: TrainConfig, data_dir: str | Path, out_dir: str | Path) -> Path:
-    """Train on DIR/train, validate on DIR/val, return the best checkpoint. A run found in `out_dir` is continued."""
+    """Train on DIR/train, validate on DIR/val, return the best checkpoint's path. Resumes a run found in `out_dir`."""
     train_samples, val_samples = training_and_validation(
         str(data_dir), config.train_split, config.val_split, config.max_images
     )
@@ -47,7 +47,7 @@ def train(config: TrainConfig, data_dir: str | Path, out_dir: str | Path) -> Pat
 
 
 def train_on(config: TrainConfig, train_samples: Samples, val_samples: Samples, out_dir: Path) -> Path:
-    """The same on samples from anywhere."""
+    """Train and validate on any samples."""
     process = start_process(config)
     size_px = (config.model.image_height_px, config.model.image_width_px)
     mode = config.model.pose_target
@@ -93,7 +93,7 @@ def sample_order(n: int, seed: int, epoch: int) -> Int[Tensor, " n"]:
 
 
 def batch_index(n: int, step: int, config: TrainConfig, process: Process) -> Int[Tensor, " b"]:
-    """The samples of a step on this process; an epoch's last batch is filled from the epoch's start."""
+    """The samples of a step on this process; an epoch's last batch is filled up from the epoch's start."""
     steps_per_epoch = -(-n // config.batch)
     epoch, at = divmod(step, steps_per_epoch)
     places = (at * config.batch + torch.arange(config.batch)) % n
@@ -132,7 +132,7 @@ def _step(
 
 
 def step_loss(model: LaneNet, output: Output, augmented: Augmented, config: TrainConfig) -> dict[str, Tensor]:
-    """Targets in the frame that the lanes are stated in, and the loss against them."""
+    """The loss terms against targets in the frame given by `target_frame`."""
     batch = augmented.batch
     pose = output.pose if model.pose is None else batch.target_pose
     if config.target_frame == "grid":
@@ -148,7 +148,7 @@ def step_loss(model: LaneNet, output: Output, augmented: Augmented, config: Trai
 
 
 def _blame(trainee: Run, data: ResidentData, augmented: Augmented, warp_pose: Float[Tensor, "b 2"] | None) -> str:
-    """Which samples made the loss infinite. Batch norm mixes a batch, so each is looked at without it."""
+    """Find the samples with a non-finite loss. Batch norm mixes a batch, so the model is evaluated in eval mode."""
     batch, model = augmented.batch, trainee.model.eval()
     with torch.no_grad():
         output: Output = model(batch.image, batch.intrinsics, warp_pose, augmented.top_from_road)
@@ -175,7 +175,7 @@ def _validate(trainee: Run, val: ResidentData, val_labels: list[Labels]) -> Repo
 
 
 def _note(trainee: Run, report: Report | None, steps_per_epoch: int, out_dir: Path, about: dict[str, Any]) -> None:
-    """After a validation: the schedule learns of it on every process, rank 0 keeps the best weights."""
+    """After a validation: update the schedule on every process, and save the best weights on rank 0."""
     score = float("nan") if report is None else float(np.nanmean([kind.ap for kind in report.kinds.values()]))
     if trainee.process.world > 1:
         shared = torch.tensor([score], device=trainee.process.device)

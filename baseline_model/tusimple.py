@@ -1,7 +1,7 @@
-"""The image-only variant (paper, 4.4): tuSimple's lines as lanes on a fixed plane, and lanes as its lines.
+"""The image-only variant (paper, 4.4): convert tuSimple's image lines to lanes on a fixed plane, and back.
 
-A fixed pose stands for the hand-picked homography: 9 deg and 1.6 m make straight lanes parallel in the top view. The
-pictures lose their top 80 rows (public settings).
+A fixed pose replaces the paper's hand-picked homography: 9 deg and 1.6 m make straight lanes parallel in the top view.
+The top 80 rows of images are cropped, as in public implementations.
 """
 
 from collections.abc import Iterable
@@ -29,7 +29,7 @@ FAR_M = 110.0
 
 @dataclass(frozen=True, eq=False)
 class TusimpleOnPlane:
-    """A tuSimple label file as labelled images: lines put onto the plane, images without their top rows."""
+    """A tuSimple label file as labelled images: lines projected onto the plane, images without their top rows."""
 
     split: TusimpleSplit
 
@@ -40,11 +40,11 @@ class TusimpleOnPlane:
         return ForeignSample(self.key(index), self.split.image(index)[CROP_TOP_PX:], self.labels(index))
 
     def key(self, index: int) -> str:
-        """`raw_file`."""
+        """The frame's `raw_file`."""
         return self.split.frame(index).raw_file
 
     def labels(self, index: int) -> Labels:
-        """Image lines put onto the plane."""
+        """The image lines projected onto the plane."""
         frame = self.split.frame(index)
         lanes = []
         for number, u_px in enumerate(frame.lanes_u_px):
@@ -61,7 +61,8 @@ class TusimpleOnPlane:
 
 
 def onto_plane_cam(points_img: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "m 3"]:
-    """Pixels of the cropped image to camera points on the plane, near to far; none above the horizon or too far."""
+    """Project pixels of the cropped image onto the plane, as camera points from near to far; pixels above the horizon
+    and points beyond FAR_M are dropped."""
     right, down = ((points_img - IMG_FROM_CAM[:2, 1]) / 1000.0).T
     rays_cam = np.stack([right, np.ones_like(right), -down], axis=1)
     to_road = road_from_cam(POSE)

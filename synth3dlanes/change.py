@@ -1,4 +1,4 @@
-"""One factor of a scene changed and nothing else, for twins that differ in exactly that: `light.exposure=3`.
+"""Change single values of a scene and nothing else, as twins need: `light.exposure=3`.
 
 No side effects.
 """
@@ -15,9 +15,9 @@ from synth3dlanes.yaml_text import read_yaml
 
 
 def change_scene(scene: Scene, changes: Sequence[str]) -> Scene:
-    """The scene with every change `path=value` applied; a path is like `camera.pitch_deg` or `cars.0.color`.
+    """The scene with every change `path=value` applied; a path is e.g. `camera.pitch_deg` or `cars.0.color`.
 
-    The value is YAML, angles ending in `_deg` are degrees. Raises InputError with one line per problem.
+    The value is YAML; angles whose key ends in `_deg` are in degrees. Raises InputError with one line per problem.
     """
     document = scene.model_dump(mode="json")
     problems: list[str] = []

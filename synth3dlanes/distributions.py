@@ -1,6 +1,6 @@
-"""The distributions that a parameter can have, read from `[low, high]`, `{value: weight}` or a constant.
+"""The distributions of parameters, read from `[low, high]`, `{value: weight}` or a constant.
 
-A distribution is a value with one method, `draw(u)`. No side effects.
+Each has one method, `draw(u)`. No side effects.
 """
 
 import math
@@ -17,8 +17,8 @@ Value = TypeVar("Value", bool, int, float)
 
 @dataclass(frozen=True)
 class Uniform:
-    """Every number of [low, high) alike. Like all distributions it turns exactly one u of [0, 1) into a value,
-    so that fixing one parameter never moves another draw."""
+    """Uniform over [low, high). Like all distributions it turns exactly one u in [0, 1) into a value, so that fixing
+    one parameter never changes another draw."""
 
     low: float
     high: float
@@ -30,7 +30,7 @@ class Uniform:
 
 @dataclass(frozen=True)
 class Integers:
-    """Every integer from low to high, both included, alike."""
+    """Uniform over the integers from low to high, both included."""
 
     low: int
     high: int
@@ -42,7 +42,7 @@ class Integers:
 
 @dataclass(frozen=True)
 class Choice(Generic[Value]):
-    """Some values with positive weights; a constant is a choice of one."""
+    """Values with positive weights; a constant is a choice of one value."""
 
     values: tuple[Value, ...]
     weights: tuple[float, ...]
@@ -80,7 +80,7 @@ def _choice(form: Any, is_legal: Callable[[Any], bool], legal: str) -> Choice[An
     """Read `{value: weight}` or a constant."""
     if not isinstance(form, dict):
         form = {form: 1} if isinstance(form, bool | int | float | str) else {}
-    # Keys are text where the parameters come from JSON.
+    # Keys are text if the parameters come from JSON.
     values = tuple(yaml.safe_load(key) if isinstance(key, str) and key.strip() else key for key in form)
     if not values or not all(map(is_legal, values)):
         raise ValueError(f"expected {legal}")
@@ -99,7 +99,7 @@ def is_pair(form: object) -> bool:
 
 
 def reals(low: float, high: float, above: bool = False) -> PlainValidator:
-    """Legal limits of a real parameter: low..high, low itself only unless `above`."""
+    """Legal limits of a real parameter: low to high; with `above`, low itself is excluded."""
     is_legal = _between(low, high, _is_real, above)
     legal = f"numbers in {'(' if above else '['}{low:g}, {high:g}] as [low, high], {{value: weight}} or a constant"
 
@@ -116,7 +116,7 @@ def reals(low: float, high: float, above: bool = False) -> PlainValidator:
 
 
 def integers(low: int, high: int) -> PlainValidator:
-    """Legal limits of an integer parameter, both included."""
+    """Legal limits of an integer parameter, both inclusive."""
     return PlainValidator(lambda form: parse_integers(form, low, high))
 
 

@@ -24,15 +24,15 @@ def invert(b_from_a: Matrix4) -> Matrix4:
 
 
 def from_axes(x: Points, y: Points, z: Points, origin: Points) -> Matrix4:
-    """The transform out of the frame whose unit axes and origin are given in the outer frame."""
+    """The transform from an inner to the outer frame, given the inner frame's unit axes and origin in the outer one."""
     outer_from_inner = np.eye(4)
     outer_from_inner[:3] = np.column_stack([x, y, z, origin])
     return outer_from_inner
 
 
 def road_from_cam(height_m: float, pitch_rad: float, roll_rad: float = 0.0) -> Matrix4:
-    """The camera over the road plane: looking down by `pitch_rad` (positive = down), `height_m` above its foot, turned
-    about its viewing axis by `roll_rad` (positive = clockwise as the driver sees it: its right side sinks)."""
+    """The camera's pose over the road plane: `height_m` above its foot, pitched by `pitch_rad` (positive = down) and
+    rolled about its viewing axis by `roll_rad` (positive = clockwise as the driver sees it: right side down)."""
     c, s = np.cos(pitch_rad), np.sin(pitch_rad)
     pitched = np.array([[1.0, 0, 0, 0], [0, c, s, 0], [0, -s, c, height_m], [0, 0, 0, 1]])
     c, s = np.cos(roll_rad), np.sin(roll_rad)
@@ -40,13 +40,13 @@ def road_from_cam(height_m: float, pitch_rad: float, roll_rad: float = 0.0) -> M
 
 
 def project(img_from_cam: Float[np.ndarray, "3 3"], points_cam: Points) -> Float[np.ndarray, "*n 2"]:
-    """Pixels (u, v) of points in front of the camera; NaN behind it."""
+    """Pixels (u, v) of points; NaN for points that are not in front of the camera."""
     homogeneous = points_cam @ img_from_cam.T
     depth = np.where(homogeneous[..., 2:] > 0, homogeneous[..., 2:], np.nan)
     return np.asarray(homogeneous[..., :2] / depth)
 
 
 def inside_image(uv: Float[np.ndarray, "*n 2"], width_px: int, height_px: int) -> Bool[np.ndarray, "*n"]:
-    """Which pixels lie in an image of this size; NaN does not."""
+    """Which pixels (u, v) lie in an image of this size; False for NaN."""
     with np.errstate(invalid="ignore"):
         return np.asarray(((uv >= 0) & (uv <= [width_px, height_px])).all(axis=-1))

@@ -1,4 +1,4 @@
-"""World and View -> Labels: every lane curve in camera coordinates with its masks. `object_visible` stays None."""
+"""World and View -> Labels: every lane curve in camera coordinates with its masks, except `object_visible` (None)."""
 
 import numpy as np
 from jaxtyping import Float
@@ -15,18 +15,18 @@ Values = Float[np.ndarray, " n"]
 
 STEP_M = 1.0
 RANGE_M = 110.0
-# A common station this near to a line's own end is left out: two points in one place have no direction.
+# A common station this close to a line's own end is left out: two coinciding points have no direction.
 APART_M = 0.01
 
 
 def ground_truth(scene: Scene) -> Labels:
-    """Everything exact about a scene: curves every metre of road from the camera to 110 m ahead."""
+    """The labels of a scene: curves sampled every metre of road from the camera to 110 m ahead."""
     world = resolve(scene)
     return label(world, world.view)
 
 
 def label(world: World, view: View) -> Labels:
-    """The ground truth of a world as one view sees it."""
+    """The labels of a world for one view."""
     plan, lens = world.plan, view.camera
     camera = CameraLabel(
         width_px=lens.width_px,
@@ -82,7 +82,7 @@ def label(world: World, view: View) -> Labels:
 
 
 def horizon_plane(camera: CameraLabel, host: Lane) -> RoadPlane | None:
-    """The plane through the camera's foot and the farthest point of the host's lane that is seen over the ground."""
+    """The plane through the camera's foot and the farthest point of the host's lane that the ground does not hide."""
     seen = np.flatnonzero(host.in_image & host.terrain_visible)
     if not seen.size:
         return None
@@ -94,7 +94,7 @@ def horizon_plane(camera: CameraLabel, host: Lane) -> RoadPlane | None:
 
 
 def stations_of(plan: RoadPlan, curve: Curve, s_world: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
-    """Plan stations of one curve in driving order: the common stations it spans, and its own exact ends."""
+    """Plan stations of one curve in driving order: the common stations within it, and its exact ends."""
     s = plan.plan_station(s_world)
     low, high = min(s[0], s[-1]), max(s[0], s[-1])
     ends = np.array([end for end in (curve.start_m, curve.end_m) if low < end < high])

@@ -1,4 +1,4 @@
-"""Labels: what a network must predict from an image, and their JSON form (`labels.json`; docs/format.md).
+"""Labels: what a network must predict from an image, and their JSON form (`labels.json`, docs/format.md).
 
 Points are in camera coordinates (x right, y along the viewing direction, z up), metres. Pure data.
 """
@@ -21,8 +21,8 @@ Marking = Literal["none", "solid", "dashed"]
 
 @dataclass(frozen=True, eq=False)
 class CameraLabel:
-    """The camera that the points are relative to; `img_from_cam` acts on (x, y, z) of the camera frame. `roll_rad` is
-    about the viewing axis, positive clockwise as the driver sees it; labels written before it have none."""
+    """The camera whose frame the points are in; `img_from_cam` acts on (x, y, z) of that frame. `roll_rad` is about
+    the viewing axis, positive clockwise as the driver sees it; older labels lack it."""
 
     width_px: int
     height_px: int
@@ -36,9 +36,9 @@ class CameraLabel:
 
 @dataclass(frozen=True, eq=False)
 class Lane:
-    """One curve, near to far. `left`/`right`: a centre line names the delimiters that bound it on its own stretch
-    (behind the split, before the merge); a delimiter names the centre lines that it bounds there; None at the
-    road's outside. `object_visible` is None until the scene has been rendered."""
+    """One curve, near to far. `left` and `right` are ids: of the delimiters that bound a centre line on its own stretch
+    (behind the split, before the merge), or of the centre lines that a delimiter bounds there; None outside the road.
+    `object_visible` is None until the scene has been rendered."""
 
     id: str
     kind: LaneKind
@@ -53,15 +53,15 @@ class Lane:
 
     @property
     def visible(self) -> Bool[np.ndarray, " n"]:
-        """Seen in the image: inside it, not behind the ground, and not behind an object where that is known."""
+        """Inside the image, not hidden by the ground and, if `object_visible` is known, not hidden by an object."""
         seen = self.in_image & self.terrain_visible
         return seen if self.object_visible is None else seen & self.object_visible
 
 
 @dataclass(frozen=True)
 class Segment:
-    """A lane between two junctions: number from the left as the host drives, stations (world y on the main
-    reference line) where it starts and ends in driving order, neighbours, and the centre lines that use it."""
+    """A lane between two junctions: its number from the left as the host drives, the stations (world y on the main
+    reference line) where it starts and ends in driving order, its neighbours, and the centre lines that follow it."""
 
     id: str
     road: RoadName
@@ -75,7 +75,7 @@ class Segment:
 
 @dataclass(frozen=True)
 class LaneGraph:
-    """Segments and their successors in driving direction. `ramp_start_s_m` is None where the ramp is unused."""
+    """Segments and their successors in driving direction. `ramp_start_s_m` is None if the scene has no ramp."""
 
     segments: tuple[Segment, ...]
     successors: dict[str, tuple[str, ...]]
@@ -84,7 +84,7 @@ class LaneGraph:
 
 @dataclass(frozen=True)
 class RoadPlane:
-    """A plane through the camera's foot, without roll: the camera's pitch (positive = down) and height over it."""
+    """A plane through the camera's foot, given by the camera's pitch (positive = down) and height over it; no roll."""
 
     pitch_rad: float
     height_m: float
@@ -92,11 +92,11 @@ class RoadPlane:
 
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """Everything exact that is known about one image.
+    """The exact labels of one image.
 
-    The plane that touches the road at the host is `camera`'s own pitch and height; `horizon` is the plane through the
-    farthest point of the host lane that is seen (the paper's 'horizon' variant), None where none is seen.
-    `car_visible_fraction` has, for each car of the scene, the seen share of its silhouette; None until rendered.
+    `camera` holds pitch and height over the plane that touches the road at the host; `horizon` is the plane through the
+    farthest visible point of the host lane (the paper's 'horizon' variant), None if no point is visible.
+    `car_visible_fraction` is the visible share of each car's silhouette; None until rendered.
     """
 
     camera: CameraLabel
@@ -172,7 +172,7 @@ def _tuple(values: list[float] | None) -> tuple[float, ...] | None:
 
 
 def _rounded(values: Float[np.ndarray, "..."], decimals: int) -> Any:
-    # Adding 0.0 turns -0.0 into 0.0, which would otherwise be a second spelling of the same number.
+    # Adding 0.0 turns -0.0 into 0.0, so that equal numbers give equal text.
     return (np.round(values, decimals) + 0.0).tolist()
 
 

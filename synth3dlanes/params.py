@@ -1,4 +1,4 @@
-"""Params: the ranges that scenes are drawn from, and their YAML form (`params/*.yaml`; docs/params.md).
+"""Params: the ranges that scenes are drawn from, and their YAML form (`params/*.yaml`, docs/params.md).
 
 Metres and degrees. Reading a file is the only side effect.
 """
@@ -39,7 +39,7 @@ def _parse_numbers(form: Any, kind: AssetKind, assets: Assets | None) -> Integer
 
 
 class Group(BaseModel):
-    """A group of parameters: frozen, every key given, no other key."""
+    """A frozen group of parameters; every key is required, unknown keys are errors."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -181,21 +181,21 @@ class Params(Group):
 
 
 def presets_folder() -> Path:
-    """Where the presets lie: beside the modules in an installed wheel, at the root of a checkout."""
+    """The folder of the presets: inside the package in an installed wheel, at the root of a checkout."""
     installed = Path(__file__).parent / "_params"
     return installed if installed.is_dir() else Path(__file__).parents[1] / "params"
 
 
 def preset_names() -> list[str]:
-    """The names that `load_params` knows."""
+    """The names of the presets."""
     return sorted(path.stem for path in presets_folder().glob("*.yaml"))
 
 
 def load_params(source: str, overrides: Sequence[str] = (), assets: Assets = BUILT_IN.assets) -> Params:
     """Read a preset (by name) or a YAML file, then apply overrides like `road.n_lanes=3`.
 
-    Numbers of models and textures are of those in `assets`; see `numbers`. Raises one InputError with a
-    line for every problem found, each naming file and key.
+    Numbers of models and textures refer to `assets`; see `numbers`. Raises one InputError with a line
+    for every problem, each naming file and key.
     """
     if source in preset_names():
         path, where = presets_folder() / f"{source}.yaml", f"params/{source}.yaml"

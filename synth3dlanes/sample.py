@@ -1,4 +1,4 @@
-"""Params -> Scene: one scene drawn from named random streams. Degrees become radians here."""
+"""Params -> Scene: draw scenes from named random streams. Degrees become radians here."""
 
 import math
 from collections.abc import Iterator
@@ -36,26 +36,26 @@ from synth3dlanes.scene import (
 from synth3dlanes.streams import stream
 from synth3dlanes.world import World, resolve
 
-# Numbers in a scene are rounded to a micrometre, a microradian: readable, and equal on every machine.
+# Numbers in a scene are rounded to a micrometre or microradian: readable, and equal on every machine.
 DECIMALS = 6
 CAR_GAP_M = (1.0, 0.3)
 TRIES = 300
-# From this many scenes on, processes are quicker than one; each is handed CHUNK at a time.
+# From this many scenes on, several processes are faster than one; each draws CHUNK scenes at a time.
 WORTH_PROCESSES, CHUNK = 200, 25
-# A tree stands clear of the pavement by this and by this share of its crown.
+# Least distance of a tree from the pavement: metres plus this share of its crown's radius.
 TREE_GAP_M, TREE_GAP_OF_CROWN = 1.0, 0.5
 
 
 def sample_scene(params: Params, seed: int, split: str, index: int, assets: Assets = BUILT_IN.assets) -> Scene:
-    """Scene `index` of a split: it depends on these arguments alone.
+    """Draw scene `index` of a split; it depends on these arguments alone.
 
-    Raises InputError where cars or trees find no room in the ranges given.
+    Raises InputError if there is no room for the cars or trees in their ranges.
     """
     return sample_world(params, seed, split, index, assets).scene
 
 
 def sample_world(params: Params, seed: int, split: str, index: int, assets: Assets = BUILT_IN.assets) -> World:
-    """Scene `index` of a split, resolved: its road is drawn first, then host, cars and trees are placed on it."""
+    """Draw and resolve scene `index` of a split: first the road and the host, then cars and trees on it."""
     draws = {name: Draw(group, stream(seed, split, index, name)) for name, group in params}
     road = _road(draws["road"])
     bare = Scene(
@@ -92,7 +92,7 @@ P = TypeVar("P", Markings, Surface, Light, Air, Sensor)
 def scene_texts(
     params: Params, seed: int, split: str, indices: range, assets: Assets = BUILT_IN.assets
 ) -> Iterator[str]:
-    """The `scene.json` of each index in turn; many are drawn by a process a core."""
+    """The `scene.json` of each index in order; many are drawn in parallel, by one process per core."""
     draw = partial(_scene_text, params, seed, split, assets)
     if len(indices) < WORTH_PROCESSES:
         yield from map(draw, indices)
@@ -106,14 +106,14 @@ def _scene_text(params: Params, seed: int, split: str, assets: Assets, index: in
 
 
 class Draw:
-    """Draws the parameters of one group in turn, with one random number each."""
+    """Draws the parameters of one group, with one random number each."""
 
     def __init__(self, group: Group, rng: np.random.Generator) -> None:
         self.group = group
         self.rng = rng
 
     def __call__(self, key: str) -> Any:
-        """A value of the group's parameter `key`: radians for degrees, rounded; integers and flags as they are."""
+        """Draw parameter `key` of the group: degrees become radians, floats are rounded."""
         return self._rounded(key, getattr(self.group, key).draw(self.rng.random()))
 
     def rows(self, keys: tuple[str, ...], n: int) -> list[tuple[Any, ...]]:
@@ -136,7 +136,7 @@ class Draw:
 
 
 def _plain(part: type[P], draw: Draw) -> P:
-    """A part whose every field is one parameter."""
+    """Draw a part each of whose fields is one parameter."""
     return part(**{field: draw(field.replace("_rad", "_deg")) for field in part.model_fields})
 
 
@@ -182,7 +182,7 @@ def _camera(params: CameraParams, draw: Draw, road: Road) -> Camera:
 
 
 def _host_lane(lanes: Integers | Choice[int], u: float, present: int) -> int:
-    """Uniform over the lanes asked for that are present; the last present one where there is none."""
+    """Draw from the requested lanes that are present; the last lane present if none of them is."""
     if isinstance(lanes, Integers):
         lanes = Integers(min(lanes.low, present), min(lanes.high, present))
     return min(lanes.draw(u), present)

@@ -1,7 +1,7 @@
-"""Scene: one world, fully decided, and its JSON form (`scene.json`; docs/scene.schema.json).
+"""Scene: the full description of one world, and its JSON form (`scene.json`, docs/format.md).
 
-World frame, metres and radians. Pure data: nothing here reads files or computes geometry. Fields with a default came
-later: scenes written before are read, and show what they showed.
+World frame, metres and radians. Pure data: nothing here reads files or computes geometry. Fields with a default were
+added later; older scenes can still be read and render as before.
 """
 
 from typing import Annotated, Literal
@@ -63,21 +63,21 @@ class Road(Part):
         return self.n_lanes - 1 if self.topology == 4 else self.n_lanes
 
     def segments_at(self, s_m: float) -> tuple[str, ...]:
-        """The ids of the lane segments at a world station, those of the main road first, each from the left."""
+        """The ids of the lane segments at a world station, from the left, the main road's first."""
         if self.topology > 1 and (-s_m if self.flip_lateral else s_m) < 0:
             return tuple(f"stem_{lane}" for lane in range(1, self.n_lanes + 1))
         main = (f"main_{lane}" for lane in range(1, self.n_main_after + 1))
         return (*main, *(f"exit_{lane}" for lane in range(1, self.n_exit_lanes + 1)))
 
     def lanes_present(self, s_m: float) -> int:
-        """How many main-road lanes there are at a world station."""
+        """Number of main-road lanes at a world station."""
         return sum(not segment.startswith("exit") for segment in self.segments_at(s_m))
 
 
 class Markings(Part):
     """Paint: `dash_fraction` is the painted share of `dash_cycle_m`, `wear` the share of paint that is rubbed off,
-    `missing` the share of each line's length that has lost it in stretches. `left_yellow` and `left_double` (two
-    stripes of `width_m`, as far apart) are of the leftmost line as the host drives."""
+    `missing` the share of each line's length without paint, in stretches. `left_yellow` and `left_double` (two stripes
+    of `width_m`, `width_m` apart) apply to the leftmost line as the host drives."""
 
     dash_cycle_m: Positive
     dash_fraction: Annotated[float, Field(gt=0, le=1)]
@@ -91,7 +91,7 @@ class Markings(Part):
 
 
 class Surface(Part):
-    """Textures of road and terrain, types counted from 1; `wetness` is of the pavement: 0 dry, 1 under water."""
+    """Textures of road and terrain, numbered from 1; `wetness` of the pavement is 0 when dry, 1 under water."""
 
     road_texture: Annotated[int, Field(ge=1)]
     road_texture_scale: Positive
@@ -105,8 +105,8 @@ class Surface(Part):
 
 class Car(Part):
     """A car on the centre of lane segment `lane` (its id in the lane graph) at station `s_m` (world y on the
-    main reference line), heading as the host does. Models count from 1. `saturation` takes the body's colour from
-    itself (1) to the gray of its first channel (0)."""
+    main reference line), heading as the host does. Models are numbered from 1. `saturation` mixes the body's colour (1)
+    with the gray of its first channel (0)."""
 
     model: Annotated[int, Field(ge=1)]
     scale: Positive
@@ -118,7 +118,7 @@ class Car(Part):
 
 
 class Tree(Part):
-    """A tree at a world position that the sampler has checked against the roads. Models count from 1."""
+    """A tree at a world position off the roads. Models are numbered from 1."""
 
     model: Annotated[int, Field(ge=1)]
     x_m: float
@@ -128,8 +128,8 @@ class Tree(Part):
 
 
 class Camera(Part):
-    """The host's camera: lane from the left as it drives, station `y_m`, lateral offset positive to the right, roll
-    about its axis positive clockwise as the driver sees it."""
+    """The host's camera: lane counted from the left as the host drives, station `y_m`, lateral offset positive to the
+    right, roll about the viewing axis positive clockwise as the driver sees it."""
 
     lane: Annotated[int, Field(ge=1)]
     y_m: float
@@ -146,8 +146,8 @@ class Camera(Part):
 
 
 class Light(Part):
-    """The sun, azimuth counter-clockwise from world x, the film exposure factor, and the share (as an exponent) of
-    the scene's daylight that the exposure makes up for."""
+    """The sun, its azimuth counter-clockwise from world x; the exposure factor; and `metering`, the exponent with which
+    the exposure compensates for the scene's daylight (0 not at all, 1 fully)."""
 
     sun_zenith_rad: Annotated[float, Field(ge=0, le=1.6)]
     sun_azimuth_rad: float
@@ -156,7 +156,7 @@ class Light(Part):
 
 
 class Air(Part):
-    """Meteorological visibility, at which 2 % of a contrast is left, and the share of the sun that clouds hide."""
+    """Meteorological visibility, at which 2 % of the contrast is left, and the share of the sun that clouds hide."""
 
     visibility_m: Positive = 1e6
     overcast: Unit = 0.0
@@ -170,7 +170,8 @@ class Sensor(Part):
 
 
 class Scene(Part):
-    """One world. `(seed, split, index)` say where it was drawn from; `sky` counts a user's skies from 1, 0 is ours."""
+    """One world. `(seed, split, index)` identify its draw; `sky` numbers a user's skies from 1, 0 is the built-in
+    one."""
 
     format: Literal["synth3dlanes.scene"]
     version: Literal[1]
@@ -191,12 +192,12 @@ class Scene(Part):
     assets: Assets = Assets()
 
     def stream(self, name: str) -> np.random.Generator:
-        """The random numbers for what the scene leaves to its renderer, such as `clouds`."""
+        """Random numbers for details that the scene does not store, such as `clouds`."""
         return stream(self.seed, self.split, self.index, name)
 
     @model_validator(mode="after")
     def _has_its_models(self) -> "Scene":
-        """Every number of a model, texture or sky is one that there is."""
+        """Check that all model, texture and sky numbers exist."""
         used: list[tuple[str, AssetKind, int]] = [
             *((f"cars.{i}.model", "cars", car.model) for i, car in enumerate(self.cars)),
             *((f"trees.{i}.model", "trees", tree.model) for i, tree in enumerate(self.trees)),
@@ -211,7 +212,7 @@ class Scene(Part):
 
     @model_validator(mode="after")
     def _has_its_lanes(self) -> "Scene":
-        """The host and every car are in a lane that there is where they stand."""
+        """Check that the lanes of host and cars exist at their stations."""
         present = self.road.lanes_present(self.camera.y_m)
         if self.camera.lane > present:
             raise ValueError(

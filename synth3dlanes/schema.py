@@ -1,4 +1,4 @@
-"""What all files that people may write are checked with: strict pydantic models, and one line for each problem."""
+"""Validation of files that people may edit: strict pydantic models, and one line per problem."""
 
 from typing import Annotated
 

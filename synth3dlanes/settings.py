@@ -1,11 +1,11 @@
-"""How a scene is rendered: everything about the pictures that is not in the scene itself. No bpy."""
+"""Render settings: everything about the pictures that is not in the scene itself. No bpy."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from synth3dlanes.errors import InputError
 
-# Passes of the image's own pixels, and beside them the height map over the road plane.
+# Passes with the image's pixels, and all passes: these and the height map over the road plane.
 PIXEL_PASSES = ("depth", "normal", "semantic", "instance")
 PASSES = (*PIXEL_PASSES, "height")
 DEVICES = ("auto", "cpu", "cuda", "optix", "hip", "oneapi", "metal")
@@ -15,7 +15,7 @@ QUALITY_SAMPLES = {"draft": 2, "standard": 4, "high": 8}
 
 @dataclass(frozen=True)
 class RenderSettings:
-    """Samples per pixel, passes to return beside the image, and the Cycles device."""
+    """Samples per pixel, passes to render in addition to the image, and the Cycles device."""
 
     samples: int = QUALITY_SAMPLES["standard"]
     passes: tuple[str, ...] = ()
@@ -24,14 +24,14 @@ class RenderSettings:
 
 @dataclass(frozen=True)
 class Device:
-    """Something that Cycles can render on; `kind` is one of DEVICES but auto."""
+    """A device that Cycles can render on; `kind` is one of DEVICES except auto."""
 
     kind: str
     name: str
 
 
 def choose_device(asked: str, found: Sequence[Device]) -> str:
-    """The kind asked for, or for `auto` the best there is; raise InputError where it is absent."""
+    """The requested kind, or the best one found for `auto`; raise InputError if it was not found."""
     kinds = {device.kind for device in found} | {"cpu"}
     if asked != "auto" and asked not in kinds:
         names = ", ".join(f"{device.kind} ({device.name})" for device in found) or "nothing"
@@ -42,8 +42,8 @@ def choose_device(asked: str, found: Sequence[Device]) -> str:
 # Semantic ids of pixels; a material carries its id as its pass index.
 SEMANTIC_IDS = {"sky": 0, "terrain": 1, "road": 2, "shoulder": 3, "marking": 4, "car": 5, "tree": 6}
 
-# Instance ids of pixels: 0 is everything else; car i has FIRST_CAR_ID + i, the painted delimiter i in the order of the
-# labels' delimiters FIRST_DELIMITER_ID + i, tree i FIRST_TREE_ID + i. At most 2048: exact in half floats.
+# Instance ids of pixels: car i has FIRST_CAR_ID + i, delimiter i (in the order of the labels) FIRST_DELIMITER_ID + i,
+# tree i FIRST_TREE_ID + i, everything else 0. Ids up to 2048 are exact in half floats.
 FIRST_CAR_ID = 1
 FIRST_DELIMITER_ID = 200
 FIRST_TREE_ID = 300
@@ -51,5 +51,5 @@ FIRST_TREE_ID = 300
 # Depth of a pixel that hits nothing.
 NO_HIT_DEPTH_M = float("inf")
 
-# The environment variable in which workers find a folder that they share and that goes when their run ends.
+# Environment variable with the path of a folder that a run's workers share; it is removed when the run ends.
 SCRATCH = "SYNTH3DLANES_SCRATCH"

@@ -1,15 +1,15 @@
-"""Random numbers by name: whatever is drawn for a scene has a stream of its own, and moves nothing else."""
+"""Named random streams: each group of draws of a scene has its own stream, so a new draw changes no other."""
 
 import hashlib
 from collections.abc import Callable
 
 import numpy as np
 
-# From the name of what is drawn to its random numbers.
+# A function from a stream's name to its random generator.
 Streams = Callable[[str], np.random.Generator]
 
 
 def stream(seed: int, split: str, index: int, name: str) -> np.random.Generator:
-    """The random numbers of one group of parameters of one scene, independent of every other group and scene."""
+    """The random generator of one named stream of one scene, independent of all other streams and scenes."""
     digest = hashlib.sha256(f"{seed}/{split}/{index}/{name}".encode()).digest()
     return np.random.Generator(np.random.PCG64(int.from_bytes(digest[:16], "big")))

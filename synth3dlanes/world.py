@@ -1,6 +1,6 @@
-"""World: a scene resolved once, its roads, its ground and what stands on it. View: one camera at one instant in it.
+"""World: a scene resolved once into roads, ground, cars and trees. View: one camera at one instant in it.
 
-World frame, metres. Labels, meshes, masks and light are all read off a world and a view.
+World frame, metres. Labels, meshes, masks and light are all computed from a world and a view.
 """
 
 from dataclasses import dataclass
@@ -31,12 +31,12 @@ class View:
 
     @cached_property
     def road_from_cam(self) -> Matrix4:
-        """The camera over the road plane at its foot."""
+        """The camera's pose in the road frame below it."""
         return road_from_cam(self.camera.height_m, self.camera.pitch_rad, self.camera.roll_rad)
 
     @cached_property
     def world_from_cam(self) -> Matrix4:
-        """The camera in the world."""
+        """The camera's pose in the world."""
         return np.asarray(self.world_from_road @ self.road_from_cam)
 
     @property
@@ -46,25 +46,25 @@ class View:
 
     @cached_property
     def img_from_cam(self) -> Float[np.ndarray, "3 3"]:
-        """The projection of the camera's lens."""
+        """The camera's projection matrix."""
         return img_from_cam(self.camera)
 
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """What follows from a scene alone. Everything is worked out when it is first asked for, and once."""
+    """Everything that follows from a scene alone. Values are computed on first access and cached."""
 
     scene: Scene
     ground: Ground
 
     @property
     def plan(self) -> RoadPlan:
-        """Its roads."""
+        """The road plan."""
         return self.ground.plan
 
     @cached_property
     def lines(self) -> tuple[Curve, ...]:
-        """Every centre line and delimiter."""
+        """All centre lines and delimiters."""
         return curves(self.plan)
 
     @cached_property
@@ -79,28 +79,28 @@ class World:
 
     @cached_property
     def terrain(self) -> meshes.Mesh:
-        """The land, to the horizon."""
+        """The terrain, up to the horizon."""
         return meshes.terrain_mesh(self.ground)
 
     @cached_property
     def trees_world(self) -> Float[np.ndarray, "n 3"]:
-        """The feet of all trees."""
+        """The base points of all trees."""
         return tree_positions(self.ground, self.scene.trees)
 
     @cached_property
     def view(self) -> View:
-        """What the scene's camera sees, and when."""
+        """The view of the scene's camera."""
         scene, models = self.scene, self.scene.assets.car_models
         cars = tuple(world_from_car(self.plan, car, models[car.model - 1]) for car in scene.cars)
         return View(scene.camera, world_from_road(self.plan, scene.camera), cars)
 
     def paint(self, view: View) -> dict[str, meshes.Mesh]:
-        """The paint of every delimiter by its id, as it looks in place from a view."""
+        """The paint of every delimiter by id, corrected for parallax so that it looks in place from a view."""
         return paint_meshes(self.ground, self.lines, view.eye_world, self.scene.stream)
 
 
 def resolve(scene: Scene) -> World:
-    """The world of a scene."""
+    """Resolve a scene into its world."""
     plan = RoadPlan(scene.road, scene.terrain)
     hills = FarHills.draw(scene.stream("far_hills"))
     return World(scene, Ground(plan, scene.camera.y_m, scene.markings, hills))

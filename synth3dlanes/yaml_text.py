@@ -1,4 +1,4 @@
-"""Safe YAML that reports every problem: repeated keys are errors, and 1e-3 is a number (YAML 1.2).
+"""Safe YAML that reports every problem: repeated keys are errors, and 1e-3 is a number, as in YAML 1.2.
 
 No side effects.
 """
@@ -11,7 +11,7 @@ import yaml
 
 
 class _Loader(yaml.SafeLoader):
-    """PyYAML's safe loader, which silently keeps the last of two equal keys and reads 1e-3 as text, mended."""
+    """PyYAML's safe loader with two fixes: it silently keeps the last of two equal keys and reads 1e-3 as text."""
 
     def __init__(self, text: str) -> None:
         super().__init__(text)
@@ -33,7 +33,7 @@ _Loader.add_implicit_resolver(
 
 
 def read_yaml(text: str, where: str) -> tuple[Any, list[str]]:
-    """The document and its problems, one line each beginning with `where`; None where it cannot be read at all."""
+    """The document and its problems, one line each, beginning with `where`. The document is None if it is not YAML."""
     loader = _Loader(text)
     try:
         document = loader.get_single_data()

@@ -1,1 +1,1 @@
-"""Models, textures and skies: those of the project, and a user's own in their place. No Blender."""
+"""Models, textures and skies: the built-in ones, and a user's own in their place. No Blender."""

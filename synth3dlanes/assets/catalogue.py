@@ -1,7 +1,7 @@
-"""The models, textures and skies that scenes count from 1: ours, and what a user's own take the place of.
+"""The catalogue of models, textures and skies, which scenes number from 1: the built-in ones or a user's own.
 
-`blender_assets/` builds our meshes to these sizes, the sampler keeps their footprints apart, and geometry stands
-their wheels on the surface. Files of a user are measured in the same way by `blender.check_assets`. Metres.
+`blender_assets/` builds the built-in meshes to these sizes; the sampler uses the footprints, geometry the wheels.
+`blender.check_assets` measures a user's files in the same way. Metres.
 """
 
 from typing import Annotated, ClassVar, Literal
@@ -18,7 +18,7 @@ Metres = Annotated[float, Field(gt=0)]
 @dataclass(frozen=True, config=STRICT)
 class CarModel:
     """Body size and wheels: axles at y = +-wheelbase/2 from the origin, wheels at x = +-track/2, tyres on z = 0.
-    `sha256` is the digest of a user's file, empty for ours."""
+    `sha256` is the digest of a user's file, empty for a built-in model."""
 
     name: str
     length_m: Metres
@@ -50,8 +50,8 @@ class Texture:
 
 @dataclass(frozen=True, config=STRICT)
 class Sky:
-    """A picture of the whole sky; `sun_azimuth_rad` is where its sun stands, from the picture's middle column to the
-    left, which is counter-clockwise from above."""
+    """A picture of the whole sky. `sun_azimuth_rad` is the azimuth of its sun, measured from the picture's middle
+    column to the left, which is counter-clockwise seen from above."""
 
     name: str
     sun_azimuth_rad: float
@@ -79,7 +79,7 @@ TREES = (
 
 @dataclass(frozen=True, config=STRICT)
 class Assets:
-    """A user's own models, textures and skies. Of a kind that is empty, ours are taken."""
+    """A user's own models, textures and skies. The built-in ones are used for a kind that is empty."""
 
     OURS: ClassVar[dict[AssetKind, int]] = {
         "cars": len(CARS),
@@ -97,27 +97,27 @@ class Assets:
 
     @property
     def car_models(self) -> tuple[CarModel, ...]:
-        """The cars that there are."""
+        """The car models in use: the user's own, or else the built-in ones."""
         return self.cars or CARS
 
     @property
     def tree_models(self) -> tuple[TreeModel, ...]:
-        """The trees that there are."""
+        """The tree models in use: the user's own, or else the built-in ones."""
         return self.trees or TREES
 
     def count(self, kind: AssetKind) -> int:
-        """How many there are of a kind."""
+        """Number of models, textures or skies of a kind."""
         return len(self.own(kind)) or self.OURS[kind]
 
     def own(self, kind: AssetKind) -> tuple[CarModel | TreeModel | Texture | Sky, ...]:
-        """The user's own of a kind."""
+        """The user's own models, textures or skies of a kind."""
         own: tuple[CarModel | TreeModel | Texture | Sky, ...] = getattr(self, kind)
         return own
 
 
 @dataclass(frozen=True, config=STRICT)
 class Library:
-    """A folder with own assets on this machine, and what was found in it; no folder where all are ours."""
+    """A folder of a user's own assets on this machine and its contents; `folder` is "" for the built-in assets."""
 
     folder: str
     assets: Assets

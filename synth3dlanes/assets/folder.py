@@ -1,4 +1,4 @@
-"""A folder of a user's own assets: which files are there, their digests, and `assets.yaml`. Reads files; no Blender."""
+"""A folder of a user's own assets: its files, their digests, and `assets.yaml`. Reads files; no Blender."""
 
 import hashlib
 import re
@@ -24,7 +24,7 @@ SUFFIXES: dict[AssetKind, tuple[str, ...]] = {
 }
 TEXTURE_KINDS: tuple[AssetKind, ...] = ("roads", "terrains")
 ROLES = ("albedo", "roughness", "normal")
-# What the great libraries of textures call the maps, with the picture's size behind it: asphalt_02_nor_gl_2k.jpg.
+# How the common texture libraries name the maps, with the picture's size at the end: asphalt_02_nor_gl_2k.jpg.
 ROLE_WORDS = {
     "albedo": r"albedo|base_?colou?r|diffuse|diff|colou?r|col",
     "roughness": r"roughness|rough",
@@ -40,7 +40,7 @@ ROLE_NAME = re.compile(
 
 @dataclass(frozen=True)
 class TextureFiles:
-    """The maps of one texture; the normal map is OpenGL's (y up)."""
+    """The maps of one texture; the normal map follows OpenGL's convention (y up)."""
 
     albedo: Path
     roughness: Path
@@ -49,7 +49,7 @@ class TextureFiles:
 
 @dataclass(frozen=True)
 class Folder:
-    """What lies there, by kind and name in alphabetical order, and what is wrong with it or has no meaning."""
+    """The files of a folder by kind and name, in alphabetical order; its problems; and files that are not used."""
 
     models: dict[AssetKind, dict[str, Path]]
     textures: dict[AssetKind, dict[str, TextureFiles]]
@@ -58,7 +58,7 @@ class Folder:
 
 
 class CarNotes(Part):
-    """Where the wheels of a car stand, if neither names nor footprint tell."""
+    """A car's wheels, if they cannot be measured from the names of its parts or from its footprint."""
 
     wheelbase_m: Positive
     track_m: Positive
@@ -66,13 +66,13 @@ class CarNotes(Part):
 
 
 class SkyNotes(Part):
-    """Where the sun of a sky's picture stands: degrees from its middle column to the left."""
+    """The azimuth of the sun in a sky picture: degrees from its middle column to the left."""
 
     sun_azimuth_deg: Annotated[float, Field(ge=-360, le=360)]
 
 
 class Notes(Part):
-    """`assets.yaml`: what its author knows better, by the file's name without its ending."""
+    """`assets.yaml`: values that replace the measured ones, by file name without suffix."""
 
     cars: dict[str, CarNotes] = Field(default_factory=dict)
     skies: dict[str, SkyNotes] = Field(default_factory=dict)
@@ -80,7 +80,7 @@ class Notes(Part):
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the table of what was found."""
+    """One row of the table of assets found."""
 
     kind: AssetKind
     number: int
@@ -92,7 +92,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Checked:
-    """A folder that was looked through: what can be used, and what keeps it from being used."""
+    """A folder after its check: the usable assets, and the problems, which prevent its use."""
 
     assets: Assets
     rows: tuple[Row, ...] = ()
@@ -101,7 +101,7 @@ class Checked:
 
 
 def scan(root: Path) -> Folder:
-    """List the folder; raise InputError where there is none."""
+    """List the folder; raise InputError if it does not exist."""
     if not root.is_dir():
         raise InputError(f"assets {root}: expected a folder, found none")
     problems: list[str] = []
@@ -127,7 +127,7 @@ def scan(root: Path) -> Folder:
 
 
 def read_notes(root: Path, folder: Folder) -> tuple[Notes, list[str]]:
-    """`assets.yaml` and its problems, names that no file has among them."""
+    """`assets.yaml` and its problems, including names without a file."""
     path = root / NOTES
     if not path.exists():
         return Notes(), []
@@ -147,7 +147,7 @@ def read_notes(root: Path, folder: Folder) -> tuple[Notes, list[str]]:
 
 
 def digest(*paths: Path) -> str:
-    """The SHA-256 of a file's bytes; of several, that of their digests one after the other."""
+    """The SHA-256 of a file's bytes; for several files, that of their digests joined by spaces."""
     digests = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
     return digests[0] if len(digests) == 1 else hashlib.sha256(" ".join(digests).encode()).hexdigest()
 
@@ -158,7 +158,7 @@ def texture_digest(files: TextureFiles) -> str:
 
 
 def require_assets(recorded: Assets, library: Library, where: str) -> None:
-    """Raise InputError unless the folder holds what the scene was drawn for, by name and digest."""
+    """Raise InputError unless the library holds the assets that the scene was drawn for, by name and digest."""
     problems = []
     for kind in KINDS:
         expected, found = (
@@ -166,19 +166,18 @@ def require_assets(recorded: Assets, library: Library, where: str) -> None:
             for assets in (recorded, library.assets)
         )
         if expected != found:
-            holds = f"{library.folder} holds" if library.folder else "no folder of assets was given, which means"
+            wanted, given = (", ".join(names) or "the built-in ones" for names in (expected, found))
             problems.append(
-                f"{where}: expected {kind} {', '.join(expected) or 'of ours'}; {holds} {', '.join(found) or 'ours'}"
-                "; give the folder of assets that it was drawn with"
+                f"{where}: {kind}: expected {wanted}, got {given}; use the assets folder that the scene was drawn with"
             )
     if problems:
         raise InputError(*problems)
 
 
 def verified(path: Path, sha256: str) -> Path:
-    """The path of a file that is still what was checked; raise FormatError where it is not."""
+    """The path, if the file still has the digest of its check; raise FormatError otherwise."""
     if digest(path) != sha256:
-        raise FormatError(f"{path}: expected the file of digest {sha256[:12]} as checked before the run, got another")
+        raise FormatError(f"{path}: the file has changed since it was checked: expected SHA-256 {sha256[:12]}...")
     return path
 
 
@@ -187,7 +186,7 @@ def _entries(folder: Path) -> list[Path]:
 
 
 def _texture_sets(root: Path, kind: AssetKind, problems: list[str], unknown: list[str]) -> dict[str, TextureFiles]:
-    """The sets of one kind; of one that lacks a map, a problem."""
+    """The texture sets of one kind; each incomplete set adds a problem."""
     maps: dict[str, dict[str, Path]] = {}
     for path, folder_name in _texture_files(root / kind):
         relative = path.relative_to(root)
@@ -215,7 +214,7 @@ def _texture_sets(root: Path, kind: AssetKind, problems: list[str], unknown: lis
 
 
 def _texture_files(folder: Path) -> Iterator[tuple[Path, str]]:
-    """Every file with the name of its sub-folder."""
+    """Every file with the name of its sub-folder, "" for none."""
     for path in _entries(folder):
         if path.is_dir():
             yield from ((below, path.name) for below in _entries(path))

@@ -6,7 +6,7 @@ import bpy
 
 
 def drop_scratch() -> None:
-    """Remove Blender's temporary folder, which nothing here needs: Blender itself does so in an orderly exit alone."""
+    """Remove Blender's temporary folder, which is not needed here. Blender itself removes it only on a clean exit."""
     shutil.rmtree(bpy.app.tempdir, ignore_errors=True)
 
 

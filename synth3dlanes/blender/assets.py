@@ -1,4 +1,4 @@
-"""The meshes out of `blender_assets/assets.blend`."""
+"""Load meshes from `blender_assets/assets.blend`."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from synth3dlanes.errors import FormatError
 
 
 def load_meshes(names: Sequence[str]) -> tuple[bpy.types.Mesh, ...]:
-    """Append meshes with their materials; all keep a fake user and so outlive any scene."""
+    """Append meshes with their materials; each gets a fake user, so that it outlives any scene."""
     path = assets_dir() / "assets.blend"
     if not path.is_file():
         raise FormatError(f"{path}: expected the asset library, found no file; `make assets` builds it")

@@ -1,4 +1,4 @@
-"""What our renders are measured against: converged pictures, the denoiser's cost, and a pipeline without our care."""
+"""What `bench` compares renders with: converged pictures, the denoiser's cost, and Blender with its defaults."""
 
 import time
 from statistics import median
@@ -19,7 +19,7 @@ from synth3dlanes.world import World, resolve
 
 
 def reference(scene: Scene, settings: RenderSettings, library: Library) -> UInt8[np.ndarray, "h w 3"]:
-    """The scene with these samples, other random numbers than `render` takes, and nothing denoised."""
+    """The scene rendered with these settings, but another seed than `render`'s and no denoising."""
     world, light, film = _lit(scene)
     build(studio(library), world, world.view, light)
     configure(settings, film)
@@ -29,7 +29,7 @@ def reference(scene: Scene, settings: RenderSettings, library: Library) -> UInt8
 
 
 def denoise_seconds(scene: Scene, settings: RenderSettings, library: Library, repeats: int = 3) -> float:
-    """What the denoiser adds to the tracing of a scene; it depends on the picture's size alone."""
+    """The seconds that the denoiser adds to tracing; they depend on the picture's size alone."""
     world, light, film = _lit(scene)
     build(studio(library), world, world.view, light)
     configure(settings, film)
@@ -43,8 +43,8 @@ def denoise_seconds(scene: Scene, settings: RenderSettings, library: Library, re
 
 
 def naive_seconds(scene: Scene, settings: RenderSettings, library: Library, samples: int) -> float:
-    """The seconds of a render by Blender's defaults: a fresh file for each scene, a mesh of its own for each object,
-    the world's importance map, 12 bounces, the denoiser at its best. Only the samples are fewer than its 4096."""
+    """The seconds of a render with Blender's defaults: a new file for each scene, a mesh for each object, the world's
+    importance map, 12 bounces, the denoiser at its highest quality. Only `samples` differs from its default of 4096."""
     start = time.perf_counter()
     world, light, film = _lit(scene)
     build(open_studio(library), world, world.view, light)
@@ -55,7 +55,7 @@ def naive_seconds(scene: Scene, settings: RenderSettings, library: Library, samp
     bpy.context.scene.render.engine = "CYCLES"
     bpy.context.scene.cycles.samples = samples
     layer = bpy.context.scene.view_layers[0]
-    layer.use_pass_z = layer.use_pass_material_index = True  # which `read_layers` wants
+    layer.use_pass_z = layer.use_pass_material_index = True  # required by `read_layers`
     develop(scene, world.view, light, read_layers(run_cycles(), film))
     seconds = time.perf_counter() - start
     opened.cache_clear()

@@ -1,4 +1,4 @@
-"""World and View -> Blender's data: the surfaces of this world, and instances of the assets. World frame."""
+"""World and View -> Blender data: the world's surfaces, and instances of the assets. World frame."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,8 +24,8 @@ from synth3dlanes.world import View, World
 
 @dataclass(frozen=True, eq=False)
 class Studio:
-    """What every scene of a process shares, and the names of all data that must outlive a scene. `plain` is the
-    cheapest material, for renders that only need shapes."""
+    """Data shared by all scenes of a process. `kept` names all data that must outlive a scene; `plain` is the cheapest
+    material, for renders of geometry alone."""
 
     assets: LoadedAssets
     materials: Materials
@@ -36,7 +36,7 @@ class Studio:
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """An object standing in the scene: its mesh, its pose and its instance id."""
+    """A car or tree in the scene: its mesh, pose, scale and instance id."""
 
     mesh: bpy.types.Mesh
     world_from_object: Matrix4
@@ -45,7 +45,7 @@ class Placed:
 
 
 def open_studio(library: Library = BUILT_IN) -> Studio:
-    """An empty Blender with the assets loaded, once per process."""
+    """Reset Blender and load the assets, once per process."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     drop_scratch()
     bpy.context.preferences.edit.use_global_undo = False
@@ -69,9 +69,9 @@ def _plain() -> bpy.types.Material:
 
 
 def build(studio: Studio, world: World, view: View, light: Daylight, labelled: Sequence[str] = ()) -> list[Placed]:
-    """Remove the last world, add this one; return its cars and trees.
+    """Replace the previous world by this one; return its cars and trees.
 
-    Instance ids of delimiters count those in `labelled` first, in its order, then those out of the labels' range.
+    Instance ids number the delimiters in `labelled` first, in that order, then those beyond the labels' range.
     """
     clear(studio)
     scene = world.scene
@@ -89,13 +89,13 @@ def build(studio: Studio, world: World, view: View, light: Daylight, labelled: S
 
 
 def body_color(car: Car) -> tuple[float, float, float]:
-    """The colour of a car's body: as drawn, or nearer to the gray of its first channel, which may be black or white."""
+    """The colour of a car's body: its drawn colour mixed with the gray of its first channel by `saturation`."""
     red, green, blue = (car.saturation * channel + (1 - car.saturation) * car.color[0] for channel in car.color)
     return red, green, blue
 
 
 def clear(studio: Studio) -> None:
-    """Remove everything that came after the studio was opened: objects *and* meshes, or memory grows."""
+    """Remove all objects and meshes added since the studio was opened; memory would grow otherwise."""
     newer = [
         block
         for kind in ("objects", "meshes")
@@ -149,7 +149,7 @@ def new_mesh(mesh: Mesh, materials: list[bpy.types.Material]) -> bpy.types.Mesh:
     data.loops.add(4 * n_faces)
     data.polygons.add(n_faces)
     data.polygons.foreach_set("loop_start", np.arange(0, 4 * n_faces, 4, dtype=np.int32))
-    # As attributes, since loops and polygons take them one by one.
+    # As attributes: loops and polygons would need to be set one by one.
     data.attributes[".corner_vert"].data.foreach_set("value", mesh.faces.astype(np.int32).ravel())
     data.attributes.new("material_index", "INT", "FACE").data.foreach_set("value", mesh.material.astype(np.int32))
     layer = data.uv_layers.new(name="UVMap")

@@ -1,4 +1,4 @@
-"""Our camera as Blender's: the only axis flip of the project. Blender cameras look along -z with y up."""
+"""Set Blender's camera: the only axis flip of the project. Blender cameras look along -z with y up."""
 
 import bpy
 import mathutils
@@ -12,7 +12,7 @@ CLIP_M = (0.05, 2e4)
 
 
 def set_camera(camera_object: bpy.types.Object, camera: Camera, world_from_cam: Matrix4) -> None:
-    """Place the camera and give it the scene's intrinsics; unequal focal lengths become the pixel's aspect."""
+    """Set the camera's pose and intrinsics; unequal focal lengths are set as pixel aspect."""
     camera_object.matrix_world = mathutils.Matrix((world_from_cam @ CAM_FROM_BLENDER).tolist())
     lens = camera_object.data
     lens.sensor_fit = "HORIZONTAL"
@@ -20,7 +20,7 @@ def set_camera(camera_object: bpy.types.Object, camera: Camera, world_from_cam: 
     lens.lens = camera.fx_px * lens.sensor_width / camera.width_px
     lens.clip_start, lens.clip_end = CLIP_M
     aspect = camera.fx_px / camera.fy_px
-    # Shifts are fractions of the sensor's width; Blender's centre is ours, (W/2, H/2).
+    # Shifts are fractions of the sensor's width; Blender's centre is (W/2, H/2) too.
     lens.shift_x = (camera.width_px / 2 - camera.cx_px) / camera.width_px
     lens.shift_y = (camera.cy_px - camera.height_px / 2) * aspect / camera.width_px
     render = bpy.context.scene.render

@@ -1,6 +1,6 @@
-"""Looks through a folder of own assets: measures what is right, and says of everything else what is wrong with it.
+"""Check a folder of a user's own assets: measure usable files, and report the problems of the others.
 
-For a process of its own: it empties Blender for every file.
+Run it in a separate process: it resets Blender for every file.
 """
 
 import math
@@ -31,10 +31,11 @@ from synth3dlanes.imaging.user_sky import brightest_azimuth
 
 CAR_LENGTH_M, TREE_HEIGHT_M = (2.5, 20.0), (0.3, 60.0)
 TRIANGLES: dict[ModelKind, int] = {"car": 15_000, "tree": 10_000}
-TOO_MANY = 10  # times as many are an error
-# A car's lowest point may be so far from z = 0: it is moved there. A tree's roots may go so far below it.
+TOO_MANY = 10  # this many times the limit is an error
+# A car's lowest point may be this far from z = 0; it is moved there. A tree may start this far above z = 0, or its
+# roots reach this share of its height below it.
 STANDS_M, FLOATS_M, ROOTS = 0.05, 0.02, 0.15
-# Tyres without a name are what is so near to the ground; without tyres, shares of the body's size.
+# Unnamed tyres are the vertices this close to the ground; without any, the wheels are these shares of the body's size.
 CONTACT_M, WHEELBASE, TRACK, WHEEL_RADIUS = 0.03, 0.6, 0.84, 0.2
 MIN_TEXTURE_PX = 256
 DECIMALS = 4  # of metres
@@ -43,7 +44,7 @@ UNITS = ((100.0, "centimetres"), (1000.0, "millimetres"), (39.37, "inches"), (0.
 
 @dataclass
 class Findings:
-    """What was found so far."""
+    """The assets, problems and warnings found so far."""
 
     rows: list[Row] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
@@ -51,11 +52,11 @@ class Findings:
 
 
 def check_folder(root: Path) -> Checked:
-    """Everything about a folder; raise InputError where there is none."""
+    """Check a folder; raise InputError if it does not exist."""
     folder = scan(root)
     notes, note_problems = read_notes(root, folder)
     found = Findings(problems=[*folder.problems, *note_problems])
-    found.warnings += [f"{name}: not used: its name or ending says nothing here" for name in folder.unknown]
+    found.warnings += [f"{name}: not used: unknown name or suffix" for name in folder.unknown]
     cars = [_car(name, path, notes, found) for name, path in folder.models["cars"].items()]
     trees = [_tree(name, path, found) for name, path in folder.models["trees"].items()]
     assets = Assets(
@@ -128,7 +129,7 @@ def _tree(name: str, path: Path, found: Findings) -> TreeModel | None:
 
 
 def _model(path: Path, kind: ModelKind, where: str, found: Findings) -> Imported | None:
-    """The file's mesh in an empty Blender; None and a problem where it cannot be used."""
+    """The file's mesh in an empty Blender; None, with a problem added, if it cannot be used."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     try:
         imported = import_model(path, kind, "model")
@@ -149,12 +150,12 @@ def _model(path: Path, kind: ModelKind, where: str, found: Findings) -> Imported
 
 
 def _lost_pictures(where: str) -> Iterator[str]:
-    """Pictures that would be pink elsewhere: all must be inside the file."""
+    """Pictures that are not packed into the file; they would be missing on another machine."""
     for image in bpy.data.images:
         if image.source in ("FILE", "SEQUENCE", "TILED", "MOVIE") and not image.packed_files:
             yield f"{where}: expected its pictures packed (File > External Data > Pack Resources), got {image.filepath}"
         elif image.source == "FILE" and not image.size[0]:
-            yield f"{where}: expected a picture {image.name}, cannot read it"
+            yield f"{where}: cannot read its picture {image.name}"
 
 
 def _out_of_scale(where: str, what: str, metres: float, limits: tuple[float, float]) -> list[str]:
@@ -167,8 +168,8 @@ def _out_of_scale(where: str, what: str, metres: float, limits: tuple[float, flo
 
 
 def _wheels(points: Float[np.ndarray, "v 3"], named: Float[np.ndarray, "n 3"]) -> tuple[float, float, float]:
-    """Wheelbase, track and radius: from the vertices of what is named wheel*, else from what touches the ground, else
-    shares of the body's size."""
+    """Wheelbase, track and radius: from the vertices of parts named wheel*, else from the vertices at the ground, else
+    as shares of the body's size."""
     width_m, length_m, height_m = (points.max(axis=0) - points.min(axis=0)).tolist()
     radius_m = min(WHEEL_RADIUS * height_m, 0.5)
     for tyres, is_whole in ((named, True), (points[points[:, 2] < CONTACT_M], False)):
@@ -197,7 +198,7 @@ def _textures(folder: Folder, kind: AssetKind, found: Findings) -> Iterator[Text
 
 
 def _picture_size(path: Path) -> tuple[tuple[int, int], str]:
-    """A texture's size in pixels, and what is wrong with it."""
+    """A texture's size in pixels, and its problem ("" for none)."""
     try:
         with Image.open(path) as picture:
             picture.load()

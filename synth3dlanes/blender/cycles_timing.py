@@ -1,6 +1,6 @@
-"""Where the time of a render goes, from what Cycles tells of itself while it works (bpy.app.handlers.render_stats).
+"""Seconds per stage of a render, from Cycles' status messages (bpy.app.handlers.render_stats).
 
-Cycles tells what it begins, so a stage lasts until the next begins. The marks themselves cost microseconds.
+Cycles reports the start of each stage, so a stage lasts until the next one starts. Recording costs microseconds.
 """
 
 import time
@@ -10,21 +10,22 @@ from itertools import pairwise
 
 import bpy
 
-# The words with which a stage begins, in their order; "after" is copying the result out.
+# How the message at the start of each stage begins, in order; "after" is copying the result.
 BEGINNINGS = {"Updating Scene": "bvh", "Sample 0/": "tracing", "Finished": "after"}
 
 
 @contextmanager
 def cycles_stages() -> Iterator[dict[str, float]]:
-    """Seconds of the first render that runs inside, once it is left: `sync` (Blender's scene to Cycles'), `bvh` (search
-    trees, textures, the rest of the device's scene), `tracing` (all samples and the denoiser), `after`."""
+    """Time the first render inside the block; the seconds are set when the block ends: `sync` (Blender's scene to
+    Cycles'), `bvh` (search trees, textures, the rest of the device's scene), `tracing` (samples and denoiser),
+    `after`."""
     marks: dict[str, float] = {}
     stages: dict[str, float] = {}
 
     def begin(_: object, __: object) -> None:
         marks.setdefault("sync", time.perf_counter())
 
-    def tell(status: str) -> None:
+    def mark(status: str) -> None:
         words = status.rpartition("ViewLayer | ")[2]
         for beginning, stage in BEGINNINGS.items():
             if words.startswith(beginning):
@@ -34,7 +35,7 @@ def cycles_stages() -> Iterator[dict[str, float]]:
         marks.setdefault("end", time.perf_counter())
 
     handlers = bpy.app.handlers
-    hooks = [(handlers.render_init, begin), (handlers.render_stats, tell), (handlers.render_post, end)]
+    hooks = [(handlers.render_init, begin), (handlers.render_stats, mark), (handlers.render_post, end)]
     for hook, function in hooks:
         hook.append(function)
     try:

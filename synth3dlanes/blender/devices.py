@@ -8,14 +8,14 @@ from synth3dlanes.settings import Device, choose_device
 
 
 def found_devices() -> tuple[Device, ...]:
-    """Everything that Cycles finds on this machine; GPUs show up only once asked for."""
+    """All devices that Cycles finds on this machine; GPUs appear only after a refresh."""
     preferences = _preferences()
     preferences.refresh_devices()
     return tuple(Device(device.type.lower(), device.name) for device in preferences.devices)
 
 
 def use_device(asked: str) -> None:
-    """Render on this kind of device, on all of it that the process sees; raise InputError where there is none."""
+    """Render on all visible devices of this kind; raise InputError if there is none."""
     kind = "cpu" if asked == "cpu" else choose_device(asked, found_devices())
     preferences, options = _preferences(), bpy.context.scene.cycles
     options.device = "CPU" if kind == "cpu" else "GPU"

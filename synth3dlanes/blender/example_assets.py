@@ -1,7 +1,7 @@
-"""An example of a folder for --assets, made from code (see docs/assets.md).
+"""Write an example folder of a user's own assets (see docs/assets.md).
 
-A box-shaped car (.glb), a round tree (.blend), a road and a terrain texture, and a small sky (.hdr). For a process of
-its own: it empties Blender for every file.
+A box-shaped car (.glb), a round tree (.blend), a road and a terrain texture, and a small sky (.hdr). Run it in a
+separate process: it resets Blender for every file.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ SUN_AZIMUTH_DEG = 90.0  # from the middle column of the sky's picture to the lef
 
 
 def make_example(folder: Path) -> None:
-    """Write everything."""
+    """Write the example assets into a folder."""
     for kind in ("cars", "trees", "roads", "terrains/moss", "skies"):
         (folder / kind).mkdir(parents=True, exist_ok=True)
     car(folder / "cars" / "box.glb")
@@ -31,7 +31,7 @@ def make_example(folder: Path) -> None:
 
 
 def car(path: Path) -> None:
-    """A body that takes the scene's paint, windows that keep their own, and four wheels by name."""
+    """A body with the scene's paint colour, windows with a fixed colour, and four named wheels."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     body_z_m = (0.2 + 0.95) / 2
     box("body", (WIDTH_M, LENGTH_M, 0.75), (0, 0, body_z_m), material("paint", (0.8, 0.8, 0.8)))
@@ -54,7 +54,7 @@ def car(path: Path) -> None:
 
 
 def tree(path: Path) -> None:
-    """A trunk from below the ground on, and a ball of leaves."""
+    """A trunk that starts below the ground, and a ball of leaves."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     box("trunk", (0.25, 0.25, TRUNK_M + 0.5), (0, 0, TRUNK_M / 2), material("bark", (0.12, 0.08, 0.05)))
     bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=4, radius=CROWN_M, location=(0, 0, TREE_M - CROWN_M))
@@ -78,7 +78,7 @@ def material(name: str, color: tuple[float, float, float]) -> bpy.types.Material
 
 
 def texture(folder: Path, prefix: str, color: tuple[float, float, float], size_px: int = 512) -> None:
-    """Albedo, roughness and normal map of grains; it tiles."""
+    """Albedo, roughness and normal map of a grainy surface that tiles."""
     rng = np.random.default_rng(7)
     height = sum(
         gaussian_filter(rng.standard_normal((size_px, size_px)), sigma, mode="wrap") * sigma for sigma in (1, 4, 16)
@@ -91,12 +91,12 @@ def texture(folder: Path, prefix: str, color: tuple[float, float, float], size_p
 
 
 def save(path: Path, values: Float[np.ndarray, "..."]) -> None:
-    """Write 0..1 as an 8-bit picture."""
+    """Write values in 0..1 as an 8-bit picture."""
     Image.fromarray((255 * np.clip(values, 0, 1)).round().astype(np.uint8)).save(path)
 
 
 def sky(path: Path, height_px: int = 256) -> None:
-    """A dome that reddens to the horizon, with a sun in it."""
+    """A sky with a sun, redder towards the horizon."""
     elevation = np.pi * ((np.arange(height_px) + 0.5) / height_px - 0.5)[:, None, None]
     azimuth = np.pi - np.pi * (np.arange(2 * height_px)[:, None] + 0.5) / height_px
     low, high = np.array([1.4, 0.8, 0.5]), np.array([0.2, 0.35, 0.8])
@@ -105,7 +105,7 @@ def sky(path: Path, height_px: int = 256) -> None:
     pixels = np.ones((height_px, 2 * height_px, 4), np.float32)
     pixels[..., :3] = np.where(elevation > 0, radiance, 0.2) + 50 * np.exp(-apart / 0.002)
     image = bpy.data.images.new("sky", 2 * height_px, height_px, float_buffer=True)
-    image.colorspace_settings.name = "Non-Color"  # radiance as it is
+    image.colorspace_settings.name = "Non-Color"  # linear radiance
     image.pixels.foreach_set(pixels.ravel())
     image.file_format, image.filepath_raw = "HDR", str(path)
     image.save()

@@ -1,4 +1,4 @@
-"""Sun, sky and haze as Blender's: the daylight as one equirectangular image and a lamp."""
+"""Sun, sky and haze in Blender: the daylight as an equirectangular image and a lamp."""
 
 from collections.abc import Sequence
 
@@ -13,15 +13,15 @@ from synth3dlanes.imaging.sky import SKY_SHAPE, sun_direction
 from synth3dlanes.imaging.user_sky import UserSky, hang
 from synth3dlanes.scene import Scene
 
-SUN_ANGLE_RAD = 0.0093  # the sun's diameter
-CLOUD_SPREAD_RAD = 0.3  # and what a closed layer of clouds adds to it
+SUN_ANGLE_RAD = 0.0093  # angular diameter of the sun
+CLOUD_SPREAD_RAD = 0.3  # added to it by a closed layer of clouds
 HAZE_PASS = "haze"
 
 
 def make_world() -> None:
     """Make the scene's world and sun, once per process.
 
-    The sampling method must be set here: Cycles builds its 4k importance map for a world that had another one first.
+    The sampling method must be set here: Cycles builds its 4k importance map for a world that ever had another method.
     """
     world = bpy.data.worlds.new("sky")
     world.cycles.sampling_method = "NONE"
@@ -39,8 +39,8 @@ def make_world() -> None:
 
 
 def add_haze() -> None:
-    """Let every material there is write the pass `haze`, once per process: red is 1 - exp(-distance x extinction),
-    green 1, so that both are 0 in the sky and antialiased as the picture is."""
+    """Add the output `haze` to every existing material, once per process: red is 1 - exp(-distance x extinction), green
+    is 1, so that both are 0 in the sky and antialiased as the picture is."""
     group = bpy.data.node_groups.new(HAZE_PASS, "ShaderNodeTree")
     graph = Graph(group)
     distance_m = graph.node("ShaderNodeCameraData").outputs["View Distance"]
@@ -55,7 +55,7 @@ def add_haze() -> None:
 
 
 def set_light(scene: Scene, light: Daylight, skies: Sequence[UserSky]) -> None:
-    """Point and colour the sun, repaint the sky and set the air for one scene."""
+    """Set the sun's direction and colour, the sky image and the haze for one scene."""
     pixels = np.ones((*SKY_SHAPE, 4), np.float32)
     sky = hang(skies[scene.sky - 1], scene, light) if scene.sky else light.sky
     pixels[..., :3] = np.moveaxis(sky, 0, -1)

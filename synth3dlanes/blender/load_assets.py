@@ -1,4 +1,4 @@
-"""What every scene of a process is put together from: ours, or a user's own in its place. One load a process."""
+"""Load the meshes, textures and skies of a process: the built-in ones, or a user's own. Done once per process."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +18,7 @@ NOTHING = Folder({}, {}, (), ())
 
 @dataclass(frozen=True, eq=False)
 class LoadedAssets:
-    """One mesh a model and one set of files a texture, in the order of their numbers; a car's object sets
+    """One mesh per model and one set of files per texture, in the order of their numbers. A car's object must set
     `color = (r, g, b, gloss)`."""
 
     cars: tuple[bpy.types.Mesh, ...]
@@ -29,7 +29,7 @@ class LoadedAssets:
 
 
 def load_assets(library: Library = BUILT_IN) -> LoadedAssets:
-    """Load all models; raise FormatError where a file is no longer the one that was checked."""
+    """Load all assets; raise FormatError if a file has changed since it was checked."""
     folder = scan(Path(library.folder)) if library.folder else NOTHING
     own = library.assets
     return LoadedAssets(
@@ -45,7 +45,7 @@ def load_assets(library: Library = BUILT_IN) -> LoadedAssets:
 
 
 def our_texture(name: str) -> TextureFiles:
-    """A texture of ours, in the folder of textures."""
+    """A built-in texture; paths are relative to the textures folder."""
     return TextureFiles(*(Path(f"{name}_{role}.jpg") for role in ROLES))
 
 
@@ -56,9 +56,9 @@ def _own_meshes(
     meshes = []
     for model in models:
         path = verified(_path(folder, kind, model.name), model.sha256)
-        # Search trees are kept by the mesh's name, so it must tell this file from any other.
+        # `occlusion` caches search trees by mesh name, so the name must be unique to this file.
         imported = import_model(path, singular, f"{model.name}-{model.sha256[:12]}")
-        assert imported is not None, "the check refuses files without a surface"
+        assert imported is not None, "check_folder rejects files without a surface"
         meshes.append(imported.mesh)
     return tuple(meshes)
 
@@ -68,12 +68,12 @@ def _own_textures(folder: Folder, kind: AssetKind, textures: tuple[Texture, ...]
     for texture in textures:
         files = folder.textures[kind].get(texture.name)
         if files is None or texture_digest(files) != texture.sha256:
-            raise FormatError(f"{kind}/{texture.name}: expected the files that were checked before the run, got others")
+            raise FormatError(f"{kind}/{texture.name}: its files have changed since they were checked")
         found.append(files)
     return tuple(found)
 
 
 def _path(folder: Folder, kind: AssetKind, name: str) -> Path:
     if name not in folder.models[kind]:
-        raise FormatError(f"{kind}/{name}: expected the file that was checked before the run, found none")
+        raise FormatError(f"{kind}/{name}: the file has been removed since it was checked")
     return folder.models[kind][name]

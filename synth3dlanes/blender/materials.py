@@ -1,4 +1,4 @@
-"""Materials of ground, road and paint: made once per process, tuned per scene through node values.
+"""Materials of ground, road and paint: made once per process, adjusted per scene through node values.
 
 Every mesh carries a UV layer "UVMap" in metres: terrain (world x, world y), road and shoulder (right of the road's
 middle, along it), paint (across, along). A material's `pass_index` is its semantic id.
@@ -24,19 +24,19 @@ SCALE_LENGTH_M = 100.0
 WEAR_LENGTH_M = 48.0  # the wear maps show two lanes by this length
 SHOULDER_TILES = 30.0  # as a texture scale
 ROAD_TILE_M, ROAD_ROUGHNESS = 5.0, 0.8  # of the road that shows through rubbed paint
-# Cycles has no mipmaps: far terrain fades to its texture's mean (linear), or the grain would alias at few samples.
+# Cycles has no mipmaps: far terrain fades to its texture's mean (linear), because fine texture aliases at few samples.
 BLUR_DISTANCE_M = 160.0
-MACRO_TILES = 20.0  # and the maps of growth fade over so many of their tiles, before their repetition shows
-# Traffic paint as shares of its grayscale, linear.
+MACRO_TILES = 20.0  # the large-scale maps fade out over this many tiles, before their repetition is visible
+# Colours of traffic paint as shares of its grayscale, linear.
 WHITE, YELLOW = (1.0, 1.0, 1.0), (1.0, 0.56, 0.06)
 TERRAIN_MEANS = {"terrain_1": (0.103, 0.109, 0.052), "terrain_2": (0.249, 0.179, 0.11)}
-# Woods on far terrain (linear): patches of hundreds of metres that begin here and are whole at twice the distance.
+# Woods on far terrain (linear): patches of hundreds of metres that fade in from this distance to twice it.
 WOODS, WOODS_LENGTH_M, WOODS_FROM_M = (0.035, 0.045, 0.025), 2900.0, 220.0
 
 
 @dataclass(frozen=True, eq=False)
 class Materials:
-    """Road and terrain materials by texture type, counted from 0 here."""
+    """Road, shoulder and terrain materials by texture number minus 1, and the paints."""
 
     roads: tuple[bpy.types.Material, ...]
     shoulders: tuple[bpy.types.Material, ...]
@@ -46,7 +46,7 @@ class Materials:
 
 
 def make_materials(roads: Sequence[TextureFiles], terrains: Sequence[TextureFiles]) -> Materials:
-    """Build all of them with their textures; call once per process."""
+    """Build all materials with their textures; call once per process."""
     return Materials(
         tuple(_road(f"road_{k + 1}", files) for k, files in enumerate(roads)),
         (_gravel_shoulder(), _paved_shoulder()),
@@ -57,7 +57,7 @@ def make_materials(roads: Sequence[TextureFiles], terrains: Sequence[TextureFile
 
 
 def set_materials(materials: Materials, scene: Scene) -> None:
-    """Turn the knobs for one scene: texture scale and direction, gloss, lane width, paint."""
+    """Set the values of one scene: texture scale and direction, gloss, lane width, paint, wetness."""
     surface, angle_rad = scene.surface, scene.surface.texture_orientation_rad
     lane_width_m, parity = scene.road.lane_width_m, scene.road.n_lanes % 2
     for road in materials.roads:
@@ -89,7 +89,7 @@ def _set(material: bpy.types.Material, name: str, value: float) -> None:
 
 
 def _orient(material: bpy.types.Material, texture_scale: float, angle_rad: float) -> None:
-    """Scale and turn the texture, and turn the bumps of its normal map back into the world."""
+    """Scale and rotate the texture, and rotate the tilt from its normal map back to world axes."""
     tiles_per_m = texture_scale / SCALE_LENGTH_M
     uv, tilt = (material.node_tree.nodes[name].inputs for name in ("tile_uv", "tilt"))
     uv["Scale"].default_value = (tiles_per_m, tiles_per_m, 1)
@@ -120,8 +120,8 @@ def _tile_uv(graph: Graph) -> Any:
 
 
 def _road(name: str, files: TextureFiles) -> bpy.types.Material:
-    """Fine texture times the lane-aligned wear map, a user's times that of fresh asphalt; a rough coat that `gloss`
-    polishes."""
+    """Fine texture times a lane-aligned wear map (for a user's texture, that of fresh asphalt), under a coat whose
+    smoothness is `gloss`."""
     material, graph = new_material(name, SEMANTIC_IDS["road"])
     uv = _tile_uv(graph)
     wear_uv = graph.node("ShaderNodeMapping", {"Vector": _metres(graph)}, name="wear_uv").outputs[0]
@@ -145,7 +145,7 @@ def _albedo(graph: Graph, file: Path | str, uv: Any) -> Any:
 
 
 def _gravel_shoulder() -> bpy.types.Material:
-    """Gravel, matt when dry."""
+    """Gravel, matte when dry."""
     material, graph = new_material("shoulder", SEMANTIC_IDS["shoulder"])
     uv = _tile_uv(graph)
     macro_uv = graph.scale(_metres(graph), 1 / 17.0)
@@ -158,7 +158,7 @@ def _gravel_shoulder() -> bpy.types.Material:
 
 
 def _paved_shoulder() -> bpy.types.Material:
-    """The road's own pavement without its traffic: no wheel paths, dust in patches."""
+    """The road's own pavement without wear: no wheel paths, patches of dust."""
     material, graph = new_material("paved_shoulder", SEMANTIC_IDS["shoulder"])
     uv = _tile_uv(graph)
     dust = texture(graph, "terrain_macro.jpg", graph.scale(_metres(graph), 1 / 23.0), is_color=False)
@@ -169,7 +169,7 @@ def _paved_shoulder() -> bpy.types.Material:
 
 
 def _terrain(name: str, files: TextureFiles) -> bpy.types.Material:
-    """Fine texture times two scales of a map of growth and dryness, so that no hill looks like a carpet."""
+    """Fine texture times a map of growth and dryness at two scales, so that hills do not look uniform."""
     material, graph = new_material(name, SEMANTIC_IDS["terrain"])
     uv, metres = _tile_uv(graph), _metres(graph)
     fine = texture(graph, files.albedo, uv, is_color=True)
@@ -189,7 +189,7 @@ def _terrain(name: str, files: TextureFiles) -> bpy.types.Material:
 
 
 def _far_woods(graph: Graph, metres: Any, distance_m: Any) -> Any:
-    """Where far terrain is dark with woods or scrub, 0..1: without it a plain is one carpet to the horizon."""
+    """Share 0..1 of dark woods or scrub on far terrain; a plain would look uniform to the horizon without it."""
     patches = texture(graph, "terrain_macro.jpg", graph.scale(metres, 1 / WOODS_LENGTH_M), is_color=False)
     begun = graph.clamp(graph.math("MULTIPLY_ADD", distance_m, 1 / WOODS_FROM_M, -1.0))
     return graph.math("MULTIPLY", begun, graph.clamp(graph.math("MULTIPLY_ADD", patches, -9.0, 4.7)))
@@ -205,7 +205,7 @@ def mean_color(file: Path) -> tuple[float, float, float]:
 
 
 def _marking(name: str, tint: tuple[float, float, float]) -> bpy.types.Material:
-    """Paint of the sampled grayscale and gloss, thin in places, and bare road where it is rubbed off."""
+    """Paint with the scene's grayscale and gloss, thin in places, and bare road where it is rubbed off."""
     material, graph = new_material(name, SEMANTIC_IDS["marking"])
     cover = texture(graph, "marking_cover.jpg", graph.scale(_metres(graph), 1 / 5.0), is_color=False)
     shade = graph.math("MULTIPLY", graph.math("MULTIPLY", graph.value("grayscale"), 0.85), cover)

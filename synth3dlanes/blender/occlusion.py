@@ -1,6 +1,6 @@
-"""What cars and trees hide: rays against their true meshes. World frame; no rendering.
+"""Occlusion by cars and trees: rays against their rendered meshes. World frame; no rendering.
 
-Each asset's mesh gets one search tree per process; a ray is brought into an object's own frame.
+Each asset's mesh gets one search tree per process; rays are transformed into the object's frame.
 """
 
 from collections.abc import Callable
@@ -16,16 +16,17 @@ from synth3dlanes.blender.build import Placed
 from synth3dlanes.frames import inside_image, invert, project, transform
 from synth3dlanes.labels import Labels
 
-# A point on the road is not hidden by what touches it from beyond this distance.
+# Rays end this far before the point, so that surfaces touching the point do not hide it.
 END_M = 0.02
-# Rays across a car's bounding sphere, each way: some 60 of them meet a car, so that a share is good to a few per cent.
+# Rays per side of the grid over a car's bounding sphere. About 60 of them hit the car, so shares are accurate to a few
+# per cent.
 SILHOUETTE_RAYS = 16
 
 
 def hidden_by_objects(
     placed: list[Placed], eye_world: Float[np.ndarray, "3"], points_world: Float[np.ndarray, "n 3"]
 ) -> Bool[np.ndarray, " n"]:
-    """True where a car or a tree stands on the straight line from the eye to the point."""
+    """True where a car or a tree is on the straight line from the eye to the point."""
     hidden = np.zeros(len(points_world), dtype=bool)
     near = _rays_near(placed, eye_world, points_world)
     for item, candidates in zip(placed, near, strict=True):
@@ -49,7 +50,7 @@ def seen_fractions(
     labels: Labels,
     seen_over_ground: Callable[[Float[np.ndarray, "n 3"]], Bool[np.ndarray, " n"]],
 ) -> tuple[float, ...]:
-    """For each car the share of its silhouette that is inside the image and behind neither ground nor objects."""
+    """For each car, the share of its silhouette that is inside the image and not hidden by ground or objects."""
     camera = labels.camera
     eye = camera.world_from_cam[:3, 3]
     nothing = np.zeros((0, 3))
@@ -64,7 +65,7 @@ def seen_fractions(
 
 
 def _reaches_image(car: Placed, labels: Labels) -> bool:
-    """Whether the car's bounding sphere reaches across all four sides of the view."""
+    """Whether the car's bounding sphere reaches into the view frustum."""
     center, radius = _bounding_sphere(car.mesh.name)
     camera = labels.camera
     center_cam = transform(invert(camera.world_from_cam), transform(car.world_from_object, center * car.scale))
@@ -75,7 +76,7 @@ def _reaches_image(car: Placed, labels: Labels) -> bool:
 
 
 def _silhouette(car: Placed, eye_world: Float[np.ndarray, "3"]) -> Float[np.ndarray, "n 3"]:
-    """World points of the car's surface as seen from the eye, on an even grid over its bounding sphere's disc."""
+    """World points on the car's surface where a regular grid of rays from the eye hits it."""
     center, radius = _bounding_sphere(car.mesh.name)
     eye = transform(invert(car.world_from_object), eye_world) / car.scale
     forward = center - eye
@@ -95,7 +96,7 @@ def _silhouette(car: Placed, eye_world: Float[np.ndarray, "3"]) -> Float[np.ndar
 def _rays_near(
     placed: list[Placed], eye_world: Float[np.ndarray, "3"], points_world: Float[np.ndarray, "n 3"]
 ) -> Bool[np.ndarray, "o n"]:
-    """Which rays pass through which object's bounding sphere before they end."""
+    """Which rays pass through each object's bounding sphere before they end."""
     spheres = [_bounding_sphere(item.mesh.name) for item in placed]
     centers = np.array(
         [

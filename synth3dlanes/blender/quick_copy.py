@@ -1,4 +1,4 @@
-"""Copies of textures that Cycles reads quickest: it reads every file anew for every render. Workers alone have them.
+"""Uncompressed copies of textures for worker processes: Cycles reads every file again for every render.
 
 Decoding JPEG costs 2 % of an image at the default settings. Packing a file into Blender costs more than it saves.
 """
@@ -15,8 +15,8 @@ from synth3dlanes.settings import SCRATCH
 
 
 def quick_copy(file: Path) -> Path:
-    """An uncompressed copy of a JPEG in the folder that the workers of a run share, made by the first to ask; the file
-    itself where there is no such folder or no room in it."""
+    """An uncompressed copy of a JPEG in the scratch folder that a run's workers share, created on first use. Returns
+    the file itself if there is no such folder or the copy fails."""
     scratch = os.environ.get(SCRATCH)
     if scratch is None or file.suffix.lower() not in (".jpg", ".jpeg"):
         return file

@@ -1,4 +1,4 @@
-"""World and View -> radiance and id layers, and the last masks of the labels. With Cycles: docs/decisions.md."""
+"""World and View -> radiance and id layers, and the labels' `object_visible`. Why Cycles: docs/decisions.md."""
 
 import os
 import time
@@ -22,13 +22,13 @@ from synth3dlanes.labels import Labels
 from synth3dlanes.settings import NO_HIT_DEPTH_M, RenderSettings
 from synth3dlanes.world import View, World
 
-# Cycles writes 1e10 where a ray hits nothing.
+# Cycles writes 1e10 where a ray hits nothing; larger depths than this count as that.
 CYCLES_NO_HIT = 1e9
 
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
-    """Layers, the labels with `object_visible`, and seconds spent by stage."""
+    """Layers, the labels with `object_visible`, and the seconds per stage."""
 
     layers: Layers
     labels: Labels
@@ -39,7 +39,7 @@ opened = lru_cache(maxsize=1)(open_studio)
 
 
 def studio(library: Library = BUILT_IN) -> Studio:
-    """This process's Blender with the assets in it; those of another library take their place."""
+    """The studio of this process with the library's assets; another library replaces it."""
     return opened(library)
 
 
@@ -90,7 +90,7 @@ def configure(settings: RenderSettings, film: float) -> None:
     use_device(settings.device)
     blender.render.threads_mode = "FIXED"
     blender.render.threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    # Kept for the second render that normals need, and for no longer: it hides changes between scenes.
+    # Only for the second render that normals need, because persistent data ignores changes between scenes.
     blender.render.use_persistent_data = "normal" in settings.passes
     blender.render.use_compositing = False
     blender.render.use_sequencer = False
@@ -118,7 +118,8 @@ def configure(settings: RenderSettings, film: float) -> None:
 
 
 def run_cycles() -> dict[str, np.ndarray]:
-    """Render and read every pass in memory: `Render Result` has no pixels without a window, and files are slow."""
+    """Render and return every pass. `Render Result` has no pixels without a window and files are slow, so the passes
+    are read from the render engine."""
     layers: dict[str, np.ndarray] = {}
     original = cycles.CyclesRender.render
 
@@ -129,7 +130,7 @@ def run_cycles() -> dict[str, np.ndarray]:
             render_pass.rect.foreach_get(pixels)
             layers[render_pass.name] = pixels.reshape(result.resolution_y, result.resolution_x, -1)[::-1]
 
-    # A lambda: Blender counts the arguments of what it calls, and a decorator (of shape checks) would hide them.
+    # A lambda: Blender counts the callback's arguments, and a decorator (of shape checks) would hide them.
     cycles.CyclesRender.render = lambda engine, depsgraph: read_passes(engine, original(engine, depsgraph))
     try:
         bpy.ops.render.render()
@@ -139,7 +140,7 @@ def run_cycles() -> dict[str, np.ndarray]:
 
 
 def read_layers(passes: dict[str, np.ndarray], film: float) -> Layers:
-    """Cycles' passes as layers. Depth and ids are those of the first sample, at the pixel's very centre."""
+    """Cycles' passes as layers. Depth and ids are those of the first sample, at the pixel's centre."""
     depth = passes["Depth"][..., 0]
     return Layers(
         radiance=passes["Combined"][..., :3] / np.float32(film),
@@ -152,7 +153,7 @@ def read_layers(passes: dict[str, np.ndarray], film: float) -> Layers:
 
 def _normals(world_from_cam: Matrix4, plain: bpy.types.Material) -> np.ndarray:
     """Camera-frame unit normals at the pixels' centres, zero in the sky. Cycles averages normals over a pixel's
-    samples, so they take a render of their own: one sample, no light."""
+    samples, so they need a separate render with one sample and no light."""
     blender = bpy.context.scene
     layer = blender.view_layers[0]
     layer.material_override, layer.use_pass_normal = plain, True

@@ -1,6 +1,6 @@
-"""A small vocabulary for building Cycles node graphs: cheap diffuse plus gloss, and sums of nodes.
+"""Helpers for building Cycles node graphs, and cheap shaders: diffuse plus a glossy coat.
 
-Principled BSDF costs 10 to 20 % of a render more than these (docs/decisions.md).
+Renders with Principled BSDF take 10 to 20 % longer (docs/decisions.md).
 """
 
 from pathlib import Path
@@ -11,11 +11,11 @@ import bpy
 from synth3dlanes.assets.built_in import assets_dir
 from synth3dlanes.blender.quick_copy import quick_copy
 
-Socket = Any  # a socket, a number or a tuple: what a node input takes
+Socket = Any  # an output socket, a number or a tuple: the value of a node input
 
 
 class Graph:
-    """Writes one node tree; each method adds a node and returns it or its output."""
+    """Builds one node tree; each method adds a node and returns it or its output."""
 
     def __init__(self, tree: Any) -> None:
         self.tree = tree
@@ -57,7 +57,7 @@ class Graph:
         return self.node("ShaderNodeVectorMath", {0: a, "Scale": factor}, operation="SCALE").outputs[0]
 
     def clamp(self, a: Socket) -> Any:
-        """A number, kept within 0..1."""
+        """A number clamped to 0..1."""
         return self.node("ShaderNodeClamp", {0: a}).outputs[0]
 
     def mix(self, a: Socket, b: Socket, factor: Socket) -> Any:
@@ -89,7 +89,7 @@ def new_material(name: str, semantic_id: int) -> tuple[bpy.types.Material, Graph
 
 
 def texture(graph: Graph, file: Path | str, vector: Socket, is_color: bool) -> Any:
-    """The colour output of a repeating texture: one of ours, or any file by its absolute path."""
+    """The colour output of a repeating texture: a built-in one by name, or any file by its absolute path."""
     image = bpy.data.images.load(str(quick_copy(assets_dir() / "textures" / file)), check_existing=True)
     image.colorspace_settings.name = "sRGB" if is_color else "Non-Color"
     return graph.node("ShaderNodeTexImage", {"Vector": vector}, image=image).outputs["Color"]
@@ -98,7 +98,7 @@ def texture(graph: Graph, file: Path | str, vector: Socket, is_color: bool) -> A
 def coated(
     graph: Graph, color: Socket, roughness: Socket, amount: Socket, ior: float = 1.45, normal: Socket | None = None
 ) -> None:
-    """Diffuse under a reflecting coat: the coat's share is `amount` times the Fresnel reflectance."""
+    """Diffuse under a glossy coat; the coat's share is `amount` times the Fresnel reflectance."""
     bend: dict[str | int, Socket] = {} if normal is None else {"Normal": normal}
     base = graph.node("ShaderNodeBsdfDiffuse", {"Color": color, **bend})
     coat = graph.node("ShaderNodeBsdfAnisotropic", {"Color": (1.0, 1.0, 1.0), "Roughness": roughness, **bend})
@@ -108,8 +108,8 @@ def coated(
 
 
 def car_paint(graph: Graph) -> None:
-    """Body paint: the object's colour (a display value, hence the gamma) under a clear coat of the object's gloss.
-    It reads `object.color = (r, g, b, gloss)`."""
+    """Body paint: the object's colour (a display value, hence the gamma) under a clear coat with the object's gloss.
+    Reads `object.color = (r, g, b, gloss)`."""
     info = graph.node("ShaderNodeObjectInfo")
     color = graph.node("ShaderNodeGamma", {"Color": info.outputs["Color"], "Gamma": 2.0})
     dim = graph.mix_color(color.outputs[0], (0.02, 0.02, 0.02), 0.12)

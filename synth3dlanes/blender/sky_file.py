@@ -1,4 +1,4 @@
-"""A user's picture of the sky, read by Blender: HDR or EXR."""
+"""Read a user's sky picture (HDR or EXR) with Blender."""
 
 from pathlib import Path
 
@@ -11,14 +11,16 @@ from synth3dlanes.imaging.user_sky import resized
 
 
 def read_sky(path: Path) -> Float[np.ndarray, "3 h w"]:
-    """The picture's upper half at the size of our dome; raise FormatError where it is none."""
+    """The picture's upper half at the size of the built-in dome; raise FormatError if it is not a sky picture."""
     image = bpy.data.images.load(str(path))
     try:
         width, height = image.size
         if width == 0:
-            raise FormatError(f"{path.name}: expected a picture, cannot read it")
+            raise FormatError(f"{path.name}: cannot read the picture")
         if width != 2 * height:
-            raise FormatError(f"{path.name}: expected twice as wide as high (equirectangular), got {width}x{height}")
+            raise FormatError(
+                f"{path.name}: expected a picture twice as wide as high (equirectangular), got {width}x{height}"
+            )
         pixels = np.zeros(width * height * image.channels, dtype=np.float32)
         image.pixels.foreach_get(pixels)
     finally:

@@ -1,7 +1,7 @@
-"""A user's .blend and .glb files: each becomes one mesh with its materials, as our own models are.
+"""Import a user's .blend and .glb files, each as one mesh with its materials, like the built-in models.
 
-The model's own frame: metres, x right, y forward, z up. A car is moved so that its middle and its lowest point are the
-origin; a tree stays as it is.
+Model frame: metres, x right, y forward, z up. A car is moved so that its middle is at x = y = 0 and its lowest point at
+z = 0; a tree is not moved.
 """
 
 from collections.abc import Iterator
@@ -24,7 +24,7 @@ WHEEL = "wheel"
 
 @dataclass(frozen=True, eq=False)
 class Imported:
-    """One mesh, how far it was moved, and the vertices of what is named wheel*."""
+    """One mesh, the translation that was applied to it, and the vertices of parts named wheel*."""
 
     mesh: bpy.types.Mesh
     moved: Float[np.ndarray, "3"]
@@ -32,9 +32,9 @@ class Imported:
 
 
 def import_model(path: Path, kind: ModelKind, name: str) -> Imported | None:
-    """Everything in a file that has a surface, as one mesh; None where nothing has.
+    """All surfaces of a file as one mesh; None if it has none.
 
-    Raises RuntimeError or OSError, as Blender does, where the file cannot be read.
+    Raises Blender's RuntimeError or OSError if the file cannot be read.
     """
     before = {group: set(getattr(bpy.data, group)) for group in ("objects", "meshes", "collections")}
     _append(path)
@@ -64,7 +64,7 @@ def points_of(mesh: bpy.types.Mesh) -> Float[np.ndarray, "v 3"]:
 
 
 def _append(path: Path) -> None:
-    """Put a file's objects into the scene."""
+    """Add a file's objects to the scene."""
     if path.suffix.lower() == ".glb":
         bpy.ops.import_scene.gltf(filepath=str(path), loglevel=50)
         return
@@ -75,7 +75,8 @@ def _append(path: Path) -> None:
 
 
 def _parts() -> Iterator[tuple[bpy.types.Mesh, Float[np.ndarray, "n 3"]]]:
-    """Every visible surface of the scene with modifiers applied and in the file's frame, and its wheels' vertices."""
+    """Every visible surface of the scene, with modifiers applied, in the file's frame, and the vertices of its
+    wheels."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
     shown = [
         (instance.object.original, instance.matrix_world.copy())
@@ -95,7 +96,8 @@ def _parts() -> Iterator[tuple[bpy.types.Mesh, Float[np.ndarray, "n 3"]]]:
 
 
 def _wheel_vertices(item: bpy.types.Object, mesh: bpy.types.Mesh) -> list[int]:
-    """All of an object that is named wheel*, as is one above it; or those in vertex groups named so."""
+    """All vertices of an object if it or one of its parents is named wheel*; else those in vertex groups named
+    wheel*."""
     above = item
     while above is not None:
         if above.name.lower().startswith(WHEEL):
@@ -106,7 +108,7 @@ def _wheel_vertices(item: bpy.types.Object, mesh: bpy.types.Mesh) -> list[int]:
 
 
 def _joined(meshes: list[bpy.types.Mesh]) -> bpy.types.Mesh:
-    """All meshes as one; Blender keeps materials, normals and coordinates."""
+    """Join all meshes into one; Blender keeps materials, normals and texture coordinates."""
     items = [bpy.data.objects.new("part", mesh) for mesh in meshes]
     for item in items:
         bpy.context.scene.collection.objects.link(item)
@@ -117,7 +119,8 @@ def _joined(meshes: list[bpy.types.Mesh]) -> bpy.types.Mesh:
 
 
 def _set_materials(mesh: bpy.types.Mesh, kind: ModelKind) -> None:
-    """Give every material its semantic id, body paint the scene's colour, and bare parts a gray."""
+    """Set the semantic id of every material, use the scene's colour for body paint, and gray for parts without
+    material."""
     if not mesh.materials or None in list(mesh.materials):
         gray, graph = new_material("bare", SEMANTIC_IDS[kind])
         graph.surface(graph.node("ShaderNodeBsdfDiffuse", {"Color": (0.3, 0.3, 0.3)}))

@@ -1,5 +1,5 @@
-"""What water and traffic do to pavement and paint, as node groups that vanish at 0: Cycles folds constants away, so a
-dry scene with whole paint costs and shows nothing of this."""
+"""Water on pavement and worn paint, as shader nodes without effect at 0: Cycles folds constants, so they cost nothing
+in a dry scene with intact paint."""
 
 from functools import cache
 from typing import Any, NamedTuple
@@ -11,18 +11,19 @@ from PIL import Image
 from synth3dlanes.assets.built_in import assets_dir
 from synth3dlanes.blender.shaders import Graph, Socket, texture
 
-# Water lies deeper where this map is dark: hollows of metres.
+# Scale of the map of hollows: water is deeper where it is dark.
 HOLLOW_LENGTH_M = 13.0
-# From this wetness on there are puddles; under a film, pavement keeps this share of its albedo.
+# The wetness at which puddles begin, and the share of its albedo that pavement keeps under a film of water.
 PUDDLES_FROM, WET_ALBEDO = 0.5, 0.45
 FILM_ROUGHNESS, PUDDLE_ROUGHNESS = 0.22, 0.03
-# Paint is rubbed off where two scales of one map, in metres a tile, add up to little; its border is this soft.
+# Paint is rubbed off where the weighted sum of one map at two scales (metres per tile) is low; RUB_SOFTNESS is the
+# width of the transition.
 RUB_LENGTHS_M, RUB_WEIGHTS, RUB_SOFTNESS = (0.9, 6.5), (0.6, 0.4), 0.06
 MAP = "terrain_macro.jpg"
 
 
 class Look(NamedTuple):
-    """What `coated` takes: colour, roughness and share of the coat, and the normal."""
+    """The inputs of `coated`: colour, roughness and share of the coat, and the normal."""
 
     color: Socket
     roughness: Socket
@@ -31,7 +32,7 @@ class Look(NamedTuple):
 
 
 def wet(graph: Graph, dry: Look) -> Look:
-    """The look under water, by the node value `wetness`: darker and smoother under a film, a mirror in puddles."""
+    """The wet look, controlled by the node value `wetness`: darker and smoother under a film, a mirror in puddles."""
     wetness = graph.value("wetness")
     position = graph.node("ShaderNodeNewGeometry").outputs["Position"]
     hollow = texture(graph, MAP, graph.scale(position, 1 / HOLLOW_LENGTH_M), is_color=False)
@@ -39,7 +40,7 @@ def wet(graph: Graph, dry: Look) -> Look:
     level = graph.math("MULTIPLY_ADD", wetness, 0.5, -PUDDLES_FROM / 2)
     deep = graph.clamp(graph.math("MULTIPLY", graph.math("SUBTRACT", graph.math("ADD", level, 0.28), hollow), 14.0))
     puddle = graph.math("MULTIPLY", film, deep)
-    # Damp stone is dark before it shines.
+    # Pavement darkens at less water than it takes to shine.
     shine, dark = graph.math("MULTIPLY", film, film), graph.math("MULTIPLY", film, graph.math("SUBTRACT", 2.0, film))
     smooth = graph.math("MAXIMUM", graph.math("MULTIPLY", film, 0.6), puddle)
     roughness = graph.mix(graph.mix(dry.roughness, FILM_ROUGHNESS, shine), PUDDLE_ROUGHNESS, puddle)
@@ -53,7 +54,7 @@ def wet(graph: Graph, dry: Look) -> Look:
 
 
 def rubbed(graph: Graph) -> Any:
-    """Where paint has been rubbed off, 0..1, by the node values `rub_level` and `is_rubbed`."""
+    """Share 0..1 of rubbed-off paint, controlled by the node values `rub_level` and `is_rubbed`."""
     position = graph.node("ShaderNodeNewGeometry").outputs["Position"]
     height: Any = 0.0
     for length_m, weight in zip(RUB_LENGTHS_M, RUB_WEIGHTS, strict=True):
@@ -65,13 +66,13 @@ def rubbed(graph: Graph) -> Any:
 
 
 def rub_level(share: float) -> float:
-    """The value of `rub_level` at which `rubbed` is `share` in the mean."""
+    """The value of `rub_level` at which the mean of `rubbed` is `share`."""
     return float(np.quantile(_heights(), share))
 
 
 @cache
 def _heights() -> Float[np.ndarray, " n"]:
-    """A sample of the heights that `rubbed` compares with its level, softened as its border is."""
+    """A sample of the heights that `rubbed` compares with its level, with noise for its soft transition."""
     with Image.open(assets_dir() / "textures" / MAP) as picture:
         values = np.asarray(picture.convert("RGB"), float).mean(axis=2).ravel() / 255
     rng = np.random.default_rng(0)

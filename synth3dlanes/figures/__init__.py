@@ -1,1 +1,1 @@
-"""Pictures, tables and pages for people; nothing else in the project depends on them."""
+"""Pictures, tables and HTML pages for people."""

@@ -1,11 +1,11 @@
-"""The colours that every figure shares, so that a line means the same thing in all of them."""
+"""The colours shared by all figures."""
 
 from synth3dlanes.labels import LaneKind
 
 Rgb = tuple[int, int, int]
 
 KINDS: dict[LaneKind, Rgb] = {"centerline": (0, 190, 255), "delimiter": (255, 45, 110)}
-"""Blue and red, readable on asphalt, grass and sky alike, and told apart by colour-blind eyes."""
+"""Blue and red: visible on asphalt, grass and sky, and distinguishable with colour blindness."""
 
 ROAD = "#c9ced6"
 GROUND = "#a9c29a"
@@ -16,5 +16,5 @@ FRUSTUM = "#f2b705"
 
 
 def hexadecimal(color: Rgb) -> str:
-    """The colour as matplotlib, HTML and rich spell it."""
+    """The colour as `#rrggbb`, for matplotlib, HTML and rich."""
     return "#{:02x}{:02x}{:02x}".format(*color)

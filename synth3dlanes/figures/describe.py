@@ -1,4 +1,4 @@
-"""What a scene and its labels say, as groups of (name, value) in words and units a driver would use."""
+"""A scene and its labels as groups of (name, value), in readable words and units."""
 
 import math
 from collections import Counter
@@ -17,7 +17,7 @@ LANE_COLUMNS = ("lane", "kind", "road", "marking", "points", "image", "ground", 
 
 
 def describe(scene: Scene, labels: Labels) -> dict[str, Facts]:
-    """Everything worth a line, by group: source, road, shape, camera, light, objects, paint and surface."""
+    """A summary by group: source, road, shape, camera, light, air, sensor, objects, paint and surface."""
     return {
         "drawn from": {"seed": str(scene.seed), "split": scene.split, "index": str(scene.index)},
         "road": _road(scene, labels),
@@ -59,7 +59,7 @@ def describe(scene: Scene, labels: Labels) -> dict[str, Facts]:
 
 
 def topology_words(road: Road) -> str:
-    """The plan of the road after its flips, as the host meets it: "merge from the left, two-lane exit"."""
+    """The road's topology after its flips, as the host sees it: "merge from the left, two-lane exit"."""
     if road.topology == 1:
         return "one road, no exit"
     junction = "merge from" if road.flip_lateral else "split to"
@@ -77,8 +77,8 @@ def topology_words(road: Road) -> str:
 
 
 def lane_row(lane: Lane) -> tuple[str, ...]:
-    """A lane by `LANE_COLUMNS`: all its points, those in the image, of them those over the ground, of them those
-    that no object hides ("-" before rendering), and how far it is seen."""
+    """A lane's row in `LANE_COLUMNS`: counts of all points, of those in the image, of those among them that the ground
+    does not hide, of those that no object hides either ("-" before rendering), and the farthest visible distance."""
     objects = "-" if lane.object_visible is None else str(int(lane.visible.sum()))
     reach = f"{lane.xyz_cam[lane.visible, 1].max():.0f} m" if lane.visible.any() else "-"
     in_image, over_ground = int(lane.in_image.sum()), int((lane.in_image & lane.terrain_visible).sum())
@@ -87,7 +87,7 @@ def lane_row(lane: Lane) -> tuple[str, ...]:
 
 
 def heights_over_road_plane(labels: Labels) -> tuple[float, float]:
-    """The lowest and the highest lane point above the plane of the road at the host."""
+    """The least and the greatest height of a lane point over the plane of the road at the host."""
     points_cam = np.concatenate([lane.xyz_cam for lane in labels.lanes])
     heights_m = transform(labels.camera.road_from_cam, points_cam)[:, 2]
     return round(float(heights_m.min()), 3) + 0.0, round(float(heights_m.max()), 3) + 0.0
@@ -125,7 +125,7 @@ def _shape(scene: Scene, labels: Labels) -> Facts:
 
 
 def _extreme(values: list[Float[np.ndarray, " _"]]) -> float:
-    """The value that is farthest from 0; 0 where there is none."""
+    """The value farthest from 0; 0 if there is none."""
     return float(max(np.concatenate(values), key=abs, default=0.0))
 
 

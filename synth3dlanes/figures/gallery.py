@@ -1,4 +1,4 @@
-"""Many images on one sheet."""
+"""Contact sheets of several images."""
 
 from collections.abc import Sequence
 
@@ -15,7 +15,7 @@ _GAP_PX = 4
 def draw_gallery(
     images: Sequence[UInt8[np.ndarray, "h w 3"]], labels: Sequence[Labels] | None, columns: int
 ) -> Image.Image:
-    """A contact sheet, row by row from the top left, every cell the size of the first image; lanes drawn if given."""
+    """A contact sheet, row by row from the top left, with cells of the first image's size; draws lanes if given."""
     assert images
     assert columns > 0
     height_px, width_px = images[0].shape[:2]

@@ -1,4 +1,4 @@
-"""One scene explained: a summary for the terminal and a figure for the eye."""
+"""One scene explained: a summary for the terminal, and a figure."""
 
 import numpy as np
 from jaxtyping import UInt8
@@ -31,7 +31,7 @@ def summary(scene: Scene, labels: Labels) -> RenderableType:
 
 
 def draw_inspect(scene: Scene, labels: Labels, image: UInt8[np.ndarray, "h w 3"] | None) -> Figure:
-    """The image, the scene in space, from above and from the side, on one page; without an image, lanes alone."""
+    """One page with the image and the scene in 3D, from above and from the side; without an image, lanes alone."""
     view = SceneView(scene, labels)
     figure = Figure(figsize=(15, 14.5), layout="constrained")
     grid = figure.add_gridspec(3, 2, height_ratios=(9.5, 8.5, 4), width_ratios=(1, 1))

@@ -1,4 +1,4 @@
-"""Lanes drawn on an image, exactly where the camera of the labels sees them."""
+"""Draw lanes on an image, where the labels' camera projects them."""
 
 import itertools
 from collections.abc import Iterator
@@ -12,16 +12,16 @@ from synth3dlanes.frames import project
 from synth3dlanes.labels import CameraLabel, Labels, Lane
 
 NEAR_M = 0.5
-"""Nothing closer than this is drawn: a point in the camera's own plane has no image."""
+"""Points closer than this are not drawn: points in the camera's plane cannot be projected."""
 
 _SUPERSAMPLING = 4
 _HIDDEN_OPACITY = 0.6
 
 
 def draw_overlay(image: UInt8[np.ndarray, "h w 3"], labels: Labels) -> UInt8[np.ndarray, "h w 3"]:
-    """The image with its lanes: solid where they are seen, dotted where the ground or an object hides them.
+    """The image with its lanes: solid where they are visible, dotted where the ground or an object hides them.
 
-    The image may be a resized copy; the lines follow its size. Centre lines lie under delimiters.
+    The image may be resized; the lines are scaled with it. Delimiters are drawn over centre lines.
     """
     height_px, width_px = image.shape[:2]
     scale = np.array([width_px / labels.camera.width_px, height_px / labels.camera.height_px])
@@ -38,9 +38,9 @@ def draw_overlay(image: UInt8[np.ndarray, "h w 3"], labels: Labels) -> UInt8[np.
 
 
 def stretches_img(camera: CameraLabel, lane: Lane) -> Iterator[tuple[bool, Float[np.ndarray, "n 2"]]]:
-    """The lane in the image as polylines (is_seen, points), cut where it goes out of sight or comes into it.
+    """The lane in the image as polylines (is_seen, points), split where its visibility changes.
 
-    A line that crosses the border of the image is drawn across it: its mask there says "outside", not "hidden".
+    A line that crosses the border of the image is drawn across it: points beyond it are outside, not hidden.
     """
     in_front = lane.xyz_cam[:, 1] > NEAR_M
     in_image = lane.in_image & in_front
@@ -63,7 +63,7 @@ def _draw_lane(
     draw: ImageDraw.ImageDraw, camera: CameraLabel, lane: Lane, scale: Float[np.ndarray, "2"], thickness_px: float
 ) -> None:
     for is_seen, points_img in stretches_img(camera, lane):
-        # Pillow draws through whole pixels; an odd width lies evenly about them.
+        # Pillow draws along whole pixels; an odd width is centred on them.
         points = np.floor(points_img * scale * _SUPERSAMPLING)
         width = 2 * round(thickness_px * _SUPERSAMPLING / 2) + 1
         if is_seen:
@@ -75,7 +75,7 @@ def _draw_lane(
 
 
 def _dots(points: Float[np.ndarray, "n 2"], spacing: int) -> list[tuple[float, float]]:
-    """Points evenly spaced along a polyline, its start among them."""
+    """Points evenly spaced along a polyline, beginning with its start."""
     travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     at = np.arange(0.0, travelled[-1], spacing)
     return [(float(u), float(v)) for u, v in zip(*(np.interp(at, travelled, axis) for axis in points.T), strict=True)]

@@ -1,4 +1,4 @@
-"""Pages for a browser: one scene, or a whole data set. Each is a single file that loads nothing from anywhere."""
+"""HTML pages of one scene or a whole data set. Each is a single file without external resources."""
 
 import base64
 import io
@@ -30,7 +30,7 @@ _MASKS = {"seen": "#17a34a", "hidden by the ground": "#f59e0b", "hidden by objec
 
 
 def scene_page(scene: Scene, labels: Labels, image: Picture | None) -> str:
-    """One scene: the image with lanes and masks to switch on and off, the scene in space, and all its parameters."""
+    """One scene: the image with lanes and masks that can be switched on and off, a 3D view, and all parameters."""
     title = f"seed {scene.seed}, {scene.split} {scene.index}: {topology_words(scene.road)}"
     picture = f'<div><div class="bar">{_switches([labels])}</div>{_svg(labels, image)}</div>'
     space = '<div><div class="bar" id="space-bar"></div><canvas id="space"></canvas></div>'
@@ -51,7 +51,8 @@ def scene_page(scene: Scene, labels: Labels, image: Picture | None) -> str:
 def report_page(
     title: str, samples: Sequence[tuple[str, Picture, Labels]], scenes: SceneStatistics, labels: LabelStatistics
 ) -> str:
-    """A data set: some of its samples (name, image, labels), its distributions, and declared against drawn."""
+    """A data set: some of its samples (name, image, labels), its distributions, and its parameters as declared and as
+    drawn."""
     cards = "".join(
         f"<figure>{_svg(sample, image)}<figcaption>{escape(name)}</figcaption></figure>"
         for name, image, sample in samples
@@ -81,7 +82,7 @@ def report_page(
 
 
 def _page(title: str, body: str) -> str:
-    """A whole document around a body; its policy forbids the browser every connection."""
+    """A complete HTML document with this body; its security policy forbids all network connections."""
     web = files("synth3dlanes.figures") / "web"
     style, script = ((web / name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
     policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
@@ -95,7 +96,7 @@ def _page(title: str, body: str) -> str:
 
 
 def _svg(labels: Labels, image: Picture | None) -> str:
-    """The image under its lanes (classes: lane, the kind, seen or hidden) and the points of each mask."""
+    """The image with its lanes (classes: lane, the kind, seen or hidden) and the points of each mask on top."""
     size = f"{labels.camera.width_px} {labels.camera.height_px}"
     width, height = labels.camera.width_px, labels.camera.height_px
     below = "" if image is None else f'<image width="{width}" height="{height}" href="{_jpeg(image)}"></image>'
@@ -120,7 +121,7 @@ def _points(stretch: Float[np.ndarray, "n 2"]) -> str:
 
 
 def _dots(labels: Labels, mask: str) -> str:
-    """The points in the image that a mask names, one dot each."""
+    """One dot for each point in the image to which a mask applies."""
     dots = []
     for lane in labels.lanes:
         behind_ground = ~lane.terrain_visible
@@ -132,7 +133,7 @@ def _dots(labels: Labels, mask: str) -> str:
 
 
 def _switches(labels: Iterable[Labels]) -> str:
-    """Check boxes for the images: lanes by kind, hidden stretches, and one for each mask (off at first)."""
+    """Check boxes for the images: lanes by kind, hidden stretches, and one for each mask (initially off)."""
     masks = dict(_MASKS)
     if any(lane.object_visible is None for one in labels for lane in one.lanes):
         del masks["hidden by objects"]
@@ -188,7 +189,7 @@ def _table(
     numbers_from: int = 99,
     bad: set[str] | frozenset[str] = frozenset(),
 ) -> str:
-    """A table; cells from column `numbers_from` on are set as numbers, rows whose first cell is in `bad` in red."""
+    """A table; columns from `numbers_from` on are formatted as numbers, rows whose first cell is in `bad` are red."""
 
     def cells(tag: str, row: Sequence[str]) -> str:
         return "".join(

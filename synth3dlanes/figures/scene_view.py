@@ -1,4 +1,4 @@
-"""The solid things of a scene as outlines in the road frame at the host: roads, ground, cars, trees."""
+"""Outlines of a scene's roads, ground, cars and trees, in the road frame at the host."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -31,7 +31,7 @@ class CarOutline:
 
 @dataclass(frozen=True)
 class TreeOutline:
-    """Foot, crown radius and height."""
+    """Base point, crown radius and height."""
 
     foot_road: Float[np.ndarray, "3"]
     radius_m: float
@@ -40,7 +40,7 @@ class TreeOutline:
 
 @dataclass(frozen=True)
 class SceneView:
-    """A scene seen from its host, as far ahead as its labels reach."""
+    """A scene in the road frame of its host, as far ahead as its labels reach."""
 
     scene: Scene
     labels: Labels
@@ -63,13 +63,13 @@ class SceneView:
 
     @cached_property
     def _stations(self) -> Float[np.ndarray, " n"]:
-        """Plan stations along the window, in driving order."""
+        """Plan stations from BEHIND_M to AHEAD_M, in driving order."""
         y_m = self.scene.camera.y_m
         return self.plan.plan_station(np.arange(y_m - BEHIND_M, y_m + AHEAD_M + 0.5))
 
     @cached_property
     def roads(self) -> dict[str, tuple[Points3, Points3]]:
-        """Both edges of each road, shoulders included: "main" and, where one is near, "exit"."""
+        """Both edges of each road, shoulders included: "main" and, if one is in range, "exit"."""
         plan, s = self.plan, self._stations
         left, right = plan.main_xy(s, -self.ground.edge_m), plan.main_xy(s, self.ground.main_right_edge(s))
         edges_world = {"main": (plan.lift(left), plan.lift(right))}
@@ -91,7 +91,7 @@ class SceneView:
 
     @property
     def ramp_foot(self) -> Float[np.ndarray, "3"] | None:
-        """Where the exit begins to leave the terrain; None where it never does or where that is out of view."""
+        """The point where the exit starts to rise from the terrain; None if the labels have no ramp."""
         start_s_m = self.labels.graph.ramp_start_s_m
         if start_s_m is None:
             return None
@@ -99,7 +99,7 @@ class SceneView:
         return np.asarray(transform(self.road_from_world, foot_world)[0])
 
     def ground_grid(self, half_width_m: float, step_m: float) -> Float[np.ndarray, "rows columns 3"]:
-        """The ground as built on a grid over the window: rows go forward, columns to the right."""
+        """The ground as built on a grid from BEHIND_M to AHEAD_M: rows go forward, columns to the right."""
         y, x = np.meshgrid(
             np.arange(-BEHIND_M, AHEAD_M + step_m / 2, step_m),
             np.arange(-half_width_m, half_width_m + step_m / 2, step_m),

@@ -1,4 +1,4 @@
-"""How lanes climb and bend, read off labels over lengths that their rounding cannot disturb."""
+"""Grade and curvature of labelled lanes, measured over lengths at which rounding does not matter."""
 
 import numpy as np
 from jaxtyping import Float
@@ -10,13 +10,13 @@ _BASELINE_POINTS = 5
 
 
 def grades(lane: Lane, labels: Labels) -> Float[np.ndarray, " n"]:
-    """Rise over run along the lane against true vertical; up is positive. Empty for a lane too short to tell."""
+    """Rise over run along the lane, relative to true vertical; up is positive. Empty for a lane that is too short."""
     steps = _steps_world(lane, labels)
     return np.asarray(steps[:, 2] / np.hypot(steps[:, 0], steps[:, 1]))
 
 
 def bends(lane: Lane, labels: Labels) -> Float[np.ndarray, " n"]:
-    """Curvature seen from above in 1/m; to the right is positive. Empty for a lane too short to tell."""
+    """Curvature seen from above in 1/m; to the right is positive. Empty for a lane that is too short."""
     steps = _steps_world(lane, labels)
     headings = np.unwrap(np.arctan2(steps[:, 0], steps[:, 1]))
     lengths = np.hypot(steps[:, 0], steps[:, 1])

@@ -1,4 +1,4 @@
-"""A scene as coloured triangles for the 3D view of a page: the very meshes that are rendered. Road frame."""
+"""A scene as coloured triangles for the 3D view of a page, from the meshes that are rendered. Road frame."""
 
 import base64
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ _LEAVES, _TRUNK = (62, 118, 62), (96, 74, 52)
 
 @dataclass(frozen=True, eq=False)
 class Triangles:
-    """One thing to switch on and off: vertices, a colour each, and triangles of vertex numbers."""
+    """One group that the page can switch on and off: vertices, a colour per vertex, and triangles of vertex indices."""
 
     name: str
     vertices_road: Float[np.ndarray, "v 3"]
@@ -45,7 +45,7 @@ class Triangles:
 
 
 def triangles(view: SceneView) -> list[Triangles]:
-    """Everything in a scene near the host, by name."""
+    """The groups of everything near the host."""
     world = view.world
     surfaces = [_mesh(view, mesh, _VERGE) for mesh in world.verges]
     roads = [_mesh(view, mesh, _ASPHALT) for mesh in world.pavement]
@@ -83,7 +83,7 @@ def _quads(vertices_road: Float[np.ndarray, "v 3"], quads: Int[np.ndarray, "f 4"
 
 
 def _lanes(view: SceneView, kind: LaneKind) -> list[Triangles]:
-    """Each lane as a narrow ribbon, paler where it is not seen."""
+    """Each lane as a narrow ribbon, paler where it is not visible."""
     ribbons = []
     for lane in view.labels.lanes:
         if lane.kind != kind:
@@ -127,7 +127,7 @@ def _tree(tree: TreeOutline) -> list[Triangles]:
 
 
 def _camera(view: SceneView) -> Triangles:
-    """The pyramid that the image spans."""
+    """The camera's frustum as a pyramid."""
     camera = view.labels.camera
     corners_img = np.array(
         [[0, 0, 1], [camera.width_px, 0, 1], [camera.width_px, camera.height_px, 1], [0, camera.height_px, 1]]
@@ -139,7 +139,7 @@ def _camera(view: SceneView) -> Triangles:
 
 
 def _merge(name: str, parts: list[Triangles]) -> Triangles:
-    """Several parts as one, under a name."""
+    """Several parts as one group with a name."""
     if not parts:
         return Triangles(name, np.zeros((0, 3)), np.zeros((0, 3), dtype=int), np.zeros((0, 3), dtype=int))
     starts = np.cumsum([0, *(len(part.vertices_road) for part in parts[:-1])])

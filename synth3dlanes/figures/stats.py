@@ -1,4 +1,4 @@
-"""Declared against drawn: does every parameter of a set of scenes follow its distribution, and what do labels show?"""
+"""Statistics of scenes and labels: whether each parameter follows its declared distribution, and label quantities."""
 
 import dataclasses
 import json
@@ -28,17 +28,17 @@ CONDITIONED = {
     "trees.x_m": "kept off roads",
     "trees.y_m": "kept off roads",
 }
-"""Parameters whose drawn values are not meant to keep the declared distribution, only its range; and why."""
+"""Parameters whose drawn values need to keep the declared range but not the distribution, with the reason."""
 
 _ROUNDING = 1e-4
-"""Scenes hold radians rounded to 1e-6, which is this many degrees at most."""
+"""Scenes hold radians rounded to 1e-6; this is an upper bound of the error in degrees."""
 
 
 @dataclass(frozen=True)
 class ParameterStatistics:
     """One parameter: what was declared, what was drawn, and how well they agree.
 
-    `test` is "KS" (continuous), "chi2" (discrete), "equal" (constant) or the reason why none is due.
+    `test` is "KS" (continuous), "chi2" (discrete), "equal" (constant) or the reason why there is none.
     """
 
     key: str
@@ -89,7 +89,7 @@ class LabelStatistics:
 
 
 def scene_statistics(scenes: Iterable[Scene], params: Params) -> SceneStatistics:
-    """Compare every parameter with its declared distribution. Keeps all drawn values: some 15 kB a scene."""
+    """Compare every parameter with its declared distribution. Keeps all drawn values: about 15 kB per scene."""
     collected: dict[str, list[Values]] = defaultdict(list)
     topologies: Counter[str] = Counter()
     n_scenes = 0
@@ -108,7 +108,7 @@ def scene_statistics(scenes: Iterable[Scene], params: Params) -> SceneStatistics
 
 
 def drawn_values(scene: Scene) -> dict[str, list[float]]:
-    """Every value that a scene holds for each parameter, by the parameter's key and in its units."""
+    """All values of each parameter in a scene, by the parameter's key and in its units."""
     values: dict[str, list[float]] = {}
     for group in ("road", "markings", "surface", "camera", "light", "air", "sensor"):
         part = getattr(scene, group)
@@ -131,7 +131,7 @@ def drawn_values(scene: Scene) -> dict[str, list[float]]:
 
 
 def label_statistics(labels: Iterable[Labels]) -> LabelStatistics:
-    """Slope, bend, visibility and number of lanes over all images."""
+    """Grade, curvature, visibility and number of lanes over all images."""
     collected: dict[str, list[Values]] = defaultdict(list)
     n_images = 0
     for one in labels:
@@ -155,7 +155,7 @@ def to_json(scenes: SceneStatistics, labels: LabelStatistics | None) -> str:
 
 
 def form(distribution: Distribution) -> str:
-    """A distribution as the parameter files write it."""
+    """A distribution as it is written in parameter files."""
     if isinstance(distribution, Choice):
         if len(distribution.values) == 1:
             return str(distribution.values[0]).lower()

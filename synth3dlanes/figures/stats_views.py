@@ -1,4 +1,4 @@
-"""Statistics for the eye: tables for the terminal and one page of plots."""
+"""Statistics as tables for the terminal and as a page of plots."""
 
 import math
 from collections.abc import Mapping
@@ -15,13 +15,13 @@ from synth3dlanes.figures import colors
 from synth3dlanes.figures.stats import LabelStatistics, ParameterStatistics, SceneStatistics
 
 DOUBTFUL_P = 1e-4
-"""With some 50 parameters, a p value below this is no chance."""
+"""With about 50 parameters, a p value below this is unlikely to be chance."""
 
 _COLUMNS = 7
 
 
 def statistics_table(scenes: SceneStatistics, labels: LabelStatistics | None) -> RenderableType:
-    """Declared against drawn, one parameter a row; then topologies; then what the labels show."""
+    """Tables of the parameters as declared and as drawn, of the topologies, and of the label quantities."""
     parameters = _table(f"{scenes.n_scenes} scenes", "parameter", "declared", "from", "to", "mean", "n", "test", "p")
     for row in scenes.parameters:
         color = "" if is_fine(row) else "[bold red]"
@@ -41,7 +41,7 @@ def statistics_table(scenes: SceneStatistics, labels: LabelStatistics | None) ->
 
 
 def is_fine(parameter: ParameterStatistics) -> bool:
-    """Whether every value lies in the declared range and nothing speaks against the declared distribution."""
+    """Whether every value lies in the declared range and the test does not reject the declared distribution."""
     return parameter.outside == 0 and (parameter.p_value is None or parameter.p_value >= DOUBTFUL_P)
 
 
@@ -53,7 +53,7 @@ def verdict(scenes: SceneStatistics) -> str:
 
 
 def draw_statistics(scenes: SceneStatistics, labels: LabelStatistics | None) -> Figure:
-    """One page of histograms: what the labels show, then every parameter that varies over its declared range."""
+    """One page of histograms: label quantities, then every parameter that varies, over its declared range."""
     measured: Mapping[str, Float[np.ndarray, " _"]] = {} if labels is None else labels.measured
     varying = [row for row in scenes.parameters if row.count and row.minimum < row.maximum]
     rows = math.ceil((len(measured) + len(varying)) / _COLUMNS)
@@ -84,7 +84,7 @@ def _histogram(
 
 
 def _edges(row: ParameterStatistics) -> Float[np.ndarray, " e"]:
-    """Bins over the declared range; one bin for each value of a discrete parameter with few."""
+    """Bins over the declared range; one bin per value for a discrete parameter with few values."""
     low, high = min(row.low, row.minimum), max(row.high, row.maximum)
     is_discrete = row.test == "chi2" or row.key == "camera.lane"
     return np.arange(low - 0.5, high + 1) if is_discrete and high - low < 30 else np.linspace(low, high, 21)

@@ -1,4 +1,4 @@
-"""The four views of an inspect figure, each drawn into given matplotlib axes. Metres in the road frame at the host."""
+"""The four views of an inspect figure, each drawn into given matplotlib axes. Road frame at the host, metres."""
 
 from typing import Any, Literal
 
@@ -38,7 +38,7 @@ def draw_image(axes: Axes, labels: Labels, image: UInt8[np.ndarray, "h w 3"] | N
 
 
 def draw_top(axes: Axes, view: SceneView) -> None:
-    """From above, driving to the right: roads, lanes, cars at their size, trees and what the camera can see."""
+    """View from above, driving direction to the right: roads, lanes, cars, trees and the camera's field of view."""
     for left, right in view.roads.values():
         axes.add_patch(Polygon(np.concatenate([left, right[::-1]])[:, [1, 0]], color=colors.ROAD, zorder=1))
     _frustum_from_above(axes, view.labels)
@@ -57,7 +57,7 @@ def draw_top(axes: Axes, view: SceneView) -> None:
 
 
 def draw_side(axes: Axes, view: SceneView) -> None:
-    """Heights over the road plane at the host against the way ahead."""
+    """Side view: heights over the road plane at the host against the distance ahead."""
     ground = view.ground_along_main
     floor = ground[:, 2].min() - 5
     axes.fill_between(ground[:, 1], ground[:, 2], floor, color=colors.GROUND, alpha=0.5, zorder=1)
@@ -85,7 +85,7 @@ def draw_side(axes: Axes, view: SceneView) -> None:
 
 
 def draw_3d(axes: Axes3D, view: SceneView) -> None:
-    """Terrain, roads, lanes, cars and the camera in space; heights are stretched so that hills show."""
+    """3D view of terrain, roads, lanes, cars and camera; heights are exaggerated so that hills are visible."""
     grid = view.ground_grid(_HALF_WIDTH_3D_M, 4.0)
     look = {"color": colors.GROUND, "edgecolor": "#8fa883", "linewidth": 0.2, "alpha": 0.55}
     axes.plot_surface(*np.moveaxis(grid, -1, 0), **look, zorder=0)
@@ -115,7 +115,7 @@ def draw_3d(axes: Axes3D, view: SceneView) -> None:
 
 
 def _plot(axes: Any, lane: Lane, points: Float[np.ndarray, "n d"]) -> None:
-    """One lane in a plan, section or space: whole and faint, and full where it is seen."""
+    """Plot one lane in any view: faint along its whole length, full where it is visible."""
     color = colors.hexadecimal(colors.KINDS[lane.kind])
     axes.plot(*points.T, color=color, linewidth=1, alpha=_HIDDEN_OPACITY, zorder=3)
     seen = np.where(lane.visible[:, None], points, np.nan)
@@ -135,7 +135,7 @@ def _frustum_from_above(axes: Axes, labels: Labels) -> None:
 
 
 def _lateral_extent(view: SceneView) -> tuple[float, float]:
-    """A window as wide as the page allows around the middle of the lanes; wider where they need it."""
+    """Lateral limits around the middle of the lanes: _WINDOW_M wide, or wider if the lanes need it."""
     lanes_road = np.concatenate(
         [transform(view.labels.camera.road_from_cam, lane.xyz_cam) for lane in view.labels.lanes]
     )

@@ -1,1 +1,1 @@
-"""The world as pure numpy: frames, terrain, road, lanes, visibility and meshes. No Blender, no files."""
+"""The world's geometry in numpy: terrain, road, lanes, visibility and meshes. No Blender, no files."""

@@ -1,4 +1,4 @@
-"""The host's camera: where it stands and how it sees. World and camera frames (docs/frames.md)."""
+"""Pose and projection of the host's camera. World and camera frames (docs/frames.md)."""
 
 import numpy as np
 from jaxtyping import Float
@@ -13,7 +13,7 @@ TANGENT_STEP_M = 1e-3
 
 
 def img_from_cam(camera: Camera) -> Float[np.ndarray, "3 3"]:
-    """The projection that acts on (x, y, z) of the camera frame: u = cx + fx x/y, v = cy - fy z/y."""
+    """The 3x3 projection matrix of the camera frame: u = cx + fx x/y, v = cy - fy z/y."""
     return np.array(
         [[camera.fx_px, camera.cx_px, 0], [0, camera.cy_px, -camera.fy_px], [0, 1, 0]],
         dtype=float,
@@ -21,7 +21,8 @@ def img_from_cam(camera: Camera) -> Float[np.ndarray, "3 3"]:
 
 
 def world_from_road(plan: RoadPlan, camera: Camera) -> Matrix4:
-    """The road frame at the host: its foot on the surface, z the surface normal, y along the lane."""
+    """The pose of the road frame at the host: origin on the surface below the camera, z the surface normal, y along
+    the lane."""
     lane = path_of_segment(plan, host_segment(plan, camera))
     s = plan.plan_station(camera.y_m + np.array([0.0, -TANGENT_STEP_M, TANGENT_STEP_M]))
     t = lane.main_offset(plan, s) + camera.offset_m * plan.flips[0]

@@ -1,8 +1,8 @@
 """The ground as built: terrain, pavement, verges and embankments, as one height over (x, y). World frame.
 
 A paved area ends in shoulders. From a shoulder's edge the ground falls gently (the verge), or down an embankment
-where the exit is raised, until it dives under the terrain, whose mesh is pressed down below pavement and verge.
-`meshes.py` builds exactly this; `visibility.py` looks over it.
+where the exit is raised, until it passes below the terrain mesh, which is lowered under pavement and verge.
+`meshes.py` builds exactly this surface; `visibility.py` tests lines of sight against it.
 """
 
 from dataclasses import dataclass
@@ -20,31 +20,32 @@ Values = Float[np.ndarray, "*n"]
 Points2 = Float[np.ndarray, "*n 2"]
 Spread = Float[np.ndarray, "*#n"]
 
-# Terrain cells near the road, and all depths and widths of verges for that cell; they grow with the cell further off.
+# Size of the terrain cells near the road. The depths and widths below are for cells of this size; farther away they
+# grow in proportion to the cell.
 CELL_M = 1.25
 MAX_CELL_SCALE = 8.0
 PRESS_M = 0.3
 PRESSED_TO_M = 2.0
 VERGE_M = 4.0
 VERGE_FALL = 0.05
-# Horizontal over vertical of the embankment beside a raised exit, and how far its foot goes below the terrain.
+# Horizontal over vertical extent of the embankment beside a raised exit.
 EMBANKMENT_SLOPE = 1.5
-# Growth of the terrain's cells outside the fine area, per metre.
+# Growth of the terrain's cells per metre outside the fine area.
 GROWTH = 0.06
-# Lanes' pavement beyond the paint of an edge line.
+# Width of the lanes' pavement beyond the paint of an edge line.
 PAINT_ROOM_M = 0.05
-# Stretch behind the split over which the pavement of a lane that leaves narrows away (topology 4).
+# Length behind the split over which the pavement of a lane that leaves narrows to nothing (topology 4).
 TAPER_M = 20.0
-# From the split to where no exit is in the scene any more.
+# Stations from the split to far beyond the scene.
 EXIT_STATIONS_M = np.concatenate([np.arange(0.0, 400.0, 2.0), np.geomspace(400.0, 20_000.0, 40)])
-# The crests of a ramp are followed this far beyond the scene.
+# The crests of a ramp continue this far beyond the scene.
 CREST_BEYOND_M = 30.0
 
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """Ground heights around a road. It is built finest ahead of the world station `near_m`, where the host stands;
-    `fine` is (x0, y0, x1, y1) of the area with fine terrain cells. Its pavement reaches under the `markings`."""
+    """Ground heights around a road. Mesh resolution is highest ahead of the world station `near_m`, the host's;
+    `fine` is (x0, y0, x1, y1) of the area with fine terrain cells. The pavement extends under all `markings`."""
 
     plan: RoadPlan
     near_m: float
@@ -63,18 +64,18 @@ class Ground:
 
     @cached_property
     def under_paint_m(self) -> float:
-        """How far the lanes' pavement reaches out of them: under all the paint of their edge lines."""
+        """Width of road pavement outside the outermost lanes: it covers the paint of their edge lines."""
         outer_m = self.markings.width_m * (1.5 if self.markings.left_double else 0.5)
         return min(outer_m + PAINT_ROOM_M, self.plan.shoulder_m)
 
     def main_right_edge(self, s: Values) -> Values:
-        """Plan offset of the main pavement's right edge; narrows where main lanes leave for good (topology 4)."""
+        """Plan offset of the main pavement's right edge; it moves in where a main lane leaves (topology 4)."""
         lost_m = (self.plan.n_lanes - self.plan.n_main_after) * self.plan.width_m
         return np.asarray(self.edge_m - lost_m * np.clip(s / min(TAPER_M, self.plan.nose_m), 0, 1))
 
     @cached_property
     def fine(self) -> tuple[float, float, float, float]:
-        """The part of the world that the camera sees from near: fine terrain cells cover its roads."""
+        """(x0, y0, x1, y1) of the area near the camera in which the roads get fine terrain cells."""
         y = self.near_m
         s = np.linspace(y - 8, y + 160, 85)
         xy = [self.plan.main_xy(self.plan.plan_station(s), t) for t in (-self.edge_m, self.edge_m)]
@@ -87,8 +88,7 @@ class Ground:
         return float(x0), float(y - 10), float(x1), float(y + 165)
 
     def crests(self) -> list[Float[np.ndarray, "m 3"]]:
-        """The edges of the raised exit's shoulders, world points a metre apart: the lines over which one must look to
-        see what lies beyond it."""
+        """The edges of the raised exit's shoulders as world points a metre apart: they hide what lies beyond them."""
         plan = self.plan
         if plan.ramp_start_m is None:
             return []
@@ -105,8 +105,9 @@ class Ground:
         return np.clip(1 + np.clip(out, 0, None) * GROWTH / CELL_M, 1, MAX_CELL_SCALE)
 
     def edge_distances(self, xy_world: Points2) -> tuple[Values, Values, Values, Values]:
-        """Distance outside the main pavement and outside the exit's (negative inside, infinite far away), the exit's
-        height over the terrain at the nearest station, and the room for its embankment on this side of it."""
+        """(main, outside, raised, room): distance from the main pavement and from the exit's (negative inside, infinite
+        far away), the exit's height over the terrain at the nearest station, and the width available to its
+        embankment on the point's side."""
         s, t = self.plan.project_main(xy_world)
         main = np.maximum(-self.edge_m - t, t - self.main_right_edge(s))
         outside = np.full(s.shape, np.inf)
@@ -143,7 +144,7 @@ class Ground:
         return above.reshape(xy_world.shape[:-1])
 
     def terrain_mesh_height(self, xy_world: Points2) -> Values:
-        """Height of the terrain mesh: the terrain, pressed down below pavement and verges."""
+        """Height of the terrain mesh: the terrain, lowered under pavement and verges."""
         flat = xy_world.reshape(-1, 2)
         pressed = np.zeros(len(flat))
         near = self._near(flat)
@@ -166,14 +167,14 @@ class Ground:
         return clear.reshape(xy_world.shape[:-1])
 
     def _near(self, xy_world: Points2) -> np.ndarray:
-        """Which points lie close enough to a road to be worth projecting."""
+        """Which points are close enough to a road that the ground there may differ from the terrain."""
         xy = xy_world * self.plan.flips
         x, slope, _ = self.plan.main_line(xy[:, 1])
         across = (xy[:, 0] - x) / np.sqrt(1 + slope * slope)
         reach = self.edge_m + self._reach_m(xy_world)
         right = reach
         if self.plan.has_exit:
-            # An exit that leaves at an angle is abreast of a y at a station far beyond it.
+            # An exit that leaves at an angle reaches a given y only at a much larger station.
             station = np.interp(xy[:, 1], self._exit_y, EXIT_STATIONS_M)
             right = reach + self.plan.opening(station + 20) * 1.5
         return (across > -reach) & (across < right)
@@ -185,25 +186,24 @@ class Ground:
         return np.asarray(np.maximum.accumulate(y))
 
     def _reach_m(self, xy_world: Points2) -> Values:
-        """How far from a shoulder's edge the ground may differ from the terrain."""
+        """Largest distance from a shoulder's edge at which the ground may differ from the terrain."""
         return EMBANKMENT_SLOPE * self.plan.road.ramp_height_m + VERGE_M * self.cell_scale(xy_world)
 
 
 def press(distance_m: Values, scale: Values) -> Values:
-    """How far the terrain mesh is pressed down at a distance from the pavement."""
+    """How far the terrain mesh is lowered at a distance from the pavement."""
     fade = (VERGE_M * scale - distance_m) / ((VERGE_M - PRESSED_TO_M) * scale)
     return PRESS_M * scale * np.clip(fade, 0, 1)
 
 
 def embankment_width(raised_m: Values, scale: Values) -> Values:
-    """Width of the strip from a shoulder's edge down to below the terrain, where there is room for it; in less room
-    the same strip is squeezed."""
+    """Full width of the strip from a shoulder's edge down to below the terrain; with less room it is compressed."""
     return np.asarray(EMBANKMENT_SLOPE * raised_m + VERGE_M * scale)
 
 
 def profile(distance_m: Spread, raised_m: Spread | float, scale: Spread) -> Spread:
-    """Height over the terrain of verge and embankment at a distance from the shoulder's edge; below the pressed
-    terrain from about 3 m (times the cell scale) beyond the embankment's foot."""
+    """Height of verge and embankment over the terrain at a distance from the shoulder's edge. It is below the lowered
+    terrain mesh from about 3 m (times the cell scale) beyond the embankment's foot."""
     d = np.clip(distance_m, 0, None)
     slope = np.where(np.asarray(raised_m) > 0, np.asarray(raised_m) - d / EMBANKMENT_SLOPE, 0.0)
     return np.clip(slope, 0, None) - VERGE_FALL * np.minimum(d, 3 * VERGE_M * np.asarray(scale))

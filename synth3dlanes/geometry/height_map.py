@@ -1,4 +1,4 @@
-"""The ground ahead as a map over the road plane, for top-view methods. Road frame."""
+"""A height map of the ground ahead over the road plane, for top-view methods. Road frame."""
 
 import numpy as np
 from jaxtyping import Float
@@ -6,14 +6,14 @@ from jaxtyping import Float
 from synth3dlanes.frames import Matrix4, transform
 from synth3dlanes.geometry.ground import Ground
 
-# The paper's top view, 20 m x 80 m, from the camera's foot on; row 0 is the farthest.
+# The paper's top view: 20 m x 80 m, starting below the camera; row 0 is the farthest.
 CELL_M = (0.2, 0.4)
 SHAPE = (200, 100)
 STEPS = 12
 
 
 def height_map(ground: Ground, world_from_road: Matrix4) -> Float[np.ndarray, "200 100"]:
-    """Height of the ground as built over the plane that touches the road at the host, at each cell's middle.
+    """Height of the ground as built at each cell's centre, over the plane that touches the road at the host.
 
     Column c lies at x = (c + 0.5) 0.2 - 10 m, row r at y = 80 - (r + 0.5) 0.4 m.
     """

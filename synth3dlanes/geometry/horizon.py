@@ -1,6 +1,6 @@
-"""What closes the view behind the paper's terrain: far hills, and the roads that lead on into them. World frame.
+"""The background beyond the paper's terrain: far hills, and the roads that continue into them. World frame.
 
-All of it lies beyond every label, so that nothing but the picture knows of it.
+All of it lies beyond every label, so it affects the picture alone.
 """
 
 from dataclasses import dataclass
@@ -8,19 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-# Hills begin here and are whole there, as distances from the world's origin.
+# Distances from the world's origin at which the hills begin and at which they reach their full height.
 BEGIN_M, WHOLE_M = 500.0, 1600.0
 N_WAVES = 14
 LENGTHS_M = np.geomspace(600.0, 3000.0, N_WAVES)
 MAX_HEIGHT_M = 90.0
-# Beyond this station a road lies on a dam that rises by this much a metre: the ground's faces are large there, and
-# would come up through the road.
+# Beyond this station a road lies on a dam that rises by this much per metre. The ground's faces are large there and
+# would otherwise intersect the road.
 DAM_FROM_M, DAM_RISE = 400.0, 0.004
 
 
 @dataclass(frozen=True, eq=False)
 class FarHills:
-    """Waves of many directions: `height_m` of the highest, their wave vectors in rad/m, and their phases in rad."""
+    """A sum of plane waves: `height_m` scales it, `waves` are wave vectors in rad/m, `phases` are in rad."""
 
     height_m: float
     waves: Float[np.ndarray, "2 k"]
@@ -28,7 +28,7 @@ class FarHills:
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> "FarHills":
-        """The hills of one scene."""
+        """Draw the hills of one scene."""
         height_m = MAX_HEIGHT_M * rng.random() ** 1.5
         angles, phases = 2 * np.pi * rng.random((2, N_WAVES))
         return cls(height_m, 2 * np.pi / LENGTHS_M * np.stack([np.cos(angles), np.sin(angles)]), phases)
@@ -43,5 +43,5 @@ class FarHills:
 
 
 def far_dam(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """Height of a road's far dam at stations; 0 wherever there are labels."""
+    """Height of a road's far dam at stations; 0 in the range of the labels."""
     return DAM_RISE * np.clip(np.abs(s) - DAM_FROM_M, 0, None)

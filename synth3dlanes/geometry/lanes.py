@@ -1,4 +1,4 @@
-"""The lane graph and every lane curve of a road plan: what is a lane, what is painted, what follows what.
+"""The lane graph and the lane curves of a road plan: lanes, painted lines and successors.
 
 Curves are functions of the plan station (see road.py); their world points come from `Curve.points_world`.
 The four topologies are the paper's Table 'Road and lane topology'.
@@ -17,16 +17,19 @@ from synth3dlanes.scene import Camera
 
 Values = Float[np.ndarray, " n"]
 
-# min(q, width) has a corner at the nose; rounded over where q is this close to the
-# width, so that a lane's course is smooth; it moves by 1.5 cm at most.
+# min(q, width) has a corner at the nose. It is rounded where q is this close to the width, so that the lane is smooth;
+# this moves the lane by at most 1.5 cm.
 CORNER_M = 0.06
 
 
 @dataclass(frozen=True)
 class Curve:
-    """One lane curve: offset `stem_m` from the main reference for stations below 0, and above it either `fork_m`
-    from the reference of `fork_road`, or, for `opens`, from `stem_m` over to `fork_m` as the exit opens. `stem_m`
-    None: the curve exists only above 0. It spans the stations [start_m, end_m]."""
+    """One lane curve over the stations [start_m, end_m].
+
+    At stations below 0 its offset is `stem_m` from the main reference line; with `stem_m` None it has no such part.
+    Above 0 its offset is `fork_m` from the reference line of `fork_road`; with `opens` it moves from `stem_m` to
+    `fork_m` as the exit opens.
+    """
 
     id: str
     kind: LaneKind
@@ -61,28 +64,28 @@ class Curve:
         return np.where((s >= 0) & (self.fork_road == "exit"), plan.ramp(s), 0.0)
 
     def main_offset(self, plan: RoadPlan, s: Values) -> Values:
-        """Offset from the main reference where the curve runs on the main road: everywhere but on the exit."""
+        """Offset from the main reference line at stations where the curve runs on the main road."""
         stem_m = self.fork_m if self.stem_m is None else self.stem_m
         if not self.opens:
             return np.full(s.shape, stem_m)
         return stem_m + np.sign(self.fork_m - stem_m) * smooth_min(plan.opening(np.maximum(s, 0)), plan.width_m)
 
     def joint_m(self, plan: RoadPlan) -> float:
-        """Last station of the stem: abreast of the first point on the exit; right of its reference that is below 0."""
+        """Last station of the stem: the projection of the curve's first exit point onto the main road, at most 0."""
         start = plan.exit_xy(np.zeros(1), self.fork_m)
         return min(0.0, float(plan.project_main(start)[0][0]))
 
 
 def smooth_min(q: Values, width_m: float) -> Values:
-    """min(q, width) with its corner rounded; exactly q and exactly width away from it."""
+    """min(q, width) with its corner rounded; equal to min(q, width) outside CORNER_M of it."""
     h = np.clip(CORNER_M - np.abs(q - width_m), 0, None)
     return np.minimum(q, width_m) - h * h / (4 * CORNER_M)
 
 
 def curves(plan: RoadPlan) -> tuple[Curve, ...]:
-    """Centre lines, one per path through the graph, then delimiters, one per painted line; plan's left to right.
+    """Centre lines, one per path through the graph, then delimiters, one per painted line, from the plan's left.
 
-    References between them are by id; a flip of x swaps every left and right.
+    They refer to each other by id; a flip of x swaps every left and right.
     """
     lines = [*_centerlines(plan), *_delimiters(plan)]
     if plan.flips[0] < 0:
@@ -102,7 +105,7 @@ def _line_id(plan: RoadPlan, road: RoadName, j: int) -> str:
 
 
 def seen_from_left(plan: RoadPlan, lane: int, n: int) -> int:
-    """Lane number from the host's left of the plan's lane 1..n (an involution)."""
+    """Number from the host's left of the plan's lane 1..n, and vice versa."""
     return n + 1 - lane if plan.flips[0] < 0 else lane
 
 
@@ -149,7 +152,7 @@ def _delimiters(plan: RoadPlan) -> list[Curve]:
     kept = {2: n, 3: n - 1, 4: n - 1}[topology]
     lines = [through(j) for j in range(kept)]
     if topology == 3:
-        # The dashed line between the last two lanes leads along the exit's left side to the nose.
+        # The dashed line between the last two lanes continues along the exit's left side to the nose.
         stem = Curve(
             "stem_line", "delimiter", "main", "dashed", _center_id(plan, "main", n), _center_id(plan, "exit", 1),
             plan.boundary_m(n - 1), "exit", -half, end_m=plan.nose_m,
@@ -165,9 +168,9 @@ def _delimiters(plan: RoadPlan) -> list[Curve]:
 
 
 def lane_graph(plan: RoadPlan, centerline_ids: Sequence[str]) -> LaneGraph:
-    """Segments between junctions in the host's view and their successors in driving direction.
+    """Segments between junctions, numbered as the host sees them, and their successors in driving direction.
 
-    Only centre lines in `centerline_ids` are named by the segments that they use.
+    Segments list only those of their centre lines that are in `centerline_ids`.
     """
     if not plan.has_exit:
         return LaneGraph(_segments(plan, "main", "main", plan.n_lanes, -100.0, 100.0, centerline_ids), {}, None)
@@ -231,5 +234,5 @@ def path_of_segment(plan: RoadPlan, segment_id: str) -> Curve:
 
 
 def host_segment(plan: RoadPlan, camera: Camera) -> str:
-    """The segment of the host's lane, counted from the left among the main lanes present where it stands."""
+    """The segment of the host's lane, counted from the left among the main lanes at its station."""
     return plan.road.segments_at(camera.y_m)[camera.lane - 1]

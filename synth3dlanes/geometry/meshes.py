@@ -1,6 +1,6 @@
-"""The scene's surfaces as vertex and face arrays, built to `ground.py`'s description. World frame.
+"""The scene's surfaces as vertex and face arrays, as `ground.py` defines them. World frame.
 
-Rows follow stations (world y along the main reference line), so that road, shoulders and paint share them.
+Each row is one station (world y on the main reference line), shared by road, shoulders and paint.
 """
 
 from collections.abc import Callable
@@ -17,9 +17,10 @@ Values = Float[np.ndarray, " n"]
 HORIZON_M = 4000.0
 BEHIND_M = 300.0
 ROAD_BEHIND_M = 30.0
-# From here to the horizon each row of the road is longer than the one before by this share.
+# From here to the horizon each row of the road is longer than the previous one by this fraction.
 FAR_ROWS_M, FAR_ROWS_GROWTH = 420.0, 0.03
-# The exit's inner edge goes on below the main road or its own verge: their rows differ, and ground would show between.
+# The exit's inner edge extends a little below the main road or its own verge. Their rows differ, so a gap would show
+# the ground otherwise.
 SEAM_M, SEAM_FALL_M = 0.05, 0.01
 LANE_COLUMNS, SHOULDER_COLUMNS = 4, 4
 ROAD, SHOULDER = 0, 1
@@ -27,7 +28,8 @@ ROAD, SHOULDER = 0, 1
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Quads; `uv_m` are metres (across, along) or world (x, y) for terrain; `material` is a slot per face."""
+    """Quads. `uv_m` is (across, along) in metres, for terrain world (x, y); `material` is the material slot per
+    face."""
 
     vertices_world: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 4"]
@@ -36,7 +38,7 @@ class Mesh:
 
 
 def terrain_mesh(ground: Ground) -> Mesh:
-    """A grid of CELL_M around the near road, growing outwards to the horizon and its hills."""
+    """A grid with cells of CELL_M near the road, which grow outwards to the horizon and its hills."""
     xs, ys = terrain_axes(ground)
     xy = np.stack(np.meshgrid(xs, ys), -1)
     vertices = np.concatenate([xy, terrain_heights(ground, xy)[..., None]], -1)
@@ -55,8 +57,8 @@ def terrain_heights(ground: Ground, xy_world: Float[np.ndarray, "*n 2"]) -> Floa
 
 
 def road_stations(near_m: float) -> Values:
-    """World stations of the rows of road and paint, past the horizon: half a metre near, longer far away; always the
-    split itself."""
+    """World stations of the rows of road and paint, to beyond the horizon: half a metre apart near the host, more far
+    away. The split itself is always among them."""
     n_far = int(np.log(2 * HORIZON_M / FAR_ROWS_M) / np.log1p(FAR_ROWS_GROWTH))
     rows = [
         np.arange(-ROAD_BEHIND_M, 0, 1.0),
@@ -71,12 +73,12 @@ def road_stations(near_m: float) -> Values:
 def lift_far(
     ground: Ground, xy_world: Float[np.ndarray, "*n 2"], above_m: Float[np.ndarray, "*#n"]
 ) -> Float[np.ndarray, "*n 3"]:
-    """Put points on the ground, its far hills among it, or `above_m` over it."""
+    """3D points `above_m` over the terrain with its far hills."""
     return ground.plan.lift(xy_world, above_m + ground.hills.height(xy_world))
 
 
 def road_meshes(ground: Ground) -> list[Mesh]:
-    """Pavement of the main road and, where it has left the main pavement, of the exit."""
+    """Pavement of the main road, and of the exit outside the main pavement."""
     plan = ground.plan
     s = plan.plan_station(road_stations(ground.near_m))
     meshes = [_main_mesh(ground, s)]
@@ -106,7 +108,7 @@ def verge_meshes(ground: Ground) -> list[Mesh]:
 
 
 def grid(vertices: Float[np.ndarray, "r c 3"], uv: Float[np.ndarray, "r c 2"], column_material: np.ndarray) -> Mesh:
-    """Quads between rows and columns, facing up; one material a column, or a face where it has two dimensions."""
+    """Quads between rows and columns, facing up. `column_material` is one slot per column or, in 2D, per face."""
     rows, columns = vertices.shape[:2]
     i = np.arange(rows * columns).reshape(rows, columns)
     faces = np.stack([i[:-1, :-1], i[:-1, 1:], i[1:, 1:], i[1:, :-1]], -1).reshape(-1, 4)
@@ -118,20 +120,20 @@ def grid(vertices: Float[np.ndarray, "r c 3"], uv: Float[np.ndarray, "r c 2"], c
 
 
 def is_facing_up(mesh: Mesh) -> Bool[np.ndarray, " f"]:
-    """Which faces a camera above them sees from their front."""
+    """Which faces have their front side up."""
     a, b, c, d = (mesh.vertices_world[mesh.faces[:, i], :2] for i in range(4))
     across, along = c - a, d - b
     return np.asarray(across[:, 0] * along[:, 1] - across[:, 1] * along[:, 0] >= 0)
 
 
 def over_terrain(mesh: Mesh) -> Mesh:
-    """The mesh without its faces beyond the end of the terrain's."""
+    """The mesh without the faces beyond the end of the terrain mesh."""
     kept = (np.abs(mesh.vertices_world[mesh.faces, :2]) < HORIZON_M).all(axis=(1, 2))
     return replace(mesh, faces=mesh.faces[kept], material=mesh.material[kept])
 
 
 def _axis(low: float, high: float, out_low: float, out_high: float) -> Values:
-    """Coordinates CELL_M apart in [low, high]; outside, each cell grows by GROWTH per metre from there."""
+    """Coordinates CELL_M apart in [low, high]; outside, cells grow by GROWTH per metre of distance."""
     inner = np.linspace(low, high, int(np.ceil((high - low) / CELL_M)) + 1)
 
     def outside(reach_m: float) -> Values:
@@ -142,7 +144,8 @@ def _axis(low: float, high: float, out_low: float, out_high: float) -> Values:
 
 
 def _columns(ground: Ground, half_m: float, edge_m: float, n_lanes: int) -> tuple[Values, Int[np.ndarray, " m"]]:
-    """Offsets across a pavement whose lanes end at +-half_m and whose shoulders at +-edge_m, and faces' materials."""
+    """Offsets across a pavement whose lanes end at +-half_m and whose shoulders end at +-edge_m, and the material of
+    each column of faces."""
     paved_m = half_m + ground.under_paint_m
     shoulder = np.linspace(paved_m, edge_m, SHOULDER_COLUMNS + 1)[1:]
     lanes = np.linspace(-half_m, half_m, n_lanes * LANE_COLUMNS + 1)
@@ -161,7 +164,7 @@ def _main_mesh(ground: Ground, s: Values) -> Mesh:
     xy = plan.main_xy(stations, offsets)
     material = np.tile(column_material, (len(s) - 1, 1))
     if plan.has_exit:
-        # Where the exit's lanes still lie over the main shoulder, that shoulder is road.
+        # The main shoulder is road where the exit's lanes cross it.
         middle = (xy[:-1, -k - 1 : -1] + xy[:-1, -k:] + xy[1:, -k - 1 : -1] + xy[1:, -k:]) / 4
         se, te = plan.project_exit(middle, np.broadcast_to((s[:-1, None] + s[1:, None]) / 2, middle.shape[:2]))
         material[:, -k:][(se >= 0) & (np.abs(te) < plan.exit_half_m)] = ROAD
@@ -182,17 +185,18 @@ def _exit_mesh(ground: Ground, s: Values) -> Mesh:
 
 
 def _inner_edge(ground: Ground, s: Values) -> Values:
-    """Exit offset at which the exit's cross-section leaves the main pavement: its own left edge once separate."""
+    """Exit offset at which the exit's cross-section leaves the main pavement; its own left edge once they are
+    separate."""
     return np.clip(_crossing(ground, s, ground.exit_edge_m), -ground.exit_edge_m, ground.exit_edge_m)
 
 
 def _gap(ground: Ground, s: Values) -> Values:
-    """Room for the exit's inner embankment: from its left edge to the main pavement; 0 while they touch."""
+    """Width available to the exit's inner embankment: from its left edge to the main pavement; 0 while they touch."""
     return np.clip(-ground.exit_edge_m - _crossing(ground, s, -ground.exit_edge_m), 0, None)
 
 
 def _crossing(ground: Ground, s: Values, high: float) -> Values:
-    """Exit offset, up to `high`, at which its cross-section at s crosses the main pavement's right edge."""
+    """Exit offset, at most `high`, at which the exit's cross-section at s crosses the main pavement's right edge."""
     plan = ground.plan
     low = -ground.exit_edge_m - EMBANKMENT_SLOPE * plan.road.ramp_height_m - VERGE_M
 
@@ -212,8 +216,10 @@ def _crossing(ground: Ground, s: Values, high: float) -> Values:
 def _verge(
     ground: Ground, edge_plus: Callable[[Values], Float[np.ndarray, "n 2"]], raised: Values, room_m: Values
 ) -> Mesh:
-    """A strip outwards from an edge: `edge_plus(d)` gives world points d metres outside it, one a row. There is none
-    where there is no room: its edge would shine through the pavement in points."""
+    """A strip outwards from an edge; `edge_plus(d)` returns one world point per row, d metres outside the edge.
+
+    Faces without room are dropped: single pixels of them would show through the pavement.
+    """
     scale = ground.cell_scale(edge_plus(np.zeros(raised.shape)))
     foot = EMBANKMENT_SLOPE * raised
     columns = [0.0 * foot, 0.5 * foot, foot] + [foot + VERGE_M * scale * share for share in (0.33, 0.66, 1.0)]
@@ -227,8 +233,8 @@ def _verge(
 
 
 def _unrolled(vertices: Float[np.ndarray, "r c 3"]) -> Float[np.ndarray, "r c 2"]:
-    """World (x, y) of rows that start at the first column, as if their slopes were laid out level: on a steep
-    embankment a texture seen from above would be drawn out to streaks."""
+    """World (x, y) with each row unrolled to its length along the slope from its first column. A texture projected
+    from above would be stretched into streaks on a steep embankment."""
     outward = vertices[:, :, :2] - vertices[:, :1, :2]
     steps_m = np.linalg.norm(np.diff(vertices, axis=1, prepend=vertices[:, :1]), axis=2)
     reach_m = np.maximum(np.linalg.norm(outward, axis=2, keepdims=True), 1e-6)

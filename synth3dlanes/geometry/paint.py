@@ -1,4 +1,4 @@
-"""The paint of the delimiters as strips over the road: dashes, double lines, stretches that are gone. World frame."""
+"""The paint of the delimiters as strips over the road: dashes, double lines, missing stretches. World frame."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,17 +13,17 @@ from synth3dlanes.geometry.meshes import Mesh, Values, grid, is_facing_up, lift_
 from synth3dlanes.scene import Markings
 from synth3dlanes.streams import Streams
 
-# Paint floats over the road by more than the road's faces can rise between their rows, which are longer far away.
+# Height of the paint over the road, by distance: more than the road's faces can rise between two rows.
 PAINT_LIFT_M = (0.0015, 0.002, 0.008, 0.04, 0.12, 2.0)
 PAINT_LIFT_AT_M = (0.0, 40.0, 80.0, 160.0, 250.0, 4000.0)
-# It is moved in by its height's share of the camera's; never by as much as this.
+# Upper limit of the ratio of paint height to camera height by which paint is moved sideways (see `_floating`).
 MAX_SHARE = 0.05
-# The road's direction is taken over this length.
+# The line's direction is measured over this length.
 ALONG_M = 0.01
-# Farther ahead than this dashes and gaps are much smaller than a pixel: a line narrower by the share of paint stands
-# for them.
+# Farther ahead than this, dashes and gaps are much smaller than a pixel. They are replaced by a continuous line whose
+# width is reduced to the share of paint.
 DASHES_M = 420.0
-# Lost paint is in stretches of 3 to 12 m, laid out along this much of a line to either side of the split.
+# Missing stretches are 3 to 12 m long and are drawn up to this length of a line to either side of the split.
 GONE_M, GONE_REACH_M = (3.0, 12.0), 600.0
 
 Intervals = Float[np.ndarray, "_ 2"]
@@ -32,13 +32,12 @@ Intervals = Float[np.ndarray, "_ 2"]
 def paint_meshes(
     ground: Ground, lines: Sequence[Curve], eye_world: Float[np.ndarray, "3"], streams: Streams
 ) -> dict[str, Mesh]:
-    """The paint of every delimiter among the lines, by its id, laid to look in place from the eye."""
+    """The paint of every delimiter in `lines`, by id, corrected for parallax so that it looks in place from the eye."""
     return {line.id: _paint(ground, line, eye_world, streams) for line in lines if line.kind == "delimiter"}
 
 
 def is_left_edge(line: Curve) -> bool:
-    """Whether no lane lies to the left of a delimiter, as the host drives: the left edge of the road, and of its
-    exit."""
+    """Whether a delimiter is the left edge of the main road or of the exit, as the host drives."""
     return line.kind == "delimiter" and line.left is None
 
 
@@ -48,7 +47,7 @@ def is_yellow(line: Curve, markings: Markings) -> bool:
 
 
 def stripes_m(line: Curve, markings: Markings) -> tuple[float, ...]:
-    """Where the stripes of a line have their middles, aside of its own: a double line's gap is as wide as a stripe."""
+    """Offsets of the stripes' centres from the line's own; the gap of a double line is as wide as a stripe."""
     is_double = markings.left_double and is_left_edge(line)
     return (-markings.width_m, markings.width_m) if is_double else (0.0,)
 
@@ -69,14 +68,14 @@ def _paint(ground: Ground, curve: Curve, eye_world: Float[np.ndarray, "3"], stre
         floating = _floating(eye_world, narrowed, (onwards - sides).mean(axis=1), lift_m)
         uv = np.stack(np.broadcast_arrays(offsets[None, :], rows[:, None]), -1)
         mesh = grid(floating, uv, np.zeros(1, dtype=int))
-        # Where the stem meets the exit a face of millimetres may turn back over the last one.
+        # Where the stem meets the exit, a face of a few millimetres may fold back over the previous one.
         kept = painted & is_facing_up(mesh)
         stripes.append(replace(mesh, faces=mesh.faces[kept], material=mesh.material[kept]))
     return over_terrain(_joined(stripes))
 
 
 def _sides(ground: Ground, curve: Curve, offsets_m: Float[np.ndarray, "2"], s: Values) -> Float[np.ndarray, "n 2 3"]:
-    """Points of the road on both sides of a stripe."""
+    """Points on the road along both edges of a stripe."""
     plan, lines = ground.plan, [_beside(curve, t) for t in offsets_m]
     return np.stack(
         [lift_far(ground, line.xy_world(plan, s), line.raised(plan, s) + far_dam(s)) for line in lines], axis=1
@@ -89,14 +88,14 @@ def _floating(
     along: Float[np.ndarray, "n 3"],
     lift_m: Values,
 ) -> Float[np.ndarray, "n 2 3"]:
-    """A stripe raised by `lift_m` over the road, and moved across its line until the eye sees it there: what floats
-    is seen outside of its place otherwise. `along` is the line's direction."""
+    """A stripe raised by `lift_m` over the road, and moved across the line so that the eye sees it where the line is:
+    without this, parallax would show it beside the line. `along` is the line's direction."""
     across = sides[:, 1] - sides[:, 0]
     normal = np.cross(across, along)
     to_eye = eye_world - sides.mean(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         eye_over_road_m = np.clip((to_eye * normal).sum(axis=-1) / normal[:, 2], 0, None)
-        # lift over height, but back to nothing where one looks along the road or at it from below
+        # lift / height, which falls to 0 where the eye is near the road's plane or below it
         share = lift_m * eye_over_road_m / (eye_over_road_m**2 + (lift_m / MAX_SHARE) ** 2)
         aside = (to_eye * across).sum(axis=-1) / (across * across).sum(axis=-1)
     moved = np.where(np.isfinite(share * aside), share * aside, 0.0)[:, None] * across
@@ -120,8 +119,8 @@ def _beside(curve: Curve, t: float) -> Curve:
 def painted_rows(
     ground: Ground, curve: Curve, streams: Streams
 ) -> tuple[Float[np.ndarray, " m"], Bool[np.ndarray, " m-1"]]:
-    """Rows of a line with all ends of paint among them, and whether the strip behind each row is painted. Lengths are
-    counted along the line from the split, so that dashes and gaps do not move with the camera."""
+    """Rows of a line, with a row at every end of paint, and whether the strip after each row is painted. Lengths are
+    measured along the line from the split, so that dashes and gaps do not move with the camera."""
     plan, markings = ground.plan, ground.markings
     rows = np.sort(plan.plan_station(road_stations(ground.near_m)))
     low, high = max(rows[0], curve.start_m), min(rows[-1], curve.end_m)
@@ -142,7 +141,7 @@ def painted_rows(
 
 
 def _dashes(markings: Markings, curve: Curve, length: Values) -> Intervals:
-    """Where the line is painted by its kind, along its length."""
+    """Painted intervals along the line's length according to its marking."""
     if curve.marking != "dashed":
         return np.array([[-np.inf, np.inf]])
     cycle, fraction = markings.dash_cycle_m, markings.dash_fraction
@@ -151,7 +150,7 @@ def _dashes(markings: Markings, curve: Curve, length: Values) -> Intervals:
 
 
 def _gone(markings: Markings, rng: np.random.Generator) -> Intervals:
-    """Where the line has lost its paint: a stretch somewhere in each period of stretch / share metres."""
+    """Intervals of missing paint: one stretch at a random place in each period of stretch / share metres."""
     share = markings.missing
     if share == 0:
         return np.zeros((0, 2))
@@ -162,7 +161,7 @@ def _gone(markings: Markings, rng: np.random.Generator) -> Intervals:
 
 
 def _inside(intervals: Intervals, at: Float[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
-    """Which places lie in one of the intervals; these are in order and apart."""
+    """Which places lie in one of the intervals; the intervals are sorted and disjoint."""
     if not len(intervals):
         return np.zeros(at.shape, dtype=bool)
     before = np.clip(np.searchsorted(intervals[:, 0], at, side="right") - 1, 0, None)

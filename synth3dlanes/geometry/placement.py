@@ -1,4 +1,4 @@
-"""Where cars and trees stand. World frame; cars and trees have x right, y forward, z up and their foot at z = 0."""
+"""Poses and footprints of cars and trees. World frame; models have x right, y forward, z up and stand on z = 0."""
 
 import numpy as np
 from jaxtyping import Float
@@ -10,9 +10,9 @@ from synth3dlanes.geometry.lanes import path_of_segment
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.scene import Car, Tree
 
-# Length and width of the host's own body, whose middle is over the camera's foot.
+# Length and width of the host's own body, which is centred on the camera.
 HOST_SIZE_M = (5.0, 2.0)
-# Trunks go this far into the ground, so that none hovers on a slope.
+# Trunks are sunk into the ground by this much, so that none floats on a slope.
 TREE_SINK_M = 0.1
 
 
@@ -25,7 +25,7 @@ def lane_place(plan: RoadPlan, lane: str, s_world: float) -> tuple[Float[np.ndar
 
 
 def world_from_car(plan: RoadPlan, car: Car, model: CarModel) -> Matrix4:
-    """The pose (without scale) in which the car's four tyres stand on the road as well as a rigid body can."""
+    """The car's pose (without scale): a least-squares fit of its four tyres to the road surface."""
     middle, (hx, hy) = lane_place(plan, car.lane, car.s_m)
     x, y = model.track_m / 2 * car.scale, model.wheelbase_m / 2 * car.scale
     wheels_car = np.array([[-x, y, 0], [x, y, 0], [-x, -y, 0], [x, -y, 0]])
@@ -50,7 +50,7 @@ def world_from_car(plan: RoadPlan, car: Car, model: CarModel) -> Matrix4:
 
 
 def tree_positions(ground: Ground, trees: tuple[Tree, ...]) -> Float[np.ndarray, "n 3"]:
-    """The feet of trees on the ground as built."""
+    """The base points of trees on the ground as built."""
     xy = np.array([[tree.x_m, tree.y_m] for tree in trees]).reshape(-1, 2)
     return np.column_stack([xy, ground.height(xy) - TREE_SINK_M])
 
@@ -67,13 +67,13 @@ def footprint(
 
 
 def host_footprint(world_from_road: Matrix4) -> Footprint:
-    """The ground that the host's own body covers, given the road frame at its foot."""
+    """The footprint of the host's own body, given the road frame at the host."""
     heading = world_from_road[:2, 1] / np.linalg.norm(world_from_road[:2, 1])
     return footprint(world_from_road[:2, 3], heading, *HOST_SIZE_M)
 
 
 def overlaps_any(place: Footprint, others: Float[np.ndarray, "k 4 2"]) -> bool:
-    """Whether a rectangle shares a point with any of the others: no side of either separates the two."""
+    """Whether a rectangle overlaps any of the others (separating axis test)."""
     separated = np.zeros(len(others), dtype=bool)
     for corners in (np.broadcast_to(place, others.shape), others):
         for side in (corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 1]):

@@ -1,7 +1,7 @@
-"""The road plan: main road, exit and ramp as smooth functions of a station, and the way back from a point.
+"""The road plan: main road, exit and ramp as smooth functions of a station, and projections of points to stations.
 
 Two coordinate systems. The *plan* is the road before its flips: the exit leaves to the right for stations s >= 0.
-The *world* is the plan with x and y mirrored as the scene says. A station `s` is the y of a point on the main
+The *world* is the plan with x and y mirrored as the scene's flips say. A station `s` is the y of a point on the main
 reference line; `t` is the distance to the right of a reference line along its normal. Metres throughout.
 """
 
@@ -22,12 +22,12 @@ Points3 = Float[np.ndarray, "*n 3"]
 
 # Knots of the quartic (paper, Table 'Lane top view geometry'); beyond them roads continue along their tangents.
 S_END_M = 100.0
-# An exit is continued straight where the inside of a bend would squeeze its stations below this share of their
-# length on the main road: past that the displaced curve turns back on itself.
+# An exit continues straight from where the inside of a bend would compress its length per station below this share of
+# the main road's: beyond that the displaced curve would fold back on itself.
 MIN_STRETCH = 0.3
-# A ramp steeper than this is never built, so that a ramp length of zero cannot divide by zero.
+# Lower limit of the ramp's length; avoids a division by zero.
 MIN_RAMP_LENGTH_M = 0.1
-# Enough for a foot point to settle below 1e-6 m within 30 m of a road of the sharpest drawn bend.
+# Enough for a projection to converge below 1e-6 m within 30 m of a road with the sharpest bend drawn.
 NEWTON_STEPS = 4
 
 
@@ -67,7 +67,7 @@ class RoadPlan:
         return self.road.shoulder_factor * self.width_m
 
     def boundary_m(self, j: int) -> float:
-        """Lateral place of boundary j = 0..n of the main road before the split, from the plan's left."""
+        """Offset of lane boundary j = 0..n of the main road before the split; j counts from the plan's left."""
         return (j - self.n_lanes / 2) * self.width_m
 
     @property
@@ -77,7 +77,7 @@ class RoadPlan:
 
     @property
     def exit_base_m(self) -> float:
-        """Lateral place of the exit's reference line at the split: the middle of the lanes it takes."""
+        """Main-road offset of the exit's reference line at the split: the middle of the exit's lanes there."""
         return self.boundary_m(self.n_lanes) - self.exit_half_m
 
     # -- flips
@@ -89,7 +89,7 @@ class RoadPlan:
         return np.array([-1.0 if road.flip_longitudinal else 1.0, -1.0 if road.flip_lateral else 1.0])
 
     def plan_station(self, s_world: Values) -> Values:
-        """Plan station of a world station (and the other way round)."""
+        """Plan station of a world station, and vice versa."""
         return s_world * self.flips[1]
 
     # -- the main road in the plan
@@ -105,7 +105,7 @@ class RoadPlan:
         return f, df, df[1:] * np.arange(1, 4)
 
     def main_line(self, s: Values) -> tuple[Values, Values, Values]:
-        """x of the reference line with its first two derivatives, straight beyond the outer knots."""
+        """x of the reference line and its first two derivatives; straight beyond the outer knots."""
         inside = np.clip(s, -S_END_M, S_END_M)
         f, df, ddf = (_horner(c, inside) for c in self._quartic)
         beyond = s - inside
@@ -145,7 +145,7 @@ class RoadPlan:
 
     @cached_property
     def exit_end_m(self) -> float:
-        """Station behind which the exit runs straight: 100, or earlier where a bend would fold it."""
+        """Station beyond which the exit runs straight: 100 m, or less where a bend would fold it."""
         s = np.linspace(0, S_END_M, 401)
         _, _, speed, turn = self._main_frame(s)
         displaced = self.exit_base_m + self._q_polynomial(s)[0]
@@ -159,7 +159,7 @@ class RoadPlan:
         return np.asarray(q + np.clip(s - inside, 0, None) * dq)
 
     def _station_where_open(self, q_m: float) -> float:
-        """Smallest station with opening(s) >= q_m; infinity where there is no exit."""
+        """Smallest station with opening(s) >= q_m; infinity for a road without exit."""
         if not self.has_exit:
             return float("inf")
         return float(brentq(lambda s: self.opening(np.array([s]))[0] - q_m, 0.0, 1e4, xtol=1e-10))
@@ -171,7 +171,7 @@ class RoadPlan:
 
     @cached_property
     def ramp_start_m(self) -> float | None:
-        """Station where the shoulders have separated and the ramp begins; None where that is outside the scene."""
+        """Station where the shoulders have separated and the ramp begins; None if that is outside the scene."""
         start = self._station_where_open(self.width_m + 2 * self.shoulder_m)
         return start if start <= S_END_M else None
 
@@ -210,14 +210,14 @@ class RoadPlan:
         return self._exit_plan(s, t) * self.flips
 
     def lift(self, xy_world: Points2, above_m: Values | float = 0.0) -> Points3:
-        """Put points on the terrain, or `above_m` over it."""
+        """3D points on the terrain, or `above_m` over it."""
         z = ground.height_at(self.terrain, xy_world) + above_m
         return np.concatenate([xy_world, np.asarray(z)[..., None]], -1)
 
     # -- from the world back to stations
 
     def project_main(self, xy_world: Points2) -> tuple[Values, Values]:
-        """(s, t) in the plan of world points near the main road (Newton on the foot point)."""
+        """Plan (s, t) of world points near the main road (Newton's method on the perpendicular foot)."""
         xy = xy_world * self.flips
         s = xy[..., 1].copy()
         for _ in range(NEWTON_STEPS):
@@ -230,7 +230,7 @@ class RoadPlan:
         return s, ((xy - point) * normal).sum(-1)
 
     def project_exit(self, xy_world: Points2, s: Values) -> tuple[Values, Values]:
-        """(s, t) in the plan of world points near the exit, from a first guess of s; s may come out negative."""
+        """Plan (s, t) of world points near the exit, from an initial guess of s; the resulting s may be negative."""
         xy = xy_world * self.flips
         for _ in range(NEWTON_STEPS):
             point, step, _ = self._exit_frame(s)

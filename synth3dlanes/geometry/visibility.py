@@ -6,14 +6,14 @@ from jaxtyping import Bool, Float
 from synth3dlanes.geometry.ground import Ground
 
 STEP_M = 2.0
-# Ground higher than the line of sight by less than this does not hide a point that lies on that ground.
+# Ground above the line of sight by less than this does not count: points lie on the ground themselves.
 TOLERANCE_M = 0.01
 
 
 def seen_over_ground(
     ground: Ground, eye_world: Float[np.ndarray, "3"], points_world: Float[np.ndarray, "n 3"]
 ) -> Bool[np.ndarray, " n"]:
-    """True where the straight line from the eye to the point passes over terrain, embankments and roads."""
+    """True where the straight line from the eye to the point stays above terrain, embankments and roads."""
     to = points_world - eye_world
     distance = np.linalg.norm(to[:, :2], axis=1)
     n_steps = np.maximum(np.ceil(distance / STEP_M).astype(int), 2)
@@ -31,8 +31,8 @@ def seen_over_ground(
 def _behind_crest(
     eye_world: Float[np.ndarray, "3"], to: Float[np.ndarray, "n 3"], crest_world: Float[np.ndarray, "m 3"]
 ) -> Bool[np.ndarray, " n"]:
-    """Which sight lines, given from the eye to their ends, pass below a line of crest before they end. A crest is
-    sharper than STEP_M: its crossing seen from above is computed, not searched."""
+    """Which lines of sight (vectors from the eye to their ends) pass below a crest before they end. A crest is narrower
+    than STEP_M, so its crossing seen from above is computed instead of sampled."""
     start = crest_world[:-1] - eye_world
     along = np.diff(crest_world, axis=0)
     x, y = to[:, :1], to[:, 1:2]

@@ -1,1 +1,1 @@
-"""From light to picture in numpy: sky and daylight, haze, lens, sensor, film. No Blender, which only traces rays."""
+"""From light to picture in numpy: sky and daylight, haze, lens, sensor, tone curve. Blender only traces rays."""

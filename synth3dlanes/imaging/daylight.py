@@ -1,7 +1,7 @@
-"""The daylight of a scene: sun, sky dome, and the light of the air towards the horizon.
+"""The daylight of a scene: sun, sky dome and airlight.
 
-World frame; RGB radiance and irradiance in the picture's units before exposure. The clear or cloudy sky, a closed layer
-of clouds mixed over it, and a layer of haze that ends both at the horizon in the very colour that far things fade to.
+World frame; RGB radiance and irradiance in the picture's units before exposure. The sky is a clear or cloudy sky, mixed
+with an overcast one, behind a layer of haze; at the horizon it has the colour that distant objects fade to.
 """
 
 from dataclasses import dataclass
@@ -28,20 +28,23 @@ from synth3dlanes.imaging.sky import (
 )
 from synth3dlanes.scene import Light, Scene
 
-# Irradiance of the sun outside the atmosphere: sets how bright exposure 1 is.
+# Irradiance of the sun outside the atmosphere; sets the brightness of exposure 1.
 SUN_STRENGTH = 3.4
-OVERCAST_LOSS = 0.65  # share of the daylight that a closed layer of clouds sends back up
-FOG_AIRLIGHT = 0.6  # of E / pi: thick fog is lit from all sides
+OVERCAST_LOSS = 0.65  # share of the daylight that a closed layer of clouds reflects upwards
+FOG_AIRLIGHT = 0.6  # radiance of thick fog as a share of E / pi
 GROUND_ALBEDO = 0.14
-# The sun for which full metering changes nothing.
+# The light for which full metering leaves the exposure unchanged.
 REFERENCE_SUN = Light(sun_zenith_rad=0.5, sun_azimuth_rad=0.0, exposure=1.0, metering=1.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Daylight:
-    """`sun` is its irradiance on a plane facing it, `softness` 0..1 how far clouds have spread it, `sky` the radiance
-    in Blender's equirectangular layout (bottom row first, azimuth falling from pi to -pi), `airlight` the radiance of
-    endless haze at the azimuths of the sky's columns."""
+    """Sun, sky and airlight of a scene.
+
+    `sun` is the irradiance on a plane facing the sun, `softness` (0..1) how much clouds diffuse it. `sky` is radiance
+    in Blender's equirectangular layout (bottom row first, azimuth decreasing from pi to -pi). `airlight` is the
+    radiance of infinitely deep haze at the azimuths of the sky's columns.
+    """
 
     sun: Rgb
     softness: float
@@ -50,8 +53,8 @@ class Daylight:
 
 
 def daylight(scene: Scene, eye_height_m: float) -> Daylight:
-    """The light of one scene; its clouds follow from seed, split and index. The eye's height over the plain beyond
-    the terrain says how much haze lies between them."""
+    """The light of one scene; its clouds follow from seed, split and index. `eye_height_m`, over the plain beyond the
+    terrain mesh, determines how much haze lies in front of that plain."""
     light, per_m = scene.light, KOSCHMIEDER / scene.air.visibility_m
     cover = cloud_cover(scene.stream("clouds"))
     through = np.exp(-per_m * HAZE_LAYER_M / max(np.cos(light.sun_zenith_rad), 0.1))
@@ -75,13 +78,13 @@ def daylight(scene: Scene, eye_height_m: float) -> Daylight:
 
 
 def film_factor(light: Light, now: Daylight) -> float:
-    """What the film multiplies radiance with: the exposure, times the metering's share of the missing daylight."""
+    """The factor on radiance before the film curve: the exposure times (reference / actual daylight) ** metering."""
     ratio = _reference_level() / _level(now.sun, light.sun_zenith_rad, now.sky[:, HORIZON:])
     return float(light.exposure * ratio**light.metering)
 
 
 def _level(sun: Rgb, sun_zenith_rad: float, upper: Dome) -> float:
-    """The daylight that a picture shows: the mean of what the ground gets and what walls get."""
+    """Luminance of the daylight: the mean of the irradiance on level ground and on walls."""
     ground = sun * np.cos(sun_zenith_rad) + irradiance(upper)
     walls = sun * np.sin(sun_zenith_rad) / np.pi + integral(upper, np.cos(ELEVATION_RAD[HORIZON:]) / np.pi)
     return float(LUMINANCE @ (ground + walls) / 2)
@@ -94,6 +97,6 @@ def _reference_level() -> float:
 
 
 def _ground(lit: Rgb, airlight: Float[np.ndarray, "3 w"], per_m: float, height_m: float) -> Dome:
-    """The plain beyond the terrain's mesh, as seen through the air from that height."""
+    """The lower half of the dome: the plain beyond the terrain mesh, seen through haze from `height_m`."""
     left = np.exp(-per_m * height_m / np.sin(-ELEVATION_RAD[:HORIZON]))[:, None]
     return np.asarray(left * (GROUND_ALBEDO * lit / np.pi)[:, None, None] + (1 - left) * airlight[:, None])

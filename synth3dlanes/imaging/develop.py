@@ -1,4 +1,4 @@
-"""From rendered layers to the picture: the air before the lens, motion, noise, the film's curve."""
+"""From rendered layers to the picture: haze, motion blur, noise, tone curve."""
 
 import numpy as np
 from jaxtyping import UInt8
@@ -14,8 +14,8 @@ from synth3dlanes.world import View
 
 
 def develop(scene: Scene, view: View, light: Daylight, layers: Layers) -> UInt8[np.ndarray, "h w 3"]:
-    """The picture of a scene; its noise follows from seed, split and index. Cars keep pace with the host: they and the
-    sky stay sharp while the rest is blurred."""
+    """The picture of a scene; its noise follows from seed, split and index. Motion blur leaves the sky sharp, and cars,
+    which are assumed to drive at the host's speed."""
     film = np.float32(film_factor(scene.light, light))
     linear = through_air(layers.radiance, layers.haze, scene.air.visibility_m, light.airlight, view) * film
     if scene.sensor.motion_blur_m > 0:

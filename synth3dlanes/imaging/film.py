@@ -1,8 +1,8 @@
-"""The film: linear light to the 8-bit picture, without randomness.
+"""The tone curve: linear light to the 8-bit picture.
 
-Each channel passes three steps, all increasing: an exponential film response 1 - exp(-1.1 x), which keeps middle gray
-(0.18) where it is and rolls highlights off instead of clipping them (white at x = 5); the sRGB curve; a gentle
-S-curve for the contrast of camera pictures.
+Each channel passes three increasing functions: an exponential film response 1 - exp(-1.1 x), which keeps middle gray
+(0.18) and compresses highlights instead of clipping them (white at x = 5); the sRGB curve; and a gentle S-curve for the
+contrast of camera pictures.
 """
 
 from functools import cache
@@ -16,7 +16,7 @@ CONTRAST = 0.25
 
 
 def response(linear: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    """The curve itself: radiance >= 0 to display values 0..1."""
+    """The tone curve: radiance >= 0 to display values 0..1."""
     film = -np.expm1(-FILM_SPEED * linear)
     display = np.where(film <= 0.0031308, 12.92 * film, 1.055 * np.maximum(film, 1e-9) ** (1 / 2.4) - 0.055)
     return np.asarray(display + CONTRAST * (display**2 * (3 - 2 * display) - display))
@@ -31,14 +31,14 @@ def levels_per_radiance(linear: float) -> float:
 
 @cache
 def _table() -> UInt8[np.ndarray, "65536"]:
-    """The answer for every half float, by its bits: one look-up a channel instead of powers and exponentials."""
+    """The 8-bit value of every half float, indexed by its bits: a lookup is faster than powers and exponentials."""
     values = np.arange(65536, dtype=np.uint16).view(np.float16).astype(np.float64)
     values = np.where(np.isnan(values) | (values < 0), 0, values)
     return np.round(255 * response(values)).astype(np.uint8)
 
 
 def tonemap(linear: Float[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
-    """The picture; negative and undefined values become black."""
+    """The 8-bit picture; negative values and NaN become black."""
     with np.errstate(over="ignore"):
         halves = linear.astype(np.float16)
     return _table()[halves.view(np.uint16)]

@@ -1,6 +1,6 @@
-"""What the air does to the picture: contrast falls by exp(-d 3.912 / V), and the air's own light takes its place.
+"""Haze: over a distance d light is attenuated by exp(-d 3.912 / V) at visibility V, and airlight replaces the rest.
 
-On linear radiance before the film.
+Applies to linear radiance, before the tone curve.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from synth3dlanes.imaging.sky import AZIMUTH_RAD
 from synth3dlanes.scene import Camera
 from synth3dlanes.world import View
 
-KOSCHMIEDER = 3.912  # -log 0.02: at the meteorological visibility 2 % of a contrast is left
+KOSCHMIEDER = 3.912  # -log 0.02: 2 % of the contrast is left at the meteorological visibility
 HAZE_LAYER_M = 400.0  # height of the layer that holds the haze
 WAVELENGTHS_NM = np.array([680.0, 550.0, 440.0])
 GREEN_NM = 550.0
@@ -21,7 +21,7 @@ Image = Float[np.ndarray, "h w 3"]
 
 
 def seen_through_haze(visibility_m: float, up: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """The share of the sky's light that the layer of haze lets through in directions that rise by `up` (a sine)."""
+    """The share of the sky's light that passes the haze layer at elevations with the sine `up`."""
     return np.asarray(np.exp(-KOSCHMIEDER / visibility_m * HAZE_LAYER_M / np.maximum(up, 1e-3)))
 
 
@@ -32,10 +32,11 @@ def through_air(
     airlight: Float[np.ndarray, "3 W"],
     view: View,
 ) -> Image:
-    """The radiance that arrives, per channel: what the haze takes from it, the airlight makes up for.
+    """The radiance that arrives at the camera, per channel: attenuated by the haze, plus airlight.
 
-    `haze` is the layer of that name. The sky's radiance has its haze in it already. Yet where it is nothing but haze,
-    sky counts as far ground: the denoiser leaves specks of leaves in it, which fog must cover.
+    `haze` is the layer of that name (see `Layers`). The sky's radiance already includes its haze. Where the sky is
+    nothing but haze it is treated as distant ground, because the denoiser leaves specks of leaves in it that fog must
+    cover.
     """
     in_sky = 1 - seen_through_haze(visibility_m, _rise(view.camera, view.world_from_cam))
     left = 1 - haze[..., 0] - (1 - haze[..., 1]) * in_sky**8
@@ -46,19 +47,19 @@ def through_air(
 
 
 def scattering_exponent(visibility_m: float) -> float:
-    """How fast extinction falls with the wavelength: droplets of fog not at all, fine haze as Kruse measured."""
+    """The exponent q of extinction ~ wavelength ** -q: 0 in fog, Kruse's values in fine haze."""
     return float(np.interp(visibility_m / 1000, [1, 6, 50, 100], [0, 1.1, 1.3, 1.6]))
 
 
 def _rise(camera: Camera, world_from_cam: Matrix4) -> Float[np.ndarray, "h w"]:
-    """The sine of the elevation that each pixel looks to."""
+    """The sine of each pixel's elevation above the horizon."""
     x, z = tangents(camera)
     right_up, ahead_up, up_up = world_from_cam[2, :3].astype(np.float32)
     return np.asarray((ahead_up + right_up * x + up_up * z[:, None]) / np.sqrt(1 + x * x + (z * z)[:, None]))
 
 
 def _airlight(airlight: Float[np.ndarray, "3 W"], camera: Camera, world_from_cam: Matrix4) -> Float[np.ndarray, "w 3"]:
-    """The airlight of every column of the image: near the horizon a column is one azimuth."""
+    """The airlight of every column of the image; each column is taken as one azimuth, as near the horizon."""
     x, _ = tangents(camera)
     rays_world = np.stack([x, np.ones_like(x), np.zeros_like(x)], axis=1) @ world_from_cam[:3, :3].T
     azimuth = np.arctan2(rays_world[:, 1], rays_world[:, 0])

@@ -1,4 +1,4 @@
-"""What Blender hands back: light and geometry, pixel by pixel, before lens, film and file."""
+"""What Blender returns: radiance and geometry per pixel, before haze, sensor and tone curve."""
 
 from dataclasses import dataclass
 
@@ -8,10 +8,13 @@ from jaxtyping import Float, UInt8, UInt16
 
 @dataclass(frozen=True, eq=False)
 class Layers:
-    """`radiance` is linear and denoised, in the daylight's units; `haze` holds 1 - exp(-distance x extinction) and the
-    share of the pixel that is no sky, both antialiased as the radiance is. The others are of the pixels' centres:
-    depth along the viewing direction, infinite in the sky; ids as `settings` lists them; unit normals in the camera
-    frame, zero in the sky. None of what was not asked for."""
+    """The rendered layers of one view.
+
+    `radiance` is linear and denoised, in the daylight's units. `haze` holds 1 - exp(-distance x extinction) and the
+    share of the pixel that is not sky, antialiased as the radiance is. The others are sampled at the pixels' centres:
+    depth along the viewing direction, infinite in the sky; ids as in `settings`; unit normals in the camera frame, zero
+    in the sky. Layers that were not requested are None.
+    """
 
     radiance: Float[np.ndarray, "h w 3"]
     haze: Float[np.ndarray, "h w 2"]

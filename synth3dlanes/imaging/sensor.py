@@ -1,4 +1,4 @@
-"""What the camera does to the light that arrives: motion blur, then noise. Linear light on the film."""
+"""Motion blur and sensor noise, on linear light before the tone curve."""
 
 import numpy as np
 from jaxtyping import Float
@@ -10,9 +10,9 @@ from synth3dlanes.imaging.film import MIDDLE_GRAY, levels_per_radiance
 from synth3dlanes.imaging.lens import rays
 from synth3dlanes.scene import Camera
 
-# Taps along a pixel's way during the exposure are at most so far apart; shorter ways are not blurred.
+# Largest distance between samples along a pixel's motion, the shortest motion that is blurred, and most samples.
 TAP_PX, SHORTEST_PX, MAX_TAPS = 2.5, 0.3, 32
-# Share of the variance at middle gray that the read-out adds; the rest is photons' and grows with the light.
+# Share of the variance at middle gray that is read-out noise; the rest is photon noise, which grows with the light.
 READ_SHARE = 0.1
 
 Image = Float[np.ndarray, "h w 3"]
@@ -21,8 +21,8 @@ Image = Float[np.ndarray, "h w 3"]
 def motion_blur(
     linear: Image, depth_m: Float[np.ndarray, "h w"], camera: Camera, driven_cam: Float[np.ndarray, "3"]
 ) -> Image:
-    """The mean picture over an exposure during which the camera drives `driven_cam`, half of it before the labels'
-    instant and half after. Each pixel gathers along its own way; what has no depth keeps still."""
+    """The mean picture over an exposure during which the camera moves by `driven_cam`, half before the labels' instant
+    and half after it. Each pixel averages along its own motion; pixels with infinite depth are unchanged."""
     v, u = np.nonzero(np.isfinite(depth_m))
     uv = np.column_stack([u, v]) + 0.5
     image, depth = img_from_cam(camera), depth_m[v, u].astype(float)
@@ -44,8 +44,8 @@ def motion_blur(
 
 
 def add_noise(linear: Image, levels: float, rng: np.random.Generator) -> Image:
-    """The picture with noise of a standard deviation of `levels` (of 255) where it is middle gray: a photon's part
-    whose variance grows with the light, and a constant one of the read-out."""
+    """The picture with noise whose standard deviation is `levels` (of 255) at middle gray: photon noise, whose variance
+    grows with the light, plus constant read-out noise."""
     at_gray = levels / levels_per_radiance(MIDDLE_GRAY)
     light = np.maximum(linear, 0) / np.float32(MIDDLE_GRAY)
     spread = np.float32(at_gray) * np.sqrt(READ_SHARE + (1 - READ_SHARE) * light, dtype=np.float32)

@@ -1,7 +1,7 @@
 """The sun and the sky dome: a clear-sky table without the sun's disc, clouds, the CIE overcast sky.
 
 World frame, azimuth counter-clockwise from x. Domes are in Blender's equirectangular layout (bottom row first, azimuth
-falling from pi to -pi), upper halves start at the horizon. RGB per unit of the sun's irradiance outside the
+decreasing from pi to -pi); upper halves start at the horizon. RGB per unit of the sun's irradiance outside the
 atmosphere. `blender_assets/sky.py` makes the table.
 """
 
@@ -40,7 +40,7 @@ def sun_color(light: Light) -> Rgb:
 
 
 def cloud_cover(rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
-    """Opacity 0..1 of one of the cloud maps, turned to a random azimuth; rows from zenith to horizon."""
+    """Opacity 0..1 of a random cloud map at a random azimuth; rows from zenith to horizon."""
     file = assets_dir() / "textures" / f"clouds_{rng.integers(1, N_CLOUD_MAPS + 1)}.png"
     with Image.open(file) as picture:
         cover = np.asarray(picture, np.float32) / 255
@@ -49,7 +49,7 @@ def cloud_cover(rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
 
 
 def clear_sky(light: Light, elevation_rad: Float[np.ndarray, " h"], from_sun_rad: Float[np.ndarray, " w"]) -> Dome:
-    """Cloudless radiance per unit of solar irradiance, interpolated in the table."""
+    """Cloudless radiance per unit of solar irradiance, interpolated from the table."""
     table = _sky_table()
     at_sun = _weights(table["sun_zenith_rad"], np.array([light.sun_zenith_rad]))[0]
     by_elevation = _weights(table["elevation_rad"], elevation_rad)
@@ -60,7 +60,7 @@ def clear_sky(light: Light, elevation_rad: Float[np.ndarray, " h"], from_sun_rad
 
 
 def cloudy_sky(light: Light, clear: Dome, cover: Float[np.ndarray, "h w"]) -> Dome:
-    """The clear sky behind sunlit clouds."""
+    """The clear sky with sunlit clouds in front."""
     sunlit = sun_color(light) * (0.3 + 0.7 * np.cos(light.sun_zenith_rad)) * CLOUD_ALBEDO / np.pi
     ambient = clear.mean(axis=(1, 2))
     opacity = cover[::-1]
@@ -74,18 +74,18 @@ def overcast_dome(elevation_rad: Float[np.ndarray, "..."] | float) -> Float[np.n
 
 
 def irradiance(upper: Dome) -> Rgb:
-    """What an upper hemisphere of radiance gives to level ground."""
+    """Irradiance on level ground from an upper hemisphere of radiance."""
     return integral(upper, np.sin(ELEVATION_RAD[HORIZON:]))
 
 
 def integral(upper: Dome, weight: Float[np.ndarray, " h"]) -> Rgb:
-    """The integral of an upper hemisphere over its solid angle, each row with its weight."""
+    """The integral of an upper hemisphere over solid angle, each row multiplied by its weight."""
     solid_angle = np.cos(ELEVATION_RAD[HORIZON:]) * np.pi / SKY_SHAPE[0] * 2 * np.pi
     return np.asarray(upper.mean(axis=2) @ (weight * solid_angle))
 
 
 def from_sun(light: Light) -> Float[np.ndarray, " w"]:
-    """How far each column of a dome is from the sun's azimuth, in radians."""
+    """The absolute azimuth difference between each column of a dome and the sun, in radians."""
     return np.asarray(np.abs((AZIMUTH_RAD - light.sun_azimuth_rad + np.pi) % (2 * np.pi) - np.pi))
 
 

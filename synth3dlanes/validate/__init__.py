@@ -1,1 +1,1 @@
-"""Proof that a dataset is whole and that its labels fit its own pixels. Reads a dataset; needs no Blender."""
+"""Validation of a dataset: its files are complete and its labels agree with its pixels. Needs no Blender."""

@@ -1,8 +1,8 @@
-"""The image against its passes: are its edges where these have theirs?
+"""Check that the image's edges are where those of its passes are.
 
-Where two neighbouring pixels of the passes show two things, the image steps from one to the other between the same two
-pixels, more than between any others nearby. That holds in fog, in motion and in every part of an image, so that an
-image that is moved or stretched by a pixel, and that of another scene, are found in any sample.
+Where two neighbouring pixels of the passes show different objects, the image's brightness changes more between these
+two pixels than between others nearby. This holds in fog, with motion blur and in every part of an image, so it finds
+an image that is shifted or stretched by a pixel, or that belongs to another scene, in any sample.
 """
 
 from collections.abc import Iterator
@@ -15,15 +15,14 @@ from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.findings import Finding
 from synth3dlanes.validate.passes_proof import Passes
 
-# Steps are looked for this many pixels aside.
+# Brightness steps are measured up to this many pixels from each border.
 REACH_PX = 6
-# Of a large image rows and columns are left out, so that about this many pixels are asked.
+# Rows and columns of a large image are skipped, so that about this many pixels are used.
 MAX_PIXELS = 250_000
 
 
 class Part(NamedTuple):
-    """A part of the image by shares of its width or height, and how many borders must be in it: fewer leave it to
-    chance."""
+    """A part of the image, as shares of its width or height, and the least number of borders in it for a verdict."""
 
     name: str
     first: float
@@ -31,9 +30,9 @@ class Part(NamedTuple):
     least: int
 
 
-# In 480 rendered images of all presets the steps beside the borders are at most 0.9 times those on them in any of these
-# parts, and those REACH_PX away 0.75 times; in images moved by one pixel they are at least 1.4 times, in others' images
-# as large. What is stretched may be in place in the middle.
+# In 480 rendered images of all presets, in any of these parts, the steps beside the borders are at most 0.9 times those
+# at them, and those REACH_PX away at most 0.75 times. In images shifted by one pixel they are at least 1.4 times as
+# large, in images of other scenes as large. A stretched image may be in place in the middle.
 MOVED, BLANK = 1.1, 0.9
 ACROSS = (
     Part("the image", 0, 1, 100),
@@ -47,20 +46,20 @@ LUMA = np.array([0.3, 0.6, 0.1])
 
 
 def check_alignment(image: UInt8[np.ndarray, "h w 3"], passes: Passes) -> Iterator[Finding]:
-    """Faults of the image's place on its passes, and of its being theirs at all."""
+    """Findings where the image is shifted or stretched against its passes, or belongs to other passes."""
     if "semantic" not in passes:
         return
     every = int(np.ceil(image.shape[0] * image.shape[1] / MAX_PIXELS))
     rows, columns = np.s_[::every], np.s_[:, ::every]
     yield from _judge(image[rows] @ LUMA, _things(passes, rows), "right", ACROSS)
     things = _things(passes, columns)
-    # The ground next to the host is blurred along its way.
+    # Motion blur smears the ground near the host along the driving direction.
     things[np.isin(passes["semantic"][columns], GROUND)] = 0
     yield from _judge((image[columns] @ LUMA).T, things.T, "down", DOWN)
 
 
 def _things(passes: Passes, of: tuple[slice, ...] | slice) -> Int[np.ndarray, "r c"]:
-    """A number for each thing that is seen; trees are one, for their twigs overlap."""
+    """A number for each visible object; all trees share one, because their twigs overlap."""
     semantic = passes["semantic"][of].astype(int)
     if "instance" not in passes:
         return semantic
@@ -70,7 +69,7 @@ def _things(passes: Passes, of: tuple[slice, ...] | slice) -> Int[np.ndarray, "r
 def _judge(
     luma: Float[np.ndarray, "r c"], things: Int[np.ndarray, "r c"], way: str, parts: tuple[Part, ...]
 ) -> Iterator[Finding]:
-    """Faults along the rows."""
+    """Findings along the rows."""
     steps = np.abs(np.diff(luma, axis=1))
     n = steps.shape[1]
     rows, columns = np.nonzero(things[:, 1:] != things[:, :-1])

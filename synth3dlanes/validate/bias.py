@@ -1,8 +1,8 @@
-"""Tests over a whole data set: signed values of its samples, whose mean is 0 where images and labels are of one world.
+"""Tests over a whole data set: means of the samples' signed values, 0 if images and labels show the same world.
 
-What is too little to be seen in one sample, such as a lens of another focal length, pushes all samples the same way. A
-test fails where the mean is more than chance leaves and large enough to matter: among many samples chance leaves
-nothing, and micrometres are nobody's fault. No pixels, no files; the memory does not grow with the data set.
+An error too small to be found in one sample, such as a slightly different focal length, biases all samples in the same
+direction. A test fails if the mean is both statistically significant and large enough to matter: with many samples even
+micrometres become significant. No pixels, no files; the memory does not grow with the data set.
 """
 
 from collections.abc import Iterator, Mapping
@@ -15,12 +15,13 @@ from scipy.special import stdtrit
 from synth3dlanes.validate.findings import Problem
 
 DATA_SET = "data set"
-# How often chance alone may push a mean this far, by Student's t; fewer samples than these have no say.
+# Significance level of Student's t-test, and the least number of samples to test.
 CHANCE, MIN_SAMPLES = 1e-4, 4
 
 
 class Test(NamedTuple):
-    """The least mean that matters (metres, or a share), how it is told, and what a mean beyond it comes from."""
+    """The least mean that matters (metres, or a share), and the words of its finding: unit, expectation, direction of
+    positive and negative means, possible causes."""
 
     least: float
     unit: str
@@ -77,14 +78,14 @@ TESTS = {
 
 @dataclass
 class Mean:
-    """A running mean, with the sum of squares about it (Welford)."""
+    """A running mean and the sum of squared deviations from it (Welford's algorithm)."""
 
     n: int = 0
     mean: float = 0.0
     squares: float = 0.0
 
     def add(self, value: float) -> None:
-        """Take in one more value."""
+        """Add one value."""
         self.n += 1
         step = value - self.mean
         self.mean += step / self.n
@@ -92,7 +93,7 @@ class Mean:
 
     @property
     def standard_error(self) -> float:
-        """Of the mean; 0 of fewer than two values."""
+        """The standard error of the mean; 0 for fewer than two values."""
         return float(np.sqrt(self.squares / (self.n - 1) / self.n)) if self.n > 1 else 0.0
 
     @property
@@ -101,13 +102,13 @@ class Mean:
         return self.mean / self.standard_error if self.standard_error > 0 else float(np.sign(self.mean)) * np.inf
 
     def fails(self, least: float) -> bool:
-        """Whether the mean is beyond `least`, and farther from 0 than chance would have it."""
+        """Whether the mean exceeds `least` and differs significantly from 0."""
         if self.n < MIN_SAMPLES or abs(self.mean) <= least:
             return False
         return abs(self.t) > float(stdtrit(self.n - 1, 1 - CHANCE / 2))
 
     def summary(self, least: float) -> dict[str, float | bool | None]:
-        """Everything, for JSON."""
+        """The test's numbers, for JSON."""
         t = self.t if np.isfinite(self.t) else None
         numbers = {"mean": self.mean, "standard_error": self.standard_error, "t": t}
         return {"n": self.n, **numbers, "least": least, "fails": self.fails(least)}

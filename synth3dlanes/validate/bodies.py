@@ -1,4 +1,4 @@
-"""Where cars are in the image, with their shadows, by their boxes alone: works without passes."""
+"""Image regions that cars and their shadows may cover, from the cars' bounding boxes; works without passes."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -8,18 +8,18 @@ from synth3dlanes.frames import invert, project, transform
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.world import World
 
-# What is nearer than this is brought here, so that all of a car beside the camera can be projected.
+# Points nearer than this are moved to this depth, so that a car beside the camera can be projected.
 NEAR_M = 0.3
-# Shadows of a low sun are followed this far.
+# Lower limit of the sun's elevation, and upper limit of a shadow's length.
 LOWEST_SUN_RAD, MAX_SHADOW_M = 0.05, 15.0
-# Shadows have soft edges, and cars mirrors.
+# Margin for soft shadow edges and for mirrors.
 ROOM_PX = 3.0
 
 Pixels = Float[np.ndarray, "n 2"]
 
 
 def corners_world(world: World, car: int) -> Float[np.ndarray, "8 3"]:
-    """The corners of the box that a car is in."""
+    """The corners of a car's bounding box."""
     item = world.scene.cars[car]
     model = world.scene.assets.car_models[item.model - 1]
     half = np.array([model.width_m, model.length_m]) / 2
@@ -29,7 +29,7 @@ def corners_world(world: World, car: int) -> Float[np.ndarray, "8 3"]:
 
 
 def may_show_cars(world: World, camera: CameraLabel, uv: Pixels, within_m: float) -> Bool[np.ndarray, " n"]:
-    """Which places of the image a car or its shadow may cover, if they show what is no farther ahead than that."""
+    """Which pixels a car or its shadow may cover, counting only those that begin within `within_m` ahead."""
     hidden = np.zeros(len(uv), dtype=bool)
     for car in range(len(world.scene.cars)):
         corners = corners_world(world, car)
@@ -47,7 +47,7 @@ def may_show_cars(world: World, camera: CameraLabel, uv: Pixels, within_m: float
 
 
 def _shadow(world: World, car: int, corners: Float[np.ndarray, "8 3"]) -> Float[np.ndarray, "8 3"]:
-    """Where the shadows of the corners fall on level ground."""
+    """The corners' shadows on level ground."""
     light, foot_m = world.scene.light, world.view.world_from_cars[car][2, 3]
     rise = np.tan(max(np.pi / 2 - light.sun_zenith_rad, LOWEST_SUN_RAD))
     length_m = np.minimum((corners[:, 2] - foot_m) / rise, MAX_SHADOW_M)

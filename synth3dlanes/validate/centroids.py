@@ -1,16 +1,15 @@
-"""Where the paint of each delimiter lies in the pixels, against where its labels put it: signed, across the line.
+"""Signed offset, across the line, between the paint of each delimiter in the pixels and in the labels.
 
-    views = line_views(paint, labels)                            # once a sample
+    views = line_views(paint, labels)                            # once per sample
     for line in paint_offsets(views, passes["instance"]):        # or image_offsets(views, image)
-        line.mean_m           # how far the paint's centroid lies to the right of its label; negative: to the left
-        line.n_px.sum()       # by so many pixels of paint: from 100 on, the mean of a right line is good to some 3 mm
-        line.points_cam, line.n_px, line.moment_m                # the same slice by slice
+        line.mean_m           # offset of the paint's centroid to the right of its label; negative: to the left
+        line.n_px.sum()       # number of pixels of paint; with 100 or more the mean is accurate to about 3 mm
+        line.points_cam, line.n_px, line.moment_m                # the same for each slice
 
-Rows of the image cut a line into slices. A pass has one sample at each pixel's centre. So in each slice the pixels that
-are paint are compared with those whose centres the labels' paint covers: where both are of one world these are the
-same pixels, and no rounding to whole pixels is left. The difference of their first moments over their number is the
-offset of the centroid. Slices are not asked where a car, a tree or another line comes near, where the paint ends, or
-where the line leaves the image.
+Rows of the image cut a line into slices. A pass has one sample at each pixel's centre. So in each slice the pixels of
+paint are compared with the pixels whose centres the labels' paint covers. If both show the same world these are the
+same pixels, without rounding errors. The offset of the centroid is the difference of their first moments divided by the
+number of pixels. Slices are skipped near cars, trees or other lines, at ends of paint, and at the image's border.
 """
 
 from collections.abc import Iterator, Sequence
@@ -25,15 +24,15 @@ from synth3dlanes.labels import CameraLabel, Labels, Lane
 from synth3dlanes.settings import FIRST_DELIMITER_ID
 from synth3dlanes.validate.paint import Paint
 
-# Labels have a point for every metre, and between two of them a line may bend by millimetres.
+# Interpolated points per label point: labels are 1 m apart, and a line may bend by millimetres in between.
 STEPS = 4
 RANGE_M = 80.0
-# Paint is looked for this far beyond its edges, and this many pixels at least.
+# Paint is searched up to this far beyond its edges, and at least this many pixels.
 REACH_M, REACH_PX = 0.5, 3.0
-# Of a line in a large image only so many rows are asked.
+# Largest number of rows used for one line.
 MAX_ROWS = 200
-# In the image: up to where, from how many slices and how many gray levels of contrast on, and the width of the road
-# beside a line that its paint is compared with.
+# For `image_offsets`: the largest distance, the least number of slices, the least contrast in gray levels, and the
+# width of the road beside a line with which its paint is compared.
 IMAGE_RANGE_M, MIN_SLICES, MIN_CONTRAST, BESIDE_M = 30.0, 15, 10.0, 0.12
 LUMA = np.array([0.3, 0.6, 0.1])
 
@@ -42,9 +41,8 @@ Points = Float[np.ndarray, "n 3"]
 
 
 class Offset(NamedTuple):
-    """The paint of one line, slice by slice: where it is, how many pixels of paint it has, and by how many metres these
-    lie to the right of their label, summed up. Of an image there is one slice for the whole line, with a pixel a row.
-    """
+    """The paint of one line by slice: its position, its number of paint pixels, and the sum of their offsets to the
+    right of the label in metres. `image_offsets` gives one slice for the whole line, with one pixel per row."""
 
     lane: Lane
     points_cam: Points
@@ -53,12 +51,13 @@ class Offset(NamedTuple):
 
     @property
     def mean_m(self) -> float:
-        """How far the centroid of all of it lies to the right."""
+        """Offset of the centroid of all slices to the right."""
         return float(self.moment_m.sum() / self.n_px.sum())
 
 
 class Slices(NamedTuple):
-    """Where rows of the image cut the paint of one line: from column `left_px` to `right_px` at the row's middle."""
+    """Intersections of image rows with the paint of one line: from column `left_px` to `right_px` at the row's
+    centre."""
 
     row: Int[np.ndarray, " n"]
     left_px: Values
@@ -66,13 +65,13 @@ class Slices(NamedTuple):
     points_cam: Points
 
     def take(self, kept: np.ndarray) -> "Slices":
-        """Some of them."""
+        """The selected slices."""
         return Slices(self.row[kept], self.left_px[kept], self.right_px[kept], self.points_cam[kept])
 
 
 class View(NamedTuple):
-    """A line's slices and the pixels about them: where they are, how far right of the line they show the road, whether
-    they are within reach, whether on its edge, and whether they should be paint."""
+    """A line's slices and the pixels around them: columns, offsets to the right of the line on the road, and whether
+    each pixel is within reach, at the edge of the reach, and paint according to the labels."""
 
     lane: Lane
     slices: Slices
@@ -95,22 +94,22 @@ def line_views(paint: Paint, labels: Labels) -> list[View]:
 
 
 def paint_offsets(views: Sequence[View], instance: Integer[np.ndarray, "h w"]) -> Iterator[Offset]:
-    """The offset of every delimiter that shows any paint, by the pixels' ids."""
+    """The offset of every delimiter with visible paint, from instance ids."""
     for number, view in enumerate(views, start=FIRST_DELIMITER_ID):
         ids = instance[view.row, view.column]
         is_paint = view.near & (ids == number)
         is_other = view.near & (ids != number) & (ids != 0)
-        # Slices without a pixel of paint count too: of two thin lines that overlap one alone may be met.
-        asked = ~(is_other | (is_paint & view.edge)).any(axis=1)
-        n_px = is_paint.sum(axis=1)[asked].astype(float)
+        # Slices without paint pixels count too: of two thin overlapping lines, pixels may hit only one.
+        used = ~(is_other | (is_paint & view.edge)).any(axis=1)
+        n_px = is_paint.sum(axis=1)[used].astype(float)
         surplus = is_paint.astype(float) - (view.painted & view.near)
         if n_px.any():
-            yield Offset(view.lane, view.slices.points_cam[asked], n_px, (surplus * view.right_m)[asked].sum(axis=1))
+            yield Offset(view.lane, view.slices.points_cam[used], n_px, (surplus * view.right_m)[used].sum(axis=1))
 
 
 def image_offsets(views: Sequence[View], image: UInt8[np.ndarray, "h w 3"]) -> Iterator[Offset]:
-    """The offset of every line between two lanes whose paint is brighter, or darker, than the road beside it. At the
-    road's edges pavement ends under the paint, and one side's brightness is not the other's."""
+    """The offset of every line between two lanes whose paint is brighter or darker than the road beside it. Lines at
+    the road's edges are skipped, because the surfaces on their two sides differ in brightness."""
     for view in views:
         if view.lane.left is None or view.lane.right is None:
             continue
@@ -122,26 +121,26 @@ def image_offsets(views: Sequence[View], image: UInt8[np.ndarray, "h w 3"]) -> I
             for side in (-1, 1)
         )
         brighter = np.where(np.abs(view.right_m) < end_m, luma - np.where(view.right_m < 0, left, right), 0.0)
-        asked = (slices.points_cam[:, 1] < IMAGE_RANGE_M) & np.isfinite(brighter).all(axis=1)
-        if asked.sum() < MIN_SLICES:
+        used = (slices.points_cam[:, 1] < IMAGE_RANGE_M) & np.isfinite(brighter).all(axis=1)
+        if used.sum() < MIN_SLICES:
             continue
         area, moment = (
-            float(np.median((values * px_m)[asked].sum(axis=1))) for values in (brighter, brighter * view.right_m)
+            float(np.median((values * px_m)[used].sum(axis=1))) for values in (brighter, brighter * view.right_m)
         )
         if abs(area) > MIN_CONTRAST * 2 * view.half_m:
-            middle = np.median(slices.points_cam[asked], axis=0)[None]
-            n = np.array([float(asked.sum())])
+            middle = np.median(slices.points_cam[used], axis=0)[None]
+            n = np.array([float(used.sum())])
             yield Offset(view.lane, middle, n, n * moment / area)
 
 
 def _mean(values: Float[np.ndarray, "n k"], of: Bool[np.ndarray, "n k"]) -> Float[np.ndarray, "n 1"]:
-    """The mean of some values of each row, NaN where there are none."""
+    """The mean of the selected values of each row, NaN if there are none."""
     with np.errstate(invalid="ignore"):
         return np.where(of, values, 0.0).sum(axis=1, keepdims=True) / of.sum(axis=1, keepdims=True)
 
 
 def _view(paint: Paint, camera: CameraLabel, lane: Lane) -> View:
-    """The slices of a line that lie in the image with all their surroundings, and these."""
+    """The slices of a line whose surroundings are fully in the image, with the surrounding pixels."""
     stripes_m = np.array(paint.stripes_m(lane.id))
     half_m = float(np.abs(stripes_m).max()) + paint.width_m / 2
     slices = _slices(paint, camera, lane, half_m)
@@ -161,7 +160,7 @@ def _view(paint: Paint, camera: CameraLabel, lane: Lane) -> View:
 
 
 def _slices(paint: Paint, camera: CameraLabel, lane: Lane, half_m: float) -> Slices:
-    """All slices of a line's seen and painted stretches; the paint reaches `half_m` to either side."""
+    """All slices of a line's visible painted stretches; the paint extends `half_m` to either side."""
     none = Slices(np.zeros(0, dtype=int), np.zeros(0), np.zeros(0), np.zeros((0, 3)))
     seen = lane.visible & (lane.xyz_cam[:, 1] < RANGE_M)
     steps = np.flatnonzero(seen[:-1] & seen[1:])
@@ -174,7 +173,7 @@ def _slices(paint: Paint, camera: CameraLabel, lane: Lane, half_m: float) -> Sli
     strip = paint.strip(camera, lane, points_cam)
     left, right = (project(camera.img_from_cam, points_cam + side_m * strip.across_cam) for side_m in (-half_m, half_m))
     shows = np.isin(at[:-1].astype(int), steps) & strip.painted[:-1] & strip.painted[1:]
-    # Up the image, or a row would meet the line twice.
+    # Only stretches that go up in the image, so that a row cuts the line once.
     shows &= (np.diff(left[:, 1]) < 0) & (np.diff(right[:, 1]) < 0)
     ends = np.flatnonzero(np.diff(np.concatenate([[False], shows, [False]])))
     runs = [slice(first, last + 1) for first, last in ends.reshape(-1, 2)]
@@ -187,10 +186,10 @@ def _slices(paint: Paint, camera: CameraLabel, lane: Lane, half_m: float) -> Sli
 def _run(
     left: Float[np.ndarray, "p 2"], right: Float[np.ndarray, "p 2"], points_cam: Float[np.ndarray, "p 3"]
 ) -> Slices:
-    """The slices of one stretch of paint, of which the image shows both edges, farther ones higher up."""
+    """The slices of one stretch of paint, given its edges in the image, from near (low) to far (high)."""
     lowest, highest = min(left[0, 1], right[0, 1]), max(left[-1, 1], right[-1, 1])
     row = np.arange(int(np.ceil(highest - 0.5)), int(np.floor(lowest - 0.5)) + 1)
-    # From the far end on: np.interp wants rising numbers.
+    # Reversed, because np.interp needs increasing rows.
     left, right, points_cam = left[::-1], right[::-1], points_cam[::-1]
     middle_v = (left[:, 1] + right[:, 1]) / 2
     left_px, right_px = (np.interp(row + 0.5, side[:, 1], side[:, 0]) for side in (left, right))

@@ -1,6 +1,6 @@
-"""Are the image's channels red, green and blue, in this order? Terrain tells: ours is yellow or green in any light.
+"""Check that the image's channels are in the order red, green, blue, by the built-in terrain: yellow or green.
 
-Works without passes, by where the plan has terrain. A user's own terrain may have any colour, and is not asked.
+Works without passes, from the terrain's position in the scene. A user's own terrain may have any colour and is skipped.
 """
 
 from collections.abc import Iterator
@@ -16,18 +16,18 @@ from synth3dlanes.validate.findings import Finding
 from synth3dlanes.validate.passes_proof import Passes
 from synth3dlanes.world import World
 
-# Places of terrain, in metres ahead of the camera and beside the pavement, and clear of any other.
+# Sampled places: metres ahead of the camera, metres beside the pavement, and least distance from any pavement.
 AHEAD_M, ASIDE_M, CLEAR_M = np.arange(6.0, 80.0, 2.0), np.array([2.0, 3.5, 5.0, 7.0, 9.0, 12.0]), 1.5
-# Some of them show trees, which may be bluish: the third that is warmest counts. It has red 3 levels of 255 above blue
-# at least in 280 rendered images, the densest fog among them, and 0 in 100 of 96x72 pixels. With fewer places, nothing
-# is said. With semantic ids, all pixels of terrain count that are not far off in the haze.
+# Some places show trees, which may be bluish, so a high percentile of red minus blue is used. It is at least 3 levels
+# of 255 in 280 rendered images, including the densest fog, and at least 0 in 100 images of 96x72 pixels. Fewer places
+# than MIN_PLACES are not judged. With semantic ids, all pixels of terrain within NEAR_M are used instead.
 WARMEST, MIN_WARMTH, MIN_PLACES, NEAR_M = 67, -2.0, 30, 80.0
 
 
 def check_colours(
     world: World, camera: CameraLabel, image: UInt8[np.ndarray, "h w 3"], passes: Passes
 ) -> Iterator[Finding]:
-    """Is terrain rather red than blue?"""
+    """Finding if terrain is bluer than it is red."""
     if world.scene.assets.terrains:
         return
     if "semantic" in passes:
@@ -47,7 +47,7 @@ def check_colours(
 
 
 def _terrain_img(world: World, camera: CameraLabel) -> Float[np.ndarray, "n 2"]:
-    """Places of the image where there is terrain, if no tree or hill is before it."""
+    """Pixels that show terrain, unless a tree or hill hides it."""
     ground = world.ground
     s, ahead = ground.plan.plan_station(world.scene.camera.y_m + AHEAD_M), len(AHEAD_M)
     aside = np.concatenate([-ground.edge_m - ASIDE_M, ground.edge_m + ASIDE_M])

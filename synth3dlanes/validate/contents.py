@@ -1,4 +1,4 @@
-"""What a sample's members hold. What cannot be read, or is not as it was written, is a finding; nothing is printed."""
+"""Read a sample's members. Members that cannot be read, or differ from their canonical text, are findings."""
 
 import json
 import os
@@ -22,14 +22,14 @@ from synth3dlanes.validate.documents import differences, misfits, some
 from synth3dlanes.validate.findings import Finding
 from synth3dlanes.validate.passes_proof import Passes
 
-# What files of these formats begin with.
+# First bytes of files of these formats.
 MAGIC = {"jpg": b"\xff\xd8\xff", "png": b"\x89PNG\r\n\x1a\n"}
 
 Read = TypeVar("Read")
 
 
 class Contents(NamedTuple):
-    """A sample's members as read; None for what cannot be."""
+    """A sample's members; None for those that cannot be read."""
 
     scene: Scene | None
     labels: Labels | None
@@ -38,7 +38,7 @@ class Contents(NamedTuple):
 
 
 def read_contents(members: Mapping[str, bytes]) -> tuple[Contents, list[Finding]]:
-    """Every member on its own, and what is wrong with them."""
+    """Read every member separately; return them and the findings."""
     findings: list[Finding] = []
 
     def read(name: str, parse: Callable[[bytes, str], Read]) -> Read | None:
@@ -74,7 +74,8 @@ def _labels(data: bytes, name: str) -> Labels:
 
 
 def _require_text(data: bytes, canonical: str, name: str) -> None:
-    """Raise FormatError where a document says more or other than was read of it. Keys may lack that came later."""
+    """Raise FormatError if a document has other keys or values than were read from it. Keys added in later versions may
+    be missing."""
     if data == canonical.encode():
         return
     wrong = list(differences(json.loads(canonical), json.loads(data), may_lack=True))
@@ -108,7 +109,7 @@ def _passes(data: bytes, name: str) -> Passes:
 
 @contextmanager
 def _silence() -> Iterator[StringIO]:
-    """OpenEXR tells Python's stdout and C's stderr what it thinks of a damaged file; gives the former."""
+    """Capture OpenEXR's warnings about damaged files: returns those on Python's stdout, drops those on C's stderr."""
     sys.stderr.flush()
     kept = os.dup(2)
     try:

@@ -1,4 +1,4 @@
-"""JSON documents and what was read of them, compared value by value; a line names the value by its path in there."""
+"""Compare JSON documents value by value; each difference is a line that starts with the value's path."""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -10,21 +10,21 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 import numpy as np
 from jaxtyping import Shaped
 
-# Labels have no numbers beyond this (metres, pixels, radians).
+# Upper limit of numbers in labels (metres, pixels, radians).
 MAX_NUMBER = 1e6
-# So many lines are given of any list of them.
+# Largest number of lines to list.
 NAMED_AT_MOST = 3
 
 
 def some(lines: Sequence[str]) -> str:
-    """The first of several lines in one, and how many more there are."""
+    """The first lines joined into one, and the number of the others."""
     more = f" and {len(lines) - NAMED_AT_MOST} more" if len(lines) > NAMED_AT_MOST else ""
-    # Text of a damaged file may be more than a terminal can show.
+    # Text of a damaged file may contain characters that cannot be encoded.
     return ("; ".join(lines[:NAMED_AT_MOST]) + more).encode("utf-8", "backslashreplace").decode()
 
 
 def differences(expected: Any, found: Any, path: str = "", may_lack: bool = False) -> Iterator[str]:
-    """A line for every value that is not the expected one; keys of objects may be lacking where that is allowed."""
+    """A line for every value that differs from the expected one; with `may_lack`, objects may lack keys."""
     if isinstance(expected, dict) and isinstance(found, dict):
         for key in dict.fromkeys([*expected, *found]):
             if key in found or not may_lack:
@@ -40,14 +40,14 @@ def differences(expected: Any, found: Any, path: str = "", may_lack: bool = Fals
 
 
 def shown(value: Any) -> str:
-    """A value as JSON, cut where it is long."""
+    """A value as JSON, truncated if long."""
     text = json.dumps(value)
     return text if len(text) <= 40 else f"{text[:37]}..."
 
 
 def misfits(value: Any, kind: Any, path: str = "") -> Iterator[str]:
-    """A line for every value that is not of its annotated type, or no number that labels can have; JSON is read without
-    a look at types."""
+    """A line for every value that does not have its annotated type, or is a number beyond MAX_NUMBER: reading labels
+    from JSON does not check types."""
     options = get_args(kind) if get_origin(kind) is UnionType else (kind,)
     if all(any(True for _ in _misfits(value, option, path)) for option in options):
         yield from _misfits(value, options[0], path)
@@ -70,7 +70,7 @@ def _misfits(value: Any, kind: Any, path: str) -> Iterator[str]:
 
 
 def _fits(value: Any, kind: Any) -> bool:
-    """Whether a value that has no parts is of a type."""
+    """Whether a scalar or array has a type."""
     if get_origin(kind) is Literal:
         return isinstance(value, str) and value in get_args(kind)
     if kind in (int, float):

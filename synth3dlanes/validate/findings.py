@@ -1,4 +1,4 @@
-"""What validation hands on: faults, by name, and numbers, as distributions of constant size."""
+"""Results of validation: findings, and measured values as distributions of constant size."""
 
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -6,17 +6,18 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-# Bands of distance ahead of the camera; the limits of docs/decisions.md (Checks) hold up to PROOF_M.
+# Bands of distance ahead of the camera; the guarantees of docs/validate.md hold up to PROOF_M.
 PROOF_M = 40.0
 BANDS_M = (0.0, 10.0, 20.0, PROOF_M, 80.0, np.inf)
 BAND_NAMES = ("0-10 m", "10-20 m", "20-40 m", "40-80 m", "80+ m")
-# Values are counted in bins 10 % wide, so that the memory does not grow with the dataset; all below the first is 0.
+# Values are counted in bins 10 % wide, so that the memory does not grow with the dataset; values below the first edge
+# count as 0.
 EDGES = 1e-4 * 1.1 ** np.arange(180)
 WORST = 5
 
 
 class Finding(NamedTuple):
-    """A fault of a sample, and the lane that has it ("" for none in particular)."""
+    """A fault of a sample, and its lane ("" for none in particular)."""
 
     lane: str
     reason: str
@@ -36,21 +37,21 @@ class Problem(NamedTuple):
 
 
 class Measure(NamedTuple):
-    """Values of one kind with the distance ahead of each; those named `*_visible` are 1 where pixels disagree."""
+    """Values of one kind and the distance ahead of each; those named `*_visible` are 1 where pixels disagree."""
 
     name: str
     y_m: Float[np.ndarray, " n"]
     values: Float[np.ndarray, " n"]
 
     def worst(self) -> float:
-        """What a sample is ranked by: the largest value within the range of the guarantees; of flags their sum."""
+        """The value that ranks a sample: the largest within PROOF_M, or the sum for `*_visible`."""
         near = self.values[self.y_m < PROOF_M]
         return float(near.sum() if self.name.endswith("visible") else near.max(initial=0.0))
 
 
 class Signed(NamedTuple):
-    """One sample's signed value for a test over the whole data set, on average 0 where images and labels are of one
-    world; `name` is a key of `bias.TESTS`."""
+    """One sample's signed value for a test over the whole data set; its mean is 0 if images and labels show the same
+    world. `name` is a key of `bias.TESTS`."""
 
     name: str
     value: float
@@ -58,7 +59,7 @@ class Signed(NamedTuple):
 
 @dataclass
 class Distribution:
-    """How often which value came, by band of distance."""
+    """A histogram of values for each band of distance."""
 
     counts: Int[np.ndarray, "bands bins"] = field(
         default_factory=lambda: np.zeros((len(BAND_NAMES), len(EDGES) + 1), dtype=int)

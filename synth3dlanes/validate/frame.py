@@ -1,4 +1,4 @@
-"""Is the image one that a camera would hand on: neither black nor blown out, nor pink where a texture is missing?"""
+"""Check that the image is neither black nor overexposed, nor pink from missing textures."""
 
 import numpy as np
 from jaxtyping import UInt8
@@ -7,15 +7,15 @@ from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.findings import Finding, Measure
 from synth3dlanes.validate.passes_proof import Passes
 
-# Shares of the image's pixels; a bright sky in fog may fill half of it, and does not clip.
+# Largest share of white pixels, and least mean brightness. A bright sky in fog may fill half the image, unclipped.
 MAX_CLIPPED, MIN_MEAN = 0.5, 8.0
-# Blender shows a missing texture in pink; cars may be pink, ground is not.
+# Blender shows missing textures in pink. Cars may be pink, ground is not.
 MAX_PINK_OF_GROUND, MAX_PINK = 0.02, 0.5
 GROUND = ("terrain", "road", "shoulder", "marking")
 
 
 def check_frame(image: UInt8[np.ndarray, "h w 3"], passes: Passes) -> tuple[list[Finding], list[Measure]]:
-    """Faults of the image as a picture; measure `clipped_share` is the share of pixels with a channel at 0 or 255."""
+    """Findings about the image, and measure `clipped_share`: the share of pixels with a channel at 0 or 255."""
     findings = []
     red, green, blue = np.moveaxis(image, -1, 0)
     darkest, brightest = np.minimum(np.minimum(red, green), blue), np.maximum(np.maximum(red, green), blue)

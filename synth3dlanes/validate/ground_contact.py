@@ -1,6 +1,6 @@
-"""Do cars and trees stand on the ground that was rendered, and does none of it come up through the road?
+"""Check that cars and trees stand on the rendered ground, and that the terrain does not penetrate the road.
 
-Against the very meshes that Blender was given, which are flat between their rows, not against the formulas.
+Compares with the meshes that Blender renders, which are flat between their rows, instead of the formulas.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,11 +18,11 @@ from synth3dlanes.validate.findings import Finding, Measure
 from synth3dlanes.validate.passes_proof import Passes
 from synth3dlanes.world import World
 
-# A fault is what one would see: a rigid car on the sharpest crests has a wheel up to 0.21 m off (1,350 scenes; 5 cm in
-# all but a few), and beyond RANGE_M the ground's faces are metres long. A trunk's place is 0.1 m in the ground, and its
-# root goes 0.3 m deeper.
+# Limits of visible gaps: a rigid car on the sharpest crests has a wheel up to 0.21 m off (1,350 scenes; mostly below
+# 5 cm), and beyond RANGE_M the ground's faces are metres long. A tree's base is 0.1 m below the ground and its root
+# reaches 0.3 m deeper.
 MAX_WHEEL_M, MAX_TREE_M, RANGE_M = 0.25, 0.4, 120.0
-# Terrain this far inside the pavement's edge is on the road; every STEP-th pixel is asked, within NEAR_M.
+# Terrain pixels this far inside the pavement's edge penetrate the road; every STEP-th pixel within NEAR_M is checked.
 INSIDE_M, STEP, NEAR_M = 0.3, 2, 80.0
 MAX_THROUGH = 3
 
@@ -32,7 +32,7 @@ Values = Float[np.ndarray, " n"]
 
 
 def check_ground_contact(world: World, labels: Labels, passes: Passes) -> tuple[list[Finding], list[Measure]]:
-    """Faults by object, with measures `wheel_gap_m` and `tree_gap_m`; with depth and semantic ids, of the road, too."""
+    """Findings, and the measures `wheel_gap_m` and `tree_gap_m`. With depth and semantic ids, checks the road too."""
     wheels = _ahead(labels.camera, _wheels(world))
     places = _ahead(labels.camera, world.trees_world + np.array([0, 0, TREE_SINK_M]))
     on_ground_m = np.fmax(_height(world.verges, places[:, :2]), terrain_height(world.ground, places[:, :2]))
@@ -52,7 +52,7 @@ def check_ground_contact(world: World, labels: Labels, passes: Passes) -> tuple[
 
 
 def _wheels(world: World) -> Points:
-    """Where the tyres of all cars end."""
+    """The contact points of all cars' tyres."""
     wheels = [np.zeros((0, 3))]
     for car, world_from_car in zip(world.scene.cars, world.view.world_from_cars, strict=True):
         model = world.scene.assets.car_models[car.model - 1]
@@ -67,19 +67,19 @@ def _ahead(camera: CameraLabel, points_world: Points) -> Float[np.ndarray, "m 3"
 
 
 def _measure(name: str, camera: CameraLabel, points_world: Points, ground_m: Values) -> Measure:
-    """Gaps of points over ground, either way, where there is ground."""
+    """Absolute gaps between points and the ground, where the ground's height is known."""
     ahead_m = transform(invert(camera.world_from_cam), points_world)[:, 1]
     known = np.isfinite(ground_m)
     return Measure(name, ahead_m[known], np.abs(points_world[:, 2] - ground_m)[known])
 
 
 def _height(surfaces: Sequence[meshes.Mesh], xy: Points2) -> Values:
-    """Height of the uppermost face over each point, NaN where there is none."""
+    """Height of the highest face at each point, NaN if there is none."""
     height_m = np.full(len(xy), -np.inf)
     for mesh in surfaces:
         corners = mesh.vertices_world[mesh.faces]
         low, high = corners[..., :2].min(axis=1), corners[..., :2].max(axis=1)
-        # First by y alone, along which a road has its faces.
+        # First by y alone, which separates most of a road's faces.
         i, face = np.nonzero((low[:, 1] <= xy[:, 1, None]) & (xy[:, 1, None] <= high[:, 1]))
         over = (low[face, 0] <= xy[i, 0]) & (xy[i, 0] <= high[face, 0])
         i, face = i[over], face[over]
@@ -89,7 +89,7 @@ def _height(surfaces: Sequence[meshes.Mesh], xy: Points2) -> Values:
 
 
 def _on_triangles(triangles: Float[np.ndarray, "n 3 3"], xy: Points2) -> Values:
-    """Height of each triangle over its point, NaN beside it."""
+    """Height of each triangle at its point, NaN for points outside the triangle."""
     (ax, ay, az), (bx, by, bz) = np.moveaxis(triangles[:, 1:] - triangles[:, :1], 0, -1)
     x, y = (xy - triangles[:, 0, :2]).T
     area = ax * by - ay * bx
@@ -100,7 +100,7 @@ def _on_triangles(triangles: Float[np.ndarray, "n 3 3"], xy: Points2) -> Values:
 
 
 def terrain_height(ground: Ground, xy: Points2) -> Values:
-    """Height of the terrain's mesh, taken as bilinear in its cells."""
+    """Height of the terrain mesh, interpolated bilinearly in its cells."""
     xs, ys = meshes.terrain_axes(ground)
     j = np.clip(np.searchsorted(xs, xy[:, 0]) - 1, 0, len(xs) - 2)
     i = np.clip(np.searchsorted(ys, xy[:, 1]) - 1, 0, len(ys) - 2)
@@ -112,7 +112,7 @@ def terrain_height(ground: Ground, xy: Points2) -> Values:
 
 
 def _through(ground: Ground, camera: CameraLabel, passes: Passes) -> Iterator[Finding]:
-    """Pixels that show terrain where there is pavement in the plan."""
+    """Finding for pixels that show terrain where the scene has pavement."""
     depth_m, semantic = passes["depth"][::STEP, ::STEP], passes["semantic"][::STEP, ::STEP]
     v, u = np.nonzero((semantic == SEMANTIC_IDS["terrain"]) & (depth_m < NEAR_M))
     rays_cam = np.column_stack([STEP * u + 0.5, STEP * v + 0.5, np.ones(len(u))]) @ np.linalg.inv(camera.img_from_cam).T

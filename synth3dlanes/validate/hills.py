@@ -1,7 +1,6 @@
-"""The pixels of the terrain, put back in the world by their depth: are the hills those of the scene?
+"""Check the terrain's heights: pixels of terrain, unprojected by their depth, must lie on the scene's terrain mesh.
 
-Beside the roads the terrain's mesh is all there is, and a pixel's point lies on it. So hills that are a per cent higher
-are found in one sample, and so is a lens of another focal length.
+This finds hills that are one per cent too high, or a different focal length, in a single sample.
 """
 
 from collections.abc import Iterator
@@ -19,16 +18,16 @@ from synth3dlanes.validate.passes_proof import Passes
 from synth3dlanes.validate.pavement import unproject
 from synth3dlanes.world import World
 
-# So many pixels are asked, evenly spread; of fewer than MIN_PIXELS nothing is said.
+# At most MAX_PIXELS evenly spread pixels are used; fewer than MIN_PIXELS are not judged.
 MAX_PIXELS, MIN_PIXELS, RANGE_M = 2_000, 20, 120.0
-# Verges and embankments lie over the terrain up to this far beyond their feet, in widths of a verge.
+# Pixels within this many verge widths of the embankment's foot are skipped: verges cover the terrain there.
 VERGES = 1.1
-# The median over a sample is 1 mm at most in 400 rendered ones.
+# The median over a sample is at most 1 mm in 400 rendered samples.
 MAX_MEDIAN_M = 0.005
 
 
 def check_hills(world: World, labels: Labels, passes: Passes) -> Iterator[Finding]:
-    """Is the terrain as high as it should be?"""
+    """Finding if the terrain's height differs from the scene's."""
     if not {"depth", "semantic"} <= set(passes):
         return
     is_terrain = (passes["semantic"] == SEMANTIC_IDS["terrain"]) & (passes["depth"] < RANGE_M)

@@ -1,6 +1,6 @@
-"""The host by its law: in the lane that its scene names, beside the middle by the offset there, and clear of all cars.
+"""Check that the host is in its scene's lane, at the scene's offset from the lane's middle, and clear of all cars.
 
-Computed from the labels' own points, not as the camera was placed: `geometry.camera` is not asked.
+Computed from the labels' points and independent of `geometry.camera`, which places the camera.
 """
 
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ LAW_M = 0.001
 
 
 def check_host(world: World, labels: Labels) -> Iterator[Finding]:
-    """Faults of where the host stands."""
+    """Findings about the host's position."""
     camera = world.scene.camera
     segment = world.scene.road.segments_at(camera.y_m)[camera.lane - 1]
     paths = next((found.centerlines for found in labels.graph.segments if found.id == segment), ())
@@ -31,19 +31,20 @@ def check_host(world: World, labels: Labels) -> Iterator[Finding]:
     elif min(abs(aside_m - camera.offset_m) for aside_m in asides_m) > LAW_M:
         found = min(asides_m, key=lambda aside_m: abs(aside_m - camera.offset_m))
         yield Finding(
-            lanes[0].id, f"host: expected it {camera.offset_m:+.3f} m aside of its lane's middle, got {found:+.3f} m"
+            lanes[0].id, f"host: expected {camera.offset_m:+.3f} m from its lane's middle, got {found:+.3f} m"
         )
     body = footprint(foot, ahead / np.linalg.norm(ahead), *HOST_SIZE_M)
     for i, (car, pose) in enumerate(zip(world.scene.cars, world.view.world_from_cars, strict=True)):
         model, along = world.scene.assets.car_models[car.model - 1], pose[:2, 1] / np.linalg.norm(pose[:2, 1])
         place = footprint(pose[:2, 3], along, model.length_m * car.scale, model.width_m * car.scale)
         if overlaps_any(body, place[None]):
-            yield Finding("", f"cars.{i}: expected it clear of the host's body, got it there")
+            yield Finding("", f"cars.{i}: overlaps the host's body")
 
 
 def _asides(labels: Labels, lane: Lane, foot: Float[np.ndarray, "2"]) -> tuple[float, float]:
-    """How far right of a lane a place beside its first point is: across its first step, drawn out where needed; and
-    from that point, which is the one where the lane opens and is not parallel to the road."""
+    """Two estimates of how far right of a lane a point near the lane's start is: the distance to the line through the
+    lane's first two points, and the signed distance to its first point (for a lane that opens, which is not parallel
+    to the road)."""
     first, second = transform(labels.camera.world_from_cam, lane.xyz_cam[:2])[:, :2]
     (dx, dy), (x, y) = (second - first) / np.linalg.norm(second - first), foot - first
     across_m = float(x * dy - y * dx)

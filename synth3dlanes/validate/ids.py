@@ -1,7 +1,7 @@
-"""Instance ids, and where there are none semantic ids, against the scene: is paint where its line is painted, are cars
-and trees within their own bodies, and is of every car as much seen as its label says?
+"""Check instance ids, or else semantic ids, against the scene: paint must lie on its line, pixels of cars and trees in
+their bodies, and the visible share of each car must fit its label.
 
-Pixels are taken back into the scene by their depth.
+Pixels are unprojected into the scene by their depth.
 """
 
 from collections.abc import Iterator
@@ -21,20 +21,21 @@ from synth3dlanes.validate.pavement import unproject
 from synth3dlanes.validate.places import places
 from synth3dlanes.world import World
 
-# Of a kind, so many pixels are asked, evenly spread over the image.
+# At most this many pixels of a kind are used, evenly spread over the image.
 MAX_PIXELS = 10_000
-# Single pixels are left alone, and of a body this share: a wrong id has nearly all of its pixels elsewhere.
+# Number of pixels, and share of a body's pixels, that may be wrong: with a wrong id nearly all of them are.
 MAX_SINGLE, MAX_SHARE = 3, 0.05
-# Of a line so many pixels of paint may lie farther beyond its edges. In 60 random scenes of each preset none does where
-# the eye sees paint no farther along the sight line than MAX_FLOAT_M from the road that it floats over.
+# Share of a line's paint pixels that may lie more than MAX_BEYOND_M outside its edges. Only pixels whose paint floats
+# at most MAX_FLOAT_M over the road, along the line of sight, are used; in 60 random scenes of each preset none is
+# outside.
 MAX_BEYOND_M, MAX_FLOAT_M, MAX_SHARE_BEYOND = 0.01, 0.05, 0.02
-# Cars end with their nominal boxes, to 1 %; twigs reach 10 % beyond a tree's.
+# Margins: cars fit their nominal boxes to 1 %; twigs reach 10 % beyond a tree's.
 CAR_ROOM, TREE_ROOM = 1.05, 1.15
-# What of the box that a car is in, as seen, is car: 0.52 to 0.93 for all of ours; of a user's at most all.
+# Share of a car's projected bounding box that the car fills: 0.52 to 0.93 for all built-in cars; up to 1 for a user's.
 FILL, OWN_FILL = (0.5, 0.95), (0.2, 1.0)
-# Shares are counted by some 60 rays, pixels by their centres; the worst of 2,300 cars is off by 0.16.
+# Labels measure shares with about 60 rays, passes with pixel centres; the worst of 2,300 cars differs by 0.16.
 MAX_SHARE_OFF, SLACK_PX = 0.25, 6
-# A car with a corner nearer than this is seen too widely for its box to say how much of it is seen.
+# A car with a corner nearer than this is too close for an estimate from its box.
 MIN_CORNER_M = 0.5
 
 KIND_OF_ID = np.zeros(FIRST_TREE_ID + 1, dtype=np.uint8)
@@ -48,7 +49,7 @@ Ids = Integer[np.ndarray, "h w"]
 
 
 def prove_ids(paint: Paint, labels: Labels, passes: Passes) -> tuple[list[Finding], list[Measure]]:
-    """Faults of ids by line and by object; measure `beyond_paint_m` is how far pixels of paint lie outside it."""
+    """Findings about ids, and measure `beyond_paint_m`: how far pixels of paint lie outside the scene's paint."""
     world = paint.world
     findings: list[Finding] = []
     measures: list[Measure] = []
@@ -64,12 +65,12 @@ def prove_ids(paint: Paint, labels: Labels, passes: Passes) -> tuple[list[Findin
 
 
 def _kind(instance: Ids) -> Ids:
-    """Semantic ids of what has instance ids, by these; 0 for everything else."""
+    """Semantic ids that follow from instance ids; 0 for pixels without one."""
     return KIND_OF_ID[np.minimum(instance, len(KIND_OF_ID) - 1)]
 
 
 def _agreement(semantic: Ids, instance: Ids) -> Iterator[Finding]:
-    """Both passes are of one sample: where one says car, the other has the id of a car."""
+    """Findings where semantic and instance ids disagree about the kind of object."""
     kind = _kind(instance)
     for name in ("car", "marking", "tree"):
         is_semantic, is_instance = semantic == SEMANTIC_IDS[name], kind == SEMANTIC_IDS[name]
@@ -77,22 +78,22 @@ def _agreement(semantic: Ids, instance: Ids) -> Iterator[Finding]:
         if wrong > MAX_SINGLE:
             yield Finding(
                 "",
-                f"instance: expected ids of the kind {name} at the {is_semantic.sum()} pixels that semantic has so, "
-                f"got them at {(is_semantic & is_instance).sum()} of these and at {(is_instance & ~is_semantic).sum()} "
-                "others",
+                f"instance: expected ids of the kind {name} at the {is_semantic.sum()} pixels of this kind in "
+                f"semantic, got them at {(is_semantic & is_instance).sum()} of these and at "
+                f"{(is_instance & ~is_semantic).sum()} others",
             )
 
 
 def _paint(paint: Paint, labels: Labels, passes: Passes) -> tuple[list[Finding], Measure]:
-    """Pixels of paint against the paint of their line; without instance ids, of any line."""
+    """Compare pixels of paint with the scene's paint of their line, or of any line without instance ids."""
     world, camera = paint.world, labels.camera
     name = "instance" if "instance" in passes else "semantic"
     kind = _kind(passes["instance"]) if name == "instance" else passes["semantic"]
     rows, columns = _some((kind == SEMANTIC_IDS["marking"]) & np.isfinite(passes["depth"]))
     points_cam = unproject(camera, passes["depth"], rows, columns)
-    points, asked = on_road(world, camera, points_cam)
-    asked &= points_cam[:, 1] < PROOF_M
-    points, rows, columns, y_m = points[asked], rows[asked], columns[asked], points_cam[asked, 1]
+    points, used = on_road(world, camera, points_cam)
+    used &= points_cam[:, 1] < PROOF_M
+    points, rows, columns, y_m = points[used], rows[used], columns[used], points_cam[used, 1]
     place = places(world.ground, points[:, :2])
     labelled = [lane.id for lane in labels.lanes if lane.kind == "delimiter"]
     ids = [*labelled, *(id_ for id_ in paint.ids if id_ not in labelled)]
@@ -112,7 +113,7 @@ def _paint(paint: Paint, labels: Labels, passes: Passes) -> tuple[list[Finding],
 
 
 def on_road(world: World, camera: CameraLabel, points_cam: Points) -> tuple[Points, Bool[np.ndarray, " n"]]:
-    """World points that float over the road put where the eye sees them on it, and which could be, for certain."""
+    """Move points that float over the road along the line of sight onto it; also return where this is reliable."""
     terrain, points = world.scene.terrain, transform(camera.world_from_cam, points_cam)
     place = places(world.ground, points[:, :2])
     sight = points - camera.world_from_cam[:3, 3]
@@ -125,7 +126,7 @@ def on_road(world: World, camera: CameraLabel, points_cam: Points) -> tuple[Poin
 
 
 def _bodies(world: World, camera: CameraLabel, passes: Passes) -> Iterator[Finding]:
-    """Pixels of cars and trees against their bodies; without instance ids, against all of them."""
+    """Compare pixels of cars and trees with their bodies, or with all bodies without instance ids."""
     kind = _kind(passes["instance"]) if "instance" in passes else passes["semantic"]
     name = "instance" if "instance" in passes else "semantic"
     for thing, first, inside in (("car", FIRST_CAR_ID, _in_car), ("tree", FIRST_TREE_ID, _in_tree)):
@@ -141,7 +142,7 @@ def _bodies(world: World, camera: CameraLabel, passes: Passes) -> Iterator[Findi
 
 
 def _in_car(world: World, points: Points, own: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Which points are within the box of their car, -1 for any."""
+    """Which points are in the box of car `own`, -1 for any car."""
     inside = np.zeros(len(points), dtype=bool)
     for i, (car, pose) in enumerate(zip(world.scene.cars, world.view.world_from_cars, strict=True)):
         at = np.flatnonzero((own == i) | (own < 0))
@@ -153,7 +154,7 @@ def _in_car(world: World, points: Points, own: Int[np.ndarray, " n"]) -> Bool[np
 
 
 def _box(world: World, car: int) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """The box that a car is in, at scale 1."""
+    """The bounding box of a car with its margin, at scale 1."""
     model = world.scene.assets.car_models[world.scene.cars[car].model - 1]
     half = np.array([model.width_m, model.length_m, 0.0]) / 2 * CAR_ROOM
     rest_m = (CAR_ROOM - 1) * model.height_m
@@ -161,7 +162,7 @@ def _box(world: World, car: int) -> tuple[Float[np.ndarray, "3"], Float[np.ndarr
 
 
 def _in_tree(world: World, points: Points, own: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Which points are within the cylinder of their tree, -1 for the nearest."""
+    """Which points are in the cylinder of tree `own`, -1 for the nearest tree."""
     trees = world.scene.trees
     if not trees:
         return np.zeros(len(points), dtype=bool)
@@ -186,7 +187,7 @@ def _in_tree(world: World, points: Points, own: Int[np.ndarray, " n"]) -> Bool[n
 
 
 def _shares(world: World, labels: Labels, instance: Ids) -> Iterator[Finding]:
-    """The seen share of each car against the number of its pixels."""
+    """Compare the visible share of each car with its number of pixels."""
     assert labels.car_visible_fraction is not None
     counts = np.bincount(instance.ravel(), minlength=FIRST_DELIMITER_ID)[FIRST_CAR_ID:]
     for i, share in enumerate(labels.car_visible_fraction):
@@ -200,7 +201,7 @@ def _shares(world: World, labels: Labels, instance: Ids) -> Iterator[Finding]:
 
 
 def _seen_share(world: World, camera: CameraLabel, car: int, n_px: int) -> tuple[float, float]:
-    """Between which shares of a car's silhouette its pixels may be, by the size of its box in the image."""
+    """Limits of the visible share of a car's silhouette, from its number of pixels and its box in the image."""
     low, high = (corner / CAR_ROOM * world.scene.cars[car].scale for corner in _box(world, car))
     corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1)), axis=-1).reshape(-1, 3)
     corners_cam = transform(invert(camera.world_from_cam), transform(world.view.world_from_cars[car], corners))
@@ -212,7 +213,7 @@ def _seen_share(world: World, camera: CameraLabel, car: int, n_px: int) -> tuple
 
 
 def _some(of: Bool[np.ndarray, "h w"]) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Rows and columns of at most MAX_PIXELS of the pixels."""
+    """Rows and columns of at most MAX_PIXELS of the selected pixels."""
     rows, columns = np.nonzero(of)
     step = 1 + len(rows) // MAX_PIXELS
     return rows[::step], columns[::step]

@@ -1,10 +1,10 @@
-"""The image against the labels: across every delimiter that is seen, the brightness has its ridge where the paint is.
+"""Check the image against the labels: across every visible delimiter, brightness has its ridge at the label.
 
-Works without passes. Profiles across the line are cut from the image at even steps of metres on the road, so that
-perspective does not matter, and their median along the line is what is judged: shadows, cracks and worn paint move
-some profiles, not the median. Profiles that a car or its shadow may touch are left out. A line without contrast says
-nothing; a whole image without any says that it is not the labels' image, and one whose lines together are clearest some
-pixels aside that it was moved or stretched. Images are not asked whose paint may not show (`Paint.shows`).
+Works without passes. Brightness profiles across the line are sampled at equal distances on the road, so that
+perspective does not matter, and their median along the line is judged: shadows, cracks and worn paint affect some
+profiles, but not the median. Profiles that a car or its shadow may touch are left out. A line without contrast is not
+judged. An image with hardly any line in place is not the labels' image; one whose lines are clearest together at an
+offset was shifted or stretched. Images whose paint may be invisible are skipped (`Paint.shows`).
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,28 +21,28 @@ from synth3dlanes.validate.findings import PROOF_M, Finding, Measure
 from synth3dlanes.validate.paint import Paint, Strip
 from synth3dlanes.validate.places import places
 
-# Profiles reach this far to either side, in steps that resolve the narrowest paint (0.1 m).
+# Half the length of a profile, and its step, which resolves the narrowest paint (0.1 m).
 REACH_M, STEP_M = 1.0, 0.025
-# Lines are looked for this far aside; beyond, the next line's paint may come into the profile.
+# Ridges are searched up to this offset; beyond it the profile may contain the next line's paint.
 SEARCH_M = 0.75
-# Where the road beside the paint begins and ends, in widths of the paint from its middle.
+# Range of the road beside the paint, in widths of the paint from its middle.
 BESIDE = (0.75, 1.75)
-# Of the profiles every so many are asked how far the pavement reaches.
+# The extent of the pavement is computed for every ROOM_EVERY-th profile.
 ROOM_EVERY = 10
-# A ridge this close to its place counts as in place: half of the narrowest paint.
+# A ridge this close to its label counts as in place: about half the width of the narrowest paint.
 IN_PLACE_M = 0.06
-# Fewer profiles than this can all lie in one shadow, tar seam or worn stretch.
+# Least number of profiles of a line: fewer may all lie in one shadow, tar seam or worn stretch.
 MIN_PROFILES = 15
-# Gray levels of 255 in the median of a line: chance leaves 1 to 4 where no paint is, paint of the road's own gray 5.
+# Gray levels of 255 in a line's median: 1 to 4 occur by chance without paint, 5 with paint as gray as the road.
 CONTRAST, FAINT = 12.0, 4.0
-# A ridge elsewhere must be this much stronger than what is in place: the edge of a shadow reaches 2.7 times.
+# A ridge elsewhere must be this many times stronger than in place: the edge of a shadow reaches 2.7 times.
 STRONGER = 3.0
-# With fewer profiles in all, no image is judged as a whole; one with a smaller share of them in place is not the
-# labels' image. Measured on 200 scenes: no clean one fails, and 88 % of images taken from another scene do.
+# An image is judged as a whole from this many profiles on; with a smaller share of them in place it is not the labels'
+# image. In 200 scenes, no correct image fails, and 88 % of the images of another scene do.
 MIN_IMAGE_PROFILES, MIN_SHARE = 60, 0.4
-# All lines together are looked for this far aside and stretched about the image's middle, in pixels and shares; where
-# they are, a line counts by at most so many times its median. In place they are 0.99 times as clear as where they are
-# clearest, in the worst of 91 images; moved by 3 px, 0.91 times in the best.
+# All lines together are tried at these shifts (pixels) and stretches about the image's middle (shares); a profile
+# counts at most MAX_OF_MEDIAN times its line's median. In place, lines are at least 0.99 times as clear as at their
+# clearest in 91 images; shifted by 3 px, at most 0.91 times.
 MOVES_PX, STRETCHES, MAX_OF_MEDIAN = np.arange(-12, 13) / 2, np.arange(-10, 11) / 200, 1.5
 MIN_CLEAR, MIN_MEAN, MIN_MOVE_PX = 0.95, 6.0, 2.25
 
@@ -51,7 +51,7 @@ PLACES_M = OFFSETS_M[np.abs(OFFSETS_M) <= SEARCH_M + STEP_M / 2]
 
 
 class Cut(NamedTuple):
-    """Profiles across one line, with their left ends, middles and right ends."""
+    """Profiles across one line, and their left ends, middles and right ends."""
 
     lane: str
     ends_cam: Float[np.ndarray, "n 3 3"]
@@ -59,8 +59,8 @@ class Cut(NamedTuple):
 
 
 class Line(NamedTuple):
-    """One line in the image: where its profiles are cut, how many pixels a metre to the right is there along the row,
-    how far ahead they are, and how much brighter than its sides a stripe at each of PLACES_M is."""
+    """One line in the image. For each profile: its column, the pixels per metre along the row, its distance ahead, and
+    how much brighter than its surroundings a stripe at each of PLACES_M is."""
 
     lane: str
     u_px: Float[np.ndarray, " n"]
@@ -70,7 +70,8 @@ class Line(NamedTuple):
 
 
 class Contrast(NamedTuple):
-    """One line in the median: how many profiles, where its ridge is, how strong that is, and how strong in place."""
+    """The median of one line's profiles: their number and distance, the ridge's offset and strength, and the strength
+    in place."""
 
     lane: str
     n: int
@@ -81,14 +82,14 @@ class Contrast(NamedTuple):
 
     @property
     def verdict(self) -> Literal["in place", "elsewhere", "unclear"]:
-        """What the image says of the line."""
+        """Where the image shows the line."""
         if self.ridge >= CONTRAST and self.in_place * STRONGER < self.ridge:
             return "elsewhere"
         return "in place" if self.in_place >= FAINT and 2 * self.in_place >= self.ridge else "unclear"
 
 
 def prove_image(paint: Paint, labels: Labels, image: UInt8[np.ndarray, "h w 3"]) -> tuple[list[Finding], list[Measure]]:
-    """Faults of lines and of the image as a whole; measure `image_ridge_m` is the ridge's distance from its place."""
+    """Findings about lines and the whole image, and measure `image_ridge_m`: distances of ridges from their labels."""
     if not paint.shows:
         return [], []
     luma = image @ np.array([0.3, 0.6, 0.1])
@@ -118,7 +119,7 @@ def prove_image(paint: Paint, labels: Labels, image: UInt8[np.ndarray, "h w 3"])
 
 
 def _cut(paint: Paint, camera: CameraLabel, lane: Lane, luma: Float[np.ndarray, "h w"]) -> Iterator[Cut]:
-    """Whole profiles across the line, where there are enough."""
+    """Complete profiles across the line, if there are enough."""
     points_cam = _every_pixel(camera, lane)
     if len(points_cam) < MIN_PROFILES:
         return
@@ -132,7 +133,7 @@ def _cut(paint: Paint, camera: CameraLabel, lane: Lane, luma: Float[np.ndarray, 
 
 
 def _lines(paint: Paint, camera: CameraLabel, cuts: Sequence[Cut]) -> Iterator[Line]:
-    """The lines of which enough profiles are clear of cars, with what of each is on the road."""
+    """Lines with enough profiles clear of cars; ridges beyond the pavement are set to 0."""
     if not cuts:
         return
     ends_cam = np.concatenate([cut.ends_cam for cut in cuts])
@@ -155,8 +156,8 @@ def _lines(paint: Paint, camera: CameraLabel, cuts: Sequence[Cut]) -> Iterator[L
 
 
 def _room(at_m: Float[np.ndarray, " n"], end_m: Float[np.ndarray, " n"]) -> float:
-    """How far the pavement reaches aside, by how far outside of it (NaN: not asked) a line and the ends of its profiles
-    are, up to REACH_M: at its edge, and beyond, there is no paint."""
+    """How far the pavement extends to one side of a line, at most REACH_M, from the distances outside the pavement
+    (NaN: not computed) of points on the line and of the profiles' ends."""
     return float(np.nanmin(REACH_M * at_m / (at_m - np.maximum(end_m, 0)), initial=REACH_M))
 
 
@@ -169,9 +170,8 @@ def _contrast(line: Line) -> Contrast:
 
 
 def _moved(lines: Sequence[Line], width_px: int) -> Iterator[Finding]:
-    """Are all lines together clearest where they are, not where the image would have them if it were moved or
-    stretched? Two lines at least must say so, and none the contrary: one alone may have a bright road and a dark
-    shoulder beside it."""
+    """Finding if all lines together are clearer with the image shifted or stretched. At least two lines must agree and
+    none contradict: a single line may lie between a bright road and a dark shoulder."""
     strengths = np.array([_strengths(line, width_px) for line in lines])
     total = strengths.sum(axis=0)
     i, j = np.unravel_index(total.argmax(), total.shape)
@@ -189,7 +189,7 @@ def _moved(lines: Sequence[Line], width_px: int) -> Iterator[Finding]:
 
 
 def _strengths(line: Line, width_px: int) -> Float[np.ndarray, "a b"]:
-    """How clear the line is where moves and stretches of the image would have it, summed over its profiles."""
+    """The line's clarity for each shift and stretch of the image, summed over its profiles."""
     aside_px = MOVES_PX[:, None, None] + STRETCHES[:, None] * (line.u_px - width_px / 2)
     place = np.rint((aside_px / line.px_per_m + SEARCH_M) / STEP_M).astype(int)
     inside = (place >= 0) & (place < len(PLACES_M))
@@ -199,7 +199,7 @@ def _strengths(line: Line, width_px: int) -> Float[np.ndarray, "a b"]:
 
 
 def _every_pixel(camera: CameraLabel, lane: Lane) -> Float[np.ndarray, "n 3"]:
-    """Points about a pixel apart on the image along the seen part of a line; perspective is linear in 1/y."""
+    """Points about one pixel apart in the image along the visible part of a line; perspective is linear in 1/y."""
     seen = lane.visible & (lane.xyz_cam[:, 1] < PROOF_M)
     uv = project(camera.img_from_cam, lane.xyz_cam)
     pieces = [np.zeros((0, 3))]
@@ -213,7 +213,7 @@ def _every_pixel(camera: CameraLabel, lane: Lane) -> Float[np.ndarray, "n 3"]:
 
 
 def _profiles(camera: CameraLabel, strip: Strip, luma: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "n k"]:
-    """Brightness across the line at its resolved points; NaN outside the image."""
+    """Brightness profiles across the line at its resolved points; NaN outside the image."""
     at = strip.resolved
     points = strip.points_cam[at, None] + OFFSETS_M[:, None] * strip.across_cam[at, None]
     u, v = project(camera.img_from_cam, points.reshape(-1, 3)).T
@@ -228,7 +228,7 @@ def _profiles(camera: CameraLabel, strip: Strip, luma: Float[np.ndarray, "h w"])
 def _ridges(
     profiles: Float[np.ndarray, "n k"], width_m: float, stripes_m: tuple[float, ...]
 ) -> Float[np.ndarray, "n m"]:
-    """How much brighter stripes as wide as the paint are than both their sides, for lines at PLACES_M across."""
+    """How much brighter stripes of the paint's width are than both sides, for lines at the offsets PLACES_M."""
     weights = np.zeros((len(OFFSETS_M), len(PLACES_M)))
     for j, place_m in enumerate(PLACES_M):
         away = np.abs(OFFSETS_M - place_m - np.array(stripes_m)[:, None]).min(axis=0) / width_m

@@ -1,4 +1,4 @@
-"""Shards against their indices: every byte accounted for, every sample once. Places may be URLs (`dataset.address`)."""
+"""Check shards against their indices: no byte unaccounted for, every sample once. Paths may be URLs."""
 
 import hashlib
 import re
@@ -28,7 +28,7 @@ KEY = re.compile("[0-9]{8}")
 
 @dataclass(frozen=True)
 class Entry:
-    """A sample as the index has it: its row there, the tar, offset and size there of each member, and the digest of its
+    """A sample according to the index: its row, its tar, the offset and size of each member, and the digest of its
     bytes."""
 
     split: str
@@ -40,23 +40,23 @@ class Entry:
 
     @property
     def name(self) -> str:
-        """As `synth3dlanes inspect` takes it after the folder: `train:00000017`."""
+        """The sample's name for `synth3dlanes inspect`: `train:00000017`."""
         return f"{self.split}:{key_of(self.index)}"
 
     @property
     def end(self) -> int:
-        """Where the sample's last block ends in the tar."""
+        """End of the sample's last block in the tar."""
         end = max(offset + size for offset, size in self.members.values())
         return end + -end % BLOCK
 
     def parts(self) -> set[tuple[str, int, int]]:
-        """Its members as the tar should hold them: name, offset, size."""
+        """The expected members of the tar: name, offset, size."""
         return {(f"{key_of(self.index)}.{name}", *place) for name, place in self.members.items()}
 
 
 class ShardCheck(NamedTuple):
-    """The faults of a shard, the samples that lie in its tar where its index says, the indices that it names, and the
-    recipe that it was made from ("" where it does not say)."""
+    """The problems of a shard, its intact samples, all sample indices in its index, and the recipe that it was made
+    from ("" if not recorded)."""
 
     problems: list[Problem]
     entries: Sequence[Entry] = ()
@@ -69,7 +69,7 @@ def check_shard(parquet: str, names: Sequence[str], shard_size: int) -> ShardChe
     try:
         if not _stem(parquet).isdecimal():
             raise FormatError("expected the number of a shard, as in 00000.parquet, got another name")
-        # Of an earlier validation.
+        # The cache may hold an earlier validation's index.
         _read_index.cache_clear()
         table = _read_index(parquet)
         entries, problems = _entries(table, parquet, names)
@@ -100,7 +100,7 @@ def check_shard(parquet: str, names: Sequence[str], shard_size: int) -> ShardChe
 
 
 def check_presence(split: str, n: int, indices: Set[int]) -> Iterator[Problem]:
-    """Every index from 0 to n - 1 is in the shards of a split, and no other."""
+    """Problems unless a split has exactly the samples 0 to n - 1."""
     n_missing = n - sum(0 <= index < n for index in indices)
     if n_missing:
         absent = (index for index in range(n) if index not in indices)
@@ -108,11 +108,11 @@ def check_presence(split: str, n: int, indices: Set[int]) -> Iterator[Problem]:
         more = f" and {n_missing - NAMED_AT_MOST} more" if n_missing > NAMED_AT_MOST else ""
         yield Problem(split, "", f"expected {n} samples, {n_missing} missing: {', '.join(named)}{more}")
     for index in sorted(index for index in indices if not 0 <= index < n):
-        yield Problem(f"{split}:{key_of(index)}", "", f"expected {n} samples by dataset.json, got one beyond them")
+        yield Problem(f"{split}:{key_of(index)}", "", f"expected indices below {n} by dataset.json, got this one")
 
 
 def read_sample(entry: Entry) -> tuple[dict[str, bytes], str]:
-    """A sample's members by name, and what is wrong with its bytes ("" for nothing)."""
+    """A sample's members by name, and the fault of its bytes ("" for none)."""
     start = min(offset for offset, _ in entry.members.values()) - BLOCK
     files, path = connect(entry.tar)
     with translate_store_errors(entry.tar):
@@ -124,7 +124,7 @@ def read_sample(entry: Entry) -> tuple[dict[str, bytes], str]:
 
 
 def check_row(entry: Entry, scene: Scene, labels: Labels) -> Iterator[Finding]:
-    """Every column of a sample's row in the index is what scene, labels and places give."""
+    """Finding if a sample's row in the index differs from its scene, labels and offsets."""
     parquet = _parquet_of(entry.tar)
     found = _read_index(parquet).slice(entry.row, 1).to_pylist()[0]
     expected = index_row(key_of(entry.index), entry.members, entry.sha256, scene, labels)
@@ -134,7 +134,7 @@ def check_row(entry: Entry, scene: Scene, labels: Labels) -> Iterator[Finding]:
 
 
 def walk(tar: str) -> tuple[list[tuple[str, int, int]], str]:
-    """Name, offset and size of each whole member of a tar up to its first fault, and that fault ("" for none)."""
+    """Name, offset and size of each complete member of a tar up to its first fault, and that fault ("" for none)."""
     found: list[tuple[str, int, int]] = []
     fault = ""
     files, path = connect(tar)
@@ -153,7 +153,7 @@ def walk(tar: str) -> tuple[list[tuple[str, int, int]], str]:
 
 
 def _place(place: str) -> str:
-    """A file's name with its split's."""
+    """A file's path from the folder of its split on, e.g. `train/00000.tar`."""
     return "/".join(place.split("/")[-2:])
 
 
@@ -176,7 +176,7 @@ def _size(place: str) -> int:
 
 @lru_cache(maxsize=1)
 def _read_index(parquet: str) -> pa.Table:
-    """The index of a shard; raise FormatError where it is none. Samples are asked for in order, so one is kept."""
+    """The index of a shard; raise FormatError if it is not one. Samples are read in order, so one index is cached."""
     files, path = connect(parquet)
     with translate_store_errors(_place(parquet), "cannot be read"):
         if not files.exists(path):
@@ -196,7 +196,7 @@ def _read_index(parquet: str) -> pa.Table:
 
 
 def _entries(table: pa.Table, parquet: str, names: Sequence[str]) -> tuple[list[Entry], list[Problem]]:
-    """The rows of an index; raise FormatError where they name no places."""
+    """The rows of an index; raise FormatError if it lacks the columns of offsets."""
     places = {name: place_columns([name]) for name in names}
     columns = ["key", "index", "sha256", *place_columns(names)]
     require_columns(table, columns, _place(parquet))
@@ -214,7 +214,7 @@ def _entries(table: pa.Table, parquet: str, names: Sequence[str]) -> tuple[list[
 
 
 def _not_once(entries: Sequence[Entry], found: Sequence[tuple[str, int, int]], tar: str) -> Iterator[Problem]:
-    """Samples that are more than once in the index or in the tar, and members that only the tar knows."""
+    """Problems of samples that occur more than once in the index or the tar, or in the tar only."""
     split = _place(tar).partition("/")[0]
     for name, count in Counter(entry.name for entry in entries).items():
         if count > 1:
@@ -226,4 +226,4 @@ def _not_once(entries: Sequence[Entry], found: Sequence[tuple[str, int, int]], t
         yield Problem(f"{split}:{key}", "", f"expected this key once in {_place(tar)}, got {count}")
     known = {key_of(entry.index) for entry in entries}
     for key in sorted({name.partition(".")[0] for name, _, _ in found} - known):
-        yield Problem(f"{split}:{key}", "", f"expected every sample of {_place(tar)} in its index, not this one")
+        yield Problem(f"{split}:{key}", "", f"in {_place(tar)}, but not in its index")

@@ -1,6 +1,6 @@
-"""Normals as such, wherever they lie: of unit length, none in the sky, and turned to the eye. Camera frame.
+"""Check that all normals have unit length, are zero in the sky and face the camera. Camera frame.
 
-That they are the road's own is asked in `pavement`.
+`pavement` compares them with the road's normals.
 """
 
 from collections.abc import Iterator
@@ -12,18 +12,18 @@ from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.findings import Finding
 from synth3dlanes.validate.passes_proof import Passes
 
-# Of a large image only so many pixels are asked, evenly spread.
+# At most about this many evenly spread pixels are used.
 MAX_PIXELS = 45_000
-# Half floats leave a length good to 0.0004.
+# Tolerance of the length (half floats are accurate to 0.0004), and number of pixels that may be wrong.
 LENGTH, MAX_SINGLE = 0.005, 3
-# Shading is smooth: at outlines a normal may look past the eye. Of a small car as many as 6 % of the pixels do, of all
-# others 0.8 % in 200 rendered scenes; leaves and far hills are not asked.
+# With smooth shading, normals at outlines may point away from the camera: in 200 rendered scenes, up to 6 % of the
+# pixels of a small car and 0.8 % of all others. Leaves and far hills are not checked.
 AWAY, MAX_AWAY, MIN_PIXELS = 0.02, 0.25, 50
 KINDS = ("road", "shoulder", "marking", "car")
 
 
 def check_normals(camera: CameraLabel, passes: Passes) -> Iterator[Finding]:
-    """Faults of the normal pass by itself, against depth (where is sky?) and semantic ids (what faces the eye?)."""
+    """Findings about the normal pass; depth or semantic ids give the sky, semantic ids the kinds to check."""
     if "normal" not in passes:
         return
     step = int(np.ceil(np.sqrt(passes["normal"][..., 0].size / MAX_PIXELS)))
@@ -37,7 +37,7 @@ def check_normals(camera: CameraLabel, passes: Passes) -> Iterator[Finding]:
         is_sky = ~np.isfinite(some["depth"]) if "depth" in some else some["semantic"] == SEMANTIC_IDS["sky"]
         wrong = int((has_none != is_sky).sum())
         if wrong > MAX_SINGLE:
-            yield Finding("", f"normal: expected none in the sky alone, got it otherwise at {wrong} pixels")
+            yield Finding("", f"normal: expected zero in the sky and only there, got otherwise at {wrong} pixels")
     if "semantic" in some:
         rows, columns = step * np.indices(length.shape) + 0.5
         rays_cam = np.stack([columns, rows, np.ones(rows.shape)], axis=-1) @ np.linalg.inv(camera.img_from_cam).T

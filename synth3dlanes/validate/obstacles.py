@@ -1,7 +1,7 @@
-"""`object_visible` against the sizes of cars and trees alone: works without passes and without Blender.
+"""Check `object_visible` against the bounding boxes of cars and trees; works without passes and without Blender.
 
-A point can only be hidden by an object whose bounding box its line of sight meets, and is hidden for certain where
-that goes through the core of a car.
+A point can only be hidden by an object if its line of sight meets the object's bounding box, and it must be hidden if
+the line goes through the core of a car.
 """
 
 from collections.abc import Iterator
@@ -15,14 +15,14 @@ from synth3dlanes.labels import Labels
 from synth3dlanes.validate.findings import Finding
 from synth3dlanes.world import World
 
-# Meshes may stand out of their nominal boxes by mirrors and twigs.
+# Mirrors and twigs may extend beyond the nominal boxes.
 ROOM = 1.15
-# Every body is solid within this part of its box: between what is open below a truck and windows, and behind the
-# gap that a truck has at its cab.
+# Every car is solid in this part of its box: above the open space below a truck, below the windows, and behind the gap
+# at a truck's cab.
 CORE_SIDES, CORE_HEIGHT = ((-0.7, -0.7), (0.7, 0.2)), (0.38, 0.5)
-# A sight line may graze the core's edges.
+# Number of lines of sight that may graze the core's edges.
 MAX_WRONG = 1
-# So many points of a line were behind twigs that reach out of their boxes, at most, in 1,350 scenes.
+# Largest number of points of a line behind twigs outside their boxes in 1,350 scenes.
 MAX_TWIGS = 2
 
 Points = Float[np.ndarray, "n 3"]
@@ -30,7 +30,7 @@ Corners = Float[np.ndarray, "k 3"]
 
 
 class Boxes(NamedTuple):
-    """Boxes, each from its low corner to its high one in its own frame, metres."""
+    """Boxes from a low to a high corner, each in its own frame, metres."""
 
     world_from_boxes: Float[np.ndarray, "k 4 4"]
     low: Corners
@@ -38,7 +38,7 @@ class Boxes(NamedTuple):
 
 
 def check_objects(world: World, labels: Labels) -> Iterator[Finding]:
-    """Lanes with points that are called hidden with nothing there to hide them, or seen through a car."""
+    """Findings about lanes with points marked hidden without an object in the way, or visible behind a car."""
     points_world = transform(labels.camera.world_from_cam, np.concatenate([lane.xyz_cam for lane in labels.lanes]))
     seen = np.concatenate([np.asarray(lane.object_visible) for lane in labels.lanes])
     eye_world, ends = labels.camera.world_from_cam[:3, 3], np.cumsum([len(lane.xyz_cam) for lane in labels.lanes])[:-1]
@@ -57,14 +57,14 @@ def check_objects(world: World, labels: Labels) -> Iterator[Finding]:
 
 
 def _cores(world: World) -> Boxes:
-    """The part of each car that nobody sees through."""
+    """The opaque core of each car."""
     half, up, poses = _cars(world)
     low, high = (half * [*side, 0] + height * up for side, height in zip(CORE_SIDES, CORE_HEIGHT, strict=True))
     return Boxes(poses, low, high)
 
 
 def _outlines(world: World) -> Boxes:
-    """What each car and each tree may fill."""
+    """The box that each car and tree may fill."""
     half, up, cars = _cars(world)
     models = [world.scene.assets.tree_models[tree.model - 1] for tree in world.scene.trees]
     sizes = np.array([(model.crown_radius_m, model.crown_radius_m, model.height_m) for model in models]).reshape(-1, 3)
@@ -90,7 +90,7 @@ def _meet(boxes: Boxes, eye_world: Float[np.ndarray, "3"], points_world: Points)
     eyes, ends = (eye_world - origins) @ rotations, (points_world - origins) @ rotations
     with np.errstate(divide="ignore", invalid="ignore"):
         first, second = ((corner[:, None] - eyes) / (ends - eyes) for corner in (boxes.low, boxes.high))
-    # Along an axis that a line runs across, 0 / 0 says nothing.
+    # 0 / 0 along an axis perpendicular to a line is NaN, which fmax and fmin ignore.
     enters = np.fmax.reduce(np.minimum(first, second), axis=2, initial=0)
     leaves = np.fmin.reduce(np.maximum(first, second), axis=2, initial=1)
     return np.asarray((enters <= leaves).any(axis=0))

@@ -1,8 +1,8 @@
-"""Is each scene the one that dataset.json draws for its place? Drawing it again.
+"""Check that each scene is the one that dataset.json describes, by drawing it again.
 
-A set dealt anew by `split` keeps in scene.json the seed, split and index that a scene was drawn for, and is drawn
-again for those; the scenes of `twins` are, too, and then get the recorded change. Which scene of its source a sample of
-such a set is cannot be told: the source may lack some. One scene in two places is found all the same (`Report`).
+In a data set made by `split`, scene.json keeps the seed, split and index that the scene was drawn for, and it is drawn
+again with those; so are the scenes of `twins`, to which the recorded change is then applied. Which scene of the source
+a sample of such a set must have is not known, because the source may lack some. `Report` finds duplicate scenes.
 """
 
 import json
@@ -25,13 +25,13 @@ from synth3dlanes.schema import Part, validation_problems
 from synth3dlanes.validate.documents import NAMED_AT_MOST, differences, some
 from synth3dlanes.validate.findings import Problem
 
-# More samples than these are not named one by one where no sample fits dataset.json.
+# If no sample matches dataset.json and there are more than this many, they are reported as one problem.
 MANY = 20
 
 
 class Derived(Part):
-    """How a data set was made of another: dealt anew (`cut`), or with one factor changed (`of`, `vary`, `values`);
-    and how that other one was made, if of a third."""
+    """How a data set was derived from another: split again (`cut`), or with one factor changed (`of`, `vary`,
+    `values`). `derived` says the same of that other data set, if it was derived too."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
 
@@ -42,7 +42,7 @@ class Derived(Part):
     derived: "Derived | None" = None
 
     def changes(self, split: str) -> list[str]:
-        """What was changed in the scenes of a split since they were drawn, first to last; see `change_scene`."""
+        """All changes to the scenes of a split since they were drawn, in order; see `change_scene`."""
         before = self.derived.changes((self.cut or self.of).rpartition("/")[2]) if self.derived else []
         if not self.vary:
             return before
@@ -53,14 +53,14 @@ class Derived(Part):
 
 
 def _in_order(document: Any) -> Any:
-    """Own assets as scenes have them: dataset.json has them by name, in order."""
+    """Assets as tuples, as scenes have them; dataset.json has them by name, in the same order."""
     if not isinstance(document, dict):
         return document
     return {kind: tuple(own.values()) if isinstance(own, dict) else own for kind, own in document.items()}
 
 
 class Origin(Part):
-    """What the scenes of a data set were drawn from by its dataset.json."""
+    """The inputs from which a data set's scenes were drawn, according to its dataset.json."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
 
@@ -70,11 +70,11 @@ class Origin(Part):
     derived: Derived | None = None
 
     def fault(self, scene: Scene, split: str, index: int) -> str:
-        """How the scene of a sample differs from the one drawn again for it, in a line; "" where it does not."""
+        """How a sample's scene differs from the one drawn again, in one line; "" if they are equal."""
         try:
             drawn = self._drawn(scene, split, index)
         except (InputError, ValueError, LookupError, ArithmeticError) as error:
-            return f"expected to draw it again, got {' '.join(str(error).split())}"
+            return f"cannot be drawn again: {' '.join(str(error).split())}"
         if scene == drawn:
             return ""
         return some(list(differences(drawn.model_dump(mode="json"), scene.model_dump(mode="json"))))
@@ -87,7 +87,7 @@ class Origin(Part):
 
 
 def read_origin(description: Mapping[str, Any]) -> Origin:
-    """What a dataset.json says of scenes; raise FormatError with what is wrong in one line."""
+    """The origin recorded in a dataset.json; raise FormatError with all problems in one line."""
     try:
         return Origin.model_validate(description)
     except ValidationError as error:
@@ -97,7 +97,7 @@ def read_origin(description: Mapping[str, Any]) -> Origin:
 
 
 def made_otherwise(recipes: Mapping[str, str], recipe: str) -> Iterator[Problem]:
-    """Where shards were made from another recipe than that of dataset.json; "" are those that do not say from which."""
+    """Problems of shards made from another recipe than that of dataset.json; "" means that none is recorded."""
     wrong = {name: made for name, made in recipes.items() if made not in ("", recipe)}
     if wrong and len(wrong) == sum(1 for made in recipes.values() if made):
         name, made = next(iter(wrong.items()))
@@ -117,9 +117,9 @@ def _recipes_differ(expected: str, found: str) -> str:
 def drawn_otherwise(
     faults: Mapping[str, str], n: int, generator: str, recipes: Mapping[str, str], recipe: str
 ) -> Iterator[Problem]:
-    """A problem for each of `n` samples whose scene is not the one drawn again: `faults` has its differences by name.
-    One for all of them where another version drew them, or dataset.json is to blame: its shards say so, or none says
-    otherwise and no sample fits."""
+    """A problem for each of the `n` samples whose scene differs from the one drawn again; `faults` maps names to
+    differences. There is one problem for all of them if another version drew them, or if dataset.json was edited: the
+    shards' recipes differ from it, or no recipe is recorded and no sample matches."""
     example = next((f"{name}: {fault}" for name, fault in faults.items()), "")
     is_edited = any(made not in ("", recipe) for made in recipes.values())
     is_unsure = not any(recipes.values()) and len(faults) == n

@@ -1,7 +1,7 @@
-"""Where paint lies by the scene: under which points of a delimiter, how wide and which way. Camera frame.
+"""The scene's paint along delimiters: which points are painted, its width and direction. Camera frame.
 
-Points are taken to their station on the road, so a line that is labelled aside of its paint is judged at the paint's
-dashes all the same.
+Points are projected to their station on the road, so that a line whose label is offset from its paint is still judged
+where the paint has dashes.
 """
 
 from dataclasses import dataclass
@@ -17,9 +17,9 @@ from synth3dlanes.labels import CameraLabel, Lane
 from synth3dlanes.validate.places import Places
 from synth3dlanes.world import World
 
-# Paint that looks thinner or a dash that looks less high than this may fall between the pixels' single samples.
+# Paint narrower, or a dash lower in the image, than this may fall between the pixels' single samples.
 RESOLVED_PX = 1.0
-# Along a line paint is seen up to this far beyond its end: it floats over the road.
+# Paint may appear up to this far beyond its end along the line, because it floats over the road.
 END_M = 0.06
 
 Points = Float[np.ndarray, "n 3"]
@@ -28,8 +28,8 @@ Values = Float[np.ndarray, " n"]
 
 @dataclass(frozen=True, eq=False)
 class Strip:
-    """Points along a line, the unit vector across it in the surface, the surface's normal, and whether there is paint
-    at their stations, and paint that single pixels can show."""
+    """Points along a line, the unit vectors across it in the surface, the surface normals, and whether each point is
+    painted and its paint large enough to appear in single pixels."""
 
     points_cam: Points
     across_cam: Points
@@ -38,13 +38,13 @@ class Strip:
     resolved: Bool[np.ndarray, " n"]
 
 
-# Paint beyond these is rubbed off, of concrete's own gray, under water or lost in fog.
+# Beyond these limits paint may be invisible: rubbed off, as gray as concrete, under water or in fog.
 MAX_WORN, MIN_GRAYSCALE, MAX_WETNESS, MIN_VISIBILITY_M = 0.7, 0.35, 0.8, 300.0
 
 
 class Paint:
-    """The paint of a world: stretches of plan stations that are painted, by the delimiter's id; `shows` unless a
-    right picture may lack it."""
+    """The paint of a world: painted intervals of plan stations by delimiter id. `shows` is False if the paint may be
+    invisible in a correct picture."""
 
     def __init__(self, world: World) -> None:
         scene = world.scene
@@ -63,7 +63,7 @@ class Paint:
             self._stretches[id_] = _merged(np.column_stack([rows[:-1], rows[1:]])[painted])
 
     def strip(self, camera: CameraLabel, lane: Lane, points_cam: Points) -> Strip:
-        """What is known about points along a lane; they must be two or more, in order."""
+        """The strip of points along a lane; at least two points, in order."""
         points_world = transform(camera.world_from_cam, points_cam)
         steps = np.gradient(points_cam, axis=0)
         along = steps / np.linalg.norm(steps, axis=1, keepdims=True)
@@ -85,15 +85,15 @@ class Paint:
 
     @property
     def ids(self) -> tuple[str, ...]:
-        """The delimiters that there are, also out of the labels' range."""
+        """The ids of all delimiters, including those beyond the labels' range."""
         return tuple(self._stretches)
 
     def stripes_m(self, id_: str) -> tuple[float, ...]:
-        """Where the stripes of a line have their middles, across it."""
+        """Offsets of the stripes' centres across a line."""
         return stripes_m(self._curves[id_], self.world.scene.markings) if id_ in self._curves else (0.0,)
 
     def beyond_m(self, id_: str, place: Places) -> Values:
-        """How far points on the road lie outside the paint of a line: across it, or beyond END_M along it; negative
+        """Distance of points on the road outside a line's paint, across it or (reduced by END_M) along it; negative
         inside."""
         stretches, curve = self._stretches[id_], self._curves[id_]
         if not len(stretches):
@@ -106,7 +106,7 @@ class Paint:
         return np.maximum(aside.min(axis=1) - self.width_m / 2, along - END_M)
 
     def _painted_m(self, id_: str, points_world: Points) -> Values:
-        """How long the stretch of paint is that each point is on; 0 off the paint."""
+        """Length of the painted stretch at each point; 0 if there is none."""
         stretches = self._stretches.get(id_, np.zeros((0, 2)))
         if not len(stretches):
             return np.zeros(len(points_world))
@@ -124,7 +124,7 @@ class Paint:
 
 
 def _merged(stretches: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "m 2"]:
-    """Stretches in order, those that touch made one."""
+    """Stretches in order, with adjacent ones merged."""
     ordered = stretches[np.argsort(stretches[:, 0])]
     first = np.append(True, ordered[1:, 0] > ordered[:-1, 1] + 1e-6)[: len(ordered)]
     return np.column_stack([ordered[first, 0], ordered[np.roll(first, -1), 1]])

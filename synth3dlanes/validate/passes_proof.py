@@ -1,7 +1,8 @@
-"""The passes against the labels: paint under delimiters, the surface under points, and who hides whom.
+"""Check the passes against the labels: paint under delimiters, the surface at points, and occlusion.
 
-A pixel's pass value is one sample at its centre. So a depth is taken from the four pixels around a point, and whether
-it is seen from the sixteen: where these disagree, an edge is less than two pixels away, and they are not asked.
+A pixel's pass value is one sample at its centre. So depth at a point is interpolated from the four pixels around it,
+and its visibility is judged from sixteen: where these disagree, an edge is less than two pixels away and the point is
+skipped.
 """
 
 from collections.abc import Iterator, Mapping
@@ -19,27 +20,30 @@ from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_ID
 from synth3dlanes.validate.findings import PROOF_M, Finding, Measure
 from synth3dlanes.validate.paint import Paint, Strip
 
-# A fault of labels is a line's, not a point's: a line fails where more than this share of its points, and more than
-# two, are off; single ones, such as on the foot of a car, are left to the distributions.
+# Label faults affect whole lines: a line fails if more than this share of its points, and more than two
+# points, are off.
+# Single points, such as at the foot of a car, only appear in the distributions.
 MAX_SHARE, MAX_SINGLE = 0.1, 2
-# Masks may differ from the passes where a sight line grazes a crest or a twig: at up to 5 points of a line in 1,350
+# Masks may differ from the passes where a line of sight grazes a crest or a twig: at up to 5 points of a line in 1,350
 # scenes.
 MAX_GRAZING = 5
-# The height map is asked where its 3 x 3 cells differ by less: a slope of about a half against the road plane.
+# The height map is used where 3 x 3 cells differ by less than this: a slope of about 0.5 against the road plane.
 MAX_SPREAD_M = 0.4
-# Limits of docs/decisions.md (Checks); the height map is interpolated between cells 0.4 m apart.
+# Limits within PROOF_M; the height map is interpolated between cells 0.4 m apart.
 LIMITS = {
     "paint_px": (1.0, "px of the paint"),
     "surface_m": (0.02, "m of the rendered surface"),
     "height_m": (0.05, "m of the height map"),
 }
 MASKS = ("terrain_visible", "object_visible")
-# Pixels that differ by more in depth belong to two surfaces, or to one seen at too flat an angle to interpolate.
+# Pixels whose depths differ by a larger factor show two surfaces, or one at too flat an angle to interpolate.
 SMOOTH = 1.2
-# Depth is interpolated between pixels as on a plane. Pixels are too large to judge a point where the surface bends so
-# much that this errs by more metres, or where the rows next to it look at less than this share of its distance.
+# Depth is interpolated between pixels as on a plane. A point is left out if pixels are too large to judge it: if the
+# surface bends so much that the interpolation errs by more metres, or if the rows next to the point look at less than
+# this share of its distance.
 MAX_BEND_M, MIN_NEXT = 0.004, 0.6
-# Nearer than a point by this much hides it: more than a pixel's depth on the point's own surface would not differ.
+# A surface nearer than a point by this factor and distance hides it; the point's own surface differs by less in depth
+# from pixel to pixel.
 NEARER, NEARER_M = 0.985, 0.05
 
 Passes = Mapping[str, Shaped[np.ndarray, "..."]]
@@ -48,7 +52,7 @@ Places = Int[np.ndarray, "k n"]
 
 
 class Marked(NamedTuple):
-    """The pixels of paint in an image of a shape: their centres, and a tree to search them by."""
+    """The pixels of paint: the image's shape, the pixels' centres, and a search tree of these."""
 
     shape: tuple[int, ...]
     centers: Pixels
@@ -56,7 +60,7 @@ class Marked(NamedTuple):
 
 
 def prove_passes(paint: Paint, labels: Labels, passes: Passes) -> tuple[list[Finding], list[Measure]]:
-    """Faults of lines by whichever of depth, semantic and height there are, and every value measured on the way."""
+    """Findings about lines from the available passes (depth, semantic, instance, height), and all measured values."""
     findings: list[Finding] = []
     measures: list[Measure] = []
     marked = _marked(passes) if {"semantic", "instance"} & set(passes) else None
@@ -78,7 +82,7 @@ def prove_passes(paint: Paint, labels: Labels, passes: Passes) -> tuple[list[Fin
 
 
 def _judge(lane_id: str, measure: Measure) -> Iterator[Finding]:
-    """A finding where too many of a line's values are too large."""
+    """A finding if too many of a line's values are too large."""
     is_flag = measure.name in MASKS
     if not is_flag and measure.name not in LIMITS:
         return
@@ -109,8 +113,8 @@ def _marked(passes: Passes) -> Marked:
 def _paint(
     camera: CameraLabel, lane: Lane, strip: Strip, stripes_m: tuple[float, ...], marked: Marked, passes: Passes
 ) -> Measure:
-    """Pixels from the stripes beside each seen point, where paint is wide enough to show, to the nearest pixel of
-    paint; 0 inside one. Of two stripes the one that is farther from its paint counts, unless something hides it."""
+    """Distance in pixels from the stripes at each visible, resolved point to the nearest pixel of paint; 0 inside one.
+    Of two stripes the one farther from its paint counts, unless it may be hidden."""
     at = lane.visible & strip.resolved
     farthest = np.zeros(int(at.sum()))
     if not len(marked.centers):
@@ -130,7 +134,7 @@ def _paint(
 def _may_be_hidden(
     points_cam: Float[np.ndarray, "n 3"], uv: Pixels, shape: tuple[int, ...], passes: Passes
 ) -> Bool[np.ndarray, " n"]:
-    """Which points have an object, or something nearer than they are, in one of the pixels around."""
+    """Which points have an object, or a nearer surface, in one of the pixels around them."""
     rows, columns = _around(uv, shape, 2)
     if "semantic" in passes:
         hidden = _of_objects(passes["semantic"][rows, columns]).any(axis=0)
@@ -143,8 +147,8 @@ def _may_be_hidden(
 
 
 def _surface(lane: Lane, strip: Strip, uv: Pixels, passes: Passes) -> list[Measure]:
-    """How far the rendered surface is from each seen point: along the line of sight, and along its own normal. At a
-    crest one pixel spans metres of depth, so the first would judge the interpolation."""
+    """Distance of the rendered surface from each visible point, in depth (`depth_m`) and along the surface normal
+    (`surface_m`). Only the latter has a limit: at a crest one pixel spans metres of depth."""
     around = 1 / passes["depth"][_around(uv, passes["depth"].shape, 2)].reshape(4, 4, -1)
     rows, columns = _around(uv, passes["depth"].shape, 1)
     fx, fy = uv[:, 0] - 0.5 - columns[0], uv[:, 1] - 0.5 - rows[0]
@@ -167,12 +171,12 @@ def _surface(lane: Lane, strip: Strip, uv: Pixels, passes: Passes) -> list[Measu
 
 
 def _height(camera: CameraLabel, lane: Lane, height_m: Float[np.ndarray, "r c"]) -> Measure:
-    """How far points on the main road lie above or below the height map."""
+    """Absolute height of points on the main road over the height map."""
     x, y, z = transform(camera.road_from_cam, lane.xyz_cam).T
     (rows, columns), (width_m, length_m) = height_map.SHAPE, height_map.CELL_M
     row, column = (rows * length_m - y) / length_m - 0.5, x / width_m + columns / 2 - 0.5
     at = (row >= 0) & (row <= rows - 1) & (column >= 0) & (column <= columns - 1)
-    # Where the ground is steep against the road plane, it is no longer one height over each place of that plane.
+    # Skip cells where the ground is too steep against the road plane to be a single height over it.
     spread_m = maximum_filter(height_m, 3) - minimum_filter(height_m, 3)
     at[at] = spread_m[np.rint(row[at]).astype(int), np.rint(column[at]).astype(int)] < MAX_SPREAD_M
     expected = map_coordinates(height_m, [row[at], column[at]], order=1)
@@ -180,8 +184,9 @@ def _height(camera: CameraLabel, lane: Lane, height_m: Float[np.ndarray, "r c"])
 
 
 def _sight(camera: CameraLabel, lane: Lane, strip: Strip, uv: Pixels, passes: Passes) -> list[Measure]:
-    """Where the passes are sure that a point is seen, or hidden by ground, or by an object: do the masks agree? A point
-    is only seen for certain where a pixel shows something as far away: a crest may hide it between two rows."""
+    """Compare the masks with the passes where these clearly show a point as visible, hidden by the ground, or hidden by
+    an object. A point counts as visible only if a pixel shows a surface at its depth: a crest may hide it between two
+    rows."""
     rows, columns = _around(uv, passes["depth"].shape, 2)
     depth = passes["depth"][rows, columns]
     own_depth = _own_depth(camera, strip, rows, columns)
@@ -203,8 +208,8 @@ def _sight(camera: CameraLabel, lane: Lane, strip: Strip, uv: Pixels, passes: Pa
 
 
 def _own_depth(camera: CameraLabel, strip: Strip, rows: Places, columns: Places) -> Float[np.ndarray, "k n"]:
-    """The depth that pixels around points would have if nothing hid the points: that of the plane through the point in
-    pixels that look at it from nearby, and no more than the point's own in those that look over it."""
+    """The depth that pixels around points would have without occlusion: that of the surface's tangent plane at the
+    point, but at most the point's own depth."""
     pixels = np.stack([columns + 0.5, rows + 0.5, np.ones(rows.shape)], axis=-1)
     rays_cam = pixels @ np.linalg.inv(camera.img_from_cam).T
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -218,8 +223,8 @@ def _of_objects(semantic: Integer[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:
 
 
 def _around(uv: Pixels, shape: tuple[int, ...], reach: int) -> tuple[Places, Places]:
-    """Rows and columns of the square of 2 x reach pixels a side about each place, row by row (any, where the place is
-    not in the image)."""
+    """Rows and columns of the square with sides of 2 x reach pixels around each pixel position, row by row (arbitrary
+    for positions outside the image)."""
     sizes = np.array([shape[1], shape[0]])
     j, i = np.floor(np.clip(np.nan_to_num(uv - 0.5), 0, sizes - 2)).astype(int).T
     dy, dx = (steps.ravel()[:, None] for steps in np.mgrid[1 - reach : reach + 1, 1 - reach : reach + 1])

@@ -1,7 +1,7 @@
-"""The pixels of the pavement, put back on the road by their depth: do depth, semantic ids and normals show the road?
+"""Check depth, semantic ids and normals of the pavement: its pixels, unprojected by depth, must lie on the road.
 
-A pass has one sample at each pixel's very centre, so that a pixel's point lies on the road's own mesh, and that follows
-the formulas to millimetres. No rounding to whole pixels is left: what is off by more is another road.
+A pass has one sample at each pixel's centre, so a pixel's point lies exactly on the road's mesh, which follows the
+formulas to millimetres. Larger differences mean a different road.
 """
 
 from collections.abc import Iterator
@@ -19,17 +19,17 @@ from synth3dlanes.validate.passes_proof import Passes
 from synth3dlanes.validate.places import Places, places
 from synth3dlanes.world import World
 
-# Of a large image so many pixels are asked, evenly spread.
+# At most about this many evenly spread pixels are used.
 MAX_PIXELS = 45_000
 RANGE_M = 110.0
-# Points of the meshes of 2,000 random scenes lie within 8 mm of the formulas up to RANGE_M, and 2 mm of the edges.
+# In 2,000 random scenes the meshes are within 8 mm of the formulas up to RANGE_M, and their edges within 2 mm.
 MAX_GAP_M, MAX_ASIDE_M = 0.015, 0.01
-# The median of a depth over what it should be, against 1: 0.0039 at most in 1,350 rendered scenes, whose faces are
-# flat. What is less is left to the test `depth_scale` over the whole set.
+# Limit of |1 - median(depth / expected depth)|: at most 0.0039 in 1,350 rendered scenes, whose faces are flat. Smaller
+# errors are found by the test `depth_scale` over the whole set.
 MAX_SCALE = 0.0045
-# Normals are the surface's own: their median is off by 0.02 degrees at most (half floats).
+# Limit of the normals' median error, as a chord; correct ones are off by at most 0.02 degrees (half floats).
 MAX_TURN = 0.005
-# Single pixels are left to the distributions; a share is of the pixels asked, with few of them in all nothing is said.
+# Number and share of pixels that may be off, and least number of pixels to judge.
 MAX_SINGLE, MAX_SHARE, MIN_PIXELS = 3, 0.02, 100
 
 Values = Float[np.ndarray, " n"]
@@ -37,8 +37,8 @@ Points = Float[np.ndarray, "n 3"]
 
 
 class Pavement(NamedTuple):
-    """Pixels that show road or shoulder: their places in the image and on the road, distance ahead, and how far each
-    lies over the road along its normal and how far that is below the eye."""
+    """Pixels that show road or shoulder: their rows and columns, distances ahead, places on the road and normals, and
+    their distances along the normal above the road (`gap_m`) and below the eye."""
 
     rows: Int[np.ndarray, " n"]
     columns: Int[np.ndarray, " n"]
@@ -50,7 +50,7 @@ class Pavement(NamedTuple):
 
 
 def see_pavement(world: World, camera: CameraLabel, passes: Passes) -> Pavement:
-    """The pavement as depth and semantic ids have it."""
+    """The pavement according to depth and semantic ids."""
     semantic, depth = passes["semantic"], passes["depth"]
     step = int(np.ceil(np.sqrt(semantic.size / MAX_PIXELS)))
     first = step // 2
@@ -73,13 +73,13 @@ def unproject(
     rows: Int[np.ndarray, " n"],
     columns: Int[np.ndarray, " n"],
 ) -> Points:
-    """The points that pixels show at their centres. Camera frame."""
+    """The points at the centres of pixels. Camera frame."""
     pixels = np.column_stack([columns + 0.5, rows + 0.5, np.ones(len(rows))])
     return pixels @ np.linalg.inv(camera.img_from_cam).T * depth_m[rows, columns, None].astype(float)
 
 
 def prove_pavement(world: World, labels: Labels, passes: Passes) -> tuple[list[Finding], list[Measure]]:
-    """Faults of depth, semantic ids and normals on the road; measure `pavement_m` is how far pixels are off it."""
+    """Findings about depth, semantic ids and normals on the road, and measure `pavement_m`: distances from the road."""
     if not {"depth", "semantic"} <= set(passes):
         return [], []
     pavement = see_pavement(world, labels.camera, passes)
@@ -90,14 +90,14 @@ def prove_pavement(world: World, labels: Labels, passes: Passes) -> tuple[list[F
 
 
 def _sky(passes: Passes) -> Iterator[Finding]:
-    """Is sky where nothing is hit, and there alone?"""
+    """Finding unless depth is infinite in the sky and only there."""
     wrong = int((np.isfinite(passes["depth"]) == (passes["semantic"] == SEMANTIC_IDS["sky"])).sum())
     if wrong > MAX_SINGLE:
-        yield Finding("", f"depth: expected none in the sky alone, got it otherwise at {wrong} pixels")
+        yield Finding("", f"depth: expected infinity in the sky and only there, got otherwise at {wrong} pixels")
 
 
 def _depth(pavement: Pavement) -> Iterator[Finding]:
-    """Is the road as far away as it should be? The ramp, of which few pixels may be seen, is asked on its own."""
+    """Findings about the road's depth. The ramp, which may have few pixels, is judged separately."""
     off = np.abs(pavement.gap_m) > MAX_GAP_M
     on_ramp = pavement.places.raised() > 0
     for name, part in (("road", ~on_ramp), ("ramp", on_ramp)):
@@ -112,11 +112,11 @@ def _depth(pavement: Pavement) -> Iterator[Finding]:
     if near.sum() >= MIN_PIXELS:
         scale = 1 - float(np.median(pavement.gap_m[near] / pavement.below_eye_m[near]))
         if abs(scale - 1) > MAX_SCALE:
-            yield Finding("", f"depth: expected the road as far as it is, got it {scale:.4f} times as far")
+            yield Finding("", f"depth: expected the road at the scene's distance, got it {scale:.4f} times as far")
 
 
 def _ids(pavement: Pavement, semantic: Integer[np.ndarray, "h w"]) -> Iterator[Finding]:
-    """Are pixels of road and shoulder where the plan has them?"""
+    """Findings where pixels of road and shoulder are not where the scene has them."""
     beyond_m = pavement.places.outside()
     off = beyond_m > MAX_ASIDE_M
     if off.sum() > MAX_SINGLE:
@@ -133,7 +133,7 @@ def _ids(pavement: Pavement, semantic: Integer[np.ndarray, "h w"]) -> Iterator[F
 
 
 def _normals(pavement: Pavement, camera: CameraLabel, normals_cam: Float[np.ndarray, "h w 3"]) -> Iterator[Finding]:
-    """Are the normals those of the road? Where the exit leaves it they are rounded off."""
+    """Finding if the normals differ from the road's, in the median: they are smoothed where the exit leaves it."""
     if len(pavement.rows) < MIN_PIXELS:
         return
     found = normals_cam[pavement.rows, pavement.columns] @ camera.world_from_cam[:3, :3].T

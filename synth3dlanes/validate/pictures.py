@@ -1,4 +1,4 @@
-"""A picture of each sample that fails, under `validation` in the data set."""
+"""Save a picture of each sample that fails in the folder `validation` of the data set."""
 
 import io
 from contextlib import suppress
@@ -12,25 +12,25 @@ from synth3dlanes.figures.overlay import draw_overlay, stretches_img
 from synth3dlanes.labels import Labels
 
 FOLDER = "validation"
-# Lines that lead farther out of the image are not drawn.
+# No lanes are drawn if a line extends farther than this outside the image.
 MAX_PX = 1e5
 
 Picture = UInt8[np.ndarray, "h w 3"]
 
 
 def draw(image: Picture, labels: Labels) -> Picture:
-    """The image with its lanes, where these can be drawn."""
+    """The image with its lanes, if these can be drawn."""
     lines_img = [line for lane in labels.lanes for _, line in stretches_img(labels.camera, lane)]
     return draw_overlay(image, labels) if all((np.abs(line) < MAX_PX).all() for line in lines_img) else image
 
 
 def save_picture(place: str, name: str, picture: Picture) -> None:
-    """Write a picture beside the data set. A store that may only be read goes without."""
+    """Write a picture into the data set; does nothing if the store cannot be written."""
     files, root = connect(place)
     stream = io.BytesIO()
     Image.fromarray(picture).save(stream, "PNG")
     with suppress(*store_errors()):
-        # Elsewhere a path begins with a bucket; folders need no making there.
+        # Local paths only: paths in an object store begin with a bucket, and folders need not be created.
         if root.startswith("/"):
             files.makedirs(f"{root}/{FOLDER}", exist_ok=True)
         files.pipe_file(f"{root}/{FOLDER}/{name}.png", stream.getvalue())

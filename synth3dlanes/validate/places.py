@@ -1,6 +1,6 @@
-"""Where points seen from above lie on the roads of a scene, and what should be there. In the plan; metres.
+"""Positions of points, seen from above, on the roads of a scene, and the surface expected there. Plan frame, metres.
 
-Everything here is as Blender is given it: surfaces are straight between their rows of vertices.
+Follows the meshes that Blender renders: surfaces are straight between their rows of vertices.
 """
 
 from dataclasses import dataclass
@@ -13,11 +13,11 @@ from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.lanes import Curve
 from synth3dlanes.settings import SEMANTIC_IDS
 
-# The exit is looked for this far behind the split, and this far left of the lanes that it takes.
+# Points are projected onto the exit up to this far before the split and this far left of the exit's lanes.
 BEHIND_M, ASIDE_M = 20.0, 1.0
-# Faces of the exit that end on the main pavement are cut; this far outside it there are none of them.
+# The exit's faces are cut where they meet the main pavement; this far outside it no face is cut.
 CUT_M = 0.3
-# Of the main right shoulder what is this near to the exit's lanes may be covered by them: their faces are whole.
+# Points on the main right shoulder this close to the exit's lanes may be covered by the faces of these.
 COVER_M = 2.0
 
 Values = Float[np.ndarray, " n"]
@@ -25,7 +25,7 @@ Values = Float[np.ndarray, " n"]
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Points by stations and offsets on the main road and on the exit; these are NaN where it is not near."""
+    """Points by station and offset on the main road and on the exit; NaN where the exit is not near."""
 
     ground: Ground
     s: Values
@@ -34,11 +34,11 @@ class Places:
     exit_t: Values
 
     def at(self, which: Bool[np.ndarray, " n"]) -> "Places":
-        """Some of the points."""
+        """The selected points."""
         return Places(self.ground, self.s[which], self.t[which], self.exit_s[which], self.exit_t[which])
 
     def outside(self) -> Values:
-        """Distance outside the nearest pavement, negative on it."""
+        """Distance from the nearest pavement, negative on it."""
         return np.fmin(self._outside_main(), self._outside_exit())
 
     def raised(self) -> Values:
@@ -57,16 +57,16 @@ class Places:
         return (raised > 0) & (raised < self.ground.plan.road.ramp_height_m)
 
     def right_of(self, curve: Curve) -> Values:
-        """Distance to the right of a curve, as the plan has it."""
+        """Distance to the right of a curve in the plan."""
         on_main = self.t - curve.main_offset(self.ground.plan, self.s)
         return np.where(self._follows_exit(curve), self.exit_t - curve.fork_m, on_main)
 
     def station(self, curve: Curve) -> Values:
-        """The stations beside a curve."""
+        """Stations along a curve."""
         return np.where(self._follows_exit(curve), self.exit_s, self.s)
 
     def surface(self, margin_m: float) -> Int[np.ndarray, " n"]:
-        """Semantic id of road or shoulder where only one can be, by more than a margin; 0 elsewhere."""
+        """Semantic id of road or shoulder where only one is possible, given a margin; 0 elsewhere."""
         plan, ground = self.ground.plan, self.ground
         main, exits = self._outside_main(), self._outside_exit()
         right = ground.main_right_edge(self.s) - plan.shoulder_m
@@ -92,7 +92,7 @@ class Places:
 
 
 def places(ground: Ground, xy_world: Float[np.ndarray, "n 2"]) -> Places:
-    """Put points that are near a road on it."""
+    """Project points near a road onto it."""
     plan = ground.plan
     s, t = plan.project_main(xy_world)
     exit_s, exit_t = np.full(s.shape, np.nan), np.full(s.shape, np.nan)

@@ -1,4 +1,4 @@
-"""What came out of a validation: problems by name, distributions, the worst samples; for people and for machines."""
+"""The report of a validation: problems, distributions, worst samples; as text and as JSON."""
 
 import heapq
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ WITHIN_PROOF = slice(0, BANDS_M.index(PROOF_M))
 
 @dataclass
 class Report:
-    """Grows by one sample at a time; of samples without faults only counts stay, and a digest of each."""
+    """Collects samples one by one; samples without faults leave only counts and a digest each."""
 
     n_samples: int = 0
     problems: list[Problem] = field(default_factory=list)
@@ -56,7 +56,7 @@ class Report:
         measures: Sequence[Measure],
         signed: Sequence[Signed] = (),
     ) -> None:
-        """Take in one sample. A world that has been there before is a fault of the sample that repeats it."""
+        """Add one sample. A world that occurred before is a problem of the sample that repeats it."""
         self.n_samples += 1
         self.problems += [Problem(name, finding.lane, finding.reason) for finding in findings]
         if digest:
@@ -73,7 +73,7 @@ class Report:
             self.means.setdefault(value.name, Mean()).add(value.value)
 
     def judge(self) -> None:
-        """Once all samples are in: the tests over the whole data set."""
+        """Run the tests over the whole data set, after all samples were added."""
         self.problems += judge(self.means)
 
     @property
@@ -82,7 +82,7 @@ class Report:
         return sorted({problem.where for problem in self.problems})
 
     def document(self) -> dict[str, Any]:
-        """Everything, for JSON."""
+        """The report for JSON."""
         return {
             "samples": self.n_samples,
             "failed": self.failed,
@@ -103,7 +103,7 @@ class Report:
         }
 
     def text(self) -> RenderableType:
-        """Distributions, the worst samples, means over the data set, then one line per problem."""
+        """Distributions with their worst samples, means over the data set, then one line per problem."""
         document = self.document()
         parts: list[RenderableType] = []
         for name, words in MEASURES.items():

@@ -1,4 +1,4 @@
-"""Validate a dataset: shards, then samples, in parallel; what comes back is of constant size per sample."""
+"""Validate a dataset: shards, then samples, in parallel. Results have constant size per sample."""
 
 import hashlib
 import os
@@ -43,7 +43,7 @@ from synth3dlanes.validate.signed import signed_values
 from synth3dlanes.validate.structure import check_shape, check_values, points_to_pixels
 from synth3dlanes.world import World, resolve
 
-# What geometry raises where a scene or labels make none. Samples of a clean data set raise nothing.
+# Exceptions of geometry computed from invalid scenes or labels. Samples of a correct data set raise none.
 NO_GEOMETRY = (
     ArithmeticError, AssertionError, LookupError, MemoryError, RuntimeError, RuntimeWarning, StopIteration, ValueError
 )  # fmt: skip
@@ -52,7 +52,7 @@ Map = Callable[..., Iterator[Any]]
 
 
 class Proved(NamedTuple):
-    """What one proof found in a sample, and what it measured there."""
+    """The findings and measured values of one check of a sample."""
 
     findings: Sequence[Finding] = ()
     measures: Sequence[Measure] = ()
@@ -60,8 +60,8 @@ class Proved(NamedTuple):
 
 
 class Checked(NamedTuple):
-    """What one sample's check found; `digest` is of its world, whatever split, seed and index it was drawn for, and
-    `redrawn` how it differs from the world that dataset.json draws ("" for not at all)."""
+    """The results of one sample. `digest` is that of its world, independent of split, seed and index; `redrawn` says
+    how the scene differs from the one that dataset.json draws ("" if it does not)."""
 
     name: str
     digest: str
@@ -74,8 +74,8 @@ class Checked(NamedTuple):
 def validate(place: str | Path, workers: int, limit: int | None, progress: Callable[[int, int], None]) -> Report:
     """Check all shards of a dataset (a folder or a URL) and its samples, or the first `limit` samples of every split.
 
-    Writes an overlay picture of each sample that fails to PLACE/validation. `progress` gets (samples done, in all).
-    Raises InputError where nothing is at that place, FormatError where its store refuses.
+    Writes an overlay picture of each sample that fails to PLACE/validation. `progress` is called with (samples done,
+    total). Raises InputError if there is no folder at `place`, FormatError if its store cannot be read.
     """
     place = str(place).rstrip("/")
     report = Report()
@@ -109,7 +109,7 @@ def validate(place: str | Path, workers: int, limit: int | None, progress: Calla
 
 
 def _read_description(place: str) -> dict[str, Any]:
-    """The contents of dataset.json; raise FormatError where it is none, InputError where there is no such place."""
+    """The contents of dataset.json; raise FormatError if it is missing or invalid, InputError if `place` is missing."""
     files, root = connect(place)
     with translate_store_errors(place):
         if not files.isdir(root):
@@ -120,7 +120,7 @@ def _read_description(place: str) -> dict[str, Any]:
 
 
 def _shards(place: str) -> list[str]:
-    """Where the indices of all shards are or should be."""
+    """The index paths of all shards, including those whose index is missing."""
     files, root = connect(place)
     with translate_store_errors(place):
         names = [str(path).removeprefix(root).lstrip("/") for path in files.find(root, maxdepth=2)]
@@ -131,7 +131,7 @@ def _shards(place: str) -> list[str]:
 def _check_shards(
     place: str, run: Map, description: Description, report: Report
 ) -> tuple[dict[str, list[Entry]], dict[str, str]]:
-    """The readable samples of every split, in order, and the recipes of all shards by the names of these."""
+    """The readable samples of every split, in order, and the recipes of all shards by shard name."""
     parquets = _shards(place)
     entries: dict[str, list[Entry]] = {split: [] for split in description.splits}
     indices: dict[str, set[int]] = {split: set() for split in description.splits}
@@ -151,7 +151,7 @@ def _check_shards(
 
 
 def check_sample(place: str, origin: Origin | None, description: Description, entry: Entry) -> Checked:
-    """All faults of one sample; leaves its picture where it has any. Without an origin, it may come from anywhere."""
+    """All findings of one sample; saves its picture if there are any. Without `origin` its scene is not drawn again."""
     members, fault = read_sample(entry)
     (scene, labels, image, passes), unread = read_contents(members)
     findings = [*([Finding("", fault)] if fault else []), *unread]
@@ -171,7 +171,7 @@ def check_sample(place: str, origin: Origin | None, description: Description, en
 
 
 def _prove(entry: Entry, world: World, labels: Labels, image: Picture, passes: Passes) -> Iterator[Proved]:
-    """Run every proof. Where a scene makes no geometry or a proof cannot go on, that is a finding."""
+    """Run every check. A scene without valid geometry, or a check that fails with an error, is a finding."""
     try:
         truth, paint = label(world, world.view), Paint(world)
     except NO_GEOMETRY as error:
@@ -182,13 +182,13 @@ def _prove(entry: Entry, world: World, labels: Labels, image: Picture, passes: P
         try:
             yield proof()
         except NO_GEOMETRY as error:
-            yield Proved([Finding("", f"{name}: expected what can be judged, got {type(error).__name__} {error}")])
+            yield Proved([Finding("", f"{name}: the check failed with {type(error).__name__}: {error}")])
 
 
 def _proofs(
     entry: Entry, paint: Paint, truth: Labels, labels: Labels, image: Picture, passes: Passes
 ) -> dict[str, Callable[[], Proved]]:
-    """The proofs of a sample by what they judge: of its index, its scene and its labels, then of its pixels."""
+    """The checks of a sample by name: first those of index, scene and labels, then those of pixels."""
     world = paint.world
     proofs = {
         "index": lambda: Proved([*check_row(entry, world.scene, labels)]),
@@ -215,13 +215,13 @@ def _proofs(
 
 
 def world_digest(scene: Scene) -> str:
-    """The same for scenes that show the same world, whatever they were drawn for."""
+    """A digest that is equal for scenes of the same world, independent of seed, split and index."""
     document = scene.model_dump_json(exclude={"seed", "split", "index"})
     return hashlib.sha256(document.encode()).hexdigest()
 
 
 def _pictures(scene: Scene, description: Description, image: Picture, passes: Passes) -> Iterator[Finding]:
-    """Are there the passes that dataset.json names, and have all pictures the camera's size?"""
+    """Findings if passes differ from those in dataset.json, or a picture does not have the camera's size."""
     if set(passes) != set(description.render.passes):
         names = ", ".join(description.render.passes)
         yield Finding("", f"passes: expected {names or 'none'}, got {', '.join(passes) or 'none'}")
@@ -235,7 +235,7 @@ def _pictures(scene: Scene, description: Description, image: Picture, passes: Pa
 
 @contextmanager
 def _mapping(workers: int) -> Iterator[Map]:
-    """`map`, in this process or in several (0: one for each core); results come in order."""
+    """`map` in this process or in several (0: one per core); results are in order."""
     if workers == 1:
         yield map
         return

@@ -1,4 +1,4 @@
-"""Is the image as sharp as its size? One of half the size put to this size again, by whatever filter, is not."""
+"""Check that the image has detail at its full resolution; an upscaled image of half the size has not."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -8,18 +8,18 @@ from jaxtyping import Float, UInt8
 
 from synth3dlanes.validate.findings import Finding
 
-# Asked is the middle of an image, up to this many pixels; of smaller images than MIN_PX nothing is said.
+# At most this many pixels in the middle of the image are used; images with fewer than MIN_PX are not judged.
 MAX_PX, MIN_PX = 200_000, 5_000
-# The steepest steps of an image by their share of all, and the most that a pixel may count among fine detail.
+# Share of the brightness steps that count as the steepest, and upper limit of a pixel's contribution to fine detail.
 STEEPEST, MOST = 0.01, 20.0
-# In 560 rendered images, the densest fog and PNG among them, halves of the pixels differ by a ratio of 0.88 at least,
-# and coarseness is 1.09 at most; in their halves blown up a ratio is below 0.78 or the coarseness above 1.4.
+# In 560 rendered images, including the densest fog and PNG, evenness is at least 0.88 and coarseness at most 1.09.
+# After halving and upscaling them, evenness is below 0.78 or coarseness above 1.4.
 MIN_EVENNESS, MAX_COARSENESS = 0.8, 1.25
 
 
 class Detail(NamedTuple):
-    """How an image is made up, by shares of 1: steps beside the steepest ones over these; detail of one pixel over
-    that of two; steps between pixels of odd and even pairs, the smaller over the larger."""
+    """Ratios that measure an image's resolution: `width`, steps beside the steepest ones over these; `fineness`, detail
+    of one pixel over that of two; `evenness`, mean steps in odd and even pixel pairs, the smaller over the larger."""
 
     width: float
     fineness: float
@@ -27,12 +27,12 @@ class Detail(NamedTuple):
 
     @property
     def coarseness(self) -> float:
-        """Small for an image that changes from pixel to pixel."""
+        """Small for an image with detail of single pixels."""
         return self.width / (self.fineness * self.evenness)
 
 
 def check_sharpness(image: UInt8[np.ndarray, "h w 3"]) -> Iterator[Finding]:
-    """Is the image one of this many pixels?"""
+    """Finding if the image has been upscaled or blurred."""
     detail = _detail(_middle(image))
     if detail is None:
         return
@@ -55,7 +55,7 @@ def _middle(image: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "r c"]:
 
 
 def _detail(luma: Float[np.ndarray, "r c"]) -> Detail | None:
-    """The mean along rows and columns; none of an image that says nothing."""
+    """The mean of the ratios along rows and columns; None for an image that is too small or uniform."""
     found = []
     for values in (luma, luma.T):
         steps = np.abs(np.diff(values, axis=1))
@@ -72,7 +72,7 @@ def _detail(luma: Float[np.ndarray, "r c"]) -> Detail | None:
 
 
 def _curvature(values: Float[np.ndarray, "r c"], reach: int) -> float:
-    """How far pixels are from the mean of those so far to both sides, on average; strong edges count no more."""
+    """Mean difference between pixels and the mean of their neighbours at `reach`; limited for strong edges."""
     middle = values[:, 2:-2]
     before, after = values[:, 2 - reach : -2 - reach], values[:, 2 + reach : values.shape[1] - 2 + reach]
     return float(np.minimum(np.abs(middle - (before + after) / 2), MOST).mean())

@@ -15,24 +15,24 @@ from synth3dlanes.validate.findings import Signed
 from synth3dlanes.validate.paint import Paint
 from synth3dlanes.validate.passes_proof import Passes
 
-# Less paint, in pixels or in slices of an image, leaves a sample's mean to chance.
+# Least amount of paint for a value: pixels, or slices of an image.
 MIN_WEIGHT = {"paint": 30.0, "image": 15.0, "exit": 30.0}
-# A line this near to the camera's vertical plane is on neither side of it.
+# Lines this close to the camera's vertical plane count as on neither side.
 ASIDE_M = 0.5
-# Paint of the exit says how it opens from this far behind the split on.
+# The exit's opening is measured from this far after the split on.
 MIN_EXIT_M = 5.0
-# The surface is judged near the camera; what grows with distance, also far away. Fewer points are left out.
+# Range for the surface's height, range for errors that grow with distance, and least number of points.
 NEAR_M, FAR_M, MIN_POINTS = 25.0, 110.0, 10
-# A pixel that shows something this much nearer or farther than its point shows another thing.
+# A pixel whose depth differs from its point's by more than this share shows another object.
 OTHER = 0.2
-# Hills this high, in the root mean square, show an error in per cent of them, and ramps where some points are so. The
-# faces of far rows cut the corners of shorter ramps.
+# Least root mean square of a cause's displacement, which for `relief` is the hills' height; least number of points this
+# high on a ramp; and least length of a ramp: the faces of far rows cut the corners of shorter ones.
 MIN_HEIGHT_M, MIN_RAMP_POINTS, MIN_RAMP_M = 0.3, 3, 8.0
 RAMP_SHARES = np.linspace(-0.2, 0.2, 81)
-# Causes are told apart up to this condition of their fit. A point counts in full up to these multiples of the usual
-# error and at least to some millimetres.
+# Causes are separated only up to this condition number of the fit. Points farther off than OUTLIER times the median
+# error, and than OUTLIER_M, get less weight.
 MAX_CONDITION, ROUNDS, OUTLIER, OUTLIER_M = 200.0, 4, 3.0, 0.003
-# Without paint, which floats over the road.
+# Excludes paint, which floats over the road.
 PAVEMENT = [SEMANTIC_IDS[name] for name in ("road", "shoulder")]
 
 Values = Float[np.ndarray, " n"]
@@ -40,7 +40,7 @@ Points = Float[np.ndarray, "n 3"]
 
 
 def signed_values(paint: Paint, labels: Labels, image: UInt8[np.ndarray, "h w 3"], passes: Passes) -> Iterator[Signed]:
-    """All that this sample has to say, by whichever passes there are."""
+    """All signed values of this sample that its passes allow."""
     plan, views = paint.world.plan, line_views(paint, labels)
     if "instance" in passes:
         lines = list(paint_offsets(views, passes["instance"]))
@@ -53,7 +53,7 @@ def signed_values(paint: Paint, labels: Labels, image: UInt8[np.ndarray, "h w 3"
 
 
 def _sides(name: str, lines: Sequence[Offset]) -> Iterator[Signed]:
-    """How far paint lies to the right, and how far outward: away from the camera's vertical plane."""
+    """Offsets of paint to the right, and outward, away from the camera's vertical plane."""
     points_cam, n_px, moment_m = _joined(lines)
     side = np.sign(points_cam[:, 0]) * (np.abs(points_cam[:, 0]) > ASIDE_M)
     for which, sign in (("right", np.ones(len(side))), ("outward", side)):
@@ -63,7 +63,7 @@ def _sides(name: str, lines: Sequence[Offset]) -> Iterator[Signed]:
 
 
 def _exit(plan: RoadPlan, labels: Labels, lines: Sequence[Offset]) -> Iterator[Signed]:
-    """How much more the exit's paint leaves the main road with every metre from the split."""
+    """Increase of the exit paint's offset away from the main road per metre from the split."""
     points_cam, n_px, moment_m = _joined(lines)
     s_m, _ = plan.project_main(transform(labels.camera.world_from_cam, points_cam)[:, :2])
     s_m = np.where(s_m > MIN_EXIT_M, s_m, 0.0)
@@ -72,8 +72,8 @@ def _exit(plan: RoadPlan, labels: Labels, lines: Sequence[Offset]) -> Iterator[S
 
 
 def _surface(plan: RoadPlan, labels: Labels, passes: Passes) -> Iterator[Signed]:
-    """How far the rendered road lies above its labels, and what of it a longer lens, farther depth, higher hills and a
-    higher ramp would explain, each as a share."""
+    """Height of the rendered road above its labels, and the relative errors of focal length, depth, hills and ramp
+    that would explain it."""
     points_cam, points_world, on_exit = _seen(labels, passes)
     s_m = _exit_stations(plan, points_world)
     raised_m = on_exit * plan.ramp(s_m)
@@ -98,8 +98,8 @@ def _surface(plan: RoadPlan, labels: Labels, passes: Passes) -> Iterator[Signed]
 
 
 def _shares(causes: Mapping[str, Values], above_m: Values) -> Iterator[Signed]:
-    """The shares of all causes that together explain how far points lie above, by least squares in which those count
-    less that lie far off. Nothing, where one cause looks like another, as lens and depth on a flat road do."""
+    """The shares of all causes that together explain the points' heights above the labels, by least squares with less
+    weight for outliers. Nothing if causes are indistinguishable, as focal length and depth are on a flat road."""
     found = {name: moved_m for name, moved_m in causes.items() if _size(moved_m) > MIN_HEIGHT_M}
     if not found:
         return
@@ -116,8 +116,8 @@ def _shares(causes: Mapping[str, Values], above_m: Values) -> Iterator[Signed]:
 
 
 def _seen(labels: Labels, passes: Passes) -> tuple[Points, Points, Bool[np.ndarray, " n"]]:
-    """What pixels show at seen points of the road: where that is, and which of it belongs to the exit. Points of
-    lines are asked on the exit alone: without semantic ids, paint is not told from the road."""
+    """The surface points that pixels show at visible label points, in camera and world frame, and which of them are on
+    the exit. Delimiters are used on the exit only: paint and road cannot be distinguished without semantic ids."""
     camera = labels.camera
     lanes = [lane for lane in labels.lanes if lane.kind == "centerline" or lane.road == "exit"]
     seen = [lane.visible & (lane.xyz_cam[:, 1] > 0) & (lane.xyz_cam[:, 1] < FAR_M) for lane in lanes]
@@ -143,8 +143,8 @@ def _exit_stations(plan: RoadPlan, points_world: Points) -> Values:
 
 
 def _ramp_share(plan: RoadPlan, s_m: Values, height_m: Values) -> float:
-    """How much higher than the plan's a ramp is that fits heights over the terrain best. A higher one is longer, too,
-    so that at its foot it is lower."""
+    """Relative height difference between the scene's ramp and the one that fits the heights over the terrain best. A
+    higher ramp is also longer, so it is lower near its start."""
     road = plan.road
     raised = [road.model_copy(update={"ramp_height_m": (1 + share) * road.ramp_height_m}) for share in RAMP_SHARES]
     plans = [RoadPlan(road, plan.terrain) for road in raised]
@@ -152,12 +152,12 @@ def _ramp_share(plan: RoadPlan, s_m: Values, height_m: Values) -> float:
 
 
 def _joined(lines: Sequence[Offset]) -> tuple[Points, Values, Values]:
-    """The slices of all lines: places, pixels, moments."""
+    """The slices of all lines: points, pixel counts, moments."""
     points_cam = np.concatenate([np.zeros((0, 3)), *(line.points_cam for line in lines)])
     n_px, moment_m = (np.concatenate([np.zeros(0), *(line[i] for line in lines)]) for i in (2, 3))
     return points_cam, n_px, moment_m
 
 
 def _size(values: Values) -> float:
-    """The root mean square; 0 of none."""
+    """The root mean square; 0 for no values."""
     return float(np.sqrt(np.mean(values**2))) if values.size else 0.0

@@ -1,4 +1,4 @@
-"""Labels against their own schema, their scene and the ground truth drawn from it again. No pixels."""
+"""Check labels for consistency, and against their scene and its recomputed ground truth. No pixels."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -16,22 +16,21 @@ from synth3dlanes.validate.findings import Finding
 # labels.json rounds points to 0.1 mm and matrices to 1e-9.
 POINT_M = 1e-4
 MATRIX = 1e-8
-# A point this close to the image's border may fall on either side of it once rounded.
+# Points this close to the image's border may be on either side of it after rounding.
 BORDER_PX = 0.2
-# Roads and cameras have no numbers beyond this, and no dashes shorter than that.
+# Upper limit of lengths of roads and cameras, and lower limit of a dash cycle.
 MAX_M, MIN_CYCLE_M = 1000.0, 0.001
 MASKS = ("in_image", "terrain_visible", "object_visible")
 
 
 def check_shape(scene: Scene, labels: Labels) -> Iterator[Finding]:
-    """What must hold before any point may be used: numbers that roads can have, points, masks as long as these, known
-    references."""
+    """Check what all other checks rely on: plausible numbers, points, masks of the same length, known references."""
     yield from _sizes(scene)
     if not labels.lanes:
         yield Finding("", "expected lanes, got none")
     for id_, count in Counter(lane.id for lane in labels.lanes).items():
         if count > 1:
-            yield Finding(id_, f"expected lanes with ids of their own, got {count} with this one")
+            yield Finding(id_, f"expected unique ids of lanes, got {count} lanes with this one")
     for lane in labels.lanes:
         n = len(lane.xyz_cam)
         if n < 2:
@@ -48,30 +47,31 @@ def check_shape(scene: Scene, labels: Labels) -> Iterator[Finding]:
 
 
 def check_values(scene: Scene, truth: Labels, labels: Labels) -> Iterator[Finding]:
-    """The camera stands where the scene says, and every lane is ordered, projected and labelled as it should be."""
+    """Check camera, and every lane's order, projection and labels, against the scene."""
     yield from _camera(scene, labels)
     for lane in labels.lanes:
         yield from _order(lane)
         inside_px = _inside_px(labels.camera, lane)
         wrong = np.where(lane.in_image, ~(inside_px > -BORDER_PX), inside_px > BORDER_PX)
         if wrong.any():
-            yield Finding(lane.id, f"in_image: expected our projection's, got another at {_at(wrong)}")
+            yield Finding(lane.id, f"in_image: expected the mask of our projection, got another at {_at(wrong)}")
     yield from _against_ground_truth(truth, labels)
 
 
 def points_to_pixels(labels: Labels) -> bool:
-    """Whether pixels may be asked about the points that are said to be in the image: all of them are."""
+    """Whether all points marked as in the image project into it, as checks of pixels require."""
     return all((_inside_px(labels.camera, lane)[lane.in_image] > -BORDER_PX).all() for lane in labels.lanes)
 
 
 def _inside_px(camera: CameraLabel, lane: Lane) -> Float[np.ndarray, " n"]:
-    """How far from the nearest border of the image each point projects, negative outside; NaN behind the camera."""
+    """Distance of each projected point from the nearest border of the image, negative outside; NaN behind the
+    camera."""
     uv = project(camera.img_from_cam, lane.xyz_cam)
     return np.asarray(np.minimum(uv, [camera.width_px, camera.height_px] - uv).min(axis=1))
 
 
 def _sizes(scene: Scene) -> Iterator[Finding]:
-    """Numbers that no road has: computing with them would take memory and time without end."""
+    """Findings about implausible numbers, with which computations could take unlimited time and memory."""
     for group in ("road", "camera"):
         for name, value in getattr(scene, group):
             if name.endswith("_m") and abs(value) > MAX_M:
@@ -98,7 +98,7 @@ def _references(labels: Labels) -> Iterator[Finding]:
 
 
 def _order(lane: Lane) -> Iterator[Finding]:
-    """Near to far: every step goes on, and none turns back on the one before."""
+    """Findings unless points go from near to far, without a step of zero length or back."""
     steps = np.diff(lane.xyz_cam, axis=0)
     back = np.linalg.norm(steps, axis=1) < POINT_M
     back[1:] |= (steps[1:] * steps[:-1]).sum(axis=1) <= 0
@@ -129,7 +129,7 @@ def _camera(scene: Scene, labels: Labels) -> Iterator[Finding]:
 
 
 def _against_ground_truth(expected: Labels, labels: Labels) -> Iterator[Finding]:
-    """Everything but what only a rendered scene can tell equals the ground truth of the scene, computed again."""
+    """Compare all labels with the scene's recomputed ground truth, except those that need a rendered scene."""
     for name in ("img_from_cam", "road_from_cam", "world_from_cam"):
         if not np.allclose(getattr(labels.camera, name), getattr(expected.camera, name), atol=MATRIX):
             yield Finding("", f"camera.{name}: expected the scene's ground truth, got another")
@@ -158,5 +158,5 @@ def _against_ground_truth(expected: Labels, labels: Labels) -> Iterator[Finding]
 
 
 def _at(wrong: np.ndarray) -> str:
-    """Which points, in words."""
+    """The number and the first of the wrong points, in words."""
     return f"{int(wrong.sum())} of {len(wrong)} points, the first is {int(wrong.argmax())}"

@@ -129,7 +129,7 @@ def test_the_scene_records_what_it_was_drawn_with(scene: Scene, library: Library
     assert read.assets == library.assets
     assert (scene.sky, scene.surface.road_texture, {car.model for car in scene.cars}) == (1, 1, {1})
     require_assets(read.assets, library, "scene.json")
-    with pytest.raises(InputError, match=r"scene.json: expected cars 'box' with digest \w+; no folder of assets"):
+    with pytest.raises(InputError, match=r"scene.json: cars: expected 'box' with digest \w+, got the built-in"):
         require_assets(read.assets, BUILT_IN, "scene.json")
     with pytest.raises(FormatError, match=r"cars.0.model: expected at most 1, got 2"):
         from_json(to_json(scene).replace('"model":1', '"model":2', 1), "scene.json")
@@ -196,7 +196,7 @@ def test_the_sky_is_turned_to_the_sun_and_as_bright_as_ours(scene: Scene, folder
 def test_a_file_that_changed_after_the_check_is_noticed(folder: Path, library: Library, tmp_path: Path) -> None:
     shutil.copytree(folder, tmp_path / "copy")
     (tmp_path / "copy" / "roads" / "brick_albedo.png").write_bytes(b"other")
-    with pytest.raises(FormatError, match=r"roads/brick: expected the files that were checked before the run"):
+    with pytest.raises(FormatError, match=r"roads/brick: its files have changed since they were checked"):
         renderer.studio(Library(str(tmp_path / "copy"), library.assets))
 
 
@@ -260,7 +260,7 @@ def bad(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Checked]:
         "roads/half: expected albedo, roughness and normal, got no roughness (half_albedo.png, half_normal.png)",
         "terrains/wide_albedo.png: expected a square picture, got 512x256",
         "terrains/wide_normal.png: cannot read it: ",
-        "skies/square.hdr: expected twice as wide as high (equirectangular), got 64x64",
+        "skies/square.hdr: expected a picture twice as wide as high (equirectangular), got 64x64",
         "assets.yaml: cars.bus: expected the name of a file in cars/",
     ],
 )

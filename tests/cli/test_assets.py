@@ -21,7 +21,7 @@ def test_a_folder_of_own_assets_from_check_to_picture(run: Run, in_tmp_path: Pat
 
     (in_tmp_path / "mine" / "notes.txt").touch()
     drawn = run("sample", "--params", "tiny", "--set", "cars.n=1", "--assets", "mine")
-    assert drawn.stderr == "--assets mine: notes.txt: not used: its name or ending says nothing here\n"
+    assert drawn.stderr == "--assets mine: notes.txt: not used: unknown name or suffix\n"
     scene = json.loads(drawn.stdout)
     assert [car["name"] for car in scene["assets"]["cars"]] == ["box"]
     (in_tmp_path / "scene.json").write_text(drawn.stdout)
@@ -30,7 +30,7 @@ def test_a_folder_of_own_assets_from_check_to_picture(run: Run, in_tmp_path: Pat
 
     forgotten = run("render", "scene.json")
     assert (forgotten.exit_code, forgotten.stdout) == (2, "")
-    assert "scene.json: expected cars 'box' with digest" in forgotten.stderr
+    assert "scene.json: cars: expected 'box' with digest" in forgotten.stderr
     assert run("render", "scene.json", "--assets", "mine").exit_code == 0
 
     (in_tmp_path / "mine" / "cars" / "box.glb").write_text("")

@@ -98,7 +98,7 @@ def test_a_lane_lifted_by_ten_centimetres_is_off_the_rendered_surface(dataset):
 @pytest.mark.parametrize(
     ("mask", "words"),
     [
-        ("in_image", ["in_image: expected our projection's", "in_image: expected the mask of its scene"]),
+        ("in_image", ["in_image: expected the mask of our projection", "in_image: expected the mask of its scene"]),
         ("terrain_visible", ["expected the mask of its scene", "terrain_visible: expected what the passes show"]),
         ("object_visible", ["no car or tree is in the way", "object_visible: expected what the passes show"]),
     ],
@@ -225,7 +225,7 @@ def twice_the_same_id(labels: Labels) -> Labels:
         (relabel(SAMPLE, pitch), "camera.pitch_rad: expected"),
         (relabel(SAMPLE, turned), "expected points from near to far"),
         (relabel(SAMPLE, without_neighbour), "left: expected the id of a line of the other kind"),
-        (relabel(SAMPLE, twice_the_same_id), "expected lanes with ids of their own"),
+        (relabel(SAMPLE, twice_the_same_id), "expected unique ids of lanes"),
     ],
 )
 def test_what_does_not_fit_its_scene_or_schema_is_found(dataset, change: Change, words):

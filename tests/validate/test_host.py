@@ -45,7 +45,7 @@ def test_a_host_aside_of_its_place_is_named_with_its_lane(flipped: bool, aside_m
     moved = changed(scene, camera={"offset_m": 0.3 + aside_m})
     ((lane, reason),) = faults(scene, ground_truth(moved))
     assert lane == "main_2"
-    assert reason == f"host: expected it +0.300 m aside of its lane's middle, got {0.3 + aside_m:+.3f} m"
+    assert reason == f"host: expected +0.300 m from its lane's middle, got {0.3 + aside_m:+.3f} m"
 
 
 def test_a_host_in_another_lane_is_named_with_the_lane_that_it_should_be_in() -> None:
@@ -70,7 +70,7 @@ def test_a_car_in_the_hosts_body_is_named(lane: str, behind_m: float, is_clear: 
     car = Car(model=1, scale=1.0, color=(1, 1, 1), gloss=0.5, lane=lane, s_m=FLAT.camera.y_m - behind_m)
     scene = FLAT.model_copy(update={"cars": (car.model_copy(update={"s_m": 50.0}), car)})
     found = faults(scene, ground_truth(scene))
-    assert found == ([] if is_clear else [("", "cars.1: expected it clear of the host's body, got it there")])
+    assert found == ([] if is_clear else [("", "cars.1: overlaps the host's body")])
 
 
 def test_a_turned_camera_is_not_what_the_law_is_about() -> None:

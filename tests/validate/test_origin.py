@@ -192,7 +192,7 @@ def test_scenes_of_another_version_are_one_problem_that_names_it() -> None:
 
 def test_params_that_draw_nothing_are_a_problem_of_dataset_json(dataset: Path) -> None:
     describe(dataset, lambda document: document["params"]["cars"].update(model=[900, 999]))
-    assert any("expected to draw it again, got" in found.reason for found in problems(dataset))
+    assert any("cannot be drawn again: " in found.reason for found in problems(dataset))
 
 
 def test_a_shard_of_another_recipe_than_the_others_is_named(dataset: Path, tmp_path: Path) -> None:

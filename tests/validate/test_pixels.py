@@ -112,7 +112,7 @@ def all_to_the_right(sample: Sample) -> Sample:
 ONE_SAMPLE: dict[str, tuple[Callable[[Sample], Sample], str]] = {
     "normals in the world frame": (in_world, "normal: expected the road's in the camera frame"),
     "normals negated": (lambda s: s.with_pass("normal", np.negative), "normal: expected it to face the camera"),
-    "normals zero": (lambda s: s.with_pass("normal", np.zeros_like), "normal: expected none in the sky alone"),
+    "normals zero": (lambda s: s.with_pass("normal", np.zeros_like), "normal: expected zero in the sky and only there"),
     "normals too long": (
         lambda s: s.with_pass("normal", lambda normal: normal * np.float32(1.05)),
         "normal: expected unit length",
@@ -149,11 +149,11 @@ ONE_SAMPLE: dict[str, tuple[Callable[[Sample], Sample], str]] = {
     "all passes 1 px to the right": (all_to_the_right, "instance: expected paint where the line is painted"),
     "depth 0.5 % too large": (
         lambda s: s.with_pass("depth", lambda depth: depth * np.float32(1.005)),
-        "depth: expected the road as far as it is, got it 1.005",
+        "depth: expected the road at the scene's distance, got it 1.005",
     ),
     "sky hit": (
         lambda s: s.with_pass("depth", lambda depth: np.where(np.isfinite(depth), depth, np.float32(1e10))),
-        "depth: expected none in the sky alone",
+        "depth: expected infinity in the sky and only there",
     ),
 }
 
