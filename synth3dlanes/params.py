@@ -163,7 +163,7 @@ class SensorParams(Group):
 
 
 class Params(Group):
-    """The distribution of every parameter of a scene. Names are those of `scene.json`, in degrees for radians.
+    """The distribution of every parameter of a scene. Names are as in `scene.json`, with degrees instead of radians.
 
     `model_dump(mode="json")` gives the YAML forms back; `Params.model_validate` reads them.
     """

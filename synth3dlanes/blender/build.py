@@ -60,7 +60,7 @@ def open_studio(library: Library = BUILT_IN) -> Studio:
 
 
 def _plain() -> bpy.types.Material:
-    """A material without a shader: nothing is lit, nothing bounces."""
+    """A material without a shader, for renders that need no light."""
     material = bpy.data.materials.new("plain")
     material.use_nodes = True
     material.node_tree.nodes.clear()

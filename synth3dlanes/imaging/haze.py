@@ -13,7 +13,7 @@ from synth3dlanes.scene import Camera
 from synth3dlanes.world import View
 
 KOSCHMIEDER = 3.912  # -log 0.02: 2 % of the contrast is left at the meteorological visibility
-HAZE_LAYER_M = 400.0  # height of the layer that holds the haze
+HAZE_LAYER_M = 400.0  # height of the haze layer
 WAVELENGTHS_NM = np.array([680.0, 550.0, 440.0])
 GREEN_NM = 550.0
 
