@@ -26,9 +26,9 @@ def test_quality_is_a_name_for_a_number_of_samples(options, samples):
 @pytest.mark.parametrize(
     ("level", "expected"),
     [
-        ("debug", ["sample", "shard", "start", "resume", "restart", "pause", "set_aside"]),
-        ("info", ["start", "resume", "restart", "pause", "set_aside"]),
-        ("warning", ["restart", "pause", "set_aside"]),
+        ("debug", ["sample", "shard", "start", "resume", "restart", "pause", "stop", "set_aside"]),
+        ("info", ["start", "resume", "restart", "pause", "stop", "set_aside"]),
+        ("warning", ["restart", "pause", "stop", "set_aside"]),
         ("error", ["set_aside"]),
     ],
 )
