@@ -23,7 +23,14 @@ if TYPE_CHECKING:
     )
     from synth3dlanes.dataset.format import Sample
     from synth3dlanes.dataset.read import Reader
-    from synth3dlanes.errors import FormatError, InputError
+    from synth3dlanes.errors import (
+        DiskFullError,
+        FormatError,
+        InputError,
+        MissingPackageError,
+        Synth3dlanesError,
+        WorkerError,
+    )
     from synth3dlanes.figures.overlay import draw_overlay
     from synth3dlanes.labels import Labels, Lane
     from synth3dlanes.params import Params
@@ -40,15 +47,19 @@ else:
 __version__ = "0.2.0"
 
 __all__ = [
+    "DiskFullError",
     "FormatError",
     "InputError",
     "Labels",
     "Lane",
+    "MissingPackageError",
     "Params",
     "Reader",
     "Rendered",
     "Sample",
     "Scene",
+    "Synth3dlanesError",
+    "WorkerError",
     "change_scene",
     "draw_overlay",
     "export_dataset",
@@ -66,8 +77,8 @@ __all__ = [
 
 # Where names live that are not functions of `api`.
 _HOMES = {
-    "FormatError": "errors",
-    "InputError": "errors",
+    **dict.fromkeys(("DiskFullError", "FormatError", "InputError", "MissingPackageError"), "errors"),
+    **dict.fromkeys(("Synth3dlanesError", "WorkerError"), "errors"),
     "Labels": "labels",
     "Lane": "labels",
     "Params": "params",
