@@ -41,7 +41,8 @@ def test_kills_on_this_machine(tmp_path, whole):
 
 
 @needs_ray
-@pytest.mark.timeout(400)
+@pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_kills_and_a_lost_node_on_ray(tmp_path, whole):
     with soak.cluster(6393) as cluster:
         assert soak.soak(tmp_path / "out", N, KILLS, 2, cluster) >= KILLS
