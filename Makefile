@@ -1,5 +1,7 @@
 # Every target sets itself up: a virtual environment, pinned packages, missing system libraries.
 BIN := .venv/bin
+# A file of tests at a time in each process: what its tests share is rendered once.
+PYTEST := $(BIN)/pytest --numprocesses 2 --dist loadfile --durations 15
 DEMO ?= demo
 export MPLBACKEND := Agg
 
@@ -22,7 +24,7 @@ demo: .venv/ready  ## 12 labelled 480x360 scenes, a gallery and one scene explai
 
 test: .venv/ready  ## the tests (all but slow and gpu)
 	scripts/browser
-	$(BIN)/pytest
+	$(PYTEST)
 
 check: .venv/ready  ## what CI runs: format, lint, imports, types, tests
 	scripts/browser
@@ -30,7 +32,7 @@ check: .venv/ready  ## what CI runs: format, lint, imports, types, tests
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
 	$(BIN)/mypy
-	$(BIN)/pytest
+	$(PYTEST)
 
 format: .venv/ready  ## let ruff repair what it can
 	$(BIN)/ruff format .
