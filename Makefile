@@ -1,7 +1,7 @@
 # Every target sets itself up: a virtual environment, pinned packages, missing system libraries.
 BIN := .venv/bin
 # A file of tests at a time in each process: what its tests share is rendered once.
-PYTEST := $(BIN)/pytest --numprocesses 2 --dist loadfile --durations 15
+PYTEST := $(BIN)/pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder --durations 15
 DEMO ?= demo
 export MPLBACKEND := Agg
 

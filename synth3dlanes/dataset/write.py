@@ -130,7 +130,8 @@ class Shard:
         joined = self.joined()
         for path in parts.iterdir():
             if path.suffix != ".tar" or int(path.stem) in joined:
-                path.unlink()
+                # The worker of a killed run may rename its last file just now.
+                path.unlink(missing_ok=True)
         if not any(parts.iterdir()):
             parts.rmdir()
 
