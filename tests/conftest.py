@@ -19,6 +19,8 @@ collect_ignore_glob = [] if importlib.util.find_spec("torch") else ["baseline/*"
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    # The longest file comes first, so that no process ends long after the other.
+    items.sort(key=lambda item: item.path.name != "test_planted.py")
     if importlib.util.find_spec("bpy") is None:
         for item in items:
             if item.get_closest_marker("render"):
@@ -67,8 +69,3 @@ def in_tmp_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty working directory."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest file comes first, so that no process ends long after the others."""
-    items.sort(key=lambda item: item.path.name != "test_planted.py")
