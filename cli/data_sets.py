@@ -7,6 +7,8 @@ from typing import Any
 
 import click
 
+from synth3dlanes.settings import SPLIT_NAME
+
 from .options import json_option
 
 
@@ -19,7 +21,7 @@ class Shares(click.ParamType):
         """Read them."""
         shares: dict[str, float] = {}
         for part in str(value).split(","):
-            found = re.fullmatch(r"([A-Za-z0-9_-]+)=([0-9]*\.?[0-9]+)", part.strip())
+            found = re.fullmatch(rf"({SPLIT_NAME})=([0-9]*\.?[0-9]+)", part.strip())
             if found is None or found[1] in shares or float(found[2]) <= 0:
                 self.fail(f"expected different NAME=SHARE with shares above 0, got {part!r}", param, ctx)
             shares[found[1]] = float(found[2])

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from synth3dlanes.settings import DEVICES, PASSES, QUALITY_SAMPLES
+from synth3dlanes.settings import DEVICES, PASSES, QUALITY_SAMPLES, SPLIT_NAME
 
 if TYPE_CHECKING:
     from synth3dlanes.assets.catalogue import Library
@@ -39,7 +39,7 @@ class FileName(click.ParamType):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
         """Check it."""
-        if re.fullmatch(r"[A-Za-z0-9_-]+", value) is None:
+        if re.fullmatch(SPLIT_NAME, value) is None:
             self.fail(f"expected letters, digits, _ or -, got {value!r}", param, ctx)
         return str(value)
 

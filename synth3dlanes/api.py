@@ -163,7 +163,8 @@ def generate_dataset(
     """Make samples 0 to n - 1 of a split in `out`, a folder or a URL; what is there already is kept.
 
     `workers` 0 is one for each core; `notify` is called with every event, whose `message` is a line of text. A problem
-    on the way does not raise: see `problem`, `done` and `asked` of the result. Raises InputError where it cannot start.
+    on the way does not raise: see `problem`, `done` and `asked` of the result. Raises InputError, MissingPackageError
+    or DiskFullError where it cannot start.
     """
     _at_least(0, seed=seed)
     settings = _settings(samples, passes, device)

@@ -21,6 +21,8 @@ from synth3dlanes.labels import Labels
 from synth3dlanes.params import Params
 from synth3dlanes.scene import Scene, from_json
 
+SAMPLE = re.compile(r".+:\d+")
+
 
 @dataclass(frozen=True, eq=False)
 class Found:
@@ -44,10 +46,8 @@ def load_scene(path: Path) -> Scene:
 
 def find_scene(where: str) -> tuple[str, Scene]:
     """A scene and its name, by its file or as a sample of a data set: `DIR/SPLIT:KEY`."""
-    if re.fullmatch(r".+:\d+", where):
-        url, _, key = where.rpartition(":")
-        reader = Reader(url)
-        position = reader.position(key)
+    if SAMPLE.fullmatch(where):
+        reader, position = find(where)
         return reader.key(position), read_scene(reader, position)
     if Path(where).is_dir():
         raise FormatError(f"{where}: expected a scene.json or a sample, as DIR/train:00000017, got a folder")
@@ -56,8 +56,9 @@ def find_scene(where: str) -> tuple[str, Scene]:
 
 def load_any(where: str, image_path: Path | None) -> Found:
     """Find a sample by `DIR/SPLIT:KEY`, or a scene by its file, with labels drawn from the scene alone."""
-    if re.fullmatch(r".+:\d+", where):
-        sample = find(where)
+    if SAMPLE.fullmatch(where):
+        reader, position = find(where)
+        sample = reader[position]
         return Found(sample.key, from_json(sample.scene_json, where), sample.labels, sample.image)
     name, scene = find_scene(where)
     image = None if image_path is None else decode_image(image_path.read_bytes(), str(image_path))

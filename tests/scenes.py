@@ -71,6 +71,19 @@ def hill(x_m: float, y_m: float, magnitude_m: float, sd_m: float) -> Gaussian:
     return Gaussian(center_m=(x_m, y_m), magnitude_m=magnitude_m, sd_m=(sd_m, sd_m), orientation_rad=0)
 
 
+def flat_road_places(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """What each pixel's centre shows of a flat road: metres right of the camera and ahead of it; NaN above it."""
+    camera = scene.camera
+    v, u = np.mgrid[: camera.height_px, : camera.width_px] + 0.5
+    right, down = (u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px
+    c, s = np.cos(camera.roll_rad), np.sin(camera.roll_rad)
+    right, down = c * right - s * down, s * right + c * down
+    c, s = np.cos(camera.pitch_rad), np.sin(camera.pitch_rad)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        way = camera.height_m / (c * down + s)
+    return np.where(way > 0, right * way, np.nan), np.where(way > 0, (c - s * down) * way, np.nan)
+
+
 def seen_on_flat_ground(world: World, points_world: np.ndarray) -> np.ndarray:
     """Where the camera's rays through points over a flat world meet the ground."""
     eye = world.view.eye_world

@@ -11,7 +11,7 @@ from synth3dlanes.assets.catalogue import Library
 from synth3dlanes.blender.build import build, open_studio
 from synth3dlanes.blender.cycles_timing import cycles_stages
 from synth3dlanes.blender.render import configure, opened, read_layers, run_cycles, studio
-from synth3dlanes.imaging.daylight import Daylight, daylight, film_factor
+from synth3dlanes.imaging.daylight import Daylight, daylight
 from synth3dlanes.imaging.develop import develop
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import RenderSettings
@@ -20,19 +20,19 @@ from synth3dlanes.world import World, resolve
 
 def reference(scene: Scene, settings: RenderSettings, library: Library) -> UInt8[np.ndarray, "h w 3"]:
     """The scene rendered with these settings, but another seed than `render`'s and no denoising."""
-    world, light, film = _lit(scene)
+    world, light = _lit(scene)
     build(studio(library), world, world.view, light)
-    configure(settings, film)
+    configure(settings, light.film)
     bpy.context.scene.cycles.seed = 1
     bpy.context.scene.cycles.use_denoising = False
-    return develop(scene, world.view, light, read_layers(run_cycles(), film))
+    return develop(scene, world.view, light, read_layers(run_cycles(), light.film))
 
 
 def denoise_seconds(scene: Scene, settings: RenderSettings, library: Library, repeats: int = 3) -> float:
     """The seconds that the denoiser adds to tracing; they depend on the picture's size alone."""
-    world, light, film = _lit(scene)
+    world, light = _lit(scene)
     build(studio(library), world, world.view, light)
-    configure(settings, film)
+    configure(settings, light.film)
     seconds: dict[bool, list[float]] = {False: [], True: []}
     for is_on in (False, True) * repeats:
         bpy.context.scene.cycles.use_denoising = is_on
@@ -46,7 +46,7 @@ def naive_seconds(scene: Scene, settings: RenderSettings, library: Library, samp
     """The seconds of a render with Blender's defaults: a new file for each scene, a mesh for each object, the world's
     importance map, 12 bounces, the denoiser at its highest quality. Only `samples` differs from its default of 4096."""
     start = time.perf_counter()
-    world, light, film = _lit(scene)
+    world, light = _lit(scene)
     build(open_studio(library), world, world.view, light)
     for item in bpy.context.scene.objects:
         if item.type == "MESH":
@@ -56,13 +56,12 @@ def naive_seconds(scene: Scene, settings: RenderSettings, library: Library, samp
     bpy.context.scene.cycles.samples = samples
     layer = bpy.context.scene.view_layers[0]
     layer.use_pass_z = layer.use_pass_material_index = True  # required by `read_layers`
-    develop(scene, world.view, light, read_layers(run_cycles(), film))
+    develop(scene, world.view, light, read_layers(run_cycles(), light.film))
     seconds = time.perf_counter() - start
     opened.cache_clear()
     return seconds
 
 
-def _lit(scene: Scene) -> tuple[World, Daylight, float]:
+def _lit(scene: Scene) -> tuple[World, Daylight]:
     world = resolve(scene)
-    light = daylight(scene, float(world.view.eye_world[2]))
-    return world, light, film_factor(scene.light, light)
+    return world, daylight(scene, float(world.view.eye_world[2]))

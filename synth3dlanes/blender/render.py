@@ -16,7 +16,7 @@ from synth3dlanes.blender.light import HAZE_PASS
 from synth3dlanes.blender.occlusion import hidden_by_objects, seen_fractions
 from synth3dlanes.frames import Matrix4, transform
 from synth3dlanes.geometry.visibility import seen_over_ground
-from synth3dlanes.imaging.daylight import Daylight, film_factor
+from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.imaging.layers import Layers
 from synth3dlanes.labels import Labels
 from synth3dlanes.settings import NO_HIT_DEPTH_M, RenderSettings
@@ -56,9 +56,8 @@ def render(
     lines = [lane.id for lane in labels.lanes if lane.kind == "delimiter"]
     placed = build(studio(library), world, view, light, lines)
     clock.append(time.perf_counter())
-    film = film_factor(world.scene.light, light)
-    configure(settings, film)
-    layers = read_layers(run_cycles(), film)
+    configure(settings, light.film)
+    layers = read_layers(run_cycles(), light.film)
     clock.append(time.perf_counter())
     if "normal" in settings.passes:
         layers = replace(layers, normal=_normals(view.world_from_cam, studio(library).plain))

@@ -12,6 +12,7 @@ from pydantic import Field, ValidationError
 from synth3dlanes.dataset.format import member_names
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.schema import Part, validation_problems
+from synth3dlanes.settings import SPLIT_NAME
 
 DESCRIPTION = "dataset.json"
 DATASET_FORMAT = "synth3dlanes.dataset"
@@ -21,7 +22,7 @@ DATA_LICENSE = "CC0-1.0"
 
 Count = Annotated[int, Field(ge=0, strict=True)]
 AtLeastOne = Annotated[int, Field(ge=1, strict=True)]
-SplitName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
+SplitName = Annotated[str, Field(pattern=f"^{SPLIT_NAME}$")]
 
 
 class Split(Part):

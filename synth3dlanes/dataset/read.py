@@ -155,10 +155,10 @@ class Reader:
         return f"{self._tars[self._shard[self._position(i)]]}: {self.key(i)}"
 
 
-def find(place: str) -> Sample:
-    """The sample that `DIR/train:00000017` names."""
+def find(place: str) -> tuple[Reader, int]:
+    """The split and the position in it of the sample that `DIR/train:00000017` names."""
     url, colon, key = place.rpartition(":")
     if not (url and colon and key.isdecimal()):
         raise FormatError(f"{place}: expected a split's folder, a colon and a key, as in DIR/train:00000017")
     reader = Reader(url)
-    return reader[reader.position(key)]
+    return reader, reader.position(key)

@@ -5,10 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-import fsspec
-
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.errors import InputError
+from synth3dlanes.dataset.splits import readers, split_name
 from synth3dlanes.formats.writing import PARTS, Part
 
 FRAMES_PER_CHUNK = 50
@@ -50,15 +48,11 @@ class Chunk:
 
 def plan(source: str) -> list[Chunk]:
     """The chunks of every split under `source`."""
-    filesystem, root = fsspec.url_to_fs(source)
-    names = sorted({path.rsplit("/", 2)[-2] for path in filesystem.glob(f"{root.rstrip('/')}/*/*.parquet")})
-    if not names:
-        raise InputError(f"{source}: expected a dataset with finished shards (split/00000.parquet), found none")
-    source, splits = source.rstrip("/"), assign(names)
+    found = readers(source)
+    source, splits = source.rstrip("/"), assign([split_name(reader) for reader in found])
     parts = parts_of(splits)
     chunks = []
-    for split in splits:
-        reader = open_reader(f"{source}/{split.name}")
+    for split, reader in zip(splits, found, strict=True):
         for start in range(0, len(reader), FRAMES_PER_CHUNK):
             stop = min(start + FRAMES_PER_CHUNK, len(reader))
             mark = f"{split.name}-{reader.key(start)}-{_digest(reader, start, stop)}.jsonl"

@@ -43,13 +43,15 @@ class Daylight:
 
     `sun` is the irradiance on a plane facing the sun, `softness` (0..1) how much clouds diffuse it. `sky` is radiance
     in Blender's equirectangular layout (bottom row first, azimuth decreasing from pi to -pi). `airlight` is the
-    radiance of infinitely deep haze at the azimuths of the sky's columns.
+    radiance of infinitely deep haze at the azimuths of the sky's columns. `film` is the factor on radiance before the
+    film curve: the exposure times (reference / actual daylight) ** metering.
     """
 
     sun: Rgb
     softness: float
     sky: Float[np.ndarray, "3 H W"]
     airlight: Float[np.ndarray, "3 W"]
+    film: float
 
 
 def daylight(scene: Scene, eye_height_m: float) -> Daylight:
@@ -74,13 +76,10 @@ def daylight(scene: Scene, eye_height_m: float) -> Daylight:
     sky = left * sky + (1 - left) * airlight[:, None]
     below = _ground(lit, airlight, per_m, max(eye_height_m, scene.camera.height_m))
     dome = SUN_STRENGTH * np.concatenate([below, sky], axis=1).astype(np.float32)
-    return Daylight(SUN_STRENGTH * (1 - hidden) * sun, float(hidden), dome, SUN_STRENGTH * airlight)
-
-
-def film_factor(light: Light, now: Daylight) -> float:
-    """The factor on radiance before the film curve: the exposure times (reference / actual daylight) ** metering."""
-    ratio = _reference_level() / _level(now.sun, light.sun_zenith_rad, now.sky[:, HORIZON:])
-    return float(light.exposure * ratio**light.metering)
+    sun = SUN_STRENGTH * (1 - hidden) * sun
+    ratio = _reference_level() / _level(sun, light.sun_zenith_rad, dome[:, HORIZON:])
+    film = float(light.exposure * ratio**light.metering)
+    return Daylight(sun, float(hidden), dome, SUN_STRENGTH * airlight, film)
 
 
 def _level(sun: Rgb, sun_zenith_rad: float, upper: Dome) -> float:

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import UInt8
 
-from synth3dlanes.imaging.daylight import Daylight, film_factor
+from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.imaging.film import tonemap
 from synth3dlanes.imaging.haze import through_air
 from synth3dlanes.imaging.layers import Layers
@@ -16,7 +16,7 @@ from synth3dlanes.world import View
 def develop(scene: Scene, view: View, light: Daylight, layers: Layers) -> UInt8[np.ndarray, "h w 3"]:
     """The picture of a scene; its noise follows from seed, split and index. Motion blur leaves the sky sharp, and cars,
     which are assumed to drive at the host's speed."""
-    film = np.float32(film_factor(scene.light, light))
+    film = np.float32(light.film)
     linear = through_air(layers.radiance, layers.haze, scene.air.visibility_m, light.airlight, view) * film
     if scene.sensor.motion_blur_m > 0:
         ahead_cam = view.world_from_cam[:3, :3].T @ view.world_from_road[:3, 1]

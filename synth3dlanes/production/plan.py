@@ -14,9 +14,9 @@ from synth3dlanes.errors import InputError
 from synth3dlanes.production.devices import WorkerSlots, n_cores, resolve_device
 from synth3dlanes.production.recipe import Made, Recipe, make_sample
 from synth3dlanes.production.workers import Limits
+from synth3dlanes.settings import SPLIT_NAME
 
 SHARD_SIZE = 1000
-SPLIT = re.compile(r"[A-Za-z0-9_-]+")
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Plan:
         problems = [
             *([] if self.n >= 0 else [f"n: expected 0 or more, got {self.n}"]),
             *([] if self.workers >= 0 else [f"workers: expected 0 or more, got {self.workers}"]),
-            *([] if SPLIT.fullmatch(split) else [f"split: expected letters, digits, - and _, got {split!r}"]),
+            *([] if re.fullmatch(SPLIT_NAME, split) else [f"split: expected letters, digits, - and _, got {split!r}"]),
             *([] if 1 <= part <= parts else [f"part: expected i/n with 1 <= i <= n, got {part}/{parts}"]),
         ]
         if problems:

@@ -116,18 +116,16 @@ def take_picture(world: World, settings: RenderSettings, library: Library = BUIL
     # Loaded here: only the processes that render may carry Blender.
     from synth3dlanes.blender.render import render
 
-    view, clock = world.view, [time.perf_counter()]
+    view, start = world.view, time.perf_counter()
     labels = label(world, view)
-    clock.append(time.perf_counter())
+    labelled = time.perf_counter()
     light = daylight(world.scene, float(view.eye_world[2]))
-    clock.append(time.perf_counter())
+    lit = time.perf_counter()
     rendering = render(world, view, light, labels, settings, library)
-    clock.append(time.perf_counter())
+    rendered = time.perf_counter()
     image = develop(world.scene, view, light, rendering.layers)
     passes = _passes(world, view, rendering.layers, settings.passes)
-    clock.append(time.perf_counter())
-    seconds = dict(zip(("labels", "light", "render", "develop"), np.diff(clock).tolist(), strict=True))
-    del seconds["render"]
+    seconds = {"labels": labelled - start, "light": lit - labelled, "develop": time.perf_counter() - rendered}
     return Picture(image, rendering.labels, passes, {**seconds, **rendering.timings})
 
 

@@ -59,5 +59,5 @@ def _run(
             tally.tell("start", expected.text(), **vars(expected), device=device, device_names=names)
             with stopping_on_signals(tally.interrupt):
                 make(plan, tally)
-            tally.tell("end", tally.problem or "interrupted" * tally.interrupted or "complete")
+            tally.tell("end", tally.problem or ("interrupted" if tally.stop_signal else "complete"))
     return tally.report()

@@ -20,17 +20,17 @@ GRACE_S = 20.0
 @dataclass(frozen=True)
 class Report:
     """What a run has done: samples made by it, samples there are now of those asked for, and what went wrong.
-    `restarts` counts workers that were replaced for a fault."""
+    `restarts` counts workers that were replaced for a fault, `stop_signal` is the number of the signal that ended the
+    run, 0 for none."""
 
     made: int
     done: int
     asked: int
     set_aside: tuple[int, ...]
-    interrupted: bool
+    stop_signal: int
     problem: str
     restarts: int
     seconds: float
-    stop_signal: int = 0
 
     def text(self) -> str:
         """What a person wants to know of it, in a line."""
@@ -44,7 +44,7 @@ class Report:
         """0 all is there; 1 something is missing; 128 plus the signal that stopped the run: 130 SIGINT, 143 SIGTERM."""
         if self.problem or self.set_aside:
             return 1
-        return 128 + self.stop_signal if self.interrupted else 0
+        return 128 + self.stop_signal if self.stop_signal else 0
 
 
 class Tally:
@@ -58,8 +58,8 @@ class Tally:
         self, asked: int, missing: Iterable[int], notify: Callable[[Event], None], log: Log | None = None
     ) -> None:
         self.asked, self.missing = asked, set(missing)
-        self.problem, self.interrupted, self.stop_by = "", False, math.inf
-        self._stop_signal, self._is_acknowledged = 0, False
+        self.problem, self.stop_signal, self.stop_by = "", 0, math.inf
+        self._is_acknowledged = False
         self._missing_before = frozenset(self.missing)
         self._made, self._set_aside, self._restarts = set[int](), set[int](), 0
         self._notify, self._log = notify, log
@@ -68,16 +68,16 @@ class Tally:
     @property
     def is_stopping(self) -> bool:
         """Whether no further sample is to be begun."""
-        return self.interrupted or bool(self.problem)
+        return bool(self.stop_signal or self.problem)
 
     def interrupt(self, number: int = signal.SIGINT) -> None:
         """Ask the run to end, on a signal; safe in a signal handler."""
-        self.interrupted, self._stop_signal = True, number
+        self.stop_signal = number
         self.stop_by = time.monotonic() + GRACE_S
 
     def acknowledge(self) -> None:
         """Tell once that the run is about to end, if it was interrupted; called by whoever makes samples."""
-        if self.interrupted and not self._is_acknowledged:
+        if self.stop_signal and not self._is_acknowledged:
             self._is_acknowledged = True
             self.tell("stop", "interrupted: finishing the samples in progress; Ctrl-C again stops at once")
 
@@ -106,11 +106,10 @@ class Tally:
             self.asked - len(self.missing),
             self.asked,
             tuple(sorted(self._set_aside)),
-            self.interrupted,
+            self.stop_signal,
             self.problem,
             self._restarts,
             time.monotonic() - self._began,
-            self._stop_signal,
         )
 
     def _count(self, kind: str, details: dict[str, Any]) -> None:

@@ -146,7 +146,8 @@ def test_samples_come_back(tmp_path, shard):
     assert reader[-1].key == "00000003"
     with pytest.raises(IndexError):
         reader[4]
-    assert find(f"{shard.folder}:00000002").key == "00000002"
+    reader, position = find(f"{shard.folder}:00000002")
+    assert reader[position].key == "00000002"
     with pytest.raises(FormatError, match="expected a sample 00000009"):
         find(f"{shard.folder}:00000009")
     assert pickle.loads(pickle.dumps(reader)).key(1) == "00000001"

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from synth3dlanes.imaging.daylight import daylight, film_factor
+from synth3dlanes.imaging.daylight import daylight
 from synth3dlanes.imaging.film import tonemap
 from synth3dlanes.imaging.haze import through_air
 from synth3dlanes.imaging.sensor import add_noise, motion_blur
@@ -23,7 +23,7 @@ def lit(**parts):
 
 
 def film_of(scene):
-    return film_factor(scene.light, daylight(scene, scene.camera.height_m))
+    return daylight(scene, scene.camera.height_m).film
 
 
 def test_haze_is_bluish_far_away_and_fog_is_not():

@@ -19,7 +19,7 @@ from synth3dlanes.validate.paint import Paint
 from synth3dlanes.validate.report import Report
 from synth3dlanes.validate.signed import signed_values
 from synth3dlanes.world import resolve
-from tests.scenes import changed, hill
+from tests.scenes import changed, flat_road_places, hill
 
 SOLID = changed(markings={"dash_fraction": 1.0})
 LEVEL = changed(SOLID, camera={"pitch_rad": 0.0})
@@ -31,23 +31,10 @@ def seen(labels: Labels) -> Labels:
     return replace(labels, lanes=tuple(lanes))
 
 
-def rays_road(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Where each pixel's centre looks on a flat and straight road: metres to the camera's right and ahead of it."""
-    camera = scene.camera
-    v, u = np.mgrid[: camera.height_px, : camera.width_px] + 0.5
-    right, down = (u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px
-    c, s = np.cos(camera.roll_rad), np.sin(camera.roll_rad)
-    right, down = c * right - s * down, s * right + c * down
-    c, s = np.cos(camera.pitch_rad), np.sin(camera.pitch_rad)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        way = camera.height_m / (c * down + s)
-    return np.where(way > 0, right * way, np.nan), np.where(way > 0, (c - s * down) * way, np.nan)
-
-
 def instance_ids(scene: Scene, aside_m: float = 0.0, wider: float = 1.0) -> np.ndarray:
     """The ids of the lines of a flat road, drawn pixel by pixel: lines `aside_m` right of their places, lanes `wider`
     than the scene's."""
-    x_m, y_m = rays_road(scene)
+    x_m, y_m = flat_road_places(scene)
     road, markings = scene.road, scene.markings
     width_m = wider * road.lane_width_m
     ids = np.zeros(x_m.shape, np.uint16)
@@ -95,7 +82,7 @@ def test_paint_drawn_at_pixels_centres_is_found_within_a_millimetre_of_its_place
 def test_lines_near_cars_and_on_the_image_border_are_not_asked_there():
     ids = instance_ids(SOLID, 0.02)
     whole = {line.lane.id: line for line in offsets(SOLID, ids)}
-    x_m, _ = rays_road(SOLID)
+    x_m, _ = flat_road_places(SOLID)
     # A car stands over the right half of the line that is left of the host.
     left_m = -SOLID.road.lane_width_m / 2
     with np.errstate(invalid="ignore"):
@@ -248,7 +235,7 @@ def test_depth_of_another_world_is_told_by_its_cause_and_its_sign(world, factor,
 @pytest.mark.parametrize(("factor", "side"), [(1.005, "below"), (0.995, "above")])
 def test_depth_too_far_or_too_near_leaves_the_road_below_or_above(factor, side):
     """On a flat road nothing tells it from a lens of another focal length."""
-    x_m, y_m = rays_road(LEVEL)
+    x_m, y_m = flat_road_places(LEVEL)
     semantic = np.full(x_m.shape, SEMANTIC_IDS["road"], np.uint8)
     depth_m = np.where(np.isnan(y_m), np.inf, y_m).astype(np.float32) * np.float32(factor)
     values = signed(LEVEL, GRAY, {"depth": depth_m, "semantic": semantic})

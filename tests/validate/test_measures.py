@@ -20,7 +20,7 @@ from synth3dlanes.validate.paint import Paint
 from synth3dlanes.validate.passes_proof import prove_passes
 from synth3dlanes.validate.structure import check_values
 from synth3dlanes.world import resolve
-from tests.scenes import FLAT, changed
+from tests.scenes import FLAT, changed, flat_road_places
 
 
 @given(st.lists(st.floats(1e-3, 1e3), min_size=20, max_size=200))
@@ -70,15 +70,8 @@ def painted_picture(scene: Scene, aside_m: float, paint: float, noise: float) ->
     """A road of gray 90 seen from the scene's camera, with solid lines `aside_m` right of their places; the leftmost
     may be two stripes."""
     camera = scene.camera
-    v, u = np.mgrid[: camera.height_px, : camera.width_px] + 0.5
-    right, down = (u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px
-    c, s = np.cos(camera.roll_rad), np.sin(camera.roll_rad)
-    right, down = c * right - s * down, s * right + c * down
-    c, s = np.cos(camera.pitch_rad), np.sin(camera.pitch_rad)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        distance = camera.height_m / (c * down + s)
-        x_m = right * distance
-    image = 90 + np.random.default_rng(0).normal(0, noise, u.shape)
+    x_m, _ = flat_road_places(scene)
+    image = 90 + np.random.default_rng(0).normal(0, noise, x_m.shape)
     n, width_m = scene.road.n_lanes, scene.road.lane_width_m
     middle_m = (camera.lane - (n + 1) / 2) * width_m
     for j in range(n + 1):
@@ -86,7 +79,8 @@ def painted_picture(scene: Scene, aside_m: float, paint: float, noise: float) ->
         from_middle_m = np.abs(x_m - place_m)
         if j == 0 and scene.markings.left_double:
             from_middle_m = np.abs(from_middle_m - scene.markings.width_m)
-        image[(from_middle_m < scene.markings.width_m / 2) & (distance > 0)] = paint
+        with np.errstate(invalid="ignore"):
+            image[from_middle_m < scene.markings.width_m / 2] = paint
     return np.repeat(np.clip(image, 0, 255).astype(np.uint8)[..., None], 3, axis=2)
 
 
