@@ -3,6 +3,7 @@
 `config` is the run's TrainConfig as JSON, so the network can be rebuilt from a checkpoint alone.
 """
 
+import json
 import os
 import pickle
 from dataclasses import dataclass
@@ -10,12 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from synth3dlanes.errors import FormatError
+from synth3dlanes.errors import FormatError, InputError
 
-from .config import TrainConfig, parse
-from .model import LaneNet
+from .config import CustomModel, TrainConfig, parse
+from .inference import Detector
+from .task import network_of
 
 FORMAT = "synth3dlanes.baseline"
 VERSION = 1
@@ -59,12 +61,26 @@ def load(path: Path) -> Checkpoint:
     found = (document.get("format"), document.get("version")) if isinstance(document, dict) else type(document)
     if found != (FORMAT, VERSION):
         raise FormatError(f"{path}: expected {FORMAT} version {VERSION}, got {found}")
-    config = parse(TrainConfig, document["config"], f"{path}: config")
+    settings = json.loads(document["config"])
+    settings.pop("storage", None)  # of 0.1.0: how decoded images were kept
+    config = parse(TrainConfig, settings, f"{path}: config")
     return Checkpoint(config, document["about"], document["model"], document["resume"])
 
 
-def build(checkpoint: Checkpoint, device: torch.device) -> LaneNet:
-    """The network of a checkpoint, in evaluation mode."""
-    model = LaneNet(checkpoint.config.model)
-    model.load_state_dict(checkpoint.model)
-    return model.to(device, memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
+def build(checkpoint: Checkpoint, device: torch.device, own_model: str | None = None) -> nn.Module:
+    """The network of a checkpoint, in evaluation mode. A user's network is code: it is loaded only if `own_model` names
+    it as training did."""
+    model = checkpoint.config.model
+    if isinstance(model, CustomModel) and own_model != model.build:
+        raise InputError(f"model: expected {model.build}, whose network the checkpoint holds, got {own_model}")
+    network = network_of(model)
+    network.load_state_dict(checkpoint.model)
+    moved: nn.Module = network.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+    return moved.eval()
+
+
+def detector(path: Path, device: torch.device, own_model: str | None = None) -> Detector:
+    """The network of a checkpoint file, ready to detect lanes."""
+    checkpoint = load(path)
+    model = checkpoint.config.model
+    return Detector(build(checkpoint, device, own_model), (model.image_height_px, model.image_width_px))
