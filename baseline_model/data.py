@@ -218,7 +218,7 @@ def _record(sample: LabelledImage, size_px: tuple[int, int], pose_mode: str, fov
     image, intrinsics = resize(np.array(sample.image), intrinsics_of(labels), size_px)
     curves = road_curves(labels, in_image_only=fov_mask)
     plane = Pose(labels.camera.pitch_rad, labels.camera.height_m)
-    return _Record(sample.key, image, intrinsics, curves, plane, target_pose(labels, curves, pose_mode))
+    return _Record(sample.key, image, intrinsics, curves, plane, target_pose(labels, pose_mode))
 
 
 def describe(data: ResidentData) -> dict[str, Any]:

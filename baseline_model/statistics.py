@@ -24,7 +24,7 @@ from .anchors import (
     spread_m,
 )
 from .config import COMPACT, ModelConfig
-from .curves import plane_pose, road_curves, target_pose
+from .curves import road_curves, target_pose
 from .data import Samples, pack
 from .evaluate import labels_at
 from .lanes import DENSE_Y_M, Detection, Prediction, interpolate
@@ -129,12 +129,8 @@ def describe_targets(data_dir: str | Path, *, as_json: bool = False) -> str:
 
 
 def _targets(labels: Labels, model: ModelConfig) -> tuple[Targets, torch.Tensor, torch.Tensor, Pose]:
-    curves = road_curves(labels)
-    if model.pose_target == "fixed":
-        pose = MEAN_POSE
-    else:
-        pose = target_pose(labels, curves, model.pose_target) if curves else plane_pose(labels)
-    packed = pack([curves])
+    pose = MEAN_POSE if model.pose_target == "fixed" else target_pose(labels, model.pose_target)
+    packed = pack([road_curves(labels)])
     top_from_cam = torch.from_numpy(road_from_cam(pose)).float()[None]
     targets, status = encode(packed, top_from_cam, model)
     return targets, status, packed.kind, pose
