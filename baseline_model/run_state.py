@@ -105,8 +105,7 @@ def prepare(config: TrainConfig, process: Process, out_dir: Path, about: dict[st
     torch.manual_seed(config.seed)
     model = LaneNet(config.model)
     if config.pretrained is not None:
-        assert model.image is not None
-        about["pretrained"] = load_vgg16(model.image, config.pretrained)
+        about["pretrained"] = load_vgg16(model, config.pretrained)
     model = model.to(process.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
     trainee = Run(
         config,
