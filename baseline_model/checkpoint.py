@@ -17,10 +17,13 @@ from synth3dlanes.errors import FormatError, InputError
 
 from .config import CustomModel, TrainConfig, parse
 from .inference import Detector
+from .model import LaneNet
 from .task import network_of
 
 FORMAT = "synth3dlanes.baseline"
 VERSION = 1
+SHIPPED = Path(__file__).parent / "weights" / "nano.pt"
+"""Weights in the package; docs/baseline.md has the commands that made them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +70,11 @@ def load(path: Path) -> Checkpoint:
     return Checkpoint(config, document["about"], document["model"], document["resume"])
 
 
+def place(source: str | Path) -> Path:
+    """The file of a checkpoint, given by its path or by the name of weights that the package brings (`nano`)."""
+    return SHIPPED if str(source) == SHIPPED.stem else Path(source)
+
+
 def build(checkpoint: Checkpoint, device: torch.device, own_model: str | None = None) -> nn.Module:
     """The network of a checkpoint, in evaluation mode. A user's network is code: it is loaded only if `own_model` names
     it as training did."""
@@ -79,8 +87,16 @@ def build(checkpoint: Checkpoint, device: torch.device, own_model: str | None = 
     return moved.eval()
 
 
-def detector(path: Path, device: torch.device, own_model: str | None = None) -> Detector:
-    """The network of a checkpoint file, ready to detect lanes."""
-    checkpoint = load(path)
+def build_lane_net(checkpoint: Checkpoint, device: torch.device) -> LaneNet:
+    """The network of a checkpoint that holds one of ours; raise InputError for a user's."""
+    network = None if isinstance(checkpoint.config.model, CustomModel) else build(checkpoint, device)
+    if not isinstance(network, LaneNet):
+        raise InputError("checkpoint: expected a named model (docs/baseline.md), got a network of your own")
+    return network
+
+
+def detector(source: str | Path, device: torch.device, own_model: str | None = None) -> Detector:
+    """The network of a checkpoint, given as for `place`, ready to detect lanes."""
+    checkpoint = load(place(source))
     model = checkpoint.config.model
     return Detector(build(checkpoint, device, own_model), (model.image_height_px, model.image_width_px))

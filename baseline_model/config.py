@@ -66,6 +66,7 @@ class ModelConfig(Strict):
     grid_gradient: bool = False
     """Whether the lane loss is backpropagated to the pose through the sampling grid; the paper supervises the pose."""
     batch_norm: bool = True
+    """Batch norm after every convolution but the head's last two. The paper does not mention any; `paper` has it."""
     has_visibility: bool = False
     """Our addition: a logit per knot for its visibility."""
     plane_heights_m: tuple[float, ...] = (0.0,)

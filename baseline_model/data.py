@@ -109,7 +109,7 @@ def annotation_of(
         xyz_cam[i, :n], xyz_cam[i, n:] = curve.xyz_cam, curve.xyz_cam[-1]
         visible[i, :n] = curve.visible
         kind[i] = CENTERLINE if curve.kind == "centerline" else DELIMITER
-    plane, target = Pose(labels.camera.pitch_rad, labels.camera.height_m), target_pose(labels, all_curves, pose_mode)
+    plane, target = Pose(labels.camera.pitch_rad, labels.camera.height_m), target_pose(labels, pose_mode)
     intrinsics = scale(intrinsics_of(labels), (labels.camera.height_px, labels.camera.width_px), size_px)
     return Annotation(intrinsics, plane, target, xyz_cam, visible, kind)
 
@@ -139,6 +139,11 @@ def intrinsics_of(labels: Labels) -> Intrinsics:
     """fx, fy, cx, cy from `img_from_cam` = [[fx, cx, 0], [0, cy, -fy], [0, 1, 0]]."""
     matrix = labels.camera.img_from_cam
     return (float(matrix[0, 0]), float(-matrix[1, 2]), float(matrix[0, 1]), float(matrix[1, 1]))
+
+
+def size_of(image: Pixels) -> tuple[int, int]:
+    """Height and width."""
+    return (image.shape[0], image.shape[1])
 
 
 def resize(image: Pixels, size_px: tuple[int, int]) -> UInt8[np.ndarray, "h2 w2 3"]:

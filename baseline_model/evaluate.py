@@ -27,7 +27,7 @@ def evaluate_checkpoint(
     own_model: str | None = None,
 ) -> Report:
     """Run the checkpoint's network over a split (`DIR/test`) and score it. `own_model` names a user's network."""
-    detector = checkpoints.detector(Path(checkpoint), choose_device(device), own_model)
+    detector = checkpoints.detector(checkpoint, choose_device(device), own_model)
     samples = open_split(data_dir)
     return score_on(samples, detector.in_samples(samples), config)
 
@@ -53,7 +53,7 @@ def evaluate_flat_ground(
 ) -> dict[str, Report]:
     """The paper's `flat ground` row: the network's lanes are projected to the image and back onto a plane known from
     the labels, either the tangent plane or the `horizon` plane. The paper reports the better one."""
-    detector = checkpoints.detector(Path(checkpoint), choose_device(device))
+    detector = checkpoints.detector(checkpoint, choose_device(device))
     scores = {plane: Evaluation(config or MetricConfig()) for plane in ("plane", "horizon")}
     for labels, prediction in detector.in_samples(open_split(data_dir)):
         for plane, evaluation in scores.items():

@@ -8,14 +8,14 @@ from jaxtyping import Float
 from synth3dlanes.frames import transform
 from synth3dlanes.labels import Labels
 
-from .curves import road_curves, target_pose
+from .curves import target_pose
 from .lanes import Detection, Prediction
 from .poses import Pose, road_from_cam
 
 
 def through_flat_ground(prediction: Prediction, labels: Labels, plane: str) -> Prediction:
     """Project the lanes into the image and back onto the labels' `plane` or `horizon` plane."""
-    pose = target_pose(labels, road_curves(labels), plane)
+    pose = target_pose(labels, plane)
     lanes = []
     for lane in prediction.lanes:
         flat_cam = onto_plane(lane.xyz_cam, pose)

@@ -15,7 +15,7 @@ from synth3dlanes.errors import InputError
 from synth3dlanes.labels import Labels
 
 from .custom import LaneDetector
-from .data import Intrinsics, Pixels, Samples, pixels_on, resize, scale
+from .data import Intrinsics, Pixels, Samples, pixels_on, resize, scale, size_of
 from .lanes import AnchorLayout, Prediction, decode
 from .loading import labelled_batches
 from .model import LaneNet, Output
@@ -98,7 +98,7 @@ class Detector:
         for several in _batched(images, batch):
             keys = [key for key, _, _ in several]
             pixels = np.stack([resize(image, self.size_px) for _, image, _ in several])
-            intrinsics = [scale(values, image.shape[:2], self.size_px) for _, image, values in several]
+            intrinsics = [scale(values, size_of(image), self.size_px) for _, image, values in several]
             yield from self.in_batch(keys, torch.from_numpy(pixels).permute(0, 3, 1, 2), torch.tensor(intrinsics))
 
     def in_samples(

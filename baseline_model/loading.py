@@ -33,7 +33,19 @@ from .cache import (
     to_bytes,
 )
 from .config import TrainConfig
-from .data import Annotation, Batch, Intrinsics, Pixels, Samples, annotation_of, intrinsics_of, pack, resize, scale
+from .data import (
+    Annotation,
+    Batch,
+    Intrinsics,
+    Pixels,
+    Samples,
+    annotation_of,
+    intrinsics_of,
+    pack,
+    resize,
+    scale,
+    size_of,
+)
 from .sources import digest_of, image_at, key_at, labels_at
 
 MEMORY_SHARE = 0.5
@@ -214,7 +226,7 @@ class _LabelledImages(Dataset[tuple[str, Pixels, Intrinsics, Labels]]):
 
     def __getitem__(self, index: int) -> tuple[str, Pixels, Intrinsics, Labels]:
         sample = self._samples[index]
-        intrinsics = scale(intrinsics_of(sample.labels), sample.image.shape[:2], self._size_px)
+        intrinsics = scale(intrinsics_of(sample.labels), size_of(sample.image), self._size_px)
         return sample.key, resize(sample.image, self._size_px), intrinsics, sample.labels
 
 

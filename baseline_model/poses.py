@@ -32,13 +32,3 @@ def road_from_cam(pose: Pose) -> Float[np.ndarray, "4 4"]:
 def cam_from_road(pose: Pose) -> Float[np.ndarray, "4 4"]:
     """Inverse of `road_from_cam`: p_cam = R (p_road - C), with the camera at C = (0, 0, height) of the road frame."""
     return frames.invert(road_from_cam(pose))
-
-
-def horizon_pose(plane: Pose, farthest_road: Float[np.ndarray, " 3"]) -> Pose:
-    """The pose over the plane through the host's ground point and the farthest visible road point (paper, 4.3,
-    'horizon').
-
-    With slope alpha = atan2(z, y), the camera's distance from the tilted plane is height * cos(alpha).
-    """
-    slope_rad = float(np.arctan2(farthest_road[2], farthest_road[1]))
-    return Pose(plane.pitch_rad + slope_rad, plane.height_m * float(np.cos(slope_rad)))

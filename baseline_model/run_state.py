@@ -93,9 +93,9 @@ def prepare(config: TrainConfig, process: Process, out_dir: Path, about: dict[st
     torch.manual_seed(config.seed)
     model = network_of(config.model)
     if config.pretrained is not None:
-        if not (isinstance(model, LaneNet) and model.image is not None):
-            raise InputError("pretrained: expected a network with a vgg16 trunk, got another")
-        about["pretrained"] = load_vgg16(model.image, config.pretrained)
+        if not isinstance(model, LaneNet):
+            raise InputError("pretrained: expected a named model with a vgg16 trunk (paper), got a network of your own")
+        about["pretrained"] = load_vgg16(model, config.pretrained)
     if config.init is not None:
         about["init"] = _start_from(model, config.init)
     model = model.to(process.device, memory_format=torch.channels_last)  # type: ignore[call-overload]

@@ -23,7 +23,6 @@ from synth3dlanes.labels import Labels
 from .data import LabelledImage, Pixels, Samples
 from .tusimple import TusimpleOnPlane
 
-
 ROLL = "camera_roll_rad"
 
 

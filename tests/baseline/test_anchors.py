@@ -158,21 +158,42 @@ def test_ceiling_on_generated_scenes():
     assert statistics.counts["centerline"]["kept"] > 250
 
 
-def test_horizon_pose_puts_the_farthest_point_on_the_plane(roads):
-    from synth3dlanes_baseline.curves import plane_pose, road_curves, target_pose
+def test_horizon_targets_are_the_labels_own_and_put_the_host_lanes_farthest_point_on_the_plane():
+    from synth3dlanes_baseline.curves import plane_pose, target_pose
     from synth3dlanes_baseline.poses import road_from_cam
 
     from synth3dlanes.frames import transform
+    from synth3dlanes.ground_truth import ground_truth
+    from synth3dlanes.params import load_params
+    from synth3dlanes.sample import sample_scene
 
-    labels = roads.labels([lambda y: (0.0 * y, 0.03 * y + 1e-4 * y**2)])
-    curves = road_curves(labels)
-    pose = target_pose(labels, curves, "horizon")
-    end_road = transform(road_from_cam(pose), curves[0].xyz_cam[-1:])[0]
-    foot_cam = transform(np.linalg.inv(road_from_cam(plane_pose(labels))), np.zeros((1, 3)))
-    foot_road = transform(road_from_cam(pose), foot_cam)
-    assert end_road[2] == pytest.approx(0.0, abs=1e-9)
-    assert foot_road[0, 2] == pytest.approx(0.0, abs=1e-9)
-    assert pose.pitch_rad > plane_pose(labels).pitch_rad, "over rising ground the camera looks down more steeply"
+    params = load_params("appendix_i")
+    n_tilted = 0
+    # 37, 63 and 128: the ground hides the host's lane before 20 m.
+    for index in (*range(12), 37, 63, 128):
+        labels = ground_truth(sample_scene(params, 0, "test", index))
+        plane, pose = plane_pose(labels), target_pose(labels, "horizon")
+        assert pose == (labels.horizon.pitch_rad, labels.horizon.height_m)
+        assert target_pose(labels, "plane") == target_pose(labels, "fixed") == plane
+        ends_road = [
+            transform(road_from_cam(pose), lane.xyz_cam[seen[-1:]])[0]
+            for lane in labels.lanes
+            if lane.kind == "centerline" and (seen := np.flatnonzero(lane.in_image & lane.terrain_visible)).size
+        ]
+        # The plane holds the farthest point of one of the centre lines, the host's, and the foot of the camera.
+        assert min(abs(end[2]) for end in ends_road) < 2e-4
+        foot_cam = transform(np.linalg.inv(road_from_cam(plane)), np.zeros((1, 3)))
+        assert transform(road_from_cam(pose), foot_cam)[0, 2] == pytest.approx(0.0, abs=1e-6)
+        n_tilted += abs(pose.pitch_rad - plane.pitch_rad) > math.radians(1.0)
+    assert n_tilted >= 5
+
+
+def test_labels_without_a_horizon_give_the_tangent_plane(roads):
+    from synth3dlanes_baseline.curves import plane_pose, target_pose
+
+    labels = roads.labels([lambda y: (0.0 * y, 0.03 * y)])
+    assert labels.horizon is None
+    assert target_pose(labels, "horizon") == plane_pose(labels)
 
 
 def test_suppression_keeps_one_of_a_plateau():

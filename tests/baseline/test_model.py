@@ -46,6 +46,21 @@ def test_every_ablation_gives_39_values_per_anchor_from_the_same_start(roads, ro
         assert mine.equal(its)
 
 
+@pytest.mark.parametrize("variant", ["full", "image_view", "top_view", "early_ipm", "late_ipm"])
+def test_every_variant_takes_a_fixed_pose(roads, variant):
+    from synth3dlanes_baseline.config import train_config
+    from synth3dlanes_baseline.model import LaneNet
+
+    batch = _batch(roads, n=1)
+    changes = {"model.pose_target": "fixed", "model.fixed_pitch_deg": 4.0, "model.fixed_height_m": 1.5}
+    model = LaneNet(train_config("tiny", changes, "full").model.model_copy(update={"variant": variant})).eval()
+    assert model.pose is None
+    with torch.no_grad():
+        output = model(batch.image, batch.intrinsics)
+    assert output.pose.tolist() == [pytest.approx([math.radians(4.0), 1.5])]
+    assert output.x_m.isfinite().all()
+
+
 COMPILED = """
 import torch
 from synth3dlanes_baseline.config import train_config
