@@ -46,7 +46,7 @@ class Slots:
 
 
 def annotation_file(path: Path, source: str) -> Slots:
-    """The annotations cached at `path`; `source` says what they were made from, and those of another one are dropped."""
+    """The annotations cached at `path`. `source` says what they were made from; those of another one are dropped."""
     header = (VERSION + source.encode()).ljust(SLOT_BYTES, b"\0")[:SLOT_BYTES]
     if not (path.is_file() and path.open("rb").read(SLOT_BYTES) == header):
         partial = path.with_name(f"{path.name}.{os.getpid()}.tmp")
@@ -55,11 +55,13 @@ def annotation_file(path: Path, source: str) -> Slots:
     return Slots(os.open(path, os.O_RDWR | os.O_CLOEXEC), SLOT_BYTES, SLOT_BYTES)
 
 
-def pixel_memory(size_px: tuple[int, int]) -> Slots | None:
-    """Room in memory for decoded images of (height, width), shared with forked processes; None where the system has no
-    such memory (it is Linux's)."""
-    if not hasattr(os, "memfd_create"):
-        return None
+def has_pixel_memory() -> bool:
+    """Whether the system has memory that forked processes share without counting it as theirs; Linux has."""
+    return hasattr(os, "memfd_create")
+
+
+def pixel_memory(size_px: tuple[int, int]) -> Slots:
+    """Room in memory for decoded images of (height, width); only images that are put there take it."""
     return Slots(os.memfd_create("pixels"), HEADER.size + slot_bytes_of(size_px))
 
 

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from synth3dlanes.errors import FormatError, InputError
 
-from .config import CustomModel, TrainConfig, parse
+from .config import CustomModel, TrainConfig, changed, parse
 from .inference import Detector
 from .model import LaneNet
 from .task import network_of
@@ -58,6 +58,8 @@ def load(path: Path) -> Checkpoint:
     """Load a checkpoint without executing code from it; raise FormatError if it is not a baseline checkpoint."""
     try:
         document = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError:
+        raise FormatError(f"{path}: expected a baseline checkpoint, got no such file") from None
     except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise FormatError(f"{path}: expected a baseline checkpoint, got {reason:.100}") from None
@@ -73,6 +75,11 @@ def load(path: Path) -> Checkpoint:
 def place(source: str | Path) -> Path:
     """The file of a checkpoint, given by its path or by the name of weights that the package brings (`nano`)."""
     return SHIPPED if str(source) == SHIPPED.stem else Path(source)
+
+
+def fine_tuning(source: str, overrides: dict[str, Any]) -> TrainConfig:
+    """The settings that a checkpoint was trained with, changed by dotted keys, to start again from its weights."""
+    return changed(load(place(source)).config, {"pretrained": None, "max_images": None, **overrides, "init": source})
 
 
 def build(checkpoint: Checkpoint, device: torch.device, own_model: str | None = None) -> nn.Module:

@@ -27,6 +27,7 @@ from .cache import (
     Slots,
     annotation_file,
     from_bytes,
+    has_pixel_memory,
     pixel_memory,
     pixels_from_bytes,
     slot_bytes_of,
@@ -50,6 +51,7 @@ from .sources import digest_of, image_at, key_at, labels_at
 
 MEMORY_SHARE = 0.5
 """Decoded images are kept if all of them take less than this share of the free memory."""
+ANNOTATIONS = "annotations.cache"
 MAX_WORKERS = 16
 PREFETCHED_BATCHES = 2
 
@@ -122,40 +124,48 @@ class Examples(Dataset[Example]):
         return small
 
 
-@dataclass(frozen=True, eq=False)
-class TrainingData:
-    """The training split behind its caches."""
+@dataclass(frozen=True)
+class Decoding:
+    """What happens to the images of a split: `is_once` if all of them are kept in memory once decoded."""
 
-    examples: Examples
-    keeps_pixels: bool
-    decoded_bytes: int
-
-    def __len__(self) -> int:
-        return len(self.examples)
+    n_images: int
+    n_bytes: int
+    free_bytes: int
+    is_once: bool
 
     def text(self) -> str:
-        """What happens to the images, for the start of the log."""
-        what = f"{len(self):,} images, {self.decoded_bytes / 1e9:,.1f} GB when decoded"
-        if self.keeps_pixels:
+        """It in words, with figures."""
+        what = f"{self.n_images:,} images, {self.n_bytes / 1e9:,.1f} GB when decoded"
+        if self.is_once:
             return f"{what}: kept in memory"
-        return f"{what}, with {free_memory_bytes() / 1e9:,.1f} GB of memory free: decoded again in every epoch"
-
-    def batches(self, config: TrainConfig, process: Process, first_step: int, n_steps: int) -> Iterator[Batch]:
-        """The batches of the steps from `first_step` to the last one, on the device's side of the loader."""
-        order = Order(len(self), config, process, first_step, n_steps)
-        workers = spare_cores(process.neighbours) if config.workers is None else config.workers
-        return _loaded(self.examples, order, collate, workers, process.device)
+        return f"{what}, with {self.free_bytes / 1e9:,.1f} GB of memory free: decoded again in every epoch"
 
 
-def open_training_data(samples: Samples, config: TrainConfig, process: Process, out_dir: Path) -> TrainingData:
-    """Put the caches before a split: annotations in `out_dir`, decoded images in memory if they fit."""
+def decoding_of(n_images: int, config: TrainConfig, process: Process) -> Decoding:
+    """Decide whether decoded images are kept: `keep_decoded`, or whether every process here has room for them."""
+    n_bytes = n_images * slot_bytes_of((config.model.image_height_px, config.model.image_width_px))
+    free_bytes = free_memory_bytes()
+    fits = n_bytes * process.neighbours < MEMORY_SHARE * free_bytes
+    is_once = fits if config.keep_decoded is None else config.keep_decoded
+    return Decoding(n_images, n_bytes, free_bytes, is_once and has_pixel_memory())
+
+
+def open_examples(
+    samples: Samples, decoding: Decoding, config: TrainConfig, process: Process, out_dir: Path
+) -> Examples:
+    """Put the caches before a split: annotations in `out_dir`, decoded images in memory if they are kept."""
     size_px = (config.model.image_height_px, config.model.image_width_px)
-    decoded_bytes = len(samples) * slot_bytes_of(size_px)
-    fits = decoded_bytes * process.neighbours < MEMORY_SHARE * free_memory_bytes()
-    keeps = fits if config.keep_decoded is None else config.keep_decoded
-    pixels = pixel_memory(size_px) if keeps else None
-    annotations = _annotations(samples, config, process, out_dir)
-    return TrainingData(Examples(samples, config, annotations, pixels), pixels is not None, decoded_bytes)
+    pixels = pixel_memory(size_px) if decoding.is_once else None
+    return Examples(samples, config, _annotations(samples, config, process, out_dir), pixels)
+
+
+def training_batches(
+    examples: Examples, config: TrainConfig, process: Process, first_step: int, n_steps: int
+) -> Iterator[Batch]:
+    """The batches of the steps from `first_step` to the last one, in the memory of the CPU."""
+    order = Order(len(examples), config, process, first_step, n_steps)
+    workers = spare_cores(process.neighbours) if config.workers is None else config.workers
+    return _loaded(examples, order, collate, workers, process.device)
 
 
 def free_memory_bytes() -> int:
@@ -294,7 +304,7 @@ def _annotations(samples: Samples, config: TrainConfig, process: Process, out_di
             return Slots(os.dup(file.fileno()), SLOT_BYTES)
     model = config.model
     source = f"{digest} {model.image_height_px}x{model.image_width_px} {model.pose_target} {config.fov_mask}"
-    path = out_dir / "annotations.cache"
+    path = out_dir / ANNOTATIONS
     if process.rank % process.neighbours:
         torch.distributed.barrier()
     found = annotation_file(path, source)

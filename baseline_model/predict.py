@@ -28,18 +28,22 @@ class Summary:
 
     path: Path
     threshold: float
+    is_assumed: bool = False
     n_images: int = 0
     n_lanes: int = 0
     best_score: float = 0.0
 
     def text(self) -> str:
-        """It in a line."""
+        """It in words."""
         if self.n_lanes:
-            return f"{self.path}: {self.n_lanes} lanes in {self.n_images} images"
-        return (
-            f"{self.path}: no lane of confidence {self.threshold:g} in {self.n_images} images; the best has "
-            f"{self.best_score:.2f}, --threshold shows it"
-        )
+            found = f"{self.path}: {self.n_lanes} lanes in {self.n_images} images"
+        else:
+            found = (
+                f"{self.path}: no lane of confidence {self.threshold:g} in {self.n_images} images; the best has "
+                f"{self.best_score:.2f}, --threshold shows it"
+            )
+        assumed = f"; a field of view of {ASSUMED_FOV_DEG:g} degrees was assumed, --intrinsics says otherwise"
+        return found + assumed * self.is_assumed
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +74,7 @@ def predict(
     out = Path(out_dir)
     out.mkdir(parents=True, exist_ok=True)
     summary = Summary(out / "predictions.jsonl", threshold)
+    summary.is_assumed = intrinsics is None and bool(_image_files(source))
     shown: list[_Picture] = []
 
     def images() -> Iterator[tuple[str, UInt8[np.ndarray, "h w 3"], Intrinsics]]:
@@ -102,7 +107,7 @@ def img_from_cam(intrinsics: Intrinsics) -> Float[np.ndarray, "3 3"]:
 
 def _pictures(source: str | Path, intrinsics: Intrinsics | None) -> Iterator[_Picture]:
     """The source's images; the source is opened at once, images are read on iteration."""
-    files = _image_files(Path(source)) if "://" not in str(source) else []
+    files = _image_files(source)
     if files:
         return (_of_file(file, intrinsics) for file in files)
     samples = open_split(source)
@@ -122,7 +127,10 @@ def assumed_intrinsics(size_px: tuple[int, int]) -> Intrinsics:
     return (focal_px, focal_px, width / 2, height / 2)
 
 
-def _image_files(source: Path) -> list[Path]:
+def _image_files(source: str | Path) -> list[Path]:
+    if "://" in str(source):
+        return []
+    source = Path(source)
     if source.is_file() and source.suffix.lower() in IMAGE_SUFFIXES:
         return [source]
     if source.is_dir():

@@ -123,6 +123,14 @@ def training_and_validation(
     return Chosen(train, [i for i in range(n) if i % 10 != 9]), Chosen(train, range(9, n, 10))
 
 
+def describe(validation: Samples) -> str:
+    """What `training_and_validation` chose for validation."""
+    what = f"{len(validation):,} images"
+    if not isinstance(validation, Chosen):
+        return what
+    return f"{what} of the training split, as there is no validation split"
+
+
 def key_at(samples: Samples, index: int) -> str:
     """The key of a sample, without reading it if the source allows that."""
     return str(_alone(samples, "key", index))

@@ -4,6 +4,7 @@ All randomness in step s follows from (seed, s), so that a killed run resumes wi
 """
 
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,20 +18,39 @@ from synth3dlanes.errors import Synth3dlanesError
 
 from . import checkpoint as checkpoints
 from .augment import Augmented, augment, generator_for
-from .config import TrainConfig
+from .config import CustomModel, TrainConfig
 from .data import Batch, Samples
 from .evaluate import score
-from .inference import Detector
-from .loading import TrainingData, open_training_data
+from .inference import Detector, choose_device
+from .loading import ANNOTATIONS, Decoding, Process, decoding_of, open_examples, training_batches
 from .metrics import MetricConfig, Report
 from .model import LaneNet
 from .progress import Log
 from .report import to_document
 from .run_state import Run, prepare, save, start_process
-from .sources import training_and_validation
+from .sources import describe, training_and_validation
 from .task import Terms, task_of
 
 SAVE_EVERY_S = 300.0
+
+
+@dataclass(frozen=True)
+class Length:
+    """How long a run is, in steps."""
+
+    steps_per_epoch: int
+    n_steps: int
+    validate_every: int
+
+    @classmethod
+    def of(cls, config: TrainConfig, n_images: int) -> "Length":
+        """That of `epochs` passes over so many images."""
+        steps_per_epoch = -(-n_images // config.batch)
+        return cls(
+            steps_per_epoch,
+            max(1, round(config.epochs * steps_per_epoch)),
+            max(1, round(config.validate_every_epochs * steps_per_epoch)),
+        )
 
 
 class Diverged(Synth3dlanesError, FloatingPointError):
@@ -39,10 +59,16 @@ class Diverged(Synth3dlanesError, FloatingPointError):
 
 def train(config: TrainConfig, data_dir: str | Path, out_dir: str | Path) -> Path:
     """Train on DIR/train, validate on DIR/val, return the best checkpoint's path. Resumes a run found in `out_dir`."""
-    train_samples, val_samples = training_and_validation(
-        str(data_dir), config.train_split, config.val_split, config.max_images
-    )
+    train_samples, val_samples = _splits(config, data_dir)
     return train_on(config, train_samples, val_samples, Path(out_dir))
+
+
+def plan(config: TrainConfig, data_dir: str | Path, out_dir: str | Path) -> list[str]:
+    """What `train` would do, in lines; nothing is written."""
+    train_samples, val_samples = _splits(config, data_dir)
+    process = Process(0, 1, choose_device(config.device))
+    decoding = decoding_of(len(train_samples), config, process)
+    return _plan(prepare(config, process, Path(out_dir), {}), decoding, describe(val_samples))
 
 
 def train_on(config: TrainConfig, train_samples: Samples, val_samples: Samples, out_dir: Path) -> Path:
@@ -55,47 +81,53 @@ def train_on(config: TrainConfig, train_samples: Samples, val_samples: Samples, 
     }
     trainee = prepare(config, process, out_dir, about)
     out_dir.mkdir(parents=True, exist_ok=True)
-    data = open_training_data(train_samples, config, process, out_dir)
-    steps_per_epoch = -(-len(data) // config.batch)
-    n_steps = max(1, round(config.epochs * steps_per_epoch))
-    validate_every = max(1, round(config.validate_every_epochs * steps_per_epoch))
+    decoding = decoding_of(len(train_samples), config, process)
+    examples = open_examples(train_samples, decoding, config, process, out_dir)
+    length = Length.of(config, len(examples))
     task = task_of(trainee.model, config)
     if process.device.type == "cuda" and config.compile and isinstance(trainee.model, LaneNet):
         trainee.model.compile()
     distributed = DistributedDataParallel(task) if process.world > 1 else task
     saved_at = time.monotonic()
-    with Log(out_dir, n_steps, trainee.step, config.batch, is_shown=process.rank == 0) as log:
-        for line in _plan(trainee, data, len(val_samples), n_steps):
+    with Log(out_dir, length.n_steps, trainee.step, config.batch, is_shown=process.rank == 0) as log:
+        for line in _plan(trainee, decoding, describe(val_samples)):
             log.line.say(line)
-        for batch in data.batches(config, process, trainee.step, n_steps):
-            rate = trainee.schedule.rate(trainee.step, n_steps, steps_per_epoch, config)
-            terms = _step(trainee, distributed, task, batch, rate, trainee.step / n_steps)
+        for batch in training_batches(examples, config, process, trainee.step, length.n_steps):
+            rate = trainee.schedule.rate(trainee.step, length.n_steps, length.steps_per_epoch, config)
+            terms = _step(trainee, distributed, task, batch, rate, trainee.step / length.n_steps)
             trainee.step += 1
             log.step(trainee.step, rate, terms)
-            if trainee.step % validate_every == 0 or trainee.step == n_steps:
+            if trainee.step % length.validate_every == 0 or trainee.step == length.n_steps:
                 report = _validate(trainee, val_samples)
                 log.validation(trainee.step, report)
-                _note(trainee, report, steps_per_epoch, out_dir, about)
+                _note(trainee, report, length.steps_per_epoch, out_dir, about)
             elif time.monotonic() - saved_at > SAVE_EVERY_S:
                 save(trainee, out_dir, about)
                 saved_at = time.monotonic()
     if process.world > 1:
         torch.distributed.barrier()
         torch.distributed.destroy_process_group()
+    (out_dir / ANNOTATIONS).unlink(missing_ok=True)
     return out_dir / "best.pt"
 
 
-def _plan(trainee: Run, data: TrainingData, n_val: int, n_steps: int) -> list[str]:
-    """What this run is going to do."""
+def _splits(config: TrainConfig, data_dir: str | Path) -> tuple[Samples, Samples]:
+    return training_and_validation(str(data_dir), config.train_split, config.val_split, config.max_images)
+
+
+def _plan(trainee: Run, decoding: Decoding, validation: str) -> list[str]:
+    """What this run is going to do, in lines."""
     config, process = trainee.config, trainee.process
+    length = Length.of(config, decoding.n_images)
     parameters = sum(parameter.numel() for parameter in trainee.model.parameters()) / 1e6
-    name = getattr(config.model, "name", None) or getattr(config.model, "build", "")
+    name = config.model.build if isinstance(config.model, CustomModel) else config.model.name
     processes = f" in {process.world} processes" if process.world > 1 else ""
-    start = f", resumed after {trainee.step:,}" if trainee.step else ""
+    start = f", from step {trainee.step:,}" if trainee.step else ""
     return [
         f"{name} ({parameters:.1f} M parameters) on {process.device}{processes}, seed {config.seed}",
-        f"{data.text()}; validated on {n_val:,}",
-        f"{n_steps:,} steps of {config.batch} images, {config.epochs:g} epochs{start}",
+        f"training: {decoding.text()}",
+        f"validation: {validation}",
+        f"{length.n_steps:,} steps of {config.batch} images, {config.epochs:g} epochs{start}",
     ]
 
 
