@@ -56,6 +56,8 @@ class ModelConfig(Strict):
     image_width_px: Count = 480
     reference_intrinsics: tuple[float, float, float, float] = (415.7, 415.7, 240.0, 180.0)
     """fx, fy, cx, cy of the training images; only the anchors of `image_view` depend on them."""
+    image_view_anchors: Count | None = None
+    """Anchors of `image_view`, evenly over the image's columns. None: one per column of the last map (paper: 30)."""
     types: tuple[LaneType, ...] = ("c1", "c2", "d")
     has_elevation: bool = True
     knots_y_m: tuple[float, ...] = PAPER_KNOTS_M
@@ -199,6 +201,7 @@ TINY = NANO.model_copy(
         "image_height_px": 120,
         "image_width_px": 160,
         "reference_intrinsics": (138.6, 138.6, 80.0, 60.0),
+        "image_view_anchors": 30,
         "grid": Grid(rows=104, cell_y_m=0.768),
     }
 )
