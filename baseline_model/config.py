@@ -4,9 +4,12 @@ import json
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
+from pydantic_core import ErrorDetails
 
 from synth3dlanes.errors import InputError
+
+from .curves import HALF_WIDTH_M
 
 Variant = Literal["full", "image_view", "top_view", "early_ipm", "late_ipm"]
 PoseTarget = Literal["plane", "horizon", "fixed"]
@@ -16,6 +19,8 @@ Count = Annotated[int, Field(ge=1)]
 
 PAPER_KNOTS_M = (5.0, 20.0, 40.0, 60.0, 80.0, 100.0)
 TEN_KNOTS_M = (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0)
+FIRST_KNOT_M, LAST_KNOT_M = 5.0, 110.0
+"""Nearer road is below the image; labels end at 110 m."""
 
 
 class Strict(BaseModel):
@@ -56,6 +61,8 @@ class ModelConfig(Strict):
     image_width_px: Count = 480
     reference_intrinsics: tuple[float, float, float, float] = (415.7, 415.7, 240.0, 180.0)
     """fx, fy, cx, cy of the training images; only the anchors of `image_view` depend on them."""
+    image_view_anchors: Count | None = None
+    """Anchors of `image_view`, evenly over the image's columns. None: one per column of the last map (paper: 30)."""
     types: tuple[LaneType, ...] = ("c1", "c2", "d")
     has_elevation: bool = True
     knots_y_m: tuple[float, ...] = PAPER_KNOTS_M
@@ -73,6 +80,31 @@ class ModelConfig(Strict):
     has_bev_masks: bool = False
     """Our additions: maps sampled on several planes, and top-view lane masks as a second task. Neither improved the
     results (docs/baseline.md)."""
+
+    @model_validator(mode="after")
+    def _fits(self) -> "ModelConfig":
+        grid, knots = self.grid, self.knots_y_m
+        width_m = grid.columns * grid.cell_x_m
+        if grid.columns % 8 or abs(width_m - 2 * HALF_WIDTH_M) > 1e-6:
+            raise ValueError(
+                f"grid: expected a multiple of 8 columns, together {2 * HALF_WIDTH_M:g} m wide as the metric's region, "
+                f"got {grid.columns} columns of {grid.cell_x_m:g} m"
+            )
+        if grid.rows < 8:
+            raise ValueError(f"grid.rows: expected at least 8, which three pools reduce to 1, got {grid.rows}")
+        if min(self.image_height_px, self.image_width_px) < 16:
+            size = f"{self.image_width_px} x {self.image_height_px}"
+            raise ValueError(f"image: expected at least 16 x 16 px, one cell of the last map, got {size}")
+        if len(knots) < 2 or list(knots) != sorted(set(knots)) or knots[0] < FIRST_KNOT_M or knots[-1] > LAST_KNOT_M:
+            raise ValueError(
+                f"knots_y_m: expected two or more increasing distances from {FIRST_KNOT_M:g} to {LAST_KNOT_M:g} m, "
+                f"got {list(knots)}"
+            )
+        if not self.types or len(set(self.types)) < len(self.types):
+            raise ValueError(f"types: expected at least one, each once, got {list(self.types)}")
+        if not self.plane_heights_m:
+            raise ValueError("plane_heights_m: expected at least one height, got none")
+        return self
 
     def planes_m(self, level: int) -> tuple[float, ...]:
         """Plane heights at which a map is sampled. The first map, by far the largest, uses the road plane only."""
@@ -125,7 +157,7 @@ class LossConfig(Strict):
     detection: float = 1.0
     geometry: float = 1.0
     pose: float = 1.0
-    knot_sigma_m: tuple[float, ...] | None = None
+    knot_sigma_m: tuple[Positive, ...] | None = None
     """Divisor of each knot's error (our addition; favours near points). None: the paper's L1 in metres."""
     supervise_occluded: bool = False
     visibility: float = 0.2
@@ -178,6 +210,20 @@ class TrainConfig(Strict):
     keep_decoded: bool | None = None
     """Whether decoded images are kept in memory; None: if they take less than half of what is free."""
 
+    @model_validator(mode="after")
+    def _fits(self) -> "TrainConfig":
+        if isinstance(self.model, CustomModel):
+            return self
+        sigmas, knots = self.loss.knot_sigma_m, self.model.knots_y_m
+        if sigmas is not None and len(sigmas) != len(knots):
+            raise ValueError(
+                f"loss.knot_sigma_m: expected {len(knots)} lengths, one for each of model.knots_y_m, got {len(sigmas)}"
+            )
+        moved = {name: getattr(self.augmentation, name) for name in ("top_shift_m", "top_yaw_deg")}
+        if self.model.variant == "image_view" and any(moved.values()):
+            raise ValueError(f"augmentation: expected no moves of the top view, which image_view lacks, got {moved}")
+        return self
+
 
 PAPER = ModelConfig(
     name="paper",
@@ -228,6 +274,7 @@ TINY = NANO.model_copy(
         "image_height_px": 120,
         "image_width_px": 160,
         "reference_intrinsics": (138.6, 138.6, 80.0, 60.0),
+        "image_view_anchors": 30,
         "grid": Grid(rows=104, cell_y_m=0.768),
     }
 )
@@ -322,12 +369,15 @@ def parse(kind: type[Config], document: dict[str, Any] | str, where: str) -> Con
     try:
         return kind.model_validate_json(document) if isinstance(document, str) else kind.model_validate(document)
     except ValidationError as error:
-        lines = []
-        for problem in error.errors():
-            # pydantic names the kind of model that it took, which is no key of the document.
-            place = ".".join(str(part) for part in problem["loc"] if part not in ("network", "custom"))
-            lines.append(f"{where}.{place}: {problem['msg']}, got {problem['input']!r:.60}")
-        raise InputError(*lines) from None
+        raise InputError(*(_line(problem, where) for problem in error.errors())) from None
+
+
+def _line(problem: ErrorDetails, where: str) -> str:
+    # pydantic names the kind of model that it took, which is no key of the document.
+    place = ".".join(map(str, (where, *(part for part in problem["loc"] if part not in ("network", "custom")))))
+    if problem["type"] == "value_error":  # from `_fits`: names the setting itself
+        return f"{place}.{problem['ctx']['error']}"
+    return f"{place}: {problem['msg']}, got {problem['input']!r:.60}"
 
 
 def _defaults(model: str, *, is_improved: bool) -> dict[str, Any]:

@@ -57,9 +57,11 @@ def predictions_of(keys: Sequence[str], output: Output, layout: AnchorLayout) ->
     """Decode a batch."""
     x_m, z_m, poses = (value.double().cpu().numpy() for value in (output.x_m, output.z_m, output.pose))
     scores = output.logit.double().sigmoid().cpu().numpy()
+    logit = output.visible_logit
+    seen = [None] * len(keys) if logit is None else logit.double().sigmoid().cpu().numpy()
     for i, key in enumerate(keys):
         pose = Pose(float(poses[i, 0]), float(poses[i, 1]))
-        yield Prediction(key, decode(x_m[i], z_m[i], scores[i], pose, layout), pose)
+        yield Prediction(key, decode(x_m[i], z_m[i], scores[i], pose, layout, seen[i]), pose)
 
 
 @torch.inference_mode()

@@ -40,7 +40,7 @@ def test_every_ablation_gives_39_values_per_anchor_from_the_same_start(roads, ro
     model = LaneNet(train_config("tiny", ablation=row).model).eval()
     torch.manual_seed(0)
     full = LaneNet(TINY)
-    n_anchors = 10 if row == "image_view" else 16
+    n_anchors = 30 if row == "image_view" else 16
     with torch.no_grad():
         output = model(batch.image, batch.intrinsics)
     assert output.x_m.shape == output.z_m.shape == (2, 3, n_anchors, 6)
@@ -48,6 +48,31 @@ def test_every_ablation_gives_39_values_per_anchor_from_the_same_start(roads, ro
     assert model.head.out.out_channels == 39
     for mine, its in zip(model.image.parameters() if model.image else [], full.image.parameters(), strict=False):
         assert mine.equal(its)
+
+
+@pytest.mark.parametrize("name", ["paper", "tiny"])
+def test_anchors_of_the_image_view_read_the_columns_where_they_meet_the_road(name):
+    from synth3dlanes_baseline.config import train_config
+    from synth3dlanes_baseline.curves import Y_REF_M
+    from synth3dlanes_baseline.model import LaneNet
+
+    from synth3dlanes.frames import invert, project, road_from_cam, transform
+
+    config = train_config(name, ablation="image_view").model
+    model = LaneNet(config)
+    rows, columns = config.image_height_px // 16, config.image_width_px // 16
+    u_px = (16 * torch.arange(columns) + 8.0).expand(1, 1, rows, columns)
+    image, intrinsics = torch.zeros(1, 3, 16, 16), torch.tensor([config.reference_intrinsics])
+    seen, _ = model._top_features(image, intrinsics, [u_px] * 4, torch.eye(4)[None])
+    fx, fy, cx, cy = config.reference_intrinsics
+    pose = road_from_cam(config.fixed_height_m, math.radians(config.fixed_pitch_deg))
+    points_road = np.array([[x_m, Y_REF_M, 0.0] for x_m in model.anchors_m.tolist()])
+    img_from_cam = np.array([[fx, cx, 0], [0, cy, -fy], [0, 1.0, 0]])
+    expected = project(img_from_cam, transform(invert(pose), points_road))[:, 0]
+    assert expected.shape == (30,)
+    # The outermost columns have no neighbour to interpolate with.
+    assert seen[0, 0, 0, 1:-1].tolist() == pytest.approx(expected[1:-1], abs=1e-3)
+    assert np.diff(model.anchors_m.numpy()) == pytest.approx(np.full(29, 0.7718), abs=2e-4)
 
 
 @pytest.mark.parametrize("variant", ["full", "image_view", "top_view", "early_ipm", "late_ipm"])
