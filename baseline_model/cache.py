@@ -6,6 +6,7 @@ so a slot that is empty or was half written when a run was killed is just made a
 
 import os
 import struct
+import weakref
 import zlib
 from pathlib import Path
 
@@ -24,10 +25,12 @@ VERSION = b"synth3dlanes annotations 1\n"
 
 
 class Slots:
-    """Records in equal slots of an open file; any process that inherits the file may read and write."""
+    """Records in equal slots of an open file, which is closed with this object; any process that inherits the file may
+    read and write."""
 
     def __init__(self, file: int, slot_bytes: int, start: int = 0) -> None:
         self._file, self._slot_bytes, self._start = file, slot_bytes, start
+        weakref.finalize(self, os.close, file)
 
     def get(self, index: int) -> bytes | None:
         """The record of a slot, None where there is none."""
@@ -48,11 +51,15 @@ class Slots:
 def annotation_file(path: Path, source: str) -> Slots:
     """The annotations cached at `path`. `source` says what they were made from; those of another one are dropped."""
     header = (VERSION + source.encode()).ljust(SLOT_BYTES, b"\0")[:SLOT_BYTES]
-    if not (path.is_file() and path.open("rb").read(SLOT_BYTES) == header):
-        partial = path.with_name(f"{path.name}.{os.getpid()}.tmp")
-        partial.write_bytes(header)
-        partial.replace(path)
-    return Slots(os.open(path, os.O_RDWR | os.O_CLOEXEC), SLOT_BYTES, SLOT_BYTES)
+    if path.is_file():
+        file = os.open(path, os.O_RDWR)
+        if os.pread(file, SLOT_BYTES, 0) == header:
+            return Slots(file, SLOT_BYTES, SLOT_BYTES)
+        os.close(file)
+    partial = path.with_name(f"{path.name}.{os.getpid()}.tmp")
+    partial.write_bytes(header)
+    partial.replace(path)
+    return Slots(os.open(path, os.O_RDWR), SLOT_BYTES, SLOT_BYTES)
 
 
 def has_pixel_memory() -> bool:

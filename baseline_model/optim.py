@@ -9,7 +9,6 @@ import torch
 from torch import nn
 
 from .config import TrainConfig
-from .model import LaneNet
 
 EMA_START = 10
 """The decay starts at (1 + step) / (10 + step), so that early weights are soon forgotten."""
@@ -70,8 +69,8 @@ def optimizer_for(model: nn.Module, config: TrainConfig, device: torch.device) -
 class RunningAverage:
     """Exponential average of weights and batch-norm statistics; evaluation and `best.pt` use it."""
 
-    def __init__(self, model: LaneNet, decay: float) -> None:
-        self.model: LaneNet = copy.deepcopy(model)
+    def __init__(self, model: nn.Module, decay: float) -> None:
+        self.model: nn.Module = copy.deepcopy(model)
         self.model.eval().requires_grad_(False)
         self.decay = decay
 

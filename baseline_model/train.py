@@ -65,10 +65,14 @@ def train(config: TrainConfig, data_dir: str | Path, out_dir: str | Path) -> Pat
 
 def plan(config: TrainConfig, data_dir: str | Path, out_dir: str | Path) -> list[str]:
     """What `train` would do, in lines; nothing is written."""
-    train_samples, val_samples = _splits(config, data_dir)
+    return plan_on(config, *_splits(config, data_dir), Path(out_dir))
+
+
+def plan_on(config: TrainConfig, train_samples: Samples, val_samples: Samples, out_dir: Path) -> list[str]:
+    """What `train_on` would do."""
     process = Process(0, 1, choose_device(config.device))
     decoding = decoding_of(len(train_samples), config, process)
-    return _plan(prepare(config, process, Path(out_dir), {}), decoding, describe(val_samples))
+    return _plan(prepare(config, process, out_dir, {}), decoding, describe(val_samples))
 
 
 def train_on(config: TrainConfig, train_samples: Samples, val_samples: Samples, out_dir: Path) -> Path:
