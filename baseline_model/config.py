@@ -4,7 +4,7 @@ import json
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
 from synth3dlanes.errors import InputError
@@ -111,6 +111,30 @@ class ModelConfig(Strict):
         return self.plane_heights_m if level else (0.0,)
 
 
+class CustomModel(Strict):
+    """A user's network: what `build` (`module:function`) returns for these arguments, on images of this size."""
+
+    build: Annotated[str, Field(pattern=r"^[\w.]+:\w+$")]
+    arguments: dict[str, Any] = {}
+    image_height_px: Count = 360
+    image_width_px: Count = 480
+
+    @property
+    def pose_target(self) -> PoseTarget:
+        """The pose that batches carry."""
+        return "plane"
+
+
+def _which_model(value: Any) -> str:
+    is_custom = isinstance(value, CustomModel) or (isinstance(value, dict) and "build" in value)
+    return "custom" if is_custom else "network"
+
+
+AnyModel = Annotated[
+    Annotated[ModelConfig, Tag("network")] | Annotated[CustomModel, Tag("custom")], Discriminator(_which_model)
+]
+
+
 class Augmentation(Strict):
     """Augmentations that change image and labels consistently, applied on the device; zero disables each."""
 
@@ -146,7 +170,7 @@ class LossConfig(Strict):
 class TrainConfig(Strict):
     """One run. `steps` counts optimiser steps over all GPUs; `batch` is the batch of all GPUs together."""
 
-    model: ModelConfig
+    model: AnyModel
     loss: LossConfig = LossConfig()
     augmentation: Augmentation = Augmentation()
     seed: int = 0
@@ -178,11 +202,18 @@ class TrainConfig(Strict):
     """`auto`: bfloat16 on GPUs and on CPUs with AVX512-BF16, else float32. Pose, warp, head output and loss are always
     in float32."""
     compile: bool = True
-    storage: Literal["auto", "rgb", "yuv420"] = "auto"
     pretrained: str | None = None
+    init: str | None = None
+    """A checkpoint whose weights training starts from, or `nano` for the ones in the package."""
+    workers: Annotated[int, Field(ge=0)] | None = None
+    """Processes that decode images for each training process; None: all cores that training leaves."""
+    keep_decoded: bool | None = None
+    """Whether decoded images are kept in memory; None: if they take less than half of what is free."""
 
     @model_validator(mode="after")
     def _fits(self) -> "TrainConfig":
+        if isinstance(self.model, CustomModel):
+            return self
         sigmas, knots = self.loss.knot_sigma_m, self.model.knots_y_m
         if sigmas is not None and len(sigmas) != len(knots):
             raise ValueError(
@@ -303,6 +334,8 @@ satisfying results"); `improved` has our changes."""
 
 def train_config(model: str, overrides: dict[str, Any] | None = None, ablation: str = "full") -> TrainConfig:
     """The named model's default configuration, with overrides by dotted keys: {"model.grid.rows": 104, "batch": 8}."""
+    if ":" in model:
+        return _custom_config(model, overrides or {}, ablation)
     for what, name, known in (("model", model, MODELS), ("ablation", ablation, ABLATIONS)):
         if name not in known:
             raise InputError(f"{what}: expected one of {', '.join(known)}, got {name!r}")
@@ -310,6 +343,23 @@ def train_config(model: str, overrides: dict[str, Any] | None = None, ablation: 
     if ablation == "improved" and model != "improved":
         document["model"] = improved(MODELS[model]).model_dump()
     for key, value in (ABLATIONS[ablation] | (overrides or {})).items():
+        _set(document, key.split("."), value)
+    return parse(TrainConfig, document, "train")
+
+
+def _custom_config(build: str, overrides: dict[str, Any], ablation: str) -> TrainConfig:
+    if ablation != "full":
+        raise InputError(f"ablation: expected full for a network of your own, got {ablation!r}")
+    document: dict[str, Any] = {"model": {"build": build}}
+    for key, value in overrides.items():
+        _set(document, key.split("."), value)
+    return parse(TrainConfig, document, "train")
+
+
+def changed(config: TrainConfig, overrides: dict[str, Any]) -> TrainConfig:
+    """The configuration with overrides by dotted keys."""
+    document = config.model_dump()
+    for key, value in overrides.items():
         _set(document, key.split("."), value)
     return parse(TrainConfig, document, "train")
 
@@ -323,7 +373,8 @@ def parse(kind: type[Config], document: dict[str, Any] | str, where: str) -> Con
 
 
 def _line(problem: ErrorDetails, where: str) -> str:
-    place = ".".join(map(str, (where, *problem["loc"])))
+    # pydantic names the kind of model that it took, which is no key of the document.
+    place = ".".join(map(str, (where, *(part for part in problem["loc"] if part not in ("network", "custom")))))
     if problem["type"] == "value_error":  # from `_fits`: names the setting itself
         return f"{place}.{problem['ctx']['error']}"
     return f"{place}: {problem['msg']}, got {problem['input']!r:.60}"

@@ -54,8 +54,8 @@ def export_onnx(checkpoint: str | Path, path: str | Path) -> Path:
         import onnx  # type: ignore[import-not-found,import-untyped,unused-ignore]
     except ImportError:
         raise MissingPackageError("onnx and onnxscript are not installed: pip install onnx onnxscript") from None
-    loaded = checkpoints.load(Path(checkpoint))
-    model = checkpoints.build(loaded, torch.device("cpu"))
+    loaded = checkpoints.load(checkpoints.place(checkpoint))
+    model = checkpoints.build_lane_net(loaded, torch.device("cpu"))
     config = model.config
     # A batch of two: the exporter would treat a size of one as constant.
     image = torch.zeros(2, 3, config.image_height_px, config.image_width_px)

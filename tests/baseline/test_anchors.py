@@ -10,13 +10,13 @@ import torch
 def _encode(labels, **changes):
     from synth3dlanes_baseline.anchors import encode
     from synth3dlanes_baseline.config import NANO
-    from synth3dlanes_baseline.curves import plane_pose, road_curves
-    from synth3dlanes_baseline.data import pack
+    from synth3dlanes_baseline.curves import plane_pose
+    from synth3dlanes_baseline.data import annotation_of, pack
     from synth3dlanes_baseline.poses import road_from_cam
 
     config = NANO.model_copy(update=changes)
     to_top = torch.from_numpy(road_from_cam(plane_pose(labels))).float()[None]
-    return encode(pack([road_curves(labels)]), to_top, config)
+    return encode(pack([annotation_of("", labels, (360, 480), "plane")]), to_top, config)
 
 
 def _line(x_m, slope=0.0):

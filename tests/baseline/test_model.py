@@ -10,11 +10,15 @@ import torch
 
 
 def _batch(roads, n=2, size_px=(160, 120), seed=0):
-    from synth3dlanes_baseline.data import load
+    from synth3dlanes_baseline.data import annotation_of
+    from synth3dlanes_baseline.loading import Example, collate
+
+    def example(sample):
+        annotation = annotation_of(sample.key, sample.labels, (size_px[1], size_px[0]), "plane")
+        return Example(sample.key, np.asarray(sample.image), annotation)
 
     samples = roads.samples(np.random.default_rng(seed), n, size_px)
-    data = load(samples, (size_px[1], size_px[0]), "plane")
-    return data.batch(torch.arange(n), torch.device("cpu"))
+    return collate([example(sample) for sample in samples]).to(torch.device("cpu"))
 
 
 def _targets(batch, config):
@@ -192,17 +196,16 @@ def test_loss_of_perfect_output_is_only_the_confidence(roads):
 
 def test_hidden_knots_and_ignored_lanes_get_no_gradient(roads):
     from synth3dlanes_baseline.config import TINY, LossConfig
-    from synth3dlanes_baseline.data import pack
+    from synth3dlanes_baseline.data import annotation_of, pack
     from synth3dlanes_baseline.loss import loss
     from synth3dlanes_baseline.projection import road_from_cam
 
     labels = roads.labels([lambda y: (0.1, 0 * y), (lambda y: (4.1, 0 * y), 0.0, 15.0), lambda y: (10.6, 0 * y)],
                           hidden=(50.0, 200.0))  # fmt: skip
     from synth3dlanes_baseline.anchors import encode
-    from synth3dlanes_baseline.curves import road_curves
 
     pose = torch.tensor([[labels.camera.pitch_rad, labels.camera.height_m]])
-    targets, _ = encode(pack([road_curves(labels)]), road_from_cam(pose), TINY)
+    targets, _ = encode(pack([annotation_of("", labels, (360, 480), "plane")]), road_from_cam(pose), TINY)
     x_m, z_m, logit = (torch.randn(1, 3, 16, *tail, requires_grad=True) for tail in ((6,), (6,), ()))
     output = _output(targets, None)._replace(x_m=x_m, z_m=z_m, logit=logit, pose=pose)
     loss(output, targets, pose, None, TINY.types, LossConfig())["total"].sum().backward()
@@ -285,14 +288,13 @@ def test_augmentation_of_a_step_repeats(roads):
 def test_a_top_view_moved_right_sees_lanes_further_left(roads):
     from synth3dlanes_baseline.anchors import encode
     from synth3dlanes_baseline.config import TINY
-    from synth3dlanes_baseline.curves import road_curves
-    from synth3dlanes_baseline.data import pack
+    from synth3dlanes_baseline.data import annotation_of, pack
     from synth3dlanes_baseline.projection import road_from_cam, top_from_road
 
     labels = roads.labels([lambda y: (1.0, 0 * y)])
     pose = torch.tensor([[labels.camera.pitch_rad, labels.camera.height_m]])
     moved = top_from_road(torch.zeros(1), torch.tensor([0.5])) @ road_from_cam(pose)
-    targets, _ = encode(pack([road_curves(labels)]), moved, TINY)
+    targets, _ = encode(pack([annotation_of("", labels, (360, 480), "plane")]), moved, TINY)
     anchor = int(torch.nonzero(targets.assigned)[0, 2])
     x_m = targets.x_m[0, 0, anchor] + (anchor - 7.5) * 1.28
     assert x_m.tolist() == pytest.approx([0.5] * 6, abs=1e-4)

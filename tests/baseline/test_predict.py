@@ -45,7 +45,7 @@ def test_a_predictions_file_scores_as_the_checkpoint_does(checkpoint, split, tmp
     from synth3dlanes_baseline.predict import predict
     from synth3dlanes_baseline.report import to_document
 
-    path = predict(checkpoint, "DIR/test", tmp_path / "out", n_overlays=2, device="cpu")
+    path = predict(checkpoint, "DIR/test", tmp_path / "out", n_overlays=2, device="cpu").path
     from_file = to_document(evaluate_predictions(path, "DIR/test"))
     direct = to_document(evaluate_checkpoint(checkpoint, "DIR/test", device="cpu"))
     for kind in ("centerline", "delimiter"):
@@ -110,29 +110,48 @@ def test_wrong_predictions_files_are_refused(split, tmp_path, line, problem):
         evaluate_predictions(path, "DIR/test")
 
 
-def test_image_folders_need_intrinsics_and_give_the_same_as_a_split(checkpoint, split, tmp_path):
+def test_image_files_give_the_same_as_a_split(checkpoint, split, tmp_path):
     from synth3dlanes_baseline.data import intrinsics_of
     from synth3dlanes_baseline.lanes import read_predictions
     from synth3dlanes_baseline.predict import predict
-
-    from synth3dlanes.errors import InputError
 
     folder = tmp_path / "images"
     folder.mkdir()
     for sample in split[:2]:
         Image.fromarray(sample.image).save(folder / f"{sample.key}.png")
-    with pytest.raises(InputError, match="expected fx,fy,cx,cy"):
-        predict(checkpoint, folder, tmp_path / "a", device="cpu")
-    assert not (tmp_path / "a").exists()
     intrinsics = intrinsics_of(split[0].labels)
-    path = predict(checkpoint, folder, tmp_path / "a", intrinsics, n_overlays=1, device="cpu")
+    of_files = predict(checkpoint, folder, tmp_path / "a", intrinsics, n_overlays=1, device="cpu")
     of_split = predict(checkpoint, "DIR/test", tmp_path / "b", n_overlays=0, device="cpu")
-    pairs = list(zip(read_predictions(path), read_predictions(of_split), strict=False))
+    assert (of_files.n_images, of_split.n_images) == (2, 5)
+    pairs = list(zip(read_predictions(of_files.path), read_predictions(of_split.path), strict=False))
     assert len(pairs) == 2
     for mine, its in pairs:
         assert mine.key == its.key + ".png"
         assert len(mine.lanes) == len(its.lanes) > 0
         assert mine.lanes[0].xyz_cam == pytest.approx(its.lanes[0].xyz_cam, abs=2e-3)
+
+
+def test_image_files_without_intrinsics_are_taken_for_those_of_the_papers_camera(checkpoint, split, tmp_path):
+    from synth3dlanes_baseline.predict import assumed_intrinsics, predict
+
+    Image.fromarray(split[0].image).save(tmp_path / "photo.jpg")
+    fx, fy, cx, cy = assumed_intrinsics((120, 160))
+    assert (cx, cy) == (80, 60)
+    assert fx == fy == pytest.approx(80 * np.sqrt(3)), "30 degrees to each side"
+    found = predict(checkpoint, tmp_path / "photo.jpg", tmp_path / "a", device="cpu")
+    given = predict(checkpoint, tmp_path / "photo.jpg", tmp_path / "b", (fx, fy, cx, cy), device="cpu")
+    assert found.path.read_bytes() == given.path.read_bytes()
+    assert "60 degrees" in found.text()
+    assert "60 degrees" not in given.text()
+
+
+def test_a_picture_without_confident_lanes_says_so(checkpoint, split, tmp_path):
+    from synth3dlanes_baseline.predict import predict
+
+    found = predict(checkpoint, "DIR/test", tmp_path, n_overlays=0, device="cpu", threshold=1.0)
+    assert "no lane of confidence 1 in 5 images; the best has 0." in found.text()
+    some = predict(checkpoint, "DIR/test", tmp_path, n_overlays=0, device="cpu", threshold=found.best_score)
+    assert some.n_lanes == 1
 
 
 def test_flat_ground_is_exact_on_a_plane_and_wrong_on_a_hill(roads):
@@ -143,8 +162,7 @@ def test_flat_ground_is_exact_on_a_plane_and_wrong_on_a_hill(roads):
     hill = roads.labels([lambda y: (0 * y + 3.0, 1e-4 * y**2)])
     for labels, low, high in ((flat, 0.0, 0.1), (hill, 5.0, np.inf)):
         projected = through_flat_ground(roads.as_prediction(labels), labels, "plane")
-        sample = dataclasses.replace(roads.samples(np.random.default_rng(0), 1)[0], labels=labels)
-        errors = score([projected], [sample]).kinds["centerline"].at_threshold
+        errors = score([(labels, projected)]).kinds["centerline"].at_threshold
         assert low <= errors.far_2sigma_cm <= high
 
 
@@ -152,7 +170,7 @@ def test_table_puts_the_papers_numbers_beside_ours(roads, split):
     from synth3dlanes_baseline.evaluate import score
     from synth3dlanes_baseline.report import markdown, table_1_cells, text
 
-    report = score([roads.as_prediction(sample.labels) for sample in split], split)
+    report = score((sample.labels, roads.as_prediction(sample.labels)) for sample in split)
     cells = table_1_cells({"full": report, "late_ipm": report, "flat_ground:horizon": report})
     table = text(cells)
     assert len({len(line) for line in table.splitlines()}) == 1
