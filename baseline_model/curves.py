@@ -66,7 +66,7 @@ def road_curves(labels: Labels, *, in_image_only: bool = False) -> tuple[Curve, 
 
 def resample(curve: Curve, y_m: Float[np.ndarray, " y"]) -> Resampled:
     """Interpolate linearly between the label's samples, which are 1 m apart; the error is below 2 mm. A point is
-    visible if both neighbouring samples are."""
+    visible if both neighbouring samples are. `anchors.sample_curves` does this for tensors; tests compare the two."""
     y_curve_m = curve.xyz_road[:, 1]
     after = np.clip(np.searchsorted(y_curve_m, y_m), 1, len(y_curve_m) - 1)
     in_range = (y_m >= y_curve_m[0]) & (y_m <= y_curve_m[-1])
@@ -79,8 +79,9 @@ def resample(curve: Curve, y_m: Float[np.ndarray, " y"]) -> Resampled:
 
 
 def is_usable(curve: Curve) -> bool:
-    """Whether training and metric count the lane: it crosses Y_ref inside the top view (paper, section 3.4), and at
-    least two of the three NEAR_KNOTS_M are visible (our condition)."""
+    """Whether the metric counts the lane: it crosses Y_ref inside the top view (paper, section 3.4), and at least two
+    of the three NEAR_KNOTS_M are visible (our condition). `anchors.encode` decides this for tensors, in the moved top
+    view of training; tests compare the two."""
     at = resample(curve, np.array([Y_REF_M, *NEAR_KNOTS_M]))
     return bool(at.in_range[0] and abs(at.x_m[0]) <= HALF_WIDTH_M and at.visible[1:].sum() >= 2)
 

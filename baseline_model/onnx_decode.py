@@ -1,6 +1,13 @@
 """Lanes from the outputs of an exported network. Needs numpy alone, so that the file can be copied to a device.
 
-Frames: knots are in the road frame of the predicted pose, lanes in camera coordinates (x right, y forward, z up).
+    session = onnxruntime.InferenceSession("best.onnx")
+    arrays = session.run(None, {"image": image, "intrinsics": intrinsics})
+    outputs = dict(zip([output.name for output in session.get_outputs()], arrays))
+    lanes = decode(outputs, session.get_modelmeta().custom_metadata_map)
+
+`image` is float32 (batch, 3, height, width), RGB in 0..1; `intrinsics` float32 (batch, 4), fx, fy, cx, cy in pixels of
+the image. Frames: knots are in the road frame of the predicted pose, lanes in camera coordinates (x right, y forward,
+z up).
 """
 
 import json

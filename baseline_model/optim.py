@@ -67,10 +67,11 @@ def optimizer_for(model: nn.Module, config: TrainConfig, device: torch.device) -
 
 
 class RunningAverage:
-    """Exponential average of weights and batch-norm statistics; evaluation and `best.pt` use it."""
+    """Exponential average of weights and batch-norm statistics; evaluation and `best.pt` use it. torch's AveragedModel
+    counts the updates itself, so a checkpoint would have to hold that count beside the step."""
 
     def __init__(self, model: nn.Module, decay: float) -> None:
-        self.model: nn.Module = copy.deepcopy(model)
+        self.model = copy.deepcopy(model)
         self.model.eval().requires_grad_(False)
         self.decay = decay
 

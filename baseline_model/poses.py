@@ -32,3 +32,12 @@ def road_from_cam(pose: Pose) -> Float[np.ndarray, "4 4"]:
 def cam_from_road(pose: Pose) -> Float[np.ndarray, "4 4"]:
     """Inverse of `road_from_cam`: p_cam = R (p_road - C), with the camera at C = (0, 0, height) of the road frame."""
     return frames.invert(road_from_cam(pose))
+
+
+def onto_plane(rays_cam: Float[np.ndarray, "n 3"], pose: Pose) -> Float[np.ndarray, "m 3"]:
+    """Where viewing rays, each given by a point on it, meet the plane, in camera coordinates. Rays at or above the
+    plane's horizon and points behind the camera are dropped."""
+    # The height over the plane along a ray is height + scale * fall: the camera is at z = height.
+    fall = rays_cam @ road_from_cam(pose)[2, :3]
+    meets = (fall < -1e-6) & (rays_cam[:, 1] > 0.05)
+    return rays_cam[meets] * (pose.height_m / -fall[meets])[:, None]

@@ -204,9 +204,9 @@ def _appendix(name: str, kind: KindReport) -> list[str]:
 def _why_no_errors(errors: Errors) -> str | None:
     """In words, if there are no errors because no lane was detected or matched."""
     if math.isnan(errors.precision):
-        return f"no lane has a confidence of {errors.threshold:g}"
+        return f"no lane that counts reaches confidence {errors.threshold:g}"
     if errors.precision == 0:
-        return f"no lane with a confidence of {errors.threshold:g} matches a labelled one"
+        return f"no lane that reaches confidence {errors.threshold:g} matches a label"
     return None
 
 

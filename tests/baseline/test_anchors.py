@@ -104,6 +104,29 @@ def test_training_and_metric_ignore_the_same_lanes(roads):
         assert [s != IGNORED for s in status[0].tolist()] == usable
 
 
+def test_curves_are_sampled_alike_in_numpy_and_torch(roads):
+    from synth3dlanes_baseline.anchors import sample_curves
+    from synth3dlanes_baseline.curves import resample, road_curves
+
+    rng = np.random.default_rng(17)
+    y_m = np.concatenate([rng.uniform(-5, 120, 60), np.arange(0.0, 111.0, 10.0)])
+    n_seen = 0
+    for _ in range(30):
+        bend = rng.uniform(-2e-3, 2e-3)
+        start, hidden = rng.uniform(0, 30), rng.uniform(0, 60)
+        lane = (lambda y, b=bend: (b * y**2, b * y), start, 110.0)
+        (curve,) = road_curves(roads.labels([lane], hidden=(hidden, hidden + rng.uniform(0, 40))))
+        alone = resample(curve, y_m)
+        xyz, visible = torch.from_numpy(curve.xyz_road)[None, None], torch.from_numpy(curve.visible)[None, None]
+        x_m, z_m, in_range, seen = (part[0, 0].numpy() for part in sample_curves(xyz, visible, torch.from_numpy(y_m)))
+        assert x_m == pytest.approx(alone.x_m, abs=1e-9)
+        assert z_m == pytest.approx(alone.z_m, abs=1e-9)
+        assert (in_range == alone.in_range).all()
+        assert (seen == alone.visible).all()
+        n_seen += seen.sum()
+    assert 500 < n_seen < 1800
+
+
 def test_mirrored_scene_gives_mirrored_targets(roads):
     rng = np.random.default_rng(11)
     for _ in range(50):
