@@ -138,7 +138,6 @@ def _export_frame(reader: Reader, index: int, chunk: Chunk, out: Path, foreign: 
 
 
 def _frame(key: str, chunk: Chunk, pinhole: Pinhole, scene: Scene, labels: Labels) -> Frame:
-    left_edges = frozenset(lane.id for lane in labels.lanes if lane.kind == "delimiter" and lane.left is None)
     return Frame(
         split=chunk.split.name,
         key=key,
@@ -148,8 +147,6 @@ def _frame(key: str, chunk: Chunk, pinhole: Pinhole, scene: Scene, labels: Label
         pinhole=pinhole,
         tags=scene_tags(labels, pinhole),
         illumination=int(np.digitize(scene.light.exposure, EXPOSURE_STEPS)),
-        yellow=left_edges if scene.markings.left_yellow else frozenset(),
-        double=left_edges if scene.markings.left_double else frozenset(),
     )
 
 

@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 
 from synth3dlanes.formats.writing import CV_FROM_CAM, Pinhole
 from synth3dlanes.frames import transform
-from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneKind, Marking
+from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneKind
 
 MIN_DEPTH_M = 0.5
 BORDER_PX = 1.0
@@ -20,18 +20,22 @@ NEAR_START_M = 20.0
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A lane ahead of the camera, near to far. `visible` is a prefix: everything up to the last point that the
-    image shows, holes and the stretch below the image included; cars hide nothing, the ground does."""
+    """The part of a lane ahead of the camera, near to far. `visible` is a prefix: everything up to the last point that
+    the image shows, holes and the stretch below the image included; cars hide nothing, the ground does."""
 
-    id: str
-    marking: Marking
+    lane: Lane
     points_cv: Float[np.ndarray, "n 3"]
     visible: Bool[np.ndarray, " n"]
     in_view: Bool[np.ndarray, " n"]
 
+    @property
+    def id(self) -> str:
+        """The lane's id."""
+        return self.lane.id
+
     def part(self, keep: Bool[np.ndarray, " n"] | slice) -> "Line":
         """The same line with some of its points only."""
-        return Line(self.id, self.marking, self.points_cv[keep], self.visible[keep], self.in_view[keep])
+        return Line(self.lane, self.points_cv[keep], self.visible[keep], self.in_view[keep])
 
 
 def lines_ahead(labels: Labels, pinhole: Pinhole, kind: LaneKind, step_m: float | None = None) -> tuple[Line, ...]:
@@ -70,7 +74,9 @@ def scene_tags(labels: Labels, pinhole: Pinhole) -> frozenset[str]:
     coordinates are singular. `curve`: the direction changes by 10 degrees. `merge_split`: an exit is visible.
     """
     tags = set()
-    for line, lane in _visible_centerlines(labels, pinhole):
+    for line in lines_ahead(labels, pinhole, "centerline"):
+        if np.count_nonzero(line.visible) < 3:
+            continue
         points_road = road_from_cv(labels.camera, line.points_cv[line.visible])
         headings_rad = np.unwrap(np.arctan2(*np.diff(points_road[:, :2], axis=0).T))
         if np.max(np.abs(points_road[:, 2])) > 1.0:
@@ -79,15 +85,9 @@ def scene_tags(labels: Labels, pinhole: Pinhole) -> frozenset[str]:
             tags.add("steep")
         if np.ptp(headings_rad) > np.radians(10):
             tags.add("curve")
-        if lane.road == "exit":
+        if line.lane.road == "exit":
             tags.add("merge_split")
     return frozenset(tags)
-
-
-def _visible_centerlines(labels: Labels, pinhole: Pinhole) -> list[tuple[Line, Lane]]:
-    lanes = {lane.id: lane for lane in labels.lanes}
-    lines = lines_ahead(labels, pinhole, "centerline")
-    return [(line, lanes[line.id]) for line in lines if np.count_nonzero(line.visible) >= 3]
 
 
 def _line(lane: Lane, camera: CameraLabel, pinhole: Pinhole, step_m: float | None) -> Line:
@@ -98,11 +98,11 @@ def _line(lane: Lane, camera: CameraLabel, pinhole: Pinhole, step_m: float | Non
     points_cv, on_ground = points_cv[ahead], on_ground[ahead]
     if len(points_cv) < 2:
         nothing = np.zeros(len(points_cv), dtype=bool)
-        return Line(lane.id, lane.marking, points_cv, nothing, nothing)
+        return Line(lane, points_cv, nothing, nothing)
     in_view = _in_view(pinhole.project(points_cv), pinhole)
     seen = np.flatnonzero(in_view & on_ground)
     visible = np.arange(len(points_cv)) <= (seen[-1] if len(seen) else -1)
-    return Line(lane.id, lane.marking, points_cv, visible, in_view)
+    return Line(lane, points_cv, visible, in_view)
 
 
 def _ahead(camera: CameraLabel, points_cv: Float[np.ndarray, "n 3"]) -> slice:

@@ -41,8 +41,7 @@ class Pinhole:
 class Frame:
     """One of our images and what decides how a format files and labels it: `key` counts within `split`, `number` within
     the export. It is used for `part`; `parts` are all that the data set has. `pinhole` is the camera of the exported
-    image. `yellow` and `double` name the delimiters painted so; `tags` the kinds of scene; `illumination` is 0 (dark)
-    to 2 (bright)."""
+    image; `tags` are the kinds of scene; `illumination` is 0 (dark) to 2 (bright)."""
 
     split: str
     key: str
@@ -52,8 +51,6 @@ class Frame:
     pinhole: Pinhole
     tags: frozenset[str]
     illumination: int
-    yellow: frozenset[str] = frozenset()
-    double: frozenset[str] = frozenset()
 
     @property
     def is_train(self) -> bool:

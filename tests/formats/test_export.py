@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 from PIL import Image
 
-from synth3dlanes.errors import InputError
+from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.formats.export import FORMATS, export
 from synth3dlanes.formats.plan import assign, open_reader, parts_of
 from synth3dlanes.formats.summary import warnings
@@ -137,7 +137,7 @@ def test_a_folder_of_something_else_is_refused(dataset, tmp_path):
     export(str(dataset), out, "once", 1, lambda done, total: None)
     with pytest.raises(InputError, match="got the export"):
         export(str(dataset), out, "tusimple", 1, lambda done, total: None)
-    with pytest.raises(InputError, match="expected a dataset"):
+    with pytest.raises(FormatError, match="expected a split of a data set"):
         export(str(tmp_path / "out"), tmp_path / "other", "once", 1, lambda done, total: None)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from synth3dlanes.formats.lines import NEAR_START_M, Line, keep_lines, lines_ahead, road_from_cv
 from synth3dlanes.formats.openlane.convention import CAMERA, WAYMO_FROM_CAM, vehicle_from_cam_waymo
 from synth3dlanes.formats.writing import CV_FROM_CAM, DECIMALS, Annotation, Format, Frame
-from synth3dlanes.labels import CameraLabel, Labels
+from synth3dlanes.labels import CameraLabel, Labels, Lane
 
 MAX_LINES = 20
 MIN_LENGTH_M = 5.0
@@ -76,11 +76,12 @@ def annotate(labels: Labels, frame: Frame) -> Annotation:
     return Annotation(f"images/{file_path}", len(lines), dropped, files, shared)
 
 
-def category(line: Line, frame: Frame) -> int:
-    """1 white dashed, 2 white solid, 3 and 4 the same doubled, 7 to 10 the same four in yellow; 0 unknown."""
-    if line.marking == "none":
+def category(lane: Lane) -> int:
+    """1 white dashed, 2 white solid, 3 and 4 the same doubled, 7 to 10 the same four in yellow; 0 unknown. Older labels
+    have no colour: their lines count as single and white."""
+    if lane.marking == "none":
         return 0
-    return 1 + (line.marking == "solid") + 2 * (line.id in frame.double) + 6 * (line.id in frame.yellow)
+    return 1 + (lane.marking == "solid") + 2 * bool(lane.double) + 6 * (lane.color == "yellow")
 
 
 def _kept(ahead: tuple[Line, ...], dropped: Counter[str]) -> tuple[Line, ...]:
@@ -112,7 +113,7 @@ def _attributes(ahead: tuple[Line, ...], camera: CameraLabel) -> dict[str, int]:
 def _line_document(line: Line, frame: Frame, attribute: int, track_id: int) -> dict[str, Any]:
     points_cv = np.round(line.points_cv, DECIMALS)
     return {
-        "category": category(line, frame),
+        "category": category(line.lane),
         "visibility": line.visible.astype(float).tolist(),
         "uv": np.round(frame.pinhole.project(points_cv[line.visible]), UV_DECIMALS).T.tolist(),
         "xyz": (points_cv @ CV_FROM_CAM @ WAYMO_FROM_CAM.T + 0.0).T.tolist(),
