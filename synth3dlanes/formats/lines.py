@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.interpolate import CubicSpline
 
 from synth3dlanes.formats.writing import CV_FROM_CAM, Pinhole
@@ -60,6 +60,29 @@ def keep_lines(lines: Sequence[Line], dropped: Counter[str], most: int, reason: 
         else:
             kept.append(line)
     return tuple(kept)
+
+
+def columns_of(line: Line, pinhole: Pinhole, rows_px: Int[np.ndarray, " r"]) -> Float[np.ndarray, " r"]:
+    """The column of the visible line at each row, up to where it turns over in the image; NaN elsewhere."""
+    u_px, v_px = pinhole.project(line.points_cv[line.visible]).T
+    turns = np.flatnonzero(np.diff(v_px) >= 0)
+    n = int(turns[0]) + 1 if len(turns) else len(v_px)
+    if n < 2:
+        return np.full(len(rows_px), np.nan)
+    return np.interp(rows_px, v_px[:n][::-1], u_px[:n][::-1], left=np.nan, right=np.nan)
+
+
+def ego_places(ahead: Sequence[Line], camera: CameraLabel) -> dict[str, int]:
+    """1 to 4 for the lines left-left, left, right and right-right of the camera, by id: the two nearest on either side
+    of those that begin beside it."""
+    x_m = {
+        line.id: float(road_from_cv(camera, line.points_cv[:1])[0, 0])
+        for line in ahead
+        if line.points_cv[0, 2] <= NEAR_START_M
+    }
+    left = sorted((line_id for line_id in x_m if x_m[line_id] < 0), key=lambda line_id: -x_m[line_id])
+    right = sorted((line_id for line_id in x_m if x_m[line_id] >= 0), key=lambda line_id: x_m[line_id])
+    return {**dict(zip(left, (2, 1), strict=False)), **dict(zip(right, (3, 4), strict=False))}
 
 
 def road_from_cv(camera: CameraLabel, points_cv: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
