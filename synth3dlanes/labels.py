@@ -17,6 +17,7 @@ LABELS_VERSION = 1
 LaneKind = Literal["centerline", "delimiter"]
 RoadName = Literal["main", "exit"]
 Marking = Literal["none", "solid", "dashed"]
+PaintColor = Literal["white", "yellow"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +39,8 @@ class CameraLabel:
 class Lane:
     """One curve, near to far. `left` and `right` are ids: of the delimiters that bound a centre line on its own stretch
     (behind the split, before the merge), or of the centre lines that a delimiter bounds there; None outside the road.
-    `object_visible` is None until the scene has been rendered."""
+    `color` and `double` (two stripes, the points in the middle between them) are None for centre lines and in older
+    labels. `object_visible` is None until the scene has been rendered."""
 
     id: str
     kind: LaneKind
@@ -50,6 +52,8 @@ class Lane:
     in_image: Bool[np.ndarray, " n"]
     terrain_visible: Bool[np.ndarray, " n"]
     object_visible: Bool[np.ndarray, " n"] | None
+    color: PaintColor | None = None
+    double: bool | None = None
 
     @property
     def visible(self) -> Bool[np.ndarray, " n"]:

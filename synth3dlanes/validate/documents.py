@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import is_dataclass
 from functools import lru_cache
 from types import NoneType, UnionType
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 from jaxtyping import Shaped
@@ -48,7 +48,8 @@ def shown(value: Any) -> str:
 def misfits(value: Any, kind: Any, path: str = "") -> Iterator[str]:
     """A line for every value that does not have its annotated type, or is a number beyond MAX_NUMBER: reading labels
     from JSON does not check types."""
-    options = get_args(kind) if get_origin(kind) is UnionType else (kind,)
+    # A Literal or None is a Union, other types or None are a UnionType.
+    options = get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,)
     if all(any(True for _ in _misfits(value, option, path)) for option in options):
         yield from _misfits(value, options[0], path)
 
