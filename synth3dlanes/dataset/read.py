@@ -25,7 +25,7 @@ from synth3dlanes.dataset.format import (
     member_names,
     read_passes,
 )
-from synth3dlanes.dataset.index import place_columns, read_index, recipe_of, require_columns
+from synth3dlanes.dataset.index import check_places, place_columns, read_index, recipe_of, require_columns
 from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels
 
@@ -46,12 +46,16 @@ class Reader:
                 raise FormatError(f"{self.url}: expected a split of a data set, as DIR/train, got no {where}")
         self.description = parse_description(self._read(where), where)
         self._names = member_names(self.description["image_format"], self.description["render"]["passes"])
-        paths = sorted(path for path in self._list() if path.endswith(".parquet"))
+        sizes = self._list()
+        paths = sorted(path for path in sizes if path.endswith(".parquet"))
         if not paths:
             raise FormatError(f"{self.url}: expected shards (00000.tar with 00000.parquet), got none")
         tables = [self._table(path) for path in paths]
         self._tars = [f"{path.removesuffix('.parquet')}.tar" for path in paths]
+        self._tar_sizes = [sizes.get(tar, 0) for tar in self._tars]
         self._shard = np.repeat(np.arange(len(tables)), [table.num_rows for table in tables])
+        if any(table.schema != tables[0].schema for table in tables):
+            raise FormatError(f"{self.url}: expected the same columns in all shards, got others")
         self.index = pa.concat_tables(tables)
         self.recipes = {recipe_of(table.schema.metadata) for table in tables}
         self._columns = {
@@ -68,12 +72,10 @@ class Reader:
     def __getitem__(self, i: int) -> Sample:
         raw = self.raw(i)
         image_name, where = self._names[0], self._where(i)
-        return Sample(
-            key=self.key(i),
-            image=decode_image(raw[image_name], f"{where}.{image_name}"),
-            labels=labels_module.from_json(raw[LABELS], f"{where}.{LABELS}"),
-            scene_json=raw[SCENE],
-        )
+        labels = labels_module.from_json(raw[LABELS], f"{where}.{LABELS}")
+        size_px = labels.camera.width_px, labels.camera.height_px
+        image = decode_image(raw[image_name], f"{where}.{image_name}", size_px)
+        return Sample(self.key(i), image, labels, raw[SCENE])
 
     def key(self, i: int) -> str:
         """The key of sample i: eight digits."""
@@ -121,7 +123,10 @@ class Reader:
         places = {name: (int(self._columns[name][0][i]), int(self._columns[name][1][i])) for name in names}
         start = min(offset for offset, _ in places.values()) - BLOCK
         end = max(offset + size for offset, size in places.values())
-        tar = self._tars[self._shard[i]]
+        shard = self._shard[i]
+        tar = self._tars[shard]
+        if end > self._tar_sizes[shard]:
+            raise FormatError(f"{tar}: expected at least {end} bytes, got {self._tar_sizes[shard]}")
         data = self._read(tar, start, end)
         if len(data) < end - start:
             raise FormatError(f"{tar}: expected {end - start} bytes from byte {start}, got {len(data)}")
@@ -136,11 +141,17 @@ class Reader:
     def _table(self, path: str) -> pa.Table:
         table = read_index(pa.BufferReader(self._read(path)), path)
         require_columns(table, ["key", "index", *place_columns(self._names)], path)
+        stem, size = path.rpartition("/")[2].removesuffix(".parquet"), int(self.description["shard_size"])
+        if not stem.isdecimal():
+            raise FormatError(f"{path}: expected the number of a shard, as in 00000.parquet, got another name")
+        check_places(table, self._names, range(int(stem) * size, (int(stem) + 1) * size), path)
         return table
 
-    def _list(self) -> list[str]:
+    def _list(self) -> dict[str, int]:
+        """The files of the split and their sizes."""
         with translate_store_errors(self.url, "cannot list the shards"):
-            return [str(path) for path in connect(self.url)[0].ls(self._root, detail=False)]
+            found = connect(self.url)[0].ls(self._root, detail=True)
+            return {str(entry["name"]): int(entry["size"] or 0) for entry in found}
 
     def _read(self, path: str, start: int | None = None, end: int | None = None) -> bytes:
         with translate_store_errors(path, "cannot be read"):
