@@ -28,7 +28,7 @@ Document = TypeVar("Document", bound=BaseModel)
 
 # What was expected, by pydantic's type of error; the rest of its name is what its context holds.
 EXPECTED = {
-    "missing": "expected this key, got none",
+    "missing": "missing",
     "extra_forbidden": "unknown key",
     "unexpected_keyword_argument": "unknown key",
     "json_invalid": "expected JSON: {error}",

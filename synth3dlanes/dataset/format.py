@@ -8,7 +8,7 @@ import tarfile
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import IO
+from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -224,8 +224,9 @@ def read_header(block: bytes) -> tuple[str, int]:
     return header.name, header.size
 
 
-def tar_members(stream: IO[bytes], size: int) -> Iterator[tuple[str, int, int]]:
-    """Name, offset and size of each whole member of a tar of `size` bytes; raise FormatError at its first fault."""
+def tar_members(stream: Any, size: int) -> Iterator[tuple[str, int, int]]:
+    """Name, offset and size of each whole member of an open tar of `size` bytes; raise FormatError at its first
+    fault."""
     offset = 0
     while offset < size:
         stream.seek(offset)

@@ -29,6 +29,8 @@ from synth3dlanes.dataset.index import check_places, place_columns, read_index, 
 from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels
 
+SIZE_COLUMNS = ("camera_width_px", "camera_height_px")
+
 
 class Reader:
     """The samples of `DIR/train` in the order of their keys. Raises FormatError where a file is not what it should be.
@@ -84,7 +86,7 @@ class Reader:
     def image(self, i: int) -> UInt8[np.ndarray, "h w 3"]:
         """The image of sample i alone."""
         name = self._names[0]
-        return decode_image(self.member(i, name), f"{self._where(i)}.{name}")
+        return decode_image(self.member(i, name), f"{self._where(i)}.{name}", self._size_px(i))
 
     def labels(self, i: int) -> Labels:
         """The labels of sample i; its image is not read."""
@@ -95,7 +97,8 @@ class Reader:
         found: dict[str, Shaped[np.ndarray, ...]] = {}
         for name in (PASSES, HEIGHT):
             if name in self._names:
-                found |= read_passes(self.member(i, name), f"{self._where(i)}.{name}")
+                size_px = self._size_px(i) if name == PASSES else None
+                found |= read_passes(self.member(i, name), f"{self._where(i)}.{name}", size_px)
         return found
 
     def raw(self, i: int) -> dict[str, bytes]:
@@ -140,7 +143,7 @@ class Reader:
 
     def _table(self, path: str) -> pa.Table:
         table = read_index(pa.BufferReader(self._read(path)), path)
-        require_columns(table, ["key", "index", *place_columns(self._names)], path)
+        require_columns(table, ["key", "index", *SIZE_COLUMNS, *place_columns(self._names)], path)
         stem, size = path.rpartition("/")[2].removesuffix(".parquet"), int(self.description["shard_size"])
         if not stem.isdecimal():
             raise FormatError(f"{path}: expected the number of a shard, as in 00000.parquet, got another name")
@@ -156,6 +159,11 @@ class Reader:
     def _read(self, path: str, start: int | None = None, end: int | None = None) -> bytes:
         with translate_store_errors(path, "cannot be read"):
             return bytes(connect(self.url)[0].cat_file(path, start=start, end=end))
+
+    def _size_px(self, i: int) -> tuple[int, int]:
+        """Width and height of image i by the index."""
+        width, height = (int(self.index[name][self._position(i)].as_py()) for name in SIZE_COLUMNS)
+        return width, height
 
     def _position(self, i: int) -> int:
         if not -len(self) <= i < len(self):

@@ -142,7 +142,9 @@ def walk(tar: str) -> tuple[list[tuple[str, int, int]], str]:
         with files.open(path, "rb") as stream:
             for member in tar_members(stream, _size(tar)):
                 found.append(member)
-    except (FormatError, *store_errors()) as error:
+    except FormatError as error:
+        return found, f"expected a whole tar: {error}"
+    except store_errors() as error:
         return found, f"expected a whole tar: {error}"
     return found, "" if found else "expected a whole tar, got no members"
 
