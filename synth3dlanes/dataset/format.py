@@ -98,16 +98,18 @@ def decode_image(data: bytes, where: str, size_px: tuple[int, int] | None = None
     """
     try:
         with warnings.catch_warnings():
-            # Pillow warns of large images and refuses larger ones, by limits of its own.
+            # Pillow's own limit is not ours.
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             image = Image.open(io.BytesIO(data), formats=("JPEG", "PNG"))
         _check_size(image.size, size_px, where)
         return np.array(image.convert("RGB"))
+    except FormatError:
+        raise
     except UnidentifiedImageError:
         raise FormatError(f"{where}: expected a JPEG or PNG image, got other or damaged bytes") from None
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        if isinstance(error, FormatError):
-            raise
+    except Image.DecompressionBombError:
+        raise FormatError(f"{where}: expected at most {MAX_PX}x{MAX_PX} pixels, got more") from None
+    except (OSError, SyntaxError, ValueError) as error:
         raise FormatError(f"{where}: expected a JPEG or PNG image, got {error}") from None
 
 

@@ -175,7 +175,7 @@ def test_a_picture_of_too_many_pixels_is_refused_before_they_are_decoded(size_px
     for width, height in ((30_000, 30_000), (12_000, 12_000), (9000, 1)):
         header = b"IHDR" + width.to_bytes(4, "big") + height.to_bytes(4, "big") + PNG[at + 8 : at + 13]
         bomb = PNG[: at - 4] + header + zlib.crc32(header).to_bytes(4, "big") + PNG[at + 17 :]
-        with pytest.raises(FormatError, match=rf"^{WHERE}: expected .*, got {width}x{height}"):
+        with pytest.raises(FormatError, match=rf"^{WHERE}: expected .* pixels, got (more|{width}x{height})"):
             decode_image(bomb, WHERE, size_px)
     with pytest.raises(FormatError, match=r"expected 24x16 pixels, got 600x300"):
         read_passes(write_passes({"depth": np.ones((300, 600), np.float32)}), WHERE, (24, 16))
