@@ -5,7 +5,6 @@ Pure bytes: nothing here opens a file. Equal samples give equal bytes.
 
 import io
 import tarfile
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -97,17 +96,14 @@ def decode_image(data: bytes, where: str, size_px: tuple[int, int] | None = None
     Raises FormatError, its message beginning with `where`; the size is checked before any pixel is decoded.
     """
     try:
-        with warnings.catch_warnings():
-            # Pillow's own limit is not ours.
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            image = Image.open(io.BytesIO(data), formats=("JPEG", "PNG"))
+        image = Image.open(io.BytesIO(data), formats=("JPEG", "PNG"))
         _check_size(image.size, size_px, where)
         return np.array(image.convert("RGB"))
     except FormatError:
         raise
     except UnidentifiedImageError:
         raise FormatError(f"{where}: expected a JPEG or PNG image, got other or damaged bytes") from None
-    except Image.DecompressionBombError:
+    except (Image.DecompressionBombError, Image.DecompressionBombWarning):
         raise FormatError(f"{where}: expected at most {MAX_PX}x{MAX_PX} pixels, got more") from None
     except (OSError, SyntaxError, ValueError) as error:
         raise FormatError(f"{where}: expected a JPEG or PNG image, got {error}") from None

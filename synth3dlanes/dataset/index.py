@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -19,15 +18,15 @@ TEXT_COLUMNS = ("key", "sha256")
 MAX_TAR_BYTES = 1 << 50
 
 
-def read_index(source: Any, where: str, columns: Sequence[str] = ()) -> pa.Table:
-    """The index in `source` (a path or an open file), or these columns of it.
+def read_index(data: bytes, where: str, columns: Sequence[str] = ()) -> pa.Table:
+    """The index in a parquet file's bytes, or these columns of it.
 
     Raises FormatError, its message beginning with `where`, where it is no parquet, has more rows than a shard may have,
     or lacks one of the columns.
     """
     try:
-        # Read by this thread alone: a process that leaves while Arrow's threads run is aborted.
-        with pq.ParquetFile(source) as file:
+        # By this thread and from memory: a process that ends while Arrow's threads hold its files is aborted.
+        with pq.ParquetFile(pa.BufferReader(data)) as file:
             rows = file.metadata.num_rows
             if rows > MAX_SHARD_SIZE:
                 raise FormatError(f"{where}: expected at most {MAX_SHARD_SIZE} samples, got {rows}")
@@ -46,9 +45,9 @@ def _first_line(error: Exception) -> str:
     return (str(error).splitlines() or [""])[0][:200]
 
 
-def read_indices(source: Any, where: str) -> set[int]:
+def read_indices(data: bytes, where: str) -> set[int]:
     """The indices of the samples in a shard, by its index; raise FormatError as `read_index` does."""
-    return set(read_index(source, where, ["index"])["index"].to_pylist())
+    return set(read_index(data, where, ["index"])["index"].to_pylist())
 
 
 def require_columns(table: pa.Table, columns: Sequence[str], where: str) -> None:
@@ -96,12 +95,9 @@ def _place_columns(name: str) -> tuple[str, str]:
     return f"{COLUMN_OF_MEMBER[name]}_offset", f"{COLUMN_OF_MEMBER[name]}_size"
 
 
-def read_recipe(source: Any) -> str:
-    """The recipe that a shard was made from, by its index; "" where it does not say."""
-    try:
-        return recipe_of(pq.read_schema(source).metadata)
-    except (pa.ArrowException, OSError) as error:
-        raise FormatError(f"{source}: expected the index of a shard, got {_first_line(error)}") from None
+def read_recipe(data: bytes, where: str) -> str:
+    """The recipe that a shard was made from, by its index; "" where it does not say. Raises as `read_index` does."""
+    return recipe_of(read_index(data, where, ["index"]).schema.metadata)
 
 
 def recipe_of(metadata: Mapping[bytes, bytes] | None) -> str:

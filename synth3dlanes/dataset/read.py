@@ -142,7 +142,7 @@ class Reader:
         return members
 
     def _table(self, path: str) -> pa.Table:
-        table = read_index(pa.BufferReader(self._read(path)), path)
+        table = read_index(self._read(path), path)
         require_columns(table, ["key", "index", *SIZE_COLUMNS, *place_columns(self._names)], path)
         stem, size = path.rpartition("/")[2].removesuffix(".parquet"), int(self.description["shard_size"])
         if not stem.isdecimal():

@@ -87,20 +87,22 @@ class Shard:
         return is_left_over or (self.path("tar").exists() and not self.path("parquet").exists())
 
     def join(self, n: int) -> None:
-        """Join the tar and the parts below `n`. A part that cannot be read is removed: its sample is missing still."""
+        """Join the tar and the parts below `n`. A sample that cannot be read is left out, and is missing still; one of
+        a finished shard raises FormatError."""
         places = self._places_in_tar()
         parts = {index: path for index, path in self.parts().items() if index < n and index not in places}
         tar, index = self.path("tar.tmp"), self.path("parquet.tmp")
-        rows = []
+        rows, is_finished = [], self.path("parquet").exists()
         with tar.open("wb") as stream:
             for number in sorted([*places, *parts]):
                 try:
                     place = places[number] if number in places else self._place_of_part(number, parts[number])
                     data, row = self._read(number, place, stream.tell())
-                except FormatError:
-                    if number in places:
-                        raise
-                    parts.pop(number).unlink()
+                except FormatError as error:
+                    if number in places and is_finished:
+                        raise FormatError(f"{error}; {REMEDY}") from None
+                    if number in parts:
+                        parts[number].unlink()
                     continue
                 stream.write(data)
                 rows.append(row)
@@ -142,7 +144,7 @@ class Shard:
     def _joined_by_index(self) -> set[int]:
         path, places = self.path("parquet"), place_columns(self.names[-1:])
         try:
-            rows = read_index(path, str(path), ["index", *places])
+            rows = read_index(path.read_bytes(), str(path), ["index", *places])
         except FormatError as error:
             raise FormatError(f"{error}; {REMEDY}") from None
         end = max((sum(place) for place in zip(*(rows[name].to_pylist() for name in places), strict=True)), default=0)
@@ -172,6 +174,9 @@ class Shard:
             data = stream.read(place.end - place.offset)
         scene, labels = (_member(data, place, name) for name in (SCENE, LABELS))
         where = f"{place.path}: {key_of(index)}"
+        empty = [name for name, (_, size) in place.members.items() if not size]
+        if empty:
+            raise FormatError(f"{where}.{empty[0]}: expected a file with contents, got an empty one")
         moved = {name: (start - place.offset + offset, size) for name, (start, size) in place.members.items()}
         return data, index_row(
             key_of(index),

@@ -178,7 +178,7 @@ def _read_index(parquet: str) -> pa.Table:
     with translate_store_errors(_place(parquet), "cannot be read"):
         if not files.exists(path):
             raise FormatError("expected the index of a shard, got none")
-        table = read_index(pa.BufferReader(files.cat_file(path)), _place(parquet))
+        table = read_index(files.cat_file(path), _place(parquet))
     for field in SCHEMA:
         if table.column_names.count(field.name) != 1:
             raise FormatError(f"expected one column {field.name}, got {table.column_names.count(field.name)}")

@@ -7,6 +7,7 @@ import io
 import json
 import re
 import shutil
+import sys
 import zlib
 from collections.abc import Callable
 from contextlib import suppress
@@ -26,6 +27,7 @@ from synth3dlanes import scene as scene_module
 from synth3dlanes.dataset.description import parse_description, updated_description
 from synth3dlanes.dataset.folder import claim
 from synth3dlanes.dataset.format import decode_image, encode_image, read_passes, tar_bytes, tar_members, write_passes
+from synth3dlanes.dataset.index import read_index, read_indices
 from synth3dlanes.dataset.info import dataset_info
 from synth3dlanes.dataset.rearrange import merge
 from synth3dlanes.dataset.splits import readers
@@ -257,6 +259,18 @@ def test_a_data_set_with_a_file_damaged(tmp_path_factory, small, data):
     if data.draw(st.booleans()):
         (root / "train/00000.parquet").unlink()
     use(root)
+
+
+def test_reading_an_index_leaves_no_thread_that_holds_it(small):
+    """Arrow's threads that still hold a Python object when the interpreter ends abort the process."""
+    data = (small / "train/00000.parquet").read_bytes()
+    holders = sys.getrefcount(data)
+    damaged = bytes([*data[:4], *b"\xff" * 60, *data[64:]])
+    for _ in range(20):
+        assert read_indices(data, WHERE) == {0, 1, 2, 3}
+        with pytest.raises(FormatError, match=f"^{WHERE}: expected the index of a shard"):
+            read_index(damaged, WHERE)
+        assert (sys.getrefcount(data), sys.getrefcount(damaged)) == (holders, holders)
 
 
 BIG = 2**63 - 1
