@@ -12,6 +12,8 @@ from typing import Annotated, Any, Generic, TypeVar
 import yaml
 from pydantic import PlainSerializer, PlainValidator
 
+MAX_WEIGHT = 1e12
+
 Value = TypeVar("Value", bool, int, float)
 
 
@@ -69,7 +71,7 @@ Integer = Annotated[Integers | Choice[int], PlainSerializer(_form)]
 
 
 def _is_real(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return isinstance(value, int | float) and not isinstance(value, bool) and -math.inf < value < math.inf
 
 
 def _is_integer(value: object) -> bool:
@@ -81,12 +83,20 @@ def _choice(form: Any, is_legal: Callable[[Any], bool], legal: str) -> Choice[An
     if not isinstance(form, dict):
         form = {form: 1} if isinstance(form, bool | int | float | str) else {}
     # Keys are text if the parameters come from JSON.
-    values = tuple(yaml.safe_load(key) if isinstance(key, str) and key.strip() else key for key in form)
+    values = tuple(_number(key) if isinstance(key, str) else key for key in form)
     if not values or not all(map(is_legal, values)):
         raise ValueError(f"expected {legal}")
-    if not all(_is_real(weight) and weight > 0 for weight in form.values()):
+    if not all(_is_real(weight) and 0 < weight <= MAX_WEIGHT for weight in form.values()):
         raise ValueError("expected positive weights in {value: weight}")
     return Choice(values, tuple(float(weight) for weight in form.values()))
+
+
+def _number(text: str) -> Any:
+    """What YAML reads in a text: a number or a truth value; the text itself where it is neither."""
+    try:
+        return yaml.safe_load(text) if text.strip() else text
+    except (yaml.YAMLError, ValueError, RecursionError):
+        return text
 
 
 def _between(low: float, high: float, is_number: Callable[[object], bool], above: bool) -> Callable[[Any], bool]:

@@ -5,14 +5,16 @@ Points are in camera coordinates (x right, y along the viewing direction, z up),
 
 import json
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
+from pydantic import FailFast, Field, GetCoreSchemaHandler, with_config
+from pydantic_core import CoreSchema, core_schema
 
-from synth3dlanes.errors import FormatError
+from synth3dlanes.schema import STRICT, Name, Number, Part, Pixels, Positive, Unit, parse
 
-LABELS_VERSION = 1
+LABELS_FORMAT, LABELS_VERSION = "synth3dlanes.labels", 1
 
 LaneKind = Literal["centerline", "delimiter"]
 RoadName = Literal["main", "exit"]
@@ -20,21 +22,47 @@ Marking = Literal["none", "solid", "dashed"]
 PaintColor = Literal["white", "yellow"]
 
 
+@dataclass(frozen=True)
+class _Json:
+    """The JSON form of an array, and its shape and type."""
+
+    form: Any
+    shape: tuple[int, ...]
+    dtype: type
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        form = handler.generate_schema(Annotated[self.form, FailFast()])
+        return core_schema.no_info_after_validator_function(self._array, form)
+
+    def _array(self, values: Any) -> np.ndarray:
+        return np.array(values, self.dtype).reshape(self.shape)
+
+
+Row3: TypeAlias = tuple[Number, Number, Number]
+Row4: TypeAlias = tuple[Number, Number, Number, Number]
+Matrix3 = Annotated[Float[np.ndarray, "3 3"], _Json(tuple[Row3, Row3, Row3], (3, 3), float)]
+Matrix4 = Annotated[Float[np.ndarray, "4 4"], _Json(tuple[Row4, Row4, Row4, Row4], (4, 4), float)]
+Points = Annotated[Float[np.ndarray, "n 3"], _Json(list[Row3], (-1, 3), float)]
+Mask = Annotated[Bool[np.ndarray, " n"], _Json(list[Literal[0, 1]], (-1,), bool)]
+
+
+@with_config(STRICT)
 @dataclass(frozen=True, eq=False)
 class CameraLabel:
     """The camera whose frame the points are in; `img_from_cam` acts on (x, y, z) of that frame. `roll_rad` is about
     the viewing axis, positive clockwise as the driver sees it; older labels lack it."""
 
-    width_px: int
-    height_px: int
-    img_from_cam: Float[np.ndarray, "3 3"]
-    height_m: float
-    pitch_rad: float
-    road_from_cam: Float[np.ndarray, "4 4"]
-    world_from_cam: Float[np.ndarray, "4 4"]
-    roll_rad: float = 0.0
+    width_px: Pixels
+    height_px: Pixels
+    img_from_cam: Matrix3
+    height_m: Positive
+    pitch_rad: Number
+    road_from_cam: Matrix4
+    world_from_cam: Matrix4
+    roll_rad: Number = 0.0
 
 
+@with_config(STRICT)
 @dataclass(frozen=True, eq=False)
 class Lane:
     """One curve, near to far. `left` and `right` are ids: of the delimiters that bound a centre line on its own stretch
@@ -42,18 +70,26 @@ class Lane:
     `color` and `double` (two stripes, the points in the middle between them) are None for centre lines and in older
     labels. `object_visible` is None until the scene has been rendered."""
 
-    id: str
+    id: Name
     kind: LaneKind
     road: RoadName
     marking: Marking
-    left: str | None
-    right: str | None
-    xyz_cam: Float[np.ndarray, "n 3"]
-    in_image: Bool[np.ndarray, " n"]
-    terrain_visible: Bool[np.ndarray, " n"]
-    object_visible: Bool[np.ndarray, " n"] | None
+    left: Name | None
+    right: Name | None
+    xyz_cam: Points
+    in_image: Mask
+    terrain_visible: Mask
+    object_visible: Mask | None
     color: PaintColor | None = None
     double: bool | None = None
+
+    def __post_init__(self) -> None:
+        """Check that each mask has a value for every point; raise ValueError."""
+        n = len(self.xyz_cam)
+        for name in ("in_image", "terrain_visible", "object_visible"):
+            mask = getattr(self, name)
+            if mask is not None and len(mask) != n:
+                raise ValueError(f"{name}: expected a value for each of {n} points, got {len(mask)}")
 
     @property
     def visible(self) -> Bool[np.ndarray, " n"]:
@@ -62,36 +98,39 @@ class Lane:
         return seen if self.object_visible is None else seen & self.object_visible
 
 
+@with_config(STRICT)
 @dataclass(frozen=True)
 class Segment:
     """A lane between two junctions: its number from the left as the host drives, the stations (world y on the main
     reference line) where it starts and ends in driving order, its neighbours, and the centre lines that follow it."""
 
-    id: str
+    id: Name
     road: RoadName
-    lane: int
-    s_start_m: float
-    s_end_m: float
-    left: str | None
-    right: str | None
-    centerlines: tuple[str, ...]
+    lane: Annotated[int, Field(ge=1, le=100)]
+    s_start_m: Number
+    s_end_m: Number
+    left: Name | None
+    right: Name | None
+    centerlines: tuple[Name, ...]
 
 
+@with_config(STRICT)
 @dataclass(frozen=True)
 class LaneGraph:
     """Segments and their successors in driving direction. `ramp_start_s_m` is None if the scene has no ramp."""
 
     segments: tuple[Segment, ...]
-    successors: dict[str, tuple[str, ...]]
-    ramp_start_s_m: float | None
+    successors: dict[Name, tuple[Name, ...]]
+    ramp_start_s_m: Number | None
 
 
+@with_config(STRICT)
 @dataclass(frozen=True)
 class RoadPlane:
     """A plane through the camera's foot, given by the camera's pitch (positive = down) and height over it; no roll."""
 
-    pitch_rad: float
-    height_m: float
+    pitch_rad: Number
+    height_m: Number
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +153,7 @@ def to_json(labels: Labels) -> str:
     """The labels as one line of JSON: points rounded to 0.1 mm, matrices to 1e-9; equal labels give equal text."""
     camera = labels.camera
     document = {
-        "format": "synth3dlanes.labels",
+        "format": LABELS_FORMAT,
         "version": LABELS_VERSION,
         "camera": {
             "width_px": camera.width_px,
@@ -140,39 +179,22 @@ def to_json(labels: Labels) -> str:
     return json.dumps(document, separators=(",", ":"), allow_nan=False)
 
 
+class _Document(Part):
+    """The whole of `labels.json`."""
+
+    format: Literal["synth3dlanes.labels"]
+    version: Literal[1]
+    camera: CameraLabel
+    lanes: tuple[Lane, ...]
+    graph: LaneGraph
+    horizon: RoadPlane | None
+    car_visible_fraction: tuple[Unit, ...] | None
+
+
 def from_json(text: str | bytes, where: str) -> Labels:
-    """Parse `labels.json`; raise FormatError, its message beginning with `where`."""
-    try:
-        document = json.loads(text)
-        found = (document["format"], document["version"])
-        if found != ("synth3dlanes.labels", LABELS_VERSION):
-            raise FormatError(f"{where}: expected synth3dlanes.labels version {LABELS_VERSION}, got {found}")
-        camera = dict(document["camera"])
-        for name in ("img_from_cam", "road_from_cam", "world_from_cam"):
-            camera[name] = np.array(camera[name], dtype=float)
-        graph = document["graph"]
-        return Labels(
-            camera=CameraLabel(**camera),
-            lanes=tuple(_lane(lane) for lane in document["lanes"]),
-            graph=LaneGraph(
-                segments=tuple(
-                    Segment(**{**segment, "centerlines": tuple(segment["centerlines"])})
-                    for segment in graph["segments"]
-                ),
-                successors={key: tuple(value) for key, value in graph["successors"].items()},
-                ramp_start_s_m=graph["ramp_start_s_m"],
-            ),
-            horizon=None if document["horizon"] is None else RoadPlane(**document["horizon"]),
-            car_visible_fraction=_tuple(document["car_visible_fraction"]),
-        )
-    except FormatError:
-        raise
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise FormatError(f"{where}: not a labels file: {type(error).__name__}: {error}") from None
-
-
-def _tuple(values: list[float] | None) -> tuple[float, ...] | None:
-    return None if values is None else tuple(values)
+    """Parse `labels.json`; raise FormatError with one line per problem, each beginning with `where`."""
+    read = parse(_Document, text, where, f"{LABELS_FORMAT} version {LABELS_VERSION}")
+    return Labels(read.camera, read.lanes, read.graph, read.horizon, read.car_visible_fraction)
 
 
 def _rounded(values: Float[np.ndarray, "..."], decimals: int) -> Any:
@@ -187,12 +209,3 @@ def _lane_document(lane: Lane) -> dict[str, Any]:
         mask = document[name]
         document[name] = None if mask is None else mask.astype(int).tolist()
     return document
-
-
-def _lane(document: dict[str, Any]) -> Lane:
-    fields = dict(document)
-    fields["xyz_cam"] = np.array(fields["xyz_cam"], dtype=float).reshape(-1, 3)
-    for name in ("in_image", "terrain_visible", "object_visible"):
-        if fields[name] is not None:
-            fields[name] = np.array(fields[name], dtype=bool)
-    return Lane(**fields)

@@ -7,11 +7,10 @@ added later; older scenes can still be read and render as before.
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from synth3dlanes.assets.catalogue import AssetKind, Assets
-from synth3dlanes.errors import FormatError
-from synth3dlanes.schema import Part, Positive, Unit, validation_problems
+from synth3dlanes.schema import MAX_PX, Metres, Name, Number, Part, Positive, Unit, parse
 from synth3dlanes.streams import stream
 
 SCENE_VERSION = 1
@@ -22,16 +21,16 @@ Color = tuple[Unit, Unit, Unit]
 class Gaussian(Part):
     """One hill or hollow of the terrain (paper, Appendix I, Table 'Terrain 3D')."""
 
-    center_m: tuple[float, float]
-    magnitude_m: float
+    center_m: tuple[Number, Number]
+    magnitude_m: Metres
     sd_m: tuple[Positive, Positive]
-    orientation_rad: float
+    orientation_rad: Number
 
 
 class Terrain(Part):
     """A sum of Gaussians."""
 
-    gaussians: tuple[Gaussian, ...]
+    gaussians: Annotated[tuple[Gaussian, ...], Field(max_length=100)]
 
 
 class Road(Part):
@@ -41,15 +40,15 @@ class Road(Part):
     flip_longitudinal: bool
     flip_lateral: bool
     n_lanes: Annotated[int, Field(ge=2, le=8)]
-    lane_width_m: Positive
-    shoulder_factor: Annotated[float, Field(ge=0)]
-    offset_m100_m: float
-    offset_m50_m: float
-    offset_p50_m: float
-    offset_p100_m: float
+    lane_width_m: Annotated[float, Field(gt=0, le=1000)]
+    shoulder_factor: Annotated[float, Field(ge=0, le=1000)]
+    offset_m100_m: Metres
+    offset_m50_m: Metres
+    offset_p50_m: Metres
+    offset_p100_m: Metres
     exit_angle_rad: Annotated[float, Field(ge=0, lt=0.5)]
-    exit_offset_m: Annotated[float, Field(ge=0)]
-    ramp_height_m: Annotated[float, Field(ge=0)]
+    exit_offset_m: Annotated[float, Field(ge=0, le=1000)]
+    ramp_height_m: Annotated[float, Field(ge=0, le=1000)]
     ramp_slope: Positive
 
     @property
@@ -79,7 +78,7 @@ class Markings(Part):
     `missing` the share of each line's length without paint, in stretches. `left_yellow` and `left_double` (two stripes
     of `width_m`, `width_m` apart) apply to the leftmost line as the host drives."""
 
-    dash_cycle_m: Positive
+    dash_cycle_m: Annotated[float, Field(ge=0.001, le=1000)]
     dash_fraction: Annotated[float, Field(gt=0, le=1)]
     width_m: Positive
     grayscale: Unit
@@ -98,7 +97,7 @@ class Surface(Part):
     road_gloss: Unit
     terrain_texture: Annotated[int, Field(ge=1)]
     terrain_texture_scale: Positive
-    texture_orientation_rad: float
+    texture_orientation_rad: Number
     wetness: Unit = 0.0
     shoulder_texture: Annotated[int, Field(ge=1, le=2)] = 1
 
@@ -112,8 +111,8 @@ class Car(Part):
     scale: Positive
     color: Color
     gloss: Unit
-    lane: str
-    s_m: float
+    lane: Name
+    s_m: Metres
     saturation: Unit = 1.0
 
 
@@ -121,9 +120,9 @@ class Tree(Part):
     """A tree at a world position off the roads. Models are numbered from 1."""
 
     model: Annotated[int, Field(ge=1)]
-    x_m: float
-    y_m: float
-    yaw_rad: float
+    x_m: Number
+    y_m: Number
+    yaw_rad: Number
     scale: Positive
 
 
@@ -132,17 +131,17 @@ class Camera(Part):
     right, roll about the viewing axis positive clockwise as the driver sees it."""
 
     lane: Annotated[int, Field(ge=1)]
-    y_m: float
-    offset_m: float
-    height_m: Positive
-    pitch_rad: float
-    width_px: Annotated[int, Field(ge=8)]
-    height_px: Annotated[int, Field(ge=8)]
+    y_m: Metres
+    offset_m: Metres
+    height_m: Annotated[float, Field(gt=0, le=1000)]
+    pitch_rad: Number
+    width_px: Annotated[int, Field(ge=8, le=MAX_PX)]
+    height_px: Annotated[int, Field(ge=8, le=MAX_PX)]
     fx_px: Positive
     fy_px: Positive
-    cx_px: float
-    cy_px: float
-    roll_rad: float = 0.0
+    cx_px: Number
+    cy_px: Number
+    roll_rad: Number = 0.0
 
 
 class Light(Part):
@@ -150,7 +149,7 @@ class Light(Part):
     the exposure compensates for the scene's daylight (0 not at all, 1 fully)."""
 
     sun_zenith_rad: Annotated[float, Field(ge=0, le=1.6)]
-    sun_azimuth_rad: float
+    sun_azimuth_rad: Number
     exposure: Positive
     metering: Unit = 0.0
 
@@ -165,8 +164,8 @@ class Air(Part):
 class Sensor(Part):
     """Metres driven during the exposure, and the noise's standard deviation at middle gray in 8-bit levels."""
 
-    motion_blur_m: Annotated[float, Field(ge=0)] = 0.0
-    noise: Annotated[float, Field(ge=0)] = 0.0
+    motion_blur_m: Annotated[float, Field(ge=0, le=1000)] = 0.0
+    noise: Annotated[float, Field(ge=0, le=1000)] = 0.0
 
 
 class Scene(Part):
@@ -176,14 +175,14 @@ class Scene(Part):
     format: Literal["synth3dlanes.scene"]
     version: Literal[1]
     seed: Annotated[int, Field(ge=0)]
-    split: str
+    split: Annotated[str, Field(max_length=200)]
     index: Annotated[int, Field(ge=0)]
     terrain: Terrain
     road: Road
     markings: Markings
     surface: Surface
-    cars: tuple[Car, ...]
-    trees: tuple[Tree, ...]
+    cars: Annotated[tuple[Car, ...], Field(max_length=1000)]
+    trees: Annotated[tuple[Tree, ...], Field(max_length=10_000)]
     camera: Camera
     light: Light
     air: Air = Air()
@@ -234,7 +233,4 @@ def to_json(scene: Scene) -> str:
 
 def from_json(text: str | bytes, where: str) -> Scene:
     """Parse `scene.json`; raise FormatError with one line per problem, each beginning with `where`."""
-    try:
-        return Scene.model_validate_json(text)
-    except ValidationError as error:
-        raise FormatError("\n".join(validation_problems(error, where))) from None
+    return parse(Scene, text, where, f"synth3dlanes.scene version {SCENE_VERSION}")

@@ -1,11 +1,62 @@
-"""Validation of files that people may edit: strict pydantic models, and one line per problem."""
+"""JSON documents that people may have edited: read by one schema with bounds, and one line per problem."""
 
-from typing import Annotated
+import reprlib
+from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import ErrorDetails
 
+from synth3dlanes.errors import FormatError
+
+# Far above any document of ours: labels take 30 kB, a scene with 5000 trees 1 MB.
+MAX_BYTES = 16 << 20
+# Lines of problems to show.
+MAX_PROBLEMS = 8
+# An image's longest side.
+MAX_PX = 8192
+
+STRICT = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
+
+Number = Annotated[float, Field(ge=-1e6, le=1e6)]
+Metres = Annotated[float, Field(ge=-1000, le=1000)]
 Unit = Annotated[float, Field(ge=0, le=1)]
-Positive = Annotated[float, Field(gt=0)]
+Positive = Annotated[float, Field(gt=0, le=1e6)]
+Pixels = Annotated[int, Field(ge=1, le=MAX_PX)]
+Name = Annotated[str, Field(max_length=64, pattern=r"^[\w.-]*$")]
+
+Document = TypeVar("Document", bound=BaseModel)
+
+# What was expected, by pydantic's type of error; the rest of its name is what its context holds.
+EXPECTED = {
+    "missing": "missing",
+    "extra_forbidden": "unknown key",
+    "unexpected_keyword_argument": "unknown key",
+    "json_invalid": "expected JSON: {error}",
+    "value_error": "{error}",
+    "finite_number": "expected a finite number",
+    "float_type": "expected a number",
+    "float_parsing": "expected a number",
+    "int_type": "expected a whole number",
+    "int_parsing": "expected a whole number",
+    "int_from_float": "expected a whole number",
+    "int_parsing_size": "expected a smaller number",
+    "string_type": "expected text",
+    "string_too_long": "expected at most {max_length} characters",
+    "string_pattern_mismatch": "expected text of the form {pattern}",
+    "bool_type": "expected true or false",
+    "bool_parsing": "expected true or false",
+    "literal_error": "expected {expected}",
+    "greater_than": "expected more than {gt:g}",
+    "greater_than_equal": "expected at least {ge:g}",
+    "less_than": "expected less than {lt:g}",
+    "less_than_equal": "expected at most {le:g}",
+    "too_short": "expected at least {min_length} values",
+    "too_long": "expected at most {max_length} values",
+    "list_type": "expected a list",
+    "tuple_type": "expected a list",
+    **dict.fromkeys(("dict_type", "model_type", "model_attributes_type", "dataclass_type"), "expected an object"),
+}
+WITHOUT_VALUE = ("missing", "extra_forbidden", "unexpected_keyword_argument", "json_invalid", "value_error")
 
 
 class Part(BaseModel):
@@ -14,14 +65,54 @@ class Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
+def parse(model: type[Document], data: str | bytes, where: str, what: str) -> Document:
+    """Read a JSON document; `what` names it, as in "synth3dlanes.scene version 1".
+
+    Raises FormatError with a line for each problem, beginning with `where`; with one line for another document.
+    """
+    if len(data) > MAX_BYTES:
+        raise FormatError(f"{where}: expected {what} of at most {MAX_BYTES >> 20} MiB, got {len(data) >> 20} MiB")
+    try:
+        return model.model_validate_json(data, strict=True)
+    except ValidationError as error:
+        found = _other(error)
+        if found:
+            raise FormatError(f"{where}: expected {what}, got {found}") from None
+        raise FormatError("\n".join(validation_problems(error, where))) from None
+
+
+def _other(error: ValidationError) -> str:
+    """What a document is that is no object, or has another format or version, or no key of ours; "" for one of ours."""
+    problems = error.errors(include_url=False)
+    for problem in problems:
+        if problem["loc"] in (("format",), ("version",)) and problem["type"] != "missing":
+            return f"{problem['loc'][0]} {shown(problem['input'])}"
+        if not problem["loc"] and problem["type"].endswith("_type"):
+            return shown(problem["input"])
+    missing = {problem["loc"] for problem in problems if problem["type"] == "missing"}
+    is_bare = len(missing) == len(problems) > 2
+    return "another document" if is_bare or missing & {("format",), ("version",)} else ""
+
+
 def validation_problems(error: ValidationError, where: str) -> list[str]:
-    """One line per problem: where, what was expected, what was found."""
-    lines = []
-    for problem in error.errors():
-        path = ".".join(str(step) for step in problem["loc"])
-        if problem["type"] == "value_error":
-            lines.append(f"{where}: {problem['ctx']['error']}")
-            continue
-        found = "" if problem["type"] == "missing" else f", got {problem['input']!r:.60}"
-        lines.append(f"{where}: {path + ': ' if path else ''}{problem['msg']}{found}")
-    return lines
+    """One line per problem: where, the key, what was expected, what was found; of many problems the first."""
+    problems = error.errors(include_url=False)
+    more = len(problems) - MAX_PROBLEMS
+    lines = [f"{where}: {_line(problem)}" for problem in problems[:MAX_PROBLEMS]]
+    return lines + ([f"{where}: and {more} more problems"] if more > 0 else [])
+
+
+def _line(problem: ErrorDetails) -> str:
+    key = ".".join(str(step) for step in problem["loc"])
+    kind, context = problem["type"], problem.get("ctx", {})
+    text = EXPECTED[kind].format(**context) if kind in EXPECTED else problem["msg"]
+    if kind in ("too_short", "too_long"):
+        text += f", got {context['actual_length']}"
+    elif kind not in WITHOUT_VALUE:
+        text += f", got {shown(problem['input'])}"
+    return f"{key}: {text}" if key else text
+
+
+def shown(value: Any) -> str:
+    """A value as a short text on one line, whatever its size."""
+    return reprlib.repr(value)[:60]

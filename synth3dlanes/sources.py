@@ -20,6 +20,7 @@ from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import Params
 from synth3dlanes.scene import Scene, from_json
+from synth3dlanes.schema import validation_problems
 
 SAMPLE = re.compile(r".+:\d+")
 
@@ -74,8 +75,8 @@ def params_of(reader: Reader) -> Params:
     """The parameters that a data set was drawn from."""
     try:
         return Params.model_validate(reader.description["params"])
-    except (KeyError, ValidationError) as error:
-        raise FormatError(f"{reader.url}: expected all parameters in dataset.json, got {error}") from None
+    except ValidationError as error:
+        raise FormatError("\n".join(validation_problems(error, f"{reader.url}: dataset.json: params"))) from None
 
 
 def some_samples(folder: str, n: int, shuffle: int | None, where: str | None) -> list[Sample]:

@@ -12,6 +12,7 @@ from hypothesis import settings
 
 # Machines are slow at times; a failure must be the same one tomorrow.
 settings.register_profile("house", deadline=None, derandomize=True)
+settings.register_profile("long", deadline=None, max_examples=5000)
 settings.load_profile("house")
 
 EXIT_STATUS = pytest.StashKey[int]()

@@ -40,7 +40,8 @@ def image(index: int) -> np.ndarray:
 
 
 def make(recipe: Recipe, index: int) -> Made:
-    scene = FLAT.model_copy(update={"seed": recipe.seed, "split": recipe.split, "index": index})
+    camera = FLAT.camera.model_copy(update={"width_px": 24, "height_px": 16})
+    scene = FLAT.model_copy(update={"seed": recipe.seed, "split": recipe.split, "index": index, "camera": camera})
     members = encode(image(index), labels(index), scene_module.to_json(scene), {}, recipe.image_format)
     return Made(members, {"fake": 0.0})
 

@@ -7,12 +7,12 @@ import json
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from synth3dlanes.dataset.format import member_names
 from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.schema import Part, validation_problems
-from synth3dlanes.settings import SPLIT_NAME
+from synth3dlanes.schema import Part, parse
+from synth3dlanes.settings import MAX_SAMPLES, MAX_SHARD_SIZE, SPLIT_NAME
 
 DESCRIPTION = "dataset.json"
 DATASET_FORMAT = "synth3dlanes.dataset"
@@ -20,22 +20,20 @@ DATASET_VERSION = 1
 # Of the images and labels that are made with the built-in assets.
 DATA_LICENSE = "CC0-1.0"
 
-Count = Annotated[int, Field(ge=0, strict=True)]
-AtLeastOne = Annotated[int, Field(ge=1, strict=True)]
-SplitName = Annotated[str, Field(pattern=f"^{SPLIT_NAME}$")]
+SplitName = Annotated[str, Field(pattern=f"^{SPLIT_NAME}$", max_length=200)]
 
 
 class Split(Part):
     """How many samples a split shall have."""
 
-    n: Count
+    n: Annotated[int, Field(ge=0, le=MAX_SAMPLES)]
 
 
 class Render(Part):
     """How images were rendered: samples a pixel, passes beside the image, the device."""
 
-    samples: AtLeastOne
-    passes: tuple[Literal["depth", "normal", "semantic", "instance", "height"], ...]
+    samples: Annotated[int, Field(ge=1, le=1_000_000)]
+    passes: Annotated[tuple[Literal["depth", "normal", "semantic", "instance", "height"], ...], Field(max_length=5)]
     device: str
 
 
@@ -46,13 +44,13 @@ class Description(Part):
     version: Literal[1]
     license: str | None = None
     generator: str
-    seed: Count
+    seed: Annotated[int, Field(ge=0)]
     image_format: Literal["jpg", "png"]
     render: Render
     params: dict[str, Any]
     assets: dict[str, Any] = Field(default_factory=dict)
-    shard_size: AtLeastOne
-    splits: dict[SplitName, Split]
+    shard_size: Annotated[int, Field(ge=1, le=MAX_SHARD_SIZE)]
+    splits: Annotated[dict[SplitName, Split], Field(max_length=1000)]
     derived: dict[str, Any] | None = None
 
     @property
@@ -66,18 +64,13 @@ def parse_description(data: bytes, where: str) -> dict[str, Any]:
 
     Raises FormatError with a line for each problem: `where`, the key, what was expected and what was found.
     """
+    parse(Description, data, where, f"{DATASET_FORMAT} version {DATASET_VERSION}")
+    document: dict[str, Any] = json.loads(data)
     try:
-        document = json.loads(data)
-    except ValueError as error:
-        raise FormatError(f"{where}: expected JSON, got {error}") from None
-    found = (document.get("format"), document.get("version")) if isinstance(document, dict) else type(document).__name__
-    if found != (DATASET_FORMAT, DATASET_VERSION):
-        raise FormatError(f"{where}: expected {DATASET_FORMAT} version {DATASET_VERSION}, got {found}")
-    try:
-        Description.model_validate(document)
-    except ValidationError as error:
-        raise FormatError("\n".join(validation_problems(error, where))) from None
-    return dict(document)
+        json.dumps(document, allow_nan=False)
+    except ValueError:
+        raise FormatError(f"{where}: expected finite numbers, got NaN or infinity") from None
+    return document
 
 
 def updated_description(before: bytes | None, recipe: dict[str, Any], split: str, n: int, where: str) -> bytes:

@@ -5,8 +5,9 @@ Pure bytes: nothing here opens a file. Equal samples give equal bytes.
 
 import io
 import tarfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -16,6 +17,7 @@ from PIL import Image, UnidentifiedImageError
 from synth3dlanes import labels as labels_module
 from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels
+from synth3dlanes.schema import MAX_PX
 
 IMAGE_FORMATS = ("jpg", "png")
 JPEG_QUALITY = 95
@@ -88,12 +90,31 @@ def encode_image(image: UInt8[np.ndarray, "h w 3"], image_format: str) -> bytes:
     return stream.getvalue()
 
 
-def decode_image(data: bytes, where: str) -> UInt8[np.ndarray, "h w 3"]:
-    """The pixels of a JPEG or PNG; raise FormatError, its message beginning with `where`."""
+def decode_image(data: bytes, where: str, size_px: tuple[int, int] | None = None) -> UInt8[np.ndarray, "h w 3"]:
+    """The pixels of a JPEG or PNG of `size_px` (width, height), None for any up to 8192 x 8192.
+
+    Raises FormatError, its message beginning with `where`; the size is checked before any pixel is decoded.
+    """
     try:
-        return np.array(Image.open(io.BytesIO(data), formats=("JPEG", "PNG")).convert("RGB"))
-    except (UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        image = Image.open(io.BytesIO(data), formats=("JPEG", "PNG"))
+        _check_size(image.size, size_px, where)
+        return np.array(image.convert("RGB"))
+    except FormatError:
+        raise
+    except UnidentifiedImageError:
+        raise FormatError(f"{where}: expected a JPEG or PNG image, got other or damaged bytes") from None
+    except (Image.DecompressionBombError, Image.DecompressionBombWarning):
+        raise FormatError(f"{where}: expected at most {MAX_PX}x{MAX_PX} pixels, got more") from None
+    except (OSError, SyntaxError, ValueError) as error:
         raise FormatError(f"{where}: expected a JPEG or PNG image, got {error}") from None
+
+
+def _check_size(found: tuple[int, int], expected: tuple[int, int] | None, where: str) -> None:
+    """Raise FormatError for a picture of another size than is expected, or of more pixels than any of ours."""
+    if found != expected and (expected or max(found) > MAX_PX):
+        width, height = expected or (MAX_PX, MAX_PX)
+        most = "" if expected else "at most "
+        raise FormatError(f"{where}: expected {most}{width}x{height} pixels, got {found[0]}x{found[1]}")
 
 
 def write_passes(passes: Mapping[str, Shaped[np.ndarray, "..."]]) -> bytes:
@@ -117,16 +138,22 @@ def write_passes(passes: Mapping[str, Shaped[np.ndarray, "..."]]) -> bytes:
     return stream.getvalue()
 
 
-def read_passes(data: bytes, where: str) -> dict[str, Shaped[np.ndarray, "..."]]:
+def read_passes(
+    data: bytes, where: str, size_px: tuple[int, int] | None = None
+) -> dict[str, Shaped[np.ndarray, "..."]]:
     """The passes by name: `depth`, `height` and `normal` float32, `semantic` uint8, `instance` uint16.
 
-    Raises FormatError, its message beginning with `where`, for what `write_passes` does not write.
+    Raises FormatError, its message beginning with `where`, for what `write_passes` does not write, and for a picture
+    whose size is not `size_px` (width, height; None: any up to 8192 x 8192) before any pixel is decoded.
     """
     try:
+        _check_size(_exr_size(data), size_px, where)
         channels = OpenEXR.File(io.BytesIO(data), separate_channels=True).channels()
         pixels = {name: channel.pixels for name, channel in channels.items()}
-    except (RuntimeError, ValueError, MemoryError) as error:
-        raise FormatError(f"{where}: expected an OpenEXR image, got {error}") from None
+    except FormatError:
+        raise
+    except (ArithmeticError, LookupError, MemoryError, RuntimeError, TypeError, ValueError):
+        raise FormatError(f"{where}: expected an OpenEXR image, got other or damaged bytes") from None
     for name, values in pixels.items():
         if values.dtype not in CHANNEL_TYPES.get(name, ()):
             types = " or ".join(np.dtype(dtype).name for dtype in CHANNEL_TYPES.get(name, ()))
@@ -141,6 +168,13 @@ def read_passes(data: bytes, where: str) -> dict[str, Shaped[np.ndarray, "..."]]
     if normal and len(normal) < len(NORMAL):
         raise FormatError(f"{where}: expected channels {', '.join(NORMAL)}, got {len(normal)} of them")
     return passes | ({"normal": np.stack(normal, axis=-1).astype(np.float32)} if normal else {})
+
+
+def _exr_size(data: bytes) -> tuple[int, int]:
+    """Width and height of an OpenEXR image by its header."""
+    low, high = OpenEXR.File(io.BytesIO(data), separate_channels=True, header_only=True).header()["dataWindow"]
+    width, height = (int(size) for size in high.astype(int) - low + 1)
+    return width, height
 
 
 def _ids(values: Shaped[np.ndarray, "h w"], dtype: type[np.unsignedinteger], where: str) -> Shaped[np.ndarray, "h w"]:
@@ -170,3 +204,35 @@ def tar_end(size: int) -> bytes:
 def member_name(header: bytes) -> str:
     """The file name in a tar header, for checking that an index points where it should."""
     return header[:100].rstrip(b"\0").decode("utf-8", "replace")
+
+
+def read_header(block: bytes) -> tuple[str, int]:
+    """Name and size of the member that a tar header announces; ("", 0) for the block that ends a tar.
+
+    Raises FormatError for anything but a plain file: nothing else is in our tars.
+    """
+    if not any(block):
+        return "", 0
+    try:
+        header = tarfile.TarInfo.frombuf(block, "utf-8", "surrogateescape")
+    except tarfile.HeaderError as error:
+        raise FormatError(f"expected the header of a tar, got {error}") from None
+    if not header.isreg() or header.size < 0:
+        raise FormatError(f"expected a plain file in a tar, got {header.name!r:.40} of {header.size} bytes")
+    return header.name, header.size
+
+
+def tar_members(stream: Any, size: int) -> Iterator[tuple[str, int, int]]:
+    """Name, offset and size of each whole member of an open tar of `size` bytes; raise FormatError at its first
+    fault."""
+    offset = 0
+    while offset < size:
+        stream.seek(offset)
+        name, length = read_header(stream.read(BLOCK))
+        if not name:
+            return
+        end = offset + BLOCK + length + -length % BLOCK
+        if end > size:
+            raise FormatError(f"expected {end} bytes or more, got {size}")
+        yield name, offset + BLOCK, length
+        offset = end

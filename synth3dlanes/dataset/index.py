@@ -1,53 +1,103 @@
 """Reading the indices of shards. Every reader of a shard's parquet comes through here; `columns` says what is in it."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from itertools import pairwise
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from synth3dlanes.dataset.format import COLUMN_OF_MEMBER
+from synth3dlanes.dataset.format import BLOCK, COLUMN_OF_MEMBER, key_of
 from synth3dlanes.errors import FormatError
+from synth3dlanes.settings import MAX_SHARD_SIZE
 
 # Where the metadata of an index has the recipe that its samples were made from.
 RECIPE = b"synth3dlanes.recipe"
+TEXT_COLUMNS = ("key", "sha256")
+# Far above any tar; sums of such numbers do not overflow.
+MAX_TAR_BYTES = 1 << 50
 
 
-def read_index(source: Any, where: str, columns: Sequence[str] = ()) -> pa.Table:
-    """The index in `source` (a path or an open file), or these columns of it.
+def read_index(data: bytes, where: str, columns: Sequence[str] = ()) -> pa.Table:
+    """The index in a parquet file's bytes, or these columns of it.
 
-    Raises FormatError, its message beginning with `where`, where it is no parquet, or lacks one of the columns.
+    Raises FormatError, its message beginning with `where`, where it is no parquet, has more rows than a shard may have,
+    or lacks one of the columns.
     """
     try:
-        table = pq.read_table(source, columns=list(columns) or None)
-    except (pa.ArrowException, OSError) as error:
-        raise FormatError(f"{where}: expected the index of a shard, got {error}") from None
+        # By this thread and from memory: a process that ends while Arrow's threads hold its files is aborted.
+        with pq.ParquetFile(pa.BufferReader(data)) as file:
+            rows = file.metadata.num_rows
+            if rows > MAX_SHARD_SIZE:
+                raise FormatError(f"{where}: expected at most {MAX_SHARD_SIZE} samples, got {rows}")
+            known = file.schema_arrow.names
+            table = file.read(columns=[name for name in columns if name in known] or None, use_threads=False)
+        table.validate(full=True)
+    except (pa.ArrowException, OSError, ValueError) as error:
+        if isinstance(error, FormatError):
+            raise
+        raise FormatError(f"{where}: expected the index of a shard, got {_first_line(error)}") from None
     require_columns(table, columns, where)
     return table
 
 
-def read_indices(source: Any, where: str) -> set[int]:
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [""])[0][:200]
+
+
+def read_indices(data: bytes, where: str) -> set[int]:
     """The indices of the samples in a shard, by its index; raise FormatError as `read_index` does."""
-    return set(read_index(source, where, ["index"])["index"].to_pylist())
+    return set(read_index(data, where, ["index"])["index"].to_pylist())
 
 
 def require_columns(table: pa.Table, columns: Sequence[str], where: str) -> None:
-    """Raise FormatError where an index lacks a column, or has no value for it in some row."""
+    """Raise FormatError where an index lacks a column, has it twice or of another type, or has no value for it in some
+    row."""
     for column in columns:
-        if column not in table.column_names:
-            raise FormatError(f"{where}: expected a column {column}, got {', '.join(table.column_names) or 'none'}")
+        count = table.column_names.count(column)
+        if count != 1:
+            found = f"{count} of them" if count else ", ".join(table.column_names)[:200] or "none"
+            raise FormatError(f"{where}: expected a column {column}, got {found}")
+        kind = pa.string() if column in TEXT_COLUMNS else pa.int64()
+        if table.schema.field(column).type != kind:
+            raise FormatError(f"{where}: expected a column {column} of {kind}, got {table.schema.field(column).type}")
         if table[column].null_count:
             raise FormatError(f"{where}: expected a column {column} without gaps, got {table[column].null_count} gaps")
 
 
+def check_places(table: pa.Table, names: Sequence[str], numbers: range, where: str) -> None:
+    """Raise FormatError unless the rows are samples with these numbers, in order, and the members of each lie one after
+    the other, as `format.tar_bytes` puts them."""
+    indices = table["index"].to_numpy()
+    if len(indices) and not (
+        indices[0] >= numbers.start and indices[-1] < numbers.stop and (np.diff(indices) > 0).all()
+    ):
+        raise FormatError(f"{where}: expected samples from {numbers.start} to {numbers.stop - 1} in order, got others")
+    if table["key"].to_pylist() != [key_of(index) for index in indices.tolist()]:
+        raise FormatError(f"{where}: expected keys of eight digits that are the index, got others")
+    places = [(table[offset].to_numpy(), table[size].to_numpy()) for offset, size in map(_place_columns, names)]
+    is_placed = np.ones(len(indices), bool)
+    for offset, size in places:
+        is_placed &= (offset >= BLOCK) & (offset < MAX_TAR_BYTES) & (size >= 0) & (size < MAX_TAR_BYTES)
+    for (offset, size), (following, _) in pairwise(places):
+        is_placed &= following == offset + size + -size % BLOCK + BLOCK
+    if not is_placed.all():
+        key = key_of(int(indices[is_placed.argmin()]))
+        raise FormatError(f"{where}: {key}: expected its members one after the other in the tar, got other offsets")
+
+
 def place_columns(names: Sequence[str]) -> list[str]:
     """The columns that say where these members of each sample lie in the tar: offset and size of each."""
-    return [f"{COLUMN_OF_MEMBER[name]}_{what}" for name in names for what in ("offset", "size")]
+    return [column for name in names for column in _place_columns(name)]
 
 
-def read_recipe(source: Any) -> str:
-    """The recipe that a shard was made from, by its index; "" where it does not say."""
-    return recipe_of(pq.read_schema(source).metadata)
+def _place_columns(name: str) -> tuple[str, str]:
+    return f"{COLUMN_OF_MEMBER[name]}_offset", f"{COLUMN_OF_MEMBER[name]}_size"
+
+
+def read_recipe(data: bytes, where: str) -> str:
+    """The recipe that a shard was made from, by its index; "" where it does not say. Raises as `read_index` does."""
+    return recipe_of(read_index(data, where, ["index"]).schema.metadata)
 
 
 def recipe_of(metadata: Mapping[bytes, bytes] | None) -> str:

@@ -52,8 +52,8 @@ def _split(files: Any, root: str, name: str, asked: int) -> SplitInfo:
     indices: set[int] = set()
     shards = [path for path in sizes if path.endswith(".parquet") and "/" not in path]
     for path in shards:
-        with files.open(f"{root}/{name}/{path}") as stream:
-            indices |= read_indices(stream, f"{root}/{name}/{path}")
+        where = f"{root}/{name}/{path}"
+        indices |= read_indices(files.cat_file(where), where)
     parts = {path for path in sizes if ".parts/" in path and path.endswith(".tar")}
     waiting = {int(path.rpartition("/")[2].removesuffix(".tar")) for path in parts} - indices
     failed = files.ls(f"{root}/failed/{name}") if files.isdir(f"{root}/failed/{name}") else []

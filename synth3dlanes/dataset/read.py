@@ -26,11 +26,12 @@ from synth3dlanes.dataset.format import (
     member_names,
     read_passes,
 )
-from synth3dlanes.dataset.index import place_columns, read_index, recipe_of, require_columns
+from synth3dlanes.dataset.index import check_places, place_columns, read_index, recipe_of, require_columns
 from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels
 
 N_CONNECTIONS = 8
+SIZE_COLUMNS = ("camera_width_px", "camera_height_px")
 
 
 class Reader:
@@ -50,15 +51,19 @@ class Reader:
                 raise FormatError(f"{self.url}: expected a split of a data set, as DIR/train, got no {where}")
         self.description = parse_description(self._read(where), where)
         self._names = member_names(self.description["image_format"], self.description["render"]["passes"])
-        paths = sorted(path for path in self._list() if path.endswith(".parquet"))
+        sizes = self._list()
+        paths = sorted(path for path in sizes if path.endswith(".parquet"))
         if not paths:
             raise FormatError(f"{self.url}: expected shards (00000.tar with 00000.parquet), got none")
-        wanted = ["key", "index", *place_columns(self._names)]
-        chosen = () if columns is None else (*wanted, *columns)
+        wanted = ["key", "index", *SIZE_COLUMNS, *place_columns(self._names)]
+        chosen = () if columns is None else tuple(dict.fromkeys((*wanted, *columns)))
         with ThreadPoolExecutor(N_CONNECTIONS) as pool:
             tables = list(pool.map(lambda path: self._table(path, wanted, chosen), paths))
         self._tars = [f"{path.removesuffix('.parquet')}.tar" for path in paths]
+        self._tar_sizes = [sizes.get(tar, 0) for tar in self._tars]
         self._shard = np.repeat(np.arange(len(tables)), [table.num_rows for table in tables])
+        if any(table.schema != tables[0].schema for table in tables):
+            raise FormatError(f"{self.url}: expected the same columns in all shards, got others")
         self.index = pa.concat_tables(tables)
         self.recipes = {recipe_of(table.schema.metadata) for table in tables}
         self._columns = {
@@ -75,12 +80,10 @@ class Reader:
     def __getitem__(self, i: int) -> Sample:
         image_name, where = self._names[0], self._where(i)
         raw = self._members(i, (image_name, SCENE, LABELS))
-        return Sample(
-            key=self.key(i),
-            image=decode_image(raw[image_name], f"{where}.{image_name}"),
-            labels=labels_module.from_json(raw[LABELS], f"{where}.{LABELS}"),
-            scene_json=raw[SCENE],
-        )
+        labels = labels_module.from_json(raw[LABELS], f"{where}.{LABELS}")
+        size_px = labels.camera.width_px, labels.camera.height_px
+        image = decode_image(raw[image_name], f"{where}.{image_name}", size_px)
+        return Sample(self.key(i), image, labels, raw[SCENE])
 
     def key(self, i: int) -> str:
         """The key of sample i: eight digits."""
@@ -89,7 +92,7 @@ class Reader:
     def image(self, i: int) -> UInt8[np.ndarray, "h w 3"]:
         """The image of sample i alone."""
         name = self._names[0]
-        return decode_image(self.member(i, name), f"{self._where(i)}.{name}")
+        return decode_image(self.member(i, name), f"{self._where(i)}.{name}", self._size_px(i))
 
     def labels(self, i: int) -> Labels:
         """The labels of sample i; its image is not read."""
@@ -100,7 +103,8 @@ class Reader:
         found: dict[str, Shaped[np.ndarray, ...]] = {}
         for name in (PASSES, HEIGHT):
             if name in self._names:
-                found |= read_passes(self.member(i, name), f"{self._where(i)}.{name}")
+                size_px = self._size_px(i) if name == PASSES else None
+                found |= read_passes(self.member(i, name), f"{self._where(i)}.{name}", size_px)
         return found
 
     def raw(self, i: int) -> dict[str, bytes]:
@@ -128,7 +132,10 @@ class Reader:
         places = {name: (int(self._columns[name][0][i]), int(self._columns[name][1][i])) for name in names}
         start = min(offset for offset, _ in places.values()) - BLOCK
         end = max(offset + size for offset, size in places.values())
-        tar = self._tars[self._shard[i]]
+        shard = self._shard[i]
+        tar = self._tars[shard]
+        if end > self._tar_sizes[shard]:
+            raise FormatError(f"{tar}: expected at least {end} bytes, got {self._tar_sizes[shard]}")
         data = self._read(tar, start, end)
         if len(data) < end - start:
             raise FormatError(f"{tar}: expected {end - start} bytes from byte {start}, got {len(data)}")
@@ -141,17 +148,28 @@ class Reader:
         return members
 
     def _table(self, path: str, required: Sequence[str], chosen: Sequence[str]) -> pa.Table:
-        table = read_index(pa.BufferReader(self._read(path)), path, chosen)
+        table = read_index(self._read(path), path, chosen)
         require_columns(table, required, path)
+        stem, size = path.rpartition("/")[2].removesuffix(".parquet"), int(self.description["shard_size"])
+        if not stem.isdecimal():
+            raise FormatError(f"{path}: expected the number of a shard, as in 00000.parquet, got another name")
+        check_places(table, self._names, range(int(stem) * size, (int(stem) + 1) * size), path)
         return table
 
-    def _list(self) -> list[str]:
+    def _list(self) -> dict[str, int]:
+        """The files of the split and their sizes."""
         with translate_store_errors(self.url, "cannot list the shards"):
-            return [str(path) for path in connect(self.url)[0].ls(self._root, detail=False)]
+            found = connect(self.url)[0].ls(self._root, detail=True)
+            return {str(entry["name"]): int(entry["size"] or 0) for entry in found}
 
     def _read(self, path: str, start: int | None = None, end: int | None = None) -> bytes:
         with translate_store_errors(path, "cannot be read"):
             return bytes(connect(self.url)[0].cat_file(path, start=start, end=end))
+
+    def _size_px(self, i: int) -> tuple[int, int]:
+        """Width and height of image i by the index."""
+        width, height = (int(self.index[name][self._position(i)].as_py()) for name in SIZE_COLUMNS)
+        return width, height
 
     def _position(self, i: int) -> int:
         if not -len(self) <= i < len(self):

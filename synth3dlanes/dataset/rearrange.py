@@ -131,7 +131,8 @@ def _link_whole(shard: Shard, members: Places) -> None:
     reader = next(iter(sources.values()))
     theirs = Shard(Path(reader.url), shard.number, shard.size, shard.names)
     is_theirs = len(sources) == 1 and theirs.path("parquet").exists() and theirs.joined() == members.keys()
-    is_theirs = is_theirs and read_recipe(theirs.path("parquet")) == shard.recipe
+    index = theirs.path("parquet")
+    is_theirs = is_theirs and read_recipe(index.read_bytes(), str(index)) == shard.recipe
     if not is_theirs or any(int(reader.key(i)) != index for i, index in zip(positions, sorted(members), strict=True)):
         return
     for suffix in ("tar", "parquet"):

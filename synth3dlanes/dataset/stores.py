@@ -38,8 +38,7 @@ def indices(url: str, shard: Shard) -> set[int]:
     with translate_store_errors(f"{url}/{where}"):
         if not files.exists(f"{root}/{where}"):
             return set()
-        with files.open(f"{root}/{where}") as stream:
-            return read_indices(stream, f"{url}/{where}")
+        return read_indices(files.cat_file(f"{root}/{where}"), f"{url}/{where}")
 
 
 def fetch_shard(url: str, shard: Shard) -> None:

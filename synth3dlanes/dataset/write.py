@@ -12,8 +12,7 @@ shard take part again when it is joined anew, so a larger n continues it. Nobody
 
 import hashlib
 import os
-import tarfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ import pyarrow.parquet as pq
 from synth3dlanes import labels as labels_module
 from synth3dlanes import scene as scene_module
 from synth3dlanes.dataset.columns import index_row, table
-from synth3dlanes.dataset.format import BLOCK, LABELS, SCENE, key_of, tar_bytes, tar_end
+from synth3dlanes.dataset.format import BLOCK, LABELS, SCENE, key_of, tar_bytes, tar_end, tar_members
 from synth3dlanes.dataset.index import place_columns, read_index
 from synth3dlanes.errors import FormatError
 
@@ -75,7 +74,7 @@ class Shard:
 
     def parts(self) -> dict[int, Path]:
         """The samples kept one by one."""
-        return {int(path.stem): path for path in self.path("parts").glob("*.tar")}
+        return {int(path.stem): path for path in self.path("parts").glob("*.tar") if path.stem.isdecimal()}
 
     def joined(self) -> set[int]:
         """The indices of the samples in the tar."""
@@ -88,20 +87,22 @@ class Shard:
         return is_left_over or (self.path("tar").exists() and not self.path("parquet").exists())
 
     def join(self, n: int) -> None:
-        """Join the tar and the parts below `n`. A part that cannot be read is removed: its sample is missing still."""
+        """Join the tar and the parts below `n`. A sample that cannot be read is left out, and is missing still; one of
+        a finished shard raises FormatError."""
         places = self._places_in_tar()
         parts = {index: path for index, path in self.parts().items() if index < n and index not in places}
         tar, index = self.path("tar.tmp"), self.path("parquet.tmp")
-        rows = []
+        rows, is_finished = [], self.path("parquet").exists()
         with tar.open("wb") as stream:
             for number in sorted([*places, *parts]):
                 try:
                     place = places[number] if number in places else self._place_of_part(number, parts[number])
                     data, row = self._read(number, place, stream.tell())
-                except FormatError:
-                    if number in places:
-                        raise
-                    parts.pop(number).unlink()
+                except FormatError as error:
+                    if number in places and is_finished:
+                        raise FormatError(f"{error}; {REMEDY}") from None
+                    if number in parts:
+                        parts[number].unlink()
                     continue
                 stream.write(data)
                 rows.append(row)
@@ -129,7 +130,7 @@ class Shard:
             return
         joined = self.joined()
         for path in parts.iterdir():
-            if path.suffix != ".tar" or int(path.stem) in joined:
+            if path.suffix != ".tar" or not path.stem.isdecimal() or int(path.stem) in joined:
                 # The worker of a killed run may rename its last file just now.
                 path.unlink(missing_ok=True)
         if not any(parts.iterdir()):
@@ -143,7 +144,7 @@ class Shard:
     def _joined_by_index(self) -> set[int]:
         path, places = self.path("parquet"), place_columns(self.names[-1:])
         try:
-            rows = read_index(path, str(path), ["index", *places])
+            rows = read_index(path.read_bytes(), str(path), ["index", *places])
         except FormatError as error:
             raise FormatError(f"{error}; {REMEDY}") from None
         end = max((sum(place) for place in zip(*(rows[name].to_pylist() for name in places), strict=True)), default=0)
@@ -173,6 +174,9 @@ class Shard:
             data = stream.read(place.end - place.offset)
         scene, labels = (_member(data, place, name) for name in (SCENE, LABELS))
         where = f"{place.path}: {key_of(index)}"
+        empty = [name for name, (_, size) in place.members.items() if not size]
+        if empty:
+            raise FormatError(f"{where}.{empty[0]}: expected a file with contents, got an empty one")
         moved = {name: (start - place.offset + offset, size) for name, (start, size) in place.members.items()}
         return data, index_row(
             key_of(index),
@@ -186,30 +190,31 @@ class Shard:
 def scan(path: Path, names: tuple[str, ...]) -> tuple[dict[int, Place], str]:
     """The whole samples of a tar up to the first fault, by index, and what that fault is ("" for none)."""
     places: dict[int, Place] = {}
+    group: list[tuple[str, int, int]] = []
     try:
-        with tarfile.open(path, "r:") as tar:
-            for members in _groups(tar, len(names)):
-                key, found = members[0].name.partition(".")[0], tuple(m.name.partition(".")[2] for m in members)
-                if found != names or not key.isdecimal() or {m.name.partition(".")[0] for m in members} != {key}:
-                    return places, f"{path}: expected members {names} of one sample, got {[m.name for m in members]}"
-                last = members[-1]
-                end = last.offset_data + last.size + -last.size % BLOCK
-                where = {name: (m.offset_data, m.size) for name, m in zip(names, members, strict=True)}
-                places[int(key)] = Place(path, members[0].offset, end, where)
-    except (tarfile.TarError, OSError) as error:
-        return places, f"{path}: expected a whole tar, got {error}"
+        with path.open("rb") as tar:
+            for member in tar_members(tar, path.stat().st_size):
+                group.append(member)
+                if len(group) == len(names):
+                    index, place = _place(path, names, group)
+                    places[index] = place
+                    group = []
+        if group or not places:
+            raise FormatError(f"expected samples of {len(names)} members, got {len(group)} more members")
+    except (FormatError, OSError) as error:
+        return places, f"{path}: not a whole tar: {error}"
     return places, ""
 
 
-def _groups(tar: tarfile.TarFile, size: int) -> Iterator[list[tarfile.TarInfo]]:
-    group: list[tarfile.TarInfo] = []
-    for member in tar:
-        group.append(member)
-        if len(group) == size:
-            yield group
-            group = []
-    if group:
-        yield group
+def _place(path: Path, names: tuple[str, ...], group: Sequence[tuple[str, int, int]]) -> tuple[int, Place]:
+    """The index of a sample and where it lies, by its members in a tar; raise FormatError where they are others."""
+    found = [name for name, _, _ in group]
+    key = found[0].partition(".")[0]
+    if not key.isdecimal() or found != [f"{key_of(int(key))}.{name}" for name in names]:
+        raise FormatError(f"expected {', '.join(names)} of one sample, got {', '.join(found):.80}")
+    where = {name: (offset, size) for name, (_, offset, size) in zip(names, group, strict=True)}
+    end = sum(where[names[-1]])
+    return int(key), Place(path, where[names[0]][0] - BLOCK, end + -end % BLOCK, where)
 
 
 def _member(data: bytes, place: Place, name: str) -> bytes:

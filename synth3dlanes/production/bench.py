@@ -20,15 +20,14 @@ from typing import Any
 import numpy as np
 import psutil
 from jaxtyping import Float, UInt8
-from pydantic import BaseModel, PositiveFloat, ValidationError
+from pydantic import BaseModel, PositiveFloat
 from scipy.ndimage import gaussian_filter
 
 from synth3dlanes.dataset.format import decode_image
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.errors import FormatError
 from synth3dlanes.production.recipe import Recipe, make_part, make_sample
 from synth3dlanes.production.workers import Limits, Pool
-from synth3dlanes.schema import validation_problems
+from synth3dlanes.schema import parse
 
 WARM_UP = 2
 REFERENCE_SAMPLES, REFERENCE_SCENES = 1024, 3
@@ -234,10 +233,7 @@ class StoredBench(BaseModel):
 
 def read_bench(path: Path) -> StoredBench:
     """A stored `Bench.document`; raise FormatError with a line for each problem."""
-    try:
-        return StoredBench.model_validate_json(path.read_bytes())
-    except ValidationError as error:
-        raise FormatError("\n".join(validation_problems(error, str(path)))) from None
+    return parse(StoredBench, path.read_bytes(), str(path), "a result of bench --json")
 
 
 def compare(now: Bench, stored: StoredBench) -> list[tuple[str, float, float]]:

@@ -2,7 +2,6 @@
 
 import hashlib
 import re
-import tarfile
 from collections import Counter
 from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ import pyarrow as pa
 
 from synth3dlanes.dataset.address import connect, store_errors, translate_store_errors
 from synth3dlanes.dataset.columns import SCHEMA, index_row
-from synth3dlanes.dataset.format import BLOCK, key_of, tar_end
+from synth3dlanes.dataset.format import BLOCK, key_of, tar_end, tar_members
 from synth3dlanes.dataset.index import place_columns, read_index, recipe_of, require_columns
 from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels
@@ -136,20 +135,18 @@ def check_row(entry: Entry, scene: Scene, labels: Labels) -> Iterator[Finding]:
 def walk(tar: str) -> tuple[list[tuple[str, int, int]], str]:
     """Name, offset and size of each complete member of a tar up to its first fault, and that fault ("" for none)."""
     found: list[tuple[str, int, int]] = []
-    fault = ""
     files, path = connect(tar)
     try:
         if not files.exists(path):
             return [], "expected a whole tar, got none"
-        with files.open(path, "rb") as stream, tarfile.open(fileobj=stream, mode="r:") as members:
-            for member in members:
-                found.append((member.name, member.offset_data, member.size))
-    except tarfile.TarError as error:
-        fault = f"expected a whole tar, got {error}"
+        with files.open(path, "rb") as stream:
+            for member in tar_members(stream, _size(tar)):
+                found.append(member)
+    except FormatError as error:
+        return found, f"expected a whole tar: {error}"
     except store_errors() as error:
-        fault = f"expected a whole tar, got {error}"
-    total = _size(tar) if found else 0
-    return [(name, offset, size) for name, offset, size in found if offset + size <= total], fault
+        return found, f"expected a whole tar: {error}"
+    return found, "" if found else "expected a whole tar, got no members"
 
 
 def _place(place: str) -> str:
@@ -181,11 +178,7 @@ def _read_index(parquet: str) -> pa.Table:
     with translate_store_errors(_place(parquet), "cannot be read"):
         if not files.exists(path):
             raise FormatError("expected the index of a shard, got none")
-        table = read_index(pa.BufferReader(files.cat_file(path)), _place(parquet))
-    try:
-        table.validate(full=True)
-    except pa.ArrowException as error:
-        raise FormatError(f"expected the index of a shard, got {error}") from None
+        table = read_index(files.cat_file(path), _place(parquet))
     for field in SCHEMA:
         if table.column_names.count(field.name) != 1:
             raise FormatError(f"expected one column {field.name}, got {table.column_names.count(field.name)}")

@@ -9,7 +9,6 @@ import json
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any
 
-import yaml
 from pydantic import BeforeValidator, ConfigDict, Field, ValidationError
 
 from synth3dlanes import __version__
@@ -92,8 +91,6 @@ def read_origin(description: Mapping[str, Any]) -> Origin:
         return Origin.model_validate(description)
     except ValidationError as error:
         raise FormatError(some([line.removeprefix(": ") for line in validation_problems(error, "")])) from None
-    except yaml.YAMLError as error:
-        raise FormatError(f"params: {' '.join(str(error).split())}") from None
 
 
 def made_otherwise(recipes: Mapping[str, str], recipe: str) -> Iterator[Problem]:

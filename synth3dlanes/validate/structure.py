@@ -18,14 +18,10 @@ POINT_M = 1e-4
 MATRIX = 1e-8
 # Points this close to the image's border may be on either side of it after rounding.
 BORDER_PX = 0.2
-# Upper limit of lengths of roads and cameras, and lower limit of a dash cycle.
-MAX_M, MIN_CYCLE_M = 1000.0, 0.001
-MASKS = ("in_image", "terrain_visible", "object_visible")
 
 
 def check_shape(scene: Scene, labels: Labels) -> Iterator[Finding]:
-    """Check what all other checks rely on: plausible numbers, points, masks of the same length, known references."""
-    yield from _sizes(scene)
+    """Check what all other checks rely on: points, masks of a rendered scene, known references."""
     if not labels.lanes:
         yield Finding("", "expected lanes, got none")
     for id_, count in Counter(lane.id for lane in labels.lanes).items():
@@ -35,14 +31,12 @@ def check_shape(scene: Scene, labels: Labels) -> Iterator[Finding]:
         n = len(lane.xyz_cam)
         if n < 2:
             yield Finding(lane.id, f"expected two points or more, got {n}")
-        for name in MASKS:
-            mask = getattr(lane, name)
-            if mask is None or len(mask) != n:
-                yield Finding(lane.id, f"expected {n} values in {name}, got {'none' if mask is None else len(mask)}")
+        if lane.object_visible is None:
+            yield Finding(lane.id, f"expected {n} values in object_visible, got none")
     yield from _references(labels)
     shares = labels.car_visible_fraction
-    if shares is None or len(shares) != len(scene.cars) or not all(0 <= share <= 1 for share in shares):
-        reason = f"car_visible_fraction: expected {len(scene.cars)} of them in 0..1, got {shown(shares)}"
+    if shares is None or len(shares) != len(scene.cars):
+        reason = f"car_visible_fraction: expected {len(scene.cars)} of them, got {shown(shares)}"
         yield Finding("", reason)
 
 
@@ -68,17 +62,6 @@ def _inside_px(camera: CameraLabel, lane: Lane) -> Float[np.ndarray, " n"]:
     camera."""
     uv = project(camera.img_from_cam, lane.xyz_cam)
     return np.asarray(np.minimum(uv, [camera.width_px, camera.height_px] - uv).min(axis=1))
-
-
-def _sizes(scene: Scene) -> Iterator[Finding]:
-    """Findings about implausible numbers, with which computations could take unlimited time and memory."""
-    for group in ("road", "camera"):
-        for name, value in getattr(scene, group):
-            if name.endswith("_m") and abs(value) > MAX_M:
-                yield Finding("", f"scene.json: {group}.{name}: expected at most {MAX_M:g} m, got {value:g}")
-    cycle_m = scene.markings.dash_cycle_m
-    if cycle_m < MIN_CYCLE_M:
-        yield Finding("", f"scene.json: markings.dash_cycle_m: expected at least {MIN_CYCLE_M:g} m, got {cycle_m:g}")
 
 
 def _references(labels: Labels) -> Iterator[Finding]:

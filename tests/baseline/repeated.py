@@ -1,6 +1,6 @@
 """Make a large data set of a small one, by repeating its samples under new keys; for the loader at full size.
 
-    python -m tests.baseline.repeated DIR/SPLIT OUT N
+python -m tests.baseline.repeated DIR/SPLIT OUT N
 """
 
 import hashlib

@@ -29,13 +29,13 @@ Run = Callable[..., Result]
         ),
         ("sample --index -1", "synth3dlanes sample: Invalid value for '--index'"),
         ("render none.json", "none.json: No such file or directory"),
-        ("render broken.json", "broken.json: Invalid JSON"),
-        ("inspect broken.json", "broken.json: Invalid JSON"),
+        ("render broken.json", "broken.json: expected JSON: "),
+        ("inspect broken.json", "broken.json: expected JSON: "),
         ("inspect file/train:3", "file/train: expected a split of a data set, as DIR/train, got no "),
         ("inspect .", ".: expected a scene.json or a sample, as DIR/train:00000017, got a folder"),
         ("gallery none", "none: expected a data set"),
         ("params check tiny no.yaml", "no.yaml: cannot read: No such file or directory"),
-        ("bench --against broken.json", "broken.json: Invalid JSON"),
+        ("bench --against broken.json", "broken.json: expected JSON: "),
         ("sampel", "synth3dlanes: No such command 'sampel'."),
     ],
 )
@@ -119,11 +119,11 @@ def test_an_edited_description_is_named_by_every_command(run: Run, folder: Path,
         result = run(*command)
         assert result.exit_code == 2, (command, result.output, result.exception)
         assert result.stderr.count("\n") == 1, result.stderr
-        assert "dataset.json: splits.train: Input should be" in result.stderr
+        assert "dataset.json: splits.train: expected an object" in result.stderr
         assert result.stderr.endswith("got 5\n")
     result = run("validate", "d", "--workers", 1)
     assert result.exit_code == 1
-    assert "dataset.json: splits.train: Input should be" in result.stdout
+    assert "dataset.json: splits.train: expected an object" in result.stdout
 
 
 def test_a_missing_package_and_a_crashed_worker_are_one_line(

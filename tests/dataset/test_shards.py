@@ -14,6 +14,7 @@ import pytest
 from synth3dlanes import labels as labels_module
 from synth3dlanes.dataset.columns import SCHEMA
 from synth3dlanes.dataset.folder import claim
+from synth3dlanes.dataset.format import tar_bytes, tar_end
 from synth3dlanes.dataset.read import Reader, find
 from synth3dlanes.dataset.write import Shard, scan
 from synth3dlanes.errors import FormatError, InputError
@@ -113,6 +114,28 @@ def test_a_tar_cut_short_without_index_keeps_its_whole_samples(tmp_path, shard):
     add(shard, 2, 3)
     shard.join(4)
     assert contents(shard) == whole
+
+
+@pytest.mark.parametrize("member", ["png", "scene.json", "labels.json"])
+def test_an_empty_member_of_an_unfinished_tar_is_made_anew_and_one_of_a_finished_tar_is_named(tmp_path, shard, member):
+    whole = contents(shard)
+    samples = [fake_samples.make(fake_samples.recipe(), index).members for index in range(4)]
+    pieces = b"".join(
+        tar_bytes(f"{i:08d}", {**members, member: b""} if i == 2 else members) for i, members in enumerate(samples)
+    )
+    shard.path("tar").write_bytes(pieces + tar_end(len(pieces)))
+    finished = shard.path("parquet").read_bytes()
+    shard.path("parquet").unlink()
+    shard.join(4)
+    assert shard.missing(4) == [2]
+    add(shard, 2)
+    shard.join(4)
+    assert contents(shard) == whole
+    shard.path("tar").write_bytes(pieces + tar_end(len(pieces)) + bytes(10240))
+    shard.path("parquet").write_bytes(finished)
+    add(shard, 4)
+    with pytest.raises(FormatError, match=rf"00000002\.{member}: expected .*; remove this shard's"):
+        shard.join(5)
 
 
 def test_a_finished_tar_cut_short_is_an_error_and_stays_as_it_is(shard):

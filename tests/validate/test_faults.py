@@ -249,9 +249,9 @@ def test_what_does_not_fit_its_scene_or_schema_is_found(dataset, change: Change,
 
 def test_labels_out_of_shape_are_found(dataset):
     spoils = {
-        1: (lambda lane: lane["in_image"].pop(), "values in in_image, got"),
-        2: (lambda lane: lane["xyz_cam"][3].pop(), "labels.json: not a labels file: ValueError"),
-        3: (lambda lane: lane.pop("marking"), "labels.json: not a labels file"),
+        1: (lambda lane: lane["in_image"].pop(), "lanes.0: in_image: expected a value for each of"),
+        2: (lambda lane: lane["xyz_cam"][3].pop(), "labels.json: lanes.0.xyz_cam.3.2: missing"),
+        3: (lambda lane: lane.pop("marking"), "labels.json: lanes.0.marking: missing"),
     }
     reader, tar = Reader(f"{dataset}/train"), dataset / "train/00000.tar"
     places = {name: (offset, size) for name, offset, size in walk(str(tar))[0]}
