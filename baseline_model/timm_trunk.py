@@ -68,6 +68,7 @@ class TimmPathway(nn.Module):
         self.trunk.load_state_dict(loaded.state_dict())
 
 
+@torch.enable_grad()
 def measured_lattices(trunk: nn.Module, height_px: int, width_px: int) -> list[Lattice]:
     """Where the features of each map lie: the centres of what they see of the image, if all weights are equal.
 
