@@ -98,7 +98,7 @@ def report(folder: str, html: Path, n: int, samples: int) -> None:
     Shows samples with lanes that can be switched on and off, the distributions of all parameters, and statistics of
     the labels. The page is a single file that loads nothing else.
     """
-    from synth3dlanes.dataset.splits import evenly_spaced, readers
+    from synth3dlanes.dataset.splits import data_set_name, evenly_spaced, readers, split_name
     from synth3dlanes.figures.page import report_page
     from synth3dlanes.figures.stats import label_statistics, scene_statistics
     from synth3dlanes.sources import params_of, read_scene
@@ -108,8 +108,8 @@ def report(folder: str, html: Path, n: int, samples: int) -> None:
     scenes = scene_statistics((read_scene(reader, i) for reader, i in places), params_of(found[0]))
     labels = label_statistics(reader.labels(i) for reader, i in places)
     shown = [
-        (f"{reader.url}:{reader.key(i)}", reader.image(i), reader.labels(i))
+        (f"{split_name(reader)}:{reader.key(i)}", read_scene(reader, i), reader.labels(i), reader.image(i))
         for reader, i in evenly_spaced(found, samples)
     ]
-    html.write_text(report_page(folder, shown, scenes, labels), encoding="utf-8")
+    html.write_text(report_page(data_set_name(found[0]), shown, scenes, labels), encoding="utf-8")
     click.echo(f"Page: {html}")
