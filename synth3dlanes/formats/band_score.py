@@ -52,8 +52,8 @@ def _matched(true: Sequence[Polyline], predicted: Sequence[Polyline], canvas: Ca
 
 
 def _band(line: Polyline, canvas: Canvas) -> Mask:
-    """The pixels of a line: a natural cubic spline through its points, with round ends. As OpenCV draws it, from pixel to
-    pixel and as many pixels to either side as half the width."""
+    """The pixels of a line: a natural cubic spline through its points, drawn as OpenCV does: between whole pixels, half
+    the width to either side of the middle one, with round ends."""
     points = np.rint(_spline(line) if len(line) > 2 else line)
     image = Image.new("1", (canvas.width_px, canvas.height_px))
     draw, half_px = ImageDraw.Draw(image), canvas.band_px // 2
