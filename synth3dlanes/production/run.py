@@ -1,9 +1,9 @@
 """A run: make what is missing of a plan's samples, on this machine or on a Ray cluster, and report.
 
 What is done is what lies at the destination, so running again continues, with either executor. Bytes depend on the
-recipe and the index alone: whoever makes a sample, and when, makes the same one. SIGINT and SIGTERM let the samples at
-hand finish. `part` i of n takes the shards whose number is i - 1 modulo n, so parts never meet: they may share a folder
-(each shard has its lock) or have their folders copied together.
+recipe and the index alone: whoever makes a sample, and when, makes the same one. SIGINT, SIGTERM and SIGHUP let the
+samples at hand finish. `part` i of n takes the shards whose number is i - 1 modulo n, so parts never meet: they may
+share a folder (each shard has its lock) or have their folders copied together.
 """
 
 from collections.abc import Callable
