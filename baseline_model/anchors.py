@@ -47,7 +47,7 @@ class Targets(NamedTuple):
 
 def anchor_positions_m(config: ModelConfig) -> tuple[float, ...]:
     """x of each anchor: the centres of the last top-view map's columns; for `image_view`, the points where the centres
-    of the last image map's columns meet the road at Y_ref under the fixed pose."""
+    of equal columns of the image meet the road at Y_ref under the fixed pose."""
     grid = config.grid
     if config.variant != "image_view":
         pitch_m = 8 * grid.cell_x_m
@@ -56,7 +56,9 @@ def anchor_positions_m(config: ModelConfig) -> tuple[float, ...]:
     fx, _, cx, _ = config.reference_intrinsics
     pitch_rad = torch.deg2rad(torch.tensor(config.fixed_pitch_deg, dtype=torch.float64))
     depth_m = float(Y_REF_M * torch.cos(pitch_rad) + config.fixed_height_m * torch.sin(pitch_rad))
-    return tuple((16 * (i + 0.5) - cx) / fx * depth_m for i in range(config.image_width_px // 16))
+    n_columns = config.image_width_px // 16
+    n_anchors = config.image_view_anchors or n_columns
+    return tuple((16 * n_columns / n_anchors * (i + 0.5) - cx) / fx * depth_m for i in range(n_anchors))
 
 
 def spread_m(config: ModelConfig) -> tuple[Float[Tensor, " k"], Float[Tensor, " k"]]:

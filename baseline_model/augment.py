@@ -15,10 +15,12 @@ from .projection import road_from_cam, top_from_road
 
 
 class Augmented(NamedTuple):
-    """The changed batch, and how the top-view grid was moved on its plane."""
+    """The changed batch, how the top-view grid was moved on its plane, and standard normal noise for the pose that
+    drives the warp."""
 
     batch: Batch
     top_from_road: Float[Tensor, "b 4 4"]
+    pose_noise: Float[Tensor, "b 2"]
 
 
 def generator_for(seed: int, step: int, rank: int, device: torch.device) -> torch.Generator:
@@ -45,15 +47,8 @@ def augment(batch: Batch, config: Augmentation, generator: torch.Generator) -> A
     gain, offset, strength = (v[:, None, None, None] for v in (gain, offset, uniform(config.noise)))
     image = torch.addcmul(offset + (1 - gain) / 2, batch.image, gain).addcmul_(noise, strength).clamp_(0, 1)
     moved = top_from_road(uniform(math.radians(config.top_yaw_deg)), uniform(config.top_shift_m))
-    return Augmented(batch._replace(image=image), moved)
-
-
-def noisy(
-    pose: Float[Tensor, "b 2"], pitch_deg: float, height_m: float, generator: torch.Generator
-) -> Float[Tensor, "b 2"]:
-    """The pose with Gaussian noise, like the output of a pose branch with the paper's accuracy."""
-    sd = torch.tensor([math.radians(pitch_deg), height_m], device=pose.device)
-    return pose + sd * torch.randn(pose.shape, generator=generator, device=pose.device)
+    pose_noise = torch.randn((n, 2), generator=generator, device=device)
+    return Augmented(batch._replace(image=image), moved, pose_noise)
 
 
 def flip(batch: Batch, chosen: Bool[Tensor, " b"]) -> Batch:

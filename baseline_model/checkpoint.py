@@ -3,6 +3,7 @@
 `config` is the run's TrainConfig as JSON, so the network can be rebuilt from a checkpoint alone.
 """
 
+import json
 import os
 import pickle
 from dataclasses import dataclass
@@ -10,15 +11,19 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from synth3dlanes.errors import FormatError
+from synth3dlanes.errors import FormatError, InputError
 
-from .config import TrainConfig, parse
+from .config import CustomModel, TrainConfig, changed, parse
+from .inference import Detector
 from .model import LaneNet
+from .task import network_of
 
 FORMAT = "synth3dlanes.baseline"
 VERSION = 1
+SHIPPED = Path(__file__).parent / "weights" / "nano.pt"
+"""Weights in the package; docs/baseline.md has the commands that made them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,18 +58,52 @@ def load(path: Path) -> Checkpoint:
     """Load a checkpoint without executing code from it; raise FormatError if it is not a baseline checkpoint."""
     try:
         document = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError:
+        raise FormatError(f"{path}: expected a baseline checkpoint, got no such file") from None
     except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise FormatError(f"{path}: expected a baseline checkpoint, got {reason:.100}") from None
     found = (document.get("format"), document.get("version")) if isinstance(document, dict) else type(document)
     if found != (FORMAT, VERSION):
         raise FormatError(f"{path}: expected {FORMAT} version {VERSION}, got {found}")
-    config = parse(TrainConfig, document["config"], f"{path}: config")
+    settings = json.loads(document["config"])
+    settings.pop("storage", None)  # of 0.1.0: how decoded images were kept
+    config = parse(TrainConfig, settings, f"{path}: config")
     return Checkpoint(config, document["about"], document["model"], document["resume"])
 
 
-def build(checkpoint: Checkpoint, device: torch.device) -> LaneNet:
-    """The network of a checkpoint, in evaluation mode."""
-    model = LaneNet(checkpoint.config.model)
-    model.load_state_dict(checkpoint.model)
-    return model.to(device, memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
+def place(source: str | Path) -> Path:
+    """The file of a checkpoint, given by its path or by the name of weights that the package brings (`nano`)."""
+    return SHIPPED if str(source) == SHIPPED.stem else Path(source)
+
+
+def fine_tuning(source: str, overrides: dict[str, Any]) -> TrainConfig:
+    """The settings that a checkpoint was trained with, changed by dotted keys, to start again from its weights."""
+    return changed(load(place(source)).config, {"pretrained": None, "max_images": None, **overrides, "init": source})
+
+
+def build(checkpoint: Checkpoint, device: torch.device, own_model: str | None = None) -> nn.Module:
+    """The network of a checkpoint, in evaluation mode. A user's network is code: it is loaded only if `own_model` names
+    it as training did."""
+    model = checkpoint.config.model
+    if isinstance(model, CustomModel) and own_model != model.build:
+        raise InputError(f"model: expected {model.build}, whose network the checkpoint holds, got {own_model}")
+    network = network_of(model)
+    network.load_state_dict(checkpoint.model)
+    moved: nn.Module = network.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+    return moved.eval()
+
+
+def build_lane_net(checkpoint: Checkpoint, device: torch.device) -> LaneNet:
+    """The network of a checkpoint that holds one of ours; raise InputError for a user's."""
+    network = None if isinstance(checkpoint.config.model, CustomModel) else build(checkpoint, device)
+    if not isinstance(network, LaneNet):
+        raise InputError("checkpoint: expected a named model (docs/baseline.md), got a network of your own")
+    return network
+
+
+def detector(source: str | Path, device: torch.device, own_model: str | None = None) -> Detector:
+    """The network of a checkpoint, given as for `place`, ready to detect lanes."""
+    checkpoint = load(place(source))
+    model = checkpoint.config.model
+    return Detector(build(checkpoint, device, own_model), (model.image_height_px, model.image_width_px))

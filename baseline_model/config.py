@@ -4,9 +4,12 @@ import json
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
+from pydantic_core import ErrorDetails
 
 from synth3dlanes.errors import InputError
+
+from .curves import HALF_WIDTH_M
 
 Variant = Literal["full", "image_view", "top_view", "early_ipm", "late_ipm"]
 PoseTarget = Literal["plane", "horizon", "fixed"]
@@ -16,6 +19,8 @@ Count = Annotated[int, Field(ge=1)]
 
 PAPER_KNOTS_M = (5.0, 20.0, 40.0, 60.0, 80.0, 100.0)
 TEN_KNOTS_M = (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0)
+FIRST_KNOT_M, LAST_KNOT_M = 5.0, 110.0
+"""Nearer road is below the image; labels end at 110 m."""
 
 
 class Strict(BaseModel):
@@ -56,6 +61,8 @@ class ModelConfig(Strict):
     image_width_px: Count = 480
     reference_intrinsics: tuple[float, float, float, float] = (415.7, 415.7, 240.0, 180.0)
     """fx, fy, cx, cy of the training images; only the anchors of `image_view` depend on them."""
+    image_view_anchors: Count | None = None
+    """Anchors of `image_view`, evenly over the image's columns. None: one per column of the last map (paper: 30)."""
     types: tuple[LaneType, ...] = ("c1", "c2", "d")
     has_elevation: bool = True
     knots_y_m: tuple[float, ...] = PAPER_KNOTS_M
@@ -66,6 +73,7 @@ class ModelConfig(Strict):
     grid_gradient: bool = False
     """Whether the lane loss is backpropagated to the pose through the sampling grid; the paper supervises the pose."""
     batch_norm: bool = True
+    """Batch norm after every convolution but the head's last two. The paper does not mention any; `paper` has it."""
     has_visibility: bool = False
     """Our addition: a logit per knot for its visibility."""
     plane_heights_m: tuple[float, ...] = (0.0,)
@@ -73,9 +81,58 @@ class ModelConfig(Strict):
     """Our additions: maps sampled on several planes, and top-view lane masks as a second task. Neither improved the
     results (docs/baseline.md)."""
 
+    @model_validator(mode="after")
+    def _fits(self) -> "ModelConfig":
+        grid, knots = self.grid, self.knots_y_m
+        width_m = grid.columns * grid.cell_x_m
+        if grid.columns % 8 or abs(width_m - 2 * HALF_WIDTH_M) > 1e-6:
+            raise ValueError(
+                f"grid: expected a multiple of 8 columns, together {2 * HALF_WIDTH_M:g} m wide as the metric's region, "
+                f"got {grid.columns} columns of {grid.cell_x_m:g} m"
+            )
+        if grid.rows < 8:
+            raise ValueError(f"grid.rows: expected at least 8, which three pools reduce to 1, got {grid.rows}")
+        if min(self.image_height_px, self.image_width_px) < 16:
+            size = f"{self.image_width_px} x {self.image_height_px}"
+            raise ValueError(f"image: expected at least 16 x 16 px, one cell of the last map, got {size}")
+        if len(knots) < 2 or list(knots) != sorted(set(knots)) or knots[0] < FIRST_KNOT_M or knots[-1] > LAST_KNOT_M:
+            raise ValueError(
+                f"knots_y_m: expected two or more increasing distances from {FIRST_KNOT_M:g} to {LAST_KNOT_M:g} m, "
+                f"got {list(knots)}"
+            )
+        if not self.types or len(set(self.types)) < len(self.types):
+            raise ValueError(f"types: expected at least one, each once, got {list(self.types)}")
+        if not self.plane_heights_m:
+            raise ValueError("plane_heights_m: expected at least one height, got none")
+        return self
+
     def planes_m(self, level: int) -> tuple[float, ...]:
         """Plane heights at which a map is sampled. The first map, by far the largest, uses the road plane only."""
         return self.plane_heights_m if level else (0.0,)
+
+
+class CustomModel(Strict):
+    """A user's network: what `build` (`module:function`) returns for these arguments, on images of this size."""
+
+    build: Annotated[str, Field(pattern=r"^[\w.]+:\w+$")]
+    arguments: dict[str, Any] = {}
+    image_height_px: Count = 360
+    image_width_px: Count = 480
+
+    @property
+    def pose_target(self) -> PoseTarget:
+        """The pose that batches carry."""
+        return "plane"
+
+
+def _which_model(value: Any) -> str:
+    is_custom = isinstance(value, CustomModel) or (isinstance(value, dict) and "build" in value)
+    return "custom" if is_custom else "network"
+
+
+AnyModel = Annotated[
+    Annotated[ModelConfig, Tag("network")] | Annotated[CustomModel, Tag("custom")], Discriminator(_which_model)
+]
 
 
 class Augmentation(Strict):
@@ -100,7 +157,7 @@ class LossConfig(Strict):
     detection: float = 1.0
     geometry: float = 1.0
     pose: float = 1.0
-    knot_sigma_m: tuple[float, ...] | None = None
+    knot_sigma_m: tuple[Positive, ...] | None = None
     """Divisor of each knot's error (our addition; favours near points). None: the paper's L1 in metres."""
     supervise_occluded: bool = False
     visibility: float = 0.2
@@ -113,7 +170,7 @@ class LossConfig(Strict):
 class TrainConfig(Strict):
     """One run. `steps` counts optimiser steps over all GPUs; `batch` is the batch of all GPUs together."""
 
-    model: ModelConfig
+    model: AnyModel
     loss: LossConfig = LossConfig()
     augmentation: Augmentation = Augmentation()
     seed: int = 0
@@ -145,8 +202,27 @@ class TrainConfig(Strict):
     """`auto`: bfloat16 on GPUs and on CPUs with AVX512-BF16, else float32. Pose, warp, head output and loss are always
     in float32."""
     compile: bool = True
-    storage: Literal["auto", "rgb", "yuv420"] = "auto"
     pretrained: str | None = None
+    init: str | None = None
+    """A checkpoint whose weights training starts from, or `nano` for the ones in the package."""
+    workers: Annotated[int, Field(ge=0)] | None = None
+    """Processes that decode images for each training process; None: all cores that training leaves."""
+    keep_decoded: bool | None = None
+    """Whether decoded images are kept in memory; None: if they take less than half of what is free."""
+
+    @model_validator(mode="after")
+    def _fits(self) -> "TrainConfig":
+        if isinstance(self.model, CustomModel):
+            return self
+        sigmas, knots = self.loss.knot_sigma_m, self.model.knots_y_m
+        if sigmas is not None and len(sigmas) != len(knots):
+            raise ValueError(
+                f"loss.knot_sigma_m: expected {len(knots)} lengths, one for each of model.knots_y_m, got {len(sigmas)}"
+            )
+        moved = {name: getattr(self.augmentation, name) for name in ("top_shift_m", "top_yaw_deg")}
+        if self.model.variant == "image_view" and any(moved.values()):
+            raise ValueError(f"augmentation: expected no moves of the top view, which image_view lacks, got {moved}")
+        return self
 
 
 PAPER = ModelConfig(
@@ -198,6 +274,7 @@ TINY = NANO.model_copy(
         "image_height_px": 120,
         "image_width_px": 160,
         "reference_intrinsics": (138.6, 138.6, 80.0, 60.0),
+        "image_view_anchors": 30,
         "grid": Grid(rows=104, cell_y_m=0.768),
     }
 )
@@ -257,6 +334,8 @@ satisfying results"); `improved` has our changes."""
 
 def train_config(model: str, overrides: dict[str, Any] | None = None, ablation: str = "full") -> TrainConfig:
     """The named model's default configuration, with overrides by dotted keys: {"model.grid.rows": 104, "batch": 8}."""
+    if ":" in model:
+        return _custom_config(model, overrides or {}, ablation)
     for what, name, known in (("model", model, MODELS), ("ablation", ablation, ABLATIONS)):
         if name not in known:
             raise InputError(f"{what}: expected one of {', '.join(known)}, got {name!r}")
@@ -268,13 +347,37 @@ def train_config(model: str, overrides: dict[str, Any] | None = None, ablation: 
     return parse(TrainConfig, document, "train")
 
 
+def _custom_config(build: str, overrides: dict[str, Any], ablation: str) -> TrainConfig:
+    if ablation != "full":
+        raise InputError(f"ablation: expected full for a network of your own, got {ablation!r}")
+    document: dict[str, Any] = {"model": {"build": build}}
+    for key, value in overrides.items():
+        _set(document, key.split("."), value)
+    return parse(TrainConfig, document, "train")
+
+
+def changed(config: TrainConfig, overrides: dict[str, Any]) -> TrainConfig:
+    """The configuration with overrides by dotted keys."""
+    document = config.model_dump()
+    for key, value in overrides.items():
+        _set(document, key.split("."), value)
+    return parse(TrainConfig, document, "train")
+
+
 def parse(kind: type[Config], document: dict[str, Any] | str, where: str) -> Config:
     """Validate a document; raise one InputError with all problems."""
     try:
         return kind.model_validate_json(document) if isinstance(document, str) else kind.model_validate(document)
     except ValidationError as error:
-        lines = [f"{where}.{'.'.join(map(str, p['loc']))}: {p['msg']}, got {p['input']!r:.60}" for p in error.errors()]
-        raise InputError(*lines) from None
+        raise InputError(*(_line(problem, where) for problem in error.errors())) from None
+
+
+def _line(problem: ErrorDetails, where: str) -> str:
+    # pydantic names the kind of model that it took, which is no key of the document.
+    place = ".".join(map(str, (where, *(part for part in problem["loc"] if part not in ("network", "custom")))))
+    if problem["type"] == "value_error":  # from `_fits`: names the setting itself
+        return f"{place}.{problem['ctx']['error']}"
+    return f"{place}: {problem['msg']}, got {problem['input']!r:.60}"
 
 
 def _defaults(model: str, *, is_improved: bool) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from synth3dlanes.frames import transform
 from synth3dlanes.labels import Labels, LaneKind
 
-from .poses import Pose, horizon_pose
+from .poses import Pose
 
 Y_REF_M = 20.0
 HALF_WIDTH_M = 10.24
@@ -66,7 +66,7 @@ def road_curves(labels: Labels, *, in_image_only: bool = False) -> tuple[Curve, 
 
 def resample(curve: Curve, y_m: Float[np.ndarray, " y"]) -> Resampled:
     """Interpolate linearly between the label's samples, which are 1 m apart; the error is below 2 mm. A point is
-    visible if both neighbouring samples are."""
+    visible if both neighbouring samples are. `anchors.sample_curves` does this for tensors; tests compare the two."""
     y_curve_m = curve.xyz_road[:, 1]
     after = np.clip(np.searchsorted(y_curve_m, y_m), 1, len(y_curve_m) - 1)
     in_range = (y_m >= y_curve_m[0]) & (y_m <= y_curve_m[-1])
@@ -79,22 +79,20 @@ def resample(curve: Curve, y_m: Float[np.ndarray, " y"]) -> Resampled:
 
 
 def is_usable(curve: Curve) -> bool:
-    """Whether training and metric count the lane: it crosses Y_ref inside the top view (paper, section 3.4), and at
-    least two of the three NEAR_KNOTS_M are visible (our condition)."""
+    """Whether the metric counts the lane: it crosses Y_ref inside the top view (paper, section 3.4), and at least two
+    of the three NEAR_KNOTS_M are visible (our condition). `anchors.encode` decides this for tensors, in the moved top
+    view of training; tests compare the two."""
     at = resample(curve, np.array([Y_REF_M, *NEAR_KNOTS_M]))
     return bool(at.in_range[0] and abs(at.x_m[0]) <= HALF_WIDTH_M and at.visible[1:].sum() >= 2)
 
 
-def target_pose(labels: Labels, curves: tuple[Curve, ...], mode: str) -> Pose:
-    """The pose that a network learns: over the tangent plane (`plane`) or over the plane through the host lane's
-    farthest visible point (`horizon`). `fixed` gives the tangent plane too, which the network does not learn."""
-    plane = plane_pose(labels)
-    centerlines = [curve for curve in curves if curve.kind == "centerline" and curve.visible.any()]
-    if mode != "horizon" or not centerlines:
-        return plane
-    host = min(centerlines, key=lambda curve: abs(curve.xyz_road[np.argmin(np.abs(curve.xyz_road[:, 1] - 5.0)), 0]))
-    farthest_road = host.xyz_road[np.flatnonzero(host.visible)[-1]]
-    return horizon_pose(plane, farthest_road) if farthest_road[1] > Y_REF_M else plane
+def target_pose(labels: Labels, mode: str) -> Pose:
+    """The pose that a network learns: over the tangent plane (`plane`) or over the labels' `horizon` plane. Labels
+    without one (no point of the host's lane is visible, or another data set's) give the tangent plane. `fixed` gives
+    the tangent plane too, which the network does not learn."""
+    if mode == "horizon" and labels.horizon is not None:
+        return Pose(labels.horizon.pitch_rad, labels.horizon.height_m)
+    return plane_pose(labels)
 
 
 def _forward_part(y_m: Float[np.ndarray, " n"]) -> slice:

@@ -2,20 +2,26 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from itertools import islice
+from typing import TypeVar, cast
 
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
-from torch import Tensor
+from torch import Tensor, nn
 
 from synth3dlanes.errors import InputError
+from synth3dlanes.labels import Labels
 
-from .data import Samples, intrinsics_of, resize
+from .custom import LaneDetector
+from .data import Intrinsics, Pixels, Samples, pixels_on, resize, scale, size_of
 from .lanes import AnchorLayout, Prediction, decode
+from .loading import labelled_batches
 from .model import LaneNet, Output
 from .poses import Pose
 
-Intrinsics = tuple[float, float, float, float]
+T = TypeVar("T")
 
 
 def choose_device(name: str) -> torch.device:
@@ -51,9 +57,11 @@ def predictions_of(keys: Sequence[str], output: Output, layout: AnchorLayout) ->
     """Decode a batch."""
     x_m, z_m, poses = (value.double().cpu().numpy() for value in (output.x_m, output.z_m, output.pose))
     scores = output.logit.double().sigmoid().cpu().numpy()
+    logit = output.visible_logit
+    seen = [None] * len(keys) if logit is None else logit.double().sigmoid().cpu().numpy()
     for i, key in enumerate(keys):
         pose = Pose(float(poses[i, 0]), float(poses[i, 1]))
-        yield Prediction(key, decode(x_m[i], z_m[i], scores[i], pose, layout), pose)
+        yield Prediction(key, decode(x_m[i], z_m[i], scores[i], pose, layout, seen[i]), pose)
 
 
 @torch.inference_mode()
@@ -64,31 +72,47 @@ def run(model: LaneNet, images: Float[Tensor, "b 3 h w"], intrinsics: Float[Tens
     return output
 
 
-def predict_images(
-    model: LaneNet, images: Iterable[tuple[str, UInt8[np.ndarray, "h w 3"], Intrinsics]], batch: int = 16
-) -> Iterator[Prediction]:
-    """Detect lanes in images of any size with known intrinsics (fx, fy, cx, cy in pixels)."""
-    size_px = (model.config.image_height_px, model.config.image_width_px)
-    device, layout = model.anchors_m.device, layout_of(model)
-    waiting: list[tuple[str, UInt8[np.ndarray, "h w 3"], Intrinsics]] = []
+@dataclass(frozen=True, eq=False)
+class Detector:
+    """A trained network, ours or a user's, and the (height, width) of the images that it takes."""
 
-    def flush() -> Iterator[Prediction]:
-        if waiting:
-            pixels = torch.from_numpy(np.stack([image for _, image, _ in waiting])).to(device)
-            rgb = pixels.permute(0, 3, 1, 2).float().div(255).contiguous(memory_format=torch.channels_last)
-            intrinsics = torch.tensor([values for _, _, values in waiting], device=device)
-            yield from predictions_of([key for key, _, _ in waiting], run(model, rgb, intrinsics), layout)
-            waiting.clear()
+    network: nn.Module
+    size_px: tuple[int, int]
 
-    for key, image, intrinsics in images:
-        small, scaled = resize(image, intrinsics, size_px)
-        waiting.append((key, small, scaled))
-        if len(waiting) == batch:
-            yield from flush()
-    yield from flush()
+    @property
+    def device(self) -> torch.device:
+        """Where the network is."""
+        return next(self.network.parameters()).device
+
+    @torch.inference_mode()
+    def in_batch(
+        self, keys: Sequence[str], image: UInt8[Tensor, "b 3 h w"], intrinsics: Float[Tensor, "b 4"]
+    ) -> list[Prediction]:
+        """The lanes of images of the network's size."""
+        pixels, intrinsics = pixels_on(self.device, image), intrinsics.to(self.device)
+        if isinstance(self.network, LaneNet):
+            return list(predictions_of(keys, run(self.network, pixels, intrinsics), layout_of(self.network)))
+        found = cast(LaneDetector, self.network).detect(pixels, intrinsics)
+        return [Prediction(key, tuple(lanes), None) for key, lanes in zip(keys, found, strict=True)]
+
+    def in_images(self, images: Iterable[tuple[str, Pixels, Intrinsics]], batch: int = 16) -> Iterator[Prediction]:
+        """The lanes of images of any size with known intrinsics (fx, fy, cx, cy in pixels of each)."""
+        for several in _batched(images, batch):
+            keys = [key for key, _, _ in several]
+            pixels = np.stack([resize(image, self.size_px) for _, image, _ in several])
+            intrinsics = [scale(values, size_of(image), self.size_px) for _, image, values in several]
+            yield from self.in_batch(keys, torch.from_numpy(pixels).permute(0, 3, 1, 2), torch.tensor(intrinsics))
+
+    def in_samples(
+        self, samples: Samples, batch: int = 16, workers: int | None = None
+    ) -> Iterator[tuple[Labels, Prediction]]:
+        """The lanes of labelled images beside the labels, of which only the intrinsics are used. Worker processes
+        decode; None: as many as there are cores to spare."""
+        for several in labelled_batches(samples, self.size_px, batch, workers, self.device):
+            yield from zip(several.labels, self.in_batch(several.keys, several.image, several.intrinsics), strict=True)
 
 
-def predict_samples(model: LaneNet, samples: Samples, batch: int = 16) -> Iterator[Prediction]:
-    """Detect lanes in labelled images; only the intrinsics of the labels are used."""
-    chosen = (samples[index] for index in range(len(samples)))
-    return predict_images(model, ((s.key, np.array(s.image), intrinsics_of(s.labels)) for s in chosen), batch)
+def _batched(items: Iterable[T], n: int) -> Iterator[list[T]]:
+    rest = iter(items)
+    while chunk := list(islice(rest, n)):
+        yield chunk

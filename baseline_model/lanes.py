@@ -26,11 +26,13 @@ MIN_SCORE = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """One detected lane, near to far."""
+    """One detected lane, near to far. `visibility` is the probability that the ground does not hide a point; None if it
+    is not estimated."""
 
     kind: LaneKind
     score: float
     xyz_cam: Float[np.ndarray, "n 3"]
+    visibility: Float[np.ndarray, " n"] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +67,10 @@ def decode(
     scores: Float[np.ndarray, "t a"],
     pose: Pose,
     layout: "AnchorLayout",
+    visibility: Float[np.ndarray, "t a k"] | None = None,
 ) -> tuple[Detection, ...]:
-    """Decode the anchors' output, in the road frame of `pose`, as lanes in camera coordinates."""
+    """Decode the anchors' output, in the road frame of `pose`, as lanes in camera coordinates. Between the knots,
+    `visibility` is linear; no point is dropped because it is predicted to be hidden."""
     types, anchors = np.nonzero(keep_local_maxima(scores) & (scores >= MIN_SCORE))
     knots_xz = np.stack([x_m[types, anchors] + layout.anchors_m[anchors, None], z_m[types, anchors]], axis=-1)
     dense_xz = interpolate(layout.knots_y_m, np.moveaxis(knots_xz, 0, 1), DENSE_Y_M, layout.spline)
@@ -75,7 +79,8 @@ def decode(
         xyz_road = np.stack([dense_xz[:, i, 0], DENSE_Y_M, dense_xz[:, i, 1]], axis=-1)
         kind: LaneKind = "delimiter" if layout.types[lane_type] == "d" else "centerline"
         xyz_cam = transform(cam_from_road(pose), xyz_road)
-        lanes.append(Detection(kind, float(scores[lane_type, anchor]), xyz_cam))
+        seen = None if visibility is None else np.interp(DENSE_Y_M, layout.knots_y_m, visibility[lane_type, anchor])
+        lanes.append(Detection(kind, float(scores[lane_type, anchor]), xyz_cam, seen))
     return tuple(lanes)
 
 
@@ -91,13 +96,7 @@ class AnchorLayout:
 
 def to_line(prediction: Prediction) -> str:
     """A prediction as one JSON line; points are rounded to a millimetre."""
-    document: dict[str, Any] = {
-        "key": prediction.key,
-        "lanes": [
-            {"kind": lane.kind, "score": round(lane.score, 6), "xyz_cam": (np.round(lane.xyz_cam, 3) + 0.0).tolist()}
-            for lane in prediction.lanes
-        ],
-    }
+    document: dict[str, Any] = {"key": prediction.key, "lanes": [_lane_document(lane) for lane in prediction.lanes]}
     if prediction.pose is not None:
         document["pose"] = {
             "pitch_rad": round(float(prediction.pose.pitch_rad), 8),
@@ -116,11 +115,20 @@ def write_predictions(path: Path, predictions: Iterable[Prediction]) -> None:
 
 
 def read_predictions(path: Path) -> Iterator[Prediction]:
-    """Read predictions of any detector: `key`, `lanes[]` {`kind`, `score`, `xyz_cam`}, and optionally `pose`."""
+    """Read predictions of any detector: `key`, `lanes[]` {`kind`, `score`, `xyz_cam`, optionally `visibility`}, and
+    optionally `pose`."""
     with path.open(encoding="utf-8") as file:
         for number, line in enumerate(file, start=1):
             if line.strip():
                 yield _prediction(line, f"{path}:{number}")
+
+
+def _lane_document(lane: Detection) -> dict[str, Any]:
+    xyz_cam = (np.round(lane.xyz_cam, 3) + 0.0).tolist()
+    document: dict[str, Any] = {"kind": lane.kind, "score": round(lane.score, 6), "xyz_cam": xyz_cam}
+    if lane.visibility is not None:
+        document["visibility"] = np.round(lane.visibility, 3).tolist()
+    return document
 
 
 def _prediction(line: str, where: str) -> Prediction:
@@ -149,4 +157,13 @@ def _detection(document: dict[str, Any], where: str) -> Detection:
         raise FormatError(f"{where}.xyz_cam: expected at least two [x, y, z], got shape {xyz_cam.shape}")
     if not (np.isfinite(score) and np.isfinite(xyz_cam).all()):
         raise FormatError(f"{where}: expected finite numbers, got NaN or infinity")
-    return Detection(document["kind"], score, xyz_cam)
+    return Detection(document["kind"], score, xyz_cam, _visibility(document, len(xyz_cam), where))
+
+
+def _visibility(document: dict[str, Any], n_points: int, where: str) -> Float[np.ndarray, " n"] | None:
+    if document.get("visibility") is None:
+        return None
+    values = np.array(document["visibility"], dtype=float)
+    if values.shape != (n_points,) or not ((values >= 0) & (values <= 1)).all():
+        raise FormatError(f"{where}.visibility: expected {n_points} probabilities, one per point")
+    return values

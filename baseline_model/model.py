@@ -195,7 +195,8 @@ class LaneNet(nn.Module):
     ) -> tuple[Float[Tensor, "b c rows columns"], Float[Tensor, "b 2 r2 c2"] | None]:
         """The input of the head, and the mask logits of the map pooled once, if configured."""
         if self.config.variant == "image_view":
-            return maps[3], None
+            size = (maps[3].shape[2], len(self.anchors_m))
+            return functional.interpolate(maps[3], size, mode="bilinear"), None
         lattices = self.image.lattices if self.image is not None else []
         projected = {
             level: projection(maps[int(level)], cam_from_top, intrinsics, lattices[int(level)])

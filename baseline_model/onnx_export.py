@@ -10,27 +10,42 @@ from torch import Tensor, nn
 from synth3dlanes.errors import MissingPackageError
 
 from . import checkpoint as checkpoints
+from .config import ModelConfig
 from .model import LaneNet, Output
 
 OPSET = 18
 INPUTS = ("image", "intrinsics")
-OUTPUTS = ("x_m", "z_m", "score", "pose")
+OUTPUTS = ("x_m", "z_m", "score", "pose", "visibility")
+"""`visibility` only for networks that predict it. `onnx_decode.py` makes lanes from them."""
 
 
 class _Plain(nn.Module):
-    """The network with confidences instead of logits and without optional outputs; x is in the road frame, not relative
-    to the anchor."""
+    """The network with the outputs that are exported."""
 
     def __init__(self, model: LaneNet) -> None:
         super().__init__()
         self.model = model
 
-    def forward(
-        self, image: Float[Tensor, "b 3 h w"], intrinsics: Float[Tensor, "b 4"]
-    ) -> tuple[Float[Tensor, "b t a k"], Float[Tensor, "b t a k"], Float[Tensor, "b t a"], Float[Tensor, "b 2"]]:
-        output: Output = self.model(image, intrinsics)
-        x_m = output.x_m + self.model.anchors_m[:, None]
-        return x_m, output.z_m, output.logit.sigmoid(), output.pose
+    def forward(self, image: Float[Tensor, "b 3 h w"], intrinsics: Float[Tensor, "b 4"]) -> tuple[Tensor, ...]:
+        """The tensors named in OUTPUTS."""
+        return plain(self.model, self.model(image, intrinsics))
+
+
+def plain(model: LaneNet, output: Output) -> tuple[Tensor, ...]:
+    """The tensors named in OUTPUTS: probabilities instead of logits, and x in the road frame, not relative to the
+    anchor."""
+    x_m = output.x_m + model.anchors_m[:, None]
+    values = (x_m, output.z_m, output.logit.sigmoid(), output.pose)
+    return values if output.visible_logit is None else (*values, output.visible_logit.sigmoid())
+
+
+def metadata_of(config: ModelConfig) -> dict[str, str]:
+    """What a decoder of the outputs needs to know."""
+    return {
+        "config": config.model_dump_json(),
+        "types": ",".join(config.types),
+        "knots_y_m": str(list(config.knots_y_m)),
+    }
 
 
 def export_onnx(checkpoint: str | Path, path: str | Path) -> Path:
@@ -39,8 +54,8 @@ def export_onnx(checkpoint: str | Path, path: str | Path) -> Path:
         import onnx  # type: ignore[import-not-found,import-untyped,unused-ignore]
     except ImportError:
         raise MissingPackageError("onnx and onnxscript are not installed: pip install onnx onnxscript") from None
-    loaded = checkpoints.load(Path(checkpoint))
-    model = checkpoints.build(loaded, torch.device("cpu"))
+    loaded = checkpoints.load(checkpoints.place(checkpoint))
+    model = checkpoints.build_lane_net(loaded, torch.device("cpu"))
     config = model.config
     # A batch of two: the exporter would treat a size of one as constant.
     image = torch.zeros(2, 3, config.image_height_px, config.image_width_px)
@@ -52,16 +67,13 @@ def export_onnx(checkpoint: str | Path, path: str | Path) -> Path:
         _Plain(model).eval(),
         (image, intrinsics),
         input_names=INPUTS,
-        output_names=OUTPUTS,
+        output_names=OUTPUTS if config.has_visibility else OUTPUTS[:-1],
         opset_version=OPSET,
         dynamo=True,
         dynamic_shapes={"image": {0: batch}, "intrinsics": {0: batch}},
         verbose=False,
     )
     proto = program.model_proto
-    onnx.helper.set_model_props(
-        proto,
-        {"config": config.model_dump_json(), "types": ",".join(config.types), "knots_y_m": str(list(config.knots_y_m))},
-    )
+    onnx.helper.set_model_props(proto, metadata_of(config))
     onnx.save(proto, target)
     return target

@@ -9,7 +9,6 @@ import torch
 from torch import nn
 
 from .config import TrainConfig
-from .model import LaneNet
 
 EMA_START = 10
 """The decay starts at (1 + step) / (10 + step), so that early weights are soon forgotten."""
@@ -68,10 +67,11 @@ def optimizer_for(model: nn.Module, config: TrainConfig, device: torch.device) -
 
 
 class RunningAverage:
-    """Exponential average of weights and batch-norm statistics; evaluation and `best.pt` use it."""
+    """Exponential average of weights and batch-norm statistics; evaluation and `best.pt` use it. torch's AveragedModel
+    counts the updates itself, so a checkpoint would have to hold that count beside the step."""
 
-    def __init__(self, model: LaneNet, decay: float) -> None:
-        self.model: LaneNet = copy.deepcopy(model)
+    def __init__(self, model: nn.Module, decay: float) -> None:
+        self.model = copy.deepcopy(model)
         self.model.eval().requires_grad_(False)
         self.decay = decay
 

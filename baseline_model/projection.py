@@ -17,7 +17,7 @@ OUTSIDE = -4.0
 
 
 def road_from_cam(pose: Float[Tensor, "b 2"]) -> Float[Tensor, "b 4 4"]:
-    """The labels' `road_from_cam` from (pitch_rad, height_m): rotate by pitch about x, then move up by the height."""
+    """`poses.road_from_cam` of a batch, differentiable: rotate by pitch about x, then move up by the height."""
     pitch, height = pose.unbind(-1)
     cos, sin, zero, one = pitch.cos(), pitch.sin(), torch.zeros_like(pitch), torch.ones_like(pitch)
     rows = [one, zero, zero, zero, zero, cos, sin, zero, zero, -sin, cos, height, zero, zero, zero, one]

@@ -50,7 +50,7 @@ def summary_line(report: Report) -> str:
     for name, kind in report.kinds.items():
         errors = kind.at_threshold
         near, far = _cm(errors.near_1sigma_cm), _cm(errors.far_1sigma_cm)
-        parts.append(f"{name} AP {kind.ap:.3f} near {near} far {far} cm")
+        parts.append(f"{name} AP {kind.ap:.3f} {_why_no_errors(errors) or f'near {near} far {far} cm'}")
     pose = f"pose {report.pitch_median_deg:.2f} deg {report.height_median_cm:.1f} cm"
     return "; ".join([*parts, pose])
 
@@ -72,6 +72,8 @@ def to_text(report: Report) -> str:
         lines.append(
             f"{name:14}{kind.ap:7.3f}{f'{low:.3f}..{high:.3f}':>17}{cells}{errors.recall:8.3f}{errors.precision:10.3f}"
         )
+        if why := _why_no_errors(errors):
+            lines.append(f"  no errors: {why}")
         ap, *paper = papers[name]
         lines.append(f"{'  paper':14}{ap:7.3f}{'':>17}" + "".join(f"{_cm(value):>9}" for value in paper))
     lines.append(
@@ -197,6 +199,15 @@ def _appendix(name: str, kind: KindReport) -> list[str]:
         f"bias {_cm(at.bias_dx_cm)}, {_cm(at.bias_dz_cm)}"
     )
     return lines
+
+
+def _why_no_errors(errors: Errors) -> str | None:
+    """In words, if there are no errors because no lane was detected or matched."""
+    if math.isnan(errors.precision):
+        return f"no lane that counts reaches confidence {errors.threshold:g}"
+    if errors.precision == 0:
+        return f"no lane that reaches confidence {errors.threshold:g} matches a label"
+    return None
 
 
 def _four(errors: Errors) -> tuple[float, float, float, float]:

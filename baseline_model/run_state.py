@@ -8,31 +8,26 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import nn
 
 from synth3dlanes.errors import InputError
 
 from . import checkpoint as checkpoints
 from .config import TrainConfig
-from .data import ResidentData
 from .inference import choose_device
+from .loading import Process
 from .model import LaneNet
 from .optim import RunningAverage, Schedule, optimizer_for
 from .pretrained import load_vgg16
+from .task import network_of
 
-MEMORY_SHARE = 0.5
-"""Data are moved to the GPU if they take less than this share of its free memory."""
+CHANGEABLE = frozenset(
+    ("device", "epochs", "batch", "validate_every_epochs", "precision", "compile", "workers", "keep_decoded")
+)
+"""Settings that may differ when a run is resumed; a longer `epochs` extends a finished one."""
 
 M_MMAP_MAX, M_TRIM_THRESHOLD = -4, -1
 """Constants from malloc.h."""
-
-
-@dataclass(frozen=True)
-class Process:
-    """This process among those started by torchrun; rank 0 of 1 without torchrun."""
-
-    rank: int
-    world: int
-    device: torch.device
 
 
 @dataclass(eq=False)
@@ -41,7 +36,7 @@ class Run:
 
     config: TrainConfig
     process: Process
-    model: LaneNet
+    model: nn.Module
     average: RunningAverage
     optimizer: torch.optim.Optimizer
     schedule: Schedule = field(default_factory=Schedule)
@@ -66,7 +61,7 @@ def start_process(config: TrainConfig) -> Process:
         torch.set_float32_matmul_precision("high")
     else:
         _keep_freed_memory()
-    return Process(rank, world, device)
+    return Process(rank, world, device, int(os.environ.get("LOCAL_WORLD_SIZE", "1")))
 
 
 def _keep_freed_memory() -> None:
@@ -76,13 +71,6 @@ def _keep_freed_memory() -> None:
     if mallopt is not None:
         for option, value in ((M_MMAP_MAX, 0), (M_TRIM_THRESHOLD, 2**31 - 1)):
             mallopt(option, value)
-
-
-def fits(data: ResidentData, device: torch.device) -> bool:
-    """Whether the data fit into the GPU's memory."""
-    parts = [data.image, data.intrinsics, *data.curves, *([] if data.chroma is None else [data.chroma])]
-    free, _ = torch.cuda.mem_get_info(device)
-    return sum(part.numel() * part.element_size() for part in parts) < MEMORY_SHARE * free
 
 
 def save(trainee: Run, out_dir: Path, about: dict[str, Any]) -> None:
@@ -103,10 +91,13 @@ def save(trainee: Run, out_dir: Path, about: dict[str, Any]) -> None:
 def prepare(config: TrainConfig, process: Process, out_dir: Path, about: dict[str, Any]) -> Run:
     """Start a new run, or resume the one in `out_dir`."""
     torch.manual_seed(config.seed)
-    model = LaneNet(config.model)
+    model = network_of(config.model)
     if config.pretrained is not None:
-        assert model.image is not None
-        about["pretrained"] = load_vgg16(model.image, config.pretrained)
+        if not isinstance(model, LaneNet):
+            raise InputError("pretrained: expected a named model with a vgg16 trunk (paper), got a network of your own")
+        about["pretrained"] = load_vgg16(model, config.pretrained)
+    if config.init is not None:
+        about["init"] = _start_from(model, config.init)
     model = model.to(process.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
     trainee = Run(
         config,
@@ -117,20 +108,41 @@ def prepare(config: TrainConfig, process: Process, out_dir: Path, about: dict[st
     )
     last = out_dir / "last.pt"
     if last.exists():
-        found = checkpoints.load(last)
-        if found.config != config:
-            raise InputError(f"{out_dir}: holds a run with other settings ({_difference(found.config, config)})")
-        assert found.resume is not None
-        trainee.model.load_state_dict(found.resume["model"])
-        trainee.average.model.load_state_dict(found.model)
-        trainee.optimizer.load_state_dict(found.resume["optimizer"])
-        trainee.schedule = Schedule(**found.resume["schedule"])
-        trainee.step, trainee.best = found.resume["step"], found.resume["best"]
-        trainee.history = found.resume["history"]
-    out_dir.mkdir(parents=True, exist_ok=True)
+        _resume(trainee, checkpoints.load(last), out_dir)
     return trainee
 
 
-def _difference(found: TrainConfig, wanted: TrainConfig) -> str:
-    names = [name for name in TrainConfig.model_fields if getattr(found, name) != getattr(wanted, name)]
-    return ", ".join(names)
+def _resume(trainee: Run, found: checkpoints.Checkpoint, out_dir: Path) -> None:
+    """Continue from `last.pt`. With another batch, the run continues after as many images, in whole batches."""
+    config = trainee.config
+    wrong = [
+        name
+        for name in TrainConfig.model_fields
+        if name not in CHANGEABLE and getattr(found.config, name) != getattr(config, name)
+    ]
+    if wrong:
+        raise InputError(f"{out_dir}: holds a run with other settings ({', '.join(wrong)})")
+    assert found.resume is not None
+    trainee.model.load_state_dict(found.resume["model"])
+    trainee.average.model.load_state_dict(found.model)
+    trainee.optimizer.load_state_dict(found.resume["optimizer"])
+    trainee.schedule = Schedule(**found.resume["schedule"])
+    trainee.step = found.resume["step"] * found.config.batch // config.batch
+    trainee.best = found.resume["best"]
+    trainee.history = found.resume["history"]
+
+
+def _start_from(model: nn.Module, source: str) -> str:
+    """Load another run's weights; return a description of them."""
+    found = checkpoints.load(checkpoints.place(source))
+    expected = {name: tuple(value.shape) for name, value in model.state_dict().items()}
+    given = {name: tuple(value.shape) for name, value in found.model.items()}
+    wrong = sorted(name for name in expected | given if expected.get(name) != given.get(name))
+    if wrong:
+        name = wrong[0]
+        raise InputError(
+            f"init: expected weights of this network, got {len(wrong)} others in {source}, "
+            f"first {name}: {given.get(name, 'none')} for {expected.get(name, 'none')}"
+        )
+    model.load_state_dict(found.model)
+    return f"{source}, trained on {found.about.get('train', {}).get('n_images', '?')} images"

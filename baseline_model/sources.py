@@ -1,8 +1,15 @@
 """Open labelled images by path: a split of our dataset, or of Apollo Sim-3D, OpenLane or tuSimple."""
 
+import hashlib
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool
 
 from synth3dlanes.dataset.address import connect, translate_store_errors
 from synth3dlanes.dataset.format import Sample
@@ -13,8 +20,10 @@ from synth3dlanes.formats.openlane.read import OpenLaneSplit, is_openlane
 from synth3dlanes.formats.tusimple.read import TusimpleSplit, is_tusimple
 from synth3dlanes.labels import Labels
 
-from .data import LabelledImage, Samples
+from .data import LabelledImage, Pixels, Samples
 from .tusimple import TusimpleOnPlane
+
+ROLL = "camera_roll_rad"
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +38,23 @@ class Chosen:
 
     def __getitem__(self, at: int) -> LabelledImage:
         return self.source[self.index[at]]
+
+    def key(self, at: int) -> str:
+        """The sample's key."""
+        return key_at(self.source, self.index[at])
+
+    def labels(self, at: int) -> Labels:
+        """The sample's labels."""
+        return labels_at(self.source, self.index[at])
+
+    def image(self, at: int) -> Pixels:
+        """The sample's image."""
+        return image_at(self.source, self.index[at])
+
+    def digest(self) -> str | None:
+        """What the samples are, as far as the source can tell."""
+        whole = digest_of(self.source)
+        return None if whole is None else _hash(whole.encode(), str(self.index).encode())
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +79,22 @@ class Upright:
         """The labels, without decoding the image."""
         return labels_without_roll(self.reader.labels(index))
 
+    def image(self, index: int) -> Pixels:
+        """The image; labels are read only where the camera is rolled."""
+        is_level = self._is_level[index]
+        image = self.reader.image(index)
+        return image if is_level else image_without_roll(image, self.reader.labels(index).camera)
+
+    def digest(self) -> str:
+        """What the samples are: equal recipes give equal samples, and `dataset.json` has the recipe."""
+        recipe = json.dumps({**self.reader.description, "splits": None}, sort_keys=True)
+        places = (column.to_numpy().tobytes() for column in self.reader.index.drop_columns(["key"]).columns)
+        return _hash(self.reader.url.encode(), recipe.encode(), *places)
+
+    @cached_property
+    def _is_level(self) -> Bool[np.ndarray, " n"]:
+        return np.asarray(self.reader.index[ROLL].to_numpy() == 0)
+
 
 def open_split(path: str | Path) -> Samples:
     """Random access to labelled images. A split of ours is `DIR/SPLIT`; one of Apollo or tuSimple is its JSON-lines
@@ -63,7 +105,7 @@ def open_split(path: str | Path) -> Samples:
         return TusimpleOnPlane(TusimpleSplit(file)) if is_tusimple(file) else ApolloSplit(file)
     if "://" not in text and is_openlane(Path(path)):
         return OpenLaneSplit(Path(path))
-    return Upright(Reader(text))
+    return Upright(Reader(text, columns=(ROLL,)))
 
 
 def training_and_validation(
@@ -79,6 +121,49 @@ def training_and_validation(
     if n < 10:
         return Chosen(train, range(n)), Chosen(train, range(n))
     return Chosen(train, [i for i in range(n) if i % 10 != 9]), Chosen(train, range(9, n, 10))
+
+
+def describe(validation: Samples) -> str:
+    """What `training_and_validation` chose for validation."""
+    what = f"{len(validation):,} images"
+    if not isinstance(validation, Chosen):
+        return what
+    return f"{what} of the training split, as there is no validation split"
+
+
+def key_at(samples: Samples, index: int) -> str:
+    """The key of a sample, without reading it if the source allows that."""
+    return str(_alone(samples, "key", index))
+
+
+def labels_at(samples: Samples, index: int) -> Labels:
+    """The labels of a sample, without reading its image if the source allows that."""
+    labels: Labels = _alone(samples, "labels", index)
+    return labels
+
+
+def image_at(samples: Samples, index: int) -> Pixels:
+    """The image of a sample, without reading its labels if the source allows that."""
+    image: Pixels = _alone(samples, "image", index)
+    return image
+
+
+def digest_of(samples: Samples) -> str | None:
+    """What the samples are, by their recipe and places; None where the source cannot tell."""
+    digest = getattr(samples, "digest", None)
+    return None if digest is None else digest()
+
+
+def _alone(samples: Samples, part: str, index: int) -> Any:
+    read = getattr(samples, part, None)
+    return getattr(samples[index], part) if read is None else read(index)
+
+
+def _hash(*parts: bytes) -> str:
+    found = hashlib.sha256()
+    for part in parts:
+        found.update(hashlib.sha256(part).digest())
+    return found.hexdigest()
 
 
 def _exists(place: str) -> bool:

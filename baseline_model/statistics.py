@@ -1,7 +1,7 @@
 """Statistics of a dataset's training targets, and the best score that their representation allows. No network."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,14 +24,12 @@ from .anchors import (
     spread_m,
 )
 from .config import COMPACT, ModelConfig
-from .curves import plane_pose, road_curves, target_pose
-from .data import Samples, pack
-from .evaluate import labels_at
+from .data import annotation_of, pack
 from .lanes import DENSE_Y_M, Detection, Prediction, interpolate
 from .metrics import Evaluation, MetricConfig, Report
 from .poses import MEAN_POSE, Pose, cam_from_road, road_from_cam
 from .report import to_document as report_document
-from .sources import open_split
+from .sources import labels_at, open_split
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,10 +51,10 @@ def target_statistics(
     """Statistics of all labels of a split (`DIR/train`); images are not read."""
     samples = open_split(data_dir)
     n = len(samples) if max_images is None else min(max_images, len(samples))
-    return statistics_of(_all_labels(samples, n), model)
+    return statistics_of((labels_at(samples, index) for index in range(n)), model)
 
 
-def statistics_of(labels: Sequence[Labels], model: ModelConfig = COMPACT) -> TargetStatistics:
+def statistics_of(labels: Iterable[Labels], model: ModelConfig = COMPACT) -> TargetStatistics:
     """Statistics of given labels."""
     names = {KEPT: "kept", IGNORED: "ignored", DROPPED: "dropped"}
     kinds = {CENTERLINE: "centerline", DELIMITER: "delimiter"}
@@ -74,7 +72,7 @@ def statistics_of(labels: Sequence[Labels], model: ModelConfig = COMPACT) -> Tar
         evaluation.add(of_image, decode_targets(str(index), targets, pose, model))
     knots = model.knots_y_m
     return TargetStatistics(
-        n_images=len(labels),
+        n_images=len(visible),
         counts=counts,
         visible_share=_by_knot(knots, np.concatenate(visible).mean(0)),
         x_sd_m=_by_knot(knots, np.nanstd(np.concatenate(x_m), axis=0)),
@@ -129,19 +127,13 @@ def describe_targets(data_dir: str | Path, *, as_json: bool = False) -> str:
 
 
 def _targets(labels: Labels, model: ModelConfig) -> tuple[Targets, torch.Tensor, torch.Tensor, Pose]:
-    curves = road_curves(labels)
-    if model.pose_target == "fixed":
-        pose = MEAN_POSE
-    else:
-        pose = target_pose(labels, curves, model.pose_target) if curves else plane_pose(labels)
-    packed = pack([curves])
+    size_px = (labels.camera.height_px, labels.camera.width_px)
+    annotation = annotation_of("", labels, size_px, model.pose_target)
+    pose = MEAN_POSE if model.pose_target == "fixed" else annotation.target
+    packed = pack([annotation])
     top_from_cam = torch.from_numpy(road_from_cam(pose)).float()[None]
     targets, status = encode(packed, top_from_cam, model)
     return targets, status, packed.kind, pose
-
-
-def _all_labels(samples: Samples, n: int) -> list[Labels]:
-    return [labels_at(samples, index) for index in range(n)]
 
 
 def _by_knot(knots_y_m: tuple[float, ...], values: np.ndarray) -> dict[float, float]:

@@ -4,174 +4,177 @@ All randomness in step s follows from (seed, s), so that a killed run resumes wi
 """
 
 import time
-from functools import lru_cache
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
-from synth3dlanes.labels import Labels
+from synth3dlanes.errors import Synth3dlanesError
 
 from . import checkpoint as checkpoints
-from .anchors import encode
-from .augment import Augmented, augment, generator_for, lane_masks, noisy
-from .config import TrainConfig
-from .data import ResidentData, Samples, describe, load
-from .inference import layout_of, mixed_precision, predictions_of, run
-from .loss import loss
-from .metrics import Evaluation, MetricConfig, Report
-from .model import LaneNet, Output
-from .progress import Line, Log
-from .projection import cell_centres, invert_rigid, road_from_cam
+from .augment import Augmented, augment, generator_for
+from .config import CustomModel, TrainConfig
+from .data import Batch, Samples
+from .evaluate import score
+from .inference import Detector, choose_device
+from .loading import ANNOTATIONS, Decoding, Process, decoding_of, open_examples, training_batches
+from .metrics import MetricConfig, Report
+from .model import LaneNet
+from .progress import Log
 from .report import to_document
-from .run_state import Process, Run, fits, prepare, save, start_process
-from .sources import training_and_validation
+from .run_state import Run, prepare, save, start_process
+from .sources import describe, training_and_validation
+from .task import Terms, task_of
 
 SAVE_EVERY_S = 300.0
 
 
-class Diverged(FloatingPointError):
+@dataclass(frozen=True)
+class Length:
+    """How long a run is, in steps."""
+
+    steps_per_epoch: int
+    n_steps: int
+    validate_every: int
+
+    @classmethod
+    def of(cls, config: TrainConfig, n_images: int) -> "Length":
+        """That of `epochs` passes over so many images."""
+        steps_per_epoch = -(-n_images // config.batch)
+        return cls(
+            steps_per_epoch,
+            max(1, round(config.epochs * steps_per_epoch)),
+            max(1, round(config.validate_every_epochs * steps_per_epoch)),
+        )
+
+
+class Diverged(Synth3dlanesError, FloatingPointError):
     """The loss or a gradient became NaN or infinite; the message names the step and the samples."""
 
 
 def train(config: TrainConfig, data_dir: str | Path, out_dir: str | Path) -> Path:
     """Train on DIR/train, validate on DIR/val, return the best checkpoint's path. Resumes a run found in `out_dir`."""
-    train_samples, val_samples = training_and_validation(
-        str(data_dir), config.train_split, config.val_split, config.max_images
-    )
+    train_samples, val_samples = _splits(config, data_dir)
     return train_on(config, train_samples, val_samples, Path(out_dir))
+
+
+def plan(config: TrainConfig, data_dir: str | Path, out_dir: str | Path) -> list[str]:
+    """What `train` would do, in lines; nothing is written."""
+    return plan_on(config, *_splits(config, data_dir), Path(out_dir))
+
+
+def plan_on(config: TrainConfig, train_samples: Samples, val_samples: Samples, out_dir: Path) -> list[str]:
+    """What `train_on` would do."""
+    process = Process(0, 1, choose_device(config.device))
+    decoding = decoding_of(len(train_samples), config, process)
+    return _plan(prepare(config, process, out_dir, {}), decoding, describe(val_samples))
 
 
 def train_on(config: TrainConfig, train_samples: Samples, val_samples: Samples, out_dir: Path) -> Path:
     """Train and validate on any samples."""
     process = start_process(config)
-    size_px = (config.model.image_height_px, config.model.image_width_px)
-    mode = config.model.pose_target
-    with Line("decoding", len(train_samples), is_shown=process.rank == 0) as line:
-        data = load(train_samples, size_px, mode, config.storage, fov_mask=config.fov_mask, on_progress=line.update)
-    val = load(val_samples, size_px, mode, config.storage)
-    val_labels = [val_samples[i].labels for i in range(len(val_samples))]
-    if process.device.type == "cuda" and fits(data, process.device):
-        data = data.to(process.device)
-    about = {"train": describe(data), "val": describe(val), "torch": str(torch.__version__)}
+    about: dict[str, Any] = {
+        "train": {"n_images": len(train_samples)},
+        "val": {"n_images": len(val_samples)},
+        "torch": str(torch.__version__),
+    }
     trainee = prepare(config, process, out_dir, about)
-    if process.device.type == "cuda" and config.compile:
+    out_dir.mkdir(parents=True, exist_ok=True)
+    decoding = decoding_of(len(train_samples), config, process)
+    examples = open_examples(train_samples, decoding, config, process, out_dir)
+    length = Length.of(config, len(examples))
+    task = task_of(trainee.model, config)
+    if process.device.type == "cuda" and config.compile and isinstance(trainee.model, LaneNet):
         trainee.model.compile()
-    network = DistributedDataParallel(trainee.model) if process.world > 1 else trainee.model
-
-    steps_per_epoch = -(-len(data) // config.batch)
-    n_steps = max(1, round(config.epochs * steps_per_epoch))
-    validate_every = max(1, round(config.validate_every_epochs * steps_per_epoch))
+    distributed = DistributedDataParallel(task) if process.world > 1 else task
     saved_at = time.monotonic()
-    with Log(out_dir, n_steps, trainee.step, config.batch, is_shown=process.rank == 0) as log:
-        while trainee.step < n_steps:
-            rate = trainee.schedule.rate(trainee.step, n_steps, steps_per_epoch, config)
-            terms = _step(trainee, network, data, rate, n_steps)
+    with Log(out_dir, length.n_steps, trainee.step, config.batch, is_shown=process.rank == 0) as log:
+        for line in _plan(trainee, decoding, describe(val_samples)):
+            log.line.say(line)
+        for batch in training_batches(examples, config, process, trainee.step, length.n_steps):
+            rate = trainee.schedule.rate(trainee.step, length.n_steps, length.steps_per_epoch, config)
+            terms = _step(trainee, distributed, task, batch, rate, trainee.step / length.n_steps)
             trainee.step += 1
             log.step(trainee.step, rate, terms)
-            if trainee.step % validate_every == 0 or trainee.step == n_steps:
-                report = _validate(trainee, val, val_labels)
+            if trainee.step % length.validate_every == 0 or trainee.step == length.n_steps:
+                report = _validate(trainee, val_samples)
                 log.validation(trainee.step, report)
-                _note(trainee, report, steps_per_epoch, out_dir, about)
+                _note(trainee, report, length.steps_per_epoch, out_dir, about)
             elif time.monotonic() - saved_at > SAVE_EVERY_S:
                 save(trainee, out_dir, about)
                 saved_at = time.monotonic()
     if process.world > 1:
         torch.distributed.barrier()
         torch.distributed.destroy_process_group()
+    (out_dir / ANNOTATIONS).unlink(missing_ok=True)
     return out_dir / "best.pt"
 
 
-@lru_cache(maxsize=1)
-def sample_order(n: int, seed: int, epoch: int) -> Int[Tensor, " n"]:
-    """The order of one epoch."""
-    return torch.randperm(n, generator=torch.Generator().manual_seed(seed * 1_000_003 + epoch))
+def _splits(config: TrainConfig, data_dir: str | Path) -> tuple[Samples, Samples]:
+    return training_and_validation(str(data_dir), config.train_split, config.val_split, config.max_images)
 
 
-def batch_index(n: int, step: int, config: TrainConfig, process: Process) -> Int[Tensor, " b"]:
-    """The samples of a step on this process; an epoch's last batch is filled up from the epoch's start."""
-    steps_per_epoch = -(-n // config.batch)
-    epoch, at = divmod(step, steps_per_epoch)
-    places = (at * config.batch + torch.arange(config.batch)) % n
-    return sample_order(n, config.seed, epoch)[places][process.rank :: process.world]
+def _plan(trainee: Run, decoding: Decoding, validation: str) -> list[str]:
+    """What this run is going to do, in lines."""
+    config, process = trainee.config, trainee.process
+    length = Length.of(config, decoding.n_images)
+    parameters = sum(parameter.numel() for parameter in trainee.model.parameters()) / 1e6
+    name = config.model.build if isinstance(config.model, CustomModel) else config.model.name
+    processes = f" in {process.world} processes" if process.world > 1 else ""
+    start = f", from step {trainee.step:,}" if trainee.step else ""
+    return [
+        f"{name} ({parameters:.1f} M parameters) on {process.device}{processes}, seed {config.seed}",
+        f"training: {decoding.text()}",
+        f"validation: {validation}",
+        f"{length.n_steps:,} steps of {config.batch} images, {config.epochs:g} epochs{start}",
+    ]
 
 
 def _step(
-    trainee: Run, network: nn.Module, data: ResidentData, rate: float, n_steps: int
+    trainee: Run, distributed: nn.Module, task: nn.Module, batch: Batch, rate: float, done: float
 ) -> dict[str, Float[Tensor, ""]]:
-    """One optimiser step; returns the mean of each loss term."""
+    """One optimiser step, when the share `done` of training is over; returns the mean of each loss term."""
     config, process, step = trainee.config, trainee.process, trainee.step
-    index = batch_index(len(data), step, config, process)
     generator = generator_for(config.seed, step, process.rank, process.device)
-    augmented = augment(data.batch(index, process.device), config.augmentation, generator)
-    batch = augmented.batch
-    warp_pose = None
-    if step < config.label_pose_fraction * n_steps:
-        warp_pose = noisy(batch.target_pose, config.label_pose_noise_deg, config.label_pose_noise_m, generator)
+    augmented = augment(batch.to(process.device), config.augmentation, generator)
     for group in trainee.optimizer.param_groups:
         group["lr"] = rate
-    network.train()
+    distributed.train()
     trainee.optimizer.zero_grad(set_to_none=True)
-    with mixed_precision(process.device, config.precision):
-        output: Output = network(batch.image, batch.intrinsics, warp_pose, augmented.top_from_road)
-    terms = step_loss(trainee.model, output, augmented, config)
+    terms: Terms = distributed(augmented, done)
     if not bool(torch.isfinite(terms["total"]).all()):
-        raise Diverged(f"step {step}: {_blame(trainee, data, augmented, warp_pose)}")
+        raise Diverged(f"step {step}: {_blame(task, augmented, done)}")
     terms["total"].mean().backward()  # type: ignore[no-untyped-call]
     norm = nn.utils.clip_grad_norm_(trainee.model.parameters(), config.clip_norm)
     if not bool(torch.isfinite(norm)):
-        names = ", ".join(data.keys[int(i)] for i in index)
-        raise Diverged(f"step {step}: expected a finite gradient, got {float(norm)} from samples {names}")
+        raise Diverged(f"step {step}: expected a finite gradient, got {float(norm)} from {', '.join(batch.keys)}")
     trainee.optimizer.step()
     trainee.average.update(trainee.model, step)
     return {name: value.detach().mean() for name, value in terms.items()}
 
 
-def step_loss(model: LaneNet, output: Output, augmented: Augmented, config: TrainConfig) -> dict[str, Tensor]:
-    """The loss terms against targets in the frame given by `target_frame`."""
-    batch = augmented.batch
-    pose = output.pose if model.pose is None else batch.target_pose
-    if config.target_frame == "grid":
-        top_from_cam = invert_rigid(output.cam_from_top.detach())
-    else:
-        top_from_cam = augmented.top_from_road @ road_from_cam(pose)
-    targets, _ = encode(batch.curves, top_from_cam, config.model)
-    bev_target = None
-    if output.bev_logit is not None:
-        points_top = cell_centres(config.model.grid, 1).to(output.logit.device)
-        bev_target = lane_masks(batch.curves, top_from_cam, points_top)
-    return loss(output, targets, pose, bev_target, config.model.types, config.loss)
-
-
-def _blame(trainee: Run, data: ResidentData, augmented: Augmented, warp_pose: Float[Tensor, "b 2"] | None) -> str:
-    """Find the samples with a non-finite loss. Batch norm mixes a batch, so the model is evaluated in eval mode."""
-    batch, model = augmented.batch, trainee.model.eval()
+def _blame(task: nn.Module, augmented: Augmented, done: float) -> str:
+    """Find the samples with a non-finite loss. Batch norm mixes a batch, so the network is asked in evaluation mode."""
     with torch.no_grad():
-        output: Output = model(batch.image, batch.intrinsics, warp_pose, augmented.top_from_road)
-        terms = step_loss(model, output, augmented, trainee.config)
-    keys = [data.keys[int(i)] for i in batch.places]
+        terms: Terms = task.eval()(augmented, done)
+    keys = augmented.batch.keys
     bad = torch.nonzero(~torch.isfinite(terms["total"]))[:, 0].tolist() or list(range(len(keys)))
     values = {name: float(value[bad[0]]) for name, value in terms.items()}
     return f"expected a finite loss, got {values} from sample {', '.join(keys[i] for i in bad)}"
 
 
-def _validate(trainee: Run, val: ResidentData, val_labels: list[Labels]) -> Report | None:
+def _validate(trainee: Run, samples: Samples) -> Report | None:
     if trainee.process.rank != 0:
         return None
-    model, device = trainee.average.model, trainee.process.device
-    evaluation = Evaluation(MetricConfig(alternatives=(), bootstraps=0))
-    for start in range(0, len(val), trainee.config.batch):
-        index = torch.arange(start, min(start + trainee.config.batch, len(val)))
-        batch = val.batch(index, device)
-        output = run(model, batch.image, batch.intrinsics)
-        keys = [val.keys[int(i)] for i in index]
-        for i, prediction in enumerate(predictions_of(keys, output, layout_of(model))):
-            evaluation.add(val_labels[start + i], prediction)
-    return evaluation.report()
+    model = trainee.config.model
+    detector = Detector(trainee.average.model, (model.image_height_px, model.image_width_px))
+    found = detector.in_samples(samples, trainee.config.batch, trainee.config.workers)
+    return score(found, MetricConfig(alternatives=(), bootstraps=0))
 
 
 def _note(trainee: Run, report: Report | None, steps_per_epoch: int, out_dir: Path, about: dict[str, Any]) -> None:

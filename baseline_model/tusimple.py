@@ -18,7 +18,7 @@ from synth3dlanes.frames import project, transform
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph
 
 from .lanes import Detection, Prediction
-from .poses import Pose, road_from_cam
+from .poses import Pose, onto_plane, road_from_cam
 
 SIZE_PX = (1280, 640)
 CROP_TOP_PX = 80
@@ -49,7 +49,7 @@ class TusimpleOnPlane:
         lanes = []
         for number, u_px in enumerate(frame.lanes_u_px):
             seen = u_px >= 0
-            xyz_cam = onto_plane_cam(np.stack([u_px[seen], frame.rows_px[seen] - CROP_TOP_PX], axis=1))
+            xyz_cam = _lane_points(np.stack([u_px[seen], frame.rows_px[seen] - CROP_TOP_PX], axis=1))
             if len(xyz_cam) >= 2:
                 everywhere = np.ones(len(xyz_cam), dtype=bool)
                 lanes.append(
@@ -60,16 +60,12 @@ class TusimpleOnPlane:
         return Labels(camera, tuple(lanes), LaneGraph((), {}, None))
 
 
-def onto_plane_cam(points_img: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "m 3"]:
+def _lane_points(points_img: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "m 3"]:
     """Project pixels of the cropped image onto the plane, as camera points from near to far; pixels above the horizon
     and points beyond FAR_M are dropped."""
     right, down = ((points_img - IMG_FROM_CAM[:2, 1]) / 1000.0).T
-    rays_cam = np.stack([right, np.ones_like(right), -down], axis=1)
-    to_road = road_from_cam(POSE)
-    fall = rays_cam @ to_road[2, :3]
-    rays_cam, fall = rays_cam[fall < -1e-6], fall[fall < -1e-6]
-    xyz_cam = rays_cam * (POSE.height_m / -fall)[:, None]
-    y_m = transform(to_road, xyz_cam)[:, 1]
+    xyz_cam = onto_plane(np.stack([right, np.ones_like(right), -down], axis=1), POSE)
+    y_m = transform(road_from_cam(POSE), xyz_cam)[:, 1]
     order = np.argsort(y_m)
     return xyz_cam[order[y_m[order] <= FAR_M]]
 

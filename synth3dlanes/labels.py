@@ -19,6 +19,7 @@ LABELS_FORMAT, LABELS_VERSION = "synth3dlanes.labels", 1
 LaneKind = Literal["centerline", "delimiter"]
 RoadName = Literal["main", "exit"]
 Marking = Literal["none", "solid", "dashed"]
+PaintColor = Literal["white", "yellow"]
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,8 @@ class CameraLabel:
 class Lane:
     """One curve, near to far. `left` and `right` are ids: of the delimiters that bound a centre line on its own stretch
     (behind the split, before the merge), or of the centre lines that a delimiter bounds there; None outside the road.
-    `object_visible` is None until the scene has been rendered."""
+    `color` and `double` (two stripes, the points in the middle between them) are None for centre lines and in older
+    labels. `object_visible` is None until the scene has been rendered."""
 
     id: Name
     kind: LaneKind
@@ -78,6 +80,8 @@ class Lane:
     in_image: Mask
     terrain_visible: Mask
     object_visible: Mask | None
+    color: PaintColor | None = None
+    double: bool | None = None
 
     def __post_init__(self) -> None:
         """Check that each mask has a value for every point; raise ValueError."""

@@ -96,18 +96,51 @@ def test_golden_labels(name):
     assert [lane.id for lane in found.lanes] == [lane.id for lane in expected.lanes]
     assert found.graph == expected.graph
     for a, b in zip(found.lanes, expected.lanes, strict=True):
+        assert (a.marking, a.color, a.double) == (b.marking, b.color, b.double)
         np.testing.assert_allclose(a.xyz_cam, b.xyz_cam, atol=1.01e-4)
         np.testing.assert_array_equal(a.in_image, b.in_image)
         np.testing.assert_array_equal(a.terrain_visible, b.terrain_visible)
 
 
+@pytest.mark.parametrize("merge", [False, True])
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_the_left_edge_of_every_road_has_its_paint_and_all_other_lines_are_single_and_white(mirrored, merge):
+    road = {"topology": 4, "n_lanes": 4, "flip_longitudinal": mirrored, "flip_lateral": merge, "exit_offset_m": 8}
+    painted = {"left_yellow": True, "left_double": True}
+    camera = {"lane": 1, "y_m": -80 if merge else -20}
+    labels, plain = (ground_truth(changed(road=road, camera=camera, markings=paint)) for paint in (painted, {}))
+    for lane, other in zip(labels.lanes, plain.lanes, strict=True):
+        if lane.kind == "centerline":
+            assert (lane.marking, lane.color, lane.double) == ("none", None, None)
+            continue
+        # By position alone: no other line of the same road is to its left at any distance.
+        of_road = [one.xyz_cam for one in labels.lanes if one.kind == "delimiter" and one.road == lane.road]
+        far = max(points[0, 1] for points in of_road), min(points[-1, 1] for points in of_road)
+        at_m = np.linspace(*far, 5)
+        x_m = [np.interp(at_m, points[:, 1], points[:, 0]) for points in of_road]
+        is_leftmost = (np.interp(at_m, lane.xyz_cam[:, 1], lane.xyz_cam[:, 0]) <= np.min(x_m, axis=0) + 1e-6).all()
+        assert (lane.color, lane.double) == (("yellow", True) if is_leftmost else ("white", False)), lane.id
+        assert (other.color, other.double) == ("white", False)
+        np.testing.assert_array_equal(lane.xyz_cam, other.xyz_cam)
+    assert {lane.id for lane in labels.lanes if lane.double} == {"main_line_0", "exit_line_0"}
+
+
 def test_labels_come_back_from_their_file():
-    labels = ground_truth(changed(road={"topology": 3}))
+    labels = ground_truth(changed(road={"topology": 3}, markings={"left_yellow": True}))
     text = label_file.to_json(labels)
     again = label_file.from_json(text, "labels.json")
     assert label_file.to_json(again) == text
     np.testing.assert_allclose(again.lanes[0].xyz_cam, labels.lanes[0].xyz_cam, atol=0.5001e-4)
     assert json.loads(text)["lanes"][0]["object_visible"] is None
+    assert {lane.color for lane in again.lanes} == {None, "white", "yellow"}
+
+
+def test_older_labels_have_no_paint():
+    document = json.loads(label_file.to_json(ground_truth(changed())))
+    for lane in document["lanes"]:
+        del lane["color"], lane["double"]
+    older = label_file.from_json(json.dumps(document), "labels.json")
+    assert {(lane.color, lane.double) for lane in older.lanes} == {(None, None)}
 
 
 def test_scenes_come_back_from_their_file():

@@ -15,7 +15,7 @@ from synth3dlanes.blender.load_assets import LoadedAssets, load_assets
 from synth3dlanes.blender.materials import Materials, make_materials, set_materials
 from synth3dlanes.frames import Matrix4, from_axes
 from synth3dlanes.geometry.meshes import Mesh
-from synth3dlanes.geometry.paint import is_yellow
+from synth3dlanes.geometry.paint import paint_color
 from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.scene import Car
 from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_TREE_ID
@@ -119,10 +119,10 @@ def _add_surfaces(materials: Materials, world: World, view: View, labelled: Sequ
     for mesh in world.pavement:
         _add_object(new_mesh(mesh, [road, shoulder]), 0)
     strips = world.paint(view)
-    yellow = {line.id for line in world.lines if is_yellow(line, scene.markings)}
+    colors = {line.id: paint_color(line, scene.markings) for line in world.lines}
     for number, name in enumerate([*labelled, *(name for name in strips if name not in labelled)]):
         if len(strips[name].faces):
-            material = materials.yellow_marking if name in yellow else materials.marking
+            material = materials.yellow_marking if colors[name] == "yellow" else materials.marking
             _add_object(new_mesh(strips[name], [material]), FIRST_DELIMITER_ID + number)
 
 

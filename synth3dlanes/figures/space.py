@@ -12,7 +12,7 @@ from synth3dlanes.figures.colors import Rgb
 from synth3dlanes.figures.scene_view import AHEAD_M, BEHIND_M, SceneView, TreeOutline
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.meshes import Mesh
-from synth3dlanes.geometry.paint import PAINT_LIFT_AT_M, PAINT_LIFT_M, is_yellow
+from synth3dlanes.geometry.paint import PAINT_LIFT_AT_M, PAINT_LIFT_M, paint_color
 from synth3dlanes.labels import LaneKind
 
 _HALF_WIDTH_M = 70.0
@@ -49,7 +49,7 @@ def triangles(view: SceneView) -> list[Triangles]:
     world = view.world
     surfaces = [_mesh(view, mesh, _VERGE) for mesh in world.verges]
     roads = [_mesh(view, mesh, _ASPHALT) for mesh in world.pavement]
-    yellow = {line.id for line in world.lines if is_yellow(line, world.scene.markings)}
+    yellow = {line.id for line in world.lines if paint_color(line, world.scene.markings) == "yellow"}
     strips = world.paint(world.view)
     paint = [_mesh(view, mesh, _YELLOW if name in yellow else _WHITE) for name, mesh in strips.items()]
     return [

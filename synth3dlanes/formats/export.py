@@ -22,6 +22,8 @@ from synth3dlanes.dataset.remove_roll import labels_without_roll
 from synth3dlanes.dataset.write import write_whole
 from synth3dlanes.errors import InputError
 from synth3dlanes.formats.apollo import write as apollo
+from synth3dlanes.formats.culane import write as culane
+from synth3dlanes.formats.curvelanes import write as curvelanes
 from synth3dlanes.formats.lines import scene_tags
 from synth3dlanes.formats.once import write as once
 from synth3dlanes.formats.openlane import write as openlane
@@ -46,14 +48,27 @@ FORMATS: dict[str, Format] = {
     "openlane": openlane.FORMAT,
     "once": once.FORMAT,
     "tusimple": tusimple.FORMAT,
+    "culane": culane.FORMAT,
+    "curvelanes": curvelanes.FORMAT,
 }
 
 
-def export(source: str, out: Path, format_name: str, workers: int, progress: Callable[[int, int], None]) -> Summary:
-    """Export every split under `source`; `progress` gets (frames done, frames in all)."""
-    chunks, foreign = plan(source), FORMATS[format_name]
+def export(
+    source: str,
+    out: Path,
+    format_name: str,
+    workers: int,
+    progress: Callable[[int, int], None],
+    size_px: tuple[int, int] | None = None,
+) -> Summary:
+    """Export every split under `source`; `progress` gets (frames done, frames in all). `size_px` is the images' width
+    and height, by default the format's."""
+    foreign = FORMATS[format_name]
+    camera = _camera(foreign, format_name, size_px)
+    chunks = plan(source)
     splits = {chunk.split.name: chunk.split.part for chunk in chunks}
-    _claim(out, {"format": format_name, "layout": LAYOUT, "source": source, "splits": splits})
+    size = [camera.width_px, camera.height_px]
+    _claim(out, {"format": format_name, "layout": LAYOUT, "size_px": size, "source": source, "splits": splits})
     marks = out / ".parts"
     for stale in {path.name for path in marks.iterdir()} - {chunk.mark for chunk in chunks}:
         _remove(out, marks / stale)
@@ -61,7 +76,7 @@ def export(source: str, out: Path, format_name: str, workers: int, progress: Cal
     total = sum(chunk.stop - chunk.start for chunk in chunks)
     done = total - sum(chunk.stop - chunk.start for chunk in waiting)
     progress(done, total)
-    for n_frames in _run(waiting, out, format_name, workers):
+    for n_frames in _run(waiting, out, format_name, camera, workers):
         done += n_frames
         progress(done, total)
     for link, target in foreign.links.items():
@@ -69,10 +84,21 @@ def export(source: str, out: Path, format_name: str, workers: int, progress: Cal
             (out / link).symlink_to(target)
     paths = [marks / chunk.mark for chunk in chunks]
     _write_shared(out, paths, foreign.lists)
-    summary = summarize(_records(paths))
+    summary = summarize(_records(paths), camera)
     text = readme(source, format_name, foreign.readme, [chunk.split for chunk in chunks], summary)
     (out / "README.md").write_text(text)
     return summary
+
+
+def _camera(foreign: Format, format_name: str, size_px: tuple[int, int] | None) -> Pinhole:
+    own_px = (foreign.camera.width_px, foreign.camera.height_px)
+    if size_px is None or size_px == own_px:
+        return foreign.camera
+    if not foreign.is_size_free:
+        free = ", ".join(name for name, other in FORMATS.items() if other.is_size_free)
+        expected = f"{own_px[0]}x{own_px[1]}, which the tools of {format_name} assume (other sizes: {free})"
+        raise InputError(f"size: expected {expected}, got {size_px[0]}x{size_px[1]}")
+    return foreign.camera.resized(*size_px)
 
 
 def _claim(out: Path, options: dict[str, Any]) -> None:
@@ -88,33 +114,35 @@ def _claim(out: Path, options: dict[str, Any]) -> None:
     write_whole(mark, json.dumps(options).encode())
 
 
-def _run(chunks: Sequence[Chunk], out: Path, format_name: str, workers: int) -> Iterator[int]:
+def _run(chunks: Sequence[Chunk], out: Path, format_name: str, camera: Pinhole, workers: int) -> Iterator[int]:
     if workers == 1 or len(chunks) < 2:
         for chunk in chunks:
-            yield _export_chunk(chunk, out, format_name)
+            yield _export_chunk(chunk, out, format_name, camera)
         return
     pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
     try:
-        for future in as_completed([pool.submit(_export_chunk, chunk, out, format_name) for chunk in chunks]):
+        for future in as_completed([pool.submit(_export_chunk, chunk, out, format_name, camera) for chunk in chunks]):
             yield future.result()
     finally:
         pool.shutdown(cancel_futures=True)
 
 
-def _export_chunk(chunk: Chunk, out: Path, format_name: str) -> int:
+def _export_chunk(chunk: Chunk, out: Path, format_name: str, camera: Pinhole) -> int:
     reader, foreign = open_reader(chunk.url), FORMATS[format_name]
-    records = [_export_frame(reader, index, chunk, out, foreign) for index in range(chunk.start, chunk.stop)]
+    records = [_export_frame(reader, index, chunk, out, foreign, camera) for index in range(chunk.start, chunk.stop)]
     write_whole(out / ".parts" / chunk.mark, "\n".join(map(json.dumps, records)).encode())
     return len(records)
 
 
-def _export_frame(reader: Reader, index: int, chunk: Chunk, out: Path, foreign: Format) -> dict[str, Any]:
+def _export_frame(
+    reader: Reader, index: int, chunk: Chunk, out: Path, foreign: Format, camera: Pinhole
+) -> dict[str, Any]:
     sample = reader[index]
     where = f"{chunk.url}:{sample.key}"
     scene, labels = scene_format.from_json(sample.scene_json, where), labels_without_roll(sample.labels)
     record = {"split": chunk.split.name, "part": chunk.split.part_of(sample.key)}
-    pinhole = fitting_pinhole(sample.labels.camera, foreign.camera)
-    if pinhole != foreign.camera and not foreign.has_intrinsics:
+    pinhole = fitting_pinhole(sample.labels.camera, camera)
+    if pinhole != camera and not foreign.is_f_free:
         return {**record, "left_out": NARROW}
     annotation = foreign.annotate(labels, _frame(sample.key, chunk, pinhole, scene, labels))
     if annotation is None:
@@ -122,9 +150,9 @@ def _export_frame(reader: Reader, index: int, chunk: Chunk, out: Path, foreign: 
     image = out / annotation.image
     image.parent.mkdir(parents=True, exist_ok=True)
     resample(sample.image, sample.labels.camera, pinhole, where).save(image, quality=JPEG_QUALITY)
-    for path, text in annotation.files.items():
+    for path, content in annotation.files.items():
         (out / path).parent.mkdir(parents=True, exist_ok=True)
-        (out / path).write_text(text)
+        (out / path).write_bytes(content if isinstance(content, bytes) else content.encode())
     return {
         **record,
         "left_out": None,
@@ -138,7 +166,6 @@ def _export_frame(reader: Reader, index: int, chunk: Chunk, out: Path, foreign: 
 
 
 def _frame(key: str, chunk: Chunk, pinhole: Pinhole, scene: Scene, labels: Labels) -> Frame:
-    left_edges = frozenset(lane.id for lane in labels.lanes if lane.kind == "delimiter" and lane.left is None)
     return Frame(
         split=chunk.split.name,
         key=key,
@@ -148,8 +175,6 @@ def _frame(key: str, chunk: Chunk, pinhole: Pinhole, scene: Scene, labels: Label
         pinhole=pinhole,
         tags=scene_tags(labels, pinhole),
         illumination=int(np.digitize(scene.light.exposure, EXPOSURE_STEPS)),
-        yellow=left_edges if scene.markings.left_yellow else frozenset(),
-        double=left_edges if scene.markings.left_double else frozenset(),
     )
 
 

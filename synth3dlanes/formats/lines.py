@@ -5,12 +5,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.interpolate import CubicSpline
 
 from synth3dlanes.formats.writing import CV_FROM_CAM, Pinhole
 from synth3dlanes.frames import transform
-from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneKind, Marking
+from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneKind
 
 MIN_DEPTH_M = 0.5
 BORDER_PX = 1.0
@@ -20,18 +20,22 @@ NEAR_START_M = 20.0
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A lane ahead of the camera, near to far. `visible` is a prefix: everything up to the last point that the
-    image shows, holes and the stretch below the image included; cars hide nothing, the ground does."""
+    """The part of a lane ahead of the camera, near to far. `visible` is a prefix: everything up to the last point that
+    the image shows, holes and the stretch below the image included; cars hide nothing, the ground does."""
 
-    id: str
-    marking: Marking
+    lane: Lane
     points_cv: Float[np.ndarray, "n 3"]
     visible: Bool[np.ndarray, " n"]
     in_view: Bool[np.ndarray, " n"]
 
+    @property
+    def id(self) -> str:
+        """The lane's id."""
+        return self.lane.id
+
     def part(self, keep: Bool[np.ndarray, " n"] | slice) -> "Line":
         """The same line with some of its points only."""
-        return Line(self.id, self.marking, self.points_cv[keep], self.visible[keep], self.in_view[keep])
+        return Line(self.lane, self.points_cv[keep], self.visible[keep], self.in_view[keep])
 
 
 def lines_ahead(labels: Labels, pinhole: Pinhole, kind: LaneKind, step_m: float | None = None) -> tuple[Line, ...]:
@@ -58,6 +62,29 @@ def keep_lines(lines: Sequence[Line], dropped: Counter[str], most: int, reason: 
     return tuple(kept)
 
 
+def columns_of(line: Line, pinhole: Pinhole, rows_px: Int[np.ndarray, " r"]) -> Float[np.ndarray, " r"]:
+    """The column of the visible line at each row, up to where it turns over in the image; NaN elsewhere."""
+    u_px, v_px = pinhole.project(line.points_cv[line.visible]).T
+    turns = np.flatnonzero(np.diff(v_px) >= 0)
+    n = int(turns[0]) + 1 if len(turns) else len(v_px)
+    if n < 2:
+        return np.full(len(rows_px), np.nan)
+    return np.interp(rows_px, v_px[:n][::-1], u_px[:n][::-1], left=np.nan, right=np.nan)
+
+
+def ego_places(ahead: Sequence[Line], camera: CameraLabel) -> dict[str, int]:
+    """1 to 4 for the lines left-left, left, right and right-right of the camera, by id: the two nearest on either side
+    of those that begin beside it."""
+    x_m = {
+        line.id: float(road_from_cv(camera, line.points_cv[:1])[0, 0])
+        for line in ahead
+        if line.points_cv[0, 2] <= NEAR_START_M
+    }
+    left = sorted((line_id for line_id in x_m if x_m[line_id] < 0), key=lambda line_id: -x_m[line_id])
+    right = sorted((line_id for line_id in x_m if x_m[line_id] >= 0), key=lambda line_id: x_m[line_id])
+    return {**dict(zip(left, (2, 1), strict=False)), **dict(zip(right, (3, 4), strict=False))}
+
+
 def road_from_cv(camera: CameraLabel, points_cv: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
     """Points in the road frame, its origin at the camera's foot on the road plane."""
     return transform(camera.road_from_cam, points_cv @ CV_FROM_CAM)
@@ -70,7 +97,9 @@ def scene_tags(labels: Labels, pinhole: Pinhole) -> frozenset[str]:
     coordinates are singular. `curve`: the direction changes by 10 degrees. `merge_split`: an exit is visible.
     """
     tags = set()
-    for line, lane in _visible_centerlines(labels, pinhole):
+    for line in lines_ahead(labels, pinhole, "centerline"):
+        if np.count_nonzero(line.visible) < 3:
+            continue
         points_road = road_from_cv(labels.camera, line.points_cv[line.visible])
         headings_rad = np.unwrap(np.arctan2(*np.diff(points_road[:, :2], axis=0).T))
         if np.max(np.abs(points_road[:, 2])) > 1.0:
@@ -79,15 +108,9 @@ def scene_tags(labels: Labels, pinhole: Pinhole) -> frozenset[str]:
             tags.add("steep")
         if np.ptp(headings_rad) > np.radians(10):
             tags.add("curve")
-        if lane.road == "exit":
+        if line.lane.road == "exit":
             tags.add("merge_split")
     return frozenset(tags)
-
-
-def _visible_centerlines(labels: Labels, pinhole: Pinhole) -> list[tuple[Line, Lane]]:
-    lanes = {lane.id: lane for lane in labels.lanes}
-    lines = lines_ahead(labels, pinhole, "centerline")
-    return [(line, lanes[line.id]) for line in lines if np.count_nonzero(line.visible) >= 3]
 
 
 def _line(lane: Lane, camera: CameraLabel, pinhole: Pinhole, step_m: float | None) -> Line:
@@ -98,11 +121,11 @@ def _line(lane: Lane, camera: CameraLabel, pinhole: Pinhole, step_m: float | Non
     points_cv, on_ground = points_cv[ahead], on_ground[ahead]
     if len(points_cv) < 2:
         nothing = np.zeros(len(points_cv), dtype=bool)
-        return Line(lane.id, lane.marking, points_cv, nothing, nothing)
+        return Line(lane, points_cv, nothing, nothing)
     in_view = _in_view(pinhole.project(points_cv), pinhole)
     seen = np.flatnonzero(in_view & on_ground)
     visible = np.arange(len(points_cv)) <= (seen[-1] if len(seen) else -1)
-    return Line(lane.id, lane.marking, points_cv, visible, in_view)
+    return Line(lane, points_cv, visible, in_view)
 
 
 def _ahead(camera: CameraLabel, points_cv: Float[np.ndarray, "n 3"]) -> slice:

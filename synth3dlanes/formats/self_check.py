@@ -5,15 +5,18 @@ Ground truth as prediction is the ground truth after the benchmark's own pruning
 every line for itself and moves it 2 m aside: in a whole frame it would land near its neighbour and match that.
 """
 
-from collections.abc import Callable, Sequence
+import json
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 from PIL import Image
 
+from synth3dlanes.formats.band_score import BandScore
 from synth3dlanes.formats.line_score import NEAR, Frames, Line3d, Score3d, sample_line
-from synth3dlanes.formats.writing import Pinhole
 
 SHIFT_M = 2.0
 TOLERANCE_M = 1e-3
@@ -59,16 +62,40 @@ def verify_3d(name: str, true: Sequence[Sequence[Line3d]], problems: Sequence[st
     return Verified(name, len(true), n_lines, asdict(perfect), asdict(shifted), tuple(found))
 
 
-def image_problems(paths: Sequence[Path], pinhole: Pinhole) -> list[str]:
-    """Images that are missing, of another size, or no JPEG."""
+def moved_aside(points_img: Float[np.ndarray, "*n 2"], sidecar: dict[str, Any]) -> Float[np.ndarray, "*n 2"]:
+    """Points of the road plane in the image after a move of SHIFT_M to the right; the sidecar has the camera."""
+    _, (_, f_px, cy_px), _ = sidecar["img_from_cv"]
+    pitch_rad = sidecar["camera_pitch_rad"]
+    # On the road plane one metre aside is |v - horizon| cos(pitch) / height pixels in row v.
+    horizon_px = cy_px - f_px * np.tan(pitch_rad)
+    px_per_m = np.abs(points_img[..., 1] - horizon_px) * np.cos(pitch_rad) / sidecar["camera_height_m"]
+    return points_img + SHIFT_M * px_per_m[..., None] * [1.0, 0.0]
+
+
+def read_sidecars(out: Path, key: str) -> dict[str, dict[str, Any]]:
+    """The lines of `sidecar.jsonl` by the path that their `key` names."""
+    sidecars = map(json.loads, (out / "sidecar.jsonl").read_text().splitlines())
+    return {sidecar[key]: sidecar for sidecar in sidecars}
+
+
+def band_problems(name: str, perfect: BandScore, shifted: BandScore) -> Iterator[str]:
+    """Findings unless lines as bands score as they must."""
+    if perfect != BandScore(1.0, 1.0, 1.0):
+        yield f"{name}: expected ground truth to score F = 1, got {perfect}"
+    if shifted.f_score > 0.01:
+        yield f"{name}: expected lines moved {SHIFT_M} m aside to score F = 0, got {shifted}"
+
+
+def image_problems(paths: Sequence[Path], size_px: tuple[int, int]) -> list[str]:
+    """Images that are missing, of another width or height, or no JPEG."""
     problems = []
     for path in paths:
         if not path.is_file():
             problems.append(f"{path}: expected an image, found no file")
             continue
         with Image.open(path) as image:
-            if image.size != (pinhole.width_px, pinhole.height_px) or image.format != "JPEG":
-                expected = f"{pinhole.width_px}x{pinhole.height_px}"
+            if image.size != size_px or image.format != "JPEG":
+                expected = f"{size_px[0]}x{size_px[1]}"
                 problems.append(f"{path}: expected a JPEG of {expected}, got {image.format} {image.size}")
     return problems
 

@@ -1,19 +1,30 @@
 """The self-check of an export: its own ground truth must score perfectly, and the same moved aside close to nothing."""
 
+import json
 from pathlib import Path
 
 from synth3dlanes.formats.apollo import verify as apollo
+from synth3dlanes.formats.culane import verify as culane
+from synth3dlanes.formats.curvelanes import verify as curvelanes
 from synth3dlanes.formats.once import verify as once
 from synth3dlanes.formats.openlane import verify as openlane
 from synth3dlanes.formats.self_check import Verified
 from synth3dlanes.formats.tusimple import verify as tusimple
 
-CHECKS = {"apollo": apollo.verify, "openlane": openlane.verify, "once": once.verify, "tusimple": tusimple.verify}
+CHECKS = {
+    "apollo": apollo.verify,
+    "openlane": openlane.verify,
+    "once": once.verify,
+    "tusimple": tusimple.verify,
+    "culane": culane.verify,
+    "curvelanes": curvelanes.verify,
+}
 
 
 def verify(out: Path, format_name: str, most_frames: int) -> tuple[Verified, ...]:
     """Score at most the first `most_frames` frames of every list of an export."""
-    verified = tuple(CHECKS[format_name](out, most_frames))
+    width_px, height_px = json.loads((out / "export.json").read_text())["size_px"]
+    verified = tuple(CHECKS[format_name](out, (width_px, height_px), most_frames))
     if not any(result.n_lines for result in verified):
         problem = f"{out}: expected lane lines to score, found none"
         return (*verified, Verified("all lists", 0, 0, {}, {}, (problem,)))

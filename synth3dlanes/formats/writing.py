@@ -21,16 +21,23 @@ PARTS: tuple[Part, ...] = ("train", "val", "test")
 
 @dataclass(frozen=True)
 class Pinhole:
-    """A camera without distortion, its principal point in the middle of the image."""
+    """A camera without distortion, its principal point `below_px` under the middle of the image."""
 
     width_px: int
     height_px: int
     f_px: float
+    below_px: float = 0.0
 
     @property
     def img_from_cv(self) -> Float[np.ndarray, "3 3"]:
         """The usual intrinsic matrix K."""
-        return np.array([[self.f_px, 0, self.width_px / 2], [0, self.f_px, self.height_px / 2], [0, 0, 1.0]])
+        cy_px = self.height_px / 2 + self.below_px
+        return np.array([[self.f_px, 0, self.width_px / 2], [0, self.f_px, cy_px], [0, 0, 1.0]])
+
+    def resized(self, width_px: int, height_px: int) -> "Pinhole":
+        """The camera of another image size with the same horizontal field of view."""
+        scale = width_px / self.width_px
+        return Pinhole(width_px, height_px, self.f_px * scale, self.below_px * scale)
 
     def project(self, points_cv: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
         """Pixels of points in front of the camera."""
@@ -41,8 +48,7 @@ class Pinhole:
 class Frame:
     """One of our images and what decides how a format files and labels it: `key` counts within `split`, `number` within
     the export. It is used for `part`; `parts` are all that the data set has. `pinhole` is the camera of the exported
-    image. `yellow` and `double` name the delimiters painted so; `tags` the kinds of scene; `illumination` is 0 (dark)
-    to 2 (bright)."""
+    image; `tags` are the kinds of scene; `illumination` is 0 (dark) to 2 (bright)."""
 
     split: str
     key: str
@@ -52,8 +58,6 @@ class Frame:
     pinhole: Pinhole
     tags: frozenset[str]
     illumination: int
-    yellow: frozenset[str] = frozenset()
-    double: frozenset[str] = frozenset()
 
     @property
     def is_train(self) -> bool:
@@ -74,7 +78,7 @@ class Annotation:
     image: str
     n_lines: int
     dropped: Counter[str]
-    files: dict[str, str] = field(default_factory=dict)
+    files: Mapping[str, str | bytes] = field(default_factory=dict)
     shared: tuple[tuple[str, tuple[str, ...]], ...] = ()
 
 
@@ -83,13 +87,14 @@ class Format:
     """One foreign format: the camera of its images, the README of an export, links within it, and the function that
     writes one frame; that returns None where the format has no place for the frame.
 
-    Where labels carry intrinsics, a frame that is too narrow for the camera gets a longer focal length of its own.
-    `lists` are files that tools open even where no frame belongs there; `replaced_words` what tools replace wherever a
-    path has it.
+    A frame that is too narrow for the camera gets a longer focal length of its own if `is_f_free`, and is left out
+    otherwise; images may have any size if `is_size_free`. `lists` are files that tools open even where no frame belongs
+    there; `replaced_words` what tools replace wherever a path has it.
     """
 
     camera: Pinhole
-    has_intrinsics: bool
+    is_f_free: bool
+    is_size_free: bool
     readme: str
     annotate: Callable[[Labels, Frame], Annotation | None]
     links: Mapping[str, str] = field(default_factory=dict)

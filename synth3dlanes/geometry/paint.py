@@ -10,6 +10,7 @@ from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.horizon import far_dam
 from synth3dlanes.geometry.lanes import Curve
 from synth3dlanes.geometry.meshes import Mesh, Values, grid, is_facing_up, lift_far, over_terrain, road_stations
+from synth3dlanes.labels import PaintColor
 from synth3dlanes.scene import Markings
 from synth3dlanes.streams import Streams
 
@@ -36,20 +37,26 @@ def paint_meshes(
     return {line.id: _paint(ground, line, eye_world, streams) for line in lines if line.kind == "delimiter"}
 
 
-def is_left_edge(line: Curve) -> bool:
+def is_left_edge(delimiter: Curve) -> bool:
     """Whether a delimiter is the left edge of the main road or of the exit, as the host drives."""
-    return line.kind == "delimiter" and line.left is None
+    return delimiter.left is None
 
 
-def is_yellow(line: Curve, markings: Markings) -> bool:
-    """Whether a delimiter is painted yellow; all others are white."""
-    return markings.left_yellow and is_left_edge(line)
+def paint_color(line: Curve, markings: Markings) -> PaintColor | None:
+    """The colour of a delimiter's paint; None for a centre line."""
+    if line.kind != "delimiter":
+        return None
+    return "yellow" if markings.left_yellow and is_left_edge(line) else "white"
+
+
+def is_double(line: Curve, markings: Markings) -> bool | None:
+    """Whether a delimiter is painted as two stripes; None for a centre line."""
+    return None if line.kind != "delimiter" else markings.left_double and is_left_edge(line)
 
 
 def stripes_m(line: Curve, markings: Markings) -> tuple[float, ...]:
     """Offsets of the stripes' centres from the line's own; the gap of a double line is as wide as a stripe."""
-    is_double = markings.left_double and is_left_edge(line)
-    return (-markings.width_m, markings.width_m) if is_double else (0.0,)
+    return (-markings.width_m, markings.width_m) if is_double(line, markings) else (0.0,)
 
 
 def _paint(ground: Ground, curve: Curve, eye_world: Float[np.ndarray, "3"], streams: Streams) -> Mesh:

@@ -122,8 +122,10 @@ def _against_ground_truth(expected: Labels, labels: Labels) -> Iterator[Finding]
     if ids != [lane.id for lane in expected.lanes]:
         yield Finding("", f"expected lanes {[lane.id for lane in expected.lanes]}, got {ids}")
         return
+    # Older labels do not have the paint of their lines.
+    paint = ("color", "double") if any(lane.color for lane in labels.lanes) else ()
     for lane, true in zip(labels.lanes, expected.lanes, strict=True):
-        for name in ("kind", "road", "marking", "left", "right"):
+        for name in ("kind", "road", "marking", "left", "right", *paint):
             if getattr(lane, name) != getattr(true, name):
                 yield Finding(
                     lane.id, f"{name}: expected {getattr(true, name)} by its scene, got {getattr(lane, name)}"

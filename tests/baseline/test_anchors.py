@@ -10,13 +10,13 @@ import torch
 def _encode(labels, **changes):
     from synth3dlanes_baseline.anchors import encode
     from synth3dlanes_baseline.config import NANO
-    from synth3dlanes_baseline.curves import plane_pose, road_curves
-    from synth3dlanes_baseline.data import pack
+    from synth3dlanes_baseline.curves import plane_pose
+    from synth3dlanes_baseline.data import annotation_of, pack
     from synth3dlanes_baseline.poses import road_from_cam
 
     config = NANO.model_copy(update=changes)
     to_top = torch.from_numpy(road_from_cam(plane_pose(labels))).float()[None]
-    return encode(pack([road_curves(labels)]), to_top, config)
+    return encode(pack([annotation_of("", labels, (360, 480), "plane")]), to_top, config)
 
 
 def _line(x_m, slope=0.0):
@@ -104,6 +104,29 @@ def test_training_and_metric_ignore_the_same_lanes(roads):
         assert [s != IGNORED for s in status[0].tolist()] == usable
 
 
+def test_curves_are_sampled_alike_in_numpy_and_torch(roads):
+    from synth3dlanes_baseline.anchors import sample_curves
+    from synth3dlanes_baseline.curves import resample, road_curves
+
+    rng = np.random.default_rng(17)
+    y_m = np.concatenate([rng.uniform(-5, 120, 60), np.arange(0.0, 111.0, 10.0)])
+    n_seen = 0
+    for _ in range(30):
+        bend = rng.uniform(-2e-3, 2e-3)
+        start, hidden = rng.uniform(0, 30), rng.uniform(0, 60)
+        lane = (lambda y, b=bend: (b * y**2, b * y), start, 110.0)
+        (curve,) = road_curves(roads.labels([lane], hidden=(hidden, hidden + rng.uniform(0, 40))))
+        alone = resample(curve, y_m)
+        xyz, visible = torch.from_numpy(curve.xyz_road)[None, None], torch.from_numpy(curve.visible)[None, None]
+        x_m, z_m, in_range, seen = (part[0, 0].numpy() for part in sample_curves(xyz, visible, torch.from_numpy(y_m)))
+        assert x_m == pytest.approx(alone.x_m, abs=1e-9)
+        assert z_m == pytest.approx(alone.z_m, abs=1e-9)
+        assert (in_range == alone.in_range).all()
+        assert (seen == alone.visible).all()
+        n_seen += seen.sum()
+    assert 500 < n_seen < 1800
+
+
 def test_mirrored_scene_gives_mirrored_targets(roads):
     rng = np.random.default_rng(11)
     for _ in range(50):
@@ -158,21 +181,42 @@ def test_ceiling_on_generated_scenes():
     assert statistics.counts["centerline"]["kept"] > 250
 
 
-def test_horizon_pose_puts_the_farthest_point_on_the_plane(roads):
-    from synth3dlanes_baseline.curves import plane_pose, road_curves, target_pose
+def test_horizon_targets_are_the_labels_own_and_put_the_host_lanes_farthest_point_on_the_plane():
+    from synth3dlanes_baseline.curves import plane_pose, target_pose
     from synth3dlanes_baseline.poses import road_from_cam
 
     from synth3dlanes.frames import transform
+    from synth3dlanes.ground_truth import ground_truth
+    from synth3dlanes.params import load_params
+    from synth3dlanes.sample import sample_scene
 
-    labels = roads.labels([lambda y: (0.0 * y, 0.03 * y + 1e-4 * y**2)])
-    curves = road_curves(labels)
-    pose = target_pose(labels, curves, "horizon")
-    end_road = transform(road_from_cam(pose), curves[0].xyz_cam[-1:])[0]
-    foot_cam = transform(np.linalg.inv(road_from_cam(plane_pose(labels))), np.zeros((1, 3)))
-    foot_road = transform(road_from_cam(pose), foot_cam)
-    assert end_road[2] == pytest.approx(0.0, abs=1e-9)
-    assert foot_road[0, 2] == pytest.approx(0.0, abs=1e-9)
-    assert pose.pitch_rad > plane_pose(labels).pitch_rad, "over rising ground the camera looks down more steeply"
+    params = load_params("appendix_i")
+    n_tilted = 0
+    # 37, 63 and 128: the ground hides the host's lane before 20 m.
+    for index in (*range(12), 37, 63, 128):
+        labels = ground_truth(sample_scene(params, 0, "test", index))
+        plane, pose = plane_pose(labels), target_pose(labels, "horizon")
+        assert pose == (labels.horizon.pitch_rad, labels.horizon.height_m)
+        assert target_pose(labels, "plane") == target_pose(labels, "fixed") == plane
+        ends_road = [
+            transform(road_from_cam(pose), lane.xyz_cam[seen[-1:]])[0]
+            for lane in labels.lanes
+            if lane.kind == "centerline" and (seen := np.flatnonzero(lane.in_image & lane.terrain_visible)).size
+        ]
+        # The plane holds the farthest point of one of the centre lines, the host's, and the foot of the camera.
+        assert min(abs(end[2]) for end in ends_road) < 2e-4
+        foot_cam = transform(np.linalg.inv(road_from_cam(plane)), np.zeros((1, 3)))
+        assert transform(road_from_cam(pose), foot_cam)[0, 2] == pytest.approx(0.0, abs=1e-6)
+        n_tilted += abs(pose.pitch_rad - plane.pitch_rad) > math.radians(1.0)
+    assert n_tilted >= 5
+
+
+def test_labels_without_a_horizon_give_the_tangent_plane(roads):
+    from synth3dlanes_baseline.curves import plane_pose, target_pose
+
+    labels = roads.labels([lambda y: (0.0 * y, 0.03 * y)])
+    assert labels.horizon is None
+    assert target_pose(labels, "horizon") == plane_pose(labels)
 
 
 def test_suppression_keeps_one_of_a_plateau():

@@ -56,6 +56,29 @@ def test_a_shift_beyond_the_match_distance_finds_nothing(roads):
     assert np.isnan(report.kinds["centerline"].at_threshold.near_1sigma_cm)
 
 
+@pytest.mark.parametrize(
+    ("score", "shift_m", "why"),
+    [
+        (0.3, 0.0, "no lane that counts reaches confidence 0.5"),
+        (0.9, 5.0, "no lane that reaches confidence 0.5 matches a label"),
+        (0.9, 0.2, None),
+    ],
+)
+def test_missing_errors_are_explained_in_words(roads, score, shift_m, why):
+    from synth3dlanes_baseline.report import summary_line, to_text
+
+    labels = roads.labels(_straight(0.0), _straight(-1.75))
+    report = _evaluate([(labels, roads.as_prediction(labels, score=score, shift_m=shift_m))])
+    line, text = summary_line(report), to_text(report)
+    if why is None:
+        assert line.count("near 20.0 far 20.0 cm") == 2
+        assert "no lane" not in text
+    else:
+        assert line.count(why) == 2
+        assert text.count(f"no errors: {why}") == 2
+        assert "near -" not in line
+
+
 def test_every_second_lane_removed_halves_recall(roads):
     labels = roads.labels(_straight(-6.0, -2.0, 2.0, 6.0))
     prediction = roads.as_prediction(labels)

@@ -10,11 +10,15 @@ import torch
 
 
 def _batch(roads, n=2, size_px=(160, 120), seed=0):
-    from synth3dlanes_baseline.data import load
+    from synth3dlanes_baseline.data import annotation_of
+    from synth3dlanes_baseline.loading import Example, collate
+
+    def example(sample):
+        annotation = annotation_of(sample.key, sample.labels, (size_px[1], size_px[0]), "plane")
+        return Example(sample.key, np.asarray(sample.image), annotation)
 
     samples = roads.samples(np.random.default_rng(seed), n, size_px)
-    data = load(samples, (size_px[1], size_px[0]), "plane")
-    return data.batch(torch.arange(n), torch.device("cpu"))
+    return collate([example(sample) for sample in samples]).to(torch.device("cpu"))
 
 
 def _targets(batch, config):
@@ -36,7 +40,7 @@ def test_every_ablation_gives_39_values_per_anchor_from_the_same_start(roads, ro
     model = LaneNet(train_config("tiny", ablation=row).model).eval()
     torch.manual_seed(0)
     full = LaneNet(TINY)
-    n_anchors = 10 if row == "image_view" else 16
+    n_anchors = 30 if row == "image_view" else 16
     with torch.no_grad():
         output = model(batch.image, batch.intrinsics)
     assert output.x_m.shape == output.z_m.shape == (2, 3, n_anchors, 6)
@@ -44,6 +48,46 @@ def test_every_ablation_gives_39_values_per_anchor_from_the_same_start(roads, ro
     assert model.head.out.out_channels == 39
     for mine, its in zip(model.image.parameters() if model.image else [], full.image.parameters(), strict=False):
         assert mine.equal(its)
+
+
+@pytest.mark.parametrize("name", ["paper", "tiny"])
+def test_anchors_of_the_image_view_read_the_columns_where_they_meet_the_road(name):
+    from synth3dlanes_baseline.config import train_config
+    from synth3dlanes_baseline.curves import Y_REF_M
+    from synth3dlanes_baseline.model import LaneNet
+
+    from synth3dlanes.frames import invert, project, road_from_cam, transform
+
+    config = train_config(name, ablation="image_view").model
+    model = LaneNet(config)
+    rows, columns = config.image_height_px // 16, config.image_width_px // 16
+    u_px = (16 * torch.arange(columns) + 8.0).expand(1, 1, rows, columns)
+    image, intrinsics = torch.zeros(1, 3, 16, 16), torch.tensor([config.reference_intrinsics])
+    seen, _ = model._top_features(image, intrinsics, [u_px] * 4, torch.eye(4)[None])
+    fx, fy, cx, cy = config.reference_intrinsics
+    pose = road_from_cam(config.fixed_height_m, math.radians(config.fixed_pitch_deg))
+    points_road = np.array([[x_m, Y_REF_M, 0.0] for x_m in model.anchors_m.tolist()])
+    img_from_cam = np.array([[fx, cx, 0], [0, cy, -fy], [0, 1.0, 0]])
+    expected = project(img_from_cam, transform(invert(pose), points_road))[:, 0]
+    assert expected.shape == (30,)
+    # The outermost columns have no neighbour to interpolate with.
+    assert seen[0, 0, 0, 1:-1].tolist() == pytest.approx(expected[1:-1], abs=1e-3)
+    assert np.diff(model.anchors_m.numpy()) == pytest.approx(np.full(29, 0.7718), abs=2e-4)
+
+
+@pytest.mark.parametrize("variant", ["full", "image_view", "top_view", "early_ipm", "late_ipm"])
+def test_every_variant_takes_a_fixed_pose(roads, variant):
+    from synth3dlanes_baseline.config import train_config
+    from synth3dlanes_baseline.model import LaneNet
+
+    batch = _batch(roads, n=1)
+    changes = {"model.pose_target": "fixed", "model.fixed_pitch_deg": 4.0, "model.fixed_height_m": 1.5}
+    model = LaneNet(train_config("tiny", changes, "full").model.model_copy(update={"variant": variant})).eval()
+    assert model.pose is None
+    with torch.no_grad():
+        output = model(batch.image, batch.intrinsics)
+    assert output.pose.tolist() == [pytest.approx([math.radians(4.0), 1.5])]
+    assert output.x_m.isfinite().all()
 
 
 COMPILED = """
@@ -152,17 +196,16 @@ def test_loss_of_perfect_output_is_only_the_confidence(roads):
 
 def test_hidden_knots_and_ignored_lanes_get_no_gradient(roads):
     from synth3dlanes_baseline.config import TINY, LossConfig
-    from synth3dlanes_baseline.data import pack
+    from synth3dlanes_baseline.data import annotation_of, pack
     from synth3dlanes_baseline.loss import loss
     from synth3dlanes_baseline.projection import road_from_cam
 
     labels = roads.labels([lambda y: (0.1, 0 * y), (lambda y: (4.1, 0 * y), 0.0, 15.0), lambda y: (10.6, 0 * y)],
                           hidden=(50.0, 200.0))  # fmt: skip
     from synth3dlanes_baseline.anchors import encode
-    from synth3dlanes_baseline.curves import road_curves
 
     pose = torch.tensor([[labels.camera.pitch_rad, labels.camera.height_m]])
-    targets, _ = encode(pack([road_curves(labels)]), road_from_cam(pose), TINY)
+    targets, _ = encode(pack([annotation_of("", labels, (360, 480), "plane")]), road_from_cam(pose), TINY)
     x_m, z_m, logit = (torch.randn(1, 3, 16, *tail, requires_grad=True) for tail in ((6,), (6,), ()))
     output = _output(targets, None)._replace(x_m=x_m, z_m=z_m, logit=logit, pose=pose)
     loss(output, targets, pose, None, TINY.types, LossConfig())["total"].sum().backward()
@@ -245,14 +288,13 @@ def test_augmentation_of_a_step_repeats(roads):
 def test_a_top_view_moved_right_sees_lanes_further_left(roads):
     from synth3dlanes_baseline.anchors import encode
     from synth3dlanes_baseline.config import TINY
-    from synth3dlanes_baseline.curves import road_curves
-    from synth3dlanes_baseline.data import pack
+    from synth3dlanes_baseline.data import annotation_of, pack
     from synth3dlanes_baseline.projection import road_from_cam, top_from_road
 
     labels = roads.labels([lambda y: (1.0, 0 * y)])
     pose = torch.tensor([[labels.camera.pitch_rad, labels.camera.height_m]])
     moved = top_from_road(torch.zeros(1), torch.tensor([0.5])) @ road_from_cam(pose)
-    targets, _ = encode(pack([road_curves(labels)]), moved, TINY)
+    targets, _ = encode(pack([annotation_of("", labels, (360, 480), "plane")]), moved, TINY)
     anchor = int(torch.nonzero(targets.assigned)[0, 2])
     x_m = targets.x_m[0, 0, anchor] + (anchor - 7.5) * 1.28
     assert x_m.tolist() == pytest.approx([0.5] * 6, abs=1e-4)

@@ -1,7 +1,10 @@
 """From a checkpoint to files: predictions, pictures, reports, ONNX, flat ground; and from files to scores."""
 
+import ast
 import dataclasses
+import inspect
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -12,13 +15,16 @@ from PIL import Image
 @pytest.fixture(scope="module")
 def checkpoint(tmp_path_factory):
     """An untrained tiny network: every path through the files is the same as a trained one's."""
+    return _untrained(tmp_path_factory.mktemp("run") / "best.pt", "full")
+
+
+def _untrained(path, row):
     from synth3dlanes_baseline import checkpoint as checkpoints
     from synth3dlanes_baseline.config import train_config
     from synth3dlanes_baseline.model import LaneNet
 
     torch.manual_seed(0)
-    config = train_config("tiny")
-    path = tmp_path_factory.mktemp("run") / "best.pt"
+    config = train_config("tiny", ablation=row)
     checkpoints.save(path, checkpoints.Checkpoint(config, {}, LaneNet(config.model).state_dict(), None))
     return path
 
@@ -39,7 +45,7 @@ def test_a_predictions_file_scores_as_the_checkpoint_does(checkpoint, split, tmp
     from synth3dlanes_baseline.predict import predict
     from synth3dlanes_baseline.report import to_document
 
-    path = predict(checkpoint, "DIR/test", tmp_path / "out", n_overlays=2, device="cpu")
+    path = predict(checkpoint, "DIR/test", tmp_path / "out", n_overlays=2, device="cpu").path
     from_file = to_document(evaluate_predictions(path, "DIR/test"))
     direct = to_document(evaluate_checkpoint(checkpoint, "DIR/test", device="cpu"))
     for kind in ("centerline", "delimiter"):
@@ -85,6 +91,11 @@ def test_the_truth_written_as_predictions_reads_as_perfect(roads, split, tmp_pat
         ('{"key": "00000000", "lanes": []}\n{"key": "00000000", "lanes": []}', "each key once"),
         ('{"key": "0", "lanes": [{"kind": "x", "score": 1, "xyz_cam": []}]}', r"lanes\[0\].kind: expected centerline"),
         ('{"key": "0", "lanes": [{"kind": "delimiter", "score": 1, "xyz_cam": [[0, 1]]}]}', "got shape"),
+        (
+            '{"key": "0", "lanes": [{"kind": "delimiter", "score": 1, "xyz_cam": [[0,1,2],[0,2,3]],'
+            ' "visibility": [1]}]}',
+            r"lanes\[0\].visibility: expected 2 probabilities",
+        ),
         ('{"key": "0", "lanes": [{"kind": "delimiter", "score": NaN, "xyz_cam": [[0,1,2],[0,2,3]]}]}', "finite"),
     ],
 )
@@ -99,29 +110,48 @@ def test_wrong_predictions_files_are_refused(split, tmp_path, line, problem):
         evaluate_predictions(path, "DIR/test")
 
 
-def test_image_folders_need_intrinsics_and_give_the_same_as_a_split(checkpoint, split, tmp_path):
+def test_image_files_give_the_same_as_a_split(checkpoint, split, tmp_path):
     from synth3dlanes_baseline.data import intrinsics_of
     from synth3dlanes_baseline.lanes import read_predictions
     from synth3dlanes_baseline.predict import predict
-
-    from synth3dlanes.errors import InputError
 
     folder = tmp_path / "images"
     folder.mkdir()
     for sample in split[:2]:
         Image.fromarray(sample.image).save(folder / f"{sample.key}.png")
-    with pytest.raises(InputError, match="expected fx,fy,cx,cy"):
-        predict(checkpoint, folder, tmp_path / "a", device="cpu")
-    assert not (tmp_path / "a").exists()
     intrinsics = intrinsics_of(split[0].labels)
-    path = predict(checkpoint, folder, tmp_path / "a", intrinsics, n_overlays=1, device="cpu")
+    of_files = predict(checkpoint, folder, tmp_path / "a", intrinsics, n_overlays=1, device="cpu")
     of_split = predict(checkpoint, "DIR/test", tmp_path / "b", n_overlays=0, device="cpu")
-    pairs = list(zip(read_predictions(path), read_predictions(of_split), strict=False))
+    assert (of_files.n_images, of_split.n_images) == (2, 5)
+    pairs = list(zip(read_predictions(of_files.path), read_predictions(of_split.path), strict=False))
     assert len(pairs) == 2
     for mine, its in pairs:
         assert mine.key == its.key + ".png"
         assert len(mine.lanes) == len(its.lanes) > 0
         assert mine.lanes[0].xyz_cam == pytest.approx(its.lanes[0].xyz_cam, abs=2e-3)
+
+
+def test_image_files_without_intrinsics_are_taken_for_those_of_the_papers_camera(checkpoint, split, tmp_path):
+    from synth3dlanes_baseline.predict import assumed_intrinsics, predict
+
+    Image.fromarray(split[0].image).save(tmp_path / "photo.jpg")
+    fx, fy, cx, cy = assumed_intrinsics((120, 160))
+    assert (cx, cy) == (80, 60)
+    assert fx == fy == pytest.approx(80 * np.sqrt(3)), "30 degrees to each side"
+    found = predict(checkpoint, tmp_path / "photo.jpg", tmp_path / "a", device="cpu")
+    given = predict(checkpoint, tmp_path / "photo.jpg", tmp_path / "b", (fx, fy, cx, cy), device="cpu")
+    assert found.path.read_bytes() == given.path.read_bytes()
+    assert "60 degrees" in found.text()
+    assert "60 degrees" not in given.text()
+
+
+def test_a_picture_without_confident_lanes_says_so(checkpoint, split, tmp_path):
+    from synth3dlanes_baseline.predict import predict
+
+    found = predict(checkpoint, "DIR/test", tmp_path, n_overlays=0, device="cpu", threshold=1.0)
+    assert "no lane of confidence 1 in 5 images; the best has 0." in found.text()
+    some = predict(checkpoint, "DIR/test", tmp_path, n_overlays=0, device="cpu", threshold=found.best_score)
+    assert some.n_lanes == 1
 
 
 def test_flat_ground_is_exact_on_a_plane_and_wrong_on_a_hill(roads):
@@ -132,8 +162,7 @@ def test_flat_ground_is_exact_on_a_plane_and_wrong_on_a_hill(roads):
     hill = roads.labels([lambda y: (0 * y + 3.0, 1e-4 * y**2)])
     for labels, low, high in ((flat, 0.0, 0.1), (hill, 5.0, np.inf)):
         projected = through_flat_ground(roads.as_prediction(labels), labels, "plane")
-        sample = dataclasses.replace(roads.samples(np.random.default_rng(0), 1)[0], labels=labels)
-        errors = score([projected], [sample]).kinds["centerline"].at_threshold
+        errors = score([(labels, projected)]).kinds["centerline"].at_threshold
         assert low <= errors.far_2sigma_cm <= high
 
 
@@ -141,7 +170,7 @@ def test_table_puts_the_papers_numbers_beside_ours(roads, split):
     from synth3dlanes_baseline.evaluate import score
     from synth3dlanes_baseline.report import markdown, table_1_cells, text
 
-    report = score([roads.as_prediction(sample.labels) for sample in split], split)
+    report = score((sample.labels, roads.as_prediction(sample.labels)) for sample in split)
     cells = table_1_cells({"full": report, "late_ipm": report, "flat_ground:horizon": report})
     table = text(cells)
     assert len({len(line) for line in table.splitlines()}) == 1
@@ -152,23 +181,117 @@ def test_table_puts_the_papers_numbers_beside_ours(roads, split):
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_onnx_gives_equal_outputs(checkpoint, tmp_path):
+def test_onnx_gives_equal_outputs(tmp_path):
     import onnxruntime
     from synth3dlanes_baseline import checkpoint as checkpoints
-    from synth3dlanes_baseline.onnx_export import OUTPUTS, export_onnx
+    from synth3dlanes_baseline.onnx_export import OUTPUTS, export_onnx, metadata_of
 
-    path = export_onnx(checkpoint, tmp_path / "m.onnx")
+    path = export_onnx(_untrained(tmp_path / "best.pt", "improved"), tmp_path / "m.onnx")
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
-    model = checkpoints.build(checkpoints.load(checkpoint), torch.device("cpu"))
+    assert tuple(output.name for output in session.get_outputs()) == OUTPUTS
+    model = checkpoints.build(checkpoints.load(tmp_path / "best.pt"), torch.device("cpu"))
     image = torch.rand(3, 3, 120, 160, generator=torch.Generator().manual_seed(0))
     intrinsics = torch.tensor([[138.6, 138.6, 80.0, 60.0]]).repeat(3, 1)
     values = session.run(list(OUTPUTS), {"image": image.numpy(), "intrinsics": intrinsics.numpy()})
     with torch.no_grad():
         output = model(image, intrinsics)
-    expected = (output.x_m + model.anchors_m[:, None], output.z_m, output.logit.sigmoid(), output.pose)
+    x_m = output.x_m + model.anchors_m[:, None]
+    expected = (x_m, output.z_m, output.logit.sigmoid(), output.pose, output.visible_logit.sigmoid())
     for value, wanted in zip(values, expected, strict=True):
         assert value == pytest.approx(wanted.numpy(), abs=1e-3)
-    assert json.loads(session.get_modelmeta().custom_metadata_map["config"])["name"] == "tiny"
+    metadata = session.get_modelmeta().custom_metadata_map
+    assert json.loads(metadata["config"])["has_visibility"] is True
+    assert metadata == metadata_of(model.config)
+
+
+@pytest.mark.parametrize("row", ["full", "improved"])
+def test_the_decoder_of_onnx_outputs_gives_the_lanes_of_predict(row):
+    from synth3dlanes_baseline.config import train_config
+    from synth3dlanes_baseline.inference import layout_of, predictions_of
+    from synth3dlanes_baseline.model import LaneNet, Output
+    from synth3dlanes_baseline.onnx_decode import decode
+    from synth3dlanes_baseline.onnx_export import OUTPUTS, metadata_of, plain
+
+    model = LaneNet(train_config("tiny", ablation=row).model)
+    has_visibility = row == "improved"
+    rng = np.random.default_rng(3)
+    shape = (3, 3, 16, len(model.config.knots_y_m))
+    pose = torch.tensor([[0.02, 1.5], [-0.01, 1.6], [0.09, 1.9]], dtype=torch.float64)
+    x_m, z_m, logit, visible_logit = (torch.from_numpy(rng.normal(0, 3, s)) for s in (shape, shape, shape[:3], shape))
+    logit = logit.round()  # some neighbours are equal
+    output = Output(
+        x_m, z_m, logit, visible_logit if has_visibility else None, pose, torch.eye(4).repeat(3, 1, 1), None
+    )
+    arrays = [value.numpy() for value in plain(model, output)]
+    outputs = dict(zip(OUTPUTS, arrays, strict=False))
+    assert ("visibility" in outputs) == has_visibility
+    metadata = metadata_of(model.config)
+    by_torch = [prediction.lanes for prediction in predictions_of("abc", output, layout_of(model))]
+    for lanes, found in zip(by_torch, decode(outputs, metadata), strict=True):
+        assert len(lanes) == len(found) > 10
+        for lane, mine in zip(lanes, found, strict=True):
+            assert (mine["kind"], mine["score"]) == (lane.kind, pytest.approx(lane.score))
+            assert mine["xyz_cam"] == pytest.approx(lane.xyz_cam, abs=1e-5)
+            assert ("visibility" in mine) == (lane.visibility is not None) == has_visibility
+            if has_visibility:
+                assert mine["visibility"] == pytest.approx(lane.visibility)
+    with pytest.raises(ValueError, match="expected natural, got pchip"):
+        decode(outputs, metadata | {"config": '{"spline": "pchip"}'})
+
+
+def test_the_decoder_of_onnx_outputs_needs_numpy_alone():
+    from synth3dlanes_baseline import onnx_decode
+
+    tree = ast.parse(inspect.getsource(onnx_decode))
+    modules = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+    modules |= {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    assert modules - set(sys.stdlib_module_names) - {"collections.abc"} == {"numpy"}
+
+
+def test_visibility_is_written_and_read_and_changes_no_score(checkpoint, roads, split, tmp_path):
+    from synth3dlanes_baseline.evaluate import evaluate_predictions
+    from synth3dlanes_baseline.lanes import read_predictions, write_predictions
+    from synth3dlanes_baseline.predict import predict
+
+    improved = _untrained(tmp_path / "best.pt", "improved")
+    read = list(read_predictions(predict(improved, "DIR/test", tmp_path / "out", n_overlays=0, device="cpu")))
+    lanes = [lane for prediction in read for lane in prediction.lanes]
+    assert len(lanes) > 5
+    # Linear between the knots: constant before 5 m, and no kink between 60 and 80 m.
+    for lane in lanes:
+        assert lane.visibility.shape == (101,)
+        assert ((lane.visibility > 0) & (lane.visibility < 1)).all()
+        assert (lane.visibility[:6] == lane.visibility[5]).all()
+        assert np.diff(lane.visibility[60:81], n=2) == pytest.approx(np.zeros(19), abs=3e-3)
+    assert np.ptp([lane.visibility for lane in lanes]) > 1e-3
+    plain = list(read_predictions(predict(checkpoint, "DIR/test", tmp_path / "plain", n_overlays=0, device="cpu")))
+    assert all(lane.visibility is None for prediction in plain for lane in prediction.lanes)
+
+    found = [roads.as_prediction(sample.labels, sample.key) for sample in split]
+    for name, value in (("seen", 0.9), ("hidden", 0.1)):
+        marked = [
+            dataclasses.replace(
+                prediction,
+                lanes=tuple(
+                    dataclasses.replace(lane, visibility=np.full(len(lane.xyz_cam), value)) for lane in prediction.lanes
+                ),
+            )
+            for prediction in found
+        ]
+        write_predictions(tmp_path / name, marked)
+        assert evaluate_predictions(tmp_path / name, "DIR/test").kinds["centerline"].ap == pytest.approx(1.0)
+
+
+def test_lanes_are_drawn_as_far_as_they_are_visible(roads):
+    from synth3dlanes_baseline.overlay import _curves
+
+    prediction = roads.as_prediction(roads.labels([lambda y: (0 * y, 0 * y)]))
+    (_, _, whole) = next(iter(_curves(prediction, None, 0.5)))
+    assert np.isfinite(whole).all()
+    visibility = np.where(np.arange(len(whole)) < 40, 0.8, 0.3)
+    lane = dataclasses.replace(prediction.lanes[0], visibility=visibility)
+    (_, _, drawn) = next(iter(_curves(dataclasses.replace(prediction, lanes=(lane,)), None, 0.5)))
+    assert np.isfinite(drawn).all(axis=1).tolist() == (visibility > 0.5).tolist()
 
 
 def test_statistics_count_every_lane(split):

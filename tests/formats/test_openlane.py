@@ -145,10 +145,11 @@ def test_openlane_categories_are_those_of_the_paint():
     }
     camera = cf.camera_label()
     for (marking, is_yellow, is_double), category in expected.items():
-        labels = cf.labels_of(camera, cf.lane(camera, cf.curve(2.0), "d0", marking=marking))
-        ids = frozenset({"d0"})
-        frame = replace(FRAME, yellow=ids if is_yellow else ids - ids, double=ids if is_double else ids - ids)
-        assert [line.category for line in openlane_frame(labels, frame).lines] == [category]
+        color = "yellow" if is_yellow else "white"
+        lane = cf.lane(camera, cf.curve(2.0), marking=marking, color=color, double=is_double)
+        assert [line.category for line in openlane_frame(cf.labels_of(camera, lane)).lines] == [category]
+    older = cf.lane(camera, cf.curve(2.0), marking="dashed")
+    assert [line.category for line in openlane_frame(cf.labels_of(camera, older)).lines] == [1]
 
 
 def test_a_narrow_frame_has_its_own_intrinsics():

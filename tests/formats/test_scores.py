@@ -5,6 +5,8 @@ import pytest
 
 from synth3dlanes.formats.apollo.score import prune
 from synth3dlanes.formats.apollo.score import score as score_apollo
+from synth3dlanes.formats.band_score import Canvas
+from synth3dlanes.formats.band_score import score as score_bands
 from synth3dlanes.formats.line_score import Line3d
 from synth3dlanes.formats.once.score import score as score_once
 from synth3dlanes.formats.openlane.score import score as score_openlane
@@ -170,3 +172,43 @@ def test_tusimple_accuracy_by_hand():
     assert rates([absent], [absent])[0] == 1.0, "absent on both sides is right"
     five = [np.full(len(rows), 100.0 * i) for i in range(1, 6)]
     assert rates(five[:4], five) == (1.0, 0.0, 0.0), "the worst of five does not count"
+
+
+CULANE = Canvas(1640, 590, 30, 0.5)
+
+
+def upright(x_px=800.0, top_px=300.0):
+    return np.column_stack([np.full(30, x_px), np.linspace(590.0, top_px, 30)])
+
+
+def test_bands_of_thirty_pixels_match_when_less_than_ten_apart():
+    # Bands of width w that are d apart overlap by (w - d) / (w + d): one half at d = 10.
+    for aside_px, is_matched in ((0, True), (5, True), (9, True), (11, False), (31, False)):
+        found = score_bands([([upright()], [upright(800 + aside_px)])], CULANE)
+        assert (found.f_score, found.recall, found.precision) == ((1, 1, 1) if is_matched else (0, 0, 0))
+
+
+def test_bands_count_missed_and_invented_lines():
+    true = [upright(x) for x in (300, 700, 900, 1300)]
+    found = score_bands([(true, true[::-1])], CULANE)
+    assert (found.f_score, found.recall, found.precision) == (1, 1, 1), "the order does not matter"
+    found = score_bands([(true, true[:1]), ([], [upright()]), ([], [])], CULANE)
+    assert (found.recall, found.precision) == (0.25, 0.5)
+    assert found.f_score == pytest.approx(2 * 0.25 * 0.5 / 0.75)
+    assert score_bands([([], [])], CULANE).f_score == 0
+
+
+def test_bands_are_paired_for_the_greatest_overlap_in_all():
+    # The middle one overlaps both, more with the first; alone it would take the first away from its own.
+    true, predicted = [upright(800), upright(816)], [upright(807), upright(793)]
+    assert score_bands([(true, predicted)], CULANE).recall == 1
+
+
+def test_bands_follow_a_spline_and_stop_where_lines_stop():
+    # The polyline through the five points overlaps by 0.77.
+    coarse, fine = (
+        np.column_stack([400 + 600 * t**2, 590 - 300 * t]) for t in (np.linspace(0, 1, n) for n in (5, 200))
+    )
+    assert score_bands([([coarse], [fine])], Canvas(1640, 590, 30, 0.85)).f_score == 1
+    assert score_bands([([upright()], [upright(top_px=460.0)])], CULANE).f_score == 0, "less than half as long"
+    assert score_bands([([upright()], [upright(top_px=430.0)])], CULANE).f_score == 1

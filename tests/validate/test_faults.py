@@ -213,6 +213,16 @@ def without_neighbour(labels: Labels) -> Labels:
     return with_lane(labels, replace(line_to_spoil(labels), left="main_99"))
 
 
+def repainted(labels: Labels) -> Labels:
+    line = next(lane for lane in labels.lanes if lane.color == "white")
+    return with_lane(labels, replace(line, color="yellow"))
+
+
+def doubled(labels: Labels) -> Labels:
+    line = next(lane for lane in labels.lanes if lane.double is False)
+    return with_lane(labels, replace(line, double=True))
+
+
 def twice_the_same_id(labels: Labels) -> Labels:
     return replace(labels, lanes=(*labels.lanes, labels.lanes[0]))
 
@@ -225,6 +235,8 @@ def twice_the_same_id(labels: Labels) -> Labels:
         (relabel(SAMPLE, pitch), "camera.pitch_rad: expected"),
         (relabel(SAMPLE, turned), "expected points from near to far"),
         (relabel(SAMPLE, without_neighbour), "left: expected the id of a line of the other kind"),
+        (relabel(SAMPLE, repainted), "color: expected white by its scene, got yellow"),
+        (relabel(SAMPLE, doubled), "double: expected False by its scene, got True"),
         (relabel(SAMPLE, twice_the_same_id), "expected unique ids of lanes"),
     ],
 )

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 
-from synth3dlanes.formats.apollo.convention import CAMERA, ROOT
+from synth3dlanes.formats.apollo.convention import ROOT
 from synth3dlanes.formats.apollo.read import ApolloFrame, parse
 from synth3dlanes.formats.apollo.score import RULES, prune, score
 from synth3dlanes.formats.line_score import Line3d
@@ -13,7 +13,7 @@ from synth3dlanes.formats.self_check import Benchmark3d, Verified, image_problem
 BENCHMARK = Benchmark3d(score, prune, RULES.missing_m)
 
 
-def verify(out: Path, most_frames: int) -> Iterator[Verified]:
+def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verified]:
     """Lane lines and centre lines of every list."""
     for path in sorted((out / "data_splits").glob("*/*.json")):
         name = str(path.relative_to(out))
@@ -21,7 +21,7 @@ def verify(out: Path, most_frames: int) -> Iterator[Verified]:
             frames = [parse(line, name) for line in islice(file, most_frames)]
         if not frames:
             continue
-        problems = image_problems([out / ROOT / frame.raw_file for frame in frames], CAMERA)
+        problems = image_problems([out / ROOT / frame.raw_file for frame in frames], size_px)
         for kind in ("lane", "center"):
             true = [_lines(frame, is_center=kind == "center") for frame in frames]
             yield verify_3d(f"{name} {kind} lines", true, problems, BENCHMARK)

@@ -140,7 +140,8 @@ def _sidecar(labels: Labels, frame: Frame, raw_file: str, groups: dict[LaneKind,
 
 FORMAT = Format(
     camera=CAMERA,
-    has_intrinsics=False,
+    is_f_free=False,
+    is_size_free=False,
     readme=README,
     annotate=annotate,
     links={"images": f"{ROOT}/images"},

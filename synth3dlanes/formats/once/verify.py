@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from synth3dlanes.formats.once.convention import CAMERA, ROOT
+from synth3dlanes.formats.once.convention import ROOT
 from synth3dlanes.formats.once.read import parse
 from synth3dlanes.formats.once.score import score
 from synth3dlanes.formats.self_check import SHIFT_M, TOLERANCE_M, Verified, image_problems
 
 
-def verify(out: Path, most_frames: int) -> Iterator[Verified]:
+def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verified]:
     """The lanes of every list."""
     root = out / ROOT
     for path in sorted((root / "list").glob("*.txt")):
@@ -23,7 +23,7 @@ def verify(out: Path, most_frames: int) -> Iterator[Verified]:
         copies = [[points_cv.copy() for points_cv in lanes] for lanes in true]
         alone = [([points_cv], [points_cv + np.array([SHIFT_M, 0, 0])]) for lanes in true for points_cv in lanes]
         perfect, shifted = score(list(zip(true, copies, strict=True))), score(alone)
-        problems = image_problems([root / "data" / f"{name}.jpg" for name in names], CAMERA)
+        problems = image_problems([root / "data" / f"{name}.jpg" for name in names], size_px)
         if alone and (perfect.f_score < 1 or perfect.distance_m > TOLERANCE_M):
             problems.append(f"{part}: expected ground truth to score F = 1 at distance 0, got {perfect}")
         if shifted.f_score > 0.01:

@@ -17,12 +17,13 @@ FRAMES_PER_SEQUENCE = 1000
 
 README = f"""ONCE-3DLanes layout.
 
-- `{ROOT}/{{train,val,test}}/<seq>/cam01/*.json`, images in `{ROOT}/data/<seq>/cam01/*.jpg`, 1920x1020. Where the data
-  set has only one of val and test, its frames are in both folders: some tools open the one, some the other.
+- `{ROOT}/{{train,val,test}}/<seq>/cam01/*.json`, images in `{ROOT}/data/<seq>/cam01/*.jpg`. Loaders assume 1920x1020
+  unless they are told another size. Where the data set has only one of val and test, its frames are in both folders:
+  some tools open the one, some the other.
 - Tools replace "train", "val" or "test" by "data" in the WHOLE path: keep these words out of the folders above.
 - `lanes`: points in the camera frame x right, y down, z forward, metres, far to near. `calibration`: 3x4, one for each
-  frame: c = (960, 510) (pixel corners at whole numbers); f = 958 as in the original, or longer where the frame's own
-  field of view is narrower than that.
+  frame: c in the middle of the image (pixel corners at whole numbers); f = 958 for a width of 1920 as in the original,
+  or longer where the frame's own field of view is narrower than that.
 - The format has no extrinsics; loaders assume 1.5 m and 0.5 or 0.3 degrees. The true values are in the extra keys
   `camera_height_m` and `camera_pitch_rad` (positive = down).
 - The official evaluator assigns lines by what lies within 10 m ahead and 10 m to the side. So lines keep their
@@ -67,7 +68,8 @@ def _is_rastered(line: Line) -> bool:
 
 FORMAT = Format(
     camera=CAMERA,
-    has_intrinsics=True,
+    is_f_free=True,
+    is_size_free=True,
     readme=README,
     annotate=annotate,
     links={"annotations": ROOT, "raw_data": f"{ROOT}/data"},

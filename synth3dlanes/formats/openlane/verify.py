@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from synth3dlanes.formats.line_score import Line3d
-from synth3dlanes.formats.openlane.convention import CAMERA, ground_from_waymo
+from synth3dlanes.formats.openlane.convention import ground_from_waymo
 from synth3dlanes.formats.openlane.read import OpenLaneFrame, parse
 from synth3dlanes.formats.openlane.score import prune, score
 from synth3dlanes.formats.openlane.write import CASES
@@ -14,7 +14,7 @@ BENCHMARK = Benchmark3d(score, prune, missing_m=0.0)
 CASE_OF_LIST = {name: case for case, name in CASES.items()}
 
 
-def verify(out: Path, most_frames: int) -> Iterator[Verified]:
+def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verified]:
     """The lines of every list."""
     for path in sorted([*(out / "lists").glob("*.txt"), *(out / "lane3d_1000/test").glob("*.txt")]):
         case = CASE_OF_LIST.get(path.name)
@@ -25,7 +25,7 @@ def verify(out: Path, most_frames: int) -> Iterator[Verified]:
         if case is not None:
             labels = [f"test/{case}_case/{label.partition('/')[2]}" for label in labels]
         frames = [parse((out / "lane3d_1000" / label).read_text(), label) for label in labels]
-        problems = image_problems([out / "images" / image for image in images], CAMERA)
+        problems = image_problems([out / "images" / image for image in images], size_px)
         problems += [
             f"{image}: file_path is {frame.file_path}"
             for image, frame in zip(images, frames, strict=True)

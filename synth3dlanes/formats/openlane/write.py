@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from synth3dlanes.formats.lines import NEAR_START_M, Line, keep_lines, lines_ahead, road_from_cv
+from synth3dlanes.formats.lines import Line, ego_places, keep_lines, lines_ahead
 from synth3dlanes.formats.openlane.convention import CAMERA, WAYMO_FROM_CAM, vehicle_from_cam_waymo
 from synth3dlanes.formats.writing import CV_FROM_CAM, DECIMALS, Annotation, Format, Frame
-from synth3dlanes.labels import CameraLabel, Labels
+from synth3dlanes.labels import Labels, Lane
 
 MAX_LINES = 20
 MIN_LENGTH_M = 5.0
@@ -28,8 +28,9 @@ CASES = {
 
 README = """OpenLane v1 layout.
 
-- `images/{training,validation}/segment-*_with_camera_labels/`: 1920x1280, intrinsics per frame: c = (960, 640) (pixel
-  corners at whole numbers); f = 2015, or longer where the frame's own field of view is narrower than that.
+- `images/{training,validation}/segment-*_with_camera_labels/`. Loaders assume 1920x1280 unless they are told another
+  size. Intrinsics per frame: c in the middle of the image (pixel corners at whole numbers); f = 2015 for a width of
+  1920, or longer where the frame's own field of view is narrower than that.
 - `lane3d_1000/{training,validation}/segment-*/`: one JSON a frame, on one line. Test frames are in `validation`, or in
   `test` beside the cases where the data set has val frames too.
 - Lists: `lists/*.txt`, and `data_lists/*.txt` for Anchor3DLane; `lane3d_1000/test/1000_*.txt` with copies of the labels
@@ -55,12 +56,12 @@ def annotate(labels: Labels, frame: Frame) -> Annotation:
     file_path = f"{folder}/{name}.jpg"
     ahead = lines_ahead(labels, frame.pinhole, "delimiter", STEP_M)
     lines = _kept(ahead, dropped)
-    attributes = _attributes(ahead, labels.camera)
+    attributes = ego_places(ahead, labels.camera)
     document = {
         "extrinsic": np.round(vehicle_from_cam_waymo(labels.camera.height_m, labels.camera.pitch_rad), 12).tolist(),
         "intrinsic": frame.pinhole.img_from_cv.tolist(),
         "lane_lines": [
-            _line_document(line, frame, attributes[line.id], place * (MAX_LINES + 1) + i + 1)
+            _line_document(line, frame, attributes.get(line.id, 0), place * (MAX_LINES + 1) + i + 1)
             for i, line in enumerate(lines)
         ],
         "file_path": file_path,
@@ -76,11 +77,12 @@ def annotate(labels: Labels, frame: Frame) -> Annotation:
     return Annotation(f"images/{file_path}", len(lines), dropped, files, shared)
 
 
-def category(line: Line, frame: Frame) -> int:
-    """1 white dashed, 2 white solid, 3 and 4 the same doubled, 7 to 10 the same four in yellow; 0 unknown."""
-    if line.marking == "none":
+def category(lane: Lane) -> int:
+    """1 white dashed, 2 white solid, 3 and 4 the same doubled, 7 to 10 the same four in yellow; 0 unknown. Older labels
+    have no colour: their lines count as single and white."""
+    if lane.marking == "none":
         return 0
-    return 1 + (line.marking == "solid") + 2 * (line.id in frame.double) + 6 * (line.id in frame.yellow)
+    return 1 + (lane.marking == "solid") + 2 * bool(lane.double) + 6 * (lane.color == "yellow")
 
 
 def _kept(ahead: tuple[Line, ...], dropped: Counter[str]) -> tuple[Line, ...]:
@@ -96,23 +98,10 @@ def _kept(ahead: tuple[Line, ...], dropped: Counter[str]) -> tuple[Line, ...]:
     return keep_lines(kept, dropped, MAX_LINES, f"beyond the {MAX_LINES} nearest (Anchor3DLane drops such frames)")
 
 
-def _attributes(ahead: tuple[Line, ...], camera: CameraLabel) -> dict[str, int]:
-    """1 to 4 for the two nearest lines on either side of the camera, of those that pass beside it; by line id."""
-    x_m = {
-        line.id: float(road_from_cv(camera, line.points_cv[:1])[0, 0])
-        for line in ahead
-        if line.points_cv[0, 2] <= NEAR_START_M
-    }
-    left = sorted((line_id for line_id in x_m if x_m[line_id] < 0), key=lambda line_id: -x_m[line_id])
-    right = sorted((line_id for line_id in x_m if x_m[line_id] >= 0), key=lambda line_id: x_m[line_id])
-    numbered = {**dict(zip(left, (2, 1), strict=False)), **dict(zip(right, (3, 4), strict=False))}
-    return {line.id: numbered.get(line.id, 0) for line in ahead}
-
-
 def _line_document(line: Line, frame: Frame, attribute: int, track_id: int) -> dict[str, Any]:
     points_cv = np.round(line.points_cv, DECIMALS)
     return {
-        "category": category(line, frame),
+        "category": category(line.lane),
         "visibility": line.visible.astype(float).tolist(),
         "uv": np.round(frame.pinhole.project(points_cv[line.visible]), UV_DECIMALS).T.tolist(),
         "xyz": (points_cv @ CV_FROM_CAM @ WAYMO_FROM_CAM.T + 0.0).T.tolist(),
@@ -123,7 +112,8 @@ def _line_document(line: Line, frame: Frame, attribute: int, track_id: int) -> d
 
 FORMAT = Format(
     camera=CAMERA,
-    has_intrinsics=True,
+    is_f_free=True,
+    is_size_free=True,
     readme=README,
     annotate=annotate,
     lists=tuple(f"lane3d_1000/test/{name}" for name in CASES.values()),

@@ -1,6 +1,5 @@
 """The self-check of a tuSimple export."""
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, astuple
 from itertools import islice
@@ -10,19 +9,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.formats.self_check import SHIFT_M, Verified, image_problems
-from synth3dlanes.formats.tusimple.convention import CAMERA, ROWS_PX
+from synth3dlanes.formats.self_check import SHIFT_M, Verified, image_problems, moved_aside, read_sidecars
+from synth3dlanes.formats.tusimple.convention import ROWS_PX
 from synth3dlanes.formats.tusimple.read import TusimpleFrame, parse
 from synth3dlanes.formats.tusimple.score import TusimpleScore, score, score_frame
 
 
-def verify(out: Path, most_frames: int) -> Iterator[Verified]:
+def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verified]:
     """The lines of every label file."""
-    sidecars = {}
-    with (out / "sidecar.jsonl").open() as file:
-        for line in file:
-            sidecar = json.loads(line)
-            sidecars[sidecar["raw_file"]] = sidecar
+    sidecars = read_sidecars(out, "raw_file")
     for path in sorted(out.glob("*label*.json")):
         with path.open() as file:
             frames = [parse(line, path.name) for line in islice(file, most_frames)]
@@ -31,7 +26,7 @@ def verify(out: Path, most_frames: int) -> Iterator[Verified]:
         true = [frame.lanes_u_px for frame in frames]
         perfect = score([(lanes, lanes.copy()) for lanes in true], ROWS_PX.astype(float))
         shifted = _score_shifted(frames, sidecars)
-        problems = image_problems([out / frame.raw_file for frame in frames], CAMERA)
+        problems = image_problems([out / frame.raw_file for frame in frames], size_px)
         if perfect != TusimpleScore(1.0, 0.0, 0.0):
             problems.append(f"{path.name}: expected ground truth to score 1, 0, 0, got {perfect}")
         if shifted.false_negative < 0.95:
@@ -55,8 +50,5 @@ def _score_shifted(frames: Sequence[TusimpleFrame], sidecars: dict[str, dict[str
 
 
 def _moved_rows(lanes_u_px: Float[np.ndarray, "l r"], sidecar: dict[str, Any]) -> Float[np.ndarray, "l r"]:
-    # On the road plane one metre aside is |v - horizon| cos(pitch) / height pixels in row v.
-    pitch_rad = sidecar["camera_pitch_rad"]
-    horizon_px = CAMERA.height_px / 2 - CAMERA.f_px * np.tan(pitch_rad)
-    px_per_m = np.abs(ROWS_PX - horizon_px) * np.cos(pitch_rad) / sidecar["camera_height_m"]
-    return np.where(lanes_u_px >= 0, lanes_u_px + SHIFT_M * px_per_m, lanes_u_px)
+    points_img = np.stack(np.broadcast_arrays(lanes_u_px, ROWS_PX.astype(float)), axis=-1)
+    return np.where(lanes_u_px >= 0, moved_aside(points_img, sidecar)[..., 0], lanes_u_px)

@@ -6,7 +6,7 @@ from collections import Counter
 import numpy as np
 from jaxtyping import Int
 
-from synth3dlanes.formats.lines import Line, keep_lines, lines_ahead
+from synth3dlanes.formats.lines import Line, columns_of, keep_lines, lines_ahead
 from synth3dlanes.formats.tusimple.convention import ABSENT, CAMERA, ROWS_PX
 from synth3dlanes.formats.writing import Annotation, Format, Frame
 from synth3dlanes.labels import Labels
@@ -45,7 +45,7 @@ def annotate(labels: Labels, frame: Frame) -> Annotation | None:
     sidecar = {
         "raw_file": raw_file,
         "source": f"{frame.split}/{frame.key}",
-        "f_px": CAMERA.f_px,
+        "img_from_cv": CAMERA.img_from_cv.tolist(),
         "camera_height_m": labels.camera.height_m,
         "camera_pitch_rad": labels.camera.pitch_rad,
         "lanes_ids": [line.id for line in kept],
@@ -72,17 +72,16 @@ def label_file(frame: Frame) -> str:
 
 
 def rows_of(line: Line) -> Int[np.ndarray, " r"]:
-    """The line's column at each row: the projected polyline up to where it turns over, ABSENT elsewhere."""
-    absent = np.full(len(ROWS_PX), ABSENT)
-    u_px, v_px = CAMERA.project(line.points_cv[line.visible]).T
-    turns = np.flatnonzero(np.diff(v_px) >= 0)
-    n = int(turns[0]) + 1 if len(turns) else len(v_px)
-    if n < 2:
-        return absent
-    columns_px = np.rint(np.interp(ROWS_PX, v_px[:n][::-1], u_px[:n][::-1])).astype(int)
-    top_px, bottom_px = v_px[n - 1], v_px[0]
-    inside = (columns_px >= 0) & (columns_px < CAMERA.width_px)
-    return np.where(inside & (top_px <= ROWS_PX) & (bottom_px >= ROWS_PX), columns_px, absent)
+    """The line's column at each row, ABSENT where it has none in the image."""
+    columns_px = np.rint(columns_of(line, CAMERA, ROWS_PX))
+    return np.where((columns_px >= 0) & (columns_px < CAMERA.width_px), columns_px, ABSENT).astype(int)
 
 
-FORMAT = Format(camera=CAMERA, has_intrinsics=False, readme=README, annotate=annotate, lists=LABEL_FILES)
+FORMAT = Format(
+    camera=CAMERA,
+    is_f_free=False,
+    is_size_free=False,
+    readme=README,
+    annotate=annotate,
+    lists=LABEL_FILES,
+)

@@ -1,0 +1,108 @@
+"""What the data loader has prepared, kept for later epochs: annotations in a file beside the run, pixels in memory.
+
+Both are slots of equal size, one for each sample, filled by whichever process comes first. Every slot has a checksum,
+so a slot that is empty or was half written when a run was killed is just made anew.
+"""
+
+import os
+import struct
+import weakref
+import zlib
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+
+from .data import Annotation, Pixels
+from .poses import Pose
+
+HEADER = struct.Struct("<II")
+SHAPE = struct.Struct("<HH8f")
+SLOT_BYTES = 36 * 1024
+"""Room for 24 curves of 112 points, of which scenes of the paper have up to 15; larger annotations are not cached. The
+file is sparse, so smaller ones take less."""
+VERSION = b"synth3dlanes annotations 1\n"
+
+
+class Slots:
+    """Records in equal slots of an open file, which is closed with this object; any process that inherits the file may
+    read and write."""
+
+    def __init__(self, file: int, slot_bytes: int, start: int = 0) -> None:
+        self._file, self._slot_bytes, self._start = file, slot_bytes, start
+        weakref.finalize(self, os.close, file)
+
+    def get(self, index: int) -> bytes | None:
+        """The record of a slot, None where there is none."""
+        slot = os.pread(self._file, self._slot_bytes, self._start + index * self._slot_bytes)
+        if len(slot) < HEADER.size:
+            return None
+        size, checksum = HEADER.unpack_from(slot)
+        record = slot[HEADER.size : HEADER.size + size]
+        return record if size and len(record) == size and zlib.crc32(record) == checksum else None
+
+    def put(self, index: int, record: bytes) -> None:
+        """Keep a record, if it has room in a slot."""
+        if HEADER.size + len(record) <= self._slot_bytes:
+            slot = HEADER.pack(len(record), zlib.crc32(record)) + record
+            os.pwrite(self._file, slot, self._start + index * self._slot_bytes)
+
+
+def annotation_file(path: Path, source: str) -> Slots:
+    """The annotations cached at `path`. `source` says what they were made from; those of another one are dropped."""
+    header = (VERSION + source.encode()).ljust(SLOT_BYTES, b"\0")[:SLOT_BYTES]
+    if path.is_file():
+        file = os.open(path, os.O_RDWR)
+        if os.pread(file, SLOT_BYTES, 0) == header:
+            return Slots(file, SLOT_BYTES, SLOT_BYTES)
+        os.close(file)
+    partial = path.with_name(f"{path.name}.{os.getpid()}.tmp")
+    partial.write_bytes(header)
+    partial.replace(path)
+    return Slots(os.open(path, os.O_RDWR), SLOT_BYTES, SLOT_BYTES)
+
+
+def has_pixel_memory() -> bool:
+    """Whether the system has memory that forked processes share without counting it as theirs; Linux has."""
+    return hasattr(os, "memfd_create")
+
+
+def pixel_memory(size_px: tuple[int, int]) -> Slots:
+    """Room in memory for decoded images of (height, width); only images that are put there take it."""
+    return Slots(os.memfd_create("pixels"), HEADER.size + slot_bytes_of(size_px))
+
+
+def slot_bytes_of(size_px: tuple[int, int]) -> int:
+    """The bytes that a decoded image of (height, width) takes."""
+    return 3 * size_px[0] * size_px[1]
+
+
+def to_bytes(one: Annotation) -> bytes:
+    """An annotation as a record."""
+    lanes, points = one.visible.shape
+    head = SHAPE.pack(lanes, points, *one.intrinsics, *one.plane, *one.target)
+    parts = (one.kind.astype(np.uint8), np.packbits(one.visible, axis=1), one.xyz_cam.astype("<f4"))
+    return head + b"".join(part.tobytes() for part in parts)
+
+
+def from_bytes(record: bytes) -> Annotation:
+    """The annotation in a record."""
+    lanes, points, *numbers = SHAPE.unpack_from(record)
+    kind_end = SHAPE.size + lanes
+    packed = (points + 7) // 8
+    visible_end = kind_end + lanes * packed
+    bits = np.frombuffer(record, np.uint8, lanes * packed, kind_end).reshape(lanes, packed)
+    return Annotation(
+        intrinsics=(numbers[0], numbers[1], numbers[2], numbers[3]),
+        plane=Pose(*numbers[4:6]),
+        target=Pose(*numbers[6:8]),
+        xyz_cam=np.frombuffer(record, "<f4", lanes * points * 3, visible_end).reshape(lanes, points, 3),
+        visible=np.unpackbits(bits, axis=1, count=points).astype(bool),
+        kind=np.frombuffer(record, np.uint8, lanes, SHAPE.size).astype(np.int64),
+    )
+
+
+def pixels_from_bytes(record: bytes, size_px: tuple[int, int]) -> Pixels:
+    """The image in a record."""
+    image: UInt8[np.ndarray, ...] = np.frombuffer(record, np.uint8).reshape(*size_px, 3)
+    return image

@@ -1,0 +1,313 @@
+"""The data loader: examples in the order of training, read and decoded by worker processes.
+
+Nothing is read before it is needed, so a split may have any size. Order depends on (seed, epoch) alone, not on the
+number of processes or workers, and a resumed run begins in the middle of an epoch where it stopped.
+"""
+
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import psutil
+import torch
+from jaxtyping import Float, Int, UInt8
+from torch import Tensor
+from torch.utils.data import DataLoader, Dataset, Sampler
+
+from synth3dlanes.errors import Synth3dlanesError
+from synth3dlanes.labels import Labels
+
+from .cache import (
+    SLOT_BYTES,
+    Slots,
+    annotation_file,
+    from_bytes,
+    has_pixel_memory,
+    pixel_memory,
+    pixels_from_bytes,
+    slot_bytes_of,
+    to_bytes,
+)
+from .config import TrainConfig
+from .data import (
+    Annotation,
+    Batch,
+    Intrinsics,
+    Pixels,
+    Samples,
+    annotation_of,
+    intrinsics_of,
+    pack,
+    resize,
+    scale,
+    size_of,
+)
+from .sources import digest_of, image_at, key_at, labels_at
+
+MEMORY_SHARE = 0.5
+"""Decoded images are kept if all of them take less than this share of the free memory."""
+ANNOTATIONS = "annotations.cache"
+MAX_WORKERS = 16
+PREFETCHED_BATCHES = 2
+
+
+@dataclass(frozen=True)
+class Process:
+    """This process among those started by torchrun; rank 0 of 1 without torchrun. `neighbours` run on one machine."""
+
+    rank: int
+    world: int
+    device: torch.device
+    neighbours: int = 1
+
+
+def spare_cores(neighbours: int = 1) -> int:
+    """How many processes may decode for one of several neighbours: its share of the cores, less one for itself."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(MAX_WORKERS, max(1, cores // neighbours - 1))
+
+
+class Example(NamedTuple):
+    """One image of the network's size and what is to be learned from it."""
+
+    key: str
+    image: Pixels
+    annotation: Annotation
+
+
+class Examples(Dataset[Example]):
+    """Samples as examples. What was decoded once comes from the caches."""
+
+    def __init__(self, samples: Samples, config: TrainConfig, annotations: Slots | None, pixels: Slots | None) -> None:
+        self._samples, self._annotations, self._pixels = samples, annotations, pixels
+        self._size_px = (config.model.image_height_px, config.model.image_width_px)
+        self._pose_mode, self._in_image_only = config.model.pose_target, config.fov_mask
+
+    def __len__(self) -> int:
+        return len(self._samples)
+
+    def __getitem__(self, index: int) -> Example:
+        annotation, image = self._kept_annotation(index), self._kept_image(index)
+        if annotation is None and image is None:
+            sample = self._samples[index]  # both in one read
+            return Example(sample.key, self._keep_image(index, sample.image), self._annotate(index, sample.labels))
+        if annotation is None:
+            annotation = self._annotate(index, labels_at(self._samples, index))
+        if image is None:
+            image = self._keep_image(index, image_at(self._samples, index))
+        return Example(key_at(self._samples, index), image, annotation)
+
+    def _kept_annotation(self, index: int) -> Annotation | None:
+        record = None if self._annotations is None else self._annotations.get(index)
+        return None if record is None else from_bytes(record)
+
+    def _kept_image(self, index: int) -> Pixels | None:
+        record = None if self._pixels is None else self._pixels.get(index)
+        return None if record is None else pixels_from_bytes(record, self._size_px)
+
+    def _annotate(self, index: int, labels: Labels) -> Annotation:
+        key = key_at(self._samples, index)
+        annotation = annotation_of(key, labels, self._size_px, self._pose_mode, in_image_only=self._in_image_only)
+        if self._annotations is not None:
+            self._annotations.put(index, to_bytes(annotation))
+        return annotation
+
+    def _keep_image(self, index: int, image: Pixels) -> Pixels:
+        small = resize(image, self._size_px)
+        if self._pixels is not None:
+            self._pixels.put(index, small.tobytes())
+        return small
+
+
+@dataclass(frozen=True)
+class Decoding:
+    """What happens to the images of a split: `is_once` if all of them are kept in memory once decoded."""
+
+    n_images: int
+    n_bytes: int
+    free_bytes: int
+    is_once: bool
+
+    def text(self) -> str:
+        """It in words, with figures."""
+        what = f"{self.n_images:,} images, {self.n_bytes / 1e9:,.1f} GB when decoded"
+        if self.is_once:
+            return f"{what}: kept in memory"
+        return f"{what}, with {self.free_bytes / 1e9:,.1f} GB of memory free: decoded again in every epoch"
+
+
+def decoding_of(n_images: int, config: TrainConfig, process: Process) -> Decoding:
+    """Decide whether decoded images are kept: `keep_decoded`, or whether every process here has room for them."""
+    n_bytes = n_images * slot_bytes_of((config.model.image_height_px, config.model.image_width_px))
+    free_bytes = free_memory_bytes()
+    fits = n_bytes * process.neighbours < MEMORY_SHARE * free_bytes
+    is_once = fits if config.keep_decoded is None else config.keep_decoded
+    return Decoding(n_images, n_bytes, free_bytes, is_once and has_pixel_memory())
+
+
+def open_examples(
+    samples: Samples, decoding: Decoding, config: TrainConfig, process: Process, out_dir: Path
+) -> Examples:
+    """Put the caches before a split: annotations in `out_dir`, decoded images in memory if they are kept."""
+    size_px = (config.model.image_height_px, config.model.image_width_px)
+    pixels = pixel_memory(size_px) if decoding.is_once else None
+    return Examples(samples, config, _annotations(samples, config, process, out_dir), pixels)
+
+
+def training_batches(
+    examples: Examples, config: TrainConfig, process: Process, first_step: int, n_steps: int
+) -> Iterator[Batch]:
+    """The batches of the steps from `first_step` to the last one, in the memory of the CPU."""
+    order = Order(len(examples), config, process, first_step, n_steps)
+    workers = spare_cores(process.neighbours) if config.workers is None else config.workers
+    return _loaded(examples, order, collate, workers, process.device)
+
+
+def free_memory_bytes() -> int:
+    """The memory that can be had now: the machine's, or what is left of the limit of a container."""
+    free: int = psutil.virtual_memory().available
+    try:
+        limit, used = (Path("/sys/fs/cgroup", name).read_text() for name in ("memory.max", "memory.current"))
+        return min(free, int(limit) - int(used))
+    except (OSError, ValueError):
+        return free
+
+
+class Order(Sampler[list[int]]):
+    """The indices of the samples of each step from `first_step` on, of one process."""
+
+    def __init__(self, n: int, config: TrainConfig, process: Process, first_step: int, n_steps: int) -> None:
+        self._n, self._config, self._process, self._steps = n, config, process, range(first_step, n_steps)
+
+    def __len__(self) -> int:
+        return len(self._steps)
+
+    def __iter__(self) -> Iterator[list[int]]:
+        return (batch_index(self._n, step, self._config, self._process).tolist() for step in self._steps)
+
+
+@lru_cache(maxsize=1)
+def sample_order(n: int, seed: int, epoch: int) -> Int[Tensor, " n"]:
+    """The order of one epoch."""
+    return torch.randperm(n, generator=torch.Generator().manual_seed(seed * 1_000_003 + epoch))
+
+
+def batch_index(n: int, step: int, config: TrainConfig, process: Process) -> Int[Tensor, " b"]:
+    """The samples of a step on this process; an epoch's last batch is filled up from the epoch's start."""
+    steps_per_epoch = -(-n // config.batch)
+    epoch, at = divmod(step, steps_per_epoch)
+    places = (at * config.batch + torch.arange(config.batch)) % n
+    return sample_order(n, config.seed, epoch)[places][process.rank :: process.world]
+
+
+def collate(examples: Sequence[Example]) -> Batch:
+    """Examples as a batch."""
+    annotations = [example.annotation for example in examples]
+    return Batch(
+        image=_stacked([example.image for example in examples]),
+        intrinsics=torch.tensor([one.intrinsics for one in annotations]),
+        curves=pack(annotations),
+        plane_pose=torch.tensor([one.plane for one in annotations]),
+        target_pose=torch.tensor([one.target for one in annotations]),
+        keys=tuple(example.key for example in examples),
+    )
+
+
+class Labelled(NamedTuple):
+    """Images of the network's size with their intrinsics, and their labels."""
+
+    keys: tuple[str, ...]
+    image: UInt8[Tensor, "b 3 h w"]
+    intrinsics: Float[Tensor, "b 4"]
+    labels: tuple[Labels, ...]
+
+
+class _LabelledImages(Dataset[tuple[str, Pixels, Intrinsics, Labels]]):
+    def __init__(self, samples: Samples, size_px: tuple[int, int]) -> None:
+        self._samples, self._size_px = samples, size_px
+
+    def __len__(self) -> int:
+        return len(self._samples)
+
+    def __getitem__(self, index: int) -> tuple[str, Pixels, Intrinsics, Labels]:
+        sample = self._samples[index]
+        intrinsics = scale(intrinsics_of(sample.labels), size_of(sample.image), self._size_px)
+        return sample.key, resize(sample.image, self._size_px), intrinsics, sample.labels
+
+
+def labelled_batches(
+    samples: Samples, size_px: tuple[int, int], batch: int, workers: int | None, device: torch.device
+) -> Iterator[Labelled]:
+    """All samples in order, for evaluation; the last batch may be smaller."""
+    order = [list(range(start, min(start + batch, len(samples)))) for start in range(0, len(samples), batch)]
+    n_workers = spare_cores() if workers is None else workers
+    return _loaded(_LabelledImages(samples, size_px), order, _collate_labelled, n_workers, device)
+
+
+def _collate_labelled(found: Sequence[tuple[str, Pixels, Intrinsics, Labels]]) -> Labelled:
+    keys, images, intrinsics, labels = zip(*found, strict=True)
+    return Labelled(keys, _stacked(images), torch.tensor(intrinsics), labels)
+
+
+def _stacked(images: Sequence[Pixels]) -> UInt8[Tensor, "b 3 h w"]:
+    return torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2)
+
+
+def _loaded(dataset: Dataset[Any], order: Any, collated: Any, workers: int, device: torch.device) -> Iterator[Any]:
+    """What a DataLoader gives. An error of ours in a worker is raised here as it was there, in one line."""
+    n_workers = min(workers, len(order))
+    loader = DataLoader(
+        _Guarded(dataset),
+        batch_sampler=order,
+        num_workers=n_workers,
+        collate_fn=_Collate(collated),
+        pin_memory=device.type == "cuda",
+        prefetch_factor=PREFETCHED_BATCHES if n_workers else None,
+    )
+    for batch in loader:
+        if isinstance(batch, Synth3dlanesError):
+            raise batch
+        yield batch
+
+
+@dataclass(frozen=True, eq=False)
+class _Guarded(Dataset[Any]):
+    """A dataset whose errors are values: a DataLoader would wrap them in a worker's traceback."""
+
+    dataset: Any
+
+    def __getitem__(self, index: int) -> Any:
+        try:
+            return self.dataset[index]
+        except Synth3dlanesError as error:
+            return error
+
+
+@dataclass(frozen=True)
+class _Collate:
+    collated: Any
+
+    def __call__(self, items: Sequence[Any]) -> Any:
+        return next((item for item in items if isinstance(item, Synth3dlanesError)), None) or self.collated(items)
+
+
+def _annotations(samples: Samples, config: TrainConfig, process: Process, out_dir: Path) -> Slots | None:
+    """The annotations' file in `out_dir`, kept over resumed runs if the samples can tell whether they are the same."""
+    digest = digest_of(samples)
+    if digest is None:
+        with tempfile.TemporaryFile(dir=out_dir) as file:
+            return Slots(os.dup(file.fileno()), SLOT_BYTES)
+    model = config.model
+    source = f"{digest} {model.image_height_px}x{model.image_width_px} {model.pose_target} {config.fov_mask}"
+    path = out_dir / ANNOTATIONS
+    if process.rank % process.neighbours:
+        torch.distributed.barrier()
+    found = annotation_file(path, source)
+    if process.world > 1 and process.rank % process.neighbours == 0:
+        torch.distributed.barrier()
+    return found

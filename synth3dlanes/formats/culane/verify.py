@@ -1,0 +1,52 @@
+"""The self-check of a CULane export."""
+
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from synth3dlanes.formats.band_score import score
+from synth3dlanes.formats.culane.convention import EVALUATED
+from synth3dlanes.formats.culane.read import CulaneEntry, Polyline, lines_path, parse_entry, parse_lines
+from synth3dlanes.formats.self_check import Verified, band_problems, image_problems, moved_aside, read_sidecars
+
+
+def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verified]:
+    """The lines of every list, and the masks of those that have them."""
+    sidecars = read_sidecars(out, "image")
+    for path in sorted((out / "list").rglob("*.txt")):
+        name = str(path.relative_to(out))
+        entries = [parse_entry(line, name) for line in path.read_text().splitlines()[:most_frames]]
+        if not entries:
+            continue
+        true = [_read(out, entry) for entry in entries]
+        alone = [
+            ([line], [moved_aside(line, sidecars[entry.image])])
+            for lines, entry in zip(true, entries, strict=True)
+            for line in lines
+        ]
+        perfect, shifted = score([(lines, lines) for lines in true], EVALUATED), score(alone, EVALUATED)
+        problems = image_problems([out / entry.image for entry in entries], size_px)
+        for entry, lines in zip(entries, true, strict=True):
+            problems += _mask_problems(out, entry, lines)
+        problems += band_problems(name, perfect, shifted) if alone else ()
+        yield Verified(name, len(entries), len(alone), asdict(perfect), asdict(shifted), tuple(problems))
+
+
+def _read(out: Path, entry: CulaneEntry) -> tuple[Polyline, ...]:
+    path = out / lines_path(entry.image)
+    return parse_lines(path.read_text(), str(path))
+
+
+def _mask_problems(out: Path, entry: CulaneEntry, lines: tuple[Polyline, ...]) -> Iterator[str]:
+    """Findings unless the mask has every line, under its number."""
+    if entry.mask is None:
+        return
+    with Image.open(out / entry.mask) as image:
+        mask = np.asarray(image)
+    numbers = [number for number, exists in enumerate(entry.exists, 1) if exists]
+    found = sorted(set(np.unique(mask).tolist()) - {0})
+    if found != numbers or len(lines) != len(numbers):
+        yield f"{entry.mask}: expected lines {numbers} as its list says, got {found} and {len(lines)} in the text"

@@ -1,0 +1,33 @@
+"""The self-check of a CurveLanes export."""
+
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from synth3dlanes.formats.band_score import score
+from synth3dlanes.formats.curvelanes.convention import EVALUATED, FINER
+from synth3dlanes.formats.curvelanes.read import labels_path, parse
+from synth3dlanes.formats.self_check import Verified, band_problems, image_problems, moved_aside, read_sidecars
+
+
+def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verified]:
+    """The lines of every list."""
+    sidecars = read_sidecars(out, "image")
+    scale, finer = (np.array([canvas.width_px, canvas.height_px]) / size_px for canvas in (EVALUATED, FINER))
+    for path in sorted(out.glob("*/*.txt")):
+        part = path.parent.name
+        images = [f"{part}/{image}" for image in path.read_text().splitlines()[:most_frames]]
+        if not images:
+            continue
+        true, alone = [], []
+        for image in images:
+            lines = parse((out / labels_path(image)).read_text(), labels_path(image))
+            moved = [moved_aside(line, sidecars[image]) for line in lines]
+            true.append([line * scale for line in lines])
+            alone += [([line * finer], [other * finer]) for line, other in zip(lines, moved, strict=True)]
+        perfect, shifted = score([(lines, lines) for lines in true], EVALUATED), score(alone, FINER)
+        problems = image_problems([out / image for image in images], size_px)
+        problems += band_problems(part, perfect, shifted) if alone else ()
+        yield Verified(part, len(images), len(alone), asdict(perfect), asdict(shifted), tuple(problems))

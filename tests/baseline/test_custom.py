@@ -1,0 +1,149 @@
+"""A user's own network in the place of ours, as docs/own_network.md shows it; and training that starts from weights."""
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from click.testing import CliRunner
+
+PAGE = Path(__file__).parents[2] / "docs/own_network.md"
+CPU = torch.device("cpu")
+OWN = "host_lane:build"
+
+
+@pytest.fixture
+def host_lane(tmp_path, monkeypatch):
+    """The page's example as a module in the current folder."""
+    (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    assert len([line for line in code.splitlines() if line.strip()]) <= 40
+    (tmp_path / "host_lane.py").write_text(code)
+    monkeypatch.chdir(tmp_path)
+    yield
+    sys.modules.pop("host_lane", None)
+    sys.path[:] = [place for place in sys.path if place != str(tmp_path)]
+
+
+@pytest.fixture
+def samples(roads):
+    return roads.samples(np.random.default_rng(2), 4, (160, 120))
+
+
+def _config(**overrides):
+    from synth3dlanes_baseline.config import train_config
+
+    size = {"model.image_height_px": 120, "model.image_width_px": 160}
+    settings = {"batch": 4, "epochs": 60.0, "validate_every_epochs": 60.0, "device": "cpu", "workers": 0, **size}
+    return train_config(OWN, settings | overrides)
+
+
+def test_the_documented_network_learns_resumes_and_is_scored(host_lane, samples, tmp_path):
+    from synth3dlanes_baseline import checkpoint as checkpoints
+    from synth3dlanes_baseline.evaluate import score
+    from synth3dlanes_baseline.train import train_on
+
+    from synth3dlanes.errors import InputError
+
+    still = {"augmentation.flip": 0.0, "augmentation.noise": 0.0, "ema_decay": 0.9, "learning_rate": 5e-3}
+    config = _config(**still, **{"model.arguments.width": 8})
+    best = train_on(config, samples, samples, tmp_path / "run")
+    for line in (tmp_path / "run/history.jsonl").read_text().splitlines():
+        last = json.loads(line)
+    assert last["val"]["settings"]["n_images"] == 4
+    detector = checkpoints.detector(best, CPU, OWN)
+    errors_m = []
+    for labels, prediction in detector.in_samples(samples, workers=0):
+        (lane,) = prediction.lanes
+        centres = [lane for lane in labels.lanes if lane.kind == "centerline"]
+        at_10_m = [np.interp(10.0, centre.xyz_cam[:, 1], centre.xyz_cam[:, 0]) for centre in centres]
+        host = centres[int(np.argmin(np.abs(at_10_m)))].xyz_cam
+        errors_m.append(abs(np.interp(lane.xyz_cam[:, 1], host[:, 1], host[:, 0]) - lane.xyz_cam[:, 0]).mean())
+    assert np.mean(errors_m) < 0.25
+    assert score(detector.in_samples(samples, workers=0)).n_images == len(samples)
+    with pytest.raises(InputError, match="expected host_lane:build, whose network the checkpoint holds, got"):
+        checkpoints.detector(best, CPU)
+
+
+@pytest.mark.parametrize(
+    ("code", "problem"),
+    [
+        ("", "expected a function host_lane:build, got module 'host_lane' has no attribute 'build'"),
+        ("def build(): return 3", "to return an nn.Module with loss.. and detect.., got int"),
+        (
+            "import torch\nclass build(torch.nn.Linear):\n  def __init__(self): super().__init__(1, 1)\n"
+            "  def loss(self, batch): return {'total': self.weight.sum()}\n  def detect(self, image, intrinsics): ...",
+            "expected loss.. to return a dict with a `total` per image, got shape ..$",
+        ),
+    ],
+)
+def test_networks_that_do_not_follow_the_protocol_are_refused_in_words(
+    host_lane, samples, tmp_path, monkeypatch, code, problem
+):
+    from synth3dlanes_baseline.train import train_on
+
+    from synth3dlanes.errors import InputError
+
+    (tmp_path / "host_lane.py").write_text(code)
+    with pytest.raises(InputError, match=problem):
+        train_on(_config(), samples, samples, tmp_path / "run")
+
+
+def test_a_module_that_is_not_there_is_one_line(samples, tmp_path):
+    from synth3dlanes_cli.main import main
+
+    result = CliRunner().invoke(main, ["train", str(tmp_path), "--model", "no_such_module", "--out", str(tmp_path)])
+    assert result.exit_code == 2
+    assert "or MODULE:FUNCTION, got 'no_such_module'" in result.output
+
+
+def _tiny(**overrides):
+    from synth3dlanes_baseline.config import train_config
+
+    settings = {"batch": 2, "epochs": 1.0, "device": "cpu", "workers": 0}
+    return train_config("tiny", settings | overrides)
+
+
+def test_training_starts_from_the_weights_it_is_given(samples, tmp_path):
+    """A step of no length leaves the network where it began."""
+    from synth3dlanes_baseline import checkpoint as checkpoints
+    from synth3dlanes_baseline.train import train_on
+
+    from synth3dlanes.errors import InputError
+
+    first = train_on(_tiny(seed=1), samples, samples, tmp_path / "first")
+    still = {"learning_rate": 1e-30, "min_learning_rate": 1e-30, "weight_decay": 0.0, "ema_decay": 0.0}
+    config = checkpoints.fine_tuning(str(first), {**still, "seed": 2})
+    assert config.model == _tiny().model
+    tuned = train_on(config, samples, samples, tmp_path / "tuned")
+    before, after = checkpoints.load(first), checkpoints.load(tuned)
+    names = [name for name, value in before.model.items() if value.is_floating_point() and "running" not in name]
+    assert all(torch.allclose(before.model[name], after.model[name], atol=1e-12) for name in names)
+    assert after.about["init"] == f"{first}, trained on 4 images"
+    narrower = _tiny(init=str(first), **{"model.head_channels": 16})
+    with pytest.raises(InputError, match=r"init: expected weights of this network, got \d+ others in .*first head\."):
+        train_on(narrower, samples, samples, tmp_path / "narrower")
+    assert not (tmp_path / "narrower").exists()
+
+
+def test_a_finished_run_is_extended_with_another_batch(samples, tmp_path):
+    from synth3dlanes_baseline import checkpoint as checkpoints
+    from synth3dlanes_baseline.train import plan_on, train_on
+
+    train_on(_tiny(epochs=2.0), samples, samples, tmp_path)
+    longer = _tiny(epochs=5.0, batch=4)
+    assert plan_on(longer, samples, samples, tmp_path)[-1] == "5 steps of 4 images, 5 epochs, from step 2"
+    train_on(longer, samples, samples, tmp_path)
+    found = checkpoints.load(tmp_path / "last.pt")
+    assert found.resume["step"] == 5
+    assert found.config == longer
+
+
+def test_a_plan_writes_nothing(samples, tmp_path):
+    from synth3dlanes_baseline.train import plan_on
+
+    lines = plan_on(_tiny(), samples, samples, tmp_path / "run")
+    assert lines[0].startswith("tiny (0.4 M parameters) on cpu, seed 0")
+    assert not (tmp_path / "run").exists()

@@ -1,0 +1,201 @@
+"""The loader: nothing read before it is needed, the same batches from any number of workers, nothing kept that is not
+whole."""
+
+import multiprocessing
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+CPU = torch.device("cpu")
+
+
+class Counted:
+    """Samples that count, in memory shared with workers, how often each is read; labels and images may be read alone,
+    as those of our data sets."""
+
+    def __init__(self, samples, digest=None):
+        self.samples, self._digest = samples, digest
+        self.reads = {part: multiprocessing.Array("i", len(samples)) for part in ("whole", "image", "labels")}
+
+    def __len__(self):
+        return len(self.samples)
+
+    def __getitem__(self, index):
+        return self._read("whole", index)
+
+    def _read(self, part, index):
+        with self.reads[part].get_lock():
+            self.reads[part][index] += 1
+        return self.samples[index]
+
+    def key(self, index):
+        return self.samples[index].key
+
+    def image(self, index):
+        return self._read("image", index).image
+
+    def labels(self, index):
+        return self._read("labels", index).labels
+
+    def digest(self):
+        return self._digest
+
+    def counts(self, part):
+        return list(self.reads[part])
+
+
+@pytest.fixture
+def drawn(roads):
+    return roads.samples(np.random.default_rng(3), 10, (160, 120))
+
+
+def _config(**overrides):
+    from synth3dlanes_baseline.config import train_config
+
+    return train_config("tiny", {"batch": 4, "device": "cpu", "workers": 0, **overrides})
+
+
+def _batches(samples, folder, first=0, n_steps=5, process=None, **overrides):
+    from synth3dlanes_baseline.loading import Process, decoding_of, open_examples, training_batches
+
+    config, process = _config(**overrides), process or Process(0, 1, CPU)
+    decoding = decoding_of(len(samples), config, process)
+    examples = open_examples(samples, decoding, config, process, folder)
+    return list(training_batches(examples, config, process, first, n_steps))
+
+
+def _equal(one, other):
+    assert one.keys == other.keys
+    for name in ("image", "intrinsics", "plane_pose", "target_pose"):
+        assert getattr(one, name).equal(getattr(other, name)), name
+    assert all(a.equal(b) for a, b in zip(one.curves, other.curves, strict=True))
+
+
+def test_batches_do_not_depend_on_workers_caches_or_where_a_run_begins(drawn, tmp_path):
+    whole = _batches(drawn, tmp_path)
+    assert len(whole) == 5
+    for overrides in ({"workers": 2}, {"workers": 1, "keep_decoded": False}, {"keep_decoded": False}):
+        for one, other in zip(whole, _batches(drawn, tmp_path, **overrides), strict=True):
+            _equal(one, other)
+    for one, other in zip(whole[3:], _batches(drawn, tmp_path, first=3, workers=1), strict=True):
+        _equal(one, other)
+
+
+def test_two_processes_read_disjoint_samples_that_are_together_those_of_one(drawn, tmp_path):
+    from synth3dlanes_baseline.loading import Process
+
+    alone = _batches(drawn, tmp_path)
+    pair = [_batches(drawn, tmp_path, process=Process(rank, 2, CPU)) for rank in range(2)]
+    for whole, first, second in zip(alone, *pair, strict=True):
+        assert not set(first.keys) & set(second.keys)
+        assert {*first.keys, *second.keys} == set(whole.keys)
+
+
+def test_what_is_kept_is_read_once(drawn, tmp_path):
+    n_epochs = 3
+    n_steps = n_epochs * 5
+    kept = Counted(drawn)
+    _batches(kept, tmp_path, n_steps=n_steps, batch=2, workers=2, keep_decoded=True)
+    # Two workers may meet the same sample before either has written it.
+    assert max(kept.counts("whole")) <= 2
+    assert max(kept.counts("image") + kept.counts("labels")) == 0
+    streamed = Counted(drawn)
+    _batches(streamed, tmp_path, n_steps=n_steps, batch=2, keep_decoded=False)
+    assert set(streamed.counts("whole")) == {1}, "labels are kept even where images are not"
+    assert set(streamed.counts("image")) == {n_epochs - 1}
+    assert set(streamed.counts("labels")) == {0}
+
+
+def test_annotations_outlive_a_run_only_for_the_same_samples(drawn, tmp_path):
+    settings = {"keep_decoded": False, "n_steps": 5, "batch": 2}
+    first, again, changed = Counted(drawn, "a"), Counted(drawn, "a"), Counted(drawn, "b")
+    _batches(first, tmp_path, **settings)
+    _batches(again, tmp_path, **settings)
+    assert set(again.counts("whole")) == {0}
+    assert set(again.counts("image")) == {1}
+    _batches(changed, tmp_path, **settings)
+    assert set(changed.counts("whole")) == {1}
+    one, other = (_batches(Counted(drawn, "b"), tmp_path, **settings, **pose) for pose in ({}, {"fov_mask": True}))
+    assert not all(a.curves.visible.equal(b.curves.visible) for a, b in zip(one, other, strict=True))
+
+
+def test_a_damaged_slot_is_made_anew(drawn, tmp_path):
+    whole = _batches(Counted(drawn, "a"), tmp_path)
+    cache = tmp_path / "annotations.cache"
+    content = bytearray(cache.read_bytes())
+    for at in range(40_000, len(content), 1_000):
+        content[at] ^= 0x55
+    cache.write_bytes(bytes(content[:200_000]))
+    for one, other in zip(whole, _batches(Counted(drawn, "a"), tmp_path), strict=True):
+        _equal(one, other)
+
+
+def test_annotations_survive_their_file(roads):
+    from synth3dlanes_baseline.cache import from_bytes, to_bytes
+    from synth3dlanes_baseline.data import annotation_of
+
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        one = annotation_of("0", roads.random(rng), (90, 160), "plane")
+        other = from_bytes(to_bytes(one))
+        assert np.float32(one.intrinsics).tolist() == list(other.intrinsics)
+        assert np.float32([*one.plane, *one.target]).tolist() == [*other.plane, *other.target]
+        for name in ("xyz_cam", "visible", "kind"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_an_error_in_a_worker_is_one_line(drawn, tmp_path, workers):
+    from synth3dlanes.errors import FormatError
+
+    class Broken(Counted):
+        def _read(self, part, index):
+            if index == 7:
+                raise FormatError("train/00000.tar: 00000007.jpg: expected a JPEG or PNG image, got none")
+            return super()._read(part, index)
+
+    with pytest.raises(FormatError) as raised:
+        _batches(Broken(drawn), tmp_path, workers=workers)
+    assert str(raised.value) == "train/00000.tar: 00000007.jpg: expected a JPEG or PNG image, got none"
+
+
+def test_what_does_not_fit_is_told_with_figures(monkeypatch):
+    from synth3dlanes_baseline import loading
+    from synth3dlanes_baseline.config import train_config
+    from synth3dlanes_baseline.loading import Process, decoding_of
+
+    monkeypatch.setattr(loading, "free_memory_bytes", lambda: 20 * 10**9)
+    nano, process = train_config("nano", {"device": "cpu"}), Process(0, 1, CPU)
+    few, many = (decoding_of(n, nano, process) for n in (2_000, 300_000))
+    assert few.text() == "2,000 images, 1.0 GB when decoded: kept in memory"
+    assert many.text() == (
+        "300,000 images, 155.5 GB when decoded, with 20.0 GB of memory free: decoded again in every epoch"
+    )
+    assert decoding_of(12_000, nano, process).is_once
+    assert not decoding_of(12_000, nano, Process(0, 8, CPU, neighbours=8)).is_once, "every process keeps its own"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_decoded_images_are_not_memory_of_the_process(tmp_path):
+    """100 images of 1 MB behind a cache, read again and again: the process does not grow by them."""
+    script = f"""
+import os, sys
+sys.path.insert(0, {str(Path(__file__).parents[2])!r})
+from synth3dlanes_baseline.cache import pixel_memory
+def resident_mb():
+    return int(open("/proc/self/statm").read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+slots = pixel_memory((600, 600))
+before = resident_mb()
+for index in range(100):
+    slots.put(index, os.urandom(1_080_000))
+for index in range(100):
+    assert len(slots.get(index)) == 1_080_000
+print(resident_mb() - before)
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=os.sep)
+    assert float(done.stdout) < 20

@@ -1,0 +1,106 @@
+"""CurveLanes: all lines as points, and what public loaders open in an export."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from PIL import Image
+
+from synth3dlanes.errors import FormatError
+from synth3dlanes.formats.curvelanes import write
+from synth3dlanes.formats.curvelanes.read import parse
+from synth3dlanes.formats.export import export
+from synth3dlanes.formats.writing import Pinhole
+from tests.formats import closed_form as cf
+from tests.formats.random_roads import cameras, roads
+
+FRAME = cf.frame(Pinhole(2560, 1440, 2217.0, 114.0))
+
+
+@given(cameras, roads)
+@settings(max_examples=25, deadline=None)
+def test_curvelanes_points_lie_on_the_projected_lanes(camera, plan):
+    labels = cf.road(cf.camera_label(*camera), **plan)
+    annotation = write.annotate(labels, FRAME)
+    (text,) = annotation.files.values()
+    ids = json.loads(annotation.shared[1][0])["lines_ids"]
+    by_id = {lane.id: lane for lane in labels.lanes}
+    lines = parse(text, "test")
+    assert len(lines) == annotation.n_lines > 1
+    for line, name in zip(lines, ids, strict=True):
+        right_m, ahead_m, up_m = by_id[name].xyz_cam[by_id[name].xyz_cam[:, 1] > 0.5].T
+        # 2560x1440 px, f = 2217 px, c = (1280, 834).
+        u_px, v_px = 1280 + 2217 * right_m / ahead_m, 834 - 2217 * up_m / ahead_m
+        above = np.array([np.flatnonzero(v_px <= v)[0] for v in line[:, 1]])
+        share = (line[:, 1] - v_px[above - 1]) / (v_px[above] - v_px[above - 1])
+        expected_px = u_px[above - 1] + share * (u_px[above] - u_px[above - 1])
+        assert np.abs(line[:, 0] - expected_px).max() < 0.006
+        assert (np.diff(line[:, 1]) <= -10).all()
+
+
+def test_curvelanes_has_all_lines():
+    camera = cf.camera_label()
+    lanes = [cf.lane(camera, cf.curve(x), f"d{x}") for x in (-9, -5.4, -1.8, 1.8, 5.4, 9)]
+    assert write.annotate(cf.labels_of(camera, *lanes), FRAME).n_lines == 6
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"Lines": 3}', '{"Lines": [[{"x": "1"}]]}'])
+def test_a_wrong_file_is_a_format_error_that_names_it(text):
+    with pytest.raises(FormatError, match=r"^some/file.json: "):
+        parse(text, "some/file.json")
+
+
+@pytest.mark.parametrize(
+    ("part", "parts", "folder"),
+    [
+        ("train", {"train", "val", "test"}, "train"),
+        ("val", {"train", "val", "test"}, "valid"),
+        ("test", {"train", "val", "test"}, "test"),
+        ("test", {"train", "test"}, "valid"),
+    ],
+)
+def test_frames_are_in_the_folder_of_their_part(part, parts, folder):
+    annotation = write.annotate(cf.road(cf.camera_label()), replace(FRAME, part=part, parts=frozenset(parts)))
+    assert annotation.image == f"{folder}/images/train_00000017.jpg"
+    assert annotation.files.keys() == {f"{folder}/labels/train_00000017.lines.json"}
+    assert annotation.shared[0] == ("images/train_00000017.jpg", (f"{folder}/{folder}.txt",))
+
+
+@pytest.fixture(scope="module", params=[None, (1280, 720)])
+def root(request, dataset, tmp_path_factory):
+    out = tmp_path_factory.mktemp("curvelanes")
+    export(str(dataset), out, "curvelanes", 1, lambda done, total: None, request.param)
+    return out
+
+
+def test_what_condlanenet_opens(root):
+    # A script writes images/NAME.lines.txt from the name of every JSON below labels; the loader joins the list's folder
+    # with each line of the list, and replaces ".jpg". It takes images of three sizes.
+    for part in ("train", "valid"):
+        made = {path.name.removesuffix(".json") + ".txt" for path in (root / part / "labels").rglob("*.json")}
+        names = (root / part / f"{part}.txt").read_text().splitlines()
+        assert names
+        for name in names:
+            folder, _, base = name.partition("/")
+            assert folder == "images"
+            assert base.replace(".jpg", ".lines.txt") in made
+            with Image.open(root / part / name) as image:
+                assert image.size in {(2560, 1440), (1570, 660), (1280, 720)}
+    for path in (root / "train/labels").glob("*.json"):
+        for line in json.loads(path.read_text())["Lines"]:
+            assert len(line) >= 2
+            for point in line:
+                assert point.keys() == {"x", "y"}
+                assert all(
+                    isinstance(value, str) and " " not in value and float(value) >= 0 for value in point.values()
+                )
+
+
+def test_what_ufld_v2_opens(root):
+    # Whatever lies in train/images, with "jpg" replaced; and for validation "images" in every line of the list.
+    for path in (root / "train/images").iterdir():
+        json.loads((root / "train/labels" / path.name.replace("jpg", "lines.json")).read_text())
+    for name in (root / "valid/valid.txt").read_text().splitlines():
+        json.loads((root / "valid" / name.replace("images", "labels").replace(".jpg", ".lines.json")).read_text())
