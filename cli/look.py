@@ -5,18 +5,20 @@ from pathlib import Path
 
 import click
 
-from .options import json_option
+from .options import OutputFile, json_option
 
 
 @click.command()
 @click.argument("where", metavar="SCENE.JSON|DIR/SPLIT:KEY")
 @click.option("--image", type=click.Path(path_type=Path), help="The rendered image of SCENE.JSON.")
 @click.option(
-    "--out", type=click.Path(path_type=Path), help="Figure to write.  [default: NAME.inspect.png in the current folder]"
+    "--out",
+    type=OutputFile(".png", ".svg", ".pdf"),
+    help="Figure to write.  [default: NAME.inspect.png in the current folder]",
 )
 @click.option(
     "--html",
-    type=click.Path(path_type=Path),
+    type=OutputFile(".html"),
     help="Write an HTML page with masks and an interactive 3D view instead of a figure.",
 )
 @json_option
@@ -51,7 +53,7 @@ def inspect(where: str, image: Path | None, out: Path | None, html: Path | None,
 
 @click.command()
 @click.argument("folder", metavar="DIR")
-@click.option("--out", type=click.Path(path_type=Path), default="gallery.png", help="Image to write.")
+@click.option("--out", type=OutputFile(".png", ".jpg"), default="gallery.png", help="Image to write.")
 @click.option("--n", type=click.IntRange(min=1), default=24, help="Maximum number of samples.")
 @click.option("--columns", type=click.IntRange(min=1), default=6, help="Number of columns.")
 @click.option(
@@ -84,7 +86,7 @@ def gallery(
 
 @click.command()
 @click.argument("folder", metavar="DIR")
-@click.option("--html", type=click.Path(path_type=Path), default="report.html", help="HTML page to write.")
+@click.option("--html", type=OutputFile(".html"), default="report.html", help="HTML page to write.")
 @click.option(
     "--n",
     type=click.IntRange(min=1),

@@ -70,6 +70,12 @@ class Commands(click.Group):
             place = f"{error.filename}: " if error.filename else ""
             raise BadInput(f"{place}{error.strerror or error}") from error
 
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the commands, each with the whole first sentence of its help."""
+        with formatter.section("Commands"):
+            names = self.list_commands(ctx)
+            formatter.write_dl([(name, self.commands[name].get_short_help_str(limit=1000)) for name in names])
+
     def _flags(self, ctx: click.Context) -> dict[str, str]:
         """The flag for each value that the invoked command hands to the library."""
         command = self.commands.get(ctx.invoked_subcommand or "", self)

@@ -91,6 +91,7 @@ def test_parts_are_disjoint_and_make_the_whole(tmp_path, whole):
     assert (report.made, report.done) == (0, N)
 
 
+@pytest.mark.timeout(900)
 def test_sigkill_of_the_run_and_of_workers_at_any_moment(tmp_path, whole):
     rng = np.random.default_rng(5)
     command = [sys.executable, "-m", "tests.fake_samples", str(tmp_path), str(N), "2"]
