@@ -6,11 +6,12 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import click
+from click.core import ParameterSource
 
 from synth3dlanes.production.events import LEVELS, Event, duration
 
@@ -105,6 +106,7 @@ class PartOf(click.ParamType):
     default="info",
     help="Lowest level of messages to print. DIR/logs has the messages of all levels.",
 )
+@click.option("--dry-run", is_flag=True, help="Print what would be made, and stop.")
 @json_option
 @click.pass_context
 def generate(
@@ -125,6 +127,7 @@ def generate(
     address: str,
     part: tuple[int, int],
     log_level: str,
+    dry_run: bool,
     as_json: bool,
 ) -> None:
     """Generate a split of N labelled scenes.
@@ -137,11 +140,23 @@ def generate(
     from synth3dlanes.production.run import generate as run
     from synth3dlanes.settings import RenderSettings
 
+    if executor == "local" and ctx.get_parameter_source("address") is not ParameterSource.DEFAULT:
+        raise click.UsageError("--address can only be used with --executor ray.")
     library = open_assets(assets)
     params, settings = load_params(source, changes, library.assets), RenderSettings(samples, passes, device)
     recipe = Recipe(params, seed, split, settings, image_format, library=library)
+    plan = Plan(out, n, recipe, workers, part)
+    drawn_from = f"parameters {source}{' with ' * bool(changes)}{', '.join(changes)}"
+    if dry_run:
+        plan = plan.resolved() if executor == "local" else plan
+        click.echo(f"{plan.text()}, {drawn_from}\n{plan.expected().text()}")
+        return
     with progress(log_level) as notify:
-        report = run(Plan(out, n, recipe, workers, part), notify, executor, address)
+
+        def tell(event: Event) -> None:
+            notify(replace(event, message=f"{drawn_from}; {event.message}") if event.kind == "start" else event)
+
+        report = run(plan, tell, executor, address)
     if report.problem:
         click.echo(report.problem, err=True)
     if as_json:

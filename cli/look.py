@@ -7,18 +7,20 @@ import click
 
 from synth3dlanes.settings import PASSES
 
-from .options import json_option
+from .options import OutputFile, json_option
 
 
 @click.command()
 @click.argument("where", metavar="SCENE.JSON|DIR/SPLIT:KEY")
 @click.option("--image", type=click.Path(path_type=Path), help="The rendered image of SCENE.JSON.")
 @click.option(
-    "--out", type=click.Path(path_type=Path), help="Figure to write.  [default: NAME.inspect.png in the current folder]"
+    "--out",
+    type=OutputFile(".png", ".svg", ".pdf"),
+    help="Figure to write.  [default: NAME.inspect.png in the current folder]",
 )
 @click.option(
     "--html",
-    type=click.Path(path_type=Path),
+    type=OutputFile(".html"),
     help="Write an HTML page with masks and an interactive 3D view instead of a figure.",
 )
 @click.option("--passes", "with_passes", is_flag=True, help="Also show the passes: depth, normals, ids, heights.")
@@ -57,7 +59,7 @@ def inspect(
 
 @click.command()
 @click.argument("folder", metavar="DIR")
-@click.option("--out", type=click.Path(path_type=Path), default="gallery.png", help="Image to write.")
+@click.option("--out", type=OutputFile(".png", ".jpg"), default="gallery.png", help="Image to write.")
 @click.option("--n", type=click.IntRange(min=1), default=24, help="Maximum number of samples.")
 @click.option("--columns", type=click.IntRange(min=1), default=6, help="Number of columns.")
 @click.option(
@@ -108,7 +110,7 @@ def gallery(
 
 @click.command()
 @click.argument("folder", metavar="DIR")
-@click.option("--html", type=click.Path(path_type=Path), default="report.html", help="HTML page to write.")
+@click.option("--html", type=OutputFile(".html"), default="report.html", help="HTML page to write.")
 @click.option(
     "--n",
     type=click.IntRange(min=1),

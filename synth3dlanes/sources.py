@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Shaped, UInt8
 from pydantic import ValidationError
 
+from synth3dlanes.dataset.address import splits_near
 from synth3dlanes.dataset.format import HEIGHT, PASSES, SCENE, decode_image, read_passes
 from synth3dlanes.dataset.query import rows_where
 from synth3dlanes.dataset.read import Reader, find
@@ -51,18 +52,22 @@ def find_scene(where: str) -> tuple[str, Scene]:
         reader, position = find(where)
         return reader.key(position), read_scene(reader, position)
     if Path(where).is_dir():
-        raise FormatError(f"{where}: expected a scene.json or a sample, as DIR/train:00000017, got a folder")
+        there = splits_near(where)
+        raise FormatError(f"{where}: expected a scene.json or a sample, as DIR/train:00000017, got a folder{there}")
     return scene_name(Path(where)), load_scene(Path(where))
 
 
 def load_any(where: str, image_path: Path | None) -> Found:
     """Find a sample by `DIR/SPLIT:KEY`, or a scene by its file, with labels drawn from the scene alone."""
     if SAMPLE.fullmatch(where):
+        if image_path is not None:
+            raise InputError(f"image {image_path}: expected none beside a sample, which has its own")
         reader, position = find(where)
         sample = reader[position]
         return Found(sample.key, from_json(sample.scene_json, where), sample.labels, sample.image)
     name, scene = find_scene(where)
-    image = None if image_path is None else decode_image(image_path.read_bytes(), str(image_path))
+    size_px = scene.camera.width_px, scene.camera.height_px
+    image = None if image_path is None else decode_image(image_path.read_bytes(), str(image_path), size_px)
     return Found(name, scene, ground_truth(scene), image)
 
 

@@ -35,7 +35,7 @@ def claim(
             folder.mkdir(exist_ok=True)
             locks = stack.enter_context((folder / ".lock").open("ab"))
         except OSError as error:
-            raise InputError(f"out {root}: cannot write to this folder: {error}") from None
+            raise InputError(f"out {root}: cannot write to this folder: {error.strerror or error}") from None
         for number in numbers:
             _lock(locks, number, root)
         if is_driver:

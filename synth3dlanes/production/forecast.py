@@ -1,7 +1,10 @@
 """What samples will cost in time and room, before a run starts."""
 
+import shutil
 from dataclasses import dataclass
+from pathlib import Path
 
+from synth3dlanes.errors import DiskFullError
 from synth3dlanes.production.events import duration
 from synth3dlanes.production.recipe import Recipe
 
@@ -32,6 +35,16 @@ class Forecast:
             f"{self.samples} samples to make with {self.workers} workers: about {duration(self.seconds)} "
             f"and {self.bytes_kept / 1e9:.2g} GB"
         )
+
+    def require_room(self, folder: Path, reserve: int = 0) -> None:
+        """Raise DiskFullError unless the disk of a folder (or of the folder it will be made in) has room for all and
+        the reserve."""
+        there = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
+        free, needed = shutil.disk_usage(there).free, self.bytes_needed + reserve
+        if self.samples and free < needed:
+            raise DiskFullError(
+                f"{folder}: {self.samples} samples need {needed / 1e9:.3g} GB, but only {free / 1e9:.3g} GB are free"
+            )
 
 
 def forecast(recipe: Recipe, samples: int, workers: int) -> Forecast:
