@@ -11,9 +11,12 @@ from synth3dlanes.settings import SPLIT_NAME
 
 from .options import json_option
 
+# So that thirds may be written as 0.33.
+SUM_TOLERANCE = 0.015
+
 
 class Shares(click.ParamType):
-    """Names of new splits and the share of each, as in train=0.8,val=0.2."""
+    """Names of new splits and the share of each, as in train=0.8,val=0.2 or, by whole numbers, train=4,val=1."""
 
     name = "shares"
 
@@ -25,6 +28,9 @@ class Shares(click.ParamType):
             if found is None or found[1] in shares or float(found[2]) <= 0:
                 self.fail(f"expected different NAME=SHARE with shares above 0, got {part!r}", param, ctx)
             shares[found[1]] = float(found[2])
+        is_weights = all(share.is_integer() for share in shares.values())
+        if not is_weights and abs(sum(shares.values()) - 1) > SUM_TOLERANCE:
+            self.fail(f"expected shares whose sum is 1, got {sum(shares.values()):g}", param, ctx)
         return shares
 
 
@@ -32,7 +38,10 @@ class Shares(click.ParamType):
 @click.argument("folder", metavar="DIR")
 @json_option
 def info(folder: str, as_json: bool) -> None:
-    """Summarise a data set: its recipe, and for each split its samples, its size and whether it is complete."""
+    """Summarise a data set (DIR) or one split (DIR/train).
+
+    Prints the recipe, and for each split its samples, its size and whether it is complete.
+    """
     from rich.console import Console
     from rich.table import Table
 
@@ -59,7 +68,7 @@ def info(folder: str, as_json: bool) -> None:
 
 
 @click.command()
-@click.argument("folder", metavar="DIR/SPLIT")
+@click.argument("folder", metavar="DIR[/SPLIT]")
 @click.option("--out", metavar="DIR", required=True, help="The new data set: a folder or a URL such as s3://lanes/v1.")
 @click.option(
     "--into",
@@ -75,10 +84,10 @@ def split(folder: str, out: str, into: dict[str, float], seed: int) -> None:
     Samples are copied unchanged and renumbered from 0. To generate a validation or test split with new scenes, use
     `generate --split val` instead. Rerun to resume.
     """
-    from synth3dlanes.dataset.read import Reader
     from synth3dlanes.dataset.rearrange import split_dataset
+    from synth3dlanes.dataset.splits import one_reader
 
-    _tell(out, split_dataset(Reader(folder), into, seed, out))
+    _tell(out, split_dataset(one_reader(folder), into, seed, out))
 
 
 @click.command()

@@ -6,11 +6,12 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import click
+from click.core import ParameterSource
 
 from synth3dlanes.production.events import LEVELS, Event, duration
 
@@ -29,6 +30,8 @@ from .options import (
 
 # Interval between progress lines where stderr is not a terminal.
 LINE_EVERY_S = 30.0
+# Columns of a terminal that has room for a bar beside the numbers.
+WIDE = 100
 WORKERS_HELP = "Worker processes. auto: one per core, or up to four per GPU."
 
 
@@ -103,6 +106,7 @@ class PartOf(click.ParamType):
     default="info",
     help="Lowest level of messages to print. DIR/logs has the messages of all levels.",
 )
+@click.option("--dry-run", is_flag=True, help="Print what would be made, and stop.")
 @json_option
 @click.pass_context
 def generate(
@@ -123,6 +127,7 @@ def generate(
     address: str,
     part: tuple[int, int],
     log_level: str,
+    dry_run: bool,
     as_json: bool,
 ) -> None:
     """Generate a split of N labelled scenes.
@@ -135,11 +140,23 @@ def generate(
     from synth3dlanes.production.run import generate as run
     from synth3dlanes.settings import RenderSettings
 
+    if executor == "local" and ctx.get_parameter_source("address") is not ParameterSource.DEFAULT:
+        raise click.UsageError("--address can only be used with --executor ray.")
     library = open_assets(assets)
     params, settings = load_params(source, changes, library.assets), RenderSettings(samples, passes, device)
     recipe = Recipe(params, seed, split, settings, image_format, library=library)
+    plan = Plan(out, n, recipe, workers, part)
+    drawn_from = f"parameters {source}{' with ' * bool(changes)}{', '.join(changes)}"
+    if dry_run:
+        plan = plan.resolved() if executor == "local" else plan
+        click.echo(f"{plan.text()}, {drawn_from}\n{plan.expected().text()}")
+        return
     with progress(log_level) as notify:
-        report = run(Plan(out, n, recipe, workers, part), notify, executor, address)
+
+        def tell(event: Event) -> None:
+            notify(replace(event, message=f"{drawn_from}; {event.message}") if event.kind == "start" else event)
+
+        report = run(plan, tell, executor, address)
     if report.problem:
         click.echo(report.problem, err=True)
     if as_json:
@@ -173,23 +190,28 @@ def progress(level: str = "info") -> Iterator[Callable[[Event], None]]:
 @contextmanager
 def _bar(level: str) -> Iterator[Callable[[Event], None]]:
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeElapsedColumn
 
-    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.fields[pace]}"))
-    with Progress(*columns, console=Console(stderr=True)) as bar:
+    console = Console(stderr=True)
+    is_wide = console.width >= WIDE
+    columns: list[ProgressColumn] = [MofNCompleteColumn(), TextColumn("{task.fields[pace]}")]
+    if is_wide:
+        columns = [BarColumn(), columns[0], TimeElapsedColumn(), columns[1]]
+    with Progress(*columns, console=console) as bar:
         task = bar.add_task("", total=None, pace="")
 
         def notify(event: Event) -> None:
             if event.kind != "end" and event.matters(level):
                 bar.console.print(event.message, markup=False)
-            bar.update(task, completed=event.done, total=event.asked, pace=_pace(event))
+            pace = _pace(event, " images/h" if is_wide else "/h")
+            bar.update(task, completed=event.done, total=event.asked, pace=pace)
 
         yield notify
 
 
-def _pace(event: Event) -> str:
+def _pace(event: Event, unit: str = " images/h") -> str:
     """Rate and remaining time, or "" while they are unknown."""
     if not event.rate_per_s or event.eta_s is None:
         return ""
     set_aside = f", {event.set_aside} set aside" if event.set_aside else ""
-    return f"{3600 * event.rate_per_s:,.0f} images/h, {duration(event.eta_s)} left{set_aside}"
+    return f"{3600 * event.rate_per_s:,.0f}{unit}, {duration(event.eta_s)} left{set_aside}"

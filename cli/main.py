@@ -7,7 +7,6 @@ import os
 import re
 import signal
 import sys
-from types import FrameType
 from typing import IO, Any
 
 import click
@@ -15,6 +14,7 @@ from click.exceptions import NoArgsIsHelpError
 
 from synth3dlanes import __version__
 from synth3dlanes.errors import InputError, Synth3dlanesError
+from synth3dlanes.production.signals import Stopped, handle, stop
 
 from .assets import assets
 from .bench import bench
@@ -31,10 +31,6 @@ from .validate import validate
 
 # Commands that continue from what they have written.
 RESUMED = ("generate", "twins", "split", "merge", "export", "train", "ablation")
-
-
-class Terminated(KeyboardInterrupt):
-    """SIGTERM arrived."""
 
 
 class BadInput(click.ClickException):
@@ -54,10 +50,10 @@ class Commands(click.Group):
         """Run the command; bad input of any kind becomes BadInput."""
         try:
             return super().invoke(ctx)
-        except KeyboardInterrupt as stop:
+        except KeyboardInterrupt as stopped:
             command = f"{ctx.command_path} {ctx.invoked_subcommand}"
             click.echo(f"{command}: interrupted{'; rerun to resume' * (ctx.invoked_subcommand in RESUMED)}", err=True)
-            ctx.exit(128 + (signal.SIGTERM if isinstance(stop, Terminated) else signal.SIGINT))
+            ctx.exit(128 + (stopped.number if isinstance(stopped, Stopped) else signal.SIGINT))
         except NoArgsIsHelpError:
             raise
         except click.UsageError as error:
@@ -73,6 +69,12 @@ class Commands(click.Group):
         except OSError as error:
             place = f"{error.filename}: " if error.filename else ""
             raise BadInput(f"{place}{error.strerror or error}") from error
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the commands, each with the whole first sentence of its help."""
+        with formatter.section("Commands"):
+            names = self.list_commands(ctx)
+            formatter.write_dl([(name, self.commands[name].get_short_help_str(limit=1000)) for name in names])
 
     def _flags(self, ctx: click.Context) -> dict[str, str]:
         """The flag for each value that the invoked command hands to the library."""
@@ -119,13 +121,9 @@ for command in (
     main.add_command(command)
 
 
-def _terminate(number: int, frame: FrameType | None) -> None:
-    raise Terminated
-
-
 def run() -> None:
     """The program: `main`, and an exit that does not wait for Blender, which may hang or crash in an orderly one."""
-    signal.signal(signal.SIGTERM, _terminate)
+    handle(stop)
     try:
         main()
     except SystemExit as leaving:

@@ -1,5 +1,6 @@
 """Options that several commands share."""
 
+import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -42,6 +43,26 @@ class FileName(click.ParamType):
         if re.fullmatch(SPLIT_NAME, value) is None:
             self.fail(f"expected letters, digits, _ or -, got {value!r}", param, ctx)
         return str(value)
+
+
+class OutputFile(click.ParamType):
+    """A file to write, in a folder that exists, with one of these suffixes."""
+
+    name = "path"
+
+    def __init__(self, *suffixes: str) -> None:
+        self.suffixes = suffixes
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        """Check it, before any work."""
+        path = Path(value)
+        if path.suffix.lower() not in self.suffixes:
+            self.fail(f"{value}: expected a name that ends in {' or '.join(self.suffixes)}", param, ctx)
+        if path.is_dir() or not path.absolute().parent.is_dir():
+            self.fail(f"{value}: expected a file in a folder that exists", param, ctx)
+        if not os.access(path if path.exists() else path.absolute().parent, os.W_OK):
+            self.fail(f"{value}: cannot be written", param, ctx)
+        return path
 
 
 params_option = click.option(

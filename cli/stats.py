@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from .options import assets_option, json_option, open_assets, seed_option, set_option
+from .options import OutputFile, assets_option, json_option, open_assets, seed_option, set_option
 
 # Table width where stdout is not a terminal: wide enough for every column.
 WIDTH = 140
@@ -25,7 +25,7 @@ WIDTH = 140
 @set_option
 @assets_option
 @seed_option
-@click.option("--out", type=click.Path(path_type=Path), help="Write the plots to this file.")
+@click.option("--out", type=OutputFile(".png", ".svg", ".pdf"), help="Write the plots to this file.")
 @json_option
 def stats(
     folder: str | None,

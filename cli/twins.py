@@ -9,7 +9,7 @@ from .options import assets_option, device_option, open_assets
 
 
 @click.command()
-@click.argument("folder", metavar="DIR/SPLIT")
+@click.argument("folder", metavar="DIR[/SPLIT]")
 @click.option(
     "--vary", metavar="PATH=VALUES", required=True, help="Factor and its values, such as light.exposure=1,2,3."
 )
@@ -22,19 +22,20 @@ from .options import assets_option, device_option, open_assets
 def twins(
     ctx: click.Context, folder: str, vary: str, out: str, n: int, workers: int, device: str, assets: Path | None
 ) -> None:
-    """Render the scenes of a split again with one factor changed and everything else equal.
+    """Render the scenes of a split (or of DIR, if it has one) again with one factor changed and everything else equal.
 
     Each value of the factor becomes a split: OUT/twin_1 has the first value, OUT/twin_2 the second. Sample i shows the
     same scene in all of them; its labels differ only if the factor changes lanes, camera or occlusion. PATH names a
     value in scene.json, such as camera.pitch_deg, surface.road_texture or cars. Rerun to resume.
     """
-    from synth3dlanes.dataset.read import Reader
+    from synth3dlanes.dataset.splits import one_reader
     from synth3dlanes.production.plan import Plan
     from synth3dlanes.production.run import generate
     from synth3dlanes.production.twins import twin_recipes
 
-    recipes = twin_recipes(folder, vary, device, open_assets(assets))
-    count = min(n, len(Reader(folder)))
+    source = one_reader(folder)
+    recipes = twin_recipes(source.url, vary, device, open_assets(assets))
+    count = min(n, len(source))
     for recipe, value in zip(recipes, recipes[0].values, strict=True):
         with progress() as notify:
             report = generate(Plan(out, count, recipe, workers), notify)

@@ -17,7 +17,7 @@ from .options import json_option
 @json_option
 @click.pass_context
 def validate(ctx: click.Context, folder: str, workers: int, limit: int | None, as_json: bool) -> None:
-    """Check every file and sample of the data set DIR, and compare its labels with its images and passes.
+    """Check every file and sample of a data set (DIR) or one split (DIR/train), and its labels against its images.
 
     Prints one line per problem and exits with 1 if there is one. DIR/validation then has a picture of each sample
     whose labels or pixels failed. docs/validate.md lists the checks.

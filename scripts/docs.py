@@ -24,7 +24,7 @@ the `synth3dlanes` script is not on your PATH. Commands whose results other prog
 | 0 | success |
 | 1 | the command ran but its work failed or is incomplete |
 | 2 | bad input: one line per problem on stderr |
-| 130, 143 | stopped by Ctrl-C, by SIGTERM |
+| 129, 130, 143 | stopped by SIGHUP (a closed terminal), by Ctrl-C, by SIGTERM |
 
 ## Shell completion
 

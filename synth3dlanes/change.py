@@ -9,9 +9,17 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.scene import Scene, from_json
+from pydantic import ValidationError
+from pydantic_core import ErrorDetails
+
+from synth3dlanes.errors import InputError
+from synth3dlanes.scene import Scene
+from synth3dlanes.schema import problem_line, shown
 from synth3dlanes.yaml_text import read_yaml
+
+# What pydantic calls the limits of a number.
+LIMITS = ("gt", "ge", "lt", "le")
+MAX_DEG = 1e6
 
 
 def change_scene(scene: Scene, changes: Sequence[str]) -> Scene:
@@ -21,22 +29,34 @@ def change_scene(scene: Scene, changes: Sequence[str]) -> Scene:
     """
     document = scene.model_dump(mode="json")
     problems: list[str] = []
+    degrees: dict[str, Any] = {}
     for change in changes:
         path, equals, text = (part.strip() for part in change.partition("="))
         if not equals:
             problems.append(f"changes {change}: expected path=value")
             continue
         value, value_problems = read_yaml(text, f"changes {path}")
-        problems += value_problems or _put(document, path, value)
+        problems += value_problems or _put(document, path, value, degrees)
     if problems:
         raise InputError(*problems)
     try:
-        return from_json(json.dumps(document), "changes")
-    except FormatError as error:
-        raise InputError(*str(error).splitlines()) from None
+        return Scene.model_validate_json(json.dumps(document), strict=True)
+    except ValidationError as error:
+        found = error.errors(include_url=False)
+        raise InputError(*(f"changes {problem_line(_as_given(problem, degrees))}" for problem in found)) from None
 
 
-def _put(document: dict[str, Any], path: str, value: Any) -> list[str]:
+def _as_given(problem: ErrorDetails, degrees: dict[str, Any]) -> ErrorDetails:
+    """A problem of an angle that was given in degrees, in degrees again."""
+    path = ".".join(str(step) for step in problem["loc"])
+    if path not in degrees:
+        return problem
+    limits = {name: math.degrees(value) if name in LIMITS else value for name, value in problem.get("ctx", {}).items()}
+    return {**problem, "loc": (path.removesuffix("_rad") + "_deg",), "input": degrees[path], "ctx": limits}
+
+
+def _put(document: dict[str, Any], path: str, value: Any, degrees: dict[str, Any]) -> list[str]:
+    """Set the value at a path, and note it in `degrees` by its path in radians if it is an angle in degrees."""
     *steps, last = path.split(".")
     place: Any = document
     for step in steps:
@@ -47,8 +67,9 @@ def _put(document: dict[str, Any], path: str, value: Any) -> list[str]:
     keys = _keys(place)
     radians_key = last.removesuffix("_deg") + "_rad"
     if last.endswith("_deg") and radians_key in keys:
-        if not isinstance(value, int | float):
-            return [f"changes {path}: expected degrees, got {value!r}"]
+        if not isinstance(value, int | float) or isinstance(value, bool) or not abs(value) < MAX_DEG:
+            return [f"changes {path}: expected degrees, got {shown(value)}"]
+        degrees[".".join([*steps, radians_key])] = value
         last, value = radians_key, math.radians(value)
     if last not in keys:
         return [_unknown(path, last, keys)]

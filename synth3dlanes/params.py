@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, PlainValidator, ValidationError
 from synth3dlanes.assets.catalogue import BUILT_IN, AssetKind, Assets
 from synth3dlanes.distributions import Choice, Flag, Integer, Integers, Real, integers, is_pair, parse_integers, reals
 from synth3dlanes.errors import InputError
+from synth3dlanes.schema import shown
 from synth3dlanes.yaml_text import read_yaml
 
 Fraction = Annotated[Real, reals(0, 1)]
@@ -21,6 +22,8 @@ Orientation = Annotated[Real, reals(-360, 360)]
 Offset = Annotated[Real, reals(-50, 50)]
 # Of models or textures of one kind, if the assets are unknown.
 MAX_NUMBER = 9999
+# With more keys missing there is one line for all.
+MAX_MISSING = 3
 
 
 def numbers(kind: AssetKind) -> PlainValidator:
@@ -209,7 +212,7 @@ def load_params(source: str, overrides: Sequence[str] = (), assets: Assets = BUI
         raise InputError(f"{where}: cannot read: {getattr(error, 'strerror', None) or error}") from None
     document, problems = read_yaml(text, where)
     if not isinstance(document, dict):
-        raise InputError(*(problems or [f"{where}: expected groups of parameters, got {document!r:.40}"]))
+        raise InputError(*(problems or [f"{where}: expected groups of parameters, got {shown(document)}"]))
     overridden, override_problems = _override(document, overrides)
     try:
         params = Params.model_validate(document, context=assets)
@@ -260,18 +263,24 @@ def _override(document: dict[Any, Any], overrides: Iterable[str]) -> tuple[set[s
 
 def _problems(error: ValidationError, where: str, overridden: set[str]) -> list[str]:
     lines = []
+    missing = [".".join(map(str, problem["loc"])) for problem in error.errors() if problem["type"] == "missing"]
     for problem in error.errors():
         path = ".".join(str(step) for step in problem["loc"])
         place = f"overrides {path}" if path in overridden else f"{where}: {path}"
+        if problem["type"] == "missing" and len(missing) > MAX_MISSING:
+            continue
         if problem["type"] == "missing":
             text = "missing key"
         elif problem["type"] == "extra_forbidden":
             text = _unknown(str(problem["loc"][-1]), _keys(problem["loc"][:-1]))
         elif problem["type"] == "value_error":
-            text = f"{problem['ctx']['error']}, got {problem['input']!r:.60}"
+            text = f"{problem['ctx']['error']}, got {shown(problem['input'])}"
         else:
-            text = f"expected a group of parameters, got {problem['input']!r:.60}"
+            text = f"expected a group of parameters, got {shown(problem['input'])}"
         lines.append(f"{place}: {text}")
+    if len(missing) > MAX_MISSING:
+        named = ", ".join(missing[:MAX_MISSING])
+        lines.append(f"{where}: {len(missing)} missing keys: {named}, ...; a file has all keys of `params show`")
     return lines
 
 

@@ -98,11 +98,12 @@ def validation_problems(error: ValidationError, where: str) -> list[str]:
     """One line per problem: where, the key, what was expected, what was found; of many problems the first."""
     problems = error.errors(include_url=False)
     more = len(problems) - MAX_PROBLEMS
-    lines = [f"{where}: {_line(problem)}" for problem in problems[:MAX_PROBLEMS]]
+    lines = [f"{where}: {problem_line(problem)}" for problem in problems[:MAX_PROBLEMS]]
     return lines + ([f"{where}: and {more} more problems"] if more > 0 else [])
 
 
-def _line(problem: ErrorDetails) -> str:
+def problem_line(problem: ErrorDetails) -> str:
+    """The key, what was expected there and what was found."""
     key = ".".join(str(step) for step in problem["loc"])
     kind, context = problem["type"], problem.get("ctx", {})
     text = EXPECTED[kind].format(**context) if kind in EXPECTED else problem["msg"]

@@ -37,7 +37,7 @@ def test_lists_take_indices_and_can_be_emptied(hilly_scene: Scene) -> None:
         ("lihgt.exposure=3", "changes lihgt.exposure: unknown key lihgt; did you mean light?"),
         ("cars.99.gloss=1", "changes cars.99.gloss: unknown key 99"),
         ("light.exposure", "changes light.exposure: expected path=value"),
-        ("light.exposure=-1", "changes: light.exposure: Input should be greater than 0, got -1"),
+        ("light.exposure=-1", "changes light.exposure: expected more than 0, got -1"),
         ("light.exposure=[1", "changes light.exposure: line 1: not YAML: "),
         ("camera.pitch_deg=flat", "changes camera.pitch_deg: expected degrees, got 'flat'"),
     ],

@@ -1,8 +1,9 @@
 """Addresses of data sets: a folder here, or whatever fsspec opens (s3://, gs://, sftp://, ...)."""
 
+import re
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import fsspec
@@ -35,7 +36,22 @@ def translate_store_errors(place: str, problem: str = "cannot be reached") -> It
     try:
         yield
     except store_errors() as error:
-        raise FormatError(f"{place}: {problem}: {type(error).__name__}: {error}") from None
+        reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
+        raise FormatError(f"{place}: {problem}: {reason}") from None
+
+
+def splits_near(place: str) -> str:
+    """What to name instead of a wrong place, as in "; there is DIR/train, DIR/val": the splits of the data set at or
+    above it; "" where there is none."""
+    files, root = connect(place)
+    place, root = (re.sub(r":\d*$", "", path.rstrip("/")) for path in (place, root))
+    for _ in range(2):
+        with suppress(*store_errors()):
+            found = sorted({str(path).rsplit("/", 2)[-2] for path in files.glob(f"{root}/*/*.parquet")})
+            if found:
+                return f"; there is {', '.join(f'{place}/{name}' for name in found[:10])}"
+        place, root = (path.rpartition("/")[0] or "." for path in (place, root))
+    return ""
 
 
 def store_errors() -> tuple[type[Exception], ...]:

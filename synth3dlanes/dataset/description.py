@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from synth3dlanes.dataset.address import connect, splits_near, translate_store_errors
 from synth3dlanes.dataset.format import member_names
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.schema import Part, parse
@@ -71,6 +72,22 @@ def parse_description(data: bytes, where: str) -> dict[str, Any]:
     except ValueError:
         raise FormatError(f"{where}: expected finite numbers, got NaN or infinity") from None
     return document
+
+
+def data_set_of(place: str) -> tuple[str, str]:
+    """The data set that a place names, and the split of it that is named; "" for all.
+
+    Raises FormatError where neither the place nor the folder that it is in has a `dataset.json`.
+    """
+    files, root = connect(place)
+    place = place.rstrip("/")
+    with translate_store_errors(place):
+        if files.exists(f"{root}/{DESCRIPTION}"):
+            return place, ""
+        parent, _, name = root.rpartition("/")
+        if files.exists(f"{parent}/{DESCRIPTION}"):
+            return place.removesuffix(name).rstrip("/") or ".", name
+    raise FormatError(f"{place}: expected a data set or one of its splits, got no {DESCRIPTION}{splits_near(place)}")
 
 
 def updated_description(before: bytes | None, recipe: dict[str, Any], split: str, n: int, where: str) -> bytes:

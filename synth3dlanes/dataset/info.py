@@ -3,9 +3,10 @@
 from dataclasses import dataclass
 from typing import Any
 
-from synth3dlanes.dataset.address import connect, translate_store_errors
-from synth3dlanes.dataset.description import DESCRIPTION, parse_description
+from synth3dlanes.dataset.address import connect, splits_near, translate_store_errors
+from synth3dlanes.dataset.description import DESCRIPTION, data_set_of, parse_description
 from synth3dlanes.dataset.index import read_indices
+from synth3dlanes.errors import FormatError
 
 
 @dataclass(frozen=True)
@@ -35,12 +36,15 @@ class DatasetInfo:
 
 
 def dataset_info(url: str) -> DatasetInfo:
-    """Count and weigh the data set at any address that fsspec knows."""
-    files, root = connect(url)
-    where = f"{url.rstrip('/')}/{DESCRIPTION}"
+    """Count and weigh the data set at any address that fsspec knows, or one split of it."""
+    root_url, only = data_set_of(url)
+    files, root = connect(root_url)
+    where = f"{root_url}/{DESCRIPTION}"
     with translate_store_errors(where, "cannot be read"):
         recipe = parse_description(files.cat_file(f"{root}/{DESCRIPTION}"), where)
-    splits = recipe.pop("splits")
+    splits = {name: entry for name, entry in recipe.pop("splits").items() if only in ("", name)}
+    if only and not splits:
+        raise FormatError(f"{url}: expected a data set or one of its splits{splits_near(url)}")
     with translate_store_errors(url):
         found = tuple(_split(files, root, name, entry["n"]) for name, entry in splits.items())
     return DatasetInfo(recipe, found)
@@ -55,7 +59,8 @@ def _split(files: Any, root: str, name: str, asked: int) -> SplitInfo:
         where = f"{root}/{name}/{path}"
         indices |= read_indices(files.cat_file(where), where)
     parts = {path for path in sizes if ".parts/" in path and path.endswith(".tar")}
-    waiting = {int(path.rpartition("/")[2].removesuffix(".tar")) for path in parts} - indices
+    keys = {path.rpartition("/")[2].removesuffix(".tar") for path in parts}
+    waiting = {int(key) for key in keys if key.isdecimal()} - indices
     failed = files.ls(f"{root}/failed/{name}") if files.isdir(f"{root}/failed/{name}") else []
     joined = sum(index < asked for index in indices)
     return SplitInfo(name, asked, joined, len(waiting), len(failed), len(shards), sum(sizes.values()))

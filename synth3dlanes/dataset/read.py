@@ -12,7 +12,7 @@ import pyarrow as pa
 from jaxtyping import Shaped, UInt8
 
 from synth3dlanes import labels as labels_module
-from synth3dlanes.dataset.address import connect, translate_store_errors
+from synth3dlanes.dataset.address import connect, splits_near, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION, parse_description
 from synth3dlanes.dataset.format import (
     BLOCK,
@@ -48,7 +48,10 @@ class Reader:
         where = f"{self._root.rpartition('/')[0]}/{DESCRIPTION}"
         with translate_store_errors(self.url):
             if not files.exists(where):
-                raise FormatError(f"{self.url}: expected a split of a data set, as DIR/train, got no {where}")
+                there = splits_near(self.url)
+                raise FormatError(f"{self.url}: expected a split of a data set, as DIR/train, got no {where}{there}")
+            if not files.isdir(self._root):
+                raise FormatError(f"{self.url}: expected a split of a data set, got no folder{splits_near(self.url)}")
         self.description = parse_description(self._read(where), where)
         self._names = member_names(self.description["image_format"], self.description["render"]["passes"])
         sizes = self._list()
@@ -119,7 +122,8 @@ class Reader:
         """The i of the sample with this key."""
         i = int(np.searchsorted(self._indices, int(key))) if key.isdecimal() else len(self)
         if i == len(self) or self._indices[i] != int(key):
-            raise FormatError(f"{self.url}: expected a sample {key}, got none among its {len(self)}")
+            last = self.key(-1) if len(self) else "none"
+            raise FormatError(f"{self.url}: expected a sample up to {last}, got {key}")
         return i
 
     def shuffled(self, seed: int) -> Iterator[Sample]:

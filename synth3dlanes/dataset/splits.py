@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from synth3dlanes.dataset.address import connect, is_url, translate_store_errors
+from synth3dlanes.dataset.address import connect, is_url, splits_near, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.errors import FormatError
+from synth3dlanes.errors import FormatError, InputError
 
 
 def readers(folder: str) -> list[Reader]:
@@ -14,13 +14,22 @@ def readers(folder: str) -> list[Reader]:
     files, root = connect(folder)
     with translate_store_errors(folder):
         if not files.isdir(root):
-            raise FormatError(f"{folder}: expected a data set or one of its splits, got no folder")
+            there = splits_near(folder)
+            raise FormatError(f"{folder}: expected a data set or one of its splits, got no folder{there}")
         if not files.exists(f"{root}/{DESCRIPTION}"):
             return [Reader(folder)]
         splits = sorted({path.rsplit("/", 2)[-2] for path in files.glob(f"{root}/*/*.parquet")})
     if not splits:
         raise FormatError(f"{folder}: expected finished shards (SPLIT/00000.parquet), got none")
     return [Reader(f"{folder.rstrip('/')}/{split}") for split in splits]
+
+
+def one_reader(place: str) -> Reader:
+    """The reader of the split that is named, or of a data set's only one; raise InputError where there are several."""
+    found = readers(place)
+    if len(found) > 1:
+        raise InputError(f"{place}: expected one split, got {len(found)}{splits_near(place)}")
+    return found[0]
 
 
 def evenly_spaced(found: Sequence[Reader], n: int) -> list[tuple[Reader, int]]:

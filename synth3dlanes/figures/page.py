@@ -17,6 +17,7 @@ from synth3dlanes.figures.describe import LANE_COLUMNS, describe, lane_row, topo
 from synth3dlanes.figures.histograms import histograms
 from synth3dlanes.figures.overlay import stretches_img
 from synth3dlanes.figures.page_plots import plot
+from synth3dlanes.figures.passes import WORDS, Passes, pass_picture
 from synth3dlanes.figures.scene_view import SceneView
 from synth3dlanes.figures.space import triangles
 from synth3dlanes.figures.stats import LabelStatistics, SceneStatistics, is_fine
@@ -74,13 +75,25 @@ class Card(NamedTuple):
     drawn: Drawing
 
 
-def scene_page(scene: Scene, labels: Labels, image: Picture | None) -> str:
-    """One scene: the image with lanes and masks that can be switched on and off, a 3D view, and all parameters."""
+class PassPicture(NamedTuple):
+    """A pass as a picture (a data URL), and what its colours mean."""
+
+    name: str
+    words: str
+    jpeg: str
+
+
+def scene_page(scene: Scene, labels: Labels, image: Picture | None, passes: Passes | None = None) -> str:
+    """One scene: the image with lanes and masks that can be switched on and off, a 3D view, its passes, and all
+    parameters."""
     return _render(
         "scene.html",
         title=f"seed {scene.seed}, {scene.split} {scene.index}: {topology_words(scene.road)}",
         switches=_switches([labels]),
         drawn=_drawing(labels, image),
+        passes=[
+            PassPicture(name, WORDS[name], _jpeg(pass_picture(name, values))) for name, values in (passes or {}).items()
+        ],
         groups=describe(scene, labels),
         lane_columns=LANE_COLUMNS,
         lane_rows=[lane_row(lane) for lane in labels.lanes],

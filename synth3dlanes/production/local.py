@@ -18,7 +18,6 @@ from pathlib import Path
 
 from synth3dlanes.dataset.format import key_of
 from synth3dlanes.dataset.write import Shard, write_whole
-from synth3dlanes.errors import DiskFullError
 from synth3dlanes.production.forecast import forecast
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import make_part, scene_json
@@ -170,12 +169,8 @@ class _Run:
         return free >= self.room_needed
 
     def _check_room(self) -> None:
-        free, n = shutil.disk_usage(self.root).free, len(self.todo)
-        needed = forecast(self.plan.recipe, n, self.plan.n_workers(n)).bytes_needed + self.free_mark
-        if n and free < needed:
-            raise DiskFullError(
-                f"{self.root}: {n} samples need {needed / 1e9:.3g} GB, but only {free / 1e9:.3g} GB are free"
-            )
+        n = len(self.todo)
+        forecast(self.plan.recipe, n, self.plan.n_workers(n)).require_room(self.root, self.free_mark)
 
     def _shard(self, index: int) -> Shard:
         return self.shards[index // self.plan.shard_size]

@@ -12,9 +12,10 @@ from synth3dlanes.dataset.destination import Destination
 from synth3dlanes.dataset.write import Shard
 from synth3dlanes.errors import InputError
 from synth3dlanes.production.devices import WorkerSlots, n_cores, resolve_device
+from synth3dlanes.production.forecast import Forecast, forecast
 from synth3dlanes.production.recipe import Made, Recipe, make_sample
 from synth3dlanes.production.workers import Limits
-from synth3dlanes.settings import SPLIT_NAME
+from synth3dlanes.settings import MAX_SAMPLES, SPLIT_NAME
 
 SHARD_SIZE = 1000
 
@@ -39,7 +40,7 @@ class Plan:
     def __post_init__(self) -> None:
         (part, parts), split = self.part, self.recipe.split
         problems = [
-            *([] if self.n >= 0 else [f"n: expected 0 or more, got {self.n}"]),
+            *([] if 0 <= self.n <= MAX_SAMPLES else [f"n: expected 0 to {MAX_SAMPLES}, got {self.n}"]),
             *([] if self.workers >= 0 else [f"workers: expected 0 or more, got {self.workers}"]),
             *([] if re.fullmatch(SPLIT_NAME, split) else [f"split: expected letters, digits, - and _, got {split!r}"]),
             *([] if 1 <= part <= parts else [f"part: expected i/n with 1 <= i <= n, got {part}/{parts}"]),
@@ -63,6 +64,37 @@ class Plan:
         """The indices of the samples that are not there yet, by shard."""
         destination = self.destination
         return {number: destination.missing(shard, self.n) for number, shard in self.shards().items()}
+
+    def n_missing(self) -> int:
+        """How many samples are not there yet; of shards that are not begun, none is listed."""
+        begun = self.destination.begun(self.recipe.split)
+        return sum(
+            len(self.destination.missing(shard, self.n)) if number in begun else len(shard.indices(self.n))
+            for number, shard in self.shards().items()
+        )
+
+    def text(self) -> str:
+        """What is asked for, in a line."""
+        (part, parts), recipe, settings = self.part, self.recipe, self.recipe.settings
+        sizes = recipe.params.camera.model_dump(include={"width_px", "height_px"})
+        told = [
+            f"{self.destination.place}/{recipe.split}: {self.n} samples",
+            *([f"part {part} of {parts}"] if parts > 1 else []),
+            f"seed {recipe.seed}",
+            f"{sizes['width_px']}x{sizes['height_px']} px {recipe.image_format}",
+            f"{settings.samples} samples per pixel",
+            f"device {settings.device}",
+            f"passes {', '.join(settings.passes) or 'none'}",
+        ]
+        return ", ".join(told)
+
+    def expected(self, n_workers: int = 0) -> Forecast:
+        """What the missing samples will take; raise DiskFullError where a folder's disk has too little room."""
+        missing = self.n_missing()
+        found = forecast(self.recipe, missing, max(1, min(n_workers or self.workers or n_cores(), missing)))
+        if not self.destination.is_store:
+            found.require_room(self.destination.folder)
+        return found
 
     def n_asked(self) -> int:
         """How many samples this part has."""

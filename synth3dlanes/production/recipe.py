@@ -23,6 +23,7 @@ from synth3dlanes.imaging.develop import develop
 from synth3dlanes.imaging.layers import Layers
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import Params
+from synth3dlanes.production.workers import leave_if_orphaned
 from synth3dlanes.sample import sample_world
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import RenderSettings
@@ -145,6 +146,7 @@ def make_part(
     start = time.perf_counter()
     made = maker(recipe, index)
     before = time.perf_counter()
+    leave_if_orphaned()
     size = shard.write_part(index, made.members)
     end = time.perf_counter()
     return {"bytes": size, "seconds": end - start, "stages": {**made.timings, "write": end - before}}

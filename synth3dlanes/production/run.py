@@ -1,9 +1,9 @@
 """A run: make what is missing of a plan's samples, on this machine or on a Ray cluster, and report.
 
 What is done is what lies at the destination, so running again continues, with either executor. Bytes depend on the
-recipe and the index alone: whoever makes a sample, and when, makes the same one. SIGINT and SIGTERM let the samples at
-hand finish. `part` i of n takes the shards whose number is i - 1 modulo n, so parts never meet: they may share a folder
-(each shard has its lock) or have their folders copied together.
+recipe and the index alone: whoever makes a sample, and when, makes the same one. SIGINT, SIGTERM and SIGHUP let the
+samples at hand finish. `part` i of n takes the shards whose number is i - 1 modulo n, so parts never meet: they may
+share a folder (each shard has its lock) or have their folders copied together.
 """
 
 from collections.abc import Callable
@@ -11,7 +11,6 @@ from typing import Literal
 
 from synth3dlanes.production.devices import n_cores
 from synth3dlanes.production.events import Event
-from synth3dlanes.production.forecast import forecast
 from synth3dlanes.production.local import make_here
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.signals import stopping_on_signals
@@ -50,13 +49,16 @@ def _run(
     """Claim, make, report. `n_workers` are all that there are; a driver's are on other machines, and claim shards
     themselves."""
     destination, split = plan.destination, plan.recipe.split
+    # First: a run that is refused leaves nothing behind.
+    expected = plan.expected(n_workers)
     with destination.claim(plan.description(), split, plan.n, plan.shards(), is_driver):
         missing = [index for indices in plan.missing().values() for index in indices]
-        expected = forecast(plan.recipe, len(missing), max(1, min(n_workers, len(missing))))
         with destination.log(log_name(split)) as log:
             tally = Tally(plan.n_asked(), missing, notify, log)
             device, names = plan.recipe.settings.device, plan.slots.names
-            tally.tell("start", expected.text(), **vars(expected), device=device, device_names=names)
+            tally.tell(
+                "start", f"{plan.text()}; {expected.text()}", **vars(expected), device=device, device_names=names
+            )
             with stopping_on_signals(tally.interrupt):
                 make(plan, tally)
             tally.tell("end", tally.problem or ("interrupted" if tally.stop_signal else "complete"))

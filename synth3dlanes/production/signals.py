@@ -1,30 +1,71 @@
-"""SIGINT and SIGTERM as a request to stop in order."""
+"""SIGINT, SIGTERM and SIGHUP as a request to stop in order."""
 
+import os
 import signal
+import stat
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from threading import current_thread, main_thread
 from types import FrameType
+from typing import Any
+
+STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+class Stopped(KeyboardInterrupt):
+    """A signal asks to stop at once; `number` is its number."""
+
+    def __init__(self, number: int = signal.SIGINT) -> None:
+        super().__init__()
+        self.number = number
+
+
+def stop(number: int, _: FrameType | None = None) -> None:
+    """A signal handler that raises Stopped."""
+    leave_closed_terminal(number)
+    raise Stopped(number)
+
+
+def handle(handler: Callable[[int, FrameType | None], None]) -> dict[int, Any]:
+    """Install a handler for all stopping signals but those that are ignored, as nohup does; returns those before."""
+    before: dict[int, Any] = {number: signal.getsignal(number) for number in STOPPING}
+    for number, old in before.items():
+        if old is not signal.SIG_IGN:
+            signal.signal(number, handler)
+    return before
 
 
 @contextmanager
-def stopping_on_signals(stop: Callable[[int], None]) -> Iterator[None]:
-    """Call `stop` with the number of the first SIGINT or SIGTERM; the second raises KeyboardInterrupt."""
+def stopping_on_signals(request: Callable[[int], None]) -> Iterator[None]:
+    """Call `request` with the number of the first stopping signal; the second raises Stopped."""
     stopped = False
 
-    def handle(number: int, _: FrameType | None) -> None:
+    def handler(number: int, _: FrameType | None) -> None:
         nonlocal stopped
         if stopped:
-            raise KeyboardInterrupt
+            stop(number)
         stopped = True
-        stop(number)
+        leave_closed_terminal(number)
+        request(number)
 
     if current_thread() is not main_thread():
         yield
         return
-    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = handle(handler)
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number, old in before.items():
+            signal.signal(number, old)
+
+
+def leave_closed_terminal(number: int) -> None:
+    """After SIGHUP, let output to the terminal that was closed go nowhere: writing there fails."""
+    if number != signal.SIGHUP:
+        return
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (1, 2):
+        with suppress(OSError):
+            if stat.S_ISCHR(os.fstat(stream).st_mode) and not os.isatty(stream):
+                os.dup2(nowhere, stream)
+    os.close(nowhere)

@@ -41,7 +41,8 @@ class Report:
 
     @property
     def exit_code(self) -> int:
-        """0 all is there; 1 something is missing; 128 plus the signal that stopped the run: 130 SIGINT, 143 SIGTERM."""
+        """0 all is there; 1 something is missing; 128 plus the signal that stopped the run: 129 SIGHUP, 130 SIGINT, 143
+        SIGTERM."""
         if self.problem or self.set_aside:
             return 1
         return 128 + self.stop_signal if self.stop_signal else 0

@@ -4,7 +4,7 @@ A worker is a fresh process (never a fork: Blender would not survive one) with a
 it, and whenever, breaks nothing but its own task. (Pebble's and concurrent.futures' workers share one pipe and its
 locks: a worker killed while it holds them stops all of them.) A task that fails lets its worker crash, the traceback
 going to its stderr; the next task starts a fresh worker. A worker is pinned to one core before it imports anything.
-It dies with its parent, and leaves Ctrl-C and SIGTERM to it.
+It dies with its parent, and leaves the signals that stop a run to it.
 """
 
 import ctypes
@@ -32,6 +32,8 @@ import psutil
 STDERR_TAIL = 8000
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 PR_SET_PDEATHSIG = 1
+# Environment variable with the process that a worker works for.
+PARENT = "SYNTH3DLANES_PARENT"
 # Folders that Blender adds to sys.path where it is loaded; with them a worker would load it by halves.
 BLENDERS_PATH = re.compile(r"/bpy/\d+\.\d+/scripts")
 
@@ -176,7 +178,12 @@ class Pool:
                 stdout=stream,
                 stderr=stream,
                 pass_fds=[theirs.fileno()],
-                env={**os.environ, SCRATCH: self._scratch.name, **self.masks[slot % len(self.masks)]},
+                env={
+                    **os.environ,
+                    PARENT: str(os.getpid()),
+                    SCRATCH: self._scratch.name,
+                    **self.masks[slot % len(self.masks)],
+                },
                 start_new_session=True,
             )
         theirs.close()
@@ -218,6 +225,13 @@ def call(limits: Limits, function: Callable[..., Any], *args: Any, pinned: bool 
         while True:
             for outcome in pool.wait(1.0):
                 return outcome
+
+
+def leave_if_orphaned() -> None:
+    """End this worker where the process that it works for is gone: another run may be making the same sample. Called
+    after the death signal is set, which comes too late for a parent killed before, and before anything is kept."""
+    if os.environ.get(PARENT, str(os.getppid())) != str(os.getppid()):
+        os._exit(1)
 
 
 def _lease(n: int, cores: Sequence[int]) -> tuple[list[int], list[int]]:
@@ -264,10 +278,11 @@ def _main() -> None:
     descriptor, core = map(int, sys.argv[1:])
     if core >= 0:
         os.sched_setaffinity(0, {core})
-    for name in (signal.SIGINT, signal.SIGTERM):
+    for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(name, signal.SIG_IGN)
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    leave_if_orphaned()
     sys.excepthook = _crash
     _work(Connection(descriptor))
     os._exit(0)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from synth3dlanes.dataset.address import connect, translate_store_errors
-from synth3dlanes.dataset.description import DESCRIPTION, Description, parse_description, recipe_text
+from synth3dlanes.dataset.description import DESCRIPTION, Description, data_set_of, parse_description, recipe_text
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.geometry import height_map
@@ -72,12 +72,13 @@ class Checked(NamedTuple):
 
 
 def validate(place: str | Path, workers: int, limit: int | None, progress: Callable[[int, int], None]) -> Report:
-    """Check all shards of a dataset (a folder or a URL) and its samples, or the first `limit` samples of every split.
+    """Check all shards of a dataset or of one split (a folder or a URL) and its samples, or the first `limit` samples
+    of every split.
 
     Writes an overlay picture of each sample that fails to PLACE/validation. `progress` is called with (samples done,
     total). Raises InputError if there is no folder at `place`, FormatError if its store cannot be read.
     """
-    place = str(place).rstrip("/")
+    place, only = _data_set(str(place).rstrip("/"))
     report = Report()
     try:
         document = _read_description(place)
@@ -93,7 +94,7 @@ def validate(place: str | Path, workers: int, limit: int | None, progress: Calla
         origin = None
     remove_pictures(place)
     with _mapping(workers) as run:
-        entries, recipes = _check_shards(place, run, description, report)
+        entries, recipes = _check_shards(place, only, run, description, report)
         todo = [entry for split in entries.values() for entry in split[:limit]]
         redrawn: dict[str, str] = {}
         progress(0, len(todo))
@@ -106,6 +107,16 @@ def validate(place: str | Path, workers: int, limit: int | None, progress: Calla
     report.problems += drawn_otherwise(redrawn, len(todo), description.generator, recipes, recipe)
     report.judge()
     return report
+
+
+def _data_set(place: str) -> tuple[str, str]:
+    """The data set that is named, and the one split of it that is, with a slash; "" for all."""
+    try:
+        root, only = data_set_of(place)
+    except FormatError:
+        # What is missing there is a problem of the report.
+        return place, ""
+    return root, f"{only}/" if only else ""
 
 
 def _read_description(place: str) -> dict[str, Any]:
@@ -129,12 +140,14 @@ def _shards(place: str) -> list[str]:
 
 
 def _check_shards(
-    place: str, run: Map, description: Description, report: Report
+    place: str, only: str, run: Map, description: Description, report: Report
 ) -> tuple[dict[str, list[Entry]], dict[str, str]]:
-    """The readable samples of every split, in order, and the recipes of all shards by shard name."""
-    parquets = _shards(place)
-    entries: dict[str, list[Entry]] = {split: [] for split in description.splits}
-    indices: dict[str, set[int]] = {split: set() for split in description.splits}
+    """The readable samples of every split (of one, if it is named), in order, and the recipes of all shards by shard
+    name."""
+    parquets = [parquet for parquet in _shards(place) if parquet.startswith(f"{place}/{only}")]
+    splits = [only.rstrip("/")] if only else list(description.splits)
+    entries: dict[str, list[Entry]] = {split: [] for split in splits}
+    indices: dict[str, set[int]] = {split: set() for split in splits}
     recipes = {}
     check = partial(check_shard, names=description.names, shard_size=description.shard_size)
     for parquet, shard in zip(parquets, run(check, parquets), strict=True):

@@ -36,18 +36,123 @@ Run = Callable[..., Result]
         ("gallery none", "none: expected a data set"),
         ("params check tiny no.yaml", "no.yaml: cannot read: No such file or directory"),
         ("bench --against broken.json", "broken.json: expected JSON: "),
+        ("bench --against other.json", "other.json: expected a result of bench --json, got another document"),
+        ("render other.json", "other.json: expected synth3dlanes.scene version 1, got another document"),
+        ("inspect broken.json --out x.txt", "Invalid value for '--out': x.txt: expected a name that ends in .png"),
+        ("inspect broken.json --out noext", "Invalid value for '--out': noext: expected a name that ends in .png"),
+        ("gallery none --out x.svg", "Invalid value for '--out': x.svg: expected a name that ends in .png or .jpg"),
+        ("stats none --out x.txt", "Invalid value for '--out': x.txt: expected a name that ends in .png"),
+        ("report none --html none/x.html", "none/x.html: expected a file in a folder that exists"),
+        ("inspect d/train:3 --image file", "--image file: expected none beside a sample, which has its own"),
+        ("split d --out e --into train=0.5,val=0.6", "expected shares whose sum is 1, got 1.1"),
+        ("generate --n 1000000000 --out d", "--n: expected 0 to 100000000, got 1000000000"),
+        ("generate --n 90000000 --out d --device cpu", "d: 90000000 samples need "),
+        ("generate --n 90000000 --out d --device cpu --dry-run", "d: 90000000 samples need "),
+        ("generate --n 3 --out d --address x", "--address can only be used with --executor ray."),
+        (
+            "params check partial.yaml",
+            "partial.yaml: 10 missing keys: terrain, road, markings, ...; a file has all keys",
+        ),
         ("sampel", "synth3dlanes: No such command 'sampel'."),
     ],
 )
 def test_one_line_and_exit_code_2(command: str, expected: str, run: Run, in_tmp_path: Path) -> None:
     (in_tmp_path / "file").touch()
     (in_tmp_path / "broken.json").write_text('{"format": "synth3dlanes.sc')
+    (in_tmp_path / "other.json").write_text('{"a": 1}')
+    (in_tmp_path / "partial.yaml").write_text("{}")
     result = run(*command.split())
     assert result.exit_code == 2
     assert result.stdout == ""
     assert expected in result.stderr
     assert result.stderr.count("\n") == 1
-    assert {path.name for path in in_tmp_path.iterdir()} == {"file", "broken.json"}
+    assert {path.name for path in in_tmp_path.iterdir()} == {"file", "broken.json", "other.json", "partial.yaml"}
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        ("light.sun_zenith_deg=120", "--set light.sun_zenith_deg: expected at most 91.6732, got 120"),
+        ("light.sun_zenith_rad=2", "--set light.sun_zenith_rad: expected at most 1.6, got 2"),
+        ("light.sun_zenith_deg=true", "--set light.sun_zenith_deg: expected degrees, got True"),
+        ("camera.width_px=20000", "--set camera.width_px: expected at most 8192, got 20000"),
+        ("camera.width_px=wide", "--set camera.width_px: expected a whole number, got 'wide'"),
+    ],
+)
+def test_a_changed_scene_is_refused_in_the_words_of_the_change(
+    change: str, line: str, run: Run, in_tmp_path: Path
+) -> None:
+    (in_tmp_path / "a.json").write_text(run("sample", "--params", "tiny").stdout)
+    result = run("render", "a.json", "--set", change)
+    assert (result.exit_code, result.stdout, result.stderr) == (2, "", f"{line}\n")
+
+
+@pytest.mark.parametrize(
+    ("command", "there"),
+    [
+        ("inspect d", "d/train"),
+        ("render d/train", "d/train"),
+        ("inspect d/tran:3", "d/train"),
+        ("info d/tran", "d/train"),
+        ("stats d/tran", "d/train"),
+        ("gallery d/train:3", "d/train"),
+        ("twins d/tran --vary light.exposure=1 --out e", "d/train"),
+    ],
+)
+def test_a_place_that_is_not_there_is_answered_with_what_is(
+    command: str, there: str, run: Run, folder: Path, in_tmp_path: Path
+) -> None:
+    (in_tmp_path / "d").symlink_to(folder)
+    result = run(*command.split())
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr.endswith(f"; there is {there}\n")
+    assert result.stderr.count("\n") == 1
+
+
+def test_info_and_validate_take_one_split(run: Run, folder: Path, in_tmp_path: Path) -> None:
+    whole, part = (run("info", place, "--json").stdout for place in (folder, f"{folder}/train"))
+    assert json.loads(whole)["splits"] == json.loads(part)["splits"]
+    shutil.copytree(folder, "d")
+    shutil.copytree("d/train", "d/val")
+    Path("d/val/00001.tar").unlink()
+    assert [split["name"] for split in json.loads(run("info", "d/train", "--json").stdout)["splits"]] == ["train"]
+    of_one = run("validate", "d/train", "--limit", 0, "--workers", 1)
+    of_all = run("validate", "d", "--limit", 0, "--workers", 1)
+    assert (of_one.exit_code, of_all.exit_code) == (0, 1), of_one.output
+    assert "val/00001.tar" in of_all.stdout
+
+
+def test_the_help_shows_whole_summaries(run: Run) -> None:
+    commands = " ".join(run("--help").stdout.partition("Commands:")[2].split())
+    assert "..." not in commands
+    assert (
+        "merge Merge data sets that were made from the same recipe, such as parts made on several machines" in commands
+    )
+
+
+def test_a_dry_run_says_what_would_be_made_and_makes_nothing(run: Run, in_tmp_path: Path) -> None:
+    command = (
+        "generate",
+        "--n",
+        1500,
+        "--out",
+        "d",
+        "--params",
+        "tiny",
+        "--device",
+        "cpu",
+        "--seed",
+        3,
+        "--workers",
+        2,
+    )
+    result = run(*command, "--dry-run", "--set", "light.exposure=2")
+    assert result.exit_code == 0, result.output
+    asked, expected = result.stdout.splitlines()
+    for words in ("d/train: 1500 samples", "seed 3", "96x72 px jpg", "device cpu", "tiny with light.exposure=2"):
+        assert words in asked
+    assert expected.startswith("1500 samples to make with 2 workers: about ")
+    assert not list(in_tmp_path.iterdir())
 
 
 def test_every_problem_has_a_line(run: Run) -> None:

@@ -1,11 +1,20 @@
-"""Ctrl-C and SIGTERM end every command with the exit code of a shell and one line, never "Aborted!"."""
+"""Ctrl-C, SIGTERM and SIGHUP end every command with the exit code of a shell and one line, never "Aborted!"."""
+
+import signal
+import subprocess
+import sys
+import time
 
 import pytest
 from click.testing import CliRunner
-from synth3dlanes_cli.main import Terminated, main
+from synth3dlanes_cli.main import main
+
+from synth3dlanes.production.signals import Stopped
 
 
-@pytest.mark.parametrize(("error", "code"), [(KeyboardInterrupt, 130), (Terminated, 143)])
+@pytest.mark.parametrize(
+    ("error", "code"), [(KeyboardInterrupt(), 130), (Stopped(signal.SIGTERM), 143), (Stopped(signal.SIGHUP), 129)]
+)
 @pytest.mark.parametrize(
     ("arguments", "function", "line"),
     [
@@ -28,3 +37,24 @@ def test_a_signal_ends_a_command_in_one_line(monkeypatch, error, code, arguments
     # A progress bar may stand before it.
     assert result.stderr.splitlines()[-1] == f"synth3dlanes {arguments[0]}: interrupted{line}"
     assert "Aborted" not in result.output
+
+
+@pytest.mark.parametrize(
+    ("signals", "code"),
+    [((signal.SIGINT, signal.SIGINT), 130), ((signal.SIGTERM, signal.SIGINT), 130), ((signal.SIGHUP,), 129)],
+)
+def test_a_second_signal_ends_a_run_at_once_in_one_line(tmp_path, signals, code):
+    command = [sys.executable, "-m", "tests.fake_cli", "generate", "--n", "200", "--out", str(tmp_path / "d")]
+    command += ["--params", "tiny", "--workers", "2", "--device", "cpu", "--log-level", "debug"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert next(line for line in process.stderr if line.startswith("0000"))
+    for number in signals:
+        process.send_signal(number)
+        time.sleep(0.05)
+    stdout, stderr = process.communicate(timeout=60)
+    assert process.returncode == code
+    assert "Traceback" not in stderr
+    if len(signals) > 1:
+        assert stderr.splitlines()[-1].endswith("generate: interrupted; rerun to resume")
+    else:
+        assert "samples" in stdout

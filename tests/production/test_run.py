@@ -1,6 +1,7 @@
 """Runs: whatever is killed, full or broken, the same bytes are there in the end."""
 
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -9,6 +10,7 @@ import time
 from collections import namedtuple
 from contextlib import suppress
 from dataclasses import replace
+from multiprocessing import Pipe
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +19,7 @@ import pytest
 
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.errors import ClaimedError, DiskFullError, InputError, MissingPackageError
-from synth3dlanes.production import local
+from synth3dlanes.production import local, workers
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import make_sample
 from synth3dlanes.production.run import generate
@@ -89,6 +91,7 @@ def test_parts_are_disjoint_and_make_the_whole(tmp_path, whole):
     assert (report.made, report.done) == (0, N)
 
 
+@pytest.mark.timeout(900)
 def test_sigkill_of_the_run_and_of_workers_at_any_moment(tmp_path, whole):
     rng = np.random.default_rng(5)
     command = [sys.executable, "-m", "tests.fake_samples", str(tmp_path), str(N), "2"]
@@ -111,7 +114,7 @@ def test_sigkill_of_the_run_and_of_workers_at_any_moment(tmp_path, whole):
     report, _ = go(plan(tmp_path))
     assert report.exit_code == 0
     assert contents(tmp_path) == whole
-    assert sorted(path.name for path in tmp_path.iterdir()) == [".lock", "dataset.json", "logs", "train"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".lock", "README.md", "dataset.json", "logs", "train"]
 
 
 def _outlives(worker: psutil.Process) -> bool:
@@ -122,7 +125,27 @@ def _outlives(worker: psutil.Process) -> bool:
         return False
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_worker_whose_run_is_gone_makes_and_keeps_nothing(tmp_path):
+    """One that was started a moment before its run was killed: its death signal comes too late."""
+    ours, theirs = Pipe()
+    command = [sys.executable, "-P", workers.__file__, str(theirs.fileno()), "-1"]
+    # Nobody is process 2**22: Linux has none above.
+    orphan = {**os.environ, workers.PARENT: str(1 << 22)}
+    process = subprocess.Popen(command, pass_fds=[theirs.fileno()], env=orphan)
+    assert process.wait(30) == 1
+    keep = (
+        "from pathlib import Path\nfrom synth3dlanes.dataset.write import Shard\n"
+        "from synth3dlanes.production.recipe import make_part\nfrom tests import fake_samples\n"
+        f"shard = Shard(Path({str(tmp_path)!r}), 0, 10, fake_samples.recipe().names)\n"
+        "make_part(fake_samples.make, fake_samples.recipe(), shard, 3)"
+    )
+    for environment, code, kept in ((orphan, 1, 0), (dict(os.environ), 0, 1)):
+        assert subprocess.run([sys.executable, "-c", keep], env=environment, check=False).returncode == code
+        assert len(list(tmp_path.rglob("*.tar"))) == kept
+    ours.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_stops_in_order_within_seconds(tmp_path, whole, number):
     command = [sys.executable, "-m", "tests.fake_samples", str(tmp_path), str(N), "2"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
