@@ -114,3 +114,17 @@ def test_the_changelog_and_the_citation_know_this_version() -> None:
 
     assert f"## [{__version__}]" in (ROOT / "CHANGELOG.md").read_text()
     assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text()
+
+
+def test_the_times_of_the_faq_follow_from_the_bench() -> None:
+    """The table gives the hours of (images x core-seconds / cores), rounded."""
+    cost_s = json.loads((DOCS / "bench.json").read_text())["core_seconds_per_image"]
+    unit_s = {"min": 60, "h": 3600}
+    rows = re.findall(r"^\| ([\d,]+) \| (.+?) \| (.+?) \| (.+?) \|$", (DOCS / "faq.md").read_text(), re.MULTILINE)
+    assert [row[0] for row in rows] == ["10,000", "100,000", "300,000"]
+    for images, *times in rows:
+        for cores, time in zip((8, 64, 512), times, strict=True):
+            number, unit = time.split()
+            assert float(number) * unit_s[unit] == pytest.approx(
+                int(images.replace(",", "")) * cost_s / cores, rel=0.04, abs=30
+            )
