@@ -109,6 +109,15 @@ def test_the_index_has_every_page() -> None:
     assert {path.name for pattern in ("*.md", "*.schema.json") for path in DOCS.glob(pattern)} - {"README.md"} <= linked
 
 
+def test_every_guarantee_has_its_test() -> None:
+    rows = re.findall(r"^\| (?!promise|---)(.+) \|$", (DOCS / "guarantees.md").read_text(), re.MULTILINE)
+    for row in rows:
+        named = re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", row)
+        assert named, row
+        for path, name in named:
+            assert f"def {name}(" in (ROOT / path).read_text(), f"{path}::{name}"
+
+
 def test_the_changelog_and_the_citation_know_this_version() -> None:
     from synth3dlanes import __version__
 
