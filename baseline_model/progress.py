@@ -48,7 +48,8 @@ class Line(ExitStack):
 
     def say(self, text: str) -> None:
         """Print a permanent line."""
-        self.console.print(text, highlight=False, markup=False, soft_wrap=True)
+        if self.is_shown:
+            self.console.print(text, highlight=False, markup=False, soft_wrap=True)
 
 
 class Log(ExitStack):

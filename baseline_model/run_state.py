@@ -18,7 +18,7 @@ from .inference import choose_device
 from .loading import Process
 from .model import LaneNet
 from .optim import RunningAverage, Schedule, optimizer_for
-from .pretrained import load_vgg16
+from .pretrained import load_pretrained
 from .task import network_of
 
 CHANGEABLE = frozenset(
@@ -95,7 +95,7 @@ def prepare(config: TrainConfig, process: Process, out_dir: Path, about: dict[st
     if config.pretrained is not None:
         if not isinstance(model, LaneNet):
             raise InputError("pretrained: expected a named model with a vgg16 trunk (paper), got a network of your own")
-        about["pretrained"] = load_vgg16(model, config.pretrained)
+        about["pretrained"] = load_pretrained(model, config.pretrained)
     if config.init is not None:
         about["init"] = _start_from(model, config.init)
     model = model.to(process.device, memory_format=torch.channels_last)  # type: ignore[call-overload]

@@ -30,6 +30,8 @@ from .options import (
 
 # Interval between progress lines where stderr is not a terminal.
 LINE_EVERY_S = 30.0
+# Columns of a terminal that has room for a bar beside the numbers.
+WIDE = 100
 WORKERS_HELP = "Worker processes. auto: one per core, or up to four per GPU."
 
 
@@ -188,23 +190,28 @@ def progress(level: str = "info") -> Iterator[Callable[[Event], None]]:
 @contextmanager
 def _bar(level: str) -> Iterator[Callable[[Event], None]]:
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeElapsedColumn
 
-    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.fields[pace]}"))
-    with Progress(*columns, console=Console(stderr=True)) as bar:
+    console = Console(stderr=True)
+    is_wide = console.width >= WIDE
+    columns: list[ProgressColumn] = [MofNCompleteColumn(), TextColumn("{task.fields[pace]}")]
+    if is_wide:
+        columns = [BarColumn(), columns[0], TimeElapsedColumn(), columns[1]]
+    with Progress(*columns, console=console) as bar:
         task = bar.add_task("", total=None, pace="")
 
         def notify(event: Event) -> None:
             if event.kind != "end" and event.matters(level):
                 bar.console.print(event.message, markup=False)
-            bar.update(task, completed=event.done, total=event.asked, pace=_pace(event))
+            pace = _pace(event, " images/h" if is_wide else "/h")
+            bar.update(task, completed=event.done, total=event.asked, pace=pace)
 
         yield notify
 
 
-def _pace(event: Event) -> str:
+def _pace(event: Event, unit: str = " images/h") -> str:
     """Rate and remaining time, or "" while they are unknown."""
     if not event.rate_per_s or event.eta_s is None:
         return ""
     set_aside = f", {event.set_aside} set aside" if event.set_aside else ""
-    return f"{3600 * event.rate_per_s:,.0f} images/h, {duration(event.eta_s)} left{set_aside}"
+    return f"{3600 * event.rate_per_s:,.0f}{unit}, {duration(event.eta_s)} left{set_aside}"

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import click
 
+from synth3dlanes.settings import PASSES
+
 from .options import OutputFile, json_option
 
 
@@ -21,8 +23,11 @@ from .options import OutputFile, json_option
     type=OutputFile(".html"),
     help="Write an HTML page with masks and an interactive 3D view instead of a figure.",
 )
+@click.option("--passes", "with_passes", is_flag=True, help="Also show the passes: depth, normals, ids, heights.")
 @json_option
-def inspect(where: str, image: Path | None, out: Path | None, html: Path | None, as_json: bool) -> None:
+def inspect(
+    where: str, image: Path | None, out: Path | None, html: Path | None, with_passes: bool, as_json: bool
+) -> None:
     """Print a summary of one scene and draw its image, top view, side view and 3D view.
 
     The scene is a scene.json, rendered or not, or a sample of a data set such as DIR/train:00000017.
@@ -32,16 +37,17 @@ def inspect(where: str, image: Path | None, out: Path | None, html: Path | None,
     from synth3dlanes.figures.describe import describe
     from synth3dlanes.figures.inspect import draw_inspect, summary
     from synth3dlanes.figures.page import scene_page
-    from synth3dlanes.sources import load_any
+    from synth3dlanes.sources import load_any, load_passes
 
     found = load_any(where, image)
+    passes = load_passes(where, image) if with_passes else {}
     written = {}
     if html:
-        html.write_text(scene_page(found.scene, found.labels, found.image), encoding="utf-8")
+        html.write_text(scene_page(found.scene, found.labels, found.image, passes), encoding="utf-8")
         written["page"] = str(html)
     if out or not html:
         path = out or Path(f"{found.name}.inspect.png")
-        draw_inspect(found.scene, found.labels, found.image).savefig(path, dpi=100)
+        draw_inspect(found.scene, found.labels, found.image, passes).savefig(path, dpi=100)
         written["figure"] = str(path)
     if as_json:
         click.echo(json.dumps({**written, **describe(found.scene, found.labels)}))
@@ -63,23 +69,41 @@ def inspect(where: str, image: Path | None, out: Path | None, html: Path | None,
     help="Show random samples, chosen with this seed, instead of the first.",
 )
 @click.option("--lanes/--no-lanes", default=True, help="Draw the labels on the images.")
+@click.option(
+    "--show", type=click.Choice(["image", *PASSES]), default="image", help="Show the images, or one of the passes."
+)
 @click.option("--where", metavar="QUERY", help='Show only samples that match, such as "n_lanes = 4".')
 @click.option("--width", metavar="PX", type=click.IntRange(min=100), help="Shrink the image to this width in pixels.")
 def gallery(
-    folder: str, out: Path, n: int, columns: int, shuffle: int | None, lanes: bool, where: str | None, width: int | None
+    folder: str,
+    out: Path,
+    n: int,
+    columns: int,
+    shuffle: int | None,
+    lanes: bool,
+    show: str,
+    where: str | None,
+    width: int | None,
 ) -> None:
-    """Draw many samples of a data set (DIR) or of one split (DIR/train) in one image.
+    """Draw many samples of a data set (DIR) or of one split (DIR/train) in one image, each with its key.
 
     --where selects samples by the columns of the index (docs/format.md): --where "flip_lateral and n_lanes = 4" or
     --where "junction = 'merge' and max_grade > 0.1".
     """
     from synth3dlanes.figures.gallery import draw_gallery
+    from synth3dlanes.figures.passes import pass_picture
     from synth3dlanes.sources import some_samples
 
     samples = some_samples(folder, n, shuffle, where)
-    labels = [sample.labels for sample in samples] if lanes else None
-    sheet = draw_gallery([sample.image for sample in samples], labels, columns)
-    sheet.thumbnail((width or sheet.width, sheet.height))
+    reader = samples[0][0]
+    if show != "image" and show not in reader.description["render"]["passes"]:
+        raise click.UsageError(f"--show {show}: {reader.url} was made without this pass.")
+    pictures = [
+        reader.image(i) if show == "image" else pass_picture(show, reader.passes(i)[show]) for reader, i in samples
+    ]
+    # A height map is not in the pixels of the image.
+    labels = [reader.labels(i) for reader, i in samples] if lanes and show != "height" else None
+    sheet = draw_gallery(pictures, [reader.key(i) for reader, i in samples], labels, columns, width)
     sheet.save(out)
     click.echo(f"Gallery: {out}")
 
@@ -100,7 +124,7 @@ def report(folder: str, html: Path, n: int, samples: int) -> None:
     Shows samples with lanes that can be switched on and off, the distributions of all parameters, and statistics of
     the labels. The page is a single file that loads nothing else.
     """
-    from synth3dlanes.dataset.splits import evenly_spaced, readers
+    from synth3dlanes.dataset.splits import data_set_name, evenly_spaced, readers, split_name
     from synth3dlanes.figures.page import report_page
     from synth3dlanes.figures.stats import label_statistics, scene_statistics
     from synth3dlanes.sources import params_of, read_scene
@@ -110,8 +134,8 @@ def report(folder: str, html: Path, n: int, samples: int) -> None:
     scenes = scene_statistics((read_scene(reader, i) for reader, i in places), params_of(found[0]))
     labels = label_statistics(reader.labels(i) for reader, i in places)
     shown = [
-        (f"{reader.url}:{reader.key(i)}", reader.image(i), reader.labels(i))
+        (f"{split_name(reader)}:{reader.key(i)}", read_scene(reader, i), reader.labels(i), reader.image(i))
         for reader, i in evenly_spaced(found, samples)
     ]
-    html.write_text(report_page(folder, shown, scenes, labels), encoding="utf-8")
+    html.write_text(report_page(data_set_name(found[0]), shown, scenes, labels), encoding="utf-8")
     click.echo(f"Page: {html}")

@@ -121,8 +121,10 @@ def train(
         config = train_config(model or "compact", overrides, row)
     if dry_run:
         click.echo("\n".join(plan(config, data, out)))
-    else:
-        click.echo(run(config, data, out))
+        return
+    best = run(config, data, out)
+    if os.environ.get("RANK", "0") == "0":  # the first of torchrun's processes
+        click.echo(best)
 
 
 @click.command()

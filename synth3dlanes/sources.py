@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Shaped, UInt8
 from pydantic import ValidationError
 
 from synth3dlanes.dataset.address import splits_near
-from synth3dlanes.dataset.format import SCENE, Sample, decode_image
+from synth3dlanes.dataset.format import HEIGHT, PASSES, SCENE, decode_image, read_passes
 from synth3dlanes.dataset.query import rows_where
 from synth3dlanes.dataset.read import Reader, find
 from synth3dlanes.dataset.splits import readers
@@ -71,6 +71,21 @@ def load_any(where: str, image_path: Path | None) -> Found:
     return Found(name, scene, ground_truth(scene), image)
 
 
+def load_passes(where: str, image_path: Path | None) -> dict[str, Shaped[np.ndarray, "..."]]:
+    """The passes of a sample, or those in the files beside a rendered image; raise InputError where there are none."""
+    passes: dict[str, Shaped[np.ndarray, ...]] = {}
+    if SAMPLE.fullmatch(where):
+        reader, position = find(where)
+        passes = reader.passes(position)
+    elif image_path is not None:
+        files = [image_path.with_suffix(f".{name}") for name in (PASSES, HEIGHT)]
+        for path in filter(Path.exists, files):
+            passes |= read_passes(path.read_bytes(), str(path))
+    if not passes:
+        raise InputError(f"passes: expected {where} to have passes, got none; make them with --passes depth,normal")
+    return passes
+
+
 def read_scene(reader: Reader, i: int) -> Scene:
     """The scene of one sample; nothing else of it is read."""
     return from_json(reader.member(i, SCENE), f"{reader.url}:{reader.key(i)}")
@@ -84,7 +99,7 @@ def params_of(reader: Reader) -> Params:
         raise FormatError("\n".join(validation_problems(error, f"{reader.url}: dataset.json: params"))) from None
 
 
-def some_samples(folder: str, n: int, shuffle: int | None, where: str | None) -> list[Sample]:
+def some_samples(folder: str, n: int, shuffle: int | None, where: str | None) -> list[tuple[Reader, int]]:
     """The first `n` samples of a split, or `n` at random by a seed, of those that `where` selects by the index.
 
     Of a data set, its first split is taken. Raises InputError where no sample is left.
@@ -95,4 +110,4 @@ def some_samples(folder: str, n: int, shuffle: int | None, where: str | None) ->
         raise InputError(f"where {where}: expected a sample of {reader.url} that fits, got none of {len(reader)}")
     if shuffle is not None:
         chosen = np.random.default_rng(shuffle).permutation(chosen)
-    return [reader[int(i)] for i in chosen[:n]]
+    return [(reader, int(i)) for i in chosen[:n]]

@@ -6,6 +6,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import IO, Any
 
+from synth3dlanes.dataset.card import CARD, updated_card
 from synth3dlanes.dataset.description import DESCRIPTION, updated_description
 from synth3dlanes.dataset.write import write_whole
 from synth3dlanes.errors import ClaimedError, InputError
@@ -53,7 +54,7 @@ def _lock(locks: IO[bytes], shard: int, root: Path, first: int = 0) -> None:
 
 
 def _enter(root: Path, recipe: dict[str, Any], split: str, n: int) -> None:
-    """Write `dataset.json`, or check that it names the same recipe; note the largest `n` asked for."""
+    """Write `dataset.json` and its card, or check that it names the same recipe; note the largest `n` asked for."""
     path = root / DESCRIPTION
     before = path.read_bytes() if path.exists() else None
     if before is None and any(root.glob("*/*.parquet")):
@@ -61,3 +62,8 @@ def _enter(root: Path, recipe: dict[str, Any], split: str, n: int) -> None:
     after = updated_description(before, recipe, split, n, str(path))
     if after != before:
         write_whole(path, after)
+    card = root / CARD
+    card_before = card.read_bytes() if card.exists() else None
+    card_after = updated_card(card_before, after, str(path))
+    if card_after != card_before:
+        write_whole(card, card_after)

@@ -13,7 +13,7 @@ from synth3dlanes.settings import MAX_SHARD_SIZE
 
 # Where the metadata of an index has the recipe that its samples were made from.
 RECIPE = b"synth3dlanes.recipe"
-TEXT_COLUMNS = ("key", "sha256")
+TYPES = {"key": pa.string(), "sha256": pa.string(), "camera_roll_rad": pa.float64()}
 # Far above any tar; sums of such numbers do not overflow.
 MAX_TAR_BYTES = 1 << 50
 
@@ -58,7 +58,7 @@ def require_columns(table: pa.Table, columns: Sequence[str], where: str) -> None
         if count != 1:
             found = f"{count} of them" if count else ", ".join(table.column_names)[:200] or "none"
             raise FormatError(f"{where}: expected a column {column}, got {found}")
-        kind = pa.string() if column in TEXT_COLUMNS else pa.int64()
+        kind = TYPES.get(column, pa.int64())
         if table.schema.field(column).type != kind:
             raise FormatError(f"{where}: expected a column {column} of {kind}, got {table.schema.field(column).type}")
         if table[column].null_count:

@@ -1,8 +1,9 @@
 """All splits of a data set at once, or the one that is named. Reads indices; the address may be any of fsspec's."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
-from synth3dlanes.dataset.address import connect, splits_near, translate_store_errors
+from synth3dlanes.dataset.address import connect, is_url, splits_near, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.errors import FormatError, InputError
@@ -49,3 +50,9 @@ def split_size(reader: Reader) -> int:
 def split_name(reader: Reader) -> str:
     """What the split is called: its folder's name."""
     return reader.url.rpartition("/")[2]
+
+
+def data_set_name(reader: Reader) -> str:
+    """The name of the data set: that of the folder above the split's."""
+    place = reader.url if is_url(reader.url) else str(Path(reader.url).resolve())
+    return place.rsplit("/", 2)[-2]

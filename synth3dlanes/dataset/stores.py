@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from synth3dlanes.dataset.address import connect, translate_store_errors
+from synth3dlanes.dataset.card import CARD, updated_card
 from synth3dlanes.dataset.description import DESCRIPTION, updated_description
 from synth3dlanes.dataset.index import read_indices
 from synth3dlanes.dataset.write import Shard
@@ -17,7 +18,7 @@ from synth3dlanes.errors import InputError
 
 
 def announce(url: str, recipe: dict[str, Any], split: str, n: int) -> None:
-    """Write `dataset.json`; raise InputError where the store holds another recipe's samples."""
+    """Write `dataset.json` and its card; raise InputError where the store holds another recipe's samples."""
     files, root = connect(url)
     with translate_store_errors(url):
         where = f"{root}/{DESCRIPTION}"
@@ -25,10 +26,13 @@ def announce(url: str, recipe: dict[str, Any], split: str, n: int) -> None:
         if before is None and files.glob(f"{root}/*/*.parquet"):
             raise InputError(f"{url}/{DESCRIPTION}: missing, but there are shards beside it")
         after = updated_description(before, recipe, split, n, f"{url}/{DESCRIPTION}")
-        if after != before:
-            with TemporaryDirectory() as folder:
-                (Path(folder) / DESCRIPTION).write_bytes(after)
-                put(url, [DESCRIPTION], Path(folder))
+        card_before = files.cat_file(f"{root}/{CARD}") if files.exists(f"{root}/{CARD}") else None
+        card_after = updated_card(card_before, after, f"{url}/{DESCRIPTION}")
+        with TemporaryDirectory() as folder:
+            for name, old, new in ((DESCRIPTION, before, after), (CARD, card_before, card_after)):
+                if new != old:
+                    (Path(folder) / name).write_bytes(new)
+                    put(url, [name], Path(folder))
 
 
 def indices(url: str, shard: Shard) -> set[int]:

@@ -4,28 +4,49 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import UInt8
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 
 from synth3dlanes.figures.overlay import draw_overlay
 from synth3dlanes.labels import Labels
 
 _GAP_PX = 4
+_TEXT_PX = 12
 
 
 def draw_gallery(
-    images: Sequence[UInt8[np.ndarray, "h w 3"]], labels: Sequence[Labels] | None, columns: int
+    images: Sequence[UInt8[np.ndarray, "h w 3"]],
+    names: Sequence[str],
+    labels: Sequence[Labels] | None,
+    columns: int,
+    width_px: int | None = None,
 ) -> Image.Image:
-    """A contact sheet, row by row from the top left, with cells of the first image's size; draws lanes if given."""
+    """A contact sheet, row by row from the top left; draws each name into its cell, and lanes if given.
+
+    Cells have the first image's size, or fill a sheet of at most `width_px`.
+    """
     assert images
     assert columns > 0
-    height_px, width_px = images[0].shape[:2]
+    height, width = images[0].shape[:2]
     columns = min(columns, len(images))
     rows = -(-len(images) // columns)
-    sheet_size = (columns * (width_px + _GAP_PX) + _GAP_PX, rows * (height_px + _GAP_PX) + _GAP_PX)
+    if width_px is not None and columns * (width + _GAP_PX) + _GAP_PX > width_px:
+        shrunk = max(1, (width_px - _GAP_PX) // columns - _GAP_PX)
+        width, height = shrunk, max(1, round(height * shrunk / width))
+    sheet_size = (columns * (width + _GAP_PX) + _GAP_PX, rows * (height + _GAP_PX) + _GAP_PX)
     sheet = Image.new("RGB", sheet_size, "white")
     for number, image in enumerate(images):
         drawn = Image.fromarray(image if labels is None else draw_overlay(image, labels[number]))
         row, column = divmod(number, columns)
-        corner = (_GAP_PX + column * (width_px + _GAP_PX), _GAP_PX + row * (height_px + _GAP_PX))
-        sheet.paste(drawn.resize((width_px, height_px)), corner)
+        corner = (_GAP_PX + column * (width + _GAP_PX), _GAP_PX + row * (height + _GAP_PX))
+        sheet.paste(drawn.resize((width, height), Image.Resampling.LANCZOS), corner)
+        _write(sheet, names[number], corner)
     return sheet
+
+
+def _write(sheet: Image.Image, name: str, corner: tuple[int, int]) -> None:
+    """A name in white on black, into the top left of a cell."""
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(_TEXT_PX)
+    place = (corner[0] + 3, corner[1] + 1)
+    _, _, right, bottom = draw.textbbox(place, name, font=font)
+    draw.rectangle((*corner, right + 2, bottom + 2), fill="black")
+    draw.text(place, name, fill="white", font=font)

@@ -2,16 +2,20 @@
 
 import numpy as np
 from jaxtyping import UInt8
+from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from rich.console import Group, RenderableType
 from rich.table import Table
 
 from synth3dlanes.figures import colors, views
 from synth3dlanes.figures.describe import LANE_COLUMNS, describe, lane_row, topology_words
+from synth3dlanes.figures.passes import Passes, draw_pass
 from synth3dlanes.figures.scene_view import SceneView
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
+from synth3dlanes.settings import PASSES
 
 
 def summary(scene: Scene, labels: Labels) -> RenderableType:
@@ -30,25 +34,42 @@ def summary(scene: Scene, labels: Labels) -> RenderableType:
     return Group(facts, lanes)
 
 
-def draw_inspect(scene: Scene, labels: Labels, image: UInt8[np.ndarray, "h w 3"] | None) -> Figure:
-    """One page with the image and the scene in 3D, from above and from the side; without an image, lanes alone."""
+def draw_inspect(
+    scene: Scene, labels: Labels, image: UInt8[np.ndarray, "h w 3"] | None, passes: Passes | None = None
+) -> Figure:
+    """One page with the image, its passes, and the scene in 3D, from above and from the side; without an image, lanes
+    alone."""
     view = SceneView(scene, labels)
-    figure = Figure(figsize=(15, 14.5), layout="constrained")
-    grid = figure.add_gridspec(3, 2, height_ratios=(9.5, 8.5, 4), width_ratios=(1, 1))
+    pass_rows = [names for names in (PASSES[:2], PASSES[2:4], PASSES[4:]) if passes and set(names) & set(passes)]
+    heights = (9.5, *(7.0 for _ in pass_rows), 8.5, 4)
+    figure = Figure(figsize=(15, 14.5 / 22 * sum(heights)), layout="constrained")
+    grid = figure.add_gridspec(len(heights), 2, height_ratios=heights, width_ratios=(1, 1))
     views.draw_image(figure.add_subplot(grid[0, 0]), labels, image)
     space = figure.add_subplot(grid[0, 1], projection="3d", computed_zorder=False)
     views.draw_3d(space, view)
-    views.draw_top(figure.add_subplot(grid[1, :]), view)
-    views.draw_side(figure.add_subplot(grid[2, :]), view)
-    handles = [
-        Line2D(
-            [], [], color=colors.hexadecimal(color), linewidth=2, label="centre line" if kind == "centerline" else kind
-        )
-        for kind, color in colors.KINDS.items()
-    ]
-    figure.legend(handles=handles, loc="upper right", ncols=2, frameon=False)
+    for row, names in enumerate(pass_rows, 1):
+        for column, name in enumerate(names):
+            if passes and name in passes:
+                draw_pass(figure.add_subplot(grid[row, column]), name, passes[name])
+    views.draw_top(figure.add_subplot(grid[-2, :]), view)
+    views.draw_side(figure.add_subplot(grid[-1, :]), view)
+    figure.legend(handles=_legend(), loc="outside lower center", ncols=7, frameon=False)
     figure.suptitle(
         f"seed {scene.seed}, {scene.split} {scene.index}: {scene.road.n_lanes} lanes, {topology_words(scene.road)}",
         fontsize=14, x=0.01, ha="left", color=colors.INK,
     )  # fmt: skip
     return figure
+
+
+def _legend() -> list[Artist]:
+    """What the lines and shapes of all views mean."""
+    blue, red = (colors.hexadecimal(colors.KINDS[kind]) for kind in ("centerline", "delimiter"))
+    return [
+        Line2D([], [], color=blue, linewidth=2, label="centre line"),
+        Line2D([], [], color=red, linewidth=2, label="delimiter, solid"),
+        Line2D([], [], color=red, linewidth=2, linestyle=views.DASHES, label="delimiter, dashed"),
+        Line2D([], [], color=red, alpha=views.HIDDEN_OPACITY, linewidth=1, label="pale: hidden or outside the image"),
+        Line2D([], [], color=red, linewidth=1, linestyle=":", label="dotted, in the image: hidden"),
+        Patch(facecolor=colors.FRUSTUM, alpha=views.FRUSTUM_OPACITY, label="field of view"),
+        Line2D([], [], color=colors.FRUSTUM, markeredgecolor=colors.INK, marker="o", linestyle="", label="camera"),
+    ]

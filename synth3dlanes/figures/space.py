@@ -15,7 +15,8 @@ from synth3dlanes.geometry.meshes import Mesh
 from synth3dlanes.geometry.paint import PAINT_LIFT_AT_M, PAINT_LIFT_M, paint_color
 from synth3dlanes.labels import LaneKind
 
-_HALF_WIDTH_M = 70.0
+# The area that is shown: x to the right and y forward.
+_LOW_M, _HIGH_M = np.array([-70.0, -BEHIND_M]), np.array([70.0, AHEAD_M])
 _LANE_HALF_WIDTH_M = 0.06
 _LANE_OVER_PAINT_M = 0.006
 _FRUSTUM_M = 3.0
@@ -58,23 +59,27 @@ def triangles(view: SceneView) -> list[Triangles]:
         _merge("paint", paint),
         _merge("centre lines", _lanes(view, "centerline")),
         _merge("delimiters", _lanes(view, "delimiter")),
-        _merge("cars", [_prism(car.corners_road, car.height_m, car.color) for car in view.cars]),
-        _merge("trees", [part for tree in view.trees if _is_near(tree.foot_road[None])[0] for part in _tree(tree)]),
+        _merge(
+            "cars",
+            [_prism(car.corners_road, car.height_m, car.color) for car in view.cars if _is_near(car.corners_road)],
+        ),
+        _merge("trees", [part for tree in view.trees if _is_near(tree.foot_road[None]) for part in _tree(tree)]),
         _merge("camera", [_camera(view)]),
     ]
 
 
 def _mesh(view: SceneView, mesh: Mesh, color: Rgb) -> Triangles:
-    """The part of a mesh near the host."""
+    """The faces of a mesh that reach into the area near the host: they cover it without gaps."""
     vertices_road = transform(view.road_from_world, mesh.vertices_world)
-    quads = mesh.faces[_is_near(vertices_road)[mesh.faces].all(axis=1)]
-    used, numbers = np.unique(quads, return_inverse=True)
+    corners = vertices_road[mesh.faces, :2]
+    is_shown = ((corners.max(axis=1) > _LOW_M) & (corners.min(axis=1) < _HIGH_M)).all(axis=1)
+    used, numbers = np.unique(mesh.faces[is_shown], return_inverse=True)
     return _quads(vertices_road[used], numbers.reshape(-1, 4), color)
 
 
-def _is_near(points_road: Float[np.ndarray, "n 3"]) -> np.ndarray:
-    x, y = points_road[:, 0], points_road[:, 1]
-    return np.asarray((np.abs(x) < _HALF_WIDTH_M) & (y > -BEHIND_M) & (y < AHEAD_M))
+def _is_near(points_road: Float[np.ndarray, "n 3"]) -> bool:
+    """Whether all points are in the area that is shown."""
+    return bool(((points_road[:, :2] > _LOW_M) & (points_road[:, :2] < _HIGH_M)).all())
 
 
 def _quads(vertices_road: Float[np.ndarray, "v 3"], quads: Int[np.ndarray, "f 4"], color: Rgb) -> Triangles:

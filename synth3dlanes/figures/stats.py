@@ -30,6 +30,9 @@ CONDITIONED = {
 }
 """Parameters whose drawn values need to keep the declared range but not the distribution, with the reason."""
 
+DOUBTFUL_P = 1e-4
+"""With about 50 parameters, a p value below this is unlikely to be chance."""
+
 _ROUNDING = 1e-4
 """Scenes hold radians rounded to 1e-6; this is an upper bound of the error in degrees."""
 
@@ -71,12 +74,14 @@ class Summary:
 
 @dataclass(frozen=True, eq=False)
 class SceneStatistics:
-    """Statistics of scenes; `drawn` keeps the values, in the declared units, for plots."""
+    """Statistics of scenes; `drawn` keeps the values in the declared units, and `declared` the distributions, for
+    plots."""
 
     n_scenes: int
     parameters: tuple[ParameterStatistics, ...]
     topologies: dict[str, int]
     drawn: dict[str, Values]
+    declared: dict[str, Distribution]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,12 +104,16 @@ def scene_statistics(scenes: Iterable[Scene], params: Params) -> SceneStatistics
         for key, values in drawn_values(scene).items():
             collected[key].append(np.array(values, dtype=float))
     drawn = {key: np.concatenate(values) for key, values in collected.items()}
+    declared = {f"{name}.{key}": getattr(group, key) for name, group in params for key in type(group).model_fields}
     parameters = tuple(
-        _parameter(f"{name}.{key}", getattr(group, key), drawn.get(f"{name}.{key}", np.zeros(0)))
-        for name, group in params
-        for key in type(group).model_fields
+        _parameter(key, distribution, drawn.get(key, np.zeros(0))) for key, distribution in declared.items()
     )
-    return SceneStatistics(n_scenes, parameters, dict(sorted(topologies.items())), drawn)
+    return SceneStatistics(n_scenes, parameters, dict(sorted(topologies.items())), drawn, declared)
+
+
+def is_fine(parameter: ParameterStatistics) -> bool:
+    """Whether every value lies in the declared range and the test does not reject the declared distribution."""
+    return parameter.outside == 0 and (parameter.p_value is None or parameter.p_value >= DOUBTFUL_P)
 
 
 def drawn_values(scene: Scene) -> dict[str, list[float]]:

@@ -1,21 +1,17 @@
 """Statistics as tables for the terminal and as a page of plots."""
 
 import math
-from collections.abc import Mapping
 
-import numpy as np
-from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from rich.console import Group, RenderableType
 from rich.markup import escape
 from rich.table import Table
 
 from synth3dlanes.figures import colors
-from synth3dlanes.figures.stats import LabelStatistics, ParameterStatistics, SceneStatistics
-
-DOUBTFUL_P = 1e-4
-"""With about 50 parameters, a p value below this is unlikely to be chance."""
+from synth3dlanes.figures.histograms import Histogram, histograms
+from synth3dlanes.figures.stats import LabelStatistics, SceneStatistics, is_fine
 
 _COLUMNS = 7
 
@@ -40,11 +36,6 @@ def statistics_table(scenes: SceneStatistics, labels: LabelStatistics | None) ->
     return Group(parameters, topologies, measured)
 
 
-def is_fine(parameter: ParameterStatistics) -> bool:
-    """Whether every value lies in the declared range and the test does not reject the declared distribution."""
-    return parameter.outside == 0 and (parameter.p_value is None or parameter.p_value >= DOUBTFUL_P)
-
-
 def verdict(scenes: SceneStatistics) -> str:
     """One line: how many parameters are as declared, and which are not."""
     bad = [row.key for row in scenes.parameters if not is_fine(row)]
@@ -53,41 +44,37 @@ def verdict(scenes: SceneStatistics) -> str:
 
 
 def draw_statistics(scenes: SceneStatistics, labels: LabelStatistics | None) -> Figure:
-    """One page of histograms: label quantities, then every parameter that varies, over its declared range."""
-    measured: Mapping[str, Float[np.ndarray, " _"]] = {} if labels is None else labels.measured
-    varying = [row for row in scenes.parameters if row.count and row.minimum < row.maximum]
-    rows = math.ceil((len(measured) + len(varying)) / _COLUMNS)
-    figure = Figure(figsize=(2.6 * _COLUMNS, 1.75 * rows + 0.6), layout="constrained")
+    """One page of histograms: label quantities, then every parameter that varies."""
+    found = histograms(scenes, labels)
+    rows = math.ceil(len(found) / _COLUMNS)
+    figure = Figure(figsize=(2.6 * _COLUMNS, 2.1 * rows + 0.6), layout="constrained")
     grid = figure.subplots(rows, _COLUMNS, squeeze=False).ravel()
-    blue = colors.hexadecimal(colors.KINDS["centerline"])
-    for axes, (name, values) in zip(grid, measured.items(), strict=False):
-        low, high = np.percentile(values, [0.5, 99.5])
-        _histogram(axes, name, values, np.linspace(low, max(high, low + 1e-6), 41), blue)
-    for axes, row in zip(grid[len(measured) :], varying, strict=False):
-        good = colors.TREE if is_fine(row) else colors.hexadecimal(colors.KINDS["delimiter"])
-        _histogram(axes, row.key, scenes.drawn[row.key], _edges(row), good)
-    for axes in grid[len(measured) + len(varying) :]:
+    for axes, histogram in zip(grid, found, strict=False):
+        _draw(axes, histogram)
+    for axes in grid[len(found) :]:
         axes.set_visible(False)
-    figure.suptitle(f"{scenes.n_scenes} scenes: labels in blue, parameters in green (red: not as declared)")
+    figure.suptitle(
+        f"{scenes.n_scenes} scenes: labels in blue, parameters in green (red: not as declared); "
+        "the black line is the declared distribution"
+    )
     return figure
 
 
-def _histogram(
-    axes: Axes, title: str, values: Float[np.ndarray, " n"], edges: Float[np.ndarray, " e"], color: str
-) -> None:
-    counts, _ = np.histogram(values, edges)
-    axes.stairs(counts, edges, fill=True, color=color, alpha=0.75)
-    axes.set_title(title, fontsize=8)
+def _draw(axes: Axes, histogram: Histogram) -> None:
+    is_of_labels = histogram.expected is None
+    color = colors.hexadecimal(colors.KINDS["centerline" if is_of_labels else "delimiter"])
+    if not is_of_labels and histogram.is_fine:
+        color = colors.TREE
+    axes.stairs(histogram.counts, histogram.edges, fill=True, color=color, alpha=0.75)
+    if histogram.expected is not None:
+        axes.stairs(histogram.expected, histogram.edges, color=colors.INK, linewidth=1)
+    axes.set_title(histogram.title, fontsize=8)
+    axes.set_xlabel(histogram.quantity, fontsize=7)
+    axes.set_ylabel("values", fontsize=7)
     axes.tick_params(labelsize=7)
-    axes.set_yticks([])
+    axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10], integer=histogram.is_of_integers))
+    axes.yaxis.set_major_locator(MaxNLocator(3, integer=True))
     axes.set_ylim(bottom=0)
-
-
-def _edges(row: ParameterStatistics) -> Float[np.ndarray, " e"]:
-    """Bins over the declared range; one bin per value for a discrete parameter with few values."""
-    low, high = min(row.low, row.minimum), max(row.high, row.maximum)
-    is_discrete = row.test == "chi2" or row.key == "camera.lane"
-    return np.arange(low - 0.5, high + 1) if is_discrete and high - low < 30 else np.linspace(low, high, 21)
 
 
 def _table(title: str, *columns: str) -> Table:

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Polygon
+from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D, art3d  # type: ignore[import-untyped]
 
 from synth3dlanes.figures import colors
@@ -14,9 +15,13 @@ from synth3dlanes.figures.scene_view import AHEAD_M, BEHIND_M, SceneView
 from synth3dlanes.frames import transform
 from synth3dlanes.labels import Labels, Lane
 
-_HIDDEN_OPACITY = 0.4
+HIDDEN_OPACITY = 0.4
+FRUSTUM_OPACITY = 0.13
+DASHES = (0, (5, 2))
 _HALF_WIDTH_3D_M = 32.0
 _HEIGHT_FACTOR_3D = 2.0
+# The least extent of the vertical axis in space: on flat ground its numbers would overlap otherwise.
+_LEAST_HEIGHT_3D_M = 14.0
 _WINDOW_M = 46.0
 
 
@@ -98,7 +103,7 @@ def draw_3d(axes: Axes3D, view: SceneView) -> None:
         points_road = np.where(np.abs(points_road[:, :1]) < _HALF_WIDTH_3D_M, points_road, np.nan)
         _plot(axes, lane, points_road)
     for car in view.cars:
-        if _in_space(car.corners_road[0]):
+        if all(map(_in_space, car.corners_road)):
             sides, face = _box(car.corners_road, car.height_m), colors.hexadecimal(car.color)
             axes.add_collection3d(
                 art3d.Poly3DCollection(sides, facecolor=face, edgecolor=colors.INK, linewidth=0.4, zorder=5)
@@ -107,6 +112,8 @@ def draw_3d(axes: Axes3D, view: SceneView) -> None:
         axes.plot([x, x], [y, y], [z, z + height_m], color=colors.TREE, linewidth=1, alpha=0.5, zorder=2)
     axes.scatter(0, 0, view.labels.camera.height_m, color=colors.FRUSTUM, edgecolor=colors.INK, s=36, zorder=6)
     low, high = grid[..., 2].min(), grid[..., 2].max() + 2
+    high = max(high, low + _LEAST_HEIGHT_3D_M)
+    axes.zaxis.set_major_locator(MaxNLocator(min(6, round((high - low) / 5) + 1)))
     axes.set(xlim=(-_HALF_WIDTH_3D_M, _HALF_WIDTH_3D_M), ylim=(-BEHIND_M, AHEAD_M), zlim=(low, high))
     axes.set_box_aspect((2 * _HALF_WIDTH_3D_M, AHEAD_M + BEHIND_M, _HEIGHT_FACTOR_3D * (high - low)), zoom=1.4)
     axes.set(xlabel="x right [m]", ylabel="y forward [m]", zlabel="z up [m]")
@@ -117,9 +124,9 @@ def draw_3d(axes: Axes3D, view: SceneView) -> None:
 def _plot(axes: Any, lane: Lane, points: Float[np.ndarray, "n d"]) -> None:
     """Plot one lane in any view: faint along its whole length, full where it is visible."""
     color = colors.hexadecimal(colors.KINDS[lane.kind])
-    axes.plot(*points.T, color=color, linewidth=1, alpha=_HIDDEN_OPACITY, zorder=3)
+    axes.plot(*points.T, color=color, linewidth=1, alpha=HIDDEN_OPACITY, zorder=3)
     seen = np.where(lane.visible[:, None], points, np.nan)
-    axes.plot(*seen.T, color=color, linewidth=1.6, linestyle=(0, (5, 2)) if lane.marking == "dashed" else "-", zorder=4)
+    axes.plot(*seen.T, color=color, linewidth=1.6, linestyle=DASHES if lane.marking == "dashed" else "-", zorder=4)
 
 
 def _frustum_from_above(axes: Axes, labels: Labels) -> None:
@@ -130,7 +137,7 @@ def _frustum_from_above(axes: Axes, labels: Labels) -> None:
     rays_road = rays_cam @ camera.road_from_cam[:3, :3].T
     ends = rays_road[:, :2] / rays_road[:, 1:2] * AHEAD_M
     triangle = np.array([[0, 0], *ends])[:, [1, 0]]
-    axes.add_patch(Polygon(triangle, facecolor=colors.FRUSTUM, alpha=0.13, edgecolor="none", zorder=1.5))
+    axes.add_patch(Polygon(triangle, facecolor=colors.FRUSTUM, alpha=FRUSTUM_OPACITY, edgecolor="none", zorder=1.5))
     axes.plot(0, 0, ">", color=colors.FRUSTUM, markeredgecolor=colors.INK, markersize=9, zorder=6)
 
 

@@ -52,12 +52,13 @@ def _matched(true: Sequence[Polyline], predicted: Sequence[Polyline], canvas: Ca
 
 
 def _band(line: Polyline, canvas: Canvas) -> Mask:
-    """The pixels of a line: a natural cubic spline through its points, with round ends."""
-    points = _spline(line) if len(line) > 2 else line
+    """The pixels of a line: a natural cubic spline through its points, drawn as OpenCV does: between whole pixels, half
+    the width to either side of the middle one, with round ends."""
+    points = np.rint(_spline(line) if len(line) > 2 else line)
     image = Image.new("1", (canvas.width_px, canvas.height_px))
-    draw, half_px = ImageDraw.Draw(image), canvas.band_px / 2
+    draw, half_px = ImageDraw.Draw(image), canvas.band_px // 2
     corners = [(float(x), float(y)) for x, y in points]
-    draw.line(corners, fill=1, width=canvas.band_px, joint="curve")
+    draw.line(corners, fill=1, width=2 * half_px + 1, joint="curve")
     for x, y in (corners[0], corners[-1]):
         draw.ellipse((x - half_px, y - half_px, x + half_px, y + half_px), fill=1)
     return np.asarray(image)

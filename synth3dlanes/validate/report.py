@@ -9,10 +9,11 @@ from rich.console import Group, RenderableType
 from rich.markup import escape
 from rich.table import Table
 
-from synth3dlanes.validate.bias import TESTS, Mean, judge
+from synth3dlanes.validate.bias import MIN_SAMPLES, TESTS, Mean, judge
 from synth3dlanes.validate.findings import (
     BAND_NAMES,
     BANDS_M,
+    EDGES,
     PROOF_M,
     WORST,
     Distribution,
@@ -34,6 +35,8 @@ MEASURES = {
     "wheel_gap_m": "metres between tyres and the rendered road, by their distance ahead",
     "tree_gap_m": "metres between trunks' places and the rendered ground, by their distance ahead",
 }
+# Smaller values are counted, and printed, as 0.
+SMALLEST = float(EDGES[0])
 WITHIN_PROOF = slice(0, BANDS_M.index(PROOF_M))
 
 
@@ -110,34 +113,44 @@ class Report:
             if name in document["distributions"]:
                 parts += [f"\n[bold]{name}[/bold]  {words}", _table(document["distributions"][name])]
                 worst = [
-                    f"{item['sample']} {item['value']:.3g}" for item in document["worst"][name] if item["value"] > 0
+                    f"{item['sample']} {_shown(item['value'])}"
+                    for item in document["worst"][name]
+                    if item["value"] >= SMALLEST
                 ]
                 parts += [f"  worst within {PROOF_M:.0f} m: {', '.join(worst)}"] if worst else []
-        if self.means:
-            parts += ["\n[bold]means[/bold]  of the samples' signed values; 0 where all is right", _means(self.means)]
+        tested = {name: found for name, found in self.means.items() if found.n >= MIN_SAMPLES}
+        if tested:
+            parts += ["\n[bold]means[/bold]  of the samples' signed values; 0 where all is right", _means(tested)]
         parts += ["", *(f"[red]{escape(problem.line())}[/red]" for problem in sorted(self.problems))]
         verdict = f"[red]{len(self.failed)} failed[/red]" if self.problems else "[green]all right[/green]"
         return Group(*parts, f"{self.n_samples} samples checked: {verdict}")
 
 
 def _table(bands: dict[str, dict[str, float]]) -> Table:
+    """A row for all points, and one for each band of distance where they differ."""
     table = Table(box=None, padding=(0, 2))
     columns = ("n", "mean", "median", "p95", "p99")
     for name in ("", *columns):
         table.add_column(name, justify="right")
+    whole = bands["all"]
     for band, numbers in bands.items():
-        if numbers["n"]:
-            table.add_row(band, *(f"{numbers[name]:.3g}" if name != "n" else f"{numbers[name]:,}" for name in columns))
+        says_more = numbers["n"] not in (0, whole["n"]) and whole["mean"] >= SMALLEST
+        if numbers["n"] and (band == "all" or says_more):
+            table.add_row(band, f"{numbers['n']:,}", *(_shown(numbers[name]) for name in columns[1:]))
     return table
 
 
+def _shown(value: float) -> str:
+    return f"{value:.3g}" if value >= SMALLEST else "0"
+
+
 def _means(means: dict[str, Mean]) -> Table:
-    table = Table(box=None, padding=(0, 2))
-    for name in ("", "mean", "standard error", "t", "samples", "may be", ""):
-        table.add_column(name, justify="left" if not name else "right")
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for name in ("mean", "value", "error", "t", "n", "may be", "positive"):
+        table.add_column(name, justify="left" if name in ("mean", "positive") else "right", no_wrap=True)
     for name, test in TESTS.items():
         if name in means:
             found = means[name]
             numbers = (f"{test.shown(found.mean)}", test.shown(found.standard_error), f"{found.t:.1f}", f"{found.n:,}")
-            table.add_row(name, *numbers, test.shown(test.least), f"positive: {test.positive}")
+            table.add_row(name, *numbers, test.shown(test.least), test.positive)
     return table

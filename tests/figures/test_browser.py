@@ -5,6 +5,7 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -25,6 +26,30 @@ AFTER_DRAWING = "() => new Promise(done => requestAnimationFrame(() => requestAn
 IS_OFF = (
     "box => [...document.querySelectorAll(box.dataset.shows)].map(part => getComputedStyle(part).display == 'none')"
 )
+# The contrast of every text with what lies behind it, after WCAG 2: [ratio, text].
+CONTRASTS = """() => {
+  const rgba = color => { const v = color.match(/[\\d.]+/g).map(Number); return v.length > 3 ? v : [...v, 1]; };
+  const luminance = color => {
+    const [r, g, b] = color.map(v => v / 255).map(v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+  };
+  const behind = part => {
+    for (; part; part = part.parentElement) {
+      const color = rgba(getComputedStyle(part).backgroundColor);
+      if (color[3] === 1) return color;
+    }
+    return [255, 255, 255, 1];
+  };
+  const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT), found = [];
+  while (walker.nextNode()) {
+    const part = walker.currentNode.parentElement, text = walker.currentNode.data.trim();
+    if (!text || !part.getClientRects().length || part.closest("script, title, style")) continue;
+    const style = getComputedStyle(part);
+    const a = luminance(rgba(part.closest("svg") ? style.fill : style.color)), b = luminance(behind(part));
+    found.push([(Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05), text]);
+  }
+  return found;
+}"""
 # Pixels of the canvas: the lines are a few wide, and a polyline of the image has a vertex every metre.
 REACH_PX = 3
 
@@ -43,13 +68,15 @@ def browser() -> Iterator[Browser]:
 @pytest.fixture
 def open_page(browser: Browser, tmp_path: Path):
     """Opens the text of a page; in the end it must have said nothing and asked for nothing."""
-    context = browser.new_context(viewport={"width": 920, "height": 800})
+    context = browser.new_context()
     said, asked = [], []
 
-    def open_(text: str) -> Page:
+    def open_(text: str, width: int = 920, scheme: Literal["light", "dark"] = "light") -> Page:
         path = tmp_path / "page.html"
         path.write_text(text, encoding="utf-8")
         page = context.new_page()
+        page.emulate_media(color_scheme=scheme)
+        page.set_viewport_size({"width": width, "height": 800})
         page.on("console", lambda message: said.append(message.text))
         page.on("pageerror", lambda error: said.append(str(error)))
         page.on("request", lambda request: asked.append(request.url))
@@ -59,7 +86,7 @@ def open_page(browser: Browser, tmp_path: Path):
     yield open_
     context.close()
     assert said == []
-    assert [url for url in asked if not url.startswith("data:")] == [(tmp_path / "page.html").as_uri()]
+    assert {url for url in asked if not url.startswith("data:")} == {(tmp_path / "page.html").as_uri()}
 
 
 def some_behind_cars(labels: Labels) -> Labels:
@@ -157,12 +184,76 @@ def test_the_driver_sees_the_lanes_where_the_image_has_them(open_page, hilly_sce
     assert is_line.mean() < 0.1, "lines, and not a screen full of them"
 
 
-def test_the_page_of_a_data_set(open_page, gray_image):
+def test_the_keyboard_turns_moves_and_zooms_space(open_page, exit_scene):
+    page = open_page(scene_page(exit_scene, ground_truth(exit_scene), None))
+    canvas = page.locator("#space")
+    canvas.focus()
+    start = picture(canvas)
+    for key, back in (("ArrowLeft", "ArrowRight"), ("ArrowUp", "ArrowDown"), ("Shift+ArrowUp", "Shift+ArrowDown"),
+                      ("+", "-")):  # fmt: skip
+        page.keyboard.press(key)
+        assert differ(start, picture(canvas)) > 0.02 * start[..., 0].size, key
+        page.keyboard.press(back)
+        assert differ(start, picture(canvas)) < 20, back
+
+
+def test_lanes_light_up_where_the_keyboard_goes(open_page, exit_scene):
+    page = open_page(scene_page(exit_scene, ground_truth(exit_scene), None))
+    lane = page.locator("svg .lane").first
+    start = picture(page.locator("svg"))
+    lane.focus()
+    assert differ(start, picture(page.locator("svg"))) > 100
+
+
+@pytest.fixture(scope="module")
+def report() -> str:
     params = load_params("appendix_i", ["trees.n=5", "cars.n=3"])
     scenes = [sample_scene(params, 1, "train", index) for index in range(2)]
     labels = [some_behind_cars(ground_truth(scene)) for scene in scenes]
-    samples = [(f"{scene.index:08d}", gray_image, one) for scene, one in zip(scenes, labels, strict=True)]
-    page = open_page(report_page("a set", samples, scene_statistics(scenes, params), label_statistics(labels)))
+    image = np.full((360, 480, 3), 120, dtype=np.uint8)
+    samples = [(f"train:{scene.index:08d}", scene, one, image) for scene, one in zip(scenes, labels, strict=True)]
+    declared = load_params("appendix_i", ["trees.n=5", "cars.n=3", "camera.height_m=[1.0, 1.1]"])
+    return report_page("a set", samples, scene_statistics(scenes, declared), label_statistics(labels))
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [390, 1400])
+@pytest.mark.parametrize("kind", ["scene", "report"])
+def test_pages_fit_their_screen_and_can_be_read_and_operated_by_everybody(
+    open_page, exit_scene, gray_image, report, kind, width, scheme
+):
+    text = report if kind == "report" else scene_page(exit_scene, ground_truth(exit_scene), gray_image)
+    page = open_page(text, width, scheme)
+    assert page.evaluate("document.documentElement.scrollWidth") == width
+    page.locator("details").evaluate_all("all => all.forEach(one => one.open = true)")
+    contrasts = page.evaluate(CONTRASTS)
+    assert len(contrasts) > 60
+    assert [found for found in contrasts if found[0] < 4.5] == []
+    background = picture(page.locator("h1"))[0, 0]
+    assert (background > 200).all() if scheme == "light" else (background < 60).all()
+    pictures = page.locator("svg, canvas").all()
+    for one in pictures:
+        assert one.get_attribute("role") in ("img", "group", "application")
+        assert one.get_attribute("aria-label")
+    assert all(box.evaluate("one => one.labels.length == 1") for box in page.locator("input").all())
+    operated = page.locator("canvas, .lane" if kind == "scene" else "figure a[href^='#train']")
+    assert operated.count() >= 2
+    assert all(operated.evaluate_all("all => all.map(one => one.tabIndex == 0)"))
+
+
+def test_a_sample_of_a_report_is_a_link_that_enlarges_it(open_page, report):
+    page = open_page(report, 1400)
+    sample = page.locator("figure[id='train:00000001']")
+    before = sample.bounding_box()["width"]
+    sample.get_by_role("link").first.click()
+    assert page.url.endswith("#train:00000001")
+    assert sample.bounding_box()["width"] > 2 * before
+    sample.get_by_role("link", name="all samples").click()
+    assert sample.bounding_box()["width"] == before
+
+
+def test_the_page_of_a_data_set(open_page, report):
+    page = open_page(report)
     masks = [f"points {name}" for name in ("seen", "hidden by the ground", "hidden by objects")]
     check_switches(page, page.locator(".cards"), ["centre lines", "delimiters", "hidden parts", *masks])
-    assert all(page.locator("img").evaluate_all("images => images.map(one => one.naturalWidth > 400)"))
+    assert page.locator(".plot").count() > 40

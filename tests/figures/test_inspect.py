@@ -7,8 +7,10 @@ import pytest
 from rich.console import Console
 
 from synth3dlanes.figures.inspect import draw_inspect, summary
+from synth3dlanes.figures.passes import pass_picture
 from synth3dlanes.figures.scene_view import SceneView
 from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.settings import SEMANTIC_IDS
 
 
 def text_of(renderable: object) -> str:
@@ -21,6 +23,7 @@ def text_of(renderable: object) -> str:
 def test_four_views_with_their_units(with_image, gray_image, exit_scene):
     scene = exit_scene
     figure = draw_inspect(scene, ground_truth(scene), gray_image if with_image else None)
+    assert len(figure.axes) == 4
     units = [{axes.get_xlabel(), axes.get_ylabel()} for axes in figure.axes]
     assert units == [
         {"u [px]", "v [px]"},
@@ -63,3 +66,53 @@ def test_roads_reach_from_shoulder_to_shoulder(flat_scene):
     half_m = 1.5 * 3.5 + 0.4 * 3.5
     assert np.allclose(left[:, 0], -half_m)
     assert np.allclose(right[:, 0], half_m)
+
+
+def test_the_numbers_of_the_vertical_axis_do_not_overlap_on_flat_ground(flat_scene):
+    """Neighbouring numbers of the 3D view's z axis are farther apart than they are high."""
+    figure = draw_inspect(flat_scene, ground_truth(flat_scene), None)
+    figure.savefig(io.BytesIO(), dpi=100)
+    (space,) = [axes for axes in figure.axes if axes.name == "3d"]
+    boxes = [label.get_window_extent() for label in space.get_zticklabels() if label.get_text()]
+    middles = np.array([(box.y0 + box.y1) / 2 for box in boxes])
+    assert len(middles) >= 3
+    assert np.abs(np.diff(middles)).min() > boxes[0].height
+
+
+def test_the_legend_explains_every_kind_of_line_and_shape(exit_scene):
+    figure = draw_inspect(exit_scene, ground_truth(exit_scene), None)
+    words = " ".join(text.get_text() for text in figure.legends[0].get_texts())
+    for kind in ("centre line", "solid", "dashed", "pale", "dotted", "field of view", "camera"):
+        assert kind in words
+
+
+def test_passes_are_shown_with_their_scales(exit_scene, gray_image):
+    shape = gray_image.shape[:2]
+    passes = {
+        "depth": np.full(shape, 20, np.float32),
+        "normal": np.zeros((*shape, 3), np.float32),
+        "semantic": np.full(shape, SEMANTIC_IDS["road"], np.uint8),
+    }
+    figure = draw_inspect(exit_scene, ground_truth(exit_scene), gray_image, passes)
+    named = {axes.get_title(): axes for axes in figure.axes}
+    assert set(passes) <= set(named)
+    assert "depth y_cam [m]" in {axes.get_ylabel() for axes in figure.axes}
+    assert [text.get_text() for text in named["semantic"].get_legend().get_texts()] == ["road"]
+
+
+def test_colours_of_passes_tell_what_they_should():
+    depth = pass_picture("depth", np.array([[3.0, 30.0, 300.0, np.inf]], np.float32)).astype(int)
+    assert (np.diff(depth[0, :3].sum(axis=-1)) < 0).all(), "darker with distance"
+    assert np.ptp(depth[0, 3]) < 20, "gray sky"
+    up, right, sky = pass_picture("normal", np.array([[[0, 0, 1], [1, 0, 0], [0, 0, 0]]], np.float32))[0].astype(int)
+    assert up.argmax() == 2
+    assert right.argmax() == 0
+    assert np.ptp(sky) < 20
+    ids = pass_picture("instance", np.array([[0, 1, 2, 200, 300, 301]], np.uint16))[0].astype(int)
+    far = np.abs(ids[:, None] - ids).sum(axis=-1) + 999 * np.eye(6, dtype=int)
+    assert far.min() > 60
+    classes = pass_picture("semantic", np.array([list(SEMANTIC_IDS.values())], np.uint8))[0]
+    assert len({tuple(color) for color in classes.tolist()}) == len(SEMANTIC_IDS)
+    low, high = pass_picture("height", np.array([[-4.0, 4.0]], np.float32))[0].astype(int)
+    assert low.argmax() == 2
+    assert high.argmax() == 0

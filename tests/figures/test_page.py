@@ -7,6 +7,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from matplotlib.tri import Triangulation
 
 from synth3dlanes.figures.page import report_page, scene_page
 from synth3dlanes.figures.stats import label_statistics, scene_statistics
@@ -14,7 +15,7 @@ from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import sample_scene
 
-VOID = {"meta", "link", "input", "img", "circle"}
+VOID = {"meta", "link", "input", "img"}
 
 
 class Wellformed(HTMLParser):
@@ -27,7 +28,7 @@ class Wellformed(HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.addresses += [value or "" for name, value in attrs if name in ("src", "href")]
-        if tag not in VOID or tag == "circle":
+        if tag not in VOID:
             self.open.append(tag)
 
     def handle_endtag(self, tag: str) -> None:
@@ -38,7 +39,7 @@ def check(page: str) -> Wellformed:
     parser = Wellformed()
     parser.feed(page)
     assert parser.open == []
-    assert all(address.startswith("data:") for address in parser.addresses)
+    assert all(address.startswith(("data:", "#")) for address in parser.addresses)
     assert not re.search(r"https?://|//cdn|@import|fetch\(|XMLHttpRequest|import\(", page)
     return parser
 
@@ -59,14 +60,45 @@ def test_every_switch_has_something_to_switch(exit_scene):
     assert all(name in classes for switch in switches for name in re.findall(r"[\w-]+", switch))
 
 
-def space_of(scene, name):
-    """Vertices, their colours and faces of one group of the page's 3D view."""
+def spaces(scene):
+    """Vertices, their colours and faces of each group of the page's 3D view."""
     found = re.search(r'id="space-data">(.*?)</script>', scene_page(scene, ground_truth(scene), None), re.DOTALL)
     assert found is not None
-    (group,) = [group for group in json.loads(found[1])["groups"] if group["name"] == name]
     types = {"vertices": "<f4", "colors": "u1", "faces": "<u4"}
-    vertices, colors, faces = (np.frombuffer(base64.b64decode(group[key]), dtype) for key, dtype in types.items())
-    return vertices.reshape(-1, 3), colors.reshape(-1, 3), faces
+    return {
+        group["name"]: [
+            np.frombuffer(base64.b64decode(group[key]), dtype).reshape(-1, 3) for key, dtype in types.items()
+        ]
+        for group in json.loads(found[1])["groups"]
+    }
+
+
+def space_of(scene, name):
+    return spaces(scene)[name]
+
+
+def feet_of(vertices, scene, name):
+    """Where cars (four corners below four others) and trees (after 8 vertices of the crown, those of a trunk) stand."""
+    if name == "cars":
+        return vertices.reshape(-1, 8, 3)[:, :4].reshape(-1, 3)
+    return vertices.reshape(-1, 16, 3)[:, 8:12].mean(axis=1)
+
+
+def heights_of(vertices, _, faces, places):
+    """The height of a surface at each place; NaN beside it."""
+    surface = Triangulation(vertices[:, 0], vertices[:, 1], faces)
+    triangles = vertices[surface.triangles].astype(float)
+    heights = np.full(len(places), np.nan)
+    for number, place in enumerate(places):
+        a, b, c = (triangles[:, i, :2] - place for i in range(3))
+        areas = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], -1)
+        total = areas.sum(axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            weights = areas / total[:, None]
+        over = (weights > -1e-6).all(axis=1)
+        if over.any():
+            heights[number] = (weights[over] * triangles[over, :, 2]).sum(axis=1).max()
+    return heights
 
 
 def test_the_space_holds_the_road_of_the_scene(flat_scene):
@@ -75,6 +107,26 @@ def test_the_space_holds_the_road_of_the_scene(flat_scene):
     assert np.allclose([vertices[:, 0].min(), vertices[:, 0].max()], [-half_m, half_m], atol=1e-3)
     assert np.abs(vertices[:, 2]).max() < 1e-3
     assert faces.max() == len(vertices) - 1
+
+
+def test_every_car_and_tree_of_the_space_stands_on_ground_that_is_shown():
+    params = load_params("appendix_i", ["trees.n=40"])
+    n_near, n_far = 0, 0
+    for index in range(6):
+        scene = sample_scene(params, 3, "train", index)
+        groups = spaces(scene)
+        surfaces = [groups["terrain"], groups["road"]]
+        for name in ("cars", "trees"):
+            feet = feet_of(groups[name][0], scene, name)
+            n_near += len(feet)
+            heights = np.stack([heights_of(*surface, feet[:, :2]) for surface in surfaces])
+            assert np.isfinite(heights).any(axis=0).all(), f"{name} of scene {index} over nothing"
+            assert np.abs(np.nanmax(heights, axis=0) - feet[:, 2]).max(initial=0) < 0.6, (
+                f"{name} of scene {index} float"
+            )
+        n_far += len(scene.cars) - len(groups["cars"][0]) // 8
+    assert n_near > 100
+    assert n_far > 10, "cars out of the area that is shown are left out"
 
 
 @pytest.mark.parametrize("is_yellow", [False, True])
@@ -90,8 +142,10 @@ def test_a_report_shows_samples_and_distributions(gray_image):
     params = load_params("appendix_i", ["trees.n=5", "cars.n=3"])
     scenes = [sample_scene(params, 1, "train", index) for index in range(6)]
     labels = [ground_truth(scene) for scene in scenes]
-    samples = [(f"{scene.index:08d}", gray_image, one) for scene, one in zip(scenes, labels, strict=True)]
+    samples = [(f"train:{scene.index:08d}", scene, one, gray_image) for scene, one in zip(scenes, labels, strict=True)]
     page = report_page("a <set>", samples, scene_statistics(scenes, params), label_statistics(labels))
-    check(page)
+    addresses = check(page).addresses
     assert "a &lt;set&gt;" in page
-    assert page.count("<figure>") == 6
+    assert [address for address in addresses if address.startswith("#train")] == [f"#train:{i:08d}" for i in range(6)]
+    assert page.count('<figure id="train:') == 6
+    assert "road.lane_width_m: 6 values from 3.2 to 4" in page

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from synth3dlanes.figures.stats import label_statistics, scene_statistics, to_json
-from synth3dlanes.figures.stats_views import draw_statistics, is_fine, statistics_table
+from synth3dlanes.distributions import Choice, Integers, Uniform
+from synth3dlanes.figures.histograms import declared_shares, histograms
+from synth3dlanes.figures.stats import is_fine, label_statistics, scene_statistics, to_json
+from synth3dlanes.figures.stats_views import draw_statistics, statistics_table
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import sample_scene
@@ -63,5 +65,35 @@ def test_text_json_and_plots(scenes):
     assert "labels of 5 images" in table
     assert all(f"{row.key} " in table for row in statistics.parameters)
     assert all(f"{row.name} " in table for row in labels.summaries)
-    titles = {axes.get_title() for axes in draw_statistics(statistics, labels).axes}
-    assert {"grade [%]", "road.lane_width_m", "light.exposure"} <= titles
+
+
+def test_plots_name_their_axes_with_units_and_show_what_was_declared(scenes):
+    statistics = scene_statistics(scenes[1], scenes[0])
+    labels = label_statistics(ground_truth(scene) for scene in scenes[1][:5])
+    drawn = {axes.get_title(): axes for axes in draw_statistics(statistics, labels).axes if axes.get_visible()}
+    named = {title: axes.get_xlabel() for title, axes in drawn.items()}
+    assert named["grade"] == "grade [%]"
+    assert named["road.lane_width_m"] == "lane width [m]"
+    assert named["light.sun_zenith_deg"] == "sun zenith [°]"
+    assert named["trees.x_m (kept off roads)"] == "x [m]"
+    assert all(axes.get_xlabel() and axes.get_ylabel() == "values" for axes in drawn.values())
+    assert [len(axes.patches) for axes in drawn.values()] == [1 if "." not in title else 2 for title in drawn]
+
+
+@pytest.mark.parametrize(
+    ("declared", "edges", "shares"),
+    [
+        (Uniform(1.0, 3.0), [0.0, 1.0, 1.5, 3.0, 4.0], [0.0, 0.25, 0.75, 0.0]),
+        (Integers(2, 4), [0.5, 1.5, 2.5, 3.5, 4.5], [0, 1 / 3, 1 / 3, 1 / 3]),
+        (Choice((True, False), (3.0, 1.0)), [-0.5, 0.5, 1.5], [0.25, 0.75]),
+        (Choice((2.5,), (1.0,)), [2.0, 2.4, 3.0], [0.0, 1.0]),
+    ],
+)
+def test_the_declared_line_is_the_probability_of_each_bin(declared, edges, shares):
+    assert declared_shares(declared, np.array(edges)) == pytest.approx(shares)
+
+
+def test_counts_and_the_declared_line_have_the_same_sum(scenes):
+    for histogram in histograms(scene_statistics(scenes[1], scenes[0]), None):
+        assert histogram.expected is not None
+        assert histogram.counts.sum() == pytest.approx(histogram.expected.sum()), histogram.title

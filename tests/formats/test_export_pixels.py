@@ -78,8 +78,24 @@ def tusimple(out):
         yield out / label["raw_file"], [line[:, line[0] >= 0] for line in found]
 
 
+def culane(out):
+    """Columns and rows in turn, one line of text per line."""
+    for path in (out / "list/train.txt").read_text().splitlines():
+        image = out / path.lstrip("/")
+        lines = image.with_suffix(".lines.txt").read_text().splitlines()
+        yield image, [np.array(line.split(), dtype=float).reshape(-1, 2).T for line in lines]
+
+
+def curvelanes(out):
+    """Points with x and y as text."""
+    for path in sorted((out / "train/labels").glob("*.json")):
+        lines = json.loads(path.read_text())["Lines"]
+        image = out / "train/images" / path.name.replace(".lines.json", ".jpg")
+        yield image, [np.array([[point["x"], point["y"]] for point in line], dtype=float).T for line in lines]
+
+
 @pytest.mark.render
-@pytest.mark.parametrize("read", [apollo, openlane, once, tusimple])
+@pytest.mark.parametrize("read", [apollo, openlane, once, tusimple, culane, curvelanes])
 def test_exported_lines_lie_on_paint(rendered, tmp_path, read):
     from synth3dlanes.formats.export import export
 

@@ -114,7 +114,7 @@ def test_sigkill_of_the_run_and_of_workers_at_any_moment(tmp_path, whole):
     report, _ = go(plan(tmp_path))
     assert report.exit_code == 0
     assert contents(tmp_path) == whole
-    assert sorted(path.name for path in tmp_path.iterdir()) == [".lock", "dataset.json", "logs", "train"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".lock", "README.md", "dataset.json", "logs", "train"]
 
 
 def _outlives(worker: psutil.Process) -> bool:

@@ -14,7 +14,7 @@ from synth3dlanes.scene import Scene
 from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, SEMANTIC_IDS
 from synth3dlanes.validate.bias import TESTS, Mean, judge
 from synth3dlanes.validate.centroids import Offset, image_offsets, line_views, paint_offsets
-from synth3dlanes.validate.findings import Signed
+from synth3dlanes.validate.findings import Measure, Signed
 from synth3dlanes.validate.paint import Paint
 from synth3dlanes.validate.report import Report
 from synth3dlanes.validate.signed import signed_values
@@ -297,3 +297,28 @@ def test_means_are_told_in_the_text_and_in_json():
     text = console.export_text()
     assert "paint_outward_m: expected paint under its labels, got 1.9 cm outward on average" in text
     assert "lane width" in text
+
+
+def test_the_text_has_no_rows_that_say_nothing():
+    report = Report()
+    report.sample(
+        "train:00000000",
+        "",
+        [],
+        [
+            Measure("terrain_visible", np.array([5.0, 30.0, 60.0]), np.zeros(3)),
+            Measure("image_ridge_m", np.array([5.0, 15.0]), np.array([8.88e-16, 0.5])),
+            Measure("clipped_share", np.zeros(1), np.array([0.25])),
+        ],
+        [Signed("relief", 0.1)],
+    )
+    report.sample("train:00000001", "", [], [Measure("image_ridge_m", np.array([5.0]), np.array([8.88e-16]))])
+    console = Console(width=80, record=True)
+    console.print(report.text())
+    rows = [line.split() for line in console.export_text().splitlines()]
+    assert ["all", "3", "0", "0", "0", "0"] in rows, "nothing contradicted: one row"
+    assert ["all", "1", "0.25", "0.273", "0.273", "0.273"] in rows, "of the whole image: one row"
+    assert [row[0] for row in rows if "m" in row and row[0] in ("0-10", "10-20", "20-40", "40-80")] == ["0-10", "10-20"]
+    assert not any("e-" in word for row in rows for word in row)
+    assert ["worst", "within", "40", "m:", "train:00000000", "0.5"] in rows
+    assert "relief" not in {row[0] for row in rows if row}, "one sample is no mean"

@@ -86,28 +86,38 @@ function checkbox(group, draw) {
   return label;
 }
 
-// Drag to turn, shift-drag or right-drag to move, wheel to come closer.
+// Drag or arrow keys turn; with shift (or the right button) they move; wheel, + and - zoom.
 function steer(canvas, view, draw) {
+  const turn = (right, down) => {
+    view.azimuth_rad -= right / 200;
+    view.elevation_rad = Math.min(1.57, Math.max(-0.2, view.elevation_rad + down / 200));
+    draw();
+  };
+  const move = (right, down) => {
+    const step = view.distance_m / 500, [c, s] = [Math.cos(view.azimuth_rad), Math.sin(view.azimuth_rad)];
+    const [x, y, z] = view.target;
+    view.target = [x - step * (right * c + down * s), y + step * (down * c - right * s), z];
+    draw();
+  };
+  const zoom = (out) => {
+    view.distance_m = Math.min(600, Math.max(2, view.distance_m * Math.exp(out)));
+    draw();
+  };
   canvas.addEventListener("pointerdown", (event) => canvas.setPointerCapture(event.pointerId));
   canvas.addEventListener("contextmenu", (event) => event.preventDefault());
   canvas.addEventListener("pointermove", (event) => {
-    if (!event.buttons) return;
-    const [right, ahead] = [event.movementX, event.movementY], step = view.distance_m / 500;
-    if (event.shiftKey || event.buttons & 2) {
-      const [c, s] = [Math.cos(view.azimuth_rad), Math.sin(view.azimuth_rad)];
-      const [x, y, z] = view.target;
-      view.target = [x - step * (right * c + ahead * s), y + step * (ahead * c - right * s), z];
-    } else {
-      view.azimuth_rad -= right / 200;
-      view.elevation_rad = Math.min(1.57, Math.max(-0.2, view.elevation_rad + ahead / 200));
-    }
-    draw();
+    if (event.buttons) (event.shiftKey || event.buttons & 2 ? move : turn)(event.movementX, event.movementY);
   });
-  canvas.addEventListener("wheel", (event) => {
+  canvas.addEventListener("wheel", (event) => { event.preventDefault(); zoom(event.deltaY / 800); }, { passive: false });
+  const arrows = { ArrowLeft: [-20, 0], ArrowRight: [20, 0], ArrowUp: [0, -20], ArrowDown: [0, 20] };
+  const zooms = { "+": -0.2, "=": -0.2, "-": 0.2 };
+  canvas.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.key in arrows) (event.shiftKey ? move : turn)(...arrows[event.key]);
+    else if (event.key in zooms) zoom(zooms[event.key]);
+    else return;
     event.preventDefault();
-    view.distance_m = Math.min(600, Math.max(2, view.distance_m * Math.exp(event.deltaY / 800)));
-    draw();
-  }, { passive: false });
+  });
 }
 
 function render(gl, program, groups, view, fovRad, canvas) {

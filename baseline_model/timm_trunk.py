@@ -1,0 +1,149 @@
+"""Trunks by name from timm (PyTorch Image Models), an optional package: `model.backbone=timm:resnet18`.
+
+timm says neither where its features lie nor does it share a layout of layers, so their lattices are measured.
+"""
+
+import copy
+import pickle
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from synth3dlanes.errors import FormatError, InputError, MissingPackageError
+
+from .backbone import IMAGE_MEAN, IMAGE_STD
+from .config import TIMM, ModelConfig
+from .layers import Lattice
+
+STRIDES = (2, 4, 8, 16)
+PROBE_PX = 320
+"""Size of the image in which lattices are measured: what a feature in its middle sees is hardly cut off."""
+
+
+class TimmPathway(nn.Module):
+    """The maps of a timm network at strides 2, 4, 8, 16. Images are normalised as for most of timm's weights."""
+
+    has_rays = False
+
+    def __init__(self, config: ModelConfig, n_stages: int = 4) -> None:
+        super().__init__()
+        self.name = config.backbone.removeprefix(TIMM)
+        self.indices = _indices(self.name)[:n_stages]
+        self.trunk = _create(self.name, out_indices=self.indices)
+        self.channels: tuple[int, ...] = tuple(self.trunk.feature_info.channels())
+        self.lattices = measured_lattices(self.trunk, config.image_height_px, config.image_width_px)
+        self.mean: Tensor
+        self.std: Tensor
+        self.register_buffer("mean", torch.tensor(IMAGE_MEAN)[:, None, None], persistent=False)
+        self.register_buffer("std", torch.tensor(IMAGE_STD)[:, None, None], persistent=False)
+
+    def forward(
+        self, image: Float[Tensor, "b 3 h w"], rays: Float[Tensor, "b 2 h w"] | None = None
+    ) -> list[Float[Tensor, "..."]]:
+        """One map per stage, from RGB in 0..1; `rays` are not used."""
+        maps: list[Tensor] = self.trunk((image - self.mean) / self.std)
+        return maps
+
+    def sizes(self, height_px: int, width_px: int) -> list[tuple[int, int]]:
+        """Rows and columns of each map; most networks of timm round up."""
+        trunk = copy.deepcopy(self.trunk).eval()
+        with torch.no_grad():
+            return [tuple(features.shape[2:]) for features in trunk(torch.zeros(1, 3, height_px, width_px))]
+
+    def load(self, path: Path) -> None:
+        """Load the weights of the whole network from a state dict (.pth, .safetensors); what follows the trunk is not
+        used. Raise FormatError if it is another network's."""
+        state = _state(path)
+        whole = _create(self.name, features_only=False).state_dict()
+        trunk = _create(self.name, features_only=False, num_classes=0).state_dict()
+        for name in sorted({*trunk, *state}):
+            expected, got = (tuple(of[name].shape) if name in of else "none" for of in (whole, state))
+            if expected == "none" or (name in trunk and expected != got):
+                raise FormatError(f"{path}: {name}: expected shape {expected} for {self.name}, got {got}")
+        source = {"state_dict": state, "custom_load": False}
+        loaded = _create(self.name, out_indices=self.indices, pretrained=True, pretrained_cfg_overlay=source)
+        self.trunk.load_state_dict(loaded.state_dict())
+
+
+@torch.enable_grad()
+def measured_lattices(trunk: nn.Module, height_px: int, width_px: int) -> list[Lattice]:
+    """Where the features of each map lie: the centres of what they see of the image, if all weights are equal.
+
+    For two neighbours at centres a and b, which see equally much, the gradient g of their difference has the moments
+    sum(g u) / sum(g u^2) = (a - b) / (a^2 - b^2) = 1 / (a + b). What both see, as by a mean over the image, cancels.
+    """
+    probe = copy.deepcopy(trunk).eval().requires_grad_(False)
+    _make_averaging(probe)
+    # Padding may depend on whether a map's size is even. Little light keeps activations that saturate at their slope.
+    size = (1, 3, PROBE_PX + height_px % 32, PROBE_PX + width_px % 32)
+    image = torch.full(size, 1e-3, requires_grad=True)
+    lattices = []
+    for stride, features in zip(STRIDES, probe(image), strict=False):
+        seen = features.sum(1)[0]
+        row, column = (n // 2 for n in seen.shape)
+        # Neighbours in a row have the same profile over the rows, and cancel there.
+        apart = 2 * seen[row, column] - seen[row + 1, column] - seen[row, column + 1]
+        (gradient,) = torch.autograd.grad(apart, image, retain_graph=True)
+        offsets = []
+        for index, profile in ((row, gradient[0].sum((0, 2))), (column, gradient[0].sum((0, 1)))):
+            # From the middle of the image, which keeps the squares small.
+            u_px = torch.arange(len(profile)) + 0.5 - len(profile) / 2
+            middle_px = float((profile * u_px**2).sum() / (profile * u_px).sum()) / 2 + len(profile) / 2
+            offsets.append(middle_px - stride * (index + 0.5))
+        offset = round(2 * offsets[0]) / 2
+        if max(abs(found - offset) for found in offsets) > 0.1:
+            raise InputError(f"model.backbone: expected features at whole or half pixels, got offsets {offsets}")
+        lattices.append(Lattice(stride, offset))
+    return lattices
+
+
+def _make_averaging(module: nn.Module) -> None:
+    """Replace weights by means, normalisations by nothing, and maxima by means."""
+    for name, child in module.named_children():
+        if isinstance(child, nn.Conv2d):
+            nn.init.constant_(child.weight, 1 / child.weight[0].numel())
+            if child.bias is not None:
+                nn.init.zeros_(child.bias)
+        elif isinstance(child, nn.BatchNorm2d | nn.GroupNorm | nn.LayerNorm):
+            setattr(module, name, nn.Identity())
+        elif isinstance(child, nn.MaxPool2d):
+            pool = nn.AvgPool2d(child.kernel_size, child.stride, child.padding, child.ceil_mode)
+            setattr(module, name, pool)
+        else:
+            _make_averaging(child)
+
+
+def _indices(name: str) -> tuple[int, ...]:
+    """The places, among timm's maps, of the last ones at our strides."""
+    strides = _create(name).feature_info.reduction()
+    if not set(STRIDES) <= set(strides):
+        raise InputError(
+            f"model.backbone: expected a network with maps at strides 2, 4, 8, 16, got {strides} of {name}"
+        )
+    return tuple(max(i for i, found in enumerate(strides) if found == stride) for stride in STRIDES)
+
+
+def _create(name: str, *, features_only: bool = True, pretrained: bool = False, **settings: Any) -> Any:
+    try:
+        import timm  # type: ignore[import-not-found,import-untyped,unused-ignore]
+    except ImportError:
+        raise MissingPackageError(f"timm, which has {name}, is not installed: pip install timm") from None
+    try:
+        return timm.create_model(name, pretrained=pretrained, features_only=features_only, **settings)
+    except (RuntimeError, AttributeError) as error:
+        raise InputError(f"model.backbone: expected a network of timm, got {name}: {error!s:.100}") from None
+
+
+def _state(path: Path) -> dict[str, Tensor]:
+    from safetensors import SafetensorError  # type: ignore[import-not-found,import-untyped,unused-ignore]
+    from safetensors.torch import load_file  # type: ignore[import-not-found,import-untyped,unused-ignore]
+
+    try:
+        if path.suffix == ".safetensors":
+            return dict(load_file(path))
+        return dict(torch.load(path, map_location="cpu", weights_only=True))
+    except (SafetensorError, pickle.UnpicklingError, RuntimeError, EOFError, ValueError, TypeError) as error:
+        raise FormatError(f"{path}: expected a state dict, got {str(error).splitlines()[0]:.100}") from None

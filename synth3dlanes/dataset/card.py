@@ -1,0 +1,134 @@
+"""`README.md` beside `dataset.json`: what the data set is, in the form that the Hugging Face hub shows."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import yaml
+
+from synth3dlanes.dataset.description import parse_description
+from synth3dlanes.dataset.format import member_names
+
+CARD = "README.md"
+# Only a card with this line is written anew when a data set grows.
+MARK = "<!-- Written by synth3dlanes. Remove this line to keep changes of your own. -->"
+# Size categories of the hub: (name, below).
+SIZES = (
+    ("n<1K", 1e3),
+    ("1K<n<10K", 1e4),
+    ("10K<n<100K", 1e5),
+    ("100K<n<1M", 1e6),
+    ("1M<n<10M", 1e7),
+    ("10M<n<100M", 1e8),
+    ("100M<n<1B", 1e9),
+)
+
+_TEXT = """\
+# Synthetic 3D lanes
+
+Rendered road images with exact 3D lane labels: every lane centre line and every painted line as 3D points in metres,
+each with masks that say whether it is in the image, hidden by the ground or hidden by a car or tree. The scenes are
+those of the synthetic data set of [3D-LaneNet](https://arxiv.org/abs/1811.10203) (Appendix I), or variations of them.
+
+| split | samples |
+|---|---|
+{splits}
+
+## How it was made
+
+{generator}, seed {seed}: {rays} samples per pixel on {device}, {image_format} images, passes: {passes}. Scene i of a
+split depends on the seed, the split's name, i and the parameters alone. {derived}`dataset.json` has the complete
+recipe; these are its parameters, as ranges `[low, high]`, weights `{{value: weight}}` or constants:
+
+```yaml
+{params}```
+
+{licence}
+
+## Files
+
+`SPLIT/00000.tar` has the samples 0 to {last}, `SPLIT/00000.parquet` is its index. A sample has these members:
+
+| member | holds |
+|---|---|
+{members}
+
+All 3D points are in the camera frame: x right, y along the viewing direction, z up, metres. Pixels: u right, v down.
+
+Columns of the index: `key`, `index` and `sha256` of each sample; `*_offset` and `*_size` of its members in the tar;
+every parameter of its scene (`n_lanes`, `lane_width_m`, `camera_pitch_rad`, ...); and a summary of its labels
+(`junction`, `max_grade`, `n_visible_centerlines`, `terrain_hidden_fraction`, ...).
+
+## How to load it
+
+```python
+from datasets import load_dataset
+
+samples = load_dataset("webdataset", data_files={{"{split}": "{split}/*.tar"}}, split="{split}", streaming=True)
+```
+
+With `pip install synth3dlanes`, `Reader("DIR/{split}")[0]` is a sample with its image and labels as arrays, and
+`synth3dlanes report DIR` writes a page with samples and statistics.
+"""
+
+_MEMBERS = {
+    "image": "the image",
+    "scene.json": "the complete scene that was rendered",
+    "labels.json": "lanes, camera and lane graph",
+    "passes.exr": "passes in the image's pixels, as OpenEXR",
+    "height.exr": "heights over the road plane seen from above, as OpenEXR",
+}
+
+
+def card(description: Mapping[str, Any]) -> bytes:
+    """The card of a data set by the contents of its `dataset.json`; equal contents give equal bytes."""
+    splits = {name: int(split["n"]) for name, split in description["splits"].items()}
+    licence = description.get("license")
+    render = description["render"]
+    names = member_names(description["image_format"], render["passes"])
+    first = "train" if "train" in splits else next(iter(splits), "train")
+    text = _TEXT.format(
+        splits="\n".join(f"| {name} | {n:,} |" for name, n in splits.items()),
+        generator=f"synth3dlanes {description['generator']}",
+        seed=description["seed"],
+        rays=render["samples"],
+        device=render["device"],
+        image_format=description["image_format"],
+        passes=", ".join(render["passes"]) or "none",
+        derived="The samples were taken from another data set (`derived`). " if description.get("derived") else "",
+        params=yaml.safe_dump(description["params"], sort_keys=False, default_flow_style=None, width=110),
+        licence=f"Licence: {licence}." if licence else "The licence is that of the assets used, which is not recorded.",
+        last=int(description["shard_size"]) - 1,
+        members="\n".join(f"| `.{name}` | {_MEMBERS.get(name, _MEMBERS['image'])} |" for name in names),
+        split=first,
+    )
+    return f"---\n{_header(splits, licence)}---\n{MARK}\n\n{text}".encode()
+
+
+def updated_card(before: bytes | None, description: bytes, where: str) -> bytes:
+    """The card that a data set shall have beside this `dataset.json`, which lies at `where`.
+
+    `before` is its README.md, None where there is none; one that a user has made their own stays.
+    """
+    if before is not None and MARK.encode() not in before:
+        return before
+    return card(parse_description(description, where))
+
+
+def _header(splits: Mapping[str, int], licence: str | None) -> str:
+    """The metadata that the hub reads: licence, task, size, and which files belong to which split."""
+    n = sum(splits.values())
+    header: dict[str, Any] = {
+        **({"license": licence.lower()} if licence else {}),
+        "pretty_name": "Synthetic 3D lanes",
+        "task_categories": ["object-detection", "depth-estimation"],
+        "tags": ["3d-lane-detection", "autonomous-driving", "synthetic"],
+        "size_categories": [next((name for name, below in SIZES if n < below), "n>1T")],
+        "configs": [
+            {
+                "config_name": "default",
+                # The hub allows no hyphens in names of splits.
+                "data_files": [{"split": name.replace("-", "_"), "path": f"{name}/*.tar"} for name in splits],
+            }
+        ],
+    }
+    return yaml.safe_dump(header, sort_keys=False)
