@@ -23,11 +23,9 @@ from .options import OutputFile, json_option
     type=OutputFile(".html"),
     help="Write an HTML page with masks and an interactive 3D view instead of a figure.",
 )
-@click.option("--passes", "with_passes", is_flag=True, help="Also show the passes: depth, normals, ids, heights.")
+@click.option("--passes", is_flag=True, help="Also show the passes: depth, normals, ids, heights.")
 @json_option
-def inspect(
-    where: str, image: Path | None, out: Path | None, html: Path | None, with_passes: bool, as_json: bool
-) -> None:
+def inspect(where: str, image: Path | None, out: Path | None, html: Path | None, passes: bool, as_json: bool) -> None:
     """Print a summary of one scene and draw its image, top view, side view and 3D view.
 
     The scene is a scene.json, rendered or not, or a sample of a data set such as DIR/train:00000017.
@@ -40,14 +38,14 @@ def inspect(
     from synth3dlanes.sources import load_any, load_passes
 
     found = load_any(where, image)
-    passes = load_passes(where, image) if with_passes else {}
+    layers = load_passes(where, image) if passes else {}
     written = {}
     if html:
-        html.write_text(scene_page(found.scene, found.labels, found.image, passes), encoding="utf-8")
+        html.write_text(scene_page(found.scene, found.labels, found.image, layers), encoding="utf-8")
         written["page"] = str(html)
     if out or not html:
         path = out or Path(f"{found.name}.inspect.png")
-        draw_inspect(found.scene, found.labels, found.image, passes).savefig(path, dpi=100)
+        draw_inspect(found.scene, found.labels, found.image, layers).savefig(path, dpi=100)
         written["figure"] = str(path)
     if as_json:
         click.echo(json.dumps({**written, **describe(found.scene, found.labels)}))

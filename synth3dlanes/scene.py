@@ -10,12 +10,16 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from synth3dlanes.assets.catalogue import AssetKind, Assets
-from synth3dlanes.schema import MAX_PX, Metres, Name, Number, Part, Positive, Unit, parse
+from synth3dlanes.schema import MAX_PX, Metres, Name, Number, Part, Positive, Seed, Unit, parse
+from synth3dlanes.settings import MAX_SAMPLES
 from synth3dlanes.streams import stream
 
 SCENE_VERSION = 1
 
 Color = tuple[Unit, Unit, Unit]
+# Of models, textures and skies of one kind.
+MAX_ASSETS = 9999
+AssetNumber = Annotated[int, Field(ge=1, le=MAX_ASSETS)]
 
 
 class Gaussian(Part):
@@ -92,10 +96,10 @@ class Markings(Part):
 class Surface(Part):
     """Textures of road and terrain, numbered from 1; `wetness` of the pavement is 0 when dry, 1 under water."""
 
-    road_texture: Annotated[int, Field(ge=1)]
+    road_texture: AssetNumber
     road_texture_scale: Positive
     road_gloss: Unit
-    terrain_texture: Annotated[int, Field(ge=1)]
+    terrain_texture: AssetNumber
     terrain_texture_scale: Positive
     texture_orientation_rad: Number
     wetness: Unit = 0.0
@@ -107,7 +111,7 @@ class Car(Part):
     main reference line), heading as the host does. Models are numbered from 1. `saturation` mixes the body's colour (1)
     with the gray of its first channel (0)."""
 
-    model: Annotated[int, Field(ge=1)]
+    model: AssetNumber
     scale: Positive
     color: Color
     gloss: Unit
@@ -119,7 +123,7 @@ class Car(Part):
 class Tree(Part):
     """A tree at a world position off the roads. Models are numbered from 1."""
 
-    model: Annotated[int, Field(ge=1)]
+    model: AssetNumber
     x_m: Number
     y_m: Number
     yaw_rad: Number
@@ -130,7 +134,7 @@ class Camera(Part):
     """The host's camera: lane counted from the left as the host drives, station `y_m`, lateral offset positive to the
     right, roll about the viewing axis positive clockwise as the driver sees it."""
 
-    lane: Annotated[int, Field(ge=1)]
+    lane: Annotated[int, Field(ge=1, le=8)]
     y_m: Metres
     offset_m: Metres
     height_m: Annotated[float, Field(gt=0, le=1000)]
@@ -174,9 +178,9 @@ class Scene(Part):
 
     format: Literal["synth3dlanes.scene"]
     version: Literal[1]
-    seed: Annotated[int, Field(ge=0)]
+    seed: Seed
     split: Annotated[str, Field(max_length=200)]
-    index: Annotated[int, Field(ge=0)]
+    index: Annotated[int, Field(ge=0, lt=MAX_SAMPLES)]
     terrain: Terrain
     road: Road
     markings: Markings
@@ -187,7 +191,7 @@ class Scene(Part):
     light: Light
     air: Air = Air()
     sensor: Sensor = Sensor()
-    sky: Annotated[int, Field(ge=0)] = 0
+    sky: Annotated[int, Field(ge=0, le=MAX_ASSETS)] = 0
     assets: Assets = Assets()
 
     def stream(self, name: str) -> np.random.Generator:

@@ -82,7 +82,7 @@ def load_passes(where: str, image_path: Path | None) -> dict[str, Shaped[np.ndar
         for path in filter(Path.exists, files):
             passes |= read_passes(path.read_bytes(), str(path))
     if not passes:
-        raise InputError(f"passes: expected {where} to have passes, got none; make them with --passes depth,normal")
+        raise InputError(f"passes: expected {where} to have passes, got none")
     return passes
 
 

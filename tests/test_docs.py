@@ -109,8 +109,31 @@ def test_the_index_has_every_page() -> None:
     assert {path.name for pattern in ("*.md", "*.schema.json") for path in DOCS.glob(pattern)} - {"README.md"} <= linked
 
 
+def test_every_guarantee_has_its_test() -> None:
+    rows = re.findall(r"^\| (?!promise|---)(.+) \|$", (DOCS / "guarantees.md").read_text(), re.MULTILINE)
+    for row in rows:
+        named = re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", row)
+        assert named, row
+        for path, name in named:
+            assert f"def {name}(" in (ROOT / path).read_text(), f"{path}::{name}"
+
+
 def test_the_changelog_and_the_citation_know_this_version() -> None:
     from synth3dlanes import __version__
 
     assert f"## [{__version__}]" in (ROOT / "CHANGELOG.md").read_text()
     assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text()
+
+
+def test_the_times_of_the_faq_follow_from_the_bench() -> None:
+    """The table gives the hours of (images x core-seconds / cores), rounded."""
+    cost_s = json.loads((DOCS / "bench.json").read_text())["core_seconds_per_image"]
+    unit_s = {"min": 60, "h": 3600}
+    rows = re.findall(r"^\| ([\d,]+) \| (.+?) \| (.+?) \| (.+?) \|$", (DOCS / "faq.md").read_text(), re.MULTILINE)
+    assert [row[0] for row in rows] == ["10,000", "100,000", "300,000"]
+    for images, *times in rows:
+        for cores, time in zip((8, 64, 512), times, strict=True):
+            number, unit = time.split()
+            assert float(number) * unit_s[unit] == pytest.approx(
+                int(images.replace(",", "")) * cost_s / cores, rel=0.04, abs=30
+            )

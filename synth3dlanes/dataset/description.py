@@ -12,7 +12,7 @@ from pydantic import Field
 from synth3dlanes.dataset.address import connect, splits_near, translate_store_errors
 from synth3dlanes.dataset.format import member_names
 from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.schema import Part, parse
+from synth3dlanes.schema import Part, Seed, parse
 from synth3dlanes.settings import MAX_SAMPLES, MAX_SHARD_SIZE, SPLIT_NAME
 
 DESCRIPTION = "dataset.json"
@@ -45,7 +45,7 @@ class Description(Part):
     version: Literal[1]
     license: str | None = None
     generator: str
-    seed: Annotated[int, Field(ge=0)]
+    seed: Seed
     image_format: Literal["jpg", "png"]
     render: Render
     params: dict[str, Any]

@@ -47,7 +47,9 @@ def lines_ahead(labels: Labels, pinhole: Pinhole, kind: LaneKind, step_m: float 
     return tuple(sorted((line for line in lines if len(line.points_cv) >= 2), key=_from_near_to_far))
 
 
-def keep_lines(lines: Sequence[Line], dropped: Counter[str], most: int, reason: str) -> tuple[Line, ...]:
+def keep_lines(
+    lines: Sequence[Line], dropped: Counter[str], most: float = np.inf, reason: str = ""
+) -> tuple[Line, ...]:
     """The first `most` lines that are seen at all and differ from those before them; count the others."""
     kept: list[Line] = []
     for line in lines:

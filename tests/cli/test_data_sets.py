@@ -73,13 +73,27 @@ def test_a_query_that_selects_nothing(run: Run, folder: Path, query: str, expect
 def test_pages(run: Run, folder: Path, in_tmp_path: Path) -> None:
     result = run("report", folder, "--samples", 3)
     assert (result.exit_code, result.stdout) == (0, "Page: report.html\n"), result.stderr
-    assert Path("report.html").read_text().count("<figure>") == 3
+    page = Path("report.html").read_text()
+    assert page.count('<figure id="train:') == 3
+    assert f"<h1>{folder.name}</h1>" in page
+    assert str(folder.parent) not in page, "where it lies on this machine is nobody's business"
     result = run("inspect", f"{folder}/train:3", "--html", "page.html")
     assert "Page: page.html" in result.stdout
     assert "data:image/jpeg" in Path("page.html").read_text()
     assert {path.name for path in in_tmp_path.iterdir()} == {"report.html", "page.html"}
     both = json.loads(run("inspect", f"{folder}/train:3", "--html", "b.html", "--out", "b.png", "--json").stdout)
     assert (both["page"], both["figure"]) == ("b.html", "b.png")
+
+
+def test_passes_that_are_not_there(run: Run, folder: Path, in_tmp_path: Path) -> None:
+    for arguments, expected in (
+        (("gallery", folder, "--show", "depth"), f"--show depth: {folder}/train was made without this pass"),
+        (("inspect", f"{folder}/train:3", "--passes"), f"--passes: expected {folder}/train:3 to have passes, got none"),
+    ):
+        result = run(*arguments)
+        assert (result.exit_code, result.stdout, result.stderr.count("\n")) == (2, "", 1)
+        assert expected in result.stderr
+    assert list(in_tmp_path.iterdir()) == []
 
 
 def test_split_info_and_merge(run: Run, folder: Path, in_tmp_path: Path) -> None:

@@ -40,6 +40,17 @@ def test_curvelanes_points_lie_on_the_projected_lanes(camera, plan):
         assert (np.diff(line[:, 1]) <= -10).all()
 
 
+def test_curvelanes_of_half_the_size_are_the_same_lines():
+    labels = cf.road(cf.camera_label(), curvature=0.002)
+    half = replace(FRAME, pinhole=Pinhole(1280, 720, 2217.0 / 2, 57.0))
+    assert FRAME.pinhole.resized(1280, 720) == half.pinhole
+    (whole_text,), (half_text,) = (write.annotate(labels, frame).files.values() for frame in (FRAME, half))
+    for line, other in zip(parse(whole_text, "test"), parse(half_text, "test"), strict=True):
+        found = 2 * other[(2 * other[:, 1] <= line[0, 1]) & (2 * other[:, 1] >= line[-1, 1])]
+        assert len(found) > 10
+        np.testing.assert_allclose(found[:, 0], np.interp(found[:, 1], *line[::-1, ::-1].T), atol=0.05)
+
+
 def test_curvelanes_has_all_lines():
     camera = cf.camera_label()
     lanes = [cf.lane(camera, cf.curve(x), f"d{x}") for x in (-9, -5.4, -1.8, 1.8, 5.4, 9)]

@@ -59,7 +59,7 @@ def annotate(labels: Labels, frame: Frame) -> Annotation:
     if len(crossing) < len(beside):
         reason = f"its visible part crosses fewer than {MIN_POINTS} of the rows 250 to 590 (CLRNet drops those)"
         dropped[reason] += len(beside) - len(crossing)
-    kept = sorted(keep_lines(crossing, dropped, MAX_LINES, ""), key=lambda line: places[line.id])
+    kept = sorted(keep_lines(crossing, dropped), key=lambda line: places[line.id])
     lines_px = {places[line.id]: points[line.id] for line in kept}
     text = "\n".join(" ".join(f"{x:.{DECIMALS}f} {y:.0f}" for x, y in line) for line in lines_px.values())
     flags = " ".join(str(int(number in lines_px)) for number in range(1, MAX_LINES + 1))

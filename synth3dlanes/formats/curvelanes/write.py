@@ -36,7 +36,7 @@ def annotate(labels: Labels, frame: Frame) -> Annotation:
     crossing = [line for line in ahead if len(points[line.id]) >= MIN_POINTS]
     if len(crossing) < len(ahead):
         dropped[f"its visible part crosses fewer than {MIN_POINTS} rows"] += len(ahead) - len(crossing)
-    kept = keep_lines(crossing, dropped, len(crossing), "")
+    kept = keep_lines(crossing, dropped)
     sidecar = {
         "image": image,
         "source": f"{frame.split}/{frame.key}",
