@@ -117,7 +117,7 @@ class Examples(Dataset[Example]):
             self._annotations.put(index, to_bytes(annotation))
         return annotation
 
-    def _keep_image(self, index: int, image: Pixels) -> Pixels:
+    def _keep_image(self, index: int, image: Pixels) -> UInt8[np.ndarray, "h2 w2 3"]:
         small = resize(image, self._size_px)
         if self._pixels is not None:
             self._pixels.put(index, small.tobytes())

@@ -1,0 +1,26 @@
+"""Put the weights of a training run into the package: `python -m scripts.weights run/best.pt`.
+
+Numbers become float16, which changes no lane by more than a millimetre and halves the file.
+"""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from synth3dlanes_baseline.checkpoint import SHIPPED, load, save
+
+
+def ship(source: Path, target: Path = SHIPPED) -> None:
+    """Write the checkpoint's weights, without paths of the machine that made them."""
+    found = load(source)
+    weights = {name: value.half() if value.is_floating_point() else value for name, value in found.model.items()}
+    if not all(bool(torch.isfinite(value).all()) for value in weights.values()):
+        raise ValueError(f"{source}: expected weights that float16 can hold")
+    config = found.config.model_copy(update={"device": "auto", "pretrained": None, "init": None})
+    target.parent.mkdir(exist_ok=True)
+    save(target, replace(found, config=config, model=weights, resume=None))
+
+
+if __name__ == "__main__":
+    ship(Path(sys.argv[1]))
