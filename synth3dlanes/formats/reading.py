@@ -12,11 +12,13 @@ from PIL import Image, UnidentifiedImageError
 
 from synth3dlanes.errors import FormatError
 from synth3dlanes.frames import inside_image, project, road_from_cam
-from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph, LaneKind
+from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph, LaneKind, Marking, PaintColor
 
 MALFORMED = (KeyError, TypeError, IndexError, ValueError)
 """What a document that is not of its format raises on the way to arrays."""
 STEP_M = 0.5
+UNKNOWN: tuple[Marking, None, None] = ("none", None, None)
+"""The paint of lines of formats that do not have it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,11 +32,12 @@ class ForeignSample:
 
 @dataclass(frozen=True, eq=False)
 class ForeignLane:
-    """A lane of a foreign file, in our camera frame."""
+    """A lane of a foreign file, in our camera frame; `paint` is its marking, colour and whether it is double."""
 
     kind: LaneKind
     xyz_cam: Float[np.ndarray, "n 3"]
     visible: Bool[np.ndarray, " n"]
+    paint: tuple[Marking, PaintColor | None, bool | None] = UNKNOWN
 
 
 def labels_of(
@@ -52,7 +55,10 @@ def labels_of(
             xyz_cam, visible = lane.xyz_cam[kept], lane.visible[kept]
             in_image = inside_image(project(img_from_cam, xyz_cam), *size_px)
             name = f"{lane.kind}{index}"
-            made.append(Lane(name, lane.kind, "main", "none", None, None, xyz_cam, in_image, visible, None))
+            marking, color, double = lane.paint
+            made.append(
+                Lane(name, lane.kind, "main", marking, None, None, xyz_cam, in_image, visible, None, color, double)
+            )
     to_road = road_from_cam(height_m, pitch_rad)
     camera = CameraLabel(*size_px, img_from_cam, height_m, pitch_rad, to_road, to_road)
     return Labels(camera, tuple(made), LaneGraph((), {}, None))

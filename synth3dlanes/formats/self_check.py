@@ -17,6 +17,7 @@ from PIL import Image
 
 from synth3dlanes.formats.band_score import BandScore
 from synth3dlanes.formats.line_score import NEAR, Frames, Line3d, Score3d, sample_line
+from synth3dlanes.formats.writing import SIDECAR
 
 SHIFT_M = 2.0
 TOLERANCE_M = 1e-3
@@ -72,10 +73,10 @@ def moved_aside(points_img: Float[np.ndarray, "*n 2"], sidecar: dict[str, Any]) 
     return points_img + SHIFT_M * px_per_m[..., None] * [1.0, 0.0]
 
 
-def read_sidecars(out: Path, key: str) -> dict[str, dict[str, Any]]:
-    """The lines of `sidecar.jsonl` by the path that their `key` names."""
-    sidecars = map(json.loads, (out / "sidecar.jsonl").read_text().splitlines())
-    return {sidecar[key]: sidecar for sidecar in sidecars}
+def read_sidecars(out: Path) -> dict[str, dict[str, Any]]:
+    """The lines of `sidecar.jsonl` by their images."""
+    sidecars = map(json.loads, (out / SIDECAR).read_text().splitlines())
+    return {sidecar["image"]: sidecar for sidecar in sidecars}
 
 
 def band_problems(name: str, perfect: BandScore, shifted: BandScore) -> Iterator[str]:

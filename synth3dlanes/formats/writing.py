@@ -1,7 +1,8 @@
 """What every foreign format's writer takes and returns. Paths are relative to the exported folder."""
 
+import json
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -80,6 +81,22 @@ class Annotation:
     dropped: Counter[str]
     files: Mapping[str, str | bytes] = field(default_factory=dict)
     shared: tuple[tuple[str, tuple[str, ...]], ...] = ()
+
+
+SIDECAR = "sidecar.jsonl"
+
+
+def sidecar(image: str, labels: Labels, frame: Frame, lines_ids: Sequence[str]) -> tuple[str, tuple[str, ...]]:
+    """A frame's line of `sidecar.jsonl`, for formats that have pixels only: the camera, and where the frame is from."""
+    document = {
+        "image": image,
+        "source": f"{frame.split}/{frame.key}",
+        "img_from_cv": frame.pinhole.img_from_cv.tolist(),
+        "camera_height_m": labels.camera.height_m,
+        "camera_pitch_rad": labels.camera.pitch_rad,
+        "lines_ids": list(lines_ids),
+    }
+    return json.dumps(document), (SIDECAR,)
 
 
 @dataclass(frozen=True)

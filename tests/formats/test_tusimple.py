@@ -21,7 +21,7 @@ def test_tusimple_columns_lie_on_the_projected_lanes(camera, plan):
     labels = cf.road(cf.camera_label(*camera), **plan)
     annotation = write.annotate(labels, FRAME)
     frame = parse(annotation.shared[0][0], "test")
-    ids = json.loads(annotation.shared[1][0])["lanes_ids"]
+    ids = json.loads(annotation.shared[1][0])["lines_ids"]
     assert 1 <= len(frame.lanes_u_px) <= 5
     by_id = {lane.id: lane for lane in labels.lanes}
     for lane_u_px, name in zip(frame.lanes_u_px, ids, strict=True):

@@ -8,7 +8,7 @@ from synth3dlanes.formats.writing import Pinhole
 CAMERA = Pinhole(1640, 590, 1420.3, below_px=69.0)
 """Ours: the original has no intrinsics. 60 degrees wide, the horizon in row 240 or below for a pitch of 5 degrees."""
 ROWS_PX = np.arange(590, 240, -10)
-"""The rows of the original's labels, which its tools assume: none above row 250."""
+"""Rows of labels; UFLD v2's cache has these alone, and anchors of UFLD and CLRNet begin at rows 248 and 270."""
 MAX_LINES = 4
 EVALUATED = Canvas(1640, 590, 30, 0.5)
 MASK_WIDTH_PX = 16

@@ -15,7 +15,7 @@ from synth3dlanes.formats.self_check import Verified, band_problems, image_probl
 
 def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verified]:
     """The lines of every list, and the masks of those that have them."""
-    sidecars = read_sidecars(out, "image")
+    sidecars = read_sidecars(out)
     for path in sorted((out / "list").rglob("*.txt")):
         name = str(path.relative_to(out))
         entries = [parse_entry(line, name) for line in path.read_text().splitlines()[:most_frames]]

@@ -1,7 +1,6 @@
 """Write CULane: 2D lines as text, masks, lists; image 1640x590."""
 
 import io
-import json
 from collections import Counter
 
 import numpy as np
@@ -19,7 +18,7 @@ from synth3dlanes.formats.culane.convention import (
 )
 from synth3dlanes.formats.culane.read import lines_path
 from synth3dlanes.formats.lines import Line, columns_of, ego_places, keep_lines, lines_ahead
-from synth3dlanes.formats.writing import PARTS, Annotation, Format, Frame, Pinhole
+from synth3dlanes.formats.writing import PARTS, Annotation, Format, Frame, Pinhole, sidecar
 from synth3dlanes.labels import Labels
 
 MIN_POINTS = 3
@@ -30,7 +29,7 @@ FINER = 4
 README = f"""CULane layout.
 
 - `driver_*_30frame/*.MP4/*.jpg`, and beside each image its lines in `*.lines.txt`: x and y in turn, one line of text
-  per line, from the bottom up. y are the rows 590 to 250, every 10: loaders look at no row above 250.
+  per line, from the bottom up. y are the rows 590 to 250, every 10: tools of UFLD take no others.
 - At most four lines a frame, as in the original: the two nearest on either side of the camera. Frames without
   lines have an empty `*.lines.txt`. Terrain hides lines, cars do not.
 - `{MASKS}/*/*/*.png`: the lines {MASK_WIDTH_PX} pixels wide, as 1 to 4 for left-left, left, right and right-right of
@@ -67,18 +66,10 @@ def annotate(labels: Labels, frame: Frame) -> Annotation:
     lists = [f"list/{part}.txt" for part in parts]
     if "test" in parts:
         lists.append(scene_list("curve" if "curve" in frame.tags else "normal"))
-    sidecar = {
-        "image": image,
-        "source": f"{frame.split}/{frame.key}",
-        "img_from_cv": frame.pinhole.img_from_cv.tolist(),
-        "camera_height_m": labels.camera.height_m,
-        "camera_pitch_rad": labels.camera.pitch_rad,
-        "lines_ids": [line.id for line in kept],
-    }
     shared = (
         (f"/{image}", tuple(lists)),
         (f"/{image} /{mask} {flags}", tuple(f"list/{part}_gt.txt" for part in parts if part != "test")),
-        (json.dumps(sidecar), ("sidecar.jsonl",)),
+        sidecar(image, labels, frame, [line.id for line in kept]),
     )
     return Annotation(image, len(kept), dropped, {lines_path(image): text, mask: _mask(lines_px)}, shared)
 

@@ -14,7 +14,7 @@ from synth3dlanes.formats.self_check import Verified, band_problems, image_probl
 
 def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verified]:
     """The lines of every list."""
-    sidecars = read_sidecars(out, "image")
+    sidecars = read_sidecars(out)
     scale, finer = (np.array([canvas.width_px, canvas.height_px]) / size_px for canvas in (EVALUATED, FINER))
     for path in sorted(out.glob("*/*.txt")):
         part = path.parent.name

@@ -8,7 +8,7 @@ import numpy as np
 from synth3dlanes.formats.curvelanes.convention import CAMERA, ROW_STEP_PX
 from synth3dlanes.formats.curvelanes.read import labels_path
 from synth3dlanes.formats.lines import Line, columns_of, keep_lines, lines_ahead
-from synth3dlanes.formats.writing import Annotation, Format, Frame, Pinhole
+from synth3dlanes.formats.writing import Annotation, Format, Frame, Pinhole, sidecar
 from synth3dlanes.labels import Labels
 
 MIN_POINTS = 2
@@ -37,16 +37,11 @@ def annotate(labels: Labels, frame: Frame) -> Annotation:
     if len(crossing) < len(ahead):
         dropped[f"its visible part crosses fewer than {MIN_POINTS} rows"] += len(ahead) - len(crossing)
     kept = keep_lines(crossing, dropped)
-    sidecar = {
-        "image": image,
-        "source": f"{frame.split}/{frame.key}",
-        "img_from_cv": frame.pinhole.img_from_cv.tolist(),
-        "camera_height_m": labels.camera.height_m,
-        "camera_pitch_rad": labels.camera.pitch_rad,
-        "lines_ids": [line.id for line in kept],
-    }
     text = json.dumps({"Lines": [points[line.id] for line in kept]})
-    shared = ((image.partition("/")[2], (f"{part}/{part}.txt",)), (json.dumps(sidecar), ("sidecar.jsonl",)))
+    shared = (
+        (image.partition("/")[2], (f"{part}/{part}.txt",)),
+        sidecar(image, labels, frame, [line.id for line in kept]),
+    )
     return Annotation(image, len(kept), dropped, {labels_path(image): text}, shared)
 
 

@@ -9,8 +9,20 @@ from jaxtyping import Float
 
 from synth3dlanes.formats.writing import Pinhole
 from synth3dlanes.frames import Matrix4
+from synth3dlanes.labels import Marking, PaintColor
 
 CAMERA = Pinhole(1920, 1280, 2015.0)
+PAINTS: dict[int, tuple[Marking, PaintColor, bool]] = {
+    1: ("dashed", "white", False),
+    2: ("solid", "white", False),
+    3: ("dashed", "white", True),
+    4: ("solid", "white", True),
+    7: ("dashed", "yellow", False),
+    8: ("solid", "yellow", False),
+    9: ("dashed", "yellow", True),
+    10: ("solid", "yellow", True),
+}
+"""Marking, colour and whether the line is double, by the field `category`; it has others for what we do not have."""
 WAYMO_FROM_CAM = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 

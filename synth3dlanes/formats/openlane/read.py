@@ -9,9 +9,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from synth3dlanes.errors import FormatError
-from synth3dlanes.formats.openlane.convention import WAYMO_FROM_CAM
+from synth3dlanes.formats.openlane.convention import PAINTS, WAYMO_FROM_CAM
 from synth3dlanes.formats.reading import (
     MALFORMED,
+    UNKNOWN,
     ForeignLane,
     ForeignSample,
     image_size,
@@ -47,7 +48,10 @@ class OpenLaneFrame:
 
     def labels(self, size_px: tuple[int, int]) -> Labels:
         """The lines in our camera frame, of an image of this width and height; the format has no centre lines."""
-        lanes = [ForeignLane("delimiter", line.xyz_waymo @ WAYMO_FROM_CAM, line.visible) for line in self.lines]
+        lanes = [
+            ForeignLane("delimiter", line.xyz_waymo @ WAYMO_FROM_CAM, line.visible, PAINTS.get(line.category, UNKNOWN))
+            for line in self.lines
+        ]
         # Pitch is how far the camera's forward axis points down in the vehicle's frame.
         pitch_rad = float(np.arcsin(-self.vehicle_from_cam_waymo[2, 0]))
         height_m = float(self.vehicle_from_cam_waymo[2, 3])

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from synth3dlanes.formats.lines import Line, ego_places, keep_lines, lines_ahead
-from synth3dlanes.formats.openlane.convention import CAMERA, WAYMO_FROM_CAM, vehicle_from_cam_waymo
+from synth3dlanes.formats.openlane.convention import CAMERA, PAINTS, WAYMO_FROM_CAM, vehicle_from_cam_waymo
 from synth3dlanes.formats.writing import CV_FROM_CAM, DECIMALS, Annotation, Format, Frame
 from synth3dlanes.labels import Labels, Lane
 
@@ -78,11 +78,10 @@ def annotate(labels: Labels, frame: Frame) -> Annotation:
 
 
 def category(lane: Lane) -> int:
-    """1 white dashed, 2 white solid, 3 and 4 the same doubled, 7 to 10 the same four in yellow; 0 unknown. Older labels
-    have no colour: their lines count as single and white."""
-    if lane.marking == "none":
-        return 0
-    return 1 + (lane.marking == "solid") + 2 * bool(lane.double) + 6 * (lane.color == "yellow")
+    """The number of the line's paint, 0 if unknown. Older labels have no colour: their lines count as single and
+    white."""
+    paint = (lane.marking, lane.color or "white", bool(lane.double))
+    return next((number for number, other in PAINTS.items() if other == paint), 0)
 
 
 def _kept(ahead: tuple[Line, ...], dropped: Counter[str]) -> tuple[Line, ...]:

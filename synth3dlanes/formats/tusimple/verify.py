@@ -17,7 +17,7 @@ from synth3dlanes.formats.tusimple.score import TusimpleScore, score, score_fram
 
 def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verified]:
     """The lines of every label file."""
-    sidecars = read_sidecars(out, "raw_file")
+    sidecars = read_sidecars(out)
     for path in sorted(out.glob("*label*.json")):
         with path.open() as file:
             frames = [parse(line, path.name) for line in islice(file, most_frames)]

@@ -8,7 +8,7 @@ from jaxtyping import Int
 
 from synth3dlanes.formats.lines import Line, columns_of, keep_lines, lines_ahead
 from synth3dlanes.formats.tusimple.convention import ABSENT, CAMERA, ROWS_PX
-from synth3dlanes.formats.writing import Annotation, Format, Frame
+from synth3dlanes.formats.writing import Annotation, Format, Frame, sidecar
 from synth3dlanes.labels import Labels
 
 MAX_LINES = 5
@@ -42,19 +42,11 @@ def annotate(labels: Labels, frame: Frame) -> Annotation | None:
         return None
     lanes = [rows_of(line).tolist() for line in kept]
     document = {"lanes": lanes, "h_samples": ROWS_PX.tolist(), "raw_file": raw_file}
-    sidecar = {
-        "raw_file": raw_file,
-        "source": f"{frame.split}/{frame.key}",
-        "img_from_cv": CAMERA.img_from_cv.tolist(),
-        "camera_height_m": labels.camera.height_m,
-        "camera_pitch_rad": labels.camera.pitch_rad,
-        "lanes_ids": [line.id for line in kept],
-    }
     task = {"raw_file": raw_file, "h_samples": ROWS_PX.tolist(), "lanes": []}
     file = label_file(frame)
     shared = (
         (json.dumps(document), (file,)),
-        (json.dumps(sidecar), ("sidecar.jsonl",)),
+        sidecar(raw_file, labels, frame, [line.id for line in kept]),
         (json.dumps(task), (TEST_TASKS,) if file == TEST_LABELS else ()),
     )
     return Annotation(raw_file, len(kept), dropped, shared=shared)
