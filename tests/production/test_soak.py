@@ -111,7 +111,7 @@ def test_a_read_only_folder_is_named(tmp_path):
     with small_disk(tmp_path / "disk", "8M") as folder:
         subprocess.run(["mount", "-o", "remount,ro", str(folder)], check=True)
         with pytest.raises(InputError, match=f"out {folder}/out: cannot write to this folder: .*Read-only"):
-            go(plan(folder / "out"))
+            go(plan(folder / "out", 10))
 
 
 def test_a_vanished_folder_is_named_and_comes_back(tmp_path, whole):
