@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from synth3dlanes.dataset import folder, stores
-from synth3dlanes.dataset.address import connect, is_url, translate_store_errors
+from synth3dlanes.dataset.address import is_url
 from synth3dlanes.dataset.write import Shard
 
 
@@ -43,10 +43,8 @@ class Destination:
         return folder.claim(self.folder, recipe, split, n, shards, is_driver)
 
     def begun(self, split: str) -> set[int]:
-        """The numbers of the shards that anything is there of."""
-        files, root = connect(self.place)
-        with translate_store_errors(self.place):
-            names = [str(path).rpartition("/")[2].partition(".")[0] for path in files.glob(f"{root}/{split}/*")]
+        """The numbers of a folder's shards that anything is there of."""
+        names = (path.name.partition(".")[0] for path in (self.folder / split).glob("*"))
         return {int(name) for name in names if name.isdecimal()}
 
     def missing(self, shard: Shard, n: int) -> list[int]:
