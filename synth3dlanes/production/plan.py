@@ -67,7 +67,7 @@ class Plan:
 
     def n_missing(self) -> int:
         """How many samples are not there yet; of a folder's shards that are not begun, none is listed."""
-        begun = set(self.shards()) if self.destination.is_store else self.destination.begun(self.recipe.split)
+        begun = self.destination.begun(self.recipe.split, self.shards())
         return sum(
             len(self.destination.missing(shard, self.n)) if number in begun else len(shard.indices(self.n))
             for number, shard in self.shards().items()
