@@ -5,6 +5,8 @@ from pathlib import Path
 
 import click
 
+from .options import progress_bar
+
 
 def _size(text: str | None) -> tuple[int, int] | None:
     """`960x640` as width and height."""
@@ -43,32 +45,20 @@ def _size(text: str | None) -> tuple[int, int] | None:
 def export(
     source: str, format_name: str, out: Path, is_verified: bool, size_px: tuple[int, int] | None, workers: int
 ) -> None:
-    """Convert the data set DIR to the format of Apollo Sim-3D, OpenLane, ONCE-3DLanes, tuSimple, CULane
-    or CurveLanes.
+    """Convert a data set (DIR) or one split (DIR/train) to the format of Apollo Sim-3D, OpenLane, ONCE-3DLanes,
+    tuSimple, CULane or CurveLanes.
 
     Rerun to resume, or to add samples generated since. OUT/README.md describes how splits were mapped,
     and which frames and lanes were left out and why.
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
-
     from synth3dlanes.formats.export import FORMATS
     from synth3dlanes.formats.export import export as export_dataset
     from synth3dlanes.formats.summary import warnings
     from synth3dlanes.formats.verify import verify
     from synth3dlanes.formats.writing import PARTS
 
-    columns = ("frames", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task("", total=None)
-        summary = export_dataset(
-            source,
-            out,
-            format_name,
-            workers,
-            lambda done, total: bar.update(task, completed=done, total=total),
-            size_px,
-        )
+    with progress_bar("frames") as move:
+        summary = export_dataset(source, out, format_name, workers, move, size_px)
     frames = ", ".join(f"{summary.n_frames[part]} {part}" for part in PARTS)
     click.echo(f"{out}: {frames} frames, {summary.n_lines} lane lines")
     for reason, count in summary.left_out.items():

@@ -2,7 +2,8 @@
 
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -124,6 +125,24 @@ assets_option = click.option(
     type=click.Path(path_type=Path),
     help="Folder of your own cars, trees, textures and skies (docs/assets.md).",
 )
+
+
+@contextmanager
+def progress_bar(label: str = "") -> Iterator[Callable[[int, int], None]]:
+    """A function of (done, total) that moves a bar on stderr; a command that is refused before shows none."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+    bar = Progress(label, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), console=Console(stderr=True))
+    task = bar.add_task("", total=None)
+    with ExitStack() as stack:
+
+        def move(done: int, total: int) -> None:
+            if not bar.live.is_started:
+                stack.enter_context(bar)
+            bar.update(task, completed=done, total=total)
+
+        yield move
 
 
 def open_assets(folder: Path | None) -> "Library":

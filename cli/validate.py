@@ -5,7 +5,7 @@ import json
 import click
 
 from .generate import Workers
-from .options import json_option
+from .options import json_option, progress_bar
 
 
 @click.command()
@@ -23,19 +23,11 @@ def validate(ctx: click.Context, folder: str, workers: int, limit: int | None, a
     whose labels or pixels failed. docs/validate.md lists the checks.
     """
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
     from synth3dlanes.validate.run import validate as check
 
-    columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task("", total=None)
-        report = check(
-            folder,
-            workers,
-            limit,
-            lambda done, total: bar.update(task, completed=done, total=total),
-        )
+    with progress_bar() as move:
+        report = check(folder, workers, limit, move)
     if as_json:
         click.echo(json.dumps(report.document()))
     else:

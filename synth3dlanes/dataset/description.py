@@ -85,7 +85,7 @@ def data_set_of(place: str) -> tuple[str, str]:
         if files.exists(f"{root}/{DESCRIPTION}"):
             return place, ""
         parent, _, name = root.rpartition("/")
-        if files.exists(f"{parent}/{DESCRIPTION}"):
+        if files.isdir(root) and files.exists(f"{parent}/{DESCRIPTION}"):
             return place.removesuffix(name).rstrip("/") or ".", name
     raise FormatError(f"{place}: expected a data set or one of its splits, got no {DESCRIPTION}{splits_near(place)}")
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from synth3dlanes.dataset import folder, stores
-from synth3dlanes.dataset.address import connect, is_url, translate_store_errors
+from synth3dlanes.dataset.address import connect, is_url
 from synth3dlanes.dataset.write import Shard
 
 
@@ -42,12 +42,14 @@ class Destination:
             return _announced(self.place, recipe, split, n)
         return folder.claim(self.folder, recipe, split, n, shards, is_driver)
 
-    def begun(self, split: str) -> set[int]:
-        """The numbers of the shards that anything is there of."""
-        files, root = connect(self.place)
-        with translate_store_errors(self.place):
-            names = [str(path).rpartition("/")[2].partition(".")[0] for path in files.glob(f"{root}/{split}/*")]
-        return {int(name) for name in names if name.isdecimal()}
+    def begun(self, split: str, shards: Iterable[int]) -> set[int]:
+        """Those of the shards that anything may be there of; of a store, all."""
+        if self.is_store:
+            # Another process may have changed what was listed here before.
+            connect(self.place)[0].invalidate_cache()
+            return set(shards)
+        names = (path.name.partition(".")[0] for path in (self.folder / split).glob("*"))
+        return {int(name) for name in names if name.isdecimal()} & set(shards)
 
     def missing(self, shard: Shard, n: int) -> list[int]:
         """The indices below `n` of a shard's samples that are not there."""

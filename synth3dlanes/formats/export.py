@@ -61,8 +61,8 @@ def export(
     progress: Callable[[int, int], None],
     size_px: tuple[int, int] | None = None,
 ) -> Summary:
-    """Export every split under `source`; `progress` gets (frames done, frames in all). `size_px` is the images' width
-    and height, by default the format's."""
+    """Export every split under `source`, or the one that it names; `progress` gets (frames done, frames in all).
+    `size_px` is the images' width and height, by default the format's."""
     foreign = FORMATS[format_name]
     camera = _camera(foreign, format_name, size_px)
     chunks = plan(source)

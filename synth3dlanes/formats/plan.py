@@ -47,9 +47,10 @@ class Chunk:
 
 
 def plan(source: str) -> list[Chunk]:
-    """The chunks of every split under `source`."""
+    """The chunks of every split under `source`, or of the one split that it names."""
     found = readers(source)
-    source, splits = source.rstrip("/"), assign([split_name(reader) for reader in found])
+    source = found[0].url.rpartition("/")[0]
+    splits = assign([split_name(reader) for reader in found])
     parts = parts_of(splits)
     chunks = []
     for split, reader in zip(splits, found, strict=True):

@@ -66,8 +66,8 @@ class Plan:
         return {number: destination.missing(shard, self.n) for number, shard in self.shards().items()}
 
     def n_missing(self) -> int:
-        """How many samples are not there yet; of shards that are not begun, none is listed."""
-        begun = self.destination.begun(self.recipe.split)
+        """How many samples are not there yet; of a folder's shards that are not begun, none is listed."""
+        begun = self.destination.begun(self.recipe.split, self.shards())
         return sum(
             len(self.destination.missing(shard, self.n)) if number in begun else len(shard.indices(self.n))
             for number, shard in self.shards().items()

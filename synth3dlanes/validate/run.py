@@ -10,7 +10,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from synth3dlanes.dataset.address import connect, translate_store_errors
+from synth3dlanes.dataset.address import connect, splits_near, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION, Description, data_set_of, parse_description, recipe_text
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.errors import FormatError, InputError
@@ -124,7 +124,7 @@ def _read_description(place: str) -> dict[str, Any]:
     files, root = connect(place)
     with translate_store_errors(place):
         if not files.isdir(root):
-            raise InputError(f"{place}: expected the folder of a dataset, got none")
+            raise InputError(f"{place}: expected a data set or one of its splits, got no folder{splits_near(place)}")
         if not files.exists(f"{root}/{DESCRIPTION}"):
             raise FormatError("expected the description of a data set, got no file")
         return parse_description(files.cat_file(f"{root}/{DESCRIPTION}"), DESCRIPTION)

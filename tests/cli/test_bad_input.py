@@ -96,6 +96,8 @@ def test_a_changed_scene_is_refused_in_the_words_of_the_change(
         ("info d/tran", "d/train"),
         ("stats d/tran", "d/train"),
         ("gallery d/train:3", "d/train"),
+        ("info d/train:3", "d/train"),
+        ("export d/tran --format apollo --out e", "d/train"),
         ("twins d/tran --vary light.exposure=1 --out e", "d/train"),
     ],
 )

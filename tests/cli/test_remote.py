@@ -155,7 +155,7 @@ def test_validate_finds_in_a_store_what_it_finds_in_a_folder(store: s3fs.S3FileS
     assert files_at(store, "lanes/validated/validation") == files_in(Path("here/validation")) != {}
     result = run("validate", "s3://lanes/nowhere")
     assert (result.exit_code, result.stdout) == (2, "")
-    assert "s3://lanes/nowhere: expected the folder of a dataset, got none\n" in result.stderr
+    assert "s3://lanes/nowhere: expected a data set or one of its splits, got no folder\n" in result.stderr
 
 
 def test_split_and_merge_write_to_a_store(store: s3fs.S3FileSystem, run: Run, folder: Path) -> None:
