@@ -2,12 +2,13 @@
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from synth3dlanes.frames import project, transform
-from synth3dlanes.labels import Labels
+from synth3dlanes.labels import Labels, LaneKind
 
 from .lanes import Prediction
 from .poses import Pose, road_from_cam
@@ -15,6 +16,7 @@ from .poses import Pose, road_from_cam
 TRUTH, FOUND = "#1f5fff", "#ff2020"
 FAR_M = 80.0
 VISIBLE = 0.5
+STYLES: dict[LaneKind, Literal["-", "--"]] = {"centerline": "-", "delimiter": "--"}
 
 
 def save_overlay(
@@ -29,6 +31,7 @@ def save_overlay(
     Points that the ground hides, and those predicted to be hidden, are left out."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
     height, width = image.shape[:2]
     figure = Figure(figsize=(11, 4.2), layout="constrained")
@@ -47,20 +50,23 @@ def save_overlay(
         # Pixel (0, 0) has its centre at the origin in imshow, its corner in our coordinates.
         left.plot(*(np.where(in_reach[:, None], uv, np.nan) - 0.5).T, style, color=colour, linewidth=1.4)
         right.plot(*xyz_road[in_reach].T, style, color=colour, linewidth=1.4)
-    right.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", ylim=(0, FAR_M), xlim=(-12, 12))
+    right.set(xlabel="x right [m]", ylabel="y forward [m]", zlabel="z up [m]", ylim=(0, FAR_M), xlim=(-12, 12))
     right.set_box_aspect((1.0, 2.0, 0.6))
     right.view_init(elev=25, azim=-70)
+    shown = [(FOUND, f"detections, confidence {threshold:g} or more"), *([(TRUTH, "ground truth")] if labels else [])]
+    handles = [Line2D([], [], color=colour, label=text) for colour, text in shown]
+    handles += [Line2D([], [], color="#666666", linestyle=style, label=kind) for kind, style in STYLES.items()]
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
     figure.savefig(path, dpi=100)
 
 
 def _curves(
     prediction: Prediction, labels: Labels | None, threshold: float
 ) -> Iterable[tuple[str, str, Float[np.ndarray, "n 3"]]]:
-    style = {"centerline": "-", "delimiter": "--"}
     for lane in labels.lanes if labels is not None else ():
         hidden = ~lane.terrain_visible[:, None]
-        yield TRUTH, style[lane.kind], np.where(hidden, np.nan, lane.xyz_cam)
+        yield TRUTH, STYLES[lane.kind], np.where(hidden, np.nan, lane.xyz_cam)
     for found in prediction.lanes:
         if found.score >= threshold:
             hidden = np.zeros((1, 1), bool) if found.visibility is None else found.visibility[:, None] < VISIBLE
-            yield FOUND, style[found.kind], np.where(hidden, np.nan, found.xyz_cam)
+            yield FOUND, STYLES[found.kind], np.where(hidden, np.nan, found.xyz_cam)

@@ -1,0 +1,47 @@
+"""The weights in the package: small, and good enough that the first picture a user tries shows lanes."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from PIL import Image
+
+SCENE = Path(__file__).parents[1] / "golden/plain.scene.json"
+
+
+@pytest.fixture(scope="module")
+def rendered():
+    import synth3dlanes as s3d
+
+    return s3d.render(s3d.load_scene(SCENE))
+
+
+def test_the_weights_take_little_room():
+    from synth3dlanes_baseline.checkpoint import SHIPPED, load
+
+    assert SHIPPED.stat().st_size < 2_000_000
+    found = load(SHIPPED)
+    assert found.resume is None
+    assert found.about["train"]["n_images"] >= 1000
+
+
+def test_predict_finds_the_hosts_lane_in_a_picture_without_further_words(rendered, tmp_path):
+    from synth3dlanes_cli.main import main
+
+    Image.fromarray(rendered.image).save(tmp_path / "photo.jpg", quality=95)
+    result = CliRunner().invoke(main, ["predict", str(tmp_path / "photo.jpg"), "--out", str(tmp_path / "out")])
+    assert result.exit_code == 0, result.output
+    assert "lanes in 1 images" in result.output
+    (line,) = (tmp_path / "out/predictions.jsonl").read_text().splitlines()
+    lanes = [lane for lane in json.loads(line)["lanes"] if lane["score"] >= 0.5 and lane["kind"] == "centerline"]
+    at_15_m = [_x_at(np.array(lane["xyz_cam"]), 15.0) for lane in lanes]
+    true_m = [_x_at(lane.xyz_cam, 15.0) for lane in rendered.labels.lanes if lane.kind == "centerline"]
+    host_m = min(true_m, key=abs)
+    assert min(abs(x_m - host_m) for x_m in at_15_m) < 0.6
+    assert (tmp_path / "out/photo.png").is_file()
+
+
+def _x_at(xyz_cam, y_m):
+    return float(np.interp(y_m, xyz_cam[:, 1], xyz_cam[:, 0]))
