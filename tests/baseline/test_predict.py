@@ -254,7 +254,7 @@ def test_visibility_is_written_and_read_and_changes_no_score(checkpoint, roads, 
     from synth3dlanes_baseline.predict import predict
 
     improved = _untrained(tmp_path / "best.pt", "improved")
-    read = list(read_predictions(predict(improved, "DIR/test", tmp_path / "out", n_overlays=0, device="cpu")))
+    read = list(read_predictions(predict(improved, "DIR/test", tmp_path / "out", n_overlays=0, device="cpu").path))
     lanes = [lane for prediction in read for lane in prediction.lanes]
     assert len(lanes) > 5
     # Linear between the knots: constant before 5 m, and no kink between 60 and 80 m.
@@ -264,7 +264,7 @@ def test_visibility_is_written_and_read_and_changes_no_score(checkpoint, roads, 
         assert (lane.visibility[:6] == lane.visibility[5]).all()
         assert np.diff(lane.visibility[60:81], n=2) == pytest.approx(np.zeros(19), abs=3e-3)
     assert np.ptp([lane.visibility for lane in lanes]) > 1e-3
-    plain = list(read_predictions(predict(checkpoint, "DIR/test", tmp_path / "plain", n_overlays=0, device="cpu")))
+    plain = list(read_predictions(predict(checkpoint, "DIR/test", tmp_path / "plain", n_overlays=0, device="cpu").path))
     assert all(lane.visibility is None for prediction in plain for lane in prediction.lanes)
 
     found = [roads.as_prediction(sample.labels, sample.key) for sample in split]
