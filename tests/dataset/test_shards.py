@@ -171,7 +171,7 @@ def test_samples_come_back(tmp_path, shard):
         reader[4]
     reader, position = find(f"{shard.folder}:00000002")
     assert reader[position].key == "00000002"
-    with pytest.raises(FormatError, match="expected a sample 00000009"):
+    with pytest.raises(FormatError, match="expected a sample up to 00000003, got 00000009"):
         find(f"{shard.folder}:00000009")
     assert pickle.loads(pickle.dumps(reader)).key(1) == "00000001"
 
