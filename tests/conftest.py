@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import signal
 import sys
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,14 @@ settings.load_profile("house")
 
 EXIT_STATUS = pytest.StashKey[int]()
 collect_ignore_glob = [] if importlib.util.find_spec("torch") else ["baseline/*"]
+
+
+def pytest_configure() -> None:
+    """Programs that the tests start heed signals, also where the tests were started in the background or by nohup:
+    ignored signals stay so in child processes."""
+    for number, handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, handler)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -98,7 +98,7 @@ def test_a_render_is_what_a_data_set_has(tmp_path: Path) -> None:
         ("generate_dataset", {"out": "o", "n": 1, "seed": -2}, "seed: expected 0 or more, got -2"),
         ("render", {"device": "gpu"}, "device: expected one of auto, cpu"),
         ("generate_dataset", {"out": "o", "n": 1, "image_format": "bmp"}, "image_format: expected one of jpg, png"),
-        ("generate_dataset", {"out": "o", "n": -1}, "n: expected 0 or more, got -1"),
+        ("generate_dataset", {"out": "o", "n": -1}, "n: expected 0 to 100000000, got -1"),
         ("export_dataset", {"source": "d", "out": "o", "format_name": "coco"}, "format_name: expected one of apollo"),
     ],
 )

@@ -51,7 +51,7 @@ def test_twins_share_a_data_set_that_generate_does_not_continue(source: str) -> 
         ("light.exposur=1", "vary light.exposur: unknown key exposur; did you mean exposure?"),
         ("light.exposure", "vary light.exposure: expected path=value,value,..."),
         ("light.exposure=", "vary light.exposure=: expected path=value,value,..."),
-        ("light.exposure=1,-2", "light.exposure: Input should be greater than 0, got -2"),
+        ("light.exposure=1,-2", "vary light.exposure: expected more than 0, got -2"),
         ("light.exposure=[1", "vary light.exposure"),
     ],
 )
