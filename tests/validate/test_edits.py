@@ -367,7 +367,7 @@ def test_a_damaged_exr_is_a_finding_and_prints_nothing(dataset: Path) -> None:
         assert done.returncode == 1
         assert {problem["where"]: problem["reason"] for problem in json.loads(done.stdout)["problems"]} == {
             name(1): "passes.exr: expected channels normal.X, normal.Y, normal.Z, got 2 of them",
-            name(2): "passes.exr: expected an OpenEXR image, got Invalid part index '0': file has 0 parts.",
+            name(2): "passes.exr: expected an OpenEXR image, got other or damaged bytes",
         }
         assert "EXR" not in done.stderr
         assert "Warning" not in done.stderr
