@@ -8,6 +8,7 @@ import os
 import struct
 import weakref
 import zlib
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +18,11 @@ from .data import Annotation, Pixels
 from .poses import Pose
 
 HEADER = struct.Struct("<II")
-SHAPE = struct.Struct("<HH8f")
+SHAPE = struct.Struct("<HHH8f")
 SLOT_BYTES = 36 * 1024
 """Room for 24 curves of 112 points, of which scenes of the paper have up to 15; larger annotations are not cached. The
 file is sparse, so smaller ones take less."""
-VERSION = b"synth3dlanes annotations 1\n"
+VERSION = b"synth3dlanes annotations 2\n"
 
 
 class Slots:
@@ -42,10 +43,11 @@ class Slots:
         return record if size and len(record) == size and zlib.crc32(record) == checksum else None
 
     def put(self, index: int, record: bytes) -> None:
-        """Keep a record, if it has room in a slot."""
+        """Keep a record, if it has room in a slot, and the slot on the disk; nothing depends on it."""
         if HEADER.size + len(record) <= self._slot_bytes:
             slot = HEADER.pack(len(record), zlib.crc32(record)) + record
-            os.pwrite(self._file, slot, self._start + index * self._slot_bytes)
+            with suppress(OSError):
+                os.pwrite(self._file, slot, self._start + index * self._slot_bytes)
 
 
 def annotation_file(path: Path, source: str) -> Slots:
@@ -80,25 +82,28 @@ def slot_bytes_of(size_px: tuple[int, int]) -> int:
 def to_bytes(one: Annotation) -> bytes:
     """An annotation as a record."""
     lanes, points = one.visible.shape
-    head = SHAPE.pack(lanes, points, *one.intrinsics, *one.plane, *one.target)
+    key = one.key.encode()
+    head = SHAPE.pack(len(key), lanes, points, *one.intrinsics, *one.plane, *one.target) + key
     parts = (one.kind.astype(np.uint8), np.packbits(one.visible, axis=1), one.xyz_cam.astype("<f4"))
     return head + b"".join(part.tobytes() for part in parts)
 
 
 def from_bytes(record: bytes) -> Annotation:
     """The annotation in a record."""
-    lanes, points, *numbers = SHAPE.unpack_from(record)
-    kind_end = SHAPE.size + lanes
+    key_bytes, lanes, points, *numbers = SHAPE.unpack_from(record)
+    key_end = SHAPE.size + key_bytes
+    kind_end = key_end + lanes
     packed = (points + 7) // 8
     visible_end = kind_end + lanes * packed
     bits = np.frombuffer(record, np.uint8, lanes * packed, kind_end).reshape(lanes, packed)
     return Annotation(
+        key=record[SHAPE.size : key_end].decode(),
         intrinsics=(numbers[0], numbers[1], numbers[2], numbers[3]),
         plane=Pose(*numbers[4:6]),
         target=Pose(*numbers[6:8]),
         xyz_cam=np.frombuffer(record, "<f4", lanes * points * 3, visible_end).reshape(lanes, points, 3),
         visible=np.unpackbits(bits, axis=1, count=points).astype(bool),
-        kind=np.frombuffer(record, np.uint8, lanes, SHAPE.size).astype(np.int64),
+        kind=np.frombuffer(record, np.uint8, lanes, key_end).astype(np.int64),
     )
 
 

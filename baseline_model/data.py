@@ -77,12 +77,13 @@ class Batch(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Annotation:
-    """What a network learns from one image. `intrinsics` are in pixels of the network's image.
+    """What a network learns from the sample with this key. `intrinsics` are in pixels of the network's image.
 
     Curves have no repeats. Short ones are padded with their last point, so that y stays sorted; the padding is not
     visible.
     """
 
+    key: str
     intrinsics: Intrinsics
     plane: Pose
     target: Pose
@@ -111,7 +112,7 @@ def annotation_of(
         kind[i] = CENTERLINE if curve.kind == "centerline" else DELIMITER
     plane, target = Pose(labels.camera.pitch_rad, labels.camera.height_m), target_pose(labels, pose_mode)
     intrinsics = scale(intrinsics_of(labels), (labels.camera.height_px, labels.camera.width_px), size_px)
-    return Annotation(intrinsics, plane, target, xyz_cam, visible, kind)
+    return Annotation(key, intrinsics, plane, target, xyz_cam, visible, kind)
 
 
 def pack(annotations: Sequence[Annotation]) -> CurveBatch:

@@ -75,7 +75,6 @@ def spare_cores(neighbours: int = 1) -> int:
 class Example(NamedTuple):
     """One image of the network's size and what is to be learned from it."""
 
-    key: str
     image: Pixels
     annotation: Annotation
 
@@ -95,12 +94,12 @@ class Examples(Dataset[Example]):
         annotation, image = self._kept_annotation(index), self._kept_image(index)
         if annotation is None and image is None:
             sample = self._samples[index]  # both in one read
-            return Example(sample.key, self._keep_image(index, sample.image), self._annotate(index, sample.labels))
+            return Example(self._keep_image(index, sample.image), self._annotate(index, sample.key, sample.labels))
         if annotation is None:
-            annotation = self._annotate(index, labels_at(self._samples, index))
+            annotation = self._annotate(index, key_at(self._samples, index), labels_at(self._samples, index))
         if image is None:
             image = self._keep_image(index, image_at(self._samples, index))
-        return Example(key_at(self._samples, index), image, annotation)
+        return Example(image, annotation)
 
     def _kept_annotation(self, index: int) -> Annotation | None:
         record = None if self._annotations is None else self._annotations.get(index)
@@ -110,8 +109,7 @@ class Examples(Dataset[Example]):
         record = None if self._pixels is None else self._pixels.get(index)
         return None if record is None else pixels_from_bytes(record, self._size_px)
 
-    def _annotate(self, index: int, labels: Labels) -> Annotation:
-        key = key_at(self._samples, index)
+    def _annotate(self, index: int, key: str, labels: Labels) -> Annotation:
         annotation = annotation_of(key, labels, self._size_px, self._pose_mode, in_image_only=self._in_image_only)
         if self._annotations is not None:
             self._annotations.put(index, to_bytes(annotation))
@@ -214,7 +212,7 @@ def collate(examples: Sequence[Example]) -> Batch:
         curves=pack(annotations),
         plane_pose=torch.tensor([one.plane for one in annotations]),
         target_pose=torch.tensor([one.target for one in annotations]),
-        keys=tuple(example.key for example in examples),
+        keys=tuple(one.key for one in annotations),
     )
 
 

@@ -92,12 +92,9 @@ def prepare(config: TrainConfig, process: Process, out_dir: Path, about: dict[st
     """Start a new run, or resume the one in `out_dir`."""
     torch.manual_seed(config.seed)
     model = network_of(config.model)
-    if config.pretrained is not None:
-        if not isinstance(model, LaneNet):
-            raise InputError("pretrained: expected a named model with a vgg16 trunk (paper), got a network of your own")
-        about["pretrained"] = load_pretrained(model, config.pretrained)
-    if config.init is not None:
-        about["init"] = _start_from(model, config.init)
+    last = out_dir / "last.pt"
+    if not last.exists():
+        about |= _start(model, config)
     model = model.to(process.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
     trainee = Run(
         config,
@@ -106,10 +103,23 @@ def prepare(config: TrainConfig, process: Process, out_dir: Path, about: dict[st
         RunningAverage(model, config.ema_decay),
         optimizer_for(model, config, process.device),
     )
-    last = out_dir / "last.pt"
     if last.exists():
-        _resume(trainee, checkpoints.load(last), out_dir)
+        found = checkpoints.load(last)
+        _resume(trainee, found, out_dir)
+        about |= {name: found.about[name] for name in ("pretrained", "init") if name in found.about}
     return trainee
+
+
+def _start(model: nn.Module, config: TrainConfig) -> dict[str, str]:
+    """Load the weights that a new run starts from; return descriptions of them."""
+    about = {}
+    if config.pretrained is not None:
+        if not isinstance(model, LaneNet):
+            raise InputError("pretrained: expected a named model with a vgg16 trunk (paper), got a network of your own")
+        about["pretrained"] = load_pretrained(model, config.pretrained)
+    if config.init is not None:
+        about["init"] = _start_from(model, config.init)
+    return about
 
 
 def _resume(trainee: Run, found: checkpoints.Checkpoint, out_dir: Path) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import sys
 from pathlib import Path
 
@@ -122,6 +123,11 @@ def test_training_starts_from_the_weights_it_is_given(samples, tmp_path):
     names = [name for name, value in before.model.items() if value.is_floating_point() and "running" not in name]
     assert all(torch.allclose(before.model[name], after.model[name], atol=1e-12) for name in names)
     assert after.about["init"] == f"{first}, trained on 4 images"
+    first.unlink()
+    longer = config.model_copy(update={"epochs": 2.0})
+    train_on(longer, samples, samples, tmp_path / "tuned")
+    assert checkpoints.load(tmp_path / "tuned/last.pt").about["init"] == after.about["init"], "resumed without the file"
+    shutil.copy(tuned, first)
     narrower = _tiny(init=str(first), **{"model.head_channels": 16})
     with pytest.raises(InputError, match=r"init: expected weights of this network, got \d+ others in .*first head\."):
         train_on(narrower, samples, samples, tmp_path / "narrower")

@@ -135,14 +135,24 @@ def test_a_damaged_slot_is_made_anew(drawn, tmp_path):
         _equal(one, other)
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device without room")
+def test_a_full_disk_costs_the_cache_and_not_the_run():
+    from synth3dlanes_baseline.cache import SLOT_BYTES, Slots
+
+    slots = Slots(os.open("/dev/full", os.O_RDWR), SLOT_BYTES)
+    slots.put(3, b"record")
+    assert slots.get(3) is None
+
+
 def test_annotations_survive_their_file(roads):
     from synth3dlanes_baseline.cache import from_bytes, to_bytes
     from synth3dlanes_baseline.data import annotation_of
 
     rng = np.random.default_rng(0)
     for _ in range(10):
-        one = annotation_of("0", roads.random(rng), (90, 160), "plane")
+        one = annotation_of("clips/0é/1.jpg", roads.random(rng), (90, 160), "plane")
         other = from_bytes(to_bytes(one))
+        assert other.key == one.key
         assert np.float32(one.intrinsics).tolist() == list(other.intrinsics)
         assert np.float32([*one.plane, *one.target]).tolist() == [*other.plane, *other.target]
         for name in ("xyz_cam", "visible", "kind"):

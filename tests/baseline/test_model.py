@@ -15,7 +15,7 @@ def _batch(roads, n=2, size_px=(160, 120), seed=0):
 
     def example(sample):
         annotation = annotation_of(sample.key, sample.labels, (size_px[1], size_px[0]), "plane")
-        return Example(sample.key, np.asarray(sample.image), annotation)
+        return Example(np.asarray(sample.image), annotation)
 
     samples = roads.samples(np.random.default_rng(seed), n, size_px)
     return collate([example(sample) for sample in samples]).to(torch.device("cpu"))
