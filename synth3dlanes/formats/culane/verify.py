@@ -10,7 +10,14 @@ from PIL import Image
 from synth3dlanes.formats.band_score import score
 from synth3dlanes.formats.culane.convention import EVALUATED
 from synth3dlanes.formats.culane.read import CulaneEntry, Polyline, lines_path, parse_entry, parse_lines
-from synth3dlanes.formats.self_check import Verified, band_problems, image_problems, moved_aside, read_sidecars
+from synth3dlanes.formats.self_check import (
+    Verified,
+    band_problems,
+    controls,
+    image_problems,
+    moved_aside,
+    read_sidecars,
+)
 
 
 def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verified]:
@@ -22,17 +29,18 @@ def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Ve
         if not entries:
             continue
         true = [_read(out, entry) for entry in entries]
-        alone = [
-            ([line], [moved_aside(line, sidecars[entry.image])])
+        pairs = [
+            (line, moved_aside(line, sidecars[entry.image]))
             for lines, entry in zip(true, entries, strict=True)
             for line in lines
         ]
-        perfect, shifted = score([(lines, lines) for lines in true], EVALUATED), score(alone, EVALUATED)
+        perfect = score([(lines, lines) for lines in true], EVALUATED)
+        shifted = score(controls(pairs, EVALUATED), EVALUATED)
         problems = image_problems([out / entry.image for entry in entries], size_px)
         for entry, lines in zip(entries, true, strict=True):
             problems += _mask_problems(out, entry, lines)
-        problems += band_problems(name, perfect, shifted) if alone else ()
-        yield Verified(name, len(entries), len(alone), asdict(perfect), asdict(shifted), tuple(problems))
+        problems += band_problems(name, perfect, shifted) if pairs else ()
+        yield Verified(name, len(entries), len(pairs), asdict(perfect), asdict(shifted), tuple(problems))
 
 
 def _read(out: Path, entry: CulaneEntry) -> tuple[Polyline, ...]:

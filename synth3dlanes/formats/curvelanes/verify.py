@@ -9,7 +9,14 @@ import numpy as np
 from synth3dlanes.formats.band_score import score
 from synth3dlanes.formats.curvelanes.convention import EVALUATED, FINER
 from synth3dlanes.formats.curvelanes.read import labels_path, parse
-from synth3dlanes.formats.self_check import Verified, band_problems, image_problems, moved_aside, read_sidecars
+from synth3dlanes.formats.self_check import (
+    Verified,
+    band_problems,
+    controls,
+    image_problems,
+    moved_aside,
+    read_sidecars,
+)
 
 
 def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verified]:
@@ -21,13 +28,13 @@ def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Ve
         images = [f"{part}/{image}" for image in path.read_text().splitlines()[:most_frames]]
         if not images:
             continue
-        true, alone = [], []
+        true, pairs = [], []
         for image in images:
             lines = parse((out / labels_path(image)).read_text(), labels_path(image))
             moved = [moved_aside(line, sidecars[image]) for line in lines]
             true.append([line * scale for line in lines])
-            alone += [([line * finer], [other * finer]) for line, other in zip(lines, moved, strict=True)]
-        perfect, shifted = score([(lines, lines) for lines in true], EVALUATED), score(alone, FINER)
+            pairs += [(line * finer, other * finer) for line, other in zip(lines, moved, strict=True)]
+        perfect, shifted = score([(lines, lines) for lines in true], EVALUATED), score(controls(pairs, FINER), FINER)
         problems = image_problems([out / image for image in images], size_px)
-        problems += band_problems(part, perfect, shifted) if alone else ()
-        yield Verified(part, len(images), len(alone), asdict(perfect), asdict(shifted), tuple(problems))
+        problems += band_problems(part, perfect, shifted) if pairs else ()
+        yield Verified(part, len(images), len(pairs), asdict(perfect), asdict(shifted), tuple(problems))
