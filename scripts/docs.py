@@ -9,7 +9,7 @@ from pydantic import BaseModel, ValidationError
 from synth3dlanes_cli.main import main
 
 from synth3dlanes.assets.catalogue import BUILT_IN
-from synth3dlanes.params import Params, load_params, presets_folder
+from synth3dlanes.params import Params, forms, load_params, presets_folder
 from synth3dlanes.scene import Scene
 
 FOLDER = Path(__file__).parents[1] / "docs"
@@ -99,7 +99,7 @@ def commands() -> list[tuple[str, click.Command]]:
 
 def params_page() -> str:
     """Every key: what it may be, what two presets say, what it means."""
-    paper, realistic = (load_params(name).model_dump() for name in ("appendix_i", "realistic"))
+    paper, realistic = (forms(load_params(name)) for name in ("appendix_i", "realistic"))
     legal, comments = legal_values(), preset_comments()
     parts = [PARAMS_HEAD]
     for group, keys in paper.items():

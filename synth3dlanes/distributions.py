@@ -14,7 +14,7 @@ from pydantic import PlainSerializer, PlainValidator
 
 MAX_WEIGHT = 1e12
 
-Value = TypeVar("Value", bool, int, float)
+Value = TypeVar("Value", bool, int, float, str)
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Choice(Generic[Value]):
         )
 
 
-def _form(distribution: Uniform | Integers | Choice[Any]) -> Any:
+def form(distribution: Uniform | Integers | Choice[Any]) -> Any:
     """The YAML form that a distribution was read from."""
     if not isinstance(distribution, Choice):
         return [distribution.low, distribution.high]
@@ -66,8 +66,8 @@ def _form(distribution: Uniform | Integers | Choice[Any]) -> Any:
     return dict(zip(distribution.values, distribution.weights, strict=True))
 
 
-Real = Annotated[Uniform | Choice[float], PlainSerializer(_form)]
-Integer = Annotated[Integers | Choice[int], PlainSerializer(_form)]
+Real = Annotated[Uniform | Choice[float], PlainSerializer(form)]
+Integer = Annotated[Integers | Choice[int], PlainSerializer(form)]
 
 
 def _is_real(value: object) -> bool:
@@ -153,4 +153,14 @@ def _parse_flag(form: Any) -> Choice[bool]:
     return _choice(form, lambda value: isinstance(value, bool), "true, false or {true: weight, false: weight}")
 
 
-Flag = Annotated[Choice[bool], PlainSerializer(_form), PlainValidator(_parse_flag)]
+def names(*legal: str) -> PlainValidator:
+    """The legal names of a parameter that is one of several kinds."""
+
+    def parse(form: Any) -> Choice[str]:
+        return form if isinstance(form, Choice) else _choice(form, legal.__contains__, f"one of {', '.join(legal)}")
+
+    return PlainValidator(parse)
+
+
+Named = Annotated[Choice[str], PlainSerializer(form)]
+Flag = Annotated[Choice[bool], PlainSerializer(form), PlainValidator(_parse_flag)]

@@ -9,10 +9,21 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import yaml
-from pydantic import BaseModel, ConfigDict, PlainValidator, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError
 
 from synth3dlanes.assets.catalogue import BUILT_IN, AssetKind, Assets
-from synth3dlanes.distributions import Choice, Flag, Integer, Integers, Real, integers, is_pair, parse_integers, reals
+from synth3dlanes.distributions import (
+    Choice,
+    Flag,
+    Integer,
+    Integers,
+    Real,
+    form,
+    integers,
+    is_pair,
+    parse_integers,
+    reals,
+)
 from synth3dlanes.errors import InputError
 from synth3dlanes.schema import shown
 from synth3dlanes.yaml_text import read_yaml
@@ -22,6 +33,8 @@ Orientation = Annotated[Real, reals(-360, 360)]
 Offset = Annotated[Real, reals(-50, 50)]
 # Of models or textures of one kind, if the assets are unknown.
 MAX_NUMBER = 9999
+# Groups that were added later; parameters without them have their defaults.
+OPTIONAL: tuple[str, ...] = ()
 # With more keys missing there is one line for all.
 MAX_MISSING = 3
 
@@ -32,17 +45,23 @@ def numbers(kind: AssetKind) -> PlainValidator:
     The range of all built-in ones, as in the presets, stands for all of the context. Without a context, as in
     `dataset.json`, any number is legal.
     """
-    return PlainValidator(lambda form, info: _parse_numbers(form, kind, info.context))
+    return PlainValidator(lambda read, info: _parse_numbers(read, kind, info.context))
 
 
-def _parse_numbers(form: Any, kind: AssetKind, assets: Assets | None) -> Integers | Choice[int]:
-    if assets is not None and is_pair(form) and list(form) == [1, Assets.OURS[kind]]:
+def _parse_numbers(read: Any, kind: AssetKind, assets: Assets | None) -> Integers | Choice[int]:
+    if assets is not None and is_pair(read) and list(read) == [1, Assets.OURS[kind]]:
         return Integers(1, assets.count(kind))
-    return parse_integers(form, 1, assets.count(kind) if assets else MAX_NUMBER)
+    return parse_integers(read, 1, assets.count(kind) if assets else MAX_NUMBER)
+
+
+def added(default: Any) -> Any:
+    """A key that was added later: parameters without it have this constant, and `dataset.json` leaves it out then."""
+    constant = Choice((default,), (1.0,))
+    return Field(default=constant, exclude_if=lambda value: value == constant)
 
 
 class Group(BaseModel):
-    """A frozen group of parameters; every key is required, unknown keys are errors."""
+    """A frozen group of parameters; keys without a default are required, unknown keys are errors."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -235,9 +254,14 @@ def check_params(sources: Iterable[str], overrides: Sequence[str] = ()) -> None:
         raise InputError(*dict.fromkeys(problems))
 
 
+def forms(params: Params) -> dict[str, dict[str, Any]]:
+    """The YAML form of every key, by group and key."""
+    return {name: {key: form(distribution) for key, distribution in group} for name, group in params}
+
+
 def params_yaml(params: Params) -> str:
     """The parameters as a YAML file that `load_params` reads back to equal Params."""
-    return yaml.safe_dump(params.model_dump(), sort_keys=False, default_flow_style=None, width=100)
+    return yaml.safe_dump(forms(params), sort_keys=False, default_flow_style=None, width=100)
 
 
 def _override(document: dict[Any, Any], overrides: Iterable[str]) -> tuple[set[str], list[str]]:
@@ -252,7 +276,7 @@ def _override(document: dict[Any, Any], overrides: Iterable[str]) -> tuple[set[s
             continue
         value, value_problems = read_yaml(text, f"overrides {path.strip()}")
         problems += value_problems
-        group = document.get(steps[0])
+        group = document.setdefault(steps[0], {}) if steps[0] in OPTIONAL else document.get(steps[0])
         if isinstance(group, dict) and not value_problems:
             group[steps[1]] = value
             done.add(path.strip())

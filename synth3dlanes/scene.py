@@ -4,7 +4,7 @@ World frame, metres and radians. Pure data: nothing here reads files or computes
 added later; older scenes can still be read and render as before.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -15,6 +15,12 @@ from synth3dlanes.settings import MAX_SAMPLES
 from synth3dlanes.streams import stream
 
 SCENE_VERSION = 1
+
+
+def added(default: Any) -> Any:
+    """A field that `scene.json` leaves out at its default, so that scenes without it keep their bytes."""
+    return Field(default=default, exclude_if=lambda value: value == default)
+
 
 Color = tuple[Unit, Unit, Unit]
 # Of models, textures and skies of one kind.
