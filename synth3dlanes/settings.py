@@ -43,8 +43,8 @@ def choose_device(asked: str, found: Sequence[Device]) -> str:
 
 # Semantic ids of pixels; a material carries its id as its pass index.
 SEMANTIC_IDS = {"sky": 0, "terrain": 1, "road": 2, "shoulder": 3, "marking": 4, "car": 5, "tree": 6}
-# `symbol` is paint that bounds no lane (arrows, stop lines, crosswalks, gores), `host` the host's own bonnet. Botts' dots
-# are markings, tar lines are road, grass is terrain.
+# `symbol` is paint that bounds no lane (arrows, stop lines, crosswalks, gores), `host` the host's own bonnet. Botts'
+# dots are markings, tar lines are road, grass is terrain.
 SEMANTIC_IDS |= {"symbol": 7, "barrier": 8, "pole": 9, "sign": 10, "bridge": 11, "building": 12, "kerb": 13, "host": 14}
 
 # Instance ids of pixels: car i has FIRST_CAR_ID + i, delimiter i (in the order of the labels) FIRST_DELIMITER_ID + i,

@@ -52,9 +52,9 @@ def test_every_group_is_explained() -> None:
 
 def test_every_parameter_has_its_meaning_in_the_reference_preset() -> None:
     from scripts.docs import preset_comments
-    from synth3dlanes.params import load_params
+    from synth3dlanes.params import forms, load_params
 
-    keys = {(group, key) for group, values in load_params("appendix_i").model_dump().items() for key in values}
+    keys = {(group, key) for group, values in forms(load_params("appendix_i")).items() for key in values}
     assert set(preset_comments()) == keys
 
 
