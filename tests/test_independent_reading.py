@@ -143,7 +143,9 @@ def in_body(xy, middle, heading, length, width):
     return (np.abs(ahead) < length / 2) & (np.abs(aside) < width / 2)
 
 
-@pytest.mark.parametrize("preset", ["appendix_i", "realistic", "diverse", "tiny", "apollo_camera", "openlane_camera"])
+@pytest.mark.parametrize(
+    "preset", ["appendix_i", "realistic", "diverse", "tiny", "apollo_camera", "openlane_camera", "tusimple_camera"]
+)
 @pytest.mark.parametrize("n", [60, pytest.param(2000, marks=[pytest.mark.slow, pytest.mark.timeout(1800)])])
 def test_the_host_stands_in_its_lane_and_in_no_car(preset, n):
     """At most `offset_m` off the centre, on the side that it says; all four topologies, both flips."""
