@@ -247,7 +247,7 @@ def _parking(plan: RoadPlan, s_m: float, width_m: float, rng: np.random.Generato
     """
     lanes = plan.road.segments_at(s_m)
     outermost = [lanes[0] if plan.flips[0] < 0 else lanes[-1]]
-    if plan.has_exit and plan.plan_station(np.array(s_m)) > -PARKING_BEFORE_EXIT_M:
+    if plan.has_exit and s_m * plan.flips[1] > -PARKING_BEFORE_EXIT_M:
         outermost = []
     if plan.n_oncoming:
         outermost.append(plan.road.oncoming_segments[0 if plan.flips[0] > 0 else -1])
