@@ -69,6 +69,7 @@ def label(world: World, view: View) -> Labels:
             object_visible=None,
             color=paint_color(curve, world.scene.markings),
             double=is_double(curve, world.scene.markings),
+            direction=curve.direction,
         )
         for curve, xyz, inside, visible in zip(
             sampled, np.split(points_cam, ends), np.split(in_image, ends), np.split(seen, ends), strict=True

@@ -80,12 +80,13 @@ class TerrainParams(Group):
 
 
 class RoadParams(Group):
-    """Topology, top view and ramp."""
+    """Topology, top view and ramp, and the oncoming lanes. Topologies 3 and 4 need two lanes and have at least two; a
+    `median_m` below 1 is none, and a bend too sharp for the oncoming lanes leaves them out."""
 
     topology: Annotated[Integer, integers(1, 4)]
     flip_longitudinal: Flag
     flip_lateral: Flag
-    n_lanes: Annotated[Integer, integers(2, 8)]
+    n_lanes: Annotated[Integer, integers(1, 8)]
     lane_width_m: Annotated[Real, reals(2, 6)]
     shoulder_factor: Annotated[Real, reals(0, 2)]
     offset_m100_m: Offset
@@ -96,6 +97,9 @@ class RoadParams(Group):
     exit_offset_m: Annotated[Real, reals(0, 50)]
     ramp_height_m: Annotated[Real, reals(0, 20)]
     ramp_slope: Annotated[Real, reals(0, 200, above=True)]
+    n_oncoming: Annotated[Integer, integers(0, 4)] = added(0)
+    median_m: Annotated[Real, reals(0, 30)] = added(0.0)
+    divider_dashed: Flag = added(False)
 
 
 class MarkingsParams(Group):
@@ -126,7 +130,7 @@ class SurfaceParams(Group):
 
 
 class CarParams(Group):
-    """Cars; `color` is drawn once per channel, `saturation` per car."""
+    """Cars; `color` is drawn once per channel, `saturation` and `parked` per car."""
 
     n: Annotated[Integer, integers(0, 100)]
     model: Annotated[Integer, numbers("cars")]
@@ -135,6 +139,7 @@ class CarParams(Group):
     saturation: Fraction
     gloss: Fraction
     s_m: Annotated[Real, reals(-150, 150)]
+    parked: Fraction = added(0.0)
 
 
 class TreeParams(Group):

@@ -16,8 +16,10 @@ from synth3dlanes.distributions import Choice, Integers, Uniform
 from synth3dlanes.errors import InputError
 from synth3dlanes.geometry import placement
 from synth3dlanes.geometry.camera import world_from_road
+from synth3dlanes.geometry.road import RoadPlan, is_wide_enough
 from synth3dlanes.params import CameraParams, Group, Params
 from synth3dlanes.scene import (
+    MIN_MEDIAN_M,
     SCENE_VERSION,
     Air,
     Camera,
@@ -43,6 +45,8 @@ from synth3dlanes.world import World, resolve
 DECIMALS = 6
 CAR_GAP_M = (1.0, 0.3)
 TRIES = 300
+# Cars park at least this far before a split, or behind a merge.
+PARKING_BEFORE_EXIT_M = 20.0
 # From this many scenes on, several processes are faster than one; each draws CHUNK scenes at a time.
 WORTH_PROCESSES, CHUNK = 200, 25
 # Least distance of a tree from the pavement: metres plus this share of its crown's radius.
@@ -88,7 +92,8 @@ def sample_world(params: Params, seed: int, split: str, index: int, assets: Asse
     car_places = Draw(params.cars, stream(seed, split, index, "car_places"))
     tree_places = Draw(params.trees, stream(seed, split, index, "tree_places"))
     paints = Draw(params.cars, stream(seed, split, index, "car_saturation"))
-    cars = _cars(world, draws["cars"], paints, car_places)
+    parking = Draw(params.cars, stream(seed, split, index, "parked_cars"))
+    cars = _cars(world, draws["cars"], paints, car_places, parking)
     trees = _trees(world, draws["trees"], tree_places)
     return replace(world, scene=bare.model_copy(update={"cars": cars, "trees": trees}))
 
@@ -164,7 +169,13 @@ def _terrain(draw: Draw) -> Terrain:
 
 
 def _road(draw: Draw) -> Road:
-    return Road(**{field: draw(field.replace("_rad", "_deg")) for field in Road.model_fields})
+    drawn = {field: draw(field.replace("_rad", "_deg")) for field in Road.model_fields}
+    if drawn["topology"] > 2:
+        drawn["n_lanes"] = max(drawn["n_lanes"], 2)
+    if drawn["n_oncoming"] == 0 or drawn["median_m"] < MIN_MEDIAN_M:
+        drawn["median_m"] = 0.0
+    road = Road(**drawn)
+    return road if is_wide_enough(road) else road.model_copy(update={"n_oncoming": 0, "median_m": 0.0})
 
 
 def _camera(params: CameraParams, draw: Draw, road: Road) -> Camera:
@@ -195,9 +206,10 @@ def _host_lane(lanes: Integers | Choice[int], u: float, present: int) -> int:
     return min(lanes.draw(u), present)
 
 
-def _cars(world: World, looks: Draw, paints: Draw, places: Draw) -> tuple[Car, ...]:
+def _cars(world: World, looks: Draw, paints: Draw, places: Draw, parking: Draw) -> tuple[Car, ...]:
     scene = world.scene
     taken = [placement.host_footprint(world_from_road(world.plan, scene.camera))]
+    parked = parking("parked")
     cars = []
     for number in range(looks("n")):
         model, scale = looks("model"), looks("scale")
@@ -205,19 +217,51 @@ def _cars(world: World, looks: Draw, paints: Draw, places: Draw) -> tuple[Car, .
         gloss = looks("gloss")
         body = scene.assets.car_models[model - 1]
         size = body.length_m * scale + CAR_GAP_M[0], body.width_m * scale + CAR_GAP_M[1]
+        is_parked = parking.rng.random() < parked
         for _ in range(TRIES):
             s_m = places("s_m")
-            lanes = scene.road.segments_at(s_m)
+            lanes = (*scene.road.segments_at(s_m), *scene.road.oncoming_segments)
             lane = lanes[int(places.rng.random() * len(lanes))]
-            place = placement.footprint(*placement.lane_place(world.plan, lane, s_m), *size)
+            offset_m = 0.0
+            if is_parked and (found := _parking(world.plan, s_m, size[1], parking.rng)):
+                lane, offset_m = found
+            place = placement.footprint(*placement.car_place(world.plan, lane, s_m, offset_m), *size)
             if not placement.overlaps_any(place, np.array(taken)):
                 break
         else:
             raise InputError(f"cars.n: no room for car {number + 1} within cars.s_m of scene {scene.index}")
         taken.append(place)
         saturation = paints("saturation")
-        cars.append(Car(model=model, scale=scale, color=color, gloss=gloss, lane=lane, s_m=s_m, saturation=saturation))
+        cars.append(
+            Car(
+                model=model,
+                scale=scale,
+                color=color,
+                gloss=gloss,
+                lane=lane,
+                s_m=s_m,
+                saturation=saturation,
+                offset_m=offset_m,
+            )
+        )
     return tuple(cars)
+
+
+def _parking(plan: RoadPlan, s_m: float, width_m: float, rng: np.random.Generator) -> tuple[str, float] | None:
+    """A lane at whose outer shoulder a car can stand, and its offset there to the driver's right; None without room.
+
+    Nobody parks where an exit opens.
+    """
+    lanes = plan.road.segments_at(s_m)
+    outermost = [lanes[0] if plan.flips[0] < 0 else lanes[-1]]
+    if plan.has_exit and s_m * plan.flips[1] > -PARKING_BEFORE_EXIT_M:
+        outermost = []
+    if plan.n_oncoming:
+        outermost.append(plan.road.oncoming_segments[0 if plan.flips[0] > 0 else -1])
+    if not outermost or plan.shoulder_m < width_m:
+        return None
+    offset_m = float(plan.flips[0]) * (plan.width_m + plan.shoulder_m) / 2
+    return outermost[int(rng.random() * len(outermost))], round(offset_m, DECIMALS)
 
 
 def _trees(world: World, looks: Draw, places: Draw) -> tuple[Tree, ...]:

@@ -25,6 +25,8 @@ def added(default: Any) -> Any:
 Color = tuple[Unit, Unit, Unit]
 # Of models, textures and skies of one kind.
 MAX_ASSETS = 9999
+# Narrower medians have no room for the edge lines at both sides.
+MIN_MEDIAN_M = 1.0
 AssetNumber = Annotated[int, Field(ge=1, le=MAX_ASSETS)]
 
 
@@ -44,12 +46,16 @@ class Terrain(Part):
 
 
 class Road(Part):
-    """Top view and ramp of the main road and its exit (Appendix I, Tables 'Topology' to 'Lane 3D')."""
+    """Top view and ramp of the main road and its exit (Appendix I, Tables 'Topology' to 'Lane 3D').
+
+    `n_oncoming` lanes of traffic the other way lie on the side opposite the exit, beyond a median of `median_m` between
+    the edge lines, or without one beyond one line that divides the traffic (`divider_dashed` or solid).
+    """
 
     topology: Annotated[int, Field(ge=1, le=4)]
     flip_longitudinal: bool
     flip_lateral: bool
-    n_lanes: Annotated[int, Field(ge=2, le=8)]
+    n_lanes: Annotated[int, Field(ge=1, le=8)]
     lane_width_m: Annotated[float, Field(gt=0, le=1000)]
     shoulder_factor: Annotated[float, Field(ge=0, le=1000)]
     offset_m100_m: Metres
@@ -60,6 +66,18 @@ class Road(Part):
     exit_offset_m: Annotated[float, Field(ge=0, le=1000)]
     ramp_height_m: Annotated[float, Field(ge=0, le=1000)]
     ramp_slope: Positive
+    n_oncoming: Annotated[int, Field(ge=0, le=8)] = added(0)
+    median_m: Annotated[float, Field(ge=0, le=100)] = added(0.0)
+    divider_dashed: bool = added(False)
+
+    @model_validator(mode="after")
+    def _has_room(self) -> "Road":
+        """Check that there are enough lanes for the topology, and room for the median."""
+        if self.n_lanes < 2 and self.topology > 2:
+            raise ValueError(f"n_lanes: expected at least 2 with topology {self.topology}, got {self.n_lanes}")
+        if 0 < self.median_m < MIN_MEDIAN_M:
+            raise ValueError(f"median_m: expected 0 or at least {MIN_MEDIAN_M:g}, got {self.median_m:g}")
+        return self
 
     @property
     def n_exit_lanes(self) -> int:
@@ -72,14 +90,19 @@ class Road(Part):
         return self.n_lanes - 1 if self.topology == 4 else self.n_lanes
 
     def segments_at(self, s_m: float) -> tuple[str, ...]:
-        """The ids of the lane segments at a world station, from the left, the main road's first."""
+        """The ids of the host's lane segments at a world station, from the left, the main road's first."""
         if self.topology > 1 and (-s_m if self.flip_lateral else s_m) < 0:
             return tuple(f"stem_{lane}" for lane in range(1, self.n_lanes + 1))
         main = (f"main_{lane}" for lane in range(1, self.n_main_after + 1))
         return (*main, *(f"exit_{lane}" for lane in range(1, self.n_exit_lanes + 1)))
 
+    @property
+    def oncoming_segments(self) -> tuple[str, ...]:
+        """The ids of the lane segments of oncoming traffic, from the host's left."""
+        return tuple(f"oncoming_{lane}" for lane in range(1, self.n_oncoming + 1))
+
     def lanes_present(self, s_m: float) -> int:
-        """Number of main-road lanes at a world station."""
+        """Number of the main road's lanes in the host's direction at a world station."""
         return sum(not segment.startswith("exit") for segment in self.segments_at(s_m))
 
 
@@ -113,9 +136,9 @@ class Surface(Part):
 
 
 class Car(Part):
-    """A car on the centre of lane segment `lane` (its id in the lane graph) at station `s_m` (world y on the
-    main reference line), heading as the host does. Models are numbered from 1. `saturation` mixes the body's colour (1)
-    with the gray of its first channel (0)."""
+    """A car in lane segment `lane` (its id in the lane graph) at station `s_m` (world y on the main reference line),
+    heading as the lane does, `offset_m` to its driver's right of the lane's centre: parked cars stand on a shoulder.
+    Models are numbered from 1. `saturation` mixes the body's colour (1) with the gray of its first channel (0)."""
 
     model: AssetNumber
     scale: Positive
@@ -124,6 +147,7 @@ class Car(Part):
     lane: Name
     s_m: Metres
     saturation: Unit = 1.0
+    offset_m: Metres = added(0.0)
 
 
 class Tree(Part):
@@ -257,7 +281,7 @@ class Scene(Part):
                 f"camera.lane: expected at most {present} at y_m = {self.camera.y_m:g}, got {self.camera.lane}"
             )
         for i, car in enumerate(self.cars):
-            lanes = self.road.segments_at(car.s_m)
+            lanes = (*self.road.segments_at(car.s_m), *self.road.oncoming_segments)
             if car.lane not in lanes:
                 raise ValueError(
                     f"cars.{i}.lane: expected one of {', '.join(lanes)} at s_m = {car.s_m:g}, got {car.lane}"

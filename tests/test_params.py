@@ -85,8 +85,8 @@ def test_realistic_ramps_rise_by_four_to_eight_percent() -> None:
         ("exposure: [1, 3]", "exposure: {}", "light.exposure: expected numbers"),
         ("exposure: [1, 3]", "exposure: [1, 3", "not YAML: "),
         ("exposure: [1, 3]", "exposure: !!python/object/apply:os.getcwd []", "not YAML: "),
-        ("n_lanes: [2, 4]", "n_lanes: [2, 9]", "road.n_lanes: expected integers from 2 to 8"),
-        ("n_lanes: [2, 4]", "n_lanes: [2, 3.5]", "road.n_lanes: expected integers from 2 to 8"),
+        ("n_lanes: [2, 4]", "n_lanes: [2, 9]", "road.n_lanes: expected integers from 1 to 8"),
+        ("n_lanes: [2, 4]", "n_lanes: [2, 3.5]", "road.n_lanes: expected integers from 1 to 8"),
         ("dash_fraction: [0.3, 1]", "dash_fraction: [0, 1]", "markings.dash_fraction: expected numbers in (0, 1]"),
         ("flip_lateral: {true: 1, false: 1}", "flip_lateral: 1", "road.flip_lateral: expected true, false or {true:"),
     ],
@@ -100,7 +100,7 @@ def test_a_mistake_is_one_line_that_names_file_and_key(old: str, new: str, expec
 
 def test_all_mistakes_come_at_once(tmp_path: Path) -> None:
     text = APPENDIX_I.replace("pitch_deg: [0, 5]", "pitch_deg: [5, 0]").replace("model: [1, 6]", "model: 7")
-    found = problems(text, tmp_path, ("road.n_lanes=1", "light.expsure=2", "light"))
+    found = problems(text, tmp_path, ("road.n_lanes=0", "light.expsure=2", "light"))
     keys = sorted(line.split(": ")[0] for line in found)
     assert keys == sorted(
         [

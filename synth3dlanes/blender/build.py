@@ -132,7 +132,7 @@ def _add_surfaces(materials: Materials, world: World, view: View, labelled: Sequ
     for mesh in [world.terrain, *world.verges]:
         _add_object(new_mesh(mesh, [terrain]), 0)
     for mesh in world.pavement:
-        _add_object(new_mesh(mesh, [road, shoulder]), 0)
+        _add_object(new_mesh(mesh, [road, shoulder, terrain]), 0)
     strips = world.paint(view)
     colors = {line.id: paint_color(line, scene.markings) for line in world.lines}
     for number, name in enumerate([*labelled, *(name for name in strips if name not in labelled)]):

@@ -117,6 +117,11 @@ def _through(ground: Ground, camera: CameraLabel, passes: Passes) -> Iterator[Fi
     v, u = np.nonzero((semantic == SEMANTIC_IDS["terrain"]) & (depth_m < NEAR_M))
     rays_cam = np.column_stack([STEP * u + 0.5, STEP * v + 0.5, np.ones(len(u))]) @ np.linalg.inv(camera.img_from_cam).T
     points = transform(camera.world_from_cam, rays_cam * depth_m[v, u, None].astype(float))
-    through = int((ground.clearance(points[:, :2]) < -INSIDE_M).sum())
+    inside = ground.clearance(points[:, :2]) < -INSIDE_M
+    grass = meshes.median_grass_m(ground)
+    if grass is not None:
+        _, t = ground.plan.project_main(points[:, :2])
+        inside &= (t < grass[0] - INSIDE_M) | (t > grass[1] + INSIDE_M)
+    through = int(inside.sum())
     if through > MAX_THROUGH:
         yield Finding("", f"passes: expected pavement, got terrain at {through} pixels of {len(u)} on the road")
