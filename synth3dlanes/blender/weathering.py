@@ -20,8 +20,8 @@ FILM_ROUGHNESS, PUDDLE_ROUGHNESS = 0.22, 0.03
 # width of the transition.
 RUB_LENGTHS_M, RUB_WEIGHTS, RUB_SOFTNESS = (0.9, 6.5), (0.6, 0.4), 0.06
 MAP = "terrain_macro.jpg"
-# Snow (linear). It lies where the map of rubbed paint, stretched by SNOW_STRETCH, is low; its level is lower by TRACK in
-# wheel tracks, this far from the middle of a lane and this wide.
+# Snow (linear). It lies where the map of rubbed paint, stretched by SNOW_STRETCH, is low; its level is lower by TRACK
+# in wheel tracks, this far from the middle of a lane and this wide.
 SNOW, SNOW_STRETCH, SNOW_SOFTNESS = (0.72, 0.76, 0.82), 2.5, 0.12
 TRACK, TRACK_M, TRACK_HALF_M = 0.35, 0.8, 0.32
 

@@ -13,7 +13,14 @@ from scipy.spatial import ConvexHull, cKDTree
 from synth3dlanes.frames import invert, project, transform
 from synth3dlanes.geometry.terrain import gradient_at, height_at
 from synth3dlanes.labels import CameraLabel, Labels
-from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS
+from synth3dlanes.settings import (
+    FIRST_CAR_ID,
+    FIRST_DELIMITER_ID,
+    FIRST_STRUCTURE_ID,
+    FIRST_TREE_ID,
+    HOST_ID,
+    SEMANTIC_IDS,
+)
 from synth3dlanes.validate.findings import PROOF_M, Finding, Measure
 from synth3dlanes.validate.paint import Paint
 from synth3dlanes.validate.passes_proof import Passes
@@ -38,10 +45,11 @@ MAX_SHARE_OFF, SLACK_PX = 0.25, 6
 # A car with a corner nearer than this is too close for an estimate from its box.
 MIN_CORNER_M = 0.5
 
-KIND_OF_ID = np.zeros(FIRST_TREE_ID + 1, dtype=np.uint8)
+KIND_OF_ID = np.zeros(HOST_ID + 2, dtype=np.uint8)
 KIND_OF_ID[FIRST_CAR_ID:FIRST_DELIMITER_ID] = SEMANTIC_IDS["car"]
 KIND_OF_ID[FIRST_DELIMITER_ID:FIRST_TREE_ID] = SEMANTIC_IDS["marking"]
-KIND_OF_ID[FIRST_TREE_ID:] = SEMANTIC_IDS["tree"]
+KIND_OF_ID[FIRST_TREE_ID:FIRST_STRUCTURE_ID] = SEMANTIC_IDS["tree"]
+KIND_OF_ID[HOST_ID] = SEMANTIC_IDS["host"]
 
 Values = Float[np.ndarray, " n"]
 Points = Float[np.ndarray, "n 3"]
@@ -72,7 +80,7 @@ def _kind(instance: Ids) -> Ids:
 def _agreement(semantic: Ids, instance: Ids) -> Iterator[Finding]:
     """Findings where semantic and instance ids disagree about the kind of object."""
     kind = _kind(instance)
-    for name in ("car", "marking", "tree"):
+    for name in ("car", "marking", "tree", "host"):
         is_semantic, is_instance = semantic == SEMANTIC_IDS[name], kind == SEMANTIC_IDS[name]
         wrong = int((is_semantic != is_instance).sum())
         if wrong > MAX_SINGLE:
