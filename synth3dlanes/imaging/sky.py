@@ -22,7 +22,7 @@ CLOUD_ALBEDO = 0.75
 # civil twilight, at 6 degrees); its red turns to blue within BLUE_DEG. The sun's disc sets within SET_DEG.
 DUSK_PER_DEG, DUSK_TINT, BLUE_DEG, SET_DEG = 0.42, np.array([0.55, 0.95, 1.1], np.float32), 2.5, 0.53
 # Skyglow over lit land: radiance at the horizon, and its share at the zenith. Clouds return GLOW_OF_CLOUDS times more.
-GLOW, GLOW_AT_ZENITH, GLOW_OF_CLOUDS = np.array([5.2e-7, 3.9e-7, 2.9e-7]), 0.25, 4.0
+GLOW, GLOW_AT_ZENITH, GLOW_OF_CLOUDS = np.array([3.2e-7, 2.5e-7, 1.9e-7]), 0.25, 4.0
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 ELEVATION_RAD = (np.pi * ((np.arange(SKY_SHAPE[0]) + 0.5) / SKY_SHAPE[0] - 0.5)).astype(np.float32)
 AZIMUTH_RAD = np.pi - 2 * np.pi * (np.arange(SKY_SHAPE[1]) + 0.5) / SKY_SHAPE[1]
@@ -56,12 +56,12 @@ def dusk(light: Light) -> Rgb:
     return np.asarray(DUSK_PER_DEG**below_deg * DUSK_TINT ** min(below_deg / BLUE_DEG, 1.0), np.float32)
 
 
-def skyglow(light: Light, hidden: float) -> Float[np.ndarray, "3 h 1"]:
+def skyglow(light: Light, overcast: float) -> Float[np.ndarray, "3 h 1"]:
     """The glow of lit land in the night sky, brighter towards the horizon and under clouds."""
     begun = np.float32(min(_below_deg(light) / 4, 1.0))
     rise = np.sin(ELEVATION_RAD[HORIZON:])
     shape = GLOW_AT_ZENITH + (1 - GLOW_AT_ZENITH) * (1 - rise) ** 3
-    return np.asarray(begun * (1 + GLOW_OF_CLOUDS * hidden) * GLOW[:, None, None] * shape[:, None])
+    return np.asarray(begun * (1 + GLOW_OF_CLOUDS * overcast) * GLOW[:, None, None] * shape[:, None])
 
 
 def cloud_cover(rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
