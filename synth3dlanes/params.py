@@ -34,7 +34,7 @@ Offset = Annotated[Real, reals(-50, 50)]
 # Of models or textures of one kind, if the assets are unknown.
 MAX_NUMBER = 9999
 # Groups that were added later; parameters without them have their defaults.
-OPTIONAL: tuple[str, ...] = ()
+OPTIONAL: tuple[str, ...] = ("symbols",)
 # With more keys missing there is one line for all.
 MAX_MISSING = 3
 
@@ -111,6 +111,7 @@ class MarkingsParams(Group):
     left_double: Flag
     wear: Fraction
     missing: Fraction
+    dots: Flag = added(False)
 
 
 class SurfaceParams(Group):
@@ -124,6 +125,19 @@ class SurfaceParams(Group):
     texture_orientation_deg: Orientation
     wetness: Fraction
     shoulder_texture: Annotated[Integer, integers(1, 2)]
+    tar: Fraction = added(0.0)
+    joint: Fraction = added(0.0)
+    ghost_lines: Fraction = added(0.0)
+
+
+class SymbolParams(Group):
+    """Paint that bounds no lane. Symbols for which there is no room are left out."""
+
+    arrow_rows: Annotated[Integer, integers(0, 20)] = added(0)
+    stop_lines: Annotated[Integer, integers(0, 10)] = added(0)
+    crosswalks: Annotated[Integer, integers(0, 10)] = added(0)
+    gore: Flag = added(False)
+    s_m: Annotated[Real, reals(-150, 150)] = added(0.0)
 
 
 class CarParams(Group):
@@ -205,6 +219,7 @@ class Params(Group):
     light: LightParams
     air: AirParams
     sensor: SensorParams
+    symbols: SymbolParams = Field(default=SymbolParams(), exclude_if=lambda group: group == SymbolParams())
 
 
 def presets_folder() -> Path:

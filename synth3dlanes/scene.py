@@ -10,8 +10,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from synth3dlanes.assets.catalogue import AssetKind, Assets
-from synth3dlanes.schema import MAX_PX, Metres, Name, Number, Part, Positive, Seed, Unit, parse
-from synth3dlanes.settings import MAX_SAMPLES
+from synth3dlanes.schema import MAX_PX, Metres, Name, Number, Part, Positive, Seed, SymbolKind, Unit, parse
+from synth3dlanes.settings import FIRST_SYMBOL_ID, HOST_ID, MAX_SAMPLES
 from synth3dlanes.streams import stream
 
 SCENE_VERSION = 1
@@ -27,6 +27,8 @@ Color = tuple[Unit, Unit, Unit]
 MAX_ASSETS = 9999
 # Narrower medians have no room for the edge lines at both sides.
 MIN_MEDIAN_M = 1.0
+# Instance ids of symbols end where the host's begins.
+MAX_SYMBOLS = HOST_ID - FIRST_SYMBOL_ID
 AssetNumber = Annotated[int, Field(ge=1, le=MAX_ASSETS)]
 
 
@@ -109,7 +111,8 @@ class Road(Part):
 class Markings(Part):
     """Paint: `dash_fraction` is the painted share of `dash_cycle_m`, `wear` the share of paint that is rubbed off,
     `missing` the share of each line's length without paint, in stretches. `left_yellow` and `left_double` (two stripes
-    of `width_m`, `width_m` apart) apply to the leftmost line as the host drives."""
+    of `width_m`, `width_m` apart) apply to the leftmost line as the host drives. With `dots`, dashed lines consist of
+    Botts' dots instead: raised discs 10 cm across, four to a dash, and a square reflector in the middle of each gap."""
 
     dash_cycle_m: Annotated[float, Field(ge=0.001, le=1000)]
     dash_fraction: Annotated[float, Field(gt=0, le=1)]
@@ -120,10 +123,13 @@ class Markings(Part):
     left_double: bool = False
     wear: Unit = 0.0
     missing: Unit = 0.0
+    dots: bool = added(False)
 
 
 class Surface(Part):
-    """Textures of road and terrain, numbered from 1; `wetness` of the pavement is 0 when dry, 1 under water."""
+    """Textures of road and terrain, numbered from 1; `wetness` of the pavement is 0 when dry, 1 under water. What is
+    seen on the pavement without being paint: `tar` is the amount of cracks filled with bitumen (0 none, 1 a net of
+    them), `joint` the contrast of old and new asphalt beside each other, `ghost_lines` that of removed paint."""
 
     road_texture: AssetNumber
     road_texture_scale: Positive
@@ -133,6 +139,19 @@ class Surface(Part):
     texture_orientation_rad: Number
     wetness: Unit = 0.0
     shoulder_texture: Annotated[int, Field(ge=1, le=2)] = 1
+    tar: Unit = added(0.0)
+    joint: Unit = added(0.0)
+    ghost_lines: Unit = added(0.0)
+
+
+class Symbol(Part):
+    """Paint that bounds no lane. The middle of an arrow is on the centre of lane segment `lane` at station `s_m`; stop
+    lines and crosswalks (`lane` is None) cross all lanes of the main road there. The hatching of a gore fills the area
+    between main road and exit from station `s_m` to where the ramp begins."""
+
+    kind: SymbolKind
+    lane: Name | None
+    s_m: Metres
 
 
 class Car(Part):
@@ -223,6 +242,7 @@ class Scene(Part):
     sensor: Sensor = Sensor()
     sky: Annotated[int, Field(ge=0, le=MAX_ASSETS)] = 0
     assets: Assets = Assets()
+    symbols: Annotated[tuple[Symbol, ...], Field(max_length=MAX_SYMBOLS)] = added(())
 
     def stream(self, name: str) -> np.random.Generator:
         """Random numbers for details that the scene does not store, such as `clouds`."""
@@ -257,6 +277,13 @@ class Scene(Part):
                 raise ValueError(
                     f"cars.{i}.lane: expected one of {', '.join(lanes)} at s_m = {car.s_m:g}, got {car.lane}"
                 )
+        for i, symbol in enumerate(self.symbols):
+            named = self.road.segments_at(symbol.s_m) if symbol.kind.startswith("arrow") else (None,)
+            if symbol.lane not in named:
+                wanted = ", ".join(lane or "null" for lane in named)
+                raise ValueError(f"symbols.{i}.lane: expected one of {wanted}, got {symbol.lane or 'null'}")
+            if symbol.kind == "gore" and self.road.topology == 1:
+                raise ValueError(f"symbols.{i}.kind: expected a road with an exit for a gore, got topology 1")
         return self
 
 

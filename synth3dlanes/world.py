@@ -18,6 +18,7 @@ from synth3dlanes.geometry.lanes import Curve, curves
 from synth3dlanes.geometry.paint import paint_meshes
 from synth3dlanes.geometry.placement import tree_positions, world_from_car
 from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.geometry.symbols import symbol_mesh
 from synth3dlanes.scene import Camera, Scene
 
 
@@ -97,6 +98,10 @@ class World:
     def paint(self, view: View) -> dict[str, meshes.Mesh]:
         """The paint of every delimiter by id, corrected for parallax so that it looks in place from a view."""
         return paint_meshes(self.ground, self.lines, view.eye_world, self.scene.stream)
+
+    def symbols(self, view: View) -> list[meshes.Mesh]:
+        """The paint of every symbol, corrected for parallax so that it looks in place from a view."""
+        return [symbol_mesh(self.ground, symbol, view.eye_world) for symbol in self.scene.symbols]
 
 
 def resolve(scene: Scene) -> World:

@@ -18,7 +18,7 @@ from synth3dlanes.geometry.meshes import Mesh
 from synth3dlanes.geometry.paint import paint_color
 from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.scene import Car
-from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_TREE_ID
+from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_SYMBOL_ID, FIRST_TREE_ID
 from synth3dlanes.world import View, World
 
 
@@ -124,6 +124,8 @@ def _add_surfaces(materials: Materials, world: World, view: View, labelled: Sequ
         if len(strips[name].faces):
             material = materials.yellow_marking if colors[name] == "yellow" else materials.marking
             _add_object(new_mesh(strips[name], [material]), FIRST_DELIMITER_ID + number)
+    for number, mesh in enumerate(world.symbols(view)):
+        _add_object(new_mesh(mesh, [materials.symbol]), FIRST_SYMBOL_ID + number)
 
 
 def _placed_objects(assets: LoadedAssets, world: World, view: View) -> list[Placed]:

@@ -43,6 +43,12 @@ class Materials:
     terrains: tuple[bpy.types.Material, ...]
     marking: bpy.types.Material
     yellow_marking: bpy.types.Material
+    symbol: bpy.types.Material
+
+    @property
+    def paints(self) -> tuple[bpy.types.Material, ...]:
+        """All materials of paint."""
+        return self.marking, self.yellow_marking, self.symbol
 
 
 def make_materials(roads: Sequence[TextureFiles], terrains: Sequence[TextureFiles]) -> Materials:
@@ -51,8 +57,9 @@ def make_materials(roads: Sequence[TextureFiles], terrains: Sequence[TextureFile
         tuple(_road(f"road_{k + 1}", files) for k, files in enumerate(roads)),
         (_gravel_shoulder(), _paved_shoulder()),
         tuple(_terrain(f"terrain_{k + 1}", files) for k, files in enumerate(terrains)),
-        _marking("marking", WHITE),
-        _marking("yellow_marking", YELLOW),
+        _paint("marking", "marking", WHITE),
+        _paint("yellow_marking", "marking", YELLOW),
+        _paint("symbol", "symbol", WHITE),
     )
 
 
@@ -73,14 +80,14 @@ def set_materials(materials: Materials, scene: Scene) -> None:
     _orient(paved, surface.road_texture_scale, angle_rad)
     under = materials.roads[surface.road_texture - 1].node_tree.nodes["albedo"].image
     paved.node_tree.nodes["albedo"].image = under
-    for marking in (materials.marking, materials.yellow_marking):
-        _set(marking, "grayscale", scene.markings.grayscale)
-        _set(marking, "gloss", scene.markings.gloss)
-        _set(marking, "rub_level", rub_level(scene.markings.wear))
-        _set(marking, "is_rubbed", float(scene.markings.wear > 0))
-        _set(marking, "road_gloss", surface.road_gloss)
-        marking.node_tree.nodes["albedo"].image = under
-    for wettable in (*materials.roads, *materials.shoulders, materials.marking, materials.yellow_marking):
+    for paint in materials.paints:
+        _set(paint, "grayscale", scene.markings.grayscale)
+        _set(paint, "gloss", scene.markings.gloss)
+        _set(paint, "rub_level", rub_level(scene.markings.wear))
+        _set(paint, "is_rubbed", float(scene.markings.wear > 0))
+        _set(paint, "road_gloss", surface.road_gloss)
+        paint.node_tree.nodes["albedo"].image = under
+    for wettable in (*materials.roads, *materials.shoulders, *materials.paints):
         _set(wettable, "wetness", surface.wetness)
 
 
@@ -204,9 +211,9 @@ def mean_color(file: Path) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def _marking(name: str, tint: tuple[float, float, float]) -> bpy.types.Material:
+def _paint(name: str, kind: str, tint: tuple[float, float, float]) -> bpy.types.Material:
     """Paint with the scene's grayscale and gloss, thin in places, and bare road where it is rubbed off."""
-    material, graph = new_material(name, SEMANTIC_IDS["marking"])
+    material, graph = new_material(name, SEMANTIC_IDS[kind])
     cover = texture(graph, "marking_cover.jpg", graph.scale(_metres(graph), 1 / 5.0), is_color=False)
     shade = graph.math("MULTIPLY", graph.math("MULTIPLY", graph.value("grayscale"), 0.85), cover)
     painted = graph.node("ShaderNodeCombineColor", {k: graph.math("MULTIPLY", shade, tint[k]) for k in range(3)})

@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull, cKDTree
 from synth3dlanes.frames import invert, project, transform
 from synth3dlanes.geometry.terrain import gradient_at, height_at
 from synth3dlanes.labels import CameraLabel, Labels
-from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS
+from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_SYMBOL_ID, FIRST_TREE_ID, SEMANTIC_IDS
 from synth3dlanes.validate.findings import PROOF_M, Finding, Measure
 from synth3dlanes.validate.paint import Paint
 from synth3dlanes.validate.passes_proof import Passes
@@ -38,10 +38,13 @@ MAX_SHARE_OFF, SLACK_PX = 0.25, 6
 # A car with a corner nearer than this is too close for an estimate from its box.
 MIN_CORNER_M = 0.5
 
-KIND_OF_ID = np.zeros(FIRST_TREE_ID + 1, dtype=np.uint8)
-KIND_OF_ID[FIRST_CAR_ID:FIRST_DELIMITER_ID] = SEMANTIC_IDS["car"]
-KIND_OF_ID[FIRST_DELIMITER_ID:FIRST_TREE_ID] = SEMANTIC_IDS["marking"]
-KIND_OF_ID[FIRST_TREE_ID:] = SEMANTIC_IDS["tree"]
+# The kinds of objects by their first instance id, in order.
+KINDS = (
+    (FIRST_CAR_ID, "car"),
+    (FIRST_DELIMITER_ID, "marking"),
+    (FIRST_TREE_ID, "tree"),
+    (FIRST_SYMBOL_ID, "symbol"),
+)
 
 Values = Float[np.ndarray, " n"]
 Points = Float[np.ndarray, "n 3"]
@@ -66,13 +69,14 @@ def prove_ids(paint: Paint, labels: Labels, passes: Passes) -> tuple[list[Findin
 
 def _kind(instance: Ids) -> Ids:
     """Semantic ids that follow from instance ids; 0 for pixels without one."""
-    return KIND_OF_ID[np.minimum(instance, len(KIND_OF_ID) - 1)]
+    kinds = np.array([0, *(SEMANTIC_IDS[name] for _, name in KINDS)], dtype=np.uint8)
+    return kinds[np.searchsorted([first for first, _ in KINDS], instance, side="right")]
 
 
 def _agreement(semantic: Ids, instance: Ids) -> Iterator[Finding]:
     """Findings where semantic and instance ids disagree about the kind of object."""
     kind = _kind(instance)
-    for name in ("car", "marking", "tree"):
+    for _, name in KINDS:
         is_semantic, is_instance = semantic == SEMANTIC_IDS[name], kind == SEMANTIC_IDS[name]
         wrong = int((is_semantic != is_instance).sum())
         if wrong > MAX_SINGLE:
@@ -89,7 +93,7 @@ def _paint(paint: Paint, labels: Labels, passes: Passes) -> tuple[list[Finding],
     world, camera = paint.world, labels.camera
     name = "instance" if "instance" in passes else "semantic"
     kind = _kind(passes["instance"]) if name == "instance" else passes["semantic"]
-    rows, columns = _some((kind == SEMANTIC_IDS["marking"]) & np.isfinite(passes["depth"]))
+    rows, columns = some_pixels((kind == SEMANTIC_IDS["marking"]) & np.isfinite(passes["depth"]))
     points_cam = unproject(camera, passes["depth"], rows, columns)
     points, used = on_road(world, camera, points_cam)
     used &= points_cam[:, 1] < PROOF_M
@@ -130,7 +134,7 @@ def _bodies(world: World, camera: CameraLabel, passes: Passes) -> Iterator[Findi
     kind = _kind(passes["instance"]) if "instance" in passes else passes["semantic"]
     name = "instance" if "instance" in passes else "semantic"
     for thing, first, inside in (("car", FIRST_CAR_ID, _in_car), ("tree", FIRST_TREE_ID, _in_tree)):
-        rows, columns = _some((kind == SEMANTIC_IDS[thing]) & np.isfinite(passes["depth"]))
+        rows, columns = some_pixels((kind == SEMANTIC_IDS[thing]) & np.isfinite(passes["depth"]))
         points = transform(camera.world_from_cam, unproject(camera, passes["depth"], rows, columns))
         own = passes[name][rows, columns].astype(int) - first if name == "instance" else np.full(len(rows), -1)
         wrong = ~inside(world, points, own)
@@ -212,7 +216,7 @@ def _seen_share(world: World, camera: CameraLabel, car: int, n_px: int) -> tuple
     return max(n_px - SLACK_PX, 0) / (most * box_px), min((n_px + SLACK_PX) / (least * box_px), 1.0)
 
 
-def _some(of: Bool[np.ndarray, "h w"]) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+def some_pixels(of: Bool[np.ndarray, "h w"]) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
     """Rows and columns of at most MAX_PIXELS of the selected pixels."""
     rows, columns = np.nonzero(of)
     step = 1 + len(rows) // MAX_PIXELS

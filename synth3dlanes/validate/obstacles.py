@@ -38,22 +38,23 @@ class Boxes(NamedTuple):
 
 
 def check_objects(world: World, labels: Labels) -> Iterator[Finding]:
-    """Findings about lanes with points marked hidden without an object in the way, or visible behind a car."""
-    points_world = transform(labels.camera.world_from_cam, np.concatenate([lane.xyz_cam for lane in labels.lanes]))
-    seen = np.concatenate([np.asarray(lane.object_visible) for lane in labels.lanes])
-    eye_world, ends = labels.camera.world_from_cam[:3, 3], np.cumsum([len(lane.xyz_cam) for lane in labels.lanes])[:-1]
+    """Findings about lanes and symbols with points marked hidden without an object in the way, or visible behind a
+    car."""
+    items = {lane.id: lane for lane in labels.lanes} | {f"symbol {i}": item for i, item in enumerate(labels.symbols)}
+    points_world = transform(labels.camera.world_from_cam, np.concatenate([item.xyz_cam for item in items.values()]))
+    seen = np.concatenate([np.asarray(item.object_visible) for item in items.values()])
+    eye_world = labels.camera.world_from_cam[:3, 3]
+    ends = np.cumsum([len(item.xyz_cam) for item in items.values()])[:-1]
     through, unhidden = seen.copy(), ~seen
     through[seen] = _meet(_cores(world), eye_world, points_world[seen])
     unhidden[~seen] = ~_meet(_outlines(world), eye_world, points_world[~seen])
-    for lane, of_through, of_unhidden in zip(
-        labels.lanes, np.split(through, ends), np.split(unhidden, ends), strict=True
-    ):
+    for id_, of_through, of_unhidden in zip(items, np.split(through, ends), np.split(unhidden, ends), strict=True):
         if of_through.sum() > MAX_WRONG:
             reason = f"object_visible: expected points behind cars as hidden, got {of_through.sum()} as seen"
-            yield Finding(lane.id, reason)
+            yield Finding(id_, reason)
         if of_unhidden.sum() > MAX_TWIGS:
             reason = f"object_visible: got {of_unhidden.sum()} points as hidden where no car or tree is in the way"
-            yield Finding(lane.id, reason)
+            yield Finding(id_, reason)
 
 
 def _cores(world: World) -> Boxes:

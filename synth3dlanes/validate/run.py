@@ -41,6 +41,7 @@ from synth3dlanes.validate.report import Report
 from synth3dlanes.validate.sharpness import check_sharpness
 from synth3dlanes.validate.signed import signed_values
 from synth3dlanes.validate.structure import check_shape, check_values, points_to_pixels
+from synth3dlanes.validate.symbols import prove_symbols
 from synth3dlanes.world import World, resolve
 
 # Exceptions of geometry computed from invalid scenes or labels. Samples of a correct data set raise none.
@@ -223,6 +224,7 @@ def _proofs(
         "hills": lambda: Proved([*check_hills(world, labels, passes)]),
         "normals": lambda: Proved([*check_normals(labels.camera, passes)]),
         "ids": lambda: Proved(*prove_ids(paint, labels, passes)),
+        "symbols": lambda: Proved([*prove_symbols(world, labels, passes)]),
         "bias": lambda: Proved(signed=[*signed_values(paint, labels, image, passes)]),
     }
 
