@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from synth3dlanes.distributions import Choice, Integers, Uniform
 from synth3dlanes.errors import InputError
-from synth3dlanes.params import Params, check_params, load_params, params_yaml, preset_names, presets_folder
+from synth3dlanes.params import Params, check_params, forms, load_params, params_yaml, preset_names, presets_folder
 
 APPENDIX_I = (presets_folder() / "appendix_i.yaml").read_text()
 UNIT = st.floats(0, 1, exclude_max=True)
@@ -52,7 +52,7 @@ def test_appendix_i_has_the_papers_ranges() -> None:
 
 
 def test_presets_differ_where_they_say() -> None:
-    paper, tiny = (load_params(name).model_dump() for name in ("appendix_i", "tiny"))
+    paper, tiny = (forms(load_params(name)) for name in ("appendix_i", "tiny"))
     differing = {(group, key) for group in paper for key in paper[group] if paper[group][key] != tiny[group][key]}
     assert differing == {("cars", "n"), ("trees", "n"), ("camera", "width_px"), ("camera", "height_px")}
 
