@@ -17,16 +17,19 @@ from synth3dlanes.distributions import (
     Flag,
     Integer,
     Integers,
+    Named,
     Real,
     Uniform,
     form,
     integers,
     is_pair,
+    names,
     parse_integers,
     reals,
 )
 from synth3dlanes.errors import InputError
 from synth3dlanes.schema import shown
+from synth3dlanes.settings import JPEG_QUALITY
 from synth3dlanes.yaml_text import read_yaml
 
 Fraction = Annotated[Real, reals(0, 1)]
@@ -35,7 +38,7 @@ Offset = Annotated[Real, reals(-50, 50)]
 # Of models or textures of one kind, if the assets are unknown.
 MAX_NUMBER = 9999
 # Groups that were added later; parameters without them have their defaults.
-OPTIONAL: tuple[str, ...] = ("symbols",)
+OPTIONAL: tuple[str, ...] = ("symbols", "weather", "host")
 # With more keys missing there is one line for all.
 MAX_MISSING = 3
 
@@ -184,7 +187,7 @@ class CameraParams(Group):
 class LightParams(Group):
     """Sun and film exposure; `metering` is how far the exposure makes up for the scene's daylight."""
 
-    sun_zenith_deg: Annotated[Real, reals(0, 90)]
+    sun_zenith_deg: Annotated[Real, reals(0, 110)]
     sun_azimuth_deg: Orientation
     exposure: Annotated[Real, reals(0, 100, above=True)]
     metering: Fraction
@@ -198,10 +201,35 @@ class AirParams(Group):
 
 
 class SensorParams(Group):
-    """Metres driven during the exposure, and noise at middle gray in 8-bit levels (standard deviation)."""
+    """Metres driven during the exposure, noise at middle gray in 8-bit levels (standard deviation), flare, dirt and
+    drops on the glass, and the quality of JPEG images."""
 
     motion_blur_m: Annotated[Real, reals(0, 1)]
     noise: Annotated[Real, reals(0, 32)]
+    flare: Fraction = added(0.0)
+    dirt: Fraction = added(0.0)
+    drops: Fraction = added(0.0)
+    jpeg_quality: Annotated[Integer, integers(1, 100)] = added(JPEG_QUALITY)
+
+
+class WeatherParams(Group):
+    """Weather and time of day. A `kind` or `daytime` other than any replaces what the other keys say (`weather`)."""
+
+    kind: Annotated[Named, names("any", "clear", "cloudy", "fog", "rain", "snow")] = added("any")
+    daytime: Annotated[Named, names("any", "day", "dusk", "night")] = added("any")
+    rain: Fraction = added(0.0)
+    snowfall: Fraction = added(0.0)
+    snow: Fraction = added(0.0)
+    snow_on_road: Fraction = added(0.0)
+    headlights: Flag = added(False)
+
+
+class HostParams(Group):
+    """The host's own bonnet in the picture."""
+
+    bonnet: Annotated[Real, reals(0, 0.4)] = added(0.0)
+    gray: Fraction = added(0.0)
+    gloss: Fraction = added(0.0)
 
 
 class Params(Group):
@@ -221,6 +249,8 @@ class Params(Group):
     air: AirParams
     sensor: SensorParams
     symbols: SymbolParams = Field(default=SymbolParams(), exclude_if=lambda group: group == SymbolParams())
+    weather: WeatherParams = Field(default=WeatherParams(), exclude_if=lambda group: group == WeatherParams())
+    host: HostParams = Field(default=HostParams(), exclude_if=lambda group: group == HostParams())
 
 
 def presets_folder() -> Path:

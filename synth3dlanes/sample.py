@@ -27,6 +27,7 @@ from synth3dlanes.scene import (
     Camera,
     Car,
     Gaussian,
+    Host,
     Light,
     Markings,
     Road,
@@ -36,10 +37,12 @@ from synth3dlanes.scene import (
     Symbol,
     Terrain,
     Tree,
+    Weather,
     to_json,
 )
 from synth3dlanes.schema import SymbolKind
 from synth3dlanes.streams import stream
+from synth3dlanes.weather import under
 from synth3dlanes.world import World, resolve
 
 # Numbers in a scene are rounded to a micrometre or microradian: readable, and equal on every machine.
@@ -68,6 +71,8 @@ def sample_scene(params: Params, seed: int, split: str, index: int, assets: Asse
 
 def sample_world(params: Params, seed: int, split: str, index: int, assets: Assets = BUILT_IN.assets) -> World:
     """Draw and resolve scene `index` of a split: first the road and the host, then cars and trees on it."""
+    first = Draw(params.weather, stream(seed, split, index, "weather"))
+    params = under(params, first("kind"), first("daytime"))
     draws = {name: Draw(group, stream(seed, split, index, name)) for name, group in params}
     road = _road(draws["road"])
     bare = Scene(
@@ -86,6 +91,8 @@ def sample_world(params: Params, seed: int, split: str, index: int, assets: Asse
         light=_plain(Light, draws["light"]),
         air=_plain(Air, draws["air"]),
         sensor=_plain(Sensor, draws["sensor"]),
+        weather=_plain(Weather, draws["weather"]),
+        host=_plain(Host, draws["host"]),
         sky=_sky(assets, stream(seed, split, index, "sky")),
         assets=assets,
     )
@@ -100,7 +107,7 @@ def sample_world(params: Params, seed: int, split: str, index: int, assets: Asse
     return replace(world, scene=bare.model_copy(update={"cars": cars, "trees": trees, "symbols": symbols}))
 
 
-P = TypeVar("P", Markings, Surface, Light, Air, Sensor)
+P = TypeVar("P", Markings, Surface, Light, Air, Sensor, Weather, Host)
 
 
 def scene_texts(

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from synth3dlanes.assets.catalogue import AssetKind, Assets
 from synth3dlanes.schema import MAX_PX, Metres, Name, Number, Part, Positive, Seed, SymbolKind, Unit, parse
-from synth3dlanes.settings import FIRST_SYMBOL_ID, HOST_ID, MAX_SAMPLES
+from synth3dlanes.settings import FIRST_SYMBOL_ID, HOST_ID, JPEG_QUALITY, MAX_SAMPLES
 from synth3dlanes.streams import stream
 
 SCENE_VERSION = 1
@@ -198,10 +198,10 @@ class Camera(Part):
 
 
 class Light(Part):
-    """The sun, its azimuth counter-clockwise from world x; the exposure factor; and `metering`, the exponent with which
-    the exposure compensates for the scene's daylight (0 not at all, 1 fully)."""
+    """The sun, its azimuth counter-clockwise from world x, its zenith beyond pi/2 at night; the exposure factor; and
+    `metering`, the exponent with which the exposure compensates for the scene's daylight (0 not at all, 1 fully)."""
 
-    sun_zenith_rad: Annotated[float, Field(ge=0, le=1.6)]
+    sun_zenith_rad: Annotated[float, Field(ge=0, le=2.0)]
     sun_azimuth_rad: Number
     exposure: Positive
     metering: Unit = 0.0
@@ -215,10 +215,37 @@ class Air(Part):
 
 
 class Sensor(Part):
-    """Metres driven during the exposure, and the noise's standard deviation at middle gray in 8-bit levels."""
+    """Metres driven during the exposure, and the noise's standard deviation at middle gray in 8-bit levels; from 0 to 1
+    the flare of lights in the lens, and the dirt and the drops of water on the glass; the quality of JPEG images."""
 
     motion_blur_m: Annotated[float, Field(ge=0, le=1000)] = 0.0
     noise: Annotated[float, Field(ge=0, le=1000)] = 0.0
+    flare: Unit = added(0.0)
+    dirt: Unit = added(0.0)
+    drops: Unit = added(0.0)
+    jpeg_quality: Annotated[int, Field(ge=1, le=100)] = added(JPEG_QUALITY)
+
+
+class Weather(Part):
+    """What the scene was drawn as, "any" without a condition, and what falls and lies: `rain` and `snowfall` in the air
+    from 0 to 1, the share of the terrain under snow, and of the road, whose wheel tracks stay clear longest.
+    `headlights` are those of the host and of all cars."""
+
+    kind: Literal["any", "clear", "cloudy", "fog", "rain", "snow"] = "any"
+    daytime: Literal["any", "day", "dusk", "night"] = "any"
+    rain: Unit = 0.0
+    snowfall: Unit = 0.0
+    snow: Unit = 0.0
+    snow_on_road: Unit = 0.0
+    headlights: bool = False
+
+
+class Host(Part):
+    """The host's own bonnet: the share of the image's height that it fills (0: none), its gray and gloss."""
+
+    bonnet: Annotated[float, Field(ge=0, le=0.4)] = 0.0
+    gray: Unit = 0.0
+    gloss: Unit = 0.0
 
 
 class Scene(Part):
@@ -240,6 +267,8 @@ class Scene(Part):
     light: Light
     air: Air = Air()
     sensor: Sensor = Sensor()
+    weather: Weather = added(Weather())
+    host: Host = added(Host())
     sky: Annotated[int, Field(ge=0, le=MAX_ASSETS)] = 0
     assets: Assets = Assets()
     symbols: Annotated[tuple[Symbol, ...], Field(max_length=MAX_SYMBOLS)] = added(())

@@ -10,15 +10,24 @@ import numpy as np
 from synth3dlanes.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.blender import drop_scratch
 from synth3dlanes.blender.camera import set_camera
-from synth3dlanes.blender.light import add_haze, make_world, set_light
+from synth3dlanes.blender.light import add_car_lamps, add_haze, make_world, set_light
 from synth3dlanes.blender.load_assets import LoadedAssets, load_assets
 from synth3dlanes.blender.materials import Materials, make_materials, set_materials
+from synth3dlanes.blender.shaders import car_paint, new_material
 from synth3dlanes.frames import Matrix4, from_axes
+from synth3dlanes.geometry.bonnet import bonnet
 from synth3dlanes.geometry.meshes import Mesh
 from synth3dlanes.geometry.paint import paint_color
 from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.scene import Car
-from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_SYMBOL_ID, FIRST_TREE_ID
+from synth3dlanes.settings import (
+    FIRST_CAR_ID,
+    FIRST_DELIMITER_ID,
+    FIRST_SYMBOL_ID,
+    FIRST_TREE_ID,
+    HOST_ID,
+    SEMANTIC_IDS,
+)
 from synth3dlanes.world import View, World
 
 
@@ -29,6 +38,7 @@ class Studio:
 
     assets: LoadedAssets
     materials: Materials
+    bonnet: bpy.types.Mesh
     plain: bpy.types.Material
     camera: bpy.types.Object
     kept: frozenset[tuple[str, str]]
@@ -36,7 +46,7 @@ class Studio:
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """A car or tree in the scene: its mesh, pose, scale and instance id."""
+    """A car, a tree or the host's bonnet in the scene: its mesh, pose, scale and instance id."""
 
     mesh: bpy.types.Mesh
     world_from_object: Matrix4
@@ -55,8 +65,17 @@ def open_studio(library: Library = BUILT_IN) -> Studio:
     make_world()
     assets = load_assets(library)
     materials = make_materials(assets.roads, assets.terrains)
+    hood = new_mesh(bonnet(), [_host_paint()])
+    hood.name = "bonnet"
     add_haze()
-    return Studio(assets, materials, _plain(), camera, frozenset(_names()))
+    add_car_lamps()
+    return Studio(assets, materials, hood, _plain(), camera, frozenset(_names()))
+
+
+def _host_paint() -> bpy.types.Material:
+    material, graph = new_material("host", SEMANTIC_IDS["host"])
+    car_paint(graph)
+    return material
 
 
 def _plain() -> bpy.types.Material:
@@ -69,7 +88,7 @@ def _plain() -> bpy.types.Material:
 
 
 def build(studio: Studio, world: World, view: View, light: Daylight, labelled: Sequence[str] = ()) -> list[Placed]:
-    """Replace the previous world by this one; return its cars and trees.
+    """Replace the previous world by this one; return its cars and trees and the host's bonnet.
 
     Instance ids number the delimiters in `labelled` first, in that order, then those beyond the labels' range.
     """
@@ -78,13 +97,16 @@ def build(studio: Studio, world: World, view: View, light: Daylight, labelled: S
     set_materials(studio.materials, scene)
     _add_surfaces(studio.materials, world, view, labelled)
     placed = _placed_objects(studio.assets, world, view)
-    for item, color in zip(
-        placed, [(*body_color(car), car.gloss) for car in scene.cars] + [None] * len(scene.trees), strict=True
-    ):
+    colors: list[tuple[float, ...] | None] = [(*body_color(car), car.gloss) for car in scene.cars]
+    colors += [None] * len(scene.trees)
+    if view.world_from_bonnet is not None:
+        placed.append(Placed(studio.bonnet, view.world_from_bonnet, 1.0, HOST_ID))
+        colors.append((*[scene.host.gray] * 3, scene.host.gloss))
+    for item, color in zip(placed, colors, strict=True):
         scaled = item.world_from_object @ np.diag([item.scale] * 3 + [1.0])
         _add_object(item.mesh, item.instance_id, mathutils.Matrix(scaled.tolist()), color)
     set_camera(studio.camera, view.camera, view.world_from_cam)
-    set_light(scene, light, studio.assets.skies)
+    set_light(scene, light, studio.assets.skies, view.world_from_road, world.street_lamps)
     return placed
 
 

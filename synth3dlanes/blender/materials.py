@@ -15,7 +15,7 @@ from PIL import Image
 
 from synth3dlanes.assets.folder import TextureFiles
 from synth3dlanes.blender.shaders import Graph, coated, new_material, texture
-from synth3dlanes.blender.weathering import Look, rub_level, rubbed, wet
+from synth3dlanes.blender.weathering import Look, bent_back, rub_level, rubbed, snowed, wet, wheel_tracks
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import SEMANTIC_IDS
 
@@ -27,6 +27,8 @@ ROAD_TILE_M, ROAD_ROUGHNESS = 5.0, 0.8  # of the road that shows through rubbed 
 # Cycles has no mipmaps: far terrain fades to its texture's mean (linear), because fine texture aliases at few samples.
 BLUR_DISTANCE_M = 160.0
 MACRO_TILES = 20.0  # the large-scale maps fade out over this many tiles, before their repetition is visible
+# How far rough pavement and the beads in paint turn to a lamp beside the camera; water takes most of it.
+ROAD_BACK, PAINT_BACK, LEFT_WET = 0.22, 0.8, 0.2
 # Colours of traffic paint as shares of its grayscale, linear.
 WHITE, YELLOW = (1.0, 1.0, 1.0), (1.0, 0.56, 0.06)
 TERRAIN_MEANS = {"terrain_1": (0.103, 0.109, 0.052), "terrain_2": (0.249, 0.179, 0.11)}
@@ -87,8 +89,22 @@ def set_materials(materials: Materials, scene: Scene) -> None:
         _set(paint, "is_rubbed", float(scene.markings.wear > 0))
         _set(paint, "road_gloss", surface.road_gloss)
         paint.node_tree.nodes["albedo"].image = under
-    for wettable in (*materials.roads, *materials.shoulders, *materials.paints):
-        _set(wettable, "wetness", surface.wetness)
+    weather, shift = scene.weather, 0.5 * parity
+    for paved in (*materials.roads, *materials.shoulders, *materials.paints):
+        _set(paved, "wetness", surface.wetness)
+        _set(paved, "retro", weather.headlights * (1 - (1 - LEFT_WET) * surface.wetness))
+        _set_snow(paved, weather.snow if paved in materials.shoulders else weather.snow_on_road)
+    for road in materials.roads:
+        _set(road, "lane_width_m", lane_width_m)
+        _set(road, "lane_shift", shift)
+    for terrain in materials.terrains:
+        _set_snow(terrain, weather.snow)
+
+
+def _set_snow(material: bpy.types.Material, share: float) -> None:
+    _set(material, "snow", share)
+    _set(material, "snow_level", rub_level(share))
+    _set(material, "is_snowy", float(share > 0))
 
 
 def _set(material: bpy.types.Material, name: str, value: float) -> None:
@@ -140,6 +156,8 @@ def _road(name: str, files: TextureFiles) -> bpy.types.Material:
     roughness = graph.math("MULTIPLY_ADD", gloss, -1.5, texture(graph, files.roughness, uv, is_color=False))
     amount = graph.math("MULTIPLY_ADD", gloss, 1.2, 0.15)
     look = wet(graph, Look(color, roughness, amount, _bumpy_normal(graph, files.normal, uv, 0.4)))
+    across_m = graph.node("ShaderNodeSeparateXYZ", {0: _metres(graph)}).outputs[0]
+    look = bent_back(graph, snowed(graph, look, wheel_tracks(graph, across_m)), ROAD_BACK)
     coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
     return material
 
@@ -159,7 +177,7 @@ def _gravel_shoulder() -> bpy.types.Material:
     macro = graph.math("MULTIPLY", texture(graph, "terrain_macro.jpg", macro_uv, is_color=False), 2.0)
     color = graph.scale(texture(graph, "shoulder_albedo.jpg", uv, is_color=True), macro)
     normal = _bumpy_normal(graph, "shoulder_normal.jpg", uv, 0.6)
-    look = wet(graph, Look(color, 0.8, 0.0, normal))
+    look = bent_back(graph, snowed(graph, wet(graph, Look(color, 0.8, 0.0, normal))), ROAD_BACK)
     coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
     return material
 
@@ -171,6 +189,7 @@ def _paved_shoulder() -> bpy.types.Material:
     dust = texture(graph, "terrain_macro.jpg", graph.scale(_metres(graph), 1 / 23.0), is_color=False)
     color = graph.vector("MULTIPLY", graph.scale(_albedo(graph, "road_1_albedo.jpg", uv), 2.0), dust)
     look = wet(graph, Look(color, ROAD_ROUGHNESS, 0.15, _bumpy_normal(graph, "road_1_normal.jpg", uv, 0.4)))
+    look = bent_back(graph, snowed(graph, look), ROAD_BACK)
     coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
     return material
 
@@ -191,7 +210,8 @@ def _terrain(name: str, files: TextureFiles) -> bpy.types.Material:
     color = graph.mix_color(color, WOODS, _far_woods(graph, metres, distance_m))
     flat = graph.node("ShaderNodeNewGeometry").outputs["Normal"]
     normal = graph.mix_color(_bumpy_normal(graph, files.normal, uv, 0.8), flat, blur)
-    graph.surface(graph.node("ShaderNodeBsdfDiffuse", {"Color": color, "Normal": normal}))
+    look = snowed(graph, Look(color, 1.0, 0.0, normal), blur=blur)
+    graph.surface(graph.node("ShaderNodeBsdfDiffuse", {"Color": look.color, "Normal": look.normal}))
     return material
 
 
@@ -224,6 +244,6 @@ def _paint(name: str, kind: str, tint: tuple[float, float, float]) -> bpy.types.
     roughness = graph.mix(graph.math("MULTIPLY_ADD", gloss, -0.4, 0.75), ROAD_ROUGHNESS, bare)
     amount = graph.mix(gloss, graph.math("MULTIPLY_ADD", graph.value("road_gloss"), 1.2, 0.15), bare)
     normal = graph.node("ShaderNodeNewGeometry").outputs["Normal"]
-    look = wet(graph, Look(color, roughness, amount, normal))
+    look = bent_back(graph, snowed(graph, wet(graph, Look(color, roughness, amount, normal))), PAINT_BACK)
     coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
     return material

@@ -1,6 +1,7 @@
 """Check that the image's channels are in the order red, green, blue, by the built-in terrain: yellow or green.
 
-Works without passes, from the terrain's position in the scene. A user's own terrain may have any colour and is skipped.
+Works without passes, from the terrain's position in the scene. A user's own terrain may have any colour and is skipped;
+so is snow, and the blue light after sunset.
 """
 
 from collections.abc import Iterator
@@ -21,6 +22,7 @@ AHEAD_M, ASIDE_M, CLEAR_M = np.arange(6.0, 80.0, 2.0), np.array([2.0, 3.5, 5.0, 
 # Some places show trees, which may be bluish, so a high percentile of red minus blue is used. It is at least 3 levels
 # of 255 in 280 rendered images, including the densest fog, and at least 0 in 100 images of 96x72 pixels. Fewer places
 # than MIN_PLACES are not judged. With semantic ids, all pixels of terrain within NEAR_M are used instead.
+LOWEST_SUN_RAD = 1.5
 WARMEST, MIN_WARMTH, MIN_PLACES, NEAR_M = 67, -2.0, 30, 80.0
 
 
@@ -28,7 +30,7 @@ def check_colours(
     world: World, camera: CameraLabel, image: UInt8[np.ndarray, "h w 3"], passes: Passes
 ) -> Iterator[Finding]:
     """Finding if terrain is bluer than it is red."""
-    if world.scene.assets.terrains:
+    if world.scene.assets.terrains or world.scene.weather.snow or world.scene.light.sun_zenith_rad > LOWEST_SUN_RAD:
         return
     if "semantic" in passes:
         is_terrain = passes["semantic"] == SEMANTIC_IDS["terrain"]

@@ -13,7 +13,14 @@ from scipy.spatial import ConvexHull, cKDTree
 from synth3dlanes.frames import invert, project, transform
 from synth3dlanes.geometry.terrain import gradient_at, height_at
 from synth3dlanes.labels import CameraLabel, Labels
-from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_SYMBOL_ID, FIRST_TREE_ID, SEMANTIC_IDS
+from synth3dlanes.settings import (
+    FIRST_CAR_ID,
+    FIRST_DELIMITER_ID,
+    FIRST_SYMBOL_ID,
+    FIRST_TREE_ID,
+    HOST_ID,
+    SEMANTIC_IDS,
+)
 from synth3dlanes.validate.findings import PROOF_M, Finding, Measure
 from synth3dlanes.validate.paint import Paint
 from synth3dlanes.validate.passes_proof import Passes
@@ -44,6 +51,7 @@ KINDS = (
     (FIRST_DELIMITER_ID, "marking"),
     (FIRST_TREE_ID, "tree"),
     (FIRST_SYMBOL_ID, "symbol"),
+    (HOST_ID, "host"),
 )
 
 Values = Float[np.ndarray, " n"]

@@ -1,4 +1,4 @@
-"""Check `object_visible` against the bounding boxes of cars and trees; works without passes and without Blender.
+"""Check `object_visible` against boxes of cars, trees and the host's bonnet; works without passes and without Blender.
 
 A point can only be hidden by an object if its line of sight meets the object's bounding box, and it must be hidden if
 the line goes through the core of a car.
@@ -20,6 +20,9 @@ ROOM = 1.15
 # Every car is solid in this part of its box: above the open space below a truck, below the windows, and behind the gap
 # at a truck's cab.
 CORE_SIDES, CORE_HEIGHT = ((-0.7, -0.7), (0.7, 0.2)), (0.38, 0.5)
+# The host's bonnet fills this box below its highest point, and lies in that one.
+BONNET_CORE = ((-0.6, 0.2, -0.6), (0.6, 1.3, -0.16))
+BONNET = ((-0.78, 0.12, -0.4), (0.78, 1.6, 0.02))
 # Number of lines of sight that may graze the core's edges.
 MAX_WRONG = 1
 # Largest number of points of a line behind twigs outside their boxes in 1,350 scenes.
@@ -53,19 +56,19 @@ def check_objects(world: World, labels: Labels) -> Iterator[Finding]:
             reason = f"object_visible: expected points behind cars as hidden, got {of_through.sum()} as seen"
             yield Finding(id_, reason)
         if of_unhidden.sum() > MAX_TWIGS:
-            reason = f"object_visible: got {of_unhidden.sum()} points as hidden where no car or tree is in the way"
+            reason = f"object_visible: got {of_unhidden.sum()} points as hidden where nothing is in the way"
             yield Finding(id_, reason)
 
 
 def _cores(world: World) -> Boxes:
-    """The opaque core of each car."""
+    """The opaque core of each car and of the bonnet."""
     half, up, poses = _cars(world)
     low, high = (half * [*side, 0] + height * up for side, height in zip(CORE_SIDES, CORE_HEIGHT, strict=True))
-    return Boxes(poses, low, high)
+    return _with_bonnet(world, Boxes(poses, low, high), BONNET_CORE)
 
 
 def _outlines(world: World) -> Boxes:
-    """The box that each car and tree may fill."""
+    """The box that each car, each tree and the bonnet may fill."""
     half, up, cars = _cars(world)
     models = [world.scene.assets.tree_models[tree.model - 1] for tree in world.scene.trees]
     sizes = np.array([(model.crown_radius_m, model.crown_radius_m, model.height_m) for model in models]).reshape(-1, 3)
@@ -74,7 +77,14 @@ def _outlines(world: World) -> Boxes:
     trees[:, :3, 3] = world.trees_world
     crown, height = sizes * [1, 1, 0], sizes * [0, 0, 1]
     low, high = np.concatenate([-half, -crown]), np.concatenate([half + up, crown + height])
-    return Boxes(np.concatenate([cars, trees]), ROOM * low, ROOM * high)
+    return _with_bonnet(world, Boxes(np.concatenate([cars, trees]), ROOM * low, ROOM * high), BONNET)
+
+
+def _with_bonnet(world: World, boxes: Boxes, bonnet: tuple[tuple[float, ...], ...]) -> Boxes:
+    pose = world.view.world_from_bonnet
+    if pose is None:
+        return boxes
+    return Boxes(*(np.concatenate([part, [own]]) for part, own in zip(boxes, (pose, *bonnet), strict=True)))
 
 
 def _cars(world: World) -> tuple[Corners, Corners, Float[np.ndarray, "k 4 4"]]:
