@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.assets.car_colors import sold_color
 from synth3dlanes.assets.catalogue import BUILT_IN, Assets
 from synth3dlanes.distributions import Choice, Integers, Uniform
 from synth3dlanes.errors import InputError
@@ -81,7 +82,8 @@ def sample_world(params: Params, seed: int, split: str, index: int, assets: Asse
     car_places = Draw(params.cars, stream(seed, split, index, "car_places"))
     tree_places = Draw(params.trees, stream(seed, split, index, "tree_places"))
     paints = Draw(params.cars, stream(seed, split, index, "car_saturation"))
-    cars = _cars(world, draws["cars"], paints, car_places)
+    sold = Draw(params.cars, stream(seed, split, index, "car_palette"))
+    cars = _cars(world, draws["cars"], paints, sold, car_places)
     trees = _trees(world, draws["trees"], tree_places)
     return replace(world, scene=bare.model_copy(update={"cars": cars, "trees": trees}))
 
@@ -188,7 +190,7 @@ def _host_lane(lanes: Integers | Choice[int], u: float, present: int) -> int:
     return min(lanes.draw(u), present)
 
 
-def _cars(world: World, looks: Draw, paints: Draw, places: Draw) -> tuple[Car, ...]:
+def _cars(world: World, looks: Draw, paints: Draw, sold: Draw, places: Draw) -> tuple[Car, ...]:
     scene = world.scene
     taken = [placement.host_footprint(world_from_road(world.plan, scene.camera))]
     cars = []
@@ -209,6 +211,9 @@ def _cars(world: World, looks: Draw, paints: Draw, places: Draw) -> tuple[Car, .
             raise InputError(f"cars.n: no room for car {number + 1} within cars.s_m of scene {scene.index}")
         taken.append(place)
         saturation = paints("saturation")
+        palette, (u_paint, u_shade) = sold("palette"), sold.rng.random(2)
+        if palette == "sold":
+            color, saturation = sold_color(body, u_paint, u_shade), 1.0
         cars.append(Car(model=model, scale=scale, color=color, gloss=gloss, lane=lane, s_m=s_m, saturation=saturation))
     return tuple(cars)
 
