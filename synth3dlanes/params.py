@@ -46,16 +46,24 @@ MAX_MISSING = 3
 def numbers(kind: AssetKind) -> PlainValidator:
     """Legal numbers of models or textures of one kind: those of the `Assets` in the validation's context.
 
-    The range of all built-in ones, as in the presets, stands for all of the context. Without a context, as in
-    `dataset.json`, any number is legal.
+    The range or weights of all built-in ones, as in the presets, stand for all of a user's own. Without a context, as
+    in `dataset.json`, any number is legal.
     """
     return PlainValidator(lambda read, info: _parse_numbers(read, kind, info.context))
 
 
 def _parse_numbers(read: Any, kind: AssetKind, assets: Assets | None) -> Integers | Choice[int]:
-    if assets is not None and is_pair(read) and list(read) == [1, Assets.OURS[kind]]:
+    if assets is not None and assets.own(kind) and _is_whole(read, kind):
         return Integers(1, assets.count(kind))
     return parse_integers(read, 1, assets.count(kind) if assets else MAX_NUMBER)
+
+
+def _is_whole(read: Any, kind: AssetKind) -> bool:
+    numbers = sorted(read) if isinstance(read, dict) and all(isinstance(key, int) for key in read) else []
+    return any(
+        numbers == list(range(1, last + 1)) or (is_pair(read) and list(read) == [1, last])
+        for last in Assets.WHOLE[kind]
+    )
 
 
 def added(default: Any) -> Any:
@@ -145,7 +153,8 @@ class SymbolParams(Group):
 
 
 class CarParams(Group):
-    """Cars; `color` is drawn once per channel, `saturation` and `parked` per car."""
+    """Cars; `color` is drawn once per channel, `saturation` and `parked` per car. With `palette` sold, colour and
+    saturation give way to the colours of new cars, and to liveries for trucks and buses."""
 
     n: Annotated[Integer, integers(0, 100)]
     model: Annotated[Integer, numbers("cars")]
@@ -155,6 +164,7 @@ class CarParams(Group):
     gloss: Fraction
     s_m: Annotated[Real, reals(-150, 150)]
     parked: Fraction = added(0.0)
+    palette: Annotated[Named, names("rgb", "sold")] = added("rgb")
 
 
 class TreeParams(Group):

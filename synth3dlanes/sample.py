@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.assets.car_colors import sold_color
 from synth3dlanes.assets.catalogue import BUILT_IN, Assets
 from synth3dlanes.distributions import Choice, Integers, Uniform
 from synth3dlanes.errors import InputError
@@ -19,7 +20,7 @@ from synth3dlanes.geometry.camera import world_from_road
 from synth3dlanes.geometry.lanes import connections
 from synth3dlanes.geometry.road import RoadPlan, is_wide_enough
 from synth3dlanes.geometry.symbols import LENGTHS_M, gore_range
-from synth3dlanes.params import CameraParams, Group, Params
+from synth3dlanes.params import CameraParams, CarParams, Group, Params
 from synth3dlanes.scene import (
     MIN_MEDIAN_M,
     SCENE_VERSION,
@@ -49,6 +50,8 @@ from synth3dlanes.world import World, resolve
 DECIMALS = 6
 CAR_GAP_M = (1.0, 0.3)
 TRIES = 300
+# The streams of the cars: looks as in the paper, and what was added since, so that it changes none of these.
+CAR_STREAMS = ("cars", "car_places", "car_saturation", "car_palette", "parked_cars")
 # Cars park at least this far before a split, or behind a merge.
 PARKING_BEFORE_EXIT_M = 20.0
 # From this many scenes on, several processes are faster than one; each draws CHUNK scenes at a time.
@@ -97,11 +100,8 @@ def sample_world(params: Params, seed: int, split: str, index: int, assets: Asse
         assets=assets,
     )
     world = resolve(bare)
-    car_places = Draw(params.cars, stream(seed, split, index, "car_places"))
     tree_places = Draw(params.trees, stream(seed, split, index, "tree_places"))
-    paints = Draw(params.cars, stream(seed, split, index, "car_saturation"))
-    parking = Draw(params.cars, stream(seed, split, index, "parked_cars"))
-    cars = _cars(world, draws["cars"], paints, car_places, parking)
+    cars = _cars(world, params.cars)
     trees = _trees(world, draws["trees"], tree_places)
     symbols = _symbols(world, draws["symbols"])
     return replace(world, scene=bare.model_copy(update={"cars": cars, "trees": trees, "symbols": symbols}))
@@ -215,8 +215,9 @@ def _host_lane(lanes: Integers | Choice[int], u: float, present: int) -> int:
     return min(lanes.draw(u), present)
 
 
-def _cars(world: World, looks: Draw, paints: Draw, places: Draw, parking: Draw) -> tuple[Car, ...]:
+def _cars(world: World, params: CarParams) -> tuple[Car, ...]:
     scene = world.scene
+    looks, places, paints, sold, parking = (Draw(params, scene.stream(name)) for name in CAR_STREAMS)
     taken = [placement.host_footprint(world_from_road(world.plan, scene.camera))]
     parked = parking("parked")
     cars = []
@@ -241,18 +242,11 @@ def _cars(world: World, looks: Draw, paints: Draw, places: Draw, parking: Draw) 
             raise InputError(f"cars.n: no room for car {number + 1} within cars.s_m of scene {scene.index}")
         taken.append(place)
         saturation = paints("saturation")
-        cars.append(
-            Car(
-                model=model,
-                scale=scale,
-                color=color,
-                gloss=gloss,
-                lane=lane,
-                s_m=s_m,
-                saturation=saturation,
-                offset_m=offset_m,
-            )
-        )
+        palette, (u_paint, u_shade) = sold("palette"), sold.rng.random(2)
+        if palette == "sold":
+            color, saturation = sold_color(body, u_paint, u_shade), 1.0
+        looks_of = {"model": model, "scale": scale, "color": color, "gloss": gloss, "saturation": saturation}
+        cars.append(Car(**looks_of, lane=lane, s_m=s_m, offset_m=offset_m))
     return tuple(cars)
 
 

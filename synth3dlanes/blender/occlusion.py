@@ -21,6 +21,8 @@ END_M = 0.02
 # Rays per side of the grid over a car's bounding sphere. About 60 of them hit the car, so shares are accurate to a few
 # per cent.
 SILHOUETTE_RAYS = 16
+# Seen from behind, a car larger than this fills too little of its sphere: its grid is twice as fine.
+LARGE_M = 5.0
 
 
 def hidden_by_objects(
@@ -84,7 +86,8 @@ def _silhouette(car: Placed, eye_world: Float[np.ndarray, "3"]) -> Float[np.ndar
     forward /= distance
     right = np.cross(forward, [0, 0, 1.0])
     right /= np.linalg.norm(right)
-    grid = (np.arange(SILHOUETTE_RAYS) + 0.5) / SILHOUETTE_RAYS * 2 - 1
+    n_rays = SILHOUETTE_RAYS * (2 if radius > LARGE_M else 1)
+    grid = (np.arange(n_rays) + 0.5) / n_rays * 2 - 1
     across, up = (axis.reshape(-1, 1) for axis in np.meshgrid(grid, grid))
     rays = center + radius * (across * right + up * np.cross(right, forward)) - eye
     tree = _search_tree(car.mesh.name)

@@ -104,7 +104,14 @@ def scene_statistics(scenes: Iterable[Scene], params: Params) -> SceneStatistics
         for key, values in drawn_values(scene).items():
             collected[key].append(np.array(values, dtype=float))
     drawn = {key: np.concatenate(values) for key, values in collected.items()}
-    declared = {f"{name}.{key}": getattr(group, key) for name, group in params for key in type(group).model_fields}
+    if "sold" in params.cars.palette.values:
+        drawn = {key: values for key, values in drawn.items() if key not in ("cars.color", "cars.saturation")}
+    declared = {
+        f"{name}.{key}": getattr(group, key)
+        for name, group in params
+        for key in type(group).model_fields
+        if not _is_named(getattr(group, key))
+    }
     parameters = tuple(
         _parameter(key, distribution, drawn.get(key, np.zeros(0))) for key, distribution in declared.items()
     )
@@ -193,6 +200,11 @@ def _parameter(key: str, distribution: Distribution, values: Values) -> Paramete
     return ParameterStatistics(
         key, form(distribution), low, high, values.size, *extent, outside, test, statistic, p_value
     )
+
+
+def _is_named(distribution: Distribution) -> bool:
+    """Whether the parameter is one of several names, which have no range."""
+    return isinstance(distribution, Choice) and isinstance(distribution.values[0], str)
 
 
 def _limits(distribution: Distribution) -> tuple[float, float]:
