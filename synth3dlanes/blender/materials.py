@@ -16,6 +16,7 @@ from PIL import Image
 from synth3dlanes.assets.folder import TextureFiles
 from synth3dlanes.blender.shaders import Graph, coated, new_material, texture
 from synth3dlanes.blender.weathering import Look, rub_level, rubbed, wet
+from synth3dlanes.geometry.seams import ghost_shade, joint
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import SEMANTIC_IDS
 
@@ -28,6 +29,7 @@ ROAD_TILE_M, ROAD_ROUGHNESS = 5.0, 0.8  # of the road that shows through rubbed 
 BLUR_DISTANCE_M = 160.0
 MACRO_TILES = 20.0  # the large-scale maps fade out over this many tiles, before their repetition is visible
 # Colours of traffic paint as shares of its grayscale, linear.
+TAR, TAR_ROUGHNESS, TAR_COAT = (0.012, 0.012, 0.012), 0.35, 0.3
 WHITE, YELLOW = (1.0, 1.0, 1.0), (1.0, 0.56, 0.06)
 TERRAIN_MEANS = {"terrain_1": (0.103, 0.109, 0.052), "terrain_2": (0.249, 0.179, 0.11)}
 # Woods on far terrain (linear): patches of hundreds of metres that fade in from this distance to twice it.
@@ -44,6 +46,8 @@ class Materials:
     marking: bpy.types.Material
     yellow_marking: bpy.types.Material
     symbol: bpy.types.Material
+    tar: bpy.types.Material
+    ghost: bpy.types.Material
 
     @property
     def paints(self) -> tuple[bpy.types.Material, ...]:
@@ -60,6 +64,8 @@ def make_materials(roads: Sequence[TextureFiles], terrains: Sequence[TextureFile
         _paint("marking", "marking", WHITE),
         _paint("yellow_marking", "marking", YELLOW),
         _paint("symbol", "symbol", WHITE),
+        _tar(),
+        _ghost(),
     )
 
 
@@ -80,6 +86,12 @@ def set_materials(materials: Materials, scene: Scene) -> None:
     _orient(paved, surface.road_texture_scale, angle_rad)
     under = materials.roads[surface.road_texture - 1].node_tree.nodes["albedo"].image
     paved.node_tree.nodes["albedo"].image = under
+    materials.ghost.node_tree.nodes["albedo"].image = under
+    _set(materials.ghost, "shade", ghost_shade(surface.ghost_lines, scene.stream))
+    joint_m, darker = joint(scene.road, surface.joint, scene.stream)
+    for road in materials.roads:
+        _set(road, "joint_m", joint_m)
+        _set(road, "darker", darker if surface.joint else 0.0)
     for paint in materials.paints:
         _set(paint, "grayscale", scene.markings.grayscale)
         _set(paint, "gloss", scene.markings.gloss)
@@ -87,7 +99,7 @@ def set_materials(materials: Materials, scene: Scene) -> None:
         _set(paint, "is_rubbed", float(scene.markings.wear > 0))
         _set(paint, "road_gloss", surface.road_gloss)
         paint.node_tree.nodes["albedo"].image = under
-    for wettable in (*materials.roads, *materials.shoulders, *materials.paints):
+    for wettable in (*materials.roads, *materials.shoulders, *materials.paints, materials.ghost):
         _set(wettable, "wetness", surface.wetness)
 
 
@@ -127,15 +139,18 @@ def _tile_uv(graph: Graph) -> Any:
 
 
 def _road(name: str, files: TextureFiles) -> bpy.types.Material:
-    """Fine texture times a lane-aligned wear map (for a user's texture, that of fresh asphalt), under a coat whose
-    smoothness is `gloss`."""
+    """Fine texture times a lane-aligned wear map (for a user's texture, that of fresh asphalt), right of a joint
+    darker, under a coat whose smoothness is `gloss`."""
     material, graph = new_material(name, SEMANTIC_IDS["road"])
     uv = _tile_uv(graph)
     wear_uv = graph.node("ShaderNodeMapping", {"Vector": _metres(graph)}, name="wear_uv").outputs[0]
     fine = _albedo(graph, files.albedo, uv)
     wear_file = "road_1_wear.jpg" if files.albedo.is_absolute() else f"{name}_wear.jpg"
     wear = texture(graph, wear_file, wear_uv, is_color=False)
-    color = graph.vector("MULTIPLY", graph.scale(fine, 2.0), wear)
+    right_m = graph.node("ShaderNodeSeparateXYZ", {0: _metres(graph)}).outputs[0]
+    is_right = graph.math("GREATER_THAN", right_m, graph.value("joint_m"))
+    shade = graph.math("SUBTRACT", 1.0, graph.math("MULTIPLY", graph.value("darker"), is_right))
+    color = graph.scale(graph.vector("MULTIPLY", graph.scale(fine, 2.0), wear), shade)
     gloss = graph.value("gloss")
     roughness = graph.math("MULTIPLY_ADD", gloss, -1.5, texture(graph, files.roughness, uv, is_color=False))
     amount = graph.math("MULTIPLY_ADD", gloss, 1.2, 0.15)
@@ -225,5 +240,25 @@ def _paint(name: str, kind: str, tint: tuple[float, float, float]) -> bpy.types.
     amount = graph.mix(gloss, graph.math("MULTIPLY_ADD", graph.value("road_gloss"), 1.2, 0.15), bare)
     normal = graph.node("ShaderNodeNewGeometry").outputs["Normal"]
     look = wet(graph, Look(color, roughness, amount, normal))
+    coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
+    return material
+
+
+def _tar() -> bpy.types.Material:
+    """Bitumen: black and shiny, wet or dry."""
+    material, graph = new_material("tar", SEMANTIC_IDS["road"])
+    coated(graph, TAR, TAR_ROUGHNESS, TAR_COAT)
+    return material
+
+
+def _ghost() -> bpy.types.Material:
+    """The gray of the road's pavement, lighter or darker by `shade`."""
+    material, graph = new_material("ghost", SEMANTIC_IDS["road"])
+    position = graph.node("ShaderNodeNewGeometry").outputs["Position"]
+    road = _albedo(graph, "road_1_albedo.jpg", graph.scale(position, 1 / ROAD_TILE_M))
+    gray = graph.node("ShaderNodeRGBToBW", {0: road}).outputs[0]
+    color = graph.scale((1.0, 1.0, 1.0), graph.math("MULTIPLY", gray, graph.value("shade")))
+    normal = graph.node("ShaderNodeNewGeometry").outputs["Normal"]
+    look = wet(graph, Look(color, ROAD_ROUGHNESS, 0.15, normal))
     coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
     return material
