@@ -112,7 +112,7 @@ class Markings(Part):
     """Paint: `dash_fraction` is the painted share of `dash_cycle_m`, `wear` the share of paint that is rubbed off,
     `missing` the share of each line's length without paint, in stretches. `left_yellow` and `left_double` (two stripes
     of `width_m`, `width_m` apart) apply to the leftmost line as the host drives. With `dots`, dashed lines consist of
-    Botts' dots instead: raised discs 10 cm across, four to a dash, and a square reflector in the middle of each gap."""
+    Botts' dots instead: raised discs 10 cm across, four to a dash."""
 
     dash_cycle_m: Annotated[float, Field(ge=0.001, le=1000)]
     dash_fraction: Annotated[float, Field(gt=0, le=1)]

@@ -19,6 +19,7 @@ from synth3dlanes.geometry.lanes import Curve, curves
 from synth3dlanes.geometry.paint import paint_meshes
 from synth3dlanes.geometry.placement import tree_positions, world_from_car
 from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.geometry.seams import ghost_mesh, tar_mesh
 from synth3dlanes.geometry.symbols import symbol_mesh
 from synth3dlanes.scene import Camera, Scene
 
@@ -117,6 +118,17 @@ class World:
     def symbols(self, view: View) -> list[meshes.Mesh]:
         """The paint of every symbol, corrected for parallax so that it looks in place from a view."""
         return [symbol_mesh(self.ground, symbol, view.eye_world) for symbol in self.scene.symbols]
+
+    def tar(self, view: View) -> meshes.Mesh | None:
+        """Cracks filled with tar, raised less than paint; None without any."""
+        amount = self.scene.surface.tar
+        return tar_mesh(self.ground, amount, view.eye_world, self.scene.stream) if amount else None
+
+    def ghost_lines(self, view: View) -> meshes.Mesh | None:
+        """Removed lines, raised less than paint; None without any."""
+        if not self.scene.surface.ghost_lines:
+            return None
+        return ghost_mesh(self.ground, self.scene.markings, view.eye_world, self.scene.stream)
 
 
 def resolve(scene: Scene) -> World:

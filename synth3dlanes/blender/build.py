@@ -140,6 +140,9 @@ def _add_surfaces(materials: Materials, world: World, view: View, labelled: Sequ
         _add_object(new_mesh(mesh, [terrain]), 0)
     for mesh in world.pavement:
         _add_object(new_mesh(mesh, [road, shoulder, terrain]), 0)
+    for seam, material in ((world.tar(view), materials.tar), (world.ghost_lines(view), materials.ghost)):
+        if seam is not None:
+            _add_object(new_mesh(seam, [material]), 0)
     strips = world.paint(view)
     colors = {line.id: paint_color(line, scene.markings) for line in world.lines}
     for number, name in enumerate([*labelled, *(name for name in strips if name not in labelled)]):

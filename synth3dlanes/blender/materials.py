@@ -16,6 +16,7 @@ from PIL import Image
 from synth3dlanes.assets.folder import TextureFiles
 from synth3dlanes.blender.shaders import Graph, coated, new_material, texture
 from synth3dlanes.blender.weathering import Look, bent_back, rub_level, rubbed, snowed, wet, wheel_tracks
+from synth3dlanes.geometry.seams import ghost_shade, joint
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import SEMANTIC_IDS
 
@@ -29,6 +30,7 @@ BLUR_DISTANCE_M = 160.0
 MACRO_TILES = 20.0  # the large-scale maps fade out over this many tiles, before their repetition is visible
 # How far rough pavement and the beads in paint turn to a lamp beside the camera; water takes most of it.
 ROAD_BACK, PAINT_BACK, LEFT_WET = 0.22, 0.8, 0.2
+TAR, TAR_ROUGHNESS, TAR_COAT = (0.012, 0.012, 0.012), 0.35, 0.3
 # Colours of traffic paint as shares of its grayscale, linear.
 WHITE, YELLOW = (1.0, 1.0, 1.0), (1.0, 0.56, 0.06)
 TERRAIN_MEANS = {"terrain_1": (0.103, 0.109, 0.052), "terrain_2": (0.249, 0.179, 0.11)}
@@ -46,6 +48,8 @@ class Materials:
     marking: bpy.types.Material
     yellow_marking: bpy.types.Material
     symbol: bpy.types.Material
+    tar: bpy.types.Material
+    ghost: bpy.types.Material
 
     @property
     def paints(self) -> tuple[bpy.types.Material, ...]:
@@ -62,6 +66,8 @@ def make_materials(roads: Sequence[TextureFiles], terrains: Sequence[TextureFile
         _paint("marking", "marking", WHITE),
         _paint("yellow_marking", "marking", YELLOW),
         _paint("symbol", "symbol", WHITE),
+        _tar(),
+        _ghost(),
     )
 
 
@@ -82,6 +88,12 @@ def set_materials(materials: Materials, scene: Scene) -> None:
     _orient(paved, surface.road_texture_scale, angle_rad)
     under = materials.roads[surface.road_texture - 1].node_tree.nodes["albedo"].image
     paved.node_tree.nodes["albedo"].image = under
+    materials.ghost.node_tree.nodes["albedo"].image = under
+    _set(materials.ghost, "shade", ghost_shade(surface.ghost_lines, scene.stream))
+    joint_m, darker = joint(scene.road, surface.joint, scene.stream)
+    for road in materials.roads:
+        _set(road, "joint_m", joint_m)
+        _set(road, "darker", darker if surface.joint else 0.0)
     for paint in materials.paints:
         _set(paint, "grayscale", scene.markings.grayscale)
         _set(paint, "gloss", scene.markings.gloss)
@@ -94,6 +106,9 @@ def set_materials(materials: Materials, scene: Scene) -> None:
         _set(paved, "wetness", surface.wetness)
         _set(paved, "retro", weather.headlights * (1 - (1 - LEFT_WET) * surface.wetness))
         _set_snow(paved, weather.snow if paved in materials.shoulders else weather.snow_on_road)
+    _set(materials.ghost, "wetness", surface.wetness)
+    for seam in (materials.tar, materials.ghost):
+        _set_snow(seam, weather.snow_on_road)
     for road in materials.roads:
         _set(road, "lane_width_m", lane_width_m)
         _set(road, "lane_shift", shift)
@@ -143,15 +158,18 @@ def _tile_uv(graph: Graph) -> Any:
 
 
 def _road(name: str, files: TextureFiles) -> bpy.types.Material:
-    """Fine texture times a lane-aligned wear map (for a user's texture, that of fresh asphalt), under a coat whose
-    smoothness is `gloss`."""
+    """Fine texture times a lane-aligned wear map (for a user's texture, that of fresh asphalt), right of a joint
+    darker, under a coat whose smoothness is `gloss`."""
     material, graph = new_material(name, SEMANTIC_IDS["road"])
     uv = _tile_uv(graph)
     wear_uv = graph.node("ShaderNodeMapping", {"Vector": _metres(graph)}, name="wear_uv").outputs[0]
     fine = _albedo(graph, files.albedo, uv)
     wear_file = "road_1_wear.jpg" if files.albedo.is_absolute() else f"{name}_wear.jpg"
     wear = texture(graph, wear_file, wear_uv, is_color=False)
-    color = graph.vector("MULTIPLY", graph.scale(fine, 2.0), wear)
+    right_m = graph.node("ShaderNodeSeparateXYZ", {0: _metres(graph)}).outputs[0]
+    is_right = graph.math("GREATER_THAN", right_m, graph.value("joint_m"))
+    shade = graph.math("SUBTRACT", 1.0, graph.math("MULTIPLY", graph.value("darker"), is_right))
+    color = graph.scale(graph.vector("MULTIPLY", graph.scale(fine, 2.0), wear), shade)
     gloss = graph.value("gloss")
     roughness = graph.math("MULTIPLY_ADD", gloss, -1.5, texture(graph, files.roughness, uv, is_color=False))
     amount = graph.math("MULTIPLY_ADD", gloss, 1.2, 0.15)
@@ -245,5 +263,27 @@ def _paint(name: str, kind: str, tint: tuple[float, float, float]) -> bpy.types.
     amount = graph.mix(gloss, graph.math("MULTIPLY_ADD", graph.value("road_gloss"), 1.2, 0.15), bare)
     normal = graph.node("ShaderNodeNewGeometry").outputs["Normal"]
     look = bent_back(graph, snowed(graph, wet(graph, Look(color, roughness, amount, normal))), PAINT_BACK)
+    coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
+    return material
+
+
+def _tar() -> bpy.types.Material:
+    """Bitumen: black and shiny, wet or dry."""
+    material, graph = new_material("tar", SEMANTIC_IDS["road"])
+    normal = graph.node("ShaderNodeNewGeometry").outputs["Normal"]
+    look = snowed(graph, Look(TAR, TAR_ROUGHNESS, TAR_COAT, normal))
+    coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
+    return material
+
+
+def _ghost() -> bpy.types.Material:
+    """The gray of the road's pavement, lighter or darker by `shade`."""
+    material, graph = new_material("ghost", SEMANTIC_IDS["road"])
+    position = graph.node("ShaderNodeNewGeometry").outputs["Position"]
+    road = _albedo(graph, "road_1_albedo.jpg", graph.scale(position, 1 / ROAD_TILE_M))
+    gray = graph.node("ShaderNodeRGBToBW", {0: road}).outputs[0]
+    color = graph.scale((1.0, 1.0, 1.0), graph.math("MULTIPLY", gray, graph.value("shade")))
+    normal = graph.node("ShaderNodeNewGeometry").outputs["Normal"]
+    look = snowed(graph, wet(graph, Look(color, ROAD_ROUGHNESS, 0.15, normal)))
     coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
     return material

@@ -14,10 +14,9 @@ from jaxtyping import Float
 
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.lanes import path_of_segment
-from synth3dlanes.geometry.meshes import Mesh, is_facing_up
-from synth3dlanes.geometry.paint import MAX_SHARE, PAINT_LIFT_AT_M, PAINT_LIFT_M
+from synth3dlanes.geometry.meshes import Mesh, facing_up
+from synth3dlanes.geometry.paint import towards_eye
 from synth3dlanes.geometry.road import S_END_M, RoadPlan
-from synth3dlanes.geometry.terrain import gradient_at
 from synth3dlanes.scene import Symbol
 from synth3dlanes.schema import SymbolKind
 
@@ -86,29 +85,6 @@ def symbol_mesh(ground: Ground, symbol: Symbol, eye_world: Float[np.ndarray, "3"
     places = quads.reshape(-1, 2)
     vertices = towards_eye(ground, form.points_world(places), eye_world)
     return facing_up(vertices, places)
-
-
-def facing_up(vertices_world: Float[np.ndarray, "v 3"], uv_m: Float[np.ndarray, "v 2"]) -> Mesh:
-    """A mesh of separate quads, four vertices each, with their front sides up."""
-    faces = np.arange(len(vertices_world)).reshape(-1, 4)
-    mesh = Mesh(vertices_world, faces, uv_m, np.zeros(len(faces), dtype=int))
-    up = is_facing_up(mesh)
-    return Mesh(vertices_world, np.where(up[:, None], faces, faces[:, ::-1]), uv_m, mesh.material)
-
-
-def towards_eye(
-    ground: Ground, points_world: Float[np.ndarray, "n 3"], eye_world: Float[np.ndarray, "3"], share_of_lift: float = 1
-) -> Float[np.ndarray, "n 3"]:
-    """Points of the road raised as paint is, along their lines of sight, so that parallax does not move them."""
-    plan = ground.plan
-    slope = gradient_at(plan.terrain, points_world[:, :2])
-    to_eye = eye_world - points_world
-    eye_over_road_m = np.clip(to_eye[:, 2] - (to_eye[:, :2] * slope).sum(axis=1), 0, None)
-    ahead_m = np.abs(points_world[:, 1] - ground.near_m)
-    lift_m = share_of_lift * np.interp(ahead_m, PAINT_LIFT_AT_M, PAINT_LIFT_M)
-    # lift / height, which falls to 0 where the eye is near the road's plane or below it
-    share = lift_m * eye_over_road_m / (eye_over_road_m**2 + (lift_m / MAX_SHARE) ** 2)
-    return np.asarray(points_world + share[:, None] * to_eye)
 
 
 def gore_range(plan: RoadPlan) -> tuple[float, float] | None:

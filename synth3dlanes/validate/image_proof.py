@@ -151,10 +151,10 @@ def _lines(paint: Paint, camera: CameraLabel, cuts: Sequence[Cut]) -> Iterator[L
     at = np.cumsum([len(cut.profiles) for cut in cuts])[:-1]
     of_cuts = (np.split(values, at) for values in (is_clear, outside_m, uv[:, 0].reshape(-1, 3)))
     for cut, clear, beyond_m, u_px in zip(cuts, *of_cuts, strict=True):
-        reach_m = BESIDE[1] * paint.width_m + max(paint.stripes_m(cut.lane))
+        reach_m = BESIDE[1] * paint.width_m(cut.lane) + max(paint.stripes_m(cut.lane))
         left_m, right_m = (_room(beyond_m[:, 1], beyond_m[:, side]) - reach_m for side in (0, 2))
         if clear.sum() >= MIN_PROFILES and min(left_m, right_m) > 0:
-            ridges = _ridges(cut.profiles[clear], paint.width_m, paint.stripes_m(cut.lane))
+            ridges = _ridges(cut.profiles[clear], paint.width_m(cut.lane), paint.stripes_m(cut.lane))
             ridges[:, (-left_m > PLACES_M) | (right_m < PLACES_M)] = 0.0
             px_per_m = (u_px[clear, 2] - u_px[clear, 0]) / (2 * REACH_M)
             yield Line(cut.lane, u_px[clear, 1], px_per_m, cut.ends_cam[clear, 1, 1], ridges)
