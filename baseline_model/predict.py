@@ -6,20 +6,21 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 
 from synth3dlanes.formats.reading import read_image
 from synth3dlanes.labels import Labels
 
 from . import checkpoint as checkpoints
-from .data import Intrinsics, intrinsics_of, size_of
+from .data import Intrinsics, img_from_cam, intrinsics_of, size_of
 from .inference import choose_device
 from .lanes import Prediction, write_predictions
 from .overlay import save_overlay
-from .sources import open_split
+from .photographs import open_photographs
+from .sources import image_files, open_split
+from .tusimple import check_plane
 
 ASSUMED_FOV_DEG = 60.0
-IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp")
 
 
 @dataclass(eq=False)
@@ -67,14 +68,16 @@ def predict(
     """Write `predictions.jsonl` and the first `n_overlays` pictures, with lanes of at least this confidence, to
     `out_dir`.
 
-    `source` is a split of a dataset, an image, or a folder of images. `intrinsics` are those of images (fx, fy, cx, cy
-    in their pixels); None: a camera with a field of view of 60 degrees, as that of the paper, is assumed."""
+    `source` is a split of a dataset, an image, a folder of images, or a label file of tuSimple or a folder with one.
+    `intrinsics` are those of images (fx, fy, cx, cy in their pixels). None: images are taken for those of a camera with
+    a field of view of 60 degrees, as that of the paper; for tuSimple, only the variant on a fixed plane works."""
     detector = checkpoints.detector(checkpoint, choose_device(device), own_model)
     pictures = _pictures(source, intrinsics)
     out = Path(out_dir)
     out.mkdir(parents=True, exist_ok=True)
     summary = Summary(out / "predictions.jsonl", threshold)
-    summary.is_assumed = intrinsics is None and bool(_image_files(source))
+    summary.is_assumed = intrinsics is None and bool(image_files(source))
+    needs_plane = intrinsics is None and not image_files(source) and open_photographs(source) is not None
     shown: list[_Picture] = []
 
     def images() -> Iterator[tuple[str, UInt8[np.ndarray, "h w 3"], Intrinsics]]:
@@ -85,6 +88,8 @@ def predict(
 
     def kept() -> Iterator[Prediction]:
         for number, prediction in enumerate(detector.in_images(images())):
+            if needs_plane:
+                check_plane(prediction, source)
             if number < n_overlays:
                 picture = shown[number]
                 name = picture.key.replace("/", "_").rsplit(".", 1)[0]
@@ -99,17 +104,15 @@ def predict(
     return summary
 
 
-def img_from_cam(intrinsics: Intrinsics) -> Float[np.ndarray, "3 3"]:
-    """The labels' matrix for these intrinsics."""
-    fx, fy, cx, cy = intrinsics
-    return np.array([[fx, cx, 0.0], [0.0, cy, -fy], [0.0, 1.0, 0.0]])
-
-
 def _pictures(source: str | Path, intrinsics: Intrinsics | None) -> Iterator[_Picture]:
     """The source's images; the source is opened at once, images are read on iteration."""
-    files = _image_files(source)
+    files = image_files(source)
     if files:
         return (_of_file(file, intrinsics) for file in files)
+    photographs = None if intrinsics is None else open_photographs(source)
+    if intrinsics is not None and photographs is not None:
+        named = enumerate(photographs.keys())
+        return (_Picture(key, photographs.image(index), intrinsics, None) for index, key in named)
     samples = open_split(source)
     chosen = (samples[index] for index in range(len(samples)))
     return (_Picture(s.key, np.array(s.image), intrinsics_of(s.labels), s.labels) for s in chosen)
@@ -125,14 +128,3 @@ def assumed_intrinsics(size_px: tuple[int, int]) -> Intrinsics:
     height, width = size_px
     focal_px = width / 2 / math.tan(math.radians(ASSUMED_FOV_DEG / 2))
     return (focal_px, focal_px, width / 2, height / 2)
-
-
-def _image_files(source: str | Path) -> list[Path]:
-    if "://" in str(source):
-        return []
-    source = Path(source)
-    if source.is_file() and source.suffix.lower() in IMAGE_SUFFIXES:
-        return [source]
-    if source.is_dir():
-        return sorted(path for path in source.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
-    return []
