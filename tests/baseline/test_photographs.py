@@ -182,3 +182,34 @@ def test_centre_lines_alone_are_refused_in_a_line(tmp_path):
     write_predictions(tmp_path / "p.jsonl", [Prediction("1.jpg", (line,), None)])
     with pytest.raises(InputError, match="got centre lines only"):
         evaluate_predictions(tmp_path / "p.jsonl", open_photographs(tmp_path), KITTI)
+
+
+def test_a_checkpoint_knows_the_focal_lengths_it_was_trained_on_and_every_image_is_seen_so(roads, tmp_path):
+    from dataclasses import replace
+
+    import torch
+    from synth3dlanes_baseline import checkpoint as checkpoints
+    from synth3dlanes_baseline.config import train_config
+    from synth3dlanes_baseline.data import intrinsics_of
+    from synth3dlanes_baseline.model import LaneNet
+
+    torch.manual_seed(0)
+    config = train_config("tiny")
+    about = {"train": {"n_images": 1, "focal_px": [60.0, 70.0, 1.0]}}
+    checkpoints.save(tmp_path / "a.pt", checkpoints.Checkpoint(config, about, LaneNet(config.model).state_dict(), None))
+    detector = checkpoints.detector(tmp_path / "a.pt", torch.device("cpu"))
+    assert detector.trained == FocalLengths(60.0, 70.0, 1.0)
+    (sample,) = roads.samples(np.random.default_rng(2), 1, (480, 360))  # f = 138.6 px at 160x120
+    intrinsics = intrinsics_of(sample.labels)
+    image, seen = fit(sample.image, intrinsics, detector.size_px, detector.trained)
+    assert seen[0] == pytest.approx(70, rel=0.01)
+    pixels = torch.from_numpy(image[None]).permute(0, 3, 1, 2)
+    (expected,) = detector.in_batch([sample.key], pixels, torch.tensor([seen]))
+    (of_image,) = detector.in_images([(sample.key, sample.image, intrinsics)])
+    ((_, of_sample),) = detector.in_samples([sample], workers=0)
+    (resized,) = replace(detector, trained=None).in_images([(sample.key, sample.image, intrinsics)])
+    of_image, of_sample, resized, expected = (
+        [lane.score for lane in prediction.lanes] for prediction in (of_image, of_sample, resized, expected)
+    )
+    assert of_image == of_sample == pytest.approx(expected, rel=1e-6)
+    assert resized != pytest.approx(expected, rel=1e-3)

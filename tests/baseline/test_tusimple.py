@@ -85,3 +85,21 @@ def test_tusimple_model_learns_only_delimiters_without_height(tusimple):
     assert targets.assigned.shape == (1, 1, 16)
     assert targets.assigned.sum() == 3
     assert targets.z_m[targets.assigned & True].abs().max() < 1e-3
+
+
+def test_the_image_only_network_is_scored_without_a_camera(tusimple, tmp_path):
+    from synth3dlanes_baseline import checkpoint as checkpoints
+    from synth3dlanes_baseline.config import TUSIMPLE, train_config
+    from synth3dlanes_baseline.evaluate import evaluate_checkpoint
+    from synth3dlanes_baseline.model import LaneNet
+    from synth3dlanes_baseline.predict import predict
+
+    config = train_config("nano", {f"model.{name}": value for name, value in TUSIMPLE.items()})
+    weights = LaneNet(config.model).state_dict()
+    checkpoints.save(tmp_path / "a.pt", checkpoints.Checkpoint(config, {}, weights, None))
+    report = evaluate_checkpoint(tmp_path / "a.pt", tusimple, device="cpu")
+    assert report.kinds["delimiter"].n_detections > 0
+    accuracy, _, false_negative = report.tusimple
+    assert 0 <= accuracy <= 1
+    assert 0 <= false_negative <= 1
+    assert predict(tmp_path / "a.pt", tusimple, tmp_path / "found", n_overlays=0, device="cpu").n_images == 1
