@@ -60,6 +60,11 @@ class TusimpleImages:
         """The frame's picture."""
         return self.split.image(index)
 
+    def lines_px(self, index: int) -> list[Float[np.ndarray, "_ 2"]]:
+        """The labelled lines as points of the image."""
+        frame = self.split.frame(index)
+        return [np.stack([u_px, frame.rows_px], axis=1)[u_px >= 0] for u_px in frame.lanes_u_px]
+
     def report(self, found: Sequence[Prediction], intrinsics: Intrinsics, threshold: float) -> ImageReport:
         """The official accuracy, and rates of false positives and negatives."""
         score = tusimple_score(found, self.split, img_from_cam(intrinsics), threshold)
@@ -134,10 +139,12 @@ def evaluate_predictions(
 
 
 def open_photographs(source: str | Path, masks: Path | None = None) -> Photographs | None:
-    """Photographs with labels: a tuSimple label file, a folder with one, or a folder of images whose masks are in
-    another; None if the source is neither."""
-    if masks is not None:
-        return _lane_areas(Path(source), masks)
+    """Photographs with labels: those of `open_tusimple`, or a folder of images whose masks are in another."""
+    return open_tusimple(source) if masks is None else _lane_areas(Path(source), masks)
+
+
+def open_tusimple(source: str | Path) -> TusimpleImages | None:
+    """The images of a tuSimple label file or of a folder with one; None if the source is neither."""
     labels = None if "://" in str(source) else find_labels(Path(source))
     return None if labels is None else TusimpleImages(TusimpleSplit(labels))
 

@@ -1,12 +1,12 @@
 """Detect lanes in a split, in image files or in folders of images; write predictions and pictures."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from synth3dlanes.formats.reading import read_image
 from synth3dlanes.labels import Labels
@@ -16,7 +16,7 @@ from .data import Intrinsics, img_from_cam, intrinsics_of, size_of
 from .inference import choose_device
 from .lanes import Prediction, write_predictions
 from .overlay import save_overlay
-from .photographs import open_photographs
+from .photographs import open_tusimple
 from .sources import image_files, open_split
 from .tusimple import check_plane
 
@@ -53,6 +53,7 @@ class _Picture:
     image: UInt8[np.ndarray, "h w 3"]
     intrinsics: Intrinsics
     labels: Labels | None
+    lines_px: Sequence[Float[np.ndarray, "_ 2"]] = ()
 
 
 def predict(
@@ -77,7 +78,7 @@ def predict(
     out.mkdir(parents=True, exist_ok=True)
     summary = Summary(out / "predictions.jsonl", threshold)
     summary.is_assumed = intrinsics is None and bool(image_files(source))
-    needs_plane = intrinsics is None and not image_files(source) and open_photographs(source) is not None
+    needs_plane = intrinsics is None and not image_files(source) and open_tusimple(source) is not None
     shown: list[_Picture] = []
 
     def images() -> Iterator[tuple[str, UInt8[np.ndarray, "h w 3"], Intrinsics]]:
@@ -94,7 +95,8 @@ def predict(
                 picture = shown[number]
                 name = picture.key.replace("/", "_").rsplit(".", 1)[0]
                 matrix = img_from_cam(picture.intrinsics)
-                save_overlay(out / f"{name}.png", picture.image, matrix, prediction, picture.labels, threshold)
+                truth = picture.labels if picture.labels is not None else picture.lines_px
+                save_overlay(out / f"{name}.png", picture.image, matrix, prediction, truth, threshold)
             summary.n_images += 1
             summary.n_lanes += sum(lane.score >= threshold for lane in prediction.lanes)
             summary.best_score = max([summary.best_score, *(lane.score for lane in prediction.lanes)])
@@ -106,13 +108,13 @@ def predict(
 
 def _pictures(source: str | Path, intrinsics: Intrinsics | None) -> Iterator[_Picture]:
     """The source's images; the source is opened at once, images are read on iteration."""
+    frames = None if intrinsics is None else open_tusimple(source)
+    if intrinsics is not None and frames is not None:
+        keys = enumerate(frames.keys())
+        return (_Picture(key, frames.image(i), intrinsics, None, frames.lines_px(i)) for i, key in keys)
     files = image_files(source)
     if files:
         return (_of_file(file, intrinsics) for file in files)
-    photographs = None if intrinsics is None else open_photographs(source)
-    if intrinsics is not None and photographs is not None:
-        named = enumerate(photographs.keys())
-        return (_Picture(key, photographs.image(index), intrinsics, None) for index, key in named)
     samples = open_split(source)
     chosen = (samples[index] for index in range(len(samples)))
     return (_Picture(s.key, np.array(s.image), intrinsics_of(s.labels), s.labels) for s in chosen)

@@ -13,7 +13,7 @@ from synth3dlanes.errors import InputError, MissingPackageError
 from .options import json_option
 
 if TYPE_CHECKING:
-    from synth3dlanes_baseline.photographs import ImageReport
+    from synth3dlanes_baseline.photographs import Photographs
 
 MODEL_NAMES = ("paper", "compact", "small", "nano", "tiny", "improved", "tusimple")
 ROW_NAMES = (
@@ -167,8 +167,8 @@ def predict(
     own_model: str | None,
     device: str,
 ) -> None:
-    """Detect lanes in a split, an image or a folder of images, with the network of a checkpoint or, without one, the
-    small network `nano` that this package brings.
+    """Detect lanes in a split, an image, a folder of images or the images of a tuSimple label file, with the network of
+    a checkpoint or, without one, the small network `nano` that this package brings.
 
     Writes OUT/predictions.jsonl, and pictures of the lanes in the image and in 3D.
     """
@@ -250,9 +250,17 @@ def evaluate(
     if intrinsics is not None or lane_masks is not None:
         if plots is not None:
             raise click.UsageError("--plots needs labels in 3D, which photographs do not have")
-        found = _evaluate_photographs(
-            source, lane_masks, _intrinsics(intrinsics), predictions, checkpoint, threshold, device, own_model
-        )
+        from synth3dlanes_baseline import photographs as images
+
+        photographs, camera = _photographs(source, lane_masks), _intrinsics(intrinsics)
+        if camera is None:
+            raise InputError(f"{source}: expected --intrinsics FX,FY,CX,CY of its camera, got none")
+        if predictions is not None:
+            found = images.evaluate_predictions(predictions, photographs, camera, threshold)
+        elif checkpoint is not None:
+            found = images.evaluate_checkpoint(checkpoint, photographs, camera, threshold, device, own_model)
+        else:
+            raise click.UsageError("expected --checkpoint or --predictions to score on photographs")
         click.echo(json.dumps(found.document()) if as_json else found.text())
         return
 
@@ -338,28 +346,13 @@ def _intrinsics(text: str | None) -> tuple[float, float, float, float] | None:
     return (fx, fy, cx, cy)
 
 
-def _evaluate_photographs(
-    source: str,
-    lane_masks: Path | None,
-    intrinsics: tuple[float, float, float, float] | None,
-    predictions: Path | None,
-    checkpoint: str | None,
-    threshold: float,
-    device: str,
-    own_model: str | None,
-) -> "ImageReport":
-    from synth3dlanes_baseline import photographs as scoring
+def _photographs(source: str, lane_masks: Path | None) -> "Photographs":
+    from synth3dlanes_baseline.photographs import open_photographs
 
-    photographs = scoring.open_photographs(source, lane_masks)
-    if photographs is None:
+    found = open_photographs(source, lane_masks)
+    if found is None:
         raise InputError(f"{source}: expected a label file of tuSimple or a folder with one, or --lane-masks")
-    if intrinsics is None:
-        raise InputError(f"{source}: expected --intrinsics FX,FY,CX,CY of its camera, got none")
-    if predictions is not None:
-        return scoring.evaluate_predictions(predictions, photographs, intrinsics, threshold)
-    if checkpoint is None:
-        raise click.UsageError("expected --checkpoint or --predictions to score on photographs")
-    return scoring.evaluate_checkpoint(checkpoint, photographs, intrinsics, threshold, device, own_model)
+    return found
 
 
 def _sizes(text: str) -> list[int]:

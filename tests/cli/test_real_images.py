@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 FOCAL_PX = 2015 * 2 / 3  # of our tuSimple exports (docs/exports.md), 1280x720
 
@@ -81,8 +82,11 @@ def test_a_score_is_one_line(run, exported):
 def test_predict_and_evaluate_take_the_same_camera(run, exported):
     """The file that `predict` writes scores as the checkpoint does, on pictures without any road."""
     options = ("--intrinsics", f"{FOCAL_PX},{FOCAL_PX},640,360", "--threshold", "0.01")
-    result = run("predict", "nano", exported, *options, "--out", "found", "--overlays", 0)
+    result = run("predict", "nano", exported, *options, "--out", "found", "--overlays", 1)
     assert result.exit_code == 0, result.output
+    (picture,) = Path("found").glob("*.png")
+    is_blue = (np.array(Image.open(picture).convert("RGB"))[:300] == (0x1F, 0x5F, 0xFF)).all(axis=2)
+    assert np.count_nonzero(is_blue) > 50, "the labelled lines, above the legend"
     keys = [prediction["key"] for prediction in documents(Path("found/predictions.jsonl"))]
     assert keys == [frame["raw_file"] for frame in documents(exported / "labels.json")]
     of_file = run("evaluate", exported, "--predictions", "found/predictions.jsonl", *options, "--json")
