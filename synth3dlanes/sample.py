@@ -32,6 +32,7 @@ from synth3dlanes.scene import (
     Surface,
     Terrain,
     Tree,
+    Vegetation,
     to_json,
 )
 from synth3dlanes.streams import stream
@@ -77,6 +78,7 @@ def sample_world(params: Params, seed: int, split: str, index: int, assets: Asse
         sensor=_plain(Sensor, draws["sensor"]),
         sky=_sky(assets, stream(seed, split, index, "sky")),
         assets=assets,
+        vegetation=_plain(Vegetation, draws["vegetation"]),
     )
     world = resolve(bare)
     car_places = Draw(params.cars, stream(seed, split, index, "car_places"))
@@ -88,7 +90,7 @@ def sample_world(params: Params, seed: int, split: str, index: int, assets: Asse
     return replace(world, scene=bare.model_copy(update={"cars": cars, "trees": trees}))
 
 
-P = TypeVar("P", Markings, Surface, Light, Air, Sensor)
+P = TypeVar("P", Markings, Surface, Light, Air, Sensor, Vegetation)
 
 
 def scene_texts(

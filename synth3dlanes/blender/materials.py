@@ -29,6 +29,7 @@ BLUR_DISTANCE_M = 160.0
 MACRO_TILES = 20.0  # the large-scale maps fade out over this many tiles, before their repetition is visible
 # Colours of traffic paint as shares of its grayscale, linear.
 WHITE, YELLOW = (1.0, 1.0, 1.0), (1.0, 0.56, 0.06)
+DRY_GRASS = (0.24, 0.19, 0.10)
 TERRAIN_MEANS = {"terrain_1": (0.103, 0.109, 0.052), "terrain_2": (0.249, 0.179, 0.11)}
 # Woods on far terrain (linear): patches of hundreds of metres that fade in from this distance to twice it.
 WOODS, WOODS_LENGTH_M, WOODS_FROM_M = (0.035, 0.045, 0.025), 2900.0, 220.0
@@ -43,6 +44,7 @@ class Materials:
     terrains: tuple[bpy.types.Material, ...]
     marking: bpy.types.Material
     yellow_marking: bpy.types.Material
+    grass: bpy.types.Material
 
 
 def make_materials(roads: Sequence[TextureFiles], terrains: Sequence[TextureFiles]) -> Materials:
@@ -53,6 +55,7 @@ def make_materials(roads: Sequence[TextureFiles], terrains: Sequence[TextureFile
         tuple(_terrain(f"terrain_{k + 1}", files) for k, files in enumerate(terrains)),
         _marking("marking", WHITE),
         _marking("yellow_marking", YELLOW),
+        _grass(),
     )
 
 
@@ -73,6 +76,8 @@ def set_materials(materials: Materials, scene: Scene) -> None:
     _orient(paved, surface.road_texture_scale, angle_rad)
     under = materials.roads[surface.road_texture - 1].node_tree.nodes["albedo"].image
     paved.node_tree.nodes["albedo"].image = under
+    mean = materials.terrains[surface.terrain_texture - 1].node_tree.nodes["mean"].outputs[0].default_value
+    materials.grass.node_tree.nodes["mean"].outputs[0].default_value = mean
     for marking in (materials.marking, materials.yellow_marking):
         _set(marking, "grayscale", scene.markings.grayscale)
         _set(marking, "gloss", scene.markings.gloss)
@@ -82,6 +87,13 @@ def set_materials(materials: Materials, scene: Scene) -> None:
         marking.node_tree.nodes["albedo"].image = under
     for wettable in (*materials.roads, *materials.shoulders, materials.marking, materials.yellow_marking):
         _set(wettable, "wetness", surface.wetness)
+
+
+def set_translucency(trees: Sequence[bpy.types.Mesh], share: float) -> None:
+    """Set how much light the leaves of the built-in trees let through."""
+    for material in (material for mesh in trees for material in mesh.materials):
+        if "translucency" in material.node_tree.nodes:
+            _set(material, "translucency", share)
 
 
 def _set(material: bpy.types.Material, name: str, value: float) -> None:
@@ -175,7 +187,9 @@ def _terrain(name: str, files: TextureFiles) -> bpy.types.Material:
     fine = texture(graph, files.albedo, uv, is_color=True)
     distance_m = graph.node("ShaderNodeCameraData").outputs["View Distance"]
     blur = graph.math("MINIMUM", graph.math("DIVIDE", distance_m, BLUR_DISTANCE_M), 0.9)
-    mean = mean_color(files.albedo) if files.albedo.is_absolute() else TERRAIN_MEANS[name]
+    mean = graph.node("ShaderNodeRGB", name="mean").outputs[0]
+    known = mean_color(files.albedo) if files.albedo.is_absolute() else TERRAIN_MEANS[name]
+    mean.default_value = (*known, 1.0)
     color = graph.mix_color(fine, mean, blur)
     for length_m in (41.0, 233.0):
         macro = texture(graph, "terrain_macro.jpg", graph.scale(metres, 1 / length_m), is_color=False)
@@ -185,6 +199,22 @@ def _terrain(name: str, files: TextureFiles) -> bpy.types.Material:
     flat = graph.node("ShaderNodeNewGeometry").outputs["Normal"]
     normal = graph.mix_color(_bumpy_normal(graph, files.normal, uv, 0.8), flat, blur)
     graph.surface(graph.node("ShaderNodeBsdfDiffuse", {"Color": color, "Normal": normal}))
+    return material
+
+
+def _grass() -> bpy.types.Material:
+    """Blades in the terrain's mean colour, some of them dry, lit from both sides."""
+    material, graph = new_material("grass", SEMANTIC_IDS["terrain"])
+    shade, dryness = (
+        graph.node("ShaderNodeAttribute", attribute_name=name).outputs["Fac"] for name in ("shade", "dryness")
+    )
+    mean = graph.node("ShaderNodeRGB", name="mean").outputs[0]
+    color = graph.scale(graph.mix_color(mean, DRY_GRASS, dryness), shade)
+    facing = graph.node("ShaderNodeNewGeometry").outputs["Normal"]
+    normal = graph.vector("NORMALIZE", graph.vector("ADD", facing, (0.0, 0.0, 0.9)))
+    front = graph.node("ShaderNodeBsdfDiffuse", {"Color": color, "Normal": normal})
+    back = graph.node("ShaderNodeBsdfTranslucent", {"Color": color})
+    graph.surface(graph.node("ShaderNodeAddShader", {0: front.outputs[0], 1: back.outputs[0]}))
     return material
 
 
