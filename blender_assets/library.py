@@ -34,6 +34,8 @@ LIVERIES = (
     (0.08, (0.018, 0.130, 0.050)),
     (0.06, (0.42, 0.10, 0.012)),
 )
+# Light through a leaf as shares of what it reflects: yellower, and about as much.
+TRANSMITTED = (1.15, 1.3, 0.5)
 BARKS = {"conifer": (0.085, 0.055, 0.038), "dead": (0.16, 0.145, 0.125), "poplar": (0.15, 0.14, 0.115)}
 
 
@@ -89,7 +91,7 @@ def bark(name: str) -> bpy.types.Material:
 
 
 def leaf(name: str) -> bpy.types.Material:
-    """Leaves: a colour by the tree's own random number, times the leaf's shade."""
+    """Leaves: a colour by the tree's own random number, times the leaf's shade. `translucency` lets light through."""
     material, graph = new_material(f"{name}_leaf", TREE_ID)
     info = graph.node("ShaderNodeObjectInfo")
     shade = graph.node("ShaderNodeAttribute", {}, attribute_name="shade")
@@ -98,7 +100,12 @@ def leaf(name: str) -> bpy.types.Material:
     geometry = graph.node("ShaderNodeNewGeometry")  # keep the normal out of the crown on a leaf's back, too
     side = graph.math("MULTIPLY_ADD", geometry.outputs["Backfacing"], -2.0, 1.0)
     normal = graph.scale(geometry.outputs["Normal"], side)
-    graph.surface(graph.node("ShaderNodeBsdfDiffuse", {"Color": color.outputs[0], "Normal": normal}))
+    opaque = graph.node("ShaderNodeBsdfDiffuse", {"Color": color.outputs[0], "Normal": normal}).outputs[0]
+    through = graph.vector("MULTIPLY", color.outputs[0], TRANSMITTED)
+    back = graph.node("ShaderNodeBsdfTranslucent", {"Color": through, "Normal": normal}).outputs[0]
+    lit = graph.node("ShaderNodeAddShader", {0: opaque, 1: back}).outputs[0]
+    # Without translucency, Cycles drops all but the opaque leaf.
+    graph.surface(graph.node("ShaderNodeMixShader", {0: graph.value("translucency"), 1: opaque, 2: lit}))
     return material
 
 

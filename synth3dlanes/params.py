@@ -38,7 +38,7 @@ Offset = Annotated[Real, reals(-50, 50)]
 # Of models or textures of one kind, if the assets are unknown.
 MAX_NUMBER = 9999
 # Groups that were added later; parameters without them have their defaults.
-OPTIONAL: tuple[str, ...] = ("symbols", "weather", "host")
+OPTIONAL: tuple[str, ...] = ("symbols", "weather", "host", "vegetation")
 # With more keys missing there is one line for all.
 MAX_MISSING = 3
 
@@ -178,6 +178,13 @@ class TreeParams(Group):
     y_m: Annotated[Real, reals(-1000, 1000)]
 
 
+class VegetationParams(Group):
+    """Leaves and grass."""
+
+    translucency: Fraction = added(0.0)
+    grass_m: Annotated[Real, reals(0, 1)] = added(0.0)
+
+
 class CameraParams(Group):
     """The host's camera. A `lane` beyond the lanes present is cut to them before the draw; `principal_offset_px` is
     drawn once for x and once for y."""
@@ -261,6 +268,9 @@ class Params(Group):
     symbols: SymbolParams = Field(default=SymbolParams(), exclude_if=lambda group: group == SymbolParams())
     weather: WeatherParams = Field(default=WeatherParams(), exclude_if=lambda group: group == WeatherParams())
     host: HostParams = Field(default=HostParams(), exclude_if=lambda group: group == HostParams())
+    vegetation: VegetationParams = Field(
+        default=VegetationParams(), exclude_if=lambda group: group == VegetationParams()
+    )
 
 
 def presets_folder() -> Path:

@@ -38,6 +38,7 @@ from synth3dlanes.scene import (
     Symbol,
     Terrain,
     Tree,
+    Vegetation,
     Weather,
     to_json,
 )
@@ -98,6 +99,7 @@ def sample_world(params: Params, seed: int, split: str, index: int, assets: Asse
         host=_plain(Host, draws["host"]),
         sky=_sky(assets, stream(seed, split, index, "sky")),
         assets=assets,
+        vegetation=_plain(Vegetation, draws["vegetation"]),
     )
     world = resolve(bare)
     tree_places = Draw(params.trees, stream(seed, split, index, "tree_places"))
@@ -107,7 +109,7 @@ def sample_world(params: Params, seed: int, split: str, index: int, assets: Asse
     return replace(world, scene=bare.model_copy(update={"cars": cars, "trees": trees, "symbols": symbols}))
 
 
-P = TypeVar("P", Markings, Surface, Light, Air, Sensor, Weather, Host)
+P = TypeVar("P", Markings, Surface, Light, Air, Sensor, Weather, Host, Vegetation)
 
 
 def scene_texts(

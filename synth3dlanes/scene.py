@@ -179,6 +179,14 @@ class Tree(Part):
     scale: Positive
 
 
+class Vegetation(Part):
+    """The light that leaves let through, as a share of a real leaf's, and the height of the grass beside the road near
+    the host."""
+
+    translucency: Unit = 0.0
+    grass_m: Annotated[float, Field(ge=0, le=1)] = 0.0
+
+
 class Camera(Part):
     """The host's camera: lane counted from the left as the host drives, station `y_m`, lateral offset positive to the
     right, roll about the viewing axis positive clockwise as the driver sees it."""
@@ -272,6 +280,7 @@ class Scene(Part):
     sky: Annotated[int, Field(ge=0, le=MAX_ASSETS)] = 0
     assets: Assets = Assets()
     symbols: Annotated[tuple[Symbol, ...], Field(max_length=MAX_SYMBOLS)] = added(())
+    vegetation: Vegetation = added(Vegetation())
 
     def stream(self, name: str) -> np.random.Generator:
         """Random numbers for details that the scene does not store, such as `clouds`."""

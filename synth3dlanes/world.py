@@ -13,6 +13,7 @@ from synth3dlanes.frames import Matrix4, road_from_cam
 from synth3dlanes.geometry import meshes
 from synth3dlanes.geometry.bonnet import cam_from_bonnet
 from synth3dlanes.geometry.camera import img_from_cam, world_from_road
+from synth3dlanes.geometry.grass import Blades, blades
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.horizon import FarHills
 from synth3dlanes.geometry.lanes import Curve, curves
@@ -129,6 +130,11 @@ class World:
         if not self.scene.surface.ghost_lines:
             return None
         return ghost_mesh(self.ground, self.scene.markings, view.eye_world, self.scene.stream)
+
+    def grass(self, view: View) -> Blades | None:
+        """The grass beside the road as a view sees it, if the scene has any."""
+        grass_m = self.scene.vegetation.grass_m
+        return blades(self.ground, self.lines, view.eye_world, grass_m, self.scene.stream("grass")) if grass_m else None
 
 
 def resolve(scene: Scene) -> World:

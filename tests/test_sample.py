@@ -195,3 +195,14 @@ def test_no_room_is_an_error_that_names_the_parameters():
 def test_many_scenes_from_several_processes_are_the_same_scenes(params, scenes):
     texts = list(scene_texts(params, 0, "train", range(200)))
     assert texts == [to_json(scene) for scene in scenes[:200]]
+
+
+def test_vegetation_is_left_out_where_it_is_off():
+    """Scenes without it keep their bytes, and with it nothing else changes."""
+    scene = sample_scene(load_params("appendix_i"), 0, "train", 0)
+    assert "vegetation" not in to_json(scene)
+    lush = sample_scene(
+        load_params("appendix_i", ["vegetation.translucency=1", "vegetation.grass_m=0.2"]), 0, "train", 0
+    )
+    assert (lush.vegetation.translucency, lush.vegetation.grass_m) == (1, 0.2)
+    assert lush.model_copy(update={"vegetation": scene.vegetation}) == scene

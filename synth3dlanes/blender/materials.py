@@ -15,7 +15,7 @@ from PIL import Image
 
 from synth3dlanes.assets.folder import TextureFiles
 from synth3dlanes.blender.shaders import Graph, coated, new_material, texture
-from synth3dlanes.blender.weathering import Look, bent_back, rub_level, rubbed, snowed, wet, wheel_tracks
+from synth3dlanes.blender.weathering import SNOW, Look, bent_back, rub_level, rubbed, snowed, wet, wheel_tracks
 from synth3dlanes.geometry.seams import ghost_shade, joint
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import SEMANTIC_IDS
@@ -33,6 +33,7 @@ ROAD_BACK, PAINT_BACK, LEFT_WET = 0.22, 0.8, 0.2
 TAR, TAR_ROUGHNESS, TAR_COAT = (0.012, 0.012, 0.012), 0.35, 0.3
 # Colours of traffic paint as shares of its grayscale, linear.
 WHITE, YELLOW = (1.0, 1.0, 1.0), (1.0, 0.56, 0.06)
+DRY_GRASS = (0.24, 0.19, 0.10)
 TERRAIN_MEANS = {"terrain_1": (0.103, 0.109, 0.052), "terrain_2": (0.249, 0.179, 0.11)}
 # Woods on far terrain (linear): patches of hundreds of metres that fade in from this distance to twice it.
 WOODS, WOODS_LENGTH_M, WOODS_FROM_M = (0.035, 0.045, 0.025), 2900.0, 220.0
@@ -50,6 +51,7 @@ class Materials:
     symbol: bpy.types.Material
     tar: bpy.types.Material
     ghost: bpy.types.Material
+    grass: bpy.types.Material
 
     @property
     def paints(self) -> tuple[bpy.types.Material, ...]:
@@ -68,6 +70,7 @@ def make_materials(roads: Sequence[TextureFiles], terrains: Sequence[TextureFile
         _paint("symbol", "symbol", WHITE),
         _tar(),
         _ghost(),
+        _grass(),
     )
 
 
@@ -114,12 +117,22 @@ def set_materials(materials: Materials, scene: Scene) -> None:
         _set(road, "lane_shift", shift)
     for terrain in materials.terrains:
         _set_snow(terrain, weather.snow)
+    mean = materials.terrains[surface.terrain_texture - 1].node_tree.nodes["mean"].outputs[0].default_value
+    under_snow = [(1 - weather.snow) * bare + weather.snow * white for bare, white in zip(mean, SNOW, strict=False)]
+    materials.grass.node_tree.nodes["mean"].outputs[0].default_value = (*under_snow, 1.0)
 
 
 def _set_snow(material: bpy.types.Material, share: float) -> None:
     _set(material, "snow", share)
     _set(material, "snow_level", rub_level(share))
     _set(material, "is_snowy", float(share > 0))
+
+
+def set_translucency(trees: Sequence[bpy.types.Mesh], share: float) -> None:
+    """Set how much light the leaves of the built-in trees let through."""
+    for material in (material for mesh in trees for material in mesh.materials):
+        if "translucency" in material.node_tree.nodes:
+            _set(material, "translucency", share)
 
 
 def _set(material: bpy.types.Material, name: str, value: float) -> None:
@@ -219,7 +232,9 @@ def _terrain(name: str, files: TextureFiles) -> bpy.types.Material:
     fine = texture(graph, files.albedo, uv, is_color=True)
     distance_m = graph.node("ShaderNodeCameraData").outputs["View Distance"]
     blur = graph.math("MINIMUM", graph.math("DIVIDE", distance_m, BLUR_DISTANCE_M), 0.9)
-    mean = mean_color(files.albedo) if files.albedo.is_absolute() else TERRAIN_MEANS[name]
+    mean = graph.node("ShaderNodeRGB", name="mean").outputs[0]
+    known = mean_color(files.albedo) if files.albedo.is_absolute() else TERRAIN_MEANS[name]
+    mean.default_value = (*known, 1.0)
     color = graph.mix_color(fine, mean, blur)
     for length_m in (41.0, 233.0):
         macro = texture(graph, "terrain_macro.jpg", graph.scale(metres, 1 / length_m), is_color=False)
@@ -230,6 +245,22 @@ def _terrain(name: str, files: TextureFiles) -> bpy.types.Material:
     normal = graph.mix_color(_bumpy_normal(graph, files.normal, uv, 0.8), flat, blur)
     look = snowed(graph, Look(color, 1.0, 0.0, normal), blur=blur)
     graph.surface(graph.node("ShaderNodeBsdfDiffuse", {"Color": look.color, "Normal": look.normal}))
+    return material
+
+
+def _grass() -> bpy.types.Material:
+    """Blades in the terrain's mean colour, some of them dry, lit from both sides."""
+    material, graph = new_material("grass", SEMANTIC_IDS["terrain"])
+    shade, dryness = (
+        graph.node("ShaderNodeAttribute", attribute_name=name).outputs["Fac"] for name in ("shade", "dryness")
+    )
+    mean = graph.node("ShaderNodeRGB", name="mean").outputs[0]
+    color = graph.scale(graph.mix_color(mean, DRY_GRASS, dryness), shade)
+    facing = graph.node("ShaderNodeNewGeometry").outputs["Normal"]
+    normal = graph.vector("NORMALIZE", graph.vector("ADD", facing, (0.0, 0.0, 0.9)))
+    front = graph.node("ShaderNodeBsdfDiffuse", {"Color": color, "Normal": normal})
+    back = graph.node("ShaderNodeBsdfTranslucent", {"Color": color})
+    graph.surface(graph.node("ShaderNodeAddShader", {0: front.outputs[0], 1: back.outputs[0]}))
     return material
 
 

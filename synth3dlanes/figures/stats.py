@@ -126,7 +126,7 @@ def is_fine(parameter: ParameterStatistics) -> bool:
 def drawn_values(scene: Scene) -> dict[str, list[float]]:
     """All values of each parameter in a scene, by the parameter's key and in its units."""
     values: dict[str, list[float]] = {}
-    for group in ("road", "markings", "surface", "camera", "light", "air", "sensor"):
+    for group in ("road", "markings", "surface", "camera", "light", "air", "sensor", "vegetation"):
         part = getattr(scene, group)
         values |= {
             _key(group, field): [_declared_unit(field, getattr(part, field))] for field in type(part).model_fields
