@@ -64,13 +64,18 @@ DAYTIMES: dict[str, dict[str, Distribution]] = {
     "night": {
         "light.sun_zenith_deg": Uniform(98.0, 110.0),
         "light.metering": _always(1.0),
-        "light.exposure": Uniform(0.7, 1.6),
+        "light.exposure": Uniform(0.9, 1.8),
         "sensor.noise": Uniform(2.0, 8.0),
         "sensor.flare": Uniform(0.2, 0.8),
         "sensor.motion_blur_m": Uniform(0.3, 0.9),
         "weather.headlights": _always(True),
     },
 }
+
+
+def replaced(kind: str, daytime: str) -> set[str]:
+    """The keys, as group.key, that scenes in this weather and at this time of day draw from the tables."""
+    return set(KINDS[kind] | DAYTIMES[daytime])
 
 
 def under(params: Params, kind: str, daytime: str) -> Params:

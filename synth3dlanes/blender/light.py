@@ -20,10 +20,10 @@ CLOUD_SPREAD_RAD = 0.3  # added to it by a closed layer of clouds
 HAZE_PASS = "haze"
 # Headlights: their places in the road frame of the camera (metres), the intensity of both in the beam (in the
 # daylight's units), their colour and size.
-HEADLIGHTS_ROAD, BEAM, LAMP_COLOR, LAMP_M = ((-0.65, 1.9, 0.65), (0.65, 1.9, 0.65)), 0.5, (1.0, 0.93, 0.82), 0.08
+HEADLIGHTS_ROAD, BEAM, LAMP_COLOR, LAMP_M = ((-0.65, 1.9, 0.65), (0.65, 1.9, 0.65)), 0.32, (1.0, 0.93, 0.82), 0.08
 STRAY = 0.01  # share of the beam that goes above its edge
 # A street lamp's intensity straight down (about 2000 cd), the angle of its cone, and how many of the nearest are lit.
-STREET_LAMP, STREET_COLOR, STREET_CONE_RAD, N_STREET_LAMPS = 0.06, (1.0, 0.8, 0.55), 2.6, 8
+STREET_LAMP, STREET_COLOR, STREET_CONE_RAD, N_STREET_LAMPS = 0.05, (1.0, 0.8, 0.55), 2.6, 8
 # Radiance of lit lamps of cars by the names of their materials.
 CAR_LAMPS = {"car_head": (0.012, 0.011, 0.0095), "car_tail": (0.0008, 0.00001, 0.000006)}
 
@@ -49,12 +49,12 @@ def make_world() -> None:
     _add_lamp("sun", "SUN")
     for i in range(len(HEADLIGHTS_ROAD)):
         beam = _add_lamp(f"headlight_{i}", "SPOT")
-        beam.energy, beam.color = 4 * np.pi * BEAM / len(HEADLIGHTS_ROAD), LAMP_COLOR
+        beam.energy, beam.color = 4 * np.pi**2 * BEAM / len(HEADLIGHTS_ROAD), LAMP_COLOR
         beam.shadow_soft_size, beam.spot_size, beam.spot_blend = LAMP_M, np.radians(140), 0.1
         _shape_beam(beam)
     for i in range(N_STREET_LAMPS):
         street = _add_lamp(f"street_lamp_{i}", "SPOT")
-        street.energy, street.color = 4 * np.pi * STREET_LAMP, STREET_COLOR
+        street.energy, street.color = 4 * np.pi**2 * STREET_LAMP, STREET_COLOR
         street.shadow_soft_size, street.spot_size, street.spot_blend = LAMP_M, STREET_CONE_RAD, 1.0
 
 

@@ -15,7 +15,7 @@ from PIL import Image
 
 from synth3dlanes.assets.folder import TextureFiles
 from synth3dlanes.blender.shaders import Graph, coated, new_material, texture
-from synth3dlanes.blender.weathering import SNOW, Look, bent_back, rub_level, rubbed, snowed, wet, wheel_tracks
+from synth3dlanes.blender.weathering import SNOW, Look, rub_level, rubbed, snowed, thrown_back, wet, wheel_tracks
 from synth3dlanes.geometry.seams import ghost_shade, joint
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import SEMANTIC_IDS
@@ -28,8 +28,9 @@ ROAD_TILE_M, ROAD_ROUGHNESS = 5.0, 0.8  # of the road that shows through rubbed 
 # Cycles has no mipmaps: far terrain fades to its texture's mean (linear), because fine texture aliases at few samples.
 BLUR_DISTANCE_M = 160.0
 MACRO_TILES = 20.0  # the large-scale maps fade out over this many tiles, before their repetition is visible
-# How far rough pavement and the beads in paint turn to a lamp beside the camera; water takes most of it.
-ROAD_BACK, PAINT_BACK, LEFT_WET = 0.22, 0.8, 0.2
+# How well rough pavement and beads in paint throw headlights back (about 10 and 150 mcd/m2/lx at 30 m), and the most
+# they gain over a matt surface; under water a fifth of it is left.
+ROAD_BACK, PAINT_BACK, LEFT_WET = (0.12, 4.0), (0.4, 12.0), 0.2
 TAR, TAR_ROUGHNESS, TAR_COAT = (0.012, 0.012, 0.012), 0.35, 0.3
 # Colours of traffic paint as shares of its grayscale, linear.
 WHITE, YELLOW = (1.0, 1.0, 1.0), (1.0, 0.56, 0.06)
@@ -188,7 +189,7 @@ def _road(name: str, files: TextureFiles) -> bpy.types.Material:
     amount = graph.math("MULTIPLY_ADD", gloss, 1.2, 0.15)
     look = wet(graph, Look(color, roughness, amount, _bumpy_normal(graph, files.normal, uv, 0.4)))
     across_m = graph.node("ShaderNodeSeparateXYZ", {0: _metres(graph)}).outputs[0]
-    look = bent_back(graph, snowed(graph, look, wheel_tracks(graph, across_m)), ROAD_BACK)
+    look = thrown_back(graph, snowed(graph, look, wheel_tracks(graph, across_m)), *ROAD_BACK)
     coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
     return material
 
@@ -208,7 +209,7 @@ def _gravel_shoulder() -> bpy.types.Material:
     macro = graph.math("MULTIPLY", texture(graph, "terrain_macro.jpg", macro_uv, is_color=False), 2.0)
     color = graph.scale(texture(graph, "shoulder_albedo.jpg", uv, is_color=True), macro)
     normal = _bumpy_normal(graph, "shoulder_normal.jpg", uv, 0.6)
-    look = bent_back(graph, snowed(graph, wet(graph, Look(color, 0.8, 0.0, normal))), ROAD_BACK)
+    look = thrown_back(graph, snowed(graph, wet(graph, Look(color, 0.8, 0.0, normal))), *ROAD_BACK)
     coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
     return material
 
@@ -220,7 +221,7 @@ def _paved_shoulder() -> bpy.types.Material:
     dust = texture(graph, "terrain_macro.jpg", graph.scale(_metres(graph), 1 / 23.0), is_color=False)
     color = graph.vector("MULTIPLY", graph.scale(_albedo(graph, "road_1_albedo.jpg", uv), 2.0), dust)
     look = wet(graph, Look(color, ROAD_ROUGHNESS, 0.15, _bumpy_normal(graph, "road_1_normal.jpg", uv, 0.4)))
-    look = bent_back(graph, snowed(graph, look), ROAD_BACK)
+    look = thrown_back(graph, snowed(graph, look), *ROAD_BACK)
     coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
     return material
 
@@ -293,7 +294,7 @@ def _paint(name: str, kind: str, tint: tuple[float, float, float]) -> bpy.types.
     roughness = graph.mix(graph.math("MULTIPLY_ADD", gloss, -0.4, 0.75), ROAD_ROUGHNESS, bare)
     amount = graph.mix(gloss, graph.math("MULTIPLY_ADD", graph.value("road_gloss"), 1.2, 0.15), bare)
     normal = graph.node("ShaderNodeNewGeometry").outputs["Normal"]
-    look = bent_back(graph, snowed(graph, wet(graph, Look(color, roughness, amount, normal))), PAINT_BACK)
+    look = thrown_back(graph, snowed(graph, wet(graph, Look(color, roughness, amount, normal))), *PAINT_BACK)
     coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
     return material
 

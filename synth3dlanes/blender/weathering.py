@@ -82,13 +82,14 @@ def wheel_tracks(graph: Graph, across_m: Socket) -> Any:
     return graph.clamp(graph.math("MULTIPLY_ADD", off_m, -4.0, 0.5 + 4 * TRACK_HALF_M))
 
 
-def bent_back(graph: Graph, look: Look, strength: float) -> Look:
-    """The look with its normal bent towards the camera, by the node value `retro`: it throws light from beside the
-    camera back, as glass beads in paint and rough pavement do."""
+def thrown_back(graph: Graph, look: Look, strength: float, most: float) -> Look:
+    """The look under light from beside the camera, by the node value `retro`: glass beads in paint and rough pavement
+    throw it back at flat angles too, where a matt surface would be dark. `most` limits the gain."""
     geometry = graph.node("ShaderNodeNewGeometry")
-    bent = graph.vector("ADD", look.normal, graph.scale(geometry.outputs["Incoming"], strength))
-    normal = graph.mix_color(look.normal, graph.vector("NORMALIZE", bent), graph.value("retro"))
-    return look._replace(normal=normal)
+    facing = graph.vector_dot(geometry.outputs["Incoming"], geometry.outputs["Normal"])
+    gain = graph.math("DIVIDE", strength, graph.math("MAXIMUM", graph.math("ABSOLUTE", facing), strength / most))
+    gain = graph.mix(1.0, graph.math("MAXIMUM", gain, 1.0), graph.value("retro"))
+    return look._replace(color=graph.scale(look.color, gain))
 
 
 def _height(graph: Graph, stretch: float = 1.0) -> Any:

@@ -73,7 +73,7 @@ def daylight(scene: Scene, eye_height_m: float) -> Daylight:
     sky += gray[:, None, None] * overcast_dome(ELEVATION_RAD[HORIZON:, None]) * (0.85 + 0.3 * cover[::-1])
     airlight = (1 - hidden) * clear[:, 0] + gray[:, None] * overcast_dome(0.0)
     if light.sun_zenith_rad > np.pi / 2:
-        glow = skyglow(light, hidden)
+        glow = skyglow(light, scene.air.overcast)
         sky, airlight = sky + glow, airlight + glow[:, 0]
     lit = sun * (1 - hidden) * np.cos(light.sun_zenith_rad) + irradiance(sky)
     thickness = 1 - np.exp(-per_m * HAZE_LAYER_M)

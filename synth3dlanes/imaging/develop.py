@@ -40,7 +40,7 @@ def develop(
         ahead_cam = view.world_from_cam[:3, :3].T @ view.world_from_road[:3, 1]
         depth_m = np.where(np.isin(layers.semantic, MOVING_ALONG), np.float32(np.inf), layers.depth_m)
         linear = motion_blur(linear, depth_m, view.camera, sensor.motion_blur_m * ahead_cam)
-    linear = add_falling(linear, scene, view, airlight, light.film)
+    linear = add_falling(linear, layers.depth_m, scene, view, airlight, light.film)
     if len(street_lamps) and scene.light.sun_zenith_rad > np.pi / 2:
         linear = add_lamp_heads(linear, layers.depth_m, street_lamps, view)
     if sensor.flare > 0:

@@ -24,33 +24,42 @@ LIT_BY_HEADLIGHTS = 4e-3
 SPRAY_BEHIND_M, SPRAY_UP_M, SPRAY_HALF_M, SPRAY_SHARE = 2.5, 0.5, (1.3, 0.7), 0.6
 FARTHEST_SPRAY_M = 80.0
 OVERSAMPLED = 2
+NEAREST_M = 1.7  # beyond the host's bonnet
 
 Image = Float[np.ndarray, "h w 3"]
 
 
 class Kind(NamedTuple):
-    """What falls: how many at full strength for 480 x 360 pixels, how fast, how large, how opaque, and where."""
+    """What falls: how many at full strength for 480 x 360 pixels, how fast, how large, how opaque, and up to where."""
 
     n: int
     m_per_s: float
     size_m: tuple[float, float]
     opacity: float
-    nearest_m: float
     farthest_m: float
 
 
-RAIN = Kind(2600, 7.5, (0.0015, 0.004), 0.45, 1.5, 14.0)
-SNOW = Kind(4000, 1.2, (0.005, 0.014), 0.9, 1.5, 22.0)
+RAIN = Kind(2600, 7.5, (0.0015, 0.004), 0.45, 14.0)
+SNOW = Kind(4000, 1.2, (0.005, 0.014), 0.9, 22.0)
 
 
-def add_falling(linear: Image, scene: Scene, view: View, airlight: Float[np.ndarray, "3"], film: float) -> Image:
-    """The picture with the scene's rain and snow in front; where they are follows from seed, split and index."""
+def add_falling(
+    linear: Image,
+    depth_m: Float[np.ndarray, "h w"],
+    scene: Scene,
+    view: View,
+    airlight: Float[np.ndarray, "3"],
+    film: float,
+) -> Image:
+    """The picture with the scene's rain and snow in front of all that is not nearer; where they are follows from seed,
+    split and index."""
     weather, rng = scene.weather, scene.stream("falling")
     for kind, strength in ((RAIN, weather.rain), (SNOW, weather.snowfall)):
         if strength > 0:
             share, nearness = _streaks(kind, strength, scene, view, rng)
             lamps = LIT_BY_HEADLIGHTS * film * weather.headlights * nearness
             glow = (airlight * film).astype(np.float32) + lamps[..., None]
+            share = share * (depth_m > NEAREST_M)
             linear = linear + share[..., None] * (glow - linear)
     return linear
 
@@ -63,7 +72,7 @@ def _streaks(
     n = int(kind.n * strength * camera.width_px * camera.height_px / (480 * 360))
     u = rng.random((n, 5))
     uv = (u[:, :2] * 1.2 - 0.1) * [camera.width_px, camera.height_px]
-    y_m = np.cbrt(kind.nearest_m**3 + (kind.farthest_m**3 - kind.nearest_m**3) * u[:, 2])
+    y_m = np.cbrt(NEAREST_M**3 + (kind.farthest_m**3 - NEAREST_M**3) * u[:, 2])
     size_px = (kind.size_m[0] + (kind.size_m[1] - kind.size_m[0]) * u[:, 3] ** 2) * camera.fx_px / y_m
     driven_m = scene.sensor.motion_blur_m or SPEED_M_PER_S * SHORTEST_S
     wind = rng.normal(0, 0.15 * kind.m_per_s, 2) / SPEED_M_PER_S
@@ -79,12 +88,12 @@ def _streaks(
     thin = np.minimum(OVERSAMPLED * size_px, 1) * np.minimum(1, (4 * size_px + 2) / (length_px + 2))
     opacity = (255 * kind.opacity * thin).astype(int)
     widths = np.maximum(np.rint(OVERSAMPLED * size_px), 1).astype(int)
-    nearness = np.clip(255 * (kind.nearest_m / y_m) ** 2, 1, 255).astype(int)
+    nearness = np.clip(255 * (NEAREST_M / y_m) ** 2, 1, 255).astype(int)
     corners = (OVERSAMPLED * np.concatenate(ends, axis=1)).round(1).tolist()
     for i in np.argsort(-y_m):
         draw.line(corners[i], int(opacity[i]), int(widths[i]))
         draw_near.line(corners[i], int(nearness[i]), int(widths[i]))
-    return _shrunk(covered), _shrunk(near) / np.float32(kind.nearest_m**2)
+    return _shrunk(covered), _shrunk(near) / np.float32(NEAREST_M**2)
 
 
 def _shrunk(layer: Pillow.Image) -> Float[np.ndarray, "h w"]:

@@ -18,11 +18,11 @@ SKY_SHAPE = (512, 1024)
 HORIZON = SKY_SHAPE[0] // 2
 N_CLOUD_MAPS = 4
 CLOUD_ALBEDO = 0.75
-# Of the sky's light below the horizon's sun, each degree leaves this share (3.4 lx are left of 600 at the end of civil
-# twilight, at 6 degrees); what is left turns blue. The sun's disc sets within SET_DEG.
-DUSK_PER_DEG, DUSK_TINT, SET_DEG = 0.42, np.array([0.86, 0.97, 1.06], np.float32), 0.53
+# Of the sky's light at sunset each degree of the sun below the horizon leaves this share (3.4 lx of 600 at the end of
+# civil twilight, at 6 degrees); its red turns to blue within BLUE_DEG. The sun's disc sets within SET_DEG.
+DUSK_PER_DEG, DUSK_TINT, BLUE_DEG, SET_DEG = 0.42, np.array([0.55, 0.95, 1.1], np.float32), 2.5, 0.53
 # Skyglow over lit land: radiance at the horizon, and its share at the zenith. Clouds return GLOW_OF_CLOUDS times more.
-GLOW, GLOW_AT_ZENITH, GLOW_OF_CLOUDS = np.array([5.2e-7, 3.9e-7, 2.9e-7]), 0.25, 4.0
+GLOW, GLOW_AT_ZENITH, GLOW_OF_CLOUDS = np.array([3.2e-7, 2.5e-7, 1.9e-7]), 0.25, 4.0
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 ELEVATION_RAD = (np.pi * ((np.arange(SKY_SHAPE[0]) + 0.5) / SKY_SHAPE[0] - 0.5)).astype(np.float32)
 AZIMUTH_RAD = np.pi - 2 * np.pi * (np.arange(SKY_SHAPE[1]) + 0.5) / SKY_SHAPE[1]
@@ -53,15 +53,15 @@ def _below_deg(light: Light) -> float:
 def dusk(light: Light) -> Rgb:
     """The share of the horizon's-sun sky that is left; 1 by day."""
     below_deg = _below_deg(light)
-    return np.asarray(DUSK_PER_DEG**below_deg * DUSK_TINT ** min(below_deg, 8.0), np.float32)
+    return np.asarray(DUSK_PER_DEG**below_deg * DUSK_TINT ** min(below_deg / BLUE_DEG, 1.0), np.float32)
 
 
-def skyglow(light: Light, hidden: float) -> Float[np.ndarray, "3 h 1"]:
+def skyglow(light: Light, overcast: float) -> Float[np.ndarray, "3 h 1"]:
     """The glow of lit land in the night sky, brighter towards the horizon and under clouds."""
     begun = np.float32(min(_below_deg(light) / 4, 1.0))
     rise = np.sin(ELEVATION_RAD[HORIZON:])
     shape = GLOW_AT_ZENITH + (1 - GLOW_AT_ZENITH) * (1 - rise) ** 3
-    return np.asarray(begun * (1 + GLOW_OF_CLOUDS * hidden) * GLOW[:, None, None] * shape[:, None])
+    return np.asarray(begun * (1 + GLOW_OF_CLOUDS * overcast) * GLOW[:, None, None] * shape[:, None])
 
 
 def cloud_cover(rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
