@@ -13,12 +13,13 @@ from synth3dlanes.blender.camera import set_camera
 from synth3dlanes.blender.light import add_haze, make_world, set_light
 from synth3dlanes.blender.load_assets import LoadedAssets, load_assets
 from synth3dlanes.blender.materials import Materials, make_materials, set_materials
+from synth3dlanes.blender.structures import structure_mesh
 from synth3dlanes.frames import Matrix4, from_axes
 from synth3dlanes.geometry.meshes import Mesh
 from synth3dlanes.geometry.paint import paint_color
 from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.scene import Car
-from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_TREE_ID
+from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_STRUCTURE_ID, FIRST_TREE_ID
 from synth3dlanes.world import View, World
 
 
@@ -77,6 +78,8 @@ def build(studio: Studio, world: World, view: View, light: Daylight, labelled: S
     scene = world.scene
     set_materials(studio.materials, scene)
     _add_surfaces(studio.materials, world, view, labelled)
+    for i, body in enumerate(world.structures):
+        _add_object(structure_mesh(body, studio.materials.structures), FIRST_STRUCTURE_ID + i)
     placed = _placed_objects(studio.assets, world, view)
     for item, color in zip(
         placed, [(*body_color(car), car.gloss) for car in scene.cars] + [None] * len(scene.trees), strict=True

@@ -15,6 +15,7 @@ from PIL import Image
 
 from synth3dlanes.assets.folder import TextureFiles
 from synth3dlanes.blender.shaders import Graph, coated, new_material, texture
+from synth3dlanes.blender.structures import structure_materials
 from synth3dlanes.blender.weathering import Look, rub_level, rubbed, wet
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import SEMANTIC_IDS
@@ -36,13 +37,14 @@ WOODS, WOODS_LENGTH_M, WOODS_FROM_M = (0.035, 0.045, 0.025), 2900.0, 220.0
 
 @dataclass(frozen=True, eq=False)
 class Materials:
-    """Road, shoulder and terrain materials by texture number minus 1, and the paints."""
+    """Road, shoulder and terrain materials by texture number minus 1, the paints, and those of structures."""
 
     roads: tuple[bpy.types.Material, ...]
     shoulders: tuple[bpy.types.Material, ...]
     terrains: tuple[bpy.types.Material, ...]
     marking: bpy.types.Material
     yellow_marking: bpy.types.Material
+    structures: tuple[bpy.types.Material, ...]
 
 
 def make_materials(roads: Sequence[TextureFiles], terrains: Sequence[TextureFiles]) -> Materials:
@@ -53,6 +55,7 @@ def make_materials(roads: Sequence[TextureFiles], terrains: Sequence[TextureFile
         tuple(_terrain(f"terrain_{k + 1}", files) for k, files in enumerate(terrains)),
         _marking("marking", WHITE),
         _marking("yellow_marking", YELLOW),
+        structure_materials(),
     )
 
 

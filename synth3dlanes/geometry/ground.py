@@ -57,6 +57,11 @@ class Ground:
         """Outer edge of the main road's shoulder before the split, left or right of the reference line."""
         return self.plan.n_lanes * self.plan.width_m / 2 + self.plan.shoulder_m
 
+    @property
+    def left_edge_m(self) -> float:
+        """Distance of the main pavement's left edge from the reference line."""
+        return self.edge_m
+
     @cached_property
     def exit_edge_m(self) -> float:
         """Outer edge of the exit's shoulder, left or right of its reference line."""

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from synth3dlanes.frames import project, transform
 from synth3dlanes.geometry import height_map
+from synth3dlanes.geometry.roadside import SURFACES
 from synth3dlanes.labels import CameraLabel, Labels, Lane
 from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS
 from synth3dlanes.validate.findings import PROOF_M, Finding, Measure
@@ -219,7 +220,7 @@ def _own_depth(camera: CameraLabel, strip: Strip, rows: Places, columns: Places)
 
 
 def _of_objects(semantic: Integer[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:
-    return (semantic == SEMANTIC_IDS["car"]) | (semantic == SEMANTIC_IDS["tree"])
+    return np.isin(semantic, [SEMANTIC_IDS[name] for name in ("car", "tree", *SURFACES)])
 
 
 def _around(uv: Pixels, shape: tuple[int, ...], reach: int) -> tuple[Places, Places]:
