@@ -92,9 +92,7 @@ def draw_roadside(world: World, draw: Draw, rng: Rng) -> Roadside:
             rails += _rails(ground, edge, kind, 0.0 if kind in KERBS else aside_m, heights_m, color, raised=False)
             if has_ramp_rail and edge.road == "exit":
                 rails += _rails(ground, edge, on_ramp, RAISED_ASIDE_M, heights_m, color, raised=True)
-    crossings = [
-        *_crossings(world, "bridge", draw("n_bridges"), draw("clearance_m"), rng, []),
-    ]
+    crossings = _crossings(world, "bridge", draw("n_bridges"), draw("clearance_m"), rng, [])
     crossings += _crossings(world, "gantry", draw("n_gantries"), draw("clearance_m"), rng, crossings)
     behind_m = {place: _behind(kind, aside_m) for place, kind in kinds.items()}
     lamp_sides, spacing_m, height_m = draw("lamps"), draw("lamp_spacing_m"), draw("lamp_height_m")
@@ -137,6 +135,11 @@ def _stations(ground: Ground, edge: Edge) -> Values:
     """Plan stations a metre apart where an edge bounds its place, in the range of structures."""
     low, high = np.sort(ground.plan.plan_station(ground.near_m + np.array([-BEHIND_M, AHEAD_M])))
     return np.arange(np.ceil(max(low, edge.low_m)), np.floor(min(high, edge.high_m)) + 0.5)
+
+
+def _ahead(ground: Ground, rng: Rng, limits_m: tuple[float, float]) -> float:
+    """A plan station at a distance ahead of the host."""
+    return round(float(ground.plan.plan_station(ground.near_m + rng.uniform(*limits_m, size=1))[0]), DECIMALS)
 
 
 def _free(ground: Ground, edge: Edge, s: Values, aside_m: float) -> Bool[np.ndarray, " n"]:
@@ -224,7 +227,7 @@ def _signs(ground: Ground, n: int, behind_m: dict[str, float], rng: Rng, crossin
             face = 1 + int(rng.random() * len(FACES))
             edges = _edges(ground, place)
             edge = edges[int(rng.random() * len(edges))]
-            s_m = round(float(ground.plan.plan_station(np.array(ground.near_m + rng.uniform(*SIGNS_M)))), DECIMALS)
+            s_m = _ahead(ground, rng, SIGNS_M)
             width_m = float(np.ptp(FACES[face - 1][0].outline[:, 0]))
             aside_m = round(max(SIGN_ASIDE_M, behind_m[place]) + width_m / 2 + rng.random(), DECIMALS)
             height_m = round(float(rng.uniform(1.7, 2.4)), DECIMALS)
@@ -244,7 +247,7 @@ def _crossings(
     ground, found = world.ground, list(others)
     for _ in range(n):
         for _ in range(TRIES):
-            s_m = round(float(ground.plan.plan_station(np.array(ground.near_m + rng.uniform(*CROSSINGS_M)))), DECIMALS)
+            s_m = _ahead(ground, rng, CROSSINGS_M)
             width_m = round(float(rng.uniform(8, 14) if kind == "bridge" else rng.uniform(0.7, 1.1)), DECIMALS)
             color = _color(rng, GRAYS) if kind == "bridge" else BOARDS[int(rng.random() * len(BOARDS))]
             crossing = Crossing(kind=kind, s_m=s_m, clearance_m=clearance_m, width_m=width_m, color=color)
@@ -257,14 +260,14 @@ def _crossings(
 def _spans(ground: Ground, crossing: Crossing) -> bool:
     frame, span = crossing_frame(ground, crossing), crossing_span(ground, crossing)
     if crossing.kind == "gantry":
-        return max(np.abs(span.legs_m)) < HALF_SPAN_M
+        return bool(max(np.abs(span.legs_m)) < HALF_SPAN_M)
     top_m = span.top_m - float(frame.origin[2])
     sections = [
         dam_section(ground, frame, x, sign, crossing.width_m / 2, top_m)
         for x, sign in zip(span.abutments_m, (-1, 1), strict=True)
     ]
     feet = frame.world(np.concatenate(sections).reshape(-1, 3))[:, :2]
-    return max(np.abs(span.abutments_m)) < HALF_SPAN_M and bool((ground.clearance(feet) > DAM_GAP_M).all())
+    return bool(max(np.abs(span.abutments_m)) < HALF_SPAN_M and (ground.clearance(feet) > DAM_GAP_M).all())
 
 
 def _building(
@@ -280,7 +283,7 @@ def _building(
     for _ in range(TRIES):
         width_m, length_m, height_m = (round(float(rng.uniform(*limits)), DECIMALS) for limits in sizes_m)
         side: RoadSide = "left" if rng.random() < 0.5 else "right"
-        s = ground.plan.plan_station(ground.near_m + rng.uniform(*BUILDINGS_M, size=1)) + np.array([0.0, 1.0])
+        s = _ahead(ground, rng, BUILDINGS_M) + np.array([0.0, 1.0])
         far_m = aside_m + (width_m - sizes_m[0][0]) / 2 + (0.0 if kind == "house" else width_m / 2)
         (x, y), ahead = beside(ground, "main", side, s, far_m)
         turn = rng.normal(0, 0.06) + np.pi / 2 * int(rng.random() * 2)

@@ -234,7 +234,7 @@ def _building_footprint(building: Building) -> tuple[Points2, Points2, float]:
 def rail_stations(ground: Ground, rail: Rail) -> Values:
     """Plan stations of the rows of a rail, denser near the host."""
     low, high = sorted((rail.from_m, rail.to_m))
-    near = float(ground.plan.plan_station(np.array(ground.near_m)))
+    near = ground.near_m * float(ground.plan.flips[1])
     rows = [low]
     while rows[-1] < high:
         step = next(step for reach, step in PIECES_M if abs(rows[-1] - near) < reach)

@@ -140,7 +140,7 @@ def _post(world: World, post: Post) -> Box:
     plan, s = world.plan, np.array([post.s_m, post.s_m + 0.5])
     half_m, over_m = POSTS_M[post.kind]
     foot, ahead = beside_world(world, post.road, post.side, s, post.aside_m)
-    z = float(height_at(plan.terrain, foot))
+    z = float(height_at(plan.terrain, foot[None])[0])
     raised = float(plan.ramp(s).max()) if plan.has_exit else 0.0
     low, high = np.array([-half_m, -half_m, z - LOW_M]), np.array([half_m, half_m, z + raised + post.height_m + over_m])
     return _level(foot, ahead - foot), low, high
@@ -161,7 +161,7 @@ def _crossing(world: World, crossing: Crossing) -> list[Box]:
     )
     left, right = np.sort(edges[:, 0])
     raised = float(plan.road.ramp_height_m) if plan.ramp_start_m is not None else 0.0
-    half_m, road_m = crossing.width_m / 2 + 0.8, float(height_at(plan.terrain, here))
+    half_m, road_m = crossing.width_m / 2 + 0.8, float(height_at(plan.terrain, here[None])[0])
     top_m = max(float(z[np.abs(across) < REACH_M / 3].max()), road_m) + raised + crossing.clearance_m + CROSSING_M
     wide_m = half_m + (DAM_SLOPE * (top_m - z.min()) if crossing.kind == "bridge" else 0.0)
     reach_m, low_m = REACH_M, z.min() - LOW_M
