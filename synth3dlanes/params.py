@@ -38,7 +38,7 @@ Offset = Annotated[Real, reals(-50, 50)]
 # Of models or textures of one kind, if the assets are unknown.
 MAX_NUMBER = 9999
 # Groups that were added later; parameters without them have their defaults.
-OPTIONAL: tuple[str, ...] = ("symbols", "weather", "host", "vegetation")
+OPTIONAL: tuple[str, ...] = ("symbols", "weather", "host", "vegetation", "roadside")
 # With more keys missing there is one line for all.
 MAX_MISSING = 3
 
@@ -249,6 +249,35 @@ class HostParams(Group):
     gloss: Fraction = added(0.0)
 
 
+RAIL_NAMES = ("none", "guardrail", "concrete", "noise_wall", "kerb", "walkway")
+Barrier = Annotated[Named, names(*RAIL_NAMES)]
+
+
+class RoadsideParams(Group):
+    """What stands beside and over the road. `outer` and `inner` say what is along the outermost edges of the pavement
+    (drawn for each side) and between the main road and the exit."""
+
+    outer: Barrier = added("none")
+    inner: Barrier = added("none")
+    ramp_rail: Flag = added(False)
+    rail_aside_m: Annotated[Real, reals(0.3, 5)] = added(0.5)
+    wall_height_m: Annotated[Real, reals(1, 10)] = added(3.0)
+    lamps: Annotated[Named, names("none", "left", "right", "both")] = added("none")
+    lamp_spacing_m: Annotated[Real, reals(10, 200)] = added(40.0)
+    lamp_height_m: Annotated[Real, reals(4, 20)] = added(9.0)
+    delineators: Flag = added(False)
+    delineator_spacing_m: Annotated[Real, reals(10, 200)] = added(50.0)
+    n_signs: Annotated[Integer, integers(0, 20)] = added(0)
+    n_gantries: Annotated[Integer, integers(0, 3)] = added(0)
+    n_bridges: Annotated[Integer, integers(0, 2)] = added(0)
+    clearance_m: Annotated[Real, reals(4.7, 12)] = added(5.5)
+    power_line: Annotated[Named, names("none", "left", "right")] = added("none")
+    n_houses: Annotated[Integer, integers(0, 50)] = added(0)
+    n_halls: Annotated[Integer, integers(0, 20)] = added(0)
+    n_blocks: Annotated[Integer, integers(0, 20)] = added(0)
+    building_aside_m: Annotated[Real, reals(8, 200)] = added(40.0)
+
+
 class Params(Group):
     """The distribution of every parameter of a scene. Names are as in `scene.json`, with degrees instead of radians.
 
@@ -271,6 +300,7 @@ class Params(Group):
     vegetation: VegetationParams = Field(
         default=VegetationParams(), exclude_if=lambda group: group == VegetationParams()
     )
+    roadside: RoadsideParams = Field(default=RoadsideParams(), exclude_if=lambda group: group == RoadsideParams())
 
 
 def presets_folder() -> Path:

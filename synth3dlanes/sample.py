@@ -19,8 +19,10 @@ from synth3dlanes.geometry import placement
 from synth3dlanes.geometry.camera import world_from_road
 from synth3dlanes.geometry.lanes import connections
 from synth3dlanes.geometry.road import RoadPlan, is_wide_enough
+from synth3dlanes.geometry.roadside import footprints
 from synth3dlanes.geometry.symbols import LENGTHS_M, gore_range
 from synth3dlanes.params import CameraParams, CarParams, Group, Params
+from synth3dlanes.roadside import draw_roadside
 from synth3dlanes.scene import (
     MIN_MEDIAN_M,
     SCENE_VERSION,
@@ -74,7 +76,8 @@ def sample_scene(params: Params, seed: int, split: str, index: int, assets: Asse
 
 
 def sample_world(params: Params, seed: int, split: str, index: int, assets: Assets = BUILT_IN.assets) -> World:
-    """Draw and resolve scene `index` of a split: first the road and the host, then cars and trees on it."""
+    """Draw and resolve scene `index` of a split: first the road and the host, then what stands beside it, then cars and
+    trees, then symbols."""
     first = Draw(params.weather, stream(seed, split, index, "weather"))
     params = under(params, first("kind"), first("daytime"))
     draws = {name: Draw(group, stream(seed, split, index, name)) for name, group in params}
@@ -101,12 +104,14 @@ def sample_world(params: Params, seed: int, split: str, index: int, assets: Asse
         assets=assets,
         vegetation=_plain(Vegetation, draws["vegetation"]),
     )
-    world = resolve(bare)
+    resolved = resolve(bare)
+    roadside = draw_roadside(resolved, draws["roadside"], draws["roadside"].rng)
+    world = replace(resolved, scene=bare.model_copy(update={"roadside": roadside}))
     tree_places = Draw(params.trees, stream(seed, split, index, "tree_places"))
     cars = _cars(world, params.cars)
     trees = _trees(world, draws["trees"], tree_places)
     symbols = _symbols(world, draws["symbols"])
-    return replace(world, scene=bare.model_copy(update={"cars": cars, "trees": trees, "symbols": symbols}))
+    return replace(world, scene=world.scene.model_copy(update={"cars": cars, "trees": trees, "symbols": symbols}))
 
 
 P = TypeVar("P", Markings, Surface, Light, Air, Sensor, Weather, Host, Vegetation)
@@ -273,15 +278,19 @@ def _trees(world: World, looks: Draw, places: Draw) -> tuple[Tree, ...]:
     drawn = looks.rows(("model", "yaw_deg", "scale"), looks("n"))
     models = world.scene.assets.tree_models
     trees: list[Tree] = []
+    structures = footprints(world.ground, world.scene.roadside)
     for _ in range(TRIES):
         if len(trees) == len(drawn):
             return tuple(trees)
         xy = np.array(places.rows(("x_m", "y_m"), 2 * (len(drawn) - len(trees)) + 16))
-        for (x, y), clearance_m in zip(xy.tolist(), world.ground.clearance(xy).tolist(), strict=True):
+        clear = world.ground.clearance(xy)
+        stands = structures.clear(xy, TREE_GAP_M)
+        for (x, y), clearance_m, is_free in zip(xy.tolist(), clear.tolist(), stands.tolist(), strict=True):
             if len(trees) == len(drawn):
                 break
             model, yaw_rad, scale = drawn[len(trees)]
-            if clearance_m >= TREE_GAP_M + TREE_GAP_OF_CROWN * scale * models[model - 1].crown_radius_m:
+            gap_m = TREE_GAP_M + TREE_GAP_OF_CROWN * scale * models[model - 1].crown_radius_m
+            if is_free and clearance_m >= gap_m:
                 trees.append(Tree(model=model, x_m=x, y_m=y, yaw_rad=yaw_rad, scale=scale))
     missing = len(drawn) - len(trees)
     raise InputError(f"trees.x_m, trees.y_m: no room off the roads for {missing} trees of scene {world.scene.index}")

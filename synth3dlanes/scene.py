@@ -256,6 +256,77 @@ class Host(Part):
     gloss: Unit = 0.0
 
 
+RoadSide = Literal["left", "right", "median"]
+RailKind = Literal["guardrail", "concrete", "noise_wall", "kerb", "walkway", "power_line"]
+PostKind = Literal["lamp", "sign", "delineator"]
+N_SIGN_FACES = 12
+
+
+class Rail(Part):
+    """A barrier, wall, kerb or power line along a road between two plan stations. Its front is `aside_m` from the edge
+    of the pavement on a side of the plan; on the side `median` its middle is at plan offset `aside_m` of the main
+    road. A `walkway` is a kerb with a paved path behind it."""
+
+    kind: RailKind
+    road: Literal["main", "exit"]
+    side: RoadSide
+    from_m: Metres
+    to_m: Metres
+    aside_m: Metres
+    height_m: Annotated[float, Field(gt=0, le=30)]
+    color: Color
+
+
+class Post(Part):
+    """A lamp post, sign or delineator at a plan station, placed like a `Rail`. `face` numbers the picture of a sign
+    from 1; a `turned` sign shows it to the traffic in the other direction."""
+
+    kind: PostKind
+    road: Literal["main", "exit"]
+    side: RoadSide
+    s_m: Metres
+    aside_m: Metres
+    height_m: Annotated[float, Field(gt=0, le=30)]
+    face: Annotated[int, Field(ge=1, le=N_SIGN_FACES)] = 1
+    turned: bool = False
+
+
+class Crossing(Part):
+    """A gantry or bridge across all roads at a plan station of the main road: `clearance_m` of free height over every
+    pavement, and its width along the road."""
+
+    kind: Literal["gantry", "bridge"]
+    s_m: Metres
+    clearance_m: Annotated[float, Field(ge=4.7, le=30)]
+    width_m: Annotated[float, Field(gt=0, le=100)]
+    color: Color
+
+
+class Building(Part):
+    """A house with a gable, an industrial hall or a block of flats: the middle of its floor plan, the direction of its
+    length (counter-clockwise from world y), and the height of its walls."""
+
+    kind: Literal["house", "hall", "block"]
+    x_m: Number
+    y_m: Number
+    yaw_rad: Number
+    width_m: Annotated[float, Field(gt=0, le=1000)]
+    length_m: Annotated[float, Field(gt=0, le=1000)]
+    height_m: Annotated[float, Field(gt=0, le=300)]
+    color: Color
+    roof: Color
+
+
+class Roadside(Part):
+    """What stands beside and over the road. Structure i of the passes is number i of all rails, posts, crossings and
+    buildings, in this order."""
+
+    rails: Annotated[tuple[Rail, ...], Field(max_length=100)] = ()
+    posts: Annotated[tuple[Post, ...], Field(max_length=1000)] = ()
+    crossings: Annotated[tuple[Crossing, ...], Field(max_length=20)] = ()
+    buildings: Annotated[tuple[Building, ...], Field(max_length=200)] = ()
+
+
 class Scene(Part):
     """One world. `(seed, split, index)` identify its draw; `sky` numbers a user's skies from 1, 0 is the built-in
     one."""
@@ -281,6 +352,7 @@ class Scene(Part):
     assets: Assets = Assets()
     symbols: Annotated[tuple[Symbol, ...], Field(max_length=MAX_SYMBOLS)] = added(())
     vegetation: Vegetation = added(Vegetation())
+    roadside: Roadside = added(Roadside())
 
     def stream(self, name: str) -> np.random.Generator:
         """Random numbers for details that the scene does not store, such as `clouds`."""
@@ -309,6 +381,10 @@ class Scene(Part):
             raise ValueError(
                 f"camera.lane: expected at most {present} at y_m = {self.camera.y_m:g}, got {self.camera.lane}"
             )
+        for kind in ("rails", "posts"):
+            for i, item in enumerate(getattr(self.roadside, kind)):
+                if item.road == "exit" and (self.road.topology == 1 or item.side == "median"):
+                    raise ValueError(f"roadside.{kind}.{i}: expected a side of a road that is there, got its exit's")
         for i, car in enumerate(self.cars):
             lanes = (*self.road.segments_at(car.s_m), *self.road.oncoming_segments)
             if car.lane not in lanes:

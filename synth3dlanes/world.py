@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.frames import Matrix4, road_from_cam
-from synth3dlanes.geometry import meshes
+from synth3dlanes.geometry import meshes, roadside
 from synth3dlanes.geometry.bonnet import cam_from_bonnet
 from synth3dlanes.geometry.camera import img_from_cam, world_from_road
 from synth3dlanes.geometry.grass import Blades, blades
@@ -100,10 +100,15 @@ class World:
         """The base points of all trees."""
         return tree_positions(self.ground, self.scene.trees)
 
-    @property
+    @cached_property
+    def structures(self) -> list[roadside.Body]:
+        """What stands beside and over the road, in the order of instance ids."""
+        return roadside.bodies(self.ground, self.scene.roadside)
+
+    @cached_property
     def street_lamps(self) -> Float[np.ndarray, "n 3"]:
-        """The heads of the street lamps."""
-        return np.zeros((0, 3))
+        """Where the lamps beside the road have their light: the middles of the lower sides of their heads."""
+        return roadside.lamp_heads(self.ground, self.scene.roadside)
 
     @cached_property
     def view(self) -> View:

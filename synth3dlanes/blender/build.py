@@ -14,6 +14,7 @@ from synth3dlanes.blender.light import add_car_lamps, add_haze, make_world, set_
 from synth3dlanes.blender.load_assets import LoadedAssets, load_assets
 from synth3dlanes.blender.materials import Materials, make_materials, set_materials, set_translucency
 from synth3dlanes.blender.shaders import car_paint, new_material
+from synth3dlanes.blender.structures import structure_mesh
 from synth3dlanes.frames import Matrix4, from_axes
 from synth3dlanes.geometry.bonnet import bonnet
 from synth3dlanes.geometry.grass import Blades
@@ -24,6 +25,7 @@ from synth3dlanes.scene import Car
 from synth3dlanes.settings import (
     FIRST_CAR_ID,
     FIRST_DELIMITER_ID,
+    FIRST_STRUCTURE_ID,
     FIRST_SYMBOL_ID,
     FIRST_TREE_ID,
     HOST_ID,
@@ -100,6 +102,8 @@ def build(studio: Studio, world: World, view: View, light: Daylight, labelled: S
     scene = world.scene
     set_materials(studio.materials, scene)
     _add_surfaces(studio.materials, world, view, labelled)
+    for i, body in enumerate(world.structures):
+        _add_object(structure_mesh(body, studio.materials.structures), FIRST_STRUCTURE_ID + i)
     placed = _placed_objects(studio.assets, world, view)
     colors: list[tuple[float, ...] | None] = [(*body_color(car), car.gloss) for car in scene.cars]
     colors += [None] * len(scene.trees)

@@ -15,6 +15,7 @@ from PIL import Image
 
 from synth3dlanes.assets.folder import TextureFiles
 from synth3dlanes.blender.shaders import Graph, coated, new_material, texture
+from synth3dlanes.blender.structures import structure_materials
 from synth3dlanes.blender.weathering import SNOW, Look, rub_level, rubbed, snowed, thrown_back, wet, wheel_tracks
 from synth3dlanes.geometry.seams import ghost_shade, joint
 from synth3dlanes.scene import Scene
@@ -42,7 +43,7 @@ WOODS, WOODS_LENGTH_M, WOODS_FROM_M = (0.035, 0.045, 0.025), 2900.0, 220.0
 
 @dataclass(frozen=True, eq=False)
 class Materials:
-    """Road, shoulder and terrain materials by texture number minus 1, and the paints."""
+    """Road, shoulder and terrain materials by texture number minus 1, the paints, and those of structures."""
 
     roads: tuple[bpy.types.Material, ...]
     shoulders: tuple[bpy.types.Material, ...]
@@ -53,6 +54,7 @@ class Materials:
     tar: bpy.types.Material
     ghost: bpy.types.Material
     grass: bpy.types.Material
+    structures: tuple[bpy.types.Material, ...]
 
     @property
     def paints(self) -> tuple[bpy.types.Material, ...]:
@@ -72,6 +74,7 @@ def make_materials(roads: Sequence[TextureFiles], terrains: Sequence[TextureFile
         _tar(),
         _ghost(),
         _grass(),
+        structure_materials(),
     )
 
 

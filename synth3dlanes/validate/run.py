@@ -38,6 +38,7 @@ from synth3dlanes.validate.passes_proof import Passes, prove_passes
 from synth3dlanes.validate.pavement import prove_pavement
 from synth3dlanes.validate.pictures import Picture, draw, remove_pictures, save_picture
 from synth3dlanes.validate.report import Report
+from synth3dlanes.validate.roadside import check_roadside
 from synth3dlanes.validate.sharpness import check_sharpness
 from synth3dlanes.validate.signed import signed_values
 from synth3dlanes.validate.structure import check_shape, check_values, points_to_pixels
@@ -213,6 +214,7 @@ def _proofs(
         "labels": lambda: Proved([*check_values(world.scene, truth, labels)]),
         "host": lambda: Proved([*check_host(world, labels)]),
         "object_visible": lambda: Proved([*check_objects(world, labels)]),
+        "roadside": lambda: Proved([*check_roadside(world)]),
         "frame": lambda: Proved(*check_frame(image, passes)),
         "standing": lambda: Proved(*check_ground_contact(world, labels, passes)),
     }
