@@ -255,10 +255,11 @@ Barrier = Annotated[Named, names(*RAIL_NAMES)]
 
 class RoadsideParams(Group):
     """What stands beside and over the road. `outer` and `inner` say what is along the outermost edges of the pavement
-    (drawn for each side) and between the main road and the exit."""
+    (drawn for each side), between the main road and the exit, and in a median with room for it."""
 
     outer: Barrier = added("none")
     inner: Barrier = added("none")
+    median: Annotated[Named, names("none", "guardrail", "concrete")] = added("none")
     ramp_rail: Flag = added(False)
     rail_aside_m: Annotated[Real, reals(0.3, 5)] = added(0.5)
     wall_height_m: Annotated[Real, reals(1, 10)] = added(3.0)

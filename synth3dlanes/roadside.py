@@ -48,6 +48,8 @@ KERBS = ("kerb", "walkway")
 RAISED_ASIDE_M, RAISED_FROM_M = 0.3, 0.3
 # Least distance of a rail's back from any pavement, and limits of the ground at its front over its edge.
 BACK_M, LEVEL_M = 0.25, (-0.8, 0.15)
+# Least distance of a barrier in the median from the edge lines.
+MEDIAN_GAP_M = 0.3
 # What stands behind a rail has this much room; posts are this far from crossings, signs from each other.
 BEHIND_RAIL_M, APART_M, SIGNS_APART_M = 0.7, 3.0, 8.0
 LAMP_ASIDE_M, SIGN_ASIDE_M, DELINEATOR_ASIDE_M, POLE_ASIDE_M, POLE_M = 1.0, 1.0, 0.4, (6.0, 14.0), (8.0, 11.0)
@@ -92,6 +94,7 @@ def draw_roadside(world: World, draw: Draw, rng: Rng) -> Roadside:
             rails += _rails(ground, edge, kind, 0.0 if kind in KERBS else aside_m, heights_m, color, raised=False)
             if has_ramp_rail and edge.road == "exit":
                 rails += _rails(ground, edge, on_ramp, RAISED_ASIDE_M, heights_m, color, raised=True)
+    rails += _median_rail(ground, draw("median"), heights_m, _color(rng, GRAYS))
     crossings = _crossings(world, "bridge", draw("n_bridges"), draw("clearance_m"), rng, [])
     crossings += _crossings(world, "gantry", draw("n_gantries"), draw("clearance_m"), rng, crossings)
     behind_m = {place: _behind(kind, aside_m) for place, kind in kinds.items()}
@@ -175,6 +178,28 @@ def _rails(
             height_m=heights_m[kind],
             color=color,
         )
+
+
+def _median_rail(ground: Ground, kind: str, heights_m: dict[str, float], color: Color) -> list[Rail]:
+    """A barrier along the middle of the median, if it has room there."""
+    plan = ground.plan
+    if kind == "none" or not plan.n_oncoming or plan.road.median_m < DEPTHS_M[kind] + 2 * MEDIAN_GAP_M:
+        return []
+    s = _stations(ground, Edge("main", "median"))
+    middle_m = round(plan.boundary_m(0) - plan.road.median_m / 2, DECIMALS)
+    rail_kind: RailKind = kind  # type: ignore[assignment]
+    return [
+        Rail(
+            kind=rail_kind,
+            road="main",
+            side="median",
+            from_m=float(s[0]),
+            to_m=float(s[-1]),
+            aside_m=middle_m,
+            height_m=heights_m[kind],
+            color=color,
+        )
+    ]
 
 
 def _runs(s: Values, free: Bool[np.ndarray, " n"]) -> Iterator[tuple[float, float]]:
