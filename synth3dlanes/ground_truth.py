@@ -1,4 +1,5 @@
-"""World and View -> Labels: every lane curve in camera coordinates with its masks, except `object_visible` (None)."""
+"""World and View -> Labels: every lane curve and symbol in camera coordinates with its masks, except `object_visible`
+(None)."""
 
 import numpy as np
 from jaxtyping import Float
@@ -7,8 +8,9 @@ from synth3dlanes.frames import inside_image, invert, project, transform
 from synth3dlanes.geometry.lanes import Curve, host_segment, lane_graph, path_of_segment
 from synth3dlanes.geometry.paint import is_double, paint_color
 from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.geometry.symbols import shape
 from synth3dlanes.geometry.visibility import seen_over_ground
-from synth3dlanes.labels import CameraLabel, Labels, Lane, RoadName, RoadPlane
+from synth3dlanes.labels import CameraLabel, Labels, Lane, RoadName, RoadPlane, SymbolLabel
 from synth3dlanes.scene import Scene
 from synth3dlanes.world import View, World, resolve
 
@@ -50,11 +52,14 @@ def label(world: World, view: View) -> Labels:
         if len(s) > 1:
             sampled[curve] = curve.points_world(plan, s)
     known = {curve.id for curve in sampled}
-    points_world = np.concatenate(list(sampled.values()))
+    forms = [shape(world.ground, symbol) for symbol in world.scene.symbols]
+    outlines = [form.points_world(form.outline) for form in forms]
+    points_world = np.concatenate([*sampled.values(), *outlines])
     points_cam = transform(invert(view.world_from_cam), points_world)
     in_image = inside_image(project(camera.img_from_cam, points_cam), camera.width_px, camera.height_px)
     seen = seen_over_ground(world.ground, view.eye_world, points_world)
-    ends = np.cumsum([len(points) for points in sampled.values()])[:-1]
+    ends = np.cumsum([len(points) for points in (*sampled.values(), *outlines)])[:-1]
+    parts = list(zip(np.split(points_cam, ends), np.split(in_image, ends), np.split(seen, ends), strict=True))
     lanes = tuple(
         Lane(
             id=curve.id,
@@ -71,9 +76,11 @@ def label(world: World, view: View) -> Labels:
             double=is_double(curve, world.scene.markings),
             direction=curve.direction,
         )
-        for curve, xyz, inside, visible in zip(
-            sampled, np.split(points_cam, ends), np.split(in_image, ends), np.split(seen, ends), strict=True
-        )
+        for curve, (xyz, inside, visible) in zip(sampled, parts[: len(sampled)], strict=True)
+    )
+    symbols = tuple(
+        SymbolLabel(symbol.kind, xyz, inside, visible, object_visible=None)
+        for symbol, (xyz, inside, visible) in zip(world.scene.symbols, parts[len(sampled) :], strict=True)
     )
     host = path_of_segment(plan, host_segment(plan, lens)).id
     centerlines = [lane.id for lane in lanes if lane.kind == "centerline"]
@@ -82,6 +89,7 @@ def label(world: World, view: View) -> Labels:
         lanes,
         lane_graph(plan, centerlines),
         horizon_plane(camera, next(lane for lane in lanes if lane.id == host)),
+        symbols=symbols,
     )
 
 

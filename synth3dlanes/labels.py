@@ -12,9 +12,11 @@ from jaxtyping import Bool, Float
 from pydantic import FailFast, Field, GetCoreSchemaHandler, with_config
 from pydantic_core import CoreSchema, core_schema
 
-from synth3dlanes.schema import STRICT, Name, Number, Part, Pixels, Positive, Unit, parse
+from synth3dlanes.schema import STRICT, Name, Number, Part, Pixels, Positive, SymbolKind, Unit, parse
 
 LABELS_FORMAT, LABELS_VERSION = "synth3dlanes.labels", 1
+
+MASKS = ("in_image", "terrain_visible", "object_visible")
 
 LaneKind = Literal["centerline", "delimiter"]
 RoadName = Literal["main", "exit"]
@@ -88,17 +90,47 @@ class Lane:
 
     def __post_init__(self) -> None:
         """Check that each mask has a value for every point; raise ValueError."""
-        n = len(self.xyz_cam)
-        for name in ("in_image", "terrain_visible", "object_visible"):
-            mask = getattr(self, name)
-            if mask is not None and len(mask) != n:
-                raise ValueError(f"{name}: expected a value for each of {n} points, got {len(mask)}")
+        _check_masks(self)
 
     @property
     def visible(self) -> Bool[np.ndarray, " n"]:
         """Inside the image, not hidden by the ground and, if `object_visible` is known, not hidden by an object."""
-        seen = self.in_image & self.terrain_visible
-        return seen if self.object_visible is None else seen & self.object_visible
+        return _visible(self)
+
+
+@with_config(STRICT)
+@dataclass(frozen=True, eq=False)
+class SymbolLabel:
+    """Paint on the road that bounds no lane: its outline, a closed polygon whose last point is not repeated. For a
+    crosswalk or a gore it is the outline of the whole area. Masks as for lanes."""
+
+    kind: SymbolKind
+    xyz_cam: Points
+    in_image: Mask
+    terrain_visible: Mask
+    object_visible: Mask | None
+
+    def __post_init__(self) -> None:
+        """Check that each mask has a value for every point; raise ValueError."""
+        _check_masks(self)
+
+    @property
+    def visible(self) -> Bool[np.ndarray, " n"]:
+        """Inside the image, not hidden by the ground and, if `object_visible` is known, not hidden by an object."""
+        return _visible(self)
+
+
+def _check_masks(of: Lane | SymbolLabel) -> None:
+    n = len(of.xyz_cam)
+    for name in MASKS:
+        mask = getattr(of, name)
+        if mask is not None and len(mask) != n:
+            raise ValueError(f"{name}: expected a value for each of {n} points, got {len(mask)}")
+
+
+def _visible(of: Lane | SymbolLabel) -> Bool[np.ndarray, " n"]:
+    seen = of.in_image & of.terrain_visible
+    return seen if of.object_visible is None else seen & of.object_visible
 
 
 @with_config(STRICT)
@@ -142,7 +174,8 @@ class Labels:
 
     `camera` holds pitch and height over the plane that touches the road at the host; `horizon` is the plane through the
     farthest visible point of the host lane (the paper's 'horizon' variant), None if no point is visible.
-    `car_visible_fraction` is the visible share of each car's silhouette; None until rendered.
+    `car_visible_fraction` is the visible share of each car's silhouette; None until rendered. `symbols` are those of
+    the scene, in its order: arrows, stop lines, crosswalks and gores, none of which is a lane.
     """
 
     camera: CameraLabel
@@ -150,12 +183,13 @@ class Labels:
     graph: LaneGraph
     horizon: RoadPlane | None = None
     car_visible_fraction: tuple[float, ...] | None = None
+    symbols: tuple[SymbolLabel, ...] = ()
 
 
 def to_json(labels: Labels) -> str:
     """The labels as one line of JSON: points rounded to 0.1 mm, matrices to 1e-9; equal labels give equal text."""
     camera = labels.camera
-    document = {
+    document: dict[str, Any] = {
         "format": LABELS_FORMAT,
         "version": LABELS_VERSION,
         "camera": {
@@ -168,7 +202,7 @@ def to_json(labels: Labels) -> str:
             "road_from_cam": _rounded(camera.road_from_cam, 9),
             "world_from_cam": _rounded(camera.world_from_cam, 9),
         },
-        "lanes": [_lane_document(lane) for lane in labels.lanes],
+        "lanes": [_points_document(lane) for lane in labels.lanes],
         "graph": {
             "segments": [
                 {**vars(segment), "centerlines": list(segment.centerlines)} for segment in labels.graph.segments
@@ -179,6 +213,8 @@ def to_json(labels: Labels) -> str:
         "horizon": None if labels.horizon is None else vars(labels.horizon),
         "car_visible_fraction": labels.car_visible_fraction,
     }
+    if labels.symbols:
+        document["symbols"] = [_points_document(symbol) for symbol in labels.symbols]
     return json.dumps(document, separators=(",", ":"), allow_nan=False)
 
 
@@ -192,12 +228,13 @@ class _Document(Part):
     graph: LaneGraph
     horizon: RoadPlane | None
     car_visible_fraction: tuple[Unit, ...] | None
+    symbols: tuple[SymbolLabel, ...] = ()
 
 
 def from_json(text: str | bytes, where: str) -> Labels:
     """Parse `labels.json`; raise FormatError with one line per problem, each beginning with `where`."""
     read = parse(_Document, text, where, f"{LABELS_FORMAT} version {LABELS_VERSION}")
-    return Labels(read.camera, read.lanes, read.graph, read.horizon, read.car_visible_fraction)
+    return Labels(read.camera, read.lanes, read.graph, read.horizon, read.car_visible_fraction, read.symbols)
 
 
 def _rounded(values: Float[np.ndarray, "..."], decimals: int) -> Any:
@@ -205,12 +242,12 @@ def _rounded(values: Float[np.ndarray, "..."], decimals: int) -> Any:
     return (np.round(values, decimals) + 0.0).tolist()
 
 
-def _lane_document(lane: Lane) -> dict[str, Any]:
-    document = dict(vars(lane))
-    document["xyz_cam"] = _rounded(lane.xyz_cam, 4)
-    for name in ("in_image", "terrain_visible", "object_visible"):
+def _points_document(of: Lane | SymbolLabel) -> dict[str, Any]:
+    document = dict(vars(of))
+    document["xyz_cam"] = _rounded(of.xyz_cam, 4)
+    for name in MASKS:
         mask = document[name]
         document[name] = None if mask is None else mask.astype(int).tolist()
-    if lane.direction == "same":
+    if document.get("direction") == "same":
         del document["direction"]
     return document

@@ -19,6 +19,7 @@ from synth3dlanes.distributions import (
     Integers,
     Named,
     Real,
+    Uniform,
     form,
     integers,
     is_pair,
@@ -37,7 +38,7 @@ Offset = Annotated[Real, reals(-50, 50)]
 # Of models or textures of one kind, if the assets are unknown.
 MAX_NUMBER = 9999
 # Groups that were added later; parameters without them have their defaults.
-OPTIONAL: tuple[str, ...] = ("weather", "host")
+OPTIONAL: tuple[str, ...] = ("symbols", "weather", "host", "vegetation", "roadside")
 # With more keys missing there is one line for all.
 MAX_MISSING = 3
 
@@ -45,16 +46,24 @@ MAX_MISSING = 3
 def numbers(kind: AssetKind) -> PlainValidator:
     """Legal numbers of models or textures of one kind: those of the `Assets` in the validation's context.
 
-    The range of all built-in ones, as in the presets, stands for all of the context. Without a context, as in
-    `dataset.json`, any number is legal.
+    The range or weights of all built-in ones, as in the presets, stand for all of a user's own. Without a context, as
+    in `dataset.json`, any number is legal.
     """
     return PlainValidator(lambda read, info: _parse_numbers(read, kind, info.context))
 
 
 def _parse_numbers(read: Any, kind: AssetKind, assets: Assets | None) -> Integers | Choice[int]:
-    if assets is not None and is_pair(read) and list(read) == [1, Assets.OURS[kind]]:
+    if assets is not None and assets.own(kind) and _is_whole(read, kind):
         return Integers(1, assets.count(kind))
     return parse_integers(read, 1, assets.count(kind) if assets else MAX_NUMBER)
+
+
+def _is_whole(read: Any, kind: AssetKind) -> bool:
+    numbers = sorted(read) if isinstance(read, dict) and all(isinstance(key, int) for key in read) else []
+    return any(
+        numbers == list(range(1, last + 1)) or (is_pair(read) and list(read) == [1, last])
+        for last in Assets.WHOLE[kind]
+    )
 
 
 def added(default: Any) -> Any:
@@ -114,6 +123,7 @@ class MarkingsParams(Group):
     left_double: Flag
     wear: Fraction
     missing: Fraction
+    dots: Flag = added(False)
 
 
 class SurfaceParams(Group):
@@ -127,10 +137,24 @@ class SurfaceParams(Group):
     texture_orientation_deg: Orientation
     wetness: Fraction
     shoulder_texture: Annotated[Integer, integers(1, 2)]
+    tar: Fraction = added(0.0)
+    joint: Fraction = added(0.0)
+    ghost_lines: Fraction = added(0.0)
+
+
+class SymbolParams(Group):
+    """Paint that bounds no lane. Symbols for which there is no room are left out."""
+
+    arrow_rows: Annotated[Integer, integers(0, 20)] = added(0)
+    stop_lines: Annotated[Integer, integers(0, 10)] = added(0)
+    crosswalks: Annotated[Integer, integers(0, 10)] = added(0)
+    gore: Flag = added(False)
+    s_m: Annotated[Real, reals(-150, 150)] = Uniform(-100.0, 100.0)
 
 
 class CarParams(Group):
-    """Cars; `color` is drawn once per channel, `saturation` and `parked` per car."""
+    """Cars; `color` is drawn once per channel, `saturation` and `parked` per car. With `palette` sold, colour and
+    saturation give way to the colours of new cars, and to liveries for trucks and buses."""
 
     n: Annotated[Integer, integers(0, 100)]
     model: Annotated[Integer, numbers("cars")]
@@ -140,6 +164,7 @@ class CarParams(Group):
     gloss: Fraction
     s_m: Annotated[Real, reals(-150, 150)]
     parked: Fraction = added(0.0)
+    palette: Annotated[Named, names("rgb", "sold")] = added("rgb")
 
 
 class TreeParams(Group):
@@ -151,6 +176,13 @@ class TreeParams(Group):
     yaw_deg: Orientation
     x_m: Annotated[Real, reals(-1000, 1000)]
     y_m: Annotated[Real, reals(-1000, 1000)]
+
+
+class VegetationParams(Group):
+    """Leaves and grass."""
+
+    translucency: Fraction = added(0.0)
+    grass_m: Annotated[Real, reals(0, 1)] = added(0.0)
 
 
 class CameraParams(Group):
@@ -217,6 +249,36 @@ class HostParams(Group):
     gloss: Fraction = added(0.0)
 
 
+RAIL_NAMES = ("none", "guardrail", "concrete", "noise_wall", "kerb", "walkway")
+Barrier = Annotated[Named, names(*RAIL_NAMES)]
+
+
+class RoadsideParams(Group):
+    """What stands beside and over the road. `outer` and `inner` say what is along the outermost edges of the pavement
+    (drawn for each side), between the main road and the exit, and in a median with room for it."""
+
+    outer: Barrier = added("none")
+    inner: Barrier = added("none")
+    median: Annotated[Named, names("none", "guardrail", "concrete")] = added("none")
+    ramp_rail: Flag = added(False)
+    rail_aside_m: Annotated[Real, reals(0.3, 5)] = added(0.5)
+    wall_height_m: Annotated[Real, reals(1, 10)] = added(3.0)
+    lamps: Annotated[Named, names("none", "left", "right", "both")] = added("none")
+    lamp_spacing_m: Annotated[Real, reals(10, 200)] = added(40.0)
+    lamp_height_m: Annotated[Real, reals(4, 20)] = added(9.0)
+    delineators: Flag = added(False)
+    delineator_spacing_m: Annotated[Real, reals(10, 200)] = added(50.0)
+    n_signs: Annotated[Integer, integers(0, 20)] = added(0)
+    n_gantries: Annotated[Integer, integers(0, 3)] = added(0)
+    n_bridges: Annotated[Integer, integers(0, 2)] = added(0)
+    clearance_m: Annotated[Real, reals(4.7, 12)] = added(5.5)
+    power_line: Annotated[Named, names("none", "left", "right")] = added("none")
+    n_houses: Annotated[Integer, integers(0, 50)] = added(0)
+    n_halls: Annotated[Integer, integers(0, 20)] = added(0)
+    n_blocks: Annotated[Integer, integers(0, 20)] = added(0)
+    building_aside_m: Annotated[Real, reals(8, 200)] = added(40.0)
+
+
 class Params(Group):
     """The distribution of every parameter of a scene. Names are as in `scene.json`, with degrees instead of radians.
 
@@ -233,8 +295,13 @@ class Params(Group):
     light: LightParams
     air: AirParams
     sensor: SensorParams
+    symbols: SymbolParams = Field(default=SymbolParams(), exclude_if=lambda group: group == SymbolParams())
     weather: WeatherParams = Field(default=WeatherParams(), exclude_if=lambda group: group == WeatherParams())
     host: HostParams = Field(default=HostParams(), exclude_if=lambda group: group == HostParams())
+    vegetation: VegetationParams = Field(
+        default=VegetationParams(), exclude_if=lambda group: group == VegetationParams()
+    )
+    roadside: RoadsideParams = Field(default=RoadsideParams(), exclude_if=lambda group: group == RoadsideParams())
 
 
 def presets_folder() -> Path:

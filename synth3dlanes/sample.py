@@ -11,13 +11,18 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.assets.car_colors import sold_color
 from synth3dlanes.assets.catalogue import BUILT_IN, Assets
 from synth3dlanes.distributions import Choice, Integers, Uniform
 from synth3dlanes.errors import InputError
 from synth3dlanes.geometry import placement
 from synth3dlanes.geometry.camera import world_from_road
+from synth3dlanes.geometry.lanes import connections
 from synth3dlanes.geometry.road import RoadPlan, is_wide_enough
-from synth3dlanes.params import CameraParams, Group, Params
+from synth3dlanes.geometry.roadside import footprints
+from synth3dlanes.geometry.symbols import LENGTHS_M, gore_range
+from synth3dlanes.params import CameraParams, CarParams, Group, Params
+from synth3dlanes.roadside import draw_roadside
 from synth3dlanes.scene import (
     MIN_MEDIAN_M,
     SCENE_VERSION,
@@ -32,11 +37,14 @@ from synth3dlanes.scene import (
     Scene,
     Sensor,
     Surface,
+    Symbol,
     Terrain,
     Tree,
+    Vegetation,
     Weather,
     to_json,
 )
+from synth3dlanes.schema import SymbolKind
 from synth3dlanes.streams import stream
 from synth3dlanes.weather import under
 from synth3dlanes.world import World, resolve
@@ -45,10 +53,16 @@ from synth3dlanes.world import World, resolve
 DECIMALS = 6
 CAR_GAP_M = (1.0, 0.3)
 TRIES = 300
+# The streams of the cars: looks as in the paper, and what was added since, so that it changes none of these.
+CAR_STREAMS = ("cars", "car_places", "car_saturation", "car_palette", "parked_cars")
 # Cars park at least this far before a split, or behind a merge.
 PARKING_BEFORE_EXIT_M = 20.0
 # From this many scenes on, several processes are faster than one; each draws CHUNK scenes at a time.
 WORTH_PROCESSES, CHUNK = 200, 25
+# The shoulder texture that is pavement.
+PAVED = 2
+# Least distance along the road between symbols, and between them and the split.
+SYMBOL_GAP_M, SPLIT_GAP_M = 1.0, 8.0
 # Least distance of a tree from the pavement: metres plus this share of its crown's radius.
 TREE_GAP_M, TREE_GAP_OF_CROWN = 1.0, 0.5
 
@@ -62,7 +76,8 @@ def sample_scene(params: Params, seed: int, split: str, index: int, assets: Asse
 
 
 def sample_world(params: Params, seed: int, split: str, index: int, assets: Assets = BUILT_IN.assets) -> World:
-    """Draw and resolve scene `index` of a split: first the road and the host, then cars and trees on it."""
+    """Draw and resolve scene `index` of a split: first the road and the host, then what stands beside it, then cars and
+    trees, then symbols."""
     first = Draw(params.weather, stream(seed, split, index, "weather"))
     params = under(params, first("kind"), first("daytime"))
     draws = {name: Draw(group, stream(seed, split, index, name)) for name, group in params}
@@ -87,18 +102,19 @@ def sample_world(params: Params, seed: int, split: str, index: int, assets: Asse
         host=_plain(Host, draws["host"]),
         sky=_sky(assets, stream(seed, split, index, "sky")),
         assets=assets,
+        vegetation=_plain(Vegetation, draws["vegetation"]),
     )
-    world = resolve(bare)
-    car_places = Draw(params.cars, stream(seed, split, index, "car_places"))
+    resolved = resolve(bare)
+    roadside = draw_roadside(resolved, draws["roadside"], draws["roadside"].rng)
+    world = replace(resolved, scene=bare.model_copy(update={"roadside": roadside}))
     tree_places = Draw(params.trees, stream(seed, split, index, "tree_places"))
-    paints = Draw(params.cars, stream(seed, split, index, "car_saturation"))
-    parking = Draw(params.cars, stream(seed, split, index, "parked_cars"))
-    cars = _cars(world, draws["cars"], paints, car_places, parking)
+    cars = _cars(world, params.cars)
     trees = _trees(world, draws["trees"], tree_places)
-    return replace(world, scene=bare.model_copy(update={"cars": cars, "trees": trees}))
+    symbols = _symbols(world, draws["symbols"])
+    return replace(world, scene=world.scene.model_copy(update={"cars": cars, "trees": trees, "symbols": symbols}))
 
 
-P = TypeVar("P", Markings, Surface, Light, Air, Sensor, Weather, Host)
+P = TypeVar("P", Markings, Surface, Light, Air, Sensor, Weather, Host, Vegetation)
 
 
 def scene_texts(
@@ -206,8 +222,9 @@ def _host_lane(lanes: Integers | Choice[int], u: float, present: int) -> int:
     return min(lanes.draw(u), present)
 
 
-def _cars(world: World, looks: Draw, paints: Draw, places: Draw, parking: Draw) -> tuple[Car, ...]:
+def _cars(world: World, params: CarParams) -> tuple[Car, ...]:
     scene = world.scene
+    looks, places, paints, sold, parking = (Draw(params, scene.stream(name)) for name in CAR_STREAMS)
     taken = [placement.host_footprint(world_from_road(world.plan, scene.camera))]
     parked = parking("parked")
     cars = []
@@ -232,18 +249,11 @@ def _cars(world: World, looks: Draw, paints: Draw, places: Draw, parking: Draw) 
             raise InputError(f"cars.n: no room for car {number + 1} within cars.s_m of scene {scene.index}")
         taken.append(place)
         saturation = paints("saturation")
-        cars.append(
-            Car(
-                model=model,
-                scale=scale,
-                color=color,
-                gloss=gloss,
-                lane=lane,
-                s_m=s_m,
-                saturation=saturation,
-                offset_m=offset_m,
-            )
-        )
+        palette, (u_paint, u_shade) = sold("palette"), sold.rng.random(2)
+        if palette == "sold":
+            color, saturation = sold_color(body, u_paint, u_shade), 1.0
+        looks_of = {"model": model, "scale": scale, "color": color, "gloss": gloss, "saturation": saturation}
+        cars.append(Car(**looks_of, lane=lane, s_m=s_m, offset_m=offset_m))
     return tuple(cars)
 
 
@@ -268,15 +278,73 @@ def _trees(world: World, looks: Draw, places: Draw) -> tuple[Tree, ...]:
     drawn = looks.rows(("model", "yaw_deg", "scale"), looks("n"))
     models = world.scene.assets.tree_models
     trees: list[Tree] = []
+    structures = footprints(world.ground, world.scene.roadside)
     for _ in range(TRIES):
         if len(trees) == len(drawn):
             return tuple(trees)
         xy = np.array(places.rows(("x_m", "y_m"), 2 * (len(drawn) - len(trees)) + 16))
-        for (x, y), clearance_m in zip(xy.tolist(), world.ground.clearance(xy).tolist(), strict=True):
+        clear = world.ground.clearance(xy)
+        stands = structures.clear(xy, TREE_GAP_M)
+        for (x, y), clearance_m, is_free in zip(xy.tolist(), clear.tolist(), stands.tolist(), strict=True):
             if len(trees) == len(drawn):
                 break
             model, yaw_rad, scale = drawn[len(trees)]
-            if clearance_m >= TREE_GAP_M + TREE_GAP_OF_CROWN * scale * models[model - 1].crown_radius_m:
+            gap_m = TREE_GAP_M + TREE_GAP_OF_CROWN * scale * models[model - 1].crown_radius_m
+            if is_free and clearance_m >= gap_m:
                 trees.append(Tree(model=model, x_m=x, y_m=y, yaw_rad=yaw_rad, scale=scale))
     missing = len(drawn) - len(trees)
     raise InputError(f"trees.x_m, trees.y_m: no room off the roads for {missing} trees of scene {world.scene.index}")
+
+
+def _symbols(world: World, draw: Draw) -> tuple[Symbol, ...]:
+    """Symbols that do not overlap along the road; those without room are left out, and a gore on a gravel shoulder."""
+    road, plan = world.scene.road, world.plan
+    asked: dict[SymbolKind, int] = {"crosswalk": draw("crosswalks"), "stop_line": draw("stop_lines")}
+    n_arrow_rows, gore = draw("arrow_rows"), draw("gore")
+    turns = draw.rng.random(2).tolist()
+    taken: list[tuple[float, float]] = []
+
+    def place(length_m: float, beyond_m: float) -> float | None:
+        """A free station before the split or, in the plan, beyond a station behind it."""
+        for _ in range(TRIES):
+            s_m = draw("s_m")
+            s_plan, reach_m = s_m * plan.flips[1], length_m / 2 + SYMBOL_GAP_M
+            is_clear = s_plan + reach_m < -SPLIT_GAP_M or s_plan - reach_m > beyond_m or not plan.has_exit
+            if is_clear and all(abs(s_m - other_m) > (length_m + other) / 2 + SYMBOL_GAP_M for other_m, other in taken):
+                taken.append((s_m, length_m))
+                return s_m
+        return None
+
+    symbols = []
+    for kind, n in asked.items():
+        for _ in range(n):
+            if (s_m := place(LENGTHS_M[kind], math.inf)) is not None:
+                symbols.append(Symbol(kind=kind, lane=None, s_m=s_m))
+    for _ in range(n_arrow_rows):
+        if (s_m := place(LENGTHS_M["arrow_straight"], plan.nose_m + SPLIT_GAP_M)) is not None:
+            lanes = road.segments_at(s_m)
+            symbols += [Symbol(kind=_arrow(world, lane, turns), lane=lane, s_m=s_m) for lane in lanes]
+    room = gore_range(plan)
+    if gore and room is not None and world.scene.surface.shoulder_texture == PAVED:
+        symbols.append(Symbol(kind="gore", lane=None, s_m=round(room[0] * plan.flips[1], DECIMALS)))
+    return tuple(symbols)
+
+
+def _arrow(world: World, lane: str, turns: list[float]) -> SymbolKind:
+    """The arrow of a lane: where its successors lead, or as before a junction on a road without exit, where `turns` in
+    [0, 1) decide what the outer lanes may do."""
+    plan, merges = world.plan, world.scene.road.flip_lateral
+    to_exit: tuple[SymbolKind, SymbolKind] = ("arrow_right", "arrow_straight_right")
+    to_main: SymbolKind = "arrow_left"
+    if world.scene.road.flip_longitudinal:
+        to_exit, to_main = ("arrow_left", "arrow_straight_left"), "arrow_right"
+    if not plan.has_exit:
+        lefts: tuple[SymbolKind, ...] = ("arrow_straight", "arrow_straight_left", "arrow_left")
+        rights: tuple[SymbolKind, ...] = ("arrow_straight", "arrow_straight_right", "arrow_right")
+        if lane == "main_1":
+            return lefts[int(3 * turns[0])]
+        return rights[int(3 * turns[1])] if lane == f"main_{plan.n_lanes}" else "arrow_straight"
+    if merges:
+        return to_main if lane.startswith("exit") else "arrow_straight"
+    follow = [fork.startswith("exit") for stem, fork in connections(plan) if stem == lane]
+    return to_exit[0] if follow and all(follow) else to_exit[1] if any(follow) else "arrow_straight"

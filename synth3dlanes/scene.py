@@ -10,8 +10,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from synth3dlanes.assets.catalogue import AssetKind, Assets
-from synth3dlanes.schema import MAX_PX, Metres, Name, Number, Part, Positive, Seed, Unit, parse
-from synth3dlanes.settings import JPEG_QUALITY, MAX_SAMPLES
+from synth3dlanes.schema import MAX_PX, Metres, Name, Number, Part, Positive, Seed, SymbolKind, Unit, parse
+from synth3dlanes.settings import FIRST_SYMBOL_ID, HOST_ID, JPEG_QUALITY, MAX_SAMPLES
 from synth3dlanes.streams import stream
 
 SCENE_VERSION = 1
@@ -27,6 +27,8 @@ Color = tuple[Unit, Unit, Unit]
 MAX_ASSETS = 9999
 # Narrower medians have no room for the edge lines at both sides.
 MIN_MEDIAN_M = 1.0
+# Instance ids of symbols end where the host's begins.
+MAX_SYMBOLS = HOST_ID - FIRST_SYMBOL_ID
 AssetNumber = Annotated[int, Field(ge=1, le=MAX_ASSETS)]
 
 
@@ -109,7 +111,8 @@ class Road(Part):
 class Markings(Part):
     """Paint: `dash_fraction` is the painted share of `dash_cycle_m`, `wear` the share of paint that is rubbed off,
     `missing` the share of each line's length without paint, in stretches. `left_yellow` and `left_double` (two stripes
-    of `width_m`, `width_m` apart) apply to the leftmost line as the host drives."""
+    of `width_m`, `width_m` apart) apply to the leftmost line as the host drives. With `dots`, dashed lines consist of
+    Botts' dots instead: raised discs 10 cm across, four to a dash."""
 
     dash_cycle_m: Annotated[float, Field(ge=0.001, le=1000)]
     dash_fraction: Annotated[float, Field(gt=0, le=1)]
@@ -120,10 +123,13 @@ class Markings(Part):
     left_double: bool = False
     wear: Unit = 0.0
     missing: Unit = 0.0
+    dots: bool = added(False)
 
 
 class Surface(Part):
-    """Textures of road and terrain, numbered from 1; `wetness` of the pavement is 0 when dry, 1 under water."""
+    """Textures of road and terrain, numbered from 1; `wetness` of the pavement is 0 when dry, 1 under water. What is
+    seen on the pavement without being paint: `tar` is the amount of cracks filled with bitumen (0 none, 1 a net of
+    them), `joint` the contrast of old and new asphalt beside each other, `ghost_lines` that of removed paint."""
 
     road_texture: AssetNumber
     road_texture_scale: Positive
@@ -133,6 +139,19 @@ class Surface(Part):
     texture_orientation_rad: Number
     wetness: Unit = 0.0
     shoulder_texture: Annotated[int, Field(ge=1, le=2)] = 1
+    tar: Unit = added(0.0)
+    joint: Unit = added(0.0)
+    ghost_lines: Unit = added(0.0)
+
+
+class Symbol(Part):
+    """Paint that bounds no lane. The middle of an arrow is on the centre of lane segment `lane` at station `s_m`; stop
+    lines and crosswalks (`lane` is None) cross all lanes of the main road there. The hatching of a gore fills the area
+    between main road and exit from station `s_m` to where the ramp begins."""
+
+    kind: SymbolKind
+    lane: Name | None
+    s_m: Metres
 
 
 class Car(Part):
@@ -158,6 +177,14 @@ class Tree(Part):
     y_m: Number
     yaw_rad: Number
     scale: Positive
+
+
+class Vegetation(Part):
+    """The light that leaves let through, as a share of a real leaf's, and the height of the grass beside the road near
+    the host."""
+
+    translucency: Unit = 0.0
+    grass_m: Annotated[float, Field(ge=0, le=1)] = 0.0
 
 
 class Camera(Part):
@@ -229,6 +256,77 @@ class Host(Part):
     gloss: Unit = 0.0
 
 
+RoadSide = Literal["left", "right", "median"]
+RailKind = Literal["guardrail", "concrete", "noise_wall", "kerb", "walkway", "power_line"]
+PostKind = Literal["lamp", "sign", "delineator"]
+N_SIGN_FACES = 12
+
+
+class Rail(Part):
+    """A barrier, wall, kerb or power line along a road between two plan stations. Its front is `aside_m` from the edge
+    of the pavement on a side of the plan; on the side `median` its middle is at plan offset `aside_m` of the main
+    road. A `walkway` is a kerb with a paved path behind it."""
+
+    kind: RailKind
+    road: Literal["main", "exit"]
+    side: RoadSide
+    from_m: Metres
+    to_m: Metres
+    aside_m: Metres
+    height_m: Annotated[float, Field(gt=0, le=30)]
+    color: Color
+
+
+class Post(Part):
+    """A lamp post, sign or delineator at a plan station, placed like a `Rail`. `face` numbers the picture of a sign
+    from 1; a `turned` sign shows it to the traffic in the other direction."""
+
+    kind: PostKind
+    road: Literal["main", "exit"]
+    side: RoadSide
+    s_m: Metres
+    aside_m: Metres
+    height_m: Annotated[float, Field(gt=0, le=30)]
+    face: Annotated[int, Field(ge=1, le=N_SIGN_FACES)] = 1
+    turned: bool = False
+
+
+class Crossing(Part):
+    """A gantry or bridge across all roads at a plan station of the main road: `clearance_m` of free height over every
+    pavement, and its width along the road."""
+
+    kind: Literal["gantry", "bridge"]
+    s_m: Metres
+    clearance_m: Annotated[float, Field(ge=4.7, le=30)]
+    width_m: Annotated[float, Field(gt=0, le=100)]
+    color: Color
+
+
+class Building(Part):
+    """A house with a gable, an industrial hall or a block of flats: the middle of its floor plan, the direction of its
+    length (counter-clockwise from world y), and the height of its walls."""
+
+    kind: Literal["house", "hall", "block"]
+    x_m: Number
+    y_m: Number
+    yaw_rad: Number
+    width_m: Annotated[float, Field(gt=0, le=1000)]
+    length_m: Annotated[float, Field(gt=0, le=1000)]
+    height_m: Annotated[float, Field(gt=0, le=300)]
+    color: Color
+    roof: Color
+
+
+class Roadside(Part):
+    """What stands beside and over the road. Structure i of the passes is number i of all rails, posts, crossings and
+    buildings, in this order."""
+
+    rails: Annotated[tuple[Rail, ...], Field(max_length=100)] = ()
+    posts: Annotated[tuple[Post, ...], Field(max_length=1000)] = ()
+    crossings: Annotated[tuple[Crossing, ...], Field(max_length=20)] = ()
+    buildings: Annotated[tuple[Building, ...], Field(max_length=200)] = ()
+
+
 class Scene(Part):
     """One world. `(seed, split, index)` identify its draw; `sky` numbers a user's skies from 1, 0 is the built-in
     one."""
@@ -252,6 +350,9 @@ class Scene(Part):
     host: Host = added(Host())
     sky: Annotated[int, Field(ge=0, le=MAX_ASSETS)] = 0
     assets: Assets = Assets()
+    symbols: Annotated[tuple[Symbol, ...], Field(max_length=MAX_SYMBOLS)] = added(())
+    vegetation: Vegetation = added(Vegetation())
+    roadside: Roadside = added(Roadside())
 
     def stream(self, name: str) -> np.random.Generator:
         """Random numbers for details that the scene does not store, such as `clouds`."""
@@ -280,12 +381,23 @@ class Scene(Part):
             raise ValueError(
                 f"camera.lane: expected at most {present} at y_m = {self.camera.y_m:g}, got {self.camera.lane}"
             )
+        for kind in ("rails", "posts"):
+            for i, item in enumerate(getattr(self.roadside, kind)):
+                if item.road == "exit" and (self.road.topology == 1 or item.side == "median"):
+                    raise ValueError(f"roadside.{kind}.{i}: expected a side of a road that is there, got its exit's")
         for i, car in enumerate(self.cars):
             lanes = (*self.road.segments_at(car.s_m), *self.road.oncoming_segments)
             if car.lane not in lanes:
                 raise ValueError(
                     f"cars.{i}.lane: expected one of {', '.join(lanes)} at s_m = {car.s_m:g}, got {car.lane}"
                 )
+        for i, symbol in enumerate(self.symbols):
+            named = self.road.segments_at(symbol.s_m) if symbol.kind.startswith("arrow") else (None,)
+            if symbol.lane not in named:
+                wanted = ", ".join(lane or "null" for lane in named)
+                raise ValueError(f"symbols.{i}.lane: expected one of {wanted}, got {symbol.lane or 'null'}")
+            if symbol.kind == "gore" and self.road.topology == 1:
+                raise ValueError(f"symbols.{i}.kind: expected a road with an exit for a gore, got topology 1")
         return self
 
 

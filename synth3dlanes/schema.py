@@ -1,7 +1,7 @@
 """JSON documents that people may have edited: read by one schema with bounds, and one line per problem."""
 
 import reprlib
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
@@ -24,6 +24,17 @@ Positive = Annotated[float, Field(gt=0, le=1e6)]
 Pixels = Annotated[int, Field(ge=1, le=MAX_PX)]
 Seed = Annotated[int, Field(ge=0, le=2**128)]
 Name = Annotated[str, Field(max_length=64, pattern=r"^[\w.-]*$")]
+# Paint that bounds no lane.
+SymbolKind = Literal[
+    "arrow_straight",
+    "arrow_left",
+    "arrow_right",
+    "arrow_straight_left",
+    "arrow_straight_right",
+    "stop_line",
+    "crosswalk",
+    "gore",
+]
 
 Document = TypeVar("Document", bound=BaseModel)
 

@@ -10,15 +10,18 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.frames import Matrix4, road_from_cam
-from synth3dlanes.geometry import meshes
+from synth3dlanes.geometry import meshes, roadside
 from synth3dlanes.geometry.bonnet import cam_from_bonnet
 from synth3dlanes.geometry.camera import img_from_cam, world_from_road
+from synth3dlanes.geometry.grass import Blades, blades
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.horizon import FarHills
 from synth3dlanes.geometry.lanes import Curve, curves
 from synth3dlanes.geometry.paint import paint_meshes
 from synth3dlanes.geometry.placement import tree_positions, world_from_car
 from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.geometry.seams import ghost_mesh, tar_mesh
+from synth3dlanes.geometry.symbols import symbol_mesh
 from synth3dlanes.scene import Camera, Scene
 
 
@@ -97,10 +100,15 @@ class World:
         """The base points of all trees."""
         return tree_positions(self.ground, self.scene.trees)
 
-    @property
+    @cached_property
+    def structures(self) -> list[roadside.Body]:
+        """What stands beside and over the road, in the order of instance ids."""
+        return roadside.bodies(self.ground, self.scene.roadside)
+
+    @cached_property
     def street_lamps(self) -> Float[np.ndarray, "n 3"]:
-        """The heads of the street lamps."""
-        return np.zeros((0, 3))
+        """Where the lamps beside the road have their light: the middles of the lower sides of their heads."""
+        return roadside.lamp_heads(self.ground, self.scene.roadside)
 
     @cached_property
     def view(self) -> View:
@@ -112,6 +120,26 @@ class World:
     def paint(self, view: View) -> dict[str, meshes.Mesh]:
         """The paint of every delimiter by id, corrected for parallax so that it looks in place from a view."""
         return paint_meshes(self.ground, self.lines, view.eye_world, self.scene.stream)
+
+    def symbols(self, view: View) -> list[meshes.Mesh]:
+        """The paint of every symbol, corrected for parallax so that it looks in place from a view."""
+        return [symbol_mesh(self.ground, symbol, view.eye_world) for symbol in self.scene.symbols]
+
+    def tar(self, view: View) -> meshes.Mesh | None:
+        """Cracks filled with tar, raised less than paint; None without any."""
+        amount = self.scene.surface.tar
+        return tar_mesh(self.ground, amount, view.eye_world, self.scene.stream) if amount else None
+
+    def ghost_lines(self, view: View) -> meshes.Mesh | None:
+        """Removed lines, raised less than paint; None without any."""
+        if not self.scene.surface.ghost_lines:
+            return None
+        return ghost_mesh(self.ground, self.scene.markings, view.eye_world, self.scene.stream)
+
+    def grass(self, view: View) -> Blades | None:
+        """The grass beside the road as a view sees it, if the scene has any."""
+        grass_m = self.scene.vegetation.grass_m
+        return blades(self.ground, self.lines, view.eye_world, grass_m, self.scene.stream("grass")) if grass_m else None
 
 
 def resolve(scene: Scene) -> World:

@@ -109,6 +109,8 @@ def scene_statistics(scenes: Iterable[Scene], params: Params) -> SceneStatistics
                 continue
             collected[key].append(np.array(values, dtype=float))
     drawn = {key: np.concatenate(values) for key, values in collected.items()}
+    if "sold" in params.cars.palette.values:
+        drawn = {key: values for key, values in drawn.items() if key not in ("cars.color", "cars.saturation")}
     declared = {
         f"{name}.{key}": distribution
         for name, group in params
@@ -129,7 +131,7 @@ def is_fine(parameter: ParameterStatistics) -> bool:
 def drawn_values(scene: Scene) -> dict[str, list[float]]:
     """All values of each parameter in a scene, by the parameter's key and in its units."""
     values: dict[str, list[float]] = {}
-    for group in ("road", "markings", "surface", "camera", "light", "air", "sensor", "weather", "host"):
+    for group in ("road", "markings", "surface", "camera", "light", "air", "sensor", "weather", "host", "vegetation"):
         part = getattr(scene, group)
         values |= {
             _key(group, field): [_declared_unit(field, value)] for field, value in part if not isinstance(value, str)
@@ -203,6 +205,11 @@ def _parameter(key: str, distribution: Distribution, values: Values) -> Paramete
     return ParameterStatistics(
         key, form(distribution), low, high, values.size, *extent, outside, test, statistic, p_value
     )
+
+
+def _is_named(distribution: Distribution) -> bool:
+    """Whether the parameter is one of several names, which have no range."""
+    return isinstance(distribution, Choice) and isinstance(distribution.values[0], str)
 
 
 def _limits(distribution: Distribution) -> tuple[float, float]:

@@ -121,6 +121,14 @@ def grid(vertices: Float[np.ndarray, "r c 3"], uv: Float[np.ndarray, "r c 2"], c
     return Mesh(vertices.reshape(-1, 3), faces, uv.reshape(-1, 2), material)
 
 
+def facing_up(vertices_world: Float[np.ndarray, "v 3"], uv_m: Float[np.ndarray, "v 2"]) -> Mesh:
+    """A mesh of separate quads, four vertices each, with their front sides up."""
+    faces = np.arange(len(vertices_world)).reshape(-1, 4)
+    mesh = Mesh(vertices_world, faces, uv_m, np.zeros(len(faces), dtype=int))
+    up = is_facing_up(mesh)
+    return Mesh(vertices_world, np.where(up[:, None], faces, faces[:, ::-1]), uv_m, mesh.material)
+
+
 def is_facing_up(mesh: Mesh) -> Bool[np.ndarray, " f"]:
     """Which faces have their front side up."""
     a, b, c, d = (mesh.vertices_world[mesh.faces[:, i], :2] for i in range(4))

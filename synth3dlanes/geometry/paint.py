@@ -1,7 +1,9 @@
-"""The paint of the delimiters as strips over the road: dashes, double lines, missing stretches. World frame."""
+"""The paint of the delimiters as strips over the road: dashes, Botts' dots, double lines, missing stretches. World
+frame."""
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -10,6 +12,7 @@ from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.horizon import far_dam
 from synth3dlanes.geometry.lanes import Curve
 from synth3dlanes.geometry.meshes import Mesh, Values, grid, is_facing_up, lift_far, over_terrain, road_stations
+from synth3dlanes.geometry.terrain import gradient_at
 from synth3dlanes.labels import PaintColor
 from synth3dlanes.scene import Markings
 from synth3dlanes.streams import Streams
@@ -24,10 +27,27 @@ ALONG_M = 0.01
 # Farther ahead than this, dashes and gaps are much smaller than a pixel. They are replaced by a continuous line whose
 # width is reduced to the share of paint.
 DASHES_M = 420.0
+# Botts' dots: their number in place of a dash, diameter and height, and the distance up to which they are single discs;
+# beyond it they merge into dashes, as much narrower as their shapes cover less of the image.
+DOTS, DOT_M, DOT_HEIGHT_M, DOTS_M = 4, 0.1, 0.018, 60.0
+EYE_M = 1.5  # the camera's height over the road, for the share that far dots cover
+# Half the side of a regular octagon, and places of the rows of a disc, in radii.
+OCTAGON = 2**0.5 - 1
+DISC_ROWS = np.array([-1, -OCTAGON, OCTAGON, 1])
 # Missing stretches are 3 to 12 m long and are drawn up to this length of a line to either side of the split.
 GONE_M, GONE_REACH_M = (3.0, 12.0), 600.0
 
 Intervals = Float[np.ndarray, "_ 2"]
+
+
+class Rows(NamedTuple):
+    """The rows of a line's strip: plan stations, whether the strip after each row is painted, the strip's width as a
+    share of the line's, and the height of its surface over paint (of dots)."""
+
+    s: Values
+    painted: Bool[np.ndarray, " m"]
+    share: Values
+    raised_m: Values
 
 
 def paint_meshes(
@@ -49,6 +69,16 @@ def is_double(line: Curve, markings: Markings) -> bool | None:
     return None if line.kind != "delimiter" else markings.left_double and line.is_inner and line.marking == "solid"
 
 
+def is_dotted(line: Curve, markings: Markings) -> bool:
+    """Whether a delimiter consists of Botts' dots."""
+    return markings.dots and line.marking == "dashed"
+
+
+def line_width_m(line: Curve, markings: Markings) -> float:
+    """Width of a delimiter's stripes, or diameter of its dots."""
+    return DOT_M if is_dotted(line, markings) else markings.width_m
+
+
 def stripes_m(line: Curve, markings: Markings) -> tuple[float, ...]:
     """Offsets of the stripes' centres from the line's own; the gap of a double line is as wide as a stripe."""
     return (-markings.width_m, markings.width_m) if is_double(line, markings) else (0.0,)
@@ -56,14 +86,12 @@ def stripes_m(line: Curve, markings: Markings) -> tuple[float, ...]:
 
 def _paint(ground: Ground, curve: Curve, eye_world: Float[np.ndarray, "3"], streams: Streams) -> Mesh:
     plan, markings = ground.plan, ground.markings
-    rows, painted = painted_rows(ground, curve, streams)
+    rows, painted, share, raised_m = painted_rows(ground, curve, streams)
     ahead_m = plan.plan_station(rows) - ground.near_m
-    painted_share = (markings.dash_fraction if curve.marking == "dashed" else 1.0) * (1 - markings.missing)
-    share = np.where(ahead_m > DASHES_M, painted_share, 1.0)
-    lift_m = np.interp(np.abs(ahead_m), PAINT_LIFT_AT_M, PAINT_LIFT_M)
+    lift_m = np.interp(np.abs(ahead_m), PAINT_LIFT_AT_M, PAINT_LIFT_M) + raised_m
     stripes = []
     for middle_m in stripes_m(curve, markings):
-        offsets = middle_m + np.array([-0.5, 0.5]) * markings.width_m
+        offsets = middle_m + np.array([-0.5, 0.5]) * line_width_m(curve, markings)
         sides, onwards = (_sides(ground, curve, offsets, at) for at in (rows, rows + ALONG_M))
         middle = sides.mean(axis=1, keepdims=True)
         narrowed = middle + share[:, None, None] * (sides - middle)
@@ -104,6 +132,21 @@ def _floating(
     return np.asarray(sides + (moved + lift_m[:, None] * [0, 0, 1])[:, None])
 
 
+def towards_eye(
+    ground: Ground, points_world: Float[np.ndarray, "n 3"], eye_world: Float[np.ndarray, "3"], share_of_lift: float = 1
+) -> Float[np.ndarray, "n 3"]:
+    """Points of the road raised as paint is, along their lines of sight, so that parallax does not move them."""
+    plan = ground.plan
+    slope = gradient_at(plan.terrain, points_world[:, :2])
+    to_eye = eye_world - points_world
+    eye_over_road_m = np.clip(to_eye[:, 2] - (to_eye[:, :2] * slope).sum(axis=1), 0, None)
+    ahead_m = np.abs(points_world[:, 1] - ground.near_m)
+    lift_m = share_of_lift * np.interp(ahead_m, PAINT_LIFT_AT_M, PAINT_LIFT_M)
+    # lift / height, which falls to 0 where the eye is near the road's plane or below it
+    share = lift_m * eye_over_road_m / (eye_over_road_m**2 + (lift_m / MAX_SHARE) ** 2)
+    return np.asarray(points_world + share[:, None] * to_eye)
+
+
 def _joined(meshes: list[Mesh]) -> Mesh:
     first = np.cumsum([0, *(len(mesh.vertices_world) for mesh in meshes)])
     return Mesh(
@@ -118,11 +161,9 @@ def _beside(curve: Curve, t: float) -> Curve:
     return replace(curve, stem_m=None if curve.stem_m is None else curve.stem_m + t, fork_m=curve.fork_m + t)
 
 
-def painted_rows(
-    ground: Ground, curve: Curve, streams: Streams
-) -> tuple[Float[np.ndarray, " m"], Bool[np.ndarray, " m-1"]]:
-    """Rows of a line, with a row at every end of paint, and whether the strip after each row is painted. Lengths are
-    measured along the line from the split, so that dashes and gaps do not move with the camera."""
+def painted_rows(ground: Ground, curve: Curve, streams: Streams) -> Rows:
+    """Rows of a line, with a row at every end of paint. Lengths are measured along the line from the split, so that
+    dashes and gaps do not move with the camera."""
     plan, markings = ground.plan, ground.markings
     rows = np.sort(plan.plan_station(road_stations(ground.near_m)))
     low, high = max(rows[0], curve.start_m), min(rows[-1], curve.end_m)
@@ -133,13 +174,23 @@ def painted_rows(
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz, axis=0), axis=1))])
     length -= np.interp(0.0, rows, length)
     dashes, gone = _dashes(markings, curve, length), _gone(markings, streams(f"missing_paint/{curve.id}"))
-    ends = np.concatenate([dashes.ravel(), gone.ravel()])
+    dots = np.zeros(0)
+    if is_dotted(curve, markings):
+        dots, dashes = _dots(markings, dashes, length, plan.plan_station(rows) - ground.near_m)
+    ends = np.concatenate([dashes.ravel(), gone.ravel(), (dots[:, None] + DISC_ROWS[1:3] * DOT_M / 2).ravel()])
     ends = np.interp(ends[(ends > length[0]) & (ends < length[-1])], length, rows)
     rows_all = np.unique(np.concatenate([rows, ends]))
     middle = np.interp((rows_all[1:] + rows_all[:-1]) / 2, rows, length)
     painted = _inside(dashes, middle) & ~_inside(gone, middle)
     both = [(rows_all, painted), (far, np.full(len(far), markings.missing < 1))][:: int(plan.flips[1])]
-    return np.concatenate([rows for rows, _ in both]), np.concatenate([painted for _, painted in both])
+    s = np.concatenate([rows for rows, _ in both])
+    ahead_m = plan.plan_station(s) - ground.near_m
+    share, raised_m = _disc(dots, np.interp(s, rows, length)) if len(dots) else (np.ones(len(s)), np.zeros(len(s)))
+    if is_dotted(curve, markings):
+        share = np.where(ahead_m > DOTS_M, np.minimum(share, _dots_cover(markings, ahead_m)), share)
+    painted_share = (markings.dash_fraction if curve.marking == "dashed" else 1.0) * (1 - markings.missing)
+    share = np.where(ahead_m > DASHES_M, painted_share * share, share)
+    return Rows(s, np.concatenate([painted for _, painted in both]), share, raised_m)
 
 
 def _dashes(markings: Markings, curve: Curve, length: Values) -> Intervals:
@@ -149,6 +200,34 @@ def _dashes(markings: Markings, curve: Curve, length: Values) -> Intervals:
     cycle, fraction = markings.dash_cycle_m, markings.dash_fraction
     numbers = np.arange(np.floor(length[0] / cycle), np.ceil(length[-1] / cycle) + 1)
     return np.stack([numbers, numbers + fraction], axis=1) * cycle
+
+
+def _dots_per_dash(markings: Markings) -> int:
+    return int(np.clip(markings.dash_cycle_m * markings.dash_fraction / (2 * DOT_M), 1, DOTS))
+
+
+def _dots(markings: Markings, dashes: Intervals, length: Values, ahead_m: Values) -> tuple[Values, Intervals]:
+    """The centres of the dots in place of near dashes, and the painted intervals with these dots. `ahead_m` is the
+    distance ahead of the host at each `length`."""
+    is_near = np.interp(dashes[:, 0], length, ahead_m) < DOTS_M
+    first, last = dashes[is_near].T[:, :, None] + np.array([[DOT_M / 2], [-DOT_M / 2]])[:, None]
+    centers = (first + (last - first) * np.linspace(0, 1, _dots_per_dash(markings))).ravel()
+    painted = np.concatenate([centers[:, None] + np.array([-0.5, 0.5]) * DOT_M, dashes[~is_near]])
+    return centers, painted[np.argsort(painted[:, 0])]
+
+
+def _disc(dots: Values, at: Values) -> tuple[Values, Values]:
+    """Width, as a share of the diameter, and height of octagonal discs at places along the line; width 1 elsewhere."""
+    radii = 2 / DOT_M * np.abs(at[:, None] - dots).min(axis=1)
+    is_disc, is_top = radii < 1 + 1e-6, radii < OCTAGON + 1e-6
+    return np.where(is_disc, np.clip(2**0.5 - radii, OCTAGON, 1), 1.0), np.where(is_top, DOT_HEIGHT_M, 0.0)
+
+
+def _dots_cover(markings: Markings, ahead_m: Values) -> Values:
+    """The share of a dash as wide as a dot that its dots cover in the image, their height included."""
+    area_m2 = _dots_per_dash(markings) * 2 * OCTAGON * DOT_M**2
+    seen = 1 + DOT_HEIGHT_M / DOT_M * np.clip(ahead_m, 0, None) / EYE_M
+    return np.minimum(1.0, seen * area_m2 / (DOT_M * markings.dash_cycle_m * markings.dash_fraction))
 
 
 def _gone(markings: Markings, rng: np.random.Generator) -> Intervals:

@@ -41,7 +41,7 @@ ACROSS = (
     Part("its right third", 2 / 3, 1, 250),
 )
 DOWN = (Part("the image", 0, 1, 250),)
-GROUND = [SEMANTIC_IDS[name] for name in ("terrain", "road", "shoulder", "marking")]
+GROUND = [SEMANTIC_IDS[name] for name in ("terrain", "road", "shoulder", "marking", "symbol")]
 LUMA = np.array([0.3, 0.6, 0.1])
 
 

@@ -142,7 +142,7 @@ def _mean(values: Float[np.ndarray, "n k"], of: Bool[np.ndarray, "n k"]) -> Floa
 def _view(paint: Paint, camera: CameraLabel, lane: Lane) -> View:
     """The slices of a line whose surroundings are fully in the image, with the surrounding pixels."""
     stripes_m = np.array(paint.stripes_m(lane.id))
-    half_m = float(np.abs(stripes_m).max()) + paint.width_m / 2
+    half_m = float(np.abs(stripes_m).max()) + paint.width_m(lane.id) / 2
     slices = _slices(paint, camera, lane, half_m)
     width_px, row = camera.width_px, slices.row
     pad = np.maximum(REACH_M / (2 * half_m) * (slices.right_px - slices.left_px), REACH_PX)
@@ -154,7 +154,7 @@ def _view(paint: Paint, camera: CameraLabel, lane: Lane) -> View:
     center = column + 0.5
     beyond = np.maximum(left - center, center - right)
     right_m = half_m * (2 * center - left - right) / (right - left)
-    painted = (np.abs(right_m[..., None] - stripes_m) < paint.width_m / 2).any(axis=-1)
+    painted = (np.abs(right_m[..., None] - stripes_m) < paint.width_m(lane.id) / 2).any(axis=-1)
     column = np.clip(column, 0, width_px - 1)
     return View(lane, slices, column, right_m, beyond < pad, beyond > pad - 1, painted, half_m)
 

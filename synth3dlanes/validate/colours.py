@@ -13,6 +13,7 @@ from synth3dlanes.frames import invert, project, transform
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.bodies import may_show_cars
+from synth3dlanes.validate.boxes import meet, structure_boxes
 from synth3dlanes.validate.findings import Finding
 from synth3dlanes.validate.passes_proof import Passes
 from synth3dlanes.world import World
@@ -55,7 +56,9 @@ def _terrain_img(world: World, camera: CameraLabel) -> Float[np.ndarray, "n 2"]:
     aside = np.concatenate([ground.left_edge_m - ASIDE_M, ground.edge_m + ASIDE_M])
     xy = ground.plan.main_xy(np.tile(s, len(aside)), np.repeat(aside, ahead))
     xy = xy[ground.clearance(xy) > CLEAR_M]
-    points_cam = transform(invert(camera.world_from_cam), np.column_stack([xy, ground.height(xy)]))
+    points_world = np.column_stack([xy, ground.height(xy)])
+    points_world = points_world[~meet(structure_boxes(world).boxes, camera.world_from_cam[:3, 3], points_world)]
+    points_cam = transform(invert(camera.world_from_cam), points_world)
     uv = project(camera.img_from_cam, points_cam)
     with np.errstate(invalid="ignore"):
         uv = uv[((uv >= 0) & (uv < [camera.width_px, camera.height_px])).all(axis=1)]

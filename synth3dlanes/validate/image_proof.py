@@ -11,8 +11,9 @@ from collections.abc import Iterator, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 from scipy.ndimage import map_coordinates
+from scipy.spatial import cKDTree
 
 from synth3dlanes.frames import project, transform
 from synth3dlanes.labels import CameraLabel, Labels, Lane
@@ -20,6 +21,7 @@ from synth3dlanes.validate.bodies import may_show_cars
 from synth3dlanes.validate.findings import PROOF_M, Finding, Measure
 from synth3dlanes.validate.paint import Paint, Strip
 from synth3dlanes.validate.places import places
+from synth3dlanes.world import World
 
 # Half the length of a profile, and its step, which resolves the narrowest paint (0.1 m).
 REACH_M, STEP_M = 1.0, 0.025
@@ -27,6 +29,8 @@ REACH_M, STEP_M = 1.0, 0.025
 SEARCH_M = 0.75
 # Range of the road beside the paint, in widths of the paint from its middle.
 BESIDE = (0.75, 1.75)
+# The vertices of symbols are at most twice this far apart.
+BESIDE_SYMBOL_M = 0.4
 # The extent of the pavement is computed for every ROOM_EVERY-th profile.
 ROOM_EVERY = 10
 # A ridge this close to its label counts as in place: about half the width of the narrowest paint.
@@ -139,6 +143,7 @@ def _lines(paint: Paint, camera: CameraLabel, cuts: Sequence[Cut]) -> Iterator[L
     ends_cam = np.concatenate([cut.ends_cam for cut in cuts])
     uv = project(camera.img_from_cam, ends_cam.reshape(-1, 3))
     is_clear = ~may_show_cars(paint.world, camera, uv, PROOF_M).reshape(-1, 3).any(axis=1)
+    is_clear &= ~_near_symbols(paint.world, transform(camera.world_from_cam, ends_cam[:, 1]))
     some = np.arange(0, len(ends_cam), ROOM_EVERY)
     outside_m = np.full((len(ends_cam), 3), np.nan)
     ends = transform(camera.world_from_cam, ends_cam[some].reshape(-1, 3))
@@ -146,13 +151,22 @@ def _lines(paint: Paint, camera: CameraLabel, cuts: Sequence[Cut]) -> Iterator[L
     at = np.cumsum([len(cut.profiles) for cut in cuts])[:-1]
     of_cuts = (np.split(values, at) for values in (is_clear, outside_m, uv[:, 0].reshape(-1, 3)))
     for cut, clear, beyond_m, u_px in zip(cuts, *of_cuts, strict=True):
-        reach_m = BESIDE[1] * paint.width_m + max(paint.stripes_m(cut.lane))
+        reach_m = BESIDE[1] * paint.width_m(cut.lane) + max(paint.stripes_m(cut.lane))
         left_m, right_m = (_room(beyond_m[:, 1], beyond_m[:, side]) - reach_m for side in (0, 2))
         if clear.sum() >= MIN_PROFILES and min(left_m, right_m) > 0:
-            ridges = _ridges(cut.profiles[clear], paint.width_m, paint.stripes_m(cut.lane))
+            ridges = _ridges(cut.profiles[clear], paint.width_m(cut.lane), paint.stripes_m(cut.lane))
             ridges[:, (-left_m > PLACES_M) | (right_m < PLACES_M)] = 0.0
             px_per_m = (u_px[clear, 2] - u_px[clear, 0]) / (2 * REACH_M)
             yield Line(cut.lane, u_px[clear, 1], px_per_m, cut.ends_cam[clear, 1, 1], ridges)
+
+
+def _near_symbols(world: World, points_world: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+    """Which profiles, by their middles, may touch paint that bounds no lane."""
+    symbols = world.symbols(world.view)
+    if not symbols:
+        return np.zeros(len(points_world), dtype=bool)
+    painted = cKDTree(np.concatenate([mesh.vertices_world[:, :2] for mesh in symbols]))
+    return np.isfinite(painted.query(points_world[:, :2], distance_upper_bound=REACH_M + BESIDE_SYMBOL_M)[0])
 
 
 def _room(at_m: Float[np.ndarray, " n"], end_m: Float[np.ndarray, " n"]) -> float:

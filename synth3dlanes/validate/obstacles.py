@@ -1,17 +1,17 @@
-"""Check `object_visible` against boxes of cars, trees and the host's bonnet; works without passes and without Blender.
+"""Check `object_visible` against boxes of cars, trees, structures and the bonnet; works without passes and Blender.
 
-A point can only be hidden by an object if its line of sight meets the object's bounding box, and it must be hidden if
+A point can only be hidden by an object if its line of sight meets a box of the object, and it must be hidden if
 the line goes through the core of a car.
 """
 
 from collections.abc import Iterator
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from synth3dlanes.frames import transform
 from synth3dlanes.labels import Labels
+from synth3dlanes.validate.boxes import Boxes, Corners, meet, structure_boxes
 from synth3dlanes.validate.findings import Finding
 from synth3dlanes.world import World
 
@@ -28,35 +28,26 @@ MAX_WRONG = 1
 # Largest number of points of a line behind twigs outside their boxes in 1,350 scenes.
 MAX_TWIGS = 2
 
-Points = Float[np.ndarray, "n 3"]
-Corners = Float[np.ndarray, "k 3"]
-
-
-class Boxes(NamedTuple):
-    """Boxes from a low to a high corner, each in its own frame, metres."""
-
-    world_from_boxes: Float[np.ndarray, "k 4 4"]
-    low: Corners
-    high: Corners
-
 
 def check_objects(world: World, labels: Labels) -> Iterator[Finding]:
-    """Findings about lanes with points marked hidden without an object in the way, or visible behind a car."""
-    points_world = transform(labels.camera.world_from_cam, np.concatenate([lane.xyz_cam for lane in labels.lanes]))
-    seen = np.concatenate([np.asarray(lane.object_visible) for lane in labels.lanes])
-    eye_world, ends = labels.camera.world_from_cam[:3, 3], np.cumsum([len(lane.xyz_cam) for lane in labels.lanes])[:-1]
+    """Findings about lanes and symbols with points marked hidden without an object in the way, or visible behind a
+    car."""
+    items = {lane.id: lane for lane in labels.lanes} | {f"symbol {i}": item for i, item in enumerate(labels.symbols)}
+    points_world = transform(labels.camera.world_from_cam, np.concatenate([item.xyz_cam for item in items.values()]))
+    seen = np.concatenate([np.asarray(item.object_visible) for item in items.values()])
+    eye_world = labels.camera.world_from_cam[:3, 3]
+    ends = np.cumsum([len(item.xyz_cam) for item in items.values()])[:-1]
     through, unhidden = seen.copy(), ~seen
-    through[seen] = _meet(_cores(world), eye_world, points_world[seen])
-    unhidden[~seen] = ~_meet(_outlines(world), eye_world, points_world[~seen])
-    for lane, of_through, of_unhidden in zip(
-        labels.lanes, np.split(through, ends), np.split(unhidden, ends), strict=True
-    ):
+    through[seen] = meet(_cores(world), eye_world, points_world[seen])
+    unhidden[~seen] = ~meet(_outlines(world), eye_world, points_world[~seen])
+    unhidden[unhidden] = ~meet(structure_boxes(world).boxes, eye_world, points_world[unhidden])
+    for id_, of_through, of_unhidden in zip(items, np.split(through, ends), np.split(unhidden, ends), strict=True):
         if of_through.sum() > MAX_WRONG:
             reason = f"object_visible: expected points behind cars as hidden, got {of_through.sum()} as seen"
-            yield Finding(lane.id, reason)
+            yield Finding(id_, reason)
         if of_unhidden.sum() > MAX_TWIGS:
             reason = f"object_visible: got {of_unhidden.sum()} points as hidden where nothing is in the way"
-            yield Finding(lane.id, reason)
+            yield Finding(id_, reason)
 
 
 def _cores(world: World) -> Boxes:
@@ -92,15 +83,3 @@ def _cars(world: World) -> tuple[Corners, Corners, Float[np.ndarray, "k 4 4"]]:
     sizes = np.array([(model.width_m / 2, model.length_m / 2, model.height_m) for model in models]).reshape(-1, 3)
     sizes *= np.array([car.scale for car in world.scene.cars]).reshape(-1, 1)
     return sizes * [1, 1, 0], sizes * [0, 0, 1], np.array(world.view.world_from_cars).reshape(-1, 4, 4)
-
-
-def _meet(boxes: Boxes, eye_world: Float[np.ndarray, "3"], points_world: Points) -> Bool[np.ndarray, " n"]:
-    """Which straight lines from the eye to the points meet any of the boxes."""
-    rotations, origins = boxes.world_from_boxes[:, :3, :3], boxes.world_from_boxes[:, None, :3, 3]
-    eyes, ends = (eye_world - origins) @ rotations, (points_world - origins) @ rotations
-    with np.errstate(divide="ignore", invalid="ignore"):
-        first, second = ((corner[:, None] - eyes) / (ends - eyes) for corner in (boxes.low, boxes.high))
-    # 0 / 0 along an axis perpendicular to a line is NaN, which fmax and fmin ignore.
-    enters = np.fmax.reduce(np.minimum(first, second), axis=2, initial=0)
-    leaves = np.fmin.reduce(np.maximum(first, second), axis=2, initial=1)
-    return np.asarray((enters <= leaves).any(axis=0))

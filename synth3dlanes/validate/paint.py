@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 
 from synth3dlanes.frames import project, transform
 from synth3dlanes.geometry.lanes import Curve
-from synth3dlanes.geometry.paint import painted_rows, stripes_m
+from synth3dlanes.geometry.paint import DOTS_M, is_dotted, line_width_m, painted_rows, stripes_m
 from synth3dlanes.geometry.terrain import gradient_at
 from synth3dlanes.labels import CameraLabel, Lane
 from synth3dlanes.validate.places import Places
@@ -50,7 +50,6 @@ class Paint:
 
     def __init__(self, world: World) -> None:
         scene = world.scene
-        self.width_m = scene.markings.width_m
         self.shows = (
             scene.markings.wear <= MAX_WORN
             and scene.markings.grayscale >= MIN_GRAYSCALE
@@ -63,8 +62,11 @@ class Paint:
         self._curves = {line.id: line for line in world.lines if line.kind == "delimiter"}
         self._stretches = {}
         for id_, curve in self._curves.items():
-            rows, painted = painted_rows(world.ground, curve, scene.stream)
-            self._stretches[id_] = _merged(np.column_stack([rows[:-1], rows[1:]])[painted])
+            rows = painted_rows(world.ground, curve, scene.stream)
+            # Far dots are merged into dashes that are too narrow to be checked.
+            is_near = world.plan.plan_station(rows.s[1:]) < scene.camera.y_m + DOTS_M
+            painted = rows.painted & (is_near | (not is_dotted(curve, scene.markings)))
+            self._stretches[id_] = _merged(np.column_stack([rows.s[:-1], rows.s[1:]])[painted])
 
     def strip(self, camera: CameraLabel, lane: Lane, points_cam: Points) -> Strip:
         """The strip of points along a lane; at least two points, in order."""
@@ -75,7 +77,7 @@ class Paint:
         up = np.column_stack([-slope, np.ones(len(slope))]) @ camera.world_from_cam[:3, :3]
         across = np.cross(along, up)
         across /= np.linalg.norm(across, axis=1, keepdims=True)
-        half_m = self.width_m / 2
+        half_m = self.width_m(lane.id) / 2
         left, right, behind, ahead = (
             project(camera.img_from_cam, points_cam + step)
             for step in (-half_m * across, half_m * across, -0.01 * along, 0.01 * along)
@@ -96,6 +98,11 @@ class Paint:
         """Offsets of the stripes' centres across a line."""
         return stripes_m(self._curves[id_], self.world.scene.markings) if id_ in self._curves else (0.0,)
 
+    def width_m(self, id_: str) -> float:
+        """Width of a line's stripes; of a centre line that of any line."""
+        markings = self.world.scene.markings
+        return line_width_m(self._curves[id_], markings) if id_ in self._curves else markings.width_m
+
     def beyond_m(self, id_: str, place: Places) -> Values:
         """Distance of points on the road outside a line's paint, across it or (reduced by END_M) along it; negative
         inside."""
@@ -107,7 +114,7 @@ class Paint:
         start, end = stretches[np.clip(np.searchsorted(stretches[:, 0], s, side="right") - 1, 0, None)].T
         after = np.append(stretches[:, 0], np.inf)[np.searchsorted(stretches[:, 0], s, side="right")]
         along = np.minimum(np.maximum(start - s, s - end), after - s)
-        return np.maximum(aside.min(axis=1) - self.width_m / 2, along - END_M)
+        return np.maximum(aside.min(axis=1) - self.width_m(id_) / 2, along - END_M)
 
     def _painted_m(self, id_: str, points_world: Points) -> Values:
         """Length of the painted stretch at each point; 0 if there is none."""

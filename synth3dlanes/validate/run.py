@@ -38,9 +38,11 @@ from synth3dlanes.validate.passes_proof import Passes, prove_passes
 from synth3dlanes.validate.pavement import prove_pavement
 from synth3dlanes.validate.pictures import Picture, draw, remove_pictures, save_picture
 from synth3dlanes.validate.report import Report
+from synth3dlanes.validate.roadside import check_roadside
 from synth3dlanes.validate.sharpness import check_sharpness
 from synth3dlanes.validate.signed import signed_values
 from synth3dlanes.validate.structure import check_shape, check_values, points_to_pixels
+from synth3dlanes.validate.symbols import prove_symbols
 from synth3dlanes.world import World, resolve
 
 # Exceptions of geometry computed from invalid scenes or labels. Samples of a correct data set raise none.
@@ -212,6 +214,7 @@ def _proofs(
         "labels": lambda: Proved([*check_values(world.scene, truth, labels)]),
         "host": lambda: Proved([*check_host(world, labels)]),
         "object_visible": lambda: Proved([*check_objects(world, labels)]),
+        "roadside": lambda: Proved([*check_roadside(world)]),
         "frame": lambda: Proved(*check_frame(image, passes)),
         "standing": lambda: Proved(*check_ground_contact(world, labels, passes)),
     }
@@ -227,6 +230,7 @@ def _proofs(
         "hills": lambda: Proved([*check_hills(world, labels, passes)]),
         "normals": lambda: Proved([*check_normals(labels.camera, passes)]),
         "ids": lambda: Proved(*prove_ids(paint, labels, passes)),
+        "symbols": lambda: Proved([*prove_symbols(world, labels, passes)]),
         "bias": lambda: Proved(signed=[*signed_values(paint, labels, image, passes)]),
     }
 

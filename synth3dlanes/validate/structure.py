@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from synth3dlanes.frames import invert, project, road_from_cam
 from synth3dlanes.geometry.terrain import height_at
-from synth3dlanes.labels import CameraLabel, Labels, Lane
+from synth3dlanes.labels import CameraLabel, Labels, Lane, SymbolLabel
 from synth3dlanes.scene import Scene
 from synth3dlanes.validate.documents import shown
 from synth3dlanes.validate.findings import Finding
@@ -33,6 +33,9 @@ def check_shape(scene: Scene, labels: Labels) -> Iterator[Finding]:
             yield Finding(lane.id, f"expected two points or more, got {n}")
         if lane.object_visible is None:
             yield Finding(lane.id, f"expected {n} values in object_visible, got none")
+    for i, symbol in enumerate(labels.symbols):
+        if symbol.object_visible is None:
+            yield Finding("", f"symbols.{i}: expected {len(symbol.xyz_cam)} values in object_visible, got none")
     yield from _references(labels)
     shares = labels.car_visible_fraction
     if shares is None or len(shares) != len(scene.cars):
@@ -50,6 +53,7 @@ def check_values(scene: Scene, truth: Labels, labels: Labels) -> Iterator[Findin
         if wrong.any():
             yield Finding(lane.id, f"in_image: expected the mask of our projection, got another at {_at(wrong)}")
     yield from _against_ground_truth(truth, labels)
+    yield from _symbols(truth, labels)
 
 
 def points_to_pixels(labels: Labels) -> bool:
@@ -133,13 +137,31 @@ def _against_ground_truth(expected: Labels, labels: Labels) -> Iterator[Finding]
         if lane.xyz_cam.shape != true.xyz_cam.shape:
             yield Finding(lane.id, f"expected {len(true.xyz_cam)} points by its scene, got {len(lane.xyz_cam)}")
             continue
-        off_m = np.linalg.norm(lane.xyz_cam - true.xyz_cam, axis=1)
-        if not off_m.max() <= POINT_M:
-            yield Finding(lane.id, f"expected points where its scene has them, got them up to {off_m.max():.4f} m off")
-        for name in ("in_image", "terrain_visible"):
-            wrong = getattr(lane, name) != getattr(true, name)
-            if wrong.any():
-                yield Finding(lane.id, f"{name}: expected the mask of its scene, got another at {_at(wrong)}")
+        yield from _points(lane.id, true, lane)
+
+
+def _symbols(expected: Labels, labels: Labels) -> Iterator[Finding]:
+    """Compare the symbols with those of the scene."""
+    kinds, asked = ([symbol.kind for symbol in of.symbols] for of in (labels, expected))
+    if kinds != asked or any(
+        symbol.xyz_cam.shape != true.xyz_cam.shape
+        for symbol, true in zip(labels.symbols, expected.symbols, strict=True)
+    ):
+        yield Finding("", f"symbols: expected {shown(asked)} with their outlines by the scene, got {shown(kinds)}")
+        return
+    for i, (symbol, true) in enumerate(zip(labels.symbols, expected.symbols, strict=True)):
+        yield from _points(f"symbol {i}", true, symbol)
+
+
+def _points(id_: str, true: Lane | SymbolLabel, got: Lane | SymbolLabel) -> Iterator[Finding]:
+    """Compare points and masks with those of the scene."""
+    off_m = np.linalg.norm(got.xyz_cam - true.xyz_cam, axis=1)
+    if not off_m.max() <= POINT_M:
+        yield Finding(id_, f"expected points where its scene has them, got them up to {off_m.max():.4f} m off")
+    for name in ("in_image", "terrain_visible"):
+        wrong = getattr(got, name) != getattr(true, name)
+        if wrong.any():
+            yield Finding(id_, f"{name}: expected the mask of its scene, got another at {_at(wrong)}")
 
 
 def _at(wrong: np.ndarray) -> str:

@@ -1,0 +1,119 @@
+"""What looks like lines on the pavement and is none: cracks filled with tar, removed lines, and the joint between old
+and new asphalt. World frame.
+
+Along the road all of it stays inside the lanes, at least CLEAR_M from every line, and on lanes that no exit crosses.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.geometry.ground import Ground
+from synth3dlanes.geometry.meshes import Mesh, facing_up
+from synth3dlanes.geometry.paint import towards_eye
+from synth3dlanes.scene import Markings, Road
+from synth3dlanes.streams import Streams
+
+Values = Float[np.ndarray, " n"]
+# A line on the road by its plan stations, offsets and widths.
+Trace = tuple[Values, Values, Values]
+
+# Distance from lines; up to 1 m is compared with a line's own paint.
+CLEAR_M = 1.1
+# Plan stations with seams. All of it lies below paint, by this share of its height over the road.
+REACH_M, LIFT_SHARE = 115.0, 0.6
+# Cracks across the road by the metre where tar is 1, and the share of these that cross all lanes.
+CRACKS_PER_M, ACROSS_ALL = 0.1, 0.6
+# Steps along a crack, and how far it wanders: over KNOT_M slowly, and from step to step.
+STEP_M, KNOT_M, WANDER_M, JITTER_M = 0.4, 2.0, 0.12, 0.015
+TAR_WIDTH_M, CRACK_LENGTH_M, GHOST_STEP_M = (0.03, 0.08), (15.0, 70.0), 0.5
+# Reflectance of the asphalt beside a joint, and of a removed line, at contrast 1: lighter where it was milled off.
+OLD_ASPHALT, GHOST_SHADES = 0.6, (0.55, 1.6)
+
+
+def tar_mesh(ground: Ground, amount: float, eye_world: Float[np.ndarray, "3"], streams: Streams) -> Mesh | None:
+    """Cracks along and across the main road, filled with tar; None without any."""
+    plan, rng = ground.plan, streams("tar")
+    traces = []
+    for _ in range(rng.poisson(2 * REACH_M * CRACKS_PER_M * amount)):
+        at_m = rng.uniform(-REACH_M, REACH_M)
+        lanes = plan.n_lanes if at_m < 0 else plan.n_main_after
+        first, last = (0, lanes) if rng.random() < ACROSS_ALL else sorted(rng.integers(0, lanes + 1, 2))
+        t = np.arange(plan.boundary_m(int(first)), plan.boundary_m(int(last)), STEP_M)
+        if len(t) > 1:
+            traces.append((at_m + _wander(t, rng), t, _widths(t, rng)))
+    for lane in range(clear_lanes(plan.road)):
+        if rng.random() < amount:
+            start, length = rng.uniform(-REACH_M, REACH_M / 2), rng.uniform(*CRACK_LENGTH_M)
+            s = np.arange(start, start + length, STEP_M)
+            t = inside_lane(plan.road, lane, rng.random()) + np.clip(_wander(s, rng), -WANDER_M, WANDER_M)
+            traces.append((s, t, _widths(s, rng)))
+    return _mesh(ground, traces, eye_world)
+
+
+def ghost_mesh(ground: Ground, markings: Markings, eye_world: Float[np.ndarray, "3"], streams: Streams) -> Mesh | None:
+    """Lines of an earlier layout of the lanes, beside today's."""
+    road, rng = ground.plan.road, streams("ghost_lines")
+    share, is_dashed, phase = rng.random(3)
+    s = np.arange(-REACH_M, REACH_M, GHOST_STEP_M)
+    traces = []
+    for lane in range(clear_lanes(road)):
+        t = np.full(s.shape, inside_lane(road, lane, share))
+        pieces = [np.ones(len(s), dtype=bool)]
+        if is_dashed < 0.5:
+            pieces = [((s / markings.dash_cycle_m + phase) % 1 < markings.dash_fraction)]
+        for ends in np.flatnonzero(np.diff(np.concatenate([[False], pieces[0], [False]]))).reshape(-1, 2):
+            piece = slice(*ends)
+            if len(s[piece]) > 1:
+                traces.append((s[piece], t[piece], np.full(len(s[piece]), markings.width_m)))
+    return _mesh(ground, traces, eye_world)
+
+
+def joint(road: Road, contrast: float, streams: Streams) -> tuple[float, float]:
+    """Where a joint runs, in metres right of the road's middle as the host drives, and by which share the asphalt right
+    of it is darker; less than 0 where it is lighter."""
+    rng = streams("joint")
+    lane, share, side = rng.integers(0, max(clear_lanes(road), 1)), rng.random(), rng.random() < 0.5
+    darker = 1 - OLD_ASPHALT**contrast
+    aside_m = inside_lane(road, int(lane), share)
+    return (-aside_m if road.flip_longitudinal else aside_m), (darker if side else 1 - 1 / (1 - darker))
+
+
+def ghost_shade(contrast: float, streams: Streams) -> float:
+    """Reflectance of removed lines, as a share of the road's."""
+    return float(GHOST_SHADES[int(streams("ghost_shade").random() < 0.5)] ** contrast)
+
+
+def clear_lanes(road: Road) -> int:
+    """The number of lanes, from the plan's left, whose lines do not move as the exit opens."""
+    return road.n_lanes - max(road.n_exit_lanes, int(road.topology > 1))
+
+
+def inside_lane(road: Road, lane: int, share: float) -> float:
+    """A plan offset in lane 0.. from the plan's left, clear of its lines."""
+    free_m = max(road.lane_width_m - 2 * CLEAR_M, 0.0)
+    return (lane + 0.5 - road.n_lanes / 2) * road.lane_width_m + (share - 0.5) * free_m
+
+
+def _wander(along: Values, rng: np.random.Generator) -> Values:
+    knots = np.arange(along[0], along[-1] + 2 * KNOT_M, KNOT_M)
+    slow = np.interp(along, knots, rng.normal(0, WANDER_M, len(knots)))
+    return slow + rng.normal(0, JITTER_M, len(along))
+
+
+def _widths(along: Values, rng: np.random.Generator) -> Values:
+    return rng.uniform(*TAR_WIDTH_M) * rng.uniform(0.6, 1.4, len(along))
+
+
+def _mesh(ground: Ground, traces: list[Trace], eye_world: Float[np.ndarray, "3"]) -> Mesh | None:
+    """Strips along the traces on the main road."""
+    if not traces:
+        return None
+    corners = []
+    for s, t, width_m in traces:
+        steps = np.column_stack([np.gradient(s), np.gradient(t)])
+        aside = steps[:, ::-1] * [1, -1] / np.linalg.norm(steps, axis=1, keepdims=True) * width_m[:, None] / 2
+        left, right = np.column_stack([s, t]) - aside, np.column_stack([s, t]) + aside
+        corners.append(np.stack([left[:-1], right[:-1], right[1:], left[1:]], axis=1))
+    places = np.concatenate(corners).reshape(-1, 2)
+    xyz = ground.plan.lift(ground.plan.main_xy(places[:, 0], places[:, 1]))
+    return facing_up(towards_eye(ground, xyz, eye_world, LIFT_SHARE), places[:, ::-1].copy())

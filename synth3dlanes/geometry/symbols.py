@@ -1,0 +1,192 @@
+"""Paint that bounds no lane: arrows, stop lines, crosswalks and the hatching of gores. World frame.
+
+Every symbol is a set of polygons in a frame of its own on the road. For arrows, stop lines and crosswalks its
+coordinates are metres to the right and metres ahead of the symbol's middle, as the host drives. For a gore they are the
+share of the way from the main road's line (0) to the exit's (1), and the plan station.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.geometry.ground import Ground
+from synth3dlanes.geometry.lanes import path_of_segment
+from synth3dlanes.geometry.meshes import Mesh, facing_up
+from synth3dlanes.geometry.paint import towards_eye
+from synth3dlanes.geometry.road import S_END_M, RoadPlan
+from synth3dlanes.scene import Symbol
+from synth3dlanes.schema import SymbolKind
+
+Polygon = Float[np.ndarray, "n 2"]
+Values = Float[np.ndarray, " n"]
+
+# Arrows of 5 m, as painted where traffic is slow: all of them are stretched along the road.
+STRAIGHT = np.array(
+    [(-0.08, -2.5), (0.08, -2.5), (0.08, 0.6), (0.38, 0.6), (0, 2.5), (-0.38, 0.6), (-0.08, 0.6)]
+)  # fmt: skip
+RIGHT = np.array([
+    (-0.43, -2.5), (-0.27, -2.5), (-0.27, 0.35), (-0.08, 0.75), (0.18, 0.85), (0.18, 0.1), (0.85, 1.25), (0.18, 2.4),
+    (0.18, 1.65), (-0.2, 1.5), (-0.43, 0.9),
+])  # fmt: skip
+STRAIGHT_RIGHT = np.array([
+    (-0.08, -2.5), (0.08, -2.5), (0.08, -1.1), (0.16, -0.8), (0.4, -0.7), (0.4, -1.2), (0.95, -0.4), (0.4, 0.4),
+    (0.4, -0.1), (0.08, -0.2), (0.08, 0.95), (0.38, 0.95), (0, 2.5), (-0.38, 0.95), (-0.08, 0.95),
+])  # fmt: skip
+ARROWS: dict[SymbolKind, Polygon] = {
+    "arrow_straight": STRAIGHT,
+    "arrow_right": RIGHT,
+    "arrow_left": RIGHT * [-1, 1],
+    "arrow_straight_right": STRAIGHT_RIGHT,
+    "arrow_straight_left": STRAIGHT_RIGHT * [-1, 1],
+}
+# Extents along the road.
+LENGTHS_M: dict[SymbolKind, float] = {**dict.fromkeys(ARROWS, 5.0), "stop_line": 0.5, "crosswalk": 4.0}
+# Bars of a crosswalk and their gaps are about this wide.
+BAR_M = 0.55
+# Chevrons of a gore, along the road: their period and the length of an arm. They begin where the gore is GORE_FROM_M
+# wide, and end GORE_GAP_M beside the lines.
+CHEVRON_PERIOD_M, CHEVRON_M, GORE_FROM_M, GORE_GAP_M = 3.0, 1.1, 0.8, 0.15
+# Faces are no larger than this across and along the road, so that they follow it; steps along the outlines of labels.
+COLUMN_M, ROW_M, OUTLINE_STEP_M = 0.45, 0.5, 1.0
+# Stations around a symbol for which lengths along the road are measured.
+AROUND_M = np.arange(-10.0, 10.01, 0.25)
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A symbol's painted polygons and its outline in its own frame, the places of that frame in the world, and the size
+    of COLUMN_M in it."""
+
+    polygons: list[Polygon]
+    outline: Polygon
+    points_world: Callable[[Polygon], Float[np.ndarray, "n 3"]]
+    column: float
+
+
+def shape(ground: Ground, symbol: Symbol) -> Shape:
+    """The shape of a symbol on its road."""
+    if symbol.kind == "gore":
+        return _gore(ground, symbol)
+    polygons = [ARROWS[symbol.kind]] if symbol.kind in ARROWS else _crossing(ground, symbol.kind)
+    outline = polygons[0]
+    if symbol.kind not in ARROWS:
+        (x0, y0), (x1, y1) = np.min(polygons, axis=(0, 1)), np.max(polygons, axis=(0, 1))
+        outline = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+    return Shape(polygons, _dense(outline, OUTLINE_STEP_M), _along_road(ground.plan, symbol), COLUMN_M)
+
+
+def symbol_mesh(ground: Ground, symbol: Symbol, eye_world: Float[np.ndarray, "3"]) -> Mesh:
+    """The paint of a symbol over the road, moved towards the eye so that it looks in place from there."""
+    form = shape(ground, symbol)
+    quads = np.concatenate([_quads(polygon, form.column) for polygon in form.polygons])
+    places = quads.reshape(-1, 2)
+    vertices = towards_eye(ground, form.points_world(places), eye_world)
+    return facing_up(vertices, places)
+
+
+def gore_range(plan: RoadPlan) -> tuple[float, float] | None:
+    """Plan stations between which a gore has room for hatching; None without a gore, or if it is too narrow."""
+    if not plan.has_exit:
+        return None
+    s = np.arange(0.0, plan.ramp_start_m or S_END_M, 0.5)
+    wide = s[plan.opening(s) - plan.width_m > GORE_FROM_M]
+    return (float(wide[0]), float(wide[-1])) if len(wide) > 2 * CHEVRON_PERIOD_M / 0.5 else None
+
+
+def _crossing(ground: Ground, kind: SymbolKind) -> list[Polygon]:
+    """The rectangles of a stop line or a crosswalk, lane by lane, clear of the lines between the lanes."""
+    plan, markings = ground.plan, ground.markings
+    n, half_m = plan.n_lanes, LENGTHS_M[kind] / 2
+    lines = (np.arange(n + 1) - n / 2) * plan.width_m
+    clear_m = np.full(n + 1, markings.width_m / 2)
+    clear_m[0] *= 3 if markings.left_double else 1
+    lefts, rights = (lines + clear_m)[:-1], (lines - clear_m)[1:]
+    bars = max(1, round(plan.width_m / (2 * BAR_M))) if kind == "crosswalk" else 1
+    inset = 0.25 if kind == "crosswalk" else 0.0
+    shares = (np.arange(bars)[:, None] + [inset, 1 - inset]) / bars
+    sides = lefts[:, None, None] + (rights - lefts)[:, None, None] * shares
+    return [np.array([[a, -half_m], [b, -half_m], [b, half_m], [a, half_m]]) for a, b in sides.reshape(-1, 2)]
+
+
+def _along_road(plan: RoadPlan, symbol: Symbol) -> Callable[[Polygon], Float[np.ndarray, "n 3"]]:
+    """The places of a symbol's frame in the world: offsets from its lane's centre, or from the road's, and lengths
+    along it."""
+    path = None if symbol.lane is None else path_of_segment(plan, symbol.lane)
+    on_exit = symbol.lane is not None and symbol.lane.startswith("exit")
+
+    def xy_world(s: Values, aside_m: Values | float) -> Float[np.ndarray, "n 2"]:
+        t = aside_m * plan.flips[0]
+        if path is None:
+            return plan.main_xy(s, np.broadcast_to(t, s.shape))
+        return plan.exit_xy(s, path.fork_m + t) if on_exit else plan.main_xy(s, path.main_offset(plan, s) + t)
+
+    s_world = symbol.s_m + AROUND_M
+    steps = np.diff(xy_world(plan.plan_station(s_world), 0.0), axis=0)
+    length_m = np.concatenate([[0.0], np.cumsum(np.hypot(*steps.T))])
+    length_m -= np.interp(symbol.s_m, s_world, length_m)
+
+    def points_world(places: Polygon) -> Float[np.ndarray, "n 3"]:
+        s = plan.plan_station(np.interp(places[:, 1], length_m, s_world))
+        return plan.lift(xy_world(s, places[:, 0]), plan.ramp(s) if on_exit else 0.0)
+
+    return points_world
+
+
+def _gore(ground: Ground, symbol: Symbol) -> Shape:
+    """Chevrons that point at the nose."""
+    plan = ground.plan
+    start_m = float(symbol.s_m * plan.flips[1])
+    room = gore_range(plan)
+    end_m = room[1] if room else start_m
+    s = np.arange(start_m, max(end_m, start_m + 1.0), OUTLINE_STEP_M)
+
+    def width_m(s: Values) -> Values:
+        return np.maximum(plan.opening(s) - plan.width_m, 0.01)
+
+    def points_world(places: Polygon) -> Float[np.ndarray, "n 3"]:
+        share, s = places.T
+        main = plan.main_xy(s, plan.boundary_m(plan.n_main_after))
+        return plan.lift(main + share[:, None] * (plan.exit_xy(s, -plan.exit_half_m) - main))
+
+    apex = np.arange(start_m, end_m, CHEVRON_PERIOD_M)
+    inset = np.minimum((ground.markings.width_m / 2 + GORE_GAP_M) / width_m(apex), 0.45)
+    reach_m = (0.5 - inset) * width_m(apex)
+    fits = apex + reach_m + CHEVRON_M < end_m
+    polygons = [
+        np.array([[0.5, a], [side, a + r], [side, a + r + CHEVRON_M], [0.5, a + CHEVRON_M]])
+        for a, i, r in zip(apex[fits], inset[fits], reach_m[fits], strict=True)
+        for side in (i, 1 - i)
+    ]
+    outline = np.concatenate([np.column_stack([0 * s, s]), np.column_stack([0 * s + 1, s])[::-1]])
+    return Shape(polygons, outline, points_world, COLUMN_M / float(width_m(s).max()))
+
+
+def _quads(polygon: Polygon, column: float) -> Float[np.ndarray, "k 4 2"]:
+    """A polygon as quads whose front and back are level in the second coordinate, no wider than `column` and no longer
+    than ROW_M."""
+    y = polygon[:, 1]
+    breaks = np.unique(np.concatenate([y, np.arange(y.min(), y.max(), ROW_M)]))
+    a, b = polygon, np.roll(polygon, -1, axis=0)
+    quads = []
+    for low, high in pairwise(breaks):
+        across = (np.minimum(a[:, 1], b[:, 1]) <= low) & (np.maximum(a[:, 1], b[:, 1]) >= high)
+        start, step = a[across], (b - a)[across]
+        at = start[:, :1] + step[:, :1] * ((np.array([low, high]) - start[:, 1:]) / step[:, 1:])
+        at = at[np.argsort(at.sum(axis=1))]
+        for left, right in zip(at[::2], at[1::2], strict=True):
+            n = max(1, int(np.ceil(np.max(right - left) / column)))
+            x = left + (right - left) * (np.arange(n + 1) / n)[:, None]
+            corners = np.stack([x[:-1, 0], x[1:, 0], x[1:, 1], x[:-1, 1]], axis=1)
+            quads.append(np.stack([corners, np.tile([low, low, high, high], (n, 1))], axis=-1))
+    return np.concatenate(quads)
+
+
+def _dense(polygon: Polygon, step: float) -> Polygon:
+    """A closed polygon with further points on its longer sides."""
+    sides = zip(polygon, np.roll(polygon, -1, axis=0), strict=True)
+    return np.concatenate(
+        [a + (b - a) * (np.arange(n := max(1, int(np.ceil(np.hypot(*(b - a)) / step)))) / n)[:, None] for a, b in sides]
+    )

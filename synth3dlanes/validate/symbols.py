@@ -1,0 +1,106 @@
+"""Check the symbols on the road against the scene: their pixels must lie in their paint, and their paint must show.
+
+Pixels are unprojected onto the road by depth and compared with the scene's polygons, in metres beside and along the
+symbol's lane, as `places` measures them; the meshes are not used.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from synth3dlanes.geometry.lanes import path_of_segment
+from synth3dlanes.geometry.symbols import Polygon, shape
+from synth3dlanes.labels import Labels
+from synth3dlanes.scene import Symbol
+from synth3dlanes.settings import FIRST_SYMBOL_ID, SEMANTIC_IDS
+from synth3dlanes.validate.findings import PROOF_M, Finding
+from synth3dlanes.validate.ids import on_road, some_pixels
+from synth3dlanes.validate.passes_proof import Passes
+from synth3dlanes.validate.pavement import unproject
+from synth3dlanes.validate.places import Places, places
+from synth3dlanes.world import World
+
+# Pixels this close to an edge of paint may show either side of it.
+MARGIN_M = 0.04
+# Number and share of pixels of a symbol that may be wrong.
+MAX_SINGLE, MAX_SHARE = 3, 0.05
+GROUND = [SEMANTIC_IDS[name] for name in ("road", "shoulder", "marking", "symbol")]
+
+Values = Float[np.ndarray, " n"]
+
+
+def prove_symbols(world: World, labels: Labels, passes: Passes) -> Iterator[Finding]:
+    """Findings about the pixels of symbols, from depth and semantic ids, and from instance ids if there are any."""
+    if not {"depth", "semantic"} <= set(passes):
+        return
+    near = passes["depth"] < PROOF_M
+    is_symbol = passes["semantic"] == SEMANTIC_IDS["symbol"]
+    if not world.scene.symbols:
+        if is_symbol.sum() > MAX_SINGLE:
+            yield Finding("", f"semantic: expected no symbols as in the scene, got {is_symbol.sum()} pixels of them")
+        return
+    rows, columns = some_pixels(near & np.isin(passes["semantic"], GROUND))
+    points, used = on_road(world, labels.camera, unproject(labels.camera, passes["depth"], rows, columns))
+    rows, columns, place = rows[used], columns[used], places(world.ground, points[used, :2])
+    shown = is_symbol[rows, columns]
+    number = np.where(shown, 0, -1)
+    if "instance" in passes:
+        number = passes["instance"][rows, columns].astype(int) - FIRST_SYMBOL_ID
+    beyond_m = np.stack([_beyond_m(world, symbol, place) for symbol in world.scene.symbols])
+    if "instance" not in passes:
+        beyond_m = beyond_m.min(axis=0, keepdims=True)
+    for i, outside_m in enumerate(beyond_m):
+        yield from _judge(f"symbol {i}" if "instance" in passes else "symbols", number == i, outside_m)
+
+
+def _judge(name: str, shown: Bool[np.ndarray, " n"], outside_m: Values) -> Iterator[Finding]:
+    strays, gaps = shown & (outside_m > MARGIN_M), ~shown & (outside_m < -MARGIN_M)
+    inside = int((outside_m < -MARGIN_M).sum())
+    if strays.sum() > max(MAX_SINGLE, MAX_SHARE * shown.sum()):
+        yield Finding("", f"{name}: expected pixels within its paint, got {strays.sum()} of {shown.sum()} outside")
+    if gaps.sum() > max(MAX_SINGLE, MAX_SHARE * inside):
+        yield Finding("", f"{name}: expected {inside} pixels of its paint, got another surface at {gaps.sum()} of them")
+
+
+def _beyond_m(world: World, symbol: Symbol, place: Places) -> Values:
+    """Distance of points on the road outside a symbol's paint, negative inside."""
+    plan, form = world.plan, shape(world.ground, symbol)
+    if symbol.kind == "gore":
+        lines = {line.id: line for line in world.lines}
+        n, flip = plan.n_main_after, plan.flips[0] < 0
+        main = lines[f"main_line_{0 if flip else n}"]
+        left, right = place.right_of(main), -place.exit_t - plan.exit_half_m
+        width_m = np.maximum(left + right, 0.01)
+        points = np.column_stack([np.nan_to_num(left / width_m * _gap_m(world, place.s), nan=1e3), place.s])
+        polygons = [polygon * np.column_stack([_gap_m(world, polygon[:, 1]), np.ones(4)]) for polygon in form.polygons]
+        return _outside(polygons, points)
+    path = None if symbol.lane is None else path_of_segment(plan, symbol.lane)
+    aside = place.t if path is None else place.right_of(path)
+    s = place.s if path is None else place.station(path)
+    around = plan.plan_station(symbol.s_m + np.array([-0.5, 0.5]))
+    ends = plan.main_xy(around, 0.0) if path is None else path.xy_world(plan, around)
+    ahead = (s * plan.flips[1] - symbol.s_m) * np.hypot(*(ends[1] - ends[0]))
+    return _outside(form.polygons, np.nan_to_num(np.column_stack([aside * plan.flips[0], ahead]), nan=1e3))
+
+
+def _gap_m(world: World, s: Values) -> Values:
+    return np.maximum(world.plan.opening(s) - world.plan.width_m, 0.01)
+
+
+def _outside(polygons: list[Polygon], points: Float[np.ndarray, "n 2"]) -> Values:
+    """Distance of points from the nearest polygon; inside one, minus the distance from its sides."""
+    outside = np.full(len(points), np.inf)
+    for polygon in polygons:
+        near = ((points > polygon.min(axis=0) - 1) & (points < polygon.max(axis=0) + 1)).all(axis=1)
+        a, side = polygon, np.roll(polygon, -1, axis=0) - polygon
+        to = points[near, None] - a
+        share = np.clip((to * side).sum(axis=-1) / (side * side).sum(axis=-1), 0, 1)
+        distance = np.linalg.norm(to - share[..., None] * side, axis=-1).min(axis=1)
+        y = points[near, 1:]
+        crosses = (a[:, 1] > y) != ((a + side)[:, 1] > y)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            right = a[:, 0] + (y - a[:, 1]) / side[:, 1] * side[:, 0] > points[near, :1]
+        inside = (crosses & right).sum(axis=1) % 2 == 1
+        outside[near] = np.minimum(outside[near], np.where(inside, -distance, distance))
+    return outside
