@@ -18,6 +18,7 @@ from synth3dlanes.distributions import (
     Integer,
     Integers,
     Real,
+    Uniform,
     form,
     integers,
     is_pair,
@@ -133,7 +134,7 @@ class SymbolParams(Group):
     stop_lines: Annotated[Integer, integers(0, 10)] = added(0)
     crosswalks: Annotated[Integer, integers(0, 10)] = added(0)
     gore: Flag = added(False)
-    s_m: Annotated[Real, reals(-150, 150)] = added(0.0)
+    s_m: Annotated[Real, reals(-150, 150)] = Uniform(-100.0, 100.0)
 
 
 class CarParams(Group):
