@@ -80,8 +80,9 @@ def test_dashed_lines_are_dots_where_they_were_dashes_and_solid_lines_stay():
     assert np.abs(phase[:, None] - [0.05, 0.05 + 3.5 / 3, 0.05 + 7 / 3, 3.55]).min(axis=1).max() < 0.01
     top = mesh.vertices_world[mesh.faces][near][:, :, 2].max()
     assert DOT_HEIGHT_M < top < DOT_HEIGHT_M + 0.005
-    areas = {name: _area(found[name], 100, 200) for name, found in (("main_line_1", after), ("main_line_2", before))}
-    assert 0 < areas["main_line_1"] < 0.5 * areas["main_line_2"], "far dots are thinner than dashes"
+    near_share, far_share = (_area(mesh, *at) / _area(before["main_line_2"], *at) for at in ((12, 30), (150, 250)))
+    assert 0.35 < near_share < 0.48, "at 70 m the dots cover a part of a dash as wide as they are"
+    assert far_share == pytest.approx(DOT_M / 0.2), "at 200 m they hide each other's gaps"
 
 
 def _area(mesh, low, high):
