@@ -49,7 +49,7 @@ def blades(
 def lane_points(ground: Ground, lines: Sequence[Curve]) -> Points:
     """Points of all lane curves ahead of the host, as far apart as those of the labels, and farther."""
     plan = ground.plan
-    s = plan.plan_station(ground.near_m + np.arange(0.0, RANGE_M, STEP_M))
+    s = plan.plan_station(ground.near_m + np.arange(STEP_M, RANGE_M, STEP_M))
     return np.concatenate(
         [line.points_world(plan, s[(s > line.start_m) & (s < line.end_m)]) for line in lines] + [np.zeros((0, 3))]
     )
