@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import label as clusters
 
-from synth3dlanes.geometry.paint import DOT_HEIGHT_M, DOT_M, DOTS_M, is_left_edge
+from synth3dlanes.geometry.paint import DOT_HEIGHT_M, DOT_M, DOTS_M
 from synth3dlanes.world import resolve
 from tests.scenes import changed, seen_on_flat_ground
 
