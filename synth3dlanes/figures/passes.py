@@ -20,7 +20,8 @@ Passes = Mapping[str, Shaped[np.ndarray, "..."]]
 WORDS = {
     "depth": "metres along the viewing direction, from 2 m (yellow) to 500 m (violet); gray: sky",
     "normal": "red: x right, green: y forward, blue: z up; gray: sky",
-    "semantic": "terrain green, road dark gray, shoulder brown, marking white, symbol yellow, car red, tree dark green; gray: sky",
+    "semantic": "terrain green, road dark gray, shoulder brown, marking white, symbol yellow, car red, tree dark "
+    "green; gray: sky",
     "instance": "a colour for each car, delimiter, tree and symbol; gray: all else",
     "height": "metres over the road plane, from -5 m (blue) to 5 m (red), seen from above",
 }
