@@ -48,7 +48,7 @@ LENGTHS_M: dict[SymbolKind, float] = {**dict.fromkeys(ARROWS, 5.0), "stop_line":
 BAR_M = 0.55
 # Chevrons of a gore, along the road: their period and the length of an arm. They begin where the gore is GORE_FROM_M
 # wide, and end GORE_GAP_M beside the lines.
-CHEVRON_PERIOD_M, CHEVRON_M, GORE_FROM_M, GORE_GAP_M = 3.0, 1.1, 0.8, 0.15
+CHEVRON_PERIOD_M, CHEVRON_M, GORE_FROM_M, GORE_GAP_M = 3.0, 1.1, 1.2, 0.15
 # Faces are no larger than this across and along the road, so that they follow it; steps along the outlines of labels.
 COLUMN_M, ROW_M, OUTLINE_STEP_M = 0.45, 0.5, 1.0
 # Stations around a symbol for which lengths along the road are measured.
