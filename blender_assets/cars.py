@@ -297,6 +297,7 @@ def semitrailer(model: CarModel) -> Shape:
     doors(shape, tractor, (7.85, 6.95), (7.05,))
     front(shape, model, 0.80, 0.58)
     mirrors(shape, model, 7.95, 2.25, (0.16, 0.14, 0.55))
+    slab(shape, TRIM, 0, 8.18, 1.20, (1.7, 0.09, 0.44), 0.03)
     box(shape, PAINT, 0, 6.85, 3.30, (2.1, 1.7, 1.10), 0.35, 3)
     middle = model.wheelbase_m / 2
     for side in (1, -1):

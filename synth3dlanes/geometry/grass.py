@@ -16,11 +16,11 @@ Values = Float[np.ndarray, " n"]
 Points = Float[np.ndarray, "n 3"]
 
 # Tufts along every edge of the pavement: how many, how far ahead of the host, and how far beside the edge.
-PER_EDGE, AHEAD_M, BESIDE_M = 1500, (2.0, 45.0), (0.25, 3.6)
+PER_EDGE, AHEAD_M, BESIDE_M = 1200, (2.0, 45.0), (0.25, 3.6)
 # Grass is mown next to the road: its height grows from this share at the edge to all of it at FULL_AT_M.
 SHORT, FULL_AT_M = 0.35, 1.5
 # A tuft: its blades, the radius of their feet, their lean over their height, their width over their height.
-BLADES, RADIUS_M, LEAN, WIDTH = 10, 0.14, 0.7, 0.11
+BLADES, RADIUS_M, LEAN, WIDTH = 9, 0.14, 0.7, 0.12
 SINK_M = 0.04
 # Lines of sight to points of lanes, every STEP_M up to RANGE_M, pass tufts by this much and by this share of the
 # distance, which is more than a pixel.
