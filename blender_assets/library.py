@@ -36,6 +36,7 @@ LIVERIES = (
 )
 # Light through a leaf as shares of what it reflects: yellower, and about as much.
 TRANSMITTED = (1.15, 1.3, 0.5)
+PASSED = (0.9, 1.0, 0.5)
 BARKS = {"conifer": (0.085, 0.055, 0.038), "dead": (0.16, 0.145, 0.125), "poplar": (0.15, 0.14, 0.115)}
 
 
@@ -104,8 +105,13 @@ def leaf(name: str) -> bpy.types.Material:
     through = graph.vector("MULTIPLY", color.outputs[0], TRANSMITTED)
     back = graph.node("ShaderNodeBsdfTranslucent", {"Color": through, "Normal": normal}).outputs[0]
     lit = graph.node("ShaderNodeAddShader", {0: opaque, 1: back}).outputs[0]
-    # Without translucency, Cycles drops all but the opaque leaf.
-    graph.surface(graph.node("ShaderNodeMixShader", {0: graph.value("translucency"), 1: opaque, 2: lit}))
+    share = graph.value("translucency")
+    leaf = graph.node("ShaderNodeMixShader", {0: share, 1: opaque, 2: lit}).outputs[0]
+    # Light goes on through leaves to others. Without translucency, Cycles drops all but the opaque leaf.
+    is_shadow = graph.node("ShaderNodeLightPath").outputs["Is Shadow Ray"]
+    passed = graph.node("ShaderNodeBsdfTransparent", {"Color": PASSED}).outputs[0]
+    unshaded = graph.math("MULTIPLY", is_shadow, graph.math("MULTIPLY", share, 0.5))
+    graph.surface(graph.node("ShaderNodeMixShader", {0: unshaded, 1: leaf, 2: passed}))
     return material
 
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
         WorkerError,
     )
     from synth3dlanes.figures.overlay import draw_overlay
-    from synth3dlanes.labels import Labels, Lane
+    from synth3dlanes.labels import Labels, Lane, SymbolLabel
     from synth3dlanes.params import Params
     from synth3dlanes.scene import Scene
     from synth3dlanes.sources import read_scene
@@ -58,6 +58,7 @@ __all__ = [
     "Rendered",
     "Sample",
     "Scene",
+    "SymbolLabel",
     "Synth3dlanesError",
     "WorkerError",
     "change_scene",
@@ -85,6 +86,7 @@ _HOMES = {
     "Reader": "dataset.read",
     "Sample": "dataset.format",
     "Scene": "scene",
+    "SymbolLabel": "labels",
     "draw_overlay": "figures.overlay",
     "read_scene": "sources",
 }

@@ -41,13 +41,16 @@ def describe(scene: Scene, labels: Labels) -> dict[str, Facts]:
             "trees": _counted([scene.assets.tree_models[tree.model - 1].name for tree in scene.trees]),
         },
         "paint": {
-            "dashes": f"{scene.markings.dash_cycle_m * scene.markings.dash_fraction:.2f} m painted every "
+            "dots"
+            if scene.markings.dots
+            else "dashes": f"{scene.markings.dash_cycle_m * scene.markings.dash_fraction:.2f} m painted every "
             f"{scene.markings.dash_cycle_m:.2f} m",
             "width": f"{100 * scene.markings.width_m:.1f} cm",
             "gray, gloss": f"{scene.markings.grayscale:.2f}, {scene.markings.gloss:.2f}",
             "leftmost line": f"{'double' if scene.markings.left_double else 'single'}, "
             f"{'yellow' if scene.markings.left_yellow else 'white'}",
             "rubbed off, missing": f"{100 * scene.markings.wear:.0f} %, {100 * scene.markings.missing:.0f} %",
+            "symbols": _counted([symbol.kind for symbol in scene.symbols]),
         },
         "surface": {
             "road": f"texture {scene.surface.road_texture}, scale {scene.surface.road_texture_scale:.1f}, "

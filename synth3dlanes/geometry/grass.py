@@ -49,7 +49,7 @@ def blades(
 def lane_points(ground: Ground, lines: Sequence[Curve]) -> Points:
     """Points of all lane curves ahead of the host, as far apart as those of the labels, and farther."""
     plan = ground.plan
-    s = plan.plan_station(ground.near_m + np.arange(0.0, RANGE_M, STEP_M))
+    s = plan.plan_station(ground.near_m + np.arange(STEP_M, RANGE_M, STEP_M))
     return np.concatenate(
         [line.points_world(plan, s[(s > line.start_m) & (s < line.end_m)]) for line in lines] + [np.zeros((0, 3))]
     )
@@ -63,7 +63,7 @@ def _tufts(ground: Ground, grass_m: float, rng: np.random.Generator) -> tuple[Po
     beside = BESIDE_M[0] + (BESIDE_M[1] - BESIDE_M[0]) * draws[1]
     s = plan.plan_station(ground.near_m + ahead)
     xy = [
-        plan.main_xy(s[0], -ground.edge_m - beside[0]),
+        plan.main_xy(s[0], ground.left_edge_m - beside[0]),
         plan.main_xy(s[1], ground.main_right_edge(s[1]) + beside[1]),
     ]
     if plan.has_exit:

@@ -38,6 +38,7 @@ DISC_ROWS = np.array([-1, -OCTAGON, OCTAGON, 1])
 GONE_M, GONE_REACH_M = (3.0, 12.0), 600.0
 
 Intervals = Float[np.ndarray, "_ 2"]
+Places = Float[np.ndarray, " _"]
 
 
 class Rows(NamedTuple):
@@ -206,7 +207,7 @@ def _dots_per_dash(markings: Markings) -> int:
     return int(np.clip(markings.dash_cycle_m * markings.dash_fraction / (2 * DOT_M), 1, DOTS))
 
 
-def _dots(markings: Markings, dashes: Intervals, length: Values, ahead_m: Values) -> tuple[Values, Intervals]:
+def _dots(markings: Markings, dashes: Intervals, length: Values, ahead_m: Values) -> tuple[Places, Intervals]:
     """The centres of the dots in place of near dashes, and the painted intervals with these dots. `ahead_m` is the
     distance ahead of the host at each `length`."""
     is_near = np.interp(dashes[:, 0], length, ahead_m) < DOTS_M
@@ -216,7 +217,7 @@ def _dots(markings: Markings, dashes: Intervals, length: Values, ahead_m: Values
     return centers, painted[np.argsort(painted[:, 0])]
 
 
-def _disc(dots: Values, at: Values) -> tuple[Values, Values]:
+def _disc(dots: Places, at: Values) -> tuple[Values, Values]:
     """Width, as a share of the diameter, and height of octagonal discs at places along the line; width 1 elsewhere."""
     radii = 2 / DOT_M * np.abs(at[:, None] - dots).min(axis=1)
     is_disc, is_top = radii < 1 + 1e-6, radii < OCTAGON + 1e-6

@@ -14,8 +14,8 @@ from synth3dlanes.scene import Markings, Road
 from synth3dlanes.streams import Streams
 
 Values = Float[np.ndarray, " n"]
-# A line on the road by its plan stations, offsets and widths.
-Trace = tuple[Values, Values, Values]
+# A line on the road: plan station, offset and width of each of its points.
+Trace = Float[np.ndarray, "_ 3"]
 
 # Distance from lines; up to 1 m is compared with a line's own paint.
 CLEAR_M = 1.1
@@ -40,13 +40,13 @@ def tar_mesh(ground: Ground, amount: float, eye_world: Float[np.ndarray, "3"], s
         first, last = (0, lanes) if rng.random() < ACROSS_ALL else sorted(rng.integers(0, lanes + 1, 2))
         t = np.arange(plan.boundary_m(int(first)), plan.boundary_m(int(last)), STEP_M)
         if len(t) > 1:
-            traces.append((at_m + _wander(t, rng), t, _widths(t, rng)))
+            traces.append(np.column_stack([at_m + _wander(t, rng), t, _widths(t, rng)]))
     for lane in range(clear_lanes(plan.road)):
         if rng.random() < amount:
             start, length = rng.uniform(-REACH_M, REACH_M / 2), rng.uniform(*CRACK_LENGTH_M)
             s = np.arange(start, start + length, STEP_M)
             t = inside_lane(plan.road, lane, rng.random()) + np.clip(_wander(s, rng), -WANDER_M, WANDER_M)
-            traces.append((s, t, _widths(s, rng)))
+            traces.append(np.column_stack([s, t, _widths(s, rng)]))
     return _mesh(ground, traces, eye_world)
 
 
@@ -55,16 +55,14 @@ def ghost_mesh(ground: Ground, markings: Markings, eye_world: Float[np.ndarray, 
     road, rng = ground.plan.road, streams("ghost_lines")
     share, is_dashed, phase = rng.random(3)
     s = np.arange(-REACH_M, REACH_M, GHOST_STEP_M)
-    traces = []
-    for lane in range(clear_lanes(road)):
-        t = np.full(s.shape, inside_lane(road, lane, share))
-        pieces = [np.ones(len(s), dtype=bool)]
-        if is_dashed < 0.5:
-            pieces = [((s / markings.dash_cycle_m + phase) % 1 < markings.dash_fraction)]
-        for ends in np.flatnonzero(np.diff(np.concatenate([[False], pieces[0], [False]]))).reshape(-1, 2):
-            piece = slice(*ends)
-            if len(s[piece]) > 1:
-                traces.append((s[piece], t[piece], np.full(len(s[piece]), markings.width_m)))
+    is_painted = (s / markings.dash_cycle_m + phase) % 1 < (markings.dash_fraction if is_dashed < 0.5 else 1.0)
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], is_painted, [False]]))).reshape(-1, 2)
+    traces = [
+        np.column_stack(np.broadcast_arrays(s[first:last], inside_lane(road, lane, share), markings.width_m))
+        for lane in range(clear_lanes(road))
+        for first, last in ends
+        if last - first > 1
+    ]
     return _mesh(ground, traces, eye_world)
 
 
@@ -109,10 +107,10 @@ def _mesh(ground: Ground, traces: list[Trace], eye_world: Float[np.ndarray, "3"]
     if not traces:
         return None
     corners = []
-    for s, t, width_m in traces:
-        steps = np.column_stack([np.gradient(s), np.gradient(t)])
-        aside = steps[:, ::-1] * [1, -1] / np.linalg.norm(steps, axis=1, keepdims=True) * width_m[:, None] / 2
-        left, right = np.column_stack([s, t]) - aside, np.column_stack([s, t]) + aside
+    for trace in traces:
+        middle, steps = trace[:, :2], np.gradient(trace[:, :2], axis=0)
+        aside = steps[:, ::-1] * [1, -1] / np.linalg.norm(steps, axis=1, keepdims=True) * trace[:, 2:] / 2
+        left, right = middle - aside, middle + aside
         corners.append(np.stack([left[:-1], right[:-1], right[1:], left[1:]], axis=1))
     places = np.concatenate(corners).reshape(-1, 2)
     xyz = ground.plan.lift(ground.plan.main_xy(places[:, 0], places[:, 1]))

@@ -20,7 +20,7 @@ from synth3dlanes.geometry.road import S_END_M, RoadPlan
 from synth3dlanes.scene import Symbol
 from synth3dlanes.schema import SymbolKind
 
-Polygon = Float[np.ndarray, "n 2"]
+Polygon = Float[np.ndarray, "_ 2"]
 Values = Float[np.ndarray, " n"]
 
 # Arrows of 5 m, as painted where traffic is slow: all of them are stretched along the road.
@@ -28,7 +28,7 @@ STRAIGHT = np.array(
     [(-0.08, -2.5), (0.08, -2.5), (0.08, 0.6), (0.38, 0.6), (0, 2.5), (-0.38, 0.6), (-0.08, 0.6)]
 )  # fmt: skip
 RIGHT = np.array([
-    (-0.43, -2.5), (-0.27, -2.5), (-0.27, 0.35), (-0.08, 0.75), (0.18, 0.85), (0.18, 0.1), (0.85, 1.25), (0.18, 2.4),
+    (-0.43, -2.5), (-0.27, -2.5), (-0.27, 0.35), (-0.08, 0.75), (0.18, 0.85), (0.18, 0.1), (0.85, 1.3), (0.18, 2.5),
     (0.18, 1.65), (-0.2, 1.5), (-0.43, 0.9),
 ])  # fmt: skip
 STRAIGHT_RIGHT = np.array([
@@ -48,7 +48,7 @@ LENGTHS_M: dict[SymbolKind, float] = {**dict.fromkeys(ARROWS, 5.0), "stop_line":
 BAR_M = 0.55
 # Chevrons of a gore, along the road: their period and the length of an arm. They begin where the gore is GORE_FROM_M
 # wide, and end GORE_GAP_M beside the lines.
-CHEVRON_PERIOD_M, CHEVRON_M, GORE_FROM_M, GORE_GAP_M = 3.0, 1.1, 0.8, 0.15
+CHEVRON_PERIOD_M, CHEVRON_M, GORE_FROM_M, GORE_GAP_M = 3.0, 1.1, 1.2, 0.15
 # Faces are no larger than this across and along the road, so that they follow it; steps along the outlines of labels.
 COLUMN_M, ROW_M, OUTLINE_STEP_M = 0.45, 0.5, 1.0
 # Stations around a symbol for which lengths along the road are measured.
@@ -62,7 +62,7 @@ class Shape:
 
     polygons: list[Polygon]
     outline: Polygon
-    points_world: Callable[[Polygon], Float[np.ndarray, "n 3"]]
+    points_world: Callable[[Polygon], Float[np.ndarray, "_ 3"]]
     column: float
 
 
@@ -111,13 +111,13 @@ def _crossing(ground: Ground, kind: SymbolKind) -> list[Polygon]:
     return [np.array([[a, -half_m], [b, -half_m], [b, half_m], [a, half_m]]) for a, b in sides.reshape(-1, 2)]
 
 
-def _along_road(plan: RoadPlan, symbol: Symbol) -> Callable[[Polygon], Float[np.ndarray, "n 3"]]:
+def _along_road(plan: RoadPlan, symbol: Symbol) -> Callable[[Polygon], Float[np.ndarray, "_ 3"]]:
     """The places of a symbol's frame in the world: offsets from its lane's centre, or from the road's, and lengths
     along it."""
     path = None if symbol.lane is None else path_of_segment(plan, symbol.lane)
     on_exit = symbol.lane is not None and symbol.lane.startswith("exit")
 
-    def xy_world(s: Values, aside_m: Values | float) -> Float[np.ndarray, "n 2"]:
+    def xy_world(s: Values, aside_m: Values | float) -> Polygon:
         t = aside_m * plan.flips[0]
         if path is None:
             return plan.main_xy(s, np.broadcast_to(t, s.shape))
@@ -128,7 +128,7 @@ def _along_road(plan: RoadPlan, symbol: Symbol) -> Callable[[Polygon], Float[np.
     length_m = np.concatenate([[0.0], np.cumsum(np.hypot(*steps.T))])
     length_m -= np.interp(symbol.s_m, s_world, length_m)
 
-    def points_world(places: Polygon) -> Float[np.ndarray, "n 3"]:
+    def points_world(places: Polygon) -> Float[np.ndarray, "_ 3"]:
         s = plan.plan_station(np.interp(places[:, 1], length_m, s_world))
         return plan.lift(xy_world(s, places[:, 0]), plan.ramp(s) if on_exit else 0.0)
 
@@ -146,7 +146,7 @@ def _gore(ground: Ground, symbol: Symbol) -> Shape:
     def width_m(s: Values) -> Values:
         return np.maximum(plan.opening(s) - plan.width_m, 0.01)
 
-    def points_world(places: Polygon) -> Float[np.ndarray, "n 3"]:
+    def points_world(places: Polygon) -> Float[np.ndarray, "_ 3"]:
         share, s = places.T
         main = plan.main_xy(s, plan.boundary_m(plan.n_main_after))
         return plan.lift(main + share[:, None] * (plan.exit_xy(s, -plan.exit_half_m) - main))

@@ -25,6 +25,8 @@ from synth3dlanes.world import World
 MARGIN_M = 0.04
 # Number and share of pixels of a symbol that may be wrong.
 MAX_SINGLE, MAX_SHARE = 3, 0.05
+# Of the search for a station between two lines.
+STEPS = 5
 GROUND = [SEMANTIC_IDS[name] for name in ("road", "shoulder", "marking", "symbol")]
 
 Values = Float[np.ndarray, " n"]
@@ -67,14 +69,9 @@ def _beyond_m(world: World, symbol: Symbol, place: Places) -> Values:
     """Distance of points on the road outside a symbol's paint, negative inside."""
     plan, form = world.plan, shape(world.ground, symbol)
     if symbol.kind == "gore":
-        lines = {line.id: line for line in world.lines}
-        n, flip = plan.n_main_after, plan.flips[0] < 0
-        main = lines[f"main_line_{0 if flip else n}"]
-        left, right = place.right_of(main), -place.exit_t - plan.exit_half_m
-        width_m = np.maximum(left + right, 0.01)
-        points = np.column_stack([np.nan_to_num(left / width_m * _gap_m(world, place.s), nan=1e3), place.s])
+        share, s = _between_lines(world, place)
         polygons = [polygon * np.column_stack([_gap_m(world, polygon[:, 1]), np.ones(4)]) for polygon in form.polygons]
-        return _outside(polygons, points)
+        return _outside(polygons, np.column_stack([share * _gap_m(world, s), s]))
     path = None if symbol.lane is None else path_of_segment(plan, symbol.lane)
     aside = place.t if path is None else place.right_of(path)
     s = place.s if path is None else place.station(path)
@@ -82,6 +79,24 @@ def _beyond_m(world: World, symbol: Symbol, place: Places) -> Values:
     ends = plan.main_xy(around, 0.0) if path is None else path.xy_world(plan, around)
     ahead = (s * plan.flips[1] - symbol.s_m) * np.hypot(*(ends[1] - ends[0]))
     return _outside(form.polygons, np.nan_to_num(np.column_stack([aside * plan.flips[0], ahead]), nan=1e3))
+
+
+def _between_lines(world: World, place: Places) -> tuple[Values, Values]:
+    """Where points are between the main road's line and the exit's: the share of the way, and the plan station at which
+    both lines have them between each other."""
+    plan, lines = world.plan, {line.id: line for line in world.lines}
+    right, left = (
+        ("main_line_0", f"exit_line_{plan.n_exit_lanes}")
+        if plan.flips[0] < 0
+        else (f"main_line_{plan.n_main_after}", "exit_line_0")
+    )
+    xy, s = plan.main_xy(place.s, place.t), np.clip(place.s, plan.nose_m, None)
+    for _ in range(STEPS):
+        main, to_exit = lines[right].xy_world(plan, s), lines[left].xy_world(plan, s) - lines[right].xy_world(plan, s)
+        to, length = xy - main, np.maximum(np.hypot(*to_exit.T), 1e-3)
+        ahead_m = (to_exit[:, 0] * to[:, 1] - to_exit[:, 1] * to[:, 0]) / length * plan.flips.prod()
+        s = np.clip(s + ahead_m, plan.nose_m, None)
+    return (to * to_exit).sum(axis=1) / length**2, s
 
 
 def _gap_m(world: World, s: Values) -> Values:

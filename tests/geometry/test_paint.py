@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import label as clusters
 
+from synth3dlanes.geometry.paint import DOT_HEIGHT_M, DOT_M, DOTS_M
 from synth3dlanes.world import resolve
 from tests.scenes import changed, seen_on_flat_ground
 
@@ -54,3 +56,38 @@ def test_all_of_the_paint_may_be_missing_and_none_is_by_default():
     bare = resolve(changed(markings={"missing": 1.0}))
     assert [painted_share(bare, f"main_line_{i}") for i in range(4)] == pytest.approx([0] * 4)
     assert painted_share(resolve(changed()), "main_line_0") == pytest.approx(1.0)
+
+
+def test_dashed_lines_are_dots_where_they_were_dashes_and_solid_lines_stay():
+    markings = {"dash_cycle_m": 9.0, "dash_fraction": 0.4, "width_m": 0.2}
+    dashed, dotted = (resolve(changed(markings=markings | {"dots": dots})) for dots in (False, True))
+    before, after = dashed.paint(dashed.view), dotted.paint(dotted.view)
+    for name in ("main_line_0", "main_line_3"):
+        np.testing.assert_array_equal(after[name].vertices_world, before[name].vertices_world)
+    mesh = after["main_line_1"]
+    corners = seen_on_flat_ground(dotted, mesh.vertices_world)[mesh.faces]
+    y = dotted.plan.plan_station(mesh.uv_m[mesh.faces][:, :, 1])
+    near = (y.max(axis=1) < dotted.scene.camera.y_m + DOTS_M) & (y.min(axis=1) > -44.5)
+    assert np.ptp(corners[near, :, 0]) == pytest.approx(DOT_M, abs=0.004), "as wide as a dot, about the line"
+    assert corners[near, :, 0].mean() == pytest.approx(-1.75, abs=0.002)
+    painted = np.zeros(5000, dtype=bool)
+    at = np.arange(5000) / 100 - 44.5
+    for low, high in zip(y[near].min(axis=1), y[near].max(axis=1), strict=True):
+        painted |= (at > low - 1e-6) & (at < high + 1e-6)
+    dots, n = clusters(painted)
+    middles = np.array([at[dots == i].mean() for i in range(1, n + 1)])
+    phase = middles % 9.0
+    assert np.abs(phase[:, None] - [0.05, 0.05 + 3.5 / 3, 0.05 + 7 / 3, 3.55]).min(axis=1).max() < 0.01
+    top = mesh.vertices_world[mesh.faces][near][:, :, 2].max()
+    assert DOT_HEIGHT_M < top < DOT_HEIGHT_M + 0.005
+    near_share, far_share = (_area(mesh, *at) / _area(before["main_line_2"], *at) for at in ((12, 30), (150, 250)))
+    assert 0.35 < near_share < 0.48, "at 70 m the dots cover a part of a dash as wide as they are"
+    assert far_share == pytest.approx(DOT_M / 0.2), "at 200 m they hide each other's gaps"
+
+
+def _area(mesh, low, high):
+    """Of the faces seen from above, between two distances."""
+    a, b, c, d = (mesh.vertices_world[mesh.faces[:, i], :2] for i in range(4))
+    p, q = c - a, d - b
+    inside = (a[:, 1] > low) & (a[:, 1] < high)
+    return np.abs(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0])[inside].sum() / 2

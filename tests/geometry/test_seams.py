@@ -1,0 +1,75 @@
+"""Tar, removed lines and joints: on the road, below the paint, and along it far from every line."""
+
+import numpy as np
+import pytest
+
+from synth3dlanes.geometry.paint import PAINT_LIFT_M
+from synth3dlanes.geometry.seams import CLEAR_M, OLD_ASPHALT, WANDER_M, joint
+from synth3dlanes.world import resolve
+from tests.scenes import changed, seen_on_flat_ground
+
+ROADS = [
+    {"topology": topology, "flip_longitudinal": across, "flip_lateral": along}
+    for topology in (1, 2, 3, 4)
+    for across, along in ((False, False), (True, True))
+]
+SEAMS = {"tar": 1.0, "ghost_lines": 1.0, "joint": 1.0}
+
+
+def worlds(road, seeds=range(6)):
+    scene = changed(road=road, surface=SEAMS, camera={"lane": 1})
+    return [resolve(scene.model_copy(update={"seed": seed})) for seed in seeds]
+
+
+def distance_from_lines(world, xy_world):
+    """Of points to the nearest delimiter."""
+    s = world.plan.plan_station(np.arange(-150, 150, 0.1))
+    lines = [line.xy_world(world.plan, s[(s > line.start_m) & (s < line.end_m)]) for line in world.lines
+             if line.kind == "delimiter"]  # fmt: skip
+    return np.min([np.hypot(*(xy_world[:, None] - line).T).min(axis=0) for line in lines], axis=0)
+
+
+@pytest.mark.parametrize("road", ROADS)
+def test_what_runs_along_the_road_keeps_clear_of_every_line(road):
+    for world in worlds(road, range(2)):
+        half_m = world.scene.markings.width_m / 2
+        ghost, tar = world.ghost_lines(world.view), world.tar(world.view)
+        seen = seen_on_flat_ground(world, ghost.vertices_world[::8])
+        assert distance_from_lines(world, seen[:, :2]).min() > CLEAR_M - half_m - 0.01
+        faces = seen_on_flat_ground(world, tar.vertices_world)[tar.faces]
+        along = np.ptp(faces[:, :, 1], axis=1) > 0.3
+        middles = faces[along].mean(axis=1)[:, :2]
+        assert distance_from_lines(world, middles[::4]).min() > CLEAR_M - WANDER_M - 0.05
+
+
+@pytest.mark.parametrize("road", ROADS)
+def test_seams_lie_on_the_main_road_below_the_paint(road):
+    for world in worlds(road):
+        for mesh in (world.ghost_lines(world.view), world.tar(world.view)):
+            z = mesh.vertices_world[:, 2]
+            near = np.abs(mesh.vertices_world[:, 1] - world.ground.near_m) < 40
+            assert z.min() > 0
+            assert z[near].max() < 0.7 * PAINT_LIFT_M[1]
+            s, t = world.plan.project_main(seen_on_flat_ground(world, mesh.vertices_world)[:, :2])
+            plan = world.plan
+            right = np.where(s < 0, plan.boundary_m(plan.n_lanes), plan.boundary_m(plan.n_main_after))
+            assert ((t > plan.boundary_m(0) - 0.3) & (t < right + 0.3)).all()
+
+
+def test_tar_and_ghost_lines_are_off_by_default_and_differ_by_scene():
+    world = resolve(changed())
+    assert world.tar(world.view) is None
+    assert world.ghost_lines(world.view) is None
+    sizes = {len(world.tar(world.view).faces) for world in worlds({}, range(10))}
+    assert len(sizes) == 10
+    assert resolve(changed(surface={"tar": 0.05})).tar(world.view) is None or min(sizes) > 100
+
+
+@pytest.mark.parametrize("flip", [False, True])
+def test_a_joint_lies_inside_a_lane_and_either_side_may_be_older(flip):
+    found = [
+        joint(world.scene.road, 1.0, world.scene.stream) for world in worlds({"flip_longitudinal": flip}, range(40))
+    ]
+    aside, darker = np.array(found).T
+    assert (np.abs(aside[:, None] - [-5.25, -1.75, 1.75, 5.25]).min(axis=1) > CLEAR_M - 1e-6).all()
+    assert np.unique(np.round(darker, 6)).tolist() == pytest.approx([1 - 1 / OLD_ASPHALT, 1 - OLD_ASPHALT])
