@@ -244,7 +244,7 @@ class WeatherParams(Group):
 class HostParams(Group):
     """The host's own bonnet in the picture."""
 
-    bonnet: Annotated[Real, reals(0, 0.4)] = added(0.0)
+    bonnet: Annotated[Real, reals(0, 0.3)] = added(0.0)
     gray: Fraction = added(0.0)
     gloss: Fraction = added(0.0)
 

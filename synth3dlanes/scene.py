@@ -251,7 +251,7 @@ class Weather(Part):
 class Host(Part):
     """The host's own bonnet: the share of the image's height that it fills (0: none), its gray and gloss."""
 
-    bonnet: Annotated[float, Field(ge=0, le=0.4)] = 0.0
+    bonnet: Annotated[float, Field(ge=0, le=0.3)] = 0.0
     gray: Unit = 0.0
     gloss: Unit = 0.0
 

@@ -10,7 +10,7 @@ from synth3dlanes.frames import Matrix4
 from synth3dlanes.geometry.meshes import Mesh, grid
 from synth3dlanes.scene import Camera
 
-HALF_WIDTH_M, FROM_M, TO_M = 0.78, 0.12, 1.6
+HALF_WIDTH_M, FROM_M, TO_M = 0.78, 0.02, 1.6
 # It falls towards the nose and the sides; two folds run along it.
 NOSE, SIDES, FOLD_M, FOLD_AT_M, FOLD_WIDTH_M = (0.05, 0.07, 0.10), (0.05, 0.12), 0.012, 0.42, 0.05
 SHAPE = (40, 48)

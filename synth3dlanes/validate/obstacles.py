@@ -21,8 +21,8 @@ ROOM = 1.15
 # at a truck's cab.
 CORE_SIDES, CORE_HEIGHT = ((-0.7, -0.7), (0.7, 0.2)), (0.38, 0.5)
 # The host's bonnet fills this box below its highest point, and lies in that one.
-BONNET_CORE = ((-0.6, 0.2, -0.6), (0.6, 1.3, -0.16))
-BONNET = ((-0.78, 0.12, -0.4), (0.78, 1.6, 0.02))
+BONNET_CORE = ((-0.6, 0.35, -0.3), (0.6, 1.3, -0.16))
+BONNET = ((-0.78, 0.02, -0.4), (0.78, 1.6, 0.02))
 # Number of lines of sight that may graze the core's edges.
 MAX_WRONG = 1
 # Largest number of points of a line behind twigs outside their boxes in 1,350 scenes.
