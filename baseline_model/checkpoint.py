@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from synth3dlanes.errors import FormatError, InputError
 
 from .config import CustomModel, TrainConfig, changed, parse
+from .data import FocalLengths
 from .inference import Detector
 from .model import LaneNet
 from .task import network_of
@@ -106,4 +107,6 @@ def detector(source: str | Path, device: torch.device, own_model: str | None = N
     """The network of a checkpoint, given as for `place`, ready to detect lanes."""
     checkpoint = load(place(source))
     model = checkpoint.config.model
-    return Detector(build(checkpoint, device, own_model), (model.image_height_px, model.image_width_px))
+    found = checkpoint.about.get("train", {}).get("focal_px")  # not in those of 0.1.0
+    trained = None if found is None else FocalLengths(*found)
+    return Detector(build(checkpoint, device, own_model), (model.image_height_px, model.image_width_px), trained)

@@ -22,6 +22,24 @@ from .poses import Pose
 
 Intrinsics = tuple[float, float, float, float]
 Pixels = UInt8[np.ndarray, "h w 3"]
+FOCAL_TOLERANCE = 1.05
+"""Focal lengths that differ by less count as equal."""
+
+
+class FocalLengths(NamedTuple):
+    """Those of the images that a network was trained on, in pixels of its input: the range of fx, and fy / fx."""
+
+    least_px: float
+    most_px: float
+    fy_by_fx: float
+
+    def nearest(self, fx: float, fy: float) -> tuple[float, float]:
+        """The fx and fy of training that are nearest to these, or these themselves if training had such."""
+        nearest_px = min(max(fx, self.least_px), self.most_px)
+        pairs = ((fx, nearest_px), (fy, fx * self.fy_by_fx))
+        if all(max(a, b) <= min(a, b) * FOCAL_TOLERANCE for a, b in pairs):
+            return fx, fy
+        return nearest_px, nearest_px * self.fy_by_fx
 
 
 @runtime_checkable
@@ -142,6 +160,12 @@ def intrinsics_of(labels: Labels) -> Intrinsics:
     return (float(matrix[0, 0]), float(-matrix[1, 2]), float(matrix[0, 1]), float(matrix[1, 1]))
 
 
+def img_from_cam(intrinsics: Intrinsics) -> Float[np.ndarray, "3 3"]:
+    """The labels' matrix for these intrinsics."""
+    fx, fy, cx, cy = intrinsics
+    return np.array([[fx, cx, 0.0], [0.0, cy, -fy], [0.0, 1.0, 0.0]])
+
+
 def size_of(image: Pixels) -> tuple[int, int]:
     """Height and width."""
     return (image.shape[0], image.shape[1])
@@ -154,6 +178,26 @@ def resize(image: Pixels, size_px: tuple[int, int]) -> UInt8[np.ndarray, "h2 w2 
         return image
     method = Image.Resampling.BOX if width < image.shape[1] else Image.Resampling.BILINEAR
     return np.array(Image.fromarray(image).resize((width, height), method))
+
+
+def fit(
+    image: Pixels, intrinsics: Intrinsics, size_px: tuple[int, int], trained: FocalLengths | None = None
+) -> tuple[UInt8[np.ndarray, "h2 w2 3"], Intrinsics]:
+    """The image as a network takes it, of `size_px` (height, width), and the intrinsics of that.
+
+    It is resized. If that gives focal lengths that training did not have, it is resized to the nearest that it had and
+    cropped, or extended by its border, so that lanes look as wide and as long as in training.
+    """
+    (height, width), from_px = size_px, size_of(image)
+    fx, fy, cx, cy = scale(intrinsics, from_px, size_px)
+    new_fx, new_fy = (fx, fy) if trained is None else trained.nearest(fx, fy)
+    small_px = (max(1, round(height * new_fy / fy)), max(1, round(width * new_fx / fx)))
+    small = resize(image, small_px)
+    fx, fy, small_cx, small_cy = scale(intrinsics, from_px, small_px)
+    left, top = round(cx - small_cx), round(cy - small_cy)
+    rows = np.clip(np.arange(height) - top, 0, small_px[0] - 1)
+    columns = np.clip(np.arange(width) - left, 0, small_px[1] - 1)
+    return small[rows][:, columns], (fx, fy, small_cx + left, small_cy + top)
 
 
 def scale(intrinsics: Intrinsics, from_px: tuple[int, int], to_px: tuple[int, int]) -> Intrinsics:

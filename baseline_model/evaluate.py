@@ -1,20 +1,20 @@
 """Score a checkpoint, or predictions from a file, against the labels of a split."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from dataclasses import astuple, replace
 from pathlib import Path
 
-from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels
 
 from . import checkpoint as checkpoints
 from .data import Samples
 from .flat_ground import through_flat_ground
+from .image_lines import tusimple_score
 from .inference import choose_device
-from .lanes import Prediction, read_predictions
+from .lanes import Prediction, read_by_key
 from .metrics import Evaluation, MetricConfig, Report
 from .sources import key_at, labels_at, open_split
-from .tusimple import TusimpleOnPlane, mean_accuracy
+from .tusimple import WHOLE_IMG_FROM_CAM, TusimpleOnPlane, check_plane
 
 Found = tuple[Labels, Prediction]
 
@@ -36,15 +36,9 @@ def evaluate_predictions(file: str | Path, data_dir: str | Path, config: MetricC
     """Score predictions in JSON lines (docs/baseline.md). Images without a line count as images without detections;
     unknown and repeated keys are errors."""
     samples = open_split(data_dir)
-    places = {key_at(samples, i): i for i in range(len(samples))}
-    given: dict[str, Prediction] = {}
-    for prediction in read_predictions(Path(file)):
-        if prediction.key not in places:
-            raise FormatError(f"{file}: expected keys of {data_dir}, got {prediction.key!r}")
-        if prediction.key in given:
-            raise FormatError(f"{file}: expected each key once, got {prediction.key!r} again")
-        given[prediction.key] = prediction
-    found = ((labels_at(samples, i), given.get(key, Prediction(key, (), None))) for key, i in places.items())
+    keys = [key_at(samples, i) for i in range(len(samples))]
+    given = read_by_key(Path(file), keys)
+    found = ((labels_at(samples, i), given.get(key, Prediction(key, (), None))) for i, key in enumerate(keys))
     return score_on(samples, found, config)
 
 
@@ -69,11 +63,13 @@ def score_on(samples: Samples, found: Iterable[Found], config: MetricConfig | No
 
     def kept() -> Iterator[Found]:
         for labels, prediction in found:
+            check_plane(prediction, samples.split.path)
             predictions.append(prediction)
             yield labels, prediction
 
     report = score(kept(), config)
-    return replace(report, tusimple=mean_accuracy(predictions, samples, report.config.threshold))
+    official = tusimple_score(predictions, samples.split, WHOLE_IMG_FROM_CAM, report.config.threshold)
+    return replace(report, tusimple=astuple(official))
 
 
 def score(found: Iterable[Found], config: MetricConfig | None = None) -> Report:

@@ -15,7 +15,7 @@ from synth3dlanes.errors import InputError
 from synth3dlanes.labels import Labels
 
 from .custom import LaneDetector
-from .data import Intrinsics, Pixels, Samples, pixels_on, resize, scale, size_of
+from .data import FocalLengths, Intrinsics, Pixels, Samples, fit, pixels_on
 from .lanes import AnchorLayout, Prediction, decode
 from .loading import labelled_batches
 from .model import LaneNet, Output
@@ -74,10 +74,12 @@ def run(model: LaneNet, images: Float[Tensor, "b 3 h w"], intrinsics: Float[Tens
 
 @dataclass(frozen=True, eq=False)
 class Detector:
-    """A trained network, ours or a user's, and the (height, width) of the images that it takes."""
+    """A trained network, ours or a user's, the (height, width) of the images that it takes, and the focal lengths of
+    those it was trained on, if they are known."""
 
     network: nn.Module
     size_px: tuple[int, int]
+    trained: FocalLengths | None = None
 
     @property
     def device(self) -> torch.device:
@@ -99,16 +101,16 @@ class Detector:
         """The lanes of images of any size with known intrinsics (fx, fy, cx, cy in pixels of each)."""
         for several in _batched(images, batch):
             keys = [key for key, _, _ in several]
-            pixels = np.stack([resize(image, self.size_px) for _, image, _ in several])
-            intrinsics = [scale(values, size_of(image), self.size_px) for _, image, values in several]
-            yield from self.in_batch(keys, torch.from_numpy(pixels).permute(0, 3, 1, 2), torch.tensor(intrinsics))
+            fitted = [fit(image, values, self.size_px, self.trained) for _, image, values in several]
+            pixels = torch.from_numpy(np.stack([image for image, _ in fitted])).permute(0, 3, 1, 2)
+            yield from self.in_batch(keys, pixels, torch.tensor([values for _, values in fitted]))
 
     def in_samples(
         self, samples: Samples, batch: int = 16, workers: int | None = None
     ) -> Iterator[tuple[Labels, Prediction]]:
         """The lanes of labelled images beside the labels, of which only the intrinsics are used. Worker processes
         decode; None: as many as there are cores to spare."""
-        for several in labelled_batches(samples, self.size_px, batch, workers, self.device):
+        for several in labelled_batches(samples, self.size_px, self.trained, batch, workers, self.device):
             yield from zip(several.labels, self.in_batch(several.keys, several.image, several.intrinsics), strict=True)
 
 

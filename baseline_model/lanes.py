@@ -4,7 +4,7 @@ Frame: lanes are in camera coordinates, as in the files of `evaluate --predictio
 """
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -121,6 +121,18 @@ def read_predictions(path: Path) -> Iterator[Prediction]:
         for number, line in enumerate(file, start=1):
             if line.strip():
                 yield _prediction(line, f"{path}:{number}")
+
+
+def read_by_key(path: Path, keys: Collection[str]) -> dict[str, Prediction]:
+    """Read predictions for images with these keys; unknown and repeated keys are errors."""
+    known, example, found = set(keys), next(iter(keys), ""), dict[str, Prediction]()
+    for prediction in read_predictions(path):
+        if prediction.key not in known:
+            raise FormatError(f"{path}: expected keys such as {example!r}, got {prediction.key!r}")
+        if prediction.key in found:
+            raise FormatError(f"{path}: expected each key once, got {prediction.key!r} again")
+        found[prediction.key] = prediction
+    return found
 
 
 def _lane_document(lane: Detection) -> dict[str, Any]:

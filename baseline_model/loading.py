@@ -37,15 +37,15 @@ from .config import TrainConfig
 from .data import (
     Annotation,
     Batch,
+    FocalLengths,
     Intrinsics,
     Pixels,
     Samples,
     annotation_of,
+    fit,
     intrinsics_of,
     pack,
     resize,
-    scale,
-    size_of,
 )
 from .sources import digest_of, image_at, key_at, labels_at
 
@@ -226,25 +226,30 @@ class Labelled(NamedTuple):
 
 
 class _LabelledImages(Dataset[tuple[str, Pixels, Intrinsics, Labels]]):
-    def __init__(self, samples: Samples, size_px: tuple[int, int]) -> None:
-        self._samples, self._size_px = samples, size_px
+    def __init__(self, samples: Samples, size_px: tuple[int, int], trained: FocalLengths | None) -> None:
+        self._samples, self._size_px, self._trained = samples, size_px, trained
 
     def __len__(self) -> int:
         return len(self._samples)
 
     def __getitem__(self, index: int) -> tuple[str, Pixels, Intrinsics, Labels]:
         sample = self._samples[index]
-        intrinsics = scale(intrinsics_of(sample.labels), size_of(sample.image), self._size_px)
-        return sample.key, resize(sample.image, self._size_px), intrinsics, sample.labels
+        image, intrinsics = fit(sample.image, intrinsics_of(sample.labels), self._size_px, self._trained)
+        return sample.key, image, intrinsics, sample.labels
 
 
 def labelled_batches(
-    samples: Samples, size_px: tuple[int, int], batch: int, workers: int | None, device: torch.device
+    samples: Samples,
+    size_px: tuple[int, int],
+    trained: FocalLengths | None,
+    batch: int,
+    workers: int | None,
+    device: torch.device,
 ) -> Iterator[Labelled]:
-    """All samples in order, for evaluation; the last batch may be smaller."""
+    """All samples in order, for evaluation, with images as `fit` makes them; the last batch may be smaller."""
     order = [list(range(start, min(start + batch, len(samples)))) for start in range(0, len(samples), batch)]
     n_workers = spare_cores() if workers is None else workers
-    return _loaded(_LabelledImages(samples, size_px), order, _collate_labelled, n_workers, device)
+    return _loaded(_LabelledImages(samples, size_px, trained), order, _collate_labelled, n_workers, device)
 
 
 def _collate_labelled(found: Sequence[tuple[str, Pixels, Intrinsics, Labels]]) -> Labelled:

@@ -1,6 +1,6 @@
 """Pictures like the paper's results figure: image and 3D side by side, ground truth blue, detections red."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -24,11 +24,12 @@ def save_overlay(
     image: UInt8[np.ndarray, "h w 3"],
     img_from_cam: Float[np.ndarray, "3 3"],
     prediction: Prediction,
-    labels: Labels | None,
+    truth: Labels | Sequence[Float[np.ndarray, "_ 2"]],
     threshold: float = 0.5,
 ) -> None:
     """Draw labels, and detections of at least this confidence, up to 80 m; centre lines solid, delimiters dashed.
-    Points that the ground hides, and those predicted to be hidden, are left out."""
+    Points that the ground hides, and those predicted to be hidden, are left out. `truth` may be lines in the image
+    only, or none."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
@@ -41,6 +42,9 @@ def save_overlay(
     left.imshow(image)
     left.set(xlim=(0, width), ylim=(height, 0), title=prediction.key)
     left.set_axis_off()
+    labels = truth if isinstance(truth, Labels) else None
+    for line_px in () if isinstance(truth, Labels) else truth:
+        left.plot(*(line_px - 0.5).T, color=TRUTH, linewidth=1.4)
     pose = Pose(labels.camera.pitch_rad, labels.camera.height_m) if labels is not None else prediction.pose
     to_road = np.eye(4) if pose is None else road_from_cam(pose)
     for colour, style, xyz_cam in _curves(prediction, labels, threshold):
@@ -53,7 +57,7 @@ def save_overlay(
     right.set(xlabel="x right [m]", ylabel="y forward [m]", zlabel="z up [m]", ylim=(0, FAR_M), xlim=(-12, 12))
     right.set_box_aspect((1.0, 2.0, 0.6))
     right.view_init(elev=25, azim=-70)
-    shown = [(FOUND, f"detections, confidence {threshold:g} or more"), *([(TRUTH, "ground truth")] if labels else [])]
+    shown = [(FOUND, f"detections, confidence {threshold:g} or more"), *([(TRUTH, "ground truth")] if truth else [])]
     handles = [Line2D([], [], color=colour, label=text) for colour, text in shown]
     handles += [Line2D([], [], color="#666666", linestyle=style, label=kind) for kind, style in STYLES.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)

@@ -1,7 +1,7 @@
 """Detect lanes in a split, in image files or in folders of images; write predictions and pictures."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,14 +12,15 @@ from synth3dlanes.formats.reading import read_image
 from synth3dlanes.labels import Labels
 
 from . import checkpoint as checkpoints
-from .data import Intrinsics, intrinsics_of, size_of
+from .data import Intrinsics, img_from_cam, intrinsics_of, size_of
 from .inference import choose_device
 from .lanes import Prediction, write_predictions
 from .overlay import save_overlay
-from .sources import open_split
+from .photographs import open_tusimple
+from .sources import image_files, open_split
+from .tusimple import check_plane
 
 ASSUMED_FOV_DEG = 60.0
-IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp")
 
 
 @dataclass(eq=False)
@@ -52,6 +53,7 @@ class _Picture:
     image: UInt8[np.ndarray, "h w 3"]
     intrinsics: Intrinsics
     labels: Labels | None
+    lines_px: Sequence[Float[np.ndarray, "_ 2"]] = ()
 
 
 def predict(
@@ -67,14 +69,16 @@ def predict(
     """Write `predictions.jsonl` and the first `n_overlays` pictures, with lanes of at least this confidence, to
     `out_dir`.
 
-    `source` is a split of a dataset, an image, or a folder of images. `intrinsics` are those of images (fx, fy, cx, cy
-    in their pixels); None: a camera with a field of view of 60 degrees, as that of the paper, is assumed."""
+    `source` is a split of a dataset, an image, a folder of images, or a label file of tuSimple or a folder with one.
+    `intrinsics` are those of images (fx, fy, cx, cy in their pixels). None: images are taken for those of a camera with
+    a field of view of 60 degrees, as that of the paper; for tuSimple, only the variant on a fixed plane works."""
     detector = checkpoints.detector(checkpoint, choose_device(device), own_model)
     pictures = _pictures(source, intrinsics)
     out = Path(out_dir)
     out.mkdir(parents=True, exist_ok=True)
     summary = Summary(out / "predictions.jsonl", threshold)
-    summary.is_assumed = intrinsics is None and bool(_image_files(source))
+    summary.is_assumed = intrinsics is None and bool(image_files(source))
+    needs_plane = intrinsics is None and not image_files(source) and open_tusimple(source) is not None
     shown: list[_Picture] = []
 
     def images() -> Iterator[tuple[str, UInt8[np.ndarray, "h w 3"], Intrinsics]]:
@@ -85,11 +89,14 @@ def predict(
 
     def kept() -> Iterator[Prediction]:
         for number, prediction in enumerate(detector.in_images(images())):
+            if needs_plane:
+                check_plane(prediction, source)
             if number < n_overlays:
                 picture = shown[number]
                 name = picture.key.replace("/", "_").rsplit(".", 1)[0]
                 matrix = img_from_cam(picture.intrinsics)
-                save_overlay(out / f"{name}.png", picture.image, matrix, prediction, picture.labels, threshold)
+                truth = picture.labels if picture.labels is not None else picture.lines_px
+                save_overlay(out / f"{name}.png", picture.image, matrix, prediction, truth, threshold)
             summary.n_images += 1
             summary.n_lanes += sum(lane.score >= threshold for lane in prediction.lanes)
             summary.best_score = max([summary.best_score, *(lane.score for lane in prediction.lanes)])
@@ -99,15 +106,13 @@ def predict(
     return summary
 
 
-def img_from_cam(intrinsics: Intrinsics) -> Float[np.ndarray, "3 3"]:
-    """The labels' matrix for these intrinsics."""
-    fx, fy, cx, cy = intrinsics
-    return np.array([[fx, cx, 0.0], [0.0, cy, -fy], [0.0, 1.0, 0.0]])
-
-
 def _pictures(source: str | Path, intrinsics: Intrinsics | None) -> Iterator[_Picture]:
     """The source's images; the source is opened at once, images are read on iteration."""
-    files = _image_files(source)
+    frames = None if intrinsics is None else open_tusimple(source)
+    if intrinsics is not None and frames is not None:
+        keys = enumerate(frames.keys())
+        return (_Picture(key, frames.image(i), intrinsics, None, frames.lines_px(i)) for i, key in keys)
+    files = image_files(source)
     if files:
         return (_of_file(file, intrinsics) for file in files)
     samples = open_split(source)
@@ -125,14 +130,3 @@ def assumed_intrinsics(size_px: tuple[int, int]) -> Intrinsics:
     height, width = size_px
     focal_px = width / 2 / math.tan(math.radians(ASSUMED_FOV_DEG / 2))
     return (focal_px, focal_px, width / 2, height / 2)
-
-
-def _image_files(source: str | Path) -> list[Path]:
-    if "://" in str(source):
-        return []
-    source = Path(source)
-    if source.is_file() and source.suffix.lower() in IMAGE_SUFFIXES:
-        return [source]
-    if source.is_dir():
-        return sorted(path for path in source.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
-    return []

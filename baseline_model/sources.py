@@ -17,13 +17,15 @@ from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.remove_roll import image_without_roll, labels_without_roll
 from synth3dlanes.formats.apollo.read import ApolloSplit
 from synth3dlanes.formats.openlane.read import OpenLaneSplit, is_openlane
-from synth3dlanes.formats.tusimple.read import TusimpleSplit, is_tusimple
+from synth3dlanes.formats.tusimple.read import TusimpleSplit, find_labels
 from synth3dlanes.labels import Labels
 
-from .data import LabelledImage, Pixels, Samples
+from .data import FocalLengths, LabelledImage, Pixels, Samples, intrinsics_of, scale
 from .tusimple import TusimpleOnPlane
 
 ROLL = "camera_roll_rad"
+MEASURED = 200
+IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp")
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,11 +102,14 @@ def open_split(path: str | Path) -> Samples:
     """Random access to labelled images. A split of ours is `DIR/SPLIT`; one of Apollo or tuSimple is its JSON-lines
     file (Apollo's images are in a folder above it); one of OpenLane is `.../lane3d_1000/SPLIT`, beside `.../images`."""
     text = str(path)
-    if text.endswith(".json"):
-        file = Path(path)
-        return TusimpleOnPlane(TusimpleSplit(file)) if is_tusimple(file) else ApolloSplit(file)
-    if "://" not in text and is_openlane(Path(path)):
-        return OpenLaneSplit(Path(path))
+    if "://" not in text:
+        labels = find_labels(Path(path))
+        if labels is not None:
+            return TusimpleOnPlane(TusimpleSplit(labels))
+        if text.endswith(".json"):
+            return ApolloSplit(Path(path))
+        if is_openlane(Path(path)):
+            return OpenLaneSplit(Path(path))
     return Upright(Reader(text, columns=(ROLL,)))
 
 
@@ -129,6 +134,26 @@ def describe(validation: Samples) -> str:
     if not isinstance(validation, Chosen):
         return what
     return f"{what} of the training split, as there is no validation split"
+
+
+def focal_lengths(samples: Samples, size_px: tuple[int, int]) -> FocalLengths:
+    """Those of at most MEASURED of the samples, evenly chosen, in images of `size_px` (height, width)."""
+    focal_px = []
+    for index in np.linspace(0, len(samples) - 1, min(MEASURED, len(samples))).astype(int).tolist():
+        labels = labels_at(samples, index)
+        fx, fy, _, _ = scale(intrinsics_of(labels), (labels.camera.height_px, labels.camera.width_px), size_px)
+        focal_px.append((fx, fy))
+    fx_px, fy_px = np.array(focal_px).T
+    return FocalLengths(float(fx_px.min()), float(fx_px.max()), float(np.median(fy_px / fx_px)))
+
+
+def image_files(source: str | Path) -> list[Path]:
+    """The image file that a path names, or those of a folder by name."""
+    if "://" in str(source):
+        return []
+    source = Path(source)
+    files = [source] if source.is_file() else sorted(source.iterdir()) if source.is_dir() else []
+    return [file for file in files if file.suffix.lower() in IMAGE_SUFFIXES]
 
 
 def key_at(samples: Samples, index: int) -> str:

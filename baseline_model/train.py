@@ -28,7 +28,7 @@ from .model import LaneNet
 from .progress import Log
 from .report import to_document
 from .run_state import Run, prepare, save, start_process
-from .sources import describe, training_and_validation
+from .sources import describe, focal_lengths, training_and_validation
 from .task import Terms, task_of
 
 SAVE_EVERY_S = 300.0
@@ -78,8 +78,9 @@ def plan_on(config: TrainConfig, train_samples: Samples, val_samples: Samples, o
 def train_on(config: TrainConfig, train_samples: Samples, val_samples: Samples, out_dir: Path) -> Path:
     """Train and validate on any samples."""
     process = start_process(config)
+    size_px = (config.model.image_height_px, config.model.image_width_px)
     about: dict[str, Any] = {
-        "train": {"n_images": len(train_samples)},
+        "train": {"n_images": len(train_samples), "focal_px": [*focal_lengths(train_samples, size_px)]},
         "val": {"n_images": len(val_samples)},
         "torch": str(torch.__version__),
     }

@@ -1,28 +1,28 @@
-"""The image-only variant (paper, 4.4): convert tuSimple's image lines to lanes on a fixed plane, and back.
+"""The image-only variant (paper, 4.4): convert tuSimple's image lines to lanes on a fixed plane.
 
 A fixed pose replaces the paper's hand-picked homography: 9 deg and 1.6 m make straight lanes parallel in the top view.
 The top 80 rows of images are cropped, as in public implementations.
 """
 
-from collections.abc import Iterable
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
+from synth3dlanes.errors import InputError
 from synth3dlanes.formats.reading import ForeignSample
-from synth3dlanes.formats.tusimple.convention import ABSENT
 from synth3dlanes.formats.tusimple.read import TusimpleSplit
-from synth3dlanes.formats.tusimple.score import mean_score, score_frame
-from synth3dlanes.frames import project, transform
+from synth3dlanes.frames import transform
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph
 
-from .lanes import Detection, Prediction
+from .lanes import Prediction
 from .poses import Pose, onto_plane, road_from_cam
 
 SIZE_PX = (1280, 640)
 CROP_TOP_PX = 80
 IMG_FROM_CAM = np.array([[1000.0, 640.0, 0.0], [0.0, 320.0, -1000.0], [0.0, 1.0, 0.0]])
+WHOLE_IMG_FROM_CAM = np.array([[1000.0, 640.0, 0.0], [0.0, 320.0 + CROP_TOP_PX, -1000.0], [0.0, 1.0, 0.0]])
 POSE = Pose(float(np.radians(9.0)), 1.6)
 FAR_M = 110.0
 
@@ -70,26 +70,11 @@ def _lane_points(points_img: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "m 3
     return xyz_cam[order[y_m[order] <= FAR_M]]
 
 
-def image_line(lane: Detection, rows_px: Float[np.ndarray, " r"]) -> Int[np.ndarray, " r"]:
-    """The lane's x at each row of the uncropped image; -2 above its last point and outside the image."""
-    uv = project(IMG_FROM_CAM, lane.xyz_cam)
-    uv = uv[np.isfinite(uv).all(1)]
-    uv = uv[np.argsort(uv[:, 1])]
-    if len(uv) < 2:
-        return np.full(len(rows_px), ABSENT)
-    u_px = np.interp(rows_px - CROP_TOP_PX, uv[:, 1], uv[:, 0], left=ABSENT, right=ABSENT)
-    return np.where((u_px >= 0) & (u_px < SIZE_PX[0]), np.rint(u_px).astype(int), ABSENT)
-
-
-def mean_accuracy(
-    predictions: Iterable[Prediction], samples: TusimpleOnPlane, threshold: float = 0.5
-) -> tuple[float, float, float]:
-    """Means of accuracy, false positive and false negative rate over the split."""
-    scores = []
-    for index, prediction in enumerate(predictions):
-        frame = samples.split.frame(index)
-        rows_px = frame.rows_px.astype(float)
-        kept = [lane for lane in prediction.lanes if lane.kind == "delimiter" and lane.score >= threshold]
-        found = np.array([image_line(lane, rows_px) for lane in kept], dtype=float).reshape(-1, len(rows_px))
-        scores.append(score_frame(frame.lanes_u_px, found, rows_px))
-    return astuple(mean_score(scores))
+def check_plane(prediction: Prediction, labels: str | Path) -> None:
+    """Raise InputError where lanes were not found with the fixed pose: without the camera, nobody can tell where in the
+    image they are."""
+    if prediction.lanes and (prediction.pose is None or not np.allclose(prediction.pose, POSE, atol=1e-3)):
+        raise InputError(
+            f"{labels}: expected --intrinsics FX,FY,CX,CY of its camera, which tuSimple does not publish "
+            "(docs/real_images.md has an estimate); only the model `tusimple` needs none"
+        )

@@ -13,7 +13,7 @@ from shapes import Shape, grid_faces
 
 from synth3dlanes.assets.catalogue import CarModel
 
-PAINT, GLASS, TYRE, RIM, TRIM, HEAD, TAIL, PLATE = range(8)
+PAINT, GLASS, TYRE, RIM, TRIM, HEAD, TAIL, PLATE, LIVERY = range(9)
 
 Knots = tuple[tuple[float, float], ...]
 

@@ -1,7 +1,10 @@
-"""The six cars of the catalogue: body styles, wheels, lamps, plates and trim."""
+"""The cars of the catalogue: body styles, wheels, lamps, plates and trim."""
+
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
-from car_body import GLASS, HEAD, PAINT, PLATE, RIM, TAIL, TRIM, TYRE, cabin, flank, lower_body
+from car_body import GLASS, HEAD, LIVERY, PAINT, PLATE, RIM, TAIL, TRIM, TYRE, cabin, flank, lower_body
 from car_styles import STYLES
 from shapes import Shape, lathe_x, rounded_box, tube
 
@@ -15,6 +18,11 @@ def box(
     for side in (1, -1) if x else (1,):
         vertices, faces = rounded_box((side * x, y, z), size, r, n)
         shape.add(vertices, faces, material)
+
+
+FIRST_MODELS = ("hatchback", "sedan", "suv", "pickup", "van", "truck")
+# A box with edges that are only bevelled.
+slab = partial(box, n=1)
 
 
 def wheel(shape: Shape, model: CarModel, x: float, y: float, width: float) -> None:
@@ -34,7 +42,9 @@ def wheel(shape: Shape, model: CarModel, x: float, y: float, width: float) -> No
         ]
     )
     vertices, faces = lathe_x(tread * [out, 1], 24, (x, y, radius))
-    shape.add(vertices, faces if out < 0 else faces[:, ::-1], TYRE)
+    # The treads of the first models face inwards, which the pictures of older recipes show.
+    is_outward = (out > 0) == (model.name not in FIRST_MODELS)
+    shape.add(vertices, faces if is_outward else faces[:, ::-1], TYRE)
     dish = np.array([(half, rim), (half - 0.012, 0.94 * rim), (half - 0.05, 0.9 * rim), (half - 0.055, 0.0)])
     vertices, faces = lathe_x(dish * [out, 1], 24, (x, y, radius))
     shape.add(vertices, faces if out < 0 else faces[:, ::-1], np.repeat([RIM, RIM, TRIM], 24))
@@ -49,12 +59,11 @@ def wheel(shape: Shape, model: CarModel, x: float, y: float, width: float) -> No
 
 def wheels(shape: Shape, model: CarModel) -> None:
     """Four wheels (the truck's rear ones doubled), arch lips and the floor between them."""
-    half_track, half_base = model.track_m / 2, model.wheelbase_m / 2
-    width = 0.62 * model.wheel_radius_m + (0.02 if model.name != "truck" else -0.02)
+    half_base = model.wheelbase_m / 2
+    width = 0.62 * model.wheel_radius_m + (0.02 if model.name not in HEAVY else -0.02)
     for side in (1, -1):
-        for axle in (half_base, -half_base):
-            twin = model.name == "truck" and axle < 0
-            wheel(shape, model, side * (half_track - (0.06 if twin else 0)), axle, width + (0.26 if twin else 0))
+        axle_end(shape, model, side, half_base, width)
+        axle_end(shape, model, side, -half_base, width, is_twin=model.name in HEAVY)
     box(
         shape,
         TRIM,
@@ -64,6 +73,12 @@ def wheels(shape: Shape, model: CarModel) -> None:
         (model.track_m - width - 0.14, model.wheelbase_m + 0.9, 0.36),
         0.05,
     )
+
+
+def axle_end(shape: Shape, model: CarModel, side: int, y: float, width: float, is_twin: bool = False) -> None:
+    """The wheel, or pair of wheels, at one end of an axle."""
+    half_track = model.track_m / 2
+    wheel(shape, model, side * (half_track - (0.06 if is_twin else 0)), y, width + (0.26 if is_twin else 0))
 
 
 def arch_lips(shape: Shape, model: CarModel, material: int, thickness_m: float) -> None:
@@ -237,7 +252,128 @@ def truck(model: CarModel) -> Shape:
     return shape
 
 
-BUILD = {"hatchback": hatchback, "sedan": sedan, "suv": suv, "pickup": pickup, "van": van, "truck": truck}
+def compact(model: CarModel) -> Shape:
+    """A small saloon with a short boot and high lamps."""
+    shape = body(model, (0.9, -0.08, -0.9), (0.05, -0.8))
+    rear(shape, model, {"lamp": 0.90, "bumper": 0.49, "plate": 0.66}, (0.34, 0.18), 0.20)
+    front(shape, model, 0.66, 0.43)
+    mirrors(shape, model, 0.80, 1.02, (0.17, 0.10, 0.13))
+    arch_lips(shape, model, PAINT, 0.012)
+    box(shape, TRIM, 0, -model.length_m / 2 + 0.030, 0.60, (1.4, 0.03, 0.012), 0.004)
+    return shape
+
+
+def estate(model: CarModel) -> Shape:
+    """A saloon's front, a long roof with rails, and lamps that wrap around the corners."""
+    shape = body(model, (0.98, -0.03, -0.98), (0.08, -0.86))
+    rear(shape, model, {"lamp": 0.92, "bumper": 0.50, "plate": 0.76}, (0.40, 0.17), 0.24)
+    front(shape, model, 0.64, 0.43)
+    mirrors(shape, model, 0.84, 1.01, (0.18, 0.10, 0.13))
+    arch_lips(shape, model, PAINT, 0.012)
+    box(shape, RIM, 0.60, -0.75, 1.485, (0.035, 2.1, 0.03), 0.012)
+    box(shape, PAINT, 0, -1.97, 1.405, (1.16, 0.20, 0.03), 0.012)
+    box(shape, TAIL, 0, -2.075, 1.40, (0.34, 0.015, 0.02), 0.005)
+    return shape
+
+
+def crossover(model: CarModel) -> Shape:
+    """A raised hatchback with a sloping rear window, dark cladding and a lamp bar across the tail."""
+    shape = body(model, (0.82, -0.08, -0.9), (0.04, -0.78))
+    rear(shape, model, {"lamp": 0.98, "bumper": 0.56, "plate": 0.80}, (0.34, 0.15), 0.22)
+    front(shape, model, 0.76, 0.51)
+    mirrors(shape, model, 0.74, 1.13, (0.18, 0.10, 0.14))
+    arch_lips(shape, model, TRIM, 0.026)
+    box(shape, TAIL, 0, -model.length_m / 2 + 0.02, 0.99, (1.1, 0.05, 0.03), 0.01)
+    return shape
+
+
+def semitrailer(model: CarModel) -> Shape:
+    """A cab-over tractor and a box trailer of three axles. The model's axles are the middles of the tractor's two and
+    of the trailer's three; the box has the livery's colour, the cab the body's."""
+    shape, tail, half = Shape(), -model.length_m / 2, model.width_m / 2
+    tractor = replace(model, wheelbase_m=2 * STEERED_M)
+    lower_body(shape, tractor, STYLES[model.name])
+    cabin(shape, tractor, STYLES[model.name])
+    doors(shape, tractor, (7.85, 6.95), (7.05,))
+    front(shape, model, 0.80, 0.58)
+    mirrors(shape, model, 7.95, 2.25, (0.16, 0.14, 0.55))
+    box(shape, PAINT, 0, 6.85, 3.30, (2.1, 1.7, 1.10), 0.35, 3)
+    middle = model.wheelbase_m / 2
+    for side in (1, -1):
+        axle_end(shape, model, side, STEERED_M, 0.30)
+        axle_end(shape, model, side, 2 * middle - STEERED_M, 0.30, is_twin=True)
+        for offset in (1.31, 0.0, -1.31):
+            axle_end(shape, model, side, offset - middle, 0.38)
+    box(shape, TRIM, 0, 4.9, 0.82, (0.90, 5.6, 0.34), 0.03)
+    slab(shape, RIM, 0.92, 4.85, 0.72, (0.50, 1.5, 0.56), 0.10)
+    slab(shape, TRIM, 0.98, 3.25, 1.06, (0.52, 1.3, 0.05), 0.02)
+    length, front_y = 13.6, tail + 13.6
+    box(shape, LIVERY, 0, front_y - length / 2, 2.575, (model.width_m, length, 2.85), 0.03)
+    slab(shape, RIM, half - 0.05, tail + 0.05, 2.575, (0.11, 0.11, 2.84), 0.01)
+    for z in (3.945, 1.20):
+        slab(shape, RIM, 0, tail + 0.05, z, (model.width_m, 0.11, 0.10), 0.01)
+    for x in (0.28, 0.85):
+        slab(shape, RIM, x, tail + 0.005, 2.575, (0.035, 0.03, 2.7), 0.008)
+    slab(shape, TRIM, 0, tail + 0.008, 2.575, (0.022, 0.02, 2.72), 0.002)
+    slab(shape, RIM, half - 0.01, front_y - length / 2, 1.20, (0.03, length - 0.1, 0.10), 0.01)
+    slab(shape, TRIM, 0.48, -1.7, 1.02, (0.14, 12.6, 0.26), 0.02)
+    slab(shape, TRIM, 0.98, -5.05, 1.09, (0.50, 3.9, 0.05), 0.02)
+    slab(shape, TRIM, 1.16, -0.55, 0.78, (0.04, 5.6, 0.42), 0.015)
+    slab(shape, TRIM, 0.85, 2.05, 0.60, (0.12, 0.16, 0.80), 0.02)
+    slab(shape, TRIM, 0, tail + 0.16, 0.55, (2.3, 0.10, 0.14), 0.02)
+    slab(shape, TAIL, 0.95, tail + 0.10, 0.92, (0.42, 0.08, 0.15), 0.02)
+    slab(shape, PLATE, 0, tail + 0.095, 0.58, (0.50, 0.03, 0.11), 0.006)
+    return shape
+
+
+def bus(model: CarModel) -> Shape:
+    """A low-floor city bus: windows all around, three doors on the right, a destination sign, a band of livery."""
+    shape, nose, half = Shape(), model.length_m / 2, model.width_m / 2
+    lower_body(shape, model, STYLES[model.name])
+    wheels(shape, model)
+    box(shape, GLASS, 0, 0.0, 1.86, (2 * half - 0.11, 2 * nose - 0.08, 1.60), 0.12, 3)
+    box(shape, PAINT, 0, 0.0, 2.78, (2 * half - 0.08, 2 * nose - 0.03, 0.44), 0.16, 3)
+    slab(shape, PAINT, 0, -1.2, 3.02, (1.7, 6.0, 0.16), 0.05)
+    for y in (-4.55, -3.1, -1.65, -0.2, 1.25, 2.7, 4.15):
+        slab(shape, TRIM, half - 0.05, y, 1.9, (0.02, 0.07, 1.36), 0.006)
+    box(shape, PAINT, half - 0.06, -5.5, 1.9, (0.07, 0.95, 1.42), 0.03)
+    slab(shape, LIVERY, half - 0.022, 0, 1.16, (0.05, 2 * nose - 0.9, 0.20), 0.015)
+    for y in (4.95, 0.1, -4.0):
+        for part, material, size in (
+            (0.0, TRIM, (0.06, 1.36, 2.12)),
+            (0.33, GLASS, (0.075, 0.58, 1.96)),
+            (-0.33, GLASS, (0.075, 0.58, 1.96)),
+        ):
+            shape.add(*rounded_box((half - 0.024, y + part, 1.46), size, 0.01, 1), material)
+    slab(shape, TRIM, 0, nose - 0.025, 2.72, (1.9, 0.04, 0.30), 0.01)
+    slab(shape, TRIM, 0, nose - 0.045, 1.9, (0.05, 0.02, 1.36), 0.006)
+    front(shape, model, 0.78, 0.52)
+    mirrors(shape, model, nose - 0.12, 2.15, (0.14, 0.12, 0.36))
+    box(shape, PAINT, 0, 0.05 - nose, 1.42, (2 * half - 0.10, 0.08, 0.86), 0.03)
+    slab(shape, TRIM, 0, 0.012 - nose, 0.98, (1.5, 0.03, 0.42), 0.01)
+    for z, height in ((1.30, 0.34), (0.92, 0.24)):
+        box(shape, TAIL, half - 0.24, 0.02 - nose, z, (0.16, 0.05, height), 0.03)
+    slab(shape, TRIM, 0, 0.09 - nose, 0.45, (2 * half - 0.30, 0.14, 0.20), 0.04)
+    slab(shape, PLATE, 0, 0.012 - nose, 0.68, (0.50, 0.03, 0.11), 0.008)
+    slab(shape, TRIM, 0, 0.012 - nose, 2.76, (0.7, 0.03, 0.24), 0.01)
+    return shape
+
+
+# Models with doubled rear wheels, and the station of the tractor's steered axle.
+HEAVY, STEERED_M = ("truck", "bus"), 6.85
+BUILD = {
+    "hatchback": hatchback,
+    "sedan": sedan,
+    "suv": suv,
+    "pickup": pickup,
+    "van": van,
+    "truck": truck,
+    "compact": compact,
+    "estate": estate,
+    "crossover": crossover,
+    "semitrailer": semitrailer,
+    "bus": bus,
+}
 
 
 def build_all() -> list[tuple[CarModel, Shape]]:

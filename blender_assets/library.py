@@ -7,6 +7,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from car_body import LIVERY
 from cars import build_all
 from jaxtyping import Float, Int
 from trees import Tree, fit, grow_all
@@ -23,6 +24,19 @@ FOLIAGE = {  # linear reflectance at either end of the random range
     "dead": ((0.1, 0.1, 0.1), (0.1, 0.1, 0.1)),
     "young": ((0.090, 0.140, 0.034), (0.170, 0.180, 0.055)),
 }
+# Share and linear reflectance of the colours of liveries.
+LIVERIES = (
+    (0.42, (0.62, 0.62, 0.60)),
+    (0.14, (0.30, 0.31, 0.32)),
+    (0.12, (0.020, 0.060, 0.230)),
+    (0.10, (0.36, 0.016, 0.016)),
+    (0.08, (0.50, 0.33, 0.02)),
+    (0.08, (0.018, 0.130, 0.050)),
+    (0.06, (0.42, 0.10, 0.012)),
+)
+# Light through a leaf as shares of what it reflects: yellower, and about as much.
+TRANSMITTED = (1.15, 1.3, 0.5)
+PASSED = (0.9, 1.0, 0.5)
 BARKS = {"conifer": (0.085, 0.055, 0.038), "dead": (0.16, 0.145, 0.125), "poplar": (0.15, 0.14, 0.115)}
 
 
@@ -56,6 +70,20 @@ def car_materials() -> list[bpy.types.Material]:
     ]
 
 
+def livery() -> bpy.types.Material:
+    """A second colour for a truck's box or a bus's band, by the object's random number: mostly white."""
+    material, graph = new_material("car_livery", CAR_ID)
+    ramp = graph.node("ShaderNodeValToRGB", {"Fac": graph.node("ShaderNodeObjectInfo").outputs["Random"]})
+    ramp.color_ramp.interpolation = "CONSTANT"
+    for number, (_, color) in enumerate(LIVERIES):
+        start = sum(share for share, _ in LIVERIES[:number])
+        element = ramp.color_ramp.elements[0] if number == 0 else ramp.color_ramp.elements.new(start)
+        element.color = (*color, 1.0)
+    ramp.color_ramp.elements.remove(ramp.color_ramp.elements[-1])
+    coated(graph, ramp.outputs["Color"], 0.3, 0.6)
+    return material
+
+
 def bark(name: str) -> bpy.types.Material:
     """Matt wood."""
     material, graph = new_material(f"{name}_bark", TREE_ID)
@@ -64,7 +92,7 @@ def bark(name: str) -> bpy.types.Material:
 
 
 def leaf(name: str) -> bpy.types.Material:
-    """Leaves: a colour by the tree's own random number, times the leaf's shade."""
+    """Leaves: a colour by the tree's own random number, times the leaf's shade. `translucency` lets light through."""
     material, graph = new_material(f"{name}_leaf", TREE_ID)
     info = graph.node("ShaderNodeObjectInfo")
     shade = graph.node("ShaderNodeAttribute", {}, attribute_name="shade")
@@ -73,7 +101,17 @@ def leaf(name: str) -> bpy.types.Material:
     geometry = graph.node("ShaderNodeNewGeometry")  # keep the normal out of the crown on a leaf's back, too
     side = graph.math("MULTIPLY_ADD", geometry.outputs["Backfacing"], -2.0, 1.0)
     normal = graph.scale(geometry.outputs["Normal"], side)
-    graph.surface(graph.node("ShaderNodeBsdfDiffuse", {"Color": color.outputs[0], "Normal": normal}))
+    opaque = graph.node("ShaderNodeBsdfDiffuse", {"Color": color.outputs[0], "Normal": normal}).outputs[0]
+    through = graph.vector("MULTIPLY", color.outputs[0], TRANSMITTED)
+    back = graph.node("ShaderNodeBsdfTranslucent", {"Color": through, "Normal": normal}).outputs[0]
+    lit = graph.node("ShaderNodeAddShader", {0: opaque, 1: back}).outputs[0]
+    share = graph.value("translucency")
+    leaf = graph.node("ShaderNodeMixShader", {0: share, 1: opaque, 2: lit}).outputs[0]
+    # Light goes on through leaves to others. Without translucency, Cycles drops all but the opaque leaf.
+    is_shadow = graph.node("ShaderNodeLightPath").outputs["Is Shadow Ray"]
+    passed = graph.node("ShaderNodeBsdfTransparent", {"Color": PASSED}).outputs[0]
+    unshaded = graph.math("MULTIPLY", is_shadow, graph.math("MULTIPLY", share, 0.5))
+    graph.surface(graph.node("ShaderNodeMixShader", {0: unshaded, 1: leaf, 2: passed}))
     return material
 
 
@@ -103,11 +141,12 @@ def to_mesh(
 
 
 def cars() -> set[bpy.types.ID]:
-    """The six cars, smooth but for edges sharper than 40 degrees."""
-    slots = car_materials()
+    """The cars, smooth but for edges sharper than 40 degrees."""
+    slots, livered = car_materials(), livery()
     meshes = set()
     for model, shape in build_all():
-        mesh = to_mesh(model.name, *shape.arrays(), slots)
+        vertices, faces, materials = shape.arrays()
+        mesh = to_mesh(model.name, vertices, faces, materials, slots + [livered] * int(LIVERY in materials))
         mesh.set_sharp_from_angle(angle=np.deg2rad(40))
         meshes.add(mesh)
     return meshes

@@ -82,7 +82,10 @@ class PartOf(click.ParamType):
 @samples_option
 @passes_option
 @click.option(
-    "--image-format", type=click.Choice(["jpg", "png"]), default="jpg", help="jpg has quality 95; png is lossless."
+    "--image-format",
+    type=click.Choice(["jpg", "png"]),
+    default="jpg",
+    help="jpg has quality 95 (sensor.jpeg_quality); png is lossless.",
 )
 @click.option(
     "--executor",

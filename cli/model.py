@@ -4,13 +4,16 @@ import importlib.util
 import os
 import re
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
 from synth3dlanes.errors import InputError, MissingPackageError
 
 from .options import json_option
+
+if TYPE_CHECKING:
+    from synth3dlanes_baseline.photographs import Photographs
 
 MODEL_NAMES = ("paper", "compact", "small", "nano", "tiny", "improved", "tusimple")
 ROW_NAMES = (
@@ -44,6 +47,7 @@ own_model_option = click.option(
     metavar="MODULE:FUNCTION",
     help="The network of your own that the checkpoint was trained with.",
 )
+INTRINSICS = "FX,FY,CX,CY|FILE"
 changes_option = click.option(
     "--set",
     "changes",
@@ -138,8 +142,9 @@ def train(
 )
 @click.option(
     "--intrinsics",
-    metavar="FX,FY,CX,CY",
-    help="Camera intrinsics of image files in pixels; without them, a field of view of 60 degrees is assumed.",
+    metavar=INTRINSICS,
+    help="Camera intrinsics of image files in pixels, or a calibration file of KITTI; without them, a field of view of "
+    "60 degrees is assumed.",
 )
 @click.option(
     "--threshold",
@@ -162,8 +167,8 @@ def predict(
     own_model: str | None,
     device: str,
 ) -> None:
-    """Detect lanes in a split, an image or a folder of images, with the network of a checkpoint or, without one, the
-    small network `nano` that this package brings.
+    """Detect lanes in a split, an image, a folder of images or the images of a tuSimple label file, with the network of
+    a checkpoint or, without one, the small network `nano` that this package brings.
 
     Writes OUT/predictions.jsonl, and pictures of the lanes in the image and in 3D.
     """
@@ -177,7 +182,7 @@ def predict(
 
 
 @click.command()
-@click.argument("source", metavar="DIR/SPLIT")
+@click.argument("source", metavar="DIR/SPLIT|FOLDER")
 @click.option(
     "--checkpoint", metavar="FILE|nano", help="Trained network to score; nano is the one that this package brings."
 )
@@ -202,6 +207,16 @@ def predict(
     help="Pose that maps predictions to the road: from the labels (camera) or predicted (road_raw).",
 )
 @click.option(
+    "--intrinsics",
+    metavar=INTRINSICS,
+    help="Camera intrinsics of photographs in pixels, or a calibration file of KITTI (docs/real_images.md).",
+)
+@click.option(
+    "--lane-masks",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Score images by KITTI's masks of the host's lane in this folder.",
+)
+@click.option(
     "--plots",
     type=click.Path(dir_okay=False, path_type=Path),
     help="Plot precision against recall, and error against distance, to this PNG file.",
@@ -215,11 +230,14 @@ def evaluate(
     predictions: Path | None,
     threshold: float,
     frame: Literal["camera", "road_raw"],
+    intrinsics: str | None,
+    lane_masks: Path | None,
     plots: Path | None,
     as_json: bool,
     device: str,
 ) -> None:
-    """Score a checkpoint or a file of predictions on DIR/SPLIT with the paper's metric.
+    """Score a checkpoint or a file of predictions on DIR/SPLIT with the paper's metric, or with --intrinsics on
+    photographs that have labels in the image: a folder or label file of tuSimple, or images with --lane-masks.
 
     Without --checkpoint and --predictions, the labels themselves are scored, encoded as the targets of the network and
     decoded again: an upper bound for any network.
@@ -227,13 +245,30 @@ def evaluate(
     _need_torch()
     import json
 
+    if checkpoint is not None and predictions is not None:
+        raise click.UsageError("--checkpoint and --predictions cannot be used together")
+    if intrinsics is not None or lane_masks is not None:
+        if plots is not None:
+            raise click.UsageError("--plots needs labels in 3D, which photographs do not have")
+        from synth3dlanes_baseline import photographs as images
+
+        photographs, camera = _photographs(source, lane_masks), _intrinsics(intrinsics)
+        if camera is None:
+            raise InputError(f"{source}: expected --intrinsics FX,FY,CX,CY of its camera, got none")
+        if predictions is not None:
+            found = images.evaluate_predictions(predictions, photographs, camera, threshold)
+        elif checkpoint is not None:
+            found = images.evaluate_checkpoint(checkpoint, photographs, camera, threshold, device, own_model)
+        else:
+            raise click.UsageError("expected --checkpoint or --predictions to score on photographs")
+        click.echo(json.dumps(found.document()) if as_json else found.text())
+        return
+
     from synth3dlanes_baseline import evaluate as scoring
     from synth3dlanes_baseline import report as reporting
     from synth3dlanes_baseline.metrics import MetricConfig
     from synth3dlanes_baseline.statistics import describe_targets
 
-    if checkpoint is not None and predictions is not None:
-        raise click.UsageError("--checkpoint and --predictions cannot be used together")
     if checkpoint is None and predictions is None:
         click.echo(describe_targets(source, as_json=as_json))
         return
@@ -300,11 +335,24 @@ def _need_torch() -> None:
 def _intrinsics(text: str | None) -> tuple[float, float, float, float] | None:
     if text is None:
         return None
+    if Path(text).is_file():
+        from synth3dlanes_baseline.photographs import read_intrinsics
+
+        return read_intrinsics(Path(text))
     try:
         fx, fy, cx, cy = (float(part) for part in text.split(","))
     except ValueError:
-        raise InputError(f"intrinsics: expected FX,FY,CX,CY, got {text!r}") from None
+        raise InputError(f"intrinsics: expected FX,FY,CX,CY or a calibration file, got {text!r}") from None
     return (fx, fy, cx, cy)
+
+
+def _photographs(source: str, lane_masks: Path | None) -> "Photographs":
+    from synth3dlanes_baseline.photographs import open_photographs
+
+    found = open_photographs(source, lane_masks)
+    if found is None:
+        raise InputError(f"{source}: expected a label file of tuSimple or a folder with one, or --lane-masks")
+    return found
 
 
 def _sizes(text: str) -> list[int]:

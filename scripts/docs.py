@@ -9,8 +9,10 @@ from pydantic import BaseModel, ValidationError
 from synth3dlanes_cli.main import main
 
 from synth3dlanes.assets.catalogue import BUILT_IN
+from synth3dlanes.figures.stats import form as written
 from synth3dlanes.params import Params, forms, load_params, presets_folder
 from synth3dlanes.scene import Scene
+from synth3dlanes.weather import DAYTIMES, KINDS, Distribution
 
 FOLDER = Path(__file__).parents[1] / "docs"
 
@@ -53,6 +55,12 @@ mine.yaml` and use it with `--params mine.yaml`. To change a single key, use `--
 does not change the random values of the others. Lengths are in metres, angles in degrees.
 
 "ours" marks what the paper does not specify; [decisions.md](decisions.md) has the reasons.
+"""
+
+WEATHER_HEAD = """## Weather and time of day
+
+`weather.kind` and `weather.daytime` are drawn first. Any other than `any` replaces the distributions of these keys, so
+that air, surface, light and camera fit each other; the rest of the scene is drawn as without them.
 """
 
 
@@ -108,7 +116,20 @@ def params_page() -> str:
             cells = (f"`{key}`", legal[group, key], shown(form), shown(realistic[group][key]), comments[group, key])
             parts.append(f"| {' | '.join(cells)} |")
         parts.append("")
+    parts += [WEATHER_HEAD, *weather_table("kind", KINDS), "", *weather_table("daytime", DAYTIMES), ""]
     return "\n".join(parts)
+
+
+def weather_table(name: str, table: dict[str, dict[str, Distribution]]) -> list[str]:
+    """What each kind of weather, or time of day, says of the keys that it replaces."""
+    columns = {kind: keys for kind, keys in table.items() if keys}
+    rows = dict.fromkeys(key for keys in columns.values() for key in keys)
+    cells = {key: [written(keys[key]) if key in keys else "" for keys in columns.values()] for key in rows}
+    return [
+        f"| {name} | {' | '.join(columns)} |",
+        f"|---|{'---|' * len(columns)}",
+        *(f"| `{key}` | {' | '.join(texts)} |" for key, texts in cells.items()),
+    ]
 
 
 def shown(form: object) -> str:

@@ -74,6 +74,7 @@ def label(world: World, view: View) -> Labels:
             object_visible=None,
             color=paint_color(curve, world.scene.markings),
             double=is_double(curve, world.scene.markings),
+            direction=curve.direction,
         )
         for curve, (xyz, inside, visible) in zip(sampled, parts[: len(sampled)], strict=True)
     )

@@ -22,6 +22,7 @@ LaneKind = Literal["centerline", "delimiter"]
 RoadName = Literal["main", "exit"]
 Marking = Literal["none", "solid", "dashed"]
 PaintColor = Literal["white", "yellow"]
+Direction = Literal["same", "oncoming"]
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,8 @@ class Lane:
     """One curve, near to far. `left` and `right` are ids: of the delimiters that bound a centre line on its own stretch
     (behind the split, before the merge), or of the centre lines that a delimiter bounds there; None outside the road.
     `color` and `double` (two stripes, the points in the middle between them) are None for centre lines and in older
-    labels. `object_visible` is None until the scene has been rendered."""
+    labels. `object_visible` is None until the scene has been rendered. `direction` is that of the traffic in a centre
+    line's lane; a delimiter is `oncoming` if it bounds only such lanes. The file leaves out `same`."""
 
     id: Name
     kind: LaneKind
@@ -84,6 +86,7 @@ class Lane:
     object_visible: Mask | None
     color: PaintColor | None = None
     double: bool | None = None
+    direction: Direction = "same"
 
     def __post_init__(self) -> None:
         """Check that each mask has a value for every point; raise ValueError."""
@@ -245,4 +248,6 @@ def _points_document(of: Lane | SymbolLabel) -> dict[str, Any]:
     for name in MASKS:
         mask = document[name]
         document[name] = None if mask is None else mask.astype(int).tolist()
+    if document.get("direction") == "same":
+        del document["direction"]
     return document

@@ -17,16 +17,19 @@ from synth3dlanes.distributions import (
     Flag,
     Integer,
     Integers,
+    Named,
     Real,
     Uniform,
     form,
     integers,
     is_pair,
+    names,
     parse_integers,
     reals,
 )
 from synth3dlanes.errors import InputError
 from synth3dlanes.schema import shown
+from synth3dlanes.settings import JPEG_QUALITY
 from synth3dlanes.yaml_text import read_yaml
 
 Fraction = Annotated[Real, reals(0, 1)]
@@ -35,7 +38,7 @@ Offset = Annotated[Real, reals(-50, 50)]
 # Of models or textures of one kind, if the assets are unknown.
 MAX_NUMBER = 9999
 # Groups that were added later; parameters without them have their defaults.
-OPTIONAL: tuple[str, ...] = ("symbols",)
+OPTIONAL: tuple[str, ...] = ("symbols", "weather", "host", "vegetation", "roadside")
 # With more keys missing there is one line for all.
 MAX_MISSING = 3
 
@@ -43,16 +46,24 @@ MAX_MISSING = 3
 def numbers(kind: AssetKind) -> PlainValidator:
     """Legal numbers of models or textures of one kind: those of the `Assets` in the validation's context.
 
-    The range of all built-in ones, as in the presets, stands for all of the context. Without a context, as in
-    `dataset.json`, any number is legal.
+    The range or weights of all built-in ones, as in the presets, stand for all of a user's own. Without a context, as
+    in `dataset.json`, any number is legal.
     """
     return PlainValidator(lambda read, info: _parse_numbers(read, kind, info.context))
 
 
 def _parse_numbers(read: Any, kind: AssetKind, assets: Assets | None) -> Integers | Choice[int]:
-    if assets is not None and is_pair(read) and list(read) == [1, Assets.OURS[kind]]:
+    if assets is not None and assets.own(kind) and _is_whole(read, kind):
         return Integers(1, assets.count(kind))
     return parse_integers(read, 1, assets.count(kind) if assets else MAX_NUMBER)
+
+
+def _is_whole(read: Any, kind: AssetKind) -> bool:
+    numbers = sorted(read) if isinstance(read, dict) and all(isinstance(key, int) for key in read) else []
+    return any(
+        numbers == list(range(1, last + 1)) or (is_pair(read) and list(read) == [1, last])
+        for last in Assets.WHOLE[kind]
+    )
 
 
 def added(default: Any) -> Any:
@@ -78,12 +89,13 @@ class TerrainParams(Group):
 
 
 class RoadParams(Group):
-    """Topology, top view and ramp."""
+    """Topology, top view and ramp, and the oncoming lanes. Topologies 3 and 4 need two lanes and have at least two; a
+    `median_m` below 1 is none, and a bend too sharp for the oncoming lanes leaves them out."""
 
     topology: Annotated[Integer, integers(1, 4)]
     flip_longitudinal: Flag
     flip_lateral: Flag
-    n_lanes: Annotated[Integer, integers(2, 8)]
+    n_lanes: Annotated[Integer, integers(1, 8)]
     lane_width_m: Annotated[Real, reals(2, 6)]
     shoulder_factor: Annotated[Real, reals(0, 2)]
     offset_m100_m: Offset
@@ -94,6 +106,9 @@ class RoadParams(Group):
     exit_offset_m: Annotated[Real, reals(0, 50)]
     ramp_height_m: Annotated[Real, reals(0, 20)]
     ramp_slope: Annotated[Real, reals(0, 200, above=True)]
+    n_oncoming: Annotated[Integer, integers(0, 4)] = added(0)
+    median_m: Annotated[Real, reals(0, 30)] = added(0.0)
+    divider_dashed: Flag = added(False)
 
 
 class MarkingsParams(Group):
@@ -138,7 +153,8 @@ class SymbolParams(Group):
 
 
 class CarParams(Group):
-    """Cars; `color` is drawn once per channel, `saturation` per car."""
+    """Cars; `color` is drawn once per channel, `saturation` and `parked` per car. With `palette` sold, colour and
+    saturation give way to the colours of new cars, and to liveries for trucks and buses."""
 
     n: Annotated[Integer, integers(0, 100)]
     model: Annotated[Integer, numbers("cars")]
@@ -147,6 +163,8 @@ class CarParams(Group):
     saturation: Fraction
     gloss: Fraction
     s_m: Annotated[Real, reals(-150, 150)]
+    parked: Fraction = added(0.0)
+    palette: Annotated[Named, names("rgb", "sold")] = added("rgb")
 
 
 class TreeParams(Group):
@@ -158,6 +176,13 @@ class TreeParams(Group):
     yaw_deg: Orientation
     x_m: Annotated[Real, reals(-1000, 1000)]
     y_m: Annotated[Real, reals(-1000, 1000)]
+
+
+class VegetationParams(Group):
+    """Leaves and grass."""
+
+    translucency: Fraction = added(0.0)
+    grass_m: Annotated[Real, reals(0, 1)] = added(0.0)
 
 
 class CameraParams(Group):
@@ -179,7 +204,7 @@ class CameraParams(Group):
 class LightParams(Group):
     """Sun and film exposure; `metering` is how far the exposure makes up for the scene's daylight."""
 
-    sun_zenith_deg: Annotated[Real, reals(0, 90)]
+    sun_zenith_deg: Annotated[Real, reals(0, 110)]
     sun_azimuth_deg: Orientation
     exposure: Annotated[Real, reals(0, 100, above=True)]
     metering: Fraction
@@ -193,10 +218,65 @@ class AirParams(Group):
 
 
 class SensorParams(Group):
-    """Metres driven during the exposure, and noise at middle gray in 8-bit levels (standard deviation)."""
+    """Metres driven during the exposure, noise at middle gray in 8-bit levels (standard deviation), flare, dirt and
+    drops on the glass, and the quality of JPEG images."""
 
     motion_blur_m: Annotated[Real, reals(0, 1)]
     noise: Annotated[Real, reals(0, 32)]
+    flare: Fraction = added(0.0)
+    dirt: Fraction = added(0.0)
+    drops: Fraction = added(0.0)
+    jpeg_quality: Annotated[Integer, integers(1, 100)] = added(JPEG_QUALITY)
+
+
+class WeatherParams(Group):
+    """Weather and time of day. A `kind` or `daytime` other than any replaces what the other keys say (`weather`)."""
+
+    kind: Annotated[Named, names("any", "clear", "cloudy", "fog", "rain", "snow")] = added("any")
+    daytime: Annotated[Named, names("any", "day", "dusk", "night")] = added("any")
+    rain: Fraction = added(0.0)
+    snowfall: Fraction = added(0.0)
+    snow: Fraction = added(0.0)
+    snow_on_road: Fraction = added(0.0)
+    headlights: Flag = added(False)
+
+
+class HostParams(Group):
+    """The host's own bonnet in the picture."""
+
+    bonnet: Annotated[Real, reals(0, 0.4)] = added(0.0)
+    gray: Fraction = added(0.0)
+    gloss: Fraction = added(0.0)
+
+
+RAIL_NAMES = ("none", "guardrail", "concrete", "noise_wall", "kerb", "walkway")
+Barrier = Annotated[Named, names(*RAIL_NAMES)]
+
+
+class RoadsideParams(Group):
+    """What stands beside and over the road. `outer` and `inner` say what is along the outermost edges of the pavement
+    (drawn for each side), between the main road and the exit, and in a median with room for it."""
+
+    outer: Barrier = added("none")
+    inner: Barrier = added("none")
+    median: Annotated[Named, names("none", "guardrail", "concrete")] = added("none")
+    ramp_rail: Flag = added(False)
+    rail_aside_m: Annotated[Real, reals(0.3, 5)] = added(0.5)
+    wall_height_m: Annotated[Real, reals(1, 10)] = added(3.0)
+    lamps: Annotated[Named, names("none", "left", "right", "both")] = added("none")
+    lamp_spacing_m: Annotated[Real, reals(10, 200)] = added(40.0)
+    lamp_height_m: Annotated[Real, reals(4, 20)] = added(9.0)
+    delineators: Flag = added(False)
+    delineator_spacing_m: Annotated[Real, reals(10, 200)] = added(50.0)
+    n_signs: Annotated[Integer, integers(0, 20)] = added(0)
+    n_gantries: Annotated[Integer, integers(0, 3)] = added(0)
+    n_bridges: Annotated[Integer, integers(0, 2)] = added(0)
+    clearance_m: Annotated[Real, reals(4.7, 12)] = added(5.5)
+    power_line: Annotated[Named, names("none", "left", "right")] = added("none")
+    n_houses: Annotated[Integer, integers(0, 50)] = added(0)
+    n_halls: Annotated[Integer, integers(0, 20)] = added(0)
+    n_blocks: Annotated[Integer, integers(0, 20)] = added(0)
+    building_aside_m: Annotated[Real, reals(8, 200)] = added(40.0)
 
 
 class Params(Group):
@@ -216,6 +296,12 @@ class Params(Group):
     air: AirParams
     sensor: SensorParams
     symbols: SymbolParams = Field(default=SymbolParams(), exclude_if=lambda group: group == SymbolParams())
+    weather: WeatherParams = Field(default=WeatherParams(), exclude_if=lambda group: group == WeatherParams())
+    host: HostParams = Field(default=HostParams(), exclude_if=lambda group: group == HostParams())
+    vegetation: VegetationParams = Field(
+        default=VegetationParams(), exclude_if=lambda group: group == VegetationParams()
+    )
+    roadside: RoadsideParams = Field(default=RoadsideParams(), exclude_if=lambda group: group == RoadsideParams())
 
 
 def presets_folder() -> Path:

@@ -11,20 +11,26 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.assets.car_colors import sold_color
 from synth3dlanes.assets.catalogue import BUILT_IN, Assets
 from synth3dlanes.distributions import Choice, Integers, Uniform
 from synth3dlanes.errors import InputError
 from synth3dlanes.geometry import placement
 from synth3dlanes.geometry.camera import world_from_road
 from synth3dlanes.geometry.lanes import connections
+from synth3dlanes.geometry.road import RoadPlan, is_wide_enough
+from synth3dlanes.geometry.roadside import footprints
 from synth3dlanes.geometry.symbols import LENGTHS_M, gore_range
-from synth3dlanes.params import CameraParams, Group, Params
+from synth3dlanes.params import CameraParams, CarParams, Group, Params
+from synth3dlanes.roadside import draw_roadside
 from synth3dlanes.scene import (
+    MIN_MEDIAN_M,
     SCENE_VERSION,
     Air,
     Camera,
     Car,
     Gaussian,
+    Host,
     Light,
     Markings,
     Road,
@@ -34,16 +40,23 @@ from synth3dlanes.scene import (
     Symbol,
     Terrain,
     Tree,
+    Vegetation,
+    Weather,
     to_json,
 )
 from synth3dlanes.schema import SymbolKind
 from synth3dlanes.streams import stream
+from synth3dlanes.weather import under
 from synth3dlanes.world import World, resolve
 
 # Numbers in a scene are rounded to a micrometre or microradian: readable, and equal on every machine.
 DECIMALS = 6
 CAR_GAP_M = (1.0, 0.3)
 TRIES = 300
+# The streams of the cars: looks as in the paper, and what was added since, so that it changes none of these.
+CAR_STREAMS = ("cars", "car_places", "car_saturation", "car_palette", "parked_cars")
+# Cars park at least this far before a split, or behind a merge.
+PARKING_BEFORE_EXIT_M = 20.0
 # From this many scenes on, several processes are faster than one; each draws CHUNK scenes at a time.
 WORTH_PROCESSES, CHUNK = 200, 25
 # The shoulder texture that is pavement.
@@ -63,7 +76,10 @@ def sample_scene(params: Params, seed: int, split: str, index: int, assets: Asse
 
 
 def sample_world(params: Params, seed: int, split: str, index: int, assets: Assets = BUILT_IN.assets) -> World:
-    """Draw and resolve scene `index` of a split: first the road and the host, then cars and trees on it."""
+    """Draw and resolve scene `index` of a split: first the road and the host, then what stands beside it, then cars and
+    trees, then symbols."""
+    first = Draw(params.weather, stream(seed, split, index, "weather"))
+    params = under(params, first("kind"), first("daytime"))
     draws = {name: Draw(group, stream(seed, split, index, name)) for name, group in params}
     road = _road(draws["road"])
     bare = Scene(
@@ -82,20 +98,23 @@ def sample_world(params: Params, seed: int, split: str, index: int, assets: Asse
         light=_plain(Light, draws["light"]),
         air=_plain(Air, draws["air"]),
         sensor=_plain(Sensor, draws["sensor"]),
+        weather=_plain(Weather, draws["weather"]),
+        host=_plain(Host, draws["host"]),
         sky=_sky(assets, stream(seed, split, index, "sky")),
         assets=assets,
+        vegetation=_plain(Vegetation, draws["vegetation"]),
     )
-    world = resolve(bare)
-    car_places = Draw(params.cars, stream(seed, split, index, "car_places"))
+    resolved = resolve(bare)
+    roadside = draw_roadside(resolved, draws["roadside"], draws["roadside"].rng)
+    world = replace(resolved, scene=bare.model_copy(update={"roadside": roadside}))
     tree_places = Draw(params.trees, stream(seed, split, index, "tree_places"))
-    paints = Draw(params.cars, stream(seed, split, index, "car_saturation"))
-    cars = _cars(world, draws["cars"], paints, car_places)
+    cars = _cars(world, params.cars)
     trees = _trees(world, draws["trees"], tree_places)
     symbols = _symbols(world, draws["symbols"])
-    return replace(world, scene=bare.model_copy(update={"cars": cars, "trees": trees, "symbols": symbols}))
+    return replace(world, scene=world.scene.model_copy(update={"cars": cars, "trees": trees, "symbols": symbols}))
 
 
-P = TypeVar("P", Markings, Surface, Light, Air, Sensor)
+P = TypeVar("P", Markings, Surface, Light, Air, Sensor, Weather, Host, Vegetation)
 
 
 def scene_texts(
@@ -166,7 +185,13 @@ def _terrain(draw: Draw) -> Terrain:
 
 
 def _road(draw: Draw) -> Road:
-    return Road(**{field: draw(field.replace("_rad", "_deg")) for field in Road.model_fields})
+    drawn = {field: draw(field.replace("_rad", "_deg")) for field in Road.model_fields}
+    if drawn["topology"] > 2:
+        drawn["n_lanes"] = max(drawn["n_lanes"], 2)
+    if drawn["n_oncoming"] == 0 or drawn["median_m"] < MIN_MEDIAN_M:
+        drawn["median_m"] = 0.0
+    road = Road(**drawn)
+    return road if is_wide_enough(road) else road.model_copy(update={"n_oncoming": 0, "median_m": 0.0})
 
 
 def _camera(params: CameraParams, draw: Draw, road: Road) -> Camera:
@@ -197,9 +222,11 @@ def _host_lane(lanes: Integers | Choice[int], u: float, present: int) -> int:
     return min(lanes.draw(u), present)
 
 
-def _cars(world: World, looks: Draw, paints: Draw, places: Draw) -> tuple[Car, ...]:
+def _cars(world: World, params: CarParams) -> tuple[Car, ...]:
     scene = world.scene
+    looks, places, paints, sold, parking = (Draw(params, scene.stream(name)) for name in CAR_STREAMS)
     taken = [placement.host_footprint(world_from_road(world.plan, scene.camera))]
+    parked = parking("parked")
     cars = []
     for number in range(looks("n")):
         model, scale = looks("model"), looks("scale")
@@ -207,34 +234,63 @@ def _cars(world: World, looks: Draw, paints: Draw, places: Draw) -> tuple[Car, .
         gloss = looks("gloss")
         body = scene.assets.car_models[model - 1]
         size = body.length_m * scale + CAR_GAP_M[0], body.width_m * scale + CAR_GAP_M[1]
+        is_parked = parking.rng.random() < parked
         for _ in range(TRIES):
             s_m = places("s_m")
-            lanes = scene.road.segments_at(s_m)
+            lanes = (*scene.road.segments_at(s_m), *scene.road.oncoming_segments)
             lane = lanes[int(places.rng.random() * len(lanes))]
-            place = placement.footprint(*placement.lane_place(world.plan, lane, s_m), *size)
+            offset_m = 0.0
+            if is_parked and (found := _parking(world.plan, s_m, size[1], parking.rng)):
+                lane, offset_m = found
+            place = placement.footprint(*placement.car_place(world.plan, lane, s_m, offset_m), *size)
             if not placement.overlaps_any(place, np.array(taken)):
                 break
         else:
             raise InputError(f"cars.n: no room for car {number + 1} within cars.s_m of scene {scene.index}")
         taken.append(place)
         saturation = paints("saturation")
-        cars.append(Car(model=model, scale=scale, color=color, gloss=gloss, lane=lane, s_m=s_m, saturation=saturation))
+        palette, (u_paint, u_shade) = sold("palette"), sold.rng.random(2)
+        if palette == "sold":
+            color, saturation = sold_color(body, u_paint, u_shade), 1.0
+        looks_of = {"model": model, "scale": scale, "color": color, "gloss": gloss, "saturation": saturation}
+        cars.append(Car(**looks_of, lane=lane, s_m=s_m, offset_m=offset_m))
     return tuple(cars)
+
+
+def _parking(plan: RoadPlan, s_m: float, width_m: float, rng: np.random.Generator) -> tuple[str, float] | None:
+    """A lane at whose outer shoulder a car can stand, and its offset there to the driver's right; None without room.
+
+    Nobody parks where an exit opens.
+    """
+    lanes = plan.road.segments_at(s_m)
+    outermost = [lanes[0] if plan.flips[0] < 0 else lanes[-1]]
+    if plan.has_exit and s_m * plan.flips[1] > -PARKING_BEFORE_EXIT_M:
+        outermost = []
+    if plan.n_oncoming:
+        outermost.append(plan.road.oncoming_segments[0 if plan.flips[0] > 0 else -1])
+    if not outermost or plan.shoulder_m < width_m:
+        return None
+    offset_m = float(plan.flips[0]) * (plan.width_m + plan.shoulder_m) / 2
+    return outermost[int(rng.random() * len(outermost))], round(offset_m, DECIMALS)
 
 
 def _trees(world: World, looks: Draw, places: Draw) -> tuple[Tree, ...]:
     drawn = looks.rows(("model", "yaw_deg", "scale"), looks("n"))
     models = world.scene.assets.tree_models
     trees: list[Tree] = []
+    structures = footprints(world.ground, world.scene.roadside)
     for _ in range(TRIES):
         if len(trees) == len(drawn):
             return tuple(trees)
         xy = np.array(places.rows(("x_m", "y_m"), 2 * (len(drawn) - len(trees)) + 16))
-        for (x, y), clearance_m in zip(xy.tolist(), world.ground.clearance(xy).tolist(), strict=True):
+        clear = world.ground.clearance(xy)
+        stands = structures.clear(xy, TREE_GAP_M)
+        for (x, y), clearance_m, is_free in zip(xy.tolist(), clear.tolist(), stands.tolist(), strict=True):
             if len(trees) == len(drawn):
                 break
             model, yaw_rad, scale = drawn[len(trees)]
-            if clearance_m >= TREE_GAP_M + TREE_GAP_OF_CROWN * scale * models[model - 1].crown_radius_m:
+            gap_m = TREE_GAP_M + TREE_GAP_OF_CROWN * scale * models[model - 1].crown_radius_m
+            if is_free and clearance_m >= gap_m:
                 trees.append(Tree(model=model, x_m=x, y_m=y, yaw_rad=yaw_rad, scale=scale))
     missing = len(drawn) - len(trees)
     raise InputError(f"trees.x_m, trees.y_m: no room off the roads for {missing} trees of scene {world.scene.index}")

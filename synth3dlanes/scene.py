@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from synth3dlanes.assets.catalogue import AssetKind, Assets
 from synth3dlanes.schema import MAX_PX, Metres, Name, Number, Part, Positive, Seed, SymbolKind, Unit, parse
-from synth3dlanes.settings import FIRST_SYMBOL_ID, HOST_ID, MAX_SAMPLES
+from synth3dlanes.settings import FIRST_SYMBOL_ID, HOST_ID, JPEG_QUALITY, MAX_SAMPLES
 from synth3dlanes.streams import stream
 
 SCENE_VERSION = 1
@@ -25,6 +25,8 @@ def added(default: Any) -> Any:
 Color = tuple[Unit, Unit, Unit]
 # Of models, textures and skies of one kind.
 MAX_ASSETS = 9999
+# Narrower medians have no room for the edge lines at both sides.
+MIN_MEDIAN_M = 1.0
 # Instance ids of symbols end where the host's begins.
 MAX_SYMBOLS = HOST_ID - FIRST_SYMBOL_ID
 AssetNumber = Annotated[int, Field(ge=1, le=MAX_ASSETS)]
@@ -46,12 +48,16 @@ class Terrain(Part):
 
 
 class Road(Part):
-    """Top view and ramp of the main road and its exit (Appendix I, Tables 'Topology' to 'Lane 3D')."""
+    """Top view and ramp of the main road and its exit (Appendix I, Tables 'Topology' to 'Lane 3D').
+
+    `n_oncoming` lanes of traffic the other way lie on the side opposite the exit, beyond a median of `median_m` between
+    the edge lines, or without one beyond one line that divides the traffic (`divider_dashed` or solid).
+    """
 
     topology: Annotated[int, Field(ge=1, le=4)]
     flip_longitudinal: bool
     flip_lateral: bool
-    n_lanes: Annotated[int, Field(ge=2, le=8)]
+    n_lanes: Annotated[int, Field(ge=1, le=8)]
     lane_width_m: Annotated[float, Field(gt=0, le=1000)]
     shoulder_factor: Annotated[float, Field(ge=0, le=1000)]
     offset_m100_m: Metres
@@ -62,6 +68,18 @@ class Road(Part):
     exit_offset_m: Annotated[float, Field(ge=0, le=1000)]
     ramp_height_m: Annotated[float, Field(ge=0, le=1000)]
     ramp_slope: Positive
+    n_oncoming: Annotated[int, Field(ge=0, le=8)] = added(0)
+    median_m: Annotated[float, Field(ge=0, le=100)] = added(0.0)
+    divider_dashed: bool = added(False)
+
+    @model_validator(mode="after")
+    def _has_room(self) -> "Road":
+        """Check that there are enough lanes for the topology, and room for the median."""
+        if self.n_lanes < 2 and self.topology > 2:
+            raise ValueError(f"n_lanes: expected at least 2 with topology {self.topology}, got {self.n_lanes}")
+        if 0 < self.median_m < MIN_MEDIAN_M:
+            raise ValueError(f"median_m: expected 0 or at least {MIN_MEDIAN_M:g}, got {self.median_m:g}")
+        return self
 
     @property
     def n_exit_lanes(self) -> int:
@@ -74,14 +92,19 @@ class Road(Part):
         return self.n_lanes - 1 if self.topology == 4 else self.n_lanes
 
     def segments_at(self, s_m: float) -> tuple[str, ...]:
-        """The ids of the lane segments at a world station, from the left, the main road's first."""
+        """The ids of the host's lane segments at a world station, from the left, the main road's first."""
         if self.topology > 1 and (-s_m if self.flip_lateral else s_m) < 0:
             return tuple(f"stem_{lane}" for lane in range(1, self.n_lanes + 1))
         main = (f"main_{lane}" for lane in range(1, self.n_main_after + 1))
         return (*main, *(f"exit_{lane}" for lane in range(1, self.n_exit_lanes + 1)))
 
+    @property
+    def oncoming_segments(self) -> tuple[str, ...]:
+        """The ids of the lane segments of oncoming traffic, from the host's left."""
+        return tuple(f"oncoming_{lane}" for lane in range(1, self.n_oncoming + 1))
+
     def lanes_present(self, s_m: float) -> int:
-        """Number of main-road lanes at a world station."""
+        """Number of the main road's lanes in the host's direction at a world station."""
         return sum(not segment.startswith("exit") for segment in self.segments_at(s_m))
 
 
@@ -132,9 +155,9 @@ class Symbol(Part):
 
 
 class Car(Part):
-    """A car on the centre of lane segment `lane` (its id in the lane graph) at station `s_m` (world y on the
-    main reference line), heading as the host does. Models are numbered from 1. `saturation` mixes the body's colour (1)
-    with the gray of its first channel (0)."""
+    """A car in lane segment `lane` (its id in the lane graph) at station `s_m` (world y on the main reference line),
+    heading as the lane does, `offset_m` to its driver's right of the lane's centre: parked cars stand on a shoulder.
+    Models are numbered from 1. `saturation` mixes the body's colour (1) with the gray of its first channel (0)."""
 
     model: AssetNumber
     scale: Positive
@@ -143,6 +166,7 @@ class Car(Part):
     lane: Name
     s_m: Metres
     saturation: Unit = 1.0
+    offset_m: Metres = added(0.0)
 
 
 class Tree(Part):
@@ -153,6 +177,14 @@ class Tree(Part):
     y_m: Number
     yaw_rad: Number
     scale: Positive
+
+
+class Vegetation(Part):
+    """The light that leaves let through, as a share of a real leaf's, and the height of the grass beside the road near
+    the host."""
+
+    translucency: Unit = 0.0
+    grass_m: Annotated[float, Field(ge=0, le=1)] = 0.0
 
 
 class Camera(Part):
@@ -174,10 +206,10 @@ class Camera(Part):
 
 
 class Light(Part):
-    """The sun, its azimuth counter-clockwise from world x; the exposure factor; and `metering`, the exponent with which
-    the exposure compensates for the scene's daylight (0 not at all, 1 fully)."""
+    """The sun, its azimuth counter-clockwise from world x, its zenith beyond pi/2 at night; the exposure factor; and
+    `metering`, the exponent with which the exposure compensates for the scene's daylight (0 not at all, 1 fully)."""
 
-    sun_zenith_rad: Annotated[float, Field(ge=0, le=1.6)]
+    sun_zenith_rad: Annotated[float, Field(ge=0, le=2.0)]
     sun_azimuth_rad: Number
     exposure: Positive
     metering: Unit = 0.0
@@ -191,10 +223,108 @@ class Air(Part):
 
 
 class Sensor(Part):
-    """Metres driven during the exposure, and the noise's standard deviation at middle gray in 8-bit levels."""
+    """Metres driven during the exposure, and the noise's standard deviation at middle gray in 8-bit levels; from 0 to 1
+    the flare of lights in the lens, and the dirt and the drops of water on the glass; the quality of JPEG images."""
 
     motion_blur_m: Annotated[float, Field(ge=0, le=1000)] = 0.0
     noise: Annotated[float, Field(ge=0, le=1000)] = 0.0
+    flare: Unit = added(0.0)
+    dirt: Unit = added(0.0)
+    drops: Unit = added(0.0)
+    jpeg_quality: Annotated[int, Field(ge=1, le=100)] = added(JPEG_QUALITY)
+
+
+class Weather(Part):
+    """What the scene was drawn as, "any" without a condition, and what falls and lies: `rain` and `snowfall` in the air
+    from 0 to 1, the share of the terrain under snow, and of the road, whose wheel tracks stay clear longest.
+    `headlights` are those of the host and of all cars."""
+
+    kind: Literal["any", "clear", "cloudy", "fog", "rain", "snow"] = "any"
+    daytime: Literal["any", "day", "dusk", "night"] = "any"
+    rain: Unit = 0.0
+    snowfall: Unit = 0.0
+    snow: Unit = 0.0
+    snow_on_road: Unit = 0.0
+    headlights: bool = False
+
+
+class Host(Part):
+    """The host's own bonnet: the share of the image's height that it fills (0: none), its gray and gloss."""
+
+    bonnet: Annotated[float, Field(ge=0, le=0.4)] = 0.0
+    gray: Unit = 0.0
+    gloss: Unit = 0.0
+
+
+RoadSide = Literal["left", "right", "median"]
+RailKind = Literal["guardrail", "concrete", "noise_wall", "kerb", "walkway", "power_line"]
+PostKind = Literal["lamp", "sign", "delineator"]
+N_SIGN_FACES = 12
+
+
+class Rail(Part):
+    """A barrier, wall, kerb or power line along a road between two plan stations. Its front is `aside_m` from the edge
+    of the pavement on a side of the plan; on the side `median` its middle is at plan offset `aside_m` of the main
+    road. A `walkway` is a kerb with a paved path behind it."""
+
+    kind: RailKind
+    road: Literal["main", "exit"]
+    side: RoadSide
+    from_m: Metres
+    to_m: Metres
+    aside_m: Metres
+    height_m: Annotated[float, Field(gt=0, le=30)]
+    color: Color
+
+
+class Post(Part):
+    """A lamp post, sign or delineator at a plan station, placed like a `Rail`. `face` numbers the picture of a sign
+    from 1; a `turned` sign shows it to the traffic in the other direction."""
+
+    kind: PostKind
+    road: Literal["main", "exit"]
+    side: RoadSide
+    s_m: Metres
+    aside_m: Metres
+    height_m: Annotated[float, Field(gt=0, le=30)]
+    face: Annotated[int, Field(ge=1, le=N_SIGN_FACES)] = 1
+    turned: bool = False
+
+
+class Crossing(Part):
+    """A gantry or bridge across all roads at a plan station of the main road: `clearance_m` of free height over every
+    pavement, and its width along the road."""
+
+    kind: Literal["gantry", "bridge"]
+    s_m: Metres
+    clearance_m: Annotated[float, Field(ge=4.7, le=30)]
+    width_m: Annotated[float, Field(gt=0, le=100)]
+    color: Color
+
+
+class Building(Part):
+    """A house with a gable, an industrial hall or a block of flats: the middle of its floor plan, the direction of its
+    length (counter-clockwise from world y), and the height of its walls."""
+
+    kind: Literal["house", "hall", "block"]
+    x_m: Number
+    y_m: Number
+    yaw_rad: Number
+    width_m: Annotated[float, Field(gt=0, le=1000)]
+    length_m: Annotated[float, Field(gt=0, le=1000)]
+    height_m: Annotated[float, Field(gt=0, le=300)]
+    color: Color
+    roof: Color
+
+
+class Roadside(Part):
+    """What stands beside and over the road. Structure i of the passes is number i of all rails, posts, crossings and
+    buildings, in this order."""
+
+    rails: Annotated[tuple[Rail, ...], Field(max_length=100)] = ()
+    posts: Annotated[tuple[Post, ...], Field(max_length=1000)] = ()
+    crossings: Annotated[tuple[Crossing, ...], Field(max_length=20)] = ()
+    buildings: Annotated[tuple[Building, ...], Field(max_length=200)] = ()
 
 
 class Scene(Part):
@@ -216,9 +346,13 @@ class Scene(Part):
     light: Light
     air: Air = Air()
     sensor: Sensor = Sensor()
+    weather: Weather = added(Weather())
+    host: Host = added(Host())
     sky: Annotated[int, Field(ge=0, le=MAX_ASSETS)] = 0
     assets: Assets = Assets()
     symbols: Annotated[tuple[Symbol, ...], Field(max_length=MAX_SYMBOLS)] = added(())
+    vegetation: Vegetation = added(Vegetation())
+    roadside: Roadside = added(Roadside())
 
     def stream(self, name: str) -> np.random.Generator:
         """Random numbers for details that the scene does not store, such as `clouds`."""
@@ -247,8 +381,12 @@ class Scene(Part):
             raise ValueError(
                 f"camera.lane: expected at most {present} at y_m = {self.camera.y_m:g}, got {self.camera.lane}"
             )
+        for kind in ("rails", "posts"):
+            for i, item in enumerate(getattr(self.roadside, kind)):
+                if item.road == "exit" and (self.road.topology == 1 or item.side == "median"):
+                    raise ValueError(f"roadside.{kind}.{i}: expected a side of a road that is there, got its exit's")
         for i, car in enumerate(self.cars):
-            lanes = self.road.segments_at(car.s_m)
+            lanes = (*self.road.segments_at(car.s_m), *self.road.oncoming_segments)
             if car.lane not in lanes:
                 raise ValueError(
                     f"cars.{i}.lane: expected one of {', '.join(lanes)} at s_m = {car.s_m:g}, got {car.lane}"

@@ -8,6 +8,8 @@ from synth3dlanes.errors import InputError
 # Passes with the image's pixels, and all passes: these and the height map over the road plane.
 PIXEL_PASSES = ("depth", "normal", "semantic", "instance")
 PASSES = (*PIXEL_PASSES, "height")
+# Of images that nothing else is said of.
+JPEG_QUALITY = 95
 # What splits may be called, and how many samples they and their shards may have: keys have eight digits.
 SPLIT_NAME, MAX_SAMPLES, MAX_SHARD_SIZE = "[A-Za-z0-9_-]+", 100_000_000, 1_000_000
 DEVICES = ("auto", "cpu", "cuda", "optix", "hip", "oneapi", "metal")

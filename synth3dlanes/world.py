@@ -10,8 +10,10 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.frames import Matrix4, road_from_cam
-from synth3dlanes.geometry import meshes
+from synth3dlanes.geometry import meshes, roadside
+from synth3dlanes.geometry.bonnet import cam_from_bonnet
 from synth3dlanes.geometry.camera import img_from_cam, world_from_road
+from synth3dlanes.geometry.grass import Blades, blades
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.horizon import FarHills
 from synth3dlanes.geometry.lanes import Curve, curves
@@ -25,11 +27,13 @@ from synth3dlanes.scene import Camera, Scene
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A camera, its road frame, and the poses of all cars (without their scale) at its instant."""
+    """A camera, its road frame, the poses of all cars (without their scale) at its instant, and the share of the image
+    that the host's bonnet fills."""
 
     camera: Camera
     world_from_road: Matrix4
     world_from_cars: tuple[Matrix4, ...]
+    bonnet: float = 0.0
 
     @cached_property
     def road_from_cam(self) -> Matrix4:
@@ -40,6 +44,13 @@ class View:
     def world_from_cam(self) -> Matrix4:
         """The camera's pose in the world."""
         return np.asarray(self.world_from_road @ self.road_from_cam)
+
+    @cached_property
+    def world_from_bonnet(self) -> Matrix4 | None:
+        """The pose of the host's bonnet, None where the picture has none."""
+        if not self.bonnet:
+            return None
+        return np.asarray(self.world_from_cam @ cam_from_bonnet(self.camera, self.bonnet))
 
     @property
     def eye_world(self) -> Float[np.ndarray, "3"]:
@@ -90,11 +101,21 @@ class World:
         return tree_positions(self.ground, self.scene.trees)
 
     @cached_property
+    def structures(self) -> list[roadside.Body]:
+        """What stands beside and over the road, in the order of instance ids."""
+        return roadside.bodies(self.ground, self.scene.roadside)
+
+    @cached_property
+    def street_lamps(self) -> Float[np.ndarray, "n 3"]:
+        """Where the lamps beside the road have their light: the middles of the lower sides of their heads."""
+        return roadside.lamp_heads(self.ground, self.scene.roadside)
+
+    @cached_property
     def view(self) -> View:
         """The view of the scene's camera."""
         scene, models = self.scene, self.scene.assets.car_models
         cars = tuple(world_from_car(self.plan, car, models[car.model - 1]) for car in scene.cars)
-        return View(scene.camera, world_from_road(self.plan, scene.camera), cars)
+        return View(scene.camera, world_from_road(self.plan, scene.camera), cars, scene.host.bonnet)
 
     def paint(self, view: View) -> dict[str, meshes.Mesh]:
         """The paint of every delimiter by id, corrected for parallax so that it looks in place from a view."""
@@ -114,6 +135,11 @@ class World:
         if not self.scene.surface.ghost_lines:
             return None
         return ghost_mesh(self.ground, self.scene.markings, view.eye_world, self.scene.stream)
+
+    def grass(self, view: View) -> Blades | None:
+        """The grass beside the road as a view sees it, if the scene has any."""
+        grass_m = self.scene.vegetation.grass_m
+        return blades(self.ground, self.lines, view.eye_world, grass_m, self.scene.stream("grass")) if grass_m else None
 
 
 def resolve(scene: Scene) -> World:

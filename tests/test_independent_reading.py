@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from synth3dlanes import labels as label_file
 from synth3dlanes import scene as scene_file
 from synth3dlanes.assets.catalogue import CARS
-from synth3dlanes.geometry.placement import lane_place
+from synth3dlanes.geometry.placement import car_place
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import sample_scene
@@ -143,7 +143,10 @@ def in_body(xy, middle, heading, length, width):
     return (np.abs(ahead) < length / 2) & (np.abs(aside) < width / 2)
 
 
-@pytest.mark.parametrize("preset", ["appendix_i", "realistic", "diverse", "tiny", "apollo_camera", "openlane_camera"])
+@pytest.mark.parametrize(
+    "preset",
+    ["appendix_i", "realistic", "diverse", "tiny", "apollo_camera", "openlane_camera", "tusimple_camera", "streets"],
+)
 @pytest.mark.parametrize("n", [60, pytest.param(2000, marks=[pytest.mark.slow, pytest.mark.timeout(1800)])])
 def test_the_host_stands_in_its_lane_and_in_no_car(preset, n):
     """At most `offset_m` off the centre, on the side that it says; all four topologies, both flips."""
@@ -163,7 +166,7 @@ def test_the_host_stands_in_its_lane_and_in_no_car(preset, n):
         y = world_from_road[:2, 1] / np.linalg.norm(world_from_road[:2, 1])
         body = foot + along.reshape(-1, 1) * y + across.reshape(-1, 1) * [y[1], -y[0]]
         for car in drawn.cars:
-            model, place = CARS[car.model - 1], lane_place(resolve(drawn).plan, car.lane, car.s_m)
+            model, place = CARS[car.model - 1], car_place(resolve(drawn).plan, car.lane, car.s_m, car.offset_m)
             assert not in_body(body, *place, model.length_m * car.scale, model.width_m * car.scale).any(), index
         road = scene["road"]
         leaving = {1: 0, 2: 1, 3: 1, 4: 2}[road["topology"]]

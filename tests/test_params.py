@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from synth3dlanes.assets.catalogue import CARS, Assets
 from synth3dlanes.distributions import Choice, Integers, Uniform
 from synth3dlanes.errors import InputError
-from synth3dlanes.params import Params, check_params, load_params, params_yaml, preset_names, presets_folder
+from synth3dlanes.params import Params, check_params, forms, load_params, params_yaml, preset_names, presets_folder
 
 APPENDIX_I = (presets_folder() / "appendix_i.yaml").read_text()
 UNIT = st.floats(0, 1, exclude_max=True)
@@ -52,7 +53,7 @@ def test_appendix_i_has_the_papers_ranges() -> None:
 
 
 def test_presets_differ_where_they_say() -> None:
-    paper, tiny = (load_params(name).model_dump() for name in ("appendix_i", "tiny"))
+    paper, tiny = (forms(load_params(name)) for name in ("appendix_i", "tiny"))
     differing = {(group, key) for group in paper for key in paper[group] if paper[group][key] != tiny[group][key]}
     assert differing == {("cars", "n"), ("trees", "n"), ("camera", "width_px"), ("camera", "height_px")}
 
@@ -85,8 +86,8 @@ def test_realistic_ramps_rise_by_four_to_eight_percent() -> None:
         ("exposure: [1, 3]", "exposure: {}", "light.exposure: expected numbers"),
         ("exposure: [1, 3]", "exposure: [1, 3", "not YAML: "),
         ("exposure: [1, 3]", "exposure: !!python/object/apply:os.getcwd []", "not YAML: "),
-        ("n_lanes: [2, 4]", "n_lanes: [2, 9]", "road.n_lanes: expected integers from 2 to 8"),
-        ("n_lanes: [2, 4]", "n_lanes: [2, 3.5]", "road.n_lanes: expected integers from 2 to 8"),
+        ("n_lanes: [2, 4]", "n_lanes: [2, 9]", "road.n_lanes: expected integers from 1 to 8"),
+        ("n_lanes: [2, 4]", "n_lanes: [2, 3.5]", "road.n_lanes: expected integers from 1 to 8"),
         ("dash_fraction: [0.3, 1]", "dash_fraction: [0, 1]", "markings.dash_fraction: expected numbers in (0, 1]"),
         ("flip_lateral: {true: 1, false: 1}", "flip_lateral: 1", "road.flip_lateral: expected true, false or {true:"),
     ],
@@ -99,8 +100,8 @@ def test_a_mistake_is_one_line_that_names_file_and_key(old: str, new: str, expec
 
 
 def test_all_mistakes_come_at_once(tmp_path: Path) -> None:
-    text = APPENDIX_I.replace("pitch_deg: [0, 5]", "pitch_deg: [5, 0]").replace("model: [1, 6]", "model: 7")
-    found = problems(text, tmp_path, ("road.n_lanes=1", "light.expsure=2", "light"))
+    text = APPENDIX_I.replace("pitch_deg: [0, 5]", "pitch_deg: [5, 0]").replace("model: [1, 6]", "model: 12")
+    found = problems(text, tmp_path, ("road.n_lanes=0", "light.expsure=2", "light"))
     keys = sorted(line.split(": ")[0] for line in found)
     assert keys == sorted(
         [
@@ -181,3 +182,23 @@ def test_a_choice_follows_its_weights(rng: np.random.Generator) -> None:
 
 def test_a_constant_is_constant() -> None:
     assert {Choice((1.5,), (1.0,)).draw(u) for u in (0.0, 0.5, 0.999999)} == {1.5}
+
+
+WHOLE_CARS = ("[1, 6]", "[1, 11]", "{1: 2, 2: 1, 3: 1, 4: 1, 5: 1, 6: 1, 7: 1, 8: 1, 9: 1, 10: 1, 11: 1}")
+
+
+@pytest.mark.parametrize("form", WHOLE_CARS)
+def test_all_built_in_models_mean_all_of_a_users(form: str) -> None:
+    """Those of the paper's presets as well as all there are; the built-in ones themselves stay as they are written."""
+    own = Assets(cars=(CARS[0], CARS[2], CARS[5]))
+    overrides = [f"cars.model={form}"]
+    assert load_params("appendix_i", overrides, own).cars.model == Integers(1, 3)
+    written = {"[1, 6]": Integers(1, 6), "[1, 11]": Integers(1, 11)}
+    ours = load_params("appendix_i", overrides).cars.model
+    assert ours == written.get(form, ours)
+    assert ours != Integers(1, 3)
+
+
+def test_other_numbers_must_exist_among_a_users() -> None:
+    with pytest.raises(InputError, match=r"cars\.model: expected integers from 1 to 3"):
+        load_params("appendix_i", ["cars.model=[1, 7]"], Assets(cars=CARS[:3]))

@@ -17,7 +17,8 @@ Metres = Annotated[float, Field(gt=0)]
 
 @dataclass(frozen=True, config=STRICT)
 class CarModel:
-    """Body size and wheels: axles at y = +-wheelbase/2 from the origin, wheels at x = +-track/2, tyres on z = 0.
+    """Body size and wheels: axles at y = +-wheelbase/2 from the origin, wheels at x = +-track/2, tyres on z = 0. Where
+    there are more axles, these are the middles of the front and the rear ones.
     `sha256` is the digest of a user's file, empty for a built-in model."""
 
     name: str
@@ -65,6 +66,11 @@ CARS = (
     CarModel("pickup", 5.35, 1.92, 1.80, 3.25, 1.64, 0.38),
     CarModel("van", 5.50, 2.00, 2.35, 3.40, 1.72, 0.35),
     CarModel("truck", 8.20, 2.45, 3.30, 4.60, 2.05, 0.48),
+    CarModel("compact", 4.40, 1.78, 1.46, 2.65, 1.54, 0.31),
+    CarModel("estate", 4.80, 1.84, 1.50, 2.85, 1.59, 0.33),
+    CarModel("crossover", 4.35, 1.82, 1.58, 2.64, 1.56, 0.34),
+    CarModel("semitrailer", 16.50, 2.55, 4.00, 10.10, 2.10, 0.50),
+    CarModel("bus", 12.00, 2.55, 3.10, 5.90, 2.10, 0.48),
 )
 
 TREES = (
@@ -87,6 +93,11 @@ class Assets:
         "roads": 3,
         "terrains": 2,
         "skies": 0,
+    }
+
+    # Numbers of built-in assets of which a preset draws all; see `params.numbers`. The paper's presets have six cars.
+    WHOLE: ClassVar[dict[AssetKind, tuple[int, ...]]] = {kind: (number,) for kind, number in OURS.items()} | {
+        "cars": (6, len(CARS))
     }
 
     cars: tuple[CarModel, ...] = ()

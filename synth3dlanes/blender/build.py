@@ -10,16 +10,31 @@ import numpy as np
 from synth3dlanes.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.blender import drop_scratch
 from synth3dlanes.blender.camera import set_camera
-from synth3dlanes.blender.light import add_haze, make_world, set_light
+from synth3dlanes.blender.light import add_car_lamps, add_haze, make_world, set_light
 from synth3dlanes.blender.load_assets import LoadedAssets, load_assets
-from synth3dlanes.blender.materials import Materials, make_materials, set_materials
+from synth3dlanes.blender.materials import Materials, make_materials, set_materials, set_translucency
+from synth3dlanes.blender.shaders import car_paint, new_material
+from synth3dlanes.blender.structures import structure_mesh
 from synth3dlanes.frames import Matrix4, from_axes
+from synth3dlanes.geometry.bonnet import bonnet
+from synth3dlanes.geometry.grass import Blades
 from synth3dlanes.geometry.meshes import Mesh
 from synth3dlanes.geometry.paint import paint_color
 from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.scene import Car
-from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_SYMBOL_ID, FIRST_TREE_ID
+from synth3dlanes.settings import (
+    FIRST_CAR_ID,
+    FIRST_DELIMITER_ID,
+    FIRST_STRUCTURE_ID,
+    FIRST_SYMBOL_ID,
+    FIRST_TREE_ID,
+    HOST_ID,
+    SEMANTIC_IDS,
+)
 from synth3dlanes.world import View, World
+
+# Shade of a blade of grass at both corners of its foot and at its tip.
+FOOT_TO_TIP = np.array([0.5, 0.5, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +44,7 @@ class Studio:
 
     assets: LoadedAssets
     materials: Materials
+    bonnet: bpy.types.Mesh
     plain: bpy.types.Material
     camera: bpy.types.Object
     kept: frozenset[tuple[str, str]]
@@ -36,7 +52,7 @@ class Studio:
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """A car or tree in the scene: its mesh, pose, scale and instance id."""
+    """A car, a tree or the host's bonnet in the scene: its mesh, pose, scale and instance id."""
 
     mesh: bpy.types.Mesh
     world_from_object: Matrix4
@@ -55,8 +71,17 @@ def open_studio(library: Library = BUILT_IN) -> Studio:
     make_world()
     assets = load_assets(library)
     materials = make_materials(assets.roads, assets.terrains)
+    hood = new_mesh(bonnet(), [_host_paint()])
+    hood.name = "bonnet"
     add_haze()
-    return Studio(assets, materials, _plain(), camera, frozenset(_names()))
+    add_car_lamps()
+    return Studio(assets, materials, hood, _plain(), camera, frozenset(_names()))
+
+
+def _host_paint() -> bpy.types.Material:
+    material, graph = new_material("host", SEMANTIC_IDS["host"])
+    car_paint(graph)
+    return material
 
 
 def _plain() -> bpy.types.Material:
@@ -69,7 +94,7 @@ def _plain() -> bpy.types.Material:
 
 
 def build(studio: Studio, world: World, view: View, light: Daylight, labelled: Sequence[str] = ()) -> list[Placed]:
-    """Replace the previous world by this one; return its cars and trees.
+    """Replace the previous world by this one; return its cars and trees and the host's bonnet.
 
     Instance ids number the delimiters in `labelled` first, in that order, then those beyond the labels' range.
     """
@@ -77,14 +102,23 @@ def build(studio: Studio, world: World, view: View, light: Daylight, labelled: S
     scene = world.scene
     set_materials(studio.materials, scene)
     _add_surfaces(studio.materials, world, view, labelled)
+    for i, body in enumerate(world.structures):
+        _add_object(structure_mesh(body, studio.materials.structures), FIRST_STRUCTURE_ID + i)
     placed = _placed_objects(studio.assets, world, view)
-    for item, color in zip(
-        placed, [(*body_color(car), car.gloss) for car in scene.cars] + [None] * len(scene.trees), strict=True
-    ):
+    colors: list[tuple[float, ...] | None] = [(*body_color(car), car.gloss) for car in scene.cars]
+    colors += [None] * len(scene.trees)
+    if view.world_from_bonnet is not None:
+        placed.append(Placed(studio.bonnet, view.world_from_bonnet, 1.0, HOST_ID))
+        colors.append((*[scene.host.gray] * 3, scene.host.gloss))
+    for item, color in zip(placed, colors, strict=True):
         scaled = item.world_from_object @ np.diag([item.scale] * 3 + [1.0])
         _add_object(item.mesh, item.instance_id, mathutils.Matrix(scaled.tolist()), color)
+    set_translucency(studio.assets.trees, scene.vegetation.translucency)
+    grass = world.grass(view)
+    if grass is not None:
+        _add_object(_grass_mesh(grass, studio.materials.grass), 0)
     set_camera(studio.camera, view.camera, view.world_from_cam)
-    set_light(scene, light, studio.assets.skies)
+    set_light(scene, light, studio.assets.skies, view.world_from_road, world.street_lamps)
     return placed
 
 
@@ -117,7 +151,7 @@ def _add_surfaces(materials: Materials, world: World, view: View, labelled: Sequ
     for mesh in [world.terrain, *world.verges]:
         _add_object(new_mesh(mesh, [terrain]), 0)
     for mesh in world.pavement:
-        _add_object(new_mesh(mesh, [road, shoulder]), 0)
+        _add_object(new_mesh(mesh, [road, shoulder, terrain]), 0)
     for seam, material in ((world.tar(view), materials.tar), (world.ghost_lines(view), materials.ghost)):
         if seam is not None:
             _add_object(new_mesh(seam, [material]), 0)
@@ -162,6 +196,23 @@ def new_mesh(mesh: Mesh, materials: list[bpy.types.Material]) -> bpy.types.Mesh:
     for material in materials:
         data.materials.append(material)
     data.update(calc_edges=True)
+    return data
+
+
+def _grass_mesh(grass: Blades, material: bpy.types.Material) -> bpy.types.Mesh:
+    """Blades as triangles with their shade, which is darker at the foot, and their dryness."""
+    data, n_blades = bpy.data.meshes.new("grass"), len(grass.shade)
+    data.vertices.add(3 * n_blades)
+    data.vertices.foreach_set("co", grass.corners_world.astype(np.float32).ravel())
+    data.loops.add(3 * n_blades)
+    data.polygons.add(n_blades)
+    data.polygons.foreach_set("loop_start", np.arange(0, 3 * n_blades, 3, dtype=np.int32))
+    data.attributes[".corner_vert"].data.foreach_set("value", np.arange(3 * n_blades, dtype=np.int32))
+    for name, values in (("shade", np.outer(0.8 + 0.7 * grass.shade, FOOT_TO_TIP)), ("dryness", grass.dryness)):
+        per_corner = np.broadcast_to(values.reshape(n_blades, -1), (n_blades, 3)).astype(np.float32)
+        data.attributes.new(name, "FLOAT", "POINT").data.foreach_set("value", per_corner.ravel())
+    data.materials.append(material)
+    data.update()
     return data
 
 

@@ -1,12 +1,14 @@
-"""Sun, sky and haze in Blender: the daylight as an equirectangular image and a lamp."""
+"""Light and haze in Blender: the daylight as an equirectangular image and a lamp, headlights, street lamps."""
 
 from collections.abc import Sequence
 
 import bpy
 import mathutils
 import numpy as np
+from jaxtyping import Float
 
 from synth3dlanes.blender.shaders import Graph
+from synth3dlanes.frames import Matrix4, transform
 from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.imaging.haze import KOSCHMIEDER
 from synth3dlanes.imaging.sky import SKY_SHAPE, sun_direction
@@ -16,6 +18,16 @@ from synth3dlanes.scene import Scene
 SUN_ANGLE_RAD = 0.0093  # angular diameter of the sun
 CLOUD_SPREAD_RAD = 0.3  # added to it by a closed layer of clouds
 HAZE_PASS = "haze"
+# Headlights: their places in the road frame of the camera (metres), the intensity of both in the beam (in the
+# daylight's units), their colour and size.
+HEADLIGHTS_ROAD, BEAM, LAMP_COLOR, LAMP_M = ((-0.65, 1.9, 0.65), (0.65, 1.9, 0.65)), 0.32, (1.0, 0.93, 0.82), 0.08
+STRAY = 0.01  # share of the beam that goes above its edge
+# A street lamp's intensity straight down (about 2000 cd), the angle of its cone, and how many of the nearest are lit.
+STREET_LAMP, STREET_COLOR, STREET_CONE_RAD, N_STREET_LAMPS = 0.05, (1.0, 0.8, 0.55), 2.6, 8
+# Radiance of lit lamps of cars by the names of their materials.
+CAR_LAMPS = {"car_head": (0.012, 0.011, 0.0095), "car_tail": (0.0008, 0.00001, 0.000006)}
+
+Points = Float[np.ndarray, "n 3"]
 
 
 def make_world() -> None:
@@ -34,8 +46,62 @@ def make_world() -> None:
     background = graph.node("ShaderNodeBackground", {"Color": texture.outputs[0]})
     graph.node("ShaderNodeOutputWorld", {"Surface": background.outputs[0]})
     bpy.context.scene.world = world
-    lamp = bpy.data.lights.new("sun", "SUN")
-    bpy.context.scene.collection.objects.link(bpy.data.objects.new("sun", lamp))
+    _add_lamp("sun", "SUN")
+    for i in range(len(HEADLIGHTS_ROAD)):
+        beam = _add_lamp(f"headlight_{i}", "SPOT")
+        beam.energy, beam.color = 4 * np.pi**2 * BEAM / len(HEADLIGHTS_ROAD), LAMP_COLOR
+        beam.shadow_soft_size, beam.spot_size, beam.spot_blend = LAMP_M, np.radians(140), 0.1
+        _shape_beam(beam)
+    for i in range(N_STREET_LAMPS):
+        street = _add_lamp(f"street_lamp_{i}", "SPOT")
+        street.energy, street.color = 4 * np.pi**2 * STREET_LAMP, STREET_COLOR
+        street.shadow_soft_size, street.spot_size, street.spot_blend = LAMP_M, STREET_CONE_RAD, 1.0
+
+
+def _add_lamp(name: str, kind: str) -> bpy.types.Light:
+    """A lamp that is off."""
+    lamp = bpy.data.lights.new(name, kind)
+    item = bpy.data.objects.new(name, lamp)
+    item.rotation_mode = "QUATERNION"
+    bpy.context.scene.collection.objects.link(item)
+    item.hide_render = kind != "SUN"
+    return lamp
+
+
+def _shape_beam(lamp: bpy.types.Light) -> None:
+    """Low beam: a sharp upper edge, level on the left and rising on the right, and below it as much light as makes the
+    road evenly bright."""
+    lamp.use_nodes = True
+    lamp.node_tree.nodes.clear()
+    graph = Graph(lamp.node_tree)
+    direction = graph.node("ShaderNodeTexCoord").outputs["Normal"]
+    x, y, z = graph.node("ShaderNodeSeparateXYZ", {0: direction}).outputs
+    ahead = graph.math("MAXIMUM", graph.math("ABSOLUTE", z), 0.05)
+    aside, up = graph.math("DIVIDE", x, ahead), graph.math("DIVIDE", y, ahead)
+    kink = graph.math("MINIMUM", graph.math("MAXIMUM", graph.math("MULTIPLY", aside, 0.2), 0.0), 0.03)
+    below = graph.math("SUBTRACT", graph.math("SUBTRACT", kink, 0.01), up)
+    edge = graph.clamp(graph.math("MULTIPLY_ADD", below, 80.0, 0.5))
+    fall = graph.math("DIVIDE", 0.03, graph.math("ADD", graph.math("MAXIMUM", below, 0.0), 0.03))
+    width = graph.math("EXPONENT", graph.math("MULTIPLY", graph.math("MULTIPLY", aside, aside), -3.5))
+    level = graph.math("MULTIPLY", graph.math("MULTIPLY", fall, fall), edge)
+    strength = graph.math("MULTIPLY", graph.math("ADD", level, STRAY), width)
+    emission = graph.node("ShaderNodeEmission", {"Strength": strength})
+    graph.node("ShaderNodeOutputLight", {"Surface": emission.outputs[0]})
+
+
+def add_car_lamps() -> None:
+    """Let the lamps of cars shine, once per process; only the camera and reflections see it."""
+    for name in CAR_LAMPS:
+        material = bpy.data.materials.get(name)
+        if material is None:
+            continue
+        graph = Graph(material.node_tree)
+        output = next(node for node in material.node_tree.nodes if node.bl_idname == "ShaderNodeOutputMaterial")
+        surface = output.inputs["Surface"].links[0].from_socket
+        shine = graph.node("ShaderNodeEmission", {"Strength": 0.0}, name="lamp")
+        both = graph.node("ShaderNodeAddShader", {0: surface, 1: shine.outputs[0]})
+        graph.plug(output.inputs["Surface"], both.outputs[0])
+        material.cycles.emission_sampling = "NONE"
 
 
 def add_haze() -> None:
@@ -54,8 +120,11 @@ def add_haze() -> None:
     aov.name, aov.type = HAZE_PASS, "COLOR"
 
 
-def set_light(scene: Scene, light: Daylight, skies: Sequence[UserSky]) -> None:
-    """Set the sun's direction and colour, the sky image and the haze for one scene."""
+def set_light(
+    scene: Scene, light: Daylight, skies: Sequence[UserSky], world_from_road: Matrix4, street_lamps: Points
+) -> None:
+    """Set the sun's direction and colour, the sky image, the haze and the lamps for one scene; of the street lamps'
+    heads (world) the nearest are lit once the sun has set."""
     pixels = np.ones((*SKY_SHAPE, 4), np.float32)
     sky = hang(skies[scene.sky - 1], scene, light) if scene.sky else light.sky
     pixels[..., :3] = np.moveaxis(sky, 0, -1)
@@ -63,11 +132,40 @@ def set_light(scene: Scene, light: Daylight, skies: Sequence[UserSky]) -> None:
     image.pixels.foreach_set(pixels.ravel())
     image.update()
     sun = bpy.data.objects["sun"]
-    sun.rotation_mode = "QUATERNION"
     sun.rotation_quaternion = mathutils.Vector(sun_direction(scene.light).tolist()).to_track_quat("Z", "Y")
+    sun.hide_render = not light.sun.any()
     brightest = max(float(light.sun.max()), 1e-9)
     sun.data.energy = brightest
     sun.data.color = (light.sun / brightest).tolist()
     sun.data.angle = SUN_ANGLE_RAD + CLOUD_SPREAD_RAD * light.softness**2
     haze = bpy.data.node_groups[HAZE_PASS].nodes["minus_per_m"]
     haze.outputs[0].default_value = -KOSCHMIEDER / scene.air.visibility_m
+    _set_lamps(scene, world_from_road, street_lamps)
+
+
+def _set_lamps(scene: Scene, world_from_road: Matrix4, street_lamps: Points) -> None:
+    """Place the lamps that are lit, and turn the others off."""
+    is_lit, is_dark = scene.weather.headlights, scene.light.sun_zenith_rad > np.pi / 2
+    ahead = mathutils.Matrix(world_from_road[:3, :3].tolist()).to_quaternion() @ mathutils.Quaternion(
+        (1, 0, 0), np.pi / 2
+    )
+    for i, place in enumerate(transform(world_from_road, np.array(HEADLIGHTS_ROAD))):
+        _place(f"headlight_{i}", place if is_lit else None, ahead)
+    away = np.linalg.norm(street_lamps - world_from_road[:3, 3], axis=1)
+    nearest = street_lamps[np.argsort(away)[:N_STREET_LAMPS]] if is_dark else street_lamps[:0]
+    for i in range(N_STREET_LAMPS):
+        _place(f"street_lamp_{i}", nearest[i] if i < len(nearest) else None, mathutils.Quaternion())
+    for name, radiance in CAR_LAMPS.items():
+        if name in bpy.data.materials:
+            shine = bpy.data.materials[name].node_tree.nodes["lamp"].inputs
+            brightest = max(radiance)
+            shine["Color"].default_value = (*(channel / brightest for channel in radiance), 1.0)
+            shine["Strength"].default_value = brightest if is_lit else 0.0
+
+
+def _place(name: str, place_world: Float[np.ndarray, "3"] | None, rotation: mathutils.Quaternion) -> None:
+    """Turn a lamp on at a place, or off."""
+    lamp = bpy.data.objects[name]
+    lamp.hide_render = place_world is None
+    if place_world is not None:
+        lamp.location, lamp.rotation_quaternion = place_world.tolist(), rotation

@@ -15,7 +15,8 @@ from PIL import Image
 
 from synth3dlanes.assets.folder import TextureFiles
 from synth3dlanes.blender.shaders import Graph, coated, new_material, texture
-from synth3dlanes.blender.weathering import Look, rub_level, rubbed, wet
+from synth3dlanes.blender.structures import structure_materials
+from synth3dlanes.blender.weathering import SNOW, Look, rub_level, rubbed, snowed, thrown_back, wet, wheel_tracks
 from synth3dlanes.geometry.seams import ghost_shade, joint
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import SEMANTIC_IDS
@@ -28,9 +29,13 @@ ROAD_TILE_M, ROAD_ROUGHNESS = 5.0, 0.8  # of the road that shows through rubbed 
 # Cycles has no mipmaps: far terrain fades to its texture's mean (linear), because fine texture aliases at few samples.
 BLUR_DISTANCE_M = 160.0
 MACRO_TILES = 20.0  # the large-scale maps fade out over this many tiles, before their repetition is visible
-# Colours of traffic paint as shares of its grayscale, linear.
+# How well rough pavement and beads in paint throw headlights back (about 10 and 150 mcd/m2/lx at 30 m), and the most
+# they gain over a matt surface; under water a fifth of it is left.
+ROAD_BACK, PAINT_BACK, LEFT_WET = (0.12, 4.0), (0.4, 12.0), 0.2
 TAR, TAR_ROUGHNESS, TAR_COAT = (0.012, 0.012, 0.012), 0.35, 0.3
+# Colours of traffic paint as shares of its grayscale, linear.
 WHITE, YELLOW = (1.0, 1.0, 1.0), (1.0, 0.56, 0.06)
+DRY_GRASS = (0.24, 0.19, 0.10)
 TERRAIN_MEANS = {"terrain_1": (0.103, 0.109, 0.052), "terrain_2": (0.249, 0.179, 0.11)}
 # Woods on far terrain (linear): patches of hundreds of metres that fade in from this distance to twice it.
 WOODS, WOODS_LENGTH_M, WOODS_FROM_M = (0.035, 0.045, 0.025), 2900.0, 220.0
@@ -38,7 +43,7 @@ WOODS, WOODS_LENGTH_M, WOODS_FROM_M = (0.035, 0.045, 0.025), 2900.0, 220.0
 
 @dataclass(frozen=True, eq=False)
 class Materials:
-    """Road, shoulder and terrain materials by texture number minus 1, and the paints."""
+    """Road, shoulder and terrain materials by texture number minus 1, the paints, and those of structures."""
 
     roads: tuple[bpy.types.Material, ...]
     shoulders: tuple[bpy.types.Material, ...]
@@ -48,6 +53,8 @@ class Materials:
     symbol: bpy.types.Material
     tar: bpy.types.Material
     ghost: bpy.types.Material
+    grass: bpy.types.Material
+    structures: tuple[bpy.types.Material, ...]
 
     @property
     def paints(self) -> tuple[bpy.types.Material, ...]:
@@ -66,6 +73,8 @@ def make_materials(roads: Sequence[TextureFiles], terrains: Sequence[TextureFile
         _paint("symbol", "symbol", WHITE),
         _tar(),
         _ghost(),
+        _grass(),
+        structure_materials(),
     )
 
 
@@ -99,8 +108,35 @@ def set_materials(materials: Materials, scene: Scene) -> None:
         _set(paint, "is_rubbed", float(scene.markings.wear > 0))
         _set(paint, "road_gloss", surface.road_gloss)
         paint.node_tree.nodes["albedo"].image = under
-    for wettable in (*materials.roads, *materials.shoulders, *materials.paints, materials.ghost):
-        _set(wettable, "wetness", surface.wetness)
+    weather, shift = scene.weather, 0.5 * parity
+    for paved in (*materials.roads, *materials.shoulders, *materials.paints):
+        _set(paved, "wetness", surface.wetness)
+        _set(paved, "retro", weather.headlights * (1 - (1 - LEFT_WET) * surface.wetness))
+        _set_snow(paved, weather.snow if paved in materials.shoulders else weather.snow_on_road)
+    _set(materials.ghost, "wetness", surface.wetness)
+    for seam in (materials.tar, materials.ghost):
+        _set_snow(seam, weather.snow_on_road)
+    for road in materials.roads:
+        _set(road, "lane_width_m", lane_width_m)
+        _set(road, "lane_shift", shift)
+    for terrain in materials.terrains:
+        _set_snow(terrain, weather.snow)
+    mean = materials.terrains[surface.terrain_texture - 1].node_tree.nodes["mean"].outputs[0].default_value
+    under_snow = [(1 - weather.snow) * bare + weather.snow * white for bare, white in zip(mean, SNOW, strict=False)]
+    materials.grass.node_tree.nodes["mean"].outputs[0].default_value = (*under_snow, 1.0)
+
+
+def _set_snow(material: bpy.types.Material, share: float) -> None:
+    _set(material, "snow", share)
+    _set(material, "snow_level", rub_level(share))
+    _set(material, "is_snowy", float(share > 0))
+
+
+def set_translucency(trees: Sequence[bpy.types.Mesh], share: float) -> None:
+    """Set how much light the leaves of the built-in trees let through."""
+    for material in (material for mesh in trees for material in mesh.materials):
+        if "translucency" in material.node_tree.nodes:
+            _set(material, "translucency", share)
 
 
 def _set(material: bpy.types.Material, name: str, value: float) -> None:
@@ -155,6 +191,8 @@ def _road(name: str, files: TextureFiles) -> bpy.types.Material:
     roughness = graph.math("MULTIPLY_ADD", gloss, -1.5, texture(graph, files.roughness, uv, is_color=False))
     amount = graph.math("MULTIPLY_ADD", gloss, 1.2, 0.15)
     look = wet(graph, Look(color, roughness, amount, _bumpy_normal(graph, files.normal, uv, 0.4)))
+    across_m = graph.node("ShaderNodeSeparateXYZ", {0: _metres(graph)}).outputs[0]
+    look = thrown_back(graph, snowed(graph, look, wheel_tracks(graph, across_m)), *ROAD_BACK)
     coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
     return material
 
@@ -174,7 +212,7 @@ def _gravel_shoulder() -> bpy.types.Material:
     macro = graph.math("MULTIPLY", texture(graph, "terrain_macro.jpg", macro_uv, is_color=False), 2.0)
     color = graph.scale(texture(graph, "shoulder_albedo.jpg", uv, is_color=True), macro)
     normal = _bumpy_normal(graph, "shoulder_normal.jpg", uv, 0.6)
-    look = wet(graph, Look(color, 0.8, 0.0, normal))
+    look = thrown_back(graph, snowed(graph, wet(graph, Look(color, 0.8, 0.0, normal))), *ROAD_BACK)
     coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
     return material
 
@@ -186,6 +224,7 @@ def _paved_shoulder() -> bpy.types.Material:
     dust = texture(graph, "terrain_macro.jpg", graph.scale(_metres(graph), 1 / 23.0), is_color=False)
     color = graph.vector("MULTIPLY", graph.scale(_albedo(graph, "road_1_albedo.jpg", uv), 2.0), dust)
     look = wet(graph, Look(color, ROAD_ROUGHNESS, 0.15, _bumpy_normal(graph, "road_1_normal.jpg", uv, 0.4)))
+    look = thrown_back(graph, snowed(graph, look), *ROAD_BACK)
     coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
     return material
 
@@ -197,7 +236,9 @@ def _terrain(name: str, files: TextureFiles) -> bpy.types.Material:
     fine = texture(graph, files.albedo, uv, is_color=True)
     distance_m = graph.node("ShaderNodeCameraData").outputs["View Distance"]
     blur = graph.math("MINIMUM", graph.math("DIVIDE", distance_m, BLUR_DISTANCE_M), 0.9)
-    mean = mean_color(files.albedo) if files.albedo.is_absolute() else TERRAIN_MEANS[name]
+    mean = graph.node("ShaderNodeRGB", name="mean").outputs[0]
+    known = mean_color(files.albedo) if files.albedo.is_absolute() else TERRAIN_MEANS[name]
+    mean.default_value = (*known, 1.0)
     color = graph.mix_color(fine, mean, blur)
     for length_m in (41.0, 233.0):
         macro = texture(graph, "terrain_macro.jpg", graph.scale(metres, 1 / length_m), is_color=False)
@@ -206,7 +247,24 @@ def _terrain(name: str, files: TextureFiles) -> bpy.types.Material:
     color = graph.mix_color(color, WOODS, _far_woods(graph, metres, distance_m))
     flat = graph.node("ShaderNodeNewGeometry").outputs["Normal"]
     normal = graph.mix_color(_bumpy_normal(graph, files.normal, uv, 0.8), flat, blur)
-    graph.surface(graph.node("ShaderNodeBsdfDiffuse", {"Color": color, "Normal": normal}))
+    look = snowed(graph, Look(color, 1.0, 0.0, normal), blur=blur)
+    graph.surface(graph.node("ShaderNodeBsdfDiffuse", {"Color": look.color, "Normal": look.normal}))
+    return material
+
+
+def _grass() -> bpy.types.Material:
+    """Blades in the terrain's mean colour, some of them dry, lit from both sides."""
+    material, graph = new_material("grass", SEMANTIC_IDS["terrain"])
+    shade, dryness = (
+        graph.node("ShaderNodeAttribute", attribute_name=name).outputs["Fac"] for name in ("shade", "dryness")
+    )
+    mean = graph.node("ShaderNodeRGB", name="mean").outputs[0]
+    color = graph.scale(graph.mix_color(mean, DRY_GRASS, dryness), shade)
+    facing = graph.node("ShaderNodeNewGeometry").outputs["Normal"]
+    normal = graph.vector("NORMALIZE", graph.vector("ADD", facing, (0.0, 0.0, 0.9)))
+    front = graph.node("ShaderNodeBsdfDiffuse", {"Color": color, "Normal": normal})
+    back = graph.node("ShaderNodeBsdfTranslucent", {"Color": color})
+    graph.surface(graph.node("ShaderNodeAddShader", {0: front.outputs[0], 1: back.outputs[0]}))
     return material
 
 
@@ -239,7 +297,7 @@ def _paint(name: str, kind: str, tint: tuple[float, float, float]) -> bpy.types.
     roughness = graph.mix(graph.math("MULTIPLY_ADD", gloss, -0.4, 0.75), ROAD_ROUGHNESS, bare)
     amount = graph.mix(gloss, graph.math("MULTIPLY_ADD", graph.value("road_gloss"), 1.2, 0.15), bare)
     normal = graph.node("ShaderNodeNewGeometry").outputs["Normal"]
-    look = wet(graph, Look(color, roughness, amount, normal))
+    look = thrown_back(graph, snowed(graph, wet(graph, Look(color, roughness, amount, normal))), *PAINT_BACK)
     coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
     return material
 
@@ -247,7 +305,9 @@ def _paint(name: str, kind: str, tint: tuple[float, float, float]) -> bpy.types.
 def _tar() -> bpy.types.Material:
     """Bitumen: black and shiny, wet or dry."""
     material, graph = new_material("tar", SEMANTIC_IDS["road"])
-    coated(graph, TAR, TAR_ROUGHNESS, TAR_COAT)
+    normal = graph.node("ShaderNodeNewGeometry").outputs["Normal"]
+    look = snowed(graph, Look(TAR, TAR_ROUGHNESS, TAR_COAT, normal))
+    coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
     return material
 
 
@@ -259,6 +319,6 @@ def _ghost() -> bpy.types.Material:
     gray = graph.node("ShaderNodeRGBToBW", {0: road}).outputs[0]
     color = graph.scale((1.0, 1.0, 1.0), graph.math("MULTIPLY", gray, graph.value("shade")))
     normal = graph.node("ShaderNodeNewGeometry").outputs["Normal"]
-    look = wet(graph, Look(color, ROAD_ROUGHNESS, 0.15, normal))
+    look = snowed(graph, wet(graph, Look(color, ROAD_ROUGHNESS, 0.15, normal)))
     coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
     return material

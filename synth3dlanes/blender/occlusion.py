@@ -1,6 +1,7 @@
-"""Occlusion by cars and trees: rays against their rendered meshes. World frame; no rendering.
+"""Occlusion by cars, trees and structures: rays against their rendered meshes. World frame; no rendering.
 
-Each asset's mesh gets one search tree per process; rays are transformed into the object's frame.
+Each asset's mesh gets one search tree per process; rays are transformed into the object's frame. All structures of a
+scene share one tree.
 """
 
 from collections.abc import Callable
@@ -21,32 +22,49 @@ END_M = 0.02
 # Rays per side of the grid over a car's bounding sphere. About 60 of them hit the car, so shares are accurate to a few
 # per cent.
 SILHOUETTE_RAYS = 16
+# Seen from behind, a car larger than this fills too little of its sphere: its grid is twice as fine.
+LARGE_M = 5.0
 
 
 def hidden_by_objects(
-    placed: list[Placed], eye_world: Float[np.ndarray, "3"], points_world: Float[np.ndarray, "n 3"]
+    placed: list[Placed],
+    structures: BVHTree | None,
+    eye_world: Float[np.ndarray, "3"],
+    points_world: Float[np.ndarray, "n 3"],
 ) -> Bool[np.ndarray, " n"]:
-    """True where a car or a tree is on the straight line from the eye to the point."""
+    """True where a car, a tree or a structure is on the straight line from the eye to the point."""
     hidden = np.zeros(len(points_world), dtype=bool)
+    if structures is not None:
+        hidden = _meets(structures, eye_world, points_world, END_M)
     near = _rays_near(placed, eye_world, points_world)
     for item, candidates in zip(placed, near, strict=True):
         rays = np.flatnonzero(candidates & ~hidden)
         if not rays.size:
             continue
-        tree = _search_tree(item.mesh.name)
         object_from_world = invert(item.world_from_object)
         eye = transform(object_from_world, eye_world) / item.scale
-        to = transform(object_from_world, points_world[rays]) / item.scale - eye
-        reach = np.linalg.norm(to, axis=1)
-        origin = Vector(eye)
-        for ray, direction, distance in zip(rays, to / reach[:, None], reach - END_M / item.scale, strict=True):
-            hidden[ray] = tree.ray_cast(origin, Vector(direction), distance)[0] is not None
+        points = transform(object_from_world, points_world[rays]) / item.scale
+        hidden[rays] = _meets(_search_tree(item.mesh.name), eye, points, END_M / item.scale)
     return hidden
+
+
+def _meets(
+    tree: BVHTree, eye: Float[np.ndarray, "3"], points: Float[np.ndarray, "n 3"], end: float
+) -> Bool[np.ndarray, " n"]:
+    """Which straight lines from the eye meet a mesh before they come this close to their points."""
+    to = points - eye
+    reach, origin = np.linalg.norm(to, axis=1), Vector(eye)
+    hits = (
+        tree.ray_cast(origin, Vector(direction), distance)[0] is not None
+        for direction, distance in zip(to / reach[:, None], reach - end, strict=True)
+    )
+    return np.fromiter(hits, dtype=bool, count=len(to))
 
 
 def seen_fractions(
     cars: list[Placed],
     placed: list[Placed],
+    structures: BVHTree | None,
     labels: Labels,
     seen_over_ground: Callable[[Float[np.ndarray, "n 3"]], Bool[np.ndarray, " n"]],
 ) -> tuple[float, ...]:
@@ -59,7 +77,7 @@ def seen_fractions(
     uv = project(camera.img_from_cam, transform(invert(camera.world_from_cam), points))
     seen = inside_image(uv, camera.width_px, camera.height_px)
     seen[seen] = seen_over_ground(points[seen])
-    seen[seen] = ~hidden_by_objects(placed, eye, points[seen])
+    seen[seen] = ~hidden_by_objects(placed, structures, eye, points[seen])
     shares = np.split(seen, np.cumsum([len(surface) for surface in surfaces]))[:-1]
     return tuple(round(float(share.mean()), 3) if share.size else 0.0 for share in shares)
 
@@ -84,7 +102,8 @@ def _silhouette(car: Placed, eye_world: Float[np.ndarray, "3"]) -> Float[np.ndar
     forward /= distance
     right = np.cross(forward, [0, 0, 1.0])
     right /= np.linalg.norm(right)
-    grid = (np.arange(SILHOUETTE_RAYS) + 0.5) / SILHOUETTE_RAYS * 2 - 1
+    n_rays = SILHOUETTE_RAYS * (2 if radius > LARGE_M else 1)
+    grid = (np.arange(n_rays) + 0.5) / n_rays * 2 - 1
     across, up = (axis.reshape(-1, 1) for axis in np.meshgrid(grid, grid))
     rays = center + radius * (across * right + up * np.cross(right, forward)) - eye
     tree = _search_tree(car.mesh.name)

@@ -14,6 +14,7 @@ from synth3dlanes.blender.build import Placed, Studio, build, open_studio
 from synth3dlanes.blender.devices import use_device
 from synth3dlanes.blender.light import HAZE_PASS
 from synth3dlanes.blender.occlusion import hidden_by_objects, seen_fractions
+from synth3dlanes.blender.structures import search_tree
 from synth3dlanes.frames import Matrix4, transform
 from synth3dlanes.geometry.visibility import seen_over_ground
 from synth3dlanes.imaging.daylight import Daylight
@@ -72,12 +73,13 @@ def with_object_visibility(world: World, view: View, labels: Labels, placed: lis
     """The labels with every point's `object_visible` and the seen share of every car."""
     eye = view.eye_world
     outlines = [*(lane.xyz_cam for lane in labels.lanes), *(symbol.xyz_cam for symbol in labels.symbols)]
-    visible = ~hidden_by_objects(placed, eye, transform(view.world_from_cam, np.concatenate(outlines)))
+    structures = search_tree(world.structures)
+    visible = ~hidden_by_objects(placed, structures, eye, transform(view.world_from_cam, np.concatenate(outlines)))
     masks = iter(np.split(visible, np.cumsum([len(points) for points in outlines])[:-1]))
     lanes = tuple(replace(lane, object_visible=next(masks)) for lane in labels.lanes)
     symbols = tuple(replace(symbol, object_visible=next(masks)) for symbol in labels.symbols)
     over_ground = partial(seen_over_ground, world.ground, eye)
-    cars = seen_fractions(placed[: len(world.scene.cars)], placed, labels, over_ground)
+    cars = seen_fractions(placed[: len(world.scene.cars)], placed, structures, labels, over_ground)
     return replace(labels, lanes=lanes, symbols=symbols, car_visible_fraction=cars)
 
 

@@ -52,6 +52,10 @@ class Graph:
         """A vector operation; colours pass as vectors."""
         return self.node("ShaderNodeVectorMath", {0: a, 1: b, 2: c}, operation=operation).outputs[0]
 
+    def vector_dot(self, a: Socket, b: Socket) -> Any:
+        """The dot product of two vectors."""
+        return self.node("ShaderNodeVectorMath", {0: a, 1: b}, operation="DOT_PRODUCT").outputs["Value"]
+
     def scale(self, a: Socket, factor: Socket) -> Any:
         """A vector times a number."""
         return self.node("ShaderNodeVectorMath", {0: a, "Scale": factor}, operation="SCALE").outputs[0]

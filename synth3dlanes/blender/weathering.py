@@ -1,5 +1,5 @@
-"""Water on pavement and worn paint, as shader nodes without effect at 0: Cycles folds constants, so they cost nothing
-in a dry scene with intact paint."""
+"""Water and snow on the ground, worn paint, and light thrown back at night, as shader nodes without effect at 0: Cycles
+folds constants, so they cost nothing in a dry scene by day with intact paint."""
 
 from functools import cache
 from typing import Any, NamedTuple
@@ -20,6 +20,10 @@ FILM_ROUGHNESS, PUDDLE_ROUGHNESS = 0.22, 0.03
 # width of the transition.
 RUB_LENGTHS_M, RUB_WEIGHTS, RUB_SOFTNESS = (0.9, 6.5), (0.6, 0.4), 0.06
 MAP = "terrain_macro.jpg"
+# Snow (linear). It lies where the map of rubbed paint, stretched by SNOW_STRETCH, is low; its level is lower by TRACK
+# in wheel tracks, this far from the middle of a lane and this wide.
+SNOW, SNOW_STRETCH, SNOW_SOFTNESS = (0.72, 0.76, 0.82), 2.5, 0.12
+TRACK, TRACK_M, TRACK_HALF_M = 0.35, 0.8, 0.32
 
 
 class Look(NamedTuple):
@@ -53,20 +57,61 @@ def wet(graph: Graph, dry: Look) -> Look:
     )
 
 
-def rubbed(graph: Graph) -> Any:
-    """Share 0..1 of rubbed-off paint, controlled by the node values `rub_level` and `is_rubbed`."""
+def snowed(graph: Graph, bare: Look, spare: Socket = 0.0, blur: Socket = 0.0) -> Look:
+    """The look under snow, controlled by the node values `snow_level` (of the map), `is_snowy` and `snow`: less where
+    `spare` is 1, and evenly its share where `blur` is 1."""
+    under = graph.math("SUBTRACT", graph.value("snow_level"), _height(graph, SNOW_STRETCH))
+    under = graph.math("SUBTRACT", under, graph.math("MULTIPLY", spare, TRACK))
+    near = graph.clamp(graph.math("MULTIPLY_ADD", under, 1 / SNOW_SOFTNESS, 0.5))
+    cover = graph.math("MULTIPLY", graph.value("is_snowy"), graph.mix(near, graph.value("snow"), blur))
+    return Look(
+        graph.mix_color(bare.color, SNOW, cover),
+        graph.mix(bare.roughness, 0.8, cover),
+        graph.mix(bare.amount, 0.1, cover),
+        bare.normal,
+    )
+
+
+def wheel_tracks(graph: Graph, across_m: Socket) -> Any:
+    """Share 0..1 of a wheel track at a distance right of the road's middle, by the node values `lane_width_m` and
+    `lane_shift`."""
+    width_m = graph.value("lane_width_m", 3.5)
+    lanes = graph.math("ADD", graph.math("DIVIDE", across_m, width_m), graph.value("lane_shift"))
+    aside = graph.math("ABSOLUTE", graph.math("SUBTRACT", graph.math("FRACT", lanes), 0.5))
+    off_m = graph.math("ABSOLUTE", graph.math("SUBTRACT", graph.math("MULTIPLY", aside, width_m), TRACK_M))
+    return graph.clamp(graph.math("MULTIPLY_ADD", off_m, -4.0, 0.5 + 4 * TRACK_HALF_M))
+
+
+def thrown_back(graph: Graph, look: Look, strength: float, most: float) -> Look:
+    """The look under light from beside the camera, by the node value `retro`: glass beads in paint and rough pavement
+    throw it back at flat angles too, where a matt surface would be dark. `most` limits the gain."""
+    geometry = graph.node("ShaderNodeNewGeometry")
+    facing = graph.vector_dot(geometry.outputs["Incoming"], geometry.outputs["Normal"])
+    gain = graph.math("DIVIDE", strength, graph.math("MAXIMUM", graph.math("ABSOLUTE", facing), strength / most))
+    gain = graph.mix(1.0, graph.math("MAXIMUM", gain, 1.0), graph.value("retro"))
+    return look._replace(color=graph.scale(look.color, gain))
+
+
+def _height(graph: Graph, stretch: float = 1.0) -> Any:
+    """The map that paint and snow follow, 0..1, by the position in the world."""
     position = graph.node("ShaderNodeNewGeometry").outputs["Position"]
     height: Any = 0.0
     for length_m, weight in zip(RUB_LENGTHS_M, RUB_WEIGHTS, strict=True):
-        texel = texture(graph, MAP, graph.scale(position, 1 / length_m), is_color=False)
+        texel = texture(graph, MAP, graph.scale(position, 1 / (stretch * length_m)), is_color=False)
         height = graph.math("MULTIPLY_ADD", texel, weight, height)
-    under = graph.math("SUBTRACT", graph.value("rub_level"), height)
+    return height
+
+
+def rubbed(graph: Graph) -> Any:
+    """Share 0..1 of rubbed-off paint, controlled by the node values `rub_level` and `is_rubbed`."""
+    under = graph.math("SUBTRACT", graph.value("rub_level"), _height(graph))
     bare = graph.clamp(graph.math("MULTIPLY_ADD", under, 1 / RUB_SOFTNESS, 0.5))
     return graph.math("MULTIPLY", graph.value("is_rubbed"), bare)
 
 
 def rub_level(share: float) -> float:
-    """The value of `rub_level` at which the mean of `rubbed` is `share`."""
+    """The level of the map below which `share` of it lies: as `rub_level` or `snow_level`, the mean of `rubbed` or of
+    `snowed`."""
     return float(np.quantile(_heights(), share))
 
 

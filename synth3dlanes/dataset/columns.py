@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 from pydantic import BaseModel
+from pydantic.fields import FieldInfo
 
 from synth3dlanes.dataset.format import COLUMN_OF_MEMBER
 from synth3dlanes.dataset.index import RECIPE, place_columns
@@ -33,6 +34,12 @@ def _arrow_type(annotation: Any) -> pa.DataType:
     return ARROW_TYPES[annotation]
 
 
+def _columns(part: type[BaseModel] | BaseModel) -> dict[str, FieldInfo]:
+    """The fields that are columns: not those that `scene.json` may leave out, which older shards do not have."""
+    fields = (part if isinstance(part, type) else type(part)).model_fields
+    return {name: field for name, field in fields.items() if field.exclude_if is None}
+
+
 SCHEMA = pa.schema(
     [("key", pa.string()), ("index", pa.int64()), ("sha256", pa.string())]
     + [(name, pa.int64()) for name in PLACE_COLUMNS]
@@ -40,7 +47,7 @@ SCHEMA = pa.schema(
     + [
         (PREFIXES.get(group, "") + name, _arrow_type(field.annotation))
         for group, part in PARTS.items()
-        for name, field in part.model_fields.items()
+        for name, field in _columns(part).items()
     ]
     + [("junction", pa.string()), ("exit_side", pa.string()), ("ramp_used", pa.bool_()), ("max_grade", pa.float64())]
     + [(f"n_{seen}{kind}", pa.int64()) for kind in ("centerlines", "delimiters") for seen in ("", "visible_")]
@@ -59,7 +66,8 @@ def index_row(
         row |= {f"{column}_offset": offset, f"{column}_size": size}
     row |= {"n_gaussians": len(scene.terrain.gaussians), "n_cars": len(scene.cars), "n_trees": len(scene.trees)}
     for group in PARTS:
-        row |= {PREFIXES.get(group, "") + name: value for name, value in getattr(scene, group)}
+        part = getattr(scene, group)
+        row |= {PREFIXES.get(group, "") + name: getattr(part, name) for name in _columns(part)}
     return row | _topology(scene, labels) | _summary(labels)
 
 

@@ -18,9 +18,9 @@ from synth3dlanes import labels as labels_module
 from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels
 from synth3dlanes.schema import MAX_PX
+from synth3dlanes.settings import JPEG_QUALITY
 
 IMAGE_FORMATS = ("jpg", "png")
-JPEG_QUALITY = 95
 SCENE, LABELS, PASSES, HEIGHT = "scene.json", "labels.json", "passes.exr", "height.exr"
 # A name in the index for each member of a sample; the image's is the same for every image format.
 COLUMN_OF_MEMBER = {
@@ -65,10 +65,11 @@ def encode(
     scene_json: str,
     passes: Mapping[str, Shaped[np.ndarray, "..."]],
     image_format: str,
+    jpeg_quality: int = JPEG_QUALITY,
 ) -> dict[str, bytes]:
     """A sample's members, named as `member_names` does."""
     members = {
-        image_format: encode_image(image, image_format),
+        image_format: encode_image(image, image_format, jpeg_quality),
         SCENE: scene_json.encode(),
         LABELS: labels_module.to_json(labels).encode(),
     }
@@ -80,11 +81,11 @@ def encode(
     return members
 
 
-def encode_image(image: UInt8[np.ndarray, "h w 3"], image_format: str) -> bytes:
-    """The image as JPEG of quality 95, or as PNG, which is exact."""
+def encode_image(image: UInt8[np.ndarray, "h w 3"], image_format: str, jpeg_quality: int = JPEG_QUALITY) -> bytes:
+    """The image as JPEG, or as PNG, which is exact."""
     stream = io.BytesIO()
     if image_format == "jpg":
-        Image.fromarray(image).save(stream, "JPEG", quality=JPEG_QUALITY)
+        Image.fromarray(image).save(stream, "JPEG", quality=jpeg_quality)
     else:
         Image.fromarray(image).save(stream, "PNG")
     return stream.getvalue()

@@ -10,6 +10,7 @@ KINDS: dict[LaneKind, Rgb] = {"centerline": (0, 190, 255), "delimiter": (255, 45
 ROAD = "#c9ced6"
 GROUND = "#a9c29a"
 TREE = "#4c8a4a"
+STRUCTURE = "#7b6f8c"
 INK = "#22303c"
 FAINT = "#8894a0"
 FRUSTUM = "#f2b705"

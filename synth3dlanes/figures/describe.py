@@ -103,6 +103,9 @@ def _road(scene: Scene, labels: Labels) -> Facts:
         "lanes": f"{road.n_lanes}, each {road.lane_width_m:.2f} m wide",
         "shoulder": f"{road.shoulder_factor * road.lane_width_m:.2f} m",
     }
+    if road.n_oncoming:
+        between = f"beyond a median of {road.median_m:.1f} m" if road.median_m else "without a median"
+        facts["oncoming lanes"] = f"{road.n_oncoming}, {between}"
     if road.topology > 1:
         start_m = labels.graph.ramp_start_s_m
         facts["exit"] = (

@@ -71,7 +71,7 @@ class SceneView:
     def roads(self) -> dict[str, tuple[Points3, Points3]]:
         """Both edges of each road, shoulders included: "main" and, if one is in range, "exit"."""
         plan, s = self.plan, self._stations
-        left, right = plan.main_xy(s, -self.ground.edge_m), plan.main_xy(s, self.ground.main_right_edge(s))
+        left, right = plan.main_xy(s, self.ground.left_edge_m), plan.main_xy(s, self.ground.main_right_edge(s))
         edges_world = {"main": (plan.lift(left), plan.lift(right))}
         beyond = s[s >= 0]
         if plan.has_exit and beyond.size > 1:

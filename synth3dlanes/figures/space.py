@@ -13,6 +13,7 @@ from synth3dlanes.figures.scene_view import AHEAD_M, BEHIND_M, SceneView, TreeOu
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.meshes import Mesh
 from synth3dlanes.geometry.paint import PAINT_LIFT_AT_M, PAINT_LIFT_M, paint_color
+from synth3dlanes.geometry.roadside import Body
 from synth3dlanes.labels import LaneKind
 
 # The area that is shown: x to the right and y forward.
@@ -64,6 +65,7 @@ def triangles(view: SceneView) -> list[Triangles]:
             [_prism(car.corners_road, car.height_m, car.color) for car in view.cars if _is_near(car.corners_road)],
         ),
         _merge("trees", [part for tree in view.trees if _is_near(tree.foot_road[None]) for part in _tree(tree)]),
+        *([_merge("structures", [_body(view, body) for body in world.structures])] if world.structures else []),
         _merge("camera", [_camera(view)]),
     ]
 
@@ -109,6 +111,16 @@ def _lanes(view: SceneView, kind: LaneKind) -> list[Triangles]:
         color = np.array(colors.KINDS[kind])
         ribbons.append(Triangles("", ribbon.vertices_road, np.where(seen, color, (color + 2 * 190) // 3), ribbon.faces))
     return ribbons
+
+
+def _body(view: SceneView, body: Body) -> Triangles:
+    """The quads of a structure near the host, in their own colours."""
+    corners_road = transform(view.road_from_world, body.corners_world)
+    is_near = ((corners_road[..., :2] > _LOW_M) & (corners_road[..., :2] < _HIGH_M)).all(axis=(1, 2))
+    shown = corners_road[is_near].reshape(-1, 3)
+    quads = _quads(shown, np.arange(len(shown)).reshape(-1, 4), (0, 0, 0))
+    display = np.rint(255 * np.sqrt(np.repeat(body.colors[is_near, :3], 4, axis=0))).astype(int)
+    return Triangles("", shown, display, quads.faces)
 
 
 def _prism(corners_road: Float[np.ndarray, "4 3"], height_m: float, color: Rgb) -> Triangles:

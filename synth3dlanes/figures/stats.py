@@ -18,6 +18,7 @@ from synth3dlanes.figures.shape import bends, grades
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import Params
 from synth3dlanes.scene import Scene
+from synth3dlanes.weather import replaced
 
 Values = Float[np.ndarray, " n"]
 Distribution = Uniform | Integers | Choice[Any]
@@ -94,17 +95,28 @@ class LabelStatistics:
 
 
 def scene_statistics(scenes: Iterable[Scene], params: Params) -> SceneStatistics:
-    """Compare every parameter with its declared distribution. Keeps all drawn values: about 15 kB per scene."""
+    """Compare every parameter that is a number with its declared distribution, in the scenes whose weather does not
+    replace it. Keeps all drawn values: about 15 kB per scene."""
     collected: dict[str, list[Values]] = defaultdict(list)
     topologies: Counter[str] = Counter()
     n_scenes = 0
     for scene in scenes:
         n_scenes += 1
         topologies[topology_words(scene.road)] += 1
+        drawn_otherwise = replaced(scene.weather.kind, scene.weather.daytime)
         for key, values in drawn_values(scene).items():
+            if key in drawn_otherwise:
+                continue
             collected[key].append(np.array(values, dtype=float))
     drawn = {key: np.concatenate(values) for key, values in collected.items()}
-    declared = {f"{name}.{key}": getattr(group, key) for name, group in params for key in type(group).model_fields}
+    if "sold" in params.cars.palette.values:
+        drawn = {key: values for key, values in drawn.items() if key not in ("cars.color", "cars.saturation")}
+    declared = {
+        f"{name}.{key}": distribution
+        for name, group in params
+        for key, distribution in group
+        if not (isinstance(distribution, Choice) and isinstance(distribution.values[0], str))
+    }
     parameters = tuple(
         _parameter(key, distribution, drawn.get(key, np.zeros(0))) for key, distribution in declared.items()
     )
@@ -119,10 +131,10 @@ def is_fine(parameter: ParameterStatistics) -> bool:
 def drawn_values(scene: Scene) -> dict[str, list[float]]:
     """All values of each parameter in a scene, by the parameter's key and in its units."""
     values: dict[str, list[float]] = {}
-    for group in ("road", "markings", "surface", "camera", "light", "air", "sensor"):
+    for group in ("road", "markings", "surface", "camera", "light", "air", "sensor", "weather", "host", "vegetation"):
         part = getattr(scene, group)
         values |= {
-            _key(group, field): [_declared_unit(field, getattr(part, field))] for field in type(part).model_fields
+            _key(group, field): [_declared_unit(field, value)] for field, value in part if not isinstance(value, str)
         }
     values["camera.horizontal_fov_deg"] = [2 * math.degrees(math.atan(scene.camera.width_px / 2 / scene.camera.fx_px))]
     offsets_px = scene.camera.cx_px - scene.camera.width_px / 2, scene.camera.cy_px - scene.camera.height_px / 2
@@ -193,6 +205,11 @@ def _parameter(key: str, distribution: Distribution, values: Values) -> Paramete
     return ParameterStatistics(
         key, form(distribution), low, high, values.size, *extent, outside, test, statistic, p_value
     )
+
+
+def _is_named(distribution: Distribution) -> bool:
+    """Whether the parameter is one of several names, which have no range."""
+    return isinstance(distribution, Choice) and isinstance(distribution.values[0], str)
 
 
 def _limits(distribution: Distribution) -> tuple[float, float]:

@@ -5,6 +5,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float, UInt8
 from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
 from matplotlib.patches import Circle, Polygon
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D, art3d  # type: ignore[import-untyped]
@@ -47,6 +48,9 @@ def draw_top(axes: Axes, view: SceneView) -> None:
     for left, right in view.roads.values():
         axes.add_patch(Polygon(np.concatenate([left, right[::-1]])[:, [1, 0]], color=colors.ROAD, zorder=1))
     _frustum_from_above(axes, view.labels)
+    for body in view.world.structures:
+        corners_road = transform(view.road_from_world, body.corners_world)
+        axes.add_collection(PolyCollection([*corners_road[..., [1, 0]]], color=colors.STRUCTURE, alpha=0.5, zorder=3))
     for tree in view.trees:
         patch = Circle((tree.foot_road[1], tree.foot_road[0]), tree.radius_m, color=colors.TREE, alpha=0.45, zorder=2)
         axes.add_patch(patch)

@@ -54,8 +54,13 @@ class Ground:
 
     @cached_property
     def edge_m(self) -> float:
-        """Outer edge of the main road's shoulder before the split, left or right of the reference line."""
+        """Plan offset of the main pavement's right edge before the split."""
         return self.plan.n_lanes * self.plan.width_m / 2 + self.plan.shoulder_m
+
+    @cached_property
+    def left_edge_m(self) -> float:
+        """Plan offset of the main pavement's left edge, negative; the oncoming lanes and the median are on it."""
+        return self.plan.left_m - self.plan.shoulder_m
 
     @cached_property
     def exit_edge_m(self) -> float:
@@ -78,7 +83,7 @@ class Ground:
         """(x0, y0, x1, y1) of the area near the camera in which the roads get fine terrain cells."""
         y = self.near_m
         s = np.linspace(y - 8, y + 160, 85)
-        xy = [self.plan.main_xy(self.plan.plan_station(s), t) for t in (-self.edge_m, self.edge_m)]
+        xy = [self.plan.main_xy(self.plan.plan_station(s), t) for t in (self.left_edge_m, self.edge_m)]
         if self.plan.has_exit:
             stations = np.clip(self.plan.plan_station(s), 0, None)
             xy += [self.plan.exit_xy(stations, t) for t in (-self.exit_edge_m, self.exit_edge_m)]
@@ -109,7 +114,7 @@ class Ground:
         far away), the exit's height over the terrain at the nearest station, and the width available to its
         embankment on the point's side."""
         s, t = self.plan.project_main(xy_world)
-        main = np.maximum(-self.edge_m - t, t - self.main_right_edge(s))
+        main = np.maximum(self.left_edge_m - t, t - self.main_right_edge(s))
         outside = np.full(s.shape, np.inf)
         raised = np.zeros(s.shape)
         room = np.full(s.shape, np.inf)
@@ -171,13 +176,13 @@ class Ground:
         xy = xy_world * self.plan.flips
         x, slope, _ = self.plan.main_line(xy[:, 1])
         across = (xy[:, 0] - x) / np.sqrt(1 + slope * slope)
-        reach = self.edge_m + self._reach_m(xy_world)
-        right = reach
+        reach = self._reach_m(xy_world)
+        right = self.edge_m + reach
         if self.plan.has_exit:
             # An exit that leaves at an angle reaches a given y only at a much larger station.
             station = np.interp(xy[:, 1], self._exit_y, EXIT_STATIONS_M)
-            right = reach + self.plan.opening(station + 20) * 1.5
-        return (across > -reach) & (across < right)
+            right = right + self.plan.opening(station + 20) * 1.5
+        return (across > self.left_edge_m - reach) & (across < right)
 
     @cached_property
     def _exit_y(self) -> Values:

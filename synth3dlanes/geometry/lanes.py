@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.geometry.road import RoadPlan
-from synth3dlanes.labels import LaneGraph, LaneKind, Marking, RoadName, Segment
+from synth3dlanes.labels import Direction, LaneGraph, LaneKind, Marking, RoadName, Segment
 from synth3dlanes.scene import Camera
 
 Values = Float[np.ndarray, " n"]
@@ -28,7 +28,8 @@ class Curve:
 
     At stations below 0 its offset is `stem_m` from the main reference line; with `stem_m` None it has no such part.
     Above 0 its offset is `fork_m` from the reference line of `fork_road`; with `opens` it moves from `stem_m` to
-    `fork_m` as the exit opens.
+    `fork_m` as the exit opens. `direction` is as in the labels; `is_inner` says whether a delimiter faces the oncoming
+    traffic, or is the left edge of a road without any.
     """
 
     id: str
@@ -43,6 +44,8 @@ class Curve:
     start_m: float = -np.inf
     end_m: float = np.inf
     opens: bool = False
+    direction: Direction = "same"
+    is_inner: bool = False
 
     def xy_world(self, plan: RoadPlan, s: Values) -> Float[np.ndarray, "n 2"]:
         """World (x, y) at plan stations."""
@@ -87,10 +90,25 @@ def curves(plan: RoadPlan) -> tuple[Curve, ...]:
 
     They refer to each other by id; a flip of x swaps every left and right.
     """
-    lines = [*_centerlines(plan), *_delimiters(plan)]
+    lines = [*_centerlines(plan), *_delimiters(plan), *_oncoming_delimiters(plan)]
     if plan.flips[0] < 0:
         lines = [replace(line, left=line.right, right=line.left) for line in lines]
-    return tuple(lines)
+    facing = {_line_id(plan, "main", 0), _oncoming_line_id(plan, plan.n_oncoming)} if plan.n_oncoming else set()
+    return tuple(
+        replace(line, is_inner=line.id in facing or (not facing and line.left is None))
+        if line.kind == "delimiter"
+        else line
+        for line in lines
+    )
+
+
+def _oncoming_id(plan: RoadPlan, lane: int) -> str:
+    return f"oncoming_{seen_from_left(plan, lane, plan.n_oncoming)}"
+
+
+def _oncoming_line_id(plan: RoadPlan, j: int) -> str:
+    """Delimiter j = 0..n of the n oncoming lanes, numbered as `_line_id` does."""
+    return f"oncoming_line_{plan.n_oncoming - j if plan.flips[0] < 0 else j}"
 
 
 def _center_id(plan: RoadPlan, road: RoadName, lane: int) -> str:
@@ -129,11 +147,50 @@ def _centerlines(plan: RoadPlan) -> tuple[Curve, ...]:
         center("exit", lane, middle_m(first_taken + lane), middle_m(first_taken + lane) - plan.exit_base_m)
         for lane in range(1, plan.n_exit_lanes + 1)
     ]
-    return (*main, *exits)
+    return (*main, *exits, *_oncoming_centerlines(plan))
+
+
+def _oncoming_centerlines(plan: RoadPlan) -> list[Curve]:
+    n = plan.n_oncoming
+    divider = _line_id(plan, "main", 0) if plan.road.median_m == 0 else _oncoming_line_id(plan, n)
+    lines = [*(_oncoming_line_id(plan, j) for j in range(n)), divider]
+    lanes = []
+    for lane in range(1, n + 1):
+        middle_m = plan.left_m + (lane - 0.5) * plan.width_m
+        lanes.append(
+            Curve(
+                _oncoming_id(plan, lane),
+                "centerline",
+                "main",
+                "none",
+                lines[lane - 1],
+                lines[lane],
+                middle_m,
+                "main",
+                middle_m,
+                direction="oncoming",
+            )
+        )
+    return lanes
+
+
+def _oncoming_delimiters(plan: RoadPlan) -> list[Curve]:
+    """The lines of the oncoming lanes; without a median the innermost is the main road's own."""
+    n = plan.n_oncoming
+    lines = []
+    for j in range(n + 1 if n and plan.road.median_m > 0 else n):
+        marking: Marking = "dashed" if 0 < j < n else "solid"
+        left = _oncoming_id(plan, j) if j > 0 else None
+        right = _oncoming_id(plan, j + 1) if j < n else None
+        at_m = plan.left_m + j * plan.width_m
+        name = _oncoming_line_id(plan, j)
+        lines.append(Curve(name, "delimiter", "main", marking, left, right, at_m, "main", at_m, direction="oncoming"))
+    return lines
 
 
 def _delimiters(plan: RoadPlan) -> list[Curve]:
     n, topology, half = plan.n_lanes, plan.road.topology, plan.exit_half_m
+    divides = plan.n_oncoming > 0 and plan.road.median_m == 0
 
     def line(
         road: RoadName, j: int, marking: Marking, stem_m: float | None, fork_m: float, start_m: float = -np.inf
@@ -145,7 +202,9 @@ def _delimiters(plan: RoadPlan) -> list[Curve]:
         return Curve(name, "delimiter", road, marking, left, right, stem_m, road, fork_m, start_m=start_m)
 
     def through(j: int) -> Curve:
-        return line("main", j, "dashed" if 0 < j < n else "solid", plan.boundary_m(j), plan.boundary_m(j))
+        is_dashed = 0 < j < n or (j == 0 and divides and plan.road.divider_dashed)
+        found = line("main", j, "dashed" if is_dashed else "solid", plan.boundary_m(j), plan.boundary_m(j))
+        return replace(found, left=_oncoming_id(plan, plan.n_oncoming)) if j == 0 and divides else found
 
     if topology == 1:
         return [through(j) for j in range(n + 1)]
@@ -172,8 +231,10 @@ def lane_graph(plan: RoadPlan, centerline_ids: Sequence[str]) -> LaneGraph:
 
     Segments list only those of their centre lines that are in `centerline_ids`.
     """
+    oncoming = _segments(plan, "oncoming", "main", plan.n_oncoming, 100.0, -100.0, centerline_ids)
     if not plan.has_exit:
-        return LaneGraph(_segments(plan, "main", "main", plan.n_lanes, -100.0, 100.0, centerline_ids), {}, None)
+        main = _segments(plan, "main", "main", plan.n_lanes, -100.0, 100.0, centerline_ids)
+        return LaneGraph(main + oncoming, {}, None)
     merge = plan.flips[1] < 0
     stem_from, stem_to = (0.0, 100.0) if merge else (-100.0, 0.0)
     fork_from, fork_to = (-100.0, 0.0) if merge else (0.0, 100.0)
@@ -181,6 +242,7 @@ def lane_graph(plan: RoadPlan, centerline_ids: Sequence[str]) -> LaneGraph:
         _segments(plan, "stem", "main", plan.n_lanes, stem_from, stem_to, centerline_ids)
         + _segments(plan, "main", "main", plan.n_main_after, fork_from, fork_to, centerline_ids)
         + _segments(plan, "exit", "exit", plan.n_exit_lanes, fork_from, fork_to, centerline_ids)
+        + oncoming
     )
     pairs = [(s, f) if not merge else (f, s) for s, f in connections(plan)]
     successors = {a: tuple(y for x, y in pairs if x == a) for a, _ in sorted(pairs)}

@@ -23,13 +23,15 @@ FAR_ROWS_M, FAR_ROWS_GROWTH = 420.0, 0.03
 # the ground otherwise.
 SEAM_M, SEAM_FALL_M = 0.05, 0.01
 LANE_COLUMNS, SHOULDER_COLUMNS = 4, 4
-ROAD, SHOULDER = 0, 1
+ROAD, SHOULDER, MEDIAN = 0, 1, 2
+# A median this wide is grass between inner shoulders; a narrower one is all shoulder.
+GRASS_FROM_M, INNER_SHOULDER_M = 3.0, 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Quads. `uv_m` is (across, along) in metres, for terrain world (x, y); `material` is the material slot per
-    face."""
+    """Quads. `uv_m` is (across, along) in metres, for terrain world (x, y); `material` is the material slot per face:
+    ROAD, SHOULDER or MEDIAN of a pavement, else 0."""
 
     vertices_world: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 4"]
@@ -94,7 +96,7 @@ def verge_meshes(ground: Ground) -> list[Mesh]:
     raised, free = far_dam(s), np.full(s.shape, np.inf)
     right = ground.main_right_edge(s)
     meshes = [
-        _verge(ground, lambda d: plan.main_xy(s, -ground.edge_m - d), raised, free),
+        _verge(ground, lambda d: plan.main_xy(s, ground.left_edge_m - d), raised, free),
         _verge(ground, lambda d: plan.main_xy(s, right + d), raised, free),
     ]
     if plan.has_exit:
@@ -162,9 +164,47 @@ def _columns(ground: Ground, half_m: float, edge_m: float, n_lanes: int) -> tupl
     return np.concatenate([-shoulder[::-1], [-paved_m], lanes, [paved_m], shoulder]), material
 
 
+def _main_columns(ground: Ground) -> tuple[Values, Int[np.ndarray, " m"]]:
+    """As `_columns`, for the main road with its oncoming lanes and median."""
+    plan = ground.plan
+    half_m = ground.edge_m - plan.shoulder_m
+    t, material = _columns(ground, half_m, ground.edge_m, plan.n_lanes)
+    if not plan.n_oncoming:
+        return t, material
+    # The left part up to the first lane boundary moves out by as much as oncoming lanes and median take.
+    first = SHOULDER_COLUMNS + 1
+    oncoming = np.linspace(plan.left_m, plan.oncoming_inner_m, plan.n_oncoming * LANE_COLUMNS + 1)
+    median, surface = _median_columns(ground)
+    return (
+        np.concatenate(
+            [t[:first] + (plan.left_m + half_m), oncoming, median, t[first if len(median) else first + 1 :]]
+        ),
+        np.concatenate([material[:first], np.full(len(oncoming) - 1, ROAD), surface, material[first:]]),
+    )
+
+
+def _median_columns(ground: Ground) -> tuple[Values, Int[np.ndarray, " m"]]:
+    """Offsets inside the median between the inner lane boundaries, and the material of each column of faces there."""
+    plan = ground.plan
+    width_m = plan.road.median_m
+    if width_m == 0:
+        return np.zeros(0), np.zeros(0, dtype=int)
+    paved_m = min(ground.under_paint_m, width_m / 4)
+    inner_m = min(paved_m + INNER_SHOULDER_M, 0.45 * width_m)
+    across = np.array([paved_m, inner_m, width_m / 2, width_m - inner_m, width_m - paved_m])
+    middle = MEDIAN if width_m >= GRASS_FROM_M else SHOULDER
+    return plan.oncoming_inner_m + across, np.array([ROAD, SHOULDER, middle, middle, SHOULDER, ROAD])
+
+
+def median_grass_m(ground: Ground) -> tuple[float, float] | None:
+    """Plan offsets between which the median is grass; None without grass."""
+    offsets, surface = _median_columns(ground)
+    return (float(offsets[1]), float(offsets[3])) if MEDIAN in surface else None
+
+
 def _main_mesh(ground: Ground, s: Values) -> Mesh:
     plan, k = ground.plan, SHOULDER_COLUMNS
-    t, column_material = _columns(ground, ground.edge_m - plan.shoulder_m, ground.edge_m, plan.n_lanes)
+    t, column_material = _main_columns(ground)
     right = ground.main_right_edge(s)[:, None]
     lanes = np.minimum(t[:-k], right - plan.shoulder_m + ground.under_paint_m)
     offsets = np.concatenate([lanes, t[-k:] - ground.edge_m + right], axis=1)

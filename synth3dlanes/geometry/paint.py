@@ -58,21 +58,16 @@ def paint_meshes(
     return {line.id: _paint(ground, line, eye_world, streams) for line in lines if line.kind == "delimiter"}
 
 
-def is_left_edge(delimiter: Curve) -> bool:
-    """Whether a delimiter is the left edge of the main road or of the exit, as the host drives."""
-    return delimiter.left is None
-
-
 def paint_color(line: Curve, markings: Markings) -> PaintColor | None:
     """The colour of a delimiter's paint; None for a centre line."""
     if line.kind != "delimiter":
         return None
-    return "yellow" if markings.left_yellow and is_left_edge(line) else "white"
+    return "yellow" if markings.left_yellow and line.is_inner else "white"
 
 
 def is_double(line: Curve, markings: Markings) -> bool | None:
     """Whether a delimiter is painted as two stripes; None for a centre line."""
-    return None if line.kind != "delimiter" else markings.left_double and is_left_edge(line)
+    return None if line.kind != "delimiter" else markings.left_double and line.is_inner and line.marking == "solid"
 
 
 def is_dotted(line: Curve, markings: Markings) -> bool:

@@ -17,16 +17,24 @@ TREE_SINK_M = 0.1
 
 
 def lane_place(plan: RoadPlan, lane: str, s_world: float) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-    """World (x, y) on a lane segment's centre line and the unit heading there, as the host drives."""
+    """World (x, y) on a lane segment's centre line and the unit heading of its traffic there."""
     path = path_of_segment(plan, lane)
     behind, middle, ahead = path.xy_world(plan, plan.plan_station(s_world + np.array([-0.5, 0.0, 0.5])))
-    along = ahead - behind
+    along = ahead - behind if path.direction == "same" else behind - ahead
     return middle, along / np.linalg.norm(along)
+
+
+def car_place(
+    plan: RoadPlan, lane: str, s_world: float, offset_m: float
+) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+    """World (x, y) of a car `offset_m` to its driver's right of the lane's centre, and its heading."""
+    middle, heading = lane_place(plan, lane, s_world)
+    return middle + offset_m * np.array([heading[1], -heading[0]]), heading
 
 
 def world_from_car(plan: RoadPlan, car: Car, model: CarModel) -> Matrix4:
     """The car's pose (without scale): a least-squares fit of its four tyres to the road surface."""
-    middle, (hx, hy) = lane_place(plan, car.lane, car.s_m)
+    middle, (hx, hy) = car_place(plan, car.lane, car.s_m, car.offset_m)
     x, y = model.track_m / 2 * car.scale, model.wheelbase_m / 2 * car.scale
     wheels_car = np.array([[-x, y, 0], [x, y, 0], [-x, -y, 0], [x, -y, 0]])
     pose = from_axes(np.array([hy, -hx, 0]), np.array([hx, hy, 0]), np.array([0, 0, 1.0]), np.array([*middle, 0.0]))

@@ -66,6 +66,21 @@ class RoadPlan:
     def shoulder_m(self) -> float:
         return self.road.shoulder_factor * self.width_m
 
+    @property
+    def n_oncoming(self) -> int:
+        """Lanes of oncoming traffic, on the plan's left."""
+        return self.road.n_oncoming
+
+    @property
+    def oncoming_inner_m(self) -> float:
+        """Offset of the inner edge of the oncoming lanes: the host's left boundary where there is no median."""
+        return self.boundary_m(0) - self.road.median_m
+
+    @property
+    def left_m(self) -> float:
+        """Offset of the plan's leftmost lane boundary."""
+        return self.oncoming_inner_m - self.n_oncoming * self.width_m if self.n_oncoming else self.boundary_m(0)
+
     def boundary_m(self, j: int) -> float:
         """Offset of lane boundary j = 0..n of the main road before the split; j counts from the plan's left."""
         return (j - self.n_lanes / 2) * self.width_m
@@ -237,6 +252,13 @@ class RoadPlan:
             s = s + np.clip(((xy - point) * step).sum(-1) / (step * step).sum(-1), -20, 20)
         point, _, right = self._exit_frame(s)
         return s, ((xy - point) * right).sum(-1)
+
+
+def is_wide_enough(road: Road) -> bool:
+    """Whether the bends of a road leave room for its oncoming lanes: on the inside of a sharp one they would fold."""
+    plan = RoadPlan(road, Terrain(gaussians=()))
+    _, _, speed, turn = plan._main_frame(np.linspace(-S_END_M, S_END_M, 401))
+    return bool((speed - turn * (plan.left_m - plan.shoulder_m) >= MIN_STRETCH * speed).all())
 
 
 def _horner(coefficients: Float[np.ndarray, " k"], s: Values) -> Values:

@@ -24,6 +24,7 @@ from synth3dlanes.imaging.sky import (
     integral,
     irradiance,
     overcast_dome,
+    skyglow,
     sun_color,
 )
 from synth3dlanes.scene import Light, Scene
@@ -33,6 +34,8 @@ SUN_STRENGTH = 3.4
 OVERCAST_LOSS = 0.65  # share of the daylight that a closed layer of clouds reflects upwards
 FOG_AIRLIGHT = 0.6  # radiance of thick fog as a share of E / pi
 GROUND_ALBEDO = 0.14
+# Luminance of the host's headlights on the road before it, as a level of daylight: that of a cloudy day over 5000.
+HEADLIGHT_LEVEL = 3e-4
 # The light for which full metering leaves the exposure unchanged.
 REFERENCE_SUN = Light(sun_zenith_rad=0.5, sun_azimuth_rad=0.0, exposure=1.0, metering=1.0)
 
@@ -69,6 +72,9 @@ def daylight(scene: Scene, eye_height_m: float) -> Daylight:
     sky = (1 - hidden) * cloudy_sky(light, clear, cover)
     sky += gray[:, None, None] * overcast_dome(ELEVATION_RAD[HORIZON:, None]) * (0.85 + 0.3 * cover[::-1])
     airlight = (1 - hidden) * clear[:, 0] + gray[:, None] * overcast_dome(0.0)
+    if light.sun_zenith_rad > np.pi / 2:
+        glow = skyglow(light, scene.air.overcast)
+        sky, airlight = sky + glow, airlight + glow[:, 0]
     lit = sun * (1 - hidden) * np.cos(light.sun_zenith_rad) + irradiance(sky)
     thickness = 1 - np.exp(-per_m * HAZE_LAYER_M)
     airlight = airlight + thickness * (FOG_AIRLIGHT * lit[:, None] / np.pi - airlight)
@@ -77,7 +83,8 @@ def daylight(scene: Scene, eye_height_m: float) -> Daylight:
     below = _ground(lit, airlight, per_m, max(eye_height_m, scene.camera.height_m))
     dome = SUN_STRENGTH * np.concatenate([below, sky], axis=1).astype(np.float32)
     sun = SUN_STRENGTH * (1 - hidden) * sun
-    ratio = _reference_level() / _level(sun, light.sun_zenith_rad, dome[:, HORIZON:])
+    lamps = HEADLIGHT_LEVEL if scene.weather.headlights else 0.0
+    ratio = _reference_level() / (_level(sun, light.sun_zenith_rad, dome[:, HORIZON:]) + lamps)
     film = float(light.exposure * ratio**light.metering)
     return Daylight(sun, float(hidden), dome, SUN_STRENGTH * airlight, film)
 

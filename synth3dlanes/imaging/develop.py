@@ -1,10 +1,13 @@
-"""From rendered layers to the picture: haze, motion blur, noise, tone curve."""
+"""From rendered layers to the picture: haze, motion, what falls, stray light, glass, noise, tone curve."""
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from synth3dlanes.imaging.daylight import Daylight
+from synth3dlanes.imaging.falling import add_falling, add_spray
 from synth3dlanes.imaging.film import tonemap
+from synth3dlanes.imaging.glare import add_glow, add_lamp_heads, add_sun_glare
+from synth3dlanes.imaging.glass import add_dirt, add_drops
 from synth3dlanes.imaging.haze import through_air
 from synth3dlanes.imaging.layers import Layers
 from synth3dlanes.imaging.sensor import add_noise, motion_blur
@@ -12,16 +15,41 @@ from synth3dlanes.scene import Scene
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.world import View
 
+NO_LAMPS = np.zeros((0, 3))
+# They drive at the host's speed.
+MOVING_ALONG = (SEMANTIC_IDS["car"], SEMANTIC_IDS["host"])
 
-def develop(scene: Scene, view: View, light: Daylight, layers: Layers) -> UInt8[np.ndarray, "h w 3"]:
-    """The picture of a scene; its noise follows from seed, split and index. Motion blur leaves the sky sharp, and cars,
-    which are assumed to drive at the host's speed."""
-    film = np.float32(light.film)
-    linear = through_air(layers.radiance, layers.haze, scene.air.visibility_m, light.airlight, view) * film
-    if scene.sensor.motion_blur_m > 0:
+
+def develop(
+    scene: Scene,
+    view: View,
+    light: Daylight,
+    layers: Layers,
+    street_lamps: Float[np.ndarray, "n 3"] = NO_LAMPS,
+) -> UInt8[np.ndarray, "h w 3"]:
+    """The picture of a scene; its noise, rain, snow, drops and dirt follow from seed, split and index. Motion blur
+    leaves the sky sharp, and cars, which are assumed to drive at the host's speed. `street_lamps` are the heads of
+    lamps (world)."""
+    film, sensor = np.float32(light.film), scene.sensor
+    linear = through_air(layers.radiance, layers.haze, scene.air.visibility_m, light.airlight, view)
+    airlight = light.airlight.mean(axis=1)
+    if scene.weather.rain > 0:
+        linear = add_spray(linear, layers.depth_m, scene, view, airlight)
+    linear = linear * film
+    if sensor.motion_blur_m > 0:
         ahead_cam = view.world_from_cam[:3, :3].T @ view.world_from_road[:3, 1]
-        depth_m = np.where(layers.semantic == SEMANTIC_IDS["car"], np.float32(np.inf), layers.depth_m)
-        linear = motion_blur(linear, depth_m, view.camera, scene.sensor.motion_blur_m * ahead_cam)
-    if scene.sensor.noise > 0:
-        linear = add_noise(linear, scene.sensor.noise, scene.stream("sensor_noise"))
+        depth_m = np.where(np.isin(layers.semantic, MOVING_ALONG), np.float32(np.inf), layers.depth_m)
+        linear = motion_blur(linear, depth_m, view.camera, sensor.motion_blur_m * ahead_cam)
+    linear = add_falling(linear, layers.depth_m, scene, view, airlight, light.film)
+    if len(street_lamps) and scene.light.sun_zenith_rad > np.pi / 2:
+        linear = add_lamp_heads(linear, layers.depth_m, street_lamps, view)
+    if sensor.flare > 0:
+        stray = add_sun_glare(add_glow(linear), layers.depth_m, scene.light, light, view)
+        linear = linear + np.float32(sensor.flare) * (stray - linear)
+    if sensor.drops > 0:
+        linear = add_drops(linear, sensor.drops, scene.stream("drops"))
+    if sensor.dirt > 0:
+        linear = add_dirt(linear, sensor.dirt, scene.stream("dirt"))
+    if sensor.noise > 0:
+        linear = add_noise(linear, sensor.noise, scene.stream("sensor_noise"))
     return tonemap(linear)

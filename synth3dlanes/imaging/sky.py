@@ -1,4 +1,4 @@
-"""The sun and the sky dome: a clear-sky table without the sun's disc, clouds, the CIE overcast sky.
+"""The sun and the sky dome: a clear-sky table without the sun's disc, dusk, skyglow, clouds, the CIE overcast sky.
 
 World frame, azimuth counter-clockwise from x. Domes are in Blender's equirectangular layout (bottom row first, azimuth
 decreasing from pi to -pi); upper halves start at the horizon. RGB per unit of the sun's irradiance outside the
@@ -18,6 +18,11 @@ SKY_SHAPE = (512, 1024)
 HORIZON = SKY_SHAPE[0] // 2
 N_CLOUD_MAPS = 4
 CLOUD_ALBEDO = 0.75
+# Of the sky's light at sunset each degree of the sun below the horizon leaves this share (3.4 lx of 600 at the end of
+# civil twilight, at 6 degrees); its red turns to blue within BLUE_DEG. The sun's disc sets within SET_DEG.
+DUSK_PER_DEG, DUSK_TINT, BLUE_DEG, SET_DEG = 0.42, np.array([0.55, 0.95, 1.1], np.float32), 2.5, 0.53
+# Skyglow over lit land: radiance at the horizon, and its share at the zenith. Clouds return GLOW_OF_CLOUDS times more.
+GLOW, GLOW_AT_ZENITH, GLOW_OF_CLOUDS = np.array([3.2e-7, 2.5e-7, 1.9e-7]), 0.25, 4.0
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 ELEVATION_RAD = (np.pi * ((np.arange(SKY_SHAPE[0]) + 0.5) / SKY_SHAPE[0] - 0.5)).astype(np.float32)
 AZIMUTH_RAD = np.pi - 2 * np.pi * (np.arange(SKY_SHAPE[1]) + 0.5) / SKY_SHAPE[1]
@@ -36,7 +41,27 @@ def sun_color(light: Light) -> Rgb:
     """The sun's irradiance after the atmosphere, as a share of that outside it."""
     table = _sky_table()
     at_sun = _weights(table["sun_zenith_rad"], np.array([light.sun_zenith_rad]))[0]
-    return np.asarray(at_sun @ table["sun_transmittance"], np.float32)
+    share = max(1 - _below_deg(light) / SET_DEG, 0.0)
+    return np.asarray(share * (at_sun @ table["sun_transmittance"]), np.float32)
+
+
+def _below_deg(light: Light) -> float:
+    """How far the sun is below the horizon; 0 by day."""
+    return max(float(np.degrees(light.sun_zenith_rad)) - 90, 0.0)
+
+
+def dusk(light: Light) -> Rgb:
+    """The share of the horizon's-sun sky that is left; 1 by day."""
+    below_deg = _below_deg(light)
+    return np.asarray(DUSK_PER_DEG**below_deg * DUSK_TINT ** min(below_deg / BLUE_DEG, 1.0), np.float32)
+
+
+def skyglow(light: Light, overcast: float) -> Float[np.ndarray, "3 h 1"]:
+    """The glow of lit land in the night sky, brighter towards the horizon and under clouds."""
+    begun = np.float32(min(_below_deg(light) / 4, 1.0))
+    rise = np.sin(ELEVATION_RAD[HORIZON:])
+    shape = GLOW_AT_ZENITH + (1 - GLOW_AT_ZENITH) * (1 - rise) ** 3
+    return np.asarray(begun * (1 + GLOW_OF_CLOUDS * overcast) * GLOW[:, None, None] * shape[:, None])
 
 
 def cloud_cover(rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
@@ -49,19 +74,19 @@ def cloud_cover(rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
 
 
 def clear_sky(light: Light, elevation_rad: Float[np.ndarray, " h"], from_sun_rad: Float[np.ndarray, " w"]) -> Dome:
-    """Cloudless radiance per unit of solar irradiance, interpolated from the table."""
+    """Cloudless radiance per unit of solar irradiance, interpolated from the table; below the horizon it fades."""
     table = _sky_table()
     at_sun = _weights(table["sun_zenith_rad"], np.array([light.sun_zenith_rad]))[0]
     by_elevation = _weights(table["elevation_rad"], elevation_rad)
     by_azimuth = _weights(table["azimuth_rad"], from_sun_rad)
     dome = np.moveaxis(np.tensordot(at_sun, table["radiance"], 1), -1, 0)
     radiance: Dome = by_elevation @ dome @ by_azimuth.T
-    return radiance
+    return radiance * dusk(light)[:, None, None]
 
 
 def cloudy_sky(light: Light, clear: Dome, cover: Float[np.ndarray, "h w"]) -> Dome:
     """The clear sky with sunlit clouds in front."""
-    sunlit = sun_color(light) * (0.3 + 0.7 * np.cos(light.sun_zenith_rad)) * CLOUD_ALBEDO / np.pi
+    sunlit = sun_color(light) * (0.3 + 0.7 * max(np.cos(light.sun_zenith_rad), 0.0)) * CLOUD_ALBEDO / np.pi
     ambient = clear.mean(axis=(1, 2))
     opacity = cover[::-1]
     cloud = sunlit[:, None, None] * (1.25 - 0.5 * opacity) + ambient[:, None, None]

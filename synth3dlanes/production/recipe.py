@@ -108,7 +108,7 @@ def make_image(world: World, settings: RenderSettings, image_format: str, librar
     shot = take_picture(world, settings, library)
     start = time.perf_counter()
     text = scene_module.to_json(world.scene)
-    members = encode(shot.image, shot.labels, text, shot.passes, image_format)
+    members = encode(shot.image, shot.labels, text, shot.passes, image_format, world.scene.sensor.jpeg_quality)
     return Made(members, {**shot.timings, "encode": time.perf_counter() - start})
 
 
@@ -124,7 +124,7 @@ def take_picture(world: World, settings: RenderSettings, library: Library = BUIL
     lit = time.perf_counter()
     rendering = render(world, view, light, labels, settings, library)
     rendered = time.perf_counter()
-    image = develop(world.scene, view, light, rendering.layers)
+    image = develop(world.scene, view, light, rendering.layers, world.street_lamps)
     passes = _passes(world, view, rendering.layers, settings.passes)
     seconds = {"labels": labelled - start, "light": lit - labelled, "develop": time.perf_counter() - rendered}
     return Picture(image, rendering.labels, passes, {**seconds, **rendering.timings})

@@ -1,10 +1,13 @@
-"""Image regions that cars and their shadows may cover, from the cars' bounding boxes; works without passes."""
+"""Image regions that cars, their shadows and the host's bonnet may cover; works without passes."""
+
+from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import ConvexHull
 
 from synth3dlanes.frames import invert, project, transform
+from synth3dlanes.geometry.bonnet import bonnet
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.world import World
 
@@ -29,11 +32,10 @@ def corners_world(world: World, car: int) -> Float[np.ndarray, "8 3"]:
 
 
 def may_show_cars(world: World, camera: CameraLabel, uv: Pixels, within_m: float) -> Bool[np.ndarray, " n"]:
-    """Which pixels a car or its shadow may cover, counting only those that begin within `within_m` ahead."""
+    """Which pixels a car or its shadow may cover, counting only those that begin within `within_m` ahead, or the host's
+    bonnet."""
     hidden = np.zeros(len(uv), dtype=bool)
-    for car in range(len(world.scene.cars)):
-        corners = corners_world(world, car)
-        points = np.concatenate([corners, _shadow(world, car, corners)])
+    for points in _bodies(world):
         points_cam = transform(invert(camera.world_from_cam), points)
         if points_cam[:, 1].max() < NEAR_M or points_cam[:, 1].min() > within_m:
             continue
@@ -44,6 +46,15 @@ def may_show_cars(world: World, camera: CameraLabel, uv: Pixels, within_m: float
             sides = ConvexHull(outline).equations
             hidden[near] = (uv[near] @ sides[:, :2].T + sides[:, 2] < ROOM_PX).all(axis=1)
     return hidden
+
+
+def _bodies(world: World) -> Iterator[Float[np.ndarray, "n 3"]]:
+    """Points whose convex hulls contain each car with its shadow, and the bonnet."""
+    for car in range(len(world.scene.cars)):
+        corners = corners_world(world, car)
+        yield np.concatenate([corners, _shadow(world, car, corners)])
+    if world.view.world_from_bonnet is not None:
+        yield transform(world.view.world_from_bonnet, bonnet().vertices_world)
 
 
 def _shadow(world: World, car: int, corners: Float[np.ndarray, "8 3"]) -> Float[np.ndarray, "8 3"]:

@@ -1,6 +1,7 @@
 """Check that the image's channels are in the order red, green, blue, by the built-in terrain: yellow or green.
 
-Works without passes, from the terrain's position in the scene. A user's own terrain may have any colour and is skipped.
+Works without passes, from the terrain's position in the scene. A user's own terrain may have any colour and is skipped;
+so is snow, and the blue light after sunset.
 """
 
 from collections.abc import Iterator
@@ -12,6 +13,7 @@ from synth3dlanes.frames import invert, project, transform
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.bodies import may_show_cars
+from synth3dlanes.validate.boxes import meet, structure_boxes
 from synth3dlanes.validate.findings import Finding
 from synth3dlanes.validate.passes_proof import Passes
 from synth3dlanes.world import World
@@ -21,6 +23,7 @@ AHEAD_M, ASIDE_M, CLEAR_M = np.arange(6.0, 80.0, 2.0), np.array([2.0, 3.5, 5.0, 
 # Some places show trees, which may be bluish, so a high percentile of red minus blue is used. It is at least 3 levels
 # of 255 in 280 rendered images, including the densest fog, and at least 0 in 100 images of 96x72 pixels. Fewer places
 # than MIN_PLACES are not judged. With semantic ids, all pixels of terrain within NEAR_M are used instead.
+LOWEST_SUN_RAD = 1.5
 WARMEST, MIN_WARMTH, MIN_PLACES, NEAR_M = 67, -2.0, 30, 80.0
 
 
@@ -28,7 +31,7 @@ def check_colours(
     world: World, camera: CameraLabel, image: UInt8[np.ndarray, "h w 3"], passes: Passes
 ) -> Iterator[Finding]:
     """Finding if terrain is bluer than it is red."""
-    if world.scene.assets.terrains:
+    if world.scene.assets.terrains or world.scene.weather.snow or world.scene.light.sun_zenith_rad > LOWEST_SUN_RAD:
         return
     if "semantic" in passes:
         is_terrain = passes["semantic"] == SEMANTIC_IDS["terrain"]
@@ -50,10 +53,12 @@ def _terrain_img(world: World, camera: CameraLabel) -> Float[np.ndarray, "n 2"]:
     """Pixels that show terrain, unless a tree or hill hides it."""
     ground = world.ground
     s, ahead = ground.plan.plan_station(world.scene.camera.y_m + AHEAD_M), len(AHEAD_M)
-    aside = np.concatenate([-ground.edge_m - ASIDE_M, ground.edge_m + ASIDE_M])
+    aside = np.concatenate([ground.left_edge_m - ASIDE_M, ground.edge_m + ASIDE_M])
     xy = ground.plan.main_xy(np.tile(s, len(aside)), np.repeat(aside, ahead))
     xy = xy[ground.clearance(xy) > CLEAR_M]
-    points_cam = transform(invert(camera.world_from_cam), np.column_stack([xy, ground.height(xy)]))
+    points_world = np.column_stack([xy, ground.height(xy)])
+    points_world = points_world[~meet(structure_boxes(world).boxes, camera.world_from_cam[:3, 3], points_world)]
+    points_cam = transform(invert(camera.world_from_cam), points_world)
     uv = project(camera.img_from_cam, points_cam)
     with np.errstate(invalid="ignore"):
         uv = uv[((uv >= 0) & (uv < [camera.width_px, camera.height_px])).all(axis=1)]

@@ -1,4 +1,4 @@
-"""Check that cars and trees stand on the rendered ground, and that the terrain does not penetrate the road.
+"""Check that cars, trees and structures stand on the rendered ground, and that the terrain does not penetrate the road.
 
 Compares with the meshes that Blender renders, which are flat between their rows, instead of the formulas.
 """
@@ -25,6 +25,8 @@ MAX_WHEEL_M, MAX_TREE_M, RANGE_M = 0.25, 0.4, 120.0
 # Terrain pixels this far inside the pavement's edge penetrate the road; every STEP-th pixel within NEAR_M is checked.
 INSIDE_M, STEP, NEAR_M = 0.3, 2, 80.0
 MAX_THROUGH = 3
+# Every eighth foot of a structure is checked; structures reach as deep into the ground as trees do.
+FEET_STEP = 8
 
 Points = Float[np.ndarray, "n 3"]
 Points2 = Float[np.ndarray, "n 2"]
@@ -32,16 +34,21 @@ Values = Float[np.ndarray, " n"]
 
 
 def check_ground_contact(world: World, labels: Labels, passes: Passes) -> tuple[list[Finding], list[Measure]]:
-    """Findings, and the measures `wheel_gap_m` and `tree_gap_m`. With depth and semantic ids, checks the road too."""
+    """Findings, and the measures `wheel_gap_m`, `tree_gap_m` and `structure_gap_m`. With depth and semantic ids, checks
+    the road too."""
     wheels = _ahead(labels.camera, _wheels(world))
     places = _ahead(labels.camera, world.trees_world + np.array([0, 0, TREE_SINK_M]))
     on_ground_m = np.fmax(_height(world.verges, places[:, :2]), terrain_height(world.ground, places[:, :2]))
+    feet = np.concatenate([np.zeros((0, 3)), *(body.feet_world[::FEET_STEP] for body in world.structures)])
+    feet = _ahead(labels.camera, feet)
+    under_m = np.fmax(_height([*world.pavement, *world.verges], feet[:, :2]), terrain_height(world.ground, feet[:, :2]))
     measures = [
         _measure("wheel_gap_m", labels.camera, wheels, _height(world.pavement, wheels[:, :2])),
         _measure("tree_gap_m", labels.camera, places, on_ground_m),
+        *([_measure("structure_gap_m", labels.camera, feet, under_m)] if len(feet) else []),
     ]
     findings = []
-    for measure, limit_m in zip(measures, (MAX_WHEEL_M, MAX_TREE_M), strict=True):
+    for measure, limit_m in zip(measures, (MAX_WHEEL_M, MAX_TREE_M, MAX_TREE_M), strict=False):
         off_m = measure.values[(measure.values > limit_m) & (measure.y_m < RANGE_M)]
         if off_m.size:
             reason = f"{measure.name}: expected at most {limit_m} m, got {off_m.size} beyond, up to {off_m.max():.2f} m"
@@ -117,6 +124,11 @@ def _through(ground: Ground, camera: CameraLabel, passes: Passes) -> Iterator[Fi
     v, u = np.nonzero((semantic == SEMANTIC_IDS["terrain"]) & (depth_m < NEAR_M))
     rays_cam = np.column_stack([STEP * u + 0.5, STEP * v + 0.5, np.ones(len(u))]) @ np.linalg.inv(camera.img_from_cam).T
     points = transform(camera.world_from_cam, rays_cam * depth_m[v, u, None].astype(float))
-    through = int((ground.clearance(points[:, :2]) < -INSIDE_M).sum())
+    inside = ground.clearance(points[:, :2]) < -INSIDE_M
+    grass = meshes.median_grass_m(ground)
+    if grass is not None:
+        _, t = ground.plan.project_main(points[:, :2])
+        inside &= (t < grass[0] - INSIDE_M) | (t > grass[1] + INSIDE_M)
+    through = int(inside.sum())
     if through > MAX_THROUGH:
         yield Finding("", f"passes: expected pavement, got terrain at {through} pixels of {len(u)} on the road")

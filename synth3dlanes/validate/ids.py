@@ -1,5 +1,5 @@
-"""Check instance ids, or else semantic ids, against the scene: paint must lie on its line, pixels of cars and trees in
-their bodies, and the visible share of each car must fit its label.
+"""Check instance ids, or else semantic ids, against the scene: paint must lie on its line, pixels of cars, trees
+and structures in their bodies, and the visible share of each car must fit its label.
 
 Pixels are unprojected into the scene by their depth.
 """
@@ -11,9 +11,19 @@ from jaxtyping import Bool, Float, Int, Integer
 from scipy.spatial import ConvexHull, cKDTree
 
 from synth3dlanes.frames import invert, project, transform
+from synth3dlanes.geometry.roadside import SURFACES
 from synth3dlanes.geometry.terrain import gradient_at, height_at
 from synth3dlanes.labels import CameraLabel, Labels
-from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_SYMBOL_ID, FIRST_TREE_ID, SEMANTIC_IDS
+from synth3dlanes.settings import (
+    FIRST_CAR_ID,
+    FIRST_DELIMITER_ID,
+    FIRST_STRUCTURE_ID,
+    FIRST_SYMBOL_ID,
+    FIRST_TREE_ID,
+    HOST_ID,
+    SEMANTIC_IDS,
+)
+from synth3dlanes.validate import boxes
 from synth3dlanes.validate.findings import PROOF_M, Finding, Measure
 from synth3dlanes.validate.paint import Paint
 from synth3dlanes.validate.passes_proof import Passes
@@ -38,12 +48,16 @@ MAX_SHARE_OFF, SLACK_PX = 0.25, 6
 # A car with a corner nearer than this is too close for an estimate from its box.
 MIN_CORNER_M = 0.5
 
-# The kinds of objects by their first instance id, in order.
+# All structures count as one kind here, the first of SURFACES.
+STRUCTURE, STRUCTURES = SURFACES[0], [SEMANTIC_IDS[name] for name in SURFACES]
+# First instance id, semantic name and what to call it, by instance id.
 KINDS = (
-    (FIRST_CAR_ID, "car"),
-    (FIRST_DELIMITER_ID, "marking"),
-    (FIRST_TREE_ID, "tree"),
-    (FIRST_SYMBOL_ID, "symbol"),
+    (FIRST_CAR_ID, "car", "car"),
+    (FIRST_DELIMITER_ID, "marking", "marking"),
+    (FIRST_TREE_ID, "tree", "tree"),
+    (FIRST_STRUCTURE_ID, STRUCTURE, "structure"),
+    (FIRST_SYMBOL_ID, "symbol", "symbol"),
+    (HOST_ID, "host", "host"),
 )
 
 Values = Float[np.ndarray, " n"]
@@ -68,21 +82,26 @@ def prove_ids(paint: Paint, labels: Labels, passes: Passes) -> tuple[list[Findin
 
 
 def _kind(instance: Ids) -> Ids:
-    """Semantic ids that follow from instance ids; 0 for pixels without one."""
-    kinds = np.array([0, *(SEMANTIC_IDS[name] for _, name in KINDS)], dtype=np.uint8)
-    return kinds[np.searchsorted([first for first, _ in KINDS], instance, side="right")]
+    """Kinds that follow from instance ids; 0 for pixels without one."""
+    kinds = np.array([0, *(SEMANTIC_IDS[name] for _, name, _ in KINDS)], dtype=np.uint8)
+    return kinds[np.searchsorted([first for first, _, _ in KINDS], instance, side="right")]
+
+
+def _folded(semantic: Ids) -> Ids:
+    """Semantic ids with those of all structures as one kind."""
+    return np.where(np.isin(semantic, STRUCTURES), SEMANTIC_IDS[STRUCTURE], semantic)
 
 
 def _agreement(semantic: Ids, instance: Ids) -> Iterator[Finding]:
     """Findings where semantic and instance ids disagree about the kind of object."""
-    kind = _kind(instance)
-    for _, name in KINDS:
+    kind, semantic = _kind(instance), _folded(semantic)
+    for _, name, thing in KINDS:
         is_semantic, is_instance = semantic == SEMANTIC_IDS[name], kind == SEMANTIC_IDS[name]
         wrong = int((is_semantic != is_instance).sum())
         if wrong > MAX_SINGLE:
             yield Finding(
                 "",
-                f"instance: expected ids of the kind {name} at the {is_semantic.sum()} pixels of this kind in "
+                f"instance: expected ids of the kind {thing} at the {is_semantic.sum()} pixels of this kind in "
                 f"semantic, got them at {(is_semantic & is_instance).sum()} of these and at "
                 f"{(is_instance & ~is_semantic).sum()} others",
             )
@@ -130,11 +149,16 @@ def on_road(world: World, camera: CameraLabel, points_cam: Points) -> tuple[Poin
 
 
 def _bodies(world: World, camera: CameraLabel, passes: Passes) -> Iterator[Finding]:
-    """Compare pixels of cars and trees with their bodies, or with all bodies without instance ids."""
-    kind = _kind(passes["instance"]) if "instance" in passes else passes["semantic"]
+    """Compare pixels of cars, trees and structures with their bodies, or with all bodies without instance ids."""
+    kind = _kind(passes["instance"]) if "instance" in passes else _folded(passes["semantic"])
     name = "instance" if "instance" in passes else "semantic"
-    for thing, first, inside in (("car", FIRST_CAR_ID, _in_car), ("tree", FIRST_TREE_ID, _in_tree)):
-        rows, columns = some_pixels((kind == SEMANTIC_IDS[thing]) & np.isfinite(passes["depth"]))
+    things = (
+        ("car", "car", FIRST_CAR_ID, _in_car),
+        ("tree", "tree", FIRST_TREE_ID, _in_tree),
+        (STRUCTURE, "structure", FIRST_STRUCTURE_ID, _in_structure),
+    )
+    for key, thing, first, inside in things:
+        rows, columns = some_pixels((kind == SEMANTIC_IDS[key]) & np.isfinite(passes["depth"]))
         points = transform(camera.world_from_cam, unproject(camera, passes["depth"], rows, columns))
         own = passes[name][rows, columns].astype(int) - first if name == "instance" else np.full(len(rows), -1)
         wrong = ~inside(world, points, own)
@@ -188,6 +212,11 @@ def _in_tree(world: World, points: Points, own: Int[np.ndarray, " n"]) -> Bool[n
     up = points - world.trees_world[tree]
     rest = (TREE_ROOM - 1) * height[tree]
     return known & (np.hypot(up[:, 0], up[:, 1]) < radius[tree]) & (up[:, 2] > -rest) & (up[:, 2] < height[tree])
+
+
+def _in_structure(world: World, points: Points, own: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Which points are in a box of structure `own`, -1 for any."""
+    return boxes.inside(boxes.structure_boxes(world), points, own)
 
 
 def _shares(world: World, labels: Labels, instance: Ids) -> Iterator[Finding]:

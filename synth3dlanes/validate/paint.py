@@ -38,8 +38,10 @@ class Strip:
     resolved: Bool[np.ndarray, " n"]
 
 
-# Beyond these limits paint may be invisible: rubbed off, as gray as concrete, under water or in fog.
+# Beyond these limits paint may be invisible: rubbed off, as gray as concrete, under water or in fog; so it may be under
+# snow and behind drops on the glass.
 MAX_WORN, MIN_GRAYSCALE, MAX_WETNESS, MIN_VISIBILITY_M = 0.7, 0.35, 0.8, 300.0
+MAX_DROPS = 0.3
 
 
 class Paint:
@@ -53,6 +55,8 @@ class Paint:
             and scene.markings.grayscale >= MIN_GRAYSCALE
             and scene.surface.wetness <= MAX_WETNESS
             and scene.air.visibility_m >= MIN_VISIBILITY_M
+            and scene.weather.snow_on_road == 0
+            and scene.sensor.drops <= MAX_DROPS
         )
         self.world = world
         self._curves = {line.id: line for line in world.lines if line.kind == "delimiter"}

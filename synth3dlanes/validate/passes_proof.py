@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from synth3dlanes.frames import project, transform
 from synth3dlanes.geometry import height_map
+from synth3dlanes.geometry.roadside import SURFACES
 from synth3dlanes.labels import CameraLabel, Labels, Lane
 from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS
 from synth3dlanes.validate.findings import PROOF_M, Finding, Measure
@@ -36,6 +37,7 @@ LIMITS = {
     "height_m": (0.05, "m of the height map"),
 }
 MASKS = ("terrain_visible", "object_visible")
+OBJECTS = [SEMANTIC_IDS[name] for name in ("car", "tree", "host", *SURFACES)]
 # Pixels whose depths differ by a larger factor show two surfaces, or one at too flat an angle to interpolate.
 SMOOTH = 1.2
 # Depth is interpolated between pixels as on a plane. A point is left out if pixels are too large to judge it: if the
@@ -219,7 +221,7 @@ def _own_depth(camera: CameraLabel, strip: Strip, rows: Places, columns: Places)
 
 
 def _of_objects(semantic: Integer[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:
-    return (semantic == SEMANTIC_IDS["car"]) | (semantic == SEMANTIC_IDS["tree"])
+    return np.isin(semantic, OBJECTS)
 
 
 def _around(uv: Pixels, shape: tuple[int, ...], reach: int) -> tuple[Places, Places]:

@@ -70,12 +70,15 @@ class Places:
         plan, ground = self.ground.plan, self.ground
         main, exits = self._outside_main(), self._outside_exit()
         right = ground.main_right_edge(self.s) - plan.shoulder_m
-        beyond = np.maximum(-plan.n_lanes * plan.width_m / 2 - self.t, self.t - right)
+        beyond = np.maximum(plan.left_m - self.t, self.t - right)
+        beyond = np.where(
+            self._in_median(), np.fmin(self.t - plan.oncoming_inner_m, plan.boundary_m(0) - self.t), beyond
+        )
         is_covered = (self.s > -BEHIND_M) & (np.abs(self.exit_t) < plan.exit_half_m + COVER_M)
         beyond = np.where((self.t > right - margin_m) & is_covered, 0.0, beyond)
         on_exit = (main > CUT_M) & (exits < 0)
         beyond = np.where(on_exit, np.abs(self.exit_t) - plan.exit_half_m, beyond)
-        known = on_exit | (main < 0)
+        known = on_exit | ((main < 0) & ~self._on_grass(margin_m))
         road, shoulder = SEMANTIC_IDS["road"], SEMANTIC_IDS["shoulder"]
         paved_m = ground.under_paint_m + margin_m
         return np.where(known & (beyond < -margin_m), road, np.where(known & (beyond > paved_m), shoulder, 0))
@@ -83,8 +86,19 @@ class Places:
     def _follows_exit(self, curve: Curve) -> Bool[np.ndarray, " n"]:
         return (curve.fork_road == "exit") & (self.s >= 0) & (self.exit_s >= 0)
 
+    def _in_median(self) -> Bool[np.ndarray, " n"]:
+        plan = self.ground.plan
+        return (plan.n_oncoming > 0) & (self.t > plan.oncoming_inner_m) & (self.t < plan.boundary_m(0))
+
+    def _on_grass(self, margin_m: float) -> Bool[np.ndarray, " n"]:
+        """Which points may be on the grass of the median."""
+        grass = meshes.median_grass_m(self.ground)
+        if grass is None:
+            return np.zeros(self.t.shape, dtype=bool)
+        return (self.t > grass[0] - margin_m) & (self.t < grass[1] + margin_m)
+
     def _outside_main(self) -> Values:
-        return np.maximum(-self.ground.edge_m - self.t, self.t - self.ground.main_right_edge(self.s))
+        return np.maximum(self.ground.left_edge_m - self.t, self.t - self.ground.main_right_edge(self.s))
 
     def _outside_exit(self) -> Values:
         aside = np.maximum(-meshes.SEAM_M - self.exit_t, self.exit_t) - self.ground.exit_edge_m

@@ -87,7 +87,7 @@ def test_the_truth_written_as_predictions_reads_as_perfect(roads, split, tmp_pat
     [
         ("{", "p.jsonl:1: not a prediction"),
         ('{"key": "00000000"}', "KeyError: 'lanes'"),
-        ('{"key": "9", "lanes": []}', "expected keys of DIR/test, got '9'"),
+        ('{"key": "9", "lanes": []}', "expected keys such as '00000000', got '9'"),
         ('{"key": "00000000", "lanes": []}\n{"key": "00000000", "lanes": []}', "each key once"),
         ('{"key": "0", "lanes": [{"kind": "x", "score": 1, "xyz_cam": []}]}', r"lanes\[0\].kind: expected centerline"),
         ('{"key": "0", "lanes": [{"kind": "delimiter", "score": 1, "xyz_cam": [[0, 1]]}]}', "got shape"),

@@ -127,6 +127,8 @@ def test_checkpoints_execute_nothing_and_describe_themselves(roads, tmp_path):
     loaded = checkpoint.load(best)
     assert loaded.config == config
     assert loaded.about["train"]["n_images"] == 4
+    fx = samples[0].labels.camera.img_from_cam[0, 0]
+    assert loaded.about["train"]["focal_px"] == pytest.approx([fx, fx, 1.0]), "images of the network's size, one camera"
     assert checkpoint.build(loaded, torch.device("cpu")).config == config.model
     lines = (tmp_path / "history.jsonl").read_text().splitlines()
     assert json.loads(lines[-1])["val"]["settings"]["n_images"] == 4

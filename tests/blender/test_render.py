@@ -18,7 +18,7 @@ from synth3dlanes.labels import Labels
 from synth3dlanes.params import load_params
 from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.sample import sample_scene
-from synth3dlanes.scene import Car
+from synth3dlanes.scene import Car, Tree
 from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS, RenderSettings
 from synth3dlanes.world import resolve
 from tests.scenes import changed, hill
@@ -300,6 +300,50 @@ def test_seen_share_of_cars():
     hidden, before = shares(ahead, truck)
     assert hidden < 0.1
     assert before > 0.95
+
+
+@pytest.mark.parametrize("model", [10, 11])
+def test_seen_share_of_long_vehicles_is_that_of_their_pixels(model):
+    """From behind, a semitrailer fills a small part of its bounding sphere."""
+    car = {"scale": 1.0, "color": (1, 0, 0), "gloss": 0.5}
+    long, near = Car(**car, model=model, lane="main_2", s_m=0), Car(**car, model=5, lane="main_1", s_m=-33)
+    scene = changed(camera={"lane": 1})
+    alone, behind = (rendered(scene.model_copy(update={"cars": cars}), ONE_SAMPLE) for cars in ((long,), (long, near)))
+    pixels = [(picture.passes["instance"] == FIRST_CAR_ID).sum() for picture in (alone, behind)]
+    assert alone.labels.car_visible_fraction == (1.0,)
+    assert 0.2 < pixels[1] / pixels[0] < 0.9
+    assert behind.labels.car_visible_fraction[0] == pytest.approx(pixels[1] / pixels[0], abs=0.06)
+
+
+def test_grass_is_terrain_beside_the_road_and_changes_no_label():
+    """Its pixels lie on the verge and are nearer than the ground behind them; nothing else moves."""
+    bare = changed()
+    plain, grown = (rendered(scene) for scene in (bare, changed(vegetation={"grass_m": 0.4})))
+    for one, other in zip(plain.labels.lanes, grown.labels.lanes, strict=True):
+        np.testing.assert_array_equal(one.xyz_cam, other.xyz_cam)
+        np.testing.assert_array_equal(one.object_visible, other.object_visible)
+    moved = grown.passes["depth"] != plain.passes["depth"]
+    assert moved.mean() > 0.01
+    assert (grown.passes["depth"] <= plain.passes["depth"])[moved].all()
+    assert set(np.unique(grown.passes["semantic"][moved])) == {SEMANTIC_IDS["terrain"]}
+    assert set(np.unique(grown.passes["instance"][moved])) == {0}
+    np.testing.assert_array_equal(grown.passes["instance"], plain.passes["instance"])
+
+
+def test_leaves_let_the_sun_through():
+    """Crowns get brighter and greener, and most so against the sun."""
+    gains = {}
+    for place, azimuth_rad in (("ahead", np.pi / 2), ("behind", -np.pi / 2)):
+        light = {"sun_zenith_rad": 1.0, "sun_azimuth_rad": azimuth_rad}
+        trees = (Tree(model=1, x_m=9, y_m=-30, yaw_rad=0, scale=1), Tree(model=3, x_m=-9, y_m=-28, yaw_rad=0, scale=1))
+        scenes = [changed(light=light, vegetation={"translucency": share}) for share in (0, 1)]
+        opaque, lit = (rendered(scene.model_copy(update={"trees": trees})) for scene in scenes)
+        np.testing.assert_array_equal(opaque.passes["semantic"], lit.passes["semantic"])
+        crown = opaque.passes["semantic"] == SEMANTIC_IDS["tree"]
+        gains[place] = lit.image[crown].mean(axis=0) / opaque.image[crown].mean(axis=0)
+    assert gains["ahead"][1] > 1.3
+    assert gains["ahead"][1] > gains["ahead"][2] + 0.1, "more green than blue"
+    assert gains["ahead"][1] > gains["behind"][1] + 0.1
 
 
 def test_the_height_map_comes_with_the_passes():

@@ -72,8 +72,8 @@ def test_one_line_and_exit_code_2(command: str, expected: str, run: Run, in_tmp_
 @pytest.mark.parametrize(
     ("change", "line"),
     [
-        ("light.sun_zenith_deg=120", "--set light.sun_zenith_deg: expected at most 91.6732, got 120"),
-        ("light.sun_zenith_rad=2", "--set light.sun_zenith_rad: expected at most 1.6, got 2"),
+        ("light.sun_zenith_deg=120", "--set light.sun_zenith_deg: expected at most 114.592, got 120"),
+        ("light.sun_zenith_rad=3", "--set light.sun_zenith_rad: expected at most 2, got 3"),
         ("light.sun_zenith_deg=true", "--set light.sun_zenith_deg: expected degrees, got True"),
         ("camera.width_px=20000", "--set camera.width_px: expected at most 8192, got 20000"),
         ("camera.width_px=wide", "--set camera.width_px: expected a whole number, got 'wide'"),

@@ -26,9 +26,10 @@ def test_drawn_scenes_agree_with_what_was_declared(scenes):
     params, drawn = scenes
     statistics = scene_statistics(drawn, params)
     assert statistics.n_scenes == sum(statistics.topologies.values()) == 150
+    named = {"weather.kind", "weather.daytime", "cars.palette"}
     assert {row.key for row in statistics.parameters} == {
         f"{name}.{key}" for name, group in params for key in type(group).model_fields
-    }
+    } - named
     assert [row.key for row in statistics.parameters if not is_fine(row) or row.count == 0] == []
 
 
@@ -78,6 +79,15 @@ def test_plots_name_their_axes_with_units_and_show_what_was_declared(scenes):
     assert named["trees.x_m (kept off roads)"] == "x [m]"
     assert all(axes.get_xlabel() and axes.get_ylabel() == "values" for axes in drawn.values())
     assert [len(axes.patches) for axes in drawn.values()] == [1 if "." not in title else 2 for title in drawn]
+
+
+def test_colours_as_sold_are_not_held_against_color_and_saturation():
+    params = load_params("appendix_i", ["cars.palette=sold", "cars.saturation=0.5"])
+    drawn = scene_statistics([sample_scene(params, 0, "train", index) for index in range(20)], params)
+    rows = {row.key: row for row in drawn.parameters}
+    assert rows["cars.color"].test == rows["cars.saturation"].test == "none drawn"
+    assert all(is_fine(row) for row in drawn.parameters)
+    assert "cars.palette" not in rows
 
 
 @pytest.mark.parametrize(

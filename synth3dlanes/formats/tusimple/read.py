@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from synth3dlanes.errors import FormatError
+from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.formats.reading import MALFORMED, json_lines, json_object, read_image
 
 
@@ -48,6 +48,16 @@ def is_tusimple(path: Path) -> bool:
     """Whether the first line of the file is a tuSimple frame."""
     with path.open(encoding="utf-8") as file:
         return '"h_samples"' in file.readline()
+
+
+def find_labels(source: Path) -> Path | None:
+    """The tuSimple label file that a path names, or the only one in a folder; None if there is none."""
+    if source.suffix == ".json":
+        return source if is_tusimple(source) else None
+    found = [path for path in sorted(source.glob("*.json")) if is_tusimple(path)]
+    if len(found) > 1:
+        raise InputError(f"{source}: expected one of its label files, {', '.join(path.name for path in found)}")
+    return found[0] if found else None
 
 
 def parse(line: str, where: str) -> TusimpleFrame:

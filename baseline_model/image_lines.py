@@ -1,0 +1,66 @@
+"""Detected lanes as lines in the image, and tuSimple's score of them."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from synth3dlanes.formats.tusimple.convention import ABSENT, CAMERA
+from synth3dlanes.formats.tusimple.read import TusimpleSplit
+from synth3dlanes.formats.tusimple.score import TusimpleScore, mean_score, score_frame
+from synth3dlanes.frames import project
+
+from .lanes import Detection, Prediction
+
+MOST_LINES = 5
+"""tuSimple labels at most five lines, and gives no points to an image with more than two too many."""
+NEAREST_M = 0.5
+VISIBLE = 0.5
+
+
+def delimiters(prediction: Prediction, threshold: float) -> list[Detection]:
+    """The delimiters of at least this confidence, the most confident first."""
+    kept = [lane for lane in prediction.lanes if lane.kind == "delimiter" and lane.score >= threshold]
+    return sorted(kept, key=lambda lane: -lane.score)
+
+
+def columns_of(
+    lane: Detection, img_from_cam: Float[np.ndarray, "3 3"], rows_px: Float[np.ndarray, " r"]
+) -> Float[np.ndarray, " r"]:
+    """The lane's column at each row, as far as it is visible and does not turn back in the image; NaN elsewhere."""
+    xyz_cam = lane.xyz_cam
+    if lane.visibility is not None:
+        seen = np.flatnonzero(lane.visibility >= VISIBLE)
+        xyz_cam = xyz_cam[: seen[-1] + 1 if len(seen) else 0]
+    u_px, v_px = project(img_from_cam, xyz_cam[xyz_cam[:, 1] > NEAREST_M]).T
+    v_px = v_px.round(6)  # a line that ends at a row reaches it
+    turns = np.flatnonzero(np.diff(v_px) >= 0)
+    n = int(turns[0]) + 1 if len(turns) else len(v_px)
+    if n < 2:
+        return np.full(len(rows_px), np.nan)
+    return np.interp(rows_px, v_px[:n][::-1], u_px[:n][::-1], left=np.nan, right=np.nan)
+
+
+def tusimple_line(
+    lane: Detection, img_from_cam: Float[np.ndarray, "3 3"], rows_px: Float[np.ndarray, " r"]
+) -> Int[np.ndarray, " r"]:
+    """The lane as in tuSimple's files: the column at each row in whole pixels, ABSENT outside the image."""
+    columns_px = np.rint(columns_of(lane, img_from_cam, rows_px))
+    is_inside = (columns_px >= 0) & (columns_px < CAMERA.width_px)
+    return np.where(is_inside, columns_px, ABSENT).astype(int)
+
+
+def tusimple_score(
+    found: Sequence[Prediction], split: TusimpleSplit, img_from_cam: Float[np.ndarray, "3 3"], threshold: float
+) -> TusimpleScore:
+    """The official score of a prediction for each frame: of its MOST_LINES most confident delimiters, projected with
+    the matrix of the images at the rows of the labels."""
+    scores = []
+    for index, prediction in enumerate(found):
+        frame = split.frame(index)
+        rows_px = frame.rows_px.astype(float)
+        kept = delimiters(prediction, threshold)[:MOST_LINES]
+        lines = [tusimple_line(lane, img_from_cam, rows_px) for lane in kept]
+        predicted = np.array(lines, dtype=float).reshape(-1, len(rows_px))
+        scores.append(score_frame(frame.lanes_u_px, predicted, rows_px))
+    return mean_score(scores)

@@ -1,0 +1,208 @@
+"""Score a detector on photographs of a known camera by labels in the image: tuSimple's lines, KITTI's lane areas."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.formats.reading import read_image, read_text
+from synth3dlanes.formats.tusimple.read import TusimpleSplit, find_labels
+
+from . import checkpoint as checkpoints
+from .data import Intrinsics, Pixels, img_from_cam
+from .image_lines import MOST_LINES, columns_of, delimiters, tusimple_score
+from .inference import choose_device
+from .lanes import Detection, Prediction, read_by_key
+from .sources import image_files
+
+BESIDE_M = 10.0
+"""Distance at which the lines to the left and right of the host are chosen."""
+
+
+@dataclass(frozen=True)
+class ImageReport:
+    """The figures of a benchmark, and how many images and lines they are of; NaN where nothing was found."""
+
+    benchmark: str
+    figures: Mapping[str, float]
+    n_images: int
+    n_lines: int
+    threshold: float
+
+    def document(self) -> dict[str, Any]:
+        """It as JSON values, names in lower case; NaN becomes null."""
+        figures = {name.lower(): None if np.isnan(value) else value for name, value in self.figures.items()}
+        settings = {"n_images": self.n_images, "n_lines": self.n_lines, "threshold": self.threshold}
+        return {self.benchmark.lower(): figures, "settings": settings}
+
+    def text(self) -> str:
+        """It in a line."""
+        figures = ", ".join(f"{name} {value:.4f}" for name, value in self.figures.items())
+        lines = f"{self.n_lines} lines of confidence {self.threshold:g} or more"
+        return f"{self.benchmark}: {figures} ({self.n_images} images, {lines})"
+
+
+@dataclass(frozen=True, eq=False)
+class TusimpleImages:
+    """The images of a tuSimple label file, scored by its benchmark."""
+
+    split: TusimpleSplit
+
+    def keys(self) -> Sequence[str]:
+        """Each frame's `raw_file`."""
+        return [self.split.frame(index).raw_file for index in range(len(self.split))]
+
+    def image(self, index: int) -> Pixels:
+        """The frame's picture."""
+        return self.split.image(index)
+
+    def lines_px(self, index: int) -> list[Float[np.ndarray, "_ 2"]]:
+        """The labelled lines as points of the image."""
+        frame = self.split.frame(index)
+        return [np.stack([u_px, frame.rows_px], axis=1)[u_px >= 0] for u_px in frame.lanes_u_px]
+
+    def report(self, found: Sequence[Prediction], intrinsics: Intrinsics, threshold: float) -> ImageReport:
+        """The official accuracy, and rates of false positives and negatives."""
+        score = tusimple_score(found, self.split, img_from_cam(intrinsics), threshold)
+        figures = {"accuracy": score.accuracy, "FP": score.false_positive, "FN": score.false_negative}
+        n_lines = sum(len(delimiters(prediction, threshold)[:MOST_LINES]) for prediction in found)
+        return ImageReport("tuSimple", figures, len(self.split), n_lines, threshold)
+
+
+@dataclass(frozen=True, eq=False)
+class LaneAreas:
+    """KITTI's images with masks of the host's lane (`um_lane_000000.png` for the image `um_000000`): red where a pixel
+    counts, blue in the lane."""
+
+    images: Sequence[Path]
+    masks: Sequence[Path]
+
+    def keys(self) -> Sequence[str]:
+        """The names of the image files."""
+        return [path.name for path in self.images]
+
+    def image(self, index: int) -> Pixels:
+        """The pixels of an image."""
+        return read_image(self.images[index])
+
+    def report(self, found: Sequence[Prediction], intrinsics: Intrinsics, threshold: float) -> ImageReport:
+        """Precision, recall and intersection over union of the pixels between the nearest delimiters to the left and
+        right of the host, over all images together; `found` is the share of images with both delimiters."""
+        both = true = claimed = n_found = n_lines = 0
+        for path, prediction in zip(self.masks, found, strict=True):
+            counts, is_lane = np.moveaxis(read_image(path)[..., [0, 2]] > 127, -1, 0)
+            lines = delimiters(prediction, threshold)
+            sides = beside_host(lines)
+            area = _between(sides, img_from_cam(intrinsics), counts.shape) & counts
+            both += np.count_nonzero(area & is_lane)
+            true += np.count_nonzero(is_lane & counts)
+            claimed += np.count_nonzero(area)
+            n_found += bool(sides)
+            n_lines += len(lines)
+        figures = {
+            "precision": _ratio(both, claimed),
+            "recall": _ratio(both, true),
+            "IoU": _ratio(both, true + claimed - both),
+            "found": _ratio(n_found, len(found)),
+        }
+        return ImageReport("KITTI", figures, len(self.masks), n_lines, threshold)
+
+
+Photographs = TusimpleImages | LaneAreas
+
+
+def evaluate_checkpoint(
+    checkpoint: str | Path,
+    photographs: Photographs,
+    intrinsics: Intrinsics,
+    threshold: float = 0.5,
+    device: str = "auto",
+    own_model: str | None = None,
+) -> ImageReport:
+    """Run the checkpoint's network over photographs and score it."""
+    detector = checkpoints.detector(checkpoint, choose_device(device), own_model)
+    images = ((key, photographs.image(index), intrinsics) for index, key in enumerate(photographs.keys()))
+    return _score(detector.in_images(images), photographs, intrinsics, threshold)
+
+
+def evaluate_predictions(
+    file: str | Path, photographs: Photographs, intrinsics: Intrinsics, threshold: float = 0.5
+) -> ImageReport:
+    """Score predictions in JSON lines (docs/baseline.md); images without a line count as images without detections."""
+    keys = photographs.keys()
+    given = read_by_key(Path(file), keys)
+    return _score((given.get(key, Prediction(key, (), None)) for key in keys), photographs, intrinsics, threshold)
+
+
+def open_photographs(source: str | Path, masks: Path | None = None) -> Photographs | None:
+    """Photographs with labels: those of `open_tusimple`, or a folder of images whose masks are in another."""
+    return open_tusimple(source) if masks is None else _lane_areas(Path(source), masks)
+
+
+def open_tusimple(source: str | Path) -> TusimpleImages | None:
+    """The images of a tuSimple label file or of a folder with one; None if the source is neither."""
+    labels = None if "://" in str(source) else find_labels(Path(source))
+    return None if labels is None else TusimpleImages(TusimpleSplit(labels))
+
+
+def read_intrinsics(path: Path) -> Intrinsics:
+    """fx, fy, cx, cy of the left colour camera, `P2` in a calibration file of KITTI."""
+    rows = [line.split()[1:] for line in read_text(path).splitlines() if line.startswith("P2:")]
+    try:
+        ((fx, _, cx, _, _, fy, cy, _, _, _, _, _),) = (map(float, row) for row in rows)
+    except ValueError:
+        raise FormatError(f"{path}: expected one line `P2:` of 12 numbers, as KITTI's calibration has it") from None
+    return (fx, fy, cx, cy)
+
+
+def beside_host(lanes: Sequence[Detection]) -> list[Detection]:
+    """The nearest lane to the left of the host and the nearest to its right; none if one is missing."""
+    x_m = [float(np.interp(BESIDE_M, lane.xyz_cam[:, 1], lane.xyz_cam[:, 0])) for lane in lanes]
+    left = max((i for i, x in enumerate(x_m) if x < 0), key=lambda i: x_m[i], default=None)
+    right = min((i for i, x in enumerate(x_m) if x >= 0), key=lambda i: x_m[i], default=None)
+    return [] if left is None or right is None else [lanes[left], lanes[right]]
+
+
+def _score(
+    found: Iterable[Prediction], photographs: Photographs, intrinsics: Intrinsics, threshold: float
+) -> ImageReport:
+    predictions = list(found)
+    kinds = {lane.kind for prediction in predictions for lane in prediction.lanes}
+    if kinds == {"centerline"}:
+        raise InputError("predictions: expected delimiters, which the labels of images show, got centre lines only")
+    return photographs.report(predictions, intrinsics, threshold)
+
+
+def _between(
+    sides: Sequence[Detection], matrix: Float[np.ndarray, "3 3"], size_px: tuple[int, ...]
+) -> Bool[np.ndarray, "h w"]:
+    height, width = size_px
+    if not sides:
+        return np.zeros((height, width), dtype=bool)
+    left_px, right_px = (columns_of(lane, matrix, np.arange(height) + 0.5)[:, None] for lane in sides)
+    centres_px = np.arange(width) + 0.5
+    return (left_px <= centres_px) & (centres_px < right_px)
+
+
+def _lane_areas(images: Path, masks: Path) -> LaneAreas:
+    mask_files = sorted(masks.glob("*_lane_*.png"))
+    if not mask_files:
+        raise FormatError(f"{masks}: expected masks of lanes, such as um_lane_000000.png, got none")
+    files = image_files(images)
+    return LaneAreas([_image_of(mask, files, images) for mask in mask_files], mask_files)
+
+
+def _image_of(mask: Path, files: Iterable[Path], folder: Path) -> Path:
+    name = mask.stem.replace("_lane_", "_")
+    found = [path for path in files if path.stem == name or path.stem.endswith(f"_{name}")]
+    if len(found) != 1:
+        raise FormatError(f"{folder}: expected one image {name} for the mask {mask.name}, got {len(found)}")
+    return found[0]
+
+
+def _ratio(part: int, whole: int) -> float:
+    return part / whole if whole else float("nan")

@@ -1,0 +1,61 @@
+"""The colours that vehicles are sold in. Display values from 0 to 1."""
+
+from dataclasses import dataclass
+
+from synth3dlanes.assets.catalogue import CarModel
+
+Color = tuple[float, float, float]
+
+# Vans, trucks and buses are taller than any passenger car.
+TALL_M = 2.1
+
+
+@dataclass(frozen=True)
+class Paint:
+    """A named colour: its share of vehicles, and the two ends of its shades."""
+
+    name: str
+    share: float
+    dark: Color
+    light: Color
+
+    def shade(self, u: float) -> Color:
+        """The shade at u in [0, 1)."""
+        red, green, blue = (round(low + (high - low) * u, 6) for low, high in zip(self.dark, self.light, strict=True))
+        return red, green, blue
+
+
+# Shares in per cent of new cars worldwide; sources and the split of the last four: docs/decisions.md.
+PASSENGER = (
+    Paint("white", 38, (0.84, 0.84, 0.83), (0.97, 0.97, 0.96)),
+    Paint("black", 19, (0.03, 0.03, 0.04), (0.12, 0.12, 0.13)),
+    Paint("gray", 15, (0.26, 0.27, 0.29), (0.48, 0.49, 0.50)),
+    Paint("silver", 9, (0.62, 0.63, 0.64), (0.76, 0.77, 0.78)),
+    Paint("blue", 7, (0.05, 0.10, 0.26), (0.16, 0.34, 0.62)),
+    Paint("red", 5, (0.38, 0.03, 0.05), (0.74, 0.08, 0.08)),
+    Paint("brown", 3, (0.24, 0.17, 0.12), (0.60, 0.52, 0.42)),
+    Paint("green", 2, (0.07, 0.18, 0.13), (0.34, 0.42, 0.30)),
+    Paint("yellow", 1, (0.80, 0.62, 0.10), (0.93, 0.80, 0.20)),
+    Paint("orange", 1, (0.74, 0.28, 0.06), (0.88, 0.42, 0.10)),
+)
+COMMERCIAL = (
+    Paint("white", 55, (0.84, 0.84, 0.83), (0.97, 0.97, 0.96)),
+    Paint("silver", 9, (0.55, 0.56, 0.57), (0.76, 0.77, 0.78)),
+    Paint("blue", 10, (0.06, 0.16, 0.40), (0.20, 0.42, 0.70)),
+    Paint("red", 10, (0.55, 0.05, 0.06), (0.78, 0.12, 0.10)),
+    Paint("yellow", 6, (0.85, 0.66, 0.10), (0.95, 0.80, 0.18)),
+    Paint("green", 5, (0.08, 0.34, 0.18), (0.42, 0.62, 0.20)),
+    Paint("orange", 3, (0.80, 0.34, 0.06), (0.90, 0.46, 0.10)),
+    Paint("black", 2, (0.04, 0.04, 0.05), (0.12, 0.12, 0.13)),
+)
+
+
+def sold_color(model: CarModel, u_paint: float, u_shade: float) -> Color:
+    """The colour of a vehicle as sold, from two numbers in [0, 1): that of a passenger car, or a livery."""
+    paints = COMMERCIAL if model.height_m > TALL_M else PASSENGER
+    rest = u_paint * sum(paint.share for paint in paints)
+    for paint in paints:
+        if rest < paint.share:
+            return paint.shade(u_shade)
+        rest -= paint.share
+    return paints[-1].shade(u_shade)

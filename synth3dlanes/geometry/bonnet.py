@@ -1,0 +1,46 @@
+"""The host's own bonnet: one shape, moved down from the camera until it fills the share of the picture that it should.
+
+Camera frame but for the height: x right, y ahead, z up from the bonnet's highest point, metres.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.frames import Matrix4
+from synth3dlanes.geometry.meshes import Mesh, grid
+from synth3dlanes.scene import Camera
+
+HALF_WIDTH_M, FROM_M, TO_M = 0.78, 0.12, 1.6
+# It falls towards the nose and the sides; two folds run along it.
+NOSE, SIDES, FOLD_M, FOLD_AT_M, FOLD_WIDTH_M = (0.05, 0.07, 0.10), (0.05, 0.12), 0.012, 0.42, 0.05
+SHAPE = (40, 48)
+
+Values = Float[np.ndarray, "..."]
+
+
+def surface_m(x_m: Values, y_m: Values) -> Values:
+    """The height of the bonnet, 0 at its highest."""
+    along, aside = np.clip((y_m - FROM_M) / (TO_M - FROM_M), 0, 1), np.abs(x_m) / HALF_WIDTH_M
+    nose = NOSE[0] * along + NOSE[1] * along**2 + NOSE[2] * along**12
+    fold = FOLD_M * (1 + np.tanh((np.abs(x_m) - FOLD_AT_M) / FOLD_WIDTH_M)) / 2
+    return np.asarray(fold - nose - SIDES[0] * aside**2 - SIDES[1] * aside**8)
+
+
+def bonnet() -> Mesh:
+    """The surface of the bonnet."""
+    n_along, n_across = SHAPE
+    y_m, x_m = np.meshgrid(
+        np.linspace(FROM_M, TO_M, n_along), np.linspace(-HALF_WIDTH_M, HALF_WIDTH_M, n_across), indexing="ij"
+    )
+    points = np.stack([x_m, y_m, surface_m(x_m, y_m)], axis=-1)
+    return grid(points, points[..., :2], np.zeros(n_across - 1, dtype=int))
+
+
+def cam_from_bonnet(camera: Camera, share: float) -> Matrix4:
+    """The pose at which the bonnet fills this share of the image's height in the middle of its width."""
+    y_m = np.linspace(FROM_M, TO_M, SHAPE[0])
+    edge = (camera.cy_px - camera.height_px * (1 - share)) / camera.fy_px
+    below_m = float((surface_m(np.zeros(SHAPE[0]), y_m) - edge * y_m).max())
+    pose = np.eye(4)
+    pose[2, 3] = -below_m
+    return pose

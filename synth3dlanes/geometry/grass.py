@@ -1,0 +1,118 @@
+"""Grass beside the pavement near the host: tufts of blades that hide no point of a lane. World frame, metres.
+
+Far away the terrain's texture is enough. Tufts stand on the verge, up to where its texture begins to look like depth.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from synth3dlanes.geometry.ground import Ground
+from synth3dlanes.geometry.lanes import Curve
+
+Values = Float[np.ndarray, " n"]
+Points = Float[np.ndarray, "n 3"]
+
+# Tufts along every edge of the pavement: how many, how far ahead of the host, and how far beside the edge.
+PER_EDGE, AHEAD_M, BESIDE_M = 1500, (2.0, 45.0), (0.25, 3.6)
+# Grass is mown next to the road: its height grows from this share at the edge to all of it at FULL_AT_M.
+SHORT, FULL_AT_M = 0.35, 1.5
+# A tuft: its blades, the radius of their feet, their lean over their height, their width over their height.
+BLADES, RADIUS_M, LEAN, WIDTH = 10, 0.14, 0.7, 0.11
+SINK_M = 0.04
+# Lines of sight to points of lanes, every STEP_M up to RANGE_M, pass tufts by this much and by this share of the
+# distance, which is more than a pixel.
+STEP_M, RANGE_M, ROOM_M, ROOM = 1.0, 115.0, 0.1, 0.004
+
+
+@dataclass(frozen=True, eq=False)
+class Blades:
+    """Triangles: two corners at the foot and a tip, with a shade and a dryness for each blade, both 0 to 1."""
+
+    corners_world: Float[np.ndarray, "n 3 3"]
+    shade: Values
+    dryness: Values
+
+
+def blades(
+    ground: Ground, lines: Sequence[Curve], eye_world: Float[np.ndarray, "3"], grass_m: float, rng: np.random.Generator
+) -> Blades:
+    """The blades of grass of `grass_m` height that a camera at `eye_world` sees beside the road."""
+    feet, height_m = _tufts(ground, grass_m, rng)
+    points = lane_points(ground, lines)
+    free = ~_in_sight(feet, height_m, eye_world, points)
+    return _grown(feet[free], height_m[free], rng)
+
+
+def lane_points(ground: Ground, lines: Sequence[Curve]) -> Points:
+    """Points of all lane curves ahead of the host, as far apart as those of the labels, and farther."""
+    plan = ground.plan
+    s = plan.plan_station(ground.near_m + np.arange(STEP_M, RANGE_M, STEP_M))
+    return np.concatenate(
+        [line.points_world(plan, s[(s > line.start_m) & (s < line.end_m)]) for line in lines] + [np.zeros((0, 3))]
+    )
+
+
+def _tufts(ground: Ground, grass_m: float, rng: np.random.Generator) -> tuple[Points, Values]:
+    """Feet and heights of tufts along the edges of the pavement; the nearer to the host, the denser."""
+    plan = ground.plan
+    draws = rng.random((4, 4, PER_EDGE))
+    ahead = AHEAD_M[0] * (AHEAD_M[1] / AHEAD_M[0]) ** draws[0]
+    beside = BESIDE_M[0] + (BESIDE_M[1] - BESIDE_M[0]) * draws[1]
+    s = plan.plan_station(ground.near_m + ahead)
+    xy = [
+        plan.main_xy(s[0], -ground.edge_m - beside[0]),
+        plan.main_xy(s[1], ground.main_right_edge(s[1]) + beside[1]),
+    ]
+    if plan.has_exit:
+        on_exit = [s[k] >= 0 for k in (2, 3)]
+        xy += [
+            plan.exit_xy(s[2][on_exit[0]], -ground.exit_edge_m - beside[2][on_exit[0]]),
+            plan.exit_xy(s[3][on_exit[1]], ground.exit_edge_m + beside[3][on_exit[1]]),
+        ]
+    places = np.concatenate(xy)
+    from_edge_m = ground.clearance(places)
+    kept = (from_edge_m > BESIDE_M[0]) & (from_edge_m < BESIDE_M[1])
+    places, from_edge_m = places[kept], from_edge_m[kept]
+    height_m = grass_m * np.clip(SHORT + (1 - SHORT) * from_edge_m / FULL_AT_M, 0, 1)
+    height_m *= 0.6 + 0.4 * draws[2].ravel()[: len(places)]
+    return np.column_stack([places, ground.height(places) - SINK_M]), height_m
+
+
+def _in_sight(
+    feet: Points, height_m: Values, eye_world: Float[np.ndarray, "3"], points_world: Float[np.ndarray, "p 3"]
+) -> Bool[np.ndarray, " n"]:
+    """Which tufts reach into a line of sight from the eye to a point."""
+    to_feet, to_points = feet - eye_world, points_world - eye_world
+    reach_m = np.linalg.norm(to_points[:, :2], axis=1)
+    along = to_points[:, :2] / reach_m[:, None]
+    beside_m = np.abs(to_feet[:, :2] @ np.stack([-along[:, 1], along[:, 0]]))
+    room_m = ROOM_M + ROOM * np.linalg.norm(to_feet, axis=1)
+    radius_m = RADIUS_M + LEAN * height_m + room_m
+    tuft, point = np.nonzero(beside_m < radius_m[:, None])
+    at_m = (to_feet[tuft, :2] * along[point]).sum(axis=1)
+    last_m = np.minimum(at_m + radius_m[tuft], reach_m[point])
+    first_m = at_m - radius_m[tuft]
+    slope = to_points[point, 2] / reach_m[point]
+    top_z = to_feet[:, 2] + height_m + room_m
+    is_low = np.minimum(slope * first_m, slope * last_m) < top_z[tuft]
+    meets = (first_m < reach_m[point]) & (last_m > 0) & is_low
+    hidden = np.zeros(len(feet), dtype=bool)
+    hidden[tuft[meets]] = True
+    return hidden
+
+
+def _grown(feet: Points, height_m: Values, rng: np.random.Generator) -> Blades:
+    """BLADES blades for each tuft, which lean to all sides."""
+    n = len(feet) * BLADES
+    around, lean, size = 2 * np.pi * rng.random(n), LEAN * rng.random(n), 0.3 + 0.7 * rng.random(n) ** 1.5
+    length_m = np.repeat(height_m, BLADES) * size
+    out = np.stack([np.cos(around), np.sin(around), np.zeros(n)], axis=1)
+    foot = np.repeat(feet, BLADES, axis=0) + RADIUS_M * np.sqrt(rng.random((n, 1))) * out
+    turn = 2 * np.pi * rng.random(n)
+    side = np.stack([np.cos(turn), np.sin(turn), np.zeros(n)], axis=1) * (WIDTH / 2 * length_m + 0.006)[:, None]
+    tip = foot + length_m[:, None] * (lean[:, None] * out + [0, 0, 1.0]) + [0, 0, SINK_M]
+    dryness = np.repeat(rng.random(len(feet)), BLADES) * rng.random(n)
+    return Blades(np.stack([foot - side, foot + side, tip], axis=1), rng.random(n), dryness)

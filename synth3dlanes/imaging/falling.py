@@ -1,0 +1,123 @@
+"""Rain and snow in the air, and spray behind cars, as layers of the picture.
+
+Drops and flakes are points near the camera; each leaves the streak of its own motion and the host's during the
+exposure. Nothing here moves or hides a pixel of the other layers.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from PIL import Image as Pillow
+from PIL import ImageDraw
+
+from synth3dlanes.frames import invert, project, transform
+from synth3dlanes.imaging.lens import rays
+from synth3dlanes.scene import Scene
+from synth3dlanes.world import View
+
+# The host's speed, which tells the exposure's duration from the metres driven; without motion blur it is SHORTEST_S.
+SPEED_M_PER_S, SHORTEST_S = 25.0, 0.008
+# Headlights light what falls before the camera: radiance at 1 m per unit of its reflectance.
+LIT_BY_HEADLIGHTS = 4e-3
+# Spray: metres behind the car, height, half widths, and the share of light it takes at most.
+SPRAY_BEHIND_M, SPRAY_UP_M, SPRAY_HALF_M, SPRAY_SHARE = 2.5, 0.5, (1.3, 0.7), 0.6
+FARTHEST_SPRAY_M = 80.0
+OVERSAMPLED = 2
+NEAREST_M = 1.7  # beyond the host's bonnet
+
+Image = Float[np.ndarray, "h w 3"]
+
+
+class Kind(NamedTuple):
+    """What falls: how many at full strength for 480 x 360 pixels, how fast, how large, how opaque, and up to where."""
+
+    n: int
+    m_per_s: float
+    size_m: tuple[float, float]
+    opacity: float
+    farthest_m: float
+
+
+RAIN = Kind(2600, 7.5, (0.0015, 0.004), 0.45, 14.0)
+SNOW = Kind(4000, 1.2, (0.005, 0.014), 0.9, 22.0)
+
+
+def add_falling(
+    linear: Image,
+    depth_m: Float[np.ndarray, "h w"],
+    scene: Scene,
+    view: View,
+    airlight: Float[np.ndarray, "3"],
+    film: float,
+) -> Image:
+    """The picture with the scene's rain and snow in front of all that is not nearer; where they are follows from seed,
+    split and index."""
+    weather, rng = scene.weather, scene.stream("falling")
+    for kind, strength in ((RAIN, weather.rain), (SNOW, weather.snowfall)):
+        if strength > 0:
+            share, nearness = _streaks(kind, strength, scene, view, rng)
+            lamps = LIT_BY_HEADLIGHTS * film * weather.headlights * nearness
+            glow = (airlight * film).astype(np.float32) + lamps[..., None]
+            share = share * (depth_m > NEAREST_M)
+            linear = linear + share[..., None] * (glow - linear)
+    return linear
+
+
+def _streaks(
+    kind: Kind, strength: float, scene: Scene, view: View, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+    """The share of each pixel that streaks cover, and 1 / distance squared of what covers it."""
+    camera = view.camera
+    n = int(kind.n * strength * camera.width_px * camera.height_px / (480 * 360))
+    u = rng.random((n, 5))
+    uv = (u[:, :2] * 1.2 - 0.1) * [camera.width_px, camera.height_px]
+    y_m = np.cbrt(NEAREST_M**3 + (kind.farthest_m**3 - NEAREST_M**3) * u[:, 2])
+    size_px = (kind.size_m[0] + (kind.size_m[1] - kind.size_m[0]) * u[:, 3] ** 2) * camera.fx_px / y_m
+    driven_m = scene.sensor.motion_blur_m or SPEED_M_PER_S * SHORTEST_S
+    wind = rng.normal(0, 0.15 * kind.m_per_s, 2) / SPEED_M_PER_S
+    way_road = driven_m * np.array([wind[0], wind[1] - 1, -kind.m_per_s / SPEED_M_PER_S])
+    way_cam = invert(view.road_from_cam)[:3, :3] @ way_road
+    points_cam = rays(camera, uv) * y_m[:, None]
+    ends = [project(view.img_from_cam, points_cam + sign * way_cam / 2) for sign in (-1, 1)]
+    size = camera.width_px * OVERSAMPLED, camera.height_px * OVERSAMPLED
+    covered, near = Pillow.new("L", size), Pillow.new("L", size)
+    draw, draw_near = ImageDraw.Draw(covered), ImageDraw.Draw(near)
+    # Thin streaks cover a part of their pixels; long ones pass each pixel in a part of the exposure.
+    length_px = np.hypot(*(ends[1] - ends[0]).T)
+    thin = np.minimum(OVERSAMPLED * size_px, 1) * np.minimum(1, (4 * size_px + 2) / (length_px + 2))
+    opacity = (255 * kind.opacity * thin).astype(int)
+    widths = np.maximum(np.rint(OVERSAMPLED * size_px), 1).astype(int)
+    nearness = np.clip(255 * (NEAREST_M / y_m) ** 2, 1, 255).astype(int)
+    corners = (OVERSAMPLED * np.concatenate(ends, axis=1)).round(1).tolist()
+    for i in np.argsort(-y_m):
+        draw.line(corners[i], int(opacity[i]), int(widths[i]))
+        draw_near.line(corners[i], int(nearness[i]), int(widths[i]))
+    return _shrunk(covered), _shrunk(near) / np.float32(NEAREST_M**2)
+
+
+def _shrunk(layer: Pillow.Image) -> Float[np.ndarray, "h w"]:
+    return np.asarray(layer.reduce(OVERSAMPLED), np.float32) / 255
+
+
+def add_spray(
+    linear: Image, depth_m: Float[np.ndarray, "h w"], scene: Scene, view: View, airlight: Float[np.ndarray, "3"]
+) -> Image:
+    """The picture with the spray of the cars ahead in the rain; only what is behind the spray is seen through it."""
+    height_px, width_px = depth_m.shape
+    models, cam_from_world = scene.assets.car_models, invert(view.world_from_cam)
+    for car, pose in zip(scene.cars, view.world_from_cars, strict=True):
+        behind_m = models[car.model - 1].length_m * car.scale / 2 + SPRAY_BEHIND_M
+        place = transform(cam_from_world, transform(pose, np.array([[0.0, -behind_m, SPRAY_UP_M]])))
+        if not 3 < place[0, 1] < FARTHEST_SPRAY_M:
+            continue
+        (u, v), y_m = project(view.img_from_cam, place)[0], place[0, 1]
+        half = [half_m * view.camera.fx_px / y_m for half_m in SPRAY_HALF_M]
+        left, right = (int(np.clip(u + side * 2.5 * half[0], 0, width_px)) for side in (-1, 1))
+        top, bottom = (int(np.clip(v + side * 2.5 * half[1], 0, height_px)) for side in (-1, 1))
+        at = np.s_[top:bottom, left:right]
+        across = ((np.arange(left, right) + 0.5 - u) / half[0]) ** 2
+        down = ((np.arange(top, bottom) + 0.5 - v) / half[1]) ** 2
+        share = SPRAY_SHARE * scene.weather.rain * np.exp(-across - down[:, None]) * (depth_m[at] > y_m)
+        linear[at] += share[..., None].astype(np.float32) * (airlight.astype(np.float32) - linear[at])
+    return linear

@@ -1,0 +1,351 @@
+"""World -> Roadside: draw what stands beside and over the road, clear of every pavement. Plan stations.
+
+Rails fill the stretches of an edge that are free: along the outer edges of the roads, and between the main road and
+the exit once there is room for them.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from synth3dlanes.geometry.ground import Ground
+from synth3dlanes.geometry.roadside import (
+    WALKWAY_M,
+    Footprints,
+    beside,
+    building_frame,
+    crossing_frame,
+    crossing_span,
+    dam_section,
+    footprints,
+)
+from synth3dlanes.geometry.sign_faces import FACES
+from synth3dlanes.labels import RoadName
+from synth3dlanes.scene import Building, Color, Crossing, Post, Rail, RailKind, RoadSide, Roadside
+from synth3dlanes.world import World
+
+Draw = Callable[[str], Any]
+Rng = np.random.Generator
+Values = Float[np.ndarray, " n"]
+Place = Literal["left", "right", "inner"]
+
+DECIMALS, TRIES = 3, 30
+# Stations from behind the host to where rails cannot be told from the road, and the least length of a rail.
+BEHIND_M, AHEAD_M, MIN_RAIL_M = 30.0, 330.0, 14.0
+HEIGHTS_M = {"guardrail": 0.75, "concrete": 0.9, "kerb": 0.12, "walkway": 0.13}
+DEPTHS_M = {
+    "guardrail": 0.25,
+    "concrete": 0.7,
+    "noise_wall": 0.3,
+    "kerb": 0.15,
+    "walkway": WALKWAY_M,
+    "power_line": 1.5,
+}
+KERBS = ("kerb", "walkway")
+# Barriers on the edge of a raised exit stand this close to it, because the ground falls away there.
+RAISED_ASIDE_M, RAISED_FROM_M = 0.3, 0.3
+# Least distance of a rail's back from any pavement, and limits of the ground at its front over its edge.
+BACK_M, LEVEL_M = 0.25, (-0.8, 0.15)
+# Least distance of a barrier in the median from the edge lines.
+MEDIAN_GAP_M = 0.3
+# What stands behind a rail has this much room; posts are this far from crossings, signs from each other.
+BEHIND_RAIL_M, APART_M, SIGNS_APART_M = 0.7, 3.0, 8.0
+LAMP_ASIDE_M, SIGN_ASIDE_M, DELINEATOR_ASIDE_M, POLE_ASIDE_M, POLE_M = 1.0, 1.0, 0.4, (6.0, 14.0), (8.0, 11.0)
+# World stations ahead of the host of signs, crossings and buildings; crossings' spacing and half span.
+SIGNS_M, CROSSINGS_M, BUILDINGS_M = (10.0, 160.0), (20.0, 240.0), (5.0, 240.0)
+CROSSINGS_APART_M, HALF_SPAN_M = 50.0, 40.0
+# Least distances of a dam's foot and of a building from any pavement.
+DAM_GAP_M, BUILDING_GAP_M = 1.0, 5.0
+GRAYS = ((0.3, 0.3, 0.29), (0.42, 0.41, 0.38))
+WALLS = ((0.33, 0.31, 0.28), (0.12, 0.16, 0.1), (0.2, 0.13, 0.08), (0.25, 0.26, 0.27), (0.3, 0.2, 0.14))
+FRONTS = ((0.6, 0.58, 0.52), (0.5, 0.4, 0.24), (0.32, 0.13, 0.09), (0.4, 0.39, 0.37), (0.55, 0.5, 0.38))
+ROOFS = ((0.22, 0.06, 0.035), (0.09, 0.08, 0.08), (0.14, 0.08, 0.05), (0.2, 0.2, 0.21))
+BOARDS, WOOD = ((0.005, 0.15, 0.07), (0.01, 0.07, 0.33)), (0.11, 0.08, 0.055)
+# Widths, lengths and heights of walls of buildings.
+SIZES_M: dict[Literal["house", "hall", "block"], tuple[tuple[float, float], ...]] = {
+    "house": ((8.0, 12.0), (9.0, 16.0), (3.2, 6.5)),
+    "hall": ((18.0, 36.0), (25.0, 65.0), (6.0, 11.0)),
+    "block": ((11.0, 16.0), (16.0, 45.0), (9.0, 30.0)),
+}
+
+
+class Edge(NamedTuple):
+    """An edge of the pavement and the plan stations where it bounds a place."""
+
+    road: RoadName
+    side: RoadSide
+    low_m: float = -np.inf
+    high_m: float = np.inf
+
+
+def draw_roadside(world: World, draw: Draw, rng: Rng) -> Roadside:
+    """All structures of one scene; those that find no room in a few tries are left out."""
+    ground = world.ground
+    kinds = {"left": draw("outer"), "right": draw("outer"), "inner": draw("inner")}
+    has_ramp_rail, aside_m = draw("ramp_rail"), draw("rail_aside_m")
+    heights_m = HEIGHTS_M | {"noise_wall": draw("wall_height_m")}
+    rails: list[Rail] = []
+    for place, kind in kinds.items():
+        color = _color(rng, WALLS if kind == "noise_wall" else GRAYS)
+        on_ramp = kind if kind in ("guardrail", "concrete") else "guardrail"
+        for edge in _edges(ground, place):
+            rails += _rails(ground, edge, kind, 0.0 if kind in KERBS else aside_m, heights_m, color, raised=False)
+            if has_ramp_rail and edge.road == "exit":
+                rails += _rails(ground, edge, on_ramp, RAISED_ASIDE_M, heights_m, color, raised=True)
+    rails += _median_rail(ground, draw("median"), heights_m, _color(rng, GRAYS))
+    crossings = _crossings(world, "bridge", draw("n_bridges"), draw("clearance_m"), rng, [])
+    crossings += _crossings(world, "gantry", draw("n_gantries"), draw("clearance_m"), rng, crossings)
+    behind_m = {place: _behind(kind, aside_m) for place, kind in kinds.items()}
+    lamp_sides, spacing_m, height_m = draw("lamps"), draw("lamp_spacing_m"), draw("lamp_height_m")
+    posts: list[Post] = []
+    for side in ("left", "right"):
+        if lamp_sides in (side, "both"):
+            lamp_m = round(max(LAMP_ASIDE_M, behind_m[side]), DECIMALS)
+            posts += _row(ground, side, "lamp", lamp_m, spacing_m, height_m, rng, crossings)
+    has_delineators, spacing_m = draw("delineators"), draw("delineator_spacing_m")
+    for side in ("left", "right"):
+        if has_delineators and kinds[side] == "none":
+            posts += _row(ground, side, "delineator", DELINEATOR_ASIDE_M, spacing_m, 1.0, rng, crossings)
+    posts += _signs(ground, draw("n_signs"), behind_m, rng, crossings)
+    line, pole_m = draw("power_line"), round(float(rng.uniform(*POLE_M)), DECIMALS)
+    pole_aside_m = round(aside_m + float(rng.uniform(*POLE_ASIDE_M)), DECIMALS)
+    if line != "none" and not any(crossing.kind == "bridge" for crossing in crossings):
+        for edge in _edges(ground, line):
+            rails += _rails(ground, edge, "power_line", pole_aside_m, {"power_line": pole_m}, WOOD, raised=False)
+    drawn = Roadside(rails=tuple(rails), posts=tuple(posts), crossings=tuple(crossings))
+    taken, buildings = footprints(ground, drawn), list[Building]()
+    for kind, sizes_m in SIZES_M.items():
+        for _ in range(draw(f"n_{kind}s")):
+            buildings += _building(ground, taken, buildings, kind, sizes_m, draw("building_aside_m"), rng)
+    return drawn.model_copy(update={"buildings": tuple(buildings)})
+
+
+def _edges(ground: Ground, place: str) -> list[Edge]:
+    """The edges on the plan's left, on its right, or between the main road and the exit. The main road's right edge is
+    an outer one before the split and an inner one behind it."""
+    if place == "left":
+        return [Edge("main", "left")]
+    if not ground.plan.has_exit:
+        return [Edge("main", "right")] if place == "right" else []
+    if place == "right":
+        return [Edge("main", "right", high_m=0.0), Edge("exit", "right", low_m=0.0)]
+    return [Edge("main", "right", low_m=0.0), Edge("exit", "left", low_m=0.0)]
+
+
+def _stations(ground: Ground, edge: Edge) -> Values:
+    """Plan stations a metre apart where an edge bounds its place, in the range of structures."""
+    low, high = np.sort(ground.plan.plan_station(ground.near_m + np.array([-BEHIND_M, AHEAD_M])))
+    return np.arange(np.ceil(max(low, edge.low_m)), np.floor(min(high, edge.high_m)) + 0.5)
+
+
+def _ahead(ground: Ground, rng: Rng, limits_m: tuple[float, float]) -> float:
+    """A plan station at a distance ahead of the host."""
+    return round(float(ground.plan.plan_station(ground.near_m + rng.uniform(*limits_m, size=1))[0]), DECIMALS)
+
+
+def _free(ground: Ground, edge: Edge, s: Values, aside_m: float) -> Bool[np.ndarray, " n"]:
+    """At which stations a place `aside_m` outside an edge is as far from every other pavement."""
+    return ground.clearance(beside(ground, edge.road, edge.side, s, aside_m)) > aside_m - 0.02
+
+
+def _rails(
+    ground: Ground, edge: Edge, kind: str, aside_m: float, heights_m: dict[str, float], color: Color, raised: bool
+) -> Iterator[Rail]:
+    """Rails of one kind along the free stretches of an edge, where its road is raised or where it is not."""
+    s = _stations(ground, edge)
+    if kind == "none" or len(s) < 2:
+        return
+    rail_kind: RailKind = kind  # type: ignore[assignment]
+    free = _free(ground, edge, s, aside_m)
+    free &= ground.clearance(beside(ground, edge.road, edge.side, s, aside_m + DEPTHS_M[kind])) > BACK_M - 0.2 * (
+        kind in KERBS
+    )
+    on_ramp = (ground.plan.ramp(s) > RAISED_FROM_M) & (edge.road == "exit")
+    free &= on_ramp == raised
+    if kind not in ("noise_wall", "power_line"):
+        front, inside = (ground.height(beside(ground, edge.road, edge.side, s, a)) for a in (aside_m, -0.05))
+        free &= (front - inside > LEVEL_M[0]) & (front - inside < LEVEL_M[1])
+    for from_m, to_m in _runs(s, free):
+        yield Rail(
+            kind=rail_kind,
+            road=edge.road,
+            side=edge.side,
+            from_m=from_m,
+            to_m=to_m,
+            aside_m=aside_m,
+            height_m=heights_m[kind],
+            color=color,
+        )
+
+
+def _median_rail(ground: Ground, kind: str, heights_m: dict[str, float], color: Color) -> list[Rail]:
+    """A barrier along the middle of the median, if it has room there."""
+    plan = ground.plan
+    if kind == "none" or not plan.n_oncoming or plan.road.median_m < DEPTHS_M[kind] + 2 * MEDIAN_GAP_M:
+        return []
+    s = _stations(ground, Edge("main", "median"))
+    middle_m = round(plan.boundary_m(0) - plan.road.median_m / 2, DECIMALS)
+    rail_kind: RailKind = kind  # type: ignore[assignment]
+    return [
+        Rail(
+            kind=rail_kind,
+            road="main",
+            side="median",
+            from_m=float(s[0]),
+            to_m=float(s[-1]),
+            aside_m=middle_m,
+            height_m=heights_m[kind],
+            color=color,
+        )
+    ]
+
+
+def _runs(s: Values, free: Bool[np.ndarray, " n"]) -> Iterator[tuple[float, float]]:
+    """The first and last stations of the free stretches that are long enough."""
+    changes = np.flatnonzero(np.diff(np.concatenate([[False], free, [False]]).astype(int)))
+    for first, end in zip(changes[::2], changes[1::2], strict=True):
+        if s[end - 1] - s[first] >= MIN_RAIL_M:
+            yield float(s[first]), float(s[end - 1])
+
+
+def _behind(kind: str, aside_m: float) -> float:
+    """Least distance from the edge of what stands behind a rail; a kerb is in nothing's way."""
+    return 0.0 if kind in ("none", *KERBS) else aside_m + BEHIND_RAIL_M
+
+
+def _row(
+    ground: Ground,
+    place: str,
+    kind: Literal["lamp", "delineator"],
+    aside_m: float,
+    spacing_m: float,
+    height_m: float,
+    rng: Rng,
+    crossings: list[Crossing],
+) -> Iterator[Post]:
+    """Posts at equal distances along the outer edges of one side."""
+    shift_m = float(rng.random()) * spacing_m
+    for edge in _edges(ground, place):
+        s = _stations(ground, edge)
+        if not len(s):
+            continue
+        s = np.round(np.arange(s[0] + (shift_m - s[0]) % spacing_m, s[-1], spacing_m), DECIMALS)
+        free = _free(ground, edge, s, aside_m)
+        for s_m in s[free].tolist():
+            if _is_apart(ground, edge, s_m, crossings):
+                yield Post(kind=kind, road=edge.road, side=edge.side, s_m=s_m, aside_m=aside_m, height_m=height_m)
+
+
+def _is_apart(ground: Ground, edge: Edge, s_m: float, crossings: list[Crossing]) -> bool:
+    """Whether a post is clear of all crossings."""
+    return all(abs(crossing.s_m - s_m) > crossing.width_m / 2 + APART_M for crossing in crossings)
+
+
+def _signs(ground: Ground, n: int, behind_m: dict[str, float], rng: Rng, crossings: list[Crossing]) -> Iterator[Post]:
+    """Signs beside the outer edges that face the host; guide boards stand farther away."""
+    taken: list[float] = []
+    for _ in range(n):
+        for _ in range(TRIES):
+            place = "left" if rng.random() < 0.5 else "right"
+            face = 1 + int(rng.random() * len(FACES))
+            edges = _edges(ground, place)
+            edge = edges[int(rng.random() * len(edges))]
+            s_m = _ahead(ground, rng, SIGNS_M)
+            width_m = float(np.ptp(FACES[face - 1][0].outline[:, 0]))
+            aside_m = round(max(SIGN_ASIDE_M, behind_m[place]) + width_m / 2 + rng.random(), DECIMALS)
+            height_m = round(float(rng.uniform(1.7, 2.4)), DECIMALS)
+            is_here = edge.low_m <= s_m <= edge.high_m and all(abs(s_m - other) > SIGNS_APART_M for other in taken)
+            if is_here and _is_apart(ground, edge, s_m, crossings) and _free(ground, edge, np.array([s_m]), aside_m)[0]:
+                taken.append(s_m)
+                yield Post(
+                    kind="sign", road=edge.road, side=edge.side, s_m=s_m, aside_m=aside_m, height_m=height_m, face=face
+                )
+                break
+
+
+def _crossings(
+    world: World, kind: Literal["gantry", "bridge"], n: int, clearance_m: float, rng: Rng, others: list[Crossing]
+) -> list[Crossing]:
+    """Crossings with a span of plausible length, apart from each other, whose dams end clear of all pavements."""
+    ground, found = world.ground, list(others)
+    for _ in range(n):
+        for _ in range(TRIES):
+            s_m = _ahead(ground, rng, CROSSINGS_M)
+            width_m = round(float(rng.uniform(8, 14) if kind == "bridge" else rng.uniform(0.7, 1.1)), DECIMALS)
+            color = _color(rng, GRAYS) if kind == "bridge" else BOARDS[int(rng.random() * len(BOARDS))]
+            crossing = Crossing(kind=kind, s_m=s_m, clearance_m=clearance_m, width_m=width_m, color=color)
+            if all(abs(s_m - other.s_m) > CROSSINGS_APART_M for other in found) and _spans(ground, crossing):
+                found.append(crossing)
+                break
+    return found[len(others) :]
+
+
+def _spans(ground: Ground, crossing: Crossing) -> bool:
+    frame, span = crossing_frame(ground, crossing), crossing_span(ground, crossing)
+    if crossing.kind == "gantry":
+        return bool(max(np.abs(span.legs_m)) < HALF_SPAN_M)
+    top_m = span.top_m - float(frame.origin[2])
+    sections = [
+        dam_section(ground, frame, x, sign, crossing.width_m / 2, top_m)
+        for x, sign in zip(span.abutments_m, (-1, 1), strict=True)
+    ]
+    feet = frame.world(np.concatenate(sections).reshape(-1, 3))[:, :2]
+    return bool(max(np.abs(span.abutments_m)) < HALF_SPAN_M and (ground.clearance(feet) > DAM_GAP_M).all())
+
+
+def _building(
+    ground: Ground,
+    taken: Footprints,
+    others: list[Building],
+    kind: Literal["house", "hall", "block"],
+    sizes_m: tuple[tuple[float, float], ...],
+    aside_m: float,
+    rng: Rng,
+) -> Iterator[Building]:
+    """A building along the road on nearly level ground, clear of all pavements and structures."""
+    for _ in range(TRIES):
+        width_m, length_m, height_m = (round(float(rng.uniform(*limits)), DECIMALS) for limits in sizes_m)
+        side: RoadSide = "left" if rng.random() < 0.5 else "right"
+        s = _ahead(ground, rng, BUILDINGS_M) + np.array([0.0, 1.0])
+        far_m = aside_m + (width_m - sizes_m[0][0]) / 2 + (0.0 if kind == "house" else width_m / 2)
+        (x, y), ahead = beside(ground, "main", side, s, far_m)
+        turn = rng.normal(0, 0.06) + np.pi / 2 * int(rng.random() * 2)
+        yaw_rad = float(np.arctan2(x - ahead[0], ahead[1] - y) + turn)
+        building = Building(
+            kind=kind,
+            x_m=round(float(x), DECIMALS),
+            y_m=round(float(y), DECIMALS),
+            yaw_rad=round(yaw_rad, 6),
+            width_m=width_m,
+            length_m=length_m,
+            height_m=height_m,
+            color=_color(rng, FRONTS),
+            roof=_color(rng, ROOFS),
+        )
+        outline = _outline(building)
+        if not (
+            taken.clear(outline, 2.0) & footprints(ground, Roadside(buildings=tuple(others))).clear(outline, 2.0)
+        ).all():
+            continue
+        heights = ground.height(outline)
+        is_level = np.ptp(heights) < 0.3 * height_m + 1.0
+        if is_level and (ground.clearance(outline) > BUILDING_GAP_M).all():
+            yield building
+            return
+
+
+def _outline(building: Building) -> Float[np.ndarray, "n 2"]:
+    """World points over a building's floor plan."""
+    share = np.linspace(-0.5, 0.5, 7)
+    x, y = np.meshgrid(share * building.width_m, share * building.length_m)
+    places = np.stack([x, y, np.zeros_like(x)], -1).reshape(-1, 3)
+    return np.asarray(building_frame(building).world(places)[:, :2])
+
+
+def _color(rng: Rng, among: tuple[Color, ...]) -> Color:
+    """One of some colours, a little lighter or darker."""
+    color, shade = among[int(rng.random() * len(among))], 0.85 + 0.3 * rng.random()
+    red, green, blue = (round(min(shade * channel, 1.0), 4) for channel in color)
+    return red, green, blue

@@ -1,0 +1,182 @@
+"""Boxes that objects may fill, in frames of their own, and coarse ones around structures. World frame, metres.
+
+The boxes of structures follow from the scene's numbers, the road plan and the terrain, and not from the bodies that
+are rendered.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from synth3dlanes.frames import from_axes, transform
+from synth3dlanes.geometry.terrain import height_at
+from synth3dlanes.labels import RoadName
+from synth3dlanes.scene import Building, Crossing, Post, Rail, RoadSide
+from synth3dlanes.world import World
+
+# Length of the pieces of rails, and how far these overlap.
+PIECE_M, OVERLAP_M = 8.0, 1.0
+# The middle of a rail behind its front, half its width, and the room over it. The wires of a power line are straight
+# between poles, unlike the road.
+RAILS_M = {
+    "guardrail": (0.15, 0.4, 0.3),
+    "concrete": (0.35, 0.7, 0.3),
+    "noise_wall": (0.1, 0.4, 0.4),
+    "kerb": (0.1, 0.3, 0.2),
+    "walkway": (0.9, 1.2, 0.2),
+    "power_line": (0.0, 3.5, 3.0),
+}
+# Half the width of posts, and the room over their height.
+POSTS_M = {"lamp": (2.8, 0.6), "sign": (2.2, 2.6), "delineator": (0.3, 0.2)}
+# Bodies may reach this far below the ground, whose verges lie up to LOW_M below the terrain.
+LOW_M = 1.2
+# Crossings: reach to both sides, height of gantries and decks with parapets, and slope of dams.
+REACH_M, CROSSING_M, DAM_SLOPE = 160.0, 4.0, 1.5
+# A gable's height over half a house's width, and eaves.
+GABLE, EAVES_M = 0.9, 0.8
+
+Points = Float[np.ndarray, "n 3"]
+Corners = Float[np.ndarray, "k 3"]
+
+
+class Boxes(NamedTuple):
+    """Boxes from a low to a high corner, each in its own frame."""
+
+    world_from_boxes: Float[np.ndarray, "k 4 4"]
+    low: Corners
+    high: Corners
+
+
+class Owned(NamedTuple):
+    """Boxes and the number of the structure that each belongs to."""
+
+    boxes: Boxes
+    owners: Int[np.ndarray, " k"]
+
+
+def meet(boxes: Boxes, eye_world: Float[np.ndarray, "3"], points_world: Points) -> Bool[np.ndarray, " n"]:
+    """Which straight lines from the eye to the points meet any of the boxes."""
+    rotations, origins = boxes.world_from_boxes[:, :3, :3], boxes.world_from_boxes[:, None, :3, 3]
+    eyes, ends = (eye_world - origins) @ rotations, (points_world - origins) @ rotations
+    with np.errstate(divide="ignore", invalid="ignore"):
+        first, second = ((corner[:, None] - eyes) / (ends - eyes) for corner in (boxes.low, boxes.high))
+    # 0 / 0 along an axis perpendicular to a line is NaN, which fmax and fmin ignore.
+    enters = np.fmax.reduce(np.minimum(first, second), axis=2, initial=0)
+    leaves = np.fmin.reduce(np.maximum(first, second), axis=2, initial=1)
+    return np.asarray((enters <= leaves).any(axis=0))
+
+
+def inside(owned: Owned, points_world: Points, owners: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Which points are in a box of their structure, -1 for any structure."""
+    found = np.zeros(len(points_world), dtype=bool)
+    for pose, low, high, owner in zip(*owned.boxes, owned.owners.tolist(), strict=True):
+        at = np.flatnonzero(((owners == owner) | (owners < 0)) & ~found)
+        local = (points_world[at] - pose[:3, 3]) @ pose[:3, :3]
+        found[at] = ((local > low) & (local < high)).all(axis=1)
+    return found
+
+
+def structure_boxes(world: World) -> Owned:
+    """The boxes of all structures."""
+    roadside = world.scene.roadside
+    found = [
+        *(_rail(world, rail) for rail in roadside.rails),
+        *([_post(world, post)] for post in roadside.posts),
+        *(_crossing(world, crossing) for crossing in roadside.crossings),
+        *([_building(world, building)] for building in roadside.buildings),
+    ]
+    boxes = [box for of_one in found for box in of_one]
+    poses = np.array([pose for pose, _, _ in boxes]).reshape(-1, 4, 4)
+    low, high = (np.array([box[i] for box in boxes]).reshape(-1, 3) for i in (1, 2))
+    return Owned(Boxes(poses, low, high), np.repeat(np.arange(len(found)), [len(of_one) for of_one in found]))
+
+
+Box = tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "3"], Float[np.ndarray, "3"]]
+
+
+def beside_world(
+    world: World, road: RoadName, side: RoadSide, s: Float[np.ndarray, " n"], aside_m: float
+) -> Float[np.ndarray, "n 2"]:
+    """World (x, y) at plan stations and a distance from an edge of the pavement (a median: an offset)."""
+    plan, ground = world.plan, world.ground
+    if road == "exit":
+        return plan.exit_xy(s, (1 if side == "right" else -1) * np.full(len(s), ground.exit_edge_m + aside_m))
+    right = ground.main_right_edge(s) + aside_m
+    offsets = {"left": np.full(len(s), ground.left_edge_m - aside_m), "median": np.full(len(s), aside_m)}
+    return plan.main_xy(s, offsets.get(side, right))
+
+
+def _level(xy: Float[np.ndarray, "2"], forward: Float[np.ndarray, "2"]) -> Float[np.ndarray, "4 4"]:
+    """An upright frame at height 0 with y along a direction."""
+    fx, fy = forward / np.linalg.norm(forward)
+    return from_axes(np.array([fy, -fx, 0]), np.array([fx, fy, 0]), np.array([0, 0, 1.0]), np.array([*xy, 0.0]))
+
+
+def _rail(world: World, rail: Rail) -> list[Box]:
+    plan = world.plan
+    behind_m, half_m, over_m = RAILS_M[rail.kind]
+    s = np.linspace(rail.from_m, rail.to_m, 2 + int((rail.to_m - rail.from_m) / PIECE_M))
+    sign = 0.0 if rail.side == "median" else 1.0
+    line = beside_world(world, rail.road, rail.side, s, rail.aside_m + sign * behind_m)
+    z = height_at(plan.terrain, line)
+    raised = plan.ramp(s) if plan.has_exit else np.zeros(len(s))
+    boxes = []
+    for i in range(len(s) - 1):
+        along = line[i + 1] - line[i]
+        reach_m = float(np.linalg.norm(along)) / 2 + OVERLAP_M
+        low_m, high_m = z[i : i + 2].min() - LOW_M - over_m, z[i : i + 2].max() + raised[i : i + 2].max()
+        boxes.append(
+            (
+                _level((line[i] + line[i + 1]) / 2, along),
+                np.array([-half_m, -reach_m, low_m]),
+                np.array([half_m, reach_m, high_m + rail.height_m + over_m]),
+            )
+        )
+    return boxes
+
+
+def _post(world: World, post: Post) -> Box:
+    plan, s = world.plan, np.array([post.s_m, post.s_m + 0.5])
+    half_m, over_m = POSTS_M[post.kind]
+    foot, ahead = beside_world(world, post.road, post.side, s, post.aside_m)
+    z = float(height_at(plan.terrain, foot[None])[0])
+    raised = float(plan.ramp(s).max()) if plan.has_exit else 0.0
+    low, high = np.array([-half_m, -half_m, z - LOW_M]), np.array([half_m, half_m, z + raised + post.height_m + over_m])
+    return _level(foot, ahead - foot), low, high
+
+
+def _crossing(world: World, crossing: Crossing) -> list[Box]:
+    """What is over the road, and all that may stand beside it."""
+    plan, ground = world.plan, world.ground
+    s = np.array([crossing.s_m, crossing.s_m + 0.5])
+    here, ahead = plan.main_xy(s, 0.0)
+    pose = _level(here, ahead - here)
+    across = np.arange(-REACH_M, REACH_M + 1, 4.0)
+    strip = transform(pose, np.column_stack([across, np.zeros((len(across), 2))]))
+    z = height_at(plan.terrain, strip[:, :2])
+    right = float(ground.main_right_edge(s)[0])
+    edges = transform(
+        np.linalg.inv(pose), np.column_stack([plan.main_xy(s[[0, 0]], np.array([ground.left_edge_m, right])), [0, 0]])
+    )
+    left, right = np.sort(edges[:, 0])
+    raised = float(plan.road.ramp_height_m) if plan.ramp_start_m is not None else 0.0
+    half_m, road_m = crossing.width_m / 2 + 0.8, float(height_at(plan.terrain, here[None])[0])
+    top_m = max(float(z[np.abs(across) < REACH_M / 3].max()), road_m) + raised + crossing.clearance_m + CROSSING_M
+    wide_m = half_m + (DAM_SLOPE * (top_m - z.min()) if crossing.kind == "bridge" else 0.0)
+    reach_m, low_m = REACH_M, z.min() - LOW_M
+    return [
+        (pose, np.array([-reach_m, -half_m, road_m + crossing.clearance_m - 1.0]), np.array([reach_m, half_m, top_m])),
+        (pose, np.array([-reach_m, -wide_m, low_m]), np.array([left - 0.3, wide_m, top_m])),
+        (pose, np.array([right + 0.3, -wide_m, low_m]), np.array([reach_m, wide_m, top_m])),
+    ]
+
+
+def _building(world: World, building: Building) -> Box:
+    forward = np.array([-np.sin(building.yaw_rad), np.cos(building.yaw_rad)])
+    pose = _level(np.array([building.x_m, building.y_m]), forward)
+    half = np.array([building.width_m / 2 + EAVES_M, building.length_m / 2 + EAVES_M])
+    x, y = (part.ravel() for part in np.meshgrid(np.array([-1, 0, 1]) * half[0], np.array([-1, 0, 1]) * half[1]))
+    z = height_at(world.plan.terrain, transform(pose, np.column_stack([x, y, np.zeros(9)]))[:, :2])
+    top_m = z.max() + building.height_m + GABLE * building.width_m / 2 + EAVES_M
+    return pose, np.array([*-half, z.min() - LOW_M]), np.array([*half, top_m])

@@ -1,0 +1,121 @@
+"""Lamps, snow and the host's bonnet in real renders: who is lit, what is covered, and which points are hidden."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("bpy")
+
+import bpy
+
+from synth3dlanes.blender.light import set_light
+from synth3dlanes.blender.render import studio
+from synth3dlanes.imaging.daylight import daylight
+from synth3dlanes.imaging.film import response
+from synth3dlanes.production.recipe import take_picture
+from synth3dlanes.settings import HOST_ID, SEMANTIC_IDS, RenderSettings
+from synth3dlanes.validate.ids import prove_ids
+from synth3dlanes.validate.obstacles import check_objects
+from synth3dlanes.validate.paint import Paint
+from synth3dlanes.world import resolve
+from tests.scenes import changed, flat_road_places
+
+NIGHT = {"sun_zenith_rad": np.radians(105), "metering": 1}
+ALL = RenderSettings(samples=2, passes=("depth", "semantic", "instance"))
+
+
+def light_of(image):
+    """The light that reached the film, by the tone curve read backwards."""
+    levels = np.linspace(0, 5, 4000)
+    return np.interp(image.mean(axis=2) / 255, response(levels), levels)
+
+
+def ratio_of_paint(shot, scene, far_m):
+    """Paint's light over the road's, and the road's light, from 8 m ahead."""
+    _, ahead_m = flat_road_places(scene)
+    near = (ahead_m > 8) & (ahead_m < far_m)
+    light = light_of(shot.image)
+    paint, road = (light[near & (shot.passes["semantic"] == SEMANTIC_IDS[name])] for name in ("marking", "road"))
+    return np.median(paint) / np.median(road), np.median(road)
+
+
+@pytest.mark.render
+def test_headlights_light_the_road_below_their_edge_and_paint_throws_more_back():
+    day = changed()
+    lit, dark = (changed(light=NIGHT, weather={"headlights": on}) for on in (True, False))
+    shots = {name: take_picture(resolve(scene), ALL) for name, scene in (("day", day), ("lit", lit))}
+    unlit = daylight(lit, 1.6), daylight(dark, 1.6)
+    assert unlit[0].film < unlit[1].film / 5, "the exposure is for what the headlights light"
+    at_night, road = ratio_of_paint(shots["lit"], lit, 25)
+    by_day, _ = ratio_of_paint(shots["day"], day, 25)
+    assert at_night > 1.1 * by_day
+    assert road > 0.015
+    _, ahead_m = flat_road_places(lit)
+    light, is_terrain = light_of(shots["lit"].image), shots["lit"].passes["semantic"] == SEMANTIC_IDS["terrain"]
+    assert np.median(light[is_terrain & (ahead_m > 90)]) < road / 3
+    sky = shots["lit"].passes["semantic"] == SEMANTIC_IDS["sky"]
+    assert np.median(light[sky]) < road
+    for name in ("depth", "semantic", "instance"):
+        np.testing.assert_array_equal(shots["day"].passes[name], shots["lit"].passes[name])
+
+
+@pytest.mark.render
+def test_the_nearest_street_lamps_are_lit_at_night_only():
+    heads = np.column_stack([np.full(30, 5.0), np.arange(30) * 30.0 - 200, np.full(30, 9.0)])
+    pose = resolve(changed()).view.world_from_road
+    studio()
+    for scene, n in ((changed(light=NIGHT), 8), (changed(), 0)):
+        set_light(scene, daylight(scene, 1.6), [], pose, heads)
+        lamps = [bpy.data.objects[f"street_lamp_{i}"] for i in range(8)]
+        lit = [lamp for lamp in lamps if not lamp.hide_render]
+        assert len(lit) == n
+        expected = sorted(abs(heads[:, 1] + 50))[:n]
+        np.testing.assert_allclose(sorted(abs(lamp.location[1] + 50) for lamp in lit), expected, atol=1e-3)
+        assert bpy.data.objects["sun"].hide_render == (n > 0)
+        assert bpy.data.objects["headlight_0"].hide_render
+
+
+@pytest.mark.render
+def test_snow_covers_the_road_between_the_wheel_tracks_and_no_id_changes():
+    bare, snowy = (changed(air={"overcast": 1}, weather={"snow": s, "snow_on_road": s}) for s in (0.0, 0.6))
+    shots = [take_picture(resolve(scene), ALL) for scene in (bare, snowy)]
+    for name in ("depth", "semantic", "instance"):
+        np.testing.assert_array_equal(shots[0].passes[name], shots[1].passes[name])
+    right_m, ahead_m = flat_road_places(bare)
+    road = (shots[0].passes["semantic"] == SEMANTIC_IDS["road"]) & (ahead_m > 5) & (ahead_m < 25)
+    gain = light_of(shots[1].image) / light_of(shots[0].image)
+    in_track, between = abs(abs(right_m) - 0.8) < 0.2, (abs(right_m) < 0.25) | (abs(abs(right_m) - 1.4) < 0.15)
+    assert np.mean(gain[road & in_track]) < 1.2
+    assert np.mean(gain[road & between]) > 1.6
+    assert not Paint(resolve(snowy)).shows
+    assert Paint(resolve(bare)).shows
+
+
+@pytest.mark.render
+def test_the_bonnet_fills_its_share_hides_points_and_is_known_by_its_ids():
+    scene = changed(host={"bonnet": 0.3, "gray": 0.2, "gloss": 0.5}, sensor={"motion_blur_m": 0.5})
+    world = resolve(scene)
+    shot = take_picture(world, ALL)
+    is_host = shot.passes["semantic"] == SEMANTIC_IDS["host"]
+    np.testing.assert_array_equal(is_host, shot.passes["instance"] == HOST_ID)
+    assert abs(is_host[:, 238:242].sum(axis=0).mean() - 0.3 * 360) <= 2
+    assert is_host[-1].all(), "down to the image's edge"
+    assert shot.passes["depth"][is_host].max() < 1.7
+    hidden = 0
+    for lane in shot.labels.lanes:
+        uv = lane.xyz_cam @ shot.labels.camera.img_from_cam.T
+        u, v = (uv[:, :2] / uv[:, 2:])[lane.in_image].astype(int).T
+        inner = np.array(
+            [is_host[max(b - 2, 0) : b + 3, max(a - 2, 0) : a + 3].all() for a, b in zip(u, v, strict=True)]
+        )
+        assert not lane.object_visible[lane.in_image][inner].any()
+        hidden += inner.sum()
+    assert hidden > 3
+    findings, _ = prove_ids(Paint(world), shot.labels, shot.passes)
+    assert findings == []
+    assert list(check_objects(world, shot.labels)) == []
+    seen = [replace(lane, object_visible=np.ones_like(lane.object_visible)) for lane in shot.labels.lanes]
+    assert list(check_objects(world, replace(shot.labels, lanes=tuple(seen))))
+    without = resolve(changed())
+    assert list(check_objects(without, replace(shot.labels, car_visible_fraction=())))

@@ -1,0 +1,104 @@
+"""What stands beside the road in real renders: ids, occlusion, and the checks of `validate`."""
+
+import bpy
+import numpy as np
+import pytest
+
+from synth3dlanes.blender.render import with_object_visibility
+from synth3dlanes.ground_truth import label
+from synth3dlanes.production.recipe import take_picture
+from synth3dlanes.scene import Building, Crossing, Post, Rail, Roadside
+from synth3dlanes.settings import FIRST_STRUCTURE_ID, SEMANTIC_IDS, RenderSettings
+from synth3dlanes.validate.ids import prove_ids
+from synth3dlanes.validate.obstacles import check_objects
+from synth3dlanes.validate.paint import Paint
+from synth3dlanes.world import resolve
+from tests.scenes import FLAT, changed
+
+pytestmark = pytest.mark.render
+
+GRAY = (0.3, 0.3, 0.3)
+SMALL = {"width_px": 240, "height_px": 180, "fx_px": 207.0, "fy_px": 207.0, "cx_px": 120, "cy_px": 90}
+WALL = Rail(
+    kind="noise_wall",
+    road="main",
+    side="right",
+    from_m=15.0,
+    to_m=100.0,
+    aside_m=0.3,
+    height_m=4.0,
+    color=GRAY,
+)
+EVERYTHING = Roadside(
+    rails=(
+        WALL.model_copy(update={"kind": "guardrail", "side": "left", "from_m": -60.0, "height_m": 0.75}),
+        WALL.model_copy(update={"kind": "kerb", "from_m": -60.0, "aside_m": 0.0, "height_m": 0.15}),
+        WALL.model_copy(update={"aside_m": 3.0, "from_m": -60.0}),
+    ),
+    posts=(
+        Post(kind="lamp", road="main", side="left", s_m=-20, aside_m=1.5, height_m=8),
+        Post(kind="sign", road="main", side="right", s_m=-25, aside_m=1.8, height_m=2, face=9),
+        Post(kind="delineator", road="main", side="left", s_m=-30, aside_m=1.0, height_m=1),
+    ),
+    crossings=(
+        Crossing(kind="gantry", s_m=-10, clearance_m=5, width_m=0.9, color=(0.0, 0.1, 0.3)),
+        Crossing(kind="bridge", s_m=30, clearance_m=5, width_m=9, color=GRAY),
+    ),
+    buildings=(
+        Building(kind="hall", x_m=-40, y_m=0, yaw_rad=0.1, width_m=20, length_m=30, height_m=8, color=GRAY, roof=GRAY),
+    ),
+)
+KINDS = ["barrier", "kerb", "barrier", "pole", "sign", "pole", "pole", "bridge", "building"]
+
+
+def test_every_structure_has_its_ids_where_its_body_is():
+    scene = changed(FLAT, camera=SMALL).model_copy(update={"roadside": EVERYTHING})
+    world = resolve(scene)
+    picture = take_picture(world, RenderSettings(samples=1, passes=("depth", "semantic", "instance")))
+    semantic, instance = picture.passes["semantic"], picture.passes["instance"]
+    for i, kind in enumerate(KINDS):
+        found = set(semantic[instance == FIRST_STRUCTURE_ID + i].tolist())
+        assert SEMANTIC_IDS[kind] in found, (i, kind)
+        # Signs stand on poles and hang on gantries.
+        assert found <= {SEMANTIC_IDS[kind], SEMANTIC_IDS["pole"], SEMANTIC_IDS["sign"]}, (i, kind)
+    assert [*check_objects(world, picture.labels)] == []
+    findings, _ = prove_ids(Paint(world), picture.labels, picture.passes)
+    assert findings == []
+    swapped = np.where(instance == FIRST_STRUCTURE_ID, FIRST_STRUCTURE_ID + 5, instance)
+    findings, _ = prove_ids(Paint(world), picture.labels, {**picture.passes, "instance": swapped})
+    assert "pixels of structure 5 within its body" in findings[0].reason
+
+
+def test_a_wall_hides_the_points_behind_it_and_no_others():
+    """A bend behind a wall: the rendered depth says what is hidden."""
+    road = {"offset_p50_m": 9.0, "offset_p100_m": 9.0}
+    bare = changed(FLAT, road=road, camera={**SMALL, "lane": 3, "y_m": -40})
+    walled = resolve(bare.model_copy(update={"roadside": Roadside(rails=(WALL.model_copy(update={"from_m": -20.0}),))}))
+    settings = RenderSettings(samples=1, passes=("depth", "semantic"))
+    without, behind = (take_picture(world, settings) for world in (resolve(bare), walled))
+    semantic, depth = behind.passes["semantic"], behind.passes["depth"]
+    assert (semantic == SEMANTIC_IDS["barrier"]).sum() > 300
+    hidden = 0
+    for free, lane in zip(without.labels.lanes, behind.labels.lanes, strict=True):
+        assert free.object_visible.all()
+        u, v = (lane.xyz_cam @ behind.labels.camera.img_from_cam.T)[lane.in_image].T[:2] / lane.xyz_cam[
+            lane.in_image, 1
+        ]
+        column, row = np.clip(u.astype(int), 1, 238), np.clip(v.astype(int), 1, 178)
+        around = np.stack([semantic[row + i, column + j] for i in (-1, 0, 1) for j in (-1, 0, 1)])
+        nearer = depth[row, column] < 0.9 * lane.xyz_cam[lane.in_image, 1]
+        is_wall = (around == SEMANTIC_IDS["barrier"]).all(axis=0) & nearer
+        seen = lane.object_visible[lane.in_image]
+        assert not seen[is_wall].any()
+        assert seen[(around != SEMANTIC_IDS["barrier"]).all(axis=0)].all()
+        hidden += int(is_wall.sum())
+    assert hidden > 20
+
+
+def test_structures_of_a_scene_are_gone_in_the_next():
+    world = resolve(FLAT)
+    labels = with_object_visibility(world, world.view, label(world, world.view), [])
+    assert all(lane.object_visible.all() for lane in labels.lanes)
+    take_picture(resolve(FLAT.model_copy(update={"roadside": EVERYTHING})), RenderSettings(samples=1))
+    take_picture(world, RenderSettings(samples=1))
+    assert all(item.pass_index < FIRST_STRUCTURE_ID for item in bpy.data.objects)

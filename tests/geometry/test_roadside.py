@@ -1,0 +1,245 @@
+"""What stands beside the road, against the ground, the lanes and the plan."""
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from synth3dlanes.geometry.roadside import beside, bodies
+from synth3dlanes.params import load_params
+from synth3dlanes.sample import sample_world
+from synth3dlanes.scene import Building, Crossing, Post, Rail, Roadside, Scene
+from synth3dlanes.validate.boxes import inside, structure_boxes
+from synth3dlanes.validate.roadside import check_roadside
+from synth3dlanes.world import resolve
+from tests.scenes import FLAT, changed, hill
+
+HILLS = (hill(30, -20, 12, 90), hill(-60, 60, -10, 90), hill(10, 90, 8, 120))
+CURVED = {"offset_m50_m": 6, "offset_p50_m": -7, "offset_p100_m": 9, "exit_offset_m": 6, "ramp_height_m": 5}
+GRAY = (0.3, 0.3, 0.3)
+DENSE = [
+    "roadside.outer={guardrail: 1, concrete: 1, noise_wall: 1, kerb: 1, walkway: 1}",
+    "roadside.inner=guardrail",
+    "roadside.ramp_rail=true",
+    "roadside.lamps=both",
+    "roadside.n_signs=6",
+    "roadside.n_gantries=2",
+    "roadside.n_bridges={0: 1, 1: 1}",
+    "roadside.n_houses=6",
+    "roadside.n_halls=2",
+    "roadside.n_blocks=2",
+    "roadside.power_line={left: 1, right: 1}",
+    "trees.n=150",
+]
+
+
+def rail(kind="guardrail", road="main", side="right", aside_m=0.5, height_m=0.8, from_m=-90.0, to_m=90.0):
+    return Rail(
+        kind=kind, road=road, side=side, from_m=from_m, to_m=to_m, aside_m=aside_m, height_m=height_m, color=GRAY
+    )
+
+
+def post(kind="lamp", side="right", s_m=0.0, aside_m=1.2, height_m=8.0, **more):
+    return Post(kind=kind, road="main", side=side, s_m=s_m, aside_m=aside_m, height_m=height_m, **more)
+
+
+def with_roadside(scene: Scene, **parts) -> Scene:
+    return scene.model_copy(update={"roadside": Roadside(**parts)})
+
+
+@pytest.fixture(scope="module")
+def worlds():
+    """Scenes with much of everything, of all topologies and flips."""
+    params = load_params("streets", DENSE)
+    return [sample_world(params, 0, "test", index) for index in range(8)]
+
+
+def test_scenes_have_every_kind_and_every_road(worlds):
+    rails = [(r.kind, r.road, r.side) for world in worlds for r in world.scene.roadside.rails]
+    assert {kind for kind, _, _ in rails} == {"guardrail", "concrete", "noise_wall", "kerb", "walkway", "power_line"}
+    assert {(road, side) for _, road, side in rails} >= {("main", "left"), ("main", "right"), ("exit", "right")}
+    kinds = {body.kind for world in worlds for body in world.structures}
+    assert kinds >= {"lamp", "sign", "gantry", "bridge", "house", "hall", "block"}
+    assert len({(w.scene.road.topology > 1, *w.plan.flips.tolist()) for w in worlds}) >= 5
+
+
+def lane_points(world):
+    """World points over all lanes of both roads: across them every half metre, and along them."""
+    plan, points = world.plan, []
+    s = plan.plan_station(world.scene.camera.y_m + np.arange(-20, 140, 1.0))
+    low, high = plan.boundary_m(0), plan.boundary_m(plan.n_main_after)
+    points = [plan.main_xy(s, t) for t in np.arange(low, high + 0.1, 0.5)]
+    raised = [np.zeros(len(s))] * len(points)
+    if plan.has_exit:
+        beyond = s[s >= 0]
+        offsets = np.arange(-plan.exit_half_m, plan.exit_half_m + 0.1, 0.5)
+        points += [plan.exit_xy(beyond, t) for t in offsets]
+        raised += [plan.ramp(beyond)] * len(offsets)
+    xy = np.concatenate(points)
+    return plan.lift(xy, np.concatenate(raised))
+
+
+def test_nothing_is_over_or_on_a_lane_below_the_clearance(worlds):
+    """Sampled quads of all bodies, against an independent set of points on the lanes: nothing within 4.7 m above any,
+    arms of lamps included."""
+    for world in worlds:
+        lanes = lane_points(world)
+        tree = cKDTree(lanes[:, :2])
+        for i, body in enumerate(world.structures):
+            a, b, c, d = body.corners_world.transpose(1, 0, 2)
+            mesh = np.concatenate(
+                [
+                    (1 - u) * (1 - v) * a + u * (1 - v) * b + u * v * c + (1 - u) * v * d
+                    for u in np.linspace(0, 1, 5)
+                    for v in np.linspace(0, 1, 5)
+                ]
+            )
+            apart_m, nearest = tree.query(mesh[:, :2], distance_upper_bound=0.3)
+            over = np.isfinite(apart_m)
+            height_m = mesh[over, 2] - lanes[nearest[over], 2]
+            assert not (height_m < 4.7).any(), (world.scene.index, i, body.kind, height_m.min())
+
+
+def test_feet_are_on_the_ground_and_bodies_reach_into_it(worlds):
+    for world in worlds:
+        for body in world.structures:
+            xy, z = body.feet_world[:, :2], body.feet_world[:, 2]
+            assert np.abs(world.ground.height(xy) - z).max() < 0.02
+            if body.kind in ("lamp", "sign", "delineator"):
+                corners = body.corners_world.reshape(-1, 3)
+                assert corners[:, 2].min() < z[0] - 0.3
+                assert np.hypot(*(corners[corners[:, 2] < z[0]][:, :2] - xy[0]).T).max() < 2.0
+
+
+def test_every_guardrail_post_reaches_into_the_ground():
+    """Of a post's box, found by its vertical edges, the lower end is below the ground and the upper end over it."""
+    scene = changed(FLAT, terrain={"gaussians": HILLS}, road={**CURVED, "topology": 2})
+    world = resolve(with_roadside(scene, rails=(rail(), rail(road="exit", aside_m=0.3, from_m=40.0))))
+    for body in world.structures:
+        a, d = body.corners_world[:, 0], body.corners_world[:, 3]
+        is_edge = np.hypot(*(a - d)[:, :2].T) < 1e-6
+        assert is_edge.sum() >= 16
+        low, high = np.minimum(a, d)[is_edge], np.maximum(a, d)[is_edge]
+        assert (low[:, 2] < world.ground.height(low[:, :2]) - 0.02).all()
+        assert (high[:, 2] > world.ground.height(low[:, :2]) + 0.3).all()
+
+
+def test_a_guardrail_is_as_high_over_the_ramp_as_over_the_road():
+    scene = changed(FLAT, road={**CURVED, "topology": 2, "ramp_slope": 8})
+    world = resolve(with_roadside(scene, rails=(rail(road="exit", aside_m=0.3, from_m=30.0, to_m=95.0),)))
+    (body,) = world.structures
+    s = np.arange(40.0, 85.0, 2.0)
+    line = beside(world.ground, "exit", "right", s, 0.3)
+    corners = body.corners_world.reshape(-1, 3)
+    for (x, y), station in zip(line, s, strict=True):
+        near = corners[np.hypot(corners[:, 0] - x, corners[:, 1] - y) < 2.5]
+        road_z = world.plan.lift(np.array([[x, y]]), world.plan.ramp(np.array([station])))[0, 2]
+        assert near[:, 2].max() == pytest.approx(road_z + 0.8, abs=0.5)
+    assert world.plan.ramp(s).max() > 2
+
+
+@pytest.mark.parametrize("kind", ["gantry", "bridge"])
+@pytest.mark.parametrize("topology", [1, 2])
+def test_a_crossing_leaves_its_clearance_over_hills_and_ramps(kind, topology):
+    scene = changed(FLAT, terrain={"gaussians": HILLS}, road={**CURVED, "topology": topology, "ramp_slope": 5})
+    for s_m in (-30.0, 12.0, 45.0):
+        crossing = Crossing(kind=kind, s_m=s_m, clearance_m=5.0, width_m=10.0 if kind == "bridge" else 0.9, color=GRAY)
+        world = resolve(with_roadside(scene, crossings=(crossing,)))
+        (body,) = world.structures
+        lanes = lane_points(world)
+        corners = body.corners_world
+        low, high = corners.min(axis=1), corners.max(axis=1)
+        # Every face whose box seen from above holds a lane's point is at least 5 m over it.
+        holds = ((lanes[:, None, :2] > low[:, :2]) & (lanes[:, None, :2] < high[:, :2])).all(axis=2)
+        i, face = np.nonzero(holds)
+        assert len(i) > 10
+        assert (low[face, 2] - lanes[i, 2]).min() > 4.7
+
+
+@pytest.mark.parametrize("flips", [(True, False), (False, True), (True, True)])
+def test_flips_mirror_all_but_what_the_host_reads(flips):
+    """World = plan * flips: the quads of a flipped scene are mirrored ones, on a flat plain."""
+    parts = {
+        "rails": (rail(), rail("noise_wall", side="left", height_m=3), rail("concrete", "exit", "right", from_m=10)),
+        "posts": (post(), post("delineator", "left", 7.0)),
+        "crossings": (Crossing(kind="bridge", s_m=-20, clearance_m=5, width_m=10, color=GRAY),),
+    }
+    road = {**CURVED, "topology": 2}
+    plain = resolve(with_roadside(changed(FLAT, road=road), **parts))
+    mirrored = {"flip_longitudinal": flips[0], "flip_lateral": flips[1]}
+    flipped = resolve(with_roadside(changed(FLAT, road={**road, **mirrored}, camera={"y_m": -50}), **parts))
+    # Rows and posts are denser near the host, which is elsewhere in the plan: compare what does not depend on it.
+    sign = np.array([-1.0 if flips[0] else 1.0, -1.0 if flips[1] else 1.0, 1.0])
+    for ours, theirs in zip(plain.structures[3:], flipped.structures[3:], strict=True):
+        ours_xyz = np.round(ours.corners_world.reshape(-1, 3) * sign, 4) + 0.0
+        theirs_xyz = np.round(theirs.corners_world.reshape(-1, 3), 4) + 0.0
+        gap = np.abs(ours_xyz[:, None] - theirs_xyz).max(axis=2).min(axis=1)
+        assert gap.max() < 2e-3
+    for ours, theirs in zip(plain.structures[:3], flipped.structures[:3], strict=True):
+        a, b = (body.corners_world.reshape(-1, 3) for body in (ours, theirs))
+        assert np.abs((a * sign).min(axis=0) - b.min(axis=0)).max() < 0.15
+
+
+def test_lamp_heads_are_over_the_road_and_on_both_sides_of_a_median():
+    world = resolve(with_roadside(FLAT, posts=(post(), post(side="median", aside_m=0.0, s_m=20.0))))
+    one, left, right = world.lamp_heads[np.argsort(world.lamp_heads[:, 1] * 1000 + world.lamp_heads[:, 0])]
+    edge_m = world.ground.edge_m
+    assert one[0] == pytest.approx(edge_m + 1.2 - 2.18, abs=0.05)
+    assert one[2] == pytest.approx(world.ground.height(np.array([[edge_m + 1.2, 0.0]]))[0] + 8.2, abs=0.1)
+    assert left[0] == pytest.approx(-right[0])
+    assert right[0] > 2
+    corners = world.structures[0].corners_world.reshape(-1, 3)
+    assert np.abs(corners - one).max(axis=1).min() < 0.4
+
+
+def test_a_median_rail_stands_at_its_offset():
+    world = resolve(with_roadside(FLAT, rails=(rail("concrete", side="median", aside_m=-2.0),)))
+    (body,) = world.structures
+    x = body.corners_world[..., 0]
+    assert (x.min() + x.max()) / 2 == pytest.approx(-2.0, abs=1e-6)
+    assert np.ptp(x) == pytest.approx(2 * 0.37 * 0.8, abs=1e-6)
+
+
+def test_bodies_fill_their_boxes_and_the_check_finds_what_stands_on_a_road(worlds):
+    for world in worlds:
+        assert [*check_roadside(world)] == []
+        owned = structure_boxes(world)
+        for i, body in enumerate(world.structures):
+            middles = body.corners_world.mean(axis=1)
+            assert inside(owned, middles, np.full(len(middles), i)).all(), (world.scene.index, i, body.kind)
+    on_road = with_roadside(
+        changed(FLAT, road={"topology": 2}),
+        rails=(rail(aside_m=0.5, from_m=-50.0, to_m=60.0),),
+        posts=(post(aside_m=-2.0),),
+        buildings=(
+            Building(kind="house", x_m=2, y_m=0, yaw_rad=0, width_m=8, length_m=9, height_m=4, color=GRAY, roof=GRAY),
+        ),
+    )
+    found = [finding.reason.partition(":")[0] for finding in check_roadside(resolve(on_road))]
+    assert found == ["roadside.rails.0", "roadside.posts.0", "roadside.buildings.0"]
+
+
+def test_trees_keep_clear(worlds):
+    """No trunk within half a metre of a face's middle."""
+    for world in worlds:
+        trunks = cKDTree(world.trees_world[:, :2])
+        for body in world.structures:
+            low = body.corners_world.min(axis=1)[:, 2] < world.ground.height(body.corners_world.mean(axis=1)[:, :2]) + 2
+            middles = body.corners_world.mean(axis=1)[low, :2]
+            assert trunks.query(middles)[0].min(initial=1) > 0.5, (world.scene.index, body.kind)
+
+
+def test_without_the_group_nothing_stands_and_nothing_is_written():
+    world = sample_world(load_params("appendix_i"), 0, "test", 0)
+    assert "roadside" not in world.scene.model_dump_json()
+    assert bodies(world.ground, Roadside()) == world.structures == []
+    assert len(world.lamp_heads) == 0
+
+
+def test_draws_do_not_touch_those_of_other_groups():
+    """With everything beside the road, roads, cameras and cars are those of the same parameters without it."""
+    with_it = sample_world(load_params("streets", DENSE), 3, "test", 5).scene
+    bare = load_params("streets", [*DENSE, "roadside.outer=none", "roadside.n_signs=0", "roadside.n_houses=0"])
+    without = sample_world(bare, 3, "test", 5).scene
+    for part in ("terrain", "road", "markings", "surface", "camera", "light", "air", "sensor", "cars"):
+        assert getattr(with_it, part) == getattr(without, part)
+    assert with_it == sample_world(load_params("streets", DENSE), 3, "test", 5).scene
