@@ -109,13 +109,11 @@ def set_materials(materials: Materials, scene: Scene) -> None:
         _set(paint, "road_gloss", surface.road_gloss)
         paint.node_tree.nodes["albedo"].image = under
     weather, shift = scene.weather, 0.5 * parity
-    for paved in (*materials.roads, *materials.shoulders, *materials.paints):
+    for paved in (*materials.roads, *materials.shoulders, *materials.paints, materials.ghost):
         _set(paved, "wetness", surface.wetness)
         _set(paved, "retro", weather.headlights * (1 - (1 - LEFT_WET) * surface.wetness))
         _set_snow(paved, weather.snow if paved in materials.shoulders else weather.snow_on_road)
-    _set(materials.ghost, "wetness", surface.wetness)
-    for seam in (materials.tar, materials.ghost):
-        _set_snow(seam, weather.snow_on_road)
+    _set_snow(materials.tar, weather.snow_on_road)
     for road in materials.roads:
         _set(road, "lane_width_m", lane_width_m)
         _set(road, "lane_shift", shift)
@@ -319,6 +317,6 @@ def _ghost() -> bpy.types.Material:
     gray = graph.node("ShaderNodeRGBToBW", {0: road}).outputs[0]
     color = graph.scale((1.0, 1.0, 1.0), graph.math("MULTIPLY", gray, graph.value("shade")))
     normal = graph.node("ShaderNodeNewGeometry").outputs["Normal"]
-    look = snowed(graph, wet(graph, Look(color, ROAD_ROUGHNESS, 0.15, normal)))
+    look = thrown_back(graph, snowed(graph, wet(graph, Look(color, ROAD_ROUGHNESS, 0.15, normal))), *ROAD_BACK)
     coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
     return material

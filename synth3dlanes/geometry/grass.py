@@ -63,7 +63,7 @@ def _tufts(ground: Ground, grass_m: float, rng: np.random.Generator) -> tuple[Po
     beside = BESIDE_M[0] + (BESIDE_M[1] - BESIDE_M[0]) * draws[1]
     s = plan.plan_station(ground.near_m + ahead)
     xy = [
-        plan.main_xy(s[0], -ground.edge_m - beside[0]),
+        plan.main_xy(s[0], ground.left_edge_m - beside[0]),
         plan.main_xy(s[1], ground.main_right_edge(s[1]) + beside[1]),
     ]
     if plan.has_exit:

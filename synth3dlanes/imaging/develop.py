@@ -42,7 +42,7 @@ def develop(
         linear = motion_blur(linear, depth_m, view.camera, sensor.motion_blur_m * ahead_cam)
     linear = add_falling(linear, layers.depth_m, scene, view, airlight, light.film)
     if len(street_lamps) and scene.light.sun_zenith_rad > np.pi / 2:
-        linear = add_lamp_heads(linear, layers.depth_m, street_lamps, view)
+        linear = add_lamp_heads(linear, layers.depth_m, street_lamps, view, light.film)
     if sensor.flare > 0:
         stray = add_sun_glare(add_glow(linear), layers.depth_m, scene.light, light, view)
         linear = linear + np.float32(sensor.flare) * (stray - linear)

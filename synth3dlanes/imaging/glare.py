@@ -21,8 +21,8 @@ GHOST_SHARE = 0.0012
 # What is brighter than this glows: shares of its light, and the glow's spread as shares of the image's width.
 GLOWS_FROM, BRIGHTEST, GLOWS = 1.5, 150.0, ((0.35, 0.004), (0.2, 0.014), (0.12, 0.05))
 SHRUNK = 4
-# A lamp's head: radius, and radiance on the film.
-HEAD_M, HEAD_LIGHT = 0.18, 120.0
+# A lamp's head: radius, and radiance.
+HEAD_M, HEAD_LIGHT = 0.15, 0.01
 
 Image = Float[np.ndarray, "h w 3"]
 Depth = Float[np.ndarray, "h w"]
@@ -70,7 +70,9 @@ def _ghosts(view: View, u: float, v: float) -> Image:
     return total
 
 
-def add_lamp_heads(linear: Image, depth_m: Depth, heads_world: Float[np.ndarray, "n 3"], view: View) -> Image:
+def add_lamp_heads(
+    linear: Image, depth_m: Depth, heads_world: Float[np.ndarray, "n 3"], view: View, film: float
+) -> Image:
     """The picture with the bright heads of lit street lamps, where nothing nearer hides them."""
     heads_cam = transform(invert(view.world_from_cam), heads_world)
     heads_cam = heads_cam[heads_cam[:, 1] > 2]
@@ -87,7 +89,7 @@ def add_lamp_heads(linear: Image, depth_m: Depth, heads_world: Float[np.ndarray,
         )
         squared = (columns + 0.5 - u) ** 2 + ((rows + 0.5 - v) ** 2)[:, None]
         spread = max(radius_px, 0.6)
-        spot = HEAD_LIGHT * min(radius_px / 0.6, 1) ** 2 * np.exp(-squared / (2 * spread**2))
+        spot = HEAD_LIGHT * film * min(radius_px / 0.6, 1) ** 2 * np.exp(-squared / (2 * spread**2))
         linear[at] += spot[..., None].astype(np.float32) * np.array([1.0, 0.85, 0.6], np.float32)
     return linear
 

@@ -19,7 +19,7 @@ HORIZON = SKY_SHAPE[0] // 2
 N_CLOUD_MAPS = 4
 CLOUD_ALBEDO = 0.75
 # Of the sky's light at sunset each degree of the sun below the horizon leaves this share (3.4 lx of 600 at the end of
-# civil twilight, at 6 degrees); its red turns to blue within BLUE_DEG. The sun's disc sets within SET_DEG.
+# civil twilight, at 6 degrees); its red turns to blue within twice BLUE_DEG. The sun's disc sets within SET_DEG.
 DUSK_PER_DEG, DUSK_TINT, BLUE_DEG, SET_DEG = 0.42, np.array([0.55, 0.95, 1.1], np.float32), 2.5, 0.53
 # Skyglow over lit land: radiance at the horizon, and its share at the zenith. Clouds return GLOW_OF_CLOUDS times more.
 GLOW, GLOW_AT_ZENITH, GLOW_OF_CLOUDS = np.array([3.2e-7, 2.5e-7, 1.9e-7]), 0.25, 4.0
@@ -53,7 +53,7 @@ def _below_deg(light: Light) -> float:
 def dusk(light: Light) -> Rgb:
     """The share of the horizon's-sun sky that is left; 1 by day."""
     below_deg = _below_deg(light)
-    return np.asarray(DUSK_PER_DEG**below_deg * DUSK_TINT ** min(below_deg / BLUE_DEG, 1.0), np.float32)
+    return np.asarray(DUSK_PER_DEG**below_deg * DUSK_TINT ** min(below_deg / BLUE_DEG, 2.0), np.float32)
 
 
 def skyglow(light: Light, overcast: float) -> Float[np.ndarray, "3 h 1"]:

@@ -76,11 +76,11 @@ def test_lamps_glow_where_they_are_seen():
     _, view, _, _ = ahead()
     black = np.zeros((*SHAPE, 3), np.float32)
     head = (view.world_from_cam @ [2.0, 40.0, 4.0, 1.0])[:3]
-    lit = add_lamp_heads(black.copy(), SKY, head[None], view)
+    lit = add_lamp_heads(black.copy(), SKY, head[None], view, 1e4)
     v, u = np.unravel_index(lit[..., 0].argmax(), SHAPE)
     assert abs(u + 0.5 - (240 + 415.7 * 2 / 40)) <= 1
     assert abs(v + 0.5 - (180 - 415.7 * 4 / 40)) <= 1
-    assert not add_lamp_heads(black.copy(), np.full(SHAPE, 30.0, np.float32), head[None], view).any()
+    assert not add_lamp_heads(black.copy(), np.full(SHAPE, 30.0, np.float32), head[None], view, 1e4).any()
     glow = add_glow(lit)
     assert glow[v, u + 12, 0] > 0.01 > lit[v, u + 12, 0]
     dim = np.full((*SHAPE, 3), 0.8, np.float32)
