@@ -145,9 +145,9 @@ class Surface(Part):
 
 
 class Symbol(Part):
-    """Paint that bounds no lane. The middle of an arrow is on the centre of lane segment `lane` at station `s_m`; stop
-    lines and crosswalks (`lane` is None) cross all lanes of the main road there. The hatching of a gore fills the area
-    between main road and exit from station `s_m` to where the ramp begins."""
+    """Paint that bounds no lane. The middle of an arrow is on the centre of lane segment `lane` at station `s_m`. Stop
+    lines (`lane` is None) cross the lanes of the main road there, crosswalks also the oncoming ones. The hatching of a
+    gore fills the area between main road and exit from station `s_m` to where the ramp begins."""
 
     kind: SymbolKind
     lane: Name | None

@@ -97,18 +97,24 @@ def gore_range(plan: RoadPlan) -> tuple[float, float] | None:
 
 
 def _crossing(ground: Ground, kind: SymbolKind) -> list[Polygon]:
-    """The rectangles of a stop line or a crosswalk, lane by lane, clear of the lines between the lanes."""
-    plan, markings = ground.plan, ground.markings
-    n, half_m = plan.n_lanes, LENGTHS_M[kind] / 2
-    lines = (np.arange(n + 1) - n / 2) * plan.width_m
-    clear_m = np.full(n + 1, markings.width_m / 2)
-    clear_m[0] *= 3 if markings.left_double else 1
-    lefts, rights = (lines + clear_m)[:-1], (lines - clear_m)[1:]
-    bars = max(1, round(plan.width_m / (2 * BAR_M))) if kind == "crosswalk" else 1
-    inset = 0.25 if kind == "crosswalk" else 0.0
+    """The rectangles of a stop line, which ends at the oncoming lanes, or of a crosswalk, lane by lane, clear of the
+    lines between the lanes."""
+    plan, markings, half_m = ground.plan, ground.markings, LENGTHS_M[kind] / 2
+    lefts = [plan.boundary_m(j) for j in range(plan.n_lanes)]
+    bars, inset = 1, 0.0
+    if kind == "crosswalk":
+        lefts += [plan.left_m + j * plan.width_m for j in range(plan.n_oncoming)]
+        bars, inset = max(1, round(plan.width_m / (2 * BAR_M))), 0.25
+    doubles = [-plan.flips[0] * plan.n_lanes / 2 * plan.width_m]
+    if plan.n_oncoming:
+        doubles = [plan.boundary_m(0), plan.oncoming_inner_m]
+    lines = np.array(lefts)[:, None] + [0.0, plan.width_m]
+    is_double = np.isclose(lines[..., None], doubles).any(axis=-1) & markings.left_double
+    inner = lines + np.where(is_double, 1.5, 0.5) * markings.width_m * [1, -1]
     shares = (np.arange(bars)[:, None] + [inset, 1 - inset]) / bars
-    sides = lefts[:, None, None] + (rights - lefts)[:, None, None] * shares
-    return [np.array([[a, -half_m], [b, -half_m], [b, half_m], [a, half_m]]) for a, b in sides.reshape(-1, 2)]
+    sides = inner[:, :1, None] + (inner[:, 1:, None] - inner[:, :1, None]) * shares
+    rights = np.sort(plan.flips[0] * sides.reshape(-1, 2), axis=1)
+    return [np.array([[a, -half_m], [b, -half_m], [b, half_m], [a, half_m]]) for a, b in rights]
 
 
 def _along_road(plan: RoadPlan, symbol: Symbol) -> Callable[[Polygon], Float[np.ndarray, "_ 3"]]:

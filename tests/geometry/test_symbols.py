@@ -81,6 +81,20 @@ def test_crossings_leave_the_lines_free(kind, flip):
     assert (np.abs(x) < 5.25).all()
 
 
+@pytest.mark.parametrize(("kind", "n_lanes"), [("stop_line", 3), ("crosswalk", 5)])
+@pytest.mark.parametrize("flip", [False, True])
+def test_crosswalks_cross_the_oncoming_lanes_and_stop_lines_do_not(kind, n_lanes, flip):
+    road = {"flip_longitudinal": flip, "n_oncoming": 2, "median_m": 0.0}
+    scene = changed(road=road, markings={"left_double": True, "width_m": 0.2})
+    world = resolve(with_symbols(scene, (kind, None, -40)))
+    mesh = world.symbols(world.view)[0]
+    x = seen_on_flat_ground(world, mesh.vertices_world)[:, 0] * world.plan.flips[0]
+    assert x.max() < 5.25 < x.max() + 0.5
+    assert x.min() > 5.25 - 3.5 * n_lanes > x.min() - 0.7
+    double_m = 0.3
+    assert not ((x > -5.25 - double_m + 1e-6) & (x < -5.25 + double_m - 1e-6)).any()
+
+
 @pytest.mark.parametrize("topology", [2, 3, 4])
 @pytest.mark.parametrize(("across", "along"), FLIPS)
 def test_a_gore_is_hatched_between_its_lines_before_the_ramp_rises(topology, across, along):
