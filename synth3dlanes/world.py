@@ -18,6 +18,7 @@ from synth3dlanes.geometry.lanes import Curve, curves
 from synth3dlanes.geometry.paint import paint_meshes
 from synth3dlanes.geometry.placement import tree_positions, world_from_car
 from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.geometry.solids import Body
 from synth3dlanes.scene import Camera, Scene
 
 
@@ -88,7 +89,7 @@ class World:
         return tree_positions(self.ground, self.scene.trees)
 
     @cached_property
-    def structures(self) -> list[roadside.Body]:
+    def structures(self) -> list[Body]:
         """What stands beside and over the road, in the order of instance ids."""
         return roadside.bodies(self.ground, self.scene.roadside)
 
