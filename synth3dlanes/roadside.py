@@ -10,17 +10,12 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from synth3dlanes.geometry.beside import beside
+from synth3dlanes.geometry.buildings import building_frame
+from synth3dlanes.geometry.crossings import crossing_frame, crossing_span, dam_section
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.roadside import (
-    WALKWAY_M,
-    Footprints,
-    beside,
-    building_frame,
-    crossing_frame,
-    crossing_span,
-    dam_section,
-    footprints,
-)
+from synth3dlanes.geometry.rails import WALKWAY_M
+from synth3dlanes.geometry.roadside import Footprints, footprints
 from synth3dlanes.geometry.sign_faces import FACES
 from synth3dlanes.labels import RoadName
 from synth3dlanes.scene import Building, Color, Crossing, Post, Rail, RailKind, RoadSide, Roadside

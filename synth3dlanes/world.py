@@ -21,6 +21,7 @@ from synth3dlanes.geometry.paint import paint_meshes
 from synth3dlanes.geometry.placement import tree_positions, world_from_car
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.seams import ghost_mesh, tar_mesh
+from synth3dlanes.geometry.solids import Body
 from synth3dlanes.geometry.symbols import symbol_mesh
 from synth3dlanes.scene import Camera, Scene
 
@@ -101,7 +102,7 @@ class World:
         return tree_positions(self.ground, self.scene.trees)
 
     @cached_property
-    def structures(self) -> list[roadside.Body]:
+    def structures(self) -> list[Body]:
         """What stands beside and over the road, in the order of instance ids."""
         return roadside.bodies(self.ground, self.scene.roadside)
 

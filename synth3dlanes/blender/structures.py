@@ -5,7 +5,7 @@ import numpy as np
 from mathutils.bvhtree import BVHTree
 
 from synth3dlanes.blender.shaders import Graph, coated, new_material, texture
-from synth3dlanes.geometry.roadside import SURFACES, Body
+from synth3dlanes.geometry.solids import SURFACES, Body
 from synth3dlanes.settings import SEMANTIC_IDS
 
 # Dirt and stains vary the colours over this length.

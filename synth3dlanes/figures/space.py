@@ -13,7 +13,7 @@ from synth3dlanes.figures.scene_view import AHEAD_M, BEHIND_M, SceneView, TreeOu
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.meshes import Mesh
 from synth3dlanes.geometry.paint import PAINT_LIFT_AT_M, PAINT_LIFT_M, paint_color
-from synth3dlanes.geometry.roadside import Body
+from synth3dlanes.geometry.solids import Body
 from synth3dlanes.labels import LaneKind
 
 # The area that is shown: x to the right and y forward.

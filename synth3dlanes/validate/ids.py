@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int, Integer
 from scipy.spatial import ConvexHull, cKDTree
 
 from synth3dlanes.frames import invert, project, transform
-from synth3dlanes.geometry.roadside import SURFACES
+from synth3dlanes.geometry.solids import SURFACES
 from synth3dlanes.geometry.terrain import gradient_at, height_at
 from synth3dlanes.labels import CameraLabel, Labels
 from synth3dlanes.settings import (

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from synth3dlanes.frames import project, transform
 from synth3dlanes.geometry import height_map
-from synth3dlanes.geometry.roadside import SURFACES
+from synth3dlanes.geometry.solids import SURFACES
 from synth3dlanes.labels import CameraLabel, Labels, Lane
 from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS
 from synth3dlanes.validate.findings import PROOF_M, Finding, Measure

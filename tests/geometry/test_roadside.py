@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from synth3dlanes.geometry.roadside import beside, bodies
+from synth3dlanes.geometry.beside import beside
+from synth3dlanes.geometry.roadside import bodies
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import sample_world
 from synth3dlanes.scene import Building, Crossing, Post, Rail, Roadside, Scene

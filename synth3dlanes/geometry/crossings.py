@@ -1,0 +1,146 @@
+"""Gantries and bridges over the road. World frame, metres."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.geometry.beside import frames_beside, ground_over, on_ground
+from synth3dlanes.geometry.ground import Ground
+from synth3dlanes.geometry.posts import add_board
+from synth3dlanes.geometry.sign_faces import board
+from synth3dlanes.geometry.solids import METAL, SINK_M, Body, Frame, Quads
+from synth3dlanes.scene import Crossing
+
+# Least gap between a crossing's supports and any pavement, and how far from its axis supports are looked for.
+SUPPORT_GAP_M, MAX_SPAN_M = 0.8, 90.0
+# From a bridge's outer columns to its abutments, the slope and the fall of the dams behind these, and their length.
+ABUTMENT_M, DAM_SLOPE, DAM_FALL, DAM_M = 7.0, 1.5, 0.05, 110.0
+DECK_M, PARAPET_M, ABUTMENT_WALL_M = 1.1, 0.95, 1.0
+EARTH = (0.1, 0.1, 0.05, 0.0)
+
+
+@dataclass(frozen=True)
+class Span:
+    """A crossing in its frame: x of its legs and of a bridge's abutments (left and right), and the world heights of its
+    lower side and its top."""
+
+    legs_m: tuple[float, float]
+    abutments_m: tuple[float, float]
+    under_m: float
+    top_m: float
+
+
+def crossing_frame(ground: Ground, crossing: Crossing) -> Frame:
+    return frames_beside(ground, "main", "median", np.array([crossing.s_m]), 0.0)[0]
+
+
+def crossing_span(ground: Ground, crossing: Crossing) -> Span:
+    """Where a crossing's legs and abutments stand clear of all pavements, and how high it is above these."""
+    frame = crossing_frame(ground, crossing)
+    half_m = crossing.width_m / 2
+    x = np.arange(-MAX_SPAN_M, MAX_SPAN_M + 0.1, 0.25)
+    y = np.linspace(-half_m, half_m, 5)
+    strip = frame.world(np.stack([*np.meshgrid(x, y, indexing="ij"), np.zeros((len(x), len(y)))], -1))[..., :2]
+    clearance_m = ground.clearance(strip).min(axis=1)
+    gap_m = SUPPORT_GAP_M + (0.5 if crossing.kind == "bridge" else 0.2)
+    legs, abutments = [], []
+    for sign in (-1, 1):
+        out = np.flatnonzero((sign * x > 0) & (clearance_m > gap_m))
+        legs.append(float(x[out[np.abs(x[out]).argmin()]]) if out.size else sign * MAX_SPAN_M)
+        paved = sign * x[(sign * x > 0) & (clearance_m < 3.0)]
+        abutments.append(sign * max(float(paved.max(initial=0.0)) + 1.0, sign * legs[-1] + ABUTMENT_M))
+    ends = abutments if crossing.kind == "bridge" else legs
+    under = strip[(x > ends[0]) & (x < ends[1])]
+    heights = ground.height(under.reshape(-1, 2)).reshape(under.shape[:2])
+    paved_m = heights[ground.clearance(under.reshape(-1, 2)).reshape(under.shape[:2]) < 0.5]
+    under_m = float(paved_m.max()) + crossing.clearance_m
+    depth_m = DECK_M if crossing.kind == "bridge" else 2.0
+    return Span((legs[0], legs[1]), (abutments[0], abutments[1]), under_m, under_m + depth_m)
+
+
+def crossing_body(ground: Ground, crossing: Crossing) -> Body:
+    """A gantry or bridge."""
+    frame, span = crossing_frame(ground, crossing), crossing_span(ground, crossing)
+    quads = Quads(crossing.kind, "pole" if crossing.kind == "gantry" else "bridge")
+    if crossing.kind == "gantry":
+        _gantry(quads, ground, crossing, frame, span)
+    else:
+        _bridge(quads, ground, crossing, frame, span)
+    return quads.body()
+
+
+def _gantry(quads: Quads, ground: Ground, crossing: Crossing, frame: Frame, span: Span) -> None:
+    """Two legs, two chords with verticals between them, and boards in front of these."""
+    half, (left, right) = crossing.width_m / 2, span.legs_m
+    base, rise_m = span.under_m - float(frame.origin[2]) + 0.35, 1.3
+    feet = np.array([(left, 0.0), (right, 0.0)])
+    for (x, _), z in zip(feet, ground_over(ground, frame, feet), strict=True):
+        quads.box(frame, (x - 0.16, -0.16, z - SINK_M), (x + 0.16, 0.16, base + rise_m + 0.1), METAL)
+    for y in (-half, half):
+        for z in (base, base + rise_m):
+            quads.box(frame, (left, y - 0.07, z - 0.07), (right, y + 0.07, z + 0.07), METAL)
+        ends = np.linspace(left, right, 2 + int((right - left) / 2.2))
+        for i, (a, b) in enumerate(pairwise(ends)):
+            low, high = (base, base + rise_m) if i % 2 else (base + rise_m, base)
+            quads.tube(frame.world(np.array([(a, y, low), (b, y, high)])), (0.04, 0.04), METAL, n=3)
+    plan, s = ground.plan, np.array([crossing.s_m])
+    edges = np.array([ground.left_edge_m, float(ground.main_right_edge(s)[0])]) * plan.flips[0]
+    middle, width_m = float(edges.mean()), float(np.ptp(edges)) - 2 * plan.shoulder_m
+    n = max(1, min(3, round(width_m / 5)))
+    for i, x in enumerate(middle + width_m * ((np.arange(n) + 0.5) / n - 0.5)):
+        layers = board(0.82 * min(width_m / n, 5.5), 2.0, crossing.color, i + round(10 * abs(crossing.s_m)))
+        add_board(quads, frame, layers, np.array([x, -half - 0.12, base - 0.35 + 1.0]), False)
+    quads.feet.append(on_ground(ground, frame.world(np.column_stack([feet, np.zeros(2)]))[:, :2]))
+
+
+def _bridge(quads: Quads, ground: Ground, crossing: Crossing, frame: Frame, span: Span) -> None:
+    """A deck with parapets on columns and abutments, and dams of earth behind these."""
+    half, color = crossing.width_m / 2, (*crossing.color, 0.0)
+    dark = (*(0.8 * channel for channel in crossing.color), 0.0)
+    under, top = span.under_m - float(frame.origin[2]), span.top_m - float(frame.origin[2])
+    (left, right), (far_left, far_right) = span.legs_m, span.abutments_m
+    quads.box(frame, (far_left, -half + 0.8, under), (far_right, half - 0.8, top - 0.35), dark)
+    quads.box(frame, (far_left, -half, top - 0.35), (far_right, half, top), color)
+    for y in (-half, half - 0.25):
+        quads.box(frame, (far_left - 4, y, top), (far_right + 4, y + 0.25, top + PARAPET_M), color)
+    columns = np.array([(x, y) for x in (left, right) for y in np.linspace(1.2 - half, half - 1.2, 3)])
+    for (x, y), z in zip(columns, ground_over(ground, frame, columns), strict=True):
+        quads.box(frame, (x - 0.4, y - 0.4, z - SINK_M), (x + 0.4, y + 0.4, under), dark)
+    for sign, x in ((-1, far_left), (1, far_right)):
+        wall = np.column_stack([np.full(5, x), np.linspace(-half, half, 5)])
+        low = float(ground_over(ground, frame, wall).min()) - 1.0
+        back = x + sign * (ABUTMENT_WALL_M + 0.1)
+        quads.box(frame, (min(x, back), -half, min(low, under - 0.5)), (max(x, back), half, top - 0.35), color)
+        _dam(quads, ground, frame, x + sign * ABUTMENT_WALL_M, sign, half, top)
+    quads.feet.append(on_ground(ground, frame.world(np.column_stack([columns, np.zeros(len(columns))]))[:, :2]))
+
+
+def _dam(quads: Quads, ground: Ground, frame: Frame, x: float, sign: int, half_m: float, top_m: float) -> None:
+    """The dam of a bridge's road from its abutment outwards, down to the ground or to DAM_M."""
+    rows = dam_section(ground, frame, x, sign, half_m, top_m)
+    quads.sweep(frame.world(rows), EARTH)
+    quads.add(frame.world(rows[:1]), EARTH)
+
+
+def dam_section(
+    ground: Ground, frame: Frame, x: float, sign: int, half_m: float, top_m: float
+) -> Float[np.ndarray, "r 4 3"]:
+    """Foot, top, top and foot of a dam at distances behind an abutment, in the crossing's frame."""
+    way = np.linspace(0, DAM_M, 12)
+    middle = np.column_stack([x + sign * way, np.zeros(12)])
+    low = ground_over(ground, frame, middle)
+    top = np.maximum(top_m - DAM_FALL * way, low - 1.0)
+    foot = np.zeros((12, 2))
+    for side, y_sign in enumerate((-1, 1)):
+        y = np.full(12, y_sign * half_m)
+        for _ in range(4):
+            z = ground_over(ground, frame, np.column_stack([middle[:, 0], y]))
+            y = y_sign * (half_m + DAM_SLOPE * np.clip(top - z, 0, None))
+        foot[:, side] = y
+    ends = np.array([-half_m, half_m])
+    y = np.column_stack([foot[:, 0], np.tile(ends, (12, 1)), foot[:, 1]])
+    z_foot = [top - (np.abs(foot[:, k]) - half_m) / DAM_SLOPE - 0.3 for k in (0, 1)]
+    z = np.column_stack([z_foot[0], top, top, z_foot[1]])
+    return np.stack([np.tile(middle[:, :1], (1, 4)), y, z], -1)
