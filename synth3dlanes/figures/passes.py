@@ -20,8 +20,9 @@ Passes = Mapping[str, Shaped[np.ndarray, "..."]]
 WORDS = {
     "depth": "metres along the viewing direction, from 2 m (yellow) to 500 m (violet); gray: sky",
     "normal": "red: x right, green: y forward, blue: z up; gray: sky",
-    "semantic": "terrain green, road dark gray, shoulder brown, marking white, car red, tree dark green; gray: sky",
-    "instance": "a colour for each car, delimiter and tree; gray: all else",
+    "semantic": "terrain green, road dark gray, shoulder brown, marking white, car red, tree dark green, barrier "
+    "pale blue, sign blue, building orange; gray: sky",
+    "instance": "a colour for each car, delimiter, tree and structure; gray: all else",
     "height": "metres over the road plane, from -5 m (blue) to 5 m (red), seen from above",
 }
 
@@ -38,6 +39,14 @@ _CLASSES: dict[str, colors.Rgb] = {
     "marking": (250, 250, 245),
     "car": (214, 60, 70),
     "tree": (40, 98, 48),
+    "symbol": (236, 190, 60),
+    "barrier": (120, 170, 200),
+    "pole": (60, 60, 120),
+    "sign": (30, 90, 220),
+    "bridge": (190, 180, 210),
+    "building": (200, 130, 90),
+    "kerb": (205, 205, 160),
+    "host": (20, 20, 24),
 }
 # Successive multiples of the golden ratio are far apart on the colour circle.
 _GOLDEN = 0.618034

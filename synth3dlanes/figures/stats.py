@@ -16,7 +16,7 @@ from synth3dlanes.distributions import Choice, Integers, Uniform
 from synth3dlanes.figures.describe import topology_words
 from synth3dlanes.figures.shape import bends, grades
 from synth3dlanes.labels import Labels
-from synth3dlanes.params import Params
+from synth3dlanes.params import OPTIONAL, Params
 from synth3dlanes.scene import Scene
 
 Values = Float[np.ndarray, " n"]
@@ -94,7 +94,8 @@ class LabelStatistics:
 
 
 def scene_statistics(scenes: Iterable[Scene], params: Params) -> SceneStatistics:
-    """Compare every parameter with its declared distribution. Keeps all drawn values: about 15 kB per scene."""
+    """Compare every parameter that scenes hold with its declared distribution. Keeps all drawn values: about
+    15 kB per scene."""
     collected: dict[str, list[Values]] = defaultdict(list)
     topologies: Counter[str] = Counter()
     n_scenes = 0
@@ -104,7 +105,12 @@ def scene_statistics(scenes: Iterable[Scene], params: Params) -> SceneStatistics
         for key, values in drawn_values(scene).items():
             collected[key].append(np.array(values, dtype=float))
     drawn = {key: np.concatenate(values) for key, values in collected.items()}
-    declared = {f"{name}.{key}": getattr(group, key) for name, group in params for key in type(group).model_fields}
+    declared = {
+        f"{name}.{key}": getattr(group, key)
+        for name, group in params
+        for key in type(group).model_fields
+        if name not in OPTIONAL or f"{name}.{key}" in drawn
+    }
     parameters = tuple(
         _parameter(key, distribution, drawn.get(key, np.zeros(0))) for key, distribution in declared.items()
     )
