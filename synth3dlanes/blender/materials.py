@@ -133,7 +133,7 @@ def _set_snow(material: bpy.types.Material, share: float) -> None:
 def set_translucency(trees: Sequence[bpy.types.Mesh], share: float) -> None:
     """Set how much light the leaves of the built-in trees let through."""
     for material in (material for mesh in trees for material in mesh.materials):
-        if "translucency" in material.node_tree.nodes:
+        if material is not None and material.node_tree is not None and "translucency" in material.node_tree.nodes:
             _set(material, "translucency", share)
 
 

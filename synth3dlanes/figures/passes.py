@@ -21,8 +21,8 @@ WORDS = {
     "depth": "metres along the viewing direction, from 2 m (yellow) to 500 m (violet); gray: sky",
     "normal": "red: x right, green: y forward, blue: z up; gray: sky",
     "semantic": "terrain green, road dark gray, shoulder brown, marking white, symbol yellow, car red, tree dark "
-    "green; gray: sky",
-    "instance": "a colour for each car, delimiter, tree and symbol; gray: all else",
+    "green, barrier pale blue, sign blue, building orange; gray: sky",
+    "instance": "a colour for each car, delimiter, tree, symbol and structure; gray: all else",
     "height": "metres over the road plane, from -5 m (blue) to 5 m (red), seen from above",
 }
 
@@ -39,13 +39,13 @@ _CLASSES: dict[str, colors.Rgb] = {
     "marking": (250, 250, 245),
     "car": (214, 60, 70),
     "tree": (40, 98, 48),
-    "symbol": (246, 214, 92),
-    "barrier": (152, 120, 190),
-    "pole": (64, 64, 120),
-    "sign": (60, 120, 214),
-    "bridge": (120, 96, 84),
-    "building": (190, 130, 110),
-    "kerb": (206, 206, 200),
+    "symbol": (236, 190, 60),
+    "barrier": (120, 170, 200),
+    "pole": (60, 60, 120),
+    "sign": (30, 90, 220),
+    "bridge": (190, 180, 210),
+    "building": (200, 130, 90),
+    "kerb": (205, 205, 160),
     "host": (20, 20, 24),
 }
 # Successive multiples of the golden ratio are far apart on the colour circle.

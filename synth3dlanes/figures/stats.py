@@ -16,7 +16,7 @@ from synth3dlanes.distributions import Choice, Integers, Uniform
 from synth3dlanes.figures.describe import topology_words
 from synth3dlanes.figures.shape import bends, grades
 from synth3dlanes.labels import Labels
-from synth3dlanes.params import Params
+from synth3dlanes.params import OPTIONAL, Params
 from synth3dlanes.scene import Scene
 from synth3dlanes.weather import replaced
 
@@ -95,8 +95,8 @@ class LabelStatistics:
 
 
 def scene_statistics(scenes: Iterable[Scene], params: Params) -> SceneStatistics:
-    """Compare every parameter that is a number with its declared distribution, in the scenes whose weather does not
-    replace it. Keeps all drawn values: about 15 kB per scene."""
+    """Compare every parameter that is a number and that scenes hold with its declared distribution, in the scenes
+    whose weather does not replace it. Keeps all drawn values: about 15 kB per scene."""
     collected: dict[str, list[Values]] = defaultdict(list)
     topologies: Counter[str] = Counter()
     n_scenes = 0
@@ -115,7 +115,7 @@ def scene_statistics(scenes: Iterable[Scene], params: Params) -> SceneStatistics
         f"{name}.{key}": distribution
         for name, group in params
         for key, distribution in group
-        if not (isinstance(distribution, Choice) and isinstance(distribution.values[0], str))
+        if not _is_named(distribution) and (name not in OPTIONAL or f"{name}.{key}" in drawn)
     }
     parameters = tuple(
         _parameter(key, distribution, drawn.get(key, np.zeros(0))) for key, distribution in declared.items()
