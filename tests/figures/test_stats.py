@@ -12,7 +12,7 @@ from synth3dlanes.figures.histograms import declared_shares, histograms
 from synth3dlanes.figures.stats import is_fine, label_statistics, scene_statistics, to_json
 from synth3dlanes.figures.stats_views import draw_statistics, statistics_table
 from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.params import OPTIONAL, load_params
+from synth3dlanes.params import load_params
 from synth3dlanes.sample import sample_scene
 
 
