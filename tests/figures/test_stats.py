@@ -12,7 +12,7 @@ from synth3dlanes.figures.histograms import declared_shares, histograms
 from synth3dlanes.figures.stats import is_fine, label_statistics, scene_statistics, to_json
 from synth3dlanes.figures.stats_views import draw_statistics, statistics_table
 from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.params import load_params
+from synth3dlanes.params import forms, load_params
 from synth3dlanes.sample import sample_scene
 
 
@@ -26,14 +26,18 @@ def test_drawn_scenes_agree_with_what_was_declared(scenes):
     params, drawn = scenes
     statistics = scene_statistics(drawn, params)
     assert statistics.n_scenes == sum(statistics.topologies.values()) == 150
-    named = {"weather.kind", "weather.daytime", "cars.palette"}
+    texts = {
+        f"{name}.{key}" for name, keys in forms(params).items() for key, value in keys.items() if isinstance(value, str)
+    }
+    assert {"weather.kind", "weather.daytime"} <= texts
     assert {row.key for row in statistics.parameters} == {
         f"{name}.{key}"
         for name, group in params
         if name not in ("symbols", "roadside")
         for key in type(group).model_fields
-    } - named
-    assert [row.key for row in statistics.parameters if not is_fine(row) or row.count == 0] == []
+    } - texts
+    assert [row.key for row in statistics.parameters if not is_fine(row)] == []
+    assert [row.key for row in statistics.parameters if row.count == 0] == ["cars.parked"], "nobody parks by default"
 
 
 @pytest.mark.parametrize("declared", ["road.lane_width_m=[3.2, 3.5]", "camera.height_m=[1.0, 3.0]", "road.n_lanes=3"])
