@@ -30,10 +30,11 @@ class Part(NamedTuple):
     least: int
 
 
-# In 480 rendered images of all presets, in any of these parts, the steps beside the borders are at most 0.9 times those
-# at them, and those REACH_PX away at most 0.75 times. In images shifted by one pixel they are at least 1.4 times as
-# large, in images of other scenes as large. A stretched image may be in place in the middle.
-MOVED, BLANK = 1.1, 0.9
+# In 1,260 rendered images of all presets, in any of these parts, the steps beside the borders are at most 0.9 times
+# those at them, with strong motion blur 1.19 times; those REACH_PX away are at most 0.75 times as large. In images
+# shifted by one pixel they are mostly more than 1.3 times as large, in images of other scenes as large. A stretched
+# image may be in place in the middle.
+MOVED, BLANK = 1.25, 0.9
 ACROSS = (
     Part("the image", 0, 1, 100),
     Part("its left third", 0, 1 / 3, 250),

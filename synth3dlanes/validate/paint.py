@@ -41,6 +41,8 @@ class Strip:
 # Beyond these limits paint may be invisible: rubbed off, as gray as concrete, under water or in fog; so it may be under
 # snow and behind drops on the glass.
 MAX_WORN, MIN_GRAYSCALE, MAX_WETNESS, MIN_VISIBILITY_M = 0.7, 0.35, 0.8, 300.0
+# Least mean brightness of gray paint that is worn, too.
+MIN_LEFT = 0.22
 MAX_DROPS = 0.3
 
 
@@ -53,6 +55,7 @@ class Paint:
         self.shows = (
             scene.markings.wear <= MAX_WORN
             and scene.markings.grayscale >= MIN_GRAYSCALE
+            and scene.markings.grayscale * (1 - scene.markings.wear) >= MIN_LEFT
             and scene.surface.wetness <= MAX_WETNESS
             and scene.air.visibility_m >= MIN_VISIBILITY_M
             and scene.weather.snow_on_road == 0

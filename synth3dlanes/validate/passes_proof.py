@@ -40,6 +40,8 @@ MASKS = ("terrain_visible", "object_visible")
 OBJECTS = [SEMANTIC_IDS[name] for name in ("car", "tree", "host", *SURFACES)]
 # Pixels whose depths differ by a larger factor show two surfaces, or one at too flat an angle to interpolate.
 SMOOTH = 1.2
+# Pixels of an object whose depths differ by a smaller factor show one surface without a gap.
+ONE_SURFACE = 1.05
 # Depth is interpolated between pixels as on a plane. A point is left out if pixels are too large to judge it: if the
 # surface bends so much that the interpolation errs by more metres, or if the rows next to the point look at less than
 # this share of its distance.
@@ -199,7 +201,8 @@ def _sight(camera: CameraLabel, lane: Lane, strip: Strip, uv: Pixels, passes: Pa
     asked = lane.in_image & (own_depth.min(axis=0) > MIN_NEXT * y_m)
     clear = asked & ~nearer.any(axis=0) & shown
     by_ground = asked & (nearer & ~objects).all(axis=0)
-    by_object = asked & (nearer & objects).all(axis=0)
+    # Pixels of several bodies, or of several parts of one, may have a slit between them that shows the point.
+    by_object = asked & (nearer & objects).all(axis=0) & (depth.max(axis=0) < ONE_SURFACE * depth.min(axis=0))
     return [
         Measure(name, lane.xyz_cam[at, 1], (mask != clear)[at].astype(float))
         for name, mask, at in (
