@@ -58,3 +58,21 @@ def test_a_second_signal_ends_a_run_at_once_in_one_line(tmp_path, signals, code)
         assert stderr.splitlines()[-1].endswith("generate: interrupted; rerun to resume")
     else:
         assert "samples" in stdout
+
+
+def test_ctrl_c_while_the_commands_are_imported_ends_in_one_line():
+    """The finder stands for a user who presses Ctrl-C as the command line's main module is looked up."""
+    code = """
+import sys
+
+class Pressed:
+    def find_spec(self, name, path=None, target=None):
+        if name == "synth3dlanes_cli.main":
+            raise KeyboardInterrupt
+
+sys.meta_path.insert(0, Pressed())
+from synth3dlanes_cli.entry import run
+run()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "synth3dlanes: interrupted\n")
