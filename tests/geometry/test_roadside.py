@@ -182,7 +182,7 @@ def test_flips_mirror_all_but_what_the_host_reads(flips):
 
 def test_lamp_heads_are_over_the_road_and_on_both_sides_of_a_median():
     world = resolve(with_roadside(FLAT, posts=(post(), post(side="median", aside_m=0.0, s_m=20.0))))
-    one, left, right = world.lamp_heads[np.argsort(world.lamp_heads[:, 1] * 1000 + world.lamp_heads[:, 0])]
+    one, left, right = world.street_lamps[np.argsort(world.street_lamps[:, 1] * 1000 + world.street_lamps[:, 0])]
     edge_m = world.ground.edge_m
     assert one[0] == pytest.approx(edge_m + 1.2 - 2.18, abs=0.05)
     assert one[2] == pytest.approx(world.ground.height(np.array([[edge_m + 1.2, 0.0]]))[0] + 8.2, abs=0.1)
@@ -233,7 +233,7 @@ def test_without_the_group_nothing_stands_and_nothing_is_written():
     world = sample_world(load_params("appendix_i"), 0, "test", 0)
     assert "roadside" not in world.scene.model_dump_json()
     assert bodies(world.ground, Roadside()) == world.structures == []
-    assert len(world.lamp_heads) == 0
+    assert len(world.street_lamps) == 0
 
 
 def test_draws_do_not_touch_those_of_other_groups():

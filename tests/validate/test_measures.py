@@ -186,7 +186,7 @@ def test_points_seen_through_a_car_and_points_hidden_by_nothing_are_faults():
         lanes=tuple(replace(lane, object_visible=~far[lane.id] | (lane.id != host)) for lane in labels.lanes),
     )
     assert host not in {finding.lane for finding in check_objects(resolve(scene), hidden)}
-    assert "no car or tree" in next(iter(check_objects(resolve(FLAT), hidden))).reason
+    assert "where nothing is in the way" in next(iter(check_objects(resolve(FLAT), hidden))).reason
 
 
 def test_black_white_and_pink_pictures_are_faults():
