@@ -229,11 +229,11 @@ def _row(
         s = np.round(np.arange(s[0] + (shift_m - s[0]) % spacing_m, s[-1], spacing_m), DECIMALS)
         free = _free(ground, edge, s, aside_m)
         for s_m in s[free].tolist():
-            if _is_apart(ground, edge, s_m, crossings):
+            if _is_apart(s_m, crossings):
                 yield Post(kind=kind, road=edge.road, side=edge.side, s_m=s_m, aside_m=aside_m, height_m=height_m)
 
 
-def _is_apart(ground: Ground, edge: Edge, s_m: float, crossings: list[Crossing]) -> bool:
+def _is_apart(s_m: float, crossings: list[Crossing]) -> bool:
     """Whether a post is clear of all crossings."""
     return all(abs(crossing.s_m - s_m) > crossing.width_m / 2 + APART_M for crossing in crossings)
 
@@ -252,7 +252,7 @@ def _signs(ground: Ground, n: int, behind_m: dict[str, float], rng: Rng, crossin
             aside_m = round(max(SIGN_ASIDE_M, behind_m[place]) + width_m / 2 + rng.random(), DECIMALS)
             height_m = round(float(rng.uniform(1.7, 2.4)), DECIMALS)
             is_here = edge.low_m <= s_m <= edge.high_m and all(abs(s_m - other) > SIGNS_APART_M for other in taken)
-            if is_here and _is_apart(ground, edge, s_m, crossings) and _free(ground, edge, np.array([s_m]), aside_m)[0]:
+            if is_here and _is_apart(s_m, crossings) and _free(ground, edge, np.array([s_m]), aside_m)[0]:
                 taken.append(s_m)
                 yield Post(
                     kind="sign", road=edge.road, side=edge.side, s_m=s_m, aside_m=aside_m, height_m=height_m, face=face

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from synth3dlanes.assets.catalogue import CarModel
+from synth3dlanes.distributions import Choice
 
 Color = tuple[float, float, float]
 
@@ -53,9 +54,5 @@ COMMERCIAL = (
 def sold_color(model: CarModel, u_paint: float, u_shade: float) -> Color:
     """The colour of a vehicle as sold, from two numbers in [0, 1): that of a passenger car, or a livery."""
     paints = COMMERCIAL if model.height_m > TALL_M else PASSENGER
-    rest = u_paint * sum(paint.share for paint in paints)
-    for paint in paints:
-        if rest < paint.share:
-            return paint.shade(u_shade)
-        rest -= paint.share
-    return paints[-1].shade(u_shade)
+    number = Choice(tuple(range(len(paints))), tuple(paint.share for paint in paints)).draw(u_paint)
+    return paints[number].shade(u_shade)

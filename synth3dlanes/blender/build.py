@@ -13,6 +13,7 @@ from synth3dlanes.blender.camera import set_camera
 from synth3dlanes.blender.light import add_car_lamps, add_haze, make_world, set_light
 from synth3dlanes.blender.load_assets import LoadedAssets, load_assets
 from synth3dlanes.blender.materials import Materials, make_materials, set_materials, set_translucency
+from synth3dlanes.blender.polygons import polygons
 from synth3dlanes.blender.shaders import car_paint, new_material
 from synth3dlanes.blender.structures import structure_mesh
 from synth3dlanes.frames import Matrix4, from_axes
@@ -181,15 +182,7 @@ def _placed_objects(assets: LoadedAssets, world: World, view: View) -> list[Plac
 
 def new_mesh(mesh: Mesh, materials: list[bpy.types.Material]) -> bpy.types.Mesh:
     """A Blender mesh of smooth quads with its UV layer in metres."""
-    data = bpy.data.meshes.new("surface")
-    n_faces = len(mesh.faces)
-    data.vertices.add(len(mesh.vertices_world))
-    data.vertices.foreach_set("co", mesh.vertices_world.astype(np.float32).ravel())
-    data.loops.add(4 * n_faces)
-    data.polygons.add(n_faces)
-    data.polygons.foreach_set("loop_start", np.arange(0, 4 * n_faces, 4, dtype=np.int32))
-    # As attributes: loops and polygons would need to be set one by one.
-    data.attributes[".corner_vert"].data.foreach_set("value", mesh.faces.astype(np.int32).ravel())
+    data = polygons("surface", mesh.vertices_world, mesh.faces)
     data.attributes.new("material_index", "INT", "FACE").data.foreach_set("value", mesh.material.astype(np.int32))
     layer = data.uv_layers.new(name="UVMap")
     layer.uv.foreach_set("vector", mesh.uv_m[mesh.faces.ravel()].astype(np.float32).ravel())
@@ -201,13 +194,8 @@ def new_mesh(mesh: Mesh, materials: list[bpy.types.Material]) -> bpy.types.Mesh:
 
 def _grass_mesh(grass: Blades, material: bpy.types.Material) -> bpy.types.Mesh:
     """Blades as triangles with their shade, which is darker at the foot, and their dryness."""
-    data, n_blades = bpy.data.meshes.new("grass"), len(grass.shade)
-    data.vertices.add(3 * n_blades)
-    data.vertices.foreach_set("co", grass.corners_world.astype(np.float32).ravel())
-    data.loops.add(3 * n_blades)
-    data.polygons.add(n_blades)
-    data.polygons.foreach_set("loop_start", np.arange(0, 3 * n_blades, 3, dtype=np.int32))
-    data.attributes[".corner_vert"].data.foreach_set("value", np.arange(3 * n_blades, dtype=np.int32))
+    n_blades = len(grass.shade)
+    data = polygons("grass", grass.corners_world.reshape(-1, 3), np.arange(3 * n_blades).reshape(-1, 3))
     for name, values in (("shade", np.outer(0.8 + 0.7 * grass.shade, FOOT_TO_TIP)), ("dryness", grass.dryness)):
         per_corner = np.broadcast_to(values.reshape(n_blades, -1), (n_blades, 3)).astype(np.float32)
         data.attributes.new(name, "FLOAT", "POINT").data.foreach_set("value", per_corner.ravel())

@@ -4,6 +4,7 @@ import bpy
 import numpy as np
 from mathutils.bvhtree import BVHTree
 
+from synth3dlanes.blender.polygons import polygons
 from synth3dlanes.blender.shaders import Graph, coated, new_material, texture
 from synth3dlanes.geometry.solids import SURFACES, Body
 from synth3dlanes.settings import SEMANTIC_IDS
@@ -35,14 +36,8 @@ def _dirty(graph: Graph, color: object) -> object:
 
 def structure_mesh(body: Body, materials: tuple[bpy.types.Material, ...]) -> bpy.types.Mesh:
     """A mesh of flat quads with the face colours as attribute `paint`."""
-    data = bpy.data.meshes.new(body.kind)
-    n = len(body.corners_world)
-    data.vertices.add(4 * n)
-    data.vertices.foreach_set("co", body.corners_world.astype(np.float32).ravel())
-    data.loops.add(4 * n)
-    data.polygons.add(n)
-    data.polygons.foreach_set("loop_start", np.arange(0, 4 * n, 4, dtype=np.int32))
-    data.attributes[".corner_vert"].data.foreach_set("value", np.arange(4 * n, dtype=np.int32))
+    corners = body.corners_world.reshape(-1, 3)
+    data = polygons(body.kind, corners, np.arange(len(corners)).reshape(-1, 4))
     used, slots = np.unique(body.surface, return_inverse=True)
     data.attributes.new("material_index", "INT", "FACE").data.foreach_set("value", slots.astype(np.int32))
     paint = data.attributes.new("paint", "FLOAT_COLOR", "CORNER")

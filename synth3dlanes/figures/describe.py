@@ -9,7 +9,7 @@ from jaxtyping import Float
 from synth3dlanes.figures.shape import bends, grades
 from synth3dlanes.frames import transform
 from synth3dlanes.labels import Labels, Lane
-from synth3dlanes.scene import Road, Scene
+from synth3dlanes.scene import Host, Road, Scene, Weather
 
 Facts = dict[str, str]
 
@@ -17,7 +17,7 @@ LANE_COLUMNS = ("lane", "kind", "road", "marking", "points", "image", "ground", 
 
 
 def describe(scene: Scene, labels: Labels) -> dict[str, Facts]:
-    """A summary by group: source, road, shape, camera, light, air, sensor, objects, paint and surface."""
+    """A summary by group: source, road, shape, camera, light, air, sensor, weather, objects, paint and surface."""
     return {
         "drawn from": {"seed": str(scene.seed), "split": scene.split, "index": str(scene.index)},
         "road": _road(scene, labels),
@@ -36,9 +36,11 @@ def describe(scene: Scene, labels: Labels) -> dict[str, Facts]:
             "motion blur": f"{scene.sensor.motion_blur_m:.2f} m",
             "noise": f"{scene.sensor.noise:.1f} levels at middle gray",
         },
+        **({} if (scene.weather, scene.host) == (Weather(), Host()) else {"weather": _weather(scene)}),
         "objects": {
             "cars": _counted([scene.assets.car_models[car.model - 1].name for car in scene.cars]),
             "trees": _counted([scene.assets.tree_models[tree.model - 1].name for tree in scene.trees]),
+            "roadside": _counted([item.kind for _, items in scene.roadside for item in items]),
         },
         "paint": {
             "dots"
@@ -47,7 +49,9 @@ def describe(scene: Scene, labels: Labels) -> dict[str, Facts]:
             f"{scene.markings.dash_cycle_m:.2f} m",
             "width": f"{100 * scene.markings.width_m:.1f} cm",
             "gray, gloss": f"{scene.markings.grayscale:.2f}, {scene.markings.gloss:.2f}",
-            "leftmost line": f"{'double' if scene.markings.left_double else 'single'}, "
+            "inner line"
+            if scene.road.n_oncoming
+            else "leftmost line": f"{'double' if scene.markings.left_double else 'single'}, "
             f"{'yellow' if scene.markings.left_yellow else 'white'}",
             "rubbed off, missing": f"{100 * scene.markings.wear:.0f} %, {100 * scene.markings.missing:.0f} %",
             "symbols": _counted([symbol.kind for symbol in scene.symbols]),
@@ -58,6 +62,19 @@ def describe(scene: Scene, labels: Labels) -> dict[str, Facts]:
             "terrain": f"texture {scene.surface.terrain_texture}, scale {scene.surface.terrain_texture_scale:.1f}, "
             f"turned {math.degrees(scene.surface.texture_orientation_rad):.0f}°",
         },
+    }
+
+
+def _weather(scene: Scene) -> Facts:
+    weather, host = scene.weather, scene.host
+    shares = {"rain": weather.rain, "snowfall": weather.snowfall}
+    shares |= {"snow on the ground": weather.snow, "snow on the road": weather.snow_on_road}
+    falls = [f"{name} {100 * share:.0f} %" for name, share in shares.items() if share]
+    return {
+        "drawn as": f"{weather.kind}, {weather.daytime}",
+        "rain and snow": ", ".join(falls) or "none",
+        "headlights": "on" if weather.headlights else "off",
+        "host's bonnet": f"{100 * host.bonnet:.0f} % of the image's height" if host.bonnet else "not seen",
     }
 
 

@@ -103,10 +103,13 @@ def _shrunk(layer: Pillow.Image) -> Float[np.ndarray, "h w"]:
 def add_spray(
     linear: Image, depth_m: Float[np.ndarray, "h w"], scene: Scene, view: View, airlight: Float[np.ndarray, "3"]
 ) -> Image:
-    """The picture with the spray of the cars ahead in the rain; only what is behind the spray is seen through it."""
+    """The picture with the spray of the moving cars ahead in the rain; only what is behind the spray is seen through
+    it."""
     height_px, width_px = depth_m.shape
     models, cam_from_world = scene.assets.car_models, invert(view.world_from_cam)
     for car, pose in zip(scene.cars, view.world_from_cars, strict=True):
+        if car.offset_m:  # parked
+            continue
         behind_m = models[car.model - 1].length_m * car.scale / 2 + SPRAY_BEHIND_M
         place = transform(cam_from_world, transform(pose, np.array([[0.0, -behind_m, SPRAY_UP_M]])))
         if not 3 < place[0, 1] < FARTHEST_SPRAY_M:
