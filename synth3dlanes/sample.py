@@ -13,10 +13,11 @@ from jaxtyping import Float
 
 from synth3dlanes.assets.car_colors import sold_color
 from synth3dlanes.assets.catalogue import BUILT_IN, Assets
+from synth3dlanes.cameras import CameraSpec
 from synth3dlanes.distributions import Choice, Integers, Uniform
 from synth3dlanes.errors import InputError
 from synth3dlanes.geometry import placement
-from synth3dlanes.geometry.camera import world_from_road
+from synth3dlanes.geometry.camera import world_from_host
 from synth3dlanes.geometry.lanes import connections
 from synth3dlanes.geometry.road import RoadPlan, is_wide_enough
 from synth3dlanes.geometry.roadside import footprints
@@ -36,6 +37,7 @@ from synth3dlanes.scene import (
     Road,
     Scene,
     Sensor,
+    Shot,
     Surface,
     Symbol,
     Terrain,
@@ -45,6 +47,7 @@ from synth3dlanes.scene import (
     to_json,
 )
 from synth3dlanes.schema import SymbolKind
+from synth3dlanes.shots import SINGLE, Place, Shots
 from synth3dlanes.streams import stream
 from synth3dlanes.weather import under
 from synth3dlanes.world import World, resolve
@@ -67,15 +70,38 @@ SYMBOL_GAP_M, SPLIT_GAP_M = 1.0, 8.0
 TREE_GAP_M, TREE_GAP_OF_CROWN = 1.0, 0.5
 
 
-def sample_scene(params: Params, seed: int, split: str, index: int, assets: Assets = BUILT_IN.assets) -> Scene:
-    """Draw scene `index` of a split; it depends on these arguments alone.
+def sample_scene(
+    params: Params, seed: int, split: str, index: int, assets: Assets = BUILT_IN.assets, shots: Shots = SINGLE
+) -> Scene:
+    """Draw the scene of sample `index` of a split; it depends on these arguments alone.
 
     Raises InputError if there is no room for the cars or trees in their ranges.
     """
-    return sample_world(params, seed, split, index, assets).scene
+    return sample_world(params, seed, split, index, assets, shots).scene
 
 
-def sample_world(params: Params, seed: int, split: str, index: int, assets: Assets = BUILT_IN.assets) -> World:
+def sample_world(
+    params: Params, seed: int, split: str, index: int, assets: Assets = BUILT_IN.assets, shots: Shots = SINGLE
+) -> World:
+    """Draw and resolve what sample `index` of a split shows."""
+    place = shots.place(index)
+    return world_in_shot(draw_world(params, seed, split, place.scene, assets, shots), shots, place)
+
+
+def world_in_shot(world: World, shots: Shots, place: Place) -> World:
+    """A drawn world as one frame and camera show it."""
+    if shots == SINGLE:
+        return world
+    scene = world.scene
+    shot = scene.shot.model_copy(update={"frame": place.frame, "camera": place.camera})
+    camera = scene.camera
+    if shots.cameras:
+        spec = shots.cameras[place.camera]
+        camera = _mounted(spec, camera, Draw(spec, scene.stream(f"camera/{place.camera}")))
+    return world.seen_in(scene.model_copy(update={"camera": camera, "shot": shot}))
+
+
+def draw_world(params: Params, seed: int, split: str, index: int, assets: Assets, shots: Shots = SINGLE) -> World:
     """Draw and resolve scene `index` of a split: first the road and the host, then what stands beside it, then cars and
     trees, then symbols."""
     first = Draw(params.weather, stream(seed, split, index, "weather"))
@@ -103,6 +129,7 @@ def sample_world(params: Params, seed: int, split: str, index: int, assets: Asse
         sky=_sky(assets, stream(seed, split, index, "sky")),
         assets=assets,
         vegetation=_plain(Vegetation, draws["vegetation"]),
+        shot=Shot(n_frames=shots.frames, fps=shots.fps, n_cameras=shots.n_cameras),
     )
     resolved = resolve(bare)
     roadside = draw_roadside(resolved, draws["roadside"], draws["roadside"].rng)
@@ -215,6 +242,14 @@ def _camera(params: CameraParams, draw: Draw, road: Road) -> Camera:
     )
 
 
+def _mounted(spec: CameraSpec, host: Camera, draw: Draw) -> Camera:
+    """A user's camera at the host's place."""
+    drawn = {name: draw(name) for name in CameraSpec.model_fields if name != "name"}
+    angles = {name.replace("_deg", "_rad"): drawn.pop(name) for name in list(drawn) if name.endswith("_deg")}
+    place = {name: getattr(host, name) for name in ("lane", "y_m", "offset_m")}
+    return Camera(**place, **drawn, **angles, name=spec.name)
+
+
 def _host_lane(lanes: Integers | Choice[int], u: float, present: int) -> int:
     """Draw from the requested lanes that are present; the last lane present if none of them is."""
     if isinstance(lanes, Integers):
@@ -225,7 +260,7 @@ def _host_lane(lanes: Integers | Choice[int], u: float, present: int) -> int:
 def _cars(world: World, params: CarParams) -> tuple[Car, ...]:
     scene = world.scene
     looks, places, paints, sold, parking = (Draw(params, scene.stream(name)) for name in CAR_STREAMS)
-    taken = [placement.host_footprint(world_from_road(world.plan, scene.camera))]
+    taken = [placement.host_footprint(world_from_host(world.plan, scene.camera))]
     parked = parking("parked")
     cars = []
     for number in range(looks("n")):

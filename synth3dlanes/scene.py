@@ -29,6 +29,8 @@ MAX_ASSETS = 9999
 MIN_MEDIAN_M = 1.0
 # Instance ids of symbols end where the host's begins.
 MAX_SYMBOLS = HOST_ID - FIRST_SYMBOL_ID
+# Frames of a clip, cameras of a rig, and how far behind the host lanes may be labelled.
+MAX_FRAMES, MAX_CAMERAS, MAX_BEHIND_M = 1000, 64, 110.0
 AssetNumber = Annotated[int, Field(ge=1, le=MAX_ASSETS)]
 
 
@@ -157,7 +159,8 @@ class Symbol(Part):
 class Car(Part):
     """A car in lane segment `lane` (its id in the lane graph) at station `s_m` (world y on the main reference line),
     heading as the lane does, `offset_m` to its driver's right of the lane's centre: parked cars stand on a shoulder.
-    Models are numbered from 1. `saturation` mixes the body's colour (1) with the gray of its first channel (0)."""
+    This is its place at the start of a clip, through which it keeps its lane and speed. Models are numbered from 1.
+    `saturation` mixes the body's colour (1) with the gray of its first channel (0)."""
 
     model: AssetNumber
     scale: Positive
@@ -167,6 +170,7 @@ class Car(Part):
     s_m: Metres
     saturation: Unit = 1.0
     offset_m: Metres = added(0.0)
+    speed_m_s: Annotated[float, Field(ge=0, le=100)] = added(0.0)
 
 
 class Tree(Part):
@@ -188,8 +192,10 @@ class Vegetation(Part):
 
 
 class Camera(Part):
-    """The host's camera: lane counted from the left as the host drives, station `y_m`, lateral offset positive to the
-    right, roll about the viewing axis positive clockwise as the driver sees it."""
+    """The host's place and its camera. The host: lane counted from the left as it drives, station `y_m` (at the start
+    of a clip), lateral offset positive to the right. The camera: `right_m` and `forward_m` of the host's place, in its
+    road frame, and `height_m` over the plane of that; yaw positive counter-clockwise seen from above, roll about the
+    viewing axis positive clockwise as the driver sees it."""
 
     lane: Annotated[int, Field(ge=1, le=8)]
     y_m: Metres
@@ -203,6 +209,43 @@ class Camera(Part):
     cx_px: Number
     cy_px: Number
     roll_rad: Number = 0.0
+    name: Name = added("")
+    right_m: Annotated[float, Field(ge=-10, le=10)] = added(0.0)
+    forward_m: Annotated[float, Field(ge=-10, le=10)] = added(0.0)
+    yaw_rad: Annotated[float, Field(ge=-4, le=4)] = added(0.0)
+
+
+class Shot(Part):
+    """Which picture of the world a scene is: frame `frame` of a clip of `n_frames` at `fps`, by camera `camera` of a
+    rig of `n_cameras`. In a clip the host keeps its lane and drives `speed_m_s`. Lanes are labelled from `behind_m`
+    behind the host."""
+
+    frame: Annotated[int, Field(ge=0, lt=MAX_FRAMES)] = 0
+    n_frames: Annotated[int, Field(ge=1, le=MAX_FRAMES)] = 1
+    fps: Annotated[float, Field(gt=0, le=1000)] = 10.0
+    speed_m_s: Annotated[float, Field(ge=0, le=100)] = 0.0
+    camera: Annotated[int, Field(ge=0, lt=MAX_CAMERAS)] = 0
+    n_cameras: Annotated[int, Field(ge=1, le=MAX_CAMERAS)] = 1
+    behind_m: Annotated[float, Field(ge=0, le=MAX_BEHIND_M)] = 0.0
+
+    @model_validator(mode="after")
+    def _is_one_of_them(self) -> "Shot":
+        """Check that there are so many frames and cameras."""
+        for name in ("frame", "camera"):
+            number, count = getattr(self, name), getattr(self, f"n_{name}s")
+            if number >= count:
+                raise ValueError(f"{name}: expected less than {count}, got {number}")
+        return self
+
+    @property
+    def time_s(self) -> float:
+        """Seconds since the clip's first frame."""
+        return self.frame / self.fps
+
+    @property
+    def duration_s(self) -> float:
+        """Seconds from the clip's first frame to its last."""
+        return (self.n_frames - 1) / self.fps
 
 
 class Light(Part):
@@ -328,8 +371,8 @@ class Roadside(Part):
 
 
 class Scene(Part):
-    """One world. `(seed, split, index)` identify its draw; `sky` numbers a user's skies from 1, 0 is the built-in
-    one."""
+    """One picture of one world. `(seed, split, index)` identify the world's draw; `sky` numbers a user's skies from 1,
+    0 is the built-in one."""
 
     format: Literal["synth3dlanes.scene"]
     version: Literal[1]
@@ -353,10 +396,20 @@ class Scene(Part):
     symbols: Annotated[tuple[Symbol, ...], Field(max_length=MAX_SYMBOLS)] = added(())
     vegetation: Vegetation = added(Vegetation())
     roadside: Roadside = added(Roadside())
+    shot: Shot = added(Shot())
 
     def stream(self, name: str) -> np.random.Generator:
-        """Random numbers for details that the scene does not store, such as `clouds`."""
+        """Random numbers for details of the world that the scene does not store, such as `clouds`."""
         return stream(self.seed, self.split, self.index, name)
+
+    def picture_stream(self, name: str) -> np.random.Generator:
+        """Random numbers for what differs between the pictures of one world, such as `sensor_noise`."""
+        frame, camera = self.shot.frame, self.shot.camera
+        return self.stream(f"{name}/{frame}/{camera}" if frame or camera else name)
+
+    def glass_stream(self, name: str) -> np.random.Generator:
+        """Random numbers for what differs between cameras but not between frames, such as `dirt`."""
+        return self.stream(f"{name}/{self.shot.camera}" if self.shot.camera else name)
 
     @model_validator(mode="after")
     def _has_its_models(self) -> "Scene":

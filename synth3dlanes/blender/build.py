@@ -119,7 +119,7 @@ def build(studio: Studio, world: World, view: View, light: Daylight, labelled: S
     if grass is not None:
         _add_object(_grass_mesh(grass, studio.materials.grass), 0)
     set_camera(studio.camera, view.camera, view.world_from_cam)
-    set_light(scene, light, studio.assets.skies, view.world_from_road, world.street_lamps)
+    set_light(scene, light, studio.assets.skies, view.world_from_host, world.street_lamps)
     return placed
 
 

@@ -50,6 +50,7 @@ class Description(Part):
     render: Render
     params: dict[str, Any]
     assets: dict[str, Any] = Field(default_factory=dict)
+    shots: dict[str, Any] = Field(default_factory=dict)
     shard_size: Annotated[int, Field(ge=1, le=MAX_SHARD_SIZE)]
     splits: Annotated[dict[SplitName, Split], Field(max_length=1000)]
     derived: dict[str, Any] | None = None

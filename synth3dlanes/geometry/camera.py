@@ -20,9 +20,9 @@ def img_from_cam(camera: Camera) -> Float[np.ndarray, "3 3"]:
     )
 
 
-def world_from_road(plan: RoadPlan, camera: Camera) -> Matrix4:
-    """The pose of the road frame at the host: origin on the surface below the camera, z the surface normal, y along
-    the lane."""
+def world_from_host(plan: RoadPlan, camera: Camera) -> Matrix4:
+    """The pose of the road frame at the host: origin on the surface at its place, z the surface normal, y along the
+    lane."""
     lane = path_of_segment(plan, host_segment(plan, camera))
     s = plan.plan_station(camera.y_m + np.array([0.0, -TANGENT_STEP_M, TANGENT_STEP_M]))
     t = lane.main_offset(plan, s) + camera.offset_m * plan.flips[0]

@@ -47,9 +47,9 @@ def develop(
         stray = add_sun_glare(add_glow(linear), layers.depth_m, scene.light, light, view)
         linear = linear + np.float32(sensor.flare) * (stray - linear)
     if sensor.drops > 0:
-        linear = add_drops(linear, sensor.drops, scene.stream("drops"))
+        linear = add_drops(linear, sensor.drops, scene.glass_stream("drops"))
     if sensor.dirt > 0:
-        linear = add_dirt(linear, sensor.dirt, scene.stream("dirt"))
+        linear = add_dirt(linear, sensor.dirt, scene.glass_stream("dirt"))
     if sensor.noise > 0:
-        linear = add_noise(linear, sensor.noise, scene.stream("sensor_noise"))
+        linear = add_noise(linear, sensor.noise, scene.picture_stream("sensor_noise"))
     return tonemap(linear)

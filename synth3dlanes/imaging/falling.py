@@ -53,7 +53,7 @@ def add_falling(
 ) -> Image:
     """The picture with the scene's rain and snow in front of all that is not nearer; where they are follows from seed,
     split and index."""
-    weather, rng = scene.weather, scene.stream("falling")
+    weather, rng = scene.weather, scene.picture_stream("falling")
     for kind, strength in ((RAIN, weather.rain), (SNOW, weather.snowfall)):
         if strength > 0:
             share, nearness = _streaks(kind, strength, scene, view, rng)

@@ -27,6 +27,7 @@ from synth3dlanes.production.workers import leave_if_orphaned
 from synth3dlanes.sample import sample_world
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import RenderSettings
+from synth3dlanes.shots import SINGLE, Shots
 from synth3dlanes.world import View, World
 
 
@@ -40,10 +41,11 @@ class Recipe:
     settings: RenderSettings
     image_format: str
     library: Library = field(default=BUILT_IN, kw_only=True)
+    shots: Shots = field(default=SINGLE, kw_only=True)
 
     def world(self, index: int) -> World:
         """The world of sample `index`."""
-        return sample_world(self.params, self.seed, self.split, index, self.library.assets)
+        return sample_world(self.params, self.seed, self.split, index, self.library.assets, self.shots)
 
     def scene(self, index: int) -> Scene:
         """The scene of sample `index`."""
@@ -58,6 +60,7 @@ class Recipe:
             "render": asdict(self.settings),
             "params": self.params.model_dump(mode="json"),
             "assets": {kind: {own.name: asdict(own) for own in self.library.assets.own(kind)} for kind in KINDS},
+            **({} if self.shots == SINGLE else {"shots": self.shots.model_dump(mode="json")}),
         }
 
     @property
