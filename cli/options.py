@@ -13,6 +13,7 @@ from synth3dlanes.settings import DEVICES, PASSES, QUALITY_SAMPLES, SPLIT_NAME
 
 if TYPE_CHECKING:
     from synth3dlanes.assets.catalogue import Library
+    from synth3dlanes.shots import Shots
 
 
 class Names(click.ParamType):
@@ -119,6 +120,12 @@ passes_option = click.option(
     help=f"Extra images to write as OpenEXR, separated by commas: {', '.join(PASSES)}.",
 )
 device_option = click.option("--device", type=click.Choice(DEVICES), default="auto", help="Device to render on.")
+camera_option = click.option(
+    "--camera",
+    metavar="FILE|NAME",
+    help="Your camera instead of that of the parameters: a YAML file, also of OpenCV or Kalibr, or the name of a "
+    "ready one (docs/camera.md).",
+)
 assets_option = click.option(
     "--assets",
     metavar="DIR",
@@ -153,3 +160,11 @@ def open_assets(folder: Path | None) -> "Library":
     for warning in warnings:
         click.echo(f"--assets {folder}: {warning}", err=True)
     return library
+
+
+def open_shots(camera: str | None) -> "Shots":
+    """What `--camera` says."""
+    from synth3dlanes.camera_files import load_camera
+    from synth3dlanes.shots import SINGLE, Shots
+
+    return SINGLE if camera is None else Shots(cameras=(load_camera(camera),))
