@@ -5,7 +5,6 @@ resampled: the first sample of a pixel, from which depth and ids come, goes exac
 """
 
 import bpy
-import mathutils
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import distance_transform_edt

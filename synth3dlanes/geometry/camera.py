@@ -1,5 +1,8 @@
 """Pose and projection of the host's camera. World and camera frames (docs/frames.md)."""
 
+import math
+from functools import lru_cache
+
 import numpy as np
 from jaxtyping import Float
 
@@ -30,10 +33,23 @@ def rays(camera: Camera, uv: Float[np.ndarray, "*n 2"]) -> Points:
     return camera.lens.rays(img_from_cam(camera), uv)
 
 
+@lru_cache(maxsize=4)
 def rays_of_pixels(camera: Camera, border_px: int = 0) -> Float[np.ndarray, "h w 3"]:
     """`rays` of the centres of all pixels, and of those of a border around the picture."""
     columns, rows = (np.arange(-border_px, size + border_px) + 0.5 for size in (camera.width_px, camera.height_px))
-    return rays(camera, np.stack(np.meshgrid(columns, rows), axis=-1))
+    found = rays(camera, np.stack(np.meshgrid(columns, rows), axis=-1))
+    found.flags.writeable = False
+    return found
+
+
+def horizontal_fov_rad(camera: Camera) -> float:
+    """The angle that the image is wide, in the row of its principal point; for a pinhole, as if that were in the
+    middle."""
+    if camera.lens.is_pinhole:
+        return 2 * math.atan(camera.width_px / 2 / camera.fx_px)
+    right, ahead, _ = rays(camera, np.array([[0.0, camera.cy_px], [camera.width_px, camera.cy_px]])).T
+    angles = np.arctan2(np.abs(right), ahead)
+    return float(np.where(np.isnan(angles), camera.lens.field_rad, angles).sum())
 
 
 def world_from_host(plan: RoadPlan, camera: Camera) -> Matrix4:

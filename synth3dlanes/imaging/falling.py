@@ -11,7 +11,7 @@ from jaxtyping import Float
 from PIL import Image as Pillow
 from PIL import ImageDraw
 
-from synth3dlanes.frames import invert, project, transform
+from synth3dlanes.frames import invert, transform
 from synth3dlanes.imaging.lens import points_away
 from synth3dlanes.scene import Scene
 from synth3dlanes.world import View
