@@ -18,7 +18,7 @@ import numpy as np
 
 from synth3dlanes import scene as scene_format
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.dataset.remove_roll import labels_without_roll
+from synth3dlanes.dataset.rectify import rectified_labels
 from synth3dlanes.dataset.write import write_whole
 from synth3dlanes.errors import InputError
 from synth3dlanes.formats.apollo import write as apollo
@@ -139,7 +139,7 @@ def _export_frame(
 ) -> dict[str, Any]:
     sample = reader[index]
     where = f"{chunk.url}:{sample.key}"
-    scene, labels = scene_format.from_json(sample.scene_json, where), labels_without_roll(sample.labels)
+    scene, labels = scene_format.from_json(sample.scene_json, where), rectified_labels(sample.labels)
     record = {"split": chunk.split.name, "part": chunk.split.part_of(sample.key)}
     pinhole = fitting_pinhole(sample.labels.camera, camera)
     if pinhole != camera and not foreign.is_f_free:
