@@ -5,9 +5,9 @@ Pixels, metres and degrees. The place is relative to the host's own on the road:
 
 from typing import Annotated
 
-from synth3dlanes.distributions import Choice, Integer, Real, integers, reals
+from synth3dlanes.distributions import Choice, Integer, Real, Uniform, integers, reals
 from synth3dlanes.params import Group
-from synth3dlanes.schema import MAX_PX, Name
+from synth3dlanes.schema import AHEAD_DEG, MAX_PX, Name
 
 Angle = Annotated[Real, reals(-180, 180)]
 Mount = Annotated[Real, reals(-10, 10)]
@@ -31,3 +31,10 @@ class CameraSpec(Group):
     yaw_deg: Angle = ZERO
     pitch_deg: Angle = ZERO
     roll_deg: Angle = ZERO
+
+    @property
+    def looks_ahead(self) -> bool:
+        """Whether it looks where the host drives at every yaw that it may have."""
+        yaw = self.yaw_deg
+        yaws_deg = (yaw.low, yaw.high) if isinstance(yaw, Uniform) else yaw.values
+        return all(abs(yaw_deg) <= AHEAD_DEG for yaw_deg in yaws_deg)

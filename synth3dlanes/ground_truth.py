@@ -23,7 +23,8 @@ APART_M = 0.01
 
 
 def ground_truth(scene: Scene) -> Labels:
-    """The labels of a scene: curves sampled every metre of road from the camera to 110 m ahead."""
+    """The labels of a scene: curves sampled every metre of road from the host, or as far behind it as its shot says,
+    to 110 m ahead."""
     world = resolve(scene)
     return label(world, world.view)
 
@@ -41,7 +42,7 @@ def label(world: World, view: View) -> Labels:
         world_from_cam=view.world_from_cam,
         roll_rad=lens.roll_rad,
     )
-    lengths_m = np.arange(0, RANGE_M + STEP_M / 2, STEP_M)
+    lengths_m = np.arange(-world.scene.shot.behind_m, RANGE_M + STEP_M / 2, STEP_M)
     s_world: dict[RoadName, Values] = {
         "main": plan.stations_along("main", lens.y_m, lengths_m),
         "exit": plan.stations_along("exit", lens.y_m, lengths_m),

@@ -129,7 +129,7 @@ def draw_world(params: Params, seed: int, split: str, index: int, assets: Assets
         sky=_sky(assets, stream(seed, split, index, "sky")),
         assets=assets,
         vegetation=_plain(Vegetation, draws["vegetation"]),
-        shot=Shot(n_frames=shots.frames, fps=shots.fps, n_cameras=shots.n_cameras),
+        shot=Shot(n_frames=shots.frames, fps=shots.fps, n_cameras=shots.n_cameras, behind_m=shots.behind_m),
     )
     resolved = resolve(bare)
     roadside = draw_roadside(resolved, draws["roadside"], draws["roadside"].rng)

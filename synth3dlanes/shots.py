@@ -6,7 +6,7 @@ from pydantic import Field
 
 from synth3dlanes.cameras import CameraSpec
 from synth3dlanes.params import Group
-from synth3dlanes.scene import MAX_CAMERAS, MAX_FRAMES
+from synth3dlanes.scene import MAX_BEHIND_M, MAX_CAMERAS, MAX_FRAMES
 
 
 class Place(NamedTuple):
@@ -29,6 +29,11 @@ class Shots(Group):
     def n_cameras(self) -> int:
         """How many cameras see every frame."""
         return max(1, len(self.cameras))
+
+    @property
+    def behind_m(self) -> float:
+        """How far behind the host lanes are labelled: as far as ahead, where a camera looks aside or back."""
+        return 0.0 if all(spec.looks_ahead for spec in self.cameras) else MAX_BEHIND_M
 
     @property
     def per_scene(self) -> int:

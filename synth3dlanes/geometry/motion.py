@@ -15,11 +15,18 @@ def host_at(plan: RoadPlan, camera: Camera, driven_m: float) -> Camera:
     if driven_m == 0:
         return camera
     path = path_of_segment(plan, host_segment(plan, camera))
-    s_m = station_after(plan, path, camera.y_m, driven_m)
+    s_m = host_station(plan, camera, driven_m)
     kind, _, number = segment_of(plan, path, s_m).rpartition("_")
     if kind == "exit":
         raise InputError(f"camera.lane: expected a lane that stays on the main road in a clip, got {camera.lane}")
     return camera.model_copy(update={"y_m": s_m, "lane": int(number)})
+
+
+def host_station(plan: RoadPlan, camera: Camera, driven_m: float) -> float:
+    """The host's world station after driving a distance along its lane."""
+    if driven_m == 0:
+        return camera.y_m
+    return station_after(plan, path_of_segment(plan, host_segment(plan, camera)), camera.y_m, driven_m)
 
 
 def car_at(plan: RoadPlan, car: Car, time_s: float) -> Car:
