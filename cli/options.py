@@ -13,6 +13,7 @@ from synth3dlanes.settings import DEVICES, PASSES, QUALITY_SAMPLES, SPLIT_NAME
 
 if TYPE_CHECKING:
     from synth3dlanes.assets.catalogue import Library
+    from synth3dlanes.shots import Shots
 
 
 class Names(click.ParamType):
@@ -119,6 +120,17 @@ passes_option = click.option(
     help=f"Extra images to write as OpenEXR, separated by commas: {', '.join(PASSES)}.",
 )
 device_option = click.option("--device", type=click.Choice(DEVICES), default="auto", help="Device to render on.")
+camera_option = click.option(
+    "--camera",
+    metavar="FILE|NAME",
+    help="Your camera instead of that of the parameters: a YAML file, also of OpenCV or Kalibr, or the name of a "
+    "ready one (docs/camera.md).",
+)
+rig_option = click.option(
+    "--rig",
+    metavar="FILE|NAME",
+    help="Several cameras that see every scene: a YAML file, or the name of a ready rig (docs/cameras.md).",
+)
 assets_option = click.option(
     "--assets",
     metavar="DIR",
@@ -153,3 +165,16 @@ def open_assets(folder: Path | None) -> "Library":
     for warning in warnings:
         click.echo(f"--assets {folder}: {warning}", err=True)
     return library
+
+
+def open_shots(camera: str | None, rig: str | None) -> "Shots":
+    """What `--camera` or `--rig` says."""
+    from synth3dlanes.camera_files import load_camera
+    from synth3dlanes.rig_files import load_rig
+    from synth3dlanes.shots import SINGLE, Shots
+
+    if camera is not None and rig is not None:
+        raise click.UsageError("--camera and --rig exclude each other; a rig's file names its cameras.")
+    if rig is not None:
+        return Shots(cameras=load_rig(rig))
+    return SINGLE if camera is None else Shots(cameras=(load_camera(camera),))

@@ -6,10 +6,13 @@ import click
 
 from .options import (
     assets_option,
+    camera_option,
     device_option,
     open_assets,
+    open_shots,
     params_option,
     passes_option,
+    rig_option,
     samples_option,
     seed_option,
     set_option,
@@ -29,16 +32,26 @@ from .options import (
 @split_option
 @params_option
 @set_option
+@camera_option
+@rig_option
 @assets_option
 def sample(
-    index: int, n: int, seed: int, split: str, source: str, changes: tuple[str, ...], assets: Path | None
+    index: int,
+    n: int,
+    seed: int,
+    split: str,
+    source: str,
+    changes: tuple[str, ...],
+    camera: str | None,
+    rig: str | None,
+    assets: Path | None,
 ) -> None:
     """Draw random scenes and print them as scene.json, without rendering. Blender is needed only to check --assets."""
     from synth3dlanes.params import load_params
     from synth3dlanes.sample import scene_texts
 
-    own = open_assets(assets).assets
-    for text in scene_texts(load_params(source, changes, own), seed, split, range(index, index + n), own):
+    own, shots = open_assets(assets).assets, open_shots(camera, rig)
+    for text in scene_texts(load_params(source, changes, own), seed, split, range(index, index + n), own, shots):
         click.echo(text)
 
 

@@ -4,7 +4,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import inside_image, invert, project, transform
+from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.lanes import Curve, host_segment, lane_graph, path_of_segment
 from synth3dlanes.geometry.paint import is_double, paint_color
 from synth3dlanes.geometry.road import RoadPlan
@@ -41,6 +41,7 @@ def label(world: World, view: View) -> Labels:
         road_from_cam=view.road_from_cam,
         world_from_cam=view.world_from_cam,
         roll_rad=lens.roll_rad,
+        lens=lens.lens,
     )
     lengths_m = np.arange(-world.scene.shot.behind_m, RANGE_M + STEP_M / 2, STEP_M)
     s_world: dict[RoadName, Values] = {
@@ -57,7 +58,7 @@ def label(world: World, view: View) -> Labels:
     outlines = [form.points_world(form.outline) for form in forms]
     points_world = np.concatenate([*sampled.values(), *outlines])
     points_cam = transform(invert(view.world_from_cam), points_world)
-    in_image = inside_image(project(camera.img_from_cam, points_cam), camera.width_px, camera.height_px)
+    in_image = camera.shows(points_cam)
     seen = seen_over_ground(world.ground, view.eye_world, points_world)
     ends = np.cumsum([len(points) for points in (*sampled.values(), *outlines)])[:-1]
     parts = list(zip(np.split(points_cam, ends), np.split(in_image, ends), np.split(seen, ends), strict=True))

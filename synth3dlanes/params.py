@@ -383,7 +383,7 @@ def _override(document: dict[Any, Any], overrides: Iterable[str]) -> tuple[set[s
             group[steps[1]] = value
             done.add(path.strip())
         elif steps[0] not in Params.model_fields:
-            problems.append(f"overrides {path.strip()}: {_unknown(steps[0], Params.model_fields)}")
+            problems.append(f"overrides {path.strip()}: {unknown_key(steps[0], Params.model_fields)}")
     return done, problems
 
 
@@ -398,7 +398,7 @@ def _problems(error: ValidationError, where: str, overridden: set[str]) -> list[
         if problem["type"] == "missing":
             text = "missing key"
         elif problem["type"] == "extra_forbidden":
-            text = _unknown(str(problem["loc"][-1]), _keys(problem["loc"][:-1]))
+            text = unknown_key(str(problem["loc"][-1]), _keys(problem["loc"][:-1]))
         elif problem["type"] == "value_error":
             text = f"{problem['ctx']['error']}, got {shown(problem['input'])}"
         else:
@@ -415,6 +415,7 @@ def _keys(group: tuple[int | str, ...]) -> Iterable[str]:
     return model.model_fields if isinstance(model, type) and issubclass(model, BaseModel) else ()
 
 
-def _unknown(key: str, known: Iterable[str]) -> str:
+def unknown_key(key: str, known: Iterable[str]) -> str:
+    """What is wrong with a key, with the known one that it is close to."""
     close = difflib.get_close_matches(key, list(known), n=1)
     return "unknown key" + (f"; did you mean {close[0]}?" if close else "")

@@ -97,7 +97,7 @@ def world_in_shot(world: World, shots: Shots, place: Place) -> World:
     camera = scene.camera
     if shots.cameras:
         spec = shots.cameras[place.camera]
-        camera = _mounted(spec, camera, Draw(spec, scene.stream(f"camera/{place.camera}")))
+        camera = _mounted(spec, camera, scene.stream(f"camera/{place.camera}"))
     return world.seen_in(scene.model_copy(update={"camera": camera, "shot": shot}))
 
 
@@ -145,10 +145,10 @@ P = TypeVar("P", Markings, Surface, Light, Air, Sensor, Weather, Host, Vegetatio
 
 
 def scene_texts(
-    params: Params, seed: int, split: str, indices: range, assets: Assets = BUILT_IN.assets
+    params: Params, seed: int, split: str, indices: range, assets: Assets = BUILT_IN.assets, shots: Shots = SINGLE
 ) -> Iterator[str]:
     """The `scene.json` of each index in order; many are drawn in parallel, by one process per core."""
-    draw = partial(_scene_text, params, seed, split, assets)
+    draw = partial(_scene_text, params, seed, split, assets, shots)
     if len(indices) < WORTH_PROCESSES:
         yield from map(draw, indices)
         return
@@ -156,8 +156,8 @@ def scene_texts(
         yield from pool.map(draw, indices, chunksize=CHUNK)
 
 
-def _scene_text(params: Params, seed: int, split: str, assets: Assets, index: int) -> str:
-    return to_json(sample_scene(params, seed, split, index, assets))
+def _scene_text(params: Params, seed: int, split: str, assets: Assets, shots: Shots, index: int) -> str:
+    return to_json(sample_scene(params, seed, split, index, assets, shots))
 
 
 class Draw:
@@ -242,12 +242,9 @@ def _camera(params: CameraParams, draw: Draw, road: Road) -> Camera:
     )
 
 
-def _mounted(spec: CameraSpec, host: Camera, draw: Draw) -> Camera:
+def _mounted(spec: CameraSpec, host: Camera, rng: np.random.Generator) -> Camera:
     """A user's camera at the host's place."""
-    drawn = {name: draw(name) for name in CameraSpec.model_fields if name != "name"}
-    angles = {name.replace("_deg", "_rad"): drawn.pop(name) for name in list(drawn) if name.endswith("_deg")}
-    place = {name: getattr(host, name) for name in ("lane", "y_m", "offset_m")}
-    return Camera(**place, **drawn, **angles, name=spec.name)
+    return Camera(lane=host.lane, y_m=host.y_m, offset_m=host.offset_m, **spec.drawn(rng.random))
 
 
 def _host_lane(lanes: Integers | Choice[int], u: float, present: int) -> int:

@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from synth3dlanes.assets.catalogue import AssetKind, Assets
+from synth3dlanes.lens import PINHOLE, Lens
 from synth3dlanes.schema import AHEAD_DEG, MAX_PX, Metres, Name, Number, Part, Positive, Seed, SymbolKind, Unit, parse
 from synth3dlanes.settings import FIRST_SYMBOL_ID, HOST_ID, JPEG_QUALITY, MAX_SAMPLES
 from synth3dlanes.streams import stream
@@ -214,6 +215,7 @@ class Camera(Part):
     right_m: Annotated[float, Field(ge=-10, le=10)] = added(0.0)
     forward_m: Annotated[float, Field(ge=-10, le=10)] = added(0.0)
     yaw_rad: Annotated[float, Field(ge=-4, le=4)] = added(0.0)
+    lens: Lens = added(PINHOLE)
 
     @property
     def looks_ahead(self) -> bool:

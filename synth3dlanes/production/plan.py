@@ -76,12 +76,11 @@ class Plan:
     def text(self) -> str:
         """What is asked for, in a line."""
         (part, parts), recipe, settings = self.part, self.recipe, self.recipe.settings
-        sizes = recipe.params.camera.model_dump(include={"width_px", "height_px"})
         told = [
             f"{self.destination.place}/{recipe.split}: {self.n} samples",
             *([f"part {part} of {parts}"] if parts > 1 else []),
             f"seed {recipe.seed}",
-            f"{sizes['width_px']}x{sizes['height_px']} px {recipe.image_format}",
+            f"{recipe.sizes} {recipe.image_format}",
             f"{settings.samples} samples per pixel",
             f"device {settings.device}",
             f"passes {', '.join(settings.passes) or 'none'}",
