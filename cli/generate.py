@@ -17,6 +17,7 @@ from synth3dlanes.production.events import LEVELS, Event, duration
 
 from .options import (
     assets_option,
+    clip_options,
     device_option,
     json_option,
     open_assets,
@@ -75,6 +76,7 @@ class PartOf(click.ParamType):
 @params_option
 @set_option
 @assets_option
+@clip_options
 @click.option(
     "--workers", metavar="N|auto", type=Workers(), default="auto", help=WORKERS_HELP + " With Ray: cores per task."
 )
@@ -121,6 +123,8 @@ def generate(
     source: str,
     changes: tuple[str, ...],
     assets: Path | None,
+    frames: int,
+    fps: float,
     workers: int,
     device: str,
     samples: int,
@@ -133,7 +137,7 @@ def generate(
     dry_run: bool,
     as_json: bool,
 ) -> None:
-    """Generate a split of N labelled scenes.
+    """Generate a split of N labelled samples: scenes, or frames of clips with --frames.
 
     Rerun to resume; a larger N extends the split. Ctrl-C finishes the samples in progress, then stops.
     """
@@ -142,12 +146,13 @@ def generate(
     from synth3dlanes.production.recipe import Recipe
     from synth3dlanes.production.run import generate as run
     from synth3dlanes.settings import RenderSettings
+    from synth3dlanes.shots import clips
 
     if executor == "local" and ctx.get_parameter_source("address") is not ParameterSource.DEFAULT:
         raise click.UsageError("--address can only be used with --executor ray.")
     library = open_assets(assets)
     params, settings = load_params(source, changes, library.assets), RenderSettings(samples, passes, device)
-    recipe = Recipe(params, seed, split, settings, image_format, library=library)
+    recipe = Recipe(params, seed, split, settings, image_format, library=library, shots=clips(frames, fps))
     plan = Plan(out, n, recipe, workers, part)
     drawn_from = f"parameters {source}{' with ' * bool(changes)}{', '.join(changes)}"
     if dry_run:

@@ -118,6 +118,22 @@ passes_option = click.option(
     metavar="NAMES",
     help=f"Extra images to write as OpenEXR, separated by commas: {', '.join(PASSES)}.",
 )
+
+
+def clip_options(command: Command) -> Command:
+    """`--frames` and `--fps`."""
+    frames = click.option(
+        "--frames",
+        type=click.IntRange(min=1),
+        default=1,
+        help="Frames of each scene: with 20, samples 0 to 19 are a clip of scene 0 (docs/clips.md).",
+    )
+    fps = click.option(
+        "--fps", type=click.FloatRange(min=0, min_open=True), default=10.0, help="Frames per second of clips."
+    )
+    return frames(fps(command))
+
+
 device_option = click.option("--device", type=click.Choice(DEVICES), default="auto", help="Device to render on.")
 assets_option = click.option(
     "--assets",

@@ -37,6 +37,7 @@ from synth3dlanes.sample import sample_scene as _sample_scene
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import DEVICES, QUALITY_SAMPLES, RenderSettings
 from synth3dlanes.settings import PASSES as PASS_NAMES
+from synth3dlanes.shots import clips
 from synth3dlanes.sources import load_scene as _load_scene
 
 STANDARD = QUALITY_SAMPLES["standard"]
@@ -89,14 +90,21 @@ def load_params(
 
 
 def sample_scene(
-    params: Params, *, seed: int = 0, split: str = "train", index: int = 0, assets: Library = BUILT_IN
+    params: Params,
+    *,
+    seed: int = 0,
+    split: str = "train",
+    index: int = 0,
+    frames: int = 1,
+    fps: float = 10.0,
+    assets: Library = BUILT_IN,
 ) -> Scene:
-    """Draw scene `index` of a split; equal arguments give equal scenes.
+    """Draw the scene of sample `index` of a split, of clips of `frames` frames; equal arguments give equal scenes.
 
     Raises InputError for a bad argument, and where cars or trees find no room in the ranges given.
     """
     _at_least(0, seed=seed, index=index)
-    return _sample_scene(params, seed, split, index, assets.assets)
+    return _sample_scene(params, seed, split, index, assets.assets, clips(frames, fps))
 
 
 def change_scene(scene: Scene, changes: str | Sequence[str]) -> Scene:
@@ -152,6 +160,8 @@ def generate_dataset(
     n: int,
     seed: int = 0,
     split: str = "train",
+    frames: int = 1,
+    fps: float = 10.0,
     samples: int = STANDARD,
     passes: str | Sequence[str] = (),
     image_format: str = "jpg",
@@ -162,6 +172,7 @@ def generate_dataset(
 ) -> Report:
     """Make samples 0 to n - 1 of a split in `out`, a folder or a URL; what is there already is kept.
 
+    With `frames` above 1 they are the frames of clips, `fps` a second: the first clip is samples 0 to frames - 1.
     `workers` 0 is one for each core; `notify` is called with every event, whose `message` is a line of text. A problem
     on the way does not raise: see `problem`, `done` and `asked` of the result. Raises InputError, MissingPackageError
     or DiskFullError where it cannot start.
@@ -169,7 +180,7 @@ def generate_dataset(
     _at_least(0, seed=seed)
     settings = _settings(samples, passes, device)
     image_format = _one_of("image_format", image_format, IMAGE_FORMATS)
-    recipe = Recipe(params, seed, split, settings, image_format, library=assets)
+    recipe = Recipe(params, seed, split, settings, image_format, library=assets, shots=clips(frames, fps))
     plan = Plan(out, n, recipe, workers)
     return generate(plan, notify or (lambda event: None))
 

@@ -2,11 +2,13 @@
 
 from typing import Annotated, NamedTuple
 
-from pydantic import Field
+from pydantic import Field, ValidationError
 
 from synth3dlanes.cameras import CameraSpec
+from synth3dlanes.errors import InputError
 from synth3dlanes.params import Group
 from synth3dlanes.scene import MAX_CAMERAS, MAX_FRAMES
+from synth3dlanes.schema import validation_problems
 
 
 class Place(NamedTuple):
@@ -40,5 +42,28 @@ class Shots(Group):
         of_frame, camera = divmod(index, self.n_cameras)
         return Place(*divmod(of_frame, self.frames), camera)
 
+    def index(self, place: Place) -> int:
+        """The sample that shows a place, as opposed to `place`."""
+        return (place.scene * self.frames + place.frame) * self.n_cameras + place.camera
+
+    def text(self, n: int) -> str:
+        """What `n` samples show, in words; "" for single pictures."""
+        if self.frames == 1:
+            return ""
+        n_frames = -(-n // self.n_cameras)
+        cut, clips = n_frames % self.frames, -(-n_frames // self.frames)
+        end = f", the last of {cut} frame{'s' * (cut > 1)}" if cut else ""
+        return f"{clips} clip{'s' * (clips > 1)} of {self.frames} frames, {self.fps:g} a second{end}"
+
 
 SINGLE = Shots()
+
+
+def clips(frames: int, fps: float) -> Shots:
+    """Clips of so many frames, single pictures for 1; raise InputError for numbers out of range."""
+    if frames == 1:
+        return SINGLE
+    try:
+        return Shots(frames=frames, fps=fps)
+    except ValidationError as error:
+        raise InputError(*(line.removeprefix(": ") for line in validation_problems(error, ""))) from None

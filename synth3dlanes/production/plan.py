@@ -16,6 +16,7 @@ from synth3dlanes.production.forecast import Forecast, forecast
 from synth3dlanes.production.recipe import Made, Recipe, make_sample
 from synth3dlanes.production.workers import Limits
 from synth3dlanes.settings import MAX_SAMPLES, SPLIT_NAME
+from synth3dlanes.traffic import check_way
 
 SHARD_SIZE = 1000
 
@@ -47,6 +48,7 @@ class Plan:
         ]
         if problems:
             raise InputError(*problems)
+        check_way(self.recipe.params.motion, self.recipe.shots)
 
     @property
     def destination(self) -> Destination:
@@ -79,6 +81,7 @@ class Plan:
         sizes = recipe.params.camera.model_dump(include={"width_px", "height_px"})
         told = [
             f"{self.destination.place}/{recipe.split}: {self.n} samples",
+            *filter(None, [recipe.shots.text(self.n)]),
             *([f"part {part} of {parts}"] if parts > 1 else []),
             f"seed {recipe.seed}",
             f"{sizes['width_px']}x{sizes['height_px']} px {recipe.image_format}",
