@@ -36,8 +36,8 @@ def check_way(params: MotionParams, shots: Shots) -> None:
 
 def on_main_road(camera: Camera, road: Road, shot: Shot) -> Camera:
     """The host, in the lane beside its own if its own leads from the main road within the clip."""
-    driven_m = shot.speed_m_s * shot.duration_s
-    passes_split = not road.flip_lateral and camera.y_m < 0 <= camera.y_m + driven_m
+    # On the inside of a bend a lane is shorter than its stations.
+    passes_split = not road.flip_lateral and camera.y_m < 0 <= camera.y_m + 2 * shot.speed_m_s * shot.duration_s
     leaving = 1 if road.flip_longitudinal else road.n_lanes
     if road.topology < 3 or not passes_split or camera.lane != leaving:
         return camera

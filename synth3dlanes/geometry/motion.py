@@ -42,8 +42,8 @@ def stations_after(
 ) -> Float[np.ndarray, " t"]:
     """`station_after` for several distances."""
     ahead, farthest_m = 1.0 if path.direction == "same" else -1.0, float(driven_m.max())
-    # No step along the path is shorter than its step in world y.
-    stations = s_m + ahead * np.linspace(0, farthest_m, int(np.ceil(farthest_m / STEP_M)) + 1)
+    # On the inside of a bend a path is shorter than its stations; none is half as long.
+    stations = s_m + ahead * np.linspace(0, 2 * farthest_m, 2 * int(np.ceil(farthest_m / STEP_M)) + 1)
     steps_m = np.linalg.norm(np.diff(path.points_world(plan, plan.plan_station(stations)), axis=0), axis=1)
     return np.interp(driven_m, np.concatenate([[0.0], np.cumsum(steps_m)]), stations)
 
