@@ -40,7 +40,7 @@ from synth3dlanes.sample import sample_scene as _sample_scene
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import DEVICES, QUALITY_SAMPLES, RenderSettings
 from synth3dlanes.settings import PASSES as PASS_NAMES
-from synth3dlanes.shots import SINGLE, Shots
+from synth3dlanes.shots import Shots, clips
 from synth3dlanes.sources import load_scene as _load_scene
 
 STANDARD = QUALITY_SAMPLES["standard"]
@@ -116,15 +116,17 @@ def sample_scene(
     index: int = 0,
     camera: CameraSpec | None = None,
     rig: Sequence[CameraSpec] = (),
+    frames: int = 1,
+    fps: float = 10.0,
     assets: Library = BUILT_IN,
 ) -> Scene:
-    """Draw the scene of sample `index` of a split, with a camera, or the cameras of a rig, in place of that of the
-    parameters; equal arguments give equal scenes.
+    """Draw the scene of sample `index` of a split, of clips of `frames` frames, with a camera or the cameras of a rig
+    in place of that of the parameters; equal arguments give equal scenes.
 
     Raises InputError for a bad argument, and where cars or trees find no room in the ranges given.
     """
     _at_least(0, seed=seed, index=index)
-    return _sample_scene(params, seed, split, index, assets.assets, _shots(camera, rig))
+    return _sample_scene(params, seed, split, index, assets.assets, _shots(camera, rig, frames, fps))
 
 
 def change_scene(scene: Scene, changes: str | Sequence[str]) -> Scene:
@@ -180,6 +182,8 @@ def generate_dataset(
     n: int,
     seed: int = 0,
     split: str = "train",
+    frames: int = 1,
+    fps: float = 10.0,
     samples: int = STANDARD,
     passes: str | Sequence[str] = (),
     image_format: str = "jpg",
@@ -192,6 +196,7 @@ def generate_dataset(
 ) -> Report:
     """Make samples 0 to n - 1 of a split in `out`, a folder or a URL; what is there already is kept.
 
+    With `frames` above 1 they are the frames of clips, `fps` a second: the first clip is samples 0 to frames - 1.
     `workers` 0 is one for each core; `notify` is called with every event, whose `message` is a line of text. A problem
     on the way does not raise: see `problem`, `done` and `asked` of the result. Raises InputError, MissingPackageError
     or DiskFullError where it cannot start.
@@ -199,7 +204,7 @@ def generate_dataset(
     _at_least(0, seed=seed)
     settings = _settings(samples, passes, device)
     image_format = _one_of("image_format", image_format, IMAGE_FORMATS)
-    recipe = Recipe(params, seed, split, settings, image_format, library=assets, shots=_shots(camera, rig))
+    recipe = Recipe(params, seed, split, settings, image_format, library=assets, shots=_shots(camera, rig, frames, fps))
     plan = Plan(out, n, recipe, workers)
     return generate(plan, notify or (lambda event: None))
 
@@ -226,11 +231,10 @@ def export_dataset(
     return export(str(source), Path(out), format_name, workers, lambda done, total: None, size_px)
 
 
-def _shots(camera: CameraSpec | None, rig: Sequence[CameraSpec]) -> Shots:
+def _shots(camera: CameraSpec | None, rig: Sequence[CameraSpec], frames: int, fps: float) -> Shots:
     if camera is not None and rig:
         raise InputError("camera: expected none beside a rig")
-    cameras = tuple(rig) if camera is None else (camera,)
-    return Shots(cameras=cameras) if cameras else SINGLE
+    return clips(frames, fps, tuple(rig) if camera is None else (camera,))
 
 
 def _settings(samples: int, passes: str | Sequence[str], device: str) -> RenderSettings:

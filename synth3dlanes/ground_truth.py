@@ -31,7 +31,7 @@ def ground_truth(scene: Scene) -> Labels:
 
 def label(world: World, view: View) -> Labels:
     """The labels of a world for one view."""
-    plan, lens = world.plan, view.camera
+    plan, lens, shot = world.plan, view.camera, world.scene.shot
     camera = CameraLabel(
         width_px=lens.width_px,
         height_px=lens.height_px,
@@ -92,6 +92,7 @@ def label(world: World, view: View) -> Labels:
         lane_graph(plan, centerlines),
         horizon_plane(camera, next(lane for lane in lanes if lane.id == host)),
         symbols=symbols,
+        time_s=round(shot.time_s, 9) if shot.n_frames > 1 else None,
     )
 
 

@@ -205,6 +205,7 @@ class Labels:
     horizon: RoadPlane | None = None
     car_visible_fraction: tuple[float, ...] | None = None
     symbols: tuple[SymbolLabel, ...] = ()
+    time_s: float | None = None
 
 
 def to_json(labels: Labels) -> str:
@@ -237,6 +238,8 @@ def to_json(labels: Labels) -> str:
     }
     if labels.symbols:
         document["symbols"] = [_points_document(symbol) for symbol in labels.symbols]
+    if labels.time_s is not None:
+        document["time_s"] = labels.time_s
     return json.dumps(document, separators=(",", ":"), allow_nan=False)
 
 
@@ -251,12 +254,15 @@ class _Document(Part):
     horizon: RoadPlane | None
     car_visible_fraction: tuple[Unit, ...] | None
     symbols: tuple[SymbolLabel, ...] = ()
+    time_s: Annotated[float, Field(ge=0, le=1e6)] | None = None
 
 
 def from_json(text: str | bytes, where: str) -> Labels:
     """Parse `labels.json`; raise FormatError with one line per problem, each beginning with `where`."""
     read = parse(_Document, text, where, f"{LABELS_FORMAT} version {LABELS_VERSION}")
-    return Labels(read.camera, read.lanes, read.graph, read.horizon, read.car_visible_fraction, read.symbols)
+    return Labels(
+        read.camera, read.lanes, read.graph, read.horizon, read.car_visible_fraction, read.symbols, read.time_s
+    )
 
 
 def _rounded(values: Float[np.ndarray, "..."], decimals: int) -> Any:
