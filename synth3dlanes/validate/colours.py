@@ -52,7 +52,7 @@ def check_colours(
 def _terrain_img(world: World, camera: CameraLabel) -> Float[np.ndarray, "n 2"]:
     """Pixels that show terrain, unless a tree or hill hides it."""
     ground = world.ground
-    s, ahead = ground.plan.plan_station(world.scene.camera.y_m + AHEAD_M), len(AHEAD_M)
+    s, ahead = ground.plan.plan_station(world.view.camera.y_m + AHEAD_M), len(AHEAD_M)
     aside = np.concatenate([ground.left_edge_m - ASIDE_M, ground.edge_m + ASIDE_M])
     xy = ground.plan.main_xy(np.tile(s, len(aside)), np.repeat(aside, ahead))
     xy = xy[ground.clearance(xy) > CLEAR_M]

@@ -120,6 +120,8 @@ def _against_ground_truth(expected: Labels, labels: Labels) -> Iterator[Finding]
     for name in ("img_from_cam", "road_from_cam", "world_from_cam"):
         if not np.allclose(getattr(labels.camera, name), getattr(expected.camera, name), atol=MATRIX):
             yield Finding("", f"camera.{name}: expected the scene's ground truth, got another")
+    if labels.time_s != expected.time_s:
+        yield Finding("", f"time_s: expected {expected.time_s}, got {labels.time_s}")
     if labels.graph != expected.graph or labels.horizon != expected.horizon:
         yield Finding("", "graph, horizon: expected the scene's ground truth, got another")
     ids = [lane.id for lane in labels.lanes]
