@@ -87,8 +87,8 @@ def info(folder: str, as_json: bool) -> None:
 def split(folder: str, out: str, into: dict[str, float], seed: int) -> None:
     """Divide an existing split at random into new splits.
 
-    Samples are copied unchanged and renumbered from 0. Clips stay whole. To generate a validation or test split with new scenes, use
-    `generate --split val` instead. Rerun to resume.
+    Samples are copied unchanged and renumbered from 0. Clips stay whole. To generate a validation or test split with
+    new scenes, use `generate --split val` instead. Rerun to resume.
     """
     from synth3dlanes.dataset.rearrange import split_dataset
     from synth3dlanes.dataset.splits import one_reader

@@ -87,10 +87,11 @@ def test_without_a_validation_split_every_tenth_sample_is_held_out(tmp_path, mon
 
 
 def test_held_out_clips_are_whole(tmp_path):
+    from synth3dlanes_baseline.sources import training_and_validation
+
     from synth3dlanes.production.plan import Plan
     from synth3dlanes.production.run import generate
     from synth3dlanes.shots import clips
-    from synth3dlanes_baseline.sources import training_and_validation
     from tests import fake_samples
 
     def held_out(n):
