@@ -22,6 +22,7 @@ from synth3dlanes.formats.culane import write as culane
 from synth3dlanes.formats.curvelanes import write as curvelanes
 from synth3dlanes.formats.once import write as once
 from synth3dlanes.formats.one_frame import write_as_it_is, write_resampled
+from synth3dlanes.formats.opendrive import write as opendrive
 from synth3dlanes.formats.openlane import write as openlane
 from synth3dlanes.formats.plan import Chunk, open_reader, plan
 from synth3dlanes.formats.sample_format import SampleFormat
@@ -39,6 +40,7 @@ FORMATS: dict[str, PinholeFormat | SampleFormat] = {
     "tusimple": tusimple.FORMAT,
     "culane": culane.FORMAT,
     "curvelanes": curvelanes.FORMAT,
+    "opendrive": opendrive.FORMAT,
 }
 
 

@@ -8,6 +8,7 @@ from synth3dlanes.formats.apollo import verify as apollo
 from synth3dlanes.formats.culane import verify as culane
 from synth3dlanes.formats.curvelanes import verify as curvelanes
 from synth3dlanes.formats.once import verify as once
+from synth3dlanes.formats.opendrive import verify as opendrive
 from synth3dlanes.formats.openlane import verify as openlane
 from synth3dlanes.formats.self_check import Verified
 from synth3dlanes.formats.tusimple import verify as tusimple
@@ -21,7 +22,7 @@ CHECKS = {
     "curvelanes": curvelanes.verify,
 }
 
-SAMPLE_CHECKS: dict[str, Callable[[Path, int], Iterator[Verified]]] = {}
+SAMPLE_CHECKS: dict[str, Callable[[Path, int], Iterator[Verified]]] = {"opendrive": opendrive.verify}
 """The checks of formats whose images keep their own cameras."""
 
 

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from synth3dlanes.formats.opendrive.roads import Road
 from synth3dlanes.geometry.lanes import Curve
 from synth3dlanes.geometry.paint import is_dotted, is_double, line_width_m, paint_color
 from synth3dlanes.world import World
 
-Values = Float[np.ndarray, " m"]
+Indices = Int[np.ndarray, " k"]
 
 # A delimiter runs along an edge where it is this close to it. The exit's lanes turn aside at once at the split, where
 # this moves the lines of a two-lane exit against those of the stem.
@@ -26,7 +26,7 @@ PROBES = np.array([0.2, 0.5, 0.8])
 @dataclass(frozen=True)
 class Mark:
     """Paint from `s_m` of a road to the next mark: the width of a stripe, the lengths of dashes and gaps, and where the
-    first dash begins after `s_m`."""
+    first dash begins after `s_m`. A solid line is one dash."""
 
     s_m: float
     kind: Literal["none", "solid", "double", "dashed", "dots"] = "none"
@@ -35,6 +35,16 @@ class Mark:
     dash_m: float = 0.0
     gap_m: float = 0.0
     first_m: float = 0.0
+
+    @property
+    def stripes_m(self) -> tuple[float, ...]:
+        """The t of the stripes from the edge."""
+        return {"none": (), "double": (-self.width_m, self.width_m)}.get(self.kind, (0.0,))
+
+    @property
+    def total_width_m(self) -> float:
+        """The width over all stripes."""
+        return 3 * self.width_m if self.kind == "double" else self.width_m
 
 
 def marks(world: World, road: Road) -> dict[int, list[Mark]]:
@@ -57,9 +67,7 @@ def _along(world: World, road: Road, edge_xy: Float[np.ndarray, "m 2"]) -> list[
     return filled
 
 
-def _of(
-    world: World, road: Road, edge_xy: Float[np.ndarray, "m 2"], line: Curve
-) -> Iterator[tuple[Mark, float]]:
+def _of(world: World, road: Road, edge_xy: Float[np.ndarray, "m 2"], line: Curve) -> Iterator[tuple[Mark, float]]:
     """The mark of a delimiter along an edge and its end, if it runs there."""
     at = np.flatnonzero((road.plan_s >= line.start_m - 1e-6) & (road.plan_s <= line.end_m + 1e-6))
     if line.kind != "delimiter" or len(at) < 2 or road.s_m[at[-1]] - road.s_m[at[0]] < SHORT_M:
@@ -71,20 +79,20 @@ def _of(
     if apart_m.max() > NEAR_M:
         return
     start_m, end_m = float(road.s_m[at[0]]), float(road.s_m[at[-1]])
-    yield _mark(world, road, line, at, start_m), end_m
+    yield _mark(world, road, line, at, start_m, end_m), end_m
 
 
-def _mark(world: World, road: Road, line: Curve, at: Float[np.ndarray, " k"], start_m: float) -> Mark:
+def _mark(world: World, road: Road, line: Curve, at: Indices, start_m: float, end_m: float) -> Mark:
     markings, color = world.scene.markings, str(paint_color(line, world.scene.markings))
     width_m = line_width_m(line, markings)
     if line.marking == "solid":
-        return Mark(start_m, "double" if is_double(line, markings) else "solid", color, width_m)
+        return Mark(start_m, "double" if is_double(line, markings) else "solid", color, width_m, end_m - start_m)
     dash_m = markings.dash_fraction * markings.dash_cycle_m
     kind: Literal["dots", "dashed"] = "dots" if is_dotted(line, markings) else "dashed"
     return Mark(start_m, kind, color, width_m, dash_m, markings.dash_cycle_m - dash_m, _phase(world, road, line, at))
 
 
-def _phase(world: World, road: Road, line: Curve, at: Float[np.ndarray, " k"]) -> float:
+def _phase(world: World, road: Road, line: Curve, at: Indices) -> float:
     """Where the first whole dash begins: dashes begin at multiples of their cycle along the line from the split."""
     markings, plan = world.scene.markings, world.plan
     first = float(road.plan_s[at[0]])

@@ -27,7 +27,9 @@ def pieces(s: Values, values: Float[np.ndarray, "m k"], tolerance: float, unit_s
     def cover(first: int, last: int) -> list[Piece]:
         length, change = s[last] - s[first], values[last] - values[first]
         constant, linear, mean, end = values[first], slopes[first], change / length, slopes[last]
-        abcd = np.stack([constant, linear, (3 * mean - 2 * linear - end) / length, (linear + end - 2 * mean) / length**2])
+        abcd = np.stack(
+            [constant, linear, (3 * mean - 2 * linear - end) / length, (linear + end - 2 * mean) / length**2]
+        )
         u = s[first : last + 1] - s[first]
         error = np.linalg.norm(u[:, None] ** np.arange(4) @ abcd - values[first : last + 1], axis=1)
         if last == first + 1 or error.max() <= tolerance:

@@ -67,10 +67,15 @@ class Road:
         step = np.gradient(self.xy_world, self.s_m, axis=0, edge_order=2)
         return np.asarray(step / np.linalg.norm(step, axis=1, keepdims=True))
 
+    @cached_property
+    def pitch_rad(self) -> Values:
+        """How steeply the reference line climbs."""
+        return np.asarray(np.arctan(np.gradient(self.elevation_m, self.s_m, edge_order=2)))
+
     def plane_points(self, t_m: Values) -> tuple[Points3, Values]:
         """World points of the banked plane at all stations and these t, and how far ahead of their stations they are:
         on a climbing road the roll moves them along it."""
-        pitch = np.arctan(np.gradient(self.elevation_m, self.s_m, edge_order=2))
+        pitch = self.pitch_rad
         left = np.column_stack([-self.along[:, 1], self.along[:, 0]])
         aside, ahead = t_m * np.cos(self.roll_rad), -t_m * np.sin(self.roll_rad) * np.sin(pitch)
         xy = self.xy_world + aside[:, None] * left + ahead[:, None] * self.along
@@ -144,12 +149,14 @@ def _layouts(plan: RoadPlan) -> list[_Layout]:
         oncoming, beside, middle_m = (), (median,), 0.0
     left = (*beside, *oncoming)
 
-    def on_main(name: str, span_m: tuple[float, float], strips: tuple[_Strip, ...], *ends: str | None) -> _Layout:
+    def on_main(
+        name: str, span_m: tuple[float, float], strips: tuple[_Strip, ...], before: str | None, after: str | None
+    ) -> _Layout:
         lane_0_m = plan.boundary_m(0) - middle_m
-        return _Layout(name, span_m, straight(middle_m), (*left, *strips), len(left), lane_0_m, *ends)
+        return _Layout(name, span_m, straight(middle_m), (*left, *strips), len(left), lane_0_m, before, after)
 
     if not plan.has_exit:
-        return [*found, on_main("main", (-REACH_M, end_m), (*lanes("main", plan.n_lanes), shoulder))]
+        return [*found, on_main("main", (-REACH_M, end_m), (*lanes("main", plan.n_lanes), shoulder), None, None)]
     main, exits = lanes("main", plan.n_main_after), lanes("exit", plan.n_exit_lanes)
     junction, apart = (0.0, parted_m), (parted_m, end_m)
     # The room between main road and exit is shared until both have their whole shoulders.
@@ -226,7 +233,5 @@ def _banked(road: Road) -> Road:
     return replace(
         banked,
         center_m=road.center_m * wider,
-        lanes=tuple(
-            replace(lane, inner_m=lane.inner_m * wider, outer_m=lane.outer_m * wider) for lane in road.lanes
-        ),
+        lanes=tuple(replace(lane, inner_m=lane.inner_m * wider, outer_m=lane.outer_m * wider) for lane in road.lanes),
     )
