@@ -24,7 +24,7 @@ def _size(text: str | None) -> tuple[int, int] | None:
     "--format",
     "format_name",
     required=True,
-    type=click.Choice(["apollo", "openlane", "once", "tusimple", "culane", "curvelanes", "opendrive"]),
+    type=click.Choice(["apollo", "openlane", "once", "tusimple", "culane", "curvelanes", "openlane_v2", "opendrive"]),
     help="Format to write.",
 )
 @click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Output folder.")
@@ -46,7 +46,7 @@ def export(
     source: str, format_name: str, out: Path, is_verified: bool, size_px: tuple[int, int] | None, workers: int
 ) -> None:
     """Convert a data set (DIR) or one split (DIR/train) to the format of Apollo Sim-3D, OpenLane, ONCE-3DLanes,
-    tuSimple, CULane or CurveLanes, or to one OpenDRIVE map per scene.
+    tuSimple, CULane, CurveLanes or OpenLane-V2, or to OpenDRIVE maps, one per scene.
 
     Rerun to resume, or to add samples generated since. OUT/README.md describes how splits were mapped,
     and which frames and lanes were left out and why.

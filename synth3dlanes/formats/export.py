@@ -24,6 +24,7 @@ from synth3dlanes.formats.once import write as once
 from synth3dlanes.formats.one_frame import write_as_it_is, write_resampled
 from synth3dlanes.formats.opendrive import write as opendrive
 from synth3dlanes.formats.openlane import write as openlane
+from synth3dlanes.formats.openlane_v2 import write as openlane_v2
 from synth3dlanes.formats.plan import Chunk, open_reader, plan
 from synth3dlanes.formats.sample_format import SampleFormat
 from synth3dlanes.formats.summary import Summary, readme, summarize
@@ -40,6 +41,7 @@ FORMATS: dict[str, PinholeFormat | SampleFormat] = {
     "tusimple": tusimple.FORMAT,
     "culane": culane.FORMAT,
     "curvelanes": curvelanes.FORMAT,
+    "openlane_v2": openlane_v2.FORMAT,
     "opendrive": opendrive.FORMAT,
 }
 
