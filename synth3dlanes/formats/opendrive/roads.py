@@ -45,12 +45,14 @@ class Lane:
 class Road:
     """A road with everything at equal steps along it: stations `s_m`, the plan's stations there, the reference line
     from above, its height and the roll of the plane (positive: the left side is higher), the t of lane 0 and the lanes
-    from the left. `before` and `after` name the roads or the junction at its ends."""
+    from the left. It runs as the host drives or, if it `is_oncoming`, the other way. `before` and `after` name the
+    roads or the junction at its ends."""
 
     name: str
     in_junction: bool
     before: str | None
     after: str | None
+    is_oncoming: bool
     is_left_hand: bool
     plan_s: Values
     s_m: Values
@@ -150,13 +152,14 @@ def _layouts(plan: RoadPlan) -> list[_Layout]:
     left = (*beside, *oncoming)
 
     def on_main(
-        name: str, span_m: tuple[float, float], strips: tuple[_Strip, ...], before: str | None, after: str | None
-    ) -> _Layout:
+        name: str, span_m: tuple[float, float], left: tuple[_Strip, ...], right: tuple[_Strip, ...],
+        before: str | None = None, after: str | None = None,
+    ) -> _Layout:  # fmt: skip
         lane_0_m = plan.boundary_m(0) - middle_m
-        return _Layout(name, span_m, straight(middle_m), (*left, *strips), len(left), lane_0_m, before, after)
+        return _Layout(name, span_m, straight(middle_m), (*left, *right), len(left), lane_0_m, before, after)
 
     if not plan.has_exit:
-        return [*found, on_main("main", (-REACH_M, end_m), (*lanes("main", plan.n_lanes), shoulder), None, None)]
+        return [*found, on_main("main", (-REACH_M, end_m), left, (*lanes("main", plan.n_lanes), shoulder))]
     main, exits = lanes("main", plan.n_main_after), lanes("exit", plan.n_exit_lanes)
     junction, apart = (0.0, parted_m), (parted_m, end_m)
     # The room between main road and exit is shared until both have their whole shoulders.
@@ -168,12 +171,15 @@ def _layouts(plan: RoadPlan) -> list[_Layout]:
         line = next(curve for curve in curves(plan) if curve.id == main[-1].segment)
         through = main[:-1]
         found.append(_Layout("opening", junction, line, main[-1:], 0, -plan.width_m / 2, "stem", "main"))
+    if oncoming:
+        # Connecting roads are for one direction.
+        found.append(replace(on_main("facing", junction, left, (), "stem", "main"), is_oncoming=True))
     return [
         *found,
-        on_main("stem", (-REACH_M, 0.0), (*lanes("stem", plan.n_lanes), shoulder), None, JUNCTION),
-        on_main("through", junction, through, "stem", "main"),
+        on_main("stem", (-REACH_M, 0.0), left, (*lanes("stem", plan.n_lanes), shoulder), None, JUNCTION),
+        on_main("through", junction, () if oncoming else left, through, "stem", "main"),
         _Layout("leaving", junction, exit_line, (*exits, shoulder), 0, -half_m, "stem", "exit"),
-        on_main("main", apart, (*main, inner), JUNCTION, None),
+        on_main("main", apart, left, (*main, inner), JUNCTION, None),
         _Layout("exit", apart, exit_line, (inner, *exits, shoulder), 1, -half_m, JUNCTION, None),
     ]
 
@@ -204,6 +210,7 @@ def _road(plan: RoadPlan, layout: _Layout) -> Road:
         in_junction=layout.after == "main" or layout.after == "exit",
         before=layout.before if ascends else layout.after,
         after=layout.after if ascends else layout.before,
+        is_oncoming=layout.is_oncoming,
         is_left_hand=bool(plan.flips[0] < 0),
         plan_s=s,
         s_m=lengths,

@@ -64,11 +64,13 @@ def _add_road(root: Element, world: World, road: Road, found: list[Road], number
     rule = "LHT" if road.is_left_hand else "RHT"
     element = add(root, "road", name=road.name, length=length, id=str(numbers[road.name]), **of, rule=rule)
     link = add(element, "link")
-    for tag, other, contact in (("predecessor", road.before, "end"), ("successor", road.after, "start")):
+    for tag, other in (("predecessor", road.before), ("successor", road.after)):
         if other == JUNCTION:
             add(link, tag, elementType="junction", elementId=str(numbers[JUNCTION]))
         elif other:
-            add(link, tag, elementType="road", elementId=str(numbers[other]), contactPoint=contact)
+            is_end = (tag == "predecessor") == (road.is_oncoming == by_name[other].is_oncoming)
+            touched = {"contactPoint": "end" if is_end else "start"}
+            add(link, tag, elementType="road", elementId=str(numbers[other]), **touched)
     _add_line(element, road)
     profile = add(element, "elevationProfile")
     for piece in pieces(road.s_m, road.elevation_m[:, None], HEIGHT_M):
@@ -128,7 +130,7 @@ def _add_lane(
     link = add(element, "link")
     # Lanes that lead into a junction are linked there.
     for tag, other in (("predecessor", road.before), ("successor", road.after)):
-        number = _number_in(by_name[other], world, lane) if other and other != JUNCTION else None
+        number = _number_in(by_name[other], world, road, lane) if other and other != JUNCTION else None
         if number is not None:
             add(link, tag, id=str(number))
     width = np.abs(lane.outer_m - lane.inner_m)
@@ -152,32 +154,25 @@ def _add_marks(element: Element, found: list[Mark]) -> None:
             add(lines, "line", length=mark.dash_m, space=mark.gap_m, **places, color=mark.color)
 
 
-def _number_in(other: Road, world: World, lane: Lane) -> int | None:
-    """The number that a connecting road's lane has in the road at its end."""
+def _number_in(other: Road, world: World, road: Road, lane: Lane) -> int | None:
+    """The number that a lane of a connecting road has in the road at its end."""
     if lane.segment is None:
-        outer = [there.number for there in other.lanes if there.kind == lane.kind and there.number * lane.number > 0]
-        return outer[0] if outer else None
-    name = stems(world.plan).get(lane.segment, lane.segment) if other.name == "stem" else lane.segment
-    return next(there.number for there in other.lanes if there.segment == name)
+        sign = 1 if other.is_oncoming == road.is_oncoming else -1
+        return next((n.number for n in other.lanes if n.kind == lane.kind and sign * n.number * lane.number > 0), None)
+    segment = stems(world.plan).get(lane.segment, lane.segment) if other.name == "stem" else lane.segment
+    return next(there.number for there in other.lanes if there.segment == segment)
 
 
 def _add_junction(root: Element, world: World, found: list[Road], numbers: Mapping[str, int]) -> None:
-    by_name = {road.name: road for road in found}
     junction = add(root, "junction", name=JUNCTION, id=str(numbers[JUNCTION]), type="default")
-    count = 0
-    for road in found:
-        if not road.in_junction:
-            continue
-        for incoming, contact, is_ahead in ((road.before, "start", True), (road.after, "end", False)):
-            lanes = [lane for lane in road.driving if (lane.number > 0) == (is_ahead == road.is_left_hand)]
-            if not lanes:
-                continue
-            ids = {"incomingRoad": str(numbers[str(incoming)]), "connectingRoad": str(numbers[road.name])}
-            entry = add(junction, "connection", id=str(count), **ids, contactPoint=contact)
-            count += 1
-            for lane in lanes:
-                there = _number_in(by_name[str(incoming)], world, lane)
-                add(entry, "laneLink", **{"from": str(there), "to": str(lane.number)})
+    by_name = {road.name: road for road in found}
+    for count, road in enumerate(road for road in found if road.in_junction):
+        incoming = by_name[str(road.before)]
+        ids = {"incomingRoad": str(numbers[incoming.name]), "connectingRoad": str(numbers[road.name])}
+        connection = add(junction, "connection", id=str(count), **ids, contactPoint="start")
+        for lane in road.driving:
+            ends = {"from": str(_number_in(incoming, world, road, lane)), "to": str(lane.number)}
+            add(connection, "laneLink", **ends)
 
 
 def _abcd(coefficients: Float[np.ndarray, "4"]) -> dict[str, float]:
