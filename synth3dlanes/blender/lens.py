@@ -22,8 +22,8 @@ BORDER_PX = 1
 
 
 def make_lens() -> bpy.types.Material:
-    """The screen's material: a portal for rays from the camera, nothing for those that went through it. It has no shader
-    on other objects, so that it can replace all materials."""
+    """The screen's material: a portal for rays from the camera, nothing for those that went through it. On other
+    objects it has no shader, so that it can replace all materials."""
     material, graph = new_material("lens", 0)
     incoming = graph.node("ShaderNodeNewGeometry").outputs["Incoming"]
     right, up, ahead = (
