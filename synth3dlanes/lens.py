@@ -26,6 +26,8 @@ MAX_COEFFICIENT = 1e4
 WIDEST_RAD: dict[LensModel, float] = {"pinhole": np.pi / 2, "opencv": np.radians(89.0), "fisheye": np.pi}
 # Newton's steps, the knots that they start from, and the largest error of an inverse, in units of x/y.
 STEPS, KNOTS, TOLERANCE = 20, 512, 1e-10
+# A step of Newton's that needs no other after it.
+ENOUGH = 1e-9
 # Coefficients of polynomials that are taken as 0.
 NEGLIGIBLE = 1e-15
 
@@ -178,7 +180,10 @@ def _straight(lens: Lens, bent: Plane) -> Points:
             (a, b), (c, d) = np.moveaxis(jacobian, (-2, -1), (0, 1))
             e, f = np.moveaxis(found - bent, -1, 0)
             determinant = a * d - b * c
-            straight = straight - np.stack([d * e - b * f, a * f - c * e], axis=-1) / determinant[..., None]
+            step = np.stack([d * e - b * f, a * f - c * e], axis=-1) / determinant[..., None]
+            straight = straight - step
+            if not (np.abs(step) > ENOUGH).any():
+                break
         off = np.abs(_tangential(lens, straight)[0] - bent).max(axis=-1)
         inside = (off < TOLERANCE) & (np.arctan(np.hypot(*np.moveaxis(straight, -1, 0))) < lens.field_rad)
     straight = np.where(inside[..., None], straight, np.nan)
@@ -200,5 +205,7 @@ def _angle(lens: Lens, radius: Values) -> Values:
         with np.errstate(all="ignore"):
             step = np.where(slope > 0, (found - radius) / slope, 0.0)
         angle = np.clip(angle - step, low[cell], high[cell])
+        if not (np.abs(step) > ENOUGH).any():
+            break
     with np.errstate(invalid="ignore"):
         return np.where(radius <= radii[-1], angle, np.nan)

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from synth3dlanes.frames import Matrix4, road_from_cam, turned
 from synth3dlanes.geometry import meshes, roadside
 from synth3dlanes.geometry.bonnet import cam_from_bonnet
-from synth3dlanes.geometry.camera import img_from_cam, world_from_host
+from synth3dlanes.geometry.camera import img_from_cam, project, world_from_host
 from synth3dlanes.geometry.grass import Blades, blades
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.horizon import FarHills
@@ -68,8 +68,12 @@ class View:
 
     @cached_property
     def img_from_cam(self) -> Float[np.ndarray, "3 3"]:
-        """The camera's projection matrix."""
+        """The camera's projection matrix, without its lens."""
         return img_from_cam(self.camera)
+
+    def project(self, points_cam: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
+        """Pixels (u, v) of points through the lens; NaN for those that are not in its field."""
+        return project(self.camera, points_cam)
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from synth3dlanes.blender.light import HAZE_PASS
 from synth3dlanes.blender.occlusion import hidden_by_objects, seen_fractions
 from synth3dlanes.blender.structures import search_tree
 from synth3dlanes.frames import Matrix4, transform
+from synth3dlanes.geometry.camera import rays_of_pixels
 from synth3dlanes.geometry.visibility import seen_over_ground
 from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.imaging.layers import Layers
@@ -25,6 +26,8 @@ from synth3dlanes.world import View, World
 
 # Cycles writes 1e10 where a ray hits nothing; larger depths than this count as that.
 CYCLES_NO_HIT = 1e9
+# The portal of a lens, and the screen that its rays pass again.
+LENS_BOUNCES = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,10 +61,16 @@ def render(
     placed = build(studio(library), world, view, light, lines)
     clock.append(time.perf_counter())
     configure(settings, light.film)
+    own = studio(library)
+    is_bent = not view.camera.lens.is_pinhole
+    if is_bent:
+        bpy.context.scene.cycles.transparent_max_bounces += LENS_BOUNCES
     layers = read_layers(run_cycles(), light.film)
     clock.append(time.perf_counter())
     if "normal" in settings.passes:
-        layers = replace(layers, normal=_normals(view.world_from_cam, studio(library).plain))
+        layers = replace(layers, normal=_normals(view.world_from_cam, own.lens if is_bent else own.plain))
+    if is_bent:
+        layers = layers.only(np.isfinite(rays_of_pixels(view.camera)).all(axis=-1))
     clock.append(time.perf_counter())
     seen = with_object_visibility(world, view, labels, placed)
     clock.append(time.perf_counter())

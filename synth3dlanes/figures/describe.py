@@ -8,7 +8,9 @@ from jaxtyping import Float
 
 from synth3dlanes.figures.shape import bends, grades
 from synth3dlanes.frames import transform
+from synth3dlanes.geometry.camera import horizontal_fov_rad
 from synth3dlanes.labels import Labels, Lane
+from synth3dlanes.lens import COEFFICIENTS, Lens
 from synth3dlanes.scene import Host, Road, Scene, Weather
 
 Facts = dict[str, str]
@@ -171,10 +173,17 @@ def _camera(scene: Scene, labels: Labels) -> Facts:
         "height, pitch, roll": f"{camera.height_m:.3f} m, {math.degrees(camera.pitch_rad):.2f}° down, "
         f"{math.degrees(camera.roll_rad):.2f}° clockwise",
         "image": f"{camera.width_px} x {camera.height_px} px, "
-        f"{2 * math.degrees(math.atan(camera.width_px / 2 / camera.fx_px)):.0f}° wide (fx = {camera.fx_px:.1f}), "
-        f"centre at ({camera.cx_px:.1f}, {camera.cy_px:.1f})",
+        f"{math.degrees(horizontal_fov_rad(camera)):.0f}° wide (fx = {camera.fx_px:.1f}), "
+        f"centre at ({camera.cx_px:.1f}, {camera.cy_px:.1f}){_lens(camera.lens)}",
         "lanes in labels": _counted([f"{lane.kind} {lane.road}" for lane in labels.lanes]),
     }
+
+
+def _lens(lens: Lens) -> str:
+    if lens.is_pinhole:
+        return ""
+    named = zip(COEFFICIENTS[lens.model], lens.coefficients, strict=True)
+    return f"; {lens.model} lens, " + " ".join(f"{name} {value:g}" for name, value in named if value)
 
 
 def _counted(names: list[str]) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import invert, project, road_from_cam, transform
+from synth3dlanes.frames import road_from_cam, transform
 from synth3dlanes.geometry.terrain import height_at
 from synth3dlanes.labels import CameraLabel, Labels, Lane, SymbolLabel
 from synth3dlanes.scene import Scene
@@ -65,7 +65,7 @@ def points_to_pixels(labels: Labels) -> bool:
 def _inside_px(camera: CameraLabel, lane: Lane) -> Float[np.ndarray, " n"]:
     """Distance of each projected point from the nearest border of the image, negative outside; NaN behind the
     camera."""
-    uv = project(camera.img_from_cam, lane.xyz_cam)
+    uv = camera.project(lane.xyz_cam)
     return np.asarray(np.minimum(uv, [camera.width_px, camera.height_px] - uv).min(axis=1))
 
 
@@ -99,7 +99,7 @@ def _order(camera: CameraLabel, lane: Lane) -> Iterator[Finding]:
 
 def _camera(scene: Scene, labels: Labels) -> Iterator[Finding]:
     camera, asked = labels.camera, scene.camera
-    for name in ("width_px", "height_px", "height_m", "pitch_rad", "roll_rad", "yaw_rad", "name"):
+    for name in ("width_px", "height_px", "height_m", "pitch_rad", "roll_rad", "yaw_rad", "name", "lens"):
         if getattr(camera, name) != getattr(asked, name):
             yield Finding(
                 "", f"camera.{name}: expected {getattr(asked, name)} as in the scene, got {getattr(camera, name)}"
