@@ -1,5 +1,7 @@
 """Data sets of clips: columns, clips by scene, splits that keep clips whole, resuming, extending, merging."""
 
+from dataclasses import replace
+
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -115,3 +117,16 @@ def test_shards_of_single_pictures_made_before_are_continued(tmp_path):
     made(tmp_path / "data", 12, frames=1)
     before = pq.read_schema(tmp_path / "data/train/00000.parquet")
     assert made(tmp_path / "data", 25, frames=1).index.schema.equals(before)
+
+
+def test_the_pictures_of_a_scene_are_made_by_one_worker(tmp_path, monkeypatch):
+    marks = tmp_path / "marks"
+    marks.mkdir()
+    monkeypatch.setenv("SYNTH3DLANES_TEST_MARK", str(marks))
+    assert not generate(replace(plan(tmp_path / "data", 36), maker=fake_samples.sign), lambda event: None).problem
+    makers = dict(map(int, path.name.split("-")) for path in marks.iterdir())
+    assert len(makers) == 36
+    assert len(set(makers.values())) == 2
+    shared = [scene for scene in range(6) if len({makers[FRAMES * scene + frame] for frame in range(FRAMES)}) > 1]
+    # At the end a worker without a scene of its own helps the other.
+    assert shared in ([], [4], [5])
