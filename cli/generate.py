@@ -18,12 +18,14 @@ from synth3dlanes.production.events import LEVELS, Event, duration
 from .options import (
     assets_option,
     camera_option,
+    clip_options,
     device_option,
     json_option,
     open_assets,
     open_shots,
     params_option,
     passes_option,
+    rig_option,
     samples_option,
     seed_option,
     set_option,
@@ -77,7 +79,9 @@ class PartOf(click.ParamType):
 @params_option
 @set_option
 @camera_option
+@rig_option
 @assets_option
+@clip_options
 @click.option(
     "--workers", metavar="N|auto", type=Workers(), default="auto", help=WORKERS_HELP + " With Ray: cores per task."
 )
@@ -124,7 +128,10 @@ def generate(
     source: str,
     changes: tuple[str, ...],
     camera: str | None,
+    rig: str | None,
     assets: Path | None,
+    frames: int,
+    fps: float,
     workers: int,
     device: str,
     samples: int,
@@ -137,7 +144,7 @@ def generate(
     dry_run: bool,
     as_json: bool,
 ) -> None:
-    """Generate a split of N labelled scenes.
+    """Generate a split of N labelled samples: scenes, or frames of clips with --frames.
 
     Rerun to resume; a larger N extends the split. Ctrl-C finishes the samples in progress, then stops.
     """
@@ -151,10 +158,11 @@ def generate(
         raise click.UsageError("--address can only be used with --executor ray.")
     library = open_assets(assets)
     params, settings = load_params(source, changes, library.assets), RenderSettings(samples, passes, device)
-    recipe = Recipe(params, seed, split, settings, image_format, library=library, shots=open_shots(camera))
+    shots = open_shots(camera, rig, frames, fps)
+    recipe = Recipe(params, seed, split, settings, image_format, library=library, shots=shots)
     plan = Plan(out, n, recipe, workers, part)
     drawn_from = f"parameters {source}{' with ' * bool(changes)}{', '.join(changes)}"
-    drawn_from += f", camera {camera}" if camera else ""
+    drawn_from += f", camera {camera}" if camera else f", rig {rig}" if rig else ""
     if dry_run:
         plan = plan.resolved() if executor == "local" else plan
         click.echo(f"{plan.text()}, {drawn_from}\n{plan.expected().text()}")

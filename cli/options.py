@@ -119,12 +119,33 @@ passes_option = click.option(
     metavar="NAMES",
     help=f"Extra images to write as OpenEXR, separated by commas: {', '.join(PASSES)}.",
 )
+
+
+def clip_options(command: Command) -> Command:
+    """`--frames` and `--fps`."""
+    frames = click.option(
+        "--frames",
+        type=click.IntRange(min=1),
+        default=1,
+        help="Frames of each scene: with 20, samples 0 to 19 are a clip of scene 0 (docs/clips.md).",
+    )
+    fps = click.option(
+        "--fps", type=click.FloatRange(min=0, min_open=True), default=10.0, help="Frames per second of clips."
+    )
+    return frames(fps(command))
+
+
 device_option = click.option("--device", type=click.Choice(DEVICES), default="auto", help="Device to render on.")
 camera_option = click.option(
     "--camera",
     metavar="FILE|NAME",
     help="Your camera instead of that of the parameters: a YAML file, also of OpenCV or Kalibr, or the name of a "
     "ready one (docs/camera.md).",
+)
+rig_option = click.option(
+    "--rig",
+    metavar="FILE|NAME",
+    help="Several cameras that see every scene: a YAML file, or the name of a ready rig (docs/cameras.md).",
 )
 assets_option = click.option(
     "--assets",
@@ -162,9 +183,13 @@ def open_assets(folder: Path | None) -> "Library":
     return library
 
 
-def open_shots(camera: str | None) -> "Shots":
-    """What `--camera` says."""
+def open_shots(camera: str | None, rig: str | None, frames: int, fps: float) -> "Shots":
+    """What `--camera` or `--rig`, `--frames` and `--fps` say."""
     from synth3dlanes.camera_files import load_camera
-    from synth3dlanes.shots import SINGLE, Shots
+    from synth3dlanes.rig_files import load_rig
+    from synth3dlanes.shots import clips
 
-    return SINGLE if camera is None else Shots(cameras=(load_camera(camera),))
+    if camera is not None and rig is not None:
+        raise click.UsageError("--camera and --rig exclude each other; a rig's file names its cameras.")
+    cameras = load_rig(rig) if rig is not None else () if camera is None else (load_camera(camera),)
+    return clips(frames, fps, cameras)

@@ -35,11 +35,12 @@ from synth3dlanes.production.render_file import render_members
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.tally import Report
 from synth3dlanes.production.user_assets import open_library
+from synth3dlanes.rig_files import load_rig as _load_rig
 from synth3dlanes.sample import sample_scene as _sample_scene
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import DEVICES, QUALITY_SAMPLES, RenderSettings
 from synth3dlanes.settings import PASSES as PASS_NAMES
-from synth3dlanes.shots import SINGLE, Shots
+from synth3dlanes.shots import Shots, clips
 from synth3dlanes.sources import load_scene as _load_scene
 
 STANDARD = QUALITY_SAMPLES["standard"]
@@ -99,6 +100,14 @@ def load_camera(source: str | Path) -> CameraSpec:
     return _load_camera(str(source))
 
 
+def load_rig(source: str | Path) -> tuple[CameraSpec, ...]:
+    """Read the cameras of a rig: a YAML file, or the name of a ready one (docs/cameras.md).
+
+    Raises InputError with a line for every problem.
+    """
+    return _load_rig(str(source))
+
+
 def sample_scene(
     params: Params,
     *,
@@ -106,15 +115,18 @@ def sample_scene(
     split: str = "train",
     index: int = 0,
     camera: CameraSpec | None = None,
+    rig: Sequence[CameraSpec] = (),
+    frames: int = 1,
+    fps: float = 10.0,
     assets: Library = BUILT_IN,
 ) -> Scene:
-    """Draw scene `index` of a split, with a camera in place of that of the parameters; equal arguments give equal
-    scenes.
+    """Draw the scene of sample `index` of a split, of clips of `frames` frames, with a camera or the cameras of a rig
+    in place of that of the parameters; equal arguments give equal scenes.
 
     Raises InputError for a bad argument, and where cars or trees find no room in the ranges given.
     """
     _at_least(0, seed=seed, index=index)
-    return _sample_scene(params, seed, split, index, assets.assets, _shots(camera))
+    return _sample_scene(params, seed, split, index, assets.assets, _shots(camera, rig, frames, fps))
 
 
 def change_scene(scene: Scene, changes: str | Sequence[str]) -> Scene:
@@ -170,17 +182,21 @@ def generate_dataset(
     n: int,
     seed: int = 0,
     split: str = "train",
+    frames: int = 1,
+    fps: float = 10.0,
     samples: int = STANDARD,
     passes: str | Sequence[str] = (),
     image_format: str = "jpg",
     device: str = "auto",
     workers: int = 0,
     camera: CameraSpec | None = None,
+    rig: Sequence[CameraSpec] = (),
     assets: Library = BUILT_IN,
     notify: Callable[[Event], None] | None = None,
 ) -> Report:
     """Make samples 0 to n - 1 of a split in `out`, a folder or a URL; what is there already is kept.
 
+    With `frames` above 1 they are the frames of clips, `fps` a second: the first clip is samples 0 to frames - 1.
     `workers` 0 is one for each core; `notify` is called with every event, whose `message` is a line of text. A problem
     on the way does not raise: see `problem`, `done` and `asked` of the result. Raises InputError, MissingPackageError
     or DiskFullError where it cannot start.
@@ -188,7 +204,7 @@ def generate_dataset(
     _at_least(0, seed=seed)
     settings = _settings(samples, passes, device)
     image_format = _one_of("image_format", image_format, IMAGE_FORMATS)
-    recipe = Recipe(params, seed, split, settings, image_format, library=assets, shots=_shots(camera))
+    recipe = Recipe(params, seed, split, settings, image_format, library=assets, shots=_shots(camera, rig, frames, fps))
     plan = Plan(out, n, recipe, workers)
     return generate(plan, notify or (lambda event: None))
 
@@ -215,8 +231,10 @@ def export_dataset(
     return export(str(source), Path(out), format_name, workers, lambda done, total: None, size_px)
 
 
-def _shots(camera: CameraSpec | None) -> Shots:
-    return SINGLE if camera is None else Shots(cameras=(camera,))
+def _shots(camera: CameraSpec | None, rig: Sequence[CameraSpec], frames: int, fps: float) -> Shots:
+    if camera is not None and rig:
+        raise InputError("camera: expected none beside a rig")
+    return clips(frames, fps, tuple(rig) if camera is None else (camera,))
 
 
 def _settings(samples: int, passes: str | Sequence[str], device: str) -> RenderSettings:

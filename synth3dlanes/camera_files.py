@@ -46,7 +46,7 @@ def load_camera(source: str) -> CameraSpec:
         path, where = Path(source), source
     else:
         raise InputError(f"{source}: expected one of {', '.join(camera_names())}, or the path of a .yaml file")
-    return read_camera(_document(path, where), where, path.parent)
+    return read_camera(read_document(path, where), where, path.parent)
 
 
 def read_camera(document: Any, where: str, folder: Path) -> CameraSpec:
@@ -78,7 +78,8 @@ def read_camera(document: Any, where: str, folder: Path) -> CameraSpec:
     return spec
 
 
-def _document(path: Path, where: str) -> Any:
+def read_document(path: Path, where: str) -> Any:
+    """What a YAML file says, of OpenCV's kind too; raise InputError with a line for every problem."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
@@ -122,7 +123,7 @@ def _calibrated(source: Any, where: str, folder: Path) -> dict[str, Any]:
     if not isinstance(source, str):
         raise InputError(f"{where}: calibration: expected the path of a calibration file, got {shown(source)}")
     path = folder / source
-    document = _document(path, f"{where}: calibration {source}")
+    document = read_document(path, f"{where}: calibration {source}")
     if not isinstance(document, dict) or not _is_foreign(document):
         raise InputError(f"{where}: calibration {source}: expected a calibration of OpenCV, ROS or Kalibr")
     return _foreign(document, f"{where}: calibration {source}")

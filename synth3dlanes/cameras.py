@@ -13,7 +13,7 @@ from synth3dlanes.distributions import Choice, Integer, Integers, Real, Uniform,
 from synth3dlanes.errors import InputError
 from synth3dlanes.lens import COEFFICIENTS, MAX_COEFFICIENT, Lens, LensModel
 from synth3dlanes.params import Group
-from synth3dlanes.schema import MAX_PX, Name
+from synth3dlanes.schema import AHEAD_DEG, MAX_PX, Name
 
 Angle = Annotated[Real, reals(-180, 180)]
 Mount = Annotated[Real, reals(-10, 10)]
@@ -79,6 +79,13 @@ class CameraSpec(Group):
             wanted = " ".join(COEFFICIENTS[self.model]) or "no coefficients"
             raise ValueError(f"expected {wanted} for the model {self.model}, got {' '.join(foreign)}")
         return self
+
+    @property
+    def looks_ahead(self) -> bool:
+        """Whether it looks where the host drives at every yaw that it may have."""
+        yaw = self.yaw_deg
+        yaws_deg = (yaw.low, yaw.high) if isinstance(yaw, Uniform) else yaw.values
+        return all(abs(yaw_deg) <= AHEAD_DEG for yaw_deg in yaws_deg)
 
     def drawn(self, u: Callable[[], float]) -> dict[str, Any]:
         """The fields of a scene's camera, with `u` in [0, 1) for each that has no one value.

@@ -23,14 +23,15 @@ APART_M = 0.01
 
 
 def ground_truth(scene: Scene) -> Labels:
-    """The labels of a scene: curves sampled every metre of road from the camera to 110 m ahead."""
+    """The labels of a scene: curves sampled every metre of road from the host, or as far behind it as its shot says,
+    to 110 m ahead."""
     world = resolve(scene)
     return label(world, world.view)
 
 
 def label(world: World, view: View) -> Labels:
     """The labels of a world for one view."""
-    plan, lens = world.plan, view.camera
+    plan, lens, shot = world.plan, view.camera, world.scene.shot
     camera = CameraLabel(
         width_px=lens.width_px,
         height_px=lens.height_px,
@@ -40,9 +41,11 @@ def label(world: World, view: View) -> Labels:
         road_from_cam=view.road_from_cam,
         world_from_cam=view.world_from_cam,
         roll_rad=lens.roll_rad,
+        yaw_rad=lens.yaw_rad,
+        name=lens.name,
         lens=lens.lens,
     )
-    lengths_m = np.arange(0, RANGE_M + STEP_M / 2, STEP_M)
+    lengths_m = np.arange(-world.scene.shot.behind_m, RANGE_M + STEP_M / 2, STEP_M)
     s_world: dict[RoadName, Values] = {
         "main": plan.stations_along("main", lens.y_m, lengths_m),
         "exit": plan.stations_along("exit", lens.y_m, lengths_m),
@@ -89,8 +92,9 @@ def label(world: World, view: View) -> Labels:
         camera,
         lanes,
         lane_graph(plan, centerlines),
-        horizon_plane(camera, next(lane for lane in lanes if lane.id == host)),
+        horizon_plane(camera, next(lane for lane in lanes if lane.id == host)) if lens.looks_ahead else None,
         symbols=symbols,
+        time_s=round(shot.time_s, 9) if shot.n_frames > 1 else None,
     )
 
 

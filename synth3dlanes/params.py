@@ -38,7 +38,7 @@ Offset = Annotated[Real, reals(-50, 50)]
 # Of models or textures of one kind, if the assets are unknown.
 MAX_NUMBER = 9999
 # Groups that were added later; parameters without them have their defaults.
-OPTIONAL: tuple[str, ...] = ("symbols", "weather", "host", "vegetation", "roadside")
+OPTIONAL: tuple[str, ...] = ("symbols", "weather", "host", "vegetation", "roadside", "motion")
 # With more keys missing there is one line for all.
 MAX_MISSING = 3
 
@@ -279,6 +279,16 @@ class RoadsideParams(Group):
     building_aside_m: Annotated[Real, reals(8, 200)] = added(40.0)
 
 
+Speed = Annotated[Real, reals(0, 60)]
+
+
+class MotionParams(Group):
+    """Speeds in clips, constant through a clip; single pictures do not use them. Parked cars stand."""
+
+    host_speed_m_s: Speed = Uniform(20.0, 33.0)
+    car_speed_m_s: Speed = Uniform(17.0, 36.0)
+
+
 class Params(Group):
     """The distribution of every parameter of a scene. Names are as in `scene.json`, with degrees instead of radians.
 
@@ -302,6 +312,7 @@ class Params(Group):
         default=VegetationParams(), exclude_if=lambda group: group == VegetationParams()
     )
     roadside: RoadsideParams = Field(default=RoadsideParams(), exclude_if=lambda group: group == RoadsideParams())
+    motion: MotionParams = Field(default=MotionParams(), exclude_if=lambda group: group == MotionParams())
 
 
 def presets_folder() -> Path:

@@ -101,7 +101,7 @@ def params_of(reader: Reader) -> Params:
 
 
 def shots_of(reader: Reader) -> Shots:
-    """The cameras and clips that a data set was made with."""
+    """The pictures that a data set has of each of its scenes."""
     try:
         return Shots.model_validate(reader.description.get("shots", {}))
     except ValidationError as error:

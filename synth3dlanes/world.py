@@ -17,7 +17,7 @@ from synth3dlanes.geometry.grass import Blades, blades
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.horizon import FarHills
 from synth3dlanes.geometry.lanes import Curve, curves
-from synth3dlanes.geometry.motion import car_at, host_at
+from synth3dlanes.geometry.motion import car_at, host_at, host_station
 from synth3dlanes.geometry.paint import paint_meshes
 from synth3dlanes.geometry.placement import tree_positions, world_from_car
 from synth3dlanes.geometry.road import RoadPlan
@@ -166,6 +166,7 @@ class World:
 
 def resolve(scene: Scene) -> World:
     """Resolve a scene into its world."""
-    plan = RoadPlan(scene.road, scene.terrain)
+    plan, shot = RoadPlan(scene.road, scene.terrain), scene.shot
     hills = FarHills.draw(scene.stream("far_hills"))
-    return World(scene, Ground(plan, scene.camera.y_m, scene.markings, hills))
+    driven_m = host_station(plan, scene.camera, shot.speed_m_s * shot.duration_s) - scene.camera.y_m
+    return World(scene, Ground(plan, scene.camera.y_m, scene.markings, hills, driven_m, shot.behind_m > 0))

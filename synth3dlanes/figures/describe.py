@@ -155,10 +155,21 @@ def _extreme(values: list[Float[np.ndarray, " _"]]) -> float:
 
 
 def _camera(scene: Scene, labels: Labels) -> Facts:
-    camera = scene.camera
+    camera, shot = scene.camera, scene.shot
     side = "right" if camera.offset_m > 0 else "left"
+    clip = {}
+    if shot.n_frames > 1:
+        clip["frame"] = (
+            f"{shot.frame} of 0 to {shot.n_frames - 1}, {shot.time_s:.2f} s and {shot.speed_m_s * shot.time_s:.1f} m "
+            f"from the clip's start, at {3.6 * shot.speed_m_s:.0f} km/h"
+        )
     return {
-        "place": f"lane {camera.lane} at y = {camera.y_m:.1f} m, {abs(camera.offset_m):.2f} m {side} of its centre",
+        **clip,
+        "place"
+        + " at the start"
+        * bool(
+            clip
+        ): f"lane {camera.lane} at y = {camera.y_m:.1f} m, {abs(camera.offset_m):.2f} m {side} of its centre",
         "height, pitch, roll": f"{camera.height_m:.3f} m, {math.degrees(camera.pitch_rad):.2f}° down, "
         f"{math.degrees(camera.roll_rad):.2f}° clockwise",
         "image": f"{camera.width_px} x {camera.height_px} px, "

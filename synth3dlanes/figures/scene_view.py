@@ -66,7 +66,7 @@ class SceneView:
     @cached_property
     def _stations(self) -> Float[np.ndarray, " n"]:
         """Plan stations from BEHIND_M to AHEAD_M, in driving order."""
-        y_m = self.scene.camera.y_m
+        y_m = self.world.view.camera.y_m
         return self.plan.plan_station(np.arange(y_m - BEHIND_M, y_m + AHEAD_M + 0.5))
 
     @cached_property

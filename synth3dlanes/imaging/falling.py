@@ -16,7 +16,8 @@ from synth3dlanes.imaging.lens import points_away
 from synth3dlanes.scene import Scene
 from synth3dlanes.world import View
 
-# The host's speed, which tells the exposure's duration from the metres driven; without motion blur it is SHORTEST_S.
+# The host's speed in single pictures. It tells the exposure's duration from the metres driven; without motion blur it
+# is SHORTEST_S.
 SPEED_M_PER_S, SHORTEST_S = 25.0, 0.008
 # Headlights light what falls before the camera: radiance at 1 m per unit of its reflectance.
 LIT_BY_HEADLIGHTS = 4e-3
@@ -74,9 +75,10 @@ def _streaks(
     uv = (u[:, :2] * 1.2 - 0.1) * [camera.width_px, camera.height_px]
     y_m = np.cbrt(NEAREST_M**3 + (kind.farthest_m**3 - NEAREST_M**3) * u[:, 2])
     size_px = (kind.size_m[0] + (kind.size_m[1] - kind.size_m[0]) * u[:, 3] ** 2) * camera.fx_px / y_m
-    driven_m = scene.sensor.motion_blur_m or SPEED_M_PER_S * SHORTEST_S
-    wind = rng.normal(0, 0.15 * kind.m_per_s, 2) / SPEED_M_PER_S
-    way_road = driven_m * np.array([wind[0], wind[1] - 1, -kind.m_per_s / SPEED_M_PER_S])
+    speed_m_s = scene.shot.speed_m_s or SPEED_M_PER_S
+    driven_m = scene.sensor.motion_blur_m or speed_m_s * SHORTEST_S
+    wind = rng.normal(0, 0.15 * kind.m_per_s, 2) / speed_m_s
+    way_road = driven_m * np.array([wind[0], wind[1] - 1, -kind.m_per_s / speed_m_s])
     way_cam = invert(view.road_from_cam)[:3, :3] @ way_road
     points_cam = points_away(camera, uv, y_m)
     ends = [view.project(points_cam + sign * way_cam / 2) for sign in (-1, 1)]

@@ -16,6 +16,7 @@ from synth3dlanes.production.forecast import Forecast, forecast
 from synth3dlanes.production.recipe import Made, Recipe, make_sample
 from synth3dlanes.production.workers import Limits
 from synth3dlanes.settings import MAX_SAMPLES, SPLIT_NAME
+from synth3dlanes.traffic import check_way
 
 SHARD_SIZE = 1000
 
@@ -47,6 +48,7 @@ class Plan:
         ]
         if problems:
             raise InputError(*problems)
+        check_way(self.recipe.params.motion, self.recipe.shots)
 
     @property
     def destination(self) -> Destination:
@@ -78,6 +80,7 @@ class Plan:
         (part, parts), recipe, settings = self.part, self.recipe, self.recipe.settings
         told = [
             f"{self.destination.place}/{recipe.split}: {self.n} samples",
+            *filter(None, [recipe.shots.text(self.n)]),
             *([f"part {part} of {parts}"] if parts > 1 else []),
             f"seed {recipe.seed}",
             f"{recipe.sizes} {recipe.image_format}",
