@@ -35,8 +35,7 @@ def rectified_labels(labels: Labels) -> Labels:
     What either picture does not show is not in the image.
     """
     camera = labels.camera
-    yaw_rad = float(np.arctan2(-camera.road_from_cam[0, 1], camera.road_from_cam[1, 1]))
-    if camera.roll_rad == 0 and camera.lens.is_pinhole and abs(yaw_rad) < 1e-9:
+    if camera.roll_rad == 0 and camera.yaw_rad == 0 and camera.lens.is_pinhole:
         return labels
     turn = np.eye(4)
     turn[:3, :3] = level_from_cam(camera)
@@ -44,7 +43,8 @@ def rectified_labels(labels: Labels) -> Labels:
     level = replace(
         camera,
         roll_rad=0.0,
-        road_from_cam=turned(-yaw_rad) @ road_from_cam if abs(yaw_rad) >= 1e-9 else road_from_cam,
+        yaw_rad=0.0,
+        road_from_cam=turned(-camera.yaw_rad) @ road_from_cam if camera.yaw_rad else road_from_cam,
         world_from_cam=camera.world_from_cam @ turn.T,
         lens=PINHOLE,
     )
