@@ -60,7 +60,7 @@ class Lens(Part):
         """Pixels (u, v) of points; NaN for points that are not in the lens's field."""
         if self.is_pinhole:
             return project(img_from_cam, points_cam)
-        bent = _bent(self, points_cam)
+        bent = _bent(self, points_cam.reshape(-1, 3)).reshape(*points_cam.shape[:-1], 2)
         return project(img_from_cam, np.stack([bent[..., 0], np.ones(bent.shape[:-1]), bent[..., 1]], axis=-1))
 
     def rays(self, img_from_cam: Float[np.ndarray, "3 3"], uv: Plane) -> Points:
@@ -68,7 +68,8 @@ class Lens(Part):
         homogeneous = np.concatenate([uv, np.ones((*uv.shape[:-1], 1))], axis=-1) @ np.linalg.inv(img_from_cam).T
         if self.is_pinhole:
             return np.asarray(homogeneous / np.linalg.norm(homogeneous, axis=-1, keepdims=True))
-        return _straight(self, homogeneous[..., [0, 2]] / homogeneous[..., 1:2])
+        bent = homogeneous[..., [0, 2]] / homogeneous[..., 1:2]
+        return _straight(self, bent.reshape(-1, 2)).reshape(*uv.shape[:-1], 3)
 
     @property
     def field_rad(self) -> float:
