@@ -19,6 +19,7 @@ from .options import (
     assets_option,
     device_option,
     json_option,
+    lidar_option,
     open_assets,
     params_option,
     passes_option,
@@ -81,6 +82,7 @@ class PartOf(click.ParamType):
 @device_option
 @samples_option
 @passes_option
+@lidar_option
 @click.option(
     "--image-format",
     type=click.Choice(["jpg", "png"]),
@@ -125,6 +127,7 @@ def generate(
     device: str,
     samples: int,
     passes: tuple[str, ...],
+    lidar: str | None,
     image_format: str,
     executor: Literal["local", "ray"],
     address: str,
@@ -137,17 +140,21 @@ def generate(
 
     Rerun to resume; a larger N extends the split. Ctrl-C finishes the samples in progress, then stops.
     """
+    from synth3dlanes.lidars import load_lidar
     from synth3dlanes.params import load_params
     from synth3dlanes.production.plan import Plan
     from synth3dlanes.production.recipe import Recipe
     from synth3dlanes.production.run import generate as run
     from synth3dlanes.settings import RenderSettings
+    from synth3dlanes.shots import Shots
 
     if executor == "local" and ctx.get_parameter_source("address") is not ParameterSource.DEFAULT:
         raise click.UsageError("--address can only be used with --executor ray.")
     library = open_assets(assets)
-    params, settings = load_params(source, changes, library.assets), RenderSettings(samples, passes, device)
-    recipe = Recipe(params, seed, split, settings, image_format, library=library)
+    shots = Shots(lidar=load_lidar(lidar) if lidar else None)
+    settings = RenderSettings(samples, (*passes, *(["lidar"] if lidar else [])), device)
+    params = load_params(source, changes, library.assets)
+    recipe = Recipe(params, seed, split, settings, image_format, library=library, shots=shots)
     plan = Plan(out, n, recipe, workers, part)
     drawn_from = f"parameters {source}{' with ' * bool(changes)}{', '.join(changes)}"
     if dry_run:

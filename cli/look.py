@@ -35,17 +35,18 @@ def inspect(where: str, image: Path | None, out: Path | None, html: Path | None,
     from synth3dlanes.figures.describe import describe
     from synth3dlanes.figures.inspect import draw_inspect, summary
     from synth3dlanes.figures.page import scene_page
-    from synth3dlanes.sources import load_any, load_passes
+    from synth3dlanes.sources import load_any, load_passes, load_sweep
 
     found = load_any(where, image)
     layers = load_passes(where, image) if passes else {}
+    sweep = load_sweep(where, image, found.labels)
     written = {}
     if html:
-        html.write_text(scene_page(found.scene, found.labels, found.image, layers), encoding="utf-8")
+        html.write_text(scene_page(found.scene, found.labels, found.image, layers, sweep), encoding="utf-8")
         written["page"] = str(html)
     if out or not html:
         path = out or Path(f"{found.name}.inspect.png")
-        draw_inspect(found.scene, found.labels, found.image, layers).savefig(path, dpi=100)
+        draw_inspect(found.scene, found.labels, found.image, layers, sweep).savefig(path, dpi=100)
         written["figure"] = str(path)
     if as_json:
         click.echo(json.dumps({**written, **describe(found.scene, found.labels)}))

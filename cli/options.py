@@ -118,6 +118,9 @@ passes_option = click.option(
     metavar="NAMES",
     help=f"Extra images to write as OpenEXR, separated by commas: {', '.join(PASSES)}.",
 )
+lidar_option = click.option(
+    "--lidar", metavar="FILE", help="Lidar on the host: a YAML file or the name of a ready one (docs/lidar.md)."
+)
 device_option = click.option("--device", type=click.Choice(DEVICES), default="auto", help="Device to render on.")
 assets_option = click.option(
     "--assets",

@@ -168,6 +168,20 @@ class RoadPlane:
     height_m: Number
 
 
+@with_config(STRICT)
+@dataclass(frozen=True, eq=False)
+class LidarLabel:
+    """The lidar beside the camera: its beams from the top one down, the azimuths of a turn, the ranges within which it
+    measures, and its place."""
+
+    name: Name
+    elevations_rad: Annotated[tuple[Number, ...], Field(min_length=1, max_length=256)]
+    azimuths: Pixels
+    min_range_m: Number
+    max_range_m: Positive
+    cam_from_lidar: Matrix4
+
+
 @dataclass(frozen=True, eq=False)
 class Labels:
     """The exact labels of one image.
@@ -175,7 +189,8 @@ class Labels:
     `camera` holds pitch and height over the plane that touches the road at the host; `horizon` is the plane through the
     farthest visible point of the host lane (the paper's 'horizon' variant), None if no point is visible.
     `car_visible_fraction` is the visible share of each car's silhouette; None until rendered. `symbols` are those of
-    the scene, in its order: arrows, stop lines, crosswalks and gores, none of which is a lane.
+    the scene, in its order: arrows, stop lines, crosswalks and gores, none of which is a lane. `lidar` is that of the
+    scene, if it has one.
     """
 
     camera: CameraLabel
@@ -184,6 +199,7 @@ class Labels:
     horizon: RoadPlane | None = None
     car_visible_fraction: tuple[float, ...] | None = None
     symbols: tuple[SymbolLabel, ...] = ()
+    lidar: LidarLabel | None = None
 
 
 def to_json(labels: Labels) -> str:
@@ -215,6 +231,8 @@ def to_json(labels: Labels) -> str:
     }
     if labels.symbols:
         document["symbols"] = [_points_document(symbol) for symbol in labels.symbols]
+    if labels.lidar is not None:
+        document["lidar"] = {**vars(labels.lidar), "cam_from_lidar": _rounded(labels.lidar.cam_from_lidar, 9)}
     return json.dumps(document, separators=(",", ":"), allow_nan=False)
 
 
@@ -229,12 +247,15 @@ class _Document(Part):
     horizon: RoadPlane | None
     car_visible_fraction: tuple[Unit, ...] | None
     symbols: tuple[SymbolLabel, ...] = ()
+    lidar: LidarLabel | None = None
 
 
 def from_json(text: str | bytes, where: str) -> Labels:
     """Parse `labels.json`; raise FormatError with one line per problem, each beginning with `where`."""
     read = parse(_Document, text, where, f"{LABELS_FORMAT} version {LABELS_VERSION}")
-    return Labels(read.camera, read.lanes, read.graph, read.horizon, read.car_visible_fraction, read.symbols)
+    return Labels(
+        read.camera, read.lanes, read.graph, read.horizon, read.car_visible_fraction, read.symbols, read.lidar
+    )
 
 
 def _rounded(values: Float[np.ndarray, "..."], decimals: int) -> Any:

@@ -11,7 +11,7 @@ import pyarrow as pa
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from synth3dlanes.dataset.format import COLUMN_OF_MEMBER
+from synth3dlanes.dataset.format import COLUMN_OF_MEMBER, LIDAR
 from synth3dlanes.dataset.index import RECIPE, place_columns
 from synth3dlanes.labels import Labels, Lane
 from synth3dlanes.scene import Air, Camera, Light, Markings, Road, Scene, Sensor, Surface
@@ -27,7 +27,8 @@ PARTS: dict[str, type[BaseModel]] = {
     "sensor": Sensor,
 }
 ARROW_TYPES = {int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
-PLACE_COLUMNS = list(dict.fromkeys(place_columns(tuple(COLUMN_OF_MEMBER))))
+LIDAR_COLUMNS = place_columns([LIDAR])
+PLACE_COLUMNS = list(dict.fromkeys(place_columns([name for name in COLUMN_OF_MEMBER if name != LIDAR])))
 
 
 def _arrow_type(annotation: Any) -> pa.DataType:
@@ -72,9 +73,11 @@ def index_row(
 
 
 def table(rows: list[dict[str, Any]], recipe: str = "") -> pa.Table:
-    """The index of a shard; its columns do not depend on its rows. `recipe` is what they were made from, "" where
-    nobody says."""
-    return pa.Table.from_pylist(rows, schema=SCHEMA.with_metadata({RECIPE: recipe}) if recipe else SCHEMA)
+    """The index of a shard: the columns of SCHEMA and, of samples with a lidar, LIDAR_COLUMNS. `recipe` is what they
+    were made from, "" where nobody says."""
+    added = LIDAR_COLUMNS if rows and LIDAR_COLUMNS[0] in rows[0] else []
+    schema = pa.schema([*SCHEMA, *((name, pa.int64()) for name in added)])
+    return pa.Table.from_pylist(rows, schema=schema.with_metadata({RECIPE: recipe}) if recipe else schema)
 
 
 def _topology(scene: Scene, labels: Labels) -> dict[str, Any]:

@@ -23,6 +23,7 @@ from synth3dlanes.figures.space import triangles
 from synth3dlanes.figures.stats import LabelStatistics, SceneStatistics, is_fine
 from synth3dlanes.labels import Labels, Lane, LaneKind
 from synth3dlanes.scene import Scene, to_json
+from synth3dlanes.sweep import Sweep
 
 Picture = UInt8[np.ndarray, "h w 3"]
 
@@ -83,9 +84,11 @@ class PassPicture(NamedTuple):
     jpeg: str
 
 
-def scene_page(scene: Scene, labels: Labels, image: Picture | None, passes: Passes | None = None) -> str:
-    """One scene: the image with lanes and masks that can be switched on and off, a 3D view, its passes, and all
-    parameters."""
+def scene_page(
+    scene: Scene, labels: Labels, image: Picture | None, passes: Passes | None = None, sweep: Sweep | None = None
+) -> str:
+    """One scene: the image with lanes and masks that can be switched on and off, a 3D view with the lidar's points, its
+    passes, and all parameters."""
     return _render(
         "scene.html",
         title=f"seed {scene.seed}, {scene.split} {scene.index}: {topology_words(scene.road)}",
@@ -98,7 +101,7 @@ def scene_page(scene: Scene, labels: Labels, image: Picture | None, passes: Pass
         lane_columns=LANE_COLUMNS,
         lane_rows=[lane_row(lane) for lane in labels.lanes],
         document=json.dumps(json.loads(to_json(scene)), indent=1),
-        space=_space(SceneView(scene, labels)),
+        space=_space(SceneView(scene, labels), sweep),
     )
 
 
@@ -205,7 +208,7 @@ def _jpeg(image: Picture) -> str:
     return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()
 
 
-def _space(view: SceneView) -> dict[str, Any]:
+def _space(view: SceneView, sweep: Sweep | None) -> dict[str, Any]:
     """What the script of the 3D view needs: field of view, places to look from, and triangles."""
     camera = view.labels.camera
     eye = camera.road_from_cam[:3, 3]
@@ -218,7 +221,7 @@ def _space(view: SceneView) -> dict[str, Any]:
     return {
         "fov_rad": 2 * math.atan(camera.height_px / 2 / -camera.img_from_cam[1, 2]),
         "views": views,
-        "groups": [group.document() for group in triangles(view)],
+        "groups": [group.document() for group in triangles(view, sweep)],
     }
 
 
