@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Int
 
 from synth3dlanes.dataset.address import connect, translate_store_errors
 from synth3dlanes.dataset.format import Sample
@@ -116,16 +116,23 @@ def open_split(path: str | Path) -> Samples:
 def training_and_validation(
     data_dir: str, train_split: str, val_split: str, max_images: int | None
 ) -> tuple[Samples, Samples]:
-    """Training and validation split of a data set (folder or URL). Without `val_split`, every tenth training sample is
-    held out; below ten samples, validation uses all of them."""
+    """Training and validation split of a data set (folder or URL). Without `val_split`, every tenth scene of the
+    training split is held out; below ten scenes, validation uses all of them."""
     data_dir = data_dir.rstrip("/")
     train = open_split(f"{data_dir}/{train_split}")
     n = len(train) if max_images is None else min(max_images, len(train))
     if _exists(f"{data_dir}/{val_split}"):
         return Chosen(train, range(n)), open_split(f"{data_dir}/{val_split}")
-    if n < 10:
+    _, number = np.unique(_scenes(train)[:n], return_inverse=True)
+    if number[-1] < 9:
         return Chosen(train, range(n)), Chosen(train, range(n))
-    return Chosen(train, [i for i in range(n) if i % 10 != 9]), Chosen(train, range(9, n, 10))
+    is_held_out = number % 10 == 9
+    return Chosen(train, np.flatnonzero(~is_held_out).tolist()), Chosen(train, np.flatnonzero(is_held_out).tolist())
+
+
+def _scenes(samples: Samples) -> Int[np.ndarray, " n"]:
+    """The number of the scene that each sample shows; a clip has several."""
+    return samples.reader.scene_of if isinstance(samples, Upright) else np.arange(len(samples))
 
 
 def describe(validation: Samples) -> str:

@@ -17,12 +17,16 @@ from synth3dlanes.production.events import LEVELS, Event, duration
 
 from .options import (
     assets_option,
+    camera_option,
+    clip_options,
     device_option,
     json_option,
     lidar_option,
     open_assets,
+    open_shots,
     params_option,
     passes_option,
+    rig_option,
     samples_option,
     seed_option,
     set_option,
@@ -75,7 +79,10 @@ class PartOf(click.ParamType):
 @seed_option
 @params_option
 @set_option
+@camera_option
+@rig_option
 @assets_option
+@clip_options
 @click.option(
     "--workers", metavar="N|auto", type=Workers(), default="auto", help=WORKERS_HELP + " With Ray: cores per task."
 )
@@ -122,7 +129,11 @@ def generate(
     seed: int,
     source: str,
     changes: tuple[str, ...],
+    camera: str | None,
+    rig: str | None,
     assets: Path | None,
+    frames: int,
+    fps: float,
     workers: int,
     device: str,
     samples: int,
@@ -136,27 +147,25 @@ def generate(
     dry_run: bool,
     as_json: bool,
 ) -> None:
-    """Generate a split of N labelled scenes.
+    """Generate a split of N labelled samples: scenes, or frames of clips with --frames.
 
     Rerun to resume; a larger N extends the split. Ctrl-C finishes the samples in progress, then stops.
     """
-    from synth3dlanes.lidars import load_lidar
     from synth3dlanes.params import load_params
     from synth3dlanes.production.plan import Plan
     from synth3dlanes.production.recipe import Recipe
     from synth3dlanes.production.run import generate as run
     from synth3dlanes.settings import RenderSettings
-    from synth3dlanes.shots import Shots
 
     if executor == "local" and ctx.get_parameter_source("address") is not ParameterSource.DEFAULT:
         raise click.UsageError("--address can only be used with --executor ray.")
     library = open_assets(assets)
-    shots = Shots(lidar=load_lidar(lidar) if lidar else None)
+    params, shots = load_params(source, changes, library.assets), open_shots(camera, rig, frames, fps, lidar)
     settings = RenderSettings(samples, (*passes, *(["lidar"] if lidar else [])), device)
-    params = load_params(source, changes, library.assets)
     recipe = Recipe(params, seed, split, settings, image_format, library=library, shots=shots)
     plan = Plan(out, n, recipe, workers, part)
     drawn_from = f"parameters {source}{' with ' * bool(changes)}{', '.join(changes)}"
+    drawn_from += f", camera {camera}" if camera else f", rig {rig}" if rig else ""
     if dry_run:
         plan = plan.resolved() if executor == "local" else plan
         click.echo(f"{plan.text()}, {drawn_from}\n{plan.expected().text()}")

@@ -15,6 +15,8 @@ from synth3dlanes import labels as labels_format
 from synth3dlanes import scene as scene_format
 from synth3dlanes.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.assets.folder import require_assets
+from synth3dlanes.camera_files import load_camera as _load_camera
+from synth3dlanes.cameras import CameraSpec
 from synth3dlanes.change import change_scene as _change_scene
 from synth3dlanes.dataset.format import (
     HEIGHT,
@@ -34,7 +36,7 @@ from synth3dlanes.formats.export import FORMATS, export
 from synth3dlanes.formats.summary import Summary
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
-from synth3dlanes.lidars import load_lidar
+from synth3dlanes.lidar_files import load_lidar
 from synth3dlanes.params import Params
 from synth3dlanes.params import load_params as _load_params
 from synth3dlanes.production.events import Event
@@ -44,12 +46,13 @@ from synth3dlanes.production.render_file import render_members
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.tally import Report
 from synth3dlanes.production.user_assets import open_library
+from synth3dlanes.rig_files import load_rig as _load_rig
 from synth3dlanes.sample import sample_scene as _sample_scene
 from synth3dlanes.sample import with_lidar
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import DEVICES, QUALITY_SAMPLES, RenderSettings
 from synth3dlanes.settings import PASSES as PASS_NAMES
-from synth3dlanes.shots import SINGLE, Shots
+from synth3dlanes.shots import Shots, clips
 from synth3dlanes.sources import load_scene as _load_scene
 from synth3dlanes.sweep import Sweep
 
@@ -104,15 +107,41 @@ def load_params(
     return _load_params(str(source), _several(overrides), assets.assets)
 
 
+def load_camera(source: str | Path) -> CameraSpec:
+    """Read a camera: a YAML file, also of OpenCV or Kalibr, or the name of a ready one (docs/camera.md).
+
+    Raises InputError with a line for every problem.
+    """
+    return _load_camera(str(source))
+
+
+def load_rig(source: str | Path) -> tuple[CameraSpec, ...]:
+    """Read the cameras of a rig: a YAML file, or the name of a ready one (docs/cameras.md).
+
+    Raises InputError with a line for every problem.
+    """
+    return _load_rig(str(source))
+
+
 def sample_scene(
-    params: Params, *, seed: int = 0, split: str = "train", index: int = 0, assets: Library = BUILT_IN
+    params: Params,
+    *,
+    seed: int = 0,
+    split: str = "train",
+    index: int = 0,
+    camera: CameraSpec | None = None,
+    rig: Sequence[CameraSpec] = (),
+    frames: int = 1,
+    fps: float = 10.0,
+    assets: Library = BUILT_IN,
 ) -> Scene:
-    """Draw scene `index` of a split; equal arguments give equal scenes.
+    """Draw the scene of sample `index` of a split, of clips of `frames` frames, with a camera or the cameras of a rig
+    in place of that of the parameters; equal arguments give equal scenes.
 
     Raises InputError for a bad argument, and where cars or trees find no room in the ranges given.
     """
     _at_least(0, seed=seed, index=index)
-    return _sample_scene(params, seed, split, index, assets.assets)
+    return _sample_scene(params, seed, split, index, assets.assets, _shots(camera, rig, frames, fps))
 
 
 def change_scene(scene: Scene, changes: str | Sequence[str]) -> Scene:
@@ -173,26 +202,32 @@ def generate_dataset(
     n: int,
     seed: int = 0,
     split: str = "train",
+    frames: int = 1,
+    fps: float = 10.0,
     samples: int = STANDARD,
     passes: str | Sequence[str] = (),
     lidar: str | Path | None = None,
     image_format: str = "jpg",
     device: str = "auto",
     workers: int = 0,
+    camera: CameraSpec | None = None,
+    rig: Sequence[CameraSpec] = (),
     assets: Library = BUILT_IN,
     notify: Callable[[Event], None] | None = None,
 ) -> Report:
     """Make samples 0 to n - 1 of a split in `out`, a folder or a URL; what is there already is kept.
 
+    With `frames` above 1 they are the frames of clips, `fps` a second: the first clip is samples 0 to frames - 1.
     `workers` 0 is one for each core; `notify` is called with every event, whose `message` is a line of text. A problem
     on the way does not raise: see `problem`, `done` and `asked` of the result. Raises InputError, MissingPackageError
     or DiskFullError where it cannot start.
     """
     _at_least(0, seed=seed)
     settings = _settings(samples, passes, device)
-    shots = SINGLE
+    shots = _shots(camera, rig, frames, fps)
     if lidar is not None:
-        shots, settings = Shots(lidar=load_lidar(str(lidar))), replace(settings, passes=(*settings.passes, "lidar"))
+        settings = replace(settings, passes=(*settings.passes, "lidar"))
+        shots = shots.model_copy(update={"lidar": load_lidar(str(lidar))})
     image_format = _one_of("image_format", image_format, IMAGE_FORMATS)
     recipe = Recipe(params, seed, split, settings, image_format, library=assets, shots=shots)
     plan = Plan(out, n, recipe, workers)
@@ -219,6 +254,12 @@ def export_dataset(
     """
     format_name = _one_of("format_name", format_name, FORMATS)
     return export(str(source), Path(out), format_name, workers, lambda done, total: None, size_px)
+
+
+def _shots(camera: CameraSpec | None, rig: Sequence[CameraSpec], frames: int, fps: float) -> Shots:
+    if camera is not None and rig:
+        raise InputError("camera: expected none beside a rig")
+    return clips(frames, fps, tuple(rig) if camera is None else (camera,))
 
 
 def _settings(samples: int, passes: str | Sequence[str], device: str) -> RenderSettings:

@@ -12,6 +12,8 @@ from jaxtyping import Bool, Float
 from pydantic import FailFast, Field, GetCoreSchemaHandler, with_config
 from pydantic_core import CoreSchema, core_schema
 
+from synth3dlanes.frames import inside_image
+from synth3dlanes.lens import PINHOLE, Lens
 from synth3dlanes.schema import STRICT, Name, Number, Part, Pixels, Positive, SymbolKind, Unit, parse
 
 LABELS_FORMAT, LABELS_VERSION = "synth3dlanes.labels", 1
@@ -53,7 +55,8 @@ Mask = Annotated[Bool[np.ndarray, " n"], _Json(list[Literal[0, 1]], (-1,), bool)
 @dataclass(frozen=True, eq=False)
 class CameraLabel:
     """The camera whose frame the points are in; `img_from_cam` acts on (x, y, z) of that frame. `roll_rad` is about
-    the viewing axis, positive clockwise as the driver sees it; older labels lack it."""
+    the viewing axis, positive clockwise as the driver sees it; older labels lack it. `lens` bends what `img_from_cam`
+    makes pixels of; the file leaves out a pinhole's. `project` and `rays` go through both."""
 
     width_px: Pixels
     height_px: Pixels
@@ -63,6 +66,24 @@ class CameraLabel:
     road_from_cam: Matrix4
     world_from_cam: Matrix4
     roll_rad: Number = 0.0
+    lens: Lens = PINHOLE
+
+    def project(self, points_cam: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
+        """Pixels (u, v) of points; NaN for points that are behind the camera or out of its lens's field."""
+        return self.lens.project(self.img_from_cam, points_cam)
+
+    def shows(self, points_cam: Float[np.ndarray, "*n 3"]) -> Bool[np.ndarray, "*n"]:
+        """Which points lie within the borders of the image."""
+        return inside_image(self.project(points_cam), self.width_px, self.height_px)
+
+    def rays(self, uv: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 3"]:
+        """Unit vectors along which pixels (u, v) look; NaN where the lens has no picture."""
+        return self.lens.rays(self.img_from_cam, uv)
+
+    def points(self, uv: Float[np.ndarray, "*n 2"], depth_m: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n 3"]:
+        """The points that pixels (u, v) see at depths y, as the pass `depth` has them."""
+        rays = self.rays(uv)
+        return np.asarray(rays * (depth_m / rays[..., 1])[..., None])
 
 
 @with_config(STRICT)
@@ -199,6 +220,7 @@ class Labels:
     horizon: RoadPlane | None = None
     car_visible_fraction: tuple[float, ...] | None = None
     symbols: tuple[SymbolLabel, ...] = ()
+    time_s: float | None = None
     lidar: LidarLabel | None = None
 
 
@@ -217,6 +239,7 @@ def to_json(labels: Labels) -> str:
             "roll_rad": camera.roll_rad,
             "road_from_cam": _rounded(camera.road_from_cam, 9),
             "world_from_cam": _rounded(camera.world_from_cam, 9),
+            **({} if camera.lens == PINHOLE else {"lens": camera.lens.model_dump(mode="json")}),
         },
         "lanes": [_points_document(lane) for lane in labels.lanes],
         "graph": {
@@ -231,6 +254,8 @@ def to_json(labels: Labels) -> str:
     }
     if labels.symbols:
         document["symbols"] = [_points_document(symbol) for symbol in labels.symbols]
+    if labels.time_s is not None:
+        document["time_s"] = labels.time_s
     if labels.lidar is not None:
         document["lidar"] = {**vars(labels.lidar), "cam_from_lidar": _rounded(labels.lidar.cam_from_lidar, 9)}
     return json.dumps(document, separators=(",", ":"), allow_nan=False)
@@ -247,6 +272,7 @@ class _Document(Part):
     horizon: RoadPlane | None
     car_visible_fraction: tuple[Unit, ...] | None
     symbols: tuple[SymbolLabel, ...] = ()
+    time_s: Annotated[float, Field(ge=0, le=1e6)] | None = None
     lidar: LidarLabel | None = None
 
 
@@ -254,7 +280,14 @@ def from_json(text: str | bytes, where: str) -> Labels:
     """Parse `labels.json`; raise FormatError with one line per problem, each beginning with `where`."""
     read = parse(_Document, text, where, f"{LABELS_FORMAT} version {LABELS_VERSION}")
     return Labels(
-        read.camera, read.lanes, read.graph, read.horizon, read.car_visible_fraction, read.symbols, read.lidar
+        read.camera,
+        read.lanes,
+        read.graph,
+        read.horizon,
+        read.car_visible_fraction,
+        read.symbols,
+        read.time_s,
+        read.lidar,
     )
 
 

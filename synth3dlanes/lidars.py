@@ -1,22 +1,18 @@
-"""A user's own lidar: its beams and its place on the host, from a YAML file (docs/lidar.md).
+"""A user's own lidar: its beams, each at its elevation, and its place on the host, as of a camera (docs/lidar.md).
 
-Metres and degrees. The place is relative to the host's own on the road: x right, y forward, z up. Reading a file is the
-only side effect.
+Metres and degrees. The place is relative to the host's own on the road: x right, y forward, z up.
 """
 
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BeforeValidator, Field, ValidationError, field_validator
+from pydantic import BeforeValidator, Field, field_validator
 
 from synth3dlanes.cameras import ZERO, Angle, Mount
 from synth3dlanes.distributions import Real, reals
-from synth3dlanes.errors import InputError
-from synth3dlanes.params import Group, presets_folder
+from synth3dlanes.params import Group
 from synth3dlanes.scene import MAX_BEAMS
-from synth3dlanes.schema import MAX_PX, Name, shown, validation_problems
-from synth3dlanes.yaml_text import read_yaml
+from synth3dlanes.schema import MAX_PX, Name
 
 # Of elevations: no beam points straight up or down.
 MAX_DEG = 85.0
@@ -62,37 +58,3 @@ class LidarSpec(Group):
         if len(set(elevations_deg)) < len(elevations_deg):
             raise ValueError("expected each elevation once")
         return tuple(sorted(elevations_deg, reverse=True))
-
-
-def lidars_folder() -> Path:
-    """The folder of the ready lidars."""
-    return presets_folder() / "lidars"
-
-
-def lidar_names() -> list[str]:
-    """The names of the ready lidars."""
-    return sorted(path.stem for path in lidars_folder().glob("*.yaml"))
-
-
-def load_lidar(source: str) -> LidarSpec:
-    """Read a ready lidar (by name) or a YAML file; raise InputError with a line for every problem."""
-    if source in lidar_names():
-        path, where = lidars_folder() / f"{source}.yaml", f"params/lidars/{source}.yaml"
-    elif Path(source).suffix in (".yaml", ".yml"):
-        path, where = Path(source), source
-    else:
-        raise InputError(f"lidar {source}: expected one of {', '.join(lidar_names())}, or the path of a .yaml file")
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{where}: cannot read: {getattr(error, 'strerror', None) or error}") from None
-    document, problems = read_yaml(text, where)
-    if not isinstance(document, dict):
-        raise InputError(*(problems or [f"{where}: expected the keys of a lidar, got {shown(document)}"]))
-    try:
-        spec = LidarSpec.model_validate(document)
-    except ValidationError as error:
-        raise InputError(*problems, *validation_problems(error, where)) from None
-    if problems:
-        raise InputError(*problems)
-    return spec

@@ -4,6 +4,7 @@ World frame, metres and radians. Pure data: nothing here reads files or computes
 added later; older scenes can still be read and render as before.
 """
 
+import math
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
@@ -11,7 +12,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from synth3dlanes.assets.catalogue import AssetKind, Assets
-from synth3dlanes.schema import MAX_PX, Metres, Name, Number, Part, Positive, Seed, SymbolKind, Unit, parse
+from synth3dlanes.lens import PINHOLE, Lens
+from synth3dlanes.schema import AHEAD_DEG, MAX_PX, Metres, Name, Number, Part, Positive, Seed, SymbolKind, Unit, parse
 from synth3dlanes.settings import FIRST_SYMBOL_ID, HOST_ID, JPEG_QUALITY, MAX_SAMPLES
 from synth3dlanes.streams import stream
 
@@ -215,6 +217,12 @@ class Camera(Part):
     right_m: Annotated[float, Field(ge=-10, le=10)] = added(0.0)
     forward_m: Annotated[float, Field(ge=-10, le=10)] = added(0.0)
     yaw_rad: Annotated[float, Field(ge=-4, le=4)] = added(0.0)
+    lens: Lens = added(PINHOLE)
+
+    @property
+    def looks_ahead(self) -> bool:
+        """Whether it looks where the host drives, and not aside or back."""
+        return abs(math.degrees(self.yaw_rad)) <= AHEAD_DEG
 
 
 class Shot(Part):

@@ -22,6 +22,7 @@ from synth3dlanes.labels import Labels
 from synth3dlanes.params import Params
 from synth3dlanes.scene import Scene, from_json
 from synth3dlanes.schema import validation_problems
+from synth3dlanes.shots import Shots
 from synth3dlanes.sweep import Sweep
 
 SAMPLE = re.compile(r".+:\d+")
@@ -109,6 +110,14 @@ def params_of(reader: Reader) -> Params:
         return Params.model_validate(reader.description["params"])
     except ValidationError as error:
         raise FormatError("\n".join(validation_problems(error, f"{reader.url}: dataset.json: params"))) from None
+
+
+def shots_of(reader: Reader) -> Shots:
+    """The pictures that a data set has of each of its scenes."""
+    try:
+        return Shots.model_validate(reader.description.get("shots", {}))
+    except ValidationError as error:
+        raise FormatError("\n".join(validation_problems(error, f"{reader.url}: dataset.json: shots"))) from None
 
 
 def some_samples(folder: str, n: int, shuffle: int | None, where: str | None) -> list[tuple[Reader, int]]:

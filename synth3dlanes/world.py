@@ -12,12 +12,12 @@ from jaxtyping import Float
 from synth3dlanes.frames import Matrix4, road_from_cam, turned
 from synth3dlanes.geometry import meshes, roadside
 from synth3dlanes.geometry.bonnet import cam_from_bonnet
-from synth3dlanes.geometry.camera import img_from_cam, world_from_host
+from synth3dlanes.geometry.camera import img_from_cam, project, world_from_host
 from synth3dlanes.geometry.grass import Blades, blades
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.horizon import FarHills
 from synth3dlanes.geometry.lanes import Curve, curves
-from synth3dlanes.geometry.motion import car_at, host_at
+from synth3dlanes.geometry.motion import car_at, host_at, host_station
 from synth3dlanes.geometry.paint import paint_meshes
 from synth3dlanes.geometry.placement import tree_positions, world_from_car
 from synth3dlanes.geometry.road import RoadPlan
@@ -77,8 +77,12 @@ class View:
 
     @cached_property
     def img_from_cam(self) -> Float[np.ndarray, "3 3"]:
-        """The camera's projection matrix."""
+        """The camera's projection matrix, without its lens."""
         return img_from_cam(self.camera)
+
+    def project(self, points_cam: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
+        """Pixels (u, v) of points through the lens; NaN for those that are not in its field."""
+        return project(self.camera, points_cam)
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,6 +175,7 @@ class World:
 
 def resolve(scene: Scene) -> World:
     """Resolve a scene into its world."""
-    plan = RoadPlan(scene.road, scene.terrain)
+    plan, shot = RoadPlan(scene.road, scene.terrain), scene.shot
     hills = FarHills.draw(scene.stream("far_hills"))
-    return World(scene, Ground(plan, scene.camera.y_m, scene.markings, hills))
+    driven_m = host_station(plan, scene.camera, shot.speed_m_s * shot.duration_s) - scene.camera.y_m
+    return World(scene, Ground(plan, scene.camera.y_m, scene.markings, hills, driven_m, shot.behind_m > 0))

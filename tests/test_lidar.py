@@ -9,7 +9,8 @@ from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import from_json, to_json
-from synth3dlanes.lidars import LidarSpec, lidar_names, load_lidar
+from synth3dlanes.lidar_files import lidar_names, load_lidar
+from synth3dlanes.lidars import LidarSpec
 from synth3dlanes.sample import with_lidar
 from synth3dlanes.sweep import Sweep, directions
 from tests.dataset.test_hostile import mutated, refused_or_read

@@ -10,6 +10,7 @@ import numpy as np
 from synth3dlanes.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.blender import drop_scratch
 from synth3dlanes.blender.camera import set_camera
+from synth3dlanes.blender.lens import make_lens, set_lens
 from synth3dlanes.blender.light import add_car_lamps, add_haze, make_world, set_light
 from synth3dlanes.blender.load_assets import LoadedAssets, load_assets
 from synth3dlanes.blender.materials import Materials, make_materials, set_materials, set_translucency
@@ -41,12 +42,13 @@ FOOT_TO_TIP = np.array([0.5, 0.5, 1.0])
 @dataclass(frozen=True, eq=False)
 class Studio:
     """Data shared by all scenes of a process. `kept` names all data that must outlive a scene; `plain` is the cheapest
-    material, for renders of geometry alone."""
+    material, for renders of geometry alone, `lens` the material through which a lens bends the camera's rays."""
 
     assets: LoadedAssets
     materials: Materials
     bonnet: bpy.types.Mesh
     plain: bpy.types.Material
+    lens: bpy.types.Material
     camera: bpy.types.Object
     kept: frozenset[tuple[str, str]]
 
@@ -76,7 +78,7 @@ def open_studio(library: Library = BUILT_IN) -> Studio:
     hood.name = "bonnet"
     add_haze()
     add_car_lamps()
-    return Studio(assets, materials, hood, _plain(), camera, frozenset(_names()))
+    return Studio(assets, materials, hood, _plain(), make_lens(), camera, frozenset(_names()))
 
 
 def _host_paint() -> bpy.types.Material:
@@ -119,6 +121,8 @@ def build(studio: Studio, world: World, view: View, light: Daylight, labelled: S
     if grass is not None:
         _add_object(_grass_mesh(grass, studio.materials.grass), 0)
     set_camera(studio.camera, view.camera, view.world_from_cam)
+    if not view.camera.lens.is_pinhole:
+        set_lens(studio.lens, view)
     set_light(scene, light, studio.assets.skies, view.world_from_host, world.street_lamps)
     return placed
 

@@ -9,6 +9,7 @@ import mathutils
 import numpy as np
 
 from synth3dlanes.blender.camera import CAM_FROM_BLENDER
+from synth3dlanes.blender.lens import SCREEN_ID
 from synth3dlanes.blender.trace import distances, run_cycles
 from synth3dlanes.frames import Matrix4
 from synth3dlanes.labels import LidarLabel
@@ -35,6 +36,9 @@ def scan(camera: bpy.types.Object, lidar: LidarLabel, world_from_lidar: Matrix4)
     has_ids, layer.use_pass_object_index = layer.use_pass_object_index, True
     lens.type, lens.panorama_type = "PANO", "EQUIRECTANGULAR"
     lens.shift_x = lens.shift_y = 0.0
+    # The screen of the camera's lens.
+    for item in blender.objects:
+        item.hide_render = item.pass_index == SCREEN_ID
     lens.longitude_min, lens.longitude_max = -np.pi, np.pi
     try:
         runs = [_run(camera, lidar.elevations_rad[start:end]) for start, end in even_runs(lidar.elevations_rad)]

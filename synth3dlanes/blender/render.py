@@ -17,6 +17,7 @@ from synth3dlanes.blender.occlusion import hidden_by_objects, seen_fractions
 from synth3dlanes.blender.structures import search_tree
 from synth3dlanes.blender.trace import distances, run_cycles
 from synth3dlanes.frames import Matrix4, transform
+from synth3dlanes.geometry.camera import rays_of_pixels
 from synth3dlanes.geometry.visibility import seen_over_ground
 from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.imaging.layers import Layers
@@ -24,6 +25,9 @@ from synth3dlanes.labels import Labels
 from synth3dlanes.settings import RenderSettings
 from synth3dlanes.sweep import Sweep
 from synth3dlanes.world import View, World
+
+# The portal of a lens, and the screen that its rays pass again.
+LENS_BOUNCES = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,12 +64,18 @@ def render(
     configure(settings, light.film)
     # Only for further renders of the same scene, because persistent data ignores changes between scenes.
     bpy.context.scene.render.use_persistent_data = "normal" in settings.passes or labels.lidar is not None
+    own = studio(library)
+    is_bent = not view.camera.lens.is_pinhole
+    if is_bent:
+        bpy.context.scene.cycles.transparent_max_bounces += LENS_BOUNCES
     layers = read_layers(run_cycles(), light.film)
     clock.append(time.perf_counter())
     if "normal" in settings.passes:
-        layers = replace(layers, normal=_normals(view.world_from_cam, studio(library).plain))
+        layers = replace(layers, normal=_normals(view.world_from_cam, own.lens if is_bent else own.plain))
+    if is_bent:
+        layers = layers.only(np.isfinite(rays_of_pixels(view.camera)).all(axis=-1))
     # The last one, as it turns the camera away.
-    sweep = None if labels.lidar is None else scan(studio(library).camera, labels.lidar, view.world_from_lidar)
+    sweep = None if labels.lidar is None else scan(own.camera, labels.lidar, view.world_from_lidar)
     bpy.context.scene.render.use_persistent_data = False
     clock.append(time.perf_counter())
     seen = with_object_visibility(world, view, labels, placed)

@@ -13,7 +13,7 @@ from jaxtyping import Shaped, UInt8
 
 from synth3dlanes import labels as labels_module
 from synth3dlanes.dataset.address import connect, splits_near, translate_store_errors
-from synth3dlanes.dataset.description import DESCRIPTION, parse_description
+from synth3dlanes.dataset.description import DESCRIPTION, parse_description, pictures_per_scene
 from synth3dlanes.dataset.format import (
     BLOCK,
     HEIGHT,
@@ -28,7 +28,14 @@ from synth3dlanes.dataset.format import (
     read_passes,
     read_sweep,
 )
-from synth3dlanes.dataset.index import check_places, place_columns, read_index, recipe_of, require_columns
+from synth3dlanes.dataset.index import (
+    SHOT_COLUMNS,
+    check_places,
+    place_columns,
+    read_index,
+    recipe_of,
+    require_columns,
+)
 from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels
 from synth3dlanes.sweep import Sweep
@@ -42,7 +49,8 @@ class Reader:
 
     `index` is the table of all samples: places, scene parameters, label summary (`docs/format.md`), or only the places
     and `columns`: of 300,000 samples these take 20 MB, the whole table 200 MB. `recipes` are those that its shards were
-    made from, by their indices ("" where one does not say).
+    made from, by their indices ("" where one does not say). `scene_of` is the number of the scene that each sample
+    shows.
     """
 
     def __init__(self, url: str, columns: Sequence[str] | None = None) -> None:
@@ -61,7 +69,8 @@ class Reader:
         paths = sorted(path for path in sizes if path.endswith(".parquet"))
         if not paths:
             raise FormatError(f"{self.url}: expected shards (00000.tar with 00000.parquet), got none")
-        wanted = ["key", "index", *SIZE_COLUMNS, *place_columns(self._names)]
+        has_shots = pictures_per_scene(self.description) > 1
+        wanted = ["key", "index", *SIZE_COLUMNS, *place_columns(self._names), *(SHOT_COLUMNS if has_shots else ())]
         chosen = () if columns is None else tuple(dict.fromkeys((*wanted, *columns)))
         with ThreadPoolExecutor(N_CONNECTIONS) as pool:
             tables = list(pool.map(lambda path: self._table(path, wanted, chosen), paths))
@@ -76,6 +85,8 @@ class Reader:
             name: tuple(self.index[column].to_numpy() for column in place_columns([name])) for name in self._names
         }
         self._indices = self.index["index"].to_numpy()
+        self.scene_of = self.index["scene"].to_numpy() if has_shots else self._indices
+        self._cameras = self.index["camera"].to_numpy() if has_shots else np.zeros(len(self), int)
 
     def __len__(self) -> int:
         return len(self._indices)
@@ -136,6 +147,23 @@ class Reader:
             last = self.key(-1) if len(self) else "none"
             raise FormatError(f"{self.url}: expected a sample up to {last}, got {key}")
         return i
+
+    @property
+    def scenes(self) -> list[int]:
+        """The numbers of the scenes that there are, in order: those of clips, or of single pictures."""
+        return [int(scene) for scene in np.unique(self.scene_of)]
+
+    def clip(self, scene: int, camera: int | None = None) -> list[int]:
+        """Where the pictures of a scene are, frame by frame; of one camera, or of all cameras of each frame in turn."""
+        is_asked = (self.scene_of == scene) & ((self._cameras == camera) if camera is not None else True)
+        if not is_asked.any():
+            by = "" if camera is None else f" by camera {camera}"
+            raise FormatError(f"{self.url}: expected pictures of scene {scene}{by}, got none")
+        return [int(i) for i in np.flatnonzero(is_asked)]
+
+    def positions(self, scenes: Sequence[int]) -> list[int]:
+        """Where all pictures of some scenes are, in order."""
+        return [int(i) for i in np.flatnonzero(np.isin(self.scene_of, scenes))]
 
     def shuffled(self, seed: int) -> Iterator[Sample]:
         """Every sample once, in an order that depends on the seed alone."""

@@ -178,8 +178,7 @@ def _dots(labels: Labels, mask: str) -> list[tuple[str, str]]:
         behind_ground = ~lane.terrain_visible
         chosen = {"seen": lane.visible, "hidden by the ground": behind_ground}.get(mask, ~behind_ground & ~lane.visible)
         points_cam = lane.xyz_cam[lane.in_image & chosen]
-        homogeneous = points_cam @ labels.camera.img_from_cam.T
-        dots += [(f"{u / w:.1f}", f"{v / w:.1f}") for u, v, w in homogeneous.tolist()]
+        dots += [(f"{u:.1f}", f"{v:.1f}") for u, v in labels.camera.project(points_cam).tolist()]
     return dots
 
 

@@ -10,12 +10,14 @@ from synth3dlanes.figures.colors import Rgb
 from synth3dlanes.frames import Matrix4, invert, transform
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.road import RoadPlan
-from synth3dlanes.labels import Labels
+from synth3dlanes.labels import CameraLabel, Labels
 from synth3dlanes.scene import Car, Scene
 from synth3dlanes.world import World, resolve
 
 BEHIND_M = 10.0
 AHEAD_M = 120.0
+# Farthest aside that a frustum is drawn.
+WIDEST_RAD = 1.3
 
 Points3 = Float[np.ndarray, "n 3"]
 
@@ -64,7 +66,7 @@ class SceneView:
     @cached_property
     def _stations(self) -> Float[np.ndarray, " n"]:
         """Plan stations from BEHIND_M to AHEAD_M, in driving order."""
-        y_m = self.scene.camera.y_m
+        y_m = self.world.view.camera.y_m
         return self.plan.plan_station(np.arange(y_m - BEHIND_M, y_m + AHEAD_M + 0.5))
 
     @cached_property
@@ -136,3 +138,15 @@ class SceneView:
         corners_road = transform(self.road_from_world @ world_from_car, corners_car)
         red, green, blue = (round(255 * channel) for channel in car.color)
         return CarOutline(corners_road, model.height_m * car.scale, (red, green, blue))
+
+
+def frustum(camera: CameraLabel, corners_img: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
+    """Rays of points of the image, scaled to y = 1; of those that a lens sees far aside or not at all, the nearest on
+    the way to the middle that can be drawn."""
+    middle = camera.img_from_cam[:2, 1]
+    rays = np.full((len(corners_img), 3), [0.0, 1.0, 0.0])
+    for share in np.linspace(0.05, 1, 20):
+        found = camera.rays(middle + share * (corners_img - middle))
+        drawn = found[:, 1] > np.cos(WIDEST_RAD) if not camera.lens.is_pinhole else np.full(len(found), True)
+        rays[drawn] = found[drawn]
+    return np.asarray(rays / rays[:, 1:2])

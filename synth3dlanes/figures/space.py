@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from synth3dlanes.figures import colors
 from synth3dlanes.figures.colors import Rgb
 from synth3dlanes.figures.passes import semantic_colors
-from synth3dlanes.figures.scene_view import AHEAD_M, BEHIND_M, SceneView, TreeOutline
+from synth3dlanes.figures.scene_view import AHEAD_M, BEHIND_M, SceneView, TreeOutline, frustum
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.meshes import Mesh
 from synth3dlanes.geometry.paint import PAINT_LIFT_AT_M, PAINT_LIFT_M, paint_color
@@ -157,10 +157,8 @@ def _tree(tree: TreeOutline) -> list[Triangles]:
 def _camera(view: SceneView) -> Triangles:
     """The camera's frustum as a pyramid."""
     camera = view.labels.camera
-    corners_img = np.array(
-        [[0, 0, 1], [camera.width_px, 0, 1], [camera.width_px, camera.height_px, 1], [0, camera.height_px, 1]]
-    )
-    rays_cam = corners_img @ np.linalg.inv(camera.img_from_cam).T * _FRUSTUM_M
+    corners_img = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * [camera.width_px, camera.height_px]
+    rays_cam = frustum(camera, corners_img) * _FRUSTUM_M
     vertices = transform(camera.road_from_cam, np.concatenate([np.zeros((1, 3)), rays_cam]))
     faces = np.array([[0, i, j] for i, j in pairwise([1, 2, 3, 4, 1])])
     return Triangles("", vertices, np.tile([242, 183, 5], (5, 1)), faces)

@@ -13,7 +13,7 @@ from mpl_toolkits.mplot3d import Axes3D, art3d  # type: ignore[import-untyped]
 from synth3dlanes.figures import colors
 from synth3dlanes.figures.overlay import stretches_img
 from synth3dlanes.figures.passes import semantic_colors
-from synth3dlanes.figures.scene_view import AHEAD_M, BEHIND_M, SceneView
+from synth3dlanes.figures.scene_view import AHEAD_M, BEHIND_M, SceneView, frustum
 from synth3dlanes.frames import transform
 from synth3dlanes.labels import Labels, Lane
 from synth3dlanes.sweep import Sweep
@@ -142,9 +142,8 @@ def _plot(axes: Any, lane: Lane, points: Float[np.ndarray, "n d"]) -> None:
 
 def _frustum_from_above(axes: Axes, labels: Labels) -> None:
     camera = labels.camera
-    inverse = np.linalg.inv(camera.img_from_cam)
-    corners_img = np.array([[0.0, camera.height_px / 2, 1], [camera.width_px, camera.height_px / 2, 1]])
-    rays_cam = corners_img @ inverse.T
+    corners_img = np.array([[0.0, camera.height_px / 2], [camera.width_px, camera.height_px / 2]])
+    rays_cam = frustum(camera, corners_img)
     rays_road = rays_cam @ camera.road_from_cam[:3, :3].T
     ends = rays_road[:, :2] / rays_road[:, 1:2] * AHEAD_M
     triangle = np.array([[0, 0], *ends])[:, [1, 0]]

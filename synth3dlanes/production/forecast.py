@@ -51,8 +51,8 @@ class Forecast:
 
 def forecast(recipe: Recipe, samples: int, workers: int) -> Forecast:
     """Time and size of `samples` more, from the measured costs of a pixel."""
-    camera, settings = recipe.params.camera, recipe.settings
-    pixels = camera.width_px.draw(0.5) * camera.height_px.draw(0.5)
+    settings, cameras = recipe.settings, recipe.cameras
+    pixels = sum(camera.width_px.draw(0.5) * camera.height_px.draw(0.5) for camera in cameras) / len(cameras)
     seconds = SECONDS_PER_SCENE + pixels * (SECONDS_PER_PIXEL + SECONDS_PER_PIXEL_SAMPLE * settings.samples)
     per_pixel = BYTES_PER_PIXEL[recipe.image_format] + sum(
         BYTES_PER_PIXEL_OF_PASS.get(name, 0.0) for name in settings.passes

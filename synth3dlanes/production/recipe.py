@@ -13,8 +13,10 @@ from jaxtyping import UInt8
 from synth3dlanes import __version__
 from synth3dlanes import scene as scene_module
 from synth3dlanes.assets.catalogue import BUILT_IN, KINDS, Library
+from synth3dlanes.cameras import CameraSpec
 from synth3dlanes.dataset.format import encode, member_names
 from synth3dlanes.dataset.write import Shard
+from synth3dlanes.distributions import form
 from synth3dlanes.errors import MissingPackageError
 from synth3dlanes.geometry.height_map import height_map
 from synth3dlanes.ground_truth import label
@@ -22,7 +24,7 @@ from synth3dlanes.imaging.daylight import daylight
 from synth3dlanes.imaging.develop import develop
 from synth3dlanes.imaging.layers import Layers
 from synth3dlanes.labels import Labels
-from synth3dlanes.params import Params
+from synth3dlanes.params import CameraParams, Params
 from synth3dlanes.production.workers import leave_if_orphaned
 from synth3dlanes.sample import sample_world
 from synth3dlanes.scene import Scene
@@ -63,6 +65,17 @@ class Recipe:
             "assets": {kind: {own.name: asdict(own) for own in self.library.assets.own(kind)} for kind in KINDS},
             **({} if self.shots == SINGLE else {"shots": self.shots.model_dump(mode="json")}),
         }
+
+    @property
+    def cameras(self) -> tuple[CameraSpec | CameraParams, ...]:
+        """The cameras that see every scene: those of the shots, or that of the parameters."""
+        return self.shots.cameras or (self.params.camera,)
+
+    @property
+    def sizes(self) -> str:
+        """The images' sizes, as in "480x360 px"."""
+        sizes = [f"{form(camera.width_px)}x{form(camera.height_px)}" for camera in self.cameras]
+        return f"{', '.join(dict.fromkeys(sizes))} px"
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -17,8 +17,7 @@ from synth3dlanes.dataset.rearrange import how_derived
 from synth3dlanes.errors import InputError
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.settings import RenderSettings
-from synth3dlanes.shots import Shots
-from synth3dlanes.sources import params_of, read_scene
+from synth3dlanes.sources import params_of, read_scene, shots_of
 from synth3dlanes.world import World, resolve
 from synth3dlanes.yaml_text import read_yaml
 
@@ -61,9 +60,8 @@ def twin_recipes(source: str, vary: str, device: str, library: Library = BUILT_I
     render, shown = reader.description["render"], tuple(json.dumps(value) for value in values)
     settings = RenderSettings(int(render["samples"]), tuple(render["passes"]), device)
     require_assets(read_scene(reader, 0).assets, library, source)
-    params, seed = params_of(reader), int(reader.description["seed"])
+    params, seed, shots = params_of(reader), int(reader.description["seed"]), shots_of(reader)
     image_format = str(reader.description["image_format"])
-    shots = Shots.model_validate(reader.description.get("shots", {}))
     recipes = [
         TwinRecipe(
             params, seed, f"twin_{k}", settings, image_format, reader.url, path, shown, library=library, shots=shots

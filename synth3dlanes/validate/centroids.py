@@ -19,7 +19,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Integer, UInt8
 from scipy.interpolate import CubicSpline
 
-from synth3dlanes.frames import project
 from synth3dlanes.labels import CameraLabel, Labels, Lane
 from synth3dlanes.settings import FIRST_DELIMITER_ID
 from synth3dlanes.validate.paint import Paint
@@ -171,7 +170,7 @@ def _slices(paint: Paint, camera: CameraLabel, lane: Lane, half_m: float) -> Sli
     length = np.concatenate([[0.0], length])
     points_cam = CubicSpline(length, lane.xyz_cam)(np.interp(at, np.arange(len(length)), length))
     strip = paint.strip(camera, lane, points_cam)
-    left, right = (project(camera.img_from_cam, points_cam + side_m * strip.across_cam) for side_m in (-half_m, half_m))
+    left, right = (camera.project(points_cam + side_m * strip.across_cam) for side_m in (-half_m, half_m))
     shows = np.isin(at[:-1].astype(int), steps) & strip.painted[:-1] & strip.painted[1:]
     # Only stretches that go up in the image, so that a row cuts the line once.
     shows &= (np.diff(left[:, 1]) < 0) & (np.diff(right[:, 1]) < 0)

@@ -122,8 +122,8 @@ def _through(ground: Ground, camera: CameraLabel, passes: Passes) -> Iterator[Fi
     """Finding for pixels that show terrain where the scene has pavement."""
     depth_m, semantic = passes["depth"][::STEP, ::STEP], passes["semantic"][::STEP, ::STEP]
     v, u = np.nonzero((semantic == SEMANTIC_IDS["terrain"]) & (depth_m < NEAR_M))
-    rays_cam = np.column_stack([STEP * u + 0.5, STEP * v + 0.5, np.ones(len(u))]) @ np.linalg.inv(camera.img_from_cam).T
-    points = transform(camera.world_from_cam, rays_cam * depth_m[v, u, None].astype(float))
+    points_cam = camera.points(STEP * np.column_stack([u, v]) + 0.5, depth_m[v, u].astype(float))
+    points = transform(camera.world_from_cam, points_cam)
     inside = ground.clearance(points[:, :2]) < -INSIDE_M
     grass = meshes.median_grass_m(ground)
     if grass is not None:

@@ -19,7 +19,7 @@ LAW_M = 0.001
 
 def check_host(world: World, labels: Labels) -> Iterator[Finding]:
     """Findings about the host's position."""
-    camera = world.scene.camera
+    camera = world.view.camera
     segment = world.scene.road.segments_at(camera.y_m)[camera.lane - 1]
     paths = next((found.centerlines for found in labels.graph.segments if found.id == segment), ())
     lanes = [lane for lane in labels.lanes if lane.id in paths]

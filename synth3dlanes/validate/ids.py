@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
 from scipy.spatial import ConvexHull, cKDTree
 
-from synth3dlanes.frames import invert, project, transform
+from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.solids import SURFACES
 from synth3dlanes.geometry.terrain import gradient_at, height_at
 from synth3dlanes.labels import CameraLabel, Labels
@@ -238,9 +238,10 @@ def _seen_share(world: World, camera: CameraLabel, car: int, n_px: int) -> tuple
     low, high = (corner / CAR_ROOM * world.scene.cars[car].scale for corner in _box(world, car))
     corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1)), axis=-1).reshape(-1, 3)
     corners_cam = transform(invert(camera.world_from_cam), transform(world.view.world_from_cars[car], corners))
-    if corners_cam[:, 1].min() < MIN_CORNER_M:
+    uv = camera.project(corners_cam)
+    if corners_cam[:, 1].min() < MIN_CORNER_M or np.isnan(uv).any():
         return 0.0, float(n_px > 0)
-    box_px = float(ConvexHull(project(camera.img_from_cam, corners_cam)).volume)
+    box_px = float(ConvexHull(uv).volume)
     least, most = OWN_FILL if world.scene.assets.cars else FILL
     return max(n_px - SLACK_PX, 0) / (most * box_px), min((n_px + SLACK_PX) / (least * box_px), 1.0)
 

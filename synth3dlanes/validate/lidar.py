@@ -8,7 +8,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from synth3dlanes.frames import project, transform
+from synth3dlanes.frames import transform
+from synth3dlanes.geometry.camera import project
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.sweep import LidarPoints, Sweep
 from synth3dlanes.validate.findings import PROOF_M, Finding, Measure
@@ -64,7 +65,7 @@ def _against_passes(world: World, points: LidarPoints, passes: Passes) -> tuple[
     """Differences of range between points and the depth pass, along the camera's rays, where both see one surface; how
     many points are in front of what the pass shows there; and how many of the former have other ids."""
     x, y, z = points.xyz_cam.T
-    uv = project(world.view.img_from_cam, points.xyz_cam)
+    uv = project(world.view.camera, points.xyz_cam)
     shape = passes["depth"].shape
     with np.errstate(invalid="ignore"):
         inside = ((uv > 2) & (uv < np.array(shape[::-1]) - 2)).all(axis=1)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from synth3dlanes.frames import project, transform
+from synth3dlanes.frames import transform
 from synth3dlanes.geometry.lanes import Curve
 from synth3dlanes.geometry.paint import DOTS_M, is_dotted, line_width_m, painted_rows, stripes_m
 from synth3dlanes.geometry.terrain import gradient_at
@@ -82,7 +82,7 @@ class Paint:
         across /= np.linalg.norm(across, axis=1, keepdims=True)
         half_m = self.width_m(lane.id) / 2
         left, right, behind, ahead = (
-            project(camera.img_from_cam, points_cam + step)
+            camera.project(points_cam + step)
             for step in (-half_m * across, half_m * across, -0.01 * along, 0.01 * along)
         )
         side, course = right - left, ahead - behind

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import invert, project, road_from_cam
+from synth3dlanes.frames import invert, road_from_cam, turned
 from synth3dlanes.geometry.terrain import height_at
 from synth3dlanes.labels import CameraLabel, Labels, Lane, SymbolLabel
 from synth3dlanes.scene import Scene
@@ -64,7 +64,7 @@ def points_to_pixels(labels: Labels) -> bool:
 def _inside_px(camera: CameraLabel, lane: Lane) -> Float[np.ndarray, " n"]:
     """Distance of each projected point from the nearest border of the image, negative outside; NaN behind the
     camera."""
-    uv = project(camera.img_from_cam, lane.xyz_cam)
+    uv = camera.project(lane.xyz_cam)
     return np.asarray(np.minimum(uv, [camera.width_px, camera.height_px] - uv).min(axis=1))
 
 
@@ -98,7 +98,7 @@ def _order(lane: Lane) -> Iterator[Finding]:
 
 def _camera(scene: Scene, labels: Labels) -> Iterator[Finding]:
     camera, asked = labels.camera, scene.camera
-    for name in ("width_px", "height_px", "height_m", "pitch_rad", "roll_rad"):
+    for name in ("width_px", "height_px", "height_m", "pitch_rad", "roll_rad", "lens"):
         if getattr(camera, name) != getattr(asked, name):
             yield Finding(
                 "", f"camera.{name}: expected {getattr(asked, name)} as in the scene, got {getattr(camera, name)}"
@@ -106,10 +106,10 @@ def _camera(scene: Scene, labels: Labels) -> Iterator[Finding]:
     rotation = camera.world_from_cam[:3, :3]
     if not np.allclose(rotation @ rotation.T, np.eye(3), atol=MATRIX) or np.linalg.det(rotation) < 0:
         yield Finding("", "camera.world_from_cam: expected a rotation, got another matrix")
-    pose = road_from_cam(asked.height_m, asked.pitch_rad, asked.roll_rad)
+    pose = road_from_cam(asked.height_m, asked.pitch_rad, asked.roll_rad, asked.yaw_rad)
     if not np.allclose(camera.road_from_cam, pose, atol=MATRIX):
-        yield Finding("", "camera.road_from_cam: expected the scene's height, pitch and roll, got another transform")
-    foot = (camera.world_from_cam @ invert(pose))[:3, 3]
+        yield Finding("", "camera.road_from_cam: expected the scene's height and angles, got another transform")
+    foot = (camera.world_from_cam @ invert(pose) @ turned(0.0, -asked.right_m, -asked.forward_m))[:3, 3]
     gap_m = abs(foot[2] - float(height_at(scene.terrain, foot[None, :2])[0]))
     if gap_m > POINT_M:
         yield Finding("", f"camera: expected its foot on the road, got it {gap_m:.4f} m off")
@@ -127,6 +127,8 @@ def _against_ground_truth(expected: Labels, labels: Labels) -> Iterator[Finding]
         or np.allclose(labels.lidar.cam_from_lidar, expected.lidar.cam_from_lidar, atol=MATRIX)
     ):
         yield Finding("", "lidar: expected the scene's, got another")
+    if labels.time_s != expected.time_s:
+        yield Finding("", f"time_s: expected {expected.time_s}, got {labels.time_s}")
     if labels.graph != expected.graph or labels.horizon != expected.horizon:
         yield Finding("", "graph, horizon: expected the scene's ground truth, got another")
     ids = [lane.id for lane in labels.lanes]

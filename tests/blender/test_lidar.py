@@ -7,7 +7,8 @@ import pytest
 
 from synth3dlanes.blender.lidar import even_runs
 from synth3dlanes.frames import invert, transform
-from synth3dlanes.lidars import LidarSpec, load_lidar
+from synth3dlanes.lidar_files import load_lidar
+from synth3dlanes.lidars import LidarSpec
 from synth3dlanes.params import load_params
 from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.sample import sample_scene, with_lidar
