@@ -41,6 +41,8 @@ def label(world: World, view: View) -> Labels:
         road_from_cam=view.road_from_cam,
         world_from_cam=view.world_from_cam,
         roll_rad=lens.roll_rad,
+        yaw_rad=lens.yaw_rad,
+        name=lens.name,
         lens=lens.lens,
     )
     lengths_m = np.arange(-world.scene.shot.behind_m, RANGE_M + STEP_M / 2, STEP_M)
@@ -90,7 +92,7 @@ def label(world: World, view: View) -> Labels:
         camera,
         lanes,
         lane_graph(plan, centerlines),
-        horizon_plane(camera, next(lane for lane in lanes if lane.id == host)),
+        horizon_plane(camera, next(lane for lane in lanes if lane.id == host)) if lens.looks_ahead else None,
         symbols=symbols,
         time_s=round(shot.time_s, 9) if shot.n_frames > 1 else None,
         lidar=_lidar(view),

@@ -55,8 +55,9 @@ Mask = Annotated[Bool[np.ndarray, " n"], _Json(list[Literal[0, 1]], (-1,), bool)
 @dataclass(frozen=True, eq=False)
 class CameraLabel:
     """The camera whose frame the points are in; `img_from_cam` acts on (x, y, z) of that frame. `roll_rad` is about
-    the viewing axis, positive clockwise as the driver sees it; older labels lack it. `lens` bends what `img_from_cam`
-    makes pixels of; the file leaves out a pinhole's. `project` and `rays` go through both."""
+    the viewing axis, positive clockwise as the driver sees it; older labels lack it. `yaw_rad` turns that axis from the
+    host's, positive to the left. `lens` bends what `img_from_cam` makes pixels of; `project` and `rays` go through
+    both. The file leaves out a yaw of 0, an empty `name` and a pinhole's lens."""
 
     width_px: Pixels
     height_px: Pixels
@@ -66,6 +67,8 @@ class CameraLabel:
     road_from_cam: Matrix4
     world_from_cam: Matrix4
     roll_rad: Number = 0.0
+    yaw_rad: Number = 0.0
+    name: Name = ""
     lens: Lens = PINHOLE
 
     def project(self, points_cam: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
@@ -89,11 +92,12 @@ class CameraLabel:
 @with_config(STRICT)
 @dataclass(frozen=True, eq=False)
 class Lane:
-    """One curve, near to far. `left` and `right` are ids: of the delimiters that bound a centre line on its own stretch
-    (behind the split, before the merge), or of the centre lines that a delimiter bounds there; None outside the road.
-    `color` and `double` (two stripes, the points in the middle between them) are None for centre lines and in older
-    labels. `object_visible` is None until the scene has been rendered. `direction` is that of the traffic in a centre
-    line's lane; a delimiter is `oncoming` if it bounds only such lanes. The file leaves out `same`."""
+    """One curve, in the host's driving direction. `left` and `right` are ids: of the delimiters that bound a centre
+    line on its own stretch (behind the split, before the merge), or of the centre lines that a delimiter bounds there;
+    None outside the road. `color` and `double` (two stripes, the points in the middle between them) are None for centre
+    lines and in older labels. `object_visible` is None until the scene has been rendered. `direction` is that of the
+    traffic in a centre line's lane; a delimiter is `oncoming` if it bounds only such lanes. The file leaves out
+    `same`."""
 
     id: Name
     kind: LaneKind
@@ -208,7 +212,8 @@ class Labels:
     """The exact labels of one image.
 
     `camera` holds pitch and height over the plane that touches the road at the host; `horizon` is the plane through the
-    farthest visible point of the host lane (the paper's 'horizon' variant), None if no point is visible.
+    farthest visible point of the host lane (the paper's 'horizon' variant), None if no point is visible or the camera
+    does not look ahead.
     `car_visible_fraction` is the visible share of each car's silhouette; None until rendered. `symbols` are those of
     the scene, in its order: arrows, stop lines, crosswalks and gores, none of which is a lane. `lidar` is that of the
     scene, if it has one.
@@ -239,6 +244,8 @@ def to_json(labels: Labels) -> str:
             "roll_rad": camera.roll_rad,
             "road_from_cam": _rounded(camera.road_from_cam, 9),
             "world_from_cam": _rounded(camera.world_from_cam, 9),
+            **({"yaw_rad": camera.yaw_rad} if camera.yaw_rad else {}),
+            **({"name": camera.name} if camera.name else {}),
             **({} if camera.lens == PINHOLE else {"lens": camera.lens.model_dump(mode="json")}),
         },
         "lanes": [_points_document(lane) for lane in labels.lanes],

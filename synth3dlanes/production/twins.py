@@ -60,12 +60,11 @@ def twin_recipes(source: str, vary: str, device: str, library: Library = BUILT_I
     render, shown = reader.description["render"], tuple(json.dumps(value) for value in values)
     settings = RenderSettings(int(render["samples"]), tuple(render["passes"]), device)
     require_assets(read_scene(reader, 0).assets, library, source)
-    params, seed, shots = params_of(reader), int(reader.description["seed"]), shots_of(reader)
+    params, seed = params_of(reader), int(reader.description["seed"])
     image_format = str(reader.description["image_format"])
+    others: dict[str, Any] = {"library": library, "shots": shots_of(reader)}
     recipes = [
-        TwinRecipe(
-            params, seed, f"twin_{k}", settings, image_format, reader.url, path, shown, library=library, shots=shots
-        )
+        TwinRecipe(params, seed, f"twin_{k}", settings, image_format, reader.url, path, shown, **others)
         for k in range(1, len(shown) + 1)
     ]
     for recipe in recipes:

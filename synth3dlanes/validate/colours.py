@@ -52,7 +52,8 @@ def check_colours(
 def _terrain_img(world: World, camera: CameraLabel) -> Float[np.ndarray, "n 2"]:
     """Pixels that show terrain, unless a tree or hill hides it."""
     ground = world.ground
-    s, ahead = ground.plan.plan_station(world.view.camera.y_m + AHEAD_M), len(AHEAD_M)
+    away_m = np.concatenate([-AHEAD_M, AHEAD_M]) if ground.both_ways else AHEAD_M
+    s, ahead = ground.plan.plan_station(world.view.camera.y_m + away_m), len(away_m)
     aside = np.concatenate([ground.left_edge_m - ASIDE_M, ground.edge_m + ASIDE_M])
     xy = ground.plan.main_xy(np.tile(s, len(aside)), np.repeat(aside, ahead))
     xy = xy[ground.clearance(xy) > CLEAR_M]

@@ -23,6 +23,7 @@ from synth3dlanes.validate.paint import Paint, Strip
 from synth3dlanes.validate.places import places
 from synth3dlanes.world import World
 
+LEAST_PX_PER_M = 1e-3
 # Half the length of a profile, and its step, which resolves the narrowest paint (0.1 m).
 REACH_M, STEP_M = 1.0, 0.025
 # Ridges are searched up to this offset; beyond it the profile may contain the next line's paint.
@@ -157,6 +158,8 @@ def _lines(paint: Paint, camera: CameraLabel, cuts: Sequence[Cut]) -> Iterator[L
             ridges = _ridges(cut.profiles[clear], paint.width_m(cut.lane), paint.stripes_m(cut.lane))
             ridges[:, (-left_m > PLACES_M) | (right_m < PLACES_M)] = 0.0
             px_per_m = (u_px[clear, 2] - u_px[clear, 0]) / (2 * REACH_M)
+            # A line across the view, as cameras that look aside see it, has its profiles along columns.
+            px_per_m = np.where(np.abs(px_per_m) < LEAST_PX_PER_M, LEAST_PX_PER_M, px_per_m)
             yield Line(cut.lane, u_px[clear, 1], px_per_m, cut.ends_cam[clear, 1, 1], ridges)
 
 

@@ -67,7 +67,7 @@ class Paint:
         for id_, curve in self._curves.items():
             rows = painted_rows(world.ground, curve, scene.stream)
             # Far dots are merged into dashes that are too narrow to be checked.
-            is_near = world.plan.plan_station(rows.s[1:]) < scene.camera.y_m + DOTS_M
+            is_near = np.abs(world.ground.ahead_m(world.plan.plan_station(rows.s[1:]))) < DOTS_M
             painted = rows.painted & (is_near | (not is_dotted(curve, scene.markings)))
             self._stretches[id_] = _merged(np.column_stack([rows.s[:-1], rows.s[1:]])[painted])
 

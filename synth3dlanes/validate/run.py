@@ -10,11 +10,14 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from synth3dlanes.dataset.address import connect, splits_near, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION, Description, data_set_of, parse_description, recipe_text
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.geometry import height_map
+from synth3dlanes.geometry.camera import rays_of_pixels
 from synth3dlanes.ground_truth import label
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
@@ -54,6 +57,8 @@ NO_GEOMETRY = (
 
 # Coarser JPEG has no detail of single pixels; after civil twilight edges beyond the headlights are not seen.
 SHARP_JPEG, DARK_RAD = 90, 1.68
+# Sine of the yaw from which on motion blur runs across the image.
+ASIDE = 0.3
 
 Map = Callable[..., Iterator[Any]]
 
@@ -213,6 +218,7 @@ def _proofs(
     """The checks of a sample by name: first those of index, scene and labels, then those of pixels."""
     world, scene = paint.world, paint.world.scene
     is_lit = scene.light.sun_zenith_rad < DARK_RAD
+    is_smeared = scene.sensor.motion_blur_m > 0 and abs(np.sin(scene.camera.yaw_rad)) > ASIDE
     proofs = {
         "index": lambda: Proved([*check_row(entry, world.scene, labels)]),
         "labels": lambda: Proved([*check_values(world.scene, truth, labels)]),
@@ -231,7 +237,7 @@ def _proofs(
         "image": lambda: Proved(*prove_image(paint, labels, image)),
         "sharpness": lambda: Proved([*check_sharpness(image)] if scene.sensor.jpeg_quality >= SHARP_JPEG else []),
         "colours": lambda: Proved([*check_colours(world, labels.camera, image, passes)]),
-        "alignment": lambda: Proved([*check_alignment(image, passes)] if paint.shows and is_lit else []),
+        "alignment": lambda: Proved([*check_alignment(image, passes, is_smeared)] if paint.shows and is_lit else []),
         "pavement": lambda: Proved(*prove_pavement(world, labels, passes)),
         "hills": lambda: Proved([*check_hills(world, labels, passes)]),
         "normals": lambda: Proved([*check_normals(labels.camera, passes)]),
@@ -260,6 +266,10 @@ def _pictures(scene: Scene, description: Description, image: Picture, passes: Pa
         if pixels.shape[:2] != (rows, columns):
             found = "x".join(str(size) for size in pixels.shape[1::-1])
             yield Finding("", f"{name}: expected {columns}x{rows} pixels, got {found}")
+        elif name == "depth" and (pixels < 0).any():
+            wrong = int(((pixels < 0) & ~(rays_of_pixels(camera)[..., 1] < 0)).sum())
+            if wrong:
+                yield Finding("", f"depth: expected distances or infinity, got another at {wrong} places")
 
 
 @contextmanager

@@ -64,11 +64,17 @@ def _sides(name: str, lines: Sequence[Offset]) -> Iterator[Signed]:
 
 def _exit(plan: RoadPlan, labels: Labels, lines: Sequence[Offset]) -> Iterator[Signed]:
     """Increase of the exit paint's offset away from the main road per metre from the split."""
-    points_cam, n_px, moment_m = _joined(lines)
+    points_cam, n_px, moment_m = _joined([_as_driven(labels, line) for line in lines])
     s_m, _ = plan.project_main(transform(labels.camera.world_from_cam, points_cam)[:, :2])
     s_m = np.where(s_m > MIN_EXIT_M, s_m, 0.0)
     if n_px @ np.sign(s_m) >= MIN_WEIGHT["exit"]:
         yield Signed("exit_opening", float(plan.flips[0] * (s_m @ moment_m) / (n_px @ s_m**2)))
+
+
+def _as_driven(labels: Labels, line: Offset) -> Offset:
+    """An offset to the right as the host drives."""
+    way_cam = line.lane.xyz_cam[-1] - line.lane.xyz_cam[0]
+    return line._replace(moment_m=np.sign(labels.camera.road_from_cam[1, :3] @ way_cam) * line.moment_m)
 
 
 def _surface(plan: RoadPlan, labels: Labels, passes: Passes) -> Iterator[Signed]:

@@ -6,12 +6,13 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import invert, road_from_cam, turned
+from synth3dlanes.frames import road_from_cam, transform
 from synth3dlanes.geometry.terrain import height_at
 from synth3dlanes.labels import CameraLabel, Labels, Lane, SymbolLabel
 from synth3dlanes.scene import Scene
 from synth3dlanes.validate.documents import shown
 from synth3dlanes.validate.findings import Finding
+from synth3dlanes.validate.host import host_of
 
 # labels.json rounds points to 0.1 mm and matrices to 1e-9.
 POINT_M = 1e-4
@@ -47,7 +48,7 @@ def check_values(scene: Scene, truth: Labels, labels: Labels) -> Iterator[Findin
     """Check camera, and every lane's order, projection and labels, against the scene."""
     yield from _camera(scene, labels)
     for lane in labels.lanes:
-        yield from _order(lane)
+        yield from _order(labels.camera, lane)
         inside_px = _inside_px(labels.camera, lane)
         wrong = np.where(lane.in_image, ~(inside_px > -BORDER_PX), inside_px > BORDER_PX)
         if wrong.any():
@@ -84,21 +85,21 @@ def _references(labels: Labels) -> Iterator[Finding]:
         yield Finding("", f"graph: expected ids of segments and centre lines, got {', '.join(unknown)}")
 
 
-def _order(lane: Lane) -> Iterator[Finding]:
-    """Findings unless points go from near to far, without a step of zero length or back."""
+def _order(camera: CameraLabel, lane: Lane) -> Iterator[Finding]:
+    """Findings unless points go on in the host's driving direction, without a step of zero length or back."""
     steps = np.diff(lane.xyz_cam, axis=0)
     back = np.linalg.norm(steps, axis=1) < POINT_M
     back[1:] |= (steps[1:] * steps[:-1]).sum(axis=1) <= 0
     if back.any():
         yield Finding(lane.id, f"expected points that advance along the line, got a step back at {_at(back)}")
-    near, far = lane.xyz_cam[[0, -1], 1]
-    if near > far:
-        yield Finding(lane.id, f"expected points from near to far, got {near:.1f} m first and {far:.1f} m last")
+    first, last = transform(camera.road_from_cam, lane.xyz_cam[[0, -1]])[:, 1]
+    if first > last:
+        yield Finding(lane.id, f"expected points in driving order, got {first:.1f} m first and {last:.1f} m last")
 
 
 def _camera(scene: Scene, labels: Labels) -> Iterator[Finding]:
     camera, asked = labels.camera, scene.camera
-    for name in ("width_px", "height_px", "height_m", "pitch_rad", "roll_rad", "lens"):
+    for name in ("width_px", "height_px", "height_m", "pitch_rad", "roll_rad", "yaw_rad", "name", "lens"):
         if getattr(camera, name) != getattr(asked, name):
             yield Finding(
                 "", f"camera.{name}: expected {getattr(asked, name)} as in the scene, got {getattr(camera, name)}"
@@ -109,10 +110,10 @@ def _camera(scene: Scene, labels: Labels) -> Iterator[Finding]:
     pose = road_from_cam(asked.height_m, asked.pitch_rad, asked.roll_rad, asked.yaw_rad)
     if not np.allclose(camera.road_from_cam, pose, atol=MATRIX):
         yield Finding("", "camera.road_from_cam: expected the scene's height and angles, got another transform")
-    foot = (camera.world_from_cam @ invert(pose) @ turned(0.0, -asked.right_m, -asked.forward_m))[:3, 3]
-    gap_m = abs(foot[2] - float(height_at(scene.terrain, foot[None, :2])[0]))
+    place = host_of(scene, camera)[:3, 3]
+    gap_m = abs(place[2] - float(height_at(scene.terrain, place[None, :2])[0]))
     if gap_m > POINT_M:
-        yield Finding("", f"camera: expected its foot on the road, got it {gap_m:.4f} m off")
+        yield Finding("", f"camera: expected the host on the road, got it {gap_m:.4f} m off")
 
 
 def _against_ground_truth(expected: Labels, labels: Labels) -> Iterator[Finding]:
