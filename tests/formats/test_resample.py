@@ -8,7 +8,7 @@ import pytest
 from synth3dlanes.errors import InputError
 from synth3dlanes.formats.export import FORMATS
 from synth3dlanes.formats.resample import fitting_pinhole, resample, source_pixels
-from synth3dlanes.formats.writing import Pinhole
+from synth3dlanes.formats.writing import Pinhole, PinholeFormat
 from tests.formats import closed_form as cf
 
 APOLLO, OPENLANE = (FORMATS[name].camera for name in ("apollo", "openlane"))

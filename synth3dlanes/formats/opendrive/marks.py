@@ -51,7 +51,7 @@ def marks(world: World, road: Road) -> dict[int, list[Mark]]:
     """The marks on the outer edges of all lanes by their numbers, and those of lane 0, which lies between both
     directions or at the inner edge of a road of one direction."""
     edges = {0: road.center_m, **{lane.number: lane.outer_m for lane in road.lanes}}
-    found = {number: _along(world, road, road.plane_points(t)[0][:, :2]) for number, t in edges.items()}
+    found = {number: _along(world, road, road.plane_points(t)[:, :2]) for number, t in edges.items()}
     # The line between both directions belongs to the lanes of the host's where these are another road's.
     return found | ({0: [Mark(0.0)]} if road.is_oncoming and road.in_junction else {})
 
