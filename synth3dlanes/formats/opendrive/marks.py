@@ -56,10 +56,11 @@ def marks(world: World, road: Road) -> dict[int, list[Mark]]:
     edges = {0: road.center_m, **{lane.number: lane.outer_m for lane in road.lanes}}
     found = {number: _along(world, road, road.plane_points(t)[:, :2]) for number, t in edges.items()}
     # The line between both directions belongs to the lanes of the host's where these are another road's.
-    return found | ({0: [Mark(0.0)]} if road.is_oncoming and road.in_junction else {})
+    return found | ({0: []} if road.is_oncoming and road.in_junction else {})
 
 
 def _along(world: World, road: Road, edge_xy: Float[np.ndarray, "m 2"]) -> list[Mark]:
+    """All marks of an edge, and `none` between them; nothing where it is not painted at all."""
     found = sorted((mark for line in world.lines for mark in _of(world, road, edge_xy, line)), key=lambda at: at[0].s_m)
     filled, reached = [], 0.0
     for mark, end_m in found:
@@ -67,7 +68,7 @@ def _along(world: World, road: Road, edge_xy: Float[np.ndarray, "m 2"]) -> list[
             filled.append(Mark(reached))
         filled.append(mark)
         reached = end_m
-    if road.s_m[-1] > reached + SHORT_M:
+    if found and road.s_m[-1] > reached + SHORT_M:
         filled.append(Mark(reached))
     return filled
 
