@@ -171,7 +171,7 @@ def marks_of(file_road):
         marks = lane.findall("roadMark")
         starts = [float(mark.get("sOffset")) for mark in marks]
         assert starts[:1] in ([], [0.0])
-        for mark, start, end in zip(marks, starts, [*starts[1:], file_road.length], strict=True):
+        for mark, start, end in zip(marks, starts, [*starts[1:], file_road.length], strict=False):
             if mark.get("type") != "none":
                 yield number, mark, start, end
 
