@@ -1,4 +1,4 @@
-"""Images and labels of a rolled camera turned level, for networks and formats without roll.
+"""Images and labels of a rolled camera turned level, for networks and formats that know neither roll nor yaw.
 
 Both cameras have the same optical centre, so the change is a homography, exact at every depth.
 """
@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from PIL import Image
 
+from synth3dlanes.frames import turned
 from synth3dlanes.labels import CameraLabel, Labels
 
 # Pixels that the warp's bicubic filter may need beyond the border.
@@ -22,10 +23,12 @@ def level_from_cam(camera: CameraLabel) -> Float[np.ndarray, "3 3"]:
 
 
 def labels_without_roll(labels: Labels) -> Labels:
-    """The labels as the same camera without roll would have them: same place, viewing axis and intrinsics.
+    """The labels as the same camera without roll would have them: same place, viewing axis and intrinsics. Its road
+    frame looks along the camera.
 
     What either picture does not show is not in the image.
     """
+    labels = _along_camera(labels)
     camera = labels.camera
     if camera.roll_rad == 0:
         return labels
@@ -42,6 +45,15 @@ def labels_without_roll(labels: Labels) -> Labels:
         replace(lane, xyz_cam=xyz_cam, in_image=lane.in_image & _inside(level, xyz_cam)) for lane, xyz_cam in turned
     )
     return replace(labels, camera=level, lanes=lanes)
+
+
+def _along_camera(labels: Labels) -> Labels:
+    """The labels with the road frame turned by the camera's yaw."""
+    camera = labels.camera
+    if camera.yaw_rad == 0:
+        return labels
+    road_from_cam = turned(-camera.yaw_rad) @ camera.road_from_cam
+    return replace(labels, camera=replace(camera, yaw_rad=0.0, road_from_cam=road_from_cam))
 
 
 def image_without_roll(image: UInt8[np.ndarray, "h w 3"], camera: CameraLabel) -> UInt8[np.ndarray, "h w 3"]:

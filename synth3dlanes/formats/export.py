@@ -31,7 +31,7 @@ from synth3dlanes.formats.plan import Chunk, open_reader, plan
 from synth3dlanes.formats.resample import fitting_pinhole, resample
 from synth3dlanes.formats.summary import Summary, readme, summarize
 from synth3dlanes.formats.tusimple import write as tusimple
-from synth3dlanes.formats.writing import Format, Frame, Pinhole
+from synth3dlanes.formats.writing import Format, Frame, Part, Pinhole
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
 
@@ -60,21 +60,24 @@ def export(
     workers: int,
     progress: Callable[[int, int], None],
     size_px: tuple[int, int] | None = None,
+    cameras: Sequence[str] = (),
 ) -> Summary:
     """Export every split under `source`, or the one that it names; `progress` gets (frames done, frames in all).
-    `size_px` is the images' width and height, by default the format's."""
+    `size_px` is the images' width and height, by default the format's. `cameras` names those of a rig whose frames are
+    wanted; by default those that look ahead."""
     foreign = FORMATS[format_name]
     camera = _camera(foreign, format_name, size_px)
-    chunks = plan(source)
+    chunks = plan(source, cameras)
     splits = {chunk.split.name: chunk.split.part for chunk in chunks}
     size = [camera.width_px, camera.height_px]
-    _claim(out, {"format": format_name, "layout": LAYOUT, "size_px": size, "source": source, "splits": splits})
+    options = {"format": format_name, "layout": LAYOUT, "size_px": size, "source": source, "splits": splits}
+    _claim(out, options | ({"cameras": list(cameras)} if cameras else {}))
     marks = out / ".parts"
     for stale in {path.name for path in marks.iterdir()} - {chunk.mark for chunk in chunks}:
         _remove(out, marks / stale)
     waiting = [chunk for chunk in chunks if not (marks / chunk.mark).exists()]
-    total = sum(chunk.stop - chunk.start for chunk in chunks)
-    done = total - sum(chunk.stop - chunk.start for chunk in waiting)
+    total = sum(len(chunk.places) for chunk in chunks)
+    done = total - sum(len(chunk.places) for chunk in waiting)
     progress(done, total)
     for n_frames in _run(waiting, out, format_name, camera, workers):
         done += n_frames
@@ -129,7 +132,7 @@ def _run(chunks: Sequence[Chunk], out: Path, format_name: str, camera: Pinhole, 
 
 def _export_chunk(chunk: Chunk, out: Path, format_name: str, camera: Pinhole) -> int:
     reader, foreign = open_reader(chunk.url), FORMATS[format_name]
-    records = [_export_frame(reader, index, chunk, out, foreign, camera) for index in range(chunk.start, chunk.stop)]
+    records = [_export_frame(reader, place, chunk, out, foreign, camera) for place in chunk.places]
     write_whole(out / ".parts" / chunk.mark, "\n".join(map(json.dumps, records)).encode())
     return len(records)
 
@@ -140,11 +143,12 @@ def _export_frame(
     sample = reader[index]
     where = f"{chunk.url}:{sample.key}"
     scene, labels = scene_format.from_json(sample.scene_json, where), labels_without_roll(sample.labels)
-    record = {"split": chunk.split.name, "part": chunk.split.part_of(sample.key)}
+    part = chunk.split.part_of(int(reader.scene_of[index]))
+    record = {"split": chunk.split.name, "part": part}
     pinhole = fitting_pinhole(sample.labels.camera, camera)
     if pinhole != camera and not foreign.is_f_free:
         return {**record, "left_out": NARROW}
-    annotation = foreign.annotate(labels, _frame(sample.key, chunk, pinhole, scene, labels))
+    annotation = foreign.annotate(labels, _frame(sample.key, chunk, part, pinhole, scene, labels))
     if annotation is None:
         return {**record, "left_out": NO_LINES}
     image = out / annotation.image
@@ -165,12 +169,12 @@ def _export_frame(
     }
 
 
-def _frame(key: str, chunk: Chunk, pinhole: Pinhole, scene: Scene, labels: Labels) -> Frame:
+def _frame(key: str, chunk: Chunk, part: Part, pinhole: Pinhole, scene: Scene, labels: Labels) -> Frame:
     return Frame(
         split=chunk.split.name,
         key=key,
         number=chunk.split.number * FRAMES_PER_SPLIT + int(key),
-        part=chunk.split.part_of(key),
+        part=part,
         parts=chunk.parts,
         pinhole=pinhole,
         tags=scene_tags(labels, pinhole),
