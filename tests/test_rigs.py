@@ -26,8 +26,8 @@ from tests import fake_samples
 from tests.scenes import changed
 
 NUSCENES = load_rig("nuscenes")
-# Rows of nuScenes' calibrated_sensor table: translation, rotation (w, x, y, z) and (f, cx, cy) in its axes: the vehicle's
-# x forward, y left, z up from the rear axle, the camera's x right, y down, z forward.
+# Rows of nuScenes' calibrated_sensor table: translation, rotation (w, x, y, z) and (f, cx, cy), in its axes: the
+# vehicle's x forward, y left, z up from the rear axle, the camera's x right, y down, z forward.
 TABLE = {
     "CAM_FRONT": ((1.7008, 0.0159, 1.5110), (0.49980, -0.50303, 0.49978, -0.49737), (1266.42, 816.27, 491.51)),
     "CAM_FRONT_RIGHT": ((1.5508, -0.4934, 1.4957), (0.20603, -0.20269, 0.68245, -0.67136), (1260.85, 807.97, 495.33)),
@@ -145,7 +145,7 @@ def test_samples_of_some_cameras_are_found_by_their_names(data):
     reader = Reader(f"{data}/train", columns=())
     assert reader.taken_by().tolist() == [0, 6]
     assert reader.taken_by(["CAM_BACK", "CAM_FRONT_LEFT"]).tolist() == [3, 5, 9, 11]
-    with pytest.raises(InputError, match="cameras: expected some of CAM_FRONT, CAM_FRONT_RIGHT, .*, got CAM_TOP"):
+    with pytest.raises(InputError, match=r"cameras: expected some of CAM_FRONT, CAM_FRONT_RIGHT, .*, got CAM_TOP"):
         reader.taken_by(["CAM_TOP"])
 
 
