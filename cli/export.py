@@ -24,7 +24,7 @@ def _size(text: str | None) -> tuple[int, int] | None:
     "--format",
     "format_name",
     required=True,
-    type=click.Choice(["apollo", "openlane", "once", "tusimple", "culane", "curvelanes"]),
+    type=click.Choice(["apollo", "openlane", "once", "tusimple", "culane", "curvelanes", "openlane_v2", "opendrive"]),
     help="Format to write.",
 )
 @click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Output folder.")
@@ -58,7 +58,7 @@ def export(
     workers: int,
 ) -> None:
     """Convert a data set (DIR) or one split (DIR/train) to the format of Apollo Sim-3D, OpenLane, ONCE-3DLanes,
-    tuSimple, CULane or CurveLanes.
+    tuSimple, CULane, CurveLanes or OpenLane-V2, or to OpenDRIVE maps, one per scene.
 
     Rerun to resume, or to add samples generated since. OUT/README.md describes how splits were mapped,
     and which frames and lanes were left out and why.
@@ -83,7 +83,8 @@ def export(
         for result in results:
             click.echo(f"{result.name}: {result.n_frames} frames, {result.n_lines} lines")
             for label, score in (("ground truth", result.perfect), ("moved 2 m", result.shifted)):
-                click.echo(f"  {label}: " + "  ".join(f"{key} {value:.4f}" for key, value in score.items()))
+                if score:
+                    click.echo(f"  {label}: " + "  ".join(f"{key} {value:.4f}" for key, value in score.items()))
         problems = [problem for result in results for problem in result.problems]
         if problems:
             raise click.ClickException("\n".join(problems))

@@ -54,8 +54,8 @@ def _scaled(graph: Graph, name: str) -> tuple[object, object]:
     return graph.value(f"{name}_scale"), graph.value(f"{name}_shift")
 
 
-def set_lens(material: bpy.types.Material, view: View) -> None:
-    """Put the screen before the camera, with the rays of a view's pixels."""
+def set_lens(material: bpy.types.Material, view: View, collection: bpy.types.Collection) -> None:
+    """Put the screen before the camera, with the rays of a view's pixels, into a collection."""
     camera, nodes = view.camera, material.node_tree.nodes
     rays_world, is_seen = _rays_world(view)
     old = nodes["rays"].image
@@ -90,7 +90,7 @@ def set_lens(material: bpy.types.Material, view: View) -> None:
     screen.data.materials.append(material)
     screen.pass_index = SCREEN_ID
     screen.visible_shadow = screen.visible_diffuse = screen.visible_glossy = screen.visible_transmission = False
-    bpy.context.scene.collection.objects.link(screen)
+    collection.objects.link(screen)
 
 
 def _rays_world(view: View) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:

@@ -15,6 +15,7 @@ from synth3dlanes.imaging.sky import SKY_SHAPE, sun_direction
 from synth3dlanes.imaging.user_sky import UserSky, hang
 from synth3dlanes.scene import Scene
 
+STUDIO = "studio"  # the collection of the camera and the lamps
 SUN_ANGLE_RAD = 0.0093  # angular diameter of the sun
 CLOUD_SPREAD_RAD = 0.3  # added to it by a closed layer of clouds
 HAZE_PASS = "haze"
@@ -63,7 +64,7 @@ def _add_lamp(name: str, kind: str) -> bpy.types.Light:
     lamp = bpy.data.lights.new(name, kind)
     item = bpy.data.objects.new(name, lamp)
     item.rotation_mode = "QUATERNION"
-    bpy.context.scene.collection.objects.link(item)
+    bpy.data.collections[STUDIO].objects.link(item)
     item.hide_render = kind != "SUN"
     return lamp
 

@@ -10,46 +10,39 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import ExitStack
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import IO, Any
 
-import numpy as np
-
-from synth3dlanes import scene as scene_format
-from synth3dlanes.dataset.read import Reader
-from synth3dlanes.dataset.remove_roll import labels_without_roll
 from synth3dlanes.dataset.write import write_whole
 from synth3dlanes.errors import InputError
 from synth3dlanes.formats.apollo import write as apollo
 from synth3dlanes.formats.culane import write as culane
 from synth3dlanes.formats.curvelanes import write as curvelanes
-from synth3dlanes.formats.lines import scene_tags
 from synth3dlanes.formats.once import write as once
+from synth3dlanes.formats.one_frame import write_as_it_is, write_resampled
+from synth3dlanes.formats.opendrive import write as opendrive
 from synth3dlanes.formats.openlane import write as openlane
+from synth3dlanes.formats.openlane_v2 import write as openlane_v2
 from synth3dlanes.formats.plan import Chunk, open_reader, plan
-from synth3dlanes.formats.resample import fitting_pinhole, resample
+from synth3dlanes.formats.sample_format import SampleFormat
 from synth3dlanes.formats.summary import Summary, readme, summarize
 from synth3dlanes.formats.tusimple import write as tusimple
-from synth3dlanes.formats.writing import Format, Frame, Part, Pinhole
-from synth3dlanes.labels import Labels
-from synth3dlanes.scene import Scene
+from synth3dlanes.formats.writing import Format, PinholeFormat
 
 LAYOUT = 2
 """Exports of an earlier layout are not continued."""
-FRAMES_PER_SPLIT = 10**8
-JPEG_QUALITY = 95
-EXPOSURE_STEPS = (5 / 3, 7 / 3)  # thirds of the paper's range 1..3
-NO_LINES = "no lane line is left, which the benchmark cannot score"
-NARROW = "its field of view is narrower than the format's one camera"
 
-FORMATS: dict[str, Format] = {
+FORMATS: dict[str, PinholeFormat | SampleFormat] = {
     "apollo": apollo.FORMAT,
     "openlane": openlane.FORMAT,
     "once": once.FORMAT,
     "tusimple": tusimple.FORMAT,
     "culane": culane.FORMAT,
     "curvelanes": curvelanes.FORMAT,
+    "openlane_v2": openlane_v2.FORMAT,
+    "opendrive": opendrive.FORMAT,
 }
 
 
@@ -65,11 +58,14 @@ def export(
     """Export every split under `source`, or the one that it names; `progress` gets (frames done, frames in all).
     `size_px` is the images' width and height, by default the format's. `cameras` names those of a rig whose frames are
     wanted; by default those that look ahead."""
-    foreign = FORMATS[format_name]
-    camera = _camera(foreign, format_name, size_px)
-    chunks = plan(source, cameras)
+    foreign = _sized(format_name, size_px)
+    camera = foreign.camera if isinstance(foreign, PinholeFormat) else None
+    is_per_scene = isinstance(foreign, SampleFormat) and foreign.is_per_scene
+    chunks = plan(source, cameras, is_per_scene)
+    if isinstance(foreign, SampleFormat):
+        _require_passes(foreign, format_name, chunks)
     splits = {chunk.split.name: chunk.split.part for chunk in chunks}
-    size = [camera.width_px, camera.height_px]
+    size = None if camera is None else [camera.width_px, camera.height_px]
     options = {"format": format_name, "layout": LAYOUT, "size_px": size, "source": source, "splits": splits}
     _claim(out, options | ({"cameras": list(cameras)} if cameras else {}))
     marks = out / ".parts"
@@ -79,29 +75,43 @@ def export(
     total = sum(len(chunk.places) for chunk in chunks)
     done = total - sum(len(chunk.places) for chunk in waiting)
     progress(done, total)
-    for n_frames in _run(waiting, out, format_name, camera, workers):
+    for n_frames in _run(waiting, out, foreign, workers):
         done += n_frames
         progress(done, total)
     for link, target in foreign.links.items():
         if not (out / link).is_symlink():
             (out / link).symlink_to(target)
     paths = [marks / chunk.mark for chunk in chunks]
-    _write_shared(out, paths, foreign.lists)
+    _write_shared(out, paths, foreign)
     summary = summarize(_records(paths), camera)
     text = readme(source, format_name, foreign.readme, [chunk.split for chunk in chunks], summary)
     (out / "README.md").write_text(text)
     return summary
 
 
-def _camera(foreign: Format, format_name: str, size_px: tuple[int, int] | None) -> Pinhole:
-    own_px = (foreign.camera.width_px, foreign.camera.height_px)
-    if size_px is None or size_px == own_px:
-        return foreign.camera
-    if not foreign.is_size_free:
-        free = ", ".join(name for name, other in FORMATS.items() if other.is_size_free)
-        expected = f"{own_px[0]}x{own_px[1]}, which the tools of {format_name} assume (other sizes: {free})"
-        raise InputError(f"size: expected {expected}, got {size_px[0]}x{size_px[1]}")
-    return foreign.camera.resized(*size_px)
+def _sized(format_name: str, size_px: tuple[int, int] | None) -> PinholeFormat | SampleFormat:
+    """The format with images of this size."""
+    foreign = FORMATS[format_name]
+    kept = "that of the data set's images"
+    if isinstance(foreign, PinholeFormat):
+        own_px = (foreign.camera.width_px, foreign.camera.height_px)
+        if size_px is None or size_px == own_px:
+            return foreign
+        if foreign.is_size_free:
+            return replace(foreign, camera=foreign.camera.resized(*size_px))
+        kept = f"{own_px[0]}x{own_px[1]}, which the tools of {format_name} assume"
+    elif size_px is None:
+        return foreign
+    free = ", ".join(name for name, other in FORMATS.items() if isinstance(other, PinholeFormat) and other.is_size_free)
+    raise InputError(f"size: expected {kept} (other sizes: {free}), got {size_px[0]}x{size_px[1]}")
+
+
+def _require_passes(foreign: SampleFormat, format_name: str, chunks: Sequence[Chunk]) -> None:
+    for url in dict.fromkeys(chunk.url for chunk in chunks):
+        found = open_reader(url).description["render"]["passes"]
+        if set(foreign.passes) - set(found):
+            needed, given = ", ".join(foreign.passes), ", ".join(found) or "none"
+            raise InputError(f"{url}: expected the passes {needed} (generate --passes) for {format_name}, got {given}")
 
 
 def _claim(out: Path, options: dict[str, Any]) -> None:
@@ -117,69 +127,29 @@ def _claim(out: Path, options: dict[str, Any]) -> None:
     write_whole(mark, json.dumps(options).encode())
 
 
-def _run(chunks: Sequence[Chunk], out: Path, format_name: str, camera: Pinhole, workers: int) -> Iterator[int]:
+def _run(chunks: Sequence[Chunk], out: Path, foreign: PinholeFormat | SampleFormat, workers: int) -> Iterator[int]:
     if workers == 1 or len(chunks) < 2:
         for chunk in chunks:
-            yield _export_chunk(chunk, out, format_name, camera)
+            yield _export_chunk(chunk, out, foreign)
         return
     pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
     try:
-        for future in as_completed([pool.submit(_export_chunk, chunk, out, format_name, camera) for chunk in chunks]):
+        for future in as_completed([pool.submit(_export_chunk, chunk, out, foreign) for chunk in chunks]):
             yield future.result()
     finally:
         pool.shutdown(cancel_futures=True)
 
 
-def _export_chunk(chunk: Chunk, out: Path, format_name: str, camera: Pinhole) -> int:
-    reader, foreign = open_reader(chunk.url), FORMATS[format_name]
-    records = [_export_frame(reader, place, chunk, out, foreign, camera) for place in chunk.places]
+def _export_chunk(chunk: Chunk, out: Path, foreign: PinholeFormat | SampleFormat) -> int:
+    reader = open_reader(chunk.url)
+    records = [
+        write_resampled(reader, place, chunk, out, foreign)
+        if isinstance(foreign, PinholeFormat)
+        else write_as_it_is(reader, place, chunk, out, foreign)
+        for place in chunk.places
+    ]
     write_whole(out / ".parts" / chunk.mark, "\n".join(map(json.dumps, records)).encode())
     return len(records)
-
-
-def _export_frame(
-    reader: Reader, index: int, chunk: Chunk, out: Path, foreign: Format, camera: Pinhole
-) -> dict[str, Any]:
-    sample = reader[index]
-    where = f"{chunk.url}:{sample.key}"
-    scene, labels = scene_format.from_json(sample.scene_json, where), labels_without_roll(sample.labels)
-    part = chunk.split.part_of(int(reader.scene_of[index]))
-    record = {"split": chunk.split.name, "part": part}
-    pinhole = fitting_pinhole(sample.labels.camera, camera)
-    if pinhole != camera and not foreign.is_f_free:
-        return {**record, "left_out": NARROW}
-    annotation = foreign.annotate(labels, _frame(sample.key, chunk, part, pinhole, scene, labels))
-    if annotation is None:
-        return {**record, "left_out": NO_LINES}
-    image = out / annotation.image
-    image.parent.mkdir(parents=True, exist_ok=True)
-    resample(sample.image, sample.labels.camera, pinhole, where).save(image, quality=JPEG_QUALITY)
-    for path, content in annotation.files.items():
-        (out / path).parent.mkdir(parents=True, exist_ok=True)
-        (out / path).write_bytes(content if isinstance(content, bytes) else content.encode())
-    return {
-        **record,
-        "left_out": None,
-        "f_px": pinhole.f_px,
-        "enlarged": pinhole.f_px / float(sample.labels.camera.img_from_cam[0, 0]),
-        "n_lines": annotation.n_lines,
-        "dropped": annotation.dropped,
-        "files": [annotation.image, *annotation.files],
-        "shared": annotation.shared,
-    }
-
-
-def _frame(key: str, chunk: Chunk, part: Part, pinhole: Pinhole, scene: Scene, labels: Labels) -> Frame:
-    return Frame(
-        split=chunk.split.name,
-        key=key,
-        number=chunk.split.number * FRAMES_PER_SPLIT + int(key),
-        part=part,
-        parts=chunk.parts,
-        pinhole=pinhole,
-        tags=scene_tags(labels, pinhole),
-        illumination=int(np.digitize(scene.light.exposure, EXPOSURE_STEPS)),
-    )
 
 
 def _remove(out: Path, mark: Path) -> None:
@@ -198,7 +168,7 @@ def _records(marks: Sequence[Path]) -> Iterator[dict[str, Any]]:
                 yield json.loads(line)
 
 
-def _write_shared(out: Path, marks: Sequence[Path], lists: Sequence[str]) -> None:
+def _write_shared(out: Path, marks: Sequence[Path], foreign: Format) -> None:
     # Frames with lines come first: Anchor3DLane fails on a list whose first frame has none. No newline at the end
     # of a file: the evaluators trip over a blank last line.
     with ExitStack() as stack:
@@ -210,7 +180,7 @@ def _write_shared(out: Path, marks: Sequence[Path], lists: Sequence[str]) -> Non
                 files[path] = stack.enter_context((out / f"{path}.tmp").open("w"))
             return files[path]
 
-        for path in lists:
+        for path in foreign.lists:
             opened(path)
         for with_lines in (True, False):
             for record in _records(marks):
@@ -221,4 +191,9 @@ def _write_shared(out: Path, marks: Sequence[Path], lists: Sequence[str]) -> Non
                         file = opened(path)
                         file.write(f"\n{text}" if file.tell() else text)
     for path in files:
+        if foreign.document:
+            lines = out / f"{path}.tmp"
+            with (out / f"{path}.tmp2").open("w") as file:
+                file.writelines(foreign.document(path, lines))
+            os.replace(out / f"{path}.tmp2", lines)
         os.replace(out / f"{path}.tmp", out / path)

@@ -48,9 +48,9 @@ class Chunk:
         return f"{self.source}/{self.split.name}"
 
 
-def plan(source: str, cameras: Sequence[str] = ()) -> list[Chunk]:
+def plan(source: str, cameras: Sequence[str] = (), is_per_scene: bool = False) -> list[Chunk]:
     """The chunks of every split under `source`, or of the one split that it names; of a rig's cameras those that are
-    named, or those that look ahead."""
+    named, or those that look ahead. If it `is_per_scene`, only the first frame of each scene."""
     found = readers(source)
     source = found[0].url.rpartition("/")[0]
     splits = assign([split_name(reader) for reader in found])
@@ -58,6 +58,8 @@ def plan(source: str, cameras: Sequence[str] = ()) -> list[Chunk]:
     chunks = []
     for split, reader in zip(splits, found, strict=True):
         taken = reader.taken_by(cameras)
+        if is_per_scene:
+            taken = taken[np.unique(reader.scene_of[taken], return_index=True)[1]]
         for start in range(0, len(taken), FRAMES_PER_CHUNK):
             places = taken[start : start + FRAMES_PER_CHUNK]
             mark = f"{split.name}-{reader.key(int(places[0]))}-{_digest(reader, places)}.jsonl"

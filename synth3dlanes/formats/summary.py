@@ -7,17 +7,17 @@ from pathlib import Path
 from typing import Any
 
 from synth3dlanes.formats.plan import DEALT_EVERY, Split, parts_of
-from synth3dlanes.formats.writing import Format, Pinhole
+from synth3dlanes.formats.writing import Format, Pinhole, PinholeFormat
 
 MOST_ENLARGED = 1.5
 
 
 @dataclass(frozen=True)
 class Summary:
-    """The widest camera; frames by part (train, val, test) and by split; frames left out and lanes dropped by reason;
-    focal lengths; how many times images were enlarged at most."""
+    """The widest camera, None if images keep their own; frames by part (train, val, test) and by split; frames left out
+    and lanes dropped by reason; focal lengths; how many times images were enlarged at most."""
 
-    camera: Pinhole
+    camera: Pinhole | None
     n_frames: Counter[str]
     n_of_split: Counter[tuple[str, str]]
     left_out: Counter[str]
@@ -27,7 +27,7 @@ class Summary:
     enlarged: float
 
 
-def summarize(records: Iterable[dict[str, Any]], camera: Pinhole) -> Summary:
+def summarize(records: Iterable[dict[str, Any]], camera: Pinhole | None) -> Summary:
     """Count what the chunks' records say of their frames."""
     n_frames, left_out, dropped = Counter[str](), Counter[str](), Counter[str]()
     n_of_split, n_lines, f_px, enlarged = Counter[tuple[str, str]](), 0, set[float](), 0.0
@@ -39,8 +39,9 @@ def summarize(records: Iterable[dict[str, Any]], camera: Pinhole) -> Summary:
         n_of_split[record["split"], record["part"]] += 1
         n_lines += record["n_lines"]
         dropped.update(record["dropped"])
-        f_px.add(record["f_px"])
-        enlarged = max(enlarged, record["enlarged"])
+        if camera is not None:
+            f_px.add(record["f_px"])
+            enlarged = max(enlarged, record["enlarged"])
     return Summary(camera, n_frames, n_of_split, left_out, n_lines, dropped, tuple(sorted(f_px)), enlarged)
 
 
@@ -51,8 +52,10 @@ def warnings(out: Path, foreign: Format, summary: Summary) -> tuple[str, ...]:
     if words:
         found.append(f"{out.absolute()}: tools of this format replace {', '.join(words)} in the whole path: move it")
     if summary.enlarged > MOST_ENLARGED:
-        advice = "render larger ones" + (", or choose a smaller size" if foreign.is_size_free else "")
-        found.append(f"{out}: images were enlarged {summary.enlarged:.1f} times to {_size(summary)}: {advice}")
+        advice = "render larger ones" + (
+            ", or choose a smaller size" if isinstance(foreign, PinholeFormat) and foreign.is_size_free else ""
+        )
+        found.append(f"{out}: images were enlarged {summary.enlarged:.1f} times{_size(summary, 'to')}: {advice}")
     return tuple(found)
 
 
@@ -64,7 +67,7 @@ def readme(source: str, format_name: str, about_format: str, splits: Sequence[Sp
         f"# {format_name} export of {source}",
         "",
         about_format,
-        f"{sum(summary.n_frames.values())} frames of {_size(summary)} with {summary.n_lines} lane lines"
+        f"{sum(summary.n_frames.values())} frames{_size(summary, 'of')} with {summary.n_lines} lane lines"
         f"{_focal_lengths(summary)}.",
         "",
         "| split of the data set | used as | frames |",
@@ -82,8 +85,8 @@ def readme(source: str, format_name: str, about_format: str, splits: Sequence[Sp
     return "\n".join(lines)
 
 
-def _size(summary: Summary) -> str:
-    return f"{summary.camera.width_px}x{summary.camera.height_px}"
+def _size(summary: Summary, word: str) -> str:
+    return "" if summary.camera is None else f" {word} {summary.camera.width_px}x{summary.camera.height_px}"
 
 
 def _focal_lengths(summary: Summary) -> str:

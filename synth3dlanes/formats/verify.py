@@ -1,12 +1,14 @@
 """The self-check of an export: its own ground truth must score perfectly, and the same moved aside close to nothing."""
 
 import json
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from synth3dlanes.formats.apollo import verify as apollo
 from synth3dlanes.formats.culane import verify as culane
 from synth3dlanes.formats.curvelanes import verify as curvelanes
 from synth3dlanes.formats.once import verify as once
+from synth3dlanes.formats.opendrive import verify as opendrive
 from synth3dlanes.formats.openlane import verify as openlane
 from synth3dlanes.formats.self_check import Verified
 from synth3dlanes.formats.tusimple import verify as tusimple
@@ -20,11 +22,17 @@ CHECKS = {
     "curvelanes": curvelanes.verify,
 }
 
+SAMPLE_CHECKS: dict[str, Callable[[Path, int], Iterator[Verified]]] = {"opendrive": opendrive.verify}
+"""The checks of formats whose images keep their own cameras."""
+
 
 def verify(out: Path, format_name: str, most_frames: int) -> tuple[Verified, ...]:
     """Score at most the first `most_frames` frames of every list of an export."""
-    width_px, height_px = json.loads((out / "export.json").read_text())["size_px"]
-    verified = tuple(CHECKS[format_name](out, (width_px, height_px), most_frames))
+    if format_name in SAMPLE_CHECKS:
+        verified = tuple(SAMPLE_CHECKS[format_name](out, most_frames))
+    else:
+        width_px, height_px = json.loads((out / "export.json").read_text())["size_px"]
+        verified = tuple(CHECKS[format_name](out, (width_px, height_px), most_frames))
     if not any(result.n_lines for result in verified):
         problem = f"{out}: expected lane lines to score, found none"
         return (*verified, Verified("all lists", 0, 0, {}, {}, (problem,)))

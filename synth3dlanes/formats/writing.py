@@ -2,8 +2,9 @@
 
 import json
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -47,18 +48,14 @@ class Pinhole:
 
 @dataclass(frozen=True)
 class Frame:
-    """One of our images and what decides how a format files and labels it: `key` counts within `split`, `number` within
-    the export. It is used for `part`; `parts` are all that the data set has. `pinhole` is the camera of the exported
-    image; `tags` are the kinds of scene; `illumination` is 0 (dark) to 2 (bright)."""
+    """One of our images and what decides how a format files it: `key` counts within `split`, `number` within the
+    export. It is used for `part`; `parts` are all that the data set has."""
 
     split: str
     key: str
     number: int
     part: Part
     parts: frozenset[Part]
-    pinhole: Pinhole
-    tags: frozenset[str]
-    illumination: int
 
     @property
     def is_train(self) -> bool:
@@ -72,13 +69,23 @@ class Frame:
 
 
 @dataclass(frozen=True)
+class PinholeFrame(Frame):
+    """A frame whose image is resampled: `pinhole` is its camera there; `tags` are the kinds of scene; `illumination` is
+    0 (dark) to 2 (bright)."""
+
+    pinhole: Pinhole
+    tags: frozenset[str]
+    illumination: int
+
+
+@dataclass(frozen=True)
 class Annotation:
     """A frame in a foreign format: where its image goes, label files of its own, and lines of shared files, each with
-    the files that it belongs to. `dropped` counts lanes by reason."""
+    the files that it belongs to. `dropped` counts lanes by reason. Without `image`, none is written."""
 
-    image: str
+    image: str | None
     n_lines: int
-    dropped: Counter[str]
+    dropped: Counter[str] = field(default_factory=Counter)
     files: Mapping[str, str | bytes] = field(default_factory=dict)
     shared: tuple[tuple[str, tuple[str, ...]], ...] = ()
 
@@ -86,7 +93,7 @@ class Annotation:
 SIDECAR = "sidecar.jsonl"
 
 
-def sidecar(image: str, labels: Labels, frame: Frame, lines_ids: Sequence[str]) -> tuple[str, tuple[str, ...]]:
+def sidecar(image: str, labels: Labels, frame: PinholeFrame, lines_ids: Sequence[str]) -> tuple[str, tuple[str, ...]]:
     """A frame's line of `sidecar.jsonl`, for formats that have pixels only: the camera, and where the frame is from."""
     document = {
         "image": image,
@@ -99,21 +106,32 @@ def sidecar(image: str, labels: Labels, frame: Frame, lines_ids: Sequence[str]) 
     return json.dumps(document), (SIDECAR,)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Format:
-    """One foreign format: the camera of its images, the README of an export, links within it, and the function that
-    writes one frame; that returns None where the format has no place for the frame.
+    """One foreign format: the README of an export, and links within it. `lists` are files that tools open even where no
+    frame belongs there; `replaced_words` what tools replace wherever a path has it.
+
+    A shared file holds the lines of its frames. If it is to be one document, `document` makes that of the file's path
+    in the export and the file of its lines.
+    """
+
+    readme: str
+    links: Mapping[str, str] = field(default_factory=dict)
+    lists: tuple[str, ...] = ()
+    replaced_words: tuple[str, ...] = ()
+    document: Callable[[str, Path], Iterator[str]] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class PinholeFormat(Format):
+    """A format with a camera of its own, to which images are resampled, and the function that writes one frame; that
+    returns None where the format has no place for the frame.
 
     A frame that is too narrow for the camera gets a longer focal length of its own if `is_f_free`, and is left out
-    otherwise; images may have any size if `is_size_free`. `lists` are files that tools open even where no frame belongs
-    there; `replaced_words` what tools replace wherever a path has it.
+    otherwise; images may have any size if `is_size_free`.
     """
 
     camera: Pinhole
     is_f_free: bool
     is_size_free: bool
-    readme: str
-    annotate: Callable[[Labels, Frame], Annotation | None]
-    links: Mapping[str, str] = field(default_factory=dict)
-    lists: tuple[str, ...] = ()
-    replaced_words: tuple[str, ...] = ()
+    annotate: Callable[[Labels, PinholeFrame], Annotation | None]

@@ -183,7 +183,7 @@ class RoadPlan:
         q, dq = self._q_polynomial(inside)
         return np.asarray(q + np.clip(s - inside, 0, None) * dq)
 
-    def _station_where_open(self, q_m: float) -> float:
+    def station_where_open(self, q_m: float) -> float:
         """Smallest station with opening(s) >= q_m; infinity for a road without exit."""
         if not self.has_exit:
             return float("inf")
@@ -192,12 +192,12 @@ class RoadPlan:
     @cached_property
     def nose_m(self) -> float:
         """Station of the nose, where the opening is one lane wide."""
-        return self._station_where_open(self.width_m)
+        return self.station_where_open(self.width_m)
 
     @cached_property
     def ramp_start_m(self) -> float | None:
         """Station where the shoulders have separated and the ramp begins; None if that is outside the scene."""
-        start = self._station_where_open(self.width_m + 2 * self.shoulder_m)
+        start = self.station_where_open(self.width_m + 2 * self.shoulder_m)
         return start if start <= S_END_M else None
 
     def ramp(self, s: Values) -> Values:

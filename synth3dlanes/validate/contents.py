@@ -97,7 +97,8 @@ def _passes(data: bytes, name: str) -> Passes:
     if said.getvalue():
         raise FormatError(f"{name}: expected an OpenEXR image, got a warning: {' '.join(said.getvalue().split())}")
     for pass_name, values in passes.items():
-        is_number = values > 0 if pass_name == "depth" else np.isfinite(values)
+        # Behind the camera, where a fisheye may see, depths are negative.
+        is_number = (values > -np.inf) & (values != 0) if pass_name == "depth" else np.isfinite(values)
         if not is_number.all():
             told = "distances or infinity" if pass_name == "depth" else "finite numbers"
             raise FormatError(f"{name}: {pass_name}: expected {told}, got another at {(~is_number).sum()} places")

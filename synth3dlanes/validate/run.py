@@ -17,6 +17,7 @@ from synth3dlanes.dataset.description import DESCRIPTION, Description, data_set_
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.geometry import height_map
+from synth3dlanes.geometry.camera import rays_of_pixels
 from synth3dlanes.ground_truth import label
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
@@ -258,6 +259,10 @@ def _pictures(scene: Scene, description: Description, image: Picture, passes: Pa
         if pixels.shape[:2] != (rows, columns):
             found = "x".join(str(size) for size in pixels.shape[1::-1])
             yield Finding("", f"{name}: expected {columns}x{rows} pixels, got {found}")
+        elif name == "depth" and (pixels < 0).any():
+            wrong = int(((pixels < 0) & ~(rays_of_pixels(camera)[..., 1] < 0)).sum())
+            if wrong:
+                yield Finding("", f"depth: expected distances or infinity, got another at {wrong} places")
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from synth3dlanes.formats.writing import Frame
+from synth3dlanes.formats.writing import PinholeFrame
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph
 
 
@@ -10,7 +10,7 @@ def frame(pinhole, **changes):
     """Training frame 17 of a data set with training and test frames."""
     parts = frozenset({"train", "test"})
     of_frame = {"split": "train", "key": "00000017", "number": 17, "part": "train", "parts": parts}
-    return Frame(**{**of_frame, "pinhole": pinhole, "tags": frozenset(), "illumination": 1, **changes})
+    return PinholeFrame(**{**of_frame, "pinhole": pinhole, "tags": frozenset(), "illumination": 1, **changes})
 
 
 def camera_label(height_m=1.6, pitch_rad=0.05, size_px=(1920, 1280), f_px=2015.0, roll_rad=0.0):

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from synth3dlanes.formats.apollo.convention import CAMERA, ROOT, apollo_from_cam, cam_height_m
 from synth3dlanes.formats.lines import NEAR_START_M, Line, keep_lines, lines_ahead
-from synth3dlanes.formats.writing import CV_FROM_CAM, DECIMALS, Annotation, Format, Frame
+from synth3dlanes.formats.writing import CV_FROM_CAM, DECIMALS, Annotation, PinholeFormat, PinholeFrame
 from synth3dlanes.frames import transform
 from synth3dlanes.labels import CameraLabel, Labels, LaneKind
 
@@ -37,7 +37,7 @@ README = f"""Apollo Sim-3D / Gen-LaneNet layout.
 """
 
 
-def annotate(labels: Labels, frame: Frame) -> Annotation:
+def annotate(labels: Labels, frame: PinholeFrame) -> Annotation:
     """The frame's label line, the lists that it belongs to and its sidecar line."""
     camera, dropped = labels.camera, Counter[str]()
     raw_file = image_path(frame)
@@ -74,7 +74,7 @@ def _lists(folder: str, splits: Iterable[str], parts: Iterable[str], suffix: str
     return tuple(f"{folder}/{split}/{part}.{suffix}" for split in splits for part in sorted(parts))
 
 
-def image_path(frame: Frame) -> str:
+def image_path(frame: PinholeFrame) -> str:
     """`images/NN/name.jpg`: exactly three components, unique over all splits."""
     bent = not frame.tags.isdisjoint(("curve", "merge_split"))
     folder = 6 * ("steep" in frame.tags) + 2 * frame.illumination + bent
@@ -116,7 +116,7 @@ def _splits(is_train: bool, is_rare: bool, is_held_out: bool) -> tuple[str, ...]
     return tuple(splits)
 
 
-def _sidecar(labels: Labels, frame: Frame, raw_file: str, groups: dict[LaneKind, tuple[Line, ...]]) -> str:
+def _sidecar(labels: Labels, frame: PinholeFrame, raw_file: str, groups: dict[LaneKind, tuple[Line, ...]]) -> str:
     camera = labels.camera
     heights_m = [
         apollo_from_cv(line.points_cv[line.visible], camera)[:, 2] for lines in groups.values() for line in lines
@@ -138,7 +138,7 @@ def _sidecar(labels: Labels, frame: Frame, raw_file: str, groups: dict[LaneKind,
     return json.dumps(document)
 
 
-FORMAT = Format(
+FORMAT = PinholeFormat(
     camera=CAMERA,
     is_f_free=False,
     is_size_free=False,

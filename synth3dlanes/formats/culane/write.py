@@ -18,7 +18,7 @@ from synth3dlanes.formats.culane.convention import (
 )
 from synth3dlanes.formats.culane.read import lines_path
 from synth3dlanes.formats.lines import Line, columns_of, ego_places, keep_lines, lines_ahead
-from synth3dlanes.formats.writing import PARTS, Annotation, Format, Frame, Pinhole, sidecar
+from synth3dlanes.formats.writing import PARTS, Annotation, Pinhole, PinholeFormat, PinholeFrame, sidecar
 from synth3dlanes.labels import Labels
 
 MIN_POINTS = 3
@@ -42,7 +42,7 @@ README = f"""CULane layout.
 """
 
 
-def annotate(labels: Labels, frame: Frame) -> Annotation:
+def annotate(labels: Labels, frame: PinholeFrame) -> Annotation:
     """The frame's lines, its mask and its list entries."""
     dropped = Counter[str]()
     folder, place = divmod(frame.number, FRAMES_PER_FOLDER)
@@ -94,7 +94,7 @@ def _mask(lines_px: dict[int, Float[np.ndarray, "_ 2"]]) -> bytes:
     return stream.getvalue()
 
 
-FORMAT = Format(
+FORMAT = PinholeFormat(
     camera=CAMERA,
     is_f_free=True,
     is_size_free=False,

@@ -8,7 +8,7 @@ import numpy as np
 from synth3dlanes.formats.curvelanes.convention import CAMERA, ROW_STEP_PX
 from synth3dlanes.formats.curvelanes.read import labels_path
 from synth3dlanes.formats.lines import Line, columns_of, keep_lines, lines_ahead
-from synth3dlanes.formats.writing import Annotation, Format, Frame, Pinhole, sidecar
+from synth3dlanes.formats.writing import Annotation, Pinhole, PinholeFormat, PinholeFrame, sidecar
 from synth3dlanes.labels import Labels
 
 MIN_POINTS = 2
@@ -26,7 +26,7 @@ README = """CurveLanes layout.
 """
 
 
-def annotate(labels: Labels, frame: Frame) -> Annotation:
+def annotate(labels: Labels, frame: PinholeFrame) -> Annotation:
     """The frame's label file and its list entry."""
     dropped = Counter[str]()
     part = "train" if frame.is_train else "valid" if frame.serves_as("val") else "test"
@@ -53,7 +53,7 @@ def _points(line: Line, pinhole: Pinhole) -> list[dict[str, str]]:
     return [{"y": f"{y:.{DECIMALS}f}", "x": f"{x:.{DECIMALS}f}"} for x, y in pixels]
 
 
-FORMAT = Format(
+FORMAT = PinholeFormat(
     camera=CAMERA,
     is_f_free=True,
     is_size_free=True,

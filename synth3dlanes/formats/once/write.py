@@ -7,7 +7,7 @@ import numpy as np
 
 from synth3dlanes.formats.lines import Line, keep_lines, lines_ahead
 from synth3dlanes.formats.once.convention import CAMERA, ROOT
-from synth3dlanes.formats.writing import DECIMALS, PARTS, Annotation, Format, Frame, Pinhole
+from synth3dlanes.formats.writing import DECIMALS, PARTS, Annotation, Pinhole, PinholeFormat, PinholeFrame
 from synth3dlanes.labels import Labels
 
 MAX_LINES = 8
@@ -32,7 +32,7 @@ README = f"""ONCE-3DLanes layout.
 """
 
 
-def annotate(labels: Labels, frame: Frame) -> Annotation:
+def annotate(labels: Labels, frame: PinholeFrame) -> Annotation:
     """The frame's label file."""
     dropped = Counter[str]()
     parts = [part for part in PARTS if frame.serves_as(part)]
@@ -66,7 +66,7 @@ def _is_rastered(line: Line) -> bool:
     return np.count_nonzero((z_m < RASTER_DEPTH_M) & (np.abs(x_m) < RASTER_HALF_WIDTH_M)) >= 2
 
 
-FORMAT = Format(
+FORMAT = PinholeFormat(
     camera=CAMERA,
     is_f_free=True,
     is_size_free=True,

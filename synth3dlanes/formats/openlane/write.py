@@ -8,7 +8,7 @@ import numpy as np
 
 from synth3dlanes.formats.lines import Line, ego_places, keep_lines, lines_ahead
 from synth3dlanes.formats.openlane.convention import CAMERA, PAINTS, WAYMO_FROM_CAM, vehicle_from_cam_waymo
-from synth3dlanes.formats.writing import CV_FROM_CAM, DECIMALS, Annotation, Format, Frame
+from synth3dlanes.formats.writing import CV_FROM_CAM, DECIMALS, Annotation, PinholeFormat, PinholeFrame
 from synth3dlanes.labels import Labels, Lane
 
 MAX_LINES = 20
@@ -46,7 +46,7 @@ README = """OpenLane v1 layout.
 """
 
 
-def annotate(labels: Labels, frame: Frame) -> Annotation:
+def annotate(labels: Labels, frame: PinholeFrame) -> Annotation:
     """The frame's label file, copies for the test cases that it belongs to, and its list entries."""
     dropped = Counter[str]()
     folder = "training" if frame.is_train else "validation" if frame.serves_as("val") else "test"
@@ -97,7 +97,7 @@ def _kept(ahead: tuple[Line, ...], dropped: Counter[str]) -> tuple[Line, ...]:
     return keep_lines(kept, dropped, MAX_LINES, f"beyond the {MAX_LINES} nearest (Anchor3DLane drops such frames)")
 
 
-def _line_document(line: Line, frame: Frame, attribute: int, track_id: int) -> dict[str, Any]:
+def _line_document(line: Line, frame: PinholeFrame, attribute: int, track_id: int) -> dict[str, Any]:
     points_cv = np.round(line.points_cv, DECIMALS)
     return {
         "category": category(line.lane),
@@ -109,7 +109,7 @@ def _line_document(line: Line, frame: Frame, attribute: int, track_id: int) -> d
     }
 
 
-FORMAT = Format(
+FORMAT = PinholeFormat(
     camera=CAMERA,
     is_f_free=True,
     is_size_free=True,

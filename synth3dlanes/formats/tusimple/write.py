@@ -8,7 +8,7 @@ from jaxtyping import Int
 
 from synth3dlanes.formats.lines import Line, columns_of, keep_lines, lines_ahead
 from synth3dlanes.formats.tusimple.convention import ABSENT, CAMERA, ROWS_PX
-from synth3dlanes.formats.writing import Annotation, Format, Frame, sidecar
+from synth3dlanes.formats.writing import Annotation, PinholeFormat, PinholeFrame, sidecar
 from synth3dlanes.labels import Labels
 
 MAX_LINES = 5
@@ -29,7 +29,7 @@ README = """tuSimple layout.
 """
 
 
-def annotate(labels: Labels, frame: Frame) -> Annotation | None:
+def annotate(labels: Labels, frame: PinholeFrame) -> Annotation | None:
     """The frame's label line; None for a frame without lines, which the benchmark cannot score."""
     dropped = Counter[str]()
     raw_file = f"clips/{frame.split}/{frame.key}/20.jpg"
@@ -52,7 +52,7 @@ def annotate(labels: Labels, frame: Frame) -> Annotation | None:
     return Annotation(raw_file, len(kept), dropped, shared=shared)
 
 
-def label_file(frame: Frame) -> str:
+def label_file(frame: PinholeFrame) -> str:
     """Tools train on 0313 and 0601, and on 0531 or validate on it; training frames are dealt to the three as in the
     original, where 8 of 10 are in 0313. With splits val and test of its own a data set has val in 0531."""
     if frame.serves_as("test"):
@@ -69,7 +69,7 @@ def rows_of(line: Line) -> Int[np.ndarray, " r"]:
     return np.where((columns_px >= 0) & (columns_px < CAMERA.width_px), columns_px, ABSENT).astype(int)
 
 
-FORMAT = Format(
+FORMAT = PinholeFormat(
     camera=CAMERA,
     is_f_free=False,
     is_size_free=False,

@@ -1,0 +1,98 @@
+"""Write one frame in a foreign format: its image and its own label files. A record says what was written."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from synth3dlanes import scene as scene_format
+from synth3dlanes.dataset.format import SCENE, decode_image, encode_image
+from synth3dlanes.dataset.read import Reader
+from synth3dlanes.dataset.remove_roll import labels_without_roll
+from synth3dlanes.formats.lines import scene_tags
+from synth3dlanes.formats.plan import Chunk
+from synth3dlanes.formats.resample import fitting_pinhole, resample
+from synth3dlanes.formats.sample_format import SampleFormat, SampleFrame
+from synth3dlanes.formats.writing import Annotation, Frame, PinholeFormat, PinholeFrame
+
+Record = dict[str, Any]
+
+FRAMES_PER_SPLIT = 10**8
+JPEG_QUALITY = 95
+EXPOSURE_STEPS = (5 / 3, 7 / 3)  # thirds of the paper's range 1..3
+NO_LINES = "no lane line is left, which the benchmark cannot score"
+NARROW = "its field of view is narrower than the format's one camera"
+
+
+def write_resampled(reader: Reader, index: int, chunk: Chunk, out: Path, foreign: PinholeFormat) -> Record:
+    """Write a frame as an upright pinhole camera would have seen it."""
+    sample = reader[index]
+    where = f"{chunk.url}:{sample.key}"
+    scene, labels = scene_format.from_json(sample.scene_json, where), labels_without_roll(sample.labels)
+    pinhole = fitting_pinhole(sample.labels.camera, foreign.camera)
+    frame = PinholeFrame(
+        **vars(_frame(reader, index, chunk)),
+        pinhole=pinhole,
+        tags=scene_tags(labels, pinhole),
+        illumination=int(np.digitize(scene.light.exposure, EXPOSURE_STEPS)),
+    )
+    if pinhole != foreign.camera and not foreign.is_f_free:
+        return _left_out(frame, NARROW)
+    annotation = foreign.annotate(labels, frame)
+    if annotation is None:
+        return _left_out(frame, NO_LINES)
+    image = resample(sample.image, sample.labels.camera, pinhole, where)
+    record = _write(out, frame, annotation, lambda path: image.save(path, quality=JPEG_QUALITY))
+    enlarged = pinhole.f_px / float(sample.labels.camera.img_from_cam[0, 0])
+    return {**record, "f_px": pinhole.f_px, "enlarged": enlarged}
+
+
+def write_as_it_is(reader: Reader, index: int, chunk: Chunk, out: Path, foreign: SampleFormat) -> Record:
+    """Write a frame as it is."""
+    scene_json, key, image_format = reader.member(index, SCENE), reader.key(index), reader.description["image_format"]
+    where = f"{chunk.url}:{key}"
+    frame = SampleFrame(
+        **vars(_frame(reader, index, chunk)),
+        scene=scene_format.from_json(scene_json, where),
+        labels=reader.labels(index),
+        passes=reader.passes(index) if foreign.passes else {},
+        image_format=image_format,
+    )
+    annotation = foreign.annotate(frame)
+    if annotation is None:
+        return _left_out(frame, NO_LINES)
+
+    def write_image(path: Path) -> None:
+        data, wanted = reader.member(index, image_format), path.suffix.removeprefix(".")
+        path.write_bytes(data if wanted == image_format else encode_image(decode_image(data, where), wanted))
+
+    return _write(out, frame, annotation, write_image)
+
+
+def _frame(reader: Reader, index: int, chunk: Chunk) -> Frame:
+    split, key = chunk.split, reader.key(index)
+    part = split.part_of(int(reader.scene_of[index]))
+    return Frame(split.name, key, split.number * FRAMES_PER_SPLIT + int(key), part, chunk.parts)
+
+
+def _left_out(frame: Frame, reason: str) -> Record:
+    return {"split": frame.split, "part": frame.part, "left_out": reason}
+
+
+def _write(out: Path, frame: Frame, annotation: Annotation, write_image: Callable[[Path], None]) -> Record:
+    for path in (*annotation.files, *([] if annotation.image is None else [annotation.image])):
+        (out / path).parent.mkdir(parents=True, exist_ok=True)
+    for path, content in annotation.files.items():
+        (out / path).write_bytes(content if isinstance(content, bytes) else content.encode())
+    if annotation.image is not None:
+        write_image(out / annotation.image)
+    return {
+        "split": frame.split,
+        "part": frame.part,
+        "left_out": None,
+        "n_lines": annotation.n_lines,
+        "dropped": annotation.dropped,
+        "files": [*([] if annotation.image is None else [annotation.image]), *annotation.files],
+        "shared": annotation.shared,
+    }

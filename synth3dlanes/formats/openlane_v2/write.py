@@ -1,0 +1,246 @@
+"""Write OpenLane-V2: two JSONs a frame, centre lines and lane segments, in the vehicle frame (`_ego`)."""
+
+import json
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from synth3dlanes.formats.openlane_v2.convention import (
+    AHEAD_M,
+    ASIDE_M,
+    CENTERLINE_POINTS,
+    COLLECTION,
+    FRONT_CAMERA,
+    LINE_TYPES,
+    PEDESTRIAN_CROSSING,
+    POINTS,
+    ROAD_BOUNDARY,
+    ROAD_FROM_EGO,
+    ROOT,
+)
+from synth3dlanes.formats.openlane_v2.lane_map import Boundary, LaneSegment, lane_segments, pavement_edges, runs
+from synth3dlanes.formats.sample_format import SampleFormat, SampleFrame
+from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, Annotation
+from synth3dlanes.frames import Matrix4, invert, transform
+from synth3dlanes.geometry.symbols import shape
+from synth3dlanes.labels import CameraLabel
+from synth3dlanes.world import World, resolve
+
+DECIMALS = 4
+LEAST_LENGTH_M = 2.0
+SHORT = f"less than {LEAST_LENGTH_M:g} m of it in the area"
+OUTSIDE = f"outside the area ({AHEAD_M:g} m ahead, {ASIDE_M:g} m to each side)"
+
+README = f"""OpenLane-V2 layout, subset A.
+
+- `{ROOT}/{{train,val,test}}/<segment>/info/<timestamp>.json` (centre lines) and `<timestamp>-ls.json` (lane segments,
+  areas), images in `<segment>/image/{FRONT_CAMERA}/<timestamp>.jpg`, `{ROOT}/{COLLECTION}.json` (the frames of each
+  part).
+- Loaders read pickle files, which the devkit makes: run its `preprocess.py` and `preprocess-ls.py` (in its folder
+  `data/OpenLane-V2`) in this folder. That makes `{COLLECTION}_train.pkl`, `{COLLECTION}_train_ls.pkl` and so on.
+- Frame: x forward, y left, z up, metres; the origin is on the road below the camera. Every scene is a segment of one
+  frame. There is one camera, `{FRONT_CAMERA}`: tell your training code the number of cameras, and do not let it crop
+  the image as that of the original (which is upright).
+- Labels cover {AHEAD_M:g} m ahead and {ASIDE_M:g} m to each side, also what the ground or cars hide, as in
+  the original. Lines have the extra keys `left_laneline_color`, `left_laneline_double` and the same of the right.
+  There are no traffic elements.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class _Lane:
+    """The part of a lane segment in the area, and whether its first and its last point are still those of the lane."""
+
+    segment: LaneSegment
+    middle_ego: Float[np.ndarray, "n 3"]
+    left_ego: Float[np.ndarray, "n 3"]
+    right_ego: Float[np.ndarray, "n 3"]
+    has_start: bool
+    has_end: bool
+
+
+def annotate(frame: SampleFrame) -> Annotation | None:
+    """The frame's two label files; None without any lane in the area."""
+    cameras = {FRONT_CAMERA: frame.labels.camera}
+    world, world_from_ego = resolve(frame.scene), ego_frame(frame.labels.camera)
+    segment, timestamp = f"{frame.number:08d}", frame.number
+    image = f"{frame.part}/{segment}/image/{FRONT_CAMERA}/{timestamp}.jpg"
+    behind_m = AHEAD_M if any(_looks_back(camera, world_from_ego) for camera in cameras.values()) else 0.0
+    dropped = Counter[str]()
+    lanes = _lanes(frame, world, world_from_ego, behind_m, dropped)
+    if not lanes:
+        return None
+    topology = _topology(lanes, frame.labels.graph.successors)
+    common = {
+        "version": "2.1",
+        "segment_id": segment,
+        "meta_data": {"source": "synth3dlanes", "source_id": f"{frame.split}/{frame.key}"},
+        "timestamp": timestamp,
+        "sensor": {name: _sensor(camera, world_from_ego, image) for name, camera in cameras.items()},
+        "pose": _pose(world_from_ego),
+    }
+    nothing: list[list[int]] = [[] for _ in lanes]
+    centerlines = {
+        "lane_centerline": [
+            {"id": index, "points": _resampled(lane.middle_ego, CENTERLINE_POINTS)} for index, lane in enumerate(lanes)
+        ],
+        "traffic_element": [],
+        "topology_lclc": topology,
+        "topology_lcte": nothing,
+    }
+    segments = {
+        "lane_segment": [_segment_document(index, lane) for index, lane in enumerate(lanes)],
+        "traffic_element": [],
+        "area": list(_areas(world, frame, world_from_ego, behind_m, len(lanes))),
+        "topology_lsls": topology,
+        "topology_lste": nothing,
+    }
+    parts = [part for part in PARTS if frame.serves_as(part)]
+    return Annotation(
+        f"{ROOT}/{image}",
+        len(lanes),
+        dropped,
+        {
+            f"{ROOT}/{part}/{segment}/info/{timestamp}{suffix}.json": json.dumps({**common, "annotation": annotation})
+            for part in parts
+            for suffix, annotation in (("", centerlines), ("-ls", segments))
+        },
+        tuple((json.dumps([part, segment, f"{timestamp}.json"]), (f"{ROOT}/{COLLECTION}.json",)) for part in parts),
+    )
+
+
+def ego_frame(camera: CameraLabel) -> Matrix4:
+    """World from the vehicle frame, given the first camera."""
+    return np.asarray(camera.world_from_cam @ invert(camera.road_from_cam) @ ROAD_FROM_EGO)
+
+
+def _looks_back(camera: CameraLabel, world_from_ego: Matrix4) -> bool:
+    return bool((invert(world_from_ego) @ camera.world_from_cam)[0, 1] < 0)
+
+
+def _sensor(camera: CameraLabel, world_from_ego: Matrix4, image: str) -> dict[str, Any]:
+    """A camera: `extrinsic` is the vehicle frame from OpenCV's camera frame."""
+    ego_from_cam = invert(world_from_ego) @ camera.world_from_cam
+    return {
+        "image_path": image,
+        "extrinsic": {
+            "rotation": (ego_from_cam[:3, :3] @ CV_FROM_CAM.T).tolist(),
+            "translation": ego_from_cam[:3, 3].tolist(),
+        },
+        "intrinsic": {"K": (camera.img_from_cam @ CV_FROM_CAM.T).tolist(), "distortion": [0.0, 0.0, 0.0]},
+    }
+
+
+def _pose(world_from_ego: Matrix4) -> dict[str, Any]:
+    return {"rotation": world_from_ego[:3, :3].tolist(), "translation": world_from_ego[:3, 3].tolist()}
+
+
+def _lanes(
+    frame: SampleFrame, world: World, world_from_ego: Matrix4, behind_m: float, dropped: Counter[str]
+) -> list[_Lane]:
+    ego_from_world, lanes = invert(world_from_ego), []
+    for segment in lane_segments(world, frame.labels.graph.segments, float(world_from_ego[1, 3])):
+        middle_ego = transform(ego_from_world, segment.points_world)
+        first, last = _longest(_in_area(middle_ego, behind_m))
+        if last - first < 2 or _length_m(middle_ego[first:last]) < LEAST_LENGTH_M:
+            dropped[SHORT if last > first else OUTSIDE] += 1
+            continue
+        left_ego, right_ego = (
+            transform(ego_from_world, side.points_world[first:last]) for side in (segment.left, segment.right)
+        )
+        lanes.append(_Lane(segment, middle_ego[first:last], left_ego, right_ego, first == 0, last == len(middle_ego)))
+    return lanes
+
+
+def _in_area(points_ego: Float[np.ndarray, "n 3"], behind_m: float) -> Bool[np.ndarray, " n"]:
+    x_m, y_m, _ = points_ego.T
+    return np.asarray((x_m >= -behind_m) & (x_m <= AHEAD_M) & (np.abs(y_m) <= ASIDE_M))
+
+
+def _longest(inside: Bool[np.ndarray, " n"]) -> tuple[int, int]:
+    """First and last (exclusive) of the longest run; (0, 0) without any."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(int), [0]]))).reshape(-1, 2)
+    if not len(ends):
+        return 0, 0
+    first, last = ends[np.argmax(ends[:, 1] - ends[:, 0])].tolist()
+    return first, last
+
+
+def _topology(lanes: Sequence[_Lane], successors: dict[str, tuple[str, ...]]) -> list[list[int]]:
+    return [
+        [int(b.segment.id in successors.get(a.segment.id, ()) and a.has_end and b.has_start) for b in lanes]
+        for a in lanes
+    ]
+
+
+def _segment_document(index: int, lane: _Lane) -> dict[str, Any]:
+    document = {"id": index, "centerline": _resampled(lane.middle_ego, POINTS), "is_intersection_or_connector": False}
+    for name, points_ego, side in (
+        ("left", lane.left_ego, lane.segment.left),
+        ("right", lane.right_ego, lane.segment.right),
+    ):
+        document |= _side_document(f"{name}_laneline", points_ego, side)
+    return document
+
+
+def _side_document(name: str, points_ego: Float[np.ndarray, "n 3"], side: Boundary) -> dict[str, Any]:
+    return {
+        name: _resampled(points_ego, POINTS),
+        f"{name}_type": LINE_TYPES[side.marking],
+        f"{name}_color": side.color,
+        f"{name}_double": side.double,
+    }
+
+
+def _areas(
+    world: World, frame: SampleFrame, world_from_ego: Matrix4, behind_m: float, first_id: int
+) -> Iterator[dict[str, Any]]:
+    """Crosswalks as closed quads, one of whose long sides comes first; edges of the pavement in the area."""
+    ego_from_world, index = invert(world_from_ego), first_id
+    for symbol in world.scene.symbols:
+        if symbol.kind == "crosswalk":
+            form = shape(world.ground, symbol)
+            (x0, y0), (x1, y1) = form.outline.min(axis=0), form.outline.max(axis=0)
+            corners = form.points_world(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]]))
+            quad_ego = transform(ego_from_world, corners)
+            if _in_area(quad_ego, behind_m).all():
+                yield {"id": index, "category": PEDESTRIAN_CROSSING, "points": _rounded(quad_ego)}
+                index += 1
+    for edge_world in pavement_edges(world, float(world_from_ego[1, 3])):
+        edge_ego = transform(ego_from_world, edge_world)
+        for run in runs(edge_ego, _in_area(edge_ego, behind_m)):
+            if _length_m(run) >= LEAST_LENGTH_M:
+                yield {"id": index, "category": ROAD_BOUNDARY, "points": _resampled(run, POINTS)}
+                index += 1
+
+
+def _length_m(points: Float[np.ndarray, "n 3"]) -> float:
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+
+
+def _resampled(points: Float[np.ndarray, "n 3"], n: int) -> list[list[float]]:
+    """`n` points at equal distances along a line."""
+    at_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    wanted_m = np.linspace(0.0, at_m[-1], n)
+    return _rounded(np.column_stack([np.interp(wanted_m, at_m, column) for column in points.T]))
+
+
+def _rounded(points: Float[np.ndarray, "n 3"]) -> list[list[float]]:
+    return np.asarray(np.round(points, DECIMALS) + 0.0).tolist()
+
+
+def document(path: str, lines: Path) -> Iterator[str]:
+    """The frames of each part by segment, as the devkit's `collect` takes them."""
+    frames: dict[str, dict[str, list[str]]] = {}
+    for line in lines.read_text().splitlines():
+        part, segment, name = json.loads(line)
+        frames.setdefault(part, {}).setdefault(segment, []).append(name)
+    yield json.dumps(frames, indent=1)
+
+
+FORMAT = SampleFormat(readme=README, annotate=annotate, document=document)

@@ -1,0 +1,96 @@
+"""Formats that take samples as they are: what reaches their writers, what happens to images, what is refused."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from synth3dlanes.errors import InputError
+from synth3dlanes.formats.export import FORMATS, export
+from synth3dlanes.formats.plan import open_reader
+from synth3dlanes.formats.sample_format import SampleFormat
+from synth3dlanes.formats.writing import Annotation
+from synth3dlanes.production.plan import Plan
+from synth3dlanes.production.run import generate
+from synth3dlanes.shots import clips
+from tests import fake_samples
+
+
+def run(monkeypatch, dataset, out, annotate, **changes):
+    foreign = SampleFormat(readme="As it is.", annotate=annotate, **changes)
+    monkeypatch.setitem(FORMATS, "as_it_is", foreign)
+    return export(str(dataset), out, "as_it_is", 1, lambda done, total: None)
+
+
+def test_images_are_copied_byte_for_byte_or_encoded_anew_where_the_path_says_so(monkeypatch, dataset, tmp_path):
+    def annotate(frame):
+        suffix = "jpg" if int(frame.key) % 2 else "png"
+        return Annotation(f"{frame.split}/{frame.key}.{suffix}", len(frame.labels.lanes))
+
+    summary = run(monkeypatch, dataset, tmp_path / "out", annotate)
+    reader = open_reader(f"{dataset}/train")
+    assert sum(summary.n_frames.values()) == 11
+    assert (tmp_path / "out/train/00000001.jpg").read_bytes() == reader.member(1, "jpg")
+    with Image.open(tmp_path / "out/train/00000002.png") as image:
+        assert image.format == "PNG"
+        np.testing.assert_array_equal(np.asarray(image), reader.image(2))
+
+
+def test_the_writer_gets_the_scene_and_the_labels_of_the_rolled_camera(monkeypatch, write_split, tmp_path):
+    write_split(tmp_path / "data", "train", 1, ["camera.roll_deg=2"])
+    frames = []
+
+    def annotate(frame):
+        frames.append(frame)
+        return Annotation(None, 0, files={"a.txt": "a"})
+
+    run(monkeypatch, tmp_path / "data", tmp_path / "out", annotate)
+    (frame,) = frames
+    assert frame.labels.camera.roll_rad == pytest.approx(np.radians(2), abs=1e-6)
+    assert frame.scene.camera.roll_rad == frame.labels.camera.roll_rad
+    assert (frame.passes, frame.image_format) == ({}, "jpg")
+    assert not list((tmp_path / "out").rglob("*.jpg"))
+
+
+def test_a_scene_is_written_once_where_the_format_says_so(monkeypatch, tmp_path):
+    recipe = fake_samples.recipe(shots=clips(3, 10))
+    generate(Plan(str(tmp_path / "data"), 8, recipe, workers=1, maker=fake_samples.make), lambda event: None)
+    keys = []
+
+    def annotate(frame):
+        keys.append(frame.key)
+        return Annotation(None, 1)
+
+    summary = run(monkeypatch, tmp_path / "data", tmp_path / "out", annotate, is_per_scene=True)
+    assert keys == ["00000000", "00000003", "00000006"]
+    assert sum(summary.n_frames.values()) == 3
+
+
+def test_data_sets_without_the_passes_are_refused_before_anything_is_written(monkeypatch, dataset, tmp_path):
+    with pytest.raises(InputError) as error:
+        run(monkeypatch, dataset, tmp_path / "out", lambda frame: None, passes=("semantic", "instance"))
+    assert str(error.value) == (
+        f"{dataset}/test: expected the passes semantic, instance (generate --passes) for as_it_is, got none"
+    )
+    assert not (tmp_path / "out").exists()
+
+
+def test_shared_lines_become_one_document(monkeypatch, dataset, tmp_path):
+    def annotate(frame):
+        return Annotation(None, 1, shared=((json.dumps(frame.key), (f"{frame.split}.json",)),))
+
+    def document(path, lines):
+        yield json.dumps({"file": path, "keys": [json.loads(line) for line in lines.read_text().splitlines()]})
+
+    for _ in range(2):
+        run(monkeypatch, dataset, tmp_path / "out", annotate, document=document)
+        found = json.loads((tmp_path / "out/test.json").read_text())
+        assert found == {"file": "test.json", "keys": [f"{i:08d}" for i in range(4)]}
+    assert not list((tmp_path / "out").glob("*.tmp*"))
+
+
+def test_a_size_is_refused(monkeypatch, dataset, tmp_path):
+    monkeypatch.setitem(FORMATS, "as_it_is", SampleFormat(readme="", annotate=lambda frame: None))
+    with pytest.raises(InputError, match=r"expected that of the data set's images \(other sizes: openlane, once"):
+        export(str(dataset), tmp_path / "out", "as_it_is", 1, lambda done, total: None, (96, 64))
