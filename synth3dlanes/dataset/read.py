@@ -50,8 +50,8 @@ class Reader:
 
     `index` is the table of all samples: places, scene parameters, label summary (`docs/format.md`), or only the places
     and `columns`: of 300,000 samples these take 20 MB, the whole table 200 MB. `recipes` are those that its shards were
-    made from, by their indices ("" where one does not say). `scene_of` is the number of the scene that each sample
-    shows.
+    made from, by their indices ("" where one does not say). `scene_of` and `camera_of` are the
+    numbers of the scene and of the camera that each sample shows.
     """
 
     def __init__(self, url: str, columns: Sequence[str] | None = None) -> None:
@@ -87,7 +87,7 @@ class Reader:
         }
         self._indices = self.index["index"].to_numpy()
         self.scene_of = self.index["scene"].to_numpy() if has_shots else self._indices
-        self._cameras = self.index["camera"].to_numpy() if has_shots else np.zeros(len(self), int)
+        self.camera_of = self.index["camera"].to_numpy() if has_shots else np.zeros(len(self), int)
 
     def __len__(self) -> int:
         return len(self._indices)
@@ -148,7 +148,7 @@ class Reader:
 
     def clip(self, scene: int, camera: int | None = None) -> list[int]:
         """Where the pictures of a scene are, frame by frame; of one camera, or of all cameras of each frame in turn."""
-        is_asked = (self.scene_of == scene) & ((self._cameras == camera) if camera is not None else True)
+        is_asked = (self.scene_of == scene) & ((self.camera_of == camera) if camera is not None else True)
         if not is_asked.any():
             by = "" if camera is None else f" by camera {camera}"
             raise FormatError(f"{self.url}: expected pictures of scene {scene}{by}, got none")

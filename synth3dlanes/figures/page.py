@@ -26,6 +26,7 @@ from synth3dlanes.scene import Scene, to_json
 
 Picture = UInt8[np.ndarray, "h w 3"]
 
+MAX_FRAMES = 60
 _JPEG_QUALITY = 92
 _LAYERS: dict[str, LaneKind] = {"centre lines": "centerline", "delimiters": "delimiter"}
 _MASKS = {"seen": "#17a34a", "hidden by the ground": "#f59e0b", "hidden by objects": "#a21caf"}
@@ -83,14 +84,33 @@ class PassPicture(NamedTuple):
     jpeg: str
 
 
-def scene_page(scene: Scene, labels: Labels, image: Picture | None, passes: Passes | None = None) -> str:
+class Frame(NamedTuple):
+    """A frame of a clip: when it is, and its image with its lanes."""
+
+    words: str
+    drawn: Drawing
+
+
+def scene_page(
+    scene: Scene,
+    labels: Labels,
+    image: Picture | None,
+    passes: Passes | None = None,
+    clip: Sequence[tuple[Labels, Picture]] = (),
+) -> str:
     """One scene: the image with lanes and masks that can be switched on and off, a 3D view, its passes, and all
-    parameters."""
+    parameters; with the frames of its clip, a slider through them (at most MAX_FRAMES, evenly spaced)."""
+    step = -(-len(clip) // MAX_FRAMES)
+    shown = [(number, *clip[number]) for number in range(0, len(clip), max(1, step))]
+    frames = [Frame(f"frame {n}, {found.time_s or 0:.2f} s", _drawing(found, picture)) for n, found, picture in shown]
     return _render(
         "scene.html",
         title=f"seed {scene.seed}, {scene.split} {scene.index}: {topology_words(scene.road)}",
         switches=_switches([labels]),
         drawn=_drawing(labels, image),
+        frames=frames,
+        pause_ms=round(1000 / scene.shot.fps * max(1, step)),
+        start=min(range(len(frames)), key=lambda i: abs(shown[i][0] - scene.shot.frame), default=0),
         passes=[
             PassPicture(name, WORDS[name], _jpeg(pass_picture(name, values))) for name, values in (passes or {}).items()
         ],
