@@ -6,12 +6,15 @@ be pickled, forked and used by many threads.
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 
 import numpy as np
 import pyarrow as pa
-from jaxtyping import Shaped, UInt8
+from jaxtyping import Int, Shaped, UInt8
+from pydantic import ValidationError
 
 from synth3dlanes import labels as labels_module
+from synth3dlanes.cameras import CameraSpec
 from synth3dlanes.dataset.address import connect, splits_near, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION, parse_description, pictures_per_scene
 from synth3dlanes.dataset.format import (
@@ -36,8 +39,9 @@ from synth3dlanes.dataset.index import (
     recipe_of,
     require_columns,
 )
-from synth3dlanes.errors import FormatError
+from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.labels import Labels
+from synth3dlanes.schema import AHEAD_DEG, validation_problems
 from synth3dlanes.sweep import Sweep
 
 N_CONNECTIONS = 8
@@ -160,6 +164,35 @@ class Reader:
             by = "" if camera is None else f" by camera {camera}"
             raise FormatError(f"{self.url}: expected pictures of scene {scene}{by}, got none")
         return [int(i) for i in np.flatnonzero(is_asked)]
+
+    @cached_property
+    def cameras(self) -> tuple[CameraSpec, ...]:
+        """The cameras of the rig that the data set was made with, or its own camera; none where it has that of its
+        parameters."""
+        try:
+            specs = self.description.get("shots", {}).get("cameras", ())
+            return tuple(CameraSpec.model_validate(spec) for spec in specs)
+        except ValidationError as error:
+            problems = validation_problems(error, f"{self.url}: dataset.json: shots.cameras")
+            raise FormatError("\n".join(problems)) from None
+
+    def taken_by(self, names: Sequence[str] = ()) -> Int[np.ndarray, " n"]:
+        """Where the samples of some cameras are, by the cameras' names; without names, those of all that look ahead.
+
+        Raises InputError where there is no such camera.
+        """
+        known = [spec.name for spec in self.cameras]
+        unknown = [name for name in names if name not in known]
+        if unknown:
+            expected = ", ".join(known) or "none, because this data set has no rig"
+            raise InputError(f"cameras: expected some of {expected}, got {', '.join(unknown)}")
+        if not known:
+            return np.arange(len(self))
+        chosen = [i for i, spec in enumerate(self.cameras) if (spec.name in names if names else spec.looks_ahead)]
+        if not chosen:
+            expected = f"a camera within {AHEAD_DEG:.0f} degrees of the driving direction"
+            raise InputError(f"{self.url}: expected {expected}, got none")
+        return np.flatnonzero(np.isin(self._cameras, chosen))
 
     def positions(self, scenes: Sequence[int]) -> list[int]:
         """Where all pictures of some scenes are, in order."""
