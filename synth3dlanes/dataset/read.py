@@ -192,7 +192,7 @@ class Reader:
         if not chosen:
             expected = f"a camera within {AHEAD_DEG:.0f} degrees of the driving direction"
             raise InputError(f"{self.url}: expected {expected}, got none")
-        return np.flatnonzero(np.isin(self._cameras, chosen))
+        return np.flatnonzero(np.isin(self.camera_of, chosen))
 
     def positions(self, scenes: Sequence[int]) -> list[int]:
         """Where all pictures of some scenes are, in order."""
