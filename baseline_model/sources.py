@@ -62,31 +62,36 @@ class Chosen:
 @dataclass(frozen=True, eq=False)
 class Upright:
     """A split of our dataset as pinholes without roll have it: the pose that a network learns has no roll, and its view
-    from above no lens."""
+    from above no lens. Of a rig's cameras it has those that look ahead."""
 
     reader: Reader
 
+    @cached_property
+    def places(self) -> Int[np.ndarray, " n"]:
+        """Where its samples are in the reader."""
+        return self.reader.taken_by()
+
     def __len__(self) -> int:
-        return len(self.reader)
+        return len(self.places)
 
     def __getitem__(self, index: int) -> Sample:
-        sample = self.reader[index]
+        sample = self.reader[int(self.places[index])]
         image = rectified_image(sample.image, sample.labels.camera)
         return replace(sample, image=image, labels=rectified_labels(sample.labels))
 
     def key(self, index: int) -> str:
         """The sample's key, from the index alone."""
-        return self.reader.key(index)
+        return self.reader.key(int(self.places[index]))
 
     def labels(self, index: int) -> Labels:
         """The labels, without decoding the image."""
-        return rectified_labels(self.reader.labels(index))
+        return rectified_labels(self.reader.labels(int(self.places[index])))
 
     def image(self, index: int) -> Pixels:
         """The image; labels are read only where the camera is rolled or has a lens."""
-        is_level = self._is_level[index]
-        image = self.reader.image(index)
-        return image if is_level else rectified_image(image, self.reader.labels(index).camera)
+        place = int(self.places[index])
+        image = self.reader.image(place)
+        return image if self._is_level[place] else rectified_image(image, self.reader.labels(place).camera)
 
     def digest(self) -> str:
         """What the samples are: equal recipes give equal samples, and `dataset.json` has the recipe."""
@@ -135,7 +140,7 @@ def training_and_validation(
 
 def _scenes(samples: Samples) -> Int[np.ndarray, " n"]:
     """The number of the scene that each sample shows; a clip has several."""
-    return samples.reader.scene_of if isinstance(samples, Upright) else np.arange(len(samples))
+    return samples.reader.scene_of[samples.places] if isinstance(samples, Upright) else np.arange(len(samples))
 
 
 def describe(validation: Samples) -> str:

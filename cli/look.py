@@ -35,17 +35,20 @@ def inspect(where: str, image: Path | None, out: Path | None, html: Path | None,
     from synth3dlanes.figures.describe import describe
     from synth3dlanes.figures.inspect import draw_inspect, summary
     from synth3dlanes.figures.page import scene_page
-    from synth3dlanes.sources import load_any, load_passes
+    from synth3dlanes.sources import SAMPLE, load_any, load_clip, load_passes, load_sweep
 
     found = load_any(where, image)
     layers = load_passes(where, image) if passes else {}
+    sweep = load_sweep(where, image, found.labels)
+    is_clip = html and found.scene.shot.n_frames > 1 and SAMPLE.fullmatch(where)
+    frames = load_clip(where).frames if is_clip else []
     written = {}
     if html:
-        html.write_text(scene_page(found.scene, found.labels, found.image, layers), encoding="utf-8")
+        html.write_text(scene_page(found.scene, found.labels, found.image, layers, sweep, frames), encoding="utf-8")
         written["page"] = str(html)
     if out or not html:
         path = out or Path(f"{found.name}.inspect.png")
-        draw_inspect(found.scene, found.labels, found.image, layers).savefig(path, dpi=100)
+        draw_inspect(found.scene, found.labels, found.image, layers, sweep).savefig(path, dpi=100)
         written["figure"] = str(path)
     if as_json:
         click.echo(json.dumps({**written, **describe(found.scene, found.labels)}))
@@ -104,6 +107,23 @@ def gallery(
     sheet = draw_gallery(pictures, [reader.key(i) for reader, i in samples], labels, columns, width)
     sheet.save(out)
     click.echo(f"Gallery: {out}")
+
+
+@click.command()
+@click.argument("where", metavar="DIR/SPLIT:KEY")
+@click.option("--out", type=OutputFile(".webp"), default="clip.webp", help="Animated image to write.")
+@click.option("--lanes/--no-lanes", default=True, help="Draw the labels on the frames.")
+@click.option("--width", metavar="PX", type=click.IntRange(min=100), help="Shrink the frames to this width in pixels.")
+def clip(where: str, out: Path, lanes: bool, width: int | None) -> None:
+    """Write the clip to which a sample belongs, such as DIR/train:00000017, as an animated WebP."""
+    from synth3dlanes.figures.clip import draw_clip
+    from synth3dlanes.figures.overlay import draw_overlay
+    from synth3dlanes.sources import load_clip
+
+    found = load_clip(where)
+    pictures = [draw_overlay(image, labels) if lanes else image for labels, image in found.frames]
+    out.write_bytes(draw_clip(pictures, found.fps, width))
+    click.echo(f"Clip: {out}, {len(pictures)} frames")
 
 
 @click.command()

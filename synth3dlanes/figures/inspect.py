@@ -16,6 +16,7 @@ from synth3dlanes.figures.scene_view import SceneView
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import PASSES
+from synth3dlanes.sweep import Sweep
 
 
 def summary(scene: Scene, labels: Labels) -> RenderableType:
@@ -35,10 +36,14 @@ def summary(scene: Scene, labels: Labels) -> RenderableType:
 
 
 def draw_inspect(
-    scene: Scene, labels: Labels, image: UInt8[np.ndarray, "h w 3"] | None, passes: Passes | None = None
+    scene: Scene,
+    labels: Labels,
+    image: UInt8[np.ndarray, "h w 3"] | None,
+    passes: Passes | None = None,
+    sweep: Sweep | None = None,
 ) -> Figure:
-    """One page with the image, its passes, and the scene in 3D, from above and from the side; without an image, lanes
-    alone."""
+    """One page with the image, its passes, and the scene in 3D, from above with the lidar's points, and from the side;
+    without an image, lanes alone."""
     view = SceneView(scene, labels)
     pass_rows = [names for names in (PASSES[:2], PASSES[2:4], PASSES[4:]) if passes and set(names) & set(passes)]
     heights = (9.5, *(7.0 for _ in pass_rows), 8.5, 4)
@@ -51,7 +56,7 @@ def draw_inspect(
         for column, name in enumerate(names):
             if passes and name in passes:
                 draw_pass(figure.add_subplot(grid[row, column]), name, passes[name])
-    views.draw_top(figure.add_subplot(grid[-2, :]), view)
+    views.draw_top(figure.add_subplot(grid[-2, :]), view, sweep)
     views.draw_side(figure.add_subplot(grid[-1, :]), view)
     figure.legend(handles=_legend(), loc="outside lower center", ncols=7, frameon=False)
     figure.suptitle(

@@ -12,9 +12,11 @@ from mpl_toolkits.mplot3d import Axes3D, art3d  # type: ignore[import-untyped]
 
 from synth3dlanes.figures import colors
 from synth3dlanes.figures.overlay import stretches_img
+from synth3dlanes.figures.passes import semantic_colors
 from synth3dlanes.figures.scene_view import AHEAD_M, BEHIND_M, SceneView, frustum
 from synth3dlanes.frames import transform
 from synth3dlanes.labels import Labels, Lane
+from synth3dlanes.sweep import Sweep
 
 HIDDEN_OPACITY = 0.4
 FRUSTUM_OPACITY = 0.13
@@ -43,8 +45,9 @@ def draw_image(axes: Axes, labels: Labels, image: UInt8[np.ndarray, "h w 3"] | N
     axes.set_title("image: solid = seen, dotted = hidden")
 
 
-def draw_top(axes: Axes, view: SceneView) -> None:
-    """View from above, driving direction to the right: roads, lanes, cars, trees and the camera's field of view."""
+def draw_top(axes: Axes, view: SceneView, sweep: Sweep | None = None) -> None:
+    """View from above, driving direction to the right: roads, lanes, cars, trees, the camera's field of view and the
+    lidar's points in the colours of their semantic ids."""
     for left, right in view.roads.values():
         axes.add_patch(Polygon(np.concatenate([left, right[::-1]])[:, [1, 0]], color=colors.ROAD, zorder=1))
     _frustum_from_above(axes, view.labels)
@@ -59,6 +62,10 @@ def draw_top(axes: Axes, view: SceneView) -> None:
     for car in view.cars:
         face = colors.hexadecimal(car.color)
         axes.add_patch(Polygon(car.corners_road[:, [1, 0]], facecolor=face, edgecolor=colors.INK, zorder=5))
+    if sweep is not None:
+        points = sweep.points()
+        x, y, _ = transform(view.labels.camera.road_from_cam, points.xyz_cam).T
+        axes.scatter(y, x, s=1, c=semantic_colors(points.semantic) / 255, linewidths=0, zorder=5.5)
     low, high = _lateral_extent(view)
     axes.set(xlim=(-BEHIND_M, AHEAD_M), ylim=(high, low), aspect="equal")
     axes.set(xlabel="y forward [m]", ylabel="x right [m]")
