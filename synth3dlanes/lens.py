@@ -82,6 +82,12 @@ class Lens(Part):
         from the viewing direction."""
         return float(_radius(self, np.array([angle_rad]))[0][0])
 
+    def angle_rad(self, radius: float) -> float:
+        """The angle from the viewing direction of what the lens has at a radius, as opposed to `radius`; that at which
+        its field ends for radii beyond it."""
+        angle = float(_angle(self, np.array([radius]))[0])
+        return self.field_rad if np.isnan(angle) else angle
+
 
 PINHOLE = Lens()
 
