@@ -157,7 +157,7 @@ def _tree(tree: TreeOutline) -> list[Triangles]:
 def _camera(view: SceneView) -> Triangles:
     """The camera's frustum as a pyramid."""
     camera = view.labels.camera
-    corners_img = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * [camera.width_px, camera.height_px]
+    corners_img = np.array([[0.0, 0.0], [1, 0], [1, 1], [0, 1]]) * [camera.width_px, camera.height_px]
     rays_cam = frustum(camera, corners_img) * _FRUSTUM_M
     vertices = transform(camera.road_from_cam, np.concatenate([np.zeros((1, 3)), rays_cam]))
     faces = np.array([[0, i, j] for i, j in pairwise([1, 2, 3, 4, 1])])
