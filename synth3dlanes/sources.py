@@ -91,6 +91,12 @@ def load_clip(where: str) -> Clip:
     return Clip(shot.fps, [(reader.labels(position), reader.image(position)) for position in positions])
 
 
+def load_rig_pictures(where: str) -> list[tuple[Labels, UInt8[np.ndarray, "h w 3"]]]:
+    """What all cameras of a rig see in the scene and frame of a sample `DIR/SPLIT:KEY`."""
+    reader, i = find(where)
+    return [(reader.labels(position), reader.image(position)) for position in reader.rig(i)]
+
+
 def load_passes(where: str, image_path: Path | None) -> dict[str, Shaped[np.ndarray, "..."]]:
     """The passes of a sample, or those in the files beside a rendered image; raise InputError where there are none."""
     passes: dict[str, Shaped[np.ndarray, ...]] = {}
