@@ -21,6 +21,7 @@ from .options import (
     clip_options,
     device_option,
     json_option,
+    lidar_option,
     open_assets,
     open_shots,
     params_option,
@@ -88,6 +89,7 @@ class PartOf(click.ParamType):
 @device_option
 @samples_option
 @passes_option
+@lidar_option
 @click.option(
     "--image-format",
     type=click.Choice(["jpg", "png"]),
@@ -136,6 +138,7 @@ def generate(
     device: str,
     samples: int,
     passes: tuple[str, ...],
+    lidar: str | None,
     image_format: str,
     executor: Literal["local", "ray"],
     address: str,
@@ -157,8 +160,8 @@ def generate(
     if executor == "local" and ctx.get_parameter_source("address") is not ParameterSource.DEFAULT:
         raise click.UsageError("--address can only be used with --executor ray.")
     library = open_assets(assets)
-    params, settings = load_params(source, changes, library.assets), RenderSettings(samples, passes, device)
-    shots = open_shots(camera, rig, frames, fps)
+    params, shots = load_params(source, changes, library.assets), open_shots(camera, rig, frames, fps, lidar)
+    settings = RenderSettings(samples, (*passes, *(["lidar"] if lidar else [])), device)
     recipe = Recipe(params, seed, split, settings, image_format, library=library, shots=shots)
     plan = Plan(out, n, recipe, workers, part)
     drawn_from = f"parameters {source}{' with ' * bool(changes)}{', '.join(changes)}"

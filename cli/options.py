@@ -119,6 +119,9 @@ passes_option = click.option(
     metavar="NAMES",
     help=f"Extra images to write as OpenEXR, separated by commas: {', '.join(PASSES)}.",
 )
+lidar_option = click.option(
+    "--lidar", metavar="FILE", help="Lidar on the host: a YAML file or the name of a ready one (docs/lidar.md)."
+)
 
 
 def clip_options(command: Command) -> Command:
@@ -183,13 +186,14 @@ def open_assets(folder: Path | None) -> "Library":
     return library
 
 
-def open_shots(camera: str | None, rig: str | None, frames: int, fps: float) -> "Shots":
-    """What `--camera` or `--rig`, `--frames` and `--fps` say."""
+def open_shots(camera: str | None, rig: str | None, frames: int, fps: float, lidar: str | None = None) -> "Shots":
+    """What `--camera` or `--rig`, `--frames` and `--fps`, and `--lidar` say."""
     from synth3dlanes.camera_files import load_camera
+    from synth3dlanes.lidar_files import load_lidar
     from synth3dlanes.rig_files import load_rig
     from synth3dlanes.shots import clips
 
     if camera is not None and rig is not None:
         raise click.UsageError("--camera and --rig exclude each other; a rig's file names its cameras.")
     cameras = load_rig(rig) if rig is not None else () if camera is None else (load_camera(camera),)
-    return clips(frames, fps, cameras)
+    return clips(frames, fps, cameras).model_copy(update={"lidar": load_lidar(lidar) if lidar else None})

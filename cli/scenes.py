@@ -9,6 +9,7 @@ from .options import (
     camera_option,
     clip_options,
     device_option,
+    lidar_option,
     open_assets,
     open_shots,
     params_option,
@@ -69,6 +70,7 @@ def sample(
 @set_option
 @samples_option
 @passes_option
+@lidar_option
 @device_option
 @assets_option
 def render(
@@ -77,18 +79,20 @@ def render(
     changes: tuple[str, ...],
     samples: int,
     passes: tuple[str, ...],
+    lidar: str | None,
     device: str,
     assets: Path | None,
 ) -> None:
     """Render one scene, from a file or a data set. Writes the image, NAME.labels.json and, with --passes,
-    NAME.passes.exr.
+    NAME.passes.exr. A scene with a lidar, its own or that of --lidar, gives NAME.lidar.exr.
 
     --set changes the scene first: --set light.exposure=3 changes the exposure, --set cars=[] removes the cars. The
     changed scene is written to NAME.scene.json.
     """
+    from synth3dlanes.lidar_files import load_lidar
     from synth3dlanes.production.render_file import render_file
     from synth3dlanes.settings import RenderSettings
 
     settings, library = RenderSettings(samples, passes, device), open_assets(assets)
-    for path in render_file(source, out, changes, settings, library):
+    for path in render_file(source, out, changes, settings, library, load_lidar(lidar) if lidar else None):
         click.echo(path)

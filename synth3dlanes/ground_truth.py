@@ -10,7 +10,7 @@ from synth3dlanes.geometry.paint import is_double, paint_color
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.symbols import shape
 from synth3dlanes.geometry.visibility import seen_over_ground
-from synth3dlanes.labels import CameraLabel, Labels, Lane, RoadName, RoadPlane, SymbolLabel
+from synth3dlanes.labels import CameraLabel, Labels, Lane, LidarLabel, RoadName, RoadPlane, SymbolLabel
 from synth3dlanes.scene import Scene
 from synth3dlanes.world import View, World, resolve
 
@@ -95,7 +95,16 @@ def label(world: World, view: View) -> Labels:
         horizon_plane(camera, next(lane for lane in lanes if lane.id == host)) if lens.looks_ahead else None,
         symbols=symbols,
         time_s=round(shot.time_s, 9) if shot.n_frames > 1 else None,
+        lidar=_lidar(view),
     )
+
+
+def _lidar(view: View) -> LidarLabel | None:
+    if view.lidar is None:
+        return None
+    fields = ("name", "elevations_rad", "azimuths", "min_range_m", "max_range_m")
+    cam_from_lidar = invert(view.world_from_cam) @ view.world_from_lidar
+    return LidarLabel(**{name: getattr(view.lidar, name) for name in fields}, cam_from_lidar=cam_from_lidar)
 
 
 def horizon_plane(camera: CameraLabel, host: Lane) -> RoadPlane | None:

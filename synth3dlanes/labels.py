@@ -193,6 +193,20 @@ class RoadPlane:
     height_m: Number
 
 
+@with_config(STRICT)
+@dataclass(frozen=True, eq=False)
+class LidarLabel:
+    """The lidar beside the camera: its beams from the top one down, the azimuths of a turn, the ranges within which it
+    measures, and its place."""
+
+    name: Name
+    elevations_rad: Annotated[tuple[Number, ...], Field(min_length=1, max_length=256)]
+    azimuths: Pixels
+    min_range_m: Number
+    max_range_m: Positive
+    cam_from_lidar: Matrix4
+
+
 @dataclass(frozen=True, eq=False)
 class Labels:
     """The exact labels of one image.
@@ -201,7 +215,8 @@ class Labels:
     farthest visible point of the host lane (the paper's 'horizon' variant), None if no point is visible or the camera
     does not look ahead.
     `car_visible_fraction` is the visible share of each car's silhouette; None until rendered. `symbols` are those of
-    the scene, in its order: arrows, stop lines, crosswalks and gores, none of which is a lane.
+    the scene, in its order: arrows, stop lines, crosswalks and gores, none of which is a lane. `lidar` is that of the
+    scene, if it has one.
     """
 
     camera: CameraLabel
@@ -211,6 +226,7 @@ class Labels:
     car_visible_fraction: tuple[float, ...] | None = None
     symbols: tuple[SymbolLabel, ...] = ()
     time_s: float | None = None
+    lidar: LidarLabel | None = None
 
 
 def to_json(labels: Labels) -> str:
@@ -247,6 +263,8 @@ def to_json(labels: Labels) -> str:
         document["symbols"] = [_points_document(symbol) for symbol in labels.symbols]
     if labels.time_s is not None:
         document["time_s"] = labels.time_s
+    if labels.lidar is not None:
+        document["lidar"] = {**vars(labels.lidar), "cam_from_lidar": _rounded(labels.lidar.cam_from_lidar, 9)}
     return json.dumps(document, separators=(",", ":"), allow_nan=False)
 
 
@@ -262,13 +280,21 @@ class _Document(Part):
     car_visible_fraction: tuple[Unit, ...] | None
     symbols: tuple[SymbolLabel, ...] = ()
     time_s: Annotated[float, Field(ge=0, le=1e6)] | None = None
+    lidar: LidarLabel | None = None
 
 
 def from_json(text: str | bytes, where: str) -> Labels:
     """Parse `labels.json`; raise FormatError with one line per problem, each beginning with `where`."""
     read = parse(_Document, text, where, f"{LABELS_FORMAT} version {LABELS_VERSION}")
     return Labels(
-        read.camera, read.lanes, read.graph, read.horizon, read.car_visible_fraction, read.symbols, read.time_s
+        read.camera,
+        read.lanes,
+        read.graph,
+        read.horizon,
+        read.car_visible_fraction,
+        read.symbols,
+        read.time_s,
+        read.lidar,
     )
 
 

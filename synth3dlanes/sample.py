@@ -22,6 +22,7 @@ from synth3dlanes.geometry.lanes import connections
 from synth3dlanes.geometry.road import RoadPlan, is_wide_enough
 from synth3dlanes.geometry.roadside import footprints
 from synth3dlanes.geometry.symbols import LENGTHS_M, gore_range
+from synth3dlanes.lidars import LidarSpec
 from synth3dlanes.params import CameraParams, CarParams, Group, MotionParams, Params
 from synth3dlanes.roadside import draw_roadside
 from synth3dlanes.scene import (
@@ -32,6 +33,7 @@ from synth3dlanes.scene import (
     Car,
     Gaussian,
     Host,
+    Lidar,
     Light,
     Markings,
     Road,
@@ -55,6 +57,8 @@ from synth3dlanes.world import World, resolve
 
 # Numbers in a scene are rounded to a micrometre or microradian: readable, and equal on every machine.
 DECIMALS = 6
+# Of a lidar's elevations: on the road ahead, a microradian is a centimetre of range.
+LIDAR_DECIMALS = 9
 CAR_GAP_M = (1.0, 0.3)
 TRIES = 300
 # The streams of the cars: looks as in the paper, and what was added since, so that it changes none of these.
@@ -109,7 +113,14 @@ def world_in_shot(world: World, shots: Shots, place: Place) -> World:
     if shots.cameras:
         spec = shots.cameras[place.camera]
         camera = _mounted(spec, camera, scene.stream(f"camera/{place.camera}"))
-    return world.seen_in(scene.model_copy(update={"camera": camera, "shot": shot}))
+    return world.seen_in(with_lidar(scene.model_copy(update={"camera": camera, "shot": shot}), shots.lidar))
+
+
+def with_lidar(scene: Scene, spec: LidarSpec | None) -> Scene:
+    """The scene with a user's lidar on its host; without one, the scene itself."""
+    if spec is None:
+        return scene
+    return scene.model_copy(update={"lidar": _lidar(spec, Draw(spec, scene.stream("lidar")))})
 
 
 def draw_world(params: Params, seed: int, split: str, index: int, assets: Assets, shots: Shots = SINGLE) -> World:
@@ -270,6 +281,14 @@ def _camera(params: CameraParams, draw: Draw, road: Road) -> Camera:
 def _mounted(spec: CameraSpec, host: Camera, rng: np.random.Generator) -> Camera:
     """A user's camera at the host's place."""
     return Camera(lane=host.lane, y_m=host.y_m, offset_m=host.offset_m, **spec.drawn(rng.random))
+
+
+def _lidar(spec: LidarSpec, draw: Draw) -> Lidar:
+    """A user's lidar at its place on the host."""
+    place = ("height_m", "right_m", "forward_m", "yaw_deg", "pitch_deg", "roll_deg")
+    fixed = {name: getattr(spec, name) for name in ("name", "azimuths", "min_range_m", "max_range_m")}
+    elevations_rad = tuple(np.round(np.radians(spec.elevations_deg), LIDAR_DECIMALS).tolist())
+    return Lidar(**fixed, **{name.replace("_deg", "_rad"): draw(name) for name in place}, elevations_rad=elevations_rad)
 
 
 def _host_lane(lanes: Integers | Choice[int], u: float, present: int) -> int:

@@ -5,6 +5,7 @@ added later; older scenes can still be read and render as before.
 """
 
 import math
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -33,6 +34,7 @@ MIN_MEDIAN_M = 1.0
 MAX_SYMBOLS = HOST_ID - FIRST_SYMBOL_ID
 # Frames of a clip, cameras of a rig, and how far behind the host lanes may be labelled.
 MAX_FRAMES, MAX_CAMERAS, MAX_BEHIND_M = 1000, 64, 110.0
+MAX_BEAMS = 256
 AssetNumber = Annotated[int, Field(ge=1, le=MAX_ASSETS)]
 
 
@@ -256,6 +258,32 @@ class Shot(Part):
         return (self.n_frames - 1) / self.fps
 
 
+class Lidar(Part):
+    """A spinning lidar on the host: its beams' elevations from the top one down, all from one point; the number of
+    azimuths of a turn; the ranges within which it measures; and its place, as of a camera."""
+
+    name: Name = ""
+    elevations_rad: Annotated[
+        tuple[Annotated[float, Field(ge=-1.5, le=1.5)], ...], Field(min_length=1, max_length=MAX_BEAMS)
+    ]
+    azimuths: Annotated[int, Field(ge=16, le=MAX_PX)]
+    min_range_m: Annotated[float, Field(ge=0, le=1000)]
+    max_range_m: Annotated[float, Field(gt=0, le=1000)]
+    height_m: Annotated[float, Field(ge=0.3, le=10)]
+    right_m: Annotated[float, Field(ge=-10, le=10)] = 0.0
+    forward_m: Annotated[float, Field(ge=-10, le=10)] = 0.0
+    yaw_rad: Annotated[float, Field(ge=-4, le=4)] = 0.0
+    pitch_rad: Annotated[float, Field(ge=-4, le=4)] = 0.0
+    roll_rad: Annotated[float, Field(ge=-4, le=4)] = 0.0
+
+    @model_validator(mode="after")
+    def _is_sorted(self) -> "Lidar":
+        """Check that the beams are in order."""
+        if any(lower >= upper for upper, lower in pairwise(self.elevations_rad)):
+            raise ValueError("elevations_rad: expected the top beam first, and each elevation once")
+        return self
+
+
 class Light(Part):
     """The sun, its azimuth counter-clockwise from world x, its zenith beyond pi/2 at night; the exposure factor; and
     `metering`, the exponent with which the exposure compensates for the scene's daylight (0 not at all, 1 fully)."""
@@ -405,6 +433,7 @@ class Scene(Part):
     vegetation: Vegetation = added(Vegetation())
     roadside: Roadside = added(Roadside())
     shot: Shot = added(Shot())
+    lidar: Lidar | None = added(None)
 
     def stream(self, name: str) -> np.random.Generator:
         """Random numbers for details of the world that the scene does not store, such as `clouds`."""

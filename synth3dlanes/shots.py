@@ -6,6 +6,7 @@ from pydantic import Field, ValidationError
 
 from synth3dlanes.cameras import CameraSpec
 from synth3dlanes.errors import InputError
+from synth3dlanes.lidars import LidarSpec
 from synth3dlanes.params import Group
 from synth3dlanes.scene import MAX_BEHIND_M, MAX_CAMERAS, MAX_FRAMES
 from synth3dlanes.schema import validation_problems
@@ -21,11 +22,12 @@ class Place(NamedTuple):
 
 class Shots(Group):
     """Every scene is seen in `frames` frames, `fps` a second, by each of the cameras of a rig; without any, by the
-    camera of the parameters."""
+    camera of the parameters. Each of its samples has the sweep of the lidar, if there is one."""
 
     frames: Annotated[int, Field(ge=1, le=MAX_FRAMES)] = 1
     fps: Annotated[float, Field(gt=0, le=1000)] = 10.0
     cameras: Annotated[tuple[CameraSpec, ...], Field(max_length=MAX_CAMERAS)] = ()
+    lidar: Annotated[LidarSpec | None, Field(exclude_if=lambda lidar: lidar is None)] = None
 
     @property
     def n_cameras(self) -> int:

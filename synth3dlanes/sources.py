@@ -12,7 +12,7 @@ from jaxtyping import Shaped, UInt8
 from pydantic import ValidationError
 
 from synth3dlanes.dataset.address import splits_near
-from synth3dlanes.dataset.format import HEIGHT, PASSES, SCENE, decode_image, read_passes
+from synth3dlanes.dataset.format import HEIGHT, LIDAR, PASSES, SCENE, decode_image, read_passes, read_sweep
 from synth3dlanes.dataset.query import rows_where
 from synth3dlanes.dataset.read import Reader, find
 from synth3dlanes.dataset.splits import readers
@@ -23,6 +23,7 @@ from synth3dlanes.params import Params
 from synth3dlanes.scene import Scene, from_json
 from synth3dlanes.schema import validation_problems
 from synth3dlanes.shots import Shots
+from synth3dlanes.sweep import Sweep
 
 SAMPLE = re.compile(r".+:\d+")
 
@@ -110,6 +111,17 @@ def load_passes(where: str, image_path: Path | None) -> dict[str, Shaped[np.ndar
     if not passes:
         raise InputError(f"passes: expected {where} to have passes, got none")
     return passes
+
+
+def load_sweep(where: str, image_path: Path | None, labels: Labels) -> Sweep | None:
+    """The lidar's sweep of a sample, or that in the file beside a rendered image; None where there is none."""
+    if labels.lidar is None:
+        return None
+    if SAMPLE.fullmatch(where):
+        reader, position = find(where)
+        return reader.lidar(position)
+    path = image_path and image_path.with_suffix(f".{LIDAR}")
+    return read_sweep(path.read_bytes(), str(path), labels.lidar) if path and path.exists() else None
 
 
 def read_scene(reader: Reader, i: int) -> Scene:

@@ -24,7 +24,7 @@ from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.seams import ghost_mesh, tar_mesh
 from synth3dlanes.geometry.solids import Body
 from synth3dlanes.geometry.symbols import symbol_mesh
-from synth3dlanes.scene import Camera, Scene
+from synth3dlanes.scene import Camera, Lidar, Scene
 
 # Only cameras this close to the host's middle, along it, look over the bonnet.
 BEHIND_WINDSCREEN_M = 1.0
@@ -33,12 +33,13 @@ BEHIND_WINDSCREEN_M = 1.0
 @dataclass(frozen=True, eq=False)
 class View:
     """A camera at an instant, with the host's place then; the host's road frame; the poses of all cars (without their
-    scale) then; and the share of the image that the host's bonnet fills."""
+    scale) then; the share of the image that the host's bonnet fills; and the host's lidar, if it has one."""
 
     camera: Camera
     world_from_host: Matrix4
     world_from_cars: tuple[Matrix4, ...]
     bonnet: float = 0.0
+    lidar: Lidar | None = None
 
     @cached_property
     def world_from_road(self) -> Matrix4:
@@ -63,6 +64,14 @@ class View:
         if not self.bonnet:
             return None
         return np.asarray(self.world_from_cam @ cam_from_bonnet(self.camera, self.bonnet))
+
+    @cached_property
+    def world_from_lidar(self) -> Matrix4:
+        """The pose of the host's lidar in the world: x right, y forward, z up of the lidar."""
+        lidar = self.lidar
+        assert lidar is not None, "asked only of views with a lidar"
+        pose = road_from_cam(lidar.height_m, lidar.pitch_rad, lidar.roll_rad, lidar.yaw_rad)
+        return np.asarray(self.world_from_host @ turned(0.0, lidar.right_m, lidar.forward_m) @ pose)
 
     @property
     def eye_world(self) -> Float[np.ndarray, "3"]:
@@ -135,7 +144,8 @@ class World:
         poses = tuple(world_from_car(self.plan, car, models[car.model - 1]) for car in cars)
         camera = host_at(self.plan, scene.camera, shot.speed_m_s * shot.time_s)
         sees_bonnet = camera.looks_ahead and abs(camera.forward_m) <= BEHIND_WINDSCREEN_M
-        return View(camera, world_from_host(self.plan, camera), poses, scene.host.bonnet if sees_bonnet else 0.0)
+        bonnet = scene.host.bonnet if sees_bonnet else 0.0
+        return View(camera, world_from_host(self.plan, camera), poses, bonnet, scene.lidar)
 
     def seen_in(self, scene: Scene) -> "World":
         """The same world for another shot of it, by a scene that differs in camera and shot alone."""

@@ -11,7 +11,7 @@ import pyarrow as pa
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from synth3dlanes.dataset.format import COLUMN_OF_MEMBER
+from synth3dlanes.dataset.format import COLUMN_OF_MEMBER, LIDAR
 from synth3dlanes.dataset.index import RECIPE, SHOT_COLUMNS, place_columns
 from synth3dlanes.labels import Labels, Lane
 from synth3dlanes.scene import Air, Camera, Light, Markings, Road, Scene, Sensor, Surface
@@ -27,7 +27,7 @@ PARTS: dict[str, type[BaseModel]] = {
     "sensor": Sensor,
 }
 ARROW_TYPES = {int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
-PLACE_COLUMNS = list(dict.fromkeys(place_columns(tuple(COLUMN_OF_MEMBER))))
+PLACE_COLUMNS = list(dict.fromkeys(place_columns([name for name in COLUMN_OF_MEMBER if name != LIDAR])))
 
 
 def _arrow_type(annotation: Any) -> pa.DataType:
@@ -57,6 +57,9 @@ SCHEMA = pa.schema(
 SHOT_SCHEMA = pa.schema([(name, pa.int64()) for name in SHOT_COLUMNS])
 
 
+LIDAR_SCHEMA = pa.schema([(name, pa.int64()) for name in place_columns([LIDAR])])
+
+
 def index_row(
     key: str, places: dict[str, tuple[int, int]], sha256: str, scene: Scene, labels: Labels
 ) -> dict[str, Any]:
@@ -78,7 +81,9 @@ def index_row(
 def table(rows: list[dict[str, Any]], recipe: str = "") -> pa.Table:
     """The index of a shard; all shards of a data set have the same columns. `recipe` is what the rows were made from,
     "" where nobody says."""
-    schema = pa.unify_schemas([SCHEMA, SHOT_SCHEMA]) if rows and "scene" in rows[0] else SCHEMA
+    added = [SHOT_SCHEMA] if rows and "scene" in rows[0] else []
+    added += [LIDAR_SCHEMA] if rows and LIDAR_SCHEMA.names[0] in rows[0] else []
+    schema = pa.unify_schemas([SCHEMA, *added])
     return pa.Table.from_pylist(rows, schema=schema.with_metadata({RECIPE: recipe}) if recipe else schema)
 
 

@@ -34,7 +34,9 @@ class Render(Part):
     """How images were rendered: samples a pixel, passes beside the image, the device."""
 
     samples: Annotated[int, Field(ge=1, le=1_000_000)]
-    passes: Annotated[tuple[Literal["depth", "normal", "semantic", "instance", "height"], ...], Field(max_length=5)]
+    passes: Annotated[
+        tuple[Literal["depth", "normal", "semantic", "instance", "height", "lidar"], ...], Field(max_length=6)
+    ]
     device: str
 
 

@@ -21,6 +21,7 @@ from synth3dlanes.dataset.format import (
     BLOCK,
     HEIGHT,
     LABELS,
+    LIDAR,
     PASSES,
     SCENE,
     Sample,
@@ -28,6 +29,7 @@ from synth3dlanes.dataset.format import (
     member_name,
     member_names,
     read_passes,
+    read_sweep,
 )
 from synth3dlanes.dataset.index import (
     SHOT_COLUMNS,
@@ -40,6 +42,7 @@ from synth3dlanes.dataset.index import (
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.labels import Labels
 from synth3dlanes.schema import AHEAD_DEG, validation_problems
+from synth3dlanes.sweep import Sweep
 
 N_CONNECTIONS = 8
 SIZE_COLUMNS = ("camera_width_px", "camera_height_px")
@@ -125,6 +128,14 @@ class Reader:
                 size_px = self._size_px(i) if name == PASSES else None
                 found |= read_passes(self.member(i, name), f"{self._where(i)}.{name}", size_px)
         return found
+
+    def lidar(self, i: int) -> Sweep:
+        """The lidar's sweep of sample i; raise FormatError where the dataset was made without."""
+        where = self._where(i)
+        lidar = self.labels(i).lidar
+        if LIDAR not in self._names or lidar is None:
+            raise FormatError(f"{where}: expected a data set with a lidar (generate --lidar), got one without")
+        return read_sweep(self.member(i, LIDAR), f"{where}.{LIDAR}", lidar)
 
     def raw(self, i: int) -> dict[str, bytes]:
         """The bytes of each member of sample i by its name without the key, in one read."""

@@ -18,6 +18,7 @@ from synth3dlanes.figures.scene_view import SceneView
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import PASSES
+from synth3dlanes.sweep import Sweep
 
 # Images of a rig's cameras in a row.
 RIG_COLUMNS = 3
@@ -44,10 +45,11 @@ def draw_inspect(
     labels: Labels,
     image: UInt8[np.ndarray, "h w 3"] | None,
     passes: Passes | None = None,
+    sweep: Sweep | None = None,
     rig: Sequence[tuple[Labels, UInt8[np.ndarray, "h w 3"]]] = (),
 ) -> Figure:
-    """One page with the image, its passes, and the scene in 3D, from above and from the side; without an image, lanes
-    alone. `rig` has what all cameras of a rig see then, for rows of their images."""
+    """One page with the image, its passes, and the scene in 3D, from above with the lidar's points, and from the side;
+    without an image, lanes alone. `rig` has what all cameras of a rig see then, for rows of their images."""
     view = SceneView(scene, labels)
     pass_rows = [names for names in (PASSES[:2], PASSES[2:4], PASSES[4:]) if passes and set(names) & set(passes)]
     rig_rows = [rig[i : i + RIG_COLUMNS] for i in range(0, len(rig), RIG_COLUMNS)]
@@ -67,7 +69,7 @@ def draw_inspect(
         for column, name in enumerate(names):
             if passes and name in passes:
                 draw_pass(figure.add_subplot(grid[row, column]), name, passes[name])
-    views.draw_top(figure.add_subplot(grid[-2, :]), view, [seen for seen, _ in rig])
+    views.draw_top(figure.add_subplot(grid[-2, :]), view, sweep, [seen.camera for seen, _ in rig])
     views.draw_side(figure.add_subplot(grid[-1, :]), view)
     figure.legend(handles=_legend(), loc="outside lower center", ncols=7, frameon=False)
     figure.suptitle(

@@ -23,6 +23,7 @@ from synth3dlanes.figures.space import triangles
 from synth3dlanes.figures.stats import LabelStatistics, SceneStatistics, is_fine
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneKind
 from synth3dlanes.scene import Scene, to_json
+from synth3dlanes.sweep import Sweep
 
 Picture = UInt8[np.ndarray, "h w 3"]
 
@@ -96,12 +97,13 @@ def scene_page(
     labels: Labels,
     image: Picture | None,
     passes: Passes | None = None,
+    sweep: Sweep | None = None,
     clip: Sequence[tuple[Labels, Picture]] = (),
     rig: Sequence[tuple[Labels, Picture]] = (),
 ) -> str:
-    """One scene: the image with lanes and masks that can be switched on and off, a 3D view, its passes, and all
-    parameters; with the frames of its clip, a slider through them (at most MAX_FRAMES, evenly spaced); with what all
-    cameras of its rig see then, their images side by side."""
+    """One scene: the image with lanes and masks that can be switched on and off, a 3D view with the lidar's points, its
+    passes, and all parameters; with the frames of its clip, a slider through them (at most MAX_FRAMES, evenly spaced);
+    with what all cameras of its rig see then, their images side by side."""
     step = -(-len(clip) // MAX_FRAMES)
     shown = [(number, *clip[number]) for number in range(0, len(clip), max(1, step))]
     frames = [Frame(f"frame {n}, {found.time_s or 0:.2f} s", _drawing(found, picture)) for n, found, picture in shown]
@@ -121,7 +123,7 @@ def scene_page(
         lane_columns=LANE_COLUMNS,
         lane_rows=[lane_row(lane) for lane in labels.lanes],
         document=json.dumps(json.loads(to_json(scene)), indent=1),
-        space=_space(SceneView(scene, labels), [found.camera for found, _ in rig] or [labels.camera]),
+        space=_space(SceneView(scene, labels), sweep, [found.camera for found, _ in rig]),
     )
 
 
@@ -227,7 +229,7 @@ def _jpeg(image: Picture) -> str:
     return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()
 
 
-def _space(view: SceneView, cameras: Sequence[CameraLabel]) -> dict[str, Any]:
+def _space(view: SceneView, sweep: Sweep | None, others: Sequence[CameraLabel]) -> dict[str, Any]:
     """What the script of the 3D view needs: field of view, places to look from, and triangles."""
     camera = view.labels.camera
     eye, axis = camera.road_from_cam[:3, 3], camera.road_from_cam[:3, 1]
@@ -240,7 +242,7 @@ def _space(view: SceneView, cameras: Sequence[CameraLabel]) -> dict[str, Any]:
     return {
         "fov_rad": 2 * math.atan(camera.height_px / 2 / -camera.img_from_cam[1, 2]),
         "views": views,
-        "groups": [group.document() for group in triangles(view, cameras)],
+        "groups": [group.document() for group in triangles(view, sweep, others)],
     }
 
 

@@ -10,12 +10,14 @@ from jaxtyping import Float, Int
 
 from synth3dlanes.figures import colors
 from synth3dlanes.figures.colors import Rgb
+from synth3dlanes.figures.passes import semantic_colors
 from synth3dlanes.figures.scene_view import AHEAD_M, SceneView, TreeOutline, frustum
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.meshes import Mesh
 from synth3dlanes.geometry.paint import PAINT_LIFT_AT_M, PAINT_LIFT_M, paint_color
 from synth3dlanes.geometry.solids import Body
 from synth3dlanes.labels import CameraLabel, LaneKind
+from synth3dlanes.sweep import Sweep
 
 # How far aside of the camera the area reaches that is shown.
 _ASIDE_M = 70.0
@@ -30,7 +32,8 @@ _LEAVES, _TRUNK = (62, 118, 62), (96, 74, 52)
 
 @dataclass(frozen=True, eq=False)
 class Triangles:
-    """One group that the page can switch on and off: vertices, a colour per vertex, and triangles of vertex indices."""
+    """One group that the page can switch on and off: vertices, a colour per vertex, and triangles of vertex indices;
+    without any, the vertices are shown as points."""
 
     name: str
     vertices_road: Float[np.ndarray, "v 3"]
@@ -47,8 +50,8 @@ class Triangles:
         return {"name": self.name} | {key: base64.b64encode(value.tobytes()).decode() for key, value in arrays.items()}
 
 
-def triangles(view: SceneView, cameras: Sequence[CameraLabel]) -> list[Triangles]:
-    """The groups of everything near the host, with the frusta of some cameras."""
+def triangles(view: SceneView, sweep: Sweep | None = None, others: Sequence[CameraLabel] = ()) -> list[Triangles]:
+    """The groups of everything near the host, a lidar's points, and the frusta of the rig's other cameras."""
     world = view.world
     surfaces = [_mesh(view, mesh, _VERGE) for mesh in world.verges]
     roads = [_mesh(view, mesh, _ASPHALT) for mesh in world.pavement]
@@ -71,8 +74,16 @@ def triangles(view: SceneView, cameras: Sequence[CameraLabel]) -> list[Triangles
         ),
         _merge("trees", [part for tree in view.trees if _is_near(view, tree.foot_road[None]) for part in _tree(tree)]),
         *([_merge("structures", [_body(view, body) for body in world.structures])] if world.structures else []),
-        _merge("camera" if len(cameras) == 1 else "cameras", [_camera(view, camera) for camera in cameras]),
+        _merge("cameras" if others else "camera", [_camera(view, camera) for camera in (view.labels.camera, *others)]),
+        *([_lidar(view, sweep)] if sweep else []),
     ]
+
+
+def _lidar(view: SceneView, sweep: Sweep) -> Triangles:
+    """The points of a sweep in the colours of their semantic ids."""
+    points = sweep.points()
+    vertices_road = transform(view.labels.camera.road_from_cam, points.xyz_cam)
+    return Triangles("lidar", vertices_road, semantic_colors(points.semantic).astype(int), np.zeros((0, 3), dtype=int))
 
 
 def _mesh(view: SceneView, mesh: Mesh, color: Rgb) -> Triangles:

@@ -14,9 +14,11 @@ from mpl_toolkits.mplot3d import Axes3D, art3d  # type: ignore[import-untyped]
 
 from synth3dlanes.figures import colors
 from synth3dlanes.figures.overlay import stretches_img
+from synth3dlanes.figures.passes import semantic_colors
 from synth3dlanes.figures.scene_view import AHEAD_M, SceneView, frustum
 from synth3dlanes.frames import transform
 from synth3dlanes.labels import CameraLabel, Labels, Lane
+from synth3dlanes.sweep import Sweep
 
 HIDDEN_OPACITY = 0.4
 FRUSTUM_OPACITY = 0.13
@@ -45,13 +47,13 @@ def draw_image(axes: Axes, labels: Labels, image: UInt8[np.ndarray, "h w 3"] | N
     axes.set_title(f"{labels.camera.name or 'image'}: solid = seen, dotted = hidden")
 
 
-def draw_top(axes: Axes, view: SceneView, others: Sequence[Labels] = ()) -> None:
-    """View from above, driving direction to the right: roads, lanes, cars, trees and the camera's field of view, and
-    those of the rig's other cameras."""
+def draw_top(axes: Axes, view: SceneView, sweep: Sweep | None = None, others: Sequence[CameraLabel] = ()) -> None:
+    """View from above, driving direction to the right: roads, lanes, cars, trees, the camera's field of view and those
+    of the rig's other cameras, and the lidar's points in the colours of their semantic ids."""
     for left, right in view.roads.values():
         axes.add_patch(Polygon(np.concatenate([left, right[::-1]])[:, [1, 0]], color=colors.ROAD, zorder=1))
-    for labels in (*others, view.labels):
-        _frustum_from_above(axes, view, labels.camera)
+    for camera in (*others, view.labels.camera):
+        _frustum_from_above(axes, view, camera)
     for body in view.world.structures:
         corners_road = transform(view.road_from_world, body.corners_world)
         axes.add_collection(PolyCollection([*corners_road[..., [1, 0]]], color=colors.STRUCTURE, alpha=0.5, zorder=3))
@@ -63,6 +65,10 @@ def draw_top(axes: Axes, view: SceneView, others: Sequence[Labels] = ()) -> None
     for car in view.cars:
         face = colors.hexadecimal(car.color)
         axes.add_patch(Polygon(car.corners_road[:, [1, 0]], facecolor=face, edgecolor=colors.INK, zorder=5))
+    if sweep is not None:
+        points = sweep.points()
+        x, y, _ = transform(view.labels.camera.road_from_cam, points.xyz_cam).T
+        axes.scatter(y, x, s=1, c=semantic_colors(points.semantic) / 255, linewidths=0, zorder=5.5)
     low, high = _lateral_extent(view)
     axes.set(xlim=(-view.behind_m, AHEAD_M), ylim=(high, low), aspect="equal")
     axes.set(xlabel="y forward [m]", ylabel="x right [m]")

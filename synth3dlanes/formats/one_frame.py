@@ -9,7 +9,7 @@ import numpy as np
 from synth3dlanes import scene as scene_format
 from synth3dlanes.dataset.format import SCENE, decode_image, encode_image
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.dataset.remove_roll import labels_without_roll
+from synth3dlanes.dataset.rectify import rectified_labels
 from synth3dlanes.formats.lines import scene_tags
 from synth3dlanes.formats.plan import Chunk
 from synth3dlanes.formats.resample import fitting_pinhole, resample
@@ -29,7 +29,7 @@ def write_resampled(reader: Reader, index: int, chunk: Chunk, out: Path, foreign
     """Write a frame as an upright pinhole camera would have seen it."""
     sample = reader[index]
     where = f"{chunk.url}:{sample.key}"
-    scene, labels = scene_format.from_json(sample.scene_json, where), labels_without_roll(sample.labels)
+    scene, labels = scene_format.from_json(sample.scene_json, where), rectified_labels(sample.labels)
     pinhole = fitting_pinhole(sample.labels.camera, foreign.camera)
     frame = PinholeFrame(
         **vars(_frame(reader, index, chunk)),

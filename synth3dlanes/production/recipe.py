@@ -30,6 +30,7 @@ from synth3dlanes.sample import sample_world
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import RenderSettings
 from synth3dlanes.shots import SINGLE, Shots
+from synth3dlanes.sweep import Sweep
 from synth3dlanes.world import View, World
 
 
@@ -84,11 +85,13 @@ class Recipe:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """An image, its labels with `object_visible`, the passes asked for, and seconds spent by stage."""
+    """An image, its labels with `object_visible`, the passes asked for, the lidar's sweep if the scene has a lidar, and
+    seconds spent by stage."""
 
     image: UInt8[np.ndarray, "h w 3"]
     labels: Labels
     passes: dict[str, np.ndarray]
+    sweep: Sweep | None
     timings: dict[str, float]
 
 
@@ -124,7 +127,8 @@ def make_image(world: World, settings: RenderSettings, image_format: str, librar
     shot = take_picture(world, settings, library)
     start = time.perf_counter()
     text = scene_module.to_json(world.scene)
-    members = encode(shot.image, shot.labels, text, shot.passes, image_format, world.scene.sensor.jpeg_quality)
+    quality = world.scene.sensor.jpeg_quality
+    members = encode(shot.image, shot.labels, text, shot.passes, image_format, quality, shot.sweep)
     return Made(members, {**shot.timings, "encode": time.perf_counter() - start})
 
 
@@ -143,7 +147,7 @@ def take_picture(world: World, settings: RenderSettings, library: Library = BUIL
     image = develop(world.scene, view, light, rendering.layers, world.street_lamps)
     passes = _passes(world, view, rendering.layers, settings.passes)
     seconds = {"labels": labelled - start, "light": lit - labelled, "develop": time.perf_counter() - rendered}
-    return Picture(image, rendering.labels, passes, {**seconds, **rendering.timings})
+    return Picture(image, rendering.labels, passes, rendering.sweep, {**seconds, **rendering.timings})
 
 
 def _passes(world: World, view: View, layers: Layers, names: Sequence[str]) -> dict[str, np.ndarray]:

@@ -21,6 +21,7 @@ from synth3dlanes.geometry.camera import rays_of_pixels
 from synth3dlanes.ground_truth import label
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
+from synth3dlanes.sweep import Sweep
 from synth3dlanes.validate.alignment import check_alignment
 from synth3dlanes.validate.colours import check_colours
 from synth3dlanes.validate.contents import read_contents
@@ -33,6 +34,7 @@ from synth3dlanes.validate.host import check_host
 from synth3dlanes.validate.ids import prove_ids
 from synth3dlanes.validate.image_proof import prove_image
 from synth3dlanes.validate.integrity import Entry, check_presence, check_row, check_shard, read_sample
+from synth3dlanes.validate.lidar import prove_lidar
 from synth3dlanes.validate.normals import check_normals
 from synth3dlanes.validate.obstacles import check_objects
 from synth3dlanes.validate.origin import Origin, drawn_otherwise, made_otherwise, read_origin
@@ -176,14 +178,14 @@ def _check_shards(
 def check_sample(place: str, origin: Origin | None, description: Description, entry: Entry) -> Checked:
     """All findings of one sample; saves its picture if there are any. Without `origin` its scene is not drawn again."""
     members, fault = read_sample(entry)
-    (scene, labels, image, passes), unread = read_contents(members)
+    (scene, labels, image, passes, sweep), unread = read_contents(members)
     findings = [*([Finding("", fault)] if fault else []), *unread]
     digest = "" if scene is None else world_digest(scene)
     redrawn = "" if scene is None or origin is None else origin.fault(scene, entry.split, entry.index)
     if scene is None or labels is None or image is None or passes is None:
         return Checked(entry.name, digest, redrawn, findings)
     misshapen = [*_pictures(scene, description, image, passes), *check_shape(scene, labels)]
-    proved = [] if misshapen else list(_prove(entry, resolve(scene), labels, image, passes))
+    proved = [] if misshapen else list(_prove(entry, resolve(scene), labels, image, passes, sweep))
     findings += [*misshapen, *(finding for proof in proved for finding in proof.findings)]
     if findings:
         save_picture(place, entry.name.replace(":", "-"), image if misshapen else draw(image, labels))
@@ -193,7 +195,9 @@ def check_sample(place: str, origin: Origin | None, description: Description, en
     )
 
 
-def _prove(entry: Entry, world: World, labels: Labels, image: Picture, passes: Passes) -> Iterator[Proved]:
+def _prove(
+    entry: Entry, world: World, labels: Labels, image: Picture, passes: Passes, sweep: Sweep | None
+) -> Iterator[Proved]:
     """Run every check. A scene without valid geometry, or a check that fails with an error, is a finding."""
     try:
         truth, paint = label(world, world.view), Paint(world)
@@ -201,7 +205,7 @@ def _prove(entry: Entry, world: World, labels: Labels, image: Picture, passes: P
         found = f"{type(error).__name__} {error}"
         yield Proved([Finding("", f"{SCENE}: expected a world whose lanes can be computed, got {found}")])
         return
-    for name, proof in _proofs(entry, paint, truth, labels, image, passes).items():
+    for name, proof in _proofs(entry, paint, truth, labels, image, passes, sweep).items():
         try:
             yield proof()
         except NO_GEOMETRY as error:
@@ -209,7 +213,7 @@ def _prove(entry: Entry, world: World, labels: Labels, image: Picture, passes: P
 
 
 def _proofs(
-    entry: Entry, paint: Paint, truth: Labels, labels: Labels, image: Picture, passes: Passes
+    entry: Entry, paint: Paint, truth: Labels, labels: Labels, image: Picture, passes: Passes, sweep: Sweep | None
 ) -> dict[str, Callable[[], Proved]]:
     """The checks of a sample by name: first those of index, scene and labels, then those of pixels."""
     world, scene = paint.world, paint.world.scene
@@ -224,6 +228,8 @@ def _proofs(
         "frame": lambda: Proved(*check_frame(image, passes)),
         "standing": lambda: Proved(*check_ground_contact(world, labels, passes)),
     }
+    if sweep is not None:
+        proofs["lidar"] = lambda: Proved(*prove_lidar(world, sweep, passes))
     if not points_to_pixels(labels):
         return proofs
     return proofs | {
@@ -250,8 +256,9 @@ def world_digest(scene: Scene) -> str:
 
 def _pictures(scene: Scene, description: Description, image: Picture, passes: Passes) -> Iterator[Finding]:
     """Findings if passes differ from those in dataset.json, or a picture does not have the camera's size."""
-    if set(passes) != set(description.render.passes):
-        names = ", ".join(description.render.passes)
+    expected = [name for name in description.render.passes if name != "lidar"]
+    if set(passes) != set(expected):
+        names = ", ".join(expected)
         yield Finding("", f"passes: expected {names or 'none'}, got {', '.join(passes) or 'none'}")
     camera = scene.camera
     for name, pixels in {"image": image, **passes}.items():

@@ -121,6 +121,13 @@ def _against_ground_truth(expected: Labels, labels: Labels) -> Iterator[Finding]
     for name in ("img_from_cam", "road_from_cam", "world_from_cam"):
         if not np.allclose(getattr(labels.camera, name), getattr(expected.camera, name), atol=MATRIX):
             yield Finding("", f"camera.{name}: expected the scene's ground truth, got another")
+    lidars = [lidar and {**vars(lidar), "cam_from_lidar": None} for lidar in (labels.lidar, expected.lidar)]
+    if lidars[0] != lidars[1] or not (
+        labels.lidar is None
+        or expected.lidar is None
+        or np.allclose(labels.lidar.cam_from_lidar, expected.lidar.cam_from_lidar, atol=MATRIX)
+    ):
+        yield Finding("", "lidar: expected the scene's, got another")
     if labels.time_s != expected.time_s:
         yield Finding("", f"time_s: expected {expected.time_s}, got {labels.time_s}")
     if labels.graph != expected.graph or labels.horizon != expected.horizon:
