@@ -16,9 +16,11 @@ from synth3dlanes.formats.export import FORMATS, export
 from synth3dlanes.formats.plan import assign, open_reader, parts_of
 from synth3dlanes.formats.summary import warnings
 from synth3dlanes.formats.verify import verify
+from synth3dlanes.formats.writing import PinholeFormat
 from tests.formats import closed_form as cf
 
 N_TRAIN, N_TEST = 7, 4
+PINHOLE = [name for name, foreign in FORMATS.items() if isinstance(foreign, PinholeFormat)]
 SIZE_PX = {
     "apollo": (1920, 1080),
     "openlane": (1920, 1280),
@@ -29,7 +31,7 @@ SIZE_PX = {
 }
 
 
-@pytest.fixture(scope="module", params=FORMATS)
+@pytest.fixture(scope="module", params=PINHOLE)
 def exported(request, dataset, tmp_path_factory):
     out = tmp_path_factory.mktemp("exports") / request.param
     seen = []
@@ -165,7 +167,7 @@ def test_a_rolled_camera_exports_the_labels_of_one_without_roll(write_split, tmp
     write_split(tmp_path / "rolled", "train", 2, [shift, "camera.roll_deg={-2: 1, 2: 1}"])
     files = {}
     for name in ("level", "rolled"):
-        for format_name in FORMATS:
+        for format_name in PINHOLE:
             out = tmp_path / f"{name}-{format_name}"
             export(str(tmp_path / name), out, format_name, 1, lambda done, total: None)
             assert [result.problems for result in verify(out, format_name, 10) if result.problems] == []
@@ -175,7 +177,7 @@ def test_a_rolled_camera_exports_the_labels_of_one_without_roll(write_split, tmp
             files[name, format_name] = {path: text for path, text in texts.items() if path.name != "export.json"}
     # OpenLane's lines begin at the image's border, where the labels' rounding decides on a point; CurveLanes has pixels
     # of the narrower view, without its intrinsics.
-    for format_name in FORMATS.keys() - {"openlane", "curvelanes"}:
+    for format_name in set(PINHOLE) - {"openlane", "curvelanes"}:
         level, rolled = files["level", format_name], files["rolled", format_name]
         assert level.keys() == rolled.keys()
         for path in level:
@@ -191,7 +193,7 @@ def test_narrow_frames_get_their_own_intrinsics_or_are_left_out_and_counted(writ
     ]
     narrow = [f_px for f_px in own_f_px if f_px > 500]
     assert 0 < len(narrow) < 3, "some frames are narrow and some are not"
-    summaries = {name: export(str(root), tmp_path / name, name, 1, lambda done, total: None) for name in FORMATS}
+    summaries = {name: export(str(root), tmp_path / name, name, 1, lambda done, total: None) for name in PINHOLE}
     for name in ("openlane", "once"):
         assert sum(summaries[name].n_frames.values()) == 3
     for name in ("apollo", "tusimple"):
@@ -199,7 +201,7 @@ def test_narrow_frames_get_their_own_intrinsics_or_are_left_out_and_counted(writ
         assert f"narrower than the format's one camera | {len(narrow)} |" in (tmp_path / name / "README.md").read_text()
     found = [json.loads(path.read_text())["intrinsic"][0][0] for path in tmp_path.glob("openlane/lane3d_1000/*/seg*/*")]
     assert sorted(found) == pytest.approx([2015.0] * (3 - len(narrow)) + [4 * f_px for f_px in narrow], abs=0.2)
-    assert [result.problems for name in FORMATS for result in verify(tmp_path / name, name, 9) if result.problems] == []
+    assert [result.problems for name in PINHOLE for result in verify(tmp_path / name, name, 9) if result.problems] == []
 
 
 @pytest.mark.parametrize("format_name", ["openlane", "once"])
@@ -299,7 +301,7 @@ def test_splits_keep_the_part_that_their_name_says(names, parts, dealt):
 
 def test_a_set_for_tests_alone_gives_no_training_frames(write_split, tmp_path):
     write_split(tmp_path / "data", "test", 6)
-    for name in FORMATS:
+    for name in PINHOLE:
         summary = export(str(tmp_path / "data"), tmp_path / name, name, 1, lambda done, total: None)
         assert set(summary.n_frames) == {"test"}
         assert "tools that open val find the test frames" in (tmp_path / name / "README.md").read_text()
