@@ -86,7 +86,7 @@ class Road:
         return np.asarray(self.line_world + t_m[:, None] * self.axes[:, 1])
 
     def over_plane(self, t_m: Values) -> Values:
-        """Height of the road's surface over the banked plane at all stations and these t."""
+        """Height (z) of the road's surface over the banked plane at all stations and these t."""
         points = self.plane_points(t_m)
         # Where the road climbs, its roll moves these points along it.
         forward = self.axes[:, 0, :2] / np.linalg.norm(self.axes[:, 0, :2], axis=1, keepdims=True)

@@ -115,7 +115,8 @@ def _add_shapes(lateral: Element, road: Road) -> None:
     edges = [t for lane in road.lanes for t in (lane.inner_m, lane.outer_m)]
     low, high = np.min(edges, axis=0), np.max(edges, axis=0)
     shares = np.linspace(0, 1, SHAPE_PLACES)
-    over = np.column_stack([road.over_plane(low + (high - low) * share) for share in shares])
+    # Shapes are heights along e_h.
+    over = np.column_stack([road.over_plane(low + (high - low) * share) * road.axes[:, 2, 2] for share in shares])
     if np.abs(over).max() <= SHAPE_M:
         return
     for i in knots(road.s_m, over, SHAPE_M):
