@@ -35,9 +35,8 @@ README = f"""OpenDRIVE {MAJOR}.{MINOR}: a map of each scene.
 
 def annotate(frame: SampleFrame) -> Annotation:
     """The map of the frame's scene."""
-    world = resolve(frame.scene)
-    n_lines = sum(line.kind == "centerline" for line in world.lines)
-    return Annotation(None, n_lines, files={f"{frame.split}/{frame.key}.xodr": opendrive(world, frame.key)})
+    text = opendrive(resolve(frame.scene), frame.key)
+    return Annotation(None, text.count('type="driving"'), files={f"{frame.split}/{frame.key}.xodr": text})
 
 
 def opendrive(world: World, name: str) -> str:
@@ -180,4 +179,4 @@ def _abcd(coefficients: Float[np.ndarray, "4"]) -> dict[str, float]:
     return dict(zip("abcd", coefficients.tolist(), strict=True))
 
 
-FORMAT = SampleFormat(readme=README, annotate=annotate, is_per_scene=True)
+FORMAT = SampleFormat(readme=README, annotate=annotate, is_per_scene=True, counted="lanes")

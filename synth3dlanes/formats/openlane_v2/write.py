@@ -87,16 +87,16 @@ def annotate(frame: SampleFrame) -> Annotation | None:
     nothing: list[list[int]] = [[] for _ in lanes]
     centerlines = {
         "lane_centerline": [
-            {"id": index, "points": _resampled(lane.middle_ego, CENTERLINE_POINTS)} for index, lane in enumerate(lanes)
+            {"id": lane.segment.index, "points": _resampled(lane.middle_ego, CENTERLINE_POINTS)} for lane in lanes
         ],
         "traffic_element": [],
         "topology_lclc": topology,
         "topology_lcte": nothing,
     }
     segments = {
-        "lane_segment": [_segment_document(index, lane) for index, lane in enumerate(lanes)],
+        "lane_segment": [_segment_document(lane) for lane in lanes],
         "traffic_element": [],
-        "area": list(_areas(world, frame, world_from_ego, behind_m, len(lanes))),
+        "area": list(_areas(world, frame, world_from_ego, behind_m)),
         "topology_lsls": topology,
         "topology_lste": nothing,
     }
@@ -178,8 +178,12 @@ def _topology(lanes: Sequence[_Lane], successors: dict[str, tuple[str, ...]]) ->
     ]
 
 
-def _segment_document(index: int, lane: _Lane) -> dict[str, Any]:
-    document = {"id": index, "centerline": _resampled(lane.middle_ego, POINTS), "is_intersection_or_connector": False}
+def _segment_document(lane: _Lane) -> dict[str, Any]:
+    document = {
+        "id": lane.segment.index,
+        "centerline": _resampled(lane.middle_ego, POINTS),
+        "is_intersection_or_connector": False,
+    }
     for name, points_ego, side in (
         ("left", lane.left_ego, lane.segment.left),
         ("right", lane.right_ego, lane.segment.right),
@@ -197,11 +201,9 @@ def _side_document(name: str, points_ego: Float[np.ndarray, "n 3"], side: Bounda
     }
 
 
-def _areas(
-    world: World, frame: SampleFrame, world_from_ego: Matrix4, behind_m: float, first_id: int
-) -> Iterator[dict[str, Any]]:
+def _areas(world: World, frame: SampleFrame, world_from_ego: Matrix4, behind_m: float) -> Iterator[dict[str, Any]]:
     """Crosswalks as closed quads, one of whose long sides comes first; edges of the pavement in the area."""
-    ego_from_world, index = invert(world_from_ego), first_id
+    ego_from_world, index = invert(world_from_ego), len(frame.labels.graph.segments)
     for symbol in world.scene.symbols:
         if symbol.kind == "crosswalk":
             form = shape(world.ground, symbol)
@@ -243,4 +245,4 @@ def document(path: str, lines: Path) -> Iterator[str]:
     yield json.dumps(frames, indent=1)
 
 
-FORMAT = SampleFormat(readme=README, annotate=annotate, document=document)
+FORMAT = SampleFormat(readme=README, annotate=annotate, document=document, counted="lane segments")
