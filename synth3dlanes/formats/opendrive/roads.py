@@ -21,7 +21,7 @@ Points2 = Float[np.ndarray, "m 2"]
 Points3 = Float[np.ndarray, "m 3"]
 
 # Stations of the main road that a file reaches, at least, and the distance of the places that are fitted.
-REACH_M = 150.0
+REACH_M = 250.0
 STEP_M = 0.1
 MIN_END_M = 10.0
 # Steps to a point's station; in bends, each leaves a share of the way.
