@@ -41,9 +41,21 @@ def _size(text: str | None) -> tuple[int, int] | None:
     callback=lambda ctx, param, text: _size(text),
     help="Image size for openlane, once and curvelanes; intrinsics are scaled with it.",
 )
+@click.option(
+    "--cameras",
+    metavar="NAMES",
+    default="",
+    help="Cameras of a rig, separated by commas. Default: those that look ahead.",
+)
 @click.option("--workers", default=1, show_default=True, type=click.IntRange(min=1), help="Worker processes.")
 def export(
-    source: str, format_name: str, out: Path, is_verified: bool, size_px: tuple[int, int] | None, workers: int
+    source: str,
+    format_name: str,
+    out: Path,
+    is_verified: bool,
+    size_px: tuple[int, int] | None,
+    cameras: str,
+    workers: int,
 ) -> None:
     """Convert a data set (DIR) or one split (DIR/train) to the format of Apollo Sim-3D, OpenLane, ONCE-3DLanes,
     tuSimple, CULane, CurveLanes or OpenLane-V2, or to OpenDRIVE maps, one per scene.
@@ -58,7 +70,8 @@ def export(
     from synth3dlanes.formats.writing import PARTS
 
     with progress_bar("frames") as move:
-        summary = export_dataset(source, out, format_name, workers, move, size_px)
+        names = [name for name in cameras.split(",") if name]
+        summary = export_dataset(source, out, format_name, workers, move, size_px, names)
     frames = ", ".join(f"{summary.n_frames[part]} {part}" for part in PARTS)
     click.echo(f"{out}: {frames} frames, {summary.n_lines} lane lines")
     for reason, count in summary.left_out.items():

@@ -5,6 +5,7 @@ Pixels, metres and degrees. The place is relative to the host's own on the road:
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Annotated, Any
 
 from pydantic import Field, model_validator
@@ -25,6 +26,8 @@ ZERO = Choice((0.0,), (1.0,))
 # Without a calibration of the place: in the middle of the host, level.
 HEIGHT_M = Choice((1.5,), (1.0,))
 NAMES = COEFFICIENTS["opencv"]
+# Half the field of view from which on a picture shows what is beside the camera.
+ASIDE_DEG = 85.0
 DECIMALS, COEFFICIENT_DECIMALS = 6, 9
 
 
@@ -82,10 +85,16 @@ class CameraSpec(Group):
 
     @property
     def looks_ahead(self) -> bool:
-        """Whether it looks where the host drives at every yaw that it may have."""
+        """Whether it looks where the host drives at every yaw that it may have, and does not see what is beside it."""
         yaw = self.yaw_deg
         yaws_deg = (yaw.low, yaw.high) if isinstance(yaw, Uniform) else yaw.values
-        return all(abs(yaw_deg) <= AHEAD_DEG for yaw_deg in yaws_deg)
+        return all(abs(yaw_deg) <= AHEAD_DEG for yaw_deg in yaws_deg) and not self._sees_aside
+
+    @property
+    def _sees_aside(self) -> bool:
+        middle = self.drawn(partial(float, 0.5))
+        radius = max(middle["cx_px"], middle["width_px"] - middle["cx_px"]) / middle["fx_px"]
+        return bool(middle["lens"].angle_rad(radius) > math.radians(ASIDE_DEG))
 
     def drawn(self, u: Callable[[], float]) -> dict[str, Any]:
         """The fields of a scene's camera, with `u` in [0, 1) for each that has no one value.

@@ -60,7 +60,7 @@ class Lens(Part):
         """Pixels (u, v) of points; NaN for points that are not in the lens's field."""
         if self.is_pinhole:
             return project(img_from_cam, points_cam)
-        bent = _bent(self, points_cam)
+        bent = _bent(self, points_cam.reshape(-1, 3)).reshape(*points_cam.shape[:-1], 2)
         return project(img_from_cam, np.stack([bent[..., 0], np.ones(bent.shape[:-1]), bent[..., 1]], axis=-1))
 
     def rays(self, img_from_cam: Float[np.ndarray, "3 3"], uv: Plane) -> Points:
@@ -68,7 +68,8 @@ class Lens(Part):
         homogeneous = np.concatenate([uv, np.ones((*uv.shape[:-1], 1))], axis=-1) @ np.linalg.inv(img_from_cam).T
         if self.is_pinhole:
             return np.asarray(homogeneous / np.linalg.norm(homogeneous, axis=-1, keepdims=True))
-        return _straight(self, homogeneous[..., [0, 2]] / homogeneous[..., 1:2])
+        bent = homogeneous[..., [0, 2]] / homogeneous[..., 1:2]
+        return _straight(self, bent.reshape(-1, 2)).reshape(*uv.shape[:-1], 3)
 
     @property
     def field_rad(self) -> float:
@@ -80,6 +81,12 @@ class Lens(Part):
         """How far from the principal point, in focal lengths, the lens without p1 and p2 has what is seen at an angle
         from the viewing direction."""
         return float(_radius(self, np.array([angle_rad]))[0][0])
+
+    def angle_rad(self, radius: float) -> float:
+        """The angle from the viewing direction of what the lens has at a radius, as opposed to `radius`; that at which
+        its field ends for radii beyond it."""
+        angle = float(_angle(self, np.array([radius]))[0])
+        return self.field_rad if np.isnan(angle) else angle
 
 
 PINHOLE = Lens()

@@ -73,6 +73,31 @@ def load_any(where: str, image_path: Path | None) -> Found:
     return Found(name, scene, ground_truth(scene), image)
 
 
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """Labels and image of each frame, and how many there are a second."""
+
+    fps: float
+    frames: list[tuple[Labels, UInt8[np.ndarray, "h w 3"]]]
+
+
+def load_clip(where: str) -> Clip:
+    """The frames of the clip to which a sample `DIR/SPLIT:KEY` belongs, by the same camera; raise InputError for a
+    single picture."""
+    reader, i = find(where)
+    shot = read_scene(reader, i).shot
+    if shot.n_frames == 1:
+        raise InputError(f"{where}: expected a sample of a clip (generate --frames), got a single picture")
+    positions = reader.clip(int(reader.scene_of[i]), int(reader.camera_of[i]))
+    return Clip(shot.fps, [(reader.labels(position), reader.image(position)) for position in positions])
+
+
+def load_rig_pictures(where: str) -> list[tuple[Labels, UInt8[np.ndarray, "h w 3"]]]:
+    """What all cameras of a rig see in the scene and frame of a sample `DIR/SPLIT:KEY`."""
+    reader, i = find(where)
+    return [(reader.labels(position), reader.image(position)) for position in reader.rig(i)]
+
+
 def load_passes(where: str, image_path: Path | None) -> dict[str, Shaped[np.ndarray, "..."]]:
     """The passes of a sample, or those in the files beside a rendered image; raise InputError where there are none."""
     passes: dict[str, Shaped[np.ndarray, ...]] = {}

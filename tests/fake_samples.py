@@ -50,7 +50,7 @@ def image(index: int) -> np.ndarray:
 def make(recipe: Recipe, index: int) -> Made:
     camera = FLAT.camera.model_copy(update={"width_px": 24, "height_px": 16})
     place, shots = recipe.shots.place(index), recipe.shots
-    shot = Shot(n_frames=shots.frames, fps=shots.fps, frame=place.frame)
+    shot = Shot(n_frames=shots.frames, fps=shots.fps, frame=place.frame, n_cameras=shots.n_cameras, camera=place.camera)
     world = {"seed": recipe.seed, "split": recipe.split, "index": place.scene, "shot": shot}
     scene = FLAT.model_copy(update={**world, "camera": camera})
     time_s = shot.time_s if shots.frames > 1 else None

@@ -6,12 +6,15 @@ be pickled, forked and used by many threads.
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 
 import numpy as np
 import pyarrow as pa
-from jaxtyping import Shaped, UInt8
+from jaxtyping import Int, Shaped, UInt8
+from pydantic import ValidationError
 
 from synth3dlanes import labels as labels_module
+from synth3dlanes.cameras import CameraSpec
 from synth3dlanes.dataset.address import connect, splits_near, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION, parse_description, pictures_per_scene
 from synth3dlanes.dataset.format import (
@@ -36,8 +39,9 @@ from synth3dlanes.dataset.index import (
     recipe_of,
     require_columns,
 )
-from synth3dlanes.errors import FormatError
+from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.labels import Labels
+from synth3dlanes.schema import AHEAD_DEG, validation_problems
 from synth3dlanes.sweep import Sweep
 
 N_CONNECTIONS = 8
@@ -49,8 +53,8 @@ class Reader:
 
     `index` is the table of all samples: places, scene parameters, label summary (`docs/format.md`), or only the places
     and `columns`: of 300,000 samples these take 20 MB, the whole table 200 MB. `recipes` are those that its shards were
-    made from, by their indices ("" where one does not say). `scene_of` is the number of the scene that each sample
-    shows.
+    made from, by their indices ("" where one does not say). `scene_of`, `frame_of` and `camera_of` are the numbers of
+    the scene, the frame and the camera that each sample shows.
     """
 
     def __init__(self, url: str, columns: Sequence[str] | None = None) -> None:
@@ -86,7 +90,8 @@ class Reader:
         }
         self._indices = self.index["index"].to_numpy()
         self.scene_of = self.index["scene"].to_numpy() if has_shots else self._indices
-        self._cameras = self.index["camera"].to_numpy() if has_shots else np.zeros(len(self), int)
+        self.frame_of = self.index["frame"].to_numpy() if has_shots else np.zeros(len(self), int)
+        self.camera_of = self.index["camera"].to_numpy() if has_shots else np.zeros(len(self), int)
 
     def __len__(self) -> int:
         return len(self._indices)
@@ -155,11 +160,50 @@ class Reader:
 
     def clip(self, scene: int, camera: int | None = None) -> list[int]:
         """Where the pictures of a scene are, frame by frame; of one camera, or of all cameras of each frame in turn."""
-        is_asked = (self.scene_of == scene) & ((self._cameras == camera) if camera is not None else True)
+        is_asked = (self.scene_of == scene) & ((self.camera_of == camera) if camera is not None else True)
         if not is_asked.any():
             by = "" if camera is None else f" by camera {camera}"
             raise FormatError(f"{self.url}: expected pictures of scene {scene}{by}, got none")
         return [int(i) for i in np.flatnonzero(is_asked)]
+
+    def rig(self, i: int) -> list[int]:
+        """Where the pictures by all cameras of the scene and frame of sample i are, in the rig's order."""
+        i = self._position(i)
+        is_asked = (self.scene_of == self.scene_of[i]) & (self.frame_of == self.frame_of[i])
+        return [int(place) for place in np.flatnonzero(is_asked)]
+
+    @cached_property
+    def cameras(self) -> tuple[CameraSpec, ...]:
+        """The cameras of the rig that the data set was made with, or its own camera; none where it has that of its
+        parameters."""
+        try:
+            specs = self.description.get("shots", {}).get("cameras", ())
+            return tuple(CameraSpec.model_validate(spec) for spec in specs)
+        except ValidationError as error:
+            problems = validation_problems(error, f"{self.url}: dataset.json: shots.cameras")
+            raise FormatError("\n".join(problems)) from None
+
+    def camera_name(self, i: int) -> str:
+        """The name of the camera that took sample i; "" for one without."""
+        return self.cameras[self.camera_of[self._position(i)]].name if self.cameras else ""
+
+    def taken_by(self, names: Sequence[str] = ()) -> Int[np.ndarray, " n"]:
+        """Where the samples of some cameras are, by the cameras' names; without names, those of all that look ahead.
+
+        Raises InputError where there is no such camera.
+        """
+        known = [spec.name for spec in self.cameras]
+        unknown = [name for name in names if name not in known]
+        if unknown:
+            expected = ", ".join(known) or "none, because this data set has no rig"
+            raise InputError(f"cameras: expected some of {expected}, got {', '.join(unknown)}")
+        if not known:
+            return np.arange(len(self))
+        chosen = [i for i, spec in enumerate(self.cameras) if (spec.name in names if names else spec.looks_ahead)]
+        if not chosen:
+            expected = f"a camera within {AHEAD_DEG:.0f} degrees of the driving direction"
+            raise InputError(f"{self.url}: expected {expected}, got none")
+        return np.flatnonzero(np.isin(self.camera_of, chosen))
 
     def positions(self, scenes: Sequence[int]) -> list[int]:
         """Where all pictures of some scenes are, in order."""

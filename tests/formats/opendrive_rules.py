@@ -8,96 +8,87 @@
 - 9.3, 9.5 lanes: widths add up from lane 0, which laneOffset moves; left lanes have positive numbers.
 """
 
-from dataclasses import dataclass
 from xml.etree import ElementTree
 
 import numpy as np
 
 
-@dataclass
 class FileRoad:
     """A road of a file and the places on it."""
 
-    element: ElementTree.Element
-
-    @property
-    def id(self):
-        return self.element.get("id")
-
-    @property
-    def length(self):
-        return float(self.element.get("length"))
+    def __init__(self, element):
+        self.element = element
+        self.id, self.length = element.get("id"), float(element.get("length"))
+        self.lanes = {int(lane.get("id")): lane for lane in element.iter("lane")}
+        self.tables = {tag: table(element.iter(tag)) for tag in ("elevation", "superelevation", "laneOffset", "shape")}
+        self.widths = {number: table(lane.iter("width")) for number, lane in self.lanes.items()}
+        self.geometries = [(e, table([e]), table(e.iter("paramPoly3"))) for e in element.iter("geometry")]
 
     def line(self, s):
         """x, y and heading of the reference line."""
-        geometry = [e for e in self.element.iter("geometry") if float(e.get("s")) <= s + 1e-9][-1]
-        x, y, heading = (float(geometry.get(key)) for key in ("x", "y", "hdg"))
-        poly = geometry.find("paramPoly3")
-        assert poly.get("pRange") == "arcLength"
-        p = s - float(geometry.get("s"))
-        assert p <= float(geometry.get("length")) + 1e-6
-        u, v, du, dv = 0.0, 0.0, 0.0, 0.0
-        for power, letter in enumerate("abcd"):
-            u += float(poly.get(f"{letter}U")) * p**power
-            v += float(poly.get(f"{letter}V")) * p**power
-            if power:
-                du += power * float(poly.get(f"{letter}U")) * p ** (power - 1)
-                dv += power * float(poly.get(f"{letter}V")) * p ** (power - 1)
-        cos, sin = np.cos(heading), np.sin(heading)
-        return x + cos * u - sin * v, y + sin * u + cos * v, heading + np.arctan2(dv, du)
+        element, (own,), (poly,) = [entry for entry in self.geometries if entry[1][0]["s"] <= s + 1e-9][-1]
+        assert element[0].get("pRange") == "arcLength"
+        p = s - own["s"]
+        assert p <= own["length"] + 1e-6
+        u, v = (sum(poly[letter + axis] * p**n for n, letter in enumerate("abcd")) for axis in "UV")
+        du, dv = (sum(n * poly[letter + axis] * p ** (n - 1) for n, letter in enumerate("bcd", 1)) for axis in "UV")
+        cos, sin = np.cos(own["hdg"]), np.sin(own["hdg"])
+        return own["x"] + cos * u - sin * v, own["y"] + sin * u + cos * v, own["hdg"] + np.arctan2(dv, du)
 
     def cubic(self, tag, s, slope=False):
-        return last_cubic(list(self.element.iter(tag)), "s", s, slope)
+        return last_cubic(self.tables[tag], "s", s, slope)
 
     def shape(self, s, t):
-        stations = sorted({float(e.get("s")) for e in self.element.iter("shape")})
+        stations = sorted({entry["s"] for entry in self.tables["shape"]})
         if not stations:
             return 0.0
         before = max([at for at in stations if at <= s + 1e-9], default=stations[0])
         after = min([at for at in stations if at > s + 1e-9], default=before)
-        heights = []
-        for at in (before, after):
-            entries = sorted(
-                (e for e in self.element.iter("shape") if float(e.get("s")) == at), key=lambda e: float(e.get("t"))
-            )
-            heights.append(last_cubic(entries, "t", t))
+        heights = [
+            last_cubic([entry for entry in self.tables["shape"] if entry["s"] == at], "t", t) for at in (before, after)
+        ]
         share = 0.0 if after == before else (s - before) / (after - before)
         return heights[0] + share * (heights[1] - heights[0])
-
-    @property
-    def lanes(self):
-        return {int(lane.get("id")): lane for lane in self.element.iter("lane")}
 
     def edges(self, number, s):
         """t of the inner and outer edge of a lane."""
         inner = outer = self.cubic("laneOffset", s)
         step = int(np.sign(number))
         for other in range(step, number + step, step):
-            width = last_cubic(self.lanes[other].findall("width"), "sOffset", s)
+            width = last_cubic(self.widths[other], "sOffset", s)
             assert width > -1e-3
             inner, outer = outer, outer + step * width
         return inner, outer
 
     def point(self, s, t):
+        """The point of the road's surface at (s, t)."""
+        return self.on_plane(s, t, self.shape(s, t))
+
+    def on_plane(self, s, t, h):
         x, y, heading = self.line(s)
         pitch, roll = np.arctan(self.cubic("elevation", s, slope=True)), self.cubic("superelevation", s)
         # Axes of the road after heading, pitch (up along the road) and roll (about the pitched s axis).
         turn = np.array([[np.cos(heading), -np.sin(heading), 0], [np.sin(heading), np.cos(heading), 0], [0, 0, 1]])
         climb = np.array([[np.cos(pitch), 0, -np.sin(pitch)], [0, 1, 0], [np.sin(pitch), 0, np.cos(pitch)]])
         bank = np.array([[1, 0, 0], [0, np.cos(roll), -np.sin(roll)], [0, np.sin(roll), np.cos(roll)]])
-        return np.array([x, y, self.cubic("elevation", s)]) + turn @ climb @ bank @ [0, t, self.shape(s, t)]
+        return np.array([x, y, self.cubic("elevation", s)]) + turn @ climb @ bank @ [0, t, h]
 
     def center(self, number, s):
         return self.point(s, float(np.mean(self.edges(number, s))))
 
 
+def table(elements):
+    """The numbers of elements."""
+    return [{key: float(value) for key, value in e.items() if key != "pRange"} for e in elements]
+
+
 def last_cubic(entries, key, at, slope=False):
-    """The cubic of the last entry at or before a place."""
+    """The cubic of the last entry at or before a place, the first one's before that."""
     if not entries:
         return 0.0
-    entry = [e for e in entries if float(e.get(key)) <= at + 1e-9][-1]
-    a, b, c, d = (float(entry.get(letter)) for letter in "abcd")
-    u = at - float(entry.get(key))
+    entry = ([e for e in entries if e[key] <= at + 1e-9] or entries)[-1 if entries[0][key] <= at + 1e-9 else 0]
+    a, b, c, d = (entry[letter] for letter in "abcd")
+    u = at - entry[key]
     return b + 2 * c * u + 3 * d * u * u if slope else a + u * (b + u * (c + u * d))
 
 

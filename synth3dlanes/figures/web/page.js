@@ -9,6 +9,25 @@ for (const box of document.querySelectorAll("input[data-shows]")) {
   apply();
 }
 
+// A slider shows one frame of a clip; a button plays them all.
+const slider = document.getElementById("frames");
+if (slider) {
+  const frames = [...document.querySelectorAll(".frame")], button = document.getElementById("play");
+  const show = () => {
+    const words = frames[slider.value].dataset.words;
+    frames.forEach((frame, i) => frame.classList.toggle("off", i !== +slider.value));
+    slider.setAttribute("aria-valuetext", words);
+    document.querySelector("output[for=frames]").textContent = words;
+  };
+  let timer = null;
+  button.addEventListener("click", () => {
+    timer = timer ? clearInterval(timer) : setInterval(() => { slider.value = (+slider.value + 1) % frames.length; show(); }, button.dataset.pauseMs);
+    button.textContent = timer ? "stop" : "play";
+  });
+  slider.addEventListener("input", show);
+  show();
+}
+
 const data = document.getElementById("space-data");
 if (data) showSpace(JSON.parse(data.textContent), document.getElementById("space"), document.getElementById("space-bar"));
 

@@ -78,7 +78,7 @@ def _add_symbol(world: World, symbol: Symbol, roads: Sequence[Road], groups: lis
     kind = SYMBOLS[symbol.kind]
     outline = form.points_world(form.polygons[0] if symbol.kind.startswith("arrow") else form.outline)
     road = _nearest(roads, outline.mean(axis=0))
-    places = road_places(roads[road], outline)
+    places = roads[road].places(outline)
     # Corners go counter-clockwise.
     x, y = places[:, 0], places[:, 1]
     if (x * np.roll(y, -1) - np.roll(x, -1) * y).sum() < 0:
@@ -99,7 +99,7 @@ def _add_rail(world: World, rail: Rail, roads: Sequence[Road], groups: list[list
             continue
         stations = np.linspace(start, end, 2 + int((end - start) / RAIL_STEP_M))
         line = on_ground(world.ground, beside(world.ground, rail.road, rail.side, stations, rail.aside_m))
-        places = road_places(road, line)
+        places = road.places(line)
         places = places[np.argsort(places[:, 0])]
         width = RAIL_WIDTH_M[rail.kind]
         element = _object(RAILS[rail.kind], places[0], zOffset=places[0, 2], height=rail.height_m, orientation="none")
@@ -115,10 +115,10 @@ def _add_upright(
     heading_rad: float | None = None, **sizes: float,
 ) -> None:  # fmt: skip
     road = _nearest(roads, base)
-    place = road_places(roads[road], base[None])[0]
+    place = roads[road].places(base[None])[0]
     turned = {}
     if heading_rad is not None:
-        along = roads[road].along[np.searchsorted(roads[road].s_m, place[0]).clip(0, len(roads[road].s_m) - 1)]
+        along = roads[road].axes[np.searchsorted(roads[road].s_m[:-1], place[0]), 0]
         turned = {"hdg": float(heading_rad - np.arctan2(along[1], along[0]))}
     groups[road].append(_object(kind, place, zOffset=place[2], orientation="none", **turned, **sizes))
 
@@ -129,20 +129,3 @@ def _nearest(roads: Sequence[Road], point: Float[np.ndarray, "3"]) -> int:
         np.linalg.norm(road.xy_world - point[:2], axis=1).min() if road.name != "opening" else np.inf for road in roads
     ]
     return int(np.argmin(apart))
-
-
-def road_places(road: Road, points_world: Points3) -> Points3:
-    """(s, t, h) of world points on a road: h is the height over its banked plane. Points beside its ends are moved to
-    these."""
-    i = np.linalg.norm(points_world[:, None, :2] - road.xy_world, axis=2).argmin(axis=1)
-    t = np.zeros(len(points_world))
-    for _ in range(3):
-        # The plane's point at the same t of the whole road moves with its roll: look for the nearest again.
-        to = points_world[:, :2] - road.xy_world[i]
-        aside = road.along[i, 0] * to[:, 1] - road.along[i, 1] * to[:, 0]
-        t = aside / np.cos(road.roll_rad[i])
-        ahead = (to * road.along[i]).sum(axis=1) + t * np.sin(road.roll_rad[i]) * np.sin(road.pitch_rad[i])
-        s = np.clip(road.s_m[i] + ahead, 0, road.s_m[-1])
-        i = np.clip(np.searchsorted(road.s_m, s), 0, len(road.s_m) - 1)
-    plane = road.elevation_m[i] + t * np.sin(road.roll_rad[i]) * np.cos(road.pitch_rad[i])
-    return np.column_stack([s, t, points_world[:, 2] - plane])

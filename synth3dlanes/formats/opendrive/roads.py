@@ -24,6 +24,8 @@ Points3 = Float[np.ndarray, "m 3"]
 REACH_M = 150.0
 STEP_M = 0.1
 MIN_END_M = 10.0
+# Steps to a point's station; in bends, each leaves a share of the way.
+FOOT_STEPS = 20
 JUNCTION = "junction"
 # Steps to the banked plane that is nearest to the lanes; the third changes it by less than a millimetre.
 PLANE_STEPS = 4
@@ -64,29 +66,43 @@ class Road:
     surface_m: Callable[[Points2, Values], Values]
 
     @cached_property
-    def along(self) -> Points2:
-        """Unit tangents of the reference line from above."""
-        step = np.gradient(self.xy_world, self.s_m, axis=0, edge_order=2)
-        return np.asarray(step / np.linalg.norm(step, axis=1, keepdims=True))
+    def line_world(self) -> Points3:
+        """The reference line."""
+        return np.column_stack([self.xy_world, self.elevation_m])
 
     @cached_property
-    def pitch_rad(self) -> Values:
-        """How steeply the reference line climbs."""
-        return np.asarray(np.arctan(np.gradient(self.elevation_m, self.s_m, edge_order=2)))
+    def axes(self) -> Float[np.ndarray, "m 3 3"]:
+        """The unit vectors e_s, e_t and e_h in the world as rows: heading, then the climb, then the roll about e_s."""
+        along = np.gradient(self.line_world, self.s_m, axis=0, edge_order=2)
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        left = np.column_stack([-along[:, 1], along[:, 0], np.zeros(len(along))])
+        left /= np.linalg.norm(left, axis=1, keepdims=True)
+        up = np.cross(along, left)
+        sin, cos = np.sin(self.roll_rad)[:, None], np.cos(self.roll_rad)[:, None]
+        return np.stack([along, cos * left + sin * up, cos * up - sin * left], axis=1)
 
-    def plane_points(self, t_m: Values) -> tuple[Points3, Values]:
-        """World points of the banked plane at all stations and these t, and how far ahead of their stations they are:
-        on a climbing road the roll moves them along it."""
-        pitch = self.pitch_rad
-        left = np.column_stack([-self.along[:, 1], self.along[:, 0]])
-        aside, ahead = t_m * np.cos(self.roll_rad), -t_m * np.sin(self.roll_rad) * np.sin(pitch)
-        xy = self.xy_world + aside[:, None] * left + ahead[:, None] * self.along
-        return np.column_stack([xy, self.elevation_m + t_m * np.sin(self.roll_rad) * np.cos(pitch)]), ahead
+    def plane_points(self, t_m: Values) -> Points3:
+        """World points of the banked plane at all stations and these t."""
+        return np.asarray(self.line_world + t_m[:, None] * self.axes[:, 1])
 
     def over_plane(self, t_m: Values) -> Values:
         """Height of the road's surface over the banked plane at all stations and these t."""
-        plane, ahead = self.plane_points(t_m)
-        return self.surface_m(plane[:, :2], np.interp(self.s_m + ahead, self.s_m, self.plan_s)) - plane[:, 2]
+        points = self.plane_points(t_m)
+        # Where the road climbs, its roll moves these points along it.
+        forward = self.axes[:, 0, :2] / np.linalg.norm(self.axes[:, 0, :2], axis=1, keepdims=True)
+        ahead = ((points[:, :2] - self.xy_world) * forward).sum(axis=1)
+        plan_s = np.interp(self.s_m + ahead, self.s_m, self.plan_s)
+        return self.surface_m(points[:, :2], plan_s) - points[:, 2]
+
+    def places(self, points_world: Points3) -> Points3:
+        """(s, t, h) of world points; of those before and behind the road, of its ends."""
+        s = self.s_m[np.linalg.norm(points_world[:, None, :2] - self.xy_world, axis=2).argmin(axis=1)]
+        for _ in range(FOOT_STEPS):
+            i = np.clip(np.searchsorted(self.s_m, s), 0, len(self.s_m) - 1)
+            to = np.einsum("nij,nj->ni", self.axes[i], points_world - self.line_world[i])
+            ahead = to[:, 0] * np.linalg.norm(self.axes[i, 0, :2], axis=1)
+            s = np.clip(self.s_m[i] + ahead, 0, self.s_m[-1])
+        return np.column_stack([s, to[:, 1:]])
 
     @property
     def driving(self) -> tuple[Lane, ...]:
