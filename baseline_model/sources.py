@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Int
 
 from synth3dlanes.dataset.address import connect, translate_store_errors
 from synth3dlanes.dataset.format import Sample
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.dataset.remove_roll import image_without_roll, labels_without_roll
+from synth3dlanes.dataset.rectify import rectified_image, rectified_labels
 from synth3dlanes.formats.apollo.read import ApolloSplit
 from synth3dlanes.formats.openlane.read import OpenLaneSplit, is_openlane
 from synth3dlanes.formats.tusimple.read import TusimpleSplit, find_labels
@@ -61,31 +61,37 @@ class Chosen:
 
 @dataclass(frozen=True, eq=False)
 class Upright:
-    """A split of our dataset with roll removed from images and labels: the pose that a network learns has no roll."""
+    """A split of our dataset as pinholes without roll have it: the pose that a network learns has no roll, and its view
+    from above no lens. Of a rig's cameras it has those that look ahead."""
 
     reader: Reader
 
+    @cached_property
+    def places(self) -> Int[np.ndarray, " n"]:
+        """Where its samples are in the reader."""
+        return self.reader.taken_by()
+
     def __len__(self) -> int:
-        return len(self.reader)
+        return len(self.places)
 
     def __getitem__(self, index: int) -> Sample:
-        sample = self.reader[index]
-        image = image_without_roll(sample.image, sample.labels.camera)
-        return replace(sample, image=image, labels=labels_without_roll(sample.labels))
+        sample = self.reader[int(self.places[index])]
+        image = rectified_image(sample.image, sample.labels.camera)
+        return replace(sample, image=image, labels=rectified_labels(sample.labels))
 
     def key(self, index: int) -> str:
         """The sample's key, from the index alone."""
-        return self.reader.key(index)
+        return self.reader.key(int(self.places[index]))
 
     def labels(self, index: int) -> Labels:
         """The labels, without decoding the image."""
-        return labels_without_roll(self.reader.labels(index))
+        return rectified_labels(self.reader.labels(int(self.places[index])))
 
     def image(self, index: int) -> Pixels:
-        """The image; labels are read only where the camera is rolled."""
-        is_level = self._is_level[index]
-        image = self.reader.image(index)
-        return image if is_level else image_without_roll(image, self.reader.labels(index).camera)
+        """The image; labels are read only where the camera is rolled or has a lens."""
+        place = int(self.places[index])
+        image = self.reader.image(place)
+        return image if self._is_level[place] else rectified_image(image, self.reader.labels(place).camera)
 
     def digest(self) -> str:
         """What the samples are: equal recipes give equal samples, and `dataset.json` has the recipe."""
@@ -95,7 +101,9 @@ class Upright:
 
     @cached_property
     def _is_level(self) -> Bool[np.ndarray, " n"]:
-        return np.asarray(self.reader.index[ROLL].to_numpy() == 0)
+        cameras = self.reader.description.get("shots", {}).get("cameras", ())
+        has_lens = any(camera.get("model", "pinhole") != "pinhole" for camera in cameras)
+        return np.asarray((self.reader.index[ROLL].to_numpy() == 0) & (not has_lens))
 
 
 def open_split(path: str | Path) -> Samples:
@@ -116,16 +124,23 @@ def open_split(path: str | Path) -> Samples:
 def training_and_validation(
     data_dir: str, train_split: str, val_split: str, max_images: int | None
 ) -> tuple[Samples, Samples]:
-    """Training and validation split of a data set (folder or URL). Without `val_split`, every tenth training sample is
-    held out; below ten samples, validation uses all of them."""
+    """Training and validation split of a data set (folder or URL). Without `val_split`, every tenth scene of the
+    training split is held out; below ten scenes, validation uses all of them."""
     data_dir = data_dir.rstrip("/")
     train = open_split(f"{data_dir}/{train_split}")
     n = len(train) if max_images is None else min(max_images, len(train))
     if _exists(f"{data_dir}/{val_split}"):
         return Chosen(train, range(n)), open_split(f"{data_dir}/{val_split}")
-    if n < 10:
+    _, number = np.unique(_scenes(train)[:n], return_inverse=True)
+    if number[-1] < 9:
         return Chosen(train, range(n)), Chosen(train, range(n))
-    return Chosen(train, [i for i in range(n) if i % 10 != 9]), Chosen(train, range(9, n, 10))
+    is_held_out = number % 10 == 9
+    return Chosen(train, np.flatnonzero(~is_held_out).tolist()), Chosen(train, np.flatnonzero(is_held_out).tolist())
+
+
+def _scenes(samples: Samples) -> Int[np.ndarray, " n"]:
+    """The number of the scene that each sample shows; a clip has several."""
+    return samples.reader.scene_of[samples.places] if isinstance(samples, Upright) else np.arange(len(samples))
 
 
 def describe(validation: Samples) -> str:

@@ -45,6 +45,7 @@ def info(folder: str, as_json: bool) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from synth3dlanes.dataset.description import pictures_per_scene
     from synth3dlanes.dataset.info import dataset_info
 
     found = dataset_info(folder)
@@ -56,6 +57,11 @@ def info(folder: str, as_json: bool) -> None:
     passes = ", ".join(recipe["render"]["passes"]) or "none"
     click.echo(f"{folder}: synth3dlanes {recipe['generator']}, seed {recipe['seed']}, {recipe['image_format']}")
     click.echo(f"{recipe['render']['samples']} rays a pixel on {recipe['render']['device']}, passes: {passes}")
+    if pictures_per_scene(recipe) > 1:
+        shots = recipe["shots"]
+        click.echo(
+            f"{shots['frames']} frames a scene, {shots['fps']:g} a second, {max(1, len(shots['cameras']))} cameras"
+        )
     if "derived" in recipe:
         click.echo(f"derived: {json.dumps(recipe['derived'])}")
     table = Table(box=None, padding=(0, 2, 0, 0))
@@ -81,8 +87,8 @@ def info(folder: str, as_json: bool) -> None:
 def split(folder: str, out: str, into: dict[str, float], seed: int) -> None:
     """Divide an existing split at random into new splits.
 
-    Samples are copied unchanged and renumbered from 0. To generate a validation or test split with new scenes, use
-    `generate --split val` instead. Rerun to resume.
+    Samples are copied unchanged and renumbered from 0. Clips stay whole. To generate a validation or test split with
+    new scenes, use `generate --split val` instead. Rerun to resume.
     """
     from synth3dlanes.dataset.rearrange import split_dataset
     from synth3dlanes.dataset.splits import one_reader

@@ -25,7 +25,18 @@ def _size(text: str | None) -> tuple[int, int] | None:
     "format_name",
     required=True,
     type=click.Choice(
-        ["apollo", "openlane", "once", "tusimple", "culane", "curvelanes", "openlane_v2", "coco", "masks"]
+        [
+            "apollo",
+            "openlane",
+            "once",
+            "tusimple",
+            "culane",
+            "curvelanes",
+            "openlane_v2",
+            "opendrive",
+            "coco",
+            "masks",
+        ]
     ),
     help="Format to write.",
 )
@@ -43,12 +54,24 @@ def _size(text: str | None) -> tuple[int, int] | None:
     callback=lambda ctx, param, text: _size(text),
     help="Image size for openlane, once and curvelanes; intrinsics are scaled with it.",
 )
+@click.option(
+    "--cameras",
+    metavar="NAMES",
+    default="",
+    help="Cameras of a rig, separated by commas. Default: those that look ahead.",
+)
 @click.option("--workers", default=1, show_default=True, type=click.IntRange(min=1), help="Worker processes.")
 def export(
-    source: str, format_name: str, out: Path, is_verified: bool, size_px: tuple[int, int] | None, workers: int
+    source: str,
+    format_name: str,
+    out: Path,
+    is_verified: bool,
+    size_px: tuple[int, int] | None,
+    cameras: str,
+    workers: int,
 ) -> None:
     """Convert a data set (DIR) or one split (DIR/train) to the format of Apollo Sim-3D, OpenLane, ONCE-3DLanes,
-    tuSimple, CULane, CurveLanes, OpenLane-V2 or COCO, or to plain masks.
+    tuSimple, CULane, CurveLanes, OpenLane-V2 or COCO, to plain masks, or to OpenDRIVE maps, one per scene.
 
     Rerun to resume, or to add samples generated since. OUT/README.md describes how splits were mapped,
     and which frames and lanes were left out and why.
@@ -60,7 +83,8 @@ def export(
     from synth3dlanes.formats.writing import PARTS
 
     with progress_bar("frames") as move:
-        summary = export_dataset(source, out, format_name, workers, move, size_px)
+        names = [name for name in cameras.split(",") if name]
+        summary = export_dataset(source, out, format_name, workers, move, size_px, names)
     frames = ", ".join(f"{summary.n_frames[part]} {part}" for part in PARTS)
     foreign = FORMATS[format_name]
     click.echo(f"{out}: {frames} frames, {summary.n_lines} {foreign.counted}")
@@ -73,7 +97,8 @@ def export(
         for result in results:
             click.echo(f"{result.name}: {result.n_frames} frames, {result.n_lines} {foreign.counted}")
             for label, score in (("ground truth", result.perfect), ("moved", result.shifted)):
-                click.echo(f"  {label}: " + "  ".join(f"{key} {value:.4f}" for key, value in score.items()))
+                if score:
+                    click.echo(f"  {label}: " + "  ".join(f"{key} {value:.4f}" for key, value in score.items()))
         problems = [problem for result in results for problem in result.problems]
         if problems:
             raise click.ClickException("\n".join(problems))

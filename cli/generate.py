@@ -17,11 +17,16 @@ from synth3dlanes.production.events import LEVELS, Event, duration
 
 from .options import (
     assets_option,
+    camera_option,
+    clip_options,
     device_option,
     json_option,
+    lidar_option,
     open_assets,
+    open_shots,
     params_option,
     passes_option,
+    rig_option,
     samples_option,
     seed_option,
     set_option,
@@ -74,13 +79,17 @@ class PartOf(click.ParamType):
 @seed_option
 @params_option
 @set_option
+@camera_option
+@rig_option
 @assets_option
+@clip_options
 @click.option(
     "--workers", metavar="N|auto", type=Workers(), default="auto", help=WORKERS_HELP + " With Ray: cores per task."
 )
 @device_option
 @samples_option
 @passes_option
+@lidar_option
 @click.option(
     "--image-format",
     type=click.Choice(["jpg", "png"]),
@@ -120,11 +129,16 @@ def generate(
     seed: int,
     source: str,
     changes: tuple[str, ...],
+    camera: str | None,
+    rig: str | None,
     assets: Path | None,
+    frames: int,
+    fps: float,
     workers: int,
     device: str,
     samples: int,
     passes: tuple[str, ...],
+    lidar: str | None,
     image_format: str,
     executor: Literal["local", "ray"],
     address: str,
@@ -133,7 +147,7 @@ def generate(
     dry_run: bool,
     as_json: bool,
 ) -> None:
-    """Generate a split of N labelled scenes.
+    """Generate a split of N labelled samples: scenes, or frames of clips with --frames.
 
     Rerun to resume; a larger N extends the split. Ctrl-C finishes the samples in progress, then stops.
     """
@@ -146,10 +160,12 @@ def generate(
     if executor == "local" and ctx.get_parameter_source("address") is not ParameterSource.DEFAULT:
         raise click.UsageError("--address can only be used with --executor ray.")
     library = open_assets(assets)
-    params, settings = load_params(source, changes, library.assets), RenderSettings(samples, passes, device)
-    recipe = Recipe(params, seed, split, settings, image_format, library=library)
+    params, shots = load_params(source, changes, library.assets), open_shots(camera, rig, frames, fps, lidar)
+    settings = RenderSettings(samples, (*passes, *(["lidar"] if lidar else [])), device)
+    recipe = Recipe(params, seed, split, settings, image_format, library=library, shots=shots)
     plan = Plan(out, n, recipe, workers, part)
     drawn_from = f"parameters {source}{' with ' * bool(changes)}{', '.join(changes)}"
+    drawn_from += f", camera {camera}" if camera else f", rig {rig}" if rig else ""
     if dry_run:
         plan = plan.resolved() if executor == "local" else plan
         click.echo(f"{plan.text()}, {drawn_from}\n{plan.expected().text()}")

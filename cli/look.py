@@ -35,17 +35,23 @@ def inspect(where: str, image: Path | None, out: Path | None, html: Path | None,
     from synth3dlanes.figures.describe import describe
     from synth3dlanes.figures.inspect import draw_inspect, summary
     from synth3dlanes.figures.page import scene_page
-    from synth3dlanes.sources import load_any, load_passes
+    from synth3dlanes.sources import SAMPLE, load_any, load_clip, load_passes, load_rig_pictures, load_sweep
 
     found = load_any(where, image)
     layers = load_passes(where, image) if passes else {}
+    sweep = load_sweep(where, image, found.labels)
+    is_clip = html and found.scene.shot.n_frames > 1 and SAMPLE.fullmatch(where)
+    frames = load_clip(where).frames if is_clip else []
+    is_of_rig = found.scene.shot.n_cameras > 1 and SAMPLE.fullmatch(where)
+    rig = load_rig_pictures(where) if is_of_rig else []
     written = {}
     if html:
-        html.write_text(scene_page(found.scene, found.labels, found.image, layers), encoding="utf-8")
+        page = scene_page(found.scene, found.labels, found.image, layers, sweep, frames, rig)
+        html.write_text(page, encoding="utf-8")
         written["page"] = str(html)
     if out or not html:
         path = out or Path(f"{found.name}.inspect.png")
-        draw_inspect(found.scene, found.labels, found.image, layers).savefig(path, dpi=100)
+        draw_inspect(found.scene, found.labels, found.image, layers, sweep, rig).savefig(path, dpi=100)
         written["figure"] = str(path)
     if as_json:
         click.echo(json.dumps({**written, **describe(found.scene, found.labels)}))
@@ -101,9 +107,27 @@ def gallery(
     ]
     # A height map is not in the pixels of the image.
     labels = [reader.labels(i) for reader, i in samples] if lanes and show != "height" else None
-    sheet = draw_gallery(pictures, [reader.key(i) for reader, i in samples], labels, columns, width)
+    names = [f"{reader.key(i)} {reader.camera_name(i)}".rstrip() for reader, i in samples]
+    sheet = draw_gallery(pictures, names, labels, columns, width)
     sheet.save(out)
     click.echo(f"Gallery: {out}")
+
+
+@click.command()
+@click.argument("where", metavar="DIR/SPLIT:KEY")
+@click.option("--out", type=OutputFile(".webp"), default="clip.webp", help="Animated image to write.")
+@click.option("--lanes/--no-lanes", default=True, help="Draw the labels on the frames.")
+@click.option("--width", metavar="PX", type=click.IntRange(min=100), help="Shrink the frames to this width in pixels.")
+def clip(where: str, out: Path, lanes: bool, width: int | None) -> None:
+    """Write the clip to which a sample belongs, such as DIR/train:00000017, as an animated WebP."""
+    from synth3dlanes.figures.clip import draw_clip
+    from synth3dlanes.figures.overlay import draw_overlay
+    from synth3dlanes.sources import load_clip
+
+    found = load_clip(where)
+    pictures = [draw_overlay(image, labels) if lanes else image for labels, image in found.frames]
+    out.write_bytes(draw_clip(pictures, found.fps, width))
+    click.echo(f"Clip: {out}, {len(pictures)} frames")
 
 
 @click.command()
@@ -125,11 +149,13 @@ def report(folder: str, html: Path, n: int, samples: int) -> None:
     from synth3dlanes.dataset.splits import data_set_name, evenly_spaced, readers, split_name
     from synth3dlanes.figures.page import report_page
     from synth3dlanes.figures.stats import label_statistics, scene_statistics
-    from synth3dlanes.sources import params_of, read_scene
+    from synth3dlanes.sources import params_of, read_scene, shots_of
 
     found = readers(folder)
     places = evenly_spaced(found, n)
-    scenes = scene_statistics((read_scene(reader, i) for reader, i in places), params_of(found[0]))
+    scenes = scene_statistics(
+        (read_scene(reader, i) for reader, i in places), params_of(found[0]), bool(shots_of(found[0]).cameras)
+    )
     labels = label_statistics(reader.labels(i) for reader, i in places)
     shown = [
         (f"{split_name(reader)}:{reader.key(i)}", read_scene(reader, i), reader.labels(i), reader.image(i))

@@ -21,7 +21,7 @@ from .bench import bench
 from .data_sets import info, merge, split
 from .export import export
 from .generate import generate
-from .look import gallery, inspect, report
+from .look import clip, gallery, inspect, report
 from .model import ablation, evaluate, onnx, predict, train
 from .params import params
 from .scenes import render, sample
@@ -105,6 +105,7 @@ for command in (
         twins,
         inspect,
         gallery,
+        clip,
         report,
         stats,
         info,

@@ -13,6 +13,7 @@ from synth3dlanes.settings import DEVICES, PASSES, QUALITY_SAMPLES, SPLIT_NAME
 
 if TYPE_CHECKING:
     from synth3dlanes.assets.catalogue import Library
+    from synth3dlanes.shots import Shots
 
 
 class Names(click.ParamType):
@@ -118,7 +119,37 @@ passes_option = click.option(
     metavar="NAMES",
     help=f"Extra images to write as OpenEXR, separated by commas: {', '.join(PASSES)}.",
 )
+lidar_option = click.option(
+    "--lidar", metavar="FILE", help="Lidar on the host: a YAML file or the name of a ready one (docs/lidar.md)."
+)
+
+
+def clip_options(command: Command) -> Command:
+    """`--frames` and `--fps`."""
+    frames = click.option(
+        "--frames",
+        type=click.IntRange(min=1),
+        default=1,
+        help="Frames of each scene: with 20, samples 0 to 19 are a clip of scene 0 (docs/clips.md).",
+    )
+    fps = click.option(
+        "--fps", type=click.FloatRange(min=0, min_open=True), default=10.0, help="Frames per second of clips."
+    )
+    return frames(fps(command))
+
+
 device_option = click.option("--device", type=click.Choice(DEVICES), default="auto", help="Device to render on.")
+camera_option = click.option(
+    "--camera",
+    metavar="FILE|NAME",
+    help="Your camera instead of that of the parameters: a YAML file, also of OpenCV or Kalibr, or the name of a "
+    "ready one (docs/camera.md).",
+)
+rig_option = click.option(
+    "--rig",
+    metavar="FILE|NAME",
+    help="Several cameras that see every scene: a YAML file, or the name of a ready rig (docs/camera.md).",
+)
 assets_option = click.option(
     "--assets",
     metavar="DIR",
@@ -153,3 +184,16 @@ def open_assets(folder: Path | None) -> "Library":
     for warning in warnings:
         click.echo(f"--assets {folder}: {warning}", err=True)
     return library
+
+
+def open_shots(camera: str | None, rig: str | None, frames: int, fps: float, lidar: str | None = None) -> "Shots":
+    """What `--camera` or `--rig`, `--frames` and `--fps`, and `--lidar` say."""
+    from synth3dlanes.camera_files import load_camera
+    from synth3dlanes.lidar_files import load_lidar
+    from synth3dlanes.rig_files import load_rig
+    from synth3dlanes.shots import clips
+
+    if camera is not None and rig is not None:
+        raise click.UsageError("--camera and --rig exclude each other; a rig's file names its cameras.")
+    cameras = load_rig(rig) if rig is not None else () if camera is None else (load_camera(camera),)
+    return clips(frames, fps, cameras).model_copy(update={"lidar": load_lidar(lidar) if lidar else None})

@@ -6,10 +6,15 @@ import click
 
 from .options import (
     assets_option,
+    camera_option,
+    clip_options,
     device_option,
+    lidar_option,
     open_assets,
+    open_shots,
     params_option,
     passes_option,
+    rig_option,
     samples_option,
     seed_option,
     set_option,
@@ -18,27 +23,40 @@ from .options import (
 
 
 @click.command()
-@click.option("--index", type=click.IntRange(min=0), default=0, help="Index of the scene in the split.")
+@click.option("--index", type=click.IntRange(min=0), default=0, help="Index of the sample in the split.")
 @click.option(
     "--n",
     type=click.IntRange(min=1),
     default=1,
-    help="Number of scenes, starting at --index; one JSON document per line.",
+    help="Number of samples, starting at --index; one JSON document per line.",
 )
 @seed_option
 @split_option
 @params_option
 @set_option
+@camera_option
+@rig_option
 @assets_option
+@clip_options
 def sample(
-    index: int, n: int, seed: int, split: str, source: str, changes: tuple[str, ...], assets: Path | None
+    index: int,
+    n: int,
+    seed: int,
+    split: str,
+    source: str,
+    changes: tuple[str, ...],
+    camera: str | None,
+    rig: str | None,
+    assets: Path | None,
+    frames: int,
+    fps: float,
 ) -> None:
     """Draw random scenes and print them as scene.json, without rendering. Blender is needed only to check --assets."""
     from synth3dlanes.params import load_params
     from synth3dlanes.sample import scene_texts
 
-    own = open_assets(assets).assets
-    for text in scene_texts(load_params(source, changes, own), seed, split, range(index, index + n), own):
+    own, shots = open_assets(assets).assets, open_shots(camera, rig, frames, fps)
+    for text in scene_texts(load_params(source, changes, own), seed, split, range(index, index + n), own, shots):
         click.echo(text)
 
 
@@ -52,6 +70,7 @@ def sample(
 @set_option
 @samples_option
 @passes_option
+@lidar_option
 @device_option
 @assets_option
 def render(
@@ -60,18 +79,20 @@ def render(
     changes: tuple[str, ...],
     samples: int,
     passes: tuple[str, ...],
+    lidar: str | None,
     device: str,
     assets: Path | None,
 ) -> None:
     """Render one scene, from a file or a data set. Writes the image, NAME.labels.json and, with --passes,
-    NAME.passes.exr.
+    NAME.passes.exr. A scene with a lidar, its own or that of --lidar, gives NAME.lidar.exr.
 
     --set changes the scene first: --set light.exposure=3 changes the exposure, --set cars=[] removes the cars. The
     changed scene is written to NAME.scene.json.
     """
+    from synth3dlanes.lidar_files import load_lidar
     from synth3dlanes.production.render_file import render_file
     from synth3dlanes.settings import RenderSettings
 
     settings, library = RenderSettings(samples, passes, device), open_assets(assets)
-    for path in render_file(source, out, changes, settings, library):
+    for path in render_file(source, out, changes, settings, library, load_lidar(lidar) if lidar else None):
         click.echo(path)

@@ -50,7 +50,7 @@ def stats(
     from synth3dlanes.figures.stats_views import draw_statistics, statistics_table, verdict
     from synth3dlanes.params import load_params
     from synth3dlanes.sample import sample_scene
-    from synth3dlanes.sources import params_of, read_scene
+    from synth3dlanes.sources import params_of, read_scene, shots_of
 
     if (folder is None) == (source is None):
         raise click.UsageError("Give either DIR or --params FILE.")
@@ -59,7 +59,8 @@ def stats(
             raise click.UsageError("--set, --assets and --seed can only be used with --params.")
         found = readers(folder)
         places = evenly_spaced(found, n)
-        scenes = scene_statistics((read_scene(reader, i) for reader, i in places), params_of(found[0]))
+        drawn = (read_scene(reader, i) for reader, i in places)
+        scenes = scene_statistics(drawn, params_of(found[0]), bool(shots_of(found[0]).cameras))
         labels = label_statistics(reader.labels(i) for reader, i in places)
     else:
         own = open_assets(assets).assets

@@ -13,7 +13,9 @@ if TYPE_CHECKING:
         export_dataset,
         generate_dataset,
         label,
+        load_camera,
         load_params,
+        load_rig,
         load_scene,
         open_assets,
         open_dataset,
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
         sample_scene,
         save_scene,
     )
+    from synth3dlanes.cameras import CameraSpec
     from synth3dlanes.dataset.format import Sample
     from synth3dlanes.dataset.read import Reader
     from synth3dlanes.errors import (
@@ -47,6 +50,7 @@ else:
 __version__ = "0.2.0"
 
 __all__ = [
+    "CameraSpec",
     "DiskFullError",
     "FormatError",
     "InputError",
@@ -66,7 +70,9 @@ __all__ = [
     "export_dataset",
     "generate_dataset",
     "label",
+    "load_camera",
     "load_params",
+    "load_rig",
     "load_scene",
     "open_assets",
     "open_dataset",
@@ -80,6 +86,7 @@ __all__ = [
 _HOMES = {
     **dict.fromkeys(("DiskFullError", "FormatError", "InputError", "MissingPackageError"), "errors"),
     **dict.fromkeys(("Synth3dlanesError", "WorkerError"), "errors"),
+    "CameraSpec": "cameras",
     "Labels": "labels",
     "Lane": "labels",
     "Params": "params",

@@ -5,7 +5,7 @@ Nothing here loads Blender: `render` and `generate_dataset` do so in worker proc
 
 import warnings
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +15,20 @@ from synth3dlanes import labels as labels_format
 from synth3dlanes import scene as scene_format
 from synth3dlanes.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.assets.folder import require_assets
+from synth3dlanes.camera_files import load_camera as _load_camera
+from synth3dlanes.cameras import CameraSpec
 from synth3dlanes.change import change_scene as _change_scene
-from synth3dlanes.dataset.format import HEIGHT, IMAGE_FORMATS, LABELS, PASSES, decode_image, encode, read_passes
+from synth3dlanes.dataset.format import (
+    HEIGHT,
+    IMAGE_FORMATS,
+    LABELS,
+    LIDAR,
+    PASSES,
+    decode_image,
+    encode,
+    read_passes,
+    read_sweep,
+)
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.write import write_whole
 from synth3dlanes.errors import InputError
@@ -24,6 +36,7 @@ from synth3dlanes.formats.export import FORMATS, export
 from synth3dlanes.formats.summary import Summary
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
+from synth3dlanes.lidar_files import load_lidar
 from synth3dlanes.params import Params
 from synth3dlanes.params import load_params as _load_params
 from synth3dlanes.production.events import Event
@@ -33,23 +46,29 @@ from synth3dlanes.production.render_file import render_members
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.tally import Report
 from synth3dlanes.production.user_assets import open_library
+from synth3dlanes.rig_files import load_rig as _load_rig
 from synth3dlanes.sample import sample_scene as _sample_scene
+from synth3dlanes.sample import with_lidar
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import DEVICES, QUALITY_SAMPLES, RenderSettings
 from synth3dlanes.settings import PASSES as PASS_NAMES
+from synth3dlanes.shots import Shots, clips
 from synth3dlanes.sources import load_scene as _load_scene
+from synth3dlanes.sweep import Sweep
 
 STANDARD = QUALITY_SAMPLES["standard"]
 
 
 @dataclass(frozen=True, eq=False)
 class Rendered:
-    """A rendered scene. Image, labels and passes are those that a data set of PNG images has of the scene."""
+    """A rendered scene. Image, labels, passes and the lidar's sweep are those that a data set of PNG images has of the
+    scene; the last is None without a lidar."""
 
     scene: Scene
     image: UInt8[np.ndarray, "h w 3"]
     labels: Labels
     passes: dict[str, Shaped[np.ndarray, "..."]]
+    sweep: Sweep | None = None
 
     def save(self, path: str | Path) -> list[Path]:
         """Write the image (.png or .jpg) and beside it the labels, the scene and the passes; return the files.
@@ -60,7 +79,7 @@ class Rendered:
         path = Path(path)
         image_format = _one_of("path", path.suffix.removeprefix("."), IMAGE_FORMATS)
         text = scene_format.to_json(self.scene)
-        members = encode(self.image, self.labels, text, self.passes, image_format)
+        members = encode(self.image, self.labels, text, self.passes, image_format, sweep=self.sweep)
         path.parent.mkdir(parents=True, exist_ok=True)
         for name, data in members.items():
             write_whole(path.with_suffix(f".{name}"), data)
@@ -88,15 +107,41 @@ def load_params(
     return _load_params(str(source), _several(overrides), assets.assets)
 
 
+def load_camera(source: str | Path) -> CameraSpec:
+    """Read a camera: a YAML file, also of OpenCV or Kalibr, or the name of a ready one (docs/camera.md).
+
+    Raises InputError with a line for every problem.
+    """
+    return _load_camera(str(source))
+
+
+def load_rig(source: str | Path) -> tuple[CameraSpec, ...]:
+    """Read the cameras of a rig: a YAML file, or the name of a ready one (docs/camera.md).
+
+    Raises InputError with a line for every problem.
+    """
+    return _load_rig(str(source))
+
+
 def sample_scene(
-    params: Params, *, seed: int = 0, split: str = "train", index: int = 0, assets: Library = BUILT_IN
+    params: Params,
+    *,
+    seed: int = 0,
+    split: str = "train",
+    index: int = 0,
+    camera: CameraSpec | None = None,
+    rig: Sequence[CameraSpec] = (),
+    frames: int = 1,
+    fps: float = 10.0,
+    assets: Library = BUILT_IN,
 ) -> Scene:
-    """Draw scene `index` of a split; equal arguments give equal scenes.
+    """Draw the scene of sample `index` of a split, of clips of `frames` frames, with a camera or the cameras of a rig
+    in place of that of the parameters; equal arguments give equal scenes.
 
     Raises InputError for a bad argument, and where cars or trees find no room in the ranges given.
     """
     _at_least(0, seed=seed, index=index)
-    return _sample_scene(params, seed, split, index, assets.assets)
+    return _sample_scene(params, seed, split, index, assets.assets, _shots(camera, rig, frames, fps))
 
 
 def change_scene(scene: Scene, changes: str | Sequence[str]) -> Scene:
@@ -127,22 +172,27 @@ def render(
     *,
     samples: int = STANDARD,
     passes: str | Sequence[str] = (),
+    lidar: str | Path | None = None,
     device: str = "auto",
     assets: Library = BUILT_IN,
 ) -> Rendered:
     """Render a scene with `samples` rays a pixel, in a process of its own; about five seconds.
 
-    Passes are some of depth, normal, semantic, instance and height. Raises InputError for a bad argument and where
+    Passes are some of depth, normal, semantic, instance and height. `lidar` is a YAML file or the name of a ready one
+    (docs/lidar.md); without it the scene keeps its own, if it has one. Raises InputError for a bad argument and where
     `assets` are not those of the scene; MissingPackageError without Blender; WorkerError where Blender fails.
     """
     settings = _settings(samples, passes, device)
     require_assets(scene.assets, assets, "scene")
+    scene = with_lidar(scene, None if lidar is None else load_lidar(str(lidar)))
     members = render_members(scene, settings, "png", assets, "render")
     found: dict[str, Shaped[np.ndarray, ...]] = {}
     for name in (PASSES, HEIGHT):
         if name in members:
             found |= read_passes(members[name], name)
-    return Rendered(scene, decode_image(members["png"], "png"), labels_format.from_json(members[LABELS], LABELS), found)
+    labels = labels_format.from_json(members[LABELS], LABELS)
+    sweep = None if labels.lidar is None else read_sweep(members[LIDAR], LIDAR, labels.lidar)
+    return Rendered(scene, decode_image(members["png"], "png"), labels, found, sweep)
 
 
 def generate_dataset(
@@ -152,24 +202,34 @@ def generate_dataset(
     n: int,
     seed: int = 0,
     split: str = "train",
+    frames: int = 1,
+    fps: float = 10.0,
     samples: int = STANDARD,
     passes: str | Sequence[str] = (),
+    lidar: str | Path | None = None,
     image_format: str = "jpg",
     device: str = "auto",
     workers: int = 0,
+    camera: CameraSpec | None = None,
+    rig: Sequence[CameraSpec] = (),
     assets: Library = BUILT_IN,
     notify: Callable[[Event], None] | None = None,
 ) -> Report:
     """Make samples 0 to n - 1 of a split in `out`, a folder or a URL; what is there already is kept.
 
+    With `frames` above 1 they are the frames of clips, `fps` a second: the first clip is samples 0 to frames - 1.
     `workers` 0 is one for each core; `notify` is called with every event, whose `message` is a line of text. A problem
     on the way does not raise: see `problem`, `done` and `asked` of the result. Raises InputError, MissingPackageError
     or DiskFullError where it cannot start.
     """
     _at_least(0, seed=seed)
     settings = _settings(samples, passes, device)
+    shots = _shots(camera, rig, frames, fps)
+    if lidar is not None:
+        settings = replace(settings, passes=(*settings.passes, "lidar"))
+        shots = shots.model_copy(update={"lidar": load_lidar(str(lidar))})
     image_format = _one_of("image_format", image_format, IMAGE_FORMATS)
-    recipe = Recipe(params, seed, split, settings, image_format, library=assets)
+    recipe = Recipe(params, seed, split, settings, image_format, library=assets, shots=shots)
     plan = Plan(out, n, recipe, workers)
     return generate(plan, notify or (lambda event: None))
 
@@ -194,6 +254,12 @@ def export_dataset(
     """
     format_name = _one_of("format_name", format_name, FORMATS)
     return export(str(source), Path(out), format_name, workers, lambda done, total: None, size_px)
+
+
+def _shots(camera: CameraSpec | None, rig: Sequence[CameraSpec], frames: int, fps: float) -> Shots:
+    if camera is not None and rig:
+        raise InputError("camera: expected none beside a rig")
+    return clips(frames, fps, tuple(rig) if camera is None else (camera,))
 
 
 def _settings(samples: int, passes: str | Sequence[str], device: str) -> RenderSettings:

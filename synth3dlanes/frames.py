@@ -30,13 +30,21 @@ def from_axes(x: Points, y: Points, z: Points, origin: Points) -> Matrix4:
     return outer_from_inner
 
 
-def road_from_cam(height_m: float, pitch_rad: float, roll_rad: float = 0.0) -> Matrix4:
-    """The camera's pose over the road plane: `height_m` above its foot, pitched by `pitch_rad` (positive = down) and
-    rolled about its viewing axis by `roll_rad` (positive = clockwise as the driver sees it: right side down)."""
+def road_from_cam(height_m: float, pitch_rad: float, roll_rad: float = 0.0, yaw_rad: float = 0.0) -> Matrix4:
+    """The camera's pose over the road plane: `height_m` above its foot, turned by `yaw_rad` (positive =
+    counter-clockwise seen from above: to the left), then pitched by `pitch_rad` (positive = down) and rolled about its
+    viewing axis by `roll_rad` (positive = clockwise as the driver sees it: right side down)."""
     c, s = np.cos(pitch_rad), np.sin(pitch_rad)
     pitched = np.array([[1.0, 0, 0, 0], [0, c, s, 0], [0, -s, c, height_m], [0, 0, 0, 1]])
     c, s = np.cos(roll_rad), np.sin(roll_rad)
-    return pitched @ np.array([[c, 0, s, 0], [0, 1.0, 0, 0], [-s, 0, c, 0], [0, 0, 0, 1]])
+    pose = pitched @ np.array([[c, 0, s, 0], [0, 1.0, 0, 0], [-s, 0, c, 0], [0, 0, 0, 1]])
+    return turned(yaw_rad) @ pose if yaw_rad else pose
+
+
+def turned(yaw_rad: float, right_m: float = 0.0, forward_m: float = 0.0) -> Matrix4:
+    """The pose of a frame turned about z (positive = counter-clockwise seen from above) and moved in the plane."""
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    return np.array([[c, -s, 0, right_m], [s, c, 0, forward_m], [0, 0, 1.0, 0], [0, 0, 0, 1]])
 
 
 def project(img_from_cam: Float[np.ndarray, "3 3"], points_cam: Points) -> Float[np.ndarray, "*n 2"]:

@@ -4,13 +4,13 @@
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import inside_image, invert, project, transform
+from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.lanes import Curve, host_segment, lane_graph, path_of_segment
 from synth3dlanes.geometry.paint import is_double, paint_color
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.symbols import shape
 from synth3dlanes.geometry.visibility import seen_over_ground
-from synth3dlanes.labels import CameraLabel, Labels, Lane, RoadName, RoadPlane, SymbolLabel
+from synth3dlanes.labels import CameraLabel, Labels, Lane, LidarLabel, RoadName, RoadPlane, SymbolLabel
 from synth3dlanes.scene import Scene
 from synth3dlanes.world import View, World, resolve
 
@@ -23,14 +23,15 @@ APART_M = 0.01
 
 
 def ground_truth(scene: Scene) -> Labels:
-    """The labels of a scene: curves sampled every metre of road from the camera to 110 m ahead."""
+    """The labels of a scene: curves sampled every metre of road from the host, or as far behind it as its shot says,
+    to 110 m ahead."""
     world = resolve(scene)
     return label(world, world.view)
 
 
 def label(world: World, view: View) -> Labels:
     """The labels of a world for one view."""
-    plan, lens = world.plan, view.camera
+    plan, lens, shot = world.plan, view.camera, world.scene.shot
     camera = CameraLabel(
         width_px=lens.width_px,
         height_px=lens.height_px,
@@ -40,8 +41,11 @@ def label(world: World, view: View) -> Labels:
         road_from_cam=view.road_from_cam,
         world_from_cam=view.world_from_cam,
         roll_rad=lens.roll_rad,
+        yaw_rad=lens.yaw_rad,
+        name=lens.name,
+        lens=lens.lens,
     )
-    lengths_m = np.arange(0, RANGE_M + STEP_M / 2, STEP_M)
+    lengths_m = np.arange(-world.scene.shot.behind_m, RANGE_M + STEP_M / 2, STEP_M)
     s_world: dict[RoadName, Values] = {
         "main": plan.stations_along("main", lens.y_m, lengths_m),
         "exit": plan.stations_along("exit", lens.y_m, lengths_m),
@@ -56,7 +60,7 @@ def label(world: World, view: View) -> Labels:
     outlines = [form.points_world(form.outline) for form in forms]
     points_world = np.concatenate([*sampled.values(), *outlines])
     points_cam = transform(invert(view.world_from_cam), points_world)
-    in_image = inside_image(project(camera.img_from_cam, points_cam), camera.width_px, camera.height_px)
+    in_image = camera.shows(points_cam)
     seen = seen_over_ground(world.ground, view.eye_world, points_world)
     ends = np.cumsum([len(points) for points in (*sampled.values(), *outlines)])[:-1]
     parts = list(zip(np.split(points_cam, ends), np.split(in_image, ends), np.split(seen, ends), strict=True))
@@ -88,9 +92,19 @@ def label(world: World, view: View) -> Labels:
         camera,
         lanes,
         lane_graph(plan, centerlines),
-        horizon_plane(camera, next(lane for lane in lanes if lane.id == host)),
+        horizon_plane(camera, next(lane for lane in lanes if lane.id == host)) if lens.looks_ahead else None,
         symbols=symbols,
+        time_s=round(shot.time_s, 9) if shot.n_frames > 1 else None,
+        lidar=_lidar(view),
     )
+
+
+def _lidar(view: View) -> LidarLabel | None:
+    if view.lidar is None:
+        return None
+    fields = ("name", "elevations_rad", "azimuths", "min_range_m", "max_range_m")
+    cam_from_lidar = invert(view.world_from_cam) @ view.world_from_lidar
+    return LidarLabel(**{name: getattr(view.lidar, name) for name in fields}, cam_from_lidar=cam_from_lidar)
 
 
 def horizon_plane(camera: CameraLabel, host: Lane) -> RoadPlane | None:

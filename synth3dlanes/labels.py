@@ -12,6 +12,8 @@ from jaxtyping import Bool, Float
 from pydantic import FailFast, Field, GetCoreSchemaHandler, with_config
 from pydantic_core import CoreSchema, core_schema
 
+from synth3dlanes.frames import inside_image
+from synth3dlanes.lens import PINHOLE, Lens
 from synth3dlanes.schema import STRICT, Name, Number, Part, Pixels, Positive, SymbolKind, Unit, parse
 
 LABELS_FORMAT, LABELS_VERSION = "synth3dlanes.labels", 1
@@ -53,7 +55,9 @@ Mask = Annotated[Bool[np.ndarray, " n"], _Json(list[Literal[0, 1]], (-1,), bool)
 @dataclass(frozen=True, eq=False)
 class CameraLabel:
     """The camera whose frame the points are in; `img_from_cam` acts on (x, y, z) of that frame. `roll_rad` is about
-    the viewing axis, positive clockwise as the driver sees it; older labels lack it."""
+    the viewing axis, positive clockwise as the driver sees it; older labels lack it. `yaw_rad` turns that axis from the
+    host's, positive to the left. `lens` bends what `img_from_cam` makes pixels of; `project` and `rays` go through
+    both. The file leaves out a yaw of 0, an empty `name` and a pinhole's lens."""
 
     width_px: Pixels
     height_px: Pixels
@@ -63,16 +67,37 @@ class CameraLabel:
     road_from_cam: Matrix4
     world_from_cam: Matrix4
     roll_rad: Number = 0.0
+    yaw_rad: Number = 0.0
+    name: Name = ""
+    lens: Lens = PINHOLE
+
+    def project(self, points_cam: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
+        """Pixels (u, v) of points; NaN for points that are behind the camera or out of its lens's field."""
+        return self.lens.project(self.img_from_cam, points_cam)
+
+    def shows(self, points_cam: Float[np.ndarray, "*n 3"]) -> Bool[np.ndarray, "*n"]:
+        """Which points lie within the borders of the image."""
+        return inside_image(self.project(points_cam), self.width_px, self.height_px)
+
+    def rays(self, uv: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 3"]:
+        """Unit vectors along which pixels (u, v) look; NaN where the lens has no picture."""
+        return self.lens.rays(self.img_from_cam, uv)
+
+    def points(self, uv: Float[np.ndarray, "*n 2"], depth_m: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n 3"]:
+        """The points that pixels (u, v) see at depths y, as the pass `depth` has them."""
+        rays = self.rays(uv)
+        return np.asarray(rays * (depth_m / rays[..., 1])[..., None])
 
 
 @with_config(STRICT)
 @dataclass(frozen=True, eq=False)
 class Lane:
-    """One curve, near to far. `left` and `right` are ids: of the delimiters that bound a centre line on its own stretch
-    (behind the split, before the merge), or of the centre lines that a delimiter bounds there; None outside the road.
-    `color` and `double` (two stripes, the points in the middle between them) are None for centre lines and in older
-    labels. `object_visible` is None until the scene has been rendered. `direction` is that of the traffic in a centre
-    line's lane; a delimiter is `oncoming` if it bounds only such lanes. The file leaves out `same`."""
+    """One curve, in the host's driving direction. `left` and `right` are ids: of the delimiters that bound a centre
+    line on its own stretch (behind the split, before the merge), or of the centre lines that a delimiter bounds there;
+    None outside the road. `color` and `double` (two stripes, the points in the middle between them) are None for centre
+    lines and in older labels. `object_visible` is None until the scene has been rendered. `direction` is that of the
+    traffic in a centre line's lane; a delimiter is `oncoming` if it bounds only such lanes. The file leaves out
+    `same`."""
 
     id: Name
     kind: LaneKind
@@ -168,14 +193,30 @@ class RoadPlane:
     height_m: Number
 
 
+@with_config(STRICT)
+@dataclass(frozen=True, eq=False)
+class LidarLabel:
+    """The lidar beside the camera: its beams from the top one down, the azimuths of a turn, the ranges within which it
+    measures, and its place."""
+
+    name: Name
+    elevations_rad: Annotated[tuple[Number, ...], Field(min_length=1, max_length=256)]
+    azimuths: Pixels
+    min_range_m: Number
+    max_range_m: Positive
+    cam_from_lidar: Matrix4
+
+
 @dataclass(frozen=True, eq=False)
 class Labels:
     """The exact labels of one image.
 
     `camera` holds pitch and height over the plane that touches the road at the host; `horizon` is the plane through the
-    farthest visible point of the host lane (the paper's 'horizon' variant), None if no point is visible.
+    farthest visible point of the host lane (the paper's 'horizon' variant), None if no point is visible or the camera
+    does not look ahead.
     `car_visible_fraction` is the visible share of each car's silhouette; None until rendered. `symbols` are those of
-    the scene, in its order: arrows, stop lines, crosswalks and gores, none of which is a lane.
+    the scene, in its order: arrows, stop lines, crosswalks and gores, none of which is a lane. `lidar` is that of the
+    scene, if it has one.
     """
 
     camera: CameraLabel
@@ -184,6 +225,8 @@ class Labels:
     horizon: RoadPlane | None = None
     car_visible_fraction: tuple[float, ...] | None = None
     symbols: tuple[SymbolLabel, ...] = ()
+    time_s: float | None = None
+    lidar: LidarLabel | None = None
 
 
 def to_json(labels: Labels) -> str:
@@ -201,6 +244,9 @@ def to_json(labels: Labels) -> str:
             "roll_rad": camera.roll_rad,
             "road_from_cam": _rounded(camera.road_from_cam, 9),
             "world_from_cam": _rounded(camera.world_from_cam, 9),
+            **({"yaw_rad": camera.yaw_rad} if camera.yaw_rad else {}),
+            **({"name": camera.name} if camera.name else {}),
+            **({} if camera.lens == PINHOLE else {"lens": camera.lens.model_dump(mode="json")}),
         },
         "lanes": [_points_document(lane) for lane in labels.lanes],
         "graph": {
@@ -215,6 +261,10 @@ def to_json(labels: Labels) -> str:
     }
     if labels.symbols:
         document["symbols"] = [_points_document(symbol) for symbol in labels.symbols]
+    if labels.time_s is not None:
+        document["time_s"] = labels.time_s
+    if labels.lidar is not None:
+        document["lidar"] = {**vars(labels.lidar), "cam_from_lidar": _rounded(labels.lidar.cam_from_lidar, 9)}
     return json.dumps(document, separators=(",", ":"), allow_nan=False)
 
 
@@ -229,12 +279,23 @@ class _Document(Part):
     horizon: RoadPlane | None
     car_visible_fraction: tuple[Unit, ...] | None
     symbols: tuple[SymbolLabel, ...] = ()
+    time_s: Annotated[float, Field(ge=0, le=1e6)] | None = None
+    lidar: LidarLabel | None = None
 
 
 def from_json(text: str | bytes, where: str) -> Labels:
     """Parse `labels.json`; raise FormatError with one line per problem, each beginning with `where`."""
     read = parse(_Document, text, where, f"{LABELS_FORMAT} version {LABELS_VERSION}")
-    return Labels(read.camera, read.lanes, read.graph, read.horizon, read.car_visible_fraction, read.symbols)
+    return Labels(
+        read.camera,
+        read.lanes,
+        read.graph,
+        read.horizon,
+        read.car_visible_fraction,
+        read.symbols,
+        read.time_s,
+        read.lidar,
+    )
 
 
 def _rounded(values: Float[np.ndarray, "..."], decimals: int) -> Any:

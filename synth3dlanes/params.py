@@ -38,7 +38,7 @@ Offset = Annotated[Real, reals(-50, 50)]
 # Of models or textures of one kind, if the assets are unknown.
 MAX_NUMBER = 9999
 # Groups that were added later; parameters without them have their defaults.
-OPTIONAL: tuple[str, ...] = ("symbols", "weather", "host", "vegetation", "roadside")
+OPTIONAL: tuple[str, ...] = ("symbols", "weather", "host", "vegetation", "roadside", "motion")
 # With more keys missing there is one line for all.
 MAX_MISSING = 3
 
@@ -279,6 +279,16 @@ class RoadsideParams(Group):
     building_aside_m: Annotated[Real, reals(8, 200)] = added(40.0)
 
 
+Speed = Annotated[Real, reals(0, 60)]
+
+
+class MotionParams(Group):
+    """Speeds in clips, constant through a clip; single pictures do not use them. Parked cars stand."""
+
+    host_speed_m_s: Speed = Uniform(20.0, 33.0)
+    car_speed_m_s: Speed = Uniform(17.0, 36.0)
+
+
 class Params(Group):
     """The distribution of every parameter of a scene. Names are as in `scene.json`, with degrees instead of radians.
 
@@ -302,6 +312,7 @@ class Params(Group):
         default=VegetationParams(), exclude_if=lambda group: group == VegetationParams()
     )
     roadside: RoadsideParams = Field(default=RoadsideParams(), exclude_if=lambda group: group == RoadsideParams())
+    motion: MotionParams = Field(default=MotionParams(), exclude_if=lambda group: group == MotionParams())
 
 
 def presets_folder() -> Path:
@@ -383,7 +394,7 @@ def _override(document: dict[Any, Any], overrides: Iterable[str]) -> tuple[set[s
             group[steps[1]] = value
             done.add(path.strip())
         elif steps[0] not in Params.model_fields:
-            problems.append(f"overrides {path.strip()}: {_unknown(steps[0], Params.model_fields)}")
+            problems.append(f"overrides {path.strip()}: {unknown_key(steps[0], Params.model_fields)}")
     return done, problems
 
 
@@ -398,7 +409,7 @@ def _problems(error: ValidationError, where: str, overridden: set[str]) -> list[
         if problem["type"] == "missing":
             text = "missing key"
         elif problem["type"] == "extra_forbidden":
-            text = _unknown(str(problem["loc"][-1]), _keys(problem["loc"][:-1]))
+            text = unknown_key(str(problem["loc"][-1]), _keys(problem["loc"][:-1]))
         elif problem["type"] == "value_error":
             text = f"{problem['ctx']['error']}, got {shown(problem['input'])}"
         else:
@@ -415,6 +426,7 @@ def _keys(group: tuple[int | str, ...]) -> Iterable[str]:
     return model.model_fields if isinstance(model, type) and issubclass(model, BaseModel) else ()
 
 
-def _unknown(key: str, known: Iterable[str]) -> str:
+def unknown_key(key: str, known: Iterable[str]) -> str:
+    """What is wrong with a key, with the known one that it is close to."""
     close = difflib.get_close_matches(key, list(known), n=1)
     return "unknown key" + (f"; did you mean {close[0]}?" if close else "")

@@ -131,13 +131,17 @@ def _edges(ground: Ground, place: str) -> list[Edge]:
 
 def _stations(ground: Ground, edge: Edge) -> Values:
     """Plan stations a metre apart where an edge bounds its place, in the range of structures."""
-    low, high = np.sort(ground.plan.plan_station(ground.near_m + np.array([-BEHIND_M, AHEAD_M])))
+    low, high = np.sort(ground.plan.plan_station(np.array(ground.range_m(AHEAD_M, BEHIND_M))))
     return np.arange(np.ceil(max(low, edge.low_m)), np.floor(min(high, edge.high_m)) + 0.5)
 
 
 def _ahead(ground: Ground, rng: Rng, limits_m: tuple[float, float]) -> float:
-    """A plan station at a distance ahead of the host."""
-    return round(float(ground.plan.plan_station(ground.near_m + rng.uniform(*limits_m, size=1))[0]), DECIMALS)
+    """A plan station at a distance ahead of the host where it drives; with `both_ways` ahead or behind."""
+    low_m, high_m = limits_m
+    away_m = rng.uniform(low_m, high_m + ground.driven_m, size=1)
+    if ground.both_ways and rng.random() < 0.5:
+        away_m = ground.driven_m - away_m
+    return round(float(ground.plan.plan_station(ground.near_m + away_m)[0]), DECIMALS)
 
 
 def _free(ground: Ground, edge: Edge, s: Values, aside_m: float) -> Bool[np.ndarray, " n"]:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from multiprocessing import get_context
 from typing import Any, TypeVar
 
@@ -13,15 +13,17 @@ from jaxtyping import Float
 
 from synth3dlanes.assets.car_colors import sold_color
 from synth3dlanes.assets.catalogue import BUILT_IN, Assets
+from synth3dlanes.cameras import CameraSpec
 from synth3dlanes.distributions import Choice, Integers, Uniform
 from synth3dlanes.errors import InputError
 from synth3dlanes.geometry import placement
-from synth3dlanes.geometry.camera import world_from_road
+from synth3dlanes.geometry.camera import world_from_host
 from synth3dlanes.geometry.lanes import connections
 from synth3dlanes.geometry.road import RoadPlan, is_wide_enough
 from synth3dlanes.geometry.roadside import footprints
 from synth3dlanes.geometry.symbols import LENGTHS_M, gore_range
-from synth3dlanes.params import CameraParams, CarParams, Group, Params
+from synth3dlanes.lidars import LidarSpec
+from synth3dlanes.params import CameraParams, CarParams, Group, MotionParams, Params
 from synth3dlanes.roadside import draw_roadside
 from synth3dlanes.scene import (
     MIN_MEDIAN_M,
@@ -31,11 +33,13 @@ from synth3dlanes.scene import (
     Car,
     Gaussian,
     Host,
+    Lidar,
     Light,
     Markings,
     Road,
     Scene,
     Sensor,
+    Shot,
     Surface,
     Symbol,
     Terrain,
@@ -45,12 +49,16 @@ from synth3dlanes.scene import (
     to_json,
 )
 from synth3dlanes.schema import SymbolKind
+from synth3dlanes.shots import SINGLE, Place, Shots
 from synth3dlanes.streams import stream
+from synth3dlanes.traffic import SPEED_TRIES, Traffic, check_way, on_main_road
 from synth3dlanes.weather import under
 from synth3dlanes.world import World, resolve
 
 # Numbers in a scene are rounded to a micrometre or microradian: readable, and equal on every machine.
 DECIMALS = 6
+# Of a lidar's elevations: on the road ahead, a microradian is a centimetre of range.
+LIDAR_DECIMALS = 9
 CAR_GAP_M = (1.0, 0.3)
 TRIES = 300
 # The streams of the cars: looks as in the paper, and what was added since, so that it changes none of these.
@@ -67,21 +75,62 @@ SYMBOL_GAP_M, SPLIT_GAP_M = 1.0, 8.0
 TREE_GAP_M, TREE_GAP_OF_CROWN = 1.0, 0.5
 
 
-def sample_scene(params: Params, seed: int, split: str, index: int, assets: Assets = BUILT_IN.assets) -> Scene:
-    """Draw scene `index` of a split; it depends on these arguments alone.
+def sample_scene(
+    params: Params, seed: int, split: str, index: int, assets: Assets = BUILT_IN.assets, shots: Shots = SINGLE
+) -> Scene:
+    """Draw the scene of sample `index` of a split; it depends on these arguments alone.
 
     Raises InputError if there is no room for the cars or trees in their ranges.
     """
-    return sample_world(params, seed, split, index, assets).scene
+    return sample_world(params, seed, split, index, assets, shots).scene
 
 
-def sample_world(params: Params, seed: int, split: str, index: int, assets: Assets = BUILT_IN.assets) -> World:
+def sample_world(
+    params: Params, seed: int, split: str, index: int, assets: Assets = BUILT_IN.assets, shots: Shots = SINGLE
+) -> World:
+    """Draw and resolve what sample `index` of a split shows. The latest scene of several pictures is kept."""
+    place = shots.place(index)
+    if shots.per_scene == 1:
+        return world_in_shot(draw_world(params, seed, split, place.scene, assets, shots), shots, place)
+    latest = _latest(params, seed, split, place.scene, assets, shots)
+    latest[0] = world_in_shot(latest[0], shots, place)
+    return latest[0]
+
+
+@lru_cache(maxsize=1)
+def _latest(params: Params, seed: int, split: str, scene: int, assets: Assets, shots: Shots) -> list[World]:
+    """The world of a scene as its latest picture shows it, whose caches serve the next one."""
+    return [draw_world(params, seed, split, scene, assets, shots)]
+
+
+def world_in_shot(world: World, shots: Shots, place: Place) -> World:
+    """A drawn world as one frame and camera show it."""
+    if shots == SINGLE:
+        return world
+    scene = world.scene
+    shot = scene.shot.model_copy(update={"frame": place.frame, "camera": place.camera})
+    camera = scene.camera
+    if shots.cameras:
+        spec = shots.cameras[place.camera]
+        camera = _mounted(spec, camera, scene.stream(f"camera/{place.camera}"))
+    return world.seen_in(with_lidar(scene.model_copy(update={"camera": camera, "shot": shot}), shots.lidar))
+
+
+def with_lidar(scene: Scene, spec: LidarSpec | None) -> Scene:
+    """The scene with a user's lidar on its host; without one, the scene itself."""
+    if spec is None:
+        return scene
+    return scene.model_copy(update={"lidar": _lidar(spec, Draw(spec, scene.stream("lidar")))})
+
+
+def draw_world(params: Params, seed: int, split: str, index: int, assets: Assets, shots: Shots = SINGLE) -> World:
     """Draw and resolve scene `index` of a split: first the road and the host, then what stands beside it, then cars and
     trees, then symbols."""
+    check_way(params.motion, shots)
     first = Draw(params.weather, stream(seed, split, index, "weather"))
     params = under(params, first("kind"), first("daytime"))
     draws = {name: Draw(group, stream(seed, split, index, name)) for name, group in params}
-    road = _road(draws["road"])
+    road, shot = _road(draws["road"]), _shot(shots, draws["motion"])
     bare = Scene(
         format="synth3dlanes.scene",
         version=SCENE_VERSION,
@@ -94,7 +143,7 @@ def sample_world(params: Params, seed: int, split: str, index: int, assets: Asse
         surface=_plain(Surface, draws["surface"]),
         cars=(),
         trees=(),
-        camera=_camera(params.camera, draws["camera"], road),
+        camera=on_main_road(_camera(params.camera, draws["camera"], road), road, shot),
         light=_plain(Light, draws["light"]),
         air=_plain(Air, draws["air"]),
         sensor=_plain(Sensor, draws["sensor"]),
@@ -103,12 +152,13 @@ def sample_world(params: Params, seed: int, split: str, index: int, assets: Asse
         sky=_sky(assets, stream(seed, split, index, "sky")),
         assets=assets,
         vegetation=_plain(Vegetation, draws["vegetation"]),
+        shot=shot,
     )
     resolved = resolve(bare)
     roadside = draw_roadside(resolved, draws["roadside"], draws["roadside"].rng)
     world = replace(resolved, scene=bare.model_copy(update={"roadside": roadside}))
     tree_places = Draw(params.trees, stream(seed, split, index, "tree_places"))
-    cars = _cars(world, params.cars)
+    cars = _cars(world, params.cars, params.motion)
     trees = _trees(world, draws["trees"], tree_places)
     symbols = _symbols(world, draws["symbols"])
     return replace(world, scene=world.scene.model_copy(update={"cars": cars, "trees": trees, "symbols": symbols}))
@@ -118,10 +168,15 @@ P = TypeVar("P", Markings, Surface, Light, Air, Sensor, Weather, Host, Vegetatio
 
 
 def scene_texts(
-    params: Params, seed: int, split: str, indices: range, assets: Assets = BUILT_IN.assets
+    params: Params,
+    seed: int,
+    split: str,
+    indices: range,
+    assets: Assets = BUILT_IN.assets,
+    shots: Shots = SINGLE,
 ) -> Iterator[str]:
-    """The `scene.json` of each index in order; many are drawn in parallel, by one process per core."""
-    draw = partial(_scene_text, params, seed, split, assets)
+    """The `scene.json` of each sample in order; many are drawn in parallel, by one process per core."""
+    draw = partial(_scene_text, params, seed, split, assets, shots)
     if len(indices) < WORTH_PROCESSES:
         yield from map(draw, indices)
         return
@@ -129,8 +184,8 @@ def scene_texts(
         yield from pool.map(draw, indices, chunksize=CHUNK)
 
 
-def _scene_text(params: Params, seed: int, split: str, assets: Assets, index: int) -> str:
-    return to_json(sample_scene(params, seed, split, index, assets))
+def _scene_text(params: Params, seed: int, split: str, assets: Assets, shots: Shots, index: int) -> str:
+    return to_json(sample_scene(params, seed, split, index, assets, shots))
 
 
 class Draw:
@@ -194,6 +249,14 @@ def _road(draw: Draw) -> Road:
     return road if is_wide_enough(road) else road.model_copy(update={"n_oncoming": 0, "median_m": 0.0})
 
 
+def _shot(shots: Shots, draw: Draw) -> Shot:
+    """The first picture of a scene."""
+    speed_m_s = draw("host_speed_m_s") if shots.frames > 1 else 0.0
+    return Shot(
+        n_frames=shots.frames, fps=shots.fps, n_cameras=shots.n_cameras, speed_m_s=speed_m_s, behind_m=shots.behind_m
+    )
+
+
 def _camera(params: CameraParams, draw: Draw, road: Road) -> Camera:
     u_lane = draw.rng.random()
     y_m = draw("y_m")
@@ -215,6 +278,19 @@ def _camera(params: CameraParams, draw: Draw, road: Road) -> Camera:
     )
 
 
+def _mounted(spec: CameraSpec, host: Camera, rng: np.random.Generator) -> Camera:
+    """A user's camera at the host's place."""
+    return Camera(lane=host.lane, y_m=host.y_m, offset_m=host.offset_m, **spec.drawn(rng.random))
+
+
+def _lidar(spec: LidarSpec, draw: Draw) -> Lidar:
+    """A user's lidar at its place on the host."""
+    place = ("height_m", "right_m", "forward_m", "yaw_deg", "pitch_deg", "roll_deg")
+    fixed = {name: getattr(spec, name) for name in ("name", "azimuths", "min_range_m", "max_range_m")}
+    elevations_rad = tuple(np.round(np.radians(spec.elevations_deg), LIDAR_DECIMALS).tolist())
+    return Lidar(**fixed, **{name.replace("_deg", "_rad"): draw(name) for name in place}, elevations_rad=elevations_rad)
+
+
 def _host_lane(lanes: Integers | Choice[int], u: float, present: int) -> int:
     """Draw from the requested lanes that are present; the last lane present if none of them is."""
     if isinstance(lanes, Integers):
@@ -222,10 +298,12 @@ def _host_lane(lanes: Integers | Choice[int], u: float, present: int) -> int:
     return min(lanes.draw(u), present)
 
 
-def _cars(world: World, params: CarParams) -> tuple[Car, ...]:
+def _cars(world: World, params: CarParams, motion: MotionParams) -> tuple[Car, ...]:
     scene = world.scene
     looks, places, paints, sold, parking = (Draw(params, scene.stream(name)) for name in CAR_STREAMS)
-    taken = [placement.host_footprint(world_from_road(world.plan, scene.camera))]
+    taken = [placement.host_footprint(world_from_host(world.plan, scene.camera))]
+    traffic = Traffic(world.plan, scene.camera, scene.shot) if scene.shot.n_frames > 1 else None
+    speeds = Draw(motion, scene.stream("car_speeds"))
     parked = parking("parked")
     cars = []
     for number in range(looks("n")):
@@ -235,6 +313,7 @@ def _cars(world: World, params: CarParams) -> tuple[Car, ...]:
         body = scene.assets.car_models[model - 1]
         size = body.length_m * scale + CAR_GAP_M[0], body.width_m * scale + CAR_GAP_M[1]
         is_parked = parking.rng.random() < parked
+        drawn_m_s = [speeds("car_speed_m_s") for _ in range(SPEED_TRIES)] if traffic else []
         for _ in range(TRIES):
             s_m = places("s_m")
             lanes = (*scene.road.segments_at(s_m), *scene.road.oncoming_segments)
@@ -243,7 +322,10 @@ def _cars(world: World, params: CarParams) -> tuple[Car, ...]:
             if is_parked and (found := _parking(world.plan, s_m, size[1], parking.rng)):
                 lane, offset_m = found
             place = placement.footprint(*placement.car_place(world.plan, lane, s_m, offset_m), *size)
-            if not placement.overlaps_any(place, np.array(taken)):
+            if placement.overlaps_any(place, np.array(taken)):
+                continue
+            speed_m_s = traffic.join(lane, s_m, offset_m, size, [0.0] if offset_m else drawn_m_s) if traffic else 0.0
+            if speed_m_s is not None:
                 break
         else:
             raise InputError(f"cars.n: no room for car {number + 1} within cars.s_m of scene {scene.index}")
@@ -253,7 +335,7 @@ def _cars(world: World, params: CarParams) -> tuple[Car, ...]:
         if palette == "sold":
             color, saturation = sold_color(body, u_paint, u_shade), 1.0
         looks_of = {"model": model, "scale": scale, "color": color, "gloss": gloss, "saturation": saturation}
-        cars.append(Car(**looks_of, lane=lane, s_m=s_m, offset_m=offset_m))
+        cars.append(Car(**looks_of, lane=lane, s_m=s_m, offset_m=offset_m, speed_m_s=speed_m_s))
     return tuple(cars)
 
 

@@ -4,13 +4,16 @@ World frame, metres and radians. Pure data: nothing here reads files or computes
 added later; older scenes can still be read and render as before.
 """
 
+import math
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from synth3dlanes.assets.catalogue import AssetKind, Assets
-from synth3dlanes.schema import MAX_PX, Metres, Name, Number, Part, Positive, Seed, SymbolKind, Unit, parse
+from synth3dlanes.lens import PINHOLE, Lens
+from synth3dlanes.schema import AHEAD_DEG, MAX_PX, Metres, Name, Number, Part, Positive, Seed, SymbolKind, Unit, parse
 from synth3dlanes.settings import FIRST_SYMBOL_ID, HOST_ID, JPEG_QUALITY, MAX_SAMPLES
 from synth3dlanes.streams import stream
 
@@ -29,6 +32,9 @@ MAX_ASSETS = 9999
 MIN_MEDIAN_M = 1.0
 # Instance ids of symbols end where the host's begins.
 MAX_SYMBOLS = HOST_ID - FIRST_SYMBOL_ID
+# Frames of a clip, cameras of a rig, and how far behind the host lanes may be labelled.
+MAX_FRAMES, MAX_CAMERAS, MAX_BEHIND_M = 1000, 64, 110.0
+MAX_BEAMS = 256
 AssetNumber = Annotated[int, Field(ge=1, le=MAX_ASSETS)]
 
 
@@ -157,7 +163,8 @@ class Symbol(Part):
 class Car(Part):
     """A car in lane segment `lane` (its id in the lane graph) at station `s_m` (world y on the main reference line),
     heading as the lane does, `offset_m` to its driver's right of the lane's centre: parked cars stand on a shoulder.
-    Models are numbered from 1. `saturation` mixes the body's colour (1) with the gray of its first channel (0)."""
+    This is its place at the start of a clip, through which it keeps its lane and speed. Models are numbered from 1.
+    `saturation` mixes the body's colour (1) with the gray of its first channel (0)."""
 
     model: AssetNumber
     scale: Positive
@@ -167,6 +174,7 @@ class Car(Part):
     s_m: Metres
     saturation: Unit = 1.0
     offset_m: Metres = added(0.0)
+    speed_m_s: Annotated[float, Field(ge=0, le=100)] = added(0.0)
 
 
 class Tree(Part):
@@ -188,8 +196,10 @@ class Vegetation(Part):
 
 
 class Camera(Part):
-    """The host's camera: lane counted from the left as the host drives, station `y_m`, lateral offset positive to the
-    right, roll about the viewing axis positive clockwise as the driver sees it."""
+    """The host's place and its camera. The host: lane counted from the left as it drives, station `y_m` (at the start
+    of a clip), lateral offset positive to the right. The camera: `right_m` and `forward_m` of the host's place, in its
+    road frame, and `height_m` over the plane of that; yaw positive counter-clockwise seen from above, roll about the
+    viewing axis positive clockwise as the driver sees it."""
 
     lane: Annotated[int, Field(ge=1, le=8)]
     y_m: Metres
@@ -203,6 +213,75 @@ class Camera(Part):
     cx_px: Number
     cy_px: Number
     roll_rad: Number = 0.0
+    name: Name = added("")
+    right_m: Annotated[float, Field(ge=-10, le=10)] = added(0.0)
+    forward_m: Annotated[float, Field(ge=-10, le=10)] = added(0.0)
+    yaw_rad: Annotated[float, Field(ge=-4, le=4)] = added(0.0)
+    lens: Lens = added(PINHOLE)
+
+    @property
+    def looks_ahead(self) -> bool:
+        """Whether it looks where the host drives, and not aside or back."""
+        return abs(math.degrees(self.yaw_rad)) <= AHEAD_DEG
+
+
+class Shot(Part):
+    """Which picture of the world a scene is: frame `frame` of a clip of `n_frames` at `fps`, by camera `camera` of a
+    rig of `n_cameras`. In a clip the host keeps its lane and drives `speed_m_s`. Lanes are labelled from `behind_m`
+    behind the host."""
+
+    frame: Annotated[int, Field(ge=0, lt=MAX_FRAMES)] = 0
+    n_frames: Annotated[int, Field(ge=1, le=MAX_FRAMES)] = 1
+    fps: Annotated[float, Field(gt=0, le=1000)] = 10.0
+    speed_m_s: Annotated[float, Field(ge=0, le=100)] = 0.0
+    camera: Annotated[int, Field(ge=0, lt=MAX_CAMERAS)] = 0
+    n_cameras: Annotated[int, Field(ge=1, le=MAX_CAMERAS)] = 1
+    behind_m: Annotated[float, Field(ge=0, le=MAX_BEHIND_M)] = 0.0
+
+    @model_validator(mode="after")
+    def _is_one_of_them(self) -> "Shot":
+        """Check that there are so many frames and cameras."""
+        for name in ("frame", "camera"):
+            number, count = getattr(self, name), getattr(self, f"n_{name}s")
+            if number >= count:
+                raise ValueError(f"{name}: expected less than {count}, got {number}")
+        return self
+
+    @property
+    def time_s(self) -> float:
+        """Seconds since the clip's first frame."""
+        return self.frame / self.fps
+
+    @property
+    def duration_s(self) -> float:
+        """Seconds from the clip's first frame to its last."""
+        return (self.n_frames - 1) / self.fps
+
+
+class Lidar(Part):
+    """A spinning lidar on the host: its beams' elevations from the top one down, all from one point; the number of
+    azimuths of a turn; the ranges within which it measures; and its place, as of a camera."""
+
+    name: Name = ""
+    elevations_rad: Annotated[
+        tuple[Annotated[float, Field(ge=-1.5, le=1.5)], ...], Field(min_length=1, max_length=MAX_BEAMS)
+    ]
+    azimuths: Annotated[int, Field(ge=16, le=MAX_PX)]
+    min_range_m: Annotated[float, Field(ge=0, le=1000)]
+    max_range_m: Annotated[float, Field(gt=0, le=1000)]
+    height_m: Annotated[float, Field(ge=0.3, le=10)]
+    right_m: Annotated[float, Field(ge=-10, le=10)] = 0.0
+    forward_m: Annotated[float, Field(ge=-10, le=10)] = 0.0
+    yaw_rad: Annotated[float, Field(ge=-4, le=4)] = 0.0
+    pitch_rad: Annotated[float, Field(ge=-4, le=4)] = 0.0
+    roll_rad: Annotated[float, Field(ge=-4, le=4)] = 0.0
+
+    @model_validator(mode="after")
+    def _is_sorted(self) -> "Lidar":
+        """Check that the beams are in order."""
+        if any(lower >= upper for upper, lower in pairwise(self.elevations_rad)):
+            raise ValueError("elevations_rad: expected the top beam first, and each elevation once")
+        return self
 
 
 class Light(Part):
@@ -328,8 +407,8 @@ class Roadside(Part):
 
 
 class Scene(Part):
-    """One world. `(seed, split, index)` identify its draw; `sky` numbers a user's skies from 1, 0 is the built-in
-    one."""
+    """One picture of one world. `(seed, split, index)` identify the world's draw; `sky` numbers a user's skies from 1,
+    0 is the built-in one."""
 
     format: Literal["synth3dlanes.scene"]
     version: Literal[1]
@@ -353,10 +432,21 @@ class Scene(Part):
     symbols: Annotated[tuple[Symbol, ...], Field(max_length=MAX_SYMBOLS)] = added(())
     vegetation: Vegetation = added(Vegetation())
     roadside: Roadside = added(Roadside())
+    shot: Shot = added(Shot())
+    lidar: Lidar | None = added(None)
 
     def stream(self, name: str) -> np.random.Generator:
-        """Random numbers for details that the scene does not store, such as `clouds`."""
+        """Random numbers for details of the world that the scene does not store, such as `clouds`."""
         return stream(self.seed, self.split, self.index, name)
+
+    def picture_stream(self, name: str) -> np.random.Generator:
+        """Random numbers for what differs between the pictures of one world, such as `sensor_noise`."""
+        frame, camera = self.shot.frame, self.shot.camera
+        return self.stream(f"{name}/{frame}/{camera}" if frame or camera else name)
+
+    def glass_stream(self, name: str) -> np.random.Generator:
+        """Random numbers for what differs between cameras but not between frames, such as `dirt`."""
+        return self.stream(f"{name}/{self.shot.camera}" if self.shot.camera else name)
 
     @model_validator(mode="after")
     def _has_its_models(self) -> "Scene":

@@ -14,6 +14,8 @@ MAX_BYTES = 16 << 20
 MAX_PROBLEMS = 8
 # An image's longest side.
 MAX_PX = 8192
+# A camera turned by no more than this looks ahead.
+AHEAD_DEG = 30.0
 
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
 

@@ -19,7 +19,8 @@ QUALITY_SAMPLES = {"draft": 2, "standard": 4, "high": 8}
 
 @dataclass(frozen=True)
 class RenderSettings:
-    """Samples per pixel, passes to render in addition to the image, and the Cycles device."""
+    """Samples per pixel, passes to render in addition to the image (`lidar` among them of scenes with a lidar), and the
+    Cycles device."""
 
     samples: int = QUALITY_SAMPLES["standard"]
     passes: tuple[str, ...] = ()

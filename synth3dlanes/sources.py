@@ -12,7 +12,7 @@ from jaxtyping import Shaped, UInt8
 from pydantic import ValidationError
 
 from synth3dlanes.dataset.address import splits_near
-from synth3dlanes.dataset.format import HEIGHT, PASSES, SCENE, decode_image, read_passes
+from synth3dlanes.dataset.format import HEIGHT, LIDAR, PASSES, SCENE, decode_image, read_passes, read_sweep
 from synth3dlanes.dataset.query import rows_where
 from synth3dlanes.dataset.read import Reader, find
 from synth3dlanes.dataset.splits import readers
@@ -22,6 +22,8 @@ from synth3dlanes.labels import Labels
 from synth3dlanes.params import Params
 from synth3dlanes.scene import Scene, from_json
 from synth3dlanes.schema import validation_problems
+from synth3dlanes.shots import Shots
+from synth3dlanes.sweep import Sweep
 
 SAMPLE = re.compile(r".+:\d+")
 
@@ -71,6 +73,31 @@ def load_any(where: str, image_path: Path | None) -> Found:
     return Found(name, scene, ground_truth(scene), image)
 
 
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """Labels and image of each frame, and how many there are a second."""
+
+    fps: float
+    frames: list[tuple[Labels, UInt8[np.ndarray, "h w 3"]]]
+
+
+def load_clip(where: str) -> Clip:
+    """The frames of the clip to which a sample `DIR/SPLIT:KEY` belongs, by the same camera; raise InputError for a
+    single picture."""
+    reader, i = find(where)
+    shot = read_scene(reader, i).shot
+    if shot.n_frames == 1:
+        raise InputError(f"{where}: expected a sample of a clip (generate --frames), got a single picture")
+    positions = reader.clip(int(reader.scene_of[i]), int(reader.camera_of[i]))
+    return Clip(shot.fps, [(reader.labels(position), reader.image(position)) for position in positions])
+
+
+def load_rig_pictures(where: str) -> list[tuple[Labels, UInt8[np.ndarray, "h w 3"]]]:
+    """What all cameras of a rig see in the scene and frame of a sample `DIR/SPLIT:KEY`."""
+    reader, i = find(where)
+    return [(reader.labels(position), reader.image(position)) for position in reader.rig(i)]
+
+
 def load_passes(where: str, image_path: Path | None) -> dict[str, Shaped[np.ndarray, "..."]]:
     """The passes of a sample, or those in the files beside a rendered image; raise InputError where there are none."""
     passes: dict[str, Shaped[np.ndarray, ...]] = {}
@@ -86,6 +113,17 @@ def load_passes(where: str, image_path: Path | None) -> dict[str, Shaped[np.ndar
     return passes
 
 
+def load_sweep(where: str, image_path: Path | None, labels: Labels) -> Sweep | None:
+    """The lidar's sweep of a sample, or that in the file beside a rendered image; None where there is none."""
+    if labels.lidar is None:
+        return None
+    if SAMPLE.fullmatch(where):
+        reader, position = find(where)
+        return reader.lidar(position)
+    path = image_path and image_path.with_suffix(f".{LIDAR}")
+    return read_sweep(path.read_bytes(), str(path), labels.lidar) if path and path.exists() else None
+
+
 def read_scene(reader: Reader, i: int) -> Scene:
     """The scene of one sample; nothing else of it is read."""
     return from_json(reader.member(i, SCENE), f"{reader.url}:{reader.key(i)}")
@@ -97,6 +135,14 @@ def params_of(reader: Reader) -> Params:
         return Params.model_validate(reader.description["params"])
     except ValidationError as error:
         raise FormatError("\n".join(validation_problems(error, f"{reader.url}: dataset.json: params"))) from None
+
+
+def shots_of(reader: Reader) -> Shots:
+    """The pictures that a data set has of each of its scenes."""
+    try:
+        return Shots.model_validate(reader.description.get("shots", {}))
+    except ValidationError as error:
+        raise FormatError("\n".join(validation_problems(error, f"{reader.url}: dataset.json: shots"))) from None
 
 
 def some_samples(folder: str, n: int, shuffle: int | None, where: str | None) -> list[tuple[Reader, int]]:

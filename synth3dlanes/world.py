@@ -9,37 +9,49 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import Matrix4, road_from_cam
+from synth3dlanes.frames import Matrix4, road_from_cam, turned
 from synth3dlanes.geometry import meshes, roadside
 from synth3dlanes.geometry.bonnet import cam_from_bonnet
-from synth3dlanes.geometry.camera import img_from_cam, world_from_road
+from synth3dlanes.geometry.camera import img_from_cam, project, world_from_host
 from synth3dlanes.geometry.grass import Blades, blades
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.horizon import FarHills
 from synth3dlanes.geometry.lanes import Curve, curves
+from synth3dlanes.geometry.motion import car_at, host_at, host_station
 from synth3dlanes.geometry.paint import paint_meshes
 from synth3dlanes.geometry.placement import tree_positions, world_from_car
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.seams import ghost_mesh, tar_mesh
 from synth3dlanes.geometry.solids import Body
 from synth3dlanes.geometry.symbols import symbol_mesh
-from synth3dlanes.scene import Camera, Scene
+from synth3dlanes.scene import Camera, Lidar, Scene
+
+# Only cameras this close to the host's middle, along it, look over the bonnet.
+BEHIND_WINDSCREEN_M = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A camera, its road frame, the poses of all cars (without their scale) at its instant, and the share of the image
-    that the host's bonnet fills."""
+    """A camera at an instant, with the host's place then; the host's road frame; the poses of all cars (without their
+    scale) then; the share of the image that the host's bonnet fills; and the host's lidar, if it has one."""
 
     camera: Camera
-    world_from_road: Matrix4
+    world_from_host: Matrix4
     world_from_cars: tuple[Matrix4, ...]
     bonnet: float = 0.0
+    lidar: Lidar | None = None
+
+    @cached_property
+    def world_from_road(self) -> Matrix4:
+        """The camera's road frame: the host's, moved in its plane to the camera's foot."""
+        right_m, forward_m = self.camera.right_m, self.camera.forward_m
+        return self.world_from_host @ turned(0.0, right_m, forward_m) if right_m or forward_m else self.world_from_host
 
     @cached_property
     def road_from_cam(self) -> Matrix4:
         """The camera's pose in the road frame below it."""
-        return road_from_cam(self.camera.height_m, self.camera.pitch_rad, self.camera.roll_rad)
+        camera = self.camera
+        return road_from_cam(camera.height_m, camera.pitch_rad, camera.roll_rad, camera.yaw_rad)
 
     @cached_property
     def world_from_cam(self) -> Matrix4:
@@ -53,6 +65,14 @@ class View:
             return None
         return np.asarray(self.world_from_cam @ cam_from_bonnet(self.camera, self.bonnet))
 
+    @cached_property
+    def world_from_lidar(self) -> Matrix4:
+        """The pose of the host's lidar in the world: x right, y forward, z up of the lidar."""
+        lidar = self.lidar
+        assert lidar is not None, "asked only of views with a lidar"
+        pose = road_from_cam(lidar.height_m, lidar.pitch_rad, lidar.roll_rad, lidar.yaw_rad)
+        return np.asarray(self.world_from_host @ turned(0.0, lidar.right_m, lidar.forward_m) @ pose)
+
     @property
     def eye_world(self) -> Float[np.ndarray, "3"]:
         """The optical centre."""
@@ -60,13 +80,18 @@ class View:
 
     @cached_property
     def img_from_cam(self) -> Float[np.ndarray, "3 3"]:
-        """The camera's projection matrix."""
+        """The camera's projection matrix, without its lens."""
         return img_from_cam(self.camera)
+
+    def project(self, points_cam: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
+        """Pixels (u, v) of points through the lens; NaN for those that are not in its field."""
+        return project(self.camera, points_cam)
 
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """Everything that follows from a scene alone. Values are computed on first access and cached."""
+    """Everything that follows from a scene alone. Values are computed on first access and cached; none but `view`
+    depends on the scene's camera and shot."""
 
     scene: Scene
     ground: Ground
@@ -113,10 +138,20 @@ class World:
 
     @cached_property
     def view(self) -> View:
-        """The view of the scene's camera."""
-        scene, models = self.scene, self.scene.assets.car_models
-        cars = tuple(world_from_car(self.plan, car, models[car.model - 1]) for car in scene.cars)
-        return View(scene.camera, world_from_road(self.plan, scene.camera), cars, scene.host.bonnet)
+        """The view of the scene's camera at the instant of its shot."""
+        scene, models, shot = self.scene, self.scene.assets.car_models, self.scene.shot
+        cars = (car_at(self.plan, car, shot.time_s) for car in scene.cars)
+        poses = tuple(world_from_car(self.plan, car, models[car.model - 1]) for car in cars)
+        camera = host_at(self.plan, scene.camera, shot.speed_m_s * shot.time_s)
+        sees_bonnet = camera.looks_ahead and abs(camera.forward_m) <= BEHIND_WINDSCREEN_M
+        bonnet = scene.host.bonnet if sees_bonnet else 0.0
+        return View(camera, world_from_host(self.plan, camera), poses, bonnet, scene.lidar)
+
+    def seen_in(self, scene: Scene) -> "World":
+        """The same world for another shot of it, by a scene that differs in camera and shot alone."""
+        other = World(scene, self.ground)
+        other.__dict__.update((name, value) for name, value in self.__dict__.items() if name not in ("scene", "view"))
+        return other
 
     def paint(self, view: View) -> dict[str, meshes.Mesh]:
         """The paint of every delimiter by id, corrected for parallax so that it looks in place from a view."""
@@ -145,6 +180,7 @@ class World:
 
 def resolve(scene: Scene) -> World:
     """Resolve a scene into its world."""
-    plan = RoadPlan(scene.road, scene.terrain)
+    plan, shot = RoadPlan(scene.road, scene.terrain), scene.shot
     hills = FarHills.draw(scene.stream("far_hills"))
-    return World(scene, Ground(plan, scene.camera.y_m, scene.markings, hills))
+    driven_m = host_station(plan, scene.camera, shot.speed_m_s * shot.duration_s) - scene.camera.y_m
+    return World(scene, Ground(plan, scene.camera.y_m, scene.markings, hills, driven_m, shot.behind_m > 0))

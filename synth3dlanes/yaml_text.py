@@ -26,10 +26,15 @@ class _Loader(yaml.SafeLoader):
             seen.add(key if isinstance(key, Hashable) else repr(key))
         return super().construct_mapping(node, deep)
 
+    def opencv_matrix(self, node: Any) -> dict[Hashable, Any]:
+        return self.construct_mapping(node, deep=True)
+
 
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float", re.compile(r"^[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"), list("-+0123456789")
 )
+# OpenCV's files: an object with rows, cols, dt and data.
+_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _Loader.opencv_matrix)
 
 
 def read_yaml(text: str, where: str) -> tuple[Any, list[str]]:

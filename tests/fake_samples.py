@@ -15,24 +15,32 @@ from synth3dlanes.params import load_params
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Made, Recipe
 from synth3dlanes.production.run import generate
+from synth3dlanes.scene import Shot
 from synth3dlanes.settings import RenderSettings
+from synth3dlanes.shots import SINGLE, Shots
 from tests.scenes import FLAT
 
 BAD = 3
 
 
-def recipe(seed: int = 7, split: str = "train", image_format: str = "png", overrides: tuple[str, ...] = ()) -> Recipe:
-    return Recipe(load_params("tiny", overrides), seed, split, RenderSettings(), image_format)
+def recipe(
+    seed: int = 7,
+    split: str = "train",
+    image_format: str = "png",
+    overrides: tuple[str, ...] = (),
+    shots: Shots = SINGLE,
+) -> Recipe:
+    return Recipe(load_params("tiny", overrides), seed, split, RenderSettings(), image_format, shots=shots)
 
 
-def labels(index: int) -> Labels:
+def labels(index: int, time_s: float | None = None) -> Labels:
     y_m = np.arange(0.0, 60)
     camera = CameraLabel(24, 16, np.eye(3), 1.5, 0.02, np.eye(4), np.eye(4))
     xyz_cam = np.stack([np.full_like(y_m, index % 3), y_m, 0.1 * y_m - 1.5], axis=1)
     seen = y_m > 5
     lane = Lane("c1", "centerline", "main", "none", None, None, xyz_cam, seen, seen, y_m > 7)
     graph = LaneGraph((Segment("s1", "main", 1, -100.0, 100.0, None, None, ("c1",)),), {"s1": ()}, None)
-    return Labels(camera, (lane,), graph)
+    return Labels(camera, (lane,), graph, time_s=time_s)
 
 
 def image(index: int) -> np.ndarray:
@@ -41,9 +49,20 @@ def image(index: int) -> np.ndarray:
 
 def make(recipe: Recipe, index: int) -> Made:
     camera = FLAT.camera.model_copy(update={"width_px": 24, "height_px": 16})
-    scene = FLAT.model_copy(update={"seed": recipe.seed, "split": recipe.split, "index": index, "camera": camera})
-    members = encode(image(index), labels(index), scene_module.to_json(scene), {}, recipe.image_format)
+    place, shots = recipe.shots.place(index), recipe.shots
+    shot = Shot(n_frames=shots.frames, fps=shots.fps, frame=place.frame, n_cameras=shots.n_cameras, camera=place.camera)
+    world = {"seed": recipe.seed, "split": recipe.split, "index": place.scene, "shot": shot}
+    scene = FLAT.model_copy(update={**world, "camera": camera})
+    time_s = shot.time_s if shots.frames > 1 else None
+    members = encode(image(index), labels(index, time_s), scene_module.to_json(scene), {}, recipe.image_format)
     return Made(members, {"fake": 0.0})
+
+
+def sign(recipe: Recipe, index: int) -> Made:
+    """Note who made which sample."""
+    time.sleep(0.05)
+    (Path(os.environ["SYNTH3DLANES_TEST_MARK"]) / f"{index}-{os.getpid()}").touch()
+    return make(recipe, index)
 
 
 def make_slowly(recipe: Recipe, index: int) -> Made:

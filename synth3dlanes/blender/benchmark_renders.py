@@ -10,7 +10,8 @@ from jaxtyping import UInt8
 from synth3dlanes.assets.catalogue import Library
 from synth3dlanes.blender.build import build, open_studio
 from synth3dlanes.blender.cycles_timing import cycles_stages
-from synth3dlanes.blender.render import configure, opened, read_layers, run_cycles, studio
+from synth3dlanes.blender.render import configure, opened, read_layers, studio
+from synth3dlanes.blender.trace import run_cycles
 from synth3dlanes.imaging.daylight import Daylight, daylight
 from synth3dlanes.imaging.develop import develop
 from synth3dlanes.scene import Scene

@@ -10,7 +10,8 @@ import numpy as np
 from synth3dlanes.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.blender import drop_scratch
 from synth3dlanes.blender.camera import set_camera
-from synth3dlanes.blender.light import add_car_lamps, add_haze, make_world, set_light
+from synth3dlanes.blender.lens import make_lens, set_lens
+from synth3dlanes.blender.light import STUDIO, add_car_lamps, add_haze, make_world, set_light
 from synth3dlanes.blender.load_assets import LoadedAssets, load_assets
 from synth3dlanes.blender.materials import Materials, make_materials, set_materials, set_translucency
 from synth3dlanes.blender.polygons import polygons
@@ -19,6 +20,7 @@ from synth3dlanes.blender.structures import structure_mesh
 from synth3dlanes.frames import Matrix4, from_axes
 from synth3dlanes.geometry.bonnet import bonnet
 from synth3dlanes.geometry.grass import Blades
+from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.meshes import Mesh
 from synth3dlanes.geometry.paint import paint_color
 from synth3dlanes.imaging.daylight import Daylight
@@ -34,21 +36,27 @@ from synth3dlanes.settings import (
 )
 from synth3dlanes.world import View, World
 
+# The collections of a world's objects, in the order in which Cycles gets them, and those that depend on the view.
+COLLECTIONS = ("ground", "paint", "structures", "cars", "trees", "host", "grass", "lens")
+OF_VIEW = ("paint", "cars", "host", "grass", "lens")
 # Shade of a blade of grass at both corners of its foot and at its tip.
 FOOT_TO_TIP = np.array([0.5, 0.5, 1.0])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Studio:
-    """Data shared by all scenes of a process. `kept` names all data that must outlive a scene; `plain` is the cheapest
-    material, for renders of geometry alone."""
+    """Data shared by all scenes of a process. `plain` is the cheapest material, for renders of geometry alone, `lens`
+    the one through which a lens bends the camera's rays; `kept` names the meshes that must outlive a scene. The world
+    that is built stands on `ground`."""
 
     assets: LoadedAssets
     materials: Materials
     bonnet: bpy.types.Mesh
     plain: bpy.types.Material
+    lens: bpy.types.Material
     camera: bpy.types.Object
-    kept: frozenset[tuple[str, str]]
+    kept: frozenset[str]
+    ground: Ground | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +75,9 @@ def open_studio(library: Library = BUILT_IN) -> Studio:
     drop_scratch()
     bpy.context.preferences.edit.use_global_undo = False
     camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
-    bpy.context.scene.collection.objects.link(camera)
+    for name in (STUDIO, *COLLECTIONS):
+        bpy.context.scene.collection.children.link(bpy.data.collections.new(name))
+    bpy.data.collections[STUDIO].objects.link(camera)
     bpy.context.scene.camera = camera
     make_world()
     assets = load_assets(library)
@@ -76,7 +86,8 @@ def open_studio(library: Library = BUILT_IN) -> Studio:
     hood.name = "bonnet"
     add_haze()
     add_car_lamps()
-    return Studio(assets, materials, hood, _plain(), camera, frozenset(_names()))
+    kept = frozenset(mesh.name for mesh in bpy.data.meshes)
+    return Studio(assets, materials, hood, _plain(), make_lens(), camera, kept)
 
 
 def _host_paint() -> bpy.types.Material:
@@ -97,30 +108,50 @@ def _plain() -> bpy.types.Material:
 def build(studio: Studio, world: World, view: View, light: Daylight, labelled: Sequence[str] = ()) -> list[Placed]:
     """Replace the previous world by this one; return its cars and trees and the host's bonnet.
 
-    Instance ids number the delimiters in `labelled` first, in that order, then those beyond the labels' range.
+    Instance ids number the delimiters in `labelled` first, in that order, then those beyond the labels' range. Of the
+    world that was built last, as another shot sees it (`World.seen_in`), only what depends on the view is built anew.
     """
-    clear(studio)
-    scene = world.scene
-    set_materials(studio.materials, scene)
-    _add_surfaces(studio.materials, world, view, labelled)
-    for i, body in enumerate(world.structures):
-        _add_object(structure_mesh(body, studio.materials.structures), FIRST_STRUCTURE_ID + i)
-    placed = _placed_objects(studio.assets, world, view)
-    colors: list[tuple[float, ...] | None] = [(*body_color(car), car.gloss) for car in scene.cars]
-    colors += [None] * len(scene.trees)
+    scene, trees = world.scene, _trees(studio.assets, world)
+    if studio.ground is world.ground:
+        _clear(studio, OF_VIEW)
+    else:
+        _clear(studio, COLLECTIONS)
+        _stage(studio, world, trees)
+    _add_paint(studio.materials, world, view, labelled)
+    cars = _cars(studio.assets, world, view)
+    for item, car in zip(cars, scene.cars, strict=True):
+        _add_placed("cars", item, (*body_color(car), car.gloss))
+    host = []
     if view.world_from_bonnet is not None:
-        placed.append(Placed(studio.bonnet, view.world_from_bonnet, 1.0, HOST_ID))
-        colors.append((*[scene.host.gray] * 3, scene.host.gloss))
-    for item, color in zip(placed, colors, strict=True):
-        scaled = item.world_from_object @ np.diag([item.scale] * 3 + [1.0])
-        _add_object(item.mesh, item.instance_id, mathutils.Matrix(scaled.tolist()), color)
-    set_translucency(studio.assets.trees, scene.vegetation.translucency)
+        host = [Placed(studio.bonnet, view.world_from_bonnet, 1.0, HOST_ID)]
+        _add_placed("host", host[0], (*[scene.host.gray] * 3, scene.host.gloss))
     grass = world.grass(view)
     if grass is not None:
-        _add_object(_grass_mesh(grass, studio.materials.grass), 0)
+        _add_object("grass", _grass_mesh(grass, studio.materials.grass), 0)
     set_camera(studio.camera, view.camera, view.world_from_cam)
-    set_light(scene, light, studio.assets.skies, view.world_from_road, world.street_lamps)
-    return placed
+    if not view.camera.lens.is_pinhole:
+        set_lens(studio.lens, view, bpy.data.collections["lens"])
+    _name_in_order()
+    set_light(scene, light, studio.assets.skies, view.world_from_host, world.street_lamps)
+    return [*cars, *trees, *host]
+
+
+def _stage(studio: Studio, world: World, trees: Sequence[Placed]) -> None:
+    """Build what every view of a world shows alike: its ground and what stands still on it."""
+    materials, surface = studio.materials, world.scene.surface
+    set_materials(materials, world.scene)
+    set_translucency(studio.assets.trees, world.scene.vegetation.translucency)
+    road, terrain = materials.roads[surface.road_texture - 1], materials.terrains[surface.terrain_texture - 1]
+    shoulder = materials.shoulders[surface.shoulder_texture - 1]
+    for mesh in [world.terrain, *world.verges]:
+        _add_object("ground", new_mesh(mesh, [terrain]), 0)
+    for mesh in world.pavement:
+        _add_object("ground", new_mesh(mesh, [road, shoulder, terrain]), 0)
+    for i, body in enumerate(world.structures):
+        _add_object("structures", structure_mesh(body, materials.structures), FIRST_STRUCTURE_ID + i)
+    for tree in trees:
+        _add_placed("trees", tree)
+    studio.ground = world.ground
 
 
 def body_color(car: Car) -> tuple[float, float, float]:
@@ -129,55 +160,52 @@ def body_color(car: Car) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def clear(studio: Studio) -> None:
-    """Remove all objects and meshes added since the studio was opened; memory would grow otherwise."""
-    newer = [
-        block
-        for kind in ("objects", "meshes")
-        for block in getattr(bpy.data, kind)
-        if (kind, block.name) not in studio.kept
-    ]
-    bpy.data.batch_remove(newer)
+def _clear(studio: Studio, collections: Sequence[str]) -> None:
+    """Remove the objects of some collections, and their meshes; memory would grow otherwise."""
+    bpy.data.batch_remove([item for name in collections for item in bpy.data.collections[name].objects])
+    bpy.data.batch_remove([mesh for mesh in bpy.data.meshes if not mesh.users and mesh.name not in studio.kept])
 
 
-def _names() -> list[tuple[str, str]]:
-    return [(kind, block.name) for kind in ("objects", "meshes") for block in getattr(bpy.data, kind)]
+def _name_in_order() -> None:
+    """Name all objects by their order, whenever they were made: rounding in Cycles depends on it."""
+    items = [item for name in COLLECTIONS for item in bpy.data.collections[name].objects]
+    names = ["item", *(f"item.{number:03d}" for number in range(1, len(items)))]
+    renamed = [(item, name) for item, name in zip(items, names, strict=False) if item.name != name]
+    for item, _ in renamed:
+        item.name = "renamed"
+    for item, name in renamed:
+        item.name = name
 
 
-def _add_surfaces(materials: Materials, world: World, view: View, labelled: Sequence[str]) -> None:
-    scene = world.scene
-    road = materials.roads[scene.surface.road_texture - 1]
-    shoulder = materials.shoulders[scene.surface.shoulder_texture - 1]
-    terrain = materials.terrains[scene.surface.terrain_texture - 1]
-    for mesh in [world.terrain, *world.verges]:
-        _add_object(new_mesh(mesh, [terrain]), 0)
-    for mesh in world.pavement:
-        _add_object(new_mesh(mesh, [road, shoulder, terrain]), 0)
+def _add_paint(materials: Materials, world: World, view: View, labelled: Sequence[str]) -> None:
+    """Add what lies on the road, moved a little so that it looks in place from the view."""
     for seam, material in ((world.tar(view), materials.tar), (world.ghost_lines(view), materials.ghost)):
         if seam is not None:
-            _add_object(new_mesh(seam, [material]), 0)
+            _add_object("paint", new_mesh(seam, [material]), 0)
     strips = world.paint(view)
-    colors = {line.id: paint_color(line, scene.markings) for line in world.lines}
+    colors = {line.id: paint_color(line, world.scene.markings) for line in world.lines}
     for number, name in enumerate([*labelled, *(name for name in strips if name not in labelled)]):
         if len(strips[name].faces):
             material = materials.yellow_marking if colors[name] == "yellow" else materials.marking
-            _add_object(new_mesh(strips[name], [material]), FIRST_DELIMITER_ID + number)
+            _add_object("paint", new_mesh(strips[name], [material]), FIRST_DELIMITER_ID + number)
     for number, mesh in enumerate(world.symbols(view)):
-        _add_object(new_mesh(mesh, [materials.symbol]), FIRST_SYMBOL_ID + number)
+        _add_object("paint", new_mesh(mesh, [materials.symbol]), FIRST_SYMBOL_ID + number)
 
 
-def _placed_objects(assets: LoadedAssets, world: World, view: View) -> list[Placed]:
-    scene = world.scene
-    cars = [
+def _cars(assets: LoadedAssets, world: World, view: View) -> list[Placed]:
+    return [
         Placed(assets.cars[car.model - 1], pose, car.scale, FIRST_CAR_ID + i)
-        for i, (car, pose) in enumerate(zip(scene.cars, view.world_from_cars, strict=True))
+        for i, (car, pose) in enumerate(zip(world.scene.cars, view.world_from_cars, strict=True))
     ]
+
+
+def _trees(assets: LoadedAssets, world: World) -> list[Placed]:
     trees = []
-    for i, (tree, foot) in enumerate(zip(scene.trees, world.trees_world, strict=True)):
+    for i, (tree, foot) in enumerate(zip(world.scene.trees, world.trees_world, strict=True)):
         c, s = np.cos(tree.yaw_rad), np.sin(tree.yaw_rad)
         pose = from_axes(np.array([c, s, 0]), np.array([-s, c, 0]), np.array([0, 0, 1.0]), foot)
         trees.append(Placed(assets.trees[tree.model - 1], pose, tree.scale, FIRST_TREE_ID + i))
-    return cars + trees
+    return trees
 
 
 def new_mesh(mesh: Mesh, materials: list[bpy.types.Material]) -> bpy.types.Mesh:
@@ -204,7 +232,13 @@ def _grass_mesh(grass: Blades, material: bpy.types.Material) -> bpy.types.Mesh:
     return data
 
 
+def _add_placed(collection: str, item: Placed, color: tuple[float, ...] | None = None) -> None:
+    scaled = item.world_from_object @ np.diag([item.scale] * 3 + [1.0])
+    _add_object(collection, item.mesh, item.instance_id, mathutils.Matrix(scaled.tolist()), color)
+
+
 def _add_object(
+    collection: str,
     mesh: bpy.types.Mesh,
     instance_id: int,
     matrix: mathutils.Matrix | None = None,
@@ -216,4 +250,4 @@ def _add_object(
         item.matrix_world = matrix
     if color is not None:
         item.color = color
-    bpy.context.scene.collection.objects.link(item)
+    bpy.data.collections[collection].objects.link(item)

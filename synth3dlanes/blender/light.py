@@ -15,10 +15,11 @@ from synth3dlanes.imaging.sky import SKY_SHAPE, sun_direction
 from synth3dlanes.imaging.user_sky import UserSky, hang
 from synth3dlanes.scene import Scene
 
+STUDIO = "studio"  # the collection of the camera and the lamps
 SUN_ANGLE_RAD = 0.0093  # angular diameter of the sun
 CLOUD_SPREAD_RAD = 0.3  # added to it by a closed layer of clouds
 HAZE_PASS = "haze"
-# Headlights: their places in the road frame of the camera (metres), the intensity of both in the beam (in the
+# Headlights: their places in the host's road frame (metres), the intensity of both in the beam (in the
 # daylight's units), their colour and size.
 HEADLIGHTS_ROAD, BEAM, LAMP_COLOR, LAMP_M = ((-0.65, 1.9, 0.65), (0.65, 1.9, 0.65)), 0.32, (1.0, 0.93, 0.82), 0.08
 STRAY = 0.01  # share of the beam that goes above its edge
@@ -63,7 +64,7 @@ def _add_lamp(name: str, kind: str) -> bpy.types.Light:
     lamp = bpy.data.lights.new(name, kind)
     item = bpy.data.objects.new(name, lamp)
     item.rotation_mode = "QUATERNION"
-    bpy.context.scene.collection.objects.link(item)
+    bpy.data.collections[STUDIO].objects.link(item)
     item.hide_render = kind != "SUN"
     return lamp
 
@@ -121,7 +122,7 @@ def add_haze() -> None:
 
 
 def set_light(
-    scene: Scene, light: Daylight, skies: Sequence[UserSky], world_from_road: Matrix4, street_lamps: Points
+    scene: Scene, light: Daylight, skies: Sequence[UserSky], world_from_host: Matrix4, street_lamps: Points
 ) -> None:
     """Set the sun's direction and colour, the sky image, the haze and the lamps for one scene; of the street lamps'
     heads (world) the nearest are lit once the sun has set."""
@@ -140,18 +141,18 @@ def set_light(
     sun.data.angle = SUN_ANGLE_RAD + CLOUD_SPREAD_RAD * light.softness**2
     haze = bpy.data.node_groups[HAZE_PASS].nodes["minus_per_m"]
     haze.outputs[0].default_value = -KOSCHMIEDER / scene.air.visibility_m
-    _set_lamps(scene, world_from_road, street_lamps)
+    _set_lamps(scene, world_from_host, street_lamps)
 
 
-def _set_lamps(scene: Scene, world_from_road: Matrix4, street_lamps: Points) -> None:
+def _set_lamps(scene: Scene, world_from_host: Matrix4, street_lamps: Points) -> None:
     """Place the lamps that are lit, and turn the others off."""
     is_lit, is_dark = scene.weather.headlights, scene.light.sun_zenith_rad > np.pi / 2
-    ahead = mathutils.Matrix(world_from_road[:3, :3].tolist()).to_quaternion() @ mathutils.Quaternion(
+    ahead = mathutils.Matrix(world_from_host[:3, :3].tolist()).to_quaternion() @ mathutils.Quaternion(
         (1, 0, 0), np.pi / 2
     )
-    for i, place in enumerate(transform(world_from_road, np.array(HEADLIGHTS_ROAD))):
+    for i, place in enumerate(transform(world_from_host, np.array(HEADLIGHTS_ROAD))):
         _place(f"headlight_{i}", place if is_lit else None, ahead)
-    away = np.linalg.norm(street_lamps - world_from_road[:3, 3], axis=1)
+    away = np.linalg.norm(street_lamps - world_from_host[:3, 3], axis=1)
     nearest = street_lamps[np.argsort(away)[:N_STREET_LAMPS]] if is_dark else street_lamps[:0]
     for i in range(N_STREET_LAMPS):
         _place(f"street_lamp_{i}", nearest[i] if i < len(nearest) else None, mathutils.Quaternion())

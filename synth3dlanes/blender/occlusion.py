@@ -14,7 +14,7 @@ from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
 from synth3dlanes.blender.build import Placed
-from synth3dlanes.frames import inside_image, invert, project, transform
+from synth3dlanes.frames import invert, transform
 from synth3dlanes.labels import Labels
 
 # Rays end this far before the point, so that surfaces touching the point do not hide it.
@@ -74,8 +74,7 @@ def seen_fractions(
     nothing = np.zeros((0, 3))
     surfaces = [_silhouette(car, eye) if _reaches_image(car, labels) else nothing for car in cars]
     points = np.concatenate([*surfaces, nothing])
-    uv = project(camera.img_from_cam, transform(invert(camera.world_from_cam), points))
-    seen = inside_image(uv, camera.width_px, camera.height_px)
+    seen = camera.shows(transform(invert(camera.world_from_cam), points))
     seen[seen] = seen_over_ground(points[seen])
     seen[seen] = ~hidden_by_objects(placed, structures, eye, points[seen])
     shares = np.split(seen, np.cumsum([len(surface) for surface in surfaces]))[:-1]
@@ -83,7 +82,9 @@ def seen_fractions(
 
 
 def _reaches_image(car: Placed, labels: Labels) -> bool:
-    """Whether the car's bounding sphere reaches into the view frustum."""
+    """Whether the car's bounding sphere reaches into the view frustum; for lenses, every car may."""
+    if not labels.camera.lens.is_pinhole:
+        return True
     center, radius = _bounding_sphere(car.mesh.name)
     camera = labels.camera
     center_cam = transform(invert(camera.world_from_cam), transform(car.world_from_object, center * car.scale))

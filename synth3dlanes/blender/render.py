@@ -6,33 +6,37 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
 import bpy
-import cycles  # type: ignore[import-not-found]
 import numpy as np
 
 from synth3dlanes.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.blender.build import Placed, Studio, build, open_studio
 from synth3dlanes.blender.devices import use_device
+from synth3dlanes.blender.lidar import scan
 from synth3dlanes.blender.light import HAZE_PASS
 from synth3dlanes.blender.occlusion import hidden_by_objects, seen_fractions
 from synth3dlanes.blender.structures import search_tree
+from synth3dlanes.blender.trace import distances, run_cycles
 from synth3dlanes.frames import Matrix4, transform
+from synth3dlanes.geometry.camera import rays_of_pixels
 from synth3dlanes.geometry.visibility import seen_over_ground
 from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.imaging.layers import Layers
 from synth3dlanes.labels import Labels
-from synth3dlanes.settings import NO_HIT_DEPTH_M, RenderSettings
+from synth3dlanes.settings import RenderSettings
+from synth3dlanes.sweep import Sweep
 from synth3dlanes.world import View, World
 
-# Cycles writes 1e10 where a ray hits nothing; larger depths than this count as that.
-CYCLES_NO_HIT = 1e9
+# The portal of a lens, and the screen that its rays pass again.
+LENS_BOUNCES = 2
 
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
-    """Layers, the labels with `object_visible`, and the seconds per stage."""
+    """Layers, the labels with `object_visible`, the sweep if the view has a lidar, and the seconds per stage."""
 
     layers: Layers
     labels: Labels
+    sweep: Sweep | None
     timings: dict[str, float]
 
 
@@ -58,15 +62,26 @@ def render(
     placed = build(studio(library), world, view, light, lines)
     clock.append(time.perf_counter())
     configure(settings, light.film)
+    # Only for further renders of the same scene, because persistent data ignores changes between scenes.
+    bpy.context.scene.render.use_persistent_data = "normal" in settings.passes or labels.lidar is not None
+    own = studio(library)
+    is_bent = not view.camera.lens.is_pinhole
+    if is_bent:
+        bpy.context.scene.cycles.transparent_max_bounces += LENS_BOUNCES
     layers = read_layers(run_cycles(), light.film)
     clock.append(time.perf_counter())
     if "normal" in settings.passes:
-        layers = replace(layers, normal=_normals(view.world_from_cam, studio(library).plain))
+        layers = replace(layers, normal=_normals(view.world_from_cam, own.lens if is_bent else own.plain))
+    if is_bent:
+        layers = layers.only(np.isfinite(rays_of_pixels(view.camera)).all(axis=-1))
+    # The last one, as it turns the camera away.
+    sweep = None if labels.lidar is None else scan(own.camera, labels.lidar, view.world_from_lidar)
+    bpy.context.scene.render.use_persistent_data = False
     clock.append(time.perf_counter())
     seen = with_object_visibility(world, view, labels, placed)
     clock.append(time.perf_counter())
     stages = ("build", "cycles", "passes", "occlusion")
-    return Rendering(layers, seen, dict(zip(stages, np.diff(clock).tolist(), strict=True)))
+    return Rendering(layers, seen, sweep, dict(zip(stages, np.diff(clock).tolist(), strict=True)))
 
 
 def with_object_visibility(world: World, view: View, labels: Labels, placed: list[Placed]) -> Labels:
@@ -90,8 +105,6 @@ def configure(settings: RenderSettings, film: float) -> None:
     use_device(settings.device)
     blender.render.threads_mode = "FIXED"
     blender.render.threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    # Only for the second render that normals need, because persistent data ignores changes between scenes.
-    blender.render.use_persistent_data = "normal" in settings.passes
     blender.render.use_compositing = False
     blender.render.use_sequencer = False
     blender.render.film_transparent = False
@@ -117,35 +130,12 @@ def configure(settings: RenderSettings, film: float) -> None:
     layer.use_pass_material_index = True
 
 
-def run_cycles() -> dict[str, np.ndarray]:
-    """Render and return every pass. `Render Result` has no pixels without a window and files are slow, so the passes
-    are read from the render engine."""
-    layers: dict[str, np.ndarray] = {}
-    original = cycles.CyclesRender.render
-
-    def read_passes(engine: bpy.types.RenderEngine, _: None) -> None:
-        result = engine.get_result()
-        for render_pass in result.layers[0].passes:
-            pixels = np.zeros(result.resolution_y * result.resolution_x * render_pass.channels, dtype=np.float32)
-            render_pass.rect.foreach_get(pixels)
-            layers[render_pass.name] = pixels.reshape(result.resolution_y, result.resolution_x, -1)[::-1]
-
-    # A lambda: Blender counts the callback's arguments, and a decorator (of shape checks) would hide them.
-    cycles.CyclesRender.render = lambda engine, depsgraph: read_passes(engine, original(engine, depsgraph))
-    try:
-        bpy.ops.render.render()
-    finally:
-        cycles.CyclesRender.render = original
-    return layers
-
-
 def read_layers(passes: dict[str, np.ndarray], film: float) -> Layers:
     """Cycles' passes as layers. Depth and ids are those of the first sample, at the pixel's centre."""
-    depth = passes["Depth"][..., 0]
     return Layers(
         radiance=passes["Combined"][..., :3] / np.float32(film),
         haze=passes[HAZE_PASS][..., :2],
-        depth_m=np.where(depth > CYCLES_NO_HIT, np.float32(NO_HIT_DEPTH_M), depth),
+        depth_m=distances(passes),
         semantic=passes["IndexMA"][..., 0].astype(np.uint8),
         instance=passes["IndexOB"][..., 0].astype(np.uint16) if "IndexOB" in passes else None,
     )
@@ -163,5 +153,4 @@ def _normals(world_from_cam: Matrix4, plain: bpy.types.Material) -> np.ndarray:
         normals = run_cycles()["Normal"]
     finally:
         layer.material_override, layer.use_pass_normal = None, False
-        blender.render.use_persistent_data = False
     return np.asarray(normals @ world_from_cam[:3, :3].astype(np.float32))

@@ -76,6 +76,7 @@ _MEMBERS = {
     "labels.json": "lanes, camera and lane graph",
     "passes.exr": "passes in the image's pixels, as OpenEXR",
     "height.exr": "heights over the road plane seen from above, as OpenEXR",
+    "lidar.exr": "a lidar's sweep as a range image with ids, as OpenEXR",
 }
 
 

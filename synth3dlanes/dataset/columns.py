@@ -11,8 +11,8 @@ import pyarrow as pa
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from synth3dlanes.dataset.format import COLUMN_OF_MEMBER
-from synth3dlanes.dataset.index import RECIPE, place_columns
+from synth3dlanes.dataset.format import COLUMN_OF_MEMBER, LIDAR
+from synth3dlanes.dataset.index import RECIPE, SHOT_COLUMNS, place_columns
 from synth3dlanes.labels import Labels, Lane
 from synth3dlanes.scene import Air, Camera, Light, Markings, Road, Scene, Sensor, Surface
 
@@ -27,7 +27,7 @@ PARTS: dict[str, type[BaseModel]] = {
     "sensor": Sensor,
 }
 ARROW_TYPES = {int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
-PLACE_COLUMNS = list(dict.fromkeys(place_columns(tuple(COLUMN_OF_MEMBER))))
+PLACE_COLUMNS = list(dict.fromkeys(place_columns([name for name in COLUMN_OF_MEMBER if name != LIDAR])))
 
 
 def _arrow_type(annotation: Any) -> pa.DataType:
@@ -53,6 +53,11 @@ SCHEMA = pa.schema(
     + [(f"n_{seen}{kind}", pa.int64()) for kind in ("centerlines", "delimiters") for seen in ("", "visible_")]
     + [("terrain_hidden_fraction", pa.float64()), ("object_hidden_fraction", pa.float64())]
 )
+# Only where scenes have several pictures, so that the shards of other data sets go on having the same columns.
+SHOT_SCHEMA = pa.schema([(name, pa.int64()) for name in SHOT_COLUMNS])
+
+
+LIDAR_SCHEMA = pa.schema([(name, pa.int64()) for name in place_columns([LIDAR])])
 
 
 def index_row(
@@ -61,6 +66,8 @@ def index_row(
     """One row of the index; `places` gives offset and size in the tar of each member by its name, `sha256` is of all
     the sample's bytes there, from its first header to its last block."""
     row: dict[str, Any] = {"key": key, "index": int(key), "sha256": sha256}
+    if scene.shot.n_frames * scene.shot.n_cameras > 1:
+        row |= {"scene": scene.index, "frame": scene.shot.frame, "camera": scene.shot.camera}
     for member, (offset, size) in places.items():
         column = COLUMN_OF_MEMBER[member]
         row |= {f"{column}_offset": offset, f"{column}_size": size}
@@ -72,9 +79,12 @@ def index_row(
 
 
 def table(rows: list[dict[str, Any]], recipe: str = "") -> pa.Table:
-    """The index of a shard; its columns do not depend on its rows. `recipe` is what they were made from, "" where
-    nobody says."""
-    return pa.Table.from_pylist(rows, schema=SCHEMA.with_metadata({RECIPE: recipe}) if recipe else SCHEMA)
+    """The index of a shard; all shards of a data set have the same columns. `recipe` is what the rows were made from,
+    "" where nobody says."""
+    added = [SHOT_SCHEMA] if rows and "scene" in rows[0] else []
+    added += [LIDAR_SCHEMA] if rows and LIDAR_SCHEMA.names[0] in rows[0] else []
+    schema = pa.unify_schemas([SCHEMA, *added])
+    return pa.Table.from_pylist(rows, schema=schema.with_metadata({RECIPE: recipe}) if recipe else schema)
 
 
 def _topology(scene: Scene, labels: Labels) -> dict[str, Any]:

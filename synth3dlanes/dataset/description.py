@@ -7,7 +7,7 @@ import json
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from synth3dlanes.dataset.address import connect, splits_near, translate_store_errors
 from synth3dlanes.dataset.format import member_names
@@ -34,8 +34,19 @@ class Render(Part):
     """How images were rendered: samples a pixel, passes beside the image, the device."""
 
     samples: Annotated[int, Field(ge=1, le=1_000_000)]
-    passes: Annotated[tuple[Literal["depth", "normal", "semantic", "instance", "height"], ...], Field(max_length=5)]
+    passes: Annotated[
+        tuple[Literal["depth", "normal", "semantic", "instance", "height", "lidar"], ...], Field(max_length=6)
+    ]
     device: str
+
+
+class ShotsPart(Part):
+    """How many frames and cameras see each scene. What they are like is read by those who draw scenes."""
+
+    model_config = ConfigDict(frozen=True, extra="allow")
+
+    frames: Annotated[int, Field(ge=1, le=1_000_000)] = 1
+    cameras: list[Any] = Field(default_factory=list)
 
 
 class Description(Part):
@@ -50,6 +61,7 @@ class Description(Part):
     render: Render
     params: dict[str, Any]
     assets: dict[str, Any] = Field(default_factory=dict)
+    shots: ShotsPart = ShotsPart()
     shard_size: Annotated[int, Field(ge=1, le=MAX_SHARD_SIZE)]
     splits: Annotated[dict[SplitName, Split], Field(max_length=1000)]
     derived: dict[str, Any] | None = None
@@ -72,6 +84,12 @@ def parse_description(data: bytes, where: str) -> dict[str, Any]:
     except ValueError:
         raise FormatError(f"{where}: expected finite numbers, got NaN or infinity") from None
     return document
+
+
+def pictures_per_scene(description: Mapping[str, Any]) -> int:
+    """How many samples show one scene, by `dataset.json`."""
+    shots = description.get("shots", {})
+    return int(shots.get("frames", 1)) * max(1, len(shots.get("cameras", ())))
 
 
 def data_set_of(place: str) -> tuple[str, str]:

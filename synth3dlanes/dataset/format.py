@@ -16,23 +16,25 @@ from PIL import Image, UnidentifiedImageError
 
 from synth3dlanes import labels as labels_module
 from synth3dlanes.errors import FormatError
-from synth3dlanes.labels import Labels
+from synth3dlanes.labels import Labels, LidarLabel
 from synth3dlanes.schema import MAX_PX
 from synth3dlanes.settings import JPEG_QUALITY
+from synth3dlanes.sweep import Sweep
 
 IMAGE_FORMATS = ("jpg", "png")
-SCENE, LABELS, PASSES, HEIGHT = "scene.json", "labels.json", "passes.exr", "height.exr"
+SCENE, LABELS, PASSES, HEIGHT, LIDAR = "scene.json", "labels.json", "passes.exr", "height.exr", "lidar.exr"
 # A name in the index for each member of a sample; the image's is the same for every image format.
 COLUMN_OF_MEMBER = {
-    "jpg": "image", "png": "image", SCENE: "scene", LABELS: "labels", PASSES: "passes", HEIGHT: "height"
+    "jpg": "image", "png": "image", SCENE: "scene", LABELS: "labels", PASSES: "passes", HEIGHT: "height", LIDAR: "lidar"
 }  # fmt: skip
 BLOCK = 512
 
 # Integers up to here are exact in a half float.
 EXACT_IN_HALF = 2048
+METRES = ("depth", "height", "range")
 NORMAL = ("normal.X", "normal.Y", "normal.Z")
 CHANNEL_TYPES = {
-    **dict.fromkeys(("depth", "height"), (np.float32,)),
+    **dict.fromkeys(METRES, (np.float32,)),
     **dict.fromkeys(NORMAL, (np.float16,)),
     **dict.fromkeys(("semantic", "instance"), (np.float16, np.float32)),
 }
@@ -55,8 +57,9 @@ def key_of(index: int) -> str:
 
 def member_names(image_format: str, passes: Sequence[str]) -> tuple[str, ...]:
     """What follows `{key}.` in the names of a sample's members, in their order in the tar."""
-    pixel_passes = [PASSES] if set(passes) - {"height"} else []
-    return (image_format, SCENE, LABELS, *pixel_passes, *([HEIGHT] if "height" in passes else []))
+    own = {"height": HEIGHT, "lidar": LIDAR}
+    pixel_passes = [PASSES] if set(passes) - set(own) else []
+    return (image_format, SCENE, LABELS, *pixel_passes, *(member for name, member in own.items() if name in passes))
 
 
 def encode(
@@ -66,6 +69,7 @@ def encode(
     passes: Mapping[str, Shaped[np.ndarray, "..."]],
     image_format: str,
     jpeg_quality: int = JPEG_QUALITY,
+    sweep: Sweep | None = None,
 ) -> dict[str, bytes]:
     """A sample's members, named as `member_names` does."""
     members = {
@@ -78,6 +82,8 @@ def encode(
         members[PASSES] = write_passes(of_pixels)
     if "height" in passes:
         members[HEIGHT] = write_passes({"height": passes["height"]})
+    if sweep is not None:
+        members[LIDAR] = write_sweep(sweep)
     return members
 
 
@@ -121,13 +127,13 @@ def _check_size(found: tuple[int, int], expected: tuple[int, int] | None, where:
 def write_passes(passes: Mapping[str, Shaped[np.ndarray, "..."]]) -> bytes:
     """The passes as one OpenEXR image with ZIP compression, which is exact.
 
-    Channels: `depth` and `height` float32, the first planar y_cam in metres at the
-    pixel's centre, infinite where nothing is hit, the second metres over the road plane (`geometry.height_map`);
+    Channels: `depth`, `height` and `range` float32, the first planar y_cam in metres at the pixel's centre, infinite
+    where nothing is hit, the second metres over the road plane (`geometry.height_map`), the third that of a `Sweep`;
     `normal.X`, `.Y`, `.Z` half; `semantic` and `instance` half, or float32 where an id is beyond 2048.
     """
     channels: dict[str, np.ndarray] = {}
     for name, values in passes.items():
-        if name in ("depth", "height"):
+        if name in METRES:
             channels[name] = values.astype(np.float32)
         elif name == "normal":
             channels |= {axis: values[..., i].astype(np.float16) for i, axis in enumerate(NORMAL)}
@@ -142,7 +148,7 @@ def write_passes(passes: Mapping[str, Shaped[np.ndarray, "..."]]) -> bytes:
 def read_passes(
     data: bytes, where: str, size_px: tuple[int, int] | None = None
 ) -> dict[str, Shaped[np.ndarray, "..."]]:
-    """The passes by name: `depth`, `height` and `normal` float32, `semantic` uint8, `instance` uint16.
+    """The passes by name: `depth`, `height`, `range` and `normal` float32, `semantic` uint8, `instance` uint16.
 
     Raises FormatError, its message beginning with `where`, for what `write_passes` does not write, and for a picture
     whose size is not `size_px` (width, height; None: any up to 8192 x 8192) before any pixel is decoded.
@@ -161,7 +167,7 @@ def read_passes(
             raise FormatError(f"{where}: {name}: expected {types or 'no such channel'}, got {values.dtype}")
     if len({values.shape for values in pixels.values()}) > 1:
         raise FormatError(f"{where}: expected channels of one size, got several")
-    passes = {name: pixels[name] for name in ("depth", "height") if name in pixels}
+    passes = {name: pixels[name] for name in METRES if name in pixels}
     for name, dtype in (("semantic", np.uint8), ("instance", np.uint16)):
         if name in pixels:
             passes[name] = _ids(pixels[name], dtype, f"{where}: {name}")
@@ -169,6 +175,25 @@ def read_passes(
     if normal and len(normal) < len(NORMAL):
         raise FormatError(f"{where}: expected channels {', '.join(NORMAL)}, got {len(normal)} of them")
     return passes | ({"normal": np.stack(normal, axis=-1).astype(np.float32)} if normal else {})
+
+
+def write_sweep(sweep: Sweep) -> bytes:
+    """A sweep as OpenEXR of a row for each beam and a column for each azimuth."""
+    return write_passes({"range": sweep.range_m, "semantic": sweep.semantic, "instance": sweep.instance})
+
+
+def read_sweep(data: bytes, where: str, lidar: LidarLabel) -> Sweep:
+    """The sweep of a lidar; raise FormatError as `read_passes` does, and for ranges that it cannot measure."""
+    channels = read_passes(data, where, (lidar.azimuths, len(lidar.elevations_rad)))
+    if set(channels) != {"range", "semantic", "instance"}:
+        raise FormatError(f"{where}: expected channels range, semantic, instance, got {', '.join(channels)}")
+    sweep = Sweep(lidar, channels["range"], channels["semantic"], channels["instance"])
+    measured = sweep.range_m[sweep.returned]
+    if not ((measured >= lidar.min_range_m) & (measured <= lidar.max_range_m)).all():
+        raise FormatError(
+            f"{where}: range: expected {lidar.min_range_m:g} to {lidar.max_range_m:g} m or infinity, got others"
+        )
+    return sweep
 
 
 def _exr_size(data: bytes) -> tuple[int, int]:

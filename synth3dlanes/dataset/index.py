@@ -14,6 +14,8 @@ from synth3dlanes.settings import MAX_SHARD_SIZE
 # Where the metadata of an index has the recipe that its samples were made from.
 RECIPE = b"synth3dlanes.recipe"
 TYPES = {"key": pa.string(), "sha256": pa.string(), "camera_roll_rad": pa.float64()}
+# Of data sets with several pictures of each scene: the numbers of the scene as drawn, the frame and the camera.
+SHOT_COLUMNS = ("scene", "frame", "camera")
 # Far above any tar; sums of such numbers do not overflow.
 MAX_TAR_BYTES = 1 << 50
 

@@ -6,18 +6,22 @@ be pickled, forked and used by many threads.
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 
 import numpy as np
 import pyarrow as pa
-from jaxtyping import Shaped, UInt8
+from jaxtyping import Int, Shaped, UInt8
+from pydantic import ValidationError
 
 from synth3dlanes import labels as labels_module
+from synth3dlanes.cameras import CameraSpec
 from synth3dlanes.dataset.address import connect, splits_near, translate_store_errors
-from synth3dlanes.dataset.description import DESCRIPTION, parse_description
+from synth3dlanes.dataset.description import DESCRIPTION, parse_description, pictures_per_scene
 from synth3dlanes.dataset.format import (
     BLOCK,
     HEIGHT,
     LABELS,
+    LIDAR,
     PASSES,
     SCENE,
     Sample,
@@ -25,10 +29,20 @@ from synth3dlanes.dataset.format import (
     member_name,
     member_names,
     read_passes,
+    read_sweep,
 )
-from synth3dlanes.dataset.index import check_places, place_columns, read_index, recipe_of, require_columns
-from synth3dlanes.errors import FormatError
+from synth3dlanes.dataset.index import (
+    SHOT_COLUMNS,
+    check_places,
+    place_columns,
+    read_index,
+    recipe_of,
+    require_columns,
+)
+from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.labels import Labels
+from synth3dlanes.schema import AHEAD_DEG, validation_problems
+from synth3dlanes.sweep import Sweep
 
 N_CONNECTIONS = 8
 SIZE_COLUMNS = ("camera_width_px", "camera_height_px")
@@ -39,7 +53,8 @@ class Reader:
 
     `index` is the table of all samples: places, scene parameters, label summary (`docs/format.md`), or only the places
     and `columns`: of 300,000 samples these take 20 MB, the whole table 200 MB. `recipes` are those that its shards were
-    made from, by their indices ("" where one does not say).
+    made from, by their indices ("" where one does not say). `scene_of`, `frame_of` and `camera_of` are the numbers of
+    the scene, the frame and the camera that each sample shows.
     """
 
     def __init__(self, url: str, columns: Sequence[str] | None = None) -> None:
@@ -58,7 +73,8 @@ class Reader:
         paths = sorted(path for path in sizes if path.endswith(".parquet"))
         if not paths:
             raise FormatError(f"{self.url}: expected shards (00000.tar with 00000.parquet), got none")
-        wanted = ["key", "index", *SIZE_COLUMNS, *place_columns(self._names)]
+        has_shots = pictures_per_scene(self.description) > 1
+        wanted = ["key", "index", *SIZE_COLUMNS, *place_columns(self._names), *(SHOT_COLUMNS if has_shots else ())]
         chosen = () if columns is None else tuple(dict.fromkeys((*wanted, *columns)))
         with ThreadPoolExecutor(N_CONNECTIONS) as pool:
             tables = list(pool.map(lambda path: self._table(path, wanted, chosen), paths))
@@ -73,6 +89,9 @@ class Reader:
             name: tuple(self.index[column].to_numpy() for column in place_columns([name])) for name in self._names
         }
         self._indices = self.index["index"].to_numpy()
+        self.scene_of = self.index["scene"].to_numpy() if has_shots else self._indices
+        self.frame_of = self.index["frame"].to_numpy() if has_shots else np.zeros(len(self), int)
+        self.camera_of = self.index["camera"].to_numpy() if has_shots else np.zeros(len(self), int)
 
     def __len__(self) -> int:
         return len(self._indices)
@@ -110,6 +129,14 @@ class Reader:
                 found |= read_passes(self.member(i, name), f"{self._where(i)}.{name}", size_px)
         return found
 
+    def lidar(self, i: int) -> Sweep:
+        """The lidar's sweep of sample i; raise FormatError where the dataset was made without."""
+        where = self._where(i)
+        lidar = self.labels(i).lidar
+        if LIDAR not in self._names or lidar is None:
+            raise FormatError(f"{where}: expected a data set with a lidar (generate --lidar), got one without")
+        return read_sweep(self.member(i, LIDAR), f"{where}.{LIDAR}", lidar)
+
     def raw(self, i: int) -> dict[str, bytes]:
         """The bytes of each member of sample i by its name without the key, in one read."""
         return self._members(i, self._names)
@@ -125,6 +152,62 @@ class Reader:
             last = self.key(-1) if len(self) else "none"
             raise FormatError(f"{self.url}: expected a sample up to {last}, got {key}")
         return i
+
+    @property
+    def scenes(self) -> list[int]:
+        """The numbers of the scenes that there are, in order: those of clips, or of single pictures."""
+        return [int(scene) for scene in np.unique(self.scene_of)]
+
+    def clip(self, scene: int, camera: int | None = None) -> list[int]:
+        """Where the pictures of a scene are, frame by frame; of one camera, or of all cameras of each frame in turn."""
+        is_asked = (self.scene_of == scene) & ((self.camera_of == camera) if camera is not None else True)
+        if not is_asked.any():
+            by = "" if camera is None else f" by camera {camera}"
+            raise FormatError(f"{self.url}: expected pictures of scene {scene}{by}, got none")
+        return [int(i) for i in np.flatnonzero(is_asked)]
+
+    def rig(self, i: int) -> list[int]:
+        """Where the pictures by all cameras of the scene and frame of sample i are, in the rig's order."""
+        i = self._position(i)
+        is_asked = (self.scene_of == self.scene_of[i]) & (self.frame_of == self.frame_of[i])
+        return [int(place) for place in np.flatnonzero(is_asked)]
+
+    @cached_property
+    def cameras(self) -> tuple[CameraSpec, ...]:
+        """The cameras of the rig that the data set was made with, or its own camera; none where it has that of its
+        parameters."""
+        try:
+            specs = self.description.get("shots", {}).get("cameras", ())
+            return tuple(CameraSpec.model_validate(spec) for spec in specs)
+        except ValidationError as error:
+            problems = validation_problems(error, f"{self.url}: dataset.json: shots.cameras")
+            raise FormatError("\n".join(problems)) from None
+
+    def camera_name(self, i: int) -> str:
+        """The name of the camera that took sample i; "" for one without."""
+        return self.cameras[self.camera_of[self._position(i)]].name if self.cameras else ""
+
+    def taken_by(self, names: Sequence[str] = ()) -> Int[np.ndarray, " n"]:
+        """Where the samples of some cameras are, by the cameras' names; without names, those of all that look ahead.
+
+        Raises InputError where there is no such camera.
+        """
+        known = [spec.name for spec in self.cameras]
+        unknown = [name for name in names if name not in known]
+        if unknown:
+            expected = ", ".join(known) or "none, because this data set has no rig"
+            raise InputError(f"cameras: expected some of {expected}, got {', '.join(unknown)}")
+        if not known:
+            return np.arange(len(self))
+        chosen = [i for i, spec in enumerate(self.cameras) if (spec.name in names if names else spec.looks_ahead)]
+        if not chosen:
+            expected = f"a camera within {AHEAD_DEG:.0f} degrees of the driving direction"
+            raise InputError(f"{self.url}: expected {expected}, got none")
+        return np.flatnonzero(np.isin(self.camera_of, chosen))
+
+    def positions(self, scenes: Sequence[int]) -> list[int]:
+        """Where all pictures of some scenes are, in order."""
+        return [int(i) for i in np.flatnonzero(np.isin(self.scene_of, scenes))]
 
     def shuffled(self, seed: int) -> Iterator[Sample]:
         """Every sample once, in an order that depends on the seed alone."""

@@ -34,13 +34,15 @@ def assign(n: int, shares: Mapping[str, float], seed: int) -> dict[str, list[int
 def split_dataset(source: Reader, shares: Mapping[str, float], seed: int, out: str) -> dict[str, int]:
     """Divide one split's samples into new splits in `out`, numbered from 0; returns how many each has.
 
-    `scene.json` keeps the split and index that a sample was drawn for. `derived` in `dataset.json` says what was done;
-    `generate` does not extend such a data set.
+    The pictures of a scene stay together. `scene.json` keeps the split and index that a sample was drawn for. `derived`
+    in `dataset.json` says what was done; `generate` does not extend such a data set.
     """
-    assigned = assign(len(source), shares, seed)
-    empty = [name for name, positions in assigned.items() if not positions]
+    scenes = source.scenes
+    chosen = assign(len(scenes), shares, seed)
+    empty = [name for name, numbers in chosen.items() if not numbers]
     if empty:
-        raise InputError(f"into: expected a sample for each split, got none of {len(source)} for {', '.join(empty)}")
+        raise InputError(f"into: expected a scene for each split, got none of {len(scenes)} for {', '.join(empty)}")
+    assigned = {name: source.positions([scenes[k] for k in numbers]) for name, numbers in chosen.items()}
     origin = {"cut": source.url, "n": len(source), "seed": seed, "into": dict(shares), **how_derived(source)}
     for name, positions in assigned.items():
         places = {number: (source, i) for number, i in enumerate(positions)}

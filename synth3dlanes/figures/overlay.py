@@ -8,11 +8,13 @@ from jaxtyping import Float, Int, UInt8
 from PIL import Image, ImageDraw
 
 from synth3dlanes.figures.colors import KINDS
-from synth3dlanes.frames import project
 from synth3dlanes.labels import CameraLabel, Labels, Lane
 
 NEAR_M = 0.5
 """Points closer than this are not drawn: points in the camera's plane cannot be projected."""
+
+# Pieces of the straight line between two points that a lens bends.
+CURVE_STEPS = 8
 
 _SUPERSAMPLING = 4
 _HIDDEN_OPACITY = 0.6
@@ -42,15 +44,27 @@ def stretches_img(camera: CameraLabel, lane: Lane) -> Iterator[tuple[bool, Float
 
     A line that crosses the border of the image is drawn across it: points beyond it are outside, not hidden.
     """
-    in_front = lane.xyz_cam[:, 1] > NEAR_M
+    points_img = camera.project(lane.xyz_cam)
+    in_front = lane.xyz_cam[:, 1] > NEAR_M if camera.lens.is_pinhole else np.isfinite(points_img).all(axis=1)
     in_image = lane.in_image & in_front
     hidden = in_image & ~lane.visible
     drawn = (in_image[:-1] | in_image[1:]) & in_front[:-1] & in_front[1:]
     solid = drawn & ~(hidden[:-1] | hidden[1:])
-    points_img = project(camera.img_from_cam, lane.xyz_cam)
     for start, stop in _runs(drawn.astype(int) + solid):
         if drawn[start]:
-            yield bool(solid[start]), points_img[start : stop + 1]
+            yield bool(solid[start]), _curve(camera, lane.xyz_cam[start : stop + 1], points_img[start : stop + 1])
+
+
+def _curve(
+    camera: CameraLabel, points_cam: Float[np.ndarray, "n 3"], points_img: Float[np.ndarray, "n 2"]
+) -> Float[np.ndarray, "m 2"]:
+    """The polyline of points in the image; what is straight between them is bent by a lens."""
+    if camera.lens.is_pinhole:
+        return points_img
+    finer = np.arange(CURVE_STEPS * (len(points_cam) - 1) + 1) / CURVE_STEPS
+    between = [np.interp(finer, np.arange(len(points_cam)), values) for values in points_cam.T]
+    bent = camera.project(np.stack(between, axis=1))
+    return np.asarray(bent[np.isfinite(bent).all(axis=1)])
 
 
 def _runs(values: Int[np.ndarray, " n"]) -> Iterator[tuple[int, int]]:

@@ -64,6 +64,11 @@ def pass_picture(name: str, values: Shaped[np.ndarray, "h w ..."]) -> Picture:
     return _palette(name, int(values.max()) + 1)[values]
 
 
+def semantic_colors(ids: UInt8[np.ndarray, " n"]) -> UInt8[np.ndarray, "n 3"]:
+    """The colours of points by their semantic ids, as in the picture of the pass."""
+    return _palette("semantic", int(ids.max(initial=0)) + 1)[ids]
+
+
 def draw_pass(axes: Axes, name: str, values: Shaped[np.ndarray, "h w ..."]) -> None:
     """One pass with its scale or legend."""
     axes.imshow(pass_picture(name, values), extent=(0, values.shape[1], values.shape[0], 0))

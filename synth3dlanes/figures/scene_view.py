@@ -10,12 +10,14 @@ from synth3dlanes.figures.colors import Rgb
 from synth3dlanes.frames import Matrix4, invert, transform
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.road import RoadPlan
-from synth3dlanes.labels import Labels
+from synth3dlanes.labels import CameraLabel, Labels
 from synth3dlanes.scene import Car, Scene
 from synth3dlanes.world import World, resolve
 
 BEHIND_M = 10.0
 AHEAD_M = 120.0
+# Farthest aside that a frustum is drawn.
+WIDEST_RAD = 1.3
 
 Points3 = Float[np.ndarray, "n 3"]
 
@@ -40,7 +42,7 @@ class TreeOutline:
 
 @dataclass(frozen=True)
 class SceneView:
-    """A scene in the road frame of its host, as far ahead as its labels reach."""
+    """A scene in the road frame of its camera, as far ahead and behind as its labels reach."""
 
     scene: Scene
     labels: Labels
@@ -48,6 +50,11 @@ class SceneView:
     @cached_property
     def world(self) -> World:
         return resolve(self.scene)
+
+    @property
+    def behind_m(self) -> float:
+        """How far behind the host it is shown."""
+        return BEHIND_M + self.scene.shot.behind_m
 
     @property
     def plan(self) -> RoadPlan:
@@ -63,9 +70,9 @@ class SceneView:
 
     @cached_property
     def _stations(self) -> Float[np.ndarray, " n"]:
-        """Plan stations from BEHIND_M to AHEAD_M, in driving order."""
-        y_m = self.scene.camera.y_m
-        return self.plan.plan_station(np.arange(y_m - BEHIND_M, y_m + AHEAD_M + 0.5))
+        """Plan stations from behind the host to AHEAD_M, in driving order."""
+        y_m = self.world.view.camera.y_m
+        return self.plan.plan_station(np.arange(y_m - self.behind_m, y_m + AHEAD_M + 0.5))
 
     @cached_property
     def roads(self) -> dict[str, tuple[Points3, Points3]]:
@@ -99,9 +106,9 @@ class SceneView:
         return np.asarray(transform(self.road_from_world, foot_world)[0])
 
     def ground_grid(self, half_width_m: float, step_m: float) -> Float[np.ndarray, "rows columns 3"]:
-        """The ground as built on a grid from BEHIND_M to AHEAD_M: rows go forward, columns to the right."""
+        """The ground as built on a grid from behind the host to AHEAD_M: rows go forward, columns to the right."""
         y, x = np.meshgrid(
-            np.arange(-BEHIND_M, AHEAD_M + step_m / 2, step_m),
+            np.arange(-self.behind_m, AHEAD_M + step_m / 2, step_m),
             np.arange(-half_width_m, half_width_m + step_m / 2, step_m),
             indexing="ij",
         )
@@ -136,3 +143,15 @@ class SceneView:
         corners_road = transform(self.road_from_world @ world_from_car, corners_car)
         red, green, blue = (round(255 * channel) for channel in car.color)
         return CarOutline(corners_road, model.height_m * car.scale, (red, green, blue))
+
+
+def frustum(camera: CameraLabel, corners_img: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
+    """Rays of points of the image, scaled to y = 1; of those that a lens sees far aside or not at all, the nearest on
+    the way to the middle that can be drawn."""
+    middle = camera.img_from_cam[:2, 1]
+    rays = np.full((len(corners_img), 3), [0.0, 1.0, 0.0])
+    for share in np.linspace(0.05, 1, 20):
+        found = camera.rays(middle + share * (corners_img - middle))
+        drawn = found[:, 1] > np.cos(WIDEST_RAD) if not camera.lens.is_pinhole else np.full(len(found), True)
+        rays[drawn] = found[drawn]
+    return np.asarray(rays / rays[:, 1:2])

@@ -15,6 +15,7 @@ from scipy import stats
 from synth3dlanes.distributions import Choice, Integers, Uniform
 from synth3dlanes.figures.describe import topology_words
 from synth3dlanes.figures.shape import bends, grades
+from synth3dlanes.geometry.camera import horizontal_fov_rad
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import OPTIONAL, Params
 from synth3dlanes.scene import Scene
@@ -94,9 +95,10 @@ class LabelStatistics:
     measured: dict[str, Values]
 
 
-def scene_statistics(scenes: Iterable[Scene], params: Params) -> SceneStatistics:
+def scene_statistics(scenes: Iterable[Scene], params: Params, own_camera: bool = False) -> SceneStatistics:
     """Compare every parameter that is a number and that scenes hold with its declared distribution, in the scenes
-    whose weather does not replace it. Keeps all drawn values: about 15 kB per scene."""
+    whose weather does not replace it; with a user's own camera, those of the host's place alone. Keeps all drawn
+    values: about 15 kB per scene."""
     collected: dict[str, list[Values]] = defaultdict(list)
     topologies: Counter[str] = Counter()
     n_scenes = 0
@@ -105,7 +107,7 @@ def scene_statistics(scenes: Iterable[Scene], params: Params) -> SceneStatistics
         topologies[topology_words(scene.road)] += 1
         drawn_otherwise = replaced(scene.weather.kind, scene.weather.daytime)
         for key, values in drawn_values(scene).items():
-            if key in drawn_otherwise:
+            if key in drawn_otherwise or (own_camera and _is_of_camera(key)):
                 continue
             collected[key].append(np.array(values, dtype=float))
     drawn = {key: np.concatenate(values) for key, values in collected.items()}
@@ -115,12 +117,18 @@ def scene_statistics(scenes: Iterable[Scene], params: Params) -> SceneStatistics
         f"{name}.{key}": distribution
         for name, group in params
         for key, distribution in group
-        if not _is_named(distribution) and (name not in OPTIONAL or f"{name}.{key}" in drawn)
+        if not (own_camera and _is_of_camera(f"{name}.{key}"))
+        and not _is_named(distribution)
+        and (name not in OPTIONAL or f"{name}.{key}" in drawn)
     }
     parameters = tuple(
         _parameter(key, distribution, drawn.get(key, np.zeros(0))) for key, distribution in declared.items()
     )
     return SceneStatistics(n_scenes, parameters, dict(sorted(topologies.items())), drawn, declared)
+
+
+def _is_of_camera(key: str) -> bool:
+    return key.startswith("camera.") and key not in ("camera.lane", "camera.y_m", "camera.offset_m")
 
 
 def is_fine(parameter: ParameterStatistics) -> bool:
@@ -134,9 +142,11 @@ def drawn_values(scene: Scene) -> dict[str, list[float]]:
     for group in ("road", "markings", "surface", "camera", "light", "air", "sensor", "weather", "host", "vegetation"):
         part = getattr(scene, group)
         values |= {
-            _key(group, field): [_declared_unit(field, value)] for field, value in part if not isinstance(value, str)
+            _key(group, field): [_declared_unit(field, value)]
+            for field, value in part
+            if isinstance(value, int | float)
         }
-    values["camera.horizontal_fov_deg"] = [2 * math.degrees(math.atan(scene.camera.width_px / 2 / scene.camera.fx_px))]
+    values["camera.horizontal_fov_deg"] = [math.degrees(horizontal_fov_rad(scene.camera))]
     offsets_px = scene.camera.cx_px - scene.camera.width_px / 2, scene.camera.cy_px - scene.camera.height_px / 2
     values["camera.principal_offset_px"] = list(offsets_px)
     values["terrain.n_gaussians"] = [len(scene.terrain.gaussians)]

@@ -24,6 +24,7 @@ from synth3dlanes.formats.curvelanes import write as curvelanes
 from synth3dlanes.formats.masks import write as masks
 from synth3dlanes.formats.once import write as once
 from synth3dlanes.formats.one_frame import write_as_it_is, write_resampled
+from synth3dlanes.formats.opendrive import write as opendrive
 from synth3dlanes.formats.openlane import write as openlane
 from synth3dlanes.formats.openlane_v2 import write as openlane_v2
 from synth3dlanes.formats.plan import Chunk, open_reader, plan
@@ -43,6 +44,7 @@ FORMATS: dict[str, PinholeFormat | SampleFormat] = {
     "culane": culane.FORMAT,
     "curvelanes": curvelanes.FORMAT,
     "openlane_v2": openlane_v2.FORMAT,
+    "opendrive": opendrive.FORMAT,
     "coco": coco.FORMAT,
     "masks": masks.FORMAT,
 }
@@ -55,23 +57,27 @@ def export(
     workers: int,
     progress: Callable[[int, int], None],
     size_px: tuple[int, int] | None = None,
+    cameras: Sequence[str] = (),
 ) -> Summary:
     """Export every split under `source`, or the one that it names; `progress` gets (frames done, frames in all).
-    `size_px` is the images' width and height, by default the format's."""
+    `size_px` is the images' width and height, by default the format's. `cameras` names those of a rig whose frames are
+    wanted; by default those that look ahead."""
     foreign = _sized(format_name, size_px)
     camera = foreign.camera if isinstance(foreign, PinholeFormat) else None
-    chunks = plan(source)
+    is_per_scene = isinstance(foreign, SampleFormat) and foreign.is_per_scene
+    chunks = plan(source, cameras, is_per_scene)
     if isinstance(foreign, SampleFormat):
         _require_passes(foreign, format_name, chunks)
     splits = {chunk.split.name: chunk.split.part for chunk in chunks}
     size = None if camera is None else [camera.width_px, camera.height_px]
-    _claim(out, {"format": format_name, "layout": LAYOUT, "size_px": size, "source": source, "splits": splits})
+    options = {"format": format_name, "layout": LAYOUT, "size_px": size, "source": source, "splits": splits}
+    _claim(out, options | ({"cameras": list(cameras)} if cameras else {}))
     marks = out / ".parts"
     for stale in {path.name for path in marks.iterdir()} - {chunk.mark for chunk in chunks}:
         _remove(out, marks / stale)
     waiting = [chunk for chunk in chunks if not (marks / chunk.mark).exists()]
-    total = sum(chunk.stop - chunk.start for chunk in chunks)
-    done = total - sum(chunk.stop - chunk.start for chunk in waiting)
+    total = sum(len(chunk.places) for chunk in chunks)
+    done = total - sum(len(chunk.places) for chunk in waiting)
     progress(done, total)
     for n_frames in _run(waiting, out, foreign, workers):
         done += n_frames
@@ -139,14 +145,15 @@ def _run(chunks: Sequence[Chunk], out: Path, foreign: PinholeFormat | SampleForm
 
 
 def _export_chunk(chunk: Chunk, out: Path, foreign: PinholeFormat | SampleFormat) -> int:
-    reader, records = open_reader(chunk.url), []
-    for index in range(chunk.start, chunk.stop):
-        if isinstance(foreign, PinholeFormat):
-            records.append(write_resampled(reader, index, chunk, out, foreign))
-        elif record := write_as_it_is(reader, index, chunk, out, foreign):
-            records.append(record)
+    reader = open_reader(chunk.url)
+    records = [
+        write_resampled(reader, place, chunk, out, foreign)
+        if isinstance(foreign, PinholeFormat)
+        else write_as_it_is(reader, place, chunk, out, foreign)
+        for place in chunk.places
+    ]
     write_whole(out / ".parts" / chunk.mark, "\n".join(map(json.dumps, records)).encode())
-    return chunk.stop - chunk.start
+    return len(records)
 
 
 def _remove(out: Path, mark: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from synth3dlanes import scene as scene_format
 from synth3dlanes.dataset.format import SCENE, decode_image, encode_image
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.dataset.remove_roll import labels_without_roll
+from synth3dlanes.dataset.rectify import rectified_labels
 from synth3dlanes.formats.lines import scene_tags
 from synth3dlanes.formats.plan import Chunk
 from synth3dlanes.formats.resample import fitting_pinhole, resample
@@ -29,10 +29,10 @@ def write_resampled(reader: Reader, index: int, chunk: Chunk, out: Path, foreign
     """Write a frame as an upright pinhole camera would have seen it."""
     sample = reader[index]
     where = f"{chunk.url}:{sample.key}"
-    scene, labels = scene_format.from_json(sample.scene_json, where), labels_without_roll(sample.labels)
+    scene, labels = scene_format.from_json(sample.scene_json, where), rectified_labels(sample.labels)
     pinhole = fitting_pinhole(sample.labels.camera, foreign.camera)
     frame = PinholeFrame(
-        **vars(_frame(sample.key, chunk)),
+        **vars(_frame(reader, index, chunk)),
         pinhole=pinhole,
         tags=scene_tags(labels, pinhole),
         illumination=int(np.digitize(scene.light.exposure, EXPOSURE_STEPS)),
@@ -48,14 +48,12 @@ def write_resampled(reader: Reader, index: int, chunk: Chunk, out: Path, foreign
     return {**record, "f_px": pinhole.f_px, "enlarged": enlarged}
 
 
-def write_as_it_is(reader: Reader, index: int, chunk: Chunk, out: Path, foreign: SampleFormat) -> Record | None:
-    """Write a frame as it is; None where the format has one for each scene, and an earlier frame is of the same."""
+def write_as_it_is(reader: Reader, index: int, chunk: Chunk, out: Path, foreign: SampleFormat) -> Record:
+    """Write a frame as it is."""
     scene_json, key, image_format = reader.member(index, SCENE), reader.key(index), reader.description["image_format"]
-    if foreign.is_per_scene and index > 0 and reader.member(index - 1, SCENE) == scene_json:
-        return None
     where = f"{chunk.url}:{key}"
     frame = SampleFrame(
-        **vars(_frame(key, chunk)),
+        **vars(_frame(reader, index, chunk)),
         scene=scene_format.from_json(scene_json, where),
         labels=reader.labels(index),
         passes=reader.passes(index) if foreign.passes else {},
@@ -72,9 +70,10 @@ def write_as_it_is(reader: Reader, index: int, chunk: Chunk, out: Path, foreign:
     return _write(out, frame, annotation, write_image)
 
 
-def _frame(key: str, chunk: Chunk) -> Frame:
-    split = chunk.split
-    return Frame(split.name, key, split.number * FRAMES_PER_SPLIT + int(key), split.part_of(key), chunk.parts)
+def _frame(reader: Reader, index: int, chunk: Chunk) -> Frame:
+    split, key = chunk.split, reader.key(index)
+    part = split.part_of(int(reader.scene_of[index]))
+    return Frame(split.name, key, split.number * FRAMES_PER_SPLIT + int(key), part, chunk.parts)
 
 
 def _left_out(frame: Frame, reason: str) -> Record:

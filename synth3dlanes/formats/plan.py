@@ -5,6 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
+import numpy as np
+from jaxtyping import Int
+
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.splits import readers, split_name
 from synth3dlanes.formats.writing import PARTS, Part
@@ -16,28 +19,27 @@ DEALT_EVERY = 5
 @dataclass(frozen=True)
 class Split:
     """A split of the data set and the part that it becomes. Where the data set has training frames only, `is_dealt`:
-    every fifth of them is a test frame."""
+    those of every fifth scene are test frames."""
 
     name: str
     number: int
     part: Part
     is_dealt: bool
 
-    def part_of(self, key: str) -> Part:
-        """What the frame of this key is used for."""
-        return "test" if self.is_dealt and int(key) % DEALT_EVERY == DEALT_EVERY - 1 else self.part
+    def part_of(self, scene: int) -> Part:
+        """What the frames of a scene are used for."""
+        return "test" if self.is_dealt and scene % DEALT_EVERY == DEALT_EVERY - 1 else self.part
 
 
 @dataclass(frozen=True)
 class Chunk:
-    """Frames `start` to `stop` of one split. `mark` names the file that says that the chunk is done; it depends on the
-    frames' bytes, so a chunk of other frames is a new one. `parts` are all that the data set has."""
+    """Some frames of one split, by their places in it. `mark` names the file that says that the chunk is done; it
+    depends on the frames' bytes, so a chunk of other frames is a new one. `parts` are all that the data set has."""
 
     source: str
     split: Split
     parts: frozenset[Part]
-    start: int
-    stop: int
+    places: tuple[int, ...]
     mark: str
 
     @property
@@ -46,18 +48,22 @@ class Chunk:
         return f"{self.source}/{self.split.name}"
 
 
-def plan(source: str) -> list[Chunk]:
-    """The chunks of every split under `source`, or of the one split that it names."""
+def plan(source: str, cameras: Sequence[str] = (), is_per_scene: bool = False) -> list[Chunk]:
+    """The chunks of every split under `source`, or of the one split that it names; of a rig's cameras those that are
+    named, or those that look ahead. If it `is_per_scene`, only the first frame of each scene."""
     found = readers(source)
     source = found[0].url.rpartition("/")[0]
     splits = assign([split_name(reader) for reader in found])
     parts = parts_of(splits)
     chunks = []
     for split, reader in zip(splits, found, strict=True):
-        for start in range(0, len(reader), FRAMES_PER_CHUNK):
-            stop = min(start + FRAMES_PER_CHUNK, len(reader))
-            mark = f"{split.name}-{reader.key(start)}-{_digest(reader, start, stop)}.jsonl"
-            chunks.append(Chunk(source, split, parts, start, stop, mark))
+        taken = reader.taken_by(cameras)
+        if is_per_scene:
+            taken = taken[np.unique(reader.scene_of[taken], return_index=True)[1]]
+        for start in range(0, len(taken), FRAMES_PER_CHUNK):
+            places = taken[start : start + FRAMES_PER_CHUNK]
+            mark = f"{split.name}-{reader.key(int(places[0]))}-{_digest(reader, places)}.jsonl"
+            chunks.append(Chunk(source, split, parts, tuple(places.tolist()), mark))
     return chunks
 
 
@@ -86,6 +92,6 @@ def _part(name: str) -> Part:
     return next((part for part in PARTS if name.startswith(part)), "train")
 
 
-def _digest(reader: Reader, start: int, stop: int) -> str:
-    rows = reader.index.slice(start, stop - start).to_pydict()
+def _digest(reader: Reader, places: Int[np.ndarray, " n"]) -> str:
+    rows = reader.index.take(places).to_pydict()
     return hashlib.sha256(repr(rows).encode()).hexdigest()[:16]

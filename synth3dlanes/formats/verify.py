@@ -10,6 +10,7 @@ from synth3dlanes.formats.culane import verify as culane
 from synth3dlanes.formats.curvelanes import verify as curvelanes
 from synth3dlanes.formats.masks import verify as masks
 from synth3dlanes.formats.once import verify as once
+from synth3dlanes.formats.opendrive import verify as opendrive
 from synth3dlanes.formats.openlane import verify as openlane
 from synth3dlanes.formats.openlane_v2 import verify as openlane_v2
 from synth3dlanes.formats.self_check import Verified
@@ -26,6 +27,7 @@ CHECKS = {
 
 SAMPLE_CHECKS: dict[str, Callable[[Path, int], Iterator[Verified]]] = {
     "openlane_v2": openlane_v2.verify,
+    "opendrive": opendrive.verify,
     "coco": coco.verify,
     "masks": masks.verify,
 }

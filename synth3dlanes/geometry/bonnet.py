@@ -6,7 +6,8 @@ Camera frame but for the height: x right, y ahead, z up from the bonnet's highes
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import Matrix4
+from synth3dlanes.frames import Matrix4, turned
+from synth3dlanes.geometry.camera import rays
 from synth3dlanes.geometry.meshes import Mesh, grid
 from synth3dlanes.scene import Camera
 
@@ -14,6 +15,9 @@ HALF_WIDTH_M, FROM_M, TO_M = 0.78, 0.02, 1.6
 # It falls towards the nose and the sides; two folds run along it.
 NOSE, SIDES, FOLD_M, FOLD_AT_M, FOLD_WIDTH_M = (0.05, 0.07, 0.10), (0.05, 0.12), 0.012, 0.42, 0.05
 SHAPE = (40, 48)
+# For wide lenses, whose share of the picture would need a bonnet down in the road: the steepest view of its edge, its
+# least height over the road, and its least distance below the camera.
+WIDEST, LOWEST_M, NEAREST_M = 20.0, 0.8, 0.25
 
 Values = Float[np.ndarray, "..."]
 
@@ -37,10 +41,16 @@ def bonnet() -> Mesh:
 
 
 def cam_from_bonnet(camera: Camera, share: float) -> Matrix4:
-    """The pose at which the bonnet fills this share of the image's height in the middle of its width."""
+    """The pose at which the bonnet fills this share of the image's height in the middle of its width, or more of it in
+    that of a wide lens: along the host's middle, whatever the camera's yaw and place."""
     y_m = np.linspace(FROM_M, TO_M, SHAPE[0])
     edge = (camera.cy_px - camera.height_px * (1 - share)) / camera.fy_px
+    if not camera.lens.is_pinhole:
+        _, ahead, up = rays(camera, np.array([camera.cx_px, camera.height_px * (1 - share)]))
+        edge = float(up / ahead) if ahead > 0 else -WIDEST
     below_m = float((surface_m(np.zeros(SHAPE[0]), y_m) - edge * y_m).max())
-    pose = np.eye(4)
+    if not camera.lens.is_pinhole:
+        below_m = min(below_m, max(camera.height_m - LOWEST_M, NEAREST_M))
+    pose = turned(-camera.yaw_rad) @ turned(0.0, -camera.right_m)
     pose[2, 3] = -below_m
-    return pose
+    return np.asarray(pose)

@@ -1,9 +1,12 @@
 """Pose and projection of the host's camera. World and camera frames (docs/frames.md)."""
 
+import math
+from functools import lru_cache
+
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import Matrix4, from_axes
+from synth3dlanes.frames import Matrix4, Points, from_axes
 from synth3dlanes.geometry import terrain
 from synth3dlanes.geometry.lanes import host_segment, path_of_segment
 from synth3dlanes.geometry.road import RoadPlan
@@ -20,9 +23,38 @@ def img_from_cam(camera: Camera) -> Float[np.ndarray, "3 3"]:
     )
 
 
-def world_from_road(plan: RoadPlan, camera: Camera) -> Matrix4:
-    """The pose of the road frame at the host: origin on the surface below the camera, z the surface normal, y along
-    the lane."""
+def project(camera: Camera, points_cam: Points) -> Float[np.ndarray, "*n 2"]:
+    """Pixels (u, v) of points through the lens; NaN for those that are not in its field."""
+    return camera.lens.project(img_from_cam(camera), points_cam)
+
+
+def rays(camera: Camera, uv: Float[np.ndarray, "*n 2"]) -> Points:
+    """Unit vectors (camera frame) along which pixels look; NaN where the lens has no picture."""
+    return camera.lens.rays(img_from_cam(camera), uv)
+
+
+@lru_cache(maxsize=4)
+def rays_of_pixels(camera: Camera, border_px: int = 0) -> Float[np.ndarray, "h w 3"]:
+    """`rays` of the centres of all pixels, and of those of a border around the picture."""
+    columns, rows = (np.arange(-border_px, size + border_px) + 0.5 for size in (camera.width_px, camera.height_px))
+    found = rays(camera, np.stack(np.meshgrid(columns, rows), axis=-1))
+    found.flags.writeable = False
+    return found
+
+
+def horizontal_fov_rad(camera: Camera) -> float:
+    """The angle that the image is wide, in the row of its principal point; for a pinhole, as if that were in the
+    middle."""
+    if camera.lens.is_pinhole:
+        return 2 * math.atan(camera.width_px / 2 / camera.fx_px)
+    right, ahead, _ = rays(camera, np.array([[0.0, camera.cy_px], [camera.width_px, camera.cy_px]])).T
+    angles = np.arctan2(np.abs(right), ahead)
+    return float(np.where(np.isnan(angles), camera.lens.field_rad, angles).sum())
+
+
+def world_from_host(plan: RoadPlan, camera: Camera) -> Matrix4:
+    """The pose of the road frame at the host: origin on the surface at its place, z the surface normal, y along the
+    lane."""
     lane = path_of_segment(plan, host_segment(plan, camera))
     s = plan.plan_station(camera.y_m + np.array([0.0, -TANGENT_STEP_M, TANGENT_STEP_M]))
     t = lane.main_offset(plan, s) + camera.offset_m * plan.flips[0]

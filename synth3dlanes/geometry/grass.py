@@ -17,6 +17,8 @@ Points = Float[np.ndarray, "n 3"]
 
 # Tufts along every edge of the pavement: how many, how far ahead of the host, and how far beside the edge.
 PER_EDGE, AHEAD_M, BESIDE_M = 1200, (2.0, 45.0), (0.25, 3.6)
+# More of them for each metre that the host drives.
+PER_M = 40
 # Grass is mown next to the road: its height grows from this share at the edge to all of it at FULL_AT_M.
 SHORT, FULL_AT_M = 0.35, 1.5
 # A tuft: its blades, the radius of their feet, their lean over their height, their width over their height.
@@ -47,9 +49,9 @@ def blades(
 
 
 def lane_points(ground: Ground, lines: Sequence[Curve]) -> Points:
-    """Points of all lane curves ahead of the host, as far apart as those of the labels, and farther."""
+    """Points of all lane curves around the host, as far apart as those of the labels, and farther."""
     plan = ground.plan
-    s = plan.plan_station(ground.near_m + np.arange(STEP_M, RANGE_M, STEP_M))
+    s = plan.plan_station(np.arange(*ground.range_m(RANGE_M, -STEP_M), STEP_M))
     return np.concatenate(
         [line.points_world(plan, s[(s > line.start_m) & (s < line.end_m)]) for line in lines] + [np.zeros((0, 3))]
     )
@@ -57,11 +59,19 @@ def lane_points(ground: Ground, lines: Sequence[Curve]) -> Points:
 
 def _tufts(ground: Ground, grass_m: float, rng: np.random.Generator) -> tuple[Points, Values]:
     """Feet and heights of tufts along the edges of the pavement; the nearer to the host, the denser."""
-    plan = ground.plan
+    plan, last_m = ground.plan, ground.near_m + ground.driven_m
     draws = rng.random((4, 4, PER_EDGE))
-    ahead = AHEAD_M[0] * (AHEAD_M[1] / AHEAD_M[0]) ** draws[0]
+    s_world = last_m + _away(draws[0])
+    if ground.driven_m:
+        more = rng.random((4, 4, int(PER_M * ground.driven_m)))
+        draws = np.concatenate([draws, more], axis=2)
+        s_world = np.concatenate([s_world, ground.near_m + AHEAD_M[0] + ground.driven_m * more[0]], axis=1)
+    if ground.both_ways:
+        more = rng.random((4, 4, PER_EDGE))
+        draws = np.concatenate([draws, more], axis=2)
+        s_world = np.concatenate([s_world, ground.near_m - _away(more[0])], axis=1)
     beside = BESIDE_M[0] + (BESIDE_M[1] - BESIDE_M[0]) * draws[1]
-    s = plan.plan_station(ground.near_m + ahead)
+    s = plan.plan_station(s_world)
     xy = [
         plan.main_xy(s[0], ground.left_edge_m - beside[0]),
         plan.main_xy(s[1], ground.main_right_edge(s[1]) + beside[1]),
@@ -79,6 +89,11 @@ def _tufts(ground: Ground, grass_m: float, rng: np.random.Generator) -> tuple[Po
     height_m = grass_m * np.clip(SHORT + (1 - SHORT) * from_edge_m / FULL_AT_M, 0, 1)
     height_m *= 0.6 + 0.4 * draws[2].ravel()[: len(places)]
     return np.column_stack([places, ground.height(places) - SINK_M]), height_m
+
+
+def _away(draws: Float[np.ndarray, "4 n"]) -> Float[np.ndarray, "4 n"]:
+    """Distances from the host, from random numbers."""
+    return np.asarray(AHEAD_M[0] * (AHEAD_M[1] / AHEAD_M[0]) ** draws)
 
 
 def _in_sight(

@@ -36,21 +36,36 @@ GROWTH = 0.06
 PAINT_ROOM_M = 0.05
 # Length behind the split over which the pavement of a lane that leaves narrows to nothing (topology 4).
 TAPER_M = 20.0
+# How far beyond the host fine cells reach: where it looks, and where it does not.
+FINE_M, FINE_BEHIND_M = 165.0, 10.0
 # Stations from the split to far beyond the scene.
 EXIT_STATIONS_M = np.concatenate([np.arange(0.0, 400.0, 2.0), np.geomspace(400.0, 20_000.0, 40)])
-# The crests of a ramp continue this far beyond the scene.
-CREST_BEYOND_M = 30.0
+# The crests of a ramp continue this far beyond the scene, and this far from the host.
+CREST_BEYOND_M, CREST_FROM_HOST_M = 30.0, 115.0
 
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """Ground heights around a road. Mesh resolution is highest ahead of the world station `near_m`, the host's;
-    `fine` is (x0, y0, x1, y1) of the area with fine terrain cells. The pavement extends under all `markings`."""
+    """Ground heights around a road. Mesh resolution is highest ahead of the host, which starts at the world station
+    `near_m` and drives on to the station `driven_m` after it; with `both_ways` behind it too. `fine` is (x0, y0, x1,
+    y1) of the area with fine terrain cells. The pavement extends under all `markings`."""
 
     plan: RoadPlan
     near_m: float
     markings: Markings
     hills: FarHills
+    driven_m: float = 0.0
+    both_ways: bool = False
+
+    def ahead_m(self, s_world: Spread) -> Spread:
+        """How far world stations are ahead of the host's last place, 0 to its first; behind that they are negative."""
+        last_m = self.near_m + self.driven_m
+        return np.where(s_world > last_m, s_world - last_m, np.minimum(s_world - self.near_m, 0))
+
+    def range_m(self, ahead_m: float, behind_m: float) -> tuple[float, float]:
+        """World stations from `behind_m` behind the host's first place to `ahead_m` ahead of its last; with
+        `both_ways` from `ahead_m` behind."""
+        return self.near_m - (ahead_m if self.both_ways else behind_m), self.near_m + self.driven_m + ahead_m
 
     @cached_property
     def edge_m(self) -> float:
@@ -81,23 +96,25 @@ class Ground:
     @cached_property
     def fine(self) -> tuple[float, float, float, float]:
         """(x0, y0, x1, y1) of the area near the camera in which the roads get fine terrain cells."""
-        y = self.near_m
-        s = np.linspace(y - 8, y + 160, 85)
+        low_m, high_m = self.range_m(FINE_M - 5, FINE_BEHIND_M - 2)
+        s = np.linspace(low_m, high_m, 1 + round((high_m - low_m) / 2))
         xy = [self.plan.main_xy(self.plan.plan_station(s), t) for t in (self.left_edge_m, self.edge_m)]
         if self.plan.has_exit:
             stations = np.clip(self.plan.plan_station(s), 0, None)
             xy += [self.plan.exit_xy(stations, t) for t in (-self.exit_edge_m, self.exit_edge_m)]
         points = np.concatenate(xy)
-        points = points[(points[:, 1] > y - 10) & (points[:, 1] < y + 165)]
+        y0, y1 = self.range_m(FINE_M, FINE_BEHIND_M)
+        points = points[(points[:, 1] > y0) & (points[:, 1] < y1)]
         x0, x1 = points[:, 0].min() - 10, points[:, 0].max() + 10
-        return float(x0), float(y - 10), float(x1), float(y + 165)
+        return float(x0), float(y0), float(x1), float(y1)
 
     def crests(self) -> list[Float[np.ndarray, "m 3"]]:
         """The edges of the raised exit's shoulders as world points a metre apart: they hide what lies beyond them."""
         plan = self.plan
         if plan.ramp_start_m is None:
             return []
-        s = np.arange(plan.ramp_start_m, S_END_M + CREST_BEYOND_M)
+        reach_m = plan.plan_station(np.array(self.range_m(CREST_FROM_HOST_M, 0.0))).max()
+        s = np.arange(plan.ramp_start_m, max(S_END_M + CREST_BEYOND_M, reach_m))
         return [plan.lift(plan.exit_xy(s, edge), plan.ramp(s)) for edge in (-self.exit_edge_m, self.exit_edge_m)]
 
     def cell_scale(self, xy_world: Points2) -> Values:

@@ -50,7 +50,8 @@ def terrain_mesh(ground: Ground) -> Mesh:
 def terrain_axes(ground: Ground) -> tuple[Values, Float[np.ndarray, " m"]]:
     """World x of the columns of the terrain's vertices, and world y of their rows."""
     x0, y0, x1, y1 = ground.fine
-    return _axis(x0, x1, HORIZON_M, HORIZON_M), _axis(y0, y1, BEHIND_M, HORIZON_M)
+    behind_m = HORIZON_M if ground.both_ways else BEHIND_M
+    return _axis(x0, x1, HORIZON_M, HORIZON_M), _axis(y0, y1, behind_m, HORIZON_M)
 
 
 def terrain_heights(ground: Ground, xy_world: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
@@ -58,18 +59,22 @@ def terrain_heights(ground: Ground, xy_world: Float[np.ndarray, "*n 2"]) -> Floa
     return ground.terrain_mesh_height(xy_world) + ground.hills.height(xy_world)
 
 
-def road_stations(near_m: float) -> Values:
+def road_stations(ground: Ground) -> Values:
     """World stations of the rows of road and paint, to beyond the horizon: half a metre apart near the host, more far
     away. The split itself is always among them."""
     n_far = int(np.log(2 * HORIZON_M / FAR_ROWS_M) / np.log1p(FAR_ROWS_GROWTH))
-    rows = [
-        np.arange(-ROAD_BEHIND_M, 0, 1.0),
+    ahead = [
         np.arange(0, 80, 0.5),
         np.arange(80, 160, 1.0),
         np.arange(160, FAR_ROWS_M, 2.0),
         FAR_ROWS_M * (1 + FAR_ROWS_GROWTH) ** np.arange(n_far),
     ]
-    return np.unique(np.append(near_m + np.concatenate(rows), 0.0))
+    rows = [
+        *((-part for part in ahead) if ground.both_ways else [np.arange(-ROAD_BEHIND_M, 0, 1.0)]),
+        np.arange(0, ground.driven_m, 0.5),
+        *(ground.driven_m + part for part in ahead),
+    ]
+    return np.unique(np.append(ground.near_m + np.concatenate(rows), 0.0))
 
 
 def lift_far(
@@ -82,7 +87,7 @@ def lift_far(
 def road_meshes(ground: Ground) -> list[Mesh]:
     """Pavement of the main road, and of the exit outside the main pavement."""
     plan = ground.plan
-    s = plan.plan_station(road_stations(ground.near_m))
+    s = plan.plan_station(road_stations(ground))
     meshes = [_main_mesh(ground, s)]
     if plan.has_exit:
         meshes.append(_exit_mesh(ground, np.sort(s[s >= 0])))
@@ -92,7 +97,7 @@ def road_meshes(ground: Ground) -> list[Mesh]:
 def verge_meshes(ground: Ground) -> list[Mesh]:
     """Verges and embankments along every edge of the pavement, down to below the terrain mesh."""
     plan = ground.plan
-    s = plan.plan_station(road_stations(ground.near_m))
+    s = plan.plan_station(road_stations(ground))
     raised, free = far_dam(s), np.full(s.shape, np.inf)
     right = ground.main_right_edge(s)
     meshes = [

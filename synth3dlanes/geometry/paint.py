@@ -24,7 +24,7 @@ PAINT_LIFT_AT_M = (0.0, 40.0, 80.0, 160.0, 250.0, 4000.0)
 MAX_SHARE = 0.05
 # The line's direction is measured over this length.
 ALONG_M = 0.01
-# Farther ahead than this, dashes and gaps are much smaller than a pixel. They are replaced by a continuous line whose
+# Farther away than this, dashes and gaps are much smaller than a pixel. They are replaced by a continuous line whose
 # width is reduced to the share of paint.
 DASHES_M = 420.0
 # Botts' dots: their number in place of a dash, diameter and height, and the distance up to which they are single discs;
@@ -88,7 +88,7 @@ def stripes_m(line: Curve, markings: Markings) -> tuple[float, ...]:
 def _paint(ground: Ground, curve: Curve, eye_world: Float[np.ndarray, "3"], streams: Streams) -> Mesh:
     plan, markings = ground.plan, ground.markings
     rows, painted, share, raised_m = painted_rows(ground, curve, streams)
-    ahead_m = plan.plan_station(rows) - ground.near_m
+    ahead_m = ground.ahead_m(plan.plan_station(rows))
     lift_m = np.interp(np.abs(ahead_m), PAINT_LIFT_AT_M, PAINT_LIFT_M) + raised_m
     stripes = []
     for middle_m in stripes_m(curve, markings):
@@ -141,8 +141,7 @@ def towards_eye(
     slope = gradient_at(plan.terrain, points_world[:, :2])
     to_eye = eye_world - points_world
     eye_over_road_m = np.clip(to_eye[:, 2] - (to_eye[:, :2] * slope).sum(axis=1), 0, None)
-    ahead_m = np.abs(points_world[:, 1] - ground.near_m)
-    lift_m = share_of_lift * np.interp(ahead_m, PAINT_LIFT_AT_M, PAINT_LIFT_M)
+    lift_m = share_of_lift * np.interp(np.abs(ground.ahead_m(points_world[:, 1])), PAINT_LIFT_AT_M, PAINT_LIFT_M)
     # lift / height, which falls to 0 where the eye is near the road's plane or below it
     share = lift_m * eye_over_road_m / (eye_over_road_m**2 + (lift_m / MAX_SHARE) ** 2)
     return np.asarray(points_world + share[:, None] * to_eye)
@@ -166,32 +165,35 @@ def painted_rows(ground: Ground, curve: Curve, streams: Streams) -> Rows:
     """Rows of a line, with a row at every end of paint. Lengths are measured along the line from the split, so that
     dashes and gaps do not move with the camera."""
     plan, markings = ground.plan, ground.markings
-    rows = np.sort(plan.plan_station(road_stations(ground.near_m)))
+    rows = np.sort(plan.plan_station(road_stations(ground)))
     low, high = max(rows[0], curve.start_m), min(rows[-1], curve.end_m)
     rows = np.array([low, low]) if low >= high else np.concatenate([[low], rows[(rows > low) & (rows < high)], [high]])
-    is_far = plan.plan_station(rows) - ground.near_m > DASHES_M
-    far, rows = (np.zeros(0), rows) if is_far.all() else (rows[is_far], rows[~is_far])
+    is_far = np.abs(ground.ahead_m(plan.plan_station(rows))) > DASHES_M
+    if is_far.all():
+        before, rows, behind = rows[:0], rows, rows[:0]
+    else:
+        before, rows, behind = np.split(rows, np.flatnonzero(~is_far)[[0, -1]] + [0, 1])
     xyz = curve.points_world(plan, rows)
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz, axis=0), axis=1))])
     length -= np.interp(0.0, rows, length)
     dashes, gone = _dashes(markings, curve, length), _gone(markings, streams(f"missing_paint/{curve.id}"))
     dots = np.zeros(0)
     if is_dotted(curve, markings):
-        dots, dashes = _dots(markings, dashes, length, plan.plan_station(rows) - ground.near_m)
+        dots, dashes = _dots(markings, dashes, length, np.abs(ground.ahead_m(plan.plan_station(rows))))
     ends = np.concatenate([dashes.ravel(), gone.ravel(), (dots[:, None] + DISC_ROWS[1:3] * DOT_M / 2).ravel()])
     ends = np.interp(ends[(ends > length[0]) & (ends < length[-1])], length, rows)
     rows_all = np.unique(np.concatenate([rows, ends]))
     middle = np.interp((rows_all[1:] + rows_all[:-1]) / 2, rows, length)
     painted = _inside(dashes, middle) & ~_inside(gone, middle)
-    both = [(rows_all, painted), (far, np.full(len(far), markings.missing < 1))][:: int(plan.flips[1])]
-    s = np.concatenate([rows for rows, _ in both])
-    ahead_m = plan.plan_station(s) - ground.near_m
+    is_painted = np.full(max(len(before), len(behind)), markings.missing < 1)
+    s = np.concatenate([before, rows_all, behind])
+    away_m = np.abs(ground.ahead_m(plan.plan_station(s)))
     share, raised_m = _disc(dots, np.interp(s, rows, length)) if len(dots) else (np.ones(len(s)), np.zeros(len(s)))
     if is_dotted(curve, markings):
-        share = np.where(ahead_m > DOTS_M, np.minimum(share, _dots_cover(markings, ahead_m)), share)
+        share = np.where(away_m > DOTS_M, np.minimum(share, _dots_cover(markings, away_m)), share)
     painted_share = (markings.dash_fraction if curve.marking == "dashed" else 1.0) * (1 - markings.missing)
-    share = np.where(ahead_m > DASHES_M, painted_share * share, share)
-    return Rows(s, np.concatenate([painted for _, painted in both]), share, raised_m)
+    share = np.where(away_m > DASHES_M, painted_share * share, share)
+    return Rows(s, np.concatenate([is_painted[: len(before)], painted, is_painted[: len(behind)]]), share, raised_m)
 
 
 def _dashes(markings: Markings, curve: Curve, length: Values) -> Intervals:
@@ -207,10 +209,10 @@ def _dots_per_dash(markings: Markings) -> int:
     return int(np.clip(markings.dash_cycle_m * markings.dash_fraction / (2 * DOT_M), 1, DOTS))
 
 
-def _dots(markings: Markings, dashes: Intervals, length: Values, ahead_m: Values) -> tuple[Places, Intervals]:
-    """The centres of the dots in place of near dashes, and the painted intervals with these dots. `ahead_m` is the
-    distance ahead of the host at each `length`."""
-    is_near = np.interp(dashes[:, 0], length, ahead_m) < DOTS_M
+def _dots(markings: Markings, dashes: Intervals, length: Values, away_m: Values) -> tuple[Places, Intervals]:
+    """The centres of the dots in place of near dashes, and the painted intervals with these dots. `away_m` is the
+    distance from the host at each `length`."""
+    is_near = np.interp(dashes[:, 0], length, away_m) < DOTS_M
     first, last = dashes[is_near].T[:, :, None] + np.array([[DOT_M / 2], [-DOT_M / 2]])[:, None]
     centers = (first + (last - first) * np.linspace(0, 1, _dots_per_dash(markings))).ravel()
     painted = np.concatenate([centers[:, None] + np.array([-0.5, 0.5]) * DOT_M, dashes[~is_near]])
@@ -224,10 +226,10 @@ def _disc(dots: Places, at: Values) -> tuple[Values, Values]:
     return np.where(is_disc, np.clip(2**0.5 - radii, OCTAGON, 1), 1.0), np.where(is_top, DOT_HEIGHT_M, 0.0)
 
 
-def _dots_cover(markings: Markings, ahead_m: Values) -> Values:
+def _dots_cover(markings: Markings, away_m: Values) -> Values:
     """The share of a dash as wide as a dot that its dots cover in the image, their height included."""
     area_m2 = _dots_per_dash(markings) * 2 * OCTAGON * DOT_M**2
-    seen = 1 + DOT_HEIGHT_M / DOT_M * np.clip(ahead_m, 0, None) / EYE_M
+    seen = 1 + DOT_HEIGHT_M / DOT_M * away_m / EYE_M
     return np.minimum(1.0, seen * area_m2 / (DOT_M * markings.dash_cycle_m * markings.dash_fraction))
 
 

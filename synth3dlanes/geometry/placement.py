@@ -16,20 +16,23 @@ HOST_SIZE_M = (5.0, 2.0)
 TREE_SINK_M = 0.1
 
 
-def lane_place(plan: RoadPlan, lane: str, s_world: float) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-    """World (x, y) on a lane segment's centre line and the unit heading of its traffic there."""
-    path = path_of_segment(plan, lane)
-    behind, middle, ahead = path.xy_world(plan, plan.plan_station(s_world + np.array([-0.5, 0.0, 0.5])))
+Place = tuple[Float[np.ndarray, "*t 2"], Float[np.ndarray, "*t 2"]]
+
+
+def lane_place(plan: RoadPlan, lane: str, s_world: float | Float[np.ndarray, "*t"]) -> Place:
+    """World (x, y) on a lane segment's centre line, or on its path beyond it, and the unit heading of its traffic
+    there; at each station."""
+    path, s = path_of_segment(plan, lane), np.asarray(s_world)
+    stations = s + np.array([-0.5, 0.0, 0.5]).reshape(3, *[1] * s.ndim)
+    behind, middle, ahead = path.xy_world(plan, plan.plan_station(stations.ravel())).reshape(*stations.shape, 2)
     along = ahead - behind if path.direction == "same" else behind - ahead
-    return middle, along / np.linalg.norm(along)
+    return middle, along / np.linalg.norm(along, axis=-1, keepdims=True)
 
 
-def car_place(
-    plan: RoadPlan, lane: str, s_world: float, offset_m: float
-) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+def car_place(plan: RoadPlan, lane: str, s_world: float | Float[np.ndarray, "*t"], offset_m: float) -> Place:
     """World (x, y) of a car `offset_m` to its driver's right of the lane's centre, and its heading."""
     middle, heading = lane_place(plan, lane, s_world)
-    return middle + offset_m * np.array([heading[1], -heading[0]]), heading
+    return middle + offset_m * np.stack([heading[..., 1], -heading[..., 0]], axis=-1), heading
 
 
 def world_from_car(plan: RoadPlan, car: Car, model: CarModel) -> Matrix4:
@@ -67,11 +70,13 @@ Footprint = Float[np.ndarray, "4 2"]
 
 
 def footprint(
-    middle: Float[np.ndarray, "2"], heading: Float[np.ndarray, "2"], length_m: float, width_m: float
-) -> Footprint:
+    middle: Float[np.ndarray, "*t 2"], heading: Float[np.ndarray, "*t 2"], length_m: float, width_m: float
+) -> Float[np.ndarray, "*t 4 2"]:
     """Corners of a rectangle on the ground, seen from above."""
-    along, across = heading * length_m / 2, np.array([heading[1], -heading[0]]) * width_m / 2
-    return middle + np.array([along + across, along - across, -along - across, -along + across])
+    right = np.stack([heading[..., 1], -heading[..., 0]], axis=-1)
+    along, across = heading * length_m / 2, right * width_m / 2
+    corners = np.stack([along + across, along - across, -along - across, -along + across], axis=-2)
+    return np.asarray(middle[..., None, :] + corners)
 
 
 def host_footprint(world_from_road: Matrix4) -> Footprint:
@@ -80,11 +85,12 @@ def host_footprint(world_from_road: Matrix4) -> Footprint:
     return footprint(world_from_road[:2, 3], heading, *HOST_SIZE_M)
 
 
-def overlaps_any(place: Footprint, others: Float[np.ndarray, "k 4 2"]) -> bool:
-    """Whether a rectangle overlaps any of the others (separating axis test)."""
-    separated = np.zeros(len(others), dtype=bool)
-    for corners in (np.broadcast_to(place, others.shape), others):
-        for side in (corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 1]):
-            ours, theirs = place @ side.T, (others * side[:, None]).sum(axis=2).T
-            separated |= (ours.max(axis=0) < theirs.min(axis=0)) | (theirs.max(axis=0) < ours.min(axis=0))
+def overlaps_any(places: Float[np.ndarray, "*#n 4 2"], others: Float[np.ndarray, "*#n 4 2"]) -> bool:
+    """Whether any rectangle overlaps its other (separating axis test); a single one is compared with all others."""
+    separated = np.zeros(np.broadcast_shapes(places.shape, others.shape)[:-2], dtype=bool)
+    for corners in (places, others):
+        for first, second in ((0, 1), (1, 2)):
+            side = (corners[..., second, :] - corners[..., first, :])[..., None, :]
+            ours, theirs = (places * side).sum(axis=-1), (others * side).sum(axis=-1)
+            separated |= (ours.max(axis=-1) < theirs.min(axis=-1)) | (theirs.max(axis=-1) < ours.min(axis=-1))
     return not separated.all()

@@ -142,13 +142,23 @@ class RoadPlan:
         return point + np.asarray(t)[..., None] * normal
 
     def stations_along(self, road: RoadName, s_world: float, lengths_m: Values) -> Values:
-        """World stations at the given lengths of a road ahead of `s_world`, measured along its reference line."""
-        grid = s_world + np.linspace(0, 1.05 * lengths_m[-1], 8 * int(lengths_m[-1]) + 9)
+        """World stations at the given lengths of a road ahead of `s_world`, measured along its reference line; sorted
+        lengths, negative behind it."""
+        if lengths_m[0] < 0:
+            behind, ahead = lengths_m[lengths_m < 0], lengths_m[lengths_m >= 0]
+            return np.concatenate(
+                [self._along(road, s_world, -behind[::-1], -1)[::-1], self._along(road, s_world, ahead)]
+            )
+        return self._along(road, s_world, lengths_m)
+
+    def _along(self, road: RoadName, s_world: float, lengths_m: Values, sign: int = 1) -> Values:
+        """World stations at lengths ahead of `s_world`, or behind it with the sign -1."""
+        grid = s_world + sign * np.linspace(0, 1.05 * lengths_m[-1], 8 * int(lengths_m[-1]) + 9)
         middle = self.plan_station((grid[1:] + grid[:-1]) / 2)
         speed = self._main_frame(middle)[2]
         if road == "exit":
             speed = np.where(middle < 0, speed, np.linalg.norm(self._exit_frame(middle)[1], axis=-1))
-        arc = np.concatenate([[0.0], np.cumsum(speed * np.diff(grid))])
+        arc = np.concatenate([[0.0], np.cumsum(speed * np.abs(np.diff(grid)))])
         return np.interp(lengths_m, arc, grid)
 
     # -- the exit in the plan
@@ -173,7 +183,7 @@ class RoadPlan:
         q, dq = self._q_polynomial(inside)
         return np.asarray(q + np.clip(s - inside, 0, None) * dq)
 
-    def _station_where_open(self, q_m: float) -> float:
+    def station_where_open(self, q_m: float) -> float:
         """Smallest station with opening(s) >= q_m; infinity for a road without exit."""
         if not self.has_exit:
             return float("inf")
@@ -182,12 +192,12 @@ class RoadPlan:
     @cached_property
     def nose_m(self) -> float:
         """Station of the nose, where the opening is one lane wide."""
-        return self._station_where_open(self.width_m)
+        return self.station_where_open(self.width_m)
 
     @cached_property
     def ramp_start_m(self) -> float | None:
         """Station where the shoulders have separated and the ramp begins; None if that is outside the scene."""
-        start = self._station_where_open(self.width_m + 2 * self.shoulder_m)
+        start = self.station_where_open(self.width_m + 2 * self.shoulder_m)
         return start if start <= S_END_M else None
 
     def ramp(self, s: Values) -> Values:

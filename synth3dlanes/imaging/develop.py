@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from synth3dlanes.geometry.camera import rays_of_pixels
 from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.imaging.falling import add_falling, add_spray
 from synth3dlanes.imaging.film import tonemap
@@ -47,9 +48,12 @@ def develop(
         stray = add_sun_glare(add_glow(linear), layers.depth_m, scene.light, light, view)
         linear = linear + np.float32(sensor.flare) * (stray - linear)
     if sensor.drops > 0:
-        linear = add_drops(linear, sensor.drops, scene.stream("drops"))
+        linear = add_drops(linear, sensor.drops, scene.glass_stream("drops"))
     if sensor.dirt > 0:
-        linear = add_dirt(linear, sensor.dirt, scene.stream("dirt"))
+        linear = add_dirt(linear, sensor.dirt, scene.glass_stream("dirt"))
+    if not view.camera.lens.is_pinhole:
+        is_seen = np.isfinite(rays_of_pixels(view.camera)).all(axis=-1, keepdims=True)
+        linear = np.where(is_seen, linear, np.float32(0))
     if sensor.noise > 0:
-        linear = add_noise(linear, sensor.noise, scene.stream("sensor_noise"))
+        linear = add_noise(linear, sensor.noise, scene.picture_stream("sensor_noise"))
     return tonemap(linear)

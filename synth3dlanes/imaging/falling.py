@@ -11,12 +11,13 @@ from jaxtyping import Float
 from PIL import Image as Pillow
 from PIL import ImageDraw
 
-from synth3dlanes.frames import invert, project, transform
-from synth3dlanes.imaging.lens import rays
+from synth3dlanes.frames import invert, transform
+from synth3dlanes.imaging.lens import points_away
 from synth3dlanes.scene import Scene
 from synth3dlanes.world import View
 
-# The host's speed, which tells the exposure's duration from the metres driven; without motion blur it is SHORTEST_S.
+# The host's speed in single pictures. It tells the exposure's duration from the metres driven; without motion blur it
+# is SHORTEST_S.
 SPEED_M_PER_S, SHORTEST_S = 25.0, 0.008
 # Headlights light what falls before the camera: radiance at 1 m per unit of its reflectance.
 LIT_BY_HEADLIGHTS = 4e-3
@@ -53,11 +54,11 @@ def add_falling(
 ) -> Image:
     """The picture with the scene's rain and snow in front of all that is not nearer; where they are follows from seed,
     split and index."""
-    weather, rng = scene.weather, scene.stream("falling")
+    weather, rng = scene.weather, scene.picture_stream("falling")
     for kind, strength in ((RAIN, weather.rain), (SNOW, weather.snowfall)):
         if strength > 0:
             share, nearness = _streaks(kind, strength, scene, view, rng)
-            lamps = LIT_BY_HEADLIGHTS * film * weather.headlights * nearness
+            lamps = LIT_BY_HEADLIGHTS * film * (weather.headlights and view.camera.looks_ahead) * nearness
             glow = (airlight * film).astype(np.float32) + lamps[..., None]
             share = share * (depth_m > NEAREST_M)
             linear = linear + share[..., None] * (glow - linear)
@@ -74,23 +75,30 @@ def _streaks(
     uv = (u[:, :2] * 1.2 - 0.1) * [camera.width_px, camera.height_px]
     y_m = np.cbrt(NEAREST_M**3 + (kind.farthest_m**3 - NEAREST_M**3) * u[:, 2])
     size_px = (kind.size_m[0] + (kind.size_m[1] - kind.size_m[0]) * u[:, 3] ** 2) * camera.fx_px / y_m
-    driven_m = scene.sensor.motion_blur_m or SPEED_M_PER_S * SHORTEST_S
-    wind = rng.normal(0, 0.15 * kind.m_per_s, 2) / SPEED_M_PER_S
-    way_road = driven_m * np.array([wind[0], wind[1] - 1, -kind.m_per_s / SPEED_M_PER_S])
+    speed_m_s = scene.shot.speed_m_s or SPEED_M_PER_S
+    driven_m = scene.sensor.motion_blur_m or speed_m_s * SHORTEST_S
+    # All pictures of a world have one wind.
+    is_one_of_many = scene.shot.n_frames * scene.shot.n_cameras > 1
+    wind = (scene.stream("wind") if is_one_of_many else rng).normal(0, 0.15 * kind.m_per_s, 2) / speed_m_s
+    way_road = driven_m * np.array([wind[0], wind[1] - 1, -kind.m_per_s / speed_m_s])
     way_cam = invert(view.road_from_cam)[:3, :3] @ way_road
-    points_cam = rays(camera, uv) * y_m[:, None]
-    ends = [project(view.img_from_cam, points_cam + sign * way_cam / 2) for sign in (-1, 1)]
+    points_cam = points_away(camera, uv, y_m)
+    ends = [view.project(points_cam + sign * way_cam / 2) for sign in (-1, 1)]
     size = camera.width_px * OVERSAMPLED, camera.height_px * OVERSAMPLED
     covered, near = Pillow.new("L", size), Pillow.new("L", size)
     draw, draw_near = ImageDraw.Draw(covered), ImageDraw.Draw(near)
     # Thin streaks cover a part of their pixels; long ones pass each pixel in a part of the exposure.
-    length_px = np.hypot(*(ends[1] - ends[0]).T)
+    corners_px = np.concatenate(ends, axis=1)
+    length_px = np.nan_to_num(np.hypot(*(ends[1] - ends[0]).T))
     thin = np.minimum(OVERSAMPLED * size_px, 1) * np.minimum(1, (4 * size_px + 2) / (length_px + 2))
     opacity = (255 * kind.opacity * thin).astype(int)
     widths = np.maximum(np.rint(OVERSAMPLED * size_px), 1).astype(int)
     nearness = np.clip(255 * (NEAREST_M / y_m) ** 2, 1, 255).astype(int)
-    corners = (OVERSAMPLED * np.concatenate(ends, axis=1)).round(1).tolist()
+    corners = (OVERSAMPLED * corners_px).round(1).tolist()
+    in_field = np.isfinite(corners_px).all(axis=1)
     for i in np.argsort(-y_m):
+        if not in_field[i]:
+            continue
         draw.line(corners[i], int(opacity[i]), int(widths[i]))
         draw_near.line(corners[i], int(nearness[i]), int(widths[i]))
     return _shrunk(covered), _shrunk(near) / np.float32(NEAREST_M**2)
@@ -114,7 +122,9 @@ def add_spray(
         place = transform(cam_from_world, transform(pose, np.array([[0.0, -behind_m, SPRAY_UP_M]])))
         if not 3 < place[0, 1] < FARTHEST_SPRAY_M:
             continue
-        (u, v), y_m = project(view.img_from_cam, place)[0], place[0, 1]
+        (u, v), y_m = view.project(place)[0], place[0, 1]
+        if np.isnan(u):
+            continue
         half = [half_m * view.camera.fx_px / y_m for half_m in SPRAY_HALF_M]
         left, right = (int(np.clip(u + side * 2.5 * half[0], 0, width_px)) for side in (-1, 1))
         top, bottom = (int(np.clip(v + side * 2.5 * half[1], 0, height_px)) for side in (-1, 1))

@@ -4,9 +4,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import gaussian_filter
 
-from synth3dlanes.frames import invert, project, transform
+from synth3dlanes.frames import invert, transform
 from synth3dlanes.imaging.daylight import Daylight
-from synth3dlanes.imaging.lens import tangents
+from synth3dlanes.imaging.lens import cosines
 from synth3dlanes.imaging.sky import sun_direction
 from synth3dlanes.scene import Light
 from synth3dlanes.world import View
@@ -33,18 +33,15 @@ def add_sun_glare(linear: Image, depth_m: Depth, light: Light, daylight: Dayligh
     direction_cam = view.world_from_cam[:3, :3].T @ sun_direction(light)
     if direction_cam[1] < np.cos(np.radians(FARTHEST_DEG)) or not daylight.sun.any():
         return linear
-    u, v = project(view.img_from_cam, direction_cam[None])[0]
+    u, v = view.project(direction_cam[None])[0]
     seen = _seen_share(depth_m, u, v)
     if seen == 0:
         return linear
-    x, z = tangents(view.camera)
-    cosine = (direction_cam[1] + direction_cam[0] * x + direction_cam[2] * z[:, None]) / np.sqrt(
-        1 + x * x + (z * z)[:, None]
-    )
-    angle_deg = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    angle_deg = np.degrees(np.arccos(np.clip(cosines(view.camera, direction_cam), -1, 1)))
     glare = (seen * daylight.film * daylight.sun).astype(np.float32)
     veil = VEIL / (angle_deg**2 + CORE_DEG**2)
-    return np.asarray(linear + (veil[..., None] + _ghosts(view, u, v)) * glare, np.float32)
+    ghosts = _ghosts(view, u, v) if np.isfinite(u) else np.float32(0)
+    return np.asarray(linear + (veil[..., None] + ghosts) * glare, np.float32)
 
 
 def _seen_share(depth_m: Depth, u: float, v: float) -> float:
@@ -77,7 +74,7 @@ def add_lamp_heads(
     heads_cam = transform(invert(view.world_from_cam), heads_world)
     heads_cam = heads_cam[heads_cam[:, 1] > 2]
     height_px, width_px = depth_m.shape
-    for (u, v), y_m in zip(project(view.img_from_cam, heads_cam).tolist(), heads_cam[:, 1].tolist(), strict=True):
+    for (u, v), y_m in zip(view.project(heads_cam).tolist(), heads_cam[:, 1].tolist(), strict=True):
         if not (0 <= u < width_px and 0 <= v < height_px) or depth_m[int(v), int(u)] < y_m - 1:
             continue
         radius_px = HEAD_M * view.camera.fx_px / y_m

@@ -6,10 +6,8 @@ Applies to linear radiance, before the tone curve.
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import Matrix4
-from synth3dlanes.imaging.lens import tangents
+from synth3dlanes.imaging.lens import azimuths, cosines
 from synth3dlanes.imaging.sky import AZIMUTH_RAD
-from synth3dlanes.scene import Camera
 from synth3dlanes.world import View
 
 KOSCHMIEDER = 3.912  # -log 0.02: 2 % of the contrast is left at the meteorological visibility
@@ -38,11 +36,11 @@ def through_air(
     nothing but haze it is treated as distant ground, because the denoiser leaves specks of leaves in it that fog must
     cover.
     """
-    in_sky = 1 - seen_through_haze(visibility_m, _rise(view.camera, view.world_from_cam))
+    in_sky = 1 - seen_through_haze(visibility_m, cosines(view.camera, view.world_from_cam[2, :3].astype(np.float32)))
     left = 1 - haze[..., 0] - (1 - haze[..., 1]) * in_sky**8
     ratios = (WAVELENGTHS_NM / GREEN_NM) ** -scattering_exponent(visibility_m)
     share = np.maximum(left, 0)[..., None] ** ratios.astype(np.float32)
-    behind = _airlight(airlight, view.camera, view.world_from_cam)
+    behind = _airlight(airlight, view)
     return np.asarray(behind + share * (radiance - behind))
 
 
@@ -51,17 +49,8 @@ def scattering_exponent(visibility_m: float) -> float:
     return float(np.interp(visibility_m / 1000, [1, 6, 50, 100], [0, 1.1, 1.3, 1.6]))
 
 
-def _rise(camera: Camera, world_from_cam: Matrix4) -> Float[np.ndarray, "h w"]:
-    """The sine of each pixel's elevation above the horizon."""
-    x, z = tangents(camera)
-    right_up, ahead_up, up_up = world_from_cam[2, :3].astype(np.float32)
-    return np.asarray((ahead_up + right_up * x + up_up * z[:, None]) / np.sqrt(1 + x * x + (z * z)[:, None]))
-
-
-def _airlight(airlight: Float[np.ndarray, "3 W"], camera: Camera, world_from_cam: Matrix4) -> Float[np.ndarray, "w 3"]:
-    """The airlight of every column of the image; each column is taken as one azimuth, as near the horizon."""
-    x, _ = tangents(camera)
-    rays_world = np.stack([x, np.ones_like(x), np.zeros_like(x)], axis=1) @ world_from_cam[:3, :3].T
-    azimuth = np.arctan2(rays_world[:, 1], rays_world[:, 0])
-    columns = [np.interp(azimuth, AZIMUTH_RAD[::-1], channel[::-1], period=2 * np.pi) for channel in airlight]
-    return np.stack(columns, axis=-1).astype(np.float32)
+def _airlight(airlight: Float[np.ndarray, "3 W"], view: View) -> Float[np.ndarray, "h w 3"]:
+    """The airlight behind every pixel."""
+    azimuth = azimuths(view.camera, view.world_from_cam)
+    channels = [np.interp(azimuth, AZIMUTH_RAD[::-1], channel[::-1], period=2 * np.pi) for channel in airlight]
+    return np.stack(channels, axis=-1).astype(np.float32)

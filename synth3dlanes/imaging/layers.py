@@ -1,9 +1,11 @@
 """What Blender returns: radiance and geometry per pixel, before haze, sensor and tone curve."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, UInt8, UInt16
+from jaxtyping import Bool, Float, UInt8, UInt16
+
+from synth3dlanes.settings import NO_HIT_DEPTH_M
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,3 +24,18 @@ class Layers:
     semantic: UInt8[np.ndarray, "h w"]
     instance: UInt16[np.ndarray, "h w"] | None = None
     normal: Float[np.ndarray, "h w 3"] | None = None
+
+    def only(self, is_seen: Bool[np.ndarray, "h w"]) -> "Layers":
+        """The layers of a lens that has a picture only there: black elsewhere, without depth, ids and normals."""
+        if is_seen.all():
+            return self
+        seen = is_seen[..., None]
+        return replace(
+            self,
+            radiance=np.where(seen, self.radiance, np.float32(0)),
+            haze=np.where(seen, self.haze, np.float32(0)),
+            depth_m=np.where(is_seen, self.depth_m, np.float32(NO_HIT_DEPTH_M)),
+            semantic=self.semantic * is_seen,
+            instance=None if self.instance is None else self.instance * is_seen,
+            normal=None if self.normal is None else np.where(seen, self.normal, np.float32(0)),
+        )

@@ -4,10 +4,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import map_coordinates
 
-from synth3dlanes.frames import project
-from synth3dlanes.geometry.camera import img_from_cam
+from synth3dlanes.geometry.camera import project
 from synth3dlanes.imaging.film import MIDDLE_GRAY, levels_per_radiance
-from synth3dlanes.imaging.lens import rays
+from synth3dlanes.imaging.lens import points
 from synth3dlanes.scene import Camera
 
 # Largest distance between samples along a pixel's motion, the shortest motion that is blurred, and most samples.
@@ -25,9 +24,8 @@ def motion_blur(
     and half after it. Each pixel averages along its own motion; pixels with infinite depth are unchanged."""
     v, u = np.nonzero(np.isfinite(depth_m))
     uv = np.column_stack([u, v]) + 0.5
-    image, depth = img_from_cam(camera), depth_m[v, u].astype(float)
-    points_cam = rays(camera, uv) * depth[:, None]
-    way_px = np.hypot(*(project(image, points_cam + driven_cam / 2) - project(image, points_cam - driven_cam / 2)).T)
+    points_cam = points(camera, uv, depth_m[v, u].astype(float))
+    way_px = np.hypot(*(project(camera, points_cam + driven_cam / 2) - project(camera, points_cam - driven_cam / 2)).T)
     moving = way_px > SHORTEST_PX
     if not moving.any():
         return linear
@@ -35,7 +33,7 @@ def motion_blur(
     n_taps = min(int(np.ceil(way_px[moving].max() / TAP_PX)) + 1, MAX_TAPS)
     total = np.zeros((len(u), 3), np.float32)
     for share in (np.arange(n_taps) + 0.5) / n_taps - 0.5:
-        columns, rows = project(image, points_cam + share * driven_cam).T - 0.5
+        columns, rows = project(camera, points_cam + share * driven_cam).T - 0.5
         for channel in range(3):
             total[:, channel] += map_coordinates(linear[..., channel], [rows, columns], order=1, mode="nearest")
     blurred = linear.copy()

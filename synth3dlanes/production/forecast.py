@@ -13,6 +13,8 @@ SECONDS_PER_PIXEL_SAMPLE, SECONDS_PER_PIXEL, SECONDS_PER_SCENE = 2.3e-6, 1.6e-6,
 BYTES_PER_PIXEL = {"jpg": 0.45, "png": 1.6}
 BYTES_PER_PIXEL_OF_PASS = {"depth": 2.4, "normal": 3.0, "semantic": 0.2, "instance": 0.4, "height": 0.3}
 BYTES_OF_TEXT = 80_000
+# Of a lidar.
+SECONDS_PER_RAY, BYTES_PER_RAY = 7e-6, 2.5
 # Until a worker has loaded Blender and its first scene.
 SECONDS_TO_START = 3.0
 # A joined shard lies there twice for a moment.
@@ -49,11 +51,16 @@ class Forecast:
 
 def forecast(recipe: Recipe, samples: int, workers: int) -> Forecast:
     """Time and size of `samples` more, from the measured costs of a pixel."""
-    camera, settings = recipe.params.camera, recipe.settings
-    pixels = camera.width_px.draw(0.5) * camera.height_px.draw(0.5)
+    settings, cameras = recipe.settings, recipe.cameras
+    pixels = sum(camera.width_px.draw(0.5) * camera.height_px.draw(0.5) for camera in cameras) / len(cameras)
     seconds = SECONDS_PER_SCENE + pixels * (SECONDS_PER_PIXEL + SECONDS_PER_PIXEL_SAMPLE * settings.samples)
-    per_pixel = BYTES_PER_PIXEL[recipe.image_format] + sum(BYTES_PER_PIXEL_OF_PASS[name] for name in settings.passes)
-    size = BYTES_OF_TEXT + int(pixels * per_pixel)
+    per_pixel = BYTES_PER_PIXEL[recipe.image_format] + sum(
+        BYTES_PER_PIXEL_OF_PASS.get(name, 0.0) for name in settings.passes
+    )
+    lidar = recipe.shots.lidar
+    rays = len(lidar.elevations_deg) * lidar.azimuths if lidar else 0
+    seconds += rays * SECONDS_PER_RAY
+    size = BYTES_OF_TEXT + int(pixels * per_pixel + rays * BYTES_PER_RAY)
     needed = (samples + min(samples, SHARD_SAMPLES)) * size
     start = SECONDS_TO_START if samples else 0.0
     return Forecast(samples, workers, start + samples * seconds / workers, samples * size, needed)

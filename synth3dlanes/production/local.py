@@ -14,6 +14,7 @@ import shutil
 import time
 from collections import Counter, deque
 from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import islice
 from pathlib import Path
 
 from synth3dlanes.dataset.format import key_of
@@ -55,6 +56,7 @@ class _Run:
         missing = {number: shard.missing(plan.n) for number, shard in shards.items()}
         self.left = {number: len(indices) for number, indices in missing.items()}
         self.todo = deque(("make", index) for indices in missing.values() for index in indices)
+        self.scenes: dict[int, int] = {}  # that workers have, by worker
         self.failures: Counter[int] = Counter()
         self.kills: Counter[int] = Counter()
         self.given_up: set[int] = set()
@@ -78,8 +80,9 @@ class _Run:
                 if not self.left[number] and shard.needs_join(plan.n):
                     self._join(number)
             while (self.todo and not tally.is_stopping) or pool.busy or self.joins:
-                while self.todo and not tally.is_stopping and pool.busy < pool.n and self._has_room():
-                    self._start(pool, *self.todo.popleft())
+                while self.todo and not tally.is_stopping and pool.idle and self._has_room():
+                    slot = pool.idle[0]
+                    self._start(pool, slot, *self._next(slot))
                 for outcome in pool.wait(POLL_S):
                     self._handle(outcome)
                 tally.acknowledge()
@@ -88,12 +91,24 @@ class _Run:
                 if time.monotonic() > tally.stop_by:
                     break
 
-    def _start(self, pool: Pool, kind: str, index: int) -> None:
+    def _next(self, slot: int) -> tuple[str, int]:
+        """Take the next task for a worker: of the scene that it has, else of one that no other has. What a worker has
+        drawn and built serves all pictures of a scene."""
+        shots, others = self.plan.recipe.shots, {scene for at, scene in self.scenes.items() if at != slot}
+        scenes = [shots.place(index).scene for _, index in islice(self.todo, (len(others) + 1) * shots.per_scene + 1)]
+        free = (at for at, scene in enumerate(scenes) if scene not in others)
+        at = scenes.index(self.scenes[slot]) if self.scenes.get(slot) in scenes else next(free, 0)
+        self.scenes[slot], task = scenes[at], self.todo[at]
+        del self.todo[at]
+        return task
+
+    def _start(self, pool: Pool, slot: int, kind: str, index: int) -> None:
         recipe = self.plan.recipe
         if kind == "make":
-            pool.start((kind, index), make_part, self.plan.maker, recipe, self._shard(index), index)
+            shard = self._shard(index)
+            pool.start((kind, index), make_part, self.plan.maker, recipe, shard, index, slot=slot)
         else:
-            pool.start((kind, index), scene_json, recipe, index)
+            pool.start((kind, index), scene_json, recipe, index, slot=slot)
 
     def _handle(self, outcome: Outcome) -> None:
         kind, index = outcome.task

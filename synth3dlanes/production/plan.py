@@ -16,6 +16,7 @@ from synth3dlanes.production.forecast import Forecast, forecast
 from synth3dlanes.production.recipe import Made, Recipe, make_sample
 from synth3dlanes.production.workers import Limits
 from synth3dlanes.settings import MAX_SAMPLES, SPLIT_NAME
+from synth3dlanes.traffic import check_way
 
 SHARD_SIZE = 1000
 
@@ -47,6 +48,7 @@ class Plan:
         ]
         if problems:
             raise InputError(*problems)
+        check_way(self.recipe.params.motion, self.recipe.shots)
 
     @property
     def destination(self) -> Destination:
@@ -76,12 +78,12 @@ class Plan:
     def text(self) -> str:
         """What is asked for, in a line."""
         (part, parts), recipe, settings = self.part, self.recipe, self.recipe.settings
-        sizes = recipe.params.camera.model_dump(include={"width_px", "height_px"})
         told = [
             f"{self.destination.place}/{recipe.split}: {self.n} samples",
+            *filter(None, [recipe.shots.text(self.n)]),
             *([f"part {part} of {parts}"] if parts > 1 else []),
             f"seed {recipe.seed}",
-            f"{sizes['width_px']}x{sizes['height_px']} px {recipe.image_format}",
+            f"{recipe.sizes} {recipe.image_format}",
             f"{settings.samples} samples per pixel",
             f"device {settings.device}",
             f"passes {', '.join(settings.passes) or 'none'}",

@@ -13,8 +13,10 @@ from jaxtyping import UInt8
 from synth3dlanes import __version__
 from synth3dlanes import scene as scene_module
 from synth3dlanes.assets.catalogue import BUILT_IN, KINDS, Library
+from synth3dlanes.cameras import CameraSpec
 from synth3dlanes.dataset.format import encode, member_names
 from synth3dlanes.dataset.write import Shard
+from synth3dlanes.distributions import form
 from synth3dlanes.errors import MissingPackageError
 from synth3dlanes.geometry.height_map import height_map
 from synth3dlanes.ground_truth import label
@@ -22,11 +24,13 @@ from synth3dlanes.imaging.daylight import daylight
 from synth3dlanes.imaging.develop import develop
 from synth3dlanes.imaging.layers import Layers
 from synth3dlanes.labels import Labels
-from synth3dlanes.params import Params
+from synth3dlanes.params import CameraParams, Params
 from synth3dlanes.production.workers import leave_if_orphaned
 from synth3dlanes.sample import sample_world
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import RenderSettings
+from synth3dlanes.shots import SINGLE, Shots
+from synth3dlanes.sweep import Sweep
 from synth3dlanes.world import View, World
 
 
@@ -40,10 +44,11 @@ class Recipe:
     settings: RenderSettings
     image_format: str
     library: Library = field(default=BUILT_IN, kw_only=True)
+    shots: Shots = field(default=SINGLE, kw_only=True)
 
     def world(self, index: int) -> World:
         """The world of sample `index`."""
-        return sample_world(self.params, self.seed, self.split, index, self.library.assets)
+        return sample_world(self.params, self.seed, self.split, index, self.library.assets, self.shots)
 
     def scene(self, index: int) -> Scene:
         """The scene of sample `index`."""
@@ -58,7 +63,19 @@ class Recipe:
             "render": asdict(self.settings),
             "params": self.params.model_dump(mode="json"),
             "assets": {kind: {own.name: asdict(own) for own in self.library.assets.own(kind)} for kind in KINDS},
+            **({} if self.shots == SINGLE else {"shots": self.shots.model_dump(mode="json")}),
         }
+
+    @property
+    def cameras(self) -> tuple[CameraSpec | CameraParams, ...]:
+        """The cameras that see every scene: those of the shots, or that of the parameters."""
+        return self.shots.cameras or (self.params.camera,)
+
+    @property
+    def sizes(self) -> str:
+        """The images' sizes, as in "480x360 px"."""
+        sizes = [f"{form(camera.width_px)}x{form(camera.height_px)}" for camera in self.cameras]
+        return f"{', '.join(dict.fromkeys(sizes))} px"
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -68,11 +85,13 @@ class Recipe:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """An image, its labels with `object_visible`, the passes asked for, and seconds spent by stage."""
+    """An image, its labels with `object_visible`, the passes asked for, the lidar's sweep if the scene has a lidar, and
+    seconds spent by stage."""
 
     image: UInt8[np.ndarray, "h w 3"]
     labels: Labels
     passes: dict[str, np.ndarray]
+    sweep: Sweep | None
     timings: dict[str, float]
 
 
@@ -108,7 +127,8 @@ def make_image(world: World, settings: RenderSettings, image_format: str, librar
     shot = take_picture(world, settings, library)
     start = time.perf_counter()
     text = scene_module.to_json(world.scene)
-    members = encode(shot.image, shot.labels, text, shot.passes, image_format, world.scene.sensor.jpeg_quality)
+    quality = world.scene.sensor.jpeg_quality
+    members = encode(shot.image, shot.labels, text, shot.passes, image_format, quality, shot.sweep)
     return Made(members, {**shot.timings, "encode": time.perf_counter() - start})
 
 
@@ -127,7 +147,7 @@ def take_picture(world: World, settings: RenderSettings, library: Library = BUIL
     image = develop(world.scene, view, light, rendering.layers, world.street_lamps)
     passes = _passes(world, view, rendering.layers, settings.passes)
     seconds = {"labels": labelled - start, "light": lit - labelled, "develop": time.perf_counter() - rendered}
-    return Picture(image, rendering.labels, passes, {**seconds, **rendering.timings})
+    return Picture(image, rendering.labels, passes, rendering.sweep, {**seconds, **rendering.timings})
 
 
 def _passes(world: World, view: View, layers: Layers, names: Sequence[str]) -> dict[str, np.ndarray]:

@@ -9,8 +9,10 @@ from synth3dlanes.assets.folder import require_assets
 from synth3dlanes.change import change_scene
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.errors import InputError
+from synth3dlanes.lidars import LidarSpec
 from synth3dlanes.production.recipe import make_image, require_blender
 from synth3dlanes.production.workers import Limits, call
+from synth3dlanes.sample import with_lidar
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import RenderSettings
 from synth3dlanes.sources import find_scene
@@ -21,26 +23,32 @@ PATIENCE = Limits(seconds=math.inf, rss_bytes=1 << 50)
 
 
 def render_file(
-    source: str, image_path: Path | None, changes: Sequence[str], settings: RenderSettings, library: Library
+    source: str,
+    image_path: Path | None,
+    changes: Sequence[str],
+    settings: RenderSettings,
+    library: Library,
+    lidar: LidarSpec | None = None,
 ) -> list[Path]:
-    """Render the scene of a file or of a sample (`DIR/SPLIT:KEY`), some factors changed; return the files written, the
-    image first.
+    """Render the scene of a file or of a sample (`DIR/SPLIT:KEY`), some factors changed or with another lidar; return
+    the files written, the image first.
 
     They are named as the members of a sample. The scene is among them only where it was changed.
     """
     require_blender()
     name, scene = find_scene(source)
-    scene = change_scene(scene, changes)
+    scene = with_lidar(change_scene(scene, changes), lidar)
+    is_changed = bool(changes or lidar)
     require_assets(scene.assets, library, source)
     image_path = image_path or Path(f"{name}.png")
     image_format = image_path.suffix.removeprefix(".")
     if image_format not in ("png", "jpg"):
         raise InputError(f"out {image_path}: expected a name that ends in .png or .jpg")
-    if changes and image_path.with_suffix(f".{SCENE}").resolve() == Path(source).resolve():
+    if is_changed and image_path.with_suffix(f".{SCENE}").resolve() == Path(source).resolve():
         raise InputError(f"out {image_path}: would overwrite {source} with the changed scene; name another")
     # Pinned as all workers are: on one core more than another, Cycles rounds some sums otherwise.
     members = render_members(scene, settings, image_format, library, source)
-    files = {image_path.with_suffix(f".{name}"): data for name, data in members.items() if changes or name != SCENE}
+    files = {image_path.with_suffix(f".{name}"): data for name, data in members.items() if is_changed or name != SCENE}
     image_path.parent.mkdir(parents=True, exist_ok=True)
     for path, data in files.items():
         path.write_bytes(data)

@@ -133,9 +133,14 @@ class Pool:
         """The processes that there are now."""
         return [worker.process.pid for worker in self._workers if worker]
 
-    def start(self, task: Any, function: Callable[..., Any], *args: Any) -> None:
-        """Give `function(*args)` to a worker that has nothing to do; `task` names it in its Outcome."""
-        slot = next(i for i, worker in enumerate(self._workers) if worker is None or worker.task is None)
+    @property
+    def idle(self) -> list[int]:
+        """The workers that have nothing to do, by number."""
+        return [slot for slot, worker in enumerate(self._workers) if worker is None or worker.task is None]
+
+    def start(self, task: Any, function: Callable[..., Any], *args: Any, slot: int | None = None) -> None:
+        """Give `function(*args)` to worker `slot`, or any that has nothing to do; `task` names it in its Outcome."""
+        slot = self.idle[0] if slot is None else slot
         worker = self._workers[slot]
         if worker is not None and worker.process.poll() is not None:
             self._retire(slot)

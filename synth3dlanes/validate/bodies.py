@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import ConvexHull
 
-from synth3dlanes.frames import invert, project, transform
+from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.bonnet import bonnet
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.world import World
@@ -17,6 +17,9 @@ NEAR_M = 0.3
 LOWEST_SUN_RAD, MAX_SHADOW_M = 0.05, 15.0
 # Margin for soft shadow edges and for mirrors.
 ROOM_PX = 3.0
+
+# Of a body in the field of a lens.
+MIN_CORNERS = 3
 
 Pixels = Float[np.ndarray, "n 2"]
 
@@ -40,7 +43,10 @@ def may_show_cars(world: World, camera: CameraLabel, uv: Pixels, within_m: float
         if points_cam[:, 1].max() < NEAR_M or points_cam[:, 1].min() > within_m:
             continue
         points_cam[:, 1] = np.maximum(points_cam[:, 1], NEAR_M)
-        outline = project(camera.img_from_cam, points_cam)
+        outline = camera.project(points_cam)
+        outline = outline[np.isfinite(outline).all(axis=1)]
+        if len(outline) < MIN_CORNERS:
+            continue
         near = ((uv > outline.min(axis=0) - ROOM_PX) & (uv < outline.max(axis=0) + ROOM_PX)).all(axis=1) & ~hidden
         if near.any():
             sides = ConvexHull(outline).equations

@@ -13,14 +13,14 @@ number of pixels. Slices are skipped near cars, trees or other lines, at ends of
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Integer, UInt8
 from scipy.interpolate import CubicSpline
 
-from synth3dlanes.frames import project
-from synth3dlanes.labels import CameraLabel, Labels, Lane
+from synth3dlanes.labels import MASKS, CameraLabel, Labels, Lane
 from synth3dlanes.settings import FIRST_DELIMITER_ID
 from synth3dlanes.validate.paint import Paint
 
@@ -41,8 +41,9 @@ Points = Float[np.ndarray, "n 3"]
 
 
 class Offset(NamedTuple):
-    """The paint of one line by slice: its position, its number of paint pixels, and the sum of their offsets to the
-    right of the label in metres. `image_offsets` gives one slice for the whole line, with one pixel per row."""
+    """The paint of one line by slice, from near to far: its position, its number of paint pixels, and the sum of their
+    offsets to the right of the label, as the camera looks, in metres. `image_offsets` gives one slice for the whole
+    line, with one pixel per row."""
 
     lane: Lane
     points_cam: Points
@@ -89,8 +90,16 @@ class View(NamedTuple):
 
 
 def line_views(paint: Paint, labels: Labels) -> list[View]:
-    """One view of every delimiter, in the labels' order."""
-    return [_view(paint, labels.camera, lane) for lane in labels.lanes if lane.kind == "delimiter"]
+    """One view of every delimiter, in the labels' order; of those that come towards the camera, from their ends."""
+    return [_view(paint, labels.camera, _going_away(lane)) for lane in labels.lanes if lane.kind == "delimiter"]
+
+
+def _going_away(lane: Lane) -> Lane:
+    """The lane with its points from near to far where the camera sees it."""
+    seen = np.flatnonzero(lane.visible)
+    if not seen.size or lane.xyz_cam[seen[-1], 1] >= lane.xyz_cam[seen[0], 1]:
+        return lane
+    return replace(lane, **{name: getattr(lane, name)[::-1] for name in ("xyz_cam", *MASKS)})
 
 
 def paint_offsets(views: Sequence[View], instance: Integer[np.ndarray, "h w"]) -> Iterator[Offset]:
@@ -171,7 +180,7 @@ def _slices(paint: Paint, camera: CameraLabel, lane: Lane, half_m: float) -> Sli
     length = np.concatenate([[0.0], length])
     points_cam = CubicSpline(length, lane.xyz_cam)(np.interp(at, np.arange(len(length)), length))
     strip = paint.strip(camera, lane, points_cam)
-    left, right = (project(camera.img_from_cam, points_cam + side_m * strip.across_cam) for side_m in (-half_m, half_m))
+    left, right = (camera.project(points_cam + side_m * strip.across_cam) for side_m in (-half_m, half_m))
     shows = np.isin(at[:-1].astype(int), steps) & strip.painted[:-1] & strip.painted[1:]
     # Only stretches that go up in the image, so that a row cuts the line once.
     shows &= (np.diff(left[:, 1]) < 0) & (np.diff(right[:, 1]) < 0)

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from synth3dlanes.frames import invert, project, transform
+from synth3dlanes.frames import invert, transform
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.bodies import may_show_cars
@@ -52,14 +52,15 @@ def check_colours(
 def _terrain_img(world: World, camera: CameraLabel) -> Float[np.ndarray, "n 2"]:
     """Pixels that show terrain, unless a tree or hill hides it."""
     ground = world.ground
-    s, ahead = ground.plan.plan_station(world.scene.camera.y_m + AHEAD_M), len(AHEAD_M)
+    away_m = np.concatenate([-AHEAD_M, AHEAD_M]) if ground.both_ways else AHEAD_M
+    s, ahead = ground.plan.plan_station(world.view.camera.y_m + away_m), len(away_m)
     aside = np.concatenate([ground.left_edge_m - ASIDE_M, ground.edge_m + ASIDE_M])
     xy = ground.plan.main_xy(np.tile(s, len(aside)), np.repeat(aside, ahead))
     xy = xy[ground.clearance(xy) > CLEAR_M]
     points_world = np.column_stack([xy, ground.height(xy)])
     points_world = points_world[~meet(structure_boxes(world).boxes, camera.world_from_cam[:3, 3], points_world)]
     points_cam = transform(invert(camera.world_from_cam), points_world)
-    uv = project(camera.img_from_cam, points_cam)
+    uv = camera.project(points_cam)
     with np.errstate(invalid="ignore"):
         uv = uv[((uv >= 0) & (uv < [camera.width_px, camera.height_px])).all(axis=1)]
     return uv[~may_show_cars(world, camera, uv, AHEAD_M[-1])]

@@ -14,10 +14,11 @@ from jaxtyping import UInt8
 
 from synth3dlanes import labels as labels_module
 from synth3dlanes import scene as scene_module
-from synth3dlanes.dataset.format import HEIGHT, LABELS, PASSES, SCENE, decode_image, read_passes
+from synth3dlanes.dataset.format import HEIGHT, LABELS, LIDAR, PASSES, SCENE, decode_image, read_passes, read_sweep
 from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
+from synth3dlanes.sweep import Sweep
 from synth3dlanes.validate.documents import differences, some
 from synth3dlanes.validate.findings import Finding
 from synth3dlanes.validate.passes_proof import Passes
@@ -29,12 +30,13 @@ Read = TypeVar("Read")
 
 
 class Contents(NamedTuple):
-    """A sample's members; None for those that cannot be read."""
+    """A sample's members; None for those that cannot be read, and for the sweep of samples without a lidar."""
 
     scene: Scene | None
     labels: Labels | None
     image: UInt8[np.ndarray, "h w 3"] | None
     passes: Passes | None
+    sweep: Sweep | None
 
 
 def read_contents(members: Mapping[str, bytes]) -> tuple[Contents, list[Finding]]:
@@ -48,14 +50,20 @@ def read_contents(members: Mapping[str, bytes]) -> tuple[Contents, list[Finding]
             findings.append(Finding("", some(str(error).splitlines())))
             return None
 
+    def sweep(data: bytes, name: str) -> Sweep | None:
+        if labels is None:
+            return None
+        if labels.lidar is None:
+            raise FormatError(f"{name}: expected none, as the labels have no lidar")
+        return read_sweep(data, name, labels.lidar)
+
     image_name = next(iter(members))
     pictures = [read(name, _passes) for name in (PASSES, HEIGHT) if name in members]
     passes = {name: pixels for found in pictures if found is not None for name, pixels in found.items()}
     is_read = not any(found is None for found in pictures)
-    return (
-        Contents(read(SCENE, _scene), read(LABELS, _labels), read(image_name, _image), passes if is_read else None),
-        findings,
-    )
+    scene, labels, image = read(SCENE, _scene), read(LABELS, _labels), read(image_name, _image)
+    found = read(LIDAR, sweep) if LIDAR in members else None
+    return Contents(scene, labels, image, passes if is_read else None, found), findings
 
 
 def _scene(data: bytes, name: str) -> Scene:
@@ -97,7 +105,8 @@ def _passes(data: bytes, name: str) -> Passes:
     if said.getvalue():
         raise FormatError(f"{name}: expected an OpenEXR image, got a warning: {' '.join(said.getvalue().split())}")
     for pass_name, values in passes.items():
-        is_number = values > 0 if pass_name == "depth" else np.isfinite(values)
+        # Behind the camera, where a fisheye may see, depths are negative.
+        is_number = (values > -np.inf) & (values != 0) if pass_name == "depth" else np.isfinite(values)
         if not is_number.all():
             told = "distances or infinity" if pass_name == "depth" else "finite numbers"
             raise FormatError(f"{name}: {pass_name}: expected {told}, got another at {(~is_number).sum()} places")

@@ -8,9 +8,10 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import invert, transform
+from synth3dlanes.frames import Matrix4, invert, transform, turned
 from synth3dlanes.geometry.placement import HOST_SIZE_M, footprint, overlaps_any
-from synth3dlanes.labels import Labels, Lane
+from synth3dlanes.labels import CameraLabel, Labels, Lane
+from synth3dlanes.scene import Scene
 from synth3dlanes.validate.findings import Finding
 from synth3dlanes.world import World
 
@@ -19,12 +20,12 @@ LAW_M = 0.001
 
 def check_host(world: World, labels: Labels) -> Iterator[Finding]:
     """Findings about the host's position."""
-    camera = world.scene.camera
+    camera = world.view.camera
     segment = world.scene.road.segments_at(camera.y_m)[camera.lane - 1]
     paths = next((found.centerlines for found in labels.graph.segments if found.id == segment), ())
     lanes = [lane for lane in labels.lanes if lane.id in paths]
-    world_from_road = labels.camera.world_from_cam @ invert(labels.camera.road_from_cam)
-    foot, ahead = world_from_road[:2, 3], world_from_road[:2, 1]
+    world_from_host = host_of(world.scene, labels.camera)
+    foot, ahead = world_from_host[:2, 3], world_from_host[:2, 1]
     asides_m = [aside_m for lane in lanes for aside_m in _asides(labels, lane, foot)]
     if not asides_m:
         yield Finding("", f"host: expected a centre line of its lane {segment}, got none")
@@ -41,11 +42,19 @@ def check_host(world: World, labels: Labels) -> Iterator[Finding]:
             yield Finding("", f"cars.{i}: overlaps the host's body")
 
 
+def host_of(scene: Scene, camera: CameraLabel) -> Matrix4:
+    """The host's road frame, from the labels' camera and its place on the host."""
+    place = turned(0.0, scene.camera.right_m, scene.camera.forward_m)
+    return np.asarray(camera.world_from_cam @ invert(camera.road_from_cam) @ invert(place))
+
+
 def _asides(labels: Labels, lane: Lane, foot: Float[np.ndarray, "2"]) -> tuple[float, float]:
-    """Two estimates of how far right of a lane a point near the lane's start is: the distance to the line through the
-    lane's first two points, and the signed distance to its first point (for a lane that opens, which is not parallel
+    """Two estimates of how far right of a lane a point beside it is: the distance to the line through the lane's point
+    nearest to it and the next one, and the signed distance to that point (for a lane that opens, which is not parallel
     to the road)."""
-    first, second = transform(labels.camera.world_from_cam, lane.xyz_cam[:2])[:, :2]
+    points = transform(labels.camera.world_from_cam, lane.xyz_cam)[:, :2]
+    nearest = min(int(np.hypot(*(points - foot).T).argmin()), len(points) - 2)
+    first, second = points[nearest : nearest + 2]
     (dx, dy), (x, y) = (second - first) / np.linalg.norm(second - first), foot - first
     across_m = float(x * dy - y * dx)
     return across_m, float(np.copysign(np.hypot(x, y), across_m))

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
 from scipy.spatial import ConvexHull, cKDTree
 
-from synth3dlanes.frames import invert, project, transform
+from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.solids import SURFACES
 from synth3dlanes.geometry.terrain import gradient_at, height_at
 from synth3dlanes.labels import CameraLabel, Labels
@@ -47,6 +47,8 @@ FILL, OWN_FILL = (0.5, 0.95), (0.2, 1.0)
 MAX_SHARE_OFF, SLACK_PX = 0.25, 6
 # A car with a corner nearer than this is too close for an estimate from its box.
 MIN_CORNER_M = 0.5
+# So are those that reach farther aside than this cosine of the angle from the viewing axis: pixels there are stretched.
+WIDE = 0.4
 
 # All structures count as one kind here, the first of SURFACES.
 STRUCTURE, STRUCTURES = SURFACES[0], [SEMANTIC_IDS[name] for name in SURFACES]
@@ -238,9 +240,11 @@ def _seen_share(world: World, camera: CameraLabel, car: int, n_px: int) -> tuple
     low, high = (corner / CAR_ROOM * world.scene.cars[car].scale for corner in _box(world, car))
     corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1)), axis=-1).reshape(-1, 3)
     corners_cam = transform(invert(camera.world_from_cam), transform(world.view.world_from_cars[car], corners))
-    if corners_cam[:, 1].min() < MIN_CORNER_M:
+    is_wide = corners_cam[:, 1] < WIDE * np.linalg.norm(corners_cam, axis=1)
+    uv = camera.project(corners_cam)
+    if corners_cam[:, 1].min() < MIN_CORNER_M or is_wide.any() or np.isnan(uv).any():
         return 0.0, float(n_px > 0)
-    box_px = float(ConvexHull(project(camera.img_from_cam, corners_cam)).volume)
+    box_px = float(ConvexHull(uv).volume)
     least, most = OWN_FILL if world.scene.assets.cars else FILL
     return max(n_px - SLACK_PX, 0) / (most * box_px), min((n_px + SLACK_PX) / (least * box_px), 1.0)
 

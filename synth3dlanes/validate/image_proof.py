@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, UInt8
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
-from synth3dlanes.frames import project, transform
+from synth3dlanes.frames import transform
 from synth3dlanes.labels import CameraLabel, Labels, Lane
 from synth3dlanes.validate.bodies import may_show_cars
 from synth3dlanes.validate.findings import PROOF_M, Finding, Measure
@@ -23,6 +23,7 @@ from synth3dlanes.validate.paint import Paint, Strip
 from synth3dlanes.validate.places import places
 from synth3dlanes.world import World
 
+LEAST_PX_PER_M = 1e-3
 # Half the length of a profile, and its step, which resolves the narrowest paint (0.1 m).
 REACH_M, STEP_M = 1.0, 0.025
 # Ridges are searched up to this offset; beyond it the profile may contain the next line's paint.
@@ -141,7 +142,7 @@ def _lines(paint: Paint, camera: CameraLabel, cuts: Sequence[Cut]) -> Iterator[L
     if not cuts:
         return
     ends_cam = np.concatenate([cut.ends_cam for cut in cuts])
-    uv = project(camera.img_from_cam, ends_cam.reshape(-1, 3))
+    uv = camera.project(ends_cam.reshape(-1, 3))
     is_clear = ~may_show_cars(paint.world, camera, uv, PROOF_M).reshape(-1, 3).any(axis=1)
     is_clear &= ~_near_symbols(paint.world, transform(camera.world_from_cam, ends_cam[:, 1]))
     some = np.arange(0, len(ends_cam), ROOM_EVERY)
@@ -157,6 +158,8 @@ def _lines(paint: Paint, camera: CameraLabel, cuts: Sequence[Cut]) -> Iterator[L
             ridges = _ridges(cut.profiles[clear], paint.width_m(cut.lane), paint.stripes_m(cut.lane))
             ridges[:, (-left_m > PLACES_M) | (right_m < PLACES_M)] = 0.0
             px_per_m = (u_px[clear, 2] - u_px[clear, 0]) / (2 * REACH_M)
+            # A line across the view, as cameras that look aside see it, has its profiles along columns.
+            px_per_m = np.where(np.abs(px_per_m) < LEAST_PX_PER_M, LEAST_PX_PER_M, px_per_m)
             yield Line(cut.lane, u_px[clear, 1], px_per_m, cut.ends_cam[clear, 1, 1], ridges)
 
 
@@ -213,15 +216,17 @@ def _strengths(line: Line, width_px: int) -> Float[np.ndarray, "a b"]:
 
 
 def _every_pixel(camera: CameraLabel, lane: Lane) -> Float[np.ndarray, "n 3"]:
-    """Points about one pixel apart in the image along the visible part of a line; perspective is linear in 1/y."""
+    """Points about one pixel apart in the image along the visible part of a line; perspective is linear in 1/y,
+    and about so in 1/distance through lenses."""
     seen = lane.visible & (lane.xyz_cam[:, 1] < PROOF_M)
-    uv = project(camera.img_from_cam, lane.xyz_cam)
+    uv = camera.project(lane.xyz_cam)
     pieces = [np.zeros((0, 3))]
     for i in np.flatnonzero(seen[:-1] & seen[1:]):
         a, b = lane.xyz_cam[i : i + 2]
         n = max(1, int(np.hypot(*(uv[i + 1] - uv[i]))))
         share = (np.arange(n) + 0.5) / n
-        share = share * a[1] / (b[1] + share * (a[1] - b[1]))
+        near, far = (a[1], b[1]) if camera.lens.is_pinhole else (np.linalg.norm(a), np.linalg.norm(b))
+        share = share * near / (far + share * (near - far))
         pieces.append(a + share[:, None] * (b - a))
     return np.concatenate(pieces)
 
@@ -230,7 +235,7 @@ def _profiles(camera: CameraLabel, strip: Strip, luma: Float[np.ndarray, "h w"])
     """Brightness profiles across the line at its resolved points; NaN outside the image."""
     at = strip.resolved
     points = strip.points_cam[at, None] + OFFSETS_M[:, None] * strip.across_cam[at, None]
-    u, v = project(camera.img_from_cam, points.reshape(-1, 3)).T
+    u, v = camera.project(points.reshape(-1, 3)).T
     height_px, width_px = luma.shape
     with np.errstate(invalid="ignore"):
         inside = (u >= 0) & (u <= width_px) & (v >= 0) & (v <= height_px)

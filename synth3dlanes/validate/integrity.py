@@ -127,7 +127,7 @@ def check_row(entry: Entry, scene: Scene, labels: Labels) -> Iterator[Finding]:
     parquet = _parquet_of(entry.tar)
     found = _read_index(parquet).slice(entry.row, 1).to_pylist()[0]
     expected = index_row(key_of(entry.index), entry.members, entry.sha256, scene, labels)
-    wrong = list(differences(expected, {name: found[name] for name in SCHEMA.names}))
+    wrong = list(differences(expected, {name: found.get(name) for name in dict.fromkeys([*SCHEMA.names, *expected])}))
     if wrong:
         yield Finding("", f"{_place(parquet)}: {some(wrong)}")
 

@@ -40,8 +40,7 @@ def check_normals(camera: CameraLabel, passes: Passes) -> Iterator[Finding]:
             yield Finding("", f"normal: expected zero in the sky and only there, got otherwise at {wrong} pixels")
     if "semantic" in some:
         rows, columns = step * np.indices(length.shape) + 0.5
-        rays_cam = np.stack([columns, rows, np.ones(rows.shape)], axis=-1) @ np.linalg.inv(camera.img_from_cam).T
-        away = (rays_cam * some["normal"]).sum(axis=2) > AWAY * np.linalg.norm(rays_cam, axis=2)
+        away = (camera.rays(np.stack([columns, rows], axis=-1)) * some["normal"]).sum(axis=2) > AWAY
         for name in KINDS:
             of_kind = away[some["semantic"] == SEMANTIC_IDS[name]]
             if len(of_kind) >= MIN_PIXELS and of_kind.mean() > MAX_AWAY:

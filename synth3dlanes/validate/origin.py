@@ -21,6 +21,7 @@ from synth3dlanes.params import Params
 from synth3dlanes.sample import sample_scene
 from synth3dlanes.scene import Scene
 from synth3dlanes.schema import Part, validation_problems
+from synth3dlanes.shots import SINGLE, Place, Shots
 from synth3dlanes.validate.documents import NAMED_AT_MOST, differences, some
 from synth3dlanes.validate.findings import Problem
 
@@ -66,6 +67,7 @@ class Origin(Part):
     seed: Annotated[int, Field(ge=0)]
     params: Params
     assets: Annotated[Assets, BeforeValidator(_in_order)] = Assets()
+    shots: Shots = SINGLE
     derived: Derived | None = None
 
     def fault(self, scene: Scene, split: str, index: int) -> str:
@@ -80,8 +82,9 @@ class Origin(Part):
 
     def _drawn(self, scene: Scene, split: str, index: int) -> Scene:
         if self.derived is None:
-            return sample_scene(self.params, self.seed, split, index, self.assets)
-        drawn = sample_scene(self.params, self.seed, scene.split, scene.index, self.assets)
+            return sample_scene(self.params, self.seed, split, index, self.assets, self.shots)
+        index = self.shots.index(Place(scene.index, scene.shot.frame, scene.shot.camera))
+        drawn = sample_scene(self.params, self.seed, scene.split, index, self.assets, self.shots)
         return change_scene(drawn, self.derived.changes(split))
 
 

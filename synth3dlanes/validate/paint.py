@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from synth3dlanes.frames import project, transform
+from synth3dlanes.frames import transform
 from synth3dlanes.geometry.lanes import Curve
 from synth3dlanes.geometry.paint import DOTS_M, is_dotted, line_width_m, painted_rows, stripes_m
 from synth3dlanes.geometry.terrain import gradient_at
@@ -67,7 +67,7 @@ class Paint:
         for id_, curve in self._curves.items():
             rows = painted_rows(world.ground, curve, scene.stream)
             # Far dots are merged into dashes that are too narrow to be checked.
-            is_near = world.plan.plan_station(rows.s[1:]) < scene.camera.y_m + DOTS_M
+            is_near = np.abs(world.ground.ahead_m(world.plan.plan_station(rows.s[1:]))) < DOTS_M
             painted = rows.painted & (is_near | (not is_dotted(curve, scene.markings)))
             self._stretches[id_] = _merged(np.column_stack([rows.s[:-1], rows.s[1:]])[painted])
 
@@ -82,7 +82,7 @@ class Paint:
         across /= np.linalg.norm(across, axis=1, keepdims=True)
         half_m = self.width_m(lane.id) / 2
         left, right, behind, ahead = (
-            project(camera.img_from_cam, points_cam + step)
+            camera.project(points_cam + step)
             for step in (-half_m * across, half_m * across, -0.01 * along, 0.01 * along)
         )
         side, course = right - left, ahead - behind

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int, Integer, Shaped
 from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 from scipy.spatial import cKDTree
 
-from synth3dlanes.frames import project, transform
+from synth3dlanes.frames import transform
 from synth3dlanes.geometry import height_map
 from synth3dlanes.geometry.solids import SURFACES
 from synth3dlanes.labels import CameraLabel, Labels, Lane
@@ -69,7 +69,7 @@ def prove_passes(paint: Paint, labels: Labels, passes: Passes) -> tuple[list[Fin
     measures: list[Measure] = []
     marked = _marked(passes) if {"semantic", "instance"} & set(passes) else None
     for lane in labels.lanes:
-        uv = project(labels.camera.img_from_cam, lane.xyz_cam)
+        uv = labels.camera.project(lane.xyz_cam)
         strip = paint.strip(labels.camera, lane, lane.xyz_cam)
         found = []
         if marked and lane.kind == "delimiter":
@@ -125,7 +125,7 @@ def _paint(
         return Measure("paint_px", lane.xyz_cam[at, 1], farthest + max(marked.shape))
     for aside_m in stripes_m:
         points_cam = strip.points_cam[at] + aside_m * strip.across_cam[at]
-        uv = project(camera.img_from_cam, points_cam)
+        uv = camera.project(points_cam)
         inside = ((uv >= 0) & (uv <= marked.shape[::-1])).all(axis=1)
         if len(stripes_m) > 1:
             inside &= ~_may_be_hidden(points_cam, uv, marked.shape, passes)
@@ -215,8 +215,8 @@ def _sight(camera: CameraLabel, lane: Lane, strip: Strip, uv: Pixels, passes: Pa
 def _own_depth(camera: CameraLabel, strip: Strip, rows: Places, columns: Places) -> Float[np.ndarray, "k n"]:
     """The depth that pixels around points would have without occlusion: that of the surface's tangent plane at the
     point, but at most the point's own depth."""
-    pixels = np.stack([columns + 0.5, rows + 0.5, np.ones(rows.shape)], axis=-1)
-    rays_cam = pixels @ np.linalg.inv(camera.img_from_cam).T
+    pixels = np.stack([columns, rows], axis=-1) + 0.5
+    rays_cam = camera.points(pixels, np.ones(rows.shape))
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = (strip.points_cam * strip.normal_cam).sum(axis=1) / (rays_cam * strip.normal_cam).sum(axis=2)
     y_m = strip.points_cam[:, 1]

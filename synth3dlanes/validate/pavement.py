@@ -74,8 +74,7 @@ def unproject(
     columns: Int[np.ndarray, " n"],
 ) -> Points:
     """The points at the centres of pixels. Camera frame."""
-    pixels = np.column_stack([columns + 0.5, rows + 0.5, np.ones(len(rows))])
-    return pixels @ np.linalg.inv(camera.img_from_cam).T * depth_m[rows, columns, None].astype(float)
+    return camera.points(np.column_stack([columns, rows]) + 0.5, depth_m[rows, columns].astype(float))
 
 
 def prove_pavement(world: World, labels: Labels, passes: Passes) -> tuple[list[Finding], list[Measure]]:

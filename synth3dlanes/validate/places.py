@@ -47,7 +47,7 @@ class Places:
         raised = np.zeros(self.s.shape)
         on_exit = self._outside_exit() < np.minimum(self._outside_main(), CUT_M)
         if plan.ramp_start_m is not None and on_exit.any():
-            rows = np.sort(plan.plan_station(meshes.road_stations(self.ground.near_m)))
+            rows = np.sort(plan.plan_station(meshes.road_stations(self.ground)))
             raised[on_exit] = np.interp(self.exit_s[on_exit], rows, plan.ramp(rows))
         return raised
 

@@ -29,6 +29,8 @@ MEASURES = {
     "depth_m": "metres along y between label points and the rendered surface (depth pass)",
     "surface_m": "metres along the normal between label points and the rendered surface (depth pass)",
     "height_m": "metres between label points on the main road and the height map",
+    "lidar_ground_m": "metres between lidar points on the pavement and the world's ground, by their range",
+    "lidar_depth_m": "metres of range between lidar points and the depth pass",
     "terrain_visible": "share of points whose terrain_visible the passes contradict",
     "object_visible": "share of points whose object_visible the passes contradict",
     "clipped_share": "share of the image's pixels with a channel at 0 or 255",

@@ -10,14 +10,18 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from synth3dlanes.dataset.address import connect, splits_near, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION, Description, data_set_of, parse_description, recipe_text
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.geometry import height_map
+from synth3dlanes.geometry.camera import rays_of_pixels
 from synth3dlanes.ground_truth import label
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
+from synth3dlanes.sweep import Sweep
 from synth3dlanes.validate.alignment import check_alignment
 from synth3dlanes.validate.colours import check_colours
 from synth3dlanes.validate.contents import read_contents
@@ -30,6 +34,7 @@ from synth3dlanes.validate.host import check_host
 from synth3dlanes.validate.ids import prove_ids
 from synth3dlanes.validate.image_proof import prove_image
 from synth3dlanes.validate.integrity import Entry, check_presence, check_row, check_shard, read_sample
+from synth3dlanes.validate.lidar import prove_lidar
 from synth3dlanes.validate.normals import check_normals
 from synth3dlanes.validate.obstacles import check_objects
 from synth3dlanes.validate.origin import Origin, drawn_otherwise, made_otherwise, read_origin
@@ -52,6 +57,8 @@ NO_GEOMETRY = (
 
 # Coarser JPEG has no detail of single pixels; after civil twilight edges beyond the headlights are not seen.
 SHARP_JPEG, DARK_RAD = 90, 1.68
+# Sine of the yaw from which on motion blur runs across the image.
+ASIDE = 0.3
 
 Map = Callable[..., Iterator[Any]]
 
@@ -171,14 +178,14 @@ def _check_shards(
 def check_sample(place: str, origin: Origin | None, description: Description, entry: Entry) -> Checked:
     """All findings of one sample; saves its picture if there are any. Without `origin` its scene is not drawn again."""
     members, fault = read_sample(entry)
-    (scene, labels, image, passes), unread = read_contents(members)
+    (scene, labels, image, passes, sweep), unread = read_contents(members)
     findings = [*([Finding("", fault)] if fault else []), *unread]
     digest = "" if scene is None else world_digest(scene)
     redrawn = "" if scene is None or origin is None else origin.fault(scene, entry.split, entry.index)
     if scene is None or labels is None or image is None or passes is None:
         return Checked(entry.name, digest, redrawn, findings)
     misshapen = [*_pictures(scene, description, image, passes), *check_shape(scene, labels)]
-    proved = [] if misshapen else list(_prove(entry, resolve(scene), labels, image, passes))
+    proved = [] if misshapen else list(_prove(entry, resolve(scene), labels, image, passes, sweep))
     findings += [*misshapen, *(finding for proof in proved for finding in proof.findings)]
     if findings:
         save_picture(place, entry.name.replace(":", "-"), image if misshapen else draw(image, labels))
@@ -188,7 +195,9 @@ def check_sample(place: str, origin: Origin | None, description: Description, en
     )
 
 
-def _prove(entry: Entry, world: World, labels: Labels, image: Picture, passes: Passes) -> Iterator[Proved]:
+def _prove(
+    entry: Entry, world: World, labels: Labels, image: Picture, passes: Passes, sweep: Sweep | None
+) -> Iterator[Proved]:
     """Run every check. A scene without valid geometry, or a check that fails with an error, is a finding."""
     try:
         truth, paint = label(world, world.view), Paint(world)
@@ -196,7 +205,7 @@ def _prove(entry: Entry, world: World, labels: Labels, image: Picture, passes: P
         found = f"{type(error).__name__} {error}"
         yield Proved([Finding("", f"{SCENE}: expected a world whose lanes can be computed, got {found}")])
         return
-    for name, proof in _proofs(entry, paint, truth, labels, image, passes).items():
+    for name, proof in _proofs(entry, paint, truth, labels, image, passes, sweep).items():
         try:
             yield proof()
         except NO_GEOMETRY as error:
@@ -204,11 +213,12 @@ def _prove(entry: Entry, world: World, labels: Labels, image: Picture, passes: P
 
 
 def _proofs(
-    entry: Entry, paint: Paint, truth: Labels, labels: Labels, image: Picture, passes: Passes
+    entry: Entry, paint: Paint, truth: Labels, labels: Labels, image: Picture, passes: Passes, sweep: Sweep | None
 ) -> dict[str, Callable[[], Proved]]:
     """The checks of a sample by name: first those of index, scene and labels, then those of pixels."""
     world, scene = paint.world, paint.world.scene
     is_lit = scene.light.sun_zenith_rad < DARK_RAD
+    is_smeared = scene.sensor.motion_blur_m > 0 and abs(np.sin(scene.camera.yaw_rad)) > ASIDE
     proofs = {
         "index": lambda: Proved([*check_row(entry, world.scene, labels)]),
         "labels": lambda: Proved([*check_values(world.scene, truth, labels)]),
@@ -218,6 +228,8 @@ def _proofs(
         "frame": lambda: Proved(*check_frame(image, passes)),
         "standing": lambda: Proved(*check_ground_contact(world, labels, passes)),
     }
+    if sweep is not None:
+        proofs["lidar"] = lambda: Proved(*prove_lidar(world, sweep, passes))
     if not points_to_pixels(labels):
         return proofs
     return proofs | {
@@ -225,13 +237,14 @@ def _proofs(
         "image": lambda: Proved(*prove_image(paint, labels, image)),
         "sharpness": lambda: Proved([*check_sharpness(image)] if scene.sensor.jpeg_quality >= SHARP_JPEG else []),
         "colours": lambda: Proved([*check_colours(world, labels.camera, image, passes)]),
-        "alignment": lambda: Proved([*check_alignment(image, passes)] if paint.shows and is_lit else []),
+        "alignment": lambda: Proved([*check_alignment(image, passes, is_smeared)] if paint.shows and is_lit else []),
         "pavement": lambda: Proved(*prove_pavement(world, labels, passes)),
         "hills": lambda: Proved([*check_hills(world, labels, passes)]),
         "normals": lambda: Proved([*check_normals(labels.camera, passes)]),
         "ids": lambda: Proved(*prove_ids(paint, labels, passes)),
         "symbols": lambda: Proved([*prove_symbols(world, labels, passes)]),
-        "bias": lambda: Proved(signed=[*signed_values(paint, labels, image, passes)]),
+        # The frames of a clip are alike, and the tests over the data set take samples as independent.
+        "bias": lambda: Proved(signed=[*signed_values(paint, labels, image, passes)] if not scene.shot.frame else []),
     }
 
 
@@ -243,8 +256,9 @@ def world_digest(scene: Scene) -> str:
 
 def _pictures(scene: Scene, description: Description, image: Picture, passes: Passes) -> Iterator[Finding]:
     """Findings if passes differ from those in dataset.json, or a picture does not have the camera's size."""
-    if set(passes) != set(description.render.passes):
-        names = ", ".join(description.render.passes)
+    expected = [name for name in description.render.passes if name != "lidar"]
+    if set(passes) != set(expected):
+        names = ", ".join(expected)
         yield Finding("", f"passes: expected {names or 'none'}, got {', '.join(passes) or 'none'}")
     camera = scene.camera
     for name, pixels in {"image": image, **passes}.items():
@@ -252,6 +266,10 @@ def _pictures(scene: Scene, description: Description, image: Picture, passes: Pa
         if pixels.shape[:2] != (rows, columns):
             found = "x".join(str(size) for size in pixels.shape[1::-1])
             yield Finding("", f"{name}: expected {columns}x{rows} pixels, got {found}")
+        elif name == "depth" and (pixels < 0).any():
+            wrong = int(((pixels < 0) & ~(rays_of_pixels(camera)[..., 1] < 0)).sum())
+            if wrong:
+                yield Finding("", f"depth: expected distances or infinity, got another at {wrong} places")
 
 
 @contextmanager

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from synth3dlanes.frames import project, transform
+from synth3dlanes.frames import transform
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.terrain import gradient_at, height_at
 from synth3dlanes.labels import Labels
@@ -64,11 +64,17 @@ def _sides(name: str, lines: Sequence[Offset]) -> Iterator[Signed]:
 
 def _exit(plan: RoadPlan, labels: Labels, lines: Sequence[Offset]) -> Iterator[Signed]:
     """Increase of the exit paint's offset away from the main road per metre from the split."""
-    points_cam, n_px, moment_m = _joined(lines)
+    points_cam, n_px, moment_m = _joined([_as_driven(labels, line) for line in lines])
     s_m, _ = plan.project_main(transform(labels.camera.world_from_cam, points_cam)[:, :2])
     s_m = np.where(s_m > MIN_EXIT_M, s_m, 0.0)
     if n_px @ np.sign(s_m) >= MIN_WEIGHT["exit"]:
         yield Signed("exit_opening", float(plan.flips[0] * (s_m @ moment_m) / (n_px @ s_m**2)))
+
+
+def _as_driven(labels: Labels, line: Offset) -> Offset:
+    """An offset to the right as the host drives."""
+    way_cam = line.lane.xyz_cam[-1] - line.lane.xyz_cam[0]
+    return line._replace(moment_m=np.sign(labels.camera.road_from_cam[1, :3] @ way_cam) * line.moment_m)
 
 
 def _surface(plan: RoadPlan, labels: Labels, passes: Passes) -> Iterator[Signed]:
@@ -124,13 +130,12 @@ def _seen(labels: Labels, passes: Passes) -> tuple[Points, Points, Bool[np.ndarr
     labelled_cam = np.concatenate([lane.xyz_cam[at] for lane, at in zip(lanes, seen, strict=True)])
     on_exit = np.repeat([lane.road == "exit" for lane in lanes], [int(at.sum()) for at in seen])
     last = [camera.width_px - 1, camera.height_px - 1]
-    column, row = np.clip(np.floor(project(camera.img_from_cam, labelled_cam)), 0, last).astype(int).T
+    column, row = np.clip(np.floor(camera.project(labelled_cam)), 0, last).astype(int).T
     depth_m = passes["depth"][row, column].astype(float)
     same = np.abs(depth_m / labelled_cam[:, 1] - 1) < OTHER
     if "semantic" in passes:
         same &= np.isin(passes["semantic"][row, column], PAVEMENT)
-    rays_cam = np.column_stack([column + 0.5, row + 0.5, np.ones(len(row))]) @ np.linalg.inv(camera.img_from_cam).T
-    points_cam = rays_cam[same] * depth_m[same, None]
+    points_cam = camera.points(np.column_stack([column, row])[same] + 0.5, depth_m[same])
     return points_cam, transform(camera.world_from_cam, points_cam), on_exit[same]
 
 

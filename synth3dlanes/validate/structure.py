@@ -6,12 +6,13 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import invert, project, road_from_cam
+from synth3dlanes.frames import road_from_cam, transform
 from synth3dlanes.geometry.terrain import height_at
 from synth3dlanes.labels import CameraLabel, Labels, Lane, SymbolLabel
 from synth3dlanes.scene import Scene
 from synth3dlanes.validate.documents import shown
 from synth3dlanes.validate.findings import Finding
+from synth3dlanes.validate.host import host_of
 
 # labels.json rounds points to 0.1 mm and matrices to 1e-9.
 POINT_M = 1e-4
@@ -47,7 +48,7 @@ def check_values(scene: Scene, truth: Labels, labels: Labels) -> Iterator[Findin
     """Check camera, and every lane's order, projection and labels, against the scene."""
     yield from _camera(scene, labels)
     for lane in labels.lanes:
-        yield from _order(lane)
+        yield from _order(labels.camera, lane)
         inside_px = _inside_px(labels.camera, lane)
         wrong = np.where(lane.in_image, ~(inside_px > -BORDER_PX), inside_px > BORDER_PX)
         if wrong.any():
@@ -64,7 +65,7 @@ def points_to_pixels(labels: Labels) -> bool:
 def _inside_px(camera: CameraLabel, lane: Lane) -> Float[np.ndarray, " n"]:
     """Distance of each projected point from the nearest border of the image, negative outside; NaN behind the
     camera."""
-    uv = project(camera.img_from_cam, lane.xyz_cam)
+    uv = camera.project(lane.xyz_cam)
     return np.asarray(np.minimum(uv, [camera.width_px, camera.height_px] - uv).min(axis=1))
 
 
@@ -84,21 +85,21 @@ def _references(labels: Labels) -> Iterator[Finding]:
         yield Finding("", f"graph: expected ids of segments and centre lines, got {', '.join(unknown)}")
 
 
-def _order(lane: Lane) -> Iterator[Finding]:
-    """Findings unless points go from near to far, without a step of zero length or back."""
+def _order(camera: CameraLabel, lane: Lane) -> Iterator[Finding]:
+    """Findings unless points go on in the host's driving direction, without a step of zero length or back."""
     steps = np.diff(lane.xyz_cam, axis=0)
     back = np.linalg.norm(steps, axis=1) < POINT_M
     back[1:] |= (steps[1:] * steps[:-1]).sum(axis=1) <= 0
     if back.any():
         yield Finding(lane.id, f"expected points that advance along the line, got a step back at {_at(back)}")
-    near, far = lane.xyz_cam[[0, -1], 1]
-    if near > far:
-        yield Finding(lane.id, f"expected points from near to far, got {near:.1f} m first and {far:.1f} m last")
+    first, last = transform(camera.road_from_cam, lane.xyz_cam[[0, -1]])[:, 1]
+    if first > last:
+        yield Finding(lane.id, f"expected points in driving order, got {first:.1f} m first and {last:.1f} m last")
 
 
 def _camera(scene: Scene, labels: Labels) -> Iterator[Finding]:
     camera, asked = labels.camera, scene.camera
-    for name in ("width_px", "height_px", "height_m", "pitch_rad", "roll_rad"):
+    for name in ("width_px", "height_px", "height_m", "pitch_rad", "roll_rad", "yaw_rad", "name", "lens"):
         if getattr(camera, name) != getattr(asked, name):
             yield Finding(
                 "", f"camera.{name}: expected {getattr(asked, name)} as in the scene, got {getattr(camera, name)}"
@@ -106,13 +107,13 @@ def _camera(scene: Scene, labels: Labels) -> Iterator[Finding]:
     rotation = camera.world_from_cam[:3, :3]
     if not np.allclose(rotation @ rotation.T, np.eye(3), atol=MATRIX) or np.linalg.det(rotation) < 0:
         yield Finding("", "camera.world_from_cam: expected a rotation, got another matrix")
-    pose = road_from_cam(asked.height_m, asked.pitch_rad, asked.roll_rad)
+    pose = road_from_cam(asked.height_m, asked.pitch_rad, asked.roll_rad, asked.yaw_rad)
     if not np.allclose(camera.road_from_cam, pose, atol=MATRIX):
-        yield Finding("", "camera.road_from_cam: expected the scene's height, pitch and roll, got another transform")
-    foot = (camera.world_from_cam @ invert(pose))[:3, 3]
-    gap_m = abs(foot[2] - float(height_at(scene.terrain, foot[None, :2])[0]))
+        yield Finding("", "camera.road_from_cam: expected the scene's height and angles, got another transform")
+    place = host_of(scene, camera)[:3, 3]
+    gap_m = abs(place[2] - float(height_at(scene.terrain, place[None, :2])[0]))
     if gap_m > POINT_M:
-        yield Finding("", f"camera: expected its foot on the road, got it {gap_m:.4f} m off")
+        yield Finding("", f"camera: expected the host on the road, got it {gap_m:.4f} m off")
 
 
 def _against_ground_truth(expected: Labels, labels: Labels) -> Iterator[Finding]:
@@ -120,6 +121,15 @@ def _against_ground_truth(expected: Labels, labels: Labels) -> Iterator[Finding]
     for name in ("img_from_cam", "road_from_cam", "world_from_cam"):
         if not np.allclose(getattr(labels.camera, name), getattr(expected.camera, name), atol=MATRIX):
             yield Finding("", f"camera.{name}: expected the scene's ground truth, got another")
+    lidars = [lidar and {**vars(lidar), "cam_from_lidar": None} for lidar in (labels.lidar, expected.lidar)]
+    if lidars[0] != lidars[1] or not (
+        labels.lidar is None
+        or expected.lidar is None
+        or np.allclose(labels.lidar.cam_from_lidar, expected.lidar.cam_from_lidar, atol=MATRIX)
+    ):
+        yield Finding("", "lidar: expected the scene's, got another")
+    if labels.time_s != expected.time_s:
+        yield Finding("", f"time_s: expected {expected.time_s}, got {labels.time_s}")
     if labels.graph != expected.graph or labels.horizon != expected.horizon:
         yield Finding("", "graph, horizon: expected the scene's ground truth, got another")
     ids = [lane.id for lane in labels.lanes]

@@ -86,6 +86,25 @@ def test_without_a_validation_split_every_tenth_sample_is_held_out(tmp_path, mon
     assert val == ["val"]
 
 
+def test_held_out_clips_are_whole(tmp_path):
+    from synth3dlanes_baseline.sources import training_and_validation
+
+    from synth3dlanes.production.plan import Plan
+    from synth3dlanes.production.run import generate
+    from synth3dlanes.shots import clips
+    from tests import fake_samples
+
+    def held_out(n):
+        plan = Plan(tmp_path / "data", n, fake_samples.recipe(shots=clips(3, 10)), maker=fake_samples.make)
+        assert not generate(plan, lambda event: None).problem
+        return [list(part.index) for part in training_and_validation(str(tmp_path / "data"), "train", "val", None)]
+
+    assert held_out(27) == [list(range(27))] * 2  # nine scenes
+    train, val = held_out(32)
+    assert val == [27, 28, 29]
+    assert sorted(train + val) == list(range(32))
+
+
 def test_a_validation_split_that_is_damaged_is_an_error_and_not_missing(split_of):
     from synth3dlanes_baseline.sources import training_and_validation
 

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 import pytest
 from PIL import Image
-from playwright.sync_api import Browser, Locator, Page, sync_playwright
+from playwright.sync_api import Browser, Locator, Page, expect, sync_playwright
 
 from synth3dlanes.figures.page import report_page, scene_page
 from synth3dlanes.figures.stats import label_statistics, scene_statistics
@@ -18,6 +18,7 @@ from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import sample_scene
+from synth3dlanes.scene import Shot
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 # WebGL without a graphics card; root has no sandbox.
@@ -133,6 +134,24 @@ def test_the_page_of_a_scene(open_page, exit_scene, gray_image):
         assert differ(start, picture(canvas)) > 20, group.inner_text()
         group.click()
     assert differ(start, picture(canvas)) < 20
+
+
+def test_a_slider_and_a_button_go_through_a_clip(open_page, flat_scene, gray_image):
+    shots = [Shot(frame=frame, n_frames=3, fps=10, speed_m_s=30) for frame in range(3)]
+    scenes = [flat_scene.model_copy(update={"shot": shot}) for shot in shots]
+    clip = [(ground_truth(scene), gray_image) for scene in scenes]
+    page = open_page(scene_page(scenes[1], clip[1][0], gray_image, clip=clip))
+    slider, frames = page.locator("#frames"), page.locator(".frame")
+    shown = lambda: [frame.is_visible() for frame in frames.all()]  # noqa: E731
+    assert shown() == [False, True, False]
+    slider.focus()
+    page.keyboard.press("ArrowRight")
+    assert shown() == [False, False, True]
+    assert page.locator("output[for=frames]").inner_text() == "frame 2, 0.20 s"
+    assert slider.get_attribute("aria-valuetext") == "frame 2, 0.20 s"
+    page.locator("#play").click()
+    expect(page.locator("output[for=frames]")).not_to_have_text("frame 2, 0.20 s")
+    assert sum(shown()) == 1
 
 
 def test_the_mouse_turns_moves_and_zooms_space(open_page, exit_scene):

@@ -294,8 +294,8 @@ def test_categories_are_those_of_the_scenes_paint(write_split, tmp_path):
 def test_splits_keep_the_part_that_their_name_says(names, parts, dealt):
     splits = assign(names)
     assert [split.part for split in splits] == parts
-    assert {split.part_of("00000004") for split in splits} == ({"test"} if dealt else set(parts))
-    assert {split.part_of("00000003") for split in splits} == set(parts)
+    assert {split.part_of(4) for split in splits} == ({"test"} if dealt else set(parts))
+    assert {split.part_of(3) for split in splits} == set(parts)
     assert parts_of(splits) == set(parts) | ({"test"} if dealt else set())
 
 

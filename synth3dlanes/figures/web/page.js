@@ -9,6 +9,25 @@ for (const box of document.querySelectorAll("input[data-shows]")) {
   apply();
 }
 
+// A slider shows one frame of a clip; a button plays them all.
+const slider = document.getElementById("frames");
+if (slider) {
+  const frames = [...document.querySelectorAll(".frame")], button = document.getElementById("play");
+  const show = () => {
+    const words = frames[slider.value].dataset.words;
+    frames.forEach((frame, i) => frame.classList.toggle("off", i !== +slider.value));
+    slider.setAttribute("aria-valuetext", words);
+    document.querySelector("output[for=frames]").textContent = words;
+  };
+  let timer = null;
+  button.addEventListener("click", () => {
+    timer = timer ? clearInterval(timer) : setInterval(() => { slider.value = (+slider.value + 1) % frames.length; show(); }, button.dataset.pauseMs);
+    button.textContent = timer ? "stop" : "play";
+  });
+  slider.addEventListener("input", show);
+  show();
+}
+
 const data = document.getElementById("space-data");
 if (data) showSpace(JSON.parse(data.textContent), document.getElementById("space"), document.getElementById("space-bar"));
 
@@ -22,12 +41,14 @@ function showSpace(space, canvas, bar) {
   const program = link(gl,
     `#version 300 es
     uniform mat4 clip_from_road; in vec3 point; in vec3 color; out vec3 place; out vec3 tint;
-    void main() { place = point; tint = color; gl_Position = clip_from_road * vec4(point, 1.0); }`,
+    void main() { place = point; tint = color; gl_Position = clip_from_road * vec4(point, 1.0);
+      gl_PointSize = 3.0; }`,
     `#version 300 es
     precision highp float; in vec3 place; in vec3 tint; out vec4 pixel;
     void main() {
-      vec3 normal = normalize(cross(dFdx(place), dFdy(place)));
-      float light = 0.62 + 0.38 * abs(dot(normal, normalize(vec3(0.35, -0.45, 0.82))));
+      vec3 across = cross(dFdx(place), dFdy(place));
+      float light = 1.0;  // of points
+      if (length(across) > 0.0) light = 0.62 + 0.38 * abs(dot(normalize(across), normalize(vec3(0.35, -0.45, 0.82))));
       pixel = vec4(tint * light, 1.0);
     }`);
   const groups = space.groups.map((group) => upload(gl, program, group));
@@ -74,7 +95,8 @@ function upload(gl, program, group) {
   const faces = bytes(group.faces);
   gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
   gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, faces, gl.STATIC_DRAW);
-  return { name: group.name, array, count: faces.length / 4, shown: true };
+  // A group without faces is points, of three floats each.
+  return { name: group.name, array, count: faces.length / 4, points: faces.length ? 0 : bytes(group.vertices).length / 12, shown: true };
 }
 
 function checkbox(group, draw) {
@@ -131,7 +153,8 @@ function render(gl, program, groups, view, fovRad, canvas) {
   gl.uniformMatrix4fv(gl.getUniformLocation(program, "clip_from_road"), true, clipFromRoad(view, fovRad, canvas.width / canvas.height));
   for (const group of groups.filter((one) => one.shown)) {
     gl.bindVertexArray(group.array);
-    gl.drawElements(gl.TRIANGLES, group.count, gl.UNSIGNED_INT, 0);
+    if (group.points) gl.drawArrays(gl.POINTS, 0, group.points);
+    else gl.drawElements(gl.TRIANGLES, group.count, gl.UNSIGNED_INT, 0);
   }
 }
 

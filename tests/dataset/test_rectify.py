@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from synth3dlanes import labels as label_file
-from synth3dlanes.dataset.remove_roll import image_without_roll, labels_without_roll
+from synth3dlanes.dataset.rectify import rectified_image, rectified_labels
 from synth3dlanes.ground_truth import ground_truth
 from tests.scenes import changed
 
@@ -14,7 +14,7 @@ CAMERA = {"cx_px": 251, "cy_px": 172, "pitch_rad": 0.07}
 @pytest.mark.parametrize("roll", [-0.05, 0.02, 0.2])
 def test_labels_without_roll_are_those_of_the_camera_without_roll(roll):
     expected = ground_truth(changed(camera=CAMERA))
-    found = labels_without_roll(ground_truth(changed(camera={**CAMERA, "roll_rad": roll})))
+    found = rectified_labels(ground_truth(changed(camera={**CAMERA, "roll_rad": roll})))
     for name in ("img_from_cam", "road_from_cam", "world_from_cam", "roll_rad", "pitch_rad", "height_m"):
         np.testing.assert_allclose(getattr(found.camera, name), getattr(expected.camera, name), atol=1e-12)
     for a, b in zip(found.lanes, expected.lanes, strict=True):
@@ -26,14 +26,14 @@ def test_labels_without_roll_are_those_of_the_camera_without_roll(roll):
 def test_without_roll_nothing_is_touched(rng):
     labels = ground_truth(changed(camera=CAMERA))
     image = rng.integers(0, 255, (360, 480, 3), dtype=np.uint8)
-    assert labels_without_roll(labels) is labels
-    assert image_without_roll(image, labels.camera) is image
+    assert rectified_labels(labels) is labels
+    assert rectified_image(image, labels.camera) is image
 
 
 @pytest.mark.parametrize("roll", [-0.08, 0.03])
 def test_a_mark_is_where_the_labels_say_before_and_after(roll):
     rolled = ground_truth(changed(camera={**CAMERA, "roll_rad": roll}))
-    upright = labels_without_roll(rolled)
+    upright = rectified_labels(rolled)
     rows, columns = np.mgrid[0:360, 0:480] + 0.5
     for lane in range(4):
         near = np.flatnonzero(upright.lanes[lane].in_image)[0] + 2
@@ -44,14 +44,14 @@ def test_a_mark_is_where_the_labels_say_before_and_after(roll):
         (u, v), expected = spots
         spot = 200 * np.exp(-((columns - u) ** 2 + (rows - v) ** 2) / 18)
         image = np.repeat(spot[..., None].astype(np.uint8), 3, axis=2)
-        found = image_without_roll(image, rolled.camera)[..., 0].astype(float)
+        found = rectified_image(image, rolled.camera)[..., 0].astype(float)
         centroid = (found * columns).sum() / found.sum(), (found * rows).sum() / found.sum()
         np.testing.assert_allclose(centroid, expected, atol=0.1)
 
 
 def test_corners_that_were_not_seen_repeat_the_border():
     camera = ground_truth(changed(camera={"roll_rad": 0.05})).camera
-    turned = image_without_roll(np.full((360, 480, 3), 77, dtype=np.uint8), camera)
+    turned = rectified_image(np.full((360, 480, 3), 77, dtype=np.uint8), camera)
     assert (turned == 77).all()
 
 

@@ -1,0 +1,131 @@
+"""A user's own camera: its image, its lens and its place on the host, each a value or a range.
+
+Pixels, metres and degrees. The place is relative to the host's own on the road: x right, y forward, z up.
+"""
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Annotated, Any
+
+from pydantic import Field, model_validator
+
+from synth3dlanes.distributions import Choice, Integer, Integers, Real, Uniform, integers, reals
+from synth3dlanes.errors import InputError
+from synth3dlanes.lens import COEFFICIENTS, MAX_COEFFICIENT, Lens, LensModel
+from synth3dlanes.params import Group
+from synth3dlanes.schema import AHEAD_DEG, MAX_PX, Name
+
+Angle = Annotated[Real, reals(-180, 180)]
+Mount = Annotated[Real, reals(-10, 10)]
+Focal = Annotated[Real, reals(1, 1e5)]
+Center = Annotated[Real, reals(-1e5, 1e5)]
+Fov = Annotated[Real, reals(1, 359)]
+Coefficient = Annotated[Real, reals(-MAX_COEFFICIENT, MAX_COEFFICIENT)]
+ZERO = Choice((0.0,), (1.0,))
+# Without a calibration of the place: in the middle of the host, level.
+HEIGHT_M = Choice((1.5,), (1.0,))
+NAMES = COEFFICIENTS["opencv"]
+# Half the field of view from which on a picture shows what is beside the camera.
+ASIDE_DEG = 85.0
+DECIMALS, COEFFICIENT_DECIMALS = 6, 9
+
+
+def left_out() -> Any:
+    """A key that may be left out, and is left out of `dataset.json` then."""
+    return Field(default=None, exclude_if=lambda value: value is None)
+
+
+def coefficient() -> Any:
+    """A coefficient of the lens; `dataset.json` leaves out those that are 0."""
+    return Field(default=ZERO, exclude_if=lambda value: value == ZERO)
+
+
+class CameraSpec(Group):
+    """A camera on the host. Names are as in `scene.json`, with degrees instead of radians.
+
+    Where `fx_px` is left out, `horizontal_fov_deg` gives it: what is seen half of it aside is half the image's width
+    from the principal point. `fy_px` is that of x where it is left out, the principal point the image's middle.
+    """
+
+    name: Name = ""
+    width_px: Annotated[Integer, integers(16, MAX_PX)]
+    height_px: Annotated[Integer, integers(16, MAX_PX)]
+    fx_px: Focal | None = left_out()
+    fy_px: Focal | None = left_out()
+    cx_px: Center | None = left_out()
+    cy_px: Center | None = left_out()
+    horizontal_fov_deg: Fov | None = left_out()
+    height_m: Annotated[Real, reals(0.3, 10)] = HEIGHT_M
+    right_m: Mount = ZERO
+    forward_m: Mount = ZERO
+    yaw_deg: Angle = ZERO
+    pitch_deg: Angle = ZERO
+    roll_deg: Angle = ZERO
+    model: LensModel = Field(default="pinhole", exclude_if=lambda value: value == "pinhole")
+    k1: Coefficient = coefficient()
+    k2: Coefficient = coefficient()
+    p1: Coefficient = coefficient()
+    p2: Coefficient = coefficient()
+    k3: Coefficient = coefficient()
+    k4: Coefficient = coefficient()
+    k5: Coefficient = coefficient()
+    k6: Coefficient = coefficient()
+
+    @model_validator(mode="after")
+    def _has_one_focal_length(self) -> "CameraSpec":
+        """Check that the focal length is given once, and no coefficient that the model does not have."""
+        if (self.fx_px is None) == (self.horizontal_fov_deg is None):
+            raise ValueError("expected either fx (or K) or horizontal_fov_deg")
+        foreign = [name for name in NAMES if getattr(self, name) != ZERO and name not in COEFFICIENTS[self.model]]
+        if foreign:
+            wanted = " ".join(COEFFICIENTS[self.model]) or "no coefficients"
+            raise ValueError(f"expected {wanted} for the model {self.model}, got {' '.join(foreign)}")
+        return self
+
+    @property
+    def looks_ahead(self) -> bool:
+        """Whether it looks where the host drives at every yaw that it may have, and does not see what is beside it."""
+        yaw = self.yaw_deg
+        yaws_deg = (yaw.low, yaw.high) if isinstance(yaw, Uniform) else yaw.values
+        return all(abs(yaw_deg) <= AHEAD_DEG for yaw_deg in yaws_deg) and not self._sees_aside
+
+    @property
+    def _sees_aside(self) -> bool:
+        middle = self.drawn(partial(float, 0.5))
+        radius = max(middle["cx_px"], middle["width_px"] - middle["cx_px"]) / middle["fx_px"]
+        return bool(middle["lens"].angle_rad(radius) > math.radians(ASIDE_DEG))
+
+    def drawn(self, u: Callable[[], float]) -> dict[str, Any]:
+        """The fields of a scene's camera, with `u` in [0, 1) for each that has no one value.
+
+        Raises InputError where the field of view is wider than the lens's.
+        """
+        values = {name: self._draw(name, u) for name in type(self).model_fields if name not in ("name", "model")}
+        coefficients = tuple(round(values.pop(name), COEFFICIENT_DECIMALS) for name in NAMES)
+        by_name = dict(zip(NAMES, coefficients, strict=True))
+        lens = Lens(model=self.model, coefficients=tuple(by_name[name] for name in COEFFICIENTS[self.model]))
+        fov_deg = values.pop("horizontal_fov_deg")
+        if fov_deg is not None:
+            values["fx_px"] = values["width_px"] / 2 / _radius(lens, fov_deg)
+        if values["fy_px"] is None:
+            values["fy_px"] = values["fx_px"]
+        for center, size in (("cx_px", "width_px"), ("cy_px", "height_px")):
+            if values[center] is None:
+                values[center] = values[size] / 2
+        for name in ("yaw_deg", "pitch_deg", "roll_deg"):
+            values[name.replace("_deg", "_rad")] = math.radians(values.pop(name))
+        rounded = {key: round(value, DECIMALS) if isinstance(value, float) else value for key, value in values.items()}
+        return {**rounded, "name": self.name, "lens": lens}
+
+    def _draw(self, name: str, u: Callable[[], float]) -> Any:
+        distribution: Uniform | Integers | Choice[Any] | None = getattr(self, name)
+        return None if distribution is None else distribution.draw(u())
+
+
+def _radius(lens: Lens, fov_deg: float) -> float:
+    """Where the lens has what lies half the field of view aside, in focal lengths."""
+    if not math.radians(fov_deg / 2) < lens.field_rad:
+        widest = 2 * math.degrees(lens.field_rad)
+        raise InputError(f"camera: horizontal_fov_deg: expected less than the lens's {widest:.4g}, got {fov_deg:g}")
+    return lens.radius(math.radians(fov_deg / 2))

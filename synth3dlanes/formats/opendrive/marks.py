@@ -1,0 +1,116 @@
+"""The paint along the edges of lanes: each is that of the delimiter which runs there."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.formats.opendrive.roads import Road
+from synth3dlanes.geometry.lanes import Curve
+from synth3dlanes.geometry.paint import is_dotted, is_double, line_width_m, paint_color
+from synth3dlanes.world import World
+
+Values = Float[np.ndarray, " k"]
+
+# A delimiter runs along an edge where it is this close to it. The exit's lanes turn aside at once at the split, where
+# this moves the lines of a two-lane exit against those of the stem.
+NEAR_M = 0.1
+# Shorter stretches are left out.
+SHORT_M = 0.5
+# Dashes are counted anew after this length, and lengths are measured in these steps.
+MARK_M, LENGTH_STEP_M = 50.0, 0.5
+# From the first to the last place of a stretch that have to be near, as shares of it.
+PROBES = np.array([0.2, 0.5, 0.8])
+
+
+@dataclass(frozen=True)
+class Mark:
+    """Paint from `s_m` of a road to the next mark: the width of a stripe, the lengths of dashes and gaps, and where the
+    first dash begins after `s_m`. A solid line is one dash."""
+
+    s_m: float
+    kind: Literal["none", "solid", "double", "dashed", "dots"] = "none"
+    color: str = "standard"
+    width_m: float = 0.0
+    dash_m: float = 0.0
+    gap_m: float = 0.0
+    first_m: float = 0.0
+
+    @property
+    def stripes_m(self) -> tuple[float, ...]:
+        """The t of the stripes from the edge."""
+        return {"none": (), "double": (-self.width_m, self.width_m)}.get(self.kind, (0.0,))
+
+    @property
+    def total_width_m(self) -> float:
+        """The width over all stripes."""
+        return 3 * self.width_m if self.kind == "double" else self.width_m
+
+
+def marks(world: World, road: Road) -> dict[int, list[Mark]]:
+    """The marks on the outer edges of all lanes by their numbers, and those of lane 0, which lies between both
+    directions or at the inner edge of a road of one direction."""
+    edges = {0: road.center_m, **{lane.number: lane.outer_m for lane in road.lanes}}
+    found = {number: _along(world, road, road.plane_points(t)[:, :2]) for number, t in edges.items()}
+    # The line between both directions belongs to the lanes of the host's where these are another road's.
+    return found | ({0: []} if road.is_oncoming and road.in_junction else {})
+
+
+def _along(world: World, road: Road, edge_xy: Float[np.ndarray, "m 2"]) -> list[Mark]:
+    """All marks of an edge, and `none` between them; nothing where it is not painted at all."""
+    found = sorted((mark for line in world.lines for mark in _of(world, road, edge_xy, line)), key=lambda at: at[0].s_m)
+    filled, reached = [], 0.0
+    for mark, end_m in found:
+        if mark.s_m > reached + SHORT_M:
+            filled.append(Mark(reached))
+        filled.append(mark)
+        reached = end_m
+    if found and road.s_m[-1] > reached + SHORT_M:
+        filled.append(Mark(reached))
+    return filled
+
+
+def _of(world: World, road: Road, edge_xy: Float[np.ndarray, "m 2"], line: Curve) -> Iterator[tuple[Mark, float]]:
+    """The marks of a delimiter along an edge, each with its end, if it runs there."""
+    at = np.flatnonzero((road.plan_s >= line.start_m - 1e-6) & (road.plan_s <= line.end_m + 1e-6))
+    if line.kind != "delimiter" or len(at) < 2 or road.s_m[at[-1]] - road.s_m[at[0]] < SHORT_M:
+        return
+    probes = at[((len(at) - 1) * PROBES).astype(int)]
+    # Stations of exit and main road differ, so the whole line is looked at.
+    there = line.xy_world(world.plan, np.sort(road.plan_s[at]))
+    apart_m = np.linalg.norm(edge_xy[probes][:, None] - there, axis=2).min(axis=1)
+    if apart_m.max() > NEAR_M:
+        return
+    markings = world.scene.markings
+    look = str(paint_color(line, markings)), line_width_m(line, markings)
+    start_m, end_m = float(road.s_m[at[0]]), float(road.s_m[at[-1]])
+    if line.marking == "solid":
+        yield Mark(start_m, "double" if is_double(line, markings) else "solid", *look, end_m - start_m), end_m
+        return
+    kind: Literal["dots", "dashed"] = "dots" if is_dotted(line, markings) else "dashed"
+    cycle_m, dash_m = markings.dash_cycle_m, markings.dash_fraction * markings.dash_cycle_m
+    length_m, ascends = _lengths(world, line, road.plan_s[at]), road.plan_s[at[-1]] > road.plan_s[at[0]]
+    # Dashes begin at multiples of their cycle along the line from the split; seen from behind, they end there.
+    first_m = length_m[0] + (-length_m[0] - (0 if ascends else dash_m)) % cycle_m
+    # Marks begin with a dash, and are so short that the line is nowhere much longer or shorter than the road.
+    begins_m = np.arange(first_m, length_m[-1], cycle_m * max(1, round(MARK_M / cycle_m)))
+    begins_m = np.unique([*(begins_m if len(begins_m) else [first_m]), max(first_m + 1e-3, length_m[-1])])
+    places_m = np.interp(begins_m, length_m, road.s_m[at])
+    for i, (place_m, next_m) in enumerate(pairwise(places_m)):
+        scale = (next_m - place_m) / (begins_m[i + 1] - begins_m[i])
+        from_m = place_m if i else start_m
+        sizes = scale * dash_m, scale * (cycle_m - dash_m), place_m - from_m
+        yield Mark(float(from_m), kind, *look, *map(float, sizes)), float(next_m)
+
+
+def _lengths(world: World, line: Curve, plan_s: Values) -> Values:
+    """Lengths along a line, in the order of these stations, from the split."""
+    to_split = np.clip(np.linspace(0, plan_s[0], 2 + int(abs(plan_s[0]) / LENGTH_STEP_M)), line.start_m, line.end_m)
+    before, along = (
+        np.linalg.norm(np.diff(line.points_world(world.plan, s), axis=0), axis=1) for s in (to_split, plan_s)
+    )
+    start_m = np.sign(plan_s[0]) * before.sum() * np.sign(plan_s[-1] - plan_s[0])
+    return np.asarray(start_m + np.concatenate([[0.0], np.cumsum(along)]))

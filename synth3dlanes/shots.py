@@ -1,0 +1,77 @@
+"""The pictures of a scene: the frames of a clip, the cameras of a rig, and the samples that show them."""
+
+from typing import Annotated, NamedTuple
+
+from pydantic import Field, ValidationError
+
+from synth3dlanes.cameras import CameraSpec
+from synth3dlanes.errors import InputError
+from synth3dlanes.lidars import LidarSpec
+from synth3dlanes.params import Group
+from synth3dlanes.scene import MAX_BEHIND_M, MAX_CAMERAS, MAX_FRAMES
+from synth3dlanes.schema import validation_problems
+
+
+class Place(NamedTuple):
+    """What a sample of a split shows: the number of its scene, of the frame and of the camera."""
+
+    scene: int
+    frame: int
+    camera: int
+
+
+class Shots(Group):
+    """Every scene is seen in `frames` frames, `fps` a second, by each of the cameras of a rig; without any, by the
+    camera of the parameters. Each of its samples has the sweep of the lidar, if there is one."""
+
+    frames: Annotated[int, Field(ge=1, le=MAX_FRAMES)] = 1
+    fps: Annotated[float, Field(gt=0, le=1000)] = 10.0
+    cameras: Annotated[tuple[CameraSpec, ...], Field(max_length=MAX_CAMERAS)] = ()
+    lidar: Annotated[LidarSpec | None, Field(exclude_if=lambda lidar: lidar is None)] = None
+
+    @property
+    def n_cameras(self) -> int:
+        """How many cameras see every frame."""
+        return max(1, len(self.cameras))
+
+    @property
+    def behind_m(self) -> float:
+        """How far behind the host lanes are labelled: as far as ahead, where a camera looks aside or back."""
+        return 0.0 if all(spec.looks_ahead for spec in self.cameras) else MAX_BEHIND_M
+
+    @property
+    def per_scene(self) -> int:
+        """How many samples show one scene."""
+        return self.frames * self.n_cameras
+
+    def place(self, index: int) -> Place:
+        """What sample `index` shows: index = (scene x frames + frame) x cameras + camera."""
+        of_frame, camera = divmod(index, self.n_cameras)
+        return Place(*divmod(of_frame, self.frames), camera)
+
+    def index(self, place: Place) -> int:
+        """The sample that shows a place, as opposed to `place`."""
+        return (place.scene * self.frames + place.frame) * self.n_cameras + place.camera
+
+    def text(self, n: int) -> str:
+        """What `n` samples show, in words; "" for single pictures."""
+        if self.frames == 1:
+            return ""
+        n_frames = -(-n // self.n_cameras)
+        cut, clips = n_frames % self.frames, -(-n_frames // self.frames)
+        end = f", the last of {cut} frame{'s' * (cut > 1)}" if cut else ""
+        return f"{clips} clip{'s' * (clips > 1)} of {self.frames} frames, {self.fps:g} a second{end}"
+
+
+SINGLE = Shots()
+
+
+def clips(frames: int, fps: float, cameras: tuple[CameraSpec, ...] = ()) -> Shots:
+    """Clips of so many frames, or single pictures for 1, by these cameras; raise InputError for numbers out of
+    range."""
+    if frames == 1:
+        return Shots(cameras=cameras)
+    try:
+        return Shots(frames=frames, fps=fps, cameras=cameras)
+    except ValidationError as error:
+        raise InputError(*(line.removeprefix(": ") for line in validation_problems(error, ""))) from None

@@ -1,0 +1,111 @@
+"""Pictures of one scene: the build is shared, the bytes do not tell, and killed runs go on to the same bytes."""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from synth3dlanes import sample
+from synth3dlanes.blender import render as renderer
+from synth3dlanes.dataset.read import Reader
+from synth3dlanes.params import load_params
+from synth3dlanes.production.recipe import Recipe, make_sample
+from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.shots import clips
+
+pytestmark = pytest.mark.render
+
+PASSES = ("depth", "semantic", "instance")
+STREET = (
+    "trees.n=30",
+    "cars.n=4",
+    "vegetation.grass_m=0.2",
+    "symbols.arrow_rows=1",
+    "surface.tar=0.5",
+    "host.bonnet=0.1",
+)
+RECIPE = Recipe(
+    load_params("tiny", [*STREET, "roadside.outer=guardrail", "sensor.noise=3"]),
+    5,
+    "train",
+    RenderSettings(1, PASSES, "cpu"),
+    "png",
+    shots=clips(3, 4),
+)
+
+
+def forget():
+    """As in a process that has made nothing yet, but for the assets."""
+    sample._latest.cache_clear()
+    renderer.studio().ground = None
+
+
+def test_bytes_do_not_depend_on_what_was_made_before():
+    in_order = [make_sample(RECIPE, index).members for index in range(6)]
+    for index in (4, 0, 2, 1, 5):
+        if index != 1:  # which goes on from 2
+            forget()
+        assert make_sample(RECIPE, index).members == in_order[index], index
+    assert len({members["png"] for members in in_order}) == 6
+
+
+def test_objects_of_the_ground_stay_and_others_are_those_of_the_frame():
+    forget()
+    counts, kept = [], []
+    for index in (3, 4, 5, 3):
+        make_sample(RECIPE, index)
+        names = {name: list(bpy.data.collections[name].objects) for name in ("ground", "trees", "structures", "cars")}
+        counts.append((len(bpy.data.objects), len(bpy.data.meshes)))
+        kept.append([item.data.as_pointer() for name in ("ground", "structures") for item in names[name]])
+    assert len(set(counts)) == 1
+    assert kept[0] == kept[1] == kept[2] == kept[3]
+    scene, cars = RECIPE.scene(3), bpy.data.collections["cars"].objects
+    poses = RECIPE.world(3).view.world_from_cars
+    assert len(cars) == len(scene.cars) == 4
+    for item, pose in zip(cars, poses, strict=True):
+        assert np.allclose(np.array(item.matrix_world)[:3, 3], pose[:3, 3], atol=1e-4)
+
+
+def test_what_moves_and_what_stays_in_the_pixels():
+    """The road before a camera that moves is another one, the bonnet is the same."""
+    pictures = [renderer_layers(index) for index in (0, 2)]
+    hood = [semantic == SEMANTIC_IDS["host"] for _, semantic in pictures]
+    assert (hood[0] == hood[1]).all()
+    assert hood[0].any()
+    assert np.abs(pictures[0][0] - pictures[1][0])[~hood[0]].mean() > 1
+
+
+def renderer_layers(index):
+    from synth3dlanes.dataset.format import decode_image, read_passes
+
+    members = make_sample(RECIPE, index).members
+    return decode_image(members["png"], "png").astype(float), read_passes(members["passes.exr"], "exr")["semantic"]
+
+
+RUN = [sys.executable, "-m", "synth3dlanes", "generate", "--n", "8", "--frames", "3", "--fps", "4", "--params", "tiny"]
+
+
+def run(out: Path, workers: int) -> list[str]:
+    return [*RUN, "--seed", "5", "--samples", "1", "--device", "cpu", "--workers", str(workers), "--out", str(out)]
+
+
+def test_killed_clips_resume_with_equal_bytes(tmp_path):
+    subprocess.run(run(tmp_path / "whole", 1), check=True, capture_output=True, timeout=280)
+    process = subprocess.Popen(run(tmp_path / "killed", 1), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    parts = tmp_path / "killed/train/00000.parts"
+    until = time.monotonic() + 200
+    while len(list(parts.glob("0*.tar"))) < 2 and process.poll() is None and time.monotonic() < until:
+        time.sleep(0.02)
+    process.kill()
+    process.wait()
+    made = {path.name for path in parts.glob("0*.tar")}
+    assert 2 <= len(made) < 8, "the run was killed within a clip"
+    subprocess.run(run(tmp_path / "killed", 2), check=True, capture_output=True, timeout=280)
+    for name in ("00000.tar", "00000.parquet"):
+        assert (tmp_path / "killed/train" / name).read_bytes() == (tmp_path / "whole/train" / name).read_bytes()
+    reader = Reader(f"{tmp_path}/killed/train")
+    assert [len(reader.clip(scene)) for scene in reader.scenes] == [3, 3, 2]

@@ -1,0 +1,138 @@
+"""Renders through lenses: what every pixel shows is what the lens's own ray of it meets."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("bpy")
+
+from synth3dlanes.dataset.rectify import bent_pixels, rectified_image, remap
+from synth3dlanes.frames import transform
+from synth3dlanes.geometry.camera import rays_of_pixels
+from synth3dlanes.lens import PINHOLE, Lens
+from synth3dlanes.production.recipe import take_picture
+from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.validate.normals import check_normals
+from synth3dlanes.validate.paint import Paint
+from synth3dlanes.validate.passes_proof import prove_passes
+from synth3dlanes.validate.pavement import prove_pavement
+from synth3dlanes.world import resolve
+from tests.scenes import changed
+
+SETTINGS = RenderSettings(samples=4, passes=("depth", "normal", "semantic", "instance"))
+# Strong, and with every coefficient.
+LENSES = {
+    "barrel": (300.0, Lens(model="opencv", coefficients=(-0.28, 0.08, 0.004, -0.003, -0.01, 0, 0, 0))),
+    "rational": (350.0, Lens(model="opencv", coefficients=(0.6, -0.1, 0.003, -0.002, 0.004, 0.9, 0.03, -0.004))),
+    "fisheye": (150.0, Lens(model="fisheye", coefficients=(0.03, -0.01, 0.002, -0.0003))),
+}
+BENDS = {"offset_m50_m": 6.0, "offset_p50_m": -5.0}
+
+
+def scene_through(lens, f_px):
+    camera = {"fx_px": f_px, "fy_px": 0.96 * f_px, "cx_px": 251.0, "cy_px": 172.0, "roll_rad": 0.05, "lens": lens}
+    return changed(road=BENDS, camera=camera)
+
+
+@pytest.fixture(scope="module", params=LENSES)
+def shot(request):
+    f_px, lens = LENSES[request.param]
+    scene = scene_through(lens, f_px)
+    return scene, take_picture(resolve(scene), SETTINGS)
+
+
+@pytest.mark.render
+def test_labels_lie_on_the_paint_and_the_passes_on_the_road(shot):
+    scene, picture = shot
+    world = resolve(scene)
+    findings, measures = prove_passes(Paint(world), picture.labels, picture.passes)
+    road_findings, _ = prove_pavement(world, picture.labels, picture.passes)
+    assert not [*findings, *road_findings, *check_normals(picture.labels.camera, picture.passes)]
+    paint = [measure for measure in measures if measure.name == "paint_px"]
+    assert sum(len(measure.values) for measure in paint) > 15
+    assert max(value for measure in paint for value in measure.values) < 1
+
+
+@pytest.mark.render
+def test_every_pixel_shows_what_its_ray_meets(shot):
+    """The flat road is the plane z = 0 of the world: depth along the lens's rays must reach it, exactly."""
+    scene, picture = shot
+    camera = picture.labels.camera
+    rays_world = rays_of_pixels(scene.camera) @ camera.world_from_cam[:3, :3].T
+    is_road = picture.passes["semantic"] == SEMANTIC_IDS["road"]
+    away_m = -camera.world_from_cam[2, 3] / rays_world[is_road][:, 2]
+    along = rays_of_pixels(scene.camera)[is_road][:, 1]
+    # Where a fisheye looks aside at a right angle, depth y says nothing about the distance.
+    near = (away_m > 0) & (away_m < 60) & (np.abs(along) > 0.01)
+    assert near.sum() > 10_000
+    np.testing.assert_allclose(picture.passes["depth"][is_road][near], (away_m * along)[near], rtol=1e-3, atol=2e-3)
+    v, u = np.nonzero(is_road)
+    points_cam = camera.points(np.column_stack([u, v]) + 0.5, picture.passes["depth"][v, u].astype(float))
+    points_world = transform(camera.world_from_cam, points_cam)
+    assert np.abs(points_world[near][:, 2]).max() < 0.03
+
+
+@pytest.mark.render
+def test_rectified_it_is_the_picture_of_the_pinhole(shot):
+    scene, picture = shot
+    flat = scene.model_copy(update={"camera": scene.camera.model_copy(update={"lens": PINHOLE, "roll_rad": 0.0})})
+    pinhole = take_picture(resolve(flat), SETTINGS)
+    labels = pinhole.labels.camera
+    rows, columns = np.indices(pinhole.image.shape[:2]) + 0.5
+    uv = bent_pixels(picture.labels.camera, labels.img_from_cam, np.stack([columns, rows], axis=-1))
+    size = np.array([scene.camera.width_px, scene.camera.height_px])
+    with np.errstate(invalid="ignore"):
+        shown = ((uv > 1) & (uv < size - 1)).all(axis=-1)
+    assert shown.mean() > 0.8
+
+    def psnr_db(places):
+        off = (remap(picture.image, places).astype(float) - pinhole.image)[shown]
+        return 10 * np.log10(255**2 / (off**2).mean())
+
+    np.testing.assert_array_equal(remap(picture.image, uv), rectified_image(picture.image, picture.labels.camera))
+    # Noise limits it; half a pixel aside costs 0.7 dB.
+    assert psnr_db(uv) > 30
+    for aside in ((0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5)):
+        assert psnr_db(uv + aside) < psnr_db(uv) - 0.4
+    u, v = np.floor(uv[shown]).astype(int).T
+    for name in ("semantic", "instance"):
+        assert (picture.passes[name][v, u] == pinhole.passes[name][shown]).mean() > 0.98
+
+
+@pytest.mark.render
+def test_a_fisheye_is_black_out_of_its_field_and_its_passes_are_empty():
+    # Turns back at 1 rad.
+    ending = Lens(model="fisheye", coefficients=(-1 / 3, 0, 0, 0))
+    scene = scene_through(ending, 200.0)
+    scene = scene.model_copy(update={"sensor": scene.sensor.model_copy(update={"motion_blur_m": 0.5})})
+    picture = take_picture(resolve(scene), SETTINGS)
+    empty = np.isnan(rays_of_pixels(scene.camera)).any(axis=-1)
+    assert 0.3 < empty.mean() < 0.9
+    assert picture.image[empty].max() == 0
+    assert np.isinf(picture.passes["depth"][empty]).all()
+    for name in ("semantic", "instance", "normal"):
+        assert not picture.passes[name][empty].any()
+    assert picture.image[~empty].mean() > 40
+    for lane in picture.labels.lanes:
+        assert np.isfinite(picture.labels.camera.project(lane.xyz_cam[lane.in_image])).all()
+
+
+@pytest.mark.render
+def test_weather_and_night_work_through_a_lens():
+    f_px, lens = LENSES["fisheye"]
+    weather = {"kind": "rain", "daytime": "night", "rain": 1.0, "headlights": True}
+    scene = scene_through(lens, f_px)
+    sensor = {"motion_blur_m": 0.4, "noise": 2.0, "flare": 0.8, "dirt": 0.5, "drops": 0.5}
+    scene = changed(
+        road=BENDS,
+        camera={name: getattr(scene.camera, name) for name in ("fx_px", "fy_px", "lens")},
+        weather=weather,
+        sensor=sensor,
+        light={"sun_zenith_rad": 1.8, "metering": 1.0},
+        air={"visibility_m": 500.0},
+        host={"bonnet": 0.1, "gray": 0.3, "gloss": 0.5},
+    )
+    picture = take_picture(resolve(scene), replace(SETTINGS, samples=1))
+    assert (picture.passes["semantic"] == SEMANTIC_IDS["host"]).mean() > 0.02
+    assert picture.image.std() > 5

@@ -1,0 +1,107 @@
+"""A lidar's sweep against closed forms, and against the passes of the same scene."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from synth3dlanes.blender.lidar import even_runs
+from synth3dlanes.frames import invert, transform
+from synth3dlanes.lidar_files import load_lidar
+from synth3dlanes.lidars import LidarSpec
+from synth3dlanes.params import load_params
+from synth3dlanes.production.recipe import take_picture
+from synth3dlanes.sample import sample_scene, with_lidar
+from synth3dlanes.scene import Car
+from synth3dlanes.settings import FIRST_CAR_ID, SEMANTIC_IDS, RenderSettings
+from synth3dlanes.validate.lidar import prove_lidar
+from synth3dlanes.world import resolve
+from tests.scenes import changed
+
+pytestmark = pytest.mark.render
+
+ONE_SAMPLE = RenderSettings(samples=1, passes=("depth", "semantic", "instance"))
+# Even beams, then two that are not.
+UNEVEN = LidarSpec.model_validate(
+    {
+        "elevations_deg": [5, 0, -5, -10, -15, -17, -28],
+        "azimuths": 500,
+        "max_range_m": 100,
+        "height_m": 1.9,
+        "right_m": 0.4,
+        "forward_m": -0.6,
+        "yaw_deg": 20,
+    }
+)
+
+
+def test_ranges_on_a_flat_road_are_those_of_the_beams_to_a_tenth_of_a_millimetre():
+    scene = with_lidar(changed(camera={"cy_px": 150, "cx_px": 250}), UNEVEN)
+    sweep = take_picture(resolve(scene), ONE_SAMPLE).sweep
+    for elevation_deg, ranges, ids in zip(UNEVEN.elevations_deg, sweep.range_m, sweep.semantic, strict=True):
+        on_road = ids == SEMANTIC_IDS["road"]
+        if elevation_deg > -5:
+            assert not on_road.any()
+        else:
+            assert on_road.sum() > 50
+            assert np.abs(ranges[on_road] - 1.9 / np.sin(np.radians(-elevation_deg))).max() < 1e-4
+
+
+def test_points_of_a_car_are_inside_it_and_it_is_on_the_right():
+    car = Car(model=1, scale=1.0, color=(0.5, 0.5, 0.5), gloss=0.5, lane="main_3", s_m=-43.0)
+    scene = with_lidar(changed().model_copy(update={"cars": (car,)}), UNEVEN)
+    world = resolve(scene)
+    points = take_picture(world, ONE_SAMPLE).sweep.points()
+    hit = points.instance == FIRST_CAR_ID
+    assert hit.sum() > 20
+    assert (points.semantic[hit] == SEMANTIC_IDS["car"]).all()
+    xyz_world = transform(world.view.world_from_lidar, points.xyz_lidar[hit])
+    xyz_car = transform(invert(world.view.world_from_cars[0]), xyz_world)
+    model = scene.assets.car_models[0]
+    half_m = np.array([model.width_m / 2, model.length_m / 2]) + 0.01
+    assert (np.abs(xyz_car[:, :2]) < half_m).all()
+    assert (xyz_car[:, 2] > -0.01).all()
+    assert (points.xyz_cam[hit, 0] > 1).all()
+
+
+def test_the_picture_beside_a_sweep_is_that_without():
+    scene = sample_scene(load_params("tiny"), 0, "train", 1)
+    settings = replace(ONE_SAMPLE, passes=("depth", "normal", "semantic", "instance"))
+    alone, beside = (take_picture(resolve(one), settings) for one in (scene, with_lidar(scene, UNEVEN)))
+    again = take_picture(resolve(scene), settings)
+    assert alone.sweep is None
+    assert beside.sweep is not None
+    for other in (beside, again):
+        assert np.array_equal(other.image, alone.image)
+        assert all(np.array_equal(other.passes[name], alone.passes[name]) for name in settings.passes)
+
+
+def test_sweeps_agree_with_the_passes_and_mirrored_or_turned_ones_do_not():
+    scene = with_lidar(sample_scene(load_params("appendix_i"), 0, "train", 17), load_lidar("hdl_32e"))
+    world = resolve(scene)
+    picture = take_picture(world, ONE_SAMPLE)
+    sweep = picture.sweep
+    found, (ground, depth) = prove_lidar(world, sweep, picture.passes)
+    assert found == []
+    assert len(depth.values) > 500
+    assert np.quantile(depth.values, 0.95) < 0.01
+    assert len(ground.values) > 5000
+    assert np.quantile(ground.values, 0.99) < 0.01
+
+    def spoilt(change):
+        arrays = {name: change(getattr(sweep, name)) for name in ("range_m", "semantic", "instance")}
+        return prove_lidar(world, replace(sweep, **arrays), picture.passes)[0]
+
+    assert spoilt(lambda values: values[:, ::-1])
+    assert spoilt(lambda values: values[::-1])
+    assert spoilt(lambda values: np.roll(values, 3, axis=1))
+    assert spoilt(lambda values: np.roll(values, 1, axis=0))
+    assert spoilt(lambda values: (values * 1.01).astype(values.dtype) if values.dtype == np.float32 else values)
+    assert spoilt(lambda values: values + np.uint16(1) if values.dtype == np.uint16 else values)
+
+
+def test_even_beams_are_rendered_at_once_and_others_alone():
+    elevations = [0.3, 0.2, 0.1, 0.0, -0.1, -0.15, -0.2, -0.4, -0.5, -0.6, -0.7]
+    assert list(even_runs(elevations)) == [(0, 5), (5, 6), (6, 7), (7, 11)]
+    # Half a step above the top one the zenith is passed.
+    assert list(even_runs([1.5, 0.5, -0.5, -1.5])) == [(0, 1), (1, 2), (2, 3), (3, 4)]

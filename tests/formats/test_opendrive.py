@@ -1,0 +1,285 @@
+"""OpenDRIVE: the lanes of a file, read by the standard's rules, are the world's, in place, height, direction, links and
+paint."""
+
+import re
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from synth3dlanes.formats.export import export
+from synth3dlanes.formats.opendrive.write import opendrive
+from synth3dlanes.formats.verify import verify
+from synth3dlanes.geometry.lanes import connections, lane_graph
+from synth3dlanes.geometry.paint import is_double, paint_color, painted_rows
+from synth3dlanes.geometry.symbols import shape
+from synth3dlanes.scene import Building, Post, Rail, Roadside, Symbol, Tree
+from synth3dlanes.world import resolve
+from tests.formats.opendrive_rules import read_roads
+from tests.scenes import FLAT, changed, hill
+
+BENT = {"offset_m100_m": 6, "offset_m50_m": -4, "offset_p50_m": 7, "offset_p100_m": 3, "ramp_slope": 9}
+# Beside the road: it is banked by up to 13 degrees, and the ground bends across the lanes.
+HILLS = {"gaussians": (hill(25, 20, 9, 32), hill(-60, -70, -14, 60), hill(-20, 110, 8, 45))}
+ROADS = [
+    {"topology": topology, "flip_longitudinal": x, "flip_lateral": y, "n_oncoming": n, "median_m": median_m}
+    for topology, x, y, n, median_m in [
+        (1, False, False, 0, 0.0),
+        (1, True, True, 2, 0.0),
+        (2, False, False, 2, 0.0),
+        (2, True, True, 1, 6.0),
+        (2, True, False, 0, 0.0),
+        (3, False, True, 2, 0.0),
+        (3, True, False, 0, 0.0),
+        (4, True, False, 1, 0.0),
+        (4, False, True, 2, 2.0),
+        (4, True, True, 0, 0.0),
+    ]
+]
+
+
+def world_of(markings=None, **road):
+    return resolve(changed(FLAT, road={**BENT, **road}, terrain=HILLS, markings=markings or {}))
+
+
+def of_segment(world, segment):
+    """The curve on which a lane segment lies."""
+    path = next((fork for stem, fork in connections(world.plan) if stem == segment), segment)
+    return next(line for line in world.lines if line.id == path)
+
+
+def apart(points, line):
+    """Distances from above and height differences of points from a dense line."""
+    nearest = np.linalg.norm(points[:, None, :2] - line[:, :2], axis=2).argmin(axis=1).clip(1, len(line) - 2)
+    along = line[nearest + 1] - line[nearest - 1]
+    to = points - line[nearest]
+    share = (to[:, :2] * along[:, :2]).sum(axis=1) / (along[:, :2] ** 2).sum(axis=1)
+    return np.linalg.norm((to - share[:, None] * along)[:, :2], axis=1), (to - share[:, None] * along)[:, 2]
+
+
+def differences(world, text):
+    """The largest distance from above, and in height, of any lane's centre from the world's."""
+    stations = np.arange(-170, 240, 0.1)
+    worst = np.zeros(2)
+    for road in read_roads(text).values():
+        for number, lane in road.lanes.items():
+            data = lane.find("userData")
+            if data is not None:
+                line = of_segment(world, data.get("value")).points_world(world.plan, stations)
+                centers = np.array([road.center(number, s) for s in np.linspace(0, road.length, 14)])
+                aside, above = apart(centers, line)
+                worst = np.maximum(worst, [aside.max(), np.abs(above).max()])
+    return worst
+
+
+@pytest.mark.parametrize("road", ROADS, ids=str)
+def test_lane_centres_are_the_worlds_in_place_and_height(road):
+    world = world_of(**road)
+    aside, above = differences(world, opendrive(world, "test"))
+    assert aside < 0.02
+    assert above < 0.02
+
+
+@pytest.mark.parametrize(
+    ("pattern", "changed_to"),
+    [
+        (r'(<superelevation s="[^"]*") a="(-?)', lambda m: f'{m[1]} a="{"" if m[2] else "-"}'),
+        (r'(<elevation s="[^"]*") a="(-?)', lambda m: f'{m[1]} a="{"" if m[2] else "-"}'),
+        (r'cV="(-?)', lambda m: f'cV="{"" if m[1] else "-"}'),
+        (r'hdg="(-?)', lambda m: f'hdg="{"" if m[1] else "-"}'),
+        (r'(<laneOffset s="[^"]*") a="(-?)', lambda m: f'{m[1]} a="{"" if m[2] else "-"}'),
+        (r'(<lane id=")(-?)(\d)', lambda m: f"{m[1]}{'' if m[2] else '-'}{m[3]}"),
+        (r"<shape [^>]*>", lambda m: ""),
+        (r"<superelevation [^>]*>", lambda m: ""),
+    ],
+)
+def test_a_wrong_sign_or_a_missing_profile_is_seen(pattern, changed_to):
+    world = world_of(flip_longitudinal=True, flip_lateral=True, n_oncoming=2)
+    text = opendrive(world, "test")
+    wrong, n = re.subn(pattern, changed_to, text)
+    assert n > 0
+    assert max(differences(world, wrong)) > 0.03
+
+
+@pytest.mark.parametrize("road", ROADS, ids=str)
+def test_lanes_reach_from_end_to_end_of_every_curve(road):
+    world = world_of(**road)
+    found = read_roads(opendrive(world, "test"))
+    centers = np.concatenate(
+        [
+            [file_road.center(number, s) for s in np.linspace(0, file_road.length, 60)]
+            for file_road in found.values()
+            for number, lane in file_road.lanes.items()
+            if lane.find("userData") is not None
+        ]
+    )
+    for line in world.lines:
+        if line.kind == "centerline":
+            points = line.points_world(world.plan, np.linspace(-149, 149, 100))
+            assert np.linalg.norm(points[:, None] - centers, axis=2).min(axis=1).max() < 3.0
+
+
+@pytest.mark.parametrize("road", ROADS, ids=str)
+def test_traffic_and_successors_are_those_of_the_lane_graph(road):
+    world = world_of(**road)
+    root = ElementTree.fromstring(opendrive(world, "test"))
+    by_id = {element.get("id"): element for element in root.iter("road")}
+    roads = {element.id: element for element in read_roads(ElementTree.tostring(root, encoding="unicode")).values()}
+
+    def segment(road_id, number):
+        return roads[road_id].lanes[int(number)].find("userData").get("value")
+
+    for file_road in roads.values():
+        ahead_is_right = file_road.element.get("rule") == "RHT"
+        forward = file_road.line(file_road.length)[1] > file_road.line(0.0)[1]
+        for number, lane in file_road.lanes.items():
+            if lane.find("userData") is not None:
+                # Lanes right of lane 0 go along s in right-hand traffic.
+                goes_ahead = forward == ((number < 0) == ahead_is_right)
+                assert goes_ahead != lane.find("userData").get("value").startswith("oncoming")
+    found = set()
+    for connection in root.iter("connection"):
+        incoming, connecting = connection.get("incomingRoad"), connection.get("connectingRoad")
+        assert by_id[connecting].get("junction") == root.find("junction").get("id")
+        before, after = (by_id[connecting].find(f"link/{tag}") for tag in ("predecessor", "successor"))
+        assert (connection.get("contactPoint"), before.get("elementId")) == ("start", incoming)
+        for link in connection.iter("laneLink"):
+            lane = roads[connecting].lanes[int(link.get("to"))]
+            assert lane.find("link/predecessor").get("id") == link.get("from")
+            out = lane.find("link/successor").get("id")
+            ends = [(incoming, link.get("from"), before), (after.get("elementId"), out, after)]
+            for (there, number, end), s in zip(ends, (0.0, roads[connecting].length), strict=True):
+                at = 0.0 if end.get("contactPoint") == "start" else roads[there].length
+                here, meets = roads[connecting].center(int(link.get("to")), s), roads[there].center(int(number), at)
+                inside = roads[connecting].center(int(link.get("to")), abs(s - 1.0))
+                along = (inside - here) / np.linalg.norm(inside - here)
+                gap = meets - here
+                # Lanes end where their own roads do: where a banked road climbs, not side by side.
+                assert abs(gap @ along) < 0.5
+                assert np.linalg.norm(gap - (gap @ along) * along) < 0.04
+            found.add((segment(incoming, link.get("from")), segment(after.get("elementId"), out)))
+    graph = lane_graph(world.plan, [])
+    expected = {(a, b) for a, after in graph.successors.items() for b in after}
+    if road["topology"] > 1 and not road.get("median_m"):
+        expected |= {(f"oncoming_{i}",) * 2 for i in range(1, road.get("n_oncoming", 0) + 1)}
+    assert found == expected
+
+
+def marks_of(file_road):
+    """(lane number, mark, its start and end) of all that is painted."""
+    for number, lane in file_road.lanes.items():
+        marks = lane.findall("roadMark")
+        starts = [float(mark.get("sOffset")) for mark in marks]
+        assert starts[:1] in ([], [0.0])
+        for mark, start, end in zip(marks, starts, [*starts[1:], file_road.length], strict=False):
+            if mark.get("type") != "none":
+                yield number, mark, start, end
+
+
+@pytest.mark.parametrize("road", ROADS, ids=str)
+def test_marks_are_the_delimiters_in_place_colour_and_dashes(road):
+    world = world_of({"left_yellow": True, "left_double": True, "dash_cycle_m": 9, "dash_fraction": 0.3}, **road)
+    lines = {line.id: line for line in world.lines if line.kind == "delimiter"}
+    stations = {k: np.arange(max(-170, v.start_m), min(240, v.end_m), 0.05) for k, v in lines.items()}
+    dense = {name: line.points_world(world.plan, stations[name]) for name, line in lines.items()}
+    marked = dict.fromkeys(lines, 0.0)
+    n_dashes = 0
+    for file_road in read_roads(opendrive(world, "test")).values():
+        for number, mark, start, end in marks_of(file_road):
+
+            def place(s, file_road=file_road, number=number):
+                edge = file_road.cubic("laneOffset", s) if number == 0 else file_road.edges(number, s)[1]
+                return file_road.point(s, float(edge))
+
+            points = np.array([place(s) for s in np.linspace(start, end, 5)[1:4]])
+            errors = {name: np.hypot(*apart(points, line)).max() for name, line in dense.items()}
+            name = min(errors, key=errors.get)
+            line, rows = lines[name], painted_rows(world.ground, lines[name], world.scene.stream)
+            assert errors[name] < 0.05
+            marked[name] += end - start
+            kind = "solid solid" if is_double(line, world.scene.markings) else "solid"
+            assert mark.get("type") == ("broken" if line.marking == "dashed" else kind)
+            assert mark.get("color") == paint_color(line, world.scene.markings)
+            stripes = mark.findall("type/line")
+            assert [float(stripe.get("width")) for stripe in stripes] == [0.12] * (2 if " " in kind else 1)
+            dash, gap, first = (float(stripes[0].get(key)) for key in ("length", "space", "sOffset"))
+            if line.marking == "solid":
+                assert (first, first + dash, gap) == pytest.approx((0, end - start, 0), abs=1e-6)
+                continue
+            middles = np.arange(start + first + dash / 2, end, dash / 2 + gap / 2)
+            for s, is_painted in zip(middles, [True, False] * len(middles), strict=False):
+                station = stations[name][np.linalg.norm(dense[name] - place(s), axis=1).argmin()]
+                if rows.s[0] + 2 < station < rows.s[-1] - 2:
+                    assert rows.painted[np.searchsorted(rows.s, station) - 1] == is_painted
+                    n_dashes += 1
+    assert n_dashes > 0
+    for name, line in lines.items():
+        steps = np.linalg.norm(np.diff(dense[name][:, :2], axis=0), axis=1)
+        s = stations[name][:-1]
+        # Behind the split, `stem_line` bounds lanes of two connecting roads.
+        length = steps[np.abs(s) <= 150].sum() + (steps[s >= 0].sum() if name == "stem_line" else 0)
+        assert marked[name] == pytest.approx(length, abs=4), line
+
+
+def test_objects_stand_and_lie_where_the_worlds_do():
+    scene = changed(FLAT, road={**BENT, "topology": 2}, terrain=HILLS)
+    rail = Rail(
+        kind="guardrail", road="main", side="left", from_m=-60, to_m=60, aside_m=0.5, height_m=0.8, color=(0, 0, 0)
+    )
+    post = Post(kind="lamp", road="main", side="left", s_m=-20, aside_m=1.5, height_m=8)
+    building = Building(
+        kind="house", x_m=-40, y_m=-30, yaw_rad=0.4, width_m=9, length_m=14, height_m=6, color=(0, 0, 0), roof=(0, 0, 0)
+    )
+    scene = scene.model_copy(
+        update={
+            "symbols": (
+                Symbol(kind="crosswalk", lane=None, s_m=-30),
+                Symbol(kind="arrow_right", lane="stem_3", s_m=-12),
+            ),
+            "trees": (Tree(model=1, x_m=30, y_m=-40, yaw_rad=0, scale=1),),
+            "roadside": Roadside(rails=(rail,), posts=(post,), buildings=(building,)),
+        }
+    )
+    world = resolve(scene)
+    found = read_roads(opendrive(world, "test"))
+    places = {}
+    for file_road in found.values():
+        for item in file_road.element.iter("object"):
+            s, t, z = (float(item.get(key)) for key in ("s", "t", "zOffset"))
+            places[item.get("type"), item.get("subtype")] = (file_road, item, file_road.on_plane(s, t, z))
+    tree, house = places["tree", None][2], places["building", "house"][2]
+    np.testing.assert_allclose(tree, world.trees_world[0], atol=0.05)
+    np.testing.assert_allclose(house[:2], (-40, -30), atol=0.05)
+    np.testing.assert_allclose(places["pole", "streetLamp"][2], world.structures[1].feet_world[0], atol=0.3)
+    for symbol, kind in zip(scene.symbols, (("crosswalk", "pedestrian"), ("roadMark", "arrowRight")), strict=True):
+        file_road, item, _ = places[kind]
+        corners = [(float(c.get("s")), float(c.get("t"))) for c in item.iter("cornerRoad")]
+        form = shape(world.ground, symbol)
+        outline = form.points_world(form.outline if symbol.lane is None else form.polygons[0])
+        corners_world = np.array([file_road.point(s, t) for s, t in corners])
+        assert np.linalg.norm(corners_world[:, None] - outline, axis=2).min(axis=1).max() < 0.05
+        x, y = corners_world[:, :2].T
+        assert (x * np.roll(y, -1) - np.roll(x, -1) * y).sum() > 0, "counter-clockwise"
+    lengths = [float(r.get("length")) for road in found.values() for r in road.element.iter("repeat")]
+    assert sum(lengths) == pytest.approx(120, abs=6)
+
+
+def test_an_export_has_a_map_of_each_scene_and_its_check_finds_what_is_broken(dataset, tmp_path):
+    out = tmp_path / "out"
+    summary = export(str(dataset), out, "opendrive", 1, lambda done, total: None)
+    assert sorted(summary.n_frames.values()) == [4, 7]
+    files = sorted(str(path.relative_to(out)) for path in out.rglob("*.xodr"))
+    assert files == [*(f"test/{i:08d}.xodr" for i in range(4)), *(f"train/{i:08d}.xodr" for i in range(7))]
+    assert [result.problems for result in verify(out, "opendrive", 9)] == [(), ()]
+    path = out / "test/00000002.xodr"
+    text = path.read_text()
+    for pattern, replacement, expected in (
+        (r'(<geometry s="0" x=")[^"]*', r"\g<1>1e3", "roads without gaps"),
+        (r'(<elevation s="0" a=")[^"]*', r"\g<1>1e3", "roads without gaps"),
+        (r'<lane id="(-?)1" type="driving"', r'<lane id="\g<1>7" type="driving"', "to be there"),
+    ):
+        path.write_text(re.sub(pattern, replacement, text))
+        problems = [problem for result in verify(out, "opendrive", 9) for problem in result.problems]
+        assert problems, pattern
+        assert all(problem.startswith("test/00000002.xodr: ") for problem in problems)
+        assert expected in problems[0]

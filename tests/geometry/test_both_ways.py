@@ -1,0 +1,93 @@
+"""For cameras that look back a world is as good behind the host as ahead of it, and for a clip wherever it drives."""
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from synth3dlanes.frames import transform
+from synth3dlanes.geometry.horizon import DAM_FROM_M
+from synth3dlanes.geometry.meshes import Mesh
+from synth3dlanes.ground_truth import label
+from synth3dlanes.world import World, resolve
+from tests.scenes import changed, hill
+
+HILLS = (hill(30, 60, 9, 40), hill(30, -60, 9, 40), hill(-20, 0, -6, 35))
+BENDS = {"offset_m50_m": 4.0, "offset_p50_m": 4.0, "offset_m100_m": 5.0, "offset_p100_m": 5.0}
+
+
+def same_both_ways(**parts) -> World:
+    """A host at the middle of a scene that a mirror of y leaves unchanged."""
+    parts = {"terrain": {"gaussians": HILLS}, "road": BENDS, "shot": {"behind_m": 110.0}} | parts
+    return resolve(changed(**parts | {"camera": {"y_m": 0.0, "pitch_rad": 0.02} | parts.get("camera", {})}))
+
+
+def near_places(mesh: Mesh) -> np.ndarray:
+    """The middles of a mesh's faces nearer than the background beyond every label, which is not the same both ways."""
+    middles = mesh.vertices_world[mesh.faces].mean(axis=1)
+    return middles[np.hypot(*middles[:, :2].T) < DAM_FROM_M - 10]
+
+
+def test_every_surface_is_its_own_mirror():
+    world = same_both_ways(markings={"dash_fraction": 1.0})
+    paint = list(world.paint(world.view).values())
+    for mesh in [world.terrain, *world.verges, *world.pavement, *paint]:
+        middles = near_places(mesh)
+        assert len(middles) > 400
+        assert cKDTree(middles).query(middles * [1, -1, 1])[0].max() < 2e-3
+    assert min(np.ptp(mesh.vertices_world[:, 1]) for mesh in [*world.pavement, *paint]) > 7900
+
+
+def test_a_camera_that_looks_back_sees_the_mirrored_lanes():
+    ahead = same_both_ways()
+    behind = same_both_ways(camera={"yaw_rad": np.pi})
+    labels = label(ahead, ahead.view), label(behind, behind.view)
+    n_seen = 0
+    for one, other in zip(*(found.lanes for found in labels), strict=True):
+        np.testing.assert_allclose(one.xyz_cam, (other.xyz_cam * [-1, 1, 1])[::-1], atol=1e-6)
+        for mask in ("in_image", "terrain_visible"):
+            np.testing.assert_array_equal(getattr(one, mask), getattr(other, mask)[::-1])
+        n_seen += one.visible.sum()
+        assert one.in_image.sum() > one.visible.sum() > 0
+    assert n_seen > 200
+
+
+def test_cameras_of_a_rig_have_the_same_world_points():
+    places = {"right_m": 0.5, "forward_m": 1.2}, {"yaw_rad": 1.9, "forward_m": -1.0}, {"yaw_rad": -0.9, "roll_rad": 0.1}
+    road = {"topology": 3, "offset_m50_m": 3.0, "flip_lateral": True}
+    found = []
+    for place in places:
+        world = resolve(changed(camera=place, road=road, terrain={"gaussians": HILLS}, shot={"behind_m": 110.0}))
+        found.append([transform(world.view.world_from_cam, lane.xyz_cam) for lane in label(world, world.view).lanes])
+    for other in found[1:]:
+        for one, same in zip(found[0], other, strict=True):
+            np.testing.assert_allclose(one, same, atol=1e-9)
+
+
+def test_labels_go_on_behind_the_host_without_a_step():
+    road = {"topology": 2, "offset_m50_m": 5.0, "offset_p50_m": -3.0}
+    ahead, both = (
+        label(world, world.view)
+        for world in (resolve(changed(road=road, shot={"behind_m": behind_m})) for behind_m in (0.0, 110.0))
+    )
+    for one, other in zip(ahead.lanes, both.lanes, strict=True):
+        n_behind = len(other.xyz_cam) - len(one.xyz_cam)
+        assert n_behind == (110 if other.xyz_cam[0, 1] < -100 else 0)
+        np.testing.assert_array_equal(other.xyz_cam[n_behind:], one.xyz_cam)
+        np.testing.assert_array_equal(other.in_image[n_behind:], one.in_image)
+    through = next(lane for lane in both.lanes if lane.id == "main_2")
+    steps_m = np.linalg.norm(np.diff(through.xyz_cam, axis=0), axis=1)
+    assert np.abs(steps_m - 1).max() < 0.05
+
+
+def test_a_clip_is_as_good_from_its_first_place_to_its_last():
+    driven_m, parts = 40.0, {"road": {"topology": 1} | BENDS, "terrain": {"gaussians": HILLS}}
+    clip = resolve(changed(**parts, shot={"n_frames": 21, "fps": 10.0, "speed_m_s": driven_m / 2}))
+    ground = clip.ground
+    assert ground.driven_m == pytest.approx(driven_m, abs=1.0)
+    for y_m in (ground.near_m, ground.near_m + ground.driven_m / 2, ground.near_m + ground.driven_m):
+        alone = resolve(changed(**parts, camera={"y_m": y_m})).ground
+        outside = np.array(ground.fine) - alone.fine
+        assert outside[:2].max() < 0.1
+        assert outside[2:].min() > -0.1
+        s = y_m + np.linspace(-30, 400, 500)
+        assert (np.abs(ground.ahead_m(s)) <= np.abs(alone.ahead_m(s)) + 1e-9).all()

@@ -1,0 +1,214 @@
+"""Files of cameras: our own, OpenCV's, ROS's and Kalibr's; every mistake is a line that names its file and key."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from synth3dlanes.camera_files import camera_names, load_camera
+from synth3dlanes.cameras import CameraSpec
+from synth3dlanes.errors import InputError
+from synth3dlanes.params import load_params
+from synth3dlanes.sample import sample_scene
+from synth3dlanes.shots import Shots
+
+OWN = "width_px: 640\nheight_px: 480\n"
+# What cv2.FileStorage writes.
+OPENCV = """%YAML:1.0
+---
+image_width: 1280
+image_height: 720
+camera_matrix: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 700., 0., 640., 0., 690., 350., 0., 0., 1. ]
+distortion_coefficients: !!opencv-matrix
+   rows: 1
+   cols: 5
+   dt: d
+   data: [ -0.34999999999999998, 0.14999999999999999, 0.001,
+       -0.00069999999999999999, -0.029999999999999999 ]
+avg_reprojection_error: 1.2223406580161311e-01
+"""
+KALIBR = """cam0:
+  cam_overlaps: []
+  camera_model: pinhole
+  distortion_coeffs: [-0.01, 0.02, -0.003, 0.0004]
+  distortion_model: equidistant
+  intrinsics: [461.6, 460.3, 362.7, 248.1]
+  resolution: [752, 480]
+  rostopic: /cam0/image_raw
+cam1:
+  camera_model: omni
+"""
+ROS = """image_width: 640
+image_height: 480
+camera_name: narrow
+camera_matrix: {rows: 3, cols: 3, data: [400, 0, 320, 0, 401, 240, 0, 0, 1]}
+distortion_model: rational_polynomial
+distortion_coefficients: {rows: 1, cols: 8, data: [1, 2, 3, 4, 5, 6, 7, 8]}
+"""
+
+
+def read(text: str, folder: Path) -> CameraSpec:
+    path = folder / "mine.yaml"
+    path.write_text(text)
+    return load_camera(str(path))
+
+
+def middle(spec: CameraSpec) -> dict[str, object]:
+    return spec.drawn(lambda: 0.5)
+
+
+@pytest.fixture
+def problems(tmp_path: Path) -> Callable[[str], list[str]]:
+    def found(text: str) -> list[str]:
+        with pytest.raises(InputError) as error:
+            read(text, tmp_path)
+        where = f"{tmp_path / 'mine.yaml'}: "
+        assert all(line.startswith(where) for line in error.value.problems)
+        return [line.removeprefix(where) for line in error.value.problems]
+
+    return found
+
+
+def test_every_form_of_a_value(tmp_path: Path) -> None:
+    text = "fx: 500 +- 20\ncx: [300, 340]\ncy: {240: 1, 250: 3}\nheight_m: 1.4 ± 0.1\nyaw_deg: 5\nroll_deg: 0 +/- 1e0"
+    spec = read(OWN + text, tmp_path)
+    low, high = (spec.drawn(lambda u=u: u) for u in (0.0, 1 - 1e-12))
+    assert (low["fx_px"], high["fx_px"]) == (480, 520)
+    assert (low["fy_px"], high["fy_px"]) == (480, 520)
+    assert (low["cx_px"], high["cx_px"], low["cy_px"], high["cy_px"]) == (300, 340, 240, 250)
+    assert (low["height_m"], high["height_m"]) == (1.3, 1.5)
+    assert low["yaw_rad"] == pytest.approx(np.radians(5), abs=1e-6)
+    assert (low["roll_rad"], high["roll_rad"]) == (-0.017453, 0.017453)
+
+
+@pytest.mark.parametrize("k", ["[[500, 0, 322], [0, 505, 239], [0, 0, 1]]", "[500, 0, 322, 0, 505, 239, 0, 0, 1]"])
+def test_k_in_rows_or_flat(k: str, tmp_path: Path) -> None:
+    found = middle(read(f"{OWN}K: {k}", tmp_path))
+    assert [found[name] for name in ("fx_px", "fy_px", "cx_px", "cy_px")] == [500, 505, 322, 239]
+
+
+def test_a_field_of_view_goes_through_the_lens(tmp_path: Path) -> None:
+    pinhole = middle(read(f"{OWN}horizontal_fov_deg: 90", tmp_path))
+    assert pinhole["fx_px"] == pytest.approx(320)
+    fisheye = middle(read(f"{OWN}horizontal_fov_deg: 180\nmodel: fisheye", tmp_path))
+    assert fisheye["fx_px"] == pytest.approx(320 / (np.pi / 2), abs=1e-5)
+    bent = middle(read(f"{OWN}horizontal_fov_deg: 90\nmodel: opencv\nk1: -0.2", tmp_path))
+    assert bent["fx_px"] == pytest.approx(320 / 0.8)
+
+
+def test_opencvs_file(tmp_path: Path) -> None:
+    found = middle(read(OPENCV, tmp_path))
+    # (0, 0) is the centre of OpenCV's first pixel.
+    assert [found[name] for name in ("fx_px", "fy_px", "cx_px", "cy_px")] == [700, 690, 640.5, 350.5]
+    assert (found["width_px"], found["height_px"]) == (1280, 720)
+    assert found["lens"].model == "opencv"
+    assert found["lens"].coefficients == (-0.35, 0.15, 0.001, -0.0007, -0.03, 0, 0, 0)
+    assert (found["height_m"], found["pitch_rad"], found["right_m"]) == (1.5, 0, 0)
+
+
+def test_opencvs_fisheye_and_kalibrs(tmp_path: Path) -> None:
+    four = OPENCV.replace("cols: 5", "cols: 4").replace(",\n       -0.00069999999999999999, -0.0299", ", -0.0299")
+    assert middle(read(four + "fisheye_model: 1\n", tmp_path))["lens"].model == "fisheye"
+    found = middle(read(KALIBR, tmp_path))
+    assert found["lens"].model == "fisheye"
+    assert found["lens"].coefficients == (-0.01, 0.02, -0.003, 0.0004)
+    assert [found[name] for name in ("fx_px", "fy_px", "cx_px", "cy_px")] == [461.6, 460.3, 363.2, 248.6]
+    radtan = middle(read(KALIBR.replace("equidistant", "radtan"), tmp_path))
+    assert radtan["lens"].coefficients == (-0.01, 0.02, -0.003, 0.0004, 0, 0, 0, 0)
+
+
+def test_ros_has_the_order_of_opencv(tmp_path: Path) -> None:
+    assert middle(read(ROS, tmp_path))["lens"].coefficients == (1, 2, 3, 4, 5, 6, 7, 8)
+
+
+def test_a_calibration_gets_its_place_from_an_own_file(tmp_path: Path) -> None:
+    (tmp_path / "calibration.yaml").write_text(OPENCV)
+    found = middle(read("calibration: calibration.yaml\nheight_m: 1.2\nright_m: -0.3\npitch_deg: 2", tmp_path))
+    assert (found["fx_px"], found["height_m"], found["right_m"]) == (700, 1.2, -0.3)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (OWN, "expected either fx (or K) or horizontal_fov_deg"),
+        (f"{OWN}fx: 500\nhorizontal_fov_deg: 60", "expected either fx (or K) or horizontal_fov_deg"),
+        (f"{OWN}fx: 500\nfocal: 3", "focal: unknown key"),
+        (f"{OWN}fx: 500\nhieght_m: 3", "hieght_m: unknown key; did you mean height_m?"),
+        (f"{OWN}fx: 500\nheight_m: 30", "height_m: expected numbers in [0.3, 10]"),
+        (f"{OWN}fx: 500\npitch_deg: [5, 1]", "pitch_deg: expected [low, high] with low <= high, got [5, 1]"),
+        (f"{OWN}fx: 500 +- ", "fx_px: expected numbers in [1, 100000]"),
+        (f"{OWN}fx: 500\nk1: 0.1", "expected no coefficients for the model pinhole, got k1"),
+        (f"{OWN}fx: 500\nmodel: fisheye\np1: 0.1", "expected k1 k2 k3 k4 for the model fisheye, got p1"),
+        (f"{OWN}fx: 500\nmodel: omni", "model: expected 'pinhole', 'opencv' or 'fisheye', got 'omni'"),
+        (f"{OWN}K: [[1, 0], [0, 1]]", "K: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got"),
+        (f"{OWN}horizontal_fov_deg: 181", "horizontal_fov_deg: expected less than the lens's 180, got 181"),
+        (f"{OWN}model: opencv\nk1: -0.3333333\nhorizontal_fov_deg: 120", "horizontal_fov_deg: expected less than the"),
+        ("width_px: 640\nfx: 500", "height_px: missing"),
+        ("- 3", "expected keys of a camera such as width_px, got [3]"),
+        ("", "expected keys of a camera such as width_px, got None"),
+        ("a: [", "line 1: not YAML"),
+        (OPENCV.replace("image_width", "breadth"), "image_width: missing key"),
+        (OPENCV.replace("700., ", ""), "camera_matrix: expected 9 numbers, got"),
+        (OPENCV.replace("-0.34999999999999998, ", "0, 0, "), "distortion: expected 4, 5 or 8 coefficients"),
+        (KALIBR.replace("pinhole", "omni"), "camera_model: expected pinhole, got 'omni'"),
+        (KALIBR.replace("equidistant", "fov"), "distortion_model: expected one of none, radtan, equidistant, got"),
+        ("calibration: none.yaml", "calibration none.yaml: cannot read: No such file"),
+    ],
+)  # fmt: skip
+def test_each_mistake_has_its_line(text: str, expected: str, problems: Callable[[str], list[str]]) -> None:
+    assert any(line.startswith(expected) for line in problems(text)), problems(text)
+
+
+def test_all_mistakes_are_reported(problems: Callable[[str], list[str]]) -> None:
+    assert len(problems(f"{OWN}fx: 500\nheight_m: 30\npitch_deg: x\nfocal: 3")) == 3
+
+
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=6),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=4) | st.integers(), inner, max_size=3),
+    max_leaves=8,
+)
+KEYS = [*CameraSpec.model_fields, "fx", "K", "calibration", "camera_matrix", "distortion_coefficients", "cam0"]
+KEYS += ["intrinsics", "resolution", "distortion_model", "fisheye_model", "image_width", "image_height"]
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=200)
+@given(st.dictionaries(st.sampled_from(KEYS) | st.text(max_size=4), VALUES, max_size=8), st.booleans())
+def test_no_document_breaks_the_reader(tmp_path: Path, document: dict[object, object], complete: bool) -> None:
+    if complete:
+        document = {"width_px": 640, "height_px": 480, "fx": 300} | document
+    try:
+        text = yaml.safe_dump(document)
+    except yaml.YAMLError:
+        return
+    found: list[str] = []
+    try:
+        found.append(repr(read(text, tmp_path)))
+    except InputError as error:
+        found += error.problems
+    assert found
+    assert not any("\n" in line for line in found)
+
+
+@pytest.mark.parametrize("name", camera_names())
+def test_every_ready_camera_draws_scenes(name: str) -> None:
+    spec = load_camera(name)
+    scene = sample_scene(load_params("tiny"), 0, "train", 3, shots=Shots(cameras=(spec,)))
+    plain = sample_scene(load_params("tiny"), 0, "train", 3)
+    # The world and the host's place are those of the parameters, whatever the camera.
+    assert scene.model_copy(update={"camera": plain.camera}) == plain
+    assert (scene.camera.lane, scene.camera.y_m) == (plain.camera.lane, plain.camera.y_m)
+    assert CameraSpec.model_validate(spec.model_dump(mode="json")) == spec
+
+
+def test_another_name_is_refused() -> None:
+    with pytest.raises(InputError, match=r"pinhole: expected one of comma, .*, or the path of a \.yaml file"):
+        load_camera("pinhole")

@@ -1,0 +1,212 @@
+"""Clips: the host and the cars drive, everything else stays, and the first frame is the single picture."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from synth3dlanes import labels as labels_format
+from synth3dlanes import scene as scene_format
+from synth3dlanes.errors import InputError
+from synth3dlanes.frames import invert, transform
+from synth3dlanes.ground_truth import ground_truth, label
+from synth3dlanes.params import Params, load_params
+from synth3dlanes.sample import sample_scene, sample_world, scene_texts
+from synth3dlanes.shots import Place, Shots, clips
+from synth3dlanes.world import World, resolve
+from tests.scenes import changed
+
+TWO_SECONDS = clips(21, 10)
+SMOOTH = ("road.topology={1: 1, 2: 1}", "cars.n=6")
+
+
+def params(*overrides: str) -> Params:
+    return load_params("appendix_i", overrides)
+
+
+def frames(scene: int, shots: Shots, drawn_from: Params) -> list[World]:
+    indices = range(scene * shots.frames, (scene + 1) * shots.frames)
+    return [sample_world(drawn_from, 0, "train", index, shots=shots) for index in indices]
+
+
+def test_sample_numbers_and_places_are_one_to_one():
+    shots = Shots(frames=4, cameras=tuple([camera()] * 3))
+    places = [shots.place(index) for index in range(48)]
+    assert [shots.index(place) for place in places] == list(range(48))
+    assert places[17] == Place(1, 1, 2)
+    assert len(set(places)) == 48
+
+
+def camera():
+    from synth3dlanes.cameras import CameraSpec
+
+    sizes = {"width_px": 64, "height_px": 48, "fx_px": 60, "fy_px": 60, "cx_px": 32, "cy_px": 24, "height_m": 1.5}
+    return CameraSpec.model_validate(sizes)
+
+
+def test_the_first_frame_is_the_single_picture():
+    same = 0
+    for index in range(10):
+        single = sample_scene(params(), 0, "train", index)
+        first = sample_scene(params(), 0, "train", 21 * index, shots=TWO_SECONDS)
+        standing = [car.model_copy(update={"speed_m_s": 0.0}) for car in first.cars]
+        plain = first.model_copy(update={"shot": single.shot, "cars": tuple(standing)})
+        moved = {"camera": single.camera, "cars": single.cars}
+        assert plain.model_copy(update=moved) == single  # but for host and cars that found no way
+        same += plain == single
+    assert same >= 7
+
+
+def test_frames_of_a_clip_differ_in_their_number_alone():
+    worlds = frames(1, clips(5, 10), params())
+    assert [world.scene.shot.frame for world in worlds] == list(range(5))
+    assert len({world.scene.model_dump_json(exclude={"shot"}) for world in worlds}) == 1
+    assert {world.scene.index for world in worlds} == {1}
+
+
+def test_a_frame_is_the_same_whether_drawn_alone_or_in_a_clip_or_read_back():
+    shots, drawn_from = clips(4, 10), params()
+    texts = list(scene_texts(drawn_from, 0, "train", range(8), shots=shots))
+    for index in (6, 1, 7, 3):
+        world = sample_world(drawn_from, 0, "train", index, shots=shots)
+        assert scene_format.to_json(world.scene) == texts[index]
+        again = ground_truth(scene_format.from_json(texts[index], "test"))
+        assert labels_format.to_json(again) == labels_format.to_json(label(world, world.view))
+
+
+@pytest.mark.parametrize("index", [0, 1, 2])
+def test_poses_integrate_to_the_way_driven(index):
+    worlds = frames(index, TWO_SECONDS, params(*SMOOTH, "camera.offset_m=0"))
+    shot = worlds[0].scene.shot
+    assert 20 <= shot.speed_m_s <= 33
+    feet = np.array([world.view.world_from_host[:3, 3] for world in worlds])
+    steps_m = np.linalg.norm(np.diff(feet, axis=0), axis=1)
+    # A chord is shorter than its arc by less than a thousandth on these roads.
+    assert steps_m == pytest.approx(shot.speed_m_s / 10, rel=1e-3)
+    for world, step in zip(worlds, np.diff(feet, axis=0), strict=False):
+        assert step @ world.view.world_from_host[:3, 1] > 0.99 * np.linalg.norm(step)
+
+
+def test_on_a_straight_flat_road_the_host_drives_to_the_millimetre():
+    shot = {"n_frames": 10, "fps": 10.0, "speed_m_s": 25.0}
+    feet = [resolve(changed(shot={**shot, "frame": frame})).view.world_from_cam[:3, 3] for frame in range(10)]
+    assert np.diff(feet, axis=0) == pytest.approx(np.tile([0, 2.5, 0], (9, 1)), abs=1e-3)
+
+
+@pytest.mark.parametrize("index", range(4))
+def test_lanes_stay_at_one_place_of_the_world(index):
+    """Lines of a later frame lie on those of the first, interpolated by splines that know nothing of our roads."""
+    first, *later = [label(world, world.view) for world in frames(index, clips(3, 2), params("road.topology=1"))]
+    compared = 0
+    for lane in first.lanes:
+        x, y, z = transform(first.camera.world_from_cam, read_back(first, lane.id)).T
+        if len(y) < 30:
+            continue
+        order = np.argsort(y)
+        spline = CubicSpline(y[order], np.column_stack([x, z])[order])
+        for labels in later:
+            if lane.id not in [other.id for other in labels.lanes]:
+                continue
+            points = transform(labels.camera.world_from_cam, read_back(labels, lane.id))
+            # Splines are loose at ends of lines and where the road's curvature jumps, 100 m from its middle.
+            inner = points[(points[:, 1] > y.min() + 5) & (points[:, 1] < min(y.max(), 100) - 5)]
+            assert np.abs(spline(inner[:, 1]) - inner[:, [0, 2]]).max(initial=0) < 1e-3
+            compared += len(inner)
+    assert compared > 200
+    assert [labels.time_s for labels in (first, *later)] == [0.0, 0.5, 1.0]
+
+
+def read_back(labels, lane_id):
+    again = labels_format.from_json(labels_format.to_json(labels), "test")
+    return next(lane.xyz_cam for lane in again.lanes if lane.id == lane_id)
+
+
+def test_labels_of_single_pictures_say_no_time():
+    assert '"time_s"' not in labels_format.to_json(ground_truth(sample_scene(params(), 0, "train", 0)))
+
+
+def test_cars_keep_their_numbers_speeds_and_direction():
+    worlds = frames(3, TWO_SECONDS, params(*SMOOTH, "cars.parked=0.5", "road.n_oncoming=2", "road.shoulder_factor=0.8"))
+    cars = worlds[0].scene.cars
+    poses = np.array([world.view.world_from_cars for world in worlds])
+    assert len(cars) == 6
+    for number, car in enumerate(cars):
+        steps = np.diff(poses[:, number, :3, 3], axis=0)
+        assert np.linalg.norm(steps, axis=1) == pytest.approx(car.speed_m_s / 10, rel=0.01)
+        assert (car.speed_m_s == 0) == (car.offset_m != 0)
+        assert (poses[:, number, :3, 1] * poses[0, number, :3, 1]).sum(axis=1).min() > 0.9
+        ahead = -1 if car.lane.startswith("oncoming") else 1
+        assert (ahead * steps[:, 1] >= 0).all()
+    assert {car.lane.startswith("oncoming") for car in cars} == {True, False}
+    assert {car.offset_m != 0 for car in cars} == {True, False}
+
+
+@pytest.mark.parametrize("topology", [1, 2, 3, 4])
+def test_the_host_stays_on_the_main_road(topology):
+    drawn_from = params(f"road.topology={topology}", "cars.n=0", "trees.n=0")
+    for index in range(30):
+        world = sample_world(drawn_from, 0, "train", 31 * (index + 1) - 1, shots=clips(31, 10))
+        lane = world.view.camera.lane
+        assert lane <= world.scene.road.lanes_present(world.view.camera.y_m)
+
+
+@pytest.mark.parametrize("preset", ["appendix_i", "streets"])
+def test_no_two_cars_ever_overlap(preset):
+    assert_apart(load_params(preset), range(3), every_s=0.4)
+
+
+@pytest.mark.slow
+def test_no_two_cars_overlap_in_two_hundred_clips():
+    assert_apart(params("cars.n=[12, 24]"), range(200), every_s=0.1)
+
+
+def assert_apart(drawn_from: Params, scenes: range, every_s: float) -> None:
+    """No body has a point inside another, at any of many instants; the bodies are sampled, so that the sampler's own
+    test of rectangles is not used."""
+    for index in scenes:
+        world = sample_world(drawn_from, 0, "train", 21 * index, shots=TWO_SECONDS)
+        assert world.scene.cars
+        models = [world.scene.assets.car_models[car.model - 1] for car in world.scene.cars]
+        sizes = [
+            (m.width_m * car.scale, m.length_m * car.scale) for m, car in zip(models, world.scene.cars, strict=True)
+        ]
+        for time_s in np.arange(0, 2.01, every_s):
+            # As many frames a second as it takes for a frame at this time.
+            shot = world.scene.shot.model_copy(
+                update={"frame": 1 if time_s else 0, "fps": 1 / time_s if time_s else 1.0}
+            )
+            view = resolve(world.scene.model_copy(update={"shot": shot})).view
+            bodies = [
+                *zip(view.world_from_cars, sizes, strict=True),
+                (view.world_from_host, (2.0, 5.0)),
+            ]
+            for i, (pose, size) in enumerate(bodies):
+                across, along = (np.linspace(-half / 2, half / 2, max(3, int(half / 0.4))) for half in size)
+                points = np.stack(np.meshgrid(across, along), axis=-1).reshape(-1, 2)
+                points_world = transform(pose, np.column_stack([points, np.zeros(len(points))]))
+                for other, (width, length) in bodies[i + 1 :]:
+                    if np.linalg.norm(pose[:2, 3] - other[:2, 3]) < 20:
+                        inside = np.abs(transform(invert(other), points_world)[:, :2]) < [width / 2, length / 2]
+                        assert not inside.all(axis=1).any(), f"scene {index}, {time_s:g} s, body {i}"
+
+
+def test_speeds_follow_their_ranges():
+    drawn = [
+        frames(i, clips(2, 10), params("motion.host_speed_m_s=[8, 14]", "motion.car_speed_m_s=11"))[0] for i in range(6)
+    ]
+    speeds = [world.scene.shot.speed_m_s for world in drawn]
+    assert all(8 <= speed <= 14 for speed in speeds)
+    assert len(set(speeds)) == 6
+    assert {car.speed_m_s for world in drawn for car in world.scene.cars} <= {11.0, *speeds}
+
+
+def test_clips_beyond_the_road_are_refused():
+    with pytest.raises(InputError, match=r"at most 400 m, got 14\.9 s at up to 33 m/s"):
+        sample_scene(params(), 0, "train", 0, shots=clips(150, 10))
+    with pytest.raises(InputError, match="frames: expected at most 1000, got 1001"):
+        clips(1001, 10)
+
+
+def test_a_run_says_what_its_samples_show():
+    assert clips(20, 10).text(100) == "5 clips of 20 frames, 10 a second"
+    assert clips(20, 12.5).text(41) == "3 clips of 20 frames, 12.5 a second, the last of 1 frame"
+    assert clips(1, 10).text(7) == ""

@@ -1,0 +1,124 @@
+"""Lenses: projection and its inverse, against numbers that OpenCV 4.11 gave and against properties."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from synth3dlanes.frames import project
+from synth3dlanes.lens import PINHOLE, Lens, LensModel
+
+# By cv2.projectPoints and cv2.fisheye.projectPoints, whose axes are x right, y down, z forward, for this matrix.
+REFERENCE: dict[str, Any] = json.loads((Path(__file__).parent / "opencv_lenses.json").read_text())
+FX, FY, CX, CY = 700.0, 690.0, 640.0, 350.0
+IMG_FROM_CAM = np.array([[FX, CX, 0], [0, CY, -FY], [0, 1, 0]])
+
+
+def lens(model: LensModel, k: list[float]) -> Lens:
+    return Lens(model=model, coefficients=tuple(k + [0.0] * ((8 if model == "opencv" else 4) - len(k))))
+
+
+def cases() -> list[tuple[str, Lens, np.ndarray, np.ndarray]]:
+    found = []
+    for name, case in REFERENCE.items():
+        x, y, z = np.array(case["points_cv"]).T
+        found.append((name, lens(case["model"], case["k"]), np.stack([x, z, -y], axis=1), np.array(case["uv"])))
+    return found
+
+
+@pytest.mark.parametrize(("name", "lens", "points_cam", "uv"), cases(), ids=list(REFERENCE))
+def test_it_projects_as_opencv_does(name: str, lens: Lens, points_cam: np.ndarray, uv: np.ndarray) -> None:
+    # The reference is rounded to a millionth of a pixel.
+    np.testing.assert_allclose(lens.project(IMG_FROM_CAM, points_cam), uv, atol=2e-6)
+
+
+@pytest.mark.parametrize(("name", "lens", "points_cam", "uv"), cases(), ids=list(REFERENCE))
+def test_rays_of_opencvs_pixels_lead_to_its_points(
+    name: str, lens: Lens, points_cam: np.ndarray, uv: np.ndarray
+) -> None:
+    directions = points_cam / np.linalg.norm(points_cam, axis=1, keepdims=True)
+    np.testing.assert_allclose(lens.rays(IMG_FROM_CAM, uv), directions, atol=5e-8)
+
+
+@given(
+    st.sampled_from([case[1] for case in cases()]),
+    st.floats(0, 0.999),
+    st.floats(-np.pi, np.pi),
+    st.floats(0.5, 500),
+)
+def test_rays_undo_the_projection_over_the_whole_field(lens: Lens, share: float, around: float, away_m: float) -> None:
+    angle = share * min(lens.field_rad, np.radians(85) if lens.model == "opencv" else np.pi)
+    direction = np.array([[np.sin(angle) * np.cos(around), np.cos(angle), np.sin(angle) * np.sin(around)]])
+    uv = lens.project(IMG_FROM_CAM, away_m * direction)
+    ray = lens.rays(IMG_FROM_CAM, uv)
+    again = lens.project(IMG_FROM_CAM, ray)
+    if np.isnan(ray).any():
+        # With p1 and p2 the field's border is no circle.
+        assert share > 0.9
+        assert any(lens.coefficients[2:4])
+    else:
+        np.testing.assert_allclose(again, uv, rtol=0, atol=1e-9 * (FX + np.abs(uv).max()))
+
+
+def test_what_is_out_of_the_field_does_not_project() -> None:
+    # r (1 - r^2 / 3) turns back at r = 1: 45 degrees.
+    barrel = lens("opencv", [-1 / 3])
+    assert barrel.field_rad == pytest.approx(np.pi / 4)
+    inside, outside = np.array([[0.999, 1, 0]]), np.array([[1.001, 1, 0]])
+    assert np.isfinite(barrel.project(IMG_FROM_CAM, inside)).all()
+    assert np.isnan(barrel.project(IMG_FROM_CAM, outside)).all()
+    behind = np.array([[0.1, -1.0, 0.1], [0, -1, 0], [0, 0, 0]])
+    for one in (barrel, PINHOLE, lens("fisheye", [-0.1])):
+        assert np.isnan(one.project(IMG_FROM_CAM, behind)).all()
+    # Its farthest pixels lie 2/3 focal lengths from the principal point; there is nothing beyond.
+    row = np.array([[CX + 0.666 * FX, CY], [CX + 0.667 * FX, CY]])
+    assert np.isnan(barrel.rays(IMG_FROM_CAM, row)).any(axis=1).tolist() == [False, True]
+
+
+def test_a_pole_ends_the_field() -> None:
+    # r / (1 - r^2) grows without end towards r = 1.
+    assert lens("opencv", [0, 0, 0, 0, 0, -1.0]).field_rad == pytest.approx(np.pi / 4)
+
+
+def test_an_equidistant_fisheye_sees_behind_itself() -> None:
+    fisheye = lens("fisheye", [])
+    assert fisheye.field_rad == np.pi
+    angle = np.radians(100)
+    aside = np.array([[np.sin(angle), np.cos(angle), 0.0]])
+    np.testing.assert_allclose(fisheye.project(IMG_FROM_CAM, aside), [[CX + FX * angle, CY]])
+    np.testing.assert_allclose(fisheye.rays(IMG_FROM_CAM, np.array([[CX + FX * angle, CY]])), aside, atol=1e-12)
+
+
+def test_without_coefficients_it_is_a_pinhole_to_the_bit() -> None:
+    points_cam = np.random.default_rng(0).normal(size=(50, 3)) * [5, 30, 2]
+    for one in (PINHOLE, lens("opencv", [])):
+        np.testing.assert_array_equal(one.project(IMG_FROM_CAM, points_cam), project(IMG_FROM_CAM, points_cam))
+
+
+def test_barrel_draws_points_in_and_pincushion_out() -> None:
+    corner = np.array([[0.6, 1.0, -0.4]])
+    (straight,), (barrel,), (pincushion,) = (
+        one.project(IMG_FROM_CAM, corner) for one in (PINHOLE, lens("opencv", [-0.2]), lens("opencv", [0.2]))
+    )
+    assert CX < barrel[0] < straight[0] < pincushion[0]
+    assert CY < barrel[1] < straight[1] < pincushion[1]
+
+
+@given(st.lists(st.floats(-1e4, 1e4), min_size=8, max_size=8), st.sampled_from(["opencv", "fisheye"]))
+def test_any_coefficients_give_numbers_or_nan(k: list[float], model: LensModel) -> None:
+    any_lens = lens(model, k[: 8 if model == "opencv" else 4])
+    assert 0 < any_lens.field_rad <= np.pi
+    uv = np.random.default_rng(1).uniform(0, 1280, (20, 2))
+    rays = any_lens.rays(IMG_FROM_CAM, uv)
+    known = np.isfinite(rays).all(axis=1)
+    np.testing.assert_allclose(np.linalg.norm(rays[known], axis=1), 1, atol=1e-9)
+
+
+@pytest.mark.parametrize(("model", "n"), [("pinhole", 1), ("opencv", 5), ("fisheye", 8)])
+def test_a_wrong_number_of_coefficients_is_refused(model: LensModel, n: int) -> None:
+    with pytest.raises(ValueError, match="coefficients: expected"):
+        Lens(model=model, coefficients=(0.0,) * n)

@@ -1,0 +1,175 @@
+"""Rigs: files, one world for all cameras, and what training and exports take of them."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from baseline_model.sources import Upright, training_and_validation
+from synth3dlanes import labels as labels_format
+from synth3dlanes.dataset.read import Reader
+from synth3dlanes.dataset.rectify import rectified_labels
+from synth3dlanes.errors import InputError
+from synth3dlanes.formats.plan import plan as export_plan
+from synth3dlanes.frames import invert, project, transform
+from synth3dlanes.ground_truth import label
+from synth3dlanes.params import load_params
+from synth3dlanes.production.plan import Plan
+from synth3dlanes.production.run import generate
+from synth3dlanes.rig_files import load_rig, rig_names
+from synth3dlanes.sample import sample_scene, sample_world
+from synth3dlanes.scene import MAX_BEHIND_M
+from synth3dlanes.shots import Shots
+from synth3dlanes.world import resolve
+from tests import fake_samples
+from tests.scenes import changed
+
+NUSCENES = load_rig("nuscenes")
+# Rows of nuScenes' calibrated_sensor table: translation, rotation (w, x, y, z) and (f, cx, cy), in its axes: the
+# vehicle's x forward, y left, z up from the rear axle, the camera's x right, y down, z forward.
+TABLE = {
+    "CAM_FRONT": ((1.7008, 0.0159, 1.5110), (0.49980, -0.50303, 0.49978, -0.49737), (1266.42, 816.27, 491.51)),
+    "CAM_FRONT_RIGHT": ((1.5508, -0.4934, 1.4957), (0.20603, -0.20269, 0.68245, -0.67136), (1260.85, 807.97, 495.33)),
+    "CAM_BACK": ((0.0283, 0.0035, 1.5791), (0.50379, -0.49740, -0.49419, 0.50455), (809.22, 829.22, 481.78)),
+    "CAM_BACK_LEFT": ((1.0357, 0.4848, 1.5910), (0.69242, -0.70316, -0.11648, 0.11203), (1256.74, 792.11, 492.78)),
+}
+AXLE_TO_MIDDLE_M = 1.4
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_nuscenes_cameras_see_what_the_table_says(name):
+    """What lies around the car is in the same pixels as by the data set's own numbers."""
+    place, (w, x, y, z), (f, cx, cy) = TABLE[name]
+    points_host = np.random.default_rng(0).uniform([-30, -30, 0], [30, 30, 3], (400, 3))
+    vehicle = np.column_stack([points_host[:, 1] + AXLE_TO_MIDDLE_M, -points_host[:, 0], points_host[:, 2]])
+    seen = (vehicle - place) @ Rotation.from_quat([x, y, z, w]).as_matrix()
+    index = [spec.name for spec in NUSCENES].index(name)
+    scene = sample_scene(load_params("appendix_i"), 0, "train", index, shots=Shots(cameras=NUSCENES))
+    view = resolve(scene).view
+    points_cam = transform(invert(view.world_from_cam) @ view.world_from_host, points_host)
+    uv = project(view.img_from_cam, points_cam)
+    ahead = seen[:, 2] > 5
+    expected = np.column_stack([cx + f * seen[:, 0] / seen[:, 2], cy + f * seen[:, 1] / seen[:, 2]]) + 0.5
+    inside = ahead & ((expected > 0) & (expected < [1600, 900])).all(axis=1)
+    assert inside.sum() > 20
+    assert np.abs(uv - expected)[inside].max() < 6
+
+
+def test_all_ready_rigs_can_be_read_and_see_all_around():
+    assert {"argoverse2", "nuscenes"} <= set(rig_names())
+    for name, n_cameras in (("nuscenes", 6), ("argoverse2", 9)):
+        rig = load_rig(name)
+        assert len({spec.name for spec in rig}) == len(rig) == n_cameras
+        covered = np.zeros(360, bool)
+        for spec in rig:
+            (yaw,), (focal,), (width,) = spec.yaw_deg.values, spec.fx_px.values, spec.width_px.values
+            half = math.degrees(math.atan(width / 2 / focal)) + 1.5
+            covered |= np.abs((np.arange(360) - yaw + 180) % 360 - 180) <= half
+        assert covered.all()
+
+
+def test_a_point_of_a_lane_is_one_point_of_the_world_by_every_camera():
+    shots = Shots(cameras=NUSCENES)
+    for index in (0, 3):
+        found = []
+        for camera in range(6):
+            world = sample_world(load_params("diverse"), 2, "train", 6 * index + camera, shots=shots)
+            read = labels_format.from_json(labels_format.to_json(label(world, world.view)), "labels")
+            found.append({lane.id: transform(read.camera.world_from_cam, lane.xyz_cam) for lane in read.lanes})
+            assert (read.camera.name, read.horizon is None) == (NUSCENES[camera].name, camera > 0)
+        for other in found[1:]:
+            assert other.keys() == found[0].keys()
+            assert max(np.abs(other[id_] - found[0][id_]).max() for id_ in other) < 0.001
+
+
+def test_the_scenes_of_a_rig_differ_in_camera_and_shot_alone():
+    params, shots = load_params("appendix_i"), Shots(cameras=NUSCENES)
+    alone = sample_scene(params, 1, "train", 4)
+    for camera in range(6):
+        scene = sample_scene(params, 1, "train", 24 + camera, shots=shots)
+        assert (scene.shot.camera, scene.shot.n_cameras, scene.shot.behind_m) == (camera, 6, MAX_BEHIND_M)
+        assert scene.model_copy(update={"camera": alone.camera, "shot": alone.shot}) == alone
+
+
+def test_lanes_are_labelled_behind_only_where_a_camera_may_see_them():
+    ahead = Shots(cameras=tuple(spec for spec in NUSCENES if spec.name == "CAM_FRONT"))
+    assert (ahead.behind_m, Shots(cameras=NUSCENES).behind_m) == (0.0, MAX_BEHIND_M)
+
+
+def test_cameras_of_a_file_are_own_ready_or_in_other_files(tmp_path):
+    (tmp_path / "mine.yaml").write_text("width_px: 640\nheight_px: 480\nhorizontal_fov_deg: 90\n")
+    (tmp_path / "rig.yaml").write_text(
+        "left: {width_px: 320, height_px: 240, fx: 200, yaw_deg: 90 +- 2}\nfront: tusimple\nback.1: mine.yaml\n"
+    )
+    rig = load_rig(str(tmp_path / "rig.yaml"))
+    assert [spec.name for spec in rig] == ["left", "front", "back.1"]
+    assert (rig[0].yaw_deg.low, rig[0].yaw_deg.high) == (88, 92)
+    assert rig[1].width_px.values == (1280,)
+    assert rig[2].horizontal_fov_deg.values == (90,)
+
+
+@pytest.mark.parametrize(
+    ("text", "lines"),
+    [
+        ("[1, 2]", ["expected 1 to 64 cameras by name, got [1, 2]"]),
+        ("{}", ["expected 1 to 64 cameras by name, got {}"]),
+        ("a: {width_px: 640}\nb: nowhere\n", ["a: height_px: missing", "b: nowhere: expected one of"]),
+        ("a/b: tusimple\n", ["expected a camera's name of letters, digits, _ . and -, got 'a/b'"]),
+    ],
+)
+def test_mistakes_in_a_rig_are_lines_that_name_the_camera(tmp_path, text, lines):
+    path = tmp_path / "rig.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        load_rig(str(path))
+    for line in lines:
+        assert any(problem.startswith(f"{path}: ") and line in problem for problem in caught.value.problems)
+
+
+def test_an_unknown_rig_is_told_the_ready_ones():
+    with pytest.raises(InputError, match=r"waymo: expected one of argoverse2, nuscenes, or the path of a \.yaml file"):
+        load_rig("waymo")
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """Two scenes by six cameras."""
+    folder = tmp_path_factory.mktemp("rig") / "data"
+    recipe = fake_samples.recipe(shots=Shots(cameras=NUSCENES))
+    assert not generate(Plan(str(folder), 12, recipe, workers=1, maker=fake_samples.make), lambda event: None).problem
+    return folder
+
+
+def test_samples_of_some_cameras_are_found_by_their_names(data):
+    reader = Reader(f"{data}/train", columns=())
+    assert reader.taken_by().tolist() == [0, 6]
+    assert reader.taken_by(["CAM_BACK", "CAM_FRONT_LEFT"]).tolist() == [3, 5, 9, 11]
+    with pytest.raises(InputError, match=r"cameras: expected some of CAM_FRONT, CAM_FRONT_RIGHT, .*, got CAM_TOP"):
+        reader.taken_by(["CAM_TOP"])
+
+
+def test_training_and_exports_take_the_cameras_that_look_ahead(data):
+    samples, _ = training_and_validation(str(data), "train", "val", None)
+    assert len(samples) == 2
+    upright = Upright(Reader(f"{data}/train", columns=("camera_roll_rad",)))
+    assert [upright.key(i) for i in range(len(upright))] == ["00000000", "00000006"]
+    assert [place for chunk in export_plan(str(data)) for place in chunk.places] == [0, 6]
+    assert [place for chunk in export_plan(str(data), ["CAM_BACK"]) for place in chunk.places] == [3, 9]
+
+
+def test_a_rig_that_only_looks_back_has_nothing_to_train_on(tmp_path):
+    back = tuple(spec for spec in NUSCENES if spec.name.startswith("CAM_BACK"))
+    recipe = fake_samples.recipe(shots=Shots(cameras=back))
+    generate(Plan(str(tmp_path / "d"), 3, recipe, workers=1, maker=fake_samples.make), lambda event: None)
+    with pytest.raises(InputError, match="expected a camera within 30 degrees of the driving direction, got none"):
+        len(Upright(Reader(f"{tmp_path}/d/train")))
+
+
+def test_formats_without_yaw_get_a_road_frame_that_looks_along_the_camera():
+    world = resolve(changed(camera={"yaw_rad": 0.3, "roll_rad": 0.1, "pitch_rad": 0.05, "forward_m": 1.0}))
+    labels = label(world, world.view)
+    level = rectified_labels(labels).camera
+    axis_road = level.road_from_cam[:3, 1]
+    np.testing.assert_allclose(axis_road, [0, math.cos(0.05), -math.sin(0.05)], atol=1e-12)
+    assert (level.yaw_rad, level.roll_rad) == (0, 0)
