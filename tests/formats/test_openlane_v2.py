@@ -23,15 +23,16 @@ CHANGES = ["camera.roll_deg={-2: 1, 2: 1}", "camera.principal_offset_px=[-8, 8]"
 
 def frame_of(seed, *changes):
     scene = sample_scene(load_params("appendix_i", [*CHANGES, *changes]), seed, "train", 0)
+    labels = ground_truth(scene)
     return SampleFrame(
-        "train", "00000000", 7, "train", frozenset({"train"}), scene=scene, labels=ground_truth(scene), passes={},
-        image_format="jpg",
+        "train", "00000007", 7, "train", frozenset({"train"}), scene=scene, labels=labels, passes={},
+        image_format="jpg", cameras={"00000007": labels.camera},
     )  # fmt: skip
 
 
 def documents(frame):
     files = {path.rpartition("/")[2]: json.loads(text) for path, text in annotate(frame).files.items()}
-    return files["7.json"], files["7-ls.json"]
+    return files["0.json"], files["0-ls.json"]
 
 
 def pixels(document, points_ego):
