@@ -15,7 +15,7 @@ from synth3dlanes.formats.openlane_v2.convention import (
     AHEAD_M,
     ASIDE_M,
     CENTERLINE_POINTS,
-    COLLECTION,
+    COLLECTIONS,
     FRONT_CAMERA,
     LINE_TYPES,
     PEDESTRIAN_CROSSING,
@@ -23,6 +23,7 @@ from synth3dlanes.formats.openlane_v2.convention import (
     ROAD_BOUNDARY,
     ROAD_FROM_EGO,
     ROOT,
+    collection,
 )
 from synth3dlanes.formats.openlane_v2.lane_map import Boundary, LaneSegment, lane_segments, pavement_edges, runs
 from synth3dlanes.formats.sample_format import SampleFormat, SampleFrame
@@ -37,13 +38,14 @@ LEAST_LENGTH_M = 2.0
 SHORT = f"less than {LEAST_LENGTH_M:g} m of it in the area"
 OUTSIDE = f"outside the area ({AHEAD_M:g} m ahead, {ASIDE_M:g} m to each side)"
 
-README = f"""OpenLane-V2 layout, subset A.
+README = f"""OpenLane-V2 layout: subset B with the rig of nuScenes, subset A otherwise.
 
 - `{ROOT}/{{train,val,test}}/<segment>/info/<timestamp>.json` (centre lines) and `<timestamp>-ls.json` (lane segments,
-  areas), images in `<segment>/image/{FRONT_CAMERA}/<timestamp>.jpg`, `{ROOT}/{COLLECTION}.json` (the frames of each
-  part).
+  areas), images in `<segment>/image/<camera>/<timestamp>.jpg`, `{ROOT}/{COLLECTIONS[0]}.json` (or `B`: the frames
+  of each part).
 - Loaders read pickle files, which the devkit makes: run its `preprocess.py` and `preprocess-ls.py` (in its folder
-  `data/OpenLane-V2`) in this folder. That makes `{COLLECTION}_train.pkl`, `{COLLECTION}_train_ls.pkl` and so on.
+  `data/OpenLane-V2`) in this folder. That makes `{COLLECTIONS[0]}_train.pkl`,
+  `{COLLECTIONS[0]}_train_ls.pkl` and so on.
 - Frame: x forward, y left, z up, metres; the origin is on the road below the (first) camera. Every scene is a segment,
   every frame of a clip a timestamp (ns). The one camera is `{FRONT_CAMERA}`, those of a rig have its names. Tell
   your training code their number, and do not let it crop the front image as that of the original (which is upright).
@@ -122,7 +124,13 @@ def annotate(frame: SampleFrame) -> Annotation | None:
             for part in parts
             for suffix, annotation in (("", centerlines), ("-ls", segments))
         },
-        tuple((json.dumps([part, segment, f"{timestamp}.json"]), (f"{ROOT}/{COLLECTION}.json",)) for part in parts),
+        tuple(
+            (
+                json.dumps([part, segment, f"{timestamp}.json"]),
+                (f"{ROOT}/{collection(_name(frame.labels.camera))}.json",),
+            )
+            for part in parts
+        ),
     )
 
 
