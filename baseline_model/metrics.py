@@ -80,15 +80,26 @@ class KindReport:
     error_by_y_cm: Float[np.ndarray, "2 y"]
 
 
+@dataclass(frozen=True)
+class SampleScore:
+    """One image: F1 of its centre lines and delimiters at the threshold (1 without lanes and detections), and the mean
+    error of matched lanes in centimetres, NaN without."""
+
+    key: str
+    f1: float
+    error_cm: float
+
+
 @dataclass(frozen=True, eq=False)
 class Report:
-    """A whole evaluation; pose medians are NaN if no pose was predicted."""
+    """A whole evaluation; pose medians are NaN if no pose was predicted. `samples` are sorted, the worst first."""
 
     n_images: int
     config: MetricConfig
     kinds: dict[str, KindReport]
     pitch_median_deg: float
     height_median_cm: float
+    samples: tuple[SampleScore, ...]
     tusimple: tuple[float, float, float] | None = None
     """The tuSimple benchmark's accuracy, false positive and false negative rate, for its label files."""
 
@@ -101,6 +112,7 @@ class Evaluation:
     _pairs: dict[str, list[Pairs]] = field(default_factory=lambda: {kind: [] for kind in KINDS})
     _steps: dict[tuple[str, str], list[tuple[int, float, int, int]]] = field(default_factory=dict)
     _pose_errors: list[tuple[float, float]] = field(default_factory=list)
+    _scores: list[SampleScore] = field(default_factory=list)
     _n_images: int = 0
 
     def add(self, labels: Labels, prediction: Prediction) -> None:
@@ -122,6 +134,8 @@ class Evaluation:
                 steps += [(self._n_images, *step) for step in count_steps(pairs)]
                 if name == self.config.weights:
                     self._pairs[kind].append(pairs)
+        pairs_of_image = [self._pairs[kind][-1] for kind in KINDS]
+        self._scores.append(_sample_score(prediction.key, pairs_of_image, self.config.threshold))
         self._n_images += 1
 
     def report(self) -> Report:
@@ -133,6 +147,7 @@ class Evaluation:
             kinds={kind: self._kind_report(kind) for kind in KINDS},
             pitch_median_deg=float(np.degrees(medians[0])),
             height_median_cm=float(100 * medians[1]),
+            samples=tuple(sorted(self._scores, key=lambda one: (one.f1, -np.nan_to_num(one.error_cm), one.key))),
         )
 
     def _kind_report(self, kind: str) -> KindReport:
@@ -255,6 +270,17 @@ def _errors(images: list[Pairs], threshold: float) -> Errors:
         bias_dx_cm=cm(dx_m, 50.0),
         bias_dz_cm=cm(dz_m, 50.0),
     )
+
+
+def _sample_score(key: str, kinds: list[Pairs], threshold: float) -> SampleScore:
+    matched = [(pairs, match(pairs, threshold)) for pairs in kinds]
+    n_true = sum(len(accepted) for _, accepted in matched)
+    n_false = sum(_n_false(pairs, accepted, threshold) for pairs, accepted in matched)
+    n_all = n_true + n_false + sum(pairs.n_truth for pairs in kinds)
+    error_m = np.hypot(*_pooled(matched))
+    error_m = error_m[~np.isnan(error_m)]
+    error_cm = round(100 * float(error_m.mean()), 3) if len(error_m) else float("nan")
+    return SampleScore(key, round(2 * n_true / n_all, 6) if n_all else 1.0, error_cm)
 
 
 def _n_false(pairs: Pairs, accepted: list[int], threshold: float) -> int:

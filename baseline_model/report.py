@@ -44,6 +44,11 @@ def to_document(report: Report) -> dict[str, Any]:
     return document
 
 
+def samples_document(report: Report) -> list[dict[str, Any]]:
+    """The score of each image as JSON values, the worst first."""
+    return [{"key": one.key, "f1": one.f1, "error_cm": _plain(one.error_cm)} for one in report.samples]
+
+
 def summary_line(report: Report) -> str:
     """One line for a log."""
     parts = []

@@ -79,6 +79,19 @@ class PartOf(click.ParamType):
 @seed_option
 @params_option
 @set_option
+@click.option(
+    "--like",
+    metavar="FILE",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Draw scenes near those in FILE, or near the worst in a result of evaluate --json (docs/like.md).",
+)
+@click.option(
+    "--spread",
+    "spreads",
+    metavar="SHARE|GROUP.KEY=SHARE",
+    multiple=True,
+    help="With --like: share of a parameter's range in which it varies; repeatable.  [default: 0.1]",
+)
 @camera_option
 @rig_option
 @assets_option
@@ -129,6 +142,8 @@ def generate(
     seed: int,
     source: str,
     changes: tuple[str, ...],
+    like: Path | None,
+    spreads: tuple[str, ...],
     camera: str | None,
     rig: str | None,
     assets: Path | None,
@@ -151,20 +166,26 @@ def generate(
 
     Rerun to resume; a larger N extends the split. Ctrl-C finishes the samples in progress, then stops.
     """
+    from synth3dlanes.given_scenes import given_scenes
+    from synth3dlanes.like import read_like
     from synth3dlanes.params import load_params
     from synth3dlanes.production.plan import Plan
     from synth3dlanes.production.recipe import Recipe
     from synth3dlanes.production.run import generate as run
     from synth3dlanes.settings import RenderSettings
 
+    if spreads and like is None:
+        raise click.UsageError("--spread can only be used with --like.")
     if executor == "local" and ctx.get_parameter_source("address") is not ParameterSource.DEFAULT:
         raise click.UsageError("--address can only be used with --executor ray.")
     library = open_assets(assets)
     params, shots = load_params(source, changes, library.assets), open_shots(camera, rig, frames, fps, lidar)
     settings = RenderSettings(samples, (*passes, *(["lidar"] if lidar else [])), device)
-    recipe = Recipe(params, seed, split, settings, image_format, library=library, shots=shots)
+    given = read_like(given_scenes(like, params, library.assets), spreads) if like else None
+    recipe = Recipe(params, seed, split, settings, image_format, library=library, shots=shots, like=given)
     plan = Plan(out, n, recipe, workers, part)
     drawn_from = f"parameters {source}{' with ' * bool(changes)}{', '.join(changes)}"
+    drawn_from += f", {given.text()}" if given else ""
     drawn_from += f", camera {camera}" if camera else f", rig {rig}" if rig else ""
     if dry_run:
         plan = plan.resolved() if executor == "local" else plan

@@ -35,20 +35,23 @@ def inspect(where: str, image: Path | None, out: Path | None, html: Path | None,
     from synth3dlanes.figures.describe import describe
     from synth3dlanes.figures.inspect import draw_inspect, summary
     from synth3dlanes.figures.page import scene_page
-    from synth3dlanes.sources import SAMPLE, load_any, load_clip, load_passes, load_sweep
+    from synth3dlanes.sources import SAMPLE, load_any, load_clip, load_passes, load_rig_pictures, load_sweep
 
     found = load_any(where, image)
     layers = load_passes(where, image) if passes else {}
     sweep = load_sweep(where, image, found.labels)
     is_clip = html and found.scene.shot.n_frames > 1 and SAMPLE.fullmatch(where)
     frames = load_clip(where).frames if is_clip else []
+    is_of_rig = found.scene.shot.n_cameras > 1 and SAMPLE.fullmatch(where)
+    rig = load_rig_pictures(where) if is_of_rig else []
     written = {}
     if html:
-        html.write_text(scene_page(found.scene, found.labels, found.image, layers, sweep, frames), encoding="utf-8")
+        page = scene_page(found.scene, found.labels, found.image, layers, sweep, frames, rig)
+        html.write_text(page, encoding="utf-8")
         written["page"] = str(html)
     if out or not html:
         path = out or Path(f"{found.name}.inspect.png")
-        draw_inspect(found.scene, found.labels, found.image, layers, sweep).savefig(path, dpi=100)
+        draw_inspect(found.scene, found.labels, found.image, layers, sweep, rig).savefig(path, dpi=100)
         written["figure"] = str(path)
     if as_json:
         click.echo(json.dumps({**written, **describe(found.scene, found.labels)}))
@@ -104,7 +107,8 @@ def gallery(
     ]
     # A height map is not in the pixels of the image.
     labels = [reader.labels(i) for reader, i in samples] if lanes and show != "height" else None
-    sheet = draw_gallery(pictures, [reader.key(i) for reader, i in samples], labels, columns, width)
+    names = [f"{reader.key(i)} {reader.camera_name(i)}".rstrip() for reader, i in samples]
+    sheet = draw_gallery(pictures, names, labels, columns, width)
     sheet.save(out)
     click.echo(f"Gallery: {out}")
 

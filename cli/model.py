@@ -280,7 +280,8 @@ def evaluate(
         report = scoring.evaluate_checkpoint(checkpoint, source, config, device, own_model)
     if plots is not None:
         reporting.save_plots(report, plots)
-    click.echo(json.dumps(reporting.to_document(report)) if as_json else reporting.to_text(report))
+    document = {"source": source, **reporting.to_document(report), "samples": reporting.samples_document(report)}
+    click.echo(json.dumps(document) if as_json else reporting.to_text(report))
 
 
 @click.command()

@@ -148,7 +148,7 @@ camera_option = click.option(
 rig_option = click.option(
     "--rig",
     metavar="FILE|NAME",
-    help="Several cameras that see every scene: a YAML file, or the name of a ready rig (docs/cameras.md).",
+    help="Several cameras that see every scene: a YAML file, or the name of a ready rig (docs/camera.md).",
 )
 assets_option = click.option(
     "--assets",

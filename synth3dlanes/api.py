@@ -116,7 +116,7 @@ def load_camera(source: str | Path) -> CameraSpec:
 
 
 def load_rig(source: str | Path) -> tuple[CameraSpec, ...]:
-    """Read the cameras of a rig: a YAML file, or the name of a ready one (docs/cameras.md).
+    """Read the cameras of a rig: a YAML file, or the name of a ready one (docs/camera.md).
 
     Raises InputError with a line for every problem.
     """

@@ -1,4 +1,4 @@
-"""Files of rigs: several cameras on one host, by name, each as in a camera file (docs/cameras.md).
+"""Files of rigs: several cameras on one host, by name, each as in a camera file (docs/camera.md).
 
 Reading a file is the only side effect.
 """

@@ -1,7 +1,7 @@
 """Params -> Scene: draw scenes from named random streams. Degrees become radians here."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import lru_cache, partial
@@ -23,7 +23,8 @@ from synth3dlanes.geometry.road import RoadPlan, is_wide_enough
 from synth3dlanes.geometry.roadside import footprints
 from synth3dlanes.geometry.symbols import LENGTHS_M, gore_range
 from synth3dlanes.lidars import LidarSpec
-from synth3dlanes.params import CameraParams, CarParams, Group, MotionParams, Params
+from synth3dlanes.like import Drawn, Like, near
+from synth3dlanes.params import CameraParams, Group, Params
 from synth3dlanes.roadside import draw_roadside
 from synth3dlanes.scene import (
     MIN_MEDIAN_M,
@@ -76,31 +77,45 @@ TREE_GAP_M, TREE_GAP_OF_CROWN = 1.0, 0.5
 
 
 def sample_scene(
-    params: Params, seed: int, split: str, index: int, assets: Assets = BUILT_IN.assets, shots: Shots = SINGLE
+    params: Params,
+    seed: int,
+    split: str,
+    index: int,
+    assets: Assets = BUILT_IN.assets,
+    shots: Shots = SINGLE,
+    like: Like | None = None,
 ) -> Scene:
     """Draw the scene of sample `index` of a split; it depends on these arguments alone.
 
     Raises InputError if there is no room for the cars or trees in their ranges.
     """
-    return sample_world(params, seed, split, index, assets, shots).scene
+    return sample_world(params, seed, split, index, assets, shots, like).scene
 
 
 def sample_world(
-    params: Params, seed: int, split: str, index: int, assets: Assets = BUILT_IN.assets, shots: Shots = SINGLE
+    params: Params,
+    seed: int,
+    split: str,
+    index: int,
+    assets: Assets = BUILT_IN.assets,
+    shots: Shots = SINGLE,
+    like: Like | None = None,
 ) -> World:
     """Draw and resolve what sample `index` of a split shows. The latest scene of several pictures is kept."""
     place = shots.place(index)
     if shots.per_scene == 1:
-        return world_in_shot(draw_world(params, seed, split, place.scene, assets, shots), shots, place)
-    latest = _latest(params, seed, split, place.scene, assets, shots)
+        return world_in_shot(draw_world(params, seed, split, place.scene, assets, shots, like), shots, place)
+    latest = _latest(params, seed, split, place.scene, assets, shots, like)
     latest[0] = world_in_shot(latest[0], shots, place)
     return latest[0]
 
 
 @lru_cache(maxsize=1)
-def _latest(params: Params, seed: int, split: str, scene: int, assets: Assets, shots: Shots) -> list[World]:
+def _latest(
+    params: Params, seed: int, split: str, scene: int, assets: Assets, shots: Shots, like: Like | None
+) -> list[World]:
     """The world of a scene as its latest picture shows it, whose caches serve the next one."""
-    return [draw_world(params, seed, split, scene, assets, shots)]
+    return [draw_world(params, seed, split, scene, assets, shots, like)]
 
 
 def world_in_shot(world: World, shots: Shots, place: Place) -> World:
@@ -123,13 +138,22 @@ def with_lidar(scene: Scene, spec: LidarSpec | None) -> Scene:
     return scene.model_copy(update={"lidar": _lidar(spec, Draw(spec, scene.stream("lidar")))})
 
 
-def draw_world(params: Params, seed: int, split: str, index: int, assets: Assets, shots: Shots = SINGLE) -> World:
+def draw_world(
+    params: Params,
+    seed: int,
+    split: str,
+    index: int,
+    assets: Assets,
+    shots: Shots = SINGLE,
+    like: Like | None = None,
+) -> World:
     """Draw and resolve scene `index` of a split: first the road and the host, then what stands beside it, then cars and
-    trees, then symbols."""
+    trees, then symbols. With `like`, every draw is near that of a given scene."""
     check_way(params.motion, shots)
-    first = Draw(params.weather, stream(seed, split, index, "weather"))
+    drawn = seed, split, index
+    first = _draw(params, "weather", drawn, like)
     params = under(params, first("kind"), first("daytime"))
-    draws = {name: Draw(group, stream(seed, split, index, name)) for name, group in params}
+    draws = {name: _draw(params, name, drawn, like) for name in Params.model_fields}
     road, shot = _road(draws["road"]), _shot(shots, draws["motion"])
     bare = Scene(
         format="synth3dlanes.scene",
@@ -149,7 +173,7 @@ def draw_world(params: Params, seed: int, split: str, index: int, assets: Assets
         sensor=_plain(Sensor, draws["sensor"]),
         weather=_plain(Weather, draws["weather"]),
         host=_plain(Host, draws["host"]),
-        sky=_sky(assets, stream(seed, split, index, "sky")),
+        sky=_sky(assets, stream(*(like.given(index) if like else drawn), "sky")),
         assets=assets,
         vegetation=_plain(Vegetation, draws["vegetation"]),
         shot=shot,
@@ -157,13 +181,16 @@ def draw_world(params: Params, seed: int, split: str, index: int, assets: Assets
     resolved = resolve(bare)
     roadside = draw_roadside(resolved, draws["roadside"], draws["roadside"].rng)
     world = replace(resolved, scene=bare.model_copy(update={"roadside": roadside}))
-    tree_places = Draw(params.trees, stream(seed, split, index, "tree_places"))
-    cars = _cars(world, params.cars, params.motion)
+    tree_places = _draw(params, "trees", drawn, like, "tree_places")
+    speeds = _draw(params, "motion", drawn, like, "car_speeds")
+    cars = _cars(world, [_draw(params, "cars", drawn, like, name) for name in CAR_STREAMS], speeds)
     trees = _trees(world, draws["trees"], tree_places)
     symbols = _symbols(world, draws["symbols"])
     return replace(world, scene=world.scene.model_copy(update={"cars": cars, "trees": trees, "symbols": symbols}))
 
 
+# One random number, or several.
+Numbers = TypeVar("Numbers", float, np.ndarray)
 P = TypeVar("P", Markings, Surface, Light, Air, Sensor, Weather, Host, Vegetation)
 
 
@@ -188,6 +215,15 @@ def _scene_text(params: Params, seed: int, split: str, assets: Assets, shots: Sh
     return to_json(sample_scene(params, seed, split, index, assets, shots))
 
 
+def _draw(params: Params, group: str, drawn: Drawn, like: Like | None, name: str = "") -> "Draw":
+    """Draws of a group of parameters from the stream `name` of a scene (by default that of the group)."""
+    of_group, name = getattr(params, group), name or group
+    if like is None:
+        return Draw(of_group, stream(*drawn, name))
+    given = stream(*like.given(drawn[-1]), name)
+    return NearDraw(of_group, given, partial(like.spread_of, group), stream(*drawn, name))
+
+
 class Draw:
     """Draws the parameters of one group, with one random number each."""
 
@@ -197,12 +233,17 @@ class Draw:
 
     def __call__(self, key: str) -> Any:
         """Draw parameter `key` of the group: degrees become radians, floats are rounded."""
-        return self._rounded(key, getattr(self.group, key).draw(self.rng.random()))
+        return self._rounded(key, getattr(self.group, key).draw(self._moved(key, self.rng.random())))
 
     def rows(self, keys: tuple[str, ...], n: int) -> list[tuple[Any, ...]]:
         """`n` draws of several parameters, row by row."""
         numbers = self.rng.random((n, len(keys)))
-        return list(zip(*(self._column(key, numbers[:, j]) for j, key in enumerate(keys)), strict=True))
+        columns = (self._column(key, self._moved(key, numbers[:, j])) for j, key in enumerate(keys))
+        return list(zip(*columns, strict=True))
+
+    def _moved(self, key: str, us: Numbers) -> Numbers:
+        """The random numbers of a parameter."""
+        return us
 
     def _column(self, key: str, us: Float[np.ndarray, " n"]) -> list[Any]:
         distribution = getattr(self.group, key)
@@ -216,6 +257,22 @@ class Draw:
         if key.endswith("_deg"):
             value = math.radians(value)
         return round(value, DECIMALS) if isinstance(value, float) else value
+
+
+class NearDraw(Draw):
+    """Draws near those of a given scene, whose random numbers are `rng`'s: real parameters within their spread, others
+    as given."""
+
+    def __init__(
+        self, group: Group, rng: np.random.Generator, spread: Callable[[str], float], moves: np.random.Generator
+    ) -> None:
+        super().__init__(group, rng)
+        self.spread, self.moves = spread, moves
+
+    def _moved(self, key: str, us: Numbers) -> Numbers:
+        if not isinstance(getattr(self.group, key), Uniform):
+            return us
+        return near(us, self.spread(key), self.moves.random(np.shape(us)))
 
 
 def _plain(part: type[P], draw: Draw) -> P:
@@ -298,12 +355,12 @@ def _host_lane(lanes: Integers | Choice[int], u: float, present: int) -> int:
     return min(lanes.draw(u), present)
 
 
-def _cars(world: World, params: CarParams, motion: MotionParams) -> tuple[Car, ...]:
+def _cars(world: World, draws: Sequence[Draw], speeds: Draw) -> tuple[Car, ...]:
+    """The cars, from the draws of CAR_STREAMS and of their speeds."""
     scene = world.scene
-    looks, places, paints, sold, parking = (Draw(params, scene.stream(name)) for name in CAR_STREAMS)
+    looks, places, paints, sold, parking = draws
     taken = [placement.host_footprint(world_from_host(world.plan, scene.camera))]
     traffic = Traffic(world.plan, scene.camera, scene.shot) if scene.shot.n_frames > 1 else None
-    speeds = Draw(motion, scene.stream("car_speeds"))
     parked = parking("parked")
     cars = []
     for number in range(looks("n")):

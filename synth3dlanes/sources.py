@@ -19,6 +19,7 @@ from synth3dlanes.dataset.splits import readers
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
+from synth3dlanes.like import Like
 from synth3dlanes.params import Params
 from synth3dlanes.scene import Scene, from_json
 from synth3dlanes.schema import validation_problems
@@ -92,6 +93,12 @@ def load_clip(where: str) -> Clip:
     return Clip(shot.fps, [(reader.labels(position), reader.image(position)) for position in positions])
 
 
+def load_rig_pictures(where: str) -> list[tuple[Labels, UInt8[np.ndarray, "h w 3"]]]:
+    """What all cameras of a rig see in the scene and frame of a sample `DIR/SPLIT:KEY`."""
+    reader, i = find(where)
+    return [(reader.labels(position), reader.image(position)) for position in reader.rig(i)]
+
+
 def load_passes(where: str, image_path: Path | None) -> dict[str, Shaped[np.ndarray, "..."]]:
     """The passes of a sample, or those in the files beside a rendered image; raise InputError where there are none."""
     passes: dict[str, Shaped[np.ndarray, ...]] = {}
@@ -137,6 +144,16 @@ def shots_of(reader: Reader) -> Shots:
         return Shots.model_validate(reader.description.get("shots", {}))
     except ValidationError as error:
         raise FormatError("\n".join(validation_problems(error, f"{reader.url}: dataset.json: shots"))) from None
+
+
+def like_of(reader: Reader) -> Like | None:
+    """The given scenes that the scenes of a data set are near, if they are."""
+    if reader.description.get("like") is None:
+        return None
+    try:
+        return Like.model_validate(reader.description["like"])
+    except ValidationError as error:
+        raise FormatError("\n".join(validation_problems(error, f"{reader.url}: dataset.json: like"))) from None
 
 
 def some_samples(folder: str, n: int, shuffle: int | None, where: str | None) -> list[tuple[Reader, int]]:

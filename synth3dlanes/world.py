@@ -26,6 +26,9 @@ from synth3dlanes.geometry.solids import Body
 from synth3dlanes.geometry.symbols import symbol_mesh
 from synth3dlanes.scene import Camera, Lidar, Scene
 
+# Only cameras this close to the host's middle, along it, look over the bonnet.
+BEHIND_WINDSCREEN_M = 1.0
+
 
 @dataclass(frozen=True, eq=False)
 class View:
@@ -140,7 +143,9 @@ class World:
         cars = (car_at(self.plan, car, shot.time_s) for car in scene.cars)
         poses = tuple(world_from_car(self.plan, car, models[car.model - 1]) for car in cars)
         camera = host_at(self.plan, scene.camera, shot.speed_m_s * shot.time_s)
-        return View(camera, world_from_host(self.plan, camera), poses, scene.host.bonnet, scene.lidar)
+        sees_bonnet = camera.looks_ahead and abs(camera.forward_m) <= BEHIND_WINDSCREEN_M
+        bonnet = scene.host.bonnet if sees_bonnet else 0.0
+        return View(camera, world_from_host(self.plan, camera), poses, bonnet, scene.lidar)
 
     def seen_in(self, scene: Scene) -> "World":
         """The same world for another shot of it, by a scene that differs in camera and shot alone."""

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from baseline_model.sources import Upright, training_and_validation
 from synth3dlanes import labels as labels_format
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.dataset.remove_roll import labels_without_roll
+from synth3dlanes.dataset.rectify import rectified_labels
 from synth3dlanes.errors import InputError
 from synth3dlanes.formats.plan import plan as export_plan
 from synth3dlanes.frames import invert, project, transform
@@ -169,7 +169,7 @@ def test_a_rig_that_only_looks_back_has_nothing_to_train_on(tmp_path):
 def test_formats_without_yaw_get_a_road_frame_that_looks_along_the_camera():
     world = resolve(changed(camera={"yaw_rad": 0.3, "roll_rad": 0.1, "pitch_rad": 0.05, "forward_m": 1.0}))
     labels = label(world, world.view)
-    level = labels_without_roll(labels).camera
+    level = rectified_labels(labels).camera
     axis_road = level.road_from_cam[:3, 1]
     np.testing.assert_allclose(axis_road, [0, math.cos(0.05), -math.sin(0.05)], atol=1e-12)
     assert (level.yaw_rad, level.roll_rad) == (0, 0)

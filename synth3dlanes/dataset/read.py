@@ -53,8 +53,8 @@ class Reader:
 
     `index` is the table of all samples: places, scene parameters, label summary (`docs/format.md`), or only the places
     and `columns`: of 300,000 samples these take 20 MB, the whole table 200 MB. `recipes` are those that its shards were
-    made from, by their indices ("" where one does not say). `scene_of` and `camera_of` are the
-    numbers of the scene and of the camera that each sample shows.
+    made from, by their indices ("" where one does not say). `scene_of`, `frame_of` and `camera_of` are the numbers of
+    the scene, the frame and the camera that each sample shows.
     """
 
     def __init__(self, url: str, columns: Sequence[str] | None = None) -> None:
@@ -90,6 +90,7 @@ class Reader:
         }
         self._indices = self.index["index"].to_numpy()
         self.scene_of = self.index["scene"].to_numpy() if has_shots else self._indices
+        self.frame_of = self.index["frame"].to_numpy() if has_shots else np.zeros(len(self), int)
         self.camera_of = self.index["camera"].to_numpy() if has_shots else np.zeros(len(self), int)
 
     def __len__(self) -> int:
@@ -165,6 +166,12 @@ class Reader:
             raise FormatError(f"{self.url}: expected pictures of scene {scene}{by}, got none")
         return [int(i) for i in np.flatnonzero(is_asked)]
 
+    def rig(self, i: int) -> list[int]:
+        """Where the pictures by all cameras of the scene and frame of sample i are, in the rig's order."""
+        i = self._position(i)
+        is_asked = (self.scene_of == self.scene_of[i]) & (self.frame_of == self.frame_of[i])
+        return [int(place) for place in np.flatnonzero(is_asked)]
+
     @cached_property
     def cameras(self) -> tuple[CameraSpec, ...]:
         """The cameras of the rig that the data set was made with, or its own camera; none where it has that of its
@@ -175,6 +182,10 @@ class Reader:
         except ValidationError as error:
             problems = validation_problems(error, f"{self.url}: dataset.json: shots.cameras")
             raise FormatError("\n".join(problems)) from None
+
+    def camera_name(self, i: int) -> str:
+        """The name of the camera that took sample i; "" for one without."""
+        return self.cameras[self.camera_of[self._position(i)]].name if self.cameras else ""
 
     def taken_by(self, names: Sequence[str] = ()) -> Int[np.ndarray, " n"]:
         """Where the samples of some cameras are, by the cameras' names; without names, those of all that look ahead.

@@ -11,7 +11,7 @@ from synth3dlanes.frames import transform
 from synth3dlanes.geometry.camera import horizontal_fov_rad
 from synth3dlanes.labels import Labels, Lane
 from synth3dlanes.lens import COEFFICIENTS, Lens
-from synth3dlanes.scene import Host, Road, Scene, Weather
+from synth3dlanes.scene import Camera, Host, Road, Scene, Weather
 
 Facts = dict[str, str]
 
@@ -158,6 +158,8 @@ def _camera(scene: Scene, labels: Labels) -> Facts:
     camera, shot = scene.camera, scene.shot
     side = "right" if camera.offset_m > 0 else "left"
     clip = {}
+    if shot.n_cameras > 1:
+        clip["camera"] = f"{camera.name}, number {shot.camera} of 0 to {shot.n_cameras - 1}, {_mount(camera)}"
     if shot.n_frames > 1:
         clip["frame"] = (
             f"{shot.frame} of 0 to {shot.n_frames - 1}, {shot.time_s:.2f} s and {shot.speed_m_s * shot.time_s:.1f} m "
@@ -165,18 +167,22 @@ def _camera(scene: Scene, labels: Labels) -> Facts:
         )
     return {
         **clip,
-        "place"
-        + " at the start"
-        * bool(
-            clip
-        ): f"lane {camera.lane} at y = {camera.y_m:.1f} m, {abs(camera.offset_m):.2f} m {side} of its centre",
+        f"place{' at the start' * (shot.n_frames > 1)}": f"lane {camera.lane} at y = {camera.y_m:.1f} m, "
+        f"{abs(camera.offset_m):.2f} m {side} of its centre",
         "height, pitch, roll": f"{camera.height_m:.3f} m, {math.degrees(camera.pitch_rad):.2f}° down, "
-        f"{math.degrees(camera.roll_rad):.2f}° clockwise",
+        f"{math.degrees(camera.roll_rad):.2f}° clockwise"
+        + (f", turned {math.degrees(camera.yaw_rad):+.1f}° (positive: to the left)" if camera.yaw_rad else ""),
         "image": f"{camera.width_px} x {camera.height_px} px, "
         f"{math.degrees(horizontal_fov_rad(camera)):.0f}° wide (fx = {camera.fx_px:.1f}), "
         f"centre at ({camera.cx_px:.1f}, {camera.cy_px:.1f}){_lens(camera.lens)}",
         "lanes in labels": _counted([f"{lane.kind} {lane.road}" for lane in labels.lanes]),
     }
+
+
+def _mount(camera: Camera) -> str:
+    aside, along = camera.right_m, camera.forward_m
+    sides = "right of" if aside > 0 else "left of", "ahead of" if along > 0 else "behind"
+    return f"{abs(aside):.2f} m {sides[0]} and {abs(along):.2f} m {sides[1]} the host's middle"
 
 
 def _lens(lens: Lens) -> str:

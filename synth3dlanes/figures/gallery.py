@@ -22,7 +22,7 @@ def draw_gallery(
 ) -> Image.Image:
     """A contact sheet, row by row from the top left; draws each name into its cell, and lanes if given.
 
-    Cells have the first image's size, or fill a sheet of at most `width_px`.
+    Cells have the first image's size, or fill a sheet of at most `width_px`; images of another shape fit into them.
     """
     assert images
     assert columns > 0
@@ -38,7 +38,9 @@ def draw_gallery(
         drawn = Image.fromarray(image if labels is None else draw_overlay(image, labels[number]))
         row, column = divmod(number, columns)
         corner = (_GAP_PX + column * (width + _GAP_PX), _GAP_PX + row * (height + _GAP_PX))
-        sheet.paste(drawn.resize((width, height), Image.Resampling.LANCZOS), corner)
+        scale = min(width / drawn.width, height / drawn.height)
+        size = min(width, round(scale * drawn.width)), min(height, round(scale * drawn.height))
+        sheet.paste(drawn.resize(size, Image.Resampling.LANCZOS), corner)
         _write(sheet, names[number], corner)
     return sheet
 

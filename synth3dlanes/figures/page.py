@@ -21,7 +21,7 @@ from synth3dlanes.figures.passes import WORDS, Passes, pass_picture
 from synth3dlanes.figures.scene_view import SceneView
 from synth3dlanes.figures.space import triangles
 from synth3dlanes.figures.stats import LabelStatistics, SceneStatistics, is_fine
-from synth3dlanes.labels import Labels, Lane, LaneKind
+from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneKind
 from synth3dlanes.scene import Scene, to_json
 from synth3dlanes.sweep import Sweep
 
@@ -99,10 +99,11 @@ def scene_page(
     passes: Passes | None = None,
     sweep: Sweep | None = None,
     clip: Sequence[tuple[Labels, Picture]] = (),
+    rig: Sequence[tuple[Labels, Picture]] = (),
 ) -> str:
     """One scene: the image with lanes and masks that can be switched on and off, a 3D view with the lidar's points, its
-    passes, and all parameters; with the frames of its clip, a slider through them (at most MAX_FRAMES, evenly
-    spaced)."""
+    passes, and all parameters; with the frames of its clip, a slider through them (at most MAX_FRAMES, evenly spaced);
+    with what all cameras of its rig see then, their images side by side."""
     step = -(-len(clip) // MAX_FRAMES)
     shown = [(number, *clip[number]) for number in range(0, len(clip), max(1, step))]
     frames = [Frame(f"frame {n}, {found.time_s or 0:.2f} s", _drawing(found, picture)) for n, found, picture in shown]
@@ -114,6 +115,7 @@ def scene_page(
         frames=frames,
         pause_ms=round(1000 / scene.shot.fps * max(1, step)),
         start=min(range(len(frames)), key=lambda i: abs(shown[i][0] - scene.shot.frame), default=0),
+        rig=[(found.camera.name, _drawing(found, picture)) for found, picture in rig],
         passes=[
             PassPicture(name, WORDS[name], _jpeg(pass_picture(name, values))) for name, values in (passes or {}).items()
         ],
@@ -121,7 +123,7 @@ def scene_page(
         lane_columns=LANE_COLUMNS,
         lane_rows=[lane_row(lane) for lane in labels.lanes],
         document=json.dumps(json.loads(to_json(scene)), indent=1),
-        space=_space(SceneView(scene, labels), sweep),
+        space=_space(SceneView(scene, labels), sweep, [found.camera for found, _ in rig]),
     )
 
 
@@ -227,20 +229,20 @@ def _jpeg(image: Picture) -> str:
     return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()
 
 
-def _space(view: SceneView, sweep: Sweep | None) -> dict[str, Any]:
+def _space(view: SceneView, sweep: Sweep | None, others: Sequence[CameraLabel]) -> dict[str, Any]:
     """What the script of the 3D view needs: field of view, places to look from, and triangles."""
     camera = view.labels.camera
-    eye = camera.road_from_cam[:3, 3]
-    ahead = eye + 30 * camera.road_from_cam[:3, 1]
+    eye, axis = camera.road_from_cam[:3, 3], camera.road_from_cam[:3, 1]
+    looks = {"azimuth_rad": camera.yaw_rad, "elevation_rad": camera.pitch_rad}
     views = {
         "behind": {"target": [0, 35, 0], "azimuth_rad": 0.5, "elevation_rad": 0.45, "distance_m": 75},
-        "driver": {"target": ahead.tolist(), "azimuth_rad": 0, "elevation_rad": camera.pitch_rad, "distance_m": 30},
+        "driver": {"target": (eye + 30 * axis).tolist(), **looks, "distance_m": 30},
         "above": {"target": [0, 50, 0], "azimuth_rad": 0, "elevation_rad": math.pi / 2, "distance_m": 150},
     }  # fmt: skip
     return {
         "fov_rad": 2 * math.atan(camera.height_px / 2 / -camera.img_from_cam[1, 2]),
         "views": views,
-        "groups": [group.document() for group in triangles(view, sweep)],
+        "groups": [group.document() for group in triangles(view, sweep, others)],
     }
 
 

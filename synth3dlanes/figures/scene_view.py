@@ -42,7 +42,7 @@ class TreeOutline:
 
 @dataclass(frozen=True)
 class SceneView:
-    """A scene in the road frame of its host, as far ahead as its labels reach."""
+    """A scene in the road frame of its camera, as far ahead and behind as its labels reach."""
 
     scene: Scene
     labels: Labels
@@ -50,6 +50,11 @@ class SceneView:
     @cached_property
     def world(self) -> World:
         return resolve(self.scene)
+
+    @property
+    def behind_m(self) -> float:
+        """How far behind the host it is shown."""
+        return BEHIND_M + self.scene.shot.behind_m
 
     @property
     def plan(self) -> RoadPlan:
@@ -65,9 +70,9 @@ class SceneView:
 
     @cached_property
     def _stations(self) -> Float[np.ndarray, " n"]:
-        """Plan stations from BEHIND_M to AHEAD_M, in driving order."""
+        """Plan stations from behind the host to AHEAD_M, in driving order."""
         y_m = self.world.view.camera.y_m
-        return self.plan.plan_station(np.arange(y_m - BEHIND_M, y_m + AHEAD_M + 0.5))
+        return self.plan.plan_station(np.arange(y_m - self.behind_m, y_m + AHEAD_M + 0.5))
 
     @cached_property
     def roads(self) -> dict[str, tuple[Points3, Points3]]:
@@ -101,9 +106,9 @@ class SceneView:
         return np.asarray(transform(self.road_from_world, foot_world)[0])
 
     def ground_grid(self, half_width_m: float, step_m: float) -> Float[np.ndarray, "rows columns 3"]:
-        """The ground as built on a grid from BEHIND_M to AHEAD_M: rows go forward, columns to the right."""
+        """The ground as built on a grid from behind the host to AHEAD_M: rows go forward, columns to the right."""
         y, x = np.meshgrid(
-            np.arange(-BEHIND_M, AHEAD_M + step_m / 2, step_m),
+            np.arange(-self.behind_m, AHEAD_M + step_m / 2, step_m),
             np.arange(-half_width_m, half_width_m + step_m / 2, step_m),
             indexing="ij",
         )

@@ -1,6 +1,7 @@
 """A scene as coloured triangles for the 3D view of a page, from the meshes that are rendered. Road frame."""
 
 import base64
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -10,16 +11,16 @@ from jaxtyping import Float, Int
 from synth3dlanes.figures import colors
 from synth3dlanes.figures.colors import Rgb
 from synth3dlanes.figures.passes import semantic_colors
-from synth3dlanes.figures.scene_view import AHEAD_M, BEHIND_M, SceneView, TreeOutline, frustum
+from synth3dlanes.figures.scene_view import AHEAD_M, SceneView, TreeOutline, frustum
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.meshes import Mesh
 from synth3dlanes.geometry.paint import PAINT_LIFT_AT_M, PAINT_LIFT_M, paint_color
 from synth3dlanes.geometry.solids import Body
-from synth3dlanes.labels import LaneKind
+from synth3dlanes.labels import CameraLabel, LaneKind
 from synth3dlanes.sweep import Sweep
 
-# The area that is shown: x to the right and y forward.
-_LOW_M, _HIGH_M = np.array([-70.0, -BEHIND_M]), np.array([70.0, AHEAD_M])
+# How far aside of the camera the area reaches that is shown.
+_ASIDE_M = 70.0
 _LANE_HALF_WIDTH_M = 0.06
 _LANE_OVER_PAINT_M = 0.006
 _FRUSTUM_M = 3.0
@@ -49,8 +50,8 @@ class Triangles:
         return {"name": self.name} | {key: base64.b64encode(value.tobytes()).decode() for key, value in arrays.items()}
 
 
-def triangles(view: SceneView, sweep: Sweep | None = None) -> list[Triangles]:
-    """The groups of everything near the host, and a lidar's points."""
+def triangles(view: SceneView, sweep: Sweep | None = None, others: Sequence[CameraLabel] = ()) -> list[Triangles]:
+    """The groups of everything near the host, a lidar's points, and the frusta of the rig's other cameras."""
     world = view.world
     surfaces = [_mesh(view, mesh, _VERGE) for mesh in world.verges]
     roads = [_mesh(view, mesh, _ASPHALT) for mesh in world.pavement]
@@ -65,11 +66,15 @@ def triangles(view: SceneView, sweep: Sweep | None = None) -> list[Triangles]:
         _merge("delimiters", _lanes(view, "delimiter")),
         _merge(
             "cars",
-            [_prism(car.corners_road, car.height_m, car.color) for car in view.cars if _is_near(car.corners_road)],
+            [
+                _prism(car.corners_road, car.height_m, car.color)
+                for car in view.cars
+                if _is_near(view, car.corners_road)
+            ],
         ),
-        _merge("trees", [part for tree in view.trees if _is_near(tree.foot_road[None]) for part in _tree(tree)]),
+        _merge("trees", [part for tree in view.trees if _is_near(view, tree.foot_road[None]) for part in _tree(tree)]),
         *([_merge("structures", [_body(view, body) for body in world.structures])] if world.structures else []),
-        _merge("camera", [_camera(view)]),
+        _merge("cameras" if others else "camera", [_camera(view, camera) for camera in (view.labels.camera, *others)]),
         *([_lidar(view, sweep)] if sweep else []),
     ]
 
@@ -85,14 +90,21 @@ def _mesh(view: SceneView, mesh: Mesh, color: Rgb) -> Triangles:
     """The faces of a mesh that reach into the area near the host: they cover it without gaps."""
     vertices_road = transform(view.road_from_world, mesh.vertices_world)
     corners = vertices_road[mesh.faces, :2]
-    is_shown = ((corners.max(axis=1) > _LOW_M) & (corners.min(axis=1) < _HIGH_M)).all(axis=1)
+    low_m, high_m = _area(view)
+    is_shown = ((corners.max(axis=1) > low_m) & (corners.min(axis=1) < high_m)).all(axis=1)
     used, numbers = np.unique(mesh.faces[is_shown], return_inverse=True)
     return _quads(vertices_road[used], numbers.reshape(-1, 4), color)
 
 
-def _is_near(points_road: Float[np.ndarray, "n 3"]) -> bool:
+def _area(view: SceneView) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+    """The corners of the area that is shown: x to the right and y forward."""
+    return np.array([-_ASIDE_M, -view.behind_m]), np.array([_ASIDE_M, AHEAD_M])
+
+
+def _is_near(view: SceneView, points_road: Float[np.ndarray, "n 3"]) -> bool:
     """Whether all points are in the area that is shown."""
-    return bool(((points_road[:, :2] > _LOW_M) & (points_road[:, :2] < _HIGH_M)).all())
+    low_m, high_m = _area(view)
+    return bool(((points_road[:, :2] > low_m) & (points_road[:, :2] < high_m)).all())
 
 
 def _quads(vertices_road: Float[np.ndarray, "v 3"], quads: Int[np.ndarray, "f 4"], color: Rgb) -> Triangles:
@@ -107,7 +119,7 @@ def _lanes(view: SceneView, kind: LaneKind) -> list[Triangles]:
         if lane.kind != kind:
             continue
         points_road = transform(view.labels.camera.road_from_cam, lane.xyz_cam)
-        points_road[:, 2] += np.interp(points_road[:, 1], PAINT_LIFT_AT_M, PAINT_LIFT_M) + _LANE_OVER_PAINT_M
+        points_road[:, 2] += np.interp(np.abs(points_road[:, 1]), PAINT_LIFT_AT_M, PAINT_LIFT_M) + _LANE_OVER_PAINT_M
         along = np.gradient(points_road, axis=0)
         right = np.stack([along[:, 1], -along[:, 0], np.zeros(len(along))], -1)
         right *= _LANE_HALF_WIDTH_M / np.linalg.norm(right, axis=1, keepdims=True)
@@ -127,7 +139,8 @@ def _lanes(view: SceneView, kind: LaneKind) -> list[Triangles]:
 def _body(view: SceneView, body: Body) -> Triangles:
     """The quads of a structure near the host, in their own colours."""
     corners_road = transform(view.road_from_world, body.corners_world)
-    is_near = ((corners_road[..., :2] > _LOW_M) & (corners_road[..., :2] < _HIGH_M)).all(axis=(1, 2))
+    low_m, high_m = _area(view)
+    is_near = ((corners_road[..., :2] > low_m) & (corners_road[..., :2] < high_m)).all(axis=(1, 2))
     shown = corners_road[is_near].reshape(-1, 3)
     quads = _quads(shown, np.arange(len(shown)).reshape(-1, 4), (0, 0, 0))
     display = np.rint(255 * np.sqrt(np.repeat(body.colors[is_near, :3], 4, axis=0))).astype(int)
@@ -154,12 +167,12 @@ def _tree(tree: TreeOutline) -> list[Triangles]:
     return [Triangles("", crown, np.tile(np.array(_LEAVES), (8, 1)), faces), trunk]
 
 
-def _camera(view: SceneView) -> Triangles:
-    """The camera's frustum as a pyramid."""
-    camera = view.labels.camera
-    corners_img = np.array([[0.0, 0.0], [1, 0], [1, 1], [0, 1]]) * [camera.width_px, camera.height_px]
+def _camera(view: SceneView, camera: CameraLabel) -> Triangles:
+    """A camera's frustum as a pyramid."""
+    corners_img = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]) * [camera.width_px, camera.height_px]
     rays_cam = frustum(camera, corners_img) * _FRUSTUM_M
-    vertices = transform(camera.road_from_cam, np.concatenate([np.zeros((1, 3)), rays_cam]))
+    road_from_cam = view.road_from_world @ camera.world_from_cam
+    vertices = transform(road_from_cam, np.concatenate([np.zeros((1, 3)), rays_cam]))
     faces = np.array([[0, i, j] for i, j in pairwise([1, 2, 3, 4, 1])])
     return Triangles("", vertices, np.tile([242, 183, 5], (5, 1)), faces)
 

@@ -1,11 +1,13 @@
 """The four views of an inspect figure, each drawn into given matplotlib axes. Road frame at the host, metres."""
 
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float, UInt8
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
+from matplotlib.markers import MarkerStyle
 from matplotlib.patches import Circle, Polygon
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D, art3d  # type: ignore[import-untyped]
@@ -13,9 +15,9 @@ from mpl_toolkits.mplot3d import Axes3D, art3d  # type: ignore[import-untyped]
 from synth3dlanes.figures import colors
 from synth3dlanes.figures.overlay import stretches_img
 from synth3dlanes.figures.passes import semantic_colors
-from synth3dlanes.figures.scene_view import AHEAD_M, BEHIND_M, SceneView, frustum
+from synth3dlanes.figures.scene_view import AHEAD_M, SceneView, frustum
 from synth3dlanes.frames import transform
-from synth3dlanes.labels import Labels, Lane
+from synth3dlanes.labels import CameraLabel, Labels, Lane
 from synth3dlanes.sweep import Sweep
 
 HIDDEN_OPACITY = 0.4
@@ -42,15 +44,16 @@ def draw_image(axes: Axes, labels: Labels, image: UInt8[np.ndarray, "h w 3"] | N
             color = colors.hexadecimal(colors.KINDS[lane.kind])
             axes.plot(*points_img.T, style, color=color, linewidth=1.2 if is_seen else 1.0)
     axes.set(xlim=(0, width_px), ylim=(height_px, 0), aspect="equal", xlabel="u [px]", ylabel="v [px]")
-    axes.set_title("image: solid = seen, dotted = hidden")
+    axes.set_title(f"{labels.camera.name or 'image'}: solid = seen, dotted = hidden")
 
 
-def draw_top(axes: Axes, view: SceneView, sweep: Sweep | None = None) -> None:
-    """View from above, driving direction to the right: roads, lanes, cars, trees, the camera's field of view and the
-    lidar's points in the colours of their semantic ids."""
+def draw_top(axes: Axes, view: SceneView, sweep: Sweep | None = None, others: Sequence[CameraLabel] = ()) -> None:
+    """View from above, driving direction to the right: roads, lanes, cars, trees, the camera's field of view and those
+    of the rig's other cameras, and the lidar's points in the colours of their semantic ids."""
     for left, right in view.roads.values():
         axes.add_patch(Polygon(np.concatenate([left, right[::-1]])[:, [1, 0]], color=colors.ROAD, zorder=1))
-    _frustum_from_above(axes, view.labels)
+    for camera in (*others, view.labels.camera):
+        _frustum_from_above(axes, view, camera)
     for body in view.world.structures:
         corners_road = transform(view.road_from_world, body.corners_world)
         axes.add_collection(PolyCollection([*corners_road[..., [1, 0]]], color=colors.STRUCTURE, alpha=0.5, zorder=3))
@@ -67,7 +70,7 @@ def draw_top(axes: Axes, view: SceneView, sweep: Sweep | None = None) -> None:
         x, y, _ = transform(view.labels.camera.road_from_cam, points.xyz_cam).T
         axes.scatter(y, x, s=1, c=semantic_colors(points.semantic) / 255, linewidths=0, zorder=5.5)
     low, high = _lateral_extent(view)
-    axes.set(xlim=(-BEHIND_M, AHEAD_M), ylim=(high, low), aspect="equal")
+    axes.set(xlim=(-view.behind_m, AHEAD_M), ylim=(high, low), aspect="equal")
     axes.set(xlabel="y forward [m]", ylabel="x right [m]")
     axes.set_title("from above")
 
@@ -83,7 +86,7 @@ def draw_side(axes: Axes, view: SceneView) -> None:
         heights.append(points_road[:, 2])
         _plot(axes, lane, points_road[:, [1, 2]])
     foot = view.ramp_foot
-    if foot is not None and -BEHIND_M < foot[1] < AHEAD_M:
+    if foot is not None and -view.behind_m < foot[1] < AHEAD_M:
         axes.axvline(foot[1], color=colors.FAINT, linestyle="--", linewidth=1)
         words = "ramp of the exit ends" if view.scene.road.flip_lateral else "ramp of the exit begins"
         side, gap = ("left", 4) if foot[1] < AHEAD_M / 2 else ("right", -4)
@@ -95,7 +98,7 @@ def draw_side(axes: Axes, view: SceneView) -> None:
     axes.axhline(0, color=colors.FAINT, linewidth=0.8, zorder=0)
     low, high = min(map(np.min, heights)), max(height_m, *map(np.max, heights))
     margin = max(0.5, 0.08 * (high - low))
-    axes.set(xlim=(-BEHIND_M, AHEAD_M), ylim=(low - margin, high + margin))
+    axes.set(xlim=(-view.behind_m, AHEAD_M), ylim=(low - margin, high + margin))
     axes.set(xlabel="y forward [m]", ylabel="z up [m]")
     axes.set_title("from the side (ground along the main road in green)")
 
@@ -114,19 +117,21 @@ def draw_3d(axes: Axes3D, view: SceneView) -> None:
         points_road = np.where(np.abs(points_road[:, :1]) < _HALF_WIDTH_3D_M, points_road, np.nan)
         _plot(axes, lane, points_road)
     for car in view.cars:
-        if all(map(_in_space, car.corners_road)):
+        if all(_in_space(view, corner) for corner in car.corners_road):
             sides, face = _box(car.corners_road, car.height_m), colors.hexadecimal(car.color)
             axes.add_collection3d(
                 art3d.Poly3DCollection(sides, facecolor=face, edgecolor=colors.INK, linewidth=0.4, zorder=5)
             )
-    for x, y, z, height_m in ((*tree.foot_road, tree.height_m) for tree in view.trees if _in_space(tree.foot_road)):
+    for x, y, z, height_m in (
+        (*tree.foot_road, tree.height_m) for tree in view.trees if _in_space(view, tree.foot_road)
+    ):
         axes.plot([x, x], [y, y], [z, z + height_m], color=colors.TREE, linewidth=1, alpha=0.5, zorder=2)
     axes.scatter(0, 0, view.labels.camera.height_m, color=colors.FRUSTUM, edgecolor=colors.INK, s=36, zorder=6)
     low, high = grid[..., 2].min(), grid[..., 2].max() + 2
     high = max(high, low + _LEAST_HEIGHT_3D_M)
     axes.zaxis.set_major_locator(MaxNLocator(min(6, round((high - low) / 5) + 1)))
-    axes.set(xlim=(-_HALF_WIDTH_3D_M, _HALF_WIDTH_3D_M), ylim=(-BEHIND_M, AHEAD_M), zlim=(low, high))
-    axes.set_box_aspect((2 * _HALF_WIDTH_3D_M, AHEAD_M + BEHIND_M, _HEIGHT_FACTOR_3D * (high - low)), zoom=1.4)
+    axes.set(xlim=(-_HALF_WIDTH_3D_M, _HALF_WIDTH_3D_M), ylim=(-view.behind_m, AHEAD_M), zlim=(low, high))
+    axes.set_box_aspect((2 * _HALF_WIDTH_3D_M, AHEAD_M + view.behind_m, _HEIGHT_FACTOR_3D * (high - low)), zoom=1.4)
     axes.set(xlabel="x right [m]", ylabel="y forward [m]", zlabel="z up [m]")
     axes.view_init(elev=24, azim=-112)
     axes.set_title(f"in space (heights x {_HEIGHT_FACTOR_3D:g})")
@@ -140,15 +145,17 @@ def _plot(axes: Any, lane: Lane, points: Float[np.ndarray, "n d"]) -> None:
     axes.plot(*seen.T, color=color, linewidth=1.6, linestyle=DASHES if lane.marking == "dashed" else "-", zorder=4)
 
 
-def _frustum_from_above(axes: Axes, labels: Labels) -> None:
-    camera = labels.camera
+def _frustum_from_above(axes: Axes, view: SceneView, camera: CameraLabel) -> None:
     corners_img = np.array([[0.0, camera.height_px / 2], [camera.width_px, camera.height_px / 2]])
     rays_cam = frustum(camera, corners_img)
-    rays_road = rays_cam @ camera.road_from_cam[:3, :3].T
-    ends = rays_road[:, :2] / rays_road[:, 1:2] * AHEAD_M
-    triangle = np.array([[0, 0], *ends])[:, [1, 0]]
+    road_from_cam = view.road_from_world @ camera.world_from_cam
+    rays_road, (x, y) = (rays_cam @ road_from_cam[:3, :3].T)[:, :2], road_from_cam[:2, 3]
+    axis_road = road_from_cam[:2, 1] / np.linalg.norm(road_from_cam[:2, 1])
+    ends = [x, y] + rays_road / (rays_road @ axis_road)[:, None] * AHEAD_M
+    triangle = np.array([[x, y], *ends])[:, [1, 0]]
     axes.add_patch(Polygon(triangle, facecolor=colors.FRUSTUM, alpha=FRUSTUM_OPACITY, edgecolor="none", zorder=1.5))
-    axes.plot(0, 0, ">", color=colors.FRUSTUM, markeredgecolor=colors.INK, markersize=9, zorder=6)
+    marker = MarkerStyle(">").rotated(rad=float(np.arctan2(-axis_road[0], axis_road[1])))
+    axes.plot(y, x, marker=marker, color=colors.FRUSTUM, markeredgecolor=colors.INK, markersize=9, zorder=6)
 
 
 def _lateral_extent(view: SceneView) -> tuple[float, float]:
@@ -161,8 +168,8 @@ def _lateral_extent(view: SceneView) -> tuple[float, float]:
     return (low + high) / 2 - half_m, (low + high) / 2 + half_m
 
 
-def _in_space(point_road: Float[np.ndarray, "3"]) -> bool:
-    return bool(abs(point_road[0]) < _HALF_WIDTH_3D_M and -BEHIND_M < point_road[1] < AHEAD_M)
+def _in_space(view: SceneView, point_road: Float[np.ndarray, "3"]) -> bool:
+    return bool(abs(point_road[0]) < _HALF_WIDTH_3D_M and -view.behind_m < point_road[1] < AHEAD_M)
 
 
 def _box(corners: Float[np.ndarray, "4 3"], height_m: float) -> list[Float[np.ndarray, "4 3"]]:

@@ -6,7 +6,7 @@ Camera frame but for the height: x right, y ahead, z up from the bonnet's highes
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import Matrix4
+from synth3dlanes.frames import Matrix4, turned
 from synth3dlanes.geometry.camera import rays
 from synth3dlanes.geometry.meshes import Mesh, grid
 from synth3dlanes.scene import Camera
@@ -42,7 +42,7 @@ def bonnet() -> Mesh:
 
 def cam_from_bonnet(camera: Camera, share: float) -> Matrix4:
     """The pose at which the bonnet fills this share of the image's height in the middle of its width, or more of it in
-    that of a wide lens."""
+    that of a wide lens: along the host's middle, whatever the camera's yaw and place."""
     y_m = np.linspace(FROM_M, TO_M, SHAPE[0])
     edge = (camera.cy_px - camera.height_px * (1 - share)) / camera.fy_px
     if not camera.lens.is_pinhole:
@@ -51,6 +51,6 @@ def cam_from_bonnet(camera: Camera, share: float) -> Matrix4:
     below_m = float((surface_m(np.zeros(SHAPE[0]), y_m) - edge * y_m).max())
     if not camera.lens.is_pinhole:
         below_m = min(below_m, max(camera.height_m - LOWEST_M, NEAREST_M))
-    pose = np.eye(4)
+    pose = turned(-camera.yaw_rad) @ turned(0.0, -camera.right_m)
     pose[2, 3] = -below_m
-    return pose
+    return np.asarray(pose)

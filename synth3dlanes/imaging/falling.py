@@ -58,7 +58,7 @@ def add_falling(
     for kind, strength in ((RAIN, weather.rain), (SNOW, weather.snowfall)):
         if strength > 0:
             share, nearness = _streaks(kind, strength, scene, view, rng)
-            lamps = LIT_BY_HEADLIGHTS * film * weather.headlights * nearness
+            lamps = LIT_BY_HEADLIGHTS * film * (weather.headlights and view.camera.looks_ahead) * nearness
             glow = (airlight * film).astype(np.float32) + lamps[..., None]
             share = share * (depth_m > NEAREST_M)
             linear = linear + share[..., None] * (glow - linear)
@@ -77,7 +77,9 @@ def _streaks(
     size_px = (kind.size_m[0] + (kind.size_m[1] - kind.size_m[0]) * u[:, 3] ** 2) * camera.fx_px / y_m
     speed_m_s = scene.shot.speed_m_s or SPEED_M_PER_S
     driven_m = scene.sensor.motion_blur_m or speed_m_s * SHORTEST_S
-    wind = rng.normal(0, 0.15 * kind.m_per_s, 2) / speed_m_s
+    # All pictures of a world have one wind.
+    is_one_of_many = scene.shot.n_frames * scene.shot.n_cameras > 1
+    wind = (scene.stream("wind") if is_one_of_many else rng).normal(0, 0.15 * kind.m_per_s, 2) / speed_m_s
     way_road = driven_m * np.array([wind[0], wind[1] - 1, -kind.m_per_s / speed_m_s])
     way_cam = invert(view.road_from_cam)[:3, :3] @ way_road
     points_cam = points_away(camera, uv, y_m)

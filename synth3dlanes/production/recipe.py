@@ -24,6 +24,7 @@ from synth3dlanes.imaging.daylight import daylight
 from synth3dlanes.imaging.develop import develop
 from synth3dlanes.imaging.layers import Layers
 from synth3dlanes.labels import Labels
+from synth3dlanes.like import Like
 from synth3dlanes.params import CameraParams, Params
 from synth3dlanes.production.workers import leave_if_orphaned
 from synth3dlanes.sample import sample_world
@@ -45,10 +46,11 @@ class Recipe:
     image_format: str
     library: Library = field(default=BUILT_IN, kw_only=True)
     shots: Shots = field(default=SINGLE, kw_only=True)
+    like: Like | None = field(default=None, kw_only=True)
 
     def world(self, index: int) -> World:
         """The world of sample `index`."""
-        return sample_world(self.params, self.seed, self.split, index, self.library.assets, self.shots)
+        return sample_world(self.params, self.seed, self.split, index, self.library.assets, self.shots, self.like)
 
     def scene(self, index: int) -> Scene:
         """The scene of sample `index`."""
@@ -64,6 +66,7 @@ class Recipe:
             "params": self.params.model_dump(mode="json"),
             "assets": {kind: {own.name: asdict(own) for own in self.library.assets.own(kind)} for kind in KINDS},
             **({} if self.shots == SINGLE else {"shots": self.shots.model_dump(mode="json")}),
+            **({} if self.like is None else {"like": self.like.model_dump(mode="json")}),
         }
 
     @property

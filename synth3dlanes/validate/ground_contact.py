@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import invert, transform
+from synth3dlanes.frames import Matrix4, invert, transform
 from synth3dlanes.geometry import meshes
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.placement import TREE_SINK_M
@@ -19,8 +19,8 @@ from synth3dlanes.validate.passes_proof import Passes
 from synth3dlanes.world import World
 
 # Limits of visible gaps: a rigid car on the sharpest crests has a wheel up to 0.21 m off (1,350 scenes; mostly below
-# 5 cm), and beyond RANGE_M the ground's faces are metres long. A tree's base is 0.1 m below the ground and its root
-# reaches 0.3 m deeper.
+# 5 cm), and beyond RANGE_M along the road the ground's faces are metres long. A tree's base is 0.1 m below the ground
+# and its root reaches 0.3 m deeper.
 MAX_WHEEL_M, MAX_TREE_M, RANGE_M = 0.25, 0.4, 120.0
 # Terrain pixels this far inside the pavement's edge penetrate the road; every STEP-th pixel within NEAR_M is checked.
 INSIDE_M, STEP, NEAR_M = 0.3, 2, 80.0
@@ -42,16 +42,20 @@ def check_ground_contact(world: World, labels: Labels, passes: Passes) -> tuple[
     feet = np.concatenate([np.zeros((0, 3)), *(body.feet_world[::FEET_STEP] for body in world.structures)])
     feet = _ahead(labels.camera, feet)
     under_m = np.fmax(_height([*world.pavement, *world.verges], feet[:, :2]), terrain_height(world.ground, feet[:, :2]))
-    measures = [
-        _measure("wheel_gap_m", labels.camera, wheels, _height(world.pavement, wheels[:, :2])),
-        _measure("tree_gap_m", labels.camera, places, on_ground_m),
-        *([_measure("structure_gap_m", labels.camera, feet, under_m)] if len(feet) else []),
+    standing = [
+        ("wheel_gap_m", wheels, _height(world.pavement, wheels[:, :2]), MAX_WHEEL_M),
+        ("tree_gap_m", places, on_ground_m, MAX_TREE_M),
+        *([("structure_gap_m", feet, under_m, MAX_TREE_M)] if len(feet) else []),
     ]
-    findings = []
-    for measure, limit_m in zip(measures, (MAX_WHEEL_M, MAX_TREE_M, MAX_TREE_M), strict=False):
-        off_m = measure.values[(measure.values > limit_m) & (measure.y_m < RANGE_M)]
+    findings, measures = [], []
+    for name, points, ground_m, limit_m in standing:
+        known = np.isfinite(ground_m)
+        gap_m = np.abs(points[:, 2] - ground_m)[known]
+        measures.append(Measure(name, _in(labels.camera.world_from_cam, points)[known, 1], gap_m))
+        is_near = np.abs(_in(world.view.world_from_host, points)[known, 1]) < RANGE_M
+        off_m = gap_m[(gap_m > limit_m) & is_near]
         if off_m.size:
-            reason = f"{measure.name}: expected at most {limit_m} m, got {off_m.size} beyond, up to {off_m.max():.2f} m"
+            reason = f"{name}: expected at most {limit_m} m, got {off_m.size} beyond, up to {off_m.max():.2f} m"
             findings.append(Finding("", reason))
     if {"depth", "semantic"} <= set(passes):
         findings += _through(world.ground, labels.camera, passes)
@@ -70,14 +74,12 @@ def _wheels(world: World) -> Points:
 
 def _ahead(camera: CameraLabel, points_world: Points) -> Float[np.ndarray, "m 3"]:
     """The points that are ahead of the camera."""
-    return points_world[transform(invert(camera.world_from_cam), points_world)[:, 1] > 0]
+    return points_world[_in(camera.world_from_cam, points_world)[:, 1] > 0]
 
 
-def _measure(name: str, camera: CameraLabel, points_world: Points, ground_m: Values) -> Measure:
-    """Absolute gaps between points and the ground, where the ground's height is known."""
-    ahead_m = transform(invert(camera.world_from_cam), points_world)[:, 1]
-    known = np.isfinite(ground_m)
-    return Measure(name, ahead_m[known], np.abs(points_world[:, 2] - ground_m)[known])
+def _in(world_from_frame: Matrix4, points_world: Points) -> Points:
+    """The points in another frame."""
+    return transform(invert(world_from_frame), points_world)
 
 
 def _height(surfaces: Sequence[meshes.Mesh], xy: Points2) -> Values:

@@ -17,6 +17,7 @@ from synth3dlanes.change import change_scene
 from synth3dlanes.dataset.description import DESCRIPTION
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.like import Like
 from synth3dlanes.params import Params
 from synth3dlanes.sample import sample_scene
 from synth3dlanes.scene import Scene
@@ -68,6 +69,7 @@ class Origin(Part):
     params: Params
     assets: Annotated[Assets, BeforeValidator(_in_order)] = Assets()
     shots: Shots = SINGLE
+    like: Like | None = None
     derived: Derived | None = None
 
     def fault(self, scene: Scene, split: str, index: int) -> str:
@@ -82,9 +84,9 @@ class Origin(Part):
 
     def _drawn(self, scene: Scene, split: str, index: int) -> Scene:
         if self.derived is None:
-            return sample_scene(self.params, self.seed, split, index, self.assets, self.shots)
+            return sample_scene(self.params, self.seed, split, index, self.assets, self.shots, self.like)
         index = self.shots.index(Place(scene.index, scene.shot.frame, scene.shot.camera))
-        drawn = sample_scene(self.params, self.seed, scene.split, index, self.assets, self.shots)
+        drawn = sample_scene(self.params, self.seed, scene.split, index, self.assets, self.shots, self.like)
         return change_scene(drawn, self.derived.changes(split))
 
 

@@ -231,3 +231,20 @@ def _rescored(lane, rng):
 
 def _moved(lane, shift_m, n_points=None):
     return dataclasses.replace(lane, xyz_cam=lane.xyz_cam[:n_points] + np.array([shift_m, 0.0, 0.0]))
+
+
+def test_samples_are_sorted_the_worst_first(roads):
+    """Of 2 + 3 lanes: all found at 30 cm, all found, half the score's lanes missing, nothing found."""
+    labels = roads.labels(_straight(-1.75, 1.75), _straight(-3.5, 0.0, 3.5))
+    shifted, exact, beyond = (roads.as_prediction(labels, shift_m=shift_m) for shift_m in (0.3, 0.0, 1.6))
+    fewer = _with_lanes(exact, [lane for lane in exact.lanes if lane.kind == "delimiter"])
+    found = {"shifted": shifted, "exact": exact, "fewer": fewer, "none": _with_lanes(exact, []), "beyond": beyond}
+    report = _evaluate([(labels, dataclasses.replace(one, key=key)) for key, one in found.items()])
+    scores = {sample.key: (sample.f1, sample.error_cm) for sample in report.samples}
+    assert [sample.key for sample in report.samples][2:] == ["fewer", "shifted", "exact"]
+    assert scores["exact"] == (1.0, pytest.approx(0.0, abs=1e-3))
+    assert scores["shifted"] == (1.0, pytest.approx(30.0, abs=1e-2))
+    # 3 of 5 lanes without a false one: precision 1, recall 0.6.
+    assert scores["fewer"][0] == pytest.approx(2 * 0.6 / 1.6, abs=1e-6)
+    assert scores["none"][0] == scores["beyond"][0] == 0.0
+    assert np.isnan(scores["none"][1])

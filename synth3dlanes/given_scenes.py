@@ -1,0 +1,104 @@
+"""The scenes that `generate --like FILE` names: as JSON, by their samples, or as the worst of an evaluation."""
+
+import json
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import ConfigDict, Field
+
+from synth3dlanes.assets.catalogue import Assets
+from synth3dlanes.dataset.read import Reader
+from synth3dlanes.errors import InputError
+from synth3dlanes.like import MAX_SCENES, Drawn
+from synth3dlanes.params import Params
+from synth3dlanes.sample import sample_scene
+from synth3dlanes.scene import Scene, from_json
+from synth3dlanes.schema import Part, parse
+from synth3dlanes.sources import SAMPLE, read_scene
+
+# Of the samples of an evaluation, the worst of each WORST are taken.
+WORST = 10
+# So many scenes are drawn again, to see that they are of the parameters; and the parts that are compared.
+CHECKED, PARTS = 5, ("terrain", "road", "markings", "surface", "light", "air")
+
+
+class Scored(Part):
+    """A sample of an evaluation."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    key: Annotated[str, Field(pattern=r"^\d{8}$")]
+
+
+class Scores(Part):
+    """What `evaluate --json` says of a split of ours: its samples, the worst first."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    source: str
+    samples: Annotated[tuple[Scored, ...], Field(min_length=1)]
+
+
+def given_scenes(path: Path, params: Params, assets: Assets) -> tuple[Drawn, ...]:
+    """The draws of the scenes in a file: a line for each, a scene.json or a sample as DIR/test:00000017; or the result
+    of `evaluate --json`, of which the worst tenth is taken.
+
+    Raises InputError or FormatError with a line for each problem, also where a scene is not one of the parameters.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        raise InputError(f"like {path}: cannot read: {getattr(error, 'strerror', None) or error}") from None
+    scenes: dict[Drawn, None] = {}
+    for scene in _scenes(text, str(path)):
+        if len(scenes) < CHECKED:
+            _check(scene, params, assets, str(path))
+        scenes[scene.seed, scene.split, scene.index] = None
+    if not 0 < len(scenes) <= MAX_SCENES:
+        raise InputError(f"like {path}: expected 1 to {MAX_SCENES} scenes, got {len(scenes)}")
+    return tuple(scenes)
+
+
+def _scenes(text: str, where: str) -> Iterator[Scene]:
+    scores = _scores(text, where)
+    lines = text.splitlines() if scores is None else _worst(scores)
+    for number, line in enumerate(lines, start=1):
+        if SAMPLE.fullmatch(line.strip()):
+            url, _, key = line.strip().rpartition(":")
+            reader = _reader(url)
+            yield read_scene(reader, reader.position(key))
+        elif line.strip():
+            yield from_json(line, f"{where}: line {number}")
+
+
+def _scores(text: str, where: str) -> Scores | None:
+    """The result of an evaluation, None for other files."""
+    try:
+        document: Any = json.loads(text)
+    except ValueError:
+        return None
+    if not isinstance(document, dict) or "samples" not in document:
+        return None
+    return parse(Scores, text, where, "a result of evaluate --json on a data set of synth3dlanes")
+
+
+def _worst(scores: Scores) -> list[str]:
+    return [f"{scores.source}:{sample.key}" for sample in scores.samples[: -(-len(scores.samples) // WORST)]]
+
+
+@lru_cache(maxsize=4)
+def _reader(url: str) -> Reader:
+    return Reader(url)
+
+
+def _check(scene: Scene, params: Params, assets: Assets, where: str) -> None:
+    """Raise InputError unless the parameters draw the scene."""
+    drawn = sample_scene(params, scene.seed, scene.split, scene.index, assets)
+    wrong = [name for name in PARTS if getattr(drawn, name) != getattr(scene, name)]
+    if wrong:
+        raise InputError(
+            f"like {where}: expected scenes as these parameters draw them, got other {', '.join(wrong)} in scene "
+            f"{scene.index} of {scene.split}, seed {scene.seed}; use the --params, --set and --assets of its data set"
+        )

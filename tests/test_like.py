@@ -1,0 +1,120 @@
+"""Scenes near given ones: as near as their spread says, by the sampler's rules, recorded and drawn again."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from synth3dlanes.assets.catalogue import BUILT_IN
+from synth3dlanes.errors import InputError
+from synth3dlanes.given_scenes import given_scenes
+from synth3dlanes.like import near, read_like
+from synth3dlanes.params import load_params
+from synth3dlanes.production.plan import Plan
+from synth3dlanes.production.recipe import Recipe
+from synth3dlanes.production.run import generate
+from synth3dlanes.production.twins import twin_recipes
+from synth3dlanes.sample import sample_scene
+from synth3dlanes.scene import to_json
+from synth3dlanes.settings import RenderSettings
+from synth3dlanes.validate.origin import read_origin
+from tests import fake_samples
+
+PARAMS = load_params("appendix_i")
+GIVEN = tuple((0, "test", index) for index in (3, 8, 11))
+
+
+def like(index, *spreads):
+    return sample_scene(PARAMS, 7, "hard", index, like=read_like(GIVEN, spreads))
+
+
+def original(index):
+    return sample_scene(PARAMS, *GIVEN[index % 3])
+
+
+@given(st.floats(0, 1, exclude_max=True), st.floats(0, 1), st.floats(0, 1, exclude_max=True))
+def test_numbers_stay_in_a_window_around_the_given_one(u, spread, moved):
+    found = near(u, spread, moved)
+    assert 0 <= found <= 1
+    assert abs(found - u) <= spread + 1e-12
+    if spread / 2 < u < 1 - spread / 2:
+        assert abs(found - u) <= spread / 2 + 1e-12
+
+
+@pytest.mark.parametrize("index", range(5))
+def test_without_spread_the_given_scenes_come_back_one_after_the_other(index):
+    fields = {"seed": 7, "split": "hard", "index": index}
+    assert like(index, "0") == original(index).model_copy(update=fields)
+
+
+def test_real_parameters_are_within_half_their_spread_and_all_others_as_given():
+    def share(path, one, other):
+        group, key = path.split(".")
+        distribution = getattr(getattr(PARAMS, group), key)
+        low, high = distribution.low, distribution.high
+        if key.endswith("_deg"):
+            low, high, key = *np.radians([low, high]), key.replace("_deg", "_rad")
+        return (getattr(getattr(other, group), key) - getattr(getattr(one, group), key)) / (high - low)
+
+    pitches, widths = [], []
+    for index in range(30):
+        one, other = original(index), like(index, "0.1", "camera.pitch_deg=0.4")
+        assert (other.road.topology, other.road.n_lanes) == (one.road.topology, one.road.n_lanes)
+        for flip in ("flip_lateral", "flip_longitudinal"):
+            assert getattr(other.road, flip) == getattr(one.road, flip)
+        assert [car.model for car in other.cars] == [car.model for car in one.cars]
+        assert len(other.trees) == len(one.trees)
+        assert len(other.terrain.gaussians) == len(one.terrain.gaussians)
+        pitches.append(share("camera.pitch_deg", one, other))
+        widths.append(share("road.lane_width_m", one, other))
+    # At the end of a range the window ends with it, and reaches as far on the other side.
+    assert 0.03 < np.abs(widths).max() <= 0.1 + 1e-6
+    assert 0.1 < np.abs(pitches).max() <= 0.4 + 1e-6
+    assert len(set(widths)) == 30
+
+
+def test_a_full_spread_is_the_whole_range():
+    heights = [like(index, "1").camera.height_m for index in range(60)]
+    low, high = PARAMS.camera.height_m.low, PARAMS.camera.height_m.high
+    assert min(heights) < low + 0.15 * (high - low)
+    assert max(heights) > high - 0.15 * (high - low)
+
+
+def test_dataset_json_says_all_that_validate_needs_to_draw_them_again():
+    recipe = Recipe(PARAMS, 7, "hard", RenderSettings(), "jpg", like=read_like(GIVEN, ["0.2", "road.lane_width_m=0"]))
+    origin = read_origin(json.loads(json.dumps(recipe.description())))
+    assert all(origin.fault(recipe.scene(index), "hard", index) == "" for index in range(4))
+    assert "like" not in Recipe(PARAMS, 7, "hard", RenderSettings(), "jpg").description()
+    changed = json.loads(json.dumps(recipe.description()))
+    changed["like"]["spread"] = 0.3
+    assert read_origin(changed).fault(recipe.scene(0), "hard", 0)
+
+
+def test_files_name_scenes_by_their_text(tmp_path):
+    path = tmp_path / "hard.jsonl"
+    path.write_text("".join(f"{to_json(sample_scene(PARAMS, *drawn))}\n" for drawn in GIVEN))
+    assert given_scenes(path, PARAMS, BUILT_IN.assets) == GIVEN
+    with pytest.raises(InputError, match=r"hard\.jsonl: expected scenes as these parameters draw them"):
+        given_scenes(path, load_params("appendix_i", ["camera.pitch_deg=3", "road.lane_width_m=3"]), BUILT_IN.assets)
+    path.write_text("\n")
+    with pytest.raises(InputError, match="expected 1 to 10000 scenes, got 0"):
+        given_scenes(path, PARAMS, BUILT_IN.assets)
+
+
+@pytest.mark.parametrize("spread", ["2", "x", "camera.pitch=0.1", "camera.pitch_deg=-1", "lanes=0.1"])
+def test_spreads_that_are_none_are_refused(spread):
+    with pytest.raises(InputError, match="spread"):
+        read_like(GIVEN, [spread])
+
+
+def test_twins_and_splits_of_such_data_know_what_they_are_near(tmp_path):
+    recipe = dataclasses.replace(fake_samples.recipe(), like=read_like(GIVEN, ["0.2"]))
+    generate(Plan(tmp_path / "d", 1, recipe, workers=1, maker=fake_samples.make), lambda event: None)
+    (twin,) = twin_recipes(f"{tmp_path}/d/train", "light.exposure=2", "cpu")
+    assert twin.description()["like"] == recipe.description()["like"]
+    recipe = Recipe(PARAMS, 7, "hard", RenderSettings(), "jpg", like=read_like(GIVEN, ["0.2"]))
+    cut = read_origin({**json.loads(json.dumps(recipe.description())), "derived": {"cut": "DIR/hard"}})
+    assert all(cut.fault(recipe.scene(index), "part", 90 + index) == "" for index in range(4))
