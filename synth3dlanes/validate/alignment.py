@@ -46,15 +46,13 @@ GROUND = [SEMANTIC_IDS[name] for name in ("terrain", "road", "shoulder", "markin
 LUMA = np.array([0.3, 0.6, 0.1])
 
 
-def check_alignment(image: UInt8[np.ndarray, "h w 3"], passes: Passes, is_smeared: bool = False) -> Iterator[Finding]:
-    """Findings where the image is shifted or stretched against its passes, or belongs to other passes. `is_smeared`
-    says that motion blur runs across the image, as cameras that look aside have it: then its rows are not judged."""
+def check_alignment(image: UInt8[np.ndarray, "h w 3"], passes: Passes) -> Iterator[Finding]:
+    """Findings where the image is shifted or stretched against its passes, or belongs to other passes."""
     if "semantic" not in passes:
         return
     every = int(np.ceil(image.shape[0] * image.shape[1] / MAX_PIXELS))
     rows, columns = np.s_[::every], np.s_[:, ::every]
-    if not is_smeared:
-        yield from _judge(image[rows] @ LUMA, _things(passes, rows), "right", ACROSS)
+    yield from _judge(image[rows] @ LUMA, _things(passes, rows), "right", ACROSS)
     things = _things(passes, columns)
     # Motion blur smears the ground near the host along the driving direction.
     things[np.isin(passes["semantic"][columns], GROUND)] = 0

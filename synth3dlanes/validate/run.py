@@ -219,6 +219,7 @@ def _proofs(
     world, scene = paint.world, paint.world.scene
     is_lit = scene.light.sun_zenith_rad < DARK_RAD
     is_smeared = scene.sensor.motion_blur_m > 0 and abs(np.sin(scene.camera.yaw_rad)) > ASIDE
+    is_sharp = paint.shows and is_lit and not is_smeared
     proofs = {
         "index": lambda: Proved([*check_row(entry, world.scene, labels)]),
         "labels": lambda: Proved([*check_values(world.scene, truth, labels)]),
@@ -237,7 +238,7 @@ def _proofs(
         "image": lambda: Proved(*prove_image(paint, labels, image)),
         "sharpness": lambda: Proved([*check_sharpness(image)] if scene.sensor.jpeg_quality >= SHARP_JPEG else []),
         "colours": lambda: Proved([*check_colours(world, labels.camera, image, passes)]),
-        "alignment": lambda: Proved([*check_alignment(image, passes, is_smeared)] if paint.shows and is_lit else []),
+        "alignment": lambda: Proved([*check_alignment(image, passes)] if is_sharp else []),
         "pavement": lambda: Proved(*prove_pavement(world, labels, passes)),
         "hills": lambda: Proved([*check_hills(world, labels, passes)]),
         "normals": lambda: Proved([*check_normals(labels.camera, passes)]),
