@@ -19,6 +19,7 @@ from synth3dlanes.dataset.splits import readers
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
+from synth3dlanes.like import Like
 from synth3dlanes.params import Params
 from synth3dlanes.scene import Scene, from_json
 from synth3dlanes.schema import validation_problems
@@ -143,6 +144,16 @@ def shots_of(reader: Reader) -> Shots:
         return Shots.model_validate(reader.description.get("shots", {}))
     except ValidationError as error:
         raise FormatError("\n".join(validation_problems(error, f"{reader.url}: dataset.json: shots"))) from None
+
+
+def like_of(reader: Reader) -> Like | None:
+    """The given scenes that the scenes of a data set are near, if they are."""
+    if reader.description.get("like") is None:
+        return None
+    try:
+        return Like.model_validate(reader.description["like"])
+    except ValidationError as error:
+        raise FormatError("\n".join(validation_problems(error, f"{reader.url}: dataset.json: like"))) from None
 
 
 def some_samples(folder: str, n: int, shuffle: int | None, where: str | None) -> list[tuple[Reader, int]]:

@@ -1,5 +1,6 @@
 """Scenes near given ones: as near as their spread says, by the sampler's rules, recorded and drawn again."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -12,11 +13,15 @@ from synth3dlanes.errors import InputError
 from synth3dlanes.given_scenes import given_scenes
 from synth3dlanes.like import near, read_like
 from synth3dlanes.params import load_params
+from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
+from synth3dlanes.production.run import generate
+from synth3dlanes.production.twins import twin_recipes
 from synth3dlanes.sample import sample_scene
 from synth3dlanes.scene import to_json
 from synth3dlanes.settings import RenderSettings
 from synth3dlanes.validate.origin import read_origin
+from tests import fake_samples
 
 PARAMS = load_params("appendix_i")
 GIVEN = tuple((0, "test", index) for index in (3, 8, 11))
@@ -103,3 +108,13 @@ def test_files_name_scenes_by_their_text(tmp_path):
 def test_spreads_that_are_none_are_refused(spread):
     with pytest.raises(InputError, match="spread"):
         read_like(GIVEN, [spread])
+
+
+def test_twins_and_splits_of_such_data_know_what_they_are_near(tmp_path):
+    recipe = dataclasses.replace(fake_samples.recipe(), like=read_like(GIVEN, ["0.2"]))
+    generate(Plan(tmp_path / "d", 1, recipe, workers=1, maker=fake_samples.make), lambda event: None)
+    (twin,) = twin_recipes(f"{tmp_path}/d/train", "light.exposure=2", "cpu")
+    assert twin.description()["like"] == recipe.description()["like"]
+    recipe = Recipe(PARAMS, 7, "hard", RenderSettings(), "jpg", like=read_like(GIVEN, ["0.2"]))
+    cut = read_origin({**json.loads(json.dumps(recipe.description())), "derived": {"cut": "DIR/hard"}})
+    assert all(cut.fault(recipe.scene(index), "part", 90 + index) == "" for index in range(4))

@@ -7,7 +7,6 @@ from jaxtyping import Float, Shaped
 from PIL import Image
 
 from synth3dlanes.formats.sample_format import SampleFrame
-from synth3dlanes.frames import project
 from synth3dlanes.labels import CameraLabel, Lane
 from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS
 
@@ -54,7 +53,7 @@ def line_pixels(lane: Lane, camera: CameraLabel) -> Float[np.ndarray, "_ 2"]:
     points_cam = np.column_stack([np.interp(fine, knots, column) for column in lane.xyz_cam.T])
     # Between two samples the ground is seen if it is at both.
     seen = np.interp(fine, knots, lane.terrain_visible.astype(float)) == 1
-    uv = project(camera.img_from_cam, points_cam[seen & (points_cam[:, 1] > NEAREST_M)])
+    uv = camera.project(points_cam[seen & (points_cam[:, 1] > NEAREST_M)])
     uv = uv[((uv >= 0) & (uv < [camera.width_px, camera.height_px])).all(axis=1)]
     along_px = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(uv, axis=0), axis=1))])[: len(uv)]
     if not len(uv):

@@ -17,7 +17,7 @@ from synth3dlanes.dataset.rearrange import how_derived
 from synth3dlanes.errors import InputError
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.settings import RenderSettings
-from synth3dlanes.sources import params_of, read_scene, shots_of
+from synth3dlanes.sources import like_of, params_of, read_scene, shots_of
 from synth3dlanes.world import World, resolve
 from synth3dlanes.yaml_text import read_yaml
 
@@ -62,7 +62,7 @@ def twin_recipes(source: str, vary: str, device: str, library: Library = BUILT_I
     require_assets(read_scene(reader, 0).assets, library, source)
     params, seed = params_of(reader), int(reader.description["seed"])
     image_format = str(reader.description["image_format"])
-    others: dict[str, Any] = {"library": library, "shots": shots_of(reader)}
+    others: dict[str, Any] = {"library": library, "shots": shots_of(reader), "like": like_of(reader)}
     recipes = [
         TwinRecipe(params, seed, f"twin_{k}", settings, image_format, reader.url, path, shown, **others)
         for k in range(1, len(shown) + 1)

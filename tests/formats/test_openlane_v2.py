@@ -1,10 +1,12 @@
 """OpenLane-V2: the devkit's rules, the map behind the labels, the score."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from synth3dlanes.errors import InputError
 from synth3dlanes.formats.export import export
 from synth3dlanes.formats.openlane_v2 import score as scoring
 from synth3dlanes.formats.openlane_v2.read import frames, parse
@@ -12,8 +14,9 @@ from synth3dlanes.formats.openlane_v2.score import Lanes, score
 from synth3dlanes.formats.openlane_v2.write import annotate
 from synth3dlanes.formats.sample_format import SampleFrame
 from synth3dlanes.formats.verify import verify
-from synth3dlanes.frames import transform
+from synth3dlanes.frames import invert, transform
 from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.lens import Lens
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import sample_scene
 
@@ -23,15 +26,16 @@ CHANGES = ["camera.roll_deg={-2: 1, 2: 1}", "camera.principal_offset_px=[-8, 8]"
 
 def frame_of(seed, *changes):
     scene = sample_scene(load_params("appendix_i", [*CHANGES, *changes]), seed, "train", 0)
+    labels = ground_truth(scene)
     return SampleFrame(
-        "train", "00000000", 7, "train", frozenset({"train"}), scene=scene, labels=ground_truth(scene), passes={},
-        image_format="jpg",
+        "train", "00000007", 7, "train", frozenset({"train"}), scene=scene, labels=labels, passes={},
+        image_format="jpg", cameras={"00000007": labels.camera},
     )  # fmt: skip
 
 
 def documents(frame):
     files = {path.rpartition("/")[2]: json.loads(text) for path, text in annotate(frame).files.items()}
-    return files["7.json"], files["7-ls.json"]
+    return files["0.json"], files["0-ls.json"]
 
 
 def pixels(document, points_ego):
@@ -152,6 +156,54 @@ def test_pavement_ends_outside_every_lane_and_crosswalks_are_closed_quads():
             assert points.shape == (5, 3)
             np.testing.assert_array_equal(points[0], points[-1])
             assert np.linalg.norm(points[1] - points[0]) > np.linalg.norm(points[2] - points[1])
+
+
+def test_the_pictures_of_a_rig_are_one_frame_with_lanes_all_around():
+    frame = frame_of(5, "road.topology=1", "camera.roll_deg=0", "camera.y_m=-20")
+    ahead = frame.labels.camera
+    # A camera that looks back from the same place.
+    turn = np.diag([-1.0, -1.0, 1.0, 1.0])
+    back_from_road = turn @ ahead.road_from_cam
+    back = replace(
+        ahead,
+        name="CAM_BACK",
+        road_from_cam=back_from_road,
+        world_from_cam=ahead.world_from_cam @ invert(ahead.road_from_cam) @ back_from_road,
+    )
+    ahead = replace(ahead, name="CAM_FRONT")
+    shot = frame.scene.shot.model_copy(update={"frame": 2, "n_frames": 3, "fps": 10.0, "camera": 0, "n_cameras": 2})
+    first = replace(
+        frame,
+        number=104,
+        scene=frame.scene.model_copy(update={"shot": shot}),
+        labels=replace(frame.labels, camera=ahead),
+        cameras={"4": ahead, "5": back},
+    )
+    annotation = annotate(first)
+    # Frame 2 of 3 by 2 cameras: the clip began four pictures before, 0.2 s ago.
+    assert annotation.image == "OpenLane-V2/train/00000100/image/CAM_FRONT/200000000.jpg"
+    (centers, segments) = (json.loads(text) for text in annotation.files.values())
+    assert list(centers["sensor"]) == ["CAM_FRONT", "CAM_BACK"]
+    assert annotation.shared[0][1] == ("OpenLane-V2/data_dict_subset_B.json",)
+    rotation = np.array(centers["sensor"]["CAM_BACK"]["extrinsic"]["rotation"])
+    assert rotation[0, 2] < -0.9, "its viewing axis (z) points backwards (x)"
+    x_m = np.concatenate([lane["points"] for lane in centers["annotation"]["lane_centerline"]])[:, 0]
+    assert -51 < x_m.min() < -45
+    assert 45 < x_m.max() < 51
+    assert segments["sensor"] == centers["sensor"]
+    by_back = first.scene.model_copy(update={"shot": shot.model_copy(update={"camera": 1})})
+    alone = annotate(replace(first, number=105, scene=by_back, labels=replace(first.labels, camera=back), cameras={}))
+    assert alone.image == "OpenLane-V2/train/00000100/image/CAM_BACK/200000000.jpg"
+    assert (alone.files, alone.shared) == ({}, ())
+    assert alone.image.removeprefix("OpenLane-V2/") == centers["sensor"]["CAM_BACK"]["image_path"]
+
+
+def test_a_lens_is_refused_because_loaders_know_none():
+    frame = frame_of(5)
+    lens = Lens(model="fisheye", coefficients=(0.1, 0.0, 0.0, 0.0))
+    bent = replace(frame.labels, camera=replace(frame.labels.camera, lens=lens))
+    with pytest.raises(InputError, match=r"^train:00000007: expected a camera without distortion"):
+        annotate(replace(frame, labels=bent))
 
 
 def line(y_m, x_m=(0.0, 40.0), n=11):

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.errors import FormatError
-from synth3dlanes.formats.openlane_v2.convention import COLLECTION, ROOT
+from synth3dlanes.formats.openlane_v2.convention import COLLECTIONS, ROOT
 from synth3dlanes.formats.reading import MALFORMED, json_object, read_text
 
 
@@ -24,7 +24,9 @@ class TopologyFrame:
 def frames(out: Path) -> dict[str, list[Path]]:
     """The label files of centre lines of each part."""
     root = out / ROOT
-    listed = json_object(read_text(root / f"{COLLECTION}.json"), str(root / f"{COLLECTION}.json"))
+    paths = [root / f"{name}.json" for name in COLLECTIONS]
+    path = next((path for path in paths if path.exists()), paths[0])
+    listed = json_object(read_text(path), str(path))
     return {
         part: [root / part / segment / "info" / name for segment, names in segments.items() for name in names]
         for part, segments in listed.items()
