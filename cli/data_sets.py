@@ -59,9 +59,9 @@ def info(folder: str, as_json: bool) -> None:
     click.echo(f"{recipe['render']['samples']} rays a pixel on {recipe['render']['device']}, passes: {passes}")
     if pictures_per_scene(recipe) > 1:
         shots = recipe["shots"]
-        click.echo(
-            f"{shots['frames']} frames a scene, {shots['fps']:g} a second, {max(1, len(shots['cameras']))} cameras"
-        )
+        clip = [f"{shots['frames']} frames a scene, {shots['fps']:g} a second"] if shots["frames"] > 1 else []
+        rig = [f"cameras {', '.join(camera['name'] for camera in shots['cameras'])}"] if shots["cameras"] else []
+        click.echo("; ".join([*clip, *rig]))
     if "derived" in recipe:
         click.echo(f"derived: {json.dumps(recipe['derived'])}")
     table = Table(box=None, padding=(0, 2, 0, 0))

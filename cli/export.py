@@ -24,7 +24,9 @@ def _size(text: str | None) -> tuple[int, int] | None:
     "--format",
     "format_name",
     required=True,
-    type=click.Choice(["apollo", "openlane", "once", "tusimple", "culane", "curvelanes", "openlane_v2", "opendrive"]),
+    type=click.Choice(
+        ["apollo", "openlane", "once", "tusimple", "culane", "curvelanes", "openlane_v2", "opendrive", "coco", "masks"]
+    ),
     help="Format to write.",
 )
 @click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Output folder.")
@@ -58,7 +60,7 @@ def export(
     workers: int,
 ) -> None:
     """Convert a data set (DIR) or one split (DIR/train) to the format of Apollo Sim-3D, OpenLane, ONCE-3DLanes,
-    tuSimple, CULane, CurveLanes or OpenLane-V2, or to OpenDRIVE maps, one per scene.
+    tuSimple, CULane, CurveLanes, OpenLane-V2 or COCO, to plain masks, or to an OpenDRIVE map of each scene.
 
     Rerun to resume, or to add samples generated since. OUT/README.md describes how splits were mapped,
     and which frames and lanes were left out and why.
@@ -73,16 +75,17 @@ def export(
         names = [name for name in cameras.split(",") if name]
         summary = export_dataset(source, out, format_name, workers, move, size_px, names)
     frames = ", ".join(f"{summary.n_frames[part]} {part}" for part in PARTS)
-    click.echo(f"{out}: {frames} frames, {summary.n_lines} lane lines")
+    foreign = FORMATS[format_name]
+    click.echo(f"{out}: {frames} frames, {summary.n_lines} {foreign.counted}")
     for reason, count in summary.left_out.items():
         click.echo(f"left out {count} frames: {reason}")
-    for warning in warnings(out, FORMATS[format_name], summary):
+    for warning in warnings(out, foreign, summary):
         click.echo(f"warning: {warning}", err=True)
     if is_verified:
         results = verify(out, format_name, most_frames=500)
         for result in results:
-            click.echo(f"{result.name}: {result.n_frames} frames, {result.n_lines} lines")
-            for label, score in (("ground truth", result.perfect), ("moved 2 m", result.shifted)):
+            click.echo(f"{result.name}: {result.n_frames} frames, {result.n_lines} {foreign.counted}")
+            for label, score in (("ground truth", result.perfect), ("moved", result.shifted)):
                 if score:
                     click.echo(f"  {label}: " + "  ".join(f"{key} {value:.4f}" for key, value in score.items()))
         problems = [problem for result in results for problem in result.problems]

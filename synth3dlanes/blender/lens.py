@@ -12,13 +12,11 @@ from scipy.ndimage import distance_transform_edt
 from synth3dlanes.blender.polygons import polygons
 from synth3dlanes.blender.shaders import Graph, new_material
 from synth3dlanes.frames import transform
-from synth3dlanes.geometry.camera import rays_of_pixels
+from synth3dlanes.geometry.camera import BORDER_PX, rays_with_border
 from synth3dlanes.world import View
 
 # The instance id of the screen, which no pass shows, and its distance from the eye: nothing is nearer.
 SCREEN_ID, SCREEN_M = 32_000, 0.055
-# The image of rays has this border of pixels around the picture, so that also its outer halves are interpolated.
-BORDER_PX = 1
 
 
 def make_lens() -> bpy.types.Material:
@@ -95,7 +93,7 @@ def set_lens(material: bpy.types.Material, view: View, collection: bpy.types.Col
 
 def _rays_world(view: View) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
     """The rays of all pixels and of the border, and which of them the lens has; the others get the nearest one's."""
-    rays_cam = rays_of_pixels(view.camera, BORDER_PX)
+    rays_cam = rays_with_border(view.camera)
     is_seen = np.isfinite(rays_cam).all(axis=-1)
     if not is_seen.all():
         nearest = distance_transform_edt(~is_seen, return_distances=False, return_indices=True)

@@ -18,8 +18,10 @@ from typing import IO, Any
 from synth3dlanes.dataset.write import write_whole
 from synth3dlanes.errors import InputError
 from synth3dlanes.formats.apollo import write as apollo
+from synth3dlanes.formats.coco import write as coco
 from synth3dlanes.formats.culane import write as culane
 from synth3dlanes.formats.curvelanes import write as curvelanes
+from synth3dlanes.formats.masks import write as masks
 from synth3dlanes.formats.once import write as once
 from synth3dlanes.formats.one_frame import write_as_it_is, write_resampled
 from synth3dlanes.formats.opendrive import write as opendrive
@@ -43,6 +45,8 @@ FORMATS: dict[str, PinholeFormat | SampleFormat] = {
     "curvelanes": curvelanes.FORMAT,
     "openlane_v2": openlane_v2.FORMAT,
     "opendrive": opendrive.FORMAT,
+    "coco": coco.FORMAT,
+    "masks": masks.FORMAT,
 }
 
 
@@ -84,7 +88,7 @@ def export(
     paths = [marks / chunk.mark for chunk in chunks]
     _write_shared(out, paths, foreign)
     summary = summarize(_records(paths), camera)
-    text = readme(source, format_name, foreign.readme, [chunk.split for chunk in chunks], summary)
+    text = readme(source, format_name, foreign, [chunk.split for chunk in chunks], summary)
     (out / "README.md").write_text(text)
     return summary
 

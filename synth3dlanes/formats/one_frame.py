@@ -15,6 +15,7 @@ from synth3dlanes.formats.plan import Chunk
 from synth3dlanes.formats.resample import fitting_pinhole, resample
 from synth3dlanes.formats.sample_format import SampleFormat, SampleFrame
 from synth3dlanes.formats.writing import Annotation, Frame, PinholeFormat, PinholeFrame
+from synth3dlanes.labels import CameraLabel
 
 Record = dict[str, Any]
 
@@ -58,6 +59,7 @@ def write_as_it_is(reader: Reader, index: int, chunk: Chunk, out: Path, foreign:
         labels=reader.labels(index),
         passes=reader.passes(index) if foreign.passes else {},
         image_format=image_format,
+        cameras=_cameras(reader, index, chunk),
     )
     annotation = foreign.annotate(frame)
     if annotation is None:
@@ -68,6 +70,12 @@ def write_as_it_is(reader: Reader, index: int, chunk: Chunk, out: Path, foreign:
         path.write_bytes(data if wanted == image_format else encode_image(decode_image(data, where), wanted))
 
     return _write(out, frame, annotation, write_image)
+
+
+def _cameras(reader: Reader, index: int, chunk: Chunk) -> dict[str, CameraLabel]:
+    """The cameras of the moment by their samples' keys, for the first of them."""
+    moment = np.intersect1d(reader.rig(index), reader.taken_by(chunk.cameras)).tolist()
+    return {reader.key(i): reader.labels(i).camera for i in moment} if moment[0] == index else {}
 
 
 def _frame(reader: Reader, index: int, chunk: Chunk) -> Frame:

@@ -34,13 +34,15 @@ class Split:
 @dataclass(frozen=True)
 class Chunk:
     """Some frames of one split, by their places in it. `mark` names the file that says that the chunk is done; it
-    depends on the frames' bytes, so a chunk of other frames is a new one. `parts` are all that the data set has."""
+    depends on the frames' bytes, so a chunk of other frames is a new one. `parts` are all that the data set has;
+    `cameras` are those that were asked for."""
 
     source: str
     split: Split
     parts: frozenset[Part]
     places: tuple[int, ...]
     mark: str
+    cameras: tuple[str, ...]
 
     @property
     def url(self) -> str:
@@ -63,7 +65,7 @@ def plan(source: str, cameras: Sequence[str] = (), is_per_scene: bool = False) -
         for start in range(0, len(taken), FRAMES_PER_CHUNK):
             places = taken[start : start + FRAMES_PER_CHUNK]
             mark = f"{split.name}-{reader.key(int(places[0]))}-{_digest(reader, places)}.jsonl"
-            chunks.append(Chunk(source, split, parts, tuple(places.tolist()), mark))
+            chunks.append(Chunk(source, split, parts, tuple(places.tolist()), mark, tuple(cameras)))
     return chunks
 
 

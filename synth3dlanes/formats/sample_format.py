@@ -1,25 +1,27 @@
 """Formats that take samples as they are, with their own cameras: what their writers get."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Shaped
 
 from synth3dlanes.formats.writing import Annotation, Format, Frame
-from synth3dlanes.labels import Labels
+from synth3dlanes.labels import CameraLabel, Labels
 from synth3dlanes.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
 class SampleFrame(Frame):
     """A frame taken as it is, with its scene, its labels (a rolled camera stays rolled) and its passes by name, if the
-    format asks for any. The image is of `image_format`, jpg or png."""
+    format asks for any. The image is of `image_format`, jpg or png. `cameras` are those of all exported pictures of
+    this moment by a rig, itself included, by their keys: for the first of them, none for the others."""
 
     scene: Scene
     labels: Labels
     passes: Mapping[str, Shaped[np.ndarray, "..."]]
     image_format: str
+    cameras: Mapping[str, CameraLabel] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -59,15 +59,15 @@ def warnings(out: Path, foreign: Format, summary: Summary) -> tuple[str, ...]:
     return tuple(found)
 
 
-def readme(source: str, format_name: str, about_format: str, splits: Sequence[Split], summary: Summary) -> str:
+def readme(source: str, format_name: str, foreign: Format, splits: Sequence[Split], summary: Summary) -> str:
     """`OUT/README.md`."""
     dropped = [f"| lane: {reason} | {count} |" for reason, count in summary.dropped.most_common()]
     left_out = [f"| frame: {reason} | {count} |" for reason, count in summary.left_out.most_common()]
     lines = [
         f"# {format_name} export of {source}",
         "",
-        about_format,
-        f"{sum(summary.n_frames.values())} frames{_size(summary, 'of')} with {summary.n_lines} lane lines"
+        foreign.readme,
+        f"{sum(summary.n_frames.values())} frames{_size(summary, 'of')} with {summary.n_lines} {foreign.counted}"
         f"{_focal_lengths(summary)}.",
         "",
         "| split of the data set | used as | frames |",

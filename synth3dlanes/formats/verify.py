@@ -5,11 +5,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from synth3dlanes.formats.apollo import verify as apollo
+from synth3dlanes.formats.coco import verify as coco
 from synth3dlanes.formats.culane import verify as culane
 from synth3dlanes.formats.curvelanes import verify as curvelanes
+from synth3dlanes.formats.masks import verify as masks
 from synth3dlanes.formats.once import verify as once
 from synth3dlanes.formats.opendrive import verify as opendrive
 from synth3dlanes.formats.openlane import verify as openlane
+from synth3dlanes.formats.openlane_v2 import verify as openlane_v2
 from synth3dlanes.formats.self_check import Verified
 from synth3dlanes.formats.tusimple import verify as tusimple
 
@@ -22,7 +25,12 @@ CHECKS = {
     "curvelanes": curvelanes.verify,
 }
 
-SAMPLE_CHECKS: dict[str, Callable[[Path, int], Iterator[Verified]]] = {"opendrive": opendrive.verify}
+SAMPLE_CHECKS: dict[str, Callable[[Path, int], Iterator[Verified]]] = {
+    "openlane_v2": openlane_v2.verify,
+    "opendrive": opendrive.verify,
+    "coco": coco.verify,
+    "masks": masks.verify,
+}
 """The checks of formats whose images keep their own cameras."""
 
 

@@ -109,7 +109,7 @@ def sidecar(image: str, labels: Labels, frame: PinholeFrame, lines_ids: Sequence
 @dataclass(frozen=True, kw_only=True)
 class Format:
     """One foreign format: the README of an export, and links within it. `lists` are files that tools open even where no
-    frame belongs there; `replaced_words` what tools replace wherever a path has it.
+    frame belongs there; `replaced_words` what tools replace wherever a path has it; `counted` is what `n_lines` counts.
 
     A shared file holds the lines of its frames. If it is to be one document, `document` makes that of the file's path
     in the export and the file of its lines.
@@ -120,6 +120,7 @@ class Format:
     lists: tuple[str, ...] = ()
     replaced_words: tuple[str, ...] = ()
     document: Callable[[str, Path], Iterator[str]] | None = None
+    counted: str = "lane lines"
 
 
 @dataclass(frozen=True, kw_only=True)

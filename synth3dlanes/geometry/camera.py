@@ -13,6 +13,7 @@ from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.scene import Camera
 
 TANGENT_STEP_M = 1e-3
+BORDER_PX = 1
 
 
 def img_from_cam(camera: Camera) -> Float[np.ndarray, "3 3"]:
@@ -33,13 +34,18 @@ def rays(camera: Camera, uv: Float[np.ndarray, "*n 2"]) -> Points:
     return camera.lens.rays(img_from_cam(camera), uv)
 
 
-@lru_cache(maxsize=4)
-def rays_of_pixels(camera: Camera, border_px: int = 0) -> Float[np.ndarray, "h w 3"]:
-    """`rays` of the centres of all pixels, and of those of a border around the picture."""
-    columns, rows = (np.arange(-border_px, size + border_px) + 0.5 for size in (camera.width_px, camera.height_px))
+@lru_cache(maxsize=2)
+def rays_with_border(camera: Camera) -> Float[np.ndarray, "h w 3"]:
+    """`rays` of the centres of all pixels, and of those of a border of BORDER_PX around the picture."""
+    columns, rows = (np.arange(-BORDER_PX, size + BORDER_PX) + 0.5 for size in (camera.width_px, camera.height_px))
     found = rays(camera, np.stack(np.meshgrid(columns, rows), axis=-1))
     found.flags.writeable = False
     return found
+
+
+def rays_of_pixels(camera: Camera) -> Float[np.ndarray, "h w 3"]:
+    """`rays` of the centres of all pixels."""
+    return rays_with_border(camera)[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX]
 
 
 def horizontal_fov_rad(camera: Camera) -> float:

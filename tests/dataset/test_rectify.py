@@ -5,7 +5,9 @@ import pytest
 
 from synth3dlanes import labels as label_file
 from synth3dlanes.dataset.rectify import rectified_image, rectified_labels
+from synth3dlanes.frames import road_from_cam
 from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.lens import PINHOLE, Lens
 from tests.scenes import changed
 
 CAMERA = {"cx_px": 251, "cy_px": 172, "pitch_rad": 0.07}
@@ -62,3 +64,38 @@ def test_labels_written_before_there_was_roll_are_read():
     old = label_file.from_json(text.replace('"roll_rad":0.0,', ""), "old")
     assert label_file.to_json(old) == text
     assert old.camera.roll_rad == 0
+
+
+BARREL = Lens(model="opencv", coefficients=(-0.25, 0.06, 0.003, -0.002, -0.01, 0, 0, 0))
+FISHEYE = Lens(model="fisheye", coefficients=(0.02, -0.01, 0.002, -0.0003))
+
+
+@pytest.mark.parametrize("lens", [BARREL, FISHEYE])
+@pytest.mark.parametrize("angles", [{}, {"roll_rad": 0.1, "yaw_rad": -0.3}])
+def test_labels_of_a_lens_are_those_of_the_pinhole_at_its_place(lens, angles):
+    straight = ground_truth(changed(camera={**CAMERA, "yaw_rad": angles.get("yaw_rad", 0.0)}))
+    found = rectified_labels(ground_truth(changed(camera={**CAMERA, **angles, "lens": lens})))
+    assert found.camera.lens == PINHOLE
+    assert (found.camera.roll_rad, found.camera.yaw_rad) == (0, 0)
+    np.testing.assert_allclose(found.camera.world_from_cam, straight.camera.world_from_cam, atol=1e-12)
+    # A road frame in which the camera looks along y, as formats take it by pitch and height alone.
+    expected = road_from_cam(found.camera.height_m, found.camera.pitch_rad)
+    np.testing.assert_allclose(found.camera.road_from_cam, expected, atol=1e-12)
+    for a, b in zip(found.lanes, straight.lanes, strict=True):
+        np.testing.assert_allclose(a.xyz_cam, b.xyz_cam, atol=1e-9)
+        assert not (a.in_image & ~b.in_image).any()
+
+
+@pytest.mark.parametrize("lens", [BARREL, FISHEYE])
+def test_a_mark_that_a_lens_sees_lands_where_the_pinhole_sees_it(lens):
+    camera = ground_truth(changed(camera={**CAMERA, "roll_rad": 0.08, "lens": lens})).camera
+    level = rectified_labels(ground_truth(changed(camera={**CAMERA, "roll_rad": 0.08, "lens": lens}))).camera
+    turn = camera.road_from_cam[:3, :3].T @ level.road_from_cam[:3, :3]
+    for point_level in np.array([[-3.0, 10, -1.2], [2.0, 8, 1.5]]):
+        (u, v), target = camera.project(turn @ point_level), level.project(point_level)
+        rows, columns = np.indices((camera.height_px, camera.width_px)) + 0.5
+        spot = 200 * np.exp(-((columns - u) ** 2 + (rows - v) ** 2) / 18)
+        image = np.repeat(spot[..., None].astype(np.uint8), 3, axis=2)
+        found = rectified_image(image, camera)[..., 0].astype(float)
+        centroid = np.array([(found * columns).sum(), (found * rows).sum()]) / found.sum()
+        np.testing.assert_allclose(centroid, target, atol=0.1)

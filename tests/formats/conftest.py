@@ -21,7 +21,8 @@ def _image(labels):
 
 @pytest.fixture(scope="session")
 def write_split():
-    """Writes `n` samples of a split under a folder, as `generate` lays them out."""
+    """Writes `n` samples of a split under a folder, as `generate` lays them out; `make_passes` makes the passes of
+    labels."""
     from synth3dlanes import scene as scene_format
     from synth3dlanes.dataset.folder import claim
     from synth3dlanes.dataset.format import encode, member_names
@@ -31,15 +32,18 @@ def write_split():
     from synth3dlanes.sample import sample_scene
     from tests import fake_samples
 
-    def write(root, split, n, changes=()):
+    def write(root, split, n, changes=(), make_passes=None):
         params = load_params("appendix_i", changes)
+        names = ("semantic", "instance") if make_passes else ()
         description = {**fake_samples.recipe(image_format="jpg").description(), "shard_size": 1000}
+        description["render"] = {**description["render"], "passes": list(names)}
         with claim(root, description, split, n, [0]) as folder:
-            shard = Shard(folder, 0, 1000, member_names("jpg", ()))
+            shard = Shard(folder, 0, 1000, member_names("jpg", names))
             for index in shard.missing(n):
                 scene = sample_scene(params, 0, split, index)
                 labels = ground_truth(scene)
-                shard.write_part(index, encode(_image(labels), labels, scene_format.to_json(scene), {}, "jpg"))
+                passes = make_passes(labels) if make_passes else {}
+                shard.write_part(index, encode(_image(labels), labels, scene_format.to_json(scene), passes, "jpg"))
             shard.join(n)
 
     return write

@@ -59,7 +59,7 @@ def apart(points, line):
 
 def differences(world, text):
     """The largest distance from above, and in height, of any lane's centre from the world's."""
-    stations = np.arange(-170, 240, 0.1)
+    stations = np.arange(-260, 300, 0.1)
     worst = np.zeros(2)
     for road in read_roads(text).values():
         for number, lane in road.lanes.items():
@@ -107,7 +107,7 @@ def test_lanes_reach_from_end_to_end_of_every_curve(road):
     found = read_roads(opendrive(world, "test"))
     centers = np.concatenate(
         [
-            [file_road.center(number, s) for s in np.linspace(0, file_road.length, 60)]
+            [file_road.center(number, s) for s in np.linspace(0, file_road.length, 100)]
             for file_road in found.values()
             for number, lane in file_road.lanes.items()
             if lane.find("userData") is not None
@@ -115,7 +115,7 @@ def test_lanes_reach_from_end_to_end_of_every_curve(road):
     )
     for line in world.lines:
         if line.kind == "centerline":
-            points = line.points_world(world.plan, np.linspace(-149, 149, 100))
+            points = line.points_world(world.plan, np.linspace(-249, 249, 160))
             assert np.linalg.norm(points[:, None] - centers, axis=2).min(axis=1).max() < 3.0
 
 
@@ -180,7 +180,7 @@ def marks_of(file_road):
 def test_marks_are_the_delimiters_in_place_colour_and_dashes(road):
     world = world_of({"left_yellow": True, "left_double": True, "dash_cycle_m": 9, "dash_fraction": 0.3}, **road)
     lines = {line.id: line for line in world.lines if line.kind == "delimiter"}
-    stations = {k: np.arange(max(-170, v.start_m), min(240, v.end_m), 0.05) for k, v in lines.items()}
+    stations = {k: np.arange(max(-260, v.start_m), min(300, v.end_m), 0.05) for k, v in lines.items()}
     dense = {name: line.points_world(world.plan, stations[name]) for name, line in lines.items()}
     marked = dict.fromkeys(lines, 0.0)
     n_dashes = 0
@@ -217,7 +217,7 @@ def test_marks_are_the_delimiters_in_place_colour_and_dashes(road):
         steps = np.linalg.norm(np.diff(dense[name][:, :2], axis=0), axis=1)
         s = stations[name][:-1]
         # Behind the split, `stem_line` bounds lanes of two connecting roads.
-        length = steps[np.abs(s) <= 150].sum() + (steps[s >= 0].sum() if name == "stem_line" else 0)
+        length = steps[np.abs(s) <= 250].sum() + (steps[s >= 0].sum() if name == "stem_line" else 0)
         assert marked[name] == pytest.approx(length, abs=4), line
 
 

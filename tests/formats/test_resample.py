@@ -9,6 +9,7 @@ from synth3dlanes.errors import InputError
 from synth3dlanes.formats.export import FORMATS
 from synth3dlanes.formats.resample import fitting_pinhole, resample, source_pixels
 from synth3dlanes.formats.writing import Pinhole, PinholeFormat
+from synth3dlanes.lens import Lens
 from tests.formats import closed_form as cf
 
 APOLLO, OPENLANE = (FORMATS[name].camera for name in ("apollo", "openlane"))
@@ -88,3 +89,22 @@ def test_camera_presets_render_natively_and_change_nothing_else(name):
     for group in type(params).model_fields:
         for key, value in getattr(params, group):
             assert value == getattr(getattr(base, group), key) or key in changed
+
+
+@pytest.mark.parametrize("view", [foreign.camera for foreign in FORMATS.values() if hasattr(foreign, "camera")])
+@pytest.mark.parametrize("k1", [-0.25, 0.2])
+def test_the_fitting_camera_of_a_lens_is_covered_and_hardly_narrower_than_it_must_be(view, k1):
+    lens = Lens(model="opencv", coefficients=(k1, 0.03, 0.002, -0.001, 0, 0, 0, 0))
+    camera = replace(cf.camera_label(size_px=(480, 360), f_px=415.7), lens=lens)
+    fitting = fitting_pinhole(camera, view)
+
+    def room_px(pinhole):
+        """How far inside ours the nearest point of the foreign image's border lies; negative outside."""
+        share = np.linspace(0, 1, 400)[:, None]
+        corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * [pinhole.width_px, pinhole.height_px]
+        border = np.concatenate([a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, 0), strict=True)])
+        uv = source_pixels(camera, pinhole, border)
+        return np.minimum(uv, [480, 360] - uv).min()
+
+    assert room_px(fitting) > -0.05
+    assert fitting == view or room_px(replace(fitting, f_px=0.995 * fitting.f_px)) < 0

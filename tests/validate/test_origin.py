@@ -30,6 +30,7 @@ from synth3dlanes.production.run import generate
 from synth3dlanes.production.twins import twin_recipes
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import RenderSettings
+from synth3dlanes.shots import clips
 from synth3dlanes.validate.findings import Problem
 from synth3dlanes.validate.origin import MANY, Origin, drawn_otherwise
 from tests import fake_samples
@@ -264,6 +265,23 @@ def test_dealt_and_varied_sets_are_drawn_again_too(drawn: Path, tmp_path: Path) 
         (found,) = problems(root)
         assert found.where == f"{split}:00000000"
         assert "light.exposure: expected" in found.reason
+
+
+def test_frames_of_clips_are_drawn_again_too(tmp_path: Path) -> None:
+    """Also dealt, and with a factor varied; none is said to repeat another's world."""
+    recipe = replace(RECIPE, shots=clips(2, 10))
+    draw(tmp_path / "clips", recipe, 6)
+    split_dataset(Reader(f"{tmp_path}/clips/train"), {"x": 2, "y": 1}, 0, str(tmp_path / "cut"))
+    for twins in twin_recipes(f"{tmp_path}/cut/x", "light.exposure=1.25,2.25", "cpu"):
+        draw(tmp_path / "twins", twins, 4)
+    for name, split in (("clips", "train"), ("cut", "x"), ("twins", "twin_2")):
+        report = check(tmp_path / name)
+        assert [found for found in report.problems if "scene of its own" in found.reason] == []
+        assert problems(tmp_path / name) == [], name
+        edit(tmp_path / name, 1, lambda document: document["shot"].update(speed_m_s=9.75), split)
+        (found,) = problems(tmp_path / name)
+        assert found.where == f"{split}:00000001"
+        assert "shot.speed_m_s: expected" in found.reason
 
 
 def test_a_set_made_of_older_shards_does_not_say_more_than_they_do(dataset: Path, tmp_path: Path) -> None:

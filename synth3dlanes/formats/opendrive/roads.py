@@ -21,7 +21,7 @@ Points2 = Float[np.ndarray, "m 2"]
 Points3 = Float[np.ndarray, "m 3"]
 
 # Stations of the main road that a file reaches, at least, and the distance of the places that are fitted.
-REACH_M = 150.0
+REACH_M = 250.0
 STEP_M = 0.1
 MIN_END_M = 10.0
 # Steps to a point's station; in bends, each leaves a share of the way.
@@ -86,7 +86,7 @@ class Road:
         return np.asarray(self.line_world + t_m[:, None] * self.axes[:, 1])
 
     def over_plane(self, t_m: Values) -> Values:
-        """Height of the road's surface over the banked plane at all stations and these t."""
+        """Height (z) of the road's surface over the banked plane at all stations and these t."""
         points = self.plane_points(t_m)
         # Where the road climbs, its roll moves these points along it.
         forward = self.axes[:, 0, :2] / np.linalg.norm(self.axes[:, 0, :2], axis=1, keepdims=True)

@@ -35,9 +35,8 @@ README = f"""OpenDRIVE {MAJOR}.{MINOR}: a map of each scene.
 
 def annotate(frame: SampleFrame) -> Annotation:
     """The map of the frame's scene."""
-    world = resolve(frame.scene)
-    n_lines = sum(line.kind == "centerline" for line in world.lines)
-    return Annotation(None, n_lines, files={f"{frame.split}/{frame.key}.xodr": opendrive(world, frame.key)})
+    text = opendrive(resolve(frame.scene), frame.key)
+    return Annotation(None, text.count('type="driving"'), files={f"{frame.split}/{frame.key}.xodr": text})
 
 
 def opendrive(world: World, name: str) -> str:
@@ -115,7 +114,8 @@ def _add_shapes(lateral: Element, road: Road) -> None:
     edges = [t for lane in road.lanes for t in (lane.inner_m, lane.outer_m)]
     low, high = np.min(edges, axis=0), np.max(edges, axis=0)
     shares = np.linspace(0, 1, SHAPE_PLACES)
-    over = np.column_stack([road.over_plane(low + (high - low) * share) for share in shares])
+    # Shapes are heights along e_h.
+    over = np.column_stack([road.over_plane(low + (high - low) * share) * road.axes[:, 2, 2] for share in shares])
     if np.abs(over).max() <= SHAPE_M:
         return
     for i in knots(road.s_m, over, SHAPE_M):
@@ -179,4 +179,4 @@ def _abcd(coefficients: Float[np.ndarray, "4"]) -> dict[str, float]:
     return dict(zip("abcd", coefficients.tolist(), strict=True))
 
 
-FORMAT = SampleFormat(readme=README, annotate=annotate, is_per_scene=True)
+FORMAT = SampleFormat(readme=README, annotate=annotate, is_per_scene=True, counted="lanes")

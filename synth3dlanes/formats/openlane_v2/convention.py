@@ -5,7 +5,7 @@ import numpy as np
 from synth3dlanes.labels import Marking
 
 ROOT = "OpenLane-V2"
-COLLECTION = "data_dict_subset_A"
+COLLECTIONS = ("data_dict_subset_A", "data_dict_subset_B")
 FRONT_CAMERA = "ring_front_center"
 """Loaders expect it to be the first camera."""
 ROAD_FROM_EGO = np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
@@ -16,3 +16,8 @@ CENTERLINE_POINTS, POINTS = 201, 51
 """Points of a centre line; the devkit keeps every 20th for validation. Points of a lane segment's lines."""
 LINE_TYPES: dict[Marking, int] = {"none": 0, "solid": 1, "dashed": 2}
 PEDESTRIAN_CROSSING, ROAD_BOUNDARY = 1, 2
+
+
+def collection(first_camera: str) -> str:
+    """The list of all frames: subset B has the cameras of nuScenes, CAM_FRONT first."""
+    return COLLECTIONS[first_camera.startswith("CAM_")]

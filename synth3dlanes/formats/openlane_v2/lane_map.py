@@ -38,8 +38,10 @@ class Boundary:
 
 @dataclass(frozen=True, eq=False)
 class LaneSegment:
-    """A lane between two junctions. Point i of each boundary is beside point i of the centre line."""
+    """A lane between two junctions: segment `index` of the lane graph. Each boundary's point i is beside point i of the
+    centre line."""
 
+    index: int
     id: str
     points_world: Points3
     left: Boundary
@@ -53,7 +55,7 @@ def lane_segments(world: World, segments: tuple[Segment, ...], near_m: float) ->
     delimiters = {
         line: _delimiter_xy(plan, line, np.sort(stations)) for line in world.lines if line.kind != "centerline"
     }
-    for segment in segments:
+    for index, segment in enumerate(segments):
         path = path_of_segment(plan, segment.id)
         low_m, high_m = np.sort(plan.plan_station(np.array([segment.s_start_m, segment.s_end_m])))
         # The road goes on beyond the outer ends of the graph.
@@ -63,10 +65,10 @@ def lane_segments(world: World, segments: tuple[Segment, ...], near_m: float) ->
             continue
         # Offsets grow to the plan's right; the traffic's left is that side after flips and direction.
         onwards = plan.flips[1] if path.direction == "same" else -plan.flips[1]
-        side_m = plan.width_m / 2 * plan.flips[0] * plan.flips[1] * onwards
-        lines = _lines(plan, path, s, (0.0, -side_m, side_m), is_stem=high_m == 0)
+        side_m = float(plan.width_m / 2 * plan.flips[0] * plan.flips[1] * onwards)
+        lines = _lines(plan, path, s, (0.0, -side_m, side_m), is_stem=bool(high_m == 0))
         middle, left, right = (line[:: 1 if onwards > 0 else -1] for line in lines)
-        yield LaneSegment(segment.id, middle, *(_painted(world, side, delimiters) for side in (left, right)))
+        yield LaneSegment(index, segment.id, middle, *(_painted(world, side, delimiters) for side in (left, right)))
 
 
 def pavement_edges(world: World, near_m: float) -> Iterator[Points3]:

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from synth3dlanes.errors import InputError
 from synth3dlanes.formats.openlane_v2.convention import (
     AHEAD_M,
     ASIDE_M,
     CENTERLINE_POINTS,
-    COLLECTION,
+    COLLECTIONS,
     FRONT_CAMERA,
     LINE_TYPES,
     PEDESTRIAN_CROSSING,
@@ -22,6 +23,7 @@ from synth3dlanes.formats.openlane_v2.convention import (
     ROAD_BOUNDARY,
     ROAD_FROM_EGO,
     ROOT,
+    collection,
 )
 from synth3dlanes.formats.openlane_v2.lane_map import Boundary, LaneSegment, lane_segments, pavement_edges, runs
 from synth3dlanes.formats.sample_format import SampleFormat, SampleFrame
@@ -36,19 +38,20 @@ LEAST_LENGTH_M = 2.0
 SHORT = f"less than {LEAST_LENGTH_M:g} m of it in the area"
 OUTSIDE = f"outside the area ({AHEAD_M:g} m ahead, {ASIDE_M:g} m to each side)"
 
-README = f"""OpenLane-V2 layout, subset A.
+README = f"""OpenLane-V2 layout: subset B with the rig of nuScenes, subset A otherwise.
 
 - `{ROOT}/{{train,val,test}}/<segment>/info/<timestamp>.json` (centre lines) and `<timestamp>-ls.json` (lane segments,
-  areas), images in `<segment>/image/{FRONT_CAMERA}/<timestamp>.jpg`, `{ROOT}/{COLLECTION}.json` (the frames of each
-  part).
+  areas), images in `<segment>/image/<camera>/<timestamp>.jpg`, `{ROOT}/{COLLECTIONS[0]}.json` (or `B`: the frames
+  of each part).
 - Loaders read pickle files, which the devkit makes: run its `preprocess.py` and `preprocess-ls.py` (in its folder
-  `data/OpenLane-V2`) in this folder. That makes `{COLLECTION}_train.pkl`, `{COLLECTION}_train_ls.pkl` and so on.
-- Frame: x forward, y left, z up, metres; the origin is on the road below the camera. Every scene is a segment of one
-  frame. There is one camera, `{FRONT_CAMERA}`: tell your training code the number of cameras, and do not let it crop
-  the image as that of the original (which is upright).
-- Labels cover {AHEAD_M:g} m ahead and {ASIDE_M:g} m to each side, also what the ground or cars hide, as in
-  the original. Lines have the extra keys `left_laneline_color`, `left_laneline_double` and the same of the right.
-  There are no traffic elements.
+  `data/OpenLane-V2`) in this folder. That makes `{COLLECTIONS[0]}_train.pkl`,
+  `{COLLECTIONS[0]}_train_ls.pkl` and so on.
+- Frame: x forward, y left, z up, metres; the origin is on the road below the (first) camera. Every scene is a segment,
+  every frame of a clip a timestamp (ns). The one camera is `{FRONT_CAMERA}`, those of a rig have its names. Tell
+  your training code their number, and do not let it crop the front image as that of the original (which is upright).
+- Labels cover {AHEAD_M:g} m ahead (and behind, with a camera that looks back) and {ASIDE_M:g} m to each side, also
+  what the ground or cars hide, as in the original. Lines have the extra keys `left_laneline_color`,
+  `left_laneline_double` and the same of the right. There are no traffic elements.
 """
 
 
@@ -65,12 +68,18 @@ class _Lane:
 
 
 def annotate(frame: SampleFrame) -> Annotation | None:
-    """The frame's two label files; None without any lane in the area."""
-    cameras = {FRONT_CAMERA: frame.labels.camera}
+    """The two label files of a moment, with its first picture; None without any lane in the area."""
+    if not frame.labels.camera.lens.is_pinhole:
+        raise InputError(
+            f"{frame.split}:{frame.key}: expected a camera without distortion, got {frame.labels.camera.lens}"
+        )
+    shot = frame.scene.shot
+    segment, timestamp = f"{frame.number - shot.frame * shot.n_cameras - shot.camera:08d}", round(shot.time_s * 1e9)
+    image = f"{frame.part}/{segment}/image/{_name(frame.labels.camera)}/{timestamp}.jpg"
+    if not frame.cameras:
+        return Annotation(f"{ROOT}/{image}", 0)
     world, world_from_ego = resolve(frame.scene), ego_frame(frame.labels.camera)
-    segment, timestamp = f"{frame.number:08d}", frame.number
-    image = f"{frame.part}/{segment}/image/{FRONT_CAMERA}/{timestamp}.jpg"
-    behind_m = AHEAD_M if any(_looks_back(camera, world_from_ego) for camera in cameras.values()) else 0.0
+    behind_m = AHEAD_M if any(_looks_back(camera, world_from_ego) for camera in frame.cameras.values()) else 0.0
     dropped = Counter[str]()
     lanes = _lanes(frame, world, world_from_ego, behind_m, dropped)
     if not lanes:
@@ -81,22 +90,27 @@ def annotate(frame: SampleFrame) -> Annotation | None:
         "segment_id": segment,
         "meta_data": {"source": "synth3dlanes", "source_id": f"{frame.split}/{frame.key}"},
         "timestamp": timestamp,
-        "sensor": {name: _sensor(camera, world_from_ego, image) for name, camera in cameras.items()},
+        "sensor": {
+            _name(camera): _sensor(
+                camera, world_from_ego, f"{frame.part}/{segment}/image/{_name(camera)}/{timestamp}.jpg"
+            )
+            for camera in frame.cameras.values()
+        },
         "pose": _pose(world_from_ego),
     }
     nothing: list[list[int]] = [[] for _ in lanes]
     centerlines = {
         "lane_centerline": [
-            {"id": index, "points": _resampled(lane.middle_ego, CENTERLINE_POINTS)} for index, lane in enumerate(lanes)
+            {"id": lane.segment.index, "points": _resampled(lane.middle_ego, CENTERLINE_POINTS)} for lane in lanes
         ],
         "traffic_element": [],
         "topology_lclc": topology,
         "topology_lcte": nothing,
     }
     segments = {
-        "lane_segment": [_segment_document(index, lane) for index, lane in enumerate(lanes)],
+        "lane_segment": [_segment_document(lane) for lane in lanes],
         "traffic_element": [],
-        "area": list(_areas(world, frame, world_from_ego, behind_m, len(lanes))),
+        "area": list(_areas(world, frame, world_from_ego, behind_m)),
         "topology_lsls": topology,
         "topology_lste": nothing,
     }
@@ -110,13 +124,23 @@ def annotate(frame: SampleFrame) -> Annotation | None:
             for part in parts
             for suffix, annotation in (("", centerlines), ("-ls", segments))
         },
-        tuple((json.dumps([part, segment, f"{timestamp}.json"]), (f"{ROOT}/{COLLECTION}.json",)) for part in parts),
+        tuple(
+            (
+                json.dumps([part, segment, f"{timestamp}.json"]),
+                (f"{ROOT}/{collection(_name(frame.labels.camera))}.json",),
+            )
+            for part in parts
+        ),
     )
 
 
 def ego_frame(camera: CameraLabel) -> Matrix4:
     """World from the vehicle frame, given the first camera."""
     return np.asarray(camera.world_from_cam @ invert(camera.road_from_cam) @ ROAD_FROM_EGO)
+
+
+def _name(camera: CameraLabel) -> str:
+    return camera.name or FRONT_CAMERA
 
 
 def _looks_back(camera: CameraLabel, world_from_ego: Matrix4) -> bool:
@@ -178,8 +202,12 @@ def _topology(lanes: Sequence[_Lane], successors: dict[str, tuple[str, ...]]) ->
     ]
 
 
-def _segment_document(index: int, lane: _Lane) -> dict[str, Any]:
-    document = {"id": index, "centerline": _resampled(lane.middle_ego, POINTS), "is_intersection_or_connector": False}
+def _segment_document(lane: _Lane) -> dict[str, Any]:
+    document = {
+        "id": lane.segment.index,
+        "centerline": _resampled(lane.middle_ego, POINTS),
+        "is_intersection_or_connector": False,
+    }
     for name, points_ego, side in (
         ("left", lane.left_ego, lane.segment.left),
         ("right", lane.right_ego, lane.segment.right),
@@ -197,11 +225,9 @@ def _side_document(name: str, points_ego: Float[np.ndarray, "n 3"], side: Bounda
     }
 
 
-def _areas(
-    world: World, frame: SampleFrame, world_from_ego: Matrix4, behind_m: float, first_id: int
-) -> Iterator[dict[str, Any]]:
+def _areas(world: World, frame: SampleFrame, world_from_ego: Matrix4, behind_m: float) -> Iterator[dict[str, Any]]:
     """Crosswalks as closed quads, one of whose long sides comes first; edges of the pavement in the area."""
-    ego_from_world, index = invert(world_from_ego), first_id
+    ego_from_world, index = invert(world_from_ego), len(frame.labels.graph.segments)
     for symbol in world.scene.symbols:
         if symbol.kind == "crosswalk":
             form = shape(world.ground, symbol)
@@ -243,4 +269,4 @@ def document(path: str, lines: Path) -> Iterator[str]:
     yield json.dumps(frames, indent=1)
 
 
-FORMAT = SampleFormat(readme=README, annotate=annotate, document=document)
+FORMAT = SampleFormat(readme=README, annotate=annotate, document=document, counted="lane segments")

@@ -1,0 +1,263 @@
+"""OpenLane-V2: the devkit's rules, the map behind the labels, the score."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from synth3dlanes.errors import InputError
+from synth3dlanes.formats.export import export
+from synth3dlanes.formats.openlane_v2 import score as scoring
+from synth3dlanes.formats.openlane_v2.read import frames, parse
+from synth3dlanes.formats.openlane_v2.score import Lanes, score
+from synth3dlanes.formats.openlane_v2.write import annotate
+from synth3dlanes.formats.sample_format import SampleFrame
+from synth3dlanes.formats.verify import verify
+from synth3dlanes.frames import invert, transform
+from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.lens import Lens
+from synth3dlanes.params import load_params
+from synth3dlanes.sample import sample_scene
+
+FLIPS = [(a, b) for a in ("true", "false") for b in ("true", "false")]
+CHANGES = ["camera.roll_deg={-2: 1, 2: 1}", "camera.principal_offset_px=[-8, 8]", "road.n_oncoming={0: 1, 2: 1}"]
+
+
+def frame_of(seed, *changes):
+    scene = sample_scene(load_params("appendix_i", [*CHANGES, *changes]), seed, "train", 0)
+    labels = ground_truth(scene)
+    return SampleFrame(
+        "train", "00000007", 7, "train", frozenset({"train"}), scene=scene, labels=labels, passes={},
+        image_format="jpg", cameras={"00000007": labels.camera},
+    )  # fmt: skip
+
+
+def documents(frame):
+    files = {path.rpartition("/")[2]: json.loads(text) for path, text in annotate(frame).files.items()}
+    return files["0.json"], files["0-ls.json"]
+
+
+def pixels(document, points_ego):
+    """As the devkit draws: camera points are pinv(rotation) (points - translation), then K and the division by z."""
+    sensor = document["sensor"]["ring_front_center"]
+    rotation, translation = (np.array(sensor["extrinsic"][key]) for key in ("rotation", "translation"))
+    points_cv = np.linalg.pinv(rotation) @ (points_ego.T - translation[:, None])
+    points_cv = points_cv[:, points_cv[2] > 1]
+    u, v, depth = np.array(sensor["intrinsic"]["K"]) @ points_cv
+    return np.column_stack([u / depth, v / depth])
+
+
+def gaps(points, line):
+    """Distance of each point from a polyline."""
+    a, step = line[:-1], np.diff(line, axis=0)
+    to = points[:, None] - a
+    share = np.clip((to * step).sum(-1) / np.maximum((step**2).sum(-1), 1e-12), 0, 1)
+    return np.linalg.norm(to - share[..., None] * step, axis=-1).min(axis=1)
+
+
+def ego_of(labels, points_cam):
+    x_m, y_m, z_m = transform(labels.camera.road_from_cam, points_cam).T
+    return np.column_stack([y_m, -x_m, z_m])
+
+
+@pytest.mark.parametrize("topology", [1, 2, 3, 4])
+@pytest.mark.parametrize(("longitudinal", "lateral"), FLIPS)
+def test_lanes_are_those_of_the_labels_in_3d_and_in_the_image(topology, longitudinal, lateral):
+    frame = frame_of(
+        topology, f"road.topology={topology}", f"road.flip_longitudinal={longitudinal}", f"road.flip_lateral={lateral}"
+    )
+    labels, (centers, segments) = frame.labels, documents(frame)
+    lines = {lane.id: ego_of(labels, lane.xyz_cam) for lane in labels.lanes}
+    assert len(centers["annotation"]["lane_centerline"]) > 0
+    for lane, whole in zip(
+        segments["annotation"]["lane_segment"], centers["annotation"]["lane_centerline"], strict=True
+    ):
+        segment = labels.graph.segments[lane["id"]]
+        middle = np.array(whole["points"])
+        assert middle.shape == (201, 3), "the devkit keeps every 20th point of 201"
+        np.testing.assert_allclose(np.array(lane["centerline"]), middle[::4], atol=2e-3)
+        # Every point is on a path of the labels that runs through the segment. A sampled curve is off by some mm.
+        paths = [lines[name] for name in segment.centerlines if name in lines]
+        # Paths begin at the camera's station.
+        ahead = middle[np.all([(middle - path[0]) @ (path[1] - path[0]) > 0 for path in paths], axis=0)]
+        if paths and len(ahead):
+            assert np.min([gaps(ahead, path) for path in paths], axis=0).max() < 0.03
+            path = next(lane for lane in labels.lanes if lane.id == segment.centerlines[0])
+            u_v = pixels(centers, ahead[ahead[:, 0] > 6])
+            theirs = path.xyz_cam[path.xyz_cam[:, 1] > 1] @ labels.camera.img_from_cam.T
+            if len(segment.centerlines) == 1 and len(u_v):
+                assert np.median(gaps(u_v, theirs[:, :2] / theirs[:, 2:])) < 0.3
+        # Driving direction, and left is left of it.
+        is_oncoming = segment.id.startswith("oncoming")
+        onwards = middle[-1] - middle[0]
+        assert (onwards[0] < 0) == is_oncoming
+        for side, sign in (("left", 1), ("right", -1)):
+            aside = (np.array(lane[f"{side}_laneline"]) - middle[::4])[10:-10]
+            along = np.gradient(middle[::4], axis=0)[10:-10]
+            across = along[:, 0] * aside[:, 1] - along[:, 1] * aside[:, 0]
+            assert (np.sign(across) == sign).mean() > 0.95
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_boundaries_and_their_types_are_the_delimiters_of_the_labels(seed):
+    frame = frame_of(seed, "road.topology=1", "markings.left_yellow=true", "markings.left_double=true")
+    labels, (_, document) = frame.labels, documents(frame)
+    lanes = {lane.id: lane for lane in labels.lanes}
+    for made in document["annotation"]["lane_segment"]:
+        lane = lanes[labels.graph.segments[made["id"]].id]
+        turned = lane.direction == "oncoming"
+        for side, theirs in (
+            ("left", lane.right if turned else lane.left),
+            ("right", lane.left if turned else lane.right),
+        ):
+            delimiter = lanes[theirs]
+            assert made[f"{side}_laneline_type"] == {"none": 0, "solid": 1, "dashed": 2}[delimiter.marking]
+            assert made[f"{side}_laneline_color"] == delimiter.color
+            assert made[f"{side}_laneline_double"] == delimiter.double
+            points = np.array(made[f"{side}_laneline"])
+            assert gaps(points[points[:, 0] > 1.5], ego_of(labels, delimiter.xyz_cam)).max() < 0.05
+
+
+@pytest.mark.parametrize("topology", [2, 3, 4])
+@pytest.mark.parametrize(("longitudinal", "lateral"), FLIPS)
+def test_what_follows_begins_where_the_lane_ends(topology, longitudinal, lateral):
+    frame = frame_of(
+        9, f"road.topology={topology}", f"road.flip_longitudinal={longitudinal}", f"road.flip_lateral={lateral}",
+        "camera.y_m=-25",
+    )  # fmt: skip
+    graph, (centers, segments) = frame.labels.graph, documents(frame)
+    follows = np.array(centers["annotation"]["topology_lclc"])
+    np.testing.assert_array_equal(follows, segments["annotation"]["topology_lsls"])
+    assert np.array(centers["annotation"]["topology_lcte"]).shape == (len(follows), 0)
+    lanes = centers["annotation"]["lane_centerline"]
+    ids = [graph.segments[lane["id"]].id for lane in lanes]
+    found = {(ids[i], ids[j]) for i, j in np.argwhere(follows)}
+    assert found == {(a, b) for a, following in graph.successors.items() for b in following if {a, b} <= set(ids)}
+    assert len(found) >= 2
+    for i, j in np.argwhere(follows):
+        np.testing.assert_allclose(lanes[i]["points"][-1], lanes[j]["points"][0], atol=1e-3)
+
+
+def test_pavement_ends_outside_every_lane_and_crosswalks_are_closed_quads():
+    frame = frame_of(3, "road.topology=1", "road.n_oncoming=0", "symbols.crosswalks=1", "camera.y_m=-30")
+    _, document = documents(frame)
+    areas = document["annotation"]["area"]
+    lanes = [np.array(lane["centerline"]) for lane in document["annotation"]["lane_segment"]]
+    edges = [np.array(area["points"]) for area in areas if area["category"] == 2]
+    assert len(edges) == 2
+    for edge in edges:
+        assert min(gaps(edge, lane).min() for lane in lanes) > frame.scene.road.lane_width_m / 2
+    assert {np.sign(edge[:, 1].mean() - np.mean([lane[:, 1].mean() for lane in lanes])) for edge in edges} == {-1, 1}
+    for area in areas:
+        if area["category"] == 1:
+            # LaneSegNet asserts five points and takes 0-1 and 3-2 for the long sides.
+            points = np.array(area["points"])
+            assert points.shape == (5, 3)
+            np.testing.assert_array_equal(points[0], points[-1])
+            assert np.linalg.norm(points[1] - points[0]) > np.linalg.norm(points[2] - points[1])
+
+
+def test_the_pictures_of_a_rig_are_one_frame_with_lanes_all_around():
+    frame = frame_of(5, "road.topology=1", "camera.roll_deg=0", "camera.y_m=-20")
+    ahead = frame.labels.camera
+    # A camera that looks back from the same place.
+    turn = np.diag([-1.0, -1.0, 1.0, 1.0])
+    back_from_road = turn @ ahead.road_from_cam
+    back = replace(
+        ahead,
+        name="CAM_BACK",
+        road_from_cam=back_from_road,
+        world_from_cam=ahead.world_from_cam @ invert(ahead.road_from_cam) @ back_from_road,
+    )
+    ahead = replace(ahead, name="CAM_FRONT")
+    shot = frame.scene.shot.model_copy(update={"frame": 2, "n_frames": 3, "fps": 10.0, "camera": 0, "n_cameras": 2})
+    first = replace(
+        frame,
+        number=104,
+        scene=frame.scene.model_copy(update={"shot": shot}),
+        labels=replace(frame.labels, camera=ahead),
+        cameras={"4": ahead, "5": back},
+    )
+    annotation = annotate(first)
+    # Frame 2 of 3 by 2 cameras: the clip began four pictures before, 0.2 s ago.
+    assert annotation.image == "OpenLane-V2/train/00000100/image/CAM_FRONT/200000000.jpg"
+    (centers, segments) = (json.loads(text) for text in annotation.files.values())
+    assert list(centers["sensor"]) == ["CAM_FRONT", "CAM_BACK"]
+    assert annotation.shared[0][1] == ("OpenLane-V2/data_dict_subset_B.json",)
+    rotation = np.array(centers["sensor"]["CAM_BACK"]["extrinsic"]["rotation"])
+    assert rotation[0, 2] < -0.9, "its viewing axis (z) points backwards (x)"
+    x_m = np.concatenate([lane["points"] for lane in centers["annotation"]["lane_centerline"]])[:, 0]
+    assert -51 < x_m.min() < -45
+    assert 45 < x_m.max() < 51
+    assert segments["sensor"] == centers["sensor"]
+    by_back = first.scene.model_copy(update={"shot": shot.model_copy(update={"camera": 1})})
+    alone = annotate(replace(first, number=105, scene=by_back, labels=replace(first.labels, camera=back), cameras={}))
+    assert alone.image == "OpenLane-V2/train/00000100/image/CAM_BACK/200000000.jpg"
+    assert (alone.files, alone.shared) == ({}, ())
+    assert alone.image.removeprefix("OpenLane-V2/") == centers["sensor"]["CAM_BACK"]["image_path"]
+
+
+def test_a_lens_is_refused_because_loaders_know_none():
+    frame = frame_of(5)
+    lens = Lens(model="fisheye", coefficients=(0.1, 0.0, 0.0, 0.0))
+    bent = replace(frame.labels, camera=replace(frame.labels.camera, lens=lens))
+    with pytest.raises(InputError, match=r"^train:00000007: expected a camera without distortion"):
+        annotate(replace(frame, labels=bent))
+
+
+def line(y_m, x_m=(0.0, 40.0), n=11):
+    return np.column_stack([np.linspace(*x_m, n), np.full(n, float(y_m)), np.zeros(n)])
+
+
+def test_the_score_by_hand():
+    follows = np.array([[0.0, 1.0], [0.0, 0.0]])
+    true = Lanes(((line(0, (0, 20)),), (line(0, (20, 40)),)), follows)
+    assert score([(true, true)]) == scoring.LaneScore(1.0, 1.0)
+    # 1.5 m aside: beyond the first of three thresholds.
+    aside = Lanes(tuple((points + np.array([0, 1.5, 0]),) for (points,) in true.lanes), follows)
+    assert score([(true, aside)]).det_l == pytest.approx(2 / 3)
+    # Lanes are directed, and the Frechet distance keeps the order.
+    turned = Lanes(tuple((points[::-1],) for (points,) in true.lanes), follows)
+    assert score([(true, turned)]).det_l == 0
+    assert scoring.frechet_m(line(0), line(0)[::-1]) == 40
+    # One of two lanes: recall 0.5 at precision 1, so 6 of the 11 recalls.
+    half = Lanes(true.lanes[:1], np.zeros((1, 1)))
+    assert score([(true, half)]).det_l == pytest.approx(6 / 11)
+    # A connection that is predicted the wrong way round.
+    assert score([(true, Lanes(true.lanes, follows.T))]) == scoring.LaneScore(1.0, 0.0)
+    # Lanes far away may be up to 6 m off: 5 m count as 2.5 m from 100 m on.
+    far = Lanes(((line(0, (120, 140)),),), np.zeros((1, 1)))
+    moved = Lanes(((line(5, (120, 140)),),), np.zeros((1, 1)))
+    assert score([(far, moved)]).det_l == pytest.approx(1 / 3)
+    # Segments: half the sum of the centre line's and both boundaries' distances.
+    segment = Lanes(((line(0), line(2), line(-2)),), np.zeros((1, 1)))
+    wider = Lanes(((line(0), line(3.5), line(-3.5)),), np.zeros((1, 1)))
+    assert score([(segment, wider)]).det_l == pytest.approx(2 / 3)
+
+
+def test_an_export_verifies_and_names_what_is_wrong(dataset, tmp_path):
+    out = tmp_path / "out"
+    summary = export(str(dataset), out, "openlane_v2", 1, lambda done, total: None)
+    assert summary.n_frames == {"train": 7, "test": 4}
+    assert [result.problems for result in verify(out, "openlane_v2", 9)] == [()] * 6
+    # The devkit's preprocess.py takes every JSON in this folder for a collection {part: {segment: [names]}}.
+    (listed,) = (out / "OpenLane-V2").glob("*.json")
+    parts = json.loads(listed.read_text())
+    assert {part: sum(map(len, segments.values())) for part, segments in parts.items()} == {
+        "train": 7,
+        "val": 4,
+        "test": 4,
+    }
+    path = frames(out)["train"][0]
+    frame = parse(path.read_text(), str(path))
+    assert list(frame.images) == ["ring_front_center"], "loaders expect it first"
+    text = path.read_text()
+    document = json.loads(text)
+    # TopoNet makes the key of a frame of its document.
+    assert (document["segment_id"], str(document["timestamp"])) == (path.parts[-3], path.stem)
+    document["annotation"]["lane_centerline"][0]["points"] = [[0, 0, 0]] * 201
+    path.write_text(json.dumps(document))
+    (out / "OpenLane-V2" / frame.images["ring_front_center"]).unlink()
+    problems = [problem for result in verify(out, "openlane_v2", 9) for problem in result.problems]
+    assert any("expected the image" in problem for problem in problems)

@@ -1,0 +1,188 @@
+"""COCO and plain masks: what tools decode is what the passes hold."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image, ImageDraw
+
+from synth3dlanes.errors import InputError
+from synth3dlanes.formats.coco.write import run_lengths
+from synth3dlanes.formats.export import export
+from synth3dlanes.formats.plan import open_reader
+from synth3dlanes.formats.verify import verify
+from synth3dlanes.settings import SEMANTIC_IDS
+
+CAR_BOX, TREE_BOX = (slice(200, 240), slice(100, 180)), (slice(40, 120), slice(300, 330))
+
+
+def passes_of(labels):
+    """Road below, sky above; delimiters as far as they are seen, a car over them, a tree, a line beyond the labels."""
+    camera = labels.camera
+    lines = Image.new("I", (camera.width_px, camera.height_px))
+    draw = ImageDraw.Draw(lines)
+    delimiters = [lane for lane in labels.lanes if lane.kind == "delimiter"]
+    for index, lane in enumerate(delimiters):
+        homogeneous = lane.xyz_cam[lane.visible] @ camera.img_from_cam.T
+        points = homogeneous[:, :2] / homogeneous[:, 2:] - 0.5
+        draw.line([tuple(point) for point in points], fill=200 + index, width=3)
+    instance = np.array(lines).astype(np.uint16)
+    semantic = np.where(np.arange(camera.height_px)[:, None] < 150, SEMANTIC_IDS["sky"], SEMANTIC_IDS["road"])
+    semantic = np.where(instance > 0, SEMANTIC_IDS["marking"], semantic).astype(np.uint8)
+    for box, number, name in ((CAR_BOX, 1, "car"), (TREE_BOX, 300, "tree")):
+        instance[box], semantic[box] = number, SEMANTIC_IDS[name]
+    beyond = (slice(150, 152), slice(240, 244))
+    instance[beyond], semantic[beyond] = 200 + len(delimiters), SEMANTIC_IDS["marking"]
+    return {"semantic": semantic, "instance": instance}
+
+
+@pytest.fixture(scope="module")
+def with_passes(tmp_path_factory, write_split):
+    root = tmp_path_factory.mktemp("with_passes")
+    write_split(root, "train", 3, ["camera.roll_deg=1"], passes_of)
+    write_split(root, "test", 2, [], passes_of)
+    return root
+
+
+@pytest.fixture(scope="module", params=["coco", "masks"])
+def exported(request, with_passes, tmp_path_factory):
+    out = tmp_path_factory.mktemp("exports") / request.param
+    summary = export(str(with_passes), out, request.param, 1, lambda done, total: None)
+    assert summary.n_frames == {"train": 3, "test": 2}
+    return request.param, out
+
+
+def decode(runs):
+    """COCO's run lengths: 0 and 1 in turn, down the columns, the first run is of 0."""
+    height_px, width_px = runs["size"]
+    flat, value = [], 0
+    for count in runs["counts"]:
+        flat += [value] * count
+        value = 1 - value
+    return np.array(flat).reshape(width_px, height_px).T == 1
+
+
+def test_instances_and_segments_are_the_passes(exported, with_passes):
+    format_name, out = exported
+    if format_name != "coco":
+        pytest.skip("not COCO")
+    reader = open_reader(f"{with_passes}/train")
+    things = json.loads((out / "annotations/instances_train.json").read_text())
+    panoptic = json.loads((out / "annotations/panoptic_train.json").read_text())
+    names = {category["id"]: category["name"] for category in things["categories"]}
+    assert names == {number + 1: name for name, number in SEMANTIC_IDS.items()}
+    assert [instance["id"] for instance in things["annotations"]] == list(range(1, len(things["annotations"]) + 1))
+    assert things["images"] == panoptic["images"]
+    for index, (image, frame) in enumerate(zip(panoptic["images"], panoptic["annotations"], strict=True)):
+        passes, labels = reader.passes(index), reader.labels(index)
+        assert (out / "images" / image["file_name"]).read_bytes() == reader.member(index, "jpg")
+        red, green, blue = np.asarray(Image.open(out / "panoptic" / frame["file_name"])).astype(int).transpose(2, 0, 1)
+        segments = red + 256 * green + 65536 * blue
+        assert {info["id"]: info["area"] for info in frame["segments_info"]} == dict(
+            zip(*map(np.ndarray.tolist, np.unique(segments, return_counts=True)), strict=True)
+        )
+        for info in frame["segments_info"]:
+            semantic, instance = (np.unique(passes[name][segments == info["id"]]) for name in ("semantic", "instance"))
+            assert [names[info["category_id"]]] == [name for name, n in SEMANTIC_IDS.items() if n in semantic]
+            assert len(instance) == 1
+        mine = [thing for thing in things["annotations"] if thing["image_id"] == image["id"]]
+        expected = {
+            (int(i), int(s)) for i, s in zip(passes["instance"].flat, passes["semantic"].flat, strict=True) if i
+        }
+        delimiters = [lane for lane in labels.lanes if lane.kind == "delimiter"]
+        for thing in mine:
+            mask = decode(thing["segmentation"])
+            (pair,) = {(int(passes["instance"][mask][0]), int(passes["semantic"][mask][0]))}
+            expected.remove(pair)
+            np.testing.assert_array_equal(mask, (passes["instance"] == pair[0]) & (passes["semantic"] == pair[1]))
+            rows, columns = np.nonzero(mask)
+            x, y, width, height = thing["bbox"]
+            assert (x, y, x + width - 1, y + height - 1) == (columns.min(), rows.min(), columns.max(), rows.max())
+            if 200 <= pair[0] < 200 + len(delimiters):
+                assert thing["lane"]["id"] == delimiters[pair[0] - 200].id
+            else:
+                assert "lane" not in thing
+        assert not expected, "every thing has its instance"
+
+
+@pytest.mark.parametrize("flat", ["0110", "1001", "1111", "0001", "1000", "010101"])
+def test_run_lengths(flat):
+    mask = np.array([int(c) for c in flat])
+    lengths = run_lengths(np.flatnonzero(mask), len(mask))
+    assert "".join(str(k % 2) * n for k, n in enumerate(lengths)) == flat
+
+
+def test_masks_are_the_passes_and_lines_run_along_them(exported, with_passes):
+    format_name, out = exported
+    if format_name != "masks":
+        pytest.skip("not masks")
+    reader, n_checked = open_reader(f"{with_passes}/train"), 0
+    assert json.loads((out / "classes.json").read_text()) == SEMANTIC_IDS
+    assert (out / "lists/train.txt").read_text().split() == [f"train-{i:08d}.jpg" for i in range(3)]
+    assert (out / "lists/val.txt").read_text() == (out / "lists/test.txt").read_text()
+    for index in range(3):
+        passes, delimiters = reader.passes(index), [x for x in reader.labels(index).lanes if x.kind == "delimiter"]
+        for folder in ("semantic", "instance"):
+            with Image.open(out / f"{folder}/train-{index:08d}.png") as mask:
+                assert mask.mode == {"semantic": "L", "instance": "I;16"}[folder]
+                np.testing.assert_array_equal(np.asarray(mask), passes[folder])
+        marks = np.asarray(Image.open(out / f"lines/train-{index:08d}.png"))
+        ids = np.where((passes["instance"] >= 200) & (passes["instance"] < 300), passes["instance"], 199)
+        np.testing.assert_array_equal(marks, ids - 199)
+        about = json.loads((out / f"lines/train-{index:08d}.json").read_text())
+        texts = (out / f"lines/train-{index:08d}.lines.txt").read_text().splitlines()
+        assert len(texts) == len(about) >= 2
+        for line, text in zip(about, texts, strict=True):
+            assert line["id"] == delimiters[line["number"] - 1].id
+            points = np.array(text.split(), dtype=float).reshape(-1, 2)
+            assert (points >= 0).all()
+            assert (points <= [480, 360]).all()
+            assert points[0, 1] > points[-1, 1], "from near to far"
+            columns, rows = np.clip(points.astype(int).T, 0, [[479], [359]])
+            near = [
+                marks[np.clip(rows + i, 0, 359), np.clip(columns + j, 0, 479)] for i in (-1, 0, 1) for j in (-1, 0, 1)
+            ]
+            on_own = (np.array(near) == line["number"]).any(axis=0)
+            hidden = passes["semantic"][rows, columns] == SEMANTIC_IDS["car"]
+            # The drawn lines begin and end at samples of the labels, a metre apart, those of the export at the border.
+            if len(points) > 6:
+                assert np.mean((on_own | hidden)[1:-1]) > 0.7
+                n_checked += 1
+    assert n_checked >= 6
+
+
+def test_exports_verify_and_lines_with_each_others_numbers_are_found(exported):
+    format_name, out = exported
+    results = verify(out, format_name, 9)
+    assert [result.name for result in results] == ["test", "train", "val"]
+    assert [result.problems for result in results] == [()] * 3
+    for result in results:
+        ((perfect,), (moved,)) = result.perfect.values(), result.shifted.values()
+        assert perfect > 0.97
+        assert moved < 0.5
+    if format_name == "masks":
+        path = out / "lines/train-00000000.json"
+        good = path.read_text()
+        about = json.loads(good)
+        about[0]["number"], about[1]["number"] = about[1]["number"], about[0]["number"]
+        path.write_text(json.dumps(about))
+        assert any(
+            "expected 97% of the paint" in problem
+            for result in verify(out, format_name, 9)
+            for problem in result.problems
+        )
+        path.write_text(good)
+    else:
+        path = out / "panoptic/train-00000000.png"
+        good = path.read_bytes()
+        Image.fromarray(np.roll(np.asarray(Image.open(path)), 1, axis=1)).save(path)
+        assert any("overlap" in problem for result in verify(out, format_name, 9) for problem in result.problems)
+        path.write_bytes(good)
+
+
+@pytest.mark.parametrize("format_name", ["coco", "masks"])
+def test_data_sets_without_passes_are_refused_in_one_line(format_name, dataset, tmp_path):
+    with pytest.raises(
+        InputError, match=r"expected the passes semantic, instance \(generate --passes\) for .*, got none$"
+    ):
+        export(str(dataset), tmp_path / "out", format_name, 1, lambda done, total: None)
