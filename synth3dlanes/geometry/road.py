@@ -151,14 +151,17 @@ class RoadPlan:
             )
         return self._along(road, s_world, lengths_m)
 
-    def _along(self, road: RoadName, s_world: float, lengths_m: Values, sign: int = 1) -> Values:
+    def _along(self, road: RoadName, s_world: float, lengths_m: Values, sign: int = 1, reach: float = 1.05) -> Values:
         """World stations at lengths ahead of `s_world`, or behind it with the sign -1."""
-        grid = s_world + sign * np.linspace(0, 1.05 * lengths_m[-1], 8 * int(lengths_m[-1]) + 9)
+        grid = s_world + sign * np.linspace(0, reach * lengths_m[-1], 8 * int(lengths_m[-1]) + 9)
         middle = self.plan_station((grid[1:] + grid[:-1]) / 2)
         speed = self._main_frame(middle)[2]
         if road == "exit":
             speed = np.where(middle < 0, speed, np.linalg.norm(self._exit_frame(middle)[1], axis=-1))
         arc = np.concatenate([[0.0], np.cumsum(speed * np.abs(np.diff(grid)))])
+        # An exit on the inside of a bend is shorter than its stations.
+        if arc[-1] < lengths_m[-1]:
+            return self._along(road, s_world, lengths_m, sign, 1.5 * reach)
         return np.interp(lengths_m, arc, grid)
 
     # -- the exit in the plan
