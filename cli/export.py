@@ -25,7 +25,19 @@ def _size(text: str | None) -> tuple[int, int] | None:
     "format_name",
     required=True,
     type=click.Choice(
-        ["apollo", "openlane", "once", "tusimple", "culane", "curvelanes", "openlane_v2", "opendrive", "coco", "masks"]
+        [
+            "apollo",
+            "openlane",
+            "once",
+            "tusimple",
+            "culane",
+            "curvelanes",
+            "openlane_v2",
+            "opendrive",
+            "coco",
+            "masks",
+            "yolo",
+        ]
     ),
     help="Format to write.",
 )
@@ -60,7 +72,7 @@ def export(
     workers: int,
 ) -> None:
     """Convert a data set (DIR) or one split (DIR/train) to the format of Apollo Sim-3D, OpenLane, ONCE-3DLanes,
-    tuSimple, CULane, CurveLanes, OpenLane-V2 or COCO, to plain masks, or to an OpenDRIVE map of each scene.
+    tuSimple, CULane, CurveLanes, OpenLane-V2, COCO or YOLO, to plain masks, or to an OpenDRIVE map of each scene.
 
     Rerun to resume, or to add samples generated since. OUT/README.md describes how splits were mapped,
     and which frames and lanes were left out and why.

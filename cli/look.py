@@ -154,7 +154,9 @@ def report(folder: str, html: Path, n: int, samples: int) -> None:
     found = readers(folder)
     places = evenly_spaced(found, n)
     scenes = scene_statistics(
-        (read_scene(reader, i) for reader, i in places), params_of(found[0]), bool(shots_of(found[0]).cameras)
+        (read_scene(reader, i) for reader, i in evenly_spaced(found, n, is_once_a_scene=True)),
+        params_of(found[0]),
+        bool(shots_of(found[0]).cameras),
     )
     labels = label_statistics(reader.labels(i) for reader, i in places)
     shown = [

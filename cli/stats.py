@@ -59,7 +59,7 @@ def stats(
             raise click.UsageError("--set, --assets and --seed can only be used with --params.")
         found = readers(folder)
         places = evenly_spaced(found, n)
-        drawn = (read_scene(reader, i) for reader, i in places)
+        drawn = (read_scene(reader, i) for reader, i in evenly_spaced(found, n, is_once_a_scene=True))
         scenes = scene_statistics(drawn, params_of(found[0]), bool(shots_of(found[0]).cameras))
         labels = label_statistics(reader.labels(i) for reader, i in places)
     else:

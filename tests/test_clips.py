@@ -155,6 +155,7 @@ def test_no_two_cars_ever_overlap(preset):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 def test_no_two_cars_overlap_in_two_hundred_clips():
     assert_apart(params("cars.n=[12, 24]"), range(200), every_s=0.1)
 

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from synth3dlanes.dataset.address import connect, is_url, splits_near, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION
 from synth3dlanes.dataset.read import Reader
@@ -32,9 +34,10 @@ def one_reader(place: str) -> Reader:
     return found[0]
 
 
-def evenly_spaced(found: Sequence[Reader], n: int) -> list[tuple[Reader, int]]:
-    """At most `n` samples, evenly over all splits: where each is to be read."""
-    places = [(reader, i) for reader in found for i in range(len(reader))]
+def evenly_spaced(found: Sequence[Reader], n: int, is_once_a_scene: bool = False) -> list[tuple[Reader, int]]:
+    """At most `n` samples, evenly over all splits: where each is to be read; of each scene all or its first alone."""
+    of_reader = (np.unique(one.scene_of, return_index=True)[1] if is_once_a_scene else range(len(one)) for one in found)
+    places = [(reader, int(i)) for reader, chosen in zip(found, of_reader, strict=True) for i in chosen]
     count = min(n, len(places))
     return [places[number * len(places) // count] for number in range(count)]
 

@@ -32,6 +32,7 @@ from synth3dlanes.formats.sample_format import SampleFormat
 from synth3dlanes.formats.summary import Summary, readme, summarize
 from synth3dlanes.formats.tusimple import write as tusimple
 from synth3dlanes.formats.writing import Format, PinholeFormat
+from synth3dlanes.formats.yolo import write as yolo
 
 LAYOUT = 2
 """Exports of an earlier layout are not continued."""
@@ -47,6 +48,7 @@ FORMATS: dict[str, PinholeFormat | SampleFormat] = {
     "opendrive": opendrive.FORMAT,
     "coco": coco.FORMAT,
     "masks": masks.FORMAT,
+    "yolo": yolo.FORMAT,
 }
 
 

@@ -15,6 +15,7 @@ from synth3dlanes.formats.openlane import verify as openlane
 from synth3dlanes.formats.openlane_v2 import verify as openlane_v2
 from synth3dlanes.formats.self_check import Verified
 from synth3dlanes.formats.tusimple import verify as tusimple
+from synth3dlanes.formats.yolo import verify as yolo
 
 CHECKS = {
     "apollo": apollo.verify,
@@ -30,6 +31,7 @@ SAMPLE_CHECKS: dict[str, Callable[[Path, int], Iterator[Verified]]] = {
     "opendrive": opendrive.verify,
     "coco": coco.verify,
     "masks": masks.verify,
+    "yolo": yolo.verify,
 }
 """The checks of formats whose images keep their own cameras."""
 

@@ -12,6 +12,7 @@ from synth3dlanes.dataset.info import dataset_info
 from synth3dlanes.dataset.query import rows_where
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import merge, split_dataset
+from synth3dlanes.dataset.splits import evenly_spaced
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.run import generate
@@ -117,6 +118,13 @@ def test_shards_of_single_pictures_made_before_are_continued(tmp_path):
     made(tmp_path / "data", 12, frames=1)
     before = pq.read_schema(tmp_path / "data/train/00000.parquet")
     assert made(tmp_path / "data", 25, frames=1).index.schema.equals(before)
+
+
+def test_statistics_of_scenes_count_each_once(data):
+    reader = Reader(f"{data}/train")
+    assert [i for _, i in evenly_spaced([reader], 100, is_once_a_scene=True)] == [0, 6, 12, 18, 24, 30]
+    assert [i for _, i in evenly_spaced([reader], 3, is_once_a_scene=True)] == [0, 12, 24]
+    assert len(evenly_spaced([reader], 100)) == 33
 
 
 def test_the_pictures_of_a_scene_are_made_by_one_worker(tmp_path, monkeypatch):

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+import yaml
 from PIL import Image, ImageDraw
 
 from synth3dlanes.errors import InputError
@@ -11,6 +12,7 @@ from synth3dlanes.formats.coco.write import run_lengths
 from synth3dlanes.formats.export import export
 from synth3dlanes.formats.plan import open_reader
 from synth3dlanes.formats.verify import verify
+from synth3dlanes.formats.yolo.write import outline
 from synth3dlanes.settings import SEMANTIC_IDS
 
 CAR_BOX, TREE_BOX = (slice(200, 240), slice(100, 180)), (slice(40, 120), slice(300, 330))
@@ -180,9 +182,58 @@ def test_exports_verify_and_lines_with_each_others_numbers_are_found(exported):
         path.write_bytes(good)
 
 
-@pytest.mark.parametrize("format_name", ["coco", "masks"])
+@pytest.mark.parametrize("format_name", ["coco", "masks", "yolo"])
 def test_data_sets_without_passes_are_refused_in_one_line(format_name, dataset, tmp_path):
     with pytest.raises(
         InputError, match=r"expected the passes semantic, instance \(generate --passes\) for .*, got none$"
     ):
         export(str(dataset), tmp_path / "out", format_name, 1, lambda done, total: None)
+
+
+def fill(corners, shape):
+    """The pixels inside a polygon with upright and level sides: each upright side switches all pixels right of it."""
+    switches = np.zeros((shape[0], shape[1] + 1), dtype=int)
+    for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        assert x0 == x1 or y0 == y1
+        switches[min(y0, y1) : max(y0, y1), x0] ^= x0 == x1
+    return np.cumsum(switches, axis=1)[:, :-1] % 2 == 1
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        ["#"],
+        ["##", "##"],
+        ["#..", "###", "#.#"],
+        [".#.", "###", ".#."],
+        ["#.#", "###"],
+        ["###", "..#", "###", "#..", "###"],
+    ],
+)
+def test_an_outline_encloses_its_pixels(rows):
+    piece = np.array([[c == "#" for c in row] for row in rows])
+    corners = outline(piece)
+    np.testing.assert_array_equal(fill(corners, piece.shape), piece)
+    x, y = corners.T
+    assert np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1)) == 2 * piece.sum(), "clockwise, y down"
+
+
+def test_yolo_outlines_fill_the_pixels_of_their_class(with_passes, tmp_path):
+    export(str(with_passes), tmp_path, "yolo", 1, lambda done, total: None)
+    settings = yaml.safe_load((tmp_path / "data.yaml").read_text())
+    assert [settings[part] for part in ("path", "train", "val", "test")] == [".", "train.txt", "val.txt", "test.txt"]
+    assert (tmp_path / "train.txt").read_text().splitlines() == [f"./images/train-{i:08d}.jpg" for i in range(3)]
+    reader = open_reader(f"{with_passes}/train")
+    for index in range(3):
+        semantic = reader.passes(index)["semantic"]
+        filled = np.full(semantic.shape, -1)
+        for text in (tmp_path / f"labels/train-{index:08d}.txt").read_text().splitlines():
+            number, *shares = text.split()
+            corners = np.array(shares, dtype=float).reshape(-1, 2) * [480, 360]
+            np.testing.assert_allclose(corners, corners.round(), atol=1e-3)
+            filled[fill(corners.round().astype(int), semantic.shape)] = SEMANTIC_IDS[settings["names"][int(number)]]
+        for name in ("car", "tree", "marking"):
+            of_class, found = semantic == SEMANTIC_IDS[name], filled == SEMANTIC_IDS[name]
+            # Pieces of a few pixels are left out.
+            assert (of_class & found).sum() > 0.97 * (of_class | found).sum()
+    assert [result.problems for result in verify(tmp_path, "yolo", 9)] == [()] * 3

@@ -1,0 +1,40 @@
+"""The self-check of a YOLO export: outlines of known classes, inside their images and around some pixels."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from synth3dlanes.formats.reading import image_size, read_text
+from synth3dlanes.formats.self_check import Verified
+from synth3dlanes.formats.writing import PARTS
+from synth3dlanes.formats.yolo.write import LEAST_PX, NAMES
+
+
+def verify(out: Path, most_frames: int) -> Iterator[Verified]:
+    """The frames of every part."""
+    for part in PARTS:
+        path = out / f"{part}.txt"
+        if not path.exists():
+            continue
+        images = read_text(path).splitlines()[:most_frames]
+        problems, n_objects = list[str](), 0
+        for image in images:
+            width_px, height_px = image_size(out / image)
+            where = out / "labels" / f"{Path(image).stem}.txt"
+            for text in read_text(where).splitlines():
+                number, *shares = text.split()
+                corners = np.array(shares, dtype=float).reshape(-1, 2)
+                n_objects += 1
+                if int(number) >= len(NAMES) or corners.min() < 0 or corners.max() > 1:
+                    problems.append(
+                        f"{where}: expected a class below {len(NAMES)} and shares of the image, got {text:.60}"
+                    )
+                elif _area_px(corners * [width_px, height_px]) < LEAST_PX - 0.5:
+                    problems.append(f"{where}: expected outlines of {LEAST_PX} pixels and more, got {text:.60}")
+        yield Verified(part, len(images), n_objects, {}, {}, tuple(problems))
+
+
+def _area_px(corners: np.ndarray) -> float:
+    x, y = corners.T
+    return float(abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))) / 2)
