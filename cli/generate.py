@@ -167,11 +167,11 @@ def generate(
     Rerun to resume; a larger N extends the split. Ctrl-C finishes the samples in progress, then stops.
     """
     from synth3dlanes.given_scenes import given_scenes
-    from synth3dlanes.like import read_like
     from synth3dlanes.params import load_params
     from synth3dlanes.production.plan import Plan
     from synth3dlanes.production.recipe import Recipe
     from synth3dlanes.production.run import generate as run
+    from synth3dlanes.sampling.like import read_like
     from synth3dlanes.settings import RenderSettings
 
     if spreads and like is None:

@@ -188,9 +188,9 @@ def open_assets(folder: Path | None) -> "Library":
 
 def open_shots(camera: str | None, rig: str | None, frames: int, fps: float, lidar: str | None = None) -> "Shots":
     """What `--camera` or `--rig`, `--frames` and `--fps`, and `--lidar` say."""
-    from synth3dlanes.camera_files import load_camera
-    from synth3dlanes.lidar_files import load_lidar
-    from synth3dlanes.rig_files import load_rig
+    from synth3dlanes.sensors.camera_files import load_camera
+    from synth3dlanes.sensors.lidar_files import load_lidar
+    from synth3dlanes.sensors.rig_files import load_rig
     from synth3dlanes.shots import clips
 
     if camera is not None and rig is not None:

@@ -89,8 +89,8 @@ def render(
     --set changes the scene first: --set light.exposure=3 changes the exposure, --set cars=[] removes the cars. The
     changed scene is written to NAME.scene.json.
     """
-    from synth3dlanes.lidar_files import load_lidar
     from synth3dlanes.production.render_file import render_file
+    from synth3dlanes.sensors.lidar_files import load_lidar
     from synth3dlanes.settings import RenderSettings
 
     settings, library = RenderSettings(samples, passes, device), open_assets(assets)

@@ -11,8 +11,8 @@ from synth3dlanes_cli.main import main
 from synth3dlanes.assets.catalogue import BUILT_IN
 from synth3dlanes.figures.stats import form as written
 from synth3dlanes.params import Params, forms, load_params, presets_folder
+from synth3dlanes.sampling.weather import DAYTIMES, KINDS, Distribution
 from synth3dlanes.scene import Scene
-from synth3dlanes.weather import DAYTIMES, KINDS, Distribution
 
 FOLDER = Path(__file__).parents[1] / "docs"
 

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
         sample_scene,
         save_scene,
     )
-    from synth3dlanes.cameras import CameraSpec
     from synth3dlanes.dataset.format import Sample
     from synth3dlanes.dataset.read import Reader
     from synth3dlanes.errors import (
@@ -38,6 +37,7 @@ if TYPE_CHECKING:
     from synth3dlanes.labels import Labels, Lane, SymbolLabel
     from synth3dlanes.params import Params
     from synth3dlanes.scene import Scene
+    from synth3dlanes.sensors.cameras import CameraSpec
     from synth3dlanes.sources import read_scene
 else:
     # Type checkers must not see it: they would take any name for one of ours.

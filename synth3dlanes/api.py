@@ -15,8 +15,6 @@ from synth3dlanes import labels as labels_format
 from synth3dlanes import scene as scene_format
 from synth3dlanes.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.assets.folder import require_assets
-from synth3dlanes.camera_files import load_camera as _load_camera
-from synth3dlanes.cameras import CameraSpec
 from synth3dlanes.change import change_scene as _change_scene
 from synth3dlanes.dataset.format import (
     HEIGHT,
@@ -36,7 +34,6 @@ from synth3dlanes.formats.export import FORMATS, export
 from synth3dlanes.formats.summary import Summary
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
-from synth3dlanes.lidar_files import load_lidar
 from synth3dlanes.params import Params
 from synth3dlanes.params import load_params as _load_params
 from synth3dlanes.production.events import Event
@@ -46,15 +43,18 @@ from synth3dlanes.production.render_file import render_members
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.tally import Report
 from synth3dlanes.production.user_assets import open_library
-from synth3dlanes.rig_files import load_rig as _load_rig
 from synth3dlanes.sample import sample_scene as _sample_scene
 from synth3dlanes.sample import with_lidar
 from synth3dlanes.scene import Scene
+from synth3dlanes.sensors.camera_files import load_camera as _load_camera
+from synth3dlanes.sensors.cameras import CameraSpec
+from synth3dlanes.sensors.lidar_files import load_lidar
+from synth3dlanes.sensors.rig_files import load_rig as _load_rig
+from synth3dlanes.sensors.sweep import Sweep
 from synth3dlanes.settings import DEVICES, QUALITY_SAMPLES, RenderSettings
 from synth3dlanes.settings import PASSES as PASS_NAMES
 from synth3dlanes.shots import Shots, clips
 from synth3dlanes.sources import load_scene as _load_scene
-from synth3dlanes.sweep import Sweep
 
 STANDARD = QUALITY_SAMPLES["standard"]
 

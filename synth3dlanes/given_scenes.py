@@ -11,9 +11,9 @@ from pydantic import ConfigDict, Field
 from synth3dlanes.assets.catalogue import Assets
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.errors import InputError
-from synth3dlanes.like import MAX_SCENES, Drawn
 from synth3dlanes.params import Params
 from synth3dlanes.sample import sample_scene
+from synth3dlanes.sampling.like import MAX_SCENES, Drawn
 from synth3dlanes.scene import Scene, from_json
 from synth3dlanes.schema import Part, parse
 from synth3dlanes.sources import SAMPLE, read_scene

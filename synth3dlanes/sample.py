@@ -1,37 +1,32 @@
 """Params -> Scene: draw scenes from named random streams. Degrees become radians here."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import lru_cache, partial
 from multiprocessing import get_context
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
-from jaxtyping import Float
 
-from synth3dlanes.assets.car_colors import sold_color
 from synth3dlanes.assets.catalogue import BUILT_IN, Assets
-from synth3dlanes.cameras import CameraSpec
-from synth3dlanes.distributions import Choice, Integers, Uniform
-from synth3dlanes.errors import InputError
-from synth3dlanes.geometry import placement
-from synth3dlanes.geometry.camera import world_from_host
-from synth3dlanes.geometry.lanes import connections
-from synth3dlanes.geometry.road import RoadPlan, is_wide_enough
-from synth3dlanes.geometry.roadside import footprints
-from synth3dlanes.geometry.symbols import LENGTHS_M, gore_range
-from synth3dlanes.lidars import LidarSpec
-from synth3dlanes.like import Drawn, Like, near
-from synth3dlanes.params import CameraParams, Group, Params
-from synth3dlanes.roadside import draw_roadside
+from synth3dlanes.distributions import Choice, Integers
+from synth3dlanes.geometry.road import is_wide_enough
+from synth3dlanes.params import CameraParams, Params
+from synth3dlanes.sampling.cars import CAR_STREAMS, draw_cars
+from synth3dlanes.sampling.draws import DECIMALS, Draw, draws_of
+from synth3dlanes.sampling.like import Like
+from synth3dlanes.sampling.roadside import draw_roadside
+from synth3dlanes.sampling.symbols import draw_symbols
+from synth3dlanes.sampling.traffic import check_way, on_main_road
+from synth3dlanes.sampling.trees import draw_trees
+from synth3dlanes.sampling.weather import under
 from synth3dlanes.scene import (
     MIN_MEDIAN_M,
     SCENE_VERSION,
     Air,
     Camera,
-    Car,
     Gaussian,
     Host,
     Lidar,
@@ -42,38 +37,21 @@ from synth3dlanes.scene import (
     Sensor,
     Shot,
     Surface,
-    Symbol,
     Terrain,
-    Tree,
     Vegetation,
     Weather,
     to_json,
 )
-from synth3dlanes.schema import SymbolKind
+from synth3dlanes.sensors.cameras import CameraSpec
+from synth3dlanes.sensors.lidars import LidarSpec
 from synth3dlanes.shots import SINGLE, Place, Shots
 from synth3dlanes.streams import stream
-from synth3dlanes.traffic import SPEED_TRIES, Traffic, check_way, on_main_road
-from synth3dlanes.weather import under
 from synth3dlanes.world import World, resolve
 
-# Numbers in a scene are rounded to a micrometre or microradian: readable, and equal on every machine.
-DECIMALS = 6
 # Of a lidar's elevations: on the road ahead, a microradian is a centimetre of range.
 LIDAR_DECIMALS = 9
-CAR_GAP_M = (1.0, 0.3)
-TRIES = 300
-# The streams of the cars: looks as in the paper, and what was added since, so that it changes none of these.
-CAR_STREAMS = ("cars", "car_places", "car_saturation", "car_palette", "parked_cars")
-# Cars park at least this far before a split, or behind a merge.
-PARKING_BEFORE_EXIT_M = 20.0
 # From this many scenes on, several processes are faster than one; each draws CHUNK scenes at a time.
 WORTH_PROCESSES, CHUNK = 200, 25
-# The shoulder texture that is pavement.
-PAVED = 2
-# Least distance along the road between symbols, and between them and the split.
-SYMBOL_GAP_M, SPLIT_GAP_M = 1.0, 8.0
-# Least distance of a tree from the pavement: metres plus this share of its crown's radius.
-TREE_GAP_M, TREE_GAP_OF_CROWN = 1.0, 0.5
 
 
 def sample_scene(
@@ -151,9 +129,9 @@ def draw_world(
     trees, then symbols. With `like`, every draw is near that of a given scene."""
     check_way(params.motion, shots)
     drawn = seed, split, index
-    first = _draw(params, "weather", drawn, like)
+    first = draws_of(params, "weather", drawn, like)
     params = under(params, first("kind"), first("daytime"))
-    draws = {name: _draw(params, name, drawn, like) for name in Params.model_fields}
+    draws = {name: draws_of(params, name, drawn, like) for name in Params.model_fields}
     road, shot = _road(draws["road"]), _shot(shots, draws["motion"])
     bare = Scene(
         format="synth3dlanes.scene",
@@ -181,16 +159,14 @@ def draw_world(
     resolved = resolve(bare)
     roadside = draw_roadside(resolved, draws["roadside"], draws["roadside"].rng)
     world = replace(resolved, scene=bare.model_copy(update={"roadside": roadside}))
-    tree_places = _draw(params, "trees", drawn, like, "tree_places")
-    speeds = _draw(params, "motion", drawn, like, "car_speeds")
-    cars = _cars(world, [_draw(params, "cars", drawn, like, name) for name in CAR_STREAMS], speeds)
-    trees = _trees(world, draws["trees"], tree_places)
-    symbols = _symbols(world, draws["symbols"])
+    tree_places = draws_of(params, "trees", drawn, like, "tree_places")
+    speeds = draws_of(params, "motion", drawn, like, "car_speeds")
+    cars = draw_cars(world, [draws_of(params, "cars", drawn, like, name) for name in CAR_STREAMS], speeds)
+    trees = draw_trees(world, draws["trees"], tree_places)
+    symbols = draw_symbols(world, draws["symbols"])
     return replace(world, scene=world.scene.model_copy(update={"cars": cars, "trees": trees, "symbols": symbols}))
 
 
-# One random number, or several.
-Numbers = TypeVar("Numbers", float, np.ndarray)
 P = TypeVar("P", Markings, Surface, Light, Air, Sensor, Weather, Host, Vegetation)
 
 
@@ -213,66 +189,6 @@ def scene_texts(
 
 def _scene_text(params: Params, seed: int, split: str, assets: Assets, shots: Shots, index: int) -> str:
     return to_json(sample_scene(params, seed, split, index, assets, shots))
-
-
-def _draw(params: Params, group: str, drawn: Drawn, like: Like | None, name: str = "") -> "Draw":
-    """Draws of a group of parameters from the stream `name` of a scene (by default that of the group)."""
-    of_group, name = getattr(params, group), name or group
-    if like is None:
-        return Draw(of_group, stream(*drawn, name))
-    given = stream(*like.given(drawn[-1]), name)
-    return NearDraw(of_group, given, partial(like.spread_of, group), stream(*drawn, name))
-
-
-class Draw:
-    """Draws the parameters of one group, with one random number each."""
-
-    def __init__(self, group: Group, rng: np.random.Generator) -> None:
-        self.group = group
-        self.rng = rng
-
-    def __call__(self, key: str) -> Any:
-        """Draw parameter `key` of the group: degrees become radians, floats are rounded."""
-        return self._rounded(key, getattr(self.group, key).draw(self._moved(key, self.rng.random())))
-
-    def rows(self, keys: tuple[str, ...], n: int) -> list[tuple[Any, ...]]:
-        """`n` draws of several parameters, row by row."""
-        numbers = self.rng.random((n, len(keys)))
-        columns = (self._column(key, self._moved(key, numbers[:, j])) for j, key in enumerate(keys))
-        return list(zip(*columns, strict=True))
-
-    def _moved(self, key: str, us: Numbers) -> Numbers:
-        """The random numbers of a parameter."""
-        return us
-
-    def _column(self, key: str, us: Float[np.ndarray, " n"]) -> list[Any]:
-        distribution = getattr(self.group, key)
-        if not isinstance(distribution, Uniform):
-            return [self._rounded(key, distribution.draw(u)) for u in us.tolist()]
-        values = distribution.low + (distribution.high - distribution.low) * us
-        return list(np.round(np.radians(values) if key.endswith("_deg") else values, DECIMALS).tolist())
-
-    @staticmethod
-    def _rounded(key: str, value: Any) -> Any:
-        if key.endswith("_deg"):
-            value = math.radians(value)
-        return round(value, DECIMALS) if isinstance(value, float) else value
-
-
-class NearDraw(Draw):
-    """Draws near those of a given scene, whose random numbers are `rng`'s: real parameters within their spread, others
-    as given."""
-
-    def __init__(
-        self, group: Group, rng: np.random.Generator, spread: Callable[[str], float], moves: np.random.Generator
-    ) -> None:
-        super().__init__(group, rng)
-        self.spread, self.moves = spread, moves
-
-    def _moved(self, key: str, us: Numbers) -> Numbers:
-        if not isinstance(getattr(self.group, key), Uniform):
-            return us
-        return near(us, self.spread(key), self.moves.random(np.shape(us)))
 
 
 def _plain(part: type[P], draw: Draw) -> P:
@@ -353,137 +269,3 @@ def _host_lane(lanes: Integers | Choice[int], u: float, present: int) -> int:
     if isinstance(lanes, Integers):
         lanes = Integers(min(lanes.low, present), min(lanes.high, present))
     return min(lanes.draw(u), present)
-
-
-def _cars(world: World, draws: Sequence[Draw], speeds: Draw) -> tuple[Car, ...]:
-    """The cars, from the draws of CAR_STREAMS and of their speeds."""
-    scene = world.scene
-    looks, places, paints, sold, parking = draws
-    taken = [placement.host_footprint(world_from_host(world.plan, scene.camera))]
-    traffic = Traffic(world.plan, scene.camera, scene.shot) if scene.shot.n_frames > 1 else None
-    parked = parking("parked")
-    cars = []
-    for number in range(looks("n")):
-        model, scale = looks("model"), looks("scale")
-        (color,) = zip(*looks.rows(("color",), 3), strict=True)
-        gloss = looks("gloss")
-        body = scene.assets.car_models[model - 1]
-        size = body.length_m * scale + CAR_GAP_M[0], body.width_m * scale + CAR_GAP_M[1]
-        is_parked = parking.rng.random() < parked
-        drawn_m_s = [speeds("car_speed_m_s") for _ in range(SPEED_TRIES)] if traffic else []
-        for _ in range(TRIES):
-            s_m = places("s_m")
-            lanes = (*scene.road.segments_at(s_m), *scene.road.oncoming_segments)
-            lane = lanes[int(places.rng.random() * len(lanes))]
-            offset_m = 0.0
-            if is_parked and (found := _parking(world.plan, s_m, size[1], parking.rng)):
-                lane, offset_m = found
-            place = placement.footprint(*placement.car_place(world.plan, lane, s_m, offset_m), *size)
-            if placement.overlaps_any(place, np.array(taken)):
-                continue
-            speed_m_s = traffic.join(lane, s_m, offset_m, size, [0.0] if offset_m else drawn_m_s) if traffic else 0.0
-            if speed_m_s is not None:
-                break
-        else:
-            raise InputError(f"cars.n: no room for car {number + 1} within cars.s_m of scene {scene.index}")
-        taken.append(place)
-        saturation = paints("saturation")
-        palette, (u_paint, u_shade) = sold("palette"), sold.rng.random(2)
-        if palette == "sold":
-            color, saturation = sold_color(body, u_paint, u_shade), 1.0
-        looks_of = {"model": model, "scale": scale, "color": color, "gloss": gloss, "saturation": saturation}
-        cars.append(Car(**looks_of, lane=lane, s_m=s_m, offset_m=offset_m, speed_m_s=speed_m_s))
-    return tuple(cars)
-
-
-def _parking(plan: RoadPlan, s_m: float, width_m: float, rng: np.random.Generator) -> tuple[str, float] | None:
-    """A lane at whose outer shoulder a car can stand, and its offset there to the driver's right; None without room.
-
-    Nobody parks where an exit opens.
-    """
-    lanes = plan.road.segments_at(s_m)
-    outermost = [lanes[0] if plan.flips[0] < 0 else lanes[-1]]
-    if plan.has_exit and s_m * plan.flips[1] > -PARKING_BEFORE_EXIT_M:
-        outermost = []
-    if plan.n_oncoming:
-        outermost.append(plan.road.oncoming_segments[0 if plan.flips[0] > 0 else -1])
-    if not outermost or plan.shoulder_m < width_m:
-        return None
-    offset_m = float(plan.flips[0]) * (plan.width_m + plan.shoulder_m) / 2
-    return outermost[int(rng.random() * len(outermost))], round(offset_m, DECIMALS)
-
-
-def _trees(world: World, looks: Draw, places: Draw) -> tuple[Tree, ...]:
-    drawn = looks.rows(("model", "yaw_deg", "scale"), looks("n"))
-    models = world.scene.assets.tree_models
-    trees: list[Tree] = []
-    structures = footprints(world.ground, world.scene.roadside)
-    for _ in range(TRIES):
-        if len(trees) == len(drawn):
-            return tuple(trees)
-        xy = np.array(places.rows(("x_m", "y_m"), 2 * (len(drawn) - len(trees)) + 16))
-        clear = world.ground.clearance(xy)
-        stands = structures.clear(xy, TREE_GAP_M)
-        for (x, y), clearance_m, is_free in zip(xy.tolist(), clear.tolist(), stands.tolist(), strict=True):
-            if len(trees) == len(drawn):
-                break
-            model, yaw_rad, scale = drawn[len(trees)]
-            gap_m = TREE_GAP_M + TREE_GAP_OF_CROWN * scale * models[model - 1].crown_radius_m
-            if is_free and clearance_m >= gap_m:
-                trees.append(Tree(model=model, x_m=x, y_m=y, yaw_rad=yaw_rad, scale=scale))
-    missing = len(drawn) - len(trees)
-    raise InputError(f"trees.x_m, trees.y_m: no room off the roads for {missing} trees of scene {world.scene.index}")
-
-
-def _symbols(world: World, draw: Draw) -> tuple[Symbol, ...]:
-    """Symbols that do not overlap along the road; those without room are left out, and a gore on a gravel shoulder."""
-    road, plan = world.scene.road, world.plan
-    asked: dict[SymbolKind, int] = {"crosswalk": draw("crosswalks"), "stop_line": draw("stop_lines")}
-    n_arrow_rows, gore = draw("arrow_rows"), draw("gore")
-    turns = draw.rng.random(2).tolist()
-    taken: list[tuple[float, float]] = []
-
-    def place(length_m: float, beyond_m: float) -> float | None:
-        """A free station before the split or, in the plan, beyond a station behind it."""
-        for _ in range(TRIES):
-            s_m = draw("s_m")
-            s_plan, reach_m = s_m * plan.flips[1], length_m / 2 + SYMBOL_GAP_M
-            is_clear = s_plan + reach_m < -SPLIT_GAP_M or s_plan - reach_m > beyond_m or not plan.has_exit
-            if is_clear and all(abs(s_m - other_m) > (length_m + other) / 2 + SYMBOL_GAP_M for other_m, other in taken):
-                taken.append((s_m, length_m))
-                return s_m
-        return None
-
-    symbols = []
-    for kind, n in asked.items():
-        for _ in range(n):
-            if (s_m := place(LENGTHS_M[kind], math.inf)) is not None:
-                symbols.append(Symbol(kind=kind, lane=None, s_m=s_m))
-    for _ in range(n_arrow_rows):
-        if (s_m := place(LENGTHS_M["arrow_straight"], plan.nose_m + SPLIT_GAP_M)) is not None:
-            lanes = road.segments_at(s_m)
-            symbols += [Symbol(kind=_arrow(world, lane, turns), lane=lane, s_m=s_m) for lane in lanes]
-    room = gore_range(plan)
-    if gore and room is not None and world.scene.surface.shoulder_texture == PAVED:
-        symbols.append(Symbol(kind="gore", lane=None, s_m=round(room[0] * plan.flips[1], DECIMALS)))
-    return tuple(symbols)
-
-
-def _arrow(world: World, lane: str, turns: list[float]) -> SymbolKind:
-    """The arrow of a lane: where its successors lead, or as before a junction on a road without exit, where `turns` in
-    [0, 1) decide what the outer lanes may do."""
-    plan, merges = world.plan, world.scene.road.flip_lateral
-    to_exit: tuple[SymbolKind, SymbolKind] = ("arrow_right", "arrow_straight_right")
-    to_main: SymbolKind = "arrow_left"
-    if world.scene.road.flip_longitudinal:
-        to_exit, to_main = ("arrow_left", "arrow_straight_left"), "arrow_right"
-    if not plan.has_exit:
-        lefts: tuple[SymbolKind, ...] = ("arrow_straight", "arrow_straight_left", "arrow_left")
-        rights: tuple[SymbolKind, ...] = ("arrow_straight", "arrow_straight_right", "arrow_right")
-        if lane == "main_1":
-            return lefts[int(3 * turns[0])]
-        return rights[int(3 * turns[1])] if lane == f"main_{plan.n_lanes}" else "arrow_straight"
-    if merges:
-        return to_main if lane.startswith("exit") else "arrow_straight"
-    follow = [fork.startswith("exit") for stem, fork in connections(plan) if stem == lane]
-    return to_exit[0] if follow and all(follow) else to_exit[1] if any(follow) else "arrow_straight"

@@ -19,12 +19,12 @@ from synth3dlanes.dataset.splits import readers
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
-from synth3dlanes.like import Like
 from synth3dlanes.params import Params
+from synth3dlanes.sampling.like import Like
 from synth3dlanes.scene import Scene, from_json
 from synth3dlanes.schema import validation_problems
+from synth3dlanes.sensors.sweep import Sweep
 from synth3dlanes.shots import Shots
-from synth3dlanes.sweep import Sweep
 
 SAMPLE = re.compile(r".+:\d+")
 

@@ -9,11 +9,11 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from synth3dlanes.camera_files import camera_names, load_camera
-from synth3dlanes.cameras import CameraSpec
 from synth3dlanes.errors import InputError
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import sample_scene
+from synth3dlanes.sensors.camera_files import camera_names, load_camera
+from synth3dlanes.sensors.cameras import CameraSpec
 from synth3dlanes.shots import Shots
 
 OWN = "width_px: 640\nheight_px: 480\n"

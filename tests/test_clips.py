@@ -37,7 +37,7 @@ def test_sample_numbers_and_places_are_one_to_one():
 
 
 def camera():
-    from synth3dlanes.cameras import CameraSpec
+    from synth3dlanes.sensors.cameras import CameraSpec
 
     sizes = {"width_px": 64, "height_px": 48, "fx_px": 60, "fy_px": 60, "cx_px": 32, "cy_px": 24, "height_m": 1.5}
     return CameraSpec.model_validate(sizes)

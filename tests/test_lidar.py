@@ -9,10 +9,10 @@ from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import from_json, to_json
-from synth3dlanes.lidar_files import lidar_names, load_lidar
-from synth3dlanes.lidars import LidarSpec
 from synth3dlanes.sample import with_lidar
-from synth3dlanes.sweep import Sweep, directions
+from synth3dlanes.sensors.lidar_files import lidar_names, load_lidar
+from synth3dlanes.sensors.lidars import LidarSpec
+from synth3dlanes.sensors.sweep import Sweep, directions
 from tests.dataset.test_hostile import mutated, refused_or_read
 from tests.scenes import FLAT
 

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from synth3dlanes.assets.catalogue import BUILT_IN
 from synth3dlanes.errors import InputError
 from synth3dlanes.given_scenes import given_scenes
-from synth3dlanes.like import near, read_like
 from synth3dlanes.params import load_params
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.twins import twin_recipes
 from synth3dlanes.sample import sample_scene
+from synth3dlanes.sampling.like import near, read_like
 from synth3dlanes.scene import to_json
 from synth3dlanes.settings import RenderSettings
 from synth3dlanes.validate.origin import read_origin

@@ -17,9 +17,9 @@ from synth3dlanes.ground_truth import label
 from synth3dlanes.params import load_params
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.run import generate
-from synth3dlanes.rig_files import load_rig, rig_names
 from synth3dlanes.sample import sample_scene, sample_world
 from synth3dlanes.scene import MAX_BEHIND_M
+from synth3dlanes.sensors.rig_files import load_rig, rig_names
 from synth3dlanes.shots import Shots
 from synth3dlanes.world import resolve
 from tests import fake_samples

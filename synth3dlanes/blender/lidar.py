@@ -13,8 +13,8 @@ from synth3dlanes.blender.lens import SCREEN_ID
 from synth3dlanes.blender.trace import distances, run_cycles
 from synth3dlanes.frames import Matrix4
 from synth3dlanes.labels import LidarLabel
+from synth3dlanes.sensors.sweep import Sweep
 from synth3dlanes.settings import NO_HIT_DEPTH_M
-from synth3dlanes.sweep import Sweep
 
 # Beams this close to even spacing are rendered at once: Cycles' directions are no more exact.
 EVEN_RAD = 1e-7

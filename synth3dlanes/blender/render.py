@@ -22,8 +22,8 @@ from synth3dlanes.geometry.visibility import seen_over_ground
 from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.imaging.layers import Layers
 from synth3dlanes.labels import Labels
+from synth3dlanes.sensors.sweep import Sweep
 from synth3dlanes.settings import RenderSettings
-from synth3dlanes.sweep import Sweep
 from synth3dlanes.world import View, World
 
 # The portal of a lens, and the screen that its rays pass again.

@@ -18,8 +18,8 @@ from synth3dlanes import labels as labels_module
 from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels, LidarLabel
 from synth3dlanes.schema import MAX_PX
+from synth3dlanes.sensors.sweep import Sweep
 from synth3dlanes.settings import JPEG_QUALITY
-from synth3dlanes.sweep import Sweep
 
 IMAGE_FORMATS = ("jpg", "png")
 SCENE, LABELS, PASSES, HEIGHT, LIDAR = "scene.json", "labels.json", "passes.exr", "height.exr", "lidar.exr"

@@ -14,7 +14,6 @@ from jaxtyping import Int, Shaped, UInt8
 from pydantic import ValidationError
 
 from synth3dlanes import labels as labels_module
-from synth3dlanes.cameras import CameraSpec
 from synth3dlanes.dataset.address import connect, splits_near, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION, parse_description, pictures_per_scene
 from synth3dlanes.dataset.format import (
@@ -42,7 +41,8 @@ from synth3dlanes.dataset.index import (
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.labels import Labels
 from synth3dlanes.schema import AHEAD_DEG, validation_problems
-from synth3dlanes.sweep import Sweep
+from synth3dlanes.sensors.cameras import CameraSpec
+from synth3dlanes.sensors.sweep import Sweep
 
 N_CONNECTIONS = 8
 SIZE_COLUMNS = ("camera_width_px", "camera_height_px")

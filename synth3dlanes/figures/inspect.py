@@ -17,8 +17,8 @@ from synth3dlanes.figures.passes import Passes, draw_pass
 from synth3dlanes.figures.scene_view import SceneView
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
+from synth3dlanes.sensors.sweep import Sweep
 from synth3dlanes.settings import PASSES
-from synth3dlanes.sweep import Sweep
 
 # Images of a rig's cameras in a row.
 RIG_COLUMNS = 3

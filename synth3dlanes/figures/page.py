@@ -23,7 +23,7 @@ from synth3dlanes.figures.space import triangles
 from synth3dlanes.figures.stats import LabelStatistics, SceneStatistics, is_fine
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneKind
 from synth3dlanes.scene import Scene, to_json
-from synth3dlanes.sweep import Sweep
+from synth3dlanes.sensors.sweep import Sweep
 
 Picture = UInt8[np.ndarray, "h w 3"]
 

@@ -17,7 +17,7 @@ from synth3dlanes.geometry.meshes import Mesh
 from synth3dlanes.geometry.paint import PAINT_LIFT_AT_M, PAINT_LIFT_M, paint_color
 from synth3dlanes.geometry.solids import Body
 from synth3dlanes.labels import CameraLabel, LaneKind
-from synth3dlanes.sweep import Sweep
+from synth3dlanes.sensors.sweep import Sweep
 
 # How far aside of the camera the area reaches that is shown.
 _ASIDE_M = 70.0

@@ -18,8 +18,8 @@ from synth3dlanes.figures.shape import bends, grades
 from synth3dlanes.geometry.camera import horizontal_fov_rad
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import OPTIONAL, Params
+from synth3dlanes.sampling.weather import replaced
 from synth3dlanes.scene import Scene
-from synth3dlanes.weather import replaced
 
 Values = Float[np.ndarray, " n"]
 Distribution = Uniform | Integers | Choice[Any]

@@ -18,7 +18,7 @@ from synth3dlanes.figures.passes import semantic_colors
 from synth3dlanes.figures.scene_view import AHEAD_M, SceneView, frustum
 from synth3dlanes.frames import transform
 from synth3dlanes.labels import CameraLabel, Labels, Lane
-from synth3dlanes.sweep import Sweep
+from synth3dlanes.sensors.sweep import Sweep
 
 HIDDEN_OPACITY = 0.4
 FRUSTUM_OPACITY = 0.13

@@ -15,8 +15,8 @@ from synth3dlanes.production.devices import WorkerSlots, n_cores, resolve_device
 from synth3dlanes.production.forecast import Forecast, forecast
 from synth3dlanes.production.recipe import Made, Recipe, make_sample
 from synth3dlanes.production.workers import Limits
+from synth3dlanes.sampling.traffic import check_way
 from synth3dlanes.settings import MAX_SAMPLES, SPLIT_NAME
-from synth3dlanes.traffic import check_way
 
 SHARD_SIZE = 1000
 

@@ -13,7 +13,6 @@ from jaxtyping import UInt8
 from synth3dlanes import __version__
 from synth3dlanes import scene as scene_module
 from synth3dlanes.assets.catalogue import BUILT_IN, KINDS, Library
-from synth3dlanes.cameras import CameraSpec
 from synth3dlanes.dataset.format import encode, member_names
 from synth3dlanes.dataset.write import Shard
 from synth3dlanes.distributions import form
@@ -24,14 +23,15 @@ from synth3dlanes.imaging.daylight import daylight
 from synth3dlanes.imaging.develop import develop
 from synth3dlanes.imaging.layers import Layers
 from synth3dlanes.labels import Labels
-from synth3dlanes.like import Like
 from synth3dlanes.params import CameraParams, Params
 from synth3dlanes.production.workers import leave_if_orphaned
 from synth3dlanes.sample import sample_world
+from synth3dlanes.sampling.like import Like
 from synth3dlanes.scene import Scene
+from synth3dlanes.sensors.cameras import CameraSpec
+from synth3dlanes.sensors.sweep import Sweep
 from synth3dlanes.settings import RenderSettings
 from synth3dlanes.shots import SINGLE, Shots
-from synth3dlanes.sweep import Sweep
 from synth3dlanes.world import View, World
 
 

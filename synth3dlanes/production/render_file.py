@@ -9,11 +9,11 @@ from synth3dlanes.assets.folder import require_assets
 from synth3dlanes.change import change_scene
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.errors import InputError
-from synth3dlanes.lidars import LidarSpec
 from synth3dlanes.production.recipe import make_image, require_blender
 from synth3dlanes.production.workers import Limits, call
 from synth3dlanes.sample import with_lidar
 from synth3dlanes.scene import Scene
+from synth3dlanes.sensors.lidars import LidarSpec
 from synth3dlanes.settings import RenderSettings
 from synth3dlanes.sources import find_scene
 from synth3dlanes.world import resolve

@@ -18,7 +18,7 @@ from synth3dlanes.dataset.format import HEIGHT, LABELS, LIDAR, PASSES, SCENE, de
 from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
-from synth3dlanes.sweep import Sweep
+from synth3dlanes.sensors.sweep import Sweep
 from synth3dlanes.validate.documents import differences, some
 from synth3dlanes.validate.findings import Finding
 from synth3dlanes.validate.passes_proof import Passes

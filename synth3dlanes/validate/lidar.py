@@ -10,8 +10,8 @@ import numpy as np
 
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.camera import project
+from synth3dlanes.sensors.sweep import LidarPoints, Sweep
 from synth3dlanes.settings import SEMANTIC_IDS
-from synth3dlanes.sweep import LidarPoints, Sweep
 from synth3dlanes.validate.findings import PROOF_M, Finding, Measure
 from synth3dlanes.validate.passes_proof import Passes
 from synth3dlanes.world import World

@@ -17,9 +17,9 @@ from synth3dlanes.change import change_scene
 from synth3dlanes.dataset.description import DESCRIPTION
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.like import Like
 from synth3dlanes.params import Params
 from synth3dlanes.sample import sample_scene
+from synth3dlanes.sampling.like import Like
 from synth3dlanes.scene import Scene
 from synth3dlanes.schema import Part, validation_problems
 from synth3dlanes.shots import SINGLE, Place, Shots

@@ -21,7 +21,7 @@ from synth3dlanes.geometry.camera import rays_of_pixels
 from synth3dlanes.ground_truth import label
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
-from synth3dlanes.sweep import Sweep
+from synth3dlanes.sensors.sweep import Sweep
 from synth3dlanes.validate.alignment import check_alignment
 from synth3dlanes.validate.colours import check_colours
 from synth3dlanes.validate.contents import read_contents

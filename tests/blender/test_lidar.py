@@ -7,12 +7,12 @@ import pytest
 
 from synth3dlanes.blender.lidar import even_runs
 from synth3dlanes.frames import invert, transform
-from synth3dlanes.lidar_files import load_lidar
-from synth3dlanes.lidars import LidarSpec
 from synth3dlanes.params import load_params
 from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.sample import sample_scene, with_lidar
 from synth3dlanes.scene import Car
+from synth3dlanes.sensors.lidar_files import load_lidar
+from synth3dlanes.sensors.lidars import LidarSpec
 from synth3dlanes.settings import FIRST_CAR_ID, SEMANTIC_IDS, RenderSettings
 from synth3dlanes.validate.lidar import prove_lidar
 from synth3dlanes.world import resolve

@@ -8,11 +8,11 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, Field, field_validator
 
-from synth3dlanes.cameras import ZERO, Angle, Mount
 from synth3dlanes.distributions import Real, reals
 from synth3dlanes.params import Group
 from synth3dlanes.scene import MAX_BEAMS
 from synth3dlanes.schema import MAX_PX, Name
+from synth3dlanes.sensors.cameras import ZERO, Angle, Mount
 
 # Of elevations: no beam points straight up or down.
 MAX_DEG = 85.0

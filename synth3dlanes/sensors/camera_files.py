@@ -11,10 +11,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from synth3dlanes.cameras import NAMES, CameraSpec
 from synth3dlanes.errors import InputError
 from synth3dlanes.params import presets_folder, unknown_key
 from synth3dlanes.schema import MAX_PROBLEMS, problem_line, shown
+from synth3dlanes.sensors.cameras import NAMES, CameraSpec
 from synth3dlanes.yaml_text import read_yaml
 
 # Short names of keys in files.

@@ -4,11 +4,11 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from synth3dlanes.camera_files import read_document
 from synth3dlanes.errors import InputError
-from synth3dlanes.lidars import LidarSpec
 from synth3dlanes.params import presets_folder
 from synth3dlanes.schema import shown, validation_problems
+from synth3dlanes.sensors.camera_files import read_document
+from synth3dlanes.sensors.lidars import LidarSpec
 
 
 def lidar_names() -> list[str]:

@@ -7,12 +7,12 @@ import re
 from pathlib import Path
 from typing import Any
 
-from synth3dlanes.camera_files import load_camera, read_camera, read_document
-from synth3dlanes.cameras import CameraSpec
 from synth3dlanes.errors import InputError
 from synth3dlanes.params import presets_folder
 from synth3dlanes.scene import MAX_CAMERAS
 from synth3dlanes.schema import MAX_PROBLEMS, shown
+from synth3dlanes.sensors.camera_files import load_camera, read_camera, read_document
+from synth3dlanes.sensors.cameras import CameraSpec
 
 NAME = re.compile(r"[\w.-]{1,64}")
 

@@ -1,0 +1,1 @@
+"""How the parts of a scene are drawn; `sample.py` puts them together."""
