@@ -31,7 +31,6 @@ from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, Annotation
 from synth3dlanes.frames import Matrix4, invert, transform
 from synth3dlanes.geometry.symbols import shape
 from synth3dlanes.labels import CameraLabel
-from synth3dlanes.lens import COEFFICIENTS, Lens
 from synth3dlanes.world import World, resolve
 
 DECIMALS = 4
@@ -157,20 +156,8 @@ def _sensor(camera: CameraLabel, world_from_ego: Matrix4, image: str) -> dict[st
             "rotation": (ego_from_cam[:3, :3] @ CV_FROM_CAM.T).tolist(),
             "translation": ego_from_cam[:3, 3].tolist(),
         },
-        "intrinsic": {"K": (camera.img_from_cam @ CV_FROM_CAM.T).tolist(), "distortion": _distortion(camera.lens)},
+        "intrinsic": {"K": (camera.img_from_cam @ CV_FROM_CAM.T).tolist(), "distortion": [0.0, 0.0, 0.0]},
     }
-
-
-def _distortion(lens: Lens) -> list[float]:
-    """k1, k2 and k3, all that the format has; raise InputError for a lens that is more than these."""
-    if lens.is_pinhole:
-        return [0.0, 0.0, 0.0]
-    named = dict(zip(COEFFICIENTS[lens.model], lens.coefficients, strict=True))
-    if lens.model != "opencv" or any(value for name, value in named.items() if name not in ("k1", "k2", "k3")):
-        raise InputError(
-            f"openlane_v2: expected a pinhole, or a lens opencv with k1, k2 and k3 alone, got {lens.model}"
-        )
-    return [named["k1"], named["k2"], named["k3"]]
 
 
 def _pose(world_from_ego: Matrix4) -> dict[str, Any]:
