@@ -29,8 +29,8 @@ def check_way(params: MotionParams, shots: Shots) -> None:
     fastest_m_s = speed.high if isinstance(speed, Uniform) else max(speed.values)
     if fastest_m_s * duration_s > MAX_DRIVEN_M:
         raise InputError(
-            f"frames, fps, motion.host_speed_m_s: expected clips of at most {MAX_DRIVEN_M:g} m, "
-            f"got {duration_s:g} s at up to {fastest_m_s:g} m/s"
+            f"frames: expected clips of at most {MAX_DRIVEN_M:g} m, got {duration_s:g} s at up to {fastest_m_s:g} m/s "
+            "(motion.host_speed_m_s)"
         )
 
 
