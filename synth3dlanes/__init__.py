@@ -86,7 +86,7 @@ __all__ = [
 _HOMES = {
     **dict.fromkeys(("DiskFullError", "FormatError", "InputError", "MissingPackageError"), "errors"),
     **dict.fromkeys(("Synth3dlanesError", "WorkerError"), "errors"),
-    "CameraSpec": "cameras",
+    "CameraSpec": "sensors.cameras",
     "Labels": "labels",
     "Lane": "labels",
     "Params": "params",

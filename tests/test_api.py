@@ -99,7 +99,7 @@ def test_a_render_is_what_a_data_set_has(tmp_path: Path) -> None:
         ("render", {"device": "gpu"}, "device: expected one of auto, cpu"),
         ("generate_dataset", {"out": "o", "n": 1, "image_format": "bmp"}, "image_format: expected one of jpg, png"),
         ("generate_dataset", {"out": "o", "n": -1}, "n: expected 0 to 100000000, got -1"),
-        ("export_dataset", {"source": "d", "out": "o", "format_name": "coco"}, "format_name: expected one of apollo"),
+        ("export_dataset", {"source": "d", "out": "o", "format_name": "kitti"}, "format_name: expected one of apollo"),
     ],
 )
 def test_a_wrong_argument_is_named(

@@ -148,6 +148,8 @@ def test_a_page_runs(page: Path, made: Path, in_tmp_path: Path) -> None:
         if block.language == "sh":
             for words in block.lines():
                 parse(words) if block.mark else run_command(words)
+        elif block.language == "python" and block.mark:
+            compile(block.text, page.name, "exec")
         elif block.language == "python":
             with contextlib.redirect_stdout(io.StringIO()) as caught:
                 exec(block.text, names)  # noqa: S102 - our own page

@@ -93,9 +93,12 @@ def visible_devices() -> str:
     return os.environ["CUDA_VISIBLE_DEVICES"]
 
 
-def test_two_pools_on_a_machine_take_different_cores():
+def test_two_pools_on_a_machine_take_different_cores(monkeypatch, tmp_path):
     import os
+    import tempfile
 
+    # Other runs on this machine have their leases elsewhere.
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     with Pool(1, Limits()) as one, Pool(1, Limits()) as other:
         cores = []
         for pool in (one, other):

@@ -233,7 +233,7 @@ def twice_the_same_id(labels: Labels) -> Labels:
         (spoil_scene, "index: expected 1, got 7"),
         (spoil_image, "expected 480x360 pixels, got 480x358"),
         (relabel(SAMPLE, pitch), "camera.pitch_rad: expected"),
-        (relabel(SAMPLE, turned), "expected points from near to far"),
+        (relabel(SAMPLE, turned), "expected points in driving order"),
         (relabel(SAMPLE, without_neighbour), "left: expected the id of a line of the other kind"),
         (relabel(SAMPLE, repainted), "color: expected white by its scene, got yellow"),
         (relabel(SAMPLE, doubled), "double: expected False by its scene, got True"),
