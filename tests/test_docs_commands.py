@@ -27,7 +27,7 @@ GENERATED = ("cli.md", "params.md", "decisions.md")
 PAGES = [ROOT / "README.md", *sorted(page for page in (ROOT / "docs").glob("*.md") if page.name not in GENERATED)]
 BLOCK = re.compile(r"(?:<!-- (not run|file)[ :]*(.*?) -->\n)?^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 # Programs that prepare machines: of these lines only our own part is looked at.
-FOREIGN = (".", "docker", "hf", "pip", "torchrun")
+FOREIGN = (".", "cd", "docker", "hf", "pip", "python", "torchrun")
 
 
 @dataclass(frozen=True)
