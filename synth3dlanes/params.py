@@ -321,9 +321,22 @@ def presets_folder() -> Path:
     return installed if installed.is_dir() else Path(__file__).parents[1] / "params"
 
 
-def preset_names() -> list[str]:
-    """The names of the presets."""
-    return sorted(path.stem for path in presets_folder().glob("*.yaml"))
+def preset_names(kind: str = "") -> list[str]:
+    """The names of the presets, or of the ready `cameras`, `rigs` or `lidars`."""
+    return sorted(path.stem for path in (presets_folder() / kind).glob("*.yaml"))
+
+
+def find_preset(source: str, kind: str = "") -> tuple[Path, str]:
+    """The file of a preset of some kind by its name, or a user's own by its path, and what messages call it.
+
+    Raises InputError for what is neither.
+    """
+    if source in preset_names(kind):
+        within = Path(kind, f"{source}.yaml")
+        return presets_folder() / within, str("params" / within)
+    if Path(source).suffix in (".yaml", ".yml"):
+        return Path(source), source
+    raise InputError(f"{source}: expected one of {', '.join(preset_names(kind))}, or the path of a .yaml file")
 
 
 def load_params(source: str, overrides: Sequence[str] = (), assets: Assets = BUILT_IN.assets) -> Params:
@@ -332,12 +345,7 @@ def load_params(source: str, overrides: Sequence[str] = (), assets: Assets = BUI
     Numbers of models and textures refer to `assets`; see `numbers`. Raises one InputError with a line
     for every problem, each naming file and key.
     """
-    if source in preset_names():
-        path, where = presets_folder() / f"{source}.yaml", f"params/{source}.yaml"
-    elif Path(source).suffix in (".yaml", ".yml"):
-        path, where = Path(source), source
-    else:
-        raise InputError(f"{source}: expected one of {', '.join(preset_names())}, or the path of a .yaml file")
+    path, where = find_preset(source)
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

@@ -10,9 +10,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from synth3dlanes.errors import InputError
-from synth3dlanes.params import load_params
+from synth3dlanes.params import load_params, preset_names
 from synth3dlanes.sample import sample_scene
-from synth3dlanes.sensors.camera_files import camera_names, load_camera
+from synth3dlanes.sensors.camera_files import load_camera
 from synth3dlanes.sensors.cameras import CameraSpec
 from synth3dlanes.shots import Shots
 
@@ -198,7 +198,7 @@ def test_no_document_breaks_the_reader(tmp_path: Path, document: dict[object, ob
     assert not any("\n" in line for line in found)
 
 
-@pytest.mark.parametrize("name", camera_names())
+@pytest.mark.parametrize("name", preset_names("cameras"))
 def test_every_ready_camera_draws_scenes(name: str) -> None:
     spec = load_camera(name)
     scene = sample_scene(load_params("tiny"), 0, "train", 3, shots=Shots(cameras=(spec,)))

@@ -9,8 +9,9 @@ from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import from_json, to_json
+from synth3dlanes.params import preset_names
 from synth3dlanes.sample import with_lidar
-from synth3dlanes.sensors.lidar_files import lidar_names, load_lidar
+from synth3dlanes.sensors.lidar_files import load_lidar
 from synth3dlanes.sensors.lidars import LidarSpec
 from synth3dlanes.sensors.sweep import Sweep, directions
 from tests.dataset.test_hostile import mutated, refused_or_read
@@ -109,7 +110,7 @@ def test_damaged_sweeps(data):
 
 
 def test_the_ready_lidars_have_the_beams_of_their_manuals():
-    specs = {name: load_lidar(name) for name in lidar_names()}
+    specs = {name: load_lidar(name) for name in preset_names("lidars")}
     assert {name: len(spec.elevations_deg) for name, spec in specs.items()} == {
         "hdl_32e": 32, "hdl_64e": 64, "vlp_32c": 32
     }  # fmt: skip
@@ -132,7 +133,7 @@ def test_every_problem_of_a_lidar_file_is_a_line(tmp_path):
     path.write_text("elevations_deg: [1, 1]\nazimuths: 16\nmax_range_m: 50\nheight_m: 2\n")
     with pytest.raises(InputError, match="elevations_deg: expected each elevation once"):
         load_lidar(str(path))
-    with pytest.raises(InputError, match="lidar hdl: expected one of hdl_32e, hdl_64e, vlp_32c"):
+    with pytest.raises(InputError, match="hdl: expected one of hdl_32e, hdl_64e, vlp_32c"):
         load_lidar("hdl")
 
 

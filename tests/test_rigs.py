@@ -14,12 +14,12 @@ from synth3dlanes.errors import InputError
 from synth3dlanes.formats.plan import plan as export_plan
 from synth3dlanes.frames import invert, project, transform
 from synth3dlanes.ground_truth import label
-from synth3dlanes.params import load_params
+from synth3dlanes.params import load_params, preset_names
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.run import generate
 from synth3dlanes.sample import sample_scene, sample_world
 from synth3dlanes.scene import MAX_BEHIND_M
-from synth3dlanes.sensors.rig_files import load_rig, rig_names
+from synth3dlanes.sensors.rig_files import load_rig
 from synth3dlanes.shots import Shots
 from synth3dlanes.world import resolve
 from tests import fake_samples
@@ -57,7 +57,7 @@ def test_nuscenes_cameras_see_what_the_table_says(name):
 
 
 def test_all_ready_rigs_can_be_read_and_see_all_around():
-    assert {"argoverse2", "nuscenes"} <= set(rig_names())
+    assert {"argoverse2", "nuscenes"} <= set(preset_names("rigs"))
     for name, n_cameras in (("nuscenes", 6), ("argoverse2", 9)):
         rig = load_rig(name)
         assert len({spec.name for spec in rig}) == len(rig) == n_cameras

@@ -12,7 +12,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from synth3dlanes.errors import InputError
-from synth3dlanes.params import presets_folder, unknown_key
+from synth3dlanes.params import find_preset, unknown_key
 from synth3dlanes.schema import MAX_PROBLEMS, problem_line, shown
 from synth3dlanes.sensors.cameras import NAMES, CameraSpec
 from synth3dlanes.yaml_text import read_yaml
@@ -33,19 +33,9 @@ ROS_MODELS = {
 }
 
 
-def camera_names() -> list[str]:
-    """The names of the ready cameras."""
-    return sorted(path.stem for path in (presets_folder() / "cameras").glob("*.yaml"))
-
-
 def load_camera(source: str) -> CameraSpec:
     """Read a ready camera (by name) or a file; raise InputError with a line for every problem."""
-    if source in camera_names():
-        path, where = presets_folder() / "cameras" / f"{source}.yaml", f"params/cameras/{source}.yaml"
-    elif Path(source).suffix in (".yaml", ".yml"):
-        path, where = Path(source), source
-    else:
-        raise InputError(f"{source}: expected one of {', '.join(camera_names())}, or the path of a .yaml file")
+    path, where = find_preset(source, "cameras")
     return read_camera(read_document(path, where), where, path.parent)
 
 

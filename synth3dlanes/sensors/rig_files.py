@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from synth3dlanes.errors import InputError
-from synth3dlanes.params import presets_folder
+from synth3dlanes.params import find_preset
 from synth3dlanes.scene import MAX_CAMERAS
 from synth3dlanes.schema import MAX_PROBLEMS, shown
 from synth3dlanes.sensors.camera_files import load_camera, read_camera, read_document
@@ -17,19 +17,9 @@ from synth3dlanes.sensors.cameras import CameraSpec
 NAME = re.compile(r"[\w.-]{1,64}")
 
 
-def rig_names() -> list[str]:
-    """The names of the ready rigs."""
-    return sorted(path.stem for path in (presets_folder() / "rigs").glob("*.yaml"))
-
-
 def load_rig(source: str) -> tuple[CameraSpec, ...]:
     """Read a ready rig (by name) or a file, in the file's order; raise InputError with a line for every problem."""
-    if source in rig_names():
-        path, where = presets_folder() / "rigs" / f"{source}.yaml", f"params/rigs/{source}.yaml"
-    elif Path(source).suffix in (".yaml", ".yml"):
-        path, where = Path(source), source
-    else:
-        raise InputError(f"{source}: expected one of {', '.join(rig_names())}, or the path of a .yaml file")
+    path, where = find_preset(source, "rigs")
     document = read_document(path, where)
     if not isinstance(document, dict) or not 0 < len(document) <= MAX_CAMERAS:
         raise InputError(f"{where}: expected 1 to {MAX_CAMERAS} cameras by name, got {shown(document)}")
