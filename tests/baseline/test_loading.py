@@ -101,9 +101,9 @@ def test_what_is_kept_is_read_once(drawn, tmp_path):
     n_steps = n_epochs * 5
     kept = Counted(drawn)
     _batches(kept, tmp_path, n_steps=n_steps, batch=2, workers=2, keep_decoded=True)
-    # Two workers may meet the same sample before either has written it.
-    assert max(kept.counts("whole")) <= 2
-    assert max(kept.counts("image") + kept.counts("labels")) == 0
+    # In the first of three epochs, two workers may meet the same sample before either has written all of it.
+    reads = zip(*(kept.counts(part) for part in ("whole", "image", "labels")), strict=True)
+    assert max(map(sum, reads)) <= 2
     streamed = Counted(drawn)
     _batches(streamed, tmp_path, n_steps=n_steps, batch=2, keep_decoded=False)
     assert set(streamed.counts("whole")) == {1}, "labels are kept even where images are not"
