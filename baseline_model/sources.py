@@ -101,8 +101,7 @@ class Upright:
 
     @cached_property
     def _is_level(self) -> Bool[np.ndarray, " n"]:
-        cameras = self.reader.description.get("shots", {}).get("cameras", ())
-        has_lens = any(camera.get("model", "pinhole") != "pinhole" for camera in cameras)
+        has_lens = any(camera.model != "pinhole" for camera in self.reader.cameras)
         return np.asarray((self.reader.index[ROLL].to_numpy() == 0) & (not has_lens))
 
 

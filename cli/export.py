@@ -59,7 +59,8 @@ def _size(text: str | None) -> tuple[int, int] | None:
     "--cameras",
     metavar="NAMES",
     default="",
-    help="Cameras of a rig, separated by commas. Default: those that look ahead.",
+    help="Cameras of a rig, separated by commas. Default: those that look ahead; all for openlane_v2, coco, masks and "
+    "yolo.",
 )
 @click.option("--workers", default=1, show_default=True, type=click.IntRange(min=1), help="Worker processes.")
 def export(

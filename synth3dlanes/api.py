@@ -245,15 +245,18 @@ def export_dataset(
     format_name: str,
     *,
     size_px: tuple[int, int] | None = None,
+    cameras: str | Sequence[str] = (),
     workers: int = 1,
 ) -> Summary:
     """Write a data set in a format of `export` and return what was written.
 
     `out` is a new folder, or one with the same export: frames that it has are kept. `size_px` is the images' width and
-    height, by default the format's. Raises InputError otherwise, and for a size that the format does not have.
+    height, by default the format's. `cameras` are the names of those of a rig; by default those that look ahead, and
+    all where the format takes images as they are. Raises InputError otherwise, and for a size or a camera that is not
+    there.
     """
     format_name = _one_of("format_name", format_name, FORMATS)
-    return export(str(source), Path(out), format_name, workers, lambda done, total: None, size_px)
+    return export(str(source), Path(out), format_name, workers, lambda done, total: None, size_px, _several(cameras))
 
 
 def _shots(camera: CameraSpec | None, rig: Sequence[CameraSpec], frames: int, fps: float) -> Shots:

@@ -1,16 +1,18 @@
 """Rigs: files, one world for all cameras, and what training and exports take of them."""
 
+import json
 import math
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from synth3dlanes_baseline.sources import Upright, training_and_validation
 
-from baseline_model.sources import Upright, training_and_validation
 from synth3dlanes import labels as labels_format
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rectify import rectified_labels
 from synth3dlanes.errors import InputError
+from synth3dlanes.formats.export import export
 from synth3dlanes.formats.plan import plan as export_plan
 from synth3dlanes.frames import invert, project, transform
 from synth3dlanes.ground_truth import label
@@ -156,6 +158,18 @@ def test_training_and_exports_take_the_cameras_that_look_ahead(data):
     assert [upright.key(i) for i in range(len(upright))] == ["00000000", "00000006"]
     assert [place for chunk in export_plan(str(data)) for place in chunk.places] == [0, 6]
     assert [place for chunk in export_plan(str(data), ["CAM_BACK"]) for place in chunk.places] == [3, 9]
+    (everything,) = export_plan(str(data), takes_rigs=True)
+    assert everything.places == tuple(range(12))
+
+
+def test_an_openlane_v2_frame_has_all_cameras_of_its_moment(data, tmp_path):
+    assert export(str(data), tmp_path, "openlane_v2", 1, lambda done, total: None).n_frames.total() == 12
+    frames = sorted(tmp_path.glob("OpenLane-V2/*/*/info/*0.json"))
+    assert len(frames) >= 2
+    for frame in frames:
+        sensors = json.loads(frame.read_text())["sensor"]
+        assert set(sensors) == {spec.name for spec in NUSCENES}
+        assert all((tmp_path / "OpenLane-V2" / found["image_path"]).exists() for found in sensors.values())
 
 
 def test_a_rig_that_only_looks_back_has_nothing_to_train_on(tmp_path):

@@ -115,6 +115,8 @@ def build(studio: Studio, world: World, view: View, light: Daylight, labelled: S
     if studio.ground is world.ground:
         _clear(studio, OF_VIEW)
     else:
+        # Until it stands: a build that fails leaves no world that another view could be added to.
+        studio.ground = None
         _clear(studio, COLLECTIONS)
         _stage(studio, world, trees)
     _add_paint(studio.materials, world, view, labelled)

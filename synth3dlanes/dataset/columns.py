@@ -53,10 +53,8 @@ SCHEMA = pa.schema(
     + [(f"n_{seen}{kind}", pa.int64()) for kind in ("centerlines", "delimiters") for seen in ("", "visible_")]
     + [("terrain_hidden_fraction", pa.float64()), ("object_hidden_fraction", pa.float64())]
 )
-# Only where scenes have several pictures, so that the shards of other data sets go on having the same columns.
+# Only where scenes have several pictures or a lidar, so that the shards of other data sets keep their columns.
 SHOT_SCHEMA = pa.schema([(name, pa.int64()) for name in SHOT_COLUMNS])
-
-
 LIDAR_SCHEMA = pa.schema([(name, pa.int64()) for name in place_columns([LIDAR])])
 
 

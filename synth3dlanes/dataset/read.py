@@ -168,9 +168,10 @@ class Reader:
 
     def rig(self, i: int) -> list[int]:
         """Where the pictures by all cameras of the scene and frame of sample i are, in the rig's order."""
-        i = self._position(i)
-        is_asked = (self.scene_of == self.scene_of[i]) & (self.frame_of == self.frame_of[i])
-        return [int(place) for place in np.flatnonzero(is_asked)]
+        i, n = self._position(i), max(1, len(self.cameras))
+        near = range(max(0, i - n + 1), min(len(self), i + n))
+        moment = self.scene_of[i], self.frame_of[i]
+        return [place for place in near if (self.scene_of[place], self.frame_of[place]) == moment]
 
     @cached_property
     def cameras(self) -> tuple[CameraSpec, ...]:

@@ -63,11 +63,11 @@ def export(
 ) -> Summary:
     """Export every split under `source`, or the one that it names; `progress` gets (frames done, frames in all).
     `size_px` is the images' width and height, by default the format's. `cameras` names those of a rig whose frames are
-    wanted; by default those that look ahead."""
+    wanted; by default those that look ahead, and all where the format takes images as they are."""
     foreign = _sized(format_name, size_px)
     camera = foreign.camera if isinstance(foreign, PinholeFormat) else None
     is_per_scene = isinstance(foreign, SampleFormat) and foreign.is_per_scene
-    chunks = plan(source, cameras, is_per_scene)
+    chunks = plan(source, cameras, is_per_scene, isinstance(foreign, SampleFormat))
     if isinstance(foreign, SampleFormat):
         _require_passes(foreign, format_name, chunks)
     splits = {chunk.split.name: chunk.split.part for chunk in chunks}

@@ -15,7 +15,7 @@ from synth3dlanes.formats.plan import Chunk
 from synth3dlanes.formats.resample import fitting_pinhole, resample
 from synth3dlanes.formats.sample_format import SampleFormat, SampleFrame
 from synth3dlanes.formats.writing import Annotation, Frame, PinholeFormat, PinholeFrame
-from synth3dlanes.labels import CameraLabel
+from synth3dlanes.labels import CameraLabel, Labels
 
 Record = dict[str, Any]
 
@@ -52,14 +52,14 @@ def write_resampled(reader: Reader, index: int, chunk: Chunk, out: Path, foreign
 def write_as_it_is(reader: Reader, index: int, chunk: Chunk, out: Path, foreign: SampleFormat) -> Record:
     """Write a frame as it is."""
     scene_json, key, image_format = reader.member(index, SCENE), reader.key(index), reader.description["image_format"]
-    where = f"{chunk.url}:{key}"
+    where, labels = f"{chunk.url}:{key}", reader.labels(index)
     frame = SampleFrame(
         **vars(_frame(reader, index, chunk)),
         scene=scene_format.from_json(scene_json, where),
-        labels=reader.labels(index),
+        labels=labels,
         passes=reader.passes(index) if foreign.passes else {},
         image_format=image_format,
-        cameras=_cameras(reader, index, chunk),
+        cameras=_cameras(reader, index, labels, chunk),
     )
     annotation = foreign.annotate(frame)
     if annotation is None:
@@ -72,10 +72,13 @@ def write_as_it_is(reader: Reader, index: int, chunk: Chunk, out: Path, foreign:
     return _write(out, frame, annotation, write_image)
 
 
-def _cameras(reader: Reader, index: int, chunk: Chunk) -> dict[str, CameraLabel]:
-    """The cameras of the moment by their samples' keys, for the first of them."""
-    moment = np.intersect1d(reader.rig(index), reader.taken_by(chunk.cameras)).tolist()
-    return {reader.key(i): reader.labels(i).camera for i in moment} if moment[0] == index else {}
+def _cameras(reader: Reader, index: int, labels: Labels, chunk: Chunk) -> dict[str, CameraLabel]:
+    """The exported cameras of the moment of a sample with these labels, by their samples' keys, for the first of
+    them."""
+    _, *others = moment = [i for i in reader.rig(index) if reader.camera_name(i) in chunk.cameras or not chunk.cameras]
+    if moment[0] != index:
+        return {}
+    return {reader.key(index): labels.camera, **{reader.key(i): reader.labels(i).camera for i in others}}
 
 
 def _frame(reader: Reader, index: int, chunk: Chunk) -> Frame:

@@ -50,22 +50,24 @@ class Chunk:
         return f"{self.source}/{self.split.name}"
 
 
-def plan(source: str, cameras: Sequence[str] = (), is_per_scene: bool = False) -> list[Chunk]:
+def plan(source: str, cameras: Sequence[str] = (), is_per_scene: bool = False, takes_rigs: bool = False) -> list[Chunk]:
     """The chunks of every split under `source`, or of the one split that it names; of a rig's cameras those that are
-    named, or those that look ahead. If it `is_per_scene`, only the first frame of each scene."""
+    named, or those that look ahead, or all if it `takes_rigs`. If it `is_per_scene`, only the first frame of each
+    scene."""
     found = readers(source)
     source = found[0].url.rpartition("/")[0]
     splits = assign([split_name(reader) for reader in found])
     parts = parts_of(splits)
     chunks = []
     for split, reader in zip(splits, found, strict=True):
-        taken = reader.taken_by(cameras)
+        names = tuple(cameras) or (tuple(camera.name for camera in reader.cameras) if takes_rigs else ())
+        taken = reader.taken_by(names)
         if is_per_scene:
             taken = taken[np.unique(reader.scene_of[taken], return_index=True)[1]]
         for start in range(0, len(taken), FRAMES_PER_CHUNK):
             places = taken[start : start + FRAMES_PER_CHUNK]
             mark = f"{split.name}-{reader.key(int(places[0]))}-{_digest(reader, places)}.jsonl"
-            chunks.append(Chunk(source, split, parts, tuple(places.tolist()), mark, tuple(cameras)))
+            chunks.append(Chunk(source, split, parts, tuple(places.tolist()), mark, names))
     return chunks
 
 

@@ -1,6 +1,7 @@
 """COCO and plain masks: what tools decode is what the passes hold."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -46,12 +47,21 @@ def with_passes(tmp_path_factory, write_split):
     return root
 
 
-@pytest.fixture(scope="module", params=["coco", "masks"])
-def exported(request, with_passes, tmp_path_factory):
-    out = tmp_path_factory.mktemp("exports") / request.param
-    summary = export(str(with_passes), out, request.param, 1, lambda done, total: None)
+@pytest.fixture(scope="module")
+def coco(with_passes, tmp_path_factory):
+    return exported("coco", with_passes, tmp_path_factory)
+
+
+@pytest.fixture(scope="module")
+def masks(with_passes, tmp_path_factory):
+    return exported("masks", with_passes, tmp_path_factory)
+
+
+def exported(format_name, source, tmp_path_factory):
+    out = tmp_path_factory.mktemp(format_name) / "out"
+    summary = export(str(source), out, format_name, 1, lambda done, total: None)
     assert summary.n_frames == {"train": 3, "test": 2}
-    return request.param, out
+    return out
 
 
 def decode(runs):
@@ -64,21 +74,18 @@ def decode(runs):
     return np.array(flat).reshape(width_px, height_px).T == 1
 
 
-def test_instances_and_segments_are_the_passes(exported, with_passes):
-    format_name, out = exported
-    if format_name != "coco":
-        pytest.skip("not COCO")
+def test_instances_and_segments_are_the_passes(coco, with_passes):
     reader = open_reader(f"{with_passes}/train")
-    things = json.loads((out / "annotations/instances_train.json").read_text())
-    panoptic = json.loads((out / "annotations/panoptic_train.json").read_text())
+    things = json.loads((coco / "annotations/instances_train.json").read_text())
+    panoptic = json.loads((coco / "annotations/panoptic_train.json").read_text())
     names = {category["id"]: category["name"] for category in things["categories"]}
     assert names == {number + 1: name for name, number in SEMANTIC_IDS.items()}
     assert [instance["id"] for instance in things["annotations"]] == list(range(1, len(things["annotations"]) + 1))
     assert things["images"] == panoptic["images"]
     for index, (image, frame) in enumerate(zip(panoptic["images"], panoptic["annotations"], strict=True)):
         passes, labels = reader.passes(index), reader.labels(index)
-        assert (out / "images" / image["file_name"]).read_bytes() == reader.member(index, "jpg")
-        red, green, blue = np.asarray(Image.open(out / "panoptic" / frame["file_name"])).astype(int).transpose(2, 0, 1)
+        assert (coco / "images" / image["file_name"]).read_bytes() == reader.member(index, "jpg")
+        red, green, blue = np.asarray(Image.open(coco / "panoptic" / frame["file_name"])).astype(int).transpose(2, 0, 1)
         segments = red + 256 * green + 65536 * blue
         assert {info["id"]: info["area"] for info in frame["segments_info"]} == dict(
             zip(*map(np.ndarray.tolist, np.unique(segments, return_counts=True)), strict=True)
@@ -114,25 +121,22 @@ def test_run_lengths(flat):
     assert "".join(str(k % 2) * n for k, n in enumerate(lengths)) == flat
 
 
-def test_masks_are_the_passes_and_lines_run_along_them(exported, with_passes):
-    format_name, out = exported
-    if format_name != "masks":
-        pytest.skip("not masks")
+def test_masks_are_the_passes_and_lines_run_along_them(masks, with_passes):
     reader, n_checked = open_reader(f"{with_passes}/train"), 0
-    assert json.loads((out / "classes.json").read_text()) == SEMANTIC_IDS
-    assert (out / "lists/train.txt").read_text().split() == [f"train-{i:08d}.jpg" for i in range(3)]
-    assert (out / "lists/val.txt").read_text() == (out / "lists/test.txt").read_text()
+    assert json.loads((masks / "classes.json").read_text()) == SEMANTIC_IDS
+    assert (masks / "lists/train.txt").read_text().split() == [f"train-{i:08d}.jpg" for i in range(3)]
+    assert (masks / "lists/val.txt").read_text() == (masks / "lists/test.txt").read_text()
     for index in range(3):
         passes, delimiters = reader.passes(index), [x for x in reader.labels(index).lanes if x.kind == "delimiter"]
         for folder in ("semantic", "instance"):
-            with Image.open(out / f"{folder}/train-{index:08d}.png") as mask:
+            with Image.open(masks / f"{folder}/train-{index:08d}.png") as mask:
                 assert mask.mode == {"semantic": "L", "instance": "I;16"}[folder]
                 np.testing.assert_array_equal(np.asarray(mask), passes[folder])
-        marks = np.asarray(Image.open(out / f"lines/train-{index:08d}.png"))
+        marks = np.asarray(Image.open(masks / f"lines/train-{index:08d}.png"))
         ids = np.where((passes["instance"] >= 200) & (passes["instance"] < 300), passes["instance"], 199)
         np.testing.assert_array_equal(marks, ids - 199)
-        about = json.loads((out / f"lines/train-{index:08d}.json").read_text())
-        texts = (out / f"lines/train-{index:08d}.lines.txt").read_text().splitlines()
+        about = json.loads((masks / f"lines/train-{index:08d}.json").read_text())
+        texts = (masks / f"lines/train-{index:08d}.lines.txt").read_text().splitlines()
         assert len(texts) == len(about) >= 2
         for line, text in zip(about, texts, strict=True):
             assert line["id"] == delimiters[line["number"] - 1].id
@@ -153,33 +157,35 @@ def test_masks_are_the_passes_and_lines_run_along_them(exported, with_passes):
     assert n_checked >= 6
 
 
-def test_exports_verify_and_lines_with_each_others_numbers_are_found(exported):
-    format_name, out = exported
-    results = verify(out, format_name, 9)
+@pytest.mark.parametrize("format_name", ["coco", "masks"])
+def test_exports_verify(format_name, request):
+    results = verify(request.getfixturevalue(format_name), format_name, 9)
     assert [result.name for result in results] == ["test", "train", "val"]
     assert [result.problems for result in results] == [()] * 3
     for result in results:
         ((perfect,), (moved,)) = result.perfect.values(), result.shifted.values()
         assert perfect > 0.97
         assert moved < 0.5
-    if format_name == "masks":
-        path = out / "lines/train-00000000.json"
-        good = path.read_text()
-        about = json.loads(good)
-        about[0]["number"], about[1]["number"] = about[1]["number"], about[0]["number"]
-        path.write_text(json.dumps(about))
-        assert any(
-            "expected 97% of the paint" in problem
-            for result in verify(out, format_name, 9)
-            for problem in result.problems
-        )
-        path.write_text(good)
-    else:
-        path = out / "panoptic/train-00000000.png"
-        good = path.read_bytes()
-        Image.fromarray(np.roll(np.asarray(Image.open(path)), 1, axis=1)).save(path)
-        assert any("overlap" in problem for result in verify(out, format_name, 9) for problem in result.problems)
-        path.write_bytes(good)
+
+
+def problems(out, format_name):
+    return [problem for result in verify(out, format_name, 9) for problem in result.problems]
+
+
+def test_lines_with_each_others_numbers_are_found(masks, tmp_path):
+    out = shutil.copytree(masks, tmp_path / "masks")
+    path = out / "lines/train-00000000.json"
+    about = json.loads(path.read_text())
+    about[0]["number"], about[1]["number"] = about[1]["number"], about[0]["number"]
+    path.write_text(json.dumps(about))
+    assert any("expected 97% of the paint" in problem for problem in problems(out, "masks"))
+
+
+def test_segments_a_pixel_aside_are_found(coco, tmp_path):
+    out = shutil.copytree(coco, tmp_path / "coco")
+    path = out / "panoptic/train-00000000.png"
+    Image.fromarray(np.roll(np.asarray(Image.open(path)), 1, axis=1)).save(path)
+    assert any("overlap" in problem for problem in problems(out, "coco"))
 
 
 @pytest.mark.parametrize("format_name", ["coco", "masks", "yolo"])
