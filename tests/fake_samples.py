@@ -10,11 +10,13 @@ import numpy as np
 
 from synth3dlanes import scene as scene_module
 from synth3dlanes.dataset.format import encode
+from synth3dlanes.ground_truth import label
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph, Segment
 from synth3dlanes.params import load_params
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Made, Recipe
 from synth3dlanes.production.run import generate
+from synth3dlanes.sample import sample_world
 from synth3dlanes.scene import Shot
 from synth3dlanes.settings import RenderSettings
 from synth3dlanes.shots import SINGLE, Shots
@@ -55,6 +57,14 @@ def make(recipe: Recipe, index: int) -> Made:
     scene = FLAT.model_copy(update={**world, "camera": camera})
     time_s = shot.time_s if shots.frames > 1 else None
     members = encode(image(index), labels(index, time_s), scene_module.to_json(scene), {}, recipe.image_format)
+    return Made(members, {"fake": 0.0})
+
+
+def make_labelled(recipe: Recipe, index: int) -> Made:
+    """Scene and labels are true, the image is black."""
+    world = sample_world(recipe.params, recipe.seed, recipe.split, index, shots=recipe.shots)
+    black = np.zeros((world.scene.camera.height_px, world.scene.camera.width_px, 3), np.uint8)
+    members = encode(black, label(world, world.view), scene_module.to_json(world.scene), {}, recipe.image_format)
     return Made(members, {"fake": 0.0})
 
 
