@@ -19,7 +19,7 @@ def _size(text: str | None) -> tuple[int, int] | None:
 
 
 @click.command()
-@click.argument("source", metavar="DIR")
+@click.argument("source", metavar="DIR|DIR/SPLIT:KEY")
 @click.option(
     "--format",
     "format_name",
@@ -72,8 +72,9 @@ def export(
     cameras: str,
     workers: int,
 ) -> None:
-    """Convert a data set (DIR) or one split (DIR/train) to the format of Apollo Sim-3D, OpenLane, ONCE-3DLanes,
-    tuSimple, CULane, CurveLanes, OpenLane-V2, COCO or YOLO, to plain masks, or to an OpenDRIVE map of each scene.
+    """Convert a data set (DIR), one split (DIR/train) or one sample (DIR/train:00000017) to the format of Apollo
+    Sim-3D, OpenLane, ONCE-3DLanes, tuSimple, CULane, CurveLanes, OpenLane-V2, COCO or YOLO, to plain masks, or to an
+    OpenDRIVE map of each scene.
 
     Rerun to resume, or to add samples generated since. OUT/README.md describes how splits were mapped,
     and which frames and lanes were left out and why.

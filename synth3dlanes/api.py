@@ -32,6 +32,7 @@ from synth3dlanes.dataset.write import write_whole
 from synth3dlanes.errors import InputError
 from synth3dlanes.formats.export import FORMATS, export
 from synth3dlanes.formats.summary import Summary
+from synth3dlanes.given_scenes import drawn
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import Params
@@ -45,6 +46,7 @@ from synth3dlanes.production.tally import Report
 from synth3dlanes.production.user_assets import open_library
 from synth3dlanes.sample import sample_scene as _sample_scene
 from synth3dlanes.sample import with_lidar
+from synth3dlanes.sampling.like import read_like
 from synth3dlanes.scene import Scene
 from synth3dlanes.sensors.camera_files import load_camera as _load_camera
 from synth3dlanes.sensors.cameras import CameraSpec
@@ -212,12 +214,16 @@ def generate_dataset(
     workers: int = 0,
     camera: CameraSpec | None = None,
     rig: Sequence[CameraSpec] = (),
+    like: Sequence[Scene] = (),
+    spreads: str | Sequence[str] = (),
     assets: Library = BUILT_IN,
     notify: Callable[[Event], None] | None = None,
 ) -> Report:
     """Make samples 0 to n - 1 of a split in `out`, a folder or a URL; what is there already is kept.
 
     With `frames` above 1 they are the frames of clips, `fps` a second: the first clip is samples 0 to frames - 1.
+    With scenes to be `like`, drawn from the same parameters, new scenes are drawn near these; `spreads` are shares of
+    the parameters' ranges, as `0.1` for all or `camera.pitch_deg=0.4` for one (docs/like.md).
     `workers` 0 is one for each core; `notify` is called with every event, whose `message` is a line of text. A problem
     on the way does not raise: see `problem`, `done` and `asked` of the result. Raises InputError, MissingPackageError
     or DiskFullError where it cannot start.
@@ -229,7 +235,10 @@ def generate_dataset(
         settings = replace(settings, passes=(*settings.passes, "lidar"))
         shots = shots.model_copy(update={"lidar": load_lidar(str(lidar))})
     image_format = _one_of("image_format", image_format, IMAGE_FORMATS)
-    recipe = Recipe(params, seed, split, settings, image_format, library=assets, shots=shots)
+    if spreads and not like:
+        raise InputError("spreads: expected none without scenes to be like")
+    given = read_like(drawn(like, params, assets.assets, "like"), _several(spreads)) if like else None
+    recipe = Recipe(params, seed, split, settings, image_format, library=assets, shots=shots, like=given)
     plan = Plan(out, n, recipe, workers)
     return generate(plan, notify or (lambda event: None))
 
@@ -248,7 +257,7 @@ def export_dataset(
     cameras: str | Sequence[str] = (),
     workers: int = 1,
 ) -> Summary:
-    """Write a data set in a format of `export` and return what was written.
+    """Write a data set, a split or a sample (`DIR/train:00000017`) in a format of `export`; return what was written.
 
     `out` is a new folder, or one with the same export: frames that it has are kept. `size_px` is the images' width and
     height, by default the format's. `cameras` are the names of those of a rig; by default those that look ahead, and

@@ -1,7 +1,8 @@
-"""The scenes that `generate --like FILE` names: as JSON, by their samples, or as the worst of an evaluation."""
+"""Scenes to draw others near; those that `generate --like FILE` names: as JSON, by their samples, or as the worst of an
+evaluation."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
@@ -51,14 +52,19 @@ def given_scenes(path: Path, params: Params, assets: Assets) -> tuple[Drawn, ...
         text = path.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
         raise InputError(f"like {path}: cannot read: {getattr(error, 'strerror', None) or error}") from None
-    scenes: dict[Drawn, None] = {}
-    for scene in _scenes(text, str(path)):
-        if len(scenes) < CHECKED:
-            _check(scene, params, assets, str(path))
-        scenes[scene.seed, scene.split, scene.index] = None
-    if not 0 < len(scenes) <= MAX_SCENES:
-        raise InputError(f"like {path}: expected 1 to {MAX_SCENES} scenes, got {len(scenes)}")
-    return tuple(scenes)
+    return drawn(_scenes(text, str(path)), params, assets, f"like {path}")
+
+
+def drawn(scenes: Iterable[Scene], params: Params, assets: Assets, where: str) -> tuple[Drawn, ...]:
+    """The draws of scenes, each once; raise InputError where there are none, or one is not of the parameters."""
+    found: dict[Drawn, None] = {}
+    for scene in scenes:
+        if len(found) < CHECKED:
+            _check(scene, params, assets, where)
+        found[scene.seed, scene.split, scene.index] = None
+    if not 0 < len(found) <= MAX_SCENES:
+        raise InputError(f"{where}: expected 1 to {MAX_SCENES} scenes, got {len(found)}")
+    return tuple(found)
 
 
 def _scenes(text: str, where: str) -> Iterator[Scene]:
@@ -95,10 +101,10 @@ def _reader(url: str) -> Reader:
 
 def _check(scene: Scene, params: Params, assets: Assets, where: str) -> None:
     """Raise InputError unless the parameters draw the scene."""
-    drawn = sample_scene(params, scene.seed, scene.split, scene.index, assets)
-    wrong = [name for name in PARTS if getattr(drawn, name) != getattr(scene, name)]
+    again = sample_scene(params, scene.seed, scene.split, scene.index, assets)
+    wrong = [name for name in PARTS if getattr(again, name) != getattr(scene, name)]
     if wrong:
         raise InputError(
-            f"like {where}: expected scenes as these parameters draw them, got other {', '.join(wrong)} in scene "
+            f"{where}: expected scenes as these parameters draw them, got other {', '.join(wrong)} in scene "
             f"{scene.index} of {scene.split}, seed {scene.seed}; use the --params, --set and --assets of its data set"
         )

@@ -88,6 +88,22 @@ def test_a_render_is_what_a_data_set_has(tmp_path: Path) -> None:
     assert saved == reader.raw(0)
 
 
+def test_a_data_set_states_the_scenes_that_its_own_are_like(tmp_path: Path) -> None:
+    params = synth3dlanes.load_params("tiny")
+    scenes = [synth3dlanes.sample_scene(params, seed=3, index=index) for index in (5, 2)]
+    spreads = ["0.2", "camera.pitch_deg=0.4"]
+    synth3dlanes.generate_dataset(params, tmp_path, n=0, like=scenes, spreads=spreads, workers=1)
+    assert json.loads((tmp_path / "dataset.json").read_text())["like"] == {
+        "scenes": [[3, "train", 5], [3, "train", 2]],
+        "spread": 0.2,
+        "spreads": [["camera.pitch_deg", 0.4]],
+    }
+    with pytest.raises(synth3dlanes.InputError, match="like: expected scenes as these parameters draw them"):
+        synth3dlanes.generate_dataset(
+            synth3dlanes.load_params("tiny", "road.lane_width_m=3"), tmp_path, n=0, like=scenes
+        )
+
+
 @pytest.mark.parametrize(
     ("function", "arguments", "problem"),
     [
@@ -98,6 +114,7 @@ def test_a_render_is_what_a_data_set_has(tmp_path: Path) -> None:
         ("generate_dataset", {"out": "o", "n": 1, "seed": -2}, "seed: expected 0 or more, got -2"),
         ("render", {"device": "gpu"}, "device: expected one of auto, cpu"),
         ("generate_dataset", {"out": "o", "n": 1, "image_format": "bmp"}, "image_format: expected one of jpg, png"),
+        ("generate_dataset", {"out": "o", "n": 1, "spreads": "0.1"}, "spreads: expected none without scenes"),
         ("generate_dataset", {"out": "o", "n": -1}, "n: expected 0 to 100000000, got -1"),
         ("export_dataset", {"source": "d", "out": "o", "format_name": "kitti"}, "format_name: expected one of apollo"),
     ],

@@ -162,6 +162,14 @@ def test_training_and_exports_take_the_cameras_that_look_ahead(data):
     assert everything.places == tuple(range(12))
 
 
+def test_a_single_picture_is_exported_by_whatever_camera_or_with_its_moment(data):
+    assert export_plan(f"{data}/train:9")[0].places == (9,)
+    assert export_plan(f"{data}/train:9", takes_rigs=True)[0].places == tuple(range(6, 12))
+    assert export_plan(f"{data}/train:9", ["CAM_BACK"])[0].places == (9,)
+    with pytest.raises(InputError, match="cameras: expected that of the sample, got CAM_FRONT for 00000009 by CAM_B"):
+        export_plan(f"{data}/train:9", ["CAM_FRONT"])
+
+
 def test_an_openlane_v2_frame_has_all_cameras_of_its_moment(tmp_path):
     pair = (NUSCENES[0], NUSCENES[3])
     recipe = fake_samples.recipe(shots=Shots(cameras=pair))

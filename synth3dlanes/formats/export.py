@@ -61,9 +61,9 @@ def export(
     size_px: tuple[int, int] | None = None,
     cameras: Sequence[str] = (),
 ) -> Summary:
-    """Export every split under `source`, or the one that it names; `progress` gets (frames done, frames in all).
-    `size_px` is the images' width and height, by default the format's. `cameras` names those of a rig whose frames are
-    wanted; by default those that look ahead, and all where the format takes images as they are."""
+    """Export every split under `source`, or the one split or sample that it names; `progress` gets (frames done, frames
+    in all). `size_px` is the images' width and height, by default the format's. `cameras` names those of a rig whose
+    frames are wanted; by default those that look ahead, and all where the format takes images as they are."""
     foreign = _sized(format_name, size_px)
     camera = foreign.camera if isinstance(foreign, PinholeFormat) else None
     is_per_scene = isinstance(foreign, SampleFormat) and foreign.is_per_scene

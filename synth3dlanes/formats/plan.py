@@ -8,9 +8,11 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Int
 
-from synth3dlanes.dataset.read import Reader
+from synth3dlanes.dataset.read import Reader, find
 from synth3dlanes.dataset.splits import readers, split_name
+from synth3dlanes.errors import InputError
 from synth3dlanes.formats.writing import PARTS, Part
+from synth3dlanes.sources import SAMPLE
 
 FRAMES_PER_CHUNK = 50
 DEALT_EVERY = 5
@@ -51,23 +53,27 @@ class Chunk:
 
 
 def plan(source: str, cameras: Sequence[str] = (), is_per_scene: bool = False, takes_rigs: bool = False) -> list[Chunk]:
-    """The chunks of every split under `source`, or of the one split that it names; of a rig's cameras those that are
-    named, or those that look ahead, or all if it `takes_rigs`. If it `is_per_scene`, only the first frame of each
-    scene."""
-    found = readers(source)
-    source = found[0].url.rpartition("/")[0]
+    """The chunks of every split under `source`, or of the one split or sample that it names; of a rig's cameras those
+    that are named, or those that look ahead, or all if it `takes_rigs`. If it `is_per_scene`, only the first frame of
+    each scene."""
+    if SAMPLE.fullmatch(source):
+        reader, named = find(source)
+        found, moment = [reader], reader.rig(named) if takes_rigs else [named]
+    else:
+        found, moment = readers(source), None
+    folder = found[0].url.rpartition("/")[0]
     splits = assign([split_name(reader) for reader in found])
     parts = parts_of(splits)
     chunks = []
     for split, reader in zip(splits, found, strict=True):
         names = tuple(cameras) or (tuple(camera.name for camera in reader.cameras) if takes_rigs else ())
-        taken = reader.taken_by(names)
+        taken = reader.taken_by(names) if moment is None else _of_moment(reader, moment, names)
         if is_per_scene:
             taken = taken[np.unique(reader.scene_of[taken], return_index=True)[1]]
         for start in range(0, len(taken), FRAMES_PER_CHUNK):
             places = taken[start : start + FRAMES_PER_CHUNK]
             mark = f"{split.name}-{reader.key(int(places[0]))}-{_digest(reader, places)}.jsonl"
-            chunks.append(Chunk(source, split, parts, tuple(places.tolist()), mark, names))
+            chunks.append(Chunk(folder, split, parts, tuple(places.tolist()), mark, names))
     return chunks
 
 
@@ -94,6 +100,15 @@ def open_reader(url: str) -> Reader:
 
 def _part(name: str) -> Part:
     return next((part for part in PARTS if name.startswith(part)), "train")
+
+
+def _of_moment(reader: Reader, moment: list[int], names: Sequence[str]) -> Int[np.ndarray, " n"]:
+    """Those of a moment's pictures that the named cameras took; all without names."""
+    taken = np.intersect1d(moment, reader.taken_by(names)) if names else np.array(moment)
+    if not len(taken):
+        got = f"{reader.key(moment[0])} by {reader.camera_name(moment[0])}"
+        raise InputError(f"cameras: expected that of the sample, got {', '.join(names)} for {got}")
+    return taken
 
 
 def _digest(reader: Reader, places: Int[np.ndarray, " n"]) -> str:

@@ -101,6 +101,17 @@ def test_running_again_and_running_in_parallel_give_the_same_bytes(exported, dat
         assert files_of(tmp_path / "parallel") == before
 
 
+def test_a_sample_is_exported_as_with_all_others(dataset, tmp_path):
+    for name, source in (("all", f"{dataset}/train"), ("one", f"{dataset}/train:2")):
+        export(source, tmp_path / name, "openlane", 1, lambda done, total: None)
+    one, every = files_of(tmp_path / "one"), files_of(tmp_path / "all")
+    of_frames = {path for path in one if "00000002" in path and not path.startswith(".parts/")}
+    assert {path.rpartition(".")[2] for path in of_frames} >= {"jpg", "json"}
+    assert all(one[path] == every[path] for path in of_frames)
+    assert not any("00000001" in path or "00000003" in path for path in one)
+    assert any("00000001" in path for path in every)
+
+
 def test_an_interrupted_export_continues_and_a_grown_dataset_is_added(write_split, tmp_path, monkeypatch):
     monkeypatch.setattr("synth3dlanes.formats.plan.FRAMES_PER_CHUNK", 2)
     root, out = tmp_path / "data", tmp_path / "out"
