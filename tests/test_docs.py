@@ -60,11 +60,12 @@ def test_every_parameter_has_its_meaning_in_the_reference_preset() -> None:
 
 def test_every_column_pass_and_id_is_in_the_format_page() -> None:
     from synth3dlanes.dataset.columns import SCHEMA
+    from synth3dlanes.dataset.index import ADDED
     from synth3dlanes.settings import PASSES, SEMANTIC_IDS
 
     text = re.sub(r"```.*?```", "", (DOCS / "format.md").read_text(), flags=re.DOTALL)
     named = set(re.findall(r"`([^`]+)`", text))
-    assert set(SCHEMA.names) | set(PASSES) | set(SEMANTIC_IDS) <= named
+    assert set(SCHEMA.names) | set(ADDED) | set(PASSES) | set(SEMANTIC_IDS) <= named
 
 
 def validator(name: str) -> Draft202012Validator:

@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 from pydantic import BaseModel
-from pydantic.fields import FieldInfo
 
 from synth3dlanes.dataset.format import COLUMN_OF_MEMBER, LIDAR
-from synth3dlanes.dataset.index import RECIPE, SHOT_COLUMNS, place_columns
+from synth3dlanes.dataset.index import ADDED_SCHEMA, RECIPE, SHOT_COLUMNS, place_columns
 from synth3dlanes.labels import Labels, Lane
 from synth3dlanes.scene import Air, Camera, Light, Markings, Road, Scene, Sensor, Surface
 
-PREFIXES = {"markings": "marking_", "camera": "camera_"}
+PREFIXES = {"markings": "marking_", "camera": "camera_", "weather": "weather_", "host": "host_"}
 PARTS: dict[str, type[BaseModel]] = {
     "road": Road,
     "markings": Markings,
@@ -26,18 +25,10 @@ PARTS: dict[str, type[BaseModel]] = {
     "air": Air,
     "sensor": Sensor,
 }
-ARROW_TYPES = {int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
+ADDED_PARTS = ("weather", "host", "vegetation")
+ROADSIDE = ("rails", "posts", "crossings", "buildings")
+ARROW_TYPES: dict[Any, pa.DataType] = {int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
 PLACE_COLUMNS = list(dict.fromkeys(place_columns([name for name in COLUMN_OF_MEMBER if name != LIDAR])))
-
-
-def _arrow_type(annotation: Any) -> pa.DataType:
-    return ARROW_TYPES[annotation]
-
-
-def _columns(part: type[BaseModel] | BaseModel) -> dict[str, FieldInfo]:
-    """The fields that are columns: not those that `scene.json` may leave out, which older shards do not have."""
-    fields = (part if isinstance(part, type) else type(part)).model_fields
-    return {name: field for name, field in fields.items() if field.exclude_if is None}
 
 
 SCHEMA = pa.schema(
@@ -45,9 +36,10 @@ SCHEMA = pa.schema(
     + [(name, pa.int64()) for name in PLACE_COLUMNS]
     + [(name, pa.int64()) for name in ("n_gaussians", "n_cars", "n_trees")]
     + [
-        (PREFIXES.get(group, "") + name, _arrow_type(field.annotation))
+        (PREFIXES.get(group, "") + name, ARROW_TYPES[field.annotation])
         for group, part in PARTS.items()
-        for name, field in _columns(part).items()
+        for name, field in part.model_fields.items()
+        if field.exclude_if is None  # the others are among those added later
     ]
     + [("junction", pa.string()), ("exit_side", pa.string()), ("ramp_used", pa.bool_()), ("max_grade", pa.float64())]
     + [(f"n_{seen}{kind}", pa.int64()) for kind in ("centerlines", "delimiters") for seen in ("", "visible_")]
@@ -70,9 +62,10 @@ def index_row(
         column = COLUMN_OF_MEMBER[member]
         row |= {f"{column}_offset": offset, f"{column}_size": size}
     row |= {"n_gaussians": len(scene.terrain.gaussians), "n_cars": len(scene.cars), "n_trees": len(scene.trees)}
-    for group in PARTS:
-        part = getattr(scene, group)
-        row |= {PREFIXES.get(group, "") + name: getattr(part, name) for name in _columns(part)}
+    for group in (*PARTS, *ADDED_PARTS):
+        prefix = PREFIXES.get(group, "")
+        row |= {prefix + name: value for name, value in vars(getattr(scene, group)).items() if name != "lens"}
+    row |= {"n_symbols": len(scene.symbols)} | {f"n_{name}": len(getattr(scene.roadside, name)) for name in ROADSIDE}
     return row | _topology(scene, labels) | _summary(labels)
 
 
@@ -81,7 +74,7 @@ def table(rows: list[dict[str, Any]], recipe: str = "") -> pa.Table:
     "" where nobody says."""
     added = [SHOT_SCHEMA] if rows and "scene" in rows[0] else []
     added += [LIDAR_SCHEMA] if rows and LIDAR_SCHEMA.names[0] in rows[0] else []
-    schema = pa.unify_schemas([SCHEMA, *added])
+    schema = pa.unify_schemas([SCHEMA, *added, ADDED_SCHEMA])
     return pa.Table.from_pylist(rows, schema=schema.with_metadata({RECIPE: recipe}) if recipe else schema)
 
 

@@ -13,15 +13,55 @@ from synth3dlanes.settings import MAX_SHARD_SIZE
 
 # Where the metadata of an index has the recipe that its samples were made from.
 RECIPE = b"synth3dlanes.recipe"
-TYPES = {"key": pa.string(), "sha256": pa.string(), "camera_roll_rad": pa.float64()}
 # Of data sets with several pictures of each scene: the numbers of the scene as drawn, the frame and the camera.
 SHOT_COLUMNS = ("scene", "frame", "camera")
+# Columns that were added later, and what they are in older shards: the defaults of `scene.json`.
+ADDED: dict[str, int | float | bool | str] = {
+    "n_oncoming": 0,
+    "median_m": 0.0,
+    "divider_dashed": False,
+    "marking_dots": False,
+    "tar": 0.0,
+    "joint": 0.0,
+    "ghost_lines": 0.0,
+    "camera_name": "",
+    "camera_right_m": 0.0,
+    "camera_forward_m": 0.0,
+    "camera_yaw_rad": 0.0,
+    "flare": 0.0,
+    "dirt": 0.0,
+    "drops": 0.0,
+    "jpeg_quality": 95,
+    "weather_kind": "any",
+    "weather_daytime": "any",
+    "weather_rain": 0.0,
+    "weather_snowfall": 0.0,
+    "weather_snow": 0.0,
+    "weather_snow_on_road": 0.0,
+    "weather_headlights": False,
+    "host_bonnet": 0.0,
+    "host_gray": 0.0,
+    "host_gloss": 0.0,
+    "translucency": 0.0,
+    "grass_m": 0.0,
+    "n_symbols": 0,
+    "n_rails": 0,
+    "n_posts": 0,
+    "n_crossings": 0,
+    "n_buildings": 0,
+}
+ADDED_SCHEMA = pa.schema([(column, pa.scalar(default).type) for column, default in ADDED.items()])
+# Of columns that may be required and are no integers.
+TYPES = {"key": pa.string(), "sha256": pa.string(), "camera_roll_rad": pa.float64()} | dict(
+    zip(ADDED_SCHEMA.names, ADDED_SCHEMA.types, strict=True)
+)
 # Far above any tar; sums of such numbers do not overflow.
 MAX_TAR_BYTES = 1 << 50
 
 
 def read_index(data: bytes, where: str, columns: Sequence[str] = ()) -> pa.Table:
-    """The index in a parquet file's bytes, or these columns of it.
+    """The index in a parquet file's bytes, or these columns of it; those that were added later have their defaults in
+    older files.
 
     Raises FormatError, its message beginning with `where`, where it is no parquet, has more rows than a shard may have,
     or lacks one of the columns.
@@ -34,6 +74,10 @@ def read_index(data: bytes, where: str, columns: Sequence[str] = ()) -> pa.Table
                 raise FormatError(f"{where}: expected at most {MAX_SHARD_SIZE} samples, got {rows}")
             known = file.schema_arrow.names
             table = file.read(columns=[name for name in columns if name in known] or None, use_threads=False)
+        for field in ADDED_SCHEMA:
+            if field.name not in known and (field.name in columns or not columns):
+                default = pa.scalar(ADDED[field.name], field.type)
+                table = table.append_column(field, pa.repeat(default, table.num_rows))
         table.validate(full=True)
     except (pa.ArrowException, OSError, ValueError) as error:
         if isinstance(error, FormatError):

@@ -14,7 +14,7 @@ import pyarrow as pa
 from synth3dlanes.dataset.address import connect, store_errors, translate_store_errors
 from synth3dlanes.dataset.columns import SCHEMA, index_row
 from synth3dlanes.dataset.format import BLOCK, key_of, tar_end, tar_members
-from synth3dlanes.dataset.index import place_columns, read_index, recipe_of, require_columns
+from synth3dlanes.dataset.index import ADDED_SCHEMA, place_columns, read_index, recipe_of, require_columns
 from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
@@ -179,7 +179,7 @@ def _read_index(parquet: str) -> pa.Table:
         if not files.exists(path):
             raise FormatError("expected the index of a shard, got none")
         table = read_index(files.cat_file(path), _place(parquet))
-    for field in SCHEMA:
+    for field in [*SCHEMA, *ADDED_SCHEMA]:
         if table.column_names.count(field.name) != 1:
             raise FormatError(f"expected one column {field.name}, got {table.column_names.count(field.name)}")
         found = table.schema.field(field.name).type

@@ -8,6 +8,7 @@ import pytest
 
 from synth3dlanes import labels as labels_format
 from synth3dlanes.dataset.columns import SCHEMA
+from synth3dlanes.dataset.index import ADDED
 from synth3dlanes.dataset.info import dataset_info
 from synth3dlanes.dataset.query import rows_where
 from synth3dlanes.dataset.read import Reader
@@ -43,7 +44,7 @@ def data(tmp_path_factory):
 
 def test_the_index_says_what_a_sample_shows(data):
     index = Reader(f"{data}/train").index
-    assert index.schema.names == [*SCHEMA.names, *SHOT_COLUMNS]
+    assert index.schema.names == [*SCHEMA.names, *SHOT_COLUMNS, *ADDED]
     numbers = np.arange(33)
     assert index["scene"].to_pylist() == (numbers // FRAMES).tolist()
     assert index["frame"].to_pylist() == (numbers % FRAMES).tolist()
@@ -64,7 +65,7 @@ def test_a_clip_is_found_by_its_scene(data):
 
 def test_single_pictures_are_clips_of_one_and_keep_their_columns(tmp_path):
     reader = made(tmp_path / "data", 4, frames=1)
-    assert reader.index.schema.names == SCHEMA.names
+    assert reader.index.schema.names == [*SCHEMA.names, *ADDED]
     assert reader.clip(3) == [3]
     assert reader.scenes == [0, 1, 2, 3]
     assert "shots" not in reader.description

@@ -8,13 +8,16 @@ import sys
 from itertools import permutations
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from synth3dlanes import labels as labels_module
-from synth3dlanes.dataset.columns import SCHEMA
+from synth3dlanes.dataset.columns import SCHEMA, index_row
 from synth3dlanes.dataset.folder import claim
 from synth3dlanes.dataset.format import tar_bytes, tar_end
+from synth3dlanes.dataset.index import ADDED, ADDED_SCHEMA
+from synth3dlanes.dataset.query import rows_where
 from synth3dlanes.dataset.read import Reader, find
 from synth3dlanes.dataset.write import Shard, scan
 from synth3dlanes.errors import FormatError, InputError
@@ -198,12 +201,39 @@ def test_shuffled_is_a_permutation_that_the_seed_decides(shard):
 
 def test_index_has_scene_and_label_columns(shard):
     table = Reader(str(shard.folder)).index
-    assert table.schema.equals(SCHEMA)
+    assert table.schema.equals(pa.unify_schemas([SCHEMA, ADDED_SCHEMA]))
     row = table.to_pylist()[1]
     expected = {"n_lanes": 3, "flip_lateral": False, "marking_width_m": 0.12, "camera_height_m": 1.6, "exposure": 2.0}
     expected |= {"junction": "none", "max_grade": 0.1, "n_centerlines": 1, "n_visible_centerlines": 1, "n_cars": 0}
     assert {name: row[name] for name in expected} == expected
     assert row["object_hidden_fraction"] == pytest.approx(2 / 54)
+
+
+def test_columns_that_were_added_later_are_the_keys_that_scenes_may_leave_out(flat_scene):
+    """With these defaults: an older shard's row is that of the scene without them."""
+    row = index_row(
+        "00000000",
+        {},
+        "",
+        flat_scene,
+        labels_module.Labels(fake_samples.labels(0).camera, (), fake_samples.labels(0).graph),
+    )
+    assert {name: row[name] for name in ADDED} == ADDED
+    assert {name: type(value) for name, value in ADDED.items()} == {name: type(row[name]) for name in ADDED}
+    assert set(row) <= {*SCHEMA.names, *ADDED}
+
+
+def test_older_shards_have_the_defaults_of_columns_that_were_added(shard):
+    table = pq.read_table(shard.path("parquet"))
+    changed = table.set_column(table.schema.get_field_index("weather_kind"), "weather_kind", [["rain"] * len(table)])
+    pq.write_table(changed, shard.path("parquet"))
+    assert rows_where(Reader(str(shard.folder)).index, "weather_kind = 'rain'").tolist() == list(range(len(table)))
+    pq.write_table(table.drop_columns(list(ADDED)), shard.path("parquet"))
+    for columns in (None, ["weather_kind", "n_oncoming"]):
+        index = Reader(str(shard.folder), columns=columns).index
+        assert index["weather_kind"].to_pylist() == ["any"] * len(table)
+        assert index["n_oncoming"].to_pylist() == [0] * len(table)
+    assert Reader(str(shard.folder)).index.equals(table)
 
 
 def test_reader_names_what_is_wrong(tmp_path, shard):
