@@ -1,6 +1,6 @@
 """`README.md` beside `dataset.json`: what the data set is, in the form that the Hugging Face hub shows."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import yaml
@@ -36,7 +36,7 @@ those of the synthetic data set of [3D-LaneNet](https://arxiv.org/abs/1811.10203
 ## How it was made
 
 {generator}, seed {seed}: {rays} samples per pixel on {device}, {image_format} images, passes: {passes}. Scene i of a
-split depends on the seed, the split's name, i and the parameters alone. {derived}`dataset.json` has the complete
+split depends on the seed, the split's name, i and the parameters alone. {shots}{derived}`dataset.json` has the complete
 recipe; these are its parameters, as ranges `[low, high]`, weights `{{value: weight}}` or constants:
 
 ```yaml
@@ -95,6 +95,7 @@ def card(description: Mapping[str, Any]) -> bytes:
         device=render["device"],
         image_format=description["image_format"],
         passes=", ".join(render["passes"]) or "none",
+        shots="".join(f"{sentence} " for sentence in _shots(description)),
         derived="The samples were taken from another data set (`derived`). " if description.get("derived") else "",
         params=yaml.safe_dump(description["params"], sort_keys=False, default_flow_style=None, width=110),
         licence=f"Licence: {licence}." if licence else "The licence is that of the assets used, which is not recorded.",
@@ -103,6 +104,22 @@ def card(description: Mapping[str, Any]) -> bytes:
         split=first,
     )
     return f"---\n{_header(splits, licence)}---\n{MARK}\n\n{text}".encode()
+
+
+def _shots(description: Mapping[str, Any]) -> Iterator[str]:
+    """What a sample shows of its scene, where that is not one picture by the camera of the parameters."""
+    shots = description.get("shots", {})
+    frames, n_cameras = shots.get("frames", 1), len(shots.get("cameras", ()))
+    if frames > 1:
+        yield f"Scenes are clips of {frames} frames, one sample each."
+    if n_cameras > 1:
+        yield f"Each moment is seen by {n_cameras} cameras, one sample each (`shots`)."
+    elif n_cameras:
+        yield "The camera is that of `shots`, not that of the parameters."
+    if shots.get("lidar"):
+        yield "A lidar measures each moment (`shots`)."
+    if description.get("like"):
+        yield "Scenes are near given ones (`like`)."
 
 
 def updated_card(before: bytes | None, description: bytes, where: str) -> bytes:
