@@ -96,6 +96,12 @@ def hang_on_bad(recipe: Recipe, index: int) -> Made:
     return make(recipe, index)
 
 
+def spin_on_bad(recipe: Recipe, index: int) -> Made:
+    while index == BAD:
+        pass
+    return make(recipe, index)
+
+
 def eat_memory_on_bad(recipe: Recipe, index: int) -> Made:
     if index == BAD:
         eaten = np.ones(1 << 28)

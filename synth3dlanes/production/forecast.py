@@ -17,6 +17,8 @@ BYTES_OF_TEXT = 80_000
 SECONDS_PER_RAY, BYTES_PER_RAY = 7e-6, 2.5
 # Until a worker has loaded Blender and its first scene.
 SECONDS_TO_START = 3.0
+# A sample is given up after so many times the expected seconds; slow machines and large cameras need them.
+PATIENCE, LEAST_PATIENCE_S = 60.0, 120.0
 # A joined shard lies there twice for a moment.
 SHARD_SAMPLES = 1000
 
@@ -49,18 +51,37 @@ class Forecast:
             )
 
 
+def seconds_per_sample(recipe: Recipe) -> float:
+    """Core-seconds of a sample, from the measured costs of a pixel."""
+    pixels = _pixels(recipe)
+    seconds = SECONDS_PER_SCENE + pixels * (SECONDS_PER_PIXEL + SECONDS_PER_PIXEL_SAMPLE * recipe.settings.samples)
+    return seconds + _rays(recipe) * SECONDS_PER_RAY
+
+
 def forecast(recipe: Recipe, samples: int, workers: int) -> Forecast:
-    """Time and size of `samples` more, from the measured costs of a pixel."""
-    settings, cameras = recipe.settings, recipe.cameras
-    pixels = sum(camera.width_px.draw(0.5) * camera.height_px.draw(0.5) for camera in cameras) / len(cameras)
-    seconds = SECONDS_PER_SCENE + pixels * (SECONDS_PER_PIXEL + SECONDS_PER_PIXEL_SAMPLE * settings.samples)
+    """Time and size of `samples` more."""
     per_pixel = BYTES_PER_PIXEL[recipe.image_format] + sum(
-        BYTES_PER_PIXEL_OF_PASS.get(name, 0.0) for name in settings.passes
+        BYTES_PER_PIXEL_OF_PASS.get(name, 0.0) for name in recipe.settings.passes
     )
-    lidar = recipe.shots.lidar
-    rays = len(lidar.elevations_deg) * lidar.azimuths if lidar else 0
-    seconds += rays * SECONDS_PER_RAY
-    size = BYTES_OF_TEXT + int(pixels * per_pixel + rays * BYTES_PER_RAY)
+    size = BYTES_OF_TEXT + int(_pixels(recipe) * per_pixel + _rays(recipe) * BYTES_PER_RAY)
     needed = (samples + min(samples, SHARD_SAMPLES)) * size
     start = SECONDS_TO_START if samples else 0.0
-    return Forecast(samples, workers, start + samples * seconds / workers, samples * size, needed)
+    seconds = start + samples * seconds_per_sample(recipe) / workers
+    return Forecast(samples, workers, seconds, samples * size, needed)
+
+
+def patience_s(recipe: Recipe) -> float:
+    """How many core-seconds a sample may take before it is given up."""
+    return max(LEAST_PATIENCE_S, PATIENCE * seconds_per_sample(recipe))
+
+
+def _pixels(recipe: Recipe) -> float:
+    """Of an image, on average."""
+    cameras = recipe.cameras
+    return sum(camera.width_px.draw(0.5) * camera.height_px.draw(0.5) for camera in cameras) / len(cameras)
+
+
+def _rays(recipe: Recipe) -> int:
+    """Of a lidar's sweep."""
+    lidar = recipe.shots.lidar
+    return len(lidar.elevations_deg) * lidar.azimuths if lidar else 0

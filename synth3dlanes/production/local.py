@@ -19,11 +19,11 @@ from pathlib import Path
 
 from synth3dlanes.dataset.format import key_of
 from synth3dlanes.dataset.write import Shard, write_whole
-from synth3dlanes.production.forecast import forecast
+from synth3dlanes.production.forecast import forecast, patience_s
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import make_part, scene_json
 from synth3dlanes.production.tally import Tally
-from synth3dlanes.production.workers import DISK_FULL, Outcome, Pool
+from synth3dlanes.production.workers import DISK_FULL, Limits, Outcome, Pool
 
 MAX_FAILURES, MAX_KILLS, MAX_IN_A_ROW = 3, 20, 10
 POLL_S = 0.5
@@ -73,7 +73,8 @@ class _Run:
 
     def _loop(self) -> None:
         plan, tally = self.plan, self.tally
-        workers = Pool(plan.n_workers(len(self.todo)), plan.limits, masks=plan.slots.masks)
+        limits = plan.limits or Limits(patience_s(plan.recipe))
+        workers = Pool(plan.n_workers(len(self.todo)), limits, masks=plan.slots.masks)
         with ThreadPoolExecutor(1) as self.joiner, workers as pool:
             self.joins: dict[int, Future[list[int]]] = {}
             for number, shard in self.shards.items():

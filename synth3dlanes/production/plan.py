@@ -25,7 +25,8 @@ SHARD_SIZE = 1000
 class Plan:
     """Samples 0 to n - 1 of the recipe's split, in the folder or at the URL `out`.
 
-    `workers` 0 is one for each core. `part` (i, k) is the i-th of k parts, counted from 1.
+    `workers` 0 is one for each core. `part` (i, k) is the i-th of k parts, counted from 1. Without `limits`, how long a
+    worker may take depends on the size of the images.
     """
 
     out: str | Path
@@ -33,7 +34,7 @@ class Plan:
     recipe: Recipe
     workers: int = 0
     part: tuple[int, int] = (1, 1)
-    limits: Limits = field(default_factory=Limits)
+    limits: Limits | None = None
     slots: WorkerSlots = field(default_factory=WorkerSlots)
     shard_size: int = SHARD_SIZE
     maker: Callable[[Recipe, int], Made] = make_sample

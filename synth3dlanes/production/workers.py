@@ -30,6 +30,8 @@ from typing import Any, Literal
 import psutil
 
 STDERR_TAIL = 8000
+# A worker makes progress if it gets this share of the seconds allowed as CPU time; on a busy machine it may get little.
+PROGRESS = 0.01
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 PR_SET_PDEATHSIG = 1
 # Environment variable with the process that a worker works for.
@@ -40,7 +42,7 @@ BLENDERS_PATH = re.compile(r"/bpy/\d+\.\d+/scripts")
 
 @dataclass(frozen=True)
 class Limits:
-    """When a worker is replaced: a task without an end, more memory than this, more tasks than this."""
+    """When a worker is replaced: a task of more CPU seconds, or as long without progress; more memory; more tasks."""
 
     seconds: float = 120.0
     rss_bytes: int = 4 << 30
@@ -76,15 +78,16 @@ class Outcome:
 
 @dataclass
 class Worker:
-    """A process, its pipe, and the task that it is on since `started`."""
+    """A process, its pipe, and its task, which began at CPU second `started` of the process. `moved` is when it was
+    last seen to make progress, by the clock and in CPU seconds."""
 
     process: subprocess.Popen[bytes]
     pipe: Connection
     stderr: Path
     task: Any = None
     started: float = 0.0
+    moved: tuple[float, float] = (0.0, 0.0)
     n_tasks: int = 0
-    verdict: str = ""
 
     @property
     def rss_bytes(self) -> int:
@@ -92,6 +95,28 @@ class Worker:
         with suppress(psutil.Error):
             return int(psutil.Process(self.process.pid).memory_info().rss)
         return 0
+
+    @property
+    def cpu_s(self) -> float:
+        """The CPU seconds that it has used; as last seen once it is gone."""
+        with suppress(psutil.Error):
+            used = psutil.Process(self.process.pid).cpu_times()
+            return float(used.user + used.system)
+        return self.moved[1]
+
+    def begin(self, task: Any) -> None:
+        """Note its task."""
+        self.task, self.started = task, self.cpu_s
+        self.moved = time.monotonic(), self.started
+
+    def endless(self, seconds: float) -> str:
+        """Why its task will not end; "" as long as it may. Time by the clock says little on a busy machine."""
+        now, used = time.monotonic(), self.cpu_s
+        if used - self.started > seconds:
+            return f"no end after {seconds:g} s of CPU time"
+        if used - self.moved[1] > PROGRESS * seconds:
+            self.moved = now, used
+        return f"no progress for {seconds:g} s" if now - self.moved[0] > seconds else ""
 
 
 @dataclass
@@ -149,7 +174,7 @@ class Pool:
             worker = self._workers[slot] = self._launch(slot)
         with suppress(FileNotFoundError):
             os.truncate(worker.stderr, 0)
-        worker.task, worker.started = task, time.monotonic()
+        worker.begin(task)
         # A worker that has died meanwhile is found out by `wait`.
         with suppress(BrokenPipeError, ConnectionResetError):
             worker.pipe.send((function, args))
@@ -161,8 +186,8 @@ class Pool:
         for slot, worker in busy:
             if worker.pipe in ready:
                 yield self._receive(slot, worker)
-            elif time.monotonic() - worker.started > self.limits.seconds:
-                yield self._stop(slot, worker, f"no progress for {self.limits.seconds:g} s")
+            elif reason := worker.endless(self.limits.seconds):
+                yield self._stop(slot, worker, reason)
             elif worker.rss_bytes > self.limits.rss_bytes:
                 yield self._stop(slot, worker, f"more than {self.limits.rss_bytes >> 20} MiB of memory")
 

@@ -79,7 +79,7 @@ def test_the_parameters_of_the_card_are_those_of_the_data_set(tmp_path):
         (Shots(frames=30), "Scenes are clips of 30 frames"),
         (Shots(cameras=load_rig("nuscenes")), "Each moment is seen by 6 cameras"),
         (Shots(cameras=load_rig("nuscenes")[:1]), "The camera is that of `shots`"),
-        (Shots(lidar=load_lidar("nuscenes")), "A lidar measures each moment"),
+        (Shots(lidar=load_lidar("hdl_32e")), "A lidar measures each moment"),
     ],
 )
 def test_clips_rigs_and_lidars_are_named(shots, words):

@@ -23,7 +23,7 @@ from synth3dlanes.production import local, workers
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import make_sample
 from synth3dlanes.production.run import generate
-from synth3dlanes.production.workers import Limits
+from synth3dlanes.production.workers import Limits, Worker
 from tests import fake_samples
 
 N = 23
@@ -178,6 +178,7 @@ def test_a_second_run_in_the_folder_is_refused(tmp_path):
     [
         (fake_samples.crash_on_bad, Limits(), "worker ended with 1"),
         (fake_samples.hang_on_bad, Limits(seconds=4.0), "no progress for 4 s"),
+        (fake_samples.spin_on_bad, Limits(seconds=6.0), "no end after 6 s of CPU time"),
         (fake_samples.eat_memory_on_bad, Limits(rss_bytes=1 << 30), "more than 1024 MiB of memory"),
     ],
 )
@@ -198,6 +199,25 @@ def test_a_bad_scene_is_set_aside_and_blocks_nothing(tmp_path, whole, maker, lim
     assert (report.exit_code, report.made) == (0, 1)
     assert contents(tmp_path) == whole
     assert not folder.exists()
+
+
+@pytest.mark.parametrize(
+    ("cpu_share", "reasons"),
+    [(0.0, {"no progress for 100 s"}), (0.05, {""}), (1.0, {"", "no end after 100 s of CPU time"})],
+)
+def test_a_worker_that_gets_little_of_a_busy_machine_is_waited_for(tmp_path, monkeypatch, cpu_share, reasons):
+    """Five minutes, in which it gets nothing, a twentieth of a core, or a whole one."""
+    now_s = 0.0
+    monkeypatch.setattr("time.monotonic", lambda: now_s)
+    monkeypatch.setattr(Worker, "cpu_s", property(lambda self: cpu_share * now_s))
+    process = subprocess.Popen(["true"])
+    process.wait()
+    worker, found = Worker(process, Pipe()[0], tmp_path), set()
+    worker.begin("task")
+    while now_s < 300:
+        now_s += 1
+        found.add(worker.endless(100.0))
+    assert found == reasons | {""}
 
 
 def test_a_machine_at_fault_stops_the_run(tmp_path, monkeypatch):
