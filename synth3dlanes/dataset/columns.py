@@ -11,7 +11,7 @@ import pyarrow as pa
 from pydantic import BaseModel
 
 from synth3dlanes.dataset.format import COLUMN_OF_MEMBER, LIDAR
-from synth3dlanes.dataset.index import ADDED_SCHEMA, RECIPE, SHOT_COLUMNS, place_columns
+from synth3dlanes.dataset.index import ADDED_SCHEMA, ARROW_TYPES, RECIPE, SHOT_COLUMNS, place_columns
 from synth3dlanes.labels import Labels, Lane
 from synth3dlanes.scene import Air, Camera, Light, Markings, Road, Scene, Sensor, Surface
 
@@ -27,7 +27,6 @@ PARTS: dict[str, type[BaseModel]] = {
 }
 ADDED_PARTS = ("weather", "host", "vegetation")
 ROADSIDE = ("rails", "posts", "crossings", "buildings")
-ARROW_TYPES: dict[Any, pa.DataType] = {int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
 PLACE_COLUMNS = list(dict.fromkeys(place_columns([name for name in COLUMN_OF_MEMBER if name != LIDAR])))
 
 

@@ -50,7 +50,8 @@ ADDED: dict[str, int | float | bool | str] = {
     "n_crossings": 0,
     "n_buildings": 0,
 }
-ADDED_SCHEMA = pa.schema([(column, pa.scalar(default).type) for column, default in ADDED.items()])
+ARROW_TYPES: dict[object, pa.DataType] = {int: pa.int64(), float: pa.float64(), bool: pa.bool_(), str: pa.string()}
+ADDED_SCHEMA = pa.schema([(column, ARROW_TYPES[type(default)]) for column, default in ADDED.items()])
 # Of columns that may be required and are no integers.
 TYPES = {"key": pa.string(), "sha256": pa.string(), "camera_roll_rad": pa.float64()} | dict(
     zip(ADDED_SCHEMA.names, ADDED_SCHEMA.types, strict=True)
