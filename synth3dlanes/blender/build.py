@@ -140,11 +140,10 @@ def build(studio: Studio, world: World, view: View, light: Daylight, labelled: S
 
 def _stage(studio: Studio, world: World, trees: Sequence[Placed]) -> None:
     """Build what every view of a world shows alike: its ground and what stands still on it."""
-    materials, surface = studio.materials, world.scene.surface
+    materials = studio.materials
     set_materials(materials, world.scene)
     set_translucency(studio.assets.trees, world.scene.vegetation.translucency)
-    road, terrain = materials.roads[surface.road_texture - 1], materials.terrains[surface.terrain_texture - 1]
-    shoulder = materials.shoulders[surface.shoulder_texture - 1]
+    road, shoulder, terrain = materials.ground(world.scene.surface)
     for mesh in [world.terrain, *world.verges]:
         _add_object("ground", new_mesh(mesh, [terrain]), 0)
     for mesh in world.pavement:

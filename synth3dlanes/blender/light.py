@@ -1,6 +1,7 @@
 """Light and haze in Blender: the daylight as an equirectangular image and a lamp, headlights, street lamps."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import bpy
 import mathutils
@@ -16,6 +17,8 @@ from synth3dlanes.imaging.user_sky import UserSky, hang
 from synth3dlanes.scene import Scene
 
 STUDIO = "studio"  # the collection of the camera and the lamps
+# Images of the sky. Surfaces are lit by one of fewer pixels, which stays in the processor's cache.
+SKY, COARSE_SKY, COARSENESS = "sky", "coarse_sky", 8
 SUN_ANGLE_RAD = 0.0093  # angular diameter of the sun
 CLOUD_SPREAD_RAD = 0.3  # added to it by a closed layer of clouds
 HAZE_PASS = "haze"
@@ -41,11 +44,10 @@ def make_world() -> None:
     world.use_nodes = True
     world.node_tree.nodes.clear()
     graph = Graph(world.node_tree)
-    image = bpy.data.images.new("sky", SKY_SHAPE[1], SKY_SHAPE[0], float_buffer=True)
-    image.colorspace_settings.name = "Non-Color"
-    texture = graph.node("ShaderNodeTexEnvironment", image=image)
-    background = graph.node("ShaderNodeBackground", {"Color": texture.outputs[0]})
-    graph.node("ShaderNodeOutputWorld", {"Surface": background.outputs[0]})
+    is_diffuse = graph.node("ShaderNodeLightPath").outputs["Is Diffuse Ray"]
+    sky, coarse = _background(graph, SKY, 1), _background(graph, COARSE_SKY, COARSENESS)
+    seen = graph.node("ShaderNodeMixShader", {0: is_diffuse, 1: sky, 2: coarse})
+    graph.node("ShaderNodeOutputWorld", {"Surface": seen.outputs[0]})
     bpy.context.scene.world = world
     _add_lamp("sun", "SUN")
     for i in range(len(HEADLIGHTS_ROAD)):
@@ -57,6 +59,15 @@ def make_world() -> None:
         street = _add_lamp(f"street_lamp_{i}", "SPOT")
         street.energy, street.color = 4 * np.pi**2 * STREET_LAMP, STREET_COLOR
         street.shadow_soft_size, street.spot_size, street.spot_blend = LAMP_M, STREET_CONE_RAD, 1.0
+
+
+def _background(graph: Graph, name: str, coarseness: int) -> Any:
+    """The light of an image that `_paint_sky` fills."""
+    height, width = SKY_SHAPE[0] // coarseness, SKY_SHAPE[1] // coarseness
+    image = bpy.data.images.new(name, width, height, float_buffer=True)
+    image.colorspace_settings.name = "Non-Color"
+    texture = graph.node("ShaderNodeTexEnvironment", image=image)
+    return graph.node("ShaderNodeBackground", {"Color": texture.outputs[0]}).outputs[0]
 
 
 def _add_lamp(name: str, kind: str) -> bpy.types.Light:
@@ -126,12 +137,10 @@ def set_light(
 ) -> None:
     """Set the sun's direction and colour, the sky image, the haze and the lamps for one scene; of the street lamps'
     heads (world) the nearest are lit once the sun has set."""
-    pixels = np.ones((*SKY_SHAPE, 4), np.float32)
     sky = hang(skies[scene.sky - 1], scene, light) if scene.sky else light.sky
-    pixels[..., :3] = np.moveaxis(sky, 0, -1)
-    image = bpy.data.images["sky"]
-    image.pixels.foreach_set(pixels.ravel())
-    image.update()
+    blocks = sky.reshape(3, SKY_SHAPE[0] // COARSENESS, COARSENESS, SKY_SHAPE[1] // COARSENESS, COARSENESS)
+    _paint_sky(SKY, sky)
+    _paint_sky(COARSE_SKY, blocks.mean(axis=(2, 4)))
     sun = bpy.data.objects["sun"]
     sun.rotation_quaternion = mathutils.Vector(sun_direction(scene.light).tolist()).to_track_quat("Z", "Y")
     sun.hide_render = not light.sun.any()
@@ -142,6 +151,14 @@ def set_light(
     haze = bpy.data.node_groups[HAZE_PASS].nodes["minus_per_m"]
     haze.outputs[0].default_value = -KOSCHMIEDER / scene.air.visibility_m
     _set_lamps(scene, world_from_host, street_lamps)
+
+
+def _paint_sky(name: str, dome: Float[np.ndarray, "3 h w"]) -> None:
+    pixels = np.ones((*dome.shape[1:], 4), np.float32)
+    pixels[..., :3] = np.moveaxis(dome, 0, -1)
+    image = bpy.data.images[name]
+    image.pixels.foreach_set(pixels.ravel())
+    image.update()
 
 
 def _set_lamps(scene: Scene, world_from_host: Matrix4, street_lamps: Points) -> None:

@@ -18,11 +18,12 @@ from synth3dlanes.blender.shaders import Graph, coated, new_material, texture
 from synth3dlanes.blender.structures import structure_materials
 from synth3dlanes.blender.weathering import SNOW, Look, rub_level, rubbed, snowed, thrown_back, wet, wheel_tracks
 from synth3dlanes.geometry.seams import ghost_shade, joint
-from synth3dlanes.scene import Scene
+from synth3dlanes.scene import Scene, Surface
 from synth3dlanes.settings import SEMANTIC_IDS
 
 # A texture scale is the number of tiles in 100 m: road tiles of 3 to 10 m, terrain tiles of 7 to 20 m.
 SCALE_LENGTH_M = 100.0
+TILED = "tiled"  # label of the texture nodes with this scale
 WEAR_LENGTH_M = 48.0  # the wear maps show two lanes by this length
 SHOULDER_TILES = 30.0  # as a texture scale
 ROAD_TILE_M, ROAD_ROUGHNESS = 5.0, 0.8  # of the road that shows through rubbed paint
@@ -61,6 +62,14 @@ class Materials:
         """All materials of paint."""
         return self.marking, self.yellow_marking, self.symbol
 
+    def ground(self, surface: Surface) -> tuple[bpy.types.Material, bpy.types.Material, bpy.types.Material]:
+        """The materials of a scene's road, shoulder and terrain."""
+        return (
+            self.roads[surface.road_texture - 1],
+            self.shoulders[surface.shoulder_texture - 1],
+            self.terrains[surface.terrain_texture - 1],
+        )
+
 
 def make_materials(roads: Sequence[TextureFiles], terrains: Sequence[TextureFiles]) -> Materials:
     """Build all materials with their textures; call once per process."""
@@ -80,47 +89,40 @@ def make_materials(roads: Sequence[TextureFiles], terrains: Sequence[TextureFile
 
 def set_materials(materials: Materials, scene: Scene) -> None:
     """Set the values of one scene: texture scale and direction, gloss, lane width, paint, wetness."""
-    surface, angle_rad = scene.surface, scene.surface.texture_orientation_rad
+    surface, weather, angle_rad = scene.surface, scene.weather, scene.surface.texture_orientation_rad
     lane_width_m, parity = scene.road.lane_width_m, scene.road.n_lanes % 2
-    for road in materials.roads:
-        _orient(road, surface.road_texture_scale, angle_rad)
-        wear = road.node_tree.nodes["wear_uv"].inputs
-        wear["Scale"].default_value = (0.5 / lane_width_m, 1 / WEAR_LENGTH_M, 1)
-        wear["Location"].default_value = (0.25 * parity, 0, 0)
-        _set(road, "gloss", surface.road_gloss)
-    for terrain in materials.terrains:
-        _orient(terrain, surface.terrain_texture_scale, angle_rad)
-    gravel, paved = materials.shoulders
-    _orient(gravel, SHOULDER_TILES, angle_rad)
-    _orient(paved, surface.road_texture_scale, angle_rad)
-    under = materials.roads[surface.road_texture - 1].node_tree.nodes["albedo"].image
-    paved.node_tree.nodes["albedo"].image = under
-    materials.ghost.node_tree.nodes["albedo"].image = under
-    _set(materials.ghost, "shade", ghost_shade(surface.ghost_lines, scene.stream))
+    road, shoulder, terrain = materials.ground(surface)
+    paved_shoulder = materials.shoulders[1]
+    _orient(road, surface.road_texture_scale, angle_rad)
+    _orient(shoulder, surface.road_texture_scale if shoulder is paved_shoulder else SHOULDER_TILES, angle_rad)
+    _orient(terrain, surface.terrain_texture_scale, angle_rad)
+    wear = road.node_tree.nodes["wear"].texture_mapping
+    wear.scale = (0.5 / lane_width_m, 1 / WEAR_LENGTH_M, 1)
+    wear.translation = (0.25 * parity, 0, 0)
     joint_m, darker = joint(scene.road, surface.joint, scene.stream)
-    for road in materials.roads:
-        _set(road, "joint_m", joint_m)
-        _set(road, "darker", darker if surface.joint else 0.0)
+    _set(road, "gloss", surface.road_gloss)
+    _set(road, "joint_m", joint_m)
+    _set(road, "darker", darker if surface.joint else 0.0)
+    _set(road, "lane_width_m", lane_width_m)
+    _set(road, "lane_shift", 0.5 * parity)
     for paint in materials.paints:
         _set(paint, "grayscale", scene.markings.grayscale)
         _set(paint, "gloss", scene.markings.gloss)
         _set(paint, "rub_level", rub_level(scene.markings.wear))
         _set(paint, "is_rubbed", float(scene.markings.wear > 0))
         _set(paint, "road_gloss", surface.road_gloss)
-        paint.node_tree.nodes["albedo"].image = under
-    weather, shift = scene.weather, 0.5 * parity
-    for paved in (*materials.roads, *materials.shoulders, *materials.paints, materials.ghost):
+    for like_road in (paved_shoulder, materials.ghost, *materials.paints):
+        like_road.node_tree.nodes["albedo"].image = road.node_tree.nodes["albedo"].image
+    _set(materials.ghost, "shade", ghost_shade(surface.ghost_lines, scene.stream))
+    for paved in (road, shoulder, materials.ghost, *materials.paints):
         _set(paved, "wetness", surface.wetness)
         _set(paved, "retro", weather.headlights * (1 - (1 - LEFT_WET) * surface.wetness))
-        _set_snow(paved, weather.snow if paved in materials.shoulders else weather.snow_on_road)
-    _set_snow(materials.tar, weather.snow_on_road)
-    for road in materials.roads:
-        _set(road, "lane_width_m", lane_width_m)
-        _set(road, "lane_shift", shift)
-    for terrain in materials.terrains:
-        _set_snow(terrain, weather.snow)
-    mean = materials.terrains[surface.terrain_texture - 1].node_tree.nodes["mean"].outputs[0].default_value
-    under_snow = [(1 - weather.snow) * bare + weather.snow * white for bare, white in zip(mean, SNOW, strict=False)]
+    for paved in (road, materials.tar, materials.ghost, *materials.paints):
+        _set_snow(paved, weather.snow_on_road)
+    for bare in (shoulder, terrain):
+        _set_snow(bare, weather.snow)
+    mean = terrain.node_tree.nodes["mean"].outputs[0].default_value
+    under_snow = [(1 - weather.snow) * earth + weather.snow * white for earth, white in zip(mean, SNOW, strict=False)]
     materials.grass.node_tree.nodes["mean"].outputs[0].default_value = (*under_snow, 1.0)
 
 
@@ -138,66 +140,69 @@ def set_translucency(trees: Sequence[bpy.types.Mesh], share: float) -> None:
 
 
 def _set(material: bpy.types.Material, name: str, value: float) -> None:
-    material.node_tree.nodes[name].outputs[0].default_value = value
+    socket = material.node_tree.nodes[name].outputs[0]
+    if socket.default_value != np.float32(value):  # each change costs Blender an update of the material
+        socket.default_value = value
 
 
 def _orient(material: bpy.types.Material, texture_scale: float, angle_rad: float) -> None:
-    """Scale and rotate the texture, and rotate the tilt from its normal map back to world axes."""
+    """Scale and rotate the tiles, and rotate the tilt from their normal map back to world axes."""
     tiles_per_m = texture_scale / SCALE_LENGTH_M
-    uv, tilt = (material.node_tree.nodes[name].inputs for name in ("tile_uv", "tilt"))
-    uv["Scale"].default_value = (tiles_per_m, tiles_per_m, 1)
-    uv["Rotation"].default_value = (0, 0, angle_rad)
-    strength = tilt["Scale"].default_value[0] / 2
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    tilt["Rotation"].default_value = (0, 0, -angle_rad)
-    tilt["Location"].default_value = (-strength * (c + s), -strength * (c - s), 0)
+    for node in material.node_tree.nodes:
+        if node.label == TILED:
+            node.texture_mapping.scale = (tiles_per_m, tiles_per_m, 1)
+            node.texture_mapping.rotation = (0, 0, angle_rad)
+    material.node_tree.nodes["tilt"].inputs["Angle"].default_value = -angle_rad
 
 
 def _metres(graph: Graph) -> Any:
     return graph.node("ShaderNodeUVMap", uv_map="UVMap").outputs[0]
 
 
-def _bumpy_normal(graph: Graph, file: Path | str, uv: Any, strength: float) -> Any:
-    """The surface normal tilted by a normal map.
+def _tiled(graph: Graph, file: Path | str, metres: Any, is_color: bool) -> Any:
+    """A texture that `_orient` scales and rotates. Its own mapping is a matrix; a Mapping node would make one of sines
+    and cosines at every hit."""
+    texel = texture(graph, file, metres, is_color)
+    texel.node.label = TILED
+    return texel
+
+
+def _bumpy_normal(graph: Graph, file: Path | str, metres: Any, strength: float | Any) -> Any:
+    """The surface normal tilted by a normal map, not of unit length.
 
     The tilt is added in world x and y: the ground is nearly level, and this needs no tangents on the meshes.
     """
-    texel = texture(graph, file, uv, is_color=False)
-    tilt = graph.node("ShaderNodeMapping", {"Vector": texel, "Scale": (2 * strength, 2 * strength, 0)}, name="tilt")
-    normal = graph.node("ShaderNodeNewGeometry").outputs["Normal"]
-    return graph.vector("NORMALIZE", graph.vector("ADD", normal, tilt.outputs[0]))
-
-
-def _tile_uv(graph: Graph) -> Any:
-    return graph.node("ShaderNodeMapping", {"Vector": _metres(graph)}, name="tile_uv").outputs[0]
+    texel = graph.vector(
+        "MULTIPLY_ADD", _tiled(graph, file, metres, is_color=False), (2.0, 2.0, 0.0), (-1.0, -1.0, 0.0)
+    )
+    tilt = graph.node("ShaderNodeVectorRotate", {"Vector": texel}, rotation_type="Z_AXIS", name="tilt").outputs[0]
+    return graph.vector("ADD", graph.node("ShaderNodeNewGeometry").outputs["Normal"], graph.scale(tilt, strength))
 
 
 def _road(name: str, files: TextureFiles) -> bpy.types.Material:
     """Fine texture times a lane-aligned wear map (for a user's texture, that of fresh asphalt), right of a joint
     darker, under a coat whose smoothness is `gloss`."""
     material, graph = new_material(name, SEMANTIC_IDS["road"])
-    uv = _tile_uv(graph)
-    wear_uv = graph.node("ShaderNodeMapping", {"Vector": _metres(graph)}, name="wear_uv").outputs[0]
-    fine = _albedo(graph, files.albedo, uv)
+    metres = _metres(graph)
+    fine = _albedo(_tiled(graph, files.albedo, metres, is_color=True))
     wear_file = "road_1_wear.jpg" if files.albedo.is_absolute() else f"{name}_wear.jpg"
-    wear = texture(graph, wear_file, wear_uv, is_color=False)
-    right_m = graph.node("ShaderNodeSeparateXYZ", {0: _metres(graph)}).outputs[0]
+    wear = texture(graph, wear_file, metres, is_color=False)
+    wear.node.name = "wear"
+    right_m = graph.node("ShaderNodeSeparateXYZ", {0: metres}).outputs[0]
     is_right = graph.math("GREATER_THAN", right_m, graph.value("joint_m"))
     shade = graph.math("SUBTRACT", 1.0, graph.math("MULTIPLY", graph.value("darker"), is_right))
     color = graph.scale(graph.vector("MULTIPLY", graph.scale(fine, 2.0), wear), shade)
     gloss = graph.value("gloss")
-    roughness = graph.math("MULTIPLY_ADD", gloss, -1.5, texture(graph, files.roughness, uv, is_color=False))
+    roughness = graph.math("MULTIPLY_ADD", gloss, -1.5, _tiled(graph, files.roughness, metres, is_color=False))
     amount = graph.math("MULTIPLY_ADD", gloss, 1.2, 0.15)
-    look = wet(graph, Look(color, roughness, amount, _bumpy_normal(graph, files.normal, uv, 0.4)))
-    across_m = graph.node("ShaderNodeSeparateXYZ", {0: _metres(graph)}).outputs[0]
-    look = thrown_back(graph, snowed(graph, look, wheel_tracks(graph, across_m)), *ROAD_BACK)
+    look = wet(graph, Look(color, roughness, amount, _bumpy_normal(graph, files.normal, metres, 0.4)))
+    look = thrown_back(graph, snowed(graph, look, wheel_tracks(graph, right_m)), *ROAD_BACK)
     coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
     return material
 
 
-def _albedo(graph: Graph, file: Path | str, uv: Any) -> Any:
+def _albedo(color: Any) -> Any:
     """A road's fine texture, on the node `albedo`."""
-    color = texture(graph, file, uv, is_color=True)
     color.node.name = "albedo"
     return color
 
@@ -205,11 +210,11 @@ def _albedo(graph: Graph, file: Path | str, uv: Any) -> Any:
 def _gravel_shoulder() -> bpy.types.Material:
     """Gravel, matte when dry."""
     material, graph = new_material("shoulder", SEMANTIC_IDS["shoulder"])
-    uv = _tile_uv(graph)
-    macro_uv = graph.scale(_metres(graph), 1 / 17.0)
+    metres = _metres(graph)
+    macro_uv = graph.scale(metres, 1 / 17.0)
     macro = graph.math("MULTIPLY", texture(graph, "terrain_macro.jpg", macro_uv, is_color=False), 2.0)
-    color = graph.scale(texture(graph, "shoulder_albedo.jpg", uv, is_color=True), macro)
-    normal = _bumpy_normal(graph, "shoulder_normal.jpg", uv, 0.6)
+    color = graph.scale(_tiled(graph, "shoulder_albedo.jpg", metres, is_color=True), macro)
+    normal = _bumpy_normal(graph, "shoulder_normal.jpg", metres, 0.6)
     look = thrown_back(graph, snowed(graph, wet(graph, Look(color, 0.8, 0.0, normal))), *ROAD_BACK)
     coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
     return material
@@ -218,10 +223,11 @@ def _gravel_shoulder() -> bpy.types.Material:
 def _paved_shoulder() -> bpy.types.Material:
     """The road's own pavement without wear: no wheel paths, patches of dust."""
     material, graph = new_material("paved_shoulder", SEMANTIC_IDS["shoulder"])
-    uv = _tile_uv(graph)
-    dust = texture(graph, "terrain_macro.jpg", graph.scale(_metres(graph), 1 / 23.0), is_color=False)
-    color = graph.vector("MULTIPLY", graph.scale(_albedo(graph, "road_1_albedo.jpg", uv), 2.0), dust)
-    look = wet(graph, Look(color, ROAD_ROUGHNESS, 0.15, _bumpy_normal(graph, "road_1_normal.jpg", uv, 0.4)))
+    metres = _metres(graph)
+    dust = texture(graph, "terrain_macro.jpg", graph.scale(metres, 1 / 23.0), is_color=False)
+    fine = _albedo(_tiled(graph, "road_1_albedo.jpg", metres, is_color=True))
+    color = graph.vector("MULTIPLY", graph.scale(fine, 2.0), dust)
+    look = wet(graph, Look(color, ROAD_ROUGHNESS, 0.15, _bumpy_normal(graph, "road_1_normal.jpg", metres, 0.4)))
     look = thrown_back(graph, snowed(graph, look), *ROAD_BACK)
     coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
     return material
@@ -230,8 +236,8 @@ def _paved_shoulder() -> bpy.types.Material:
 def _terrain(name: str, files: TextureFiles) -> bpy.types.Material:
     """Fine texture times a map of growth and dryness at two scales, so that hills do not look uniform."""
     material, graph = new_material(name, SEMANTIC_IDS["terrain"])
-    uv, metres = _tile_uv(graph), _metres(graph)
-    fine = texture(graph, files.albedo, uv, is_color=True)
+    metres = _metres(graph)
+    fine = _tiled(graph, files.albedo, metres, is_color=True)
     distance_m = graph.node("ShaderNodeCameraData").outputs["View Distance"]
     blur = graph.math("MINIMUM", graph.math("DIVIDE", distance_m, BLUR_DISTANCE_M), 0.9)
     mean = graph.node("ShaderNodeRGB", name="mean").outputs[0]
@@ -243,8 +249,8 @@ def _terrain(name: str, files: TextureFiles) -> bpy.types.Material:
         fade = graph.clamp(graph.math("DIVIDE", distance_m, MACRO_TILES * length_m))
         color = graph.vector("MULTIPLY", color, graph.mix_color(graph.scale(macro, 2.0), (1.0, 1.0, 1.0), fade))
     color = graph.mix_color(color, WOODS, _far_woods(graph, metres, distance_m))
-    flat = graph.node("ShaderNodeNewGeometry").outputs["Normal"]
-    normal = graph.mix_color(_bumpy_normal(graph, files.normal, uv, 0.8), flat, blur)
+    strength = graph.math("MULTIPLY_ADD", blur, -0.8, 0.8)
+    normal = _bumpy_normal(graph, files.normal, metres, strength)
     look = snowed(graph, Look(color, 1.0, 0.0, normal), blur=blur)
     graph.surface(graph.node("ShaderNodeBsdfDiffuse", {"Color": look.color, "Normal": look.normal}))
     return material
@@ -290,7 +296,7 @@ def _paint(name: str, kind: str, tint: tuple[float, float, float]) -> bpy.types.
     painted = graph.node("ShaderNodeCombineColor", {k: graph.math("MULTIPLY", shade, tint[k]) for k in range(3)})
     bare, gloss = rubbed(graph), graph.value("gloss")
     position = graph.node("ShaderNodeNewGeometry").outputs["Position"]
-    road = _albedo(graph, "road_1_albedo.jpg", graph.scale(position, 1 / ROAD_TILE_M))
+    road = _albedo(texture(graph, "road_1_albedo.jpg", graph.scale(position, 1 / ROAD_TILE_M), is_color=True))
     color = graph.mix_color(painted.outputs[0], road, bare)
     roughness = graph.mix(graph.math("MULTIPLY_ADD", gloss, -0.4, 0.75), ROAD_ROUGHNESS, bare)
     amount = graph.mix(gloss, graph.math("MULTIPLY_ADD", graph.value("road_gloss"), 1.2, 0.15), bare)
@@ -313,7 +319,7 @@ def _ghost() -> bpy.types.Material:
     """The gray of the road's pavement, lighter or darker by `shade`."""
     material, graph = new_material("ghost", SEMANTIC_IDS["road"])
     position = graph.node("ShaderNodeNewGeometry").outputs["Position"]
-    road = _albedo(graph, "road_1_albedo.jpg", graph.scale(position, 1 / ROAD_TILE_M))
+    road = _albedo(texture(graph, "road_1_albedo.jpg", graph.scale(position, 1 / ROAD_TILE_M), is_color=True))
     gray = graph.node("ShaderNodeRGBToBW", {0: road}).outputs[0]
     color = graph.scale((1.0, 1.0, 1.0), graph.math("MULTIPLY", gray, graph.value("shade")))
     normal = graph.node("ShaderNodeNewGeometry").outputs["Normal"]

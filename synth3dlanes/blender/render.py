@@ -123,6 +123,7 @@ def configure(settings: RenderSettings, film: float) -> None:
     options.pixel_filter_type, options.filter_width = "BOX", 1.0
     options.use_light_tree = False
     options.use_auto_tile = False
+    options.debug_use_spatial_splits = True
     options.film_exposure = film
     layer = blender.view_layers[0]
     layer.use_pass_z = True

@@ -1,7 +1,7 @@
 """Water and snow on the ground, worn paint, and light thrown back at night, as shader nodes without effect at 0: Cycles
 folds constants, so they cost nothing in a dry scene by day with intact paint."""
 
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -109,6 +109,7 @@ def rubbed(graph: Graph) -> Any:
     return graph.math("MULTIPLY", graph.value("is_rubbed"), bare)
 
 
+@lru_cache(maxsize=8)
 def rub_level(share: float) -> float:
     """The level of the map below which `share` of it lies: as `rub_level` or `snow_level`, the mean of `rubbed` or of
     `snowed`."""
