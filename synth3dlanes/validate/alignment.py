@@ -35,6 +35,7 @@ class Part(NamedTuple):
 # shifted by one pixel they are mostly more than 1.3 times as large, in images of other scenes as large. A stretched
 # image may be in place in the middle.
 MOVED, BLANK = 1.25, 0.9
+LEAST_OF_THING = 20
 ACROSS = (
     Part("the image", 0, 1, 100),
     Part("its left third", 0, 1 / 3, 250),
@@ -77,13 +78,24 @@ def _judge(
     inner = (columns >= REACH_PX) & (columns < n - REACH_PX)
     rows, columns = rows[inner], columns[inner]
     around = np.stack([steps[rows, columns + k] for k in range(-REACH_PX, REACH_PX + 1)], axis=1)
+    owners = np.maximum(things[rows, columns], things[rows, columns + 1])
     for part in parts:
         inside = (columns >= part.first * n) & (columns < part.last * n)
         if inside.sum() < part.least:
             continue
         mean = around[inside].mean(axis=0)
         moved_px, here = int(mean.argmax()) - REACH_PX, mean[REACH_PX]
-        found = f"{moved_px:+d} px {way}" if mean.max() > MOVED * here else ""
+        is_moved = mean.max() > MOVED * here and _agree(around[inside], owners[inside], moved_px)
+        found = f"{moved_px:+d} px {way}" if is_moved else ""
         found = found or ("none" if max(mean[0], mean[-1]) > BLANK * here else "")
         if found:
             yield Finding("", f"image: expected edges where the passes have them, got {found} in {part.name}")
+
+
+def _agree(around: Float[np.ndarray, "n k"], owners: Int[np.ndarray, " n"], moved_px: int) -> bool:
+    """Whether two things or more, and most of them, have their borders there rather than in place: a single one may be
+    as bright as what is behind it, and have an edge of its own inside its border."""
+    of_thing = (around[owners == thing] for thing in np.unique(owners))
+    means = [borders.mean(axis=0) for borders in of_thing if len(borders) >= LEAST_OF_THING]
+    votes = [mean[REACH_PX + moved_px] > mean[REACH_PX] for mean in means]
+    return bool(sum(votes) > 1 and 2 * sum(votes) > len(votes))

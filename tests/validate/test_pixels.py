@@ -114,6 +114,23 @@ def test_what_once_was_a_false_alarm_is_none(index):
     assert findings(made) == []
 
 
+@pytest.mark.parametrize(("cars_down_px", "expected"), [(0, []), (2, ["image: expected edges where the passes"])])
+def test_a_wall_as_bright_as_the_road_with_an_edge_of_its_own_is_no_shift(cars_down_px, expected):
+    """Its dark side begins 2 px below its top; cars tell whether the image is shifted."""
+    shape = (120, 160)
+    passes = {"semantic": np.full(shape, SEMANTIC_IDS["road"], np.uint8), "instance": np.zeros(shape, np.uint16)}
+    image = np.full((*shape, 3), 120, np.uint8)
+    for left in (10, 60, 110):
+        box = np.s_[20:40, left : left + 40]
+        passes["semantic"][box], passes["instance"][box] = SEMANTIC_IDS["car"], 1 + left
+        image[20 + cars_down_px : 40 + cars_down_px, left : left + 40] = 150
+    passes["semantic"][80:110], passes["instance"][80:110] = SEMANTIC_IDS["barrier"], 6000
+    image[82:110], image[110:112] = 60, 80
+    found = [finding.reason for finding in check_alignment(image, passes)]
+    assert len(found) == len(expected)
+    assert all(reason.startswith(words) for reason, words in zip(found, expected, strict=True))
+
+
 def swapped(pixels: np.ndarray, a: int, b: int) -> np.ndarray:
     return np.where(pixels == a, b, np.where(pixels == b, a, pixels)).astype(pixels.dtype)
 
