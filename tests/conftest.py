@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from tests import checked  # noqa: F401 - before all that it checks
+
 # Machines are slow at times; a failure must be the same one tomorrow.
 settings.register_profile("house", deadline=None, derandomize=True)
 settings.register_profile("long", deadline=None, max_examples=5000)

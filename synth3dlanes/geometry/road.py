@@ -10,7 +10,6 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import brentq
 
 from synth3dlanes.geometry import terrain as ground
 from synth3dlanes.labels import RoadName
@@ -195,6 +194,9 @@ class RoadPlan:
         """Smallest station with opening(s) >= q_m; infinity for a road without exit."""
         if not self.has_exit:
             return float("inf")
+        # Not at the top: loading it takes a third of the start of the program.
+        from scipy.optimize import brentq
+
         return float(brentq(lambda s: self.opening(np.array([s]))[0] - q_m, 0.0, 1e4, xtol=1e-10))
 
     @cached_property

@@ -7,7 +7,7 @@ import pytest
 from beartype.roar import BeartypeCallHintViolation
 from jaxtyping import Float
 
-from tests import check
+from tests.checked import check
 
 Vector = Float[np.ndarray, " n"]
 
