@@ -4,14 +4,20 @@ import functools
 import inspect
 from collections.abc import Callable
 from dataclasses import is_dataclass
-from typing import Any, get_args
+from types import NoneType, UnionType
+from typing import Annotated, Any, Union, get_args, get_origin
 
 import jaxtyping
+import numpy as np
 from beartype import BeartypeConf, beartype
+from beartype.door import die_if_unbearable
 from jaxtyping import AbstractArray, jaxtyped
 
 # To mypy an int is a float; so it is to beartype here.
-_check_types = beartype(conf=BeartypeConf(is_pep484_tower=True))
+CONF = BeartypeConf(is_pep484_tower=True)
+_check_types = beartype(conf=CONF)
+LEFT_OUT = inspect.Parameter.empty
+VARIABLE = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 
 def check(function: Any) -> Any:
@@ -21,19 +27,48 @@ def check(function: Any) -> Any:
         if is_dataclass(function):
             function.__init__ = check(function.__init__)
         return function
-    has_shapes = any(_names_shapes(hint) for hint in inspect.get_annotations(function).values())
-    if not has_shapes and "<locals>" in function.__qualname__:
+    hints = inspect.get_annotations(function)
+    shaped = {name: hint for name, hint in hints.items() if _names_shapes(hint)}
+    if not shaped and "<locals>" in function.__qualname__:
         # Such a function would be compiled anew with every call of the one around it.
         return function
-    checked = _check_types(function)
-    return _in_a_scope_of_its_own(checked) if has_shapes else checked
+    if not shaped:
+        return _check_types(function)
+    has_more = any(
+        part.kind in VARIABLE for name, part in inspect.signature(function).parameters.items() if name in shaped
+    )
+    if all(map(_is_told_by_form, shaped.values())) and not has_more:
+        return _with_known_forms(function, hints, shaped)
+    return _in_a_scope_of_its_own(_check_types(function))
 
 
 def _names_shapes(hint: Any) -> bool:
     """Whether arrays are in a type hint; a hint that is text may be anything."""
-    if isinstance(hint, str) or (inspect.isclass(hint) and issubclass(hint, AbstractArray)):
+    if isinstance(hint, str) or _is_array(hint):
         return True
     return any(map(_names_shapes, get_args(hint)))
+
+
+def _is_array(hint: Any) -> bool:
+    return inspect.isclass(hint) and issubclass(hint, AbstractArray)
+
+
+def _is_told_by_form(hint: Any) -> bool:
+    """Whether `_form` says all that decides if a value fits a type hint."""
+    if _is_array(hint) or hint in (float, int, bool, NoneType, np.ndarray):
+        return True
+    origin, args = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        return _is_told_by_form(args[0])
+    return origin in (Union, UnionType, tuple) and Ellipsis not in args and all(map(_is_told_by_form, args))
+
+
+def _form(value: Any) -> Any:
+    """Type, shape and numbers of an array, forms of a tuple's items, the type of all else."""
+    if isinstance(value, tuple):
+        return (type(value), *map(_form, value))
+    kind = type(value)
+    return (kind, value.shape, value.dtype) if hasattr(value, "dtype") else kind
 
 
 def _in_a_scope_of_its_own(checked: Callable[..., Any]) -> Callable[..., Any]:
@@ -41,6 +76,36 @@ def _in_a_scope_of_its_own(checked: Callable[..., Any]) -> Callable[..., Any]:
     def call(*args: Any, **kwargs: Any) -> Any:
         with jaxtyped("context"):
             return checked(*args, **kwargs)
+
+    return call
+
+
+def _with_known_forms(function: Callable[..., Any], hints: dict[str, Any], shaped: dict[str, Any]) -> Any:
+    """The same, faster: forms that were right once are right again."""
+    places = [(i, name) for i, name in enumerate(inspect.signature(function).parameters) if name in shaped]
+    function.__annotations__ = {name: hint for name, hint in hints.items() if name not in shaped}
+    checked = _check_types(function)
+    function.__annotations__ = hints
+    right = set()
+
+    def verify(values: list[Any]) -> None:
+        forms = tuple(map(_form, values))
+        if forms in right:
+            return
+        with jaxtyped("context"):
+            for (_, name), value in zip([*places, (0, "return")], values, strict=False):
+                if value is not LEFT_OUT:
+                    die_if_unbearable(value, shaped.get(name, Any), conf=CONF)
+        right.add(forms)
+
+    @functools.wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        values = [args[i] if i < len(args) else kwargs.get(name, LEFT_OUT) for i, name in places]
+        verify(values)
+        result = checked(*args, **kwargs)
+        if "return" in shaped:
+            verify([*values, result])
+        return result
 
     return call
 

@@ -41,6 +41,35 @@ def test_a_dimension_has_one_size_in_arguments_and_result():
             call()
 
 
+@check
+def moved(a: Vector, by: Vector | float = 0.0, *, n: int | None = None) -> tuple[Vector, float]:
+    return (a + by)[:n], 1.0
+
+
+@check
+def lengths(lines: list[Float[np.ndarray, "m 3"]], *others: Vector) -> Vector:
+    return np.array([len(line) for line in lines], float)
+
+
+def test_arrays_within_other_types_and_by_any_name():
+    good, bad = np.zeros(3), np.zeros(3, int)
+    assert moved(good, good)[1] == moved(by=2, a=good)[1] == moved(good, n=3)[1]
+    assert len(lengths([np.zeros((2, 3))] * 3, good)) == 3
+    for call in (
+        lambda: moved(bad),
+        lambda: moved(good, by=bad),
+        lambda: moved(good, by=np.zeros(1)),
+        lambda: moved(good, by="1"),
+        lambda: moved(good, n=2),
+        lambda: moved(a=good[None]),
+        lambda: lengths([np.zeros((3, 2))] * 3, good),
+        lambda: lengths([np.zeros((2, 3))] * 2, good),
+        lambda: lengths([np.zeros((2, 3))] * 3, good, bad),
+    ):
+        with pytest.raises(BeartypeCallHintViolation):
+            call()
+
+
 def test_all_of_our_packages_are_checked():
     from synth3dlanes_baseline.poses import cam_from_road
 
