@@ -59,7 +59,7 @@ def small(words: list[str]) -> list[str]:
             words[i + 1] = "2"
         if word == "--model":
             words[i + 1] = "tiny"
-    if words[1] in ("generate", "sample"):
+    if words[1] == "generate":
         height_px = 54 if "apollo_camera" in words else 72
         changes = {"camera.width_px": 96, "camera.height_px": height_px, "trees.n": 4, "cars.n": 1}
         words += [word for name, value in changes.items() for word in ("--set", f"{name}={value}")]
