@@ -5,6 +5,8 @@ PYTEST := $(BIN)/pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder 
 DEMO ?= demo
 EXTRAS ?= dev,train,cluster
 export MPLBACKEND := Agg
+# The tests start hundreds of programs: each would compile all modules anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help setup demo test check format docs pictures golden assets bench soak
 .DEFAULT_GOAL := help

@@ -3,8 +3,10 @@
 Metres and degrees. Reading a file is the only side effect.
 """
 
+import copy
 import difflib
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -350,7 +352,7 @@ def load_params(source: str, overrides: Sequence[str] = (), assets: Assets = BUI
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{where}: cannot read: {getattr(error, 'strerror', None) or error}") from None
-    document, problems = read_yaml(text, where)
+    document, problems = copy.deepcopy(_parsed(text, where))
     if not isinstance(document, dict):
         raise InputError(*(problems or [f"{where}: expected groups of parameters, got {shown(document)}"]))
     overridden, override_problems = _override(document, overrides)
@@ -361,6 +363,12 @@ def load_params(source: str, overrides: Sequence[str] = (), assets: Assets = BUI
     if problems or override_problems:
         raise InputError(*problems, *override_problems)
     return params
+
+
+@lru_cache(maxsize=16)
+def _parsed(text: str, where: str) -> tuple[Any, list[str]]:
+    """`read_yaml`, which takes most of the time of loading, once for each file."""
+    return read_yaml(text, where)
 
 
 def check_params(sources: Iterable[str], overrides: Sequence[str] = ()) -> None:

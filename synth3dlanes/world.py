@@ -32,14 +32,26 @@ BEHIND_WINDSCREEN_M = 1.0
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A camera at an instant, with the host's place then; the host's road frame; the poses of all cars (without their
-    scale) then; the share of the image that the host's bonnet fills; and the host's lidar, if it has one."""
+    """A camera at the instant of a scene's shot, with the host's place then; the host's road frame; and the share of
+    the image that the host's bonnet fills."""
 
+    scene: Scene
+    plan: RoadPlan
     camera: Camera
     world_from_host: Matrix4
-    world_from_cars: tuple[Matrix4, ...]
     bonnet: float = 0.0
-    lidar: Lidar | None = None
+
+    @cached_property
+    def world_from_cars(self) -> tuple[Matrix4, ...]:
+        """The poses of all cars at that instant, without their scale."""
+        models, time_s = self.scene.assets.car_models, self.scene.shot.time_s
+        cars = (car_at(self.plan, car, time_s) for car in self.scene.cars)
+        return tuple(world_from_car(self.plan, car, models[car.model - 1]) for car in cars)
+
+    @property
+    def lidar(self) -> Lidar | None:
+        """The host's lidar, if it has one."""
+        return self.scene.lidar
 
     @cached_property
     def world_from_road(self) -> Matrix4:
@@ -139,13 +151,11 @@ class World:
     @cached_property
     def view(self) -> View:
         """The view of the scene's camera at the instant of its shot."""
-        scene, models, shot = self.scene, self.scene.assets.car_models, self.scene.shot
-        cars = (car_at(self.plan, car, shot.time_s) for car in scene.cars)
-        poses = tuple(world_from_car(self.plan, car, models[car.model - 1]) for car in cars)
+        scene, shot = self.scene, self.scene.shot
         camera = host_at(self.plan, scene.camera, shot.speed_m_s * shot.time_s)
         sees_bonnet = camera.looks_ahead and abs(camera.forward_m) <= BEHIND_WINDSCREEN_M
         bonnet = scene.host.bonnet if sees_bonnet else 0.0
-        return View(camera, world_from_host(self.plan, camera), poses, bonnet, scene.lidar)
+        return View(scene, self.plan, camera, world_from_host(self.plan, camera), bonnet)
 
     def seen_in(self, scene: Scene) -> "World":
         """The same world for another shot of it, by a scene that differs in camera and shot alone."""

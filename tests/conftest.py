@@ -2,14 +2,19 @@
 
 import importlib.util
 import os
+import shutil
 import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from filelock import FileLock
 from hypothesis import settings
+
+from tests import checked  # noqa: F401 - before all that it checks
 
 # Machines are slow at times; a failure must be the same one tomorrow.
 settings.register_profile("house", deadline=None, derandomize=True)
@@ -29,8 +34,8 @@ def pytest_configure() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    # The longest file comes first, so that no process ends long after the other.
-    items.sort(key=lambda item: item.path.name != "test_planted.py")
+    # The longest files come first, so that no process ends long after the other.
+    items.sort(key=lambda item: (item.path.name != "test_planted.py", item.path.parent.name != "validate"))
     if importlib.util.find_spec("bpy") is None:
         for item in items:
             if item.get_closest_marker("render"):
@@ -49,6 +54,24 @@ def pytest_unconfigure(config: pytest.Config) -> None:
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(config.stash.get(EXIT_STATUS, 1))
+
+
+@pytest.fixture(scope="session")
+def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[Path], object]], Path]:
+    """`made_once(name, make)` is a folder that `make` fills, once for all processes of a run."""
+    mine = tmp_path_factory.getbasetemp()
+    shared = mine.parent if "PYTEST_XDIST_WORKER" in os.environ else mine
+
+    def folder(name: str, make: Callable[[Path], object]) -> Path:
+        made, done = shared / name, shared / f"{name}.done"
+        with FileLock(f"{made}.lock"):
+            if not done.exists():
+                shutil.rmtree(made, ignore_errors=True)
+                make(made)
+                done.touch()
+        return made
+
+    return folder
 
 
 @pytest.fixture

@@ -32,7 +32,7 @@ START_S = 60.0
 
 def undisturbed(out: Path, n: int) -> dict[str, bytes]:
     """The files of a run that nobody disturbed."""
-    plan = Plan(out, n, fake_samples.recipe(), workers=2, shard_size=10, maker=fake_samples.make)
+    plan = Plan(out, n, fake_samples.recipe(), workers=1, shard_size=10, maker=fake_samples.make)
     assert generate(plan, lambda _: None).exit_code == 0
     return files(out)
 

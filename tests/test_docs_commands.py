@@ -6,7 +6,6 @@ Inline commands have placeholders, so there only names and options are looked up
 """
 
 import contextlib
-import functools
 import io
 import re
 import shlex
@@ -119,8 +118,12 @@ def look_up(group: click.Group, words: list[str]) -> None:
 def shards_of_one() -> Iterator[None]:
     from synth3dlanes.production import plan, run  # noqa: F401 - its type hints must mean the class itself
 
+    @dataclass(frozen=True)
+    class Plan(plan.Plan):
+        shard_size: int = 1
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(plan, "Plan", functools.partial(plan.Plan, shard_size=1))
+        patch.setattr(plan, "Plan", Plan)
         yield
 
 

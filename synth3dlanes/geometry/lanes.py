@@ -75,8 +75,13 @@ class Curve:
 
     def joint_m(self, plan: RoadPlan) -> float:
         """Last station of the stem: the projection of the curve's first exit point onto the main road, at most 0."""
-        start = plan.exit_xy(np.zeros(1), self.fork_m)
-        return min(0.0, float(plan.project_main(start)[0][0]))
+        return _joint_m(plan, self.fork_m)
+
+
+@lru_cache(maxsize=32)
+def _joint_m(plan: RoadPlan, fork_m: float) -> float:
+    start = plan.exit_xy(np.zeros(1), fork_m)
+    return min(0.0, float(plan.project_main(start)[0][0]))
 
 
 def smooth_min(q: Values, width_m: float) -> Values:

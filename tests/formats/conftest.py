@@ -33,7 +33,7 @@ def write_split():
     from tests import fake_samples
 
     def write(root, split, n, changes=(), make_passes=None):
-        params = load_params("appendix_i", changes)
+        params = load_params("appendix_i", ["cars.n=3", "trees.n=5", *changes])
         names = ("semantic", "instance") if make_passes else ()
         description = {**fake_samples.recipe(image_format="jpg").description(), "shard_size": 1000}
         description["render"] = {**description["render"], "passes": list(names)}

@@ -29,7 +29,7 @@ from tests import fake_samples
 N = 23
 
 
-def plan(out: Path, n: int = N, workers: int = 2, maker=fake_samples.make, **changes) -> Plan:
+def plan(out: Path, n: int = N, workers: int = 1, maker=fake_samples.make, **changes) -> Plan:
     return Plan(out, n, fake_samples.recipe(), workers=workers, shard_size=10, maker=maker, **changes)
 
 
@@ -177,13 +177,13 @@ def test_a_second_run_in_the_folder_is_refused(tmp_path):
     ("maker", "limits", "reason"),
     [
         (fake_samples.crash_on_bad, Limits(), "worker ended with 1"),
-        (fake_samples.hang_on_bad, Limits(seconds=4.0), "no progress for 4 s"),
+        (fake_samples.hang_on_bad, Limits(seconds=6.0), "no progress for 6 s"),
         (fake_samples.spin_on_bad, Limits(seconds=6.0), "no end after 6 s of CPU time"),
         (fake_samples.eat_memory_on_bad, Limits(rss_bytes=1 << 30), "more than 1024 MiB of memory"),
     ],
 )
 def test_a_bad_scene_is_set_aside_and_blocks_nothing(tmp_path, whole, maker, limits, reason):
-    report, events = go(plan(tmp_path, maker=maker, limits=limits))
+    report, events = go(plan(tmp_path, workers=2, maker=maker, limits=limits))
     assert (report.exit_code, report.set_aside, report.done) == (1, (3,), N - 1)
     restarts = [event for event in events if event.kind == "restart"]
     assert len(restarts) == 3
@@ -221,11 +221,11 @@ def test_a_worker_that_gets_little_of_a_busy_machine_is_waited_for(tmp_path, mon
 
 
 def test_a_machine_at_fault_stops_the_run(tmp_path, monkeypatch):
-    monkeypatch.setattr(local, "MAX_IN_A_ROW", 4)
-    report, _ = go(plan(tmp_path, n=1000, maker=fake_samples.always_crash))
+    monkeypatch.setattr(local, "MAX_IN_A_ROW", 2)
+    report, _ = go(plan(tmp_path, n=1000, workers=2, maker=fake_samples.always_crash))
     assert report.exit_code == 1
     last_words = "worker ended with 1: ValueError: no scene is good"
-    assert report.problem.startswith(f"4 scenes in a row failed, the last with: {last_words}")
+    assert report.problem.startswith(f"2 scenes in a row failed, the last with: {last_words}")
     report, _ = go(plan(tmp_path, n=1000, maker=fake_samples.miss_a_library))
     assert report.problem == "ImportError: libmissing.so.1: cannot open shared object file"
 
@@ -233,9 +233,9 @@ def test_a_machine_at_fault_stops_the_run(tmp_path, monkeypatch):
 def test_scenes_whose_workers_others_kill_are_made_anew(tmp_path, whole, monkeypatch):
     (tmp_path / "marks").mkdir()
     monkeypatch.setenv("SYNTH3DLANES_TEST_MARK", str(tmp_path / "marks"))
-    report, events = go(plan(tmp_path / "out", n=8, maker=fake_samples.be_killed_once))
+    report, events = go(plan(tmp_path / "out", n=4, workers=2, maker=fake_samples.be_killed_once))
     assert report.exit_code == 0
-    assert sum(event.kind == "restart" for event in events) == 8
+    assert sum(event.kind == "restart" for event in events) == 4
     go(plan(tmp_path / "out"))
     assert contents(tmp_path / "out") == whole
 
@@ -246,7 +246,7 @@ def test_workers_are_recycled_and_pinned(tmp_path, whole):
     def look(event):
         pids.update(worker.pid for worker in psutil.Process().children())
 
-    report = generate(plan(tmp_path, maker=fake_samples.insist_on_one_core, limits=Limits(tasks=4)), look)
+    report = generate(plan(tmp_path, workers=2, maker=fake_samples.insist_on_one_core, limits=Limits(tasks=4)), look)
     assert report.exit_code == 0
     assert len(pids) >= 5
     assert contents(tmp_path) == whole
@@ -265,7 +265,7 @@ def test_waits_for_room_and_goes_on(tmp_path, whole, monkeypatch):
         if event.kind == "pause":
             free[0] = 10**12
 
-    assert generate(plan(tmp_path), tell).exit_code == 0
+    assert generate(plan(tmp_path, workers=2), tell).exit_code == 0
     assert seen.index("pause") < seen.index("resume")
     assert contents(tmp_path) == whole
     free[0] = 10**6
@@ -280,7 +280,7 @@ def test_a_vanished_folder_is_named(tmp_path):
         if event.kind == "sample" and event.done == 3:
             out.rename(tmp_path / "elsewhere")  # at once: a tree removed file by file meets files that workers add
 
-    report = generate(plan(out), tell)
+    report = generate(plan(out, workers=2), tell)
     assert report.exit_code == 1
     assert str(out) in report.problem
     assert "No such file" in report.problem

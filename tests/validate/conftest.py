@@ -1,6 +1,7 @@
 """A small real dataset, rendered once; `sealing.py` changes copies of it."""
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,18 +15,20 @@ CHANGES += ["markings.left_yellow={true: 1, false: 1}", "markings.wear=[0, 0.5]"
 
 
 @pytest.fixture(scope="session")
-def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def rendered(made_once: Callable[[str, Callable[[Path], object]], Path]) -> Path:
     from synth3dlanes.params import load_params
     from synth3dlanes.production.plan import Plan
     from synth3dlanes.production.recipe import Recipe
     from synth3dlanes.production.run import generate
     from synth3dlanes.settings import RenderSettings
 
-    root = tmp_path_factory.mktemp("validate") / "data"
     settings = RenderSettings(samples=2, passes=("depth", "normal", "semantic", "instance", "height"), device="cpu")
-    plan = Plan(root, N, Recipe(load_params("appendix_i", CHANGES), 4, "train", settings, "jpg"), workers=2)
-    assert generate(plan, lambda event: None).exit_code == 0
-    return root
+    recipe = Recipe(load_params("appendix_i", CHANGES), 4, "train", settings, "jpg")
+
+    def make(root: Path) -> None:
+        assert generate(Plan(root, N, recipe, workers=1), lambda event: None).exit_code == 0
+
+    return made_once("validate", make)
 
 
 @pytest.fixture

@@ -46,11 +46,13 @@ class Fault(NamedTuple):
 
 
 class World(NamedTuple):
-    """What differs, the changes of a scene (none where it has nothing of the kind), and a pattern as a fault's."""
+    """What differs, the changes of a scene (none where it has nothing of the kind), a pattern as a fault's, and whether
+    it shows over many samples only."""
 
     name: str
     changes: Changes
     words: str
+    needs_many: bool = False
 
 
 # -- members of samples
@@ -275,10 +277,10 @@ FAULTS = [
 ]
 
 WORLDS = [
-    World("world: lanes 1 % wider", scaled("road.lane_width_m", 1.01), "paint"),
+    World("world: lanes 1 % wider", scaled("road.lane_width_m", 1.01), "paint", needs_many=True),
     World("world: ramp 10 % higher", higher_ramp, "ramp"),
     World("world: focal length 1 % longer", longer_lens, "focal|far"),
-    World("world: cx 1 px to the right", to_the_side, "right"),
+    World("world: cx 1 px to the right", to_the_side, "right", needs_many=True),
     World("world: exit angle 0.3 deg wider", wider_exit, "exit|paint|pavement|ramp"),
     World("world: hills 2 % higher", higher_hills, "hills|terrain"),
 ]

@@ -78,13 +78,21 @@ def changed(scene: Scene, world: int) -> Scene:
     return change_scene(scene, WORLDS[world].changes(scene))
 
 
-def render(folder: Path, params: Params, seed: int, n: int, workers: int) -> tuple[Path, list[Fault]]:
-    """A clean data set of n samples with all passes, and all faults that may be planted in it."""
+def render(
+    folder: Path, params: Params, seed: int, n: int, workers: int, few: int | None = None
+) -> tuple[Path, list[Fault]]:
+    """A clean data set of n samples with all passes, and all faults that may be planted in it: worlds that do not need
+    many samples in its first `few`."""
     recipe = Recipe(params, seed, "train", SETTINGS, IMAGE)
     clean = folder / "clean"
     assert generate(Plan(clean, n, recipe, workers), lambda event: None).exit_code == 0
     scenes = [recipe.scene(index) for index in range(n)]
-    jobs = tuple((w, i) for w in range(len(WORLDS)) for i in range(n) if changed(scenes[i], w) != scenes[i])
+    jobs = tuple(
+        (w, i)
+        for w, world in enumerate(WORLDS)
+        for i in range(n if world.needs_many or few is None else few)
+        if changed(scenes[i], w) != scenes[i]
+    )
     worlds = Worlds(params, seed, "train", SETTINGS, IMAGE, jobs=jobs)
     assert generate(Plan(folder / "worlds", len(jobs), worlds, workers), lambda event: None).exit_code == 0
     rendered = read_members(folder / "worlds")

@@ -26,7 +26,7 @@ def streets(tmp_path_factory: pytest.TempPathFactory) -> Path:
     # Something of every kind: not every scene has it.
     changes = ["road.n_oncoming=2", "road.median_m=4", "roadside.median=guardrail", "symbols.arrow_rows=2"]
     recipe = Recipe(load_params("streets", [*changes, "weather.daytime=day"]), 2026, "train", settings, "jpg")
-    assert generate(Plan(root, N, recipe, workers=2), lambda event: None).exit_code == 0
+    assert generate(Plan(root, N, recipe, workers=1), lambda event: None).exit_code == 0
     return root
 
 

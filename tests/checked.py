@@ -1,0 +1,115 @@
+"""What verifies the shapes and types of all calls under pytest: `--jaxtyping-packages` in pyproject.toml names it."""
+
+import functools
+import inspect
+from collections.abc import Callable
+from dataclasses import is_dataclass
+from types import NoneType, UnionType
+from typing import Annotated, Any, Union, get_args, get_origin
+
+import jaxtyping
+import numpy as np
+from beartype import BeartypeConf, beartype
+from beartype.door import die_if_unbearable
+from jaxtyping import AbstractArray, jaxtyped
+
+# To mypy an int is a float; so it is to beartype here.
+CONF = BeartypeConf(is_pep484_tower=True)
+_check_types = beartype(conf=CONF)
+LEFT_OUT = inspect.Parameter.empty
+VARIABLE = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+
+
+def check(function: Any) -> Any:
+    """A function, or a dataclass with its constructor, that raises an error for a call or a result of other types or
+    shapes than its annotations name. A dimension has one size in all arrays of a call."""
+    if inspect.isclass(function):
+        if is_dataclass(function):
+            function.__init__ = check(function.__init__)
+        return function
+    hints = inspect.get_annotations(function)
+    shaped = {name: hint for name, hint in hints.items() if _names_shapes(hint)}
+    if not shaped and "<locals>" in function.__qualname__:
+        # Such a function would be compiled anew with every call of the one around it.
+        return function
+    if not shaped:
+        return _check_types(function)
+    has_more = any(
+        part.kind in VARIABLE for name, part in inspect.signature(function).parameters.items() if name in shaped
+    )
+    if all(map(_is_told_by_form, shaped.values())) and not has_more:
+        return _with_known_forms(function, hints, shaped)
+    return _in_a_scope_of_its_own(_check_types(function))
+
+
+def _names_shapes(hint: Any) -> bool:
+    """Whether arrays are in a type hint; a hint that is text may be anything."""
+    if isinstance(hint, str) or _is_array(hint):
+        return True
+    return any(map(_names_shapes, get_args(hint)))
+
+
+def _is_array(hint: Any) -> bool:
+    return inspect.isclass(hint) and issubclass(hint, AbstractArray)
+
+
+def _is_told_by_form(hint: Any) -> bool:
+    """Whether `_form` says all that decides if a value fits a type hint."""
+    if _is_array(hint) or hint in (float, int, bool, NoneType, np.ndarray):
+        return True
+    origin, args = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        return _is_told_by_form(args[0])
+    return origin in (Union, UnionType, tuple) and Ellipsis not in args and all(map(_is_told_by_form, args))
+
+
+def _form(value: Any) -> Any:
+    """Type, shape and numbers of an array, forms of a tuple's items, the type of all else."""
+    if isinstance(value, tuple):
+        return (type(value), *map(_form, value))
+    kind = type(value)
+    return (kind, value.shape, value.dtype) if hasattr(value, "dtype") else kind
+
+
+def _in_a_scope_of_its_own(checked: Callable[..., Any]) -> Callable[..., Any]:
+    @functools.wraps(checked)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        with jaxtyped("context"):
+            return checked(*args, **kwargs)
+
+    return call
+
+
+def _with_known_forms(function: Callable[..., Any], hints: dict[str, Any], shaped: dict[str, Any]) -> Any:
+    """The same, faster: forms that were right once are right again."""
+    places = [(i, name) for i, name in enumerate(inspect.signature(function).parameters) if name in shaped]
+    function.__annotations__ = {name: hint for name, hint in hints.items() if name not in shaped}
+    checked = _check_types(function)
+    function.__annotations__ = hints
+    right = set()
+
+    def verify(values: list[Any]) -> None:
+        forms = tuple(map(_form, values))
+        if forms in right:
+            return
+        with jaxtyped("context"):
+            for (_, name), value in zip([*places, (0, "return")], values, strict=False):
+                if value is not LEFT_OUT:
+                    die_if_unbearable(value, shaped.get(name, Any), conf=CONF)
+        right.add(forms)
+
+    @functools.wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        values = [args[i] if i < len(args) else kwargs.get(name, LEFT_OUT) for i, name in places]
+        verify(values)
+        result = checked(*args, **kwargs)
+        if "return" in shaped:
+            verify([*values, result])
+        return result
+
+    return call
+
+
+# jaxtyping's import hook decorates everything with this. Its own decorator checks each argument twice and binds each
+# call's signature anew, which took half the time of the tests.
+jaxtyping.jaxtyped = lambda typechecker: typechecker
