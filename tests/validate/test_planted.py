@@ -11,7 +11,7 @@ from tests.validate.sealing import check, describe, drop_passes, seal
 pytestmark = [pytest.mark.render, pytest.mark.timeout(900)]
 
 # Samples for faults that show over many only, for other worlds, and for all else.
-N, FEW, ONE, SEED = 8, 4, 1, 20
+N, FEW, ONE, SEED = 10, 4, 1, 20
 # Small images from near a junction: merges show the exit's paint, splits its ramp.
 CHANGES = ["camera.width_px=320", "camera.height_px=240", "camera.y_m=[-36, -28]", "cars.n=8", "trees.n=25"]
 CHANGES += ["road.topology=[2, 4]", "road.exit_angle_deg=[3, 5]", "road.exit_offset_m=[5, 10]"]
