@@ -102,7 +102,7 @@ def verge_meshes(ground: Ground) -> list[Mesh]:
     right = ground.main_right_edge(s)
     meshes = [
         _verge(ground, lambda d: plan.main_xy(s, ground.left_edge_m - d), raised, free),
-        _verge(ground, lambda d: plan.main_xy(s, right + d), raised, free),
+        _verge(ground, lambda d: plan.main_xy(s, right + d), raised, np.where(_meets_exit(ground, s), 0.0, np.inf)),
     ]
     if plan.has_exit:
         se = np.sort(s[s >= 0])
@@ -241,6 +241,15 @@ def _inner_edge(ground: Ground, s: Values) -> Values:
     """Exit offset at which the exit's cross-section leaves the main pavement; its own left edge once they are
     separate."""
     return np.clip(_crossing(ground, s, ground.exit_edge_m), -ground.exit_edge_m, ground.exit_edge_m)
+
+
+def _meets_exit(ground: Ground, s: Values) -> Bool[np.ndarray, " n"]:
+    """Where the exit's pavement goes on beyond the main pavement's right edge. A verge there would show through the seam
+    of both."""
+    if not ground.plan.has_exit:
+        return np.zeros(s.shape, bool)
+    se, te = ground.plan.project_exit(ground.plan.main_xy(s, ground.main_right_edge(s)), s)
+    return np.asarray((se > 0) & (np.abs(te) < ground.exit_edge_m - SEAM_M))
 
 
 def _gap(ground: Ground, s: Values) -> Values:

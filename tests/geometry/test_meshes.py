@@ -136,6 +136,26 @@ def test_the_eye_sees_paint_in_its_place_on_hills_and_ramps():
                 assert aside_px[steep].max(initial=0) < 0.1, curve.id
 
 
+@pytest.mark.parametrize("topology", [2, 3, 4])
+def test_no_verge_begins_where_the_exits_pavement_meets_the_main_one(topology):
+    """It would show through the seam, as single pixels of terrain on the road."""
+    world = world_of(topology)
+    plan, ground = world.plan, world.ground
+    s = np.arange(5.0, plan.nose_m - 5, 0.25)
+    se, te = plan.project_exit(plan.main_xy(s, ground.main_right_edge(s)), s)
+    s = s[(se > 0) & (np.abs(te) < ground.exit_edge_m - 0.5)]
+    seam = plan.main_xy(s, ground.main_right_edge(s) + 1e-3)
+    assert len(s) > 20
+    for verge in world.verges:
+        corners = verge.vertices_world[verge.faces][..., :2]
+        a, b = corners, np.roll(corners, -1, axis=1)
+        side = (b - a)[:, :, 0] * (seam[:, None, None, 1] - a[..., 1]) - (b - a)[:, :, 1] * (
+            seam[:, None, None, 0] - a[..., 0]
+        )
+        covers = (side > 0).all(axis=-1) | (side < 0).all(axis=-1)
+        assert not covers.any()
+
+
 def test_there_is_no_inner_verge_while_the_exit_touches_the_main_road():
     """Just before a merge is over the roads touch all the way; Blender cannot take an empty mesh."""
     road = {"topology": 2, "flip_lateral": True, "exit_angle_rad": 0.0175, "exit_offset_m": 0}
