@@ -244,8 +244,7 @@ def _inner_edge(ground: Ground, s: Values) -> Values:
 
 
 def _meets_exit(ground: Ground, s: Values) -> Bool[np.ndarray, " n"]:
-    """Where the exit's pavement goes on beyond the main pavement's right edge. A verge there would show through the seam
-    of both."""
+    """Where the exit's pavement goes on beyond the main pavement's right edge. A verge would show through the seam."""
     if not ground.plan.has_exit:
         return np.zeros(s.shape, bool)
     se, te = ground.plan.project_exit(ground.plan.main_xy(s, ground.main_right_edge(s)), s)
