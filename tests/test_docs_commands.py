@@ -76,17 +76,23 @@ def run_command(words: list[str]) -> None:
     if words[0] == "make":
         return parse(words)
     assert words[0] == "synth3dlanes", f"{shlex.join(words)}: neither ours nor marked as not run"
-    words, out = (words[:-2], words[-1]) if words[-2] == ">" else (words, None)
+    words, out = redirected(words)
     result = CliRunner().invoke(main, small(words)[1:])
     assert result.exit_code == 0, f"{shlex.join(words)}\n{result.output}{result.exception!r}"
     if out is not None:
         Path(out).write_text(result.stdout)
 
 
+def redirected(words: list[str]) -> tuple[list[str], str | None]:
+    """The command without `> FILE`, and that file."""
+    return (words[:-2], words[-1]) if words[-2:-1] == [">"] else (words, None)
+
+
 def parse(words: list[str]) -> None:
     """Check a command without running it."""
     from synth3dlanes_cli.main import main
 
+    words, _ = redirected(words)
     if words[0] == "make":
         subprocess.run(["make", "-n", *words[1:]], cwd=ROOT, check=True, capture_output=True)
     elif words[0] == "ray":
