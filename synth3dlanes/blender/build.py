@@ -11,12 +11,13 @@ from synth3dlanes.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.blender import drop_scratch
 from synth3dlanes.blender.camera import set_camera
 from synth3dlanes.blender.lens import make_lens, set_lens
-from synth3dlanes.blender.light import STUDIO, add_car_lamps, add_haze, make_world, set_light
+from synth3dlanes.blender.light import STUDIO, add_haze, add_lights, make_world, set_light
 from synth3dlanes.blender.load_assets import LoadedAssets, load_assets
 from synth3dlanes.blender.materials import Materials, make_materials, set_materials, set_translucency
 from synth3dlanes.blender.polygons import polygons
 from synth3dlanes.blender.shaders import car_paint, new_material
 from synth3dlanes.blender.structures import structure_mesh
+from synth3dlanes.blender.weathering import set_snow_caps
 from synth3dlanes.frames import Matrix4, from_axes
 from synth3dlanes.geometry.bonnet import bonnet
 from synth3dlanes.geometry.grass import Blades
@@ -85,7 +86,7 @@ def open_studio(library: Library = BUILT_IN) -> Studio:
     hood = new_mesh(bonnet(), [_host_paint()])
     hood.name = "bonnet"
     add_haze()
-    add_car_lamps()
+    add_lights()
     kept = frozenset(mesh.name for mesh in bpy.data.meshes)
     return Studio(assets, materials, hood, _plain(), make_lens(), camera, kept)
 
@@ -143,6 +144,7 @@ def _stage(studio: Studio, world: World, trees: Sequence[Placed]) -> None:
     materials = studio.materials
     set_materials(materials, world.scene)
     set_translucency(studio.assets.trees, world.scene.vegetation.translucency)
+    set_snow_caps(world.scene.weather.snow)
     road, shoulder, terrain = materials.ground(world.scene.surface)
     for mesh in [world.terrain, *world.verges]:
         _add_object("ground", new_mesh(mesh, [terrain]), 0)

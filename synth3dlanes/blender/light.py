@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from synth3dlanes.blender.shaders import Graph
 from synth3dlanes.frames import Matrix4, transform
+from synth3dlanes.geometry.buildings import GLASS
 from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.imaging.haze import KOSCHMIEDER
 from synth3dlanes.imaging.sky import SKY_SHAPE, sun_direction
@@ -30,6 +31,8 @@ STRAY = 0.01  # share of the beam that goes above its edge
 STREET_LAMP, STREET_COLOR, STREET_CONE_RAD, N_STREET_LAMPS = 0.05, (1.0, 0.8, 0.55), 2.6, 8
 # Radiance of lit lamps of cars by the names of their materials.
 CAR_LAMPS = {"car_head": (0.012, 0.011, 0.0095), "car_tail": (0.0008, 0.00001, 0.000006)}
+# Radiance of a lit window (about 25 cd/m2), its colour, and the share of windows that are lit after sunset.
+WINDOW, WINDOW_COLOR, LIT = 0.0006, (1.0, 0.72, 0.42), 0.3
 
 Points = Float[np.ndarray, "n 3"]
 
@@ -101,19 +104,32 @@ def _shape_beam(lamp: bpy.types.Light) -> None:
     graph.node("ShaderNodeOutputLight", {"Surface": emission.outputs[0]})
 
 
-def add_car_lamps() -> None:
-    """Let the lamps of cars shine, once per process; only the camera and reflections see it."""
+def add_lights() -> None:
+    """Let lamps of cars and windows of houses shine, once per process; only the camera and reflections see it."""
     for name in CAR_LAMPS:
-        material = bpy.data.materials.get(name)
-        if material is None:
-            continue
-        graph = Graph(material.node_tree)
-        output = next(node for node in material.node_tree.nodes if node.bl_idname == "ShaderNodeOutputMaterial")
-        surface = output.inputs["Surface"].links[0].from_socket
-        shine = graph.node("ShaderNodeEmission", {"Strength": 0.0}, name="lamp")
-        both = graph.node("ShaderNodeAddShader", {0: surface, 1: shine.outputs[0]})
-        graph.plug(output.inputs["Surface"], both.outputs[0])
-        material.cycles.emission_sampling = "NONE"
+        if name in bpy.data.materials:
+            _add_shine(bpy.data.materials[name])
+    windows = bpy.data.materials["building"]
+    graph = Graph(windows.node_tree)
+    gloss = graph.node("ShaderNodeAttribute", attribute_name="paint").outputs["Alpha"]
+    luck = graph.node("ShaderNodeNewGeometry").outputs["Random Per Island"]
+    is_glass, is_lit = graph.math("GREATER_THAN", gloss, 0.99 * GLASS[3]), graph.math("LESS_THAN", luck, LIT)
+    strength = graph.math("MULTIPLY", graph.math("MULTIPLY", is_glass, is_lit), graph.value("windows"))
+    shine = _add_shine(windows)
+    graph.plug(shine.inputs["Color"], WINDOW_COLOR)
+    graph.plug(shine.inputs["Strength"], strength)
+
+
+def _add_shine(material: bpy.types.Material) -> Any:
+    """Add light to a material's surface; the emission's node."""
+    graph = Graph(material.node_tree)
+    output = next(node for node in material.node_tree.nodes if node.bl_idname == "ShaderNodeOutputMaterial")
+    surface = output.inputs["Surface"].links[0].from_socket
+    shine = graph.node("ShaderNodeEmission", {"Strength": 0.0}, name="lamp")
+    both = graph.node("ShaderNodeAddShader", {0: surface, 1: shine.outputs[0]})
+    graph.plug(output.inputs["Surface"], both.outputs[0])
+    material.cycles.emission_sampling = "NONE"
+    return shine
 
 
 def add_haze() -> None:
@@ -179,6 +195,8 @@ def _set_lamps(scene: Scene, world_from_host: Matrix4, street_lamps: Points) -> 
             brightest = max(radiance)
             shine["Color"].default_value = (*(channel / brightest for channel in radiance), 1.0)
             shine["Strength"].default_value = brightest if is_lit else 0.0
+    windows = bpy.data.materials["building"].node_tree.nodes["windows"]
+    windows.outputs[0].default_value = WINDOW if is_dark else 0.0
 
 
 def _place(name: str, place_world: Float[np.ndarray, "3"] | None, rotation: mathutils.Quaternion) -> None:

@@ -14,6 +14,7 @@ from synth3dlanes.blender.render import studio
 from synth3dlanes.imaging.daylight import daylight
 from synth3dlanes.imaging.film import response
 from synth3dlanes.production.recipe import take_picture
+from synth3dlanes.scene import Building, Car, Tree
 from synth3dlanes.settings import HOST_ID, SEMANTIC_IDS, RenderSettings
 from synth3dlanes.validate.ids import prove_ids
 from synth3dlanes.validate.obstacles import check_objects
@@ -90,6 +91,43 @@ def test_snow_covers_the_road_between_the_wheel_tracks_and_no_id_changes():
     assert np.mean(gain[road & between]) > 1.6
     assert not Paint(resolve(snowy)).shows
     assert Paint(resolve(bare)).shows
+
+
+@pytest.mark.render
+def test_some_windows_are_lit_at_night_only():
+    house = Building(kind="house", x_m=10, y_m=-15, yaw_rad=0.3, width_m=9, length_m=14, height_m=9,
+                     color=(0.7, 0.7, 0.7), roof=(0.1, 0.1, 0.1))  # fmt: skip
+    day, night = (changed(light=light, roadside={"buildings": (house,)}) for light in ({}, NIGHT))
+    shots = [take_picture(resolve(scene), ALL) for scene in (day, night)]
+    by_day, at_night = (light_of(shot.image) for shot in shots)
+    is_house = shots[0].passes["semantic"] == SEMANTIC_IDS["building"]
+    is_glass = is_house & (by_day < 0.5 * np.median(by_day[is_house]))
+    shining = at_night > 4 * np.median(at_night[is_house])
+    assert 0.1 < np.mean(shining[is_glass]) < 0.5
+    assert np.mean(shining[is_house & ~is_glass]) < 0.1
+
+
+@pytest.mark.render
+def test_snow_lies_on_roofs_trees_and_cars_where_they_look_up_and_leaves_no_trace():
+    dark = {"gloss": 0.0, "scale": 1.0, "lane": "main_2", "model": 1}
+    cars = (Car(color=(0.1, 0, 0), s_m=-38, **dark), Car(color=(0.3, 0, 0), s_m=-20, **dark))
+    house = Building(kind="house", x_m=14, y_m=-10, yaw_rad=0.3, width_m=9, length_m=12, height_m=5,
+                     color=(0.3, 0.1, 0.1), roof=(0.1, 0.1, 0.1))  # fmt: skip
+    stage = changed(air={"overcast": 1}, roadside={"buildings": (house,)}, camera={"height_m": 4.0})
+    stage = stage.model_copy(update={"cars": cars, "trees": (Tree(model=1, x_m=-12, y_m=-25, yaw_rad=0, scale=1),)})
+    scenes = [changed(stage, weather={"snow": snow}) for snow in (0.0, 0.99, 0.0)]
+    shots = [take_picture(resolve(scene), replace(ALL, passes=(*ALL.passes, "normal"))) for scene in scenes]
+    np.testing.assert_array_equal(shots[0].image, shots[2].image)
+    for name in ALL.passes:
+        np.testing.assert_array_equal(shots[0].passes[name], shots[1].passes[name])
+    gain = light_of(shots[1].image) / light_of(shots[0].image)
+    up = shots[0].passes["normal"][..., 2]
+    names, cars_ids = shots[0].passes["semantic"], shots[0].passes["instance"]
+    for is_it, flat in ((cars_ids == 2, 0.95), (names == SEMANTIC_IDS["building"], 0.5)):
+        assert np.median(gain[is_it & (up > flat)]) > 3
+        assert np.median(gain[is_it & (abs(up) < 0.2)]) < 1.6
+    assert np.median(gain[(cars_ids == 1) & (up > 0.92)]) < 1.6, "this one was brushed off"
+    assert np.mean(gain[names == SEMANTIC_IDS["tree"]]) > 1.4
 
 
 @pytest.mark.render
