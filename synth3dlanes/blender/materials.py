@@ -99,6 +99,8 @@ def set_materials(materials: Materials, scene: Scene) -> None:
     wear = road.node_tree.nodes["wear"].texture_mapping
     wear.scale = (0.5 / lane_width_m, 1 / WEAR_LENGTH_M, 1)
     wear.translation = (0.25 * parity, 0, 0)
+    _set(road, "median_at_m", -(scene.road.n_lanes * lane_width_m + scene.road.median_m) / 2)
+    _set(road, "median_m", scene.road.median_m)
     joint_m, darker = joint(scene.road, surface.joint, scene.stream)
     _set(road, "gloss", surface.road_gloss)
     _set(road, "joint_m", joint_m)
@@ -186,9 +188,13 @@ def _road(name: str, files: TextureFiles) -> bpy.types.Material:
     metres = _metres(graph)
     fine = _albedo(_tiled(graph, files.albedo, metres, is_color=True))
     wear_file = "road_1_wear.jpg" if files.albedo.is_absolute() else f"{name}_wear.jpg"
-    wear = texture(graph, wear_file, metres, is_color=False)
-    wear.node.name = "wear"
     right_m = graph.node("ShaderNodeSeparateXYZ", {0: metres}).outputs[0]
+    # Wear and tracks lie as if there were no median: so they are in the lanes beyond it too.
+    is_oncoming = graph.math("LESS_THAN", right_m, graph.value("median_at_m"))
+    closing_m = graph.math("MULTIPLY", is_oncoming, graph.value("median_m"))
+    closed = graph.vector("ADD", metres, graph.node("ShaderNodeCombineXYZ", {0: closing_m}).outputs[0])
+    wear = texture(graph, wear_file, closed, is_color=False)
+    wear.node.name = "wear"
     is_right = graph.math("GREATER_THAN", right_m, graph.value("joint_m"))
     shade = graph.math("SUBTRACT", 1.0, graph.math("MULTIPLY", graph.value("darker"), is_right))
     color = graph.scale(graph.vector("MULTIPLY", graph.scale(fine, 2.0), wear), shade)
@@ -196,7 +202,8 @@ def _road(name: str, files: TextureFiles) -> bpy.types.Material:
     roughness = graph.math("MULTIPLY_ADD", gloss, -1.5, _tiled(graph, files.roughness, metres, is_color=False))
     amount = graph.math("MULTIPLY_ADD", gloss, 1.2, 0.15)
     look = wet(graph, Look(color, roughness, amount, _bumpy_normal(graph, files.normal, metres, 0.4)))
-    look = thrown_back(graph, snowed(graph, look, wheel_tracks(graph, right_m)), *ROAD_BACK)
+    across_m = graph.node("ShaderNodeSeparateXYZ", {0: closed}).outputs[0]
+    look = thrown_back(graph, snowed(graph, look, wheel_tracks(graph, across_m)), *ROAD_BACK)
     coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
     return material
 

@@ -78,13 +78,16 @@ def test_the_nearest_street_lamps_are_lit_at_night_only():
 
 
 @pytest.mark.render
-def test_snow_covers_the_road_between_the_wheel_tracks_and_no_id_changes():
-    bare, snowy = (changed(air={"overcast": 1}, weather={"snow": s, "snow_on_road": s}) for s in (0.0, 0.6))
+@pytest.mark.parametrize(("oncoming", "lane_m"), [({}, 0.0), ({"n_oncoming": 2, "median_m": 4.0}, -11.0)])
+def test_snow_covers_the_road_between_the_wheel_tracks_and_no_id_changes(oncoming, lane_m):
+    stage = changed(air={"overcast": 1}, road=oncoming)
+    bare, snowy = (changed(stage, weather={"snow": s, "snow_on_road": s}) for s in (0.0, 0.6))
     shots = [take_picture(resolve(scene), ALL) for scene in (bare, snowy)]
     for name in ("depth", "semantic", "instance"):
         np.testing.assert_array_equal(shots[0].passes[name], shots[1].passes[name])
     right_m, ahead_m = flat_road_places(bare)
-    road = (shots[0].passes["semantic"] == SEMANTIC_IDS["road"]) & (ahead_m > 5) & (ahead_m < 25)
+    right_m = right_m - lane_m
+    road = (shots[0].passes["semantic"] == SEMANTIC_IDS["road"]) & (ahead_m > 5) & (ahead_m < 25 + abs(lane_m))
     gain = light_of(shots[1].image) / light_of(shots[0].image)
     in_track, between = abs(abs(right_m) - 0.8) < 0.2, (abs(right_m) < 0.25) | (abs(abs(right_m) - 1.4) < 0.15)
     assert np.mean(gain[road & in_track]) < 1.2
