@@ -8,7 +8,7 @@ export MPLBACKEND := Agg
 # The tests start hundreds of programs: each would compile all modules anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test check format docs pictures golden assets bench soak
+.PHONY: help setup demo test check types suite format docs pictures golden assets bench soak
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -16,14 +16,14 @@ help:  ## this list
 
 setup: .venv/ready  ## .venv with the pinned packages (EXTRAS=train: without Ray and the developers' tools)
 
-# What generating needs, and the rest on top of it.
+# What generating needs, and all of it.
 .venv/core: pyproject.toml constraints.txt scripts/setup
 	EXTRAS= scripts/setup
 	touch $@
 
-.venv/ready: .venv/core
+.venv/ready: pyproject.toml constraints.txt scripts/setup
 	EXTRAS=$(EXTRAS) scripts/setup
-	touch $@
+	touch .venv/core $@
 
 demo: .venv/core  ## 12 labelled 480x360 scenes, a gallery and one scene explained, in demo/
 	$(BIN)/synth3dlanes generate --n 12 --seed 1 --out $(DEMO)/data --workers 2
@@ -33,14 +33,19 @@ demo: .venv/core  ## 12 labelled 480x360 scenes, a gallery and one scene explain
 
 test: .venv/ready  ## the tests (all but slow and gpu)
 	scripts/browser
-	$(PYTEST)
+	$(MAKE) suite
 
 check: .venv/ready  ## what CI runs: format, lint, imports, types, tests
 	scripts/browser
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
+	$(MAKE) --jobs 2 types suite
+
+types:
 	$(BIN)/mypy
+
+suite:
 	$(PYTEST)
 
 format: .venv/ready  ## let ruff repair what it can

@@ -57,8 +57,9 @@ class TimmPathway(nn.Module):
         """Load the weights of the whole network from a state dict (.pth, .safetensors); what follows the trunk is not
         used. Raise FormatError if it is another network's."""
         state = _state(path)
-        whole = _create(self.name, features_only=False).state_dict()
-        trunk = _create(self.name, features_only=False, num_classes=0).state_dict()
+        with torch.device("meta"):
+            whole = _create(self.name, features_only=False).state_dict()
+            trunk = _create(self.name, features_only=False, num_classes=0).state_dict()
         for name in sorted({*trunk, *state}):
             expected, got = (tuple(of[name].shape) if name in of else "none" for of in (whole, state))
             if expected == "none" or (name in trunk and expected != got):
