@@ -83,21 +83,22 @@ def snowed(graph: Graph, bare: Look, spare: Socket = 0.0, blur: Socket = 0.0) ->
 def set_snow_caps(share: float) -> None:
     """Put snow on trees, cars and structures, as much as on the ground, or take it away."""
     for material in bpy.data.materials:
-        if material.pass_index not in CAPPED:
+        if material.pass_index not in CAPPED or not material.use_nodes:
             continue
-        nodes = material.node_tree.nodes
-        output = next(node for node in nodes if node.bl_idname == "ShaderNodeOutputMaterial").inputs["Surface"]
-        if not output.links:
+        tree = material.node_tree
+        output = tree.get_output_node("CYCLES")
+        if output is None or not output.inputs["Surface"].links:
             continue
-        top = output.links[0].from_node
+        surface = output.inputs["Surface"]
+        top = surface.links[0].from_node
         if share and top.name != CAP:
-            top = nodes.get(CAP) or _cap(Graph(material.node_tree), output.links[0].from_socket, material.pass_index)
-            material.node_tree.links.new(top.outputs[0], output)
+            top = tree.nodes.get(CAP) or _cap(Graph(tree), surface.links[0].from_socket, material.pass_index)
+            tree.links.new(top.outputs[0], surface)
         if share:
-            nodes["cap_level"].outputs[0].default_value = rub_level(share)
-            nodes["cap_share"].outputs[0].default_value = share
+            tree.nodes["cap_level"].outputs[0].default_value = rub_level(share)
+            tree.nodes["cap_share"].outputs[0].default_value = share
         elif top.name == CAP:
-            material.node_tree.links.new(top.inputs[1].links[0].from_socket, output)
+            tree.links.new(top.inputs[1].links[0].from_socket, surface)
 
 
 def _cap(graph: Graph, bare: Socket, semantic_id: int) -> Any:
