@@ -140,7 +140,7 @@ def sample_scene(
     """Draw the scene of sample `index` of a split, of clips of `frames` frames, with a camera or the cameras of a rig
     in place of that of the parameters; equal arguments give equal scenes.
 
-    Raises InputError for a bad argument, and where cars or trees find no room in the ranges given.
+    Raises InputError for a bad argument, and where the least number of cars, or trees, find no room in their ranges.
     """
     _at_least(0, seed=seed, index=index)
     return _sample_scene(params, seed, split, index, assets.assets, _shots(camera, rig, frames, fps))

@@ -57,6 +57,11 @@ class Choice(Generic[Value]):
         )
 
 
+def least(distribution: Integers | Choice[int]) -> int:
+    """The least value that may be drawn."""
+    return min(distribution.values) if isinstance(distribution, Choice) else distribution.low
+
+
 def form(distribution: Uniform | Integers | Choice[Any]) -> Any:
     """The YAML form that a distribution was read from."""
     if not isinstance(distribution, Choice):

@@ -65,7 +65,7 @@ def sample_scene(
 ) -> Scene:
     """Draw the scene of sample `index` of a split; it depends on these arguments alone.
 
-    Raises InputError if there is no room for the cars or trees in their ranges.
+    Raises InputError if there is no room for the least number of cars, or for the trees, in their ranges.
     """
     return sample_world(params, seed, split, index, assets, shots, like).scene
 

@@ -1,5 +1,7 @@
 """The sampler: declared distributions, streams that do not touch each other, objects that have room."""
 
+import itertools
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -190,6 +192,18 @@ def test_no_room_is_an_error_that_names_the_parameters():
         sample_scene(load_params("appendix_i", ["trees.x_m=0", "trees.y_m=0"]), 0, "train", 0)
     with pytest.raises(InputError, match=r"cars\.n: no room for car"):
         sample_scene(load_params("appendix_i", ["cars.n=90", "cars.s_m=[0, 10]"]), 0, "train", 0)
+
+
+def test_cars_for_which_there_is_no_room_are_left_out_where_fewer_are_allowed():
+    """A jam: one lane of 60 m; the shortest car is 3.5 m long."""
+    jam = ["cars.n=[2, 90]", "cars.s_m=[0, 60]", "cars.parked=0", "road.n_lanes=1", "road.topology=1"]
+    counts = []
+    for index in range(20):
+        scene = sample_scene(load_params("appendix_i", jam), 0, "train", index)
+        ends = sorted((car.s_m, scene.assets.car_models[car.model - 1].length_m * car.scale) for car in scene.cars)
+        assert min(b - a - (of_a + of_b) / 2 for (a, of_a), (b, of_b) in itertools.pairwise(ends)) > 0.5
+        counts.append(len(scene.cars))
+    assert 5 <= min(counts) <= max(counts) <= 60 / 3.5
 
 
 def test_many_scenes_from_several_processes_are_the_same_scenes(params, scenes):

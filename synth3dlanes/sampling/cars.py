@@ -23,16 +23,17 @@ PARKING_BEFORE_EXIT_M = 20.0
 
 
 def draw_cars(world: World, draws: Sequence[Draw], speeds: Draw) -> tuple[Car, ...]:
-    """The cars of a world, from the draws of CAR_STREAMS and of their speeds.
+    """The cars of a world, from the draws of CAR_STREAMS and of their speeds. From the first on for which there is no
+    room, they are left out.
 
-    Raises InputError where there is no room in their ranges.
+    Raises InputError where these are fewer than `cars.n` allows.
     """
     scene = world.scene
     looks, places, paints, sold, parking = draws
     taken = [placement.host_footprint(world_from_host(world.plan, scene.camera))]
     traffic = Traffic(world.plan, scene.camera, scene.shot) if scene.shot.n_frames > 1 else None
     parked = parking("parked")
-    cars = []
+    cars: list[Car] = []
     for number in range(looks("n")):
         model, scale = looks("model"), looks("scale")
         (color,) = zip(*looks.rows(("color",), 3), strict=True)
@@ -55,6 +56,8 @@ def draw_cars(world: World, draws: Sequence[Draw], speeds: Draw) -> tuple[Car, .
             if speed_m_s is not None:
                 break
         else:
+            if number >= looks.least("n"):
+                break
             raise InputError(f"cars.n: no room for car {number + 1} within cars.s_m of scene {scene.index}")
         taken.append(place)
         saturation = paints("saturation")

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.distributions import Uniform
+from synth3dlanes.distributions import Uniform, least
 from synth3dlanes.params import Group, Params
 from synth3dlanes.sampling.like import Drawn, Like, near
 from synth3dlanes.streams import stream
@@ -39,6 +39,10 @@ class Draw:
     def __call__(self, key: str) -> Any:
         """Draw parameter `key` of the group: degrees become radians, floats are rounded."""
         return self._rounded(key, getattr(self.group, key).draw(self._moved(key, self.rng.random())))
+
+    def least(self, key: str) -> int:
+        """The least value that an integer parameter of the group may have."""
+        return least(getattr(self.group, key))
 
     def rows(self, keys: tuple[str, ...], n: int) -> list[tuple[Any, ...]]:
         """`n` draws of several parameters, row by row."""
