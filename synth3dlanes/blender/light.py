@@ -8,9 +8,10 @@ import mathutils
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.blender.shaders import Graph
+from synth3dlanes.blender.shaders import Graph, Socket
 from synth3dlanes.frames import Matrix4, transform
 from synth3dlanes.geometry.buildings import GLASS
+from synth3dlanes.geometry.solids import REFLECTOR_GLOSS, SHEETING_GLOSS
 from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.imaging.haze import KOSCHMIEDER
 from synth3dlanes.imaging.sky import SKY_SHAPE, sun_direction
@@ -33,6 +34,10 @@ STREET_LAMP, STREET_COLOR, STREET_CONE_RAD, N_STREET_LAMPS = 0.05, (1.0, 0.8, 0.
 CAR_LAMPS = {"car_head": (0.012, 0.011, 0.0095), "car_tail": (0.0008, 0.00001, 0.000006)}
 # Radiance of a lit window (about 25 cd/m2), its colour, and the share of windows that are lit after sunset.
 WINDOW, WINDOW_COLOR, LIT = 0.0006, (1.0, 0.72, 0.42), 0.3
+# What throws headlights back: the gloss above which faces do, and coefficient (cd/lx/m2) times the intensity that meets
+# them. Signs hang above the beam's edge, reflectors stand at it.
+THROWN_BACK = {"sign": (SHEETING_GLOSS - 0.02, 250 * BEAM * STRAY), "pole": (REFLECTOR_GLOSS - 0.02, 300 * BEAM * 0.1)}
+NEAREST_M = 4.0
 
 Points = Float[np.ndarray, "n 3"]
 
@@ -105,7 +110,8 @@ def _shape_beam(lamp: bpy.types.Light) -> None:
 
 
 def add_lights() -> None:
-    """Let lamps of cars and windows of houses shine, once per process; only the camera and reflections see it."""
+    """Let lamps of cars and windows of houses shine, and signs and reflectors in the host's headlights, once per
+    process; only the camera and reflections see it."""
     for name in CAR_LAMPS:
         if name in bpy.data.materials:
             _add_shine(bpy.data.materials[name])
@@ -115,21 +121,33 @@ def add_lights() -> None:
     luck = graph.node("ShaderNodeNewGeometry").outputs["Random Per Island"]
     is_glass, is_lit = graph.math("GREATER_THAN", gloss, 0.99 * GLASS[3]), graph.math("LESS_THAN", luck, LIT)
     strength = graph.math("MULTIPLY", graph.math("MULTIPLY", is_glass, is_lit), graph.value("windows"))
-    shine = _add_shine(windows)
-    graph.plug(shine.inputs["Color"], WINDOW_COLOR)
-    graph.plug(shine.inputs["Strength"], strength)
+    _add_shine(windows, WINDOW_COLOR, strength)
+    for name, (gloss_from, gain) in THROWN_BACK.items():
+        _throw_back(bpy.data.materials[name], gloss_from, gain)
 
 
-def _add_shine(material: bpy.types.Material) -> Any:
-    """Add light to a material's surface; the emission's node."""
+def _throw_back(material: bpy.types.Material, gloss_from: float, gain: float) -> None:
+    """Let the glossiest faces throw light from beside the camera back, in their colour: as the square of the distance
+    falls, and with the angle at which it meets them."""
+    graph = Graph(material.node_tree)
+    paint, geometry = graph.node("ShaderNodeAttribute", attribute_name="paint"), graph.node("ShaderNodeNewGeometry")
+    is_it = graph.math("GREATER_THAN", paint.outputs["Alpha"], gloss_from)
+    away_m = graph.math("MAXIMUM", graph.node("ShaderNodeCameraData").outputs["View Distance"], NEAREST_M)
+    falls = graph.math("DIVIDE", gain, graph.math("MULTIPLY", away_m, away_m))
+    met = graph.math("MULTIPLY", falls, graph.vector_dot(geometry.outputs["Incoming"], geometry.outputs["Normal"]))
+    strength = graph.math("MULTIPLY", graph.math("MULTIPLY", is_it, met), graph.value("headlit"))
+    _add_shine(material, paint.outputs["Color"], strength)
+
+
+def _add_shine(material: bpy.types.Material, color: Socket = (1.0, 1.0, 1.0), strength: Socket = 0.0) -> None:
+    """Add light to a material's surface, from the node `lamp`."""
     graph = Graph(material.node_tree)
     output = next(node for node in material.node_tree.nodes if node.bl_idname == "ShaderNodeOutputMaterial")
     surface = output.inputs["Surface"].links[0].from_socket
-    shine = graph.node("ShaderNodeEmission", {"Strength": 0.0}, name="lamp")
+    shine = graph.node("ShaderNodeEmission", {"Color": color, "Strength": strength}, name="lamp")
     both = graph.node("ShaderNodeAddShader", {0: surface, 1: shine.outputs[0]})
     graph.plug(output.inputs["Surface"], both.outputs[0])
     material.cycles.emission_sampling = "NONE"
-    return shine
 
 
 def add_haze() -> None:
@@ -195,8 +213,13 @@ def _set_lamps(scene: Scene, world_from_host: Matrix4, street_lamps: Points) -> 
             brightest = max(radiance)
             shine["Color"].default_value = (*(channel / brightest for channel in radiance), 1.0)
             shine["Strength"].default_value = brightest if is_lit else 0.0
-    windows = bpy.data.materials["building"].node_tree.nodes["windows"]
-    windows.outputs[0].default_value = WINDOW if is_dark else 0.0
+    _set_level("building", "windows", WINDOW if is_dark else 0.0)
+    for name in THROWN_BACK:
+        _set_level(name, "headlit", float(is_lit))
+
+
+def _set_level(material: str, node: str, level: float) -> None:
+    bpy.data.materials[material].node_tree.nodes[node].outputs[0].default_value = level
 
 
 def _place(name: str, place_world: Float[np.ndarray, "3"] | None, rotation: mathutils.Quaternion) -> None:

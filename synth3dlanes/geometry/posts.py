@@ -8,7 +8,18 @@ from jaxtyping import Float
 from synth3dlanes.geometry.beside import frames_beside
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.sign_faces import FACES, Layer
-from synth3dlanes.geometry.solids import BLACK, DARK_METAL, METAL, SINK_M, WHITE, Body, Frame, Quads
+from synth3dlanes.geometry.solids import (
+    BLACK,
+    DARK_METAL,
+    METAL,
+    REFLECTOR_GLOSS,
+    SHEETING_GLOSS,
+    SINK_M,
+    WHITE,
+    Body,
+    Frame,
+    Quads,
+)
 from synth3dlanes.scene import Post
 
 Points3 = Float[np.ndarray, "n 3"]
@@ -36,7 +47,8 @@ def post_body(post: Post, frame: Frame) -> Body:
         for low, high, color in ((-SINK_M, h - 0.32, WHITE), (h - 0.32, h - 0.08, BLACK), (h - 0.08, h, WHITE)):
             quads.box(frame, (-0.06, -0.04, low), (0.06, 0.04, high), color)
         for y in (-0.045, 0.045):
-            quads.box(frame, (-0.03, y - 0.004, h - 0.29), (0.03, y + 0.004, h - 0.12), (0.75, 0.45, 0.1, 1.0))
+            reflector = (0.75, 0.45, 0.1, REFLECTOR_GLOSS)
+            quads.box(frame, (-0.03, y - 0.004, h - 0.29), (0.03, y + 0.004, h - 0.12), reflector)
     else:
         _sign(quads, frame, post)
     quads.feet.append(frame.origin[None])
@@ -87,4 +99,5 @@ def add_board(
         corners = layer.quads()
         depth = np.full(corners.shape[:2], 0.02 if i == 0 else -0.02 - 0.004 * i)
         local = np.stack([sign * corners[..., 0], sign * depth, corners[..., 1]], -1)
-        quads.add(frame.world(local + middle * [1, sign, 1]), (*layer.color, 0.5), "sign")
+        gloss = METAL[3] if i == 0 else SHEETING_GLOSS
+        quads.add(frame.world(local + middle * [1, sign, 1]), (*layer.color, gloss), "sign")

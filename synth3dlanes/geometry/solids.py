@@ -16,6 +16,8 @@ SINK_M = 0.4
 # Linear red, green and blue, and gloss.
 METAL, DARK_METAL = (0.36, 0.37, 0.38, 0.5), (0.2, 0.21, 0.22, 0.4)
 WHITE, BLACK = (0.7, 0.7, 0.68, 0.3), (0.02, 0.02, 0.02, 0.2)
+# The gloss of what throws headlights back, by which it is known at night: faces of signs, and reflectors of posts.
+SHEETING_GLOSS, REFLECTOR_GLOSS = 0.55, 1.0
 
 
 @dataclass(frozen=True, eq=False)

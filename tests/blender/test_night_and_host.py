@@ -10,12 +10,13 @@ pytest.importorskip("bpy")
 import bpy
 
 from synth3dlanes.blender.light import set_light
-from synth3dlanes.blender.render import studio
+from synth3dlanes.blender.render import render, studio
+from synth3dlanes.ground_truth import label
 from synth3dlanes.imaging.daylight import daylight
 from synth3dlanes.imaging.film import response
 from synth3dlanes.production.recipe import take_picture
-from synth3dlanes.scene import Building, Car, Tree
-from synth3dlanes.settings import HOST_ID, SEMANTIC_IDS, RenderSettings
+from synth3dlanes.scene import Building, Car, Post, Tree
+from synth3dlanes.settings import FIRST_STRUCTURE_ID, HOST_ID, SEMANTIC_IDS, RenderSettings
 from synth3dlanes.validate.ids import prove_ids
 from synth3dlanes.validate.obstacles import check_objects
 from synth3dlanes.validate.paint import Paint
@@ -108,6 +109,29 @@ def test_some_windows_are_lit_at_night_only():
     shining = at_night > 4 * np.median(at_night[is_house])
     assert 0.1 < np.mean(shining[is_glass]) < 0.5
     assert np.mean(shining[is_house & ~is_glass]) < 0.1
+
+
+@pytest.mark.render
+def test_signs_and_reflectors_throw_headlights_back_and_backs_of_signs_do_not():
+    """A sign of 250 cd/lx/m2 in the stray light of 128 cd, at 34 m: 28 cd/m2, or 7e-4 of the daylight's unit."""
+    sign = Post(kind="sign", road="main", side="right", s_m=-16, aside_m=1.8, height_m=2, face=9)
+    posts = (sign, sign.model_copy(update={"side": "left", "turned": True}),
+             Post(kind="delineator", road="main", side="left", s_m=-35, aside_m=1.0, height_m=1))  # fmt: skip
+    stage = changed(roadside={"posts": posts}, light=NIGHT)
+    layers = {}
+    for is_lit in (True, False):
+        world = resolve(changed(stage, weather={"headlights": is_lit}))
+        light = daylight(world.scene, float(world.view.eye_world[2]))
+        layers[is_lit] = render(world, world.view, light, label(world, world.view), ALL).layers
+    gained = (layers[True].radiance - layers[False].radiance).max(axis=-1)
+    of = [layers[True].instance == FIRST_STRUCTURE_ID + number for number in range(3)]
+    is_face = layers[True].semantic == SEMANTIC_IDS["sign"]
+    front, back = (gained[ids & is_face] for ids in of[:2])
+    assert 3e-4 < np.quantile(front, 0.9) < 2e-3
+    assert np.median(back) < np.quantile(front, 0.9) / 5
+    post = gained[of[2]]
+    assert post.max() > 10 * np.median(post)
+    assert post.max() > 2 * front.max(), "a reflector stands in the beam"
 
 
 @pytest.mark.render
