@@ -33,14 +33,14 @@ demo: .venv/core  ## 12 labelled 480x360 scenes, a gallery and one scene explain
 
 test: .venv/ready  ## the tests (all but slow and gpu)
 	scripts/browser
-	$(MAKE) suite
+	$(MAKE) --no-print-directory suite
 
 check: .venv/ready  ## what CI runs: format, lint, imports, types, tests
 	scripts/browser
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
-	$(MAKE) --jobs 2 types suite
+	$(MAKE) --no-print-directory --jobs 2 types suite
 
 types:
 	$(BIN)/mypy
