@@ -16,7 +16,7 @@ help:  ## this list
 
 setup: .venv/ready  ## .venv with the pinned packages (EXTRAS=train: without Ray and the developers' tools)
 
-# What generating needs, and all of it.
+# What generating needs; what everything needs.
 .venv/core: pyproject.toml constraints.txt scripts/setup
 	EXTRAS= scripts/setup
 	touch $@
@@ -42,10 +42,10 @@ check: .venv/ready  ## what CI runs: format, lint, imports, types, tests
 	$(BIN)/lint-imports
 	$(MAKE) --no-print-directory --jobs 2 types suite
 
-types:
+types: .venv/ready
 	$(BIN)/mypy
 
-suite:
+suite: .venv/ready
 	$(PYTEST)
 
 format: .venv/ready  ## let ruff repair what it can

@@ -13,11 +13,10 @@ from synth3dlanes.blender.camera import set_camera
 from synth3dlanes.blender.lens import make_lens, set_lens
 from synth3dlanes.blender.light import STUDIO, add_haze, add_lights, make_world, set_light
 from synth3dlanes.blender.load_assets import LoadedAssets, load_assets
-from synth3dlanes.blender.materials import Materials, make_materials, set_materials, set_translucency
+from synth3dlanes.blender.materials import Materials, make_materials, set_materials, set_snow_caps, set_translucency
 from synth3dlanes.blender.polygons import polygons
 from synth3dlanes.blender.shaders import car_paint, new_material
 from synth3dlanes.blender.structures import structure_mesh
-from synth3dlanes.blender.weathering import set_snow_caps
 from synth3dlanes.frames import Matrix4, from_axes
 from synth3dlanes.geometry.bonnet import bonnet
 from synth3dlanes.geometry.grass import Blades

@@ -8,7 +8,7 @@ import mathutils
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.blender.shaders import Graph, Socket
+from synth3dlanes.blender.shaders import Graph, Socket, set_value
 from synth3dlanes.frames import Matrix4, transform
 from synth3dlanes.geometry.buildings import GLASS
 from synth3dlanes.geometry.solids import REFLECTOR_GLOSS, SHEETING_GLOSS
@@ -34,7 +34,7 @@ STREET_LAMP, STREET_COLOR, STREET_CONE_RAD, N_STREET_LAMPS = 0.05, (1.0, 0.8, 0.
 CAR_LAMPS = {"car_head": (0.012, 0.011, 0.0095), "car_tail": (0.0008, 0.00001, 0.000006)}
 # Radiance of a lit window (about 25 cd/m2), its colour, and the share of windows that are lit after sunset.
 WINDOW, WINDOW_COLOR, LIT = 0.0006, (1.0, 0.72, 0.42), 0.3
-# What throws headlights back: the gloss above which faces do, and coefficient (cd/lx/m2) times the intensity that meets
+# What throws headlights back: the gloss above which faces do, and coefficient (cd/lx/m2) times the intensity towards
 # them. Signs hang above the beam's edge, reflectors stand at it.
 THROWN_BACK = {"sign": (SHEETING_GLOSS - 0.02, 250 * BEAM * STRAY), "pole": (REFLECTOR_GLOSS - 0.02, 300 * BEAM * 0.1)}
 NEAREST_M = 4.0
@@ -112,42 +112,41 @@ def _shape_beam(lamp: bpy.types.Light) -> None:
 def add_lights() -> None:
     """Let lamps of cars and windows of houses shine, and signs and reflectors in the host's headlights, once per
     process; only the camera and reflections see it."""
-    for name in CAR_LAMPS:
+    for name, radiance in CAR_LAMPS.items():
         if name in bpy.data.materials:
-            _add_shine(bpy.data.materials[name])
-    windows = bpy.data.materials["building"]
-    graph = Graph(windows.node_tree)
+            red, green, blue = (channel / max(radiance) for channel in radiance)
+            _add_shine(Graph(bpy.data.materials[name].node_tree), (red, green, blue))
+    graph = Graph(bpy.data.materials["building"].node_tree)
     gloss = graph.node("ShaderNodeAttribute", attribute_name="paint").outputs["Alpha"]
     luck = graph.node("ShaderNodeNewGeometry").outputs["Random Per Island"]
     is_glass, is_lit = graph.math("GREATER_THAN", gloss, 0.99 * GLASS[3]), graph.math("LESS_THAN", luck, LIT)
-    strength = graph.math("MULTIPLY", graph.math("MULTIPLY", is_glass, is_lit), graph.value("windows"))
-    _add_shine(windows, WINDOW_COLOR, strength)
-    for name, (gloss_from, gain) in THROWN_BACK.items():
-        _throw_back(bpy.data.materials[name], gloss_from, gain)
+    _add_shine(graph, WINDOW_COLOR, graph.math("MULTIPLY", is_glass, is_lit))
+    for name, (gloss_from, _) in THROWN_BACK.items():
+        _throw_back(Graph(bpy.data.materials[name].node_tree), gloss_from)
+    for name in (*CAR_LAMPS, "building", *THROWN_BACK):
+        if name in bpy.data.materials:
+            bpy.data.materials[name].cycles.emission_sampling = "NONE"
 
 
-def _throw_back(material: bpy.types.Material, gloss_from: float, gain: float) -> None:
-    """Let the glossiest faces throw light from beside the camera back, in their colour: as the square of the distance
-    falls, and with the angle at which it meets them."""
-    graph = Graph(material.node_tree)
+def _throw_back(graph: Graph, gloss_from: float) -> None:
+    """Let the glossiest faces throw light from beside the camera back, in their colour: less as the square of the
+    distance grows, and by the angle at which it meets them."""
     paint, geometry = graph.node("ShaderNodeAttribute", attribute_name="paint"), graph.node("ShaderNodeNewGeometry")
     is_it = graph.math("GREATER_THAN", paint.outputs["Alpha"], gloss_from)
     away_m = graph.math("MAXIMUM", graph.node("ShaderNodeCameraData").outputs["View Distance"], NEAREST_M)
-    falls = graph.math("DIVIDE", gain, graph.math("MULTIPLY", away_m, away_m))
-    met = graph.math("MULTIPLY", falls, graph.vector_dot(geometry.outputs["Incoming"], geometry.outputs["Normal"]))
-    strength = graph.math("MULTIPLY", graph.math("MULTIPLY", is_it, met), graph.value("headlit"))
-    _add_shine(material, paint.outputs["Color"], strength)
+    met = graph.vector_dot(geometry.outputs["Incoming"], geometry.outputs["Normal"])
+    met = graph.math("DIVIDE", met, graph.math("MULTIPLY", away_m, away_m))
+    _add_shine(graph, paint.outputs["Color"], graph.math("MULTIPLY", is_it, met))
 
 
-def _add_shine(material: bpy.types.Material, color: Socket = (1.0, 1.0, 1.0), strength: Socket = 0.0) -> None:
-    """Add light to a material's surface, from the node `lamp`."""
-    graph = Graph(material.node_tree)
-    output = next(node for node in material.node_tree.nodes if node.bl_idname == "ShaderNodeOutputMaterial")
+def _add_shine(graph: Graph, color: Socket, share: Socket = 1.0) -> None:
+    """Add light to a material's surface: a share of the node value `shine`."""
+    output = next(node for node in graph.tree.nodes if node.bl_idname == "ShaderNodeOutputMaterial")
     surface = output.inputs["Surface"].links[0].from_socket
-    shine = graph.node("ShaderNodeEmission", {"Color": color, "Strength": strength}, name="lamp")
+    strength = graph.math("MULTIPLY", share, graph.value("shine"))
+    shine = graph.node("ShaderNodeEmission", {"Color": color, "Strength": strength})
     both = graph.node("ShaderNodeAddShader", {0: surface, 1: shine.outputs[0]})
     graph.plug(output.inputs["Surface"], both.outputs[0])
-    material.cycles.emission_sampling = "NONE"
 
 
 def add_haze() -> None:
@@ -207,19 +206,11 @@ def _set_lamps(scene: Scene, world_from_host: Matrix4, street_lamps: Points) -> 
     nearest = street_lamps[np.argsort(away)[:N_STREET_LAMPS]] if is_dark else street_lamps[:0]
     for i in range(N_STREET_LAMPS):
         _place(f"street_lamp_{i}", nearest[i] if i < len(nearest) else None, mathutils.Quaternion())
-    for name, radiance in CAR_LAMPS.items():
+    shines = {name: is_lit * max(radiance) for name, radiance in CAR_LAMPS.items()}
+    shines |= {"building": is_dark * WINDOW, **{name: is_lit * gain for name, (_, gain) in THROWN_BACK.items()}}
+    for name, radiance in shines.items():
         if name in bpy.data.materials:
-            shine = bpy.data.materials[name].node_tree.nodes["lamp"].inputs
-            brightest = max(radiance)
-            shine["Color"].default_value = (*(channel / brightest for channel in radiance), 1.0)
-            shine["Strength"].default_value = brightest if is_lit else 0.0
-    _set_level("building", "windows", WINDOW if is_dark else 0.0)
-    for name in THROWN_BACK:
-        _set_level(name, "headlit", float(is_lit))
-
-
-def _set_level(material: str, node: str, level: float) -> None:
-    bpy.data.materials[material].node_tree.nodes[node].outputs[0].default_value = level
+            set_value(bpy.data.materials[name], "shine", radiance)
 
 
 def _place(name: str, place_world: Float[np.ndarray, "3"] | None, rotation: mathutils.Quaternion) -> None:

@@ -14,9 +14,21 @@ import numpy as np
 from PIL import Image
 
 from synth3dlanes.assets.folder import TextureFiles
-from synth3dlanes.blender.shaders import Graph, coated, new_material, texture
+from synth3dlanes.blender.shaders import Graph, coated, new_material, set_value, texture
 from synth3dlanes.blender.structures import structure_materials
-from synth3dlanes.blender.weathering import SNOW, Look, rub_level, rubbed, snowed, thrown_back, wet, wheel_tracks
+from synth3dlanes.blender.weathering import (
+    CAP,
+    SNOW,
+    Look,
+    cap_level,
+    rub_level,
+    rubbed,
+    snow_cap,
+    snowed,
+    thrown_back,
+    wet,
+    wheel_tracks,
+)
 from synth3dlanes.geometry.seams import ghost_shade, joint
 from synth3dlanes.scene import Scene, Surface
 from synth3dlanes.settings import SEMANTIC_IDS
@@ -40,6 +52,8 @@ DRY_GRASS = (0.24, 0.19, 0.10)
 TERRAIN_MEANS = {"terrain_1": (0.103, 0.109, 0.052), "terrain_2": (0.249, 0.179, 0.11)}
 # Woods on far terrain (linear): patches of hundreds of metres that fade in from this distance to twice it.
 WOODS, WOODS_LENGTH_M, WOODS_FROM_M = (0.035, 0.045, 0.025), 2900.0, 220.0
+# What snow lies on, beside the ground.
+CAPPED = {SEMANTIC_IDS[name] for name in ("car", "tree", "barrier", "pole", "sign", "bridge", "building", "kerb")}
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,26 +113,26 @@ def set_materials(materials: Materials, scene: Scene) -> None:
     wear = road.node_tree.nodes["wear"].texture_mapping
     wear.scale = (0.5 / lane_width_m, 1 / WEAR_LENGTH_M, 1)
     wear.translation = (0.25 * parity, 0, 0)
-    _set(road, "median_at_m", -(scene.road.n_lanes * lane_width_m + scene.road.median_m) / 2)
-    _set(road, "median_m", scene.road.median_m)
+    set_value(road, "median_at_m", -(scene.road.n_lanes * lane_width_m + scene.road.median_m) / 2)
+    set_value(road, "median_m", scene.road.median_m)
     joint_m, darker = joint(scene.road, surface.joint, scene.stream)
-    _set(road, "gloss", surface.road_gloss)
-    _set(road, "joint_m", joint_m)
-    _set(road, "darker", darker if surface.joint else 0.0)
-    _set(road, "lane_width_m", lane_width_m)
-    _set(road, "lane_shift", 0.5 * parity)
+    set_value(road, "gloss", surface.road_gloss)
+    set_value(road, "joint_m", joint_m)
+    set_value(road, "darker", darker if surface.joint else 0.0)
+    set_value(road, "lane_width_m", lane_width_m)
+    set_value(road, "lane_shift", 0.5 * parity)
     for paint in materials.paints:
-        _set(paint, "grayscale", scene.markings.grayscale)
-        _set(paint, "gloss", scene.markings.gloss)
-        _set(paint, "rub_level", rub_level(scene.markings.wear))
-        _set(paint, "is_rubbed", float(scene.markings.wear > 0))
-        _set(paint, "road_gloss", surface.road_gloss)
+        set_value(paint, "grayscale", scene.markings.grayscale)
+        set_value(paint, "gloss", scene.markings.gloss)
+        set_value(paint, "rub_level", rub_level(scene.markings.wear))
+        set_value(paint, "is_rubbed", float(scene.markings.wear > 0))
+        set_value(paint, "road_gloss", surface.road_gloss)
     for like_road in (paved_shoulder, materials.ghost, *materials.paints):
         like_road.node_tree.nodes["albedo"].image = road.node_tree.nodes["albedo"].image
-    _set(materials.ghost, "shade", ghost_shade(surface.ghost_lines, scene.stream))
+    set_value(materials.ghost, "shade", ghost_shade(surface.ghost_lines, scene.stream))
     for paved in (road, shoulder, materials.ghost, *materials.paints):
-        _set(paved, "wetness", surface.wetness)
-        _set(paved, "retro", weather.headlights * (1 - (1 - LEFT_WET) * surface.wetness))
+        set_value(paved, "wetness", surface.wetness)
+        set_value(paved, "retro", weather.headlights * (1 - (1 - LEFT_WET) * surface.wetness))
     for paved in (road, materials.tar, materials.ghost, *materials.paints):
         _set_snow(paved, weather.snow_on_road)
     for bare in (shoulder, terrain):
@@ -129,22 +143,33 @@ def set_materials(materials: Materials, scene: Scene) -> None:
 
 
 def _set_snow(material: bpy.types.Material, share: float) -> None:
-    _set(material, "snow", share)
-    _set(material, "snow_level", rub_level(share))
-    _set(material, "is_snowy", float(share > 0))
+    set_value(material, "snow", share)
+    set_value(material, "snow_level", rub_level(share))
+    set_value(material, "is_snowy", float(share > 0))
 
 
 def set_translucency(trees: Sequence[bpy.types.Mesh], share: float) -> None:
     """Set how much light the leaves of the built-in trees let through."""
     for material in (material for mesh in trees for material in mesh.materials):
         if material is not None and material.node_tree is not None and "translucency" in material.node_tree.nodes:
-            _set(material, "translucency", share)
+            set_value(material, "translucency", share)
 
 
-def _set(material: bpy.types.Material, name: str, value: float) -> None:
-    socket = material.node_tree.nodes[name].outputs[0]
-    if socket.default_value != np.float32(value):  # each change costs Blender an update of the material
-        socket.default_value = value
+def set_snow_caps(share: float) -> None:
+    """Put snow on trees, cars and structures, as much as on the ground, or take it away."""
+    for material in bpy.data.materials:
+        output = material.node_tree.get_output_node("CYCLES") if material.pass_index in CAPPED else None
+        if output is None or not output.inputs["Surface"].links:
+            continue
+        tree, surface = material.node_tree, output.inputs["Surface"]
+        top, is_car = surface.links[0].from_node, material.pass_index == SEMANTIC_IDS["car"]
+        if share and top.name != CAP:
+            cap = tree.nodes.get(CAP) or snow_cap(Graph(tree), surface.links[0].from_socket, is_car)
+            tree.links.new(cap.outputs[0], surface)
+        if share:
+            set_value(material, "cap_level", cap_level(share, is_car))
+        elif top.name == CAP:
+            tree.links.new(top.inputs[1].links[0].from_socket, surface)
 
 
 def _orient(material: bpy.types.Material, texture_scale: float, angle_rad: float) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import bpy
+import numpy as np
 
 from synth3dlanes.assets.built_in import assets_dir
 from synth3dlanes.blender.quick_copy import quick_copy
@@ -90,6 +91,13 @@ def new_material(name: str, semantic_id: int) -> tuple[bpy.types.Material, Graph
     material.pass_index = semantic_id
     material.use_fake_user = True
     return material, Graph(material.node_tree)
+
+
+def set_value(material: bpy.types.Material, name: str, value: float) -> None:
+    """Set a number that `Graph.value` named."""
+    socket = material.node_tree.nodes[name].outputs[0]
+    if socket.default_value != np.float32(value):  # each change costs Blender an update of the material
+        socket.default_value = value
 
 
 def texture(graph: Graph, file: Path | str, vector: Socket, is_color: bool) -> Any:

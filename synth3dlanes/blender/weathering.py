@@ -5,14 +5,12 @@ where there is some."""
 from functools import cache, lru_cache
 from typing import Any, NamedTuple
 
-import bpy
 import numpy as np
 from jaxtyping import Float
 from PIL import Image
 
 from synth3dlanes.assets.built_in import assets_dir
 from synth3dlanes.blender.shaders import Graph, Socket, texture
-from synth3dlanes.settings import SEMANTIC_IDS
 
 # Scale of the map of hollows: water is deeper where it is dark.
 HOLLOW_LENGTH_M = 13.0
@@ -30,8 +28,6 @@ TRACK, TRACK_M, TRACK_HALF_M = 0.35, 0.8, 0.32
 # Snow on what stands or drives lies on faces that look up by more than this (the normal's z); of the cars, this share
 # of the ground's has some.
 CAP, CAP_FROM, CAR_CAP_FROM, CAR_SHARE = "snow cap", 0.3, 0.8, 0.7
-CARS = SEMANTIC_IDS["car"]
-CAPPED = {CARS, *(SEMANTIC_IDS[name] for name in ("tree", "barrier", "pole", "sign", "bridge", "building", "kerb"))}
 
 
 class Look(NamedTuple):
@@ -80,43 +76,27 @@ def snowed(graph: Graph, bare: Look, spare: Socket = 0.0, blur: Socket = 0.0) ->
     )
 
 
-def set_snow_caps(share: float) -> None:
-    """Put snow on trees, cars and structures, as much as on the ground, or take it away."""
-    for material in bpy.data.materials:
-        if material.pass_index not in CAPPED or not material.use_nodes:
-            continue
-        tree = material.node_tree
-        output = tree.get_output_node("CYCLES")
-        if output is None or not output.inputs["Surface"].links:
-            continue
-        surface = output.inputs["Surface"]
-        top = surface.links[0].from_node
-        if share and top.name != CAP:
-            top = tree.nodes.get(CAP) or _cap(Graph(tree), surface.links[0].from_socket, material.pass_index)
-            tree.links.new(top.outputs[0], surface)
-        if share:
-            tree.nodes["cap_level"].outputs[0].default_value = rub_level(share)
-            tree.nodes["cap_share"].outputs[0].default_value = share
-        elif top.name == CAP:
-            tree.links.new(top.inputs[1].links[0].from_socket, surface)
-
-
-def _cap(graph: Graph, bare: Socket, semantic_id: int) -> Any:
-    """The shader `bare` with snow on it."""
+def snow_cap(graph: Graph, bare: Socket, is_car: bool) -> Any:
+    """The shader `bare` with snow where it looks up, controlled by the node value `cap_level` (see there)."""
     up = graph.node("ShaderNodeSeparateXYZ", {0: graph.node("ShaderNodeNewGeometry").outputs["Normal"]}).outputs[2]
-    level, share = graph.value("cap_level"), graph.value("cap_share")
-    if semantic_id == CARS:
+    level, least = graph.value("cap_level"), CAR_CAP_FROM if is_car else CAP_FROM
+    if is_car:
         # By the car's id and colour, so that it is the same in all frames of a clip.
         info = graph.node("ShaderNodeObjectInfo")
         red = graph.node("ShaderNodeSeparateColor", {0: info.outputs["Color"]}).outputs[0]
         luck = graph.math("FRACT", graph.math("MULTIPLY_ADD", info.outputs["Object Index"], 0.618, red))
-        lies, least = graph.math("LESS_THAN", luck, graph.math("MULTIPLY", share, CAR_SHARE)), CAR_CAP_FROM
+        lies = graph.math("LESS_THAN", luck, level)
     else:
         under = graph.math("SUBTRACT", level, _height(graph, SNOW_STRETCH))
-        lies, least = graph.clamp(graph.math("MULTIPLY_ADD", under, 1 / SNOW_SOFTNESS, 0.5)), CAP_FROM
+        lies = graph.clamp(graph.math("MULTIPLY_ADD", under, 1 / SNOW_SOFTNESS, 0.5))
     flat = graph.clamp(graph.math("MULTIPLY", graph.math("SUBTRACT", up, least), 8.0))
     snow = graph.node("ShaderNodeBsdfDiffuse", {"Color": SNOW}).outputs[0]
     return graph.node("ShaderNodeMixShader", {0: graph.math("MULTIPLY", flat, lies), 1: bare, 2: snow}, name=CAP)
+
+
+def cap_level(share: float, is_car: bool) -> float:
+    """`cap_level` where this share of the ground is under snow: the share of cars with snow, or the map's level."""
+    return share * CAR_SHARE if is_car else rub_level(share)
 
 
 def wheel_tracks(graph: Graph, across_m: Socket) -> Any:
