@@ -78,6 +78,8 @@ class ModelConfig(Strict):
     """Batch norm after every convolution but the head's last two. The paper does not mention any; `paper` has it."""
     has_visibility: bool = False
     """Our addition: a logit per knot for its visibility."""
+    refinements: Annotated[int, Field(ge=0)] = 0
+    """Our addition: how often lanes are corrected by the maps of the image around their points."""
     plane_heights_m: tuple[float, ...] = (0.0,)
     has_bev_masks: bool = False
     """Our additions: maps sampled on several planes, and top-view lane masks as a second task. Neither improved the
@@ -288,8 +290,9 @@ TINY = NANO.model_copy(
 
 
 def improved(model: ModelConfig) -> ModelConfig:
-    """The model with our changes, trained with `IMPROVED_LOSS`: ten knots, and a visibility per knot."""
-    return model.model_copy(update={"name": "improved", "knots_y_m": TEN_KNOTS_M, "has_visibility": True})
+    """The model with our changes, trained with `IMPROVED_LOSS`: ten knots, a visibility per knot, and a refinement."""
+    ours = {"knots_y_m": TEN_KNOTS_M, "has_visibility": True, "refinements": 1}
+    return model.model_copy(update={"name": "improved", **ours})
 
 
 OUR_AUGMENTATION = Augmentation(pitch_deg=1.0, yaw_deg=2.0, top_shift_m=0.64, top_yaw_deg=3.0)

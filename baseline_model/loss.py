@@ -7,6 +7,7 @@ from torch.nn import functional
 
 from .anchors import Targets
 from .config import LaneType, LossConfig
+from .lane_head import Lanes
 from .model import Output
 
 BEV_POSITIVE_WEIGHT = 5.0
@@ -28,39 +29,45 @@ def loss(
     """
     labelled = [("delimiter" if name == "d" else "centerline") in config.kinds for name in types]
     of_kind = torch.tensor(labelled, device=output.logit.device)[:, None]
-    terms = {"detection": _detection(output, targets, of_kind), "geometry": _geometry(output, targets, of_kind, config)}
+    stages: list[Lanes | Output] = [*output.earlier, output]
+    by_stage = [_of_lanes(lanes, targets, of_kind, config) for lanes in stages]
+    terms = {name: torch.stack([of_stage[name] for of_stage in by_stage]).sum(0) for name in by_stage[0]}
     error = (output.pose - target_pose).abs()
     terms["pose"] = torch.rad2deg(error[:, 0]) + error[:, 1]
-    weights = {"detection": config.detection, "geometry": config.geometry, "pose": config.pose}
-    if output.visible_logit is not None:
-        known = (targets.assigned & of_kind)[..., None]
-        entropy = functional.binary_cross_entropy_with_logits(
-            output.visible_logit, targets.visible.float(), reduction="none"
-        )
-        terms["visibility"] = (entropy * known).sum((1, 2, 3))
-        weights["visibility"] = config.visibility
     if output.bev_logit is not None and bev_target is not None:
         positive = torch.tensor(BEV_POSITIVE_WEIGHT, device=output.logit.device)
         entropy = functional.binary_cross_entropy_with_logits(
             output.bev_logit, bev_target, reduction="none", pos_weight=positive
         )
         terms["bev_masks"] = entropy.mean((1, 2, 3))
-        weights["bev_masks"] = config.bev_masks
-    terms["total"] = torch.stack([weights[name] * value for name, value in terms.items()]).sum(0)
+    terms["total"] = torch.stack([getattr(config, name) * value for name, value in terms.items()]).sum(0)
     return terms
 
 
-def _detection(output: Output, targets: Targets, of_kind: Bool[Tensor, "t 1"]) -> Float[Tensor, " b"]:
-    entropy = functional.binary_cross_entropy_with_logits(output.logit, targets.assigned.float(), reduction="none")
-    return (entropy * (targets.scored & of_kind)).sum((1, 2))
+def _of_lanes(
+    lanes: Lanes | Output, targets: Targets, of_kind: Bool[Tensor, "t 1"], config: LossConfig
+) -> dict[str, Float[Tensor, " b"]]:
+    """The terms that lanes have, those of the head and those of each refinement."""
+    entropy = functional.binary_cross_entropy_with_logits(lanes.logit, targets.assigned.float(), reduction="none")
+    terms = {
+        "detection": (entropy * (targets.scored & of_kind)).sum((1, 2)),
+        "geometry": _geometry(lanes, targets, of_kind, config),
+    }
+    if lanes.visible_logit is not None:
+        known = (targets.assigned & of_kind)[..., None]
+        entropy = functional.binary_cross_entropy_with_logits(
+            lanes.visible_logit, targets.visible.float(), reduction="none"
+        )
+        terms["visibility"] = (entropy * known).sum((1, 2, 3))
+    return terms
 
 
 def _geometry(
-    output: Output, targets: Targets, of_kind: Bool[Tensor, "t 1"], config: LossConfig
+    lanes: Lanes | Output, targets: Targets, of_kind: Bool[Tensor, "t 1"], config: LossConfig
 ) -> Float[Tensor, " b"]:
     known = targets.in_range if config.supervise_occluded else targets.visible
     known = known & (targets.assigned & of_kind)[..., None]
-    error_m = (output.x_m - targets.x_m).abs() + (output.z_m - targets.z_m).abs()
+    error_m = (lanes.x_m - targets.x_m).abs() + (lanes.z_m - targets.z_m).abs()
     if config.knot_sigma_m is not None:
         error_m = error_m / torch.tensor(config.knot_sigma_m, device=error_m.device)
     # `where` instead of a product, so that infinities at hidden knots do not become NaN.

@@ -7,22 +7,22 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from .anchors import anchor_positions_m, spread_m
+from .anchors import anchor_positions_m
 from .backbone import ImagePathway
 from .config import TIMM, ModelConfig
-from .layers import PIXELS, convolution, convolutions
+from .lane_head import LaneHead, Lanes
+from .layers import PIXELS, convolutions
 from .poses import MEAN_HEIGHT_M, MEAN_PITCH_RAD
 from .projection import Projection, cell_centres, invert_rigid, road_from_cam, sampling_grid
+from .refinement import Refinement
 from .timm_trunk import TimmPathway
 
-PRIOR_LOGIT = -2.9
-"""Initial confidence of 0.05, about the share of anchors with a lane."""
 PITCH_SPREAD_RAD, HEIGHT_SPREAD_M = 0.0251, 0.144
 """Standard deviation of the paper's uniform ranges (0..5 deg, 1.4..1.9 m)."""
 
 
 class Output(NamedTuple):
-    """The network's output per anchor; `LaneHead` alone defines the layout of its channels."""
+    """The network's output per anchor, as in `Lanes`, and what they refer to."""
 
     x_m: Float[Tensor, "b t a k"]
     z_m: Float[Tensor, "b t a k"]
@@ -33,6 +33,8 @@ class Output(NamedTuple):
     cam_from_top: Float[Tensor, "b 4 4"]
     """The transform used in the warp."""
     bev_logit: Float[Tensor, "b 2 rows columns"] | None
+    earlier: tuple[Lanes, ...] = ()
+    """The lanes before each refinement."""
 
 
 class PoseBranch(nn.Module):
@@ -63,46 +65,6 @@ class PoseBranch(nn.Module):
             )
 
 
-class LaneHead(nn.Module):
-    """Convolutions without padding along y reduce the map to one row; each of its columns is an anchor.
-
-    Channels per anchor: for each type K offsets x, K heights z (unless the data are flat), a logit, and K visibility
-    logits if configured."""
-
-    def __init__(self, channels: int, rows: int, config: ModelConfig) -> None:
-        super().__init__()
-        width, batch_norm = config.head_channels, config.batch_norm
-        layers: list[nn.Module] = []
-        for kernel, at_most in ((3, 3), (5, rows)):
-            while rows - (kernel - 1) >= 4 and sum(_kernel(layer) == kernel for layer in layers) < at_most:
-                layers.append(convolution(channels, width, kernel, batch_norm=batch_norm, valid_rows=True))
-                channels, rows = width, rows - (kernel - 1)
-        self.reduce = nn.Sequential(*layers)
-        self.fold = nn.Sequential(nn.Conv2d(channels, 2 * width, (rows, 5), padding=(0, 2)), nn.ReLU(inplace=True))
-        self.parts = [len(config.knots_y_m)] * (1 + config.has_elevation) + [1]
-        self.parts += [len(config.knots_y_m)] * config.has_visibility
-        self.n_types, self.has_elevation = len(config.types), config.has_elevation
-        self.out = nn.Conv2d(2 * width, self.n_types * sum(self.parts), (1, 5), padding=(0, 2))
-        nn.init.normal_(self.out.weight, std=0.01)
-        nn.init.zeros_(self.out.bias)  # type: ignore[arg-type]
-        self.x_spread_m: Tensor
-        self.z_spread_m: Tensor
-        for name, values in zip(("x_spread_m", "z_spread_m"), spread_m(config), strict=True):
-            self.register_buffer(name, values, persistent=False)
-
-    def forward(
-        self, features: Float[Tensor, "b c h w"]
-    ) -> tuple[Float[Tensor, "b t a k"], Float[Tensor, "b t a k"], Float[Tensor, "b t a"], Tensor | None]:
-        """x_m, z_m, logit, visible_logit."""
-        raw = self.out(self.fold(self.reduce(features)))[:, :, 0].float()
-        values = raw.unflatten(1, (self.n_types, -1)).transpose(2, 3)
-        parts = list(values.split(self.parts, dim=-1))
-        x_m = parts.pop(0) * self.x_spread_m
-        z_m = parts.pop(0) * self.z_spread_m if self.has_elevation else torch.zeros_like(x_m)
-        logit = parts.pop(0)[..., 0] + PRIOR_LOGIT
-        return x_m, z_m, logit, parts.pop(0) if parts else None
-
-
 class LaneNet(nn.Module):
     """The network. `config.variant` selects its projections and the input of the head."""
 
@@ -111,7 +73,7 @@ class LaneNet(nn.Module):
         self.config = config
         grid, variant = config.grid, config.variant
         is_pose_learned = config.pose_target != "fixed"
-        needs_all = is_pose_learned or variant in ("full", "late_ipm", "image_view")
+        needs_all = is_pose_learned or config.refinements or variant in ("full", "late_ipm", "image_view")
         pathway = TimmPathway if config.backbone.startswith(TIMM) else ImagePathway
         self.image = pathway(config, n_stages=4 if needs_all else 1) if self._needs_image(config) else None
         channels = self.image.channels if self.image is not None else ()
@@ -133,6 +95,7 @@ class LaneNet(nn.Module):
         self.top, head_channels = self._top_pathway(config)
         rows = size[0] if variant == "image_view" else grid.rows // 8
         self.head = LaneHead(head_channels, rows, config)
+        self.refinements = nn.ModuleList(Refinement(channels, config) for _ in range(config.refinements))
         self.bev = nn.Conv2d(self.top_width(1), 2, 1) if config.has_bev_masks and len(self.top) else None
         fixed = torch.tensor([config.fixed_pitch_deg * torch.pi / 180, config.fixed_height_m])
         self.fixed_pose: Tensor
@@ -142,7 +105,7 @@ class LaneNet(nn.Module):
 
     @staticmethod
     def _needs_image(config: ModelConfig) -> bool:
-        return config.variant != "top_view" or config.pose_target != "fixed"
+        return config.variant != "top_view" or config.pose_target != "fixed" or config.refinements > 0
 
     def top_width(self, level: int) -> int:
         """Channels of the top-view map after `level` pools, including the projected ones."""
@@ -185,8 +148,11 @@ class LaneNet(nn.Module):
             if top_from_road is not None:
                 cam_from_top = cam_from_top @ invert_rigid(top_from_road)
         features, bev_logit = self._top_features(image, intrinsics, maps, cam_from_top)
-        x_m, z_m, logit, visible_logit = self.head(features)
-        return Output(x_m, z_m, logit, visible_logit, pose, cam_from_top, bev_logit)
+        stages: list[Lanes] = [self.head(features)]
+        for refinement in self.refinements:
+            assert self.image is not None
+            stages.append(refinement(stages[-1], self.anchors_m, maps, self.image.lattices, cam_from_top, intrinsics))
+        return Output(*stages[-1], pose, cam_from_top, bev_logit, tuple(stages[:-1]))
 
     def _top_features(
         self,
@@ -236,8 +202,3 @@ class LaneNet(nn.Module):
         u = (torch.arange(width, device=image.device) + 0.5)[None, None, :]
         v = (torch.arange(height, device=image.device) + 0.5)[None, :, None]
         return torch.stack([((u - cx) / fx).expand(-1, height, -1), ((v - cy) / fy).expand(-1, -1, width)], dim=1)
-
-
-def _kernel(layer: nn.Module) -> int:
-    first = layer[0] if isinstance(layer, nn.Sequential) else layer
-    return int(first.kernel_size[0]) if isinstance(first, nn.Conv2d) else 0

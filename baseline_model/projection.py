@@ -54,18 +54,18 @@ def cell_centres(grid: Grid, level: int, plane_height_m: float = 0.0) -> Float[T
 
 
 def sampling_grid(
-    points_top: Float[Tensor, "rows columns 3"],
-    cam_from_top: Float[Tensor, "b 4 4"],
-    intrinsics: Float[Tensor, "b 4"],
+    points_top: Float[Tensor, "*b rows columns 3"],
+    cam_from_top: Float[Tensor, "n 4 4"],
+    intrinsics: Float[Tensor, "n 4"],
     lattice: Lattice,
     size: tuple[int, int],
-) -> Float[Tensor, "b rows columns 2"]:
+) -> Float[Tensor, "n rows columns 2"]:
     """Coordinates for `grid_sample(align_corners=False)` on a map of `size` (rows, columns) with that lattice.
 
     Coordinates are normalised by the map's own size, not the image's: 360 rows at stride 16 give 22 rows, which cover
     352 pixels."""
     rotation, translation = cam_from_top[:, :3, :3], cam_from_top[:, :3, 3]
-    points_cam = torch.einsum("bij,rcj->brci", rotation, points_top) + translation[:, None, None]
+    points_cam = points_top @ rotation[:, None].transpose(-1, -2) + translation[:, None, None]
     fx, fy, cx, cy = (value[:, None, None] for value in intrinsics.unbind(-1))
     depth = points_cam[..., 1].clamp_min(MIN_DEPTH_M)
     u_px = cx + fx * points_cam[..., 0] / depth
