@@ -42,7 +42,7 @@ class Refinement(nn.Module):
         self.has_elevation = config.has_elevation
         self.reduce = nn.ModuleList(nn.Conv2d(channels[level], WIDTH, 1) for level in LEVELS)
         self.mix = nn.Conv1d(len(LEVELS) * len(ASIDE_M) * WIDTH + 3, HIDDEN, 1)
-        self.place = nn.Parameter(torch.zeros(len(config.types), 1, HIDDEN, len(config.knots_y_m)))
+        self.place = nn.Parameter(torch.zeros(len(config.types), HIDDEN, len(config.knots_y_m)))
         along = [nn.Conv1d(HIDDEN, HIDDEN, 3, padding=1) for _ in range(2)]
         self.along = nn.Sequential(nn.ReLU(), along[0], nn.ReLU(), along[1], nn.ReLU())
         self.points, self.lane = nn.Conv1d(HIDDEN, 3, 1), nn.Linear(HIDDEN, 1)
@@ -76,7 +76,7 @@ class Refinement(nn.Module):
             knots = knots.permute(0, 2, 1, 4, 3).reshape(b * t * a, -1, k)
             scaled = [x_m / self.x_spread_m, z_m / self.z_spread_m, 0.2 * logit[..., None].expand_as(x_m)]
             own = torch.stack(scaled, dim=3).reshape(b * t * a, 3, k)
-            hidden = self.mix(torch.cat([knots, own], dim=1)).reshape(b, t, a, HIDDEN, k) + self.place
+            hidden = self.mix(torch.cat([knots, own], dim=1)).reshape(b, t, a, HIDDEN, k) + self.place[:, None]
             hidden = self.along(hidden.reshape(b * t * a, HIDDEN, k))
             dx, dz, dvisible = self.points(hidden).reshape(b, t, a, 3, k).unbind(3)
             return Lanes(
