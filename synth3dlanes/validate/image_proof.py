@@ -40,6 +40,8 @@ IN_PLACE_M = 0.06
 MIN_PROFILES = 15
 # Gray levels of 255 in a line's median: 1 to 4 occur by chance without paint, 5 with paint as gray as the road.
 CONTRAST, FAINT = 12.0, 4.0
+# A road of this brightness leaves paint no room to be brighter, as in the glare of the sun.
+WHITE = 250.0
 # A ridge elsewhere must be this many times stronger than in place: the edge of a shadow reaches 2.7 times.
 STRONGER = 3.0
 # An image is judged as a whole from this many profiles on; with a smaller share of them in place it is not the labels'
@@ -138,7 +140,7 @@ def _cut(paint: Paint, camera: CameraLabel, lane: Lane, luma: Float[np.ndarray, 
 
 
 def _lines(paint: Paint, camera: CameraLabel, cuts: Sequence[Cut]) -> Iterator[Line]:
-    """Lines with enough profiles clear of cars; ridges beyond the pavement are set to 0."""
+    """Lines with enough profiles clear of cars and glare; ridges beyond the pavement are set to 0."""
     if not cuts:
         return
     ends_cam = np.concatenate([cut.ends_cam for cut in cuts])
@@ -152,15 +154,26 @@ def _lines(paint: Paint, camera: CameraLabel, cuts: Sequence[Cut]) -> Iterator[L
     at = np.cumsum([len(cut.profiles) for cut in cuts])[:-1]
     of_cuts = (np.split(values, at) for values in (is_clear, outside_m, uv[:, 0].reshape(-1, 3)))
     for cut, clear, beyond_m, u_px in zip(cuts, *of_cuts, strict=True):
-        reach_m = BESIDE[1] * paint.width_m(cut.lane) + max(paint.stripes_m(cut.lane))
+        width_m, stripes_m = paint.width_m(cut.lane), paint.stripes_m(cut.lane)
+        clear = clear & ~_in_glare(cut.profiles, width_m, stripes_m)
+        reach_m = BESIDE[1] * width_m + max(stripes_m)
         left_m, right_m = (_room(beyond_m[:, 1], beyond_m[:, side]) - reach_m for side in (0, 2))
         if clear.sum() >= MIN_PROFILES and min(left_m, right_m) > 0:
-            ridges = _ridges(cut.profiles[clear], paint.width_m(cut.lane), paint.stripes_m(cut.lane))
+            ridges = _ridges(cut.profiles[clear], width_m, stripes_m)
             ridges[:, (-left_m > PLACES_M) | (right_m < PLACES_M)] = 0.0
             px_per_m = (u_px[clear, 2] - u_px[clear, 0]) / (2 * REACH_M)
             # A line across the view, as cameras that look aside see it, has its profiles along columns.
             px_per_m = np.where(np.abs(px_per_m) < LEAST_PX_PER_M, LEAST_PX_PER_M, px_per_m)
             yield Line(cut.lane, u_px[clear, 1], px_per_m, cut.ends_cam[clear, 1, 1], ridges)
+
+
+def _in_glare(
+    profiles: Float[np.ndarray, "n k"], width_m: float, stripes_m: tuple[float, ...]
+) -> Bool[np.ndarray, " n"]:
+    """Which profiles are white on one side of the paint."""
+    beyond_m = np.stack([min(stripes_m) - OFFSETS_M, OFFSETS_M - max(stripes_m)]) / width_m
+    beside = (beyond_m > BESIDE[0]) & (beyond_m < BESIDE[1])
+    return (profiles @ (beside / beside.sum(axis=1, keepdims=True)).T > WHITE).any(axis=1)
 
 
 def _near_symbols(world: World, points_world: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
