@@ -39,7 +39,7 @@ TILED = "tiled"  # label of the texture nodes with this scale
 WEAR_LENGTH_M = 48.0  # the wear maps show two lanes by this length
 SHOULDER_TILES = 30.0  # as a texture scale
 ROAD_TILE_M, ROAD_ROUGHNESS = 5.0, 0.8  # of the road that shows through rubbed paint
-# Cycles has no mipmaps: far terrain fades to its texture's mean (linear), because fine texture aliases at few samples.
+# Cycles has no mipmaps: far ground fades to its textures' means (linear), because fine texture aliases at few samples.
 BLUR_DISTANCE_M = 160.0
 MACRO_TILES = 20.0  # the large-scale maps fade out over this many tiles, before their repetition is visible
 # How well rough pavement and beads in paint throw headlights back (about 10 and 150 mcd/m2/lx at 30 m), and the most
@@ -49,7 +49,15 @@ TAR, TAR_ROUGHNESS, TAR_COAT = (0.012, 0.012, 0.012), 0.35, 0.3
 # Colours of traffic paint as shares of its grayscale, linear.
 WHITE, YELLOW = (1.0, 1.0, 1.0), (1.0, 0.56, 0.06)
 DRY_GRASS = (0.24, 0.19, 0.10)
+# Twice the variance of the slopes of a road's normal map, at the strength with which it is used.
+BUMPS = 0.012
 TERRAIN_MEANS = {"terrain_1": (0.103, 0.109, 0.052), "terrain_2": (0.249, 0.179, 0.11)}
+ROAD_MEANS = {
+    "road_1": ((0.075, 0.075, 0.075), 0.62),
+    "road_2": ((0.114, 0.112, 0.107), 0.74),
+    "road_3": ((0.213, 0.206, 0.188), 0.70),
+}
+"""Mean albedo and roughness."""
 # Woods on far terrain (linear): patches of hundreds of metres that fade in from this distance to twice it.
 WOODS, WOODS_LENGTH_M, WOODS_FROM_M = (0.035, 0.045, 0.025), 2900.0, 220.0
 # What snow lies on, beside the ground.
@@ -194,7 +202,19 @@ def _tiled(graph: Graph, file: Path | str, metres: Any, is_color: bool) -> Any:
     return texel
 
 
-def _bumpy_normal(graph: Graph, file: Path | str, metres: Any, strength: float | Any) -> Any:
+def _blur(graph: Graph) -> Any:
+    """How far fine texture has faded to its mean."""
+    distance_m = graph.node("ShaderNodeCameraData").outputs["View Distance"]
+    return graph.math("MINIMUM", graph.math("DIVIDE", distance_m, BLUR_DISTANCE_M), 0.9)
+
+
+def _rougher(graph: Graph, roughness: Any, blur: Any) -> Any:
+    """The roughness with the bumps that have faded: they widen reflections as they did before (LEAN mapping)."""
+    fourth = graph.math("POWER", graph.math("MAXIMUM", roughness, 0.0), 4.0)
+    return graph.math("POWER", graph.math("MULTIPLY_ADD", blur, BUMPS, fourth), 0.25)
+
+
+def _bumpy_normal(graph: Graph, file: Path | str, metres: Any, strength: float, blur: Any) -> Any:
     """The surface normal tilted by a normal map, not of unit length.
 
     The tilt is added in world x and y: the ground is nearly level, and this needs no tangents on the meshes.
@@ -203,7 +223,8 @@ def _bumpy_normal(graph: Graph, file: Path | str, metres: Any, strength: float |
         "MULTIPLY_ADD", _tiled(graph, file, metres, is_color=False), (2.0, 2.0, 0.0), (-1.0, -1.0, 0.0)
     )
     tilt = graph.node("ShaderNodeVectorRotate", {"Vector": texel}, rotation_type="Z_AXIS", name="tilt").outputs[0]
-    return graph.vector("ADD", graph.node("ShaderNodeNewGeometry").outputs["Normal"], graph.scale(tilt, strength))
+    tilt = graph.scale(tilt, graph.math("MULTIPLY_ADD", blur, -strength, strength))
+    return graph.vector("ADD", graph.node("ShaderNodeNewGeometry").outputs["Normal"], tilt)
 
 
 def _road(name: str, files: TextureFiles) -> bpy.types.Material:
@@ -211,8 +232,11 @@ def _road(name: str, files: TextureFiles) -> bpy.types.Material:
     darker, under a coat whose smoothness is `gloss`."""
     material, graph = new_material(name, SEMANTIC_IDS["road"])
     metres = _metres(graph)
-    fine = _albedo(_tiled(graph, files.albedo, metres, is_color=True))
-    wear_file = "road_1_wear.jpg" if files.albedo.is_absolute() else f"{name}_wear.jpg"
+    blur = _blur(graph)
+    is_own = files.albedo.is_absolute()
+    mean, mean_roughness = (mean_color(files.albedo), mean_gray(files.roughness)) if is_own else ROAD_MEANS[name]
+    fine = graph.mix_color(_albedo(_tiled(graph, files.albedo, metres, is_color=True)), mean, blur)
+    wear_file = "road_1_wear.jpg" if is_own else f"{name}_wear.jpg"
     right_m = graph.node("ShaderNodeSeparateXYZ", {0: metres}).outputs[0]
     # Wear and tracks lie as if there were no median: so they are in the lanes beyond it too.
     is_oncoming = graph.math("LESS_THAN", right_m, graph.value("median_at_m"))
@@ -224,9 +248,10 @@ def _road(name: str, files: TextureFiles) -> bpy.types.Material:
     shade = graph.math("SUBTRACT", 1.0, graph.math("MULTIPLY", graph.value("darker"), is_right))
     color = graph.scale(graph.vector("MULTIPLY", graph.scale(fine, 2.0), wear), shade)
     gloss = graph.value("gloss")
-    roughness = graph.math("MULTIPLY_ADD", gloss, -1.5, _tiled(graph, files.roughness, metres, is_color=False))
+    roughness = graph.mix(_tiled(graph, files.roughness, metres, is_color=False), mean_roughness, blur)
+    roughness = _rougher(graph, graph.math("MULTIPLY_ADD", gloss, -1.5, roughness), blur)
     amount = graph.math("MULTIPLY_ADD", gloss, 1.2, 0.15)
-    look = wet(graph, Look(color, roughness, amount, _bumpy_normal(graph, files.normal, metres, 0.4)))
+    look = wet(graph, Look(color, roughness, amount, _bumpy_normal(graph, files.normal, metres, 0.4, blur)))
     across_m = graph.node("ShaderNodeSeparateXYZ", {0: closed}).outputs[0]
     look = thrown_back(graph, snowed(graph, look, wheel_tracks(graph, across_m)), *ROAD_BACK)
     coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
@@ -246,7 +271,7 @@ def _gravel_shoulder() -> bpy.types.Material:
     macro_uv = graph.scale(metres, 1 / 17.0)
     macro = graph.math("MULTIPLY", texture(graph, "terrain_macro.jpg", macro_uv, is_color=False), 2.0)
     color = graph.scale(_tiled(graph, "shoulder_albedo.jpg", metres, is_color=True), macro)
-    normal = _bumpy_normal(graph, "shoulder_normal.jpg", metres, 0.6)
+    normal = _bumpy_normal(graph, "shoulder_normal.jpg", metres, 0.6, _blur(graph))
     look = thrown_back(graph, snowed(graph, wet(graph, Look(color, 0.8, 0.0, normal))), *ROAD_BACK)
     coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
     return material
@@ -259,7 +284,8 @@ def _paved_shoulder() -> bpy.types.Material:
     dust = texture(graph, "terrain_macro.jpg", graph.scale(metres, 1 / 23.0), is_color=False)
     fine = _albedo(_tiled(graph, "road_1_albedo.jpg", metres, is_color=True))
     color = graph.vector("MULTIPLY", graph.scale(fine, 2.0), dust)
-    look = wet(graph, Look(color, ROAD_ROUGHNESS, 0.15, _bumpy_normal(graph, "road_1_normal.jpg", metres, 0.4)))
+    normal = _bumpy_normal(graph, "road_1_normal.jpg", metres, 0.4, _blur(graph))
+    look = wet(graph, Look(color, ROAD_ROUGHNESS, 0.15, normal))
     look = thrown_back(graph, snowed(graph, look), *ROAD_BACK)
     coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
     return material
@@ -270,8 +296,7 @@ def _terrain(name: str, files: TextureFiles) -> bpy.types.Material:
     material, graph = new_material(name, SEMANTIC_IDS["terrain"])
     metres = _metres(graph)
     fine = _tiled(graph, files.albedo, metres, is_color=True)
-    distance_m = graph.node("ShaderNodeCameraData").outputs["View Distance"]
-    blur = graph.math("MINIMUM", graph.math("DIVIDE", distance_m, BLUR_DISTANCE_M), 0.9)
+    distance_m, blur = graph.node("ShaderNodeCameraData").outputs["View Distance"], _blur(graph)
     mean = graph.node("ShaderNodeRGB", name="mean").outputs[0]
     known = mean_color(files.albedo) if files.albedo.is_absolute() else TERRAIN_MEANS[name]
     mean.default_value = (*known, 1.0)
@@ -281,8 +306,7 @@ def _terrain(name: str, files: TextureFiles) -> bpy.types.Material:
         fade = graph.clamp(graph.math("DIVIDE", distance_m, MACRO_TILES * length_m))
         color = graph.vector("MULTIPLY", color, graph.mix_color(graph.scale(macro, 2.0), (1.0, 1.0, 1.0), fade))
     color = graph.mix_color(color, WOODS, _far_woods(graph, metres, distance_m))
-    strength = graph.math("MULTIPLY_ADD", blur, -0.8, 0.8)
-    normal = _bumpy_normal(graph, files.normal, metres, strength)
+    normal = _bumpy_normal(graph, files.normal, metres, 0.8, blur)
     look = snowed(graph, Look(color, 1.0, 0.0, normal), blur=blur)
     graph.surface(graph.node("ShaderNodeBsdfDiffuse", {"Color": look.color, "Normal": look.normal}))
     return material
@@ -309,6 +333,12 @@ def _far_woods(graph: Graph, metres: Any, distance_m: Any) -> Any:
     patches = texture(graph, "terrain_macro.jpg", graph.scale(metres, 1 / WOODS_LENGTH_M), is_color=False)
     begun = graph.clamp(graph.math("MULTIPLY_ADD", distance_m, 1 / WOODS_FROM_M, -1.0))
     return graph.math("MULTIPLY", begun, graph.clamp(graph.math("MULTIPLY_ADD", patches, -9.0, 4.7)))
+
+
+def mean_gray(file: Path) -> float:
+    """The mean of a map of numbers, 0..1."""
+    with Image.open(file) as picture:
+        return float(np.asarray(picture.convert("L"), np.float32).mean() / 255)
 
 
 def mean_color(file: Path) -> tuple[float, float, float]:

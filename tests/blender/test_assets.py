@@ -13,7 +13,7 @@ bpy = pytest.importorskip("bpy")
 from synth3dlanes.assets.built_in import assets_dir  # noqa: E402
 from synth3dlanes.assets.catalogue import CARS, TREES  # noqa: E402
 from synth3dlanes.blender.load_assets import LoadedAssets, load_assets  # noqa: E402
-from synth3dlanes.blender.materials import TERRAIN_MEANS, Materials, make_materials  # noqa: E402
+from synth3dlanes.blender.materials import BUMPS, ROAD_MEANS, TERRAIN_MEANS, Materials, make_materials  # noqa: E402
 from synth3dlanes.blender.render import opened  # noqa: E402
 
 BODY_TOLERANCE_M = 0.03
@@ -102,12 +102,25 @@ def test_textures_tile(path: Path) -> None:
         assert seam <= 1.5 * np.quantile(inside, 0.99) + 1, f"axis {axis}: seam {seam}, inside {inside.mean()}"
 
 
-@pytest.mark.parametrize("name", TERRAIN_MEANS)
-def test_far_terrain_has_the_mean_colour_of_its_texture(name: str) -> None:
-    with Image.open(assets_dir() / "textures" / f"{name}_albedo.jpg") as picture:
-        srgb = np.asarray(picture, float) / 255
-    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-    np.testing.assert_allclose(linear.mean(axis=(0, 1)), TERRAIN_MEANS[name], atol=2e-3)
+def _texture(file: str) -> np.ndarray:
+    with Image.open(assets_dir() / "textures" / file) as picture:
+        return np.asarray(picture.convert("RGB"), float) / 255
+
+
+@pytest.mark.parametrize("name", [*TERRAIN_MEANS, *ROAD_MEANS])
+def test_far_ground_has_the_mean_colour_and_roughness_of_its_textures(name: str) -> None:
+    srgb = _texture(f"{name}_albedo.jpg")
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4).mean(axis=(0, 1))
+    if name in TERRAIN_MEANS:
+        np.testing.assert_allclose(linear, TERRAIN_MEANS[name], atol=2e-3)
+    else:
+        np.testing.assert_allclose(linear, ROAD_MEANS[name][0], atol=2e-3)
+        assert _texture(f"{name}_roughness.jpg").mean() == pytest.approx(ROAD_MEANS[name][1], abs=2e-3)
+
+
+def test_far_roads_are_as_rough_as_their_bumps() -> None:
+    slopes = [0.4 * (2 * _texture(f"{name}_normal.jpg")[..., :2] - 1) for name in ROAD_MEANS]
+    assert pytest.approx(np.mean([2 * slope.var(axis=(0, 1)) for slope in slopes]), abs=2e-3) == BUMPS
 
 
 def test_assets_stay_small() -> None:

@@ -368,3 +368,15 @@ def test_instance_ids_of_paint_follow_the_labels():
         hits.append(len(painted))
     assert sum(hits) > 30
     assert np.count_nonzero(hits) >= 4, "several lines are hit, or this would say nothing"
+
+
+def test_a_far_road_that_mirrors_the_low_sun_is_even():
+    """Bumps finer than a pixel under a glossy coat once looked like white gravel: 9 gray levels between neighbours."""
+    scene = sample_scene(load_params("streets"), 901, "train", 95)
+    picture = rendered(scene, RenderSettings(passes=("depth", "semantic")))
+    image, passes = picture.image, picture.passes
+    is_far = (passes["semantic"] == SEMANTIC_IDS["road"]) & (passes["depth"] > 150) & (passes["depth"] < 400)
+    luma = image.mean(axis=2, dtype=float)
+    steps = np.abs(luma[:, 1:] - luma[:, :-1])[is_far[:, 1:] & is_far[:, :-1]]
+    assert len(steps) > 1000
+    assert steps.mean() < 3.5
