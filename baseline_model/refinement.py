@@ -1,7 +1,7 @@
 """Our addition: lanes are corrected by the maps of the image around their points.
 
-The top view holds the plane of the road only, and few pixels of what is far. A lane's own points, as they were
-predicted in 3D, tell where in the image it is to be looked for.
+The top view shows the plane of the road alone, and what is far by few pixels. The 3D points of a predicted lane tell
+where in the image to look again.
 """
 
 from collections.abc import Sequence
