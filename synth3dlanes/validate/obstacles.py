@@ -17,6 +17,8 @@ from synth3dlanes.world import World
 
 # Mirrors and twigs may extend beyond the nominal boxes.
 ROOM = 1.15
+# Trunks go on underground, where they hide points behind a hill.
+ROOTS_M = 1.0
 # Every car is solid in this part of its box: above the open space below a truck, below the windows, and behind the gap
 # at a truck's cab.
 CORE_SIDES, CORE_HEIGHT = ((-0.7, -0.7), (0.7, 0.2)), (0.38, 0.5)
@@ -66,7 +68,7 @@ def _outlines(world: World) -> Boxes:
     trees = np.tile(np.eye(4), (len(sizes), 1, 1))
     trees[:, :3, 3] = world.trees_world
     crown, height = sizes * [1, 1, 0], sizes * [0, 0, 1]
-    low, high = np.concatenate([-half, -crown]), np.concatenate([half + up, crown + height])
+    low, high = np.concatenate([-half, -crown - [0, 0, ROOTS_M]]), np.concatenate([half + up, crown + height])
     return _with_bonnet(world, Boxes(np.concatenate([cars, trees]), ROOM * low, ROOM * high), BONNET)
 
 

@@ -8,7 +8,9 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from synth3dlanes.frames import project
-from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.ground_truth import ground_truth, label
+from synth3dlanes.params import load_params
+from synth3dlanes.sample import sample_world
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.findings import BAND_NAMES, Distribution, Measure
@@ -187,6 +189,23 @@ def test_points_seen_through_a_car_and_points_hidden_by_nothing_are_faults():
     )
     assert host not in {finding.lane for finding in check_objects(resolve(scene), hidden)}
     assert "where nothing is in the way" in next(iter(check_objects(resolve(FLAT), hidden))).reason
+
+
+def test_trunks_hide_points_behind_a_hill_from_underground():
+    """The lines of sight pass 0.3 m under the foot of a tree whose trunk begins 0.37 m under it."""
+    world = sample_world(load_params("diverse"), 907, "train", 43)
+    labels = rendered(label(world, world.view))
+
+    def reasons(hidden):
+        lanes = tuple(
+            replace(lane, object_visible=~np.isin(np.arange(111), hidden)) if lane.id == "exit_1" else lane
+            for lane in labels.lanes
+        )
+        found = check_objects(world, replace(labels, lanes=lanes))
+        return " ".join(finding.reason for finding in found if finding.lane == "exit_1")
+
+    assert "nothing is in the way" not in reasons([106, 107, 108, 109])
+    assert "got 4 points as hidden where nothing is in the way" in reasons([40, 41, 42, 43])
 
 
 def test_black_white_and_pink_pictures_are_faults():
