@@ -80,9 +80,13 @@ class Road(Part):
 
     @model_validator(mode="after")
     def _has_room(self) -> "Road":
-        """Check that there are enough lanes for the topology, and room for the median."""
+        """Check that there are enough lanes for the topology, that the exit opens, and room for the median."""
         if self.n_lanes < 2 and self.topology > 2:
             raise ValueError(f"n_lanes: expected at least 2 with topology {self.topology}, got {self.n_lanes}")
+        if self.topology > 1 and self.exit_angle_rad == self.exit_offset_m == 0:
+            raise ValueError(
+                "exit_angle_rad: expected more than 0 where exit_offset_m is 0: the exit must leave the road"
+            )
         if 0 < self.median_m < MIN_MEDIAN_M:
             raise ValueError(f"median_m: expected 0 or at least {MIN_MEDIAN_M:g}, got {self.median_m:g}")
         return self

@@ -6,8 +6,8 @@ resampled: the first sample of a pixel, from which depth and ids come, goes exac
 
 import bpy
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float
-from scipy.ndimage import distance_transform_edt
 
 from synth3dlanes.blender.polygons import polygons
 from synth3dlanes.blender.shaders import Graph, new_material
@@ -96,6 +96,6 @@ def _rays_world(view: View) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray
     rays_cam = rays_with_border(view.camera)
     is_seen = np.isfinite(rays_cam).all(axis=-1)
     if not is_seen.all():
-        nearest = distance_transform_edt(~is_seen, return_distances=False, return_indices=True)
+        nearest = scipy.ndimage.distance_transform_edt(~is_seen, return_distances=False, return_indices=True)
         rays_cam = rays_cam[tuple(nearest)] if is_seen.any() else np.full_like(rays_cam, [0.0, 1.0, 0.0])
     return rays_cam @ view.world_from_cam[:3, :3].T, is_seen

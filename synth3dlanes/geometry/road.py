@@ -194,10 +194,12 @@ class RoadPlan:
         """Smallest station with opening(s) >= q_m; infinity for a road without exit."""
         if not self.has_exit:
             return float("inf")
-        # Not at the top: loading it takes a third of the start of the program.
-        from scipy.optimize import brentq
-
-        return float(brentq(lambda s: self.opening(np.array([s]))[0] - q_m, 0.0, 1e4, xtol=1e-10))
+        slope, bend = np.tan(self.road.exit_angle_rad), self.road.exit_offset_m / 60**2
+        bent = 2 * q_m / (slope + np.sqrt(slope**2 + 4 * bend * q_m))
+        if bent <= self.exit_end_m:
+            return float(bent)
+        q, dq = self._q_polynomial(np.array([self.exit_end_m]))
+        return float(self.exit_end_m + (q_m - q[0]) / dq[0])
 
     @cached_property
     def nose_m(self) -> float:

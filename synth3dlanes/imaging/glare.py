@@ -1,8 +1,8 @@
 """Light that strays in the lens: the veil and the ghosts of a sun ahead, and the glow around lamps at night."""
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.ndimage import gaussian_filter
 
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.imaging.daylight import Daylight
@@ -102,6 +102,8 @@ def add_glow(linear: Image) -> Image:
     glow = np.zeros_like(small)
     for share, spread in GLOWS:
         sigma_px = spread * width_px / SHRUNK
-        glow += share * gaussian_filter(small, (sigma_px, sigma_px, 0), truncate=3)
+        glow += share * scipy.ndimage.gaussian_filter(small, (sigma_px, sigma_px, 0), truncate=3)
     smooth = glow.repeat(SHRUNK, axis=0).repeat(SHRUNK, axis=1)[:height_px, :width_px]
-    return np.asarray(linear + gaussian_filter(smooth, (SHRUNK / 2, SHRUNK / 2, 0), truncate=2), np.float32)
+    return np.asarray(
+        linear + scipy.ndimage.gaussian_filter(smooth, (SHRUNK / 2, SHRUNK / 2, 0), truncate=2), np.float32
+    )

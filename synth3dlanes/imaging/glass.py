@@ -4,8 +4,8 @@ The glass is no object of the scene: masks and passes are those of clear glass.
 """
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.ndimage import gaussian_filter, map_coordinates, zoom
 
 # Drops at full strength, their radii as shares of the image's height, and how much smaller than the picture the upside
 # down view in a drop is.
@@ -19,7 +19,7 @@ Image = Float[np.ndarray, "h w 3"]
 def add_drops(linear: Image, strength: float, rng: np.random.Generator) -> Image:
     """The picture through a glass with drops of water."""
     height_px, width_px = linear.shape[:2]
-    blurred = gaussian_filter(linear, (height_px / 180, height_px / 180, 0))
+    blurred = scipy.ndimage.gaussian_filter(linear, (height_px / 180, height_px / 180, 0))
     out = linear.copy()
     for u, v, size, *phases in rng.random((rng.poisson(N_DROPS * strength), 6)).tolist():
         center_u, center_v = u * width_px, v * height_px
@@ -34,7 +34,10 @@ def add_drops(linear: Image, strength: float, rng: np.random.Generator) -> Image
         bend = SMALLER * (1 + away**2)
         where = [center_v - bend * y - 0.5, center_u - bend * x - 0.5]
         view = (
-            np.stack([map_coordinates(blurred[..., k], where, order=1, mode="mirror") for k in range(3)], axis=-1)
+            np.stack(
+                [scipy.ndimage.map_coordinates(blurred[..., k], where, order=1, mode="mirror") for k in range(3)],
+                axis=-1,
+            )
             * (1 - 0.45 * np.clip(away, 0, 1) ** 4)[..., None]
         )
         at = np.s_[top:bottom, left:right]
@@ -48,6 +51,8 @@ def add_dirt(linear: Image, strength: float, rng: np.random.Generator) -> Image:
     noise = np.zeros(shape, np.float32)
     for grid in DIRT_GRIDS:
         small = rng.random(grid, dtype=np.float32)
-        noise += zoom(small, (shape[0] / grid[0], shape[1] / grid[1]), order=1, grid_mode=True, mode="nearest")
+        noise += scipy.ndimage.zoom(
+            small, (shape[0] / grid[0], shape[1] / grid[1]), order=1, grid_mode=True, mode="nearest"
+        )
     dust = np.float32(strength) * np.clip(noise / len(DIRT_GRIDS) * 2.4 - 0.75, 0, 1)[..., None]
     return np.asarray(linear * (1 - TAKEN * dust) + SCATTERED * dust * linear.mean(axis=(0, 1)))

@@ -1,8 +1,8 @@
 """Motion blur and sensor noise, on linear light before the tone curve."""
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.ndimage import map_coordinates
 
 from synth3dlanes.geometry.camera import project
 from synth3dlanes.imaging.film import MIDDLE_GRAY, levels_per_radiance
@@ -35,7 +35,9 @@ def motion_blur(
     for share in (np.arange(n_taps) + 0.5) / n_taps - 0.5:
         columns, rows = project(camera, points_cam + share * driven_cam).T - 0.5
         for channel in range(3):
-            total[:, channel] += map_coordinates(linear[..., channel], [rows, columns], order=1, mode="nearest")
+            total[:, channel] += scipy.ndimage.map_coordinates(
+                linear[..., channel], [rows, columns], order=1, mode="nearest"
+            )
     blurred = linear.copy()
     blurred[v, u] = total / n_taps
     return blurred

@@ -6,8 +6,8 @@ Equirectangular in Blender's layout: bottom row first, azimuth decreasing from p
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.ndimage import gaussian_filter
 
 from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.imaging.haze import seen_through_haze
@@ -37,7 +37,7 @@ def prepare_sky(upper: Float[np.ndarray, "3 h w"], sun_azimuth_rad: float) -> Us
 def brightest_azimuth(upper: Float[np.ndarray, "3 h w"]) -> float:
     """Azimuth of the brightest spot above the horizon."""
     luminance = np.tensordot(LUMINANCE, upper, 1)
-    spots = gaussian_filter(luminance, SPOT_PX, mode=("nearest", "wrap"))
+    spots = scipy.ndimage.gaussian_filter(luminance, SPOT_PX, mode=("nearest", "wrap"))
     return float(AZIMUTH_RAD[spots.max(axis=0).argmax()])
 
 

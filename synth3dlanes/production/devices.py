@@ -1,8 +1,10 @@
 """What this machine renders on: asks Blender, in a process of its own, before anything else is begun."""
 
 import os
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from synth3dlanes.production.recipe import Recipe, require_blender
 from synth3dlanes.production.workers import Limits, call
@@ -15,6 +17,8 @@ MASK = {
     "hip": "HIP_VISIBLE_DEVICES",
     "oneapi": "ZE_AFFINITY_MASK",
 }
+# On Linux, where every GPU has one: NVIDIA's, in Windows (WSL), AMD's, and all others'.
+GPU_FILES = ("nvidia*", "dxg", "kfd", "dri/render*")
 # At a few rays a pixel a GPU waits for the scene to be built most of the time.
 WORKERS_PER_GPU = 4
 
@@ -36,12 +40,17 @@ def resolve_device(recipe: Recipe) -> tuple[Recipe, WorkerSlots]:
     """
     require_blender()
     asked = recipe.settings.device
-    found = () if asked == "cpu" else _ask(asked)
+    found = () if asked == "cpu" or (asked == "auto" and not may_have_gpu()) else _ask(asked)
     kind = choose_device(asked, found)
     each = masks(kind, found, os.environ)
     names = tuple(device.name for device in found if device.kind == kind)
     slots = WorkerSlots(tuple(each), default_workers(kind, len(each), n_cores()), names)
     return replace(recipe, settings=replace(recipe.settings, device=kind)), slots
+
+
+def may_have_gpu(system: str = sys.platform, folder: Path = Path("/dev")) -> bool:
+    """Whether to ask Blender, which takes a second: not on Linux without a device file of a GPU."""
+    return system != "linux" or any(any(folder.glob(pattern)) for pattern in GPU_FILES)
 
 
 def masks(kind: str, found: Sequence[Device], environment: Mapping[str, str]) -> list[dict[str, str]]:

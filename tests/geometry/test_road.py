@@ -74,6 +74,15 @@ def test_ramp_rises_from_its_start_to_its_height_by_a_smoothstep():
     np.testing.assert_allclose(plan.ramp(s), 4 * np.array([0, 0, 0.15625, 0.5, 0.84375, 1, 1]), atol=1e-12)
 
 
+@pytest.mark.parametrize("exit_offset_m", [0.0, 0.5, 10.0])
+@pytest.mark.parametrize("exit_angle_deg", [0.01, 1, 5])
+def test_a_road_is_as_wide_open_as_asked_where_it_says(exit_angle_deg, exit_offset_m):
+    """At 0.01 degrees without a bend it opens far beyond its curved part."""
+    plan = curved(exit_angle_rad=np.radians(exit_angle_deg), exit_offset_m=exit_offset_m)
+    for q_m in (0.1, 3.6, 20.0):
+        assert plan.opening(np.array([plan.station_where_open(q_m)]))[0] == pytest.approx(q_m, rel=1e-12)
+
+
 def test_a_ramp_whose_shoulders_never_separate_inside_the_scene_is_unused():
     plan = curved(exit_angle_rad=np.radians(1), exit_offset_m=0.0)
     assert plan.ramp_start_m is None

@@ -6,7 +6,7 @@ import pytest
 
 from synth3dlanes.errors import InputError
 from synth3dlanes.production import devices
-from synth3dlanes.production.devices import default_workers, masks, resolve_device
+from synth3dlanes.production.devices import default_workers, masks, may_have_gpu, resolve_device
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.workers import Limits, Outcome, Pool
@@ -126,12 +126,23 @@ def test_a_run_fails_before_it_begins_where_the_device_is_absent(tmp_path):
 def test_the_device_found_is_part_of_the_recipe(monkeypatch):
     auto = replace(fake_samples.recipe(), settings=RenderSettings(device="auto"))
     monkeypatch.setattr(devices, "_ask", lambda asked: tuple(TWO_NVIDIA))
+    monkeypatch.setattr(devices, "may_have_gpu", lambda: True)
     recipe, slots = resolve_device(auto)
     assert recipe.description()["render"]["device"] == "optix"
     assert slots.names == ("NVIDIA H200 0", "NVIDIA H200 1")
     assert len(slots.masks) == 2
     monkeypatch.undo()
     assert resolve_device(replace(auto, settings=RenderSettings(device="cpu")))[0].settings.device == "cpu"
+
+
+@pytest.mark.parametrize("file", ["nvidia0", "nvidiactl", "dxg", "kfd", "dri/renderD128"])
+def test_blender_is_asked_wherever_a_gpu_may_be(tmp_path, file):
+    (tmp_path / "dri").mkdir()
+    (tmp_path / "dri/card0").touch()  # every screen's, also of virtual machines without a GPU
+    assert not may_have_gpu("linux", tmp_path)
+    assert may_have_gpu("darwin", tmp_path)
+    (tmp_path / file).touch()
+    assert may_have_gpu("linux", tmp_path)
 
 
 @pytest.mark.render

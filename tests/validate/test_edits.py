@@ -346,7 +346,7 @@ def test_lanes_that_are_not_there_and_roads_that_cannot_be_name_their_sample(dat
     seal_as_it_is(dataset, samples)
     report = check(dataset)
     expected = dict(enumerate(words for *_, words in changes))
-    expected[closed] = "scene.json: expected a world whose lanes can be computed, got ValueError"
+    expected[closed] = "exit_angle_rad: expected more than 0 where exit_offset_m is 0"
     assert report.failed == [name(index) for index in expected]
     for index, words in expected.items():
         assert any(words in problem.reason for problem in report.problems if problem.where == name(index)), words
