@@ -11,7 +11,11 @@ from .options import json_option, progress_bar
 @click.command()
 @click.argument("folder", metavar="DIR")
 @click.option(
-    "--workers", metavar="N|auto", type=Workers(), default="auto", help="Worker processes; auto: one per core."
+    "--workers",
+    metavar="N|auto",
+    type=Workers(),
+    default="auto",
+    help="Worker processes; auto: one per core, fewer for few samples.",
 )
 @click.option("--limit", metavar="N", type=click.IntRange(min=0), help="Check only N samples of each split.")
 @json_option

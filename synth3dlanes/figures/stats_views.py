@@ -14,6 +14,8 @@ from synth3dlanes.figures.histograms import Histogram, histograms
 from synth3dlanes.figures.stats import LabelStatistics, SceneStatistics, is_fine
 
 _COLUMNS = 7
+# Inches: a plot with its room, that room, and the page's margins. Matplotlib's layouts take as long as the drawing.
+_CELL, _ROOM, _LEFT, _BOTTOM, _TOP = (2.6, 2.15), (0.55, 0.75), 0.55, 0.5, 0.65
 
 
 def statistics_table(scenes: SceneStatistics, labels: LabelStatistics | None) -> RenderableType:
@@ -47,7 +49,17 @@ def draw_statistics(scenes: SceneStatistics, labels: LabelStatistics | None) -> 
     """One page of histograms: label quantities, then every parameter that varies."""
     found = histograms(scenes, labels)
     rows = math.ceil(len(found) / _COLUMNS)
-    figure = Figure(figsize=(2.6 * _COLUMNS, 2.1 * rows + 0.6), layout="constrained")
+    (cell_x, cell_y), (room_x, room_y) = _CELL, _ROOM
+    width, height = _LEFT + cell_x * _COLUMNS - room_x / 2, _BOTTOM + cell_y * rows - room_y + _TOP
+    figure = Figure(figsize=(width, height))
+    figure.subplots_adjust(
+        left=_LEFT / width,
+        right=1 - room_x / 2 / width,
+        bottom=_BOTTOM / height,
+        top=1 - _TOP / height,
+        wspace=room_x / (cell_x - room_x),
+        hspace=room_y / (cell_y - room_y),
+    )
     grid = figure.subplots(rows, _COLUMNS, squeeze=False).ravel()
     for axes, histogram in zip(grid, found, strict=False):
         _draw(axes, histogram)
@@ -55,7 +67,8 @@ def draw_statistics(scenes: SceneStatistics, labels: LabelStatistics | None) -> 
         axes.set_visible(False)
     figure.suptitle(
         f"{scenes.n_scenes} scenes: labels in blue, parameters in green (red: not as declared); "
-        "the black line is the declared distribution"
+        "the black line is the declared distribution",
+        y=1 - _TOP / 3 / height,
     )
     return figure
 

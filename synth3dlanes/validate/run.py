@@ -1,6 +1,7 @@
 """Validate a dataset: shards, then samples, in parallel. Results have constant size per sample."""
 
 import hashlib
+import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -55,6 +56,8 @@ NO_GEOMETRY = (
     ArithmeticError, AssertionError, LookupError, MemoryError, RuntimeError, RuntimeWarning, StopIteration, ValueError
 )  # fmt: skip
 
+# Another process starts in the time that so many samples take.
+SAMPLES_A_START = 8
 # Coarser JPEG has no detail of single pixels; after civil twilight edges beyond the headlights are not seen.
 SHARP_JPEG, DARK_RAD = 90, 1.68
 # Sine of the yaw from which on motion blur runs across the image.
@@ -105,7 +108,8 @@ def validate(place: str | Path, workers: int, limit: int | None, progress: Calla
         report.problems.append(Problem(DESCRIPTION, "", str(error)))
         origin = None
     remove_pictures(place)
-    with _mapping(workers) as run:
+    n = sum(min(split.n, split.n if limit is None else limit) for split in description.splits.values())
+    with _mapping(workers, n) as run:
         entries, recipes = _check_shards(place, only, run, description, report)
         todo = [entry for split in entries.values() for entry in split[:limit]]
         redrawn: dict[str, str] = {}
@@ -274,11 +278,13 @@ def _pictures(scene: Scene, description: Description, image: Picture, passes: Pa
 
 
 @contextmanager
-def _mapping(workers: int) -> Iterator[Map]:
-    """`map` in this process or in several (0: one per core); results are in order."""
-    if workers == 1:
+def _mapping(workers: int, n: int) -> Iterator[Map]:
+    """`map` in this process or in several (0: as many as `n` samples are worth, at most one per core); results are in
+    order."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    workers = workers or min(cores, math.ceil(n / SAMPLES_A_START))
+    if workers <= 1:
         yield map
         return
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    with ProcessPoolExecutor(workers or cores, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         yield partial(pool.map, chunksize=4)
