@@ -1,10 +1,12 @@
 """One shard on disk: finished samples are kept one by one, then joined into a tar and its index.
 
     DIR/train/00000.parts/00000017.tar   a finished sample of a shard in progress; appears whole, by rename
+    DIR/train/00000.parts/1b7c.run/      the unfinished ones of one run
     DIR/train/00000.tar, 00000.parquet   the finished shard; the parquet, written last, says that it is one
 
 Every sample is its own file until the shard is joined. So any number of workers can work on one shard, in any order,
-and whoever is killed, whenever, takes with him only the sample at hand. Joining sorts by index, so the bytes do not
+and whoever is killed, whenever, takes with him only the sample at hand. A worker that outlives its run adds nothing to
+the next one's: its run's folder is gone. Joining sorts by index, so the bytes do not
 depend on any of that; it reads only what is on disk and may be killed and repeated at any point. Samples of a finished
 shard take part again when it is joined anew, so a larger n continues it. Nobody but the holder of the shard's lock
 (`folder.claim`) joins it.
@@ -12,7 +14,10 @@ shard take part again when it is joined anew, so a larger n continues it. Nobody
 
 import hashlib
 import os
+import shutil
+import uuid
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -42,14 +47,15 @@ class Place:
 @dataclass(frozen=True)
 class Shard:
     """Shard `number` of the split in `folder`; `names` are the members of each of its samples, in order, and `recipe`
-    is what they are made from (`description.recipe_text`), for its index; "" for none. A folder that is relative to a
-    data set becomes one here by `within`."""
+    is what they are made from (`description.recipe_text`), for its index; "" for none. `run` names the run that makes
+    it, if workers write its parts. A folder that is relative to a data set becomes one here by `within`."""
 
     folder: Path
     number: int
     size: int
     names: tuple[str, ...]
     recipe: str = ""
+    run: str = ""
 
     def within(self, root: Path) -> "Shard":
         """The same shard in the data set at `root`."""
@@ -63,13 +69,38 @@ class Shard:
         """The indices of the samples in this shard of a split of `n`."""
         return range(self.number * self.size, max(self.number * self.size, min(n, (self.number + 1) * self.size)))
 
+    def claimed(self) -> "Shard":
+        """The shard in the hands of a new run, which holds its lock. From here on no worker of another run adds to it:
+        all that a worker writes comes by the folder of its run."""
+        for unfinished in self.path("parts").glob("*.run"):
+            shutil.rmtree(unfinished)
+        return replace(self, run=uuid.uuid4().hex)
+
+    @property
+    def unfinished(self) -> Path:
+        """Where samples are written before they appear among the parts."""
+        return self.path("parts") / (f"{self.run}.run" if self.run else "")
+
+    def open(self) -> None:
+        """Let workers write parts; for their run alone."""
+        self.path("parts").mkdir(exist_ok=True)
+        self.unfinished.mkdir(exist_ok=True)
+
+    def close(self) -> None:
+        """Remove what workers that are gone have not finished."""
+        if self.run:
+            shutil.rmtree(self.unfinished, ignore_errors=True)
+        with suppress(OSError):
+            self.path("parts").rmdir()
+
     def write_part(self, index: int, members: Mapping[str, bytes]) -> int:
-        """Keep one finished sample; return its size in bytes."""
+        """Keep one finished sample; return its size in bytes. Raises FileNotFoundError where another run has claimed
+        the shard."""
         assert tuple(members) == self.names, f"expected members {self.names}, got {tuple(members)}"
-        parts = self.path("parts")
-        parts.mkdir(exist_ok=True)
+        if not self.run:
+            self.open()
         data = tar_bytes(key_of(index), members)
-        write_whole(parts / f"{key_of(index)}.tar", data)
+        write_whole(self.path("parts") / f"{key_of(index)}.tar", data, self.unfinished)
         return len(data)
 
     def parts(self) -> dict[int, Path]:
@@ -130,9 +161,10 @@ class Shard:
             return
         joined = self.joined()
         for path in parts.iterdir():
-            if path.suffix != ".tar" or not path.stem.isdecimal() or int(path.stem) in joined:
-                # The worker of a killed run may rename its last file just now.
-                path.unlink(missing_ok=True)
+            if path.is_dir():
+                shutil.rmtree(path)
+            elif path.suffix != ".tar" or not path.stem.isdecimal() or int(path.stem) in joined:
+                path.unlink()
         if not any(parts.iterdir()):
             parts.rmdir()
 
@@ -222,9 +254,10 @@ def _member(data: bytes, place: Place, name: str) -> bytes:
     return data[start - place.offset : start - place.offset + size]
 
 
-def write_whole(path: Path, data: bytes) -> None:
-    """Write a file that appears whole or not at all, whatever is killed and whoever else writes it."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+def write_whole(path: Path, data: bytes, unfinished: Path | None = None) -> None:
+    """Write a file that appears whole or not at all, whatever is killed and whoever else writes it; until then it lies
+    in the folder `unfinished`, or beside."""
+    temporary = (unfinished or path.parent) / f".{path.name}.{os.getpid()}.tmp"
     try:
         with temporary.open("wb") as stream:
             stream.write(data)

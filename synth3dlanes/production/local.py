@@ -52,13 +52,15 @@ class _Run:
     """The making of some shards in the data set at `root`: what is to do, what has failed how often."""
 
     def __init__(self, plan: Plan, root: Path, shards: dict[int, Shard], tally: Tally) -> None:
-        self.plan, self.root, self.shards, self.tally = plan, root, shards, tally
-        missing = {number: shard.missing(plan.n) for number, shard in shards.items()}
+        self.plan, self.root, self.tally = plan, root, tally
+        self.shards = {number: shard.claimed() for number, shard in shards.items()}
+        missing = {number: shard.missing(plan.n) for number, shard in self.shards.items()}
         self.left = {number: len(indices) for number, indices in missing.items()}
         self.todo = deque(("make", index) for indices in missing.values() for index in indices)
         self.scenes: dict[int, int] = {}  # that workers have, by worker
         self.failures: Counter[int] = Counter()
         self.kills: Counter[int] = Counter()
+        self.opened: set[Shard] = set()
         self.given_up: set[int] = set()
         self.in_a_row = 0
         self.free_mark = min(FREE_MARK_BYTES, int(shutil.disk_usage(root).total * FREE_MARK_SHARE))
@@ -70,6 +72,9 @@ class _Run:
             self._loop()
         except OSError as error:
             self.tally.problem = f"{self.root}: {type(error).__name__}: {error}"
+        finally:
+            for shard in self.opened:
+                shard.close()
 
     def _loop(self) -> None:
         plan, tally = self.plan, self.tally
@@ -107,6 +112,15 @@ class _Run:
         recipe = self.plan.recipe
         if kind == "make":
             shard = self._shard(index)
+            try:
+                shard.open()
+            except OSError as error:
+                if error.errno not in DISK_FULL:
+                    raise
+                self.todo.appendleft((kind, index))
+                self._full(str(error))
+                return
+            self.opened.add(shard)
             pool.start((kind, index), make_part, self.plan.maker, recipe, shard, index, slot=slot)
         else:
             pool.start((kind, index), scene_json, recipe, index, slot=slot)

@@ -24,7 +24,6 @@ from synth3dlanes.imaging.develop import develop
 from synth3dlanes.imaging.layers import Layers
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import CameraParams, Params
-from synth3dlanes.production.workers import leave_if_orphaned
 from synth3dlanes.sample import sample_world
 from synth3dlanes.sampling.like import Like
 from synth3dlanes.scene import Scene
@@ -169,7 +168,6 @@ def make_part(
     start = time.perf_counter()
     made = maker(recipe, index)
     before = time.perf_counter()
-    leave_if_orphaned()
     size = shard.write_part(index, made.members)
     end = time.perf_counter()
     return {"bytes": size, "seconds": end - start, "stages": {**made.timings, "write": end - before}}

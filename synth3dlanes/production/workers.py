@@ -257,13 +257,6 @@ def call(limits: Limits, function: Callable[..., Any], *args: Any, pinned: bool 
                 return outcome
 
 
-def leave_if_orphaned() -> None:
-    """End this worker where the process that it works for is gone: another run may be making the same sample. Called
-    after the death signal is set, which comes too late for a parent killed before, and before anything is kept."""
-    if os.environ.get(PARENT, str(os.getppid())) != str(os.getppid()):
-        os._exit(1)
-
-
 def _lease(n: int, cores: Sequence[int]) -> tuple[list[int], list[int]]:
     """Locks (descriptors) on up to `n` cores that no other pool on this machine has, and all cores in the order to pin
     workers to."""
@@ -312,7 +305,9 @@ def _main() -> None:
         signal.signal(name, signal.SIG_IGN)
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    leave_if_orphaned()
+    # For a parent that was killed before, the death signal comes too late.
+    if os.environ.get(PARENT, str(os.getppid())) != str(os.getppid()):
+        os._exit(1)
     sys.excepthook = _crash
     _work(Connection(descriptor))
     os._exit(0)

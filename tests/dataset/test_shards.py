@@ -1,6 +1,7 @@
 """Shards: written in any order, joined, damaged, read."""
 
 import json
+import os
 import pickle
 import shutil
 import subprocess
@@ -54,6 +55,30 @@ def test_order_of_completion_leaves_no_trace(tmp_path, shard):
         add(other, *order)
         other.join(4)
         assert contents(other) == contents(shard)
+
+
+@pytest.mark.parametrize("is_writing", [False, True])
+def test_a_worker_that_outlives_its_run_adds_nothing_to_the_next(tmp_path, monkeypatch, is_writing):
+    """Whether the next run claims the shard before the worker writes its sample, or in the middle of it."""
+    old, next_run = a_shard(tmp_path).claimed(), []
+
+    def claim_it(descriptor=0):
+        next_run.append(a_shard(tmp_path).claimed())
+
+    old.open()
+    add(old, 0)
+    if is_writing:
+        monkeypatch.setattr(os, "fsync", claim_it)
+    else:
+        claim_it()
+    with pytest.raises(FileNotFoundError):
+        add(old, 1)
+    assert [path.name for path in old.path("parts").iterdir()] == ["00000000.tar"]
+    monkeypatch.undo()
+    next_run[0].open()
+    add(next_run[0], 1)
+    next_run[0].close()
+    assert sorted(path.name for path in old.path("parts").iterdir()) == ["00000000.tar", "00000001.tar"]
 
 
 @pytest.mark.parametrize("steps", [[(0, 1), (2, 3)], [(1, 3), (0, 2)], [(3,), (1,), (0, 2)]])

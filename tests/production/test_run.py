@@ -125,23 +125,13 @@ def _outlives(worker: psutil.Process) -> bool:
         return False
 
 
-def test_a_worker_whose_run_is_gone_makes_and_keeps_nothing(tmp_path):
+def test_a_worker_whose_run_is_gone_makes_nothing():
     """One that was started a moment before its run was killed: its death signal comes too late."""
     ours, theirs = Pipe()
     command = [sys.executable, "-P", workers.__file__, str(theirs.fileno()), "-1"]
     # Nobody is process 2**22: Linux has none above.
-    orphan = {**os.environ, workers.PARENT: str(1 << 22)}
-    process = subprocess.Popen(command, pass_fds=[theirs.fileno()], env=orphan)
+    process = subprocess.Popen(command, pass_fds=[theirs.fileno()], env={**os.environ, workers.PARENT: str(1 << 22)})
     assert process.wait(30) == 1
-    keep = (
-        "from pathlib import Path\nfrom synth3dlanes.dataset.write import Shard\n"
-        "from synth3dlanes.production.recipe import make_part\nfrom tests import fake_samples\n"
-        f"shard = Shard(Path({str(tmp_path)!r}), 0, 10, fake_samples.recipe().names)\n"
-        "make_part(fake_samples.make, fake_samples.recipe(), shard, 3)"
-    )
-    for environment, code, kept in ((orphan, 1, 0), (dict(os.environ), 0, 1)):
-        assert subprocess.run([sys.executable, "-c", keep], env=environment, check=False).returncode == code
-        assert len(list(tmp_path.rglob("*.tar"))) == kept
     ours.close()
 
 
@@ -156,7 +146,7 @@ def test_a_signal_stops_in_order_within_seconds(tmp_path, whole, number):
     assert time.monotonic() - start < 8
     assert process.returncode == 128 + number
     assert "interrupted" in rest.splitlines()[-1]
-    assert not [path for path in (tmp_path / "train").rglob("*.tmp")]
+    assert not [path for name in ("*.tmp", "*.run") for path in (tmp_path / "train").rglob(name)]
     report, _ = go(plan(tmp_path))
     assert report.made < N
     assert contents(tmp_path) == whole
