@@ -83,6 +83,14 @@ TREES = (
 )
 
 
+# Mean albedo (linear red, green, blue) and roughness of the built-in roads.
+ROAD_MEANS = {
+    "road_1": ((0.075, 0.075, 0.075), 0.62),
+    "road_2": ((0.114, 0.112, 0.107), 0.74),
+    "road_3": ((0.213, 0.206, 0.188), 0.70),
+}
+
+
 @dataclass(frozen=True, config=STRICT)
 class Assets:
     """A user's own models, textures and skies. The built-in ones are used for a kind that is empty."""

@@ -13,6 +13,7 @@ import bpy
 import numpy as np
 from PIL import Image
 
+from synth3dlanes.assets.catalogue import ROAD_MEANS
 from synth3dlanes.assets.folder import TextureFiles
 from synth3dlanes.blender.shaders import Graph, coated, new_material, set_value, texture
 from synth3dlanes.blender.structures import structure_materials
@@ -52,12 +53,6 @@ DRY_GRASS = (0.24, 0.19, 0.10)
 # Twice the variance of the slopes of a road's normal map, at the strength with which it is used.
 BUMPS = 0.012
 TERRAIN_MEANS = {"terrain_1": (0.103, 0.109, 0.052), "terrain_2": (0.249, 0.179, 0.11)}
-ROAD_MEANS = {
-    "road_1": ((0.075, 0.075, 0.075), 0.62),
-    "road_2": ((0.114, 0.112, 0.107), 0.74),
-    "road_3": ((0.213, 0.206, 0.188), 0.70),
-}
-"""Mean albedo and roughness."""
 # Woods on far terrain (linear): patches of hundreds of metres that fade in from this distance to twice it.
 WOODS, WOODS_LENGTH_M, WOODS_FROM_M = (0.035, 0.045, 0.025), 2900.0, 220.0
 # What snow lies on, beside the ground.

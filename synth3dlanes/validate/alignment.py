@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.findings import Finding
@@ -85,17 +85,26 @@ def _judge(
             continue
         mean = around[inside].mean(axis=0)
         moved_px, here = int(mean.argmax()) - REACH_PX, mean[REACH_PX]
-        is_moved = mean.max() > MOVED * here and _agree(around[inside], owners[inside], moved_px)
-        found = f"{moved_px:+d} px {way}" if is_moved else ""
-        found = found or ("none" if max(mean[0], mean[-1]) > BLANK * here else "")
+        of_things = _of_things(around[inside], owners[inside])
+        found = ""
+        if mean.max() > MOVED * here and _most(of_things[:, mean.argmax()] > of_things[:, REACH_PX]):
+            found = f"{moved_px:+d} px {way}"
+        elif max(mean[0], mean[-1]) > BLANK * here and _most(
+            of_things[:, [0, -1]].max(axis=1) > BLANK * of_things[:, REACH_PX]
+        ):
+            found = "none"
         if found:
             yield Finding("", f"image: expected edges where the passes have them, got {found} in {part.name}")
 
 
-def _agree(around: Float[np.ndarray, "n k"], owners: Int[np.ndarray, " n"], moved_px: int) -> bool:
-    """Whether two things or more, and most of them, have their borders there rather than in place: a single one may be
-    as bright as what is behind it, and have an edge of its own inside its border."""
+def _of_things(around: Float[np.ndarray, "n k"], owners: Int[np.ndarray, " n"]) -> Float[np.ndarray, "t k"]:
+    """The mean steps at the borders of each thing that has enough of them."""
     of_thing = (around[owners == thing] for thing in np.unique(owners))
     means = [borders.mean(axis=0) for borders in of_thing if len(borders) >= LEAST_OF_THING]
-    votes = [mean[REACH_PX + moved_px] > mean[REACH_PX] for mean in means]
-    return bool(sum(votes) > 1 and 2 * sum(votes) > len(votes))
+    return np.array(means).reshape(-1, around.shape[1])
+
+
+def _most(votes: Bool[np.ndarray, " t"]) -> bool:
+    """Whether two things or more, and most of them, say so: a single one may be as bright as what is behind it, and
+    have an edge of its own inside its border."""
+    return bool(votes.sum() > 1 and 2 * votes.sum() > len(votes))

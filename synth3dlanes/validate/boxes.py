@@ -25,7 +25,7 @@ RAILS_M = {
     "noise_wall": (0.1, 0.4, 0.4),
     "kerb": (0.1, 0.3, 0.2),
     "walkway": (0.9, 1.2, 0.2),
-    "power_line": (0.0, 3.5, 3.0),
+    "power_line": (0.0, 7.0, 3.0),
 }
 # Half the width of posts, and the room over their height.
 POSTS_M = {"lamp": (2.8, 0.6), "sign": (2.2, 2.6), "delineator": (0.3, 0.2)}
@@ -120,12 +120,14 @@ def _rail(world: World, rail: Rail) -> list[Box]:
     sign = 0.0 if rail.side == "median" else 1.0
     line = beside_world(world, rail.road, rail.side, s, rail.aside_m + sign * behind_m)
     z = height_at(plan.terrain, line)
-    raised = plan.ramp(s) if plan.has_exit else np.zeros(len(s))
+    # On a slope the edge of the pavement, over which a rail is level, is higher than the rail's foot.
+    edge = beside_world(world, rail.road, rail.side, s, (1 - sign) * rail.aside_m)
+    z_edge = np.maximum(z, height_at(plan.terrain, edge)) + (plan.ramp(s) if plan.has_exit else 0.0)
     boxes = []
     for i in range(len(s) - 1):
         along = line[i + 1] - line[i]
         reach_m = float(np.linalg.norm(along)) / 2 + OVERLAP_M
-        low_m, high_m = z[i : i + 2].min() - LOW_M - over_m, z[i : i + 2].max() + raised[i : i + 2].max()
+        low_m, high_m = z[i : i + 2].min() - LOW_M - over_m, z_edge[i : i + 2].max()
         boxes.append(
             (
                 _level((line[i] + line[i + 1]) / 2, along),
@@ -153,8 +155,12 @@ def _crossing(world: World, crossing: Crossing) -> list[Box]:
     here, ahead = plan.main_xy(s, 0.0)
     pose = _level(here, ahead - here)
     across = np.arange(-REACH_M, REACH_M + 1, 4.0)
-    strip = transform(pose, np.column_stack([across, np.zeros((len(across), 2))]))
-    z = height_at(plan.terrain, strip[:, :2])
+
+    def terrain_at(along_m: float) -> Float[np.ndarray, " n"]:
+        strip = transform(pose, np.column_stack([across, np.full(len(across), along_m), np.zeros(len(across))]))
+        return height_at(plan.terrain, strip[:, :2])
+
+    z = terrain_at(0.0)
     right = float(ground.main_right_edge(s)[0])
     edges = transform(
         np.linalg.inv(pose), np.column_stack([plan.main_xy(s[[0, 0]], np.array([ground.left_edge_m, right])), [0, 0]])
@@ -163,8 +169,13 @@ def _crossing(world: World, crossing: Crossing) -> list[Box]:
     raised = float(plan.road.ramp_height_m) if plan.ramp_start_m is not None else 0.0
     half_m, road_m = crossing.width_m / 2 + 0.8, float(height_at(plan.terrain, here[None])[0])
     top_m = max(float(z[np.abs(across) < REACH_M / 3].max()), road_m) + raised + crossing.clearance_m + CROSSING_M
-    wide_m = half_m + (DAM_SLOPE * (top_m - z.min()) if crossing.kind == "bridge" else 0.0)
-    reach_m, low_m = REACH_M, z.min() - LOW_M
+    reach_m, wide_m, low_m = REACH_M, half_m, z.min()
+    if crossing.kind == "bridge":
+        # Where the ground falls along the road, a dam goes on down to its foot.
+        beside_m = half_m + DAM_SLOPE * (top_m - z.min()) * np.array([-1.25, -0.6, 0.6, 1.25])
+        low_m = min(low_m, *(terrain_at(along_m).min() for along_m in beside_m))
+        wide_m += DAM_SLOPE * (top_m - low_m)
+    low_m -= LOW_M
     return [
         (pose, np.array([-reach_m, -half_m, road_m + crossing.clearance_m - 1.0]), np.array([reach_m, half_m, top_m])),
         (pose, np.array([-reach_m, -wide_m, low_m]), np.array([left - 0.3, wide_m, top_m])),

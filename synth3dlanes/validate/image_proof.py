@@ -2,9 +2,10 @@
 
 Works without passes. Brightness profiles across the line are sampled at equal distances on the road, so that
 perspective does not matter, and their median along the line is judged: shadows, cracks and worn paint affect some
-profiles, but not the median. Profiles that a car or its shadow may touch are left out. A line without contrast is not
-judged. An image with hardly any line in place is not the labels' image; one whose lines are clearest together at an
-offset was shifted or stretched. Images whose paint may be invisible are skipped (`Paint.shows`).
+profiles, but not the median. Profiles that a car, its shadow or a structure may touch are left out. A line without
+contrast is not judged. An image with hardly any line in place is not the labels' image; one whose lines are clearest
+together at an offset was shifted or stretched. Images whose paint may be invisible are skipped (`Paint.shows`), and
+those with snow, which lies on the edges of the road.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,6 +19,7 @@ from scipy.spatial import cKDTree
 from synth3dlanes.frames import transform
 from synth3dlanes.labels import CameraLabel, Labels, Lane
 from synth3dlanes.validate.bodies import may_show_cars
+from synth3dlanes.validate.boxes import meet, structure_boxes
 from synth3dlanes.validate.findings import PROOF_M, Finding, Measure
 from synth3dlanes.validate.paint import Paint, Strip
 from synth3dlanes.validate.places import places
@@ -41,7 +43,7 @@ MIN_PROFILES = 15
 # Gray levels of 255 in a line's median: 1 to 4 occur by chance without paint, 5 with paint as gray as the road.
 CONTRAST, FAINT = 12.0, 4.0
 # A road of this brightness leaves paint no room to be brighter, as in the glare of the sun.
-WHITE = 250.0
+WHITE = 240.0
 # A ridge elsewhere must be this many times stronger than in place: the edge of a shadow reaches 2.7 times.
 STRONGER = 3.0
 # An image is judged as a whole from this many profiles on; with a smaller share of them in place it is not the labels'
@@ -92,12 +94,13 @@ class Contrast(NamedTuple):
         """Where the image shows the line."""
         if self.ridge >= CONTRAST and self.in_place * STRONGER < self.ridge:
             return "elsewhere"
-        return "in place" if self.in_place >= FAINT and 2 * self.in_place >= self.ridge else "unclear"
+        is_clear = self.in_place >= FAINT and 2 * self.in_place >= self.ridge
+        return "in place" if is_clear or abs(self.ridge_m) <= IN_PLACE_M else "unclear"
 
 
 def prove_image(paint: Paint, labels: Labels, image: UInt8[np.ndarray, "h w 3"]) -> tuple[list[Finding], list[Measure]]:
     """Findings about lines and the whole image, and measure `image_ridge_m`: distances of ridges from their labels."""
-    if not paint.shows:
+    if not paint.shows or paint.world.scene.weather.snow:
         return [], []
     luma = image @ np.array([0.3, 0.6, 0.1])
     lanes = [lane for lane in labels.lanes if lane.kind == "delimiter"]
@@ -146,6 +149,7 @@ def _lines(paint: Paint, camera: CameraLabel, cuts: Sequence[Cut]) -> Iterator[L
     ends_cam = np.concatenate([cut.ends_cam for cut in cuts])
     uv = camera.project(ends_cam.reshape(-1, 3))
     is_clear = ~may_show_cars(paint.world, camera, uv, PROOF_M).reshape(-1, 3).any(axis=1)
+    is_clear &= ~_behind_structures(paint.world, transform(camera.world_from_cam, ends_cam))
     is_clear &= ~_near_symbols(paint.world, transform(camera.world_from_cam, ends_cam[:, 1]))
     some = np.arange(0, len(ends_cam), ROOM_EVERY)
     outside_m = np.full((len(ends_cam), 3), np.nan)
@@ -174,6 +178,12 @@ def _in_glare(
     beyond_m = np.stack([min(stripes_m) - OFFSETS_M, OFFSETS_M - max(stripes_m)]) / width_m
     beside = (beyond_m > BESIDE[0]) & (beyond_m < BESIDE[1])
     return (profiles @ (beside / beside.sum(axis=1, keepdims=True)).T > WHITE).any(axis=1)
+
+
+def _behind_structures(world: World, ends_world: Float[np.ndarray, "n 3 3"]) -> Bool[np.ndarray, " n"]:
+    """Which profiles, by their ends and middles, a structure may hide or be part of."""
+    boxes = structure_boxes(world).boxes
+    return meet(boxes, world.view.eye_world, ends_world.reshape(-1, 3)).reshape(-1, 3).any(axis=1)
 
 
 def _near_symbols(world: World, points_world: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:

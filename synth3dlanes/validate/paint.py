@@ -9,11 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from synth3dlanes.assets.catalogue import ROAD_MEANS
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.lanes import Curve
 from synth3dlanes.geometry.paint import DOTS_M, is_dotted, line_width_m, painted_rows, stripes_m
 from synth3dlanes.geometry.terrain import gradient_at
 from synth3dlanes.labels import CameraLabel, Lane
+from synth3dlanes.scene import Scene
 from synth3dlanes.validate.places import Places
 from synth3dlanes.world import World
 
@@ -38,12 +40,18 @@ class Strip:
     resolved: Bool[np.ndarray, " n"]
 
 
-# Beyond these limits paint may be invisible: rubbed off, as gray as concrete, under water or in fog; so it may be under
+# Beyond these limits paint may be invisible: rubbed off, as gray as the road, under water or in fog; so it may be under
 # snow and behind drops on the glass.
 MAX_WORN, MIN_GRAYSCALE, MAX_WETNESS, MIN_VISIBILITY_M = 0.7, 0.35, 0.8, 300.0
-# Least mean brightness of gray paint that is worn, too.
-MIN_LEFT = 0.22
+# Least mean brightness of gray paint that is worn, too, and how many times brighter than the road that must be.
+MIN_LEFT, BRIGHTER = 0.22, 1.6
 MAX_DROPS = 0.3
+
+
+def _albedo(scene: Scene) -> float:
+    """That of the road's texture; 0 for a user's, of which nothing is known here."""
+    means = list(ROAD_MEANS.values())
+    return 0.0 if scene.assets.roads else float(np.mean(means[scene.surface.road_texture - 1][0]))
 
 
 class Paint:
@@ -55,7 +63,7 @@ class Paint:
         self.shows = (
             scene.markings.wear <= MAX_WORN
             and scene.markings.grayscale >= MIN_GRAYSCALE
-            and scene.markings.grayscale * (1 - scene.markings.wear) >= MIN_LEFT
+            and scene.markings.grayscale * (1 - scene.markings.wear) >= max(MIN_LEFT, BRIGHTER * _albedo(scene))
             and scene.surface.wetness <= MAX_WETNESS
             and scene.air.visibility_m >= MIN_VISIBILITY_M
             and scene.weather.snow_on_road == 0

@@ -58,8 +58,9 @@ NO_GEOMETRY = (
 
 # Another process starts in the time that so many samples take.
 SAMPLES_A_START = 8
-# Coarser JPEG has no detail of single pixels; after civil twilight edges beyond the headlights are not seen.
-SHARP_JPEG, DARK_RAD = 90, 1.68
+# Coarser JPEG has no detail of single pixels, nor has dense fog; after civil twilight edges beyond the headlights are
+# not seen.
+SHARP_JPEG, FOG_M, DARK_RAD = 90, 150.0, 1.68
 # Sine of the yaw from which on motion blur runs across the image.
 ASIDE = 0.3
 
@@ -224,6 +225,7 @@ def _proofs(
     is_lit = scene.light.sun_zenith_rad < DARK_RAD
     is_smeared = scene.sensor.motion_blur_m > 0 and abs(np.sin(scene.camera.yaw_rad)) > ASIDE
     is_sharp = paint.shows and is_lit and not is_smeared
+    has_detail = scene.sensor.jpeg_quality >= SHARP_JPEG and scene.air.visibility_m >= FOG_M
     proofs = {
         "index": lambda: Proved([*check_row(entry, world.scene, labels)]),
         "labels": lambda: Proved([*check_values(world.scene, truth, labels)]),
@@ -240,7 +242,7 @@ def _proofs(
     return proofs | {
         "passes": lambda: Proved(*prove_passes(paint, labels, passes)),
         "image": lambda: Proved(*prove_image(paint, labels, image)),
-        "sharpness": lambda: Proved([*check_sharpness(image)] if scene.sensor.jpeg_quality >= SHARP_JPEG else []),
+        "sharpness": lambda: Proved([*check_sharpness(image)] if has_detail else []),
         "colours": lambda: Proved([*check_colours(world, labels.camera, image, passes)]),
         "alignment": lambda: Proved([*check_alignment(image, passes)] if is_sharp else []),
         "pavement": lambda: Proved(*prove_pavement(world, labels, passes)),

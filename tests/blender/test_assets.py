@@ -11,9 +11,9 @@ from PIL import Image
 bpy = pytest.importorskip("bpy")
 
 from synth3dlanes.assets.built_in import assets_dir  # noqa: E402
-from synth3dlanes.assets.catalogue import CARS, TREES  # noqa: E402
+from synth3dlanes.assets.catalogue import CARS, ROAD_MEANS, TREES  # noqa: E402
 from synth3dlanes.blender.load_assets import LoadedAssets, load_assets  # noqa: E402
-from synth3dlanes.blender.materials import BUMPS, ROAD_MEANS, TERRAIN_MEANS, Materials, make_materials  # noqa: E402
+from synth3dlanes.blender.materials import BUMPS, TERRAIN_MEANS, Materials, make_materials  # noqa: E402
 from synth3dlanes.blender.render import opened  # noqa: E402
 
 BODY_TOLERANCE_M = 0.03

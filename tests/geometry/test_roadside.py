@@ -219,6 +219,20 @@ def test_bodies_fill_their_boxes_and_the_check_finds_what_stands_on_a_road(world
     assert found == ["roadside.rails.0", "roadside.posts.0", "roadside.buildings.0"]
 
 
+@pytest.mark.parametrize("index", [208, 503, 550, 969])
+def test_boxes_hold_rails_on_slopes_wires_in_bends_and_dams_on_falling_ground(index):
+    """What is seen of a structure is in its box: points on all faces over the ground, 250 m around the host."""
+    world = sample_world(load_params("streets"), 911, "train", index)
+    owned = structure_boxes(world)
+    for i, body in enumerate(world.structures):
+        u, v = (share.ravel() for share in np.meshgrid(*[np.linspace(0, 1, 40 if body.kind == "bridge" else 3)] * 2))
+        shares = np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v])
+        points = np.einsum("fcx,cp->fpx", body.corners_world, shares).reshape(-1, 3)
+        points = points[np.linalg.norm(points - world.view.eye_world, axis=1) < 250]
+        points = points[points[:, 2] > world.ground.height(points[:, :2])]
+        assert inside(owned, points, np.full(len(points), i)).all(), (i, body.kind)
+
+
 def test_trees_keep_clear(worlds):
     """No trunk within half a metre of a face's middle."""
     for world in worlds:

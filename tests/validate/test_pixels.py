@@ -95,14 +95,16 @@ def test_clean_pixels_are_clean_whichever_passes_there_are(samples):
 
 
 # Samples that once failed: worn paint under water, strong motion blur, a slit under a truck and one between two cars
-# through which lines are seen, dense fog, and glare in which road and paint are white.
-ONCE_FAILED = (*(("diverse", 2026, index) for index in (175, 184, 319, 423, 558)), ("streets", 901, 95))
+# through which lines are seen, dense fog, and glare in which road and paint are white. At one sample a pixel: a gray
+# trailer beside the host, a guardrail right behind a line, faint lines in low sun, and glare once more.
+ONCE_FAILED = (*(("diverse", 2026, index, 4) for index in (175, 184, 319, 423, 558)), ("streets", 901, 95, 4))
+ONCE_FAILED += tuple(("streets", 911, index, 1) for index in (21, 85, 239, 758))
 
 
-@pytest.mark.parametrize(("preset", "seed", "index"), ONCE_FAILED)
-def test_what_once_was_a_false_alarm_is_none(preset, seed, index):
-    passes = RenderSettings(passes=("depth", "normal", "semantic", "instance"))
-    recipe = Recipe(load_params(preset), seed, "train", passes, "jpg")
+@pytest.mark.parametrize(("preset", "seed", "index", "n_samples"), ONCE_FAILED)
+def test_what_once_was_a_false_alarm_is_none(preset, seed, index, n_samples):
+    settings = RenderSettings(samples=n_samples, passes=("depth", "normal", "semantic", "instance"))
+    recipe = Recipe(load_params(preset), seed, "train", settings, "jpg")
     members = make_sample(recipe, index).members
     scene = from_json(members["scene.json"], "")
     made = Sample(
