@@ -34,7 +34,7 @@ class Part(NamedTuple):
 # those at them, with strong motion blur 1.19 times; those REACH_PX away are at most 0.75 times as large. In images
 # shifted by one pixel they are mostly more than 1.3 times as large, in images of other scenes as large. A stretched
 # image may be in place in the middle.
-MOVED, BLANK = 1.25, 0.9
+MOVED, CLEARLY, BLANK = 1.25, 1.1, 0.9
 LEAST_OF_THING = 20
 ACROSS = (
     Part("the image", 0, 1, 100),
@@ -87,7 +87,7 @@ def _judge(
         moved_px, here = int(mean.argmax()) - REACH_PX, mean[REACH_PX]
         of_things = _of_things(around[inside], owners[inside])
         found = ""
-        if mean.max() > MOVED * here and _most(of_things[:, mean.argmax()] > of_things[:, REACH_PX]):
+        if mean.max() > MOVED * here and _most(of_things[:, mean.argmax()] > CLEARLY * of_things[:, REACH_PX]):
             found = f"{moved_px:+d} px {way}"
         elif max(mean[0], mean[-1]) > BLANK * here and _most(
             of_things[:, [0, -1]].max(axis=1) > BLANK * of_things[:, REACH_PX]

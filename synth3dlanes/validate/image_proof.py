@@ -103,7 +103,7 @@ def prove_image(paint: Paint, labels: Labels, image: UInt8[np.ndarray, "h w 3"])
     if not paint.shows or paint.world.scene.weather.snow:
         return [], []
     luma = image @ np.array([0.3, 0.6, 0.1])
-    lanes = [lane for lane in labels.lanes if lane.kind == "delimiter"]
+    lanes = [lane for lane in labels.lanes if lane.color is not None and paint.stands_out(lane.color)]
     cuts = [cut for lane in lanes for cut in _cut(paint, labels.camera, lane, luma)]
     lines = list(_lines(paint, labels.camera, cuts))
     contrasts = [_contrast(line) for line in lines]

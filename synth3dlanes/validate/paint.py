@@ -14,7 +14,7 @@ from synth3dlanes.frames import transform
 from synth3dlanes.geometry.lanes import Curve
 from synth3dlanes.geometry.paint import DOTS_M, is_dotted, line_width_m, painted_rows, stripes_m
 from synth3dlanes.geometry.terrain import gradient_at
-from synth3dlanes.labels import CameraLabel, Lane
+from synth3dlanes.labels import CameraLabel, Lane, PaintColor
 from synth3dlanes.scene import Scene
 from synth3dlanes.validate.places import Places
 from synth3dlanes.world import World
@@ -45,6 +45,7 @@ class Strip:
 MAX_WORN, MIN_GRAYSCALE, MAX_WETNESS, MIN_VISIBILITY_M = 0.7, 0.35, 0.8, 300.0
 # Least mean brightness of gray paint that is worn, too, and how many times brighter than the road that must be.
 MIN_LEFT, BRIGHTER = 0.22, 1.6
+LUMA: dict[PaintColor, float] = {"white": 1.0, "yellow": 0.65}
 MAX_DROPS = 0.3
 
 
@@ -60,16 +61,17 @@ class Paint:
 
     def __init__(self, world: World) -> None:
         scene = world.scene
+        self.world = world
         self.shows = (
             scene.markings.wear <= MAX_WORN
             and scene.markings.grayscale >= MIN_GRAYSCALE
-            and scene.markings.grayscale * (1 - scene.markings.wear) >= max(MIN_LEFT, BRIGHTER * _albedo(scene))
+            and scene.markings.grayscale * (1 - scene.markings.wear) >= MIN_LEFT
+            and self.stands_out("white")
             and scene.surface.wetness <= MAX_WETNESS
             and scene.air.visibility_m >= MIN_VISIBILITY_M
             and scene.weather.snow_on_road == 0
             and scene.sensor.drops <= MAX_DROPS
         )
-        self.world = world
         self._curves = {line.id: line for line in world.lines if line.kind == "delimiter"}
         self._stretches = {}
         for id_, curve in self._curves.items():
@@ -78,6 +80,11 @@ class Paint:
             is_near = np.abs(world.ground.ahead_m(world.plan.plan_station(rows.s[1:]))) < DOTS_M
             painted = rows.painted & (is_near | (not is_dotted(curve, scene.markings)))
             self._stretches[id_] = _merged(np.column_stack([rows.s[:-1], rows.s[1:]])[painted])
+
+    def stands_out(self, color: PaintColor) -> bool:
+        """Whether lines of this colour are brighter than the road."""
+        markings = self.world.scene.markings
+        return markings.grayscale * LUMA[color] * (1 - markings.wear) >= BRIGHTER * _albedo(self.world.scene)
 
     def strip(self, camera: CameraLabel, lane: Lane, points_cam: Points) -> Strip:
         """The strip of points along a lane; at least two points, in order."""

@@ -23,6 +23,8 @@ from synth3dlanes.world import World
 
 # Pixels this close to an edge of paint may show either side of it.
 MARGIN_M = 0.04
+# The lines beside a gore may lie this far over its edges.
+LINE_M = 0.15
 # Number and share of pixels of a symbol that may be wrong.
 MAX_SINGLE, MAX_SHARE = 3, 0.05
 # Of the search for a station between two lines.
@@ -46,6 +48,7 @@ def prove_symbols(world: World, labels: Labels, passes: Passes) -> Iterator[Find
     points, used = on_road(world, labels.camera, unproject(labels.camera, passes["depth"], rows, columns))
     rows, columns, place = rows[used], columns[used], places(world.ground, points[used, :2])
     shown = is_symbol[rows, columns]
+    margin_m = np.where(passes["semantic"][rows, columns] == SEMANTIC_IDS["marking"], LINE_M, MARGIN_M)
     number = np.where(shown, 0, -1)
     if "instance" in passes:
         number = passes["instance"][rows, columns].astype(int) - FIRST_SYMBOL_ID
@@ -53,11 +56,11 @@ def prove_symbols(world: World, labels: Labels, passes: Passes) -> Iterator[Find
     if "instance" not in passes:
         beyond_m = beyond_m.min(axis=0, keepdims=True)
     for i, outside_m in enumerate(beyond_m):
-        yield from _judge(f"symbol {i}" if "instance" in passes else "symbols", number == i, outside_m)
+        yield from _judge(f"symbol {i}" if "instance" in passes else "symbols", number == i, outside_m, margin_m)
 
 
-def _judge(name: str, shown: Bool[np.ndarray, " n"], outside_m: Values) -> Iterator[Finding]:
-    strays, gaps = shown & (outside_m > MARGIN_M), ~shown & (outside_m < -MARGIN_M)
+def _judge(name: str, shown: Bool[np.ndarray, " n"], outside_m: Values, margin_m: Values) -> Iterator[Finding]:
+    strays, gaps = shown & (outside_m > MARGIN_M), ~shown & (outside_m < -margin_m)
     inside = int((outside_m < -MARGIN_M).sum())
     if strays.sum() > max(MAX_SINGLE, MAX_SHARE * shown.sum()):
         yield Finding("", f"{name}: expected pixels within its paint, got {strays.sum()} of {shown.sum()} outside")

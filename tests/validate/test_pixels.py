@@ -13,7 +13,7 @@ from PIL import Image
 
 from synth3dlanes.dataset.format import PASSES, decode_image, encode_image, read_passes, write_passes
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.labels import Labels
+from synth3dlanes.labels import Labels, PaintColor
 from synth3dlanes.labels import from_json as labels_from_json
 from synth3dlanes.params import load_params
 from synth3dlanes.production.recipe import Recipe, make_sample
@@ -30,7 +30,9 @@ from synth3dlanes.validate.paint import Paint
 from synth3dlanes.validate.passes_proof import prove_passes
 from synth3dlanes.validate.pavement import prove_pavement
 from synth3dlanes.validate.sharpness import check_sharpness
+from synth3dlanes.validate.symbols import prove_symbols
 from synth3dlanes.world import resolve
+from tests.scenes import changed
 from tests.validate.sealing import Members, check, seal
 
 pytestmark = pytest.mark.render
@@ -68,6 +70,7 @@ def findings(sample: Sample) -> list[Finding]:
         *check_hills(world, labels, passes),
         *check_normals(labels.camera, passes),
         *prove_ids(paint, labels, passes)[0],
+        *prove_symbols(world, labels, passes),
     ]
 
 
@@ -96,9 +99,10 @@ def test_clean_pixels_are_clean_whichever_passes_there_are(samples):
 
 # Samples that once failed: worn paint under water, strong motion blur, a slit under a truck and one between two cars
 # through which lines are seen, dense fog, and glare in which road and paint are white. At one sample a pixel: a gray
-# trailer beside the host, a guardrail right behind a line, faint lines in low sun, and glare once more.
+# trailer beside the host, a guardrail right behind a line, faint lines in low sun, glare once more, a line over the
+# edge of a gore, and a dam with a sunny edge of its own.
 ONCE_FAILED = (*(("diverse", 2026, index, 4) for index in (175, 184, 319, 423, 558)), ("streets", 901, 95, 4))
-ONCE_FAILED += tuple(("streets", 911, index, 1) for index in (21, 85, 239, 758))
+ONCE_FAILED += tuple(("streets", 911, index, 1) for index in (21, 85, 239, 758, 1237, 1413))
 
 
 @pytest.mark.parametrize(("preset", "seed", "index", "n_samples"), ONCE_FAILED)
@@ -114,6 +118,21 @@ def test_what_once_was_a_false_alarm_is_none(preset, seed, index, n_samples):
         read_passes(members["passes.exr"], ""),
     )
     assert findings(made) == []
+
+
+def test_lines_stand_out_that_are_brighter_than_their_road():
+    """Concrete is three times as bright as asphalt, and yellow two thirds as bright as white."""
+
+    def stand_out(road_texture: int, color: PaintColor) -> bool:
+        scene = changed(surface={"road_texture": road_texture}, markings={"grayscale": 0.48, "wear": 0.2})
+        return Paint(resolve(scene)).stands_out(color)
+
+    assert [stand_out(texture, color) for texture in (1, 3) for color in ("white", "yellow")] == [
+        True,
+        True,
+        True,
+        False,
+    ]
 
 
 @pytest.mark.parametrize(("cars_down_px", "expected"), [(0, []), (2, ["image: expected edges where the passes"])])
