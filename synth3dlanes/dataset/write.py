@@ -6,10 +6,9 @@
 
 Every sample is its own file until the shard is joined. So any number of workers can work on one shard, in any order,
 and whoever is killed, whenever, takes with him only the sample at hand. A worker that outlives its run adds nothing to
-the next one's: its run's folder is gone. Joining sorts by index, so the bytes do not
-depend on any of that; it reads only what is on disk and may be killed and repeated at any point. Samples of a finished
-shard take part again when it is joined anew, so a larger n continues it. Nobody but the holder of the shard's lock
-(`folder.claim`) joins it.
+the next one's: its run's folder is gone. Joining sorts by index, so the bytes do not depend on any of that; it reads
+only what is on disk and may be killed and repeated at any point. Samples of a finished shard take part again when it is
+joined anew, so a larger n continues it. Nobody but the holder of the shard's lock (`folder.claim`) joins it.
 """
 
 import hashlib

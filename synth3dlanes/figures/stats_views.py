@@ -14,8 +14,8 @@ from synth3dlanes.figures.histograms import Histogram, histograms
 from synth3dlanes.figures.stats import LabelStatistics, SceneStatistics, is_fine
 
 _COLUMNS = 7
-# Inches: a plot with its room, that room, and the page's margins. Matplotlib's layouts take as long as the drawing.
-_CELL, _ROOM, _LEFT, _BOTTOM, _TOP = (2.6, 2.15), (0.55, 0.75), 0.55, 0.5, 0.65
+# Inches over and under the plots. Matplotlib's own layouts would take as long as the drawing.
+_TOP, _BOTTOM = 0.65, 0.5
 
 
 def statistics_table(scenes: SceneStatistics, labels: LabelStatistics | None) -> RenderableType:
@@ -49,17 +49,9 @@ def draw_statistics(scenes: SceneStatistics, labels: LabelStatistics | None) -> 
     """One page of histograms: label quantities, then every parameter that varies."""
     found = histograms(scenes, labels)
     rows = math.ceil(len(found) / _COLUMNS)
-    (cell_x, cell_y), (room_x, room_y) = _CELL, _ROOM
-    width, height = _LEFT + cell_x * _COLUMNS - room_x / 2, _BOTTOM + cell_y * rows - room_y + _TOP
-    figure = Figure(figsize=(width, height))
-    figure.subplots_adjust(
-        left=_LEFT / width,
-        right=1 - room_x / 2 / width,
-        bottom=_BOTTOM / height,
-        top=1 - _TOP / height,
-        wspace=room_x / (cell_x - room_x),
-        hspace=room_y / (cell_y - room_y),
-    )
+    height = 2.15 * rows
+    figure = Figure(figsize=(2.6 * _COLUMNS, height))
+    figure.subplots_adjust(0.03, _BOTTOM / height, 0.99, 1 - _TOP / height, wspace=0.27, hspace=0.6)
     grid = figure.subplots(rows, _COLUMNS, squeeze=False).ravel()
     for axes, histogram in zip(grid, found, strict=False):
         _draw(axes, histogram)

@@ -5,11 +5,12 @@ two pixels than between others nearby. This holds in fog, with motion blur and i
 an image that is shifted or stretched by a pixel, or that belongs to another scene, in any sample.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Float, Int, UInt8
 
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.findings import Finding
@@ -33,7 +34,7 @@ class Part(NamedTuple):
 # In 1,260 rendered images of all presets, in any of these parts, the steps beside the borders are at most 0.9 times
 # those at them, with strong motion blur 1.19 times; those REACH_PX away are at most 0.75 times as large. In images
 # shifted by one pixel they are mostly more than 1.3 times as large, in images of other scenes as large. A stretched
-# image may be in place in the middle.
+# image may be in place in the middle. For a single thing to say that the image is shifted, a tenth is enough.
 MOVED, CLEARLY, BLANK = 1.25, 1.1, 0.9
 LEAST_OF_THING = 20
 ACROSS = (
@@ -83,28 +84,32 @@ def _judge(
         inside = (columns >= part.first * n) & (columns < part.last * n)
         if inside.sum() < part.least:
             continue
-        mean = around[inside].mean(axis=0)
-        moved_px, here = int(mean.argmax()) - REACH_PX, mean[REACH_PX]
-        of_things = _of_things(around[inside], owners[inside])
+        mean, of_things = around[inside].mean(axis=0), (around[inside], owners[inside])
+        at = int(mean.argmax())
         found = ""
-        if mean.max() > MOVED * here and _most(of_things[:, mean.argmax()] > CLEARLY * of_things[:, REACH_PX]):
-            found = f"{moved_px:+d} px {way}"
-        elif max(mean[0], mean[-1]) > BLANK * here and _most(
-            of_things[:, [0, -1]].max(axis=1) > BLANK * of_things[:, REACH_PX]
-        ):
+        if mean.max() > MOVED * mean[REACH_PX] and _most(partial(_is_clearer, at), *of_things):
+            found = f"{at - REACH_PX:+d} px {way}"
+        elif _is_blank(mean) and _most(_is_blank, *of_things):
             found = "none"
         if found:
             yield Finding("", f"image: expected edges where the passes have them, got {found} in {part.name}")
 
 
-def _of_things(around: Float[np.ndarray, "n k"], owners: Int[np.ndarray, " n"]) -> Float[np.ndarray, "t k"]:
-    """The mean steps at the borders of each thing that has enough of them."""
+def _is_clearer(at: int, steps: Float[np.ndarray, " k"]) -> bool:
+    """Whether the step there is clearly larger than in place."""
+    return bool(steps[at] > CLEARLY * steps[REACH_PX])
+
+
+def _is_blank(steps: Float[np.ndarray, " k"]) -> bool:
+    """Whether the step in place is not larger than those away from it."""
+    return bool(max(steps[0], steps[-1]) > BLANK * steps[REACH_PX])
+
+
+def _most(
+    says: Callable[[Float[np.ndarray, " k"]], bool], around: Float[np.ndarray, "n k"], owners: Int[np.ndarray, " n"]
+) -> bool:
+    """Whether the mean steps of two things or more, and of most of them, say so: a single one may be as bright as what
+    is behind it, and have an edge of its own inside its border."""
     of_thing = (around[owners == thing] for thing in np.unique(owners))
-    means = [borders.mean(axis=0) for borders in of_thing if len(borders) >= LEAST_OF_THING]
-    return np.array(means).reshape(-1, around.shape[1])
-
-
-def _most(votes: Bool[np.ndarray, " t"]) -> bool:
-    """Whether two things or more, and most of them, say so: a single one may be as bright as what is behind it, and
-    have an edge of its own inside its border."""
-    return bool(votes.sum() > 1 and 2 * votes.sum() > len(votes))
+    votes = [says(borders.mean(axis=0)) for borders in of_thing if len(borders) >= LEAST_OF_THING]
+    return sum(votes) > 1 and 2 * sum(votes) > len(votes)

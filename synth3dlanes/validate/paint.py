@@ -51,8 +51,7 @@ MAX_DROPS = 0.3
 
 def _albedo(scene: Scene) -> float:
     """That of the road's texture; 0 for a user's, of which nothing is known here."""
-    means = list(ROAD_MEANS.values())
-    return 0.0 if scene.assets.roads else float(np.mean(means[scene.surface.road_texture - 1][0]))
+    return 0.0 if scene.assets.roads else float(np.mean(ROAD_MEANS[f"road_{scene.surface.road_texture}"][0]))
 
 
 class Paint:

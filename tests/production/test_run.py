@@ -1,5 +1,6 @@
 """Runs: whatever is killed, full or broken, the same bytes are there in the end."""
 
+import errno
 import json
 import os
 import shutil
@@ -18,6 +19,7 @@ import psutil
 import pytest
 
 from synth3dlanes.dataset.read import Reader
+from synth3dlanes.dataset.write import Shard
 from synth3dlanes.errors import ClaimedError, DiskFullError, InputError, MissingPackageError
 from synth3dlanes.production import local, workers
 from synth3dlanes.production.plan import Plan
@@ -264,6 +266,27 @@ def test_waits_for_room_and_goes_on(tmp_path, whole, monkeypatch):
     free[0] = 10**6
     with pytest.raises(DiskFullError, match=r"77 samples need .* GB, but only 0\.001 GB are free"):
         go(plan(tmp_path, n=100))
+
+
+def test_waits_for_room_for_a_folder(tmp_path, whole, monkeypatch):
+    usage = namedtuple("usage", "total used free")
+    free, full, opened, seen = [10**12], iter([True]), Shard.open, []
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage(10**12, 0, free[0]))
+
+    def open_shard(shard):
+        if next(full, False):
+            raise OSError(errno.ENOSPC, "No space left on device")
+        opened(shard)
+
+    def tell(event):
+        seen.append(event.kind)
+        if event.kind == "pause":
+            free[0] *= 2
+
+    monkeypatch.setattr(Shard, "open", open_shard)
+    assert generate(plan(tmp_path, workers=2), tell).exit_code == 0
+    assert seen.index("pause") < seen.index("resume")
+    assert contents(tmp_path) == whole
 
 
 def test_a_vanished_folder_is_named(tmp_path):
