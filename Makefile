@@ -1,7 +1,8 @@
 # Every target sets itself up: a virtual environment, pinned packages, missing system libraries.
 BIN := .venv/bin
-# A file of tests at a time in each process: what its tests share is rendered once.
-PYTEST := $(BIN)/pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder --durations 15
+# A file of tests at a time in each process: what its tests share is rendered once. One process more than the cores of
+# a small machine, as tests wait for programs at times.
+PYTEST := $(BIN)/pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder --durations 15
 DEMO ?= demo
 EXTRAS ?= dev,train,cluster
 export MPLBACKEND := Agg

@@ -52,6 +52,15 @@ CONTRASTS = """() => {
   }
   return found;
 }"""
+# How often the canvas is drawn when its wheel turns twenty times within a frame.
+DRAWN_ONCE_TURNED = """async canvas => {
+  const gl = canvas.getContext("webgl2"), clear = gl.clear.bind(gl);
+  let drawn = 0;
+  gl.clear = (mask) => { drawn += 1; clear(mask); };
+  for (let i = 0; i < 20; i++) canvas.dispatchEvent(new WheelEvent("wheel", { deltaY: 5 }));
+  for (let i = 0; i < 3; i++) await new Promise(requestAnimationFrame);
+  return drawn;
+}"""
 # Pixels of the canvas: the lines are a few wide, and a polyline of the image has a vertex every metre.
 REACH_PX = 3
 
@@ -182,6 +191,8 @@ def test_the_mouse_turns_moves_and_zooms_space(open_page, exit_scene):
     page.keyboard.up("Shift")
     page.get_by_role("button", name="behind").click()
     assert differ(start, picture(canvas)) < 20
+    assert canvas.evaluate(DRAWN_ONCE_TURNED) == 1
+    assert differ(start, picture(canvas)) > 0.05 * start[..., 0].size
     page.mouse.move(*middle)
     page.mouse.wheel(0, -400)
     assert differ(start, picture(canvas)) > 0.05 * start[..., 0].size

@@ -53,7 +53,11 @@ function showSpace(space, canvas, bar) {
     }`);
   const groups = space.groups.map((group) => upload(gl, program, group));
   const view = { ...space.views["behind"] };
-  const draw = () => requestAnimationFrame(() => render(gl, program, groups, view, space.fov_rad, canvas));
+  let asked = false;  // for the next frame: a mouse moves several times in one
+  const draw = () => {
+    if (!asked) requestAnimationFrame(() => { asked = false; render(gl, program, groups, view, space.fov_rad, canvas); });
+    asked = true;
+  };
 
   groups.forEach((group) => bar.append(checkbox(group, draw)));
   for (const [name, start] of Object.entries(space.views)) {
@@ -143,8 +147,8 @@ function steer(canvas, view, draw) {
 }
 
 function render(gl, program, groups, view, fovRad, canvas) {
-  canvas.width = canvas.clientWidth * devicePixelRatio;
-  canvas.height = canvas.clientHeight * devicePixelRatio;
+  const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((size) => Math.round(size * devicePixelRatio));
+  if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
   gl.viewport(0, 0, canvas.width, canvas.height);
   gl.clearColor(0.87, 0.91, 0.95, 1);
   gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
