@@ -15,6 +15,8 @@ from .poses import Pose, road_from_cam
 
 TRUTH, FOUND = "#1f5fff", "#ff2020"
 FAR_M = 80.0
+LEAST_HEIGHT_M = 12.0
+"""Of the view in space, so that an even road looks even."""
 VISIBLE = 0.5
 STYLES: dict[LaneKind, Literal["-", "--"]] = {"centerline": "-", "delimiter": "--"}
 
@@ -33,6 +35,7 @@ def save_overlay(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
+    from matplotlib.ticker import MaxNLocator
 
     height, width = image.shape[:2]
     figure = Figure(figsize=(11, 4.2), layout="constrained")
@@ -55,6 +58,10 @@ def save_overlay(
         left.plot(*(np.where(in_reach[:, None], uv, np.nan) - 0.5).T, style, color=colour, linewidth=1.4)
         right.plot(*xyz_road[in_reach].T, style, color=colour, linewidth=1.4)
     right.set(xlabel="x right [m]", ylabel="y forward [m]", zlabel="z up [m]", ylim=(0, FAR_M), xlim=(-12, 12))
+    low, high = right.get_zlim()
+    wider_m = max(0.0, LEAST_HEIGHT_M - (high - low)) / 2
+    right.set_zlim(low - wider_m, high + wider_m)
+    right.zaxis.set_major_locator(MaxNLocator(4))
     right.set_box_aspect((1.0, 2.0, 0.6))
     right.view_init(elev=25, azim=-70)
     shown = [(FOUND, f"detections, confidence {threshold:g} or more"), *([(TRUTH, "ground truth")] if truth else [])]
