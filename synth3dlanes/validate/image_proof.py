@@ -55,7 +55,8 @@ MIN_IMAGE_PROFILES, MIN_SHARE = 60, 0.4
 # counts at most MAX_OF_MEDIAN times its line's median. In place, lines are at least 0.99 times as clear as at their
 # clearest in 91 images; shifted by 3 px, at most 0.91 times.
 MOVES_PX, STRETCHES, MAX_OF_MEDIAN = np.arange(-12, 13) / 2, np.arange(-10, 11) / 200, 1.5
-MIN_CLEAR, MIN_MEAN, MIN_MOVE_PX = 0.95, 6.0, 2.25
+# Less than MIN_MOVE_M on the road is within the step of the profiles, however many pixels of a large image it is.
+MIN_CLEAR, MIN_MOVE_PX, MIN_MOVE_M = 0.95, 2.25, 0.04
 
 OFFSETS_M = np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M)
 PLACES_M = OFFSETS_M[np.abs(OFFSETS_M) <= SEARCH_M + STEP_M / 2]
@@ -125,7 +126,7 @@ def prove_image(paint: Paint, labels: Labels, image: UInt8[np.ndarray, "h w 3"])
             findings.append(
                 Finding("", f"image: expected paint under its delimiters, got it under {in_place} of {n} profiles")
             )
-        findings += _moved(lines, luma.shape[1])
+        findings += check_move(lines, luma.shape[1])
     clear = [line for line in contrasts if line.verdict != "unclear" and line.ridge >= CONTRAST]
     y_m, ridges_m = np.array([[line.y_m, abs(line.ridge_m)] for line in clear]).reshape(-1, 2).T
     return findings, [Measure("image_ridge_m", y_m, ridges_m)]
@@ -212,7 +213,7 @@ def _contrast(line: Line) -> Contrast:
     return Contrast(line.lane, len(line.ridges), float(line.y_m.mean()), ridge_m, ridge, in_place)
 
 
-def _moved(lines: Sequence[Line], width_px: int) -> Iterator[Finding]:
+def check_move(lines: Sequence[Line], width_px: int) -> Iterator[Finding]:
     """Finding if all lines together are clearer with the image shifted or stretched. At least two lines must agree and
     none contradict: a single line may lie between a bright road and a dark shoulder."""
     strengths = np.array([_strengths(line, width_px) for line in lines])
@@ -221,9 +222,11 @@ def _moved(lines: Sequence[Line], width_px: int) -> Iterator[Finding]:
     here, there = strengths[:, len(MOVES_PX) // 2, len(STRETCHES) // 2], strengths[:, i, j]
     u_px = np.concatenate([line.u_px for line in lines])
     is_clear = there > CONTRAST / 2 * np.array([len(line.u_px) for line in lines])
-    moved_px = np.median(np.abs(MOVES_PX[i] + STRETCHES[j] * (u_px - width_px / 2)))
+    aside_px = np.abs(MOVES_PX[i] + STRETCHES[j] * (u_px - width_px / 2))
+    aside_m = aside_px / np.abs(np.concatenate([line.px_per_m for line in lines]))
+    is_far = np.median(aside_px) > MIN_MOVE_PX and np.median(aside_m) > MIN_MOVE_M
     agree, contradict = (here < MIN_CLEAR * there)[is_clear], (there < MIN_CLEAR * here)[is_clear]
-    if agree.sum() > 1 and not contradict.any() and here.sum() < MIN_CLEAR * there.sum() and moved_px > MIN_MOVE_PX:
+    if is_far and agree.sum() > 1 and not contradict.any() and here.sum() < MIN_CLEAR * there.sum():
         yield Finding(
             "",
             f"image: expected paint under its delimiters, got it clearest {MOVES_PX[i]:+.1f} px to the right and "

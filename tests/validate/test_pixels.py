@@ -25,7 +25,7 @@ from synth3dlanes.validate.colours import check_colours
 from synth3dlanes.validate.findings import Finding
 from synth3dlanes.validate.hills import check_hills
 from synth3dlanes.validate.ids import prove_ids
-from synth3dlanes.validate.image_proof import prove_image
+from synth3dlanes.validate.image_proof import PLACES_M, Line, check_move, prove_image
 from synth3dlanes.validate.normals import check_normals
 from synth3dlanes.validate.paint import Paint
 from synth3dlanes.validate.passes_proof import prove_passes
@@ -141,6 +141,18 @@ def test_lines_stand_out_that_are_brighter_than_their_road():
 
     assert [stand_out(1, "white"), stand_out(1, "yellow")] == [True, True]
     assert [stand_out(3, "white"), stand_out(3, "yellow")] == [True, False]
+
+
+@pytest.mark.parametrize(("px_per_m", "is_shifted"), [(40, True), (60, True), (240, False)])
+def test_paint_has_moved_if_it_has_on_the_road_and_not_in_the_pixels_of_a_large_image_alone(px_per_m, is_shifted):
+    """Two lines of paint 12 cm wide whose light edges make it seem 8 px to the right: 3 cm in an image of 1920 px."""
+
+    def line(name: str) -> Line:
+        seen = 30 * np.clip(1 - np.abs(PLACES_M - 8 / px_per_m) / 0.12, 0, 1)
+        of_each = np.ones(100)
+        return Line(name, 300 * of_each, px_per_m * of_each, 10 * of_each, np.tile(seen, (100, 1)))
+
+    assert bool(list(check_move([line("a"), line("b")], 600))) == is_shifted
 
 
 @pytest.mark.parametrize(("cars_down_px", "expected"), [(0, []), (2, ["image: expected edges where the passes"])])
