@@ -24,7 +24,9 @@ from .task import network_of
 FORMAT = "synth3dlanes.baseline"
 VERSION = 1
 SHIPPED = Path(__file__).parent / "weights" / "nano.pt"
-"""Weights in the package; docs/baseline.md has the commands that made them."""
+STREETS = SHIPPED.with_name("streets.pt")
+"""Weights of `nano` in the package, for the paper's scenes and for photographs; docs/baseline.md and
+docs/real_images.md have the commands that made them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +76,8 @@ def load(path: Path) -> Checkpoint:
 
 
 def place(source: str | Path) -> Path:
-    """The file of a checkpoint, given by its path or by the name of weights that the package brings (`nano`)."""
-    return SHIPPED if str(source) == SHIPPED.stem else Path(source)
+    """The file of a checkpoint, given by its path or by the name of weights in the package (`nano`, `streets`)."""
+    return {file.stem: file for file in (SHIPPED, STREETS)}.get(str(source), Path(source))
 
 
 def fine_tuning(source: str, overrides: dict[str, Any]) -> TrainConfig:

@@ -57,7 +57,7 @@ class _Picture:
 
 
 def predict(
-    checkpoint: str | Path,
+    checkpoint: str | Path | None,
     source: str | Path,
     out_dir: str | Path,
     intrinsics: Intrinsics | None = None,
@@ -70,15 +70,18 @@ def predict(
     `out_dir`.
 
     `source` is a split of a dataset, an image, a folder of images, or a label file of tuSimple or a folder with one.
+    Without a checkpoint, the weights in the package are used: `nano` for a split, `streets` for photographs.
     `intrinsics` are those of images (fx, fy, cx, cy in their pixels). None: images are taken for those of a camera with
     a field of view of 60 degrees, as that of the paper; for tuSimple, only the variant on a fixed plane works."""
-    detector = checkpoints.detector(checkpoint, choose_device(device), own_model)
+    are_files, are_tusimples = bool(image_files(source)), open_tusimple(source) is not None
+    weights = checkpoint or (checkpoints.STREETS if are_files or are_tusimples else checkpoints.SHIPPED)
+    detector = checkpoints.detector(weights, choose_device(device), own_model)
     pictures = _pictures(source, intrinsics)
     out = Path(out_dir)
     out.mkdir(parents=True, exist_ok=True)
     summary = Summary(out / "predictions.jsonl", threshold)
-    summary.is_assumed = intrinsics is None and bool(image_files(source))
-    needs_plane = intrinsics is None and not image_files(source) and open_tusimple(source) is not None
+    summary.is_assumed = intrinsics is None and are_files
+    needs_plane = intrinsics is None and not are_files and are_tusimples
     shown: list[_Picture] = []
 
     def images() -> Iterator[tuple[str, UInt8[np.ndarray, "h w 3"], Intrinsics]]:

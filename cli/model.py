@@ -73,8 +73,8 @@ out_option = click.option(
 @out_option
 @click.option(
     "--init",
-    metavar="FILE|nano",
-    help="Start from the weights of a checkpoint, or from those of nano in this package: fine-tuning.",
+    metavar="FILE|nano|streets",
+    help="Start from the weights of a checkpoint, or from those in this package: fine-tuning.",
 )
 @click.option(
     "--ablation",
@@ -168,7 +168,7 @@ def predict(
     device: str,
 ) -> None:
     """Detect lanes in a split, an image, a folder of images or the images of a tuSimple label file, with the network of
-    a checkpoint or, without one, the small network `nano` that this package brings.
+    a checkpoint or, without one, with weights in this package: `streets` for photographs, `nano` for a split.
 
     Writes OUT/predictions.jsonl, and pictures of the lanes in the image and in 3D.
     """
@@ -177,14 +177,16 @@ def predict(
 
     if len(what) > 2:
         raise click.UsageError(f"expected [CHECKPOINT] and one split, image or folder, got {len(what)} arguments")
-    checkpoint, source = what if len(what) == 2 else ("nano", what[0])
+    checkpoint, source = what if len(what) == 2 else (None, what[0])
     click.echo(run(checkpoint, source, out, _intrinsics(intrinsics), overlays, device, own_model, threshold).text())
 
 
 @click.command()
 @click.argument("source", metavar="DIR/SPLIT|FOLDER")
 @click.option(
-    "--checkpoint", metavar="FILE|nano", help="Trained network to score; nano is the one that this package brings."
+    "--checkpoint",
+    metavar="FILE|nano|streets",
+    help="Trained network to score; nano and streets are in this package (docs/real_images.md).",
 )
 @own_model_option
 @click.option(
@@ -315,7 +317,7 @@ def ablation(
 
 
 @click.command()
-@click.argument("checkpoint", metavar="CHECKPOINT|nano")
+@click.argument("checkpoint", metavar="CHECKPOINT|nano|streets")
 @click.argument("path", metavar="FILE.onnx", type=click.Path(dir_okay=False, path_type=Path))
 def onnx(checkpoint: str, path: Path) -> None:
     """Export the network of a checkpoint to ONNX: inputs image and intrinsics; outputs x_m, z_m, score and pose."""

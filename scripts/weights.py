@@ -1,4 +1,4 @@
-"""Put the weights of a training run into the package: `python -m scripts.weights run/best.pt`.
+"""Put the weights of a training run into the package: `python -m scripts.weights run/best.pt nano`, or `streets`.
 
 Numbers become float16, which changes no lane by more than a millimetre and halves the file.
 """
@@ -8,10 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
-from synth3dlanes_baseline.checkpoint import SHIPPED, load, save
+from synth3dlanes_baseline.checkpoint import load, place, save
 
 
-def ship(source: Path, target: Path = SHIPPED) -> None:
+def ship(source: Path, target: Path) -> None:
     """Write the checkpoint's weights, without paths of the machine that made them."""
     found = load(source)
     weights = {name: value.half() if value.is_floating_point() else value for name, value in found.model.items()}
@@ -23,4 +23,5 @@ def ship(source: Path, target: Path = SHIPPED) -> None:
 
 
 if __name__ == "__main__":
-    ship(Path(sys.argv[1]))
+    source, name = sys.argv[1:]
+    ship(Path(source), place(name))

@@ -43,6 +43,19 @@ def split(roads, tmp_path, monkeypatch):
     return samples
 
 
+def test_without_a_checkpoint_photographs_get_the_weights_streets_and_splits_nano(split, tmp_path, monkeypatch):
+    from synth3dlanes_baseline import checkpoint as checkpoints
+    from synth3dlanes_baseline.predict import predict
+
+    used, detector = [], checkpoints.detector
+    monkeypatch.setattr(checkpoints, "detector", lambda file, *rest: used.append(file.stem) or detector(file, *rest))
+    (tmp_path / "photographs").mkdir()
+    Image.fromarray(split[0].image).save(tmp_path / "photographs/1.jpg")
+    for source in (tmp_path / "photographs/1.jpg", tmp_path / "photographs", "DIR/test"):
+        predict(None, source, tmp_path / "out", n_overlays=0, device="cpu")
+    assert used == ["streets", "streets", "nano"]
+
+
 def test_a_predictions_file_scores_as_the_checkpoint_does(checkpoint, split, tmp_path):
     from synth3dlanes_baseline.evaluate import evaluate_checkpoint, evaluate_predictions
     from synth3dlanes_baseline.predict import predict
