@@ -18,8 +18,9 @@ def ship(source: Path, target: Path) -> None:
     if not all(bool(torch.isfinite(value).all()) for value in weights.values()):
         raise ValueError(f"{source}: expected weights that float16 can hold")
     config = found.config.model_copy(update={"device": "auto", "pretrained": None, "init": None})
+    about = {key: value.rsplit("/", 1)[-1] if key == "init" else value for key, value in found.about.items()}
     target.parent.mkdir(exist_ok=True)
-    save(target, replace(found, config=config, model=weights, resume=None))
+    save(target, replace(found, config=config, about=about, model=weights, resume=None))
 
 
 if __name__ == "__main__":

@@ -26,6 +26,7 @@ def test_the_weights_take_little_room(name):
     found = load(place(name))
     assert found.resume is None
     assert found.about["train"]["n_images"] >= 900
+    assert "/" not in json.dumps(found.about), "no path of the machine that made them"
 
 
 def test_predict_finds_the_hosts_lane_in_a_picture_without_further_words(rendered, tmp_path):
