@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from synth3dlanes.frames import invert, transform
+from synth3dlanes.geometry.visibility import seen_over_ground
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.bodies import may_show_cars
@@ -50,7 +51,7 @@ def check_colours(
 
 
 def _terrain_img(world: World, camera: CameraLabel) -> Float[np.ndarray, "n 2"]:
-    """Pixels that show terrain, unless a tree or hill hides it."""
+    """Pixels that show terrain, unless a tree hides it."""
     ground = world.ground
     away_m = np.concatenate([-AHEAD_M, AHEAD_M]) if ground.both_ways else AHEAD_M
     s, ahead = ground.plan.plan_station(world.view.camera.y_m + away_m), len(away_m)
@@ -58,7 +59,9 @@ def _terrain_img(world: World, camera: CameraLabel) -> Float[np.ndarray, "n 2"]:
     xy = ground.plan.main_xy(np.tile(s, len(aside)), np.repeat(aside, ahead))
     xy = xy[ground.clearance(xy) > CLEAR_M]
     points_world = np.column_stack([xy, ground.height(xy)])
-    points_world = points_world[~meet(structure_boxes(world).boxes, camera.world_from_cam[:3, 3], points_world)]
+    eye_world = camera.world_from_cam[:3, 3]
+    points_world = points_world[seen_over_ground(ground, eye_world, points_world)]
+    points_world = points_world[~meet(structure_boxes(world).boxes, eye_world, points_world)]
     points_cam = transform(invert(camera.world_from_cam), points_world)
     uv = camera.project(points_cam)
     with np.errstate(invalid="ignore"):

@@ -4,6 +4,7 @@ what is wrong. Planted in images and passes as they were rendered, which are cle
 import io
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -21,8 +22,10 @@ from synth3dlanes.production.recipe import Recipe, make_sample
 from synth3dlanes.scene import from_json
 from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS, RenderSettings
 from synth3dlanes.validate.alignment import check_alignment
+from synth3dlanes.validate.bodies import may_show_cars
 from synth3dlanes.validate.colours import check_colours
 from synth3dlanes.validate.findings import Finding
+from synth3dlanes.validate.frame import check_frame
 from synth3dlanes.validate.hills import check_hills
 from synth3dlanes.validate.ids import prove_ids
 from synth3dlanes.validate.image_proof import PLACES_M, Line, check_move, prove_image
@@ -119,6 +122,20 @@ def test_what_once_was_a_false_alarm_is_none(preset, seed, index, n_samples):
         read_passes(members["passes.exr"], ""),
     )
     assert findings(made) == []
+
+
+@pytest.mark.parametrize("index", [877, 1807])
+def test_a_pink_van_is_no_missing_texture_and_what_lies_behind_a_crest_has_no_colour(index):
+    """A narrow camera behind the van, and one on a crest behind which it sees a far road; without passes."""
+    recipe = Recipe(load_params("tusimple_camera"), 911, "train", RenderSettings(samples=1), "jpg")
+    members = make_sample(recipe, index).members
+    world, camera = resolve(from_json(members["scene.json"], "")), labels_from_json(members["labels.json"], "").camera
+    image = decode_image(members["jpg"], "")
+    of_cars = partial(may_show_cars, world, camera, within_m=np.inf)
+    found = [*check_frame(image, {}, of_cars)[0], *check_colours(world, camera, image, {})]
+    assert found == []
+    image[len(image) // 3 :] = (255, 0, 255)
+    assert ("pink" in str(check_frame(image, {}, of_cars)[0])) == (index == 1807)
 
 
 def test_lines_of_labels_without_colours_are_judged_too(samples):
