@@ -15,7 +15,6 @@ MAX_CLIPPED, MIN_MEAN = 0.5, 8.0
 MAX_PINK_OF_GROUND, MAX_PINK = 0.02, 0.5
 GROUND = ("terrain", "road", "shoulder", "marking")
 
-
 OfPixels = Callable[[Float[np.ndarray, "n 2"]], Bool[np.ndarray, " n"]]
 
 

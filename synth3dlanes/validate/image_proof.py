@@ -55,7 +55,7 @@ MIN_IMAGE_PROFILES, MIN_SHARE = 60, 0.4
 # counts at most MAX_OF_MEDIAN times its line's median. In place, lines are at least 0.99 times as clear as at their
 # clearest in 91 images; shifted by 3 px, at most 0.91 times.
 MOVES_PX, STRETCHES, MAX_OF_MEDIAN = np.arange(-12, 13) / 2, np.arange(-10, 11) / 200, 1.5
-# Less than MIN_MOVE_M on the road is within the step of the profiles, however many pixels of a large image it is.
+# Less than MIN_MOVE_M on the road is within two steps of the profiles, however many pixels of a large image it is.
 MIN_CLEAR, MIN_MOVE_PX, MIN_MOVE_M = 0.95, 2.25, 0.04
 
 OFFSETS_M = np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M)

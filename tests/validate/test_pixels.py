@@ -37,7 +37,7 @@ from synth3dlanes.validate.sharpness import check_sharpness
 from synth3dlanes.validate.symbols import prove_symbols
 from synth3dlanes.world import resolve
 from tests.scenes import changed
-from tests.validate.sealing import Members, check, seal
+from tests.validate.sealing import Members, check, relabel, seal
 
 pytestmark = pytest.mark.render
 
@@ -407,3 +407,20 @@ def test_validate_names_the_samples_that_were_spoilt_and_no_other(dataset, spoil
     assert report.failed == [f"train:{index:08d}" for index in range(1, len(spoils) + 1)]
     for name, (_, words) in zip(report.failed, spoils, strict=True):
         assert any(problem.where == name and words in problem.reason for problem in report.problems)
+
+
+def test_an_image_that_shows_no_lane_needs_no_detail(dataset):
+    """It may be all clouds, or the smooth back of a van."""
+
+    def hide_lanes(labels: Labels) -> Labels:
+        lanes = [replace(lane, in_image=np.zeros_like(lane.in_image)) for lane in labels.lanes]
+        return replace(labels, lanes=tuple(lanes))
+
+    def blur_all_and_hide_lanes_of_one(samples: dict[int, Members]) -> None:
+        for members in samples.values():
+            spoil_sharpness(members)
+        relabel(1, hide_lanes)(samples)
+
+    seal(dataset, blur_all_and_hide_lanes_of_one)
+    judged = {problem.where for problem in check(dataset).problems if "expected detail" in problem.reason}
+    assert judged == {"train:00000000", "train:00000002", "train:00000003"}
