@@ -1,5 +1,6 @@
 """Sample makers without Blender, for tests of what happens around them; `python -m tests.fake_samples` is a run."""
 
+import errno
 import os
 import signal
 import sys
@@ -114,6 +115,14 @@ def be_killed_once(recipe: Recipe, index: int) -> Made:
     if not mark.exists():
         mark.touch()
         os.kill(os.getpid(), signal.SIGKILL)
+    return make(recipe, index)
+
+
+def find_the_disk_full(recipe: Recipe, index: int) -> Made:
+    """As long as there is a ballast. Sample 1 says so late."""
+    if (Path(os.environ["SYNTH3DLANES_TEST_MARK"]) / "ballast").exists():
+        time.sleep(3.0 * (index == 1))
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     return make(recipe, index)
 
 

@@ -65,6 +65,8 @@ class _Run:
         self.in_a_row = 0
         self.free_mark = min(FREE_MARK_BYTES, int(shutil.disk_usage(root).total * FREE_MARK_SHARE))
         self.room_needed = self.free_mark
+        self.n_pauses = 0
+        self.begun: dict[tuple[str, int], int] = {}  # the pauses there had been when a task began
 
     def go(self) -> None:
         self._check_room()
@@ -110,6 +112,7 @@ class _Run:
 
     def _start(self, pool: Pool, slot: int, kind: str, index: int) -> None:
         recipe = self.plan.recipe
+        self.begun[kind, index] = self.n_pauses
         if kind == "make":
             shard = self._shard(index)
             try:
@@ -140,7 +143,7 @@ class _Run:
         elif outcome.status in ("full", "broken"):
             self.todo.appendleft((kind, index))
             if outcome.status == "full":
-                self._full(outcome.reason)
+                self._ended_full(outcome.task, outcome.reason)
             else:
                 self.tally.problem = self.tally.problem or outcome.reason
         else:
@@ -169,13 +172,14 @@ class _Run:
             self._join(number)
 
     def _join(self, number: int) -> None:
+        self.begun["join", number] = self.n_pauses
         self.joins[number] = self.joiner.submit(_join_shard, self.shards[number], self.plan.n)
 
     def _joined(self, number: int, join: Future[list[int]]) -> None:
         """A part that was found broken is missing again; a full disk is waited for."""
         error = join.exception()
         if isinstance(error, OSError) and error.errno in DISK_FULL and not self.tally.is_stopping:
-            self._full(str(error))
+            self._ended_full(("join", number), str(error))
             self._join(number)
             return
         lost = [index for index in join.result() if index not in self.given_up]
@@ -183,7 +187,13 @@ class _Run:
         self.todo.extendleft(("make", index) for index in reversed(lost))
         self.tally.tell("shard", self._place(self.shards[number].path("tar")), shard=number, lost=lost)
 
+    def _ended_full(self, task: tuple[str, int], reason: str) -> None:
+        """Pause where a task found the disk full, unless it began before the latest pause: there may be room since."""
+        if self.begun[task] == self.n_pauses:
+            self._full(reason)
+
     def _full(self, reason: str) -> None:
+        self.n_pauses += 1
         free = shutil.disk_usage(self.root).free
         self.room_needed = max(2 * self.free_mark, free + (1 << 20))
         self.tally.tell("pause", f"{reason}; waiting for {self.room_needed >> 20} MiB free on {self.root}")

@@ -107,6 +107,24 @@ def test_a_full_disk_makes_the_run_wait_and_nothing_is_lost(full_disk, whole):
 
 
 @needs_root
+@pytest.mark.timeout(60)
+def test_a_worker_that_tells_late_of_a_full_disk_does_not_make_the_run_wait_again(full_disk, monkeypatch):
+    monkeypatch.setenv("SYNTH3DLANES_TEST_MARK", str(full_disk))
+    ballast = full_disk / "ballast"
+    ballast.write_bytes(bytes(2 << 20))
+    told = []
+
+    def tell(event):
+        told.append(event.kind)
+        if event.kind == "pause":
+            ballast.unlink()
+
+    report = generate(plan(full_disk / "out", 4, maker=fake_samples.find_the_disk_full), tell)
+    assert report.exit_code == 0
+    assert told.count("pause") == told.count("resume") == 1
+
+
+@needs_root
 def test_a_read_only_folder_is_named(tmp_path):
     with small_disk(tmp_path / "disk", "8M") as folder:
         subprocess.run(["mount", "-o", "remount,ro", str(folder)], check=True)
