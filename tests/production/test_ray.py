@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -74,9 +75,11 @@ def test_a_store_is_made_and_continued_on_a_cluster(tmp_path, whole, address):
 
 
 def test_a_second_run_in_the_folder_is_refused(tmp_path, address):
-    first = begin(str(tmp_path), N, address)
+    # Many samples, and stopped in their midst: it holds the folder however long the second takes to begin.
+    first = begin(str(tmp_path), 100 * N, address)
     assert next(line for line in first.stdout if "kind='sample'" in line)
-    second = begin(str(tmp_path), N, address)
+    first.send_signal(signal.SIGSTOP)
+    second = begin(str(tmp_path), 100 * N, address)
     _, errors = second.communicate()
     first.kill()
     first.communicate()

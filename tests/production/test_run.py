@@ -158,6 +158,7 @@ def test_a_second_run_in_the_folder_is_refused(tmp_path):
     command = [sys.executable, "-m", "tests.fake_samples", str(tmp_path), str(N), "1"]
     first = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert next(line for line in first.stdout if "kind='start'" in line)
+    first.send_signal(signal.SIGSTOP)
     with pytest.raises(ClaimedError, match=r"shard \d is locked by another run"):
         go(plan(tmp_path))
     first.kill()
