@@ -5,21 +5,23 @@
 
 import json
 import os
-import pickle
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import torch
+from pydantic import AfterValidator, ConfigDict, ValidationError
 from torch import Tensor, nn
 
 from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.schema import Excerpt, Positive, validation_problems
 
 from .config import CustomModel, TrainConfig, changed, parse
 from .data import FocalLengths
 from .inference import Detector
 from .model import LaneNet
 from .task import network_of
+from .tensors import load_weights, read_tensors
 
 FORMAT = "synth3dlanes.baseline"
 VERSION = 1
@@ -57,22 +59,45 @@ def save(path: Path, checkpoint: Checkpoint) -> None:
     partial.replace(path)
 
 
+class _Trained(Excerpt):
+    focal_px: tuple[Positive, Positive, Positive] | None = None  # not in those of 0.1.0
+
+
+class _About(Excerpt):
+    train: _Trained = _Trained()
+
+
+def _as_it_is(about: dict[str, Any]) -> dict[str, Any]:
+    _About.model_validate(about)
+    return about
+
+
+class _Stored(Excerpt):
+    model_config = ConfigDict(arbitrary_types_allowed=True)
+
+    config: str
+    about: Annotated[dict[str, Any], AfterValidator(_as_it_is)]
+    model: dict[str, Tensor]
+    resume: dict[str, Any] | None
+
+
 def load(path: Path) -> Checkpoint:
     """Load a checkpoint without executing code from it; raise FormatError if it is not a baseline checkpoint."""
-    try:
-        document = torch.load(path, map_location="cpu", weights_only=True)
-    except FileNotFoundError:
-        raise FormatError(f"{path}: expected a baseline checkpoint, got no such file") from None
-    except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise FormatError(f"{path}: expected a baseline checkpoint, got {reason:.100}") from None
-    found = (document.get("format"), document.get("version")) if isinstance(document, dict) else type(document)
+    document = read_tensors(path, "a baseline checkpoint")
+    found = (document.get("format"), document.get("version")) if isinstance(document, dict) else type(document).__name__
     if found != (FORMAT, VERSION):
-        raise FormatError(f"{path}: expected {FORMAT} version {VERSION}, got {found}")
-    settings = json.loads(document["config"])
+        raise FormatError(f"{path}: expected {FORMAT} version {VERSION}, got {found!s:.60}")
+    try:
+        stored = _Stored.model_validate(document)
+    except ValidationError as error:
+        raise FormatError("\n".join(validation_problems(error, str(path)))) from None
+    try:
+        settings = dict(json.loads(stored.config))
+    except (TypeError, ValueError, RecursionError) as error:
+        raise FormatError(f"{path}: config: expected JSON, got {error!s:.60}") from None
     settings.pop("storage", None)  # of 0.1.0: how decoded images were kept
     config = parse(TrainConfig, settings, f"{path}: config")
-    return Checkpoint(config, document["about"], document["model"], document["resume"])
+    return Checkpoint(config, stored.about, stored.model, stored.resume)
 
 
 def place(source: str | Path) -> Path:
@@ -92,7 +117,7 @@ def build(checkpoint: Checkpoint, device: torch.device, own_model: str | None = 
     if isinstance(model, CustomModel) and own_model != model.build:
         raise InputError(f"model: expected {model.build}, whose network the checkpoint holds, got {own_model}")
     network = network_of(model)
-    network.load_state_dict(checkpoint.model)
+    load_weights(network, checkpoint.model, "checkpoint", "the file")
     moved: nn.Module = network.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
     return moved.eval()
 

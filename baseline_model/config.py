@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, Validatio
 from pydantic_core import ErrorDetails
 
 from synth3dlanes.errors import InputError
+from synth3dlanes.schema import MAX_PX, problem_line
 
 from .curves import HALF_WIDTH_M
 
@@ -16,6 +17,8 @@ PoseTarget = Literal["plane", "horizon", "fixed"]
 LaneType = Literal["c1", "c2", "d"]
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]
+Size = Annotated[int, Field(ge=1, le=MAX_PX)]
+Few = Annotated[int, Field(ge=0, le=100)]
 
 PAPER_KNOTS_M = (5.0, 20.0, 40.0, 60.0, 80.0, 100.0)
 TEN_KNOTS_M = (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0)
@@ -37,8 +40,8 @@ class Grid(Strict):
     """The cells of the first of four top-view maps, centred on x = 0, with y from `y_min_m`. Each further map has half
     the size; the columns of the last one are the anchors (paper: cells of 16 cm x 38.4 cm, anchors every 1.28 m)."""
 
-    rows: Count = 208
-    columns: Count = 128
+    rows: Size = 208
+    columns: Size = 128
     cell_x_m: Positive = 0.16
     cell_y_m: Positive = 0.384
     y_min_m: float = 0.0
@@ -50,20 +53,20 @@ class ModelConfig(Strict):
     name: str
     backbone: Annotated[str, Field(pattern=rf"^(vgg16|residual|{TIMM}\S+)$")]
     """`timm:NAME` is a network of the package timm, whose own channels, blocks and norms replace those given here."""
-    image_channels: tuple[Count, Count, Count, Count]
-    image_blocks: tuple[int, int, int, int]
-    projected_channels: tuple[Count, Count, Count, Count]
-    top_channels: tuple[Count, Count, Count]
-    head_channels: Count
-    pose_channels: tuple[Count, ...]
-    pose_convolutions: Count
+    image_channels: tuple[Size, Size, Size, Size]
+    image_blocks: tuple[Few, Few, Few, Few]
+    projected_channels: tuple[Size, Size, Size, Size]
+    top_channels: tuple[Size, Size, Size]
+    head_channels: Size
+    pose_channels: Annotated[tuple[Size, ...], Field(max_length=100)]
+    pose_convolutions: Annotated[Few, Field(ge=1)]
     variant: Variant = "full"
     grid: Grid = Grid()
-    image_height_px: Count = 360
-    image_width_px: Count = 480
+    image_height_px: Size = 360
+    image_width_px: Size = 480
     reference_intrinsics: tuple[float, float, float, float] = (415.7, 415.7, 240.0, 180.0)
     """fx, fy, cx, cy of the training images; only the anchors of `image_view` depend on them."""
-    image_view_anchors: Count | None = None
+    image_view_anchors: Size | None = None
     """Anchors of `image_view`, evenly over the image's columns. None: one per column of the last map (paper: 30)."""
     types: tuple[LaneType, ...] = ("c1", "c2", "d")
     has_elevation: bool = True
@@ -78,9 +81,9 @@ class ModelConfig(Strict):
     """Batch norm after every convolution but the head's last two. The paper does not mention any; `paper` has it."""
     has_visibility: bool = False
     """Our addition: a logit per knot for its visibility."""
-    refinements: Annotated[int, Field(ge=0)] = 0
+    refinements: Few = 0
     """Our addition: how often lanes are corrected by the maps of the image around their points."""
-    plane_heights_m: tuple[float, ...] = (0.0,)
+    plane_heights_m: Annotated[tuple[float, ...], Field(max_length=100)] = (0.0,)
     has_bev_masks: bool = False
     """Our additions: maps sampled on several planes, and top-view lane masks as a second task. Neither improved the
     results (docs/baseline.md)."""
@@ -125,8 +128,8 @@ class CustomModel(Strict):
 
     build: Annotated[str, Field(pattern=r"^[\w.]+:\w+$")]
     arguments: dict[str, Any] = {}
-    image_height_px: Count = 360
-    image_width_px: Count = 480
+    image_height_px: Size = 360
+    image_width_px: Size = 480
 
     @property
     def pose_target(self) -> PoseTarget:
@@ -384,10 +387,11 @@ def parse(kind: type[Config], document: dict[str, Any] | str, where: str) -> Con
 
 def _line(problem: ErrorDetails, where: str) -> str:
     # pydantic names the kind of model that it took, which is no key of the document.
-    place = ".".join(map(str, (where, *(part for part in problem["loc"] if part not in ("network", "custom")))))
+    loc = tuple(part for part in problem["loc"] if part not in ("network", "custom"))
     if problem["type"] == "value_error":  # from `_fits`: names the setting itself
-        return f"{place}.{problem['ctx']['error']}"
-    return f"{place}: {problem['msg']}, got {problem['input']!r:.60}"
+        return ".".join(map(str, (where, *loc, problem["ctx"]["error"])))
+    problem["loc"] = (where, *loc)
+    return problem_line(problem)
 
 
 def _defaults(model: str, *, is_improved: bool) -> dict[str, Any]:

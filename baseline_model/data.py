@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from PIL import Image
 from torch import Tensor
 
-from synth3dlanes.errors import FormatError
+from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.labels import Labels
 
 from .anchors import CENTERLINE, DELIMITER, CurveBatch
@@ -22,6 +22,8 @@ from .poses import Pose
 
 Intrinsics = tuple[float, float, float, float]
 Pixels = UInt8[np.ndarray, "h w 3"]
+MOST_ENLARGED = 20.0
+"""An image of nearly 180 degrees would be, to look as in training."""
 FOCAL_TOLERANCE = 1.05
 """Focal lengths that differ by less count as equal."""
 
@@ -160,6 +162,15 @@ def intrinsics_of(labels: Labels) -> Intrinsics:
     return (float(matrix[0, 0]), float(-matrix[1, 2]), float(matrix[0, 1]), float(matrix[1, 1]))
 
 
+def checked_intrinsics(intrinsics: Intrinsics, where: str) -> Intrinsics:
+    """The intrinsics of a camera that somebody gave; raise InputError where they cannot be one's."""
+    fx, fy, cx, cy = intrinsics
+    if not (all(1 <= f_px <= 1e6 for f_px in (fx, fy)) and all(abs(c_px) <= 1e6 for c_px in (cx, cy))):
+        given = ",".join(f"{value:g}" for value in intrinsics)
+        raise InputError(f"{where}: expected focal lengths from 1 to 1000000 px and a centre, got {given}")
+    return intrinsics
+
+
 def img_from_cam(intrinsics: Intrinsics) -> Float[np.ndarray, "3 3"]:
     """The labels' matrix for these intrinsics."""
     fx, fy, cx, cy = intrinsics
@@ -191,6 +202,11 @@ def fit(
     (height, width), from_px = size_px, size_of(image)
     fx, fy, cx, cy = scale(intrinsics, from_px, size_px)
     new_fx, new_fy = (fx, fy) if trained is None else trained.nearest(fx, fy)
+    if max(new_fx / fx, new_fy / fy) > MOST_ENLARGED:
+        raise InputError(
+            f"intrinsics: expected focal lengths of at least {intrinsics[0] * new_fx / fx / MOST_ENLARGED:.0f} px for "
+            f"an image of {from_px[1]} px, got {intrinsics[0]:g}, {intrinsics[1]:g}"
+        )
     small_px = (max(1, round(height * new_fy / fy)), max(1, round(width * new_fx / fx)))
     small = resize(image, small_px)
     fx, fy, small_cx, small_cy = scale(intrinsics, from_px, small_px)

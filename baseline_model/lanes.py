@@ -3,19 +3,23 @@
 Frame: lanes are in camera coordinates, as in the files of `evaluate --predictions` (docs/baseline.md).
 """
 
+import itertools
 import json
+import math
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Bool, Float
+from pydantic import Field, model_validator
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from synth3dlanes.errors import FormatError
 from synth3dlanes.frames import transform
-from synth3dlanes.labels import LaneKind
+from synth3dlanes.labels import LaneKind, Points
+from synth3dlanes.schema import MAX_BYTES, Excerpt, Metres, Number, Unit, parse
 
 from .poses import Pose, cam_from_road
 
@@ -116,11 +120,17 @@ def write_predictions(path: Path, predictions: Iterable[Prediction]) -> None:
 
 def read_predictions(path: Path) -> Iterator[Prediction]:
     """Read predictions of any detector: `key`, `lanes[]` {`kind`, `score`, `xyz_cam`, optionally `visibility`}, and
-    optionally `pose`."""
-    with path.open(encoding="utf-8") as file:
-        for number, line in enumerate(file, start=1):
-            if line.strip():
-                yield _prediction(line, f"{path}:{number}")
+    optionally `pose`. Other keys are left alone."""
+    try:
+        with path.open("rb") as file:
+            for number in itertools.count(1):
+                line = file.readline(MAX_BYTES + 1)
+                if not line:
+                    return
+                if line.strip():
+                    yield _prediction(parse(_Line, line, f"{path}:{number}", "a prediction (docs/baseline.md)"))
+    except OSError as error:
+        raise FormatError(f"{path}: cannot be read: {error.strerror}") from None
 
 
 def read_by_key(path: Path, keys: Collection[str]) -> dict[str, Prediction]:
@@ -143,39 +153,33 @@ def _lane_document(lane: Detection) -> dict[str, Any]:
     return document
 
 
-def _prediction(line: str, where: str) -> Prediction:
-    try:
-        document = json.loads(line)
-        lanes = tuple(_detection(lane, f"{where}: lanes[{i}]") for i, lane in enumerate(document["lanes"]))
-        pose = document.get("pose")
-        return Prediction(
-            key=str(document["key"]),
-            lanes=lanes,
-            pose=None if pose is None else Pose(float(pose["pitch_rad"]), float(pose["height_m"])),
-        )
-    except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
-        raise FormatError(f"{where}: not a prediction: {type(error).__name__}: {error}") from None
+class _Lane(Excerpt):
+    kind: LaneKind
+    score: Number
+    xyz_cam: Annotated[Points, Field(min_length=2)]
+    visibility: list[Unit] | None = None
+
+    @model_validator(mode="after")
+    def _has_a_visibility_for_every_point(self) -> "_Lane":
+        if self.visibility is not None and len(self.visibility) != len(self.xyz_cam):
+            raise ValueError(f"visibility: expected {len(self.xyz_cam)} values, got {len(self.visibility)}")
+        return self
 
 
-def _detection(document: dict[str, Any], where: str) -> Detection:
-    if document["kind"] not in ("centerline", "delimiter"):
-        raise FormatError(f"{where}.kind: expected centerline or delimiter, got {document['kind']!r}")
-    score = float(document["score"])
-    try:
-        xyz_cam = np.array(document["xyz_cam"], dtype=float)
-    except ValueError:
-        raise FormatError(f"{where}.xyz_cam: expected [[x, y, z], ...], got rows of unequal length") from None
-    if xyz_cam.ndim != 2 or xyz_cam.shape[1] != 3 or len(xyz_cam) < 2:
-        raise FormatError(f"{where}.xyz_cam: expected at least two [x, y, z], got shape {xyz_cam.shape}")
-    if not (np.isfinite(score) and np.isfinite(xyz_cam).all()):
-        raise FormatError(f"{where}: expected finite numbers, got NaN or infinity")
-    return Detection(document["kind"], score, xyz_cam, _visibility(document, len(xyz_cam), where))
+class _Pose(Excerpt):
+    pitch_rad: Annotated[float, Field(gt=-math.pi / 2, lt=math.pi / 2)]
+    height_m: Metres
 
 
-def _visibility(document: dict[str, Any], n_points: int, where: str) -> Float[np.ndarray, " n"] | None:
-    if document.get("visibility") is None:
-        return None
-    values = np.array(document["visibility"], dtype=float)
-    if values.shape != (n_points,) or not ((values >= 0) & (values <= 1)).all():
-        raise FormatError(f"{where}.visibility: expected {n_points} probabilities, one per point")
-    return values
+class _Line(Excerpt):
+    key: str
+    lanes: list[_Lane]
+    pose: _Pose | None = None
+
+
+def _prediction(line: _Line) -> Prediction:
+    lanes = tuple(
+        Detection(lane.kind, lane.score, lane.xyz_cam, None if lane.visibility is None else np.array(lane.visibility))
+        for lane in line.lanes
+    )
+    return Prediction(line.key, lanes, None if line.pose is None else Pose(line.pose.pitch_rad, line.pose.height_m))

@@ -13,7 +13,7 @@ from synth3dlanes.formats.reading import read_image, read_text
 from synth3dlanes.formats.tusimple.read import TusimpleSplit, find_labels
 
 from . import checkpoint as checkpoints
-from .data import Intrinsics, Pixels, img_from_cam
+from .data import Intrinsics, Pixels, checked_intrinsics, img_from_cam
 from .image_lines import MOST_LINES, columns_of, delimiters, tusimple_score
 from .inference import choose_device
 from .lanes import Detection, Prediction, read_by_key
@@ -156,7 +156,7 @@ def read_intrinsics(path: Path) -> Intrinsics:
         ((fx, _, cx, _, _, fy, cy, _, _, _, _, _),) = (map(float, row) for row in rows)
     except ValueError:
         raise FormatError(f"{path}: expected one line `P2:` of 12 numbers, as KITTI's calibration has it") from None
-    return (fx, fy, cx, cy)
+    return checked_intrinsics((fx, fy, cx, cy), str(path))
 
 
 def beside_host(lanes: Sequence[Detection]) -> list[Detection]:

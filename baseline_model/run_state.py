@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import nn
 
-from synth3dlanes.errors import InputError
+from synth3dlanes.errors import FormatError, InputError
 
 from . import checkpoint as checkpoints
 from .config import TrainConfig
@@ -20,6 +20,7 @@ from .model import LaneNet
 from .optim import RunningAverage, Schedule, optimizer_for
 from .pretrained import load_pretrained
 from .task import network_of
+from .tensors import load_weights
 
 CHANGEABLE = frozenset(
     ("device", "epochs", "batch", "validate_every_epochs", "precision", "compile", "workers", "keep_decoded")
@@ -132,27 +133,21 @@ def _resume(trainee: Run, found: checkpoints.Checkpoint, out_dir: Path) -> None:
     ]
     if wrong:
         raise InputError(f"{out_dir}: holds a run with other settings ({', '.join(wrong)})")
-    assert found.resume is not None
-    trainee.model.load_state_dict(found.resume["model"])
-    trainee.average.model.load_state_dict(found.model)
-    trainee.optimizer.load_state_dict(found.resume["optimizer"])
-    trainee.schedule = Schedule(**found.resume["schedule"])
-    trainee.step = found.resume["step"] * found.config.batch // config.batch
-    trainee.best = found.resume["best"]
-    trainee.history = found.resume["history"]
+    state = found.resume or {}
+    try:
+        trainee.model.load_state_dict(state["model"])
+        trainee.average.model.load_state_dict(found.model)
+        trainee.optimizer.load_state_dict(state["optimizer"])
+        trainee.schedule = Schedule(**state["schedule"])
+        trainee.step = state["step"] * found.config.batch // config.batch
+        trainee.best, trainee.history = float(state["best"]), list(state["history"])
+    except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise FormatError(f"{out_dir / 'last.pt'}: expected the state of a run, got damaged: {reason:.100}") from None
 
 
 def _start_from(model: nn.Module, source: str) -> str:
     """Load another run's weights; return a description of them."""
     found = checkpoints.load(checkpoints.place(source))
-    expected = {name: tuple(value.shape) for name, value in model.state_dict().items()}
-    given = {name: tuple(value.shape) for name, value in found.model.items()}
-    wrong = sorted(name for name in expected | given if expected.get(name) != given.get(name))
-    if wrong:
-        name = wrong[0]
-        raise InputError(
-            f"init: expected weights of this network, got {len(wrong)} others in {source}, "
-            f"first {name}: {given.get(name, 'none')} for {expected.get(name, 'none')}"
-        )
-    model.load_state_dict(found.model)
+    load_weights(model, found.model, "init", source)
     return f"{source}, trained on {found.about.get('train', {}).get('n_images', '?')} images"

@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Int
 
-from synth3dlanes.dataset.address import connect, translate_store_errors
+from synth3dlanes.dataset.address import SAMPLE, connect, translate_store_errors
 from synth3dlanes.dataset.format import Sample
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rectify import rectified_image, rectified_labels
+from synth3dlanes.dataset.splits import one_reader, only_split
+from synth3dlanes.errors import InputError
 from synth3dlanes.formats.apollo.read import ApolloSplit
 from synth3dlanes.formats.openlane.read import OpenLaneSplit, is_openlane
 from synth3dlanes.formats.tusimple.read import TusimpleSplit, find_labels
@@ -106,8 +108,9 @@ class Upright:
 
 
 def open_split(path: str | Path) -> Samples:
-    """Random access to labelled images. A split of ours is `DIR/SPLIT`; one of Apollo or tuSimple is its JSON-lines
-    file (Apollo's images are in a folder above it); one of OpenLane is `.../lane3d_1000/SPLIT`, beside `.../images`."""
+    """Random access to labelled images. A split of ours is `DIR/SPLIT`, or DIR if it is the only one;
+    `DIR/SPLIT:17` is one of its samples. A split of Apollo or tuSimple is its JSON-lines file (Apollo's images are in a
+    folder above it); one of OpenLane is `.../lane3d_1000/SPLIT`, beside `.../images`."""
     text = str(path)
     if "://" not in text:
         labels = find_labels(Path(path))
@@ -117,7 +120,19 @@ def open_split(path: str | Path) -> Samples:
             return ApolloSplit(Path(path))
         if is_openlane(Path(path)):
             return OpenLaneSplit(Path(path))
-    return Upright(Reader(text, columns=(ROLL,)))
+    samples = Upright(one_reader(split_of(text), columns=(ROLL,)))
+    if not SAMPLE.fullmatch(text):
+        return samples
+    place = samples.reader.position(text.rpartition(":")[2])
+    chosen = np.flatnonzero(samples.places == place).tolist()
+    if not chosen:
+        raise InputError(f"{text}: expected a sample of a camera that looks ahead, got another")
+    return Chosen(samples, chosen)
+
+
+def split_of(source: str) -> str:
+    """`DIR/SPLIT` for a sample, or a data set of ours with one split; other sources as they are."""
+    return only_split(source.rpartition(":")[0] if SAMPLE.fullmatch(source) else source)
 
 
 def training_and_validation(

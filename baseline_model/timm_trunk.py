@@ -4,7 +4,6 @@ timm says neither where its features lie nor does it share a layout of layers, s
 """
 
 import copy
-import pickle
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from synth3dlanes.errors import FormatError, InputError, MissingPackageError
 from .backbone import IMAGE_MEAN, IMAGE_STD
 from .config import TIMM, ModelConfig
 from .layers import Lattice
+from .tensors import read_tensors, state_dict
 
 STRIDES = (2, 4, 8, 16)
 PROBE_PX = 320
@@ -142,9 +142,9 @@ def _state(path: Path) -> dict[str, Tensor]:
     from safetensors import SafetensorError  # type: ignore[import-not-found,import-untyped,unused-ignore]
     from safetensors.torch import load_file  # type: ignore[import-not-found,import-untyped,unused-ignore]
 
+    if path.suffix != ".safetensors":
+        return state_dict(read_tensors(path, "a state dict"), path)
     try:
-        if path.suffix == ".safetensors":
-            return dict(load_file(path))
-        return dict(torch.load(path, map_location="cpu", weights_only=True))
-    except (SafetensorError, pickle.UnpicklingError, RuntimeError, EOFError, ValueError, TypeError) as error:
+        return dict(load_file(path))
+    except (SafetensorError, OSError, ValueError) as error:
         raise FormatError(f"{path}: expected a state dict, got {str(error).splitlines()[0]:.100}") from None

@@ -32,10 +32,11 @@ def inspect(where: str, image: Path | None, out: Path | None, html: Path | None,
     """
     import rich
 
+    from synth3dlanes.dataset.address import SAMPLE
     from synth3dlanes.figures.describe import describe
     from synth3dlanes.figures.inspect import draw_inspect, summary
     from synth3dlanes.figures.page import scene_page
-    from synth3dlanes.sources import SAMPLE, load_any, load_clip, load_passes, load_rig_pictures, load_sweep
+    from synth3dlanes.sources import load_any, load_clip, load_passes, load_rig_pictures, load_sweep
 
     found = load_any(where, image)
     layers = load_passes(where, image) if passes else {}

@@ -132,7 +132,7 @@ def train(
 
 
 @click.command()
-@click.argument("what", metavar="[CHECKPOINT] DIR/SPLIT|IMAGE|FOLDER", nargs=-1, required=True)
+@click.argument("what", metavar="[CHECKPOINT] DIR[/SPLIT[:KEY]]|IMAGE|FOLDER", nargs=-1, required=True)
 @click.option(
     "--out",
     default="predictions",
@@ -167,8 +167,9 @@ def predict(
     own_model: str | None,
     device: str,
 ) -> None:
-    """Detect lanes in a split, an image, a folder of images or the images of a tuSimple label file, with the network of
-    a checkpoint or, without one, with weights in this package: `streets` for photographs, `nano` for a split.
+    """Detect lanes in a split, one sample, an image, a folder of images or the images of a tuSimple label file, with
+    the network of a checkpoint or, without one, with weights in this package: `streets` for photographs, `nano` for a
+    split.
 
     Writes OUT/predictions.jsonl, and pictures of the lanes in the image and in 3D.
     """
@@ -182,7 +183,7 @@ def predict(
 
 
 @click.command()
-@click.argument("source", metavar="DIR/SPLIT|FOLDER")
+@click.argument("source", metavar="DIR[/SPLIT[:KEY]]|FOLDER")
 @click.option(
     "--checkpoint",
     metavar="FILE|nano|streets",
@@ -269,6 +270,7 @@ def evaluate(
     from synth3dlanes_baseline import evaluate as scoring
     from synth3dlanes_baseline import report as reporting
     from synth3dlanes_baseline.metrics import MetricConfig
+    from synth3dlanes_baseline.sources import split_of
     from synth3dlanes_baseline.statistics import describe_targets
 
     if checkpoint is None and predictions is None:
@@ -282,7 +284,8 @@ def evaluate(
         report = scoring.evaluate_checkpoint(checkpoint, source, config, device, own_model)
     if plots is not None:
         reporting.save_plots(report, plots)
-    document = {"source": source, **reporting.to_document(report), "samples": reporting.samples_document(report)}
+    samples = reporting.samples_document(report)
+    document = {"source": split_of(source), **reporting.to_document(report), "samples": samples}
     click.echo(json.dumps(document) if as_json else reporting.to_text(report))
 
 
@@ -338,15 +341,16 @@ def _need_torch() -> None:
 def _intrinsics(text: str | None) -> tuple[float, float, float, float] | None:
     if text is None:
         return None
-    if Path(text).is_file():
-        from synth3dlanes_baseline.photographs import read_intrinsics
+    from synth3dlanes_baseline.data import checked_intrinsics
+    from synth3dlanes_baseline.photographs import read_intrinsics
 
+    if Path(text).is_file():
         return read_intrinsics(Path(text))
     try:
         fx, fy, cx, cy = (float(part) for part in text.split(","))
     except ValueError:
         raise InputError(f"intrinsics: expected FX,FY,CX,CY or a calibration file, got {text!r}") from None
-    return (fx, fy, cx, cy)
+    return checked_intrinsics((fx, fy, cx, cy), "intrinsics")
 
 
 def _photographs(source: str, lane_masks: Path | None) -> "Photographs":

@@ -7,17 +7,18 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from synth3dlanes.assets.catalogue import Assets
+from synth3dlanes.dataset.address import SAMPLE
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.errors import InputError
+from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.params import Params
 from synth3dlanes.sample import sample_scene
 from synth3dlanes.sampling.like import MAX_SCENES, Drawn
 from synth3dlanes.scene import Scene, from_json
-from synth3dlanes.schema import Part, parse
-from synth3dlanes.sources import SAMPLE, read_scene
+from synth3dlanes.schema import Excerpt, parse
+from synth3dlanes.sources import read_scene
 
 # Of the samples of an evaluation, the worst of each WORST are taken.
 WORST = 10
@@ -25,20 +26,16 @@ WORST = 10
 CHECKED, PARTS = 5, ("terrain", "road", "markings", "surface", "light", "air")
 
 
-class Scored(Part):
+class Scored(Excerpt):
     """A sample of an evaluation."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore")
 
     key: Annotated[str, Field(pattern=r"^\d{8}$")]
 
 
-class Scores(Part):
+class Scores(Excerpt):
     """What `evaluate --json` says of a split of ours: its samples, the worst first."""
 
-    model_config = ConfigDict(frozen=True, extra="ignore")
-
-    source: str
+    source: Annotated[str, Field(max_length=1000)]
     samples: Annotated[tuple[Scored, ...], Field(min_length=1)]
 
 
@@ -52,7 +49,7 @@ def given_scenes(path: Path, params: Params, assets: Assets) -> tuple[Drawn, ...
         text = path.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
         raise InputError(f"like {path}: cannot read: {getattr(error, 'strerror', None) or error}") from None
-    return drawn(_scenes(text, str(path)), params, assets, f"like {path}")
+    return drawn(_scenes(text, f"like {path}"), params, assets, f"like {path}")
 
 
 def drawn(scenes: Iterable[Scene], params: Params, assets: Assets, where: str) -> tuple[Drawn, ...]:
@@ -72,9 +69,12 @@ def _scenes(text: str, where: str) -> Iterator[Scene]:
     lines = text.splitlines() if scores is None else _worst(scores)
     for number, line in enumerate(lines, start=1):
         if SAMPLE.fullmatch(line.strip()):
-            url, _, key = line.strip().rpartition(":")
-            reader = _reader(url)
-            yield read_scene(reader, reader.position(key))
+            try:
+                url, _, key = line.strip().rpartition(":")
+                scene = read_scene(_reader(url), _reader(url).position(key))
+            except (FormatError, InputError) as error:
+                raise InputError(*(f"{where}: {problem}" for problem in str(error).splitlines())) from None
+            yield scene
         elif line.strip():
             yield from_json(line, f"{where}: line {number}")
 
@@ -83,7 +83,7 @@ def _scores(text: str, where: str) -> Scores | None:
     """The result of an evaluation, None for other files."""
     try:
         document: Any = json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
     if not isinstance(document, dict) or "samples" not in document:
         return None

@@ -1,9 +1,10 @@
 """JSON documents that people may have edited: read by one schema with bounds, and one line per problem."""
 
 import reprlib
+from pathlib import PurePosixPath
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
 from synth3dlanes.errors import FormatError
@@ -38,6 +39,16 @@ SymbolKind = Literal[
     "gore",
 ]
 
+
+def _below(path: str) -> str:
+    if PurePosixPath(path).is_absolute() or ".." in PurePosixPath(path).parts or "\0" in path:
+        raise ValueError(f"expected a path below the folder, got {shown(path)}")
+    return path
+
+
+# A file beside a document that names it; it cannot be anywhere else.
+PathBelow = Annotated[str, Field(min_length=1, max_length=1000), AfterValidator(_below)]
+
 Document = TypeVar("Document", bound=BaseModel)
 
 # What was expected, by pydantic's type of error; the rest of its name is what its context holds.
@@ -55,6 +66,8 @@ EXPECTED = {
     "int_from_float": "expected a whole number",
     "int_parsing_size": "expected a smaller number",
     "string_type": "expected text",
+    "string_unicode": "expected text",
+    "string_too_short": "expected at least {min_length} characters",
     "string_too_long": "expected at most {max_length} characters",
     "string_pattern_mismatch": "expected text of the form {pattern}",
     "bool_type": "expected true or false",
@@ -68,6 +81,7 @@ EXPECTED = {
     "too_long": "expected at most {max_length} values",
     "list_type": "expected a list",
     "tuple_type": "expected a list",
+    "is_instance_of": "expected a {class}",
     **dict.fromkeys(("dict_type", "model_type", "model_attributes_type", "dataclass_type"), "expected an object"),
 }
 WITHOUT_VALUE = ("missing", "extra_forbidden", "unexpected_keyword_argument", "json_invalid", "value_error")
@@ -77,6 +91,12 @@ class Part(BaseModel):
     """A frozen part of a document; unknown keys, missing keys, NaN and infinity are errors."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Excerpt(Part):
+    """What we need of a document that has more; other keys are left alone."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
 
 def parse(model: type[Document], data: str | bytes, where: str, what: str) -> Document:

@@ -3,7 +3,6 @@
 Reads files; no Blender.
 """
 
-import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import numpy as np
 from jaxtyping import Shaped, UInt8
 from pydantic import ValidationError
 
-from synth3dlanes.dataset.address import splits_near
+from synth3dlanes.dataset.address import SAMPLE, splits_near
 from synth3dlanes.dataset.format import HEIGHT, LIDAR, PASSES, SCENE, decode_image, read_passes, read_sweep
 from synth3dlanes.dataset.query import rows_where
 from synth3dlanes.dataset.read import Reader, find
@@ -25,8 +24,6 @@ from synth3dlanes.scene import Scene, from_json
 from synth3dlanes.schema import validation_problems
 from synth3dlanes.sensors.sweep import Sweep
 from synth3dlanes.shots import Shots
-
-SAMPLE = re.compile(r".+:\d+")
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,7 +39,10 @@ _Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _Loader.opencv_matrix
 
 def read_yaml(text: str, where: str) -> tuple[Any, list[str]]:
     """The document and its problems, one line each, beginning with `where`. The document is None if it is not YAML."""
-    loader = _Loader(text)
+    try:
+        loader = _Loader(text)
+    except yaml.reader.ReaderError as error:
+        return None, [f"{where}: not YAML: character {error.character:#04x} at {error.position} is not text"]
     try:
         document = loader.get_single_data()
     except yaml.MarkedYAMLError as error:

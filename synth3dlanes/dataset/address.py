@@ -10,6 +10,9 @@ import fsspec
 
 from synth3dlanes.errors import FormatError, InputError, MissingPackageError
 
+SAMPLE = re.compile(r".+:\d+")
+"""The address of a sample: `DIR/train:00000017`."""
+
 
 def is_url(place: str) -> bool:
     """Whether this names a store, not a folder."""
@@ -21,6 +24,8 @@ def connect(url: str) -> tuple[Any, str]:
 
     Raises InputError where fsspec knows no such address, MissingPackageError where it needs a package for it.
     """
+    if "\0" in url:
+        raise InputError(f"{url!r}: expected a folder or an address, got a name with a null byte")
     try:
         files, root = fsspec.core.url_to_fs(url)
     except ImportError as error:

@@ -97,23 +97,26 @@ def encode_image(image: UInt8[np.ndarray, "h w 3"], image_format: str, jpeg_qual
     return stream.getvalue()
 
 
-def decode_image(data: bytes, where: str, size_px: tuple[int, int] | None = None) -> UInt8[np.ndarray, "h w 3"]:
-    """The pixels of a JPEG or PNG of `size_px` (width, height), None for any up to 8192 x 8192.
+def decode_image(
+    data: bytes, where: str, size_px: tuple[int, int] | None = None, kinds: tuple[str, ...] = ("JPEG", "PNG")
+) -> UInt8[np.ndarray, "h w 3"]:
+    """The pixels of an image of one of these kinds and of `size_px` (width, height), None for any up to 8192 x 8192.
 
     Raises FormatError, its message beginning with `where`; the size is checked before any pixel is decoded.
     """
+    expected = f"expected a {' or '.join(kinds)} image"
     try:
-        image = Image.open(io.BytesIO(data), formats=("JPEG", "PNG"))
+        image = Image.open(io.BytesIO(data), formats=kinds)
         _check_size(image.size, size_px, where)
         return np.array(image.convert("RGB"))
     except FormatError:
         raise
     except UnidentifiedImageError:
-        raise FormatError(f"{where}: expected a JPEG or PNG image, got other or damaged bytes") from None
+        raise FormatError(f"{where}: {expected}, got other or damaged bytes") from None
     except (Image.DecompressionBombError, Image.DecompressionBombWarning):
         raise FormatError(f"{where}: expected at most {MAX_PX}x{MAX_PX} pixels, got more") from None
     except (OSError, SyntaxError, ValueError) as error:
-        raise FormatError(f"{where}: expected a JPEG or PNG image, got {error}") from None
+        raise FormatError(f"{where}: {expected}, got {error}") from None
 
 
 def _check_size(found: tuple[int, int], expected: tuple[int, int] | None, where: str) -> None:

@@ -18,20 +18,34 @@ def readers(folder: str) -> list[Reader]:
         if not files.isdir(root):
             there = splits_near(folder)
             raise FormatError(f"{folder}: expected a data set or one of its splits, got no folder{there}")
-        if not files.exists(f"{root}/{DESCRIPTION}"):
-            return [Reader(folder)]
-        splits = sorted({path.rsplit("/", 2)[-2] for path in files.glob(f"{root}/*/*.parquet")})
+    splits = _splits(folder)
+    if splits is None:
+        return [Reader(folder)]
     if not splits:
         raise FormatError(f"{folder}: expected finished shards (SPLIT/00000.parquet), got none")
     return [Reader(f"{folder.rstrip('/')}/{split}") for split in splits]
 
 
-def one_reader(place: str) -> Reader:
-    """The reader of the split that is named, or of a data set's only one; raise InputError where there are several."""
-    found = readers(place)
-    if len(found) > 1:
-        raise InputError(f"{place}: expected one split, got {len(found)}{splits_near(place)}")
-    return found[0]
+def only_split(place: str) -> str:
+    """`DIR/SPLIT` for a data set that has one split, others as they are; raise InputError where there are several."""
+    splits = _splits(place) or []
+    if len(splits) > 1:
+        raise InputError(f"{place}: expected one split, got {len(splits)}{splits_near(place)}")
+    return "/".join((place.rstrip("/"), *splits))
+
+
+def one_reader(place: str, columns: Sequence[str] | None = None) -> Reader:
+    """The reader of the split that is named, or of a data set's only one, with these columns of its index."""
+    return Reader(only_split(place), columns)
+
+
+def _splits(folder: str) -> list[str] | None:
+    """The splits of a data set that have finished shards, None for other folders."""
+    files, root = connect(folder)
+    with translate_store_errors(folder):
+        if not files.exists(f"{root}/{DESCRIPTION}"):
+            return None
+        return sorted({path.rsplit("/", 2)[-2] for path in files.glob(f"{root}/*/*.parquet")})
 
 
 def evenly_spaced(found: Sequence[Reader], n: int, is_once_a_scene: bool = False) -> list[tuple[Reader, int]]:

@@ -28,11 +28,13 @@ from synth3dlanes.formats.opendrive import write as opendrive
 from synth3dlanes.formats.openlane import write as openlane
 from synth3dlanes.formats.openlane_v2 import write as openlane_v2
 from synth3dlanes.formats.plan import Chunk, open_reader, plan
+from synth3dlanes.formats.reading import json_lines, json_object, read_text
 from synth3dlanes.formats.sample_format import SampleFormat
 from synth3dlanes.formats.summary import Summary, readme, summarize
 from synth3dlanes.formats.tusimple import write as tusimple
 from synth3dlanes.formats.writing import Format, PinholeFormat
 from synth3dlanes.formats.yolo import write as yolo
+from synth3dlanes.schema import Excerpt, PathBelow, parse
 
 LAYOUT = 2
 """Exports of an earlier layout are not continued."""
@@ -124,7 +126,7 @@ def _claim(out: Path, options: dict[str, Any]) -> None:
     """Make `out` this export's folder, or check that it is."""
     mark = out / "export.json"
     if mark.exists():
-        found = json.loads(mark.read_text())
+        found = json_object(read_text(mark), str(mark))
         if found != options:
             raise InputError(f"{out}: expected an empty folder or the export {options}, got the export {found}")
     elif out.exists() and any(out.iterdir()):
@@ -167,11 +169,17 @@ def _remove(out: Path, mark: Path) -> None:
     mark.unlink()
 
 
+class _Places(Excerpt):
+    files: tuple[PathBelow, ...] = ()
+    shared: tuple[tuple[str, tuple[PathBelow, ...]], ...] = ()
+
+
 def _records(marks: Sequence[Path]) -> Iterator[dict[str, Any]]:
     for mark in marks:
-        with mark.open() as file:
-            for line in file:
-                yield json.loads(line)
+        for number, line in enumerate(json_lines(mark), start=1):
+            # The files that it names are removed or written.
+            parse(_Places, line, f"{mark}:{number}", "a frame of an export")
+            yield json.loads(line)
 
 
 def _write_shared(out: Path, marks: Sequence[Path], foreign: Format) -> None:

@@ -8,11 +8,11 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Int
 
+from synth3dlanes.dataset.address import SAMPLE
 from synth3dlanes.dataset.read import Reader, find
 from synth3dlanes.dataset.splits import readers, split_name
 from synth3dlanes.errors import InputError
 from synth3dlanes.formats.writing import PARTS, Part
-from synth3dlanes.sources import SAMPLE
 
 FRAMES_PER_CHUNK = 50
 DEALT_EVERY = 5

@@ -10,12 +10,14 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from PIL import Image, UnidentifiedImageError
 
+from synth3dlanes.dataset.format import decode_image
 from synth3dlanes.errors import FormatError
 from synth3dlanes.frames import inside_image, project, road_from_cam
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph, LaneKind, Marking, PaintColor
 
-MALFORMED = (KeyError, TypeError, IndexError, ValueError)
-"""What a document that is not of its format raises on the way to arrays."""
+MALFORMED = (KeyError, TypeError, IndexError, ValueError, AttributeError, OverflowError)
+"""What a damaged file of an export of ours raises on the way to arrays. Files of others are parsed by schemas."""
+PICTURES = ("JPEG", "PNG", "BMP", "WEBP")
 STEP_M = 0.5
 UNKNOWN: tuple[Marking, None, None] = ("none", None, None)
 """The paint of lines of formats that do not have it."""
@@ -65,12 +67,8 @@ def labels_of(
 
 
 def read_image(path: Path) -> UInt8[np.ndarray, "h w 3"]:
-    """The pixels of an image file of any kind; raise FormatError where it is none."""
-    try:
-        with Image.open(path) as image:
-            return np.array(image.convert("RGB"))
-    except (OSError, UnidentifiedImageError) as error:
-        raise FormatError(f"{path}: expected an image, got {error}") from None
+    """The pixels of a JPEG, PNG, BMP or WebP file of at most 8192 x 8192; raise FormatError where it is none."""
+    return decode_image(read_file(path), str(path), kinds=PICTURES)
 
 
 def image_size(path: Path) -> tuple[int, int]:
@@ -90,16 +88,24 @@ def read_text(path: Path) -> str:
         raise FormatError(f"{path}: expected a label file, got {error}") from None
 
 
-def json_lines(path: Path) -> list[str]:
-    """The documents of a JSON-lines file as text."""
-    return [line for line in read_text(path).splitlines() if line.strip()]
+def read_file(path: Path) -> bytes:
+    """The bytes of a file that another names; raise FormatError where there is none."""
+    try:
+        return path.read_bytes()
+    except (OSError, ValueError) as error:
+        raise FormatError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+
+
+def json_lines(path: Path) -> list[bytes]:
+    """The documents of a JSON-lines file, undecoded."""
+    return [line for line in read_file(path).split(b"\n") if line.strip()]
 
 
 def json_object(text: str, where: str) -> dict[str, Any]:
     """The JSON object that a label file or one line of it is."""
     try:
         document = json.loads(text)
-    except json.JSONDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise FormatError(f"{where}: expected a JSON document, got {error}") from None
     if not isinstance(document, dict):
         raise FormatError(f"{where}: expected a JSON object, got {type(document).__name__}")

@@ -24,9 +24,9 @@ def _spread(form: Any) -> Any:
         return form
     try:
         n, top, bottom = int(form["beams"]), float(form["top"]), float(form["bottom"])
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, OverflowError):
         n = top = bottom = 0
-    if len(form) != 3 or not 1 < n <= MAX_BEAMS or not bottom < top:
+    if len(form) != 3 or not 1 < n <= MAX_BEAMS or not -MAX_DEG <= bottom < top <= MAX_DEG:
         raise ValueError(f"expected a list of degrees, or beams (2 to {MAX_BEAMS}), top and bottom")
     return np.round(np.linspace(top, bottom, n), 9).tolist()
 

@@ -9,7 +9,7 @@ import json
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BeforeValidator, Field, ValidationError
 
 from synth3dlanes import __version__
 from synth3dlanes.assets.catalogue import Assets
@@ -21,7 +21,7 @@ from synth3dlanes.params import Params
 from synth3dlanes.sample import sample_scene
 from synth3dlanes.sampling.like import Like
 from synth3dlanes.scene import Scene
-from synth3dlanes.schema import Part, validation_problems
+from synth3dlanes.schema import Excerpt, validation_problems
 from synth3dlanes.shots import SINGLE, Place, Shots
 from synth3dlanes.validate.documents import NAMED_AT_MOST, differences, some
 from synth3dlanes.validate.findings import Problem
@@ -30,11 +30,9 @@ from synth3dlanes.validate.findings import Problem
 MANY = 20
 
 
-class Derived(Part):
+class Derived(Excerpt):
     """How a data set was derived from another: split again (`cut`), or with one factor changed (`of`, `vary`,
     `values`). `derived` says the same of that other data set, if it was derived too."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore")
 
     cut: str = ""
     of: str = ""
@@ -60,10 +58,8 @@ def _in_order(document: Any) -> Any:
     return {kind: tuple(own.values()) if isinstance(own, dict) else own for kind, own in document.items()}
 
 
-class Origin(Part):
+class Origin(Excerpt):
     """The inputs from which a data set's scenes were drawn, according to its dataset.json."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore")
 
     seed: Annotated[int, Field(ge=0)]
     params: Params

@@ -101,16 +101,19 @@ def test_the_truth_written_as_predictions_reads_as_perfect(roads, split, tmp_pat
 @pytest.mark.parametrize(
     ("line", "problem"),
     [
-        ("{", "p.jsonl:1: not a prediction"),
-        ('{"key": "00000000"}', "KeyError: 'lanes'"),
+        ("{", "p.jsonl:1: expected JSON"),
+        ('{"key": "00000000"}', "p.jsonl:1: lanes: missing"),
         ('{"key": "9", "lanes": []}', "expected keys such as '00000000', got '9'"),
         ('{"key": "00000000", "lanes": []}\n{"key": "00000000", "lanes": []}', "each key once"),
-        ('{"key": "0", "lanes": [{"kind": "x", "score": 1, "xyz_cam": []}]}', r"lanes\[0\].kind: expected centerline"),
-        ('{"key": "0", "lanes": [{"kind": "delimiter", "score": 1, "xyz_cam": [[0, 1]]}]}', "got shape"),
+        (
+            '{"key": "0", "lanes": [{"kind": "x", "score": 1, "xyz_cam": []}]}',
+            r"lanes\.0\.kind: expected 'centerline' or",
+        ),
+        ('{"key": "0", "lanes": [{"kind": "delimiter", "score": 1, "xyz_cam": [[0, 1]]}]}', r"xyz_cam\.0\.2: missing"),
         (
             '{"key": "0", "lanes": [{"kind": "delimiter", "score": 1, "xyz_cam": [[0,1,2],[0,2,3]],'
             ' "visibility": [1]}]}',
-            r"lanes\[0\].visibility: expected 2 probabilities",
+            r"lanes\.0: visibility: expected 2 values, got 1",
         ),
         ('{"key": "0", "lanes": [{"kind": "delimiter", "score": NaN, "xyz_cam": [[0,1,2],[0,2,3]]}]}', "finite"),
     ],

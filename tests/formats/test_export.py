@@ -356,3 +356,21 @@ def test_warnings_of_replaced_words_and_of_enlarged_images(write_split, tmp_path
         found = warnings(Path("/elsewhere") / out, FORMATS["once"], summary)
         assert len([line for line in found if line.endswith("replace val in the whole path: move it")]) == n_words
         assert [line for line in found if "enlarged 4.0 times to 1920x1020" in line]
+
+
+@pytest.mark.parametrize("place", ["files", "shared"])
+def test_marks_of_an_export_name_no_file_elsewhere(dataset, tmp_path, place):
+    """Of a chunk that is not wanted any more, the files are removed: only those of the export."""
+    out, mine = tmp_path / "out", tmp_path / "mine.txt"
+    mine.write_text("mine")
+    export(str(dataset), out, "apollo", 1, lambda done, total: None)
+    record = {"left_out": None, "n_lines": 0, "files": [], "shared": []}
+    for path in ("../mine.txt", str(mine)):
+        named = {"files": [path]} if place == "files" else {"shared": [["text", [path]]]}
+        (out / ".parts/stale").write_text(json.dumps(record | named))
+        with pytest.raises(FormatError, match=r"stale:1: .*expected a path below the folder, got "):
+            export(str(dataset), out, "apollo", 1, lambda done, total: None)
+        assert mine.read_text() == "mine"
+    (out / "export.json").write_text("[" * 10_000)
+    with pytest.raises(FormatError, match=r"export\.json: expected a JSON document"):
+        export(str(dataset), out, "apollo", 1, lambda done, total: None)

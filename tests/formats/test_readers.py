@@ -114,12 +114,12 @@ def test_a_tusimple_file_gives_columns_and_images(tmp_path):
 def test_broken_frames_are_refused(tmp_path):
     path = tmp_path / "train.json"
     path.write_text('{"raw_file": "images/00/1.jpg", "cam_height": 1.5, "laneLines": []}\n')
-    with pytest.raises(FormatError, match=r"train\.json:1: not an Apollo frame: KeyError: 'laneLines_visibility'"):
+    with pytest.raises(FormatError, match=r"train\.json:1: expected a frame of Apollo Sim-3D, got another"):
         ApolloSplit(path).labels(0)
     document = {"raw_file": "images/00/1.jpg", "cam_height": 1.5, "cam_pitch": 0.0, "laneLines": [[[0, 1, 0]]]}
     document |= {"laneLines_visibility": [[1.0, 1.0]], "centerLines": [], "centerLines_visibility": []}
     path.write_text(json.dumps(document))
-    with pytest.raises(FormatError, match="a visibility for every point of laneLines"):
+    with pytest.raises(FormatError, match="laneLines_visibility: expected a value for every point of laneLines"):
         ApolloSplit(path).labels(0)
     path.write_text(json.dumps({**document, "laneLines": [], "laneLines_visibility": []}))
     with pytest.raises(FormatError, match=r"expected an image images/00/1\.jpg"):

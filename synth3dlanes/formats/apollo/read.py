@@ -1,27 +1,30 @@
 """Read Apollo Sim-3D: one line of a label file, or a whole split as labelled images in our camera frame."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Bool, Float
+from pydantic import Field, model_validator
 
+from synth3dlanes import schema
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.apollo.convention import CAMERA, apollo_from_cam
 from synth3dlanes.formats.reading import (
-    MALFORMED,
     ForeignLane,
     ForeignSample,
     json_lines,
-    json_object,
     labels_of,
     read_image,
 )
 from synth3dlanes.formats.writing import CV_FROM_CAM
 from synth3dlanes.frames import invert, transform
-from synth3dlanes.labels import Labels, LaneKind
+from synth3dlanes.labels import Labels, LaneKind, Points
+from synth3dlanes.schema import Excerpt, Metres, Number, PathBelow
 
 PointLists = tuple[Float[np.ndarray, "_ 3"], ...]
 Flags = tuple[Bool[np.ndarray, " _"], ...]
@@ -63,7 +66,7 @@ class ApolloSplit:
     path: Path
 
     @cached_property
-    def lines(self) -> Sequence[str]:
+    def lines(self) -> Sequence[bytes]:
         """One document per line."""
         return json_lines(self.path)
 
@@ -91,19 +94,33 @@ class ApolloSplit:
         return self.frame(index).labels()
 
 
-def parse(line: str, where: str) -> ApolloFrame:
+def parse(line: str | bytes, where: str) -> ApolloFrame:
     """One line of a label file; FormatErrors begin with `where`."""
-    document = json_object(line, where)
-    try:
-        points, flags = [], []
+    found = schema.parse(_Line, line, where, "a frame of Apollo Sim-3D")
+    return ApolloFrame(
+        found.raw_file,
+        found.cam_height,
+        found.cam_pitch,
+        tuple(found.laneLines),
+        tuple(np.array(seen) > 0 for seen in found.laneLines_visibility),
+        tuple(found.centerLines),
+        tuple(np.array(seen) > 0 for seen in found.centerLines_visibility),
+    )
+
+
+class _Line(Excerpt):
+    raw_file: PathBelow
+    cam_height: Metres
+    cam_pitch: Annotated[float, Field(gt=-math.pi / 2, lt=math.pi / 2)]
+    laneLines: list[Points]
+    laneLines_visibility: list[list[Number]]
+    centerLines: list[Points]
+    centerLines_visibility: list[list[Number]]
+
+    @model_validator(mode="after")
+    def _every_point_has_a_visibility(self) -> "_Line":
         for name in ("laneLines", "centerLines"):
-            points.append(tuple(np.array(line, dtype=float).reshape(-1, 3) for line in document[name]))
-            flags.append(tuple(np.array(line, dtype=float) > 0 for line in document[f"{name}_visibility"]))
-            if [len(line) for line in points[-1]] != [len(line) for line in flags[-1]]:
-                raise ValueError(f"expected a visibility for every point of {name}")
-        height_m, pitch_rad = float(document["cam_height"]), float(document["cam_pitch"])
-        return ApolloFrame(
-            str(document["raw_file"]), height_m, pitch_rad, points[0], flags[0], points[1], flags[1]
-        )  # fmt: skip
-    except MALFORMED as error:
-        raise FormatError(f"{where}: not an Apollo frame: {type(error).__name__}: {error}") from None
+            lines, seen = getattr(self, name), getattr(self, f"{name}_visibility")
+            if list(map(len, lines)) != list(map(len, seen)):
+                raise ValueError(f"{name}_visibility: expected a value for every point of {name}")
+        return self

@@ -7,22 +7,22 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float
+from pydantic import model_validator
 
-from synth3dlanes.errors import FormatError
+from synth3dlanes import schema
 from synth3dlanes.formats.openlane.convention import PAINTS, WAYMO_FROM_CAM
 from synth3dlanes.formats.reading import (
-    MALFORMED,
     UNKNOWN,
     ForeignLane,
     ForeignSample,
     image_size,
-    json_object,
     labels_of,
+    read_file,
     read_image,
-    read_text,
 )
 from synth3dlanes.formats.writing import CV_FROM_CAM
-from synth3dlanes.labels import Labels
+from synth3dlanes.labels import Labels, Matrix3, Matrix4
+from synth3dlanes.schema import Excerpt, Number, PathBelow
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ class OpenLaneSplit:
 
     def frame(self, index: int) -> OpenLaneFrame:
         """One label file."""
-        return parse(read_text(self.files[index]), str(self.files[index]))
+        return parse(read_file(self.files[index]), str(self.files[index]))
 
     def key(self, index: int) -> str:
         """`file_path`."""
@@ -99,25 +99,51 @@ def is_openlane(path: Path) -> bool:
     return path.is_dir() and any(child.is_dir() for child in path.glob("seg*"))
 
 
-def parse(text: str, where: str) -> OpenLaneFrame:
+def parse(text: str | bytes, where: str) -> OpenLaneFrame:
     """One label file; FormatErrors begin with `where`."""
-    document = json_object(text, where)
-    try:
-        lines = tuple(
-            OpenLaneLine(
-                xyz_waymo=np.array(line["xyz"], dtype=float).reshape(3, -1).T,
-                visible=np.array(line["visibility"], dtype=float) > 0,
-                uv_img=np.array(line.get("uv", [[], []]), dtype=float).reshape(2, -1).T,
-                category=line["category"],
-                attribute=line.get("attribute", 0),
-                track_id=line.get("track_id", 0),
-            )
-            for line in document["lane_lines"]
+    found = schema.parse(_Frame, text, where, "a frame of OpenLane")
+    lines = tuple(
+        OpenLaneLine(
+            xyz_waymo=np.array(line.xyz, dtype=float).T,
+            visible=np.array(line.visibility) > 0,
+            uv_img=np.array(line.uv, dtype=float).T,
+            category=line.category,
+            attribute=line.attribute,
+            track_id=line.track_id,
         )
-        if any(len(line.visible) != len(line.xyz_waymo) for line in lines):
-            raise ValueError("expected a visibility for every point of a line")
-        intrinsic = np.array(document["intrinsic"], dtype=float).reshape(3, 3)
-        extrinsic = np.array(document["extrinsic"], dtype=float).reshape(4, 4)
-        return OpenLaneFrame(str(document["file_path"]), intrinsic, extrinsic, lines)
-    except (*MALFORMED, AttributeError) as error:
-        raise FormatError(f"{where}: not an OpenLane frame: {type(error).__name__}: {error}") from None
+        for line in found.lane_lines
+    )
+    return OpenLaneFrame(found.file_path, found.intrinsic, found.extrinsic, lines)
+
+
+class _Line(Excerpt):
+    xyz: tuple[list[Number], list[Number], list[Number]]
+    visibility: list[Number]
+    uv: tuple[list[Number], list[Number]] = ([], [])
+    category: int
+    attribute: int = 0
+    track_id: int = 0
+
+    @model_validator(mode="after")
+    def _has_whole_points(self) -> "_Line":
+        if len({*map(len, self.xyz), len(self.visibility)}) > 1:
+            raise ValueError("expected as many x, y and z as values of visibility")
+        if len(self.uv[0]) != len(self.uv[1]):
+            raise ValueError("uv: expected as many u as v")
+        return self
+
+
+class _Frame(Excerpt):
+    file_path: PathBelow
+    intrinsic: Matrix3
+    extrinsic: Matrix4
+    lane_lines: list[_Line]
+
+    @model_validator(mode="after")
+    def _is_a_camera(self) -> "_Frame":
+        turn = self.extrinsic[:3, :3]
+        if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3):
+            raise ValueError("extrinsic: expected a rotation and a place")
+        if min(self.intrinsic[0, 0], self.intrinsic[1, 1]) <= 0:
+            raise ValueError("intrinsic: expected focal lengths above 0")
+        return self

@@ -4,12 +4,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
+from pydantic import Field, model_validator
 
+from synth3dlanes import schema
 from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.formats.reading import MALFORMED, json_lines, json_object, read_image
+from synth3dlanes.formats.reading import json_lines, read_image
+from synth3dlanes.schema import MAX_BYTES, Excerpt, Number, PathBelow
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +32,7 @@ class TusimpleSplit:
     path: Path
 
     @cached_property
-    def lines(self) -> Sequence[str]:
+    def lines(self) -> Sequence[bytes]:
         """One document per line."""
         return json_lines(self.path)
 
@@ -46,8 +50,11 @@ class TusimpleSplit:
 
 def is_tusimple(path: Path) -> bool:
     """Whether the first line of the file is a tuSimple frame."""
-    with path.open(encoding="utf-8") as file:
-        return '"h_samples"' in file.readline()
+    try:
+        with path.open("rb") as file:
+            return b'"h_samples"' in file.readline(MAX_BYTES)
+    except OSError as error:
+        raise FormatError(f"{path}: cannot be read: {error.strerror}") from None
 
 
 def find_labels(source: Path) -> Path | None:
@@ -60,12 +67,20 @@ def find_labels(source: Path) -> Path | None:
     return found[0] if found else None
 
 
-def parse(line: str, where: str) -> TusimpleFrame:
+def parse(line: str | bytes, where: str) -> TusimpleFrame:
     """One line of a label file; FormatErrors begin with `where`."""
-    document = json_object(line, where)
-    try:
-        rows_px = np.array(document["h_samples"], dtype=int)
-        lanes_u_px = np.array(document["lanes"], dtype=float).reshape(-1, len(rows_px))
-        return TusimpleFrame(str(document["raw_file"]), rows_px, lanes_u_px)
-    except MALFORMED as error:
-        raise FormatError(f"{where}: not a tuSimple frame: {type(error).__name__}: {error}") from None
+    found = schema.parse(_Line, line, where, "a frame of tuSimple")
+    lanes_u_px = np.array(found.lanes, dtype=float).reshape(-1, len(found.h_samples))
+    return TusimpleFrame(found.raw_file, np.array(found.h_samples, dtype=int), lanes_u_px)
+
+
+class _Line(Excerpt):
+    raw_file: PathBelow
+    h_samples: Annotated[list[Number], Field(min_length=1)]
+    lanes: list[list[Number]]
+
+    @model_validator(mode="after")
+    def _has_a_column_for_every_row(self) -> "_Line":
+        if any(len(lane) != len(self.h_samples) for lane in self.lanes):
+            raise ValueError(f"lanes: expected {len(self.h_samples)} columns each, as many as h_samples")
+        return self

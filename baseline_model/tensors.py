@@ -1,0 +1,43 @@
+"""Read files of PyTorch: tensors and plain values only, no code."""
+
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
+
+from synth3dlanes.errors import FormatError, InputError
+
+
+def read_tensors(path: Path, what: str) -> Any:
+    """What `torch.save` wrote, on the CPU; raise FormatError where it is not `what`, as in "a state dict"."""
+    try:
+        return torch.load(path, map_location="cpu", weights_only=True)
+    except OSError as error:
+        raise FormatError(f"{path}: expected {what}, got {error.strerror or error}") from None
+    except Exception:  # noqa: BLE001 - the unpickler raises whatever damaged bytes lead to
+        raise FormatError(f"{path}: expected {what}, got other or damaged bytes") from None
+
+
+def load_weights(network: nn.Module, weights: dict[str, torch.Tensor], where: str, source: str | Path) -> None:
+    """Load the weights of this very network; raise InputError, which begins with `where`, if they are another's."""
+    expected = {name: tuple(value.shape) for name, value in network.state_dict().items()}
+    given = {name: tuple(value.shape) for name, value in weights.items()}
+    wrong = sorted(name for name in expected | given if expected.get(name) != given.get(name))
+    if wrong:
+        name = wrong[0]
+        raise InputError(
+            f"{where}: expected weights of this network, got {len(wrong)} others in {source}, "
+            f"first {name}: {given.get(name, 'none')} for {expected.get(name, 'none')}"
+        )
+    network.load_state_dict(weights)
+
+
+def state_dict(found: Any, path: Path) -> dict[str, torch.Tensor]:
+    """It as tensors by their names; raise FormatError where it is anything else."""
+    if not isinstance(found, dict):
+        raise FormatError(f"{path}: expected a state dict, got {type(found).__name__}")
+    for name, value in found.items():
+        if not (isinstance(name, str) and isinstance(value, torch.Tensor)):
+            raise FormatError(f"{path}: expected a tensor at {name!s:.60}, got {type(value).__name__}")
+    return found

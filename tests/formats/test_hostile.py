@@ -1,0 +1,111 @@
+"""Label files of others, mutated: each is read, or refused by a FormatError whose lines name it."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+
+from synth3dlanes.errors import FormatError
+from synth3dlanes.formats.apollo.read import parse as parse_apollo
+from synth3dlanes.formats.openlane.read import parse as parse_openlane
+from synth3dlanes.formats.reading import read_image
+from synth3dlanes.formats.tusimple.read import TusimpleSplit, find_labels
+from synth3dlanes.formats.tusimple.read import parse as parse_tusimple
+from tests.hostile import WHERE, damaged, files, mutated, refused_or_read
+
+TUSIMPLE = {"raw_file": "clips/1/20.jpg", "lanes": [[-2, 630, 620]], "h_samples": [240, 250, 260]}
+APOLLO = {
+    "raw_file": "images/00/1.jpg",
+    "cam_height": 1.5,
+    "cam_pitch": 0.05,
+    "laneLines": [[[0.5, 5, 0.1], [0.6, 9, 0.2]]],
+    "laneLines_visibility": [[1.0, 0.0]],
+    "centerLines": [[[2.5, 5, 0.1], [2.6, 9, 0.2]]],
+    "centerLines_visibility": [[1.0, 1.0]],
+}
+OPENLANE = {
+    "file_path": "validation/seg/1.jpg",
+    "intrinsic": [[2000, 0, 960], [0, 2000, 640], [0, 0, 1]],
+    "extrinsic": [[1, 0, 0, 1.5], [0, 1, 0, 0], [0, 0, 1, 2.1], [0, 0, 0, 1]],
+    "lane_lines": [
+        {
+            "xyz": [[5, 9, 20], [1, 1, 1], [-2, -2, -2]],
+            "uv": [[3, 4], [5, 6]],
+            "visibility": [1.0, 1.0, 0.0],
+            "category": 2,
+            "attribute": 1,
+            "track_id": 4,
+        }
+    ],
+}
+
+
+@given(mutated(json.dumps(TUSIMPLE).encode(), is_json=True))
+def test_tusimple(data):
+    frame = refused_or_read(lambda: parse_tusimple(data, WHERE))
+    if frame:
+        assert frame.lanes_u_px.shape[1] == len(frame.rows_px)
+        assert np.isfinite(frame.lanes_u_px).all()
+
+
+@given(mutated(json.dumps(APOLLO).encode(), is_json=True))
+def test_apollo(data):
+    labels = refused_or_read(lambda: parse_apollo(data, WHERE).labels())
+    assert labels is None or all(np.isfinite(lane.xyz_cam).all() for lane in labels.lanes)
+
+
+@given(mutated(json.dumps(OPENLANE).encode(), is_json=True))
+def test_openlane(data):
+    labels = refused_or_read(lambda: parse_openlane(data, WHERE).labels((1920, 1280)))
+    if labels:
+        assert all(np.isfinite(lane.xyz_cam).all() for lane in labels.lanes)
+        assert np.isfinite([labels.camera.pitch_rad, labels.camera.height_m]).all()
+
+
+@pytest.mark.parametrize("path", ["/etc/passwd", "../x.jpg", "a/../../x.jpg", "a\0.jpg", ""])
+def test_a_label_file_names_no_image_elsewhere(path):
+    for parse, document, key in (
+        (parse_tusimple, TUSIMPLE, "raw_file"),
+        (parse_apollo, APOLLO, "raw_file"),
+        (parse_openlane, OPENLANE, "file_path"),
+    ):
+        with pytest.raises(FormatError, match=f"^{WHERE}: {key}: expected "):
+            parse(json.dumps({**document, key: path}), WHERE)
+
+
+def test_what_is_no_text_is_no_label_file_of_tusimple(tmp_path):
+    (tmp_path / "bytes.json").write_bytes(b"\xff\xfe{")
+    assert find_labels(tmp_path / "bytes.json") is None
+    with pytest.raises(FormatError, match="expected JSON"):
+        TusimpleSplit(tmp_path / "bytes.json").frame(0)
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("pictures")
+    for suffix in ("jpg", "png", "bmp", "webp"):
+        Image.new("RGB", (24, 16), (200, 10, 10)).save(folder / f"a.{suffix}")
+    return folder
+
+
+def test_pictures_of_each_kind_are_read(pictures):
+    for path in sorted(pictures.iterdir()):
+        assert np.abs(read_image(path).astype(int) - (200, 10, 10)).max() < 8, path.suffix
+
+
+@given(st.data())
+@files
+def test_pictures(tmp_path_factory, pictures, data):
+    whole = data.draw(st.sampled_from(sorted(pictures.iterdir())))
+    path = tmp_path_factory.getbasetemp() / f"damaged{whole.suffix}"
+    path.write_bytes(data.draw(damaged(whole.read_bytes())))
+    refused_or_read(lambda: read_image(path), str(path))
+
+
+def test_a_picture_of_too_many_pixels_is_refused(tmp_path):
+    Image.new("1", (20_000, 20_000)).save(tmp_path / "bomb.png")
+    with pytest.raises(FormatError, match=r"bomb\.png: expected at most 8192x8192 pixels, got"):
+        read_image(tmp_path / "bomb.png")
