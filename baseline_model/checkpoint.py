@@ -7,10 +7,10 @@ import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import torch
-from pydantic import AfterValidator, ConfigDict, ValidationError
+from pydantic import ConfigDict, ValidationError
 from torch import Tensor, nn
 
 from synth3dlanes.errors import FormatError, InputError
@@ -41,6 +41,23 @@ class Checkpoint:
     resume: dict[str, Any] | None
 
 
+class _Trained(Excerpt):
+    focal_px: tuple[Positive, Positive, Positive] | None = None  # not in those of 0.1.0
+
+
+class _About(Excerpt):
+    train: _Trained = _Trained()
+
+
+class _Stored(Excerpt):
+    model_config = ConfigDict(arbitrary_types_allowed=True)
+
+    config: str
+    about: _About
+    model: dict[str, Tensor]
+    resume: dict[str, Any] | None
+
+
 def save(path: Path, checkpoint: Checkpoint) -> None:
     """Write to a temporary file, flush, rename: a killed run leaves either the old or the new file."""
     document = {
@@ -59,28 +76,6 @@ def save(path: Path, checkpoint: Checkpoint) -> None:
     partial.replace(path)
 
 
-class _Trained(Excerpt):
-    focal_px: tuple[Positive, Positive, Positive] | None = None  # not in those of 0.1.0
-
-
-class _About(Excerpt):
-    train: _Trained = _Trained()
-
-
-def _as_it_is(about: dict[str, Any]) -> dict[str, Any]:
-    _About.model_validate(about)
-    return about
-
-
-class _Stored(Excerpt):
-    model_config = ConfigDict(arbitrary_types_allowed=True)
-
-    config: str
-    about: Annotated[dict[str, Any], AfterValidator(_as_it_is)]
-    model: dict[str, Tensor]
-    resume: dict[str, Any] | None
-
-
 def load(path: Path) -> Checkpoint:
     """Load a checkpoint without executing code from it; raise FormatError if it is not a baseline checkpoint."""
     document = read_tensors(path, "a baseline checkpoint")
@@ -88,16 +83,16 @@ def load(path: Path) -> Checkpoint:
     if found != (FORMAT, VERSION):
         raise FormatError(f"{path}: expected {FORMAT} version {VERSION}, got {found!s:.60}")
     try:
-        stored = _Stored.model_validate(document)
+        _Stored.model_validate(document)
     except ValidationError as error:
         raise FormatError("\n".join(validation_problems(error, str(path)))) from None
     try:
-        settings = dict(json.loads(stored.config))
+        settings = dict(json.loads(document["config"]))
     except (TypeError, ValueError, RecursionError) as error:
         raise FormatError(f"{path}: config: expected JSON, got {error!s:.60}") from None
     settings.pop("storage", None)  # of 0.1.0: how decoded images were kept
     config = parse(TrainConfig, settings, f"{path}: config")
-    return Checkpoint(config, stored.about, stored.model, stored.resume)
+    return Checkpoint(config, document["about"], document["model"], document["resume"])
 
 
 def place(source: str | Path) -> Path:
