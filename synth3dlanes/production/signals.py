@@ -26,7 +26,7 @@ def stop(number: int, _: FrameType | None = None) -> None:
     raise Stopped(number)
 
 
-def handle(handler: Callable[[int, FrameType | None], None]) -> dict[int, Any]:
+def handle(handler: Callable[[int, FrameType | None], None] | signal.Handlers) -> dict[int, Any]:
     """Install a handler for all stopping signals but those that are ignored, as nohup does; returns those before."""
     before: dict[int, Any] = {number: signal.getsignal(number) for number in STOPPING}
     for number, old in before.items():

@@ -45,6 +45,31 @@ def test_a_killed_run_continues_as_if_nothing_had_happened(roads, tmp_path, monk
     assert all(first.model[name].equal(second.model[name]) for name in first.model)
 
 
+def test_a_damaged_state_of_a_run_is_refused_in_a_line(roads, tmp_path):
+    from synth3dlanes_baseline.train import train_on
+
+    from synth3dlanes.errors import FormatError
+
+    samples = _samples(roads)
+    train_on(_config(epochs=1.0), samples, samples, tmp_path)
+    whole = torch.load(tmp_path / "last.pt", weights_only=True)
+    for changes in (
+        None,
+        {},
+        {"model": {}},
+        {"optimizer": {}},
+        {"optimizer": {"state": {}, "param_groups": []}},
+        {"schedule": {"unknown": 1}},
+        {"step": "x"},
+        {"best": []},
+        {"history": None},
+    ):
+        resume = {**whole["resume"], **changes} if changes else changes
+        torch.save({**whole, "resume": resume}, tmp_path / "last.pt")
+        with pytest.raises(FormatError, match=r"^\S+last\.pt: expected the state of a run, got damaged: .+$"):
+            train_on(_config(epochs=2.0), samples, samples, tmp_path)
+
+
 def test_another_configuration_does_not_continue_a_run(roads, tmp_path):
     from synth3dlanes_baseline.train import train_on
 

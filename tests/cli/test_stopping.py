@@ -3,8 +3,8 @@
 import signal
 import subprocess
 import sys
-import time
 
+import psutil
 import pytest
 from click.testing import CliRunner
 from synth3dlanes_cli.main import main
@@ -48,9 +48,14 @@ def test_a_second_signal_ends_a_run_at_once_in_one_line(tmp_path, signals, code)
     command += ["--params", "tiny", "--workers", "2", "--device", "cpu", "--log-level", "debug"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert next(line for line in process.stderr if line.startswith("0000"))
-    for number in signals:
-        process.send_signal(number)
-        time.sleep(0.05)
+    if len(signals) > 1:
+        # Their samples are not finished, so the run cannot end by the first signal alone, however late the second is.
+        for worker in psutil.Process(process.pid).children():
+            worker.suspend()
+    process.send_signal(signals[0])
+    for second in signals[1:]:
+        assert next(line for line in process.stderr if "Ctrl-C again stops at once" in line)
+        process.send_signal(second)
     stdout, stderr = process.communicate(timeout=60)
     assert process.returncode == code
     assert "Traceback" not in stderr
@@ -76,3 +81,18 @@ run()
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "synth3dlanes: interrupted\n")
+
+
+def test_a_signal_while_the_program_leaves_changes_nothing():
+    code = """
+import atexit, os, signal, sys
+from synth3dlanes_cli.main import run
+
+atexit.register(os.kill, os.getpid(), signal.SIGINT)
+sys.argv = ["synth3dlanes", "params", "show", "nothing"]
+run()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.startswith("nothing: expected one of ")
+    assert len(done.stderr.splitlines()) == 1
