@@ -88,5 +88,5 @@ def scores(draw):
 def test_given_scenes(tmp_path_factory, data):
     path: Path = tmp_path_factory.getbasetemp() / "scores.json"
     path.write_bytes(data)
-    read = lambda: given_scenes(path, load_params("appendix_i"), Assets())  # noqa: E731
-    refused_or_read(read, f"like {path}", error=Synth3dlanesError)
+    params = load_params("appendix_i")
+    refused_or_read(lambda: given_scenes(path, params, Assets()), f"like {path}", error=Synth3dlanesError)

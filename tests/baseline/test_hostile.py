@@ -125,7 +125,7 @@ def test_weights_of_another_network_are_named(tmp_path, stored):
 
 @pytest.mark.parametrize("value", HOSTILE)
 def test_sizes_of_networks_are_bounded(tmp_path, stored, value):
-    """A file of a few bytes can name a network of any size: it is refused before memory is taken."""
+    """What is no size, or beyond any that is used, is refused before a network is built."""
     import torch
 
     config = stored[0]["config"].replace('"rows":104', f'"rows":{value}')

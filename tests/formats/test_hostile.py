@@ -11,7 +11,7 @@ from PIL import Image
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.apollo.read import parse as parse_apollo
 from synth3dlanes.formats.openlane.read import parse as parse_openlane
-from synth3dlanes.formats.reading import read_image
+from synth3dlanes.formats.reading import image_size, read_image
 from synth3dlanes.formats.tusimple.read import TusimpleSplit, find_labels
 from synth3dlanes.formats.tusimple.read import parse as parse_tusimple
 from tests.hostile import WHERE, damaged, files, mutated, refused_or_read
@@ -109,3 +109,5 @@ def test_a_picture_of_too_many_pixels_is_refused(tmp_path):
     Image.new("1", (20_000, 20_000)).save(tmp_path / "bomb.png")
     with pytest.raises(FormatError, match=r"bomb\.png: expected at most 8192x8192 pixels, got"):
         read_image(tmp_path / "bomb.png")
+    with pytest.raises(FormatError, match=r"bomb\.png: expected an image, got "):
+        image_size(tmp_path / "bomb.png")
