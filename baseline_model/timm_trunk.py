@@ -132,6 +132,11 @@ def _create(name: str, *, features_only: bool = True, pretrained: bool = False, 
         import timm  # type: ignore[import-not-found,import-untyped,unused-ignore]
     except ImportError:
         raise MissingPackageError(f"timm, which has {name}, is not installed: pip install timm") from None
+    except RuntimeError as error:  # as of torchvision, which timm imports, beside another build of torch
+        raise MissingPackageError(
+            f"timm, which has {name}, cannot be imported ({error!s:.60}): "
+            "install torch and torchvision of one build, from the same index"
+        ) from None
     try:
         return timm.create_model(name, pretrained=pretrained, features_only=features_only, **settings)
     except (RuntimeError, AttributeError) as error:

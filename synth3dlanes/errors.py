@@ -38,7 +38,7 @@ class DiskFullError(Synth3dlanesError):
 
 
 class MissingPackageError(Synth3dlanesError):
-    """A package is not installed; the message says what to install."""
+    """A package is not installed or cannot be imported; the message says what to install."""
 
 
 class WorkerError(Synth3dlanesError):

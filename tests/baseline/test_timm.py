@@ -175,3 +175,17 @@ def test_without_timm_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "timm", None)
     with pytest.raises(MissingPackageError, match="timm, which has resnet18, is not installed: pip install timm"):
         LaneNet(_config("timm:resnet18"))
+
+
+def test_a_timm_that_cannot_be_imported_is_told_in_a_line(monkeypatch, tmp_path):
+    import sys
+
+    from synth3dlanes_baseline.model import LaneNet
+
+    from synth3dlanes.errors import MissingPackageError
+
+    (tmp_path / "timm.py").write_text('raise RuntimeError("operator torchvision::nms does not exist")')
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "timm", raising=False)
+    with pytest.raises(MissingPackageError, match=r"timm, .*operator torchvision::nms .*: install torch"):
+        LaneNet(_config("timm:resnet18"))
