@@ -142,7 +142,7 @@ def _resume(trainee: Run, found: checkpoints.Checkpoint, out_dir: Path) -> None:
         trainee.step = state["step"] * found.config.batch // config.batch
         trainee.best, trainee.history = float(state["best"]), list(state["history"])
     except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
-        reason = f"no {error}" if isinstance(error, KeyError) else str(error).splitlines()[0]
+        reason = f"no {error}" if isinstance(error, KeyError) else str(error).partition("\n")[0]
         raise FormatError(f"{out_dir / 'last.pt'}: expected the state of a run, got damaged: {reason:.100}") from None
 
 

@@ -8,7 +8,7 @@ Exception
       |    +-- ClaimedError      another run holds the lock on a shard
       +-- FormatError          a file does not follow its format, or a store refuses to give it; a ValueError
       +-- DiskFullError        there is too little room for what is to be written
-      +-- MissingPackageError  a package that this function needs is not installed
+      +-- MissingPackageError  a package that this function needs is not installed or cannot be imported
       +-- WorkerError          a worker process crashed, hung or was killed
 """
 
