@@ -77,8 +77,8 @@ class Folder:
             return _created(folder, name)
 
     def append(self, path: str | PurePosixPath) -> BinaryIO:
-        """The file at `path`, or a new one, unbuffered, open to be written at its end. A file with a second name, perhaps
-        elsewhere, raises InputError."""
+        """The file at `path`, or a new one, unbuffered, open to be written at its end. A file with a second name,
+        perhaps elsewhere, raises InputError."""
         with self._parent(path) as (folder, name):
             self._expect_file(folder, name, path)
             flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | FILE_FLAGS
