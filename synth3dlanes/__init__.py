@@ -47,7 +47,7 @@ else:
         return getattr(import_module(f"{__name__}.{_HOMES.get(name, 'api')}"), name)
 
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 __all__ = [
     "CameraSpec",
