@@ -4,19 +4,21 @@ Whoever may write to a folder can put a link there. A link given as the folder i
 InputError, and what it points to stays as it is.
 """
 
+import errno
 import os
 import secrets
 import shutil
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path, PurePath
 from typing import BinaryIO
 
 from synth3dlanes.errors import FormatError, InputError
 
 KINDS = {
+    stat.S_IFREG: "a file",
     stat.S_IFLNK: "a link",
     stat.S_IFDIR: "a folder",
     stat.S_IFIFO: "a pipe",
@@ -30,90 +32,152 @@ FILE_FLAGS = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 
 
 @dataclass(frozen=True)
+class Draft:
+    """A file that is being written and is not there yet."""
+
+    stream: BinaryIO
+    _temporary: tuple[int, str]
+    _final: tuple[int, str]
+
+    def sync(self) -> None:
+        """Write what the stream has got to the disk."""
+        self.stream.flush()
+        os.fsync(self.stream.fileno())
+
+    def appear(self) -> None:
+        """Put the whole file in its place, at once. A link that has come there meanwhile is replaced, not followed."""
+        self.sync()
+        (beside, temporary), (folder, name) = self._temporary, self._final
+        os.replace(temporary, name, src_dir_fd=beside, dst_dir_fd=folder)
+
+
+@dataclass(frozen=True)
 class Folder:
     """A folder that the user named. Paths are relative to it; one with a link in it raises InputError."""
 
     root: Path
 
-    def make(self, path: str | PurePosixPath = "") -> None:
+    def make(self, path: str | PurePath = "") -> None:
         """Make the folder at `path`, and those above it, where they are missing."""
         self.root.mkdir(parents=True, exist_ok=True)
-        with self._folder(PurePosixPath(path).parts, make=True):
+        with self._folder(_parts(path), make=True):
             pass
 
-    def exists(self, path: str | PurePosixPath) -> bool:
+    def exists(self, path: str | PurePath) -> bool:
         """Whether there is anything at `path`."""
         try:
             with self._parent(path) as (folder, name):
-                return self._kind(folder, name) is not None
-        except (FileNotFoundError, NotADirectoryError):
+                return _kind(folder, name) is not None
+        except FileNotFoundError:
             return False
 
+    def names(self, path: str | PurePath = "") -> list[str]:
+        """The names in the folder at `path`, in order; none where there is no folder."""
+        try:
+            with self._folder(_parts(path)) as folder:
+                return sorted(os.listdir(folder))
+        except FileNotFoundError:
+            return []
+
     @contextmanager
-    def replacing(self, path: str | PurePosixPath, unfinished: str | PurePosixPath | None = None) -> Iterator[BinaryIO]:
-        """A stream to a file that appears whole at `path`, or not at all; until then it lies in the folder
-        `unfinished`, or beside it. Whoever else writes there does not matter."""
-        with self._parent(path) as (folder, name), self._folder(_parts(unfinished, path)) as beside:
+    def draft(self, path: str | PurePath, unfinished: str | PurePath | None = None) -> Iterator[Draft]:
+        """A file for `path` that is there once it `appear`s, and removed otherwise; until then it lies in the folder
+        `unfinished`, or beside. Whoever else writes there does not matter. What a killed process leaves is found by
+        `remove_unfinished`."""
+        above = _parts(path)[:-1] if unfinished is None else _parts(unfinished)
+        with self._parent(path) as (folder, name), self._folder(above) as beside:
             self._expect_file(folder, name, path)
-            temporary = f".{name}.{secrets.token_hex(8)}.tmp"
+            temporary = _temporary(name)
             try:
                 with _created(beside, temporary) as stream:
-                    yield stream
-                    stream.flush()
-                    os.fsync(stream.fileno())
-                os.replace(temporary, name, src_dir_fd=beside, dst_dir_fd=folder)
+                    yield Draft(stream, (beside, temporary), (folder, name))
             finally:
-                with suppress(FileNotFoundError):
-                    os.unlink(temporary, dir_fd=beside)
+                _removed(beside, temporary)
 
-    def write(self, path: str | PurePosixPath, data: bytes, unfinished: str | PurePosixPath | None = None) -> None:
+    @contextmanager
+    def replacing(self, path: str | PurePath, unfinished: str | PurePath | None = None) -> Iterator[BinaryIO]:
+        """A stream to a file that appears whole at `path`, or not at all."""
+        with self.draft(path, unfinished) as draft:
+            yield draft.stream
+            draft.appear()
+
+    def write(self, path: str | PurePath, data: bytes, unfinished: str | PurePath | None = None) -> None:
         """Write a file as `replacing` does."""
         with self.replacing(path, unfinished) as stream:
             stream.write(data)
 
-    def create(self, path: str | PurePosixPath) -> BinaryIO:
+    def take(self, path: str | PurePath, source: Path) -> None:
+        """Put the file at `source` at `path` too: a second name of it where the file system can, or a copy."""
+        with self._parent(path) as (folder, name):
+            self._expect_file(folder, name, path)
+            temporary = _temporary(name)
+            try:
+                os.link(source, temporary, dst_dir_fd=folder)
+                os.replace(temporary, name, src_dir_fd=folder, dst_dir_fd=folder)
+            except OSError:
+                with self.replacing(path) as stream, source.open("rb") as theirs:
+                    shutil.copyfileobj(theirs, stream)
+            finally:
+                _removed(folder, temporary)
+
+    def create(self, path: str | PurePath) -> BinaryIO:
         """A new, empty file; raise FileExistsError if there is anything at `path`."""
         with self._parent(path) as (folder, name):
             return _created(folder, name)
 
-    def append(self, path: str | PurePosixPath) -> BinaryIO:
+    def append(self, path: str | PurePath) -> BinaryIO:
         """The file at `path`, or a new one, unbuffered, open to be written at its end. A file with a second name,
         perhaps elsewhere, raises InputError."""
-        with self._parent(path) as (folder, name):
-            self._expect_file(folder, name, path)
-            flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | FILE_FLAGS
-            stream = open(os.open(name, flags, 0o666, dir_fd=folder), "ab", buffering=0)  # noqa: SIM115
-        if os.fstat(stream.fileno()).st_nlink > 1:
-            stream.close()
-            raise InputError(f"{self.root / path}: expected a file of one name, got a hard link; replace it by a copy")
-        return stream
+        return open(self._opened(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT), "ab", buffering=0)
 
-    def remove(self, path: str | PurePosixPath) -> None:
+    def update(self, path: str | PurePath) -> BinaryIO:
+        """The file at `path`, unbuffered, open to be read and written in place. A file with a second name, perhaps
+        elsewhere, raises InputError."""
+        return open(self._opened(path, os.O_RDWR), "r+b", buffering=0)
+
+    def link(self, path: str | PurePath, target: str) -> None:
+        """Have a link to `target` at `path`; raise InputError where there is anything else."""
+        with self._parent(path) as (folder, name):
+            try:
+                os.symlink(target, name, dir_fd=folder)
+            except FileExistsError:
+                if _kind(folder, name) == stat.S_IFLNK and os.readlink(name, dir_fd=folder) == target:
+                    return
+                raise InputError(f"{self.root / path}: expected nothing or a link to {target}; remove it") from None
+
+    def remove(self, path: str | PurePath) -> None:
         """Remove the file or link at `path`, if there is one."""
         with suppress(FileNotFoundError), self._parent(path) as (folder, name):
             os.unlink(name, dir_fd=folder)
 
-    def remove_tree(self, path: str | PurePosixPath) -> None:
+    def remove_tree(self, path: str | PurePath) -> None:
         """Remove the folder at `path`, if there is one, with all that is in it; links in it, not what they point to."""
         with suppress(FileNotFoundError), self._parent(path) as (folder, name):
-            if self._kind(folder, name) == stat.S_IFLNK:
+            if _kind(folder, name) == stat.S_IFLNK:
                 raise self._is_link(path)
             shutil.rmtree(name, dir_fd=folder)
 
-    def sync(self, path: str | PurePosixPath = "") -> None:
+    def remove_unfinished(self, path: str | PurePath) -> None:
+        """Remove what killed writers of the file at `path` have left beside it; nobody may be writing it."""
+        with suppress(FileNotFoundError), self._parent(path) as (folder, name):
+            for found in os.listdir(folder):
+                if found.startswith(f".{name}.") and found.endswith(".tmp"):
+                    os.unlink(found, dir_fd=folder)
+
+    def sync(self, path: str | PurePath = "") -> None:
         """Write the names in the folder at `path` to the disk."""
-        with self._folder(PurePosixPath(path).parts) as descriptor:
+        with self._folder(_parts(path)) as descriptor:
             os.fsync(descriptor)
 
     @contextmanager
-    def _parent(self, path: str | PurePosixPath) -> Iterator[tuple[int, str]]:
+    def _parent(self, path: str | PurePath) -> Iterator[tuple[int, str]]:
         """The open folder that holds `path`, and the name in it."""
-        *above, name = PurePosixPath(path).parts
+        *above, name = _parts(path)
         with self._folder(above) as folder:
             yield folder, name
 
     @contextmanager
-    def _folder(self, parts: "tuple[str, ...] | list[str]", make: bool = False) -> Iterator[int]:
+    def _folder(self, parts: Sequence[str], make: bool = False) -> Iterator[int]:
         assert not {"..", "/"} & set(parts), f"expected a path below {self.root}, got {'/'.join(parts)}"
         folder = os.open(self.root, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:
@@ -121,32 +185,63 @@ class Folder:
                 if make:
                     with suppress(FileExistsError):
                         os.mkdir(part, dir_fd=folder)
-                if self._kind(folder, part) == stat.S_IFLNK:
-                    raise self._is_link(PurePosixPath(*parts[:depth]))
-                below = os.open(part, FOLDER_FLAGS, dir_fd=folder)
+                try:
+                    below = os.open(part, FOLDER_FLAGS, dir_fd=folder)
+                except OSError as error:
+                    if error.errno not in (errno.ENOTDIR, errno.ELOOP):
+                        raise
+                    raise self._other_kind(folder, PurePath(*parts[:depth]), "a folder") from None
                 os.close(folder)
                 folder = below
             yield folder
         finally:
             os.close(folder)
 
-    def _expect_file(self, folder: int, name: str, path: str | PurePosixPath) -> None:
-        kind = self._kind(folder, name)
+    def _opened(self, path: str | PurePath, flags: int) -> int:
+        """A descriptor of the file of one name at `path`."""
+        with self._parent(path) as (folder, name):
+            self._expect_file(folder, name, path)
+            try:
+                file = os.open(name, flags | FILE_FLAGS, 0o666, dir_fd=folder)
+            except OSError as error:
+                if error.errno != errno.ELOOP:
+                    raise
+                raise self._is_link(path) from None
+        if os.fstat(file).st_nlink > 1:
+            os.close(file)
+            raise InputError(f"{self.root / path}: expected a file of one name, got a hard link; replace it by a copy")
+        return file
+
+    def _expect_file(self, folder: int, name: str, path: str | PurePath) -> None:
+        if _kind(folder, name) not in (None, stat.S_IFREG):
+            raise self._other_kind(folder, PurePath(path), "a file")
+
+    def _other_kind(self, folder: int, path: PurePath, expected: str) -> InputError:
+        kind = _kind(folder, path.name)
         if kind == stat.S_IFLNK:
-            raise self._is_link(path)
-        if kind not in (None, stat.S_IFREG):
-            raise InputError(f"{self.root / path}: expected a file, got {KINDS.get(kind or 0, 'something else')}")
+            return self._is_link(path)
+        return InputError(f"{self.root / path}: expected {expected}, got {KINDS.get(kind or 0, 'something else')}")
 
-    def _kind(self, folder: int, name: str) -> int | None:
-        try:
-            return stat.S_IFMT(os.stat(name, dir_fd=folder, follow_symlinks=False).st_mode)
-        except FileNotFoundError:
-            return None
-
-    def _is_link(self, path: str | PurePosixPath) -> InputError:
+    def _is_link(self, path: str | PurePath) -> InputError:
         where = self.root / path
         target = os.readlink(where) if where.is_symlink() else "elsewhere"
         return InputError(f"{where}: expected no link below {self.root}, got one to {target}; remove the link")
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[BinaryIO]:
+    """A stream to a file that the user named, which appears whole or not at all; the folders above it are made. A link
+    in its place raises InputError."""
+    folder = Folder(path.parent)
+    folder.make()
+    with folder.replacing(path.name) as stream:
+        yield stream
+
+
+def write(path: Path, data: bytes) -> None:
+    """Write a file as `replacing` does."""
+    with replacing(path) as stream:
+        stream.write(data)
 
 
 def read_bounded(path: Path, most: int) -> bytes:
@@ -169,9 +264,27 @@ def read_bounded(path: Path, most: int) -> bytes:
     return data
 
 
-def _parts(unfinished: str | PurePosixPath | None, path: str | PurePosixPath) -> tuple[str, ...]:
-    return PurePosixPath(path).parts[:-1] if unfinished is None else PurePosixPath(unfinished).parts
+def _parts(path: str | PurePath) -> tuple[str, ...]:
+    return PurePath(path).parts
+
+
+def _kind(folder: int, name: str) -> int | None:
+    """What a name stands for, as in KINDS; None where there is nothing."""
+    try:
+        return stat.S_IFMT(os.stat(name, dir_fd=folder, follow_symlinks=False).st_mode)
+    except FileNotFoundError:
+        return None
+
+
+def _temporary(name: str) -> str:
+    """A name that nobody can foresee; `remove_unfinished` finds it."""
+    return f".{name}.{secrets.token_hex(8)}.tmp"
 
 
 def _created(folder: int, name: str) -> BinaryIO:
     return open(os.open(name, os.O_RDWR | os.O_CREAT | os.O_EXCL | FILE_FLAGS, 0o666, dir_fd=folder), "w+b")
+
+
+def _removed(folder: int, name: str) -> None:
+    with suppress(FileNotFoundError):
+        os.unlink(name, dir_fd=folder)

@@ -8,18 +8,24 @@ from pathlib import Path
 import pytest
 
 from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.files import Folder, read_bounded
+from synth3dlanes.files import Folder, read_bounded, write
 
 WRITERS: dict[str, Callable[[Folder, str], object]] = {
     "write": lambda folder, path: folder.write(path, b"new"),
     "append": lambda folder, path: folder.append(path).close(),
+    "update": lambda folder, path: folder.update(path).close(),
+    "take": lambda folder, path: folder.take(path, Path(__file__)),
+    "link": lambda folder, path: folder.link(path, "anywhere"),
     "make": lambda folder, path: folder.make(path),
     "remove_tree": lambda folder, path: folder.remove_tree(path),
 }
 BELOW = WRITERS | {
     "create": lambda folder, path: folder.create(path).close(),
     "remove": lambda folder, path: folder.remove(path),
+    "remove_unfinished": lambda folder, path: folder.remove_unfinished(path),
     "sync": lambda folder, path: folder.sync(path),
+    "names": lambda folder, path: folder.names(path),
+    "exists": lambda folder, path: folder.exists(path),
 }
 
 
@@ -45,7 +51,7 @@ def test_a_link_in_the_way_is_refused_and_what_it_points_to_stays(tmp_path: Path
 def test_a_link_at_the_place_itself_is_refused(tmp_path: Path, elsewhere: Path, writer: str) -> None:
     (tmp_path / "data").mkdir()
     (tmp_path / "data/it").symlink_to(elsewhere / "inner/thesis.tex")
-    with pytest.raises(InputError, match="data/it: expected no link"):
+    with pytest.raises(InputError, match="data/it: expected no"):
         WRITERS[writer](Folder(tmp_path / "data"), "it")
     assert (elsewhere / "inner/thesis.tex").read_text() == "years of work"
 
@@ -74,10 +80,61 @@ def test_a_file_appears_whole_or_not_at_all(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == ["it"]
 
 
+def test_a_file_named_by_the_user_is_not_written_through_a_link(tmp_path: Path, elsewhere: Path) -> None:
+    (tmp_path / "page.html").symlink_to(elsewhere / "inner/thesis.tex")
+    with pytest.raises(InputError, match=r"page\.html: expected no link"):
+        write(tmp_path / "page.html", b"new")
+    write(tmp_path / "new/page.html", b"new")
+    assert (tmp_path / "new/page.html").read_bytes() == b"new"
+    assert (elsewhere / "inner/thesis.tex").read_text() == "years of work"
+
+
+def test_a_link_that_comes_while_a_file_is_written_is_replaced(tmp_path: Path, elsewhere: Path) -> None:
+    with Folder(tmp_path).replacing("it") as stream:
+        stream.write(b"new")
+        (tmp_path / "it").symlink_to(elsewhere / "inner/thesis.tex")
+    assert (tmp_path / "it").read_bytes() == b"new"
+    assert not (tmp_path / "it").is_symlink()
+    assert (elsewhere / "inner/thesis.tex").read_text() == "years of work"
+
+
+def test_a_file_and_a_folder_are_told_apart(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(InputError, match="file: expected a folder, got a file"):
+        Folder(tmp_path).make("file")
+    with pytest.raises(InputError, match="folder: expected a file, got a folder"):
+        Folder(tmp_path).write("folder", b"")
+
+
+def test_what_a_killed_writer_left_is_found(tmp_path: Path) -> None:
+    draft = Folder(tmp_path).draft("it")
+    draft.__enter__()
+    (tmp_path / ".it.other").touch()
+    (tmp_path / ".it.4711.tmp").symlink_to(tmp_path / ".it.other")
+    assert len(os.listdir(tmp_path)) == 3
+    Folder(tmp_path).remove_unfinished("it")
+    assert os.listdir(tmp_path) == [".it.other"]
+
+
+def test_a_taken_file_is_the_same_or_a_copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "theirs").write_bytes(b"new")
+    folder = Folder(tmp_path)
+    for _ in range(2):
+        folder.take("linked", tmp_path / "theirs")
+        assert (tmp_path / "linked").samefile(tmp_path / "theirs")
+    monkeypatch.setattr(os, "link", lambda *_, **__: (_ for _ in ()).throw(OSError()))
+    folder.take("copied", tmp_path / "theirs")
+    assert (tmp_path / "copied").read_bytes() == b"new"
+    assert not (tmp_path / "copied").samefile(tmp_path / "theirs")
+    assert sorted(os.listdir(tmp_path)) == ["copied", "linked", "theirs"]
+
+
 def test_a_hard_link_is_not_appended_to_and_is_replaced_alone(tmp_path: Path, elsewhere: Path) -> None:
     os.link(elsewhere / "inner/thesis.tex", tmp_path / "it")
-    with pytest.raises(InputError, match="expected a file of one name"):
-        Folder(tmp_path).append("it")
+    for opened in (Folder.append, Folder.update):
+        with pytest.raises(InputError, match="expected a file of one name"):
+            opened(Folder(tmp_path), "it")
     Folder(tmp_path).write("it", b"new")
     assert (elsewhere / "inner/thesis.tex").read_text() == "years of work"
 
