@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from synth3dlanes.errors import InputError
+from synth3dlanes.files import Folder, write
 
 from .config import TrainConfig, train_config
 from .evaluate import evaluate_checkpoint, evaluate_flat_ground
@@ -68,12 +69,13 @@ def _compare(
     open_split(test)  # fail now, not after hours of training
     reports: dict[str, Report] = {}
     for name, config in configs.items():
+        Folder(out_dir).make(name)
         best = train(config, data_dir, out_dir / name)
         reports[name] = evaluate_checkpoint(best, test, device=config.device)
         if name == "full":
             reports |= evaluate_flat_ground(best, test, device=config.device)
         document = {row: to_document(report) for row, report in reports.items()}
-        (out_dir / "table.json").write_text(json.dumps(document), encoding="utf-8")
-        (out_dir / "table.txt").write_text(text(cells(reports)) + "\n", encoding="utf-8")
-        (out_dir / "table.md").write_text(markdown(cells(reports)) + "\n", encoding="utf-8")
+        write(out_dir / "table.json", json.dumps(document).encode())
+        write(out_dir / "table.txt", f"{text(cells(reports))}\n".encode())
+        write(out_dir / "table.md", f"{markdown(cells(reports))}\n".encode())
     return reports

@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
+from synth3dlanes.files import Folder
+
 from .data import Annotation, Pixels
 from .poses import Pose
 
@@ -53,15 +55,14 @@ class Slots:
 def annotation_file(path: Path, source: str) -> Slots:
     """The annotations cached at `path`. `source` says what they were made from; those of another one are dropped."""
     header = (VERSION + source.encode()).ljust(SLOT_BYTES, b"\0")[:SLOT_BYTES]
-    if path.is_file():
-        file = os.open(path, os.O_RDWR)
-        if os.pread(file, SLOT_BYTES, 0) == header:
-            return Slots(file, SLOT_BYTES, SLOT_BYTES)
-        os.close(file)
-    partial = path.with_name(f"{path.name}.{os.getpid()}.tmp")
-    partial.write_bytes(header)
-    partial.replace(path)
-    return Slots(os.open(path, os.O_RDWR), SLOT_BYTES, SLOT_BYTES)
+    folder = Folder(path.parent)
+    if folder.exists(path.name):
+        with folder.update(path.name) as file:
+            if file.read(SLOT_BYTES) == header:
+                return Slots(os.dup(file.fileno()), SLOT_BYTES, SLOT_BYTES)
+    folder.write(path.name, header)
+    with folder.update(path.name) as file:
+        return Slots(os.dup(file.fileno()), SLOT_BYTES, SLOT_BYTES)
 
 
 def has_pixel_memory() -> bool:

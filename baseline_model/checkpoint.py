@@ -4,7 +4,6 @@
 """
 
 import json
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from pydantic import ConfigDict, ValidationError
 from torch import Tensor, nn
 
 from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.files import Folder
 from synth3dlanes.schema import Excerpt, Positive, validation_problems
 
 from .config import CustomModel, TrainConfig, changed, parse
@@ -59,7 +59,7 @@ class _Stored(Excerpt):
 
 
 def save(path: Path, checkpoint: Checkpoint) -> None:
-    """Write to a temporary file, flush, rename: a killed run leaves either the old or the new file."""
+    """A killed run leaves either the old or the new file; what it leaves of the new one goes here."""
     document = {
         "format": FORMAT,
         "version": VERSION,
@@ -68,12 +68,10 @@ def save(path: Path, checkpoint: Checkpoint) -> None:
         "model": checkpoint.model,
         "resume": checkpoint.resume,
     }
-    partial = path.with_name(path.name + ".tmp")
-    with partial.open("wb") as file:
+    folder = Folder(path.parent)
+    folder.remove_unfinished(path.name)
+    with folder.replacing(path.name) as file:
         torch.save(document, file)
-        file.flush()
-        os.fsync(file.fileno())
-    partial.replace(path)
 
 
 def load(path: Path) -> Checkpoint:

@@ -17,6 +17,7 @@ from pydantic import Field, model_validator
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from synth3dlanes.errors import FormatError
+from synth3dlanes.files import Folder
 from synth3dlanes.frames import transform
 from synth3dlanes.labels import LaneKind, Points
 from synth3dlanes.schema import MAX_BYTES, Excerpt, Metres, Number, Unit, parse
@@ -110,12 +111,12 @@ def to_line(prediction: Prediction) -> str:
 
 
 def write_predictions(path: Path, predictions: Iterable[Prediction]) -> None:
-    """Write to a temporary file and rename it, so that a killed run leaves no partial file."""
-    partial = path.with_name(path.name + ".tmp")
-    with partial.open("w", encoding="utf-8") as file:
+    """A killed run leaves no partial file."""
+    folder = Folder(path.parent)
+    folder.remove_unfinished(path.name)
+    with folder.replacing(path.name) as file:
         for prediction in predictions:
-            file.write(to_line(prediction) + "\n")
-    partial.replace(path)
+            file.write(f"{to_line(prediction)}\n".encode())
 
 
 def read_predictions(path: Path) -> Iterator[Prediction]:

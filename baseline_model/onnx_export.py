@@ -8,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from synth3dlanes.errors import MissingPackageError
+from synth3dlanes.files import write
 
 from . import checkpoint as checkpoints
 from .config import ModelConfig
@@ -62,7 +63,6 @@ def export_onnx(checkpoint: str | Path, path: str | Path) -> Path:
     intrinsics = torch.tensor([config.reference_intrinsics] * 2)
     batch = torch.export.Dim("batch", min=1)
     target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
     program: Any = torch.onnx.export(
         _Plain(model).eval(),
         (image, intrinsics),
@@ -75,5 +75,5 @@ def export_onnx(checkpoint: str | Path, path: str | Path) -> Path:
     )
     proto = program.model_proto
     onnx.helper.set_model_props(proto, metadata_of(config))
-    onnx.save(proto, target)
+    write(target, proto.SerializeToString())
     return target

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from synth3dlanes.files import replacing
 from synth3dlanes.frames import project, transform
 from synth3dlanes.labels import Labels, LaneKind
 
@@ -68,7 +69,8 @@ def save_overlay(
     handles = [Line2D([], [], color=colour, label=text) for colour, text in shown]
     handles += [Line2D([], [], color="#666666", linestyle=style, label=kind) for kind, style in STYLES.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
-    figure.savefig(path, dpi=100)
+    with replacing(path) as stream:
+        figure.savefig(stream, dpi=100)
 
 
 def _curves(

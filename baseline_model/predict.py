@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from synth3dlanes.files import Folder
 from synth3dlanes.formats.reading import read_image
 from synth3dlanes.labels import Labels
 
@@ -78,7 +79,7 @@ def predict(
     detector = checkpoints.detector(weights, choose_device(device), own_model)
     pictures = _pictures(source, intrinsics)
     out = Path(out_dir)
-    out.mkdir(parents=True, exist_ok=True)
+    Folder(out).make()
     summary = Summary(out / "predictions.jsonl", threshold)
     summary.is_assumed = intrinsics is None and are_files
     needs_plane = intrinsics is None and not are_files and are_tusimples

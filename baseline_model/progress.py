@@ -12,6 +12,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from torch import Tensor
 
+from synth3dlanes.files import Folder
+
 from .metrics import Report
 from .report import summary_line, to_document
 
@@ -92,8 +94,8 @@ class Log(ExitStack):
         self.line.say(f"step {step}: {summary_line(report)}")
 
     def _write(self, step: int, document: dict[str, Any], scalars: dict[str, float]) -> None:
-        with (self.out_dir / "history.jsonl").open("a", encoding="utf-8") as file:
-            file.write(json.dumps(document) + "\n")
+        with Folder(self.out_dir).append("history.jsonl") as file:
+            file.write(f"{json.dumps(document)}\n".encode())
         if self.board is not None:
             for name, value in scalars.items():
                 self.board.add_scalar(name, value, step)
@@ -105,4 +107,5 @@ def _tensorboard(out_dir: Path) -> Any:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError:
         return None
+    Folder(out_dir).make("tensorboard")
     return SummaryWriter(str(out_dir / "tensorboard"))

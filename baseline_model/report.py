@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from synth3dlanes.files import replacing
+
 from .curves import METRIC_Y_M
 from .metrics import Errors, KindReport, Report
 
@@ -146,7 +148,8 @@ def save_curve(rows: dict[str, Report], path: Path) -> None:
         axes.minorticks_off()
         axes.grid(alpha=0.3)
         axes.legend()
-    figure.savefig(path, dpi=120)
+    with replacing(path) as stream:
+        figure.savefig(stream, dpi=120)
 
 
 def save_plots(report: Report, path: Path) -> None:
@@ -167,7 +170,8 @@ def save_plots(report: Report, path: Path) -> None:
     for axes in (left, right):
         axes.grid(alpha=0.3)
         axes.legend()
-    figure.savefig(path, dpi=120)
+    with replacing(path) as stream:
+        figure.savefig(stream, dpi=120)
 
 
 def _kind_document(kind: KindReport) -> dict[str, Any]:

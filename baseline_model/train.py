@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from synth3dlanes.errors import Synth3dlanesError
+from synth3dlanes.files import Folder
 
 from . import checkpoint as checkpoints
 from .augment import Augmented, augment, generator_for
@@ -85,7 +86,7 @@ def train_on(config: TrainConfig, train_samples: Samples, val_samples: Samples, 
         "torch": str(torch.__version__),
     }
     trainee = prepare(config, process, out_dir, about)
-    out_dir.mkdir(parents=True, exist_ok=True)
+    Folder(out_dir).make()
     decoding = decoding_of(len(train_samples), config, process)
     examples = open_examples(train_samples, decoding, config, process, out_dir)
     length = Length.of(config, len(examples))
@@ -112,7 +113,7 @@ def train_on(config: TrainConfig, train_samples: Samples, val_samples: Samples, 
     if process.world > 1:
         torch.distributed.barrier()
         torch.distributed.destroy_process_group()
-    (out_dir / ANNOTATIONS).unlink(missing_ok=True)
+    Folder(out_dir).remove(ANNOTATIONS)
     return out_dir / "best.pt"
 
 

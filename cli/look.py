@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 
+from synth3dlanes.files import replacing, write
 from synth3dlanes.settings import PASSES
 
 from .options import OutputFile, json_option
@@ -48,11 +49,13 @@ def inspect(where: str, image: Path | None, out: Path | None, html: Path | None,
     written = {}
     if html:
         page = scene_page(found.scene, found.labels, found.image, layers, sweep, frames, rig)
-        html.write_text(page, encoding="utf-8")
+        write(html, page.encode())
         written["page"] = str(html)
     if out or not html:
         path = out or Path(f"{found.name}.inspect.png")
-        draw_inspect(found.scene, found.labels, found.image, layers, sweep, rig).savefig(path, dpi=100)
+        figure = draw_inspect(found.scene, found.labels, found.image, layers, sweep, rig)
+        with replacing(path) as stream:
+            figure.savefig(stream, format=path.suffix[1:], dpi=100)
         written["figure"] = str(path)
     if as_json:
         click.echo(json.dumps({**written, **describe(found.scene, found.labels)}))
@@ -110,7 +113,8 @@ def gallery(
     labels = [reader.labels(i) for reader, i in samples] if lanes and show != "height" else None
     names = [f"{reader.key(i)} {reader.camera_name(i)}".rstrip() for reader, i in samples]
     sheet = draw_gallery(pictures, names, labels, columns, width)
-    sheet.save(out)
+    with replacing(out) as stream:
+        sheet.save(stream, "PNG" if out.suffix.lower() == ".png" else "JPEG")
     click.echo(f"Gallery: {out}")
 
 
@@ -127,7 +131,7 @@ def clip(where: str, out: Path, lanes: bool, width: int | None) -> None:
 
     found = load_clip(where)
     pictures = [draw_overlay(image, labels) if lanes else image for labels, image in found.frames]
-    out.write_bytes(draw_clip(pictures, found.fps, width))
+    write(out, draw_clip(pictures, found.fps, width))
     click.echo(f"Clip: {out}, {len(pictures)} frames")
 
 
@@ -164,5 +168,5 @@ def report(folder: str, html: Path, n: int, samples: int) -> None:
         (f"{split_name(reader)}:{reader.key(i)}", read_scene(reader, i), reader.labels(i), reader.image(i))
         for reader, i in evenly_spaced(found, samples)
     ]
-    html.write_text(report_page(data_set_name(found[0]), shown, scenes, labels), encoding="utf-8")
+    write(html, report_page(data_set_name(found[0]), shown, scenes, labels).encode())
     click.echo(f"Page: {html}")

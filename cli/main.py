@@ -13,7 +13,7 @@ import click
 from click.exceptions import NoArgsIsHelpError
 
 from synth3dlanes import __version__
-from synth3dlanes.errors import InputError, Synth3dlanesError
+from synth3dlanes.errors import InputError, Synth3dlanesError, WorkerError
 from synth3dlanes.production.signals import Stopped, handle, stop
 
 from .assets import assets
@@ -62,6 +62,9 @@ class Commands(click.Group):
         except InputError as error:
             flags = self._flags(ctx)
             raise BadInput("\n".join(_naming_flags(problem, flags) for problem in error.problems)) from error
+        except WorkerError as error:
+            click.echo(error, err=True)
+            ctx.exit(1)
         except Synth3dlanesError as error:
             raise BadInput(str(error)) from error
         except BrokenPipeError:

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import click
 
+from synth3dlanes.files import replacing
+
 from .options import OutputFile, assets_option, json_option, open_assets, seed_option, set_option
 
 # Table width where stdout is not a terminal: wide enough for every column.
@@ -68,7 +70,8 @@ def stats(
         scenes = scene_statistics((sample_scene(params, seed, "train", index, own) for index in range(n)), params)
         labels = None
     if out:
-        draw_statistics(scenes, labels).savefig(out, dpi=100)
+        with replacing(out) as stream:
+            draw_statistics(scenes, labels).savefig(stream, format=out.suffix[1:], dpi=100)
     if as_json:
         click.echo(to_json(scenes, labels))
         return

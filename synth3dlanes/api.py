@@ -28,8 +28,8 @@ from synth3dlanes.dataset.format import (
     read_sweep,
 )
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.dataset.write import write_whole
 from synth3dlanes.errors import InputError
+from synth3dlanes.files import write
 from synth3dlanes.formats.export import FORMATS, export
 from synth3dlanes.formats.summary import Summary
 from synth3dlanes.given_scenes import drawn
@@ -82,9 +82,8 @@ class Rendered:
         image_format = _one_of("path", path.suffix.removeprefix("."), IMAGE_FORMATS)
         text = scene_format.to_json(self.scene)
         members = encode(self.image, self.labels, text, self.passes, image_format, sweep=self.sweep)
-        path.parent.mkdir(parents=True, exist_ok=True)
         for name, data in members.items():
-            write_whole(path.with_suffix(f".{name}"), data)
+            write(path.with_suffix(f".{name}"), data)
         return [path.with_suffix(f".{name}") for name in members]
 
 
@@ -161,7 +160,7 @@ def load_scene(path: str | Path) -> Scene:
 
 def save_scene(scene: Scene, path: str | Path) -> None:
     """Write a `scene.json`, which `load_scene` and `synth3dlanes render` read."""
-    write_whole(Path(path), f"{scene_format.to_json(scene)}\n".encode())
+    write(Path(path), f"{scene_format.to_json(scene)}\n".encode())
 
 
 def label(scene: Scene) -> Labels:

@@ -6,6 +6,7 @@ Exception
  +-- Synth3dlanesError       all of ours
       +-- InputError           an argument, a parameter file or an override is wrong; a ValueError
       |    +-- ClaimedError      another run holds the lock on a shard
+      |    +-- LinkError         a link lies where something is to be written
       +-- FormatError          a file does not follow its format, or a store refuses to give it; a ValueError
       +-- DiskFullError        there is too little room for what is to be written
       +-- MissingPackageError  a package that this function needs is not installed or cannot be imported
@@ -27,6 +28,10 @@ class InputError(Synth3dlanesError, ValueError):
 
 class ClaimedError(InputError):
     """Another run holds the lock on a shard."""
+
+
+class LinkError(InputError):
+    """A link lies where something is to be written, below the folder that was named: who put it there is not known."""
 
 
 class FormatError(Synth3dlanesError, ValueError):

@@ -1,7 +1,7 @@
 """Files of this machine: written below a folder that the user named, never through a link; read up to a bound.
 
 Whoever may write to a folder can put a link there. A link given as the folder itself is followed; one below it is an
-InputError, and what it points to stays as it is.
+LinkError, and what it points to stays as it is.
 """
 
 import errno
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import BinaryIO
 
-from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.errors import FormatError, InputError, LinkError
 
 KINDS = {
     stat.S_IFREG: "a file",
@@ -33,9 +33,10 @@ FILE_FLAGS = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 
 @dataclass(frozen=True)
 class Draft:
-    """A file that is being written and is not there yet."""
+    """A file that is being written; until it is whole it lies at `path`, to be read there."""
 
     stream: BinaryIO
+    path: Path
     _temporary: tuple[int, str]
     _final: tuple[int, str]
 
@@ -53,7 +54,7 @@ class Draft:
 
 @dataclass(frozen=True)
 class Folder:
-    """A folder that the user named. Paths are relative to it; one with a link in it raises InputError."""
+    """A folder that the user named. Paths are relative to it; one with a link in it raises LinkError."""
 
     root: Path
 
@@ -63,6 +64,11 @@ class Folder:
         with self._folder(_parts(path), make=True):
             pass
 
+    def make_in(self, path: str | PurePath) -> None:
+        """Make the folder at `path` where it is missing; raise FileNotFoundError where the one above it is."""
+        with suppress(FileExistsError), self._parent(path) as (folder, name):
+            os.mkdir(name, dir_fd=folder)
+
     def exists(self, path: str | PurePath) -> bool:
         """Whether there is anything at `path`."""
         try:
@@ -70,6 +76,12 @@ class Folder:
                 return _kind(folder, name) is not None
         except FileNotFoundError:
             return False
+
+    def is_folder(self, path: str | PurePath) -> bool:
+        """Whether there is a folder at `path`; a link to one is none."""
+        with suppress(FileNotFoundError), self._parent(path) as (folder, name):
+            return _kind(folder, name) == stat.S_IFDIR
+        return False
 
     def names(self, path: str | PurePath = "") -> list[str]:
         """The names in the folder at `path`, in order; none where there is no folder."""
@@ -90,7 +102,7 @@ class Folder:
             temporary = _temporary(name)
             try:
                 with _created(beside, temporary) as stream:
-                    yield Draft(stream, (beside, temporary), (folder, name))
+                    yield Draft(stream, self.root.joinpath(*above, temporary), (beside, temporary), (folder, name))
             finally:
                 _removed(beside, temporary)
 
@@ -125,30 +137,46 @@ class Folder:
         with self._parent(path) as (folder, name):
             return _created(folder, name)
 
+    def renew(self, path: str | PurePath) -> BinaryIO:
+        """A new, empty file in the place of one that may be there; whoever is killed leaves half of it."""
+        with self._parent(path) as (folder, name):
+            self._expect_file(folder, name, path)
+            _removed(folder, name)
+            return _created(folder, name)
+
     def append(self, path: str | PurePath) -> BinaryIO:
         """The file at `path`, or a new one, unbuffered, open to be written at its end. A file with a second name,
-        perhaps elsewhere, raises InputError."""
+        perhaps elsewhere, raises LinkError."""
         return open(self._opened(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT), "ab", buffering=0)
 
     def update(self, path: str | PurePath) -> BinaryIO:
         """The file at `path`, unbuffered, open to be read and written in place. A file with a second name, perhaps
-        elsewhere, raises InputError."""
+        elsewhere, raises LinkError."""
         return open(self._opened(path, os.O_RDWR), "r+b", buffering=0)
 
     def link(self, path: str | PurePath, target: str) -> None:
-        """Have a link to `target` at `path`; raise InputError where there is anything else."""
+        """Have a link to `target` at `path`; raise LinkError where there is anything else."""
         with self._parent(path) as (folder, name):
             try:
                 os.symlink(target, name, dir_fd=folder)
             except FileExistsError:
                 if _kind(folder, name) == stat.S_IFLNK and os.readlink(name, dir_fd=folder) == target:
                     return
-                raise InputError(f"{self.root / path}: expected nothing or a link to {target}; remove it") from None
+                raise LinkError(f"{self.root / path}: expected nothing or a link to {target}; remove it") from None
 
     def remove(self, path: str | PurePath) -> None:
         """Remove the file or link at `path`, if there is one."""
         with suppress(FileNotFoundError), self._parent(path) as (folder, name):
             os.unlink(name, dir_fd=folder)
+
+    def remove_empty(self, path: str | PurePath) -> None:
+        """Remove the folder at `path`, if there is one with nothing in it."""
+        with suppress(FileNotFoundError), self._parent(path) as (folder, name):
+            try:
+                os.rmdir(name, dir_fd=folder)
+            except OSError as error:
+                if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+                    raise
 
     def remove_tree(self, path: str | PurePath) -> None:
         """Remove the folder at `path`, if there is one, with all that is in it; links in it, not what they point to."""
@@ -209,7 +237,7 @@ class Folder:
                 raise self._is_link(path) from None
         if os.fstat(file).st_nlink > 1:
             os.close(file)
-            raise InputError(f"{self.root / path}: expected a file of one name, got a hard link; replace it by a copy")
+            raise LinkError(f"{self.root / path}: expected a file of one name, got a hard link; replace it by a copy")
         return file
 
     def _expect_file(self, folder: int, name: str, path: str | PurePath) -> None:
@@ -222,16 +250,16 @@ class Folder:
             return self._is_link(path)
         return InputError(f"{self.root / path}: expected {expected}, got {KINDS.get(kind or 0, 'something else')}")
 
-    def _is_link(self, path: str | PurePath) -> InputError:
+    def _is_link(self, path: str | PurePath) -> LinkError:
         where = self.root / path
         target = os.readlink(where) if where.is_symlink() else "elsewhere"
-        return InputError(f"{where}: expected no link below {self.root}, got one to {target}; remove the link")
+        return LinkError(f"{where}: expected no link below {self.root}, got one to {target}; remove the link")
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
     """A stream to a file that the user named, which appears whole or not at all; the folders above it are made. A link
-    in its place raises InputError."""
+    in its place raises LinkError."""
     folder = Folder(path.parent)
     folder.make()
     with folder.replacing(path.name) as stream:

@@ -2,10 +2,8 @@
 
 import math
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import lru_cache, partial
-from multiprocessing import get_context
 from typing import TypeVar
 
 import numpy as np
@@ -14,6 +12,7 @@ from synth3dlanes.assets.catalogue import BUILT_IN, Assets
 from synth3dlanes.distributions import Choice, Integers
 from synth3dlanes.geometry.road import is_wide_enough
 from synth3dlanes.params import CameraParams, Params
+from synth3dlanes.processes import process_pool
 from synth3dlanes.sampling.cars import CAR_STREAMS, draw_cars
 from synth3dlanes.sampling.draws import DECIMALS, Draw, draws_of
 from synth3dlanes.sampling.like import Like
@@ -183,7 +182,7 @@ def scene_texts(
     if len(indices) < WORTH_PROCESSES:
         yield from map(draw, indices)
         return
-    with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
+    with process_pool() as pool:
         yield from pool.map(draw, indices, chunksize=CHUNK)
 
 

@@ -12,6 +12,7 @@ from synth3dlanes.files import Folder, read_bounded, write
 
 WRITERS: dict[str, Callable[[Folder, str], object]] = {
     "write": lambda folder, path: folder.write(path, b"new"),
+    "renew": lambda folder, path: folder.renew(path).close(),
     "append": lambda folder, path: folder.append(path).close(),
     "update": lambda folder, path: folder.update(path).close(),
     "take": lambda folder, path: folder.take(path, Path(__file__)),
@@ -22,6 +23,9 @@ WRITERS: dict[str, Callable[[Folder, str], object]] = {
 BELOW = WRITERS | {
     "create": lambda folder, path: folder.create(path).close(),
     "remove": lambda folder, path: folder.remove(path),
+    "remove_empty": lambda folder, path: folder.remove_empty(path),
+    "make_in": lambda folder, path: folder.make_in(path),
+    "is_folder": lambda folder, path: folder.is_folder(path),
     "remove_unfinished": lambda folder, path: folder.remove_unfinished(path),
     "sync": lambda folder, path: folder.sync(path),
     "names": lambda folder, path: folder.names(path),

@@ -6,16 +6,17 @@ place: a shard is fetched, worked on in a folder of this machine, and put back w
 Shards are given relative to the data set: `Shard(Path("train"), ...)`.
 """
 
-import io
-import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
 from synth3dlanes.dataset import folder, stores
-from synth3dlanes.dataset.address import connect, is_url
+from synth3dlanes.dataset.address import connect, is_url, translate_store_errors
+from synth3dlanes.dataset.description import DESCRIPTION, updated_description
 from synth3dlanes.dataset.write import Shard
+from synth3dlanes.files import Folder
+from synth3dlanes.scratch import scratch
 
 
 class Destination:
@@ -30,6 +31,15 @@ class Destination:
         """The folder of a data set on this machine."""
         assert not self.is_store, f"expected a folder, got {self.place}"
         return Path(self.place)
+
+    def check_recipe(self, recipe: dict[str, Any], split: str, n: int) -> None:
+        """Raise InputError where another recipe's samples are there, FormatError where `dataset.json` cannot be read;
+        write nothing."""
+        files, root = connect(self.place)
+        path = f"{root}/{DESCRIPTION}"
+        with translate_store_errors(self.place):
+            before = files.cat_file(path) if files.exists(path) else None
+        updated_description(before, recipe, split, n, f"{self.place}/{DESCRIPTION}")
 
     def claim(
         self, recipe: dict[str, Any], split: str, n: int, shards: Iterable[int], is_driver: bool = False
@@ -68,14 +78,14 @@ class Destination:
         if not self.is_store:
             yield shard.within(self.folder)
             return
-        with tempfile.TemporaryDirectory(prefix="synth3dlanes-") as scratch:
-            here = shard.within(Path(scratch))
+        with scratch() as root:
+            here = shard.within(root)
             here.folder.mkdir()
             stores.fetch_shard(self.place, here)
             index = here.path("parquet")
             before = index.read_bytes() if index.exists() else b""
             yield here
-            stores.put(self.place, _files(Path(scratch), "failed"), Path(scratch))
+            stores.put(self.place, _files(root, "failed"), root)
             if index.exists() and index.read_bytes() != before:
                 stores.put_shard(self.place, here)
 
@@ -86,17 +96,28 @@ class Destination:
             with Log(self.folder, name) as log:
                 yield log
             return
-        with tempfile.TemporaryDirectory(prefix="synth3dlanes-") as here, Log(Path(here), name, self.place) as log:
+        with scratch() as here, Log(here, name, self.place) as log:
             yield log
 
 
-class Log(io.FileIO):
+class Log:
     """A file under `logs`, each line written out at once; that of a store lies here until `save` copies it there."""
 
     def __init__(self, root: Path, name: str, url: str = "") -> None:
-        (root / "logs").mkdir(exist_ok=True)
-        super().__init__(root / "logs" / name, "a")
+        folder = Folder(root)
+        folder.make("logs")
+        self._stream = folder.append(f"logs/{name}")
         self._root, self._url = root, url
+
+    def __enter__(self) -> "Log":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stream.close()
+
+    def write(self, line: bytes) -> None:
+        """Add a line."""
+        self._stream.write(line)
 
     def save(self) -> None:
         """Copy it to its store."""

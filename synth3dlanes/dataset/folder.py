@@ -1,18 +1,20 @@
 """A data set in a folder of this machine: its `dataset.json`, and the lock that one run at a time has on a shard."""
 
-import fcntl
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from synth3dlanes.dataset.card import CARD, updated_card
 from synth3dlanes.dataset.description import DESCRIPTION, updated_description
-from synth3dlanes.dataset.write import write_whole
+from synth3dlanes.dataset.locks import Locks, locked, locks
 from synth3dlanes.errors import ClaimedError, InputError
+from synth3dlanes.files import Folder
 
 # Besides its own byte, a shard has one for the process that has the shard made by others.
 DRIVER_LOCKS = 1 << 40
+# Runs write such files to see whether there is room.
+PROBE = "room"
 
 
 @contextmanager
@@ -22,48 +24,47 @@ def claim(
     """Make or enter a dataset folder and hold the lock on some of a split's shards; yields the split's folder.
 
     Raises InputError where the folder cannot be written or holds another recipe's samples, ClaimedError where another
-    run holds one of these shards. The locks go when this process does, however it ends. A driver's locks keep other
-    drivers out, and leave each shard to the process that makes it; nobody may be making one when the driver begins.
+    run, also one of this process, holds one of these shards. The locks go when this process does, however it ends. A
+    driver's locks keep other drivers out, and leave each shard to the process that makes it; nobody may be making one
+    when the driver begins.
     """
-    folder, numbers = root / split, list(shards)
+    data_set, numbers = Folder(root), list(shards)
     with ExitStack() as stack:
         try:
-            root.mkdir(parents=True, exist_ok=True)
-            with (root / ".lock").open("ab") as lock:
-                fcntl.lockf(lock, fcntl.LOCK_EX)
-                _enter(root, recipe, split, n)
-            folder.mkdir(exist_ok=True)
-            locks = stack.enter_context((folder / ".lock").open("ab"))
+            data_set.make()
+            with locked(data_set):
+                _enter(data_set, recipe, split, n)
+            data_set.make(split)
+            held = stack.enter_context(locks(data_set, split))
         except OSError as error:
             raise InputError(f"out {root}: cannot write to this folder: {error.strerror or error}") from None
-        for number in numbers:
-            _lock(locks, number, root)
+        _take(held, numbers, root)
         if is_driver:
-            fcntl.lockf(locks, fcntl.LOCK_UN)
-            for number in numbers:
-                _lock(locks, number, root, DRIVER_LOCKS)
-        yield folder
+            held.release()
+            _take(held, numbers, root, DRIVER_LOCKS)
+        yield root / split
 
 
-def _lock(locks: IO[bytes], shard: int, root: Path, first: int = 0) -> None:
-    """One byte of the lock file stands for a shard. The lock is POSIX's: it works on network file systems too."""
-    try:
-        fcntl.lockf(locks, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, first + shard)
-    except (BlockingIOError, PermissionError):
-        raise ClaimedError(f"out {root}: shard {shard} is locked by another run") from None
+def _take(held: Locks, shards: list[int], root: Path, first: int = 0) -> None:
+    for shard in shards:
+        if not held.take(first + shard):
+            raise ClaimedError(f"out {root}: shard {shard} is locked by another run")
 
 
-def _enter(root: Path, recipe: dict[str, Any], split: str, n: int) -> None:
-    """Write `dataset.json` and its card, or check that it names the same recipe; note the largest `n` asked for."""
-    path = root / DESCRIPTION
+def _enter(data_set: Folder, recipe: dict[str, Any], split: str, n: int) -> None:
+    """Write `dataset.json` and its card, or check that it names the same recipe; note the largest `n` asked for. What
+    killed runs have left beside them goes."""
+    path = data_set.root / DESCRIPTION
     before = path.read_bytes() if path.exists() else None
-    if before is None and any(root.glob("*/*.parquet")):
+    if before is None and any(data_set.root.glob("*/*.parquet")):
         raise InputError(f"{path}: missing, but there are shards beside it")
     after = updated_description(before, recipe, split, n, str(path))
-    if after != before:
-        write_whole(path, after)
-    card = root / CARD
+    card = data_set.root / CARD
     card_before = card.read_bytes() if card.exists() else None
     card_after = updated_card(card_before, after, str(path))
+    for name in (DESCRIPTION, CARD, PROBE):
+        data_set.remove_unfinished(name)
+    if after != before:
+        data_set.write(DESCRIPTION, after)
     if card_after != card_before:
-        write_whole(card, card_after)
+        data_set.write(CARD, card_after)

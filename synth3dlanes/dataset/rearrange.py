@@ -3,8 +3,6 @@
 Call either again to resume. Both read and write folders and URLs.
 """
 
-import os
-import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -118,7 +116,7 @@ def _put(out: str, recipe: dict[str, Any], split: str, n: int, places: Places) -
 
 def _fill(shard: Shard, members: Places, n: int) -> None:
     if not shard.path("parquet").exists():
-        _link_whole(shard, members)
+        _adopt_whole(shard, members)
     for index in sorted(members.keys() & set(shard.missing(n))):
         reader, i = members[index]
         shard.write_part(index, reader.raw(i))
@@ -126,7 +124,7 @@ def _fill(shard: Shard, members: Places, n: int) -> None:
         shard.join(n)
 
 
-def _link_whole(shard: Shard, members: Places) -> None:
+def _adopt_whole(shard: Shard, members: Places) -> None:
     """Take over the files of a shard that lies on this file system just as it shall be."""
     sources = {id(reader): reader for reader, _ in members.values()}
     positions = sorted(i for _, i in members.values())
@@ -137,11 +135,4 @@ def _link_whole(shard: Shard, members: Places) -> None:
     is_theirs = is_theirs and read_recipe(index.read_bytes(), str(index)) == shard.recipe
     if not is_theirs or any(int(reader.key(i)) != index for i, index in zip(positions, sorted(members), strict=True)):
         return
-    for suffix in ("tar", "parquet"):
-        temporary = shard.path(f"{suffix}.tmp")
-        temporary.unlink(missing_ok=True)
-        try:
-            os.link(theirs.path(suffix), temporary)
-        except OSError:
-            shutil.copyfile(theirs.path(suffix), temporary)
-        os.replace(temporary, shard.path(suffix))
+    shard.adopt(theirs)

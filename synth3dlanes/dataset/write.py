@@ -12,13 +12,11 @@ joined anew, so a larger n continues it. Nobody but the holder of the shard's lo
 """
 
 import hashlib
-import os
-import shutil
+import json
 import uuid
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import pyarrow.parquet as pq
@@ -26,10 +24,13 @@ import pyarrow.parquet as pq
 from synth3dlanes import labels as labels_module
 from synth3dlanes import scene as scene_module
 from synth3dlanes.dataset.columns import index_row, table
+from synth3dlanes.dataset.description import differences
 from synth3dlanes.dataset.format import BLOCK, LABELS, SCENE, key_of, tar_bytes, tar_end, tar_members
-from synth3dlanes.dataset.index import place_columns, read_index
-from synth3dlanes.errors import FormatError
+from synth3dlanes.dataset.index import place_columns, read_index, read_recipe
+from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.files import Folder
 
+# Only of a shard of this very recipe that was read and found damaged: following it costs nothing that is whole.
 REMEDY = "remove this shard's tar and parquet and run again to make it anew"
 
 
@@ -71,26 +72,22 @@ class Shard:
     def claimed(self) -> "Shard":
         """The shard in the hands of a new run, which holds its lock. From here on no worker of another run adds to it:
         all that a worker writes comes by the folder of its run."""
-        for unfinished in self.path("parts").glob("*.run"):
-            shutil.rmtree(unfinished)
+        for name in self._data_set.names(self._at("parts")):
+            if name.endswith(".run"):
+                self._remove(self._at("parts") / name)
         return replace(self, run=uuid.uuid4().hex)
-
-    @property
-    def unfinished(self) -> Path:
-        """Where samples are written before they appear among the parts."""
-        return self.path("parts") / (f"{self.run}.run" if self.run else "")
 
     def open(self) -> None:
         """Let workers write parts; for their run alone."""
-        self.path("parts").mkdir(exist_ok=True)
-        self.unfinished.mkdir(exist_ok=True)
+        self._data_set.make_in(self._at("parts"))
+        if self.run:
+            self._data_set.make_in(self._unfinished)
 
     def close(self) -> None:
         """Remove what workers that are gone have not finished."""
         if self.run:
-            shutil.rmtree(self.unfinished, ignore_errors=True)
-        with suppress(OSError):
-            self.path("parts").rmdir()
+            self._data_set.remove_tree(self._unfinished)
+        self._data_set.remove_empty(self._at("parts"))
 
     def write_part(self, index: int, members: Mapping[str, bytes]) -> int:
         """Keep one finished sample; return its size in bytes. Raises FileNotFoundError where another run has claimed
@@ -99,12 +96,13 @@ class Shard:
         if not self.run:
             self.open()
         data = tar_bytes(key_of(index), members)
-        write_whole(self.path("parts") / f"{key_of(index)}.tar", data, self.unfinished)
+        self._data_set.write(self._at("parts") / f"{key_of(index)}.tar", data, self._unfinished)
         return len(data)
 
     def parts(self) -> dict[int, Path]:
         """The samples kept one by one."""
-        return {int(path.stem): path for path in self.path("parts").glob("*.tar") if path.stem.isdecimal()}
+        names = map(PurePath, self._data_set.names(self._at("parts")))
+        return {int(name.stem): self.path("parts") / name for name in names if _is_part(name)}
 
     def joined(self) -> set[int]:
         """The indices of the samples in the tar."""
@@ -113,7 +111,7 @@ class Shard:
     def needs_join(self, n: int) -> bool:
         """Whether there are samples below `n` outside the tar, a tar without its index, or what a killed join left."""
         parts = self.parts()
-        is_left_over = any(index < n for index in parts) or (not parts and self.path("parts").is_dir())
+        is_left_over = any(index < n for index in parts) or (not parts and self._data_set.exists(self._at("parts")))
         return is_left_over or (self.path("tar").exists() and not self.path("parquet").exists())
 
     def join(self, n: int) -> None:
@@ -121,62 +119,80 @@ class Shard:
         a finished shard raises FormatError."""
         places = self._places_in_tar()
         parts = {index: path for index, path in self.parts().items() if index < n and index not in places}
-        tar, index = self.path("tar.tmp"), self.path("parquet.tmp")
         rows, is_finished = [], self.path("parquet").exists()
-        with tar.open("wb") as stream:
+        self.open()
+        data_set, beside = self._data_set, self._unfinished
+        with data_set.draft(self._at("tar"), beside) as tar, data_set.draft(self._at("parquet"), beside) as index:
             for number in sorted([*places, *parts]):
                 try:
                     place = places[number] if number in places else self._place_of_part(number, parts[number])
-                    data, row = self._read(number, place, stream.tell())
+                    data, row = self._read(number, place, tar.stream.tell())
                 except FormatError as error:
                     if number in places and is_finished:
                         raise FormatError(f"{error}; {REMEDY}") from None
                     if number in parts:
-                        parts[number].unlink()
+                        data_set.remove(self._at("parts") / parts[number].name)
                     continue
-                stream.write(data)
+                tar.stream.write(data)
                 rows.append(row)
-            stream.write(tar_end(stream.tell()))
-            stream.flush()
-            os.fsync(stream.fileno())
-        with index.open("wb") as stream:
-            pq.write_table(table(rows, self.recipe), stream)
-            stream.flush()
-            os.fsync(stream.fileno())
-        if rows:
-            # Without its index there is no shard, so nobody meets a tar and an index that do not fit.
-            self.path("parquet").unlink(missing_ok=True)
-            os.replace(tar, self.path("tar"))
-            os.replace(index, self.path("parquet"))
-            _sync_folder(self.folder)
-        self.clean(n)
+            tar.stream.write(tar_end(tar.stream.tell()))
+            pq.write_table(table(rows, self.recipe), index.stream)
+            tar.sync()
+            index.sync()
+            if rows:
+                # Without its index there is no shard, so nobody meets a tar and an index that do not fit.
+                data_set.remove(self._at("parquet"))
+                tar.appear()
+                index.appear()
+                data_set.sync(self.folder.name)
+        self.clean()
 
-    def clean(self, n: int) -> None:
-        """Remove what a finished or killed join has left over; parts from `n` on stay for a run that wants them."""
-        for suffix in ("tar.tmp", "parquet.tmp"):
-            self.path(suffix).unlink(missing_ok=True)
-        parts = self.path("parts")
-        if not parts.is_dir():
-            return
+    def clean(self) -> None:
+        """Remove what a finished or killed join has left over; parts that are not in the tar stay for a run that wants
+        them."""
         joined = self.joined()
-        for path in parts.iterdir():
-            if path.is_dir():
-                shutil.rmtree(path)
-            elif path.suffix != ".tar" or not path.stem.isdecimal() or int(path.stem) in joined:
-                path.unlink()
-        if not any(parts.iterdir()):
-            parts.rmdir()
+        for name in map(PurePath, self._data_set.names(self._at("parts"))):
+            if not _is_part(name) or int(name.stem) in joined:
+                self._remove(self._at("parts") / name)
+        self._data_set.remove_empty(self._at("parts"))
+
+    def adopt(self, theirs: "Shard") -> None:
+        """Take over the files of a finished shard: as second names of them where the file system can."""
+        for suffix in ("tar", "parquet"):
+            self._data_set.remove_unfinished(self._at(suffix))
+            self._data_set.take(self._at(suffix), theirs.path(suffix))
 
     def missing(self, n: int) -> list[int]:
         """The indices below `n` of samples that are nowhere yet."""
         found = self.joined() | self.parts().keys()
         return [index for index in self.indices(n) if index not in found]
 
+    @property
+    def _data_set(self) -> Folder:
+        return Folder(self.folder.parent)
+
+    @property
+    def _unfinished(self) -> PurePath:
+        """Where files are written before they appear, in the data set."""
+        return self._at("parts") / (f"{self.run}.run" if self.run else "")
+
+    def _at(self, suffix: str) -> PurePath:
+        """The shard's file or folder with this suffix, in the data set."""
+        return PurePath(self.folder.name, self.path(suffix).name)
+
+    def _remove(self, path: PurePath) -> None:
+        if self._data_set.is_folder(path):
+            self._data_set.remove_tree(path)
+        else:
+            self._data_set.remove(path)
+
     def _joined_by_index(self) -> set[int]:
         path, places = self.path("parquet"), place_columns(self.names[-1:])
+        data = path.read_bytes()
         try:
-            rows = read_index(path.read_bytes(), str(path), ["index", *places])
+            rows = read_index(data, str(path), ["index", *places])
         except FormatError as error:
+            self._expect_recipe(data)
             raise FormatError(f"{error}; {REMEDY}") from None
         end = max((sum(place) for place in zip(*(rows[name].to_pylist() for name in places), strict=True)), default=0)
         tar = self.path("tar")
@@ -184,6 +200,16 @@ class Shard:
         if size < end:
             raise FormatError(f"{tar}: expected at least {end} bytes, got {size}; {REMEDY}")
         return set(rows["index"].to_pylist())
+
+    def _expect_recipe(self, index: bytes) -> None:
+        """Raise InputError where the shard was made from another recipe, however that came here."""
+        try:
+            found, path = read_recipe(index, str(self.path("parquet"))), self.path("parquet")
+            lines = list(differences(json.loads(found), json.loads(self.recipe))) if found and self.recipe else []
+        except ValueError:
+            return
+        if lines:
+            raise InputError(*(f"{path}: {line.replace('in this dataset', 'in this shard')}" for line in lines))
 
     def _places_in_tar(self) -> dict[int, Place]:
         tar = self.path("tar")
@@ -219,7 +245,8 @@ class Shard:
 
 
 def scan(path: Path, names: tuple[str, ...]) -> tuple[dict[int, Place], str]:
-    """The whole samples of a tar up to the first fault, by index, and what that fault is ("" for none)."""
+    """The whole samples of a tar up to the first fault, by index, and what that fault is ("" for none). Raises OSError
+    for a tar that cannot be read: of that one nothing is known."""
     places: dict[int, Place] = {}
     group: list[tuple[str, int, int]] = []
     try:
@@ -232,7 +259,7 @@ def scan(path: Path, names: tuple[str, ...]) -> tuple[dict[int, Place], str]:
                     group = []
         if group or not places:
             raise FormatError(f"expected samples of {len(names)} members, got {len(group)} more members")
-    except (FormatError, OSError) as error:
+    except FormatError as error:
         return places, f"{path}: not a whole tar: {error}"
     return places, ""
 
@@ -253,23 +280,5 @@ def _member(data: bytes, place: Place, name: str) -> bytes:
     return data[start - place.offset : start - place.offset + size]
 
 
-def write_whole(path: Path, data: bytes, unfinished: Path | None = None) -> None:
-    """Write a file that appears whole or not at all, whatever is killed and whoever else writes it; until then it lies
-    in the folder `unfinished`, or beside."""
-    temporary = (unfinished or path.parent) / f".{path.name}.{os.getpid()}.tmp"
-    try:
-        with temporary.open("wb") as stream:
-            stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def _sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+def _is_part(name: PurePath) -> bool:
+    return name.suffix == ".tar" and name.stem.isdecimal()

@@ -6,17 +6,15 @@ marks at the end, so a run that was killed, or a dataset that has grown, only ne
 """
 
 import json
-import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from contextlib import ExitStack
 from dataclasses import replace
-from multiprocessing import get_context
-from pathlib import Path
-from typing import IO, Any
+from pathlib import Path, PurePath
+from typing import Any
 
-from synth3dlanes.dataset.write import write_whole
 from synth3dlanes.errors import InputError
+from synth3dlanes.files import Draft, Folder
 from synth3dlanes.formats.apollo import write as apollo
 from synth3dlanes.formats.coco import write as coco
 from synth3dlanes.formats.culane import write as culane
@@ -34,8 +32,10 @@ from synth3dlanes.formats.summary import Summary, readme, summarize
 from synth3dlanes.formats.tusimple import write as tusimple
 from synth3dlanes.formats.writing import Format, PinholeFormat
 from synth3dlanes.formats.yolo import write as yolo
+from synth3dlanes.processes import process_pool
 from synth3dlanes.schema import Excerpt, PathBelow, parse
 
+MARKS = ".parts"
 LAYOUT = 2
 """Exports of an earlier layout are not continued."""
 
@@ -75,10 +75,11 @@ def export(
     splits = {chunk.split.name: chunk.split.part for chunk in chunks}
     size = None if camera is None else [camera.width_px, camera.height_px]
     options = {"format": format_name, "layout": LAYOUT, "size_px": size, "source": source, "splits": splits}
-    _claim(out, options | ({"cameras": list(cameras)} if cameras else {}))
-    marks = out / ".parts"
-    for stale in {path.name for path in marks.iterdir()} - {chunk.mark for chunk in chunks}:
-        _remove(out, marks / stale)
+    folder = Folder(out)
+    _claim(folder, options | ({"cameras": list(cameras)} if cameras else {}))
+    marks = out / MARKS
+    for stale in set(folder.names(MARKS)) - {chunk.mark for chunk in chunks}:
+        _remove(folder, stale)
     waiting = [chunk for chunk in chunks if not (marks / chunk.mark).exists()]
     total = sum(len(chunk.places) for chunk in chunks)
     done = total - sum(len(chunk.places) for chunk in waiting)
@@ -87,13 +88,12 @@ def export(
         done += n_frames
         progress(done, total)
     for link, target in foreign.links.items():
-        if not (out / link).is_symlink():
-            (out / link).symlink_to(target)
+        folder.link(link, target)
     paths = [marks / chunk.mark for chunk in chunks]
-    _write_shared(out, paths, foreign)
+    _write_shared(folder, paths, foreign)
     summary = summarize(_records(paths), camera)
     text = readme(source, format_name, foreign, [chunk.split for chunk in chunks], summary)
-    (out / "README.md").write_text(text)
+    folder.write("README.md", text.encode())
     return summary
 
 
@@ -122,17 +122,17 @@ def _require_passes(foreign: SampleFormat, format_name: str, chunks: Sequence[Ch
             raise InputError(f"{url}: expected the passes {needed} (generate --passes) for {format_name}, got {given}")
 
 
-def _claim(out: Path, options: dict[str, Any]) -> None:
-    """Make `out` this export's folder, or check that it is."""
-    mark = out / "export.json"
+def _claim(folder: Folder, options: dict[str, Any]) -> None:
+    """Make this export's folder, or check that it is."""
+    out, mark = folder.root, folder.root / "export.json"
     if mark.exists():
         found = json_object(read_text(mark), str(mark))
         if found != options:
             raise InputError(f"{out}: expected an empty folder or the export {options}, got the export {found}")
     elif out.exists() and any(out.iterdir()):
         raise InputError(f"{out}: expected an empty folder or an unfinished export, got a folder with other files")
-    (out / ".parts").mkdir(parents=True, exist_ok=True)
-    write_whole(mark, json.dumps(options).encode())
+    folder.make(MARKS)
+    folder.write("export.json", json.dumps(options).encode())
 
 
 def _run(chunks: Sequence[Chunk], out: Path, foreign: PinholeFormat | SampleFormat, workers: int) -> Iterator[int]:
@@ -140,12 +140,9 @@ def _run(chunks: Sequence[Chunk], out: Path, foreign: PinholeFormat | SampleForm
         for chunk in chunks:
             yield _export_chunk(chunk, out, foreign)
         return
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
-    try:
+    with process_pool(workers) as pool:
         for future in as_completed([pool.submit(_export_chunk, chunk, out, foreign) for chunk in chunks]):
             yield future.result()
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 def _export_chunk(chunk: Chunk, out: Path, foreign: PinholeFormat | SampleFormat) -> int:
@@ -156,17 +153,19 @@ def _export_chunk(chunk: Chunk, out: Path, foreign: PinholeFormat | SampleFormat
         else write_as_it_is(reader, place, chunk, out, foreign)
         for place in chunk.places
     ]
-    write_whole(out / ".parts" / chunk.mark, "\n".join(map(json.dumps, records)).encode())
+    Folder(out).write(f"{MARKS}/{chunk.mark}", "\n".join(map(json.dumps, records)).encode())
     return len(records)
 
 
-def _remove(out: Path, mark: Path) -> None:
-    """Undo a chunk whose frames have changed; the lists that name them are written anew at the end."""
-    for record in _records([mark]):
-        lists = (path for _, paths in record.get("shared", ()) for path in paths)
-        for path in (*record.get("files", ()), *lists):
-            (out / path).unlink(missing_ok=True)
-    mark.unlink()
+def _remove(folder: Folder, mark: str) -> None:
+    """Undo a chunk whose frames have changed; the lists that name them are written anew at the end. An unfinished mark
+    names no frames."""
+    if not mark.endswith(".tmp"):
+        for record in _records([folder.root / MARKS / mark]):
+            lists = (path for _, paths in record.get("shared", ()) for path in paths)
+            for path in (*record.get("files", ()), *lists):
+                folder.remove(path)
+    folder.remove(f"{MARKS}/{mark}")
 
 
 class _Places(Excerpt):
@@ -182,16 +181,17 @@ def _records(marks: Sequence[Path]) -> Iterator[dict[str, Any]]:
             yield json.loads(line)
 
 
-def _write_shared(out: Path, marks: Sequence[Path], foreign: Format) -> None:
+def _write_shared(folder: Folder, marks: Sequence[Path], foreign: Format) -> None:
     # Frames with lines come first: Anchor3DLane fails on a list whose first frame has none. No newline at the end
     # of a file: the evaluators trip over a blank last line.
     with ExitStack() as stack:
-        files: dict[str, IO[str]] = {}
+        files: dict[str, Draft] = {}
 
-        def opened(path: str) -> IO[str]:
+        def opened(path: str) -> Draft:
             if path not in files:
-                (out / path).parent.mkdir(parents=True, exist_ok=True)
-                files[path] = stack.enter_context((out / f"{path}.tmp").open("w"))
+                folder.make(PurePath(path).parent)
+                folder.remove_unfinished(path)
+                files[path] = stack.enter_context(folder.draft(path))
             return files[path]
 
         for path in foreign.lists:
@@ -202,12 +202,12 @@ def _write_shared(out: Path, marks: Sequence[Path], foreign: Format) -> None:
                     continue
                 for text, paths in record["shared"]:
                     for path in paths:
-                        file = opened(path)
-                        file.write(f"\n{text}" if file.tell() else text)
-    for path in files:
-        if foreign.document:
-            lines = out / f"{path}.tmp"
-            with (out / f"{path}.tmp2").open("w") as file:
-                file.writelines(foreign.document(path, lines))
-            os.replace(out / f"{path}.tmp2", lines)
-        os.replace(out / f"{path}.tmp", out / path)
+                        stream = opened(path).stream
+                        stream.write((f"\n{text}" if stream.tell() else text).encode())
+        for path, draft in files.items():
+            if foreign.document is None:
+                draft.appear()
+                continue
+            draft.stream.flush()
+            with folder.replacing(path) as document:
+                document.writelines(text.encode() for text in foreign.document(path, draft.path))

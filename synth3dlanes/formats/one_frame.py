@@ -1,8 +1,8 @@
 """Write one frame in a foreign format: its image and its own label files. A record says what was written."""
 
 from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from pathlib import Path, PurePath
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from synth3dlanes import scene as scene_format
 from synth3dlanes.dataset.format import SCENE, decode_image, encode_image
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rectify import rectified_labels
+from synth3dlanes.files import Folder
 from synth3dlanes.formats.lines import scene_tags
 from synth3dlanes.formats.plan import Chunk
 from synth3dlanes.formats.resample import fitting_pinhole, resample
@@ -44,7 +45,7 @@ def write_resampled(reader: Reader, index: int, chunk: Chunk, out: Path, foreign
     if annotation is None:
         return _left_out(frame, NO_LINES)
     image = resample(sample.image, sample.labels.camera, pinhole, where)
-    record = _write(out, frame, annotation, lambda path: image.save(path, quality=JPEG_QUALITY))
+    record = _write(out, frame, annotation, lambda stream, _: image.save(stream, "JPEG", quality=JPEG_QUALITY))
     enlarged = pinhole.f_px / float(sample.labels.camera.img_from_cam[0, 0])
     return {**record, "f_px": pinhole.f_px, "enlarged": enlarged}
 
@@ -65,9 +66,9 @@ def write_as_it_is(reader: Reader, index: int, chunk: Chunk, out: Path, foreign:
     if annotation is None:
         return _left_out(frame, NO_LINES)
 
-    def write_image(path: Path) -> None:
-        data, wanted = reader.member(index, image_format), path.suffix.removeprefix(".")
-        path.write_bytes(data if wanted == image_format else encode_image(decode_image(data, where), wanted))
+    def write_image(stream: BinaryIO, wanted: str) -> None:
+        data = reader.member(index, image_format)
+        stream.write(data if wanted == image_format else encode_image(decode_image(data, where), wanted))
 
     return _write(out, frame, annotation, write_image)
 
@@ -91,13 +92,17 @@ def _left_out(frame: Frame, reason: str) -> Record:
     return {"split": frame.split, "part": frame.part, "left_out": reason}
 
 
-def _write(out: Path, frame: Frame, annotation: Annotation, write_image: Callable[[Path], None]) -> Record:
+def _write(out: Path, frame: Frame, annotation: Annotation, write_image: Callable[[BinaryIO, str], None]) -> Record:
+    """`write_image` writes the image into a stream, in the format that its ending names."""
+    folder = Folder(out)
     for path in (*annotation.files, *([] if annotation.image is None else [annotation.image])):
-        (out / path).parent.mkdir(parents=True, exist_ok=True)
+        folder.make(PurePath(path).parent)
     for path, content in annotation.files.items():
-        (out / path).write_bytes(content if isinstance(content, bytes) else content.encode())
+        with folder.renew(path) as stream:
+            stream.write(content if isinstance(content, bytes) else content.encode())
     if annotation.image is not None:
-        write_image(out / annotation.image)
+        with folder.renew(annotation.image) as stream:
+            write_image(stream, PurePath(annotation.image).suffix.removeprefix("."))
     return {
         "split": frame.split,
         "part": frame.part,

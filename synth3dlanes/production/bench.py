@@ -7,7 +7,6 @@ results of another machine can be compared by them.
 
 import os
 import resource
-import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -28,6 +27,7 @@ from synth3dlanes.dataset.write import Shard
 from synth3dlanes.production.recipe import Recipe, make_part, make_sample
 from synth3dlanes.production.workers import Limits, Pool
 from synth3dlanes.schema import parse
+from synth3dlanes.scratch import scratch
 
 WARM_UP = 2
 REFERENCE_SAMPLES, REFERENCE_SCENES = 1024, 3
@@ -93,8 +93,8 @@ class Timed:
 
 def bench(recipe: Recipe, n: int, workers: int, masks: list[dict[str, str]], notify: Callable[[str], None]) -> Bench:
     """Make `n` samples with warm workers, and throw them away."""
-    with tempfile.TemporaryDirectory(prefix="synth3dlanes-bench-") as folder:
-        shard = Shard(Path(folder), 0, 1 << 30, recipe.names)
+    with scratch() as folder:
+        shard = Shard(folder, 0, 1 << 30, recipe.names)
         with Pool(workers, SLOW, masks=masks) as pool:
             timed = _time_samples(pool, recipe, shard, n, notify)
             notify("the denoiser")

@@ -10,30 +10,35 @@ and the worker's last words; its shard is joined without it, and the next run tr
 the machine is at fault, and stop the run, as do missing files and libraries. A full disk makes it wait.
 """
 
-import shutil
 import time
 from collections import Counter, deque
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from itertools import islice
-from pathlib import Path
+from pathlib import Path, PurePath
+from typing import Any
 
 from synth3dlanes.dataset.format import key_of
-from synth3dlanes.dataset.write import Shard, write_whole
+from synth3dlanes.dataset.write import Shard
+from synth3dlanes.errors import LinkError
+from synth3dlanes.files import Folder
 from synth3dlanes.production.forecast import forecast, patience_s
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import make_part, scene_json
+from synth3dlanes.production.room import Room, is_full
 from synth3dlanes.production.tally import Tally
-from synth3dlanes.production.workers import DISK_FULL, Limits, Outcome, Pool
+from synth3dlanes.production.workers import Limits, Outcome, Pool
 
 MAX_FAILURES, MAX_KILLS, MAX_IN_A_ROW = 3, 20, 10
 POLL_S = 0.5
-FREE_MARK_SHARE, FREE_MARK_BYTES = 0.01, 1 << 30
+# Besides one for each worker: for the folders of a shard, its tar and its index.
+FILES_OF_A_SHARD = 4
 
 
 def make_here(plan: Plan, tally: Tally) -> None:
     """Make what a plan's destination lacks; of a store, one shard after the other.
 
-    Raises DiskFullError where there is no room to begin.
+    Raises DiskFullError where there is no room to begin, LinkError where a link lies in the way.
     """
     destination = plan.destination
     if not destination.is_store:
@@ -57,37 +62,42 @@ class _Run:
         missing = {number: shard.missing(plan.n) for number, shard in self.shards.items()}
         self.left = {number: len(indices) for number, indices in missing.items()}
         self.todo = deque(("make", index) for indices in missing.values() for index in indices)
+        self.joins: dict[int, Future[list[int]]] = {}
+        self.unjoined: list[int] = []  # shards that the disk had no room for
         self.scenes: dict[int, int] = {}  # that workers have, by worker
         self.failures: Counter[int] = Counter()
         self.kills: Counter[int] = Counter()
         self.opened: set[Shard] = set()
         self.given_up: set[int] = set()
         self.in_a_row = 0
-        self.free_mark = min(FREE_MARK_BYTES, int(shutil.disk_usage(root).total * FREE_MARK_SHARE))
-        self.room_needed = self.free_mark
+        self.n_workers = plan.n_workers(len(self.todo))
+        self.room = Room(root, self.n_workers + FILES_OF_A_SHARD)
+        self.expected = forecast(plan.recipe, len(self.todo), self.n_workers)
         self.n_pauses = 0
         self.begun: dict[tuple[str, int], int] = {}  # the pauses there had been when a task began
 
     def go(self) -> None:
-        self._check_room()
+        self.expected.require_room(self.root, self.room.mark)
         try:
             self._loop()
         except OSError as error:
             self.tally.problem = f"{self.root}: {type(error).__name__}: {error}"
         finally:
             for shard in self.opened:
-                shard.close()
+                with suppress(OSError, LinkError):
+                    shard.close()
 
     def _loop(self) -> None:
         plan, tally = self.plan, self.tally
         limits = plan.limits or Limits(patience_s(plan.recipe))
-        workers = Pool(plan.n_workers(len(self.todo)), limits, masks=plan.slots.masks)
+        workers = Pool(self.n_workers, limits, masks=plan.slots.masks)
         with ThreadPoolExecutor(1) as self.joiner, workers as pool:
-            self.joins: dict[int, Future[list[int]]] = {}
             for number, shard in self.shards.items():
                 if not self.left[number] and shard.needs_join(plan.n):
                     self._join(number)
-            while (self.todo and not tally.is_stopping) or pool.busy or self.joins:
+            while ((self.todo or self.unjoined) and not tally.is_stopping) or pool.busy or self.joins:
+                while self.unjoined and not tally.is_stopping and self._has_room():
+                    self._join(self.unjoined.pop())
                 while self.todo and not tally.is_stopping and pool.idle and self._has_room():
                     slot = pool.idle[0]
                     self._start(pool, slot, *self._next(slot))
@@ -118,13 +128,13 @@ class _Run:
             try:
                 shard.open()
             except OSError as error:
-                if error.errno not in DISK_FULL:
+                if not is_full(error):
                     raise
                 self.todo.appendleft((kind, index))
-                self._full(str(error))
+                self._full(str(error), self._sample_bytes())
                 return
             self.opened.add(shard)
-            pool.start((kind, index), make_part, self.plan.maker, recipe, shard, index, slot=slot)
+            pool.start((kind, index), _make_part, self.plan.maker, recipe, shard, index, slot=slot)
         else:
             pool.start((kind, index), scene_json, recipe, index, slot=slot)
 
@@ -132,18 +142,20 @@ class _Run:
         kind, index = outcome.task
         if kind == "scene":
             if outcome.status == "done":
-                write_whole(self._failed(index) / "scene.json", f"{outcome.value}\n".encode())
+                Folder(self.root).write(self._failed(index) / "scene.json", f"{outcome.value}\n".encode())
             self._finished(index)
+        elif isinstance(outcome.value, LinkError):
+            raise outcome.value
         elif outcome.status == "done":
             self.in_a_row = 0
-            if self._failed(index).exists():
-                shutil.rmtree(self._failed(index))
+            self.room.has_been_of_use()
+            Folder(self.root).remove_tree(self._failed(index))
             self.tally.tell("sample", key_of(index), index=index, **outcome.value)
             self._finished(index)
         elif outcome.status in ("full", "broken"):
             self.todo.appendleft((kind, index))
             if outcome.status == "full":
-                self._ended_full(outcome.task, outcome.reason)
+                self._ended_full(outcome.task, outcome.reason, self._sample_bytes())
             else:
                 self.tally.problem = self.tally.problem or outcome.reason
         else:
@@ -158,10 +170,12 @@ class _Run:
         self.given_up.add(index)
         self.in_a_row += 1
         folder = self._failed(index)
-        folder.mkdir(parents=True, exist_ok=True)
-        write_whole(folder / "stderr.txt", f"{outcome.stderr}\n{outcome.reason}\n".encode())
+        Folder(self.root).make(folder)
+        Folder(self.root).write(folder / "stderr.txt", f"{outcome.stderr}\n{outcome.reason}\n".encode())
         self.todo.appendleft(("scene", index))
-        self.tally.tell("set_aside", f"{key_of(index)}: {outcome.reason}; see {self._place(folder)}", index=index)
+        self.tally.tell(
+            "set_aside", f"{key_of(index)}: {outcome.reason}; see {self._place(self.root / folder)}", index=index
+        )
         if self.in_a_row >= MAX_IN_A_ROW:
             self.tally.problem = f"{MAX_IN_A_ROW} scenes in a row failed, the last with: {outcome.reason}"
 
@@ -178,45 +192,46 @@ class _Run:
     def _joined(self, number: int, join: Future[list[int]]) -> None:
         """A part that was found broken is missing again; a full disk is waited for."""
         error = join.exception()
-        if isinstance(error, OSError) and error.errno in DISK_FULL and not self.tally.is_stopping:
-            self._ended_full(("join", number), str(error))
-            self._join(number)
+        if is_full(error):
+            self.unjoined.append(number)
+            self._ended_full(("join", number), str(error), self._shard_bytes(self.shards[number]))
             return
         lost = [index for index in join.result() if index not in self.given_up]
         self.left[number] = len(lost)
         self.todo.extendleft(("make", index) for index in reversed(lost))
         self.tally.tell("shard", self._place(self.shards[number].path("tar")), shard=number, lost=lost)
 
-    def _ended_full(self, task: tuple[str, int], reason: str) -> None:
+    def _ended_full(self, task: tuple[str, int], reason: str, n_bytes: int) -> None:
         """Pause where a task found the disk full, unless it began before the latest pause: there may be room since."""
         if self.begun[task] == self.n_pauses:
-            self._full(reason)
+            self._full(reason, n_bytes)
 
-    def _full(self, reason: str) -> None:
+    def _full(self, reason: str, n_bytes: int) -> None:
         self.n_pauses += 1
-        free = shutil.disk_usage(self.root).free
-        self.room_needed = max(2 * self.free_mark, free + (1 << 20))
-        self.tally.tell("pause", f"{reason}; waiting for {self.room_needed >> 20} MiB free on {self.root}")
-        time.sleep(POLL_S)
+        self.room.wait(n_bytes)
+        self.tally.tell("pause", f"{reason}; waiting for room on {self.root}")
 
     def _has_room(self) -> bool:
-        free = shutil.disk_usage(self.root).free
-        if free < self.room_needed and self.room_needed == self.free_mark:
-            self._full(f"only {free >> 20} MiB free")
-        elif free >= self.room_needed > self.free_mark:
-            self.room_needed = self.free_mark
-            self.tally.tell("resume", f"{free >> 20} MiB free")
-        return free >= self.room_needed
+        if self.room.is_waiting and self.room.is_back():
+            self.tally.tell("resume", f"there is room on {self.root} again")
+        if not self.room.is_waiting and self.room.is_low:
+            self._full(f"only {self.room.free >> 20} MiB free", self._sample_bytes())
+        return not self.room.is_waiting
 
-    def _check_room(self) -> None:
-        n = len(self.todo)
-        forecast(self.plan.recipe, n, self.plan.n_workers(n)).require_room(self.root, self.free_mark)
+    def _sample_bytes(self) -> int:
+        """What the samples that all workers have at hand take, about."""
+        return self.n_workers * self.expected.bytes_kept // max(1, self.expected.samples)
+
+    def _shard_bytes(self, shard: Shard) -> int:
+        """What a shard takes beside its parts while it is joined."""
+        return sum(path.stat().st_size for path in (*shard.parts().values(), shard.path("tar")) if path.exists())
 
     def _shard(self, index: int) -> Shard:
         return self.shards[index // self.plan.shard_size]
 
-    def _failed(self, index: int) -> Path:
-        return self.root / "failed" / self.plan.recipe.split / key_of(index)
+    def _failed(self, index: int) -> PurePath:
+        """Where the data set keeps what is known of a sample that failed."""
+        return PurePath("failed") / self.plan.recipe.split / key_of(index)
 
     def _place(self, path: Path) -> str:
         """Where people find a file: at the destination."""
@@ -226,3 +241,11 @@ class _Run:
 def _join_shard(shard: Shard, n: int) -> list[int]:
     shard.join(n)
     return shard.missing(n)
+
+
+def _make_part(*args: Any) -> Any:
+    """`make_part`, or the link that lies in its way: no other worker would fare better."""
+    try:
+        return make_part(*args)
+    except LinkError as error:
+        return error

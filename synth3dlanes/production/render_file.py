@@ -9,6 +9,7 @@ from synth3dlanes.assets.folder import require_assets
 from synth3dlanes.change import change_scene
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.errors import InputError
+from synth3dlanes.files import write
 from synth3dlanes.production.recipe import make_image, require_blender
 from synth3dlanes.production.workers import Limits, call
 from synth3dlanes.sample import with_lidar
@@ -49,9 +50,8 @@ def render_file(
     # Pinned as all workers are: on one core more than another, Cycles rounds some sums otherwise.
     members = render_members(scene, settings, image_format, library, source)
     files = {image_path.with_suffix(f".{name}"): data for name, data in members.items() if is_changed or name != SCENE}
-    image_path.parent.mkdir(parents=True, exist_ok=True)
     for path, data in files.items():
-        path.write_bytes(data)
+        write(path, data)
     return list(files)
 
 

@@ -20,7 +20,7 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, Pipe, wait
 from pathlib import Path
@@ -133,7 +133,11 @@ class Pool:
     _workers: list[Worker | None] = field(default_factory=list)
 
     def __enter__(self) -> "Pool":
-        self._scratch = tempfile.TemporaryDirectory(prefix="synth3dlanes-")
+        # Not at the top: the worker's program imports nothing of ours before it is pinned.
+        from synth3dlanes.scratch import scratch
+
+        self._stack = ExitStack()
+        self._scratch = self._stack.enter_context(scratch())
         is_pinned = self.pinned and hasattr(os, "sched_getaffinity")
         self._leases, self._cores = _lease(self.n, sorted(os.sched_getaffinity(0))) if is_pinned else ([], [-1])
         self._workers = [None] * self.n
@@ -146,7 +150,7 @@ class Pool:
             self._retire(slot)
         for lease in self._leases:
             os.close(lease)
-        self._scratch.cleanup()
+        self._stack.close()
 
     @property
     def busy(self) -> int:
@@ -199,7 +203,7 @@ class Pool:
         from synth3dlanes.settings import SCRATCH
 
         ours, theirs = Pipe()
-        stderr = Path(self._scratch.name) / f"{slot}.txt"
+        stderr = self._scratch / f"{slot}.txt"
         core = self._cores[slot % len(self._cores)]
         with stderr.open("ab") as stream:
             process = subprocess.Popen(
@@ -211,7 +215,8 @@ class Pool:
                 env={
                     **os.environ,
                     PARENT: str(os.getpid()),
-                    SCRATCH: self._scratch.name,
+                    # What a killed worker leaves goes with the rest.
+                    **dict.fromkeys((SCRATCH, "TMPDIR"), str(self._scratch)),
                     **self.masks[slot % len(self.masks)],
                 },
                 start_new_session=True,
@@ -263,12 +268,14 @@ def _lease(n: int, cores: Sequence[int]) -> tuple[list[int], list[int]]:
     leases: dict[int, int] = {}
     for core in cores:
         path = Path(tempfile.gettempdir(), f"synth3dlanes-{os.getuid()}-core-{core}")
-        lease = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
-        try:
-            fcntl.flock(lease, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            leases[core] = lease
-        except BlockingIOError:
-            os.close(lease)
+        # Others may write there: a link, or a file of theirs, counts as a core that another has.
+        with suppress(OSError):
+            lease = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+            try:
+                fcntl.flock(lease, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                leases[core] = lease
+            except OSError:
+                os.close(lease)
         if len(leases) == n:
             break
     return list(leases.values()), [*leases, *(core for core in cores if core not in leases)]

@@ -2,13 +2,16 @@
 
 import io
 from contextlib import suppress
+from pathlib import Path, PurePath
 
 import numpy as np
+from fsspec.implementations.local import LocalFileSystem
 from jaxtyping import UInt8
 from PIL import Image
 
 from synth3dlanes.dataset.address import connect, store_errors
 from synth3dlanes.figures.overlay import draw_overlay, stretches_img
+from synth3dlanes.files import Folder
 from synth3dlanes.labels import Labels
 
 FOLDER = "validation"
@@ -25,20 +28,28 @@ def draw(image: Picture, labels: Labels) -> Picture:
 
 
 def save_picture(place: str, name: str, picture: Picture) -> None:
-    """Write a picture into the data set; does nothing if the store cannot be written."""
+    """Write a picture into the data set; does nothing if the store or the folder cannot be written."""
     files, root = connect(place)
-    stream = io.BytesIO()
+    stream, path = io.BytesIO(), f"{FOLDER}/{name}.png"
     Image.fromarray(picture).save(stream, "PNG")
     with suppress(*store_errors()):
-        # Local paths only: paths in an object store begin with a bucket, and folders need not be created.
-        if root.startswith("/"):
-            files.makedirs(f"{root}/{FOLDER}", exist_ok=True)
-        files.pipe_file(f"{root}/{FOLDER}/{name}.png", stream.getvalue())
+        if isinstance(files, LocalFileSystem):
+            Folder(Path(root)).make(PurePath(path).parent)
+            Folder(Path(root)).write(path, stream.getvalue())
+        else:
+            files.pipe_file(f"{root}/{path}", stream.getvalue())
 
 
 def remove_pictures(place: str) -> None:
     """Remove the pictures of an earlier validation."""
     files, root = connect(place)
+    if isinstance(files, LocalFileSystem):
+        with suppress(OSError):
+            folder = Folder(Path(root))
+            for name in folder.names(FOLDER):
+                if name.endswith(".png"):
+                    folder.remove(f"{FOLDER}/{name}")
+        return
     with suppress(*store_errors()):
         for path in files.find(f"{root}/{FOLDER}", maxdepth=1):
             if str(path).endswith(".png"):

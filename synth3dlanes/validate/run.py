@@ -4,10 +4,8 @@ import hashlib
 import math
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,6 +19,7 @@ from synth3dlanes.geometry import height_map
 from synth3dlanes.geometry.camera import rays_of_pixels
 from synth3dlanes.ground_truth import label
 from synth3dlanes.labels import Labels
+from synth3dlanes.processes import process_pool
 from synth3dlanes.scene import Scene
 from synth3dlanes.sensors.sweep import Sweep
 from synth3dlanes.validate.alignment import check_alignment
@@ -292,5 +291,5 @@ def _mapping(workers: int, n: int) -> Iterator[Map]:
     if workers <= 1:
         yield map
         return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with process_pool(workers) as pool:
         yield partial(pool.map, chunksize=4)

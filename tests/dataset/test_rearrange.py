@@ -96,7 +96,7 @@ def test_a_cut_is_continued_and_another_one_refused(tmp_path):
 @pytest.mark.parametrize("linked", [True, False])
 def test_merged_parts_are_what_one_run_makes(tmp_path, monkeypatch, linked):
     if not linked:
-        monkeypatch.setattr("os.link", lambda *paths: (_ for _ in ()).throw(OSError("no links here")))
+        monkeypatch.setattr("os.link", lambda *paths, **folders: (_ for _ in ()).throw(OSError("no links here")))
     whole = make(tmp_path / "whole", list(range(8)))
     first = make(tmp_path / "a", [0, 1, 2, 6, 7])
     second = make(tmp_path / "b", [3, 4, 5])

@@ -109,8 +109,9 @@ def test_a_join_killed_between_its_renames_is_repeated(tmp_path, shard):
         if parquet:
             other.path("parquet").write_bytes(parquet)
         add(other, *parts)
-        other.path("tar.tmp").write_bytes(b"rubbish")
-        other.path("parquet.tmp").write_bytes(b"rubbish")
+        other.path("parts").mkdir(exist_ok=True)
+        for left in (".00000.tar.4711.tmp", ".00000.parquet.4711.tmp"):
+            (other.path("parts") / left).write_bytes(b"rubbish")
         assert other.missing(4) == []
         assert other.needs_join(4)
         other.join(4)

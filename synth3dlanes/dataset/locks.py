@@ -1,0 +1,89 @@
+"""Locks on the shards of a split, against other processes and against other threads of this one.
+
+They are POSIX locks, which work on network file systems too. A process has each of them once, and loses all that it has
+on a file with the first descriptor of it that it closes. So a process opens the file of a split once, and notes which
+of its locks are held.
+"""
+
+import fcntl
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from threading import Lock, RLock
+from typing import BinaryIO
+
+from synth3dlanes.files import Folder
+
+LOCK_FILE = ".lock"
+
+
+@dataclass
+class _File:
+    """The lock file of a split, as long as anybody in this process uses it."""
+
+    stream: BinaryIO
+    users: int = 0
+    held: set[int] = field(default_factory=set)
+
+
+_GUARD, _ENTERING = RLock(), Lock()
+_files: dict[tuple[int, int], _File] = {}
+
+
+class Locks:
+    """The locks of one holder on a split: one byte of the file stands for each."""
+
+    def __init__(self, file: _File) -> None:
+        self._file, self._mine = file, set[int]()
+
+    def take(self, byte: int) -> bool:
+        """Take a lock; False where another process or another holder of this one has it."""
+        with _GUARD:
+            if byte in self._file.held:
+                return False
+            try:
+                fcntl.lockf(self._file.stream, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, byte)
+            except (BlockingIOError, PermissionError):
+                return False
+            self._file.held.add(byte)
+            self._mine.add(byte)
+            return True
+
+    def release(self) -> None:
+        """Give all of them back."""
+        with _GUARD:
+            for byte in self._mine:
+                fcntl.lockf(self._file.stream, fcntl.LOCK_UN, 1, byte)
+            self._file.held -= self._mine
+            self._mine.clear()
+
+
+@contextmanager
+def locks(data_set: Folder, split: str) -> Iterator[Locks]:
+    """The locks of the split in a folder of a data set, for one holder, who has them until the end at most. Raises
+    LinkError where the lock file is a link."""
+    place = os.stat(data_set.root / split)
+    key = (place.st_dev, place.st_ino)
+    with _GUARD:
+        file = _files.get(key) or _File(data_set.append(f"{split}/{LOCK_FILE}"))
+        _files[key] = file
+        file.users += 1
+    held = Locks(file)
+    try:
+        yield held
+    finally:
+        with _GUARD:
+            held.release()
+            file.users -= 1
+            if not file.users:
+                del _files[key]
+                file.stream.close()
+
+
+@contextmanager
+def locked(data_set: Folder) -> Iterator[None]:
+    """While nobody else is in here with the same folder, a process or a thread; waits until they are out."""
+    with _ENTERING, data_set.append(LOCK_FILE) as stream:
+        fcntl.lockf(stream, fcntl.LOCK_EX)
+        yield
