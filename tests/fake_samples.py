@@ -122,7 +122,8 @@ def find_the_disk_full(recipe: Recipe, index: int) -> Made:
     """As long as there is a ballast. Sample 1 says so late."""
     if (Path(os.environ["SYNTH3DLANES_TEST_MARK"]) / "ballast").exists():
         time.sleep(3.0 * (index == 1))
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        number = int(os.environ.get("SYNTH3DLANES_TEST_ERRNO", errno.ENOSPC))
+        raise OSError(number, os.strerror(number))
     return make(recipe, index)
 
 

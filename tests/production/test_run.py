@@ -13,6 +13,7 @@ from contextlib import suppress
 from dataclasses import replace
 from multiprocessing import Pipe
 from pathlib import Path
+from threading import Thread
 
 import numpy as np
 import psutil
@@ -21,11 +22,13 @@ import pytest
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.write import Shard
 from synth3dlanes.errors import ClaimedError, DiskFullError, InputError, MissingPackageError
+from synth3dlanes.files import Draft
 from synth3dlanes.production import local, workers
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import make_sample
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.workers import Limits, Worker
+from synth3dlanes.settings import RenderSettings
 from tests import fake_samples
 
 N = 23
@@ -269,24 +272,74 @@ def test_waits_for_room_and_goes_on(tmp_path, whole, monkeypatch):
         go(plan(tmp_path, n=100))
 
 
-def test_waits_for_room_for_a_folder(tmp_path, whole, monkeypatch):
-    usage = namedtuple("usage", "total used free")
-    free, full, opened, seen = [10**12], iter([True]), Shard.open, []
-    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage(10**12, 0, free[0]))
+def test_waits_for_room_for_a_folder_and_for_a_join(tmp_path, whole, monkeypatch):
+    full, opened, appear, seen = iter([True]), Shard.open, Draft.appear, []
+    full_join = iter([True, True])
 
     def open_shard(shard):
         if next(full, False):
             raise OSError(errno.ENOSPC, "No space left on device")
         opened(shard)
 
-    def tell(event):
-        seen.append(event.kind)
-        if event.kind == "pause":
-            free[0] *= 2
+    def appear_or_not(draft):
+        if draft.path.name.startswith(".00001.tar.") and next(full_join, False):
+            raise OSError(errno.EDQUOT, "Disk quota exceeded")
+        appear(draft)
 
     monkeypatch.setattr(Shard, "open", open_shard)
-    assert generate(plan(tmp_path, workers=2), tell).exit_code == 0
-    assert seen.index("pause") < seen.index("resume")
+    monkeypatch.setattr(Draft, "appear", appear_or_not)
+    assert generate(plan(tmp_path, workers=2), lambda event: seen.append(event.kind)).exit_code == 0
+    assert seen.count("pause") == seen.count("resume") == 3
+    assert contents(tmp_path) == whole
+
+
+def test_a_second_run_of_the_same_process_is_refused(tmp_path, whole):
+    """POSIX's locks are those of a process. Other shards are free to both, and a run that ends takes no lock of another
+    with it."""
+    problems = []
+
+    def tell(event):
+        if event.kind == "sample" and event.done == 1:
+            other = Thread(target=try_it, args=((1, 1), (2, 2)))
+            other.start()
+            other.join()
+
+    def try_it(*parts):
+        for part in parts:
+            try:
+                problems.append(go(plan(tmp_path, part=part))[0].exit_code)
+            except ClaimedError as error:
+                problems.append(str(error))
+        command = [sys.executable, "-m", "tests.fake_samples", str(tmp_path), str(N), "1"]
+        problems.append(subprocess.run(command, capture_output=True, text=True).stderr.splitlines()[-1])
+
+    assert generate(plan(tmp_path, part=(1, 2)), tell).exit_code == 0
+    refused = f"out {tmp_path}: shard 0 is locked by another run"
+    assert problems == [refused, 0, f"synth3dlanes.errors.ClaimedError: {refused}"]
+    assert contents(tmp_path) == whole
+
+
+def test_another_recipe_is_named_and_nothing_advised_before_anything_is_read(tmp_path):
+    go(plan(tmp_path, n=4))
+    before = contents(tmp_path)
+    deep = replace(fake_samples.recipe(), settings=RenderSettings(passes=("depth",)))
+    other = replace(plan(tmp_path, n=4), recipe=deep)
+    for ask in (other.expected, lambda: go(other)):
+        with pytest.raises(InputError) as caught:
+            ask()
+        line = f'{tmp_path}/dataset.json: render.passes: expected [] as in this dataset, got ["depth"]'
+        assert caught.value.problems == (line,)
+    assert contents(tmp_path) == before
+
+
+def test_what_killed_writers_left_in_a_folder_goes_when_it_is_claimed(tmp_path, whole):
+    tmp_path.joinpath("train").mkdir()
+    left = [".dataset.json.4711.tmp", ".README.md.0123456789abcdef.tmp", ".room.0123456789abcdef.tmp"]
+    for name in left:
+        (tmp_path / name).write_text("half")
+    (tmp_path / ".mine.tmp").write_text("whole")
+    go(plan(tmp_path))
+    assert {name for name in os.listdir(tmp_path) if name.endswith(".tmp")} == {".mine.tmp"}
     assert contents(tmp_path) == whole
 
 

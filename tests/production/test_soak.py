@@ -1,5 +1,6 @@
 """Killed at random moments, full, forbidden, broken: the same bytes in the end (tests/soak.py; longer: `make soak`)."""
 
+import errno
 import importlib.util
 import os
 import shutil
@@ -68,9 +69,10 @@ def test_a_store_keeps_what_an_interrupted_run_has_made(tmp_path):
 
 
 @contextmanager
-def small_disk(folder: Path, size: str):
+def small_disk(folder: Path, size: str, n_files: int = 0):
     folder.mkdir()
-    subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "none", str(folder)], check=True)
+    options = f"size={size}" + f",nr_inodes={n_files}" * bool(n_files)
+    subprocess.run(["mount", "-t", "tmpfs", "-o", options, "none", str(folder)], check=True)
     try:
         yield folder
     finally:
@@ -104,6 +106,59 @@ def test_a_full_disk_makes_the_run_wait_and_nothing_is_lost(full_disk, whole):
     assert all("waiting for" in message and str(full_disk) in message for message in paused)
     shards = ("00000.parquet", "00000.tar", "00001.parquet", "00001.tar")
     assert soak.files(full_disk / "out") == {name: whole[name] for name in shards}
+
+
+@needs_root
+def test_a_disk_with_no_more_files_makes_the_run_wait_until_there_may_be_some(tmp_path, whole):
+    """Bytes are free all the time."""
+    with small_disk(tmp_path / "disk", "64M", n_files=100) as disk:
+        ballast, told = disk / "ballast", []
+
+        def tell(event):
+            told.append(event.kind)
+            if event.kind == "sample" and event.done == 8:
+                ballast.mkdir()
+                with suppress(OSError):
+                    for number in range(100):
+                        (ballast / str(number)).touch()
+            if event.kind == "pause":
+                assert shutil.disk_usage(disk).free > 60 << 20
+                shutil.rmtree(ballast)
+
+        report = generate(plan(disk / "out", 20), tell)
+        assert report.exit_code == 0
+        assert "pause" in told
+        assert told.count("pause") == told.count("resume")
+        shards = ("00000.parquet", "00000.tar", "00001.parquet", "00001.tar")
+        assert soak.files(disk / "out") == {name: whole[name] for name in shards}
+
+
+@pytest.mark.parametrize("number", [errno.EDQUOT, errno.ENOSPC])
+def test_a_quota_that_is_used_up_makes_the_run_wait_until_it_can_write(tmp_path, whole, monkeypatch, number):
+    """Workers cannot write, nor can this process, while there is a ballast; the file system counts free bytes."""
+    monkeypatch.setenv("SYNTH3DLANES_TEST_MARK", str(tmp_path))
+    monkeypatch.setenv("SYNTH3DLANES_TEST_ERRNO", str(number))
+    ballast, told, tries, fsync = tmp_path / "ballast", [], [], os.fsync
+    ballast.touch()
+
+    def sync(descriptor):
+        if "/.room." in os.readlink(f"/proc/self/fd/{descriptor}"):
+            tries.append(ballast.exists())
+            if len(tries) == 2:
+                ballast.unlink()
+            if tries[-1]:
+                raise OSError(number, os.strerror(number))
+        fsync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", sync)
+    report = generate(
+        plan(tmp_path / "out", 10, maker=fake_samples.find_the_disk_full), lambda event: told.append(event.kind)
+    )
+    assert report.exit_code == 0
+    assert tries == [True, True, False]
+    assert told.count("pause") == told.count("resume") == 1
+    assert soak.files(tmp_path / "out") == {name: whole[name] for name in ("00000.parquet", "00000.tar")}
+    assert not list((tmp_path / "out").glob(".room*"))
 
 
 @needs_root

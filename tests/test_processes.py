@@ -1,0 +1,42 @@
+"""Shared worker processes: one that is killed ends the task in a line."""
+
+import os
+import signal
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from synth3dlanes.errors import WorkerError
+from synth3dlanes.processes import process_pool
+
+
+def die(number: int) -> None:
+    os.kill(os.getpid(), number)
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV])
+def test_a_killed_process_is_a_worker_error(number: int) -> None:
+    with pytest.raises(WorkerError, match="a worker process was killed") as caught, process_pool(1) as pool:
+        list(pool.map(die, [number]))
+    assert "\n" not in str(caught.value)
+    assert caught.value.__suppress_context__
+
+
+def test_a_command_says_so_in_a_line_and_ends_with_1(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from synth3dlanes_cli.main import main
+
+    def killed(*_: object, **__: object) -> None:
+        with process_pool(1) as pool:
+            pool.submit(die, signal.SIGKILL).result()
+
+    monkeypatch.setattr("synth3dlanes.validate.run.validate", killed)
+    result = CliRunner().invoke(main, ["validate", str(tmp_path)])
+    assert (result.exit_code, len(result.stderr.splitlines())) == (1, 1), result.output
+    assert "a worker process was killed" in result.stderr
+
+
+def test_nothing_else_makes_pools() -> None:
+    root = Path(__file__).parents[1]
+    programs = [path for folder in ("synth3dlanes", "cli", "baseline_model") for path in (root / folder).rglob("*.py")]
+    assert [path.name for path in programs if "ProcessPoolExecutor" in path.read_text()] == ["processes.py"]

@@ -1,0 +1,68 @@
+"""Only `files.py` opens files to be written, replaces and removes them; all others ask its `Folder`."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+# Calls that write, replace or remove by a path. Figures and pictures are written into streams that files.py opened.
+WRITERS = {"write_text", "write_bytes", "unlink", "mkdir", "rmdir", "rmtree", "symlink_to", "hardlink_to", "touch"}
+WRITERS |= {"rename", "makedirs", "copyfile", "copytree", "copy2", "move", "mkdtemp", "mkstemp", "truncate"}
+WRITERS |= {"TemporaryDirectory", "NamedTemporaryFile"}
+WRITERS_OF_OS = {"replace", "remove", "link", "symlink", "removedirs", "renames"}
+MODES_OF_WRITING = set("wax+")
+# These write in folders of this process alone, which `scratch` made, or in one that is made anew by the command.
+ALLOWED = {
+    "synth3dlanes/files.py": "the one that may",
+    "synth3dlanes/scratch.py": "makes the folder of this process",
+    "synth3dlanes/blender/__init__.py": "Blender's own temporary folder",
+    "synth3dlanes/blender/quick_copy.py": "copies in the folder of this process",
+    "synth3dlanes/blender/example_assets.py": "a folder that was not there before",
+    "synth3dlanes/production/workers.py": "what workers print, in the folder of this process, and locks in that of all",
+    "synth3dlanes/production/signals.py": "/dev/null",
+    "synth3dlanes/validate/contents.py": "/dev/null",
+    "synth3dlanes/dataset/stores.py": "files of stores, and copies in the folder of this process",
+    "synth3dlanes/dataset/destination.py": "copies in the folder of this process",
+    "baseline_model/cache.py": "memory that has no name",
+}
+
+
+def writing_calls(source: str) -> list[str]:
+    """The calls in a program that write by a path, as "LINE: CALL"."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Call):
+            attribute = node.func.attr if isinstance(node.func, ast.Attribute) else ""
+            name = attribute or (node.func.id if isinstance(node.func, ast.Name) else "")
+            is_of_os = isinstance(node.func, ast.Attribute) and ast.unparse(node.func.value) == "os"
+            texts = [*node.args, *(keyword.value for keyword in node.keywords if keyword.arg == "mode")]
+            modes = {text.value for text in texts if isinstance(text, ast.Constant) and isinstance(text.value, str)}
+            is_write_mode = any(len(mode) <= 3 and set(mode) & MODES_OF_WRITING for mode in modes)
+            opens = name == "open" and (is_of_os or is_write_mode)
+            if name in WRITERS or opens or (is_of_os and name in WRITERS_OF_OS):
+                found.append(f"{node.lineno}: {ast.unparse(node)[:80]}")
+    return found
+
+
+def programs() -> list[str]:
+    folders = ("synth3dlanes", "cli", "baseline_model")
+    return sorted(str(path.relative_to(ROOT)) for folder in folders for path in (ROOT / folder).rglob("*.py"))
+
+
+def test_nothing_else_writes_by_a_path() -> None:
+    found = {name: writing_calls((ROOT / name).read_text(encoding="utf-8")) for name in programs()}
+    assert {name: calls for name, calls in found.items() if calls and name not in ALLOWED} == {}
+    assert [name for name in ALLOWED if not found[name]] == []
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        "open(path, 'w')", "path.open('ab')", "path.write_text('')", "path.write_bytes(b'')", "os.replace(a, b)",
+        "shutil.rmtree(a)", "path.unlink()", "path.mkdir()", "path.symlink_to(a)", "os.open(a, os.O_RDWR)",
+    ],
+)  # fmt: skip
+def test_the_search_finds(call: str) -> None:
+    assert writing_calls(call)
+    assert not writing_calls("path.open('rb'); open(path); text.replace('a', 'b'); stream.write(b'')")
