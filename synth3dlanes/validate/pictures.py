@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
-from synth3dlanes.dataset.address import connect, store_errors
+from synth3dlanes.dataset.address import connect, translate_store_errors
+from synth3dlanes.errors import FormatError, OutageError
 from synth3dlanes.figures.overlay import draw_overlay, stretches_img
 from synth3dlanes.labels import Labels
 
@@ -29,7 +30,7 @@ def save_picture(place: str, name: str, picture: Picture) -> None:
     files, root = connect(place)
     stream = io.BytesIO()
     Image.fromarray(picture).save(stream, "PNG")
-    with suppress(*store_errors()):
+    with suppress(FormatError, OutageError), translate_store_errors(place):
         # Local paths only: paths in an object store begin with a bucket, and folders need not be created.
         if root.startswith("/"):
             files.makedirs(f"{root}/{FOLDER}", exist_ok=True)
@@ -39,7 +40,7 @@ def save_picture(place: str, name: str, picture: Picture) -> None:
 def remove_pictures(place: str) -> None:
     """Remove the pictures of an earlier validation."""
     files, root = connect(place)
-    with suppress(*store_errors()):
+    with suppress(FormatError, OutageError), translate_store_errors(place):
         for path in files.find(f"{root}/{FOLDER}", maxdepth=1):
             if str(path).endswith(".png"):
                 files.rm_file(path)
