@@ -6,6 +6,7 @@ place: a shard is fetched, worked on in a folder of this machine (`spool`), and 
 Shards are given relative to the data set: `Shard(Path("train"), ...)`.
 """
 
+import fcntl
 import io
 import time
 from collections.abc import Iterable, Iterator
@@ -120,19 +121,23 @@ class Log(io.FileIO):
         super().__init__(root / "logs" / name, "a")
         self._root, self._url = root, url
         self._path = root / "logs" / name
+        if url:
+            fcntl.flock(self, fcntl.LOCK_EX)
 
     def save(self, is_last: bool = False) -> str:
         """Copy it to its store; returns why that has failed, "" otherwise. No run waits long for it."""
         if not self._url:
             return ""
         until = time.monotonic() + SAVE_S
+        # In the end those of killed runs too.
+        paths = [self._path, *(_unlocked(self._path.parent) if is_last else [])]
+        names = [str(path.relative_to(self._root)) for path in paths]
         try:
-            names = [f"logs/{self._path.name}"]
             attempt(lambda: stores.put(self._url, names, self._root), lambda: time.monotonic() > until)
         except (OutageError, FormatError) as error:
             return f"{error}; the log is {self._path}"
-        if is_last:
-            self._path.unlink(missing_ok=True)
+        for path in paths if is_last else []:
+            path.unlink(missing_ok=True)
         return ""
 
 
@@ -143,6 +148,16 @@ def _announced(url: str, recipe: dict[str, Any], split: str, n: int) -> Iterator
     # Once more: a run that began with this one may have written over it since.
     with suppress(OutageError, FormatError):
         stores.announce(url, recipe, split, n)
+
+
+def _unlocked(folder: Path) -> list[Path]:
+    """The files in a folder that no process holds."""
+    found = []
+    for path in sorted(folder.glob("*")):
+        with path.open("rb") as file, suppress(BlockingIOError):
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            found.append(path)
+    return found
 
 
 def _files(root: Path, folder: str) -> list[str]:

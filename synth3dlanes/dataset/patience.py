@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from threading import Thread
 from typing import TypeVar
 
@@ -54,9 +54,11 @@ class Patience:
                 if left_s <= 0 or self.is_stopping():
                     raise
                 if not is_waiting:
-                    is_waiting, since = True, f"since {datetime.now(UTC):%H:%M:%S} UTC"
+                    is_waiting = True
                     limit = f"at most {self.limit_s / 60:.0f} min"
-                    self.tell("pause", f"{error}; waiting for the store {since}, {limit}; {kept}; Ctrl-C ends the run")
+                    self.tell(
+                        "pause", f"{error}; waiting for the store {since(began)}, {limit}; {kept}; Ctrl-C ends the run"
+                    )
             self._pause(min(pause_s, left_s))
             pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
         if is_waiting:
@@ -67,6 +69,11 @@ class Patience:
         until = time.monotonic() + seconds
         while time.monotonic() < until and not self.is_stopping():
             time.sleep(min(POLL_S, max(0.0, until - time.monotonic())))
+
+
+def since(began: float) -> str:
+    """When it was `began` by `time.monotonic`, in words."""
+    return f"since {datetime.now(UTC) - timedelta(seconds=time.monotonic() - began):%H:%M:%S} UTC"
 
 
 def attempt(call: Callable[[], Result], gives_up: Callable[[], bool]) -> Result:
