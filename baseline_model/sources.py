@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Int
 
-from synth3dlanes.dataset.address import SAMPLE, connect, translate_store_errors
+from synth3dlanes.dataset.address import SAMPLE
 from synth3dlanes.dataset.format import Sample
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rectify import rectified_image, rectified_labels
-from synth3dlanes.dataset.splits import one_reader, only_split
+from synth3dlanes.dataset.splits import has_split, one_reader, only_split
 from synth3dlanes.errors import InputError
 from synth3dlanes.formats.apollo.read import ApolloSplit
 from synth3dlanes.formats.openlane.read import OpenLaneSplit, is_openlane
@@ -143,7 +143,7 @@ def training_and_validation(
     data_dir = data_dir.rstrip("/")
     train = open_split(f"{data_dir}/{train_split}")
     n = len(train) if max_images is None else min(max_images, len(train))
-    if _exists(f"{data_dir}/{val_split}"):
+    if has_split(data_dir, val_split):
         return Chosen(train, range(n)), open_split(f"{data_dir}/{val_split}")
     _, number = np.unique(_scenes(train)[:n], return_inverse=True)
     if number[-1] < 9:
@@ -218,9 +218,3 @@ def _hash(*parts: bytes) -> str:
     for part in parts:
         found.update(hashlib.sha256(part).digest())
     return found.hexdigest()
-
-
-def _exists(place: str) -> bool:
-    files, root = connect(place)
-    with translate_store_errors(place):
-        return bool(files.exists(root))

@@ -1,4 +1,5 @@
-"""The group of all commands, and how errors are shown: one line per problem and exit code 2.
+"""The group of all commands, and how errors are shown: one line per problem; exit code 2 where the user has to change
+something first, 1 where running the same again later can help.
 
 Imports nothing heavy: every command imports what it needs when it runs.
 """
@@ -13,7 +14,7 @@ import click
 from click.exceptions import NoArgsIsHelpError
 
 from synth3dlanes import __version__
-from synth3dlanes.errors import InputError, Synth3dlanesError, WorkerError
+from synth3dlanes.errors import ClaimedError, InputError, OutageError, Synth3dlanesError, WorkerError
 from synth3dlanes.production.signals import Stopped, handle, stop
 
 from .assets import assets
@@ -43,6 +44,12 @@ class BadInput(click.ClickException):
         click.echo(self.message, file=file, err=True)
 
 
+class Failed(BadInput):
+    """Problems that may be gone in a while."""
+
+    exit_code = 1
+
+
 class Commands(click.Group):
     """A group whose commands may raise the library's errors."""
 
@@ -60,11 +67,10 @@ class Commands(click.Group):
             command = error.ctx.command_path if error.ctx else ctx.command_path
             raise BadInput(f"{command}: {error.format_message()}") from error
         except InputError as error:
-            flags = self._flags(ctx)
-            raise BadInput("\n".join(_naming_flags(problem, flags) for problem in error.problems)) from error
-        except WorkerError as error:
-            click.echo(error, err=True)
-            ctx.exit(1)
+            flags, kind = self._flags(ctx), Failed if isinstance(error, ClaimedError) else BadInput
+            raise kind("\n".join(_naming_flags(problem, flags) for problem in error.problems)) from error
+        except (OutageError, WorkerError) as error:
+            raise Failed(str(error)) from error
         except Synth3dlanesError as error:
             raise BadInput(str(error)) from error
         except BrokenPipeError:

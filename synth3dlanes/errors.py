@@ -8,6 +8,7 @@ Exception
       |    +-- ClaimedError      another run holds the lock on a shard
       |    +-- LinkError         a link lies where something is to be written
       +-- FormatError          a file does not follow its format, or a store refuses to give it; a ValueError
+      +-- OutageError          a store or a cluster cannot be reached; running again later helps
       +-- DiskFullError        there is too little room for what is to be written
       +-- MissingPackageError  a package that this function needs is not installed or cannot be imported
       +-- WorkerError          a worker process crashed, hung or was killed
@@ -36,6 +37,10 @@ class LinkError(InputError):
 
 class FormatError(Synth3dlanesError, ValueError):
     """A file that does not follow its format; the message names the place."""
+
+
+class OutageError(Synth3dlanesError):
+    """A store or a cluster cannot be reached; running again later helps. The message names it."""
 
 
 class DiskFullError(Synth3dlanesError):

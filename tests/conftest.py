@@ -5,7 +5,7 @@ import os
 import shutil
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +54,15 @@ def pytest_unconfigure(config: pytest.Config) -> None:
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(config.stash.get(EXIT_STATUS, 1))
+
+
+@pytest.fixture(autouse=True, scope="session")
+def spool(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Samples on their way to stores stay out of the home folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        folder = tmp_path_factory.mktemp("spool")
+        patch.setenv("SYNTH3DLANES_SPOOL", str(folder))
+        yield folder
 
 
 @pytest.fixture(scope="session")

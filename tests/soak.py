@@ -94,7 +94,7 @@ def pool_workers(roots: list[psutil.Process]) -> list[psutil.Process]:
 
 @dataclass
 class Cluster:
-    """Ray nodes on this machine, with a core each, by `ray start`."""
+    """Ray nodes on this machine, by default with a core each, by `ray start`."""
 
     folder: Path
     port: int
@@ -106,10 +106,10 @@ class Cluster:
         """What `--address` takes."""
         return f"127.0.0.1:{self.port}"
 
-    def add_node(self) -> None:
+    def add_node(self, cores: int = 1) -> None:
         """Start a node and wait until it is there; the first is the head."""
         where = ["--head", f"--port={self.port}", f"--temp-dir={self.folder}", "--include-dashboard=false"]
-        command = [sys.executable, "-m", "ray.scripts.scripts", "start", "--block", "--num-cpus=1"]
+        command = [sys.executable, "-m", "ray.scripts.scripts", "start", "--block", f"--num-cpus={cores}"]
         command += ["--object-store-memory=80000000", "--disable-usage-stats"]
         command += [f"--address={self.address}"] if self.nodes else where
         log = self.folder / f"node-{len(self.nodes)}.log"

@@ -1,17 +1,36 @@
-"""Addresses of data sets: a folder here, or whatever fsspec opens (s3://, gs://, sftp://, ...)."""
+"""Addresses of data sets: a folder here, or whatever fsspec opens (s3://, gs://, sftp://, http://, ...)."""
 
+import errno
+import os
 import re
+import socket
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import Any
 
 import fsspec
 
-from synth3dlanes.errors import FormatError, InputError, MissingPackageError
+from synth3dlanes.errors import FormatError, InputError, MissingPackageError, OutageError, Synth3dlanesError
 
 SAMPLE = re.compile(r".+:\d+")
 """The address of a sample: `DIR/train:00000017`."""
+EXPECTED = "expected a folder or an address that fsspec can open"
+# Errors of a connection or of a server that may well be gone in a minute, beside those of Python; `REFUSALS` are not.
+OUTAGES = {
+    "aiohttp": ("ClientConnectionError", "ClientPayloadError"),
+    "botocore.exceptions": ("ConnectionError", "HTTPClientError", "IncompleteReadError"),
+    "httpx": ("TransportError",),
+    "httpx2": ("TransportError",),
+    "paramiko": ("SSHException",),
+    "requests": ("ConnectionError", "Timeout"),
+}
+REFUSALS = {"paramiko": ("AuthenticationException", "BadHostKeyException")}
+OUTAGE_ERRNOS = {
+    *(errno.EBUSY, errno.EIO, getattr(errno, "EREMOTEIO", errno.EIO), errno.ESTALE),
+    *(errno.ENETDOWN, errno.ENETUNREACH, errno.EHOSTDOWN, errno.EHOSTUNREACH),
+}
+TOO_MANY_REQUESTS, SERVER_ERROR = 429, 500
 
 
 def is_url(place: str) -> bool:
@@ -22,27 +41,65 @@ def is_url(place: str) -> bool:
 def connect(url: str) -> tuple[Any, str]:
     """The file system of an address and the path in it.
 
-    Raises InputError where fsspec knows no such address, MissingPackageError where it needs a package for it.
+    Raises InputError where fsspec cannot open such an address, MissingPackageError where it needs a package for it,
+    OutageError where the server cannot be reached.
     """
     if "\0" in url:
         raise InputError(f"{url!r}: expected a folder or an address, got a name with a null byte")
     try:
+        if not is_url(url):
+            return fsspec.filesystem("file"), os.path.abspath(os.path.expanduser(url)).rstrip("/")
         files, root = fsspec.core.url_to_fs(url)
     except ImportError as error:
-        raise MissingPackageError(f"{url}: {error}") from None
-    except ValueError as error:
-        raise InputError(f"{url}: expected a folder or an address that fsspec can open, got {error}") from None
+        raise MissingPackageError(f"{url}: {_first_line(error)}") from None
+    except Exception as error:  # noqa: BLE001 - file systems raise what they like
+        if is_outage(error):
+            raise OutageError(f"{url}: cannot be reached: {_reason(error)}") from None
+        raise InputError(f"{url}: {EXPECTED}, got {_reason(error)}") from None
     return files, str(root).rstrip("/")
 
 
 @contextmanager
 def translate_store_errors(place: str, problem: str = "cannot be reached") -> Iterator[None]:
-    """Whatever a file system refuses becomes a FormatError that names the place and the problem."""
+    """Whatever a file system raises becomes a line that names the place and the problem: an OutageError where it may
+    help to wait, a FormatError where the file system refuses."""
     try:
         yield
-    except store_errors() as error:
-        reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
-        raise FormatError(f"{place}: {problem}: {reason}") from None
+    except Synth3dlanesError:
+        raise
+    except Exception as error:  # noqa: BLE001 - file systems raise what they like
+        kind = OutageError if is_outage(error) else FormatError
+        raise kind(f"{place}: {problem}: {_reason(error)}") from None
+
+
+def is_outage(error: BaseException) -> bool:
+    """Whether an error of a file system is one of the connection or of the server, which may be gone in a minute."""
+    if isinstance(error, _loaded(REFUSALS)):
+        return False
+    response = getattr(error, "response", None)
+    for status in (
+        getattr(error, "status", None),
+        getattr(error, "code", None),
+        getattr(response, "status_code", None),
+    ):
+        if isinstance(status, int):
+            return status == TOO_MANY_REQUESTS or status >= SERVER_ERROR
+    is_connection = isinstance(error, (ConnectionError, TimeoutError, socket.gaierror, EOFError, *_loaded(OUTAGES)))
+    return is_connection or (isinstance(error, OSError) and error.errno in OUTAGE_ERRNOS)
+
+
+def can_list(files: Any) -> bool:
+    """Whether a file system can say which files it has; a server of plain HTTP cannot."""
+    kinds = (files.protocol,) if isinstance(files.protocol, str) else files.protocol
+    return not {"http", "https"} & set(kinds)
+
+
+def read_file(files: Any, path: str) -> bytes | None:
+    """The bytes of a file, None where there is none. Asks the store itself: what was listed before may have changed."""
+    try:
+        return bytes(files.cat_file(path))
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
+        return None
 
 
 def splits_near(place: str) -> str:
@@ -51,15 +108,24 @@ def splits_near(place: str) -> str:
     files, root = connect(place)
     place, root = (re.sub(r":\d*$", "", path.rstrip("/")) for path in (place, root))
     for _ in range(2):
-        with suppress(*store_errors()):
-            found = sorted({str(path).rsplit("/", 2)[-2] for path in files.glob(f"{root}/*/*.parquet")})
+        with suppress(Synth3dlanesError), translate_store_errors(place):
+            indices = files.glob(f"{root}/*/*.parquet") if can_list(files) else []
+            found = sorted({str(path).rsplit("/", 2)[-2] for path in indices})
             if found:
                 return f"; there is {', '.join(f'{place}/{name}' for name in found[:10])}"
         place, root = (path.rpartition("/")[0] or "." for path in (place, root))
     return ""
 
 
-def store_errors() -> tuple[type[Exception], ...]:
-    """What file systems raise. Amazon's library, once loaded, has its own for no credentials and no connection."""
-    amazon = sys.modules.get("botocore.exceptions")
-    return (OSError, amazon.BotoCoreError) if amazon else (OSError,)
+def _loaded(names: Mapping[str, tuple[str, ...]]) -> tuple[type[BaseException], ...]:
+    """Those of the exceptions whose packages are loaded: others have not been raised."""
+    modules = ((sys.modules.get(module), kinds) for module, kinds in names.items())
+    return tuple(getattr(module, kind) for module, kinds in modules for kind in kinds if hasattr(module, kind))
+
+
+def _reason(error: BaseException) -> str:
+    return getattr(error, "strerror", None) or f"{type(error).__name__}: {_first_line(error)}"
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).splitlines() or [""])[0][:300]

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field
 
-from synth3dlanes.dataset.address import connect, splits_near, translate_store_errors
+from synth3dlanes.dataset.address import can_list, connect, read_file, splits_near, translate_store_errors
 from synth3dlanes.dataset.format import member_names
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.schema import Part, Seed, parse
@@ -101,10 +101,11 @@ def data_set_of(place: str) -> tuple[str, str]:
     files, root = connect(place)
     place = place.rstrip("/")
     with translate_store_errors(place):
-        if files.exists(f"{root}/{DESCRIPTION}"):
+        if read_file(files, f"{root}/{DESCRIPTION}") is not None:
             return place, ""
         parent, _, name = root.rpartition("/")
-        if files.isdir(root) and files.exists(f"{parent}/{DESCRIPTION}"):
+        is_folder = not can_list(files) or files.isdir(root)
+        if is_folder and read_file(files, f"{parent}/{DESCRIPTION}") is not None:
             return place.removesuffix(name).rstrip("/") or ".", name
     raise FormatError(f"{place}: expected a data set or one of its splits, got no {DESCRIPTION}{splits_near(place)}")
 

@@ -1,22 +1,30 @@
 """Where a data set is written: a folder of this machine, or the URL of a store. What differs between them is here.
 
 In a folder, runs lock their shards and continue them in place (`folder`). In a store nothing is locked or continued in
-place: a shard is fetched, worked on in a folder of this machine, and put back whole (`stores`).
+place: a shard is fetched, worked on in a folder of this machine (`spool`), and put back whole (`stores`).
 
 Shards are given relative to the data set: `Shard(Path("train"), ...)`.
 """
 
+import fcntl
+import time
 from collections.abc import Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from synth3dlanes.dataset import folder, stores
 from synth3dlanes.dataset.address import connect, is_url, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION, updated_description
+from synth3dlanes.dataset.patience import Patience, attempt
+from synth3dlanes.dataset.spool import spool, spool_of, spooled
 from synth3dlanes.dataset.write import Shard
+from synth3dlanes.errors import FormatError, OutageError
 from synth3dlanes.files import Folder
-from synth3dlanes.scratch import scratch
+
+NO_PATIENCE = Patience()
+# How long a run waits for its log.
+SAVE_S = 10.0
 
 
 class Destination:
@@ -72,22 +80,33 @@ class Destination:
         """Whether a shard has samples outside its tar, or what a killed join has left."""
         return not self.is_store and shard.within(self.folder).needs_join(n)
 
+    def spooled(self, split: str, recipe: str) -> list[int]:
+        """The shards of a split and recipe, by number, that this machine keeps something of for a store."""
+        return spooled(self.place, split, recipe) if self.is_store else []
+
     @contextmanager
-    def working_copy(self, shard: Shard) -> Iterator[Shard]:
-        """The shard as files of this machine, to be added to; a store gets it back, if it has changed."""
+    def working_copy(self, shard: Shard, patience: Patience = NO_PATIENCE) -> Iterator[Shard]:
+        """The shard as files of this machine, to be added to; a store gets it back, if it has changed.
+
+        Raises OutageError where the store cannot be reached or does not take it; what is finished stays on this machine
+        (`spool`), is in the next working copy, and goes to the store with that.
+        """
         if not self.is_store:
             yield shard.within(self.folder)
             return
-        with scratch() as root:
-            here = shard.within(root)
-            here.folder.mkdir()
-            stores.fetch_shard(self.place, here)
-            index = here.path("parquet")
-            before = index.read_bytes() if index.exists() else b""
+        with spool(self.place, shard) as root:
+            here, kept = shard.within(root), f"finished samples are kept in {root}"
+            patience.insist(lambda: stores.take(self.place, here), kept)
             yield here
-            stores.put(self.place, _files(root, "failed"), root)
-            if index.exists() and index.read_bytes() != before:
-                stores.put_shard(self.place, here)
+            try:
+                patience.insist(lambda: stores.put(self.place, _files(root, "failed"), root), kept)
+                if here.path("parquet").exists():
+                    patience.insist(lambda: stores.put_shard(self.place, here), kept)
+            except (OutageError, FormatError) as error:
+                raise OutageError(f"{error}; {kept}, and put by the next run on this machine") from None
+            for suffix in ("parquet", "tar"):
+                Folder(here.folder).remove(here.path(suffix).name)
+            Folder(root).remove_tree("failed")
 
     @contextmanager
     def log(self, name: str) -> Iterator["Log"]:
@@ -96,18 +115,24 @@ class Destination:
             with Log(self.folder, name) as log:
                 yield log
             return
-        with scratch() as here, Log(here, name, self.place) as log:
+        here = spool_of(self.place, "logs")
+        Folder(here).make()
+        with Log(here, name, self.place) as log:
             yield log
 
 
 class Log:
-    """A file under `logs`, each line written out at once; that of a store lies here until `save` copies it there."""
+    """A file under `logs`, each line written out at once; that of a store lies here until `save` has copied it there
+    for the last time."""
 
     def __init__(self, root: Path, name: str, url: str = "") -> None:
         folder = Folder(root)
         folder.make("logs")
         self._stream = folder.append(f"logs/{name}")
         self._root, self._url = root, url
+        self._path = root / "logs" / name
+        if url:
+            fcntl.flock(self._stream, fcntl.LOCK_EX)
 
     def __enter__(self) -> "Log":
         return self
@@ -119,16 +144,40 @@ class Log:
         """Add a line."""
         self._stream.write(line)
 
-    def save(self) -> None:
-        """Copy it to its store."""
-        if self._url:
-            stores.put(self._url, _files(self._root, "logs"), self._root)
+    def save(self, is_last: bool = False) -> str:
+        """Copy it to its store; returns why that has failed, "" otherwise. No run waits long for it."""
+        if not self._url:
+            return ""
+        until = time.monotonic() + SAVE_S
+        # In the end those of killed runs too.
+        paths = [self._path, *(_unlocked(self._path.parent) if is_last else [])]
+        names = [str(path.relative_to(self._root)) for path in paths]
+        try:
+            attempt(lambda: stores.put(self._url, names, self._root), lambda: time.monotonic() > until)
+        except (OutageError, FormatError) as error:
+            return f"{error}; the log is {self._path}"
+        for name in names if is_last else []:
+            Folder(self._root).remove(name)
+        return ""
 
 
 @contextmanager
 def _announced(url: str, recipe: dict[str, Any], split: str, n: int) -> Iterator[None]:
     stores.announce(url, recipe, split, n)
     yield
+    # Once more: a run that began with this one may have written over it since.
+    with suppress(OutageError, FormatError):
+        stores.announce(url, recipe, split, n)
+
+
+def _unlocked(folder: Path) -> list[Path]:
+    """The files in a folder that no process holds."""
+    found = []
+    for path in sorted(folder.glob("*")):
+        with path.open("rb") as file, suppress(BlockingIOError):
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            found.append(path)
+    return found
 
 
 def _files(root: Path, folder: str) -> list[str]:

@@ -3,9 +3,10 @@
 from dataclasses import dataclass
 from typing import Any
 
-from synth3dlanes.dataset.address import connect, splits_near, translate_store_errors
+from synth3dlanes.dataset.address import can_list, connect, splits_near, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION, data_set_of, parse_description
 from synth3dlanes.dataset.index import read_indices
+from synth3dlanes.dataset.listing import read_shards
 from synth3dlanes.errors import FormatError
 
 
@@ -42,25 +43,27 @@ def dataset_info(url: str) -> DatasetInfo:
     where = f"{root_url}/{DESCRIPTION}"
     with translate_store_errors(where, "cannot be read"):
         recipe = parse_description(files.cat_file(f"{root}/{DESCRIPTION}"), where)
-    splits = {name: entry for name, entry in recipe.pop("splits").items() if only in ("", name)}
+    splits = {name: entry["n"] for name, entry in recipe["splits"].items() if only in ("", name)}
     if only and not splits:
         raise FormatError(f"{url}: expected a data set or one of its splits{splits_near(url)}")
     with translate_store_errors(url):
-        found = tuple(_split(files, root, name, entry["n"]) for name, entry in splits.items())
-    return DatasetInfo(recipe, found)
+        found = tuple(_split(root_url, recipe, name, asked) for name, asked in splits.items())
+    return DatasetInfo({key: value for key, value in recipe.items() if key != "splits"}, found)
 
 
-def _split(files: Any, root: str, name: str, asked: int) -> SplitInfo:
-    found = files.find(f"{root}/{name}", detail=True)
-    sizes = {path.removeprefix(f"{root}/{name}/"): int(entry["size"]) for path, entry in found.items()}
-    indices: set[int] = set()
-    shards = [path for path in sizes if path.endswith(".parquet") and "/" not in path]
-    for path in shards:
-        where = f"{root}/{name}/{path}"
-        indices |= read_indices(files.cat_file(where), where)
+def _split(place: str, description: dict[str, Any], name: str, asked: int) -> SplitInfo:
+    files, root = connect(place)
+    shards = read_shards(f"{place}/{name}", description, read_indices)
+    indices = set[int]().union(*(shard.index for shard in shards))
+    if can_list(files):
+        found = files.find(f"{root}/{name}", detail=True)
+        sizes = {path.removeprefix(f"{root}/{name}/"): int(entry["size"]) for path, entry in found.items()}
+        failed = files.ls(f"{root}/failed/{name}") if files.isdir(f"{root}/failed/{name}") else []
+    else:
+        sizes = {path: int(files.size(path) or 0) for shard in shards for path in (shard.parquet, shard.tar)}
+        failed = []
     parts = {path for path in sizes if ".parts/" in path and path.endswith(".tar")}
     keys = {path.rpartition("/")[2].removesuffix(".tar") for path in parts}
     waiting = {int(key) for key in keys if key.isdecimal()} - indices
-    failed = files.ls(f"{root}/failed/{name}") if files.isdir(f"{root}/failed/{name}") else []
     joined = sum(index < asked for index in indices)
     return SplitInfo(name, asked, joined, len(waiting), len(failed), len(shards), sum(sizes.values()))

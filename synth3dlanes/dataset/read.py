@@ -5,8 +5,8 @@ be pickled, forked and used by many threads.
 """
 
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -14,7 +14,7 @@ from jaxtyping import Int, Shaped, UInt8
 from pydantic import ValidationError
 
 from synth3dlanes import labels as labels_module
-from synth3dlanes.dataset.address import connect, splits_near, translate_store_errors
+from synth3dlanes.dataset.address import can_list, connect, read_file, splits_near, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION, parse_description, pictures_per_scene
 from synth3dlanes.dataset.format import (
     BLOCK,
@@ -38,13 +38,13 @@ from synth3dlanes.dataset.index import (
     recipe_of,
     require_columns,
 )
+from synth3dlanes.dataset.listing import read_shards
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.labels import Labels
 from synth3dlanes.schema import AHEAD_DEG, validation_problems
 from synth3dlanes.sensors.cameras import CameraSpec
 from synth3dlanes.sensors.sweep import Sweep
 
-N_CONNECTIONS = 8
 SIZE_COLUMNS = ("camera_width_px", "camera_height_px")
 
 
@@ -59,27 +59,16 @@ class Reader:
 
     def __init__(self, url: str, columns: Sequence[str] | None = None) -> None:
         self.url = str(url).rstrip("/")
-        files, self._root = connect(self.url)
-        where = f"{self._root.rpartition('/')[0]}/{DESCRIPTION}"
-        with translate_store_errors(self.url):
-            if not files.exists(where):
-                there = splits_near(self.url)
-                raise FormatError(f"{self.url}: expected a split of a data set, as DIR/train, got no {where}{there}")
-            if not files.isdir(self._root):
-                raise FormatError(f"{self.url}: expected a split of a data set, got no folder{splits_near(self.url)}")
-        self.description = parse_description(self._read(where), where)
+        self.description = self._describe()
         self._names = member_names(self.description["image_format"], self.description["render"]["passes"])
-        sizes = self._list()
-        paths = sorted(path for path in sizes if path.endswith(".parquet"))
-        if not paths:
-            raise FormatError(f"{self.url}: expected shards (00000.tar with 00000.parquet), got none")
         has_shots = pictures_per_scene(self.description) > 1
         wanted = ["key", "index", *SIZE_COLUMNS, *place_columns(self._names), *(SHOT_COLUMNS if has_shots else ())]
         chosen = () if columns is None else tuple(dict.fromkeys((*wanted, *columns)))
-        with ThreadPoolExecutor(N_CONNECTIONS) as pool:
-            tables = list(pool.map(lambda path: self._table(path, wanted, chosen), paths))
-        self._tars = [f"{path.removesuffix('.parquet')}.tar" for path in paths]
-        self._tar_sizes = [sizes.get(tar, 0) for tar in self._tars]
+        shards = read_shards(self.url, self.description, partial(self._table, required=wanted, chosen=chosen))
+        if not shards:
+            raise FormatError(f"{self.url}: expected shards (00000.tar with 00000.parquet), got none")
+        tables = [shard.index for shard in shards]
+        self._tars, self._tar_bytes = [shard.tar for shard in shards], [shard.tar_bytes for shard in shards]
         self._shard = np.repeat(np.arange(len(tables)), [table.num_rows for table in tables])
         if any(table.schema != tables[0].schema for table in tables):
             raise FormatError(f"{self.url}: expected the same columns in all shards, got others")
@@ -222,8 +211,9 @@ class Reader:
         end = max(offset + size for offset, size in places.values())
         shard = self._shard[i]
         tar = self._tars[shard]
-        if end > self._tar_sizes[shard]:
-            raise FormatError(f"{tar}: expected at least {end} bytes, got {self._tar_sizes[shard]}")
+        tar_bytes = self._tar_bytes[shard]
+        if tar_bytes is not None and end > tar_bytes:
+            raise FormatError(f"{tar}: expected at least {end} bytes, got {tar_bytes}")
         data = self._read(tar, start, end)
         if len(data) < end - start:
             raise FormatError(f"{tar}: expected {end - start} bytes from byte {start}, got {len(data)}")
@@ -235,8 +225,23 @@ class Reader:
             members[name] = data[offset - start : offset - start + size]
         return members
 
-    def _table(self, path: str, required: Sequence[str], chosen: Sequence[str]) -> pa.Table:
-        table = read_index(self._read(path), path, chosen)
+    def _describe(self) -> dict[str, Any]:
+        """The contents of `dataset.json` beside the split, whose folder must be there."""
+        files, root = connect(self.url)
+        where = f"{root.rpartition('/')[0]}/{DESCRIPTION}"
+        with translate_store_errors(self.url):
+            data = read_file(files, where)
+            if data is None:
+                there = splits_near(self.url)
+                raise FormatError(f"{self.url}: expected a split of a data set, as DIR/train, got no {where}{there}")
+            if not can_list(files):
+                _require_parts_of_files(files, where)
+            elif not files.isdir(root):
+                raise FormatError(f"{self.url}: expected a split of a data set, got no folder{splits_near(self.url)}")
+        return parse_description(data, where)
+
+    def _table(self, data: bytes, path: str, required: Sequence[str], chosen: Sequence[str]) -> pa.Table:
+        table = read_index(data, path, chosen)
         require_columns(table, required, path)
         stem, size = path.rpartition("/")[2].removesuffix(".parquet"), int(self.description["shard_size"])
         if not stem.isdecimal():
@@ -244,13 +249,7 @@ class Reader:
         check_places(table, self._names, range(int(stem) * size, (int(stem) + 1) * size), path)
         return table
 
-    def _list(self) -> dict[str, int]:
-        """The files of the split and their sizes."""
-        with translate_store_errors(self.url, "cannot list the shards"):
-            found = connect(self.url)[0].ls(self._root, detail=True)
-            return {str(entry["name"]): int(entry["size"] or 0) for entry in found}
-
-    def _read(self, path: str, start: int | None = None, end: int | None = None) -> bytes:
+    def _read(self, path: str, start: int, end: int) -> bytes:
         with translate_store_errors(path, "cannot be read"):
             return bytes(connect(self.url)[0].cat_file(path, start=start, end=end))
 
@@ -266,6 +265,12 @@ class Reader:
 
     def _where(self, i: int) -> str:
         return f"{self._tars[self._shard[self._position(i)]]}: {self.key(i)}"
+
+
+def _require_parts_of_files(files: Any, path: str) -> None:
+    """Raise FormatError where a server sends whole files only: a sample would cost its shard."""
+    if len(files.cat_file(path, start=0, end=1)) != 1:
+        raise FormatError(f"{path}: expected a server that sends parts of files (range requests), got the whole file")
 
 
 def find(place: str) -> tuple[Reader, int]:

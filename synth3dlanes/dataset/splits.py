@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from synth3dlanes.dataset.address import connect, is_url, splits_near, translate_store_errors
+from synth3dlanes.dataset.address import can_list, connect, is_url, splits_near, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION
+from synth3dlanes.dataset.listing import splits_with_shards
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.errors import FormatError, InputError
 
@@ -15,10 +16,10 @@ def readers(folder: str) -> list[Reader]:
     """Readers of every split of a data set that has finished shards, or of the one split that is named."""
     files, root = connect(folder)
     with translate_store_errors(folder):
-        if not files.isdir(root):
+        if can_list(files) and not files.isdir(root):
             there = splits_near(folder)
             raise FormatError(f"{folder}: expected a data set or one of its splits, got no folder{there}")
-    splits = _splits(folder)
+    splits = splits_with_shards(folder)
     if splits is None:
         return [Reader(folder)]
     if not splits:
@@ -28,7 +29,7 @@ def readers(folder: str) -> list[Reader]:
 
 def only_split(place: str) -> str:
     """`DIR/SPLIT` for a data set that has one split, others as they are; raise InputError where there are several."""
-    splits = _splits(place) or []
+    splits = splits_with_shards(place) or []
     if len(splits) > 1:
         raise InputError(f"{place}: expected one split, got {len(splits)}{splits_near(place)}")
     return "/".join((place.rstrip("/"), *splits))
@@ -39,13 +40,11 @@ def one_reader(place: str, columns: Sequence[str] | None = None) -> Reader:
     return Reader(only_split(place), columns)
 
 
-def _splits(folder: str) -> list[str] | None:
-    """The splits of a data set that have finished shards, None for other folders."""
+def has_split(folder: str, split: str) -> bool:
+    """Whether a data set has a split of this name, finished or not."""
     files, root = connect(folder)
     with translate_store_errors(folder):
-        if not files.exists(f"{root}/{DESCRIPTION}"):
-            return None
-        return sorted({path.rsplit("/", 2)[-2] for path in files.glob(f"{root}/*/*.parquet")})
+        return bool(files.exists(f"{root}/{split}")) if can_list(files) else split in (splits_with_shards(folder) or [])
 
 
 def evenly_spaced(found: Sequence[Reader], n: int, is_once_a_scene: bool = False) -> list[tuple[Reader, int]]:

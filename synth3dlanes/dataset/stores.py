@@ -1,89 +1,180 @@
 """Data sets at a URL (fsspec: s3://, gs://, sftp://, ...). A shard is there once its parquet is.
 
 A store is no file system: nothing there is locked or continued in place. A shard is fetched, continued on this
-machine's own disk, and put back whole: the tar first, the index last. Two runs that make the same shard put the same
-bytes.
+machine's own disk (`spool`), and put back whole: the tar first, the index last. Two runs that make the same shard put
+the same bytes; one that has more samples of it keeps them.
 """
 
-from pathlib import Path
-from tempfile import TemporaryDirectory
+import os
+import secrets
+import time
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
 from typing import Any
 
-from synth3dlanes.dataset.address import connect, translate_store_errors
+from synth3dlanes.dataset.address import connect, read_file, translate_store_errors
 from synth3dlanes.dataset.card import CARD, updated_card
 from synth3dlanes.dataset.description import DESCRIPTION, updated_description
 from synth3dlanes.dataset.index import read_indices
-from synth3dlanes.dataset.write import Shard
-from synth3dlanes.errors import InputError
+from synth3dlanes.dataset.write import Shard, scan
+from synth3dlanes.errors import InputError, OutageError
+from synth3dlanes.files import Folder
+
+# Stores whose objects appear whole, as do those in memory. In others a file is written beside, and renamed.
+ATOMIC = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "oss", "oci", "cos", "obs", "tos", "memory"}
+# How often what was written is read again and, if another run has written in between, mended.
+MAX_ROUNDS = 20
+# Two runs that begin together have read the same before either writes; this is longer than from reading to writing.
+SETTLE_S = 0.5
 
 
 def announce(url: str, recipe: dict[str, Any], split: str, n: int) -> None:
-    """Write `dataset.json` and its card; raise InputError where the store holds another recipe's samples."""
+    """Write `dataset.json` and its card; raise InputError where the store holds another recipe's samples.
+
+    Runs that begin together each read and write it. So what was written is read again after a while, until it says
+    what this run asks for beside what others do. Equal runs write equal bytes.
+    """
     files, root = connect(url)
-    with translate_store_errors(url):
-        where = f"{root}/{DESCRIPTION}"
-        before = files.cat_file(where) if files.exists(where) else None
-        if before is None and files.glob(f"{root}/*/*.parquet"):
-            raise InputError(f"{url}/{DESCRIPTION}: missing, but there are shards beside it")
-        after = updated_description(before, recipe, split, n, f"{url}/{DESCRIPTION}")
-        card_before = files.cat_file(f"{root}/{CARD}") if files.exists(f"{root}/{CARD}") else None
-        card_after = updated_card(card_before, after, f"{url}/{DESCRIPTION}")
-        with TemporaryDirectory() as folder:
-            for name, old, new in ((DESCRIPTION, before, after), (CARD, card_before, card_after)):
-                if new != old:
-                    (Path(folder) / name).write_bytes(new)
-                    put(url, [name], Path(folder))
+    for _ in range(MAX_ROUNDS):
+        with translate_store_errors(url):
+            before = _description(files, url, root)
+            after = updated_description(before, recipe, split, n, f"{url}/{DESCRIPTION}")
+            card_before = read_file(files, f"{root}/{CARD}")
+            card_after = updated_card(card_before, after, f"{url}/{DESCRIPTION}")
+        if (before, card_before) == (after, card_after):
+            return
+        for name, old, new in ((DESCRIPTION, before, after), (CARD, card_before, card_after)):
+            if new != old:
+                put_bytes(url, name, new)
+        time.sleep(SETTLE_S * (1 + secrets.randbelow(100) / 100))
+    raise OutageError(f"{url}/{DESCRIPTION}: other runs change it all the time")
 
 
 def indices(url: str, shard: Shard) -> set[int]:
     """The indices of the samples that a store has in a shard; none where there is no such shard."""
+    data = _index(url, shard)
+    return set() if data is None else read_indices(data, f"{url}/{_names(shard)[1]}")
+
+
+def take(url: str, shard: Shard) -> None:
+    """Bring what the store has of a shard into `shard` on this machine, beside the samples that are here."""
+    theirs, index = _index(url, shard), shard.path("parquet")
+    if theirs is None or (index.exists() and index.read_bytes() == theirs):
+        return
+    tar, name = _names(shard)
+    unjoin(shard, shard, read_indices(theirs, f"{url}/{name}"))
+    here = Folder(shard.folder)
+    for suffix in ("parquet", "tar"):
+        here.remove(shard.path(suffix).name)
     files, root = connect(url)
-    where = shard.path("parquet").as_posix()
-    with translate_store_errors(f"{url}/{where}"):
-        if not files.exists(f"{root}/{where}"):
-            return set()
-        return read_indices(files.cat_file(f"{root}/{where}"), f"{url}/{where}")
-
-
-def fetch_shard(url: str, shard: Shard) -> None:
-    """Copy a finished shard, if there is one, to where `shard` has it on this machine, with `dataset.json`."""
-    root = shard.folder.parent
-    tar, index = _names(shard)
-    fetch(url, [index], root)
-    if shard.path("parquet").exists():
-        fetch(url, [tar, DESCRIPTION], root)
+    temporary = shard.path(f"{secrets.token_hex(8)}.tmp")
+    try:
+        with translate_store_errors(f"{url}/{tar}"):
+            files.get_file(f"{root}/{tar}", str(temporary))
+        os.replace(temporary, shard.path("tar"))
+    finally:
+        temporary.unlink(missing_ok=True)
+    here.write(index.name, theirs)
 
 
 def put_shard(url: str, shard: Shard) -> None:
-    """Copy out a shard: the index last, and the old one gone before the new tar comes."""
+    """Copy out a shard: the index last, and the old one gone before the new tar comes. What the store has got meanwhile
+    from another run is kept."""
     files, root = connect(url)
-    tar, index = _names(shard)
-    with translate_store_errors(f"{url}/{index}"):
-        if files.exists(f"{root}/{index}"):
-            files.rm_file(f"{root}/{index}")
-    put(url, [tar, index], shard.folder.parent)
+    tar, name = _names(shard)
+    for _ in range(MAX_ROUNDS):
+        theirs, ours = _index(url, shard), shard.path("parquet").read_bytes()
+        if theirs == ours and _size(url, tar) == shard.path("tar").stat().st_size:
+            return
+        if theirs is not None:
+            others, own = (read_indices(data, f"{url}/{name}") for data in (theirs, ours))
+            if others > own:
+                return
+            if others - own:
+                take(url, shard)
+                shard.join(max(others | own) + 1)
+            with translate_store_errors(f"{url}/{name}"), suppress(FileNotFoundError):
+                files.rm_file(f"{root}/{name}")
+        put(url, [tar, name], shard.folder.parent)
+    raise OutageError(f"{url}/{tar}: other runs change it all the time")
 
 
-def fetch(url: str, names: list[str], folder: Path) -> None:
-    """Copy files into a folder; those that the store lacks are left out."""
-    files, root = connect(url)
-    for name in names:
-        with translate_store_errors(f"{url}/{name}"):
-            if files.exists(f"{root}/{name}"):
-                (folder / name).parent.mkdir(parents=True, exist_ok=True)
-                files.get_file(f"{root}/{name}", str(folder / name))
+def unjoin(shard: Shard, into: Shard, but: set[int]) -> None:
+    """Write the samples in a shard's tar as parts of `into`, but for those with some indices."""
+    tar = shard.path("tar")
+    if not tar.exists():
+        return
+    with tar.open("rb") as stream:
+        for number, place in scan(tar, shard.names)[0].items():
+            if number in but:
+                continue
+            members = {}
+            for member, (offset, size) in place.members.items():
+                stream.seek(offset)
+                members[member] = stream.read(size)
+            replace(into, run="").write_part(number, members)
 
 
 def put(url: str, names: list[str], folder: Path) -> None:
-    """Copy files out of a folder, in this order. Each appears by renaming, for stores that show half a file."""
-    files, root = connect(url)
+    """Copy files out of a folder, in this order; each appears whole."""
     for name in names:
-        with translate_store_errors(f"{url}/{name}"):
-            # Elsewhere a path begins with a bucket, which would be made without a word; folders need no making there.
-            if root.startswith("/"):
-                files.makedirs(f"{root}/{name}".rpartition("/")[0], exist_ok=True)
-            files.put_file(str(folder / name), f"{root}/{name}.tmp")
-            files.mv(f"{root}/{name}.tmp", f"{root}/{name}")
+        _put(url, name, lambda files, path, source=folder / name: files.put_file(str(source), path))
+
+
+def put_bytes(url: str, name: str, data: bytes) -> None:
+    """Write a file, which appears whole."""
+    _put(url, name, lambda files, path: files.pipe_file(path, data))
+
+
+def _put(url: str, name: str, write: Any) -> None:
+    files, root = connect(url)
+    path = f"{root}/{name}"
+    with translate_store_errors(f"{url}/{name}"):
+        # Elsewhere a path begins with a bucket, which would be made without a word; folders need no making there.
+        if root.startswith("/"):
+            files.makedirs(path.rpartition("/")[0], exist_ok=True)
+        if ATOMIC & {files.protocol, *files.protocol}:
+            write(files, path)
+            return
+        beside = PurePosixPath(path).with_name(f".{PurePosixPath(path).name}.{secrets.token_hex(8)}.tmp")
+        try:
+            write(files, str(beside))
+            files.mv(str(beside), path)
+        except BaseException:
+            with suppress(Exception):
+                files.rm_file(str(beside))
+            raise
+
+
+def _description(files: Any, url: str, root: str) -> bytes | None:
+    """`dataset.json` as it is now, None where the store is new."""
+    found = read_file(files, f"{root}/{DESCRIPTION}")
+    if found is None:
+        files.invalidate_cache()
+        if files.glob(f"{root}/*/*.parquet"):
+            # Perhaps of a run that has written both since.
+            found = read_file(files, f"{root}/{DESCRIPTION}")
+            if found is None:
+                raise InputError(f"{url}/{DESCRIPTION}: missing, but there are shards beside it")
+    return found
+
+
+def _index(url: str, shard: Shard) -> bytes | None:
+    """The index of a shard as the store has it now, None where it has none."""
+    files, root = connect(url)
+    name = _names(shard)[1]
+    with translate_store_errors(f"{url}/{name}"):
+        return read_file(files, f"{root}/{name}")
+
+
+def _size(url: str, name: str) -> int | None:
+    files, root = connect(url)
+    with translate_store_errors(f"{url}/{name}"):
+        files.invalidate_cache()
+        with suppress(FileNotFoundError):
+            return int(files.size(f"{root}/{name}"))
+    return None
 
 
 def _names(shard: Shard) -> tuple[str, str]:

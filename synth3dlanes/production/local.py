@@ -14,13 +14,16 @@ import time
 from collections import Counter, deque
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
+from functools import partial
 from itertools import islice
 from pathlib import Path, PurePath
 from typing import Any
 
+from synth3dlanes.dataset.description import recipe_text
 from synth3dlanes.dataset.format import key_of
+from synth3dlanes.dataset.patience import LIMIT_S, Patience
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.errors import LinkError
+from synth3dlanes.errors import LinkError, OutageError
 from synth3dlanes.files import Folder
 from synth3dlanes.production.forecast import forecast, patience_s
 from synth3dlanes.production.plan import Plan
@@ -45,12 +48,38 @@ def make_here(plan: Plan, tally: Tally) -> None:
         shards = {number: shard.within(destination.folder) for number, shard in plan.shards().items()}
         _Run(plan, destination.folder, shards, tally).go()
         return
-    for number, missing in plan.missing().items():
-        if missing and not tally.is_stopping:
-            with destination.working_copy(plan.shards()[number]) as shard:
+    patience = Patience(LIMIT_S, tally.tell, lambda: tally.is_stopping)
+    left = set(destination.spooled(plan.recipe.split, recipe_text(plan.description())))
+    # Of shards of other parts, all that an earlier run has left.
+    ends = {number: plan.n if number in plan.shards() else (number + 1) * plan.shard_size for number in left}
+    ends |= dict.fromkeys(plan.shards(), plan.n)
+    try:
+        for number, n in sorted(ends.items()):
+            missing = patience.insist(partial(destination.missing, plan.shard(number), n), "all before it is there")
+            if (missing or number in left) and not tally.is_stopping:
+                _make_for_store(plan, number, n, missing, tally, patience)
+    except OutageError as error:
+        if tally.stop_signal:
+            tally.tell("pause", str(error))
+        else:
+            tally.problem = str(error)
+
+
+def _make_for_store(plan: Plan, number: int, n: int, missing: list[int], tally: Tally, patience: Patience) -> None:
+    """Make what a store lacks of the samples below `n` of a shard; of another part's, put what is made already."""
+    try:
+        with plan.destination.working_copy(plan.shard(number), patience) as shard:
+            found = sorted(set(missing) - set(shard.missing(n)))
+            if found:
+                told = f"shard {number}: {len(found)} finished samples of an earlier run are in {shard.folder.parent}"
+                tally.tell("resume", f"{told}, and are put into the store", shard=number, found=found)
+            if number in plan.shards():
                 _Run(plan, shard.folder.parent, {number: shard}, tally).go()
-                if shard.needs_join(plan.n):
-                    shard.join(plan.n)
+            if shard.needs_join(n):
+                shard.claimed().join(n)
+    except OutageError as error:
+        tally.tell("shard", str(error), shard=number, lost=[index for index in missing if index < plan.n])
+        raise
 
 
 class _Run:

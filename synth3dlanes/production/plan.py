@@ -59,9 +59,14 @@ class Plan:
     def shards(self) -> dict[int, Shard]:
         """This part's shards by number, relative to the data set."""
         part, parts = self.part
-        folder, names, recipe = Path(self.recipe.split), self.recipe.names, recipe_text(self.description())
         numbers = range(part - 1, math.ceil(self.n / self.shard_size), parts)
-        return {number: Shard(folder, number, self.shard_size, names, recipe) for number in numbers}
+        return {number: replace(self.shard(0), number=number) for number in numbers}
+
+    def shard(self, number: int) -> Shard:
+        """A shard of the split, of this part or not, relative to the data set."""
+        return Shard(
+            Path(self.recipe.split), number, self.shard_size, self.recipe.names, recipe_text(self.description())
+        )
 
     def missing(self) -> dict[int, list[int]]:
         """The indices of the samples that are not there yet, by shard."""

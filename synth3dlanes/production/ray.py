@@ -2,18 +2,19 @@
 
 Blender stays in those workers: Ray's own process only supervises. A task whose node dies is made again elsewhere; on a
 shared folder it goes on where it was. The truth is at the destination, never in a task's answer, so executors may
-follow one another on the same data set.
+follow one another on the same data set. Nor does progress decide: what tasks tell may be lost, and is counted in the
+end by what is there.
 """
 
 import math
 import os
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from typing import Any
 
-from synth3dlanes.errors import ClaimedError, InputError, MissingPackageError
+from synth3dlanes.dataset.patience import LIMIT_S, Patience, since
+from synth3dlanes.errors import ClaimedError, InputError, MissingPackageError, OutageError
 from synth3dlanes.production.devices import WORKERS_PER_GPU, resolve_device
 from synth3dlanes.production.events import Event
 from synth3dlanes.production.local import make_here
@@ -25,6 +26,9 @@ from synth3dlanes.production.tally import GRACE_S, Tally
 try:
     import ray
     from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
+
+    from synth3dlanes.production.cluster import Cluster
+    from synth3dlanes.production.cluster import connected as connected
 except ModuleNotFoundError as error:
     raise MissingPackageError("Ray is not installed: pip install 'synth3dlanes[cluster]'") from error
 
@@ -34,6 +38,9 @@ MAX_NODE_DEATHS = 20
 # The lock of a task whose node died can outlive it on a network file system.
 CLAIM_PATIENCE_S = 300.0
 POLL_S = 1.0
+# How long the board may take to answer; after how long without a running task the run says what it waits for.
+BOARD_S, IDLE_S = 5.0, 10.0
+BEGUN = "begun"
 
 Post = tuple[str, str, dict[str, Any]]
 
@@ -52,19 +59,6 @@ class Board:
         """All events since the last time."""
         posts, self.posts = self.posts, []
         return posts
-
-
-@contextmanager
-def connected(address: str) -> Iterator[None]:
-    """While this process is part of the cluster at `address`; raise InputError where there is none."""
-    try:
-        ray.init(address=address, log_to_driver=False, logging_level="error")
-    except ConnectionError as error:
-        raise InputError(f"address: cannot connect to a Ray cluster at {address}: {error}") from None
-    try:
-        yield
-    finally:
-        ray.shutdown()
 
 
 def resolved_on_ray(plan: Plan) -> Plan:
@@ -96,6 +90,7 @@ def make_shard(plan: Plan, board: Any) -> str:
     def post(event: Event) -> None:
         board.post.remote(event.kind, event.message, {**event.details, "node": os.uname().nodename})
 
+    board.post.remote(BEGUN, "", {})
     plan = plan.resolved()
     with ExitStack() as stack:
         until = time.monotonic() + CLAIM_PATIENCE_S
@@ -105,7 +100,7 @@ def make_shard(plan: Plan, board: Any) -> str:
                     plan.destination.claim(plan.description(), plan.recipe.split, plan.n, plan.shards())
                 )
                 break
-            except ClaimedError:
+            except (ClaimedError, OutageError):
                 if time.monotonic() > until:
                     raise
                 time.sleep(POLL_S)
@@ -117,38 +112,90 @@ def make_shard(plan: Plan, board: Any) -> str:
 
 def make_on_ray(plan: Plan, tally: Tally) -> None:
     """Make what a plan's destination lacks; a folder must be shared by all nodes."""
-    n_gpus = int(plan.recipe.settings.device != "cpu")
-    here = NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=False)
-    board = ray.remote(Board).options(num_cpus=0, scheduling_strategy=here).remote()
-    task = ray.remote(make_shard).options(num_cpus=plan.workers, num_gpus=n_gpus, max_retries=MAX_NODE_DEATHS)
-    shards, destination = plan.shards(), plan.destination
-    todo = [
-        number
-        for number, indices in plan.missing().items()
-        if indices or destination.needs_join(shards[number], plan.n)
-    ]
-    tasks = {task.remote(plan.only(number), board): number for number in todo}
-    stop_by = math.inf
-    while tasks and time.monotonic() < stop_by:
-        ready, _ = ray.wait(list(tasks), timeout=POLL_S)
-        _pass_on(board, tally)
-        tally.acknowledge()
-        for reference in ready:
-            number, problem = tasks.pop(reference), _problem(reference)
-            if problem and not tally.problem:
-                tally.problem = f"shard {number}: {problem}"
-        if tally.is_stopping and stop_by == math.inf:
-            stop_by = time.monotonic() + GRACE_S + 2 * POLL_S
-            # Tasks under way finish their samples at hand; the others are not begun.
-            for reference in tasks:
-                ray.cancel(reference, force=False)
-    _pass_on(board, tally)
-    tally.recount(index for indices in plan.missing().values() for index in indices)
+    patience = Patience(LIMIT_S, tally.tell, lambda: tally.is_stopping)
+    try:
+        shards, destination, missing = (
+            plan.shards(),
+            plan.destination,
+            patience.insist(plan.missing, "nothing is begun"),
+        )
+        todo = [n for n, indices in missing.items() if indices or destination.needs_join(shards[n], plan.n)]
+        _Tasks(plan, tally, todo).go()
+        missing = patience.insist(plan.missing, "what is finished is counted then")
+    except OutageError as error:
+        tally.problem = tally.problem or str(error)
+        return
+    tally.recount(index for indices in missing.values() for index in indices)
 
 
-def _pass_on(board: Any, tally: Tally) -> None:
-    for kind, message, details in ray.get(board.take.remote()):
-        tally.tell(kind, message, **details)
+class _Tasks:
+    """The tasks of a run under way: which shard each makes, and how many have begun."""
+
+    def __init__(self, plan: Plan, tally: Tally, todo: list[int]) -> None:
+        self.plan, self.tally = plan, tally
+        self.cluster = Cluster()
+        here = NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=False)
+        self.board = ray.remote(Board).options(num_cpus=0, max_restarts=-1, scheduling_strategy=here).remote()
+        self.n_gpus = int(plan.recipe.settings.device != "cpu")
+        task = ray.remote(make_shard)
+        task = task.options(num_cpus=plan.workers, num_gpus=self.n_gpus, max_retries=MAX_NODE_DEATHS)
+        self.tasks = {task.remote(plan.only(number), self.board): number for number in todo}
+        self.n_begun = self.n_ended = 0
+        self.idle_since, self.is_waiting = time.monotonic(), False
+
+    def go(self) -> None:
+        """Wait for all tasks, or until the run is to stop."""
+        tally, stop_by = self.tally, math.inf
+        while self.tasks and time.monotonic() < stop_by:
+            ready, _ = ray.wait(list(self.tasks), timeout=POLL_S)
+            lost = self.cluster.lost()
+            if lost:
+                tally.problem = f"{lost}; what is finished stays, and a run on a new cluster continues it"
+                return
+            self._pass_on()
+            tally.acknowledge()
+            for reference in ready:
+                self._ended(reference)
+            self._tell_of_waiting()
+            if tally.is_stopping and stop_by == math.inf:
+                stop_by = time.monotonic() + GRACE_S + 2 * POLL_S
+                # Tasks under way finish their samples at hand; the others are not begun.
+                for reference in self.tasks:
+                    with suppress(ray.exceptions.RayError):
+                        ray.cancel(reference, force=False)
+        self._pass_on()
+
+    def _ended(self, reference: Any) -> None:
+        number, problem = self.tasks.pop(reference), _problem(reference)
+        self.n_ended += 1
+        if problem and not self.tally.problem:
+            self.tally.problem = f"shard {number}: {problem}"
+
+    def _pass_on(self) -> None:
+        """Tell what tasks have posted. Without the board, which Ray starts again where it can, there is only less to
+        tell."""
+        try:
+            posts: list[Post] = ray.get(self.board.take.remote(), timeout=BOARD_S)
+        except ray.exceptions.RayError:
+            return
+        for kind, message, details in posts:
+            if kind == BEGUN:
+                self.n_begun += 1
+            else:
+                self.tally.tell(kind, message, **details)
+
+    def _tell_of_waiting(self) -> None:
+        """Say what is waited for where no task has begun in a while, and that one has."""
+        is_idle = self.n_begun <= self.n_ended
+        if not is_idle:
+            self.idle_since = time.monotonic()
+        if is_idle and self.tasks and not self.is_waiting and time.monotonic() - self.idle_since > IDLE_S:
+            self.is_waiting = True
+            wanted = f"{self.plan.workers} cores{' and a GPU' * self.n_gpus} free on one node (--workers)"
+            self.tally.tell("pause", f"waiting {since(self.idle_since)} for {wanted}; {self.cluster.text()}")
+        elif self.is_waiting and not is_idle:
+            self.is_waiting = False
+            self.tally.tell("resume", "the cluster has room")
 
 
 def _problem(reference: Any) -> str:

@@ -63,7 +63,7 @@ class Tally:
         self._is_acknowledged = False
         self._missing_before = frozenset(self.missing)
         self._made, self._set_aside, self._restarts = set[int](), set[int](), 0
-        self._notify, self._log = notify, log
+        self._notify, self._log, self._log_problem = notify, log, ""
         self._began, self._first = time.monotonic(), 0.0
 
     @property
@@ -83,17 +83,19 @@ class Tally:
             self.tell("stop", "interrupted: finishing the samples in progress; Ctrl-C again stops at once")
 
     def tell(self, kind: str, message: str, /, **details: Any) -> None:
-        """Something has happened. Details that count: `index` of a "sample" or "set_aside", and `lost`, the indices
-        that a "shard" turned out not to have."""
+        """Something has happened. Details that count: `index` of a "sample" or "set_aside", `lost`, the indices that a
+        "shard" turned out not to have, and `found`, those that a "resume" has from an earlier run."""
         self._count(kind, details)
         event = self._event(kind, message, details)
         # A full disk may cost lines of the log, not the run.
         with suppress(OSError):
             if self._log:
                 self._log.write(event.line().encode())
-        if self._log and kind in ("shard", "end"):
-            self._log.save()
         self._notify(event)
+        if self._log and (kind == "end" or (kind == "shard" and not self._log_problem)):
+            self._log_problem = self._log.save(is_last=kind == "end")
+            if kind == "end" and self._log_problem:
+                self._notify(self._event("pause", f"the log is not in the store: {self._log_problem}", {}))
 
     def recount(self, missing: Iterable[int]) -> None:
         """Count by what is there in the end, where events may have been lost on their way."""
@@ -125,6 +127,8 @@ class Tally:
             self._restarts += 1
         elif kind == "shard":
             self.missing.update(details["lost"])
+        elif kind == "resume":
+            self.missing.difference_update(details.get("found", ()))
 
     def _event(self, kind: str, message: str, details: dict[str, Any]) -> Event:
         """The rate counts from the first sample on, so that starting up does not."""

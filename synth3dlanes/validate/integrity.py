@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import pyarrow as pa
 
-from synth3dlanes.dataset.address import connect, store_errors, translate_store_errors
+from synth3dlanes.dataset.address import connect, read_file, translate_store_errors
 from synth3dlanes.dataset.columns import SCHEMA, index_row
 from synth3dlanes.dataset.format import BLOCK, key_of, tar_end, tar_members
 from synth3dlanes.dataset.index import ADDED_SCHEMA, place_columns, read_index, recipe_of, require_columns
@@ -137,14 +137,13 @@ def walk(tar: str) -> tuple[list[tuple[str, int, int]], str]:
     found: list[tuple[str, int, int]] = []
     files, path = connect(tar)
     try:
-        if not files.exists(path):
-            return [], "expected a whole tar, got none"
-        with files.open(path, "rb") as stream:
-            for member in tar_members(stream, _size(tar)):
-                found.append(member)
+        with translate_store_errors(_place(tar), "cannot be read"):
+            if not files.exists(path):
+                return [], "expected a whole tar, got none"
+            with files.open(path, "rb") as stream:
+                for member in tar_members(stream, _size(tar)):
+                    found.append(member)
     except FormatError as error:
-        return found, f"expected a whole tar: {error}"
-    except store_errors() as error:
         return found, f"expected a whole tar: {error}"
     return found, "" if found else "expected a whole tar, got no members"
 
@@ -176,9 +175,10 @@ def _read_index(parquet: str) -> pa.Table:
     """The index of a shard; raise FormatError if it is not one. Samples are read in order, so one index is cached."""
     files, path = connect(parquet)
     with translate_store_errors(_place(parquet), "cannot be read"):
-        if not files.exists(path):
+        data = read_file(files, path)
+        if data is None:
             raise FormatError("expected the index of a shard, got none")
-        table = read_index(files.cat_file(path), _place(parquet))
+        table = read_index(data, _place(parquet))
     for field in [*SCHEMA, *ADDED_SCHEMA]:
         if table.column_names.count(field.name) != 1:
             raise FormatError(f"expected one column {field.name}, got {table.column_names.count(field.name)}")

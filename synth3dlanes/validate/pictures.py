@@ -9,7 +9,8 @@ from fsspec.implementations.local import LocalFileSystem
 from jaxtyping import UInt8
 from PIL import Image
 
-from synth3dlanes.dataset.address import connect, store_errors
+from synth3dlanes.dataset.address import connect, translate_store_errors
+from synth3dlanes.errors import FormatError, OutageError
 from synth3dlanes.figures.overlay import draw_overlay, stretches_img
 from synth3dlanes.files import Folder
 from synth3dlanes.labels import Labels
@@ -32,7 +33,7 @@ def save_picture(place: str, name: str, picture: Picture) -> None:
     files, root = connect(place)
     stream, path = io.BytesIO(), f"{FOLDER}/{name}.png"
     Image.fromarray(picture).save(stream, "PNG")
-    with suppress(*store_errors()):
+    with suppress(FormatError, OutageError, OSError), translate_store_errors(place):
         if isinstance(files, LocalFileSystem):
             Folder(Path(root)).make(PurePath(path).parent)
             Folder(Path(root)).write(path, stream.getvalue())
@@ -50,7 +51,7 @@ def remove_pictures(place: str) -> None:
                 if name.endswith(".png"):
                     folder.remove(f"{FOLDER}/{name}")
         return
-    with suppress(*store_errors()):
+    with suppress(FormatError, OutageError), translate_store_errors(place):
         for path in files.find(f"{root}/{FOLDER}", maxdepth=1):
             if str(path).endswith(".png"):
                 files.rm_file(path)

@@ -1,0 +1,123 @@
+"""What is made for a store lies on this machine until the store has it, whatever happens to the run or to the store.
+
+    SPOOL/s3-lanes-v1-0f3a9c/train-00017/     the shard as in a data set: train/00017.parts, .tar, .parquet; failed/
+    SPOOL/s3-lanes-v1-0f3a9c/train-00017-1/   another run's, which makes the same shard at the same time
+
+SPOOL is a folder that outlives processes and restarts (`spool_root`). Each shard's folder is locked by the run that
+works in it. It goes once the store has all that is in it; one that a killed run has left is taken over by the next.
+"""
+
+import fcntl
+import hashlib
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from itertools import count
+from pathlib import Path
+from typing import BinaryIO
+
+from synth3dlanes.dataset.stores import unjoin
+from synth3dlanes.dataset.write import Shard
+from synth3dlanes.errors import InputError
+from synth3dlanes.files import Folder
+
+SPOOL = "SYNTH3DLANES_SPOOL"
+"""Environment variable with the path of the folder, if it shall be another one."""
+LOCK = ".lock"
+
+
+def spool_root() -> Path:
+    """The folder for what is on its way to stores."""
+    state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local/state"
+    return Path(os.environ.get(SPOOL) or Path(state) / "synth3dlanes" / "spool")
+
+
+def spool_of(url: str, recipe: str) -> Path:
+    """The folder for one store and recipe: samples of different recipes never meet."""
+    url = url.rstrip("/")
+    # Without the user and password that an address may have.
+    name = re.sub(r"[^A-Za-z0-9]+", "-", re.sub(r"//.*@", "//", url))[-60:].strip("-")
+    return spool_root() / f"{name}-{hashlib.sha256(f'{url} {recipe}'.encode()).hexdigest()[:12]}"
+
+
+def spooled(url: str, split: str, recipe: str) -> list[int]:
+    """The numbers of the shards of a split of which killed or failed runs have left something here, in order."""
+    numbers = set()
+    for path in spool_of(url, recipe).glob(f"{split}-*"):
+        name = re.fullmatch(rf"{re.escape(split)}-(\d+)(-\d+)?", path.name)
+        if name and not is_empty(path) and not _is_held(path):
+            numbers.add(int(name[1]))
+    return sorted(numbers)
+
+
+@contextmanager
+def spool(url: str, shard: Shard) -> Iterator[Path]:
+    """The folder of a shard in the hands of this process, with what was left there. Raises InputError where the folder
+    cannot be written."""
+    store = Folder(spool_of(url, shard.recipe))
+    name = f"{shard.folder.name}-{shard.number:05d}"
+    try:
+        names = (f"{name}-{other}" if other else name for other in count())
+        name, lock = next((one, lock) for one in names if (lock := _locked(store, one)))
+        (store.root / name / shard.folder).mkdir(exist_ok=True)
+    except OSError as error:
+        hint = f"set {SPOOL} to a folder that can"
+        raise InputError(f"{store.root}: cannot be written: {error.strerror or error}; {hint}") from None
+    with lock:
+        _take_over(store, name, shard)
+        try:
+            yield store.root / name
+        finally:
+            if is_empty(store.root / name):
+                store.remove_tree(name)
+
+
+def is_empty(root: Path) -> bool:
+    """Whether a shard's folder holds nothing that the store lacks; what has been put is removed before."""
+    return not any(path.is_file() and path.name != LOCK for path in root.rglob("*"))
+
+
+def _is_held(path: Path) -> bool:
+    """Whether a run works in a shard's folder."""
+    with suppress(FileNotFoundError), (path / LOCK).open("rb") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
+
+
+def _take_over(store: Folder, name: str, shard: Shard) -> None:
+    """Move what other runs have left of a shard, and hold no more, into its folder `name`."""
+    here = shard.within(store.root / name)
+    for other in sorted(store.root.glob(f"{shard.folder.name}-{shard.number:05d}*")):
+        if other.name == name or not (lock := _locked(store, other.name)):
+            continue
+        with lock:
+            theirs = shard.within(other)
+            unjoin(theirs, here, set())
+            for path in theirs.parts().values():
+                here.open()
+                os.replace(path, here.path("parts") / path.name)
+            store.remove_tree(other.name)
+
+
+def _locked(store: Folder, name: str) -> BinaryIO | None:
+    """The lock on a shard's folder, which is made if it is missing; None where another run holds it. Locks go with
+    their processes, however these end."""
+    while True:
+        store.make(name)
+        try:
+            lock = store.append(f"{name}/{LOCK}")
+        except FileNotFoundError:
+            continue  # whoever held it has just removed the folder
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            lock.close()
+            return None
+        here = store.root / name / LOCK
+        if here.exists() and os.path.samestat(here.stat(), os.fstat(lock.fileno())):
+            return lock
+        lock.close()

@@ -1,0 +1,140 @@
+"""A Ray cluster seen from the process that drives a run: whether it is there, what it has, and when it is lost."""
+
+import io
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout, suppress
+from threading import current_thread
+from typing import TextIO
+
+import ray
+
+from synth3dlanes.dataset.patience import attempt, since
+from synth3dlanes.errors import InputError, OutageError
+
+CONNECT_S, HEALTH_S, SHUTDOWN_S = 5.0, 20.0, 10.0
+LOOK_EVERY_S = 5.0
+# Ray ends processes that have not seen their control store for a minute.
+LOST_AFTER_S = 30.0
+
+
+@contextmanager
+def connected(address: str) -> Iterator[None]:
+    """While this process is part of the cluster at `address`; what Ray prints goes to stderr.
+
+    Raises InputError where there is no cluster, OutageError where its machine does not answer.
+    """
+    _check(address)
+    with redirect_stdout(_OwnOutput(sys.stdout)):
+        try:
+            with redirect_stdout(sys.stderr):
+                ray.init(address=address, log_to_driver=False, logging_level="error")
+        except (ConnectionError, RuntimeError, ValueError) as error:
+            raise InputError(_no_cluster(address, str(error))) from None
+        try:
+            yield
+        finally:
+            until = time.monotonic() + SHUTDOWN_S
+            # Without a control store it would take a minute.
+            with redirect_stdout(sys.stderr), suppress(OutageError):
+                attempt(ray.shutdown, lambda: time.monotonic() > until)
+
+
+class Cluster:
+    """The cluster that this process is part of."""
+
+    def __init__(self) -> None:
+        self._address: str = ray.get_runtime_context().gcs_address
+        self._looked = self._seen = time.monotonic()
+
+    def lost(self) -> str:
+        """That the control store has not answered for long, "" otherwise."""
+        now = time.monotonic()
+        if now - self._looked < LOOK_EVERY_S:
+            return ""
+        self._looked = now
+        if not _connection_problem(self._address):
+            self._seen = now
+        if now - self._seen < LOST_AFTER_S:
+            return ""
+        return f"the Ray cluster is lost: its control store at {self._address} has not answered {since(self._seen)}"
+
+    def text(self) -> str:
+        """The nodes that there are, and what is free, in words."""
+        nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
+        cores = ", ".join(f"{node.get('CPU', 0):.0f}" for node in nodes)
+        free = ray.available_resources()
+        n_gpus = sum(node.get("GPU", 0) for node in nodes)
+        gpus = f", and {free.get('GPU', 0):.0f} of {n_gpus:.0f} GPUs" if n_gpus else ""
+        return f"the cluster has {len(nodes)} nodes with {cores} cores; {free.get('CPU', 0):.0f} cores{gpus} are free"
+
+
+class _OwnOutput(io.TextIOBase):
+    """The stdout of the thread that made it; that of others, in which Ray prints, is stderr."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream, self._thread = stream, current_thread()
+
+    def write(self, text: str) -> int:
+        return self._of_thread().write(text)
+
+    def flush(self) -> None:
+        self._of_thread().flush()
+
+    def fileno(self) -> int:
+        return self._stream.fileno()
+
+    def isatty(self) -> bool:
+        return self._stream.isatty()
+
+    def _of_thread(self) -> TextIO:
+        return self._stream if current_thread() is self._thread else sys.stderr
+
+
+def _check(address: str) -> None:
+    """Raise InputError or OutageError, within half a minute, where no cluster answers."""
+    if address == "local":
+        return
+    place = address.removeprefix("ray://")
+    host, _, port = place.rpartition(":")
+    if address != "auto":
+        if not (host and port.isdecimal()):
+            raise InputError(f"address: expected auto or HOST:PORT of a Ray cluster, got {address!r}")
+        try:
+            problem = _connection_problem(place)
+        except OSError as error:
+            raise InputError(_no_cluster(address, str(error.strerror or error))) from None
+        if problem:
+            raise OutageError(_no_cluster(address, problem))
+    if not address.startswith("ray://"):
+        where = [] if address == "auto" else ["--address", address]
+        command = [sys.executable, "-m", "ray.scripts.scripts", "health-check", *where]
+        try:
+            done = subprocess.run(
+                command, capture_output=True, text=True, timeout=HEALTH_S, env=os.environ, check=False
+            )
+        except subprocess.TimeoutExpired:
+            raise InputError(_no_cluster(address, f"no answer within {HEALTH_S:.0f} s")) from None
+        if done.returncode:
+            last = (done.stderr.strip().splitlines() or ["it is not healthy"])[-1]
+            raise InputError(_no_cluster(address, last))
+
+
+def _connection_problem(place: str) -> str:
+    """Why nothing answers at HOST:PORT, "" where something does; raise OSError where the host is not known."""
+    host, _, port = place.rpartition(":")
+    try:
+        with socket.create_connection((host.strip("[]"), int(port)), CONNECT_S):
+            return ""
+    except socket.gaierror:
+        raise
+    except OSError as error:
+        return str(error.strerror or error)
+
+
+def _no_cluster(address: str, reason: str) -> str:
+    return f"address: cannot connect to a Ray cluster at {address}: {reason}"
