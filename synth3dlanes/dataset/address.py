@@ -7,7 +7,9 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 import fsspec
+from fsspec.implementations.local import LocalFileSystem
 
+from synth3dlanes.dataset.local_files import LocalFiles
 from synth3dlanes.errors import FormatError, InputError, MissingPackageError
 
 SAMPLE = re.compile(r".+:\d+")
@@ -32,7 +34,7 @@ def connect(url: str) -> tuple[Any, str]:
         raise MissingPackageError(f"{url}: {error}") from None
     except ValueError as error:
         raise InputError(f"{url}: expected a folder or an address that fsspec can open, got {error}") from None
-    return files, str(root).rstrip("/")
+    return LocalFiles() if isinstance(files, LocalFileSystem) else files, str(root).rstrip("/")
 
 
 @contextmanager

@@ -10,6 +10,8 @@ from synth3dlanes.dataset.card import CARD, updated_card
 from synth3dlanes.dataset.description import DESCRIPTION, updated_description
 from synth3dlanes.dataset.write import write_whole
 from synth3dlanes.errors import ClaimedError, InputError
+from synth3dlanes.files import read_bounded
+from synth3dlanes.schema import MAX_BYTES
 
 # Besides its own byte, a shard has one for the process that has the shard made by others.
 DRIVER_LOCKS = 1 << 40
@@ -56,14 +58,14 @@ def _lock(locks: IO[bytes], shard: int, root: Path, first: int = 0) -> None:
 def _enter(root: Path, recipe: dict[str, Any], split: str, n: int) -> None:
     """Write `dataset.json` and its card, or check that it names the same recipe; note the largest `n` asked for."""
     path = root / DESCRIPTION
-    before = path.read_bytes() if path.exists() else None
+    before = read_bounded(path, MAX_BYTES) if path.exists() else None
     if before is None and any(root.glob("*/*.parquet")):
         raise InputError(f"{path}: missing, but there are shards beside it")
     after = updated_description(before, recipe, split, n, str(path))
     if after != before:
         write_whole(path, after)
     card = root / CARD
-    card_before = card.read_bytes() if card.exists() else None
+    card_before = read_bounded(card, MAX_BYTES) if card.exists() else None
     card_after = updated_card(card_before, after, str(path))
     if card_after != card_before:
         write_whole(card, card_after)
