@@ -1,6 +1,5 @@
 """All hyper-parameters of the baseline, and the named models. Pure data; checkpoints store them as JSON."""
 
-import json
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -9,6 +8,7 @@ from pydantic_core import ErrorDetails
 
 from synth3dlanes.errors import InputError
 from synth3dlanes.schema import MAX_PX, problem_line
+from synth3dlanes.yaml_text import read_yaml
 
 from .curves import HALF_WIDTH_M
 
@@ -413,16 +413,17 @@ def _defaults(model: str, *, is_improved: bool) -> dict[str, Any]:
 
 
 def overrides_from(texts: Sequence[str]) -> dict[str, Any]:
-    """Parse `KEY=VALUE` texts with dotted keys; values are JSON if they parse as JSON, else text."""
+    """Parse `KEY=VALUE` texts with dotted keys; values are YAML, as those of every `--set`."""
     overrides: dict[str, Any] = {}
+    problems: list[str] = []
     for text in texts:
         key, equals, value = text.partition("=")
         if not (key and equals):
             raise InputError(f"overrides: expected KEY=VALUE, got {text!r}")
-        try:
-            overrides[key] = json.loads(value)
-        except json.JSONDecodeError:
-            overrides[key] = value
+        overrides[key], wrong = read_yaml(value, f"overrides {key}")
+        problems += wrong
+    if problems:
+        raise InputError(*problems)
     return overrides
 
 

@@ -82,18 +82,6 @@ class Batch(NamedTuple):
         curves = CurveBatch(*(part.to(device, non_blocking=True) for part in self.curves))
         return Batch(pixels_on(device, self.image), intrinsics, curves, plane_pose, target_pose, self.keys)
 
-    def pin_memory(self) -> "Batch":
-        """The batch in page-locked memory, from which copies to a GPU run beside its work; DataLoader calls this."""
-        curves = CurveBatch(*(part.pin_memory() for part in self.curves))
-        return Batch(
-            self.image.pin_memory(),
-            self.intrinsics.pin_memory(),
-            curves,
-            self.plane_pose.pin_memory(),
-            self.target_pose.pin_memory(),
-            self.keys,
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class Annotation:

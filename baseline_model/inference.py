@@ -99,11 +99,16 @@ class Detector:
 
     def in_images(self, images: Iterable[tuple[str, Pixels, Intrinsics]], batch: int = 16) -> Iterator[Prediction]:
         """The lanes of images of any size with known intrinsics (fx, fy, cx, cy in pixels of each)."""
-        for several in _batched(images, batch):
-            keys = [key for key, _, _ in several]
-            fitted = [fit(image, values, self.size_px, self.trained) for _, image, values in several]
-            pixels = torch.from_numpy(np.stack([image for image, _ in fitted])).permute(0, 3, 1, 2)
-            yield from self.in_batch(keys, pixels, torch.tensor([values for _, values in fitted]))
+
+        def fitted(one: tuple[str, Pixels, Intrinsics]) -> tuple[str, Pixels, Intrinsics]:
+            key, image, values = one
+            return (key, *fit(image, values, self.size_px, self.trained))
+
+        # An image as read may take 200 MB: unlike a loop, `map` drops one before it asks for the next.
+        for several in _batched(map(fitted, images), batch):
+            keys, small, intrinsics = zip(*several, strict=True)
+            pixels = torch.from_numpy(np.stack(small)).permute(0, 3, 1, 2)
+            yield from self.in_batch(keys, pixels, torch.tensor(intrinsics))
 
     def in_samples(
         self, samples: Samples, batch: int = 16, workers: int | None = None

@@ -17,7 +17,7 @@ from pydantic import Field, model_validator
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from synth3dlanes.errors import FormatError
-from synth3dlanes.files import Folder
+from synth3dlanes.files import Folder, open_regular
 from synth3dlanes.frames import transform
 from synth3dlanes.labels import LaneKind, Points
 from synth3dlanes.schema import MAX_BYTES, Excerpt, Metres, Number, Unit, parse
@@ -123,7 +123,7 @@ def read_predictions(path: Path) -> Iterator[Prediction]:
     """Read predictions of any detector: `key`, `lanes[]` {`kind`, `score`, `xyz_cam`, optionally `visibility`}, and
     optionally `pose`. Other keys are left alone."""
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             for number in itertools.count(1):
                 line = file.readline(MAX_BYTES + 1)
                 if not line:

@@ -10,16 +10,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import psutil
 import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
-from torch.utils.data import DataLoader, Dataset, Sampler
 
-from synth3dlanes.errors import Synth3dlanesError
 from synth3dlanes.labels import Labels
 
 from .cache import (
@@ -38,7 +36,6 @@ from .data import (
     Annotation,
     Batch,
     FocalLengths,
-    Intrinsics,
     Pixels,
     Samples,
     annotation_of,
@@ -48,12 +45,12 @@ from .data import (
     resize,
 )
 from .sources import digest_of, image_at, key_at, labels_at
+from .workers import made_ahead
 
 MEMORY_SHARE = 0.5
 """Decoded images are kept if all of them take less than this share of the free memory."""
 ANNOTATIONS = "annotations.cache"
 MAX_WORKERS = 16
-PREFETCHED_BATCHES = 2
 
 
 @dataclass(frozen=True)
@@ -79,7 +76,7 @@ class Example(NamedTuple):
     annotation: Annotation
 
 
-class Examples(Dataset[Example]):
+class Examples:
     """Samples as examples. What was decoded once comes from the caches."""
 
     def __init__(self, samples: Samples, config: TrainConfig, annotations: Slots | None, pixels: Slots | None) -> None:
@@ -163,7 +160,11 @@ def training_batches(
     """The batches of the steps from `first_step` to the last one, in the memory of the CPU."""
     order = Order(len(examples), config, process, first_step, n_steps)
     workers = spare_cores(process.neighbours) if config.workers is None else config.workers
-    return _loaded(examples, order, collate, workers, process.device)
+
+    def make(indices: list[int]) -> Batch:
+        return collate([examples[index] for index in indices])
+
+    return made_ahead(make, order, min(workers, len(order)), process.device)
 
 
 def free_memory_bytes() -> int:
@@ -176,17 +177,22 @@ def free_memory_bytes() -> int:
         return free
 
 
-class Order(Sampler[list[int]]):
-    """The indices of the samples of each step from `first_step` on, of one process."""
+@dataclass(frozen=True)
+class Order:
+    """The indices of the samples of each step from `first_step` to before `n_steps`, of one process."""
 
-    def __init__(self, n: int, config: TrainConfig, process: Process, first_step: int, n_steps: int) -> None:
-        self._n, self._config, self._process, self._steps = n, config, process, range(first_step, n_steps)
+    n: int
+    config: TrainConfig
+    process: Process
+    first_step: int
+    n_steps: int
 
     def __len__(self) -> int:
-        return len(self._steps)
+        return max(0, self.n_steps - self.first_step)
 
     def __iter__(self) -> Iterator[list[int]]:
-        return (batch_index(self._n, step, self._config, self._process).tolist() for step in self._steps)
+        steps = range(self.first_step, self.n_steps)
+        return (batch_index(self.n, step, self.config, self.process).tolist() for step in steps)
 
 
 @lru_cache(maxsize=1)
@@ -225,19 +231,6 @@ class Labelled(NamedTuple):
     labels: tuple[Labels, ...]
 
 
-class _LabelledImages(Dataset[tuple[str, Pixels, Intrinsics, Labels]]):
-    def __init__(self, samples: Samples, size_px: tuple[int, int], trained: FocalLengths | None) -> None:
-        self._samples, self._size_px, self._trained = samples, size_px, trained
-
-    def __len__(self) -> int:
-        return len(self._samples)
-
-    def __getitem__(self, index: int) -> tuple[str, Pixels, Intrinsics, Labels]:
-        sample = self._samples[index]
-        image, intrinsics = fit(sample.image, intrinsics_of(sample.labels), self._size_px, self._trained)
-        return sample.key, image, intrinsics, sample.labels
-
-
 def labelled_batches(
     samples: Samples,
     size_px: tuple[int, int],
@@ -248,55 +241,23 @@ def labelled_batches(
 ) -> Iterator[Labelled]:
     """All samples in order, for evaluation, with images as `fit` makes them; the last batch may be smaller."""
     order = [list(range(start, min(start + batch, len(samples)))) for start in range(0, len(samples), batch)]
+
+    def make(indices: list[int]) -> Labelled:
+        found = [samples[index] for index in indices]
+        fitted = [fit(one.image, intrinsics_of(one.labels), size_px, trained) for one in found]
+        return Labelled(
+            tuple(one.key for one in found),
+            _stacked([image for image, _ in fitted]),
+            torch.tensor([intrinsics for _, intrinsics in fitted]),
+            tuple(one.labels for one in found),
+        )
+
     n_workers = spare_cores() if workers is None else workers
-    return _loaded(_LabelledImages(samples, size_px, trained), order, _collate_labelled, n_workers, device)
-
-
-def _collate_labelled(found: Sequence[tuple[str, Pixels, Intrinsics, Labels]]) -> Labelled:
-    keys, images, intrinsics, labels = zip(*found, strict=True)
-    return Labelled(keys, _stacked(images), torch.tensor(intrinsics), labels)
+    return made_ahead(make, order, min(n_workers, len(order)), device)
 
 
 def _stacked(images: Sequence[Pixels]) -> UInt8[Tensor, "b 3 h w"]:
     return torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2)
-
-
-def _loaded(dataset: Dataset[Any], order: Any, collated: Any, workers: int, device: torch.device) -> Iterator[Any]:
-    """What a DataLoader gives. An error of ours in a worker is raised here as it was there, in one line."""
-    n_workers = min(workers, len(order))
-    loader = DataLoader(
-        _Guarded(dataset),
-        batch_sampler=order,
-        num_workers=n_workers,
-        collate_fn=_Collate(collated),
-        pin_memory=device.type == "cuda",
-        prefetch_factor=PREFETCHED_BATCHES if n_workers else None,
-    )
-    for batch in loader:
-        if isinstance(batch, Synth3dlanesError):
-            raise batch
-        yield batch
-
-
-@dataclass(frozen=True, eq=False)
-class _Guarded(Dataset[Any]):
-    """A dataset whose errors are values: a DataLoader would wrap them in a worker's traceback."""
-
-    dataset: Any
-
-    def __getitem__(self, index: int) -> Any:
-        try:
-            return self.dataset[index]
-        except Synth3dlanesError as error:
-            return error
-
-
-@dataclass(frozen=True)
-class _Collate:
-    collated: Any
-
-    def __call__(self, items: Sequence[Any]) -> Any:
-        return next((item for item in items if isinstance(item, Synth3dlanesError)), None) or self.collated(items)
 
 
 def _annotations(samples: Samples, config: TrainConfig, process: Process, out_dir: Path) -> Slots | None:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from synth3dlanes.formats.reading import read_image
 from synth3dlanes.labels import Labels
 
 from . import checkpoint as checkpoints
-from .data import Intrinsics, img_from_cam, intrinsics_of, size_of
+from .data import Intrinsics, img_from_cam, intrinsics_of, resize, scale, size_of
 from .inference import choose_device
 from .lanes import Prediction, write_predictions
 from .overlay import save_overlay
@@ -22,6 +22,8 @@ from .sources import image_files, open_split
 from .tusimple import check_plane
 
 ASSUMED_FOV_DEG = 60.0
+MOST_SHOWN_PX = 1600
+"""Of an image in a picture, which has 1100 pixels for two views."""
 
 
 @dataclass(eq=False)
@@ -57,6 +59,19 @@ class _Picture:
     lines_px: Sequence[Float[np.ndarray, "_ 2"]] = ()
 
 
+def _shrunk(picture: _Picture) -> _Picture:
+    """The picture at no more pixels than are shown of it."""
+    from_px = size_of(picture.image)
+    height, width = (max(1, round(size * min(1.0, MOST_SHOWN_PX / max(from_px)))) for size in from_px)
+    to_px = height, width
+    return replace(
+        picture,
+        image=resize(picture.image, to_px),
+        intrinsics=scale(picture.intrinsics, from_px, to_px),
+        lines_px=[line_px * np.divide(to_px, from_px)[::-1] for line_px in picture.lines_px],
+    )
+
+
 def predict(
     checkpoint: str | Path | None,
     source: str | Path,
@@ -85,14 +100,13 @@ def predict(
     needs_plane = intrinsics is None and not are_files and are_tusimples
     shown: list[_Picture] = []
 
-    def images() -> Iterator[tuple[str, UInt8[np.ndarray, "h w 3"], Intrinsics]]:
-        for picture in pictures:
-            if len(shown) < n_overlays:
-                shown.append(picture)
-            yield picture.key, picture.image, picture.intrinsics
+    def seen(picture: _Picture) -> tuple[str, UInt8[np.ndarray, "h w 3"], Intrinsics]:
+        if len(shown) < n_overlays:
+            shown.append(_shrunk(picture))
+        return picture.key, picture.image, picture.intrinsics
 
     def kept() -> Iterator[Prediction]:
-        for number, prediction in enumerate(detector.in_images(images())):
+        for number, prediction in enumerate(detector.in_images(map(seen, pictures))):
             if needs_plane:
                 check_plane(prediction, source)
             if number < n_overlays:

@@ -7,12 +7,16 @@ import torch
 from torch import nn
 
 from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.files import open_regular
 
 
 def read_tensors(path: Path, what: str) -> Any:
     """What `torch.save` wrote, on the CPU; raise FormatError where it is not `what`, as in "a state dict"."""
     try:
-        return torch.load(path, map_location="cpu", weights_only=True)
+        with open_regular(path) as stream:
+            return torch.load(stream, map_location="cpu", weights_only=True)
+    except (FormatError, MemoryError):
+        raise
     except OSError as error:
         raise FormatError(f"{path}: expected {what}, got {error.strerror or error}") from None
     except Exception:  # noqa: BLE001 - the unpickler raises whatever damaged bytes lead to

@@ -49,7 +49,7 @@ class Workers(click.ParamType):
         """Read it."""
         if value == "auto":
             return 0
-        if str(value).isdecimal() and int(value) > 0:
+        if re.fullmatch("0*[1-9][0-9]{0,8}", str(value)):
             return int(value)
         self.fail(f"expected auto or a positive number, got {value!r}", param, ctx)
 
@@ -61,7 +61,7 @@ class PartOf(click.ParamType):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
         """Read it; the library checks that i is within 1..n."""
-        found = re.fullmatch(r"(\d+)/(\d+)", value)
+        found = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", value)
         if found is None:
             self.fail(f"expected i/n such as 2/8, got {value!r}", param, ctx)
         return int(found[1]), int(found[2])

@@ -20,6 +20,7 @@ from synth3dlanes.production.signals import Stopped, handle, stop
 from .assets import assets
 from .bench import bench
 from .data_sets import info, merge, split
+from .entry import NO_MEMORY, is_lack_of_memory
 from .export import export
 from .generate import generate
 from .look import clip, gallery, inspect, report
@@ -33,6 +34,9 @@ from .validate import validate
 # Commands that continue from what they have written.
 RESUMED = ("generate", "twins", "split", "merge", "export", "train", "ablation")
 
+# Characters of a line.
+MOST_SHOWN = 400
+
 
 class BadInput(click.ClickException):
     """Problems that the user can fix, one per line."""
@@ -40,12 +44,12 @@ class BadInput(click.ClickException):
     exit_code = 2
 
     def show(self, file: IO[Any] | None = None) -> None:
-        """Print the problems and nothing else on stderr."""
-        click.echo(self.message, file=file, err=True)
+        """Print the problems and nothing else on stderr; what was given may be of any length."""
+        click.echo("\n".join(map(_shortened, self.message.splitlines())), file=file, err=True)
 
 
 class Failed(BadInput):
-    """Problems that may be gone in a while."""
+    """Work that failed through no fault of the input; it may help to run it again."""
 
     exit_code = 1
 
@@ -73,6 +77,10 @@ class Commands(click.Group):
             raise Failed(str(error)) from error
         except Synth3dlanesError as error:
             raise BadInput(str(error)) from error
+        except (MemoryError, RuntimeError) as error:
+            if not is_lack_of_memory(error):
+                raise
+            raise Failed(f"{ctx.command_path} {ctx.invoked_subcommand}: {NO_MEMORY}") from error
         except BrokenPipeError:
             raise
         except OSError as error:
@@ -90,6 +98,10 @@ class Commands(click.Group):
         command = self.commands.get(ctx.invoked_subcommand or "", self)
         flags = {param.name or "": param.opts[0] for param in command.params if isinstance(param, click.Option)}
         return {**flags, "overrides": "--set"}
+
+
+def _shortened(line: str) -> str:
+    return line if len(line) <= MOST_SHOWN else f"{line[: MOST_SHOWN // 2]}[...]{line[-MOST_SHOWN // 4 :]}"
 
 
 def _naming_flags(problem: str, flags: dict[str, str]) -> str:

@@ -364,6 +364,6 @@ def _photographs(source: str, lane_masks: Path | None) -> "Photographs":
 
 def _sizes(text: str) -> list[int]:
     parts = text.split(",")
-    if not all(part.strip().isdecimal() and int(part) > 0 for part in parts):
+    if not all(re.fullmatch("0*[1-9][0-9]{0,8}", part.strip()) for part in parts):
         raise InputError(f"sizes: expected whole numbers over 0 as 250,500, got {text!r}")
     return [int(part) for part in parts]

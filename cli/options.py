@@ -77,7 +77,7 @@ set_option = click.option(
     multiple=True,
     help="Change one parameter, such as light.exposure=3; repeatable.",
 )
-seed_option = click.option("--seed", type=click.IntRange(min=0), default=0, help="Random seed of the data set.")
+seed_option = click.option("--seed", type=click.IntRange(0, 2**128), default=0, help="Random seed of the data set.")
 split_option = click.option(
     "--split",
     metavar="NAME",

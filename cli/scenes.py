@@ -4,6 +4,9 @@ from pathlib import Path
 
 import click
 
+from synth3dlanes.errors import InputError
+from synth3dlanes.settings import MAX_SAMPLES
+
 from .options import (
     assets_option,
     camera_option,
@@ -23,10 +26,10 @@ from .options import (
 
 
 @click.command()
-@click.option("--index", type=click.IntRange(min=0), default=0, help="Index of the sample in the split.")
+@click.option("--index", type=click.IntRange(0, MAX_SAMPLES - 1), default=0, help="Index of the sample in the split.")
 @click.option(
     "--n",
-    type=click.IntRange(min=1),
+    type=click.IntRange(1, MAX_SAMPLES),
     default=1,
     help="Number of samples, starting at --index; one JSON document per line.",
 )
@@ -55,6 +58,8 @@ def sample(
     from synth3dlanes.params import load_params
     from synth3dlanes.sample import scene_texts
 
+    if index + n > MAX_SAMPLES:
+        raise InputError(f"n: expected at most {MAX_SAMPLES - index} from index {index}, got {n}")
     own, shots = open_assets(assets).assets, open_shots(camera, rig, frames, fps)
     for text in scene_texts(load_params(source, changes, own), seed, split, range(index, index + n), own, shots):
         click.echo(text)

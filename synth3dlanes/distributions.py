@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from itertools import accumulate
 from typing import Annotated, Any, Generic, TypeVar
 
-import yaml
 from pydantic import PlainSerializer, PlainValidator
+
+from synth3dlanes.yaml_text import value_of
 
 MAX_WEIGHT = 1e12
 
@@ -88,20 +89,12 @@ def _choice(form: Any, is_legal: Callable[[Any], bool], legal: str) -> Choice[An
     if not isinstance(form, dict):
         form = {form: 1} if isinstance(form, bool | int | float | str) else {}
     # Keys are text if the parameters come from JSON.
-    values = tuple(_number(key) if isinstance(key, str) else key for key in form)
+    values = tuple(value_of(key) if isinstance(key, str) else key for key in form)
     if not values or not all(map(is_legal, values)):
         raise ValueError(f"expected {legal}")
     if not all(_is_real(weight) and 0 < weight <= MAX_WEIGHT for weight in form.values()):
         raise ValueError("expected positive weights in {value: weight}")
     return Choice(values, tuple(float(weight) for weight in form.values()))
-
-
-def _number(text: str) -> Any:
-    """What YAML reads in a text: a number or a truth value; the text itself where it is neither."""
-    try:
-        return yaml.safe_load(text) if text.strip() else text
-    except (yaml.YAMLError, ValueError, RecursionError):
-        return text
 
 
 def _between(low: float, high: float, is_number: Callable[[object], bool], above: bool) -> Callable[[Any], bool]:

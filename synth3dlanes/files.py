@@ -12,6 +12,7 @@ import stat
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from io import BufferedReader
 from pathlib import Path, PurePath
 from typing import BinaryIO
 
@@ -272,23 +273,25 @@ def write(path: Path, data: bytes) -> None:
         stream.write(data)
 
 
+def open_regular(path: Path) -> BufferedReader:
+    """A stream from a regular file, or from what a link to one points to. Raises FormatError for any other kind of
+    file, OSError as `open` does."""
+    # Without O_NONBLOCK, a pipe is waited for.
+    file = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    kind = stat.S_IFMT(os.fstat(file).st_mode)
+    if kind != stat.S_IFREG:
+        os.close(file)
+        raise FormatError(f"{path}: expected a file, got {KINDS.get(kind, 'something else')}")
+    return open(file, "rb")
+
+
 def read_bounded(path: Path, most: int) -> bytes:
-    """The contents of a regular file, or of what a link to one points to. Raises FormatError for any other kind of
-    file and for one of more than `most` bytes, OSError as `open` does."""
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    try:
-        found = os.fstat(descriptor)
-        kind = stat.S_IFMT(found.st_mode)
-        if kind != stat.S_IFREG:
-            raise FormatError(f"{path}: expected a file, got {KINDS.get(kind, 'something else')}")
-        if found.st_size > most:
-            raise FormatError(f"{path}: expected at most {most:,} bytes, got {found.st_size:,}")
-        with open(descriptor, "rb", closefd=False) as file:
-            data = file.read(most + 1)
-    finally:
-        os.close(descriptor)
-    if len(data) > most:
-        raise FormatError(f"{path}: expected at most {most:,} bytes, got more")
+    """The contents of a regular file. Raises FormatError as `open_regular` and for one of more than `most` bytes."""
+    with open_regular(path) as stream:
+        size = os.fstat(stream.fileno()).st_size
+        data = stream.read(most + 1) if size <= most else b""
+    if max(size, len(data)) > most:
+        raise FormatError(f"{path}: expected at most {most:,} bytes, got {max(size, len(data)):,}")
     return data
 
 

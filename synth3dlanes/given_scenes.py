@@ -13,6 +13,7 @@ from synth3dlanes.assets.catalogue import Assets
 from synth3dlanes.dataset.address import SAMPLE
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.files import read_bounded
 from synth3dlanes.params import Params
 from synth3dlanes.sample import sample_scene
 from synth3dlanes.sampling.like import MAX_SCENES, Drawn
@@ -20,6 +21,8 @@ from synth3dlanes.scene import Scene, from_json
 from synth3dlanes.schema import Excerpt, parse
 from synth3dlanes.sources import read_scene
 
+# 100,000 scenes of 5 kB.
+MAX_FILE_BYTES = 512 << 20
 # Of the samples of an evaluation, the worst of each WORST are taken.
 WORST = 10
 # So many scenes are drawn again, to see that they are of the parameters; and the parts that are compared.
@@ -46,7 +49,9 @@ def given_scenes(path: Path, params: Params, assets: Assets) -> tuple[Drawn, ...
     Raises InputError or FormatError with a line for each problem, also where a scene is not one of the parameters.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_bounded(path, MAX_FILE_BYTES).decode()
+    except FormatError as error:
+        raise InputError(f"like {error}") from None
     except (OSError, ValueError) as error:
         raise InputError(f"like {path}: cannot read: {getattr(error, 'strerror', None) or error}") from None
     return drawn(_scenes(text, f"like {path}"), params, assets, f"like {path}")

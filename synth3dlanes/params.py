@@ -32,7 +32,7 @@ from synth3dlanes.distributions import (
 from synth3dlanes.errors import InputError
 from synth3dlanes.schema import shown
 from synth3dlanes.settings import JPEG_QUALITY
-from synth3dlanes.yaml_text import read_yaml
+from synth3dlanes.yaml_text import read_yaml, text_of
 
 Fraction = Annotated[Real, reals(0, 1)]
 Orientation = Annotated[Real, reals(-360, 360)]
@@ -348,11 +348,7 @@ def load_params(source: str, overrides: Sequence[str] = (), assets: Assets = BUI
     for every problem, each naming file and key.
     """
     path, where = find_preset(source)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{where}: cannot read: {getattr(error, 'strerror', None) or error}") from None
-    document, problems = copy.deepcopy(_parsed(text, where))
+    document, problems = copy.deepcopy(_parsed(text_of(path, where), where))
     if not isinstance(document, dict):
         raise InputError(*(problems or [f"{where}: expected groups of parameters, got {shown(document)}"]))
     overridden, override_problems = _override(document, overrides)

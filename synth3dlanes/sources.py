@@ -16,14 +16,18 @@ from synth3dlanes.dataset.query import rows_where
 from synth3dlanes.dataset.read import Reader, find
 from synth3dlanes.dataset.splits import readers
 from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.files import read_bounded
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import Params
 from synth3dlanes.sampling.like import Like
 from synth3dlanes.scene import Scene, from_json
-from synth3dlanes.schema import validation_problems
+from synth3dlanes.schema import MAX_BYTES, validation_problems
 from synth3dlanes.sensors.sweep import Sweep
 from synth3dlanes.shots import Shots
+
+# Passes of 8192 x 8192 take 1 GB without compression.
+MAX_IMAGE_BYTES = 1 << 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +47,7 @@ def scene_name(path: Path) -> str:
 
 def load_scene(path: Path) -> Scene:
     """Read a scene.json; raise FormatError with one line per problem."""
-    return from_json(path.read_bytes(), str(path))
+    return from_json(read_bounded(path, MAX_BYTES), str(path))
 
 
 def find_scene(where: str) -> tuple[str, Scene]:
@@ -67,7 +71,11 @@ def load_any(where: str, image_path: Path | None) -> Found:
         return Found(sample.key, from_json(sample.scene_json, where), sample.labels, sample.image)
     name, scene = find_scene(where)
     size_px = scene.camera.width_px, scene.camera.height_px
-    image = None if image_path is None else decode_image(image_path.read_bytes(), str(image_path), size_px)
+    image = (
+        None
+        if image_path is None
+        else decode_image(read_bounded(image_path, MAX_IMAGE_BYTES), str(image_path), size_px)
+    )
     return Found(name, scene, ground_truth(scene), image)
 
 
@@ -105,7 +113,7 @@ def load_passes(where: str, image_path: Path | None) -> dict[str, Shaped[np.ndar
     elif image_path is not None:
         files = [image_path.with_suffix(f".{name}") for name in (PASSES, HEIGHT)]
         for path in filter(Path.exists, files):
-            passes |= read_passes(path.read_bytes(), str(path))
+            passes |= read_passes(read_bounded(path, MAX_IMAGE_BYTES), str(path))
     if not passes:
         raise InputError(f"passes: expected {where} to have passes, got none")
     return passes
@@ -119,7 +127,7 @@ def load_sweep(where: str, image_path: Path | None, labels: Labels) -> Sweep | N
         reader, position = find(where)
         return reader.lidar(position)
     path = image_path and image_path.with_suffix(f".{LIDAR}")
-    return read_sweep(path.read_bytes(), str(path), labels.lidar) if path and path.exists() else None
+    return read_sweep(read_bounded(path, MAX_IMAGE_BYTES), str(path), labels.lidar) if path and path.exists() else None
 
 
 def read_scene(reader: Reader, i: int) -> Scene:

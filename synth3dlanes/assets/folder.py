@@ -11,8 +11,9 @@ from pydantic import Field, ValidationError
 
 from synth3dlanes.assets.catalogue import KINDS, AssetKind, Assets, Library
 from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.files import open_regular
 from synth3dlanes.schema import Part, Positive, validation_problems
-from synth3dlanes.yaml_text import read_yaml
+from synth3dlanes.yaml_text import read_yaml, text_of
 
 NOTES = "assets.yaml"
 SUFFIXES: dict[AssetKind, tuple[str, ...]] = {
@@ -115,6 +116,8 @@ def scan(root: Path) -> Folder:
         for path in _entries(root / kind):
             if path.suffix.lower() not in SUFFIXES[kind]:
                 unknown.append(f"{kind}/{path.name}")
+            elif not path.is_file():
+                problems.append(f"{kind}/{path.name}: expected a file, got another kind")
             elif path.stem in models[kind]:
                 problems.append(
                     f"{kind}/{path.name}: expected one file of this name, got {models[kind][path.stem].name}"
@@ -131,7 +134,7 @@ def read_notes(root: Path, folder: Folder) -> tuple[Notes, list[str]]:
     path = root / NOTES
     if not path.exists():
         return Notes(), []
-    document, problems = read_yaml(path.read_text(encoding="utf-8"), NOTES)
+    document, problems = read_yaml(text_of(path, NOTES), NOTES)
     try:
         notes = Notes.model_validate(document or {})
     except ValidationError as error:
@@ -148,7 +151,10 @@ def read_notes(root: Path, folder: Folder) -> tuple[Notes, list[str]]:
 
 def digest(*paths: Path) -> str:
     """The SHA-256 of a file's bytes; for several files, that of their digests joined by spaces."""
-    digests = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
+    digests = []
+    for path in paths:
+        with open_regular(path) as stream:
+            digests.append(hashlib.file_digest(stream, "sha256").hexdigest())
     return digests[0] if len(digests) == 1 else hashlib.sha256(" ".join(digests).encode()).hexdigest()
 
 

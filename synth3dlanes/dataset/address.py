@@ -10,7 +10,9 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 import fsspec
+from fsspec.implementations.local import LocalFileSystem
 
+from synth3dlanes.dataset.local_files import LocalFiles
 from synth3dlanes.errors import FormatError, InputError, MissingPackageError, OutageError, Synth3dlanesError
 
 SAMPLE = re.compile(r".+:\d+")
@@ -48,7 +50,7 @@ def connect(url: str) -> tuple[Any, str]:
         raise InputError(f"{url!r}: expected a folder or an address, got a name with a null byte")
     try:
         if not is_url(url):
-            return fsspec.filesystem("file"), os.path.abspath(os.path.expanduser(url)).rstrip("/")
+            return LocalFiles(), os.path.abspath(os.path.expanduser(url)).rstrip("/")
         files, root = fsspec.core.url_to_fs(url)
     except ImportError as error:
         raise MissingPackageError(f"{url}: {_first_line(error)}") from None
@@ -56,7 +58,7 @@ def connect(url: str) -> tuple[Any, str]:
         if is_outage(error):
             raise OutageError(f"{url}: cannot be reached: {_reason(error)}") from None
         raise InputError(f"{url}: {EXPECTED}, got {_reason(error)}") from None
-    return files, str(root).rstrip("/")
+    return LocalFiles() if isinstance(files, LocalFileSystem) else files, str(root).rstrip("/")
 
 
 @contextmanager

@@ -9,7 +9,8 @@ from synth3dlanes.dataset.card import CARD, updated_card
 from synth3dlanes.dataset.description import DESCRIPTION, updated_description
 from synth3dlanes.dataset.locks import Locks, locked, locks
 from synth3dlanes.errors import ClaimedError, InputError
-from synth3dlanes.files import Folder
+from synth3dlanes.files import Folder, read_bounded
+from synth3dlanes.schema import MAX_BYTES
 
 # Besides its own byte, a shard has one for the process that has the shard made by others.
 DRIVER_LOCKS = 1 << 40
@@ -55,12 +56,12 @@ def _enter(data_set: Folder, recipe: dict[str, Any], split: str, n: int) -> None
     """Write `dataset.json` and its card, or check that it names the same recipe; note the largest `n` asked for. What
     killed runs have left beside them goes."""
     path = data_set.root / DESCRIPTION
-    before = path.read_bytes() if path.exists() else None
+    before = read_bounded(path, MAX_BYTES) if path.exists() else None
     if before is None and any(data_set.root.glob("*/*.parquet")):
         raise InputError(f"{path}: missing, but there are shards beside it")
     after = updated_description(before, recipe, split, n, str(path))
     card = data_set.root / CARD
-    card_before = card.read_bytes() if card.exists() else None
+    card_before = read_bounded(card, MAX_BYTES) if card.exists() else None
     card_after = updated_card(card_before, after, str(path))
     for name in (DESCRIPTION, CARD, PROBE):
         data_set.remove_unfinished(name)

@@ -28,6 +28,7 @@ COLUMN_OF_MEMBER = {
     "jpg": "image", "png": "image", SCENE: "scene", LABELS: "labels", PASSES: "passes", HEIGHT: "height", LIDAR: "lidar"
 }  # fmt: skip
 BLOCK = 512
+STRIP_PX = 512
 
 # Integers up to here are exact in a half float.
 EXACT_IN_HALF = 2048
@@ -108,7 +109,7 @@ def decode_image(
     try:
         image = Image.open(io.BytesIO(data), formats=kinds)
         _check_size(image.size, size_px, where)
-        return np.array(image.convert("RGB"))
+        return _pixels_of(image if image.mode == "RGB" else image.convert("RGB"))
     except FormatError:
         raise
     except UnidentifiedImageError:
@@ -117,6 +118,15 @@ def decode_image(
         raise FormatError(f"{where}: expected at most {MAX_PX}x{MAX_PX} pixels, got more") from None
     except (OSError, SyntaxError, ValueError) as error:
         raise FormatError(f"{where}: {expected}, got {error}") from None
+
+
+def _pixels_of(image: Image.Image) -> UInt8[np.ndarray, "h w 3"]:
+    """The pixels of an RGB image, copied in strips: Pillow copies what it hands over twice."""
+    pixels = np.zeros((image.height, image.width, 3), np.uint8)
+    for top in range(0, image.height, STRIP_PX):
+        bottom = min(top + STRIP_PX, image.height)
+        pixels[top:bottom] = np.asarray(image.crop((0, top, image.width, bottom)))
+    return pixels
 
 
 def _check_size(found: tuple[int, int], expected: tuple[int, int] | None, where: str) -> None:

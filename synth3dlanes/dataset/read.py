@@ -45,6 +45,7 @@ from synth3dlanes.schema import AHEAD_DEG, validation_problems
 from synth3dlanes.sensors.cameras import CameraSpec
 from synth3dlanes.sensors.sweep import Sweep
 
+KEY_DIGITS = 8
 SIZE_COLUMNS = ("camera_width_px", "camera_height_px")
 
 
@@ -136,7 +137,8 @@ class Reader:
 
     def position(self, key: str) -> int:
         """The i of the sample with this key."""
-        i = int(np.searchsorted(self._indices, int(key))) if key.isdecimal() else len(self)
+        is_number = key.isdecimal() and len(key) <= KEY_DIGITS
+        i = int(np.searchsorted(self._indices, int(key))) if is_number else len(self)
         if i == len(self) or self._indices[i] != int(key):
             last = self.key(-1) if len(self) else "none"
             raise FormatError(f"{self.url}: expected a sample up to {last}, got {key}")

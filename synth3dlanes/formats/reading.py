@@ -12,11 +12,14 @@ from PIL import Image
 
 from synth3dlanes.dataset.format import decode_image
 from synth3dlanes.errors import FormatError
+from synth3dlanes.files import open_regular, read_bounded
 from synth3dlanes.frames import inside_image, project, road_from_cam
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph, LaneKind, Marking, PaintColor
 
 MALFORMED = (KeyError, TypeError, IndexError, ValueError, AttributeError, OverflowError)
 """What a damaged file of an export of ours raises on the way to arrays. Files of others are parsed by schemas."""
+MAX_FILE_BYTES = 512 << 20
+"""An image of 8192 x 8192 takes 200 MB without compression, the labels of 100,000 images 400 MB."""
 PICTURES = ("JPEG", "PNG", "BMP", "WEBP")
 STEP_M = 0.5
 UNKNOWN: tuple[Marking, None, None] = ("none", None, None)
@@ -74,8 +77,10 @@ def read_image(path: Path) -> UInt8[np.ndarray, "h w 3"]:
 def image_size(path: Path) -> tuple[int, int]:
     """Width and height of an image file, without decoding it."""
     try:
-        with Image.open(path) as image:
+        with open_regular(path) as stream, Image.open(stream) as image:
             return (image.width, image.height)
+    except FormatError:
+        raise
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise FormatError(f"{path}: expected an image, got {error}") from None
 
@@ -83,15 +88,17 @@ def image_size(path: Path) -> tuple[int, int]:
 def read_text(path: Path) -> str:
     """The text of a label file."""
     try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        return read_file(path).decode()
+    except UnicodeDecodeError as error:
         raise FormatError(f"{path}: expected a label file, got {error}") from None
 
 
 def read_file(path: Path) -> bytes:
-    """The bytes of a file that another names; raise FormatError where there is none."""
+    """The bytes of a file that a user or another file names; raise FormatError where there is none."""
     try:
-        return path.read_bytes()
+        return read_bounded(path, MAX_FILE_BYTES)
+    except FormatError:
+        raise
     except (OSError, ValueError) as error:
         raise FormatError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
 

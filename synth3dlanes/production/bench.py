@@ -24,9 +24,10 @@ from scipy.ndimage import gaussian_filter
 
 from synth3dlanes.dataset.format import decode_image
 from synth3dlanes.dataset.write import Shard
+from synth3dlanes.files import read_bounded
 from synth3dlanes.production.recipe import Recipe, make_part, make_sample
 from synth3dlanes.production.workers import Limits, Pool
-from synth3dlanes.schema import parse
+from synth3dlanes.schema import MAX_BYTES, parse
 from synth3dlanes.scratch import scratch
 
 WARM_UP = 2
@@ -233,7 +234,7 @@ class StoredBench(BaseModel):
 
 def read_bench(path: Path) -> StoredBench:
     """A stored `Bench.document`; raise FormatError with a line for each problem."""
-    return parse(StoredBench, path.read_bytes(), str(path), "a result of bench --json")
+    return parse(StoredBench, read_bounded(path, MAX_BYTES), str(path), "a result of bench --json")
 
 
 def compare(now: Bench, stored: StoredBench) -> list[tuple[str, float, float]]:

@@ -15,7 +15,7 @@ from synth3dlanes.errors import InputError
 from synth3dlanes.params import find_preset, unknown_key
 from synth3dlanes.schema import MAX_PROBLEMS, problem_line, shown
 from synth3dlanes.sensors.cameras import NAMES, CameraSpec
-from synth3dlanes.yaml_text import read_yaml
+from synth3dlanes.yaml_text import read_yaml, text_of
 
 # Short names of keys in files.
 SHORT = {name: f"{name}_px" for name in ("fx", "fy", "cx", "cy")}
@@ -68,14 +68,9 @@ def read_camera(document: Any, where: str, folder: Path) -> CameraSpec:
     return spec
 
 
-def read_document(path: Path, where: str) -> Any:
+def read_document(path: Path, where: str, *, is_calibration: bool = True) -> Any:
     """What a YAML file says, of OpenCV's kind too; raise InputError with a line for every problem."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:
-        raise InputError(f"{where}: cannot read: {getattr(error, 'strerror', None) or error}") from None
-    # What OpenCV writes first is no directive of YAML.
-    document, problems = read_yaml(re.sub(r"\A\s*%YAML:[\d.]+", "", text), where)
+    document, problems = read_yaml(text_of(path, where), where, is_calibration=is_calibration)
     if problems:
         raise InputError(*problems)
     return document

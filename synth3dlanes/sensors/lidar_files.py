@@ -12,7 +12,7 @@ from synth3dlanes.sensors.lidars import LidarSpec
 def load_lidar(source: str) -> LidarSpec:
     """Read a ready lidar (by name) or a YAML file; raise InputError with a line for every problem."""
     path, where = find_preset(source, "lidars")
-    document = read_document(path, where)
+    document = read_document(path, where, is_calibration=False)
     if not isinstance(document, dict):
         raise InputError(f"{where}: expected the keys of a lidar, got {shown(document)}")
     try:

@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 
 from synth3dlanes import schema
 from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.files import open_regular
 from synth3dlanes.formats.reading import json_lines, read_image
 from synth3dlanes.schema import MAX_BYTES, Excerpt, Number, PathBelow
 
@@ -51,7 +52,7 @@ class TusimpleSplit:
 def is_tusimple(path: Path) -> bool:
     """Whether the first line of the file is a tuSimple frame."""
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             return b'"h_samples"' in file.readline(MAX_BYTES)
     except OSError as error:
         raise FormatError(f"{path}: cannot be read: {error.strerror}") from None

@@ -1,0 +1,198 @@
+"""Processes that make batches ahead, each behind a pipe of its own.
+
+Batch i is made by worker i modulo their number, and batches are read in order. So workers share nothing: no memory that
+the system bounds (`/dev/shm`), and no lock that a killed one could hold. The end of a pipe tells of a worker's end.
+"""
+
+import io
+import multiprocessing
+import os
+import pickle
+import signal
+import struct
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from itertools import islice
+from multiprocessing.context import ForkProcess
+from typing import Any, BinaryIO, NoReturn
+
+import numpy as np
+import torch
+from jaxtyping import Shaped
+from torch import Tensor
+
+from synth3dlanes.errors import Synth3dlanesError, WorkerError
+
+PREFETCHED_BATCHES = 2
+"""Batches that wait in this process; each worker has one more."""
+SIZE = struct.Struct("<Q")
+IN_LINE_BYTES = 1 << 16
+"""Smaller arrays are pickled; larger ones follow the pickle, to be read to where they stay."""
+ADVICE = "rerun to resume; if it happens again, use fewer workers (--set workers=1) or a smaller batch"
+
+
+@dataclass(frozen=True, eq=False)
+class _Worker:
+    process: ForkProcess
+    pipe: BinaryIO
+
+    def receive(self) -> Any:
+        """What the worker makes next; raise what it raised, or WorkerError if it is gone."""
+        try:
+            made = _read(self.pipe)
+        except EOFError:
+            _mourn(self.process)
+        if isinstance(made, Synth3dlanesError):
+            raise made
+        return made
+
+
+def made_ahead(
+    make: Callable[[list[int]], Any], order: Iterable[list[int]], n_workers: int, device: torch.device
+) -> Iterator[Any]:
+    """`make` of each list of indices, in order, by so many processes, or by this one if there are none. Tensors in
+    named tuples come in page-locked memory if the device is a GPU.
+
+    Raises the errors of ours that `make` raises, and WorkerError where a worker ends before its work is done.
+    """
+    if not n_workers:
+        yield from map(make, order)
+        return
+    with ExitStack() as ending:
+        workers: list[_Worker] = []
+        for number in range(n_workers):
+            workers.append(_start(make, order, number, n_workers, workers))
+            ending.callback(workers[-1].pipe.close)
+        reader = ThreadPoolExecutor(1, initializer=_use, initargs=(device,))
+        ending.callback(reader.shutdown, cancel_futures=True)
+        # Runs first: without its worker, a thread that reads from it comes to an end.
+        ending.callback(_end, [worker.process for worker in workers])
+        is_gpu = device.type == "cuda"
+        ahead = deque(maxlen=PREFETCHED_BATCHES)  # type: ignore[var-annotated]
+        for number, _ in enumerate(order):
+            ahead.append(reader.submit(_ready, workers[number % n_workers], is_gpu))
+            if len(ahead) == PREFETCHED_BATCHES:
+                yield ahead.popleft().result()
+        while ahead:
+            yield ahead.popleft().result()
+
+
+def _start(
+    make: Callable[[list[int]], Any], order: Iterable[list[int]], number: int, n_workers: int, before: list[_Worker]
+) -> _Worker:
+    reading, writing = os.pipe()
+    pipes = [reading, *(worker.pipe.fileno() for worker in before)]
+    process = multiprocessing.get_context("fork").Process(
+        target=_work, args=(make, order, number, n_workers, writing, pipes), name=f"loader {number}", daemon=True
+    )
+    process.start()
+    os.close(writing)
+    return _Worker(process, open(reading, "rb"))
+
+
+def _work(
+    make: Callable[[list[int]], Any],
+    order: Iterable[list[int]],
+    number: int,
+    n_workers: int,
+    writing: int,
+    pipes: list[int],
+) -> None:
+    """The life of a worker. It ends with the run, whose end of the pipe is then the last one to be closed."""
+    for pipe in pipes:
+        os.close(pipe)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    torch.set_num_threads(1)
+    with suppress(BrokenPipeError), open(writing, "wb") as stream:
+        for indices in islice(order, number, None, n_workers):
+            try:
+                _write(stream, make(indices))
+            except Synth3dlanesError as error:
+                _write(stream, error)
+            except MemoryError:
+                _write(stream, WorkerError(f"workers: a loader's worker found no memory; {ADVICE}"))
+
+
+def _ready(worker: _Worker, is_gpu: bool) -> Any:
+    made = worker.receive()
+    return _pinned(made) if is_gpu else made
+
+
+def _mourn(process: ForkProcess) -> NoReturn:
+    process.join()
+    code = process.exitcode or 0
+    how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+    cause = ", perhaps because memory ran out" if code == -signal.SIGKILL else ""
+    raise WorkerError(f"workers: a loader's worker {how}{cause}; {ADVICE}")
+
+
+def _end(processes: list[ForkProcess]) -> None:
+    for process in processes:
+        process.kill()
+    for process in processes:
+        process.join()
+
+
+def _use(device: torch.device) -> None:
+    """Page-locked memory belongs to the device of the thread that asks for it."""
+    if device.type == "cuda" and device.index is not None:
+        torch.cuda.set_device(device)
+
+
+def _pinned(value: Any) -> Any:
+    """A tensor, or a named tuple with such, in page-locked memory, from which copies to a GPU run beside its work."""
+    if isinstance(value, Tensor):
+        return value.pin_memory()
+    return type(value)(*map(_pinned, value)) if hasattr(value, "_fields") else value
+
+
+class _Pickler(pickle.Pickler):
+    """Tensors as numpy arrays in the order of their memory, which pickle can leave to be sent as they are."""
+
+    def reducer_override(self, value: Any) -> Any:
+        if not isinstance(value, Tensor):
+            return NotImplemented
+        axes = np.argsort([-step for step in value.stride()], kind="stable").tolist()
+        return _tensor, (value.permute(axes).numpy(), tuple(np.argsort(axes).tolist()))
+
+
+def _tensor(array: Shaped[np.ndarray, "..."], axes: tuple[int, ...]) -> Tensor:
+    return torch.from_numpy(array).permute(axes)
+
+
+def _write(stream: BinaryIO, value: Any) -> None:
+    arrays: list[memoryview] = []
+
+    def is_in_line(buffer: pickle.PickleBuffer) -> bool:
+        is_small = buffer.raw().nbytes < IN_LINE_BYTES
+        if not is_small:
+            arrays.append(buffer.raw())
+        return is_small
+
+    pickled = io.BytesIO()
+    _Pickler(pickled, protocol=5, buffer_callback=is_in_line).dump(value)
+    parts = [pickled.getbuffer(), *arrays]
+    stream.write(SIZE.pack(len(parts)) + b"".join(SIZE.pack(part.nbytes) for part in parts))
+    for part in parts:
+        stream.write(part)
+    stream.flush()
+
+
+def _read(stream: BinaryIO) -> Any:
+    """What `_write` wrote; raise EOFError where there is no more, or less."""
+    (n_parts,) = SIZE.unpack(_filled(stream, SIZE.size))
+    sizes = [size for (size,) in SIZE.iter_unpack(_filled(stream, n_parts * SIZE.size))]
+    pickled, *arrays = [_filled(stream, size) for size in sizes]
+    return pickle.loads(pickled, buffers=arrays)
+
+
+def _filled(stream: BinaryIO, size: int) -> Any:
+    room = np.zeros(size, np.uint8)
+    if stream.readinto(room) < size:  # type: ignore[attr-defined]
+        raise EOFError
+    return room.data

@@ -1,0 +1,327 @@
+"""Strange files and texts in the place of every input of every command: each is refused in lines, in bounded time and
+memory, and nothing in it is run."""
+
+import os
+import pickle
+import resource
+import signal
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+
+import psutil
+import pytest
+from click.testing import Result
+from PIL import Image
+from synth3dlanes_cli.entry import NO_MEMORY
+
+from tests.hostile import LEAKED
+
+Run = Callable[..., Result]
+MOST_S, MOST_BYTES = 120, 3 << 30
+MARK = "executed"
+
+
+class HungError(BaseException):
+    """A command took too long."""
+
+
+class Malice:
+    """What runs a program when it is unpickled."""
+
+    def __reduce__(self) -> object:
+        return os.system, (f"touch {MARK}",)
+
+
+def sparse(path: Path) -> None:
+    with path.open("wb") as stream:
+        stream.truncate(20 << 30)
+
+
+def unix_socket(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(path.name)
+        os.replace(path.name, path)
+
+
+# Special files, then contents.
+KINDS: dict[str, Callable[[Path], object]] = {
+    "pipe": os.mkfifo,
+    "zero": lambda path: path.symlink_to("/dev/zero"),
+    "null": lambda path: path.symlink_to("/dev/null"),
+    "folder": Path.mkdir,
+    "socket": unix_socket,
+    "nowhere": lambda path: path.symlink_to("nowhere"),
+    "itself": lambda path: path.symlink_to(path.name),
+    "unreadable": lambda path: path.symlink_to("/proc/self/mem"),
+    "sparse": sparse,
+    **{
+        name: lambda path, data=data: path.write_bytes(data)  # type: ignore[misc]
+        for name, data in {
+            "empty": b"",
+            "byte": b"{",
+            "utf16": '{"a": 1}'.encode("utf-16"),
+            "bom": b'\xef\xbb\xbf{"a": 1}',
+            "nulls": bytes(4096),
+            "bytes": bytes(range(256)) * 16,
+            "no_text": b"\xff\xfe\xfd",
+            "other": b'{"a": 1}',
+            "nested": b"[" * 100_000,
+            "digits": b"9" * 5000,
+            "code": f"!!python/object/apply:os.system ['touch {MARK}']".encode(),
+            "pickle": pickle.dumps(Malice()),
+            "magic": b"PK\x03\x04PAR1\x89PNG\r\n\x1a\n",
+        }.items()
+    },
+}
+
+# Commands by the input that is strange, {x}, with the files around it that are as they should be: a data set d, a scene
+# s.json, an image i.png. A command after "may" need not read what is strange.
+COMMANDS = {
+    "x.yaml": [
+        "sample --params {x}",
+        "params check {x}",
+        "sample --camera {x}",
+        "sample --rig {x}",
+        "sample --camera own.yaml",
+        "generate --n 1 --out e --dry-run --device cpu --params tiny --lidar {x}",
+    ],
+    "x.json": [
+        "render {x}",
+        "inspect {x}",
+        "bench --against {x}",
+        "generate --n 1 --out e --dry-run --device cpu --like {x}",
+        "twins {x} --vary light.exposure=1 --out e",
+        "predict {x} --out e",
+        "evaluate {x} --predictions p.jsonl --intrinsics 400,400,240,180",
+        "evaluate {x}",
+        "train {x} --out e",
+    ],
+    "d/dataset.json": [
+        "info d",
+        "stats d",
+        "report d --html r.html",
+        "gallery d --out g.png",
+        "merge d --out e",
+        "split d/train --out e --into a=1",
+        "inspect d/train:3",
+        "render d/train:3",
+        "clip d/train:3",
+        "twins d/train --vary light.exposure=1 --out e",
+        "export d --format apollo --out e",
+        "validate d --workers 1 --limit 0",
+        "evaluate d/train",
+        "predict d/train --out e",
+        "train d --out e",
+        "ablation d --out e",
+        "generate --n 12 --out d --device cpu",
+    ],
+    "d/train/00001.parquet": [
+        "info d",
+        "stats d",
+        "gallery d --out g.png",
+        "merge d --out e",
+        "split d/train --out e --into a=1",
+        "inspect d/train:3",
+        "export d --format apollo --out e",
+        "validate d --workers 1 --limit 0",
+        "evaluate d/train",
+        "predict d/train --out e",
+        "train d --out e",
+    ],
+    "d/train/00001.tar": [
+        "inspect d/train:7",
+        "clip d/train:7",
+        "render d/train:7",
+        "merge d --out e",
+        "export d --format apollo --out e",
+        "validate d --workers 1 --limit 0",
+        "evaluate d/train",
+        "predict d/train:7 --out e",
+    ],
+    "x.png": [
+        "predict {x} --out e",
+        "inspect s.json --image {x}",
+        "evaluate images --lane-masks masks --checkpoint nano --intrinsics 400,400,240,180",
+    ],
+    "x.txt": ["predict i.png --out e --intrinsics {x}"],
+    "x.pt": [
+        "predict {x} i.png --out e",
+        "evaluate d/train --checkpoint {x}",
+        "train d --out e --init {x}",
+        "train d --out e --pretrained {x} --model paper",
+        "onnx {x} o.onnx",
+    ],
+    "run/last.pt": ["train d --out run --model tiny --set device=cpu"],
+    "x.jsonl": ["evaluate d/train --predictions {x}"],
+}
+CASES = [(name, command) for name, commands in COMMANDS.items() for command in commands]
+
+
+@pytest.fixture
+def around(in_tmp_path: Path, folder: Path, run: Run) -> Path:
+    """The files that are as they should be; those of the data set are other names of the same files."""
+    for path in folder.rglob("*"):
+        (in_tmp_path / "d" / path.relative_to(folder)).parent.mkdir(parents=True, exist_ok=True)
+        if path.is_file():
+            os.link(path, in_tmp_path / "d" / path.relative_to(folder))
+    (in_tmp_path / "s.json").write_text(run("sample", "--params", "tiny").stdout)
+    Image.new("RGB", (96, 72)).save(in_tmp_path / "i.png")
+    (in_tmp_path / "own.yaml").write_text("calibration: x.yaml\nheight_m: 1.5\npitch_deg: 3\n")
+    (in_tmp_path / "p.jsonl").touch()
+    for name, link in (("images", "um_000000.png"), ("masks", "um_lane_000000.png")):
+        (in_tmp_path / name).mkdir()
+        (in_tmp_path / name / link).symlink_to("../x.png")
+    (in_tmp_path / "run").mkdir()
+    return in_tmp_path
+
+
+@contextmanager
+def bounded() -> Iterator[None]:
+    """So much more memory and so many seconds; what is beyond fails."""
+
+    def hang(number: int, frame: FrameType | None) -> None:
+        raise HungError
+
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (psutil.Process().memory_info().vms + MOST_BYTES, before[1]))
+    handler = signal.signal(signal.SIGALRM, hang)
+    signal.alarm(MOST_S)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, handler)
+        resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+def fault(result: Result, codes: tuple[int, ...] = (1, 2)) -> str:
+    """What is wrong with how a command was refused; "" if nothing is."""
+    said = f"{result.stderr}{result.stdout if result.exit_code == 1 else ''}"
+    lines = said.splitlines()
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        return f"raised {result.exception!r:.300}"
+    if result.exit_code not in codes:
+        return f"ended with {result.exit_code}: {said:.300}"
+    if not lines or (result.exit_code == 2 and (len(lines) > 9 or max(map(len, lines)) > 600)):
+        return f"said {len(lines)} lines: {said:.300}"
+    if LEAKED.search(result.stderr) or NO_MEMORY in said:
+        return f"said {said:.300}"
+    return "executed" if Path(MARK).exists() else ""
+
+
+def listed(faults: dict[str, str]) -> str:
+    return "\n".join(f"{case[:20]!r}: {wrong[:200]}" for case, wrong in faults.items())
+
+
+@pytest.mark.parametrize(("name", "command"), CASES)
+def test_strange_files(name: str, command: str, run: Run, around: Path) -> None:
+    faults = {}
+    place = around / name
+    words = command.format(x=name).split()
+    for kind, make in KINDS.items():
+        if place.is_dir() and not place.is_symlink():
+            place.rmdir()
+        place.unlink(missing_ok=True)
+        make(place)
+        with bounded():
+            wrong = fault(run(*words))
+        if wrong:
+            faults[kind] = wrong
+    assert not faults, listed(faults)
+
+
+TEXTS = [
+    *("!!int ''", "!!int x", "!!bool foo", "!!timestamp foo", "!!float x", "!!null x", "!!set {a}", "!!omap [a: 1]"),
+    *("!!binary x", "!!pairs [a: 1]", "!!merge x", "!!value x", "!!opencv-matrix [1]", "!foo x", "!<tag:x> y"),
+    *("!!map [1]", "!!seq {a: 1}", "!!str [1]", "[" * 5000, "{" * 5000, "9" * 5000, "9" * 4000, "-" + "9" * 5000),
+    *("&a [*a]", "*a", "[[[[1]]]]", "{a: {b: {c: 1}}}", "{[1]: 2}", "? [1]", "a: b: c", "'", '"', "\t", "%", "@", "`"),
+    *(".nan", ".inf", "1e999", "1e308", "-1e308", "0x" + "f" * 50, "1_000", "1:59:59", "2001-01-01", "null", "~", ""),
+    *("true", "x" * 100_000, "\udcff", "[/bold]", "é" * 1000, f"!!python/object/apply:os.system ['touch {MARK}']"),
+    *(
+        "{" + "a: &a [1], " * 10 + "}",
+        "[1, 2, 3]",
+        "{1: -1}",
+        "{1: 1e300, 2: 1e300}",
+        "[5, 1]",
+        "[" + "0," * 50_000 + "0]",
+    ),
+]
+SETTERS = {
+    "sample --set": ("light.exposure=", "road.n_lanes=", "weather.kind=", "terrain=", ""),
+    "render s.json --set": ("light.sun_zenith_deg=", "cars=", "road.n_lanes=", "camera.width_px=", "cars.0.color=", ""),
+    "train d --out e --dry-run --set": ("batch=", "model.grid.rows=", "learning_rate=", "batch.x=", "model=", ""),
+    "twins s.json --out e --vary": ("light.exposure=", ""),
+}
+
+
+@pytest.mark.parametrize(("command", "key"), [(command, key) for command, keys in SETTERS.items() for key in keys])
+def test_strange_values(command: str, key: str, run: Run, around: Path) -> None:
+    del around
+    faults = {}
+    for text in TEXTS:
+        with bounded():
+            wrong = fault(run(*command.split(), f"{key}{text}"), (2,))
+        # Some are values, of which the command makes what they say; a scene is not rendered in this process.
+        if wrong and not wrong.startswith("ended with 0"):
+            faults[text[:60]] = wrong
+    assert not faults, listed(faults)
+
+
+@pytest.mark.parametrize("option", ["--params", "--camera", "--rig", "--lidar"])
+def test_strange_values_in_files(option: str, run: Run, around: Path) -> None:
+    from synth3dlanes.params import presets_folder
+
+    kind, name, key = {
+        "--params": ("", "tiny", "exposure"),
+        "--camera": ("cameras", "kitti_raw", "height_m"),
+        "--rig": ("rigs", "nuscenes", "height_m"),
+        "--lidar": ("lidars", "hdl_32e", "max_range_m"),
+    }[option]
+    lines = (presets_folder() / kind / f"{name}.yaml").read_text().splitlines()
+    at = next(number for number, line in enumerate(lines) if f"{key}:" in line)
+    head = lines[at][: lines[at].index(f"{key}:")]
+    faults = {}
+    for text in TEXTS:
+        edited = [*lines[:at], f"{head}{key}: {text}", *lines[at + 1 :]]
+        (around / "x.yaml").write_bytes("\n".join(edited).encode("utf-8", "surrogateescape"))
+        command = "generate --n 1 --out e --dry-run --device cpu" if option == "--lidar" else "sample"
+        with bounded():
+            wrong = fault(run(*command.split(), option, "x.yaml"), (2,))
+        if wrong and not wrong.startswith("ended with 0"):
+            faults[text[:60]] = wrong
+    assert not faults, listed(faults)
+
+
+NUMBERS = ["-1", "9" * 30, "9" * 5000, "1e5", "nan", "", "٣" * 5000, "0x1F", "\udcff"]
+NUMBERED = [
+    *("sample --index {}", "sample --n {}", "sample --seed {}", "sample --frames {}", "sample --fps {}"),
+    *("generate --out e --dry-run --device cpu --n {}", "generate --n 1 --out e --dry-run --device cpu --workers {}"),
+    *("generate --n 1 --out e --dry-run --device cpu --part {}/3", "generate --n 1 --out e --samples {}"),
+    *("split d/train --out e --into a={}", "inspect d/train:{}", "render d/train:{}", "predict d/train:{} --out e"),
+    *(
+        "evaluate d/train --threshold {}",
+        "predict i.png --out e --intrinsics {},1,1,1",
+        "ablation d --out e --sizes {}",
+    ),
+    *("gallery d --n {}", "gallery d --out g.png --shuffle {}", "train d --out e --epochs {} --dry-run"),
+    *(
+        "export d --format apollo --out e --size {}x3",
+        "validate d --workers 1 --limit {}",
+        "train d --out e --batch {} --dry-run",
+    ),
+]
+
+
+@pytest.mark.parametrize("command", NUMBERED)
+def test_strange_numbers(command: str, run: Run, around: Path) -> None:
+    del around
+    faults = {}
+    for text in NUMBERS:
+        with bounded():
+            wrong = fault(run(*(word.replace("{}", text) for word in command.split())))
+        if wrong and not wrong.startswith("ended with 0"):
+            faults[text[:60]] = wrong
+    assert not faults, listed(faults)
