@@ -36,7 +36,7 @@ from synth3dlanes.formats.writing import Format, PinholeFormat
 from synth3dlanes.formats.yolo import write as yolo
 from synth3dlanes.schema import Excerpt, PathBelow, parse
 
-LAYOUT = 2
+LAYOUT = 3
 """Exports of an earlier layout are not continued."""
 
 FORMATS: dict[str, PinholeFormat | SampleFormat] = {
@@ -183,8 +183,8 @@ def _records(marks: Sequence[Path]) -> Iterator[dict[str, Any]]:
 
 
 def _write_shared(out: Path, marks: Sequence[Path], foreign: Format) -> None:
-    # Frames with lines come first: Anchor3DLane fails on a list whose first frame has none. No newline at the end
-    # of a file: the evaluators trip over a blank last line.
+    # Frames with lines come first: Anchor3DLane fails on a list whose first frame has none. Every line ends in a
+    # newline, also the last: tools join files, and read them by line.
     with ExitStack() as stack:
         files: dict[str, IO[str]] = {}
 
@@ -202,8 +202,7 @@ def _write_shared(out: Path, marks: Sequence[Path], foreign: Format) -> None:
                     continue
                 for text, paths in record["shared"]:
                     for path in paths:
-                        file = opened(path)
-                        file.write(f"\n{text}" if file.tell() else text)
+                        opened(path).write(f"{text}\n")
     for path in files:
         if foreign.document:
             lines = out / f"{path}.tmp"

@@ -72,6 +72,11 @@ def write_as_it_is(reader: Reader, index: int, chunk: Chunk, out: Path, foreign:
     return _write(out, frame, annotation, write_image)
 
 
+def ended(text: str) -> str:
+    """A text file's content: its last line ends in a newline too; without lines it is empty."""
+    return f"{text}\n" if text and not text.endswith("\n") else text
+
+
 def _cameras(reader: Reader, index: int, labels: Labels, chunk: Chunk) -> dict[str, CameraLabel]:
     """The exported cameras of the moment of a sample with these labels, by their samples' keys, for the first of
     them."""
@@ -95,7 +100,7 @@ def _write(out: Path, frame: Frame, annotation: Annotation, write_image: Callabl
     for path in (*annotation.files, *([] if annotation.image is None else [annotation.image])):
         (out / path).parent.mkdir(parents=True, exist_ok=True)
     for path, content in annotation.files.items():
-        (out / path).write_bytes(content if isinstance(content, bytes) else content.encode())
+        (out / path).write_bytes(content if isinstance(content, bytes) else ended(content).encode())
     if annotation.image is not None:
         write_image(out / annotation.image)
     return {
