@@ -91,7 +91,7 @@ def export(
             (out / link).symlink_to(target)
     paths = [marks / chunk.mark for chunk in chunks]
     _write_shared(out, paths, foreign)
-    summary = summarize(_records(paths), camera)
+    summary = summarize(_records(paths), foreign)
     text = readme(source, format_name, foreign, [chunk.split for chunk in chunks], summary)
     (out / "README.md").write_text(text)
     return summary

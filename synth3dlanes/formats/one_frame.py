@@ -10,6 +10,8 @@ from synth3dlanes import scene as scene_format
 from synth3dlanes.dataset.format import SCENE, decode_image, encode_image
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rectify import rectified_labels
+from synth3dlanes.formats.conditions import conditions
+from synth3dlanes.formats.kerbs import kerb_lanes
 from synth3dlanes.formats.lines import scene_tags
 from synth3dlanes.formats.plan import Chunk
 from synth3dlanes.formats.resample import fitting_pinhole, resample
@@ -35,8 +37,10 @@ def write_resampled(reader: Reader, index: int, chunk: Chunk, out: Path, foreign
     frame = PinholeFrame(
         **vars(_frame(reader, index, chunk)),
         pinhole=pinhole,
-        tags=scene_tags(labels, pinhole),
+        tags=scene_tags(labels, pinhole) | conditions(scene, labels),
         illumination=int(np.digitize(scene.light.exposure, EXPOSURE_STEPS)),
+        shot=scene.shot,
+        kerbs=kerb_lanes(scene, labels.camera) if foreign.has_kerbs else (),
     )
     if pinhole != foreign.camera and not foreign.is_f_free:
         return _left_out(frame, NARROW)

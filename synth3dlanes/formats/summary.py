@@ -15,7 +15,8 @@ MOST_ENLARGED = 1.5
 @dataclass(frozen=True)
 class Summary:
     """The widest camera, None if images keep their own; frames by part (train, val, test) and by split; frames left out
-    and lanes dropped by reason; focal lengths; how many times images were enlarged at most."""
+    and lanes dropped by reason; focal lengths; how many times images were enlarged at most; frames in each of the
+    format's lists."""
 
     camera: Pinhole | None
     n_frames: Counter[str]
@@ -25,10 +26,13 @@ class Summary:
     dropped: Counter[str]
     f_px: tuple[float, ...]
     enlarged: float
+    n_of_list: dict[str, int]
 
 
-def summarize(records: Iterable[dict[str, Any]], camera: Pinhole | None) -> Summary:
+def summarize(records: Iterable[dict[str, Any]], foreign: Format) -> Summary:
     """Count what the chunks' records say of their frames."""
+    camera = foreign.camera if isinstance(foreign, PinholeFormat) else None
+    n_of_list = dict.fromkeys(foreign.lists, 0)
     n_frames, left_out, dropped = Counter[str](), Counter[str](), Counter[str]()
     n_of_split, n_lines, f_px, enlarged = Counter[tuple[str, str]](), 0, set[float](), 0.0
     for record in records:
@@ -39,10 +43,12 @@ def summarize(records: Iterable[dict[str, Any]], camera: Pinhole | None) -> Summ
         n_of_split[record["split"], record["part"]] += 1
         n_lines += record["n_lines"]
         dropped.update(record["dropped"])
+        for path in {path for _, paths in record["shared"] for path in paths if path in n_of_list}:
+            n_of_list[path] += 1
         if camera is not None:
             f_px.add(record["f_px"])
             enlarged = max(enlarged, record["enlarged"])
-    return Summary(camera, n_frames, n_of_split, left_out, n_lines, dropped, tuple(sorted(f_px)), enlarged)
+    return Summary(camera, n_frames, n_of_split, left_out, n_lines, dropped, tuple(sorted(f_px)), enlarged, n_of_list)
 
 
 def warnings(out: Path, foreign: Format, summary: Summary) -> tuple[str, ...]:
@@ -79,10 +85,18 @@ def readme(source: str, format_name: str, foreign: Format, splits: Sequence[Spli
         "|---|---|",
         *(left_out + dropped or ["| (nothing was left out) | 0 |"]),
         "",
+        *_lists(summary),
         f"`synth3dlanes export {source} --format {format_name} --out FOLDER --verify` scores the ground truth.",
         "",
     ]
     return "\n".join(lines)
+
+
+def _lists(summary: Summary) -> list[str]:
+    if not summary.n_of_list:
+        return []
+    rows = [f"| `{path}` | {count} |" for path, count in summary.n_of_list.items()]
+    return ["| list | frames |", "|---|---|", *rows, ""]
 
 
 def _size(summary: Summary, word: str) -> str:
