@@ -80,7 +80,7 @@ def readme(source: str, format_name: str, foreign: Format, splits: Sequence[Spli
         "|---|---|---|",
         *(f"| {split} | {part} | {count} |" for (split, part), count in sorted(summary.n_of_split.items())),
         "",
-        *_how_parts_were_made(splits),
+        *_how_parts_were_made(splits, summary),
         "| left out because | count |",
         "|---|---|",
         *(left_out + dropped or ["| (nothing was left out) | 0 |"]),
@@ -110,13 +110,14 @@ def _focal_lengths(summary: Summary) -> str:
     return f", f = {shortest:g} px" if shortest == longest else f", f = {shortest:g} to {longest:g} px"
 
 
-def _how_parts_were_made(splits: Sequence[Split]) -> list[str]:
-    parts, sentences = parts_of(splits), []
+def _how_parts_were_made(splits: Sequence[Split], summary: Summary) -> list[str]:
+    has_test = summary.n_frames["test"] > 0
+    parts, sentences = parts_of(splits, has_test), []
     if any(split.is_dealt for split in splits):
-        ends = " or ".join(str(end) for end in range(DEALT_EVERY - 1, 10, DEALT_EVERY))
-        sentences.append(
-            f"The data set has neither val nor test frames: keys that end in {ends} were made test frames."
-        )
+        ends = " and ".join(str(end) for end in range(DEALT_EVERY - 1, 10, DEALT_EVERY))
+        fifth = f"those of every fifth scene (numbers that end in {ends})"
+        is_so = f"{fifth} were made test frames." if has_test else f"with more scenes, {fifth} become test frames."
+        sentences.append(f"The data set has neither val nor test frames: {is_so}")
     for lacking, other in (("val", "test"), ("test", "val")):
         if lacking not in parts and other in parts:
             sentences.append(f"It has no {lacking} frames: tools that open {lacking} find the {other} frames.")

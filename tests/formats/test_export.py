@@ -323,7 +323,29 @@ def test_splits_keep_the_part_that_their_name_says(names, parts, dealt):
     assert [split.part for split in splits] == parts
     assert {split.part_of(4) for split in splits} == ({"test"} if dealt else set(parts))
     assert {split.part_of(3) for split in splits} == set(parts)
-    assert parts_of(splits) == set(parts) | ({"test"} if dealt else set())
+    assert parts_of(splits, has_test=True) == set(parts) | ({"test"} if dealt else set())
+    assert parts_of(splits, has_test=False) == set(parts)
+
+
+def test_the_readme_says_how_scenes_were_dealt(write_split, tmp_path):
+    write_split(tmp_path / "few", "train", 3)
+    write_split(tmp_path / "more", "train", 5)
+    for name, said in (
+        ("few", "with more scenes, those of every fifth scene (numbers that end in 4 and 9) become test frames."),
+        ("more", "those of every fifth scene (numbers that end in 4 and 9) were made test frames."),
+    ):
+        summary = export(str(tmp_path / name), tmp_path / f"{name}-out", "once", 1, lambda done, total: None)
+        assert bool(summary.n_frames["test"]) == (name == "more")
+        readme = (tmp_path / f"{name}-out/README.md").read_text()
+        assert f"The data set has neither val nor test frames: {said}" in readme
+        assert ("tools that open val find the test frames" in readme) == (name == "more")
+
+
+def test_an_unfinished_data_set_says_to_go_on(write_split, tmp_path):
+    write_split(tmp_path / "data", "train", 1)
+    (tmp_path / "data/train/00000.parquet").unlink()
+    with pytest.raises(FormatError, match=r"expected finished shards .*, got none; run generate again$"):
+        export(str(tmp_path / "data"), tmp_path / "out", "once", 1, lambda done, total: None)
 
 
 def test_a_set_for_tests_alone_gives_no_training_frames(write_split, tmp_path):
