@@ -15,6 +15,8 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import IO, Any
 
+from pydantic import RootModel
+
 from synth3dlanes.dataset.write import write_whole
 from synth3dlanes.errors import InputError
 from synth3dlanes.formats.apollo import write as apollo
@@ -32,7 +34,7 @@ from synth3dlanes.formats.reading import json_lines, json_object, read_text
 from synth3dlanes.formats.sample_format import SampleFormat
 from synth3dlanes.formats.summary import Summary, readme, summarize
 from synth3dlanes.formats.tusimple import write as tusimple
-from synth3dlanes.formats.writing import Format, PinholeFormat
+from synth3dlanes.formats.writing import Format, Part, PinholeFormat
 from synth3dlanes.formats.yolo import write as yolo
 from synth3dlanes.schema import Excerpt, PathBelow, parse
 
@@ -169,17 +171,32 @@ def _remove(out: Path, mark: Path) -> None:
     mark.unlink()
 
 
-class _Places(Excerpt):
-    files: tuple[PathBelow, ...] = ()
-    shared: tuple[tuple[str, tuple[PathBelow, ...]], ...] = ()
+class _LeftOut(Excerpt):
+    split: str
+    part: Part
+    left_out: str
+
+
+class _Written(Excerpt):
+    split: str
+    part: Part
+    left_out: None
+    n_lines: int
+    dropped: dict[str, int]
+    files: tuple[PathBelow, ...]
+    shared: tuple[tuple[str, tuple[PathBelow, ...]], ...]
+    f_px: float | None = None
+    enlarged: float | None = None
+
+
+class _Record(RootModel[_LeftOut | _Written]):
+    """What a mark says of a frame. The files that it names are removed or written."""
 
 
 def _records(marks: Sequence[Path]) -> Iterator[dict[str, Any]]:
     for mark in marks:
         for number, line in enumerate(json_lines(mark), start=1):
-            # The files that it names are removed or written.
-            parse(_Places, line, f"{mark}:{number}", "a frame of an export")
-            yield json.loads(line)
+            yield parse(_Record, line, f"{mark}:{number}", "a frame of an export").root.model_dump()
 
 
 def _write_shared(out: Path, marks: Sequence[Path], foreign: Format) -> None:

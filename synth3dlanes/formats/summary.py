@@ -46,8 +46,8 @@ def summarize(records: Iterable[dict[str, Any]], foreign: Format) -> Summary:
         for path in {path for _, paths in record["shared"] for path in paths if path in n_of_list}:
             n_of_list[path] += 1
         if camera is not None:
-            f_px.add(record["f_px"])
-            enlarged = max(enlarged, record["enlarged"])
+            f_px.add(record["f_px"] or camera.f_px)
+            enlarged = max(enlarged, record["enlarged"] or 0.0)
     return Summary(camera, n_frames, n_of_split, left_out, n_lines, dropped, tuple(sorted(f_px)), enlarged, n_of_list)
 
 
