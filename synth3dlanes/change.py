@@ -9,8 +9,8 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from pydantic import BaseModel, ValidationError
-from pydantic_core import ErrorDetails, to_jsonable_python
+from pydantic import ValidationError
+from pydantic_core import ErrorDetails
 
 from synth3dlanes.errors import InputError
 from synth3dlanes.scene import Scene
@@ -27,7 +27,7 @@ def change_scene(scene: Scene, changes: Sequence[str]) -> Scene:
 
     The value is YAML; angles whose key ends in `_deg` are in degrees. Raises InputError with one line per problem.
     """
-    document = _document(scene)
+    document = scene.model_dump(mode="json")
     problems: list[str] = []
     degrees: dict[str, Any] = {}
     for change in changes:
@@ -44,13 +44,6 @@ def change_scene(scene: Scene, changes: Sequence[str]) -> Scene:
     except ValidationError as error:
         found = error.errors(include_url=False)
         raise InputError(*(f"changes {problem_line(_as_given(problem, degrees))}" for problem in found)) from None
-
-
-def _document(part: Any) -> Any:
-    """A part as JSON values with all its keys, also those that `scene.json` leaves out at their default."""
-    if isinstance(part, BaseModel):
-        return {name: _document(value) for name, value in part}
-    return [_document(value) for value in part] if isinstance(part, tuple) else to_jsonable_python(part)
 
 
 def _as_given(problem: ErrorDetails, degrees: dict[str, Any]) -> ErrorDetails:

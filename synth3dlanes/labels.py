@@ -57,7 +57,7 @@ class CameraLabel:
     """The camera whose frame the points are in; `img_from_cam` acts on (x, y, z) of that frame. `roll_rad` is about
     the viewing axis, positive clockwise as the driver sees it; older labels lack it. `yaw_rad` turns that axis from the
     host's, positive to the left. `lens` bends what `img_from_cam` makes pixels of; `project` and `rays` go through
-    both. The file leaves out a yaw of 0, an empty `name` and a pinhole's lens."""
+    both. Labels made before version 0.3.0 lack a yaw of 0, an empty `name` and a pinhole's lens."""
 
     width_px: Pixels
     height_px: Pixels
@@ -96,7 +96,7 @@ class Lane:
     line on its own stretch (behind the split, before the merge), or of the centre lines that a delimiter bounds there;
     None outside the road. `color` and `double` (two stripes, the points in the middle between them) are None for centre
     lines and in older labels. `object_visible` is None until the scene has been rendered. `direction` is that of the
-    traffic in a centre line's lane; a delimiter is `oncoming` if it bounds only such lanes. The file leaves out
+    traffic in a centre line's lane; a delimiter is `oncoming` if it bounds only such lanes. Older labels may lack
     `same`."""
 
     id: Name
@@ -230,8 +230,9 @@ class Labels:
 
 
 def to_json(labels: Labels) -> str:
-    """The labels as one line of JSON: points rounded to 0.1 mm, matrices to 1e-9; equal labels give equal text."""
-    camera = labels.camera
+    """The labels as one line of JSON: points rounded to 0.1 mm, matrices to 1e-9; equal labels give equal text.
+    Every key is there, so that all labels of a data set are of one schema."""
+    camera, lidar = labels.camera, labels.lidar
     document: dict[str, Any] = {
         "format": LABELS_FORMAT,
         "version": LABELS_VERSION,
@@ -244,9 +245,9 @@ def to_json(labels: Labels) -> str:
             "roll_rad": camera.roll_rad,
             "road_from_cam": _rounded(camera.road_from_cam, 9),
             "world_from_cam": _rounded(camera.world_from_cam, 9),
-            **({"yaw_rad": camera.yaw_rad} if camera.yaw_rad else {}),
-            **({"name": camera.name} if camera.name else {}),
-            **({} if camera.lens == PINHOLE else {"lens": camera.lens.model_dump(mode="json")}),
+            "yaw_rad": camera.yaw_rad,
+            "name": camera.name,
+            "lens": camera.lens.model_dump(mode="json"),
         },
         "lanes": [_points_document(lane) for lane in labels.lanes],
         "graph": {
@@ -258,13 +259,10 @@ def to_json(labels: Labels) -> str:
         },
         "horizon": None if labels.horizon is None else vars(labels.horizon),
         "car_visible_fraction": labels.car_visible_fraction,
+        "symbols": [_points_document(symbol) for symbol in labels.symbols],
+        "time_s": labels.time_s,
+        "lidar": lidar and {**vars(lidar), "cam_from_lidar": _rounded(lidar.cam_from_lidar, 9)},
     }
-    if labels.symbols:
-        document["symbols"] = [_points_document(symbol) for symbol in labels.symbols]
-    if labels.time_s is not None:
-        document["time_s"] = labels.time_s
-    if labels.lidar is not None:
-        document["lidar"] = {**vars(labels.lidar), "cam_from_lidar": _rounded(labels.lidar.cam_from_lidar, 9)}
     return json.dumps(document, separators=(",", ":"), allow_nan=False)
 
 
@@ -309,6 +307,4 @@ def _points_document(of: Lane | SymbolLabel) -> dict[str, Any]:
     for name in MASKS:
         mask = document[name]
         document[name] = None if mask is None else mask.astype(int).tolist()
-    if document.get("direction") == "same":
-        del document["direction"]
     return document

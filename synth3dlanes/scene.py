@@ -1,12 +1,12 @@
 """Scene: the full description of one world, and its JSON form (`scene.json`, docs/format.md).
 
 World frame, metres and radians. Pure data: nothing here reads files or computes geometry. Fields with a default were
-added later; older scenes can still be read and render as before.
+added later; older scenes can still be read and render as before. New ones have every key: all are of one schema.
 """
 
 import math
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -18,11 +18,6 @@ from synth3dlanes.settings import FIRST_SYMBOL_ID, HOST_ID, JPEG_QUALITY, MAX_SA
 from synth3dlanes.streams import stream
 
 SCENE_VERSION = 1
-
-
-def added(default: Any) -> Any:
-    """A field that `scene.json` leaves out at its default, so that scenes without it keep their bytes."""
-    return Field(default=default, exclude_if=lambda value: value == default)
 
 
 Color = tuple[Unit, Unit, Unit]
@@ -74,9 +69,9 @@ class Road(Part):
     exit_offset_m: Annotated[float, Field(ge=0, le=1000)]
     ramp_height_m: Annotated[float, Field(ge=0, le=1000)]
     ramp_slope: Positive
-    n_oncoming: Annotated[int, Field(ge=0, le=8)] = added(0)
-    median_m: Annotated[float, Field(ge=0, le=100)] = added(0.0)
-    divider_dashed: bool = added(False)
+    n_oncoming: Annotated[int, Field(ge=0, le=8)] = 0
+    median_m: Annotated[float, Field(ge=0, le=100)] = 0.0
+    divider_dashed: bool = False
 
     @model_validator(mode="after")
     def _has_room(self) -> "Road":
@@ -133,7 +128,7 @@ class Markings(Part):
     left_double: bool = False
     wear: Unit = 0.0
     missing: Unit = 0.0
-    dots: bool = added(False)
+    dots: bool = False
 
 
 class Surface(Part):
@@ -149,9 +144,9 @@ class Surface(Part):
     texture_orientation_rad: Number
     wetness: Unit = 0.0
     shoulder_texture: Annotated[int, Field(ge=1, le=2)] = 1
-    tar: Unit = added(0.0)
-    joint: Unit = added(0.0)
-    ghost_lines: Unit = added(0.0)
+    tar: Unit = 0.0
+    joint: Unit = 0.0
+    ghost_lines: Unit = 0.0
 
 
 class Symbol(Part):
@@ -177,8 +172,8 @@ class Car(Part):
     lane: Name
     s_m: Metres
     saturation: Unit = 1.0
-    offset_m: Metres = added(0.0)
-    speed_m_s: Annotated[float, Field(ge=0, le=100)] = added(0.0)
+    offset_m: Metres = 0.0
+    speed_m_s: Annotated[float, Field(ge=0, le=100)] = 0.0
 
 
 class Tree(Part):
@@ -217,11 +212,11 @@ class Camera(Part):
     cx_px: Number
     cy_px: Number
     roll_rad: Number = 0.0
-    name: Name = added("")
-    right_m: Annotated[float, Field(ge=-10, le=10)] = added(0.0)
-    forward_m: Annotated[float, Field(ge=-10, le=10)] = added(0.0)
-    yaw_rad: Annotated[float, Field(ge=-4, le=4)] = added(0.0)
-    lens: Lens = added(PINHOLE)
+    name: Name = ""
+    right_m: Annotated[float, Field(ge=-10, le=10)] = 0.0
+    forward_m: Annotated[float, Field(ge=-10, le=10)] = 0.0
+    yaw_rad: Annotated[float, Field(ge=-4, le=4)] = 0.0
+    lens: Lens = PINHOLE
 
     @property
     def looks_ahead(self) -> bool:
@@ -311,10 +306,10 @@ class Sensor(Part):
 
     motion_blur_m: Annotated[float, Field(ge=0, le=1000)] = 0.0
     noise: Annotated[float, Field(ge=0, le=1000)] = 0.0
-    flare: Unit = added(0.0)
-    dirt: Unit = added(0.0)
-    drops: Unit = added(0.0)
-    jpeg_quality: Annotated[int, Field(ge=1, le=100)] = added(JPEG_QUALITY)
+    flare: Unit = 0.0
+    dirt: Unit = 0.0
+    drops: Unit = 0.0
+    jpeg_quality: Annotated[int, Field(ge=1, le=100)] = JPEG_QUALITY
 
 
 class Weather(Part):
@@ -429,15 +424,15 @@ class Scene(Part):
     light: Light
     air: Air = Air()
     sensor: Sensor = Sensor()
-    weather: Weather = added(Weather())
-    host: Host = added(Host())
+    weather: Weather = Weather()
+    host: Host = Host()
     sky: Annotated[int, Field(ge=0, le=MAX_ASSETS)] = 0
     assets: Assets = Assets()
-    symbols: Annotated[tuple[Symbol, ...], Field(max_length=MAX_SYMBOLS)] = added(())
-    vegetation: Vegetation = added(Vegetation())
-    roadside: Roadside = added(Roadside())
-    shot: Shot = added(Shot())
-    lidar: Lidar | None = added(None)
+    symbols: Annotated[tuple[Symbol, ...], Field(max_length=MAX_SYMBOLS)] = ()
+    vegetation: Vegetation = Vegetation()
+    roadside: Roadside = Roadside()
+    shot: Shot = Shot()
+    lidar: Lidar | None = None
 
     def stream(self, name: str) -> np.random.Generator:
         """Random numbers for details of the world that the scene does not store, such as `clouds`."""

@@ -99,13 +99,13 @@ class Excerpt(Part):
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
 
-def parse(model: type[Document], data: str | bytes, where: str, what: str) -> Document:
-    """Read a JSON document; `what` names it, as in "synth3dlanes.scene version 1".
+def parse(model: type[Document], data: str | bytes, where: str, what: str, most_bytes: int = MAX_BYTES) -> Document:
+    """Read a JSON document of at most `most_bytes`; `what` names it, as in "synth3dlanes.scene version 1".
 
     Raises FormatError with a line for each problem, beginning with `where`; with one line for another document.
     """
-    if len(data) > MAX_BYTES:
-        raise FormatError(f"{where}: expected {what} of at most {MAX_BYTES >> 20} MiB, got {len(data) >> 20} MiB")
+    if len(data) > most_bytes:
+        raise FormatError(f"{where}: expected {what} of at most {most_bytes >> 20} MiB, got {len(data) >> 20} MiB")
     try:
         return model.model_validate_json(data, strict=True)
     except ValidationError as error:

@@ -11,7 +11,7 @@ import pyarrow as pa
 from pydantic import BaseModel
 
 from synth3dlanes.dataset.format import COLUMN_OF_MEMBER, LIDAR
-from synth3dlanes.dataset.index import ADDED_SCHEMA, ARROW_TYPES, RECIPE, SHOT_COLUMNS, place_columns
+from synth3dlanes.dataset.index import ADDED, ADDED_SCHEMA, ARROW_TYPES, RECIPE, SHOT_COLUMNS, place_columns
 from synth3dlanes.labels import Labels, Lane
 from synth3dlanes.scene import Air, Camera, Light, Markings, Road, Scene, Sensor, Surface
 
@@ -38,7 +38,7 @@ SCHEMA = pa.schema(
         (PREFIXES.get(group, "") + name, ARROW_TYPES[field.annotation])
         for group, part in PARTS.items()
         for name, field in part.model_fields.items()
-        if field.exclude_if is None  # the others are among those added later
+        if field.annotation in ARROW_TYPES and PREFIXES.get(group, "") + name not in ADDED
     ]
     + [("junction", pa.string()), ("exit_side", pa.string()), ("ramp_used", pa.bool_()), ("max_grade", pa.float64())]
     + [(f"n_{seen}{kind}", pa.int64()) for kind in ("centerlines", "delimiters") for seen in ("", "visible_")]

@@ -23,7 +23,7 @@ def readers(folder: str) -> list[Reader]:
     if splits is None:
         return [Reader(folder)]
     if not splits:
-        raise FormatError(f"{folder}: expected finished shards (SPLIT/00000.parquet), got none")
+        raise FormatError(f"{folder}: expected finished shards (SPLIT/00000.parquet), got none; run generate again")
     return [Reader(f"{folder.rstrip('/')}/{split}") for split in splits]
 
 

@@ -13,6 +13,8 @@ from dataclasses import replace
 from pathlib import Path, PurePath
 from typing import Any
 
+from pydantic import RootModel
+
 from synth3dlanes.errors import InputError
 from synth3dlanes.files import Draft, Folder
 from synth3dlanes.formats.apollo import write as apollo
@@ -30,13 +32,13 @@ from synth3dlanes.formats.reading import json_lines, json_object, read_text
 from synth3dlanes.formats.sample_format import SampleFormat
 from synth3dlanes.formats.summary import Summary, readme, summarize
 from synth3dlanes.formats.tusimple import write as tusimple
-from synth3dlanes.formats.writing import Format, PinholeFormat
+from synth3dlanes.formats.writing import Format, Part, PinholeFormat
 from synth3dlanes.formats.yolo import write as yolo
 from synth3dlanes.processes import process_pool
 from synth3dlanes.schema import Excerpt, PathBelow, parse
 
 MARKS = ".parts"
-LAYOUT = 2
+LAYOUT = 3
 """Exports of an earlier layout are not continued."""
 
 FORMATS: dict[str, PinholeFormat | SampleFormat] = {
@@ -91,7 +93,7 @@ def export(
         folder.link(link, target)
     paths = [marks / chunk.mark for chunk in chunks]
     _write_shared(folder, paths, foreign)
-    summary = summarize(_records(paths), camera)
+    summary = summarize(_records(paths), foreign)
     text = readme(source, format_name, foreign, [chunk.split for chunk in chunks], summary)
     folder.write("README.md", text.encode())
     return summary
@@ -168,22 +170,37 @@ def _remove(folder: Folder, mark: str) -> None:
     folder.remove(f"{MARKS}/{mark}")
 
 
-class _Places(Excerpt):
-    files: tuple[PathBelow, ...] = ()
-    shared: tuple[tuple[str, tuple[PathBelow, ...]], ...] = ()
+class _LeftOut(Excerpt):
+    split: str
+    part: Part
+    left_out: str
+
+
+class _Written(Excerpt):
+    split: str
+    part: Part
+    left_out: None
+    n_lines: int
+    dropped: dict[str, int]
+    files: tuple[PathBelow, ...]
+    shared: tuple[tuple[str, tuple[PathBelow, ...]], ...]
+    f_px: float | None = None
+    enlarged: float | None = None
+
+
+class _Record(RootModel[_LeftOut | _Written]):
+    """What a mark says of a frame. The files that it names are removed or written."""
 
 
 def _records(marks: Sequence[Path]) -> Iterator[dict[str, Any]]:
     for mark in marks:
         for number, line in enumerate(json_lines(mark), start=1):
-            # The files that it names are removed or written.
-            parse(_Places, line, f"{mark}:{number}", "a frame of an export")
-            yield json.loads(line)
+            yield parse(_Record, line, f"{mark}:{number}", "a frame of an export").root.model_dump()
 
 
 def _write_shared(folder: Folder, marks: Sequence[Path], foreign: Format) -> None:
-    # Frames with lines come first: Anchor3DLane fails on a list whose first frame has none. No newline at the end
-    # of a file: the evaluators trip over a blank last line.
+    # Frames with lines come first: Anchor3DLane fails on a list whose first frame has none. Every line ends in a
+    # newline, also the last: tools join files, and read them by line.
     with ExitStack() as stack:
         files: dict[str, Draft] = {}
 
@@ -202,8 +219,7 @@ def _write_shared(folder: Folder, marks: Sequence[Path], foreign: Format) -> Non
                     continue
                 for text, paths in record["shared"]:
                     for path in paths:
-                        stream = opened(path).stream
-                        stream.write((f"\n{text}" if stream.tell() else text).encode())
+                        opened(path).stream.write(f"{text}\n".encode())
         for path, draft in files.items():
             if foreign.document is None:
                 draft.appear()

@@ -11,6 +11,8 @@ from synth3dlanes.dataset.format import SCENE, decode_image, encode_image
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rectify import rectified_labels
 from synth3dlanes.files import Folder
+from synth3dlanes.formats.conditions import conditions
+from synth3dlanes.formats.kerbs import kerb_lanes
 from synth3dlanes.formats.lines import scene_tags
 from synth3dlanes.formats.plan import Chunk
 from synth3dlanes.formats.resample import fitting_pinhole, resample
@@ -36,8 +38,10 @@ def write_resampled(reader: Reader, index: int, chunk: Chunk, out: Path, foreign
     frame = PinholeFrame(
         **vars(_frame(reader, index, chunk)),
         pinhole=pinhole,
-        tags=scene_tags(labels, pinhole),
+        tags=scene_tags(labels, pinhole) | conditions(scene, labels),
         illumination=int(np.digitize(scene.light.exposure, EXPOSURE_STEPS)),
+        shot=scene.shot,
+        kerbs=kerb_lanes(scene, labels.camera) if foreign.has_kerbs else (),
     )
     if pinhole != foreign.camera and not foreign.is_f_free:
         return _left_out(frame, NARROW)
@@ -73,6 +77,11 @@ def write_as_it_is(reader: Reader, index: int, chunk: Chunk, out: Path, foreign:
     return _write(out, frame, annotation, write_image)
 
 
+def ended(text: str) -> str:
+    """A text file's content: its last line ends in a newline too; without lines it is empty."""
+    return f"{text}\n" if text and not text.endswith("\n") else text
+
+
 def _cameras(reader: Reader, index: int, labels: Labels, chunk: Chunk) -> dict[str, CameraLabel]:
     """The exported cameras of the moment of a sample with these labels, by their samples' keys, for the first of
     them."""
@@ -99,7 +108,7 @@ def _write(out: Path, frame: Frame, annotation: Annotation, write_image: Callabl
         folder.make(PurePath(path).parent)
     for path, content in annotation.files.items():
         with folder.renew(path) as stream:
-            stream.write(content if isinstance(content, bytes) else content.encode())
+            stream.write(content if isinstance(content, bytes) else ended(content).encode())
     if annotation.image is not None:
         with folder.renew(annotation.image) as stream:
             write_image(stream, PurePath(annotation.image).suffix.removeprefix("."))

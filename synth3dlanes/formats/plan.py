@@ -4,6 +4,7 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from jaxtyping import Int
@@ -30,7 +31,12 @@ class Split:
 
     def part_of(self, scene: int) -> Part:
         """What the frames of a scene are used for."""
-        return "test" if self.is_dealt and scene % DEALT_EVERY == DEALT_EVERY - 1 else self.part
+        return "test" if self.is_dealt and is_test_scene(scene) else self.part
+
+
+def is_test_scene(scene: int | Int[np.ndarray, " n"]) -> Any:
+    """Whether a scene of this number is one of every fifth."""
+    return scene % DEALT_EVERY == DEALT_EVERY - 1
 
 
 @dataclass(frozen=True)
@@ -63,7 +69,7 @@ def plan(source: str, cameras: Sequence[str] = (), is_per_scene: bool = False, t
         found, moment = readers(source), None
     folder = found[0].url.rpartition("/")[0]
     splits = assign([split_name(reader) for reader in found])
-    parts = parts_of(splits)
+    parts = parts_of(splits, has_test=any(is_test_scene(reader.scene_of).any() for reader in found))
     chunks = []
     for split, reader in zip(splits, found, strict=True):
         names = tuple(cameras) or (tuple(camera.name for camera in reader.cameras) if takes_rigs else ())
@@ -86,9 +92,9 @@ def assign(names: Sequence[str]) -> tuple[Split, ...]:
     )
 
 
-def parts_of(splits: Sequence[Split]) -> frozenset[Part]:
-    """The parts that have frames."""
-    dealt: set[Part] = {"test"} if any(split.is_dealt for split in splits) else set()
+def parts_of(splits: Sequence[Split], has_test: bool) -> frozenset[Part]:
+    """The parts that have frames, those of dealt splits if any scene `has_test` frames."""
+    dealt: set[Part] = {"test"} if has_test and any(split.is_dealt for split in splits) else set()
     return frozenset({split.part for split in splits} | dealt)
 
 

@@ -3,25 +3,31 @@
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Shaped, UInt8
 from PIL import Image
+from pydantic import TypeAdapter, ValidationError
 
 from synth3dlanes.dataset.format import decode_image
 from synth3dlanes.errors import FormatError
 from synth3dlanes.files import open_regular, read_bounded
 from synth3dlanes.frames import inside_image, project, road_from_cam
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph, LaneKind, Marking, PaintColor
+from synth3dlanes.schema import PathBelow, shown
 
-MALFORMED = (KeyError, TypeError, IndexError, ValueError, AttributeError, OverflowError)
-"""What a damaged file of an export of ours raises on the way to arrays. Files of others are parsed by schemas."""
 MAX_FILE_BYTES = 512 << 20
 """An image of 8192 x 8192 takes 200 MB without compression, the labels of 100,000 images 400 MB."""
+MOST_TEXT = 64 << 20
+"""Bytes of one frame's label file, and of a line of a list."""
 PICTURES = ("JPEG", "PNG", "BMP", "WEBP")
 STEP_M = 0.5
+MOST = 1e6
+"""Beyond any coordinate or column."""
+_BELOW = TypeAdapter(PathBelow)
 UNKNOWN: tuple[Marking, None, None] = ("none", None, None)
 """The paint of lines of formats that do not have it."""
 
@@ -76,21 +82,87 @@ def read_image(path: Path) -> UInt8[np.ndarray, "h w 3"]:
 
 def image_size(path: Path) -> tuple[int, int]:
     """Width and height of an image file, without decoding it."""
+    return image_header(path)[:2]
+
+
+def image_header(path: Path) -> tuple[int, int, str]:
+    """Width, height and kind (JPEG, PNG) of an image file, without decoding it."""
     try:
-        with open_regular(path) as stream, Image.open(stream) as image:
-            return (image.width, image.height)
+        with _opened(path) as stream, Image.open(stream) as image:
+            return (image.width, image.height, image.format or "")
     except FormatError:
         raise
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise FormatError(f"{path}: expected an image, got {error}") from None
 
 
+def read_mask(path: Path, size_px: tuple[int, int], mode: str) -> Shaped[np.ndarray, "h w ..."]:
+    """The pixels of a PNG file of this width, height and mode of Pillow's."""
+    if (found := image_size(path)) != size_px:
+        raise FormatError(f"{path}: expected the size of its image, {size_px}, got {found}")
+    try:
+        with Image.open(path) as image:
+            pixels, found_mode = np.asarray(image), image.mode
+    except (OSError, SyntaxError, ValueError, EOFError) as error:
+        raise FormatError(f"{path}: expected a mask, got {error}") from None
+    if found_mode != mode:
+        raise FormatError(f"{path}: expected a mask of mode {mode}, got {found_mode}")
+    return pixels
+
+
 def read_text(path: Path) -> str:
     """The text of a label file."""
     try:
-        return read_file(path).decode()
-    except UnicodeDecodeError as error:
+        return read_bounded(path, MOST_TEXT).decode()
+    except FormatError:
+        raise
+    except (OSError, UnicodeDecodeError) as error:
         raise FormatError(f"{path}: expected a label file, got {error}") from None
+
+
+def first_lines(path: Path, most: int) -> list[str]:
+    """At most so many lines of a list, without their ends."""
+    lines: list[str] = []
+    with _opened(path) as file:
+        while len(lines) < most and (line := file.readline(MOST_TEXT)):
+            try:
+                lines.append(line.decode().rstrip("\n"))
+            except UnicodeDecodeError as error:
+                raise FormatError(f"{path}:{len(lines) + 1}: expected text, got {error}") from None
+    return lines
+
+
+def listed_files(path: Path, most: int) -> list[str]:
+    """At most so many lines of a list of files; raise FormatError where one is none below the export's folder."""
+    return [file_below(line, f"{path}:{number}") for number, line in enumerate(first_lines(path, most), start=1)]
+
+
+def file_below(text: str, where: str) -> str:
+    """A path that a file of an export names; raise FormatError where it is not below a folder."""
+    try:
+        return _BELOW.validate_python(text)
+    except ValidationError:
+        raise FormatError(f"{where}: expected a path below the folder, got {shown(text)}") from None
+
+
+def numbers(text: str, where: str, columns: int = 2) -> Float[np.ndarray, "n c"]:
+    """A line of numbers as rows of so many; raise FormatError where they are others."""
+    try:
+        found = np.array(text.split(), dtype=float)
+    except ValueError:
+        raise FormatError(f"{where}: expected numbers, got {shown(text)}") from None
+    if len(found) % columns or not (np.abs(found) <= MOST).all():
+        raise FormatError(f"{where}: expected numbers up to {MOST:g} in groups of {columns}, got {shown(text)}")
+    return found.reshape(-1, columns)
+
+
+def _opened(path: Path) -> BufferedReader:
+    try:
+        return open_regular(path)
+    except FormatError:
+        raise
+    except (OSError, ValueError):
+        raise FormatError(f"{path}: expected a file, got none") from None
 
 
 def read_file(path: Path) -> bytes:

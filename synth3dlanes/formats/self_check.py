@@ -5,19 +5,22 @@ Ground truth as prediction is the ground truth after the benchmark's own pruning
 every line for itself and moves it 2 m aside: in a whole frame it would land near its neighbour and match that.
 """
 
-import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float
-from PIL import Image
+from pydantic import Field
 
+from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.band_score import BandScore, Canvas, Polyline
 from synth3dlanes.formats.line_score import NEAR, Frames, Line3d, Score3d, sample_line
+from synth3dlanes.formats.reading import image_header, read_file
 from synth3dlanes.formats.writing import SIDECAR
+from synth3dlanes.labels import Matrix3
+from synth3dlanes.schema import Excerpt, Positive, parse, shown
 
 SHIFT_M = 2.0
 TOLERANCE_M = 1e-3
@@ -63,20 +66,44 @@ def verify_3d(name: str, true: Sequence[Sequence[Line3d]], problems: Sequence[st
     return Verified(name, len(true), n_lines, asdict(perfect), asdict(shifted), tuple(found))
 
 
-def moved_aside(points_img: Float[np.ndarray, "*n 2"], sidecar: dict[str, Any]) -> Float[np.ndarray, "*n 2"]:
+def moved_aside(points_img: Float[np.ndarray, "*n 2"], sidecar: "Sidecar") -> Float[np.ndarray, "*n 2"]:
     """Points of the road plane in the image after a move of SHIFT_M to the right; the sidecar has the camera."""
-    _, (_, f_px, cy_px), _ = sidecar["img_from_cv"]
-    pitch_rad = sidecar["camera_pitch_rad"]
+    _, (_, f_px, cy_px), _ = sidecar.img_from_cv.tolist()
+    pitch_rad = sidecar.camera_pitch_rad
     # On the road plane one metre aside is |v - horizon| cos(pitch) / height pixels in row v.
     horizon_px = cy_px - f_px * np.tan(pitch_rad)
-    px_per_m = np.abs(points_img[..., 1] - horizon_px) * np.cos(pitch_rad) / sidecar["camera_height_m"]
+    px_per_m = np.abs(points_img[..., 1] - horizon_px) * np.cos(pitch_rad) / sidecar.camera_height_m
     return points_img + SHIFT_M * px_per_m[..., None] * [1.0, 0.0]
 
 
-def read_sidecars(out: Path) -> dict[str, dict[str, Any]]:
-    """The lines of `sidecar.jsonl` by their images."""
-    sidecars = map(json.loads, (out / SIDECAR).read_text().splitlines())
-    return {sidecar["image"]: sidecar for sidecar in sidecars}
+class Sidecar(Excerpt):
+    """A frame's line of `sidecar.jsonl`."""
+
+    image: str
+    img_from_cv: Matrix3
+    camera_height_m: Positive
+    camera_pitch_rad: Annotated[float, Field(gt=-1.5, lt=1.5)]
+
+
+class Sidecars(dict[str, Sidecar]):
+    """The lines of `sidecar.jsonl` of an export by their images; raise FormatError for an image without one."""
+
+    def __init__(self, out: Path) -> None:
+        self.path = out / SIDECAR
+        for number, line in enumerate(read_file(self.path).splitlines(), start=1):
+            found = parse(Sidecar, line, f"{self.path}:{number}", "a frame of an export")
+            self[found.image] = found
+
+    def __missing__(self, image: str) -> Sidecar:
+        raise FormatError(f"{self.path}: expected a line of the image {image}, got none")
+
+
+def drawable(lines: Sequence[Polyline], where: str) -> tuple[Polyline, ...]:
+    """Lines that can be drawn as bands; raise FormatError where one has fewer than two points, or the same twice."""
+    for line in lines:
+        if len(line) < 2 or not np.abs(np.diff(line, axis=0)).max(axis=1).all():
+            raise FormatError(f"{where}: expected lines of two different points or more, got {shown(line.tolist())}")
+    return tuple(lines)
 
 
 def controls(pairs: Iterable[tuple[Polyline, Polyline]], canvas: Canvas) -> list[tuple[list[Polyline], list[Polyline]]]:
@@ -100,10 +127,10 @@ def image_problems(paths: Sequence[Path], size_px: tuple[int, int]) -> list[str]
         if not path.is_file():
             problems.append(f"{path}: expected an image, found no file")
             continue
-        with Image.open(path) as image:
-            if image.size != size_px or image.format != "JPEG":
-                expected = f"{size_px[0]}x{size_px[1]}"
-                problems.append(f"{path}: expected a JPEG of {expected}, got {image.format} {image.size}")
+        width_px, height_px, kind = image_header(path)
+        if (width_px, height_px, kind) != (*size_px, "JPEG"):
+            expected, got = f"{size_px[0]}x{size_px[1]}", f"{width_px}x{height_px}"
+            problems.append(f"{path}: expected a JPEG of {expected}, got {kind} of {got}")
     return problems
 
 

@@ -15,7 +15,8 @@ MOST_ENLARGED = 1.5
 @dataclass(frozen=True)
 class Summary:
     """The widest camera, None if images keep their own; frames by part (train, val, test) and by split; frames left out
-    and lanes dropped by reason; focal lengths; how many times images were enlarged at most."""
+    and lanes dropped by reason; focal lengths; how many times images were enlarged at most; frames in each of the
+    format's lists."""
 
     camera: Pinhole | None
     n_frames: Counter[str]
@@ -25,10 +26,13 @@ class Summary:
     dropped: Counter[str]
     f_px: tuple[float, ...]
     enlarged: float
+    n_of_list: dict[str, int]
 
 
-def summarize(records: Iterable[dict[str, Any]], camera: Pinhole | None) -> Summary:
+def summarize(records: Iterable[dict[str, Any]], foreign: Format) -> Summary:
     """Count what the chunks' records say of their frames."""
+    camera = foreign.camera if isinstance(foreign, PinholeFormat) else None
+    n_of_list = dict.fromkeys(foreign.lists, 0)
     n_frames, left_out, dropped = Counter[str](), Counter[str](), Counter[str]()
     n_of_split, n_lines, f_px, enlarged = Counter[tuple[str, str]](), 0, set[float](), 0.0
     for record in records:
@@ -39,10 +43,12 @@ def summarize(records: Iterable[dict[str, Any]], camera: Pinhole | None) -> Summ
         n_of_split[record["split"], record["part"]] += 1
         n_lines += record["n_lines"]
         dropped.update(record["dropped"])
+        for path in {path for _, paths in record["shared"] for path in paths if path in n_of_list}:
+            n_of_list[path] += 1
         if camera is not None:
-            f_px.add(record["f_px"])
-            enlarged = max(enlarged, record["enlarged"])
-    return Summary(camera, n_frames, n_of_split, left_out, n_lines, dropped, tuple(sorted(f_px)), enlarged)
+            f_px.add(record["f_px"] or camera.f_px)
+            enlarged = max(enlarged, record["enlarged"] or 0.0)
+    return Summary(camera, n_frames, n_of_split, left_out, n_lines, dropped, tuple(sorted(f_px)), enlarged, n_of_list)
 
 
 def warnings(out: Path, foreign: Format, summary: Summary) -> tuple[str, ...]:
@@ -74,15 +80,23 @@ def readme(source: str, format_name: str, foreign: Format, splits: Sequence[Spli
         "|---|---|---|",
         *(f"| {split} | {part} | {count} |" for (split, part), count in sorted(summary.n_of_split.items())),
         "",
-        *_how_parts_were_made(splits),
+        *_how_parts_were_made(splits, summary),
         "| left out because | count |",
         "|---|---|",
         *(left_out + dropped or ["| (nothing was left out) | 0 |"]),
         "",
+        *_lists(summary),
         f"`synth3dlanes export {source} --format {format_name} --out FOLDER --verify` scores the ground truth.",
         "",
     ]
     return "\n".join(lines)
+
+
+def _lists(summary: Summary) -> list[str]:
+    if not summary.n_of_list:
+        return []
+    rows = [f"| `{path}` | {count} |" for path, count in summary.n_of_list.items()]
+    return ["| list | frames |", "|---|---|", *rows, ""]
 
 
 def _size(summary: Summary, word: str) -> str:
@@ -96,13 +110,14 @@ def _focal_lengths(summary: Summary) -> str:
     return f", f = {shortest:g} px" if shortest == longest else f", f = {shortest:g} to {longest:g} px"
 
 
-def _how_parts_were_made(splits: Sequence[Split]) -> list[str]:
-    parts, sentences = parts_of(splits), []
+def _how_parts_were_made(splits: Sequence[Split], summary: Summary) -> list[str]:
+    has_test = summary.n_frames["test"] > 0
+    parts, sentences = parts_of(splits, has_test), []
     if any(split.is_dealt for split in splits):
-        ends = " or ".join(str(end) for end in range(DEALT_EVERY - 1, 10, DEALT_EVERY))
-        sentences.append(
-            f"The data set has neither val nor test frames: keys that end in {ends} were made test frames."
-        )
+        ends = " and ".join(str(end) for end in range(DEALT_EVERY - 1, 10, DEALT_EVERY))
+        fifth = f"those of every fifth scene (numbers that end in {ends})"
+        is_so = f"{fifth} were made test frames." if has_test else f"with more scenes, {fifth} become test frames."
+        sentences.append(f"The data set has neither val nor test frames: {is_so}")
     for lacking, other in (("val", "test"), ("test", "val")):
         if lacking not in parts and other in parts:
             sentences.append(f"It has no {lacking} frames: tools that open {lacking} find the {other} frames.")

@@ -1,6 +1,5 @@
 """The self-check of an export: its own ground truth must score perfectly, and the same moved aside close to nothing."""
 
-import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -8,14 +7,17 @@ from synth3dlanes.formats.apollo import verify as apollo
 from synth3dlanes.formats.coco import verify as coco
 from synth3dlanes.formats.culane import verify as culane
 from synth3dlanes.formats.curvelanes import verify as curvelanes
+from synth3dlanes.formats.export import FORMATS
 from synth3dlanes.formats.masks import verify as masks
 from synth3dlanes.formats.once import verify as once
 from synth3dlanes.formats.opendrive import verify as opendrive
 from synth3dlanes.formats.openlane import verify as openlane
 from synth3dlanes.formats.openlane_v2 import verify as openlane_v2
+from synth3dlanes.formats.reading import read_text
 from synth3dlanes.formats.self_check import Verified
 from synth3dlanes.formats.tusimple import verify as tusimple
 from synth3dlanes.formats.yolo import verify as yolo
+from synth3dlanes.schema import Excerpt, Pixels, parse
 
 CHECKS = {
     "apollo": apollo.verify,
@@ -36,13 +38,22 @@ SAMPLE_CHECKS: dict[str, Callable[[Path, int], Iterator[Verified]]] = {
 """The checks of formats whose images keep their own cameras."""
 
 
+class _Export(Excerpt):
+    size_px: tuple[Pixels, Pixels]
+
+
 def verify(out: Path, format_name: str, most_frames: int) -> tuple[Verified, ...]:
     """Score at most the first `most_frames` frames of every list of an export."""
     if format_name in SAMPLE_CHECKS:
         verified = tuple(SAMPLE_CHECKS[format_name](out, most_frames))
     else:
-        width_px, height_px = json.loads((out / "export.json").read_text())["size_px"]
+        about = out / "export.json"
+        width_px, height_px = parse(_Export, read_text(about), str(about), "an export").size_px
         verified = tuple(CHECKS[format_name](out, (width_px, height_px), most_frames))
+    lists = FORMATS[format_name].lists
+    gone = [f"{out / path}: expected a list, got no file" for path in lists if not (out / path).is_file()]
+    if gone:
+        verified = (*verified, Verified("lists", 0, 0, {}, {}, tuple(gone)))
     if not any(result.n_lines for result in verified):
         problem = f"{out}: expected lane lines to score, found none"
         return (*verified, Verified("all lists", 0, 0, {}, {}, (problem,)))

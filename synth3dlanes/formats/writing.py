@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.frames import project
-from synth3dlanes.labels import Labels
+from synth3dlanes.labels import Labels, Lane
+from synth3dlanes.scene import Shot
 
 CV_FROM_CAM = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """OpenCV's camera axes (frame `_cv`: x right, y down, z forward) from ours."""
@@ -19,6 +20,9 @@ DECIMALS = 6
 
 Part = Literal["train", "val", "test"]
 PARTS: tuple[Part, ...] = ("train", "val", "test")
+
+
+SINGLE = Shot()
 
 
 @dataclass(frozen=True)
@@ -71,11 +75,14 @@ class Frame:
 @dataclass(frozen=True)
 class PinholeFrame(Frame):
     """A frame whose image is resampled: `pinhole` is its camera there; `tags` are the kinds of scene; `illumination` is
-    0 (dark) to 2 (bright)."""
+    0 (dark) to 2 (bright); `shot` says which picture of a clip or rig it is. `kerbs` are those of formats that have
+    them."""
 
     pinhole: Pinhole
     tags: frozenset[str]
     illumination: int
+    shot: Shot = SINGLE
+    kerbs: tuple[Lane, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -129,10 +136,11 @@ class PinholeFormat(Format):
     returns None where the format has no place for the frame.
 
     A frame that is too narrow for the camera gets a longer focal length of its own if `is_f_free`, and is left out
-    otherwise; images may have any size if `is_size_free`.
+    otherwise; images may have any size if `is_size_free`. Frames come with their kerbs if it `has_kerbs`.
     """
 
     camera: Pinhole
     is_f_free: bool
     is_size_free: bool
+    has_kerbs: bool = False
     annotate: Callable[[Labels, PinholeFrame], Annotation | None]

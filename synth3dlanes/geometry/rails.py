@@ -23,6 +23,7 @@ END_M = 6.0
 # Half of a concrete barrier's section (Jersey shape) as shares of its height, from the bottom.
 JERSEY = np.array([(0.37, 0.0), (0.37, 0.1), (0.2, 0.4), (0.1, 1.0)])
 KERB_M, WALKWAY_M, WALL_M = 0.15, 1.8, 0.14
+KERBS = ("kerb", "walkway")
 POLES_M, WIRE_M, SAG_M, CROSSARM_M = 45.0, 0.025, 0.9, 1.1
 
 
@@ -43,7 +44,7 @@ def rail_body(ground: Ground, rail: Rail) -> Body:
     color = (*rail.color, 0.0)
     if rail.kind == "power_line":
         return _power_line(ground, rail, color)
-    quads = Quads(rail.kind, "kerb" if rail.kind in ("kerb", "walkway") else "barrier")
+    quads = Quads(rail.kind, "kerb" if rail.kind in KERBS else "barrier")
     if rail.kind == "guardrail":
         _guardrail(quads, ground, rail, s)
     elif rail.kind == "noise_wall":
@@ -81,6 +82,12 @@ def _edge_height(ground: Ground, rail: Rail, s: Values) -> Values:
     """Height of the pavement beside a rail: what stands near its edge is as high over the road everywhere."""
     inside = rail.aside_m if rail.side == "median" else -0.02
     return ground.height(beside(ground, rail.road, rail.side, s, inside))
+
+
+def foot_of_front(ground: Ground, rail: Rail, s: Values) -> Float[np.ndarray, "n 3"]:
+    """World points at the front of a rail, as high as the pavement beside it."""
+    xy_world = beside(ground, rail.road, rail.side, s, rail.aside_m)
+    return np.column_stack([xy_world, _edge_height(ground, rail, s)])
 
 
 def _foot_height(ground: Ground, rail: Rail, s: Values, across_m: float) -> Values:

@@ -45,6 +45,23 @@ def files_of(out):
     return {str(path.relative_to(out)): path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()}
 
 
+def assert_every_line_ends(out):
+    texts = [path for path in out.rglob("*") if path.suffix in (".txt", ".json", ".jsonl", ".yaml", ".xodr")]
+    texts = [path for path in texts if ".parts" not in path.parts and path.name != "export.json"]
+    assert texts
+    for path in texts:
+        text = path.read_text()
+        assert not text or (text.endswith("\n") and not text.endswith("\n\n") and not text.startswith("\n")), path
+
+
+def test_files_of_lines_can_be_joined(dataset, tmp_path):
+    # As tools of tuSimple do: each file's lines, one after the other.
+    export(str(dataset), tmp_path, "tusimple", 1, lambda done, total: None)
+    joined = "".join(path.read_text() for path in sorted(tmp_path.glob("*label*.json")))
+    frames = [json.loads(line)["raw_file"] for line in joined.splitlines()]
+    assert len(frames) == len(set(frames)) == sum(1 for path in tmp_path.rglob("20.jpg")) > N_TRAIN
+
+
 def test_every_list_scores_perfectly_and_moved_aside_not_at_all(exported):
     format_name, out, summary = exported
     results = verify(out, format_name, most_frames=100)
@@ -60,7 +77,7 @@ def test_counts_add_up_and_the_readme_names_every_reason(exported):
         assert f"| lane: {reason} | {count} |" in readme
 
 
-def test_images_have_the_formats_size_and_no_list_ends_in_a_blank_line(exported):
+def test_images_have_the_formats_size_and_every_line_of_text_ends(exported):
     format_name, out, summary = exported
     size_px = SIZE_PX[format_name]
     images = [path for path in out.rglob("*.jpg") if path.is_file()]
@@ -68,8 +85,7 @@ def test_images_have_the_formats_size_and_no_list_ends_in_a_blank_line(exported)
     for path in images:
         with Image.open(path) as image:
             assert image.size == size_px
-    for path in [*out.glob("data_splits/*/*.json"), *out.rglob("*.txt"), *out.glob("*label*.json")]:
-        assert path.read_text().strip("\n") == path.read_text()
+    assert_every_line_ends(out)
 
 
 def test_a_problem_is_found_when_there_is_one(exported, tmp_path):
@@ -307,7 +323,29 @@ def test_splits_keep_the_part_that_their_name_says(names, parts, dealt):
     assert [split.part for split in splits] == parts
     assert {split.part_of(4) for split in splits} == ({"test"} if dealt else set(parts))
     assert {split.part_of(3) for split in splits} == set(parts)
-    assert parts_of(splits) == set(parts) | ({"test"} if dealt else set())
+    assert parts_of(splits, has_test=True) == set(parts) | ({"test"} if dealt else set())
+    assert parts_of(splits, has_test=False) == set(parts)
+
+
+def test_the_readme_says_how_scenes_were_dealt(write_split, tmp_path):
+    write_split(tmp_path / "few", "train", 3)
+    write_split(tmp_path / "more", "train", 5)
+    for name, said in (
+        ("few", "with more scenes, those of every fifth scene (numbers that end in 4 and 9) become test frames."),
+        ("more", "those of every fifth scene (numbers that end in 4 and 9) were made test frames."),
+    ):
+        summary = export(str(tmp_path / name), tmp_path / f"{name}-out", "once", 1, lambda done, total: None)
+        assert bool(summary.n_frames["test"]) == (name == "more")
+        readme = (tmp_path / f"{name}-out/README.md").read_text()
+        assert f"The data set has neither val nor test frames: {said}" in readme
+        assert ("tools that open val find the test frames" in readme) == (name == "more")
+
+
+def test_an_unfinished_data_set_says_to_go_on(write_split, tmp_path):
+    write_split(tmp_path / "data", "train", 1)
+    (tmp_path / "data/train/00000.parquet").unlink()
+    with pytest.raises(FormatError, match=r"expected finished shards .*, got none; run generate again$"):
+        export(str(tmp_path / "data"), tmp_path / "out", "once", 1, lambda done, total: None)
 
 
 def test_a_set_for_tests_alone_gives_no_training_frames(write_split, tmp_path):

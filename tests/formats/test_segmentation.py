@@ -227,7 +227,12 @@ def test_an_outline_encloses_its_pixels(rows):
 def test_yolo_outlines_fill_the_pixels_of_their_class(with_passes, tmp_path):
     export(str(with_passes), tmp_path, "yolo", 1, lambda done, total: None)
     settings = yaml.safe_load((tmp_path / "data.yaml").read_text())
-    assert [settings[part] for part in ("path", "train", "val", "test")] == [".", "train.txt", "val.txt", "test.txt"]
+    assert [settings.get(key) for key in ("path", "train", "val", "test")] == [
+        None,  # tools take it from the working directory; without it, they look beside the file
+        "train.txt",
+        "val.txt",
+        "test.txt",
+    ]
     assert (tmp_path / "train.txt").read_text().splitlines() == [f"./images/train-{i:08d}.jpg" for i in range(3)]
     reader = open_reader(f"{with_passes}/train")
     for index in range(3):

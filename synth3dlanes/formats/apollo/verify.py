@@ -1,13 +1,13 @@
 """The self-check of an Apollo export."""
 
 from collections.abc import Iterator
-from itertools import islice
 from pathlib import Path
 
 from synth3dlanes.formats.apollo.convention import ROOT
 from synth3dlanes.formats.apollo.read import ApolloFrame, parse
 from synth3dlanes.formats.apollo.score import RULES, prune, score
 from synth3dlanes.formats.line_score import Line3d
+from synth3dlanes.formats.reading import first_lines
 from synth3dlanes.formats.self_check import Benchmark3d, Verified, image_problems, verify_3d
 
 BENCHMARK = Benchmark3d(score, prune, RULES.missing_m)
@@ -17,8 +17,8 @@ def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Ve
     """Lane lines and centre lines of every list."""
     for path in sorted((out / "data_splits").glob("*/*.json")):
         name = str(path.relative_to(out))
-        with path.open() as file:
-            frames = [parse(line, name) for line in islice(file, most_frames)]
+        lines = enumerate(first_lines(path, most_frames), start=1)
+        frames = [parse(line, f"{path}:{number}") for number, line in lines]
         if not frames:
             continue
         problems = image_problems([out / ROOT / frame.raw_file for frame in frames], size_px)

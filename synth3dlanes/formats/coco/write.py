@@ -96,7 +96,7 @@ def document(path: str, lines: Path) -> Iterator[str]:
             number += 1
             numbered = annotation if "segments_info" in annotation else {"id": number, **annotation}
             yield f"{',' if number > 1 else ''}\n{json.dumps(numbered)}"
-    yield "]}"
+    yield "]}\n"
 
 
 def _frames(lines: Path) -> Iterator[tuple[dict[str, Any], list[dict[str, Any]]]]:

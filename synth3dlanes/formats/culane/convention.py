@@ -17,6 +17,17 @@ SCENES = ("normal", "crowd", "hlight", "shadow", "noline", "arrow", "curve", "cr
 """The original's kinds of test scenes, in the order of their lists."""
 
 
+KINDS = ("night", "noline", "hlight", "cross", "crowd", "arrow", "shadow", "curve")
+"""Every test frame is in one list: that of the first kind that holds, else `normal`."""
+TAGS = {"cross": "intersection"}
+"""What we call kinds of another name."""
+
+
+def scene_of(tags: frozenset[str]) -> str:
+    """The kind of test scene that a frame with these tags is."""
+    return next((kind for kind in KINDS if TAGS.get(kind, kind) in tags), "normal")
+
+
 def scene_list(scene: str) -> str:
     """The list of the test frames of a kind of scene."""
     return f"list/test_split/test{SCENES.index(scene)}_{scene}.txt"

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.errors import FormatError
-from synth3dlanes.formats.reading import MALFORMED
+from synth3dlanes.formats.reading import file_below, numbers
 
 Polyline = Float[np.ndarray, "_ 2"]
 
@@ -23,19 +23,18 @@ class CulaneEntry:
 
 def parse_lines(text: str, where: str) -> tuple[Polyline, ...]:
     """A file `.lines.txt`: x and y in turn, one line of text per line; FormatErrors begin with `where`."""
-    try:
-        return tuple(np.array(line.split(), dtype=float).reshape(-1, 2) for line in text.splitlines() if line.strip())
-    except MALFORMED as error:
-        raise FormatError(f"{where}: not lines of CULane: {type(error).__name__}: {error}") from None
+    lines = enumerate(text.splitlines(), start=1)
+    return tuple(numbers(line, f"{where}:{number}") for number, line in lines if line.strip())
 
 
 def parse_entry(line: str, where: str) -> CulaneEntry:
     """One line of a list, its paths without the slash that they begin with; FormatErrors begin with `where`."""
     match line.split():
         case [image]:
-            return CulaneEntry(image.lstrip("/"), None, ())
+            return CulaneEntry(file_below(image.lstrip("/"), where), None, ())
         case [image, mask, *flags] if len(flags) == 4 and set(flags) <= {"0", "1"}:
-            return CulaneEntry(image.lstrip("/"), mask.lstrip("/"), tuple(flag == "1" for flag in flags))
+            image, mask = (file_below(path.lstrip("/"), where) for path in (image, mask))
+            return CulaneEntry(image, mask, tuple(flag == "1" for flag in flags))
     raise FormatError(f"{where}: expected an image, or an image, a mask and four flags 0 or 1, got {line!r:.80}")
 
 

@@ -5,27 +5,29 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from synth3dlanes.formats.band_score import score
 from synth3dlanes.formats.culane.convention import EVALUATED
 from synth3dlanes.formats.culane.read import CulaneEntry, Polyline, lines_path, parse_entry, parse_lines
+from synth3dlanes.formats.reading import first_lines, image_size, read_mask, read_text
 from synth3dlanes.formats.self_check import (
+    Sidecars,
     Verified,
     band_problems,
     controls,
+    drawable,
     image_problems,
     moved_aside,
-    read_sidecars,
 )
 
 
 def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verified]:
     """The lines of every list, and the masks of those that have them."""
-    sidecars = read_sidecars(out)
+    sidecars = Sidecars(out)
     for path in sorted((out / "list").rglob("*.txt")):
         name = str(path.relative_to(out))
-        entries = [parse_entry(line, name) for line in path.read_text().splitlines()[:most_frames]]
+        found = enumerate(first_lines(path, most_frames), start=1)
+        entries = [parse_entry(line, f"{path}:{number}") for number, line in found]
         if not entries:
             continue
         true = [_read(out, entry) for entry in entries]
@@ -45,15 +47,14 @@ def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Ve
 
 def _read(out: Path, entry: CulaneEntry) -> tuple[Polyline, ...]:
     path = out / lines_path(entry.image)
-    return parse_lines(path.read_text(), str(path))
+    return drawable(parse_lines(read_text(path), str(path)), str(path))
 
 
 def _mask_problems(out: Path, entry: CulaneEntry, lines: tuple[Polyline, ...]) -> Iterator[str]:
     """Findings unless the mask has every line, under its number."""
     if entry.mask is None:
         return
-    with Image.open(out / entry.mask) as image:
-        mask = np.asarray(image)
+    mask = read_mask(out / entry.mask, image_size(out / entry.image), "L")
     numbers = [number for number, exists in enumerate(entry.exists, 1) if exists]
     found = sorted(set(np.unique(mask).tolist()) - {0})
     if found != numbers or len(lines) != len(numbers):

@@ -15,6 +15,7 @@ from synth3dlanes.formats.culane.convention import (
     ROWS_PX,
     SCENES,
     scene_list,
+    scene_of,
 )
 from synth3dlanes.formats.culane.read import lines_path
 from synth3dlanes.formats.lines import Line, columns_of, ego_places, keep_lines, lines_ahead
@@ -35,7 +36,7 @@ README = f"""CULane layout.
 - `{MASKS}/*/*/*.png`: the lines {MASK_WIDTH_PX} pixels wide, as 1 to 4 for left-left, left, right and right-right of
   the camera.
 - `list/train.txt`, `list/val.txt`, `list/test.txt`; `list/*_gt.txt` add the mask and four flags: which of the lines 1
-  to 4 there are. `list/test_split/*.txt`: bends are in test6_curve, all others in test0_normal.
+  to 4 there are. `list/test_split/*.txt`: each test frame is in one of them, by the rules of docs/exports.md.
 - Pixel corners are at whole numbers. `sidecar.jsonl` holds the camera of each frame, its height over the road and its
   pitch (radians, positive = down). f is longer where the frame's own field of view is narrower than that of the others.
 - Loaders keep a cache (`cache/culane_*`, `culane_anno_cache.json`): delete it after exporting again.
@@ -65,7 +66,7 @@ def annotate(labels: Labels, frame: PinholeFrame) -> Annotation:
     parts = [part for part in PARTS if frame.serves_as(part)]
     lists = [f"list/{part}.txt" for part in parts]
     if "test" in parts:
-        lists.append(scene_list("curve" if "curve" in frame.tags else "normal"))
+        lists.append(scene_list(scene_of(frame.tags)))
     shared = (
         (f"/{image}", tuple(lists)),
         (f"/{image} /{mask} {flags}", tuple(f"list/{part}_gt.txt" for part in parts if part != "test")),

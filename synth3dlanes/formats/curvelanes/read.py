@@ -3,20 +3,24 @@
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.errors import FormatError
-from synth3dlanes.formats.reading import MALFORMED, json_object
+from synth3dlanes import schema
+from synth3dlanes.formats.reading import numbers
+from synth3dlanes.schema import Excerpt
+
+
+class _Point(Excerpt):
+    x: str
+    y: str
+
+
+class _Lines(Excerpt):
+    Lines: list[list[_Point]]
 
 
 def parse(text: str, where: str) -> tuple[Float[np.ndarray, "_ 2"], ...]:
     """A file `.lines.json`; FormatErrors begin with `where`."""
-    document = json_object(text, where)
-    try:
-        return tuple(
-            np.array([(point["x"], point["y"]) for point in line], dtype=float).reshape(-1, 2)
-            for line in document["Lines"]
-        )
-    except MALFORMED as error:
-        raise FormatError(f"{where}: not lines of CurveLanes: {type(error).__name__}: {error}") from None
+    found = schema.parse(_Lines, text, where, "lines of CurveLanes")
+    return tuple(numbers(" ".join(f"{point.x} {point.y}" for point in line), where) for line in found.Lines)
 
 
 def labels_path(image: str) -> str:

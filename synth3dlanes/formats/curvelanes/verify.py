@@ -9,28 +9,31 @@ import numpy as np
 from synth3dlanes.formats.band_score import score
 from synth3dlanes.formats.curvelanes.convention import EVALUATED, FINER
 from synth3dlanes.formats.curvelanes.read import labels_path, parse
+from synth3dlanes.formats.reading import listed_files, read_text
 from synth3dlanes.formats.self_check import (
+    Sidecars,
     Verified,
     band_problems,
     controls,
+    drawable,
     image_problems,
     moved_aside,
-    read_sidecars,
 )
 
 
 def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verified]:
     """The lines of every list."""
-    sidecars = read_sidecars(out)
+    sidecars = Sidecars(out)
     scale, finer = (np.array([canvas.width_px, canvas.height_px]) / size_px for canvas in (EVALUATED, FINER))
     for path in sorted(out.glob("*/*.txt")):
         part = path.parent.name
-        images = [f"{part}/{image}" for image in path.read_text().splitlines()[:most_frames]]
+        images = [f"{part}/{image}" for image in listed_files(path, most_frames)]
         if not images:
             continue
         true, pairs = [], []
         for image in images:
-            lines = parse((out / labels_path(image)).read_text(), labels_path(image))
+            where = out / labels_path(image)
+            lines = drawable(parse(read_text(where), str(where)), str(where))
             moved = [moved_aside(line, sidecars[image]) for line in lines]
             true.append([line * scale for line in lines])
             pairs += [(line * finer, other * finer) for line, other in zip(lines, moved, strict=True)]

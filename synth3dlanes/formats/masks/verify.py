@@ -1,37 +1,48 @@
 """The self-check of an export of masks: the lines, which come from the labels, must run through their paint, which
 comes from the rendered passes."""
 
-import json
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float
-from PIL import Image
+from pydantic import Field, RootModel
 from scipy.spatial import cKDTree
 
-from synth3dlanes.formats.reading import image_size, read_text
+from synth3dlanes.errors import FormatError
+from synth3dlanes.formats.masks.write import LEAST_POINTS
+from synth3dlanes.formats.reading import image_size, listed_files, numbers, read_mask, read_text
 from synth3dlanes.formats.self_check import Verified
+from synth3dlanes.schema import Excerpt, parse
 from synth3dlanes.settings import SEMANTIC_IDS
 
 # Shares of the image's width: paint is at most this far from its line, and the control moves lines by the other.
 NEAR, MOVED = 1 / 12, 1 / 8
 LEAST_ON_LINE = 0.97
-FOLDERS = ("semantic", "instance", "lines")
+MODES = {"semantic": "L", "instance": "I;16", "lines": "L"}
+
+
+class _Line(Excerpt):
+    number: Annotated[int, Field(ge=1, le=255)]
+
+
+class _Lines(RootModel[list[_Line]]):
+    """The lines of a frame, in the order of their texts."""
 
 
 def verify(out: Path, most_frames: int) -> Iterator[Verified]:
     """The frames of every part."""
     for path in sorted((out / "lists").glob("*.txt")):
-        images = read_text(path).splitlines()[:most_frames]
+        images = listed_files(path, most_frames)
         problems, n_lines, n_paint, n_own, n_moved = list[str](), 0, 0, 0, 0
         for image in images:
             name = image.rpartition(".")[0]
             problems += _problems(out, image, name)
             if problems:
                 continue
-            marks = np.asarray(Image.open(out / f"lines/{name}.png"))
+            marks = read_mask(out / f"lines/{name}.png", image_size(out / "images" / image), "L")
             lines, most_px = _lines(out, name), NEAR * marks.shape[1]
             n_lines += len(lines)
             for number in lines:
@@ -50,24 +61,24 @@ def verify(out: Path, most_frames: int) -> Iterator[Verified]:
 
 def _problems(out: Path, image: str, name: str) -> Iterator[str]:
     size_px = image_size(out / "images" / image)
-    for folder in FOLDERS:
-        mask = out / folder / f"{name}.png"
-        if (found := image_size(mask)) != size_px:
-            yield f"{mask}: expected the size of its image, {size_px}, got {found}"
-    semantic = np.asarray(Image.open(out / f"semantic/{name}.png"))
+    semantic, _, lines = (read_mask(out / folder / f"{name}.png", size_px, mode) for folder, mode in MODES.items())
     if semantic.max() >= len(SEMANTIC_IDS):
         yield f"{out}/semantic/{name}.png: expected classes up to {len(SEMANTIC_IDS) - 1}, got {semantic.max()}"
-    lines = np.asarray(Image.open(out / f"lines/{name}.png"))
     if (semantic[lines > 0] != SEMANTIC_IDS["marking"]).any():
         yield f"{out}/lines/{name}.png: expected lines on marking only, got others"
 
 
 def _lines(out: Path, name: str) -> dict[int, Float[np.ndarray, "_ 2"]]:
     """The lines of a frame by their numbers in its mask."""
-    texts = read_text(out / f"lines/{name}.lines.txt").splitlines()
-    about = json.loads(read_text(out / f"lines/{name}.json"))
-    lines = (np.array(text.split(), dtype=float).reshape(-1, 2) for text in texts)
-    return {line["number"]: points for line, points in zip(about, lines, strict=True)}
+    path, told = out / f"lines/{name}.lines.txt", out / f"lines/{name}.json"
+    texts = read_text(path).splitlines()
+    about = parse(_Lines, read_text(told), str(told), "the lines of a mask").root
+    if len(about) != len(texts):
+        raise FormatError(f"{told}: expected {len(texts)} lines as in {path.name}, got {len(about)}")
+    lines = {line.number: numbers(text, str(path)) for line, text in zip(about, texts, strict=True)}
+    if any(len(points) < LEAST_POINTS for points in lines.values()):
+        raise FormatError(f"{path}: expected lines of {LEAST_POINTS} points or more, got fewer")
+    return lines
 
 
 def _nearest_to(

@@ -58,7 +58,7 @@ def annotate(frame: SampleFrame) -> Annotation:
 def document(path: str, lines: Path) -> Iterator[str]:
     """The lists as they are, and the classes."""
     if path == CLASSES_FILE:
-        yield json.dumps(SEMANTIC_IDS, indent=1)
+        yield json.dumps(SEMANTIC_IDS, indent=1) + "\n"
     else:
         yield lines.read_text()
 

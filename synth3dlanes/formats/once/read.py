@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.errors import FormatError
-from synth3dlanes.formats.reading import MALFORMED, json_object
+from synth3dlanes import schema
+from synth3dlanes.labels import Points, Row4
+from synth3dlanes.schema import Excerpt, Number
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,15 +20,15 @@ class OnceFrame:
     camera_pitch_rad: float | None
 
 
+class _Frame(Excerpt):
+    lanes: list[Points]
+    calibration: tuple[Row4, Row4, Row4]
+    camera_height_m: Number | None = None
+    camera_pitch_rad: Number | None = None
+
+
 def parse(text: str, where: str) -> OnceFrame:
     """One label file; FormatErrors begin with `where`."""
-    document = json_object(text, where)
-    try:
-        return OnceFrame(
-            tuple(np.array(points, dtype=float).reshape(-1, 3) for points in document["lanes"]),
-            np.array(document["calibration"], dtype=float).reshape(3, 4),
-            document.get("camera_height_m"),
-            document.get("camera_pitch_rad"),
-        )
-    except MALFORMED as error:
-        raise FormatError(f"{where}: not a ONCE frame: {type(error).__name__}: {error}") from None
+    found = schema.parse(_Frame, text, where, "a frame of ONCE-3DLanes")
+    calibration = np.array(found.calibration)
+    return OnceFrame(tuple(found.lanes), calibration, found.camera_height_m, found.camera_pitch_rad)

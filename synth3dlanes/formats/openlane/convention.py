@@ -23,6 +23,7 @@ PAINTS: dict[int, tuple[Marking, PaintColor, bool]] = {
     10: ("solid", "yellow", True),
 }
 """Marking, colour and whether the line is double, by the field `category`; it has others for what we do not have."""
+KERB_LEFT, KERB_RIGHT = 20, 21
 WAYMO_FROM_CAM = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 

@@ -8,6 +8,7 @@ from synth3dlanes.formats.openlane.convention import ground_from_waymo
 from synth3dlanes.formats.openlane.read import OpenLaneFrame, parse
 from synth3dlanes.formats.openlane.score import prune, score
 from synth3dlanes.formats.openlane.write import CASES
+from synth3dlanes.formats.reading import listed_files, read_text
 from synth3dlanes.formats.self_check import Benchmark3d, Verified, image_problems, verify_3d
 
 BENCHMARK = Benchmark3d(score, prune, missing_m=0.0)
@@ -18,13 +19,14 @@ def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Ve
     """The lines of every list."""
     for path in sorted([*(out / "lists").glob("*.txt"), *(out / "lane3d_1000/test").glob("*.txt")]):
         case = CASE_OF_LIST.get(path.name)
-        images = path.read_text().splitlines()[:most_frames]
+        images = listed_files(path, most_frames)
         if not images:
             continue
         labels = [image.replace("jpg", "json") for image in images]
         if case is not None:
             labels = [f"test/{case}_case/{label.partition('/')[2]}" for label in labels]
-        frames = [parse((out / "lane3d_1000" / label).read_text(), label) for label in labels]
+        files = [out / "lane3d_1000" / label for label in labels]
+        frames = [parse(read_text(file), str(file)) for file in files]
         problems = image_problems([out / "images" / image for image in images], size_px)
         problems += [
             f"{image}: file_path is {frame.file_path}"

@@ -1,13 +1,23 @@
 """Write OpenLane v1: one JSON a frame, points in the camera frame with Waymo's axes (`_waymo`), image 1920x1280."""
 
 import json
+import zlib
 from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from synth3dlanes.formats.lines import Line, ego_places, keep_lines, lines_ahead
-from synth3dlanes.formats.openlane.convention import CAMERA, PAINTS, WAYMO_FROM_CAM, vehicle_from_cam_waymo
+from synth3dlanes.formats.openlane.convention import (
+    CAMERA,
+    KERB_LEFT,
+    KERB_RIGHT,
+    PAINTS,
+    WAYMO_FROM_CAM,
+    vehicle_from_cam_waymo,
+)
 from synth3dlanes.formats.writing import CV_FROM_CAM, DECIMALS, Annotation, PinholeFormat, PinholeFrame
 from synth3dlanes.labels import Labels, Lane
 
@@ -34,14 +44,15 @@ README = """OpenLane v1 layout.
 - `lane3d_1000/{training,validation}/segment-*/`: one JSON a frame, on one line. Test frames are in `validation`, or in
   `test` beside the cases where the data set has val frames too.
 - Lists: `lists/*.txt`, and `data_lists/*.txt` for Anchor3DLane; `lane3d_1000/test/1000_*.txt` with copies of the labels
-  in `lane3d_1000/test/*_case/`. There are no night, weather or intersection scenes: these lists are empty.
+  in `lane3d_1000/test/*_case/`. docs/exports.md has the rules by which a frame is in them.
 - `xyz`: 3 x n, metres, camera frame with Waymo axes (x forward, y left, z up), every 0.5 m or closer, near to far
   from the image border. `extrinsic`: vehicle_from_camera in the same axes, the vehicle's origin at the camera's foot
   on the road plane. `uv`: exact projections of the visible points, in their order.
 - `visibility` is a prefix: terrain hides lanes, cars do not. `category`: 1 white dashed, 2 white solid, 3 and 4 the
-  same doubled, 7 to 10 the same four in yellow. `attribute`: 1 to 4 = the lines left-left, left, right, right-right of
-  the camera, 0 all others.
-- `track_id` counts within a segment; every frame is a scene of its own, so no id occurs in two frames.
+  same doubled, 7 to 10 the same four in yellow, 20 and 21 kerbs on the left and right. `attribute`: 1 to 4 = the lines
+  left-left, left, right, right-right of the camera, 0 all others.
+- A clip of one camera is a segment, in which a line keeps its `track_id`. Single pictures are scenes of their own, 100
+  of them in a segment: no id occurs in two of them.
 - Centre lines are not part of the format. PersFormer caches `.cache/*.pkl` by name: delete it after exporting again.
 """
 
@@ -50,18 +61,19 @@ def annotate(labels: Labels, frame: PinholeFrame) -> Annotation:
     """The frame's label file, copies for the test cases that it belongs to, and its list entries."""
     dropped = Counter[str]()
     folder = "training" if frame.is_train else "validation" if frame.serves_as("val") else "test"
-    segment, place = divmod(frame.number, FRAMES_PER_SEGMENT)
+    segment, track_ids = _segment(frame)
     # Loaders look for "/segment-(.*)_with_camera_labels"; they cut at the first dot and replace every "jpg".
-    name = f"segment-{segment:06d}_with_camera_labels/{frame.split}-{frame.key}"
+    name = f"segment-{segment}_with_camera_labels/{frame.split}-{frame.key}"
     file_path = f"{folder}/{name}.jpg"
     ahead = lines_ahead(labels, frame.pinhole, "delimiter", STEP_M)
-    lines = _kept(ahead, dropped)
+    kerbs = lines_ahead(replace(labels, lanes=frame.kerbs), frame.pinhole, "delimiter", STEP_M)
+    lines = _kept((*ahead, *kerbs), dropped)
     attributes = ego_places(ahead, labels.camera)
     document = {
         "extrinsic": np.round(vehicle_from_cam_waymo(labels.camera.height_m, labels.camera.pitch_rad), 12).tolist(),
         "intrinsic": frame.pinhole.img_from_cv.tolist(),
         "lane_lines": [
-            _line_document(line, frame, attributes.get(line.id, 0), place * (MAX_LINES + 1) + i + 1)
+            _line_document(line, frame, attributes.get(line.id, 0), track_ids(i, line.id))
             for i, line in enumerate(lines)
         ],
         "file_path": file_path,
@@ -75,6 +87,16 @@ def annotate(labels: Labels, frame: PinholeFrame) -> Annotation:
     cached = (f"data_lists/{folder}.txt",) if lines or not frame.is_train else ()
     shared = ((file_path, tuple(sorted(listed))), (f"{folder}/{name}", cached))
     return Annotation(f"images/{file_path}", len(lines), dropped, files, shared)
+
+
+def _segment(frame: PinholeFrame) -> tuple[str, Callable[[int, str], int]]:
+    """The name of the frame's segment, and the track of line i, of this id, in it."""
+    shot = frame.shot
+    if shot.n_frames > 1:
+        first = frame.number - shot.frame * shot.n_cameras
+        return f"{first:08d}", lambda _, line_id: zlib.crc32(line_id.encode()) >> 1
+    segment, place = divmod(frame.number, FRAMES_PER_SEGMENT)
+    return f"{segment:06d}", lambda i, _: place * (MAX_LINES + 1) + i + 1
 
 
 def category(lane: Lane) -> int:
@@ -99,8 +121,9 @@ def _kept(ahead: tuple[Line, ...], dropped: Counter[str]) -> tuple[Line, ...]:
 
 def _line_document(line: Line, frame: PinholeFrame, attribute: int, track_id: int) -> dict[str, Any]:
     points_cv = np.round(line.points_cv, DECIMALS)
+    kerb = KERB_LEFT if line.points_cv[0, 0] < 0 else KERB_RIGHT
     return {
-        "category": category(line.lane),
+        "category": kerb if line.lane in frame.kerbs else category(line.lane),
         "visibility": line.visible.astype(float).tolist(),
         "uv": np.round(frame.pinhole.project(points_cv[line.visible]), UV_DECIMALS).T.tolist(),
         "xyz": (points_cv @ CV_FROM_CAM @ WAYMO_FROM_CAM.T + 0.0).T.tolist(),
@@ -113,6 +136,7 @@ FORMAT = PinholeFormat(
     camera=CAMERA,
     is_f_free=True,
     is_size_free=True,
+    has_kerbs=True,
     readme=README,
     annotate=annotate,
     lists=tuple(f"lane3d_1000/test/{name}" for name in CASES.values()),

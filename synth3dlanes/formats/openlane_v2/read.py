@@ -2,13 +2,21 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
+from pydantic import RootModel
 
+from synth3dlanes import schema
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.openlane_v2.convention import COLLECTIONS, ROOT
-from synth3dlanes.formats.reading import MALFORMED, json_object, read_text
+from synth3dlanes.formats.reading import read_file
+from synth3dlanes.labels import Points
+from synth3dlanes.schema import Excerpt, PathBelow
+
+LEAST_POINTS = 11  # what the benchmark compares
+MOST_LISTED = 1 << 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +34,7 @@ def frames(out: Path) -> dict[str, list[Path]]:
     root = out / ROOT
     paths = [root / f"{name}.json" for name in COLLECTIONS]
     path = next((path for path in paths if path.exists()), paths[0])
-    listed = json_object(read_text(path), str(path))
+    listed = schema.parse(_Collection, read_file(path), str(path), "a collection of OpenLane-V2", MOST_LISTED).root
     return {
         part: [root / part / segment / "info" / name for segment, names in segments.items() for name in names]
         for part, segments in listed.items()
@@ -35,18 +43,51 @@ def frames(out: Path) -> dict[str, list[Path]]:
 
 def parse(text: str, where: str) -> TopologyFrame:
     """One label file, of centre lines or of lane segments; FormatErrors begin with `where`."""
-    document = json_object(text, where)
-    try:
-        annotation, keys = document["annotation"], ["points"]
-        if is_segments := "lane_segment" in annotation:
-            keys = ["centerline", "left_laneline", "right_laneline"]
-        lanes = annotation["lane_segment" if is_segments else "lane_centerline"]
-        return TopologyFrame(
-            {name: sensor["image_path"] for name, sensor in document["sensor"].items()},
-            tuple(tuple(np.array(lane[key], dtype=float).reshape(-1, 3) for key in keys) for lane in lanes),
-            np.array(annotation["topology_lsls" if is_segments else "topology_lclc"], dtype=float).reshape(
-                len(lanes), len(lanes)
-            ),
-        )
-    except MALFORMED as error:
-        raise FormatError(f"{where}: not an OpenLane-V2 frame: {type(error).__name__}: {error}") from None
+    found = schema.parse(_Frame, text, where, "a frame of OpenLane-V2")
+    annotation = found.annotation
+    lanes: tuple[tuple[Float[np.ndarray, "_ 3"], ...], ...]
+    if isinstance(annotation, _Segments):
+        lanes = tuple((lane.centerline, lane.left_laneline, lane.right_laneline) for lane in annotation.lane_segment)
+        follows = annotation.topology_lsls
+    else:
+        lanes = tuple((lane.points,) for lane in annotation.lane_centerline)
+        follows = annotation.topology_lclc
+    if {len(lanes)} != {len(follows), *map(len, follows)} and (lanes or follows):
+        raise FormatError(f"{where}: topology: expected a row and a column for each of {len(lanes)} lanes, got others")
+    if any(len(line) < LEAST_POINTS for lane in lanes for line in lane):
+        raise FormatError(f"{where}: expected lanes of {LEAST_POINTS} points or more, got fewer")
+    images = {name: sensor.image_path for name, sensor in found.sensor.items()}
+    return TopologyFrame(images, lanes, np.array(follows, dtype=float).reshape(len(lanes), len(lanes)))
+
+
+class _Collection(RootModel[dict[PathBelow, dict[PathBelow, list[PathBelow]]]]):
+    """Names of label files by part and segment."""
+
+
+class _Centerline(Excerpt):
+    points: Points
+
+
+class _Centerlines(Excerpt):
+    lane_centerline: list[_Centerline]
+    topology_lclc: list[list[Literal[0, 1]]]
+
+
+class _Segment(Excerpt):
+    centerline: Points
+    left_laneline: Points
+    right_laneline: Points
+
+
+class _Segments(Excerpt):
+    lane_segment: list[_Segment]
+    topology_lsls: list[list[Literal[0, 1]]]
+
+
+class _Sensor(Excerpt):
+    image_path: PathBelow
+
+
+class _Frame(Excerpt):
+    sensor: dict[str, _Sensor]
+    annotation: _Segments | _Centerlines

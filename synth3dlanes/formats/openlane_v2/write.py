@@ -266,7 +266,7 @@ def document(path: str, lines: Path) -> Iterator[str]:
     for line in lines.read_text().splitlines():
         part, segment, name = json.loads(line)
         frames.setdefault(part, {}).setdefault(segment, []).append(name)
-    yield json.dumps(frames, indent=1)
+    yield json.dumps(frames, indent=1) + "\n"
 
 
 FORMAT = SampleFormat(readme=README, annotate=annotate, document=document, counted="lane segments")

@@ -2,25 +2,26 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, astuple
-from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.formats.self_check import SHIFT_M, Verified, image_problems, moved_aside, read_sidecars
+from synth3dlanes.errors import FormatError
+from synth3dlanes.formats.reading import first_lines
+from synth3dlanes.formats.self_check import SHIFT_M, Sidecar, Sidecars, Verified, image_problems, moved_aside
 from synth3dlanes.formats.tusimple.convention import ROWS_PX
 from synth3dlanes.formats.tusimple.read import TusimpleFrame, parse
 from synth3dlanes.formats.tusimple.score import TusimpleScore, score, score_frame
+from synth3dlanes.schema import shown
 
 
 def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verified]:
     """The lines of every label file."""
-    sidecars = read_sidecars(out)
+    sidecars = Sidecars(out)
     for path in sorted(out.glob("*label*.json")):
-        with path.open() as file:
-            frames = [parse(line, path.name) for line in islice(file, most_frames)]
+        lines = enumerate(first_lines(path, most_frames), start=1)
+        frames = [_parse(line, f"{path}:{number}") for number, line in lines]
         if not frames:
             continue
         true = [frame.lanes_u_px for frame in frames]
@@ -34,7 +35,16 @@ def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Ve
         yield Verified(path.name, len(frames), sum(map(len, true)), asdict(perfect), asdict(shifted), tuple(problems))
 
 
-def _score_shifted(frames: Sequence[TusimpleFrame], sidecars: dict[str, dict[str, Any]]) -> TusimpleScore:
+def _parse(line: str, where: str) -> TusimpleFrame:
+    frame = parse(line, where)
+    if not np.array_equal(frame.rows_px, ROWS_PX):
+        raise FormatError(
+            f"{where}: h_samples: expected the rows of the benchmark, got {shown(frame.rows_px.tolist())}"
+        )
+    return frame
+
+
+def _score_shifted(frames: Sequence[TusimpleFrame], sidecars: Sidecars) -> TusimpleScore:
     """Every line alone and moved, scored on its own rows, by which it counts.
 
     The official score takes rows where both lines are absent for right, so over all rows nobody can miss a short line.
@@ -44,11 +54,15 @@ def _score_shifted(frames: Sequence[TusimpleFrame], sidecars: dict[str, dict[str
         moved_u_px = _moved_rows(frame.lanes_u_px, sidecars[frame.raw_file])
         for true, moved in zip(frame.lanes_u_px, moved_u_px, strict=True):
             own = true >= 0
+            if not own.any():
+                continue
             scores.append(astuple(score_frame(true[None, own], moved[None, own], frame.rows_px[own].astype(float))))
             weights.append(np.count_nonzero(own))
+    if not scores:
+        return TusimpleScore(0.0, 1.0, 1.0)
     return TusimpleScore(*np.average(scores, axis=0, weights=weights))
 
 
-def _moved_rows(lanes_u_px: Float[np.ndarray, "l r"], sidecar: dict[str, Any]) -> Float[np.ndarray, "l r"]:
+def _moved_rows(lanes_u_px: Float[np.ndarray, "l r"], sidecar: Sidecar) -> Float[np.ndarray, "l r"]:
     points_img = np.stack(np.broadcast_arrays(lanes_u_px, ROWS_PX.astype(float)), axis=-1)
     return np.where(lanes_u_px >= 0, moved_aside(points_img, sidecar)[..., 0], lanes_u_px)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from synth3dlanes.formats.reading import image_size, read_text
+from synth3dlanes.formats.reading import image_size, listed_files, numbers, read_text
 from synth3dlanes.formats.self_check import Verified
 from synth3dlanes.formats.writing import PARTS
 from synth3dlanes.formats.yolo.write import LEAST_PX, NAMES
@@ -17,16 +17,17 @@ def verify(out: Path, most_frames: int) -> Iterator[Verified]:
         path = out / f"{part}.txt"
         if not path.exists():
             continue
-        images = read_text(path).splitlines()[:most_frames]
+        images = listed_files(path, most_frames)
         problems, n_objects = list[str](), 0
         for image in images:
             width_px, height_px = image_size(out / image)
             where = out / "labels" / f"{Path(image).stem}.txt"
             for text in read_text(where).splitlines():
-                number, *shares = text.split()
-                corners = np.array(shares, dtype=float).reshape(-1, 2)
+                number, _, shares = text.partition(" ")
+                corners = numbers(shares, str(where))
                 n_objects += 1
-                if int(number) >= len(NAMES) or corners.min() < 0 or corners.max() > 1:
+                is_known = number.isdecimal() and len(number) < 4 and int(number) < len(NAMES)
+                if not is_known or not len(corners) or corners.min() < 0 or corners.max() > 1:
                     problems.append(
                         f"{where}: expected a class below {len(NAMES)} and shares of the image, got {text:.60}"
                     )

@@ -86,7 +86,8 @@ def document(path: str, lines: Path) -> Iterator[str]:
         yield found
         return
     parts = [part for part in PARTS if part in found.splitlines()]
-    yield "path: .\n" + "".join(f"{part}: {part}.txt\n" for part in parts)
+    # Without `path`, ultralytics looks beside the file; with one, from the working directory.
+    yield "".join(f"{part}: {part}.txt\n" for part in parts)
     yield "names:\n" + "".join(f"  {number}: {json.dumps(name)}\n" for number, name in enumerate(NAMES))
 
 

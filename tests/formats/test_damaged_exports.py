@@ -1,0 +1,128 @@
+"""`export --verify` over files of its own that were damaged: each is told in lines that name it, whatever is in it."""
+
+import os
+import re
+import shutil
+
+import pytest
+from click.testing import CliRunner
+
+from synth3dlanes.errors import FormatError
+from synth3dlanes.formats.export import FORMATS, export
+from synth3dlanes.formats.verify import verify
+from tests.formats.test_segmentation import passes_of
+from tests.hostile import LEAKED
+
+BOMB = '<!DOCTYPE a [<!ENTITY b "x"><!ENTITY c "' + "&b;" * 50 + '">]><OpenDRIVE>&c;</OpenDRIVE>'
+
+
+def _first_number(data, by):
+    return re.sub(rb"(?<=[ :\[\"])-?\d+(\.\d+)?", by, data, count=1)
+
+
+def _all_numbers(data, by):
+    return re.sub(rb"(?<=[ :\[\"])-?\d+\.\d+", by, data)
+
+
+DAMAGE = {
+    "empty": lambda data: b"",
+    "half": lambda data: data[: len(data) // 2],
+    "binary": lambda data: bytes(range(256)) * 8,
+    "zeros": lambda data: b"\0" * 100,
+    "null": lambda data: b"null\n",
+    "list": lambda data: b"[]\n",
+    "object": lambda data: b"{}\n",
+    "text": lambda data: b'"x"\n',
+    "deep": lambda data: b"[" * 50_000,
+    "deep object": lambda data: b'{"lanes":' * 5_000,
+    "not a number": lambda data: _first_number(data, b"NaN"),
+    "no numbers": lambda data: _all_numbers(data, b"NaN"),
+    "endless": lambda data: _first_number(data, b"1e400"),
+    "huge": lambda data: _all_numbers(data, b"1e308"),
+    "far": lambda data: _first_number(data, b"999999999999"),
+    "equal": lambda data: _all_numbers(data, b"7.0"),
+    "elsewhere": lambda data: re.sub(rb"(?<=[\n\"/ ])[\w./-]+\.jpg", b"../../x.jpg", data),
+    "no keys": lambda data: re.sub(rb'"(\w+)":', rb'"other_\1":', data),
+    "texts": lambda data: re.sub(rb": *-?\d+", b': "x"', data),
+    "bomb": lambda data: BOMB.encode(),
+    "no attributes": lambda data: re.sub(rb' (s|a|x|length|id)="[^"]*"', b"", data),
+    "twice": lambda data: data + data,
+}
+OF_IMAGES = ("empty", "half", "binary", "zeros", "bomb")
+# Whatever is in their place must be found.
+OTHER = ("binary", "zeros", "bomb")
+SHARED = {".parts", "README.md", "classes.json", "data.yaml", "data_lists"}
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory, write_split):
+    root = tmp_path_factory.mktemp("small")
+    write_split(root, "test", 1, ["road.topology=1", "camera.width_px=480"], passes_of)
+    return root
+
+
+@pytest.fixture(scope="module", params=FORMATS)
+def exported(request, small, tmp_path_factory):
+    out = tmp_path_factory.mktemp("damaged") / request.param
+    export(str(small), out, request.param, 1, lambda done, total: None)
+    assert not [problem for result in verify(out, request.param, 1) for problem in result.problems]
+    return request.param, out
+
+
+def files_to_damage(out):
+    """One of each kind, by its path but for its numbers, of those that hold something."""
+    kinds = {}
+    for path in sorted(out.rglob("*")):
+        within = path.relative_to(out)
+        if path.is_file() and not path.is_symlink() and within.parts[0] not in SHARED and path.stat().st_size:
+            kinds.setdefault(re.sub(r"\d+", "0", str(within)), path)
+    return [path for path in kinds.values() if "test_tasks" not in path.name]
+
+
+def told(out, format_name):
+    """What `verify` says, in lines; anything but a FormatError fails the test."""
+    try:
+        return [problem for result in verify(out, format_name, 1) for problem in result.problems]
+    except FormatError as error:
+        return str(error).splitlines()
+
+
+def test_damaged_files_are_told_in_lines(exported):
+    format_name, out = exported
+    for path in files_to_damage(out):
+        whole = path.read_bytes()
+        is_image = path.suffix in (".jpg", ".png")
+        for name, damage in DAMAGE.items():
+            if is_image and name not in OF_IMAGES:
+                continue
+            damaged = damage(whole)
+            if damaged == whole:
+                continue
+            path.write_bytes(damaged)
+            lines = told(out, format_name)
+            where = f"{path.relative_to(out)}: {name}: {lines}"
+            assert not any(LEAKED.search(line) or len(line) > 2000 for line in lines), where
+            assert lines or name not in OTHER, where
+        path.unlink()
+        assert told(out, format_name), f"{path.relative_to(out)}: gone"
+        os.mkfifo(path)
+        assert told(out, format_name), f"{path.relative_to(out)}: a pipe"
+        path.unlink()
+        path.write_bytes(whole)
+    assert not told(out, format_name)
+
+
+def test_damaged_marks_are_told_in_lines(exported, small, tmp_path):
+    from cli.export import export as command
+
+    format_name, made = exported
+    out = tmp_path / "out"
+    shutil.copytree(made, out, symlinks=True)
+    for path in [*sorted((out / ".parts").iterdir())[:1], out / "export.json"]:
+        whole = path.read_bytes()
+        for name, damage in DAMAGE.items():
+            path.write_bytes(damage(whole))
+            result = CliRunner().invoke(command, [str(small), "--format", format_name, "--out", str(out)])
+            assert isinstance(result.exception, FormatError | None | SystemExit | ValueError), (name, result.exception)
+            assert result.exit_code or name in ("empty", "half", "twice") or damage(whole) == whole, (path.name, name)
+            path.write_bytes(whole)
