@@ -24,7 +24,6 @@ ALLOWED = {
     "synth3dlanes/validate/contents.py": "/dev/null",
     "synth3dlanes/dataset/stores.py": "files of stores, and copies in the folder of this process",
     "synth3dlanes/dataset/destination.py": "copies in the folder of this process",
-    "baseline_model/cache.py": "memory that has no name",
 }
 
 

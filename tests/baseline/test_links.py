@@ -1,0 +1,76 @@
+"""What training and detection write goes through no link in the folder that they were given."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from synth3dlanes.errors import LinkError
+
+
+def writers(out: Path, roads):
+    import torch
+    from synth3dlanes_baseline import checkpoint, report
+    from synth3dlanes_baseline.cache import annotation_file
+    from synth3dlanes_baseline.config import train_config
+    from synth3dlanes_baseline.lanes import write_predictions
+    from synth3dlanes_baseline.overlay import save_overlay
+    from synth3dlanes_baseline.progress import Log
+
+    labels = roads.labels([lambda y: (0 * y, 0 * y)])
+    prediction = roads.as_prediction(labels)
+    image = np.zeros((360, 480, 3), np.uint8)
+    state = checkpoint.Checkpoint(train_config("nano", {}), {}, {"weight": torch.zeros(1)}, None)
+
+    def log() -> None:
+        with Log(out, 1, 0, 1, is_shown=True) as history:
+            history.step(1, 0.1, {"total": torch.zeros(())})
+
+    return {
+        "last.pt": lambda: checkpoint.save(out / "last.pt", state),
+        "best.pt": lambda: checkpoint.save(out / "best.pt", state),
+        "annotations.cache": lambda: annotation_file(out / "annotations.cache", "here"),
+        "predictions.jsonl": lambda: write_predictions(out / "predictions.jsonl", [prediction]),
+        "00000000.png": lambda: save_overlay(
+            out / "00000000.png", image, labels.camera.img_from_cam, prediction, labels, 0.5
+        ),
+        "history.jsonl": log,
+        "tensorboard": log,
+        "plots.png": lambda: report.save_curve({}, out / "plots.png"),
+    }
+
+
+NAMES = ["last.pt", "best.pt", "annotations.cache", "predictions.jsonl", "00000000.png", "history.jsonl", "tensorboard"]
+
+
+@pytest.mark.parametrize("name", [*NAMES, "plots.png"])
+@pytest.mark.parametrize("is_hard", [False, True])
+def test_a_link_in_the_way_stays_and_what_it_points_to(tmp_path, roads, name, is_hard):
+    out, document = tmp_path / "out", tmp_path / "thesis.tex"
+    out.mkdir()
+    document.write_text("years of work")
+    write = writers(out, roads)[name]
+    if name == "tensorboard":
+        pytest.importorskip("tensorboard")
+        (out / name).symlink_to(tmp_path)
+    elif is_hard:
+        (out / name).hardlink_to(document)
+    else:
+        (out / name).symlink_to(document)
+    # A name of a file that is replaced whole may be another's too; one that is written in place may not.
+    if is_hard and name not in ("annotations.cache", "history.jsonl", "tensorboard"):
+        write()
+    else:
+        with pytest.raises(LinkError, match=re.escape(str(out / name))):
+            write()
+    assert document.read_text() == "years of work"
+    assert {path.name for path in tmp_path.iterdir()} == {"out", "thesis.tex"}
+    assert not [path for path in out.iterdir() if path.suffix == ".tmp"]
+
+
+def test_what_killed_runs_left_of_a_checkpoint_goes(tmp_path, roads):
+    (tmp_path / ".last.pt.0123456789abcdef.tmp").write_text("half")
+    (tmp_path / "last.pt.tmp").symlink_to(tmp_path / "elsewhere")
+    writers(tmp_path, roads)["last.pt"]()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["last.pt", "last.pt.tmp"]
