@@ -24,8 +24,8 @@ the `synth3dlanes` script is not on your PATH. Commands whose results other prog
 | exit code | meaning |
 |---|---|
 | 0 | success |
-| 1 | the command ran but its work failed or is incomplete |
-| 2 | bad input: one line per problem on stderr |
+| 1 | its work failed or is incomplete, or a store or cluster did not answer; running it again can help |
+| 2 | bad input, which has to be changed: one line per problem on stderr |
 | 129, 130, 143 | stopped by SIGHUP (a closed terminal), by Ctrl-C, by SIGTERM |
 
 ## Shell completion

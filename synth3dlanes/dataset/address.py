@@ -92,8 +92,12 @@ def is_outage(error: BaseException) -> bool:
 
 def can_list(files: Any) -> bool:
     """Whether a file system can say which files it has; a server of plain HTTP cannot."""
-    kinds = (files.protocol,) if isinstance(files.protocol, str) else files.protocol
-    return not {"http", "https"} & set(kinds)
+    return not {"http", "https"} & kinds(files)
+
+
+def kinds(files: Any) -> set[str]:
+    """What the addresses of a file system begin with."""
+    return {files.protocol} if isinstance(files.protocol, str) else set(files.protocol)
 
 
 def read_file(files: Any, path: str) -> bytes | None:

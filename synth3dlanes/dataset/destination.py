@@ -17,7 +17,7 @@ from synth3dlanes.dataset import folder, stores
 from synth3dlanes.dataset.address import connect, is_url, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION, updated_description
 from synth3dlanes.dataset.patience import Patience, attempt
-from synth3dlanes.dataset.spool import spool, spool_of, spooled
+from synth3dlanes.dataset.spool import made, spool, spool_of, spooled
 from synth3dlanes.dataset.write import Shard
 from synth3dlanes.errors import FormatError, OutageError
 from synth3dlanes.files import Folder
@@ -96,12 +96,12 @@ class Destination:
             return
         with spool(self.place, shard) as root:
             here, kept = shard.within(root), f"finished samples are kept in {root}"
-            patience.insist(lambda: stores.take(self.place, here), kept)
+            patience.insist(self.place, lambda: stores.take(self.place, here), kept)
             yield here
             try:
-                patience.insist(lambda: stores.put(self.place, _files(root, "failed"), root), kept)
+                patience.insist(self.place, lambda: stores.put(self.place, _files(root, "failed"), root), kept)
                 if here.path("parquet").exists():
-                    patience.insist(lambda: stores.put_shard(self.place, here), kept)
+                    patience.insist(self.place, lambda: stores.put_shard(self.place, here), kept)
             except (OutageError, FormatError) as error:
                 raise OutageError(f"{error}; {kept}, and put by the next run on this machine") from None
             for suffix in ("parquet", "tar"):
@@ -115,9 +115,7 @@ class Destination:
             with Log(self.folder, name) as log:
                 yield log
             return
-        here = spool_of(self.place, "logs")
-        Folder(here).make()
-        with Log(here, name, self.place) as log:
+        with Log(made(spool_of(self.place, "logs")).root, name, self.place) as log:
             yield log
 
 
@@ -153,7 +151,7 @@ class Log:
         paths = [self._path, *(_unlocked(self._path.parent) if is_last else [])]
         names = [str(path.relative_to(self._root)) for path in paths]
         try:
-            attempt(lambda: stores.put(self._url, names, self._root), lambda: time.monotonic() > until)
+            attempt(self._url, lambda: stores.put(self._url, names, self._root), lambda: time.monotonic() > until)
         except (OutageError, FormatError) as error:
             return f"{error}; the log is {self._path}"
         for name in names if is_last else []:

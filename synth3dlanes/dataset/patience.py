@@ -14,7 +14,7 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 60.0
 LIMIT_S = 1800.0
 POLL_S = 0.2
 # How long a run that is to end goes on with what it is just sending.
-STOPPING_S = 20.0
+STOPPING_S = 60.0
 
 Result = TypeVar("Result")
 
@@ -32,8 +32,8 @@ class Patience:
     tell: Callable[[str, str], None] = _silent
     is_stopping: Callable[[], bool] = bool
 
-    def insist(self, call: Callable[[], Result], kept: str) -> Result:
-        """The result of `call`, again and again while the store is out. `kept` says what happens to the samples.
+    def insist(self, place: str, call: Callable[[], Result], kept: str) -> Result:
+        """The result of `call`, again and again while the store is out; `kept` says where samples are meanwhile.
 
         Raises OutageError after the limit, or at once where the run is to end; all else that `call` raises.
         """
@@ -47,7 +47,7 @@ class Patience:
 
         while True:
             try:
-                result = attempt(call, gives_up)
+                result = attempt(place, call, gives_up)
                 break
             except OutageError as error:
                 left_s = began + self.limit_s - time.monotonic()
@@ -76,9 +76,9 @@ def since(began: float) -> str:
     return f"since {datetime.now(UTC) - timedelta(seconds=time.monotonic() - began):%H:%M:%S} UTC"
 
 
-def attempt(call: Callable[[], Result], gives_up: Callable[[], bool]) -> Result:
-    """The result of `call`, or OutageError once nobody waits for it any more. A store that is silent can hold a call
-    for minutes, so that it runs in a thread that this process leaves behind."""
+def attempt(place: str, call: Callable[[], Result], gives_up: Callable[[], bool]) -> Result:
+    """The result of `call`, or an OutageError of this place once nobody waits for it any more. A store that is silent
+    can hold a call for minutes, so that it runs in a thread that this process leaves behind."""
     results: list[Result] = []
     errors: list[BaseException] = []
 
@@ -93,7 +93,7 @@ def attempt(call: Callable[[], Result], gives_up: Callable[[], bool]) -> Result:
     while thread.is_alive():
         thread.join(POLL_S)
         if thread.is_alive() and gives_up():
-            raise OutageError("no answer from the store")
+            raise OutageError(f"{place}: has not answered yet")
     if errors:
         raise errors[0]
     return results[0]

@@ -41,6 +41,16 @@ def spool_of(url: str, recipe: str) -> Path:
     return spool_root() / f"{name}-{hashlib.sha256(f'{url} {recipe}'.encode()).hexdigest()[:12]}"
 
 
+def made(folder: Path) -> Folder:
+    """A folder of the spool, which is made if it is missing; raise InputError where that cannot be."""
+    try:
+        Folder(folder).make()
+    except OSError as error:
+        hint = f"set {SPOOL} to a folder that can"
+        raise InputError(f"{folder}: cannot be made: {error.strerror or error}; {hint}") from None
+    return Folder(folder)
+
+
 def spooled(url: str, split: str, recipe: str) -> list[int]:
     """The numbers of the shards of a split of which killed or failed runs have left something here, in order."""
     numbers = set()
@@ -55,16 +65,14 @@ def spooled(url: str, split: str, recipe: str) -> list[int]:
 def spool(url: str, shard: Shard) -> Iterator[Path]:
     """The folder of a shard in the hands of this process, with what was left there. Raises InputError where the folder
     cannot be written."""
-    store = Folder(spool_of(url, shard.recipe))
+    store = made(spool_of(url, shard.recipe))
     name = f"{shard.folder.name}-{shard.number:05d}"
-    try:
-        names = (f"{name}-{other}" if other else name for other in count())
-        name, lock = next((one, lock) for one in names if (lock := _locked(store, one)))
-        (store.root / name / shard.folder).mkdir(exist_ok=True)
-    except OSError as error:
-        hint = f"set {SPOOL} to a folder that can"
-        raise InputError(f"{store.root}: cannot be written: {error.strerror or error}; {hint}") from None
+    names = (f"{name}-{other}" if other else name for other in count())
+    name, lock = next((one, lock) for one in names if (lock := _locked(store, one)))
     with lock:
+        store.make(f"{name}/{shard.folder.name}")
+        for unfinished in (store.root / name / shard.folder).glob("*.tmp"):
+            store.remove(unfinished.relative_to(store.root).as_posix())
         _take_over(store, name, shard)
         try:
             yield store.root / name

@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from synth3dlanes.dataset.address import connect, read_file, translate_store_errors
+from synth3dlanes.dataset.address import connect, kinds, read_file, translate_store_errors
 from synth3dlanes.dataset.card import CARD, updated_card
 from synth3dlanes.dataset.description import DESCRIPTION, updated_description
 from synth3dlanes.dataset.index import read_indices
@@ -134,7 +134,7 @@ def _put(url: str, name: str, write: Any) -> None:
         # Elsewhere a path begins with a bucket, which would be made without a word; folders need no making there.
         if root.startswith("/"):
             files.makedirs(path.rpartition("/")[0], exist_ok=True)
-        if ATOMIC & {files.protocol, *files.protocol}:
+        if ATOMIC & kinds(files):
             write(files, path)
             return
         beside = PurePosixPath(path).with_name(f".{PurePosixPath(path).name}.{secrets.token_hex(8)}.tmp")

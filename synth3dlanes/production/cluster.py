@@ -6,10 +6,10 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout, suppress
 from threading import current_thread
-from typing import TextIO
+from typing import TextIO, TypeVar
 
 import ray
 
@@ -20,6 +20,9 @@ CONNECT_S, HEALTH_S, SHUTDOWN_S = 5.0, 20.0, 10.0
 LOOK_EVERY_S = 5.0
 # Ray ends processes that have not seen their control store for a minute.
 LOST_AFTER_S = 30.0
+
+
+Answer = TypeVar("Answer")
 
 
 @contextmanager
@@ -41,7 +44,7 @@ def connected(address: str) -> Iterator[None]:
             until = time.monotonic() + SHUTDOWN_S
             # Without a control store it would take a minute.
             with redirect_stdout(sys.stderr), suppress(OutageError):
-                attempt(ray.shutdown, lambda: time.monotonic() > until)
+                attempt("Ray", ray.shutdown, lambda: time.monotonic() > until)
 
 
 class Cluster:
@@ -63,14 +66,30 @@ class Cluster:
             return ""
         return f"the Ray cluster is lost: its control store at {self._address} has not answered {since(self._seen)}"
 
+    def uses(self, n_cores: int) -> bool:
+        """Whether so many cores are in use, by whomever, or that is not known."""
+        found = _asked(lambda: (ray.cluster_resources(), ray.available_resources()))
+        return found is None or found[0].get("CPU", 0) - found[1].get("CPU", 0) >= n_cores
+
     def text(self) -> str:
         """The nodes that there are, and what is free, in words."""
-        nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
+        found = _asked(lambda: (ray.nodes(), ray.available_resources()))
+        if found is None:
+            return "the cluster does not say what it has"
+        nodes, free = [node["Resources"] for node in found[0] if node["Alive"]], found[1]
         cores = ", ".join(f"{node.get('CPU', 0):.0f}" for node in nodes)
-        free = ray.available_resources()
         n_gpus = sum(node.get("GPU", 0) for node in nodes)
         gpus = f", and {free.get('GPU', 0):.0f} of {n_gpus:.0f} GPUs" if n_gpus else ""
-        return f"the cluster has {len(nodes)} nodes with {cores} cores; {free.get('CPU', 0):.0f} cores{gpus} are free"
+        return f"its nodes ({len(nodes)}) have {cores} cores; {free.get('CPU', 0):.0f} cores{gpus} are free"
+
+
+def _asked(question: Callable[[], Answer]) -> Answer | None:
+    """What the control store answers, None where it does not."""
+    until = time.monotonic() + CONNECT_S
+    try:
+        return attempt("Ray", question, lambda: time.monotonic() > until)
+    except (OutageError, ConnectionError, ray.exceptions.RayError):
+        return None
 
 
 class _OwnOutput(io.TextIOBase):

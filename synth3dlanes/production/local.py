@@ -55,7 +55,8 @@ def make_here(plan: Plan, tally: Tally) -> None:
     ends |= dict.fromkeys(plan.shards(), plan.n)
     try:
         for number, n in sorted(ends.items()):
-            missing = patience.insist(partial(destination.missing, plan.shard(number), n), "all before it is there")
+            asked = partial(destination.missing, plan.shard(number), n)
+            missing = patience.insist(destination.place, asked, "what is finished is there")
             if (missing or number in left) and not tally.is_stopping:
                 _make_for_store(plan, number, n, missing, tally, patience)
     except OutageError as error:

@@ -90,7 +90,7 @@ def make_shard(plan: Plan, board: Any) -> str:
     def post(event: Event) -> None:
         board.post.remote(event.kind, event.message, {**event.details, "node": os.uname().nodename})
 
-    board.post.remote(BEGUN, "", {})
+    board.post.remote(BEGUN, "", {"shard": next(iter(plan.shards()))})
     plan = plan.resolved()
     with ExitStack() as stack:
         until = time.monotonic() + CLAIM_PATIENCE_S
@@ -114,14 +114,11 @@ def make_on_ray(plan: Plan, tally: Tally) -> None:
     """Make what a plan's destination lacks; a folder must be shared by all nodes."""
     patience = Patience(LIMIT_S, tally.tell, lambda: tally.is_stopping)
     try:
-        shards, destination, missing = (
-            plan.shards(),
-            plan.destination,
-            patience.insist(plan.missing, "nothing is begun"),
-        )
+        shards, destination = plan.shards(), plan.destination
+        missing = patience.insist(destination.place, plan.missing, "nothing is begun")
         todo = [n for n, indices in missing.items() if indices or destination.needs_join(shards[n], plan.n)]
         _Tasks(plan, tally, todo).go()
-        missing = patience.insist(plan.missing, "what is finished is counted then")
+        missing = patience.insist(destination.place, plan.missing, "what is finished is counted then")
     except OutageError as error:
         tally.problem = tally.problem or str(error)
         return
@@ -129,7 +126,7 @@ def make_on_ray(plan: Plan, tally: Tally) -> None:
 
 
 class _Tasks:
-    """The tasks of a run under way: which shard each makes, and how many have begun."""
+    """The tasks of a run under way: which shard each makes, and which have begun."""
 
     def __init__(self, plan: Plan, tally: Tally, todo: list[int]) -> None:
         self.plan, self.tally = plan, tally
@@ -140,7 +137,7 @@ class _Tasks:
         task = ray.remote(make_shard)
         task = task.options(num_cpus=plan.workers, num_gpus=self.n_gpus, max_retries=MAX_NODE_DEATHS)
         self.tasks = {task.remote(plan.only(number), self.board): number for number in todo}
-        self.n_begun = self.n_ended = 0
+        self.begun = set[int]()
         self.idle_since, self.is_waiting = time.monotonic(), False
 
     def go(self) -> None:
@@ -167,7 +164,7 @@ class _Tasks:
 
     def _ended(self, reference: Any) -> None:
         number, problem = self.tasks.pop(reference), _problem(reference)
-        self.n_ended += 1
+        self.begun.discard(number)
         if problem and not self.tally.problem:
             self.tally.problem = f"shard {number}: {problem}"
 
@@ -180,13 +177,13 @@ class _Tasks:
             return
         for kind, message, details in posts:
             if kind == BEGUN:
-                self.n_begun += 1
+                self.begun.add(details["shard"])
             else:
                 self.tally.tell(kind, message, **details)
 
     def _tell_of_waiting(self) -> None:
-        """Say what is waited for where no task has begun in a while, and that one has."""
-        is_idle = self.n_begun <= self.n_ended
+        """Say what is waited for where no task has run in a while, and that one runs."""
+        is_idle = not self.begun & set(self.tasks.values()) or not self.cluster.uses(self.plan.workers)
         if not is_idle:
             self.idle_since = time.monotonic()
         if is_idle and self.tasks and not self.is_waiting and time.monotonic() - self.idle_since > IDLE_S:

@@ -1,8 +1,12 @@
 """Every kind of run counts, logs and reports by its events."""
 
 import json
+import re
+from pathlib import Path
 
+from synth3dlanes.dataset import stores
 from synth3dlanes.dataset.destination import Destination
+from synth3dlanes.errors import OutageError
 from synth3dlanes.production.tally import Tally
 
 
@@ -65,3 +69,23 @@ def test_the_log_holds_every_event_also_that_of_a_store(tmp_path):
             tally.tell("end", "complete")
         lines = (tmp_path / name / "logs" / "run.jsonl").read_text().splitlines()
         assert [json.loads(line)["kind"] for line in lines] == [event.kind for event in events]
+
+
+def test_a_log_that_cannot_be_saved_is_one_line_at_the_end(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise OutageError("store: gone")
+
+    monkeypatch.setattr(stores, "put", refuse)
+    with Destination((tmp_path / "store").as_uri()).log("run.jsonl") as log:
+        tally, events = told(log=log)
+        for kind in ("start", "shard", "shard", "end"):
+            tally.tell(kind, "", lost=())
+    assert tally.problem == ""
+    assert [event.kind for event in events] == ["start", "shard", "shard", "end", "pause"]
+    found = re.fullmatch("the log is not in the store: store: gone; the log is (.*)", events[-1].message)
+    assert [json.loads(line)["kind"] for line in Path(found[1]).read_text().splitlines()][-1] == "end"
+    monkeypatch.undo()
+    # The next run's last save takes it along.
+    with Destination((tmp_path / "store").as_uri()).log("next.jsonl") as log:
+        assert log.save(is_last=True) == ""
+    assert {path.name for path in (tmp_path / "store/logs").iterdir()} == {"run.jsonl", "next.jsonl"}

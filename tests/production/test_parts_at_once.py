@@ -1,0 +1,113 @@
+"""Parts that start together in a new store, runs that are equal, and runs that ask for different splits."""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from threading import Barrier
+
+import pytest
+
+from synth3dlanes.dataset import stores
+from synth3dlanes.dataset.description import parse_description
+from tests import fake_samples, soak, store_server
+
+s3fs = pytest.importorskip("s3fs")
+# Each process says that it is ready, and begins with the others.
+PART = """
+import sys
+from synth3dlanes.production import plan, run
+from tests import fake_samples
+url, part, parts = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
+a_plan = plan.Plan(url, 6, fake_samples.recipe(), 1, (part, parts), shard_size=1, maker=fake_samples.make)
+print("ready", flush=True)
+sys.stdin.readline()
+report = run.generate(a_plan, lambda _: None)
+print(report.text(), report.problem, flush=True)
+sys.exit(report.exit_code)
+"""
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Iterator[s3fs.S3FileSystem]:
+    log = tmp_path_factory.mktemp("server") / "log"
+    with store_server.server(log) as environment, pytest.MonkeyPatch.context() as patch:
+        for name, value in environment.items():
+            patch.setenv(name, value)
+        s3fs.S3FileSystem.clear_instance_cache()
+        yield s3fs.S3FileSystem(use_listings_cache=False)
+        s3fs.S3FileSystem.clear_instance_cache()
+
+
+def at_once(url: str, parts: list[tuple[int, int]]) -> None:
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    command = [sys.executable, "-c", PART, url]
+    runs = [subprocess.Popen([*command, *map(str, part)], cwd=soak.ROOT, **pipes) for part in parts]
+    for run in runs:
+        assert run.stdout.readline() == "ready\n", run.stderr.read()
+    for run in runs:
+        run.stdin.write("go\n")
+        run.stdin.flush()
+    told = [run.communicate() for run in runs]
+    assert [run.returncode for run in runs] == [0] * len(runs), told
+
+
+def check(store: s3fs.S3FileSystem, name: str, whole: Path) -> None:
+    found = {path.removeprefix(f"{name}/"): store.cat_file(path) for path in store.find(name)}
+    expected = {path.relative_to(whole).as_posix(): path.read_bytes() for path in whole.rglob("*") if path.is_file()}
+    for files in (found, expected):
+        for path in [path for path in files if path.startswith("logs/") or path.endswith(".lock")]:
+            del files[path]
+    assert found == expected
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    from synth3dlanes.production.plan import Plan
+    from synth3dlanes.production.run import generate
+
+    out = tmp_path_factory.mktemp("whole")
+    plan = Plan(out, 6, fake_samples.recipe(), 1, shard_size=1, maker=fake_samples.make)
+    assert generate(plan, lambda _: None).exit_code == 0
+    return out
+
+
+def test_parts_that_start_together_in_a_new_store(store: s3fs.S3FileSystem, whole: Path) -> None:
+    at_once("s3://lanes/parts", [(part, 3) for part in (1, 2, 3)])
+    check(store, "lanes/parts", whole)
+
+
+def test_two_equal_runs_at_once(store: s3fs.S3FileSystem, whole: Path) -> None:
+    at_once("s3://lanes/equal", [(1, 1), (1, 1)])
+    check(store, "lanes/equal", whole)
+
+
+@pytest.mark.parametrize("kind", ["object store", "files"])
+def test_no_split_is_lost_where_runs_announce_theirs_together(
+    store: s3fs.S3FileSystem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    """All have read that there is nothing, before one writes."""
+    url, splits = (
+        "s3://lanes/splits" if kind == "object store" else (tmp_path / "d").as_uri(),
+        [f"s{i}" for i in range(4)],
+    )
+    recipe = {**fake_samples.recipe().description(), "shard_size": 4}
+    barrier, written = Barrier(len(splits)), set()
+    put = stores.put_bytes
+
+    def put_together(place: str, name: str, data: bytes) -> None:
+        if (key := (id(data), name)) not in written and len(written) < len(splits) and name == "dataset.json":
+            written.add(key)
+            barrier.wait(30)
+        put(place, name, data)
+
+    monkeypatch.setattr(stores, "put_bytes", put_together)
+    with ThreadPoolExecutor(len(splits)) as pool:
+        list(pool.map(lambda n: stores.announce(url, recipe, splits[n], n), range(len(splits))))
+    files, root = stores.connect(url)
+    described = parse_description(files.cat_file(f"{root}/dataset.json"), "")
+    assert described["splits"] == {split: {"n": n} for n, split in enumerate(splits)}
+    card = files.cat_file(f"{root}/README.md").decode()
+    assert all(f"| {split} | {n} |" in card for n, split in enumerate(splits))
+    assert sorted(path.rpartition("/")[2] for path in files.find(root)) == ["README.md", "dataset.json"]
