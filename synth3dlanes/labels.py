@@ -94,11 +94,11 @@ class CameraLabel:
 class Lane:
     """One curve, in the host's driving direction. `left` and `right` are ids: of the delimiters that bound a centre
     line on its own stretch (behind the split, before the merge), or of the centre lines that a delimiter bounds there;
-    None outside the road, and where that line is out of range. In a clip they are the same in every frame, and may be
-    lines that only other frames of it have. `color` and `double` (two stripes, the points in the middle between them) are None for centre
-    lines and in older labels. `object_visible` is None until the scene has been rendered. `direction` is that of the
-    traffic in a centre line's lane; a delimiter is `oncoming` if it bounds only such lanes. The file leaves out
-    `same`."""
+    None outside the road, and where that line is out of range. In a clip they are the same in every frame, and may name
+    lines that only other frames of it have. `color` and `double` (two stripes, the points in the middle between them)
+    are None for centre lines and in older labels. `object_visible` is None until the scene has been rendered.
+    `direction` is that of the traffic in a centre line's lane; a delimiter is `oncoming` if it bounds only such lanes.
+    The file leaves out `same`."""
 
     id: Name
     kind: LaneKind

@@ -62,7 +62,7 @@ def _grid(camera: CameraLabel) -> tuple[Pixels, Points]:
     return pixels, camera.rays(pixels)
 
 
-def _rays(car: Placed, camera: CameraLabel, grid: Pixels, grid_rays: Points) -> Points:
+def _rays(car: Placed, camera: CameraLabel, grid: Pixels, grid_rays: Points) -> Float[np.ndarray, "m 3"]:
     """Unit vectors in the car's frame from the eye to the car's bounding box, evenly spread over it in the image."""
     box = bounding_box(car.mesh.name)
     car_from_cam = invert(car.world_from_object) @ camera.world_from_cam
@@ -87,7 +87,7 @@ def _meets(box: Box, eye: Float[np.ndarray, "3"], rays: Points) -> Bool[np.ndarr
     return np.asarray((leaves > 0) & (enters < leaves))
 
 
-def _surface(car: Placed, eye_world: Float[np.ndarray, "3"], rays: Points) -> Points:
+def _surface(car: Placed, eye_world: Float[np.ndarray, "3"], rays: Points) -> Float[np.ndarray, "m 3"]:
     """World points where rays from the eye, in the car's frame, first meet the car."""
     eye = transform(invert(car.world_from_object), eye_world) / car.scale
     tree, origin = search_tree(car.mesh.name), Vector(eye)
