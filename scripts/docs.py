@@ -10,6 +10,7 @@ from synth3dlanes_cli.main import main
 
 from synth3dlanes.assets.catalogue import BUILT_IN
 from synth3dlanes.figures.stats import form as written
+from synth3dlanes.labels import LabelsDocument
 from synth3dlanes.params import Params, forms, load_params, presets_folder
 from synth3dlanes.sampling.weather import DAYTIMES, KINDS, Distribution
 from synth3dlanes.scene import Scene
@@ -70,6 +71,7 @@ def pages() -> dict[str, str]:
         "cli.md": cli_page(),
         "params.md": params_page(),
         "scene.schema.json": json.dumps(Scene.model_json_schema(), indent=1) + "\n",
+        "labels.schema.json": json.dumps(LabelsDocument.model_json_schema(), indent=1) + "\n",
         "cluster.md": with_files((FOLDER / "cluster.md").read_text()),
     }
 

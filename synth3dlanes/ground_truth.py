@@ -6,6 +6,7 @@ from jaxtyping import Float
 
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.lanes import Curve, host_segment, lane_graph, path_of_segment
+from synth3dlanes.geometry.motion import host_station
 from synth3dlanes.geometry.paint import is_double, paint_color
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.symbols import shape
@@ -45,17 +46,9 @@ def label(world: World, view: View) -> Labels:
         name=lens.name,
         lens=lens.lens,
     )
-    lengths_m = np.arange(-world.scene.shot.behind_m, RANGE_M + STEP_M / 2, STEP_M)
-    s_world: dict[RoadName, Values] = {
-        "main": plan.stations_along("main", lens.y_m, lengths_m),
-        "exit": plan.stations_along("exit", lens.y_m, lengths_m),
-    }
-    sampled = {}
-    for curve in world.lines:
-        s = stations_of(plan, curve, s_world[curve.road])
-        if len(s) > 1:
-            sampled[curve] = curve.points_world(plan, s)
-    known = {curve.id for curve in sampled}
+    stations = _stations(world, lens.y_m)
+    sampled = {curve: curve.points_world(plan, s) for curve, s in stations.items()}
+    known = _known(world, stations)
     forms = [shape(world.ground, symbol) for symbol in world.scene.symbols]
     outlines = [form.points_world(form.outline) for form in forms]
     points_world = np.concatenate([*sampled.values(), *outlines])
@@ -87,7 +80,7 @@ def label(world: World, view: View) -> Labels:
         for symbol, (xyz, inside, visible) in zip(world.scene.symbols, parts[len(sampled) :], strict=True)
     )
     host = path_of_segment(plan, host_segment(plan, lens)).id
-    centerlines = [lane.id for lane in lanes if lane.kind == "centerline"]
+    centerlines = [curve.id for curve in world.lines if curve.kind == "centerline" and curve.id in known]
     return Labels(
         camera,
         lanes,
@@ -97,6 +90,25 @@ def label(world: World, view: View) -> Labels:
         time_s=round(shot.time_s, 9) if shot.n_frames > 1 else None,
         lidar=_lidar(view),
     )
+
+
+def _stations(world: World, host_m: float) -> dict[Curve, Values]:
+    """The plan stations of the points of every line that has some around a host at a world station."""
+    plan = world.plan
+    lengths_m = np.arange(-world.scene.shot.behind_m, RANGE_M + STEP_M / 2, STEP_M)
+    roads: tuple[RoadName, ...] = ("main", "exit")
+    s_world = {road: plan.stations_along(road, host_m, lengths_m) for road in roads}
+    found = {curve: stations_of(plan, curve, s_world[curve.road]) for curve in world.lines}
+    return {curve: s for curve, s in found.items() if len(s) > 1}
+
+
+def _known(world: World, stations: dict[Curve, Values]) -> set[str]:
+    """The ids of the lines of a picture, and in a clip of those of all its frames, so that neighbours are named alike
+    in each. A line comes into range or is passed, but not both, so the first frame or the last has it."""
+    scene, shot = world.scene, world.scene.shot
+    driven_m = (0.0, shot.speed_m_s * shot.duration_s) if shot.n_frames > 1 else ()
+    ends = (_stations(world, host_station(world.plan, scene.camera, way_m)) for way_m in driven_m)
+    return {curve.id for lines in (stations, *ends) for curve in lines}
 
 
 def _lidar(view: View) -> LidarLabel | None:

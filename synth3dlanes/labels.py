@@ -94,10 +94,11 @@ class CameraLabel:
 class Lane:
     """One curve, in the host's driving direction. `left` and `right` are ids: of the delimiters that bound a centre
     line on its own stretch (behind the split, before the merge), or of the centre lines that a delimiter bounds there;
-    None outside the road. `color` and `double` (two stripes, the points in the middle between them) are None for centre
-    lines and in older labels. `object_visible` is None until the scene has been rendered. `direction` is that of the
-    traffic in a centre line's lane; a delimiter is `oncoming` if it bounds only such lanes. Older labels may lack
-    `same`."""
+    None outside the road, and where that line is out of range. In a clip they are the same in every frame, and may name
+    lines that only other frames of it have. `color` and `double` (two stripes, the points in the middle between them)
+    are None for centre lines and in older labels. `object_visible` is None until the scene has been rendered.
+    `direction` is that of the traffic in a centre line's lane; a delimiter is `oncoming` if it bounds only such lanes.
+    Older labels may lack `same`."""
 
     id: Name
     kind: LaneKind
@@ -214,9 +215,9 @@ class Labels:
     `camera` holds pitch and height over the plane that touches the road at the host; `horizon` is the plane through the
     farthest visible point of the host lane (the paper's 'horizon' variant), None if no point is visible or the camera
     does not look ahead.
-    `car_visible_fraction` is the visible share of each car's silhouette; None until rendered. `symbols` are those of
-    the scene, in its order: arrows, stop lines, crosswalks and gores, none of which is a lane. `lidar` is that of the
-    scene, if it has one.
+    `car_visible_fraction` is, for each car, the share of the pixels that it would fill, were it alone, in which it is
+    seen; 0 without any such pixel, None until rendered. `symbols` are those of the scene, in its order: arrows, stop
+    lines, crosswalks and gores, none of which is a lane. `lidar` is that of the scene, if it has one.
     """
 
     camera: CameraLabel
@@ -266,8 +267,9 @@ def to_json(labels: Labels) -> str:
     return json.dumps(document, separators=(",", ":"), allow_nan=False)
 
 
-class _Document(Part):
-    """The whole of `labels.json`."""
+class LabelsDocument(Part):
+    """What a network must predict from one image: the whole of `labels.json`. Points in camera coordinates (x right, y
+    along the viewing direction, z up), metres. Its JSON Schema is docs/labels.schema.json."""
 
     format: Literal["synth3dlanes.labels"]
     version: Literal[1]
@@ -283,7 +285,7 @@ class _Document(Part):
 
 def from_json(text: str | bytes, where: str) -> Labels:
     """Parse `labels.json`; raise FormatError with one line per problem, each beginning with `where`."""
-    read = parse(_Document, text, where, f"{LABELS_FORMAT} version {LABELS_VERSION}")
+    read = parse(LabelsDocument, text, where, f"{LABELS_FORMAT} version {LABELS_VERSION}")
     return Labels(
         read.camera,
         read.lanes,

@@ -1,5 +1,8 @@
 """Clips: the host and the cars drive, everything else stays, and the first frame is the single picture."""
 
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
@@ -9,13 +12,18 @@ from synth3dlanes import scene as scene_format
 from synth3dlanes.errors import InputError
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.ground_truth import ground_truth, label
+from synth3dlanes.labels import Labels
 from synth3dlanes.params import Params, load_params
 from synth3dlanes.sample import sample_scene, sample_world, scene_texts
+from synth3dlanes.sensors.rig_files import load_rig
 from synth3dlanes.shots import Place, Shots, clips
+from synth3dlanes.validate.structure import check_shape
 from synth3dlanes.world import World, resolve
 from tests.scenes import changed
 
 TWO_SECONDS = clips(21, 10)
+# Noses far away: their lines come into range and are passed.
+EXIT = ("road.topology={2: 1, 3: 1, 4: 1}", "road.exit_angle_deg=[1, 2]", "cars.n=1", "trees.n=40")
 SMOOTH = ("road.topology={1: 1, 2: 1}", "cars.n=6")
 
 
@@ -84,6 +92,79 @@ def test_poses_integrate_to_the_way_driven(index):
     assert steps_m == pytest.approx(shot.speed_m_s / 10, rel=1e-3)
     for world, step in zip(worlds, np.diff(feet, axis=0), strict=False):
         assert step @ world.view.world_from_host[:3, 1] > 0.99 * np.linalg.norm(step)
+
+
+def clip_labels(index: int, shots: Shots) -> list[Labels]:
+    """The labels of all pictures of a clip, as read back."""
+    pictures = range(index * shots.per_scene, (index + 1) * shots.per_scene)
+    worlds = (sample_world(params(*EXIT), 0, "train", picture, shots=shots) for picture in pictures)
+    texts = [labels_format.to_json(label(world, world.view)) for world in worlds]
+    return [labels_format.from_json(text, "test") for text in texts]
+
+
+def unknown(labels: Labels) -> list[str]:
+    """The neighbours that `validate` does not accept."""
+    reasons = [finding.reason for finding in check_shape(changed(), labels)]
+    return [reason for reason in reasons if "expected the id of a line" in reason]
+
+
+def check_neighbours(clip: list[Labels]) -> None:
+    """Lines have one description and one order through the clip, and their neighbours are lines of it."""
+    lines = {}
+    for labels in clip:
+        assert labels.graph == clip[0].graph
+        for lane in labels.lanes:
+            same = (lane.kind, lane.road, lane.marking, lane.left, lane.right, lane.color, lane.double, lane.direction)
+            assert lines.setdefault(lane.id, same) == same, lane.id
+    for _, _, _, left, right, *_ in lines.values():
+        assert {left, right} <= {None, *lines}
+    ids = [[lane.id for lane in labels.lanes] for labels in clip]
+    for one in ids:
+        for other in ids:
+            assert [id_ for id_ in one if id_ in other] == [id_ for id_ in other if id_ in one]
+
+
+def test_neighbours_ids_and_graph_are_constant_through_a_clip():
+    came = went = elsewhere = 0
+    for index in range(8):
+        clip = clip_labels(index, clips(9, 1))
+        check_neighbours(clip)
+        ids = [{lane.id for lane in labels.lanes} for labels in clip]
+        for before, after in pairwise(ids):
+            came, went = came + len(after - before), went + len(before - after)
+        for id_ in set.union(*ids):
+            has = [id_ in frame for frame in ids]
+            assert sum(a != b for a, b in pairwise(has)) <= 1, "a line comes or goes once"
+        for labels, known in zip(clip, ids, strict=True):
+            named = {side for lane in labels.lanes for side in (lane.left, lane.right) if side}
+            elsewhere += len(named - known)
+            assert not unknown(labels)
+    assert came
+    assert went
+    assert elsewhere
+
+
+def test_neighbours_are_constant_in_every_camera_of_a_rig():
+    clip = clip_labels(0, clips(4, 0.5, load_rig("nuscenes")))
+    assert len(clip) == 24
+    check_neighbours(clip)
+    frames_of = [clip[first : first + 6] for first in range(0, 24, 6)]
+    assert all([lane.id for lane in one.lanes] == [lane.id for lane in of[0].lanes] for of in frames_of for one in of)
+
+
+def test_neighbours_of_a_single_picture_are_among_its_lines():
+    left_out = 0
+    for index in range(8):
+        scene = sample_scene(params(*EXIT), 0, "train", index)
+        labels = ground_truth(scene)
+        known = {lane.id for lane in labels.lanes}
+        left_out += len({line.id for line in resolve(scene).lines} - known)
+        assert {side for lane in labels.lanes for side in (lane.left, lane.right)} <= {None, *known}
+        assert not unknown(labels)
+        # A neighbour that no line has is an error there.
+        wrong = replace(labels, lanes=(replace(labels.lanes[0], left="nobody"), *labels.lanes[1:]))
+        assert len(unknown(wrong)) == 1
+    assert left_out
 
 
 def test_on_a_straight_flat_road_the_host_drives_to_the_millimetre():

@@ -13,7 +13,8 @@ from synth3dlanes.blender.build import Placed, Studio, build, open_studio
 from synth3dlanes.blender.devices import use_device
 from synth3dlanes.blender.lidar import scan
 from synth3dlanes.blender.light import HAZE_PASS
-from synth3dlanes.blender.occlusion import hidden_by_objects, seen_fractions
+from synth3dlanes.blender.occlusion import hidden_by_objects
+from synth3dlanes.blender.silhouettes import seen_fractions
 from synth3dlanes.blender.structures import search_tree
 from synth3dlanes.blender.trace import distances, run_cycles
 from synth3dlanes.frames import Matrix4, transform
@@ -94,7 +95,7 @@ def with_object_visibility(world: World, view: View, labels: Labels, placed: lis
     lanes = tuple(replace(lane, object_visible=next(masks)) for lane in labels.lanes)
     symbols = tuple(replace(symbol, object_visible=next(masks)) for symbol in labels.symbols)
     over_ground = partial(seen_over_ground, world.ground, eye)
-    cars = seen_fractions(placed[: len(world.scene.cars)], placed, structures, labels, over_ground)
+    cars = seen_fractions(placed[: len(world.scene.cars)], placed, structures, labels.camera, over_ground)
     return replace(labels, lanes=lanes, symbols=symbols, car_visible_fraction=cars)
 
 

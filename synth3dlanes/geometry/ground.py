@@ -109,12 +109,13 @@ class Ground:
         return float(x0), float(y0), float(x1), float(y1)
 
     def crests(self) -> list[Float[np.ndarray, "m 3"]]:
-        """The edges of the raised exit's shoulders as world points a metre apart: they hide what lies beyond them."""
+        """The edges of the raised exit's shoulders as world points a metre apart, less on a steep ramp: they hide what
+        lies beyond them."""
         plan = self.plan
         if plan.ramp_start_m is None:
             return []
         reach_m = plan.plan_station(np.array(self.range_m(CREST_FROM_HOST_M, 0.0))).max()
-        s = np.arange(plan.ramp_start_m, max(S_END_M + CREST_BEYOND_M, reach_m))
+        s = np.union1d(plan.ramp_stations, np.arange(plan.ramp_start_m, max(S_END_M + CREST_BEYOND_M, reach_m)))
         return [plan.lift(plan.exit_xy(s, edge), plan.ramp(s)) for edge in (-self.exit_edge_m, self.exit_edge_m)]
 
     def cell_scale(self, xy_world: Points2) -> Values:

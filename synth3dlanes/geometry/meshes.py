@@ -19,6 +19,8 @@ BEHIND_M = 300.0
 ROAD_BEHIND_M = 30.0
 # From here to the horizon each row of the road is longer than the previous one by this fraction.
 FAR_ROWS_M, FAR_ROWS_GROWTH = 420.0, 0.03
+# A ramp whose own rows would be closer than this gets them: within the range of labels the road's are no farther apart.
+STEEP_M = 1.0
 # The exit's inner edge extends a little below the main road or its own verge. Their rows differ, so a gap would show
 # the ground otherwise.
 SEAM_M, SEAM_FALL_M = 0.05, 0.01
@@ -61,7 +63,7 @@ def terrain_heights(ground: Ground, xy_world: Float[np.ndarray, "*n 2"]) -> Floa
 
 def road_stations(ground: Ground) -> Values:
     """World stations of the rows of road and paint, to beyond the horizon: half a metre apart near the host, more far
-    away. The split itself is always among them."""
+    away, less on a ramp that needs it. The split itself is always among them."""
     n_far = int(np.log(2 * HORIZON_M / FAR_ROWS_M) / np.log1p(FAR_ROWS_GROWTH))
     ahead = [
         np.arange(0, 80, 0.5),
@@ -74,7 +76,9 @@ def road_stations(ground: Ground) -> Values:
         np.arange(0, ground.driven_m, 0.5),
         *(ground.driven_m + part for part in ahead),
     ]
-    return np.unique(np.append(ground.near_m + np.concatenate(rows), 0.0))
+    ramp = ground.plan.plan_station(ground.plan.ramp_stations)
+    steep = ramp if ramp.size and np.ptp(ramp) < STEEP_M * len(ramp) else ramp[:0]
+    return np.unique(np.concatenate([ground.near_m + np.concatenate(rows), steep, [0.0]]))
 
 
 def lift_far(

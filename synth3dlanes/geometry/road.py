@@ -26,6 +26,8 @@ S_END_M = 100.0
 MIN_STRETCH = 0.3
 # Lower limit of the ramp's length; avoids a division by zero.
 MIN_RAMP_LENGTH_M = 0.1
+# Straight pieces between `RoadPlan.ramp_stations` are nowhere farther than this from the ramp: less than paint floats.
+RAMP_SAG_M = 0.001
 # Enough for a projection to converge below 1e-6 m within 30 m of a road with the sharpest bend drawn.
 NEWTON_STEPS = 4
 
@@ -214,12 +216,23 @@ class RoadPlan:
 
     def ramp(self, s: Values) -> Values:
         """Height of the exit above the terrain."""
-        road = self.road
         if self.ramp_start_m is None:
             return np.zeros(np.shape(s))
-        length = max(road.ramp_height_m * road.ramp_slope, MIN_RAMP_LENGTH_M)
-        u = np.clip((s - self.ramp_start_m) / length, 0, 1)
-        return np.asarray(road.ramp_height_m * u * u * (3 - 2 * u))
+        u = np.clip((s - self.ramp_start_m) / self._ramp_length_m, 0, 1)
+        return np.asarray(self.road.ramp_height_m * u * u * (3 - 2 * u))
+
+    @property
+    def _ramp_length_m(self) -> float:
+        return max(self.road.ramp_height_m * self.road.ramp_slope, MIN_RAMP_LENGTH_M)
+
+    @property
+    def ramp_stations(self) -> Float[np.ndarray, " _"]:
+        """Plan stations from the ramp's start to its end, as far apart as its curvature allows; empty without ramp."""
+        if self.ramp_start_m is None:
+            return np.zeros(0)
+        # A piece of length d is off by d^2 / 8 times the curvature, which is 6 height / length^2 at both ends.
+        pieces = int(np.ceil(np.sqrt(6 * self.road.ramp_height_m / (8 * RAMP_SAG_M))))
+        return self.ramp_start_m + self._ramp_length_m * np.linspace(0, 1, max(pieces, 1) + 1)
 
     def _exit_frame(self, s: Values) -> tuple[Points2, Points2, Points2]:
         """Point, derivative by station and right normal of the exit's reference line, for s >= 0."""

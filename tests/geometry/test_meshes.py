@@ -7,6 +7,11 @@ import pytest
 
 from synth3dlanes.frames import invert, project, transform
 from synth3dlanes.geometry import meshes
+from synth3dlanes.ground_truth import label
+from synth3dlanes.params import load_params
+from synth3dlanes.sample import sample_world
+from synth3dlanes.sensors.rig_files import load_rig
+from synth3dlanes.shots import SINGLE, Shots, clips
 from synth3dlanes.world import resolve
 from tests.scenes import changed, hill, seen_on_flat_ground
 
@@ -21,19 +26,80 @@ def world_of(topology, **road):
 def heights_at(mesh, xy):
     """Heights of a mesh straight above or below points, by its triangles; NaN where it does not reach."""
     triangles = mesh.vertices_world[np.concatenate([mesh.faces[:, [0, 1, 2]], mesh.faces[:, [0, 2, 3]]])]
-    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
-    area = np.cross((b - a)[:, :2], (c - a)[:, :2])
-    keep = np.abs(area) > 1e-9
-    a, b, c, area = a[keep], b[keep], c[keep], area[keep]
+    low, high = triangles[:, :, :2].min(axis=1) - 1e-6, triangles[:, :, :2].max(axis=1) + 1e-6
+    near = np.flatnonzero(((high >= xy.min(axis=0)) & (low <= xy.max(axis=0))).all(axis=1))
+    near = near[np.argsort(low[near, 1])]
+    near = near[np.abs(_cross(*(triangles[near, i] - triangles[near, 0] for i in (1, 2)))) > 1e-9]
+    triangles, low, high = triangles[near], low[near], high[near]
+    # Candidates of each point: triangles that begin before it and not farther back than the longest reaches.
+    last = np.searchsorted(low[:, 1], xy[:, 1], side="right")
+    count = last - np.searchsorted(low[:, 1], xy[:, 1] - np.ptp([low[:, 1], high[:, 1]], axis=0).max(initial=0))
+    point = np.repeat(np.arange(len(xy)), count)
+    triangle = np.arange(len(point)) + np.repeat(last - np.cumsum(count), count)
+    inside = ((low[triangle] <= xy[point]) & (high[triangle] >= xy[point])).all(axis=1)
+    point, (a, b, c) = point[inside], np.moveaxis(triangles[triangle[inside]], 1, 0)
+    area, to = _cross(b - a, c - a), xy[point] - a[:, :2]
+    u, v = _cross(to, c - a) / area, _cross(b - a, to) / area
+    found = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1 + 1e-9)
     heights = np.full(len(xy), np.nan)
-    for i, p in enumerate(xy):
-        u = np.cross((p - a[:, :2]), (c - a)[:, :2]) / area
-        v = np.cross((b - a)[:, :2], (p - a[:, :2])) / area
-        inside = np.flatnonzero((u >= -1e-9) & (v >= -1e-9) & (u + v <= 1 + 1e-9))
-        if inside.size:
-            j = inside[0]
-            heights[i] = a[j, 2] + u[j] * (b[j, 2] - a[j, 2]) + v[j] * (c[j, 2] - a[j, 2])
+    heights[point[found]] = (a[:, 2] + u * (b - a)[:, 2] + v * (c - a)[:, 2])[found]
     return heights
+
+
+def _cross(a, b):
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+
+
+def gaps_m(world):
+    """Distances, straight up or down, of all label points from the nearest pavement; and how far they are away."""
+    labels = label(world, world.view)
+    points = np.concatenate([transform(labels.camera.world_from_cam, lane.xyz_cam) for lane in labels.lanes])
+    gaps = np.abs([heights_at(mesh, points[:, :2]) - points[:, 2] for mesh in world.pavement])
+    away_m = np.hypot(*(points - world.view.eye_world)[:, :2].T)
+    return np.where(np.isnan(gaps), np.inf, gaps).min(axis=0), away_m
+
+
+STEEP = ("road.topology={2: 1, 3: 1, 4: 1}", "road.ramp_slope=[0.5, 1.5]", "road.exit_angle_deg=[3, 5]")
+
+
+@pytest.mark.parametrize(
+    ("overrides", "shots", "indices"),
+    [
+        ((), SINGLE, range(6)),
+        (STEEP, SINGLE, range(6)),
+        (STEEP, clips(5, 1), range(4, 30, 10)),
+        (STEEP, Shots(cameras=load_rig("nuscenes")), range(3, 30, 18)),
+    ],
+)
+def test_label_points_of_drawn_scenes_lie_on_the_pavement(overrides, shots, indices):
+    """Within 5 mm to 40 m, and 1 cm up to the last, on ramps that rise 6 m over 3 m too."""
+    params = load_params("appendix_i", ["trees.n=40", "cars.n=1", *overrides])
+    steepest = 0
+    for index in indices:
+        world = sample_world(params, 4, "test", index, shots=shots)
+        steepest += world.plan.ramp_stations.size > 0
+        gaps, away_m = gaps_m(world)
+        assert gaps[away_m < 40].max() < 0.005, index
+        assert gaps.max() < 0.01, (index, away_m[gaps.argmax()])
+    assert steepest > 1
+
+
+def test_an_exit_that_rises_far_away_lies_on_its_ramp():
+    """3.9 m over 2.5 m, 105 m ahead of the host, where the road's own rows are a metre apart."""
+    world = sample_world(load_params("appendix_i"), 4108, "train", 28)
+    gaps, away_m = gaps_m(world)
+    assert away_m.max() > 109
+    assert gaps.max() < 0.001
+
+
+@pytest.mark.parametrize("height_m", [2, 6])
+@pytest.mark.parametrize("slope", [0.5, 1, 4.5, 10])
+def test_rows_follow_a_ramp(height_m, slope):
+    plan = world_of(2, ramp_height_m=height_m, ramp_slope=slope).plan
+    s, start_m = np.linspace(-40, 90, 40_001), plan.ramp_start_m
+    off_m = np.interp(s, plan.ramp_stations, plan.ramp(plan.ramp_stations)) - plan.ramp(s)
+    assert 0.0004 < np.abs(off_m).max() < 0.0011, "as few rows as do"
+    assert plan.ramp_stations[[0, -1]] == pytest.approx([start_m, start_m + height_m * slope])
 
 
 @pytest.mark.parametrize("flip", [False, True])

@@ -1,0 +1,96 @@
+"""How much of each car a camera sees: rays through the pixels that the car would fill, against meshes and ground."""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Bool, Float
+from mathutils import Vector
+from mathutils.bvhtree import BVHTree
+
+from synth3dlanes.blender.build import Placed
+from synth3dlanes.blender.occlusion import Box, bounding_box, hidden_by_objects, search_tree
+from synth3dlanes.frames import invert, transform
+from synth3dlanes.labels import CameraLabel
+
+Points = Float[np.ndarray, "n 3"]
+Pixels = Float[np.ndarray, "n 2"]
+
+# Rays towards a car's box, most of which hit the car: so many for every car, more for one that is seen in part.
+SOME_RAYS, MORE_RAYS = 100, 400
+# Pixels among which these rays are chosen, and the columns and rows of the grid over the image that finds the boxes.
+CANDIDATES, GRID = 1000, (40, 30)
+# Steps of a lattice that is even however many of its points are taken, and leaves no gaps along upright edges, as rows
+# and columns would.
+LATTICE = np.array([0.7548776662466927, 0.5698402909980532])
+
+
+def seen_fractions(
+    cars: list[Placed],
+    placed: list[Placed],
+    structures: BVHTree | None,
+    camera: CameraLabel,
+    seen_over_ground: Callable[[Points], Bool[np.ndarray, " n"]],
+) -> tuple[float, ...]:
+    """For each car, the share of the pixels that it would fill, were it alone, that ground and objects leave to it; 0
+    for a car without any."""
+    eye, grid = camera.world_from_cam[:3, 3], _grid(camera)
+    rays = [_rays(car, camera, *grid) for car in cars]
+
+    def seen(numbers: list[int], first: int, last: int) -> list[Bool[np.ndarray, " n"]]:
+        """Of the cars of these numbers, which of the places that some of their rays meet are seen."""
+        surfaces = [_surface(cars[i], eye, rays[i][first:last]) for i in numbers]
+        points = np.concatenate([*surfaces, np.zeros((0, 3))])
+        found = seen_over_ground(points)
+        found[found] = ~hidden_by_objects(placed, structures, eye, points[found])
+        return np.split(found, np.cumsum([len(surface) for surface in surfaces]))[:-1]
+
+    found = seen(list(range(len(cars))), 0, SOME_RAYS)
+    partly = [i for i, share in enumerate(found) if share.any() and not share.all()]
+    for i, more in zip(partly, seen(partly, SOME_RAYS, MORE_RAYS), strict=True):
+        found[i] = np.concatenate([found[i], more])
+    return tuple(round(float(share.mean()), 3) if share.size else 0.0 for share in found)
+
+
+def _size(camera: CameraLabel) -> Float[np.ndarray, "2"]:
+    return np.array([camera.width_px, camera.height_px], dtype=float)
+
+
+def _grid(camera: CameraLabel) -> tuple[Pixels, Points]:
+    """Pixels all over the image up to its borders, and the unit vectors (camera frame) along which they look."""
+    axes = [np.linspace(0.5, size - 0.5, n) for n, size in zip(GRID, _size(camera), strict=True)]
+    pixels = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    return pixels, camera.rays(pixels)
+
+
+def _rays(car: Placed, camera: CameraLabel, grid: Pixels, grid_rays: Points) -> Float[np.ndarray, "m 3"]:
+    """Unit vectors in the car's frame from the eye to the car's bounding box, evenly spread over it in the image."""
+    box = bounding_box(car.mesh.name)
+    car_from_cam = invert(car.world_from_object) @ camera.world_from_cam
+    turn, eye = car_from_cam[:3, :3].T, car_from_cam[:3, 3] / car.scale
+    # A box smaller than the grid's cells is found by its corners, one around the camera by the grid.
+    on_grid, cell = grid[_meets(box, eye, grid_rays @ turn)], _size(camera) / (np.array(GRID) - 1)
+    corners = np.stack(np.meshgrid(*np.transpose(box)), axis=-1).reshape(-1, 3) * car.scale
+    uv = np.concatenate([camera.project(transform(invert(car_from_cam), corners)), on_grid - cell, on_grid + cell])
+    uv = np.clip(uv[np.isfinite(uv).all(axis=1)], 0, _size(camera))
+    if not len(uv) or not np.ptp(uv, axis=0).all():
+        return np.zeros((0, 3))
+    pixels = uv.min(axis=0) + np.ptp(uv, axis=0) * (np.arange(CANDIDATES)[:, None] * LATTICE % 1)
+    rays = camera.rays(pixels) @ turn
+    return np.asarray(rays[_meets(box, eye, rays)][:MORE_RAYS])
+
+
+def _meets(box: Box, eye: Float[np.ndarray, "3"], rays: Points) -> Bool[np.ndarray, " n"]:
+    """Which rays from the eye meet a box; none that are NaN."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = (np.stack(box)[:, None] - eye) / rays
+    enters, leaves = ends.min(axis=0).max(axis=1), ends.max(axis=0).min(axis=1)
+    return np.asarray((leaves > 0) & (enters < leaves))
+
+
+def _surface(car: Placed, eye_world: Float[np.ndarray, "3"], rays: Points) -> Float[np.ndarray, "m 3"]:
+    """World points where rays from the eye, in the car's frame, first meet the car."""
+    eye = transform(invert(car.world_from_object), eye_world) / car.scale
+    tree, origin = search_tree(car.mesh.name), Vector(eye)
+    hits = (tree.ray_cast(origin, ray)[0] for ray in rays.tolist())
+    points = np.array([hit for hit in hits if hit is not None]).reshape(-1, 3)
+    return transform(car.world_from_object, points * car.scale)
