@@ -122,9 +122,9 @@ def rear(shape: Shape, model: CarModel, z: dict[str, float], lamp: tuple[float, 
 def front(shape: Shape, model: CarModel, z_lamp: float, z_bumper: float) -> None:
     """Head lamps in dark frames, which set them off from white paint, grille, bumper and plate."""
     nose, half = model.length_m / 2, model.width_m / 2
-    box(shape, TRIM, half * 0.64, nose - 0.105, z_lamp, (0.38, 0.18, 0.15), 0.05)
-    box(shape, HEAD, half * 0.64, nose - 0.10, z_lamp, (0.28, 0.18, 0.085), 0.035)
-    box(shape, TRIM, 0, nose - 0.08, z_lamp - 0.04, (0.72, 0.14, 0.14), 0.04)
+    slab(shape, TRIM, half * 0.64, nose - 0.105, z_lamp, (0.38, 0.18, 0.15), 0.04)
+    slab(shape, HEAD, half * 0.64, nose - 0.10, z_lamp, (0.28, 0.18, 0.085), 0.03)
+    slab(shape, TRIM, 0, nose - 0.08, z_lamp - 0.04, (0.72, 0.14, 0.14), 0.04)
     box(shape, PAINT, 0, nose - 0.165, z_bumper, (2 * half * 0.86, 0.32, 0.20), 0.09)
     box(shape, TRIM, 0, nose - 0.145, z_bumper - 0.12, (2 * half * 0.74, 0.28, 0.12), 0.05)
     box(shape, PLATE, 0, nose - 0.016, z_bumper, (0.50, 0.03, 0.11), 0.008)
