@@ -20,7 +20,6 @@ def box(
         shape.add(vertices, faces, material)
 
 
-FIRST_MODELS = ("hatchback", "sedan", "suv", "pickup", "van", "truck")
 # A box with edges that are only bevelled.
 slab = partial(box, n=1)
 
@@ -42,12 +41,12 @@ def wheel(shape: Shape, model: CarModel, x: float, y: float, width: float) -> No
         ]
     )
     vertices, faces = lathe_x(tread * [out, 1], 24, (x, y, radius))
-    # The treads of the first models face inwards, which the pictures of older recipes show.
-    is_outward = (out > 0) == (model.name not in FIRST_MODELS)
-    shape.add(vertices, faces if is_outward else faces[:, ::-1], TYRE)
+    shape.add(vertices, faces if out > 0 else faces[:, ::-1], TYRE)
+    back = np.array([[0, k + 1, k + 2][:: -int(out)] + [-1] for k in range(22)])
+    shape.add(vertices[:24], back, TYRE)
     dish = np.array([(half, rim), (half - 0.012, 0.94 * rim), (half - 0.05, 0.9 * rim), (half - 0.055, 0.0)])
     vertices, faces = lathe_x(dish * [out, 1], 24, (x, y, radius))
-    shape.add(vertices, faces if out < 0 else faces[:, ::-1], np.repeat([RIM, RIM, TRIM], 24))
+    shape.add(vertices, faces if out > 0 else faces[:, ::-1], np.repeat([RIM, RIM, TRIM], 24))
     hub, hub_faces = rounded_box((x + out * (half - 0.03), y, radius), (0.04, 0.36 * rim, 0.36 * rim), 0.03)
     shape.add(hub, hub_faces, RIM)
     spoke, spoke_faces = rounded_box((0, 0, 0.52 * rim), (0.025, 0.20 * rim, 0.92 * rim), 0.012, 1)
@@ -100,13 +99,14 @@ def arch_lips(shape: Shape, model: CarModel, material: int, thickness_m: float) 
 
 
 def rear(shape: Shape, model: CarModel, z: dict[str, float], lamp: tuple[float, float], wrap_m: float) -> None:
-    """Tail lamps, plate, bumper and its dark lower half; `lamp` is its width and height."""
+    """Tail lamps, plate, bumper and its dark lower half; `lamp` is its width and height. The reversing lamp in it is
+    bright metal behind glass, since `HEAD` shines at night."""
     tail, half = -model.length_m / 2, model.width_m / 2
     lamp_x = half * 0.80 - lamp[0] / 2 + 0.05
     box(shape, TAIL, lamp_x, tail + 0.008 + wrap_m / 2, z["lamp"], (lamp[0], wrap_m, lamp[1]), 0.05, 3)
     box(
         shape,
-        HEAD,
+        RIM,
         lamp_x - 0.18 * lamp[0],
         tail + 0.029,
         z["lamp"] - 0.22 * lamp[1],
@@ -120,10 +120,11 @@ def rear(shape: Shape, model: CarModel, z: dict[str, float], lamp: tuple[float, 
 
 
 def front(shape: Shape, model: CarModel, z_lamp: float, z_bumper: float) -> None:
-    """Head lamps, grille, bumper and plate."""
+    """Head lamps in dark frames, which set them off from white paint, grille, bumper and plate."""
     nose, half = model.length_m / 2, model.width_m / 2
-    box(shape, HEAD, half * 0.64, nose - 0.10, z_lamp, (0.36, 0.18, 0.13), 0.05)
-    box(shape, TRIM, 0, nose - 0.08, z_lamp - 0.04, (0.72, 0.14, 0.14), 0.04)
+    slab(shape, TRIM, half * 0.64, nose - 0.105, z_lamp, (0.38, 0.18, 0.15), 0.04)
+    slab(shape, HEAD, half * 0.64, nose - 0.10, z_lamp, (0.28, 0.18, 0.085), 0.03)
+    slab(shape, TRIM, 0, nose - 0.08, z_lamp - 0.04, (0.72, 0.14, 0.14), 0.04)
     box(shape, PAINT, 0, nose - 0.165, z_bumper, (2 * half * 0.86, 0.32, 0.20), 0.09)
     box(shape, TRIM, 0, nose - 0.145, z_bumper - 0.12, (2 * half * 0.74, 0.28, 0.12), 0.05)
     box(shape, PLATE, 0, nose - 0.016, z_bumper, (0.50, 0.03, 0.11), 0.008)
@@ -199,9 +200,10 @@ def suv(model: CarModel) -> Shape:
 
 
 def pickup(model: CarModel) -> Shape:
-    """A crew cab with an open bed, tailgate and upright lamps."""
+    """A crew cab with an open bed with a housing over the wheels, tailgate and upright lamps."""
     shape = body(model, (1.05, 0.21, -0.58, -0.9), (0.33, -0.42))
     tail = -model.length_m / 2
+    box(shape, TRIM, 0, -model.wheelbase_m / 2, 0.74, (1.66, 1.0, 0.24), 0.03)
     box(shape, TAIL, 0.85, tail + 0.135, 0.92, (0.14, 0.16, 0.34), 0.03)
     box(shape, RIM, 0, tail + 0.08, 0.56, (1.78, 0.16, 0.17), 0.05)
     box(shape, PLATE, 0, tail + 0.005, 0.58, (0.48, 0.02, 0.11), 0.006)

@@ -57,10 +57,32 @@ class Choice(Generic[Value]):
             (value for value, limit in zip(self.values, limits, strict=True) if u * limits[-1] < limit), self.values[-1]
         )
 
+    def mapped(self, change: Callable[[Value], Value]) -> "Choice[Value]":
+        """The distribution of changed values, of which several may be equal; at every u its draw is the changed one."""
+        return Choice(tuple(map(change, self.values)), self.weights)
+
 
 def least(distribution: Integers | Choice[int]) -> int:
     """The least value that may be drawn."""
     return min(distribution.values) if isinstance(distribution, Choice) else distribution.low
+
+
+def at_least(distribution: Integers | Choice[int], low: int) -> Choice[int]:
+    """The distribution of max(value, low)."""
+    return as_choice(distribution).mapped(lambda value: max(value, low))
+
+
+def at_most(distribution: Integers | Choice[int], high: int) -> Choice[int]:
+    """The distribution of min(value, high)."""
+    return as_choice(distribution).mapped(lambda value: min(value, high))
+
+
+def as_choice(distribution: Integers | Choice[int]) -> Choice[int]:
+    """The same distribution as a list of values."""
+    if isinstance(distribution, Choice):
+        return distribution
+    values = tuple(range(distribution.low, distribution.high + 1))
+    return Choice(values, (1.0,) * len(values))
 
 
 def form(distribution: Uniform | Integers | Choice[Any]) -> Any:

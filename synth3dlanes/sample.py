@@ -9,7 +9,6 @@ from typing import TypeVar
 import numpy as np
 
 from synth3dlanes.assets.catalogue import BUILT_IN, Assets
-from synth3dlanes.distributions import Choice, Integers
 from synth3dlanes.geometry.road import is_wide_enough
 from synth3dlanes.params import CameraParams, Params
 from synth3dlanes.processes import process_pool
@@ -17,6 +16,7 @@ from synth3dlanes.sampling.cars import CAR_STREAMS, draw_cars
 from synth3dlanes.sampling.draws import DECIMALS, Draw, draws_of
 from synth3dlanes.sampling.like import Like
 from synth3dlanes.sampling.roadside import draw_roadside
+from synth3dlanes.sampling.rules import lane_of_host
 from synth3dlanes.sampling.symbols import draw_symbols
 from synth3dlanes.sampling.traffic import check_way, on_main_road
 from synth3dlanes.sampling.trees import draw_trees
@@ -235,7 +235,7 @@ def _camera(params: CameraParams, draw: Draw, road: Road) -> Camera:
     width_px, height_px = draw("width_px"), draw("height_px")
     focal_px = round(width_px / 2 / math.tan(draw("horizontal_fov_deg") / 2), DECIMALS)
     return Camera(
-        lane=_host_lane(params.lane, u_lane, road.lanes_present(y_m)),
+        lane=lane_of_host(params.lane, road.lanes_present(y_m)).draw(u_lane),
         y_m=y_m,
         offset_m=draw("offset_m"),
         height_m=draw("height_m"),
@@ -261,10 +261,3 @@ def _lidar(spec: LidarSpec, draw: Draw) -> Lidar:
     fixed = {name: getattr(spec, name) for name in ("name", "azimuths", "min_range_m", "max_range_m")}
     elevations_rad = tuple(np.round(np.radians(spec.elevations_deg), LIDAR_DECIMALS).tolist())
     return Lidar(**fixed, **{name.replace("_deg", "_rad"): draw(name) for name in place}, elevations_rad=elevations_rad)
-
-
-def _host_lane(lanes: Integers | Choice[int], u: float, present: int) -> int:
-    """Draw from the requested lanes that are present; the last lane present if none of them is."""
-    if isinstance(lanes, Integers):
-        lanes = Integers(min(lanes.low, present), min(lanes.high, present))
-    return min(lanes.draw(u), present)

@@ -337,7 +337,7 @@ class Host(Part):
 RoadSide = Literal["left", "right", "median"]
 RailKind = Literal["guardrail", "concrete", "noise_wall", "kerb", "walkway", "power_line"]
 PostKind = Literal["lamp", "sign", "delineator"]
-N_SIGN_FACES = 12
+N_SIGN_FACES = 16
 
 
 class Rail(Part):

@@ -246,9 +246,9 @@ def _road(name: str, files: TextureFiles) -> bpy.types.Material:
     roughness = graph.mix(_tiled(graph, files.roughness, metres, is_color=False), mean_roughness, blur)
     roughness = _rougher(graph, graph.math("MULTIPLY_ADD", gloss, -1.5, roughness), blur)
     amount = graph.math("MULTIPLY_ADD", gloss, 1.2, 0.15)
-    look = wet(graph, Look(color, roughness, amount, _bumpy_normal(graph, files.normal, metres, 0.4, blur)))
-    across_m = graph.node("ShaderNodeSeparateXYZ", {0: closed}).outputs[0]
-    look = thrown_back(graph, snowed(graph, look, wheel_tracks(graph, across_m)), *ROAD_BACK)
+    tracks = wheel_tracks(graph, graph.node("ShaderNodeSeparateXYZ", {0: closed}).outputs[0])
+    look = wet(graph, Look(color, roughness, amount, _bumpy_normal(graph, files.normal, metres, 0.4, blur)), tracks)
+    look = thrown_back(graph, snowed(graph, look, tracks), *ROAD_BACK)
     coated(graph, look.color, look.roughness, look.amount, normal=look.normal)
     return material
 

@@ -12,8 +12,9 @@ from PIL import Image
 from synth3dlanes.assets.built_in import assets_dir
 from synth3dlanes.blender.shaders import Graph, Socket, texture
 
-# Scale of the map of hollows: water is deeper where it is dark.
-HOLLOW_LENGTH_M = 13.0
+# Tiles of the map of hollows, along x and y, as roads go: water is deeper where it is dark, in patches of about a metre
+# by three, and in wheel tracks, by this much of the map.
+HOLLOWS_M, RUT = (38.0, 110.0), 0.06
 # The wetness at which puddles begin, and the share of its albedo that pavement keeps under a film of water.
 PUDDLES_FROM, WET_ALBEDO = 0.5, 0.45
 FILM_ROUGHNESS, PUDDLE_ROUGHNESS = 0.22, 0.03
@@ -39,12 +40,14 @@ class Look(NamedTuple):
     normal: Socket
 
 
-def wet(graph: Graph, dry: Look) -> Look:
-    """The wet look, controlled by the node value `wetness`: darker and smoother under a film, a mirror in puddles."""
+def wet(graph: Graph, dry: Look, ruts: Socket = 0.0) -> Look:
+    """The wet look, controlled by the node value `wetness`: darker and smoother under a film, a mirror in puddles, of
+    which more are where `ruts` is 1."""
     wetness = graph.value("wetness")
     position = graph.node("ShaderNodeNewGeometry").outputs["Position"]
-    hollow = texture(graph, MAP, graph.scale(position, 1 / HOLLOW_LENGTH_M), is_color=False)
-    film = graph.math("MULTIPLY", wetness, graph.clamp(graph.math("MULTIPLY_ADD", hollow, -1.2, 1.5)))
+    tiles = graph.vector("MULTIPLY", position, (1 / HOLLOWS_M[0], 1 / HOLLOWS_M[1], 0.0))
+    hollow = graph.math("MULTIPLY_ADD", ruts, -RUT, texture(graph, MAP, tiles, is_color=False))
+    film = graph.math("MULTIPLY", wetness, graph.clamp(graph.math("MULTIPLY_ADD", hollow, -0.6, 1.25)))
     level = graph.math("MULTIPLY_ADD", wetness, 0.5, -PUDDLES_FROM / 2)
     deep = graph.clamp(graph.math("MULTIPLY", graph.math("SUBTRACT", graph.math("ADD", level, 0.28), hollow), 14.0))
     puddle = graph.math("MULTIPLY", film, deep)

@@ -3,20 +3,21 @@
 import math
 import re
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.distributions import Choice, Integers, Uniform
 from synth3dlanes.figures.stats import (
-    CONDITIONED,
+    Cases,
     LabelStatistics,
     ParameterStatistics,
     SceneStatistics,
     Values,
     is_fine,
+    numbers,
 )
+from synth3dlanes.sampling.rules import CONDITIONED, Distribution
 
 _UNITS = {"m": "m", "deg": "°", "px": "px"}
 # Discrete parameters with at most this many values get a bin for each.
@@ -61,7 +62,7 @@ def _of_labels(name: str, values: Values) -> Histogram:
     return Histogram(name.partition(" [")[0], name, edges, np.histogram(values, edges)[0].astype(float), None, True)
 
 
-def _of_parameter(row: ParameterStatistics, declared: Uniform | Integers | Choice[Any], values: Values) -> Histogram:
+def _of_parameter(row: ParameterStatistics, declared: Cases, values: Values) -> Histogram:
     edges = _edges(row, declared)
     _, _, key = row.key.partition(".")
     name, unit = re.fullmatch(r"(.*?)(?:_(m|deg|px))?", key).groups()  # type: ignore[union-attr]
@@ -72,20 +73,23 @@ def _of_parameter(row: ParameterStatistics, declared: Uniform | Integers | Choic
         quantity,
         edges,
         np.histogram(values, edges)[0].astype(float),
-        values.size * declared_shares(declared, edges),
+        np.sum([count * declared_shares(case, edges) for case, count in declared], axis=0),
         is_fine(row),
     )
 
 
-def _edges(row: ParameterStatistics, declared: Uniform | Integers | Choice[Any]) -> Float[np.ndarray, " e"]:
+def _edges(row: ParameterStatistics, declared: Cases) -> Float[np.ndarray, " e"]:
     """Bins over the declared range and all values; one for each value of a discrete parameter with few values."""
     low, high = min(row.low, row.minimum), max(row.high, row.maximum)
-    is_whole = isinstance(declared, Integers) or (
-        isinstance(declared, Choice) and all(float(value).is_integer() for value in declared.values)
-    )
-    if is_whole and high - low < _MAX_SINGLE_BINS:
+    if all(_is_whole(case) for case, _ in declared) and high - low < _MAX_SINGLE_BINS:
         return _single_bins(low, high)
     return np.linspace(low, high, 21)
+
+
+def _is_whole(declared: Distribution) -> bool:
+    if isinstance(declared, Choice):
+        return all(isinstance(value, str) or float(value).is_integer() for value in declared.values)
+    return isinstance(declared, Integers)
 
 
 def _single_bins(low: float, high: float) -> Float[np.ndarray, " e"]:
@@ -93,12 +97,12 @@ def _single_bins(low: float, high: float) -> Float[np.ndarray, " e"]:
     return np.arange(math.floor(low) - 0.5, math.ceil(high) + 1)
 
 
-def declared_shares(declared: Uniform | Integers | Choice[Any], edges: Float[np.ndarray, " e"]) -> Values:
+def declared_shares(declared: Distribution, edges: Float[np.ndarray, " e"]) -> Values:
     """The probability of each bin."""
     if isinstance(declared, Uniform) and declared.high > declared.low:
         return np.diff(np.clip((edges - declared.low) / (declared.high - declared.low), 0.0, 1.0))
     if isinstance(declared, Choice):
-        values, weights = np.array(declared.values, dtype=float), np.array(declared.weights)
+        values, weights = numbers(declared), np.array(declared.weights)
     else:
         values = np.arange(declared.low, declared.high + 1, dtype=float)
         weights = np.ones(len(values))

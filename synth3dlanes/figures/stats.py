@@ -6,31 +6,24 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from synth3dlanes.distributions import Choice, Integers, Uniform
+from synth3dlanes.distributions import Choice, Uniform
 from synth3dlanes.figures.describe import topology_words
 from synth3dlanes.figures.shape import bends, grades
 from synth3dlanes.geometry.camera import horizontal_fov_rad
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import OPTIONAL, Params
-from synth3dlanes.sampling.weather import replaced
+from synth3dlanes.sampling.rules import CONDITIONED, Distribution, Rules
 from synth3dlanes.scene import Scene
 
 Values = Float[np.ndarray, " n"]
-Distribution = Uniform | Integers | Choice[Any]
-
-CONDITIONED = {
-    "camera.lane": "cut to the road",
-    "cars.s_m": "kept apart",
-    "trees.x_m": "kept off roads",
-    "trees.y_m": "kept off roads",
-}
-"""Parameters whose drawn values need to keep the declared range but not the distribution, with the reason."""
+# The distributions of a parameter by the rules, with the number of values drawn from each.
+Cases = tuple[tuple[Distribution, int], ...]
 
 DOUBTFUL_P = 1e-4
 """With about 50 parameters, a p value below this is unlikely to be chance."""
@@ -43,7 +36,9 @@ _ROUNDING = 1e-4
 class ParameterStatistics:
     """One parameter: what was declared, what was drawn, and how well they agree.
 
-    `test` is "KS" (continuous), "chi2" (discrete), "equal" (constant) or the reason why there is none.
+    `test` is "KS" (continuous), "chi2" (discrete), "equal" (constant) or the reason why there is none. Where the rules
+    give it several distributions, `low` and `high` are those of all, the test is that of the values that agree least,
+    and the p value is theirs times the number of tests.
     """
 
     key: str
@@ -76,14 +71,14 @@ class Summary:
 
 @dataclass(frozen=True, eq=False)
 class SceneStatistics:
-    """Statistics of scenes; `drawn` keeps the values in the declared units, and `declared` the distributions, for
+    """Statistics of scenes; `drawn` keeps the values in the declared units, and `declared` their distributions, for
     plots."""
 
     n_scenes: int
     parameters: tuple[ParameterStatistics, ...]
     topologies: dict[str, int]
     drawn: dict[str, Values]
-    declared: dict[str, Distribution]
+    declared: dict[str, Cases]
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,35 +91,39 @@ class LabelStatistics:
 
 
 def scene_statistics(scenes: Iterable[Scene], params: Params, own_camera: bool = False) -> SceneStatistics:
-    """Compare every parameter that is a number and that scenes hold with its declared distribution, in the scenes
-    whose weather does not replace it; with a user's own camera, those of the host's place alone. Keeps all drawn
-    values: about 15 kB per scene."""
-    collected: dict[str, list[Values]] = defaultdict(list)
+    """Compare every parameter that scenes hold with the distributions that the rules (`sampling.rules`) give it; with a
+    user's own camera, those of the host's place alone. A name counts as its place in the list. Keeps all drawn
+    values."""
+    rules = Rules(params)
     topologies: Counter[str] = Counter()
-    n_scenes = 0
+    drawn: dict[str, dict[Distribution | None, list[float]]] = defaultdict(lambda: defaultdict(list))
     for scene in scenes:
-        n_scenes += 1
         topologies[topology_words(scene.road)] += 1
-        drawn_otherwise = replaced(scene.weather.kind, scene.weather.daytime)
-        for key, values in drawn_values(scene).items():
-            if key in drawn_otherwise or (own_camera and _is_of_camera(key)):
-                continue
-            collected[key].append(np.array(values, dtype=float))
-    drawn = {key: np.concatenate(values) for key, values in collected.items()}
-    if "sold" in params.cars.palette.values:
-        drawn = {key: values for key, values in drawn.items() if key not in ("cars.color", "cars.saturation")}
+        of_scene = rules.of(scene)
+        for key, values in drawn_values(scene, params).items():
+            if key in of_scene:
+                drawn[key][of_scene[key]].extend(values)
     declared = {
         f"{name}.{key}": distribution
         for name, group in params
         for key, distribution in group
         if not (own_camera and _is_of_camera(f"{name}.{key}"))
-        and not _is_named(distribution)
-        and (name not in OPTIONAL or f"{name}.{key}" in drawn)
+        and (f"{name}.{key}" in drawn or not (_is_named(distribution) or name in OPTIONAL))
     }
-    parameters = tuple(
-        _parameter(key, distribution, drawn.get(key, np.zeros(0))) for key, distribution in declared.items()
+    by_case = {
+        key: [(case, np.array(values, dtype=float)) for case, values in drawn[key].items() if values]
+        for key in declared
+    }
+    return SceneStatistics(
+        sum(topologies.values()),
+        tuple(_parameter(key, distribution, by_case[key]) for key, distribution in declared.items()),
+        dict(sorted(topologies.items())),
+        {key: np.concatenate([np.zeros(0), *(values for _, values in cases)]) for key, cases in by_case.items()},
+        {
+            key: tuple((case or distribution, len(values)) for case, values in by_case[key])
+            for key, distribution in declared.items()
+        },
     )
-    return SceneStatistics(n_scenes, parameters, dict(sorted(topologies.items())), drawn, declared)
 
 
 def _is_of_camera(key: str) -> bool:
@@ -136,8 +135,9 @@ def is_fine(parameter: ParameterStatistics) -> bool:
     return parameter.outside == 0 and (parameter.p_value is None or parameter.p_value >= DOUBTFUL_P)
 
 
-def drawn_values(scene: Scene) -> dict[str, list[float]]:
-    """All values of each parameter in a scene, by the parameter's key and in its units."""
+def drawn_values(scene: Scene, params: Params) -> dict[str, list[float]]:
+    """All values of each parameter in a scene, by the parameter's key and in its units; of names that vary, their
+    places in the declared lists."""
     values: dict[str, list[float]] = {}
     for group in ("road", "markings", "surface", "camera", "light", "air", "sensor", "weather", "host", "vegetation"):
         part = getattr(scene, group)
@@ -151,6 +151,10 @@ def drawn_values(scene: Scene) -> dict[str, list[float]]:
     values["camera.principal_offset_px"] = list(offsets_px)
     values["terrain.n_gaussians"] = [len(scene.terrain.gaussians)]
     values["cars.n"], values["trees.n"] = [len(scene.cars)], [len(scene.trees)]
+    for name in ("kind", "daytime"):
+        names = getattr(params.weather, name).values
+        if len(names) > 1:
+            values[f"weather.{name}"] = [names.index(getattr(scene.weather, name))]
     for group, parts in (("terrain", scene.terrain.gaussians), ("cars", scene.cars), ("trees", scene.trees)):
         for part in parts:
             for field, value in part:
@@ -203,17 +207,32 @@ def _declared_unit(field: str, value: float | int) -> float:
     return math.degrees(value) if field.endswith("_rad") else float(value)
 
 
-def _parameter(key: str, distribution: Distribution, values: Values) -> ParameterStatistics:
-    low, high = _limits(distribution)
-    if not values.size:
-        return ParameterStatistics(key, form(distribution), low, high, 0, 0.0, 0.0, 0.0, 0, "none drawn", None, None)
-    outside = int(((values < low - _ROUNDING) | (values > high + _ROUNDING)).sum())
-    test, statistic, p_value = _agreement(distribution, values)
-    if key in CONDITIONED:
-        test, p_value = CONDITIONED[key], None
-    extent = (float(values.min()), float(values.max()), float(values.mean()))
+def _parameter(
+    key: str, declared: Distribution, by_case: list[tuple[Distribution | None, Values]]
+) -> ParameterStatistics:
+    if not by_case:
+        low, high = _limits(declared)
+        return ParameterStatistics(key, form(declared), low, high, 0, 0.0, 0.0, 0.0, 0, "none drawn", None, None)
+    limits = [_limits(case or declared) for case, _ in by_case]
+    outside = sum(
+        int(((values < low - _ROUNDING) | (values > high + _ROUNDING)).sum())
+        for (low, high), (_, values) in zip(limits, by_case, strict=True)
+    )
+    tests = [_agreement(case, values) for case, values in by_case if case is not None]
+    least = min(tests, key=lambda found: found.p_value, default=Agreement(CONDITIONED.get(key, "cut to the road")))
+    p_value = None if not tests else min(1.0, least.p_value * len(tests))
+    values = np.concatenate([values for _, values in by_case])
     return ParameterStatistics(
-        key, form(distribution), low, high, values.size, *extent, outside, test, statistic, p_value
+        key,
+        form(declared),
+        min(low for low, _ in limits),
+        max(high for _, high in limits),
+        values.size,
+        *(float(values.min()), float(values.max()), float(values.mean())),
+        outside,
+        least.test,
+        least.statistic,
+        p_value,
     )
 
 
@@ -224,27 +243,40 @@ def _is_named(distribution: Distribution) -> bool:
 
 def _limits(distribution: Distribution) -> tuple[float, float]:
     if isinstance(distribution, Choice):
-        return float(min(distribution.values)), float(max(distribution.values))
+        values = numbers(distribution)
+        return float(values.min()), float(values.max())
     return float(distribution.low), float(distribution.high)
 
 
-def _agreement(distribution: Distribution, values: Values) -> tuple[str, float | None, float | None]:
-    """(test, statistic, p value) of the hypothesis that the values were drawn from the distribution."""
+def numbers(choice: Choice[Any]) -> Values:
+    """The values of a choice, of names their places in the list."""
+    is_named = _is_named(choice)
+    return np.array([i if is_named else value for i, value in enumerate(choice.values)], dtype=float)
+
+
+class Agreement(NamedTuple):
+    """How a test judges the hypothesis that values were drawn from a distribution."""
+
+    test: str
+    statistic: float | None = None
+    p_value: float = 1.0
+
+
+def _agreement(distribution: Distribution, values: Values) -> Agreement:
     if isinstance(distribution, Uniform) and distribution.high > distribution.low:
         result = stats.kstest(values, stats.uniform(distribution.low, distribution.high - distribution.low).cdf)
-        return "KS", float(result.statistic), float(result.pvalue)
-    if isinstance(distribution, Integers):
-        allowed = np.arange(distribution.low, distribution.high + 1, dtype=float)
-        weights = np.ones(len(allowed))
-    elif isinstance(distribution, Choice):
-        allowed, weights = np.array(distribution.values, dtype=float), np.array(distribution.weights)
+        return Agreement("KS", float(result.statistic), float(result.pvalue))
+    if isinstance(distribution, Choice):
+        allowed, which = np.unique(numbers(distribution), return_inverse=True)
+        shares = np.bincount(which, distribution.weights) / sum(distribution.weights)
     else:
-        allowed, weights = np.array([distribution.low]), np.ones(1)
+        allowed = np.arange(distribution.low, distribution.high + 1, dtype=float)
+        shares = np.full(len(allowed), 1 / len(allowed))
     is_each = np.abs(values[:, None] - allowed) <= _ROUNDING
     if len(allowed) == 1 or not is_each.any(axis=1).all():
-        return "equal", float((~is_each.any(axis=1)).sum()), float(is_each.any(axis=1).all())
-    counts = stats.chisquare(is_each.sum(axis=0), len(values) * weights / weights.sum())
-    return "chi2", float(counts.statistic), float(counts.pvalue)
+        return Agreement("equal", float((~is_each.any(axis=1)).sum()), float(is_each.any(axis=1).all()))
+    counts = stats.chisquare(is_each.sum(axis=0), len(values) * shares)
+    return Agreement("chi2", float(counts.statistic), float(counts.pvalue))
 
 
 def _measure(labels: Labels) -> dict[str, Values]:

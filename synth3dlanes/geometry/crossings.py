@@ -72,7 +72,7 @@ def crossing_body(ground: Ground, crossing: Crossing) -> Body:
 
 
 def _gantry(quads: Quads, ground: Ground, crossing: Crossing, frame: Frame, span: Span) -> None:
-    """Two legs, two chords with verticals between them, and boards in front of these."""
+    """Two legs, two chords with verticals between them, and boards in front of these, towards the traffic below."""
     half, (left, right) = crossing.width_m / 2, span.legs_m
     base, rise_m = span.under_m - float(frame.origin[2]) + 0.35, 1.3
     feet = np.array([(left, 0.0), (right, 0.0)])
@@ -91,7 +91,8 @@ def _gantry(quads: Quads, ground: Ground, crossing: Crossing, frame: Frame, span
     n = max(1, min(3, round(width_m / 5)))
     for i, x in enumerate(middle + width_m * ((np.arange(n) + 0.5) / n - 0.5)):
         layers = board(0.82 * min(width_m / n, 5.5), 2.0, crossing.color, i + round(10 * abs(crossing.s_m)))
-        add_board(quads, frame, layers, np.array([x, -half - 0.12, base - 0.35 + 1.0]), False)
+        is_oncoming = plan.n_oncoming > 0 and x * plan.flips[0] < plan.boundary_m(0) - plan.road.median_m / 2
+        add_board(quads, frame, layers, np.array([x, -half - 0.12, base - 0.35 + 1.0]), bool(is_oncoming))
     quads.feet.append(on_ground(ground, frame.world(np.column_stack([feet, np.zeros(2)]))[:, :2]))
 
 

@@ -13,9 +13,9 @@ BEGIN_M, WHOLE_M = 500.0, 1600.0
 N_WAVES = 14
 LENGTHS_M = np.geomspace(600.0, 3000.0, N_WAVES)
 MAX_HEIGHT_M = 90.0
-# Beyond this station a road lies on a dam that rises by this much per metre. The ground's faces are large there and
-# would otherwise intersect the road.
-DAM_FROM_M, DAM_RISE = 400.0, 0.004
+# Beyond this station a road lies on the faces of the ground, which are large there, on a dam that rises by this much
+# per metre: the road's own faces would otherwise cut through edges of the ground's. It gets there within DAM_FADE_M.
+DAM_FROM_M, DAM_RISE, DAM_FADE_M = 400.0, 0.0006, 60.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,3 +45,8 @@ class FarHills:
 def far_dam(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     """Height of a road's far dam at stations; 0 in the range of the labels."""
     return DAM_RISE * np.clip(np.abs(s) - DAM_FROM_M, 0, None)
+
+
+def on_faces(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """How far a road follows the faces of the ground (1) and not the terrain itself (0), at stations."""
+    return np.clip((np.abs(s) - DAM_FROM_M) / DAM_FADE_M, 0, 1)

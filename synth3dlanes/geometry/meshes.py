@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.geometry.ground import CELL_M, EMBANKMENT_SLOPE, GROWTH, VERGE_M, Ground, embankment_width, profile
-from synth3dlanes.geometry.horizon import far_dam
+from synth3dlanes.geometry.horizon import far_dam, on_faces
 
 Values = Float[np.ndarray, " n"]
 
@@ -82,10 +82,35 @@ def road_stations(ground: Ground) -> Values:
 
 
 def lift_far(
-    ground: Ground, xy_world: Float[np.ndarray, "*n 2"], above_m: Float[np.ndarray, "*#n"]
+    ground: Ground, xy_world: Float[np.ndarray, "*n 2"], above_m: Float[np.ndarray, "*#n"], s: Float[np.ndarray, "*#n"]
 ) -> Float[np.ndarray, "*n 3"]:
-    """3D points `above_m` over the terrain with its far hills."""
-    return ground.plan.lift(xy_world, above_m + ground.hills.height(xy_world))
+    """3D points at stations, `above_m` over the terrain with its far hills; far away over the faces of its mesh."""
+    points = ground.plan.lift(xy_world, above_m + ground.hills.height(xy_world))
+    share = np.broadcast_to(on_faces(s), points.shape[:-1])
+    far = share > 0
+    over_m = np.broadcast_to(above_m, share.shape)[far] + _face_height(ground, xy_world[far]) - points[far, 2]
+    points[far, 2] += share[far] * over_m
+    return points
+
+
+def _face_height(ground: Ground, xy_world: Float[np.ndarray, "n 2"]) -> Values:
+    """Height of the terrain mesh's faces, not pressed under pavements: of either way to split a quad into triangles the
+    higher one."""
+    axes = terrain_axes(ground)
+    cells = [
+        np.clip(np.searchsorted(axis, at) - 1, 0, len(axis) - 2) for axis, at in zip(axes, xy_world.T, strict=True)
+    ]
+    corners = np.array([[axis[cell], axis[cell + 1]] for axis, cell in zip(axes, cells, strict=True)])
+    u, v = (xy_world.T - corners[:, 0]) / (corners[:, 1] - corners[:, 0])
+
+    def height(i: int, j: int) -> Values:
+        xy = np.stack([corners[0, i], corners[1, j]], -1)
+        return np.asarray(ground.plan.lift(xy, ground.hills.height(xy))[:, 2])
+
+    a, b, c, d = height(0, 0), height(1, 0), height(0, 1), height(1, 1)
+    one = a + np.where(u > v, (b - a) * u + (d - b) * v, (c - a) * v + (d - c) * u)
+    other = np.where(u + v < 1, a + (b - a) * u + (c - a) * v, d + (c - d) * (1 - u) + (b - d) * (1 - v))
+    return np.maximum(one, other)
 
 
 def road_meshes(ground: Ground) -> list[Mesh]:
@@ -105,15 +130,15 @@ def verge_meshes(ground: Ground) -> list[Mesh]:
     raised, free = far_dam(s), np.full(s.shape, np.inf)
     right = ground.main_right_edge(s)
     meshes = [
-        _verge(ground, lambda d: plan.main_xy(s, ground.left_edge_m - d), raised, free),
-        _verge(ground, lambda d: plan.main_xy(s, right + d), raised, np.where(_meets_exit(ground, s), 0.0, np.inf)),
+        _verge(ground, s, lambda d: plan.main_xy(s, ground.left_edge_m - d), raised, free),
+        _verge(ground, s, lambda d: plan.main_xy(s, right + d), raised, np.where(_meets_exit(ground, s), 0.0, np.inf)),
     ]
     if plan.has_exit:
         se = np.sort(s[s >= 0])
         edge, raised = ground.exit_edge_m, plan.ramp(se) + far_dam(se)
         meshes += [
-            _verge(ground, lambda d: plan.exit_xy(se, edge + d), raised, np.full(se.shape, np.inf)),
-            _verge(ground, lambda d: plan.exit_xy(se, -edge - d), raised, _gap(ground, se)),
+            _verge(ground, se, lambda d: plan.exit_xy(se, edge + d), raised, np.full(se.shape, np.inf)),
+            _verge(ground, se, lambda d: plan.exit_xy(se, -edge - d), raised, _gap(ground, se)),
         ]
     return [mesh for mesh in map(over_terrain, meshes) if len(mesh.faces)]
 
@@ -225,7 +250,7 @@ def _main_mesh(ground: Ground, s: Values) -> Mesh:
         middle = (xy[:-1, -k - 1 : -1] + xy[:-1, -k:] + xy[1:, -k - 1 : -1] + xy[1:, -k:]) / 4
         se, te = plan.project_exit(middle, np.broadcast_to((s[:-1, None] + s[1:, None]) / 2, middle.shape[:2]))
         material[:, -k:][(se >= 0) & (np.abs(te) < plan.exit_half_m)] = ROAD
-    vertices = lift_far(ground, xy, far_dam(stations))
+    vertices = lift_far(ground, xy, far_dam(stations), stations)
     return grid(vertices, np.stack([offsets, stations], -1) * plan.flips, material)
 
 
@@ -236,7 +261,7 @@ def _exit_mesh(ground: Ground, s: Values) -> Mesh:
     offsets = np.concatenate([inner - SEAM_M, np.maximum(t, inner)], axis=1)
     material = np.concatenate([material[:1], material])
     stations = np.broadcast_to(s[:, None], offsets.shape)
-    vertices = lift_far(ground, plan.exit_xy(stations, offsets), plan.ramp(stations) + far_dam(stations))
+    vertices = lift_far(ground, plan.exit_xy(stations, offsets), plan.ramp(stations) + far_dam(stations), stations)
     vertices[:, 0, 2] -= SEAM_FALL_M
     return grid(vertices, np.stack([offsets, stations], -1) * plan.flips, material)
 
@@ -279,9 +304,14 @@ def _crossing(ground: Ground, s: Values, high: float) -> Values:
 
 
 def _verge(
-    ground: Ground, edge_plus: Callable[[Values], Float[np.ndarray, "n 2"]], raised: Values, room_m: Values
+    ground: Ground,
+    s: Values,
+    edge_plus: Callable[[Values], Float[np.ndarray, "n 2"]],
+    raised: Values,
+    room_m: Values,
 ) -> Mesh:
-    """A strip outwards from an edge; `edge_plus(d)` returns one world point per row, d metres outside the edge.
+    """A strip outwards from an edge, with a row per station; `edge_plus(d)` returns their world points d metres
+    outside the edge.
 
     Faces without room are dropped: single pixels of them would show through the pavement.
     """
@@ -291,7 +321,7 @@ def _verge(
     distance = np.stack(columns, axis=1)
     squeeze = np.minimum(1.0, room_m / embankment_width(raised, scale))
     xy = np.stack([edge_plus(distance[:, j] * squeeze) for j in range(distance.shape[1])], axis=1)
-    vertices = lift_far(ground, xy, profile(distance, raised[:, None], scale[:, None]))
+    vertices = lift_far(ground, xy, profile(distance, raised[:, None], scale[:, None]), s[:, None])
     mesh = grid(vertices, _unrolled(vertices), np.zeros(distance.shape[1] - 1, dtype=int))
     is_open = np.repeat((room_m[:-1] > 0) | (room_m[1:] > 0), distance.shape[1] - 1)
     return replace(mesh, faces=mesh.faces[is_open], material=mesh.material[is_open])

@@ -109,7 +109,7 @@ def _sides(ground: Ground, curve: Curve, offsets_m: Float[np.ndarray, "2"], s: V
     """Points on the road along both edges of a stripe."""
     plan, lines = ground.plan, [_beside(curve, t) for t in offsets_m]
     return np.stack(
-        [lift_far(ground, line.xy_world(plan, s), line.raised(plan, s) + far_dam(s)) for line in lines], axis=1
+        [lift_far(ground, line.xy_world(plan, s), line.raised(plan, s) + far_dam(s), s) for line in lines], axis=1
     )
 
 

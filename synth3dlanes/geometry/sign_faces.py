@@ -1,5 +1,5 @@
-"""The pictures on signs: own drawings of coloured shapes, with bars for text. Metres; x to the right, y up, seen from
-the front, with the middle of the board at (0, 0)."""
+"""The pictures on signs, and what signs stand where: own drawings of coloured shapes, with bars for text. Metres; x to
+the right, y up, seen from the front, with the middle of the board at (0, 0)."""
 
 from dataclasses import dataclass
 
@@ -48,7 +48,8 @@ def _arrow(x: float, y: float, size_m: float, turn_rad: float) -> list[Outline]:
 
 
 def board(width_m: float, height_m: float, color: Color, variant: int) -> tuple[Layer, ...]:
-    """A guide board: a border, lines of text as bars, and an arrow; `variant` changes their lengths and direction."""
+    """A guide board: a border, lines of text as bars, and an arrow; `variant` changes their lengths and direction (1 up
+    to the left, 2 up to the right)."""
     w, h, ink = width_m, height_m, WHITE if sum(color) < 1 else BLACK
     turn = (np.pi, -np.pi / 4, np.pi / 4, 0.0)[variant % 4]
     layers = [
@@ -83,5 +84,36 @@ FACES: tuple[tuple[Layer, ...], ...] = (
     board(1.8, 1.0, WHITE, 3),
     board(1.8, 1.3, BROWN, 4),
     (Layer(_rectangle(0.9, 0.9), ORANGE), *(Layer(s, BLACK) for s in _arrow(0, 0, 0.7, -np.pi / 2))),
+    board(2.4, 1.5, GREEN, 2),
+    board(3.2, 2.0, BLUE, 1),
+    (Layer(_rectangle(0.9, 0.9), ORANGE), *(Layer(s, BLACK) for s in _arrow(0, 0, 0.7, np.pi / 2))),
+    (Layer(_disc(4, 0.6), BLACK), Layer(_disc(4, 0.57), YELLOW), *(Layer(s, BLACK) for s in _arrow(0, 0, 0.6, -0.5))),
 )  # fmt: skip
 assert len(FACES) == N_SIGN_FACES
+
+
+@dataclass(frozen=True)
+class Sign:
+    """What a sign tells: the numbers of its faces left and right of the traffic that it is for, of equal size. One that
+    forbids entry is for those who would drive against the traffic beside it, which sees its back."""
+
+    left: int
+    right: int
+    forbids_entry: bool = False
+
+
+# Boards and warnings that point aside stand where they point to; the orange arrow leads back to the road.
+SIGNS: tuple[Sign, ...] = (
+    Sign(1, 1),
+    Sign(2, 2),
+    Sign(16, 3),
+    Sign(4, 4),
+    Sign(5, 5),
+    Sign(6, 6, forbids_entry=True),
+    Sign(7, 7),
+    Sign(8, 13),
+    Sign(14, 9),
+    Sign(10, 10),
+    Sign(11, 11),
+    Sign(15, 12),
+)

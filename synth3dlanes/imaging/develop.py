@@ -1,7 +1,7 @@
 """From rendered layers to the picture: haze, motion, what falls, stray light, glass, noise, tone curve."""
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from synth3dlanes.geometry.camera import rays_of_pixels
 from synth3dlanes.imaging.daylight import Daylight
@@ -11,8 +11,8 @@ from synth3dlanes.imaging.glare import add_glow, add_lamp_heads, add_sun_glare
 from synth3dlanes.imaging.glass import add_dirt, add_drops
 from synth3dlanes.imaging.haze import through_air
 from synth3dlanes.imaging.layers import Layers
-from synth3dlanes.imaging.sensor import add_noise, motion_blur
-from synth3dlanes.scene import Scene
+from synth3dlanes.imaging.sensor import add_noise, gain, motion_blur
+from synth3dlanes.scene import Camera, Scene
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.world import View
 
@@ -31,19 +31,21 @@ def develop(
     """The picture of a scene; its noise, rain, snow, drops and dirt follow from seed, split and index. Motion blur
     leaves the sky sharp, and cars, which are assumed to drive at the host's speed. `street_lamps` are the heads of
     lamps (world)."""
-    film, sensor = np.float32(light.film), scene.sensor
+    sensor, is_seen = scene.sensor, _is_seen(view.camera)
     linear = through_air(layers.radiance, layers.haze, scene.air.visibility_m, light.airlight, view)
     airlight = light.airlight.mean(axis=1)
     if scene.weather.rain > 0:
         linear = add_spray(linear, layers.depth_m, scene, view, airlight)
-    linear = linear * film
+    amplified = gain(linear * np.float32(light.film), is_seen, scene.light.metering)
+    film = light.film * amplified
+    linear = linear * np.float32(film)
     if sensor.motion_blur_m > 0:
         ahead_cam = view.world_from_cam[:3, :3].T @ view.world_from_road[:3, 1]
         depth_m = np.where(np.isin(layers.semantic, MOVING_ALONG), np.float32(np.inf), layers.depth_m)
         linear = motion_blur(linear, depth_m, view.camera, sensor.motion_blur_m * ahead_cam)
-    linear = add_falling(linear, layers.depth_m, scene, view, airlight, light.film)
+    linear = add_falling(linear, layers.depth_m, scene, view, airlight, film)
     if len(street_lamps) and scene.light.sun_zenith_rad > np.pi / 2:
-        linear = add_lamp_heads(linear, layers.depth_m, street_lamps, view, light.film)
+        linear = add_lamp_heads(linear, layers.depth_m, street_lamps, view, film)
     if sensor.flare > 0:
         stray = add_sun_glare(add_glow(linear), layers.depth_m, scene.light, light, view)
         linear = linear + np.float32(sensor.flare) * (stray - linear)
@@ -51,9 +53,14 @@ def develop(
         linear = add_drops(linear, sensor.drops, scene.glass_stream("drops"))
     if sensor.dirt > 0:
         linear = add_dirt(linear, sensor.dirt, scene.glass_stream("dirt"))
-    if not view.camera.lens.is_pinhole:
-        is_seen = np.isfinite(rays_of_pixels(view.camera)).all(axis=-1, keepdims=True)
-        linear = np.where(is_seen, linear, np.float32(0))
+    linear = np.where(is_seen[..., None], linear, np.float32(0))
     if sensor.noise > 0:
-        linear = add_noise(linear, sensor.noise, scene.picture_stream("sensor_noise"))
+        linear = add_noise(linear, sensor.noise, scene.picture_stream("sensor_noise"), amplified)
     return tonemap(linear)
+
+
+def _is_seen(camera: Camera) -> Bool[np.ndarray, "h w"]:
+    """Which pixels are in the field of the camera's lens."""
+    if camera.lens.is_pinhole:
+        return np.ones((camera.height_px, camera.width_px), bool)
+    return np.asarray(np.isfinite(rays_of_pixels(camera)).all(axis=-1))

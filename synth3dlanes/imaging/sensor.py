@@ -1,8 +1,8 @@
-"""Motion blur and sensor noise, on linear light before the tone curve."""
+"""Metering, motion blur and sensor noise, on linear light before the tone curve."""
 
 import numpy as np
 import scipy
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from synth3dlanes.geometry.camera import project
 from synth3dlanes.imaging.film import MIDDLE_GRAY, levels_per_radiance
@@ -14,7 +14,17 @@ TAP_PX, SHORTEST_PX, MAX_TAPS = 2.5, 0.3, 32
 # Share of the variance at middle gray that is read-out noise; the rest is photon noise, which grows with the light.
 READ_SHARE = 0.1
 
+# The mean that a metering camera amplifies a darker picture to, counting what is brighter than white as white: that of
+# a road in headlights. And how much it amplifies at most, three stops.
+METERED_MEAN, MOST_GAIN = 0.02, 8.0
+
 Image = Float[np.ndarray, "h w 3"]
+
+
+def gain(linear: Image, is_seen: Bool[np.ndarray, "h w"], metering: float) -> float:
+    """The amplification of a dark picture, from 1 to MOST_GAIN, by a camera that meters (see `Light`)."""
+    mean = float(np.clip(linear[is_seen], 0, 1).mean()) if is_seen.any() else 1.0
+    return float(np.clip(METERED_MEAN / max(mean, 1e-9), 1, MOST_GAIN) ** metering)
 
 
 def motion_blur(
@@ -43,10 +53,12 @@ def motion_blur(
     return blurred
 
 
-def add_noise(linear: Image, levels: float, rng: np.random.Generator) -> Image:
+def add_noise(linear: Image, levels: float, rng: np.random.Generator, amplified: float = 1.0) -> Image:
     """The picture with noise whose standard deviation is `levels` (of 255) at middle gray: photon noise, whose variance
-    grows with the light, plus constant read-out noise."""
+    grows with the light, plus constant read-out noise; both were `amplified` with the light."""
     at_gray = levels / levels_per_radiance(MIDDLE_GRAY)
     light = np.maximum(linear, 0) / np.float32(MIDDLE_GRAY)
-    spread = np.float32(at_gray) * np.sqrt(READ_SHARE + (1 - READ_SHARE) * light, dtype=np.float32)
+    spread = np.float32(at_gray) * np.sqrt(
+        READ_SHARE * amplified**2 + (1 - READ_SHARE) * amplified * light, dtype=np.float32
+    )
     return np.asarray(linear + spread * rng.standard_normal(linear.shape, dtype=np.float32))

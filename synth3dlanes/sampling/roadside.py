@@ -16,7 +16,7 @@ from synth3dlanes.geometry.crossings import crossing_frame, crossing_span, dam_s
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.rails import WALKWAY_M
 from synth3dlanes.geometry.roadside import Footprints, footprints
-from synth3dlanes.geometry.sign_faces import FACES
+from synth3dlanes.geometry.sign_faces import FACES, SIGNS
 from synth3dlanes.labels import RoadName
 from synth3dlanes.scene import Building, Color, Crossing, Post, Rail, RailKind, RoadSide, Roadside
 from synth3dlanes.world import World
@@ -243,24 +243,35 @@ def _is_apart(s_m: float, crossings: list[Crossing]) -> bool:
 
 
 def _signs(ground: Ground, n: int, behind_m: dict[str, float], rng: Rng, crossings: list[Crossing]) -> Iterator[Post]:
-    """Signs beside the outer edges that face the host; guide boards stand farther away."""
+    """Signs beside the outer edges, for the traffic there; guide boards stand farther away. None beside oncoming lanes
+    forbids entry: it would face the host."""
     taken: list[float] = []
     for _ in range(n):
         for _ in range(TRIES):
             place = "left" if rng.random() < 0.5 else "right"
-            face = 1 + int(rng.random() * len(FACES))
+            sign = SIGNS[int(rng.random() * len(SIGNS))]
             edges = _edges(ground, place)
             edge = edges[int(rng.random() * len(edges))]
             s_m = _ahead(ground, rng, SIGNS_M)
-            width_m = float(np.ptp(FACES[face - 1][0].outline[:, 0]))
+            width_m = float(np.ptp(FACES[sign.right - 1][0].outline[:, 0]))
             aside_m = round(max(SIGN_ASIDE_M, behind_m[place]) + width_m / 2 + rng.random(), DECIMALS)
             height_m = round(float(rng.uniform(1.7, 2.4)), DECIMALS)
             is_here = edge.low_m <= s_m <= edge.high_m and all(abs(s_m - other) > SIGNS_APART_M for other in taken)
             if is_here and _is_apart(s_m, crossings) and _free(ground, edge, np.array([s_m]), aside_m)[0]:
                 taken.append(s_m)
-                yield Post(
-                    kind="sign", road=edge.road, side=edge.side, s_m=s_m, aside_m=aside_m, height_m=height_m, face=face
-                )
+                is_oncoming = place == "left" and ground.plan.n_oncoming > 0
+                if not (is_oncoming and sign.forbids_entry):
+                    is_right = ((place == "right") == (ground.plan.flips[0] > 0)) != is_oncoming
+                    yield Post(
+                        kind="sign",
+                        road=edge.road,
+                        side=edge.side,
+                        s_m=s_m,
+                        aside_m=aside_m,
+                        height_m=height_m,
+                        face=sign.right if is_right else sign.left,
+                        turned=is_oncoming or sign.forbids_entry,
+                    )
                 break
 
 

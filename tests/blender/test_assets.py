@@ -1,5 +1,6 @@
 """The built assets: sizes, wheels, triangle caps, semantic ids, tiling textures."""
 
+from collections import defaultdict
 from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
@@ -9,6 +10,9 @@ import pytest
 from PIL import Image
 
 bpy = pytest.importorskip("bpy")
+
+from mathutils import Vector  # noqa: E402
+from mathutils.bvhtree import BVHTree  # noqa: E402
 
 from synth3dlanes.assets.built_in import assets_dir  # noqa: E402
 from synth3dlanes.assets.catalogue import CARS, ROAD_MEANS, TREES  # noqa: E402
@@ -74,14 +78,48 @@ def test_triangle_caps(assets: LoadedAssets) -> None:
         assert 1000 < len(mesh.loop_triangles) <= cap, mesh.name
 
 
-@pytest.mark.parametrize("number", range(6, len(CARS)), ids=[m.name for m in CARS[6:]])
-def test_tyres_face_outwards(assets: LoadedAssets, number: int) -> None:
-    """Seen from its back, a coated face reflects like a mirror."""
-    model, mesh = CARS[number], assets.cars[number]
-    slot = [material.name for material in mesh.materials].index("car_tyre")
-    tops = [f for f in mesh.polygons if f.material_index == slot and f.center.z > 1.8 * model.wheel_radius_m]
-    assert len(tops) >= 4
-    assert all(face.normal.z > 0.5 for face in tops if abs(face.normal.x) < 0.3)
+@pytest.mark.parametrize("number", range(len(CARS)), ids=[m.name for m in CARS])
+def test_what_is_seen_of_a_car_faces_outwards(assets: LoadedAssets, number: int) -> None:
+    """Seen from its back, a coated face reflects like a mirror: a tyre would be white."""
+    mesh = assets.cars[number]
+    corners = np.array([vertex.co for vertex in mesh.vertices])
+    tree = BVHTree.FromPolygons(corners.tolist(), [tuple(face.vertices) for face in mesh.polygons])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    rng, names = np.random.default_rng(0), [material.name for material in mesh.materials]
+    seen: dict[str, list[bool]] = defaultdict(list)
+    for azimuth_rad, elevation_rad, *share in (rng.random((4000, 5)) * [2 * np.pi, 0.5, 1, 1, 1]).tolist():
+        level = np.cos(elevation_rad)
+        back = np.array([level * np.cos(azimuth_rad), level * np.sin(azimuth_rad), np.sin(elevation_rad)])
+        _, normal, face, _ = tree.ray_cast((low + share * (high - low) + 30 * back).tolist(), (-back).tolist())
+        if face is not None:
+            seen[names[mesh.polygons[face].material_index]].append(normal @ Vector(back) > 0)
+    assert {"car_paint", "car_tyre", "car_rim", "car_trim"} <= set(seen)
+    assert len(seen["car_tyre"]) > 20
+    # Single rays slip through seams.
+    assert {name: np.mean(faces) for name, faces in seen.items() if np.mean(faces) < 0.98} == {}
+
+
+def test_tyres_are_dark_whatever_the_paint(assets: LoadedAssets) -> None:
+    for mesh in assets.cars:
+        tyre = next(material for material in mesh.materials if material.name == "car_tyre")
+        kinds = {node.bl_idname: node for node in tyre.node_tree.nodes}
+        assert "ShaderNodeObjectInfo" not in kinds, "the object's colour is that of its paint"
+        assert max(kinds["ShaderNodeBsdfDiffuse"].inputs["Color"].default_value[:3]) < 0.04
+
+
+def test_only_lamps_that_light_the_road_are_made_of_what_shines_white(assets: LoadedAssets) -> None:
+    """Reversing lamps are off as a car drives, and head lamps stand in frames darker than any paint."""
+    for mesh in assets.cars:
+        head = points(mesh, "car_head")
+        assert head[:, 1].min() > 0, mesh.name
+        trim = points(mesh, "car_trim")
+        for side in (1, -1):
+            lamp = head[side * head[:, 0] > 0]
+            frame = trim[(side * trim[:, 0] > 0.3) & (np.abs(trim[:, 2] - lamp[:, 2].mean()) < 0.09)]
+            frame = frame[frame[:, 1] > lamp[:, 1].min() - 0.05]
+            for axis in (0, 2):
+                assert frame[:, axis].min() < lamp[:, axis].min() - 0.02, mesh.name
+                assert frame[:, axis].max() > lamp[:, axis].max() + 0.02, mesh.name
 
 
 def test_every_material_has_its_semantic_id(assets: LoadedAssets, materials: Materials) -> None:
