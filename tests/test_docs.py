@@ -25,7 +25,7 @@ def generated() -> dict[str, str]:
     return pages
 
 
-@pytest.mark.parametrize("name", ["cli.md", "params.md", "scene.schema.json", "cluster.md"])
+@pytest.mark.parametrize("name", ["cli.md", "params.md", "scene.schema.json", "cluster.md", "validate.md"])
 def test_a_generated_page_is_fresh(generated: dict[str, str], name: str) -> None:
     assert (DOCS / name).read_text() == generated[name], "run `make docs`"
 

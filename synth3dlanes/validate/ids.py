@@ -12,8 +12,7 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.solids import SURFACES
-from synth3dlanes.geometry.terrain import gradient_at, height_at
-from synth3dlanes.labels import CameraLabel, Labels
+from synth3dlanes.labels import CameraLabel
 from synth3dlanes.settings import (
     FIRST_CAR_ID,
     FIRST_DELIMITER_ID,
@@ -24,21 +23,17 @@ from synth3dlanes.settings import (
     SEMANTIC_IDS,
 )
 from synth3dlanes.validate import boxes
-from synth3dlanes.validate.findings import PROOF_M, Finding, Measure
-from synth3dlanes.validate.paint import Paint
-from synth3dlanes.validate.passes_proof import Passes
-from synth3dlanes.validate.pavement import unproject
-from synth3dlanes.validate.places import places
+from synth3dlanes.validate.evidence import Evidence
+from synth3dlanes.validate.findings import PROOF_M, Finding, Measure, Result
+from synth3dlanes.validate.pixels import some_pixels
+from synth3dlanes.validate.places import on_road, places
 from synth3dlanes.world import World
 
-# At most this many pixels of a kind are used, evenly spread over the image.
-MAX_PIXELS = 10_000
 # Number of pixels, and share of a body's pixels, that may be wrong: with a wrong id nearly all of them are.
 MAX_SINGLE, MAX_SHARE = 3, 0.05
-# Share of a line's paint pixels that may lie more than MAX_BEYOND_M outside its edges. Only pixels whose paint floats
-# at most MAX_FLOAT_M over the road, along the line of sight, are used; in 60 random scenes of each preset none is
-# outside.
-MAX_BEYOND_M, MAX_FLOAT_M, MAX_SHARE_BEYOND = 0.01, 0.05, 0.02
+# Share of a line's paint pixels that may lie more than MAX_BEYOND_M outside its edges; in 60 random scenes of each
+# preset none does.
+MAX_BEYOND_M, MAX_SHARE_BEYOND = 0.01, 0.02
 # Margins: cars fit their nominal boxes to 1 %; twigs reach 10 % beyond a tree's.
 CAR_ROOM, TREE_ROOM = 1.05, 1.15
 # Share of a car's projected bounding box that the car fills: 0.52 to 0.93 for all built-in cars; up to 1 for a user's.
@@ -67,20 +62,16 @@ Points = Float[np.ndarray, "n 3"]
 Ids = Integer[np.ndarray, "h w"]
 
 
-def prove_ids(paint: Paint, labels: Labels, passes: Passes) -> tuple[list[Finding], list[Measure]]:
+def check_ids(evidence: Evidence) -> Iterator[Result]:
     """Findings about ids, and measure `beyond_paint_m`: how far pixels of paint lie outside the scene's paint."""
-    world = paint.world
-    findings: list[Finding] = []
-    measures: list[Measure] = []
+    passes = evidence.passes
     if {"semantic", "instance"} <= set(passes):
-        findings += _agreement(passes["semantic"], passes["instance"])
+        yield from _agreement(passes["semantic"], passes["instance"])
     if "instance" in passes:
-        findings += _shares(world, labels, passes["instance"])
+        yield from _shares(evidence)
     if "depth" in passes and {"semantic", "instance"} & set(passes):
-        found, measure = _paint(paint, labels, passes)
-        findings += [*found, *_bodies(world, labels.camera, passes)]
-        measures.append(measure)
-    return findings, measures
+        yield from _paint(evidence)
+        yield from _bodies(evidence)
 
 
 def _kind(instance: Ids) -> Ids:
@@ -109,49 +100,36 @@ def _agreement(semantic: Ids, instance: Ids) -> Iterator[Finding]:
             )
 
 
-def _paint(paint: Paint, labels: Labels, passes: Passes) -> tuple[list[Finding], Measure]:
+def _paint(evidence: Evidence) -> Iterator[Result]:
     """Compare pixels of paint with the scene's paint of their line, or of any line without instance ids."""
-    world, camera = paint.world, labels.camera
+    world, paint, passes = evidence.world, evidence.paint, evidence.passes
     name = "instance" if "instance" in passes else "semantic"
     kind = _kind(passes["instance"]) if name == "instance" else passes["semantic"]
     rows, columns = some_pixels((kind == SEMANTIC_IDS["marking"]) & np.isfinite(passes["depth"]))
-    points_cam = unproject(camera, passes["depth"], rows, columns)
-    points, used = on_road(world, camera, points_cam)
+    points_cam = evidence.points_cam(rows, columns)
+    points, used = on_road(world, evidence.camera, points_cam)
     used &= points_cam[:, 1] < PROOF_M
     points, rows, columns, y_m = points[used], rows[used], columns[used], points_cam[used, 1]
     place = places(world.ground, points[:, :2])
-    labelled = [lane.id for lane in labels.lanes if lane.kind == "delimiter"]
+    labelled = [lane.id for lane in evidence.labels.lanes if lane.kind == "delimiter"]
     ids = [*labelled, *(id_ for id_ in paint.ids if id_ not in labelled)]
     beyond_m = np.full(len(points), np.inf)
     number = passes[name][rows, columns].astype(int) - FIRST_DELIMITER_ID
     for i, id_ in enumerate(ids):
         own = number == i if name == "instance" else np.ones(len(points), dtype=bool)
         beyond_m[own] = np.minimum(beyond_m[own], paint.beyond_m(id_, place.at(own)))
-    findings = []
     for i, id_ in enumerate([*labelled, ""] if name == "instance" else [""]):
         own = number == i if id_ else (number < 0) | (number >= len(labelled))
         wrong = beyond_m[own] > MAX_BEYOND_M
         if wrong.sum() > max(MAX_SINGLE, MAX_SHARE_BEYOND * len(wrong)):
             outside = f"{wrong.sum()} of {len(wrong)} pixels up to {min(beyond_m[own].max(), 99):.2f} m outside"
-            findings.append(Finding(id_, f"{name}: expected paint where the line is painted, got {outside}"))
-    return findings, Measure("beyond_paint_m", y_m, np.clip(beyond_m, 0, 99))
+            yield Finding(id_, f"{name}: expected paint where the line is painted, got {outside}")
+    yield Measure("beyond_paint_m", y_m, np.clip(beyond_m, 0, 99))
 
 
-def on_road(world: World, camera: CameraLabel, points_cam: Points) -> tuple[Points, Bool[np.ndarray, " n"]]:
-    """Move points that float over the road along the line of sight onto it; also return where this is reliable."""
-    terrain, points = world.scene.terrain, transform(camera.world_from_cam, points_cam)
-    place = places(world.ground, points[:, :2])
-    sight = points - camera.world_from_cam[:3, 3]
-    sight /= np.linalg.norm(sight, axis=1, keepdims=True)
-    falls = (sight[:, :2] * gradient_at(terrain, points[:, :2])).sum(axis=1) - sight[:, 2]
-    over_m = points[:, 2] - height_at(terrain, points[:, :2]) - place.raised()
-    with np.errstate(divide="ignore", invalid="ignore"):
-        way_m = np.clip(np.where(falls > 0, over_m / falls, np.inf), -1, 1)
-    return points + way_m[:, None] * sight, (np.abs(way_m) < MAX_FLOAT_M) & ~place.on_slope()
-
-
-def _bodies(world: World, camera: CameraLabel, passes: Passes) -> Iterator[Finding]:
+def _bodies(evidence: Evidence) -> Iterator[Finding]:
     """Compare pixels of cars, trees and structures with their bodies, or with all bodies without instance ids."""
+    passes = evidence.passes
     kind = _kind(passes["instance"]) if "instance" in passes else _folded(passes["semantic"])
     name = "instance" if "instance" in passes else "semantic"
     things = (
@@ -161,9 +139,9 @@ def _bodies(world: World, camera: CameraLabel, passes: Passes) -> Iterator[Findi
     )
     for key, thing, first, inside in things:
         rows, columns = some_pixels((kind == SEMANTIC_IDS[key]) & np.isfinite(passes["depth"]))
-        points = transform(camera.world_from_cam, unproject(camera, passes["depth"], rows, columns))
+        points = evidence.points_world(rows, columns)
         own = passes[name][rows, columns].astype(int) - first if name == "instance" else np.full(len(rows), -1)
-        wrong = ~inside(world, points, own)
+        wrong = ~inside(evidence, points, own)
         for i in np.unique(own[wrong]):
             n, n_wrong = int((own == i).sum()), int(wrong[own == i].sum())
             if n_wrong > max(MAX_SINGLE, MAX_SHARE * n):
@@ -171,9 +149,9 @@ def _bodies(world: World, camera: CameraLabel, passes: Passes) -> Iterator[Findi
                 yield Finding("", f"{name}: expected pixels of {whose} within its body, got {n_wrong} of {n} outside")
 
 
-def _in_car(world: World, points: Points, own: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+def _in_car(evidence: Evidence, points: Points, own: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Which points are in the box of car `own`, -1 for any car."""
-    inside = np.zeros(len(points), dtype=bool)
+    world, inside = evidence.world, np.zeros(len(points), dtype=bool)
     for i, (car, pose) in enumerate(zip(world.scene.cars, world.view.world_from_cars, strict=True)):
         at = np.flatnonzero((own == i) | (own < 0))
         if at.size:
@@ -191,9 +169,9 @@ def _box(world: World, car: int) -> tuple[Float[np.ndarray, "3"], Float[np.ndarr
     return -half - np.array([0, 0, rest_m]), half + np.array([0, 0, model.height_m + rest_m])
 
 
-def _in_tree(world: World, points: Points, own: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+def _in_tree(evidence: Evidence, points: Points, own: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Which points are in the cylinder of tree `own`, -1 for the nearest tree."""
-    trees = world.scene.trees
+    world, trees = evidence.world, evidence.scene.trees
     if not trees:
         return np.zeros(len(points), dtype=bool)
     models = [world.scene.assets.tree_models[tree.model - 1] for tree in trees]
@@ -216,17 +194,18 @@ def _in_tree(world: World, points: Points, own: Int[np.ndarray, " n"]) -> Bool[n
     return known & (np.hypot(up[:, 0], up[:, 1]) < radius[tree]) & (up[:, 2] > -rest) & (up[:, 2] < height[tree])
 
 
-def _in_structure(world: World, points: Points, own: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+def _in_structure(evidence: Evidence, points: Points, own: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Which points are in a box of structure `own`, -1 for any."""
-    return boxes.inside(boxes.structure_boxes(world), points, own)
+    return boxes.inside(evidence.structures, points, own)
 
 
-def _shares(world: World, labels: Labels, instance: Ids) -> Iterator[Finding]:
+def _shares(evidence: Evidence) -> Iterator[Finding]:
     """Compare the visible share of each car with its number of pixels."""
-    assert labels.car_visible_fraction is not None
-    counts = np.bincount(instance.ravel(), minlength=FIRST_DELIMITER_ID)[FIRST_CAR_ID:]
-    for i, share in enumerate(labels.car_visible_fraction):
-        low, high = _seen_share(world, labels.camera, i, int(counts[i]))
+    shares = evidence.labels.car_visible_fraction
+    assert shares is not None
+    counts = np.bincount(evidence.passes["instance"].ravel(), minlength=FIRST_DELIMITER_ID)[FIRST_CAR_ID:]
+    for i, share in enumerate(shares):
+        low, high = _seen_share(evidence.world, evidence.camera, i, int(counts[i]))
         if not low - MAX_SHARE_OFF <= share <= high + MAX_SHARE_OFF:
             yield Finding(
                 "",
@@ -247,10 +226,3 @@ def _seen_share(world: World, camera: CameraLabel, car: int, n_px: int) -> tuple
     box_px = float(ConvexHull(uv).volume)
     least, most = OWN_FILL if world.scene.assets.cars else FILL
     return max(n_px - SLACK_PX, 0) / (most * box_px), min((n_px + SLACK_PX) / (least * box_px), 1.0)
-
-
-def some_pixels(of: Bool[np.ndarray, "h w"]) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Rows and columns of at most MAX_PIXELS of the selected pixels."""
-    rows, columns = np.nonzero(of)
-    step = 1 + len(rows) // MAX_PIXELS
-    return rows[::step], columns[::step]

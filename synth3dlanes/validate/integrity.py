@@ -18,8 +18,7 @@ from synth3dlanes.dataset.index import ADDED_SCHEMA, place_columns, read_index, 
 from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
-from synth3dlanes.validate.documents import differences, some
-from synth3dlanes.validate.findings import Finding, Problem
+from synth3dlanes.validate.findings import Finding, Problem, differences, some
 
 NAMED_AT_MOST = 5
 KEY = re.compile("[0-9]{8}")

@@ -1,14 +1,21 @@
-"""The report of a validation: problems, distributions, worst samples; as text and as JSON."""
+"""The report of a validation: problems, distributions, worst samples; as text, as JSON, and as pictures of samples."""
 
 import heapq
-from collections.abc import Sequence
+import io
+from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+from PIL import Image
 from rich.console import Group, RenderableType
 from rich.markup import escape
 from rich.table import Table
 
+from synth3dlanes.dataset.address import connect, store_errors
+from synth3dlanes.figures.overlay import draw_overlay, stretches_img
+from synth3dlanes.labels import Labels
 from synth3dlanes.validate.bias import MIN_SAMPLES, TESTS, Mean, judge
 from synth3dlanes.validate.findings import (
     BAND_NAMES,
@@ -20,8 +27,10 @@ from synth3dlanes.validate.findings import (
     Finding,
     Measure,
     Problem,
+    Result,
     Signed,
 )
+from synth3dlanes.validate.pixels import Picture
 
 MEASURES = {
     "paint_px": "pixels from delimiter points to their paint (semantic pass)",
@@ -37,6 +46,9 @@ MEASURES = {
     "wheel_gap_m": "metres between tyres and the rendered road, by their distance ahead",
     "tree_gap_m": "metres between trunks' places and the rendered ground, by their distance ahead",
 }
+FOLDER = "validation"
+# No lanes are drawn if a line extends farther than this outside the image.
+MAX_PX = 1e5
 # Smaller values are counted, and printed, as 0.
 SMALLEST = float(EDGES[0])
 WITHIN_PROOF = slice(0, BANDS_M.index(PROOF_M))
@@ -53,29 +65,27 @@ class Report:
     means: dict[str, Mean] = field(default_factory=dict)
     _worlds: dict[str, str] = field(default_factory=dict)
 
-    def sample(
-        self,
-        name: str,
-        digest: str,
-        findings: Sequence[Finding],
-        measures: Sequence[Measure],
-        signed: Sequence[Signed] = (),
-    ) -> None:
+    def sample(self, name: str, digest: str, results: Iterable[Result]) -> None:
         """Add one sample. A world that occurred before is a problem of the sample that repeats it."""
         self.n_samples += 1
-        self.problems += [Problem(name, finding.lane, finding.reason) for finding in findings]
+        for result in results:
+            if isinstance(result, Finding):
+                self.problems.append(Problem(name, result.lane, result.reason))
+            elif isinstance(result, Signed):
+                self.means.setdefault(result.name, Mean()).add(result.value)
+            else:
+                self._measure(name, result)
         if digest:
             first = self._worlds.setdefault(digest, name)
             if first != name:
                 self.problems.append(Problem(name, "", f"expected a scene of its own, got that of {first}"))
-        for measure in measures:
-            self.distributions.setdefault(measure.name, Distribution()).add(measure)
-            ranking = self.worst.setdefault(measure.name, [])
-            heapq.heappush(ranking, (measure.worst(), name))
-            if len(ranking) > WORST:
-                heapq.heappop(ranking)
-        for value in signed:
-            self.means.setdefault(value.name, Mean()).add(value.value)
+
+    def _measure(self, name: str, measure: Measure) -> None:
+        self.distributions.setdefault(measure.name, Distribution()).add(measure)
+        ranking = self.worst.setdefault(measure.name, [])
+        heapq.heappush(ranking, (measure.worst(), name))
+        if len(ranking) > WORST:
+            heapq.heappop(ranking)
 
     def judge(self) -> None:
         """Run the tests over the whole data set, after all samples were added."""
@@ -156,3 +166,30 @@ def _means(means: dict[str, Mean]) -> Table:
             numbers = (f"{test.shown(found.mean)}", test.shown(found.standard_error), f"{found.t:.1f}", f"{found.n:,}")
             table.add_row(name, *numbers, test.shown(test.least), test.positive)
     return table
+
+
+def draw(image: Picture, labels: Labels) -> Picture:
+    """The image with its lanes, if these can be drawn."""
+    lines_img = [line for lane in labels.lanes for _, line in stretches_img(labels.camera, lane)]
+    return draw_overlay(image, labels) if all((np.abs(line) < MAX_PX).all() for line in lines_img) else image
+
+
+def save_picture(place: str, name: str, picture: Picture) -> None:
+    """Write a picture into the data set; does nothing if the store cannot be written."""
+    files, root = connect(place)
+    stream = io.BytesIO()
+    Image.fromarray(picture).save(stream, "PNG")
+    with suppress(*store_errors()):
+        # Local paths only: paths in an object store begin with a bucket, and folders need not be created.
+        if root.startswith("/"):
+            files.makedirs(f"{root}/{FOLDER}", exist_ok=True)
+        files.pipe_file(f"{root}/{FOLDER}/{name}.png", stream.getvalue())
+
+
+def remove_pictures(place: str) -> None:
+    """Remove the pictures of an earlier validation."""
+    files, root = connect(place)
+    with suppress(*store_errors()):
+        for path in files.find(f"{root}/{FOLDER}", maxdepth=1):
+            if str(path).endswith(".png"):
+                files.rm_file(path)

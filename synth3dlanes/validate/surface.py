@@ -1,7 +1,7 @@
-"""Check depth, semantic ids and normals of the pavement: its pixels, unprojected by depth, must lie on the road.
+"""Check depth, ids and normals of the pavement and the terrain: pixels, unprojected by depth, must lie on the scene's.
 
 A pass has one sample at each pixel's centre, so a pixel's point lies exactly on the road's mesh, which follows the
-formulas to millimetres. Larger differences mean a different road.
+formulas to millimetres, or on the terrain's. Larger differences mean another road, other hills or another lens.
 """
 
 from collections.abc import Iterator
@@ -11,13 +11,15 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
 
 from synth3dlanes.frames import transform
+from synth3dlanes.geometry.ground import EMBANKMENT_SLOPE, VERGE_M
 from synth3dlanes.geometry.terrain import gradient_at, height_at
-from synth3dlanes.labels import CameraLabel, Labels
+from synth3dlanes.labels import CameraLabel
 from synth3dlanes.settings import SEMANTIC_IDS
-from synth3dlanes.validate.findings import PROOF_M, Finding, Measure
-from synth3dlanes.validate.passes_proof import Passes
+from synth3dlanes.validate.evidence import Evidence
+from synth3dlanes.validate.findings import PROOF_M, Finding, Measure, Result
+from synth3dlanes.validate.pixels import Passes, some_pixels
 from synth3dlanes.validate.places import Places, places
-from synth3dlanes.world import World
+from synth3dlanes.validate.standing import terrain_height
 
 # At most about this many evenly spread pixels are used.
 MAX_PIXELS = 45_000
@@ -31,6 +33,16 @@ MAX_SCALE = 0.0045
 MAX_TURN = 0.005
 # Number and share of pixels that may be off, and least number of pixels to judge.
 MAX_SINGLE, MAX_SHARE, MIN_PIXELS = 3, 0.02, 100
+# Of the terrain: pixels, range, and verge widths from the embankment's foot within which verges cover it.
+MAX_HILLS, MIN_HILLS, HILLS_M, VERGES = 2_000, 20, 120.0, 1.1
+# The median over a sample is at most 1 mm in 400 rendered samples.
+MAX_MEDIAN_M = 0.005
+# Tolerance of a normal's length (half floats are accurate to 0.0004).
+LENGTH = 0.005
+# With smooth shading, normals at outlines may point away from the camera: in 200 rendered scenes, up to 6 % of the
+# pixels of a small car and 0.8 % of all others. Leaves and far hills are not checked.
+AWAY, MAX_AWAY, MIN_OF_KIND = 0.02, 0.25, 50
+KINDS = ("road", "shoulder", "marking", "car")
 
 Values = Float[np.ndarray, " n"]
 Points = Float[np.ndarray, "n 3"]
@@ -49,14 +61,73 @@ class Pavement(NamedTuple):
     below_eye_m: Values
 
 
-def see_pavement(world: World, camera: CameraLabel, passes: Passes) -> Pavement:
+def check_pavement(evidence: Evidence) -> Iterator[Result]:
+    """Findings about depth, semantic ids and normals on the road, and measure `pavement_m`: distances from the road."""
+    passes, pavement = evidence.passes, _see_pavement(evidence)
+    yield from _sky(passes)
+    yield from _depth(pavement)
+    yield from _ids(pavement, passes["semantic"])
+    if "normal" in passes:
+        yield from _normals(pavement, evidence.camera, passes["normal"])
+    yield Measure("pavement_m", pavement.y_m, np.abs(pavement.gap_m))
+
+
+def check_hills(evidence: Evidence) -> Iterator[Finding]:
+    """Finding if the terrain's height differs from the scene's."""
+    passes, ground = evidence.passes, evidence.world.ground
+    is_terrain = (passes["semantic"] == SEMANTIC_IDS["terrain"]) & (passes["depth"] < HILLS_M)
+    points = evidence.points_world(*some_pixels(is_terrain, MAX_HILLS))
+    is_raised = evidence.world.plan.ramp_start_m is not None
+    raised_m = EMBANKMENT_SLOPE * evidence.scene.road.ramp_height_m if is_raised else 0.0
+    beside_m = VERGES * VERGE_M * ground.cell_scale(points[:, :2]) + raised_m
+    points = points[ground.clearance(points[:, :2]) > beside_m]
+    if len(points) < MIN_HILLS:
+        return
+    slope = gradient_at(evidence.scene.terrain, points[:, :2])
+    above_m = (points[:, 2] - terrain_height(ground, points[:, :2])) / np.sqrt(1 + (slope**2).sum(axis=1))
+    median_m = float(np.median(np.abs(above_m)))
+    if median_m > MAX_MEDIAN_M:
+        yield Finding(
+            "",
+            f"depth: expected terrain within {MAX_MEDIAN_M} m of the scene's in the median, got {median_m:.3f} m, "
+            f"at {len(points)} pixels",
+        )
+
+
+def check_normals(evidence: Evidence) -> Iterator[Finding]:
+    """Findings about the normal pass; depth or semantic ids give the sky, semantic ids the kinds to check."""
+    passes = evidence.passes
+    step = int(np.ceil(np.sqrt(passes["normal"][..., 0].size / MAX_PIXELS)))
+    some = {name: values[::step, ::step] for name, values in passes.items() if name != "height"}
+    length = np.linalg.norm(some["normal"], axis=2)
+    has_none = length == 0
+    wrong = int((~has_none & ~(np.abs(length - 1) < LENGTH)).sum())
+    if wrong > MAX_SINGLE:
+        yield Finding("", f"normal: expected unit length or none, got another at {wrong} of {length.size} pixels")
+    if {"depth", "semantic"} & set(some):
+        is_sky = ~np.isfinite(some["depth"]) if "depth" in some else some["semantic"] == SEMANTIC_IDS["sky"]
+        wrong = int((has_none != is_sky).sum())
+        if wrong > MAX_SINGLE:
+            yield Finding("", f"normal: expected zero in the sky and only there, got otherwise at {wrong} pixels")
+    if "semantic" in some:
+        rows, columns = step * np.indices(length.shape) + 0.5
+        away = (evidence.camera.rays(np.stack([columns, rows], axis=-1)) * some["normal"]).sum(axis=2) > AWAY
+        for name in KINDS:
+            of_kind = away[some["semantic"] == SEMANTIC_IDS[name]]
+            if len(of_kind) >= MIN_OF_KIND and of_kind.mean() > MAX_AWAY:
+                share = f"{100 * of_kind.mean():.0f} % of {name}"
+                yield Finding("", f"normal: expected it to face the camera, got {share} turned away")
+
+
+def _see_pavement(evidence: Evidence) -> Pavement:
     """The pavement according to depth and semantic ids."""
-    semantic, depth = passes["semantic"], passes["depth"]
+    semantic, depth = evidence.passes["semantic"], evidence.passes["depth"]
+    world, camera = evidence.world, evidence.camera
     step = int(np.ceil(np.sqrt(semantic.size / MAX_PIXELS)))
     first = step // 2
     paved = np.isin(semantic[first::step, first::step], (SEMANTIC_IDS["road"], SEMANTIC_IDS["shoulder"]))
     rows, columns = (first + step * index for index in np.nonzero(paved & (depth[first::step, first::step] < RANGE_M)))
-    points_cam = unproject(camera, depth, rows, columns)
+    points_cam = evidence.points_cam(rows, columns)
     points = transform(camera.world_from_cam, points_cam)
     terrain = world.scene.terrain
     place = places(world.ground, points[:, :2])
@@ -65,27 +136,6 @@ def see_pavement(world: World, camera: CameraLabel, passes: Passes) -> Pavement:
     gap_m = (points[:, 2] - height_at(terrain, points[:, :2]) - place.raised()) * up[:, 2]
     below_eye_m = ((camera.world_from_cam[:3, 3] - points) * up).sum(axis=1)
     return Pavement(rows, columns, points_cam[:, 1], place, up, gap_m, below_eye_m)
-
-
-def unproject(
-    camera: CameraLabel,
-    depth_m: Float[np.ndarray, "h w"],
-    rows: Int[np.ndarray, " n"],
-    columns: Int[np.ndarray, " n"],
-) -> Points:
-    """The points at the centres of pixels. Camera frame."""
-    return camera.points(np.column_stack([columns, rows]) + 0.5, depth_m[rows, columns].astype(float))
-
-
-def prove_pavement(world: World, labels: Labels, passes: Passes) -> tuple[list[Finding], list[Measure]]:
-    """Findings about depth, semantic ids and normals on the road, and measure `pavement_m`: distances from the road."""
-    if not {"depth", "semantic"} <= set(passes):
-        return [], []
-    pavement = see_pavement(world, labels.camera, passes)
-    findings = [*_sky(passes), *_depth(pavement), *_ids(pavement, passes["semantic"])]
-    if "normal" in passes:
-        findings += _normals(pavement, labels.camera, passes["normal"])
-    return findings, [Measure("pavement_m", pavement.y_m, np.abs(pavement.gap_m))]
 
 
 def _sky(passes: Passes) -> Iterator[Finding]:

@@ -5,21 +5,23 @@ and its visibility is judged from sixteen: where these disagree, an edge is less
 skipped.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Integer, Shaped
+from jaxtyping import Bool, Float, Integer
 from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 from scipy.spatial import cKDTree
 
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry import height_map
 from synth3dlanes.geometry.solids import SURFACES
-from synth3dlanes.labels import CameraLabel, Labels, Lane
+from synth3dlanes.labels import CameraLabel, Lane
 from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS
-from synth3dlanes.validate.findings import PROOF_M, Finding, Measure
-from synth3dlanes.validate.paint import Paint, Strip
+from synth3dlanes.validate.evidence import Evidence
+from synth3dlanes.validate.findings import PROOF_M, Finding, Measure, Result
+from synth3dlanes.validate.paint import Strip
+from synth3dlanes.validate.pixels import Passes, Pixels, Squares, around, depth_between
 
 # Label faults affect whole lines: a line fails if more than this share of its points, and more than two
 # points, are off.
@@ -50,10 +52,6 @@ MAX_BEND_M, MIN_NEXT = 0.004, 0.6
 # from pixel to pixel.
 NEARER, NEARER_M = 0.985, 0.05
 
-Passes = Mapping[str, Shaped[np.ndarray, "..."]]
-Pixels = Float[np.ndarray, "n 2"]
-Places = Int[np.ndarray, "k n"]
-
 
 class Marked(NamedTuple):
     """The pixels of paint: the image's shape, the pixels' centres, and a search tree of these."""
@@ -63,26 +61,27 @@ class Marked(NamedTuple):
     tree: cKDTree
 
 
-def prove_passes(paint: Paint, labels: Labels, passes: Passes) -> tuple[list[Finding], list[Measure]]:
+def check_points(evidence: Evidence) -> Iterator[Result]:
     """Findings about lines from the available passes (depth, semantic, instance, height), and all measured values."""
-    findings: list[Finding] = []
+    passes, camera = evidence.passes, evidence.camera
     measures: list[Measure] = []
     marked = _marked(passes) if {"semantic", "instance"} & set(passes) else None
-    for lane in labels.lanes:
-        uv = labels.camera.project(lane.xyz_cam)
-        strip = paint.strip(labels.camera, lane, lane.xyz_cam)
+    for lane in evidence.labels.lanes:
+        uv = camera.project(lane.xyz_cam)
+        strip = evidence.paint.strip(camera, lane, lane.xyz_cam)
         found = []
         if marked and lane.kind == "delimiter":
-            found.append(_paint(labels.camera, lane, strip, paint.stripes_m(lane.id), marked, passes))
+            found.append(_paint(camera, lane, strip, evidence.paint.stripes_m(lane.id), marked, passes))
         if "depth" in passes:
             found += _surface(lane, strip, uv, passes)
         if "depth" in passes and "semantic" in passes:
-            found += _sight(labels.camera, lane, strip, uv, passes)
+            found += _sight(camera, lane, strip, uv, passes)
         if "height" in passes and lane.road == "main":
-            found.append(_height(labels.camera, lane, passes["height"]))
+            found.append(_height(camera, lane, passes["height"]))
         measures += found
-        findings += [finding for measure in found for finding in _judge(lane.id, measure)]
-    return findings, _joined(measures)
+        for measure in found:
+            yield from _judge(lane.id, measure)
+    yield from _joined(measures)
 
 
 def _judge(lane_id: str, measure: Measure) -> Iterator[Finding]:
@@ -139,7 +138,7 @@ def _may_be_hidden(
     points_cam: Float[np.ndarray, "n 3"], uv: Pixels, shape: tuple[int, ...], passes: Passes
 ) -> Bool[np.ndarray, " n"]:
     """Which points have an object, or a nearer surface, in one of the pixels around them."""
-    rows, columns = _around(uv, shape, 2)
+    rows, columns = around(uv, shape, 2)
     if "semantic" in passes:
         hidden = _of_objects(passes["semantic"][rows, columns]).any(axis=0)
     else:
@@ -153,23 +152,15 @@ def _may_be_hidden(
 def _surface(lane: Lane, strip: Strip, uv: Pixels, passes: Passes) -> list[Measure]:
     """Distance of the rendered surface from each visible point, in depth (`depth_m`) and along the surface normal
     (`surface_m`). Only the latter has a limit: at a crest one pixel spans metres of depth."""
-    around = 1 / passes["depth"][_around(uv, passes["depth"].shape, 2)].reshape(4, 4, -1)
-    rows, columns = _around(uv, passes["depth"].shape, 1)
-    fx, fy = uv[:, 0] - 0.5 - columns[0], uv[:, 1] - 0.5 - rows[0]
-    inverse = around[1:3, 1:3].reshape(4, -1)
+    between, y_m = depth_between(passes["depth"], uv), lane.xyz_cam[:, 1]
     across_m = np.abs((strip.points_cam * strip.normal_cam).sum(axis=1))
     with np.errstate(divide="ignore", invalid="ignore"):
-        # A sixteenth of the sum of second differences at both ends is the error of a parabola's chord in its middle.
-        bends = sum(
-            np.abs(a - b - c + d).max(axis=0) / 16 for a, b, c, d in (around[:, 1:3], around.swapaxes(0, 1)[:, 1:3])
-        )
-        is_plane = bends * lane.xyz_cam[:, 1] * across_m < MAX_BEND_M
-        smooth = lane.visible & is_plane & (inverse.max(axis=0) < SMOOTH * inverse.min(axis=0))
-        upper, lower = (inverse[i] * (1 - fx) + inverse[i + 1] * fx for i in (0, 2))
-        error = 1 / (upper * (1 - fy) + lower * fy) / lane.xyz_cam[:, 1] - 1
+        error = between.depth_m / y_m - 1
+        is_plane = between.bend * y_m / between.depth_m * across_m < MAX_BEND_M
+        smooth = lane.visible & is_plane & (between.spread < SMOOTH)
     if "semantic" in passes:
-        smooth &= ~_of_objects(passes["semantic"][rows, columns]).any(axis=0)
-    y_m, error = lane.xyz_cam[smooth, 1], error[smooth]
+        smooth &= ~_of_objects(passes["semantic"][around(uv, passes["depth"].shape, 1)]).any(axis=0)
+    y_m, error = y_m[smooth], error[smooth]
     gap_m = np.abs(error) * across_m[smooth]
     return [Measure("depth_m", y_m, np.abs(error * y_m)), Measure("surface_m", y_m, gap_m)]
 
@@ -191,7 +182,7 @@ def _sight(camera: CameraLabel, lane: Lane, strip: Strip, uv: Pixels, passes: Pa
     """Compare the masks with the passes where these clearly show a point as visible, hidden by the ground, or hidden by
     an object. A point counts as visible only if a pixel shows a surface at its depth: a crest may hide it between two
     rows."""
-    rows, columns = _around(uv, passes["depth"].shape, 2)
+    rows, columns = around(uv, passes["depth"].shape, 2)
     depth = passes["depth"][rows, columns]
     own_depth = _own_depth(camera, strip, rows, columns)
     nearer = depth < NEARER * own_depth - NEARER_M
@@ -212,7 +203,7 @@ def _sight(camera: CameraLabel, lane: Lane, strip: Strip, uv: Pixels, passes: Pa
     ]
 
 
-def _own_depth(camera: CameraLabel, strip: Strip, rows: Places, columns: Places) -> Float[np.ndarray, "k n"]:
+def _own_depth(camera: CameraLabel, strip: Strip, rows: Squares, columns: Squares) -> Float[np.ndarray, "k n"]:
     """The depth that pixels around points would have without occlusion: that of the surface's tangent plane at the
     point, but at most the point's own depth."""
     pixels = np.stack([columns, rows], axis=-1) + 0.5
@@ -227,16 +218,7 @@ def _of_objects(semantic: Integer[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:
     return np.isin(semantic, OBJECTS)
 
 
-def _around(uv: Pixels, shape: tuple[int, ...], reach: int) -> tuple[Places, Places]:
-    """Rows and columns of the square with sides of 2 x reach pixels around each pixel position, row by row (arbitrary
-    for positions outside the image)."""
-    sizes = np.array([shape[1], shape[0]])
-    j, i = np.floor(np.clip(np.nan_to_num(uv - 0.5), 0, sizes - 2)).astype(int).T
-    dy, dx = (steps.ravel()[:, None] for steps in np.mgrid[1 - reach : reach + 1, 1 - reach : reach + 1])
-    return np.clip(i + dy, 0, shape[0] - 1), np.clip(j + dx, 0, shape[1] - 1)
-
-
-def _joined(measures: list[Measure]) -> list[Measure]:
+def _joined(measures: Sequence[Measure]) -> list[Measure]:
     names = dict.fromkeys(measure.name for measure in measures)
     return [
         Measure(name, *(np.concatenate([m[i] for m in measures if m.name == name]) for i in (1, 2))) for name in names
