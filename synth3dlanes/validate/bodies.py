@@ -12,7 +12,7 @@ from synth3dlanes.labels import CameraLabel
 from synth3dlanes.validate.boxes import Boxes, Corners
 from synth3dlanes.world import World
 
-# Points nearer than this are moved to this depth, so that a car beside the camera can be projected.
+# Bodies are cut off at this depth, so that a car beside the camera can be projected.
 NEAR_M = 0.3
 # Lower limit of the sun's elevation, and upper limit of a shadow's length.
 LOWEST_SUN_RAD, MAX_SHADOW_M = 0.05, 15.0
@@ -51,18 +51,30 @@ def may_show_cars(world: World, camera: CameraLabel, uv: Pixels, within_m: float
     hidden = np.zeros(len(uv), dtype=bool)
     for points in _bodies(world):
         points_cam = transform(invert(camera.world_from_cam), points)
-        if points_cam[:, 1].max() < NEAR_M or points_cam[:, 1].min() > within_m:
-            continue
-        points_cam[:, 1] = np.maximum(points_cam[:, 1], NEAR_M)
-        outline = camera.project(points_cam)
-        outline = outline[np.isfinite(outline).all(axis=1)]
-        if len(outline) < MIN_CORNERS:
-            continue
-        near = ((uv > outline.min(axis=0) - ROOM_PX) & (uv < outline.max(axis=0) + ROOM_PX)).all(axis=1) & ~hidden
-        if near.any():
-            sides = ConvexHull(outline).equations
-            hidden[near] = (uv[near] @ sides[:, :2].T + sides[:, 2] < ROOM_PX).all(axis=1)
+        if points_cam[:, 1].min() <= within_m:
+            hidden[~hidden] = covers(camera.project(ahead(points_cam)), uv[~hidden], ROOM_PX)
     return hidden
+
+
+def ahead(points_cam: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
+    """Points whose convex hull is the part of that of the given points that is ahead of the camera."""
+    y_m = points_cam[:, 1]
+    front, back = points_cam[y_m >= NEAR_M], points_cam[y_m < NEAR_M]
+    share = (front[:, None, 1:2] - NEAR_M) / (front[:, None, 1:2] - back[None, :, 1:2])
+    return np.concatenate([front, (front[:, None] + share * (back - front[:, None])).reshape(-1, 3)])
+
+
+def covers(outline: Float[np.ndarray, "k 2"], uv: Pixels, room_px: float) -> Bool[np.ndarray, " n"]:
+    """Which pixels are inside the convex hull of an outline or at most so far beside it; none without an area."""
+    covered = np.zeros(len(uv), dtype=bool)
+    outline = outline[np.isfinite(outline).all(axis=1)]
+    if len(outline) < MIN_CORNERS or not np.ptp(outline, axis=0).all():
+        return covered
+    near = ((uv > outline.min(axis=0) - room_px) & (uv < outline.max(axis=0) + room_px)).all(axis=1)
+    if near.any():
+        sides = ConvexHull(outline).equations
+        covered[near] = (uv[near] @ sides[:, :2].T + sides[:, 2] < room_px).all(axis=1)
+    return covered
 
 
 def _bodies(world: World) -> Iterator[Float[np.ndarray, "n 3"]]:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
-from scipy.spatial import ConvexHull, cKDTree
+from scipy.spatial import cKDTree
 
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.solids import SURFACES
@@ -23,6 +23,7 @@ from synth3dlanes.settings import (
     SEMANTIC_IDS,
 )
 from synth3dlanes.validate import boxes
+from synth3dlanes.validate.bodies import ahead, covers
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Finding, Measure, Result
 from synth3dlanes.validate.pixels import some_pixels
@@ -38,11 +39,9 @@ MAX_BEYOND_M, MAX_SHARE_BEYOND = 0.01, 0.02
 CAR_ROOM, TREE_ROOM = 1.05, 1.15
 # Share of a car's projected bounding box that the car fills: 0.52 to 0.93 for all built-in cars; up to 1 for a user's.
 FILL, OWN_FILL = (0.5, 0.95), (0.2, 1.0)
-# Labels measure shares with about 60 rays, passes with pixel centres; the worst of 2,300 cars differs by 0.16.
-MAX_SHARE_OFF, SLACK_PX = 0.25, 6
-# A car with a corner nearer than this is too close for an estimate from its box.
-MIN_CORNER_M = 0.5
-# So are those that reach farther aside than this cosine of the angle from the viewing axis: pixels there are stretched.
+# Labels measure shares with at least so many rays, passes with pixel centres.
+RAYS, SIGMAS, MAX_SHARE_OFF, SLACK_PX, EDGE_PX = 60, 4.0, 0.03, 6, 1.0
+# Boxes that reach farther aside than this cosine of the angle from the viewing axis say less: pixels are stretched.
 WIDE = 0.4
 
 # All structures count as one kind here, the first of SURFACES.
@@ -59,14 +58,13 @@ KINDS = (
 
 Values = Float[np.ndarray, " n"]
 Points = Float[np.ndarray, "n 3"]
-Ids = Integer[np.ndarray, "h w"]
 
 
 def check_ids(evidence: Evidence) -> Iterator[Result]:
     """Findings about ids, and measure `beyond_paint_m`: how far pixels of paint lie outside the scene's paint."""
     passes = evidence.passes
     if {"semantic", "instance"} <= set(passes):
-        yield from _agreement(passes["semantic"], passes["instance"])
+        yield from disagreement("instance", passes["semantic"], passes["instance"])
     if "instance" in passes:
         yield from _shares(evidence)
     if "depth" in passes and {"semantic", "instance"} & set(passes):
@@ -74,27 +72,29 @@ def check_ids(evidence: Evidence) -> Iterator[Result]:
         yield from _bodies(evidence)
 
 
-def _kind(instance: Ids) -> Ids:
+def kind_of(instance: Integer[np.ndarray, "*n"]) -> Integer[np.ndarray, "*n"]:
     """Kinds that follow from instance ids; 0 for pixels without one."""
     kinds = np.array([0, *(SEMANTIC_IDS[name] for _, name, _ in KINDS)], dtype=np.uint8)
     return kinds[np.searchsorted([first for first, _, _ in KINDS], instance, side="right")]
 
 
-def _folded(semantic: Ids) -> Ids:
+def _folded(semantic: Integer[np.ndarray, "*n"]) -> Integer[np.ndarray, "*n"]:
     """Semantic ids with those of all structures as one kind."""
     return np.where(np.isin(semantic, STRUCTURES), SEMANTIC_IDS[STRUCTURE], semantic)
 
 
-def _agreement(semantic: Ids, instance: Ids) -> Iterator[Finding]:
+def disagreement(
+    source: str, semantic: Integer[np.ndarray, "*n"], instance: Integer[np.ndarray, "*n"]
+) -> Iterator[Finding]:
     """Findings where semantic and instance ids disagree about the kind of object."""
-    kind, semantic = _kind(instance), _folded(semantic)
+    kind, semantic = kind_of(instance), _folded(semantic)
     for _, name, thing in KINDS:
         is_semantic, is_instance = semantic == SEMANTIC_IDS[name], kind == SEMANTIC_IDS[name]
         wrong = int((is_semantic != is_instance).sum())
         if wrong > MAX_SINGLE:
             yield Finding(
                 "",
-                f"instance: expected ids of the kind {thing} at the {is_semantic.sum()} pixels of this kind in "
+                f"{source}: expected ids of the kind {thing} at the {is_semantic.sum()} pixels of this kind in "
                 f"semantic, got them at {(is_semantic & is_instance).sum()} of these and at "
                 f"{(is_instance & ~is_semantic).sum()} others",
             )
@@ -104,7 +104,7 @@ def _paint(evidence: Evidence) -> Iterator[Result]:
     """Compare pixels of paint with the scene's paint of their line, or of any line without instance ids."""
     world, paint, passes = evidence.world, evidence.paint, evidence.passes
     name = "instance" if "instance" in passes else "semantic"
-    kind = _kind(passes["instance"]) if name == "instance" else passes["semantic"]
+    kind = kind_of(passes["instance"]) if name == "instance" else passes["semantic"]
     rows, columns = some_pixels((kind == SEMANTIC_IDS["marking"]) & np.isfinite(passes["depth"]))
     points_cam = evidence.points_cam(rows, columns)
     points, used = on_road(world, evidence.camera, points_cam)
@@ -130,23 +130,28 @@ def _paint(evidence: Evidence) -> Iterator[Result]:
 def _bodies(evidence: Evidence) -> Iterator[Finding]:
     """Compare pixels of cars, trees and structures with their bodies, or with all bodies without instance ids."""
     passes = evidence.passes
-    kind = _kind(passes["instance"]) if "instance" in passes else _folded(passes["semantic"])
+    kind = kind_of(passes["instance"]) if "instance" in passes else _folded(passes["semantic"])
     name = "instance" if "instance" in passes else "semantic"
-    things = (
-        ("car", "car", FIRST_CAR_ID, _in_car),
-        ("tree", "tree", FIRST_TREE_ID, _in_tree),
-        (STRUCTURE, "structure", FIRST_STRUCTURE_ID, _in_structure),
-    )
-    for key, thing, first, inside in things:
+    for key in THINGS:
         rows, columns = some_pixels((kind == SEMANTIC_IDS[key]) & np.isfinite(passes["depth"]))
-        points = evidence.points_world(rows, columns)
-        own = passes[name][rows, columns].astype(int) - first if name == "instance" else np.full(len(rows), -1)
-        wrong = ~inside(evidence, points, own)
-        for i in np.unique(own[wrong]):
-            n, n_wrong = int((own == i).sum()), int(wrong[own == i].sum())
-            if n_wrong > max(MAX_SINGLE, MAX_SHARE * n):
-                whose = f"{thing} {i}" if i >= 0 else f"a {thing}"
-                yield Finding("", f"{name}: expected pixels of {whose} within its body, got {n_wrong} of {n} outside")
+        numbers = passes[name][rows, columns].astype(int) if name == "instance" else None
+        yield from outside_bodies(evidence, name, key, evidence.points_world(rows, columns), numbers)
+
+
+def outside_bodies(
+    evidence: Evidence, source: str, key: str, points_world: Points, ids: Int[np.ndarray, " n"] | None
+) -> Iterator[Finding]:
+    """Findings about points seen on cars, trees or structures (keys of THINGS) that are not in the body of their
+    instance id, or of none."""
+    thing, first, inside = THINGS[key]
+    own = np.full(len(points_world), -1) if ids is None else ids - first
+    wrong = ~inside(evidence, points_world, own)
+    for i in np.unique(own[wrong]):
+        n, n_wrong = int((own == i).sum()), int(wrong[own == i].sum())
+        if n_wrong > max(MAX_SINGLE, MAX_SHARE * n):
+            whose = f"{thing} {i}" if i >= 0 else f"a {thing}"
+            what = "points" if source == "lidar" else "pixels"
+            yield Finding("", f"{source}: expected {what} of {whose} within its body, got {n_wrong} of {n} outside")
 
 
 def _in_car(evidence: Evidence, points: Points, own: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
@@ -199,14 +204,22 @@ def _in_structure(evidence: Evidence, points: Points, own: Int[np.ndarray, " n"]
     return boxes.inside(evidence.structures, points, own)
 
 
+# What has a body: what to call it, its first instance id, and which points are in it.
+THINGS = {
+    "car": ("car", FIRST_CAR_ID, _in_car),
+    "tree": ("tree", FIRST_TREE_ID, _in_tree),
+    STRUCTURE: ("structure", FIRST_STRUCTURE_ID, _in_structure),
+}
+
+
 def _shares(evidence: Evidence) -> Iterator[Finding]:
     """Compare the visible share of each car with its number of pixels."""
     shares = evidence.labels.car_visible_fraction
     assert shares is not None
     counts = np.bincount(evidence.passes["instance"].ravel(), minlength=FIRST_DELIMITER_ID)[FIRST_CAR_ID:]
     for i, share in enumerate(shares):
-        low, high = _seen_share(evidence.world, evidence.camera, i, int(counts[i]))
-        if not low - MAX_SHARE_OFF <= share <= high + MAX_SHARE_OFF:
+        low, high = _seen_share(evidence, i, int(counts[i]))
+        if not low - _error(low) <= share <= high + _error(high):
             yield Finding(
                 "",
                 f"car_visible_fraction: expected {low:.2f} to {high:.2f} of car {i} by its {counts[i]} pixels, "
@@ -214,15 +227,37 @@ def _shares(evidence: Evidence) -> Iterator[Finding]:
             )
 
 
-def _seen_share(world: World, camera: CameraLabel, car: int, n_px: int) -> tuple[float, float]:
-    """Limits of the visible share of a car's silhouette, from its number of pixels and its box in the image."""
+def _seen_share(evidence: Evidence, car: int, n_px: int) -> tuple[float, float]:
+    """Limits of the share of a car's pixels that is seen, from their number and the car's box in the image."""
+    world, camera = evidence.world, evidence.camera
     low, high = (corner / CAR_ROOM * world.scene.cars[car].scale for corner in _box(world, car))
     corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1)), axis=-1).reshape(-1, 3)
     corners_cam = transform(invert(camera.world_from_cam), transform(world.view.world_from_cars[car], corners))
-    is_wide = corners_cam[:, 1] < WIDE * np.linalg.norm(corners_cam, axis=1)
-    uv = camera.project(corners_cam)
-    if corners_cam[:, 1].min() < MIN_CORNER_M or is_wide.any() or np.isnan(uv).any():
+    uv = camera.project(ahead(corners_cam))
+    if np.isnan(uv).any():
+        # Out of the lens's field.
+        return 0.0, 1.0
+    box_px = _n_pixels(uv, camera)
+    if not box_px:
         return 0.0, float(n_px > 0)
-    box_px = float(ConvexHull(uv).volume)
+    is_wide = corners_cam[:, 1] < WIDE * np.linalg.norm(corners_cam, axis=1)
+    is_whole = ((uv > 0) & (uv < [camera.width_px, camera.height_px])).all() and not is_wide.any()
     least, most = OWN_FILL if world.scene.assets.cars else FILL
-    return max(n_px - SLACK_PX, 0) / (most * box_px), min((n_px + SLACK_PX) / (least * box_px), 1.0)
+    lowest = max(n_px - SLACK_PX, 0) / ((most if is_whole else 1.0) * box_px)
+    return lowest, min((n_px + SLACK_PX) / (least * box_px), 1.0) if is_whole or not n_px else 1.0
+
+
+def _n_pixels(outline: Float[np.ndarray, "n 2"], camera: CameraLabel) -> int:
+    """The number of the image's pixels whose centres, or whose neighbours', are inside the hull of an outline."""
+    if not len(outline):
+        return 0
+    size = np.array([camera.width_px, camera.height_px])
+    low, high = (np.clip(edge, 0, size).astype(int) for edge in (outline.min(axis=0) - 1, outline.max(axis=0) + 2))
+    uv = np.stack(np.meshgrid(*(np.arange(*ends) for ends in zip(low, high, strict=True))), axis=-1).reshape(-1, 2)
+    return int(covers(outline, uv + 0.5, EDGE_PX).sum())
+
+
+def _error(share: float) -> float:
+    """How far a label may be from this share: it is the mean of some rays that are seen or not."""
+    share = min(max(share, 0.0), 1.0)
+    return MAX_SHARE_OFF + SIGMAS * float(np.sqrt(share * (1 - share) / RAYS))

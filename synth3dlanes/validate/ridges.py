@@ -44,6 +44,9 @@ MIN_PROFILES = 15
 # Gray levels of 255 in a line's median: 1 to 4 occur by chance without paint, 5 with paint as gray as the road. In low
 # sun a line may have 3, but then it has them in place.
 CONTRAST, FAINT, FAINTEST = 12.0, 4.0, 2.5
+# The least brightness of a road whose paint stands out: paint that reflects BRIGHTER times as much is, by the curve of
+# sRGB, a quarter brighter, and that must be FAINT.
+DARK = 16.0
 # A road of this brightness leaves paint no room to be brighter, as in the glare of the sun.
 WHITE = 240.0
 # A ridge elsewhere must be this many times stronger than in place: the edge of a shadow reaches 2.7 times.
@@ -161,7 +164,8 @@ def _lines(evidence: Evidence, cuts: Sequence[Cut]) -> Iterator[Line]:
     of_cuts = (np.split(values, at) for values in (is_clear, outside_m, uv[:, 0].reshape(-1, 3)))
     for cut, clear, beyond_m, u_px in zip(cuts, *of_cuts, strict=True):
         width_m, stripes_m = paint.width_m(cut.lane), paint.stripes_m(cut.lane)
-        clear = clear & ~_in_glare(cut.profiles, width_m, stripes_m)
+        road = _beside(cut.profiles, width_m, stripes_m)
+        clear = clear & (road < WHITE).all(axis=1) & (road > DARK).all(axis=1)
         reach_m = BESIDE[1] * width_m + max(stripes_m)
         left_m, right_m = (_room(beyond_m[:, 1], beyond_m[:, side]) - reach_m for side in (0, 2))
         if clear.sum() >= MIN_PROFILES and min(left_m, right_m) > 0:
@@ -173,13 +177,13 @@ def _lines(evidence: Evidence, cuts: Sequence[Cut]) -> Iterator[Line]:
             yield Line(cut.lane, u_px[clear, 1], px_per_m, cut.ends_cam[clear, 1, 1], ridges)
 
 
-def _in_glare(
+def _beside(
     profiles: Float[np.ndarray, "n k"], width_m: float, stripes_m: tuple[float, ...]
-) -> Bool[np.ndarray, " n"]:
-    """Which profiles are white on one side of the paint."""
+) -> Float[np.ndarray, "n 2"]:
+    """The road's brightness on both sides of the paint of every profile."""
     beyond_m = np.stack([min(stripes_m) - OFFSETS_M, OFFSETS_M - max(stripes_m)]) / width_m
     beside = (beyond_m > BESIDE[0]) & (beyond_m < BESIDE[1])
-    return (profiles @ (beside / beside.sum(axis=1, keepdims=True)).T > WHITE).any(axis=1)
+    return profiles @ (beside / beside.sum(axis=1, keepdims=True)).T
 
 
 def _behind_structures(evidence: Evidence, ends_world: Float[np.ndarray, "n 3 3"]) -> Bool[np.ndarray, " n"]:

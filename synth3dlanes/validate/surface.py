@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
 
-from synth3dlanes.frames import transform
 from synth3dlanes.geometry.ground import EMBANKMENT_SLOPE, VERGE_M
 from synth3dlanes.geometry.terrain import gradient_at, height_at
 from synth3dlanes.labels import CameraLabel
@@ -20,6 +19,7 @@ from synth3dlanes.validate.findings import PROOF_M, Finding, Measure, Result
 from synth3dlanes.validate.pixels import Passes, some_pixels
 from synth3dlanes.validate.places import Places, places
 from synth3dlanes.validate.standing import terrain_height
+from synth3dlanes.world import World
 
 # At most about this many evenly spread pixels are used.
 MAX_PIXELS = 45_000
@@ -42,34 +42,54 @@ LENGTH = 0.005
 # With smooth shading, normals at outlines may point away from the camera: in 200 rendered scenes, up to 6 % of the
 # pixels of a small car and 0.8 % of all others. Leaves and far hills are not checked.
 AWAY, MAX_AWAY, MIN_OF_KIND = 0.02, 0.25, 50
+PAVEMENT = [SEMANTIC_IDS[name] for name in ("road", "shoulder")]
 KINDS = ("road", "shoulder", "marking", "car")
 
 Values = Float[np.ndarray, " n"]
+Ids = Integer[np.ndarray, " n"]
 Points = Float[np.ndarray, "n 3"]
 
 
 class Pavement(NamedTuple):
-    """Pixels that show road or shoulder: their rows and columns, distances ahead, places on the road and normals, and
-    their distances along the normal above the road (`gap_m`) and below the eye."""
+    """Points where road or shoulder was seen: their ranges, semantic ids, places on the road and its normals, and their
+    distances along the normal above the road (`gap_m`) and below the eye."""
 
-    rows: Int[np.ndarray, " n"]
-    columns: Int[np.ndarray, " n"]
-    y_m: Values
+    range_m: Values
+    semantic: Ids
     places: Places
     up_world: Points
     gap_m: Values
     below_eye_m: Values
 
 
+def pavement_at(
+    world: World,
+    eye_world: Float[np.ndarray, "3"],
+    points: Points,
+    range_m: Values,
+    semantic: Ids,
+) -> Pavement:
+    """Points of pavement, seen from the eye, beside the scene's."""
+    terrain, place = world.scene.terrain, places(world.ground, points[:, :2])
+    up = np.column_stack([-gradient_at(terrain, points[:, :2]), np.ones(len(points))])
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    gap_m = (points[:, 2] - height_at(terrain, points[:, :2]) - place.raised()) * up[:, 2]
+    return Pavement(range_m, semantic, place, up, gap_m, ((eye_world - points) * up).sum(axis=1))
+
+
 def check_pavement(evidence: Evidence) -> Iterator[Result]:
     """Findings about depth, semantic ids and normals on the road, and measure `pavement_m`: distances from the road."""
-    passes, pavement = evidence.passes, _see_pavement(evidence)
+    passes = evidence.passes
+    rows, columns = _pixels_of_pavement(passes)
+    y_m = passes["depth"][rows, columns].astype(float)
+    eye_world, points = evidence.camera.world_from_cam[:3, 3], evidence.points_world(rows, columns)
+    pavement = pavement_at(evidence.world, eye_world, points, y_m, passes["semantic"][rows, columns])
     yield from _sky(passes)
     yield from _depth(pavement)
-    yield from _ids(pavement, passes["semantic"])
+    yield from misplaced("semantic", pavement)
     if "normal" in passes:
-        yield from _normals(pavement, evidence.camera, passes["normal"])
-    yield Measure("pavement_m", pavement.y_m, np.abs(pavement.gap_m))
+        yield from _normals(pavement, evidence.camera, passes["normal"][rows, columns])
+    yield Measure("pavement_m", pavement.range_m, np.abs(pavement.gap_m))
 
 
 def check_hills(evidence: Evidence) -> Iterator[Finding]:
@@ -119,23 +139,14 @@ def check_normals(evidence: Evidence) -> Iterator[Finding]:
                 yield Finding("", f"normal: expected it to face the camera, got {share} turned away")
 
 
-def _see_pavement(evidence: Evidence) -> Pavement:
-    """The pavement according to depth and semantic ids."""
-    semantic, depth = evidence.passes["semantic"], evidence.passes["depth"]
-    world, camera = evidence.world, evidence.camera
+def _pixels_of_pavement(passes: Passes) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """Rows and columns of pixels that show road or shoulder."""
+    semantic, depth = passes["semantic"], passes["depth"]
     step = int(np.ceil(np.sqrt(semantic.size / MAX_PIXELS)))
     first = step // 2
-    paved = np.isin(semantic[first::step, first::step], (SEMANTIC_IDS["road"], SEMANTIC_IDS["shoulder"]))
-    rows, columns = (first + step * index for index in np.nonzero(paved & (depth[first::step, first::step] < RANGE_M)))
-    points_cam = evidence.points_cam(rows, columns)
-    points = transform(camera.world_from_cam, points_cam)
-    terrain = world.scene.terrain
-    place = places(world.ground, points[:, :2])
-    up = np.column_stack([-gradient_at(terrain, points[:, :2]), np.ones(len(points))])
-    up /= np.linalg.norm(up, axis=1, keepdims=True)
-    gap_m = (points[:, 2] - height_at(terrain, points[:, :2]) - place.raised()) * up[:, 2]
-    below_eye_m = ((camera.world_from_cam[:3, 3] - points) * up).sum(axis=1)
-    return Pavement(rows, columns, points_cam[:, 1], place, up, gap_m, below_eye_m)
+    paved = np.isin(semantic[first::step, first::step], PAVEMENT) & (depth[first::step, first::step] < RANGE_M)
+    rows, columns = (first + step * index for index in np.nonzero(paved))
+    return rows, columns
 
 
 def _sky(passes: Passes) -> Iterator[Finding]:
@@ -157,36 +168,38 @@ def _depth(pavement: Pavement) -> Iterator[Finding]:
                 f"depth: expected the {name} within {MAX_GAP_M} m of the scene's, got {(off & part).sum()} of "
                 f"{part.sum()} pixels off, by {median_m:+.3f} m in the median",
             )
-    near = pavement.y_m < PROOF_M
+    near = pavement.range_m < PROOF_M
     if near.sum() >= MIN_PIXELS:
         scale = 1 - float(np.median(pavement.gap_m[near] / pavement.below_eye_m[near]))
         if abs(scale - 1) > MAX_SCALE:
             yield Finding("", f"depth: expected the road at the scene's distance, got it {scale:.4f} times as far")
 
 
-def _ids(pavement: Pavement, semantic: Integer[np.ndarray, "h w"]) -> Iterator[Finding]:
-    """Findings where pixels of road and shoulder are not where the scene has them."""
-    beyond_m = pavement.places.outside()
+def misplaced(source: str, pavement: Pavement) -> Iterator[Finding]:
+    """Findings where road and shoulder are not where the scene has them."""
+    what, beyond_m = "points" if source == "lidar" else "pixels", pavement.places.outside()
     off = beyond_m > MAX_ASIDE_M
     if off.sum() > MAX_SINGLE:
         yield Finding(
             "",
-            f"semantic: expected pavement within its edges, got {off.sum()} of {len(off)} pixels up to "
+            f"{source}: expected pavement within its edges, got {off.sum()} of {len(off)} {what} up to "
             f"{beyond_m.max():.2f} m outside",
         )
-    found, expected = semantic[pavement.rows, pavement.columns], pavement.places.surface(MAX_ASIDE_M)
+    found, expected = pavement.semantic, pavement.places.surface(MAX_ASIDE_M)
     for name in ("road", "shoulder"):
         wrong = (expected == SEMANTIC_IDS[name]) & (found != expected)
         if wrong.sum() > MAX_SINGLE:
-            yield Finding("", f"semantic: expected {name} by the plan, got another at {wrong.sum()} pixels")
+            yield Finding("", f"{source}: expected {name} by the plan, got another at {wrong.sum()} {what}")
 
 
-def _normals(pavement: Pavement, camera: CameraLabel, normals_cam: Float[np.ndarray, "h w 3"]) -> Iterator[Finding]:
-    """Finding if the normals differ from the road's, in the median: they are smoothed where the exit leaves it."""
-    if len(pavement.rows) < MIN_PIXELS:
+def _normals(pavement: Pavement, camera: CameraLabel, normals_cam: Points) -> Iterator[Finding]:
+    """Finding if the normals differ from the road's, in the median: they are smoothed where the exit leaves it. A ramp
+    has others."""
+    level = ~pavement.places.on_slope()
+    if level.sum() < MIN_PIXELS:
         return
-    found = normals_cam[pavement.rows, pavement.columns] @ camera.world_from_cam[:3, :3].T
-    turn = float(np.median(np.linalg.norm(found - pavement.up_world, axis=1)))
+    found = normals_cam[level] @ camera.world_from_cam[:3, :3].T
+    turn = float(np.median(np.linalg.norm(found - pavement.up_world[level], axis=1)))
     if not turn <= MAX_TURN:
         yield Finding("", f"normal: expected the road's in the camera frame, got them {turn:.3f} off in the median")
 
