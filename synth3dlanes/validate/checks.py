@@ -4,9 +4,10 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 from synth3dlanes.validate.alignment import check_alignment
+from synth3dlanes.validate.appearance import check_appearance
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding, Result
-from synth3dlanes.validate.ids import check_ids
+from synth3dlanes.validate.ids import check_bonnet, check_ids
 from synth3dlanes.validate.integrity import check_row
 from synth3dlanes.validate.lidar import check_lidar
 from synth3dlanes.validate.picture import check_colours, check_frame, check_sharpness
@@ -54,6 +55,7 @@ CHECKS = (
         check_host,
         "a host that is not at the scene's offset from the middle of its lane, or that overlaps a car",
     ),
+    Check("bonnet", check_bonnet, "a bonnet of the host that is not in the picture", _needs("semantic")),
     Check(
         "objects",
         check_objects,
@@ -84,6 +86,13 @@ CHECKS = (
     Check("sharpness", check_sharpness, "images of lower resolution than their size", _needs("aim image")),
     Check("colours", check_colours, "swapped colour channels", _needs("aim image")),
     Check(
+        "appearance",
+        check_appearance,
+        "by clear daylight: gray pictures, swapped or turned colours, black parts, white lines that are yellow, lines "
+        "whose paint is missing",
+        _needs("aim image depth semantic"),
+    ),
+    Check(
         "alignment",
         check_alignment,
         "an image that is shifted or stretched against the passes, or of another scene",
@@ -99,17 +108,17 @@ CHECKS = (
     Check("hills", check_hills, "hills that do not match the scene", _needs("aim depth semantic")),
     Check("normals", check_normals, "normals of another length, or facing away", _needs("aim normal")),
     Check(
+        "symbols",
+        check_symbols,
+        "arrows, stop lines, crosswalks and gores in another place than the scene's, or missing",
+        _needs("aim depth semantic"),
+    ),
+    Check(
         "ids",
         check_ids,
         "ids of another car, tree, structure or line, or of another kind; a `car_visible_fraction` that does not match "
         "the pixels",
         _needs("aim"),
-    ),
-    Check(
-        "symbols",
-        check_symbols,
-        "arrows, stop lines, crosswalks and gores in another place than the scene's, or missing",
-        _needs("aim depth semantic"),
     ),
     Check("bias", signed_values, "nothing by itself: tested over the whole data set", _needs("aim image")),
 )

@@ -37,6 +37,10 @@ MAX_SINGLE, MAX_SHARE = 3, 0.05
 MAX_BEYOND_M, MAX_SHARE_BEYOND = 0.01, 0.02
 # Margins: cars fit their nominal boxes to 1 %; twigs reach 10 % beyond a tree's.
 CAR_ROOM, TREE_ROOM = 1.05, 1.15
+# Room around the box of a structure's faces of one kind, for depth far away.
+FACE_M = 0.1
+# Of the image's height that the bonnet fills.
+MAX_BONNET = 0.03
 # Share of a car's projected bounding box that the car fills: 0.52 to 0.93 for all built-in cars; up to 1 for a user's.
 FILL, OWN_FILL = (0.5, 0.95), (0.2, 1.0)
 # Labels measure shares with at least so many rays, passes with pixel centres.
@@ -67,6 +71,8 @@ def check_ids(evidence: Evidence) -> Iterator[Result]:
         yield from disagreement("instance", passes["semantic"], passes["instance"])
     if "instance" in passes:
         yield from _shares(evidence)
+    if {"depth", "semantic", "instance"} <= set(passes):
+        yield from _surfaces(evidence)
     if "depth" in passes and {"semantic", "instance"} & set(passes):
         yield from _paint(evidence)
         yield from _bodies(evidence)
@@ -83,15 +89,20 @@ def _folded(semantic: Integer[np.ndarray, "*n"]) -> Integer[np.ndarray, "*n"]:
     return np.where(np.isin(semantic, STRUCTURES), SEMANTIC_IDS[STRUCTURE], semantic)
 
 
+def is_of(name: str, ids: Integer[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:
+    """Which semantic ids are those of a name."""
+    return np.asarray(ids == SEMANTIC_IDS[name])
+
+
 def disagreement(
     source: str, semantic: Integer[np.ndarray, "*n"], instance: Integer[np.ndarray, "*n"]
 ) -> Iterator[Finding]:
     """Findings where semantic and instance ids disagree about the kind of object."""
     kind, semantic = kind_of(instance), _folded(semantic)
-    for _, name, thing in KINDS:
-        is_semantic, is_instance = semantic == SEMANTIC_IDS[name], kind == SEMANTIC_IDS[name]
-        wrong = int((is_semantic != is_instance).sum())
-        if wrong > MAX_SINGLE:
+    wrong = {(int((is_of(name, semantic) != is_of(name, kind)).sum()), name, thing) for _, name, thing in KINDS}
+    for n_wrong, name, thing in sorted(wrong, reverse=True):
+        is_semantic, is_instance = is_of(name, semantic), is_of(name, kind)
+        if n_wrong > MAX_SINGLE:
             yield Finding(
                 "",
                 f"{source}: expected ids of the kind {thing} at the {is_semantic.sum()} pixels of this kind in "
@@ -210,6 +221,39 @@ THINGS = {
     "tree": ("tree", FIRST_TREE_ID, _in_tree),
     STRUCTURE: ("structure", FIRST_STRUCTURE_ID, _in_structure),
 }
+
+
+def check_bonnet(evidence: Evidence) -> Iterator[Finding]:
+    """Finding if the host's bonnet is not in the picture, or should not be."""
+    share, middle = evidence.world.view.bonnet, evidence.camera.width_px // 2
+    found = float(is_of("host", evidence.passes["semantic"][:, middle]).mean())
+    if abs(found - share) > MAX_BONNET:
+        yield Finding(
+            "", f"host: expected the bonnet in the lowest {100 * share:.0f} % of the picture, got {100 * found:.0f} %"
+        )
+
+
+def _surfaces(evidence: Evidence) -> Iterator[Finding]:
+    """Compare the semantic ids of structures with the faces that these have: a pole's is not a sign's."""
+    passes = evidence.passes
+    rows, columns = some_pixels(np.isin(passes["semantic"], STRUCTURES) & np.isfinite(passes["depth"]))
+    points, semantic = evidence.points_world(rows, columns), passes["semantic"][rows, columns]
+    number = passes["instance"][rows, columns].astype(int) - FIRST_STRUCTURE_ID
+    wrong = np.zeros(len(points), dtype=bool)
+    for i in np.unique(number[(number >= 0) & (number < len(evidence.world.structures))]):
+        body = evidence.world.structures[i]
+        for name in SURFACES:
+            at = np.flatnonzero((number == i) & is_of(name, semantic))
+            corners = body.corners_world[body.surface == SURFACES.index(name)].reshape(-1, 3)
+            if at.size and len(corners):
+                low, high = corners.min(axis=0) - FACE_M, corners.max(axis=0) + FACE_M
+                wrong[at] = ~((points[at] > low) & (points[at] < high)).all(axis=1)
+            else:
+                wrong[at] = True
+    for name in SURFACES:
+        n, n_wrong = int(is_of(name, semantic).sum()), int(wrong[is_of(name, semantic)].sum())
+        if n_wrong > max(MAX_SINGLE, MAX_SHARE * n):
+            yield Finding("", f"semantic: expected {name} on faces of {name}, got {n_wrong} of {n} pixels elsewhere")
 
 
 def _shares(evidence: Evidence) -> Iterator[Finding]:

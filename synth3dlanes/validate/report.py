@@ -91,6 +91,10 @@ class Report:
         """Run the tests over the whole data set, after all samples were added."""
         self.problems += judge(self.means)
 
+    def in_order(self) -> list[Problem]:
+        """The problems by sample and file; of each in the order of the checks, whose first name the cause."""
+        return sorted(self.problems, key=lambda problem: problem.where)
+
     @property
     def failed(self) -> list[str]:
         """The samples and files that have a problem."""
@@ -101,7 +105,7 @@ class Report:
         return {
             "samples": self.n_samples,
             "failed": self.failed,
-            "problems": [problem._asdict() for problem in sorted(self.problems)],
+            "problems": [problem._asdict() for problem in self.in_order()],
             "distributions": {
                 name: {
                     "all": found.summary(slice(None)),
@@ -133,7 +137,7 @@ class Report:
         tested = {name: found for name, found in self.means.items() if found.n >= MIN_SAMPLES}
         if tested:
             parts += ["\n[bold]means[/bold]  of the samples' signed values; 0 where all is right", _means(tested)]
-        parts += ["", *(f"[red]{escape(problem.line())}[/red]" for problem in sorted(self.problems))]
+        parts += ["", *(f"[red]{escape(problem.line())}[/red]" for problem in self.in_order())]
         verdict = f"[red]{len(self.failed)} failed[/red]" if self.problems else "[green]all right[/green]"
         return Group(*parts, f"{self.n_samples} samples checked: {verdict}")
 

@@ -22,7 +22,7 @@ from synth3dlanes.validate.checks import CHECKS
 from synth3dlanes.validate.contents import read_contents
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding, Problem, Result, findings_of, some
-from synth3dlanes.validate.integrity import Entry, check_presence, check_shard, read_sample
+from synth3dlanes.validate.integrity import Entry, check_card, check_presence, check_shard, read_sample
 from synth3dlanes.validate.origin import Origin, drawn_otherwise, made_otherwise, read_origin
 from synth3dlanes.validate.pixels import Passes, Picture
 from synth3dlanes.validate.report import Report, draw, remove_pictures, save_picture
@@ -83,8 +83,11 @@ def validate(place: str | Path, workers: int, limit: int | None, progress: Calla
             redrawn |= {checked.name: checked.redrawn} if checked.redrawn else {}
             progress(done, len(todo))
     recipe = recipe_text(document)
-    report.problems += made_otherwise(recipes, recipe)
-    report.problems += drawn_otherwise(redrawn, len(todo), description.generator, recipes, recipe)
+    origins = [
+        *made_otherwise(recipes, recipe),
+        *drawn_otherwise(redrawn, len(todo), description.generator, recipes, recipe),
+    ]
+    report.problems[:0] = [*origins, *check_card(place, document)]
     report.judge()
     return report
 

@@ -44,12 +44,14 @@ def check_standing(evidence: Evidence) -> Iterator[Result]:
     world, camera = evidence.world, evidence.camera
     wheels = _ahead(camera, _wheels(world))
     trunks = _ahead(camera, world.trees_world + np.array([0, 0, TREE_SINK_M]))
-    on_ground_m = np.fmax(_height(world.verges, trunks[:, :2]), terrain_height(world.ground, trunks[:, :2]))
+    on_ground_m = np.fmax(mesh_height(world.verges, trunks[:, :2]), terrain_height(world.ground, trunks[:, :2]))
     feet = np.concatenate([np.zeros((0, 3)), *(body.feet_world[::FEET_STEP] for body in world.structures)])
     feet = _ahead(camera, feet)
-    under_m = np.fmax(_height([*world.pavement, *world.verges], feet[:, :2]), terrain_height(world.ground, feet[:, :2]))
+    under_m = np.fmax(
+        mesh_height([*world.pavement, *world.verges], feet[:, :2]), terrain_height(world.ground, feet[:, :2])
+    )
     standing = [
-        ("wheel_gap_m", wheels, _height(world.pavement, wheels[:, :2]), MAX_WHEEL_M),
+        ("wheel_gap_m", wheels, mesh_height(world.pavement, wheels[:, :2]), MAX_WHEEL_M),
         ("tree_gap_m", trunks, on_ground_m, MAX_TREE_M),
         *([("structure_gap_m", feet, under_m, MAX_TREE_M)] if len(feet) else []),
     ]
@@ -86,7 +88,7 @@ def _in(world_from_frame: Matrix4, points_world: Points) -> Points:
     return transform(invert(world_from_frame), points_world)
 
 
-def _height(surfaces: Sequence[meshes.Mesh], xy: Points2) -> Values:
+def mesh_height(surfaces: Sequence[meshes.Mesh], xy: Points2) -> Values:
     """Height of the highest face at each point, NaN if there is none."""
     height_m = np.full(len(xy), -np.inf)
     for mesh in surfaces:
