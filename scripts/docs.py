@@ -14,6 +14,7 @@ from synth3dlanes.labels import LabelsDocument
 from synth3dlanes.params import Params, forms, load_params, presets_folder
 from synth3dlanes.sampling.weather import DAYTIMES, KINDS, Distribution
 from synth3dlanes.scene import Scene
+from synth3dlanes.validate.checks import ALWAYS, CHECKS
 
 FOLDER = Path(__file__).parents[1] / "docs"
 
@@ -73,7 +74,18 @@ def pages() -> dict[str, str]:
         "scene.schema.json": json.dumps(Scene.model_json_schema(), indent=1) + "\n",
         "labels.schema.json": json.dumps(LabelsDocument.model_json_schema(), indent=1) + "\n",
         "cluster.md": with_files((FOLDER / "cluster.md").read_text()),
+        "validate.md": with_checks((FOLDER / "validate.md").read_text()),
     }
+
+
+def with_checks(page: str) -> str:
+    """The page of `validate` with the list of its checks."""
+    rows = [
+        f"| {check.name} | {', '.join(f'`{name}`' for name in sorted(check.needs - ALWAYS))} | {check.finds} |"
+        for check in CHECKS
+    ]
+    table = "\n".join(["| check | needs | finds |", "|---|---|---|", *rows])
+    return re.sub(r"(?<=<!-- checks -->\n).*?(?=\n\n)", lambda _: table, page, flags=re.DOTALL)
 
 
 def with_files(page: str) -> str:

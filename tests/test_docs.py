@@ -23,7 +23,10 @@ def generated() -> dict[str, str]:
     return pages
 
 
-@pytest.mark.parametrize("name", ["cli.md", "params.md", "scene.schema.json", "labels.schema.json", "cluster.md"])
+GENERATED = ["cli.md", "params.md", "scene.schema.json", "labels.schema.json", "cluster.md", "validate.md"]
+
+
+@pytest.mark.parametrize("name", GENERATED)
 def test_a_generated_page_is_fresh(generated: dict[str, str], name: str) -> None:
     assert (DOCS / name).read_text() == generated[name], "run `make docs`"
 

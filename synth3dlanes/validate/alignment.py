@@ -10,11 +10,12 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, Int
 
 from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding
-from synth3dlanes.validate.passes_proof import Passes
+from synth3dlanes.validate.pixels import Passes
 
 # Brightness steps are measured up to this many pixels from each border.
 REACH_PX = 6
@@ -45,20 +46,25 @@ ACROSS = (
 )
 DOWN = (Part("the image", 0, 1, 250),)
 GROUND = [SEMANTIC_IDS[name] for name in ("terrain", "road", "shoulder", "marking", "symbol")]
-LUMA = np.array([0.3, 0.6, 0.1])
+# After civil twilight edges beyond the headlights are not seen. Sine of the yaw from which on motion blur runs across
+# the image.
+DARK_RAD, ASIDE = 1.68, 0.3
 
 
-def check_alignment(image: UInt8[np.ndarray, "h w 3"], passes: Passes) -> Iterator[Finding]:
+def check_alignment(evidence: Evidence) -> Iterator[Finding]:
     """Findings where the image is shifted or stretched against its passes, or belongs to other passes."""
-    if "semantic" not in passes:
+    scene, passes, luma = evidence.scene, evidence.passes, evidence.luma
+    is_lit = scene.light.sun_zenith_rad < DARK_RAD
+    is_smeared = scene.sensor.motion_blur_m > 0 and abs(np.sin(scene.camera.yaw_rad)) > ASIDE
+    if not evidence.paint.shows or not is_lit or is_smeared:
         return
-    every = int(np.ceil(image.shape[0] * image.shape[1] / MAX_PIXELS))
+    every = int(np.ceil(luma.size / MAX_PIXELS))
     rows, columns = np.s_[::every], np.s_[:, ::every]
-    yield from _judge(image[rows] @ LUMA, _things(passes, rows), "right", ACROSS)
+    yield from _judge(luma[rows], _things(passes, rows), "right", ACROSS)
     things = _things(passes, columns)
     # Motion blur smears the ground near the host along the driving direction.
     things[np.isin(passes["semantic"][columns], GROUND)] = 0
-    yield from _judge((image[columns] @ LUMA).T, things.T, "down", DOWN)
+    yield from _judge(luma[columns].T, things.T, "down", DOWN)
 
 
 def _things(passes: Passes, of: tuple[slice, ...] | slice) -> Int[np.ndarray, "r c"]:

@@ -1,4 +1,4 @@
-"""Image regions that cars, their shadows and the host's bonnet may cover; works without passes."""
+"""Bodies of cars, trees and the host's bonnet: boxes that they fill or may fill, and pixels that they may cover."""
 
 from collections.abc import Iterator
 
@@ -9,9 +9,10 @@ from scipy.spatial import ConvexHull
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.bonnet import bonnet
 from synth3dlanes.labels import CameraLabel
+from synth3dlanes.validate.boxes import Boxes, Corners
 from synth3dlanes.world import World
 
-# Points nearer than this are moved to this depth, so that a car beside the camera can be projected.
+# Bodies are cut off at this depth, so that a car beside the camera can be projected.
 NEAR_M = 0.3
 # Lower limit of the sun's elevation, and upper limit of a shadow's length.
 LOWEST_SUN_RAD, MAX_SHADOW_M = 0.05, 15.0
@@ -20,6 +21,16 @@ ROOM_PX = 3.0
 
 # Of a body in the field of a lens.
 MIN_CORNERS = 3
+# Mirrors and twigs may extend beyond the nominal boxes.
+ROOM = 1.15
+# Trunks go on underground, where they hide points behind a hill.
+ROOTS_M = 1.0
+# Every car is solid in this part of its box: above the open space below a truck, below the windows, and behind the gap
+# at a truck's cab.
+CORE_SIDES, CORE_HEIGHT = ((-0.7, -0.7), (0.7, 0.2)), (0.38, 0.5)
+# The host's bonnet fills this box below its highest point, and lies in that one.
+BONNET_CORE = ((-0.6, 0.35, -0.3), (0.6, 1.3, -0.16))
+BONNET = ((-0.78, 0.02, -0.4), (0.78, 1.6, 0.02))
 
 Pixels = Float[np.ndarray, "n 2"]
 
@@ -40,18 +51,30 @@ def may_show_cars(world: World, camera: CameraLabel, uv: Pixels, within_m: float
     hidden = np.zeros(len(uv), dtype=bool)
     for points in _bodies(world):
         points_cam = transform(invert(camera.world_from_cam), points)
-        if points_cam[:, 1].max() < NEAR_M or points_cam[:, 1].min() > within_m:
-            continue
-        points_cam[:, 1] = np.maximum(points_cam[:, 1], NEAR_M)
-        outline = camera.project(points_cam)
-        outline = outline[np.isfinite(outline).all(axis=1)]
-        if len(outline) < MIN_CORNERS:
-            continue
-        near = ((uv > outline.min(axis=0) - ROOM_PX) & (uv < outline.max(axis=0) + ROOM_PX)).all(axis=1) & ~hidden
-        if near.any():
-            sides = ConvexHull(outline).equations
-            hidden[near] = (uv[near] @ sides[:, :2].T + sides[:, 2] < ROOM_PX).all(axis=1)
+        if points_cam[:, 1].min() <= within_m:
+            hidden[~hidden] = covers(camera.project(ahead(points_cam)), uv[~hidden], ROOM_PX)
     return hidden
+
+
+def ahead(points_cam: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
+    """Points whose convex hull is the part of that of the given points that is ahead of the camera."""
+    y_m = points_cam[:, 1]
+    front, back = points_cam[y_m >= NEAR_M], points_cam[y_m < NEAR_M]
+    share = (front[:, None, 1:2] - NEAR_M) / (front[:, None, 1:2] - back[None, :, 1:2])
+    return np.concatenate([front, (front[:, None] + share * (back - front[:, None])).reshape(-1, 3)])
+
+
+def covers(outline: Float[np.ndarray, "k 2"], uv: Pixels, room_px: float) -> Bool[np.ndarray, " n"]:
+    """Which pixels are inside the convex hull of an outline or at most so far beside it; none without an area."""
+    covered = np.zeros(len(uv), dtype=bool)
+    outline = outline[np.isfinite(outline).all(axis=1)]
+    if len(outline) < MIN_CORNERS or not np.ptp(outline, axis=0).all():
+        return covered
+    near = ((uv > outline.min(axis=0) - room_px) & (uv < outline.max(axis=0) + room_px)).all(axis=1)
+    if near.any():
+        sides = ConvexHull(outline).equations
+        covered[near] = (uv[near] @ sides[:, :2].T + sides[:, 2] < room_px).all(axis=1)
+    return covered
 
 
 def _bodies(world: World) -> Iterator[Float[np.ndarray, "n 3"]]:
@@ -70,3 +93,38 @@ def _shadow(world: World, car: int, corners: Float[np.ndarray, "8 3"]) -> Float[
     length_m = np.minimum((corners[:, 2] - foot_m) / rise, MAX_SHADOW_M)
     away = -np.array([np.cos(light.sun_azimuth_rad), np.sin(light.sun_azimuth_rad)])
     return np.column_stack([corners[:, :2] + length_m[:, None] * away, np.full(len(corners), foot_m)])
+
+
+def cores(world: World) -> Boxes:
+    """The opaque core of each car and of the bonnet."""
+    half, up, poses = _cars(world)
+    low, high = (half * [*side, 0] + height * up for side, height in zip(CORE_SIDES, CORE_HEIGHT, strict=True))
+    return _with_bonnet(world, Boxes(poses, low, high), BONNET_CORE)
+
+
+def outlines(world: World) -> Boxes:
+    """The box that each car, each tree and the bonnet may fill."""
+    half, up, cars = _cars(world)
+    models = [world.scene.assets.tree_models[tree.model - 1] for tree in world.scene.trees]
+    sizes = np.array([(model.crown_radius_m, model.crown_radius_m, model.height_m) for model in models]).reshape(-1, 3)
+    sizes *= np.array([tree.scale for tree in world.scene.trees]).reshape(-1, 1)
+    trees = np.tile(np.eye(4), (len(sizes), 1, 1))
+    trees[:, :3, 3] = world.trees_world
+    crown, height = sizes * [1, 1, 0], sizes * [0, 0, 1]
+    low, high = np.concatenate([-half, -crown - [0, 0, ROOTS_M]]), np.concatenate([half + up, crown + height])
+    return _with_bonnet(world, Boxes(np.concatenate([cars, trees]), ROOM * low, ROOM * high), BONNET)
+
+
+def _with_bonnet(world: World, boxes: Boxes, bonnet: tuple[tuple[float, ...], ...]) -> Boxes:
+    pose = world.view.world_from_bonnet
+    if pose is None:
+        return boxes
+    return Boxes(*(np.concatenate([part, [own]]) for part, own in zip(boxes, (pose, *bonnet), strict=True)))
+
+
+def _cars(world: World) -> tuple[Corners, Corners, Float[np.ndarray, "k 4 4"]]:
+    """Half the width and length of every car, its height, and its pose."""
+    models = [world.scene.assets.car_models[car.model - 1] for car in world.scene.cars]
+    sizes = np.array([(model.width_m / 2, model.length_m / 2, model.height_m) for model in models]).reshape(-1, 3)
+    sizes *= np.array([car.scale for car in world.scene.cars]).reshape(-1, 1)
+    return sizes * [1, 1, 0], sizes * [0, 0, 1], np.array(world.view.world_from_cars).reshape(-1, 4, 4)

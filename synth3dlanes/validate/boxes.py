@@ -4,7 +4,6 @@ The boxes of structures follow from the scene's numbers, the road plan and the t
 are rendered.
 """
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -78,9 +77,8 @@ def inside(owned: Owned, points_world: Points, owners: Int[np.ndarray, " n"]) ->
     return found
 
 
-@lru_cache(maxsize=1)
 def structure_boxes(world: World) -> Owned:
-    """The boxes of all structures. Several checks of a sample ask for them."""
+    """The boxes of all structures."""
     roadside = world.scene.roadside
     found = [
         *(_rail(world, rail) for rail in roadside.rails),

@@ -1,7 +1,7 @@
 """Signed offset, across the line, between the paint of each delimiter in the pixels and in the labels.
 
     views = line_views(paint, labels)                            # once per sample
-    for line in paint_offsets(views, passes["instance"]):        # or image_offsets(views, image)
+    for line in paint_offsets(views, passes["instance"]):        # or image_offsets(views, luma)
         line.mean_m           # offset of the paint's centroid to the right of its label; negative: to the left
         line.n_px.sum()       # number of pixels of paint; with 100 or more the mean is accurate to about 3 mm
         line.points_cam, line.n_px, line.moment_m                # the same for each slice
@@ -17,7 +17,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Integer, UInt8
+from jaxtyping import Bool, Float, Int, Integer
 from scipy.interpolate import CubicSpline
 
 from synth3dlanes.labels import MASKS, CameraLabel, Labels, Lane
@@ -34,7 +34,6 @@ MAX_ROWS = 200
 # For `image_offsets`: the largest distance, the least number of slices, the least contrast in gray levels, and the
 # width of the road beside a line with which its paint is compared.
 IMAGE_RANGE_M, MIN_SLICES, MIN_CONTRAST, BESIDE_M = 30.0, 15, 10.0, 0.12
-LUMA = np.array([0.3, 0.6, 0.1])
 
 Values = Float[np.ndarray, " n"]
 Points = Float[np.ndarray, "n 3"]
@@ -116,7 +115,7 @@ def paint_offsets(views: Sequence[View], instance: Integer[np.ndarray, "h w"]) -
             yield Offset(view.lane, view.slices.points_cam[used], n_px, (surplus * view.right_m)[used].sum(axis=1))
 
 
-def image_offsets(views: Sequence[View], image: UInt8[np.ndarray, "h w 3"]) -> Iterator[Offset]:
+def image_offsets(views: Sequence[View], luma: Float[np.ndarray, "h w"]) -> Iterator[Offset]:
     """The offset of every line between two lanes whose paint is brighter or darker than the road beside it. Lines at
     the road's edges are skipped, because the surfaces on their two sides differ in brightness."""
     for view in views:
@@ -124,12 +123,12 @@ def image_offsets(views: Sequence[View], image: UInt8[np.ndarray, "h w 3"]) -> I
             continue
         slices = view.slices
         px_m = (2 * view.half_m / (slices.right_px - slices.left_px))[:, None]
-        luma, end_m = image[view.row, view.column] @ LUMA, view.half_m + px_m
+        near, end_m = luma[view.row, view.column], view.half_m + px_m
         left, right = (
-            _mean(luma, view.near & (side * view.right_m > end_m) & (side * view.right_m < end_m + px_m + BESIDE_M))
+            _mean(near, view.near & (side * view.right_m > end_m) & (side * view.right_m < end_m + px_m + BESIDE_M))
             for side in (-1, 1)
         )
-        brighter = np.where(np.abs(view.right_m) < end_m, luma - np.where(view.right_m < 0, left, right), 0.0)
+        brighter = np.where(np.abs(view.right_m) < end_m, near - np.where(view.right_m < 0, left, right), 0.0)
         used = (slices.points_cam[:, 1] < IMAGE_RANGE_M) & np.isfinite(brighter).all(axis=1)
         if used.sum() < MIN_SLICES:
             continue

@@ -10,7 +10,6 @@ from io import StringIO
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-from jaxtyping import UInt8
 
 from synth3dlanes import labels as labels_module
 from synth3dlanes import scene as scene_module
@@ -19,9 +18,8 @@ from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
 from synth3dlanes.sensors.sweep import Sweep
-from synth3dlanes.validate.documents import differences, some
-from synth3dlanes.validate.findings import Finding
-from synth3dlanes.validate.passes_proof import Passes
+from synth3dlanes.validate.findings import Finding, differences, some
+from synth3dlanes.validate.pixels import Passes, Picture
 
 # First bytes of files of these formats.
 MAGIC = {"jpg": b"\xff\xd8\xff", "png": b"\x89PNG\r\n\x1a\n"}
@@ -34,7 +32,7 @@ class Contents(NamedTuple):
 
     scene: Scene | None
     labels: Labels | None
-    image: UInt8[np.ndarray, "h w 3"] | None
+    image: Picture | None
     passes: Passes | None
     sweep: Sweep | None
 
@@ -88,7 +86,7 @@ def _require_text(data: bytes, canonical: str, name: str) -> None:
         raise FormatError(f"{name}: {some(wrong)}")
 
 
-def _image(data: bytes, name: str) -> UInt8[np.ndarray, "h w 3"]:
+def _image(data: bytes, name: str) -> Picture:
     if not data.startswith(MAGIC[name]):
         raise FormatError(f"{name}: expected an image of this format, got another")
     with warnings.catch_warnings():

@@ -3,23 +3,25 @@
 import hashlib
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pyarrow as pa
 
+from synth3dlanes import __version__
 from synth3dlanes.dataset.address import connect, read_file, translate_store_errors
+from synth3dlanes.dataset.card import CARD, MARK, card
 from synth3dlanes.dataset.columns import SCHEMA, index_row
+from synth3dlanes.dataset.description import DESCRIPTION
 from synth3dlanes.dataset.format import BLOCK, key_of, tar_end, tar_members
 from synth3dlanes.dataset.index import ADDED_SCHEMA, place_columns, read_index, recipe_of, require_columns
 from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
-from synth3dlanes.validate.documents import differences, some
-from synth3dlanes.validate.findings import Finding, Problem
+from synth3dlanes.validate.findings import Finding, Problem, differences, some
 
 NAMED_AT_MOST = 5
 KEY = re.compile("[0-9]{8}")
@@ -82,6 +84,11 @@ def check_shard(parquet: str, names: Sequence[str], shard_size: int) -> ShardChe
         fault = "" if size == expected else f"expected {expected} bytes, got {size}"
     problems += [Problem(_place(tar), "", fault)] if fault else []
     problems += _not_once(entries, found, tar)
+    numbers = [entry.index for entry in entries]
+    if numbers != sorted(numbers):
+        first = next(i for i, (one, other) in enumerate(zip(numbers, sorted(numbers), strict=True)) if one != other)
+        reason = f"expected rows in the order of their samples, got {key_of(numbers[first])} in row {first}"
+        problems.append(Problem(_place(parquet), "", reason))
     first, whole = int(_stem(parquet)) * shard_size, {}
     for entry in entries:
         missing = sorted(entry.parts() - set(found))
@@ -96,6 +103,18 @@ def check_shard(parquet: str, names: Sequence[str], shard_size: int) -> ShardChe
             whole[entry.index] = entry
     indices = frozenset(entry.index for entry in entries)
     return ShardCheck(problems, list(whole.values()), indices, recipe_of(table.schema.metadata))
+
+
+def check_card(place: str, description: Mapping[str, Any]) -> Iterator[Problem]:
+    """Problem if the data set's README.md is not what dataset.json gives; one that a user has made their own, or that
+    another version wrote, may be any."""
+    files, root = connect(place)
+    with translate_store_errors(place):
+        found = files.cat_file(f"{root}/{CARD}") if files.exists(f"{root}/{CARD}") else b""
+    if MARK.encode() in found and description["generator"] == __version__ and found != card(description):
+        yield Problem(
+            CARD, "", f"expected what {DESCRIPTION} gives, got another text: remove its line {MARK!r} to keep it"
+        )
 
 
 def check_presence(split: str, n: int, indices: Set[int]) -> Iterator[Problem]:

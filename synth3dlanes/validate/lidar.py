@@ -1,4 +1,5 @@
-"""Check a lidar's sweep: its pavement against the world's, and what the image shows too against the passes.
+"""Check a lidar's sweep all around: its pavement and bodies against the world's, as those of the passes are; and what
+the image shows too against the passes.
 
 Points are projected into the image. Depth is interpolated between the four pixels around a point, as on a plane, where
 the sixteen around it show one surface without an edge.
@@ -10,39 +11,48 @@ import numpy as np
 
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.camera import project
-from synth3dlanes.sensors.sweep import LidarPoints, Sweep
+from synth3dlanes.sensors.sweep import LidarPoints
 from synth3dlanes.settings import SEMANTIC_IDS
-from synth3dlanes.validate.findings import PROOF_M, Finding, Measure
-from synth3dlanes.validate.passes_proof import Passes
+from synth3dlanes.validate.evidence import Evidence
+from synth3dlanes.validate.findings import PROOF_M, Finding, Measure, Result
+from synth3dlanes.validate.ids import THINGS, disagreement, kind_of, outside_bodies
+from synth3dlanes.validate.pixels import Passes, around, depth_between
+from synth3dlanes.validate.surface import MAX_GAP_M, PAVEMENT, misplaced, pavement_at
 from synth3dlanes.world import World
 
-# Pavement is built of faces, and only as far as labels are proved.
-MAX_GROUND_M, MAX_RANGE_M, MAX_SHARE, MIN_POINTS = 0.02, 0.01, 0.02, 20
-PAVEMENT = [SEMANTIC_IDS[name] for name in ("road", "shoulder")]
+# Of the points, and of those that may be wrong.
+MAX_RANGE_M, MAX_SHARE, MIN_POINTS = 0.01, 0.02, 20
 # Depth is interpolated where its error by the surface's bend is below this; surfaces whose depths differ by a larger
 # share are two.
 MAX_BEND_M, ONE_SURFACE = 0.003, 0.02
 
 
-def prove_lidar(world: World, sweep: Sweep, passes: Passes) -> tuple[list[Finding], list[Measure]]:
+def check_lidar(evidence: Evidence) -> Iterator[Result]:
     """Findings, and distances of points from the pavement and from the depth pass."""
-    points = sweep.points()
-    ground = _off_pavement(world, points)
-    findings = list(_judge(ground, MAX_GROUND_M, "the pavement of the scene"))
-    if not {"depth", "semantic", "instance"} <= set(passes):
-        return findings, [ground]
-    depth, n_behind, n_otherwise = _against_passes(world, points, passes)
-    findings += _judge(depth, MAX_RANGE_M, "the depth pass")
-    n = len(depth.values)
+    sweep = evidence.sweep
+    assert sweep is not None
+    points, world = sweep.points(), evidence.world
+    points_world = transform(world.view.world_from_lidar, points.xyz_lidar)
+    paved = np.isin(points.semantic, PAVEMENT) & (points.range_m < PROOF_M)
+    eye_world, range_m = world.view.world_from_lidar[:3, 3], points.range_m[paved].astype(float)
+    pavement = pavement_at(world, eye_world, points_world[paved], range_m, points.semantic[paved])
+    ground = Measure("lidar_ground_m", range_m, np.abs(pavement.gap_m))
+    yield ground
+    yield from _judge(ground, MAX_GAP_M, "the pavement of the scene")
+    yield from misplaced("lidar", pavement)
+    yield from disagreement("lidar", points.semantic, points.instance)
+    for key in THINGS:
+        at = kind_of(points.instance) == SEMANTIC_IDS[key]
+        yield from outside_bodies(evidence, "lidar", key, points_world[at], points.instance[at].astype(int))
+    if not {"depth", "semantic", "instance"} <= evidence.has:
+        return
+    depth, n_behind, n_otherwise, n = _against_passes(world, points, evidence.passes)
+    yield depth
+    yield from _judge(depth, MAX_RANGE_M, "the depth pass")
     if n_behind > max(MIN_POINTS, MAX_SHARE * n):
-        findings.append(
-            Finding("", f"lidar: expected points on what the depth pass shows, got {n_behind} in front of it")
-        )
+        yield Finding("", f"lidar: expected points on what the depth pass shows, got {n_behind} in front of it")
     if n_otherwise > max(MIN_POINTS, MAX_SHARE * n):
-        findings.append(
-            Finding("", f"lidar: expected the ids of the passes, got others at {n_otherwise} of {n} points")
-        )
-    return findings, [ground, depth]
+        yield Finding("", f"lidar: expected the ids of the passes, got others at {n_otherwise} of {n} points")
 
 
 def _judge(measure: Measure, limit_m: float, of: str) -> Iterator[Finding]:
@@ -53,43 +63,26 @@ def _judge(measure: Measure, limit_m: float, of: str) -> Iterator[Finding]:
         yield Finding("", f"lidar: expected points within {limit_m} m of {of}, got {off}")
 
 
-def _off_pavement(world: World, points: LidarPoints) -> Measure:
-    """Vertical distance of points on road and shoulder from the world's ground, by their range."""
-    at = np.isin(points.semantic, PAVEMENT)
-    xyz_world = transform(world.view.world_from_lidar, points.xyz_lidar[at])
-    off_m = np.abs(xyz_world[:, 2] - world.ground.height(xyz_world[:, :2]))
-    return Measure("lidar_ground_m", points.range_m[at].astype(float), off_m)
-
-
-def _against_passes(world: World, points: LidarPoints, passes: Passes) -> tuple[Measure, int, int]:
-    """Differences of range between points and the depth pass, along the camera's rays, where both see one surface; how
-    many points are in front of what the pass shows there; and how many of the former have other ids."""
+def _against_passes(world: World, points: LidarPoints, passes: Passes) -> tuple[Measure, int, int, int]:
+    """Differences of range between points and the depth pass, along the camera's rays, where both see one pavement
+    (bodies have parts smaller than a pixel); how many points are in front of what the pass shows; how many on it have
+    other ids; and how many are on it."""
     x, y, z = points.xyz_cam.T
     uv = project(world.view.camera, points.xyz_cam)
     shape = passes["depth"].shape
     with np.errstate(invalid="ignore"):
         inside = ((uv > 2) & (uv < np.array(shape[::-1]) - 2)).all(axis=1)
     uv, y, slant = uv[inside], y[inside], np.sqrt(x**2 + y**2 + z**2)[inside] / y[inside]
-    # The sixteen pixels around each point, row by row, and its place between the middle four.
-    first = np.floor(uv - 0.5).astype(int)
-    rows, columns = (first[:, axis] + np.arange(-1, 3)[:, None] for axis in (1, 0))
-    square = rows[:, None], columns[None]
-    right, down = (uv - 0.5 - first).T
+    between, square = depth_between(passes["depth"], uv), around(uv, shape, 2)
     with np.errstate(divide="ignore", invalid="ignore"):
-        inverse = 1 / passes["depth"][square].astype(float)
-        (a, b), (c, d) = inverse[1, 1:3], inverse[2, 1:3]
-        depth = 1 / ((a * (1 - right) + b * right) * (1 - down) + (c * (1 - right) + d * right) * down)
-        # A sixteenth of the sum of second differences at both ends is the error of a parabola's chord in its middle.
-        bends = sum(
-            np.abs(a - b - c + d).max(axis=0) / 16 for a, b, c, d in (inverse[:, 1:3], inverse.swapaxes(0, 1)[:, 1:3])
-        )
-        clear = bends * depth**2 * slant < MAX_BEND_M
-    for ids in (passes["semantic"][square], passes["instance"][square]):
-        clear &= (ids == ids[1, 1]).all(axis=(0, 1))
-    share = depth / y - 1
+        clear = between.bend * between.depth_m * slant < MAX_BEND_M
+        share = between.depth_m / y - 1
+    is_other = np.zeros(len(y), dtype=bool)
+    for name, found in (("semantic", points.semantic), ("instance", points.instance)):
+        ids = passes[name][square]
+        clear &= (ids == ids[0]).all(axis=0)
+        is_other |= ids[0] != found[inside]
     same = clear & (np.abs(share) < ONE_SURFACE)
-    is_other = (passes["semantic"][square][1, 1] != points.semantic[inside]) | (
-        passes["instance"][square][1, 1] != points.instance[inside]
-    )
-    measure = Measure("lidar_depth_m", y[same], (np.abs(depth - y) * slant)[same])
-    return measure, int((clear & (share > ONE_SURFACE)).sum()), int(is_other[same].sum())
+    paved = same & np.isin(points.semantic[inside], PAVEMENT)
+    measure = Measure("lidar_depth_m", y[paved], (np.abs(between.depth_m - y) * slant)[paved])
+    return measure, int((clear & (share > ONE_SURFACE)).sum()), int(is_other[same].sum()), int(same.sum())

@@ -23,8 +23,7 @@ from synth3dlanes.sampling.like import Like
 from synth3dlanes.scene import Scene
 from synth3dlanes.schema import Excerpt, validation_problems
 from synth3dlanes.shots import SINGLE, Place, Shots
-from synth3dlanes.validate.documents import NAMED_AT_MOST, differences, some
-from synth3dlanes.validate.findings import Problem
+from synth3dlanes.validate.findings import NAMED_AT_MOST, Problem, differences, some
 
 # If no sample matches dataset.json and there are more than this many, they are reported as one problem.
 MANY = 20

@@ -8,10 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from synth3dlanes.frames import transform
 from synth3dlanes.geometry import meshes
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.lanes import Curve
+from synth3dlanes.geometry.terrain import gradient_at, height_at
+from synth3dlanes.labels import CameraLabel
 from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.world import World
 
 # Points are projected onto the exit up to this far before the split and this far left of the exit's lanes.
 BEHIND_M, ASIDE_M = 20.0, 1.0
@@ -19,8 +23,11 @@ BEHIND_M, ASIDE_M = 20.0, 1.0
 CUT_M = 0.3
 # Points on the main right shoulder this close to the exit's lanes may be covered by the faces of these.
 COVER_M = 2.0
+# Points are moved onto the road along the line of sight by at most this.
+MAX_FLOAT_M = 0.05
 
 Values = Float[np.ndarray, " n"]
+Points = Float[np.ndarray, "n 3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,3 +121,16 @@ def places(ground: Ground, xy_world: Float[np.ndarray, "n 2"]) -> Places:
         near = (s > -BEHIND_M) & (t > plan.boundary_m(plan.n_lanes - plan.n_exit_lanes) - ASIDE_M)
         exit_s[near], exit_t[near] = plan.project_exit(xy_world[near], np.maximum(s[near], 0))
     return Places(ground, s, t, exit_s, exit_t)
+
+
+def on_road(world: World, camera: CameraLabel, points_cam: Points) -> tuple[Points, Bool[np.ndarray, " n"]]:
+    """Move points that float over the road along the line of sight onto it; also return where this is reliable."""
+    terrain, points = world.scene.terrain, transform(camera.world_from_cam, points_cam)
+    place = places(world.ground, points[:, :2])
+    sight = points - camera.world_from_cam[:3, 3]
+    sight /= np.linalg.norm(sight, axis=1, keepdims=True)
+    falls = (sight[:, :2] * gradient_at(terrain, points[:, :2])).sum(axis=1) - sight[:, 2]
+    over_m = points[:, 2] - height_at(terrain, points[:, :2]) - place.raised()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        way_m = np.clip(np.where(falls > 0, over_m / falls, np.inf), -1, 1)
+    return points + way_m[:, None] * sight, (np.abs(way_m) < MAX_FLOAT_M) & ~place.on_slope()

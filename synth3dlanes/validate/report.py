@@ -1,14 +1,25 @@
-"""The report of a validation: problems, distributions, worst samples; as text and as JSON."""
+"""The report of a validation: problems, distributions, worst samples; as text, as JSON, and as pictures of samples."""
 
 import heapq
-from collections.abc import Sequence
+import io
+from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path, PurePath
 from typing import Any
 
+import numpy as np
+from fsspec.implementations.local import LocalFileSystem
+from PIL import Image
 from rich.console import Group, RenderableType
 from rich.markup import escape
 from rich.table import Table
 
+from synth3dlanes.dataset.address import connect, translate_store_errors
+from synth3dlanes.errors import FormatError, OutageError
+from synth3dlanes.figures.overlay import draw_overlay, stretches_img
+from synth3dlanes.files import Folder
+from synth3dlanes.labels import Labels
 from synth3dlanes.validate.bias import MIN_SAMPLES, TESTS, Mean, judge
 from synth3dlanes.validate.findings import (
     BAND_NAMES,
@@ -20,8 +31,10 @@ from synth3dlanes.validate.findings import (
     Finding,
     Measure,
     Problem,
+    Result,
     Signed,
 )
+from synth3dlanes.validate.pixels import Picture
 
 MEASURES = {
     "paint_px": "pixels from delimiter points to their paint (semantic pass)",
@@ -37,6 +50,9 @@ MEASURES = {
     "wheel_gap_m": "metres between tyres and the rendered road, by their distance ahead",
     "tree_gap_m": "metres between trunks' places and the rendered ground, by their distance ahead",
 }
+FOLDER = "validation"
+# No lanes are drawn if a line extends farther than this outside the image.
+MAX_PX = 1e5
 # Smaller values are counted, and printed, as 0.
 SMALLEST = float(EDGES[0])
 WITHIN_PROOF = slice(0, BANDS_M.index(PROOF_M))
@@ -53,33 +69,35 @@ class Report:
     means: dict[str, Mean] = field(default_factory=dict)
     _worlds: dict[str, str] = field(default_factory=dict)
 
-    def sample(
-        self,
-        name: str,
-        digest: str,
-        findings: Sequence[Finding],
-        measures: Sequence[Measure],
-        signed: Sequence[Signed] = (),
-    ) -> None:
+    def sample(self, name: str, digest: str, results: Iterable[Result]) -> None:
         """Add one sample. A world that occurred before is a problem of the sample that repeats it."""
         self.n_samples += 1
-        self.problems += [Problem(name, finding.lane, finding.reason) for finding in findings]
+        for result in results:
+            if isinstance(result, Finding):
+                self.problems.append(Problem(name, result.lane, result.reason))
+            elif isinstance(result, Signed):
+                self.means.setdefault(result.name, Mean()).add(result.value)
+            else:
+                self._measure(name, result)
         if digest:
             first = self._worlds.setdefault(digest, name)
             if first != name:
                 self.problems.append(Problem(name, "", f"expected a scene of its own, got that of {first}"))
-        for measure in measures:
-            self.distributions.setdefault(measure.name, Distribution()).add(measure)
-            ranking = self.worst.setdefault(measure.name, [])
-            heapq.heappush(ranking, (measure.worst(), name))
-            if len(ranking) > WORST:
-                heapq.heappop(ranking)
-        for value in signed:
-            self.means.setdefault(value.name, Mean()).add(value.value)
+
+    def _measure(self, name: str, measure: Measure) -> None:
+        self.distributions.setdefault(measure.name, Distribution()).add(measure)
+        ranking = self.worst.setdefault(measure.name, [])
+        heapq.heappush(ranking, (measure.worst(), name))
+        if len(ranking) > WORST:
+            heapq.heappop(ranking)
 
     def judge(self) -> None:
         """Run the tests over the whole data set, after all samples were added."""
         self.problems += judge(self.means)
+
+    def in_order(self) -> list[Problem]:
+        """The problems by sample and file; of each in the order of the checks, whose first name the cause."""
+        return sorted(self.problems, key=lambda problem: problem.where)
 
     @property
     def failed(self) -> list[str]:
@@ -91,7 +109,7 @@ class Report:
         return {
             "samples": self.n_samples,
             "failed": self.failed,
-            "problems": [problem._asdict() for problem in sorted(self.problems)],
+            "problems": [problem._asdict() for problem in self.in_order()],
             "distributions": {
                 name: {
                     "all": found.summary(slice(None)),
@@ -123,7 +141,7 @@ class Report:
         tested = {name: found for name, found in self.means.items() if found.n >= MIN_SAMPLES}
         if tested:
             parts += ["\n[bold]means[/bold]  of the samples' signed values; 0 where all is right", _means(tested)]
-        parts += ["", *(f"[red]{escape(problem.line())}[/red]" for problem in sorted(self.problems))]
+        parts += ["", *(f"[red]{escape(problem.line())}[/red]" for problem in self.in_order())]
         verdict = f"[red]{len(self.failed)} failed[/red]" if self.problems else "[green]all right[/green]"
         return Group(*parts, f"{self.n_samples} samples checked: {verdict}")
 
@@ -156,3 +174,38 @@ def _means(means: dict[str, Mean]) -> Table:
             numbers = (f"{test.shown(found.mean)}", test.shown(found.standard_error), f"{found.t:.1f}", f"{found.n:,}")
             table.add_row(name, *numbers, test.shown(test.least), test.positive)
     return table
+
+
+def draw(image: Picture, labels: Labels) -> Picture:
+    """The image with its lanes, if these can be drawn."""
+    lines_img = [line for lane in labels.lanes for _, line in stretches_img(labels.camera, lane)]
+    return draw_overlay(image, labels) if all((np.abs(line) < MAX_PX).all() for line in lines_img) else image
+
+
+def save_picture(place: str, name: str, picture: Picture) -> None:
+    """Write a picture into the data set; does nothing if the store or the folder cannot be written."""
+    files, root = connect(place)
+    stream, path = io.BytesIO(), f"{FOLDER}/{name}.png"
+    Image.fromarray(picture).save(stream, "PNG")
+    with suppress(FormatError, OutageError, OSError), translate_store_errors(place):
+        if isinstance(files, LocalFileSystem):
+            Folder(Path(root)).make(PurePath(path).parent)
+            Folder(Path(root)).write(path, stream.getvalue())
+        else:
+            files.pipe_file(f"{root}/{path}", stream.getvalue())
+
+
+def remove_pictures(place: str) -> None:
+    """Remove the pictures of an earlier validation."""
+    files, root = connect(place)
+    if isinstance(files, LocalFileSystem):
+        with suppress(OSError):
+            folder = Folder(Path(root))
+            for name in folder.names(FOLDER):
+                if name.endswith(".png"):
+                    folder.remove(f"{FOLDER}/{name}")
+        return
+    with suppress(FormatError, OutageError), translate_store_errors(place):
+        for path in files.find(f"{root}/{FOLDER}", maxdepth=1):
+            if str(path).endswith(".png"):
+                files.rm_file(path)

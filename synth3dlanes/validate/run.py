@@ -9,47 +9,24 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from synth3dlanes.dataset.address import connect, splits_near, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION, Description, data_set_of, parse_description, recipe_text
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.geometry import height_map
 from synth3dlanes.geometry.camera import rays_of_pixels
-from synth3dlanes.ground_truth import label
-from synth3dlanes.labels import Labels
 from synth3dlanes.processes import process_pool
 from synth3dlanes.scene import Scene
-from synth3dlanes.sensors.sweep import Sweep
-from synth3dlanes.validate.alignment import check_alignment
-from synth3dlanes.validate.bodies import may_show_cars
-from synth3dlanes.validate.colours import check_colours
+from synth3dlanes.validate.checks import CHECKS
 from synth3dlanes.validate.contents import read_contents
-from synth3dlanes.validate.documents import some
-from synth3dlanes.validate.findings import Finding, Measure, Problem, Signed
-from synth3dlanes.validate.frame import check_frame
-from synth3dlanes.validate.ground_contact import check_ground_contact
-from synth3dlanes.validate.hills import check_hills
-from synth3dlanes.validate.host import check_host
-from synth3dlanes.validate.ids import prove_ids
-from synth3dlanes.validate.image_proof import prove_image
-from synth3dlanes.validate.integrity import Entry, check_presence, check_row, check_shard, read_sample
-from synth3dlanes.validate.lidar import prove_lidar
-from synth3dlanes.validate.normals import check_normals
-from synth3dlanes.validate.obstacles import check_objects
+from synth3dlanes.validate.evidence import Evidence
+from synth3dlanes.validate.findings import Finding, Problem, Result, findings_of, some
+from synth3dlanes.validate.integrity import Entry, check_card, check_presence, check_shard, read_sample
 from synth3dlanes.validate.origin import Origin, drawn_otherwise, made_otherwise, read_origin
-from synth3dlanes.validate.paint import Paint
-from synth3dlanes.validate.passes_proof import Passes, prove_passes
-from synth3dlanes.validate.pavement import prove_pavement
-from synth3dlanes.validate.pictures import Picture, draw, remove_pictures, save_picture
-from synth3dlanes.validate.report import Report
-from synth3dlanes.validate.roadside import check_roadside
-from synth3dlanes.validate.sharpness import check_sharpness
-from synth3dlanes.validate.signed import signed_values
-from synth3dlanes.validate.structure import check_shape, check_values, points_to_pixels
-from synth3dlanes.validate.symbols import prove_symbols
-from synth3dlanes.world import World, resolve
+from synth3dlanes.validate.pixels import Passes, Picture
+from synth3dlanes.validate.report import Report, draw, remove_pictures, save_picture
+from synth3dlanes.validate.structure import check_shape
+from synth3dlanes.world import resolve
 
 # Exceptions of geometry computed from invalid scenes or labels. Samples of a correct data set raise none.
 NO_GEOMETRY = (
@@ -58,21 +35,8 @@ NO_GEOMETRY = (
 
 # Another process starts in the time that so many samples take.
 SAMPLES_A_START = 8
-# Coarser JPEG has no detail of single pixels, nor has dense fog; after civil twilight edges beyond the headlights are
-# not seen.
-SHARP_JPEG, FOG_M, DARK_RAD = 90, 150.0, 1.68
-# Sine of the yaw from which on motion blur runs across the image.
-ASIDE = 0.3
 
 Map = Callable[..., Iterator[Any]]
-
-
-class Proved(NamedTuple):
-    """The findings and measured values of one check of a sample."""
-
-    findings: Sequence[Finding] = ()
-    measures: Sequence[Measure] = ()
-    signed: Sequence[Signed] = ()
 
 
 class Checked(NamedTuple):
@@ -82,9 +46,7 @@ class Checked(NamedTuple):
     name: str
     digest: str
     redrawn: str
-    findings: Sequence[Finding]
-    measures: Sequence[Measure] = ()
-    signed: Sequence[Signed] = ()
+    results: Sequence[Result]
 
 
 def validate(place: str | Path, workers: int, limit: int | None, progress: Callable[[int, int], None]) -> Report:
@@ -116,12 +78,15 @@ def validate(place: str | Path, workers: int, limit: int | None, progress: Calla
         redrawn: dict[str, str] = {}
         progress(0, len(todo))
         for done, checked in enumerate(run(partial(check_sample, place, origin, description), todo), start=1):
-            report.sample(checked.name, checked.digest, checked.findings, checked.measures, checked.signed)
+            report.sample(checked.name, checked.digest, checked.results)
             redrawn |= {checked.name: checked.redrawn} if checked.redrawn else {}
             progress(done, len(todo))
     recipe = recipe_text(document)
-    report.problems += made_otherwise(recipes, recipe)
-    report.problems += drawn_otherwise(redrawn, len(todo), description.generator, recipes, recipe)
+    origins = [
+        *made_otherwise(recipes, recipe),
+        *drawn_otherwise(redrawn, len(todo), description.generator, recipes, recipe),
+    ]
+    report.problems[:0] = [*origins, *check_card(place, document)]
     report.judge()
     return report
 
@@ -181,81 +146,37 @@ def _check_shards(
 
 
 def check_sample(place: str, origin: Origin | None, description: Description, entry: Entry) -> Checked:
-    """All findings of one sample; saves its picture if there are any. Without `origin` its scene is not drawn again."""
+    """All results of one sample; saves its picture if there are findings. Without `origin` its scene is not drawn
+    again."""
     members, fault = read_sample(entry)
     (scene, labels, image, passes, sweep), unread = read_contents(members)
-    findings = [*([Finding("", fault)] if fault else []), *unread]
+    results: list[Result] = [*([Finding("", fault)] if fault else []), *unread]
     digest = "" if scene is None else world_digest(scene)
     redrawn = "" if scene is None or origin is None else origin.fault(scene, entry.split, entry.index)
     if scene is None or labels is None or image is None or passes is None:
-        return Checked(entry.name, digest, redrawn, findings)
+        return Checked(entry.name, digest, redrawn, results)
     misshapen = [*_pictures(scene, description, image, passes), *check_shape(scene, labels)]
-    proved = [] if misshapen else list(_prove(entry, resolve(scene), labels, image, passes, sweep))
-    findings += [*misshapen, *(finding for proof in proved for finding in proof.findings)]
-    if findings:
+    results += misshapen or _examine(Evidence(resolve(scene), labels, image, passes, sweep, entry))
+    if findings_of(results):
         save_picture(place, entry.name.replace(":", "-"), image if misshapen else draw(image, labels))
-    measures = [measure for proof in proved for measure in proof.measures]
-    return Checked(
-        entry.name, digest, redrawn, findings, measures, [value for proof in proved for value in proof.signed]
-    )
+    return Checked(entry.name, digest, redrawn, results)
 
 
-def _prove(
-    entry: Entry, world: World, labels: Labels, image: Picture, passes: Passes, sweep: Sweep | None
-) -> Iterator[Proved]:
-    """Run every check. A scene without valid geometry, or a check that fails with an error, is a finding."""
+def _examine(evidence: Evidence) -> list[Result]:
+    """The results of every check. A scene without valid geometry, or a check that fails with an error, is a finding."""
     try:
-        truth, paint = label(world, world.view), Paint(world)
+        evidence.truth, evidence.paint  # noqa: B018 - computed here, so that no check is blamed for them
     except NO_GEOMETRY as error:
         found = f"{type(error).__name__} {error}"
-        yield Proved([Finding("", f"{SCENE}: expected a world whose lanes can be computed, got {found}")])
-        return
-    for name, proof in _proofs(entry, paint, truth, labels, image, passes, sweep).items():
-        try:
-            yield proof()
-        except NO_GEOMETRY as error:
-            yield Proved([Finding("", f"{name}: the check failed with {type(error).__name__}: {error}")])
-
-
-def _proofs(
-    entry: Entry, paint: Paint, truth: Labels, labels: Labels, image: Picture, passes: Passes, sweep: Sweep | None
-) -> dict[str, Callable[[], Proved]]:
-    """The checks of a sample by name: first those of index, scene and labels, then those of pixels."""
-    world, scene = paint.world, paint.world.scene
-    is_lit = scene.light.sun_zenith_rad < DARK_RAD
-    is_smeared = scene.sensor.motion_blur_m > 0 and abs(np.sin(scene.camera.yaw_rad)) > ASIDE
-    is_sharp = paint.shows and is_lit and not is_smeared
-    is_clear = scene.sensor.jpeg_quality >= SHARP_JPEG and scene.air.visibility_m >= FOG_M
-    # Clouds are soft, and the back of a van is smooth.
-    has_detail = is_clear and any(lane.visible.any() for lane in labels.lanes)
-    of_cars = partial(may_show_cars, world, labels.camera, within_m=math.inf)
-    proofs = {
-        "index": lambda: Proved([*check_row(entry, world.scene, labels)]),
-        "labels": lambda: Proved([*check_values(world.scene, truth, labels)]),
-        "host": lambda: Proved([*check_host(world, labels)]),
-        "object_visible": lambda: Proved([*check_objects(world, labels)]),
-        "roadside": lambda: Proved([*check_roadside(world)]),
-        "frame": lambda: Proved(*check_frame(image, passes, of_cars)),
-        "standing": lambda: Proved(*check_ground_contact(world, labels, passes)),
-    }
-    if sweep is not None:
-        proofs["lidar"] = lambda: Proved(*prove_lidar(world, sweep, passes))
-    if not points_to_pixels(labels):
-        return proofs
-    return proofs | {
-        "passes": lambda: Proved(*prove_passes(paint, labels, passes)),
-        "image": lambda: Proved(*prove_image(paint, labels, image)),
-        "sharpness": lambda: Proved([*check_sharpness(image)] if has_detail else []),
-        "colours": lambda: Proved([*check_colours(world, labels.camera, image, passes)]),
-        "alignment": lambda: Proved([*check_alignment(image, passes)] if is_sharp else []),
-        "pavement": lambda: Proved(*prove_pavement(world, labels, passes)),
-        "hills": lambda: Proved([*check_hills(world, labels, passes)]),
-        "normals": lambda: Proved([*check_normals(labels.camera, passes)]),
-        "ids": lambda: Proved(*prove_ids(paint, labels, passes)),
-        "symbols": lambda: Proved([*prove_symbols(world, labels, passes)]),
-        # The frames of a clip are alike, and the tests over the data set take samples as independent.
-        "bias": lambda: Proved(signed=[*signed_values(paint, labels, image, passes)] if not scene.shot.frame else []),
-    }
+        return [Finding("", f"{SCENE}: expected a world whose lanes can be computed, got {found}")]
+    results: list[Result] = []
+    for check in CHECKS:
+        if check.needs <= evidence.has:
+            try:
+                results += list(check.of(evidence))
+            except NO_GEOMETRY as error:
+                results.append(Finding("", f"{check.name}: the check failed with {type(error).__name__}: {error}"))
+    return results
 
 
 def world_digest(scene: Scene) -> str:

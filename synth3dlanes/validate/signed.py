@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float
 
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.road import RoadPlan
@@ -11,9 +11,9 @@ from synth3dlanes.geometry.terrain import gradient_at, height_at
 from synth3dlanes.labels import Labels
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.centroids import Offset, image_offsets, line_views, paint_offsets
+from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Signed
-from synth3dlanes.validate.paint import Paint
-from synth3dlanes.validate.passes_proof import Passes
+from synth3dlanes.validate.pixels import Passes
 
 # Least amount of paint for a value: pixels, or slices of an image.
 MIN_WEIGHT = {"paint": 30.0, "image": 15.0, "exit": 30.0}
@@ -39,15 +39,19 @@ Values = Float[np.ndarray, " n"]
 Points = Float[np.ndarray, "n 3"]
 
 
-def signed_values(paint: Paint, labels: Labels, image: UInt8[np.ndarray, "h w 3"], passes: Passes) -> Iterator[Signed]:
-    """All signed values of this sample that its passes allow."""
-    plan, views = paint.world.plan, line_views(paint, labels)
+def signed_values(evidence: Evidence) -> Iterator[Signed]:
+    """All signed values of this sample that its passes allow, of a clip those of its first frame: its frames are alike,
+    and the tests over the data set take samples as independent."""
+    if evidence.scene.shot.frame:
+        return
+    plan, labels, passes = evidence.world.plan, evidence.labels, evidence.passes
+    views = line_views(evidence.paint, labels)
     if "instance" in passes:
         lines = list(paint_offsets(views, passes["instance"]))
         yield from _sides("paint", lines)
         yield from _exit(plan, labels, [line for line in lines if line.lane.road == "exit"])
-    if paint.shows:
-        yield from _sides("image", list(image_offsets(views, image)))
+    if evidence.paint.shows:
+        yield from _sides("image", list(image_offsets(views, evidence.luma)))
     if "depth" in passes:
         yield from _surface(plan, labels, passes)
 

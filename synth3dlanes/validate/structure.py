@@ -1,4 +1,9 @@
-"""Check labels for consistency, and against their scene and its recomputed ground truth. No pixels."""
+"""Check labels for consistency, and against their scene and its recomputed ground truth. No pixels.
+
+A point can only be hidden by an object if its line of sight meets a box of the object, and it must be hidden if the
+line goes through the core of a car. The host's place is computed from the labels' points and is independent of
+`geometry.camera`, which places the camera.
+"""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -6,19 +11,25 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import road_from_cam, transform
+from synth3dlanes.frames import Matrix4, invert, road_from_cam, transform, turned
+from synth3dlanes.geometry.placement import HOST_SIZE_M, footprint, overlaps_any
 from synth3dlanes.geometry.terrain import height_at
 from synth3dlanes.labels import CameraLabel, Labels, Lane, SymbolLabel
 from synth3dlanes.scene import Scene
-from synth3dlanes.validate.documents import shown
-from synth3dlanes.validate.findings import Finding
-from synth3dlanes.validate.host import host_of
+from synth3dlanes.validate.bodies import cores, outlines
+from synth3dlanes.validate.boxes import meet
+from synth3dlanes.validate.evidence import BORDER_PX, Evidence
+from synth3dlanes.validate.findings import Finding, shown
 
 # labels.json rounds points to 0.1 mm and matrices to 1e-9.
 POINT_M = 1e-4
 MATRIX = 1e-8
-# Points this close to the image's border may be on either side of it after rounding.
-BORDER_PX = 0.2
+# Of the host beside the middle of its lane.
+LAW_M = 0.001
+# Number of lines of sight that may graze the core's edges.
+MAX_WRONG = 1
+# Largest number of points of a line behind twigs outside their boxes in 1,350 scenes.
+MAX_TWIGS = 2
 
 
 def check_shape(scene: Scene, labels: Labels) -> Iterator[Finding]:
@@ -44,12 +55,13 @@ def check_shape(scene: Scene, labels: Labels) -> Iterator[Finding]:
         yield Finding("", reason)
 
 
-def check_values(scene: Scene, truth: Labels, labels: Labels) -> Iterator[Finding]:
+def check_labels(evidence: Evidence) -> Iterator[Finding]:
     """Check camera, and every lane's order, projection and labels, against the scene."""
-    yield from _camera(scene, labels)
+    labels, truth = evidence.labels, evidence.truth
+    yield from _camera(evidence.scene, labels)
     for lane in labels.lanes:
         yield from _order(labels.camera, lane)
-        inside_px = _inside_px(labels.camera, lane)
+        inside_px = evidence.inside_px(lane)
         wrong = np.where(lane.in_image, ~(inside_px > -BORDER_PX), inside_px > BORDER_PX)
         if wrong.any():
             yield Finding(lane.id, f"in_image: expected the mask of our projection, got another at {_at(wrong)}")
@@ -57,16 +69,50 @@ def check_values(scene: Scene, truth: Labels, labels: Labels) -> Iterator[Findin
     yield from _symbols(truth, labels)
 
 
-def points_to_pixels(labels: Labels) -> bool:
-    """Whether all points marked as in the image project into it, as checks of pixels require."""
-    return all((_inside_px(labels.camera, lane)[lane.in_image] > -BORDER_PX).all() for lane in labels.lanes)
+def check_host(evidence: Evidence) -> Iterator[Finding]:
+    """Findings about the host's position."""
+    world, labels, camera = evidence.world, evidence.labels, evidence.world.view.camera
+    segment = world.scene.road.segments_at(camera.y_m)[camera.lane - 1]
+    paths = next((found.centerlines for found in labels.graph.segments if found.id == segment), ())
+    lanes = [lane for lane in labels.lanes if lane.id in paths]
+    world_from_host = _host_of(world.scene, labels.camera)
+    foot, ahead = world_from_host[:2, 3], world_from_host[:2, 1]
+    asides_m = [aside_m for lane in lanes for aside_m in _asides(labels, lane, foot)]
+    if not asides_m:
+        yield Finding("", f"host: expected a centre line of its lane {segment}, got none")
+    elif min(abs(aside_m - camera.offset_m) for aside_m in asides_m) > LAW_M:
+        found = min(asides_m, key=lambda aside_m: abs(aside_m - camera.offset_m))
+        yield Finding(
+            lanes[0].id, f"host: expected {camera.offset_m:+.3f} m from its lane's middle, got {found:+.3f} m"
+        )
+    body = footprint(foot, ahead / np.linalg.norm(ahead), *HOST_SIZE_M)
+    for i, (car, pose) in enumerate(zip(world.scene.cars, world.view.world_from_cars, strict=True)):
+        model, along = world.scene.assets.car_models[car.model - 1], pose[:2, 1] / np.linalg.norm(pose[:2, 1])
+        place = footprint(pose[:2, 3], along, model.length_m * car.scale, model.width_m * car.scale)
+        if overlaps_any(body, place[None]):
+            yield Finding("", f"cars.{i}: overlaps the host's body")
 
 
-def _inside_px(camera: CameraLabel, lane: Lane) -> Float[np.ndarray, " n"]:
-    """Distance of each projected point from the nearest border of the image, negative outside; NaN behind the
-    camera."""
-    uv = camera.project(lane.xyz_cam)
-    return np.asarray(np.minimum(uv, [camera.width_px, camera.height_px] - uv).min(axis=1))
+def check_objects(evidence: Evidence) -> Iterator[Finding]:
+    """Findings about lanes and symbols with points marked hidden without an object in the way, or visible behind a
+    car."""
+    world, labels = evidence.world, evidence.labels
+    items = {lane.id: lane for lane in labels.lanes} | {f"symbol {i}": item for i, item in enumerate(labels.symbols)}
+    points_world = transform(labels.camera.world_from_cam, np.concatenate([item.xyz_cam for item in items.values()]))
+    seen = np.concatenate([np.asarray(item.object_visible) for item in items.values()])
+    eye_world = labels.camera.world_from_cam[:3, 3]
+    ends = np.cumsum([len(item.xyz_cam) for item in items.values()])[:-1]
+    through, unhidden = seen.copy(), ~seen
+    through[seen] = meet(cores(world), eye_world, points_world[seen])
+    unhidden[~seen] = ~meet(outlines(world), eye_world, points_world[~seen])
+    unhidden[unhidden] = ~meet(evidence.structures.boxes, eye_world, points_world[unhidden])
+    for id_, of_through, of_unhidden in zip(items, np.split(through, ends), np.split(unhidden, ends), strict=True):
+        if of_through.sum() > MAX_WRONG:
+            reason = f"object_visible: expected points behind cars as hidden, got {of_through.sum()} as seen"
+            yield Finding(id_, reason)
+        if of_unhidden.sum() > MAX_TWIGS:
+            reason = f"object_visible: got {of_unhidden.sum()} points as hidden where nothing is in the way"
+            yield Finding(id_, reason)
 
 
 def _references(labels: Labels) -> Iterator[Finding]:
@@ -112,7 +158,7 @@ def _camera(scene: Scene, labels: Labels) -> Iterator[Finding]:
     pose = road_from_cam(asked.height_m, asked.pitch_rad, asked.roll_rad, asked.yaw_rad)
     if not np.allclose(camera.road_from_cam, pose, atol=MATRIX):
         yield Finding("", "camera.road_from_cam: expected the scene's height and angles, got another transform")
-    place = host_of(scene, camera)[:3, 3]
+    place = _host_of(scene, camera)[:3, 3]
     gap_m = abs(place[2] - float(height_at(scene.terrain, place[None, :2])[0]))
     if gap_m > POINT_M:
         yield Finding("", f"camera: expected the host on the road, got it {gap_m:.4f} m off")
@@ -141,7 +187,7 @@ def _against_ground_truth(expected: Labels, labels: Labels) -> Iterator[Finding]
     # Older labels do not have the paint of their lines.
     paint = ("color", "double") if any(lane.color for lane in labels.lanes) else ()
     for lane, true in zip(labels.lanes, expected.lanes, strict=True):
-        for name in ("kind", "road", "marking", "left", "right", *paint):
+        for name in ("kind", "road", "direction", "marking", "left", "right", *paint):
             if getattr(lane, name) != getattr(true, name):
                 yield Finding(
                     lane.id, f"{name}: expected {getattr(true, name)} by its scene, got {getattr(lane, name)}"
@@ -179,3 +225,21 @@ def _points(id_: str, true: Lane | SymbolLabel, got: Lane | SymbolLabel) -> Iter
 def _at(wrong: np.ndarray) -> str:
     """The number and the first of the wrong points, in words."""
     return f"{int(wrong.sum())} of {len(wrong)} points, the first is {int(wrong.argmax())}"
+
+
+def _host_of(scene: Scene, camera: CameraLabel) -> Matrix4:
+    """The host's road frame, from the labels' camera and its place on the host."""
+    place = turned(0.0, scene.camera.right_m, scene.camera.forward_m)
+    return np.asarray(camera.world_from_cam @ invert(camera.road_from_cam) @ invert(place))
+
+
+def _asides(labels: Labels, lane: Lane, foot: Float[np.ndarray, "2"]) -> tuple[float, float]:
+    """Two estimates of how far right of a lane a point beside it is: the distance to the line through the lane's point
+    nearest to it and the next one, and the signed distance to that point (for a lane that opens, which is not parallel
+    to the road)."""
+    points = transform(labels.camera.world_from_cam, lane.xyz_cam)[:, :2]
+    nearest = min(int(np.hypot(*(points - foot).T).argmin()), len(points) - 2)
+    first, second = points[nearest : nearest + 2]
+    (dx, dy), (x, y) = (second - first) / np.linalg.norm(second - first), foot - first
+    across_m = float(x * dy - y * dx)
+    return across_m, float(np.copysign(np.hypot(x, y), across_m))

@@ -11,14 +11,12 @@ from jaxtyping import Bool, Float
 
 from synth3dlanes.geometry.lanes import path_of_segment
 from synth3dlanes.geometry.symbols import Polygon, shape
-from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Symbol
 from synth3dlanes.settings import FIRST_SYMBOL_ID, SEMANTIC_IDS
+from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Finding
-from synth3dlanes.validate.ids import on_road, some_pixels
-from synth3dlanes.validate.passes_proof import Passes
-from synth3dlanes.validate.pavement import unproject
-from synth3dlanes.validate.places import Places, places
+from synth3dlanes.validate.pixels import some_pixels
+from synth3dlanes.validate.places import Places, on_road, places
 from synth3dlanes.world import World
 
 # Pixels this close to an edge of paint may show either side of it.
@@ -34,10 +32,9 @@ GROUND = [SEMANTIC_IDS[name] for name in ("road", "shoulder", "marking", "symbol
 Values = Float[np.ndarray, " n"]
 
 
-def prove_symbols(world: World, labels: Labels, passes: Passes) -> Iterator[Finding]:
+def check_symbols(evidence: Evidence) -> Iterator[Finding]:
     """Findings about the pixels of symbols, from depth and semantic ids, and from instance ids if there are any."""
-    if not {"depth", "semantic"} <= set(passes):
-        return
+    world, passes = evidence.world, evidence.passes
     near = passes["depth"] < PROOF_M
     is_symbol = passes["semantic"] == SEMANTIC_IDS["symbol"]
     if not world.scene.symbols:
@@ -45,7 +42,7 @@ def prove_symbols(world: World, labels: Labels, passes: Passes) -> Iterator[Find
             yield Finding("", f"semantic: expected no symbols as in the scene, got {is_symbol.sum()} pixels of them")
         return
     rows, columns = some_pixels(near & np.isin(passes["semantic"], GROUND))
-    points, used = on_road(world, labels.camera, unproject(labels.camera, passes["depth"], rows, columns))
+    points, used = on_road(world, evidence.camera, evidence.points_cam(rows, columns))
     rows, columns, place = rows[used], columns[used], places(world.ground, points[used, :2])
     shown = is_symbol[rows, columns]
     margin_m = np.where(passes["semantic"][rows, columns] == SEMANTIC_IDS["marking"], LINE_M, MARGIN_M)

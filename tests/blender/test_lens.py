@@ -13,12 +13,10 @@ from synth3dlanes.geometry.camera import rays_of_pixels
 from synth3dlanes.lens import PINHOLE, Lens
 from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
-from synth3dlanes.validate.normals import check_normals
-from synth3dlanes.validate.paint import Paint
-from synth3dlanes.validate.passes_proof import prove_passes
-from synth3dlanes.validate.pavement import prove_pavement
+from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.world import resolve
 from tests.scenes import changed
+from tests.validate.examining import findings, measures
 
 SETTINGS = RenderSettings(samples=4, passes=("depth", "normal", "semantic", "instance"))
 # Strong, and with every coefficient.
@@ -45,13 +43,11 @@ def shot(request):
 @pytest.mark.render
 def test_labels_lie_on_the_paint_and_the_passes_on_the_road(shot):
     scene, picture = shot
-    world = resolve(scene)
-    findings, measures = prove_passes(Paint(world), picture.labels, picture.passes)
-    road_findings, _ = prove_pavement(world, picture.labels, picture.passes)
-    assert not [*findings, *road_findings, *check_normals(picture.labels.camera, picture.passes)]
-    paint = [measure for measure in measures if measure.name == "paint_px"]
-    assert sum(len(measure.values) for measure in paint) > 15
-    assert max(value for measure in paint for value in measure.values) < 1
+    sample = Evidence(resolve(scene), picture.labels, picture.image, picture.passes)
+    assert findings(sample, "points", "pavement", "normals") == []
+    paint_px = measures(sample, "points")["paint_px"]
+    assert len(paint_px) > 15
+    assert paint_px.max() < 1
 
 
 @pytest.mark.render

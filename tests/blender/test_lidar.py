@@ -14,9 +14,10 @@ from synth3dlanes.scene import Car
 from synth3dlanes.sensors.lidar_files import load_lidar
 from synth3dlanes.sensors.lidars import LidarSpec
 from synth3dlanes.settings import FIRST_CAR_ID, SEMANTIC_IDS, RenderSettings
-from synth3dlanes.validate.lidar import prove_lidar
+from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.world import resolve
 from tests.scenes import changed
+from tests.validate.examining import findings, measures
 
 pytestmark = pytest.mark.render
 
@@ -81,16 +82,18 @@ def test_sweeps_agree_with_the_passes_and_mirrored_or_turned_ones_do_not():
     world = resolve(scene)
     picture = take_picture(world, ONE_SAMPLE)
     sweep = picture.sweep
-    found, (ground, depth) = prove_lidar(world, sweep, picture.passes)
-    assert found == []
-    assert len(depth.values) > 500
-    assert np.quantile(depth.values, 0.95) < 0.01
-    assert len(ground.values) > 5000
-    assert np.quantile(ground.values, 0.99) < 0.01
+    sample = Evidence(world, picture.labels, picture.image, picture.passes, sweep)
+    assert findings(sample, "lidar") == []
+    measured = measures(sample, "lidar")
+    ground_m, depth_m = measured["lidar_ground_m"], measured["lidar_depth_m"]
+    assert len(depth_m) > 500
+    assert np.quantile(depth_m, 0.95) < 0.01
+    assert len(ground_m) > 5000
+    assert np.quantile(ground_m, 0.99) < 0.01
 
     def spoilt(change):
         arrays = {name: change(getattr(sweep, name)) for name in ("range_m", "semantic", "instance")}
-        return prove_lidar(world, replace(sweep, **arrays), picture.passes)[0]
+        return findings(replace(sample, sweep=replace(sweep, **arrays)), "lidar")
 
     assert spoilt(lambda values: values[:, ::-1])
     assert spoilt(lambda values: values[::-1])

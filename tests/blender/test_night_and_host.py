@@ -17,11 +17,11 @@ from synth3dlanes.imaging.film import response
 from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.scene import Building, Car, Post, Tree
 from synth3dlanes.settings import FIRST_STRUCTURE_ID, HOST_ID, SEMANTIC_IDS, RenderSettings
-from synth3dlanes.validate.ids import prove_ids
-from synth3dlanes.validate.obstacles import check_objects
+from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.paint import Paint
 from synth3dlanes.world import resolve
 from tests.scenes import changed, flat_road_places
+from tests.validate.examining import findings
 
 NIGHT = {"sun_zenith_rad": np.radians(105), "metering": 1}
 ALL = RenderSettings(samples=2, passes=("depth", "semantic", "instance"))
@@ -177,10 +177,8 @@ def test_the_bonnet_fills_its_share_hides_points_and_is_known_by_its_ids():
         assert not lane.object_visible[lane.in_image][inner].any()
         hidden += inner.sum()
     assert hidden > 3
-    findings, _ = prove_ids(Paint(world), shot.labels, shot.passes)
-    assert findings == []
-    assert list(check_objects(world, shot.labels)) == []
+    sample = Evidence(world, shot.labels, shot.image, shot.passes)
+    assert findings(sample, "ids", "objects") == []
     seen = [replace(lane, object_visible=np.ones_like(lane.object_visible)) for lane in shot.labels.lanes]
-    assert list(check_objects(world, replace(shot.labels, lanes=tuple(seen))))
-    without = resolve(changed())
-    assert list(check_objects(without, replace(shot.labels, car_visible_fraction=())))
+    assert findings(replace(sample, labels=replace(shot.labels, lanes=tuple(seen))), "objects")
+    assert findings(replace(sample, world=resolve(changed())), "objects")

@@ -1,5 +1,7 @@
 """What stands beside the road in real renders: ids, occlusion, and the checks of `validate`."""
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 import pytest
@@ -9,11 +11,10 @@ from synth3dlanes.ground_truth import label
 from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.scene import Building, Crossing, Post, Rail, Roadside
 from synth3dlanes.settings import FIRST_STRUCTURE_ID, SEMANTIC_IDS, RenderSettings
-from synth3dlanes.validate.ids import prove_ids
-from synth3dlanes.validate.obstacles import check_objects
-from synth3dlanes.validate.paint import Paint
+from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.world import resolve
 from tests.scenes import FLAT, changed
+from tests.validate.examining import findings
 
 pytestmark = pytest.mark.render
 
@@ -61,12 +62,11 @@ def test_every_structure_has_its_ids_where_its_body_is():
         assert SEMANTIC_IDS[kind] in found, (i, kind)
         # Signs stand on poles and hang on gantries.
         assert found <= {SEMANTIC_IDS[kind], SEMANTIC_IDS["pole"], SEMANTIC_IDS["sign"]}, (i, kind)
-    assert [*check_objects(world, picture.labels)] == []
-    findings, _ = prove_ids(Paint(world), picture.labels, picture.passes)
-    assert findings == []
+    sample = Evidence(world, picture.labels, picture.image, picture.passes)
+    assert findings(sample, "ids", "objects") == []
     swapped = np.where(instance == FIRST_STRUCTURE_ID, FIRST_STRUCTURE_ID + 5, instance)
-    findings, _ = prove_ids(Paint(world), picture.labels, {**picture.passes, "instance": swapped})
-    assert "pixels of structure 5 within its body" in findings[0].reason
+    found = findings(replace(sample, passes={**picture.passes, "instance": swapped}), "ids")
+    assert "pixels of structure 5 within its body" in found[0].reason
 
 
 def test_a_wall_hides_the_points_behind_it_and_no_others():

@@ -6,13 +6,15 @@ from scipy.spatial import cKDTree
 
 from synth3dlanes.geometry.beside import beside
 from synth3dlanes.geometry.roadside import bodies
+from synth3dlanes.ground_truth import ground_truth, label
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import sample_world
 from synth3dlanes.scene import Building, Crossing, Post, Rail, Roadside, Scene
 from synth3dlanes.validate.boxes import inside, structure_boxes
-from synth3dlanes.validate.roadside import check_roadside
+from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.world import resolve
 from tests.scenes import FLAT, changed, hill
+from tests.validate.examining import findings
 
 HILLS = (hill(30, -20, 12, 90), hill(-60, 60, -10, 90), hill(10, 90, 8, 120))
 CURVED = {"offset_m50_m": 6, "offset_p50_m": -7, "offset_p100_m": 9, "exit_offset_m": 6, "ramp_height_m": 5}
@@ -202,7 +204,7 @@ def test_a_median_rail_stands_at_its_offset():
 
 def test_bodies_fill_their_boxes_and_the_check_finds_what_stands_on_a_road(worlds):
     for world in worlds:
-        assert [*check_roadside(world)] == []
+        assert findings(Evidence(world, label(world, world.view)), "roadside") == []
         owned = structure_boxes(world)
         for i, body in enumerate(world.structures):
             middles = body.corners_world.mean(axis=1)
@@ -215,7 +217,8 @@ def test_bodies_fill_their_boxes_and_the_check_finds_what_stands_on_a_road(world
             Building(kind="house", x_m=2, y_m=0, yaw_rad=0, width_m=8, length_m=9, height_m=4, color=GRAY, roof=GRAY),
         ),
     )
-    found = [finding.reason.partition(":")[0] for finding in check_roadside(resolve(on_road))]
+    sample = Evidence(resolve(on_road), ground_truth(on_road))
+    found = [finding.reason.partition(":")[0] for finding in findings(sample, "roadside")]
     assert found == ["roadside.rails.0", "roadside.posts.0", "roadside.buildings.0"]
 
 

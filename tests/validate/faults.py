@@ -38,11 +38,13 @@ Changes = Callable[[Scene], list[str]]
 
 
 class Fault(NamedTuple):
-    """What is planted, how in a data set, and a pattern that a problem must match."""
+    """What is planted, how in a data set, a pattern that a problem must match, and whether a sample's first problem
+    must."""
 
     name: str
     plant: Callable[[Path], None]
     words: str
+    is_first: bool = False
 
 
 class World(NamedTuple):

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from synth3dlanes import labels as labels_module
+from synth3dlanes.dataset.card import CARD, updated_card
 from synth3dlanes.dataset.description import recipe_text
 from synth3dlanes.dataset.format import LABELS, key_of
 from synth3dlanes.dataset.read import Reader
@@ -44,6 +45,9 @@ def describe(root: Path, change: Callable[[dict], object]) -> None:
     document = json.loads(path.read_text())
     change(document)
     path.write_text(json.dumps(document))
+    readme = root / CARD
+    if readme.exists():
+        readme.write_bytes(updated_card(readme.read_bytes(), path.read_bytes(), str(path)))
 
 
 def drop_passes(root: Path) -> None:
@@ -63,8 +67,9 @@ def relabel(index: int, change: Callable[[Labels], Labels]) -> Change:
     return apply
 
 
-def check(root: Path, workers: int = 1) -> Report:
-    """Validate all of it."""
+def check(root: Path, workers: int = 1, rerender: int = 0) -> Report:
+    """Validate all of it, with so many samples made again."""
     from synth3dlanes.validate.run import validate
 
-    return validate(root, workers, None, lambda done, total: None)
+    again = [rerender] if rerender else []
+    return validate(root, workers, None, lambda done, total: None, *again)

@@ -1,7 +1,6 @@
 """The tests over a whole data set: the estimators on rasters of known answers, and what is made of their values."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,26 +8,22 @@ from rich.console import Console
 
 from synth3dlanes.frames import project, transform
 from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, SEMANTIC_IDS
 from synth3dlanes.validate.bias import TESTS, Mean, judge
 from synth3dlanes.validate.centroids import Offset, image_offsets, line_views, paint_offsets
+from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Measure, Signed
 from synth3dlanes.validate.paint import Paint
+from synth3dlanes.validate.pixels import LUMA
 from synth3dlanes.validate.report import Report
-from synth3dlanes.validate.signed import signed_values
 from synth3dlanes.world import resolve
 from tests.scenes import changed, flat_road_places, hill
+from tests.validate.examining import seen
+from tests.validate.examining import signed as signed_of
 
 SOLID = changed(markings={"dash_fraction": 1.0})
 LEVEL = changed(SOLID, camera={"pitch_rad": 0.0})
-
-
-def seen(labels: Labels) -> Labels:
-    """The labels of a scene without objects, as rendered."""
-    lanes = (replace(lane, object_visible=np.ones(len(lane.xyz_cam), bool)) for lane in labels.lanes)
-    return replace(labels, lanes=tuple(lanes))
 
 
 def instance_ids(scene: Scene, aside_m: float = 0.0, wider: float = 1.0) -> np.ndarray:
@@ -96,17 +91,14 @@ def test_lines_near_cars_and_on_the_image_border_are_not_asked_there():
 
 def signed(scene: Scene, image: np.ndarray, passes: dict[str, np.ndarray]) -> dict[str, float]:
     """The signed values of a sample with these pixels, by name."""
-    labels = seen(ground_truth(scene))
-    return {found.name: found.value for found in signed_values(Paint(resolve(scene)), labels, image, passes)}
+    return signed_of(Evidence(resolve(scene), seen(ground_truth(scene)), image, passes))
 
 
 def words(values: dict[str, float]) -> dict[str, str]:
     """What is said of a data set of twelve samples, all about so."""
     report = Report()
     for i in range(12):
-        report.sample(
-            f"train:{i:08d}", "", [], [], [Signed(name, value * (1 + i / 50)) for name, value in values.items()]
-        )
+        report.sample(f"train:{i:08d}", "", [Signed(name, value * (1 + i / 50)) for name, value in values.items()])
     report.judge()
     return {problem.reason.split(":")[0]: problem.reason for problem in report.problems}
 
@@ -146,7 +138,7 @@ def test_dark_paint_and_a_shadow_across_leave_lines_of_the_image_in_place():
         image = np.where(ids > 0, paint, 110)[..., None].repeat(3, axis=2).astype(float)
         image[250:270] *= 0.4
         lines = list(
-            image_offsets(line_views(Paint(resolve(SOLID)), seen(ground_truth(SOLID))), image.astype(np.uint8))
+            image_offsets(line_views(Paint(resolve(SOLID)), seen(ground_truth(SOLID))), image.astype(np.uint8) @ LUMA)
         )
         assert {line.lane.id for line in lines} == {"main_line_1", "main_line_2"}, "edges of the road are not asked"
         assert all(abs(line.mean_m) < 4e-3 for line in lines)
@@ -282,8 +274,8 @@ def test_chance_alone_is_no_fault(rng):
 def test_means_are_told_in_the_text_and_in_json():
     report = Report()
     for i in range(8):
-        report.sample(f"train:{i:08d}", "", [], [], [Signed("paint_outward_m", 0.018 + 0.001 * (i % 3))])
-    report.sample("train:00000008", "", [], [], [Signed("relief", 0.0)])
+        report.sample(f"train:{i:08d}", "", [Signed("paint_outward_m", 0.018 + 0.001 * (i % 3))])
+    report.sample("train:00000008", "", [Signed("relief", 0.0)])
     report.judge()
     document = json.loads(json.dumps(report.document(), allow_nan=False))
     found = document["means"]["paint_outward_m"]
@@ -304,15 +296,14 @@ def test_the_text_has_no_rows_that_say_nothing():
     report.sample(
         "train:00000000",
         "",
-        [],
         [
             Measure("terrain_visible", np.array([5.0, 30.0, 60.0]), np.zeros(3)),
             Measure("image_ridge_m", np.array([5.0, 15.0]), np.array([8.88e-16, 0.5])),
             Measure("clipped_share", np.zeros(1), np.array([0.25])),
+            Signed("relief", 0.1),
         ],
-        [Signed("relief", 0.1)],
     )
-    report.sample("train:00000001", "", [], [Measure("image_ridge_m", np.array([5.0]), np.array([8.88e-16]))])
+    report.sample("train:00000001", "", [Measure("image_ridge_m", np.array([5.0]), np.array([8.88e-16]))])
     console = Console(width=80, record=True)
     console.print(report.text())
     rows = [line.split() for line in console.export_text().splitlines()]

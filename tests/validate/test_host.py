@@ -10,16 +10,17 @@ from synth3dlanes.labels import Labels
 from synth3dlanes.params import load_params, preset_names
 from synth3dlanes.sample import sample_scene
 from synth3dlanes.scene import Car, Scene
-from synth3dlanes.validate.host import check_host
+from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.world import resolve
 from tests.scenes import FLAT, changed
+from tests.validate.examining import findings
 
 # Before a split, and before a merge: beside lanes that open, too.
 EVERYWHERE = ["camera.y_m=[-100, 0]", "camera.offset_m=[-1, 1]", "road.exit_angle_deg=[1, 15]", "cars.n=0", "trees.n=0"]
 
 
 def faults(scene: Scene, labels: Labels) -> list[tuple[str, str]]:
-    return [(found.lane, found.reason) for found in check_host(resolve(scene), labels)]
+    return [(found.lane, found.reason) for found in findings(Evidence(resolve(scene), labels), "host")]
 
 
 @pytest.mark.parametrize("preset", preset_names())

@@ -9,20 +9,17 @@ from PIL import Image
 
 from synth3dlanes.frames import project
 from synth3dlanes.ground_truth import ground_truth, label
+from synth3dlanes.labels import Labels, Lane
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import sample_world
-from synth3dlanes.scene import Scene
+from synth3dlanes.scene import Car, Scene
 from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import BAND_NAMES, Distribution, Measure
-from synth3dlanes.validate.frame import check_frame
-from synth3dlanes.validate.ground_contact import check_ground_contact
-from synth3dlanes.validate.image_proof import prove_image
-from synth3dlanes.validate.obstacles import check_objects
 from synth3dlanes.validate.paint import Paint
-from synth3dlanes.validate.passes_proof import prove_passes
-from synth3dlanes.validate.structure import check_values
 from synth3dlanes.world import resolve
 from tests.scenes import FLAT, changed, flat_road_places
+from tests.validate.examining import findings, measures, reasons, seen
 
 
 @given(st.lists(st.floats(1e-3, 1e3), min_size=20, max_size=200))
@@ -39,13 +36,6 @@ def test_percentiles_of_counts_are_those_of_the_values_to_ten_per_cent(values):
         assert true <= numbers[name] * (1 + 1e-9)
         assert numbers[name] <= true * 1.1 * (1 + 1e-9)
     assert found.summary(slice(2, len(BAND_NAMES)))["n"] == 0
-
-
-def rendered(labels):
-    return replace(
-        labels,
-        lanes=tuple(replace(lane, object_visible=np.ones(len(lane.xyz_cam), bool)) for lane in labels.lanes),
-    )
 
 
 def test_points_on_dashes_are_told_from_those_between_also_aside_of_the_line():
@@ -86,16 +76,22 @@ def painted_picture(scene: Scene, aside_m: float, paint: float, noise: float) ->
     return np.repeat(np.clip(image, 0, 255).astype(np.uint8)[..., None], 3, axis=2)
 
 
+def picture_of(scene: Scene, image: np.ndarray | None = None, **passes: np.ndarray) -> Evidence:
+    """A scene without objects, beside an image and passes."""
+    return Evidence(resolve(scene), seen(ground_truth(scene)), image, passes)
+
+
 def test_bright_and_dark_paint_is_found_in_place_and_aside():
     scene = changed(markings={"dash_cycle_m": 4.5, "dash_fraction": 1.0})
-    labels = rendered(ground_truth(scene))
     for paint in (200.0, 40.0):
-        findings, (measure,) = prove_image(Paint(resolve(scene)), labels, painted_picture(scene, 0.0, paint, 8))
-        assert findings == []
-        assert len(measure.values) >= 2
-        assert measure.values.max() < 0.05
-        findings, (measure,) = prove_image(Paint(resolve(scene)), labels, painted_picture(scene, 0.5, paint, 8))
-        assert len([finding for finding in findings if "+0.50 m aside" in finding.reason]) == len(measure.values) >= 2
+        in_place = picture_of(scene, painted_picture(scene, 0.0, paint, 8))
+        assert findings(in_place, "ridges") == []
+        ridges_m = measures(in_place, "ridges")["image_ridge_m"]
+        assert len(ridges_m) >= 2
+        assert ridges_m.max() < 0.05
+        aside = picture_of(scene, painted_picture(scene, 0.5, paint, 8))
+        named = [finding for finding in findings(aside, "ridges") if "+0.50 m aside" in finding.reason]
+        assert len(named) == len(measures(aside, "ridges")["image_ridge_m"]) >= 2
 
 
 def test_a_double_line_is_judged_by_both_its_stripes_also_by_a_rolled_camera():
@@ -103,137 +99,127 @@ def test_a_double_line_is_judged_by_both_its_stripes_also_by_a_rolled_camera():
         markings={"dash_fraction": 1.0, "left_double": True, "width_m": 0.2},
         camera={"roll_rad": 0.05, "cx_px": 250, "lane": 1},
     )
-    labels, paint = rendered(ground_truth(scene)), Paint(resolve(scene))
-    left = next(lane.id for lane in labels.lanes if lane.kind == "delimiter" and lane.left is None)
+    left = leftmost(ground_truth(scene)).id
     for aside_m in (0.0, 0.2, 0.4):
-        picture = painted_picture(scene, aside_m, 200.0, 8)
-        findings, (measure,) = prove_image(paint, labels, picture)
-        semantic = np.where(picture[..., 0] > 150, 4, 2).astype(np.uint8)
-        faults = {finding.lane for finding in prove_passes(paint, labels, {"semantic": semantic})[0]}
+        image = painted_picture(scene, aside_m, 200.0, 8)
+        sample = picture_of(scene, image, semantic=np.where(image[..., 0] > 150, 4, 2).astype(np.uint8))
+        faults = {finding.lane for finding in findings(sample, "points")}
         if aside_m == 0:
-            assert (findings, faults) == ([], set())
-            assert measure.values.max() < 0.05
+            assert (findings(sample, "ridges"), faults) == ([], set())
+            assert measures(sample, "ridges")["image_ridge_m"].max() < 0.05
         else:
             assert left in faults, "one stripe on the other's place is not enough"
 
 
+def leftmost(labels: Labels) -> Lane:
+    return next(lane for lane in labels.lanes if lane.kind == "delimiter" and lane.left is None)
+
+
 def test_an_image_that_is_moved_or_stretched_is_told_by_all_its_lines_together():
     scene = changed(markings={"dash_fraction": 1.0})
-    paint, labels = Paint(resolve(scene)), rendered(ground_truth(scene))
     picture = painted_picture(scene, 0.0, 200.0, 8)
-    assert prove_image(paint, labels, picture)[0] == []
+    assert reasons(picture_of(scene, picture), "ridges") == ""
     for px in (-3, 3):
-        reasons = " ".join(finding.reason for finding in prove_image(paint, labels, np.roll(picture, px, axis=1))[0])
-        assert f"clearest {px:+.1f} px to the right and stretched by +0.0 %" in reasons
+        found = reasons(picture_of(scene, np.roll(picture, px, axis=1)), "ridges")
+        assert f"clearest {px:+.1f} px to the right and stretched by +0.0 %" in found
     wide = np.array(Image.fromarray(picture).resize((504, 360)))[:, 12:-12]
-    assert "stretched by +5.0 %" in " ".join(finding.reason for finding in prove_image(paint, labels, wide)[0])
+    assert "stretched by +5.0 %" in reasons(picture_of(scene, wide), "ridges")
 
 
 def test_what_is_bright_beside_the_pavement_or_about_a_car_is_not_paint_aside():
     """Faint paint, and a strip along it that is as bright as paint can be: beyond a narrow shoulder, or at a car."""
-    from synth3dlanes.scene import Car
-
     car = Car(model=6, scale=1.0, color=(1, 1, 1), gloss=0.5, lane="main_1", s_m=-38.0)
     for road, cars in (({"shoulder_factor": 0.12}, ()), ({"shoulder_factor": 0.4}, (car,))):
         scene = changed(markings={"dash_fraction": 1.0}, road=road).model_copy(update={"cars": cars})
-        labels = rendered(ground_truth(scene))
         faint, strips = painted_picture(scene, 0.0, 92.0, 0), painted_picture(scene, -0.6, 200.0, 0)
-        both = np.maximum(faint, strips)
-        left = next(lane.id for lane in labels.lanes if lane.kind == "delimiter" and lane.left is None)
-        blamed = {finding.lane for finding in prove_image(Paint(resolve(scene)), labels, both)[0]}
-        assert left not in blamed
+        blamed = {finding.lane for finding in findings(picture_of(scene, np.maximum(faint, strips)), "ridges")}
+        assert leftmost(ground_truth(scene)).id not in blamed
         assert blamed, "the lines that are clear of both are asked"
 
 
 def test_a_stripe_behind_a_car_is_not_asked_where_the_other_is_seen():
     scene = changed(markings={"dash_fraction": 1.0, "left_double": True, "width_m": 0.2}, camera={"lane": 1})
-    labels, paint = rendered(ground_truth(scene)), Paint(resolve(scene))
-    left = next(lane for lane in labels.lanes if lane.kind == "delimiter" and lane.left is None)
+    labels = seen(ground_truth(scene))
+    left = leftmost(labels)
     semantic = np.where(painted_picture(scene, 0.0, 200.0, 8)[..., 0] > 150, 4, 2).astype(np.uint8)
     # Right of the line's middle, over its right stripe and not much more.
     u, v = project(labels.camera.img_from_cam, left.xyz_cam[left.visible & (left.xyz_cam[:, 1] < 20)]).T
     for row in range(int(v.min()) + 1, int(v.max())):
         first = int(np.interp(row, v[::-1], u[::-1])) + 2
         semantic[row, first : first + (row - int(v.min())) // 2 + 8] = SEMANTIC_IDS["car"]
-    assert prove_passes(paint, labels, {"semantic": semantic})[0] == []
+    assert findings(picture_of(scene, semantic=semantic), "points") == []
     semantic[semantic == SEMANTIC_IDS["car"]] = SEMANTIC_IDS["road"]
-    assert {finding.lane for finding in prove_passes(paint, labels, {"semantic": semantic})[0]} >= {left.id}
+    assert left.id in {finding.lane for finding in findings(picture_of(scene, semantic=semantic), "points")}
 
 
 def test_an_image_without_any_paint_is_not_that_of_the_labels_and_no_line_is_blamed():
     scene = changed(markings={"dash_fraction": 1.0})
-    findings, _ = prove_image(
-        Paint(resolve(scene)), rendered(ground_truth(scene)), painted_picture(scene, 0.0, 90.0, 8)
-    )
-    assert [finding.lane for finding in findings] == [""]
+    found = findings(picture_of(scene, painted_picture(scene, 0.0, 90.0, 8)), "ridges")
+    assert [finding.lane for finding in found] == [""]
 
 
 def test_ground_truth_passes_its_own_check(hilly_scene):
-    labels = rendered(ground_truth(hilly_scene))
-    assert list(check_values(hilly_scene, ground_truth(hilly_scene), labels)) == []
+    assert findings(picture_of(hilly_scene), "labels") == []
 
 
 def test_points_seen_through_a_car_and_points_hidden_by_nothing_are_faults():
-    from synth3dlanes.scene import Car
-
     car = Car(model=6, scale=1.0, color=(1, 1, 1), gloss=0.5, lane="main_2", s_m=-35.0)
-    scene = FLAT.model_copy(update={"cars": (car,)})
-    labels = rendered(ground_truth(scene))
-    host = "main_2"
-    through = {finding.lane for finding in check_objects(resolve(scene), labels)}
-    assert host in through
+    sample = picture_of(FLAT.model_copy(update={"cars": (car,)}))
+    labels, host = sample.labels, "main_2"
+    assert host in {finding.lane for finding in findings(sample, "objects")}
     far = {lane.id: lane.xyz_cam[:, 1] > 17 for lane in labels.lanes}
     hidden = replace(
         labels,
         lanes=tuple(replace(lane, object_visible=~far[lane.id] | (lane.id != host)) for lane in labels.lanes),
     )
-    assert host not in {finding.lane for finding in check_objects(resolve(scene), hidden)}
-    assert "where nothing is in the way" in next(iter(check_objects(resolve(FLAT), hidden))).reason
+    assert host not in {finding.lane for finding in findings(replace(sample, labels=hidden), "objects")}
+    assert "where nothing is in the way" in reasons(Evidence(resolve(FLAT), hidden), "objects")
 
 
 def test_trunks_hide_points_behind_a_hill_from_underground():
     """The lines of sight pass 0.3 m under the foot of a tree whose trunk begins 0.37 m under it."""
     world = sample_world(load_params("diverse"), 907, "train", 43)
-    labels = rendered(label(world, world.view))
+    labels = seen(label(world, world.view))
 
-    def reasons(hidden):
+    def said(hidden):
         lanes = tuple(
             replace(lane, object_visible=~np.isin(np.arange(111), hidden)) if lane.id == "exit_1" else lane
             for lane in labels.lanes
         )
-        found = check_objects(world, replace(labels, lanes=lanes))
+        found = findings(Evidence(world, replace(labels, lanes=lanes)), "objects")
         return " ".join(finding.reason for finding in found if finding.lane == "exit_1")
 
-    assert "nothing is in the way" not in reasons([106, 107, 108, 109])
-    assert "got 4 points as hidden where nothing is in the way" in reasons([40, 41, 42, 43])
+    assert "nothing is in the way" not in said([106, 107, 108, 109])
+    assert "got 4 points as hidden where nothing is in the way" in said([40, 41, 42, 43])
 
 
 def test_black_white_and_pink_pictures_are_faults():
     gray = np.full((40, 60, 3), 120, np.uint8)
-    findings, (measure,) = check_frame(gray, {})
-    assert (findings, measure.values[0]) == ([], 0)
-    ground = {"semantic": np.full((40, 60), SEMANTIC_IDS["road"], np.uint8)}
+    scene = changed(camera={"width_px": 60, "height_px": 40})
+    sample = picture_of(scene, gray)
+    assert findings(sample, "frame") == []
+    assert measures(sample, "frame")["clipped_share"] == 0
+    road = np.full((40, 60), SEMANTIC_IDS["road"], np.uint8)
     for color, words in (((0, 0, 0), "black"), ((255, 255, 255), "white"), ((250, 30, 240), "pink")):
         spoilt = gray.copy()
         spoilt[10:] = color
-        findings, _ = check_frame(np.full_like(gray, color), ground)
-        assert [words in finding.reason for finding in findings] == [True]
-        assert check_frame(spoilt, ground)[1][0].values[0] == (0.75 if words != "pink" else 0)
+        (finding,) = findings(picture_of(scene, np.full_like(gray, color), semantic=road), "frame")
+        assert words in finding.reason
+        clipped = measures(picture_of(scene, spoilt, semantic=road), "frame")["clipped_share"]
+        assert clipped == (0.75 if words != "pink" else 0)
 
 
 def test_wheels_stand_on_the_meshes_and_terrain_in_the_road_is_a_fault(hilly_scene):
-    findings, measures = check_ground_contact(resolve(hilly_scene), rendered(ground_truth(hilly_scene)), {})
-    gaps = {measure.name: measure.values for measure in measures}
-    assert findings == []
-    assert gaps["wheel_gap_m"].size > 8
-    assert gaps["wheel_gap_m"].max() < 0.03
-    labels = rendered(ground_truth(FLAT))
+    hilly = picture_of(hilly_scene)
+    assert findings(hilly, "standing") == []
+    gaps_m = measures(hilly, "standing")["wheel_gap_m"]
+    assert gaps_m.size > 8
+    assert gaps_m.max() < 0.03
     down = (np.arange(360)[:, None] + 0.5 - 180) / FLAT.camera.fy_px * np.ones((1, 480))
     c, s = np.cos(FLAT.camera.pitch_rad), np.sin(FLAT.camera.pitch_rad)
     with np.errstate(divide="ignore"):
         depth_m = np.where(c * down + s > 0, FLAT.camera.height_m / (c * down + s), np.inf)
     road = np.full((360, 480), SEMANTIC_IDS["road"], np.uint8)
-    assert check_ground_contact(resolve(FLAT), labels, {"depth": depth_m, "semantic": road})[0] == []
+    assert findings(picture_of(FLAT, depth=depth_m, semantic=road), "standing") == []
     road[250:260, 230:240] = SEMANTIC_IDS["terrain"]
-    (finding,) = check_ground_contact(resolve(FLAT), labels, {"depth": depth_m, "semantic": road})[0]
-    assert "terrain at 25 pixels" in finding.reason
+    assert "terrain at 25 pixels" in reasons(picture_of(FLAT, depth=depth_m, semantic=road), "standing")

@@ -34,6 +34,7 @@ from synth3dlanes.shots import clips
 from synth3dlanes.validate.findings import Problem
 from synth3dlanes.validate.origin import MANY, Origin, drawn_otherwise
 from tests import fake_samples
+from tests.validate import examining
 from tests.validate.sealing import check, describe, seal
 
 N, SEED = 4, 7
@@ -42,9 +43,7 @@ RECIPE = Recipe(load_params("tiny"), SEED, "train", RenderSettings(), "png")
 
 def seen(scene: Scene) -> Labels:
     """The labels of a scene in which nothing hides anything."""
-    labels = ground_truth(scene)
-    lanes = [replace(lane, object_visible=np.ones(len(lane.xyz_cam), bool)) for lane in labels.lanes]
-    return replace(labels, lanes=tuple(lanes), car_visible_fraction=(1.0,) * len(scene.cars))
+    return replace(examining.seen(ground_truth(scene)), car_visible_fraction=(1.0,) * len(scene.cars))
 
 
 def draw(root: Path, recipe: Recipe = RECIPE, n: int = N, size: tuple[int, int] = (8, 8)) -> Path:

@@ -15,10 +15,10 @@ from synth3dlanes.ground_truth import label
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import sample_world
 from synth3dlanes.settings import SEMANTIC_IDS
-from synth3dlanes.validate.ids import MAX_BEYOND_M, on_road
+from synth3dlanes.validate.ids import MAX_BEYOND_M
 from synth3dlanes.validate.paint import Paint
-from synth3dlanes.validate.pavement import MAX_ASIDE_M, MAX_GAP_M, RANGE_M
-from synth3dlanes.validate.places import Places, places
+from synth3dlanes.validate.places import Places, on_road, places
+from synth3dlanes.validate.surface import MAX_ASIDE_M, MAX_GAP_M, RANGE_M
 from synth3dlanes.world import World
 
 N_SCENES, N_POINTS = 9, 600

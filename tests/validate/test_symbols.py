@@ -11,16 +11,10 @@ from synth3dlanes.labels import Labels
 from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.scene import Scene, Symbol
 from synth3dlanes.settings import FIRST_SYMBOL_ID, SEMANTIC_IDS, RenderSettings
-from synth3dlanes.validate.ids import prove_ids
-from synth3dlanes.validate.image_proof import prove_image
-from synth3dlanes.validate.obstacles import check_objects
-from synth3dlanes.validate.paint import Paint
-from synth3dlanes.validate.passes_proof import prove_passes
-from synth3dlanes.validate.pavement import prove_pavement
-from synth3dlanes.validate.structure import check_values
-from synth3dlanes.validate.symbols import prove_symbols
+from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.world import resolve
 from tests.scenes import changed, hill
+from tests.validate.examining import findings
 
 pytestmark = pytest.mark.render
 
@@ -52,17 +46,9 @@ def scene_with(symbols: tuple[Symbol, ...], **parts: dict) -> Scene:
 
 def texts(of: Shot, scene: Scene | None = None) -> list[str]:
     """What the checks of symbols and paint say, by another scene if one is given."""
-    world = resolve(scene or of.scene)
-    paint = Paint(world)
-    findings = [
-        *prove_symbols(world, of.labels, of.passes),
-        *prove_ids(paint, of.labels, of.passes)[0],
-        *prove_passes(paint, of.labels, of.passes)[0],
-        *prove_pavement(world, of.labels, of.passes)[0],
-        *prove_image(paint, of.labels, of.image)[0],
-        *check_objects(world, of.labels),
-    ]
-    return [f"{finding.lane} {finding.reason}".strip() for finding in findings]
+    sample = Evidence(resolve(scene or of.scene), of.labels, of.image, of.passes)
+    found = findings(sample, "symbols", "ids", "points", "pavement", "ridges", "objects")
+    return [f"{finding.lane} {finding.reason}".strip() for finding in found]
 
 
 @pytest.fixture(scope="module")
@@ -126,13 +112,13 @@ def test_pixels_of_a_symbol_that_is_missing_or_not_in_the_scene_are_found(crossi
 
 
 def test_labels_of_symbols_are_compared_with_the_scene(crossing: Shot) -> None:
-    truth = replace(
-        crossing.labels,
-        symbols=tuple(replace(symbol, xyz_cam=symbol.xyz_cam + 0.01) for symbol in crossing.labels.symbols),
+    symbols = crossing.labels.symbols
+    moved = replace(
+        crossing.labels, symbols=tuple(replace(symbol, xyz_cam=symbol.xyz_cam + 0.01) for symbol in symbols)
     )
-    found = [*check_values(crossing.scene, truth, crossing.labels)]
-    assert [finding.lane for finding in found] == ["symbol 0", "symbol 1", "symbol 2"]
-    none = [*check_values(crossing.scene, crossing.labels, replace(crossing.labels, symbols=()))]
+    world = resolve(crossing.scene)
+    assert [found.lane for found in findings(Evidence(world, moved), "labels")] == ["symbol 0", "symbol 1", "symbol 2"]
+    none = findings(Evidence(world, replace(crossing.labels, symbols=())), "labels")
     assert [finding.reason.partition(":")[0] for finding in none] == ["symbols"]
 
 

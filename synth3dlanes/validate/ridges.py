@@ -12,16 +12,17 @@ from collections.abc import Iterator, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
 from synth3dlanes.frames import transform
-from synth3dlanes.labels import CameraLabel, Labels, Lane
+from synth3dlanes.labels import CameraLabel, Lane
 from synth3dlanes.validate.bodies import may_show_cars
-from synth3dlanes.validate.boxes import meet, structure_boxes
-from synth3dlanes.validate.findings import PROOF_M, Finding, Measure
-from synth3dlanes.validate.paint import Paint, Strip
+from synth3dlanes.validate.boxes import meet
+from synth3dlanes.validate.evidence import Evidence
+from synth3dlanes.validate.findings import PROOF_M, Finding, Measure, Result
+from synth3dlanes.validate.paint import Strip
 from synth3dlanes.validate.places import places
 from synth3dlanes.world import World
 
@@ -43,6 +44,9 @@ MIN_PROFILES = 15
 # Gray levels of 255 in a line's median: 1 to 4 occur by chance without paint, 5 with paint as gray as the road. In low
 # sun a line may have 3, but then it has them in place.
 CONTRAST, FAINT, FAINTEST = 12.0, 4.0, 2.5
+# The least brightness of a road whose paint stands out: paint that reflects BRIGHTER times as much is, by the curve of
+# sRGB, a quarter brighter, and that must be FAINT.
+DARK = 16.0
 # A road of this brightness leaves paint no room to be brighter, as in the glare of the sun.
 WHITE = 240.0
 # A ridge elsewhere must be this many times stronger than in place: the edge of a shadow reaches 2.7 times.
@@ -102,43 +106,39 @@ class Contrast(NamedTuple):
         return "in place" if self.in_place >= FAINT and 2 * self.in_place >= self.ridge else "unclear"
 
 
-def prove_image(paint: Paint, labels: Labels, image: UInt8[np.ndarray, "h w 3"]) -> tuple[list[Finding], list[Measure]]:
+def check_ridges(evidence: Evidence) -> Iterator[Result]:
     """Findings about lines and the whole image, and measure `image_ridge_m`: distances of ridges from their labels."""
-    if not paint.shows or paint.world.scene.weather.snow:
-        return [], []
-    luma = image @ np.array([0.3, 0.6, 0.1])
-    lanes = [lane for lane in labels.lanes if lane.kind == "delimiter" and paint.stands_out(lane.color or "white")]
-    cuts = [cut for lane in lanes for cut in _cut(paint, labels.camera, lane, luma)]
-    lines = list(_lines(paint, labels.camera, cuts))
+    paint = evidence.paint
+    if not paint.shows or evidence.scene.weather.snow:
+        return
+    lanes = [lane for lane in evidence.labels.lanes if lane.kind == "delimiter"]
+    lanes = [lane for lane in lanes if paint.stands_out(lane.color or "white")]
+    lines = list(_lines(evidence, [cut for lane in lanes for cut in _cut(evidence, lane)]))
     contrasts = [_contrast(line) for line in lines]
-    findings = [
-        Finding(
-            line.lane,
-            f"image: expected the line's paint within {IN_PLACE_M} m, got it {line.ridge_m:+.2f} m aside "
-            f"(contrast {line.ridge:.0f} there, {line.in_place:.0f} in place, {line.n} profiles)",
-        )
-        for line in contrasts
-        if line.verdict == "elsewhere"
-    ]
+    for line in contrasts:
+        if line.verdict == "elsewhere":
+            yield Finding(
+                line.lane,
+                f"image: expected the line's paint within {IN_PLACE_M} m, got it {line.ridge_m:+.2f} m aside "
+                f"(contrast {line.ridge:.0f} there, {line.in_place:.0f} in place, {line.n} profiles)",
+            )
     n, in_place = sum(line.n for line in contrasts), sum(line.n for line in contrasts if line.verdict == "in place")
     if n >= MIN_IMAGE_PROFILES:
         if in_place < MIN_SHARE * n:
-            findings.append(
-                Finding("", f"image: expected paint under its delimiters, got it under {in_place} of {n} profiles")
-            )
-        findings += check_move(lines, luma.shape[1])
+            yield Finding("", f"image: expected paint under its delimiters, got it under {in_place} of {n} profiles")
+        yield from check_move(lines, evidence.luma.shape[1])
     clear = [line for line in contrasts if line.verdict != "unclear" and line.ridge >= CONTRAST]
     y_m, ridges_m = np.array([[line.y_m, abs(line.ridge_m)] for line in clear]).reshape(-1, 2).T
-    return findings, [Measure("image_ridge_m", y_m, ridges_m)]
+    yield Measure("image_ridge_m", y_m, ridges_m)
 
 
-def _cut(paint: Paint, camera: CameraLabel, lane: Lane, luma: Float[np.ndarray, "h w"]) -> Iterator[Cut]:
+def _cut(evidence: Evidence, lane: Lane) -> Iterator[Cut]:
     """Complete profiles across the line, if there are enough."""
-    points_cam = _every_pixel(camera, lane)
+    points_cam = _every_pixel(evidence.camera, lane)
     if len(points_cam) < MIN_PROFILES:
         return
-    strip = paint.strip(camera, lane, points_cam)
-    profiles = _profiles(camera, strip, luma)
+    strip = evidence.paint.strip(evidence.camera, lane, points_cam)
+    profiles = _profiles(evidence.camera, strip, evidence.luma)
     whole = np.isfinite(profiles).all(axis=1)
     if whole.sum() >= MIN_PROFILES:
         ends_m = np.array([-REACH_M, 0.0, REACH_M])[:, None]
@@ -146,24 +146,26 @@ def _cut(paint: Paint, camera: CameraLabel, lane: Lane, luma: Float[np.ndarray, 
         yield Cut(lane.id, ends_cam[whole], np.asarray(profiles[whole]))
 
 
-def _lines(paint: Paint, camera: CameraLabel, cuts: Sequence[Cut]) -> Iterator[Line]:
+def _lines(evidence: Evidence, cuts: Sequence[Cut]) -> Iterator[Line]:
     """Lines with enough profiles clear of cars and glare; ridges beyond the pavement are set to 0."""
     if not cuts:
         return
+    paint, world, camera = evidence.paint, evidence.world, evidence.camera
     ends_cam = np.concatenate([cut.ends_cam for cut in cuts])
     uv = camera.project(ends_cam.reshape(-1, 3))
-    is_clear = ~may_show_cars(paint.world, camera, uv, PROOF_M).reshape(-1, 3).any(axis=1)
-    is_clear &= ~_behind_structures(paint.world, transform(camera.world_from_cam, ends_cam))
-    is_clear &= ~_near_symbols(paint.world, transform(camera.world_from_cam, ends_cam[:, 1]))
+    is_clear = ~may_show_cars(world, camera, uv, PROOF_M).reshape(-1, 3).any(axis=1)
+    is_clear &= ~_behind_structures(evidence, transform(camera.world_from_cam, ends_cam))
+    is_clear &= ~_near_symbols(world, transform(camera.world_from_cam, ends_cam[:, 1]))
     some = np.arange(0, len(ends_cam), ROOM_EVERY)
     outside_m = np.full((len(ends_cam), 3), np.nan)
     ends = transform(camera.world_from_cam, ends_cam[some].reshape(-1, 3))
-    outside_m[some] = places(paint.world.ground, ends[:, :2]).outside().reshape(-1, 3)
+    outside_m[some] = places(world.ground, ends[:, :2]).outside().reshape(-1, 3)
     at = np.cumsum([len(cut.profiles) for cut in cuts])[:-1]
     of_cuts = (np.split(values, at) for values in (is_clear, outside_m, uv[:, 0].reshape(-1, 3)))
     for cut, clear, beyond_m, u_px in zip(cuts, *of_cuts, strict=True):
         width_m, stripes_m = paint.width_m(cut.lane), paint.stripes_m(cut.lane)
-        clear = clear & ~_in_glare(cut.profiles, width_m, stripes_m)
+        road = _beside(cut.profiles, width_m, stripes_m)
+        clear = clear & (road < WHITE).all(axis=1) & (road > DARK).all(axis=1)
         reach_m = BESIDE[1] * width_m + max(stripes_m)
         left_m, right_m = (_room(beyond_m[:, 1], beyond_m[:, side]) - reach_m for side in (0, 2))
         if clear.sum() >= MIN_PROFILES and min(left_m, right_m) > 0:
@@ -175,19 +177,19 @@ def _lines(paint: Paint, camera: CameraLabel, cuts: Sequence[Cut]) -> Iterator[L
             yield Line(cut.lane, u_px[clear, 1], px_per_m, cut.ends_cam[clear, 1, 1], ridges)
 
 
-def _in_glare(
+def _beside(
     profiles: Float[np.ndarray, "n k"], width_m: float, stripes_m: tuple[float, ...]
-) -> Bool[np.ndarray, " n"]:
-    """Which profiles are white on one side of the paint."""
+) -> Float[np.ndarray, "n 2"]:
+    """The road's brightness on both sides of the paint of every profile."""
     beyond_m = np.stack([min(stripes_m) - OFFSETS_M, OFFSETS_M - max(stripes_m)]) / width_m
     beside = (beyond_m > BESIDE[0]) & (beyond_m < BESIDE[1])
-    return (profiles @ (beside / beside.sum(axis=1, keepdims=True)).T > WHITE).any(axis=1)
+    return profiles @ (beside / beside.sum(axis=1, keepdims=True)).T
 
 
-def _behind_structures(world: World, ends_world: Float[np.ndarray, "n 3 3"]) -> Bool[np.ndarray, " n"]:
+def _behind_structures(evidence: Evidence, ends_world: Float[np.ndarray, "n 3 3"]) -> Bool[np.ndarray, " n"]:
     """Which profiles, by their ends and middles, a structure may hide or be part of."""
-    boxes = structure_boxes(world).boxes
-    return meet(boxes, world.view.eye_world, ends_world.reshape(-1, 3)).reshape(-1, 3).any(axis=1)
+    eye_world = evidence.world.view.eye_world
+    return meet(evidence.structures.boxes, eye_world, ends_world.reshape(-1, 3)).reshape(-1, 3).any(axis=1)
 
 
 def _near_symbols(world: World, points_world: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:

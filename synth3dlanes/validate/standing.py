@@ -1,4 +1,5 @@
-"""Check that cars, trees and structures stand on the rendered ground, and that the terrain does not penetrate the road.
+"""Check that cars, trees and structures stand on the rendered ground, structures beside the pavement, and that the
+terrain does not penetrate the road.
 
 Compares with the meshes that Blender renders, which are flat between their rows, instead of the formulas.
 """
@@ -12,10 +13,12 @@ from synth3dlanes.frames import Matrix4, invert, transform
 from synth3dlanes.geometry import meshes
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.placement import TREE_SINK_M
-from synth3dlanes.labels import CameraLabel, Labels
+from synth3dlanes.labels import CameraLabel
 from synth3dlanes.settings import SEMANTIC_IDS
-from synth3dlanes.validate.findings import Finding, Measure
-from synth3dlanes.validate.passes_proof import Passes
+from synth3dlanes.validate.boxes import beside_world
+from synth3dlanes.validate.evidence import Evidence
+from synth3dlanes.validate.findings import Finding, Measure, Result
+from synth3dlanes.validate.places import places
 from synth3dlanes.world import World
 
 # Limits of visible gaps: a rigid car on the sharpest crests has a wheel up to 0.21 m off (1,350 scenes; mostly below
@@ -27,39 +30,42 @@ INSIDE_M, STEP, NEAR_M = 0.3, 2, 80.0
 MAX_THROUGH = 3
 # Every eighth foot of a structure is checked; structures reach as deep into the ground as trees do.
 FEET_STEP = 8
+# Kerbs stand at the very edge.
+ROOM_M = 0.05
 
 Points = Float[np.ndarray, "n 3"]
 Points2 = Float[np.ndarray, "n 2"]
 Values = Float[np.ndarray, " n"]
 
 
-def check_ground_contact(world: World, labels: Labels, passes: Passes) -> tuple[list[Finding], list[Measure]]:
+def check_standing(evidence: Evidence) -> Iterator[Result]:
     """Findings, and the measures `wheel_gap_m`, `tree_gap_m` and `structure_gap_m`. With depth and semantic ids, checks
     the road too."""
-    wheels = _ahead(labels.camera, _wheels(world))
-    places = _ahead(labels.camera, world.trees_world + np.array([0, 0, TREE_SINK_M]))
-    on_ground_m = np.fmax(_height(world.verges, places[:, :2]), terrain_height(world.ground, places[:, :2]))
+    world, camera = evidence.world, evidence.camera
+    wheels = _ahead(camera, _wheels(world))
+    trunks = _ahead(camera, world.trees_world + np.array([0, 0, TREE_SINK_M]))
+    on_ground_m = np.fmax(mesh_height(world.verges, trunks[:, :2]), terrain_height(world.ground, trunks[:, :2]))
     feet = np.concatenate([np.zeros((0, 3)), *(body.feet_world[::FEET_STEP] for body in world.structures)])
-    feet = _ahead(labels.camera, feet)
-    under_m = np.fmax(_height([*world.pavement, *world.verges], feet[:, :2]), terrain_height(world.ground, feet[:, :2]))
+    feet = _ahead(camera, feet)
+    under_m = np.fmax(
+        mesh_height([*world.pavement, *world.verges], feet[:, :2]), terrain_height(world.ground, feet[:, :2])
+    )
     standing = [
-        ("wheel_gap_m", wheels, _height(world.pavement, wheels[:, :2]), MAX_WHEEL_M),
-        ("tree_gap_m", places, on_ground_m, MAX_TREE_M),
+        ("wheel_gap_m", wheels, mesh_height(world.pavement, wheels[:, :2]), MAX_WHEEL_M),
+        ("tree_gap_m", trunks, on_ground_m, MAX_TREE_M),
         *([("structure_gap_m", feet, under_m, MAX_TREE_M)] if len(feet) else []),
     ]
-    findings, measures = [], []
     for name, points, ground_m, limit_m in standing:
         known = np.isfinite(ground_m)
         gap_m = np.abs(points[:, 2] - ground_m)[known]
-        measures.append(Measure(name, _in(labels.camera.world_from_cam, points)[known, 1], gap_m))
+        yield Measure(name, _in(camera.world_from_cam, points)[known, 1], gap_m)
         is_near = np.abs(_in(world.view.world_from_host, points)[known, 1]) < RANGE_M
         off_m = gap_m[(gap_m > limit_m) & is_near]
         if off_m.size:
             reason = f"{name}: expected at most {limit_m} m, got {off_m.size} beyond, up to {off_m.max():.2f} m"
-            findings.append(Finding("", reason))
-    if {"depth", "semantic"} <= set(passes):
-        findings += _through(world.ground, labels.camera, passes)
-    return findings, measures
+            yield Finding("", reason)
+    if {"depth", "semantic"} <= evidence.has:
+        yield from _through(evidence)
 
 
 def _wheels(world: World) -> Points:
@@ -82,7 +88,7 @@ def _in(world_from_frame: Matrix4, points_world: Points) -> Points:
     return transform(invert(world_from_frame), points_world)
 
 
-def _height(surfaces: Sequence[meshes.Mesh], xy: Points2) -> Values:
+def mesh_height(surfaces: Sequence[meshes.Mesh], xy: Points2) -> Values:
     """Height of the highest face at each point, NaN if there is none."""
     height_m = np.full(len(xy), -np.inf)
     for mesh in surfaces:
@@ -120,12 +126,12 @@ def terrain_height(ground: Ground, xy: Points2) -> Values:
     return np.asarray(near + b * (far - near))
 
 
-def _through(ground: Ground, camera: CameraLabel, passes: Passes) -> Iterator[Finding]:
+def _through(evidence: Evidence) -> Iterator[Finding]:
     """Finding for pixels that show terrain where the scene has pavement."""
+    ground, passes = evidence.world.ground, evidence.passes
     depth_m, semantic = passes["depth"][::STEP, ::STEP], passes["semantic"][::STEP, ::STEP]
     v, u = np.nonzero((semantic == SEMANTIC_IDS["terrain"]) & (depth_m < NEAR_M))
-    points_cam = camera.points(STEP * np.column_stack([u, v]) + 0.5, depth_m[v, u].astype(float))
-    points = transform(camera.world_from_cam, points_cam)
+    points = evidence.points_world(STEP * v, STEP * u)
     inside = ground.clearance(points[:, :2]) < -INSIDE_M
     grass = meshes.median_grass_m(ground)
     if grass is not None:
@@ -134,3 +140,32 @@ def _through(ground: Ground, camera: CameraLabel, passes: Passes) -> Iterator[Fi
     through = int(inside.sum())
     if through > MAX_THROUGH:
         yield Finding("", f"passes: expected pavement, got terrain at {through} pixels of {len(u)} on the road")
+
+
+def check_roadside(evidence: Evidence) -> Iterator[Finding]:
+    """Findings about structures on a pavement. What stands on a median is left to the road's own checks."""
+    for name, feet in _feet(evidence):
+        inside_m = -np.nan_to_num(places(evidence.world.ground, feet).outside(), nan=np.inf)
+        wrong = int((inside_m > ROOM_M).sum())
+        if wrong:
+            reason = (
+                f"expected it beside the pavement, got {wrong} of {len(feet)} places up to {inside_m.max():.2f} m on it"
+            )
+            yield Finding("", f"roadside.{name}: {reason}")
+
+
+def _feet(evidence: Evidence) -> Iterator[tuple[str, Float[np.ndarray, "n 2"]]]:
+    """The name of every structure with a place beside the road, and points where it stands."""
+    world, roadside = evidence.world, evidence.scene.roadside
+    for i, rail in enumerate(roadside.rails):
+        if rail.side != "median":
+            s = np.linspace(rail.from_m, rail.to_m, 2 + int(abs(rail.to_m - rail.from_m) / 2))
+            yield f"rails.{i}", beside_world(world, rail.road, rail.side, s, rail.aside_m)
+    for i, post in enumerate(roadside.posts):
+        if post.side != "median":
+            yield f"posts.{i}", beside_world(world, post.road, post.side, np.array([post.s_m]), post.aside_m)
+    boxes = evidence.structures.boxes
+    first = len(boxes.low) - len(roadside.buildings)
+    share = np.stack(np.meshgrid(np.linspace(0, 1, 9), np.linspace(0, 1, 9), [0.0]), -1).reshape(-1, 3)
+    for i, (pose, low, high) in enumerate(zip(*(values[first:] for values in boxes), strict=True)):
+        yield f"buildings.{i}", transform(pose, low + share * (high - low))[:, :2]

@@ -1,0 +1,108 @@
+"""Check colours and light of what the passes name: terrain, paint and what is black, in clear daylight.
+
+Colours are compared with that of the road in the same picture, so that the sun's and the sky's do not matter: as
+chroma, which is the share of a channel in the light, minus that of the road.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.ndimage import binary_dilation
+
+from synth3dlanes.settings import FIRST_DELIMITER_ID, SEMANTIC_IDS
+from synth3dlanes.validate.evidence import Evidence
+from synth3dlanes.validate.findings import PROOF_M, Finding
+
+# Clear daylight: the sun's zenith angle, and the visibility in fog. Wet roads mirror the sky.
+LOWEST_SUN_RAD, MIN_VISIBILITY_M, MAX_WETNESS = 1.4, 1_500.0, 0.3
+# Terrain within so many metres, and least numbers of pixels of terrain, road and paint.
+TERRAIN_M, MIN_PIXELS, MIN_PAINT = 60.0, 200, 150
+# The built-in terrains have less blue than the road, in 67 images at least 0.056; green grass has less red than green,
+# by 0.005 to 0.065, and dry grass more, by 0.055 to 0.141.
+MAX_BLUE = -0.03
+RED_OVER_GREEN = {1: (-0.1, 0.015), 2: (0.03, 0.2)}
+# Red over blue of a white line: at most 0.035 in 114 lines; a yellow one has 0.25.
+MAX_YELLOW = 0.12
+# How many times brighter than the pavement around it paint is that stands out, at least 1.12 in 90 lines; and the reach
+# of that pavement.
+BRIGHTER, AROUND_PX = 1.05, 4
+# Share of a picture, without sky, that may be black: at most 0.0007 in 120.
+MAX_BLACK, BLACK = 0.02, 3
+
+
+def check_appearance(evidence: Evidence) -> Iterator[Finding]:
+    """Findings about the picture's colours and light, by the passes."""
+    scene = evidence.scene
+    if scene.light.sun_zenith_rad > LOWEST_SUN_RAD or scene.weather.snow or scene.air.visibility_m < MIN_VISIBILITY_M:
+        return
+    semantic, near = evidence.passes["semantic"], evidence.passes["depth"] < PROOF_M
+    road = (semantic == SEMANTIC_IDS["road"]) & near
+    if road.sum() < MIN_PIXELS:
+        return
+    black = float(((evidence.picture.max(axis=2) <= BLACK) & (semantic != SEMANTIC_IDS["sky"])).mean())
+    if black > MAX_BLACK:
+        yield Finding("", f"image: expected light everywhere by day, got {100 * black:.1f} % of the picture black")
+    linear = _linear(evidence)
+    yield from _terrain(evidence, linear, _chroma(linear[road]))
+    if "instance" in evidence.passes and scene.surface.wetness <= MAX_WETNESS:
+        yield from _paint(evidence, linear, _chroma(linear[road]))
+
+
+def _linear(evidence: Evidence) -> Float[np.ndarray, "h w 3"]:
+    """The picture's light."""
+    values = np.arange(256) / 255
+    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)[evidence.picture]
+
+
+def _chroma(pixels: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
+    """The shares of red, green and blue in the median of pixels."""
+    light = np.median(pixels, axis=0)
+    return light / max(float(light.sum()), 1e-6)
+
+
+def _terrain(
+    evidence: Evidence, linear: Float[np.ndarray, "h w 3"], of_road: Float[np.ndarray, "3"]
+) -> Iterator[Finding]:
+    texture = evidence.scene.surface.terrain_texture
+    if evidence.scene.assets.terrains or evidence.scene.assets.roads or texture not in RED_OVER_GREEN:
+        return
+    at = (evidence.passes["semantic"] == SEMANTIC_IDS["terrain"]) & (evidence.passes["depth"] < TERRAIN_M)
+    if at.sum() < MIN_PIXELS:
+        return
+    red, green, blue = _chroma(linear[at]) - of_road
+    low, high = RED_OVER_GREEN[texture]
+    if blue > MAX_BLUE:
+        yield Finding("", f"image: expected grass with at most {MAX_BLUE} of blue over the road's, got {blue:+.3f}")
+    if not low < red - green < high:
+        found = f"{red - green:+.3f}"
+        yield Finding("", f"image: expected grass with {low} to {high} of red over green, got {found}")
+
+
+def _paint(
+    evidence: Evidence, linear: Float[np.ndarray, "h w 3"], of_road: Float[np.ndarray, "3"]
+) -> Iterator[Finding]:
+    near = evidence.passes["depth"] < PROOF_M
+    for number, lane in enumerate(lane for lane in evidence.labels.lanes if lane.kind == "delimiter"):
+        at = (evidence.passes["instance"] == FIRST_DELIMITER_ID + number) & near
+        color = lane.color or "white"
+        if at.sum() < MIN_PAINT or not evidence.paint.shows or not evidence.paint.stands_out(color):
+            continue
+        red, _, blue = _chroma(linear[at]) - of_road
+        if color == "white" and red - blue > MAX_YELLOW:
+            yield Finding(lane.id, f"image: expected white paint, got yellow ({red - blue:+.2f} of red over blue)")
+        times = brighter(evidence, linear, at)
+        if times < BRIGHTER:
+            yield Finding(
+                lane.id,
+                f"image: expected its {at.sum()} pixels of paint brighter than the road around them, got them "
+                f"{times:.2f} times as bright",
+            )
+
+
+def brighter(evidence: Evidence, linear: Float[np.ndarray, "h w 3"], at: Bool[np.ndarray, "h w"]) -> float:
+    """How many times brighter paint is than the pavement around it."""
+    paved = np.isin(evidence.passes["semantic"], [SEMANTIC_IDS["road"], SEMANTIC_IDS["shoulder"]])
+    beside = binary_dilation(at, iterations=AROUND_PX) & paved
+    light = linear.sum(axis=-1)
+    return float(np.median(light[at]) / max(float(np.median(light[beside])), 1e-6)) if beside.any() else np.inf

@@ -1,0 +1,124 @@
+"""The list of all checks of a sample: the program runs them, the tests do, and docs/validate.md names them."""
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import NamedTuple
+
+from synth3dlanes.validate.alignment import check_alignment
+from synth3dlanes.validate.appearance import check_appearance
+from synth3dlanes.validate.evidence import Evidence
+from synth3dlanes.validate.findings import Finding, Result
+from synth3dlanes.validate.ids import check_bonnet, check_ids
+from synth3dlanes.validate.integrity import check_row
+from synth3dlanes.validate.lidar import check_lidar
+from synth3dlanes.validate.picture import check_colours, check_frame, check_sharpness
+from synth3dlanes.validate.points import check_points
+from synth3dlanes.validate.ridges import check_ridges
+from synth3dlanes.validate.signed import signed_values
+from synth3dlanes.validate.standing import check_roadside, check_standing
+from synth3dlanes.validate.structure import check_host, check_labels, check_objects
+from synth3dlanes.validate.surface import check_hills, check_normals, check_pavement
+from synth3dlanes.validate.symbols import check_symbols
+
+
+class Check(NamedTuple):
+    """A check: its name, what it does with evidence, what it finds, and which parts of the evidence it cannot do
+    without: passes by their names, `image`, `lidar`, `row` of the index, and `aim`: points that are in the
+    image where their masks say so."""
+
+    name: str
+    of: Callable[[Evidence], Iterable[Result]]
+    finds: str
+    needs: frozenset[str] = frozenset()
+
+
+def _row(evidence: Evidence) -> Iterator[Finding]:
+    assert evidence.entry is not None
+    return check_row(evidence.entry, evidence.scene, evidence.labels)
+
+
+def _needs(words: str) -> frozenset[str]:
+    return frozenset(words.split())
+
+
+# Parts that the evidence of every whole sample of a data set has.
+ALWAYS = _needs("row image aim")
+
+CHECKS = (
+    Check("index", _row, "index columns that do not match their sample", _needs("row")),
+    Check(
+        "labels",
+        check_labels,
+        "points, masks, camera or graph that do not match the scene; lanes that turn back, unknown lines",
+    ),
+    Check(
+        "host",
+        check_host,
+        "a host that is not at the scene's offset from the middle of its lane, or that overlaps a car",
+    ),
+    Check("bonnet", check_bonnet, "a bonnet of the host that is not in the picture", _needs("semantic")),
+    Check(
+        "objects",
+        check_objects,
+        "points labelled as hidden with nothing in front of them, or as visible behind the core of a car",
+    ),
+    Check("roadside", check_roadside, "rails, posts and buildings on a pavement"),
+    Check("frame", check_frame, "black, white or pink images", _needs("image")),
+    Check(
+        "standing",
+        check_standing,
+        "wheels, trunks and structures that do not touch the ground; with `depth` and `semantic`, terrain that covers "
+        "the road",
+    ),
+    Check(
+        "lidar",
+        check_lidar,
+        "points that are not on the pavement or not where the passes have them, and their ids",
+        _needs("lidar"),
+    ),
+    Check(
+        "points",
+        check_points,
+        "delimiters without paint, points off the rendered surface or the height map, points labelled as visible that "
+        "the passes show to be hidden",
+        _needs("aim"),
+    ),
+    Check("ridges", check_ridges, "paint in the image that is not where its delimiter is", _needs("aim image")),
+    Check("sharpness", check_sharpness, "images of lower resolution than their size", _needs("aim image")),
+    Check("colours", check_colours, "swapped colour channels", _needs("aim image")),
+    Check(
+        "appearance",
+        check_appearance,
+        "by clear daylight: gray pictures, swapped or turned colours, black parts, white lines that are yellow, lines "
+        "whose paint is missing",
+        _needs("aim image depth semantic"),
+    ),
+    Check(
+        "alignment",
+        check_alignment,
+        "an image that is shifted or stretched against the passes, or of another scene",
+        _needs("aim image semantic"),
+    ),
+    Check(
+        "pavement",
+        check_pavement,
+        "a road or ramp that does not match the scene, swapped ids of road and shoulder; with `normal`, normals in "
+        "another frame",
+        _needs("aim depth semantic"),
+    ),
+    Check("hills", check_hills, "hills that do not match the scene", _needs("aim depth semantic")),
+    Check("normals", check_normals, "normals of another length, or facing away", _needs("aim normal")),
+    Check(
+        "symbols",
+        check_symbols,
+        "arrows, stop lines, crosswalks and gores in another place than the scene's, or missing",
+        _needs("aim depth semantic"),
+    ),
+    Check(
+        "ids",
+        check_ids,
+        "ids of another car, tree, structure or line, or of another kind; a `car_visible_fraction` that does not match "
+        "the pixels",
+        _needs("aim"),
+    ),
+    Check("bias", signed_values, "nothing by itself: tested over the whole data set", _needs("aim image")),
+)

@@ -1,0 +1,98 @@
+"""Evidence: all that checks of a sample may ask for, each computed once."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from synth3dlanes.frames import transform
+from synth3dlanes.ground_truth import label
+from synth3dlanes.labels import CameraLabel, Labels, Lane
+from synth3dlanes.scene import Scene
+from synth3dlanes.sensors.sweep import Sweep
+from synth3dlanes.validate.boxes import Owned, structure_boxes
+from synth3dlanes.validate.integrity import Entry
+from synth3dlanes.validate.paint import Paint
+from synth3dlanes.validate.pixels import LUMA, Passes, Picture
+from synth3dlanes.world import World
+
+# Points this close to the image's border may be on either side of it after rounding.
+BORDER_PX = 0.2
+
+Points = Float[np.ndarray, "n 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """A sample's labels, image, passes and sweep, the world of its scene, and its place in the index; what may be
+    missing is None or empty."""
+
+    world: World
+    labels: Labels
+    image: Picture | None = None
+    passes: Passes = field(default_factory=dict)
+    sweep: Sweep | None = None
+    entry: Entry | None = None
+
+    @property
+    def scene(self) -> Scene:
+        """The sample's scene."""
+        return self.world.scene
+
+    @property
+    def camera(self) -> CameraLabel:
+        """The labels' camera."""
+        return self.labels.camera
+
+    @cached_property
+    def has(self) -> frozenset[str]:
+        """What is there to be checked, in the words of `Check.needs`."""
+        parts = {
+            "image": self.image is not None,
+            "row": self.entry is not None,
+            "lidar": self.sweep is not None,
+            "aim": all((self.inside_px(lane)[lane.in_image] > -BORDER_PX).all() for lane in self.labels.lanes),
+        }
+        return frozenset(self.passes) | {name for name, is_there in parts.items() if is_there}
+
+    @cached_property
+    def truth(self) -> Labels:
+        """The labels of the scene, without what needs a rendered one."""
+        return label(self.world, self.world.view)
+
+    @cached_property
+    def paint(self) -> Paint:
+        """The paint of the scene's lines."""
+        return Paint(self.world)
+
+    @cached_property
+    def structures(self) -> Owned:
+        """The boxes of all structures."""
+        return structure_boxes(self.world)
+
+    @property
+    def picture(self) -> Picture:
+        """The image, of evidence that has one."""
+        assert self.image is not None
+        return self.image
+
+    @cached_property
+    def luma(self) -> Float[np.ndarray, "h w"]:
+        """The image's brightness."""
+        return np.asarray(self.picture @ LUMA)
+
+    def points_cam(self, rows: Int[np.ndarray, " n"], columns: Int[np.ndarray, " n"]) -> Points:
+        """The points that the depth pass has at the centres of pixels. Camera frame."""
+        depth_m = self.passes["depth"][rows, columns].astype(float)
+        return self.camera.points(np.column_stack([columns, rows]) + 0.5, depth_m)
+
+    def points_world(self, rows: Int[np.ndarray, " n"], columns: Int[np.ndarray, " n"]) -> Points:
+        """The same in the world frame."""
+        return transform(self.camera.world_from_cam, self.points_cam(rows, columns))
+
+    def inside_px(self, lane: Lane) -> Float[np.ndarray, " n"]:
+        """Distance of a lane's projected points from the nearest border of the image, negative outside; NaN behind the
+        camera."""
+        uv = self.camera.project(lane.xyz_cam)
+        return np.asarray(np.minimum(uv, [self.camera.width_px, self.camera.height_px] - uv).min(axis=1))

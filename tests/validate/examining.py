@@ -1,0 +1,43 @@
+"""Run the program's own checks on evidence, without its net: a check that raises is a fault of its test."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from synth3dlanes.labels import Labels
+from synth3dlanes.validate.checks import CHECKS
+from synth3dlanes.validate.evidence import Evidence
+from synth3dlanes.validate.findings import Finding, Measure, Result, Signed, findings_of
+
+
+def examine(evidence: Evidence, *names: str) -> list[Result]:
+    """What the named checks yield, or all checks of pixels; those that lack what they need yield nothing."""
+    known = {check.name: check for check in CHECKS}
+    asked = [known[name] for name in names] if names else CHECKS
+    return [result for check in asked if check.needs <= evidence.has for result in check.of(evidence)]
+
+
+def findings(evidence: Evidence, *names: str) -> list[Finding]:
+    """The findings among them."""
+    return findings_of(examine(evidence, *names))
+
+
+def reasons(evidence: Evidence, *names: str) -> str:
+    """Their reasons, one a line."""
+    return "\n".join(finding.reason for finding in findings(evidence, *names))
+
+
+def measures(evidence: Evidence, *names: str) -> dict[str, np.ndarray]:
+    """The measured values by name."""
+    return {found.name: found.values for found in examine(evidence, *names) if isinstance(found, Measure)}
+
+
+def signed(evidence: Evidence) -> dict[str, float]:
+    """The signed values by name."""
+    return {found.name: found.value for found in examine(evidence, "bias") if isinstance(found, Signed)}
+
+
+def seen(labels: Labels) -> Labels:
+    """The labels of a scene in which nothing hides anything, as rendered."""
+    lanes = (replace(lane, object_visible=np.ones(len(lane.xyz_cam), bool)) for lane in labels.lanes)
+    return replace(labels, lanes=tuple(lanes))

@@ -1,0 +1,258 @@
+"""Faults that few measures see: of labels, pictures, passes, sweeps and files, as bugs of a generator would make them.
+
+SUBTLE may be planted in any data set, OF_STREETS need what `streets` has: oncoming lanes, structures, symbols, a bonnet
+and a lidar. AGAIN is what only the sample made again tells (`validate --rerender`).
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+from PIL import Image
+
+from synth3dlanes import labels as labels_module
+from synth3dlanes.dataset.format import (
+    HEIGHT,
+    LABELS,
+    LIDAR,
+    PASSES,
+    decode_image,
+    encode_image,
+    read_passes,
+    read_sweep,
+    write_passes,
+    write_sweep,
+)
+from synth3dlanes.labels import Labels
+from synth3dlanes.sensors.sweep import Sweep
+from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, SEMANTIC_IDS
+from tests.validate.faults import Fault, in_samples, of_image, of_json, of_pass, of_passes, swapped
+from tests.validate.sealing import Members
+
+AGAIN = "made again"
+
+Pixels = np.ndarray
+
+
+# -- pictures
+
+
+def of_pixels(change: Callable[[Pixels], Pixels]) -> Callable[[Path], None]:
+    """Change the image as an array of floats."""
+    return of_image(
+        lambda image: Image.fromarray(np.clip(change(np.asarray(image).astype(float)), 0, 255).astype("u1"))
+    )
+
+
+def by_ids(change: Callable[[Pixels, dict[str, Pixels], Labels], Pixels]) -> Callable[[Path], None]:
+    """Change the image where its passes say what it shows."""
+
+    def spoil(members: Members) -> None:
+        name, labels = next(iter(members)), labels_module.from_json(members[LABELS], LABELS)
+        image = change(decode_image(members[name], name).copy(), read_passes(members[PASSES], PASSES), labels)
+        members[name] = encode_image(image, name)
+
+    return in_samples(spoil)
+
+
+def turned_hue(image: Image.Image) -> Image.Image:
+    """All hues by a sixth of the circle."""
+    hue, saturation, value = image.convert("HSV").split()
+    return Image.merge("HSV", (hue.point(lambda h: (h + 43) % 256), saturation, value)).convert("RGB")
+
+
+def with_black_block(pixels: Pixels) -> Pixels:
+    """A block of 3 % of the picture black, in its lower half."""
+    height, width = pixels.shape[:2]
+    rows, columns = round(height * 0.15), round(width * 0.2)
+    pixels = pixels.copy()
+    pixels[-rows - height // 8 : -height // 8, width // 3 : width // 3 + columns] = 0
+    return pixels
+
+
+def lower_half_aside(pixels: Pixels) -> Pixels:
+    """The lower half 2 px to the right."""
+    half = len(pixels) // 2
+    return np.concatenate([pixels[:half], np.roll(pixels[half:], 2, axis=1)])
+
+
+def noisy(pixels: Pixels) -> Pixels:
+    """More noise."""
+    return pixels + np.random.default_rng(0).normal(0, 8, pixels.shape)
+
+
+def without_paint(image: Pixels, passes: dict[str, Pixels], labels: Labels, only: int | None = None) -> Pixels:
+    """Paint, of all lines or of the nth, as gray as the road."""
+    road = np.median(image[passes["semantic"] == SEMANTIC_IDS["road"]], axis=0)
+    at = passes["semantic"] == SEMANTIC_IDS["marking"]
+    if only is not None:
+        ids, n = np.unique(passes["instance"][at], return_counts=True)
+        at = passes["instance"] == ids[np.argsort(-n)][min(only, len(ids) - 1)]
+    grown = at | np.roll(at, 1, axis=1) | np.roll(at, -1, axis=1)
+    image[grown] = road
+    return image
+
+
+def in_other_paint(image: Pixels, passes: dict[str, Pixels], labels: Labels) -> Pixels:
+    """White lines yellow."""
+    lines = [lane for lane in labels.lanes if lane.kind == "delimiter"]
+    for i, lane in enumerate(lines):
+        at = passes["instance"] == FIRST_DELIMITER_ID + i
+        if lane.color == "white":
+            image[at] = (image[at] * [1, 0.85, 0.35]).astype("u1")
+    return image
+
+
+def cars_in_other_colours(image: Pixels, passes: dict[str, Pixels], labels: Labels) -> Pixels:
+    """Red and blue of cars swapped."""
+    at = passes["semantic"] == SEMANTIC_IDS["car"]
+    image[at] = image[at][:, ::-1]
+    return image
+
+
+# -- passes, labels, sweeps
+
+
+def one_row_off(members: Members) -> None:
+    """The height map a row farther."""
+    height_m = read_passes(members[HEIGHT], HEIGHT)["height"]
+    members[HEIGHT] = write_passes({"height": np.roll(height_m, -1, axis=0)})
+
+
+def lifted(members: Members) -> None:
+    """The height map 3 cm up."""
+    height_m = read_passes(members[HEIGHT], HEIGHT)["height"]
+    members[HEIGHT] = write_passes({"height": height_m + np.float32(0.03)})
+
+
+def rounded(depth_m: Pixels, _: Labels) -> Pixels:
+    """Depth in steps of 5 cm."""
+    return np.asarray(np.where(np.isfinite(depth_m), np.round(depth_m * 20) / 20, depth_m).astype(np.float32))
+
+
+def a_point_on(document: dict[str, Any]) -> None:
+    """Every `object_visible` moved by a point."""
+    for lane in document["lanes"]:
+        lane["object_visible"] = lane["object_visible"][-1:] + lane["object_visible"][:-1]
+
+
+def more_visible(document: dict[str, Any]) -> None:
+    """Every `car_visible_fraction` 0.08 more."""
+    document["car_visible_fraction"] = [min(1.0, round(share + 0.08, 3)) for share in document["car_visible_fraction"]]
+
+
+def undirected(document: dict[str, Any]) -> None:
+    """Lanes without their directions."""
+    for lane in document["lanes"]:
+        lane.pop("direction", None)
+
+
+def without_symbols(passes: dict[str, Pixels], _: Labels) -> dict[str, Pixels]:
+    """Symbols as road."""
+    at = passes["semantic"] == SEMANTIC_IDS["symbol"]
+    semantic = np.where(at, SEMANTIC_IDS["road"], passes["semantic"]).astype("u1")
+    return {**passes, "semantic": semantic, "instance": np.where(at, 0, passes["instance"]).astype("u2")}
+
+
+def without_bonnet(passes: dict[str, Pixels], _: Labels) -> dict[str, Pixels]:
+    """The bonnet as road."""
+    at = passes["semantic"] == SEMANTIC_IDS["host"]
+    semantic = np.where(at, SEMANTIC_IDS["road"], passes["semantic"]).astype("u1")
+    return {**passes, "semantic": semantic, "instance": np.where(at, 0, passes["instance"]).astype("u2")}
+
+
+def of_sweep(change: Callable[[Sweep], Sweep]) -> Callable[[Path], None]:
+    """Change the sweep."""
+
+    def spoil(members: Members) -> None:
+        lidar = labels_module.from_json(members[LABELS], LABELS).lidar
+        assert lidar is not None
+        members[LIDAR] = write_sweep(change(read_sweep(members[LIDAR], LIDAR, lidar)))
+
+    return in_samples(spoil)
+
+
+def rear_turned(sweep: Sweep) -> Sweep:
+    """The rear half three columns on."""
+    quarter = sweep.range_m.shape[1] // 4
+
+    def turned(values: Pixels) -> Pixels:
+        rear = np.concatenate([values[:, -quarter:], values[:, :quarter]], axis=1)
+        rear = np.roll(rear, 3, axis=1)
+        return np.concatenate([rear[:, quarter:], values[:, quarter:-quarter], rear[:, :quarter]], axis=1)
+
+    return replace(sweep, **{name: turned(getattr(sweep, name)) for name in ("range_m", "semantic", "instance")})
+
+
+def other_cars_behind(sweep: Sweep) -> Sweep:
+    """Cars behind the host with the ids of the next."""
+    quarter = sweep.range_m.shape[1] // 4
+    ids = sweep.instance.copy()
+    behind = np.ones(ids.shape, dtype=bool)
+    behind[:, quarter:-quarter] = False
+    at = behind & (sweep.semantic == SEMANTIC_IDS["car"]) & (ids >= FIRST_CAR_ID)
+    ids[at] += 1
+    return replace(sweep, instance=ids)
+
+
+# -- files
+
+
+def reorder_index(root: Path) -> None:
+    """The index with its rows from last to first."""
+    path = root / "train/00000.parquet"
+    rows = pq.read_table(path)
+    pq.write_table(rows.take(list(range(rows.num_rows))[::-1]), path)
+
+
+def edit_readme(root: Path) -> None:
+    """Another number of rays in README.md."""
+    path = root / "README.md"
+    path.write_text(path.read_text().replace("Synthetic 3D lanes", "Synthetic 4D lanes"))
+
+
+SUBTLE = [
+    Fault("object_visible moved by a point", of_json(LABELS, a_point_on), "object_visible: expected what the passes"),
+    Fault("car_visible_fraction + 0.08", of_json(LABELS, more_visible), "car_visible_fraction"),
+    Fault("image red and green swapped", of_pixels(lambda p: p[..., [1, 0, 2]]), "red over green"),
+    Fault("image with its hue turned", of_image(turned_hue), "image: expected (grass|red)"),
+    Fault("image gray", of_image(lambda i: i.convert("L").convert("RGB")), "of blue over the road"),
+    Fault("image with a black block of 3 %", of_pixels(with_black_block), "of the picture black"),
+    Fault("image mirrored", of_pixels(lambda p: p[:, ::-1]), "image: expected (edges|paint|its|the line)"),
+    Fault("all paint erased", by_ids(without_paint), "of paint brighter"),
+    Fault("paint of one line erased", by_ids(partial(without_paint, only=0)), "of paint brighter"),
+    Fault("white lines yellow", by_ids(in_other_paint), "expected white paint, got yellow"),
+    Fault("image with gamma 1.1", of_pixels(lambda p: 255 * (p / 255) ** 1.1), AGAIN),
+    Fault("image 20 % darker", of_pixels(lambda p: 0.8 * p), AGAIN),
+    Fault("image of half the contrast", of_pixels(lambda p: 64 + p / 2), AGAIN),
+    Fault("image with more noise", of_pixels(noisy), AGAIN),
+    Fault("lower half of the image 2 px aside", of_pixels(lower_half_aside), AGAIN),
+    Fault("red and blue of cars swapped", by_ids(cars_in_other_colours), AGAIN),
+    Fault("depth rounded to 5 cm", of_pass("depth", rounded), "near road within"),
+    Fault("depth 1 cm too long", of_pass("depth", lambda depth_m, _: depth_m + np.float32(0.01)), "near road within"),
+    Fault(
+        "depth in millimetres", of_pass("depth", lambda depth_m, _: depth_m * np.float32(1000)), "metres along", True
+    ),
+    Fault("height map 3 cm up", in_samples(lifted), "height: expected the road within"),
+    Fault("height map one row off", in_samples(one_row_off), "rows off"),
+    Fault("rows of the index reordered", reorder_index, "in the order of their samples"),
+    Fault("README.md edited", edit_readme, "expected what dataset.json gives"),
+]
+
+OF_STREETS = [
+    Fault("directions removed", of_json(LABELS, undirected), "direction: expected oncoming"),
+    Fault("poles and signs swapped", of_pass("semantic", partial(swapped, "pole", "sign")), "on faces of (pole|sign)"),
+    Fault(
+        "barriers and kerbs swapped",
+        of_pass("semantic", partial(swapped, "barrier", "kerb")),
+        "on faces of (barrier|kerb)",
+    ),
+    Fault("symbols missing", of_passes(without_symbols), "pixels of its paint", True),
+    Fault("bonnet missing", of_passes(without_bonnet), "expected the bonnet", True),
+    Fault("rear half of the sweep three columns on", of_sweep(rear_turned), "lidar"),
+    Fault("ids of the next car behind the host", of_sweep(other_cars_behind), "lidar: expected points of car"),
+]
