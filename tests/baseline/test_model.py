@@ -64,7 +64,7 @@ def test_anchors_of_the_image_view_read_the_columns_where_they_meet_the_road(nam
     rows, columns = config.image_height_px // 16, config.image_width_px // 16
     u_px = (16 * torch.arange(columns) + 8.0).expand(1, 1, rows, columns)
     image, intrinsics = torch.zeros(1, 3, 16, 16), torch.tensor([config.reference_intrinsics])
-    seen, _ = model._top_features(image, intrinsics, [u_px] * 4, torch.eye(4)[None])
+    seen = model._top_features(image, intrinsics, [u_px] * 4, torch.eye(4)[None])
     fx, fy, cx, cy = config.reference_intrinsics
     pose = road_from_cam(config.fixed_height_m, math.radians(config.fixed_pitch_deg))
     points_road = np.array([[x_m, Y_REF_M, 0.0] for x_m in model.anchors_m.tolist()])
@@ -97,12 +97,11 @@ from synth3dlanes_baseline.config import train_config
 from synth3dlanes_baseline.model import LaneNet
 
 image, intrinsics = torch.rand(2, 3, 120, 160), torch.tensor([[138.6, 138.6, 80.0, 60.0]] * 2)
-ours = {"model.plane_heights_m": [0.0, 3.0], "model.has_bev_masks": True}
-for row, changes in {"full": {}, "improved": ours}.items():
+for row in ("full", "improved"):
     found, gradients = [], []
     for is_compiled in (False, True):
         torch.manual_seed(0)
-        model = LaneNet(train_config("tiny", changes, row).model)
+        model = LaneNet(train_config("tiny", {}, row).model)
         if is_compiled:
             model.compile(backend="aot_eager", fullgraph=True)
         with torch.autocast("cpu", dtype=torch.bfloat16):
@@ -159,26 +158,14 @@ def test_lane_loss_reaches_the_pose_only_through_a_grid_with_gradient(roads):
         assert (gradient is not None and bool(gradient.abs().sum() > 0)) == has_gradient
 
 
-def test_improved_has_its_extra_heads_and_takes_masks_and_planes(roads):
-    from synth3dlanes_baseline.augment import lane_masks
+def test_improved_has_a_visibility_per_knot(roads):
     from synth3dlanes_baseline.config import TINY, improved
     from synth3dlanes_baseline.model import LaneNet
-    from synth3dlanes_baseline.projection import cell_centres, road_from_cam
 
-    config = improved(TINY).model_copy(update={"plane_heights_m": (-1.5, 0.0, 3.0), "has_bev_masks": True})
     batch = _batch(roads)
     with torch.no_grad():
-        output = LaneNet(config)(batch.image, batch.intrinsics)
+        output = LaneNet(improved(TINY))(batch.image, batch.intrinsics)
     assert output.visible_logit.shape == output.x_m.shape == (2, 3, 16, 10)
-    points = cell_centres(config.grid, 1)
-    masks = lane_masks(batch.curves, road_from_cam(batch.plane_pose), points)
-    assert masks.shape == output.bev_logit.shape
-    # The mask of a lane lies where the lane is.
-    xyz_road = batch.curves.xyz_cam[0, 0] @ road_from_cam(batch.plane_pose)[0, :3, :3].T
-    row = int((points[:, 0, 1] - 20.0).abs().argmin())
-    x_at_row = np.interp(float(points[row, 0, 1]), xyz_road[:, 1].numpy(), xyz_road[:, 0].numpy())
-    nearest = int((points[row, :, 0] - x_at_row).abs().argmin())
-    assert masks[0, 0, row, nearest] == 1
 
 
 def test_loss_of_perfect_output_is_only_the_confidence(roads):
