@@ -174,12 +174,12 @@ def test_loss_of_perfect_output_is_only_the_confidence(roads):
 
     batch = _batch(roads)
     targets = _targets(batch, TINY)
-    terms = loss(_output(targets, batch), targets, batch.target_pose, None, TINY.types, LossConfig())
+    terms = loss(_output(targets, batch), targets, batch.target_pose, TINY.types, LossConfig())
     assert terms["geometry"].abs().max() == 0
     assert terms["pose"].abs().max() == 0
     assert terms["detection"].max() < 1e-3
     off = _output(targets, batch)._replace(pose=batch.target_pose + torch.tensor([math.radians(1.0), 0.1]))
-    terms = loss(off, targets, batch.target_pose, None, TINY.types, LossConfig())
+    terms = loss(off, targets, batch.target_pose, TINY.types, LossConfig())
     assert terms["pose"].tolist() == pytest.approx([1.1, 1.1], rel=1e-4), "a degree counts as much as a metre"
 
 
@@ -197,7 +197,7 @@ def test_hidden_knots_and_ignored_lanes_get_no_gradient(roads):
     targets, _ = encode(pack([annotation_of("", labels, (360, 480), "plane")]), road_from_cam(pose), TINY)
     x_m, z_m, logit = (torch.randn(1, 3, 16, *tail, requires_grad=True) for tail in ((6,), (6,), ()))
     output = _output(targets, None)._replace(x_m=x_m, z_m=z_m, logit=logit, pose=pose)
-    loss(output, targets, pose, None, TINY.types, LossConfig())["total"].sum().backward()
+    loss(output, targets, pose, TINY.types, LossConfig())["total"].sum().backward()
     touched = torch.nonzero(x_m.grad[0]).tolist()
     assert touched == [[0, 8, 0], [0, 8, 1], [0, 8, 2]]
     assert torch.nonzero(z_m.grad[0]).tolist() == touched
@@ -214,7 +214,7 @@ def test_unlabelled_kinds_enter_no_term(roads):
     x_m = torch.zeros_like(targets.x_m).requires_grad_()
     output = _output(targets, batch)._replace(logit=logit, x_m=x_m)
     config = LossConfig(kinds=("delimiter",))
-    loss(output, targets, batch.target_pose, None, TINY.types, config)["total"].sum().backward()
+    loss(output, targets, batch.target_pose, TINY.types, config)["total"].sum().backward()
     assert logit.grad[:, :2].abs().max() == x_m.grad[:, :2].abs().max() == 0
     assert logit.grad[:, 2].abs().min() > 0
 
@@ -294,7 +294,7 @@ def _output(targets, batch):
 
     logit = torch.where(targets.assigned, 20.0, -20.0)
     pose = torch.zeros(len(logit), 2) if batch is None else batch.target_pose
-    return Output(targets.x_m, targets.z_m, logit, None, pose, torch.eye(4).expand(len(logit), 4, 4), None)
+    return Output(targets.x_m, targets.z_m, logit, None, pose, torch.eye(4).expand(len(logit), 4, 4))
 
 
 def _pixel(intrinsics, point_cam):
