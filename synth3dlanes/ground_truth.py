@@ -51,7 +51,7 @@ def label(world: World, view: View) -> Labels:
         "exit": plan.stations_along("exit", lens.y_m, lengths_m),
     }
     sampled = {}
-    for curve in world.lines:
+    for curve in world.site.lines:
         s = stations_of(plan, curve, s_world[curve.road])
         if len(s) > 1:
             sampled[curve] = curve.points_world(plan, s)

@@ -10,7 +10,7 @@ from synth3dlanes.errors import InputError
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.ground_truth import ground_truth, label
 from synth3dlanes.params import Params, load_params
-from synth3dlanes.sample import sample_scene, sample_world, scene_texts
+from synth3dlanes.sample import Scenes, sample_scene, sample_world, scene_texts
 from synth3dlanes.shots import Place, Shots, clips
 from synth3dlanes.world import World, resolve
 from tests.scenes import changed
@@ -25,7 +25,7 @@ def params(*overrides: str) -> Params:
 
 def frames(scene: int, shots: Shots, drawn_from: Params) -> list[World]:
     indices = range(scene * shots.frames, (scene + 1) * shots.frames)
-    return [sample_world(drawn_from, 0, "train", index, shots=shots) for index in indices]
+    return [sample_world(Scenes(drawn_from, shots=shots), index) for index in indices]
 
 
 def test_sample_numbers_and_places_are_one_to_one():
@@ -46,8 +46,8 @@ def camera():
 def test_the_first_frame_is_the_single_picture():
     same = 0
     for index in range(10):
-        single = sample_scene(params(), 0, "train", index)
-        first = sample_scene(params(), 0, "train", 21 * index, shots=TWO_SECONDS)
+        single = sample_scene(Scenes(params(), 0, "train"), index)
+        first = sample_scene(Scenes(params(), 0, "train", shots=TWO_SECONDS), 21 * index)
         standing = [car.model_copy(update={"speed_m_s": 0.0}) for car in first.cars]
         plain = first.model_copy(update={"shot": single.shot, "cars": tuple(standing)})
         moved = {"camera": single.camera, "cars": single.cars}
@@ -65,9 +65,9 @@ def test_frames_of_a_clip_differ_in_their_number_alone():
 
 def test_a_frame_is_the_same_whether_drawn_alone_or_in_a_clip_or_read_back():
     shots, drawn_from = clips(4, 10), params()
-    texts = list(scene_texts(drawn_from, 0, "train", range(8), shots=shots))
+    texts = list(scene_texts(Scenes(drawn_from, shots=shots), range(8)))
     for index in (6, 1, 7, 3):
-        world = sample_world(drawn_from, 0, "train", index, shots=shots)
+        world = sample_world(Scenes(drawn_from, shots=shots), index)
         assert scene_format.to_json(world.scene) == texts[index]
         again = ground_truth(scene_format.from_json(texts[index], "test"))
         assert labels_format.to_json(again) == labels_format.to_json(label(world, world.view))
@@ -121,7 +121,7 @@ def read_back(labels, lane_id):
 
 
 def test_labels_of_single_pictures_say_no_time():
-    assert '"time_s"' not in labels_format.to_json(ground_truth(sample_scene(params(), 0, "train", 0)))
+    assert '"time_s"' not in labels_format.to_json(ground_truth(sample_scene(Scenes(params(), 0, "train"), 0)))
 
 
 def test_cars_keep_their_numbers_speeds_and_direction():
@@ -144,7 +144,7 @@ def test_cars_keep_their_numbers_speeds_and_direction():
 def test_the_host_stays_on_the_main_road(topology):
     drawn_from = params(f"road.topology={topology}", "cars.n=0", "trees.n=0")
     for index in range(30):
-        world = sample_world(drawn_from, 0, "train", 31 * (index + 1) - 1, shots=clips(31, 10))
+        world = sample_world(Scenes(drawn_from, shots=clips(31, 10)), 31 * (index + 1) - 1)
         lane = world.view.camera.lane
         assert lane <= world.scene.road.lanes_present(world.view.camera.y_m)
 
@@ -164,7 +164,7 @@ def assert_apart(drawn_from: Params, scenes: range, every_s: float) -> None:
     """No body has a point inside another, at any of many instants; the bodies are sampled, so that the sampler's own
     test of rectangles is not used."""
     for index in scenes:
-        world = sample_world(drawn_from, 0, "train", 21 * index, shots=TWO_SECONDS)
+        world = sample_world(Scenes(drawn_from, shots=TWO_SECONDS), 21 * index)
         assert world.scene.cars
         models = [world.scene.assets.car_models[car.model - 1] for car in world.scene.cars]
         sizes = [
@@ -202,7 +202,7 @@ def test_speeds_follow_their_ranges():
 
 def test_clips_beyond_the_road_are_refused():
     with pytest.raises(InputError, match=r"at most 400 m, got 14\.9 s at up to 33 m/s"):
-        sample_scene(params(), 0, "train", 0, shots=clips(150, 10))
+        sample_scene(Scenes(params(), 0, "train", shots=clips(150, 10)), 0)
     with pytest.raises(InputError, match="frames: expected at most 1000, got 1001"):
         clips(1001, 10)
 

@@ -102,7 +102,7 @@ class _Run:
     def _next(self, slot: int) -> tuple[str, int]:
         """Take the next task for a worker: of the scene that it has, else of one that no other has. What a worker has
         drawn and built serves all pictures of a scene."""
-        shots, others = self.plan.recipe.shots, {scene for at, scene in self.scenes.items() if at != slot}
+        shots, others = self.plan.recipe.scenes.shots, {scene for at, scene in self.scenes.items() if at != slot}
         scenes = [shots.place(index).scene for _, index in islice(self.todo, (len(others) + 1) * shots.per_scene + 1)]
         free = (at for at, scene in enumerate(scenes) if scene not in others)
         at = scenes.index(self.scenes[slot]) if self.scenes.get(slot) in scenes else next(free, 0)
@@ -216,7 +216,7 @@ class _Run:
         return self.shards[index // self.plan.shard_size]
 
     def _failed(self, index: int) -> Path:
-        return self.root / "failed" / self.plan.recipe.split / key_of(index)
+        return self.root / "failed" / self.plan.recipe.scenes.split / key_of(index)
 
     def _place(self, path: Path) -> str:
         """Where people find a file: at the destination."""

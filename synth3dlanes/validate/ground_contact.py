@@ -37,13 +37,15 @@ def check_ground_contact(world: World, labels: Labels, passes: Passes) -> tuple[
     """Findings, and the measures `wheel_gap_m`, `tree_gap_m` and `structure_gap_m`. With depth and semantic ids, checks
     the road too."""
     wheels = _ahead(labels.camera, _wheels(world))
-    places = _ahead(labels.camera, world.trees_world + np.array([0, 0, TREE_SINK_M]))
-    on_ground_m = np.fmax(_height(world.verges, places[:, :2]), terrain_height(world.ground, places[:, :2]))
-    feet = np.concatenate([np.zeros((0, 3)), *(body.feet_world[::FEET_STEP] for body in world.structures)])
+    places = _ahead(labels.camera, world.site.trees_world + np.array([0, 0, TREE_SINK_M]))
+    on_ground_m = np.fmax(_height(world.site.verges, places[:, :2]), terrain_height(world.ground, places[:, :2]))
+    feet = np.concatenate([np.zeros((0, 3)), *(body.feet_world[::FEET_STEP] for body in world.site.structures)])
     feet = _ahead(labels.camera, feet)
-    under_m = np.fmax(_height([*world.pavement, *world.verges], feet[:, :2]), terrain_height(world.ground, feet[:, :2]))
+    under_m = np.fmax(
+        _height([*world.site.pavement, *world.site.verges], feet[:, :2]), terrain_height(world.ground, feet[:, :2])
+    )
     standing = [
-        ("wheel_gap_m", wheels, _height(world.pavement, wheels[:, :2]), MAX_WHEEL_M),
+        ("wheel_gap_m", wheels, _height(world.site.pavement, wheels[:, :2]), MAX_WHEEL_M),
         ("tree_gap_m", places, on_ground_m, MAX_TREE_M),
         *([("structure_gap_m", feet, under_m, MAX_TREE_M)] if len(feet) else []),
     ]

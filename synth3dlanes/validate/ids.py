@@ -207,11 +207,11 @@ def _in_tree(world: World, points: Points, own: Int[np.ndarray, " n"]) -> Bool[n
         * TREE_ROOM
     )
     if (own < 0).any():
-        distance, _ = cKDTree(world.trees_world[:, :2]).query(points[:, :2])
+        distance, _ = cKDTree(world.site.trees_world[:, :2]).query(points[:, :2])
         return np.asarray(distance < radius.max())
     known = own < len(trees)
     tree = np.where(known, own, 0)
-    up = points - world.trees_world[tree]
+    up = points - world.site.trees_world[tree]
     rest = (TREE_ROOM - 1) * height[tree]
     return known & (np.hypot(up[:, 0], up[:, 1]) < radius[tree]) & (up[:, 2] > -rest) & (up[:, 2] < height[tree])
 
