@@ -8,7 +8,6 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
-from .anchors import CENTERLINE, DELIMITER, CurveBatch, sample_curves, transform_points
 from .config import Augmentation
 from .data import Batch
 from .projection import road_from_cam, top_from_road
@@ -98,17 +97,3 @@ def _warp(
     v_old = cy - fy * rays_old[..., 2] / rays_old[..., 1]
     grid = torch.stack([2 * u_old / width - 1, 2 * v_old / height - 1], dim=-1)
     return functional.grid_sample(image, grid, padding_mode="border", align_corners=False)
-
-
-def lane_masks(
-    curves: CurveBatch, top_from_cam: Float[Tensor, "b 4 4"], points_top: Float[Tensor, "rows columns 3"]
-) -> Float[Tensor, "b 2 rows columns"]:
-    """Top-view masks of centre lines and delimiters, which extend one cell to each side."""
-    xyz_top = transform_points(top_from_cam, curves.xyz_cam)
-    y_m = points_top[:, 0, 1].flip(0)
-    x_m, _, _, visible = sample_curves(xyz_top, curves.visible, y_m)
-    x_m, visible = x_m.flip(-1), visible.flip(-1)
-    cell_m = points_top[0, 1, 0] - points_top[0, 0, 0]
-    on = ((x_m[..., None] - points_top[0, :, 0]).abs() <= cell_m) & visible[..., None]
-    masks = [(on & (curves.kind == kind)[..., None, None]).any(1) for kind in (CENTERLINE, DELIMITER)]
-    return torch.stack(masks, dim=1).float()

@@ -25,6 +25,13 @@ from .tensors import load_weights, read_tensors
 
 FORMAT = "synth3dlanes.baseline"
 VERSION = 1
+# Settings of 0.1.0 and 0.2.0 that are gone, and the value with which they changed nothing; None for any.
+FORMER: dict[str, Any] = {
+    "storage": None,
+    "loss.bev_masks": None,
+    "model.has_bev_masks": False,
+    "model.plane_heights_m": [0.0],
+}
 SHIPPED = Path(__file__).parent / "weights" / "nano.pt"
 STREETS = SHIPPED.with_name("streets.pt")
 """Weights of `nano` in the package, for the paper's scenes and for photographs; docs/baseline.md and
@@ -88,9 +95,20 @@ def load(path: Path) -> Checkpoint:
         settings = dict(json.loads(document["config"]))
     except (TypeError, ValueError, RecursionError) as error:
         raise FormatError(f"{path}: config: expected JSON, got {error!s:.60}") from None
-    settings.pop("storage", None)  # of 0.1.0: how decoded images were kept
-    config = parse(TrainConfig, settings, f"{path}: config")
+    config = parse(TrainConfig, _without_former(settings), f"{path}: config")
     return Checkpoint(config, document["about"], document["model"], document["resume"])
+
+
+def _without_former(settings: dict[str, Any]) -> dict[str, Any]:
+    """Without settings that are gone, where they changed nothing; others stay, and are refused."""
+    for path, idle in FORMER.items():
+        *above, name = path.split(".")
+        group: Any = settings
+        for key in above:
+            group = group.get(key) if isinstance(group, dict) else None
+        if isinstance(group, dict) and (idle is None or group.get(name) == idle):
+            group.pop(name, None)
+    return settings
 
 
 def place(source: str | Path) -> Path:

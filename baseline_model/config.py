@@ -83,10 +83,6 @@ class ModelConfig(Strict):
     """Our addition: a logit per knot for its visibility."""
     refinements: Few = 0
     """Our addition: how often lanes are corrected by the maps of the image around their points."""
-    plane_heights_m: Annotated[tuple[float, ...], Field(max_length=100)] = (0.0,)
-    has_bev_masks: bool = False
-    """Our additions: maps sampled on several planes, and top-view lane masks as a second task. Neither improved the
-    results (docs/baseline.md)."""
 
     @model_validator(mode="after")
     def _fits(self) -> "ModelConfig":
@@ -114,13 +110,7 @@ class ModelConfig(Strict):
                 f"backbone: expected vgg16 or residual for {self.variant}, whose maps are centred on cells, "
                 f"got {self.backbone}"
             )
-        if not self.plane_heights_m:
-            raise ValueError("plane_heights_m: expected at least one height, got none")
         return self
-
-    def planes_m(self, level: int) -> tuple[float, ...]:
-        """Plane heights at which a map is sampled. The first map, by far the largest, uses the road plane only."""
-        return self.plane_heights_m if level else (0.0,)
 
 
 class CustomModel(Strict):
@@ -173,8 +163,7 @@ class LossConfig(Strict):
     """Divisor of each knot's error (our addition; favours near points). None: the paper's L1 in metres."""
     supervise_occluded: bool = False
     visibility: float = 0.2
-    bev_masks: float = 1.0
-    """`visibility` and `bev_masks` apply if the network has these outputs."""
+    """Applies if the network has this output."""
     kinds: tuple[Literal["centerline", "delimiter"], ...] = ("centerline", "delimiter")
     """Kinds of lanes labelled in the data; the others enter no term."""
 

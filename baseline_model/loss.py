@@ -1,4 +1,4 @@
-"""Eq. 1 of the paper, plus terms for our additional outputs. Per image, so that errors can name the sample."""
+"""Eq. 1 of the paper, plus a term for our additional output. Per image, so that errors can name the sample."""
 
 import torch
 from jaxtyping import Bool, Float
@@ -10,15 +10,11 @@ from .config import LaneType, LossConfig
 from .lane_head import Lanes
 from .model import Output
 
-BEV_POSITIVE_WEIGHT = 5.0
-"""Weight of lane cells, which are a few percent of the top view."""
-
 
 def loss(
     output: Output,
     targets: Targets,
     target_pose: Float[Tensor, "b 2"],
-    bev_target: Float[Tensor, "b 2 rows columns"] | None,
     types: tuple[LaneType, ...],
     config: LossConfig,
 ) -> dict[str, Float[Tensor, " b"]]:
@@ -34,12 +30,6 @@ def loss(
     terms = {name: torch.stack([of_stage[name] for of_stage in by_stage]).sum(0) for name in by_stage[0]}
     error = (output.pose - target_pose).abs()
     terms["pose"] = torch.rad2deg(error[:, 0]) + error[:, 1]
-    if output.bev_logit is not None and bev_target is not None:
-        positive = torch.tensor(BEV_POSITIVE_WEIGHT, device=output.logit.device)
-        entropy = functional.binary_cross_entropy_with_logits(
-            output.bev_logit, bev_target, reduction="none", pos_weight=positive
-        )
-        terms["bev_masks"] = entropy.mean((1, 2, 3))
     terms["total"] = torch.stack([getattr(config, name) * value for name, value in terms.items()]).sum(0)
     return terms
 

@@ -32,7 +32,6 @@ class Output(NamedTuple):
     """(pitch_rad, height_m), predicted or fixed."""
     cam_from_top: Float[Tensor, "b 4 4"]
     """The transform used in the warp."""
-    bev_logit: Float[Tensor, "b 2 rows columns"] | None
     earlier: tuple[Lanes, ...] = ()
     """The lanes before each refinement."""
 
@@ -81,12 +80,7 @@ class LaneNet(nn.Module):
         self.pose = PoseBranch(channels[3], size, config) if is_pose_learned else None
         levels = {"full": (0, 1, 2, 3), "early_ipm": (0,), "late_ipm": (3,)}.get(variant, ())
         self.projections = nn.ModuleDict(
-            {
-                str(level): Projection(
-                    channels[level], config.projected_channels[level], grid, level, config.planes_m(level)
-                )
-                for level in levels
-            }
+            {str(level): Projection(channels[level], config.projected_channels[level], grid, level) for level in levels}
         )
         self.stem = ImagePathway(config, n_stages=1) if variant == "top_view" else None
         if self.stem is not None:
@@ -96,7 +90,6 @@ class LaneNet(nn.Module):
         rows = size[0] if variant == "image_view" else grid.rows // 8
         self.head = LaneHead(head_channels, rows, config)
         self.refinements = nn.ModuleList(Refinement(channels, config) for _ in range(config.refinements))
-        self.bev = nn.Conv2d(self.top_width(1), 2, 1) if config.has_bev_masks and len(self.top) else None
         fixed = torch.tensor([config.fixed_pitch_deg * torch.pi / 180, config.fixed_height_m])
         self.fixed_pose: Tensor
         self.register_buffer("fixed_pose", fixed, persistent=False)
@@ -107,14 +100,8 @@ class LaneNet(nn.Module):
     def _needs_image(config: ModelConfig) -> bool:
         return config.variant != "top_view" or config.pose_target != "fixed" or config.refinements > 0
 
-    def top_width(self, level: int) -> int:
-        """Channels of the top-view map after `level` pools, including the projected ones."""
-        return self.config.top_channels[level - 1] + self._projected_width(level)
-
     def _projected_width(self, level: int) -> int:
-        if str(level) not in self.projections:
-            return 0
-        return self.config.projected_channels[level] * len(self.config.planes_m(level))
+        return self.config.projected_channels[level] if str(level) in self.projections else 0
 
     def _top_pathway(self, config: ModelConfig) -> tuple[nn.ModuleList, int]:
         if config.variant == "image_view":
@@ -126,7 +113,7 @@ class LaneNet(nn.Module):
         for level, width in enumerate(config.top_channels, start=1):
             block = convolutions(channels, width, 3, batch_norm=config.batch_norm)
             stages.append(nn.Sequential(nn.MaxPool2d(2), *block))
-            channels = self.top_width(level)
+            channels = width + self._projected_width(level)
         return nn.ModuleList(stages), channels
 
     def forward(
@@ -147,12 +134,11 @@ class LaneNet(nn.Module):
             cam_from_top = invert_rigid(road_from_cam(driving))
             if top_from_road is not None:
                 cam_from_top = cam_from_top @ invert_rigid(top_from_road)
-        features, bev_logit = self._top_features(image, intrinsics, maps, cam_from_top)
-        stages: list[Lanes] = [self.head(features)]
+        stages: list[Lanes] = [self.head(self._top_features(image, intrinsics, maps, cam_from_top))]
         for refinement in self.refinements:
             assert self.image is not None
             stages.append(refinement(stages[-1], self.anchors_m, maps, self.image.lattices, cam_from_top, intrinsics))
-        return Output(*stages[-1], pose, cam_from_top, bev_logit, tuple(stages[:-1]))
+        return Output(*stages[-1], pose, cam_from_top, tuple(stages[:-1]))
 
     def _top_features(
         self,
@@ -160,27 +146,24 @@ class LaneNet(nn.Module):
         intrinsics: Float[Tensor, "b 4"],
         maps: list[Float[Tensor, "..."]],
         cam_from_top: Float[Tensor, "b 4 4"],
-    ) -> tuple[Float[Tensor, "b c rows columns"], Float[Tensor, "b 2 r2 c2"] | None]:
-        """The input of the head, and the mask logits of the map pooled once, if configured."""
+    ) -> Float[Tensor, "b c rows columns"]:
+        """The input of the head."""
         if self.config.variant == "image_view":
             size = (maps[3].shape[2], len(self.anchors_m))
-            return functional.interpolate(maps[3], size, mode="bilinear"), None
+            return functional.interpolate(maps[3], size, mode="bilinear")
         lattices = self.image.lattices if self.image is not None else []
         projected = {
             level: projection(maps[int(level)], cam_from_top, intrinsics, lattices[int(level)])
             for level, projection in self.projections.items()
         }
         if self.config.variant == "late_ipm":
-            return projected["3"], None
+            return projected["3"]
         features = self._stem_features(image, intrinsics, cam_from_top) if self.stem is not None else projected["0"]
-        bev_logit = None
         for level, stage in enumerate(self.top, start=1):
             features = stage(features)
             if str(level) in projected:
                 features = torch.cat([features, projected[str(level)].to(features.dtype)], dim=1)
-            if level == 1 and self.bev is not None:
-                bev_logit = self.bev(features).float()
-        return features, bev_logit
+        return features
 
     def _stem_features(
         self, image: Float[Tensor, "b 3 h w"], intrinsics: Float[Tensor, "b 4"], cam_from_top: Float[Tensor, "b 4 4"]

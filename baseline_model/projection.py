@@ -41,7 +41,7 @@ def top_from_road(yaw_rad: Float[Tensor, " b"], shift_m: Float[Tensor, " b"]) ->
     return torch.stack(rows, dim=-1).reshape(-1, 4, 4)
 
 
-def cell_centres(grid: Grid, level: int, plane_height_m: float = 0.0) -> Float[Tensor, "rows columns 3"]:
+def cell_centres(grid: Grid, level: int) -> Float[Tensor, "rows columns 3"]:
     """Positions of the cells of the map pooled `level` times, far rows first; level -1 has twice the resolution."""
     scale = 2.0**level
     rows, columns = int(grid.rows / scale), int(grid.columns / scale)
@@ -49,7 +49,7 @@ def cell_centres(grid: Grid, level: int, plane_height_m: float = 0.0) -> Float[T
     # Pools drop odd rows at the near end, which is the end of the array.
     y_m = grid.y_min_m + grid.rows * grid.cell_y_m - (torch.arange(rows) + 0.5) * (grid.cell_y_m * scale)
     centres = torch.zeros(rows, columns, 3)
-    centres[..., 0], centres[..., 1], centres[..., 2] = x_m, y_m[:, None], plane_height_m
+    centres[..., 0], centres[..., 1] = x_m, y_m[:, None]
     return centres
 
 
@@ -78,20 +78,17 @@ def sampling_grid(
 
 
 class Projection(nn.Module):
-    """One projective transformation: image map -> top-view map, over one or several planes, stacked as channels.
+    """One projective transformation: image map -> top-view map of the road plane.
 
     If the number of channels changes, a 1x1 convolution without bias comes first: as a linear map it gives the same
     result as after the sampling, with less work."""
 
-    def __init__(
-        self, channels_in: int, channels_out: int, grid: Grid, level: int, planes_m: tuple[float, ...]
-    ) -> None:
+    def __init__(self, channels_in: int, channels_out: int, grid: Grid, level: int) -> None:
         super().__init__()
         same = channels_in == channels_out
         self.reduce = nn.Identity() if same else nn.Conv2d(channels_in, channels_out, 1, bias=False)
         self.points_top: Tensor
-        points = torch.stack([cell_centres(grid, level, z) for z in planes_m])
-        self.register_buffer("points_top", points, persistent=False)
+        self.register_buffer("points_top", cell_centres(grid, level), persistent=False)
 
     def forward(
         self,
@@ -104,7 +101,6 @@ class Projection(nn.Module):
         features = self.reduce(features)
         with torch.autocast(features.device.type, enabled=False):
             size = (features.shape[2], features.shape[3])
-            grid = sampling_grid(self.points_top.flatten(0, 1), cam_from_top, intrinsics, lattice, size)
+            grid = sampling_grid(self.points_top, cam_from_top, intrinsics, lattice, size)
             sampled = functional.grid_sample(features.float(), grid, align_corners=False)
-        rows, columns = self.points_top.shape[1:3]
-        return sampled.reshape(sampled.shape[0], -1, rows, columns).contiguous(memory_format=torch.channels_last)
+        return sampled.contiguous(memory_format=torch.channels_last)

@@ -11,13 +11,13 @@ from synth3dlanes.errors import InputError
 
 from . import custom
 from .anchors import encode
-from .augment import Augmented, lane_masks
+from .augment import Augmented
 from .config import CustomModel, ModelConfig, TrainConfig
 from .custom import LaneDetector
 from .inference import mixed_precision
 from .loss import loss
 from .model import LaneNet, Output
-from .projection import cell_centres, invert_rigid, road_from_cam
+from .projection import invert_rigid, road_from_cam
 
 Terms = dict[str, Float[Tensor, " b"]]
 
@@ -59,11 +59,7 @@ class LaneNetTask(nn.Module):
         else:
             top_from_cam = augmented.top_from_road @ road_from_cam(pose)
         targets, _ = encode(batch.curves, top_from_cam, network.config)
-        bev_target = None
-        if output.bev_logit is not None:
-            points_top = cell_centres(network.config.grid, 1).to(output.logit.device)
-            bev_target = lane_masks(batch.curves, top_from_cam, points_top)
-        return loss(output, targets, pose, bev_target, network.config.types, config.loss)
+        return loss(output, targets, pose, network.config.types, config.loss)
 
 
 class CustomTask(nn.Module):

@@ -70,12 +70,13 @@ def bench(
     from synth3dlanes.production import bench as measuring
     from synth3dlanes.production.devices import resolve_device
     from synth3dlanes.production.recipe import Recipe
+    from synth3dlanes.sample import Scenes
     from synth3dlanes.settings import RenderSettings
 
     stored = measuring.read_bench(against) if against else None
     library = open_assets(assets)
     params, settings = load_params(source, changes, library.assets), RenderSettings(samples, passes, device)
-    recipe, slots = resolve_device(Recipe(params, 0, "bench", settings, "jpg", library=library))
+    recipe, slots = resolve_device(Recipe(Scenes(params, 0, "bench", assets=library.assets), settings, "jpg", library))
     with Console(stderr=True).status("warming up") as status:
         found = measuring.bench(recipe, n, workers or slots.workers, list(slots.masks), status.update)
         if reference:

@@ -171,6 +171,7 @@ def generate(
     from synth3dlanes.production.plan import Plan
     from synth3dlanes.production.recipe import Recipe
     from synth3dlanes.production.run import generate as run
+    from synth3dlanes.sample import Scenes
     from synth3dlanes.sampling.like import read_like
     from synth3dlanes.settings import RenderSettings
 
@@ -182,7 +183,8 @@ def generate(
     params, shots = load_params(source, changes, library.assets), open_shots(camera, rig, frames, fps, lidar)
     settings = RenderSettings(samples, (*passes, *(["lidar"] if lidar else [])), device)
     given = read_like(given_scenes(like, params, library.assets), spreads) if like else None
-    recipe = Recipe(params, seed, split, settings, image_format, library=library, shots=shots, like=given)
+    scenes = Scenes(params, seed, split, assets=library.assets, shots=shots, like=given)
+    recipe = Recipe(scenes, settings, image_format, library)
     plan = Plan(out, n, recipe, workers, part)
     drawn_from = f"parameters {source}{' with ' * bool(changes)}{', '.join(changes)}"
     drawn_from += f", {given.text()}" if given else ""

@@ -154,15 +154,13 @@ def report(folder: str, html: Path, n: int, samples: int) -> None:
     from synth3dlanes.dataset.splits import data_set_name, evenly_spaced, readers, split_name
     from synth3dlanes.figures.page import report_page
     from synth3dlanes.figures.stats import label_statistics, scene_statistics
-    from synth3dlanes.sources import params_of, read_scene, shots_of
+    from synth3dlanes.sources import read_scene, scenes_of
 
     found = readers(folder)
     places = evenly_spaced(found, n)
-    scenes = scene_statistics(
-        (read_scene(reader, i) for reader, i in evenly_spaced(found, n, is_once_a_scene=True)),
-        params_of(found[0]),
-        bool(shots_of(found[0]).cameras),
-    )
+    drawn = (read_scene(reader, i) for reader, i in evenly_spaced(found, n, is_once_a_scene=True))
+    origin = scenes_of(found[0])
+    scenes = scene_statistics(drawn, origin.params, bool(origin.shots.cameras))
     labels = label_statistics(reader.labels(i) for reader, i in places)
     shown = [
         (f"{split_name(reader)}:{reader.key(i)}", read_scene(reader, i), reader.labels(i), reader.image(i))

@@ -56,12 +56,13 @@ def sample(
 ) -> None:
     """Draw random scenes and print them as scene.json, without rendering. Blender is needed only to check --assets."""
     from synth3dlanes.params import load_params
-    from synth3dlanes.sample import scene_texts
+    from synth3dlanes.sample import Scenes, scene_texts
 
     if index + n > MAX_SAMPLES:
         raise InputError(f"n: expected at most {MAX_SAMPLES - index} from index {index}, got {n}")
     own, shots = open_assets(assets).assets, open_shots(camera, rig, frames, fps)
-    for text in scene_texts(load_params(source, changes, own), seed, split, range(index, index + n), own, shots):
+    scenes = Scenes(load_params(source, changes, own), seed, split, assets=own, shots=shots)
+    for text in scene_texts(scenes, range(index, index + n)):
         click.echo(text)
 
 

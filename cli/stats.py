@@ -51,8 +51,8 @@ def stats(
     from synth3dlanes.figures.stats import label_statistics, scene_statistics, to_json
     from synth3dlanes.figures.stats_views import draw_statistics, statistics_table, verdict
     from synth3dlanes.params import load_params
-    from synth3dlanes.sample import sample_scene
-    from synth3dlanes.sources import params_of, read_scene, shots_of
+    from synth3dlanes.sample import Scenes, sample_scene
+    from synth3dlanes.sources import read_scene, scenes_of
 
     if (folder is None) == (source is None):
         raise click.UsageError("Give either DIR or --params FILE.")
@@ -62,12 +62,13 @@ def stats(
         found = readers(folder)
         places = evenly_spaced(found, n)
         drawn = (read_scene(reader, i) for reader, i in evenly_spaced(found, n, is_once_a_scene=True))
-        scenes = scene_statistics(drawn, params_of(found[0]), bool(shots_of(found[0]).cameras))
+        origin = scenes_of(found[0])
+        scenes = scene_statistics(drawn, origin.params, bool(origin.shots.cameras))
         labels = label_statistics(reader.labels(i) for reader, i in places)
     else:
         own = open_assets(assets).assets
-        params = load_params(str(source), changes, own)
-        scenes = scene_statistics((sample_scene(params, seed, "train", index, own) for index in range(n)), params)
+        origin = Scenes(load_params(str(source), changes, own), seed, assets=own)
+        scenes = scene_statistics((sample_scene(origin, index) for index in range(n)), origin.params)
         labels = None
     if out:
         with replacing(out) as stream:

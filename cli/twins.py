@@ -41,6 +41,6 @@ def twins(
             report = generate(Plan(out, count, recipe, workers), notify)
         if report.problem:
             click.echo(report.problem, err=True)
-        click.echo(f"{out}/{recipe.split}: {report.done} of {report.asked} samples with {recipe.path} = {value}")
+        click.echo(f"{out}/{recipe.scenes.split}: {report.done} of {report.asked} samples with {recipe.path} = {value}")
         if report.exit_code:
             ctx.exit(report.exit_code)

@@ -27,7 +27,7 @@ from synth3dlanes.dataset.format import encode_image
 from synth3dlanes.imaging.daylight import Daylight, daylight
 from synth3dlanes.imaging.develop import develop
 from synth3dlanes.params import load_params
-from synth3dlanes.sample import sample_world
+from synth3dlanes.sample import Scenes, sample_world
 from synth3dlanes.settings import RenderSettings
 from synth3dlanes.world import World
 
@@ -44,7 +44,7 @@ def render_ours(world: World, light: Daylight) -> None:
     """A picture as `generate` makes it."""
     ours.configure(RenderSettings(samples=SAMPLES), light.film)
     layers = ours.read_layers(ours.run_cycles(), light.film)
-    encode_image(develop(world.scene, world.view, light, layers, world.street_lamps), "jpg")
+    encode_image(develop(world.scene, world.view, light, layers, world.site.street_lamps), "jpg")
 
 
 def render_blenderproc(samples: int) -> None:
@@ -95,7 +95,7 @@ def main() -> None:
     studio, params = ours.studio(), load_params("appendix_i")
     seconds: dict[str, list[float]] = {"ours": [], "BlenderProc": []}
     for index in range(asked.n):
-        world = sample_world(params, 77, "train", index)
+        world = sample_world(Scenes(params, 77, "train"), index)
         light = daylight(world.scene, float(world.view.eye_world[2]))
         for name, found in seconds.items():
             start = cpu_seconds()

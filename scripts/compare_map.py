@@ -32,7 +32,9 @@ def differences(scene: Path, road_map: Path, lines: list[str]) -> np.ndarray:
         if data.get("code") == USER_DATA
     }
     paths = {stem: fork for fork, stem in stems(world.plan).items()}
-    curves = {line.id: line.points_world(world.plan, STATIONS_M) for line in world.lines if line.kind == "centerline"}
+    curves = {
+        line.id: line.points_world(world.plan, STATIONS_M) for line in world.site.lines if line.kind == "centerline"
+    }
     points = defaultdict(list)
     for line in lines:
         road, lane, *xyz = line.split()

@@ -18,7 +18,7 @@ from synth3dlanes.figures.views import draw_image
 from synth3dlanes.frames import Matrix4, project, road_from_cam, transform
 from synth3dlanes.labels import Labels, from_json
 from synth3dlanes.params import load_params
-from synth3dlanes.sample import sample_scene
+from synth3dlanes.sample import Scenes, sample_scene
 from synth3dlanes.scene import Scene, to_json
 
 PICTURE = Path(__file__).parents[1] / "docs/pictures/frames.png"
@@ -276,7 +276,7 @@ def main() -> None:
     """Render the scene and draw the picture."""
     from synth3dlanes_cli.main import main as synth3dlanes
 
-    scene = sample_scene(load_params("appendix_i"), 0, "train", INDEX)
+    scene = sample_scene(Scenes(load_params("appendix_i")), INDEX)
     with TemporaryDirectory() as folder:
         path, image_path = Path(folder) / "scene.json", Path(folder) / "image.png"
         path.write_text(to_json(scene))

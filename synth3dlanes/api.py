@@ -44,8 +44,8 @@ from synth3dlanes.production.render_file import render_members
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.tally import Report
 from synth3dlanes.production.user_assets import open_library
+from synth3dlanes.sample import Scenes, with_lidar
 from synth3dlanes.sample import sample_scene as _sample_scene
-from synth3dlanes.sample import with_lidar
 from synth3dlanes.sampling.like import read_like
 from synth3dlanes.scene import Scene
 from synth3dlanes.sensors.camera_files import load_camera as _load_camera
@@ -142,7 +142,8 @@ def sample_scene(
     Raises InputError for a bad argument, and where the least number of cars, or trees, find no room in their ranges.
     """
     _at_least(0, seed=seed, index=index)
-    return _sample_scene(params, seed, split, index, assets.assets, _shots(camera, rig, frames, fps))
+    scenes = Scenes(params, seed, split, assets=assets.assets, shots=_shots(camera, rig, frames, fps))
+    return _sample_scene(scenes, index)
 
 
 def change_scene(scene: Scene, changes: str | Sequence[str]) -> Scene:
@@ -237,7 +238,8 @@ def generate_dataset(
     if spreads and not like:
         raise InputError("spreads: expected none without scenes to be like")
     given = read_like(drawn(like, params, assets.assets, "like"), _several(spreads)) if like else None
-    recipe = Recipe(params, seed, split, settings, image_format, library=assets, shots=shots, like=given)
+    scenes = Scenes(params, seed, split, assets=assets.assets, shots=shots, like=given)
+    recipe = Recipe(scenes, settings, image_format, assets)
     plan = Plan(out, n, recipe, workers)
     return generate(plan, notify or (lambda event: None))
 

@@ -15,7 +15,7 @@ from synth3dlanes.dataset.read import Reader
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.files import read_bounded
 from synth3dlanes.params import Params
-from synth3dlanes.sample import sample_scene
+from synth3dlanes.sample import Scenes, sample_scene
 from synth3dlanes.sampling.like import MAX_SCENES, Drawn
 from synth3dlanes.scene import Scene, from_json
 from synth3dlanes.schema import Excerpt, parse
@@ -106,7 +106,7 @@ def _reader(url: str) -> Reader:
 
 def _check(scene: Scene, params: Params, assets: Assets, where: str) -> None:
     """Raise InputError unless the parameters draw the scene."""
-    again = sample_scene(params, scene.seed, scene.split, scene.index, assets)
+    again = sample_scene(Scenes(params, scene.seed, scene.split, assets=assets), scene.index)
     wrong = [name for name in PARTS if getattr(again, name) != getattr(scene, name)]
     if wrong:
         raise InputError(

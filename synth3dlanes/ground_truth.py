@@ -80,7 +80,7 @@ def label(world: World, view: View) -> Labels:
         for symbol, (xyz, inside, visible) in zip(world.scene.symbols, parts[len(sampled) :], strict=True)
     )
     host = path_of_segment(plan, host_segment(plan, lens)).id
-    centerlines = [curve.id for curve in world.lines if curve.kind == "centerline" and curve.id in known]
+    centerlines = [curve.id for curve in world.site.lines if curve.kind == "centerline" and curve.id in known]
     return Labels(
         camera,
         lanes,
@@ -98,7 +98,7 @@ def _stations(world: World, host_m: float) -> dict[Curve, Values]:
     lengths_m = np.arange(-world.scene.shot.behind_m, RANGE_M + STEP_M / 2, STEP_M)
     roads: tuple[RoadName, ...] = ("main", "exit")
     s_world = {road: plan.stations_along(road, host_m, lengths_m) for road in roads}
-    found = {curve: stations_of(plan, curve, s_world[curve.road]) for curve in world.lines}
+    found = {curve: stations_of(plan, curve, s_world[curve.road]) for curve in world.site.lines}
     return {curve: s for curve, s in found.items() if len(s) > 1}
 
 

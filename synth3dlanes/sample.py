@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from typing import TypeVar
 
@@ -53,46 +53,31 @@ LIDAR_DECIMALS = 9
 WORTH_PROCESSES, CHUNK = 200, 25
 
 
-def sample_scene(
-    params: Params,
-    seed: int,
-    split: str,
-    index: int,
-    assets: Assets = BUILT_IN.assets,
-    shots: Shots = SINGLE,
-    like: Like | None = None,
-) -> Scene:
-    """Draw the scene of sample `index` of a split; it depends on these arguments alone.
+@dataclass(frozen=True)
+class Scenes:
+    """All that decides the scenes of a split, each with its pictures; equal ones are drawn equal."""
+
+    params: Params
+    seed: int = 0
+    split: str = "train"
+    assets: Assets = field(default=BUILT_IN.assets, kw_only=True)
+    shots: Shots = field(default=SINGLE, kw_only=True)
+    like: Like | None = field(default=None, kw_only=True)
+
+
+def sample_scene(scenes: Scenes, index: int) -> Scene:
+    """Draw the scene of sample `index`; it depends on these arguments alone.
 
     Raises InputError if there is no room for the least number of cars, or for the trees, in their ranges.
     """
-    return sample_world(params, seed, split, index, assets, shots, like).scene
+    return sample_world(scenes, index).scene
 
 
-def sample_world(
-    params: Params,
-    seed: int,
-    split: str,
-    index: int,
-    assets: Assets = BUILT_IN.assets,
-    shots: Shots = SINGLE,
-    like: Like | None = None,
-) -> World:
-    """Draw and resolve what sample `index` of a split shows. The latest scene of several pictures is kept."""
-    place = shots.place(index)
-    if shots.per_scene == 1:
-        return world_in_shot(draw_world(params, seed, split, place.scene, assets, shots, like), shots, place)
-    latest = _latest(params, seed, split, place.scene, assets, shots, like)
-    latest[0] = world_in_shot(latest[0], shots, place)
-    return latest[0]
-
-
-@lru_cache(maxsize=1)
-def _latest(
-    params: Params, seed: int, split: str, scene: int, assets: Assets, shots: Shots, like: Like | None
-) -> list[World]:
-    """The world of a scene as its latest picture shows it, whose caches serve the next one."""
-    return [draw_world(params, seed, split, scene, assets, shots, like)]
+def sample_world(scenes: Scenes, index: int) -> World:
+    """Draw and resolve what sample `index` shows."""
+    place = scenes.shots.place(index)
+    draw = draw_world if scenes.shots.per_scene == 1 else _latest
+    return world_in_shot(draw(scenes, place.scene), scenes.shots, place)
 
 
 def world_in_shot(world: World, shots: Shots, place: Place) -> World:
@@ -115,19 +100,12 @@ def with_lidar(scene: Scene, spec: LidarSpec | None) -> Scene:
     return scene.model_copy(update={"lidar": _lidar(spec, Draw(spec, scene.stream("lidar")))})
 
 
-def draw_world(
-    params: Params,
-    seed: int,
-    split: str,
-    index: int,
-    assets: Assets,
-    shots: Shots = SINGLE,
-    like: Like | None = None,
-) -> World:
-    """Draw and resolve scene `index` of a split: first the road and the host, then what stands beside it, then cars and
-    trees, then symbols. With `like`, every draw is near that of a given scene."""
+def draw_world(scenes: Scenes, index: int) -> World:
+    """Draw and resolve scene `index`: first the road and the host, then what stands beside it, then cars and trees,
+    then symbols. With `like`, every draw is near that of a given scene."""
+    params, assets, shots, like = scenes.params, scenes.assets, scenes.shots, scenes.like
     check_way(params.motion, shots)
-    drawn = seed, split, index
+    drawn = scenes.seed, scenes.split, index
     first = draws_of(params, "weather", drawn, like)
     params = under(params, first("kind"), first("daytime"))
     draws = {name: draws_of(params, name, drawn, like) for name in Params.model_fields}
@@ -135,8 +113,8 @@ def draw_world(
     bare = Scene(
         format="synth3dlanes.scene",
         version=SCENE_VERSION,
-        seed=seed,
-        split=split,
+        seed=scenes.seed,
+        split=scenes.split,
         index=index,
         terrain=_terrain(draws["terrain"]),
         road=road,
@@ -155,30 +133,27 @@ def draw_world(
         vegetation=_plain(Vegetation, draws["vegetation"]),
         shot=shot,
     )
-    resolved = resolve(bare)
-    roadside = draw_roadside(resolved, draws["roadside"], draws["roadside"].rng)
-    world = replace(resolved, scene=bare.model_copy(update={"roadside": roadside}))
+    world = resolve(bare)
+    roadside = draw_roadside(world, draws["roadside"], draws["roadside"].rng)
+    world = world.furnished(bare.model_copy(update={"roadside": roadside}))
     tree_places = draws_of(params, "trees", drawn, like, "tree_places")
     speeds = draws_of(params, "motion", drawn, like, "car_speeds")
     cars = draw_cars(world, [draws_of(params, "cars", drawn, like, name) for name in CAR_STREAMS], speeds)
     trees = draw_trees(world, draws["trees"], tree_places)
     symbols = draw_symbols(world, draws["symbols"])
-    return replace(world, scene=world.scene.model_copy(update={"cars": cars, "trees": trees, "symbols": symbols}))
+    return world.furnished(world.scene.model_copy(update={"cars": cars, "trees": trees, "symbols": symbols}))
+
+
+# The pictures of one scene are made one after the other.
+_latest = lru_cache(maxsize=1)(draw_world)
 
 
 P = TypeVar("P", Markings, Surface, Light, Air, Sensor, Weather, Host, Vegetation)
 
 
-def scene_texts(
-    params: Params,
-    seed: int,
-    split: str,
-    indices: range,
-    assets: Assets = BUILT_IN.assets,
-    shots: Shots = SINGLE,
-) -> Iterator[str]:
+def scene_texts(scenes: Scenes, indices: range) -> Iterator[str]:
     """The `scene.json` of each sample in order; many are drawn in parallel, by one process per core."""
-    draw = partial(_scene_text, params, seed, split, assets, shots)
+    draw = partial(_scene_text, scenes)
     if len(indices) < WORTH_PROCESSES:
         yield from map(draw, indices)
         return
@@ -186,8 +161,8 @@ def scene_texts(
         yield from pool.map(draw, indices, chunksize=CHUNK)
 
 
-def _scene_text(params: Params, seed: int, split: str, assets: Assets, shots: Shots, index: int) -> str:
-    return to_json(sample_scene(params, seed, split, index, assets, shots))
+def _scene_text(scenes: Scenes, index: int) -> str:
+    return to_json(sample_scene(scenes, index))
 
 
 def _plain(part: type[P], draw: Draw) -> P:

@@ -5,12 +5,15 @@ Reads files; no Blender.
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Shaped, UInt8
-from pydantic import ValidationError
+from pydantic import BeforeValidator, ValidationError
 
+from synth3dlanes.assets.catalogue import Assets
 from synth3dlanes.dataset.address import SAMPLE, splits_near
+from synth3dlanes.dataset.description import DESCRIPTION
 from synth3dlanes.dataset.format import HEIGHT, LIDAR, PASSES, SCENE, decode_image, read_passes, read_sweep
 from synth3dlanes.dataset.query import rows_where
 from synth3dlanes.dataset.read import Reader, find
@@ -20,11 +23,12 @@ from synth3dlanes.files import read_bounded
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import Params
+from synth3dlanes.sample import Scenes
 from synth3dlanes.sampling.like import Like
 from synth3dlanes.scene import Scene, from_json
-from synth3dlanes.schema import MAX_BYTES, validation_problems
+from synth3dlanes.schema import MAX_BYTES, Excerpt, Seed, validation_problems
 from synth3dlanes.sensors.sweep import Sweep
-from synth3dlanes.shots import Shots
+from synth3dlanes.shots import SINGLE, Shots
 
 # Passes of 8192 x 8192 take 1 GB without compression.
 MAX_IMAGE_BYTES = 1 << 30
@@ -135,30 +139,34 @@ def read_scene(reader: Reader, i: int) -> Scene:
     return from_json(reader.member(i, SCENE), f"{reader.url}:{reader.key(i)}")
 
 
-def params_of(reader: Reader) -> Params:
-    """The parameters that a data set was drawn from."""
+def _in_order(document: Any) -> Any:
+    """Assets as tuples, as scenes have them; dataset.json has them by name, in the same order."""
+    if not isinstance(document, dict):
+        return document
+    return {kind: tuple(own.values()) if isinstance(own, dict) else own for kind, own in document.items()}
+
+
+class Provenance(Excerpt):
+    """What the scenes of a data set were drawn from, as its dataset.json says."""
+
+    seed: Seed
+    params: Params
+    assets: Annotated[Assets, BeforeValidator(_in_order)] = Assets()
+    shots: Shots = SINGLE
+    like: Like | None = None
+
+    def scenes(self, split: str) -> Scenes:
+        """The scenes of a split."""
+        return Scenes(self.params, self.seed, split, assets=self.assets, shots=self.shots, like=self.like)
+
+
+def scenes_of(reader: Reader) -> Scenes:
+    """What a split was drawn from."""
     try:
-        return Params.model_validate(reader.description["params"])
+        provenance = Provenance.model_validate(reader.description)
     except ValidationError as error:
-        raise FormatError("\n".join(validation_problems(error, f"{reader.url}: dataset.json: params"))) from None
-
-
-def shots_of(reader: Reader) -> Shots:
-    """The pictures that a data set has of each of its scenes."""
-    try:
-        return Shots.model_validate(reader.description.get("shots", {}))
-    except ValidationError as error:
-        raise FormatError("\n".join(validation_problems(error, f"{reader.url}: dataset.json: shots"))) from None
-
-
-def like_of(reader: Reader) -> Like | None:
-    """The given scenes that the scenes of a data set are near, if they are."""
-    if reader.description.get("like") is None:
-        return None
-    try:
-        return Like.model_validate(reader.description["like"])
-    except ValidationError as error:
-        raise FormatError("\n".join(validation_problems(error, f"{reader.url}: dataset.json: like"))) from None
+        raise FormatError("\n".join(validation_problems(error, f"{reader.url}: {DESCRIPTION}"))) from None
+    return provenance.scenes(reader.url.rpartition("/")[2])
 
 
 def some_samples(folder: str, n: int, shuffle: int | None, where: str | None) -> list[tuple[Reader, int]]:

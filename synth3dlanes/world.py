@@ -1,4 +1,4 @@
-"""World: a scene resolved once into roads, ground, cars and trees. View: one camera at one instant in it.
+"""World: a scene resolved once into its site, with roads, trees and buildings. View: a camera at an instant in it.
 
 World frame, metres. Labels, meshes, masks and light are all computed from a world and a view.
 """
@@ -24,7 +24,7 @@ from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.seams import ghost_mesh, tar_mesh
 from synth3dlanes.geometry.solids import Body
 from synth3dlanes.geometry.symbols import symbol_mesh
-from synth3dlanes.scene import Camera, Lidar, Scene
+from synth3dlanes.scene import Camera, Lidar, Roadside, Scene, Tree
 
 # Only cameras this close to the host's middle, along it, look over the bonnet.
 BEHIND_WINDSCREEN_M = 1.0
@@ -101,22 +101,18 @@ class View:
 
 
 @dataclass(frozen=True, eq=False)
-class World:
-    """Everything that follows from a scene alone. Values are computed on first access and cached; none but `view`
-    depends on the scene's camera and shot."""
+class Site:
+    """What stands still: the ground as built, and what is drawn, grows and is built on it. It knows no camera and no
+    instant, so all views of a world share it. Values are computed on first access and kept."""
 
-    scene: Scene
     ground: Ground
-
-    @property
-    def plan(self) -> RoadPlan:
-        """The road plan."""
-        return self.ground.plan
+    trees: tuple[Tree, ...]
+    roadside: Roadside
 
     @cached_property
     def lines(self) -> tuple[Curve, ...]:
         """All centre lines and delimiters."""
-        return curves(self.plan)
+        return curves(self.ground.plan)
 
     @cached_property
     def pavement(self) -> list[meshes.Mesh]:
@@ -136,17 +132,35 @@ class World:
     @cached_property
     def trees_world(self) -> Float[np.ndarray, "n 3"]:
         """The base points of all trees."""
-        return tree_positions(self.ground, self.scene.trees)
+        return tree_positions(self.ground, self.trees)
 
     @cached_property
     def structures(self) -> list[Body]:
         """What stands beside and over the road, in the order of instance ids."""
-        return roadside.bodies(self.ground, self.scene.roadside)
+        return roadside.bodies(self.ground, self.roadside)
 
     @cached_property
     def street_lamps(self) -> Float[np.ndarray, "n 3"]:
         """Where the lamps beside the road have their light: the middles of the lower sides of their heads."""
-        return roadside.lamp_heads(self.ground, self.scene.roadside)
+        return roadside.lamp_heads(self.ground, self.roadside)
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """A scene, and the site where it is; one for each picture of the site."""
+
+    scene: Scene
+    site: Site
+
+    @property
+    def ground(self) -> Ground:
+        """The ground as built."""
+        return self.site.ground
+
+    @property
+    def plan(self) -> RoadPlan:
+        """The road plan."""
+        return self.ground.plan
 
     @cached_property
     def view(self) -> View:
@@ -158,14 +172,16 @@ class World:
         return View(scene, self.plan, camera, world_from_host(self.plan, camera), bonnet)
 
     def seen_in(self, scene: Scene) -> "World":
-        """The same world for another shot of it, by a scene that differs in camera and shot alone."""
-        other = World(scene, self.ground)
-        other.__dict__.update((name, value) for name, value in self.__dict__.items() if name not in ("scene", "view"))
-        return other
+        """Another picture of the same site: the scene differs in camera, shot and lidar alone."""
+        return World(scene, self.site)
+
+    def furnished(self, scene: Scene) -> "World":
+        """Other things on the same ground: the scene differs in what stands and drives there."""
+        return World(scene, Site(self.ground, scene.trees, scene.roadside))
 
     def paint(self, view: View) -> dict[str, meshes.Mesh]:
         """The paint of every delimiter by id, corrected for parallax so that it looks in place from a view."""
-        return paint_meshes(self.ground, self.lines, view.eye_world, self.scene.stream)
+        return paint_meshes(self.ground, self.site.lines, view.eye_world, self.scene.stream)
 
     def symbols(self, view: View) -> list[meshes.Mesh]:
         """The paint of every symbol, corrected for parallax so that it looks in place from a view."""
@@ -185,7 +201,11 @@ class World:
     def grass(self, view: View) -> Blades | None:
         """The grass beside the road as a view sees it, if the scene has any."""
         grass_m = self.scene.vegetation.grass_m
-        return blades(self.ground, self.lines, view.eye_world, grass_m, self.scene.stream("grass")) if grass_m else None
+        return (
+            blades(self.ground, self.site.lines, view.eye_world, grass_m, self.scene.stream("grass"))
+            if grass_m
+            else None
+        )
 
 
 def resolve(scene: Scene) -> World:
@@ -193,4 +213,5 @@ def resolve(scene: Scene) -> World:
     plan, shot = RoadPlan(scene.road, scene.terrain), scene.shot
     hills = FarHills.draw(scene.stream("far_hills"))
     driven_m = host_station(plan, scene.camera, shot.speed_m_s * shot.duration_s) - scene.camera.y_m
-    return World(scene, Ground(plan, scene.camera.y_m, scene.markings, hills, driven_m, shot.behind_m > 0))
+    ground = Ground(plan, scene.camera.y_m, scene.markings, hills, driven_m, shot.behind_m > 0)
+    return World(scene, Site(ground, scene.trees, scene.roadside))

@@ -101,9 +101,9 @@ def flat_scene() -> Any:
 def hilly_scene() -> Any:
     """Scene 17 of Appendix I: hills, an exit, cars and trees."""
     from synth3dlanes.params import load_params
-    from synth3dlanes.sample import sample_scene
+    from synth3dlanes.sample import Scenes, sample_scene
 
-    return sample_scene(load_params("appendix_i"), 0, "train", 17)
+    return sample_scene(Scenes(load_params("appendix_i")), 17)
 
 
 @pytest.fixture

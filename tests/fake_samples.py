@@ -17,7 +17,7 @@ from synth3dlanes.params import load_params
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Made, Recipe
 from synth3dlanes.production.run import generate
-from synth3dlanes.sample import sample_world
+from synth3dlanes.sample import Scenes, sample_world
 from synth3dlanes.scene import Shot
 from synth3dlanes.settings import RenderSettings
 from synth3dlanes.shots import SINGLE, Shots
@@ -33,7 +33,7 @@ def recipe(
     overrides: tuple[str, ...] = (),
     shots: Shots = SINGLE,
 ) -> Recipe:
-    return Recipe(load_params("tiny", overrides), seed, split, RenderSettings(), image_format, shots=shots)
+    return Recipe(Scenes(load_params("tiny", overrides), seed, split, shots=shots), RenderSettings(), image_format)
 
 
 def labels(index: int, time_s: float | None = None) -> Labels:
@@ -52,9 +52,9 @@ def image(index: int) -> np.ndarray:
 
 def make(recipe: Recipe, index: int) -> Made:
     camera = FLAT.camera.model_copy(update={"width_px": 24, "height_px": 16})
-    place, shots = recipe.shots.place(index), recipe.shots
+    place, shots = recipe.scenes.shots.place(index), recipe.scenes.shots
     shot = Shot(n_frames=shots.frames, fps=shots.fps, frame=place.frame, n_cameras=shots.n_cameras, camera=place.camera)
-    world = {"seed": recipe.seed, "split": recipe.split, "index": place.scene, "shot": shot}
+    world = {"seed": recipe.scenes.seed, "split": recipe.scenes.split, "index": place.scene, "shot": shot}
     scene = FLAT.model_copy(update={**world, "camera": camera})
     time_s = shot.time_s if shots.frames > 1 else None
     members = encode(image(index), labels(index, time_s), scene_module.to_json(scene), {}, recipe.image_format)
@@ -63,7 +63,7 @@ def make(recipe: Recipe, index: int) -> Made:
 
 def make_labelled(recipe: Recipe, index: int) -> Made:
     """Scene and labels are true, the image is black."""
-    world = sample_world(recipe.params, recipe.seed, recipe.split, index, shots=recipe.shots)
+    world = sample_world(recipe.scenes, index)
     black = np.zeros((world.scene.camera.height_px, world.scene.camera.width_px, 3), np.uint8)
     members = encode(black, label(world, world.view), scene_module.to_json(world.scene), {}, recipe.image_format)
     return Made(members, {"fake": 0.0})

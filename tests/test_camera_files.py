@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from synth3dlanes.errors import InputError
 from synth3dlanes.params import load_params, preset_names
-from synth3dlanes.sample import sample_scene
+from synth3dlanes.sample import Scenes, sample_scene
 from synth3dlanes.sensors.camera_files import load_camera
 from synth3dlanes.sensors.cameras import CameraSpec
 from synth3dlanes.shots import Shots
@@ -201,8 +201,8 @@ def test_no_document_breaks_the_reader(tmp_path: Path, document: dict[object, ob
 @pytest.mark.parametrize("name", preset_names("cameras"))
 def test_every_ready_camera_draws_scenes(name: str) -> None:
     spec = load_camera(name)
-    scene = sample_scene(load_params("tiny"), 0, "train", 3, shots=Shots(cameras=(spec,)))
-    plain = sample_scene(load_params("tiny"), 0, "train", 3)
+    scene = sample_scene(Scenes(load_params("tiny"), shots=Shots(cameras=(spec,))), 3)
+    plain = sample_scene(Scenes(load_params("tiny")), 3)
     # The world and the host's place are those of the parameters, whatever the camera.
     assert scene.model_copy(update={"camera": plain.camera}) == plain
     assert (scene.camera.lane, scene.camera.y_m) == (plain.camera.lane, plain.camera.y_m)

@@ -14,7 +14,7 @@ from synth3dlanes.frames import invert, transform
 from synth3dlanes.ground_truth import ground_truth, label
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import Params, load_params
-from synth3dlanes.sample import sample_scene, sample_world, scene_texts
+from synth3dlanes.sample import Scenes, sample_scene, sample_world, scene_texts
 from synth3dlanes.sensors.rig_files import load_rig
 from synth3dlanes.shots import Place, Shots, clips
 from synth3dlanes.validate.structure import check_shape
@@ -33,7 +33,7 @@ def params(*overrides: str) -> Params:
 
 def frames(scene: int, shots: Shots, drawn_from: Params) -> list[World]:
     indices = range(scene * shots.frames, (scene + 1) * shots.frames)
-    return [sample_world(drawn_from, 0, "train", index, shots=shots) for index in indices]
+    return [sample_world(Scenes(drawn_from, shots=shots), index) for index in indices]
 
 
 def test_sample_numbers_and_places_are_one_to_one():
@@ -54,8 +54,8 @@ def camera():
 def test_the_first_frame_is_the_single_picture():
     same = 0
     for index in range(10):
-        single = sample_scene(params(), 0, "train", index)
-        first = sample_scene(params(), 0, "train", 21 * index, shots=TWO_SECONDS)
+        single = sample_scene(Scenes(params()), index)
+        first = sample_scene(Scenes(params(), shots=TWO_SECONDS), 21 * index)
         standing = [car.model_copy(update={"speed_m_s": 0.0}) for car in first.cars]
         plain = first.model_copy(update={"shot": single.shot, "cars": tuple(standing)})
         moved = {"camera": single.camera, "cars": single.cars}
@@ -73,9 +73,9 @@ def test_frames_of_a_clip_differ_in_their_number_alone():
 
 def test_a_frame_is_the_same_whether_drawn_alone_or_in_a_clip_or_read_back():
     shots, drawn_from = clips(4, 10), params()
-    texts = list(scene_texts(drawn_from, 0, "train", range(8), shots=shots))
+    texts = list(scene_texts(Scenes(drawn_from, shots=shots), range(8)))
     for index in (6, 1, 7, 3):
-        world = sample_world(drawn_from, 0, "train", index, shots=shots)
+        world = sample_world(Scenes(drawn_from, shots=shots), index)
         assert scene_format.to_json(world.scene) == texts[index]
         again = ground_truth(scene_format.from_json(texts[index], "test"))
         assert labels_format.to_json(again) == labels_format.to_json(label(world, world.view))
@@ -97,7 +97,7 @@ def test_poses_integrate_to_the_way_driven(index):
 def clip_labels(index: int, shots: Shots) -> list[Labels]:
     """The labels of all pictures of a clip, as read back."""
     pictures = range(index * shots.per_scene, (index + 1) * shots.per_scene)
-    worlds = (sample_world(params(*EXIT), 0, "train", picture, shots=shots) for picture in pictures)
+    worlds = (sample_world(Scenes(params(*EXIT), 0, "train", shots=shots), picture) for picture in pictures)
     texts = [labels_format.to_json(label(world, world.view)) for world in worlds]
     return [labels_format.from_json(text, "test") for text in texts]
 
@@ -155,7 +155,7 @@ def test_neighbours_are_constant_in_every_camera_of_a_rig():
 def test_neighbours_of_a_single_picture_are_among_its_lines():
     left_out = 0
     for index in range(8):
-        scene = sample_scene(params(*EXIT), 0, "train", index)
+        scene = sample_scene(Scenes(params(*EXIT), 0, "train"), index)
         labels = ground_truth(scene)
         known = {lane.id for lane in labels.lanes}
         left_out += len({line.id for line in resolve(scene).lines} - known)
@@ -202,7 +202,7 @@ def read_back(labels, lane_id):
 
 
 def test_labels_of_single_pictures_have_no_time():
-    assert '"time_s":null' in labels_format.to_json(ground_truth(sample_scene(params(), 0, "train", 0)))
+    assert '"time_s":null' in labels_format.to_json(ground_truth(sample_scene(Scenes(params()), 0)))
 
 
 def test_cars_keep_their_numbers_speeds_and_direction():
@@ -225,7 +225,7 @@ def test_cars_keep_their_numbers_speeds_and_direction():
 def test_the_host_stays_on_the_main_road(topology):
     drawn_from = params(f"road.topology={topology}", "cars.n=0", "trees.n=0")
     for index in range(30):
-        world = sample_world(drawn_from, 0, "train", 31 * (index + 1) - 1, shots=clips(31, 10))
+        world = sample_world(Scenes(drawn_from, shots=clips(31, 10)), 31 * (index + 1) - 1)
         lane = world.view.camera.lane
         assert lane <= world.scene.road.lanes_present(world.view.camera.y_m)
 
@@ -245,7 +245,7 @@ def assert_apart(drawn_from: Params, scenes: range, every_s: float) -> None:
     """No body has a point inside another, at any of many instants; the bodies are sampled, so that the sampler's own
     test of rectangles is not used."""
     for index in scenes:
-        world = sample_world(drawn_from, 0, "train", 21 * index, shots=TWO_SECONDS)
+        world = sample_world(Scenes(drawn_from, shots=TWO_SECONDS), 21 * index)
         assert world.scene.cars
         models = [world.scene.assets.car_models[car.model - 1] for car in world.scene.cars]
         sizes = [
@@ -283,7 +283,7 @@ def test_speeds_follow_their_ranges():
 
 def test_clips_beyond_the_road_are_refused():
     with pytest.raises(InputError, match=r"at most 400 m, got 14\.9 s at up to 33 m/s"):
-        sample_scene(params(), 0, "train", 0, shots=clips(150, 10))
+        sample_scene(Scenes(params(), shots=clips(150, 10)), 0)
     with pytest.raises(InputError, match="frames: expected at most 1000, got 1001"):
         clips(1001, 10)
 

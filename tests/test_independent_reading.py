@@ -16,7 +16,7 @@ from synth3dlanes.assets.catalogue import CARS
 from synth3dlanes.geometry.placement import car_place
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.params import load_params
-from synth3dlanes.sample import sample_scene
+from synth3dlanes.sample import Scenes, sample_scene
 from synth3dlanes.world import resolve
 
 Y = np.arange(-100, 100.0001, 0.02)
@@ -74,7 +74,7 @@ def expected_centres(scene):
 
 @pytest.mark.parametrize("index", range(40))
 def test_lanes_agree_with_a_second_reading(index):
-    drawn = sample_scene(load_params("appendix_i", ["trees.n=0", "cars.n=0"]), 4711, "train", index)
+    drawn = sample_scene(Scenes(load_params("appendix_i", ["trees.n=0", "cars.n=0"]), 4711, "train"), index)
     scene = json.loads(scene_file.to_json(drawn))
     labels = json.loads(label_file.to_json(ground_truth(drawn)))
     world_from_cam = np.array(labels["camera"]["world_from_cam"])
@@ -97,7 +97,7 @@ def test_lanes_agree_with_a_second_reading(index):
 
 @pytest.mark.parametrize("index", range(20))
 def test_the_camera_stands_its_height_over_the_surface_along_its_normal(index):
-    drawn = sample_scene(load_params("appendix_i", ["trees.n=0", "cars.n=0"]), 4711, "test", index)
+    drawn = sample_scene(Scenes(load_params("appendix_i", ["trees.n=0", "cars.n=0"]), 4711, "test"), index)
     scene = json.loads(scene_file.to_json(drawn))
     labels = json.loads(label_file.to_json(ground_truth(drawn)))
     world_from_cam = np.array(labels["camera"]["world_from_cam"])
@@ -155,7 +155,7 @@ def test_the_host_stands_in_its_lane_and_in_no_car(preset, n):
     across, along = np.meshgrid(np.linspace(-1, 1, 21), np.linspace(-2.5, 2.5, 51))
     seen = set()
     for index in range(n):
-        drawn = sample_scene(params, 90210, "train", index)
+        drawn = sample_scene(Scenes(params, 90210, "train"), index)
         scene = json.loads(scene_file.to_json(drawn))
         camera = json.loads(label_file.to_json(ground_truth(drawn)))["camera"]
         world_from_road = np.array(camera["world_from_cam"]) @ np.linalg.inv(camera["road_from_cam"])
@@ -182,7 +182,7 @@ def test_the_host_stands_in_its_lane_and_in_no_car(preset, n):
 def test_the_cameras_right_side_sinks_by_its_roll(index):
     """As seen by the driver, who looks along the axis with the road's normal up, clockwise is right side down."""
     changes = ["trees.n=0", "cars.n=0", "camera.roll_deg=[-4, 4]", "camera.principal_offset_px=[-20, 20]"]
-    drawn = sample_scene(load_params("appendix_i", changes), 4711, "test", index)
+    drawn = sample_scene(Scenes(load_params("appendix_i", changes), 4711, "test"), index)
     scene = json.loads(scene_file.to_json(drawn))
     camera = json.loads(label_file.to_json(ground_truth(drawn)))["camera"]
     assert camera["roll_rad"] == scene["camera"]["roll_rad"] != 0
@@ -211,7 +211,7 @@ def test_the_cameras_right_side_sinks_by_its_roll(index):
 def test_no_tree_stands_on_a_road_or_its_shoulders(seed, split, index):
     """The first is one that leaves so sharply that its far part lies abreast of an early station."""
     changes = ["cars.n=1", "road.topology={2: 1, 3: 1, 4: 1}"] if split == "trees" else ["cars.n=1"]
-    drawn = sample_scene(load_params("appendix_i", changes), seed, split, index)
+    drawn = sample_scene(Scenes(load_params("appendix_i", changes), seed, split), index)
     scene = json.loads(scene_file.to_json(drawn))
     road = scene["road"]
     flips = np.array([-1 if road["flip_longitudinal"] else 1, -1 if road["flip_lateral"] else 1])

@@ -16,7 +16,7 @@ from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.twins import twin_recipes
-from synth3dlanes.sample import sample_scene
+from synth3dlanes.sample import Scenes, sample_scene
 from synth3dlanes.sampling.like import near, read_like
 from synth3dlanes.scene import to_json
 from synth3dlanes.settings import RenderSettings
@@ -28,11 +28,12 @@ GIVEN = tuple((0, "test", index) for index in (3, 8, 11))
 
 
 def like(index, *spreads):
-    return sample_scene(PARAMS, 7, "hard", index, like=read_like(GIVEN, spreads))
+    return sample_scene(Scenes(PARAMS, 7, "hard", like=read_like(GIVEN, spreads)), index)
 
 
 def original(index):
-    return sample_scene(PARAMS, *GIVEN[index % 3])
+    seed, split, number = GIVEN[index % 3]
+    return sample_scene(Scenes(PARAMS, seed, split), number)
 
 
 @given(st.floats(0, 1, exclude_max=True), st.floats(0, 1), st.floats(0, 1, exclude_max=True))
@@ -84,10 +85,12 @@ def test_a_full_spread_is_the_whole_range():
 
 
 def test_dataset_json_says_all_that_validate_needs_to_draw_them_again():
-    recipe = Recipe(PARAMS, 7, "hard", RenderSettings(), "jpg", like=read_like(GIVEN, ["0.2", "road.lane_width_m=0"]))
+    recipe = Recipe(
+        Scenes(PARAMS, 7, "hard", like=read_like(GIVEN, ["0.2", "road.lane_width_m=0"])), RenderSettings(), "jpg"
+    )
     origin = read_origin(json.loads(json.dumps(recipe.description())))
     assert all(origin.fault(recipe.scene(index), "hard", index) == "" for index in range(4))
-    assert "like" not in Recipe(PARAMS, 7, "hard", RenderSettings(), "jpg").description()
+    assert "like" not in Recipe(Scenes(PARAMS, 7, "hard"), RenderSettings(), "jpg").description()
     changed = json.loads(json.dumps(recipe.description()))
     changed["like"]["spread"] = 0.3
     assert read_origin(changed).fault(recipe.scene(0), "hard", 0)
@@ -95,7 +98,7 @@ def test_dataset_json_says_all_that_validate_needs_to_draw_them_again():
 
 def test_files_name_scenes_by_their_text(tmp_path):
     path = tmp_path / "hard.jsonl"
-    path.write_text("".join(f"{to_json(sample_scene(PARAMS, *drawn))}\n" for drawn in GIVEN))
+    path.write_text("".join(f"{to_json(original(number))}\n" for number in range(3)))
     assert given_scenes(path, PARAMS, BUILT_IN.assets) == GIVEN
     with pytest.raises(InputError, match=r"hard\.jsonl: expected scenes as these parameters draw them"):
         given_scenes(path, load_params("appendix_i", ["camera.pitch_deg=3", "road.lane_width_m=3"]), BUILT_IN.assets)
@@ -111,10 +114,11 @@ def test_spreads_that_are_none_are_refused(spread):
 
 
 def test_twins_and_splits_of_such_data_know_what_they_are_near(tmp_path):
-    recipe = dataclasses.replace(fake_samples.recipe(), like=read_like(GIVEN, ["0.2"]))
+    recipe = fake_samples.recipe()
+    recipe = dataclasses.replace(recipe, scenes=dataclasses.replace(recipe.scenes, like=read_like(GIVEN, ["0.2"])))
     generate(Plan(tmp_path / "d", 1, recipe, workers=1, maker=fake_samples.make), lambda event: None)
     (twin,) = twin_recipes(f"{tmp_path}/d/train", "light.exposure=2", "cpu")
     assert twin.description()["like"] == recipe.description()["like"]
-    recipe = Recipe(PARAMS, 7, "hard", RenderSettings(), "jpg", like=read_like(GIVEN, ["0.2"]))
+    recipe = Recipe(Scenes(PARAMS, 7, "hard", like=read_like(GIVEN, ["0.2"])), RenderSettings(), "jpg")
     cut = read_origin({**json.loads(json.dumps(recipe.description())), "derived": {"cut": "DIR/hard"}})
     assert all(cut.fault(recipe.scene(index), "part", 90 + index) == "" for index in range(4))

@@ -19,7 +19,7 @@ from synth3dlanes.ground_truth import label
 from synth3dlanes.params import load_params, preset_names
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.run import generate
-from synth3dlanes.sample import sample_scene, sample_world
+from synth3dlanes.sample import Scenes, sample_scene, sample_world
 from synth3dlanes.scene import MAX_BEHIND_M
 from synth3dlanes.sensors.rig_files import load_rig
 from synth3dlanes.shots import Shots
@@ -47,7 +47,7 @@ def test_nuscenes_cameras_see_what_the_table_says(name):
     vehicle = np.column_stack([points_host[:, 1] + AXLE_TO_MIDDLE_M, -points_host[:, 0], points_host[:, 2]])
     seen = (vehicle - place) @ Rotation.from_quat([x, y, z, w]).as_matrix()
     index = [spec.name for spec in NUSCENES].index(name)
-    scene = sample_scene(load_params("appendix_i"), 0, "train", index, shots=Shots(cameras=NUSCENES))
+    scene = sample_scene(Scenes(load_params("appendix_i"), shots=Shots(cameras=NUSCENES)), index)
     view = resolve(scene).view
     points_cam = transform(invert(view.world_from_cam) @ view.world_from_host, points_host)
     uv = project(view.img_from_cam, points_cam)
@@ -76,7 +76,7 @@ def test_a_point_of_a_lane_is_one_point_of_the_world_by_every_camera():
     for index in (0, 3):
         found = []
         for camera in range(6):
-            world = sample_world(load_params("diverse"), 2, "train", 6 * index + camera, shots=shots)
+            world = sample_world(Scenes(load_params("diverse"), 2, "train", shots=shots), 6 * index + camera)
             read = labels_format.from_json(labels_format.to_json(label(world, world.view)), "labels")
             found.append({lane.id: transform(read.camera.world_from_cam, lane.xyz_cam) for lane in read.lanes})
             assert (read.camera.name, read.horizon is None) == (NUSCENES[camera].name, camera > 0)
@@ -87,9 +87,9 @@ def test_a_point_of_a_lane_is_one_point_of_the_world_by_every_camera():
 
 def test_the_scenes_of_a_rig_differ_in_camera_and_shot_alone():
     params, shots = load_params("appendix_i"), Shots(cameras=NUSCENES)
-    alone = sample_scene(params, 1, "train", 4)
+    alone = sample_scene(Scenes(params, 1, "train"), 4)
     for camera in range(6):
-        scene = sample_scene(params, 1, "train", 24 + camera, shots=shots)
+        scene = sample_scene(Scenes(params, 1, "train", shots=shots), 24 + camera)
         assert (scene.shot.camera, scene.shot.n_cameras, scene.shot.behind_m) == (camera, 6, MAX_BEHIND_M)
         assert scene.model_copy(update={"camera": alone.camera, "shot": alone.shot}) == alone
 

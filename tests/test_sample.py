@@ -8,7 +8,7 @@ from scipy import stats
 
 from synth3dlanes.errors import InputError
 from synth3dlanes.params import load_params
-from synth3dlanes.sample import sample_scene, scene_texts
+from synth3dlanes.sample import Scenes, sample_scene, scene_texts
 from synth3dlanes.scene import to_json
 from synth3dlanes.world import resolve
 
@@ -24,7 +24,7 @@ def params():
 
 @pytest.fixture(scope="module")
 def scenes(params):
-    return [sample_scene(params, 0, "train", index) for index in range(N)]
+    return [sample_scene(Scenes(params), index) for index in range(N)]
 
 
 def uniform(values, low, high):
@@ -115,9 +115,9 @@ def test_the_host_stands_in_every_lane_present_alike(scenes):
 
 def test_groups_have_streams_of_their_own(params):
     """Changing one group leaves every other as it was, unless it depends on it by its meaning."""
-    scene = sample_scene(params, 0, "train", 3)
+    scene = sample_scene(Scenes(params), 3)
     other = sample_scene(
-        load_params("appendix_i", ["terrain.n_gaussians=2", "light.exposure=1", "trees.n=50"]), 0, "train", 3
+        Scenes(load_params("appendix_i", ["terrain.n_gaussians=2", "light.exposure=1", "trees.n=50"])), 3
     )
     for part in ("road", "markings", "surface", "cars", "camera"):
         assert getattr(other, part) == getattr(scene, part)
@@ -126,8 +126,8 @@ def test_groups_have_streams_of_their_own(params):
 
 def test_scenes_differ_by_seed_split_and_index(params):
     texts = {
-        sample_scene(params, *where).road
-        for where in ((0, "train", 0), (1, "train", 0), (0, "test", 0), (0, "train", 1))
+        sample_scene(Scenes(params, seed, split), index).road
+        for seed, split, index in ((0, "train", 0), (1, "train", 0), (0, "test", 0), (0, "train", 1))
     }
     assert len(texts) == 4
 
@@ -162,7 +162,7 @@ SOLD = ["cars.palette=sold", "cars.model={2: 3, 11: 1}", "cars.n=10", "trees.n=0
 def test_cars_have_the_colours_that_are_sold():
     """Axalta's report of 2020: 38 % of new cars are white, 19 % black, 81 % white, black, gray or silver."""
     params = load_params("appendix_i", SOLD)
-    cars = [car for index in range(N) for car in sample_scene(params, 0, "train", index).cars]
+    cars = [car for index in range(N) for car in sample_scene(Scenes(params), index).cars]
     colors = np.array([car.color for car in cars if car.model == 2])
     is_plain, brightness = np.ptp(colors, axis=1) < 0.05, colors.mean(axis=1)
     for is_kind, share in ((is_plain, 0.81), (is_plain & (brightness > 0.8), 0.38), (brightness < 0.14, 0.19)):
@@ -177,7 +177,7 @@ def test_the_palette_changes_colours_alone():
     worlds = {}
     for palette in ("rgb", "sold", "{rgb: 1, sold: 1}"):
         params = load_params("appendix_i", [*SOLD, f"cars.palette={palette}"])
-        worlds[palette] = sample_scene(params, 0, "train", 3)
+        worlds[palette] = sample_scene(Scenes(params), 3)
     rgb, sold, mixed = (scene.cars for scene in worlds.values())
     for one, other, either in zip(rgb, sold, mixed, strict=True):
         plain = other.model_copy(update={"color": one.color, "saturation": one.saturation})
@@ -189,9 +189,9 @@ def test_the_palette_changes_colours_alone():
 
 def test_no_room_is_an_error_that_names_the_parameters():
     with pytest.raises(InputError, match=r"trees\.x_m, trees\.y_m: no room"):
-        sample_scene(load_params("appendix_i", ["trees.x_m=0", "trees.y_m=0"]), 0, "train", 0)
+        sample_scene(Scenes(load_params("appendix_i", ["trees.x_m=0", "trees.y_m=0"])), 0)
     with pytest.raises(InputError, match=r"cars\.n: no room for car"):
-        sample_scene(load_params("appendix_i", ["cars.n=90", "cars.s_m=[0, 10]"]), 0, "train", 0)
+        sample_scene(Scenes(load_params("appendix_i", ["cars.n=90", "cars.s_m=[0, 10]"])), 0)
 
 
 def test_cars_for_which_there_is_no_room_are_left_out_where_fewer_are_allowed():
@@ -199,7 +199,7 @@ def test_cars_for_which_there_is_no_room_are_left_out_where_fewer_are_allowed():
     jam = ["cars.n=[2, 90]", "cars.s_m=[0, 60]", "cars.parked=0", "road.n_lanes=1", "road.topology=1"]
     counts = []
     for index in range(20):
-        scene = sample_scene(load_params("appendix_i", jam), 0, "train", index)
+        scene = sample_scene(Scenes(load_params("appendix_i", jam)), index)
         ends = sorted((car.s_m, scene.assets.car_models[car.model - 1].length_m * car.scale) for car in scene.cars)
         assert min(b - a - (of_a + of_b) / 2 for (a, of_a), (b, of_b) in itertools.pairwise(ends)) > 0.5
         counts.append(len(scene.cars))
@@ -207,14 +207,12 @@ def test_cars_for_which_there_is_no_room_are_left_out_where_fewer_are_allowed():
 
 
 def test_many_scenes_from_several_processes_are_the_same_scenes(params, scenes):
-    texts = list(scene_texts(params, 0, "train", range(200)))
+    texts = list(scene_texts(Scenes(params), range(200)))
     assert texts == [to_json(scene) for scene in scenes[:200]]
 
 
 def test_vegetation_changes_nothing_else():
-    scene = sample_scene(load_params("appendix_i"), 0, "train", 0)
-    lush = sample_scene(
-        load_params("appendix_i", ["vegetation.translucency=1", "vegetation.grass_m=0.2"]), 0, "train", 0
-    )
+    scene = sample_scene(Scenes(load_params("appendix_i")), 0)
+    lush = sample_scene(Scenes(load_params("appendix_i", ["vegetation.translucency=1", "vegetation.grass_m=0.2"])), 0)
     assert (lush.vegetation.translucency, lush.vegetation.grass_m) == (1, 0.2)
     assert lush.model_copy(update={"vegetation": scene.vegetation}) == scene

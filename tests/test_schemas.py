@@ -20,7 +20,7 @@ from synth3dlanes.labels import Labels, SymbolLabel
 from synth3dlanes.lens import Lens, LensModel
 from synth3dlanes.params import load_params, preset_names
 from synth3dlanes.production.recipe import take_picture
-from synth3dlanes.sample import sample_scene
+from synth3dlanes.sample import Scenes, sample_scene
 from synth3dlanes.scene import Scene
 from synth3dlanes.sensors.camera_files import load_camera
 from synth3dlanes.sensors.lidar_files import load_lidar
@@ -56,7 +56,7 @@ def check(scene: Scene) -> dict[str, Any]:
 
 def drawn(preset: str, index: int = 0, shots: Shots = SINGLE, assets: Assets | None = None) -> Scene:
     own = assets or Assets()
-    return sample_scene(load_params(preset, [], own), 0, "train", index, own, shots)
+    return sample_scene(Scenes(load_params(preset, [], own), assets=own, shots=shots), index)
 
 
 @pytest.mark.parametrize("preset", preset_names())

@@ -14,7 +14,7 @@ from synth3dlanes.assets.catalogue import CARS
 from synth3dlanes.geometry.placement import lane_place
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.params import load_params
-from synth3dlanes.sample import sample_scene
+from synth3dlanes.sample import Scenes, sample_scene
 from synth3dlanes.world import resolve
 from tests.scenes import FLAT
 
@@ -23,7 +23,7 @@ TWO_WAY = ["trees.n=0", "road.n_oncoming=[1, 3]", "road.median_m={0: 1, 2: 1, 6:
 
 
 def drawn(index, *changes, split="train"):
-    return sample_scene(load_params("realistic", [*TWO_WAY, *changes]), 4711, split, index)
+    return sample_scene(Scenes(load_params("realistic", [*TWO_WAY, *changes]), 4711, split), index)
 
 
 def both(scene):

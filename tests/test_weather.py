@@ -6,7 +6,7 @@ import pytest
 from synth3dlanes.figures.stats import is_fine, scene_statistics
 from synth3dlanes.imaging.daylight import daylight
 from synth3dlanes.params import load_params
-from synth3dlanes.sample import sample_scene
+from synth3dlanes.sample import Scenes, sample_scene
 from synth3dlanes.scene import to_json
 
 FEW = ["cars.n=2", "trees.n=3"]
@@ -14,7 +14,7 @@ FEW = ["cars.n=2", "trees.n=3"]
 
 def drawn(*overrides, n=12, preset="diverse"):
     params = load_params(preset, [*FEW, *overrides])
-    return [sample_scene(params, 0, "weather", index) for index in range(n)]
+    return [sample_scene(Scenes(params, 0, "weather"), index) for index in range(n)]
 
 
 def film(scene):
@@ -70,7 +70,7 @@ def test_a_scene_without_weather_has_none_in_its_file():
 @pytest.mark.parametrize("of", ["weather.daytime={day: 1, night: 1}", "weather.kind={any: 1, fog: 1}"])
 def test_statistics_compare_only_what_the_weather_leaves(of):
     params = load_params("diverse", [*FEW, of])
-    scenes = [sample_scene(params, 3, "weather", index) for index in range(50)]
+    scenes = [sample_scene(Scenes(params, 3, "weather"), index) for index in range(50)]
     rows = {row.key: row for row in scene_statistics(scenes, params).parameters}
     assert [row.key for row in rows.values() if not is_fine(row)] == []
     replaced = "light.sun_zenith_deg" if "daytime" in of else "air.visibility_m"

@@ -134,7 +134,7 @@ def build(studio: Studio, world: World, view: View, light: Daylight, labelled: S
     if not view.camera.lens.is_pinhole:
         set_lens(studio.lens, view, bpy.data.collections["lens"])
     _name_in_order()
-    set_light(scene, light, studio.assets.skies, view.world_from_host, world.street_lamps)
+    set_light(scene, light, studio.assets.skies, view.world_from_host, world.site.street_lamps)
     return [*cars, *trees, *host]
 
 
@@ -145,11 +145,11 @@ def _stage(studio: Studio, world: World, trees: Sequence[Placed]) -> None:
     set_translucency(studio.assets.trees, world.scene.vegetation.translucency)
     set_snow_caps(world.scene.weather.snow)
     road, shoulder, terrain = materials.ground(world.scene.surface)
-    for mesh in [world.terrain, *world.verges]:
+    for mesh in [world.site.terrain, *world.site.verges]:
         _add_object("ground", new_mesh(mesh, [terrain]), 0)
-    for mesh in world.pavement:
+    for mesh in world.site.pavement:
         _add_object("ground", new_mesh(mesh, [road, shoulder, terrain]), 0)
-    for i, body in enumerate(world.structures):
+    for i, body in enumerate(world.site.structures):
         _add_object("structures", structure_mesh(body, materials.structures), FIRST_STRUCTURE_ID + i)
     for tree in trees:
         _add_placed("trees", tree)
@@ -185,7 +185,7 @@ def _add_paint(materials: Materials, world: World, view: View, labelled: Sequenc
         if seam is not None:
             _add_object("paint", new_mesh(seam, [material]), 0)
     strips = world.paint(view)
-    colors = {line.id: paint_color(line, world.scene.markings) for line in world.lines}
+    colors = {line.id: paint_color(line, world.scene.markings) for line in world.site.lines}
     for number, name in enumerate([*labelled, *(name for name in strips if name not in labelled)]):
         if len(strips[name].faces):
             material = materials.yellow_marking if colors[name] == "yellow" else materials.marking
@@ -203,7 +203,7 @@ def _cars(assets: LoadedAssets, world: World, view: View) -> list[Placed]:
 
 def _trees(assets: LoadedAssets, world: World) -> list[Placed]:
     trees = []
-    for i, (tree, foot) in enumerate(zip(world.scene.trees, world.trees_world, strict=True)):
+    for i, (tree, foot) in enumerate(zip(world.scene.trees, world.site.trees_world, strict=True)):
         c, s = np.cos(tree.yaw_rad), np.sin(tree.yaw_rad)
         pose = from_axes(np.array([c, s, 0]), np.array([-s, c, 0]), np.array([0, 0, 1.0]), foot)
         trees.append(Placed(assets.trees[tree.model - 1], pose, tree.scale, FIRST_TREE_ID + i))

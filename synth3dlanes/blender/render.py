@@ -89,7 +89,7 @@ def with_object_visibility(world: World, view: View, labels: Labels, placed: lis
     """The labels with every point's `object_visible` and the seen share of every car."""
     eye = view.eye_world
     outlines = [*(lane.xyz_cam for lane in labels.lanes), *(symbol.xyz_cam for symbol in labels.symbols)]
-    structures = search_tree(world.structures)
+    structures = search_tree(world.site.structures)
     visible = ~hidden_by_objects(placed, structures, eye, transform(view.world_from_cam, np.concatenate(outlines)))
     masks = iter(np.split(visible, np.cumsum([len(points) for points in outlines])[:-1]))
     lanes = tuple(replace(lane, object_visible=next(masks)) for lane in labels.lanes)

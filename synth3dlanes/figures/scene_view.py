@@ -125,7 +125,7 @@ class SceneView:
 
     @cached_property
     def trees(self) -> list[TreeOutline]:
-        feet_world = self.world.trees_world
+        feet_world = self.world.site.trees_world
         models = self.scene.assets.tree_models
         return [
             TreeOutline(

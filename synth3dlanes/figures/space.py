@@ -53,13 +53,13 @@ class Triangles:
 def triangles(view: SceneView, sweep: Sweep | None = None, others: Sequence[CameraLabel] = ()) -> list[Triangles]:
     """The groups of everything near the host, a lidar's points, and the frusta of the rig's other cameras."""
     world = view.world
-    surfaces = [_mesh(view, mesh, _VERGE) for mesh in world.verges]
-    roads = [_mesh(view, mesh, _ASPHALT) for mesh in world.pavement]
-    yellow = {line.id for line in world.lines if paint_color(line, world.scene.markings) == "yellow"}
+    surfaces = [_mesh(view, mesh, _VERGE) for mesh in world.site.verges]
+    roads = [_mesh(view, mesh, _ASPHALT) for mesh in world.site.pavement]
+    yellow = {line.id for line in world.site.lines if paint_color(line, world.scene.markings) == "yellow"}
     strips = world.paint(world.view)
     paint = [_mesh(view, mesh, _YELLOW if name in yellow else _WHITE) for name, mesh in strips.items()]
     return [
-        _merge("terrain", [_mesh(view, world.terrain, _GRASS), *surfaces]),
+        _merge("terrain", [_mesh(view, world.site.terrain, _GRASS), *surfaces]),
         _merge("road", roads),
         _merge("paint", paint),
         _merge("centre lines", _lanes(view, "centerline")),
@@ -73,7 +73,11 @@ def triangles(view: SceneView, sweep: Sweep | None = None, others: Sequence[Came
             ],
         ),
         _merge("trees", [part for tree in view.trees if _is_near(view, tree.foot_road[None]) for part in _tree(tree)]),
-        *([_merge("structures", [_body(view, body) for body in world.structures])] if world.structures else []),
+        *(
+            [_merge("structures", [_body(view, body) for body in world.site.structures])]
+            if world.site.structures
+            else []
+        ),
         _merge("cameras" if others else "camera", [_camera(view, camera) for camera in (view.labels.camera, *others)]),
         *([_lidar(view, sweep)] if sweep else []),
     ]

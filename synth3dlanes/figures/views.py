@@ -54,7 +54,7 @@ def draw_top(axes: Axes, view: SceneView, sweep: Sweep | None = None, others: Se
         axes.add_patch(Polygon(np.concatenate([left, right[::-1]])[:, [1, 0]], color=colors.ROAD, zorder=1))
     for camera in (*others, view.labels.camera):
         _frustum_from_above(axes, view, camera)
-    for body in view.world.structures:
+    for body in view.world.site.structures:
         corners_road = transform(view.road_from_world, body.corners_world)
         axes.add_collection(PolyCollection([*corners_road[..., [1, 0]]], color=colors.STRUCTURE, alpha=0.5, zorder=3))
     for tree in view.trees:

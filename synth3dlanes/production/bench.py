@@ -108,7 +108,7 @@ def bench(recipe: Recipe, n: int, workers: int, masks: list[dict[str, str]], not
     stages = {name: mean(sample.stages[name] for sample in timed) for name in timed[0].stages}
     stages["path tracing"], floor = stages["path tracing"] - denoise, stages["path tracing"]
     stages |= {"denoise": denoise, "join": join, "waiting": max(0.0, per_image - sum(stages.values()) - denoise - join)}
-    camera = recipe.params.camera
+    camera = recipe.scenes.params.camera
     quarters = np.array_split(_memory_mib(timed), 4)
     return Bench(
         n,
@@ -130,7 +130,7 @@ def bench(recipe: Recipe, n: int, workers: int, masks: list[dict[str, str]], not
 
 def measure_quality(recipe: Recipe, notify: Callable[[str], None], samples: int = REFERENCE_SAMPLES) -> Quality:
     """Compare three fixed scenes with their references; takes minutes."""
-    recipe = replace(recipe, split="quality", image_format="png")
+    recipe = replace(recipe, scenes=replace(recipe.scenes, split="quality"), image_format="png")
     converged = replace(recipe, settings=replace(recipe.settings, samples=samples, passes=()))
     psnr_db, ssims = [], []
     with Pool(1, SLOW, pinned=False) as pool:

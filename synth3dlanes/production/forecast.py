@@ -83,5 +83,5 @@ def _pixels(recipe: Recipe) -> float:
 
 def _rays(recipe: Recipe) -> int:
     """Of a lidar's sweep."""
-    lidar = recipe.shots.lidar
+    lidar = recipe.scenes.shots.lidar
     return len(lidar.elevations_deg) * lidar.azimuths if lidar else 0

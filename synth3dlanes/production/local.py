@@ -49,7 +49,7 @@ def make_here(plan: Plan, tally: Tally) -> None:
         _Run(plan, destination.folder, shards, tally).go()
         return
     patience = Patience(LIMIT_S, tally.tell, lambda: tally.is_stopping)
-    left = set(destination.spooled(plan.recipe.split, recipe_text(plan.description())))
+    left = set(destination.spooled(plan.recipe.scenes.split, recipe_text(plan.description())))
     # Of shards of other parts, all that an earlier run has left.
     ends = {number: plan.n if number in plan.shards() else (number + 1) * plan.shard_size for number in left}
     ends |= dict.fromkeys(plan.shards(), plan.n)
@@ -142,7 +142,7 @@ class _Run:
     def _next(self, slot: int) -> tuple[str, int]:
         """Take the next task for a worker: of the scene that it has, else of one that no other has. What a worker has
         drawn and built serves all pictures of a scene."""
-        shots, others = self.plan.recipe.shots, {scene for at, scene in self.scenes.items() if at != slot}
+        shots, others = self.plan.recipe.scenes.shots, {scene for at, scene in self.scenes.items() if at != slot}
         scenes = [shots.place(index).scene for _, index in islice(self.todo, (len(others) + 1) * shots.per_scene + 1)]
         free = (at for at, scene in enumerate(scenes) if scene not in others)
         at = scenes.index(self.scenes[slot]) if self.scenes.get(slot) in scenes else next(free, 0)
@@ -261,7 +261,7 @@ class _Run:
 
     def _failed(self, index: int) -> PurePath:
         """Where the data set keeps what is known of a sample that failed."""
-        return PurePath("failed") / self.plan.recipe.split / key_of(index)
+        return PurePath("failed") / self.plan.recipe.scenes.split / key_of(index)
 
     def _place(self, path: Path) -> str:
         """Where people find a file: at the destination."""

@@ -40,7 +40,7 @@ class Plan:
     maker: Callable[[Recipe, int], Made] = make_sample
 
     def __post_init__(self) -> None:
-        (part, parts), split = self.part, self.recipe.split
+        (part, parts), split = self.part, self.recipe.scenes.split
         problems = [
             *([] if 0 <= self.n <= MAX_SAMPLES else [f"n: expected 0 to {MAX_SAMPLES}, got {self.n}"]),
             *([] if self.workers >= 0 else [f"workers: expected 0 or more, got {self.workers}"]),
@@ -49,7 +49,7 @@ class Plan:
         ]
         if problems:
             raise InputError(*problems)
-        check_way(self.recipe.params.motion, self.recipe.shots)
+        check_way(self.recipe.scenes.params.motion, self.recipe.scenes.shots)
 
     @property
     def destination(self) -> Destination:
@@ -65,7 +65,7 @@ class Plan:
     def shard(self, number: int) -> Shard:
         """A shard of the split, of this part or not, relative to the data set."""
         return Shard(
-            Path(self.recipe.split), number, self.shard_size, self.recipe.names, recipe_text(self.description())
+            Path(self.recipe.scenes.split), number, self.shard_size, self.recipe.names, recipe_text(self.description())
         )
 
     def missing(self) -> dict[int, list[int]]:
@@ -75,7 +75,7 @@ class Plan:
 
     def n_missing(self) -> int:
         """How many samples are not there yet; of a folder's shards that are not begun, none is listed."""
-        begun = self.destination.begun(self.recipe.split, self.shards())
+        begun = self.destination.begun(self.recipe.scenes.split, self.shards())
         return sum(
             len(self.destination.missing(shard, self.n)) if number in begun else len(shard.indices(self.n))
             for number, shard in self.shards().items()
@@ -85,10 +85,10 @@ class Plan:
         """What is asked for, in a line."""
         (part, parts), recipe, settings = self.part, self.recipe, self.recipe.settings
         told = [
-            f"{self.destination.place}/{recipe.split}: {self.n} samples",
-            *filter(None, [recipe.shots.text(self.n)]),
+            f"{self.destination.place}/{recipe.scenes.split}: {self.n} samples",
+            *filter(None, [recipe.scenes.shots.text(self.n)]),
             *([f"part {part} of {parts}"] if parts > 1 else []),
-            f"seed {recipe.seed}",
+            f"seed {recipe.scenes.seed}",
             f"{recipe.sizes} {recipe.image_format}",
             f"{settings.samples} samples per pixel",
             f"device {settings.device}",
@@ -101,7 +101,7 @@ class Plan:
         DiskFullError where a folder's disk has too little room."""
         # Before anything else is read there. The device of a cluster is known on the cluster.
         if self.recipe.settings.device != "auto":
-            self.destination.check_recipe(self.description(), self.recipe.split, self.n)
+            self.destination.check_recipe(self.description(), self.recipe.scenes.split, self.n)
         missing = self.n_missing()
         found = forecast(self.recipe, missing, max(1, min(n_workers or self.workers or n_cores(), missing)))
         if not self.destination.is_store:

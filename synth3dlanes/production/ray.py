@@ -97,7 +97,7 @@ def make_shard(plan: Plan, board: Any) -> str:
         while True:
             try:
                 stack.enter_context(
-                    plan.destination.claim(plan.description(), plan.recipe.split, plan.n, plan.shards())
+                    plan.destination.claim(plan.description(), plan.recipe.scenes.split, plan.n, plan.shards())
                 )
                 break
             except (ClaimedError, OutageError):

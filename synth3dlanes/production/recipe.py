@@ -4,7 +4,7 @@ import importlib.util
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -23,33 +23,29 @@ from synth3dlanes.imaging.daylight import daylight
 from synth3dlanes.imaging.develop import develop
 from synth3dlanes.imaging.layers import Layers
 from synth3dlanes.labels import Labels
-from synth3dlanes.params import CameraParams, Params
-from synth3dlanes.sample import sample_world
-from synth3dlanes.sampling.like import Like
+from synth3dlanes.params import CameraParams
+from synth3dlanes.sample import Scenes, sample_world
 from synth3dlanes.scene import Scene
 from synth3dlanes.sensors.cameras import CameraSpec
 from synth3dlanes.sensors.sweep import Sweep
 from synth3dlanes.settings import RenderSettings
-from synth3dlanes.shots import SINGLE, Shots
+from synth3dlanes.shots import SINGLE
 from synth3dlanes.world import View, World
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """All that decides the bytes of a split's samples, but for their index."""
+    """All that decides the bytes of a split's samples, but for their index: what is drawn, and how it is rendered.
+    `library` has the files of the assets."""
 
-    params: Params
-    seed: int
-    split: str
+    scenes: Scenes
     settings: RenderSettings
     image_format: str
-    library: Library = field(default=BUILT_IN, kw_only=True)
-    shots: Shots = field(default=SINGLE, kw_only=True)
-    like: Like | None = field(default=None, kw_only=True)
+    library: Library = BUILT_IN
 
     def world(self, index: int) -> World:
         """The world of sample `index`."""
-        return sample_world(self.params, self.seed, self.split, index, self.library.assets, self.shots, self.like)
+        return sample_world(self.scenes, index)
 
     def scene(self, index: int) -> Scene:
         """The scene of sample `index`."""
@@ -57,21 +53,22 @@ class Recipe:
 
     def description(self) -> dict[str, Any]:
         """What `dataset.json` says about it; samples of two recipes that differ here do not mix."""
+        scenes = self.scenes
         return {
             "generator": __version__,
-            "seed": self.seed,
+            "seed": scenes.seed,
             "image_format": self.image_format,
             "render": asdict(self.settings),
-            "params": self.params.model_dump(mode="json"),
+            "params": scenes.params.model_dump(mode="json"),
             "assets": {kind: {own.name: asdict(own) for own in self.library.assets.own(kind)} for kind in KINDS},
-            **({} if self.shots == SINGLE else {"shots": self.shots.model_dump(mode="json")}),
-            **({} if self.like is None else {"like": self.like.model_dump(mode="json")}),
+            **({} if scenes.shots == SINGLE else {"shots": scenes.shots.model_dump(mode="json")}),
+            **({} if scenes.like is None else {"like": scenes.like.model_dump(mode="json")}),
         }
 
     @property
     def cameras(self) -> tuple[CameraSpec | CameraParams, ...]:
         """The cameras that see every scene: those of the shots, or that of the parameters."""
-        return self.shots.cameras or (self.params.camera,)
+        return self.scenes.shots.cameras or (self.scenes.params.camera,)
 
     @property
     def sizes(self) -> str:
@@ -146,7 +143,7 @@ def take_picture(world: World, settings: RenderSettings, library: Library = BUIL
     lit = time.perf_counter()
     rendering = render(world, view, light, labels, settings, library)
     rendered = time.perf_counter()
-    image = develop(world.scene, view, light, rendering.layers, world.street_lamps)
+    image = develop(world.scene, view, light, rendering.layers, world.site.street_lamps)
     passes = _passes(world, view, rendering.layers, settings.passes)
     seconds = {"labels": labelled - start, "light": lit - labelled, "develop": time.perf_counter() - rendered}
     return Picture(image, rendering.labels, passes, rendering.sweep, {**seconds, **rendering.timings})

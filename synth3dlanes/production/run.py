@@ -48,7 +48,7 @@ def _run(
 ) -> Report:
     """Claim, make, report. `n_workers` are all that there are; a driver's are on other machines, and claim shards
     themselves."""
-    destination, split = plan.destination, plan.recipe.split
+    destination, split = plan.destination, plan.recipe.scenes.split
     # First: a run that is refused leaves nothing behind.
     expected = plan.expected(n_workers)
     with destination.claim(plan.description(), split, plan.n, plan.shards(), is_driver):

@@ -5,7 +5,7 @@ factor alone. Labels are drawn anew from the changed scene; where the factor mov
 """
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -17,7 +17,7 @@ from synth3dlanes.dataset.rearrange import how_derived
 from synth3dlanes.errors import InputError
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.settings import RenderSettings
-from synth3dlanes.sources import like_of, params_of, read_scene, shots_of
+from synth3dlanes.sources import read_scene, scenes_of
 from synth3dlanes.world import World, resolve
 from synth3dlanes.yaml_text import read_yaml
 
@@ -26,13 +26,13 @@ from synth3dlanes.yaml_text import read_yaml
 class TwinRecipe(Recipe):
     """The recipe of the split `twin_k`: its sample i is sample i of `source` with value k at `path`."""
 
-    source: str
-    path: str
-    values: tuple[str, ...]
+    source: str = ""
+    path: str = ""
+    values: tuple[str, ...] = ()
 
     def world(self, index: int) -> World:
         """The world of the changed scene, which keeps the seed, split and index that it was drawn for."""
-        value = self.values[int(self.split.removeprefix("twin_")) - 1]
+        value = self.values[int(self.scenes.split.removeprefix("twin_")) - 1]
         return resolve(change_scene(read_scene(_reader(self.source), index), [f"{self.path}={value}"]))
 
     def description(self) -> dict[str, Any]:
@@ -60,11 +60,9 @@ def twin_recipes(source: str, vary: str, device: str, library: Library = BUILT_I
     render, shown = reader.description["render"], tuple(json.dumps(value) for value in values)
     settings = RenderSettings(int(render["samples"]), tuple(render["passes"]), device)
     require_assets(read_scene(reader, 0).assets, library, source)
-    params, seed = params_of(reader), int(reader.description["seed"])
-    image_format = str(reader.description["image_format"])
-    others: dict[str, Any] = {"library": library, "shots": shots_of(reader), "like": like_of(reader)}
+    scenes, image_format = scenes_of(reader), str(reader.description["image_format"])
     recipes = [
-        TwinRecipe(params, seed, f"twin_{k}", settings, image_format, reader.url, path, shown, **others)
+        TwinRecipe(replace(scenes, split=f"twin_{k}"), settings, image_format, library, reader.url, path, shown)
         for k in range(1, len(shown) + 1)
     ]
     for recipe in recipes:

@@ -109,7 +109,7 @@ def outlines(world: World) -> Boxes:
     sizes = np.array([(model.crown_radius_m, model.crown_radius_m, model.height_m) for model in models]).reshape(-1, 3)
     sizes *= np.array([tree.scale for tree in world.scene.trees]).reshape(-1, 1)
     trees = np.tile(np.eye(4), (len(sizes), 1, 1))
-    trees[:, :3, 3] = world.trees_world
+    trees[:, :3, 3] = world.site.trees_world
     crown, height = sizes * [1, 1, 0], sizes * [0, 0, 1]
     low, high = np.concatenate([-half, -crown - [0, 0, ROOTS_M]]), np.concatenate([half + up, crown + height])
     return _with_bonnet(world, Boxes(np.concatenate([cars, trees]), ROOM * low, ROOM * high), BONNET)

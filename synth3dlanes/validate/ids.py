@@ -201,11 +201,11 @@ def _in_tree(evidence: Evidence, points: Points, own: Int[np.ndarray, " n"]) -> 
         * TREE_ROOM
     )
     if (own < 0).any():
-        distance, _ = cKDTree(world.trees_world[:, :2]).query(points[:, :2])
+        distance, _ = cKDTree(world.site.trees_world[:, :2]).query(points[:, :2])
         return np.asarray(distance < radius.max())
     known = own < len(trees)
     tree = np.where(known, own, 0)
-    up = points - world.trees_world[tree]
+    up = points - world.site.trees_world[tree]
     rest = (TREE_ROOM - 1) * height[tree]
     return known & (np.hypot(up[:, 0], up[:, 1]) < radius[tree]) & (up[:, 2] > -rest) & (up[:, 2] < height[tree])
 
@@ -240,8 +240,8 @@ def _surfaces(evidence: Evidence) -> Iterator[Finding]:
     points, semantic = evidence.points_world(rows, columns), passes["semantic"][rows, columns]
     number = passes["instance"][rows, columns].astype(int) - FIRST_STRUCTURE_ID
     wrong = np.zeros(len(points), dtype=bool)
-    for i in np.unique(number[(number >= 0) & (number < len(evidence.world.structures))]):
-        body = evidence.world.structures[i]
+    for i in np.unique(number[(number >= 0) & (number < len(evidence.world.site.structures))]):
+        body = evidence.world.site.structures[i]
         for name in SURFACES:
             at = np.flatnonzero((number == i) & is_of(name, semantic))
             corners = body.corners_world[body.surface == SURFACES.index(name)].reshape(-1, 3)

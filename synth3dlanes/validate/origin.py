@@ -7,22 +7,20 @@ a sample of such a set must have is not known, because the source may lack some.
 
 import json
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import BeforeValidator, Field, ValidationError
+from pydantic import ValidationError
 
 from synth3dlanes import __version__
-from synth3dlanes.assets.catalogue import Assets
 from synth3dlanes.change import change_scene
 from synth3dlanes.dataset.description import DESCRIPTION
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.params import Params
 from synth3dlanes.sample import sample_scene
-from synth3dlanes.sampling.like import Like
 from synth3dlanes.scene import Scene
 from synth3dlanes.schema import Excerpt, validation_problems
-from synth3dlanes.shots import SINGLE, Place, Shots
+from synth3dlanes.shots import Place
+from synth3dlanes.sources import Provenance
 from synth3dlanes.validate.findings import NAMED_AT_MOST, Problem, differences, some
 
 # If no sample matches dataset.json and there are more than this many, they are reported as one problem.
@@ -50,21 +48,9 @@ class Derived(Excerpt):
         return [*before, f"{self.vary}={self.values[int(number) - 1]}"]
 
 
-def _in_order(document: Any) -> Any:
-    """Assets as tuples, as scenes have them; dataset.json has them by name, in the same order."""
-    if not isinstance(document, dict):
-        return document
-    return {kind: tuple(own.values()) if isinstance(own, dict) else own for kind, own in document.items()}
+class Origin(Provenance):
+    """What a data set's scenes were drawn from and how they were changed since, according to its dataset.json."""
 
-
-class Origin(Excerpt):
-    """The inputs from which a data set's scenes were drawn, according to its dataset.json."""
-
-    seed: Annotated[int, Field(ge=0)]
-    params: Params
-    assets: Annotated[Assets, BeforeValidator(_in_order)] = Assets()
-    shots: Shots = SINGLE
-    like: Like | None = None
     derived: Derived | None = None
 
     def fault(self, scene: Scene, split: str, index: int) -> str:
@@ -79,10 +65,9 @@ class Origin(Excerpt):
 
     def _drawn(self, scene: Scene, split: str, index: int) -> Scene:
         if self.derived is None:
-            return sample_scene(self.params, self.seed, split, index, self.assets, self.shots, self.like)
+            return sample_scene(self.scenes(split), index)
         index = self.shots.index(Place(scene.index, scene.shot.frame, scene.shot.camera))
-        drawn = sample_scene(self.params, self.seed, scene.split, index, self.assets, self.shots, self.like)
-        return change_scene(drawn, self.derived.changes(split))
+        return change_scene(sample_scene(self.scenes(scene.split), index), self.derived.changes(split))
 
 
 def read_origin(description: Mapping[str, Any]) -> Origin:

@@ -71,7 +71,7 @@ class Paint:
             and scene.weather.snow_on_road == 0
             and scene.sensor.drops <= MAX_DROPS
         )
-        self._curves = {line.id: line for line in world.lines if line.kind == "delimiter"}
+        self._curves = {line.id: line for line in world.site.lines if line.kind == "delimiter"}
         self._stretches = {}
         for id_, curve in self._curves.items():
             rows = painted_rows(world.ground, curve, scene.stream)

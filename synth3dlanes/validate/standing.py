@@ -43,15 +43,15 @@ def check_standing(evidence: Evidence) -> Iterator[Result]:
     the road too."""
     world, camera = evidence.world, evidence.camera
     wheels = _ahead(camera, _wheels(world))
-    trunks = _ahead(camera, world.trees_world + np.array([0, 0, TREE_SINK_M]))
-    on_ground_m = np.fmax(mesh_height(world.verges, trunks[:, :2]), terrain_height(world.ground, trunks[:, :2]))
-    feet = np.concatenate([np.zeros((0, 3)), *(body.feet_world[::FEET_STEP] for body in world.structures)])
+    trunks = _ahead(camera, world.site.trees_world + np.array([0, 0, TREE_SINK_M]))
+    on_ground_m = np.fmax(mesh_height(world.site.verges, trunks[:, :2]), terrain_height(world.ground, trunks[:, :2]))
+    feet = np.concatenate([np.zeros((0, 3)), *(body.feet_world[::FEET_STEP] for body in world.site.structures)])
     feet = _ahead(camera, feet)
     under_m = np.fmax(
-        mesh_height([*world.pavement, *world.verges], feet[:, :2]), terrain_height(world.ground, feet[:, :2])
+        mesh_height([*world.site.pavement, *world.site.verges], feet[:, :2]), terrain_height(world.ground, feet[:, :2])
     )
     standing = [
-        ("wheel_gap_m", wheels, mesh_height(world.pavement, wheels[:, :2]), MAX_WHEEL_M),
+        ("wheel_gap_m", wheels, mesh_height(world.site.pavement, wheels[:, :2]), MAX_WHEEL_M),
         ("tree_gap_m", trunks, on_ground_m, MAX_TREE_M),
         *([("structure_gap_m", feet, under_m, MAX_TREE_M)] if len(feet) else []),
     ]

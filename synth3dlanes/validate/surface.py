@@ -183,7 +183,7 @@ def _exactly(world: World, points: Points, pavement: Pavement) -> Iterator[Findi
     """Finding if depth is not exactly, along the pixels' rays, that of the mesh that is rendered."""
     near = np.flatnonzero((pavement.range_m > 0) & (pavement.range_m < NEAR_M))
     near = near[:: 1 + len(near) // MAX_NEAR]
-    above_m = points[near, 2] - mesh_height(world.pavement, points[near, :2])
+    above_m = points[near, 2] - mesh_height(world.site.pavement, points[near, :2])
     slant = pavement.up_world[near, 2] * pavement.range_m[near] / pavement.below_eye_m[near]
     off_m = (above_m * slant)[np.abs(above_m) < SAME_M]
     if len(off_m) >= MIN_PIXELS and float(np.median(np.abs(off_m))) > MAX_NEAR_M:

@@ -84,7 +84,7 @@ def _beyond_m(world: World, symbol: Symbol, place: Places) -> Values:
 def _between_lines(world: World, place: Places) -> tuple[Values, Values]:
     """Where points are between the main road's line and the exit's: the share of the way, and the plan station at which
     both lines have them between each other."""
-    plan, lines = world.plan, {line.id: line for line in world.lines}
+    plan, lines = world.plan, {line.id: line for line in world.site.lines}
     right, left = (
         ("main_line_0", f"exit_line_{plan.n_exit_lanes}")
         if plan.flips[0] < 0

@@ -171,10 +171,10 @@ def test_ceiling_on_generated_scenes():
 
     from synth3dlanes.ground_truth import ground_truth
     from synth3dlanes.params import load_params
-    from synth3dlanes.sample import sample_scene
+    from synth3dlanes.sample import Scenes, sample_scene
 
     params = load_params("appendix_i", ["cars.n=0", "trees.n=0"])
-    statistics = statistics_of([ground_truth(sample_scene(params, 0, "test", index)) for index in range(100)])
+    statistics = statistics_of([ground_truth(sample_scene(Scenes(params, 0, "test"), index)) for index in range(100)])
     for kind in statistics.ceiling.kinds.values():
         assert kind.ap > 0.98
         assert kind.at_threshold.near_1sigma_cm < 4.5
@@ -188,13 +188,13 @@ def test_horizon_targets_are_the_labels_own_and_put_the_host_lanes_farthest_poin
     from synth3dlanes.frames import transform
     from synth3dlanes.ground_truth import ground_truth
     from synth3dlanes.params import load_params
-    from synth3dlanes.sample import sample_scene
+    from synth3dlanes.sample import Scenes, sample_scene
 
     params = load_params("appendix_i", ["cars.n=0", "trees.n=0"])
     n_tilted = 0
     # 37, 63 and 128: the ground hides the host's lane before 20 m.
     for index in (*range(12), 37, 63, 128):
-        labels = ground_truth(sample_scene(params, 0, "test", index))
+        labels = ground_truth(sample_scene(Scenes(params, 0, "test"), index))
         plane, pose = plane_pose(labels), target_pose(labels, "horizon")
         assert pose == (labels.horizon.pitch_rad, labels.horizon.height_m)
         assert target_pose(labels, "plane") == target_pose(labels, "fixed") == plane

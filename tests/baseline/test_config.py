@@ -57,7 +57,6 @@ def test_overrides_name_every_problem():
         ({"model.knots_y_m": [2, 20]}, "distances from 5 to 110 m"),
         ({"model.knots_y_m": [20]}, "two or more"),
         ({"model.types": ["c1", "c1"]}, "each once"),
-        ({"model.plane_heights_m": []}, "at least one height"),
         ({"loss.knot_sigma_m": [0.1, 0.2]}, "train.loss.knot_sigma_m: expected 6 lengths, .* got 2"),
         ({"loss.knot_sigma_m": [0, 1, 1, 1, 1, 1]}, "train.loss.knot_sigma_m.0: expected more than 0, got 0"),
         ({"model.variant": "image_view"}, "train.augmentation: expected no moves of the top view"),

@@ -194,10 +194,10 @@ def test_generated_labels_as_predictions_are_perfect(roads):
     """Splits, merges, crests and lanes that end: whatever the labels hold, they must not count against themselves."""
     from synth3dlanes.ground_truth import ground_truth
     from synth3dlanes.params import load_params
-    from synth3dlanes.sample import sample_scene
+    from synth3dlanes.sample import Scenes, sample_scene
 
     params = load_params("appendix_i", ["cars.n=0", "trees.n=0"])
-    many = [ground_truth(sample_scene(params, 0, "test", index)) for index in range(60)]
+    many = [ground_truth(sample_scene(Scenes(params, 0, "test"), index)) for index in range(60)]
     report = _evaluate([(labels, roads.as_prediction(labels)) for labels in many])
     for kind in report.kinds.values():
         assert kind.ap == pytest.approx(1.0)

@@ -64,7 +64,7 @@ def test_anchors_of_the_image_view_read_the_columns_where_they_meet_the_road(nam
     rows, columns = config.image_height_px // 16, config.image_width_px // 16
     u_px = (16 * torch.arange(columns) + 8.0).expand(1, 1, rows, columns)
     image, intrinsics = torch.zeros(1, 3, 16, 16), torch.tensor([config.reference_intrinsics])
-    seen, _ = model._top_features(image, intrinsics, [u_px] * 4, torch.eye(4)[None])
+    seen = model._top_features(image, intrinsics, [u_px] * 4, torch.eye(4)[None])
     fx, fy, cx, cy = config.reference_intrinsics
     pose = road_from_cam(config.fixed_height_m, math.radians(config.fixed_pitch_deg))
     points_road = np.array([[x_m, Y_REF_M, 0.0] for x_m in model.anchors_m.tolist()])
@@ -97,12 +97,11 @@ from synth3dlanes_baseline.config import train_config
 from synth3dlanes_baseline.model import LaneNet
 
 image, intrinsics = torch.rand(2, 3, 120, 160), torch.tensor([[138.6, 138.6, 80.0, 60.0]] * 2)
-ours = {"model.plane_heights_m": [0.0, 3.0], "model.has_bev_masks": True}
-for row, changes in {"full": {}, "improved": ours}.items():
+for row in ("full", "improved"):
     found, gradients = [], []
     for is_compiled in (False, True):
         torch.manual_seed(0)
-        model = LaneNet(train_config("tiny", changes, row).model)
+        model = LaneNet(train_config("tiny", {}, row).model)
         if is_compiled:
             model.compile(backend="aot_eager", fullgraph=True)
         with torch.autocast("cpu", dtype=torch.bfloat16):
@@ -159,26 +158,14 @@ def test_lane_loss_reaches_the_pose_only_through_a_grid_with_gradient(roads):
         assert (gradient is not None and bool(gradient.abs().sum() > 0)) == has_gradient
 
 
-def test_improved_has_its_extra_heads_and_takes_masks_and_planes(roads):
-    from synth3dlanes_baseline.augment import lane_masks
+def test_improved_has_a_visibility_per_knot(roads):
     from synth3dlanes_baseline.config import TINY, improved
     from synth3dlanes_baseline.model import LaneNet
-    from synth3dlanes_baseline.projection import cell_centres, road_from_cam
 
-    config = improved(TINY).model_copy(update={"plane_heights_m": (-1.5, 0.0, 3.0), "has_bev_masks": True})
     batch = _batch(roads)
     with torch.no_grad():
-        output = LaneNet(config)(batch.image, batch.intrinsics)
+        output = LaneNet(improved(TINY))(batch.image, batch.intrinsics)
     assert output.visible_logit.shape == output.x_m.shape == (2, 3, 16, 10)
-    points = cell_centres(config.grid, 1)
-    masks = lane_masks(batch.curves, road_from_cam(batch.plane_pose), points)
-    assert masks.shape == output.bev_logit.shape
-    # The mask of a lane lies where the lane is.
-    xyz_road = batch.curves.xyz_cam[0, 0] @ road_from_cam(batch.plane_pose)[0, :3, :3].T
-    row = int((points[:, 0, 1] - 20.0).abs().argmin())
-    x_at_row = np.interp(float(points[row, 0, 1]), xyz_road[:, 1].numpy(), xyz_road[:, 0].numpy())
-    nearest = int((points[row, :, 0] - x_at_row).abs().argmin())
-    assert masks[0, 0, row, nearest] == 1
 
 
 def test_loss_of_perfect_output_is_only_the_confidence(roads):
@@ -187,12 +174,12 @@ def test_loss_of_perfect_output_is_only_the_confidence(roads):
 
     batch = _batch(roads)
     targets = _targets(batch, TINY)
-    terms = loss(_output(targets, batch), targets, batch.target_pose, None, TINY.types, LossConfig())
+    terms = loss(_output(targets, batch), targets, batch.target_pose, TINY.types, LossConfig())
     assert terms["geometry"].abs().max() == 0
     assert terms["pose"].abs().max() == 0
     assert terms["detection"].max() < 1e-3
     off = _output(targets, batch)._replace(pose=batch.target_pose + torch.tensor([math.radians(1.0), 0.1]))
-    terms = loss(off, targets, batch.target_pose, None, TINY.types, LossConfig())
+    terms = loss(off, targets, batch.target_pose, TINY.types, LossConfig())
     assert terms["pose"].tolist() == pytest.approx([1.1, 1.1], rel=1e-4), "a degree counts as much as a metre"
 
 
@@ -210,7 +197,7 @@ def test_hidden_knots_and_ignored_lanes_get_no_gradient(roads):
     targets, _ = encode(pack([annotation_of("", labels, (360, 480), "plane")]), road_from_cam(pose), TINY)
     x_m, z_m, logit = (torch.randn(1, 3, 16, *tail, requires_grad=True) for tail in ((6,), (6,), ()))
     output = _output(targets, None)._replace(x_m=x_m, z_m=z_m, logit=logit, pose=pose)
-    loss(output, targets, pose, None, TINY.types, LossConfig())["total"].sum().backward()
+    loss(output, targets, pose, TINY.types, LossConfig())["total"].sum().backward()
     touched = torch.nonzero(x_m.grad[0]).tolist()
     assert touched == [[0, 8, 0], [0, 8, 1], [0, 8, 2]]
     assert torch.nonzero(z_m.grad[0]).tolist() == touched
@@ -227,7 +214,7 @@ def test_unlabelled_kinds_enter_no_term(roads):
     x_m = torch.zeros_like(targets.x_m).requires_grad_()
     output = _output(targets, batch)._replace(logit=logit, x_m=x_m)
     config = LossConfig(kinds=("delimiter",))
-    loss(output, targets, batch.target_pose, None, TINY.types, config)["total"].sum().backward()
+    loss(output, targets, batch.target_pose, TINY.types, config)["total"].sum().backward()
     assert logit.grad[:, :2].abs().max() == x_m.grad[:, :2].abs().max() == 0
     assert logit.grad[:, 2].abs().min() > 0
 
@@ -307,7 +294,7 @@ def _output(targets, batch):
 
     logit = torch.where(targets.assigned, 20.0, -20.0)
     pose = torch.zeros(len(logit), 2) if batch is None else batch.target_pose
-    return Output(targets.x_m, targets.z_m, logit, None, pose, torch.eye(4).expand(len(logit), 4, 4), None)
+    return Output(targets.x_m, targets.z_m, logit, None, pose, torch.eye(4).expand(len(logit), 4, 4))
 
 
 def _pixel(intrinsics, point_cam):

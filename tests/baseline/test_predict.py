@@ -238,9 +238,7 @@ def test_the_decoder_of_onnx_outputs_gives_the_lanes_of_predict(row):
     pose = torch.tensor([[0.02, 1.5], [-0.01, 1.6], [0.09, 1.9]], dtype=torch.float64)
     x_m, z_m, logit, visible_logit = (torch.from_numpy(rng.normal(0, 3, s)) for s in (shape, shape, shape[:3], shape))
     logit = logit.round()  # some neighbours are equal
-    output = Output(
-        x_m, z_m, logit, visible_logit if has_visibility else None, pose, torch.eye(4).repeat(3, 1, 1), None
-    )
+    output = Output(x_m, z_m, logit, visible_logit if has_visibility else None, pose, torch.eye(4).repeat(3, 1, 1))
     arrays = [value.numpy() for value in plain(model, output)]
     outputs = dict(zip(OUTPUTS, arrays, strict=False))
     assert ("visibility" in outputs) == has_visibility

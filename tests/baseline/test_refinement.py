@@ -108,8 +108,8 @@ def test_every_stage_is_trained():
 
     def geometry(*errors_m: float) -> float:
         *earlier, last = (lanes._replace(x_m=torch.full(shape, error_m)) for error_m in errors_m)
-        output = Output(*last, pose, torch.eye(4).expand(2, 4, 4), None, tuple(earlier))
-        return float(loss(output, targets, pose, None, TINY.types, LossConfig())["geometry"].mean())
+        output = Output(*last, pose, torch.eye(4).expand(2, 4, 4), tuple(earlier))
+        return float(loss(output, targets, pose, TINY.types, LossConfig())["geometry"].mean())
 
     one = geometry(1.0)
     assert one == pytest.approx(shape[1] * shape[2] * shape[3])

@@ -21,7 +21,7 @@ def split_of(tmp_path_factory):
     from synth3dlanes.dataset.write import Shard
     from synth3dlanes.ground_truth import ground_truth
     from synth3dlanes.params import load_params
-    from synth3dlanes.sample import sample_scene
+    from synth3dlanes.sample import Scenes, sample_scene
     from tests import fake_samples
 
     def write(*changes):
@@ -29,7 +29,7 @@ def split_of(tmp_path_factory):
         with claim(root, {**fake_samples.recipe().description(), "shard_size": 1000}, "train", N, [0]) as folder:
             shard = Shard(folder, 0, 1000, member_names("png", ()))
             for index in range(N):
-                scene = sample_scene(load_params("appendix_i", ["trees.n=0", *changes]), 4, "train", index)
+                scene = sample_scene(Scenes(load_params("appendix_i", ["trees.n=0", *changes]), 4, "train"), index)
                 labels = ground_truth(scene)
                 shard.write_part(index, encode(_picture(labels), labels, scene_format.to_json(scene), {}, "png"))
             shard.join(N)

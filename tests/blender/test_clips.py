@@ -14,6 +14,7 @@ from synth3dlanes.blender import render as renderer
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.params import load_params
 from synth3dlanes.production.recipe import Recipe, make_sample
+from synth3dlanes.sample import Scenes
 from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
 from synth3dlanes.shots import clips
 
@@ -29,12 +30,9 @@ STREET = (
     "host.bonnet=0.1",
 )
 RECIPE = Recipe(
-    load_params("tiny", [*STREET, "roadside.outer=guardrail", "sensor.noise=3"]),
-    5,
-    "train",
+    Scenes(load_params("tiny", [*STREET, "roadside.outer=guardrail", "sensor.noise=3"]), 5, "train", shots=clips(3, 4)),
     RenderSettings(1, PASSES, "cpu"),
     "png",
-    shots=clips(3, 4),
 )
 
 

@@ -9,7 +9,7 @@ from synth3dlanes.blender.lidar import even_runs
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.params import load_params
 from synth3dlanes.production.recipe import take_picture
-from synth3dlanes.sample import sample_scene, with_lidar
+from synth3dlanes.sample import Scenes, sample_scene, with_lidar
 from synth3dlanes.scene import Car
 from synth3dlanes.sensors.lidar_files import load_lidar
 from synth3dlanes.sensors.lidars import LidarSpec
@@ -66,7 +66,7 @@ def test_points_of_a_car_are_inside_it_and_it_is_on_the_right():
 
 
 def test_the_picture_beside_a_sweep_is_that_without():
-    scene = sample_scene(load_params("tiny"), 0, "train", 1)
+    scene = sample_scene(Scenes(load_params("tiny")), 1)
     settings = replace(ONE_SAMPLE, passes=("depth", "normal", "semantic", "instance"))
     alone, beside = (take_picture(resolve(one), settings) for one in (scene, with_lidar(scene, UNEVEN)))
     again = take_picture(resolve(scene), settings)
@@ -78,7 +78,7 @@ def test_the_picture_beside_a_sweep_is_that_without():
 
 
 def test_sweeps_agree_with_the_passes_and_mirrored_or_turned_ones_do_not():
-    scene = with_lidar(sample_scene(load_params("appendix_i"), 0, "train", 17), load_lidar("hdl_32e"))
+    scene = with_lidar(sample_scene(Scenes(load_params("appendix_i")), 17), load_lidar("hdl_32e"))
     world = resolve(scene)
     picture = take_picture(world, ONE_SAMPLE)
     sweep = picture.sweep

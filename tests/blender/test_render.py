@@ -17,7 +17,7 @@ from synth3dlanes.imaging.daylight import daylight
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import load_params
 from synth3dlanes.production.recipe import take_picture
-from synth3dlanes.sample import sample_scene
+from synth3dlanes.sample import Scenes, sample_scene
 from synth3dlanes.scene import Car, Tree
 from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS, RenderSettings
 from synth3dlanes.world import resolve
@@ -58,7 +58,7 @@ def test_rendered_surface_agrees_with_label_points_within_40_m():
     (at a crest one pixel spans metres of depth, so that depth alone would judge the interpolation)."""
     errors, gaps = [], []
     for index in range(4):
-        scene = sample_scene(BARE, 7, "test", index)
+        scene = sample_scene(Scenes(BARE, 7, "test"), index)
         result = rendered(scene)
         for lane in result.labels.lanes:
             points_cam = lane.xyz_cam[lane.visible & (lane.xyz_cam[:, 1] < 40)]
@@ -82,7 +82,7 @@ def test_rendered_surface_agrees_with_label_points_within_40_m():
 def test_terrain_visible_agrees_with_the_depth_of_a_scene_without_objects():
     right, total = 0, 0
     for index in range(4):
-        scene = sample_scene(BARE, 8, "test", index).model_copy(update={"cars": (), "trees": ()})
+        scene = sample_scene(Scenes(BARE, 8, "test"), index).model_copy(update={"cars": (), "trees": ()})
         result = rendered(scene)
         for lane in result.labels.lanes:
             uv = project(result.labels.camera.img_from_cam, lane.xyz_cam[lane.in_image])
@@ -187,7 +187,7 @@ def arrays(scene):
 
 
 def test_no_scene_can_see_the_last_one():
-    a, b = (sample_scene(BARE, 9, "test", index) for index in (0, 1))
+    a, b = (sample_scene(Scenes(BARE, 9, "test"), index) for index in (0, 1))
     settings = RenderSettings(samples=1)
     first, other, again = (rendered(scene, settings).image for scene in (a, b, a))
     np.testing.assert_array_equal(first, again)
@@ -214,7 +214,9 @@ def test_our_projection_is_blenders_even_off_centre_and_with_oblong_pixels():
 def test_object_visible_agrees_with_the_instance_pass():
     right, hidden, total = 0, 0, 0
     for index in range(3):
-        result = rendered(sample_scene(load_params("appendix_i", ["cars.n=20", "trees.n=300"]), 3, "test", index))
+        result = rendered(
+            sample_scene(Scenes(load_params("appendix_i", ["cars.n=20", "trees.n=300"]), 3, "test"), index)
+        )
         instance = result.passes["instance"]
         objects = ((instance >= FIRST_CAR_ID) & (instance < FIRST_DELIMITER_ID)) | (instance >= FIRST_TREE_ID)
         for lane in result.labels.lanes:
@@ -234,7 +236,7 @@ def test_object_visible_agrees_with_the_instance_pass():
 
 
 def test_pixels_are_classified_and_sky_has_no_depth():
-    result = rendered(sample_scene(load_params("appendix_i", ["cars.n=12", "trees.n=200"]), 5, "test", 2))
+    result = rendered(sample_scene(Scenes(load_params("appendix_i", ["cars.n=12", "trees.n=200"]), 5, "test"), 2))
     semantic, depth = result.passes["semantic"], result.passes["depth"]
     assert set(np.unique(semantic)) <= set(SEMANTIC_IDS.values())
     for name in ("sky", "terrain", "road", "shoulder", "marking", "tree"):
@@ -245,7 +247,7 @@ def test_pixels_are_classified_and_sky_has_no_depth():
 
 
 def test_exposure_changes_the_image_and_nothing_else():
-    scene = sample_scene(BARE, 5, "test", 1)
+    scene = sample_scene(Scenes(BARE, 5, "test"), 1)
     dim, bright = (
         rendered(scene.model_copy(update={"light": scene.light.model_copy(update={"exposure": e})})) for e in (1.0, 3.0)
     )
@@ -258,7 +260,7 @@ def test_exposure_changes_the_image_and_nothing_else():
 
 def test_normals_are_the_terrains_on_the_ground_and_face_the_camera():
     without_ramp = load_params("appendix_i", ["trees.n=40", "cars.n=1", "road.topology=1"])
-    scene = sample_scene(without_ramp, 7, "test", 0)
+    scene = sample_scene(Scenes(without_ramp, 7, "test"), 0)
     settings = RenderSettings(samples=1, passes=("depth", "normal", "semantic"))
     result = rendered(scene, settings)
     normal, semantic = result.passes["normal"], result.passes["semantic"]
@@ -279,7 +281,7 @@ def test_normals_are_the_terrains_on_the_ground_and_face_the_camera():
 
 
 def test_asking_for_passes_changes_no_pixel():
-    scene = sample_scene(load_params("appendix_i", ["cars.n=5", "trees.n=100"]), 5, "test", 3)
+    scene = sample_scene(Scenes(load_params("appendix_i", ["cars.n=5", "trees.n=100"]), 5, "test"), 3)
     plain = rendered(scene, RenderSettings(samples=2)).image
     with_passes = rendered(scene, RenderSettings(samples=2, passes=("depth", "normal", "semantic", "instance"))).image
     np.testing.assert_array_equal(plain, with_passes)
@@ -372,7 +374,7 @@ def test_instance_ids_of_paint_follow_the_labels():
 
 def test_a_far_road_that_mirrors_the_low_sun_is_even():
     """Bumps finer than a pixel under a glossy coat once looked like white gravel: 9 gray levels between neighbours."""
-    scene = sample_scene(load_params("streets"), 901, "train", 95)
+    scene = sample_scene(Scenes(load_params("streets"), 901, "train"), 95)
     picture = rendered(scene, RenderSettings(passes=("depth", "semantic")))
     image, passes = picture.image, picture.passes
     is_far = (passes["semantic"] == SEMANTIC_IDS["road"]) & (passes["depth"] > 150) & (passes["depth"] < 400)

@@ -9,7 +9,7 @@ from synth3dlanes.blender import render as renderer
 from synth3dlanes.lens import Lens
 from synth3dlanes.params import load_params
 from synth3dlanes.production.recipe import take_picture
-from synth3dlanes.sample import sample_scene
+from synth3dlanes.sample import Scenes, sample_scene
 from synth3dlanes.scene import Car
 from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, RenderSettings
 from synth3dlanes.world import resolve
@@ -87,7 +87,7 @@ def test_near_and_long_vehicles(camera, monkeypatch):
 @pytest.mark.parametrize(("index", "number", "px"), [(5, 1, 45_335), (11, 13, 3_472)])
 def test_vehicles_beside_the_host(index, number, px, monkeypatch):
     """A semitrailer on 26 % of the picture, and the front of a truck; nothing hides either."""
-    scene = sample_scene(load_params("streets"), 4102, "train", index)
+    scene = sample_scene(Scenes(load_params("streets"), 4102, "train"), index)
     cars = counted(scene, monkeypatch, least_px=100)
     check(cars)
     share, seen, whole = next(values for i, *values in cars if i == number)

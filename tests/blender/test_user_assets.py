@@ -30,6 +30,7 @@ from synth3dlanes.imaging.sky import AZIMUTH_RAD, HORIZON, LUMINANCE, irradiance
 from synth3dlanes.imaging.user_sky import hang, prepare_sky  # noqa: E402
 from synth3dlanes.params import load_params  # noqa: E402
 from synth3dlanes.production.recipe import Recipe, take_picture  # noqa: E402
+from synth3dlanes.sample import Scenes  # noqa: E402
 from synth3dlanes.scene import Scene, from_json, to_json  # noqa: E402
 from synth3dlanes.settings import RenderSettings  # noqa: E402
 from synth3dlanes.world import resolve  # noqa: E402
@@ -58,7 +59,12 @@ def library(folder: Path) -> Library:
 
 @pytest.fixture(scope="module")
 def scene(library: Library) -> Scene:
-    recipe = Recipe(load_params("tiny", CHANGES, library.assets), 5, "own", RenderSettings(), "png", library=library)
+    recipe = Recipe(
+        Scenes(load_params("tiny", CHANGES, library.assets), 5, "own", assets=library.assets),
+        RenderSettings(),
+        "png",
+        library,
+    )
     return recipe.scene(2)
 
 
@@ -136,7 +142,7 @@ def test_the_scene_records_what_it_was_drawn_with(scene: Scene, library: Library
 
 
 def test_samples_of_other_assets_do_not_mix(library: Library) -> None:
-    recipe = Recipe(load_params("tiny"), 0, "own", RenderSettings(), "png")
+    recipe = Recipe(Scenes(load_params("tiny"), 0, "own"), RenderSettings(), "png")
     described = dataclasses.replace(recipe, library=library).description()["assets"]
     assert recipe.description()["assets"]["cars"] == {}
     assert described["cars"]["box"]["sha256"] == library.assets.cars[0].sha256

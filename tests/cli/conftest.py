@@ -26,17 +26,17 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from synth3dlanes.ground_truth import ground_truth
     from synth3dlanes.params import load_params
     from synth3dlanes.production.recipe import Recipe
-    from synth3dlanes.sample import sample_scene
+    from synth3dlanes.sample import Scenes, sample_scene
     from synth3dlanes.settings import RenderSettings
 
     params = load_params("appendix_i", ["trees.n=5", "cars.n=3"])
-    recipe = Recipe(params, 0, "train", RenderSettings(), "png")
+    recipe = Recipe(Scenes(params), RenderSettings(), "png")
     root = tmp_path_factory.mktemp("whole") / "d"
     with claim(root, {**recipe.description(), "shard_size": 5}, "train", 12, range(3)) as split:
         for number in range(3):
             shard = Shard(split, number, 5, recipe.names)
             for index in shard.indices(12):
-                scene = sample_scene(params, 0, "train", index)
+                scene = sample_scene(Scenes(params), index)
                 image = np.full((360, 480, 3), 20 * index, np.uint8)
                 members = encode(image, ground_truth(scene), scene_module.to_json(scene), {}, "png")
                 shard.write_part(index, members)

@@ -18,7 +18,7 @@ from synth3dlanes.figures.stats import label_statistics, scene_statistics
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import load_params
-from synth3dlanes.sample import sample_scene
+from synth3dlanes.sample import Scenes, sample_scene
 from synth3dlanes.scene import Shot
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
@@ -243,7 +243,7 @@ def test_lanes_light_up_where_the_keyboard_goes(open_page, exit_scene):
 @pytest.fixture(scope="module")
 def report() -> str:
     params = load_params("appendix_i", ["trees.n=5", "cars.n=3"])
-    scenes = [sample_scene(params, 1, "train", index) for index in range(2)]
+    scenes = [sample_scene(Scenes(params, 1, "train"), index) for index in range(2)]
     labels = [some_behind_cars(ground_truth(scene)) for scene in scenes]
     image = np.full((360, 480, 3), 120, dtype=np.uint8)
     samples = [(f"train:{scene.index:08d}", scene, one, image) for scene, one in zip(scenes, labels, strict=True)]

@@ -13,7 +13,7 @@ from synth3dlanes.figures.page import report_page, scene_page
 from synth3dlanes.figures.stats import label_statistics, scene_statistics
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.params import load_params
-from synth3dlanes.sample import sample_scene
+from synth3dlanes.sample import Scenes, sample_scene
 
 VOID = {"meta", "link", "input", "img"}
 
@@ -113,7 +113,7 @@ def test_every_car_and_tree_of_the_space_stands_on_ground_that_is_shown():
     params = load_params("appendix_i", ["trees.n=40"])
     n_near, n_far = 0, 0
     for index in range(6):
-        scene = sample_scene(params, 3, "train", index)
+        scene = sample_scene(Scenes(params, 3, "train"), index)
         groups = spaces(scene)
         surfaces = [groups["terrain"], groups["road"]]
         for name in ("cars", "trees"):
@@ -140,7 +140,7 @@ def test_only_the_left_edge_is_yellow_where_the_scene_says_so(flat_scene, is_yel
 
 def test_a_report_shows_samples_and_distributions(gray_image):
     params = load_params("appendix_i", ["trees.n=5", "cars.n=3"])
-    scenes = [sample_scene(params, 1, "train", index) for index in range(6)]
+    scenes = [sample_scene(Scenes(params, 1, "train"), index) for index in range(6)]
     labels = [ground_truth(scene) for scene in scenes]
     samples = [(f"train:{scene.index:08d}", scene, one, gray_image) for scene, one in zip(scenes, labels, strict=True)]
     page = report_page("a <set>", samples, scene_statistics(scenes, params), label_statistics(labels))

@@ -13,13 +13,13 @@ from synth3dlanes.figures.stats import is_fine, label_statistics, scene_statisti
 from synth3dlanes.figures.stats_views import draw_statistics, statistics_table
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.params import forms, load_params
-from synth3dlanes.sample import sample_scene
+from synth3dlanes.sample import Scenes, sample_scene
 
 
 @pytest.fixture(scope="module")
 def scenes():
     params = load_params("appendix_i", ["trees.n=5", "cars.n=3"])
-    return params, [sample_scene(params, 5, "train", index) for index in range(150)]
+    return params, [sample_scene(Scenes(params, 5, "train"), index) for index in range(150)]
 
 
 def test_drawn_scenes_agree_with_what_was_declared(scenes):
@@ -90,7 +90,7 @@ def test_plots_name_their_axes_with_units_and_show_what_was_declared(scenes):
 
 def test_colours_as_sold_are_not_held_against_color_and_saturation():
     params = load_params("appendix_i", ["cars.palette=sold", "cars.saturation=0.5"])
-    drawn = scene_statistics([sample_scene(params, 0, "train", index) for index in range(20)], params)
+    drawn = scene_statistics([sample_scene(Scenes(params), index) for index in range(20)], params)
     rows = {row.key: row for row in drawn.parameters}
     assert rows["cars.color"].test == rows["cars.saturation"].test == "none drawn"
     assert all(is_fine(row) for row in drawn.parameters)

@@ -29,7 +29,7 @@ def write_split():
     from synth3dlanes.dataset.write import Shard
     from synth3dlanes.ground_truth import ground_truth
     from synth3dlanes.params import load_params
-    from synth3dlanes.sample import sample_scene
+    from synth3dlanes.sample import Scenes, sample_scene
     from tests import fake_samples
 
     def write(root, split, n, changes=(), make_passes=None):
@@ -40,7 +40,7 @@ def write_split():
         with claim(root, description, split, n, [0]) as folder:
             shard = Shard(folder, 0, 1000, member_names("jpg", names))
             for index in shard.missing(n):
-                scene = sample_scene(params, 0, split, index)
+                scene = sample_scene(Scenes(params, 0, split), index)
                 labels = ground_truth(scene)
                 passes = make_passes(labels) if make_passes else {}
                 shard.write_part(index, encode(_image(labels), labels, scene_format.to_json(scene), passes, "jpg"))

@@ -24,6 +24,7 @@ from synth3dlanes.params import load_params
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
+from synth3dlanes.sample import Scenes
 from synth3dlanes.scene import Car, Crossing, Rail, Roadside, Symbol, Tree
 from synth3dlanes.settings import RenderSettings
 from synth3dlanes.shots import SINGLE, clips
@@ -135,7 +136,7 @@ def test_kerbs_are_lines_of_openlane_at_the_foot_of_their_front(flips, side, kin
 
 def made(folder, n, shots=SINGLE, *changes):
     small = ("camera.width_px=96", "camera.height_px=64", "camera.horizontal_fov_deg=60", "camera.roll_deg=0")
-    recipe = Recipe(load_params("streets", (*small, *changes)), 3, "test", RenderSettings(), "jpg", shots=shots)
+    recipe = Recipe(Scenes(load_params("streets", (*small, *changes)), 3, "test", shots=shots), RenderSettings(), "jpg")
     generate(Plan(str(folder), n, recipe, workers=1, maker=fake_samples.make_labelled), lambda event: None)
     return folder
 

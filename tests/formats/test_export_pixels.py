@@ -21,10 +21,13 @@ def rendered(tmp_path_factory):
     from synth3dlanes.dataset.write import Shard
     from synth3dlanes.params import load_params
     from synth3dlanes.production.recipe import Recipe, make_sample
+    from synth3dlanes.sample import Scenes
     from synth3dlanes.settings import RenderSettings
 
     changes = ["cars.n=0", "trees.n=0", "markings.dash_fraction=0.7", "markings.grayscale=0.9", "road.topology=1"]
-    recipe = Recipe(load_params("appendix_i", changes), 5, "train", RenderSettings(samples=2, device="cpu"), "jpg")
+    recipe = Recipe(
+        Scenes(load_params("appendix_i", changes), 5, "train"), RenderSettings(samples=2, device="cpu"), "jpg"
+    )
     root = tmp_path_factory.mktemp("rendered") / "d"
     with claim(root, {**recipe.description(), "shard_size": N}, "train", N, [0]) as folder:
         shard = Shard(folder, 0, N, recipe.names)

@@ -17,7 +17,7 @@ from synth3dlanes.params import load_params
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
-from synth3dlanes.sample import sample_scene
+from synth3dlanes.sample import Scenes, sample_scene
 from synth3dlanes.sensors.lidar_files import load_lidar
 from synth3dlanes.sensors.rig_files import load_rig
 from synth3dlanes.settings import RenderSettings
@@ -75,7 +75,7 @@ def test_scenes_and_labels_of_all_recipes_have_one_schema():
     recipes += [("streets", clips(3, 10)), ("streets", Shots(cameras=RIG, lidar=load_lidar("vlp_32c")))]
     for preset, shots in recipes:
         for index in range(3):
-            scene = sample_scene(load_params(preset), 1, "train", index, shots=shots)
+            scene = sample_scene(Scenes(load_params(preset), 1, "train", shots=shots), index)
             for text in (scene_file.to_json(scene), label_file.to_json(ground_truth(scene))):
                 document = json.loads(text)
                 for path, keys in keys_of(document, document["format"]):
@@ -87,7 +87,7 @@ def test_scenes_and_labels_of_all_recipes_have_one_schema():
 
 @pytest.mark.parametrize("shots", [Shots(), Shots(cameras=RIG)], ids=["streets", "rig"])
 def test_tars_of_streets_become_arrow_tables(tmp_path, shots):
-    recipe = Recipe(load_params("streets", SMALL), 1, "train", RenderSettings(), "jpg", shots=shots)
+    recipe = Recipe(Scenes(load_params("streets", SMALL), 1, "train", shots=shots), RenderSettings(), "jpg")
     generate(Plan(str(tmp_path / "data"), 16, recipe, workers=1, maker=fake_samples.make_labelled), lambda event: None)
     columns = EXAMPLES[1].replace(", streaming=True", "")
     reader = Reader(str(tmp_path / "data/train"))

@@ -45,7 +45,7 @@ def world_of(markings=None, **road):
 def of_segment(world, segment):
     """The curve on which a lane segment lies."""
     path = next((fork for stem, fork in connections(world.plan) if stem == segment), segment)
-    return next(line for line in world.lines if line.id == path)
+    return next(line for line in world.site.lines if line.id == path)
 
 
 def apart(points, line):
@@ -113,7 +113,7 @@ def test_lanes_reach_from_end_to_end_of_every_curve(road):
             if lane.find("userData") is not None
         ]
     )
-    for line in world.lines:
+    for line in world.site.lines:
         if line.kind == "centerline":
             points = line.points_world(world.plan, np.linspace(-249, 249, 160))
             assert np.linalg.norm(points[:, None] - centers, axis=2).min(axis=1).max() < 3.0
@@ -179,7 +179,7 @@ def marks_of(file_road):
 @pytest.mark.parametrize("road", ROADS, ids=str)
 def test_marks_are_the_delimiters_in_place_colour_and_dashes(road):
     world = world_of({"left_yellow": True, "left_double": True, "dash_cycle_m": 9, "dash_fraction": 0.3}, **road)
-    lines = {line.id: line for line in world.lines if line.kind == "delimiter"}
+    lines = {line.id: line for line in world.site.lines if line.kind == "delimiter"}
     stations = {k: np.arange(max(-260, v.start_m), min(300, v.end_m), 0.05) for k, v in lines.items()}
     dense = {name: line.points_world(world.plan, stations[name]) for name, line in lines.items()}
     marked = dict.fromkeys(lines, 0.0)
@@ -248,9 +248,9 @@ def test_objects_stand_and_lie_where_the_worlds_do():
             s, t, z = (float(item.get(key)) for key in ("s", "t", "zOffset"))
             places[item.get("type"), item.get("subtype")] = (file_road, item, file_road.on_plane(s, t, z))
     tree, house = places["tree", None][2], places["building", "house"][2]
-    np.testing.assert_allclose(tree, world.trees_world[0], atol=0.05)
+    np.testing.assert_allclose(tree, world.site.trees_world[0], atol=0.05)
     np.testing.assert_allclose(house[:2], (-40, -30), atol=0.05)
-    np.testing.assert_allclose(places["pole", "streetLamp"][2], world.structures[1].feet_world[0], atol=0.3)
+    np.testing.assert_allclose(places["pole", "streetLamp"][2], world.site.structures[1].feet_world[0], atol=0.3)
     for symbol, kind in zip(scene.symbols, (("crosswalk", "pedestrian"), ("roadMark", "arrowRight")), strict=True):
         file_road, item, _ = places[kind]
         corners = [(float(c.get("s")), float(c.get("t"))) for c in item.iter("cornerRoad")]

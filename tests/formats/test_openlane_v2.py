@@ -18,14 +18,14 @@ from synth3dlanes.frames import invert, transform
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.lens import Lens
 from synth3dlanes.params import load_params
-from synth3dlanes.sample import sample_scene
+from synth3dlanes.sample import Scenes, sample_scene
 
 FLIPS = [(a, b) for a in ("true", "false") for b in ("true", "false")]
 CHANGES = ["camera.roll_deg={-2: 1, 2: 1}", "camera.principal_offset_px=[-8, 8]", "road.n_oncoming={0: 1, 2: 1}"]
 
 
 def frame_of(seed, *changes):
-    scene = sample_scene(load_params("appendix_i", [*CHANGES, *changes]), seed, "train", 0)
+    scene = sample_scene(Scenes(load_params("appendix_i", [*CHANGES, *changes]), seed, "train"), 0)
     labels = ground_truth(scene)
     return SampleFrame(
         "train", "00000007", 7, "train", frozenset({"train"}), scene=scene, labels=labels, passes={},

@@ -78,11 +78,11 @@ def test_the_fitting_camera_is_the_widest_that_the_image_covers(f_px, roll_rad):
 def test_camera_presets_render_natively_and_change_nothing_else(name):
     from synth3dlanes.ground_truth import ground_truth
     from synth3dlanes.params import load_params
-    from synth3dlanes.sample import sample_scene
+    from synth3dlanes.sample import Scenes, sample_scene
 
     params, base = load_params(f"{name}_camera"), load_params("appendix_i")
     view = FORMATS[name].camera
-    camera = ground_truth(sample_scene(params, 0, "train", 0)).camera
+    camera = ground_truth(sample_scene(Scenes(params), 0)).camera
     pixels = np.random.default_rng(0).integers(0, 255, (view.height_px, view.width_px, 3), dtype=np.uint8)
     np.testing.assert_array_equal(np.asarray(resample(pixels, camera, view, "test")), pixels)
     changed = {"width_px", "height_px", "horizontal_fov_deg"}

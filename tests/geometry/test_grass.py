@@ -8,7 +8,7 @@ from synth3dlanes.frames import transform
 from synth3dlanes.geometry import grass
 from synth3dlanes.ground_truth import label
 from synth3dlanes.params import load_params
-from synth3dlanes.sample import sample_world
+from synth3dlanes.sample import Scenes, sample_world
 from synth3dlanes.world import World
 
 HIGH = ["vegetation.grass_m=0.6", "trees.n=0", "cars.n=0"]
@@ -16,7 +16,7 @@ HIGH = ["vegetation.grass_m=0.6", "trees.n=0", "cars.n=0"]
 
 def worlds(n: int, *overrides: str) -> list[World]:
     params = load_params("appendix_i", [*HIGH, *overrides])
-    return [sample_world(params, 2, "train", index) for index in range(n)]
+    return [sample_world(Scenes(params, 2, "train"), index) for index in range(n)]
 
 
 def hidden(world: World, blades: grass.Blades) -> Bool[np.ndarray, " p"]:

@@ -9,7 +9,7 @@ from synth3dlanes.frames import invert, project, transform
 from synth3dlanes.geometry import meshes
 from synth3dlanes.ground_truth import label
 from synth3dlanes.params import load_params
-from synth3dlanes.sample import sample_world
+from synth3dlanes.sample import Scenes, sample_world
 from synth3dlanes.sensors.rig_files import load_rig
 from synth3dlanes.shots import SINGLE, Shots, clips
 from synth3dlanes.world import resolve
@@ -54,7 +54,7 @@ def gaps_m(world):
     """Distances, straight up or down, of all label points from the nearest pavement; and how far they are away."""
     labels = label(world, world.view)
     points = np.concatenate([transform(labels.camera.world_from_cam, lane.xyz_cam) for lane in labels.lanes])
-    gaps = np.abs([heights_at(mesh, points[:, :2]) - points[:, 2] for mesh in world.pavement])
+    gaps = np.abs([heights_at(mesh, points[:, :2]) - points[:, 2] for mesh in world.site.pavement])
     away_m = np.hypot(*(points - world.view.eye_world)[:, :2].T)
     return np.where(np.isnan(gaps), np.inf, gaps).min(axis=0), away_m
 
@@ -76,7 +76,7 @@ def test_label_points_of_drawn_scenes_lie_on_the_pavement(overrides, shots, indi
     params = load_params("appendix_i", ["trees.n=40", "cars.n=1", *overrides])
     steepest = 0
     for index in indices:
-        world = sample_world(params, 4, "test", index, shots=shots)
+        world = sample_world(Scenes(params, 4, "test", shots=shots), index)
         steepest += world.plan.ramp_stations.size > 0
         gaps, away_m = gaps_m(world)
         assert gaps[away_m < 40].max() < 0.005, index
@@ -86,7 +86,7 @@ def test_label_points_of_drawn_scenes_lie_on_the_pavement(overrides, shots, indi
 
 def test_an_exit_that_rises_far_away_lies_on_its_ramp():
     """3.9 m over 2.5 m, 105 m ahead of the host, where the road's own rows are a metre apart."""
-    world = sample_world(load_params("appendix_i"), 4108, "train", 28)
+    world = sample_world(Scenes(load_params("appendix_i"), 4108, "train"), 28)
     gaps, away_m = gaps_m(world)
     assert away_m.max() > 109
     assert gaps.max() < 0.001
@@ -106,9 +106,9 @@ def test_rows_follow_a_ramp(height_m, slope):
 @pytest.mark.parametrize("topology", [1, 2, 3, 4])
 def test_every_label_point_lies_on_the_pavement(topology, flip):
     world = world_of(topology, flip_lateral=flip, flip_longitudinal=flip)
-    plan, pavement = world.plan, world.pavement
+    plan, pavement = world.plan, world.site.pavement
     s = plan.plan_station(np.arange(-49.0, 45, 3.7))
-    for curve in world.lines:
+    for curve in world.site.lines:
         stations = s[(s > curve.start_m) & (s < curve.end_m)]
         points = curve.points_world(plan, stations)
         gaps = np.abs([heights_at(mesh, points[:, :2]) - points[:, 2] for mesh in pavement])
@@ -119,7 +119,7 @@ def test_every_label_point_lies_on_the_pavement(topology, flip):
 @pytest.mark.parametrize("topology", [1, 2, 3, 4])
 def test_no_terrain_comes_through_a_road(topology):
     world = world_of(topology)
-    ground, terrain = world.ground, world.terrain
+    ground, terrain = world.ground, world.site.terrain
     x0, y0, x1, y1 = ground.fine
     near = ((terrain.vertices_world[:, :2] > [x0 - 3, y0]) & (terrain.vertices_world[:, :2] < [x1 + 3, y1])).all(axis=1)
     kept = near[terrain.faces].all(axis=1)
@@ -134,7 +134,7 @@ def test_no_terrain_comes_through_a_road(topology):
 @pytest.mark.parametrize("topology", [2, 3, 4])
 def test_faces_look_up_and_carry_their_material(topology):
     world = world_of(topology, flip_longitudinal=True)
-    for mesh in [*world.pavement, world.terrain]:
+    for mesh in [*world.site.pavement, world.site.terrain]:
         a, b, c, d = (mesh.vertices_world[mesh.faces[:, i]] for i in range(4))
         up = np.cross(c - a, d - b)[:, 2]
         assert (up > -1e-6).all()
@@ -185,7 +185,7 @@ def test_the_eye_sees_paint_in_its_place_on_hills_and_ramps():
         world = world_of(topology)
         plan, view = world.plan, world.view
         strips = world.paint(view)
-        for curve in world.lines:
+        for curve in world.site.lines:
             if curve.kind == "delimiter" and len(strips[curve.id].faces):
                 mesh = strips[curve.id]
                 s = mesh.uv_m[0::2, 1]
@@ -212,7 +212,7 @@ def test_no_verge_begins_where_the_exits_pavement_meets_the_main_one(topology):
     s = s[(se > 0) & (np.abs(te) < ground.exit_edge_m - 0.5)]
     seam = plan.main_xy(s, ground.main_right_edge(s) + 1e-3)
     assert len(s) > 20
-    for verge in world.verges:
+    for verge in world.site.verges:
         corners = verge.vertices_world[verge.faces][..., :2]
         a, b = corners, np.roll(corners, -1, axis=1)
         side = (b - a)[:, :, 0] * (seam[:, None, None, 1] - a[..., 1]) - (b - a)[:, :, 1] * (
@@ -225,8 +225,8 @@ def test_no_verge_begins_where_the_exits_pavement_meets_the_main_one(topology):
 def test_there_is_no_inner_verge_while_the_exit_touches_the_main_road():
     """Just before a merge is over the roads touch all the way; Blender cannot take an empty mesh."""
     road = {"topology": 2, "flip_lateral": True, "exit_angle_rad": 0.0175, "exit_offset_m": 0}
-    touching = resolve(changed(road=road, camera={"y_m": -5.0})).verges
-    apart = world_of(2).verges
+    touching = resolve(changed(road=road, camera={"y_m": -5.0})).site.verges
+    apart = world_of(2).site.verges
     assert [len(apart), len(touching)] == [4, 3]
     assert all(len(mesh.faces) for mesh in apart + touching)
 
@@ -235,10 +235,10 @@ def test_there_is_no_inner_verge_while_the_exit_touches_the_main_road():
 @pytest.mark.parametrize("flip", [False, True])
 def test_roads_and_their_paint_end_where_the_terrain_does(topology, flip):
     world = world_of(topology, flip_lateral=flip)
-    terrain = world.terrain
+    terrain = world.site.terrain
     strips = {name: mesh for name, mesh in world.paint(world.view).items() if len(mesh.faces)}
     through = [mesh for name, mesh in strips.items() if name in ("main_line_0", "main_line_1")]
-    road, *exits = world.pavement
+    road, *exits = world.site.pavement
     for mesh in [road, *through] + ([] if flip else exits):
         points = mesh.vertices_world[mesh.faces].reshape(-1, 3)
         assert np.abs(points[:, :2]).max() > 0.93 * meshes.HORIZON_M
@@ -250,7 +250,7 @@ def test_roads_and_their_paint_end_where_the_terrain_does(topology, flip):
 def test_the_exit_goes_on_below_the_main_road_so_that_no_ground_shows_between(topology):
     world = world_of(topology)
     plan, ground = world.plan, world.ground
-    road, exit_road = world.pavement
+    road, exit_road = world.site.pavement
     s = exit_road.uv_m[:, 1]
     touching = (s > 1) & (s < 0.8 * plan.nose_m)
     first = np.flatnonzero(touching & (np.diff(s, prepend=-1) != 0))
@@ -266,7 +266,7 @@ def test_the_exit_goes_on_below_the_main_road_so_that_no_ground_shows_between(to
 def test_all_paint_of_an_edge_line_lies_on_the_lanes_pavement(topology, is_double):
     scene = changed(road={**CURVED, "topology": topology}, markings={"left_double": is_double, "width_m": 0.15})
     world = resolve(scene)
-    plan, road = world.plan, world.pavement[0]
+    plan, road = world.plan, world.site.pavement[0]
     paved = road.uv_m[road.faces[road.material == meshes.ROAD]]
     widest = [0.0, 0.0]
     for name in ("main_line_0", f"main_line_{plan.n_main_after}"):

@@ -34,7 +34,7 @@ def test_a_double_line_is_two_stripes_about_the_left_edge_and_nothing_else_chang
 @pytest.mark.parametrize("flip", [False, True])
 def test_left_edges_have_no_paint_to_their_left(flip):
     world = resolve(changed(road={"topology": 4, "flip_longitudinal": flip}))
-    assert {line.id for line in world.lines if line.is_inner} == {"main_line_0", "exit_line_0"}
+    assert {line.id for line in world.site.lines if line.is_inner} == {"main_line_0", "exit_line_0"}
     strips = world.paint(world.view)
     behind = {name: mesh.vertices_world[mesh.vertices_world[:, 1] < -30, 0] for name, mesh in strips.items()}
     leftmost = min((x.min(), name) for name, x in behind.items() if len(x))[1]

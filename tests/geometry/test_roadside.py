@@ -8,7 +8,7 @@ from synth3dlanes.geometry.beside import beside
 from synth3dlanes.geometry.roadside import bodies
 from synth3dlanes.ground_truth import ground_truth, label
 from synth3dlanes.params import load_params
-from synth3dlanes.sample import sample_world
+from synth3dlanes.sample import Scenes, sample_world
 from synth3dlanes.scene import Building, Crossing, Post, Rail, Roadside, Scene
 from synth3dlanes.validate.boxes import inside, structure_boxes
 from synth3dlanes.validate.evidence import Evidence
@@ -53,14 +53,14 @@ def with_roadside(scene: Scene, **parts) -> Scene:
 def worlds():
     """Scenes with much of everything, of all topologies and flips."""
     params = load_params("streets", DENSE)
-    return [sample_world(params, 0, "test", index) for index in range(8)]
+    return [sample_world(Scenes(params, 0, "test"), index) for index in range(8)]
 
 
 def test_scenes_have_every_kind_and_every_road(worlds):
     rails = [(r.kind, r.road, r.side) for world in worlds for r in world.scene.roadside.rails]
     assert {kind for kind, _, _ in rails} == {"guardrail", "concrete", "noise_wall", "kerb", "walkway", "power_line"}
     assert {(road, side) for _, road, side in rails} >= {("main", "left"), ("main", "right"), ("exit", "right")}
-    kinds = {body.kind for world in worlds for body in world.structures}
+    kinds = {body.kind for world in worlds for body in world.site.structures}
     assert kinds >= {"lamp", "sign", "gantry", "bridge", "house", "hall", "block"}
     assert len({(w.scene.road.topology > 1, *w.plan.flips.tolist()) for w in worlds}) >= 5
 
@@ -87,7 +87,7 @@ def test_nothing_is_over_or_on_a_lane_below_the_clearance(worlds):
     for world in worlds:
         lanes = lane_points(world)
         tree = cKDTree(lanes[:, :2])
-        for i, body in enumerate(world.structures):
+        for i, body in enumerate(world.site.structures):
             a, b, c, d = body.corners_world.transpose(1, 0, 2)
             mesh = np.concatenate(
                 [
@@ -104,7 +104,7 @@ def test_nothing_is_over_or_on_a_lane_below_the_clearance(worlds):
 
 def test_feet_are_on_the_ground_and_bodies_reach_into_it(worlds):
     for world in worlds:
-        for body in world.structures:
+        for body in world.site.structures:
             xy, z = body.feet_world[:, :2], body.feet_world[:, 2]
             assert np.abs(world.ground.height(xy) - z).max() < 0.02
             if body.kind in ("lamp", "sign", "delineator"):
@@ -117,7 +117,7 @@ def test_every_guardrail_post_reaches_into_the_ground():
     """Of a post's box, found by its vertical edges, the lower end is below the ground and the upper end over it."""
     scene = changed(FLAT, terrain={"gaussians": HILLS}, road={**CURVED, "topology": 2})
     world = resolve(with_roadside(scene, rails=(rail(), rail(road="exit", aside_m=0.3, from_m=40.0))))
-    for body in world.structures:
+    for body in world.site.structures:
         a, d = body.corners_world[:, 0], body.corners_world[:, 3]
         is_edge = np.hypot(*(a - d)[:, :2].T) < 1e-6
         assert is_edge.sum() >= 16
@@ -129,7 +129,7 @@ def test_every_guardrail_post_reaches_into_the_ground():
 def test_a_guardrail_is_as_high_over_the_ramp_as_over_the_road():
     scene = changed(FLAT, road={**CURVED, "topology": 2, "ramp_slope": 8})
     world = resolve(with_roadside(scene, rails=(rail(road="exit", aside_m=0.3, from_m=30.0, to_m=95.0),)))
-    (body,) = world.structures
+    (body,) = world.site.structures
     s = np.arange(40.0, 85.0, 2.0)
     line = beside(world.ground, "exit", "right", s, 0.3)
     corners = body.corners_world.reshape(-1, 3)
@@ -147,7 +147,7 @@ def test_a_crossing_leaves_its_clearance_over_hills_and_ramps(kind, topology):
     for s_m in (-30.0, 12.0, 45.0):
         crossing = Crossing(kind=kind, s_m=s_m, clearance_m=5.0, width_m=10.0 if kind == "bridge" else 0.9, color=GRAY)
         world = resolve(with_roadside(scene, crossings=(crossing,)))
-        (body,) = world.structures
+        (body,) = world.site.structures
         lanes = lane_points(world)
         corners = body.corners_world
         low, high = corners.min(axis=1), corners.max(axis=1)
@@ -172,31 +172,33 @@ def test_flips_mirror_all_but_what_the_host_reads(flips):
     flipped = resolve(with_roadside(changed(FLAT, road={**road, **mirrored}, camera={"y_m": -50}), **parts))
     # Rows and posts are denser near the host, which is elsewhere in the plan: compare what does not depend on it.
     sign = np.array([-1.0 if flips[0] else 1.0, -1.0 if flips[1] else 1.0, 1.0])
-    for ours, theirs in zip(plain.structures[3:], flipped.structures[3:], strict=True):
+    for ours, theirs in zip(plain.site.structures[3:], flipped.site.structures[3:], strict=True):
         ours_xyz = np.round(ours.corners_world.reshape(-1, 3) * sign, 4) + 0.0
         theirs_xyz = np.round(theirs.corners_world.reshape(-1, 3), 4) + 0.0
         gap = np.abs(ours_xyz[:, None] - theirs_xyz).max(axis=2).min(axis=1)
         assert gap.max() < 2e-3
-    for ours, theirs in zip(plain.structures[:3], flipped.structures[:3], strict=True):
+    for ours, theirs in zip(plain.site.structures[:3], flipped.site.structures[:3], strict=True):
         a, b = (body.corners_world.reshape(-1, 3) for body in (ours, theirs))
         assert np.abs((a * sign).min(axis=0) - b.min(axis=0)).max() < 0.15
 
 
 def test_lamp_heads_are_over_the_road_and_on_both_sides_of_a_median():
     world = resolve(with_roadside(FLAT, posts=(post(), post(side="median", aside_m=0.0, s_m=20.0))))
-    one, left, right = world.street_lamps[np.argsort(world.street_lamps[:, 1] * 1000 + world.street_lamps[:, 0])]
+    one, left, right = world.site.street_lamps[
+        np.argsort(world.site.street_lamps[:, 1] * 1000 + world.site.street_lamps[:, 0])
+    ]
     edge_m = world.ground.edge_m
     assert one[0] == pytest.approx(edge_m + 1.2 - 2.18, abs=0.05)
     assert one[2] == pytest.approx(world.ground.height(np.array([[edge_m + 1.2, 0.0]]))[0] + 8.2, abs=0.1)
     assert left[0] == pytest.approx(-right[0])
     assert right[0] > 2
-    corners = world.structures[0].corners_world.reshape(-1, 3)
+    corners = world.site.structures[0].corners_world.reshape(-1, 3)
     assert np.abs(corners - one).max(axis=1).min() < 0.4
 
 
 def test_a_median_rail_stands_at_its_offset():
     world = resolve(with_roadside(FLAT, rails=(rail("concrete", side="median", aside_m=-2.0),)))
-    (body,) = world.structures
+    (body,) = world.site.structures
     x = body.corners_world[..., 0]
     assert (x.min() + x.max()) / 2 == pytest.approx(-2.0, abs=1e-6)
     assert np.ptp(x) == pytest.approx(2 * 0.37 * 0.8, abs=1e-6)
@@ -206,7 +208,7 @@ def test_bodies_fill_their_boxes_and_the_check_finds_what_stands_on_a_road(world
     for world in worlds:
         assert findings(Evidence(world, label(world, world.view)), "roadside") == []
         owned = structure_boxes(world)
-        for i, body in enumerate(world.structures):
+        for i, body in enumerate(world.site.structures):
             middles = body.corners_world.mean(axis=1)
             assert inside(owned, middles, np.full(len(middles), i)).all(), (world.scene.index, i, body.kind)
     on_road = with_roadside(
@@ -225,9 +227,9 @@ def test_bodies_fill_their_boxes_and_the_check_finds_what_stands_on_a_road(world
 @pytest.mark.parametrize("index", [208, 503, 550, 969])
 def test_boxes_hold_rails_on_slopes_wires_in_bends_and_dams_on_falling_ground(index):
     """What is seen of a structure is in its box: points on all faces over the ground, 250 m around the host."""
-    world = sample_world(load_params("streets"), 911, "train", index)
+    world = sample_world(Scenes(load_params("streets"), 911, "train"), index)
     owned = structure_boxes(world)
-    for i, body in enumerate(world.structures):
+    for i, body in enumerate(world.site.structures):
         u, v = (share.ravel() for share in np.meshgrid(*[np.linspace(0, 1, 40 if body.kind == "bridge" else 3)] * 2))
         shares = np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v])
         points = np.einsum("fcx,cp->fpx", body.corners_world, shares).reshape(-1, 3)
@@ -239,25 +241,25 @@ def test_boxes_hold_rails_on_slopes_wires_in_bends_and_dams_on_falling_ground(in
 def test_trees_keep_clear(worlds):
     """No trunk within half a metre of a face's middle."""
     for world in worlds:
-        trunks = cKDTree(world.trees_world[:, :2])
-        for body in world.structures:
+        trunks = cKDTree(world.site.trees_world[:, :2])
+        for body in world.site.structures:
             low = body.corners_world.min(axis=1)[:, 2] < world.ground.height(body.corners_world.mean(axis=1)[:, :2]) + 2
             middles = body.corners_world.mean(axis=1)[low, :2]
             assert trunks.query(middles)[0].min(initial=1) > 0.5, (world.scene.index, body.kind)
 
 
 def test_without_the_group_nothing_stands_and_nothing_is_written():
-    world = sample_world(load_params("appendix_i"), 0, "test", 0)
+    world = sample_world(Scenes(load_params("appendix_i"), 0, "test"), 0)
     assert "roadside" not in world.scene.model_dump_json()
-    assert bodies(world.ground, Roadside()) == world.structures == []
-    assert len(world.street_lamps) == 0
+    assert bodies(world.ground, Roadside()) == world.site.structures == []
+    assert len(world.site.street_lamps) == 0
 
 
 def test_draws_do_not_touch_those_of_other_groups():
     """With everything beside the road, roads, cameras and cars are those of the same parameters without it."""
-    with_it = sample_world(load_params("streets", DENSE), 3, "test", 5).scene
+    with_it = sample_world(Scenes(load_params("streets", DENSE), 3, "test"), 5).scene
     bare = load_params("streets", [*DENSE, "roadside.outer=none", "roadside.n_signs=0", "roadside.n_houses=0"])
-    without = sample_world(bare, 3, "test", 5).scene
+    without = sample_world(Scenes(bare, 3, "test"), 5).scene
     for part in ("terrain", "road", "markings", "surface", "camera", "light", "air", "sensor", "cars"):
         assert getattr(with_it, part) == getattr(without, part)
-    assert with_it == sample_world(load_params("streets", DENSE), 3, "test", 5).scene
+    assert with_it == sample_world(Scenes(load_params("streets", DENSE), 3, "test"), 5).scene

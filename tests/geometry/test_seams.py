@@ -24,7 +24,7 @@ def worlds(road, seeds=range(6)):
 def distance_from_lines(world, xy_world):
     """Of points to the nearest delimiter."""
     s = world.plan.plan_station(np.arange(-150, 150, 0.1))
-    lines = [line.xy_world(world.plan, s[(s > line.start_m) & (s < line.end_m)]) for line in world.lines
+    lines = [line.xy_world(world.plan, s[(s > line.start_m) & (s < line.end_m)]) for line in world.site.lines
              if line.kind == "delimiter"]  # fmt: skip
     return np.min([np.hypot(*(xy_world[:, None] - line).T).min(axis=0) for line in lines], axis=0)
 

@@ -7,7 +7,7 @@ from synth3dlanes.geometry.placement import car_place
 from synth3dlanes.geometry.sign_faces import FACES, SIGNS
 from synth3dlanes.geometry.solids import SURFACES
 from synth3dlanes.params import load_params
-from synth3dlanes.sample import sample_world
+from synth3dlanes.sample import Scenes, sample_world
 from synth3dlanes.scene import Crossing, Roadside
 from synth3dlanes.world import resolve
 from tests.scenes import FLAT, changed
@@ -33,10 +33,10 @@ def signs():
     found = []
     params = load_params("streets", ONLY_SIGNS)
     for index in range(14):
-        world = sample_world(params, 3, "test", index)
+        world = sample_world(Scenes(params, 3, "test"), index)
         roadside = world.scene.roadside
         first = len(roadside.rails)
-        found += [(world, post, world.structures[first + i]) for i, post in enumerate(roadside.posts)]
+        found += [(world, post, world.site.structures[first + i]) for i, post in enumerate(roadside.posts)]
     assert {post.face for _, post, _ in found} == set(range(1, len(FACES) + 1))
     return found
 
@@ -109,7 +109,7 @@ def test_boards_of_a_gantry_face_the_traffic_below_them(flip):
     road = {"n_lanes": 2, "n_oncoming": 2, "median_m": 4.0, "flip_longitudinal": flip}
     gantry = Crossing(kind="gantry", s_m=0.0, clearance_m=5.5, width_m=0.9, color=(0.0, 0.1, 0.3))
     world = resolve(changed(FLAT, road=road).model_copy(update={"roadside": Roadside(crossings=(gantry,))}))
-    body = world.structures[0]
+    body = world.site.structures[0]
     boards = body.corners_world[np.array(body.surface) == SURFACES.index("sign")]
     white = np.all(np.array(body.colors)[np.array(body.surface) == SURFACES.index("sign")][:, :3] > 0.6, axis=1)
     ways = set()

@@ -13,7 +13,7 @@ from synth3dlanes.frames import invert, project, transform
 from synth3dlanes.geometry.symbols import ARROWS, LENGTHS_M, shape
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.params import load_params
-from synth3dlanes.sample import sample_scene
+from synth3dlanes.sample import Scenes, sample_scene
 from synth3dlanes.scene import Symbol
 from synth3dlanes.world import resolve
 from tests.scenes import FLAT, changed, seen_on_flat_ground
@@ -125,7 +125,7 @@ def test_a_gore_is_hatched_between_its_lines_before_the_ramp_rises(topology, acr
 def test_symbols_do_not_overlap_and_stand_clear_of_the_split():
     counts, params = [], streets(*MANY)
     for index in range(60):
-        world = resolve(sample_scene(params, 0, "train", index))
+        world = resolve(sample_scene(Scenes(params), index))
         scene, plan = world.scene, world.plan
         counts.append(len(scene.symbols))
         rows = {
@@ -146,7 +146,7 @@ def test_arrows_point_where_their_lane_leads():
     kinds = {"right": set(), "left": set()}
     params = streets("symbols.arrow_rows=2", "road.topology=4", "road.flip_lateral=false")
     for index in range(16):
-        scene = sample_scene(params, 1, "train", index)
+        scene = sample_scene(Scenes(params, 1, "train"), index)
         for symbol in scene.symbols:
             if symbol.kind.startswith("arrow") and symbol.lane.startswith("stem"):
                 side = "left" if scene.road.flip_longitudinal else "right"

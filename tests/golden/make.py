@@ -6,7 +6,7 @@ from synth3dlanes import labels as label_file
 from synth3dlanes import scene as scene_file
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.params import load_params
-from synth3dlanes.sample import sample_scene
+from synth3dlanes.sample import Scenes, sample_scene
 
 # Name -> index of the scene in split "golden" of seed 0: a split, a merge from the left, and a plain road.
 GOLDEN = {"split": 1, "left_merge": 20, "plain": 0}
@@ -15,7 +15,7 @@ GOLDEN = {"split": 1, "left_merge": 20, "plain": 0}
 def golden_text(name: str) -> tuple[str, str]:
     """scene.json and labels.json of a golden scene."""
     params = load_params("appendix_i", ["trees.n=40"])
-    scene = sample_scene(params, 0, "golden", GOLDEN[name])
+    scene = sample_scene(Scenes(params, 0, "golden"), GOLDEN[name])
     return scene_file.to_json(scene) + "\n", label_file.to_json(ground_truth(scene)) + "\n"
 
 

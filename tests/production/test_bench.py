@@ -7,6 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from synth3dlanes.production.bench import Bench, Naive, StoredBench, Timed, _seconds_between, compare, psnr, ssim
+from synth3dlanes.sample import Scenes
 
 
 def test_psnr_and_ssim_of_known_differences(rng):
@@ -75,7 +76,7 @@ def test_more_samples_come_closer_to_the_reference():
     from synth3dlanes.production.recipe import Recipe
     from synth3dlanes.settings import RenderSettings
 
-    recipes = [Recipe(load_params("tiny"), 0, "bench", RenderSettings(samples), "jpg") for samples in (1, 8)]
+    recipes = [Recipe(Scenes(load_params("tiny"), 0, "bench"), RenderSettings(samples), "jpg") for samples in (1, 8)]
     rough, fine = (measure_quality(recipe, lambda _: None, samples=64) for recipe in recipes)
     assert all(a < b for a, b in zip(rough.psnr_db + rough.ssim, fine.psnr_db + fine.ssim, strict=True))
     assert min(fine.psnr_db) > 28
@@ -90,7 +91,7 @@ def test_the_naive_way_is_timed_at_both_numbers_of_samples(monkeypatch):
     from synth3dlanes.production.recipe import Recipe
     from synth3dlanes.settings import RenderSettings
 
-    recipe = Recipe(load_params("tiny"), 0, "bench", RenderSettings(2), "jpg")
+    recipe = Recipe(Scenes(load_params("tiny"), 0, "bench"), RenderSettings(2), "jpg")
     assert naive_seconds(recipe.scene(0), recipe.settings, recipe.library, 1) > 0
     monkeypatch.setattr(bench, "_one", lambda pool, function, recipe, index, samples: float(samples))
     assert bench.measure_naive(recipe, lambda _: None) == Naive(2.0, 128, 128.0)
@@ -107,6 +108,6 @@ def test_memory_stays_flat():
     from synth3dlanes.settings import RenderSettings
 
     size = ("camera.width_px=96", "camera.height_px=72")
-    recipe = Recipe(load_params("appendix_i", size), 0, "bench", RenderSettings(1), "jpg")
+    recipe = Recipe(Scenes(load_params("appendix_i", size), 0, "bench"), RenderSettings(1), "jpg")
     third, fourth = bench(recipe, 1000, 1, [{}], lambda _: None).memory_mib[2:]
     assert fourth < 1.02 * third

@@ -28,7 +28,7 @@ def without(scene: Scene, group: str) -> str:
 
 def test_a_twin_is_its_scene_but_for_one_factor(source: str) -> None:
     recipes = twin_recipes(source, "light.exposure=1,2.5", "cpu")
-    assert [recipe.split for recipe in recipes] == ["twin_1", "twin_2"]
+    assert [recipe.scenes.split for recipe in recipes] == ["twin_1", "twin_2"]
     for index in range(3):
         original = from_json(Reader(source).raw(index)["scene.json"], "")
         for recipe, exposure in zip(recipes, (1, 2.5), strict=True):
@@ -71,7 +71,7 @@ def test_rendered_twins(tmp_path: Path) -> None:
     images = []
     for recipe in twin_recipes(f"{tmp_path}/d/train", f"light.exposure={kept},{kept / 3}", "cpu"):
         assert generate(Plan(tmp_path / "t", 1, recipe, workers=1), lambda event: None).exit_code == 0
-        reader = Reader(f"{tmp_path}/t/{recipe.split}")
+        reader = Reader(f"{tmp_path}/t/{recipe.scenes.split}")
         assert reader.raw(0)["labels.json"] == original["labels.json"]
         images.append(reader.image(0))
     np.testing.assert_array_equal(images[0], Reader(f"{tmp_path}/d/train").image(0))

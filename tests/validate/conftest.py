@@ -20,10 +20,11 @@ def rendered(made_once: Callable[[str, Callable[[Path], object]], Path]) -> Path
     from synth3dlanes.production.plan import Plan
     from synth3dlanes.production.recipe import Recipe
     from synth3dlanes.production.run import generate
+    from synth3dlanes.sample import Scenes
     from synth3dlanes.settings import RenderSettings
 
     settings = RenderSettings(samples=2, passes=("depth", "normal", "semantic", "instance", "height"), device="cpu")
-    recipe = Recipe(load_params("appendix_i", CHANGES), 4, "train", settings, "jpg")
+    recipe = Recipe(Scenes(load_params("appendix_i", CHANGES), 4, "train"), settings, "jpg")
 
     def make(root: Path) -> None:
         assert generate(Plan(root, N, recipe, workers=1), lambda event: None).exit_code == 0

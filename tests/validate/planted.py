@@ -25,6 +25,7 @@ from synth3dlanes.params import Params, load_params
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
+from synth3dlanes.sample import Scenes
 from synth3dlanes.scene import Scene
 from synth3dlanes.sensors.lidar_files import load_lidar
 from synth3dlanes.settings import PASSES as ALL_PASSES
@@ -93,7 +94,7 @@ def render(
 ) -> tuple[Path, list[Fault]]:
     """A clean data set of n samples with all passes, and all faults that may be planted in it: worlds that do not need
     many samples in its first `few`."""
-    recipe = Recipe(params, seed, "train", SETTINGS, IMAGE)
+    recipe = Recipe(Scenes(params, seed, "train"), SETTINGS, IMAGE)
     clean = folder / "clean"
     assert generate(Plan(clean, n, recipe, workers), lambda event: None).exit_code == 0
     scenes = [recipe.scene(index) for index in range(n)]
@@ -117,7 +118,7 @@ def render(
 def render_streets(folder: Path, seed: int, n: int, workers: int) -> tuple[Path, list[Fault]]:
     """A clean data set of n samples of `streets` with a lidar, and the faults that need one."""
     shots = SINGLE.model_copy(update={"lidar": load_lidar("vlp_32c")})
-    recipe = Recipe(load_params("streets", STREETS), seed, "train", SETTINGS, IMAGE, shots=shots)
+    recipe = Recipe(Scenes(load_params("streets", STREETS), seed, "train", shots=shots), SETTINGS, IMAGE)
     clean = folder / "streets"
     assert generate(Plan(clean, n, recipe, workers), lambda event: None).exit_code == 0
     return clean, OF_STREETS

@@ -22,6 +22,7 @@ from synth3dlanes import scene as scene_module
 from synth3dlanes.dataset.columns import index_row
 from synth3dlanes.dataset.format import BLOCK, COLUMN_OF_MEMBER, HEIGHT, LABELS, PASSES, SCENE, tar_bytes, tar_end
 from synth3dlanes.errors import FormatError
+from synth3dlanes.sample import Scenes
 from synth3dlanes.validate.report import Report
 from tests.validate.sealing import Members, check, describe, read_members
 
@@ -46,7 +47,7 @@ def clean(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from synth3dlanes.settings import PASSES, RenderSettings
 
     root = tmp_path_factory.mktemp("edits") / "data"
-    recipe = Recipe(load_params("tiny"), 3, "train", RenderSettings(2, PASSES), "jpg")
+    recipe = Recipe(Scenes(load_params("tiny"), 3, "train"), RenderSettings(2, PASSES), "jpg")
     assert generate(Plan(root, N, recipe, workers=1), lambda event: None).exit_code == 0
     return root
 

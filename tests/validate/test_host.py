@@ -8,7 +8,7 @@ import pytest
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import load_params, preset_names
-from synth3dlanes.sample import sample_scene
+from synth3dlanes.sample import Scenes, sample_scene
 from synth3dlanes.scene import Car, Scene
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.world import resolve
@@ -26,14 +26,14 @@ def faults(scene: Scene, labels: Labels) -> list[tuple[str, str]]:
 @pytest.mark.parametrize("preset", preset_names())
 def test_every_drawn_scene_keeps_it(preset: str) -> None:
     for index in range(8):
-        scene = sample_scene(load_params(preset), 0, "train", index)
+        scene = sample_scene(Scenes(load_params(preset)), index)
         assert faults(scene, ground_truth(scene)) == []
 
 
 def test_it_is_kept_everywhere_on_every_road() -> None:
     params, seen = load_params("tiny", EVERYWHERE), set()
     for index in range(150):
-        scene = sample_scene(params, 0, "train", index)
+        scene = sample_scene(Scenes(params), index)
         seen.add((scene.road.topology, scene.road.flip_lateral, scene.camera.y_m > -40))
         assert faults(scene, ground_truth(scene)) == []
     assert len(seen) == 16

@@ -11,7 +11,7 @@ from synth3dlanes.frames import project
 from synth3dlanes.ground_truth import ground_truth, label
 from synth3dlanes.labels import Labels, Lane
 from synth3dlanes.params import load_params
-from synth3dlanes.sample import sample_world
+from synth3dlanes.sample import Scenes, sample_world
 from synth3dlanes.scene import Car, Scene
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
@@ -178,7 +178,7 @@ def test_points_seen_through_a_car_and_points_hidden_by_nothing_are_faults():
 
 def test_trunks_hide_points_behind_a_hill_from_underground():
     """The lines of sight pass 0.3 m under the foot of a tree whose trunk begins 0.37 m under it."""
-    world = sample_world(load_params("diverse"), 907, "train", 43)
+    world = sample_world(Scenes(load_params("diverse"), 907, "train"), 43)
     labels = seen(label(world, world.view))
 
     def said(hidden):

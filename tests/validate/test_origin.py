@@ -28,6 +28,7 @@ from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.twins import twin_recipes
+from synth3dlanes.sample import Scenes
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import RenderSettings
 from synth3dlanes.shots import clips
@@ -38,7 +39,7 @@ from tests.validate import examining
 from tests.validate.sealing import check, describe, seal
 
 N, SEED = 4, 7
-RECIPE = Recipe(load_params("tiny"), SEED, "train", RenderSettings(), "png")
+RECIPE = Recipe(Scenes(load_params("tiny"), SEED, "train"), RenderSettings(), "png")
 
 
 def seen(scene: Scene) -> Labels:
@@ -49,7 +50,7 @@ def seen(scene: Scene) -> Labels:
 def draw(root: Path, recipe: Recipe = RECIPE, n: int = N, size: tuple[int, int] = (8, 8)) -> Path:
     """A data set of scenes that were never rendered. Of images of another size than the camera's no pixel is asked."""
     description = {**recipe.description(), "shard_size": 1000}
-    with claim(root, description, recipe.split, n, [0]) as folder:
+    with claim(root, description, recipe.scenes.split, n, [0]) as folder:
         shard = Shard(folder, 0, 1000, recipe.names, recipe_text(description))
         for index in range(n):
             scene = recipe.scene(index)
@@ -87,7 +88,7 @@ def edit(root: Path, index: int, change: Callable[[dict], object], split: str = 
 
 @pytest.mark.parametrize("preset", preset_names())
 def test_scenes_are_those_drawn_again(preset: str) -> None:
-    recipe = replace(RECIPE, params=load_params(preset))
+    recipe = replace(RECIPE, scenes=replace(RECIPE.scenes, params=load_params(preset)))
     origin = Origin.model_validate(json.loads(json.dumps(recipe.description())))
     for index in range(3):
         scene = scene_module.from_json(scene_module.to_json(recipe.scene(index)), "")
@@ -268,7 +269,7 @@ def test_dealt_and_varied_sets_are_drawn_again_too(drawn: Path, tmp_path: Path) 
 
 def test_frames_of_clips_are_drawn_again_too(tmp_path: Path) -> None:
     """Also dealt, and with a factor varied; none is said to repeat another's world."""
-    recipe = replace(RECIPE, shots=clips(2, 10))
+    recipe = replace(RECIPE, scenes=replace(RECIPE.scenes, shots=clips(2, 10)))
     draw(tmp_path / "clips", recipe, 6)
     split_dataset(Reader(f"{tmp_path}/clips/train"), {"x": 2, "y": 1}, 0, str(tmp_path / "cut"))
     for twins in twin_recipes(f"{tmp_path}/cut/x", "light.exposure=1.25,2.25", "cpu"):

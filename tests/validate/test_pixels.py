@@ -18,6 +18,7 @@ from synth3dlanes.labels import Labels, PaintColor
 from synth3dlanes.labels import from_json as labels_from_json
 from synth3dlanes.params import load_params
 from synth3dlanes.production.recipe import Recipe, make_sample
+from synth3dlanes.sample import Scenes
 from synth3dlanes.scene import from_json
 from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS, RenderSettings
 from synth3dlanes.validate.evidence import Evidence
@@ -72,7 +73,7 @@ ONCE_FAILED += tuple(("streets", 911, index, 1) for index in (21, 85, 239, 758, 
 @pytest.mark.parametrize(("preset", "seed", "index", "n_samples"), ONCE_FAILED)
 def test_what_once_was_a_false_alarm_is_none(preset, seed, index, n_samples):
     settings = RenderSettings(samples=n_samples, passes=("depth", "normal", "semantic", "instance"))
-    recipe = Recipe(load_params(preset), seed, "train", settings, "jpg")
+    recipe = Recipe(Scenes(load_params(preset), seed, "train"), settings, "jpg")
     members = make_sample(recipe, index).members
     scene = from_json(members["scene.json"], "")
     made = Evidence(
@@ -87,7 +88,7 @@ def test_what_once_was_a_false_alarm_is_none(preset, seed, index, n_samples):
 @pytest.mark.parametrize("index", [877, 1807])
 def test_a_pink_van_is_no_missing_texture_and_what_lies_behind_a_crest_has_no_colour(index):
     """A narrow camera behind the van, and one on a crest behind which it sees a far road; without passes."""
-    recipe = Recipe(load_params("tusimple_camera"), 911, "train", RenderSettings(samples=1), "jpg")
+    recipe = Recipe(Scenes(load_params("tusimple_camera"), 911, "train"), RenderSettings(samples=1), "jpg")
     members = make_sample(recipe, index).members
     image, labels = decode_image(members["jpg"], ""), labels_from_json(members["labels.json"], "")
     sample = Evidence(resolve(from_json(members["scene.json"], "")), labels, image)

@@ -13,7 +13,7 @@ from synth3dlanes.geometry.terrain import height_at
 from synth3dlanes.geometry.visibility import seen_over_ground
 from synth3dlanes.ground_truth import label
 from synth3dlanes.params import load_params
-from synth3dlanes.sample import sample_world
+from synth3dlanes.sample import Scenes, sample_world
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.ids import MAX_BEYOND_M
 from synth3dlanes.validate.paint import Paint
@@ -26,7 +26,7 @@ N_SCENES, N_POINTS = 9, 600
 
 def worlds(preset: str) -> Iterator[World]:
     params = load_params(preset)
-    return (sample_world(params, 3, "test", index, BUILT_IN.assets) for index in range(N_SCENES))
+    return (sample_world(Scenes(params, 3, "test", assets=BUILT_IN.assets), index) for index in range(N_SCENES))
 
 
 def ahead(world: World, mesh: meshes.Mesh, reach_m: float) -> meshes.Mesh:
@@ -55,7 +55,7 @@ def is_shown_of_exit(place: Places) -> np.ndarray:
 def test_road_and_shoulder_lie_where_the_formulas_have_them(preset):
     rng, n_known, n_exit, n_raised = np.random.default_rng(0), 0, 0, 0
     for world in worlds(preset):
-        for number, whole in enumerate(world.pavement):
+        for number, whole in enumerate(world.site.pavement):
             mesh = ahead(world, whole, RANGE_M)
             if not len(mesh.faces):
                 continue

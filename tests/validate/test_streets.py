@@ -11,6 +11,7 @@ from synth3dlanes.params import load_params
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
+from synth3dlanes.sample import Scenes
 from synth3dlanes.scene import from_json
 from synth3dlanes.settings import FIRST_STRUCTURE_ID, FIRST_SYMBOL_ID, SEMANTIC_IDS, RenderSettings
 from tests.validate.sealing import Members, check, read_members, seal
@@ -25,7 +26,7 @@ def streets(tmp_path_factory: pytest.TempPathFactory) -> Path:
     settings = RenderSettings(samples=2, passes=("depth", "normal", "semantic", "instance"))
     # Something of every kind: not every scene has it.
     changes = ["road.n_oncoming=2", "road.median_m=4", "roadside.median=guardrail", "symbols.arrow_rows=2"]
-    recipe = Recipe(load_params("streets", [*changes, "weather.daytime=day"]), 2026, "train", settings, "jpg")
+    recipe = Recipe(Scenes(load_params("streets", [*changes, "weather.daytime=day"]), 2026, "train"), settings, "jpg")
     assert generate(Plan(root, N, recipe, workers=1), lambda event: None).exit_code == 0
     return root
 

@@ -61,7 +61,9 @@ def marks(world: World, road: Road) -> dict[int, list[Mark]]:
 
 def _along(world: World, road: Road, edge_xy: Float[np.ndarray, "m 2"]) -> list[Mark]:
     """All marks of an edge, and `none` between them; nothing where it is not painted at all."""
-    found = sorted((mark for line in world.lines for mark in _of(world, road, edge_xy, line)), key=lambda at: at[0].s_m)
+    found = sorted(
+        (mark for line in world.site.lines for mark in _of(world, road, edge_xy, line)), key=lambda at: at[0].s_m
+    )
     filled, reached = [], 0.0
     for mark, end_m in found:
         if mark.s_m > reached + SHORT_M:

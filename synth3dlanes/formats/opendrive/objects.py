@@ -51,7 +51,7 @@ def add_objects(world: World, roads: Sequence[Road], elements: Sequence[Element]
     posts = zip(scene.roadside.posts, post_frames(ground, scene.roadside.posts), strict=True)
     for post, frame in posts:
         _add_upright(frame.origin, roads, groups, POSTS[post.kind], height=post.height_m, radius=0.1)
-    for tree, base in zip(scene.trees, world.trees_world, strict=True):
+    for tree, base in zip(scene.trees, world.site.trees_world, strict=True):
         _add_upright(base, roads, groups, ("tree", ""), radius=0.3 * tree.scale)
     for building in scene.roadside.buildings:
         frame = building_frame(building)

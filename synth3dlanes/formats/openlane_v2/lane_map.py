@@ -53,7 +53,7 @@ def lane_segments(world: World, segments: tuple[Segment, ...], near_m: float) ->
     plan = world.plan
     stations = plan.plan_station(near_m + np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M))
     delimiters = {
-        line: _delimiter_xy(plan, line, np.sort(stations)) for line in world.lines if line.kind != "centerline"
+        line: _delimiter_xy(plan, line, np.sort(stations)) for line in world.site.lines if line.kind != "centerline"
     }
     for index, segment in enumerate(segments):
         path = path_of_segment(plan, segment.id)
