@@ -4,6 +4,10 @@ import json
 
 import numpy as np
 import pytest
+from synth3dlanes_baseline import checkpoint, evaluate, sources
+from synth3dlanes_baseline.ablation import learning_curve
+
+from synth3dlanes.errors import InputError
 
 SIZES = {"train": 4, "val": 2, "test": 3}
 FEW = {"batch": 2, "epochs": 1.0, "device": "cpu"}
@@ -12,7 +16,7 @@ FEW = {"batch": 2, "epochs": 1.0, "device": "cpu"}
 @pytest.fixture
 def drawn_splits(roads, monkeypatch):
     """`DIR/train` and its like, drawn in memory."""
-    from synth3dlanes_baseline import ablation, evaluate, sources
+    from synth3dlanes_baseline import ablation
 
     splits = {name: roads.samples(np.random.default_rng(n), n, (160, 120)) for name, n in SIZES.items()}
     monkeypatch.setattr(sources, "_exists", lambda path: True)
@@ -21,8 +25,6 @@ def drawn_splits(roads, monkeypatch):
 
 
 def _steps(folder):
-    from synth3dlanes_baseline import checkpoint
-
     return checkpoint.load(folder / "best.pt").about["step"]
 
 
@@ -42,10 +44,6 @@ def test_rows_stand_beside_the_papers_and_are_trained_once(drawn_splits, tmp_pat
 
 
 def test_sizes_of_the_learning_curve_train_for_equally_many_steps(drawn_splits, tmp_path):
-    from synth3dlanes_baseline.ablation import learning_curve
-
-    from synth3dlanes.errors import InputError
-
     learning_curve("d", tmp_path, [2, 4], "tiny", FEW)
     assert _steps(tmp_path / "2") == _steps(tmp_path / "4") == 2
     assert (tmp_path / "curve.png").exists()

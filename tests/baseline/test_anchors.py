@@ -5,15 +5,21 @@ import math
 import numpy as np
 import pytest
 import torch
+from synth3dlanes_baseline.anchors import DROPPED, IGNORED, KEPT, anchor_positions_m, encode, sample_curves
+from synth3dlanes_baseline.config import NANO, PAPER, PAPER_KNOTS_M, TEN_KNOTS_M
+from synth3dlanes_baseline.curves import is_usable, plane_pose, resample, road_curves, target_pose
+from synth3dlanes_baseline.data import annotation_of, pack
+from synth3dlanes_baseline.lanes import interpolate, keep_local_maxima
+from synth3dlanes_baseline.poses import road_from_cam
+from synth3dlanes_baseline.statistics import statistics_of
+
+from synth3dlanes.frames import transform
+from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.params import load_params
+from synth3dlanes.sample import Scenes, sample_scene
 
 
 def _encode(labels, **changes):
-    from synth3dlanes_baseline.anchors import encode
-    from synth3dlanes_baseline.config import NANO
-    from synth3dlanes_baseline.curves import plane_pose
-    from synth3dlanes_baseline.data import annotation_of, pack
-    from synth3dlanes_baseline.poses import road_from_cam
-
     config = NANO.model_copy(update=changes)
     to_top = torch.from_numpy(road_from_cam(plane_pose(labels))).float()[None]
     return encode(pack([annotation_of("", labels, (360, 480), "plane")]), to_top, config)
@@ -24,9 +30,6 @@ def _line(x_m, slope=0.0):
 
 
 def test_anchors_are_the_centres_of_the_last_maps_columns():
-    from synth3dlanes_baseline.anchors import anchor_positions_m
-    from synth3dlanes_baseline.config import PAPER
-
     assert anchor_positions_m(PAPER) == pytest.approx(np.arange(16) * 1.28 - 9.60)
     image_view = anchor_positions_m(PAPER.model_copy(update={"variant": "image_view"}))
     assert len(image_view) == 30
@@ -58,8 +61,6 @@ def test_two_paths_of_a_split_share_an_anchor_in_order(roads):
 
 
 def test_a_third_centerline_is_dropped_and_only_the_leftmost_delimiter_stays(roads):
-    from synth3dlanes_baseline.anchors import DROPPED, KEPT
-
     lanes = [_line(0.1, slope) for slope in (0.05, -0.05, 0.0)]
     targets, status = _encode(roads.labels(lanes, [_line(0.5, 0.03), _line(0.1)]))
     assert status[0].tolist() == [DROPPED, KEPT, KEPT, DROPPED, KEPT]
@@ -78,8 +79,6 @@ def test_knots_beyond_the_lane_or_hidden_by_ground_are_masked(roads):
 
 
 def test_ignored_lanes_are_neither_positive_nor_negative(roads):
-    from synth3dlanes_baseline.anchors import IGNORED
-
     # Crosses Y_ref but too little of it is seen; the second starts behind Y_ref; the third is outside the top view.
     labels = roads.labels([_line(0.1), (_line(4.0), 30.0, 110.0), _line(10.5)], hidden=(10.0, 200.0))
     targets, status = _encode(labels)
@@ -90,9 +89,6 @@ def test_ignored_lanes_are_neither_positive_nor_negative(roads):
 
 
 def test_training_and_metric_ignore_the_same_lanes(roads):
-    from synth3dlanes_baseline.anchors import IGNORED
-    from synth3dlanes_baseline.curves import is_usable, road_curves
-
     rng = np.random.default_rng(7)
     for _ in range(200):
         lanes = [(_line(rng.uniform(-13, 13), rng.uniform(-0.2, 0.2)), rng.uniform(0, 30), 110.0) for _ in range(4)]
@@ -105,9 +101,6 @@ def test_training_and_metric_ignore_the_same_lanes(roads):
 
 
 def test_curves_are_sampled_alike_in_numpy_and_torch(roads):
-    from synth3dlanes_baseline.anchors import sample_curves
-    from synth3dlanes_baseline.curves import resample, road_curves
-
     rng = np.random.default_rng(17)
     y_m = np.concatenate([rng.uniform(-5, 120, 60), np.arange(0.0, 111.0, 10.0)])
     n_seen = 0
@@ -151,9 +144,6 @@ def test_mirrored_scene_gives_mirrored_targets(roads):
 
 @pytest.mark.parametrize(("knots", "near_cm"), [("paper", 4.0), ("ten", 0.5)])
 def test_encode_then_decode_is_the_identity_within_the_splines_error(roads, knots, near_cm):
-    from synth3dlanes_baseline.config import NANO, PAPER_KNOTS_M, TEN_KNOTS_M
-    from synth3dlanes_baseline.statistics import statistics_of
-
     rng = np.random.default_rng(13)
     model = NANO.model_copy(update={"knots_y_m": PAPER_KNOTS_M if knots == "paper" else TEN_KNOTS_M})
     statistics = statistics_of([roads.random(rng) for _ in range(100)], model)
@@ -167,12 +157,6 @@ def test_encode_then_decode_is_the_identity_within_the_splines_error(roads, knot
 
 def test_ceiling_on_generated_scenes():
     """What the anchors, six knots and a natural spline can say at best; 1,000 scenes gave 3.5 cm and AP 1.000."""
-    from synth3dlanes_baseline.statistics import statistics_of
-
-    from synth3dlanes.ground_truth import ground_truth
-    from synth3dlanes.params import load_params
-    from synth3dlanes.sample import Scenes, sample_scene
-
     params = load_params("appendix_i", ["cars.n=0", "trees.n=0"])
     statistics = statistics_of([ground_truth(sample_scene(Scenes(params, 0, "test"), index)) for index in range(100)])
     for kind in statistics.ceiling.kinds.values():
@@ -182,14 +166,6 @@ def test_ceiling_on_generated_scenes():
 
 
 def test_horizon_targets_are_the_labels_own_and_put_the_host_lanes_farthest_point_on_the_plane():
-    from synth3dlanes_baseline.curves import plane_pose, target_pose
-    from synth3dlanes_baseline.poses import road_from_cam
-
-    from synth3dlanes.frames import transform
-    from synth3dlanes.ground_truth import ground_truth
-    from synth3dlanes.params import load_params
-    from synth3dlanes.sample import Scenes, sample_scene
-
     params = load_params("appendix_i", ["cars.n=0", "trees.n=0"])
     n_tilted = 0
     # 37, 63 and 128: the ground hides the host's lane before 20 m.
@@ -212,23 +188,17 @@ def test_horizon_targets_are_the_labels_own_and_put_the_host_lanes_farthest_poin
 
 
 def test_labels_without_a_horizon_give_the_tangent_plane(roads):
-    from synth3dlanes_baseline.curves import plane_pose, target_pose
-
     labels = roads.labels([lambda y: (0.0 * y, 0.03 * y)])
     assert labels.horizon is None
     assert target_pose(labels, "horizon") == plane_pose(labels)
 
 
 def test_suppression_keeps_one_of_a_plateau():
-    from synth3dlanes_baseline.lanes import keep_local_maxima
-
     scores = np.array([[0.1, 0.7, 0.7, 0.2, 0.9, 0.3, 0.4]])
     assert keep_local_maxima(scores).tolist() == [[False, True, False, False, True, False, True]]
 
 
 def test_the_default_spline_is_the_natural_cubic():
-    from synth3dlanes_baseline.lanes import interpolate
-
     knots = np.array([5.0, 20, 40, 60, 80, 100])
     row_at_zero = interpolate(knots, np.eye(6), np.array([0.0]), "natural")
     # The notes' noise gain at y = 0: 1.48 for natural ends, 2.15 for not-a-knot.

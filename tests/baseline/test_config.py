@@ -1,11 +1,21 @@
 """Named models and overrides; wrong ones are refused with every problem named."""
 
 import pytest
+from synth3dlanes_baseline.config import (
+    ABLATIONS,
+    MODELS,
+    PAPER_KNOTS_M,
+    TrainConfig,
+    overrides_from,
+    parse,
+    train_config,
+)
+from synth3dlanes_baseline.model import LaneNet
+
+from synth3dlanes.errors import InputError
 
 
 def test_every_model_and_row_makes_a_run_that_survives_json():
-    from synth3dlanes_baseline.config import ABLATIONS, MODELS, TrainConfig, parse, train_config
-
     for model in MODELS:
         config = train_config(model)
         assert parse(TrainConfig, config.model_dump_json(), "x") == config
@@ -15,8 +25,6 @@ def test_every_model_and_row_makes_a_run_that_survives_json():
 
 
 def test_paper_keeps_the_papers_recipe():
-    from synth3dlanes_baseline.config import PAPER_KNOTS_M, train_config
-
     config = train_config("paper")
     assert (config.optimizer, config.schedule) == ("adam", "cyclic")
     assert (config.learning_rate, config.min_learning_rate) == (5e-4, 1e-6)
@@ -28,10 +36,6 @@ def test_paper_keeps_the_papers_recipe():
 
 
 def test_overrides_name_every_problem():
-    from synth3dlanes_baseline.config import overrides_from, train_config
-
-    from synth3dlanes.errors import InputError
-
     config = train_config("nano", overrides_from(["model.grid.rows=104", 'loss.kinds=["delimiter"]', "device=cpu"]))
     assert (config.model.grid.rows, config.loss.kinds, config.device) == (104, ("delimiter",), "cpu")
     with pytest.raises(InputError) as caught:
@@ -63,10 +67,6 @@ def test_overrides_name_every_problem():
     ],
 )
 def test_settings_that_do_not_fit_each_other_are_refused_in_one_line(changes, problem):
-    from synth3dlanes_baseline.config import train_config
-
-    from synth3dlanes.errors import InputError
-
     with pytest.raises(InputError, match=problem) as caught:
         train_config("nano", changes)
     (line,) = caught.value.problems
@@ -75,8 +75,5 @@ def test_settings_that_do_not_fit_each_other_are_refused_in_one_line(changes, pr
 
 
 def test_settings_that_fit_are_taken():
-    from synth3dlanes_baseline.config import train_config
-    from synth3dlanes_baseline.model import LaneNet
-
     finer = {"model.grid.columns": 256, "model.grid.cell_x_m": 0.08, "model.grid.rows": 90, "model.knots_y_m": [6, 110]}
     assert LaneNet(train_config("nano", finer).model).anchors_m.shape == (32,)

@@ -10,6 +10,13 @@ import numpy as np
 import pytest
 import torch
 from click.testing import CliRunner
+from synth3dlanes_baseline import checkpoint as checkpoints
+from synth3dlanes_baseline.config import train_config
+from synth3dlanes_baseline.evaluate import score
+from synth3dlanes_baseline.train import plan_on, train_on
+from synth3dlanes_cli.main import main
+
+from synth3dlanes.errors import InputError
 
 PAGE = Path(__file__).parents[2] / "docs/own_network.md"
 CPU = torch.device("cpu")
@@ -34,20 +41,12 @@ def samples(roads):
 
 
 def _config(**overrides):
-    from synth3dlanes_baseline.config import train_config
-
     size = {"model.image_height_px": 120, "model.image_width_px": 160}
     settings = {"batch": 4, "epochs": 60.0, "validate_every_epochs": 60.0, "device": "cpu", "workers": 0, **size}
     return train_config(OWN, settings | overrides)
 
 
 def test_the_documented_network_learns_resumes_and_is_scored(host_lane, samples, tmp_path):
-    from synth3dlanes_baseline import checkpoint as checkpoints
-    from synth3dlanes_baseline.evaluate import score
-    from synth3dlanes_baseline.train import train_on
-
-    from synth3dlanes.errors import InputError
-
     still = {"augmentation.flip": 0.0, "augmentation.noise": 0.0, "ema_decay": 0.9, "learning_rate": 5e-3}
     config = _config(**still, **{"model.arguments.width": 8})
     best = train_on(config, samples, samples, tmp_path / "run")
@@ -83,37 +82,24 @@ def test_the_documented_network_learns_resumes_and_is_scored(host_lane, samples,
 def test_networks_that_do_not_follow_the_protocol_are_refused_in_words(
     host_lane, samples, tmp_path, monkeypatch, code, problem
 ):
-    from synth3dlanes_baseline.train import train_on
-
-    from synth3dlanes.errors import InputError
-
     (tmp_path / "host_lane.py").write_text(code)
     with pytest.raises(InputError, match=problem):
         train_on(_config(), samples, samples, tmp_path / "run")
 
 
 def test_a_module_that_is_not_there_is_one_line(samples, tmp_path):
-    from synth3dlanes_cli.main import main
-
     result = CliRunner().invoke(main, ["train", str(tmp_path), "--model", "no_such_module", "--out", str(tmp_path)])
     assert result.exit_code == 2
     assert "or MODULE:FUNCTION, got 'no_such_module'" in result.output
 
 
 def _tiny(**overrides):
-    from synth3dlanes_baseline.config import train_config
-
     settings = {"batch": 2, "epochs": 1.0, "device": "cpu", "workers": 0}
     return train_config("tiny", settings | overrides)
 
 
 def test_training_starts_from_the_weights_it_is_given(samples, tmp_path):
     """A step of no length leaves the network where it began."""
-    from synth3dlanes_baseline import checkpoint as checkpoints
-    from synth3dlanes_baseline.train import train_on
-
-    from synth3dlanes.errors import InputError
-
     first = train_on(_tiny(seed=1), samples, samples, tmp_path / "first")
     still = {"learning_rate": 1e-30, "min_learning_rate": 1e-30, "weight_decay": 0.0, "ema_decay": 0.0}
     config = checkpoints.fine_tuning(str(first), {**still, "seed": 2})
@@ -135,9 +121,6 @@ def test_training_starts_from_the_weights_it_is_given(samples, tmp_path):
 
 
 def test_a_finished_run_is_extended_with_another_batch(samples, tmp_path):
-    from synth3dlanes_baseline import checkpoint as checkpoints
-    from synth3dlanes_baseline.train import plan_on, train_on
-
     train_on(_tiny(epochs=2.0), samples, samples, tmp_path)
     longer = _tiny(epochs=5.0, batch=4)
     assert plan_on(longer, samples, samples, tmp_path)[-1] == "5 steps of 4 images, 5 epochs, from step 2"
@@ -148,8 +131,6 @@ def test_a_finished_run_is_extended_with_another_batch(samples, tmp_path):
 
 
 def test_a_plan_writes_nothing(samples, tmp_path):
-    from synth3dlanes_baseline.train import plan_on
-
     lines = plan_on(_tiny(), samples, samples, tmp_path / "run")
     assert lines[0].startswith("tiny (0.4 M parameters) on cpu, seed 0")
     assert not (tmp_path / "run").exists()

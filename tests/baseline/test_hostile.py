@@ -6,8 +6,15 @@ import json
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from synth3dlanes_baseline import checkpoint
+from synth3dlanes_baseline.config import PAPER, train_config
+from synth3dlanes_baseline.lanes import read_predictions, to_line
+from synth3dlanes_baseline.model import LaneNet
+from synth3dlanes_baseline.photographs import read_intrinsics
+from synth3dlanes_baseline.pretrained import load_pretrained
 
 from synth3dlanes.errors import FormatError, Synth3dlanesError
 from tests.hostile import HOSTILE, edited_json, files, mutated, refused_or_read
@@ -32,8 +39,6 @@ def read_or_refused(tmp_path_factory, data, read, name):
 @given(mutated(json.dumps(PREDICTION).encode(), is_json=True))
 @files
 def test_predictions(tmp_path_factory, data):
-    from synth3dlanes_baseline.lanes import read_predictions, to_line
-
     found = read_or_refused(tmp_path_factory, data, lambda path: list(read_predictions(path)), "p.jsonl")
     for prediction in found or ():
         assert "NaN" not in to_line(prediction), "what is read is finite, and can be written"
@@ -42,8 +47,6 @@ def test_predictions(tmp_path_factory, data):
 @given(mutated(CALIBRATION.encode()))
 @files
 def test_calibrations(tmp_path_factory, data):
-    from synth3dlanes_baseline.photographs import read_intrinsics
-
     found = read_or_refused(tmp_path_factory, data, read_intrinsics, "calib.txt")
     assert found is None or np.isfinite(found).all()
 
@@ -51,10 +54,6 @@ def test_calibrations(tmp_path_factory, data):
 @pytest.fixture(scope="module")
 def stored():
     """What a checkpoint of a network of a few weights holds."""
-    import torch
-    from synth3dlanes_baseline import checkpoint
-    from synth3dlanes_baseline.config import train_config
-
     config = train_config("tiny")
     network = checkpoint.network_of(config.model)
     about = {"train": {"n_images": 4, "focal_px": [138.6, 138.6, 1.0]}, "step": 3}
@@ -66,25 +65,18 @@ def stored():
 
 
 def detect(path):
-    import torch
-    from synth3dlanes_baseline import checkpoint
-
     return checkpoint.detector(path, torch.device("cpu"))
 
 
 @given(st.data())
 @files
 def test_damaged_checkpoints(tmp_path_factory, stored, data):
-    from synth3dlanes_baseline import checkpoint
-
     read_or_refused(tmp_path_factory, data.draw(mutated(stored[1])), checkpoint.load, "x.pt")
 
 
 @given(st.data())
 @files
 def test_checkpoints_whose_settings_lie(tmp_path_factory, stored, data):
-    import torch
-
     config = data.draw(edited_json(stored[0]["config"])).decode("utf-8", "replace")
     path = tmp_path_factory.getbasetemp() / "lies.pt"
     torch.save({**stored[0], "config": config}, path)
@@ -95,8 +87,6 @@ def test_checkpoints_whose_settings_lie(tmp_path_factory, stored, data):
 @pytest.mark.parametrize("value", [..., 2, "x", [], ["x"], {"train": 3}, {"train": {"focal_px": [1, -1, 1]}}, {"a": 1}])
 def test_checkpoints_that_lie(tmp_path, stored, name, value):
     """A file as torch writes it; what is in it is not as it should be."""
-    import torch
-
     document = dict(stored[0])
     if value is ...:
         del document[name]
@@ -111,8 +101,6 @@ def test_checkpoints_that_lie(tmp_path, stored, name, value):
 
 
 def test_weights_of_another_network_are_named(tmp_path, stored):
-    import torch
-
     model = stored[0]["model"]
     first = next(iter(model))
     torch.save({**stored[0], "model": {**model, first: torch.zeros(2)}}, tmp_path / "x.pt")
@@ -126,8 +114,6 @@ def test_weights_of_another_network_are_named(tmp_path, stored):
 @pytest.mark.parametrize("value", HOSTILE)
 def test_sizes_of_networks_are_bounded(tmp_path, stored, value):
     """What is no size, or beyond any that is used, is refused before a network is built."""
-    import torch
-
     config = stored[0]["config"].replace('"rows":104', f'"rows":{value}')
     assert config != stored[0]["config"]
     torch.save({**stored[0], "config": config}, tmp_path / "x.pt")
@@ -136,11 +122,6 @@ def test_sizes_of_networks_are_bounded(tmp_path, stored, value):
 
 
 def test_files_that_are_no_state_dict(tmp_path):
-    import torch
-    from synth3dlanes_baseline.config import PAPER
-    from synth3dlanes_baseline.model import LaneNet
-    from synth3dlanes_baseline.pretrained import load_pretrained
-
     with torch.device("meta"):
         network = LaneNet(PAPER)
     path = tmp_path / "x.pth"

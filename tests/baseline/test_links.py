@@ -5,19 +5,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+from synth3dlanes_baseline import checkpoint, report
+from synth3dlanes_baseline.cache import annotation_file
+from synth3dlanes_baseline.config import train_config
+from synth3dlanes_baseline.lanes import write_predictions
+from synth3dlanes_baseline.overlay import save_overlay
+from synth3dlanes_baseline.progress import Log
 
 from synth3dlanes.errors import LinkError
 
 
 def writers(out: Path, roads):
-    import torch
-    from synth3dlanes_baseline import checkpoint, report
-    from synth3dlanes_baseline.cache import annotation_file
-    from synth3dlanes_baseline.config import train_config
-    from synth3dlanes_baseline.lanes import write_predictions
-    from synth3dlanes_baseline.overlay import save_overlay
-    from synth3dlanes_baseline.progress import Log
-
     labels = roads.labels([lambda y: (0 * y, 0 * y)])
     prediction = roads.as_prediction(labels)
     image = np.zeros((360, 480, 3), np.uint8)

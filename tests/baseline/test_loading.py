@@ -10,6 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from synth3dlanes_baseline import loading
+from synth3dlanes_baseline.cache import SLOT_BYTES, Slots, from_bytes, to_bytes
+from synth3dlanes_baseline.config import train_config
+from synth3dlanes_baseline.data import annotation_of
+from synth3dlanes_baseline.loading import Process, decoding_of, open_examples, training_batches
+
+from synth3dlanes.errors import FormatError
 
 CPU = torch.device("cpu")
 
@@ -55,14 +62,10 @@ def drawn(roads):
 
 
 def _config(**overrides):
-    from synth3dlanes_baseline.config import train_config
-
     return train_config("tiny", {"batch": 4, "device": "cpu", "workers": 0, **overrides})
 
 
 def _batches(samples, folder, first=0, n_steps=5, process=None, **overrides):
-    from synth3dlanes_baseline.loading import Process, decoding_of, open_examples, training_batches
-
     config, process = _config(**overrides), process or Process(0, 1, CPU)
     decoding = decoding_of(len(samples), config, process)
     examples = open_examples(samples, decoding, config, process, folder)
@@ -87,8 +90,6 @@ def test_batches_do_not_depend_on_workers_caches_or_where_a_run_begins(drawn, tm
 
 
 def test_two_processes_read_disjoint_samples_that_are_together_those_of_one(drawn, tmp_path):
-    from synth3dlanes_baseline.loading import Process
-
     alone = _batches(drawn, tmp_path)
     pair = [_batches(drawn, tmp_path, process=Process(rank, 2, CPU)) for rank in range(2)]
     for whole, first, second in zip(alone, *pair, strict=True):
@@ -137,17 +138,12 @@ def test_a_damaged_slot_is_made_anew(drawn, tmp_path):
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device without room")
 def test_a_full_disk_costs_the_cache_and_not_the_run():
-    from synth3dlanes_baseline.cache import SLOT_BYTES, Slots
-
     slots = Slots(os.open("/dev/full", os.O_RDWR), SLOT_BYTES)
     slots.put(3, b"record")
     assert slots.get(3) is None
 
 
 def test_annotations_survive_their_file(roads):
-    from synth3dlanes_baseline.cache import from_bytes, to_bytes
-    from synth3dlanes_baseline.data import annotation_of
-
     rng = np.random.default_rng(0)
     for _ in range(10):
         one = annotation_of("clips/0é/1.jpg", roads.random(rng), (90, 160), "plane")
@@ -161,8 +157,6 @@ def test_annotations_survive_their_file(roads):
 
 @pytest.mark.parametrize("workers", [0, 1])
 def test_an_error_in_a_worker_is_one_line(drawn, tmp_path, workers):
-    from synth3dlanes.errors import FormatError
-
     class Broken(Counted):
         def _read(self, part, index):
             if index == 7:
@@ -175,10 +169,6 @@ def test_an_error_in_a_worker_is_one_line(drawn, tmp_path, workers):
 
 
 def test_what_does_not_fit_is_told_with_figures(monkeypatch):
-    from synth3dlanes_baseline import loading
-    from synth3dlanes_baseline.config import train_config
-    from synth3dlanes_baseline.loading import Process, decoding_of
-
     monkeypatch.setattr(loading, "free_memory_bytes", lambda: 20 * 10**9)
     nano, process = train_config("nano", {"device": "cpu"}), Process(0, 1, CPU)
     few, many = (decoding_of(n, nano, process) for n in (2_000, 300_000))

@@ -4,11 +4,15 @@ import dataclasses
 
 import numpy as np
 import pytest
+from synth3dlanes_baseline.metrics import Evaluation, MetricConfig, ap_at_101_points, average_precision
+from synth3dlanes_baseline.report import summary_line, to_text
+
+from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.params import load_params
+from synth3dlanes.sample import Scenes, sample_scene
 
 
 def _evaluate(pairs, **changes):
-    from synth3dlanes_baseline.metrics import Evaluation, MetricConfig
-
     evaluation = Evaluation(MetricConfig(**{"bootstraps": 0, **changes}))
     for labels, prediction in pairs:
         evaluation.add(labels, prediction)
@@ -65,8 +69,6 @@ def test_a_shift_beyond_the_match_distance_finds_nothing(roads):
     ],
 )
 def test_missing_errors_are_explained_in_words(roads, score, shift_m, why):
-    from synth3dlanes_baseline.report import summary_line, to_text
-
     labels = roads.labels(_straight(0.0), _straight(-1.75))
     report = _evaluate([(labels, roads.as_prediction(labels, score=score, shift_m=shift_m))])
     line, text = summary_line(report), to_text(report)
@@ -183,8 +185,6 @@ def test_matching_starts_anew_at_every_threshold(roads):
 
 
 def test_average_precision_by_hand(roads):
-    from synth3dlanes_baseline.metrics import ap_at_101_points, average_precision
-
     recalls, precisions = np.array([0.25, 0.25, 0.5, 0.75]), np.array([1.0, 0.5, 0.6, 0.75])
     assert average_precision(recalls, precisions) == pytest.approx(0.25 * 1.0 + 0.5 * 0.75)
     assert ap_at_101_points(recalls, precisions) == pytest.approx((26 * 1.0 + 50 * 0.75) / 101)
@@ -192,10 +192,6 @@ def test_average_precision_by_hand(roads):
 
 def test_generated_labels_as_predictions_are_perfect(roads):
     """Splits, merges, crests and lanes that end: whatever the labels hold, they must not count against themselves."""
-    from synth3dlanes.ground_truth import ground_truth
-    from synth3dlanes.params import load_params
-    from synth3dlanes.sample import Scenes, sample_scene
-
     params = load_params("appendix_i", ["cars.n=0", "trees.n=0"])
     many = [ground_truth(sample_scene(Scenes(params, 0, "test"), index)) for index in range(60)]
     report = _evaluate([(labels, roads.as_prediction(labels)) for labels in many])

@@ -8,12 +8,20 @@ import sys
 import numpy as np
 import pytest
 import torch
+from synth3dlanes_baseline.anchors import encode
+from synth3dlanes_baseline.augment import augment, flip, generator_for, rotate
+from synth3dlanes_baseline.config import OUR_AUGMENTATION, PAPER, TINY, LossConfig, improved, train_config
+from synth3dlanes_baseline.curves import Y_REF_M
+from synth3dlanes_baseline.data import annotation_of, pack
+from synth3dlanes_baseline.loading import Example, collate
+from synth3dlanes_baseline.loss import loss
+from synth3dlanes_baseline.model import LaneNet, Output
+from synth3dlanes_baseline.projection import top_from_road
+
+from synth3dlanes.frames import invert, project, transform
 
 
 def _batch(roads, n=2, size_px=(160, 120), seed=0):
-    from synth3dlanes_baseline.data import annotation_of
-    from synth3dlanes_baseline.loading import Example, collate
-
     def example(sample):
         annotation = annotation_of(sample.key, sample.labels, (size_px[1], size_px[0]), "plane")
         return Example(np.asarray(sample.image), annotation)
@@ -23,7 +31,6 @@ def _batch(roads, n=2, size_px=(160, 120), seed=0):
 
 
 def _targets(batch, config):
-    from synth3dlanes_baseline.anchors import encode
     from synth3dlanes_baseline.projection import road_from_cam
 
     return encode(batch.curves, road_from_cam(batch.target_pose), config)[0]
@@ -33,9 +40,6 @@ def _targets(batch, config):
     "row", ["full", "image_view", "top_view", "early_ipm", "late_ipm", "horizon", "fixed_position", "no_supervision"]
 )
 def test_every_ablation_gives_39_values_per_anchor_from_the_same_start(roads, row):
-    from synth3dlanes_baseline.config import TINY, train_config
-    from synth3dlanes_baseline.model import LaneNet
-
     batch = _batch(roads)
     torch.manual_seed(0)
     model = LaneNet(train_config("tiny", ablation=row).model).eval()
@@ -53,11 +57,7 @@ def test_every_ablation_gives_39_values_per_anchor_from_the_same_start(roads, ro
 
 @pytest.mark.parametrize("name", ["paper", "tiny"])
 def test_anchors_of_the_image_view_read_the_columns_where_they_meet_the_road(name):
-    from synth3dlanes_baseline.config import train_config
-    from synth3dlanes_baseline.curves import Y_REF_M
-    from synth3dlanes_baseline.model import LaneNet
-
-    from synth3dlanes.frames import invert, project, road_from_cam, transform
+    from synth3dlanes.frames import road_from_cam
 
     config = train_config(name, ablation="image_view").model
     model = LaneNet(config)
@@ -78,9 +78,6 @@ def test_anchors_of_the_image_view_read_the_columns_where_they_meet_the_road(nam
 
 @pytest.mark.parametrize("variant", ["full", "image_view", "top_view", "early_ipm", "late_ipm"])
 def test_every_variant_takes_a_fixed_pose(roads, variant):
-    from synth3dlanes_baseline.config import train_config
-    from synth3dlanes_baseline.model import LaneNet
-
     batch = _batch(roads, n=1)
     changes = {"model.pose_target": "fixed", "model.fixed_pitch_deg": 4.0, "model.fixed_height_m": 1.5}
     model = LaneNet(train_config("tiny", changes, "full").model.model_copy(update={"variant": variant})).eval()
@@ -123,9 +120,6 @@ def test_compiled_it_is_one_graph_with_the_same_lanes_and_gradients():
 
 
 def test_paper_has_the_sizes_of_the_notes():
-    from synth3dlanes_baseline.config import PAPER
-    from synth3dlanes_baseline.model import LaneNet
-
     model = LaneNet(PAPER)
     assert sum(p.numel() for p in model.parameters()) == pytest.approx(23.7e6, rel=0.005)
     assert [layer[0].kernel_size[0] for layer in model.head.reduce] == [3, 3, 3, 5, 5, 5, 5]
@@ -134,9 +128,6 @@ def test_paper_has_the_sizes_of_the_notes():
 
 
 def test_the_network_starts_at_the_mean_pose_and_a_low_confidence(roads):
-    from synth3dlanes_baseline.config import TINY
-    from synth3dlanes_baseline.model import LaneNet
-
     batch = _batch(roads)
     with torch.no_grad():
         output = LaneNet(TINY).eval()(batch.image, batch.intrinsics)
@@ -146,9 +137,6 @@ def test_the_network_starts_at_the_mean_pose_and_a_low_confidence(roads):
 
 
 def test_lane_loss_reaches_the_pose_only_through_a_grid_with_gradient(roads):
-    from synth3dlanes_baseline.config import TINY
-    from synth3dlanes_baseline.model import LaneNet
-
     batch = _batch(roads)
     for has_gradient in (False, True):
         torch.manual_seed(1)
@@ -159,9 +147,6 @@ def test_lane_loss_reaches_the_pose_only_through_a_grid_with_gradient(roads):
 
 
 def test_improved_has_a_visibility_per_knot(roads):
-    from synth3dlanes_baseline.config import TINY, improved
-    from synth3dlanes_baseline.model import LaneNet
-
     batch = _batch(roads)
     with torch.no_grad():
         output = LaneNet(improved(TINY))(batch.image, batch.intrinsics)
@@ -169,9 +154,6 @@ def test_improved_has_a_visibility_per_knot(roads):
 
 
 def test_loss_of_perfect_output_is_only_the_confidence(roads):
-    from synth3dlanes_baseline.config import TINY, LossConfig
-    from synth3dlanes_baseline.loss import loss
-
     batch = _batch(roads)
     targets = _targets(batch, TINY)
     terms = loss(_output(targets, batch), targets, batch.target_pose, TINY.types, LossConfig())
@@ -184,15 +166,10 @@ def test_loss_of_perfect_output_is_only_the_confidence(roads):
 
 
 def test_hidden_knots_and_ignored_lanes_get_no_gradient(roads):
-    from synth3dlanes_baseline.config import TINY, LossConfig
-    from synth3dlanes_baseline.data import annotation_of, pack
-    from synth3dlanes_baseline.loss import loss
     from synth3dlanes_baseline.projection import road_from_cam
 
     labels = roads.labels([lambda y: (0.1, 0 * y), (lambda y: (4.1, 0 * y), 0.0, 15.0), lambda y: (10.6, 0 * y)],
                           hidden=(50.0, 200.0))  # fmt: skip
-    from synth3dlanes_baseline.anchors import encode
-
     pose = torch.tensor([[labels.camera.pitch_rad, labels.camera.height_m]])
     targets, _ = encode(pack([annotation_of("", labels, (360, 480), "plane")]), road_from_cam(pose), TINY)
     x_m, z_m, logit = (torch.randn(1, 3, 16, *tail, requires_grad=True) for tail in ((6,), (6,), ()))
@@ -205,9 +182,6 @@ def test_hidden_knots_and_ignored_lanes_get_no_gradient(roads):
 
 
 def test_unlabelled_kinds_enter_no_term(roads):
-    from synth3dlanes_baseline.config import TINY, LossConfig
-    from synth3dlanes_baseline.loss import loss
-
     batch = _batch(roads)
     targets = _targets(batch, TINY)
     logit = torch.zeros_like(targets.x_m[..., 0]).requires_grad_()
@@ -220,9 +194,6 @@ def test_unlabelled_kinds_enter_no_term(roads):
 
 
 def test_flip_twice_is_the_identity_and_once_mirrors_the_targets(roads):
-    from synth3dlanes_baseline.augment import flip
-    from synth3dlanes_baseline.config import TINY
-
     batch = _batch(roads, n=4)
     chosen = torch.tensor([True, False, True, True])
     once, twice = flip(batch, chosen), flip(flip(batch, chosen), chosen)
@@ -238,7 +209,6 @@ def test_flip_twice_is_the_identity_and_once_mirrors_the_targets(roads):
 
 @pytest.mark.parametrize(("pitch_deg", "yaw_deg"), [(1.5, 0.0), (0.0, 4.0), (-1.0, -3.0)])
 def test_virtual_rotation_moves_picture_and_labels_together(roads, pitch_deg, yaw_deg):
-    from synth3dlanes_baseline.augment import rotate
     from synth3dlanes_baseline.projection import road_from_cam
 
     batch = _batch(roads, n=1, size_px=(480, 360))
@@ -263,9 +233,6 @@ def test_virtual_rotation_moves_picture_and_labels_together(roads, pitch_deg, ya
 
 
 def test_augmentation_of_a_step_repeats(roads):
-    from synth3dlanes_baseline.augment import augment, generator_for
-    from synth3dlanes_baseline.config import OUR_AUGMENTATION
-
     batch = _batch(roads)
     first, second, other = (
         augment(batch, OUR_AUGMENTATION, generator_for(3, step, 0, torch.device("cpu"))) for step in (7, 7, 8)
@@ -275,10 +242,7 @@ def test_augmentation_of_a_step_repeats(roads):
 
 
 def test_a_top_view_moved_right_sees_lanes_further_left(roads):
-    from synth3dlanes_baseline.anchors import encode
-    from synth3dlanes_baseline.config import TINY
-    from synth3dlanes_baseline.data import annotation_of, pack
-    from synth3dlanes_baseline.projection import road_from_cam, top_from_road
+    from synth3dlanes_baseline.projection import road_from_cam
 
     labels = roads.labels([lambda y: (1.0, 0 * y)])
     pose = torch.tensor([[labels.camera.pitch_rad, labels.camera.height_m]])
@@ -290,8 +254,6 @@ def test_a_top_view_moved_right_sees_lanes_further_left(roads):
 
 
 def _output(targets, batch):
-    from synth3dlanes_baseline.model import Output
-
     logit = torch.where(targets.assigned, 20.0, -20.0)
     pose = torch.zeros(len(logit), 2) if batch is None else batch.target_pose
     return Output(targets.x_m, targets.z_m, logit, None, pose, torch.eye(4).expand(len(logit), 4, 4))

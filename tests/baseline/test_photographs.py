@@ -1,13 +1,18 @@
 """Photographs: how a network sees those of other cameras, and scores by labels in the image."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image, ImageDraw
-from synth3dlanes_baseline.data import FocalLengths, fit, resize
+from synth3dlanes_baseline import checkpoint as checkpoints
+from synth3dlanes_baseline.config import train_config
+from synth3dlanes_baseline.data import FocalLengths, fit, intrinsics_of, resize
 from synth3dlanes_baseline.image_lines import columns_of
-from synth3dlanes_baseline.lanes import Detection, write_predictions
+from synth3dlanes_baseline.lanes import Detection, Prediction, write_predictions
+from synth3dlanes_baseline.model import LaneNet
 from synth3dlanes_baseline.photographs import evaluate_predictions, open_photographs, read_intrinsics
 from synth3dlanes_baseline.sources import focal_lengths
 
@@ -103,8 +108,6 @@ def kitti(tmp_path):
 
 
 def kitti_report(kitti, lines, shift_m=0.0):
-    from synth3dlanes_baseline.lanes import Prediction
-
     images, masks, _ = kitti
     lanes = tuple(Detection("delimiter", 0.9, line + np.array([shift_m, 0, 0])) for line in lines)
     write_predictions(images.parent / "p.jsonl", [Prediction("um_000007.png", lanes, None)])
@@ -174,8 +177,6 @@ def test_columns_end_where_the_lane_is_hidden_or_turns_back():
 
 
 def test_centre_lines_alone_are_refused_in_a_line(tmp_path):
-    from synth3dlanes_baseline.lanes import Prediction
-
     frame = {"raw_file": "1.jpg", "lanes": [[600, 610]], "h_samples": [400, 410]}
     (tmp_path / "labels.json").write_text(json.dumps(frame) + "\n")
     line = Detection("centerline", 0.9, np.array([[0.0, 5.0, -1.5], [0.0, 20.0, -1.5]]))
@@ -185,14 +186,6 @@ def test_centre_lines_alone_are_refused_in_a_line(tmp_path):
 
 
 def test_a_checkpoint_knows_the_focal_lengths_it_was_trained_on_and_every_image_is_seen_so(roads, tmp_path):
-    from dataclasses import replace
-
-    import torch
-    from synth3dlanes_baseline import checkpoint as checkpoints
-    from synth3dlanes_baseline.config import train_config
-    from synth3dlanes_baseline.data import intrinsics_of
-    from synth3dlanes_baseline.model import LaneNet
-
     torch.manual_seed(0)
     config = train_config("tiny")
     about = {"train": {"n_images": 1, "focal_px": [60.0, 70.0, 1.0]}}

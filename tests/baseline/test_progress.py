@@ -1,9 +1,9 @@
 """What a training tells where there is no terminal, as in a cluster's log."""
 
+from synth3dlanes_baseline import progress
+
 
 def test_a_log_file_gets_a_line_now_and_then_with_what_is_left(capsys, monkeypatch):
-    from synth3dlanes_baseline import progress
-
     clock = 0.0
     monkeypatch.setattr(progress.time, "monotonic", lambda: clock)
     with progress.Line("step", 100, is_shown=True) as line:
@@ -16,8 +16,6 @@ def test_a_log_file_gets_a_line_now_and_then_with_what_is_left(capsys, monkeypat
 
 
 def test_other_processes_than_the_first_say_nothing(capsys, monkeypatch):
-    from synth3dlanes_baseline import progress
-
     monkeypatch.setattr(progress, "LINE_EVERY_S", -1.0)
     with progress.Line("step", 10, is_shown=False) as line:
         line.update(5, 10)

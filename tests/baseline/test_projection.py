@@ -7,6 +7,22 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from synth3dlanes_baseline import poses
+from synth3dlanes_baseline.backbone import ImagePathway
+from synth3dlanes_baseline.config import MODELS, NANO
+from synth3dlanes_baseline.layers import PIXELS, Lattice, lattice_after
+from synth3dlanes_baseline.poses import Pose, cam_from_road
+from synth3dlanes_baseline.projection import (
+    OUTSIDE,
+    Projection,
+    cell_centres,
+    invert_rigid,
+    road_from_cam,
+    sampling_grid,
+    top_from_road,
+)
+
+from synth3dlanes.frames import project, transform
 
 PITCHES = st.floats(-0.05, 0.2)
 HEIGHTS = st.floats(1.0, 2.5)
@@ -16,10 +32,6 @@ INTRINSICS = torch.tensor([[415.7, 415.7, 240.0, 180.0]])
 @given(pitch=PITCHES, height=HEIGHTS, x=st.floats(-10, 10), y=st.floats(3, 100))
 @settings(max_examples=50, deadline=None)
 def test_projection_of_ground_points_is_the_homography_of_the_notes(pitch, height, x, y):
-    from synth3dlanes_baseline.poses import Pose, cam_from_road
-
-    from synth3dlanes.frames import project, transform
-
     cos, sin = math.cos(pitch), math.sin(pitch)
     h_r2i = np.array([[415.7, 0, 240.0], [0, 415.7, 180.0], [0, 0, 1]]) @ np.array(
         [[1, 0, 0], [0, -sin, height * cos], [0, cos, height * sin]]
@@ -38,7 +50,7 @@ def test_projection_of_ground_points_is_the_homography_of_the_notes(pitch, heigh
 @given(pitch=PITCHES, height=HEIGHTS)
 @settings(max_examples=30, deadline=None)
 def test_numpy_and_torch_poses_agree_and_invert(pitch, height):
-    from synth3dlanes_baseline import poses, projection
+    from synth3dlanes_baseline import projection
 
     numpy_matrix = poses.road_from_cam(poses.Pose(pitch, height))
     torch_matrix = projection.road_from_cam(torch.tensor([[pitch, height]]))
@@ -48,8 +60,6 @@ def test_numpy_and_torch_poses_agree_and_invert(pitch, height):
 
 
 def test_a_point_to_the_right_and_ahead_of_a_turned_top_view():
-    from synth3dlanes_baseline.projection import top_from_road
-
     matrix = top_from_road(torch.tensor([math.pi / 2]), torch.tensor([1.0]))[0]
     # The grid faces left (road -x): a road point 5 m to the left lies 5 m ahead of it, 1 m left of its shifted middle.
     point_top = matrix @ torch.tensor([-5.0, 0.0, 0.0, 1.0])
@@ -60,10 +70,6 @@ def test_a_point_to_the_right_and_ahead_of_a_turned_top_view():
 def test_every_stage_reads_the_ground_position_of_its_cells(name):
     """An image whose channels are the ground position, shrunk as the backbone's lattice says, must come back as the
     cells' own positions at all four stages. Catches every shift by half a cell."""
-    from synth3dlanes_baseline.backbone import ImagePathway
-    from synth3dlanes_baseline.config import MODELS
-    from synth3dlanes_baseline.projection import Projection, cell_centres, invert_rigid, road_from_cam
-
     config = MODELS[name]
     backbone = ImagePathway(config)
     intrinsics = torch.tensor([config.reference_intrinsics])
@@ -96,10 +102,6 @@ def test_every_stage_reads_the_ground_position_of_its_cells(name):
 
 def test_a_cell_reads_the_ray_to_its_place_on_the_road():
     """A picture of its own viewing rays: the cell at (x, y) must read the ray to (x, y, 0)."""
-    from synth3dlanes_baseline.config import NANO
-    from synth3dlanes_baseline.layers import Lattice
-    from synth3dlanes_baseline.projection import Projection, cell_centres, invert_rigid, road_from_cam
-
     intrinsics, lattice = torch.tensor([NANO.reference_intrinsics]), Lattice(4.0, 2.0)
     fx, fy, cx, cy = NANO.reference_intrinsics
     right = ((lattice.offset + lattice.stride * torch.arange(120) - cx) / fx).expand(90, 120)
@@ -131,8 +133,6 @@ def _well_inside(cells, intrinsics, pose, lattice, size):
     ("kernel", "step", "padding", "offset"), [(2, 2, 0, 1.0), (4, 2, 1, 1.0), (3, 2, 1, 0.5), (3, 1, 1, 0.5)]
 )
 def test_lattice_is_the_empirical_centre_of_response(kernel, step, padding, offset):
-    from synth3dlanes_baseline.layers import PIXELS, lattice_after
-
     layers = [torch.nn.Conv2d(1, 1, kernel, stride=step, padding=padding, bias=False)]
     lattice = lattice_after(layers, PIXELS)
     torch.nn.init.constant_(layers[0].weight, 1.0)
@@ -147,9 +147,6 @@ def test_lattice_is_the_empirical_centre_of_response(kernel, step, padding, offs
 
 
 def test_offsets_through_the_backbones_are_half_their_strides():
-    from synth3dlanes_baseline.backbone import ImagePathway
-    from synth3dlanes_baseline.config import MODELS
-
     for name in ("paper", "compact", "nano"):
         assert [tuple(lattice) for lattice in ImagePathway(MODELS[name]).lattices] == [
             (2, 1.0),
@@ -160,12 +157,7 @@ def test_offsets_through_the_backbones_are_half_their_strides():
 
 
 def test_cells_behind_or_beside_the_camera_read_zero():
-    from synth3dlanes_baseline.layers import PIXELS
-    from synth3dlanes_baseline.projection import OUTSIDE, sampling_grid
-
     pitched_up = torch.tensor([[-0.3, 1.6]])
-    from synth3dlanes_baseline.projection import invert_rigid, road_from_cam
-
     points = torch.tensor([[[0.0, 0.2, 0.0], [50.0, 5.0, 0.0], [0.0, 30.0, 0.0]]])
     grid = sampling_grid(points, invert_rigid(road_from_cam(pitched_up)), INTRINSICS, PIXELS, (360, 480))
     assert grid[0, 0, 0].tolist() == [OUTSIDE, OUTSIDE]

@@ -5,22 +5,22 @@ import math
 import numpy as np
 import pytest
 import torch
+from synth3dlanes_baseline.anchors import Targets, anchor_positions_m
+from synth3dlanes_baseline.config import TINY, LossConfig, improved
+from synth3dlanes_baseline.lane_head import Lanes
+from synth3dlanes_baseline.layers import Lattice
+from synth3dlanes_baseline.loss import loss
+from synth3dlanes_baseline.model import LaneNet, Output
+from synth3dlanes_baseline.projection import invert_rigid, road_from_cam
+from synth3dlanes_baseline.refinement import ASIDE_M, WIDTH, Refinement
 
 
 def _lanes(config, x_m=0.0, z_m=0.0):
-    from synth3dlanes_baseline.lane_head import Lanes
-
     shape = (2, len(config.types), 16, len(config.knots_y_m))
     return Lanes(torch.full(shape, x_m), torch.full(shape, z_m), torch.zeros(shape[:3]), torch.zeros(shape))
 
 
 def test_it_looks_where_the_points_of_a_lane_are_in_the_image():
-    from synth3dlanes_baseline.anchors import anchor_positions_m
-    from synth3dlanes_baseline.config import TINY, improved
-    from synth3dlanes_baseline.layers import Lattice
-    from synth3dlanes_baseline.projection import invert_rigid, road_from_cam
-    from synth3dlanes_baseline.refinement import ASIDE_M, WIDTH, Refinement
-
     config = improved(TINY)
     anchors_m = torch.tensor(anchor_positions_m(config))
     refinement = Refinement((1, 1, 1), config)
@@ -59,9 +59,6 @@ def test_it_looks_where_the_points_of_a_lane_are_in_the_image():
 
 
 def test_untrained_it_changes_nothing_and_flat_lanes_stay_flat():
-    from synth3dlanes_baseline.config import TINY, improved
-    from synth3dlanes_baseline.model import LaneNet
-
     torch.manual_seed(3)
     for has_elevation in (True, False):
         network = LaneNet(improved(TINY).model_copy(update={"refinements": 2, "has_elevation": has_elevation})).eval()
@@ -82,9 +79,6 @@ def test_untrained_it_changes_nothing_and_flat_lanes_stay_flat():
 @pytest.mark.parametrize("variant", ["full", "top_view", "early_ipm", "late_ipm", "image_view"])
 @pytest.mark.parametrize("pose_target", ["plane", "fixed"])
 def test_every_variant_can_have_it(variant, pose_target):
-    from synth3dlanes_baseline.config import TINY
-    from synth3dlanes_baseline.model import LaneNet
-
     changes = {"refinements": 1, "variant": variant, "pose_target": pose_target}
     with torch.no_grad():
         output = LaneNet(TINY.model_copy(update=changes)).eval()(
@@ -95,11 +89,6 @@ def test_every_variant_can_have_it(variant, pose_target):
 
 
 def test_every_stage_is_trained():
-    from synth3dlanes_baseline.anchors import Targets
-    from synth3dlanes_baseline.config import TINY, LossConfig
-    from synth3dlanes_baseline.loss import loss
-    from synth3dlanes_baseline.model import Output
-
     lanes = _lanes(TINY)._replace(visible_logit=None)
     shape = lanes.x_m.shape
     yes, all_lanes = torch.ones(shape, dtype=torch.bool), torch.ones(shape[:3], dtype=torch.bool)

@@ -7,21 +7,21 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from PIL import Image
+from synth3dlanes_baseline.checkpoint import load, place
+from synth3dlanes_cli.main import main
+
+import synth3dlanes as s3d
 
 SCENE = Path(__file__).parents[1] / "golden/plain.scene.json"
 
 
 @pytest.fixture(scope="module")
 def rendered():
-    import synth3dlanes as s3d
-
     return s3d.render(s3d.load_scene(SCENE))
 
 
 @pytest.mark.parametrize("name", ["nano", "streets"])
 def test_the_weights_take_little_room(name):
-    from synth3dlanes_baseline.checkpoint import load, place
-
     assert place(name).stat().st_size < 2_000_000
     found = load(place(name))
     assert found.resume is None
@@ -30,8 +30,6 @@ def test_the_weights_take_little_room(name):
 
 
 def test_predict_finds_the_hosts_lane_in_a_picture_without_further_words(rendered, tmp_path):
-    from synth3dlanes_cli.main import main
-
     Image.fromarray(rendered.image).save(tmp_path / "photo.jpg", quality=95)
     result = CliRunner().invoke(main, ["predict", str(tmp_path / "photo.jpg"), "--out", str(tmp_path / "out")])
     assert result.exit_code == 0, result.output

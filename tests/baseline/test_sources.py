@@ -3,9 +3,29 @@
 import shutil
 from pathlib import Path
 
+import fsspec
 import numpy as np
 import pytest
 from PIL import Image, ImageDraw
+from synth3dlanes_baseline import sources
+from synth3dlanes_baseline.data import annotation_of
+from synth3dlanes_baseline.sources import open_split, training_and_validation
+from synth3dlanes_baseline.tusimple import TusimpleOnPlane
+
+from synth3dlanes import scene as scene_format
+from synth3dlanes.dataset.folder import claim
+from synth3dlanes.dataset.format import encode, member_names
+from synth3dlanes.dataset.write import Shard
+from synth3dlanes.errors import FormatError
+from synth3dlanes.formats.apollo.read import ApolloSplit
+from synth3dlanes.formats.openlane.read import OpenLaneSplit
+from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.params import load_params
+from synth3dlanes.production.plan import Plan
+from synth3dlanes.production.run import generate
+from synth3dlanes.sample import Scenes, sample_scene
+from synth3dlanes.shots import clips
+from tests import fake_samples
 
 N = 3
 
@@ -13,16 +33,6 @@ N = 3
 @pytest.fixture(scope="module")
 def split_of(tmp_path_factory):
     """Writes scenes of one seed to a split, their cameras rolled or not, and opens it as training does."""
-    from synth3dlanes_baseline.sources import open_split
-
-    from synth3dlanes import scene as scene_format
-    from synth3dlanes.dataset.folder import claim
-    from synth3dlanes.dataset.format import encode, member_names
-    from synth3dlanes.dataset.write import Shard
-    from synth3dlanes.ground_truth import ground_truth
-    from synth3dlanes.params import load_params
-    from synth3dlanes.sample import Scenes, sample_scene
-    from tests import fake_samples
 
     def write(*changes):
         root = tmp_path_factory.mktemp("sources") / "data"
@@ -50,8 +60,6 @@ def _picture(labels):
 
 
 def test_targets_of_a_rolled_image_are_those_of_the_same_scene_without_roll(split_of):
-    from synth3dlanes_baseline.data import annotation_of
-
     shift = "camera.principal_offset_px=[-8, 8]"
     level, rolled = (split_of(shift, change) for change in ("camera.roll_deg=0", "camera.roll_deg=3"))
     for index in range(N):
@@ -74,8 +82,6 @@ def test_the_index_gives_keys_and_labels_without_pictures(split_of):
 
 
 def test_without_a_validation_split_every_tenth_sample_is_held_out(tmp_path, monkeypatch):
-    from synth3dlanes_baseline import sources
-
     monkeypatch.setattr(sources, "open_split", lambda place: list(range(25)) if place.endswith("train") else ["val"])
     train, val = sources.training_and_validation(str(tmp_path), "train", "val", None)
     assert list(val.index) == [9, 19]
@@ -87,13 +93,6 @@ def test_without_a_validation_split_every_tenth_sample_is_held_out(tmp_path, mon
 
 
 def test_held_out_clips_are_whole(tmp_path):
-    from synth3dlanes_baseline.sources import training_and_validation
-
-    from synth3dlanes.production.plan import Plan
-    from synth3dlanes.production.run import generate
-    from synth3dlanes.shots import clips
-    from tests import fake_samples
-
     def held_out(n):
         plan = Plan(tmp_path / "data", n, fake_samples.recipe(shots=clips(3, 10)), maker=fake_samples.make)
         assert not generate(plan, lambda event: None).problem
@@ -106,10 +105,6 @@ def test_held_out_clips_are_whole(tmp_path):
 
 
 def test_a_validation_split_that_is_damaged_is_an_error_and_not_missing(split_of):
-    from synth3dlanes_baseline.sources import training_and_validation
-
-    from synth3dlanes.errors import FormatError
-
     root = Path(split_of().reader.url).parent
     shutil.copytree(root / "train", root / "val")
     (root / "val" / "00000.parquet").write_bytes(b"rubbish")
@@ -118,12 +113,6 @@ def test_a_validation_split_that_is_damaged_is_an_error_and_not_missing(split_of
 
 
 def test_foreign_splits_are_known_by_their_files(tmp_path):
-    from synth3dlanes_baseline.sources import open_split
-    from synth3dlanes_baseline.tusimple import TusimpleOnPlane
-
-    from synth3dlanes.formats.apollo.read import ApolloSplit
-    from synth3dlanes.formats.openlane.read import OpenLaneSplit
-
     (tmp_path / "train.json").write_text('{"raw_file": "images/00/1.jpg", "laneLines": []}\n')
     (tmp_path / "label_data_0313.json").write_text('{"raw_file": "clips/1/20.jpg", "lanes": [], "h_samples": [240]}\n')
     (tmp_path / "validation/segment-1").mkdir(parents=True)
@@ -133,9 +122,6 @@ def test_foreign_splits_are_known_by_their_files(tmp_path):
 
 
 def test_both_splits_are_read_from_a_store(split_of):
-    import fsspec
-    from synth3dlanes_baseline.sources import training_and_validation
-
     root = Path(split_of().reader.url).parent
     store = fsspec.filesystem("memory")
     for path in root.rglob("*.*"):

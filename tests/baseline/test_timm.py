@@ -1,8 +1,19 @@
 """Trunks of timm: where their features lie, their weights from files, and a network around them."""
 
+import sys
+
 import pytest
 import torch
+from safetensors.torch import save_file
+from synth3dlanes_baseline.backbone import ImagePathway
+from synth3dlanes_baseline.config import MODELS, PAPER, train_config
+from synth3dlanes_baseline.layers import PIXELS, lattice_after
+from synth3dlanes_baseline.model import LaneNet
+from synth3dlanes_baseline.pretrained import load_pretrained
+from synth3dlanes_baseline.timm_trunk import TimmPathway, measured_lattices
 from torch import nn
+
+from synth3dlanes.errors import FormatError, InputError, MissingPackageError
 
 
 @pytest.fixture(scope="module")
@@ -16,8 +27,6 @@ def timm():
 
 
 def _config(backbone, **changes):
-    from synth3dlanes_baseline.config import train_config
-
     size = {"model.image_height_px": 120, "model.image_width_px": 160}
     return train_config("nano", {"model.backbone": backbone, **size, **changes}).model
 
@@ -38,10 +47,6 @@ class _Stages(nn.Module):
 
 @pytest.mark.parametrize("name", ["paper", "compact", "nano"])
 def test_measured_lattices_of_our_own_trunks_are_those_that_the_layers_tell(name):
-    from synth3dlanes_baseline.backbone import ImagePathway
-    from synth3dlanes_baseline.config import MODELS
-    from synth3dlanes_baseline.timm_trunk import measured_lattices
-
     pathway = ImagePathway(MODELS[name].model_copy(update={"image_channels": (8, 8, 8, 8)}))
     assert measured_lattices(_Stages(pathway), 360, 480) == pathway.lattices
 
@@ -50,9 +55,6 @@ def test_measured_lattices_of_our_own_trunks_are_those_that_the_layers_tell(name
     ("kernel", "padding", "offset"), [(3, 1, 0.5), (3, 0, 1.5), (4, 1, 1.0), (7, 3, 0.5), (1, 0, 0.5)]
 )
 def test_a_measured_lattice_is_that_of_the_formula(kernel, padding, offset):
-    from synth3dlanes_baseline.layers import PIXELS, lattice_after
-    from synth3dlanes_baseline.timm_trunk import measured_lattices
-
     class Trunk(nn.Module):
         def __init__(self):
             super().__init__()
@@ -76,8 +78,6 @@ def test_a_measured_lattice_is_that_of_the_formula(kernel, padding, offset):
     ],
 )
 def test_lattices_of_known_networks(timm, name, offsets):
-    from synth3dlanes_baseline.timm_trunk import TimmPathway
-
     pathway = TimmPathway(_config(f"timm:{name}"))
     assert [tuple(lattice) for lattice in pathway.lattices] == list(zip((2, 4, 8, 16), offsets, strict=True))
     with torch.no_grad():
@@ -88,11 +88,6 @@ def test_lattices_of_known_networks(timm, name, offsets):
 
 def test_a_file_gives_timms_vgg16_the_features_of_our_own(timm, tmp_path):
     """Two implementations, of the network and of reading its weights."""
-    from safetensors.torch import save_file
-    from synth3dlanes_baseline.config import PAPER
-    from synth3dlanes_baseline.model import LaneNet
-    from synth3dlanes_baseline.pretrained import load_pretrained
-
     torch.manual_seed(0)
     whole = timm.create_model("vgg16_bn", pretrained=False, num_classes=10)
     for module in whole.modules():
@@ -115,8 +110,6 @@ def test_a_file_gives_timms_vgg16_the_features_of_our_own(timm, tmp_path):
 
 
 def test_a_network_around_a_trunk_learns_and_its_checkpoint_rebuilds_it(timm):
-    from synth3dlanes_baseline.model import LaneNet
-
     config = _config("timm:resnet18")
     torch.manual_seed(0)
     model = LaneNet(config)
@@ -135,11 +128,6 @@ def test_a_network_around_a_trunk_learns_and_its_checkpoint_rebuilds_it(timm):
 
 
 def test_wrong_trunks_and_files_are_refused(timm, tmp_path):
-    from synth3dlanes_baseline.model import LaneNet
-    from synth3dlanes_baseline.pretrained import load_pretrained
-
-    from synth3dlanes.errors import FormatError, InputError
-
     with pytest.raises(InputError, match=r"model\.backbone: expected a network of timm, got resnet19"):
         LaneNet(_config("timm:resnet19"))
     with pytest.raises(
@@ -166,24 +154,12 @@ def test_wrong_trunks_and_files_are_refused(timm, tmp_path):
 
 
 def test_without_timm_it_says_what_to_install(monkeypatch):
-    import sys
-
-    from synth3dlanes_baseline.model import LaneNet
-
-    from synth3dlanes.errors import MissingPackageError
-
     monkeypatch.setitem(sys.modules, "timm", None)
     with pytest.raises(MissingPackageError, match="timm, which has resnet18, is not installed: pip install timm"):
         LaneNet(_config("timm:resnet18"))
 
 
 def test_a_timm_that_cannot_be_imported_is_told_in_a_line(monkeypatch, tmp_path):
-    import sys
-
-    from synth3dlanes_baseline.model import LaneNet
-
-    from synth3dlanes.errors import MissingPackageError
-
     (tmp_path / "timm.py").write_text('raise RuntimeError("operator torchvision::nms does not exist")')
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "timm", raising=False)

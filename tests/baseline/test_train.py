@@ -6,14 +6,21 @@ import json
 import numpy as np
 import pytest
 import torch
+from synth3dlanes_baseline import checkpoint, train
+from synth3dlanes_baseline.checkpoint import detector
+from synth3dlanes_baseline.config import train_config
+from synth3dlanes_baseline.data import annotation_of, intrinsics_of, resize, scale
+from synth3dlanes_baseline.loading import Process, batch_index, sample_order
+from synth3dlanes_baseline.optim import Schedule
+from synth3dlanes_baseline.train import Diverged, train_on
+
+from synth3dlanes.errors import FormatError, InputError
 
 PLAIN = {"augmentation": {"flip": 0.0, "noise": 0.0, "brightness": 0.0, "contrast": 0.0}}
 SMALL_PX = (160, 120)
 
 
 def _config(**overrides):
-    from synth3dlanes_baseline.config import train_config
-
     return train_config("tiny", {"batch": 2, "epochs": 3.0, "validate_every_epochs": 3.0, "device": "cpu", **overrides})
 
 
@@ -22,8 +29,6 @@ def _samples(roads, n=4, seed=0):
 
 
 def test_a_killed_run_continues_as_if_nothing_had_happened(roads, tmp_path, monkeypatch):
-    from synth3dlanes_baseline import checkpoint, train
-
     samples, config = _samples(roads), _config()
     whole = train.train_on(config, samples, samples, tmp_path / "whole")
     monkeypatch.setattr(train, "SAVE_EVERY_S", 0.0)
@@ -46,10 +51,6 @@ def test_a_killed_run_continues_as_if_nothing_had_happened(roads, tmp_path, monk
 
 
 def test_a_damaged_state_of_a_run_is_refused_in_a_line(roads, tmp_path):
-    from synth3dlanes_baseline.train import train_on
-
-    from synth3dlanes.errors import FormatError
-
     samples = _samples(roads)
     train_on(_config(epochs=1.0), samples, samples, tmp_path)
     whole = torch.load(tmp_path / "last.pt", weights_only=True)
@@ -71,10 +72,6 @@ def test_a_damaged_state_of_a_run_is_refused_in_a_line(roads, tmp_path):
 
 
 def test_another_configuration_does_not_continue_a_run(roads, tmp_path):
-    from synth3dlanes_baseline.train import train_on
-
-    from synth3dlanes.errors import InputError
-
     samples = _samples(roads)
     train_on(_config(epochs=1.0), samples, samples, tmp_path)
     with pytest.raises(InputError, match=r"other settings \(learning_rate\)"):
@@ -82,8 +79,6 @@ def test_another_configuration_does_not_continue_a_run(roads, tmp_path):
 
 
 def test_nan_stops_the_run_and_names_the_sample(roads, tmp_path):
-    from synth3dlanes_baseline.train import Diverged, train_on
-
     samples = _samples(roads)
     bad = samples[2]
     lane = bad.labels.lanes[0]
@@ -95,10 +90,6 @@ def test_nan_stops_the_run_and_names_the_sample(roads, tmp_path):
 
 
 def test_labels_that_are_not_numbers_are_refused_by_name(roads):
-    from synth3dlanes_baseline.data import annotation_of
-
-    from synth3dlanes.errors import FormatError
-
     (sample,) = _samples(roads, n=1)
     lane = sample.labels.lanes[0]
     broken = dataclasses.replace(lane, xyz_cam=lane.xyz_cam * np.nan)
@@ -108,8 +99,6 @@ def test_labels_that_are_not_numbers_are_refused_by_name(roads):
 
 
 def test_order_is_a_permutation_of_seed_and_epoch():
-    from synth3dlanes_baseline.loading import Process, batch_index, sample_order
-
     cpu = torch.device("cpu")
     assert sorted(sample_order(10, 0, 0).tolist()) == list(range(10))
     assert sample_order(10, 0, 0).equal(sample_order(10, 0, 0))
@@ -122,8 +111,6 @@ def test_order_is_a_permutation_of_seed_and_epoch():
 
 
 def test_schedules(roads):
-    from synth3dlanes_baseline.optim import Schedule
-
     cosine = _config(learning_rate=1e-3)
     rates = [Schedule().rate(step, 1000, 100, cosine) for step in range(1000)]
     assert rates[0] == pytest.approx(1e-3 / 40)
@@ -140,11 +127,6 @@ def test_schedules(roads):
 
 
 def test_checkpoints_execute_nothing_and_describe_themselves(roads, tmp_path):
-    from synth3dlanes_baseline import checkpoint
-    from synth3dlanes_baseline.train import train_on
-
-    from synth3dlanes.errors import FormatError
-
     samples = _samples(roads)
     config = _config(epochs=1.0)
     best = train_on(config, samples, samples, tmp_path)
@@ -167,8 +149,6 @@ def test_checkpoints_execute_nothing_and_describe_themselves(roads, tmp_path):
 
 
 def test_resizing_scales_the_intrinsics_so_that_projections_scale(roads):
-    from synth3dlanes_baseline.data import intrinsics_of, resize, scale
-
     labels = roads.labels([lambda y: (1.0, 0 * y)])
     image = resize(np.zeros((360, 480, 3), dtype=np.uint8), (90, 160))
     fx, fy, cx, cy = scale(intrinsics_of(labels), (360, 480), (90, 160))
@@ -181,9 +161,7 @@ def test_resizing_scales_the_intrinsics_so_that_projections_scale(roads):
 
 def test_it_overfits_a_few_images(roads, tmp_path):
     """The whole chain at once: any slip in grid, targets, decoding or frames keeps AP from rising."""
-    from synth3dlanes_baseline.checkpoint import detector
     from synth3dlanes_baseline.evaluate import score
-    from synth3dlanes_baseline.train import train_on
 
     samples = _samples(roads, n=4, seed=1)
     # The label's pose drives the warp in training, the predicted one in the end.
@@ -200,9 +178,6 @@ def test_it_overfits_a_few_images(roads, tmp_path):
 
 @pytest.mark.slow
 def test_sixteen_images_to_average_precision_one(roads, tmp_path):
-    from synth3dlanes_baseline.config import train_config
-    from synth3dlanes_baseline.train import train_on
-
     samples = roads.samples(np.random.default_rng(0), 16)
     settings = {"batch": 8, "epochs": 80.0, "validate_every_epochs": 20.0, "learning_rate": 4e-3, "device": "cpu"}
     settings |= {"weight_decay": 0.0, "ema_decay": 0.9, "label_pose_fraction": 0.7, **PLAIN}

@@ -6,17 +6,26 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from synth3dlanes_baseline.poses import Pose
+from synth3dlanes_baseline import checkpoint as checkpoints
+from synth3dlanes_baseline.anchors import encode
+from synth3dlanes_baseline.config import MODELS, TUSIMPLE, train_config
+from synth3dlanes_baseline.data import annotation_of, pack
+from synth3dlanes_baseline.evaluate import evaluate_checkpoint, score_on
+from synth3dlanes_baseline.lanes import Detection, Prediction
+from synth3dlanes_baseline.model import LaneNet
+from synth3dlanes_baseline.poses import Pose, cam_from_road
+from synth3dlanes_baseline.predict import predict
+from synth3dlanes_baseline.projection import road_from_cam
+from synth3dlanes_baseline.sources import open_split
+from synth3dlanes_baseline.tusimple import POSE, TusimpleOnPlane
+
+from synth3dlanes.errors import InputError
+from synth3dlanes.frames import transform
 
 
 @pytest.fixture
 def tusimple(roads, tmp_path):
     """Two straight lines and a bent one on the fixed plane, as their x at rows 160, 170, ..., 710."""
-    from synth3dlanes_baseline.poses import cam_from_road
-    from synth3dlanes_baseline.tusimple import POSE
-
-    from synth3dlanes.frames import transform
-
     rows = np.arange(160.0, 711.0, 10.0)
     y_m = np.arange(3.0, 105.0)
     lines = []
@@ -36,11 +45,6 @@ def tusimple(roads, tmp_path):
 
 
 def test_tusimple_lines_go_to_the_plane_and_back(tusimple):
-    from synth3dlanes_baseline.evaluate import score_on
-    from synth3dlanes_baseline.lanes import Detection, Prediction
-    from synth3dlanes_baseline.sources import open_split
-    from synth3dlanes_baseline.tusimple import POSE, TusimpleOnPlane
-
     split = open_split(tusimple)
     assert isinstance(split, TusimpleOnPlane)
     sample = split[0]
@@ -56,12 +60,6 @@ def test_tusimple_lines_go_to_the_plane_and_back(tusimple):
 
 @pytest.mark.parametrize("pose", [None, Pose(0.06, 1.66)])
 def test_lanes_of_another_detector_need_the_camera(tusimple, pose):
-    from synth3dlanes_baseline.evaluate import score_on
-    from synth3dlanes_baseline.lanes import Detection, Prediction
-    from synth3dlanes_baseline.sources import open_split
-
-    from synth3dlanes.errors import InputError
-
     split = open_split(tusimple.parent)  # the folder of the only label file
     labels = split.labels(0)
     prediction = Prediction("clips/1/20.jpg", (Detection("delimiter", 0.9, labels.lanes[0].xyz_cam),), pose)
@@ -70,13 +68,6 @@ def test_lanes_of_another_detector_need_the_camera(tusimple, pose):
 
 
 def test_tusimple_model_learns_only_delimiters_without_height(tusimple):
-    from synth3dlanes_baseline.anchors import encode
-    from synth3dlanes_baseline.config import MODELS
-    from synth3dlanes_baseline.data import annotation_of, pack
-    from synth3dlanes_baseline.model import LaneNet
-    from synth3dlanes_baseline.projection import road_from_cam
-    from synth3dlanes_baseline.sources import open_split
-
     config = MODELS["tusimple"]
     assert LaneNet(config).head.out.out_channels == 7, "K + 1 per anchor"
     pose = torch.tensor([[np.radians(config.fixed_pitch_deg), config.fixed_height_m]]).float()
@@ -88,12 +79,6 @@ def test_tusimple_model_learns_only_delimiters_without_height(tusimple):
 
 
 def test_the_image_only_network_is_scored_without_a_camera(tusimple, tmp_path):
-    from synth3dlanes_baseline import checkpoint as checkpoints
-    from synth3dlanes_baseline.config import TUSIMPLE, train_config
-    from synth3dlanes_baseline.evaluate import evaluate_checkpoint
-    from synth3dlanes_baseline.model import LaneNet
-    from synth3dlanes_baseline.predict import predict
-
     config = train_config("nano", {f"model.{name}": value for name, value in TUSIMPLE.items()})
     weights = LaneNet(config.model).state_dict()
     checkpoints.save(tmp_path / "a.pt", checkpoints.Checkpoint(config, {}, weights, None))

@@ -2,6 +2,7 @@
 
 import faulthandler
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,7 +13,13 @@ import numpy as np
 import psutil
 import pytest
 import torch
+from synth3dlanes_baseline.config import train_config
+from synth3dlanes_baseline.loading import Process, decoding_of, open_examples, training_batches
+from synth3dlanes_baseline.workers import made_ahead
 from torch import Tensor
+
+from synth3dlanes.errors import WorkerError
+from tests.baseline.conftest import drawn_samples
 
 ROOT = Path(__file__).parents[2]
 CPU = torch.device("cpu")
@@ -34,8 +41,6 @@ def make(indices):
 
 
 def made_by(n_workers, make=make, order=ORDER):
-    from synth3dlanes_baseline.workers import made_ahead
-
     return made_ahead(make, order, n_workers, CPU)
 
 
@@ -76,8 +81,6 @@ def find_no_memory():
 )
 @pytest.mark.parametrize("n_workers", [1, 2])
 def test_a_worker_that_dies_ends_the_run_in_one_line(end, how, n_workers):
-    from synth3dlanes.errors import WorkerError
-
     batches = made_by(n_workers, end_by(end))
     assert [next(batches).numbers.tolist() for _ in range(3)] == ORDER[:3]
     with pytest.raises(WorkerError, match=rf"^workers: a loader's worker {how}; rerun to resume; .* \(--set workers=1"):
@@ -111,8 +114,6 @@ def test_a_run_that_is_killed_leaves_no_worker():
 
 def test_training_goes_on_with_any_shared_memory(tmp_path):
     """Batches of 2 MB, where all shared memory is 1 MB."""
-    import shutil
-
     may = shutil.which("unshare") and subprocess.run([*SMALL_SHM, "true"], capture_output=True).returncode == 0
     script = "from tests.baseline.test_workers import shared_memory; shared_memory(sys.argv[1])"
     command = [*run(*(SMALL_SHM if may else SMALL_FILES), script=script), str(tmp_path)]
@@ -121,11 +122,6 @@ def test_training_goes_on_with_any_shared_memory(tmp_path):
 
 
 def shared_memory(folder):
-    from synth3dlanes_baseline.config import train_config
-    from synth3dlanes_baseline.loading import Process, decoding_of, open_examples, training_batches
-
-    from tests.baseline.conftest import drawn_samples
-
     samples = drawn_samples(np.random.default_rng(0), 8)
     config = train_config("nano", {"batch": 4, "device": "cpu", "workers": 1, "keep_decoded": False})
     process = Process(0, 1, CPU)
