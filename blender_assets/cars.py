@@ -42,7 +42,7 @@ def wheel(shape: Shape, model: CarModel, x: float, y: float, width: float) -> No
     )
     vertices, faces = lathe_x(tread * [out, 1], 24, (x, y, radius))
     shape.add(vertices, faces if out > 0 else faces[:, ::-1], TYRE)
-    back = np.array([[0, k + 1, k + 2][:: -int(out)] + [-1] for k in range(22)])
+    back = np.array([[0, k + 2, k + 1, -1] if out > 0 else [0, k + 1, k + 2, -1] for k in range(22)])
     shape.add(vertices[:24], back, TYRE)
     dish = np.array([(half, rim), (half - 0.012, 0.94 * rim), (half - 0.05, 0.9 * rim), (half - 0.055, 0.0)])
     vertices, faces = lathe_x(dish * [out, 1], 24, (x, y, radius))

@@ -30,8 +30,8 @@ HEADLIGHTS_ROAD, BEAM, LAMP_COLOR, LAMP_M = ((-0.65, 1.9, 0.65), (0.65, 1.9, 0.6
 STRAY = 0.01  # share of the beam that goes above its edge
 # A street lamp's intensity straight down (about 2000 cd), the angle of its cone, and how many of the nearest are lit.
 STREET_LAMP, STREET_COLOR, STREET_CONE_RAD, N_STREET_LAMPS = 0.05, (1.0, 0.8, 0.55), 2.6, 8
-# Radiance of lit lamps of cars by the names of their materials (about 1200 and 240 cd/m2): white paint ten metres before
-# the headlights has a tenth of a tail lamp's.
+# Radiance of lit lamps of cars by the names of their materials (1200 and 240 cd/m2). White paint ten metres before
+# headlights has a tenth of a tail lamp's.
 CAR_LAMPS = {"car_head": (0.03, 0.0275, 0.024), "car_tail": (0.006, 0.00003, 0.00002)}
 # Radiance of a lit window (about 25 cd/m2), its colour, and the share of windows that are lit after sunset.
 WINDOW, WINDOW_COLOR, LIT = 0.0006, (1.0, 0.72, 0.42), 0.3

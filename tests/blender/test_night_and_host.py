@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy
 
 pytest.importorskip("bpy")
 
@@ -40,6 +41,47 @@ def ratio_of_paint(shot, scene, far_m):
     light = light_of(shot.image)
     paint, road = (light[near & (shot.passes["semantic"] == SEMANTIC_IDS[name])] for name in ("marking", "road"))
     return np.median(paint) / np.median(road), np.median(road)
+
+
+@pytest.mark.render
+@pytest.mark.parametrize("yaw_deg", [70, 180])
+def test_cameras_that_look_where_no_headlights_shine_are_not_black(yaw_deg):
+    """Without lamps, under a closed sky, in fog: noise and a dim road, as a camera would show it."""
+    air = {"visibility_m": 150.0, "overcast": 1.0}
+    camera = {"yaw_rad": np.radians(yaw_deg)}
+    dark = changed(light=NIGHT, weather={"headlights": True}, air=air, camera=camera, sensor={"noise": 4.0})
+    assert 20 < take_picture(resolve(dark), ALL).image.mean() < 60
+
+
+@pytest.mark.render
+def test_tail_lamps_are_redder_and_brighter_than_white_paint_in_the_headlights():
+    """Ten metres ahead, where the paint is nearly white."""
+    white = Car(model=3, scale=1.0, color=(0.95, 0.95, 0.95), gloss=0.5, lane="main_1", s_m=-38.0)
+    scene = changed(light=NIGHT, weather={"headlights": True}, camera={"y_m": -50.0, "lane": 1})
+    shot = take_picture(resolve(scene.model_copy(update={"cars": (white,)})), ALL)
+    red, green, _ = np.moveaxis(shot.image[shot.passes["instance"] == 1].astype(float), -1, 0)
+    is_lamp = (red > 200) & (red - green > 60)
+    assert 0.01 < is_lamp.mean() < 0.2
+    assert not ((np.minimum(red, green) > 252).mean() > 0.4), "the body is not all white"
+
+
+def small_patterns(wetness):
+    """Deviation of the road's light at lengths below 0.4 m as a share of the light, 5 to 9 m ahead of a low camera."""
+    surface = {"wetness": wetness, "road_gloss": 0.0}
+    light, air = {"sun_zenith_rad": 0.9, "metering": 1}, {"overcast": 1.0}
+    scene = changed(surface=surface, light=light, air=air, camera={"pitch_rad": np.radians(22)})
+    shot = take_picture(resolve(scene), RenderSettings(samples=16, passes=("depth", "semantic")))
+    light, (_, ahead_m) = light_of(shot.image), flat_road_places(scene)
+    blurred = scipy.ndimage.gaussian_filter(light, (8, 14))
+    near = (ahead_m > 5) & (ahead_m < 9)
+    near &= scipy.ndimage.binary_erosion(shot.passes["semantic"] == SEMANTIC_IDS["road"], iterations=16)
+    return float(((light - blurred) / blurred)[near].std())
+
+
+@pytest.mark.render
+def test_rain_lies_on_a_road_in_patches_and_not_in_grains():
+    """A film of water covers the grain of the asphalt."""
+    assert small_patterns(0.8) < 0.6 * small_patterns(0.0)
 
 
 @pytest.mark.render

@@ -12,8 +12,9 @@ from synth3dlanes.figures.histograms import declared_shares, histograms
 from synth3dlanes.figures.stats import is_fine, label_statistics, scene_statistics, to_json
 from synth3dlanes.figures.stats_views import draw_statistics, statistics_table
 from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.params import forms, load_params
-from synth3dlanes.sample import Scenes, sample_scene
+from synth3dlanes.params import forms, load_params, preset_names
+from synth3dlanes.sample import Scenes, _road, sample_scene
+from synth3dlanes.sampling.draws import draws_of
 
 
 @pytest.fixture(scope="module")
@@ -45,6 +46,41 @@ def test_another_declaration_is_found_out(scenes, declared):
     statistics = scene_statistics(scenes[1], load_params("appendix_i", [declared]))
     rows = {row.key: row for row in statistics.parameters}
     assert not is_fine(rows[declared.split("=")[0]])
+
+
+FEW = {
+    "streets": ["trees.n=0", "roadside.n_signs=0", "roadside.n_houses=0", "roadside.n_halls=0", "roadside.n_blocks=0"],
+}
+
+
+@pytest.mark.parametrize("name", preset_names())
+def test_every_preset_draws_what_it_declares(name):
+    params = load_params(name, FEW.get(name, ["trees.n=0"]))
+    statistics = scene_statistics([sample_scene(Scenes(params, 11, "train"), index) for index in range(60)], params)
+    assert [row for row in statistics.parameters if not is_fine(row)] == []
+    varied = {row.key for row in statistics.parameters if row.p_value is not None}
+    assert {"road.n_lanes", "road.median_m", "road.n_oncoming", "camera.lane", "air.visibility_m"} <= varied
+
+
+def test_three_per_cent_of_the_roads_with_other_lanes_are_found():
+    """Topology and bends change lanes and medians: the rest must be as declared."""
+    params = load_params("streets", ["cars.n=0", *FEW["streets"]])
+    scene = sample_scene(Scenes(params), 0)
+    bare = scene.model_copy(update={"camera": scene.camera.model_copy(update={"lane": 1}), "cars": ()})
+    drawn = (_road(draws_of(params, "road", (2, "train", index), None)) for index in range(6000))
+    scenes = [bare.model_copy(update={"road": road}) for road in drawn]
+    fine = {row.key: is_fine(row) for row in scene_statistics(scenes, params).parameters}
+    assert [fine[f"road.{key}"] for key in ("n_lanes", "n_oncoming", "median_m")] == [True] * 3
+    moved = load_params("streets", ["road.n_lanes={1: 2, 2: 4.33, 3: 2.67, 4: 2}"])
+    assert not {row.key: is_fine(row) for row in scene_statistics(scenes, moved).parameters}["road.n_lanes"]
+
+
+def test_weather_is_held_against_the_tables_that_replace_the_parameters():
+    params = load_params("streets", [*FEW["streets"], "weather.kind={rain: 1, snow: 1}", "cars.n=0"])
+    scenes = [sample_scene(Scenes(params, 4, "train"), index) for index in range(60)]
+    assert all(is_fine(row) for row in scene_statistics(scenes, params).parameters)
+    dry = [scene.model_copy(update={"surface": scene.surface.model_copy(update={"wetness": 0.3})}) for scene in scenes]
+    assert [row.key for row in scene_statistics(dry, params).parameters if not is_fine(row)] == ["surface.wetness"]
 
 
 def test_labels_of_a_climb_show_its_grade(exit_scene):

@@ -246,6 +246,24 @@ def test_roads_and_their_paint_end_where_the_terrain_does(topology, flip):
         assert np.nanmin(far[:, 2] - heights_at(terrain, far[:, :2])) > 0, "and no ground comes up through them"
 
 
+@pytest.mark.parametrize("index", range(4))
+def test_far_roads_lie_on_the_ground_and_not_above_it(index):
+    """A road on a high dam would stand out of a ridge like a ramp; one in the ground would show in pieces."""
+    world = sample_world(
+        Scenes(load_params("streets", ["trees.n=0", "cars.n=0", "road.topology=1"]), 5, "train"), index
+    )
+    terrain, (road,) = world.site.terrain, world.site.pavement
+    corners = road.vertices_world[road.faces]
+    places = np.concatenate([corners.mean(axis=1), (corners[:, 0] + corners[:, 1]) / 2])
+    away_m = np.hypot(places[:, 0], places[:, 1])
+    for low_m, high_m, most_m in ((460, 800, 4), (800, 1600, 4), (1600, 3800, 6)):
+        far = places[(away_m > low_m) & (away_m < high_m)]
+        above_m = far[:, 2] - heights_at(terrain, far[:, :2])
+        # The ground's mesh is pressed down by up to 2.4 m under a pavement.
+        assert np.nanmax(above_m) < most_m
+        assert np.nanmean(above_m > 0) > 0.999
+
+
 @pytest.mark.parametrize("topology", [2, 3, 4])
 def test_the_exit_goes_on_below_the_main_road_so_that_no_ground_shows_between(topology):
     world = world_of(topology)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from synth3dlanes.imaging.daylight import daylight
 from synth3dlanes.imaging.film import tonemap
 from synth3dlanes.imaging.haze import through_air
-from synth3dlanes.imaging.sensor import add_noise, motion_blur
+from synth3dlanes.imaging.sensor import MOST_GAIN, add_noise, gain, motion_blur
 from synth3dlanes.imaging.sky import overcast_dome
 from synth3dlanes.world import resolve
 from tests.scenes import FLAT, changed
@@ -105,3 +105,27 @@ def test_noise_at_middle_gray_has_the_deviation_asked_for(levels):
     assert picture.std() == pytest.approx(np.hypot(levels, 12**-0.5), rel=0.04), "with the rounding to whole levels"
     bright = add_noise(np.full_like(gray, 0.72), levels, np.random.default_rng(2))
     assert bright.std() / noisy.std() == pytest.approx(np.sqrt(0.1 + 0.9 * 4), rel=0.03), "photons: with the root"
+
+
+def test_only_dark_pictures_of_a_camera_that_meters_are_amplified_and_not_without_end(rng):
+    seen = np.ones((40, 60), bool)
+    picture = rng.random((40, 60, 3)).astype(np.float32)
+    assert gain(picture, seen, 1.0) == gain(0.001 * picture, seen, 0.0) == 1
+    dark = gain(0.01 * picture, seen, 1.0)
+    assert 0.01 * picture.mean() * dark == pytest.approx(0.02, rel=0.01)
+    assert gain(0.01 * picture, seen, 0.5) == pytest.approx(np.sqrt(dark))
+    assert gain(0 * picture, seen, 1.0) == MOST_GAIN
+    lamp = 0.01 * picture
+    lamp[:2, :2] = 1000
+    assert gain(lamp, seen, 1.0) > dark / 2, "a lamp does not hide the dark around it"
+    half = 0.01 * picture
+    half[:, :30], seen[:, :30] = 0, False
+    assert gain(half, seen, 1.0) == pytest.approx(dark, rel=0.1), "what is out of a lens's field does not count"
+
+
+def test_what_is_amplified_is_noisier(rng):
+    """Amplified eightfold, a picture has the noise of the dark one before it."""
+    dark = np.full((200, 300, 3), 0.004, np.float32)
+    before = add_noise(dark, 4.0, np.random.default_rng(1)) - dark
+    after = add_noise(8 * dark, 4.0, np.random.default_rng(1), 8.0) - 8 * dark
+    np.testing.assert_allclose(after, 8 * before, rtol=1e-3, atol=1e-6)
