@@ -56,7 +56,7 @@ def _problems(out: Path, where: str, frame: TopologyFrame) -> Iterator[str]:
         try:
             image_size(out / ROOT / image)
         except FormatError as error:
-            yield f"{where}: image {image}: {error}"
+            yield f"{where}: expected the image {image}: {error}"
     for i, j in np.argwhere(frame.follows):
         gap_m = float(np.linalg.norm(frame.lanes_ego[i][0][-1] - frame.lanes_ego[j][0][0]))
         if gap_m > TOLERANCE_M:
