@@ -192,6 +192,14 @@ class _Record(RootModel[_LeftOut | _Written]):
     """What a mark says of a frame. The files that it names are removed or written."""
 
 
+def shared_files(out: Path, format_name: str) -> list[str]:
+    """The lists and other files that an export has of many frames, by its marks."""
+    found = dict.fromkeys(FORMATS[format_name].lists)
+    for record in _records(sorted((out / ".parts").glob("*.jsonl"))):
+        found |= dict.fromkeys(path for _, paths in record.get("shared", ()) for path in paths)
+    return sorted(found)
+
+
 def _records(marks: Sequence[Path]) -> Iterator[dict[str, Any]]:
     for mark in marks:
         for number, line in enumerate(json_lines(mark), start=1):

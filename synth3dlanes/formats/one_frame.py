@@ -35,12 +35,13 @@ def write_resampled(reader: Reader, index: int, chunk: Chunk, out: Path, foreign
     where = f"{chunk.url}:{sample.key}"
     scene, labels = scene_format.from_json(sample.scene_json, where), rectified_labels(sample.labels)
     pinhole = fitting_pinhole(sample.labels.camera, foreign.camera)
+    frame_of, shot = _frame(reader, index, chunk), scene.shot
     frame = PinholeFrame(
-        **vars(_frame(reader, index, chunk)),
+        **vars(frame_of),
         pinhole=pinhole,
         tags=scene_tags(labels, pinhole) | conditions(scene, labels),
         illumination=int(np.digitize(scene.light.exposure, EXPOSURE_STEPS)),
-        shot=scene.shot,
+        clip=frame_of.number - shot.frame * shot.n_cameras if shot.n_frames > 1 else None,
         kerbs=kerb_lanes(scene, labels.camera) if foreign.has_kerbs else (),
     )
     if pinhole != foreign.camera and not foreign.is_f_free:

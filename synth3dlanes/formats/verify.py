@@ -3,11 +3,12 @@
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.apollo import verify as apollo
 from synth3dlanes.formats.coco import verify as coco
 from synth3dlanes.formats.culane import verify as culane
 from synth3dlanes.formats.curvelanes import verify as curvelanes
-from synth3dlanes.formats.export import FORMATS
+from synth3dlanes.formats.export import shared_files
 from synth3dlanes.formats.masks import verify as masks
 from synth3dlanes.formats.once import verify as once
 from synth3dlanes.formats.opendrive import verify as opendrive
@@ -39,19 +40,21 @@ SAMPLE_CHECKS: dict[str, Callable[[Path, int], Iterator[Verified]]] = {
 
 
 class _Export(Excerpt):
-    size_px: tuple[Pixels, Pixels]
+    size_px: tuple[Pixels, Pixels] | None
 
 
 def verify(out: Path, format_name: str, most_frames: int) -> tuple[Verified, ...]:
     """Score at most the first `most_frames` frames of every list of an export."""
+    about = out / "export.json"
+    size_px = parse(_Export, read_text(about), str(about), "an export").size_px
     if format_name in SAMPLE_CHECKS:
         verified = tuple(SAMPLE_CHECKS[format_name](out, most_frames))
+    elif size_px is None:
+        raise FormatError(f"{about}: size_px: expected a width and a height, got null")
     else:
-        about = out / "export.json"
-        width_px, height_px = parse(_Export, read_text(about), str(about), "an export").size_px
-        verified = tuple(CHECKS[format_name](out, (width_px, height_px), most_frames))
-    lists = FORMATS[format_name].lists
-    gone = [f"{out / path}: expected a list, got no file" for path in lists if not (out / path).is_file()]
+        verified = tuple(CHECKS[format_name](out, size_px, most_frames))
+    shared = shared_files(out, format_name)
+    gone = [f"{out / path}: expected a list, got no file" for path in shared if not (out / path).is_file()]
     if gone:
         verified = (*verified, Verified("lists", 0, 0, {}, {}, tuple(gone)))
     if not any(result.n_lines for result in verified):

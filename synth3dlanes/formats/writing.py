@@ -12,7 +12,6 @@ from jaxtyping import Float
 
 from synth3dlanes.frames import project
 from synth3dlanes.labels import Labels, Lane
-from synth3dlanes.scene import Shot
 
 CV_FROM_CAM = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """OpenCV's camera axes (frame `_cv`: x right, y down, z forward) from ours."""
@@ -20,9 +19,6 @@ DECIMALS = 6
 
 Part = Literal["train", "val", "test"]
 PARTS: tuple[Part, ...] = ("train", "val", "test")
-
-
-SINGLE = Shot()
 
 
 @dataclass(frozen=True)
@@ -75,13 +71,13 @@ class Frame:
 @dataclass(frozen=True)
 class PinholeFrame(Frame):
     """A frame whose image is resampled: `pinhole` is its camera there; `tags` are the kinds of scene; `illumination` is
-    0 (dark) to 2 (bright); `shot` says which picture of a clip or rig it is. `kerbs` are those of formats that have
-    them."""
+    0 (dark) to 2 (bright); `clip` is the number of the first picture of its clip by this camera, None for single
+    pictures. `kerbs` are those of formats that have them."""
 
     pinhole: Pinhole
     tags: frozenset[str]
     illumination: int
-    shot: Shot = SINGLE
+    clip: int | None = None
     kerbs: tuple[Lane, ...] = ()
 
 

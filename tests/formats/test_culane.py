@@ -109,7 +109,7 @@ def test_a_line_that_begins_far_ahead_is_not_beside_the_camera():
 
 def test_a_wrong_line_or_list_is_a_format_error_that_names_it():
     for text in ("1 2 3", "1 a"):
-        with pytest.raises(FormatError, match=r"^some/file.txt: "):
+        with pytest.raises(FormatError, match=r"^some/file.txt:1: "):
             parse_lines(text, "some/file.txt")
     for text in ("", "/a.jpg /b.png 1 1 1", "/a.jpg /b.png 1 1 1 2"):
         with pytest.raises(FormatError, match=r"^some/list.txt: "):

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -224,7 +225,7 @@ def test_an_outline_encloses_its_pixels(rows):
     assert np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1)) == 2 * piece.sum(), "clockwise, y down"
 
 
-def test_yolo_outlines_fill_the_pixels_of_their_class(with_passes, tmp_path):
+def test_yolo_outlines_fill_the_pixels_of_their_class(with_passes, tmp_path, monkeypatch):
     export(str(with_passes), tmp_path, "yolo", 1, lambda done, total: None)
     settings = yaml.safe_load((tmp_path / "data.yaml").read_text())
     assert [settings.get(key) for key in ("path", "train", "val", "test")] == [
@@ -233,6 +234,13 @@ def test_yolo_outlines_fill_the_pixels_of_their_class(with_passes, tmp_path):
         "val.txt",
         "test.txt",
     ]
+    # From any folder: without `path`, tools take the settings' folder, and the list's for what begins with "./".
+    monkeypatch.chdir("/")
+    root = Path(settings.get("path") or (tmp_path / "data.yaml").parent)
+    for part in ("train", "val", "test"):
+        images = (root / settings[part]).read_text().strip().splitlines()
+        assert images
+        assert all((root / image.removeprefix("./")).is_file() for image in images)
     assert (tmp_path / "train.txt").read_text().splitlines() == [f"./images/train-{i:08d}.jpg" for i in range(3)]
     reader = open_reader(f"{with_passes}/train")
     for index in range(3):

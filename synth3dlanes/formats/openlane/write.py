@@ -91,10 +91,8 @@ def annotate(labels: Labels, frame: PinholeFrame) -> Annotation:
 
 def _segment(frame: PinholeFrame) -> tuple[str, Callable[[int, str], int]]:
     """The name of the frame's segment, and the track of line i, of this id, in it."""
-    shot = frame.shot
-    if shot.n_frames > 1:
-        first = frame.number - shot.frame * shot.n_cameras
-        return f"{first:08d}", lambda _, line_id: zlib.crc32(line_id.encode()) >> 1
+    if frame.clip is not None:
+        return f"{frame.clip:08d}", lambda _, line_id: zlib.crc32(line_id.encode()) >> 1
     segment, place = divmod(frame.number, FRAMES_PER_SEGMENT)
     return f"{segment:06d}", lambda i, _: place * (MAX_LINES + 1) + i + 1
 

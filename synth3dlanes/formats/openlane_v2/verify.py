@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.openlane_v2.convention import CENTERLINE_POINTS, ROOT
 from synth3dlanes.formats.openlane_v2.read import TopologyFrame, frames, parse
 from synth3dlanes.formats.openlane_v2.score import Lane, Lanes, LaneScore, score
-from synth3dlanes.formats.reading import read_text
+from synth3dlanes.formats.reading import image_size, read_text
 from synth3dlanes.formats.self_check import TOLERANCE_M, Verified
 
 # The benchmark matches lanes up to 3 m apart, far ones up to 6 m; up, where no lane is, a move leads to no other one.
@@ -52,8 +53,10 @@ def _scored(lane: tuple[np.ndarray, ...]) -> Lane:
 
 def _problems(out: Path, where: str, frame: TopologyFrame) -> Iterator[str]:
     for image in frame.images.values():
-        if not (out / ROOT / image).is_file():
-            yield f"{where}: expected the image {image}, found no file"
+        try:
+            image_size(out / ROOT / image)
+        except FormatError as error:
+            yield f"{where}: expected the image {image}: {error}"
     for i, j in np.argwhere(frame.follows):
         gap_m = float(np.linalg.norm(frame.lanes_ego[i][0][-1] - frame.lanes_ego[j][0][0]))
         if gap_m > TOLERANCE_M:
