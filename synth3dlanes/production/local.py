@@ -43,18 +43,17 @@ def make_here(plan: Plan, tally: Tally) -> None:
 
     Raises DiskFullError where there is no room to begin, LinkError where a link lies in the way.
     """
-    destination = plan.destination
+    destination, shards = plan.destination, plan.shards()
     if not destination.is_store:
-        shards = {number: shard.within(destination.folder) for number, shard in plan.shards().items()}
-        _Run(plan, destination.folder, shards, tally).go()
+        here = {number: shard.within(destination.folder) for number, shard in shards.items()}
+        _Run(plan, destination.folder, here, tally).go()
         return
     patience = Patience(LIMIT_S, tally.tell, lambda: tally.is_stopping)
-    left = set(destination.spooled(plan.recipe.scenes.split, recipe_text(plan.description())))
-    # Of shards of other parts, all that an earlier run has left.
-    ends = {number: plan.n if number in plan.shards() else (number + 1) * plan.shard_size for number in left}
-    ends |= dict.fromkeys(plan.shards(), plan.n)
+    left = set(destination.spooled(plan.recipe.split, recipe_text(plan.description())))
     try:
-        for number, n in sorted(ends.items()):
+        for number in sorted(left | shards.keys()):
+            # Of another part's shard, all that an earlier run has left.
+            n = plan.n if number in shards else (number + 1) * plan.shard_size
             asked = partial(destination.missing, plan.shard(number), n)
             missing = patience.insist(destination.place, asked, "what is finished is there")
             if (missing or number in left) and not tally.is_stopping:
@@ -68,18 +67,19 @@ def make_here(plan: Plan, tally: Tally) -> None:
 
 def _make_for_store(plan: Plan, number: int, n: int, missing: list[int], tally: Tally, patience: Patience) -> None:
     """Make what a store lacks of the samples below `n` of a shard; of another part's, put what is made already."""
+    is_ours = number in plan.shards()
     try:
         with plan.destination.working_copy(plan.shard(number), patience) as shard:
             found = sorted(set(missing) - set(shard.missing(n)))
             if found:
                 told = f"shard {number}: {len(found)} finished samples of an earlier run are in {shard.folder.parent}"
                 tally.tell("resume", f"{told}, and are put into the store", shard=number, found=found)
-            if number in plan.shards():
+            if is_ours:
                 _Run(plan, shard.folder.parent, {number: shard}, tally).go()
             if shard.needs_join(n):
                 shard.claimed().join(n)
     except OutageError as error:
-        tally.tell("shard", str(error), shard=number, lost=[index for index in missing if index < plan.n])
+        tally.tell("shard", str(error), shard=number, lost=missing if is_ours else [])
         raise
 
 
