@@ -49,7 +49,7 @@ def make_here(plan: Plan, tally: Tally) -> None:
         _Run(plan, destination.folder, here, tally).go()
         return
     patience = Patience(LIMIT_S, tally.tell, lambda: tally.is_stopping)
-    left = set(destination.spooled(plan.recipe.split, recipe_text(plan.description())))
+    left = set(destination.spooled(plan.recipe.scenes.split, recipe_text(plan.description())))
     try:
         for number in sorted(left | shards.keys()):
             # Of another part's shard, all that an earlier run has left.

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from synth3dlanes_baseline import checkpoint, report
+from synth3dlanes_baseline import checkpoint
 from synth3dlanes_baseline.cache import annotation_file
 from synth3dlanes_baseline.config import train_config
 from synth3dlanes_baseline.lanes import write_predictions
@@ -36,14 +36,13 @@ def writers(out: Path, roads):
         ),
         "history.jsonl": log,
         "tensorboard": log,
-        "plots.png": lambda: report.save_curve({}, out / "plots.png"),
     }
 
 
 NAMES = ["last.pt", "best.pt", "annotations.cache", "predictions.jsonl", "00000000.png", "history.jsonl", "tensorboard"]
 
 
-@pytest.mark.parametrize("name", [*NAMES, "plots.png"])
+@pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("is_hard", [False, True])
 def test_a_link_in_the_way_stays_and_what_it_points_to(tmp_path, roads, name, is_hard):
     out, document = tmp_path / "out", tmp_path / "thesis.tex"

@@ -1,12 +1,15 @@
 """Shards: written in any order, joined, damaged, read."""
 
+import errno
 import json
 import os
 import pickle
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import permutations
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -15,6 +18,7 @@ import pytest
 
 from synth3dlanes import labels as labels_module
 from synth3dlanes.dataset.columns import SCHEMA, index_row
+from synth3dlanes.dataset.description import recipe_text
 from synth3dlanes.dataset.folder import claim
 from synth3dlanes.dataset.format import tar_bytes, tar_end
 from synth3dlanes.dataset.index import ADDED, ADDED_SCHEMA
@@ -175,6 +179,40 @@ def test_a_finished_tar_cut_short_is_an_error_and_stays_as_it_is(shard):
     shard.path("parquet").write_bytes(b"PAR1 rubbish")
     with pytest.raises(FormatError, match=r"00000\.parquet: expected the index"):
         shard.missing(4)
+
+
+def test_a_shard_of_another_recipe_is_not_called_damaged(tmp_path):
+    """However it came here: its `dataset.json` says otherwise."""
+    recipe = fake_samples.recipe()
+    texts = [recipe_text({**recipe.description(), "seed": seed}) for seed in (7, 8)]
+    theirs = replace(a_shard(tmp_path), recipe=texts[1])
+    add(theirs, 0, 1)
+    theirs.join(2)
+    whole = contents(theirs)
+    ours = replace(theirs, recipe=texts[0], names=(*theirs.names, "passes.exr"))
+    with pytest.raises(InputError, match=r"00000\.parquet: seed: expected 8 as in this shard, got 7$"):
+        ours.missing(2)
+    assert contents(theirs) == whole
+
+
+def test_a_tar_that_cannot_be_read_is_not_called_damaged(shard, monkeypatch):
+    """Of a fault of the disk nothing follows for the samples, so nothing is made anew, nor is removing advised."""
+    add(shard, 4)
+    shard.path("parquet").unlink()
+    whole, opened = shard.path("tar").read_bytes(), Path.open
+
+    def refuse(path, *args, **kwargs):
+        if path == shard.path("tar"):
+            raise OSError(errno.EIO, "Input/output error")
+        return opened(path, *args, **kwargs)
+
+    monkeypatch.setattr(Path, "open", refuse)
+    for ask in (shard.missing, shard.join):
+        with pytest.raises(OSError, match=r"Input/output error$"):
+            ask(5)
+    monkeypatch.undo()
+    assert shard.path("tar").read_bytes() == whole
+    assert shard.missing(5) == []
 
 
 def test_parts_beyond_n_stay_for_a_larger_n(tmp_path, shard):
