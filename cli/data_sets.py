@@ -90,10 +90,9 @@ def split(folder: str, out: str, into: dict[str, float], seed: int) -> None:
     Samples are copied unchanged and renumbered from 0. Clips stay whole. To generate a validation or test split with
     new scenes, use `generate --split val` instead. Rerun to resume.
     """
-    from synth3dlanes.dataset.rearrange import split_dataset
-    from synth3dlanes.dataset.splits import one_reader
+    from synth3dlanes.api import split_dataset
 
-    _tell(out, split_dataset(one_reader(folder), into, seed, out))
+    _tell(out, split_dataset(folder, out, into, seed=seed))
 
 
 @click.command()
@@ -105,9 +104,9 @@ def merge(folders: tuple[str, ...], out: str) -> None:
     Samples keep their numbers, and no sample may occur in two of the data sets. Shards are hard-linked instead of
     copied where the file system allows it. Rerun to resume.
     """
-    from synth3dlanes.dataset.rearrange import merge as merge_data_sets
+    from synth3dlanes.api import merge_datasets
 
-    _tell(out, merge_data_sets(folders, out))
+    _tell(out, merge_datasets(folders, out))
 
 
 def _tell(out: str, counts: dict[str, int]) -> None:

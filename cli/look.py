@@ -151,20 +151,7 @@ def report(folder: str, html: Path, n: int, samples: int) -> None:
     Shows samples with lanes that can be switched on and off, the distributions of all parameters, and statistics of
     the labels. The page is a single file that loads nothing else.
     """
-    from synth3dlanes.dataset.splits import data_set_name, evenly_spaced, readers, split_name
-    from synth3dlanes.figures.page import report_page
-    from synth3dlanes.figures.stats import label_statistics, scene_statistics
-    from synth3dlanes.sources import read_scene, scenes_of
+    from synth3dlanes.api import report_dataset
 
-    found = readers(folder)
-    places = evenly_spaced(found, n)
-    drawn = (read_scene(reader, i) for reader, i in evenly_spaced(found, n, is_once_a_scene=True))
-    origin = scenes_of(found[0])
-    scenes = scene_statistics(drawn, origin.params, bool(origin.shots.cameras))
-    labels = label_statistics(reader.labels(i) for reader, i in places)
-    shown = [
-        (f"{split_name(reader)}:{reader.key(i)}", read_scene(reader, i), reader.labels(i), reader.image(i))
-        for reader, i in evenly_spaced(found, samples)
-    ]
-    write(html, report_page(data_set_name(found[0]), shown, scenes, labels).encode())
+    report_dataset(folder, html, n=n, samples=samples)
     click.echo(f"Page: {html}")

@@ -1,5 +1,6 @@
 """`synth3dlanes stats`: drawn values against their declared distributions, and statistics of the labels."""
 
+import json
 import sys
 from pathlib import Path
 
@@ -47,36 +48,26 @@ def stats(
     """
     from rich.console import Console
 
-    from synth3dlanes.dataset.splits import evenly_spaced, readers
-    from synth3dlanes.figures.stats import label_statistics, scene_statistics, to_json
+    from synth3dlanes.api import dataset_stats
     from synth3dlanes.figures.stats_views import draw_statistics, statistics_table, verdict
     from synth3dlanes.params import load_params
-    from synth3dlanes.sample import Scenes, sample_scene
-    from synth3dlanes.sources import read_scene, scenes_of
 
     if (folder is None) == (source is None):
         raise click.UsageError("Give either DIR or --params FILE.")
     if folder is not None:
         if changes or seed or assets:
             raise click.UsageError("--set, --assets and --seed can only be used with --params.")
-        found = readers(folder)
-        places = evenly_spaced(found, n)
-        drawn = (read_scene(reader, i) for reader, i in evenly_spaced(found, n, is_once_a_scene=True))
-        origin = scenes_of(found[0])
-        scenes = scene_statistics(drawn, origin.params, bool(origin.shots.cameras))
-        labels = label_statistics(reader.labels(i) for reader, i in places)
+        found = dataset_stats(folder, n=n)
     else:
-        own = open_assets(assets).assets
-        origin = Scenes(load_params(str(source), changes, own), seed, assets=own)
-        scenes = scene_statistics((sample_scene(origin, index) for index in range(n)), origin.params)
-        labels = None
+        library = open_assets(assets)
+        found = dataset_stats(load_params(str(source), changes, library.assets), n=n, seed=seed, assets=library)
     if out:
         with replacing(out) as stream:
-            draw_statistics(scenes, labels).savefig(stream, format=out.suffix[1:], dpi=100)
+            draw_statistics(found.scenes, found.labels).savefig(stream, format=out.suffix[1:], dpi=100)
     if as_json:
-        click.echo(to_json(scenes, labels))
+        click.echo(json.dumps(found.document(), allow_nan=False))
         return
-    Console(width=None if sys.stdout.isatty() else WIDTH).print(statistics_table(scenes, labels))
-    click.echo(verdict(scenes))
+    Console(width=None if sys.stdout.isatty() else WIDTH).print(statistics_table(found.scenes, found.labels))
+    click.echo(verdict(found.scenes))
     if out:
         click.echo(f"Plots: {out}")

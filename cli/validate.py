@@ -28,10 +28,10 @@ def validate(ctx: click.Context, folder: str, workers: int, limit: int | None, a
     """
     from rich.console import Console
 
-    from synth3dlanes.validate.run import validate as check
+    from synth3dlanes.api import validate_dataset
 
     with progress_bar() as move:
-        report = check(folder, workers, limit, move)
+        report = validate_dataset(folder, workers=workers, limit=limit, progress=move)
     if as_json:
         click.echo(json.dumps(report.document()))
     else:

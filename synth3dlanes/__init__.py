@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from synth3dlanes.api import (
         Rendered,
         change_scene,
+        dataset_stats,
         export_dataset,
         generate_dataset,
         label,
@@ -17,11 +18,15 @@ if TYPE_CHECKING:
         load_params,
         load_rig,
         load_scene,
+        merge_datasets,
         open_assets,
         open_dataset,
         render,
+        report_dataset,
         sample_scene,
         save_scene,
+        split_dataset,
+        validate_dataset,
     )
     from synth3dlanes.dataset.format import Sample
     from synth3dlanes.dataset.read import Reader
@@ -66,6 +71,7 @@ __all__ = [
     "Synth3dlanesError",
     "WorkerError",
     "change_scene",
+    "dataset_stats",
     "draw_overlay",
     "export_dataset",
     "generate_dataset",
@@ -74,12 +80,16 @@ __all__ = [
     "load_params",
     "load_rig",
     "load_scene",
+    "merge_datasets",
     "open_assets",
     "open_dataset",
     "read_scene",
     "render",
+    "report_dataset",
     "sample_scene",
     "save_scene",
+    "split_dataset",
+    "validate_dataset",
 ]
 
 # Where names live that are not functions of `api`.

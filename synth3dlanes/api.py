@@ -4,9 +4,10 @@ Nothing here loads Blender: `render` and `generate_dataset` do so in worker proc
 """
 
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Shaped, UInt8
@@ -28,6 +29,9 @@ from synth3dlanes.dataset.format import (
     read_sweep,
 )
 from synth3dlanes.dataset.read import Reader
+from synth3dlanes.dataset.rearrange import merge as _merge
+from synth3dlanes.dataset.rearrange import split_dataset as _split
+from synth3dlanes.dataset.splits import data_set_name, evenly_spaced, one_reader, readers, split_name
 from synth3dlanes.errors import InputError
 from synth3dlanes.files import write
 from synth3dlanes.formats.export import FORMATS, export
@@ -57,6 +61,12 @@ from synth3dlanes.settings import DEVICES, QUALITY_SAMPLES, RenderSettings
 from synth3dlanes.settings import PASSES as PASS_NAMES
 from synth3dlanes.shots import Shots, clips
 from synth3dlanes.sources import load_scene as _load_scene
+from synth3dlanes.sources import read_scene, scenes_of
+
+if TYPE_CHECKING:
+    # Loaded by the functions that return them: figures and checks take a second.
+    from synth3dlanes.figures.stats import Statistics
+    from synth3dlanes.validate.report import Report as ValidationReport
 
 STANDARD = QUALITY_SAMPLES["standard"]
 
@@ -267,6 +277,74 @@ def export_dataset(
     """
     format_name = _one_of("format_name", format_name, FORMATS)
     return export(str(source), Path(out), format_name, workers, lambda done, total: None, size_px, _several(cameras))
+
+
+def split_dataset(
+    source: str | Path, out: str | Path, shares: Mapping[str, float] | None = None, *, seed: int = 0
+) -> dict[str, int]:
+    """Divide a split (or a data set that has one) at random into new ones, in a new data set `out`; return their
+    numbers of samples. Clips stay whole. `shares` are those of the new splits, by default train 0.8, val and test 0.1.
+    """
+    _at_least(0, seed=seed)
+    wanted = {"train": 0.8, "val": 0.1, "test": 0.1} if shares is None else shares
+    return _split(one_reader(str(source)), wanted, seed, str(out))
+
+
+def merge_datasets(sources: Sequence[str | Path], out: str | Path) -> dict[str, int]:
+    """Merge data sets of one recipe, such as parts made on several machines; return the number of samples of each
+    split. Samples keep their numbers, and none may occur twice."""
+    return _merge([str(source) for source in sources], str(out))
+
+
+def validate_dataset(
+    place: str | Path,
+    *,
+    workers: int = 0,
+    limit: int | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> "ValidationReport":
+    """Check every file and sample of a data set or a split, and its labels against its images (docs/validate.md); or
+    the first `limit` samples of every split.
+
+    `workers` 0 is one for each core. `problems` of the result has a line for each fault; PLACE/validation has a picture
+    of each sample that failed. Raises InputError where there is no data set.
+    """
+    from synth3dlanes.validate.run import validate
+
+    _at_least(0, workers=workers)
+    return validate(place, workers, limit, progress)
+
+
+def dataset_stats(
+    source: str | Path | Params, *, n: int = 2000, seed: int = 0, assets: Library = BUILT_IN
+) -> "Statistics":
+    """Statistics of at most `n` scenes and of their labels in a data set or a split, evenly spaced; or of `n` scenes
+    drawn from parameters, without labels. `document()` of the result is for JSON."""
+    from synth3dlanes.figures.stats import Statistics, label_statistics, scene_statistics
+
+    _at_least(1, n=n)
+    if isinstance(source, Params):
+        scenes = Scenes(source, seed, assets=assets.assets)
+        return Statistics(scene_statistics((_sample_scene(scenes, index) for index in range(n)), source))
+    found = readers(str(source))
+    shown = (read_scene(reader, i) for reader, i in evenly_spaced(found, n, is_once_a_scene=True))
+    origin, labels = scenes_of(found[0]), (reader.labels(i) for reader, i in evenly_spaced(found, n))
+    return Statistics(scene_statistics(shown, origin.params, bool(origin.shots.cameras)), label_statistics(labels))
+
+
+def report_dataset(place: str | Path, path: str | Path, *, n: int = 2000, samples: int = 12) -> None:
+    """Write an HTML page about a data set or a split: `samples` samples with their lanes, and the statistics of at most
+    `n` scenes. It loads nothing else."""
+    from synth3dlanes.figures.page import report_page
+
+    _at_least(1, samples=samples)
+    stats, found = dataset_stats(place, n=n), readers(str(place))
+    assert stats.labels is not None, "a data set has labels"
+    shown = [
+        (f"{split_name(reader)}:{reader.key(i)}", read_scene(reader, i), reader.labels(i), reader.image(i))
+        for reader, i in evenly_spaced(found, samples)
+    ]
+    write(Path(path), report_page(data_set_name(found[0]), shown, stats.scenes, stats.labels).encode())
 
 
 def _shots(camera: CameraSpec | None, rig: Sequence[CameraSpec], frames: int, fps: float) -> Shots:

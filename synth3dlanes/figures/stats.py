@@ -1,7 +1,6 @@
 """Statistics of scenes and labels: whether each parameter follows its declared distribution, and label quantities."""
 
 import dataclasses
-import json
 import math
 from collections import Counter, defaultdict
 from collections.abc import Iterable
@@ -90,6 +89,25 @@ class LabelStatistics:
     measured: dict[str, Values]
 
 
+@dataclass(frozen=True, eq=False)
+class Statistics:
+    """Statistics of scenes and, where these were rendered, of their labels."""
+
+    scenes: SceneStatistics
+    labels: LabelStatistics | None = None
+
+    def document(self) -> dict[str, Any]:
+        """The statistics, without the values behind them, for JSON."""
+        found: dict[str, Any] = {
+            "n_scenes": self.scenes.n_scenes,
+            "topologies": self.scenes.topologies,
+            "parameters": [dataclasses.asdict(parameter) for parameter in self.scenes.parameters],
+        }
+        if self.labels is not None:
+            found["labels"] = [dataclasses.asdict(summary) for summary in self.labels.summaries]
+        return found
+
+
 def scene_statistics(scenes: Iterable[Scene], params: Params, own_camera: bool = False) -> SceneStatistics:
     """Compare every parameter that scenes hold with the distributions that the rules (`sampling.rules`) give it; with a
     user's own camera, those of the host's place alone. A name counts as its place in the list. Keeps all drawn
@@ -175,18 +193,6 @@ def label_statistics(labels: Iterable[Labels]) -> LabelStatistics:
             collected[name].append(values)
     measured = {name: np.concatenate(values) for name, values in collected.items()}
     return LabelStatistics(n_images, tuple(_summary(name, values) for name, values in measured.items()), measured)
-
-
-def to_json(scenes: SceneStatistics, labels: LabelStatistics | None) -> str:
-    """The statistics (without the values behind them) as one JSON document."""
-    document: dict[str, Any] = {
-        "n_scenes": scenes.n_scenes,
-        "topologies": scenes.topologies,
-        "parameters": [dataclasses.asdict(parameter) for parameter in scenes.parameters],
-    }
-    if labels is not None:
-        document["labels"] = [dataclasses.asdict(summary) for summary in labels.summaries]
-    return json.dumps(document, allow_nan=False)
 
 
 def form(distribution: Distribution) -> str:

@@ -9,7 +9,7 @@ from rich.console import Console
 
 from synth3dlanes.distributions import Choice, Integers, Uniform
 from synth3dlanes.figures.histograms import declared_shares, histograms
-from synth3dlanes.figures.stats import is_fine, label_statistics, scene_statistics, to_json
+from synth3dlanes.figures.stats import Statistics, is_fine, label_statistics, scene_statistics
 from synth3dlanes.figures.stats_views import draw_statistics, statistics_table
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.params import forms, load_params, preset_names
@@ -99,7 +99,7 @@ def test_labels_of_a_climb_show_its_grade(exit_scene):
 def test_text_json_and_plots(scenes):
     statistics = scene_statistics(scenes[1], scenes[0])
     labels = label_statistics(ground_truth(scene) for scene in scenes[1][:5])
-    document = json.loads(to_json(statistics, labels))
+    document = json.loads(json.dumps(Statistics(statistics, labels).document(), allow_nan=False))
     assert document["n_scenes"] == 150
     assert len(document["labels"]) == len(labels.summaries)
     console = Console(file=io.StringIO(), width=200)
