@@ -56,6 +56,10 @@ Start from a preset: `synth3dlanes params show realistic > mine.yaml`. Check the
 mine.yaml` and use it with `--params mine.yaml`. To change a single key, use `--set camera.pitch_deg=3`. Fixing one key
 does not change the random values of the others. Lengths are in metres, angles in degrees.
 
+Four rules change what is drawn: weather and time of day replace ranges (below); topologies 3 and 4 have at least two
+lanes; a median needs oncoming lanes and at least a metre; the host's lane is one of those present. Oncoming lanes that
+would fold on the inside of a sharp bend are left out. `synth3dlanes stats` tests what was drawn against these rules.
+
 "ours" marks what the paper does not specify; [decisions.md](decisions.md) has the reasons.
 """
 
