@@ -243,7 +243,7 @@ def test_a_missing_package_and_a_crashed_worker_are_one_line(
     monkeypatch.setattr("synth3dlanes.production.user_assets.require_blender", lambda: None)
     monkeypatch.setattr("synth3dlanes.production.user_assets.call", lambda *_: crashed)
     result = run("assets", "mine")
-    assert (result.exit_code, result.stdout) == (2, "")
+    assert (result.exit_code, result.stdout) == (1, "")
     assert result.stderr == "assets mine: worker ended with 1: boom\n"
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     for command, words in (

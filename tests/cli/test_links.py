@@ -42,17 +42,16 @@ class Command:
 
 COMMANDS = {
     "generate": Command(
-        "generate --n 3 --out OUT --params tiny --device cpu --log-level error",
-        "generate --n 5 --out OUT --params tiny --device cpu --log-level error",
+        "generate --n 1 --out OUT --params tiny --device cpu --log-level error",
+        "generate --n 2 --out OUT --params tiny --device cpu --log-level error",
     ),
     "generate with a failure": Command(
         "generate --n 4 --out OUT --params tiny --device cpu --log-level error", maker=fake_samples.crash_on_bad
     ),
-    "twins": Command("twins DATA/train --vary light.exposure=1,2 --n 2 --out OUT --device cpu"),
+    "twins": Command("twins DATA/train --vary light.exposure=1 --n 1 --out OUT --device cpu"),
     "split": Command("split DATA/train --into a=1,b=1 --out OUT"),
     "merge": Command("merge DATA --out OUT"),
     "apollo": Command("export DATA --format apollo --out OUT --workers 1"),
-    "once": Command("export DATA --format once --out OUT --workers 1"),
     "openlane_v2": Command("export DATA --format openlane_v2 --out OUT --workers 1"),
     "validate": Command("validate OUT --workers 1", is_inside=True),
     "render": Command("render DATA/train:00000001 --out OUT/a.png --set light.exposure=2"),
