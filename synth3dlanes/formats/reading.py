@@ -21,6 +21,8 @@ from synth3dlanes.schema import PathBelow, shown
 MOST_TEXT = 64 << 20
 """Bytes of one frame's label file, and of a line of a list."""
 PICTURES = ("JPEG", "PNG", "BMP", "WEBP")
+MOST_BYTES = 1 << 34
+"""Of a file with many frames, such as COCO's annotations."""
 STEP_M = 0.5
 MOST = 1e6
 """Beyond any coordinate or column."""
@@ -164,7 +166,9 @@ def _require_file(path: Path) -> None:
 def read_file(path: Path) -> bytes:
     """The bytes of a file that another names; raise FormatError where there is none."""
     try:
-        return path.read_bytes()
+        return read_bounded(path, MOST_BYTES)
+    except FormatError:
+        raise
     except (OSError, ValueError) as error:
         raise FormatError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
 
