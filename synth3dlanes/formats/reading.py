@@ -24,6 +24,8 @@ MAX_FILE_BYTES = 512 << 20
 MOST_TEXT = 64 << 20
 """Bytes of one frame's label file, and of a line of a list."""
 PICTURES = ("JPEG", "PNG", "BMP", "WEBP")
+MOST_BYTES = 1 << 34
+"""Of a file with many frames, such as COCO's annotations."""
 STEP_M = 0.5
 MOST = 1e6
 """Beyond any coordinate or column."""
@@ -168,7 +170,11 @@ def _opened(path: Path) -> BufferedReader:
 def read_file(path: Path) -> bytes:
     """The bytes of a file that a user or another file names; raise FormatError where there is none."""
     try:
+<<<<<<< HEAD
         return read_bounded(path, MAX_FILE_BYTES)
+=======
+        return read_bounded(path, MOST_BYTES)
+>>>>>>> exports
     except FormatError:
         raise
     except (OSError, ValueError) as error:

@@ -11,11 +11,10 @@ from pydantic import Field
 
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.coco.convention import STUFF_IDS, segments_of
-from synth3dlanes.formats.reading import image_size, read_file, read_mask
+from synth3dlanes.formats.reading import MOST_BYTES, image_size, read_file, read_mask
 from synth3dlanes.formats.self_check import Verified
 from synth3dlanes.schema import MAX_PX, Excerpt, PathBelow, parse
 
-MOST_BYTES = 1 << 34
 MOVED = 1 / 8  # of the image's width
 
 

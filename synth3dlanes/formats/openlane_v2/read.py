@@ -11,12 +11,11 @@ from pydantic import RootModel
 from synth3dlanes import schema
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.openlane_v2.convention import COLLECTIONS, ROOT
-from synth3dlanes.formats.reading import read_file
+from synth3dlanes.formats.reading import MOST_BYTES, read_file
 from synth3dlanes.labels import Points
 from synth3dlanes.schema import Excerpt, PathBelow
 
 LEAST_POINTS = 11  # what the benchmark compares
-MOST_LISTED = 1 << 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +33,7 @@ def frames(out: Path) -> dict[str, list[Path]]:
     root = out / ROOT
     paths = [root / f"{name}.json" for name in COLLECTIONS]
     path = next((path for path in paths if path.exists()), paths[0])
-    listed = schema.parse(_Collection, read_file(path), str(path), "a collection of OpenLane-V2", MOST_LISTED).root
+    listed = schema.parse(_Collection, read_file(path), str(path), "a collection of OpenLane-V2", MOST_BYTES).root
     return {
         part: [root / part / segment / "info" / name for segment, names in segments.items() for name in names]
         for part, segments in listed.items()
