@@ -170,11 +170,7 @@ def _opened(path: Path) -> BufferedReader:
 def read_file(path: Path) -> bytes:
     """The bytes of a file that a user or another file names; raise FormatError where there is none."""
     try:
-<<<<<<< HEAD
         return read_bounded(path, MAX_FILE_BYTES)
-=======
-        return read_bounded(path, MOST_BYTES)
->>>>>>> exports
     except FormatError:
         raise
     except (OSError, ValueError) as error:
