@@ -94,7 +94,8 @@ def prepare(config: TrainConfig, process: Process, out_dir: Path, about: dict[st
     torch.manual_seed(config.seed)
     model = network_of(config.model)
     last = out_dir / "last.pt"
-    if not last.exists():
+    is_resumed = os.path.lexists(last)
+    if not is_resumed:
         about |= _start(model, config)
     model = model.to(process.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
     trainee = Run(
@@ -104,7 +105,7 @@ def prepare(config: TrainConfig, process: Process, out_dir: Path, about: dict[st
         RunningAverage(model, config.ema_decay),
         optimizer_for(model, config, process.device),
     )
-    if last.exists():
+    if is_resumed:
         found = checkpoints.load(last)
         _resume(trainee, found, out_dir)
         about |= {name: found.about[name] for name in ("pretrained", "init") if name in found.about}

@@ -16,7 +16,7 @@ from synth3dlanes.dataset.format import Sample
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rectify import rectified_image, rectified_labels
 from synth3dlanes.dataset.splits import has_split, one_reader, only_split
-from synth3dlanes.errors import InputError
+from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.formats.apollo.read import ApolloSplit
 from synth3dlanes.formats.openlane.read import OpenLaneSplit, is_openlane
 from synth3dlanes.formats.tusimple.read import TusimpleSplit, find_labels
@@ -111,15 +111,22 @@ def open_split(path: str | Path) -> Samples:
     """Random access to labelled images. A split of ours is `DIR/SPLIT`, or DIR if it is the only one;
     `DIR/SPLIT:17` is one of its samples. A split of Apollo or tuSimple is its JSON-lines file (Apollo's images are in a
     folder above it); one of OpenLane is `.../lane3d_1000/SPLIT`, beside `.../images`."""
-    text = str(path)
+    samples = _opened(str(path))
+    if not len(samples):
+        raise FormatError(f"{path}: expected labelled images, got none")
+    return samples
+
+
+def _opened(text: str) -> Samples:
     if "://" not in text:
-        labels = find_labels(Path(path))
+        path = Path(text)
+        labels = find_labels(path)
         if labels is not None:
             return TusimpleOnPlane(TusimpleSplit(labels))
         if text.endswith(".json"):
-            return ApolloSplit(Path(path))
-        if is_openlane(Path(path)):
-            return OpenLaneSplit(Path(path))
+            return ApolloSplit(path)
+        if is_openlane(path):
+            return OpenLaneSplit(path)
     samples = Upright(one_reader(split_of(text), columns=(ROLL,)))
     if not SAMPLE.fullmatch(text):
         return samples

@@ -2,11 +2,14 @@
 while its commands are still being imported."""
 
 import os
+import resource
 import signal
 import sys
 from typing import NoReturn
 
 NO_MEMORY = "not enough memory; close other programs, raise the limit (ulimit -v), or use fewer workers"
+# `sample` takes 400 MB on two cores. With less, OpenBLAS aborts the process or waits for ever for its threads.
+LEAST_BYTES = 1 << 29
 # What libraries raise for want of memory that is no MemoryError: Python's threads, torch on CPUs and GPUs, the linker.
 WORDS = ("can't start new thread", "DefaultCPUAllocator", "CUDA out of memory", "Cannot allocate memory", "map segment")
 
@@ -14,6 +17,9 @@ WORDS = ("can't start new thread", "DefaultCPUAllocator", "CUDA out of memory", 
 def run() -> None:
     """Import the commands and run the one that is asked for."""
     open_closed_streams()
+    bound = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if bound != resource.RLIM_INFINITY and bound < LEAST_BYTES:
+        _leave(f"expected an address space of at least {LEAST_BYTES >> 10} KiB (ulimit -v), got {bound >> 10}", 1)
     try:
         from .main import run as start
     except KeyboardInterrupt:

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from synth3dlanes.assets.catalogue import Library
     from synth3dlanes.shots import Shots
 
+MAX_SEED = 2**128
+
 
 class Names(click.ParamType):
     """A comma-separated choice of names."""
@@ -77,7 +79,17 @@ set_option = click.option(
     multiple=True,
     help="Change one parameter, such as light.exposure=3; repeatable.",
 )
-seed_option = click.option("--seed", type=click.IntRange(0, 2**128), default=0, help="Random seed of the data set.")
+
+
+def _checked_seed(_: click.Context, __: click.Parameter, seed: int) -> int:
+    if seed > MAX_SEED:
+        raise click.BadParameter("expected at most 2**128")
+    return seed
+
+
+seed_option = click.option(
+    "--seed", type=click.IntRange(min=0), default=0, callback=_checked_seed, help="Random seed of the data set."
+)
 split_option = click.option(
     "--split",
     metavar="NAME",

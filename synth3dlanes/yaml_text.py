@@ -20,6 +20,7 @@ MAX_BYTES, MAX_VALUES, MAX_DEPTH = 1 << 20, 20_000, 20
 MAX_DIGITS = 40
 PLAIN = "null, true, false, numbers, text, lists and mappings"
 
+NAMES = {"bool": "true or false", "int": "a whole number", "float": "a number"}
 NULL = re.compile("null|Null|NULL|~|")
 BOOL = re.compile("true|True|TRUE|false|False|FALSE")
 INT = re.compile("[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
@@ -76,7 +77,7 @@ class _Loader(yaml.SafeLoader):
         """A scalar by its tag."""
         text, kind = self.construct_scalar(node), node.tag.removeprefix(TAG)
         if kind != "str" and kind_of(text) not in ({"int", "float"} if kind == "float" else {kind}):
-            _refuse(f"expected {'a float' if kind == 'float' else kind}, got {text[:40]!r}", node)
+            _refuse(f"expected {NAMES.get(kind, kind)}, got {text[:40]!r}", node)
         if kind == "int" and len(text) > MAX_DIGITS:
             _refuse(f"expected a number of at most {MAX_DIGITS} digits, got {len(text)}", node)
         return _value(kind, text)

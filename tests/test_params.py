@@ -146,7 +146,7 @@ def test_overrides_take_every_form() -> None:
         "camera.pitch_deg=[1, 2]",
         "cars.n={2: 1, 5: 3}",
         "terrain.sd_m=1e2",
-        "road.flip_lateral=yes",
+        "road.flip_lateral=true",
     )
     params = load_params("appendix_i", overrides)
     assert params.road.n_lanes == Choice((3,), (1,))

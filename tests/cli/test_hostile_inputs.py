@@ -8,6 +8,7 @@ import signal
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from types import FrameType
 
@@ -46,7 +47,21 @@ def unix_socket(path: Path) -> None:
         os.replace(path.name, path)
 
 
-# Special files, then contents.
+CONTENTS = {
+    "empty": b"",
+    "byte": b"{",
+    "utf16": '{"a": 1}'.encode("utf-16"),
+    "bom": b'\xef\xbb\xbf{"a": 1}',
+    "nulls": bytes(4096),
+    "bytes": bytes(range(256)) * 16,
+    "no_text": b"\xff\xfe\xfd",
+    "other": b'{"a": 1}',
+    "nested": b"[" * 100_000,
+    "digits": b"9" * 5000,
+    "code": f"!!python/object/apply:os.system ['touch {MARK}']".encode(),
+    "pickle": pickle.dumps(Malice()),
+    "magic": b"PK\x03\x04PAR1\x89PNG\r\n\x1a\n",
+}
 KINDS: dict[str, Callable[[Path], object]] = {
     "pipe": os.mkfifo,
     "zero": lambda path: path.symlink_to("/dev/zero"),
@@ -57,28 +72,11 @@ KINDS: dict[str, Callable[[Path], object]] = {
     "itself": lambda path: path.symlink_to(path.name),
     "unreadable": lambda path: path.symlink_to("/proc/self/mem"),
     "sparse": sparse,
-    **{
-        name: lambda path, data=data: path.write_bytes(data)  # type: ignore[misc]
-        for name, data in {
-            "empty": b"",
-            "byte": b"{",
-            "utf16": '{"a": 1}'.encode("utf-16"),
-            "bom": b'\xef\xbb\xbf{"a": 1}',
-            "nulls": bytes(4096),
-            "bytes": bytes(range(256)) * 16,
-            "no_text": b"\xff\xfe\xfd",
-            "other": b'{"a": 1}',
-            "nested": b"[" * 100_000,
-            "digits": b"9" * 5000,
-            "code": f"!!python/object/apply:os.system ['touch {MARK}']".encode(),
-            "pickle": pickle.dumps(Malice()),
-            "magic": b"PK\x03\x04PAR1\x89PNG\r\n\x1a\n",
-        }.items()
-    },
+    **{name: partial(Path.write_bytes, data=data) for name, data in CONTENTS.items()},
 }
 
 # Commands by the input that is strange, {x}, with the files around it that are as they should be: a data set d, a scene
-# s.json, an image i.png. A command after "may" need not read what is strange.
+# s.json, an image i.png.
 COMMANDS = {
     "x.yaml": [
         "sample --params {x}",
@@ -157,6 +155,12 @@ COMMANDS = {
     "run/last.pt": ["train d --out run --model tiny --set device=cpu"],
     "x.jsonl": ["evaluate d/train --predictions {x}"],
 }
+# What has nothing wrong: predictions of no lane; a folder that is no index; and shards that are copied as they are.
+MAY_PASS = {
+    ("x.jsonl", "evaluate"): {"empty"},
+    ("d/train/00001.parquet", "info"): {"folder"},
+    ("d/train/00001.tar", "merge"): set(CONTENTS) | {"sparse"},
+}
 CASES = [(name, command) for name, commands in COMMANDS.items() for command in commands]
 
 
@@ -205,7 +209,7 @@ def fault(result: Result, codes: tuple[int, ...] = (1, 2)) -> str:
         return f"raised {result.exception!r:.300}"
     if result.exit_code not in codes:
         return f"ended with {result.exit_code}: {said:.300}"
-    if not lines or (result.exit_code == 2 and (len(lines) > 9 or max(map(len, lines)) > 600)):
+    if not lines or (result.exit_code == 2 and (len(lines) > 20 or max(map(len, lines)) > 600)):
         return f"said {len(lines)} lines: {said:.300}"
     if LEAKED.search(result.stderr) or NO_MEMORY in said:
         return f"said {said:.300}"
@@ -228,7 +232,8 @@ def test_strange_files(name: str, command: str, run: Run, around: Path) -> None:
         make(place)
         with bounded():
             wrong = fault(run(*words))
-        if wrong:
+        may_pass = wrong.startswith("ended with 0") and kind in MAY_PASS.get((name, words[0]), ())
+        if wrong and not may_pass:
             faults[kind] = wrong
     assert not faults, listed(faults)
 
