@@ -19,7 +19,7 @@ from synth3dlanes.validate.likeness import LUMA, Layer, Pixels, Wrong
 
 # A cause leaves at most this share of what is wrong; a later one must fit so much better; after one that leaves so
 # small a share of all differences, no smaller region is tried.
-LEFT, BETTER, ENOUGH = 0.35, 0.95, 0.15
+LEFT, BETTER, ENOUGH = 0.45, 0.95, 0.15
 # An object is wrong where this share of its pixels is, and alone wrong if this share of all that is wrong is near it.
 OF_OBJECT, NEAR, NEAR_PX = 0.2, 0.8, 7
 REACH_PX = 4
@@ -71,7 +71,9 @@ def _guesses(layer: Layer, region: Region) -> Iterator[tuple[str, Pixels]]:
     """What the layer would be, in words."""
     made, lies = layer.made[region.mask], layer.lies[region.mask]
     fit = FITS[layer.name.rpartition(" ")[2]]
-    for words, values in () if fit is _of_ids and region.is_objects else fit(made, lies, layer.names):
+    # In a small region any ids become those that lie there.
+    is_told = fit is not _of_ids or not region.words or "half" in region.words
+    for words, values in fit(made, lies, layer.names) if is_told else ():
         guess = layer.made.copy()
         guess[region.mask] = values
         yield words, guess
@@ -178,7 +180,7 @@ def _erased(made: Pixels, mask: Bool[np.ndarray, "h w"]) -> Pixels:
     return np.asarray(made[row, column])
 
 
-def _wide(mask: Bool[np.ndarray, "h w"], of: Pixels) -> Bool[np.ndarray, "h w *c"]:
+def _wide(mask: Bool[np.ndarray, "h w"], of: Pixels) -> Bool[np.ndarray, "h w *d"]:
     return mask if of.ndim == mask.ndim else mask[..., None]
 
 

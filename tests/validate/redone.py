@@ -5,7 +5,7 @@ python -m tests.validate.redone LAB      # the table, of samples that `render_la
 
 import io
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -27,6 +27,7 @@ from synth3dlanes.dataset.format import (
     write_sweep,
 )
 from synth3dlanes.production.recipe import Picture
+from synth3dlanes.scene import Scene
 from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS
 from tests.validate.sealing import Members
 
@@ -277,5 +278,92 @@ DOCUMENTS = {
         'color: expected "yellow", got "white"',
     ),
 }
+
+# -- other scenes
+
+
+class World(NamedTuple):
+    """Changes of a scene whose picture and passes then lie beside the labels of the first, and a pattern as above."""
+
+    changes: Callable[[Scene], list[str]]
+    words: str
+
+
+def each(path: str, parts: Sequence[Any], change: Callable[[Any], dict[str, Any]]) -> list[str]:
+    """A change of every part of a tuple of the scene."""
+    return [f"{path}.{i}.{name}={value}" for i, part in enumerate(parts) for name, value in change(part).items()]
+
+
+def other_arrow(symbol: Any) -> dict[str, str]:
+    is_arrow = symbol.kind.startswith("arrow")
+    return {"kind": "arrow_right" if symbol.kind == "arrow_left" else "arrow_left"} if is_arrow else {}
+
+
+def other_face(post: Any) -> dict[str, int]:
+    return {"face": (post.face + 3) % 8 + 1} if post.kind == "sign" else {}
+
+
+SCENE = "rendered from another scene"
+WORLDS = {
+    "the left line's colour": World(
+        lambda s: [f"markings.left_yellow={'false' if s.markings.left_yellow else 'true'}"], "image: .* line main_line_"
+    ),
+    "cars 0.3 m on": World(
+        lambda s: each("cars", s.cars, lambda car: {"s_m": car.s_m + 0.3}), f"(depth|instance): .*car.*{SCENE}"
+    ),
+    "other colours of cars": World(
+        lambda s: each(
+            "cars", s.cars, lambda car: {"color": [0.6, 0.05, 0.05] if car.color[0] < 0.4 else [0.05, 0.1, 0.5]}
+        ),
+        "image: .* car",
+    ),
+    "rails 15 % higher": World(
+        lambda s: each("roadside.rails", s.roadside.rails, lambda rail: {"height_m": 1.15 * rail.height_m}),
+        f"barrier.*{SCENE}",
+    ),
+    "buildings 10 % higher": World(
+        lambda s: each("roadside.buildings", s.roadside.buildings, lambda house: {"height_m": 1.1 * house.height_m}),
+        f"image: .*{SCENE}",
+    ),
+    "trees 10 % larger": World(
+        lambda s: each("trees", s.trees, lambda tree: {"scale": 1.1 * tree.scale}), f"tree.*{SCENE}"
+    ),
+    "trees turned": World(
+        lambda s: each("trees", s.trees, lambda tree: {"yaw_rad": (tree.yaw_rad + 1) % 6.28}), f"tree.*{SCENE}"
+    ),
+    "the sun 90 degrees off": World(
+        lambda s: [f"light.sun_azimuth_rad={(s.light.sun_azimuth_rad + 1.5708) % 6.2831}"], "image: .*light"
+    ),
+    "exposure x 1.3": World(lambda s: [f"light.exposure={1.3 * s.light.exposure}"], "light x 1.3"),
+    "other faces of signs": World(lambda s: each("roadside.posts", s.roadside.posts, other_face), "sign"),
+    "dashes 20 % shorter": World(
+        lambda s: [f"markings.dash_fraction={0.8 * s.markings.dash_fraction}"], "(image|semantic|instance): "
+    ),
+    "arrows elsewhere": World(lambda s: each("symbols", s.symbols, other_arrow), "(image|semantic|instance): .*symbol"),
+}
+
+
+# -- another machine
+
+
+def other_rounding(members: Members) -> None:
+    """Depths, heights and points rounded otherwise, a few pixels that see the other side of a seam, a point that
+    grazes."""
+    random = np.random.default_rng(1)
+    passes = read_passes(members[PASSES], PASSES)
+    depth_m = passes["depth"] * (1 + 1e-6 * random.normal(size=passes["depth"].shape)).astype(np.float32)
+    is_other = random.random(depth_m.shape) < 5e-4
+    other = {
+        name: np.where(is_other, np.roll(passes[name], 1, axis=1), passes[name]) for name in ("semantic", "instance")
+    }
+    members[PASSES] = write_passes({**passes, **other, "depth": depth_m.astype(np.float32)})
+    height_m = read_passes(members[HEIGHT], HEIGHT)["height"]
+    members[HEIGHT] = write_passes({"height": height_m + np.float32(1e-5)})
+    document = json.loads(members[LABELS])
+    document["lanes"][0]["xyz_cam"][0][1] += 1e-4
+    seen = next(lane["object_visible"] for lane in document["lanes"] if sum(lane["object_visible"]) > 0)
+    seen[seen.index(1)] = 0
+    members[LABELS] = json.dumps(document, separators=(",", ":")).encode()
+
 
 ALL = PICTURES | LAYERS | SWEEPS | DOCUMENTS
