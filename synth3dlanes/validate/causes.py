@@ -19,11 +19,12 @@ from synth3dlanes.validate.likeness import LUMA, Layer, Pixels, Wrong
 
 # A cause leaves at most this share of what is wrong; a later one must fit so much better; after one that leaves so
 # small a share of all differences, no smaller region is tried.
-LEFT, BETTER, ENOUGH = 0.45, 0.95, 0.15
+LEFT, BETTER, ENOUGH = 0.35, 0.95, 0.15
 # An object is wrong where this share of its pixels is, and alone wrong if this share of all that is wrong is near it.
 OF_OBJECT, NEAR, NEAR_PX = 0.2, 0.8, 7
 REACH_PX = 4
 ENLARGED = (0.98, 0.99, 0.995, 1.0025, 1.005, 1.01, 1.02, 1.05)
+THERE, ONE_COLOUR = " there", ("black", "of one colour")
 FLAT = 4  # levels, as JPEG has them in a surface of one colour
 STEPS_M = (0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0)
 # Radiance and its level in the picture.
@@ -71,9 +72,11 @@ def _guesses(layer: Layer, region: Region) -> Iterator[tuple[str, Pixels]]:
     """What the layer would be, in words."""
     made, lies = layer.made[region.mask], layer.lies[region.mask]
     fit = FITS[layer.name.rpartition(" ")[2]]
-    # In a small region any ids become those that lie there.
-    is_told = fit is not _of_ids or not region.words or "half" in region.words
-    for words, values in fit(made, lies, layer.names) if is_told else ():
+    is_small = region.is_objects or region.words == THERE
+    for words, values in fit(made, lies, layer.names):
+        # Of scattered pixels a fit says little, but for one colour; in a small region any ids become what lies there.
+        if (region.words == THERE and not words.startswith(ONE_COLOUR)) or (is_small and fit is _of_ids):
+            continue
         guess = layer.made.copy()
         guess[region.mask] = values
         yield words, guess
@@ -101,7 +104,7 @@ def _regions(layer: Layer, wrong: Wrong) -> Iterator[Region]:
     for name, mask in halves.items():
         yield Region(f" in the {name} half", mask)
     yield from _objects(layer, wrong)
-    yield Region(" there", wrong > 0)
+    yield Region(THERE, wrong > 0)
 
 
 def _objects(layer: Layer, wrong: Wrong) -> Iterator[Region]:
@@ -175,7 +178,7 @@ def _enlarged(made: Pixels, factor: float) -> Pixels:
 
 def _erased(made: Pixels, mask: Bool[np.ndarray, "h w"]) -> Pixels:
     """With the nearest pixels outside instead; rendered edges of an object are partly its own."""
-    edge = uniform_filter(mask.astype(np.float32), 3) > 0
+    edge = uniform_filter(mask.astype(np.float32), 3) > 0.05
     row, column = distance_transform_edt(edge, return_distances=False, return_indices=True)
     return np.asarray(made[row, column])
 

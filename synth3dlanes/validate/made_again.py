@@ -29,7 +29,7 @@ from synth3dlanes.dataset.format import (
     encode,
     read_passes,
     read_sweep,
-)  # fmt: skip
+)
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.labels import Labels
 from synth3dlanes.production.devices import WorkerSlots, resolve_device
@@ -45,7 +45,7 @@ from synth3dlanes.settings import (
     HOST_ID,
     SEMANTIC_IDS,
     RenderSettings,
-)  # fmt: skip
+)
 from synth3dlanes.settings import (
     PASSES as ALL_PASSES,
 )
@@ -61,7 +61,7 @@ from synth3dlanes.validate.likeness import (
     wrong_ids,
     wrong_normals,
     wrong_values,
-)  # fmt: skip
+)
 from synth3dlanes.validate.origin import Origin
 from synth3dlanes.validate.report import VERDICTS
 from synth3dlanes.world import resolve
@@ -163,10 +163,10 @@ def compare(picture: Picture, made: Members, lies: Members) -> Iterator[str]:
     for name in made:
         if made[name] == lies.get(name):
             continue
-        if name in (SCENE, LABELS):
-            yield from (f"{name}: {line}" for line in unlike(made[name], lies[name]))
-            continue
         try:
+            if name in (SCENE, LABELS):
+                yield from (f"{name}: {line}" for line in unlike(made[name], lies[name]))
+                continue
             faults += [fault for layer in _layers(picture, name, made, lies) for fault in _faults(layer)]
             if name in IMAGE_FORMATS:
                 yield from _of_detail(made[name], lies[name], bool(faults))

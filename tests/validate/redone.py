@@ -120,9 +120,9 @@ def erased(which: Callable[[np.ndarray], np.ndarray], image: np.ndarray, passes:
     lines = passes["instance"] * (passes["semantic"] == SEMANTIC_IDS["marking"])
     ids, counts = np.unique(lines[lines > 0], return_counts=True)
     here = np.isin(lines, which(ids[np.argsort(-counts)]))
-    is_paint = uniform_filter((lines > 0).astype(float), 3) > 0
+    is_paint = uniform_filter((lines > 0).astype(float), 3) > 0.05
     row, column = distance_transform_edt(is_paint, return_distances=False, return_indices=True)
-    wide = uniform_filter(here.astype(float), 3) > 0
+    wide = uniform_filter(here.astype(float), 3) > 0.05
     return np.where(wide[..., None], image[row, column], image)
 
 
