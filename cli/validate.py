@@ -1,11 +1,12 @@
 """`synth3dlanes validate`: check the files of a data set, and its labels against its pixels."""
 
 import json
+from pathlib import Path
 
 import click
 
 from .generate import Workers
-from .options import json_option, progress_bar
+from .options import assets_option, json_option, open_assets, progress_bar
 
 
 @click.command()
@@ -18,9 +19,19 @@ from .options import json_option, progress_bar
     help="Worker processes; auto: one per core, fewer for few samples.",
 )
 @click.option("--limit", metavar="N", type=click.IntRange(min=0), help="Check only N samples of each split.")
+@click.option(
+    "--rerender",
+    metavar="K",
+    type=click.IntRange(min=0),
+    default=0,
+    help="Make K samples again, chosen at random, and compare them with what lies there.",
+)
+@assets_option
 @json_option
 @click.pass_context
-def validate(ctx: click.Context, folder: str, workers: int, limit: int | None, as_json: bool) -> None:
+def validate(
+    ctx: click.Context, folder: str, workers: int, limit: int | None, rerender: int, assets: Path | None, as_json: bool
+) -> None:
     """Check every file and sample of a data set (DIR) or one split (DIR/train), and its labels against its images.
 
     Prints one line per problem and exits with 1 if there is one. DIR/validation then has a picture of each sample
@@ -30,8 +41,11 @@ def validate(ctx: click.Context, folder: str, workers: int, limit: int | None, a
 
     from synth3dlanes.api import validate_dataset
 
+    library = open_assets(assets)
     with progress_bar() as move:
-        report = validate_dataset(folder, workers=workers, limit=limit, progress=move)
+        report = validate_dataset(
+            folder, workers=workers, limit=limit, rerender=rerender, assets=library, progress=move
+        )
     if as_json:
         click.echo(json.dumps(report.document()))
     else:

@@ -301,18 +301,20 @@ def validate_dataset(
     *,
     workers: int = 0,
     limit: int | None = None,
+    rerender: int = 0,
+    assets: Library = BUILT_IN,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> "ValidationReport":
     """Check every file and sample of a data set or a split, and its labels against its images (docs/validate.md); or
-    the first `limit` samples of every split.
+    the first `limit` samples of every split. `rerender` samples are made again and compared with what is there.
 
     `workers` 0 is one for each core. `problems` of the result has a line for each fault; PLACE/validation has a picture
-    of each sample that failed. Raises InputError where there is no data set.
+    of each sample that failed. Raises InputError where there is no data set, or samples cannot be made again here.
     """
     from synth3dlanes.validate.run import validate
 
     _at_least(0, workers=workers)
-    return validate(place, workers, limit, progress)
+    return validate(place, workers, limit, progress, rerender, assets)
 
 
 def dataset_stats(

@@ -56,14 +56,16 @@ class Origin(Provenance):
     def fault(self, scene: Scene, split: str, index: int) -> str:
         """How a sample's scene differs from the one drawn again, in one line; "" if they are equal."""
         try:
-            drawn = self._drawn(scene, split, index)
+            drawn = self.drawn(scene, split, index)
         except (InputError, ValueError, LookupError, ArithmeticError) as error:
             return f"cannot be drawn again: {' '.join(str(error).split())}"
         if scene == drawn:
             return ""
         return some(list(differences(drawn.model_dump(mode="json"), scene.model_dump(mode="json"))))
 
-    def _drawn(self, scene: Scene, split: str, index: int) -> Scene:
+    def drawn(self, scene: Scene, split: str, index: int) -> Scene:
+        """The scene of a sample, drawn again; of derived data sets `scene`, which lies there, says for what it was
+        drawn."""
         if self.derived is None:
             return sample_scene(self.scenes(split), index)
         index = self.shots.index(Place(scene.index, scene.shot.frame, scene.shot.camera))

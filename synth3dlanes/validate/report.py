@@ -53,6 +53,8 @@ MEASURES = {
 FOLDER = "validation"
 # No lanes are drawn if a line extends farther than this outside the image.
 MAX_PX = 1e5
+# Of samples made again.
+VERDICTS = ("equal bytes", "equal within the tolerances of another machine", "not equal")
 # Smaller values are counted, and printed, as 0.
 SMALLEST = float(EDGES[0])
 WITHIN_PROOF = slice(0, BANDS_M.index(PROOF_M))
@@ -67,6 +69,7 @@ class Report:
     distributions: dict[str, Distribution] = field(default_factory=dict)
     worst: dict[str, list[tuple[float, str]]] = field(default_factory=dict)
     means: dict[str, Mean] = field(default_factory=dict)
+    made_again: dict[str, str] = field(default_factory=dict)
     _worlds: dict[str, str] = field(default_factory=dict)
 
     def sample(self, name: str, digest: str, results: Iterable[Result]) -> None:
@@ -122,6 +125,7 @@ class Report:
                 name: [{"sample": sample, "value": value} for value, sample in sorted(ranking, reverse=True)]
                 for name, ranking in self.worst.items()
             },
+            "made_again": self.made_again,
             "means": {name: found.summary(TESTS[name].least) for name, found in self.means.items()},
         }
 
@@ -141,9 +145,18 @@ class Report:
         tested = {name: found for name, found in self.means.items() if found.n >= MIN_SAMPLES}
         if tested:
             parts += ["\n[bold]means[/bold]  of the samples' signed values; 0 where all is right", _means(tested)]
+        parts += made_again_text(self.made_again)
         parts += ["", *(f"[red]{escape(problem.line())}[/red]" for problem in self.in_order())]
         verdict = f"[red]{len(self.failed)} failed[/red]" if self.problems else "[green]all right[/green]"
         return Group(*parts, f"{self.n_samples} samples checked: {verdict}")
+
+
+def made_again_text(verdicts: dict[str, str]) -> list[str]:
+    """Which samples were made again, with what result."""
+    lines = [f"  {verdict}: {', '.join(n for n, v in verdicts.items() if v == verdict)}" for verdict in VERDICTS]
+    told = [line for line, verdict in zip(lines, VERDICTS, strict=True) if verdict in verdicts.values()]
+    head = "\n[bold]made again[/bold]  as dataset.json says; the same command chooses the same, a larger number more"
+    return [head, *told] if verdicts else []
 
 
 def _table(bands: dict[str, dict[str, float]]) -> Table:

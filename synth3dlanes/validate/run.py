@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from synth3dlanes.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.dataset.address import connect, splits_near, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION, Description, data_set_of, parse_description, recipe_text
 from synth3dlanes.dataset.format import SCENE
@@ -22,6 +23,7 @@ from synth3dlanes.validate.contents import read_contents
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding, Problem, Result, findings_of, some
 from synth3dlanes.validate.integrity import Entry, check_card, check_presence, check_shard, read_sample
+from synth3dlanes.validate.made_again import how_to_make, make_again, some_of
 from synth3dlanes.validate.origin import Origin, drawn_otherwise, made_otherwise, read_origin
 from synth3dlanes.validate.pixels import Passes, Picture
 from synth3dlanes.validate.report import Report, draw, remove_pictures, save_picture
@@ -49,12 +51,21 @@ class Checked(NamedTuple):
     results: Sequence[Result]
 
 
-def validate(place: str | Path, workers: int, limit: int | None, progress: Callable[[int, int], None]) -> Report:
+def validate(
+    place: str | Path,
+    workers: int,
+    limit: int | None,
+    progress: Callable[[int, int], None],
+    rerender: int = 0,
+    library: Library = BUILT_IN,
+) -> Report:
     """Check all shards of a dataset or of one split (a folder or a URL) and its samples, or the first `limit` samples
     of every split.
 
     Writes an overlay picture of each sample that fails to PLACE/validation. `progress` is called with (samples done,
-    total). Raises InputError if there is no folder at `place`, FormatError if its store cannot be read.
+    total). `rerender` samples, chosen at random, are made again and compared, with the `library` that they were made
+    with. Raises InputError if there is no folder at `place` or it cannot be made again by this version or library,
+    FormatError if its store cannot be read, MissingPackageError without Blender to make samples again.
     """
     place, only = _data_set(str(place).rstrip("/"))
     report = Report()
@@ -70,17 +81,25 @@ def validate(place: str | Path, workers: int, limit: int | None, progress: Calla
     except FormatError as error:
         report.problems.append(Problem(DESCRIPTION, "", str(error)))
         origin = None
+    making = how_to_make(description, origin, library) if rerender else None
     remove_pictures(place)
     n = sum(min(split.n, split.n if limit is None else limit) for split in description.splits.values())
     with _mapping(workers, n) as run:
         entries, recipes = _check_shards(place, only, run, description, report)
         todo = [entry for split in entries.values() for entry in split[:limit]]
+        chosen = some_of(todo, rerender, description.seed)
         redrawn: dict[str, str] = {}
-        progress(0, len(todo))
+        total = len(todo) + len(chosen)
+        progress(0, total)
         for done, checked in enumerate(run(partial(check_sample, place, origin, description), todo), start=1):
             report.sample(checked.name, checked.digest, checked.results)
             redrawn |= {checked.name: checked.redrawn} if checked.redrawn else {}
-            progress(done, len(todo))
+            progress(done, total)
+    if making is not None:
+        for done, again in enumerate(make_again(making, chosen, workers), start=len(todo) + 1):
+            report.made_again[again.name] = again.verdict
+            report.problems += [Problem(again.name, "", fault) for fault in again.faults]
+            progress(done, total)
     recipe = recipe_text(document)
     origins = [
         *made_otherwise(recipes, recipe),
