@@ -25,7 +25,7 @@ from synth3dlanes.settings import (
 from synth3dlanes.validate import boxes
 from synth3dlanes.validate.bodies import ahead, covers
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import PROOF_M, Finding, Measure, Result
+from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
 from synth3dlanes.validate.pixels import some_pixels
 from synth3dlanes.validate.places import on_road, places
 from synth3dlanes.world import World
@@ -34,7 +34,7 @@ from synth3dlanes.world import World
 MAX_SINGLE, MAX_SHARE = 3, 0.05
 # Share of a line's paint pixels that may lie more than MAX_BEYOND_M outside its edges; in 60 random scenes of each
 # preset none does.
-MAX_BEYOND_M, MAX_SHARE_BEYOND = 0.01, 0.02
+MAX_BEYOND_M, MAX_SHARE_BEYOND, MIN_OF_LINE = 0.01, 0.02, 150
 # Margins: cars fit their nominal boxes to 1 %; twigs reach 10 % beyond a tree's.
 CAR_ROOM, TREE_ROOM = 1.05, 1.15
 # Room around the box of a structure's faces of one kind, for depth far away.
@@ -132,6 +132,8 @@ def _paint(evidence: Evidence) -> Iterator[Result]:
     for i, id_ in enumerate([*labelled, ""] if name == "instance" else [""]):
         own = number == i if id_ else (number < 0) | (number >= len(labelled))
         wrong = beyond_m[own] > MAX_BEYOND_M
+        if len(wrong) >= MIN_OF_LINE:
+            yield Bounded("ids.beyond_paint", float(wrong.mean()), most=MAX_SHARE_BEYOND)
         if wrong.sum() > max(MAX_SINGLE, MAX_SHARE_BEYOND * len(wrong)):
             outside = f"{wrong.sum()} of {len(wrong)} pixels up to {min(beyond_m[own].max(), 99):.2f} m outside"
             yield Finding(id_, f"{name}: expected paint where the line is painted, got {outside}")
@@ -223,10 +225,11 @@ THINGS = {
 }
 
 
-def check_bonnet(evidence: Evidence) -> Iterator[Finding]:
+def check_bonnet(evidence: Evidence) -> Iterator[Result]:
     """Finding if the host's bonnet is not in the picture, or should not be."""
     share, middle = evidence.world.view.bonnet, evidence.camera.width_px // 2
     found = float(is_of("host", evidence.passes["semantic"][:, middle]).mean())
+    yield Bounded("ids.bonnet", abs(found - share), most=MAX_BONNET)
     if abs(found - share) > MAX_BONNET:
         yield Finding(
             "", f"host: expected the bonnet in the lowest {100 * share:.0f} % of the picture, got {100 * found:.0f} %"
@@ -256,14 +259,17 @@ def _surfaces(evidence: Evidence) -> Iterator[Finding]:
             yield Finding("", f"semantic: expected {name} on faces of {name}, got {n_wrong} of {n} pixels elsewhere")
 
 
-def _shares(evidence: Evidence) -> Iterator[Finding]:
+def _shares(evidence: Evidence) -> Iterator[Result]:
     """Compare the visible share of each car with its number of pixels."""
     shares = evidence.labels.car_visible_fraction
     assert shares is not None
     counts = np.bincount(evidence.passes["instance"].ravel(), minlength=FIRST_DELIMITER_ID)[FIRST_CAR_ID:]
     for i, share in enumerate(shares):
         low, high = _seen_share(evidence, i, int(counts[i]))
-        if not low - _error(low) <= share <= high + _error(high):
+        off, near = max(low - share, share - high, 0.0), low if share < low else high
+        seen = Bounded("ids.seen_share", off, most=_error(near))
+        yield seen
+        if seen.is_beyond:
             yield Finding(
                 "",
                 f"car_visible_fraction: expected {low:.2f} to {high:.2f} of car {i} by its {counts[i]} pixels, "

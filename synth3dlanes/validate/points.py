@@ -19,7 +19,7 @@ from synth3dlanes.geometry.solids import SURFACES
 from synth3dlanes.labels import CameraLabel, Lane
 from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import PROOF_M, Finding, Measure, Result
+from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
 from synth3dlanes.validate.paint import Strip
 from synth3dlanes.validate.pixels import Passes, Pixels, Squares, around, depth_between
 
@@ -97,7 +97,7 @@ def check_points(evidence: Evidence) -> Iterator[Result]:
     yield from _joined(measures)
 
 
-def _judge(lane_id: str, measure: Measure) -> Iterator[Finding]:
+def _judge(lane_id: str, measure: Measure) -> Iterator[Result]:
     """A finding if too many of a line's values are too large."""
     is_flag = measure.name in MASKS
     if not is_flag and measure.name not in LIMITS:
@@ -105,6 +105,8 @@ def _judge(lane_id: str, measure: Measure) -> Iterator[Finding]:
     values = measure.values if is_flag else measure.values[measure.y_m < PROOF_M]
     limit, words = (0.0, "") if is_flag else LIMITS[measure.name]
     wrong = int((values > limit).sum())
+    if len(values) >= MAX_GRAZING / MAX_SHARE:
+        yield Bounded(f"points.{measure.name}", wrong / len(values), most=MAX_SHARE)
     if wrong <= max(MAX_GRAZING if is_flag else MAX_SINGLE, MAX_SHARE * len(values)):
         return
     if is_flag:
@@ -198,7 +200,7 @@ def _height(camera: CameraLabel, lane: Lane, height_m: Float[np.ndarray, "r c"])
     return Measure("height_m", lane.xyz_cam[at, 1], np.abs(z_m - map_coordinates(height_m, cells, order=1)))
 
 
-def _moved_map(evidence: Evidence) -> Iterator[Finding]:
+def _moved_map(evidence: Evidence) -> Iterator[Result]:
     """Findings if the whole height map is too high or low, or some rows or columns off: a map that is moved by one cell
     is off by its own slope everywhere."""
     height_m = evidence.passes["height"]
@@ -208,6 +210,7 @@ def _moved_map(evidence: Evidence) -> Iterator[Finding]:
     if len(z_m) < MIN_ON_MAP:
         return
     off_m = map_coordinates(height_m, cells, order=1) - z_m
+    yield Bounded("points.map_m", float(abs(np.median(off_m))), most=MAX_MAP_M)
     if abs(np.median(off_m)) > MAX_MAP_M:
         yield Finding(
             "", f"height: expected the road within {MAX_MAP_M} m, got it {np.median(off_m):+.3f} m in the median"
@@ -216,11 +219,12 @@ def _moved_map(evidence: Evidence) -> Iterator[Finding]:
     for axis, name in enumerate(("rows", "columns")):
         slope_m = map_coordinates(np.gradient(height_m, axis=axis), cells, order=1)
         moved = float((off_m * slope_m).sum() / max(float((slope_m**2).sum()), len(z_m) * MIN_MAP_SLOPE_M**2))
+        yield Bounded(f"points.map_{name}", abs(moved), most=MAX_MAP_CELLS)
         if abs(moved) > MAX_MAP_CELLS:
             yield Finding("", f"height: expected the labels' road, got it {-moved:+.1f} {name} off")
 
 
-def _scale(evidence: Evidence) -> Iterator[Finding]:
+def _scale(evidence: Evidence) -> Iterator[Result]:
     """Finding if depth is in another unit."""
     camera, depth_m = evidence.camera, evidence.passes["depth"]
     points = np.concatenate([lane.xyz_cam[lane.visible] for lane in evidence.labels.lanes])
@@ -229,6 +233,7 @@ def _scale(evidence: Evidence) -> Iterator[Finding]:
         return
     uv = np.clip(camera.project(points), 0, np.array(depth_m.shape[::-1]) - 1).astype(int)
     times = float(np.median(depth_m[uv[:, 1], uv[:, 0]] / points[:, 1]))
+    yield Bounded("points.unit", times, 1 / OTHER_UNIT, OTHER_UNIT)
     if not 1 / OTHER_UNIT < times < OTHER_UNIT:
         yield Finding("", f"depth: expected metres along the viewing direction, got {times:.4g} times the labels'")
 
@@ -267,7 +272,7 @@ def _seen(
     )
 
 
-def _moved_mask(evidence: Evidence) -> Iterator[Finding]:
+def _moved_mask(evidence: Evidence) -> Iterator[Result]:
     """Finding if `object_visible` is clearly nearer to what the passes show when it is moved by a point."""
     wrong = np.zeros(3, dtype=int)
     for lane in evidence.labels.lanes:
@@ -277,6 +282,7 @@ def _moved_mask(evidence: Evidence) -> Iterator[Finding]:
         moved = (lane.object_visible[1 + by : len(uv) - 1 + by] for by in (-1, 0, 1))
         wrong += [int((mask != clear[1:-1])[at].sum()) for mask in moved]
     before, here, after = wrong.tolist()
+    yield Bounded("points.moved_mask", float(here - min(before, after)), most=MIN_MOVED - 1)
     if here - min(before, after) >= MIN_MOVED and min(before, after) * MOVED < here:
         yield Finding(
             "",
