@@ -14,7 +14,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -117,7 +117,8 @@ def render(
 def render_streets(folder: Path, seed: int, n: int, workers: int) -> tuple[Path, list[Fault]]:
     """A clean data set of n samples of `streets` with a lidar, and the faults that need one."""
     shots = SINGLE.model_copy(update={"lidar": load_lidar("vlp_32c")})
-    recipe = Recipe(load_params("streets", STREETS), seed, "train", SETTINGS, IMAGE, shots=shots)
+    settings = replace(SETTINGS, passes=(*ALL_PASSES, "lidar"))
+    recipe = Recipe(load_params("streets", STREETS), seed, "train", settings, IMAGE, shots=shots)
     clean = folder / "streets"
     assert generate(Plan(clean, n, recipe, workers), lambda event: None).exit_code == 0
     return clean, OF_STREETS

@@ -7,11 +7,13 @@ import pytest
 
 from tests.validate.faults import WORLDS, Fault
 from tests.validate.sealing import check, describe, drop_passes, seal
+from tests.validate.subtle import AGAIN
 
 pytestmark = [pytest.mark.render, pytest.mark.timeout(900)]
 
 # Samples for faults that show over many only, for other worlds, and for all else.
 N, FEW, ONE, SEED = 10, 4, 1, 20
+STREETS_N, STREETS_SEED = 3, 7
 # Small images from near a junction: merges show the exit's paint, splits its ramp.
 CHANGES = ["camera.width_px=320", "camera.height_px=240", "camera.y_m=[-36, -28]", "cars.n=8", "trees.n=25"]
 CHANGES += ["road.topology=[2, 4]", "road.exit_angle_deg=[3, 5]", "road.exit_offset_m=[5, 10]"]
@@ -50,8 +52,21 @@ def test_every_planted_fault_is_found_and_named(rendered, tmp_path):
         result for n, those in by_n.items() for result in table(first(clean, n, tmp_path / str(n)), those, tmp_path)
     ]
     assert len(results) == len(faults)
-    missed = [result.row() for result in results if not result.is_found]
-    assert not missed, "\n" + "\n".join(missed)
+    assert missed(results, faults) == []
+
+
+def missed(results: list, faults: list[Fault]) -> list[str]:
+    """The rows of faults that are not found, but for those that only the sample made again tells."""
+    again = {fault.name for fault in faults if fault.words == AGAIN}
+    return [result.row() for result in results if not result.is_found and result.fault not in again]
+
+
+def test_every_fault_of_what_streets_have_is_found_and_named(tmp_path, monkeypatch):
+    from tests.validate import planted
+
+    monkeypatch.setattr(planted, "STREETS", [*planted.STREETS, "camera.width_px=320", "camera.height_px=240"])
+    clean, faults = planted.render_streets(tmp_path, STREETS_SEED, STREETS_N, 1)
+    assert missed(list(planted.table(clean, faults, tmp_path)), faults) == []
 
 
 def test_the_image_alone_tells_other_lanes(rendered, tmp_path):
