@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
-from scipy.spatial import cKDTree
+from scipy.spatial import ConvexHull, cKDTree
 
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.solids import SURFACES
@@ -35,8 +35,8 @@ MAX_SINGLE, MAX_SHARE = 3, 0.05
 # Share of a line's paint pixels that may lie more than MAX_BEYOND_M outside its edges; in 60 random scenes of each
 # preset none does.
 MAX_BEYOND_M, MAX_SHARE_BEYOND, MIN_OF_LINE = 0.01, 0.02, 150
-# Margins: cars fit their nominal boxes to 1 %; twigs reach 10 % beyond a tree's.
-CAR_ROOM, TREE_ROOM = 1.05, 1.15
+# Margins: cars fit their nominal boxes to 1 %, but for mirrors; twigs reach 10 % beyond a tree's.
+CAR_ROOM, MIRROR_ROOM, TREE_ROOM = 1.05, 1.2, 1.15
 # Room around the box of a structure's faces of one kind, for depth far away.
 FACE_M = 0.1
 # Of the image's height that the bonnet fills.
@@ -282,19 +282,25 @@ def _seen_share(evidence: Evidence, car: int, n_px: int) -> tuple[float, float]:
     world, camera = evidence.world, evidence.camera
     low, high = (corner / CAR_ROOM * world.scene.cars[car].scale for corner in _box(world, car))
     corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1)), axis=-1).reshape(-1, 3)
-    corners_cam = transform(invert(camera.world_from_cam), transform(world.view.world_from_cars[car], corners))
-    uv = camera.project(ahead(corners_cam))
-    if np.isnan(uv).any():
+    cam_from_car = invert(camera.world_from_cam) @ world.view.world_from_cars[car]
+    corners_cam = transform(cam_from_car, corners)
+    uv, outer = (camera.project(ahead(transform(cam_from_car, room * corners))) for room in (1.0, MIRROR_ROOM))
+    if np.isnan(outer).any():
         # Out of the lens's field.
         return 0.0, 1.0
+    if not _n_pixels(outer, camera):
+        return 0.0, float(n_px > 0)
     box_px = _n_pixels(uv, camera)
     if not box_px:
-        return 0.0, float(n_px > 0)
+        return 0.0, 1.0
     is_wide = corners_cam[:, 1] < WIDE * np.linalg.norm(corners_cam, axis=1)
     is_whole = ((uv > 0) & (uv < [camera.width_px, camera.height_px])).all() and not is_wide.any()
     least, most = OWN_FILL if world.scene.assets.cars else FILL
-    lowest = max(n_px - SLACK_PX, 0) / ((most if is_whole else 1.0) * box_px)
-    return lowest, min((n_px + SLACK_PX) / (least * box_px), 1.0) if is_whole or not n_px else 1.0
+    if not is_whole:
+        # It may show a sliver only, whose pixels are fewer than its rays.
+        return max(n_px - SLACK_PX, 0) / box_px, 1.0
+    hull_px = float(ConvexHull(uv).volume)
+    return max(n_px - SLACK_PX, 0) / (most * box_px), min((n_px + SLACK_PX) / (least * hull_px), 1.0)
 
 
 def _n_pixels(outline: Float[np.ndarray, "n 2"], camera: CameraLabel) -> int:

@@ -233,7 +233,7 @@ def semitrailer_alongside() -> Evidence:
     return picture_of(FLAT.model_copy(update={"cars": (car,)}))
 
 
-@pytest.mark.parametrize(("share", "n_px", "is_fault"), [(0.0, 20_000, True), (1.0, 20_000, False), (0.1, 0, True)])
+@pytest.mark.parametrize(("share", "n_px", "is_fault"), [(0.0, 20_000, True), (1.0, 20_000, False)])
 def test_the_seen_share_of_a_car_that_reaches_behind_the_camera_is_judged_by_its_pixels(share, n_px, is_fault):
     sample = semitrailer_alongside()
     instance = np.zeros((360, 480), np.uint16)
