@@ -239,7 +239,7 @@ def test_the_seen_share_of_a_car_that_reaches_behind_the_camera_is_judged_by_its
     instance = np.zeros((360, 480), np.uint16)
     instance.ravel()[:n_px] = FIRST_CAR_ID
     labels = replace(sample.labels, car_visible_fraction=(share,))
-    found = reasons(replace(sample, labels=labels, passes={"instance": instance}), "ids")
+    found = reasons(replace(sample, labels=labels, passes={"instance": instance}), "cars")
     assert ("car_visible_fraction: expected" in found) == is_fault
 
 
