@@ -60,15 +60,16 @@ def _moved(evidence: Evidence) -> Iterator[Result]:
     if len(z_m) < MIN_ON_MAP:
         return
     off_m = map_coordinates(height_m, cells, order=1) - z_m
-    yield Bounded("points.map_m", float(abs(np.median(off_m))), most=MAX_MAP_M)
-    if abs(np.median(off_m)) > MAX_MAP_M:
-        yield Finding(
-            "", f"height: expected the road within {MAX_MAP_M} m, got it {np.median(off_m):+.3f} m in the median"
-        )
-        return
+    numbers = [Bounded("height.map_m", float(np.median(off_m)), -MAX_MAP_M, MAX_MAP_M)]
     for axis, name in enumerate(("rows", "columns")):
         slope_m = map_coordinates(np.gradient(height_m, axis=axis), cells, order=1)
-        moved = float((off_m * slope_m).sum() / max(float((slope_m**2).sum()), len(z_m) * MIN_MAP_SLOPE_M**2))
-        yield Bounded(f"points.map_{name}", abs(moved), most=MAX_MAP_CELLS)
-        if abs(moved) > MAX_MAP_CELLS:
-            yield Finding("", f"height: expected the labels' road, got it {-moved:+.1f} {name} off")
+        moved = -float((off_m * slope_m).sum() / max(float((slope_m**2).sum()), len(z_m) * MIN_MAP_SLOPE_M**2))
+        numbers.append(Bounded(f"height.map_{name}", moved, -MAX_MAP_CELLS, MAX_MAP_CELLS))
+    yield from numbers
+    if any(number.is_beyond for number in numbers):
+        above_m, rows, columns = (number.value for number in numbers)
+        yield Finding(
+            "",
+            f"height: expected the labels' road, got it {above_m:+.3f} m off in the median, as a map that is moved by "
+            f"{rows:+.1f} rows or {columns:+.1f} columns is",
+        )

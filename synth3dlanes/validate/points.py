@@ -215,7 +215,7 @@ def _sight(camera: CameraLabel, lane: Lane, strip: Strip, uv: Pixels, passes: Pa
 def _against_masks(lane: Lane, sight: Sight) -> list[Measure]:
     """Compare the masks with the passes, where these are clear."""
     return [
-        Measure(name, lane.xyz_cam[at, 1], np.not_equal(mask, sight.clear)[at].astype(float))
+        Measure(name, lane.xyz_cam[at, 1], np.not_equal(np.asarray(mask), sight.clear)[at].astype(float))
         for name, mask, at in (
             ("terrain_visible", lane.terrain_visible, sight.clear | sight.by_ground),
             ("object_visible", lane.object_visible, sight.clear | sight.by_object),
