@@ -5,8 +5,10 @@ from typing import NamedTuple
 
 from synth3dlanes.validate.alignment import check_alignment
 from synth3dlanes.validate.appearance import check_appearance
+from synth3dlanes.validate.cars import check_cars
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding, Result
+from synth3dlanes.validate.height import check_height
 from synth3dlanes.validate.ids import check_bonnet, check_ids
 from synth3dlanes.validate.integrity import check_row
 from synth3dlanes.validate.lidar import check_lidar
@@ -78,10 +80,11 @@ CHECKS = (
     Check(
         "points",
         check_points,
-        "delimiters without paint, points off the rendered surface or the height map, points labelled as visible that "
-        "the passes show to be hidden",
+        "delimiters without paint, points off the rendered surface, points labelled as visible that the passes show to "
+        "be hidden; depth in another unit",
         _needs("aim"),
     ),
+    Check("height", check_height, "a height map that is too high or low, or some cells off", _needs("aim height")),
     Check("ridges", check_ridges, "paint in the image that is not where its delimiter is", _needs("aim image")),
     Check("sharpness", check_sharpness, "images of lower resolution than their size", _needs("aim image")),
     Check("colours", check_colours, "swapped colour channels", _needs("aim image")),
@@ -99,6 +102,12 @@ CHECKS = (
         _needs("aim image semantic"),
     ),
     Check(
+        "symbols",
+        check_symbols,
+        "arrows, stop lines, crosswalks and gores in another place than the scene's, or missing",
+        _needs("aim depth semantic"),
+    ),
+    Check(
         "pavement",
         check_pavement,
         "a road or ramp that does not match the scene, swapped ids of road and shoulder; with `normal`, normals in "
@@ -107,18 +116,7 @@ CHECKS = (
     ),
     Check("hills", check_hills, "hills that do not match the scene", _needs("aim depth semantic")),
     Check("normals", check_normals, "normals of another length, or facing away", _needs("aim normal")),
-    Check(
-        "symbols",
-        check_symbols,
-        "arrows, stop lines, crosswalks and gores in another place than the scene's, or missing",
-        _needs("aim depth semantic"),
-    ),
-    Check(
-        "ids",
-        check_ids,
-        "ids of another car, tree, structure or line, or of another kind; a `car_visible_fraction` that does not match "
-        "the pixels",
-        _needs("aim"),
-    ),
+    Check("ids", check_ids, "ids of another car, tree, structure, surface or line, or of another kind", _needs("aim")),
+    Check("cars", check_cars, "a `car_visible_fraction` that does not match the car's pixels", _needs("aim instance")),
     Check("bias", signed_values, "nothing by itself: tested over the whole data set", _needs("aim image")),
 )

@@ -61,8 +61,23 @@ class Signed(NamedTuple):
     value: float
 
 
+class Bounded(NamedTuple):
+    """A number of a sample and the limits between which it is in a correct one. A finding tells of one beyond them; the
+    number itself tells how well the limits still fit (`tests.validate.limits`)."""
+
+    name: str
+    value: float
+    least: float = -np.inf
+    most: float = np.inf
+
+    @property
+    def is_beyond(self) -> bool:
+        """Whether it is beyond its limits, or not a number."""
+        return not self.least <= self.value <= self.most
+
+
 # What a check of a sample yields.
-Result = Finding | Measure | Signed
+Result = Finding | Measure | Signed | Bounded
 
 
 def findings_of(results: Iterable[Result]) -> list[Finding]:

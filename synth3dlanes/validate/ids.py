@@ -1,5 +1,5 @@
 """Check instance ids, or else semantic ids, against the scene: paint must lie on its line, pixels of cars, trees
-and structures in their bodies, and the visible share of each car must fit its label.
+and structures in their bodies, and those of structures on faces of their kind.
 
 Pixels are unprojected into the scene by their depth.
 """
@@ -12,7 +12,6 @@ from scipy.spatial import cKDTree
 
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.solids import SURFACES
-from synth3dlanes.labels import CameraLabel
 from synth3dlanes.settings import (
     FIRST_CAR_ID,
     FIRST_DELIMITER_ID,
@@ -23,9 +22,8 @@ from synth3dlanes.settings import (
     SEMANTIC_IDS,
 )
 from synth3dlanes.validate import boxes
-from synth3dlanes.validate.bodies import ahead, covers
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import PROOF_M, Finding, Measure, Result
+from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
 from synth3dlanes.validate.pixels import some_pixels
 from synth3dlanes.validate.places import on_road, places
 from synth3dlanes.world import World
@@ -34,19 +32,13 @@ from synth3dlanes.world import World
 MAX_SINGLE, MAX_SHARE = 3, 0.05
 # Share of a line's paint pixels that may lie more than MAX_BEYOND_M outside its edges; in 60 random scenes of each
 # preset none does.
-MAX_BEYOND_M, MAX_SHARE_BEYOND = 0.01, 0.02
+MAX_BEYOND_M, MAX_SHARE_BEYOND, MIN_OF_LINE = 0.01, 0.02, 150
 # Margins: cars fit their nominal boxes to 1 %; twigs reach 10 % beyond a tree's.
 CAR_ROOM, TREE_ROOM = 1.05, 1.15
 # Room around the box of a structure's faces of one kind, for depth far away.
 FACE_M = 0.1
 # Of the image's height that the bonnet fills.
 MAX_BONNET = 0.03
-# Share of a car's projected bounding box that the car fills: 0.52 to 0.93 for all built-in cars; up to 1 for a user's.
-FILL, OWN_FILL = (0.5, 0.95), (0.2, 1.0)
-# Labels measure shares with at least so many rays, passes with pixel centres.
-RAYS, SIGMAS, MAX_SHARE_OFF, SLACK_PX, EDGE_PX = 60, 4.0, 0.03, 6, 1.0
-# Boxes that reach farther aside than this cosine of the angle from the viewing axis say less: pixels are stretched.
-WIDE = 0.4
 
 # All structures count as one kind here, the first of SURFACES.
 STRUCTURE, STRUCTURES = SURFACES[0], [SEMANTIC_IDS[name] for name in SURFACES]
@@ -69,8 +61,6 @@ def check_ids(evidence: Evidence) -> Iterator[Result]:
     passes = evidence.passes
     if {"semantic", "instance"} <= set(passes):
         yield from disagreement("instance", passes["semantic"], passes["instance"])
-    if "instance" in passes:
-        yield from _shares(evidence)
     if {"depth", "semantic", "instance"} <= set(passes):
         yield from _surfaces(evidence)
     if "depth" in passes and {"semantic", "instance"} & set(passes):
@@ -132,6 +122,8 @@ def _paint(evidence: Evidence) -> Iterator[Result]:
     for i, id_ in enumerate([*labelled, ""] if name == "instance" else [""]):
         own = number == i if id_ else (number < 0) | (number >= len(labelled))
         wrong = beyond_m[own] > MAX_BEYOND_M
+        if len(wrong) >= MIN_OF_LINE:
+            yield Bounded("ids.beyond_paint", float(wrong.mean()), most=MAX_SHARE_BEYOND)
         if wrong.sum() > max(MAX_SINGLE, MAX_SHARE_BEYOND * len(wrong)):
             outside = f"{wrong.sum()} of {len(wrong)} pixels up to {min(beyond_m[own].max(), 99):.2f} m outside"
             yield Finding(id_, f"{name}: expected paint where the line is painted, got {outside}")
@@ -223,10 +215,11 @@ THINGS = {
 }
 
 
-def check_bonnet(evidence: Evidence) -> Iterator[Finding]:
+def check_bonnet(evidence: Evidence) -> Iterator[Result]:
     """Finding if the host's bonnet is not in the picture, or should not be."""
     share, middle = evidence.world.view.bonnet, evidence.camera.width_px // 2
     found = float(is_of("host", evidence.passes["semantic"][:, middle]).mean())
+    yield Bounded("ids.bonnet", abs(found - share), most=MAX_BONNET)
     if abs(found - share) > MAX_BONNET:
         yield Finding(
             "", f"host: expected the bonnet in the lowest {100 * share:.0f} % of the picture, got {100 * found:.0f} %"
@@ -254,54 +247,3 @@ def _surfaces(evidence: Evidence) -> Iterator[Finding]:
         n, n_wrong = int(is_of(name, semantic).sum()), int(wrong[is_of(name, semantic)].sum())
         if n_wrong > max(MAX_SINGLE, MAX_SHARE * n):
             yield Finding("", f"semantic: expected {name} on faces of {name}, got {n_wrong} of {n} pixels elsewhere")
-
-
-def _shares(evidence: Evidence) -> Iterator[Finding]:
-    """Compare the visible share of each car with its number of pixels."""
-    shares = evidence.labels.car_visible_fraction
-    assert shares is not None
-    counts = np.bincount(evidence.passes["instance"].ravel(), minlength=FIRST_DELIMITER_ID)[FIRST_CAR_ID:]
-    for i, share in enumerate(shares):
-        low, high = _seen_share(evidence, i, int(counts[i]))
-        if not low - _error(low) <= share <= high + _error(high):
-            yield Finding(
-                "",
-                f"car_visible_fraction: expected {low:.2f} to {high:.2f} of car {i} by its {counts[i]} pixels, "
-                f"got {share:.2f}",
-            )
-
-
-def _seen_share(evidence: Evidence, car: int, n_px: int) -> tuple[float, float]:
-    """Limits of the share of a car's pixels that is seen, from their number and the car's box in the image."""
-    world, camera = evidence.world, evidence.camera
-    low, high = (corner / CAR_ROOM * world.scene.cars[car].scale for corner in _box(world, car))
-    corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1)), axis=-1).reshape(-1, 3)
-    corners_cam = transform(invert(camera.world_from_cam), transform(world.view.world_from_cars[car], corners))
-    uv = camera.project(ahead(corners_cam))
-    if np.isnan(uv).any():
-        # Out of the lens's field.
-        return 0.0, 1.0
-    box_px = _n_pixels(uv, camera)
-    if not box_px:
-        return 0.0, float(n_px > 0)
-    is_wide = corners_cam[:, 1] < WIDE * np.linalg.norm(corners_cam, axis=1)
-    is_whole = ((uv > 0) & (uv < [camera.width_px, camera.height_px])).all() and not is_wide.any()
-    least, most = OWN_FILL if world.scene.assets.cars else FILL
-    lowest = max(n_px - SLACK_PX, 0) / ((most if is_whole else 1.0) * box_px)
-    return lowest, min((n_px + SLACK_PX) / (least * box_px), 1.0) if is_whole or not n_px else 1.0
-
-
-def _n_pixels(outline: Float[np.ndarray, "n 2"], camera: CameraLabel) -> int:
-    """The number of the image's pixels whose centres, or whose neighbours', are inside the hull of an outline."""
-    if not len(outline):
-        return 0
-    size = np.array([camera.width_px, camera.height_px])
-    low, high = (np.clip(edge, 0, size).astype(int) for edge in (outline.min(axis=0) - 1, outline.max(axis=0) + 2))
-    uv = np.stack(np.meshgrid(*(np.arange(*ends) for ends in zip(low, high, strict=True))), axis=-1).reshape(-1, 2)
-    return int(covers(outline, uv + 0.5, EDGE_PX).sum())
-
-
-def _error(share: float) -> float:
-    """How far a label may be from this share: it is the mean of some rays that are seen or not."""
-    share = min(max(share, 0.0), 1.0)
-    return MAX_SHARE_OFF + SIGMAS * float(np.sqrt(share * (1 - share) / RAYS))

@@ -14,7 +14,7 @@ from synth3dlanes.geometry.camera import project
 from synth3dlanes.sensors.sweep import LidarPoints
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import PROOF_M, Finding, Measure, Result
+from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
 from synth3dlanes.validate.ids import THINGS, disagreement, kind_of, outside_bodies
 from synth3dlanes.validate.pixels import Passes, around, depth_between
 from synth3dlanes.validate.surface import MAX_GAP_M, PAVEMENT, misplaced, pavement_at
@@ -55,9 +55,11 @@ def check_lidar(evidence: Evidence) -> Iterator[Result]:
         yield Finding("", f"lidar: expected the ids of the passes, got others at {n_otherwise} of {n} points")
 
 
-def _judge(measure: Measure, limit_m: float, of: str) -> Iterator[Finding]:
+def _judge(measure: Measure, limit_m: float, of: str) -> Iterator[Result]:
     values = measure.values[measure.y_m < PROOF_M]
     wrong = values > limit_m
+    if len(values) >= MIN_POINTS / MAX_SHARE:
+        yield Bounded(f"lidar.{measure.name}", float(wrong.mean()), most=MAX_SHARE)
     if wrong.sum() > max(MIN_POINTS, MAX_SHARE * len(values)):
         off = f"{wrong.sum()} of {len(values)} off, by {np.median(values):.3g} m in the median"
         yield Finding("", f"lidar: expected points within {limit_m} m of {of}, got {off}")

@@ -16,7 +16,7 @@ from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.bodies import may_show_cars
 from synth3dlanes.validate.boxes import meet
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import Finding, Measure, Result
+from synth3dlanes.validate.findings import Bounded, Finding, Measure, Result
 
 # Largest share of white pixels, and least mean brightness. A bright sky in fog may fill half the image, unclipped.
 MAX_CLIPPED, MIN_MEAN = 0.5, 8.0
@@ -64,6 +64,8 @@ def check_frame(evidence: Evidence) -> Iterator[Result]:
     red, green, blue = np.moveaxis(image, -1, 0)
     darkest, brightest = np.minimum(np.minimum(red, green), blue), np.maximum(np.maximum(red, green), blue)
     white = float((darkest == 255).mean())
+    yield Bounded("picture.mean", float(image.mean()), MIN_MEAN)
+    yield Bounded("picture.white", white, most=MAX_CLIPPED)
     if image.mean() < MIN_MEAN:
         yield Finding("", f"image: expected a picture, got black (mean {image.mean():.1f} of 255)")
     if white > MAX_CLIPPED:
@@ -77,13 +79,14 @@ def check_frame(evidence: Evidence) -> Iterator[Result]:
     if share > limit and "semantic" not in passes:
         of_cars = may_show_cars(evidence.world, evidence.camera, np.argwhere(pink)[:, ::-1] + 0.5, np.inf)
         share -= float(of_cars.sum()) / pink.size
+    yield Bounded("picture.pink", share, most=limit)
     if share > limit:
         yield Finding("", f"image: expected textures, got {100 * share:.0f} % of the ground pink")
     clipped = float(((darkest == 0) | (brightest == 255)).mean())
     yield Measure("clipped_share", np.zeros(1), np.array([clipped]))
 
 
-def check_colours(evidence: Evidence) -> Iterator[Finding]:
+def check_colours(evidence: Evidence) -> Iterator[Result]:
     """Finding if terrain is bluer than it is red."""
     image, passes, scene = evidence.picture, evidence.passes, evidence.scene
     if scene.assets.terrains or scene.weather.snow or scene.light.sun_zenith_rad > LOWEST_SUN_RAD:
@@ -98,13 +101,14 @@ def check_colours(evidence: Evidence) -> Iterator[Finding]:
         return
     red, _, blue = pixels.astype(float).T
     warmth = float(np.percentile(red - blue, WARMEST))
+    yield Bounded("picture.warmth", warmth, MIN_WARMTH)
     if warmth < MIN_WARMTH:
         yield Finding(
             "", f"image: expected red, green and blue in this order, got terrain with {-warmth:.0f} more blue than red"
         )
 
 
-def check_sharpness(evidence: Evidence) -> Iterator[Finding]:
+def check_sharpness(evidence: Evidence) -> Iterator[Result]:
     """Finding if the image has been upscaled or blurred."""
     scene = evidence.scene
     is_clear = scene.sensor.jpeg_quality >= SHARP_JPEG and scene.air.visibility_m >= FOG_M
@@ -112,7 +116,11 @@ def check_sharpness(evidence: Evidence) -> Iterator[Finding]:
     if not is_clear or not any(lane.visible.any() for lane in evidence.labels.lanes):
         return
     detail = _detail(_middle(evidence.luma))
-    if detail is not None and (detail.evenness < MIN_EVENNESS or detail.coarseness > MAX_COARSENESS):
+    if detail is None:
+        return
+    yield Bounded("picture.evenness", detail.evenness, MIN_EVENNESS)
+    yield Bounded("picture.coarseness", detail.coarseness, most=MAX_COARSENESS)
+    if detail.evenness < MIN_EVENNESS or detail.coarseness > MAX_COARSENESS:
         yield Finding(
             "",
             f"image: expected detail of single pixels, got a blurred or blown-up picture (coarseness "

@@ -9,17 +9,14 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Integer
-from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
+from jaxtyping import Bool, Float, Int, Integer
 from scipy.spatial import cKDTree
 
-from synth3dlanes.frames import transform
-from synth3dlanes.geometry import height_map
 from synth3dlanes.geometry.solids import SURFACES
 from synth3dlanes.labels import CameraLabel, Lane
 from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import PROOF_M, Finding, Measure, Result
+from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
 from synth3dlanes.validate.paint import Strip
 from synth3dlanes.validate.pixels import Passes, Pixels, Squares, around, depth_between
 
@@ -30,8 +27,6 @@ MAX_SHARE, MAX_SINGLE = 0.1, 2
 # Masks may differ from the passes where a line of sight grazes a crest or a twig: at up to 5 points of a line in 1,350
 # scenes.
 MAX_GRAZING = 5
-# The height map is used where 3 x 3 cells differ by less than this: a slope of about 0.5 against the road plane.
-MAX_SPREAD_M = 0.4
 # Limits within PROOF_M; the height map is interpolated between cells 0.4 m apart.
 LIMITS = {
     "paint_px": (1.0, "px of the paint"),
@@ -40,9 +35,6 @@ LIMITS = {
 }
 MASKS = ("terrain_visible", "object_visible")
 OBJECTS = [SEMANTIC_IDS[name] for name in ("car", "tree", "host", *SURFACES)]
-# Of the whole height map: in 92 images it is at most 0.0002 m off in the median, and 0.007 cells. On a road without
-# slopes nothing tells rows apart.
-MIN_ON_MAP, MAX_MAP_M, MAX_MAP_CELLS, MIN_MAP_SLOPE_M = 30, 0.005, 0.2, 0.004
 # A mask that is moved by a point is wrong at so many points more, and at so many times as many, as where it was.
 MIN_MOVED, MOVED = 3, 2
 # Depth by this factor off is in another unit; objects hide few points that the labels have as visible.
@@ -68,10 +60,19 @@ class Marked(NamedTuple):
     tree: cKDTree
 
 
+class Sight(NamedTuple):
+    """Of points: which the passes clearly show, which as hidden by the ground, and which as hidden by an object."""
+
+    clear: Bool[np.ndarray, " n"]
+    by_ground: Bool[np.ndarray, " n"]
+    by_object: Bool[np.ndarray, " n"]
+
+
 def check_points(evidence: Evidence) -> Iterator[Result]:
-    """Findings about lines from the available passes (depth, semantic, instance, height), and all measured values."""
+    """Findings about lines from the available passes (depth, semantic, instance), and all measured values."""
     passes, camera = evidence.passes, evidence.camera
     measures: list[Measure] = []
+    moved = np.zeros(3, dtype=int)
     if "depth" in passes:
         yield from _scale(evidence)
     marked = _marked(passes) if {"semantic", "instance"} & set(passes) else None
@@ -84,20 +85,17 @@ def check_points(evidence: Evidence) -> Iterator[Result]:
         if "depth" in passes:
             found += _surface(lane, strip, uv, passes)
         if "depth" in passes and "semantic" in passes:
-            found += _sight(camera, lane, strip, uv, passes)
-        if "height" in passes and lane.road == "main":
-            found.append(_height(camera, lane, passes["height"]))
+            sight = _sight(camera, lane, strip, uv, passes)
+            found += _against_masks(lane, sight)
+            moved += _wrong_if_moved(lane, sight)
         measures += found
         for measure in found:
-            yield from _judge(lane.id, measure)
-    if "height" in passes:
-        yield from _moved_map(evidence)
-    if {"depth", "semantic"} <= set(passes):
-        yield from _moved_mask(evidence)
-    yield from _joined(measures)
+            yield from judge(lane.id, measure)
+    yield from _judge_moved(moved)
+    yield from joined(measures)
 
 
-def _judge(lane_id: str, measure: Measure) -> Iterator[Finding]:
+def judge(lane_id: str, measure: Measure) -> Iterator[Result]:
     """A finding if too many of a line's values are too large."""
     is_flag = measure.name in MASKS
     if not is_flag and measure.name not in LIMITS:
@@ -105,6 +103,8 @@ def _judge(lane_id: str, measure: Measure) -> Iterator[Finding]:
     values = measure.values if is_flag else measure.values[measure.y_m < PROOF_M]
     limit, words = (0.0, "") if is_flag else LIMITS[measure.name]
     wrong = int((values > limit).sum())
+    if len(values) >= MAX_GRAZING / MAX_SHARE:
+        yield Bounded(f"points.{measure.name}", wrong / len(values), most=MAX_SHARE)
     if wrong <= max(MAX_GRAZING if is_flag else MAX_SINGLE, MAX_SHARE * len(values)):
         return
     if is_flag:
@@ -178,49 +178,7 @@ def _surface(lane: Lane, strip: Strip, uv: Pixels, passes: Passes) -> list[Measu
     return [Measure("depth_m", y_m, np.abs(error * y_m)), Measure("surface_m", y_m, gap_m)]
 
 
-def _on_map(
-    camera: CameraLabel, lane: Lane, height_m: Float[np.ndarray, "r c"]
-) -> tuple[Bool[np.ndarray, " n"], Float[np.ndarray, "2 m"], Float[np.ndarray, " m"]]:
-    """Which points of a lane on the main road are over the height map, their row and column, and their height. Cells
-    where the ground is too steep against the road plane to be a single height over it are left out."""
-    x, y, z = transform(camera.road_from_cam, lane.xyz_cam).T
-    (rows, columns), (width_m, length_m) = height_map.SHAPE, height_map.CELL_M
-    row, column = (rows * length_m - y) / length_m - 0.5, x / width_m + columns / 2 - 0.5
-    at = (row >= 0) & (row <= rows - 1) & (column >= 0) & (column <= columns - 1)
-    spread_m = maximum_filter(height_m, 3) - minimum_filter(height_m, 3)
-    at[at] = spread_m[np.rint(row[at]).astype(int), np.rint(column[at]).astype(int)] < MAX_SPREAD_M
-    return at, np.stack([row, column])[:, at], z[at]
-
-
-def _height(camera: CameraLabel, lane: Lane, height_m: Float[np.ndarray, "r c"]) -> Measure:
-    """Absolute height of points on the main road over the height map."""
-    at, cells, z_m = _on_map(camera, lane, height_m)
-    return Measure("height_m", lane.xyz_cam[at, 1], np.abs(z_m - map_coordinates(height_m, cells, order=1)))
-
-
-def _moved_map(evidence: Evidence) -> Iterator[Finding]:
-    """Findings if the whole height map is too high or low, or some rows or columns off: a map that is moved by one cell
-    is off by its own slope everywhere."""
-    height_m = evidence.passes["height"]
-    lanes = [lane for lane in evidence.labels.lanes if lane.road == "main"]
-    found = [_on_map(evidence.camera, lane, height_m)[1:] for lane in lanes]
-    cells, z_m = (np.concatenate([part[i] for part in found], axis=-1) for i in (0, 1))
-    if len(z_m) < MIN_ON_MAP:
-        return
-    off_m = map_coordinates(height_m, cells, order=1) - z_m
-    if abs(np.median(off_m)) > MAX_MAP_M:
-        yield Finding(
-            "", f"height: expected the road within {MAX_MAP_M} m, got it {np.median(off_m):+.3f} m in the median"
-        )
-        return
-    for axis, name in enumerate(("rows", "columns")):
-        slope_m = map_coordinates(np.gradient(height_m, axis=axis), cells, order=1)
-        moved = float((off_m * slope_m).sum() / max(float((slope_m**2).sum()), len(z_m) * MIN_MAP_SLOPE_M**2))
-        if abs(moved) > MAX_MAP_CELLS:
-            yield Finding("", f"height: expected the labels' road, got it {-moved:+.1f} {name} off")
-
-
-def _scale(evidence: Evidence) -> Iterator[Finding]:
+def _scale(evidence: Evidence) -> Iterator[Result]:
     """Finding if depth is in another unit."""
     camera, depth_m = evidence.camera, evidence.passes["depth"]
     points = np.concatenate([lane.xyz_cam[lane.visible] for lane in evidence.labels.lanes])
@@ -229,27 +187,14 @@ def _scale(evidence: Evidence) -> Iterator[Finding]:
         return
     uv = np.clip(camera.project(points), 0, np.array(depth_m.shape[::-1]) - 1).astype(int)
     times = float(np.median(depth_m[uv[:, 1], uv[:, 0]] / points[:, 1]))
+    yield Bounded("points.unit", times, 1 / OTHER_UNIT, OTHER_UNIT)
     if not 1 / OTHER_UNIT < times < OTHER_UNIT:
         yield Finding("", f"depth: expected metres along the viewing direction, got {times:.4g} times the labels'")
 
 
-def _sight(camera: CameraLabel, lane: Lane, strip: Strip, uv: Pixels, passes: Passes) -> list[Measure]:
-    """Compare the masks with the passes, where these are clear."""
-    clear, by_ground, by_object = _seen(camera, lane, strip, uv, passes)
-    return [
-        Measure(name, lane.xyz_cam[at, 1], (mask != clear)[at].astype(float))
-        for name, mask, at in (
-            ("terrain_visible", lane.terrain_visible, clear | by_ground),
-            ("object_visible", lane.object_visible, clear | by_object),
-        )
-    ]
-
-
-def _seen(
-    camera: CameraLabel, lane: Lane, strip: Strip, uv: Pixels, passes: Passes
-) -> tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """Which points the passes clearly show, as hidden by the ground, and as hidden by an object. A point counts as
-    visible only if a pixel shows a surface at its depth: a crest may hide it between two rows."""
+def _sight(camera: CameraLabel, lane: Lane, strip: Strip, uv: Pixels, passes: Passes) -> Sight:
+    """What the passes show of a lane's points. A point counts as visible only if a pixel shows a surface at its depth:
+    a crest may hide it between two rows."""
     rows, columns = around(uv, passes["depth"].shape, 2)
     depth = passes["depth"][rows, columns]
     own_depth = _own_depth(camera, strip, rows, columns)
@@ -260,28 +205,41 @@ def _seen(
     asked = lane.in_image & (own_depth.min(axis=0) > MIN_NEXT * y_m)
     # Pixels of several bodies, or of several parts of one, may have a slit between them that shows the point.
     is_one = depth.max(axis=0) < ONE_SURFACE * depth.min(axis=0)
-    return (
+    return Sight(
         asked & ~nearer.any(axis=0) & shown,
         asked & (nearer & ~objects).all(axis=0),
         asked & (nearer & objects).all(axis=0) & is_one,
     )
 
 
-def _moved_mask(evidence: Evidence) -> Iterator[Finding]:
-    """Finding if `object_visible` is clearly nearer to what the passes show when it is moved by a point."""
-    wrong = np.zeros(3, dtype=int)
-    for lane in evidence.labels.lanes:
-        strip, uv = evidence.paint.strip(evidence.camera, lane, lane.xyz_cam), evidence.camera.project(lane.xyz_cam)
-        clear, _, by_object = _seen(evidence.camera, lane, strip, uv, evidence.passes)
-        at = (clear | by_object)[1:-1]
-        moved = (lane.object_visible[1 + by : len(uv) - 1 + by] for by in (-1, 0, 1))
-        wrong += [int((mask != clear[1:-1])[at].sum()) for mask in moved]
-    before, here, after = wrong.tolist()
-    if here - min(before, after) >= MIN_MOVED and min(before, after) * MOVED < here:
+def _against_masks(lane: Lane, sight: Sight) -> list[Measure]:
+    """Compare the masks with the passes, where these are clear."""
+    return [
+        Measure(name, lane.xyz_cam[at, 1], np.not_equal(np.asarray(mask), sight.clear)[at].astype(float))
+        for name, mask, at in (
+            ("terrain_visible", lane.terrain_visible, sight.clear | sight.by_ground),
+            ("object_visible", lane.object_visible, sight.clear | sight.by_object),
+        )
+    ]
+
+
+def _wrong_if_moved(lane: Lane, sight: Sight) -> Int[np.ndarray, "3"]:
+    """At how many points `object_visible` is not what the passes show: if it is moved back by a point, as it is, and if
+    it is moved on."""
+    at, mask = (sight.clear | sight.by_object)[1:-1], np.asarray(lane.object_visible)
+    moved = (mask[1 + by : len(mask) - 1 + by] for by in (-1, 0, 1))
+    return np.array([np.count_nonzero(np.not_equal(of, sight.clear[1:-1])[at]) for of in moved])
+
+
+def _judge_moved(wrong: Int[np.ndarray, "3"]) -> Iterator[Result]:
+    """Finding if `object_visible` of all lanes is clearly nearer to what the passes show if it is moved by a point."""
+    here, best = int(wrong[1]), int(wrong.min())
+    yield Bounded("points.moved_mask", float(here - best), most=MIN_MOVED - 1)
+    if here - best >= MIN_MOVED and best * MOVED < here:
         yield Finding(
             "",
-            f"object_visible: expected what the passes show, got another at {here} points, and at "
-            f"{min(before, after)} if every mask is moved by a point",
+            f"object_visible: expected what the passes show, got another at {here} points, and at {best} if every mask "
+            "is moved by a point",
         )
 
 
@@ -300,7 +258,7 @@ def _of_objects(semantic: Integer[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:
     return np.isin(semantic, OBJECTS)
 
 
-def _joined(measures: Sequence[Measure]) -> list[Measure]:
+def joined(measures: Sequence[Measure]) -> list[Measure]:
     names = dict.fromkeys(measure.name for measure in measures)
     return [
         Measure(name, *(np.concatenate([m[i] for m in measures if m.name == name]) for i in (1, 2))) for name in names

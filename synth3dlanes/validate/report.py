@@ -80,7 +80,7 @@ class Report:
                 self.problems.append(Problem(name, result.lane, result.reason))
             elif isinstance(result, Signed):
                 self.means.setdefault(result.name, Mean()).add(result.value)
-            else:
+            elif isinstance(result, Measure):
                 self._measure(name, result)
         if digest:
             first = self._worlds.setdefault(digest, name)

@@ -21,7 +21,7 @@ from synth3dlanes.labels import CameraLabel, Lane
 from synth3dlanes.validate.bodies import may_show_cars
 from synth3dlanes.validate.boxes import meet
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import PROOF_M, Finding, Measure, Result
+from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
 from synth3dlanes.validate.paint import Strip
 from synth3dlanes.validate.places import places
 from synth3dlanes.world import World
@@ -124,6 +124,7 @@ def check_ridges(evidence: Evidence) -> Iterator[Result]:
             )
     n, in_place = sum(line.n for line in contrasts), sum(line.n for line in contrasts if line.verdict == "in place")
     if n >= MIN_IMAGE_PROFILES:
+        yield Bounded("ridges.in_place", in_place / n, MIN_SHARE)
         if in_place < MIN_SHARE * n:
             yield Finding("", f"image: expected paint under its delimiters, got it under {in_place} of {n} profiles")
         yield from check_move(lines, evidence.luma.shape[1])

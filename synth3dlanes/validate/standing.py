@@ -17,7 +17,7 @@ from synth3dlanes.labels import CameraLabel
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.boxes import beside_world
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import Finding, Measure, Result
+from synth3dlanes.validate.findings import Bounded, Finding, Measure, Result
 from synth3dlanes.validate.places import places
 from synth3dlanes.world import World
 
@@ -60,6 +60,7 @@ def check_standing(evidence: Evidence) -> Iterator[Result]:
         gap_m = np.abs(points[:, 2] - ground_m)[known]
         yield Measure(name, _in(camera.world_from_cam, points)[known, 1], gap_m)
         is_near = np.abs(_in(world.view.world_from_host, points)[known, 1]) < RANGE_M
+        yield Bounded(f"standing.{name}", float(gap_m[is_near].max(initial=0)), most=limit_m)
         off_m = gap_m[(gap_m > limit_m) & is_near]
         if off_m.size:
             reason = f"{name}: expected at most {limit_m} m, got {off_m.size} beyond, up to {off_m.max():.2f} m"
@@ -126,7 +127,7 @@ def terrain_height(ground: Ground, xy: Points2) -> Values:
     return np.asarray(near + b * (far - near))
 
 
-def _through(evidence: Evidence) -> Iterator[Finding]:
+def _through(evidence: Evidence) -> Iterator[Result]:
     """Finding for pixels that show terrain where the scene has pavement."""
     ground, passes = evidence.world.ground, evidence.passes
     depth_m, semantic = passes["depth"][::STEP, ::STEP], passes["semantic"][::STEP, ::STEP]
@@ -138,6 +139,7 @@ def _through(evidence: Evidence) -> Iterator[Finding]:
         _, t = ground.plan.project_main(points[:, :2])
         inside &= (t < grass[0] - INSIDE_M) | (t > grass[1] + INSIDE_M)
     through = int(inside.sum())
+    yield Bounded("standing.through", float(through), most=MAX_THROUGH)
     if through > MAX_THROUGH:
         yield Finding("", f"passes: expected pavement, got terrain at {through} pixels of {len(u)} on the road")
 

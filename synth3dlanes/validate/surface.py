@@ -15,7 +15,7 @@ from synth3dlanes.geometry.terrain import gradient_at, height_at
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import PROOF_M, Finding, Measure, Result
+from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
 from synth3dlanes.validate.pixels import Passes, some_pixels
 from synth3dlanes.validate.places import Places, places
 from synth3dlanes.validate.standing import mesh_height, terrain_height
@@ -96,7 +96,7 @@ def check_pavement(evidence: Evidence) -> Iterator[Result]:
     yield Measure("pavement_m", pavement.range_m, np.abs(pavement.gap_m))
 
 
-def check_hills(evidence: Evidence) -> Iterator[Finding]:
+def check_hills(evidence: Evidence) -> Iterator[Result]:
     """Finding if the terrain's height differs from the scene's."""
     passes, ground = evidence.passes, evidence.world.ground
     is_terrain = (passes["semantic"] == SEMANTIC_IDS["terrain"]) & (passes["depth"] < HILLS_M)
@@ -110,6 +110,7 @@ def check_hills(evidence: Evidence) -> Iterator[Finding]:
     slope = gradient_at(evidence.scene.terrain, points[:, :2])
     above_m = (points[:, 2] - terrain_height(ground, points[:, :2])) / np.sqrt(1 + (slope**2).sum(axis=1))
     median_m = float(np.median(np.abs(above_m)))
+    yield Bounded("surface.hills_m", median_m, most=MAX_MEDIAN_M)
     if median_m > MAX_MEDIAN_M:
         yield Finding(
             "",
@@ -160,11 +161,13 @@ def _sky(passes: Passes) -> Iterator[Finding]:
         yield Finding("", f"depth: expected infinity in the sky and only there, got otherwise at {wrong} pixels")
 
 
-def _depth(pavement: Pavement) -> Iterator[Finding]:
+def _depth(pavement: Pavement) -> Iterator[Result]:
     """Findings about the road's depth. The ramp, which may have few pixels, is judged separately."""
     off = np.abs(pavement.gap_m) > MAX_GAP_M
     on_ramp = pavement.places.raised() > 0
     for name, part in (("road", ~on_ramp), ("ramp", on_ramp)):
+        if part.sum() >= MIN_PIXELS:
+            yield Bounded(f"surface.{name}_off", float(off[part].mean()), most=MAX_SHARE)
         if _are_many(off[part]):
             median_m = np.median(pavement.gap_m[part & off])
             yield Finding(
@@ -175,18 +178,23 @@ def _depth(pavement: Pavement) -> Iterator[Finding]:
     near = pavement.range_m < PROOF_M
     if near.sum() >= MIN_PIXELS:
         scale = 1 - float(np.median(pavement.gap_m[near] / pavement.below_eye_m[near]))
+        yield Bounded("surface.scale", abs(scale - 1), most=MAX_SCALE)
         if abs(scale - 1) > MAX_SCALE:
             yield Finding("", f"depth: expected the road at the scene's distance, got it {scale:.4f} times as far")
 
 
-def _exactly(world: World, points: Points, pavement: Pavement) -> Iterator[Finding]:
+def _exactly(world: World, points: Points, pavement: Pavement) -> Iterator[Result]:
     """Finding if depth is not exactly, along the pixels' rays, that of the mesh that is rendered."""
     near = np.flatnonzero((pavement.range_m > 0) & (pavement.range_m < NEAR_M))
     near = near[:: 1 + len(near) // MAX_NEAR]
     above_m = points[near, 2] - mesh_height(world.site.pavement, points[near, :2])
     slant = pavement.up_world[near, 2] * pavement.range_m[near] / pavement.below_eye_m[near]
     off_m = (above_m * slant)[np.abs(above_m) < SAME_M]
-    if len(off_m) >= MIN_PIXELS and float(np.median(np.abs(off_m))) > MAX_NEAR_M:
+    if len(off_m) < MIN_PIXELS:
+        return
+    near_m = Bounded("surface.near_m", float(np.median(np.abs(off_m))), most=MAX_NEAR_M)
+    yield near_m
+    if near_m.is_beyond:
         found = f"{np.median(np.abs(off_m)):.4f} m off in the median ({-np.median(off_m):+.4f} m with its sign)"
         yield Finding("", f"depth: expected the near road within {MAX_NEAR_M} m of the scene's mesh, got it {found}")
 
@@ -208,7 +216,7 @@ def misplaced(source: str, pavement: Pavement) -> Iterator[Finding]:
             yield Finding("", f"{source}: expected {name} by the plan, got another at {wrong.sum()} {what}")
 
 
-def _normals(pavement: Pavement, camera: CameraLabel, normals_cam: Points) -> Iterator[Finding]:
+def _normals(pavement: Pavement, camera: CameraLabel, normals_cam: Points) -> Iterator[Result]:
     """Finding if the normals differ from the road's, in the median: they are smoothed where the exit leaves it. A ramp
     has others."""
     level = ~pavement.places.on_slope()
@@ -216,6 +224,7 @@ def _normals(pavement: Pavement, camera: CameraLabel, normals_cam: Points) -> It
         return
     found = normals_cam[level] @ camera.world_from_cam[:3, :3].T
     turn = float(np.median(np.linalg.norm(found - pavement.up_world[level], axis=1)))
+    yield Bounded("surface.turn", turn, most=MAX_TURN)
     if not turn <= MAX_TURN:
         yield Finding("", f"normal: expected the road's in the camera frame, got them {turn:.3f} off in the median")
 

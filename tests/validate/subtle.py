@@ -237,8 +237,8 @@ SUBTLE = [
     Fault(
         "depth in millimetres", of_pass("depth", lambda depth_m, _: depth_m * np.float32(1000)), "metres along", True
     ),
-    Fault("height map 3 cm up", in_samples(lifted), "height: expected the road within"),
-    Fault("height map one row off", in_samples(one_row_off), "rows off"),
+    Fault("height map 3 cm up", in_samples(lifted), r"got it \+0.030 m off"),
+    Fault("height map one row off", in_samples(one_row_off), "as a map that is moved"),
     Fault("rows of the index reordered", reorder_index, "in the order of their samples"),
     Fault("README.md edited", edit_readme, "expected what dataset.json gives"),
 ]

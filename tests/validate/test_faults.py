@@ -18,7 +18,7 @@ from synth3dlanes.validate.findings import Problem
 from synth3dlanes.validate.integrity import walk
 from synth3dlanes.validate.report import Report
 from tests.validate.conftest import N
-from tests.validate.sealing import Change, check, drop_passes, relabel, seal
+from tests.validate.sealing import Change, check, describe, drop_passes, relabel, seal
 
 pytestmark = pytest.mark.render
 
@@ -172,10 +172,7 @@ def test_a_missing_sample_is_named(dataset):
 
 def test_a_scene_in_two_splits_is_found_whatever_its_index(dataset):
     shutil.copytree(dataset / "train", dataset / "test")
-    path = dataset / "dataset.json"
-    document = json.loads(path.read_text())
-    document["splits"]["test"] = {"n": 1}
-    path.write_text(json.dumps(document))
+    describe(dataset, lambda document: document["splits"].update(test={"n": 1}))
 
     def keep_third_as_first(samples: dict[int, dict[str, bytes]]) -> None:
         third = samples[2]

@@ -1,8 +1,10 @@
 """The measuring itself, on numbers and pictures whose answers are known."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
@@ -13,10 +15,12 @@ from synth3dlanes.labels import Labels, Lane
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import Scenes, sample_world
 from synth3dlanes.scene import Car, Scene
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.settings import FIRST_CAR_ID, SEMANTIC_IDS
+from synth3dlanes.validate.bodies import NEAR_M, ahead, covers
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import BAND_NAMES, Distribution, Measure
+from synth3dlanes.validate.findings import BAND_NAMES, Distribution, Finding, Measure
 from synth3dlanes.validate.paint import Paint
+from synth3dlanes.validate.report import Report
 from synth3dlanes.world import resolve
 from tests.scenes import FLAT, changed, flat_road_places
 from tests.validate.examining import findings, measures, reasons, seen
@@ -215,11 +219,87 @@ def test_wheels_stand_on_the_meshes_and_terrain_in_the_road_is_a_fault(hilly_sce
     gaps_m = measures(hilly, "standing")["wheel_gap_m"]
     assert gaps_m.size > 8
     assert gaps_m.max() < 0.03
-    down = (np.arange(360)[:, None] + 0.5 - 180) / FLAT.camera.fy_px * np.ones((1, 480))
-    c, s = np.cos(FLAT.camera.pitch_rad), np.sin(FLAT.camera.pitch_rad)
-    with np.errstate(divide="ignore"):
-        depth_m = np.where(c * down + s > 0, FLAT.camera.height_m / (c * down + s), np.inf)
+    depth_m = level_depth()
     road = np.full((360, 480), SEMANTIC_IDS["road"], np.uint8)
     assert findings(picture_of(FLAT, depth=depth_m, semantic=road), "standing") == []
     road[250:260, 230:240] = SEMANTIC_IDS["terrain"]
     assert "terrain at 25 pixels" in reasons(picture_of(FLAT, depth=depth_m, semantic=road), "standing")
+
+
+def semitrailer_alongside() -> Evidence:
+    """A long vehicle that reaches from beside the camera far ahead, in the next lane."""
+    long = max(range(len(FLAT.assets.car_models)), key=lambda i: FLAT.assets.car_models[i].length_m)
+    car = Car(model=1 + long, scale=1.0, color=(1, 1, 1), gloss=0.5, lane="main_3", s_m=-47.0)
+    return picture_of(FLAT.model_copy(update={"cars": (car,)}))
+
+
+@pytest.mark.parametrize(("share", "n_px", "is_fault"), [(0.0, 20_000, True), (1.0, 20_000, False)])
+def test_the_seen_share_of_a_car_that_reaches_behind_the_camera_is_judged_by_its_pixels(share, n_px, is_fault):
+    sample = semitrailer_alongside()
+    instance = np.zeros((360, 480), np.uint16)
+    instance.ravel()[:n_px] = FIRST_CAR_ID
+    labels = replace(sample.labels, car_visible_fraction=(share,))
+    found = reasons(replace(sample, labels=labels, passes={"instance": instance}), "cars")
+    assert ("car_visible_fraction: expected" in found) == is_fault
+
+
+def test_a_body_is_cut_off_at_the_camera_and_covers_what_it_covers_ahead():
+    """Of a wall beside the camera, 4 m before and behind it, the half ahead fills the right of the view."""
+    wall = np.array([[x, y, z] for x in (2.0, 2.2) for y in (-4.0, 4.0) for z in (-1.0, 1.0)])
+    front = ahead(wall)
+    assert front[:, 1].min() == pytest.approx(NEAR_M)
+    assert front[:, 1].max() == 4
+    camera = ground_truth(FLAT).camera
+    along = np.column_stack([np.full(30, 2.0), np.linspace(2.2, 3.9, 30), np.zeros(30)])
+    assert covers(camera.project(front), camera.project(along), 0.0).all()
+    assert not covers(camera.project(front), camera.project(along * [0.5, 1, 1]), 0.0).any()
+    assert len(ahead(wall - [0, 5, 0])) == 0
+    assert not covers(np.zeros((0, 2)), np.zeros((4, 2)), 3.0).any()
+
+
+@pytest.mark.parametrize(("road", "paint", "is_judged"), [(90, 90.0, True), (10, 10.0, False)])
+def test_a_line_that_is_too_dark_to_show_is_not_asked(road, paint, is_judged):
+    """A road of gray 10 with noise, as side cameras see it at night, shows no paint: neither its lack nor its place."""
+    scene = changed(markings={"dash_fraction": 1.0})
+    image = painted_picture(scene, 0.0, 90.0, 8).astype(float) * road / 90
+    assert bool(findings(picture_of(scene, image.astype(np.uint8)), "ridges")) == is_judged
+
+
+def level_depth() -> np.ndarray:
+    down = (np.arange(360)[:, None] + 0.5 - 180) / FLAT.camera.fy_px * np.ones((1, 480))
+    c, s = np.cos(FLAT.camera.pitch_rad), np.sin(FLAT.camera.pitch_rad)
+    with np.errstate(divide="ignore"):
+        return np.where(c * down + s > 0, FLAT.camera.height_m / (c * down + s), np.inf).astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda depth_m: depth_m, ""),
+        (lambda depth_m: depth_m + np.float32(0.01), "near road within 0.002 m"),
+        (lambda depth_m: np.round(depth_m * 20) / np.float32(20), "near road within 0.002 m"),
+        (lambda depth_m: depth_m * np.float32(1.0015), "near road within 0.002 m"),
+    ],
+)
+def test_depth_of_the_near_road_is_that_of_its_mesh(change, words):
+    x_m, _ = flat_road_places(FLAT)
+    with np.errstate(invalid="ignore"):
+        semantic = np.where(np.abs(x_m) < 5.1, SEMANTIC_IDS["road"], SEMANTIC_IDS["marking"]).astype(np.uint8)
+    depth_m = level_depth()
+    semantic[~np.isfinite(depth_m)] = SEMANTIC_IDS["sky"]
+    found = reasons(picture_of(FLAT, depth=change(depth_m), semantic=semantic), "pavement")
+    assert (words in found) if words else (found == "")
+
+
+def test_depth_in_another_unit_is_said_first():
+    depth_m = level_depth()
+    first, *_ = findings(picture_of(FLAT, depth=depth_m * np.float32(1000)), "points")
+    assert re.fullmatch("depth: expected metres along the viewing direction, got (99.*|100.*) times .*", first.reason)
+    assert findings(picture_of(FLAT, depth=depth_m), "points") == []
+
+
+def test_problems_are_told_in_the_order_of_the_checks():
+    report = Report()
+    report.sample("train:00000001", "", [Finding("", "z: the cause"), Finding("", "a: what follows")])
+    report.sample("train:00000000", "", [Finding("", "b: another")])
+    assert [problem["reason"][0] for problem in report.document()["problems"]] == ["b", "z", "a"]

@@ -7,16 +7,19 @@ import pytest
 
 from tests.validate.faults import WORLDS, Fault
 from tests.validate.sealing import check, describe, drop_passes, seal
+from tests.validate.subtle import AGAIN
 
 pytestmark = [pytest.mark.render, pytest.mark.timeout(900)]
 
 # Samples for faults that show over many only, for other worlds, and for all else.
 N, FEW, ONE, SEED = 10, 4, 1, 20
+STREETS_N, STREETS_SEED = 3, 7
 # Small images from near a junction: merges show the exit's paint, splits its ramp.
 CHANGES = ["camera.width_px=320", "camera.height_px=240", "camera.y_m=[-36, -28]", "cars.n=8", "trees.n=25"]
 CHANGES += ["road.topology=[2, 4]", "road.exit_angle_deg=[3, 5]", "road.exit_offset_m=[5, 10]"]
 CHANGES += ["road.shoulder_factor=0.2", "road.ramp_slope=[4, 4.5]", "markings.grayscale=0.9", "markings.width_m=0.15"]
 CHANGES += ["terrain.magnitude_m=[-20, 20]", "terrain.sd_m=[80, 250]"]
+NEED_SOME = ("world:", "object_visible moved", "height map one row", "rows of the index")
 NEED_MANY = ("passes 1 px", "depth x", *(world.name for world in WORLDS if world.needs_many))
 
 
@@ -44,14 +47,27 @@ def test_every_planted_fault_is_found_and_named(rendered, tmp_path):
     clean, faults = rendered
     by_n: dict[int, list[Fault]] = {N: [], FEW: [], ONE: []}
     for fault in faults:
-        n = N if fault.name.startswith(NEED_MANY) else FEW if fault.name.startswith("world:") else ONE
+        n = N if fault.name.startswith(NEED_MANY) else FEW if fault.name.startswith(NEED_SOME) else ONE
         by_n[n].append(fault)
     results = [
         result for n, those in by_n.items() for result in table(first(clean, n, tmp_path / str(n)), those, tmp_path)
     ]
     assert len(results) == len(faults)
-    missed = [result.row() for result in results if not result.is_found]
-    assert not missed, "\n" + "\n".join(missed)
+    assert missed(results, faults) == []
+
+
+def missed(results: list, faults: list[Fault]) -> list[str]:
+    """The rows of faults that are not found, but for those that only the sample made again tells."""
+    again = {fault.name for fault in faults if fault.words == AGAIN}
+    return [result.row() for result in results if not result.is_found and result.fault not in again]
+
+
+def test_every_fault_of_what_streets_have_is_found_and_named(tmp_path, monkeypatch):
+    from tests.validate import planted
+
+    monkeypatch.setattr(planted, "STREETS", [*planted.STREETS, "camera.width_px=320", "camera.height_px=240"])
+    clean, faults = planted.render_streets(tmp_path, STREETS_SEED, STREETS_N, 1)
+    assert missed(list(planted.table(clean, faults, tmp_path)), faults) == []
 
 
 def test_the_image_alone_tells_other_lanes(rendered, tmp_path):
