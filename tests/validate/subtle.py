@@ -1,7 +1,7 @@
 """Faults that few measures see: of labels, pictures, passes, sweeps and files, as bugs of a generator would make them.
 
-SUBTLE may be planted in any data set, OF_STREETS need what `streets` has: many cars, oncoming lanes, structures, symbols, a bonnet
-and a lidar. AGAIN is what only the sample made again tells (`validate --rerender`).
+SUBTLE may be planted in any data set, OF_STREETS need what `streets` has: many cars, oncoming lanes, structures,
+symbols, a bonnet and a lidar. AGAIN is what only the sample made again tells (`validate --rerender`).
 """
 
 from collections.abc import Callable
