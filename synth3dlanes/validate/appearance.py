@@ -27,6 +27,8 @@ MAX_YELLOW = 0.12
 # How many times brighter than the pavement around it paint is that stands out, at least 1.12 in 90 lines; and the reach
 # of that pavement.
 BRIGHTER, AROUND_PX = 1.05, 4
+# A road of more light than this, of 1 for white, leaves paint no room to be brighter.
+MAX_LIGHT = 0.6
 # Share of a picture, without sky, that may be black: at most 0.0007 in 120.
 MAX_BLACK, BLACK = 0.02, 3
 
@@ -95,6 +97,8 @@ def _paint(evidence: Evidence, linear: Float[np.ndarray, "h w 3"], of_road: Floa
         if color == "white" and red - blue > MAX_YELLOW:
             yield Finding(lane.id, f"image: expected white paint, got yellow ({red - blue:+.2f} of red over blue)")
         times = brighter(evidence, linear, at)
+        if np.isinf(times):
+            continue
         yield Bounded("appearance.brighter", times, BRIGHTER)
         if times < BRIGHTER:
             yield Finding(
@@ -105,8 +109,9 @@ def _paint(evidence: Evidence, linear: Float[np.ndarray, "h w 3"], of_road: Floa
 
 
 def brighter(evidence: Evidence, linear: Float[np.ndarray, "h w 3"], at: Bool[np.ndarray, "h w"]) -> float:
-    """How many times brighter paint is than the pavement around it."""
+    """How many times brighter paint is than the pavement around it; infinite in glare, which whitens both."""
     paved = np.isin(evidence.passes["semantic"], [SEMANTIC_IDS["road"], SEMANTIC_IDS["shoulder"]])
     beside = binary_dilation(at, iterations=AROUND_PX) & paved
-    light = linear.sum(axis=-1)
-    return float(np.median(light[at]) / max(float(np.median(light[beside])), 1e-6)) if beside.any() else np.inf
+    light = linear.mean(axis=-1)
+    of_road = float(np.median(light[beside])) if beside.any() else 1.0
+    return float(np.median(light[at]) / max(of_road, 1e-6)) if of_road < MAX_LIGHT else np.inf

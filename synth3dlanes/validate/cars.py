@@ -26,6 +26,8 @@ MIRROR_ROOM = 1.2
 RAYS, SIGMAS, MAX_SHARE_OFF, SLACK_PX, EDGE_PX = 60, 4.0, 0.03, 6, 1.0
 # Boxes that reach farther aside than this cosine of the angle from the viewing axis say less: pixels are stretched.
 WIDE = 0.4
+# Share of a large box, cut by the image's border, that a car of which there is any pixel fills.
+SLIVER = 0.05
 
 
 def check_cars(evidence: Evidence) -> Iterator[Result]:
@@ -64,8 +66,8 @@ def _seen_share(evidence: Evidence, car: int, n_px: int) -> tuple[float, float]:
         return 0.0, 1.0
     is_wide = corners_cam[:, 1] < WIDE * np.linalg.norm(corners_cam, axis=1)
     if is_wide.any() or not ((uv > 0) & (uv < [camera.width_px, camera.height_px])).all():
-        # It may show a sliver only, whose pixels are fewer than its rays.
-        return max(n_px - SLACK_PX, 0) / box_px, 1.0
+        # It may show a sliver only; but one without any pixel is not seen.
+        return max(n_px - SLACK_PX, 0) / box_px, 1.0 if n_px else min(SLACK_PX / (SLIVER * box_px), 1.0)
     least, most = OWN_FILL if world.scene.assets.cars else FILL
     hull_px = float(ConvexHull(uv).volume)
     return max(n_px - SLACK_PX, 0) / (most * box_px), min((n_px + SLACK_PX) / (least * hull_px), 1.0)

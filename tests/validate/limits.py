@@ -79,6 +79,7 @@ def samples(folders: Iterable[Path]) -> Iterator[tuple[str, Evidence]]:
                 assert not findings, findings[0].reason
                 assert scene is not None
                 assert labels is not None
+                assert passes is not None
                 yield f"{folder.name}:{reader.key(i)}", Evidence(resolve(scene), labels, image, passes, sweep)
 
 

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from synth3dlanes import labels as labels_module
@@ -10,6 +11,7 @@ from synth3dlanes.dataset.description import recipe_text
 from synth3dlanes.dataset.format import LABELS, key_of
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.write import Shard
+from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels
 from synth3dlanes.validate.report import Report
 
@@ -47,7 +49,9 @@ def describe(root: Path, change: Callable[[dict], object]) -> None:
     path.write_text(json.dumps(document))
     readme = root / CARD
     if readme.exists():
-        readme.write_bytes(updated_card(readme.read_bytes(), path.read_bytes(), str(path)))
+        # A description that says nothing has no card.
+        with suppress(FormatError):
+            readme.write_bytes(updated_card(readme.read_bytes(), path.read_bytes(), str(path)))
 
 
 def drop_passes(root: Path) -> None:
