@@ -100,7 +100,7 @@ class Detector:
     def in_images(self, images: Iterable[tuple[str, Pixels, Intrinsics]], batch: int = 16) -> Iterator[Prediction]:
         """The lanes of images of any size with known intrinsics (fx, fy, cx, cy in pixels of each)."""
 
-        def fitted(one: tuple[str, Pixels, Intrinsics]) -> tuple[str, Pixels, Intrinsics]:
+        def fitted(one: tuple[str, Pixels, Intrinsics]) -> tuple[str, UInt8[np.ndarray, "rows columns 3"], Intrinsics]:
             key, image, values = one
             return (key, *fit(image, values, self.size_px, self.trained))
 

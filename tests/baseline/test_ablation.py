@@ -19,7 +19,7 @@ def drawn_splits(roads, monkeypatch):
     from synth3dlanes_baseline import ablation
 
     splits = {name: roads.samples(np.random.default_rng(n), n, (160, 120)) for name, n in SIZES.items()}
-    monkeypatch.setattr(sources, "_exists", lambda path: True)
+    monkeypatch.setattr(sources, "has_split", lambda folder, split: True)
     for module in (ablation, evaluate, sources):
         monkeypatch.setattr(module, "open_split", lambda path: splits[str(path).rpartition("/")[2]])
 

@@ -88,7 +88,7 @@ def test_every_stage_reads_the_ground_position_of_its_cells(name):
         # x / depth and 1 / depth are linear in the pixel, so bilinear sampling of them is exact.
         inverse_depth, x_by_depth = 1 / depth, ((u - cx) / fx)[None].expand(rows, columns)
         picture = torch.stack([x_by_depth, inverse_depth])[None].nan_to_num(0.0)
-        projection = Projection(2, 2, config.grid, level, (0.0,))
+        projection = Projection(2, 2, config.grid, level)
         seen = projection(picture, cam_from_top, intrinsics, lattice)[0]
         cells = cell_centres(config.grid, level)
         found_depth = 1 / seen[1]
