@@ -116,6 +116,7 @@ def test_foreign_splits_are_known_by_their_files(tmp_path):
     (tmp_path / "train.json").write_text('{"raw_file": "images/00/1.jpg", "laneLines": []}\n')
     (tmp_path / "label_data_0313.json").write_text('{"raw_file": "clips/1/20.jpg", "lanes": [], "h_samples": [240]}\n')
     (tmp_path / "validation/segment-1").mkdir(parents=True)
+    (tmp_path / "validation/segment-1/1.json").write_text("{}")
     assert isinstance(open_split(tmp_path / "train.json"), ApolloSplit)
     assert isinstance(open_split(tmp_path / "label_data_0313.json"), TusimpleOnPlane)
     assert isinstance(open_split(tmp_path / "validation"), OpenLaneSplit)
