@@ -65,8 +65,8 @@ from synth3dlanes.sources import read_scene, scenes_of
 
 if TYPE_CHECKING:
     # Loaded by the functions that return them: figures and checks take a second.
-    from synth3dlanes.figures.stats import Statistics
-    from synth3dlanes.validate.report import Report as ValidationReport
+    import synth3dlanes.figures.stats
+    import synth3dlanes.validate.report
 
 STANDARD = QUALITY_SAMPLES["standard"]
 
@@ -304,7 +304,7 @@ def validate_dataset(
     rerender: int = 0,
     assets: Library = BUILT_IN,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> "ValidationReport":
+) -> "synth3dlanes.validate.report.Report":
     """Check every file and sample of a data set or a split, and its labels against its images (docs/validate.md); or
     the first `limit` samples of every split. `rerender` samples are made again and compared with what is there.
 
@@ -319,7 +319,7 @@ def validate_dataset(
 
 def dataset_stats(
     source: str | Path | Params, *, n: int = 2000, seed: int = 0, assets: Library = BUILT_IN
-) -> "Statistics":
+) -> "synth3dlanes.figures.stats.Statistics":
     """Statistics of at most `n` scenes and of their labels in a data set or a split, evenly spaced; or of `n` scenes
     drawn from parameters, without labels. `document()` of the result is for JSON."""
     from synth3dlanes.figures.stats import Statistics, label_statistics, scene_statistics
