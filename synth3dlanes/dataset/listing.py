@@ -9,6 +9,7 @@ from typing import Any, Generic, TypeVar
 
 from synth3dlanes.dataset.address import can_list, connect, read_file, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION, parse_description
+from synth3dlanes.errors import FormatError
 
 N_CONNECTIONS = 8
 Index = TypeVar("Index")
@@ -32,14 +33,17 @@ def read_shards(url: str, description: Mapping[str, Any], read: Callable[[bytes,
         with translate_store_errors(url, "cannot list the shards"):
             found = files.ls(root, detail=True) if files.isdir(root) else []
         sizes: dict[str, int | None] = {str(entry["name"]): int(entry["size"] or 0) for entry in found}
+        links = {str(entry["name"]) for entry in found if entry.get("islink")}
         parquets = sorted(path for path in sizes if path.endswith(".parquet"))
     else:
-        sizes, parquets = {}, _expected(root, description)
+        sizes, links, parquets = {}, set(), _expected(root, description)
 
     def listed(parquet: str) -> Listed[Index] | None:
         tar = f"{parquet.removesuffix('.parquet')}.tar"
         with translate_store_errors(parquet, "cannot be read"):
             data = read_file(files, parquet)
+        if data is None and parquet in links:
+            raise FormatError(f"{parquet}: expected the index of a shard, got a link to nothing")
         return None if data is None else Listed(parquet, tar, read(data, parquet), sizes.get(tar, 0 if sizes else None))
 
     with ThreadPoolExecutor(N_CONNECTIONS) as pool:
