@@ -70,7 +70,7 @@ def _seen_share(evidence: Evidence, car: int, n_px: int) -> tuple[float, float]:
         return max(n_px - SLACK_PX, 0) / box_px, 1.0 if n_px else min(SLACK_PX / (SLIVER * box_px), 1.0)
     least, most = OWN_FILL if world.scene.assets.cars else FILL
     hull_px = float(ConvexHull(uv).volume)
-    return max(n_px - SLACK_PX, 0) / (most * box_px), min((n_px + SLACK_PX) / (least * hull_px), 1.0)
+    return n_px / (most * box_px), min((n_px + SLACK_PX) / (least * hull_px), 1.0)
 
 
 def _n_pixels(outline: Float[np.ndarray, "n 2"], camera: CameraLabel) -> int:
