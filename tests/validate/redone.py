@@ -1,7 +1,4 @@
-"""Faults that making a sample again finds: what is done to its members, and words of the likely cause.
-
-python -m tests.validate.redone LAB      # the table, of samples that `render_lab` keeps
-"""
+"""Faults that making a sample again finds: what is done to its members, and words of the likely cause."""
 
 import io
 import json
