@@ -263,7 +263,7 @@ def moved_symbols(document: dict[str, Any]) -> None:
 DOCUMENTS = {
     "direction removed": Done(
         of_labels(lambda d: [lane.pop("direction", None) for lane in d["lanes"]]),
-        'direction: expected "oncoming", got none',
+        'direction: expected "(same|oncoming)", got none',
     ),
     "object_visible shifted by a point": Done(of_labels(shifted), "each value a point later|object_visible"),
     "car_visible_fraction + 0.08": Done(of_labels(of_cars), "car_visible_fraction.*expected"),
