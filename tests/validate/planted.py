@@ -174,7 +174,7 @@ def _again(fault: Fault, before: dict[int, Members], root: Path) -> Result:
     spoilt = [(before[i], lies) for i, lies in read_members(root).items() if lies != before[i]]
     told = [reasons for made, lies in spoilt if (reasons := list(compare(redone.picture_of(made), made, lies)))]
     every = [f"made again: {reason}" for reasons in told for reason in reasons]
-    named = next((reason for reason in every if re.search(fault.words, reason)), "unnamed" if every else "missed")
+    named = next((reason for reason in every if re.search(fault.words, reason)), every[0] if every else "missed")
     return Result(fault.name, len(spoilt), len({problem.where for problem in problems}), False, named, len(told))
 
 

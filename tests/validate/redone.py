@@ -29,6 +29,8 @@ from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_ID
 from tests.validate.sealing import Members
 
 Change = Callable[[Members], None]
+# Of JPEG as the scene asks for it.
+QUALITY = 95
 
 
 class Done(NamedTuple):
@@ -50,16 +52,18 @@ def picture_of(members: Members) -> Picture:
 # -- pictures
 
 
-def of_image(change: Callable[[np.ndarray, dict[str, np.ndarray]], np.ndarray], quality: int = 95) -> Change:
+def of_image(change: Callable[[np.ndarray, dict[str, np.ndarray]], np.ndarray], quality: int = QUALITY) -> Change:
     """Change the picture's levels, with the passes at hand; encoded as the scene's JPEG is."""
 
     def spoil(members: Members) -> None:
         passes = read_passes(members[PASSES], PASSES)
         before = Image.open(io.BytesIO(members["jpg"]))
         after = change(np.asarray(before).astype(float), passes)
+        if quality == QUALITY and np.array_equal(after, np.asarray(before)):
+            return
         stream = io.BytesIO()
         image = Image.fromarray(np.clip(np.round(after), 0, 255).astype(np.uint8))
-        tables = {"quality": quality} if quality < 95 else {"qtables": before.quantization}
+        tables = {"quality": quality} if quality != QUALITY else {"qtables": before.quantization}
         image.save(stream, "JPEG", **tables)
         members["jpg"] = stream.getvalue()
 
