@@ -39,6 +39,8 @@ def check(function: Any) -> Any:
     )
     if all(map(_is_told_by_form, shaped.values())) and not has_more:
         return _with_known_forms(function, hints, shaped)
+    if inspect.isgeneratorfunction(function):
+        return _before_it_starts(function, hints)
     return _in_a_scope_of_its_own(_check_types(function))
 
 
@@ -76,6 +78,22 @@ def _in_a_scope_of_its_own(checked: Callable[..., Any]) -> Callable[..., Any]:
     def call(*args: Any, **kwargs: Any) -> Any:
         with jaxtyped("context"):
             return checked(*args, **kwargs)
+
+    return call
+
+
+def _before_it_starts(function: Callable[..., Any], hints: dict[str, Any]) -> Callable[..., Any]:
+    """A generator whose arguments are checked when it is made: its first value may be asked for in another scope."""
+    signature = inspect.signature(function)
+
+    @functools.wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        with jaxtyped("context"):
+            for name, value in signature.bind(*args, **kwargs).arguments.items():
+                is_more = signature.parameters[name].kind is inspect.Parameter.VAR_POSITIONAL
+                hint = hints.get(name, Any)
+                die_if_unbearable(value, tuple[hint, ...] if is_more else hint, conf=CONF)
+        return function(*args, **kwargs)
 
     return call
 

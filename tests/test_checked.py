@@ -1,5 +1,6 @@
 """Wrong shapes and types are errors wherever they pass under pytest."""
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,6 +50,28 @@ def moved(a: Vector, by: Vector | float = 0.0, *, n: int | None = None) -> tuple
 @check
 def lengths(lines: list[Float[np.ndarray, "m 3"]], *others: Vector) -> Vector:
     return np.array([len(line) for line in lines], float)
+
+
+@check
+def sums(lines: Mapping[str, Vector], *more: Vector) -> Iterator[float]:
+    yield from (float(line.sum()) for line in (*lines.values(), *more))
+
+
+@check
+def total(of: Iterator[float], lines: list[Vector]) -> float:
+    return sum(of)
+
+
+def test_arguments_of_generators_are_checked_when_made_and_their_sizes_stay_their_own():
+    good, longer = np.zeros(3), np.zeros(4)
+    assert total(sums({"a": good, "b": good}, good), [longer]) == 0
+    for call in (
+        lambda: sums({"a": np.zeros(3, int)}),
+        lambda: sums({"a": good}, longer),
+        lambda: sums([good]),
+    ):
+        with pytest.raises(BeartypeCallHintViolation):
+            call()
 
 
 def test_arrays_within_other_types_and_by_any_name():

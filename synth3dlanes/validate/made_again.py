@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from PIL import Image
@@ -67,6 +67,7 @@ from synth3dlanes.validate.origin import Origin
 from synth3dlanes.validate.report import VERDICTS
 from synth3dlanes.world import resolve
 
+T = TypeVar("T")
 Members = Mapping[str, bytes]
 # Passes that say what each pixel of a picture is of.
 IDS = ("semantic", "instance")
@@ -125,7 +126,7 @@ def how_to_make(description: Description, origin: Origin | None, library: Librar
         return Making(origin, *resolve_device(replace(recipe, settings=replace(settings, device="auto"))))
 
 
-def some_of(entries: Sequence[Entry], n: int, seed: int) -> list[Entry]:
+def some_of(entries: Sequence[T], n: int, seed: int) -> list[T]:
     """Some samples at random, in order: the same for equal seeds, and some more of them for a larger n."""
     chosen = np.random.default_rng(seed).permutation(len(entries))[:n]
     return [entries[i] for i in sorted(chosen)]

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -15,8 +16,9 @@ from synth3dlanes.dataset.read import Reader
 from synth3dlanes.params import load_params
 from synth3dlanes.production.recipe import Recipe, make_sample
 from synth3dlanes.sample import Scenes
+from synth3dlanes.sensors.rig_files import load_rig
 from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
-from synth3dlanes.shots import clips
+from synth3dlanes.shots import Shots, clips
 
 pytestmark = pytest.mark.render
 
@@ -49,6 +51,24 @@ def test_bytes_do_not_depend_on_what_was_made_before():
             forget()
         assert make_sample(RECIPE, index).members == in_order[index], index
     assert len({members["png"] for members in in_order}) == 6
+
+
+def test_two_cameras_and_two_frames_in_any_order_give_the_bytes_of_each_alone(tmp_path):
+    """What stands still is shared; what one camera or frame sees must not show in another's."""
+    (tmp_path / "rig.yaml").write_text(
+        "front: {width_px: 64, height_px: 48, fx: 60}\n"
+        "left: {width_px: 48, height_px: 40, fx: 30, yaw_deg: 70, right_m: -0.8, roll_deg: 3}\n"
+    )
+    shots = Shots(frames=2, fps=4.0, cameras=load_rig(str(tmp_path / "rig.yaml")))
+    recipe = replace(RECIPE, scenes=replace(RECIPE.scenes, shots=shots))
+    alone = []
+    for index in range(4):
+        forget()
+        alone.append(make_sample(recipe, index).members)
+    assert len({members["png"] for members in alone}) == 4
+    forget()
+    for index in (0, 3, 1, 2, 0, 2, 3, 1):
+        assert make_sample(recipe, index).members == alone[index], index
 
 
 def test_objects_of_the_ground_stay_and_others_are_those_of_the_frame():

@@ -4,7 +4,8 @@
     python -m tests.validate.planted --clean DIR DIR ...          # false alarms and speed on clean data sets
 
 A fault is planted in all samples that have what it changes. It is found in a sample where a problem of that sample
-says one of its words, and over the whole set where a problem of the set does.
+says one of its words, and over the whole set where a problem of the set does. Faults that files do not tell are
+compared with the clean samples too, as `validate --rerender` does, which makes these again byte by byte.
 """
 
 import argparse
@@ -32,10 +33,13 @@ from synth3dlanes.sensors.lidar_files import load_lidar
 from synth3dlanes.settings import PASSES as ALL_PASSES
 from synth3dlanes.settings import RenderSettings
 from synth3dlanes.shots import SINGLE
+from synth3dlanes.validate.made_again import compare
 from synth3dlanes.world import World, resolve
-from tests.validate.faults import FAULTS, WORLDS, Fault
+from tests.validate import redone
+from tests.validate.faults import FAULTS, WORLDS, Fault, in_samples
+from tests.validate.faults import World as Changing
 from tests.validate.sealing import Members, check, read_members, seal
-from tests.validate.subtle import AGAIN, OF_STREETS, SUBTLE
+from tests.validate.subtle import OF_STREETS, SUBTLE
 
 IMAGE = "jpg"
 # Few samples a pixel: passes are taken at the pixels' centres, and do not depend on them.
@@ -43,6 +47,10 @@ SETTINGS = RenderSettings(samples=2, passes=ALL_PASSES, device="cpu")
 # Something of every kind in every scene.
 STREETS = ["weather.kind=any", "weather.daytime=any", "road.n_oncoming=2", "road.median_m=4", "symbols.arrow_rows=2"]
 STREETS += ["roadside.median=guardrail", "host.bonnet=0.12"]
+# Faults that files do not tell, or not always: of pictures, and of what was rendered from another scene.
+AGAIN = {f"image: {name}": fault for name, fault in redone.PICTURES.items()}
+OTHERS = [Changing(f"world: {name}", world.changes, world.words) for name, world in redone.WORLDS.items()]
+NUMBERED = (*WORLDS, *OTHERS)
 SAMPLE = re.compile(r"\w+:\d{8}")
 
 COLUMNS = ("fault", "in samples", "found in", "found over the data set", "found in, made again", "message")
@@ -52,7 +60,7 @@ HEADER_CLEAN = "| clean data set | samples | alarms | samples a second |\n|---|-
 
 class Result(NamedTuple):
     """In how many samples a fault was planted, in how many it was named, whether over the whole set, one problem that
-    names it, and in how many samples it was found by making them again (None: not tried)."""
+    names it, and in how many samples it was found by making them again (None: files are to tell it)."""
 
     fault: str
     planted: int
@@ -64,7 +72,7 @@ class Result(NamedTuple):
     @property
     def is_found(self) -> bool:
         """Over the whole set, or in most samples that have it: it may be out of sight in some."""
-        return self.over_all or 2 * self.samples > self.planted > 0
+        return self.over_all or 2 * max(self.samples, self.again or 0) > self.planted > 0
 
     def row(self) -> str:
         """A row of the table."""
@@ -73,7 +81,7 @@ class Result(NamedTuple):
         return f"| {self.fault} | {self.planted} | {self.samples} | {over_all} | {again} | {self.named} |"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Worlds(Recipe):
     """Samples of a recipe in worlds that differ: sample i is `jobs[i]`, the number of a world and an index."""
 
@@ -87,7 +95,7 @@ class Worlds(Recipe):
 
 def changed(scene: Scene, world: int) -> Scene:
     """A scene in another world; it may be the same."""
-    return change_scene(scene, WORLDS[world].changes(scene))
+    return change_scene(scene, NUMBERED[world].changes(scene))
 
 
 def render(
@@ -98,32 +106,45 @@ def render(
     recipe = Recipe(Scenes(params, seed, "train"), SETTINGS, IMAGE)
     clean = folder / "clean"
     assert generate(Plan(clean, n, recipe, workers), lambda event: None).exit_code == 0
-    scenes = [recipe.scene(index) for index in range(n)]
-    jobs = tuple(
-        (w, i)
-        for w, world in enumerate(WORLDS)
-        for i in range(n if world.needs_many or few is None else few)
-        if changed(scenes[i], w) != scenes[i]
-    )
-    worlds = Worlds(params, seed, "train", SETTINGS, IMAGE, jobs=jobs)
-    assert generate(Plan(folder / "worlds", len(jobs), worlds, workers), lambda event: None).exit_code == 0
-    rendered = read_members(folder / "worlds")
-    others = [{i: rendered[job] for job, (at, i) in enumerate(jobs) if at == w} for w in range(len(WORLDS))]
-    faults = [
-        Fault(world.name, partial(seal, change=partial(in_place, other)), world.words)
-        for world, other in zip(WORLDS, others, strict=True)
-    ]
-    return clean, [*FAULTS, *SUBTLE, *faults]
+    counts = {w: n if world.needs_many or few is None else few for w, world in enumerate(WORLDS)}
+    return clean, [*FAULTS, *SUBTLE, *_worlds(folder / "worlds", recipe, counts, workers)]
+
+
+def streets(seed: int) -> Recipe:
+    """The recipe of samples of `streets` with a lidar."""
+    shots = SINGLE.model_copy(update={"lidar": load_lidar("vlp_32c")})
+    settings = replace(SETTINGS, passes=(*ALL_PASSES, "lidar"))
+    return Recipe(Scenes(load_params("streets", STREETS), seed, shots=shots), settings, IMAGE)
 
 
 def render_streets(folder: Path, seed: int, n: int, workers: int) -> tuple[Path, list[Fault]]:
     """A clean data set of n samples of `streets` with a lidar, and the faults that need one."""
-    shots = SINGLE.model_copy(update={"lidar": load_lidar("vlp_32c")})
-    settings = replace(SETTINGS, passes=(*ALL_PASSES, "lidar"))
-    recipe = Recipe(Scenes(load_params("streets", STREETS), seed, shots=shots), settings, IMAGE)
     clean = folder / "streets"
-    assert generate(Plan(clean, n, recipe, workers), lambda event: None).exit_code == 0
+    assert generate(Plan(clean, n, streets(seed), workers), lambda event: None).exit_code == 0
     return clean, OF_STREETS
+
+
+def render_unseen(folder: Path, seed: int, n: int, workers: int) -> list[Fault]:
+    """Faults of these samples that files do not tell, or not always."""
+    pictures = [Fault(name, in_samples(fault.change), fault.words) for name, fault in AGAIN.items()]
+    counts = dict.fromkeys(range(len(WORLDS), len(NUMBERED)), n)
+    recipe = streets(seed)
+    recipe = replace(recipe, scenes=replace(recipe.scenes, shots=SINGLE), settings=SETTINGS)
+    return [*pictures, *_worlds(folder / "unseen", recipe, counts, workers)]
+
+
+def _worlds(root: Path, recipe: Recipe, counts: dict[int, int], workers: int) -> list[Fault]:
+    """Faults that put pictures of other worlds, by number, into so many of the first samples of a recipe."""
+    scenes = [recipe.scene(index) for index in range(max(counts.values()))]
+    jobs = tuple((w, i) for w, n in counts.items() for i in range(n) if changed(scenes[i], w) != scenes[i])
+    worlds = Worlds(recipe.scenes, recipe.settings, recipe.image_format, jobs=jobs)
+    assert generate(Plan(root, len(jobs), worlds, workers), lambda event: None).exit_code == 0
+    rendered = read_members(root)
+    others = {w: {i: rendered[job] for job, (at, i) in enumerate(jobs) if at == w} for w in counts}
+    return [
+        Fault(NUMBERED[w].name, partial(seal, change=partial(in_place, other)), NUMBERED[w].words)
+        for w, other in others.items()
+    ]
 
 
 def in_place(others: dict[int, Members], samples: dict[int, Members]) -> None:
@@ -132,9 +153,8 @@ def in_place(others: dict[int, Members], samples: dict[int, Members]) -> None:
         samples[index].update({name: members[name] for name in (IMAGE, PASSES, HEIGHT)})
 
 
-def table(clean: Path, faults: Iterable[Fault], folder: Path, rerender: int = 0) -> Iterator[Result]:
-    """What validate says of each fault; it must say nothing of the clean data set. With `rerender` so many samples of
-    each spoilt set are made again, too."""
+def table(clean: Path, faults: Iterable[Fault], folder: Path) -> Iterator[Result]:
+    """What validate says of each fault; it must say nothing of the clean data set."""
     problems = check(clean).problems
     assert not problems, problems[0].line()
     before = read_members(clean)
@@ -143,8 +163,19 @@ def table(clean: Path, faults: Iterable[Fault], folder: Path, rerender: int = 0)
         fault.plant(root)
         (split,) = {path.parent.name for path in root.glob("*/*.parquet")}
         n_planted = n_changed(before, root, split)
-        yield _result(fault, n_planted, root, rerender)
+        is_known = fault.name not in AGAIN and fault.name not in {world.name for world in OTHERS}
+        yield _result(fault, n_planted, root) if is_known else _again(fault, before, root)
         shutil.rmtree(root)
+
+
+def _again(fault: Fault, before: dict[int, Members], root: Path) -> Result:
+    """What files tell of a fault by any problem, and what the samples made again tell by its words."""
+    problems = [problem for problem in check(root).problems if SAMPLE.fullmatch(problem.where)]
+    spoilt = [(before[i], lies) for i, lies in read_members(root).items() if lies != before[i]]
+    told = [reasons for made, lies in spoilt if (reasons := list(compare(redone.picture_of(made), made, lies)))]
+    every = [f"made again: {reason}" for reasons in told for reason in reasons]
+    named = next((reason for reason in every if re.search(fault.words, reason)), every[0] if every else "missed")
+    return Result(fault.name, len(spoilt), len({problem.where for problem in problems}), False, named, len(told))
 
 
 def n_changed(before: dict[int, Members], root: Path, split: str) -> int:
@@ -156,10 +187,9 @@ def n_changed(before: dict[int, Members], root: Path, split: str) -> int:
     return sum(after[index] != before[index] for index in after) or len(after)
 
 
-def _result(fault: Fault, n_planted: int, root: Path, rerender: int) -> Result:
+def _result(fault: Fault, n_planted: int, root: Path) -> Result:
     try:
         problems = check(root).in_order()
-        again = len({problem.where for problem in check(root, rerender=rerender).problems}) if rerender else None
     except Exception as error:  # noqa: BLE001 - that validate crashes is what the table is to show
         return Result(fault.name, n_planted, 0, False, f"crash: {type(error).__name__}")
     firsts = list({problem.where: problem for problem in reversed(problems)}.values())
@@ -169,9 +199,8 @@ def _result(fault: Fault, n_planted: int, root: Path, rerender: int) -> Result:
     over_all = [problem.reason for problem in named if problem.where not in samples]
     reasons = over_all or [problem.reason for problem in named]
     kinds = Counter(re.sub(r"[\d.]+", "", reason) for reason in reasons)
-    missed = "not seen in the files" if fault.words == AGAIN else "missed"
-    common = next((r for r in reasons if re.sub(r"[\d.]+", "", r) == kinds.most_common(1)[0][0]), missed)
-    return Result(fault.name, n_planted, len(samples), bool(over_all), " ".join(common.split()), again)
+    common = next((r for r in reasons if re.sub(r"[\d.]+", "", r) == kinds.most_common(1)[0][0]), "missed")
+    return Result(fault.name, n_planted, len(samples), bool(over_all), " ".join(common.split()))
 
 
 def false_alarms(root: Path) -> str:
@@ -194,11 +223,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--params", default="appendix_i", help="the preset in which faults are planted")
     parser.add_argument("--n", type=int, default=12, help="its number of samples")
+    parser.add_argument("--n-streets", type=int, default=4, help="the number of samples of streets")
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--only", default="", help="plant faults with this in their names alone")
     parser.add_argument("--workers", type=int, default=1, help="processes that render")
     parser.add_argument("--data", type=Path, help="a folder that keeps what is rendered for the next time")
-    parser.add_argument("--rerender", type=int, default=0, help="samples of every spoilt data set to make again")
     parser.add_argument("--clean", nargs="+", type=Path, help="clean data sets, for false alarms")
     options = parser.parse_args(arguments)
     if options.clean:
@@ -206,14 +235,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         return
     with tempfile.TemporaryDirectory(prefix="planted-") as folder:
         rendered = options.data or Path(folder, "rendered")
-        sets = [
-            render(rendered, load_params(options.params), options.seed, options.n, options.workers),
-            render_streets(rendered, options.seed, options.n, options.workers),
-        ]
+        clean, faults = render(rendered, load_params(options.params), options.seed, options.n, options.workers)
+        of_streets, more = render_streets(rendered, options.seed, options.n_streets, options.workers)
+        unseen = render_unseen(rendered, options.seed, options.n_streets, options.workers)
         results = (
             result
-            for clean, faults in sets
-            for result in table(clean, [f for f in faults if options.only in f.name], Path(folder), options.rerender)
+            for root, planted in ((clean, faults), (of_streets, [*more, *unseen]))
+            for result in table(root, [f for f in planted if options.only in f.name], Path(folder))
         )
         tell((result.row() for result in results), HEADER)
 

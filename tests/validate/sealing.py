@@ -71,9 +71,8 @@ def relabel(index: int, change: Callable[[Labels], Labels]) -> Change:
     return apply
 
 
-def check(root: Path, workers: int = 1, rerender: int = 0) -> Report:
-    """Validate all of it, with so many samples made again."""
+def check(root: Path, workers: int = 1) -> Report:
+    """Validate all of it."""
     from synth3dlanes.validate.run import validate
 
-    again = [rerender] if rerender else []
-    return validate(root, workers, None, lambda done, total: None, *again)
+    return validate(root, workers, None, lambda done, total: None)

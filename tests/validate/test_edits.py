@@ -107,8 +107,8 @@ def said(steps: list[Any], kept: tuple[str, ...], old: Any, new: Any) -> str:
 
 def has_default(key: Any, value: Any) -> bool:
     """Keys that came later may lack, and then have these values."""
-    is_unpainted = key in ("color", "double") and value is None
-    return is_unpainted or key in ("air", "sensor", "assets", "overcast") or value in (0, False, [], 1, 1e6)
+    is_none = key in ("color", "double", "lidar") and value is None
+    return is_none or key in ("air", "sensor", "assets", "overcast", "shot") or value in (0, False, [], 1, 1e6)
 
 
 def in_exr(member: str) -> Edit:
