@@ -7,7 +7,7 @@ from jaxtyping import Float
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.lanes import Curve, host_segment, lane_graph, path_of_segment
 from synth3dlanes.geometry.motion import host_station
-from synth3dlanes.geometry.paint import is_double, paint_color
+from synth3dlanes.geometry.paint import is_double, paint_color, pair_of
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.symbols import shape
 from synth3dlanes.geometry.visibility import seen_over_ground
@@ -72,6 +72,7 @@ def label(world: World, view: View) -> Labels:
             color=paint_color(curve, world.scene.markings),
             double=is_double(curve, world.scene.markings),
             direction=curve.direction,
+            pair=pair_of(curve, world.scene.markings),
         )
         for curve, (xyz, inside, visible) in zip(sampled, parts[: len(sampled)], strict=True)
     )

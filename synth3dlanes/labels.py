@@ -24,6 +24,7 @@ LaneKind = Literal["centerline", "delimiter"]
 RoadName = Literal["main", "exit"]
 Marking = Literal["none", "solid", "dashed"]
 PaintColor = Literal["white", "yellow"]
+Pair = Literal["solid_dashed", "dashed_solid"]
 Direction = Literal["same", "oncoming"]
 
 
@@ -98,7 +99,8 @@ class Lane:
     lines that only other frames of it have. `color` and `double` (two stripes, the points in the middle between them)
     are None for centre lines and in older labels. `object_visible` is None until the scene has been rendered.
     `direction` is that of the traffic in a centre line's lane; a delimiter is `oncoming` if it bounds only such lanes.
-    Older labels may lack `same`."""
+    Older labels may lack `same`. `pair` names the stripes of a double line, from the left, where they differ: its
+    `marking` is `solid` then. Older labels have none."""
 
     id: Name
     kind: LaneKind
@@ -113,6 +115,7 @@ class Lane:
     color: PaintColor | None = None
     double: bool | None = None
     direction: Direction = "same"
+    pair: Pair | None = None
 
     def __post_init__(self) -> None:
         """Check that each mask has a value for every point; raise ValueError."""

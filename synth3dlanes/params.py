@@ -126,6 +126,7 @@ class MarkingsParams(Group):
     wear: Fraction
     missing: Fraction
     dots: Flag = added(False)
+    left_pair: Annotated[Named, names("same", "solid_dashed", "dashed_solid")] = added("same")
 
 
 class SurfaceParams(Group):

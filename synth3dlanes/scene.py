@@ -116,8 +116,9 @@ class Road(Part):
 class Markings(Part):
     """Paint: `dash_fraction` is the painted share of `dash_cycle_m`, `wear` the share of paint that is rubbed off,
     `missing` the share of each line's length without paint, in stretches. `left_yellow` and `left_double` (two stripes
-    of `width_m`, `width_m` apart) apply to the leftmost line as the host drives. With `dots`, dashed lines consist of
-    Botts' dots instead: raised discs 10 cm across, four to a dash."""
+    of `width_m`, `width_m` apart) apply to the leftmost line as the host drives. `left_pair` says which of two stripes,
+    from the left, is solid and which has the dashes of a dashed line; with `same` both are solid. With `dots`, dashed
+    lines, but no stripes of a pair, consist of Botts' dots instead: raised discs 10 cm across, four to a dash."""
 
     dash_cycle_m: Annotated[float, Field(ge=0.001, le=1000)]
     dash_fraction: Annotated[float, Field(gt=0, le=1)]
@@ -129,6 +130,7 @@ class Markings(Part):
     wear: Unit = 0.0
     missing: Unit = 0.0
     dots: bool = False
+    left_pair: Literal["same", "solid_dashed", "dashed_solid"] = "same"
 
 
 class Surface(Part):

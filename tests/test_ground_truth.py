@@ -96,7 +96,7 @@ def test_golden_labels(name):
     assert [lane.id for lane in found.lanes] == [lane.id for lane in expected.lanes]
     assert found.graph == expected.graph
     for a, b in zip(found.lanes, expected.lanes, strict=True):
-        assert (a.marking, a.color, a.double) == (b.marking, b.color, b.double)
+        assert (a.marking, a.color, a.double, a.pair) == (b.marking, b.color, b.double, b.pair)
         np.testing.assert_allclose(a.xyz_cam, b.xyz_cam, atol=1.01e-4)
         np.testing.assert_array_equal(a.in_image, b.in_image)
         np.testing.assert_array_equal(a.terrain_visible, b.terrain_visible)
@@ -138,9 +138,9 @@ def test_labels_come_back_from_their_file():
 def test_older_labels_have_no_paint():
     document = json.loads(label_file.to_json(ground_truth(changed())))
     for lane in document["lanes"]:
-        del lane["color"], lane["double"]
+        del lane["color"], lane["double"], lane["pair"]
     older = label_file.from_json(json.dumps(document), "labels.json")
-    assert {(lane.color, lane.double) for lane in older.lanes} == {(None, None)}
+    assert {(lane.color, lane.double, lane.pair) for lane in older.lanes} == {(None, None, None)}
 
 
 def test_scenes_come_back_from_their_file():

@@ -106,7 +106,7 @@ def test_scenes_and_labels_of_older_versions(name: str) -> None:
     document = json.loads((OLD / f"{name}.labels.json").read_text())
     LABELS.validate(document)
     for lane in document["lanes"]:
-        del lane["color"], lane["double"]
+        del lane["color"], lane["double"], lane["pair"]
     del document["camera"]["roll_rad"]
     LABELS.validate(document)
     assert label_file.from_json(json.dumps(document), name).lanes[0].color is None

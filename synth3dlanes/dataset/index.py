@@ -21,6 +21,7 @@ ADDED: dict[str, int | float | bool | str] = {
     "median_m": 0.0,
     "divider_dashed": False,
     "marking_dots": False,
+    "marking_left_pair": "same",
     "tar": 0.0,
     "joint": 0.0,
     "ghost_lines": 0.0,

@@ -16,7 +16,7 @@ from synth3dlanes.dataset.format import decode_image
 from synth3dlanes.errors import FormatError
 from synth3dlanes.files import open_regular, read_bounded
 from synth3dlanes.frames import inside_image, project, road_from_cam
-from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph, LaneKind, Marking, PaintColor
+from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph, LaneKind, Marking, PaintColor, Pair
 from synth3dlanes.schema import PathBelow, shown
 
 MAX_FILE_BYTES = 512 << 20
@@ -30,7 +30,7 @@ STEP_M = 0.5
 MOST = 1e6
 """Beyond any coordinate or column."""
 _BELOW = TypeAdapter(PathBelow)
-UNKNOWN: tuple[Marking, None, None] = ("none", None, None)
+UNKNOWN: tuple[Marking, None, None, None] = ("none", None, None, None)
 """The paint of lines of formats that do not have it."""
 
 
@@ -45,12 +45,13 @@ class ForeignSample:
 
 @dataclass(frozen=True, eq=False)
 class ForeignLane:
-    """A lane of a foreign file, in our camera frame; `paint` is its marking, colour and whether it is double."""
+    """A lane of a foreign file, in our camera frame; `paint` is its marking, colour, whether it is double, and
+    its stripes if they differ."""
 
     kind: LaneKind
     xyz_cam: Float[np.ndarray, "n 3"]
     visible: Bool[np.ndarray, " n"]
-    paint: tuple[Marking, PaintColor | None, bool | None] = UNKNOWN
+    paint: tuple[Marking, PaintColor | None, bool | None, Pair | None] = UNKNOWN
 
 
 def labels_of(
@@ -68,9 +69,10 @@ def labels_of(
             xyz_cam, visible = lane.xyz_cam[kept], lane.visible[kept]
             in_image = inside_image(project(img_from_cam, xyz_cam), *size_px)
             name = f"{lane.kind}{index}"
-            marking, color, double = lane.paint
+            marking, color, double, pair = lane.paint
+            points = xyz_cam, in_image, visible, None
             made.append(
-                Lane(name, lane.kind, "main", marking, None, None, xyz_cam, in_image, visible, None, color, double)
+                Lane(name, lane.kind, "main", marking, None, None, *points, color=color, double=double, pair=pair)
             )
     to_road = road_from_cam(height_m, pitch_rad)
     camera = CameraLabel(*size_px, img_from_cam, height_m, pitch_rad, to_road, to_road)

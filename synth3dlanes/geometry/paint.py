@@ -13,7 +13,7 @@ from synth3dlanes.geometry.horizon import far_dam
 from synth3dlanes.geometry.lanes import Curve
 from synth3dlanes.geometry.meshes import Mesh, Values, grid, is_facing_up, lift_far, over_terrain, road_stations
 from synth3dlanes.geometry.terrain import gradient_at
-from synth3dlanes.labels import PaintColor
+from synth3dlanes.labels import Marking, PaintColor, Pair
 from synth3dlanes.scene import Markings
 from synth3dlanes.streams import Streams
 
@@ -39,6 +39,14 @@ GONE_M, GONE_REACH_M = (3.0, 12.0), 600.0
 
 Intervals = Float[np.ndarray, "_ 2"]
 Places = Float[np.ndarray, " _"]
+
+
+class Stripe(NamedTuple):
+    """One stripe of a line: the offset of its centre from the line's own, to the right as the host drives, and its
+    pattern."""
+
+    right_m: float
+    marking: Marking
 
 
 class Rows(NamedTuple):
@@ -80,19 +88,30 @@ def line_width_m(line: Curve, markings: Markings) -> float:
     return DOT_M if is_dotted(line, markings) else markings.width_m
 
 
-def stripes_m(line: Curve, markings: Markings) -> tuple[float, ...]:
-    """Offsets of the stripes' centres from the line's own; the gap of a double line is as wide as a stripe."""
-    return (-markings.width_m, markings.width_m) if is_double(line, markings) else (0.0,)
+def pair_of(line: Curve, markings: Markings) -> Pair | None:
+    """The stripes of a double line from the left as the host drives, if they differ."""
+    return markings.left_pair if is_double(line, markings) and markings.left_pair != "same" else None
+
+
+def stripes(line: Curve, markings: Markings) -> tuple[Stripe, ...]:
+    """The stripes from the left as the host drives; the gap of a double line is as wide as a stripe."""
+    if not is_double(line, markings):
+        return (Stripe(0.0, line.marking),)
+    pair = pair_of(line, markings)
+    return (
+        Stripe(-markings.width_m, "dashed" if pair == "dashed_solid" else "solid"),
+        Stripe(markings.width_m, "dashed" if pair == "solid_dashed" else "solid"),
+    )
 
 
 def _paint(ground: Ground, curve: Curve, eye_world: Float[np.ndarray, "3"], streams: Streams) -> Mesh:
     plan, markings = ground.plan, ground.markings
-    rows, painted, share, raised_m = painted_rows(ground, curve, streams)
-    ahead_m = ground.ahead_m(plan.plan_station(rows))
-    lift_m = np.interp(np.abs(ahead_m), PAINT_LIFT_AT_M, PAINT_LIFT_M) + raised_m
-    stripes = []
-    for middle_m in stripes_m(curve, markings):
-        offsets = middle_m + np.array([-0.5, 0.5]) * line_width_m(curve, markings)
+    to_right, meshes = int(plan.flips[0]), []
+    for right_m, marking in stripes(curve, markings)[::to_right]:
+        rows, painted, share, raised_m = painted_rows(ground, curve, streams, marking)
+        ahead_m = ground.ahead_m(plan.plan_station(rows))
+        lift_m = np.interp(np.abs(ahead_m), PAINT_LIFT_AT_M, PAINT_LIFT_M) + raised_m
+        offsets = to_right * right_m + np.array([-0.5, 0.5]) * line_width_m(curve, markings)
         sides, onwards = (_sides(ground, curve, offsets, at) for at in (rows, rows + ALONG_M))
         middle = sides.mean(axis=1, keepdims=True)
         narrowed = middle + share[:, None, None] * (sides - middle)
@@ -101,8 +120,8 @@ def _paint(ground: Ground, curve: Curve, eye_world: Float[np.ndarray, "3"], stre
         mesh = grid(floating, uv, np.zeros(1, dtype=int))
         # Where the stem meets the exit, a face of a few millimetres may fold back over the previous one.
         kept = painted & is_facing_up(mesh)
-        stripes.append(replace(mesh, faces=mesh.faces[kept], material=mesh.material[kept]))
-    return over_terrain(_joined(stripes))
+        meshes.append(replace(mesh, faces=mesh.faces[kept], material=mesh.material[kept]))
+    return over_terrain(_joined(meshes))
 
 
 def _sides(ground: Ground, curve: Curve, offsets_m: Float[np.ndarray, "2"], s: Values) -> Float[np.ndarray, "n 2 3"]:
@@ -161,9 +180,9 @@ def _beside(curve: Curve, t: float) -> Curve:
     return replace(curve, stem_m=None if curve.stem_m is None else curve.stem_m + t, fork_m=curve.fork_m + t)
 
 
-def painted_rows(ground: Ground, curve: Curve, streams: Streams) -> Rows:
-    """Rows of a line, with a row at every end of paint. Lengths are measured along the line from the split, so that
-    dashes and gaps do not move with the camera."""
+def painted_rows(ground: Ground, curve: Curve, streams: Streams, marking: Marking) -> Rows:
+    """Rows of a line's stripe with this pattern, with a row at every end of paint. Lengths are measured along the line
+    from the split, so that dashes and gaps do not move with the camera."""
     plan, markings = ground.plan, ground.markings
     rows = np.sort(plan.plan_station(road_stations(ground)))
     low, high = max(rows[0], curve.start_m), min(rows[-1], curve.end_m)
@@ -176,7 +195,7 @@ def painted_rows(ground: Ground, curve: Curve, streams: Streams) -> Rows:
     xyz = curve.points_world(plan, rows)
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz, axis=0), axis=1))])
     length -= np.interp(0.0, rows, length)
-    dashes, gone = _dashes(markings, curve, length), _gone(markings, streams(f"missing_paint/{curve.id}"))
+    dashes, gone = _dashes(markings, marking, length), _gone(markings, streams(f"missing_paint/{curve.id}"))
     dots = np.zeros(0)
     if is_dotted(curve, markings):
         dots, dashes = _dots(markings, dashes, length, np.abs(ground.ahead_m(plan.plan_station(rows))))
@@ -191,14 +210,14 @@ def painted_rows(ground: Ground, curve: Curve, streams: Streams) -> Rows:
     share, raised_m = _disc(dots, np.interp(s, rows, length)) if len(dots) else (np.ones(len(s)), np.zeros(len(s)))
     if is_dotted(curve, markings):
         share = np.where(away_m > DOTS_M, np.minimum(share, _dots_cover(markings, away_m)), share)
-    painted_share = (markings.dash_fraction if curve.marking == "dashed" else 1.0) * (1 - markings.missing)
+    painted_share = (markings.dash_fraction if marking == "dashed" else 1.0) * (1 - markings.missing)
     share = np.where(away_m > DASHES_M, painted_share * share, share)
     return Rows(s, np.concatenate([is_painted[: len(before)], painted, is_painted[: len(behind)]]), share, raised_m)
 
 
-def _dashes(markings: Markings, curve: Curve, length: Values) -> Intervals:
-    """Painted intervals along the line's length according to its marking."""
-    if curve.marking != "dashed":
+def _dashes(markings: Markings, marking: Marking, length: Values) -> Intervals:
+    """Painted intervals along a line's length according to a marking."""
+    if marking != "dashed":
         return np.array([[-np.inf, np.inf]])
     cycle, fraction = markings.dash_cycle_m, markings.dash_fraction
     numbers = np.arange(np.floor(length[0] / cycle), np.ceil(length[-1] / cycle) + 1)

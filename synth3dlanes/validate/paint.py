@@ -12,9 +12,9 @@ from jaxtyping import Bool, Float
 from synth3dlanes.assets.catalogue import ROAD_MEANS
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.lanes import Curve
-from synth3dlanes.geometry.paint import DOTS_M, is_dotted, line_width_m, painted_rows, stripes_m
+from synth3dlanes.geometry.paint import DOTS_M, is_dotted, line_width_m, painted_rows, stripes
 from synth3dlanes.geometry.terrain import gradient_at
-from synth3dlanes.labels import CameraLabel, Lane, PaintColor
+from synth3dlanes.labels import CameraLabel, Lane, Marking, PaintColor
 from synth3dlanes.scene import Scene
 from synth3dlanes.validate.places import Places
 from synth3dlanes.world import World
@@ -26,12 +26,13 @@ END_M = 0.06
 
 Points = Float[np.ndarray, "n 3"]
 Values = Float[np.ndarray, " n"]
+Stretches = Float[np.ndarray, "m 2"]
 
 
 @dataclass(frozen=True, eq=False)
 class Strip:
-    """Points along a line, the unit vectors across it in the surface, the surface normals, and whether each point is
-    painted and its paint large enough to appear in single pixels."""
+    """Points along a line, the unit vectors to its right in the surface, the surface normals, and whether all stripes
+    are painted at each point and large enough there to appear in single pixels."""
 
     points_cam: Points
     across_cam: Points
@@ -74,11 +75,17 @@ class Paint:
         self._curves = {line.id: line for line in world.site.lines if line.kind == "delimiter"}
         self._stretches = {}
         for id_, curve in self._curves.items():
-            rows = painted_rows(world.ground, curve, scene.stream)
-            # Far dots are merged into dashes that are too narrow to be checked.
-            is_near = np.abs(world.ground.ahead_m(world.plan.plan_station(rows.s[1:]))) < DOTS_M
-            painted = rows.painted & (is_near | (not is_dotted(curve, scene.markings)))
-            self._stretches[id_] = _merged(np.column_stack([rows.s[:-1], rows.s[1:]])[painted])
+            by_marking = {marking: self._of(curve, marking) for _, marking in stripes(curve, scene.markings)}
+            self._stretches[id_] = [by_marking[marking] for _, marking in stripes(curve, scene.markings)]
+
+    def _of(self, curve: Curve, marking: Marking) -> Stretches:
+        """Where a stripe of this pattern is painted along a line."""
+        world, scene = self.world, self.world.scene
+        rows = painted_rows(world.ground, curve, scene.stream, marking)
+        # Far dots are merged into dashes that are too narrow to be checked.
+        is_near = np.abs(world.ground.ahead_m(world.plan.plan_station(rows.s[1:]))) < DOTS_M
+        painted = rows.painted & (is_near | (not is_dotted(curve, scene.markings)))
+        return _merged(np.column_stack([rows.s[:-1], rows.s[1:]])[painted])
 
     def stands_out(self, color: PaintColor) -> bool:
         """Whether lines of this colour are brighter than the road."""
@@ -112,8 +119,10 @@ class Paint:
         return tuple(self._stretches)
 
     def stripes_m(self, id_: str) -> tuple[float, ...]:
-        """Offsets of the stripes' centres across a line."""
-        return stripes_m(self._curves[id_], self.world.scene.markings) if id_ in self._curves else (0.0,)
+        """Offsets of the stripes' centres to the right of a line."""
+        if id_ not in self._curves:
+            return (0.0,)
+        return tuple(stripe.right_m for stripe in stripes(self._curves[id_], self.world.scene.markings))
 
     def width_m(self, id_: str) -> float:
         """Width of a line's stripes; of a centre line that of any line."""
@@ -123,24 +132,20 @@ class Paint:
     def beyond_m(self, id_: str, place: Places) -> Values:
         """Distance of points on the road outside a line's paint, across it or (reduced by END_M) along it; negative
         inside."""
-        stretches, curve = self._stretches[id_], self._curves[id_]
-        if not len(stretches):
-            return np.full(place.s.shape, np.inf)
-        aside = np.abs(place.right_of(curve)[:, None] - np.array(self.stripes_m(id_)))
-        s = place.station(curve)
-        start, end = stretches[np.clip(np.searchsorted(stretches[:, 0], s, side="right") - 1, 0, None)].T
-        after = np.append(stretches[:, 0], np.inf)[np.searchsorted(stretches[:, 0], s, side="right")]
-        along = np.minimum(np.maximum(start - s, s - end), after - s)
-        return np.maximum(aside.min(axis=1) - self.width_m(id_) / 2, along - END_M)
+        curve = self._curves[id_]
+        right_m, s = self.world.plan.flips[0] * place.right_of(curve), place.station(curve)
+        of_stripes = [
+            np.maximum(np.abs(right_m - middle_m) - self.width_m(id_) / 2, _beyond(stretches, s) - END_M)
+            for middle_m, stretches in zip(self.stripes_m(id_), self._stretches[id_], strict=True)
+        ]
+        return np.min(of_stripes, axis=0)
 
     def _painted_m(self, id_: str, points_world: Points) -> Values:
-        """Length of the painted stretch at each point; 0 if there is none."""
-        stretches = self._stretches.get(id_, np.zeros((0, 2)))
-        if not len(stretches):
+        """Length of the shortest stripe's painted stretch at each point; 0 where not all are painted."""
+        if id_ not in self._curves:
             return np.zeros(len(points_world))
         s = self._stations(self._curves[id_], points_world[:, :2])
-        start, end = stretches[np.clip(np.searchsorted(stretches[:, 0], s, side="right") - 1, 0, None)].T
-        return np.where((s >= start) & (s <= end), end - start, 0.0)
+        return np.min([_length(stretches, s) for stretches in self._stretches[id_]], axis=0)
 
     def _stations(self, curve: Curve, xy_world: Float[np.ndarray, "n 2"]) -> Values:
         """Plan stations of points beside a curve."""
@@ -149,6 +154,23 @@ class Paint:
             on_exit, _ = self.world.plan.project_exit(xy_world, np.maximum(s, 0))
             s = np.where((s >= 0) & (on_exit >= 0), on_exit, s)
         return s
+
+
+def _length(stretches: Stretches, s: Values) -> Values:
+    """Length of the stretch that has each station; 0 if none has."""
+    if not len(stretches):
+        return np.zeros(len(s))
+    start, end = stretches[np.clip(np.searchsorted(stretches[:, 0], s, side="right") - 1, 0, None)].T
+    return np.where((s >= start) & (s <= end), end - start, 0.0)
+
+
+def _beyond(stretches: Stretches, s: Values) -> Values:
+    """Distance of stations from the nearest stretch; negative inside."""
+    if not len(stretches):
+        return np.full(s.shape, np.inf)
+    start, end = stretches[np.clip(np.searchsorted(stretches[:, 0], s, side="right") - 1, 0, None)].T
+    after = np.append(stretches[:, 0], np.inf)[np.searchsorted(stretches[:, 0], s, side="right")]
+    return np.minimum(np.maximum(start - s, s - end), after - s)
 
 
 def _merged(stretches: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "m 2"]:

@@ -185,7 +185,7 @@ def _against_ground_truth(expected: Labels, labels: Labels) -> Iterator[Finding]
         yield Finding("", f"expected lanes {[lane.id for lane in expected.lanes]}, got {ids}")
         return
     # Older labels do not have the paint of their lines.
-    paint = ("color", "double") if any(lane.color for lane in labels.lanes) else ()
+    paint = ("color", "double", "pair") if any(lane.color for lane in labels.lanes) else ()
     for lane, true in zip(labels.lanes, expected.lanes, strict=True):
         for name in ("kind", "road", "direction", "marking", "left", "right", *paint):
             if getattr(lane, name) != getattr(true, name):

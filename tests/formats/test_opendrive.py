@@ -165,6 +165,10 @@ def test_traffic_and_successors_are_those_of_the_lane_graph(road):
     assert found == expected
 
 
+def _rows(world, line):
+    return painted_rows(world.ground, line, world.scene.stream, line.marking)
+
+
 def marks_of(file_road):
     """(lane number, mark, its start and end) of all that is painted."""
     for number, lane in file_road.lanes.items():
@@ -194,7 +198,7 @@ def test_marks_are_the_delimiters_in_place_colour_and_dashes(road):
             points = np.array([place(s) for s in np.linspace(start, end, 5)[1:4]])
             errors = {name: np.hypot(*apart(points, line)).max() for name, line in dense.items()}
             name = min(errors, key=errors.get)
-            line, rows = lines[name], painted_rows(world.ground, lines[name], world.scene.stream)
+            line, rows = lines[name], _rows(world, lines[name])
             assert errors[name] < 0.05
             marked[name] += end - start
             kind = "solid solid" if is_double(line, world.scene.markings) else "solid"
@@ -219,6 +223,38 @@ def test_marks_are_the_delimiters_in_place_colour_and_dashes(road):
         # Behind the split, `stem_line` bounds lanes of two connecting roads.
         length = steps[np.abs(s) <= 250].sum() + (steps[s >= 0].sum() if name == "stem_line" else 0)
         assert marked[name] == pytest.approx(length, abs=4), line
+
+
+@pytest.mark.parametrize(("road", "pair"), zip(ROADS, ["solid_dashed", "dashed_solid"] * 5, strict=True), ids=str)
+def test_the_stripes_of_mixed_pairs_lie_on_their_sides_with_their_dashes(road, pair):
+    markings = {"left_double": True, "left_pair": pair, "width_m": 0.2, "dash_cycle_m": 9, "dash_fraction": 0.3}
+    world = world_of(markings, **road)
+    lines = [line for line in world.site.lines if is_double(line, world.scene.markings)]
+    s = np.arange(-250, 250, 0.05)
+    dense = {line.id: line.points_world(world.plan, s[(s > line.start_m) & (s < line.end_m)]) for line in lines}
+    found = set()
+    for file_road in read_roads(opendrive(world, "test")).values():
+        for number, mark, start, end in marks_of(file_road):
+            stripes = {float(stripe.get("tOffset")): stripe for stripe in mark.findall("type/line")}
+            if len(stripes) == 1 or end - start < 10:
+                continue
+            gaps = {t: float(stripe.get("space")) for t, stripe in stripes.items()}
+            (solid_t,) = (t for t, gap in gaps.items() if gap == 0)
+            assert sorted(gaps) == pytest.approx([-0.2, 0.2])
+            at = (start + end) / 2
+            edge = file_road.cubic("laneOffset", at) if number == 0 else file_road.edges(number, at)[1]
+            (here,), (aside,) = (np.atleast_2d(file_road.point(at, float(edge) + t)) for t in (0.0, solid_t))
+            name = min(dense, key=lambda name: np.linalg.norm(dense[name][:, :2] - here[:2], axis=1).min())
+            # The host drives towards +y: the side of +x is the driver's right.
+            assert (aside[0] > here[0]) == (pair == "dashed_solid")
+            # OpenDRIVE names the stripes from left to right on lane 0, elsewhere from the inside.
+            first, last = (max, min) if number <= 0 else (min, max)
+            words = ["solid" if gaps[side(gaps)] == 0 else "broken" for side in (first, last)]
+            assert mark.get("type") == " ".join(words)
+            # Numbers of lanes increase to the left; lanes are changed from the side of the dashes.
+            assert mark.get("laneChange") == ("increase" if solid_t > 0 else "decrease")
+            found.add(name)
+    assert found == set(dense)
 
 
 def test_objects_stand_and_lie_where_the_worlds_do():

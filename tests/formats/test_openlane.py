@@ -131,7 +131,8 @@ def test_openlane_names_are_those_that_loaders_look_for(part, parts, folder):
 
 
 def test_openlane_categories_are_those_of_the_paint():
-    # OpenLane: 1 white-dash, 2 white-solid, 3 double-white-dash, 4 double-white-solid; 7 to 10 the same in yellow.
+    # OpenLane: 1 white-dash, 2 white-solid, 3 double-white-dash, 4 double-white-solid, 5 white-ldash-rsolid,
+    # 6 white-lsolid-rdash; 7 to 12 the same in yellow.
     expected = {
         ("dashed", False, False): 1,
         ("solid", False, False): 2,
@@ -148,6 +149,14 @@ def test_openlane_categories_are_those_of_the_paint():
         color = "yellow" if is_yellow else "white"
         lane = cf.lane(camera, cf.curve(2.0), marking=marking, color=color, double=is_double)
         assert [line.category for line in openlane_frame(cf.labels_of(camera, lane)).lines] == [category]
+    mixed = {"dashed_solid": (5, 11), "solid_dashed": (6, 12)}
+    for pair, categories in mixed.items():
+        for color, category in zip(("white", "yellow"), categories, strict=True):
+            lane = cf.lane(camera, cf.curve(2.0), marking="solid", color=color, double=True, pair=pair)
+            frame = openlane_frame(cf.labels_of(camera, lane))
+            assert [line.category for line in frame.lines] == [category]
+            (again,) = frame.labels((1920, 1280)).lanes
+            assert (again.marking, again.color, again.double, again.pair) == ("solid", color, True, pair)
     older = cf.lane(camera, cf.curve(2.0), marking="dashed")
     assert [line.category for line in openlane_frame(cf.labels_of(camera, older)).lines] == [1]
 

@@ -78,7 +78,7 @@ def test_an_openlane_split_gives_our_lanes(labels, tmp_path):
                 "visibility": [1.0] * len(lane.xyz_cam),
                 "category": category,
             }
-            for lane, category in zip(lanes_of(labels, "delimiter"), (10, 1, 21), strict=True)
+            for lane, category in zip(lanes_of(labels, "delimiter"), (12, 1, 21), strict=True)
         ],
     }
     folder = tmp_path / "lane3d_1000/validation"
@@ -93,9 +93,13 @@ def test_an_openlane_split_gives_our_lanes(labels, tmp_path):
     u, v, depth = camera.img_from_cam @ [2.0, 10.0, 1.0]
     assert (u / depth, v / depth) == pytest.approx((250 + 83.14, 180 - 41))
     assert_same_lanes(sample.labels, labels, "delimiter")
-    # Double yellow solid, white dashed, right curb.
-    paints = [(lane.marking, lane.color, lane.double) for lane in sample.labels.lanes]
-    assert paints == [("solid", "yellow", True), ("dashed", "white", False), ("none", None, None)]
+    # Double yellow with a solid left stripe, white dashed, right curb.
+    paints = [(lane.marking, lane.color, lane.double, lane.pair) for lane in sample.labels.lanes]
+    assert paints == [
+        ("solid", "yellow", True, "solid_dashed"),
+        ("dashed", "white", False, None),
+        ("none", None, None, None),
+    ]
 
 
 def test_a_tusimple_file_gives_columns_and_images(tmp_path):

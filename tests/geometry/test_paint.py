@@ -5,6 +5,7 @@ import pytest
 from scipy.ndimage import label as clusters
 
 from synth3dlanes.geometry.paint import DOT_HEIGHT_M, DOT_M, DOTS_M
+from synth3dlanes.ground_truth import label
 from synth3dlanes.world import resolve
 from tests.scenes import changed, seen_on_flat_ground
 
@@ -29,6 +30,56 @@ def test_a_double_line_is_two_stripes_about_the_left_edge_and_nothing_else_chang
     np.testing.assert_allclose(x, -5.25 + 0.12 * np.array([-1.5, -0.5, 0.5, 1.5]), atol=1e-6)
     for name in single.keys() - {"main_line_0"}:
         np.testing.assert_array_equal(single[name].vertices_world, double[name].vertices_world)
+
+
+def painted_at(world, mesh, x_m, at_m):
+    """Where a straight flat road has paint x_m to the right of its middle, by the faces of a line."""
+    x = seen_on_flat_ground(world, mesh.vertices_world)[mesh.faces][:, :, 0].T
+    y = world.plan.plan_station(mesh.uv_m[mesh.faces][:, :, 1]).T
+    there = (
+        (x.min(axis=0) < x_m) & (x.max(axis=0) > x_m) & (y.min(axis=0) > at_m[0] - 9) & (y.max(axis=0) < at_m[-1] + 99)
+    )
+    low, high = y[:, there].min(axis=0), y[:, there].max(axis=0)
+    return ((at_m[:, None] > low) & (at_m[:, None] < high)).any(axis=1)
+
+
+@pytest.mark.parametrize("pair", ["solid_dashed", "dashed_solid"])
+@pytest.mark.parametrize("flips", [(x, y) for x in (False, True) for y in (False, True)])
+@pytest.mark.parametrize("median_m", [None, 0.0, 4.0])
+def test_the_solid_stripe_of_a_mixed_pair_is_on_the_side_the_scene_says_as_the_host_drives(median_m, flips, pair):
+    oncoming = {} if median_m is None else {"n_oncoming": 2, "median_m": median_m}
+    road = {"flip_longitudinal": flips[0], "flip_lateral": flips[1], **oncoming}
+    markings = {"left_double": True, "width_m": 0.2, "dash_cycle_m": 8.0, "dash_fraction": 0.4}
+    world = resolve(changed(road=road, markings=markings | {"left_pair": pair}))
+    strips = world.paint(world.view)
+    labels = {lane.id: lane for lane in label(world, world.view).lanes}
+    lines = [name for name, lane in labels.items() if lane.double]
+    assert len(lines) == (2 if median_m else 1)
+    at_m = np.arange(-45, 40, 0.1) + 0.033
+    for name in lines:
+        assert (labels[name].marking, labels[name].pair) == ("solid", pair)
+        x_m = labels[name].xyz_cam[0, 0] + world.view.eye_world[0]
+        left, right = (painted_at(world, strips[name], x_m + side, at_m) for side in (-0.2, 0.2))
+        solid, dashed = (left, right) if pair == "solid_dashed" else (right, left)
+        assert solid.all(), "to the right of the line is the right of the driver"
+        assert dashed.mean() == pytest.approx(0.4, abs=0.05)
+        # The dashes are those of the dashed lines.
+        lane = next(lane for lane in labels.values() if lane.marking == "dashed")
+        beside_m = lane.xyz_cam[0, 0] + world.view.eye_world[0]
+        assert (dashed == painted_at(world, strips[lane.id], beside_m, at_m)).mean() > 0.97
+    assert {lane.pair for name, lane in labels.items() if name not in lines} == {None}
+
+
+def test_the_stripes_of_a_mixed_pair_are_never_dots_and_lose_the_same_stretches():
+    markings = {"left_double": True, "left_pair": "solid_dashed", "dash_cycle_m": 8.0, "missing": 0.4, "dots": True}
+    world = resolve(changed(markings=markings))
+    strips = world.paint(world.view)
+    at_m = np.arange(-45, 90, 0.1) + 0.033
+    solid, dashed = (painted_at(world, strips["main_line_0"], -5.25 + side, at_m) for side in (-0.12, 0.12))
+    assert solid.mean() < 0.9
+    assert not (dashed & ~solid).any()
+    _, n = clusters(dashed)
+    assert n < 20, "a dash is one piece, not four dots"
 
 
 @pytest.mark.parametrize("flip", [False, True])

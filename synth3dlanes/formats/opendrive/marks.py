@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from synth3dlanes.formats.opendrive.roads import Road
 from synth3dlanes.geometry.lanes import Curve
-from synth3dlanes.geometry.paint import is_dotted, is_double, line_width_m, paint_color
+from synth3dlanes.geometry.paint import is_dotted, is_double, line_width_m, paint_color, pair_of
 from synth3dlanes.world import World
 
 Values = Float[np.ndarray, " k"]
@@ -25,29 +25,44 @@ MARK_M, LENGTH_STEP_M = 50.0, 0.5
 # From the first to the last place of a stretch that have to be near, as shares of it.
 PROBES = np.array([0.2, 0.5, 0.8])
 
+Kind = Literal["none", "solid", "double", "solid_dashed", "dashed_solid", "dashed", "dots"]
+MIRRORED: dict[Kind, Kind] = {"solid_dashed": "dashed_solid", "dashed_solid": "solid_dashed"}
+
 
 @dataclass(frozen=True)
 class Mark:
-    """Paint from `s_m` of a road to the next mark: the width of a stripe, the lengths of dashes and gaps, and where the
-    first dash begins after `s_m`. A solid line is one dash."""
+    """Paint from `s_m` of a road to the next mark, `length_m` away: the width of a stripe, the lengths of dashes and
+    gaps, and where the first dash begins after `s_m`. Of stripes that differ, `kind` names the left one first."""
 
     s_m: float
-    kind: Literal["none", "solid", "double", "dashed", "dots"] = "none"
+    kind: Kind = "none"
     color: str = "standard"
     width_m: float = 0.0
+    length_m: float = 0.0
     dash_m: float = 0.0
     gap_m: float = 0.0
     first_m: float = 0.0
 
     @property
-    def stripes_m(self) -> tuple[float, ...]:
-        """The t of the stripes from the edge."""
-        return {"none": (), "double": (-self.width_m, self.width_m)}.get(self.kind, (0.0,))
+    def stripes(self) -> dict[float, tuple[float, float, float]]:
+        """By the t of the stripes from the edge: their dashes, gaps and first dash; a solid stripe is one dash."""
+        solid, dashes = (self.length_m, 0.0, 0.0), (self.dash_m, self.gap_m, self.first_m)
+        if self.kind == "none":
+            return {}
+        if self.is_double:
+            right, left = (dashes if self.kind == dashed else solid for dashed in ("solid_dashed", "dashed_solid"))
+            return {-self.width_m: right, self.width_m: left}
+        return {0.0: solid if self.kind == "solid" else dashes}
+
+    @property
+    def is_double(self) -> bool:
+        """Whether there are two stripes."""
+        return self.kind in ("double", *MIRRORED)
 
     @property
     def total_width_m(self) -> float:
         """The width over all stripes."""
-        return 3 * self.width_m if self.kind == "double" else self.width_m
+        return 3 * self.width_m if self.is_double else self.width_m
 
 
 def marks(world: World, road: Road) -> dict[int, list[Mark]]:
@@ -89,10 +104,13 @@ def _of(world: World, road: Road, edge_xy: Float[np.ndarray, "m 2"], line: Curve
     markings = world.scene.markings
     look = str(paint_color(line, markings)), line_width_m(line, markings)
     start_m, end_m = float(road.s_m[at[0]]), float(road.s_m[at[-1]])
-    if line.marking == "solid":
+    pair = pair_of(line, markings)
+    if line.marking == "solid" and pair is None:
         yield Mark(start_m, "double" if is_double(line, markings) else "solid", *look, end_m - start_m), end_m
         return
-    kind: Literal["dots", "dashed"] = "dots" if is_dotted(line, markings) else "dashed"
+    kind: Kind = "dots" if is_dotted(line, markings) else "dashed"
+    if pair:
+        kind = MIRRORED[pair] if road.is_oncoming else pair
     cycle_m, dash_m = markings.dash_cycle_m, markings.dash_fraction * markings.dash_cycle_m
     length_m, ascends = _lengths(world, line, road.plan_s[at]), road.plan_s[at[-1]] > road.plan_s[at[0]]
     # Dashes begin at multiples of their cycle along the line from the split; seen from behind, they end there.
@@ -104,7 +122,7 @@ def _of(world: World, road: Road, edge_xy: Float[np.ndarray, "m 2"], line: Curve
     for i, (place_m, next_m) in enumerate(pairwise(places_m)):
         scale = (next_m - place_m) / (begins_m[i + 1] - begins_m[i])
         from_m = place_m if i else start_m
-        sizes = scale * dash_m, scale * (cycle_m - dash_m), place_m - from_m
+        sizes = next_m - from_m, scale * dash_m, scale * (cycle_m - dash_m), place_m - from_m
         yield Mark(float(from_m), kind, *look, *map(float, sizes)), float(next_m)
 
 

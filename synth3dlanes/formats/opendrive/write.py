@@ -6,8 +6,8 @@ from xml.etree import ElementTree
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.formats.opendrive.convention import MAJOR, MARK_TYPES, MINOR, NO_NUMBER, USER_DATA
-from synth3dlanes.formats.opendrive.marks import Mark, marks
+from synth3dlanes.formats.opendrive.convention import LANE_CHANGES, MAJOR, MARK_TYPES, MINOR, NO_NUMBER, USER_DATA
+from synth3dlanes.formats.opendrive.marks import MIRRORED, Mark, marks
 from synth3dlanes.formats.opendrive.objects import add_objects
 from synth3dlanes.formats.opendrive.profiles import knots, pieces
 from synth3dlanes.formats.opendrive.roads import JUNCTION, Lane, Road, roads, stems
@@ -88,7 +88,7 @@ def _add_road(root: Element, world: World, road: Road, found: list[Road], number
         on_side = [lane for lane in road.lanes if np.sign(lane.number) == side]
         if side == 0:
             center = add(add(section, tag), "lane", id="0", type="none", level="false")
-            _add_marks(center, found_marks[0])
+            _add_marks(center, 0, found_marks[0])
         elif on_side:
             group = add(section, tag)
             for lane in on_side:
@@ -136,22 +136,23 @@ def _add_lane(
     width = np.abs(lane.outer_m - lane.inner_m)
     for piece in pieces(road.s_m, width[:, None], WIDTH_M):
         add(element, "width", sOffset=piece.s, **_abcd(piece.abcd[:, 0]))
-    _add_marks(element, found)
+    _add_marks(element, lane.number, found)
     if lane.segment:
         add(element, "userData", code=USER_DATA, value=lane.segment)
 
 
-def _add_marks(element: Element, found: list[Mark]) -> None:
+def _add_marks(element: Element, number: int, found: list[Mark]) -> None:
     for mark in found:
-        kind, width = MARK_TYPES[mark.kind], {"width": mark.total_width_m}
+        from_inside = MIRRORED.get(mark.kind, mark.kind) if number > 0 else mark.kind
+        kind, width = MARK_TYPES[from_inside], {"width": mark.total_width_m}
         common = {"type": kind, "weight": "standard", "color": mark.color}
-        change = "both" if mark.kind in ("dashed", "dots") else "none"
+        change = LANE_CHANGES.get(mark.kind, "none")
         entry = add(element, "roadMark", sOffset=mark.s_m, **common, **width, laneChange=change)
-        if mark.stripes_m:
+        if mark.stripes:
             lines = add(entry, "type", name=kind, **width)
-        for t_m in mark.stripes_m:
-            places = {"tOffset": t_m, "sOffset": mark.first_m, "width": mark.width_m}
-            add(lines, "line", length=mark.dash_m, space=mark.gap_m, **places, color=mark.color)
+        for t_m, (dash_m, gap_m, first_m) in mark.stripes.items():
+            places = {"tOffset": t_m, "sOffset": first_m, "width": mark.width_m}
+            add(lines, "line", length=dash_m, space=gap_m, **places, color=mark.color)
 
 
 def _number_in(other: Road, world: World, road: Road, lane: Lane) -> int | None:

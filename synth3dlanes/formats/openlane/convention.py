@@ -9,20 +9,24 @@ from jaxtyping import Float
 
 from synth3dlanes.formats.writing import Pinhole
 from synth3dlanes.frames import Matrix4
-from synth3dlanes.labels import Marking, PaintColor
+from synth3dlanes.labels import Marking, PaintColor, Pair
 
 CAMERA = Pinhole(1920, 1280, 2015.0)
-PAINTS: dict[int, tuple[Marking, PaintColor, bool]] = {
-    1: ("dashed", "white", False),
-    2: ("solid", "white", False),
-    3: ("dashed", "white", True),
-    4: ("solid", "white", True),
-    7: ("dashed", "yellow", False),
-    8: ("solid", "yellow", False),
-    9: ("dashed", "yellow", True),
-    10: ("solid", "yellow", True),
+PAINTS: dict[int, tuple[Marking, PaintColor, bool, Pair | None]] = {
+    1: ("dashed", "white", False, None),
+    2: ("solid", "white", False, None),
+    3: ("dashed", "white", True, None),
+    4: ("solid", "white", True, None),
+    5: ("solid", "white", True, "dashed_solid"),
+    6: ("solid", "white", True, "solid_dashed"),
+    7: ("dashed", "yellow", False, None),
+    8: ("solid", "yellow", False, None),
+    9: ("dashed", "yellow", True, None),
+    10: ("solid", "yellow", True, None),
+    11: ("solid", "yellow", True, "dashed_solid"),
+    12: ("solid", "yellow", True, "solid_dashed"),
 }
-"""Marking, colour and whether the line is double, by the field `category`; it has others for what we do not have."""
+"""Marking, colour, whether the line is double, and its stripes if they differ, by the field `category`."""
 KERB_LEFT, KERB_RIGHT = 20, 21
 WAYMO_FROM_CAM = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 

@@ -49,8 +49,9 @@ README = """OpenLane v1 layout.
   from the image border. `extrinsic`: vehicle_from_camera in the same axes, the vehicle's origin at the camera's foot
   on the road plane. `uv`: exact projections of the visible points, in their order.
 - `visibility` is a prefix: terrain hides lanes, cars do not. `category`: 1 white dashed, 2 white solid, 3 and 4 the
-  same doubled, 7 to 10 the same four in yellow, 20 and 21 kerbs on the left and right. `attribute`: 1 to 4 = the lines
-  left-left, left, right, right-right of the camera, 0 all others.
+  same doubled, 5 and 6 double with the left or the right stripe dashed and the other solid, 7 to 12 the same six in
+  yellow, 20 and 21 kerbs on the left and right. `attribute`: 1 to 4 = the lines left-left, left, right, right-right of
+  the camera, 0 all others.
 - A clip of one camera is a segment, in which a line keeps its `track_id`. Single pictures are scenes of their own, 100
   of them in a segment: no id occurs in two of them.
 - Centre lines are not part of the format. PersFormer caches `.cache/*.pkl` by name: delete it after exporting again.
@@ -100,7 +101,7 @@ def _segment(frame: PinholeFrame) -> tuple[str, Callable[[int, str], int]]:
 def category(lane: Lane) -> int:
     """The number of the line's paint, 0 if unknown. Older labels have no colour: their lines count as single and
     white."""
-    paint = (lane.marking, lane.color or "white", bool(lane.double))
+    paint = (lane.marking, lane.color or "white", bool(lane.double), lane.pair)
     return next((number for number, other in PAINTS.items() if other == paint), 0)
 
 
