@@ -168,7 +168,7 @@ def test_neighbours_of_a_single_picture_are_among_its_lines():
         scene = sample_scene(Scenes(params(*EXIT), 0, "train"), index)
         labels = ground_truth(scene)
         known = {lane.id for lane in labels.lanes}
-        left_out += len({line.id for line in resolve(scene).lines} - known)
+        left_out += len({line.id for line in resolve(scene).site.lines} - known)
         assert {side for lane in labels.lanes for side in (lane.left, lane.right)} <= {None, *known}
         assert not unknown(labels)
         # A neighbour that no line has is an error there.

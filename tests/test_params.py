@@ -122,7 +122,7 @@ def test_all_mistakes_come_at_once(tmp_path: Path) -> None:
         ("none.yaml", "none.yaml: cannot read: No such file or directory"),
         ("empty.yaml", "empty.yaml: expected groups of parameters, got None"),
         ("binary.yaml", "binary.yaml: cannot read: "),
-        ("folder.yaml", "folder.yaml: cannot read: Is a directory"),
+        ("folder.yaml", "folder.yaml: expected a file, got a folder"),
     ],
 )
 def test_a_file_that_is_none(source: str, expected: str, in_tmp_path: Path) -> None:

@@ -60,7 +60,8 @@ class Plan:
         """This part's shards by number, relative to the data set."""
         part, parts = self.part
         numbers = range(part - 1, math.ceil(self.n / self.shard_size), parts)
-        return {number: replace(self.shard(0), number=number) for number in numbers}
+        first = self.shard(0)
+        return {number: replace(first, number=number) for number in numbers}
 
     def shard(self, number: int) -> Shard:
         """A shard of the split, of this part or not, relative to the data set."""

@@ -9,7 +9,7 @@ import numpy as np
 from synth3dlanes.formats.band_score import score
 from synth3dlanes.formats.culane.convention import EVALUATED
 from synth3dlanes.formats.culane.read import CulaneEntry, Polyline, lines_path, parse_entry, parse_lines
-from synth3dlanes.formats.reading import first_lines, image_size, read_mask, read_text
+from synth3dlanes.formats.reading import first_lines, read_mask, read_text
 from synth3dlanes.formats.self_check import (
     Sidecars,
     Verified,
@@ -40,7 +40,7 @@ def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Ve
         shifted = score(controls(pairs, EVALUATED), EVALUATED)
         problems = image_problems([out / entry.image for entry in entries], size_px)
         for entry, lines in zip(entries, true, strict=True):
-            problems += _mask_problems(out, entry, lines)
+            problems += _mask_problems(out, entry, lines, size_px)
         problems += band_problems(name, perfect, shifted) if pairs else ()
         yield Verified(name, len(entries), len(pairs), asdict(perfect), asdict(shifted), tuple(problems))
 
@@ -50,11 +50,13 @@ def _read(out: Path, entry: CulaneEntry) -> tuple[Polyline, ...]:
     return drawable(parse_lines(read_text(path), str(path)), str(path))
 
 
-def _mask_problems(out: Path, entry: CulaneEntry, lines: tuple[Polyline, ...]) -> Iterator[str]:
+def _mask_problems(
+    out: Path, entry: CulaneEntry, lines: tuple[Polyline, ...], size_px: tuple[int, int]
+) -> Iterator[str]:
     """Findings unless the mask has every line, under its number."""
     if entry.mask is None:
         return
-    mask = read_mask(out / entry.mask, image_size(out / entry.image), "L")
+    mask = read_mask(out / entry.mask, size_px, "L")
     numbers = [number for number, exists in enumerate(entry.exists, 1) if exists]
     found = sorted(set(np.unique(mask).tolist()) - {0})
     if found != numbers or len(lines) != len(numbers):
