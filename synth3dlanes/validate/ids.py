@@ -61,11 +61,12 @@ def check_ids(evidence: Evidence) -> Iterator[Result]:
     passes = evidence.passes
     if {"semantic", "instance"} <= set(passes):
         yield from disagreement("instance", passes["semantic"], passes["instance"])
-    if {"depth", "semantic", "instance"} <= set(passes):
-        yield from _surfaces(evidence)
     if "depth" in passes and {"semantic", "instance"} & set(passes):
         yield from _paint(evidence)
         yield from _bodies(evidence)
+    # After bodies: faces of another body are of another kind, too.
+    if {"depth", "semantic", "instance"} <= set(passes):
+        yield from _surfaces(evidence)
 
 
 def kind_of(instance: Integer[np.ndarray, "*n"]) -> Integer[np.ndarray, "*n"]:

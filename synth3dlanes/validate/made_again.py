@@ -178,9 +178,10 @@ def compare(picture: Picture, made: Members, lies: Members) -> Iterator[str]:
         except (FormatError, KeyError, ValueError) as error:
             yield f"{name}: cannot be compared: {error}"
     puzzles = {fault.layer for fault in faults if not fault.is_explained}
+    shows = any(fault.layer == "image" for fault in faults)
     is_alone = puzzles == {"image"} and len(faults) == 1 and PASSES in made
     for fault in faults:
-        scene = "rendered from another scene" if len(puzzles) > 1 and "image" in puzzles else ""
+        scene = "rendered from another scene" if len(puzzles) > 1 and shows else ""
         reason = scene or ("the passes agree, so light, colours or materials differ" if is_alone else "")
         yield ": ".join(filter(None, [fault.text, "" if fault.is_explained else reason]))
 
