@@ -108,7 +108,7 @@ def _work(
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
     torch.set_num_threads(1)
-    with suppress(BrokenPipeError), open(writing, "wb") as stream:
+    with suppress(BrokenPipeError), os.fdopen(writing, "wb") as stream:
         for indices in islice(order, number, None, n_workers):
             try:
                 _write(stream, make(indices))

@@ -7,7 +7,7 @@ from synth3dlanes.figures.stats import is_fine, scene_statistics
 from synth3dlanes.imaging.daylight import daylight
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import Scenes, sample_scene
-from synth3dlanes.scene import to_json
+from synth3dlanes.scene import Host, Weather, from_json, to_json
 
 FEW = ["cars.n=2", "trees.n=3"]
 
@@ -61,18 +61,22 @@ def test_weather_changes_nothing_but_what_it_names():
 
 
 def test_a_scene_without_weather_has_none_in_its_file():
-    text = to_json(drawn(n=1, preset="appendix_i")[0])
-    assert not any(f'"{word}":' in text for word in ("weather", "host", "flare", "dirt", "drops", "jpeg_quality"))
+    plain = drawn(n=1, preset="appendix_i")[0]
+    assert (plain.weather, plain.host) == (Weather(), Host())
+    assert from_json(to_json(plain), "scene.json") == plain
     scene = drawn("weather.rain=0.5", n=1)[0]
     assert (scene.weather.kind, scene.weather.rain) == ("any", 0.5)
 
 
 @pytest.mark.parametrize("of", ["weather.daytime={day: 1, night: 1}", "weather.kind={any: 1, fog: 1}"])
-def test_statistics_compare_only_what_the_weather_leaves(of):
+def test_statistics_compare_with_what_the_weather_makes_of_the_parameters(of):
     params = load_params("diverse", [*FEW, of])
     scenes = [sample_scene(Scenes(params, 3, "weather"), index) for index in range(50)]
     rows = {row.key: row for row in scene_statistics(scenes, params).parameters}
     assert [row.key for row in rows.values() if not is_fine(row)] == []
     replaced = "light.sun_zenith_deg" if "daytime" in of else "air.visibility_m"
-    assert rows[replaced].count < 50
+    assert rows[replaced].count == 50
+    other = {"daytime": "day"} if "daytime" in of else {"kind": "any"}
+    lying = [scene.model_copy(update={"weather": scene.weather.model_copy(update=other)}) for scene in scenes]
+    assert not is_fine({row.key: row for row in scene_statistics(lying, params).parameters}[replaced])
     assert rows["light.sun_azimuth_deg"].count == 50

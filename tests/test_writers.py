@@ -23,7 +23,6 @@ ALLOWED = {
     "synth3dlanes/production/signals.py": "/dev/null",
     "synth3dlanes/validate/contents.py": "/dev/null",
     "synth3dlanes/dataset/stores.py": "files of stores, and copies in the folder of this process",
-    "synth3dlanes/dataset/destination.py": "copies in the folder of this process",
 }
 
 

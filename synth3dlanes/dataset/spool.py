@@ -107,7 +107,7 @@ def _take_over(store: Folder, name: str, shard: Shard) -> None:
             unjoin(theirs, here, set())
             for path in theirs.parts().values():
                 here.open()
-                os.replace(path, here.path("parts") / path.name)
+                store.take((here.path("parts") / path.name).relative_to(store.root), path)
             store.remove_tree(other.name)
 
 

@@ -225,7 +225,7 @@ def test_marks_are_the_delimiters_in_place_colour_and_dashes(road):
         assert marked[name] == pytest.approx(length, abs=4), line
 
 
-@pytest.mark.parametrize(("road", "pair"), zip(ROADS, ["solid_dashed", "dashed_solid"] * 5, strict=True), ids=str)
+@pytest.mark.parametrize(("road", "pair"), list(zip(ROADS, ["solid_dashed", "dashed_solid"] * 5, strict=True)), ids=str)
 def test_the_stripes_of_mixed_pairs_lie_on_their_sides_with_their_dashes(road, pair):
     markings = {"left_double": True, "left_pair": pair, "width_m": 0.2, "dash_cycle_m": 9, "dash_fraction": 0.3}
     world = world_of(markings, **road)
