@@ -8,15 +8,18 @@ the sixteen around it show one surface without an edge.
 from collections.abc import Iterator
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.camera import project
+from synth3dlanes.geometry.meshes import road_stations
 from synth3dlanes.sensors.sweep import LidarPoints
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
 from synth3dlanes.validate.ids import THINGS, disagreement, kind_of, outside_bodies
 from synth3dlanes.validate.pixels import Passes, around, depth_between
+from synth3dlanes.validate.places import places
 from synth3dlanes.validate.surface import MAX_GAP_M, PAVEMENT, misplaced, pavement_at
 from synth3dlanes.world import World
 
@@ -25,6 +28,8 @@ MAX_RANGE_M, MAX_SHARE, MIN_POINTS = 0.01, 0.02, 20
 # Depth is interpolated where its error by the surface's bend is below this; surfaces whose depths differ by a larger
 # share are two.
 MAX_BEND_M, ONE_SURFACE = 0.003, 0.02
+# Rows of the pavement are 1 m apart where labels are.
+FINE_M = 1.5
 
 
 def check_lidar(evidence: Evidence) -> Iterator[Result]:
@@ -34,6 +39,7 @@ def check_lidar(evidence: Evidence) -> Iterator[Result]:
     points, world = sweep.points(), evidence.world
     points_world = transform(world.view.world_from_lidar, points.xyz_lidar)
     paved = np.isin(points.semantic, PAVEMENT) & (points.range_m < PROOF_M)
+    paved[paved] = _is_fine(world, points_world[paved])
     eye_world, range_m = world.view.world_from_lidar[:3, 3], points.range_m[paved].astype(float)
     pavement = pavement_at(world, eye_world, points_world[paved], range_m, points.semantic[paved])
     ground = Measure("lidar_ground_m", range_m, np.abs(pavement.gap_m))
@@ -53,6 +59,14 @@ def check_lidar(evidence: Evidence) -> Iterator[Result]:
         yield Finding("", f"lidar: expected points on what the depth pass shows, got {n_behind} in front of it")
     if n_otherwise > max(MIN_POINTS, MAX_SHARE * n):
         yield Finding("", f"lidar: expected the ids of the passes, got others at {n_otherwise} of {n} points")
+
+
+def _is_fine(world: World, points_world: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+    """Which points are where the pavement's rows are close. Far behind a host without rear cameras they are not, and
+    the pavement is straight between them."""
+    rows = np.sort(world.plan.plan_station(road_stations(world.ground)))
+    before = np.searchsorted(rows, places(world.ground, points_world[:, :2]).s) - 1
+    return np.asarray(np.diff(rows)[np.clip(before, 0, len(rows) - 2)] < FINE_M)
 
 
 def _judge(measure: Measure, limit_m: float, of: str) -> Iterator[Result]:
