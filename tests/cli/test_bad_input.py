@@ -48,7 +48,6 @@ Run = Callable[..., Result]
         ("generate --n 1000000000 --out d", "--n: expected 0 to 100000000, got 1000000000"),
         ("generate --n 90000000 --out d --device cpu", "d: 90000000 samples need "),
         ("generate --n 90000000 --out d --device cpu --dry-run", "d: 90000000 samples need "),
-        ("generate --n 3 --out d --address x", "--address can only be used with --executor ray."),
         (
             "params check partial.yaml",
             "partial.yaml: 10 missing keys: terrain, road, markings, ...; a file has all keys",
