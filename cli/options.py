@@ -10,15 +10,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 from click.core import ParameterSource
 
-from synth3dlanes.settings import DEVICES, PASSES, QUALITY_SAMPLES, SPLIT_NAME
+from synth3dlanes.settings import DEVICES, MAX_SEED, PASSES, QUALITY_SAMPLES, SPLIT_NAME
 
 from .idle import refuse_idle, refuse_idle_keys, refuse_repeated
 
 if TYPE_CHECKING:
     from synth3dlanes.assets.catalogue import Library
     from synth3dlanes.shots import Shots
-
-MAX_SEED = 2**128
 
 
 class Names(click.ParamType):

@@ -120,6 +120,7 @@ def test_info_and_validate_take_one_split(run: Run, folder: Path, in_tmp_path: P
     of_one = run("validate", "d/train", "--limit", 0, "--workers", 1)
     of_all = run("validate", "d", "--limit", 0, "--workers", 1)
     assert (of_one.exit_code, of_all.exit_code) == (0, 1), of_one.output
+    assert of_one.stdout.endswith("0 samples checked: the files are all right, labels and pixels were not looked at\n")
     assert "val/00001.tar" in of_all.stdout
 
 
