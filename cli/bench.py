@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from synth3dlanes.words import counted
+
 from .generate import WORKERS_HELP, Workers
 from .options import (
     assets_option,
@@ -95,7 +97,12 @@ def _print(found: "Bench") -> None:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table("stage", "seconds", "of the floor", title=f"{found.scenes} scenes, {found.workers} workers")
+    table = Table(
+        "stage",
+        "seconds",
+        "of the floor",
+        title=f"{counted(found.scenes, 'scene')}, {counted(found.workers, 'worker')}",
+    )
     for name, seconds in found.stages.items():
         table.add_row(name, f"{seconds:.4f}", f"{seconds / found.floor_seconds_per_image:.3f}")
     table.add_section()

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from synth3dlanes.settings import SPLIT_NAME
+from synth3dlanes.words import counted
 
 from .options import json_option
 
@@ -56,7 +57,9 @@ def info(folder: str, as_json: bool) -> None:
     recipe = found.recipe
     passes = ", ".join(recipe["render"]["passes"]) or "none"
     click.echo(f"{folder}: synth3dlanes {recipe['generator']}, seed {recipe['seed']}, {recipe['image_format']}")
-    click.echo(f"{recipe['render']['samples']} rays a pixel on {recipe['render']['device']}, passes: {passes}")
+    click.echo(
+        f"{counted(recipe['render']['samples'], 'sample')} per pixel on {recipe['render']['device']}, passes: {passes}"
+    )
     if pictures_per_scene(recipe) > 1:
         shots = recipe["shots"]
         clip = [f"{shots['frames']} frames a scene, {shots['fps']:g} a second"] if shots["frames"] > 1 else []
@@ -111,4 +114,4 @@ def merge(folders: tuple[str, ...], out: str) -> None:
 
 def _tell(out: str, counts: dict[str, int]) -> None:
     for name, count in counts.items():
-        click.echo(f"{out}/{name}: {count} samples")
+        click.echo(f"{out}/{name}: {counted(count, 'sample')}")

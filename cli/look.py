@@ -7,6 +7,7 @@ import click
 
 from synth3dlanes.files import replacing, write
 from synth3dlanes.settings import PASSES
+from synth3dlanes.words import counted
 
 from .idle import refuse_idle
 from .options import OutputFile, json_option
@@ -134,7 +135,7 @@ def clip(where: str, out: Path, lanes: bool, width: int | None) -> None:
     found = load_clip(where)
     pictures = [draw_overlay(image, labels) if lanes else image for labels, image in found.frames]
     write(out, draw_clip(pictures, found.fps, width))
-    click.echo(f"Clip: {out}, {len(pictures)} frames")
+    click.echo(f"Clip: {out}, {counted(len(pictures), 'frame')}")
 
 
 @click.command()

@@ -12,6 +12,7 @@ from rich.table import Table
 from synth3dlanes.figures import colors
 from synth3dlanes.figures.histograms import Histogram, histograms
 from synth3dlanes.figures.stats import LabelStatistics, SceneStatistics, is_fine
+from synth3dlanes.words import counted
 
 _COLUMNS = 7
 # Inches over and under the plots. Matplotlib's own layouts would take as long as the drawing.
@@ -31,7 +32,9 @@ def statistics_table(scenes: SceneStatistics, labels: LabelStatistics | None) ->
         topologies.add_row(name, str(count))
     if labels is None:
         return Group(parameters, topologies)
-    measured = _table(f"labels of {labels.n_images} images", "quantity", "min", "5 %", "median", "95 %", "max", "mean")
+    measured = _table(
+        f"labels of {counted(labels.n_images, 'image')}", "quantity", "min", "5 %", "median", "95 %", "max", "mean"
+    )
     for summary in labels.summaries:
         values = (summary.minimum, summary.p05, summary.median, summary.p95, summary.maximum, summary.mean)
         measured.add_row(escape(summary.name), *(f"{value:.3g}" for value in values))
