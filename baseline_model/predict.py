@@ -27,7 +27,7 @@ MOST_SHOWN_PX = 1600
 
 
 @dataclass(eq=False)
-class Summary:
+class PredictionSummary:
     """What was found, and where it is written; `n_lanes` counts lanes of at least the threshold's confidence."""
 
     path: Path
@@ -81,7 +81,7 @@ def predict(
     device: str = "auto",
     own_model: str | None = None,
     threshold: float = 0.5,
-) -> Summary:
+) -> PredictionSummary:
     """Write `predictions.jsonl` and the first `n_overlays` pictures, with lanes of at least this confidence, to
     `out_dir`.
 
@@ -95,7 +95,7 @@ def predict(
     pictures = _pictures(source, intrinsics)
     out = Path(out_dir)
     Folder(out).make()
-    summary = Summary(out / "predictions.jsonl", threshold)
+    summary = PredictionSummary(out / "predictions.jsonl", threshold)
     summary.is_assumed = intrinsics is None and are_files
     needs_plane = intrinsics is None and not are_files and are_tusimples
     shown: list[_Picture] = []
