@@ -12,8 +12,9 @@ from typing import Any, NamedTuple
 from synth3dlanes.arrays import RgbImage
 from synth3dlanes.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.dataset.address import connect, splits_near, translate_store_errors
-from synth3dlanes.dataset.description import DESCRIPTION, Description, data_set_of, parse_description, recipe_text
+from synth3dlanes.dataset.description import DESCRIPTION, Description, parse_description, recipe_text
 from synth3dlanes.dataset.format import SCENE
+from synth3dlanes.dataset.nesting import data_set_of, inner_data_sets, outer_data_sets
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.geometry import height_map
 from synth3dlanes.geometry.camera import rays_of_pixels
@@ -77,6 +78,8 @@ def validate(
         lines = [line.removeprefix(f"{DESCRIPTION}: ") for line in str(error).splitlines()]
         report.problems.append(Problem(DESCRIPTION, "", some(lines)))
         return report
+    nested = [*outer_data_sets(place), *inner_data_sets(place, description.splits)]
+    report.problems += [Problem(DESCRIPTION, "", line) for line in nested]
     try:
         origin = read_origin(document)
     except FormatError as error:
