@@ -29,7 +29,7 @@ MOST_SHOWN_PX = 1600
 
 
 @dataclass(eq=False)
-class Summary:
+class PredictionSummary:
     """What was found, and where it is written; `n_lanes` counts lanes of at least the threshold's confidence."""
 
     path: Path
@@ -45,8 +45,8 @@ class Summary:
             found = f"{self.path}: {counted(self.n_lanes, 'lane')} in {counted(self.n_images, 'image')}"
         else:
             found = (
-                f"{self.path}: no lane of confidence {self.threshold:g} in {counted(self.n_images, 'image')}; the best has "
-                f"{self.best_score:.2f}, --threshold shows it"
+                f"{self.path}: no lane of confidence {self.threshold:g} in {counted(self.n_images, 'image')}; "
+                f"the best has {self.best_score:.2f}, --threshold shows it"
             )
         assumed = f"; a field of view of {ASSUMED_FOV_DEG:g} degrees was assumed, --intrinsics says otherwise"
         return found + assumed * self.is_assumed
@@ -83,7 +83,7 @@ def predict(
     device: str = "auto",
     own_model: str | None = None,
     threshold: float = 0.5,
-) -> Summary:
+) -> PredictionSummary:
     """Write `predictions.jsonl` and the first `n_overlays` pictures, with lanes of at least this confidence, to
     `out_dir`.
 
@@ -97,7 +97,7 @@ def predict(
     pictures = _pictures(source, intrinsics)
     out = Path(out_dir)
     Folder(out).make()
-    summary = Summary(out / "predictions.jsonl", threshold)
+    summary = PredictionSummary(out / "predictions.jsonl", threshold)
     summary.is_assumed = intrinsics is None and are_files
     needs_plane = intrinsics is None and not are_files and are_tusimples
     shown: list[_Picture] = []

@@ -43,8 +43,7 @@ def twins(
             report = generate(Plan(out, count, recipe, workers), notify)
         if report.problem:
             click.echo(report.problem, err=True)
-        click.echo(
-            f"{out}/{recipe.scenes.split}: {report.done:,} of {counted(report.asked, 'sample')} with {recipe.path} = {value}"
-        )
+        made = f"{report.done:,} of {counted(report.asked, 'sample')}"
+        click.echo(f"{out}/{recipe.scenes.split}: {made} with {recipe.path} = {value}")
         if report.exit_code:
             ctx.exit(report.exit_code)

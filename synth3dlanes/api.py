@@ -35,7 +35,7 @@ from synth3dlanes.dataset.splits import data_set_name, evenly_spaced, one_reader
 from synth3dlanes.errors import InputError
 from synth3dlanes.files import write
 from synth3dlanes.formats.export import FORMATS, export
-from synth3dlanes.formats.summary import Summary
+from synth3dlanes.formats.summary import ExportSummary
 from synth3dlanes.given_scenes import drawn
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
@@ -46,7 +46,7 @@ from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.render_file import render_members
 from synth3dlanes.production.run import generate
-from synth3dlanes.production.tally import Report
+from synth3dlanes.production.tally import RunReport
 from synth3dlanes.production.user_assets import open_library
 from synth3dlanes.sample import Scenes, with_lidar
 from synth3dlanes.sample import sample_scene as _sample_scene
@@ -229,7 +229,7 @@ def generate_dataset(
     spreads: str | Sequence[str] = (),
     assets: Library = BUILT_IN,
     notify: Callable[[Event], None] | None = None,
-) -> Report:
+) -> RunReport:
     """Make samples 0 to n - 1 of a split in `out`, a folder or a URL; what is there already is kept.
 
     With `frames` above 1 they are the frames of clips, `fps` a second: the first clip is samples 0 to frames - 1.
@@ -268,7 +268,7 @@ def export_dataset(
     size_px: tuple[int, int] | None = None,
     cameras: str | Sequence[str] = (),
     workers: int = 1,
-) -> Summary:
+) -> ExportSummary:
     """Write a data set, a split or a sample (`DIR/train:00000017`) in a format of `export`; return what was written.
 
     `out` is a new folder, or one with the same export: frames that it has are kept. `size_px` is the images' width and
@@ -305,7 +305,7 @@ def validate_dataset(
     rerender: int = 0,
     assets: Library = BUILT_IN,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> "synth3dlanes.validate.report.Report":
+) -> "synth3dlanes.validate.report.ValidationReport":
     """Check every file and sample of a data set or a split, and its labels against its images (docs/validate.md); or
     the first `limit` samples of every split. `rerender` samples are made again and compared with what is there.
 

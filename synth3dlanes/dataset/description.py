@@ -29,7 +29,7 @@ class Split(Part):
     n: Annotated[int, Field(ge=0, le=MAX_SAMPLES)]
 
 
-class Render(Part):
+class RenderPart(Part):
     """How images were rendered: samples a pixel, passes beside the image, the device."""
 
     samples: Annotated[int, Field(ge=1, le=1_000_000)]
@@ -57,7 +57,7 @@ class Description(Part):
     generator: str
     seed: Seed
     image_format: Literal["jpg", "png"]
-    render: Render
+    render: RenderPart
     params: dict[str, Any]
     assets: dict[str, Any] = Field(default_factory=dict)
     shots: ShotsPart = ShotsPart()

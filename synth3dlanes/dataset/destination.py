@@ -114,17 +114,17 @@ class Destination:
             Folder(root).remove_tree("failed")
 
     @contextmanager
-    def log(self, name: str) -> Iterator["Log"]:
+    def log(self, name: str) -> Iterator["RunLog"]:
         """A new log of this name."""
         if not self.is_store:
-            with Log(self.folder, name) as log:
+            with RunLog(self.folder, name) as log:
                 yield log
             return
-        with Log(made(spool_of(self.place, "logs")).root, name, self.place) as log:
+        with RunLog(made(spool_of(self.place, "logs")).root, name, self.place) as log:
             yield log
 
 
-class Log:
+class RunLog:
     """A file under `logs`, each line written out at once; that of a store lies here until `save` has copied it there
     for the last time."""
 
@@ -137,7 +137,7 @@ class Log:
         if url:
             fcntl.flock(self._stream, fcntl.LOCK_EX)
 
-    def __enter__(self) -> "Log":
+    def __enter__(self) -> "RunLog":
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -74,7 +74,8 @@ def draw_inspect(
     views.draw_side(figure.add_subplot(grid[-1, :]), view)
     figure.legend(handles=_legend(), loc="outside lower center", ncols=7, frameon=False)
     figure.suptitle(
-        f"seed {scene.seed}, {scene.split} {scene.index}: {counted(scene.road.n_lanes, 'lane')}, {topology_words(scene.road)}",
+        f"seed {scene.seed}, {scene.split} {scene.index}: {counted(scene.road.n_lanes, 'lane')}, "
+        f"{topology_words(scene.road)}",
         fontsize=14, x=0.01, ha="left", color=colors.INK,
     )  # fmt: skip
     return figure

@@ -37,8 +37,8 @@ class Forecast:
     def text(self) -> str:
         """The forecast in a line."""
         return (
-            f"{counted(self.samples, 'sample')} to make with {counted(self.workers, 'worker')}: about {duration(self.seconds)} "
-            f"and {self.bytes_kept / 1e9:.2g} GB"
+            f"{counted(self.samples, 'sample')} to make with {counted(self.workers, 'worker')}: "
+            f"about {duration(self.seconds)} and {self.bytes_kept / 1e9:.2g} GB"
         )
 
     def require_room(self, folder: Path, reserve: int = 0) -> None:
@@ -48,7 +48,8 @@ class Forecast:
         free, needed = shutil.disk_usage(there).free, self.bytes_needed + reserve
         if self.samples and free < needed:
             raise DiskFullError(
-                f"{folder}: {counted(self.samples, 'sample')} need {needed / 1e9:.3g} GB, but only {free / 1e9:.3g} GB are free"
+                f"{folder}: {counted(self.samples, 'sample')} need {needed / 1e9:.3g} GB, "
+                f"but only {free / 1e9:.3g} GB are free"
             )
 
 

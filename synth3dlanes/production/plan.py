@@ -13,7 +13,7 @@ from synth3dlanes.dataset.write import Shard
 from synth3dlanes.errors import InputError
 from synth3dlanes.production.devices import WorkerSlots, n_cores, resolve_device
 from synth3dlanes.production.forecast import Forecast, forecast
-from synth3dlanes.production.recipe import Made, Recipe, make_sample
+from synth3dlanes.production.recipe import PackedSample, Recipe, make_sample
 from synth3dlanes.production.workers import Limits
 from synth3dlanes.sampling.traffic import check_way
 from synth3dlanes.sensors.cameras import black_pictures
@@ -39,7 +39,7 @@ class Plan:
     limits: Limits | None = None
     slots: WorkerSlots = field(default_factory=WorkerSlots)
     shard_size: int = SHARD_SIZE
-    maker: Callable[[Recipe, int], Made] = make_sample
+    maker: Callable[[Recipe, int], PackedSample] = make_sample
 
     def __post_init__(self) -> None:
         (part, parts), split = self.part, self.recipe.scenes.split

@@ -11,11 +11,11 @@ import pytest
 from click.testing import CliRunner
 from synth3dlanes_cli.main import main
 
-from synth3dlanes.production.signals import Stopped
+from synth3dlanes.production.signals import StopSignal
 
 
 @pytest.mark.parametrize(
-    ("error", "code"), [(KeyboardInterrupt(), 130), (Stopped(signal.SIGTERM), 143), (Stopped(signal.SIGHUP), 129)]
+    ("error", "code"), [(KeyboardInterrupt(), 130), (StopSignal(signal.SIGTERM), 143), (StopSignal(signal.SIGHUP), 129)]
 )
 @pytest.mark.parametrize(
     ("arguments", "function", "line"),
