@@ -15,6 +15,7 @@ from .options import (
     device_option,
     json_option,
     open_assets,
+    output_console,
     params_option,
     passes_option,
     samples_option,
@@ -66,7 +67,6 @@ def bench(
     The time per image is compared with its lower bound, the "floor": path tracing and denoising alone. Samples are
     written to disk as by `generate`, then deleted.
     """
-    from rich.console import Console
 
     from synth3dlanes.params import load_params
     from synth3dlanes.production import bench as measuring
@@ -79,7 +79,7 @@ def bench(
     library = open_assets(assets)
     params, settings = load_params(source, changes, library.assets), RenderSettings(samples, passes, device)
     recipe, slots = resolve_device(Recipe(Scenes(params, 0, "bench", assets=library.assets), settings, "jpg", library))
-    with Console(stderr=True).status("warming up") as status:
+    with output_console(stderr=True).status("warming up") as status:
         found = measuring.bench(recipe, n, workers or slots.workers, list(slots.masks), status.update)
         if reference:
             found = replace(found, quality=measuring.measure_quality(recipe, status.update))
@@ -94,7 +94,6 @@ def bench(
 
 
 def _print(found: "Bench") -> None:
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(
@@ -108,7 +107,7 @@ def _print(found: "Bench") -> None:
     table.add_section()
     table.add_row("all", f"{found.seconds_per_image:.3f}", f"{found.ratio:.3f}")
     table.add_row("floor", f"{found.floor_seconds_per_image:.3f}", "1")
-    console = Console()
+    console = output_console()
     console.print(table)
     width, height = found.size_px
     memory = " ".join(f"{mib:.0f}" for mib in found.memory_mib)
@@ -128,10 +127,9 @@ def _print(found: "Bench") -> None:
 
 
 def _print_comparison(rows: list[tuple[str, float, float]], err: bool) -> None:
-    from rich.console import Console
     from rich.table import Table
 
     table = Table("over the floor", "now", "stored", "now / stored", title="Against the stored result")
     for name, now, before in rows:
         table.add_row(name, f"{now:.4f}", f"{before:.4f}", f"{now / before:.2f}" if before else "-")
-    Console(stderr=err).print(table)
+    output_console(stderr=err).print(table)

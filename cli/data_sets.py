@@ -10,7 +10,7 @@ import click
 from synth3dlanes.settings import SPLIT_NAME
 from synth3dlanes.words import counted
 
-from .options import json_option
+from .options import json_option, output_console
 
 # So that thirds may be written as 0.33.
 SUM_TOLERANCE = 0.015
@@ -43,7 +43,6 @@ def info(folder: str, as_json: bool) -> None:
 
     Prints the recipe, and for each split its samples, its size and whether it is complete.
     """
-    from rich.console import Console
     from rich.table import Table
 
     from synth3dlanes.dataset.description import pictures_per_scene
@@ -73,7 +72,7 @@ def info(folder: str, as_json: bool) -> None:
     for split in found.splits:
         numbers = (split.asked, split.joined, split.waiting, split.set_aside, split.shards, f"{split.bytes / 1e6:.1f}")
         table.add_row(split.name, *map(str, numbers), "complete" if split.is_complete else "incomplete")
-    Console(soft_wrap=True).print(table)
+    output_console(soft_wrap=True).print(table)
 
 
 @click.command()

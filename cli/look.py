@@ -10,7 +10,7 @@ from synth3dlanes.settings import PASSES
 from synth3dlanes.words import counted
 
 from .idle import refuse_idle
-from .options import OutputFile, json_option
+from .options import OutputFile, json_option, output_console
 
 
 @click.command()
@@ -33,8 +33,6 @@ def inspect(where: str, image: Path | None, out: Path | None, html: Path | None,
 
     The scene is a scene.json, rendered or not, or a sample of a data set such as DIR/train:00000017.
     """
-    import rich
-
     from synth3dlanes.dataset.address import SAMPLE
     from synth3dlanes.figures.describe import describe
     from synth3dlanes.figures.inspect import draw_inspect, summary
@@ -62,7 +60,7 @@ def inspect(where: str, image: Path | None, out: Path | None, html: Path | None,
     if as_json:
         click.echo(json.dumps({**written, **describe(found.scene, found.labels)}))
         return
-    rich.print(summary(found.scene, found.labels))
+    output_console().print(summary(found.scene, found.labels))
     for what, name in written.items():
         click.echo(f"{what.capitalize()}: {name}")
 
