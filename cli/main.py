@@ -83,7 +83,7 @@ class Commands(click.Group):
             raise WorkFailure(f"{ctx.command_path} {ctx.invoked_subcommand}: {NO_MEMORY}") from error
         except BrokenPipeError:
             # Whoever read the output has left, as `head` does. What is still buffered goes nowhere.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.__stdout__.fileno())
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
             ctx.exit(128 + signal.SIGPIPE)
         except OSError as error:
             place = f"{error.filename}: " if error.filename else ""

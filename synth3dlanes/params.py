@@ -10,7 +10,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError
 
 from synth3dlanes.assets.catalogue import BUILT_IN, AssetKind, Assets
@@ -380,14 +379,23 @@ def check_params(sources: Iterable[str], overrides: Sequence[str] = ()) -> None:
         raise InputError(*dict.fromkeys(problems))
 
 
+def problems_of(params: Params, path: str, value: Any) -> list[str]:
+    """What is wrong with a constant value of the parameter `group.key`, in lines; nothing for other paths."""
+    group, _, key = path.partition(".")
+    if group not in Params.model_fields or key not in _keys((group,)):
+        return []
+    changed = {name: dict(keys) for name, keys in params}
+    changed[group][key] = value
+    try:
+        Params.model_validate(changed)
+    except ValidationError as error:
+        return [f"{path}: {problem['ctx']['error']}, got {shown(value)}" for problem in error.errors()]
+    return []
+
+
 def forms(params: Params) -> dict[str, dict[str, Any]]:
     """The YAML form of every key, by group and key."""
     return {name: {key: form(distribution) for key, distribution in group} for name, group in params}
-
-
-def params_yaml(params: Params) -> str:
-    """The parameters as a YAML file that `load_params` reads back to equal Params."""
-    return yaml.safe_dump(forms(params), sort_keys=False, default_flow_style=None, width=100)
 
 
 def _override(document: dict[Any, Any], overrides: Iterable[str]) -> tuple[set[str], list[str]]:
