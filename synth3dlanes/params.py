@@ -4,7 +4,6 @@ Metres and degrees. Reading a file is the only side effect.
 """
 
 import copy
-import difflib
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -29,7 +28,7 @@ from synth3dlanes.distributions import (
     reals,
 )
 from synth3dlanes.errors import InputError
-from synth3dlanes.schema import shown
+from synth3dlanes.schema import shown, unknown_key
 from synth3dlanes.settings import JPEG_QUALITY
 from synth3dlanes.yaml_text import read_yaml, text_of
 
@@ -328,6 +327,10 @@ def preset_names(kind: str = "") -> list[str]:
     return sorted(path.stem for path in (presets_folder() / kind).glob("*.yaml"))
 
 
+# The option that takes a kind of preset.
+OPTION_OF = {"": "--params", "cameras": "--camera", "rigs": "--rig", "lidars": "--lidar"}
+
+
 def find_preset(source: str, kind: str = "") -> tuple[Path, str]:
     """The file of a preset of some kind by its name, or a user's own by its path, and what messages call it.
 
@@ -338,7 +341,9 @@ def find_preset(source: str, kind: str = "") -> tuple[Path, str]:
         return presets_folder() / within, str("params" / within)
     if Path(source).suffix in (".yaml", ".yml"):
         return Path(source), source
-    raise InputError(f"{source}: expected one of {', '.join(preset_names(kind))}, or the path of a .yaml file")
+    other = next((other for other in OPTION_OF if other != kind and source in preset_names(other)), None)
+    hint = "" if other is None else f"; {source} is for {OPTION_OF[other]}"
+    raise InputError(f"{source}: expected one of {', '.join(preset_names(kind))}, or the path of a .yaml file{hint}")
 
 
 def load_params(source: str, overrides: Sequence[str] = (), assets: Assets = BUILT_IN.assets) -> Params:
@@ -445,9 +450,3 @@ def _problems(error: ValidationError, where: str, overridden: set[str]) -> list[
 def _keys(group: tuple[int | str, ...]) -> Iterable[str]:
     model = Params.model_fields[str(group[0])].annotation if group else Params
     return model.model_fields if isinstance(model, type) and issubclass(model, BaseModel) else ()
-
-
-def unknown_key(key: str, known: Iterable[str]) -> str:
-    """What is wrong with a key, with the known one that it is close to."""
-    close = difflib.get_close_matches(key, list(known), n=1)
-    return "unknown key" + (f"; did you mean {close[0]}?" if close else "")

@@ -11,8 +11,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from synth3dlanes.errors import InputError
-from synth3dlanes.params import find_preset, unknown_key
-from synth3dlanes.schema import MAX_PROBLEMS, problem_line, shown
+from synth3dlanes.params import find_preset
+from synth3dlanes.schema import MAX_PROBLEMS, problem_line, shown, unknown_key
 from synth3dlanes.sensors.cameras import LAST, NAMES, CameraSpec
 from synth3dlanes.yaml_text import read_yaml, text_of
 
