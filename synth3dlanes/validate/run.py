@@ -24,7 +24,7 @@ from synth3dlanes.validate.checks import CHECKS
 from synth3dlanes.validate.contents import read_contents
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding, Problem, Result, findings_of, some
-from synth3dlanes.validate.integrity import Entry, check_card, check_presence, check_shard, read_sample
+from synth3dlanes.validate.integrity import Entry, check_companions, check_presence, check_shard, read_sample
 from synth3dlanes.validate.made_again import how_to_make, make_again, some_of
 from synth3dlanes.validate.origin import Origin, drawn_otherwise, made_otherwise, read_origin
 from synth3dlanes.validate.pixels import Passes
@@ -109,7 +109,7 @@ def validate(
         *made_otherwise(recipes, recipe),
         *drawn_otherwise(redrawn, len(todo), description.generator, recipes, recipe),
     ]
-    report.problems[:0] = [*origins, *check_card(place, document)]
+    report.problems[:0] = [*origins, *check_companions(place, document)]
     report.judge()
     return report
 
