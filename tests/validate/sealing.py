@@ -13,7 +13,7 @@ from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.write import Shard
 from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels
-from synth3dlanes.validate.report import Report
+from synth3dlanes.validate.report import ValidationReport
 
 SHARD_SIZE = 1000
 
@@ -72,7 +72,7 @@ def relabel(index: int, change: Callable[[Labels], Labels]) -> Change:
     return apply
 
 
-def check(root: Path, workers: int = 1) -> Report:
+def check(root: Path, workers: int = 1) -> ValidationReport:
     """Validate all of it."""
     from synth3dlanes.validate.run import validate
 
