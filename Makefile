@@ -4,12 +4,12 @@ BIN := .venv/bin
 # a small machine, as tests wait for programs at times.
 PYTEST := $(BIN)/pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder --durations 15
 DEMO ?= demo
-EXTRAS ?= dev,train,cluster
+EXTRAS ?= dev,train,cluster,docs
 export MPLBACKEND := Agg
 # The tests start hundreds of programs: each would compile all modules anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test check types suite format docs pictures golden assets bench soak
+.PHONY: help setup demo test check types suite format docs site pictures golden assets bench soak
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -55,6 +55,9 @@ format: .venv/ready  ## let ruff repair what it can
 
 docs: .venv/ready  ## rewrite the generated pages of docs/
 	$(BIN)/python -m scripts.docs
+
+site: .venv/ready  ## the documentation as a site in site/; dead links fail
+	PYTHONPATH=. NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 
 pictures: .venv/ready  ## draw docs/pictures/frames.png anew
 	$(BIN)/python -m scripts.frames_picture

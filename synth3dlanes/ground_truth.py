@@ -4,17 +4,16 @@
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.arrays import Scalars
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.motion import host_station
-from synth3dlanes.geometry.network import Curve, Network
+from synth3dlanes.geometry.network import LaneCurve, Network
 from synth3dlanes.geometry.paint import is_double, paint_color, pair_of
 from synth3dlanes.geometry.symbols import shape
 from synth3dlanes.geometry.visibility import seen_over_ground
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LidarLabel, RoadPlane, SymbolLabel
 from synth3dlanes.scene import Scene
 from synth3dlanes.world import View, World, resolve
-
-Values = Float[np.ndarray, " n"]
 
 STEP_M = 1.0
 RANGE_M = 110.0
@@ -92,7 +91,7 @@ def label(world: World, view: View) -> Labels:
     )
 
 
-def _stations(world: World, host_m: float) -> dict[Curve, Values]:
+def _stations(world: World, host_m: float) -> dict[LaneCurve, Scalars]:
     """The stations of the points of every line that has some around a host at a station."""
     network = world.network
     lengths_m = np.arange(-world.scene.shot.behind_m, RANGE_M + STEP_M / 2, STEP_M)
@@ -101,7 +100,7 @@ def _stations(world: World, host_m: float) -> dict[Curve, Values]:
     return {curve: s for curve, s in found.items() if len(s) > 1}
 
 
-def _known(world: World, stations: dict[Curve, Values]) -> set[str]:
+def _known(world: World, stations: dict[LaneCurve, Scalars]) -> set[str]:
     """The ids of the lines of a picture, and in a clip of those of all its frames, so that neighbours are named alike
     in each. A line comes into range or is passed, but not both, so the first frame or the last has it."""
     scene, shot = world.scene, world.scene.shot
@@ -130,9 +129,7 @@ def horizon_plane(camera: CameraLabel, host: Lane) -> RoadPlane | None:
     )
 
 
-def stations_of(
-    network: Network, curve: Curve, driven_m: Float[np.ndarray, " n"]
-) -> Float[np.ndarray, " m"]:
+def stations_of(network: Network, curve: LaneCurve, driven_m: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
     """Stations of one curve in driving order: the common stations within it, and its exact ends."""
     s = network.stations(driven_m)
     low, high = min(s[0], s[-1]), max(s[0], s[-1])

@@ -9,11 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from synth3dlanes.arrays import Points2, Points3, Scalars
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.network import SIDES, Curve
-
-Values = Float[np.ndarray, " n"]
-Points = Float[np.ndarray, "n 3"]
+from synth3dlanes.geometry.network import SIDES, LaneCurve
 
 # Tufts along every edge of the pavement: how many, how far ahead of the host, and how far beside the edge.
 PER_EDGE, AHEAD_M, BESIDE_M = 1200, (2.0, 45.0), (0.25, 3.6)
@@ -35,12 +33,16 @@ class Blades:
     """Triangles: two corners at the foot and a tip, with a shade and a dryness for each blade, both 0 to 1."""
 
     corners_world: Float[np.ndarray, "n 3 3"]
-    shade: Values
-    dryness: Values
+    shade: Scalars
+    dryness: Scalars
 
 
 def blades(
-    ground: Ground, lines: Sequence[Curve], eye_world: Float[np.ndarray, "3"], grass_m: float, rng: np.random.Generator
+    ground: Ground,
+    lines: Sequence[LaneCurve],
+    eye_world: Float[np.ndarray, "3"],
+    grass_m: float,
+    rng: np.random.Generator,
 ) -> Blades:
     """The blades of grass of `grass_m` height that a camera at `eye_world` sees beside the road."""
     feet, height_m = _tufts(ground, grass_m, rng)
@@ -49,15 +51,15 @@ def blades(
     return _grown(feet[free], height_m[free], rng)
 
 
-def lane_points(ground: Ground, lines: Sequence[Curve]) -> Points:
-    """Points of all lane curves around the host, as far apart as those of the labels, and farther."""
+def lane_points(ground: Ground, lines: Sequence[LaneCurve]) -> Points3:
+    """Points3 of all lane curves around the host, as far apart as those of the labels, and farther."""
     s = ground.network.stations(np.arange(*ground.range_m(RANGE_M, -STEP_M), STEP_M))
     return np.concatenate(
         [line.points_world(s[(s > line.start_m) & (s < line.end_m)]) for line in lines] + [np.zeros((0, 3))]
     )
 
 
-def _tufts(ground: Ground, grass_m: float, rng: np.random.Generator) -> tuple[Points, Values]:
+def _tufts(ground: Ground, grass_m: float, rng: np.random.Generator) -> tuple[Points3, Scalars]:
     """Feet and heights of tufts along the edges of the pavement; the nearer to the host, the denser."""
     network, last_m = ground.network, ground.near_m + ground.driven_m
     n_edges = max(LEAST_EDGES, 2 * len(network.roads))
@@ -72,7 +74,7 @@ def _tufts(ground: Ground, grass_m: float, rng: np.random.Generator) -> tuple[Po
         draws = np.concatenate([draws, more], axis=2)
         driven_m = np.concatenate([driven_m, ground.near_m - _away(more[0])], axis=1)
     beside = BESIDE_M[0] + (BESIDE_M[1] - BESIDE_M[0]) * draws[1]
-    s, xy = network.stations(driven_m), []
+    s, xy = network.stations(driven_m), list[Points2]()
     for road in network.roads:
         for side in SIDES:
             edge = len(xy)
@@ -93,7 +95,7 @@ def _away(draws: Float[np.ndarray, "e n"]) -> Float[np.ndarray, "e n"]:
 
 
 def _in_sight(
-    feet: Points, height_m: Values, eye_world: Float[np.ndarray, "3"], points_world: Float[np.ndarray, "p 3"]
+    feet: Points3, height_m: Scalars, eye_world: Float[np.ndarray, "3"], points_world: Float[np.ndarray, "p 3"]
 ) -> Bool[np.ndarray, " n"]:
     """Which tufts reach into a line of sight from the eye to a point."""
     to_feet, to_points = feet - eye_world, points_world - eye_world
@@ -115,7 +117,7 @@ def _in_sight(
     return hidden
 
 
-def _grown(feet: Points, height_m: Values, rng: np.random.Generator) -> Blades:
+def _grown(feet: Points3, height_m: Scalars, rng: np.random.Generator) -> Blades:
     """BLADES blades for each tuft, which lean to all sides."""
     n = len(feet) * BLADES
     around, lean, size = 2 * np.pi * rng.random(n), LEAN * rng.random(n), 0.3 + 0.7 * rng.random(n) ** 1.5

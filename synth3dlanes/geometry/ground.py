@@ -12,13 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from synth3dlanes.arrays import AnyPoints2, AnyScalars
 from synth3dlanes.geometry import terrain
 from synth3dlanes.geometry.horizon import FarHills
 from synth3dlanes.geometry.network import Network, Road
 from synth3dlanes.scene import Markings
 
-Values = Float[np.ndarray, "*n"]
-Points2 = Float[np.ndarray, "*n 2"]
 Spread = Float[np.ndarray, "*#n"]
 
 # Size of the terrain cells near the road. The depths and widths below are for cells of this size; farther away they
@@ -48,9 +47,9 @@ class Beside(NamedTuple):
     terrain at the nearest station, and the width that its embankment has on their side, None if it has any."""
 
     road: Road
-    outside: Values
-    raised: Values
-    room: Values | None
+    outside: AnyScalars
+    raised: AnyScalars
+    room: AnyScalars | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +112,7 @@ class Ground:
                 found += [road.points(s, edge(s)) for edge in (road.left, road.right)]
         return found
 
-    def cell_scale(self, xy_world: Points2) -> Values:
+    def cell_scale(self, xy_world: AnyPoints2) -> AnyScalars:
         """Terrain cell size as a multiple of CELL_M, as `meshes.terrain_axes` lays it out."""
         x0, y0, x1, y1 = self.fine
         out = np.maximum(
@@ -122,7 +121,9 @@ class Ground:
         )
         return np.clip(1 + np.clip(out, 0, None) * GROWTH / CELL_M, 1, MAX_CELL_SCALE)
 
-    def beside(self, xy_world: Float[np.ndarray, "n 2"], reach_m: Values) -> tuple[Bool[np.ndarray, " n"], list[Beside]]:
+    def beside(
+        self, xy_world: Float[np.ndarray, "n 2"], reach_m: AnyScalars
+    ) -> tuple[Bool[np.ndarray, " n"], list[Beside]]:
         """Which points may be within `reach_m` of a road's pavement, and these beside every road."""
         near, found = self.network.nearby(xy_world, reach_m)
         beside: dict[str, Beside] = {}
@@ -139,7 +140,7 @@ class Ground:
             beside[road.id] = Beside(road, outside, raised, room)
         return near, list(beside.values())
 
-    def above_terrain(self, xy_world: Points2) -> Values:
+    def above_terrain(self, xy_world: AnyPoints2) -> AnyScalars:
         """Height of the built ground over the analytic terrain at any points (0 away from roads)."""
         flat = xy_world.reshape(-1, 2)
         above = np.zeros(len(flat))
@@ -154,7 +155,7 @@ class Ground:
         above[near] = np.where(distance <= 0, paved, np.maximum(verge, -press(distance, scale)))
         return above.reshape(xy_world.shape[:-1])
 
-    def terrain_mesh_height(self, xy_world: Points2) -> Values:
+    def terrain_mesh_height(self, xy_world: AnyPoints2) -> AnyScalars:
         """Height of the terrain mesh: the terrain, lowered under pavement and verges."""
         flat = xy_world.reshape(-1, 2)
         pressed = np.zeros(len(flat))
@@ -164,11 +165,11 @@ class Ground:
         z = terrain.height_at(self.network.terrain, flat) - pressed
         return np.asarray(z.reshape(xy_world.shape[:-1]))
 
-    def height(self, xy_world: Points2) -> Values:
+    def height(self, xy_world: AnyPoints2) -> AnyScalars:
         """Height of the ground as built."""
         return terrain.height_at(self.network.terrain, xy_world) + self.above_terrain(xy_world)
 
-    def clearance(self, xy_world: Points2) -> Values:
+    def clearance(self, xy_world: AnyPoints2) -> AnyScalars:
         """Distance from the nearest pavement (shoulders included), negative on it, infinite far away."""
         flat = xy_world.reshape(-1, 2)
         near, roads = self.beside(flat, self._reach_m(flat))
@@ -183,23 +184,23 @@ class Ground:
         found[near] = _nearest([at for at in roads if at.road is not road], int(near.sum())) <= 0
         return found
 
-    def _reach_m(self, xy_world: Points2) -> Values:
+    def _reach_m(self, xy_world: AnyPoints2) -> AnyScalars:
         """Distance from a pavement within which the ground may differ from the terrain."""
         highest_m = max([road.ramp.height_m for road in self.network.roads if road.ramp], default=0.0)
         return max(EMBANKMENT_SLOPE * highest_m, NEAR_M) + VERGE_M * self.cell_scale(xy_world)
 
 
-def _nearest(roads: list[Beside], n: int) -> Values:
+def _nearest(roads: list[Beside], n: int) -> AnyScalars:
     return np.minimum.reduce([np.full(n, np.inf), *(road.outside for road in roads)])
 
 
-def press(distance_m: Values, scale: Values) -> Values:
+def press(distance_m: AnyScalars, scale: AnyScalars) -> AnyScalars:
     """How far the terrain mesh is lowered at a distance from the pavement."""
     fade = (VERGE_M * scale - distance_m) / ((VERGE_M - PRESSED_TO_M) * scale)
     return PRESS_M * scale * np.clip(fade, 0, 1)
 
 
-def embankment_width(raised_m: Values, scale: Values) -> Values:
+def embankment_width(raised_m: AnyScalars, scale: AnyScalars) -> AnyScalars:
     """Full width of the strip from a shoulder's edge down to below the terrain; with less room it is compressed."""
     return np.asarray(EMBANKMENT_SLOPE * raised_m + VERGE_M * scale)
 

@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.ground import CELL_M, EMBANKMENT_SLOPE, GROWTH, VERGE_M, Ground, embankment_width, profile
 from synth3dlanes.geometry.horizon import far_dam, on_faces
 from synth3dlanes.geometry.network import Road, Side
-
-Values = Float[np.ndarray, " n"]
 
 HORIZON_M = 4000.0
 BEHIND_M = 300.0
@@ -51,7 +50,7 @@ def terrain_mesh(ground: Ground) -> Mesh:
     return grid(vertices, xy, np.zeros(len(xs) - 1, dtype=int))
 
 
-def terrain_axes(ground: Ground) -> tuple[Values, Float[np.ndarray, " m"]]:
+def terrain_axes(ground: Ground) -> tuple[Scalars, Float[np.ndarray, " m"]]:
     """World x of the columns of the terrain's vertices, and world y of their rows."""
     x0, y0, x1, y1 = ground.fine
     behind_m = HORIZON_M if ground.both_ways else BEHIND_M
@@ -63,7 +62,7 @@ def terrain_heights(ground: Ground, xy_world: Float[np.ndarray, "*n 2"]) -> Floa
     return ground.terrain_mesh_height(xy_world) + ground.hills.height(xy_world)
 
 
-def road_stations(ground: Ground) -> Values:
+def road_stations(ground: Ground) -> Scalars:
     """Stations of the rows of road and paint as the host drives, to beyond the horizon: half a metre apart near the
     host, more far away, less on a ramp that needs it. 0, where roads may begin, is always among them."""
     n_far = int(np.log(2 * HORIZON_M / FAR_ROWS_M) / np.log1p(FAR_ROWS_GROWTH))
@@ -83,7 +82,7 @@ def road_stations(ground: Ground) -> Values:
     return np.unique(np.concatenate([ground.near_m + np.concatenate(rows), *steep, [0.0]]))
 
 
-def _rows(ground: Ground, road: Road) -> Values:
+def _rows(ground: Ground, road: Road) -> Scalars:
     """Stations of a road's rows as the host drives; of a road that begins or ends somewhere, as s grows."""
     s = ground.network.stations(road_stations(ground))
     inside = (s >= road.start_m) & (s <= road.end_m)
@@ -102,7 +101,7 @@ def lift_far(
     return points
 
 
-def _face_height(ground: Ground, xy_world: Float[np.ndarray, "n 2"]) -> Values:
+def _face_height(ground: Ground, xy_world: Float[np.ndarray, "n 2"]) -> Scalars:
     """Height of the terrain mesh's faces, not pressed under pavements: of either way to split a quad into triangles the
     higher one."""
     axes = terrain_axes(ground)
@@ -112,7 +111,7 @@ def _face_height(ground: Ground, xy_world: Float[np.ndarray, "n 2"]) -> Values:
     corners = np.array([[axis[cell], axis[cell + 1]] for axis, cell in zip(axes, cells, strict=True)])
     u, v = (xy_world.T - corners[:, 0]) / (corners[:, 1] - corners[:, 0])
 
-    def height(i: int, j: int) -> Values:
+    def height(i: int, j: int) -> Scalars:
         xy = np.stack([corners[0, i], corners[1, j]], -1)
         return np.asarray(ground.network.lift(xy, ground.hills.height(xy))[:, 2])
 
@@ -172,18 +171,18 @@ def over_terrain(mesh: Mesh) -> Mesh:
     return replace(mesh, faces=mesh.faces[kept], material=mesh.material[kept])
 
 
-def _axis(low: float, high: float, out_low: float, out_high: float) -> Values:
+def _axis(low: float, high: float, out_low: float, out_high: float) -> Scalars:
     """Coordinates CELL_M apart in [low, high]; outside, cells grow by GROWTH per metre of distance."""
     inner = np.linspace(low, high, int(np.ceil((high - low) / CELL_M)) + 1)
 
-    def outside(reach_m: float) -> Values:
+    def outside(reach_m: float) -> Scalars:
         n = int(np.ceil(np.log1p(reach_m * GROWTH / CELL_M) / np.log1p(GROWTH)))
         return np.asarray(CELL_M / GROWTH * ((1 + GROWTH) ** np.arange(1, n + 1) - 1))
 
     return np.concatenate([low - outside(out_low)[::-1], inner, high + outside(out_high)])
 
 
-def _columns(ground: Ground, road: Road) -> tuple[Values, Int[np.ndarray, " m"]]:
+def _columns(ground: Ground, road: Road) -> tuple[Scalars, Int[np.ndarray, " m"]]:
     """Offsets across a road where it begins, and the material of each column of faces."""
     parts = road.carriageways
     paved_m = ground.under_paint_m(road)
@@ -204,7 +203,7 @@ def _columns(ground: Ground, road: Road) -> tuple[Values, Int[np.ndarray, " m"]]
     return np.concatenate(offsets), np.concatenate(material)
 
 
-def _median_columns(ground: Ground, road: Road, left_m: float, right_m: float) -> tuple[Values, Int[np.ndarray, " m"]]:
+def _median_columns(ground: Ground, road: Road, left_m: float, right_m: float) -> tuple[Scalars, Int[np.ndarray, " m"]]:
     """Offsets inside a median between the inner lane boundaries, and the material of each column of faces there."""
     width_m = right_m - left_m
     if width_m < LEAST_MEDIAN_M:
@@ -222,7 +221,7 @@ def grass_in_medians(ground: Ground, road: Road) -> list[tuple[float, float]]:
     return [(float(offsets[1]), float(offsets[3])) for offsets, surface in columns if MEDIAN in surface]
 
 
-def _pavement(ground: Ground, road: Road, s: Values) -> Mesh:
+def _pavement(ground: Ground, road: Road, s: Scalars) -> Mesh:
     k, network = SHOULDER_COLUMNS, ground.network
     t, column_material = _columns(ground, road)
     right = road.right(s)[:, None]
@@ -246,13 +245,13 @@ def _pavement(ground: Ground, road: Road, s: Values) -> Mesh:
     return grid(vertices, np.stack([offsets, stations], -1) * [network.rightward, network.onwards], material)
 
 
-def _inner_edge(road: Road, s: Values) -> Values:
+def _inner_edge(road: Road, s: Scalars) -> Scalars:
     """Offset at which a road's cross-section leaves the pavement of the road where it begins; its own left edge once
     they are separate."""
     return np.clip(_crossing(road, s, road.right(s)), road.left(s), road.right(s))
 
 
-def _is_continued(ground: Ground, road: Road, s: Values) -> Bool[np.ndarray, " n"]:
+def _is_continued(ground: Ground, road: Road, s: Scalars) -> Bool[np.ndarray, " n"]:
     """Where another road's pavement goes on beyond a road's right edge. A verge would show through the seam."""
     found = np.zeros(s.shape, bool)
     for branch in ground.network.branches(road):
@@ -261,13 +260,13 @@ def _is_continued(ground: Ground, road: Road, s: Values) -> Bool[np.ndarray, " n
     return found
 
 
-def _gap(road: Road, s: Values) -> Values:
+def _gap(road: Road, s: Scalars) -> Scalars:
     """Width available to a road's left embankment: from its edge to the pavement of the road where it begins; 0 while
     they touch."""
     return np.clip(road.left(s) - _crossing(road, s, road.left(s)), 0, None)
 
 
-def _crossing(road: Road, s: Values, high: Values) -> Values:
+def _crossing(road: Road, s: Scalars, high: Scalars) -> Scalars:
     """Offset, at most `high`, at which a road's cross-section crosses the right edge of the road where it begins."""
     assert road.parting is not None, "asked only of roads that begin beside another"
     other = road.parting.road
@@ -282,7 +281,7 @@ def _crossing(road: Road, s: Values, high: Values) -> Values:
     return np.asarray(above)
 
 
-def _verge(ground: Ground, road: Road, side: Side, s: Values, room_m: Values) -> Mesh:
+def _verge(ground: Ground, road: Road, side: Side, s: Scalars, room_m: Scalars) -> Mesh:
     """A strip outwards from an edge, with a row per station.
 
     Faces without room are dropped: single pixels of them would show through the pavement.

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.errors import InputError
-from synth3dlanes.geometry.network import Curve, Network
+from synth3dlanes.geometry.network import LaneCurve, Network
 from synth3dlanes.scene import Camera, Car
 
 STEP_M = 0.25
@@ -39,13 +39,13 @@ def car_at(network: Network, car: Car, time_s: float) -> Car:
     return car.model_copy(update={"s_m": s_m, "lane": path.lane_at(s_m * network.onwards).id})
 
 
-def station_after(network: Network, path: Curve, s_m: float, driven_m: float) -> float:
+def station_after(network: Network, path: LaneCurve, s_m: float, driven_m: float) -> float:
     """The station as the host drives that traffic on a path reaches after a distance along the path in 3D."""
     return float(stations_after(network, path, s_m, np.array([driven_m]))[0])
 
 
 def stations_after(
-    network: Network, path: Curve, s_m: float, driven_m: Float[np.ndarray, " t"]
+    network: Network, path: LaneCurve, s_m: float, driven_m: Float[np.ndarray, " t"]
 ) -> Float[np.ndarray, " t"]:
     """`station_after` for several distances."""
     ahead, farthest_m = 1.0 if path.direction == "same" else -1.0, float(driven_m.max())

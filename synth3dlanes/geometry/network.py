@@ -1,7 +1,7 @@
 """Roads as one kind of network: roads on reference lines, their lanes and painted lines, and the links between lanes.
 World frame, metres; the rules are in docs/network.md.
 
-A place is (road, s, t), see reference_line.py; everything lies on the terrain or, on a raised road, at a height over it.
+A place is (road, s, t), see reference_line.py. It lies on the terrain or, on a raised road, at a height over it.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -13,12 +13,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from synth3dlanes.arrays import AnyPoints2, AnyPoints3, AnyScalars
 from synth3dlanes.geometry import terrain as ground
-from synth3dlanes.geometry.reference_line import Points2, ReferenceLine, Values
+from synth3dlanes.geometry.reference_line import ReferenceLine
 from synth3dlanes.labels import Direction, LaneGraph, LaneKind, Marking, RoadName, Segment
 from synth3dlanes.scene import Terrain
 
-Points3 = Float[np.ndarray, "*n 3"]
 Side = Literal["left", "right"]
 SIDES: tuple[Side, Side] = ("left", "right")
 
@@ -26,8 +26,8 @@ SIDES: tuple[Side, Side] = ("left", "right")
 RAMP_SAG_M = 0.001
 # The lane graph ends at these stations.
 GRAPH_END_M = 100.0
-# Where roads part, places of the branch are looked for up to this far behind the station on the other road, this deep in
-# that one's pavement, and up to so many times its opening beside it.
+# Where roads part, places of the branch are looked for up to this far behind the station on the other road, this deep
+# in that one's pavement, and up to so many times its opening beside it.
 BEFORE_M, OVERLAP_M, WIDER = 20.0, 1.0, 1.5
 # Steps along a road in which its extent is measured.
 EXTENT_STEP_M = 10.0
@@ -38,9 +38,9 @@ class Offset:
     """t(s) of a line beside a reference line: a constant, and what moves it along the road."""
 
     base_m: float
-    moves: Callable[[Values], Values] | None = None
+    moves: Callable[[AnyScalars], AnyScalars] | None = None
 
-    def __call__(self, s: Values) -> Values:
+    def __call__(self, s: AnyScalars) -> AnyScalars:
         """The offsets at stations."""
         return np.full(s.shape, self.base_m) if self.moves is None else np.asarray(self.base_m + self.moves(s))
 
@@ -62,7 +62,7 @@ class Ramp:
     length_m: float
     height_m: float
 
-    def __call__(self, s: Values) -> Values:
+    def __call__(self, s: AnyScalars) -> AnyScalars:
         """Height over the terrain at stations."""
         u = np.clip((s - self.start_m) / self.length_m, 0, 1)
         return np.asarray(self.height_m * u * u * (3 - 2 * u))
@@ -102,15 +102,15 @@ class Carriageway(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Parting:
-    """Where a road begins: beside another, on whose right side (as t grows) it leaves. `gap_m` is the free width between
-    the lanes of both at stations, and `station` the first one with such a gap, as opposed to `gap_m`."""
+    """Where a road begins: beside another, on whose right side (as t grows) it leaves. `gap_m` is the free width
+    between the lanes of both at stations, and `station` the first one with such a gap, as opposed to `gap_m`."""
 
     road: "Road"
-    gap_m: Callable[[Values], Values]
+    gap_m: Callable[[AnyScalars], AnyScalars]
     station: Callable[[float], float]
 
-    def may_hold(self, branch: "Road", s: Values, t: Values, reach_m: Values) -> Bool[np.ndarray, " n"]:
-        """Which places of the road may be within `reach_m` of the pavement of the branch; without those that both pave."""
+    def may_hold(self, branch: "Road", s: AnyScalars, t: AnyScalars, reach_m: AnyScalars) -> Bool[np.ndarray, " n"]:
+        """Which places of the road may be within `reach_m` of a branch's pavement, and are not deep in its own."""
         width_m = branch.lane_width_m
         low_m = self.road.right(s) - width_m - OVERLAP_M
         high_m = self.road.right.base_m + reach_m + WIDER * (self.gap_m(s + BEFORE_M) + width_m)
@@ -166,38 +166,38 @@ class Road:
         here = [lane for lane in self.lanes if lane.start_m <= s < lane.end_m]
         return sorted(here, key=lambda lane: lane.middle.order)
 
-    def xy(self, s: Values, t: Values | float) -> Points2:
+    def xy(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints2:
         """World (x, y) of places."""
         return self.line.xy(s, t)
 
-    def points(self, s: Values, t: Values | float) -> Points3:
+    def points(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints3:
         """Points on its surface."""
         return lift(self.terrain, self.xy(s, t), self.raised(s))
 
-    def raised(self, s: Values) -> Values:
+    def raised(self, s: AnyScalars) -> AnyScalars:
         """Height of its surface over the terrain at stations."""
         return np.zeros(np.shape(s)) if self.ramp is None else self.ramp(s)
 
-    def edge(self, side: Side, s: Values, out_m: Values | float = 0.0) -> Values:
+    def edge(self, side: Side, s: AnyScalars, out_m: AnyScalars | float = 0.0) -> AnyScalars:
         """Offsets `out_m` outside an edge of its pavement."""
         return self.left(s) - out_m if side == "left" else self.right(s) + out_m
 
-    def outside(self, s: Values, t: Values) -> Values:
+    def outside(self, s: AnyScalars, t: AnyScalars) -> AnyScalars:
         """Distance of places from its pavement, negative on it; infinite before its start and beyond its end."""
         beside = np.maximum(self.left(s) - t, t - self.right(s))
         if np.isfinite(self.start_m) or np.isfinite(self.end_m):
             beside = np.where((s >= self.start_m) & (s <= self.end_m), beside, np.inf)
         return np.asarray(beside)
 
-    def may_reach(self, xy_world: Points2, reach_m: Values) -> Bool[np.ndarray, "*n"]:
+    def may_reach(self, xy_world: AnyPoints2, reach_m: AnyScalars) -> Bool[np.ndarray, "*n"]:
         """Which points may be within `reach_m` of its pavement."""
         return self.line.near(xy_world, self.left.base_m - reach_m, self.right.base_m + reach_m)
 
-    def in_lanes(self, s: Values, t: Values) -> Bool[np.ndarray, "*n"]:
+    def in_lanes(self, s: AnyScalars, t: AnyScalars) -> Bool[np.ndarray, "*n"]:
         """Which places lie between its shoulders."""
         return np.asarray(self.outside(s, t) < -self.shoulder_m)
 
-    def speed(self, s: Values) -> Values:
+    def speed(self, s: AnyScalars) -> AnyScalars:
         """Metres per station of its line and, before its start, of that of the road where it begins."""
         speed = self.line.speed(s)
         return speed if self.parting is None else np.where(s < self.start_m, self.parting.road.speed(s), speed)
@@ -214,7 +214,7 @@ class Piece:
 
 
 @dataclass(frozen=True)
-class Curve:
+class LaneCurve:
     """The centre line of a path through the lanes, or a painted line, from `start_m` to `end_m`; its pieces follow each
     other. `direction` is as in the labels; `is_inner` says whether a delimiter faces the oncoming traffic, or is the
     left edge of a road without any. `lanes` are those of a path, as s grows."""
@@ -232,7 +232,7 @@ class Curve:
     is_inner: bool = False
     lanes: tuple[Lane, ...] = ()
 
-    def xy_world(self, s: Values) -> Float[np.ndarray, "n 2"]:
+    def xy_world(self, s: AnyScalars) -> Float[np.ndarray, "n 2"]:
         """World (x, y) at stations."""
         if len(self.pieces) == 1:
             piece = self.pieces[0]
@@ -243,22 +243,24 @@ class Curve:
             xy[at] = piece.road.xy(on, piece.offset(on))
         return xy
 
-    def points_world(self, s: Values) -> Float[np.ndarray, "n 3"]:
+    def points_world(self, s: AnyScalars) -> Float[np.ndarray, "n 3"]:
         """Points on the road surface at stations."""
         return lift(self.pieces[0].road.terrain, self.xy_world(s), self.raised(s))
 
-    def raised(self, s: Values) -> Values:
+    def raised(self, s: AnyScalars) -> AnyScalars:
         """Height of the road surface above the terrain at stations."""
         height_m = np.zeros(s.shape)
         for at, piece in self._parts(s):
             height_m[at] = piece.road.raised(s[at])
         return height_m
 
-    def shifted(self, t_m: float) -> "Curve":
+    def shifted(self, t_m: float) -> "LaneCurve":
         """The curve `t_m` beside it."""
-        return replace(self, pieces=joined((piece.road, piece.offset.shifted(t_m), piece.start_m) for piece in self.pieces))
+        return replace(
+            self, pieces=joined((piece.road, piece.offset.shifted(t_m), piece.start_m) for piece in self.pieces)
+        )
 
-    def has(self, s: Values) -> Bool[np.ndarray, "*n"]:
+    def has(self, s: AnyScalars) -> Bool[np.ndarray, "*n"]:
         """At which stations it is: within its ends, and not between two of its pieces."""
         inside = (s > self.start_m) & (s < self.end_m)
         for a, b in pairwise(self.pieces):
@@ -269,7 +271,7 @@ class Curve:
         """The lane of a path at a station."""
         return next(lane for lane in reversed(self.lanes) if s >= lane.start_m)
 
-    def _parts(self, s: Values) -> Iterator[tuple[Bool[np.ndarray, "*n"], Piece]]:
+    def _parts(self, s: AnyScalars) -> Iterator[tuple[Bool[np.ndarray, "*n"], Piece]]:
         """Which stations lie on each piece; the first and the last one have no outer ends."""
         ends = [-np.inf, *(piece.start_m for piece in self.pieces[1:]), np.inf]
         for piece, (low, high) in zip(self.pieces, pairwise(ends), strict=True):
@@ -281,8 +283,8 @@ class Nearby(NamedTuple):
 
     road: Road
     which: Bool[np.ndarray, " n"]
-    s: Values
-    t: Values
+    s: AnyScalars
+    t: AnyScalars
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,7 +295,7 @@ class Network:
 
     terrain: Terrain
     roads: tuple[Road, ...]
-    delimiters: tuple[Curve, ...]
+    delimiters: tuple[LaneCurve, ...]
     links: tuple[tuple[str, str], ...]
     onwards: float = 1.0
 
@@ -314,24 +316,32 @@ class Network:
         return {lane.id: lane for lane in sorted(lanes, key=lambda lane: lane.direction == "oncoming")}
 
     @cached_property
-    def paths(self) -> tuple[Curve, ...]:
+    def paths(self) -> tuple[LaneCurve, ...]:
         """The centre line of every way through the links, as t grows. It has the id of its last lane where roads split,
         of its first where they merge."""
         ways = list(_ways(list(_as_t_grows(self)), self.links))
         at = -1 if len({way[-1].id for way in ways}) >= len({way[0].id for way in ways}) else 0
         return tuple(self._path(way[at], sorted(way, key=lambda lane: lane.start_m)) for way in ways)
 
-    def _path(self, named: Lane, lanes: list[Lane]) -> Curve:
+    def _path(self, named: Lane, lanes: list[Lane]) -> LaneCurve:
         beside = [line for line in self.delimiters if line.end_m >= named.end_m]
         left = next((line.id for line in beside if line.right == named.id), None)
         right = next((line.id for line in beside if line.left == named.id), None)
         pieces = joined((self.road(lane.road), lane.middle, lane.start_m) for lane in lanes)
-        return Curve(
-            named.id, "centerline", named.road, "none", left, right, pieces, direction=named.direction, lanes=tuple(lanes)
+        return LaneCurve(
+            named.id,
+            "centerline",
+            named.road,
+            "none",
+            left,
+            right,
+            pieces,
+            direction=named.direction,
+            lanes=tuple(lanes),
         )
 
     @cached_property
-    def curves(self) -> tuple[Curve, ...]:
+    def curves(self) -> tuple[LaneCurve, ...]:
         """All centre lines, then all delimiters."""
         return (*self.paths, *self.delimiters)
 
@@ -343,11 +353,11 @@ class Network:
         """The roads that begin beside a road."""
         return [other for other in self.roads if other.parting is not None and other.parting.road is road]
 
-    def path(self, lane: str) -> Curve:
+    def path(self, lane: str) -> LaneCurve:
         """The first centre line along a lane."""
         return next(path for path in self.paths if any(lane == at.id for at in path.lanes))
 
-    def stations(self, s: Values) -> Values:
+    def stations(self, s: AnyScalars) -> AnyScalars:
         """Stations of stations as the host drives, and vice versa."""
         return s * self.onwards
 
@@ -367,7 +377,7 @@ class Network:
         """The lanes that a lane is linked to."""
         return [self.lanes[name] for link in self.links if lane.id in link for name in link if name != lane.id]
 
-    def lift(self, xy_world: Points2, above_m: Values | float = 0.0) -> Points3:
+    def lift(self, xy_world: AnyPoints2, above_m: AnyScalars | float = 0.0) -> AnyPoints3:
         """3D points on the terrain, or `above_m` over it."""
         return lift(self.terrain, xy_world, above_m)
 
@@ -385,7 +395,7 @@ class Network:
         starts = [round(float(road.ramp.start_m * self.onwards), 4) + 0.0 for road in self.roads if road.ramp]
         return LaneGraph(tuple(segments), successors, starts[0] if starts else None)
 
-    def stations_along(self, road: Road, driven_m: float, lengths_m: Values) -> Values:
+    def stations_along(self, road: Road, driven_m: float, lengths_m: AnyScalars) -> AnyScalars:
         """Stations as the host drives, at the given lengths of a road ahead of `driven_m`; sorted lengths, negative
         behind it."""
         if lengths_m[0] < 0:
@@ -394,7 +404,9 @@ class Network:
             return np.concatenate([before, self._along(road, driven_m, ahead)])
         return self._along(road, driven_m, lengths_m)
 
-    def _along(self, road: Road, driven_m: float, lengths_m: Values, sign: int = 1, reach: float = 1.05) -> Values:
+    def _along(
+        self, road: Road, driven_m: float, lengths_m: AnyScalars, sign: int = 1, reach: float = 1.05
+    ) -> AnyScalars:
         """Stations at lengths ahead of `driven_m`, or behind it with the sign -1."""
         grid = driven_m + sign * np.linspace(0, reach * lengths_m[-1], 8 * int(lengths_m[-1]) + 9)
         speed = road.speed(self.stations((grid[1:] + grid[:-1]) / 2))
@@ -405,7 +417,7 @@ class Network:
         return np.interp(lengths_m, arc, grid)
 
     def nearby(
-        self, xy_world: Float[np.ndarray, "n 2"], reach_m: Values
+        self, xy_world: Float[np.ndarray, "n 2"], reach_m: AnyScalars
     ) -> tuple[Bool[np.ndarray, " n"], list[Nearby]]:
         """Which points may be within `reach_m` of a pavement, and where these are along every road."""
         masks = {road.id: road.may_reach(xy_world, reach_m) for road in self.roads}
@@ -440,7 +452,7 @@ class Network:
     @cached_property
     def _extents(self) -> Float[np.ndarray, "2 roads 2"]:
         """The lowest and the highest (x, y) of all roads' pavements; infinite for roads without ends."""
-        found = np.empty((2, len(self.roads), 2))
+        found = np.zeros((2, len(self.roads), 2))
         found[0], found[1] = -np.inf, np.inf
         for i, road in enumerate(self.roads):
             if np.isfinite(road.end_m - road.start_m):
@@ -450,7 +462,7 @@ class Network:
         return found
 
 
-def lift(terrain: Terrain, xy_world: Points2, above_m: Values | float = 0.0) -> Points3:
+def lift(terrain: Terrain, xy_world: AnyPoints2, above_m: AnyScalars | float = 0.0) -> AnyPoints3:
     """3D points on the terrain, or `above_m` over it."""
     z = ground.height_at(terrain, xy_world) + above_m
     return np.concatenate([xy_world, np.asarray(z)[..., None]], -1)

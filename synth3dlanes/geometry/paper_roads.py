@@ -9,15 +9,17 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
-from synth3dlanes.geometry.network import BEFORE_M, WIDER, Curve, Lane, Network, Offset, Parting, Ramp, joined
+from synth3dlanes.arrays import AnyPoints2, AnyScalars
+from synth3dlanes.geometry.network import BEFORE_M, WIDER, Lane, LaneCurve, Network, Offset, Parting, Ramp, joined
 from synth3dlanes.geometry.network import Road as NetworkRoad
-from synth3dlanes.geometry.reference_line import MAX_STEP_M, NEWTON_STEPS, LineFrames, Points2, ReferenceLine, Values
+from synth3dlanes.geometry.reference_line import MAX_STEP_M, NEWTON_STEPS, LineFrames, ReferenceLine
 from synth3dlanes.labels import Direction, Marking, RoadName
 from synth3dlanes.scene import Road, Terrain
 
-# Of a painted line: roads, offsets there, and stations where each of these begins.
+# Of a painted line: the lanes beside it as t grows; roads, offsets there, and stations where each of these begins.
+Beside = tuple[str | None, str | None]
 Parts = list[tuple[NetworkRoad, Offset, float]]
 
 # Knots of the quartic (paper, Table 'Lane top view geometry'); beyond them roads continue along their tangents.
@@ -56,7 +58,7 @@ class Quartic(ReferenceLine):
         # The polynomial and its first two derivatives, the constant first.
         self._f, self._df, self._d2f = f.tolist(), df.tolist(), (df[1:] * np.arange(1, 4)).tolist()
 
-    def _plan(self, s: Values) -> tuple[Values, Values, Values]:
+    def _plan(self, s: AnyScalars) -> tuple[AnyScalars, AnyScalars, AnyScalars]:
         """x in the plan and its first two derivatives."""
         # The function that is called most often: on few stations numpy's own overhead counts.
         (a0, a1, a2, a3, a4), (b0, b1, b2, b3), (c0, c1, c2) = self._f, self._df, self._d2f
@@ -67,7 +69,7 @@ class Quartic(ReferenceLine):
         beyond = s - inside
         return x + beyond * slope, slope, np.where(beyond == 0, bend, 0.0)
 
-    def frames(self, s: Values) -> LineFrames:
+    def frames(self, s: AnyScalars) -> LineFrames:
         """The line at stations."""
         x, slope, bend = self._plan(s)
         speed = np.sqrt(1 + slope * slope)
@@ -75,16 +77,16 @@ class Quartic(ReferenceLine):
         normals = np.stack([self.flips.x / speed, -self.flips.y * slope / speed], -1)
         return LineFrames(points, normals, speed, bend / (speed * speed))
 
-    def guess(self, xy_world: Points2) -> Values:
+    def guess(self, xy_world: AnyPoints2) -> AnyScalars:
         """The points' y in the plan."""
         return np.asarray(xy_world[..., 1] * self.flips.y)
 
-    def across(self, xy_world: Points2) -> Values:
+    def across(self, xy_world: AnyPoints2) -> AnyScalars:
         """About how far points are beside the line: their distance from its tangent at their y."""
         x, slope, _ = self._plan(self.guess(xy_world))
         return np.asarray((xy_world[..., 0] * self.flips.x - x) / np.sqrt(1 + slope * slope))
 
-    def near(self, xy_world: Points2, low_m: Values, high_m: Values) -> Bool[np.ndarray, "*n"]:
+    def near(self, xy_world: AnyPoints2, low_m: AnyScalars, high_m: AnyScalars) -> Bool[np.ndarray, "*n"]:
         """Which points may lie between these offsets."""
         across = self.across(xy_world)
         return np.asarray((across > low_m) & (across < high_m))
@@ -98,11 +100,11 @@ class Opening:
     offset_m: float
     end_m: float = S_END_M
 
-    def polynomial(self, s: Values) -> tuple[Values, Values]:
+    def polynomial(self, s: AnyScalars) -> tuple[AnyScalars, AnyScalars]:
         """q and its derivative before the end."""
         return s * self.slope + self.offset_m * (s / 60) ** 2, self.slope + self.offset_m * s / 1800
 
-    def __call__(self, s: Values) -> Values:
+    def __call__(self, s: AnyScalars) -> AnyScalars:
         """q at stations; 0 before the split."""
         inside = np.clip(s, 0, self.end_m)
         q, dq = self.polynomial(inside)
@@ -131,7 +133,7 @@ class Displaced(ReferenceLine):
         """As the main road's line."""
         return self.base.is_mirrored
 
-    def _steps(self, s: Values) -> tuple[Points2, Points2, Points2]:
+    def _steps(self, s: AnyScalars) -> tuple[AnyPoints2, AnyPoints2, AnyPoints2]:
         """Points, their derivatives by station, and unit normals."""
         inside = np.clip(s, 0, self.opening.end_m)
         points, normals, speed, turn = self.base.frames(inside)
@@ -140,24 +142,26 @@ class Displaced(ReferenceLine):
         sign = self.base.flips.x * self.base.flips.y
         tangents = np.stack([-sign * normals[..., 1], sign * normals[..., 0]], -1)
         steps = (speed - turn * displaced)[..., None] * tangents + dq[..., None] * normals
-        aside = np.stack([sign * steps[..., 1], -sign * steps[..., 0]], -1) / np.linalg.norm(steps, axis=-1, keepdims=True)
+        aside = np.stack([sign * steps[..., 1], -sign * steps[..., 0]], -1) / np.linalg.norm(
+            steps, axis=-1, keepdims=True
+        )
         return points + displaced[..., None] * normals + (s - inside)[..., None] * steps, steps, aside
 
-    def frames(self, s: Values) -> LineFrames:
+    def frames(self, s: AnyScalars) -> LineFrames:
         """The line at stations; its turn is not needed by its own projection."""
         points, steps, aside = self._steps(s)
         return LineFrames(points, aside, np.linalg.norm(steps, axis=-1), np.zeros(np.shape(s)))
 
-    def xy(self, s: Values, t: Values | float) -> Points2:
+    def xy(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints2:
         """World (x, y) of places."""
         points, _, aside = self._steps(s)
         return np.asarray(points + np.asarray(t)[..., None] * aside)
 
-    def guess(self, xy_world: Points2) -> Values:
+    def guess(self, xy_world: AnyPoints2) -> AnyScalars:
         """Stations of the main road's line."""
         return self.base.project(xy_world)[0]
 
-    def project(self, xy_world: Points2, guess: Values | None = None) -> tuple[Values, Values]:
+    def project(self, xy_world: AnyPoints2, guess: AnyScalars | None = None) -> tuple[AnyScalars, AnyScalars]:
         """(s, t) of points near the line; s may be negative."""
         s = self.guess(xy_world) if guess is None else guess
         for _ in range(NEWTON_STEPS):
@@ -168,11 +172,11 @@ class Displaced(ReferenceLine):
         return s, ((xy_world - points) * aside).sum(-1)
 
     @cached_property
-    def _plan_y(self) -> Values:
+    def _plan_y(self) -> AnyScalars:
         y = self._steps(EXIT_STATIONS_M)[0][:, 1] * self.base.flips.y
         return np.asarray(np.maximum.accumulate(y))
 
-    def near(self, xy_world: Points2, low_m: Values, high_m: Values) -> Bool[np.ndarray, "*n"]:
+    def near(self, xy_world: AnyPoints2, low_m: AnyScalars, high_m: AnyScalars) -> Bool[np.ndarray, "*n"]:
         """Which points may lie between these offsets."""
         across = self.base.across(xy_world) - self.base_m
         # An exit that leaves at an angle reaches a given y only at a much larger station.
@@ -180,7 +184,7 @@ class Displaced(ReferenceLine):
         return np.asarray((across > low_m) & (across < high_m + WIDER * self.opening(station + BEFORE_M)))
 
 
-def smooth_min(q: Values, width_m: float) -> Values:
+def smooth_min(q: AnyScalars, width_m: float) -> AnyScalars:
     """min(q, width) with its corner rounded; equal to min(q, width) outside CORNER_M of it."""
     h = np.clip(CORNER_M - np.abs(q - width_m), 0, None)
     return np.minimum(q, width_m) - h * h / (4 * CORNER_M)
@@ -200,7 +204,8 @@ def is_wide_enough(road: Road) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """The paper's numbers, and what is made of them step by step. Lanes 1..n and lines 0..n count from the plan's left."""
+    """The paper's numbers, and what is made of them step by step. Lanes 1..n and lines 0..n count from the plan's
+    left."""
 
     road: Road
     terrain: Terrain
@@ -278,11 +283,25 @@ class _Plan:
     # -- lanes and links
 
     def section(
-        self, name: str, road: RoadName, middles: list[Offset], span_m: tuple[float, float], direction: Direction = "same"
+        self,
+        name: str,
+        road: RoadName,
+        middles: list[Offset],
+        span_m: tuple[float, float],
+        direction: Direction = "same",
     ) -> list[Lane]:
         """The lanes of a section, from the host's left."""
         lanes = [
-            Lane(self.lane_id(name, k), road, name, self._seen(k, len(middles) + 1), at, self.road.lane_width_m, *span_m, direction)
+            Lane(
+                self.lane_id(name, k),
+                road,
+                name,
+                self._seen(k, len(middles) + 1),
+                at,
+                self.road.lane_width_m,
+                *span_m,
+                direction,
+            )
             for k, at in enumerate(middles, 1)
         ]
         return sorted(lanes, key=lambda lane: lane.number)
@@ -295,14 +314,13 @@ class _Plan:
         after = middles[: road.n_main_after]
         if road.topology == 3:
             after[-1] = Offset(self.middle_m(road.n_lanes - 1), self._opens)
-        first_m = self.left_m + 0.5 * road.lane_width_m
         oncoming = [Offset(self.left_m + (lane - 0.5) * road.lane_width_m) for lane in range(1, road.n_oncoming + 1)]
         lanes = self.section("main", "main", after, whole if road.topology == 1 else (0.0, np.inf))
         if road.topology > 1:
             lanes = self.section("stem", "main", middles, (-np.inf, 0.0)) + lanes
         return lanes + self.section("oncoming", "main", oncoming, whole, "oncoming")
 
-    def _opens(self, s: Values) -> Values:
+    def _opens(self, s: AnyScalars) -> AnyScalars:
         """How far a lane that opens beside its neighbour has come."""
         return smooth_min(self.opening(np.maximum(s, 0)), self.road.lane_width_m)
 
@@ -330,9 +348,12 @@ class _Plan:
     @cached_property
     def main_road(self) -> NetworkRoad:
         road = self.road
-        edge_m, lost_m = road.n_lanes * road.lane_width_m / 2 + self.shoulder_m, (road.n_lanes - road.n_main_after) * road.lane_width_m
+        edge_m, lost_m = (
+            road.n_lanes * road.lane_width_m / 2 + self.shoulder_m,
+            (road.n_lanes - road.n_main_after) * road.lane_width_m,
+        )
 
-        def tapers(s: Values) -> Values:
+        def tapers(s: AnyScalars) -> AnyScalars:
             return -lost_m * np.clip(s / min(TAPER_M, self.nose_m), 0, 1)
 
         right = Offset(edge_m, tapers if lost_m else None)
@@ -363,7 +384,9 @@ class _Plan:
     def network(self) -> Network:
         roads = (self.main_road,) if self.road.topology == 1 else (self.main_road, self.exit_road)
         lines = self._delimiters() + self._oncoming_delimiters()
-        facing = {self.line_id("main", 0), self.line_id("oncoming", self.road.n_oncoming)} if self.road.n_oncoming else set()
+        facing = (
+            {self.line_id("main", 0), self.line_id("oncoming", self.road.n_oncoming)} if self.road.n_oncoming else set()
+        )
         delimiters = tuple(replace(at, is_inner=at.id in facing or (not facing and at.left is None)) for at in lines)
         return Network(self.terrain, roads, delimiters, self.links, self.flips.y)
 
@@ -371,30 +394,34 @@ class _Plan:
 
     def _line(
         self, section: str, j: int, marking: Marking, parts: Parts, start_m: float = -np.inf, end_m: float = np.inf
-    ) -> Curve:
+    ) -> LaneCurve:
         """Painted line j of a section; parts are a road, an offset and where it begins."""
-        beside = [self.lane_id(section, j) if j > 0 else None]
-        beside.append(self.lane_id(section, j + 1) if j < self._count(section) else None)
+        beside = (
+            self.lane_id(section, j) if j > 0 else None,
+            self.lane_id(section, j + 1) if j < self._count(section) else None,
+        )
         return self._painted(self.line_id(section, j), marking, beside, parts, start_m, end_m)
 
     def _painted(
-        self, name: str, marking: Marking, beside: list[str | None], parts: Parts, *span_m: float
-    ) -> Curve:
+        self, name: str, marking: Marking, beside: Beside, parts: Parts, start_m: float = -np.inf, end_m: float = np.inf
+    ) -> LaneCurve:
         left, right = beside[:: int(self.flips.x)]
         road: RoadName = "exit" if name.startswith("exit") else "main"
         direction: Direction = "oncoming" if name.startswith("oncoming") else "same"
-        return Curve(name, "delimiter", road, marking, left, right, joined(parts), *span_m, direction=direction)
+        return LaneCurve(name, "delimiter", road, marking, left, right, joined(parts), start_m, end_m, direction)
 
     def _on_main(self, t_m: float) -> Parts:
         return [(self.main_road, Offset(t_m), -np.inf)]
 
-    def _through(self, j: int) -> Curve:
+    def _through(self, j: int) -> LaneCurve:
         """Line j of the main road that runs along all of it."""
         road = self.road
         if j == 0 and self.is_divided_by_line:
-            beside = [self.lane_id("oncoming", road.n_oncoming), self.lane_id("main", 1)]
+            beside = self.lane_id("oncoming", road.n_oncoming), self.lane_id("main", 1)
             marking: Marking = "dashed" if road.divider_dashed else "solid"
-            return self._painted(self.line_id("main", 0), marking, beside, self._on_main(self.boundary_m(0)), -np.inf, np.inf)
+            return self._painted(
+                self.line_id("main", 0), marking, beside, self._on_main(self.boundary_m(0)), -np.inf, np.inf
+            )
         return self._line("main", j, "dashed" if 0 < j < road.n_lanes else "solid", self._on_main(self.boundary_m(j)))
 
     @property
@@ -402,7 +429,7 @@ class _Plan:
         """Whether the main road's left line divides it from oncoming lanes."""
         return self.road.n_oncoming > 0 and self.road.median_m == 0
 
-    def _delimiters(self) -> list[Curve]:
+    def _delimiters(self) -> list[LaneCurve]:
         n, n_after, topology = self.road.n_lanes, self.road.n_main_after, self.road.topology
         if topology == 1:
             return [self._through(j) for j in range(n + 1)]
@@ -417,7 +444,7 @@ class _Plan:
         lines = [self._through(j) for j in range(n if topology == 2 else n - 1)]
         if topology == 3:
             # The dashed line between the last two lanes continues along the exit's left side to the nose.
-            parted = [self.lane_id("main", n), self.lane_id("exit", 1)]
+            parted = self.lane_id("main", n), self.lane_id("exit", 1)
             lines += [
                 self._painted("stem_line", "dashed", parted, leaving(self.boundary_m(n - 1), -half_m), -np.inf, nose_m),
                 self._line("main", n - 1, "dashed", beyond(main, self.boundary_m(n - 1)), nose_m),
@@ -430,12 +457,15 @@ class _Plan:
             lines.append(self._line("exit", 1, "dashed", leaving(self.boundary_m(n - 1), 0.0)))
         return [*lines, self._line("exit", self.road.n_exit_lanes, "solid", leaving(self.boundary_m(n), half_m))]
 
-    def _oncoming_delimiters(self) -> list[Curve]:
+    def _oncoming_delimiters(self) -> list[LaneCurve]:
         """The lines of the oncoming lanes; without a median the innermost is the main road's own."""
         n = self.road.n_oncoming
         return [
             self._line(
-                "oncoming", j, "dashed" if 0 < j < n else "solid", self._on_main(self.left_m + j * self.road.lane_width_m)
+                "oncoming",
+                j,
+                "dashed" if 0 < j < n else "solid",
+                self._on_main(self.left_m + j * self.road.lane_width_m),
             )
             for j in range(n if self.is_divided_by_line or n == 0 else n + 1)
         ]

@@ -7,10 +7,9 @@ growing s; on a mirrored line to the left.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
-Values = Float[np.ndarray, "*n"]
-Points2 = Float[np.ndarray, "*n 2"]
+from synth3dlanes.arrays import AnyPoints2, AnyScalars
 
 # Enough for a projection to converge below 1e-6 m within 30 m of a road with the sharpest bend drawn.
 NEWTON_STEPS = 4
@@ -22,10 +21,10 @@ class LineFrames(NamedTuple):
     """A line at stations: its points, unit normals to where t grows, metres per station, and the turn of its heading to
     that side in radians per station."""
 
-    points_world: Points2
-    normals: Points2
-    speed: Values
-    turn: Values
+    points_world: AnyPoints2
+    normals: AnyPoints2
+    speed: AnyScalars
+    turn: AnyScalars
 
 
 class ReferenceLine:
@@ -33,24 +32,24 @@ class ReferenceLine:
 
     is_mirrored: bool = False
 
-    def frames(self, s: Values) -> LineFrames:
+    def frames(self, s: AnyScalars) -> LineFrames:
         """The line at stations."""
         raise NotImplementedError
 
-    def guess(self, xy_world: Points2) -> Values:
+    def guess(self, xy_world: AnyPoints2) -> AnyScalars:
         """Stations near those of points, for the first step of `project`."""
         raise NotImplementedError
 
-    def xy(self, s: Values, t: Values | float) -> Points2:
+    def xy(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints2:
         """World (x, y) of places."""
         points, normals, _, _ = self.frames(s)
         return np.asarray(points + np.asarray(t)[..., None] * normals)
 
-    def speed(self, s: Values) -> Values:
+    def speed(self, s: AnyScalars) -> AnyScalars:
         """Metres per station."""
         return self.frames(s).speed
 
-    def project(self, xy_world: Points2, guess: Values | None = None) -> tuple[Values, Values]:
+    def project(self, xy_world: AnyPoints2, guess: AnyScalars | None = None) -> tuple[AnyScalars, AnyScalars]:
         """(s, t) of points near the line: Newton's method on the perpendicular foot."""
         s = self.guess(xy_world) if guess is None else guess
         sign = -1.0 if self.is_mirrored else 1.0
@@ -63,7 +62,7 @@ class ReferenceLine:
         points, normals, _, _ = self.frames(s)
         return s, ((xy_world - points) * normals).sum(-1)
 
-    def near(self, xy_world: Points2, low_m: Values, high_m: Values) -> Bool[np.ndarray, "*n"]:
+    def near(self, xy_world: AnyPoints2, low_m: AnyScalars, high_m: AnyScalars) -> Bool[np.ndarray, "*n"]:
         """Which points may lie between these offsets."""
         _, t = self.project(xy_world)
         return np.asarray((t > low_m) & (t < high_m))

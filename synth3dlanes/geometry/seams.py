@@ -1,12 +1,14 @@
 """What looks like lines on the pavement and is none: cracks filled with tar, removed lines, and the joint between old
 and new asphalt. World frame.
 
-Along the road all of it stays inside the lanes, at least CLEAR_M from every line, and on lanes that lead to no other road.
+Along the road all of it stays inside the lanes, at least CLEAR_M from every line, and on lanes that lead to no other
+road.
 """
 
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.meshes import Mesh, facing_up
 from synth3dlanes.geometry.network import Lane, Network
@@ -14,7 +16,6 @@ from synth3dlanes.geometry.paint import towards_eye
 from synth3dlanes.scene import Markings
 from synth3dlanes.streams import Streams
 
-Values = Float[np.ndarray, " n"]
 # A line on the road: station, offset and width of each of its points.
 Trace = Float[np.ndarray, "_ 3"]
 
@@ -109,13 +110,13 @@ def _lanes_at(network: Network, s: float) -> tuple[float, float, int]:
     return lanes[0].middle.base_m - lanes[0].width_m / 2, lanes[0].width_m, len(lanes)
 
 
-def _wander(along: Values, rng: np.random.Generator) -> Values:
+def _wander(along: Scalars, rng: np.random.Generator) -> Scalars:
     knots = np.arange(along[0], along[-1] + 2 * KNOT_M, KNOT_M)
     slow = np.interp(along, knots, rng.normal(0, WANDER_M, len(knots)))
     return slow + rng.normal(0, JITTER_M, len(along))
 
 
-def _widths(along: Values, rng: np.random.Generator) -> Values:
+def _widths(along: Scalars, rng: np.random.Generator) -> Scalars:
     return rng.uniform(*TAR_WIDTH_M) * rng.uniform(0.6, 1.4, len(along))
 
 

@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.meshes import Mesh, facing_up
 from synth3dlanes.geometry.network import Network, Offset, Road
@@ -20,7 +21,6 @@ from synth3dlanes.scene import Symbol
 from synth3dlanes.schema import SymbolKind
 
 Polygon = Float[np.ndarray, "_ 2"]
-Values = Float[np.ndarray, " n"]
 
 # Arrows of 5 m, as painted where traffic is slow: all of them are stretched along the road.
 STRAIGHT = np.array(
@@ -57,7 +57,7 @@ AROUND_M = np.arange(-10.0, 10.01, 0.25)
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class SymbolShape:
     """A symbol's painted polygons and its outline in its own frame, the places of that frame in the world, and the size
     of COLUMN_M in it."""
 
@@ -67,7 +67,7 @@ class Shape:
     column: float
 
 
-def shape(ground: Ground, symbol: Symbol) -> Shape:
+def shape(ground: Ground, symbol: Symbol) -> SymbolShape:
     """The shape of a symbol on its road."""
     if symbol.kind == "gore":
         return _gore(ground, symbol)
@@ -76,7 +76,7 @@ def shape(ground: Ground, symbol: Symbol) -> Shape:
     if symbol.kind not in ARROWS:
         (x0, y0), (x1, y1) = np.min(polygons, axis=(0, 1)), np.max(polygons, axis=(0, 1))
         outline = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
-    return Shape(polygons, _dense(outline, OUTLINE_STEP_M), _along_road(ground.network, symbol), COLUMN_M)
+    return SymbolShape(polygons, _dense(outline, OUTLINE_STEP_M), _along_road(ground.network, symbol), COLUMN_M)
 
 
 def symbol_mesh(ground: Ground, symbol: Symbol, eye_world: Float[np.ndarray, "3"]) -> Mesh:
@@ -131,7 +131,7 @@ def _along_road(network: Network, symbol: Symbol) -> Callable[[Polygon], Float[n
     lane = None if symbol.lane is None else network.lanes[symbol.lane]
     road, middle = (network.main, Offset(0.0)) if lane is None else (network.road(lane.road), lane.middle)
 
-    def offsets(s: Values, aside_m: Values | float) -> Values:
+    def offsets(s: Scalars, aside_m: Scalars | float) -> Scalars:
         return middle(s) + aside_m * network.rightward
 
     driven_m = symbol.s_m + AROUND_M
@@ -147,7 +147,7 @@ def _along_road(network: Network, symbol: Symbol) -> Callable[[Polygon], Float[n
     return points_world
 
 
-def _gore(ground: Ground, symbol: Symbol) -> Shape:
+def _gore(ground: Ground, symbol: Symbol) -> SymbolShape:
     """Chevrons that point to where the roads part."""
     network = ground.network
     start_m = float(symbol.s_m * network.onwards)
@@ -160,7 +160,7 @@ def _gore(ground: Ground, symbol: Symbol) -> Shape:
     middles = [float(lane.middle(s[:1])[0]) for lane in parting.road.lanes_at(start_m)]
     at_m = max(middles) + parting.road.lane_width_m / 2
 
-    def width_m(s: Values) -> Values:
+    def width_m(s: Scalars) -> Scalars:
         return np.maximum(parting.gap_m(s), 0.01)
 
     def points_world(places: Polygon) -> Float[np.ndarray, "_ 3"]:
@@ -178,7 +178,7 @@ def _gore(ground: Ground, symbol: Symbol) -> Shape:
         for side in (i, 1 - i)
     ]
     outline = np.concatenate([np.column_stack([0 * s, s]), np.column_stack([0 * s + 1, s])[::-1]])
-    return Shape(polygons, outline, points_world, COLUMN_M / float(width_m(s).max()))
+    return SymbolShape(polygons, outline, points_world, COLUMN_M / float(width_m(s).max()))
 
 
 def _quads(polygon: Polygon, column: float) -> Float[np.ndarray, "k 4 2"]:

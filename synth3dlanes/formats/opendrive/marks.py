@@ -8,15 +8,14 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.formats.opendrive.roads import Road
-from synth3dlanes.geometry.network import Curve
+from synth3dlanes.arrays import Scalars
+from synth3dlanes.formats.opendrive.roads import OdrRoad
+from synth3dlanes.geometry.network import LaneCurve
 from synth3dlanes.geometry.paint import is_dotted, is_double, line_width_m, paint_color, pair_of
 from synth3dlanes.world import World
 
-Values = Float[np.ndarray, " k"]
-
-# A delimiter runs along an edge where it is this close to it. Lanes that leave a road turn aside at once, which moves the
-# lines of two such lanes against those before.
+# A delimiter runs along an edge where it is this close to it. Lanes that leave a road turn aside at once, which moves
+# the lines of two such lanes against those before.
 NEAR_M = 0.1
 # Shorter stretches are left out.
 SHORT_M = 0.5
@@ -65,7 +64,7 @@ class Mark:
         return 3 * self.width_m if self.is_double else self.width_m
 
 
-def marks(world: World, road: Road) -> dict[int, list[Mark]]:
+def marks(world: World, road: OdrRoad) -> dict[int, list[Mark]]:
     """The marks on the outer edges of all lanes by their numbers, and those of lane 0, which lies between both
     directions or at the inner edge of a road of one direction."""
     edges = {0: road.center_m, **{lane.number: lane.outer_m for lane in road.lanes}}
@@ -74,7 +73,7 @@ def marks(world: World, road: Road) -> dict[int, list[Mark]]:
     return found | ({0: []} if road.is_oncoming and road.in_junction else {})
 
 
-def _along(world: World, road: Road, edge_xy: Float[np.ndarray, "m 2"]) -> list[Mark]:
+def _along(world: World, road: OdrRoad, edge_xy: Float[np.ndarray, "m 2"]) -> list[Mark]:
     """All marks of an edge, and `none` between them; nothing where it is not painted at all."""
     found = sorted(
         (mark for line in world.site.lines for mark in _of(world, road, edge_xy, line)), key=lambda at: at[0].s_m
@@ -90,7 +89,9 @@ def _along(world: World, road: Road, edge_xy: Float[np.ndarray, "m 2"]) -> list[
     return filled
 
 
-def _of(world: World, road: Road, edge_xy: Float[np.ndarray, "m 2"], line: Curve) -> Iterator[tuple[Mark, float]]:
+def _of(
+    world: World, road: OdrRoad, edge_xy: Float[np.ndarray, "m 2"], line: LaneCurve
+) -> Iterator[tuple[Mark, float]]:
     """The marks of a delimiter along an edge, each with its end, if it runs there."""
     at = np.flatnonzero((road.network_s >= line.start_m - 1e-6) & (road.network_s <= line.end_m + 1e-6))
     if line.kind != "delimiter" or len(at) < 2 or road.s_m[at[-1]] - road.s_m[at[0]] < SHORT_M:
@@ -126,11 +127,11 @@ def _of(world: World, road: Road, edge_xy: Float[np.ndarray, "m 2"], line: Curve
         yield Mark(float(from_m), kind, *look, *map(float, sizes)), float(next_m)
 
 
-def _lengths(world: World, line: Curve, network_s: Values) -> Values:
+def _lengths(world: World, line: LaneCurve, network_s: Scalars) -> Scalars:
     """Lengths along a line, in the order of these stations, from station 0."""
-    to_start = np.clip(np.linspace(0, network_s[0], 2 + int(abs(network_s[0]) / LENGTH_STEP_M)), line.start_m, line.end_m)
-    before, along = (
-        np.linalg.norm(np.diff(line.points_world(s), axis=0), axis=1) for s in (to_start, network_s)
+    to_start = np.clip(
+        np.linspace(0, network_s[0], 2 + int(abs(network_s[0]) / LENGTH_STEP_M)), line.start_m, line.end_m
     )
+    before, along = (np.linalg.norm(np.diff(line.points_world(s), axis=0), axis=1) for s in (to_start, network_s))
     start_m = np.sign(network_s[0]) * before.sum() * np.sign(network_s[-1] - network_s[0])
     return np.asarray(start_m + np.concatenate([[0.0], np.cumsum(along)]))

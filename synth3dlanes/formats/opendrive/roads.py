@@ -12,14 +12,9 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.geometry.network import Lane as NetworkLane
-from synth3dlanes.geometry.network import Network, Offset
-from synth3dlanes.geometry.network import Road as NetworkRoad
+from synth3dlanes.arrays import Points2, Points3, Scalars
+from synth3dlanes.geometry.network import Lane, Network, Offset, Road
 from synth3dlanes.geometry.terrain import height_at
-
-Values = Float[np.ndarray, " m"]
-Points2 = Float[np.ndarray, "m 2"]
-Points3 = Float[np.ndarray, "m 3"]
 
 # Stations that a file reaches, at least, and the distance of the places that are fitted.
 REACH_M = 250.0
@@ -35,23 +30,23 @@ PLANE_STEPS = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Lane:
+class OdrLane:
     """A strip of a road: its OpenDRIVE number (positive to the left of lane 0), its type, the id of the lane segment
     that it is (None for a shoulder or median), and its edges as t, the inner one first."""
 
     number: int
     kind: str
     segment: str | None
-    inner_m: Values
-    outer_m: Values
+    inner_m: Scalars
+    outer_m: Scalars
 
 
 @dataclass(frozen=True, eq=False)
-class Road:
-    """A road with everything at equal steps along it: stations `s_m`, those of the network's road there, the reference line
-    from above, its height and the roll of the plane (positive: the left side is higher), the t of lane 0 and the lanes
-    from the left. It runs as the host drives or, if it `is_oncoming`, the other way. `before` and `after` name the
-    roads or the junction at its ends; `edges_of` the network's road whose edges it has, if it has both."""
+class OdrRoad:
+    """A road with everything at equal steps along it: stations `s_m`, those of the network's road there, the reference
+    line from above, its height and the roll of the plane (positive: the left side is higher), the t of lane 0 and the
+    lanes from the left. It runs as the host drives or, if it `is_oncoming`, the other way. `before` and `after` name
+    the roads or the junction at its ends; `edges_of` the network's road along whose edges it runs, if it does."""
 
     name: str
     in_junction: bool
@@ -60,14 +55,14 @@ class Road:
     is_oncoming: bool
     is_left_hand: bool
     edges_of: str | None
-    network_s: Values
-    s_m: Values
+    network_s: Scalars
+    s_m: Scalars
     xy_world: Points2
-    elevation_m: Values
-    roll_rad: Values
-    center_m: Values
-    lanes: tuple[Lane, ...]
-    surface_m: Callable[[Points2, Values], Values]
+    elevation_m: Scalars
+    roll_rad: Scalars
+    center_m: Scalars
+    lanes: tuple[OdrLane, ...]
+    surface_m: Callable[[Points2, Scalars], Scalars]
 
     @cached_property
     def line_world(self) -> Points3:
@@ -85,11 +80,11 @@ class Road:
         sin, cos = np.sin(self.roll_rad)[:, None], np.cos(self.roll_rad)[:, None]
         return np.stack([along, cos * left + sin * up, cos * up - sin * left], axis=1)
 
-    def plane_points(self, t_m: Values) -> Points3:
+    def plane_points(self, t_m: Scalars) -> Points3:
         """World points of the banked plane at all stations and these t."""
         return np.asarray(self.line_world + t_m[:, None] * self.axes[:, 1])
 
-    def over_plane(self, t_m: Values) -> Values:
+    def over_plane(self, t_m: Scalars) -> Scalars:
         """Height (z) of the road's surface over the banked plane at all stations and these t."""
         points = self.plane_points(t_m)
         # Where the road climbs, its roll moves these points along it.
@@ -109,7 +104,7 @@ class Road:
         return np.column_stack([s, to[:, 1:]])
 
     @property
-    def driving(self) -> tuple[Lane, ...]:
+    def driving(self) -> tuple[OdrLane, ...]:
         """The lanes of traffic."""
         return tuple(lane for lane in self.lanes if lane.kind == "driving")
 
@@ -120,17 +115,17 @@ class _Strip:
 
     kind: str
     segment: str | None
-    width_m: float | Callable[[Values], Values]
+    width_m: float | Callable[[Scalars], Scalars]
 
 
 @dataclass(frozen=True)
 class _Layout:
-    """A part of a road of the network: its stations, its reference line, its strips as t grows, the number of those before
-    lane 0, the offset of lane 0 from the line, and what lies before and behind it."""
+    """A part of a road of the network: its stations, its reference line, its strips as t grows, the number of those
+    before lane 0, the offset of lane 0 from the line, and what lies before and behind it."""
 
     name: str
     span_m: tuple[float, float]
-    road: NetworkRoad
+    road: Road
     line: Offset
     strips: tuple[_Strip, ...]
     n_left: int
@@ -140,13 +135,14 @@ class _Layout:
     is_oncoming: bool = False
 
 
-def roads(network: Network) -> list[Road]:
-    """All roads of a network. Where others part from the host's, these are its part before that, the connecting roads of
-    a junction up to where the lanes have parted, and the roads beyond; with a median, also one for oncoming traffic."""
+def roads(network: Network) -> list[OdrRoad]:
+    """All roads of a network. Where others part from the host's, these are its part before that, the connecting roads
+    of a junction up to where the lanes have parted, and the roads beyond; with a median, also one for oncoming
+    traffic."""
     return [_road(network, layout) for layout in _layouts(network)]
 
 
-def _strips(lanes: list[NetworkLane]) -> tuple[_Strip, ...]:
+def _strips(lanes: list[Lane]) -> tuple[_Strip, ...]:
     return tuple(_Strip("driving", lane.id, lane.width_m) for lane in lanes)
 
 
@@ -161,15 +157,21 @@ def _layouts(network: Network) -> list[_Layout]:
     facing, own = road.carriageways[0], road.carriageways[-1]
     left, middle_m = (shoulder, *oncoming), (facing.left_m + own.right_m) / 2
     if oncoming and own.left_m - facing.right_m > APART_M:
-        median, line = _Strip("median", None, (own.left_m - facing.right_m) / 2), Offset((facing.left_m + facing.right_m) / 2)
+        median, line = (
+            _Strip("median", None, (own.left_m - facing.right_m) / 2),
+            Offset((facing.left_m + facing.right_m) / 2),
+        )
         strips, half_m = (*left, median), (facing.right_m - facing.left_m) / 2
         found = [_Layout("oncoming", (-REACH_M, end_m), road, line, strips, len(strips) - 1, half_m, is_oncoming=True)]
         oncoming, left, middle_m = (), (median,), (own.left_m + own.right_m) / 2
 
     def part(
-        name: str, span_m: tuple[float, float], left: tuple[_Strip, ...], right: tuple[_Strip, ...], *ends: str | None
-    ) -> _Layout:
-        return _Layout(name, span_m, road, Offset(middle_m), (*left, *right), len(left), own.left_m - middle_m, *ends)
+        name: str, span_m: tuple[float, float], left: tuple[_Strip, ...], right: tuple[_Strip, ...],
+        before: str | None = None, after: str | None = None,
+    ) -> _Layout:  # fmt: skip
+        return _Layout(
+            name, span_m, road, Offset(middle_m), (*left, *right), len(left), own.left_m - middle_m, before, after
+        )
 
     before, after = first[0].section, beyond[0].section
     if not partings:
@@ -178,7 +180,9 @@ def _layouts(network: Network) -> list[_Layout]:
     # A lane that opens begins on its neighbour's; connecting roads are for one direction.
     for lane in beyond:
         if lane.middle.moves:
-            found.append(_Layout("opening", junction, road, lane.middle, _strips([lane]), 0, -lane.width_m / 2, before, after))
+            found.append(
+                _Layout("opening", junction, road, lane.middle, _strips([lane]), 0, -lane.width_m / 2, before, after)
+            )
     through = _strips([lane for lane in beyond if not lane.middle.moves])
     if oncoming:
         found.append(replace(part("facing", junction, left, (), before, after), is_oncoming=True))
@@ -199,7 +203,7 @@ def _layouts(network: Network) -> list[_Layout]:
     ]
 
 
-def _road(network: Network, layout: _Layout) -> Road:
+def _road(network: Network, layout: _Layout) -> OdrRoad:
     ascends = (network.onwards > 0) != layout.is_oncoming
     low_m, high_m = layout.span_m
     s = np.linspace(low_m, high_m, int(np.ceil((high_m - low_m) / STEP_M)) + 1)[:: 1 if ascends else -1]
@@ -215,14 +219,14 @@ def _road(network: Network, layout: _Layout) -> Road:
         outward = -1 if i < layout.n_left else 1
         number = i - layout.n_left if i < layout.n_left else i - layout.n_left + 1
         inner, outer = (edges[i + 1], edges[i]) if outward < 0 else (edges[i], edges[i + 1])
-        lanes.append(Lane(int(leftward * number), strip.kind, strip.segment, inner, outer))
+        lanes.append(OdrLane(int(leftward * number), strip.kind, strip.segment, inner, outer))
 
-    def surface_m(xy_world: Points2, network_s: Values) -> Values:
+    def surface_m(xy_world: Points2, network_s: Scalars) -> Scalars:
         return height_at(network.terrain, xy_world) + layout.road.raised(network_s)
 
     ends = layout.before, layout.after
     is_whole = not layout.is_oncoming and layout.name != "opening"
-    flat = Road(
+    flat = OdrRoad(
         name=layout.name,
         in_junction=None not in ends and JUNCTION not in ends,
         before=ends[0] if ascends else ends[1],
@@ -242,7 +246,7 @@ def _road(network: Network, layout: _Layout) -> Road:
     return _banked(flat)
 
 
-def _banked(road: Road) -> Road:
+def _banked(road: OdrRoad) -> OdrRoad:
     """The road on the plane nearest to its lanes; their edges are still at the same distances from above."""
     lines = [t for lane in road.driving for t in (lane.inner_m, (lane.inner_m + lane.outer_m) / 2, lane.outer_m)]
     aside = np.array(lines)

@@ -9,14 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from synth3dlanes.arrays import Points3, Scalars
 from synth3dlanes.geometry.meshes import grass_in_medians
-from synth3dlanes.geometry.network import SIDES, Curve, Lane, Network
+from synth3dlanes.geometry.network import SIDES, Lane, LaneCurve, Network
 from synth3dlanes.geometry.paint import is_double, paint_color
 from synth3dlanes.labels import Marking, PaintColor, Segment
 from synth3dlanes.world import World
-
-Points3 = Float[np.ndarray, "n 3"]
-Values = Float[np.ndarray, " n"]
 
 STEP_M = 0.5
 REACH_M = 75.0  # beyond the corner of the area that is labelled
@@ -83,7 +81,7 @@ def runs(points: Float[np.ndarray, "n 3"], keep: Bool[np.ndarray, " n"]) -> list
     return [points[a:b] for a, b in ends.reshape(-1, 2) if b - a >= 2]
 
 
-def _lines(network: Network, lane: Lane, s: Values, asides_m: tuple[float, ...]) -> list[Float[np.ndarray, "_ 3"]]:
+def _lines(network: Network, lane: Lane, s: Scalars, asides_m: tuple[float, ...]) -> list[Float[np.ndarray, "_ 3"]]:
     """A lane's centre and lines beside it, at stations in ascending order."""
     road = network.road(lane.road)
     offsets = [lane.middle(s) + aside_m for aside_m in asides_m]
@@ -98,11 +96,11 @@ def _lines(network: Network, lane: Lane, s: Values, asides_m: tuple[float, ...])
     return [np.concatenate([start, line[ahead]]) for start, line in zip(starts, lines, strict=True)]
 
 
-def _delimiter_xy(line: Curve, s: Values) -> Float[np.ndarray, "_ 2"]:
+def _delimiter_xy(line: LaneCurve, s: Scalars) -> Float[np.ndarray, "_ 2"]:
     return line.xy_world(s[(s >= line.start_m) & (s <= line.end_m)])
 
 
-def _painted(world: World, points_world: Points3, delimiters: dict[Curve, Float[np.ndarray, "_ 2"]]) -> Boundary:
+def _painted(world: World, points_world: Points3, delimiters: dict[LaneCurve, Float[np.ndarray, "_ 2"]]) -> Boundary:
     best, best_share = None, LEAST_PAINTED
     for line, xy in delimiters.items():
         if len(xy):
