@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from synth3dlanes.errors import InputError
 from synth3dlanes.files import Folder
 from synth3dlanes.formats.reading import read_image
 from synth3dlanes.labels import Labels
@@ -140,6 +141,8 @@ def _pictures(source: str | Path, intrinsics: Intrinsics | None) -> Iterator[_Pi
     if files:
         return (_of_file(file, intrinsics) for file in files)
     samples = open_split(source)
+    if intrinsics is not None:
+        raise InputError(f"intrinsics: expected none for {source}, whose labels have them")
     chosen = (samples[index] for index in range(len(samples)))
     return (_Picture(s.key, np.array(s.image), intrinsics_of(s.labels), s.labels) for s in chosen)
 

@@ -8,6 +8,7 @@ import click
 from synth3dlanes.files import replacing, write
 from synth3dlanes.settings import PASSES
 
+from .idle import refuse_idle
 from .options import OutputFile, json_option
 
 
@@ -92,6 +93,7 @@ def gallery(
     from synth3dlanes.figures.gallery import draw_gallery
     from synth3dlanes.sources import shown_samples, some_samples
 
+    refuse_idle(show != "height", ["lanes"], "with --show height, which is no view of the camera")
     samples = shown_samples(some_samples(folder, n, shuffle, where), show, lanes)
     sheet = draw_gallery(samples, columns, width)
     with replacing(out) as stream:

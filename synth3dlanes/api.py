@@ -58,7 +58,7 @@ from synth3dlanes.sensors.cameras import CameraSpec
 from synth3dlanes.sensors.lidar_files import load_lidar
 from synth3dlanes.sensors.rig_files import load_rig as _load_rig
 from synth3dlanes.sensors.sweep import Sweep
-from synth3dlanes.settings import DEVICES, QUALITY_SAMPLES, RenderSettings
+from synth3dlanes.settings import DEVICES, MAX_SAMPLES, MAX_SEED, QUALITY_SAMPLES, RenderSettings
 from synth3dlanes.settings import PASSES as PASS_NAMES
 from synth3dlanes.shots import Shots, clips
 from synth3dlanes.sources import load_scene as _load_scene
@@ -152,7 +152,8 @@ def sample_scene(
 
     Raises InputError for a bad argument, and where the least number of cars, or trees, find no room in their ranges.
     """
-    _at_least(0, seed=seed, index=index)
+    _within(0, MAX_SEED, seed=seed)
+    _within(0, MAX_SAMPLES - 1, index=index)
     scenes = Scenes(params, seed, split, assets=assets.assets, shots=_shots(camera, rig, frames, fps))
     return _sample_scene(scenes, index)
 
@@ -239,7 +240,7 @@ def generate_dataset(
     on the way does not raise: see `problem`, `done` and `asked` of the result. Raises InputError, MissingPackageError
     or DiskFullError where it cannot start.
     """
-    _at_least(0, seed=seed)
+    _within(0, MAX_SEED, seed=seed)
     settings = _settings(samples, passes, device)
     shots = _shots(camera, rig, frames, fps)
     if lidar is not None:
@@ -286,7 +287,7 @@ def split_dataset(
     """Divide a split (or a data set that has one) at random into new ones, in a new data set `out`; return their
     numbers of samples. Clips stay whole. `shares` are those of the new splits, by default train 0.8, val and test 0.1.
     """
-    _at_least(0, seed=seed)
+    _within(0, MAX_SEED, seed=seed)
     wanted = {"train": 0.8, "val": 0.1, "test": 0.1} if shares is None else shares
     return _split(one_reader(str(source)), wanted, seed, str(out))
 
@@ -373,6 +374,12 @@ def _at_least(least: int, **arguments: int) -> None:
     for name, value in arguments.items():
         if value < least:
             raise InputError(f"{name}: expected {least} or more, got {value}")
+
+
+def _within(least: int, most: int, **arguments: int) -> None:
+    for name, value in arguments.items():
+        if not least <= value <= most:
+            raise InputError(f"{name}: expected {least} to {most}, got {value}")
 
 
 def _one_of(argument: str, value: str, known: Iterable[str]) -> str:

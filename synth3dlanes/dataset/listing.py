@@ -9,6 +9,7 @@ from typing import Any, Generic, TypeVar
 
 from synth3dlanes.dataset.address import can_list, connect, read_file, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION, parse_description
+from synth3dlanes.dataset.nesting import require_no_split
 from synth3dlanes.errors import FormatError
 
 N_CONNECTIONS = 8
@@ -57,12 +58,14 @@ def read_shards(
 
 
 def splits_with_shards(place: str) -> list[str] | None:
-    """The splits of the data set at `place` that have finished shards; None where there is no `dataset.json`."""
+    """The splits of the data set at `place` that have finished shards; None where there is no `dataset.json`. Raises
+    FormatError where it is a split of another one."""
     files, root = connect(place)
     with translate_store_errors(place):
         data = read_file(files, f"{root}/{DESCRIPTION}")
         if data is None:
             return None
+        require_no_split(place)
         if can_list(files):
             return sorted({str(path).rsplit("/", 2)[-2] for path in files.glob(f"{root}/*/*.parquet")})
         description = parse_description(data, f"{place}/{DESCRIPTION}")

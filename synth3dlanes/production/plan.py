@@ -100,9 +100,8 @@ class Plan:
     def expected(self, n_workers: int = 0) -> Forecast:
         """What the missing samples will take. Raises InputError where another recipe's samples are there, and
         DiskFullError where a folder's disk has too little room."""
-        # Before anything else is read there. The device of a cluster is known on the cluster.
-        if self.recipe.settings.device != "auto":
-            self.destination.check_recipe(self.description(), self.recipe.scenes.split, self.n)
+        # Before anything else is read there.
+        self.destination.check_recipe(self.description(), self.recipe.scenes.split, self.n)
         missing = self.n_missing()
         found = forecast(self.recipe, missing, max(1, min(n_workers or self.workers or n_cores(), missing)))
         if not self.destination.is_store:

@@ -147,8 +147,13 @@ class ValidationReport:
             parts += ["\n[bold]means[/bold]  of the samples' signed values; 0 where all is right", _means(tested)]
         parts += made_again_text(self.made_again)
         parts += ["", *(f"[red]{escape(problem.line())}[/red]" for problem in self.in_order())]
-        verdict = f"[red]{len(self.failed)} failed[/red]" if self.problems else "[green]all right[/green]"
+        verdict = f"[red]{len(self.failed)} failed[/red]" if self.problems else self._praise()
         return Group(*parts, f"{self.n_samples} samples checked: {verdict}")
+
+    def _praise(self) -> str:
+        if self.n_samples == 0:
+            return "[yellow]the files are all right, labels and pixels were not looked at[/yellow]"
+        return "[green]all right[/green]"
 
 
 def made_again_text(verdicts: dict[str, str]) -> list[str]:

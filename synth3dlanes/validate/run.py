@@ -12,8 +12,9 @@ from typing import Any, NamedTuple
 from synth3dlanes.arrays import Passes, RgbImage
 from synth3dlanes.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.dataset.address import connect, splits_near, translate_store_errors
-from synth3dlanes.dataset.description import DESCRIPTION, Description, data_set_of, parse_description, recipe_text
+from synth3dlanes.dataset.description import DESCRIPTION, Description, parse_description, recipe_text
 from synth3dlanes.dataset.format import SCENE
+from synth3dlanes.dataset.nesting import data_set_of, inner_data_sets, outer_data_sets
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.geometry import height_map
 from synth3dlanes.geometry.camera import rays_of_pixels
@@ -23,7 +24,7 @@ from synth3dlanes.validate.checks import CHECKS
 from synth3dlanes.validate.contents import read_contents
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding, Problem, Result, findings_of, some
-from synth3dlanes.validate.integrity import Entry, check_card, check_presence, check_shard, read_sample
+from synth3dlanes.validate.integrity import Entry, check_companions, check_presence, check_shard, read_sample
 from synth3dlanes.validate.made_again import how_to_make, make_again, some_of
 from synth3dlanes.validate.origin import Origin, drawn_otherwise, made_otherwise, read_origin
 from synth3dlanes.validate.report import ValidationReport, draw, remove_pictures, save_picture
@@ -76,6 +77,8 @@ def validate(
         lines = [line.removeprefix(f"{DESCRIPTION}: ") for line in str(error).splitlines()]
         report.problems.append(Problem(DESCRIPTION, "", some(lines)))
         return report
+    nested = [*outer_data_sets(place), *inner_data_sets(place, description.splits)]
+    report.problems += [Problem(DESCRIPTION, "", line) for line in nested]
     try:
         origin = read_origin(document)
     except FormatError as error:
@@ -105,7 +108,7 @@ def validate(
         *made_otherwise(recipes, recipe),
         *drawn_otherwise(redrawn, len(todo), description.generator, recipes, recipe),
     ]
-    report.problems[:0] = [*origins, *check_card(place, document)]
+    report.problems[:0] = [*origins, *check_companions(place, document)]
     report.judge()
     return report
 

@@ -192,6 +192,7 @@ def test_table_puts_the_papers_numbers_beside_ours(roads, split):
     assert "0.566 / 1.000" in table.splitlines()[3]
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore")
 def test_onnx_gives_equal_outputs(tmp_path):
     path = export_onnx(_untrained(tmp_path / "best.pt", "improved"), tmp_path / "m.onnx")
