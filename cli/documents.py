@@ -146,6 +146,14 @@ class Evaluation(BaseModel):
     delimiter: dict[str, Any] | None = None
 
 
+class Benchmark(Document):
+    """`benchmark`: what each split is made of, and the score of the network or predictions that were given."""
+
+    benchmark: str
+    splits: dict[str, dict[str, Any]]
+    score: dict[str, Any] | None = None
+
+
 class EvaluatedTargets(BaseModel):
     """`evaluate` without a network: how the labels fit into the targets of a network, and the score of these."""
 
@@ -171,7 +179,7 @@ class Outputs(Document):
 
     assets: FolderCheck
     bench: Bench
-    benchmark: dict[str, Any] = Field(description="`benchmark`: as docs/benchmarks.md says.")
+    benchmark: Benchmark
     evaluate: Evaluation | EvaluatedTargets | EvaluatedPhotographs
     generate: RunReport
     generate_dry_run: DryRun
