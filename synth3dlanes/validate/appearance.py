@@ -91,7 +91,7 @@ def _paint(evidence: Evidence, linear: Float[np.ndarray, "h w 3"], of_road: Floa
     near = evidence.passes["depth"] < PROOF_M
     for number, lane in enumerate(lane for lane in evidence.labels.lanes if lane.kind == "delimiter"):
         at = (evidence.passes["instance"] == FIRST_DELIMITER_ID + number) & near
-        at = binary_opening(at, np.ones((RESOLVED_PX, RESOLVED_PX)))
+        at = binary_opening(at, np.ones((RESOLVED_PX, RESOLVED_PX), dtype=bool))
         color = lane.color or "white"
         if at.sum() < MIN_PAINT or not evidence.paint.shows or not evidence.paint.stands_out(color):
             continue
