@@ -190,7 +190,7 @@ def render(
     device: str = "auto",
     assets: Library = BUILT_IN,
 ) -> Rendered:
-    """Render a scene with `samples` rays a pixel, in a process of its own; about five seconds.
+    """Render a scene with `samples` samples per pixel, in a process of its own; about five seconds.
 
     Passes are some of depth, normal, semantic, instance and height. `lidar` is a YAML file or the name of a ready one
     (docs/lidar.md); without it the scene keeps its own, if it has one. Raises InputError for a bad argument and where
