@@ -179,12 +179,14 @@ def predict(
     Writes OUT/predictions.jsonl, and pictures of the lanes in the image and in 3D.
     """
     need_torch()
+    from synth3dlanes_baseline.predict import detector_for
     from synth3dlanes_baseline.predict import predict as run
 
     if len(what) > 2:
         raise click.UsageError(f"expected [CHECKPOINT] and one split, image or folder, got {len(what)} arguments")
     checkpoint, source = what if len(what) == 2 else (None, what[0])
-    click.echo(run(checkpoint, source, out, _intrinsics(intrinsics), overlays, device, own_model, threshold).text())
+    detector = detector_for(source, checkpoint, device, own_model)
+    click.echo(run(detector, source, out, _intrinsics(intrinsics), overlays, threshold).text())
 
 
 @click.command()
