@@ -10,8 +10,8 @@ import click
 from .options import json_option, progress_bar
 
 if TYPE_CHECKING:
-    from synth3dlanes.formats.summary import Summary
-    from synth3dlanes.formats.verify import Verified
+    from synth3dlanes.formats.summary import ExportSummary
+    from synth3dlanes.formats.verify import Verification
 
 
 class ExportCommand(click.Command):
@@ -96,6 +96,8 @@ def export(
         raise click.ClickException("\n".join(problems))
 
 
-def _document(summary: "Summary", warnings: tuple[str, ...], verified: "tuple[Verified, ...]") -> dict[str, Any]:
+def _document(
+    summary: "ExportSummary", warnings: tuple[str, ...], verified: "tuple[Verification, ...]"
+) -> dict[str, Any]:
     lists = [result.document() for result in verified]
     return {**summary.document(), "warnings": list(warnings), "verified": lists}

@@ -10,6 +10,7 @@ import click
 
 from synth3dlanes.errors import InputError, MissingPackageError
 
+from .idle import is_given, refuse_idle, refuse_idle_keys, refuse_repeated, refuse_together
 from .options import json_option
 
 if TYPE_CHECKING:
@@ -53,6 +54,7 @@ changes_option = click.option(
     "changes",
     metavar="KEY=VALUE",
     multiple=True,
+    callback=refuse_repeated,
     help="Change a setting, such as batch=64 or model.grid.rows=104; repeatable.",
 )
 device_option = click.option("--device", default="auto", show_default=True, help="Device to run on: auto, cpu or cuda.")
@@ -108,12 +110,15 @@ def train(
 
     To use several GPUs: torchrun --nproc-per-node 8 -m synth3dlanes train ...
     """
-    _need_torch()
+    need_torch()
     from synth3dlanes_baseline.checkpoint import fine_tuning
     from synth3dlanes_baseline.config import overrides_from, train_config
     from synth3dlanes_baseline.train import plan
     from synth3dlanes_baseline.train import train as run
 
+    refuse_together("init", "pretrained")
+    for name in filter(is_given, ("epochs", "batch", "pretrained", "init", "device")):
+        refuse_idle_keys(False, changes, [name], f"beside --{name}")
     named: dict[str, Any] = {"epochs": epochs, "batch": batch, "pretrained": pretrained, "init": init}
     given = {name: value for name, value in named.items() if value is not None}
     overrides = {"device": device, **given, **overrides_from(changes)}
@@ -173,13 +178,15 @@ def predict(
 
     Writes OUT/predictions.jsonl, and pictures of the lanes in the image and in 3D.
     """
-    _need_torch()
+    need_torch()
+    from synth3dlanes_baseline.predict import detector_for
     from synth3dlanes_baseline.predict import predict as run
 
     if len(what) > 2:
         raise click.UsageError(f"expected [CHECKPOINT] and one split, image or folder, got {len(what)} arguments")
     checkpoint, source = what if len(what) == 2 else (None, what[0])
-    click.echo(run(checkpoint, source, out, _intrinsics(intrinsics), overlays, device, own_model, threshold).text())
+    detector = detector_for(source, checkpoint, device, own_model)
+    click.echo(run(detector, source, out, _intrinsics(intrinsics), overlays, threshold).text())
 
 
 @click.command()
@@ -245,14 +252,15 @@ def evaluate(
     Without --checkpoint and --predictions, the labels themselves are scored, encoded as the targets of the network and
     decoded again: an upper bound for any network.
     """
-    _need_torch()
+    need_torch()
     import json
 
-    if checkpoint is not None and predictions is not None:
-        raise click.UsageError("--checkpoint and --predictions cannot be used together")
-    if intrinsics is not None or lane_masks is not None:
-        if plots is not None:
-            raise click.UsageError("--plots needs labels in 3D, which photographs do not have")
+    refuse_together("checkpoint", "predictions")
+    are_photographs, is_scored = intrinsics is not None or lane_masks is not None, checkpoint or predictions
+    refuse_idle(checkpoint, ["own_model", "device"], "without --checkpoint")
+    refuse_idle(is_scored, ["threshold", "frame", "plots"], "without --checkpoint or --predictions")
+    refuse_idle(not are_photographs, ["frame", "plots"], "on photographs, which have no labels in 3D")
+    if are_photographs:
         from synth3dlanes_baseline import photographs as images
 
         photographs, camera = _photographs(source, lane_masks), _intrinsics(intrinsics)
@@ -306,12 +314,11 @@ def ablation(
     The table is saved to OUT/table.txt, .md and .json. With --sizes, every network is trained for the same number of
     steps (epochs are passes over the largest size), and OUT/curve.png shows the learning curve. Rerun to resume.
     """
-    _need_torch()
+    need_torch()
     from synth3dlanes_baseline import ablation as comparing
     from synth3dlanes_baseline.config import overrides_from
 
-    if rows and sizes is not None:
-        raise click.UsageError("--row and --sizes cannot be used together")
+    refuse_together("rows", "sizes")
     if sizes is None:
         comparing.ablation(data, out, model, rows or comparing.ROWS, overrides_from(changes), test)
     else:
@@ -324,13 +331,13 @@ def ablation(
 @click.argument("path", metavar="FILE.onnx", type=click.Path(dir_okay=False, path_type=Path))
 def onnx(checkpoint: str, path: Path) -> None:
     """Export the network of a checkpoint to ONNX: inputs image and intrinsics; outputs x_m, z_m, score and pose."""
-    _need_torch()
+    need_torch()
     from synth3dlanes_baseline.onnx_export import export_onnx
 
     click.echo(export_onnx(checkpoint, path))
 
 
-def _need_torch() -> None:
+def need_torch() -> None:
     # OpenMP's threads spin while they wait for each other. On cores that others use as well, a training step took
     # 4.8 s with spinning and 0.4 s without; on idle cores it makes no difference. Read when torch is first loaded.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")

@@ -1,7 +1,6 @@
 """Passes as pictures."""
 
 import colorsys
-from collections.abc import Mapping
 
 import numpy as np
 from jaxtyping import Shaped, UInt8
@@ -11,11 +10,9 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.patches import Patch
 
+from synth3dlanes.arrays import RgbImage
 from synth3dlanes.figures import colors
 from synth3dlanes.settings import SEMANTIC_IDS
-
-Picture = UInt8[np.ndarray, "h w 3"]
-Passes = Mapping[str, Shaped[np.ndarray, "..."]]
 
 WORDS = {
     "depth": "metres along the viewing direction, from 2 m (yellow) to 500 m (violet); gray: sky",
@@ -52,7 +49,7 @@ _CLASSES: dict[str, colors.Rgb] = {
 _GOLDEN = 0.618034
 
 
-def pass_picture(name: str, values: Shaped[np.ndarray, "h w ..."]) -> Picture:
+def pass_picture(name: str, values: Shaped[np.ndarray, "h w ..."]) -> RgbImage:
     """One pass in the colours of `WORDS`."""
     if name in _SCALES:
         map_name, norm = _SCALES[name]

@@ -24,7 +24,7 @@ from synth3dlanes.formats.one_frame import write_as_it_is, write_resampled
 from synth3dlanes.formats.plan import Chunk, open_reader, plan
 from synth3dlanes.formats.reading import json_lines, json_object, read_text
 from synth3dlanes.formats.registry import open_format
-from synth3dlanes.formats.summary import Summary, readme, summarize, warnings
+from synth3dlanes.formats.summary import ExportSummary, readme, summarize, warnings
 from synth3dlanes.formats.writing import Part
 from synth3dlanes.processes import process_pool
 from synth3dlanes.schema import Excerpt, PathBelow, parse
@@ -97,7 +97,7 @@ class Export:
             **({"cameras": list(self.cameras)} if self.cameras else {}),
         }
 
-    def write(self, workers: int = 1, progress: Progress = lambda done, total: None) -> Summary:
+    def write(self, workers: int = 1, progress: Progress = lambda done, total: None) -> ExportSummary:
         """Write it, or what is missing of it; `progress` gets (frames done, frames in all). Raises ClaimedError while
         another process or thread writes it."""
         foreign, chunks, folder = self.format, self.chunks, Folder(self.out)
@@ -120,7 +120,7 @@ class Export:
             folder.write("README.md", text.encode())
         return summary
 
-    def warnings(self, summary: Summary) -> tuple[str, ...]:
+    def warnings(self, summary: ExportSummary) -> tuple[str, ...]:
         """What a user should know of it before training on it."""
         return warnings(self.out, self.format, summary)
 

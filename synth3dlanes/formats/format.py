@@ -10,13 +10,13 @@ import numpy as np
 from jaxtyping import Shaped
 
 from synth3dlanes.formats.comparing import Comparison, Truth
-from synth3dlanes.formats.writing import Annotation, Frame, Pinhole, PinholeFrame
+from synth3dlanes.formats.writing import ExportFrame, FrameAnnotation, Pinhole, PinholeFrame
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.scene import Scene
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class SampleFrame(Frame):
+class SampleFrame(ExportFrame):
     """A frame taken as it is (a rolled camera stays rolled), with its scene, and its passes by name if the format asks
     for any. The image is of `image_format`, jpg or png. `cameras` are those of all exported pictures of this moment by
     a rig, itself included, by their keys: for the first of them, none for the others."""
@@ -74,7 +74,7 @@ class Format:
 
     title: str
     readme: str
-    write: Callable[[Any], Annotation | None]
+    write: Callable[[Any], FrameAnnotation | None]
     read: Callable[[Path, int], Iterator[FrameList]]
     verify: Callable[[ReadFrame, Truth], Comparison]
     tolerances: Mapping[str, float]
@@ -98,7 +98,7 @@ class PinholeFormat(Format):
     is_f_free: bool
     is_size_free: bool
     has_kerbs: bool = False
-    write: Callable[[PinholeFrame], Annotation | None]
+    write: Callable[[PinholeFrame], FrameAnnotation | None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,4 +111,4 @@ class SampleFormat(Format):
 
     passes: tuple[str, ...] = ()
     is_per_scene: bool = False
-    write: Callable[[SampleFrame], Annotation | None]
+    write: Callable[[SampleFrame], FrameAnnotation | None]

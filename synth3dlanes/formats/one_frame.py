@@ -17,7 +17,7 @@ from synth3dlanes.formats.kerbs import kerb_lanes
 from synth3dlanes.formats.lines import scene_tags
 from synth3dlanes.formats.plan import Chunk
 from synth3dlanes.formats.resample import fitting_pinhole, resample
-from synth3dlanes.formats.writing import Annotation, Frame, PinholeFrame
+from synth3dlanes.formats.writing import ExportFrame, FrameAnnotation, PinholeFrame
 from synth3dlanes.labels import CameraLabel, Labels
 
 Record = dict[str, Any]
@@ -91,9 +91,9 @@ def _cameras(reader: Reader, index: int, labels: Labels, chunk: Chunk) -> dict[s
     return {reader.key(index): labels.camera, **{reader.key(i): reader.labels(i).camera for i in others}}
 
 
-def _frame(reader: Reader, index: int, chunk: Chunk, labels: Labels) -> Frame:
+def _frame(reader: Reader, index: int, chunk: Chunk, labels: Labels) -> ExportFrame:
     split, key = chunk.split, reader.key(index)
-    return Frame(
+    return ExportFrame(
         labels=labels,
         split=split.name,
         key=key,
@@ -103,11 +103,13 @@ def _frame(reader: Reader, index: int, chunk: Chunk, labels: Labels) -> Frame:
     )
 
 
-def _left_out(frame: Frame, reason: str) -> Record:
+def _left_out(frame: ExportFrame, reason: str) -> Record:
     return {"split": frame.split, "part": frame.part, "left_out": reason}
 
 
-def _write(out: Path, frame: Frame, annotation: Annotation, write_image: Callable[[BinaryIO, str], None]) -> Record:
+def _write(
+    out: Path, frame: ExportFrame, annotation: FrameAnnotation, write_image: Callable[[BinaryIO, str], None]
+) -> Record:
     """`write_image` writes the image into a stream, in the format that its ending names."""
     folder = Folder(out)
     for path in (*annotation.files, *([] if annotation.image is None else [annotation.image])):

@@ -8,7 +8,7 @@ from typing import Generic, TypeVar
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.reading import read_file
 from synth3dlanes.formats.writing import PinholeFrame
-from synth3dlanes.labels import Matrix3
+from synth3dlanes.labels import JsonMatrix3
 from synth3dlanes.schema import Excerpt, Positive, parse
 
 SIDECAR = "sidecar.jsonl"
@@ -31,7 +31,7 @@ class Sidecar(Excerpt):
     """A frame's line, of formats that have pixels only."""
 
     image: str
-    img_from_cv: Matrix3
+    img_from_cv: JsonMatrix3
     camera_height_m: Positive
     camera_pitch_rad: float
     lines_ids: list[str]

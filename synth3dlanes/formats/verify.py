@@ -28,7 +28,7 @@ class Measure:
 
 
 @dataclass(frozen=True)
-class Verified:
+class Verification:
     """Some frames of an export, compared with the labels; `problems` is empty where the export is right."""
 
     name: str
@@ -77,10 +77,10 @@ class _Tally:
                 self.problems.append(f"{where}: track {track}: expected {self.tracks[track]} as before, got {lane}")
 
 
-def verify(job: Export, most_frames: int = 500) -> tuple[Verified, ...]:
+def verify(job: Export, most_frames: int = 500) -> tuple[Verification, ...]:
     """Compare at most the first `most_frames` frames of every list of a finished export with the labels."""
     marks = written(job)
-    seen, verified = set[str](), list[Verified]()
+    seen, verified = set[str](), list[Verification]()
     for frames in job.format.read(job.out, most_frames):
         verified.append(_verified(job, frames, marks, seen))
     gone = [path for path in marks.shared if not (job.out / path).is_file()]
@@ -90,10 +90,10 @@ def verify(job: Export, most_frames: int = 500) -> tuple[Verified, ...]:
         problems += [f"{job.out}: expected {files[0]} in a list, got it in none" for files in unlisted]
     if not any(result.n_lines for result in verified):
         problems.append(f"{job.out}: expected {job.format.counted} to compare, found none")
-    return (*verified, *([Verified("lists", 0, 0, 0, (), _shortened(problems))] if problems else []))
+    return (*verified, *([Verification("lists", 0, 0, 0, (), _shortened(problems))] if problems else []))
 
 
-def _verified(job: Export, frames: FrameList, marks: Written, seen: set[str]) -> Verified:
+def _verified(job: Export, frames: FrameList, marks: Written, seen: set[str]) -> Verification:
     foreign, tally = job.format, _Tally()
     for frame in frames.frames:
         if frame.file not in marks.samples:
@@ -113,7 +113,7 @@ def _verified(job: Export, frames: FrameList, marks: Written, seen: set[str]) ->
         for unit, gaps in tally.gaps.items()
     )
     counts = tally.n_frames, tally.n_lines, tally.n_matched
-    return Verified(frames.name, *counts, measures, _shortened(tally.problems))
+    return Verification(frames.name, *counts, measures, _shortened(tally.problems))
 
 
 def _image_problems(job: Export, frame: ReadFrame, truth: Truth) -> Iterator[str]:

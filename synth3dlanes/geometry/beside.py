@@ -3,38 +3,33 @@
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.arrays import Points2, Scalars
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.solids import Frame
+from synth3dlanes.geometry.solids import GroundFrame
 from synth3dlanes.labels import RoadName
 from synth3dlanes.scene import RoadSide
 
-Values = Float[np.ndarray, " n"]
-Points2 = Float[np.ndarray, "n 2"]
+
+def beside(ground: Ground, road: RoadName, side: RoadSide, s: Scalars, aside_m: Scalars | float) -> Points2:
+    """World (x, y) at stations, `aside_m` outside an edge of the pavement; of the side `median`, at this offset."""
+    on = ground.network.road(road)
+    t = np.asarray(aside_m) if side == "median" else on.edge(side, s, aside_m)
+    return on.xy(s, np.broadcast_to(t, s.shape))
 
 
-def beside(ground: Ground, road: RoadName, side: RoadSide, s: Values, aside_m: Values | float) -> Points2:
-    """World (x, y) at plan stations, `aside_m` outside an edge of the pavement; of the side `median`, at this plan
-    offset of the main road."""
-    plan = ground.plan
-    if road == "exit":
-        t = ground.exit_edge_m + np.asarray(aside_m)
-        return plan.exit_xy(s, np.broadcast_to(t if side == "right" else -t, s.shape))
-    edges = {"left": ground.left_edge_m - np.asarray(aside_m), "median": np.asarray(aside_m)}
-    t = edges[side] if side in edges else ground.main_right_edge(s) + aside_m
-    return plan.main_xy(s, np.broadcast_to(t, s.shape))
-
-
-def frames_beside(ground: Ground, road: RoadName, side: RoadSide, s: Values, aside_m: Values | float) -> list[Frame]:
+def frames_beside(
+    ground: Ground, road: RoadName, side: RoadSide, s: Scalars, aside_m: Scalars | float
+) -> list[GroundFrame]:
     """Frames on the ground beside a road: y along the road as the host drives."""
     behind, middle, ahead, out = (
         beside(ground, road, side, s + ds, aside_m + da) for ds, da in ((-0.5, 0.0), (0.0, 0.0), (0.5, 0.0), (0.0, 1.0))
     )
-    forward = (ahead - behind) * ground.plan.flips[1]
+    forward = (ahead - behind) * ground.network.onwards
     forward /= np.linalg.norm(forward, axis=1, keepdims=True)
     out = out - middle
     outward = np.sign(out[:, 0] * forward[:, 1] - out[:, 1] * forward[:, 0])
     origins = np.column_stack([middle, ground.height(middle)])
-    return [Frame(*place) for place in zip(origins, forward, outward.tolist(), strict=True)]
+    return [GroundFrame(*place) for place in zip(origins, forward, outward.tolist(), strict=True)]
 
 
 def on_ground(ground: Ground, xy_world: Points2) -> Float[np.ndarray, "n 3"]:
@@ -42,7 +37,7 @@ def on_ground(ground: Ground, xy_world: Points2) -> Float[np.ndarray, "n 3"]:
     return np.column_stack([xy_world, ground.height(xy_world)])
 
 
-def ground_over(ground: Ground, frame: Frame, places: Float[np.ndarray, "n 2"]) -> Values:
+def ground_over(ground: Ground, frame: GroundFrame, places: Float[np.ndarray, "n 2"]) -> Scalars:
     """Heights of the ground at (x, y) of a frame, in this frame."""
     flat = frame.world(np.column_stack([places, np.zeros(len(places))]))
     return ground.height(flat[:, :2]) - frame.origin[2]

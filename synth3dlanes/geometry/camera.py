@@ -6,10 +6,10 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import Matrix4, Points, from_axes
+from synth3dlanes.arrays import AnyPoints3, Matrix4
+from synth3dlanes.frames import from_axes
 from synth3dlanes.geometry import terrain
-from synth3dlanes.geometry.lanes import host_segment, path_of_segment
-from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.geometry.network import Network
 from synth3dlanes.scene import Camera
 
 TANGENT_STEP_M = 1e-3
@@ -24,12 +24,12 @@ def img_from_cam(camera: Camera) -> Float[np.ndarray, "3 3"]:
     )
 
 
-def project(camera: Camera, points_cam: Points) -> Float[np.ndarray, "*n 2"]:
+def project(camera: Camera, points_cam: AnyPoints3) -> Float[np.ndarray, "*n 2"]:
     """Pixels (u, v) of points through the lens; NaN for those that are not in its field."""
     return camera.lens.project(img_from_cam(camera), points_cam)
 
 
-def rays(camera: Camera, uv: Float[np.ndarray, "*n 2"]) -> Points:
+def rays(camera: Camera, uv: Float[np.ndarray, "*n 2"]) -> AnyPoints3:
     """Unit vectors (camera frame) along which pixels look; NaN where the lens has no picture."""
     return camera.lens.rays(img_from_cam(camera), uv)
 
@@ -58,14 +58,14 @@ def horizontal_fov_rad(camera: Camera) -> float:
     return float(np.where(np.isnan(angles), camera.lens.field_rad, angles).sum())
 
 
-def world_from_host(plan: RoadPlan, camera: Camera) -> Matrix4:
+def world_from_host(network: Network, camera: Camera) -> Matrix4:
     """The pose of the road frame at the host: origin on the surface at its place, z the surface normal, y along the
     lane."""
-    lane = path_of_segment(plan, host_segment(plan, camera))
-    s = plan.plan_station(camera.y_m + np.array([0.0, -TANGENT_STEP_M, TANGENT_STEP_M]))
-    t = lane.main_offset(plan, s) + camera.offset_m * plan.flips[0]
-    foot, behind, ahead = plan.lift(plan.main_xy(s, t))
-    ((dx, dy),) = terrain.gradient_at(plan.terrain, foot[None, :2])
+    lane = network.host_lane(camera.lane, camera.y_m)
+    s = network.stations(camera.y_m + np.array([0.0, -TANGENT_STEP_M, TANGENT_STEP_M]))
+    t = lane.middle(s) + camera.offset_m * network.rightward
+    foot, behind, ahead = network.road(lane.road).points(s, t)
+    ((dx, dy),) = terrain.gradient_at(network.terrain, foot[None, :2])
     z = np.array([-dx, -dy, 1.0]) / np.sqrt(dx * dx + dy * dy + 1)
     along = ahead - behind
     y = along - (along @ z) * z

@@ -23,11 +23,11 @@ from synth3dlanes.formats.reading import (
 )
 from synth3dlanes.formats.writing import CV_FROM_CAM
 from synth3dlanes.frames import invert, transform
-from synth3dlanes.labels import Labels, LaneKind, Points
+from synth3dlanes.labels import JsonPoints, Labels, LaneKind
 from synth3dlanes.schema import Excerpt, Metres, Number, PathBelow
 
 PointLists = tuple[Float[np.ndarray, "_ 3"], ...]
-Flags = tuple[Bool[np.ndarray, " _"], ...]
+FlagLists = tuple[Bool[np.ndarray, " _"], ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,14 +38,14 @@ class ApolloFrame:
     cam_height_m: float
     cam_pitch_rad: float
     lane_lines_apollo: PointLists
-    lane_lines_visible: Flags
+    lane_lines_visible: FlagLists
     center_lines_apollo: PointLists
-    center_lines_visible: Flags
+    center_lines_visible: FlagLists
 
     def labels(self) -> Labels:
         """The lanes in our camera frame. The camera is h cos p above the plane z = 0."""
         cam_from_apollo = invert(apollo_from_cam(self.cam_height_m, self.cam_pitch_rad))
-        groups: tuple[tuple[LaneKind, PointLists, Flags], ...] = (
+        groups: tuple[tuple[LaneKind, PointLists, FlagLists], ...] = (
             ("delimiter", self.lane_lines_apollo, self.lane_lines_visible),
             ("centerline", self.center_lines_apollo, self.center_lines_visible),
         )
@@ -112,9 +112,9 @@ class _Line(Excerpt):
     raw_file: PathBelow
     cam_height: Metres
     cam_pitch: Annotated[float, Field(gt=-math.pi / 2, lt=math.pi / 2)]
-    laneLines: list[Points]
+    laneLines: list[JsonPoints]
     laneLines_visibility: list[list[Number]]
-    centerLines: list[Points]
+    centerLines: list[JsonPoints]
     centerLines_visibility: list[list[Number]]
 
     @model_validator(mode="after")

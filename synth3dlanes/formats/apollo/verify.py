@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.formats.apollo.convention import ROOT
-from synth3dlanes.formats.apollo.read import ApolloFrame, Flags, PointLists, parse
+from synth3dlanes.formats.apollo.read import ApolloFrame, FlagLists, PointLists, parse
 from synth3dlanes.formats.comparing import (
     Comparison,
     OurLine,
@@ -63,7 +63,7 @@ def verify(frame: ReadFrame, truth: Truth) -> Comparison:
 
 
 def _compared(
-    found: ApolloFrame, lines: tuple[PointLists, Flags], lanes: list[UprightLane], rule: Rule, ids: list[str]
+    found: ApolloFrame, lines: tuple[PointLists, FlagLists], lanes: list[UprightLane], rule: Rule, ids: list[str]
 ) -> Comparison:
     points, flags = lines
     compared, _ = compare([upright(found, line) for line in points], [_ours(lane) for lane in lanes], rule, ids)

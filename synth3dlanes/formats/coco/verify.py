@@ -62,7 +62,7 @@ class _Instances(Excerpt):
     annotations: list[_Instance]
 
 
-Found = TypeVar("Found", _Panoptic, _Instances)
+Document = TypeVar("Document", _Panoptic, _Instances)
 
 
 def read(out: Path, most_frames: int) -> Iterator[FrameList]:
@@ -86,7 +86,7 @@ def _frames(out: Path, path: Path, most_frames: int) -> Iterator[ReadFrame]:
         yield ReadFrame(image, str(out / file), image, (frame.segments_info, pixels, mine))
 
 
-def _parsed(model: type[Found], path: Path) -> Found:
+def _parsed(model: type[Document], path: Path) -> Document:
     return parse(model, read_file(path), str(path), "annotations of COCO", MOST_BYTES)
 
 

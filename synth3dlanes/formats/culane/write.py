@@ -17,9 +17,9 @@ from synth3dlanes.formats.culane.convention import (
     scene_of,
 )
 from synth3dlanes.formats.culane.read import lines_path
-from synth3dlanes.formats.lines import Line, columns_of, ego_places, keep_lines, lines_ahead
+from synth3dlanes.formats.lines import LaneAhead, columns_of, ego_places, keep_lines, lines_ahead
 from synth3dlanes.formats.sidecar import sidecar
-from synth3dlanes.formats.writing import PARTS, Annotation, Pinhole, PinholeFrame
+from synth3dlanes.formats.writing import PARTS, FrameAnnotation, Pinhole, PinholeFrame
 
 MIN_POINTS = 3
 FRAMES_PER_FOLDER = 1000
@@ -42,7 +42,7 @@ README = f"""CULane layout.
 """
 
 
-def annotate(frame: PinholeFrame) -> Annotation:
+def annotate(frame: PinholeFrame) -> FrameAnnotation:
     """The frame's lines, its mask and its list entries."""
     labels, dropped = frame.labels, Counter[str]()
     folder, place = divmod(frame.number, FRAMES_PER_FOLDER)
@@ -71,10 +71,10 @@ def annotate(frame: PinholeFrame) -> Annotation:
         (f"/{image} /{mask} {flags}", tuple(f"list/{part}_gt.txt" for part in parts if part != "test")),
         sidecar(image, frame, [line.id for line in kept]),
     )
-    return Annotation(image, len(kept), dropped, {lines_path(image): text, mask: _mask(lines_px)}, shared)
+    return FrameAnnotation(image, len(kept), dropped, {lines_path(image): text, mask: _mask(lines_px)}, shared)
 
 
-def _points(line: Line, pinhole: Pinhole) -> Float[np.ndarray, "n 2"]:
+def _points(line: LaneAhead, pinhole: Pinhole) -> Float[np.ndarray, "n 2"]:
     """The line's points in the image, at the format's rows from the bottom up."""
     columns_px = columns_of(line, pinhole, ROWS_PX)
     inside = (columns_px >= 0) & (columns_px < pinhole.width_px)

@@ -12,7 +12,7 @@ from synth3dlanes import schema
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.openlane_v2.convention import COLLECTIONS, ROOT
 from synth3dlanes.formats.reading import MOST_BYTES, read_file
-from synth3dlanes.labels import Matrix3, Points, Row3
+from synth3dlanes.labels import JsonMatrix3, JsonPoints, Row3
 from synth3dlanes.schema import Excerpt, PathBelow
 
 LEAST_POINTS = 11  # what the benchmark compares
@@ -74,7 +74,7 @@ class _Collection(RootModel[dict[PathBelow, dict[PathBelow, list[PathBelow]]]]):
 
 class _Centerline(Excerpt):
     id: int
-    points: Points
+    points: JsonPoints
 
 
 class _Centerlines(Excerpt):
@@ -84,9 +84,9 @@ class _Centerlines(Excerpt):
 
 class _Segment(Excerpt):
     id: int
-    centerline: Points
-    left_laneline: Points
-    right_laneline: Points
+    centerline: JsonPoints
+    left_laneline: JsonPoints
+    right_laneline: JsonPoints
 
 
 class _Segments(Excerpt):
@@ -99,7 +99,7 @@ class _Sensor(Excerpt):
 
 
 class _Pose(Excerpt):
-    rotation: Matrix3
+    rotation: JsonMatrix3
     translation: Row3
 
 
