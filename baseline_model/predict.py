@@ -12,6 +12,7 @@ from synth3dlanes.errors import InputError
 from synth3dlanes.files import Folder
 from synth3dlanes.formats.reading import read_image
 from synth3dlanes.labels import Labels
+from synth3dlanes.words import counted
 
 from . import checkpoint as checkpoints
 from .data import Intrinsics, img_from_cam, intrinsics_of, resize, scale, size_of
@@ -41,11 +42,11 @@ class PredictionSummary:
     def text(self) -> str:
         """The summary as one line of text."""
         if self.n_lanes:
-            found = f"{self.path}: {self.n_lanes} lanes in {self.n_images} images"
+            found = f"{self.path}: {counted(self.n_lanes, 'lane')} in {counted(self.n_images, 'image')}"
         else:
             found = (
-                f"{self.path}: no lane of confidence {self.threshold:g} in {self.n_images} images; the best has "
-                f"{self.best_score:.2f}, --threshold shows it"
+                f"{self.path}: no lane of confidence {self.threshold:g} in {counted(self.n_images, 'image')}; "
+                f"the best has {self.best_score:.2f}, --threshold shows it"
             )
         assumed = f"; a field of view of {ASSUMED_FOV_DEG:g} degrees was assumed, --intrinsics says otherwise"
         return found + assumed * self.is_assumed
