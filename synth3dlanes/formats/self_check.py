@@ -19,7 +19,7 @@ from synth3dlanes.formats.band_score import BandScore, Canvas, Polyline
 from synth3dlanes.formats.line_score import NEAR, Frames, Line3d, Score3d, sample_line
 from synth3dlanes.formats.reading import image_header, read_file
 from synth3dlanes.formats.writing import SIDECAR
-from synth3dlanes.labels import Matrix3
+from synth3dlanes.json_arrays import Matrix3
 from synth3dlanes.schema import Excerpt, Positive, parse, shown
 
 SHIFT_M = 2.0

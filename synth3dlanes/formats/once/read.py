@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes import schema
-from synth3dlanes.labels import Points, Row4
+from synth3dlanes.json_arrays import Points, Row4
 from synth3dlanes.schema import Excerpt, Number
 
 
