@@ -10,7 +10,7 @@ from synth3dlanes.files import Folder, write
 
 from .config import TrainConfig, train_config
 from .evaluate import evaluate_checkpoint, evaluate_flat_ground
-from .metrics import Report
+from .metrics import EvaluationReport
 from .report import Cells, curve_cells, markdown, save_curve, table_1_cells, text, to_document
 from .sources import open_split
 from .train import train
@@ -25,7 +25,7 @@ def ablation(
     rows: Sequence[str] = ROWS,
     overrides: dict[str, Any] | None = None,
     test_split: str = "test",
-) -> dict[str, Report]:
+) -> dict[str, EvaluationReport]:
     """Train and score each row with the same seed, schedule, epochs and initialisation (paper, 4.3). `full` also gives
     `flat_ground`."""
     configs = {row: train_config(model, overrides, row) for row in rows}
@@ -39,7 +39,7 @@ def learning_curve(
     model: str = "nano",
     overrides: dict[str, Any] | None = None,
     test_split: str = "test",
-) -> dict[str, Report]:
+) -> dict[str, EvaluationReport]:
     """Train on the first N images of the training split for each N in `sizes`. All train for the same number of steps:
     `epochs` counts passes over the largest N."""
     whole = train_config(model, overrides)
@@ -61,13 +61,13 @@ def _compare(
     data_dir: str,
     out_dir: Path,
     test_split: str,
-    cells: Callable[[dict[str, Report]], Cells],
-) -> dict[str, Report]:
+    cells: Callable[[dict[str, EvaluationReport]], Cells],
+) -> dict[str, EvaluationReport]:
     """Train each into a folder of its name and write `table.txt`, `.md` and `.json` after each. Finished trainings are
     not repeated."""
     test = f"{data_dir}/{test_split}"
     open_split(test)  # fail now, not after hours of training
-    reports: dict[str, Report] = {}
+    reports: dict[str, EvaluationReport] = {}
     for name, config in configs.items():
         Folder(out_dir).make(name)
         best = train(config, data_dir, out_dir / name)

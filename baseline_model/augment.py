@@ -13,7 +13,7 @@ from .data import Batch
 from .projection import road_from_cam, top_from_road
 
 
-class Augmented(NamedTuple):
+class AugmentedBatch(NamedTuple):
     """The changed batch, how the top-view grid was moved on its plane, and standard normal noise for the pose that
     drives the warp."""
 
@@ -28,7 +28,7 @@ def generator_for(seed: int, step: int, rank: int, device: torch.device) -> torc
     return torch.Generator(device).manual_seed(mixed & (2**63 - 1))
 
 
-def augment(batch: Batch, config: Augmentation, generator: torch.Generator) -> Augmented:
+def augment(batch: Batch, config: Augmentation, generator: torch.Generator) -> AugmentedBatch:
     """Apply all enabled augmentations."""
     device, n = batch.image.device, len(batch.image)
 
@@ -47,7 +47,7 @@ def augment(batch: Batch, config: Augmentation, generator: torch.Generator) -> A
     image = torch.addcmul(offset + (1 - gain) / 2, batch.image, gain).addcmul_(noise, strength).clamp_(0, 1)
     moved = top_from_road(uniform(math.radians(config.top_yaw_deg)), uniform(config.top_shift_m))
     pose_noise = torch.randn((n, 2), generator=generator, device=device)
-    return Augmented(batch._replace(image=image), moved, pose_noise)
+    return AugmentedBatch(batch._replace(image=image), moved, pose_noise)
 
 
 def flip(batch: Batch, chosen: Bool[Tensor, " b"]) -> Batch:

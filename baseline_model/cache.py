@@ -14,9 +14,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
+from synth3dlanes.arrays import RgbImage
 from synth3dlanes.files import Folder
 
-from .data import Annotation, Pixels
+from .data import NetworkLabels
 from .poses import Pose
 
 HEADER = struct.Struct("<II")
@@ -80,7 +81,7 @@ def slot_bytes_of(size_px: tuple[int, int]) -> int:
     return 3 * size_px[0] * size_px[1]
 
 
-def to_bytes(one: Annotation) -> bytes:
+def to_bytes(one: NetworkLabels) -> bytes:
     """An annotation as a record."""
     lanes, points = one.visible.shape
     key = one.key.encode()
@@ -89,7 +90,7 @@ def to_bytes(one: Annotation) -> bytes:
     return head + b"".join(part.tobytes() for part in parts)
 
 
-def from_bytes(record: bytes) -> Annotation:
+def from_bytes(record: bytes) -> NetworkLabels:
     """The annotation in a record."""
     key_bytes, lanes, points, *numbers = SHAPE.unpack_from(record)
     key_end = SHAPE.size + key_bytes
@@ -97,7 +98,7 @@ def from_bytes(record: bytes) -> Annotation:
     packed = (points + 7) // 8
     visible_end = kind_end + lanes * packed
     bits = np.frombuffer(record, np.uint8, lanes * packed, kind_end).reshape(lanes, packed)
-    return Annotation(
+    return NetworkLabels(
         key=record[SHAPE.size : key_end].decode(),
         intrinsics=(numbers[0], numbers[1], numbers[2], numbers[3]),
         plane=Pose(*numbers[4:6]),
@@ -108,7 +109,7 @@ def from_bytes(record: bytes) -> Annotation:
     )
 
 
-def pixels_from_bytes(record: bytes, size_px: tuple[int, int]) -> Pixels:
+def pixels_from_bytes(record: bytes, size_px: tuple[int, int]) -> RgbImage:
     """The image in a record."""
     image: UInt8[np.ndarray, ...] = np.frombuffer(record, np.uint8).reshape(*size_px, 3)
     return image

@@ -127,6 +127,8 @@ def build(checkpoint: Checkpoint, device: torch.device, own_model: str | None = 
     model = checkpoint.config.model
     if isinstance(model, CustomModel) and own_model != model.build:
         raise InputError(f"model: expected {model.build}, whose network the checkpoint holds, got {own_model}")
+    if own_model is not None and not isinstance(model, CustomModel):
+        raise InputError(f"model: expected none for a checkpoint of {model.name}, got {own_model}")
     network = network_of(model)
     load_weights(network, checkpoint.model, "checkpoint", "the file")
     moved: nn.Module = network.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]

@@ -24,7 +24,7 @@ MIN_VALID_POINTS = 10
 
 
 @dataclass(frozen=True, eq=False)
-class Curve:
+class RoadCurve:
     """One lane with strictly increasing road y. `visible` means not hidden by the ground; cars do not count (the paper
     drops points occluded "by the terrain"). `is_repeat`: another lane of its kind coincides with it wherever it is
     visible (two paths that separate out of sight); it is neither learned nor counted."""
@@ -37,7 +37,7 @@ class Curve:
 
 
 @dataclass(frozen=True, eq=False)
-class Resampled:
+class CurveSamples:
     """A curve at given y: x and z, whether the curve reaches y, and whether it is visible there."""
 
     x_m: Float[np.ndarray, " y"]
@@ -51,7 +51,7 @@ def plane_pose(labels: Labels) -> Pose:
     return Pose(labels.camera.pitch_rad, labels.camera.height_m)
 
 
-def road_curves(labels: Labels, *, in_image_only: bool = False) -> tuple[Curve, ...]:
+def road_curves(labels: Labels, *, in_image_only: bool = False) -> tuple[RoadCurve, ...]:
     """Every lane with at least two forward points; of curves that coincide, all but one are marked as repeats. Points
     outside the image (neighbour lanes nearer than 6 m) count, as in the paper, unless `in_image_only`."""
     curves = []
@@ -60,17 +60,17 @@ def road_curves(labels: Labels, *, in_image_only: bool = False) -> tuple[Curve, 
         part = _forward_part(xyz_road[:, 1])
         if part.stop - part.start >= 2:
             visible = lane.terrain_visible & lane.in_image if in_image_only else lane.terrain_visible
-            curves.append(Curve(lane.kind, lane.xyz_cam[part], xyz_road[part], visible[part]))
+            curves.append(RoadCurve(lane.kind, lane.xyz_cam[part], xyz_road[part], visible[part]))
     return _with_repeats_marked(curves)
 
 
-def resample(curve: Curve, y_m: Float[np.ndarray, " y"]) -> Resampled:
+def resample(curve: RoadCurve, y_m: Float[np.ndarray, " y"]) -> CurveSamples:
     """Interpolate linearly between the label's samples, which are 1 m apart; the error is below 2 mm. A point is
     visible if both neighbouring samples are. `anchors.sample_curves` does this for tensors; tests compare the two."""
     y_curve_m = curve.xyz_road[:, 1]
     after = np.clip(np.searchsorted(y_curve_m, y_m), 1, len(y_curve_m) - 1)
     in_range = (y_m >= y_curve_m[0]) & (y_m <= y_curve_m[-1])
-    return Resampled(
+    return CurveSamples(
         x_m=np.interp(y_m, y_curve_m, curve.xyz_road[:, 0]),
         z_m=np.interp(y_m, y_curve_m, curve.xyz_road[:, 2]),
         in_range=in_range,
@@ -78,7 +78,7 @@ def resample(curve: Curve, y_m: Float[np.ndarray, " y"]) -> Resampled:
     )
 
 
-def is_usable(curve: Curve) -> bool:
+def is_usable(curve: RoadCurve) -> bool:
     """Whether the metric counts the lane: it crosses Y_ref inside the top view (paper, section 3.4), and at least two
     of the three NEAR_KNOTS_M are visible (our condition). `anchors.encode` decides this for tensors, in the moved top
     view of training; tests compare the two."""
@@ -105,7 +105,7 @@ def _forward_part(y_m: Float[np.ndarray, " n"]) -> slice:
     return slice(int(before[-1]) + 1 if len(before) else 0, int(behind[0]) + 1 if len(behind) else len(y_m))
 
 
-def _with_repeats_marked(curves: list[Curve]) -> tuple[Curve, ...]:
+def _with_repeats_marked(curves: list[RoadCurve]) -> tuple[RoadCurve, ...]:
     sampled = [resample(curve, METRIC_Y_M) for curve in curves]
     kept: list[int] = []
     # Curves with more visible points come first, so that the shorter copy is the repeat.
@@ -116,7 +116,7 @@ def _with_repeats_marked(curves: list[Curve]) -> tuple[Curve, ...]:
     return tuple(replace(curve, is_repeat=index not in kept) for index, curve in enumerate(curves))
 
 
-def _repeats(candidate: Resampled, other: Resampled) -> bool:
+def _repeats(candidate: CurveSamples, other: CurveSamples) -> bool:
     """Whether `other` is visible within 0.3 m wherever `candidate` is visible."""
     seen = candidate.visible
     if seen.sum() < MIN_VALID_POINTS or not other.visible[seen].all():

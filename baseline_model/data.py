@@ -1,6 +1,6 @@
 """Labelled images as training examples: pixels of the network's size, lanes as curves in camera coordinates.
 
-`Annotation` is what a network learns from the labels of one image, `Batch` several of them with their pixels.
+`NetworkLabels` is what a network learns from the labels of one image, `Batch` several of them with their pixels.
 """
 
 from collections.abc import Sequence
@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from PIL import Image
 from torch import Tensor
 
+from synth3dlanes.arrays import RgbImage
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.labels import Labels
 
@@ -21,7 +22,6 @@ from .curves import road_curves, target_pose
 from .poses import Pose
 
 Intrinsics = tuple[float, float, float, float]
-Pixels = UInt8[np.ndarray, "h w 3"]
 MOST_ENLARGED = 20.0
 """An image of nearly 180 degrees would be, to look as in training."""
 FOCAL_TOLERANCE = 1.05
@@ -51,7 +51,7 @@ class LabelledImage(Protocol):
     @property
     def key(self) -> str: ...
     @property
-    def image(self) -> Pixels: ...
+    def image(self) -> RgbImage: ...
     @property
     def labels(self) -> Labels: ...
 
@@ -84,7 +84,7 @@ class Batch(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Annotation:
+class NetworkLabels:
     """What a network learns from the sample with this key. `intrinsics` are in pixels of the network's image.
 
     Curves have no repeats. Short ones are padded with their last point, so that y stays sorted; the padding is not
@@ -102,7 +102,7 @@ class Annotation:
 
 def annotation_of(
     key: str, labels: Labels, size_px: tuple[int, int], pose_mode: str, *, in_image_only: bool = False
-) -> Annotation:
+) -> NetworkLabels:
     """The annotation that labels give for images of `size_px` (height, width); raise FormatError, naming the sample,
     where they hold no finite numbers."""
     if not all(np.isfinite(lane.xyz_cam).all() for lane in labels.lanes):
@@ -120,10 +120,10 @@ def annotation_of(
         kind[i] = CENTERLINE if curve.kind == "centerline" else DELIMITER
     plane, target = Pose(labels.camera.pitch_rad, labels.camera.height_m), target_pose(labels, pose_mode)
     intrinsics = scale(intrinsics_of(labels), (labels.camera.height_px, labels.camera.width_px), size_px)
-    return Annotation(key, intrinsics, plane, target, xyz_cam, visible, kind)
+    return NetworkLabels(key, intrinsics, plane, target, xyz_cam, visible, kind)
 
 
-def pack(annotations: Sequence[Annotation]) -> CurveBatch:
+def pack(annotations: Sequence[NetworkLabels]) -> CurveBatch:
     """The curves of several images in one padded block."""
     n_lanes = max([1, *(len(one.kind) for one in annotations)])
     n_points = max([1, *(one.visible.shape[1] for one in annotations)])
@@ -165,12 +165,12 @@ def img_from_cam(intrinsics: Intrinsics) -> Float[np.ndarray, "3 3"]:
     return np.array([[fx, cx, 0.0], [0.0, cy, -fy], [0.0, 1.0, 0.0]])
 
 
-def size_of(image: Pixels) -> tuple[int, int]:
+def size_of(image: RgbImage) -> tuple[int, int]:
     """Height and width."""
     return (image.shape[0], image.shape[1])
 
 
-def resize(image: Pixels, size_px: tuple[int, int]) -> UInt8[np.ndarray, "h2 w2 3"]:
+def resize(image: RgbImage, size_px: tuple[int, int]) -> UInt8[np.ndarray, "h2 w2 3"]:
     """Resize to (height, width), ignoring the aspect ratio."""
     height, width = size_px
     if image.shape[:2] == (height, width):
@@ -180,7 +180,7 @@ def resize(image: Pixels, size_px: tuple[int, int]) -> UInt8[np.ndarray, "h2 w2 
 
 
 def fit(
-    image: Pixels, intrinsics: Intrinsics, size_px: tuple[int, int], trained: FocalLengths | None = None
+    image: RgbImage, intrinsics: Intrinsics, size_px: tuple[int, int], trained: FocalLengths | None = None
 ) -> tuple[UInt8[np.ndarray, "h2 w2 3"], Intrinsics]:
     """The image as a network takes it, of `size_px` (height, width), and the intrinsics of that.
 

@@ -12,11 +12,11 @@ from .flat_ground import through_flat_ground
 from .image_lines import tusimple_score
 from .inference import choose_device
 from .lanes import Prediction, read_by_key
-from .metrics import Evaluation, MetricConfig, Report
+from .metrics import Evaluation, EvaluationReport, MetricConfig
 from .sources import key_at, labels_at, open_split
 from .tusimple import WHOLE_IMG_FROM_CAM, TusimpleOnPlane, check_plane
 
-Found = tuple[Labels, Prediction]
+LabelledPrediction = tuple[Labels, Prediction]
 
 
 def evaluate_checkpoint(
@@ -25,14 +25,16 @@ def evaluate_checkpoint(
     config: MetricConfig | None = None,
     device: str = "auto",
     own_model: str | None = None,
-) -> Report:
+) -> EvaluationReport:
     """Run the checkpoint's network over a split (`DIR/test`) and score it. `own_model` names a user's network."""
     detector = checkpoints.detector(checkpoint, choose_device(device), own_model)
     samples = open_split(data_dir)
     return score_on(samples, detector.in_samples(samples), config)
 
 
-def evaluate_predictions(file: str | Path, data_dir: str | Path, config: MetricConfig | None = None) -> Report:
+def evaluate_predictions(
+    file: str | Path, data_dir: str | Path, config: MetricConfig | None = None
+) -> EvaluationReport:
     """Score predictions in JSON lines (docs/baseline.md). Images without a line count as images without detections;
     unknown and repeated keys are errors."""
     samples = open_split(data_dir)
@@ -44,7 +46,7 @@ def evaluate_predictions(file: str | Path, data_dir: str | Path, config: MetricC
 
 def evaluate_flat_ground(
     checkpoint: str | Path, data_dir: str | Path, config: MetricConfig | None = None, device: str = "auto"
-) -> dict[str, Report]:
+) -> dict[str, EvaluationReport]:
     """The paper's `flat ground` row: the network's lanes are projected to the image and back onto a plane known from
     the labels, either the tangent plane or the `horizon` plane. The paper reports the better one."""
     detector = checkpoints.detector(checkpoint, choose_device(device))
@@ -55,13 +57,15 @@ def evaluate_flat_ground(
     return {f"flat_ground:{plane}": evaluation.report() for plane, evaluation in scores.items()}
 
 
-def score_on(samples: Samples, found: Iterable[Found], config: MetricConfig | None = None) -> Report:
+def score_on(
+    samples: Samples, found: Iterable[LabelledPrediction], config: MetricConfig | None = None
+) -> EvaluationReport:
     """Score predictions, which are in the order of the samples; those of tuSimple by its own benchmark too."""
     if not isinstance(samples, TusimpleOnPlane):
         return score(found, config)
     predictions: list[Prediction] = []
 
-    def kept() -> Iterator[Found]:
+    def kept() -> Iterator[LabelledPrediction]:
         for labels, prediction in found:
             check_plane(prediction, samples.split.path)
             predictions.append(prediction)
@@ -72,7 +76,7 @@ def score_on(samples: Samples, found: Iterable[Found], config: MetricConfig | No
     return replace(report, tusimple=astuple(official))
 
 
-def score(found: Iterable[Found], config: MetricConfig | None = None) -> Report:
+def score(found: Iterable[LabelledPrediction], config: MetricConfig | None = None) -> EvaluationReport:
     """Score predictions, each with the labels of its image."""
     evaluation = Evaluation(config or MetricConfig())
     for labels, prediction in found:

@@ -11,11 +11,12 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
+from synth3dlanes.arrays import RgbImage
 from synth3dlanes.errors import InputError
 from synth3dlanes.labels import Labels
 
 from .custom import LaneDetector
-from .data import FocalLengths, Intrinsics, Pixels, Samples, fit, pixels_on
+from .data import FocalLengths, Intrinsics, Samples, fit, pixels_on
 from .lanes import AnchorLayout, Prediction, decode
 from .loading import labelled_batches
 from .model import LaneNet, Output
@@ -97,10 +98,12 @@ class Detector:
         found = cast(LaneDetector, self.network).detect(pixels, intrinsics)
         return [Prediction(key, tuple(lanes), None) for key, lanes in zip(keys, found, strict=True)]
 
-    def in_images(self, images: Iterable[tuple[str, Pixels, Intrinsics]], batch: int = 16) -> Iterator[Prediction]:
+    def in_images(self, images: Iterable[tuple[str, RgbImage, Intrinsics]], batch: int = 16) -> Iterator[Prediction]:
         """The lanes of images of any size with known intrinsics (fx, fy, cx, cy in pixels of each)."""
 
-        def fitted(one: tuple[str, Pixels, Intrinsics]) -> tuple[str, UInt8[np.ndarray, "rows columns 3"], Intrinsics]:
+        def fitted(
+            one: tuple[str, RgbImage, Intrinsics],
+        ) -> tuple[str, UInt8[np.ndarray, "rows columns 3"], Intrinsics]:
             key, image, values = one
             return (key, *fit(image, values, self.size_px, self.trained))
 

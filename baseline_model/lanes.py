@@ -19,7 +19,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from synth3dlanes.errors import FormatError
 from synth3dlanes.files import Folder, open_regular
 from synth3dlanes.frames import transform
-from synth3dlanes.json_arrays import Points
+from synth3dlanes.json_arrays import JsonPoints
 from synth3dlanes.labels import LaneKind
 from synth3dlanes.schema import MAX_BYTES, Excerpt, Metres, Number, Unit, parse
 
@@ -158,7 +158,7 @@ def _lane_document(lane: Detection) -> dict[str, Any]:
 class _Lane(Excerpt):
     kind: LaneKind
     score: Number
-    xyz_cam: Annotated[Points, Field(min_length=2)]
+    xyz_cam: Annotated[JsonPoints, Field(min_length=2)]
     visibility: list[Unit] | None = None
 
     @model_validator(mode="after")

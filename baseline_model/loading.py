@@ -18,6 +18,7 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
+from synth3dlanes.arrays import RgbImage
 from synth3dlanes.labels import Labels
 
 from .cache import (
@@ -32,18 +33,7 @@ from .cache import (
     to_bytes,
 )
 from .config import TrainConfig
-from .data import (
-    Annotation,
-    Batch,
-    FocalLengths,
-    Pixels,
-    Samples,
-    annotation_of,
-    fit,
-    intrinsics_of,
-    pack,
-    resize,
-)
+from .data import Batch, FocalLengths, NetworkLabels, Samples, annotation_of, fit, intrinsics_of, pack, resize
 from .sources import digest_of, image_at, key_at, labels_at
 from .workers import made_ahead
 
@@ -72,8 +62,8 @@ def spare_cores(neighbours: int = 1) -> int:
 class Example(NamedTuple):
     """One image of the network's size and what is to be learned from it."""
 
-    image: Pixels
-    annotation: Annotation
+    image: RgbImage
+    annotation: NetworkLabels
 
 
 class Examples:
@@ -98,21 +88,21 @@ class Examples:
             image = self._keep_image(index, image_at(self._samples, index))
         return Example(image, annotation)
 
-    def _kept_annotation(self, index: int) -> Annotation | None:
+    def _kept_annotation(self, index: int) -> NetworkLabels | None:
         record = None if self._annotations is None else self._annotations.get(index)
         return None if record is None else from_bytes(record)
 
-    def _kept_image(self, index: int) -> Pixels | None:
+    def _kept_image(self, index: int) -> RgbImage | None:
         record = None if self._pixels is None else self._pixels.get(index)
         return None if record is None else pixels_from_bytes(record, self._size_px)
 
-    def _annotate(self, index: int, key: str, labels: Labels) -> Annotation:
+    def _annotate(self, index: int, key: str, labels: Labels) -> NetworkLabels:
         annotation = annotation_of(key, labels, self._size_px, self._pose_mode, in_image_only=self._in_image_only)
         if self._annotations is not None:
             self._annotations.put(index, to_bytes(annotation))
         return annotation
 
-    def _keep_image(self, index: int, image: Pixels) -> UInt8[np.ndarray, "h2 w2 3"]:
+    def _keep_image(self, index: int, image: RgbImage) -> UInt8[np.ndarray, "h2 w2 3"]:
         small = resize(image, self._size_px)
         if self._pixels is not None:
             self._pixels.put(index, small.tobytes())
@@ -222,7 +212,7 @@ def collate(examples: Sequence[Example]) -> Batch:
     )
 
 
-class Labelled(NamedTuple):
+class LabelledBatch(NamedTuple):
     """Images of the network's size with their intrinsics, and their labels."""
 
     keys: tuple[str, ...]
@@ -238,14 +228,14 @@ def labelled_batches(
     batch: int,
     workers: int | None,
     device: torch.device,
-) -> Iterator[Labelled]:
+) -> Iterator[LabelledBatch]:
     """All samples in order, for evaluation, with images as `fit` makes them; the last batch may be smaller."""
     order = [list(range(start, min(start + batch, len(samples)))) for start in range(0, len(samples), batch)]
 
-    def make(indices: list[int]) -> Labelled:
+    def make(indices: list[int]) -> LabelledBatch:
         found = [samples[index] for index in indices]
         fitted = [fit(one.image, intrinsics_of(one.labels), size_px, trained) for one in found]
-        return Labelled(
+        return LabelledBatch(
             tuple(one.key for one in found),
             _stacked([image for image, _ in fitted]),
             torch.tensor([intrinsics for _, intrinsics in fitted]),
@@ -256,7 +246,7 @@ def labelled_batches(
     return made_ahead(make, order, min(n_workers, len(order)), device)
 
 
-def _stacked(images: Sequence[Pixels]) -> UInt8[Tensor, "b 3 h w"]:
+def _stacked(images: Sequence[RgbImage]) -> UInt8[Tensor, "b 3 h w"]:
     return torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2)
 
 

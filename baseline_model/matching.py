@@ -16,7 +16,7 @@ from .curves import (
     METRIC_Y_M,
     MIN_VALID_POINTS,
     Y_REF_M,
-    Curve,
+    RoadCurve,
     is_usable,
     resample,
 )
@@ -48,7 +48,7 @@ class Truth:
 
 
 @dataclass(frozen=True, eq=False)
-class Sampled:
+class DetectedLanes:
     """Detected lanes of one kind at y_k, with their scores; `off_region` lanes cross Y_ref outside the top view or have
     less than 8 m within 0..80 m."""
 
@@ -74,7 +74,7 @@ class Pairs:
     dz_m: Float[np.ndarray, "m y"]
 
 
-def sample_truth(curves: tuple[Curve, ...]) -> Truth:
+def sample_truth(curves: tuple[RoadCurve, ...]) -> Truth:
     """Labelled curves at y_k. Ignored are repeats, curves that training ignores, and curves with less than 8 m to
     compare; the latter are compared even where the ground hides them."""
     size = (len(curves), len(METRIC_Y_M))
@@ -88,7 +88,7 @@ def sample_truth(curves: tuple[Curve, ...]) -> Truth:
     return Truth(x_m, z_m, valid, ignored)
 
 
-def sample_detections(lanes: list[Detection], road_from_cam: Float[np.ndarray, "4 4"]) -> Sampled:
+def sample_detections(lanes: list[Detection], road_from_cam: Float[np.ndarray, "4 4"]) -> DetectedLanes:
     """Detected lanes at y_k of the labels' road frame, linear between their points; folded lanes are sorted by y."""
     size = (len(lanes), len(METRIC_Y_M))
     x_m, z_m, present = np.zeros(size), np.zeros(size), np.zeros(size, dtype=bool)
@@ -107,10 +107,10 @@ def sample_detections(lanes: list[Detection], road_from_cam: Float[np.ndarray, "
         off_region[i] = present[i].sum() < MIN_VALID_POINTS or (
             y_m[0] <= Y_REF_M <= y_m[-1] and abs(x_ref_m) > HALF_WIDTH_M
         )
-    return Sampled(x_m, z_m, present, np.array([lane.score for lane in lanes], dtype=float), off_region)
+    return DetectedLanes(x_m, z_m, present, np.array([lane.score for lane in lanes], dtype=float), off_region)
 
 
-def find_pairs(truth: Truth, found: Sampled, weights: Float[np.ndarray, " y"]) -> Pairs:
+def find_pairs(truth: Truth, found: DetectedLanes, weights: Float[np.ndarray, " y"]) -> Pairs:
     """All pairs closer than MATCH_M, sorted by distance."""
     dx_m = found.x_m[None] - truth.x_m[:, None]
     dz_m = found.z_m[None] - truth.z_m[:, None]

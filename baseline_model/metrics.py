@@ -91,7 +91,7 @@ class SampleScore:
 
 
 @dataclass(frozen=True, eq=False)
-class Report:
+class EvaluationReport:
     """A whole evaluation; pose medians are NaN if no pose was predicted. `samples` are sorted, the worst first."""
 
     n_images: int
@@ -138,10 +138,10 @@ class Evaluation:
         self._scores.append(_sample_score(prediction.key, pairs_of_image, self.config.threshold))
         self._n_images += 1
 
-    def report(self) -> Report:
+    def report(self) -> EvaluationReport:
         """The numbers over all images added."""
         medians = np.median(self._pose_errors, axis=0) if self._pose_errors else np.full(2, np.nan)
-        return Report(
+        return EvaluationReport(
             n_images=self._n_images,
             config=self.config,
             kinds={kind: self._kind_report(kind) for kind in KINDS},

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from synth3dlanes.arrays import RgbImage
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.formats.reading import read_image, read_text
 from synth3dlanes.formats.tusimple.read import TusimpleSplit, find_labels
 
 from . import checkpoint as checkpoints
-from .data import Intrinsics, Pixels, checked_intrinsics, img_from_cam
+from .data import Intrinsics, checked_intrinsics, img_from_cam
 from .image_lines import MOST_LINES, columns_of, delimiters, tusimple_score
 from .inference import choose_device
 from .lanes import Detection, Prediction, read_by_key
@@ -56,7 +57,7 @@ class TusimpleImages:
         """Each frame's `raw_file`."""
         return [self.split.frame(index).raw_file for index in range(len(self.split))]
 
-    def image(self, index: int) -> Pixels:
+    def image(self, index: int) -> RgbImage:
         """The frame's picture."""
         return self.split.image(index)
 
@@ -85,7 +86,7 @@ class LaneAreas:
         """The names of the image files."""
         return [path.name for path in self.images]
 
-    def image(self, index: int) -> Pixels:
+    def image(self, index: int) -> RgbImage:
         """The pixels of an image."""
         return read_image(self.images[index])
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from synth3dlanes.errors import InputError
 from synth3dlanes.files import Folder
 from synth3dlanes.formats.reading import read_image
 from synth3dlanes.labels import Labels
@@ -27,7 +28,7 @@ MOST_SHOWN_PX = 1600
 
 
 @dataclass(eq=False)
-class Summary:
+class PredictionSummary:
     """What was found, and where it is written; `n_lanes` counts lanes of at least the threshold's confidence."""
 
     path: Path
@@ -81,7 +82,7 @@ def predict(
     device: str = "auto",
     own_model: str | None = None,
     threshold: float = 0.5,
-) -> Summary:
+) -> PredictionSummary:
     """Write `predictions.jsonl` and the first `n_overlays` pictures, with lanes of at least this confidence, to
     `out_dir`.
 
@@ -95,7 +96,7 @@ def predict(
     pictures = _pictures(source, intrinsics)
     out = Path(out_dir)
     Folder(out).make()
-    summary = Summary(out / "predictions.jsonl", threshold)
+    summary = PredictionSummary(out / "predictions.jsonl", threshold)
     summary.is_assumed = intrinsics is None and are_files
     needs_plane = intrinsics is None and not are_files and are_tusimples
     shown: list[_Picture] = []
@@ -134,6 +135,8 @@ def _pictures(source: str | Path, intrinsics: Intrinsics | None) -> Iterator[_Pi
     if files:
         return (_of_file(file, intrinsics) for file in files)
     samples = open_split(source)
+    if intrinsics is not None:
+        raise InputError(f"intrinsics: expected none for {source}, whose labels have them")
     chosen = (samples[index] for index in range(len(samples)))
     return (_Picture(s.key, np.array(s.image), intrinsics_of(s.labels), s.labels) for s in chosen)
 

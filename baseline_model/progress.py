@@ -14,14 +14,14 @@ from torch import Tensor
 
 from synth3dlanes.files import Folder
 
-from .metrics import Report
+from .metrics import EvaluationReport
 from .report import summary_line, to_document
 
 WRITE_EVERY_S = 2.0
 LINE_EVERY_S = 30.0
 
 
-class Line(ExitStack):
+class ProgressLine(ExitStack):
     """Progress and remaining time: a progress bar on a terminal, otherwise a new line every LINE_EVERY_S."""
 
     def __init__(self, what: str, total: int, done: int = 0, *, is_shown: bool) -> None:
@@ -54,13 +54,13 @@ class Line(ExitStack):
             self.console.print(text, highlight=False, markup=False, soft_wrap=True)
 
 
-class Log(ExitStack):
+class TrainingLog(ExitStack):
     """The training log. Only the process of rank 0 prints and writes."""
 
     def __init__(self, out_dir: Path, n_steps: int, step: int, batch: int, *, is_shown: bool) -> None:
         super().__init__()
         self.out_dir, self.batch, self.is_shown, self.n_steps = out_dir, batch, is_shown, n_steps
-        self.line = self.enter_context(Line("step", n_steps, step, is_shown=is_shown))
+        self.line = self.enter_context(ProgressLine("step", n_steps, step, is_shown=is_shown))
         self.board = _tensorboard(out_dir) if is_shown else None
         if self.board is not None:
             self.callback(self.board.close)
@@ -79,7 +79,7 @@ class Log(ExitStack):
         scalars |= {"learning_rate": learning_rate, "samples_per_s": speed}
         self._write(step, {"step": step, **scalars}, scalars)
 
-    def validation(self, step: int, report: Report | None) -> None:
+    def validation(self, step: int, report: EvaluationReport | None) -> None:
         """Log a validation."""
         if report is None:
             return

@@ -9,7 +9,7 @@ import numpy as np
 from synth3dlanes.files import replacing
 
 from .curves import METRIC_Y_M
-from .metrics import Errors, KindReport, Report
+from .metrics import Errors, EvaluationReport, KindReport
 
 Cells = list[list[str]]
 COLUMNS = ("AP", "near 1s", "near 2s", "far 1s", "far 2s")
@@ -27,7 +27,7 @@ PAPER_TABLE_1: dict[str, tuple[float, float, float, float, float]] = {
 """AP, near 1 and 2 sigma, far 1 and 2 sigma in cm, centre lines of synthetic-3D-lanes."""
 
 
-def to_document(report: Report) -> dict[str, Any]:
+def to_document(report: EvaluationReport) -> dict[str, Any]:
     """The report as JSON values (docs/baseline.md); NaN becomes null."""
     document: dict[str, Any] = {name: _kind_document(kind) for name, kind in report.kinds.items()}
     document["pose"] = {
@@ -46,12 +46,12 @@ def to_document(report: Report) -> dict[str, Any]:
     return document
 
 
-def samples_document(report: Report) -> list[dict[str, Any]]:
+def samples_document(report: EvaluationReport) -> list[dict[str, Any]]:
     """The score of each image as JSON values, the worst first."""
     return [{"key": one.key, "f1": one.f1, "error_cm": _plain(one.error_cm)} for one in report.samples]
 
 
-def summary_line(report: Report) -> str:
+def summary_line(report: EvaluationReport) -> str:
     """One line for a log."""
     parts = []
     for name, kind in report.kinds.items():
@@ -62,7 +62,7 @@ def summary_line(report: Report) -> str:
     return "; ".join([*parts, pose])
 
 
-def to_text(report: Report) -> str:
+def to_text(report: EvaluationReport) -> str:
     """The report as text, with every choice that the paper leaves open."""
     config = report.config
     lines = [
@@ -94,7 +94,7 @@ def to_text(report: Report) -> str:
     return "\n".join(lines)
 
 
-def table_1_cells(rows: dict[str, Report]) -> Cells:
+def table_1_cells(rows: dict[str, EvaluationReport]) -> Cells:
     """The paper's Table 1 (centre lines) beside ours; `paper / ours` in each cell."""
     cells = [["paper / ours", *COLUMNS]]
     for name, report in rows.items():
@@ -104,7 +104,7 @@ def table_1_cells(rows: dict[str, Report]) -> Cells:
     return cells
 
 
-def curve_cells(rows: dict[str, Report]) -> Cells:
+def curve_cells(rows: dict[str, EvaluationReport]) -> Cells:
     """One row per number of training images (centre lines), and the paper's 300,000."""
     ours = [[f"{int(name):,}", *_ours(report)] for name, report in rows.items()]
     return [["images", *COLUMNS], *ours, ["300,000 (paper)", *_row(*PAPER_TABLE_1["full"])]]
@@ -125,7 +125,7 @@ def markdown(cells: Cells) -> str:
     return "\n".join([head, "|---" + "|---:" * (len(cells[0]) - 1) + "|", *rows])
 
 
-def save_curve(rows: dict[str, Report], path: Path) -> None:
+def save_curve(rows: dict[str, EvaluationReport], path: Path) -> None:
     """Plot AP with its 95 % interval, and near and far errors, against the number of training images."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -152,7 +152,7 @@ def save_curve(rows: dict[str, Report], path: Path) -> None:
         figure.savefig(stream, dpi=120)
 
 
-def save_plots(report: Report, path: Path) -> None:
+def save_plots(report: EvaluationReport, path: Path) -> None:
     """Plot precision against recall, and error against distance."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -223,7 +223,7 @@ def _four(errors: Errors) -> tuple[float, float, float, float]:
     return errors.near_1sigma_cm, errors.near_2sigma_cm, errors.far_1sigma_cm, errors.far_2sigma_cm
 
 
-def _ours(report: Report) -> list[str]:
+def _ours(report: EvaluationReport) -> list[str]:
     kind = report.kinds["centerline"]
     return _row(kind.ap, *_four(kind.at_threshold))
 

@@ -32,7 +32,7 @@ M_MMAP_MAX, M_TRIM_THRESHOLD = -4, -1
 
 
 @dataclass(eq=False)
-class Run:
+class TrainingRun:
     """The configuration and mutable state of a training run."""
 
     config: TrainConfig
@@ -74,7 +74,7 @@ def _keep_freed_memory() -> None:
             mallopt(option, value)
 
 
-def save(trainee: Run, out_dir: Path, about: dict[str, Any]) -> None:
+def save(trainee: TrainingRun, out_dir: Path, about: dict[str, Any]) -> None:
     if trainee.process.rank != 0:
         return
     resume = {
@@ -89,7 +89,7 @@ def save(trainee: Run, out_dir: Path, about: dict[str, Any]) -> None:
     checkpoints.save(out_dir / "last.pt", checkpoints.Checkpoint(trainee.config, about, weights, resume))
 
 
-def prepare(config: TrainConfig, process: Process, out_dir: Path, about: dict[str, Any]) -> Run:
+def prepare(config: TrainConfig, process: Process, out_dir: Path, about: dict[str, Any]) -> TrainingRun:
     """Start a new run, or resume the one in `out_dir`."""
     torch.manual_seed(config.seed)
     model = network_of(config.model)
@@ -98,7 +98,7 @@ def prepare(config: TrainConfig, process: Process, out_dir: Path, about: dict[st
     if not is_resumed:
         about |= _start(model, config)
     model = model.to(process.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-    trainee = Run(
+    trainee = TrainingRun(
         config,
         process,
         model,
@@ -124,7 +124,7 @@ def _start(model: nn.Module, config: TrainConfig) -> dict[str, str]:
     return about
 
 
-def _resume(trainee: Run, found: checkpoints.Checkpoint, out_dir: Path) -> None:
+def _resume(trainee: TrainingRun, found: checkpoints.Checkpoint, out_dir: Path) -> None:
     """Continue from `last.pt`. With another batch, the run continues after as many images, in whole batches."""
     config = trainee.config
     wrong = [

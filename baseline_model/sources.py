@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Int
 
+from synth3dlanes.arrays import RgbImage
 from synth3dlanes.dataset.address import SAMPLE
 from synth3dlanes.dataset.format import Sample
 from synth3dlanes.dataset.read import Reader
@@ -22,7 +23,7 @@ from synth3dlanes.formats.openlane.read import OpenLaneSplit, is_openlane
 from synth3dlanes.formats.tusimple.read import TusimpleSplit, find_labels
 from synth3dlanes.labels import Labels
 
-from .data import FocalLengths, LabelledImage, Pixels, Samples, intrinsics_of, scale
+from .data import FocalLengths, LabelledImage, Samples, intrinsics_of, scale
 from .tusimple import TusimpleOnPlane
 
 ROLL = "camera_roll_rad"
@@ -31,7 +32,7 @@ IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp")
 
 
 @dataclass(frozen=True, eq=False)
-class Chosen:
+class Subset:
     """Some samples of a source, by index, read on access."""
 
     source: Samples
@@ -51,7 +52,7 @@ class Chosen:
         """The sample's labels."""
         return labels_at(self.source, self.index[at])
 
-    def image(self, at: int) -> Pixels:
+    def image(self, at: int) -> RgbImage:
         """The sample's image."""
         return image_at(self.source, self.index[at])
 
@@ -62,7 +63,7 @@ class Chosen:
 
 
 @dataclass(frozen=True, eq=False)
-class Upright:
+class UprightSamples:
     """A split of our dataset as pinholes without roll have it: the pose that a network learns has no roll, and its view
     from above no lens. Of a rig's cameras it has those that look ahead."""
 
@@ -89,7 +90,7 @@ class Upright:
         """The labels, without decoding the image."""
         return rectified_labels(self.reader.labels(int(self.places[index])))
 
-    def image(self, index: int) -> Pixels:
+    def image(self, index: int) -> RgbImage:
         """The image; labels are read only where the camera is rolled or has a lens."""
         place = int(self.places[index])
         image = self.reader.image(place)
@@ -127,14 +128,14 @@ def _opened(text: str) -> Samples:
             return ApolloSplit(path)
         if is_openlane(path):
             return OpenLaneSplit(path)
-    samples = Upright(one_reader(split_of(text), columns=(ROLL,)))
+    samples = UprightSamples(one_reader(split_of(text), columns=(ROLL,)))
     if not SAMPLE.fullmatch(text):
         return samples
     place = samples.reader.position(text.rpartition(":")[2])
     chosen = np.flatnonzero(samples.places == place).tolist()
     if not chosen:
         raise InputError(f"{text}: expected a sample of a camera that looks ahead, got another")
-    return Chosen(samples, chosen)
+    return Subset(samples, chosen)
 
 
 def split_of(source: str) -> str:
@@ -151,23 +152,23 @@ def training_and_validation(
     train = open_split(f"{data_dir}/{train_split}")
     n = len(train) if max_images is None else min(max_images, len(train))
     if has_split(data_dir, val_split):
-        return Chosen(train, range(n)), open_split(f"{data_dir}/{val_split}")
+        return Subset(train, range(n)), open_split(f"{data_dir}/{val_split}")
     _, number = np.unique(_scenes(train)[:n], return_inverse=True)
     if number[-1] < 9:
-        return Chosen(train, range(n)), Chosen(train, range(n))
+        return Subset(train, range(n)), Subset(train, range(n))
     is_held_out = number % 10 == 9
-    return Chosen(train, np.flatnonzero(~is_held_out).tolist()), Chosen(train, np.flatnonzero(is_held_out).tolist())
+    return Subset(train, np.flatnonzero(~is_held_out).tolist()), Subset(train, np.flatnonzero(is_held_out).tolist())
 
 
 def _scenes(samples: Samples) -> Int[np.ndarray, " n"]:
     """The number of the scene that each sample shows; a clip has several."""
-    return samples.reader.scene_of[samples.places] if isinstance(samples, Upright) else np.arange(len(samples))
+    return samples.reader.scene_of[samples.places] if isinstance(samples, UprightSamples) else np.arange(len(samples))
 
 
 def describe(validation: Samples) -> str:
     """What `training_and_validation` chose for validation."""
     what = f"{len(validation):,} images"
-    if not isinstance(validation, Chosen):
+    if not isinstance(validation, Subset):
         return what
     return f"{what} of the training split, as there is no validation split"
 
@@ -203,9 +204,9 @@ def labels_at(samples: Samples, index: int) -> Labels:
     return labels
 
 
-def image_at(samples: Samples, index: int) -> Pixels:
+def image_at(samples: Samples, index: int) -> RgbImage:
     """The image of a sample, without reading its labels if the source allows that."""
-    image: Pixels = _alone(samples, "image", index)
+    image: RgbImage = _alone(samples, "image", index)
     return image
 
 

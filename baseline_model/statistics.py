@@ -26,7 +26,7 @@ from .anchors import (
 from .config import COMPACT, ModelConfig
 from .data import annotation_of, pack
 from .lanes import DENSE_Y_M, Detection, Prediction, interpolate
-from .metrics import Evaluation, MetricConfig, Report
+from .metrics import Evaluation, EvaluationReport, MetricConfig
 from .poses import MEAN_POSE, Pose, cam_from_road, road_from_cam
 from .report import to_document as report_document
 from .sources import labels_at, open_split
@@ -42,7 +42,7 @@ class TargetStatistics:
     x_sd_m: dict[float, float]
     z_sd_m: dict[float, float]
     expected_x_sd_m: tuple[float, ...]
-    ceiling: Report
+    ceiling: EvaluationReport
 
 
 def target_statistics(

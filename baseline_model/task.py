@@ -11,7 +11,7 @@ from synth3dlanes.errors import InputError
 
 from . import custom
 from .anchors import encode
-from .augment import Augmented
+from .augment import AugmentedBatch
 from .config import CustomModel, ModelConfig, TrainConfig
 from .custom import LaneDetector
 from .inference import mixed_precision
@@ -39,7 +39,7 @@ class LaneNetTask(nn.Module):
         super().__init__()
         self.network, self.config = network, config
 
-    def forward(self, augmented: Augmented, done: float) -> Terms:
+    def forward(self, augmented: AugmentedBatch, done: float) -> Terms:
         """The loss terms of each image."""
         batch, config = augmented.batch, self.config
         warp_pose = None
@@ -50,7 +50,7 @@ class LaneNetTask(nn.Module):
             output: Output = self.network(batch.image, batch.intrinsics, warp_pose, augmented.top_from_road)
         return self._terms(output, augmented)
 
-    def _terms(self, output: Output, augmented: Augmented) -> Terms:
+    def _terms(self, output: Output, augmented: AugmentedBatch) -> Terms:
         """Against targets in the frame given by `target_frame`."""
         batch, network, config = augmented.batch, self.network, self.config
         pose = output.pose if network.pose is None else batch.target_pose
@@ -69,7 +69,7 @@ class CustomTask(nn.Module):
         super().__init__()
         self.network = network
 
-    def forward(self, augmented: Augmented, done: float) -> Terms:
+    def forward(self, augmented: AugmentedBatch, done: float) -> Terms:
         """The loss terms of each image."""
         batch = augmented.batch
         terms = cast(LaneDetector, self.network).loss(batch)

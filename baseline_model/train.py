@@ -18,17 +18,17 @@ from synth3dlanes.errors import Synth3dlanesError
 from synth3dlanes.files import Folder
 
 from . import checkpoint as checkpoints
-from .augment import Augmented, augment, generator_for
+from .augment import AugmentedBatch, augment, generator_for
 from .config import CustomModel, TrainConfig
 from .data import Batch, Samples
 from .evaluate import score
 from .inference import Detector, choose_device
 from .loading import ANNOTATIONS, Decoding, Process, decoding_of, open_examples, training_batches
-from .metrics import MetricConfig, Report
+from .metrics import EvaluationReport, MetricConfig
 from .model import LaneNet
-from .progress import Log
+from .progress import TrainingLog
 from .report import to_document
-from .run_state import Run, prepare, save, start_process
+from .run_state import TrainingRun, prepare, save, start_process
 from .sources import describe, focal_lengths, training_and_validation
 from .task import Terms, task_of
 
@@ -36,7 +36,7 @@ SAVE_EVERY_S = 300.0
 
 
 @dataclass(frozen=True)
-class Length:
+class RunLength:
     """How long a run is, in steps."""
 
     steps_per_epoch: int
@@ -44,7 +44,7 @@ class Length:
     validate_every: int
 
     @classmethod
-    def of(cls, config: TrainConfig, n_images: int) -> "Length":
+    def of(cls, config: TrainConfig, n_images: int) -> "RunLength":
         """That of `epochs` passes over so many images."""
         steps_per_epoch = -(-n_images // config.batch)
         return cls(
@@ -54,7 +54,7 @@ class Length:
         )
 
 
-class Diverged(Synth3dlanesError, FloatingPointError):
+class DivergenceError(Synth3dlanesError, FloatingPointError):
     """The loss or a gradient became NaN or infinite; the message names the step and the samples."""
 
 
@@ -89,13 +89,13 @@ def train_on(config: TrainConfig, train_samples: Samples, val_samples: Samples, 
     Folder(out_dir).make()
     decoding = decoding_of(len(train_samples), config, process)
     examples = open_examples(train_samples, decoding, config, process, out_dir)
-    length = Length.of(config, len(examples))
+    length = RunLength.of(config, len(examples))
     task = task_of(trainee.model, config)
     if process.device.type == "cuda" and config.compile and isinstance(trainee.model, LaneNet):
         trainee.model.compile()
     distributed = DistributedDataParallel(task) if process.world > 1 else task
     saved_at = time.monotonic()
-    with Log(out_dir, length.n_steps, trainee.step, config.batch, is_shown=process.rank == 0) as log:
+    with TrainingLog(out_dir, length.n_steps, trainee.step, config.batch, is_shown=process.rank == 0) as log:
         for line in _plan(trainee, decoding, describe(val_samples)):
             log.line.say(line)
         for batch in training_batches(examples, config, process, trainee.step, length.n_steps):
@@ -121,10 +121,10 @@ def _splits(config: TrainConfig, data_dir: str | Path) -> tuple[Samples, Samples
     return training_and_validation(str(data_dir), config.train_split, config.val_split, config.max_images)
 
 
-def _plan(trainee: Run, decoding: Decoding, validation: str) -> list[str]:
+def _plan(trainee: TrainingRun, decoding: Decoding, validation: str) -> list[str]:
     """What this run is going to do, in lines."""
     config, process = trainee.config, trainee.process
-    length = Length.of(config, decoding.n_images)
+    length = RunLength.of(config, decoding.n_images)
     parameters = sum(parameter.numel() for parameter in trainee.model.parameters()) / 1e6
     name = config.model.build if isinstance(config.model, CustomModel) else config.model.name
     processes = f" in {process.world} processes" if process.world > 1 else ""
@@ -138,7 +138,7 @@ def _plan(trainee: Run, decoding: Decoding, validation: str) -> list[str]:
 
 
 def _step(
-    trainee: Run, distributed: nn.Module, task: nn.Module, batch: Batch, rate: float, done: float
+    trainee: TrainingRun, distributed: nn.Module, task: nn.Module, batch: Batch, rate: float, done: float
 ) -> dict[str, Float[Tensor, ""]]:
     """One optimiser step, when the share `done` of training is over; returns the mean of each loss term."""
     config, process, step = trainee.config, trainee.process, trainee.step
@@ -150,17 +150,19 @@ def _step(
     trainee.optimizer.zero_grad(set_to_none=True)
     terms: Terms = distributed(augmented, done)
     if not bool(torch.isfinite(terms["total"]).all()):
-        raise Diverged(f"step {step}: {_blame(task, augmented, done)}")
+        raise DivergenceError(f"step {step}: {_blame(task, augmented, done)}")
     terms["total"].mean().backward()  # type: ignore[no-untyped-call]
     norm = nn.utils.clip_grad_norm_(trainee.model.parameters(), config.clip_norm)
     if not bool(torch.isfinite(norm)):
-        raise Diverged(f"step {step}: expected a finite gradient, got {float(norm)} from {', '.join(batch.keys)}")
+        raise DivergenceError(
+            f"step {step}: expected a finite gradient, got {float(norm)} from {', '.join(batch.keys)}"
+        )
     trainee.optimizer.step()
     trainee.average.update(trainee.model, step)
     return {name: value.detach().mean() for name, value in terms.items()}
 
 
-def _blame(task: nn.Module, augmented: Augmented, done: float) -> str:
+def _blame(task: nn.Module, augmented: AugmentedBatch, done: float) -> str:
     """Find the samples with a non-finite loss. Batch norm mixes a batch, so the network is asked in evaluation mode."""
     with torch.no_grad():
         terms: Terms = task.eval()(augmented, done)
@@ -170,7 +172,7 @@ def _blame(task: nn.Module, augmented: Augmented, done: float) -> str:
     return f"expected a finite loss, got {values} from sample {', '.join(keys[i] for i in bad)}"
 
 
-def _validate(trainee: Run, samples: Samples) -> Report | None:
+def _validate(trainee: TrainingRun, samples: Samples) -> EvaluationReport | None:
     if trainee.process.rank != 0:
         return None
     model = trainee.config.model
@@ -179,7 +181,9 @@ def _validate(trainee: Run, samples: Samples) -> Report | None:
     return score(found, MetricConfig(alternatives=(), bootstraps=0))
 
 
-def _note(trainee: Run, report: Report | None, steps_per_epoch: int, out_dir: Path, about: dict[str, Any]) -> None:
+def _note(
+    trainee: TrainingRun, report: EvaluationReport | None, steps_per_epoch: int, out_dir: Path, about: dict[str, Any]
+) -> None:
     """After a validation: update the schedule on every process, and save the best weights on rank 0."""
     score = float("nan") if report is None else float(np.nanmean([kind.ap for kind in report.kinds.values()]))
     if trainee.process.world > 1:

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import click
-from click.core import ParameterSource
 
 from synth3dlanes.production.events import LEVELS, Event, duration
 
+from .idle import refuse_idle, refuse_idle_keys, refuse_repeated
 from .options import (
     assets_option,
     camera_option,
@@ -26,6 +26,7 @@ from .options import (
     open_shots,
     params_option,
     passes_option,
+    refuse_idle_changes,
     rig_option,
     samples_option,
     seed_option,
@@ -90,6 +91,7 @@ class PartOf(click.ParamType):
     "spreads",
     metavar="SHARE|GROUP.KEY=SHARE",
     multiple=True,
+    callback=refuse_repeated,
     help="With --like: share of a parameter's range in which it varies; repeatable.  [default: 0.1]",
 )
 @camera_option
@@ -175,12 +177,12 @@ def generate(
     from synth3dlanes.sampling.like import read_like
     from synth3dlanes.settings import RenderSettings
 
-    if spreads and like is None:
-        raise click.UsageError("--spread can only be used with --like.")
-    if executor == "local" and ctx.get_parameter_source("address") is not ParameterSource.DEFAULT:
-        raise click.UsageError("--address can only be used with --executor ray.")
+    refuse_idle(like is not None, ["spreads"], "without --like")
+    refuse_idle(executor == "ray", ["address"], "without --executor ray")
+    refuse_idle_keys(image_format == "jpg", (*changes, *spreads), ["sensor.jpeg_quality"], "with --image-format png")
     library = open_assets(assets)
     params, shots = load_params(source, changes, library.assets), open_shots(camera, rig, frames, fps, lidar)
+    refuse_idle_changes((*changes, *spreads), shots)
     settings = RenderSettings(samples, (*passes, *(["lidar"] if lidar else [])), device)
     given = read_like(given_scenes(like, params, library.assets), spreads) if like else None
     scenes = Scenes(params, seed, split, assets=library.assets, shots=shots, like=given)
@@ -191,7 +193,8 @@ def generate(
     drawn_from += f", camera {camera}" if camera else f", rig {rig}" if rig else ""
     if dry_run:
         plan = plan.resolved() if executor == "local" else plan
-        click.echo(f"{plan.text()}, {drawn_from}\n{plan.expected().text()}")
+        told, expected = f"{plan.text()}, {drawn_from}", plan.expected()
+        click.echo(json.dumps({"plan": told, **asdict(expected)}) if as_json else f"{told}\n{expected.text()}")
         return
     with progress(log_level) as notify:
 

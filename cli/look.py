@@ -8,6 +8,7 @@ import click
 from synth3dlanes.files import replacing, write
 from synth3dlanes.settings import PASSES
 
+from .idle import refuse_idle
 from .options import OutputFile, json_option
 
 
@@ -102,6 +103,7 @@ def gallery(
     from synth3dlanes.figures.passes import pass_picture
     from synth3dlanes.sources import some_samples
 
+    refuse_idle(show != "height", ["lanes"], "with --show height, which is no view of the camera")
     samples = some_samples(folder, n, shuffle, where)
     reader = samples[0][0]
     if show != "image" and show not in reader.description["render"]["passes"]:

@@ -15,7 +15,7 @@ from click.exceptions import NoArgsIsHelpError
 
 from synth3dlanes import __version__
 from synth3dlanes.errors import ClaimedError, InputError, OutageError, Synth3dlanesError, WorkerError
-from synth3dlanes.production.signals import Stopped, handle, stop
+from synth3dlanes.production.signals import StopSignal, handle, stop
 
 from .assets import assets
 from .bench import bench
@@ -48,7 +48,7 @@ class BadInput(click.ClickException):
         click.echo("\n".join(map(_shortened, self.message.splitlines())), file=file, err=True)
 
 
-class Failed(BadInput):
+class WorkFailure(BadInput):
     """Work that failed through no fault of the input; it may help to run it again."""
 
     exit_code = 1
@@ -64,23 +64,23 @@ class Commands(click.Group):
         except KeyboardInterrupt as stopped:
             command = f"{ctx.command_path} {ctx.invoked_subcommand}"
             click.echo(f"{command}: interrupted{'; rerun to resume' * (ctx.invoked_subcommand in RESUMED)}", err=True)
-            ctx.exit(128 + (stopped.number if isinstance(stopped, Stopped) else signal.SIGINT))
+            ctx.exit(128 + (stopped.number if isinstance(stopped, StopSignal) else signal.SIGINT))
         except NoArgsIsHelpError:
             raise
         except click.UsageError as error:
             command = error.ctx.command_path if error.ctx else ctx.command_path
             raise BadInput(f"{command}: {error.format_message()}") from error
         except InputError as error:
-            flags, kind = self._flags(ctx), Failed if isinstance(error, ClaimedError) else BadInput
+            flags, kind = self._flags(ctx), WorkFailure if isinstance(error, ClaimedError) else BadInput
             raise kind("\n".join(_naming_flags(problem, flags) for problem in error.problems)) from error
         except (OutageError, WorkerError) as error:
-            raise Failed(str(error)) from error
+            raise WorkFailure(str(error)) from error
         except Synth3dlanesError as error:
             raise BadInput(str(error)) from error
         except (MemoryError, RuntimeError) as error:
             if not is_lack_of_memory(error):
                 raise
-            raise Failed(f"{ctx.command_path} {ctx.invoked_subcommand}: {NO_MEMORY}") from error
+            raise WorkFailure(f"{ctx.command_path} {ctx.invoked_subcommand}: {NO_MEMORY}") from error
         except BrokenPipeError:
             raise
         except OSError as error:

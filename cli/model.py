@@ -10,6 +10,7 @@ import click
 
 from synth3dlanes.errors import InputError, MissingPackageError
 
+from .idle import is_given, refuse_idle, refuse_idle_keys, refuse_repeated, refuse_together
 from .options import json_option
 
 if TYPE_CHECKING:
@@ -53,6 +54,7 @@ changes_option = click.option(
     "changes",
     metavar="KEY=VALUE",
     multiple=True,
+    callback=refuse_repeated,
     help="Change a setting, such as batch=64 or model.grid.rows=104; repeatable.",
 )
 device_option = click.option("--device", default="auto", show_default=True, help="Device to run on: auto, cpu or cuda.")
@@ -114,6 +116,9 @@ def train(
     from synth3dlanes_baseline.train import plan
     from synth3dlanes_baseline.train import train as run
 
+    refuse_together("init", "pretrained")
+    for name in filter(is_given, ("epochs", "batch", "pretrained", "init", "device")):
+        refuse_idle_keys(False, changes, [name], f"beside --{name}")
     named: dict[str, Any] = {"epochs": epochs, "batch": batch, "pretrained": pretrained, "init": init}
     given = {name: value for name, value in named.items() if value is not None}
     overrides = {"device": device, **given, **overrides_from(changes)}
@@ -248,11 +253,12 @@ def evaluate(
     _need_torch()
     import json
 
-    if checkpoint is not None and predictions is not None:
-        raise click.UsageError("--checkpoint and --predictions cannot be used together")
-    if intrinsics is not None or lane_masks is not None:
-        if plots is not None:
-            raise click.UsageError("--plots needs labels in 3D, which photographs do not have")
+    refuse_together("checkpoint", "predictions")
+    are_photographs, is_scored = intrinsics is not None or lane_masks is not None, checkpoint or predictions
+    refuse_idle(checkpoint, ["own_model", "device"], "without --checkpoint")
+    refuse_idle(is_scored, ["threshold", "frame", "plots"], "without --checkpoint or --predictions")
+    refuse_idle(not are_photographs, ["frame", "plots"], "on photographs, which have no labels in 3D")
+    if are_photographs:
         from synth3dlanes_baseline import photographs as images
 
         photographs, camera = _photographs(source, lane_masks), _intrinsics(intrinsics)
@@ -310,8 +316,7 @@ def ablation(
     from synth3dlanes_baseline import ablation as comparing
     from synth3dlanes_baseline.config import overrides_from
 
-    if rows and sizes is not None:
-        raise click.UsageError("--row and --sizes cannot be used together")
+    refuse_together("rows", "sizes")
     if sizes is None:
         comparing.ablation(data, out, model, rows or comparing.ROWS, overrides_from(changes), test)
     else:

@@ -2,20 +2,21 @@
 
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+from click.core import ParameterSource
 
-from synth3dlanes.settings import DEVICES, PASSES, QUALITY_SAMPLES, SPLIT_NAME
+from synth3dlanes.settings import DEVICES, MAX_SEED, PASSES, QUALITY_SAMPLES, SPLIT_NAME
+
+from .idle import refuse_idle, refuse_idle_keys, refuse_repeated
 
 if TYPE_CHECKING:
     from synth3dlanes.assets.catalogue import Library
     from synth3dlanes.shots import Shots
-
-MAX_SEED = 2**128
 
 
 class Names(click.ParamType):
@@ -77,6 +78,7 @@ set_option = click.option(
     "changes",
     metavar="GROUP.KEY=VALUE",
     multiple=True,
+    callback=refuse_repeated,
     help="Change one parameter, such as light.exposure=3; repeatable.",
 )
 
@@ -99,7 +101,19 @@ split_option = click.option(
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 QUALITY = "synth3dlanes.quality"
+# Parameters that a file of --camera or --rig has in place of those of the scene: all but the host's place on the road.
+KEYS_OF_CAMERA_FILES = (
+    *("camera.height_m", "camera.pitch_deg", "camera.width_px", "camera.height_px", "camera.horizontal_fov_deg"),
+    *("camera.roll_deg", "camera.principal_offset_px"),
+)
 Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+def _number_of_samples(context: click.Context, param: click.Parameter, value: int | None) -> int:
+    quality = context.meta[QUALITY]
+    if value is not None and context.get_parameter_source("quality") is not ParameterSource.DEFAULT:
+        raise click.BadParameter(f"--samples {value} and --quality {quality} exclude each other", context, param)
+    return value or QUALITY_SAMPLES[quality]
 
 
 def samples_option(command: Command) -> Command:
@@ -109,8 +123,8 @@ def samples_option(command: Command) -> Command:
         "--samples",
         metavar="K",
         type=click.IntRange(min=1),
-        callback=lambda ctx, _, value: value or QUALITY_SAMPLES[ctx.meta[QUALITY]],
-        help="Samples per pixel; overrides --quality.",
+        callback=_number_of_samples,
+        help="Samples per pixel, in place of --quality.",
     )
     level = click.option(
         "--quality",
@@ -207,5 +221,12 @@ def open_shots(camera: str | None, rig: str | None, frames: int, fps: float, lid
 
     if camera is not None and rig is not None:
         raise click.UsageError("--camera and --rig exclude each other; a rig's file names its cameras.")
+    refuse_idle(frames > 1, ["fps"], "without --frames of 2 or more")
     cameras = load_rig(rig) if rig is not None else () if camera is None else (load_camera(camera),)
     return clips(frames, fps, cameras).model_copy(update={"lidar": load_lidar(lidar) if lidar else None})
+
+
+def refuse_idle_changes(changes: Sequence[str], shots: "Shots") -> None:
+    """Refuse changes of parameters that these shots do not use."""
+    refuse_idle_keys(not shots.cameras, changes, KEYS_OF_CAMERA_FILES, "with --camera or --rig, whose files have it")
+    refuse_idle_keys(shots.frames > 1, changes, ["motion."], "without --frames of 2 or more")

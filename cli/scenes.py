@@ -7,6 +7,7 @@ import click
 from synth3dlanes.errors import InputError
 from synth3dlanes.settings import MAX_SAMPLES
 
+from .idle import refuse_idle_keys
 from .options import (
     assets_option,
     camera_option,
@@ -17,6 +18,7 @@ from .options import (
     open_shots,
     params_option,
     passes_option,
+    refuse_idle_changes,
     rig_option,
     samples_option,
     seed_option,
@@ -61,6 +63,7 @@ def sample(
     if index + n > MAX_SAMPLES:
         raise InputError(f"n: expected at most {MAX_SAMPLES - index} from index {index}, got {n}")
     own, shots = open_assets(assets).assets, open_shots(camera, rig, frames, fps)
+    refuse_idle_changes(changes, shots)
     scenes = Scenes(load_params(source, changes, own), seed, split, assets=own, shots=shots)
     for text in scene_texts(scenes, range(index, index + n)):
         click.echo(text)
@@ -99,6 +102,7 @@ def render(
     from synth3dlanes.sensors.lidar_files import load_lidar
     from synth3dlanes.settings import RenderSettings
 
+    refuse_idle_keys(lidar is None, changes, ["lidar", "lidar."], "with --lidar, whose file has it")
     settings, library = RenderSettings(samples, passes, device), open_assets(assets)
     for path in render_file(source, out, changes, settings, library, load_lidar(lidar) if lidar else None):
         click.echo(path)

@@ -8,6 +8,7 @@ import click
 
 from synth3dlanes.files import replacing
 
+from .idle import refuse_idle, refuse_idle_keys
 from .options import OutputFile, assets_option, json_option, open_assets, seed_option, set_option
 
 # Table width where stdout is not a terminal: wide enough for every column.
@@ -54,9 +55,9 @@ def stats(
 
     if (folder is None) == (source is None):
         raise click.UsageError("Give either DIR or --params FILE.")
+    refuse_idle(source is not None, ["changes", "seed", "assets"], "without --params")
+    refuse_idle_keys(False, changes, ["motion."], "on single pictures")
     if folder is not None:
-        if changes or seed or assets:
-            raise click.UsageError("--set, --assets and --seed can only be used with --params.")
         found = dataset_stats(folder, n=n)
     else:
         library = open_assets(assets)

@@ -6,6 +6,7 @@ from pathlib import Path
 import click
 
 from .generate import Workers
+from .idle import refuse_idle
 from .options import assets_option, json_option, open_assets, progress_bar
 
 
@@ -41,6 +42,7 @@ def validate(
 
     from synth3dlanes.api import validate_dataset
 
+    refuse_idle(rerender, ["assets"], "without --rerender")
     library = open_assets(assets)
     with progress_bar() as move:
         report = validate_dataset(

@@ -12,10 +12,11 @@ from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from PIL import Image
 
+from synth3dlanes.arrays import AnyPoints3, Matrix4
 from synth3dlanes.figures import colors
 from synth3dlanes.figures.scene_view import SceneView
 from synth3dlanes.figures.views import draw_image
-from synth3dlanes.frames import Matrix4, project, road_from_cam, transform
+from synth3dlanes.frames import project, road_from_cam, transform
 from synth3dlanes.labels import Labels, from_json
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import Scenes, sample_scene
@@ -27,7 +28,6 @@ INDEX, LANE, POINT = 17, "main_2", 20
 WORLD, ROAD, CAMERA, MARK = "#2f6f4f", "#b5541c", "#5b3fa0", "#d81e5b"
 # The sketches: a camera so high and so pitched that the angles can be seen, in units of no meaning.
 SKETCH_HEIGHT, SKETCH_PITCH = 3.6, np.radians(12)
-Points3 = Float[np.ndarray, "*n 3"]
 
 
 def draw(scene: Scene, labels: Labels, image: UInt8[np.ndarray, "h w 3"]) -> Figure:
@@ -48,7 +48,7 @@ def height(x: Float[np.ndarray, "*n"], y: Float[np.ndarray, "*n"]) -> Float[np.n
     return 2.6 * np.exp(-((y - 13) ** 2) / 40) + 0.16 * y - 0.05 * x
 
 
-def on_ground(x: Float[np.ndarray, "*n"], y: Float[np.ndarray, "*n"]) -> Points3:
+def on_ground(x: Float[np.ndarray, "*n"], y: Float[np.ndarray, "*n"]) -> AnyPoints3:
     """Points of the sketched road; x is the distance from its middle line."""
     x = x + 0.012 * y**2
     return np.stack([x, y, height(x, y)], -1)

@@ -35,7 +35,7 @@ from synth3dlanes.dataset.splits import data_set_name, evenly_spaced, one_reader
 from synth3dlanes.errors import InputError
 from synth3dlanes.files import write
 from synth3dlanes.formats.export import FORMATS, export
-from synth3dlanes.formats.summary import Summary
+from synth3dlanes.formats.summary import ExportSummary
 from synth3dlanes.given_scenes import drawn
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
@@ -46,7 +46,7 @@ from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.render_file import render_members
 from synth3dlanes.production.run import generate
-from synth3dlanes.production.tally import Report
+from synth3dlanes.production.tally import RunReport
 from synth3dlanes.production.user_assets import open_library
 from synth3dlanes.sample import Scenes, with_lidar
 from synth3dlanes.sample import sample_scene as _sample_scene
@@ -57,7 +57,7 @@ from synth3dlanes.sensors.cameras import CameraSpec
 from synth3dlanes.sensors.lidar_files import load_lidar
 from synth3dlanes.sensors.rig_files import load_rig as _load_rig
 from synth3dlanes.sensors.sweep import Sweep
-from synth3dlanes.settings import DEVICES, QUALITY_SAMPLES, RenderSettings
+from synth3dlanes.settings import DEVICES, MAX_SAMPLES, MAX_SEED, QUALITY_SAMPLES, RenderSettings
 from synth3dlanes.settings import PASSES as PASS_NAMES
 from synth3dlanes.shots import Shots, clips
 from synth3dlanes.sources import load_scene as _load_scene
@@ -151,7 +151,8 @@ def sample_scene(
 
     Raises InputError for a bad argument, and where the least number of cars, or trees, find no room in their ranges.
     """
-    _at_least(0, seed=seed, index=index)
+    _within(0, MAX_SEED, seed=seed)
+    _within(0, MAX_SAMPLES - 1, index=index)
     scenes = Scenes(params, seed, split, assets=assets.assets, shots=_shots(camera, rig, frames, fps))
     return _sample_scene(scenes, index)
 
@@ -228,7 +229,7 @@ def generate_dataset(
     spreads: str | Sequence[str] = (),
     assets: Library = BUILT_IN,
     notify: Callable[[Event], None] | None = None,
-) -> Report:
+) -> RunReport:
     """Make samples 0 to n - 1 of a split in `out`, a folder or a URL; what is there already is kept.
 
     With `frames` above 1 they are the frames of clips, `fps` a second: the first clip is samples 0 to frames - 1.
@@ -238,7 +239,7 @@ def generate_dataset(
     on the way does not raise: see `problem`, `done` and `asked` of the result. Raises InputError, MissingPackageError
     or DiskFullError where it cannot start.
     """
-    _at_least(0, seed=seed)
+    _within(0, MAX_SEED, seed=seed)
     settings = _settings(samples, passes, device)
     shots = _shots(camera, rig, frames, fps)
     if lidar is not None:
@@ -267,7 +268,7 @@ def export_dataset(
     size_px: tuple[int, int] | None = None,
     cameras: str | Sequence[str] = (),
     workers: int = 1,
-) -> Summary:
+) -> ExportSummary:
     """Write a data set, a split or a sample (`DIR/train:00000017`) in a format of `export`; return what was written.
 
     `out` is a new folder, or one with the same export: frames that it has are kept. `size_px` is the images' width and
@@ -285,7 +286,7 @@ def split_dataset(
     """Divide a split (or a data set that has one) at random into new ones, in a new data set `out`; return their
     numbers of samples. Clips stay whole. `shares` are those of the new splits, by default train 0.8, val and test 0.1.
     """
-    _at_least(0, seed=seed)
+    _within(0, MAX_SEED, seed=seed)
     wanted = {"train": 0.8, "val": 0.1, "test": 0.1} if shares is None else shares
     return _split(one_reader(str(source)), wanted, seed, str(out))
 
@@ -304,7 +305,7 @@ def validate_dataset(
     rerender: int = 0,
     assets: Library = BUILT_IN,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> "synth3dlanes.validate.report.Report":
+) -> "synth3dlanes.validate.report.ValidationReport":
     """Check every file and sample of a data set or a split, and its labels against its images (docs/validate.md); or
     the first `limit` samples of every split. `rerender` samples are made again and compared with what is there.
 
@@ -372,6 +373,12 @@ def _at_least(least: int, **arguments: int) -> None:
     for name, value in arguments.items():
         if value < least:
             raise InputError(f"{name}: expected {least} or more, got {value}")
+
+
+def _within(least: int, most: int, **arguments: int) -> None:
+    for name, value in arguments.items():
+        if not least <= value <= most:
+            raise InputError(f"{name}: expected {least} to {most}, got {value}")
 
 
 def _one_of(argument: str, value: str, known: Iterable[str]) -> str:

@@ -6,11 +6,10 @@ Every 3D frame is x right, y forward, z up; angles are radians. Pixels (u, v) co
 import numpy as np
 from jaxtyping import Bool, Float
 
-Matrix4 = Float[np.ndarray, "4 4"]
-Points = Float[np.ndarray, "*n 3"]
+from synth3dlanes.arrays import AnyPoints3, Matrix4
 
 
-def transform(b_from_a: Matrix4, points_a: Points) -> Points:
+def transform(b_from_a: Matrix4, points_a: AnyPoints3) -> AnyPoints3:
     """Express points of frame a in frame b."""
     return points_a @ b_from_a[:3, :3].T + b_from_a[:3, 3]
 
@@ -23,7 +22,7 @@ def invert(b_from_a: Matrix4) -> Matrix4:
     return a_from_b
 
 
-def from_axes(x: Points, y: Points, z: Points, origin: Points) -> Matrix4:
+def from_axes(x: AnyPoints3, y: AnyPoints3, z: AnyPoints3, origin: AnyPoints3) -> Matrix4:
     """The transform from an inner to the outer frame, given the inner frame's unit axes and origin in the outer one."""
     outer_from_inner = np.eye(4)
     outer_from_inner[:3] = np.column_stack([x, y, z, origin])
@@ -75,7 +74,7 @@ def turned(yaw_rad: float, right_m: float = 0.0, forward_m: float = 0.0) -> Matr
     return np.array([[c, -s, 0, right_m], [s, c, 0, forward_m], [0, 0, 1.0, 0], [0, 0, 0, 1]])
 
 
-def project(img_from_cam: Float[np.ndarray, "3 3"], points_cam: Points) -> Float[np.ndarray, "*n 2"]:
+def project(img_from_cam: Float[np.ndarray, "3 3"], points_cam: AnyPoints3) -> Float[np.ndarray, "*n 2"]:
     """Pixels (u, v) of points; NaN for points that are not in front of the camera."""
     homogeneous = points_cam @ img_from_cam.T
     depth = np.where(homogeneous[..., 2:] > 0, homogeneous[..., 2:], np.nan)

@@ -16,7 +16,7 @@ from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.files import read_bounded
 from synth3dlanes.params import Params
 from synth3dlanes.sample import Scenes, sample_scene
-from synth3dlanes.sampling.like import MAX_SCENES, Drawn
+from synth3dlanes.sampling.like import MAX_SCENES, DrawKey
 from synth3dlanes.scene import Scene, from_json
 from synth3dlanes.schema import Excerpt, parse
 from synth3dlanes.sources import read_scene
@@ -29,20 +29,20 @@ WORST = 10
 CHECKED, PARTS = 5, ("terrain", "road", "markings", "surface", "light", "air")
 
 
-class Scored(Excerpt):
+class EvaluatedSample(Excerpt):
     """A sample of an evaluation."""
 
     key: Annotated[str, Field(pattern=r"^\d{8}$")]
 
 
-class Scores(Excerpt):
+class StoredEvaluation(Excerpt):
     """What `evaluate --json` says of a split of ours: its samples, the worst first."""
 
     source: Annotated[str, Field(max_length=1000)]
-    samples: Annotated[tuple[Scored, ...], Field(min_length=1)]
+    samples: Annotated[tuple[EvaluatedSample, ...], Field(min_length=1)]
 
 
-def given_scenes(path: Path, params: Params, assets: Assets) -> tuple[Drawn, ...]:
+def given_scenes(path: Path, params: Params, assets: Assets) -> tuple[DrawKey, ...]:
     """The draws of the scenes in a file: a line for each, a scene.json or a sample as DIR/test:00000017; or the result
     of `evaluate --json`, of which the worst tenth is taken.
 
@@ -57,9 +57,9 @@ def given_scenes(path: Path, params: Params, assets: Assets) -> tuple[Drawn, ...
     return drawn(_scenes(text, f"like {path}"), params, assets, f"like {path}")
 
 
-def drawn(scenes: Iterable[Scene], params: Params, assets: Assets, where: str) -> tuple[Drawn, ...]:
+def drawn(scenes: Iterable[Scene], params: Params, assets: Assets, where: str) -> tuple[DrawKey, ...]:
     """The draws of scenes, each once; raise InputError where there are none, or one is not of the parameters."""
-    found: dict[Drawn, None] = {}
+    found: dict[DrawKey, None] = {}
     for scene in scenes:
         if len(found) < CHECKED:
             _check(scene, params, assets, where)
@@ -84,7 +84,7 @@ def _scenes(text: str, where: str) -> Iterator[Scene]:
             yield from_json(line, f"{where}: line {number}")
 
 
-def _scores(text: str, where: str) -> Scores | None:
+def _scores(text: str, where: str) -> StoredEvaluation | None:
     """The result of an evaluation, None for other files."""
     try:
         document: Any = json.loads(text)
@@ -92,10 +92,10 @@ def _scores(text: str, where: str) -> Scores | None:
         return None
     if not isinstance(document, dict) or "samples" not in document:
         return None
-    return parse(Scores, text, where, "a result of evaluate --json on a data set of synth3dlanes")
+    return parse(StoredEvaluation, text, where, "a result of evaluate --json on a data set of synth3dlanes")
 
 
-def _worst(scores: Scores) -> list[str]:
+def _worst(scores: StoredEvaluation) -> list[str]:
     return [f"{scores.source}:{sample.key}" for sample in scores.samples[: -(-len(scores.samples) // WORST)]]
 
 

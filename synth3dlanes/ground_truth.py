@@ -4,8 +4,9 @@
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.arrays import Scalars
 from synth3dlanes.frames import invert, transform
-from synth3dlanes.geometry.lanes import Curve, host_segment, lane_graph, path_of_segment
+from synth3dlanes.geometry.lanes import LaneCurve, host_segment, lane_graph, path_of_segment
 from synth3dlanes.geometry.motion import host_station
 from synth3dlanes.geometry.paint import is_double, paint_color, pair_of
 from synth3dlanes.geometry.road import RoadPlan
@@ -15,8 +16,6 @@ from synth3dlanes.labels import CameraLabel, Labels, Lane, LidarLabel, RoadName,
 from synth3dlanes.object_truth import label_objects
 from synth3dlanes.scene import Scene
 from synth3dlanes.world import View, World, resolve
-
-Values = Float[np.ndarray, " n"]
 
 STEP_M = 1.0
 RANGE_M = 110.0
@@ -95,7 +94,7 @@ def label(world: World, view: View) -> Labels:
     )
 
 
-def _stations(world: World, host_m: float) -> dict[Curve, Values]:
+def _stations(world: World, host_m: float) -> dict[LaneCurve, Scalars]:
     """The plan stations of the points of every line that has some around a host at a world station."""
     plan = world.plan
     lengths_m = np.arange(-world.scene.shot.behind_m, RANGE_M + STEP_M / 2, STEP_M)
@@ -105,7 +104,7 @@ def _stations(world: World, host_m: float) -> dict[Curve, Values]:
     return {curve: s for curve, s in found.items() if len(s) > 1}
 
 
-def _known(world: World, stations: dict[Curve, Values]) -> set[str]:
+def _known(world: World, stations: dict[LaneCurve, Scalars]) -> set[str]:
     """The ids of the lines of a picture, and in a clip of those of all its frames, so that neighbours are named alike
     in each. A line comes into range or is passed, but not both, so the first frame or the last has it."""
     scene, shot = world.scene, world.scene.shot
@@ -134,7 +133,7 @@ def horizon_plane(camera: CameraLabel, host: Lane) -> RoadPlane | None:
     )
 
 
-def stations_of(plan: RoadPlan, curve: Curve, s_world: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
+def stations_of(plan: RoadPlan, curve: LaneCurve, s_world: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
     """Plan stations of one curve in driving order: the common stations within it, and its exact ends."""
     s = plan.plan_station(s_world)
     low, high = min(s[0], s[-1]), max(s[0], s[-1])

@@ -13,10 +13,10 @@ from jaxtyping import Bool, Float
 from pydantic import Field, with_config
 
 from synth3dlanes.frames import inside_image
-from synth3dlanes.json_arrays import Mask, Matrix3, Matrix4, Points, rounded
+from synth3dlanes.json_arrays import JsonMask, JsonMatrix3, JsonMatrix4, JsonPoints, rounded
 from synth3dlanes.lens import PINHOLE, Lens
 from synth3dlanes.object_labels import ObjectLabel, object_document
-from synth3dlanes.schema import STRICT, Name, Number, Part, Pixels, Positive, SymbolKind, Unit, parse
+from synth3dlanes.schema import STRICT, Name, Number, Part, PixelCount, Positive, SymbolKind, Unit, parse
 
 LABELS_FORMAT, LABELS_VERSION = "synth3dlanes.labels", 1
 
@@ -38,13 +38,13 @@ class CameraLabel:
     host's, positive to the left. `lens` bends what `img_from_cam` makes pixels of; `project` and `rays` go through
     both. Labels made before version 0.3.0 lack a yaw of 0, an empty `name` and a pinhole's lens."""
 
-    width_px: Pixels
-    height_px: Pixels
-    img_from_cam: Matrix3
+    width_px: PixelCount
+    height_px: PixelCount
+    img_from_cam: JsonMatrix3
     height_m: Positive
     pitch_rad: Number
-    road_from_cam: Matrix4
-    world_from_cam: Matrix4
+    road_from_cam: JsonMatrix4
+    world_from_cam: JsonMatrix4
     roll_rad: Number = 0.0
     yaw_rad: Number = 0.0
     name: Name = ""
@@ -86,10 +86,10 @@ class Lane:
     marking: Marking
     left: Name | None
     right: Name | None
-    xyz_cam: Points
-    in_image: Mask
-    terrain_visible: Mask
-    object_visible: Mask | None
+    xyz_cam: JsonPoints
+    in_image: JsonMask
+    terrain_visible: JsonMask
+    object_visible: JsonMask | None
     color: PaintColor | None = None
     double: bool | None = None
     direction: Direction = "same"
@@ -112,10 +112,10 @@ class SymbolLabel:
     crosswalk or a gore it is the outline of the whole area. Masks as for lanes."""
 
     kind: SymbolKind
-    xyz_cam: Points
-    in_image: Mask
-    terrain_visible: Mask
-    object_visible: Mask | None
+    xyz_cam: JsonPoints
+    in_image: JsonMask
+    terrain_visible: JsonMask
+    object_visible: JsonMask | None
 
     def __post_init__(self) -> None:
         """Check that each mask has a value for every point; raise ValueError."""
@@ -183,10 +183,10 @@ class LidarLabel:
 
     name: Name
     elevations_rad: Annotated[tuple[Number, ...], Field(min_length=1, max_length=256)]
-    azimuths: Pixels
+    azimuths: PixelCount
     min_range_m: Number
     max_range_m: Positive
-    cam_from_lidar: Matrix4
+    cam_from_lidar: JsonMatrix4
 
 
 @dataclass(frozen=True, eq=False)

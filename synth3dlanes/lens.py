@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import Field, model_validator
 
-from synth3dlanes.frames import Points, project
+from synth3dlanes.arrays import AnyPoints2, AnyPoints3, Numbers
+from synth3dlanes.frames import project
 from synth3dlanes.schema import Part
 
 LensModel = Literal["pinhole", "opencv", "fisheye"]
@@ -30,9 +31,6 @@ STEPS, KNOTS, TOLERANCE = 20, 512, 1e-10
 ENOUGH = 1e-9
 # Coefficients of polynomials that are taken as 0.
 NEGLIGIBLE = 1e-15
-
-Plane = Float[np.ndarray, "*n 2"]
-Values = Float[np.ndarray, "..."]
 
 
 class Lens(Part):
@@ -56,14 +54,14 @@ class Lens(Part):
         """Whether straight lines stay straight."""
         return not any(self.coefficients) and self.model != "fisheye"
 
-    def project(self, img_from_cam: Float[np.ndarray, "3 3"], points_cam: Points) -> Plane:
+    def project(self, img_from_cam: Float[np.ndarray, "3 3"], points_cam: AnyPoints3) -> AnyPoints2:
         """Pixels (u, v) of points; NaN for points that are not in the lens's field."""
         if self.is_pinhole:
             return project(img_from_cam, points_cam)
         bent = _bent(self, points_cam.reshape(-1, 3)).reshape(*points_cam.shape[:-1], 2)
         return project(img_from_cam, np.stack([bent[..., 0], np.ones(bent.shape[:-1]), bent[..., 1]], axis=-1))
 
-    def rays(self, img_from_cam: Float[np.ndarray, "3 3"], uv: Plane) -> Points:
+    def rays(self, img_from_cam: Float[np.ndarray, "3 3"], uv: AnyPoints2) -> AnyPoints3:
         """Unit vectors (camera frame) along which pixels look; NaN where the lens has no picture."""
         homogeneous = np.concatenate([uv, np.ones((*uv.shape[:-1], 1))], axis=-1) @ np.linalg.inv(img_from_cam).T
         if self.is_pinhole:
@@ -117,7 +115,7 @@ def _field_rad(lens: Lens) -> float:
     return min(end if lens.model == "fisheye" else float(np.arctan(end)), WIDEST_RAD[lens.model])
 
 
-def _radius(lens: Lens, angle_rad: Values) -> tuple[Values, Values]:
+def _radius(lens: Lens, angle_rad: Numbers) -> tuple[Numbers, Numbers]:
     """The distorted radius at an angle, and its derivative by the angle."""
     r = angle_rad if lens.model == "fisheye" else np.tan(angle_rad)
     stretch = 1.0 if lens.model == "fisheye" else 1 + r * r
@@ -125,7 +123,7 @@ def _radius(lens: Lens, angle_rad: Values) -> tuple[Values, Values]:
     return r * factor, (factor + 2 * r * r * slope) * stretch
 
 
-def _factor(lens: Lens, s: Values) -> tuple[Values, Values]:
+def _factor(lens: Lens, s: Numbers) -> tuple[Numbers, Numbers]:
     """The radial factor at squared radii, and its derivative by them."""
     above, below = _radial(lens)
     n, d = np.polyval(above, s), np.polyval(below, s)
@@ -133,7 +131,7 @@ def _factor(lens: Lens, s: Values) -> tuple[Values, Values]:
     return n / d, slope
 
 
-def _bent(lens: Lens, points_cam: Points) -> Plane:
+def _bent(lens: Lens, points_cam: AnyPoints3) -> AnyPoints2:
     """Where the lens has points, right and up in focal lengths; NaN out of its field."""
     x, y, z = np.moveaxis(np.asarray(points_cam, float), -1, 0)
     aside = np.hypot(x, z)
@@ -147,7 +145,7 @@ def _bent(lens: Lens, points_cam: Points) -> Plane:
         return _tangential(lens, np.stack([x / y, z / y], axis=-1))[0]
 
 
-def _tangential(lens: Lens, straight: Plane) -> tuple[Plane, Float[np.ndarray, "*n 2 2"]]:
+def _tangential(lens: Lens, straight: AnyPoints2) -> tuple[AnyPoints2, Float[np.ndarray, "*n 2 2"]]:
     """OpenCV's model on (x/y, z/y), and its Jacobian. Its own second axis points down: -z/y."""
     p1, p2 = lens.coefficients[2:4]
     a, b = straight[..., 0], -straight[..., 1]
@@ -163,7 +161,7 @@ def _tangential(lens: Lens, straight: Plane) -> tuple[Plane, Float[np.ndarray, "
     return bent, np.stack([np.stack([aa, -ab], axis=-1), np.stack([-ab, bb], axis=-1)], axis=-2)
 
 
-def _straight(lens: Lens, bent: Plane) -> Points:
+def _straight(lens: Lens, bent: AnyPoints2) -> AnyPoints3:
     """Unit vectors to what the lens has at these points; NaN where that is nothing."""
     radius = np.hypot(bent[..., 0], bent[..., 1])
     angle = _angle(lens, radius)
@@ -198,7 +196,7 @@ def _straight(lens: Lens, bent: Plane) -> Points:
     return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
 
 
-def _angle(lens: Lens, radius: Values) -> Values:
+def _angle(lens: Lens, radius: Numbers) -> Numbers:
     """The angle from the viewing direction at which the lens has a distorted radius; NaN beyond its field."""
     knots = np.linspace(0, lens.field_rad, KNOTS)
     # Just inside: at its end the field's radius may be infinite.

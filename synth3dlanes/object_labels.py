@@ -12,9 +12,10 @@ import numpy as np
 from jaxtyping import Float, Int, Integer
 from pydantic import Field, with_config
 
+from synth3dlanes.arrays import Matrix4
 from synth3dlanes.assets.catalogue import VehicleClass
-from synth3dlanes.frames import Matrix4, from_axes, rotation, transform
-from synth3dlanes.json_arrays import PixelRectangle, Quaternion, Rectangle, Size3, Vector3, rounded
+from synth3dlanes.frames import from_axes, rotation, transform
+from synth3dlanes.json_arrays import JsonPixelRectangle, JsonQuaternion, JsonRectangle, JsonSize3, JsonVector3, rounded
 from synth3dlanes.schema import STRICT, Unit
 
 # Corners of a box of size 2 in the frame of its object: those of its front, then of its rear, each from the top left
@@ -41,14 +42,14 @@ class ObjectLabel:
 
     id: Annotated[int, Field(ge=1)]
     category: VehicleClass
-    size_m: Size3
-    center_cam: Vector3
-    rotation_wxyz: Quaternion
-    velocity_cam: Vector3 | None
-    box_px: Rectangle | None
-    unclipped_box_px: Rectangle | None
+    size_m: JsonSize3
+    center_cam: JsonVector3
+    rotation_wxyz: JsonQuaternion
+    velocity_cam: JsonVector3 | None
+    box_px: JsonRectangle | None
+    unclipped_box_px: JsonRectangle | None
     truncation: Unit
-    seen_box_px: PixelRectangle | None = None
+    seen_box_px: JsonPixelRectangle | None = None
     visible_fraction: Unit | None = None
     lidar_points: Count | None = None
 

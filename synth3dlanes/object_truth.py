@@ -7,8 +7,9 @@ of the places where edges cross the image's border.
 import numpy as np
 from jaxtyping import Bool, Float
 
+from synth3dlanes.arrays import Matrix4, Points2, Points3
 from synth3dlanes.assets.catalogue import CarModel
-from synth3dlanes.frames import Matrix4, invert, quaternion, transform
+from synth3dlanes.frames import invert, quaternion, transform
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.object_labels import CORNERS, ObjectLabel
 from synth3dlanes.scene import Car
@@ -25,9 +26,6 @@ EDGES = np.array([(i, j) for i in range(8) for j in range(i) if (CORNERS[i] != C
 INSIDE = np.stack(np.meshgrid(*((np.arange(n) + 0.5) * 2 / n - 1 for n in PARTS), indexing="ij"), axis=-1).reshape(
     -1, 3
 )
-
-Points = Float[np.ndarray, "n 3"]
-Pixels = Float[np.ndarray, "n 2"]
 
 
 def label_objects(view: View, camera: CameraLabel) -> tuple[ObjectLabel, ...]:
@@ -85,7 +83,7 @@ def truncation(camera: CameraLabel, cam_from_box: Matrix4, size_m: Float[np.ndar
     return round(1 - float(shown.mean()), 3)
 
 
-def meets_box(rays_cam: Points, cam_from_box: Matrix4, size_m: Float[np.ndarray, "3"]) -> Bool[np.ndarray, " n"]:
+def meets_box(rays_cam: Points3, cam_from_box: Matrix4, size_m: Float[np.ndarray, "3"]) -> Bool[np.ndarray, " n"]:
     """Which rays from the camera meet a box; none that are NaN."""
     box_from_cam = invert(cam_from_box)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -97,14 +95,14 @@ def meets_box(rays_cam: Points, cam_from_box: Matrix4, size_m: Float[np.ndarray,
 
 
 def _edges(cam_from_box: Matrix4, size_m: Float[np.ndarray, "3"]) -> Float[np.ndarray, "12 p 3"]:
-    """Points along the edges of a box."""
+    """Points3 along the edges of a box."""
     first, second = (transform(cam_from_box, CORNERS[EDGES[:, end]] * size_m / 2)[:, None] for end in (0, 1))
     share = np.linspace(0, 1, PIECES + 1)[:, None]
     return np.asarray(first + share * (second - first))
 
 
-def _border(camera: CameraLabel, shown: Points, other: Points) -> Points:
-    """Points in the image next to where straight lines from it to points out of it cross its border."""
+def _border(camera: CameraLabel, shown: Points3, other: Points3) -> Points3:
+    """Points3 in the image next to where straight lines from it to points out of it cross its border."""
     for _ in range(HALVINGS):
         middle = (shown + other) / 2
         is_shown = camera.shows(middle)[:, None]
@@ -112,5 +110,5 @@ def _border(camera: CameraLabel, shown: Points, other: Points) -> Points:
     return shown
 
 
-def _around(uv: Pixels) -> Float[np.ndarray, "4"]:
+def _around(uv: Points2) -> Float[np.ndarray, "4"]:
     return np.concatenate([uv.min(axis=0), uv.max(axis=0)])

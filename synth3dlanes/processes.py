@@ -1,19 +1,66 @@
 """Fresh processes that share one task, such as checking or exporting samples."""
 
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import get_context
+from threading import current_thread, main_thread
+from typing import Any
 
 from synth3dlanes.errors import WorkerError
+
+STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+class QuietPool(ProcessPoolExecutor):
+    """A pool whose processes end without a word when Ctrl-C is pressed, also while they start.
+
+    The terminal sends the signal to all processes. Python would show a traceback of each, so they start with the signal
+    blocked, and die of it as soon as they have taken back Python's handler; the process that has the pool tells.
+    """
+
+    def submit(self, task: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Submit a task; processes that start for it inherit what is blocked here."""
+        with _held_back():
+            blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+            try:
+                return super().submit(task, *args, **kwargs)
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+
+
+@contextmanager
+def _held_back() -> Iterator[None]:
+    """Heed signals only afterwards: a process whose start is cut off shows a traceback of its own."""
+    if current_thread() is not main_thread():
+        yield
+        return
+    came: list[int] = []
+    handlers = {number: handler for number in STOPPING if callable(handler := signal.getsignal(number))}
+    for stopping in handlers:
+        signal.signal(stopping, lambda number, _: came.append(number))
+    try:
+        yield
+    finally:
+        for stopping, handler in handlers.items():
+            signal.signal(stopping, handler)
+    for number in came[:1]:
+        handlers[signal.Signals(number)](number, None)
+
+
+def _die_of_ctrl_c() -> None:
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
 
 @contextmanager
 def process_pool(workers: int | None = None) -> Iterator[ProcessPoolExecutor]:
     """A pool of fresh processes, by default one per core; what is not begun when it is left is dropped. Raises
     WorkerError where somebody kills one of them."""
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+    pool = QuietPool(workers, mp_context=get_context("spawn"), initializer=_die_of_ctrl_c)
     try:
         yield pool
     except BrokenProcessPool:

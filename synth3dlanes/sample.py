@@ -14,7 +14,7 @@ from synth3dlanes.params import CameraParams, Params
 from synth3dlanes.processes import process_pool
 from synth3dlanes.sampling.cars import CAR_STREAMS, draw_cars
 from synth3dlanes.sampling.draws import DECIMALS, Draw, draws_of
-from synth3dlanes.sampling.like import Like
+from synth3dlanes.sampling.like import Neighbourhood
 from synth3dlanes.sampling.roadside import draw_roadside
 from synth3dlanes.sampling.rules import lane_of_host
 from synth3dlanes.sampling.symbols import draw_symbols
@@ -43,7 +43,7 @@ from synth3dlanes.scene import (
 )
 from synth3dlanes.sensors.cameras import CameraSpec
 from synth3dlanes.sensors.lidars import LidarSpec
-from synth3dlanes.shots import SINGLE, Place, Shots
+from synth3dlanes.shots import SINGLE, ShotNumbers, Shots
 from synth3dlanes.streams import stream
 from synth3dlanes.world import World, resolve
 
@@ -62,7 +62,7 @@ class Scenes:
     split: str = "train"
     assets: Assets = field(default=BUILT_IN.assets, kw_only=True)
     shots: Shots = field(default=SINGLE, kw_only=True)
-    like: Like | None = field(default=None, kw_only=True)
+    like: Neighbourhood | None = field(default=None, kw_only=True)
 
 
 def sample_scene(scenes: Scenes, index: int) -> Scene:
@@ -80,7 +80,7 @@ def sample_world(scenes: Scenes, index: int) -> World:
     return world_in_shot(draw(scenes, place.scene), scenes.shots, place)
 
 
-def world_in_shot(world: World, shots: Shots, place: Place) -> World:
+def world_in_shot(world: World, shots: Shots, place: ShotNumbers) -> World:
     """A drawn world as one frame and camera show it."""
     if shots == SINGLE:
         return world

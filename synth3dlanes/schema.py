@@ -24,7 +24,7 @@ Number = Annotated[float, Field(ge=-1e6, le=1e6)]
 Metres = Annotated[float, Field(ge=-1000, le=1000)]
 Unit = Annotated[float, Field(ge=0, le=1)]
 Positive = Annotated[float, Field(gt=0, le=1e6)]
-Pixels = Annotated[int, Field(ge=1, le=MAX_PX)]
+PixelCount = Annotated[int, Field(ge=1, le=MAX_PX)]
 Seed = Annotated[int, Field(ge=0, le=2**128)]
 Name = Annotated[str, Field(max_length=64, pattern=r"^[\w.-]*$")]
 # Paint that bounds no lane.

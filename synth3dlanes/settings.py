@@ -11,6 +11,7 @@ PASSES = (*PIXEL_PASSES, "height")
 # Of images that nothing else is said of.
 JPEG_QUALITY = 95
 # What splits may be called, and how many samples they and their shards may have: keys have eight digits.
+MAX_SEED = 2**128
 SPLIT_NAME, MAX_SAMPLES, MAX_SHARD_SIZE = "[A-Za-z0-9_-]+", 100_000_000, 1_000_000
 DEVICES = ("auto", "cpu", "cuda", "optix", "hip", "oneapi", "metal")
 BEST_DEVICE_FIRST = ("optix", "cuda", "hip", "oneapi", "metal", "cpu")

@@ -12,7 +12,7 @@ from synth3dlanes.sensors.cameras import CameraSpec
 from synth3dlanes.sensors.lidars import LidarSpec
 
 
-class Place(NamedTuple):
+class ShotNumbers(NamedTuple):
     """What a sample of a split shows: the number of its scene, of the frame and of the camera."""
 
     scene: int
@@ -44,12 +44,12 @@ class Shots(Group):
         """How many samples show one scene."""
         return self.frames * self.n_cameras
 
-    def place(self, index: int) -> Place:
+    def place(self, index: int) -> ShotNumbers:
         """What sample `index` shows: index = (scene x frames + frame) x cameras + camera."""
         of_frame, camera = divmod(index, self.n_cameras)
-        return Place(*divmod(of_frame, self.frames), camera)
+        return ShotNumbers(*divmod(of_frame, self.frames), camera)
 
-    def index(self, place: Place) -> int:
+    def index(self, place: ShotNumbers) -> int:
         """The sample that shows a place, as opposed to `place`."""
         return (place.scene * self.frames + place.frame) * self.n_cameras + place.camera
 

@@ -24,7 +24,7 @@ from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import Params
 from synth3dlanes.sample import Scenes
-from synth3dlanes.sampling.like import Like
+from synth3dlanes.sampling.like import Neighbourhood
 from synth3dlanes.scene import Scene, from_json
 from synth3dlanes.schema import MAX_BYTES, Excerpt, Seed, validation_problems
 from synth3dlanes.sensors.sweep import Sweep
@@ -35,7 +35,7 @@ MAX_IMAGE_BYTES = 1 << 30
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class LabelledScene:
     """A scene with its labels, and its image where there is one."""
 
     name: str
@@ -65,14 +65,14 @@ def find_scene(where: str) -> tuple[str, Scene]:
     return scene_name(Path(where)), load_scene(Path(where))
 
 
-def load_any(where: str, image_path: Path | None) -> Found:
+def load_any(where: str, image_path: Path | None) -> LabelledScene:
     """Find a sample by `DIR/SPLIT:KEY`, or a scene by its file, with labels drawn from the scene alone."""
     if SAMPLE.fullmatch(where):
         if image_path is not None:
             raise InputError(f"image {image_path}: expected none beside a sample, which has its own")
         reader, position = find(where)
         sample = reader[position]
-        return Found(sample.key, from_json(sample.scene_json, where), sample.labels, sample.image)
+        return LabelledScene(sample.key, from_json(sample.scene_json, where), sample.labels, sample.image)
     name, scene = find_scene(where)
     size_px = scene.camera.width_px, scene.camera.height_px
     image = (
@@ -80,7 +80,7 @@ def load_any(where: str, image_path: Path | None) -> Found:
         if image_path is None
         else decode_image(read_bounded(image_path, MAX_IMAGE_BYTES), str(image_path), size_px)
     )
-    return Found(name, scene, ground_truth(scene), image)
+    return LabelledScene(name, scene, ground_truth(scene), image)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +153,7 @@ class Provenance(Excerpt):
     params: Params
     assets: Annotated[Assets, BeforeValidator(_in_order)] = Assets()
     shots: Shots = SINGLE
-    like: Like | None = None
+    like: Neighbourhood | None = None
 
     def scenes(self, split: str) -> Scenes:
         """The scenes of a split."""

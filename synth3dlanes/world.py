@@ -9,14 +9,15 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import Matrix4, road_from_cam, turned
+from synth3dlanes.arrays import Matrix4
+from synth3dlanes.frames import road_from_cam, turned
 from synth3dlanes.geometry import meshes, roadside
 from synth3dlanes.geometry.bonnet import cam_from_bonnet
 from synth3dlanes.geometry.camera import img_from_cam, project, world_from_host
 from synth3dlanes.geometry.grass import Blades, blades
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.horizon import FarHills
-from synth3dlanes.geometry.lanes import Curve, curves
+from synth3dlanes.geometry.lanes import LaneCurve, curves
 from synth3dlanes.geometry.motion import car_at, host_at, host_station
 from synth3dlanes.geometry.paint import paint_meshes
 from synth3dlanes.geometry.placement import tree_positions, world_from_car
@@ -110,7 +111,7 @@ class Site:
     roadside: Roadside
 
     @cached_property
-    def lines(self) -> tuple[Curve, ...]:
+    def lines(self) -> tuple[LaneCurve, ...]:
         """All centre lines and delimiters."""
         return curves(self.ground.plan)
 

@@ -15,7 +15,7 @@ from synth3dlanes.ground_truth import label
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph, Segment
 from synth3dlanes.params import load_params
 from synth3dlanes.production.plan import Plan
-from synth3dlanes.production.recipe import Made, Recipe
+from synth3dlanes.production.recipe import PackedSample, Recipe
 from synth3dlanes.production.run import generate
 from synth3dlanes.sample import Scenes, sample_world
 from synth3dlanes.scene import Shot
@@ -50,7 +50,7 @@ def image(index: int) -> np.ndarray:
     return np.random.default_rng(index).integers(0, 256, (16, 24, 3), dtype=np.uint8)
 
 
-def make(recipe: Recipe, index: int) -> Made:
+def make(recipe: Recipe, index: int) -> PackedSample:
     camera = FLAT.camera.model_copy(update={"width_px": 24, "height_px": 16})
     place, shots = recipe.scenes.shots.place(index), recipe.scenes.shots
     shot = Shot(n_frames=shots.frames, fps=shots.fps, frame=place.frame, n_cameras=shots.n_cameras, camera=place.camera)
@@ -58,40 +58,40 @@ def make(recipe: Recipe, index: int) -> Made:
     scene = FLAT.model_copy(update={**world, "camera": camera})
     time_s = shot.time_s if shots.frames > 1 else None
     members = encode(image(index), labels(index, time_s), scene_module.to_json(scene), {}, recipe.image_format)
-    return Made(members, {"fake": 0.0})
+    return PackedSample(members, {"fake": 0.0})
 
 
-def make_labelled(recipe: Recipe, index: int) -> Made:
+def make_labelled(recipe: Recipe, index: int) -> PackedSample:
     """Scene and labels are true, the image is black."""
     world = sample_world(recipe.scenes, index)
     black = np.zeros((world.scene.camera.height_px, world.scene.camera.width_px, 3), np.uint8)
     members = encode(black, label(world, world.view), scene_module.to_json(world.scene), {}, recipe.image_format)
-    return Made(members, {"fake": 0.0})
+    return PackedSample(members, {"fake": 0.0})
 
 
-def sign(recipe: Recipe, index: int) -> Made:
+def sign(recipe: Recipe, index: int) -> PackedSample:
     """Note who made which sample."""
     time.sleep(0.05)
     (Path(os.environ["SYNTH3DLANES_TEST_MARK"]) / f"{index}-{os.getpid()}").touch()
     return make(recipe, index)
 
 
-def make_slowly(recipe: Recipe, index: int) -> Made:
+def make_slowly(recipe: Recipe, index: int) -> PackedSample:
     time.sleep(0.15)
     return make(recipe, index)
 
 
-def crash_on_bad(recipe: Recipe, index: int) -> Made:
+def crash_on_bad(recipe: Recipe, index: int) -> PackedSample:
     if index == BAD:
         raise ValueError("this scene is bad")
     return make(recipe, index)
 
 
-def always_crash(recipe: Recipe, index: int) -> Made:
+def always_crash(recipe: Recipe, index: int) -> PackedSample:
     raise ValueError(f"no scene is good, nor is {index}")
 
 
-def hang_on_bad_and_spin_on_the_next(recipe: Recipe, index: int) -> Made:
+def hang_on_bad_and_spin_on_the_next(recipe: Recipe, index: int) -> PackedSample:
     if index == BAD:
         time.sleep(1000)
     while index == BAD + 1:
@@ -99,18 +99,18 @@ def hang_on_bad_and_spin_on_the_next(recipe: Recipe, index: int) -> Made:
     return make(recipe, index)
 
 
-def eat_memory_on_bad(recipe: Recipe, index: int) -> Made:
+def eat_memory_on_bad(recipe: Recipe, index: int) -> PackedSample:
     if index == BAD:
         eaten = np.ones(1 << 28)
         time.sleep(1000 * float(eaten[0]))
     return make(recipe, index)
 
 
-def miss_a_library(recipe: Recipe, index: int) -> Made:
+def miss_a_library(recipe: Recipe, index: int) -> PackedSample:
     raise ImportError("libmissing.so.1: cannot open shared object file")
 
 
-def be_killed_once(recipe: Recipe, index: int) -> Made:
+def be_killed_once(recipe: Recipe, index: int) -> PackedSample:
     mark = Path(os.environ["SYNTH3DLANES_TEST_MARK"]) / str(index)
     if not mark.exists():
         mark.touch()
@@ -118,7 +118,7 @@ def be_killed_once(recipe: Recipe, index: int) -> Made:
     return make(recipe, index)
 
 
-def find_the_disk_full(recipe: Recipe, index: int) -> Made:
+def find_the_disk_full(recipe: Recipe, index: int) -> PackedSample:
     """As long as there is a ballast. Sample 1 says so late."""
     if (Path(os.environ["SYNTH3DLANES_TEST_MARK"]) / "ballast").exists():
         time.sleep(3.0 * (index == 1))
@@ -127,7 +127,7 @@ def find_the_disk_full(recipe: Recipe, index: int) -> Made:
     return make(recipe, index)
 
 
-def insist_on_one_core(recipe: Recipe, index: int) -> Made:
+def insist_on_one_core(recipe: Recipe, index: int) -> PackedSample:
     assert len(os.sched_getaffinity(0)) == 1
     return make(recipe, index)
 

@@ -16,7 +16,7 @@ from synth3dlanes.labels import Labels
 from synth3dlanes.params import Params, load_params
 from synth3dlanes.sample import Scenes, sample_scene, sample_world, scene_texts
 from synth3dlanes.sensors.rig_files import load_rig
-from synth3dlanes.shots import Place, Shots, clips
+from synth3dlanes.shots import ShotNumbers, Shots, clips
 from synth3dlanes.validate.structure import check_shape
 from synth3dlanes.world import World, resolve
 from tests.scenes import changed
@@ -40,7 +40,7 @@ def test_sample_numbers_and_places_are_one_to_one():
     shots = Shots(frames=4, cameras=tuple([camera()] * 3))
     places = [shots.place(index) for index in range(48)]
     assert [shots.index(place) for place in places] == list(range(48))
-    assert places[17] == Place(1, 1, 2)
+    assert places[17] == ShotNumbers(1, 1, 2)
     assert len(set(places)) == 48
 
 

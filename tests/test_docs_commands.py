@@ -61,8 +61,10 @@ def small(words: list[str]) -> list[str]:
             words[i + 1] = "tiny"
     if words[1] == "generate":
         height_px = 54 if "apollo_camera" in words else 72
-        changes = {"camera.width_px": 96, "camera.height_px": height_px, "trees.n": 4, "cars.n": 1}
-        words += [word for name, value in changes.items() for word in ("--set", f"{name}={value}")]
+        size = {"camera.width_px": 96, "camera.height_px": height_px}
+        changes = {**({} if {"--camera", "--rig"} & {*words} else size), "trees.n": 4, "cars.n": 1}
+        given = {word.partition("=")[0] for word in words}
+        words += [word for name, value in changes.items() if name not in given for word in ("--set", f"{name}={value}")]
     if words[1] in ("generate", "twins"):
         words += ["--workers", "1"]
     if words[1] == "train":

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from synth3dlanes_baseline.sources import Upright, training_and_validation
+from synth3dlanes_baseline.sources import UprightSamples, training_and_validation
 
 from synth3dlanes import labels as labels_format
 from synth3dlanes.dataset.read import Reader
@@ -154,7 +154,7 @@ def test_samples_of_some_cameras_are_found_by_their_names(data):
 def test_training_and_exports_take_the_cameras_that_look_ahead(data):
     samples, _ = training_and_validation(str(data), "train", "val", None)
     assert len(samples) == 2
-    upright = Upright(Reader(f"{data}/train", columns=("camera_roll_rad",)))
+    upright = UprightSamples(Reader(f"{data}/train", columns=("camera_roll_rad",)))
     assert [upright.key(i) for i in range(len(upright))] == ["00000000", "00000006"]
     assert [place for chunk in export_plan(str(data)) for place in chunk.places] == [0, 6]
     assert [place for chunk in export_plan(str(data), ["CAM_BACK"]) for place in chunk.places] == [3, 9]
@@ -190,7 +190,7 @@ def test_a_rig_that_only_looks_back_has_nothing_to_train_on(tmp_path):
     recipe = fake_samples.recipe(shots=Shots(cameras=back))
     generate(Plan(str(tmp_path / "d"), 3, recipe, workers=1, maker=fake_samples.make), lambda event: None)
     with pytest.raises(InputError, match="expected a camera within 30 degrees of the driving direction, got none"):
-        len(Upright(Reader(f"{tmp_path}/d/train")))
+        len(UprightSamples(Reader(f"{tmp_path}/d/train")))
 
 
 def test_formats_without_yaw_get_a_road_frame_that_looks_along_the_camera():

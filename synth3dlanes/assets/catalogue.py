@@ -13,7 +13,7 @@ from pydantic.dataclasses import dataclass
 AssetKind = Literal["cars", "trees", "roads", "terrains", "skies"]
 KINDS: tuple[AssetKind, ...] = ("cars", "trees", "roads", "terrains", "skies")
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
-Metres = Annotated[float, Field(gt=0)]
+PositiveMetres = Annotated[float, Field(gt=0)]
 # What detectors call vehicles. A `trailer` is a tractor with its semitrailer.
 VehicleClass = Literal["car", "van", "truck", "bus", "trailer"]
 # Words in the names of a user's files that tell the class, and sizes that do where none is there: all cars are lower
@@ -32,12 +32,12 @@ class CarModel:
     user cars."""
 
     name: str
-    length_m: Metres
-    width_m: Metres
-    height_m: Metres
-    wheelbase_m: Metres
-    track_m: Metres
-    wheel_radius_m: Metres
+    length_m: PositiveMetres
+    width_m: PositiveMetres
+    height_m: PositiveMetres
+    wheelbase_m: PositiveMetres
+    track_m: PositiveMetres
+    wheel_radius_m: PositiveMetres
     sha256: str = ""
     category: VehicleClass = "car"
 
@@ -47,8 +47,8 @@ class TreeModel:
     """Height over the ground and the radius of the crown, at scale 1."""
 
     name: str
-    height_m: Metres
-    crown_radius_m: Metres
+    height_m: PositiveMetres
+    crown_radius_m: PositiveMetres
     sha256: str = ""
 
 

@@ -49,7 +49,7 @@ class TextureFiles:
 
 
 @dataclass(frozen=True)
-class Folder:
+class AssetFiles:
     """The files of a folder by kind and name, in alphabetical order; its problems; and files that are not used."""
 
     models: dict[AssetKind, dict[str, Path]]
@@ -95,7 +95,7 @@ class Notes(Part):
 
 
 @dataclass(frozen=True)
-class Row:
+class AssetRow:
     """One row of the table of assets found."""
 
     kind: AssetKind
@@ -107,16 +107,16 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Checked:
+class FolderCheck:
     """A folder after its check: the usable assets, and the problems, which prevent its use."""
 
     assets: Assets
-    rows: tuple[Row, ...] = ()
+    rows: tuple[AssetRow, ...] = ()
     problems: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
 
-def scan(root: Path) -> Folder:
+def scan(root: Path) -> AssetFiles:
     """List the folder; raise InputError if it does not exist."""
     if not root.is_dir():
         raise InputError(f"assets {root}: expected a folder, found none")
@@ -141,10 +141,10 @@ def scan(root: Path) -> Folder:
                 models[kind][path.stem] = path
     if not problems and not any(models.values()) and not any(textures.values()):
         problems.append(f"{root}: expected files in {', '.join(f'{kind}/' for kind in KINDS)}, found none")
-    return Folder(models, textures, tuple(problems), tuple(unknown))
+    return AssetFiles(models, textures, tuple(problems), tuple(unknown))
 
 
-def read_notes(root: Path, folder: Folder) -> tuple[Notes, list[str]]:
+def read_notes(root: Path, folder: AssetFiles) -> tuple[Notes, list[str]]:
     """`assets.yaml` and its problems, including names without a file."""
     path = root / NOTES
     if not path.exists():

@@ -7,6 +7,7 @@ import bpy
 import mathutils
 import numpy as np
 
+from synth3dlanes.arrays import Matrix4
 from synth3dlanes.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.blender import drop_scratch
 from synth3dlanes.blender.camera import set_camera
@@ -17,7 +18,7 @@ from synth3dlanes.blender.materials import Materials, make_materials, set_materi
 from synth3dlanes.blender.polygons import polygons
 from synth3dlanes.blender.shaders import car_paint, new_material
 from synth3dlanes.blender.structures import structure_mesh
-from synth3dlanes.frames import Matrix4, from_axes
+from synth3dlanes.frames import from_axes
 from synth3dlanes.geometry.bonnet import bonnet
 from synth3dlanes.geometry.grass import Blades
 from synth3dlanes.geometry.ground import Ground
@@ -60,7 +61,7 @@ class Studio:
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class MeshInstance:
     """A car, a tree or the host's bonnet in the scene: its mesh, pose, scale and instance id."""
 
     mesh: bpy.types.Mesh
@@ -105,7 +106,9 @@ def _plain() -> bpy.types.Material:
     return material
 
 
-def build(studio: Studio, world: World, view: View, light: Daylight, labelled: Sequence[str] = ()) -> list[Placed]:
+def build(
+    studio: Studio, world: World, view: View, light: Daylight, labelled: Sequence[str] = ()
+) -> list[MeshInstance]:
     """Replace the previous world by this one; return its cars and trees and the host's bonnet.
 
     Instance ids number the delimiters in `labelled` first, in that order, then those beyond the labels' range. Of the
@@ -125,7 +128,7 @@ def build(studio: Studio, world: World, view: View, light: Daylight, labelled: S
         _add_placed("cars", item, (*body_color(car), car.gloss))
     host = []
     if view.world_from_bonnet is not None:
-        host = [Placed(studio.bonnet, view.world_from_bonnet, 1.0, HOST_ID)]
+        host = [MeshInstance(studio.bonnet, view.world_from_bonnet, 1.0, HOST_ID)]
         _add_placed("host", host[0], (*[scene.host.gray] * 3, scene.host.gloss))
     grass = world.grass(view)
     if grass is not None:
@@ -138,7 +141,7 @@ def build(studio: Studio, world: World, view: View, light: Daylight, labelled: S
     return [*cars, *trees, *host]
 
 
-def _stage(studio: Studio, world: World, trees: Sequence[Placed]) -> None:
+def _stage(studio: Studio, world: World, trees: Sequence[MeshInstance]) -> None:
     """Build what every view of a world shows alike: its ground and what stands still on it."""
     materials = studio.materials
     set_materials(materials, world.scene)
@@ -194,19 +197,19 @@ def _add_paint(materials: Materials, world: World, view: View, labelled: Sequenc
         _add_object("paint", new_mesh(mesh, [materials.symbol]), FIRST_SYMBOL_ID + number)
 
 
-def _cars(assets: LoadedAssets, world: World, view: View) -> list[Placed]:
+def _cars(assets: LoadedAssets, world: World, view: View) -> list[MeshInstance]:
     return [
-        Placed(assets.cars[car.model - 1], pose, car.scale, FIRST_CAR_ID + i)
+        MeshInstance(assets.cars[car.model - 1], pose, car.scale, FIRST_CAR_ID + i)
         for i, (car, pose) in enumerate(zip(world.scene.cars, view.world_from_cars, strict=True))
     ]
 
 
-def _trees(assets: LoadedAssets, world: World) -> list[Placed]:
+def _trees(assets: LoadedAssets, world: World) -> list[MeshInstance]:
     trees = []
     for i, (tree, foot) in enumerate(zip(world.scene.trees, world.site.trees_world, strict=True)):
         c, s = np.cos(tree.yaw_rad), np.sin(tree.yaw_rad)
         pose = from_axes(np.array([c, s, 0]), np.array([-s, c, 0]), np.array([0, 0, 1.0]), foot)
-        trees.append(Placed(assets.trees[tree.model - 1], pose, tree.scale, FIRST_TREE_ID + i))
+        trees.append(MeshInstance(assets.trees[tree.model - 1], pose, tree.scale, FIRST_TREE_ID + i))
     return trees
 
 
@@ -234,7 +237,7 @@ def _grass_mesh(grass: Blades, material: bpy.types.Material) -> bpy.types.Mesh:
     return data
 
 
-def _add_placed(collection: str, item: Placed, color: tuple[float, ...] | None = None) -> None:
+def _add_placed(collection: str, item: MeshInstance, color: tuple[float, ...] | None = None) -> None:
     scaled = item.world_from_object @ np.diag([item.scale] * 3 + [1.0])
     _add_object(collection, item.mesh, item.instance_id, mathutils.Matrix(scaled.tolist()), color)
 

@@ -4,7 +4,7 @@ import bpy
 import mathutils
 import numpy as np
 
-from synth3dlanes.frames import Matrix4
+from synth3dlanes.arrays import Matrix4
 from synth3dlanes.scene import Camera
 
 CAM_FROM_BLENDER = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])

@@ -15,18 +15,18 @@ from PIL import Image, UnidentifiedImageError
 
 from synth3dlanes.assets.catalogue import AssetKind, Assets, CarModel, Sky, Texture, TreeModel, vehicle_class
 from synth3dlanes.assets.folder import (
+    AssetFiles,
+    AssetRow,
     CarNotes,
-    Checked,
-    Folder,
+    FolderCheck,
     Notes,
-    Row,
     digest,
     read_notes,
     scan,
     texture_digest,
 )
 from synth3dlanes.blender.sky_file import read_sky
-from synth3dlanes.blender.user_models import Imported, ModelKind, import_model, points_of
+from synth3dlanes.blender.user_models import ImportedMesh, ModelKind, import_model, points_of
 from synth3dlanes.errors import FormatError
 from synth3dlanes.imaging.user_sky import brightest_azimuth
 
@@ -44,19 +44,19 @@ UNITS = ((100.0, "centimetres"), (1000.0, "millimetres"), (39.37, "inches"), (0.
 
 
 @dataclass
-class Findings:
+class AssetFindings:
     """The assets, problems and warnings found so far."""
 
-    rows: list[Row] = field(default_factory=list)
+    rows: list[AssetRow] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 
 
-def check_folder(root: Path) -> Checked:
+def check_folder(root: Path) -> FolderCheck:
     """Check a folder; raise InputError if it does not exist."""
     folder = scan(root)
     notes, note_problems = read_notes(root, folder)
-    found = Findings(problems=[*folder.problems, *note_problems])
+    found = AssetFindings(problems=[*folder.problems, *note_problems])
     found.warnings += [f"{name}: not used: unknown name or suffix" for name in folder.unknown]
     cars = [_car(name, path, notes, found) for name, path in folder.models["cars"].items()]
     trees = [_tree(name, path, found) for name, path in folder.models["trees"].items()]
@@ -67,10 +67,10 @@ def check_folder(root: Path) -> Checked:
         tuple(_textures(folder, "terrains", found)),
         tuple(_skies(folder, notes, found)),
     )
-    return Checked(assets, tuple(found.rows), tuple(found.problems), tuple(found.warnings))
+    return FolderCheck(assets, tuple(found.rows), tuple(found.problems), tuple(found.warnings))
 
 
-def _car(name: str, path: Path, notes: Notes, found: Findings) -> CarModel | None:
+def _car(name: str, path: Path, notes: Notes, found: AssetFindings) -> CarModel | None:
     where = f"cars/{path.name}"
     imported = _model(path, "car", where, found)
     if imported is None:
@@ -106,7 +106,7 @@ def _car(name: str, path: Path, notes: Notes, found: Findings) -> CarModel | Non
     return model
 
 
-def _tree(name: str, path: Path, found: Findings) -> TreeModel | None:
+def _tree(name: str, path: Path, found: AssetFindings) -> TreeModel | None:
     where = f"trees/{path.name}"
     imported = _model(path, "tree", where, found)
     if imported is None:
@@ -130,7 +130,7 @@ def _tree(name: str, path: Path, found: Findings) -> TreeModel | None:
     return model
 
 
-def _model(path: Path, kind: ModelKind, where: str, found: Findings) -> Imported | None:
+def _model(path: Path, kind: ModelKind, where: str, found: AssetFindings) -> ImportedMesh | None:
     """The file's mesh in an empty Blender; None, with a problem added, if it cannot be used."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     try:
@@ -185,7 +185,7 @@ def _wheels(points: Float[np.ndarray, "v 3"], named: Float[np.ndarray, "n 3"]) -
     return WHEELBASE * length_m, TRACK * width_m, radius_m
 
 
-def _textures(folder: Folder, kind: AssetKind, found: Findings) -> Iterator[Texture]:
+def _textures(folder: AssetFiles, kind: AssetKind, found: AssetFindings) -> Iterator[Texture]:
     for name, files in folder.textures[kind].items():
         problems, sizes = [], []
         for path in (files.albedo, files.roughness, files.normal):
@@ -213,7 +213,7 @@ def _picture_size(path: Path) -> tuple[tuple[int, int], str]:
     return (width, height), wrong
 
 
-def _skies(folder: Folder, notes: Notes, found: Findings) -> Iterator[Sky]:
+def _skies(folder: AssetFiles, notes: Notes, found: AssetFindings) -> Iterator[Sky]:
     for name, path in folder.models["skies"].items():
         try:
             upper = read_sky(path)
@@ -233,7 +233,7 @@ def _triangles(mesh: bpy.types.Mesh) -> int:
 
 
 def _add_row(
-    found: Findings, kind: AssetKind, model: CarModel | TreeModel | Texture | Sky, size: str, triangles: int
+    found: AssetFindings, kind: AssetKind, model: CarModel | TreeModel | Texture | Sky, size: str, triangles: int
 ) -> None:
     number = 1 + sum(row.kind == kind for row in found.rows)
-    found.rows.append(Row(kind, number, model.name, size, triangles, model.sha256))
+    found.rows.append(AssetRow(kind, number, model.name, size, triangles, model.sha256))

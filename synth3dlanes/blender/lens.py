@@ -10,7 +10,7 @@ import scipy
 from jaxtyping import Bool, Float
 
 from synth3dlanes.blender.polygons import polygons
-from synth3dlanes.blender.shaders import Graph, new_material
+from synth3dlanes.blender.shaders import ShaderGraph, new_material
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.camera import BORDER_PX, rays_with_border
 from synth3dlanes.world import View
@@ -48,7 +48,7 @@ def make_lens() -> bpy.types.Material:
     return material
 
 
-def _scaled(graph: Graph, name: str) -> tuple[object, object]:
+def _scaled(graph: ShaderGraph, name: str) -> tuple[object, object]:
     return graph.value(f"{name}_scale"), graph.value(f"{name}_shift")
 
 

@@ -8,10 +8,10 @@ import bpy
 import mathutils
 import numpy as np
 
+from synth3dlanes.arrays import Matrix4
 from synth3dlanes.blender.camera import CAM_FROM_BLENDER
 from synth3dlanes.blender.lens import SCREEN_ID
 from synth3dlanes.blender.trace import distances, run_cycles
-from synth3dlanes.frames import Matrix4
 from synth3dlanes.labels import LidarLabel
 from synth3dlanes.sensors.sweep import Sweep
 from synth3dlanes.settings import NO_HIT_DEPTH_M

@@ -8,8 +8,9 @@ import mathutils
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.blender.shaders import Graph, Socket, set_value
-from synth3dlanes.frames import Matrix4, transform
+from synth3dlanes.arrays import Matrix4, Points3
+from synth3dlanes.blender.shaders import ShaderGraph, Socket, set_value
+from synth3dlanes.frames import transform
 from synth3dlanes.geometry.buildings import GLASS
 from synth3dlanes.geometry.solids import REFLECTOR_GLOSS, SHEETING_GLOSS
 from synth3dlanes.imaging.daylight import Daylight
@@ -40,8 +41,6 @@ WINDOW, WINDOW_COLOR, LIT = 0.0006, (1.0, 0.72, 0.42), 0.3
 THROWN_BACK = {"sign": (SHEETING_GLOSS - 0.02, 250 * BEAM * STRAY), "pole": (REFLECTOR_GLOSS - 0.02, 300 * BEAM * 0.1)}
 NEAREST_M = 4.0
 
-Points = Float[np.ndarray, "n 3"]
-
 
 def make_world() -> None:
     """Make the scene's world and sun, once per process.
@@ -52,7 +51,7 @@ def make_world() -> None:
     world.cycles.sampling_method = "NONE"
     world.use_nodes = True
     world.node_tree.nodes.clear()
-    graph = Graph(world.node_tree)
+    graph = ShaderGraph(world.node_tree)
     is_diffuse = graph.node("ShaderNodeLightPath").outputs["Is Diffuse Ray"]
     sky, coarse = _background(graph, SKY, 1), _background(graph, COARSE_SKY, COARSENESS)
     seen = graph.node("ShaderNodeMixShader", {0: is_diffuse, 1: sky, 2: coarse})
@@ -70,7 +69,7 @@ def make_world() -> None:
         street.shadow_soft_size, street.spot_size, street.spot_blend = LAMP_M, STREET_CONE_RAD, 1.0
 
 
-def _background(graph: Graph, name: str, coarseness: int) -> Any:
+def _background(graph: ShaderGraph, name: str, coarseness: int) -> Any:
     """The light of an image that `_paint_sky` fills."""
     height, width = SKY_SHAPE[0] // coarseness, SKY_SHAPE[1] // coarseness
     image = bpy.data.images.new(name, width, height, float_buffer=True)
@@ -94,7 +93,7 @@ def _shape_beam(lamp: bpy.types.Light) -> None:
     road evenly bright."""
     lamp.use_nodes = True
     lamp.node_tree.nodes.clear()
-    graph = Graph(lamp.node_tree)
+    graph = ShaderGraph(lamp.node_tree)
     direction = graph.node("ShaderNodeTexCoord").outputs["Normal"]
     x, y, z = graph.node("ShaderNodeSeparateXYZ", {0: direction}).outputs
     ahead = graph.math("MAXIMUM", graph.math("ABSOLUTE", z), 0.05)
@@ -116,20 +115,20 @@ def add_lights() -> None:
     for name, radiance in CAR_LAMPS.items():
         if name in bpy.data.materials:
             red, green, blue = (channel / max(radiance) for channel in radiance)
-            _add_shine(Graph(bpy.data.materials[name].node_tree), (red, green, blue))
-    graph = Graph(bpy.data.materials["building"].node_tree)
+            _add_shine(ShaderGraph(bpy.data.materials[name].node_tree), (red, green, blue))
+    graph = ShaderGraph(bpy.data.materials["building"].node_tree)
     gloss = graph.node("ShaderNodeAttribute", attribute_name="paint").outputs["Alpha"]
     luck = graph.node("ShaderNodeNewGeometry").outputs["Random Per Island"]
     is_glass, is_lit = graph.math("GREATER_THAN", gloss, 0.99 * GLASS[3]), graph.math("LESS_THAN", luck, LIT)
     _add_shine(graph, WINDOW_COLOR, graph.math("MULTIPLY", is_glass, is_lit))
     for name, (gloss_from, _) in THROWN_BACK.items():
-        _throw_back(Graph(bpy.data.materials[name].node_tree), gloss_from)
+        _throw_back(ShaderGraph(bpy.data.materials[name].node_tree), gloss_from)
     for name in (*CAR_LAMPS, "building", *THROWN_BACK):
         if name in bpy.data.materials:
             bpy.data.materials[name].cycles.emission_sampling = "NONE"
 
 
-def _throw_back(graph: Graph, gloss_from: float) -> None:
+def _throw_back(graph: ShaderGraph, gloss_from: float) -> None:
     """Let the glossiest faces throw light from beside the camera back, in their colour: less as the square of the
     distance grows, and by the angle at which it meets them."""
     paint, geometry = graph.node("ShaderNodeAttribute", attribute_name="paint"), graph.node("ShaderNodeNewGeometry")
@@ -140,7 +139,7 @@ def _throw_back(graph: Graph, gloss_from: float) -> None:
     _add_shine(graph, paint.outputs["Color"], graph.math("MULTIPLY", is_it, met))
 
 
-def _add_shine(graph: Graph, color: Socket, share: Socket = 1.0) -> None:
+def _add_shine(graph: ShaderGraph, color: Socket, share: Socket = 1.0) -> None:
     """Add light to a material's surface: a share of the node value `shine`."""
     output = next(node for node in graph.tree.nodes if node.bl_idname == "ShaderNodeOutputMaterial")
     surface = output.inputs["Surface"].links[0].from_socket
@@ -154,7 +153,7 @@ def add_haze() -> None:
     """Add the output `haze` to every existing material, once per process: red is 1 - exp(-distance x extinction), green
     is 1, so that both are 0 in the sky and antialiased as the picture is."""
     group = bpy.data.node_groups.new(HAZE_PASS, "ShaderNodeTree")
-    graph = Graph(group)
+    graph = ShaderGraph(group)
     distance_m = graph.node("ShaderNodeCameraData").outputs["View Distance"]
     left = graph.math("EXPONENT", graph.math("MULTIPLY", distance_m, graph.value("minus_per_m")))
     share = graph.node("ShaderNodeCombineColor", {0: graph.math("SUBTRACT", 1.0, left), 1: 1.0}).outputs[0]
@@ -167,7 +166,7 @@ def add_haze() -> None:
 
 
 def set_light(
-    scene: Scene, light: Daylight, skies: Sequence[UserSky], world_from_host: Matrix4, street_lamps: Points
+    scene: Scene, light: Daylight, skies: Sequence[UserSky], world_from_host: Matrix4, street_lamps: Points3
 ) -> None:
     """Set the sun's direction and colour, the sky image, the haze and the lamps for one scene; of the street lamps'
     heads (world) the nearest are lit once the sun has set."""
@@ -195,7 +194,7 @@ def _paint_sky(name: str, dome: Float[np.ndarray, "3 h w"]) -> None:
     image.update()
 
 
-def _set_lamps(scene: Scene, world_from_host: Matrix4, street_lamps: Points) -> None:
+def _set_lamps(scene: Scene, world_from_host: Matrix4, street_lamps: Points3) -> None:
     """Place the lamps that are lit, and turn the others off."""
     is_lit, is_dark = scene.weather.headlights, scene.light.sun_zenith_rad > np.pi / 2
     ahead = mathutils.Matrix(world_from_host[:3, :3].tolist()).to_quaternion() @ mathutils.Quaternion(

@@ -6,14 +6,14 @@ from pathlib import Path
 import bpy
 
 from synth3dlanes.assets.catalogue import BUILT_IN, CARS, TREES, AssetKind, CarModel, Library, Texture, TreeModel
-from synth3dlanes.assets.folder import ROLES, Folder, TextureFiles, scan, texture_digest, verified
+from synth3dlanes.assets.folder import ROLES, AssetFiles, TextureFiles, scan, texture_digest, verified
 from synth3dlanes.blender.assets import load_meshes
 from synth3dlanes.blender.sky_file import read_sky
 from synth3dlanes.blender.user_models import ModelKind, import_model
 from synth3dlanes.errors import FormatError
 from synth3dlanes.imaging.user_sky import UserSky, prepare_sky
 
-NOTHING = Folder({}, {}, (), ())
+NOTHING = AssetFiles({}, {}, (), ())
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ def our_texture(name: str) -> TextureFiles:
 
 
 def _own_meshes(
-    folder: Folder, kind: AssetKind, models: tuple[CarModel, ...] | tuple[TreeModel, ...]
+    folder: AssetFiles, kind: AssetKind, models: tuple[CarModel, ...] | tuple[TreeModel, ...]
 ) -> tuple[bpy.types.Mesh, ...]:
     singular: ModelKind = "car" if kind == "cars" else "tree"
     meshes = []
@@ -63,7 +63,7 @@ def _own_meshes(
     return tuple(meshes)
 
 
-def _own_textures(folder: Folder, kind: AssetKind, textures: tuple[Texture, ...]) -> tuple[TextureFiles, ...]:
+def _own_textures(folder: AssetFiles, kind: AssetKind, textures: tuple[Texture, ...]) -> tuple[TextureFiles, ...]:
     found = []
     for texture in textures:
         files = folder.textures[kind].get(texture.name)
@@ -73,7 +73,7 @@ def _own_textures(folder: Folder, kind: AssetKind, textures: tuple[Texture, ...]
     return tuple(found)
 
 
-def _path(folder: Folder, kind: AssetKind, name: str) -> Path:
+def _path(folder: AssetFiles, kind: AssetKind, name: str) -> Path:
     if name not in folder.models[kind]:
         raise FormatError(f"{kind}/{name}: the file has been removed since it was checked")
     return folder.models[kind][name]

@@ -15,7 +15,7 @@ from PIL import Image
 
 from synth3dlanes.assets.catalogue import ROAD_MEANS
 from synth3dlanes.assets.folder import TextureFiles
-from synth3dlanes.blender.shaders import Graph, coated, new_material, set_value, texture
+from synth3dlanes.blender.shaders import ShaderGraph, coated, new_material, set_value, texture
 from synth3dlanes.blender.structures import structure_materials
 from synth3dlanes.blender.weathering import (
     CAP,
@@ -167,7 +167,7 @@ def set_snow_caps(share: float) -> None:
         tree, surface = material.node_tree, output.inputs["Surface"]
         top, is_car = surface.links[0].from_node, material.pass_index == SEMANTIC_IDS["car"]
         if share and top.name != CAP:
-            cap = tree.nodes.get(CAP) or snow_cap(Graph(tree), surface.links[0].from_socket, is_car)
+            cap = tree.nodes.get(CAP) or snow_cap(ShaderGraph(tree), surface.links[0].from_socket, is_car)
             tree.links.new(cap.outputs[0], surface)
         if share:
             set_value(material, "cap_level", cap_level(share, is_car))
@@ -185,11 +185,11 @@ def _orient(material: bpy.types.Material, texture_scale: float, angle_rad: float
     material.node_tree.nodes["tilt"].inputs["Angle"].default_value = -angle_rad
 
 
-def _metres(graph: Graph) -> Any:
+def _metres(graph: ShaderGraph) -> Any:
     return graph.node("ShaderNodeUVMap", uv_map="UVMap").outputs[0]
 
 
-def _tiled(graph: Graph, file: Path | str, metres: Any, is_color: bool) -> Any:
+def _tiled(graph: ShaderGraph, file: Path | str, metres: Any, is_color: bool) -> Any:
     """A texture that `_orient` scales and rotates. Its own mapping is a matrix; a Mapping node would make one of sines
     and cosines at every hit."""
     texel = texture(graph, file, metres, is_color)
@@ -197,19 +197,19 @@ def _tiled(graph: Graph, file: Path | str, metres: Any, is_color: bool) -> Any:
     return texel
 
 
-def _blur(graph: Graph) -> Any:
+def _blur(graph: ShaderGraph) -> Any:
     """How far fine texture has faded to its mean."""
     distance_m = graph.node("ShaderNodeCameraData").outputs["View Distance"]
     return graph.math("MINIMUM", graph.math("DIVIDE", distance_m, BLUR_DISTANCE_M), 0.9)
 
 
-def _rougher(graph: Graph, roughness: Any, blur: Any) -> Any:
+def _rougher(graph: ShaderGraph, roughness: Any, blur: Any) -> Any:
     """The roughness with the bumps that have faded: they widen reflections as they did before (LEAN mapping)."""
     fourth = graph.math("POWER", graph.math("MAXIMUM", roughness, 0.0), 4.0)
     return graph.math("POWER", graph.math("MULTIPLY_ADD", blur, BUMPS, fourth), 0.25)
 
 
-def _bumpy_normal(graph: Graph, file: Path | str, metres: Any, strength: float, blur: Any) -> Any:
+def _bumpy_normal(graph: ShaderGraph, file: Path | str, metres: Any, strength: float, blur: Any) -> Any:
     """The surface normal tilted by a normal map, not of unit length.
 
     The tilt is added in world x and y: the ground is nearly level, and this needs no tangents on the meshes.
@@ -323,7 +323,7 @@ def _grass() -> bpy.types.Material:
     return material
 
 
-def _far_woods(graph: Graph, metres: Any, distance_m: Any) -> Any:
+def _far_woods(graph: ShaderGraph, metres: Any, distance_m: Any) -> Any:
     """Share 0..1 of dark woods or scrub on far terrain; a plain would look uniform to the horizon without it."""
     patches = texture(graph, "terrain_macro.jpg", graph.scale(metres, 1 / WOODS_LENGTH_M), is_color=False)
     begun = graph.clamp(graph.math("MULTIPLY_ADD", distance_m, 1 / WOODS_FROM_M, -1.0))

@@ -12,17 +12,17 @@ from jaxtyping import Bool, Float
 from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
-from synth3dlanes.blender.build import Placed
+from synth3dlanes.blender.build import MeshInstance
 from synth3dlanes.frames import invert, transform
 
 # Rays end this far before the point, so that surfaces touching the point do not hide it.
 END_M = 0.02
 
-Box = tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]
+Bounds = tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]
 
 
 def hidden_by_objects(
-    placed: list[Placed],
+    placed: list[MeshInstance],
     structures: BVHTree | None,
     eye_world: Float[np.ndarray, "3"],
     points_world: Float[np.ndarray, "n 3"],
@@ -57,7 +57,7 @@ def _meets(
 
 
 def _rays_near(
-    placed: list[Placed], eye_world: Float[np.ndarray, "3"], points_world: Float[np.ndarray, "n 3"]
+    placed: list[MeshInstance], eye_world: Float[np.ndarray, "3"], points_world: Float[np.ndarray, "n 3"]
 ) -> Bool[np.ndarray, "o n"]:
     """Which rays pass through each object's bounding sphere before they end."""
     spheres = [bounding_sphere(item.mesh.name) for item in placed]
@@ -84,7 +84,7 @@ def search_tree(mesh_name: str) -> BVHTree:
 
 
 @cache
-def bounding_box(mesh_name: str) -> Box:
+def bounding_box(mesh_name: str) -> Bounds:
     """The least and the greatest coordinates of a mesh."""
     points = _vertices(mesh_name)
     return points.min(axis=0), points.max(axis=0)

@@ -8,8 +8,9 @@ from functools import lru_cache, partial
 import bpy
 import numpy as np
 
+from synth3dlanes.arrays import Matrix4
 from synth3dlanes.assets.catalogue import BUILT_IN, Library
-from synth3dlanes.blender.build import Placed, Studio, build, open_studio
+from synth3dlanes.blender.build import MeshInstance, Studio, build, open_studio
 from synth3dlanes.blender.devices import use_device
 from synth3dlanes.blender.lidar import scan
 from synth3dlanes.blender.light import HAZE_PASS
@@ -17,7 +18,7 @@ from synth3dlanes.blender.occlusion import hidden_by_objects
 from synth3dlanes.blender.silhouettes import seen_fractions
 from synth3dlanes.blender.structures import search_tree
 from synth3dlanes.blender.trace import distances, run_cycles
-from synth3dlanes.frames import Matrix4, transform
+from synth3dlanes.frames import transform
 from synth3dlanes.geometry.camera import rays_of_pixels
 from synth3dlanes.geometry.visibility import seen_over_ground
 from synth3dlanes.imaging.daylight import Daylight
@@ -88,7 +89,7 @@ def render(
     return Rendering(layers, seen, sweep, dict(zip(stages, np.diff(clock).tolist(), strict=True)))
 
 
-def with_object_visibility(world: World, view: View, labels: Labels, placed: list[Placed]) -> Labels:
+def with_object_visibility(world: World, view: View, labels: Labels, placed: list[MeshInstance]) -> Labels:
     """The labels with every point's `object_visible` and the seen share of every car."""
     eye = view.eye_world
     outlines = [*(lane.xyz_cam for lane in labels.lanes), *(symbol.xyz_cam for symbol in labels.symbols)]

@@ -15,7 +15,7 @@ from synth3dlanes.blender.quick_copy import quick_copy
 Socket = Any  # an output socket, a number or a tuple: the value of a node input
 
 
-class Graph:
+class ShaderGraph:
     """Builds one node tree; each method adds a node and returns it or its output."""
 
     def __init__(self, tree: Any) -> None:
@@ -83,24 +83,24 @@ class Graph:
         self.node("ShaderNodeOutputMaterial", {"Surface": node.outputs[0]})
 
 
-def new_material(name: str, semantic_id: int) -> tuple[bpy.types.Material, Graph]:
+def new_material(name: str, semantic_id: int) -> tuple[bpy.types.Material, ShaderGraph]:
     """An empty material whose `pass_index` is its semantic id."""
     material = bpy.data.materials.new(name)
     material.use_nodes = True
     material.node_tree.nodes.clear()
     material.pass_index = semantic_id
     material.use_fake_user = True
-    return material, Graph(material.node_tree)
+    return material, ShaderGraph(material.node_tree)
 
 
 def set_value(material: bpy.types.Material, name: str, value: float) -> None:
-    """Set a number that `Graph.value` named."""
+    """Set a number that `ShaderGraph.value` named."""
     socket = material.node_tree.nodes[name].outputs[0]
     if socket.default_value != np.float32(value):  # each change costs Blender an update of the material
         socket.default_value = value
 
 
-def texture(graph: Graph, file: Path | str, vector: Socket, is_color: bool) -> Any:
+def texture(graph: ShaderGraph, file: Path | str, vector: Socket, is_color: bool) -> Any:
     """The colour output of a repeating texture: a built-in one by name, or any file by its absolute path."""
     image = bpy.data.images.load(str(quick_copy(assets_dir() / "textures" / file)), check_existing=True)
     image.colorspace_settings.name = "sRGB" if is_color else "Non-Color"
@@ -108,7 +108,12 @@ def texture(graph: Graph, file: Path | str, vector: Socket, is_color: bool) -> A
 
 
 def coated(
-    graph: Graph, color: Socket, roughness: Socket, amount: Socket, ior: float = 1.45, normal: Socket | None = None
+    graph: ShaderGraph,
+    color: Socket,
+    roughness: Socket,
+    amount: Socket,
+    ior: float = 1.45,
+    normal: Socket | None = None,
 ) -> None:
     """Diffuse under a glossy coat; the coat's share is `amount` times the Fresnel reflectance."""
     bend: dict[str | int, Socket] = {} if normal is None else {"Normal": normal}
@@ -119,7 +124,7 @@ def coated(
     graph.surface(graph.node("ShaderNodeMixShader", {0: share, 1: base.outputs[0], 2: coat.outputs[0]}))
 
 
-def car_paint(graph: Graph) -> None:
+def car_paint(graph: ShaderGraph) -> None:
     """Body paint: the object's colour (a display value, hence the gamma) under a clear coat with the object's gloss.
     Reads `object.color = (r, g, b, gloss)`."""
     info = graph.node("ShaderNodeObjectInfo")

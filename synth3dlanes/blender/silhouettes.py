@@ -7,13 +7,11 @@ from jaxtyping import Bool, Float
 from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
-from synth3dlanes.blender.build import Placed
-from synth3dlanes.blender.occlusion import Box, bounding_box, hidden_by_objects, search_tree
+from synth3dlanes.arrays import Points2, Points3
+from synth3dlanes.blender.build import MeshInstance
+from synth3dlanes.blender.occlusion import Bounds, bounding_box, hidden_by_objects, search_tree
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.labels import CameraLabel
-
-Points = Float[np.ndarray, "n 3"]
-Pixels = Float[np.ndarray, "n 2"]
 
 # Rays towards a car's box, most of which hit the car: so many for every car, more for one that is seen in part.
 SOME_RAYS, MORE_RAYS = 100, 400
@@ -25,11 +23,11 @@ LATTICE = np.array([0.7548776662466927, 0.5698402909980532])
 
 
 def seen_fractions(
-    cars: list[Placed],
-    placed: list[Placed],
+    cars: list[MeshInstance],
+    placed: list[MeshInstance],
     structures: BVHTree | None,
     camera: CameraLabel,
-    seen_over_ground: Callable[[Points], Bool[np.ndarray, " n"]],
+    seen_over_ground: Callable[[Points3], Bool[np.ndarray, " n"]],
 ) -> tuple[float, ...]:
     """For each car, the share of the pixels that it would fill, were it alone, that ground and objects leave to it; 0
     for a car without any."""
@@ -55,14 +53,14 @@ def _size(camera: CameraLabel) -> Float[np.ndarray, "2"]:
     return np.array([camera.width_px, camera.height_px], dtype=float)
 
 
-def _grid(camera: CameraLabel) -> tuple[Pixels, Points]:
+def _grid(camera: CameraLabel) -> tuple[Points2, Points3]:
     """Pixels all over the image up to its borders, and the unit vectors (camera frame) along which they look."""
     axes = [np.linspace(0.5, size - 0.5, n) for n, size in zip(GRID, _size(camera), strict=True)]
     pixels = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
     return pixels, camera.rays(pixels)
 
 
-def _rays(car: Placed, camera: CameraLabel, grid: Pixels, grid_rays: Points) -> Float[np.ndarray, "m 3"]:
+def _rays(car: MeshInstance, camera: CameraLabel, grid: Points2, grid_rays: Points3) -> Float[np.ndarray, "m 3"]:
     """Unit vectors in the car's frame from the eye to the car's bounding box, evenly spread over it in the image."""
     box = bounding_box(car.mesh.name)
     car_from_cam = invert(car.world_from_object) @ camera.world_from_cam
@@ -79,7 +77,7 @@ def _rays(car: Placed, camera: CameraLabel, grid: Pixels, grid_rays: Points) -> 
     return np.asarray(rays[_meets(box, eye, rays)][:MORE_RAYS])
 
 
-def _meets(box: Box, eye: Float[np.ndarray, "3"], rays: Points) -> Bool[np.ndarray, " n"]:
+def _meets(box: Bounds, eye: Float[np.ndarray, "3"], rays: Points3) -> Bool[np.ndarray, " n"]:
     """Which rays from the eye meet a box; none that are NaN."""
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = (np.stack(box)[:, None] - eye) / rays
@@ -87,7 +85,7 @@ def _meets(box: Box, eye: Float[np.ndarray, "3"], rays: Points) -> Bool[np.ndarr
     return np.asarray((leaves > 0) & (enters < leaves))
 
 
-def _surface(car: Placed, eye_world: Float[np.ndarray, "3"], rays: Points) -> Float[np.ndarray, "m 3"]:
+def _surface(car: MeshInstance, eye_world: Float[np.ndarray, "3"], rays: Points3) -> Float[np.ndarray, "m 3"]:
     """World points where rays from the eye, in the car's frame, first meet the car."""
     eye = transform(invert(car.world_from_object), eye_world) / car.scale
     tree, origin = search_tree(car.mesh.name), Vector(eye)

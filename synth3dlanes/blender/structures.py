@@ -5,7 +5,7 @@ import numpy as np
 from mathutils.bvhtree import BVHTree
 
 from synth3dlanes.blender.polygons import polygons
-from synth3dlanes.blender.shaders import Graph, coated, new_material, texture
+from synth3dlanes.blender.shaders import ShaderGraph, coated, new_material, texture
 from synth3dlanes.geometry.solids import SURFACES, Body
 from synth3dlanes.settings import SEMANTIC_IDS
 
@@ -25,7 +25,7 @@ def _material(name: str) -> bpy.types.Material:
     return material
 
 
-def _dirty(graph: Graph, color: object) -> object:
+def _dirty(graph: ShaderGraph, color: object) -> object:
     """A colour that is 20 % darker or lighter in patches."""
     x, y, z = graph.node("ShaderNodeSeparateXYZ", {0: graph.node("ShaderNodeNewGeometry").outputs["Position"]}).outputs
     place = graph.node("ShaderNodeCombineXYZ", {0: graph.math("ADD", x, y), 1: graph.math("SUBTRACT", z, x)}).outputs[0]

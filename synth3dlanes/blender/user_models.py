@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from mathutils import Matrix
 
-from synth3dlanes.blender.shaders import Graph, car_paint, new_material
+from synth3dlanes.blender.shaders import ShaderGraph, car_paint, new_material
 from synth3dlanes.settings import SEMANTIC_IDS
 
 ModelKind = Literal["car", "tree"]
@@ -23,7 +23,7 @@ WHEEL = "wheel"
 
 
 @dataclass(frozen=True, eq=False)
-class Imported:
+class ImportedMesh:
     """One mesh, the translation that was applied to it, and the vertices of parts named wheel*."""
 
     mesh: bpy.types.Mesh
@@ -31,7 +31,7 @@ class Imported:
     wheels: Float[np.ndarray, "n 3"]
 
 
-def import_model(path: Path, kind: ModelKind, name: str) -> Imported | None:
+def import_model(path: Path, kind: ModelKind, name: str) -> ImportedMesh | None:
     """All surfaces of a file as one mesh; None if it has none.
 
     Raises Blender's RuntimeError or OSError if the file cannot be read.
@@ -53,7 +53,7 @@ def import_model(path: Path, kind: ModelKind, name: str) -> Imported | None:
         moved = -np.array([*(low + high)[:2] / 2, low[2]])
         whole.transform(Matrix.Translation(moved.tolist()))
     wheels = np.concatenate([np.zeros((0, 3)), *(points for _, points in parts)]) + moved
-    return Imported(whole, moved, wheels)
+    return ImportedMesh(whole, moved, wheels)
 
 
 def points_of(mesh: bpy.types.Mesh) -> Float[np.ndarray, "v 3"]:
@@ -133,4 +133,4 @@ def _set_materials(mesh: bpy.types.Mesh, kind: ModelKind) -> None:
         material.use_nodes = True
         if kind == "car" and material.name.lower().startswith(PAINTED):
             material.node_tree.nodes.clear()
-            car_paint(Graph(material.node_tree))
+            car_paint(ShaderGraph(material.node_tree))

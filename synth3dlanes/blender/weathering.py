@@ -10,7 +10,7 @@ from jaxtyping import Float
 from PIL import Image
 
 from synth3dlanes.assets.built_in import assets_dir
-from synth3dlanes.blender.shaders import Graph, Socket, texture
+from synth3dlanes.blender.shaders import ShaderGraph, Socket, texture
 
 # Tiles of the map of hollows, along x and y, as roads go: water is deeper where it is dark, in patches of about a metre
 # by three, and in wheel tracks, by this much of the map.
@@ -40,7 +40,7 @@ class Look(NamedTuple):
     normal: Socket
 
 
-def wet(graph: Graph, dry: Look, ruts: Socket = 0.0) -> Look:
+def wet(graph: ShaderGraph, dry: Look, ruts: Socket = 0.0) -> Look:
     """The wet look, controlled by the node value `wetness`: darker and smoother under a film, a mirror in puddles, of
     which more are where `ruts` is 1."""
     wetness = graph.value("wetness")
@@ -64,7 +64,7 @@ def wet(graph: Graph, dry: Look, ruts: Socket = 0.0) -> Look:
     )
 
 
-def snowed(graph: Graph, bare: Look, spare: Socket = 0.0, blur: Socket = 0.0) -> Look:
+def snowed(graph: ShaderGraph, bare: Look, spare: Socket = 0.0, blur: Socket = 0.0) -> Look:
     """The look under snow, controlled by the node values `snow_level` (of the map), `is_snowy` and `snow`: less where
     `spare` is 1, and evenly its share where `blur` is 1."""
     under = graph.math("SUBTRACT", graph.value("snow_level"), _height(graph, SNOW_STRETCH))
@@ -79,7 +79,7 @@ def snowed(graph: Graph, bare: Look, spare: Socket = 0.0, blur: Socket = 0.0) ->
     )
 
 
-def snow_cap(graph: Graph, bare: Socket, is_car: bool) -> Any:
+def snow_cap(graph: ShaderGraph, bare: Socket, is_car: bool) -> Any:
     """The shader `bare` with snow where it looks up, controlled by the node value `cap_level` (see there)."""
     up = graph.node("ShaderNodeSeparateXYZ", {0: graph.node("ShaderNodeNewGeometry").outputs["Normal"]}).outputs[2]
     level, least = graph.value("cap_level"), CAR_CAP_FROM if is_car else CAP_FROM
@@ -102,7 +102,7 @@ def cap_level(share: float, is_car: bool) -> float:
     return share * CAR_SHARE if is_car else rub_level(share)
 
 
-def wheel_tracks(graph: Graph, across_m: Socket) -> Any:
+def wheel_tracks(graph: ShaderGraph, across_m: Socket) -> Any:
     """Share 0..1 of a wheel track at a distance right of the road's middle, by the node values `lane_width_m` and
     `lane_shift`."""
     width_m = graph.value("lane_width_m", 3.5)
@@ -112,7 +112,7 @@ def wheel_tracks(graph: Graph, across_m: Socket) -> Any:
     return graph.clamp(graph.math("MULTIPLY_ADD", off_m, -4.0, 0.5 + 4 * TRACK_HALF_M))
 
 
-def thrown_back(graph: Graph, look: Look, strength: float, most: float) -> Look:
+def thrown_back(graph: ShaderGraph, look: Look, strength: float, most: float) -> Look:
     """The look under light from beside the camera, by the node value `retro`: glass beads in paint and rough pavement
     throw it back at flat angles too, where a matt surface would be dark. `most` limits the gain."""
     geometry = graph.node("ShaderNodeNewGeometry")
@@ -122,7 +122,7 @@ def thrown_back(graph: Graph, look: Look, strength: float, most: float) -> Look:
     return look._replace(color=graph.scale(look.color, gain))
 
 
-def _height(graph: Graph, stretch: float = 1.0) -> Any:
+def _height(graph: ShaderGraph, stretch: float = 1.0) -> Any:
     """The map that paint and snow follow, 0..1, by the position in the world."""
     position = graph.node("ShaderNodeNewGeometry").outputs["Position"]
     height: Any = 0.0
@@ -132,7 +132,7 @@ def _height(graph: Graph, stretch: float = 1.0) -> Any:
     return height
 
 
-def rubbed(graph: Graph) -> Any:
+def rubbed(graph: ShaderGraph) -> Any:
     """Share 0..1 of rubbed-off paint, controlled by the node values `rub_level` and `is_rubbed`."""
     under = graph.math("SUBTRACT", graph.value("rub_level"), _height(graph))
     bare = graph.clamp(graph.math("MULTIPLY_ADD", under, 1 / RUB_SOFTNESS, 0.5))

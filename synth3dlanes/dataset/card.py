@@ -5,7 +5,6 @@ from typing import Any
 
 import yaml
 
-from synth3dlanes.dataset.description import parse_description
 from synth3dlanes.dataset.format import member_names
 
 CARD = "README.md"
@@ -120,16 +119,6 @@ def _shots(description: Mapping[str, Any]) -> Iterator[str]:
         yield "A lidar measures each moment (`shots`)."
     if description.get("like"):
         yield "Scenes are near given ones (`like`)."
-
-
-def updated_card(before: bytes | None, description: bytes, where: str) -> bytes:
-    """The card that a data set shall have beside this `dataset.json`, which lies at `where`.
-
-    `before` is its README.md, None where there is none; one that a user has made their own stays.
-    """
-    if before is not None and MARK.encode() not in before:
-        return before
-    return card(parse_description(description, where))
 
 
 def _header(splits: Mapping[str, int], licence: str | None) -> str:

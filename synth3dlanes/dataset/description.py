@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field
 
-from synth3dlanes.dataset.address import can_list, connect, read_file, splits_near, translate_store_errors
 from synth3dlanes.dataset.format import member_names
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.schema import Part, Seed, parse
@@ -30,7 +29,7 @@ class Split(Part):
     n: Annotated[int, Field(ge=0, le=MAX_SAMPLES)]
 
 
-class Render(Part):
+class RenderPart(Part):
     """How images were rendered: samples a pixel, passes beside the image, the device."""
 
     samples: Annotated[int, Field(ge=1, le=1_000_000)]
@@ -58,7 +57,7 @@ class Description(Part):
     generator: str
     seed: Seed
     image_format: Literal["jpg", "png"]
-    render: Render
+    render: RenderPart
     params: dict[str, Any]
     assets: dict[str, Any] = Field(default_factory=dict)
     shots: ShotsPart = ShotsPart()
@@ -93,23 +92,6 @@ def pictures_per_scene(description: Mapping[str, Any]) -> int:
     return int(shots.get("frames", 1)) * max(1, len(shots.get("cameras", ())))
 
 
-def data_set_of(place: str) -> tuple[str, str]:
-    """The data set that a place names, and the split of it that is named; "" for all.
-
-    Raises FormatError where neither the place nor the folder that it is in has a `dataset.json`.
-    """
-    files, root = connect(place)
-    place = place.rstrip("/")
-    with translate_store_errors(place):
-        if read_file(files, f"{root}/{DESCRIPTION}") is not None:
-            return place, ""
-        parent, _, name = root.rpartition("/")
-        is_folder = not can_list(files) or files.isdir(root)
-        if is_folder and read_file(files, f"{parent}/{DESCRIPTION}") is not None:
-            return place.removesuffix(name).rstrip("/") or ".", name
-    raise FormatError(f"{place}: expected a data set or one of its splits, got no {DESCRIPTION}{splits_near(place)}")
-
-
 def updated_description(before: bytes | None, recipe: dict[str, Any], split: str, n: int, where: str) -> bytes:
     """`dataset.json` once a split of `n` is asked for; `before` is what it holds now, None where there is none.
 
@@ -133,8 +115,9 @@ def updated_description(before: bytes | None, recipe: dict[str, Any], split: str
 
 
 def differences(found: Any, asked: Any, name: str = "") -> Iterator[str]:
-    """A line for every key of a recipe that differs from what a data set has; one of the two may have no licence."""
-    if name == "license" and None in (found, asked):
+    """A line for every key of a recipe that differs from what a data set has; one of the two may have no licence,
+    and which device `auto` is may not be known yet."""
+    if (name == "license" and None in (found, asked)) or (name == "render.device" and asked == "auto"):
         return
     if isinstance(found, dict) and isinstance(asked, dict):
         for key in [*found, *(key for key in asked if key not in found)]:

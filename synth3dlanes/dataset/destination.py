@@ -16,6 +16,7 @@ from typing import Any
 from synth3dlanes.dataset import folder, stores
 from synth3dlanes.dataset.address import connect, is_url, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION, updated_description
+from synth3dlanes.dataset.nesting import require_outside
 from synth3dlanes.dataset.patience import Patience, attempt
 from synth3dlanes.dataset.spool import made, spool, spool_of, spooled
 from synth3dlanes.dataset.write import Shard
@@ -41,8 +42,10 @@ class Destination:
         return Path(self.place)
 
     def check_recipe(self, recipe: dict[str, Any], split: str, n: int) -> None:
-        """Raise InputError where another recipe's samples are there, FormatError where `dataset.json` cannot be read;
+        """Raise InputError where another recipe's samples are there or it lies in a data set, FormatError where
+        `dataset.json` cannot be read;
         write nothing."""
+        require_outside(self.place, split)
         files, root = connect(self.place)
         path = f"{root}/{DESCRIPTION}"
         with translate_store_errors(self.place):
@@ -54,8 +57,10 @@ class Destination:
     ) -> AbstractContextManager[object]:
         """Write `dataset.json`, and in a folder lock these shards (`folder.claim`).
 
-        Raises InputError where another recipe's samples are there, ClaimedError where another run has locked a shard.
+        Raises InputError where another recipe's samples are there or it lies in a data set, ClaimedError where another
+        run has locked a shard.
         """
+        require_outside(self.place, split)
         if self.is_store:
             return _announced(self.place, recipe, split, n)
         return folder.claim(self.folder, recipe, split, n, shards, is_driver)
@@ -109,17 +114,17 @@ class Destination:
             Folder(root).remove_tree("failed")
 
     @contextmanager
-    def log(self, name: str) -> Iterator["Log"]:
+    def log(self, name: str) -> Iterator["RunLog"]:
         """A new log of this name."""
         if not self.is_store:
-            with Log(self.folder, name) as log:
+            with RunLog(self.folder, name) as log:
                 yield log
             return
-        with Log(made(spool_of(self.place, "logs")).root, name, self.place) as log:
+        with RunLog(made(spool_of(self.place, "logs")).root, name, self.place) as log:
             yield log
 
 
-class Log:
+class RunLog:
     """A file under `logs`, each line written out at once; that of a store lies here until `save` has copied it there
     for the last time."""
 
@@ -132,7 +137,7 @@ class Log:
         if url:
             fcntl.flock(self._stream, fcntl.LOCK_EX)
 
-    def __enter__(self) -> "Log":
+    def __enter__(self) -> "RunLog":
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -5,7 +5,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from synth3dlanes.dataset.card import CARD, updated_card
+from synth3dlanes.dataset.companions import COMPANIONS, updated_companions
 from synth3dlanes.dataset.description import DESCRIPTION, updated_description
 from synth3dlanes.dataset.locks import Locks, locked, locks
 from synth3dlanes.errors import ClaimedError, InputError
@@ -53,19 +53,22 @@ def _take(held: Locks, shards: list[int], root: Path, first: int = 0) -> None:
 
 
 def _enter(data_set: Folder, recipe: dict[str, Any], split: str, n: int) -> None:
-    """Write `dataset.json` and its card, or check that it names the same recipe; note the largest `n` asked for. What
-    killed runs have left beside them goes."""
+    """Write `dataset.json` and its companions, or check that it names the same recipe; note the largest `n` asked for.
+    What killed runs have left beside them goes."""
     path = data_set.root / DESCRIPTION
-    before = read_bounded(path, MAX_BYTES) if path.exists() else None
+    before = _read(path)
     if before is None and any(data_set.root.glob("*/*.parquet")):
         raise InputError(f"{path}: missing, but there are shards beside it")
     after = updated_description(before, recipe, split, n, str(path))
-    card = data_set.root / CARD
-    card_before = read_bounded(card, MAX_BYTES) if card.exists() else None
-    card_after = updated_card(card_before, after, str(path))
-    for name in (DESCRIPTION, CARD, PROBE):
+    beside = {name: _read(data_set.root / name) for name in COMPANIONS}
+    files = {DESCRIPTION: after, **updated_companions(beside, after, str(path))}
+    for name in (*files, PROBE):
         data_set.remove_unfinished(name)
-    if after != before:
-        data_set.write(DESCRIPTION, after)
-    if card_after != card_before:
-        data_set.write(CARD, card_after)
+    there = {DESCRIPTION: before, **beside}
+    for name, data in files.items():
+        if data != there[name]:
+            data_set.write(name, data)
+
+
+def _read(path: Path) -> bytes | None:
+    return read_bounded(path, MAX_BYTES) if path.exists() else None

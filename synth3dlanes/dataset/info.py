@@ -4,9 +4,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from synth3dlanes.dataset.address import can_list, connect, splits_near, translate_store_errors
-from synth3dlanes.dataset.description import DESCRIPTION, data_set_of, parse_description
+from synth3dlanes.dataset.description import DESCRIPTION, parse_description
 from synth3dlanes.dataset.index import read_indices
 from synth3dlanes.dataset.listing import read_shards
+from synth3dlanes.dataset.nesting import data_set_of, inner_data_sets
 from synth3dlanes.errors import FormatError
 
 
@@ -46,6 +47,8 @@ def dataset_info(url: str) -> DatasetInfo:
     splits = {name: entry["n"] for name, entry in recipe["splits"].items() if only in ("", name)}
     if only and not splits:
         raise FormatError(f"{url}: expected a data set or one of its splits{splits_near(url)}")
+    for line in inner_data_sets(root_url, splits):
+        raise FormatError(line)
     with translate_store_errors(url):
         found = tuple(_split(root_url, recipe, name, asked) for name, asked in splits.items())
     return DatasetInfo({key: value for key, value in recipe.items() if key != "splits"}, found)

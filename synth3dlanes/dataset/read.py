@@ -39,6 +39,7 @@ from synth3dlanes.dataset.index import (
     require_columns,
 )
 from synth3dlanes.dataset.listing import read_shards
+from synth3dlanes.dataset.nesting import inner_data_sets
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.labels import Labels
 from synth3dlanes.object_labels import Objects, stacked
@@ -248,6 +249,10 @@ class Reader:
                 _require_parts_of_files(files, where)
             elif not files.isdir(root):
                 raise FormatError(f"{self.url}: expected a split of a data set, got no folder{splits_near(self.url)}")
+            else:
+                data_set, _, split = self.url.rpartition("/")
+                for line in inner_data_sets(data_set or ".", [split]):
+                    raise FormatError(line)
         return parse_description(data, where)
 
     def _table(self, data: bytes, path: str, required: Sequence[str], chosen: Sequence[str]) -> pa.Table:

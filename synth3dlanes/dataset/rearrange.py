@@ -19,7 +19,7 @@ from synth3dlanes.dataset.write import Shard
 from synth3dlanes.errors import InputError
 
 # By number in a split: the reader that has the sample, and its position there.
-Places = dict[int, tuple[Reader, int]]
+SampleSources = dict[int, tuple[Reader, int]]
 
 
 def assign(n: int, shares: Mapping[str, float], seed: int) -> dict[str, list[int]]:
@@ -84,8 +84,8 @@ def _recipe(reader: Reader) -> dict[str, Any]:
     return recipe_of_description(reader.description)
 
 
-def _union(several: Sequence[Reader]) -> Places:
-    places: Places = {}
+def _union(several: Sequence[Reader]) -> SampleSources:
+    places: SampleSources = {}
     for reader in several:
         for i, index in enumerate(reader.index["index"].to_pylist()):
             if index in places:
@@ -95,14 +95,14 @@ def _union(several: Sequence[Reader]) -> Places:
     return places
 
 
-def _put(out: str, recipe: dict[str, Any], split: str, n: int, places: Places) -> None:
+def _put(out: str, recipe: dict[str, Any], split: str, n: int, places: SampleSources) -> None:
     """Write the samples that are not there yet, shard by shard. Their recipe is noted there where that of all sources
     is."""
     size, names = int(recipe["shard_size"]), member_names(recipe["image_format"], recipe["render"]["passes"])
     sources = {id(reader): reader for reader, _ in places.values()}.values()
     is_known = all(reader.recipes == {recipe_text(reader.description)} for reader in sources)
     text = recipe_text(recipe) if is_known else ""
-    shards: dict[int, Places] = {}
+    shards: dict[int, SampleSources] = {}
     for index, place in places.items():
         shards.setdefault(index // size, {})[index] = place
     destination = Destination(out)
@@ -114,7 +114,7 @@ def _put(out: str, recipe: dict[str, Any], split: str, n: int, places: Places) -
                     _fill(here, members, n)
 
 
-def _fill(shard: Shard, members: Places, n: int) -> None:
+def _fill(shard: Shard, members: SampleSources, n: int) -> None:
     if not shard.path("parquet").exists():
         _adopt_whole(shard, members)
     for index in sorted(members.keys() & set(shard.missing(n))):
@@ -124,7 +124,7 @@ def _fill(shard: Shard, members: Places, n: int) -> None:
         shard.join(n)
 
 
-def _adopt_whole(shard: Shard, members: Places) -> None:
+def _adopt_whole(shard: Shard, members: SampleSources) -> None:
     """Take over the files of a shard that lies on this file system just as it shall be."""
     sources = {id(reader): reader for reader, _ in members.values()}
     positions = sorted(i for _, i in members.values())

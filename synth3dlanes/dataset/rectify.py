@@ -11,6 +11,7 @@ from jaxtyping import Float, UInt8
 from PIL import Image
 from scipy.ndimage import map_coordinates
 
+from synth3dlanes.arrays import RgbImage
 from synth3dlanes.frames import turned
 from synth3dlanes.labels import CameraLabel, Labels, Lane, SymbolLabel
 from synth3dlanes.lens import PINHOLE
@@ -18,8 +19,7 @@ from synth3dlanes.lens import PINHOLE
 # Pixels that the warp's bicubic filter may need beyond the border.
 FILTER_PX = 3
 
-Line = TypeVar("Line", Lane, SymbolLabel)
-Rgb = UInt8[np.ndarray, "h w 3"]
+LaneOrSymbol = TypeVar("LaneOrSymbol", Lane, SymbolLabel)
 
 
 def level_from_cam(camera: CameraLabel) -> Float[np.ndarray, "3 3"]:
@@ -49,7 +49,7 @@ def rectified_labels(labels: Labels) -> Labels:
         lens=PINHOLE,
     )
 
-    def seen_level(line: Line) -> Line:
+    def seen_level(line: LaneOrSymbol) -> LaneOrSymbol:
         xyz_cam = line.xyz_cam @ turn[:3, :3].T
         return replace(line, xyz_cam=xyz_cam, in_image=line.in_image & level.shows(xyz_cam))
 
@@ -57,7 +57,7 @@ def rectified_labels(labels: Labels) -> Labels:
     return replace(labels, camera=level, lanes=lanes, symbols=symbols)
 
 
-def rectified_image(image: Rgb, camera: CameraLabel) -> Rgb:
+def rectified_image(image: RgbImage, camera: CameraLabel) -> RgbImage:
     """The picture that belongs to `rectified_labels`; what the camera did not see repeats its border, and is black out
     of the field of its lens."""
     rows, columns = image.shape[:2]
@@ -87,7 +87,7 @@ def bent_pixels(
     return camera.project(homogeneous @ (level_from_cam(camera).T @ np.linalg.inv(img_from_level)).T)
 
 
-def warp(image: Rgb, source_from_target: Float[np.ndarray, "3 3"], size: tuple[int, int]) -> Image.Image:
+def warp(image: RgbImage, source_from_target: Float[np.ndarray, "3 3"], size: tuple[int, int]) -> Image.Image:
     """The picture of `size` (width, height) whose pixels lie in the image where the homography says."""
     coefficients = (source_from_target / source_from_target[2, 2]).ravel()[:8]
     return Image.fromarray(image).transform(
@@ -95,7 +95,7 @@ def warp(image: Rgb, source_from_target: Float[np.ndarray, "3 3"], size: tuple[i
     )
 
 
-def remap(image: Rgb, uv: Float[np.ndarray, "h2 w2 2"]) -> UInt8[np.ndarray, "h2 w2 3"]:
+def remap(image: RgbImage, uv: Float[np.ndarray, "h2 w2 2"]) -> UInt8[np.ndarray, "h2 w2 3"]:
     """The picture whose pixels lie at (u, v) in the image, by cubic splines; black for NaN."""
     columns, rows = np.moveaxis(np.nan_to_num(uv, nan=-1.0), -1, 0).astype(np.float32) - np.float32(0.5)
     found = np.stack(

@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from synth3dlanes.dataset.address import connect, kinds, read_file, translate_store_errors
-from synth3dlanes.dataset.card import CARD, updated_card
+from synth3dlanes.dataset.companions import COMPANIONS, updated_companions
 from synth3dlanes.dataset.description import DESCRIPTION, updated_description
 from synth3dlanes.dataset.index import read_indices
 from synth3dlanes.dataset.write import Shard, scan
@@ -30,7 +30,7 @@ SETTLE_S = 0.5
 
 
 def announce(url: str, recipe: dict[str, Any], split: str, n: int) -> None:
-    """Write `dataset.json` and its card; raise InputError where the store holds another recipe's samples.
+    """Write `dataset.json` and its companions; raise InputError where the store holds another recipe's samples.
 
     Runs that begin together each read and write it. So what was written is read again after a while, until it says
     what this run asks for beside what others do. Equal runs write equal bytes.
@@ -40,13 +40,14 @@ def announce(url: str, recipe: dict[str, Any], split: str, n: int) -> None:
         with translate_store_errors(url):
             before = _description(files, url, root)
             after = updated_description(before, recipe, split, n, f"{url}/{DESCRIPTION}")
-            card_before = read_file(files, f"{root}/{CARD}")
-            card_after = updated_card(card_before, after, f"{url}/{DESCRIPTION}")
-        if (before, card_before) == (after, card_after):
+            beside = {name: read_file(files, f"{root}/{name}") for name in COMPANIONS}
+            asked = {DESCRIPTION: after, **updated_companions(beside, after, f"{url}/{DESCRIPTION}")}
+        there = {DESCRIPTION: before, **beside}
+        if there == asked:
             return
-        for name, old, new in ((DESCRIPTION, before, after), (CARD, card_before, card_after)):
-            if new != old:
-                put_bytes(url, name, new)
+        for name, data in asked.items():
+            if data != there[name]:
+                put_bytes(url, name, data)
         time.sleep(SETTLE_S * (1 + secrets.randbelow(100) / 100))
     raise OutageError(f"{url}/{DESCRIPTION}: other runs change it all the time")
 

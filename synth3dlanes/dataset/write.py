@@ -35,7 +35,7 @@ REMEDY = "remove this shard's tar and parquet and run again to make it anew"
 
 
 @dataclass(frozen=True)
-class Place:
+class TarSpan:
     """Where a sample lies: the bytes `offset` to `end` of a tar, and offset and size of each member."""
 
     path: Path
@@ -211,20 +211,20 @@ class Shard:
         if lines:
             raise InputError(*(f"{path}: {line.replace('in this dataset', 'in this shard')}" for line in lines))
 
-    def _places_in_tar(self) -> dict[int, Place]:
+    def _places_in_tar(self) -> dict[int, TarSpan]:
         tar = self.path("tar")
         places, problem = scan(tar, self.names) if tar.exists() else ({}, "")
         if problem and self.path("parquet").exists():
             raise FormatError(f"{problem}; {REMEDY}")
         return places
 
-    def _place_of_part(self, index: int, path: Path) -> Place:
+    def _place_of_part(self, index: int, path: Path) -> TarSpan:
         places, problem = scan(path, self.names)
         if problem or list(places) != [index]:
             raise FormatError(problem or f"{path}: expected sample {index}, got {list(places)}")
         return places[index]
 
-    def _read(self, index: int, place: Place, offset: int) -> tuple[bytes, dict[str, Any]]:
+    def _read(self, index: int, place: TarSpan, offset: int) -> tuple[bytes, dict[str, Any]]:
         """A sample's bytes and its row of the index, once they stand at `offset`."""
         with place.path.open("rb") as stream:
             stream.seek(place.offset)
@@ -244,10 +244,10 @@ class Shard:
         )
 
 
-def scan(path: Path, names: tuple[str, ...]) -> tuple[dict[int, Place], str]:
+def scan(path: Path, names: tuple[str, ...]) -> tuple[dict[int, TarSpan], str]:
     """The whole samples of a tar up to the first fault, by index, and what that fault is ("" for none). Raises OSError
     for a tar that cannot be read: of that one nothing is known."""
-    places: dict[int, Place] = {}
+    places: dict[int, TarSpan] = {}
     group: list[tuple[str, int, int]] = []
     try:
         with path.open("rb") as tar:
@@ -264,7 +264,7 @@ def scan(path: Path, names: tuple[str, ...]) -> tuple[dict[int, Place], str]:
     return places, ""
 
 
-def _place(path: Path, names: tuple[str, ...], group: Sequence[tuple[str, int, int]]) -> tuple[int, Place]:
+def _place(path: Path, names: tuple[str, ...], group: Sequence[tuple[str, int, int]]) -> tuple[int, TarSpan]:
     """The index of a sample and where it lies, by its members in a tar; raise FormatError where they are others."""
     found = [name for name, _, _ in group]
     key = found[0].partition(".")[0]
@@ -272,10 +272,10 @@ def _place(path: Path, names: tuple[str, ...], group: Sequence[tuple[str, int, i
         raise FormatError(f"expected {', '.join(names)} of one sample, got {', '.join(found):.80}")
     where = {name: (offset, size) for name, (_, offset, size) in zip(names, group, strict=True)}
     end = sum(where[names[-1]])
-    return int(key), Place(path, where[names[0]][0] - BLOCK, end + -end % BLOCK, where)
+    return int(key), TarSpan(path, where[names[0]][0] - BLOCK, end + -end % BLOCK, where)
 
 
-def _member(data: bytes, place: Place, name: str) -> bytes:
+def _member(data: bytes, place: TarSpan, name: str) -> bytes:
     start, size = place.members[name]
     return data[start - place.offset : start - place.offset + size]
 

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.arrays import Polyline2
 from synth3dlanes.frames import transform
 from synth3dlanes.labels import CameraLabel, Labels
 from synth3dlanes.object_labels import CORNERS, ObjectLabel
@@ -20,14 +21,14 @@ LINES = np.array(
 )
 
 
-def objects_in_image(labels: Labels) -> Iterator[tuple[ObjectLabel, list[Float[np.ndarray, "n 2"]]]]:
+def objects_in_image(labels: Labels) -> Iterator[tuple[ObjectLabel, list[Polyline2]]]:
     """The objects of which something is in the image, but for those that are hidden, with the lines of their boxes."""
     for item in labels.objects or ():
         if item.box_px is not None and item.visible_fraction != 0:
             yield item, list(lines_img(labels.camera, item))
 
 
-def lines_img(camera: CameraLabel, item: ObjectLabel) -> Iterator[Float[np.ndarray, "n 2"]]:
+def lines_img(camera: CameraLabel, item: ObjectLabel) -> Iterator[Polyline2]:
     """The lines of a box, as far as they are ahead of the camera and in its lens's field."""
     for first, second in transform(item.cam_from_object, LINES * item.size_m / 2):
         share = np.linspace(0, 1, (1 if camera.lens.is_pinhole else PIECES) + 1)[:, None]

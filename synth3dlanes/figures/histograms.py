@@ -7,16 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.arrays import Scalars
 from synth3dlanes.distributions import Choice, Integers, Uniform
-from synth3dlanes.figures.stats import (
-    Cases,
-    LabelStatistics,
-    ParameterStatistics,
-    SceneStatistics,
-    Values,
-    is_fine,
-    numbers,
-)
+from synth3dlanes.figures.stats import Cases, LabelStatistics, ParameterStatistics, SceneStatistics, is_fine, numbers
 from synth3dlanes.sampling.rules import CONDITIONED, Distribution
 
 _UNITS = {"m": "m", "deg": "°", "px": "px"}
@@ -55,14 +48,14 @@ def histograms(scenes: SceneStatistics, labels: LabelStatistics | None) -> list[
     ]
 
 
-def _of_labels(name: str, values: Values) -> Histogram:
+def _of_labels(name: str, values: Scalars) -> Histogram:
     low, high = np.percentile(values, [0.5, 99.5])
     is_whole = bool((values % 1 == 0).all()) and high - low < _MAX_SINGLE_BINS
     edges = _single_bins(low, high) if is_whole else np.linspace(low, max(high, low + 1e-6), 41)
     return Histogram(name.partition(" [")[0], name, edges, np.histogram(values, edges)[0].astype(float), None, True)
 
 
-def _of_parameter(row: ParameterStatistics, declared: Cases, values: Values) -> Histogram:
+def _of_parameter(row: ParameterStatistics, declared: Cases, values: Scalars) -> Histogram:
     edges = _edges(row, declared)
     _, _, key = row.key.partition(".")
     name, unit = re.fullmatch(r"(.*?)(?:_(m|deg|px))?", key).groups()  # type: ignore[union-attr]
@@ -97,7 +90,7 @@ def _single_bins(low: float, high: float) -> Float[np.ndarray, " e"]:
     return np.arange(math.floor(low) - 0.5, math.ceil(high) + 1)
 
 
-def declared_shares(declared: Distribution, edges: Float[np.ndarray, " e"]) -> Values:
+def declared_shares(declared: Distribution, edges: Float[np.ndarray, " e"]) -> Scalars:
     """The probability of each bin."""
     if isinstance(declared, Uniform) and declared.high > declared.low:
         return np.diff(np.clip((edges - declared.low) / (declared.high - declared.low), 0.0, 1.0))

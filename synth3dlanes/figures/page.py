@@ -8,10 +8,11 @@ from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from PIL import Image
 
+from synth3dlanes.arrays import RgbImage
 from synth3dlanes.figures import colors
 from synth3dlanes.figures.boxes import objects_in_image
 from synth3dlanes.figures.describe import (
@@ -32,8 +33,6 @@ from synth3dlanes.figures.stats import LabelStatistics, SceneStatistics, is_fine
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneKind
 from synth3dlanes.scene import Scene, to_json
 from synth3dlanes.sensors.sweep import Sweep
-
-Picture = UInt8[np.ndarray, "h w 3"]
 
 MAX_FRAMES = 60
 _JPEG_QUALITY = 92
@@ -101,7 +100,7 @@ class PassPicture(NamedTuple):
     jpeg: str
 
 
-class Frame(NamedTuple):
+class ClipFrame(NamedTuple):
     """A frame of a clip: when it is, and its image with its lanes."""
 
     words: str
@@ -111,18 +110,20 @@ class Frame(NamedTuple):
 def scene_page(
     scene: Scene,
     labels: Labels,
-    image: Picture | None,
+    image: RgbImage | None,
     passes: Passes | None = None,
     sweep: Sweep | None = None,
-    clip: Sequence[tuple[Labels, Picture]] = (),
-    rig: Sequence[tuple[Labels, Picture]] = (),
+    clip: Sequence[tuple[Labels, RgbImage]] = (),
+    rig: Sequence[tuple[Labels, RgbImage]] = (),
 ) -> str:
     """One scene: the image with lanes and masks that can be switched on and off, a 3D view with the lidar's points, its
     passes, and all parameters; with the frames of its clip, a slider through them (at most MAX_FRAMES, evenly spaced);
     with what all cameras of its rig see then, their images side by side."""
     step = -(-len(clip) // MAX_FRAMES)
     shown = [(number, *clip[number]) for number in range(0, len(clip), max(1, step))]
-    frames = [Frame(f"frame {n}, {found.time_s or 0:.2f} s", _drawing(found, picture)) for n, found, picture in shown]
+    frames = [
+        ClipFrame(f"frame {n}, {found.time_s or 0:.2f} s", _drawing(found, picture)) for n, found, picture in shown
+    ]
     return _render(
         "scene.html",
         title=f"seed {scene.seed}, {scene.split} {scene.index}: {topology_words(scene.road)}",
@@ -147,7 +148,7 @@ def scene_page(
 
 def report_page(
     title: str,
-    samples: Sequence[tuple[str, Scene, Labels, Picture]],
+    samples: Sequence[tuple[str, Scene, Labels, RgbImage]],
     scenes: SceneStatistics,
     labels: LabelStatistics,
 ) -> str:
@@ -192,7 +193,7 @@ def _render(template: str, **values: Any) -> str:
     return environment.get_template(template).render(values)
 
 
-def _drawing(labels: Labels, image: Picture | None) -> Drawing:
+def _drawing(labels: Labels, image: RgbImage | None) -> Drawing:
     return Drawing(
         labels.camera.width_px,
         labels.camera.height_px,
@@ -246,7 +247,7 @@ def _class(mask: str) -> str:
     return mask.replace(" ", "-")
 
 
-def _jpeg(image: Picture) -> str:
+def _jpeg(image: RgbImage) -> str:
     buffer = io.BytesIO()
     Image.fromarray(image).save(buffer, "JPEG", quality=_JPEG_QUALITY)
     return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()

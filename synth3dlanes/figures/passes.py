@@ -11,10 +11,10 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.patches import Patch
 
+from synth3dlanes.arrays import RgbImage
 from synth3dlanes.figures import colors
 from synth3dlanes.settings import SEMANTIC_IDS
 
-Picture = UInt8[np.ndarray, "h w 3"]
 Passes = Mapping[str, Shaped[np.ndarray, "..."]]
 
 WORDS = {
@@ -52,7 +52,7 @@ _CLASSES: dict[str, colors.Rgb] = {
 _GOLDEN = 0.618034
 
 
-def pass_picture(name: str, values: Shaped[np.ndarray, "h w ..."]) -> Picture:
+def pass_picture(name: str, values: Shaped[np.ndarray, "h w ..."]) -> RgbImage:
     """One pass in the colours of `WORDS`."""
     if name in _SCALES:
         map_name, norm = _SCALES[name]

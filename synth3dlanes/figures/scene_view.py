@@ -6,8 +6,9 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.arrays import Matrix4, Points3
 from synth3dlanes.figures.colors import Rgb
-from synth3dlanes.frames import Matrix4, invert, transform
+from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.labels import CameraLabel, Labels
@@ -18,8 +19,6 @@ BEHIND_M = 10.0
 AHEAD_M = 120.0
 # Farthest aside that a frustum is drawn.
 WIDEST_RAD = 1.3
-
-Points3 = Float[np.ndarray, "n 3"]
 
 
 @dataclass(frozen=True)

@@ -8,19 +8,18 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from scipy import stats
 
+from synth3dlanes.arrays import Scalars
 from synth3dlanes.distributions import Choice, Uniform
 from synth3dlanes.figures.describe import topology_words
 from synth3dlanes.figures.shape import bends, grades
 from synth3dlanes.geometry.camera import horizontal_fov_rad
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import OPTIONAL, Params
-from synth3dlanes.sampling.rules import CONDITIONED, Distribution, Rules
+from synth3dlanes.sampling.rules import CONDITIONED, Distribution, ParameterRules
 from synth3dlanes.scene import Scene
 
-Values = Float[np.ndarray, " n"]
 # The distributions of a parameter by the rules, with the number of values drawn from each.
 Cases = tuple[tuple[Distribution, int], ...]
 
@@ -55,7 +54,7 @@ class ParameterStatistics:
 
 
 @dataclass(frozen=True)
-class Summary:
+class QuantitySummary:
     """A measured quantity of labels: its range, mean and percentiles."""
 
     name: str
@@ -76,7 +75,7 @@ class SceneStatistics:
     n_scenes: int
     parameters: tuple[ParameterStatistics, ...]
     topologies: dict[str, int]
-    drawn: dict[str, Values]
+    drawn: dict[str, Scalars]
     declared: dict[str, Cases]
 
 
@@ -85,8 +84,8 @@ class LabelStatistics:
     """Statistics of labels; `measured` keeps the values for plots."""
 
     n_images: int
-    summaries: tuple[Summary, ...]
-    measured: dict[str, Values]
+    summaries: tuple[QuantitySummary, ...]
+    measured: dict[str, Scalars]
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +111,7 @@ def scene_statistics(scenes: Iterable[Scene], params: Params, own_camera: bool =
     """Compare every parameter that scenes hold with the distributions that the rules (`sampling.rules`) give it; with a
     user's own camera, those of the host's place alone. A name counts as its place in the list. Keeps all drawn
     values."""
-    rules = Rules(params)
+    rules = ParameterRules(params)
     topologies: Counter[str] = Counter()
     drawn: dict[str, dict[Distribution | None, list[float]]] = defaultdict(lambda: defaultdict(list))
     for scene in scenes:
@@ -185,7 +184,7 @@ def drawn_values(scene: Scene, params: Params) -> dict[str, list[float]]:
 
 def label_statistics(labels: Iterable[Labels]) -> LabelStatistics:
     """Grade, curvature, visibility and number of lanes over all images."""
-    collected: dict[str, list[Values]] = defaultdict(list)
+    collected: dict[str, list[Scalars]] = defaultdict(list)
     n_images = 0
     for one in labels:
         n_images += 1
@@ -214,7 +213,7 @@ def _declared_unit(field: str, value: float | int) -> float:
 
 
 def _parameter(
-    key: str, declared: Distribution, by_case: list[tuple[Distribution | None, Values]]
+    key: str, declared: Distribution, by_case: list[tuple[Distribution | None, Scalars]]
 ) -> ParameterStatistics:
     if not by_case:
         low, high = _limits(declared)
@@ -254,7 +253,7 @@ def _limits(distribution: Distribution) -> tuple[float, float]:
     return float(distribution.low), float(distribution.high)
 
 
-def numbers(choice: Choice[Any]) -> Values:
+def numbers(choice: Choice[Any]) -> Scalars:
     """The values of a choice, of names their places in the list."""
     is_named = _is_named(choice)
     return np.array([i if is_named else value for i, value in enumerate(choice.values)], dtype=float)
@@ -268,7 +267,7 @@ class Agreement(NamedTuple):
     p_value: float = 1.0
 
 
-def _agreement(distribution: Distribution, values: Values) -> Agreement:
+def _agreement(distribution: Distribution, values: Scalars) -> Agreement:
     if isinstance(distribution, Uniform) and distribution.high > distribution.low:
         result = stats.kstest(values, stats.uniform(distribution.low, distribution.high - distribution.low).cdf)
         return Agreement("KS", float(result.statistic), float(result.pvalue))
@@ -285,7 +284,7 @@ def _agreement(distribution: Distribution, values: Values) -> Agreement:
     return Agreement("chi2", float(counts.statistic), float(counts.pvalue))
 
 
-def _measure(labels: Labels) -> dict[str, Values]:
+def _measure(labels: Labels) -> dict[str, Scalars]:
     centerlines = [lane for lane in labels.lanes if lane.kind == "centerline"]
     in_image = np.concatenate([lane.in_image for lane in labels.lanes])
     over_ground = np.concatenate([lane.terrain_visible for lane in labels.lanes])[in_image]
@@ -304,8 +303,8 @@ def _measure(labels: Labels) -> dict[str, Values]:
     return measured
 
 
-def _summary(name: str, values: Values) -> Summary:
+def _summary(name: str, values: Scalars) -> QuantitySummary:
     if not values.size:
-        return Summary(name, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return QuantitySummary(name, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     low, p05, median, p95, high = np.percentile(values, [0, 5, 50, 95, 100]).tolist()
-    return Summary(name, values.size, low, p05, median, p95, high, float(values.mean()))
+    return QuantitySummary(name, values.size, low, p05, median, p95, high, float(values.mean()))

@@ -4,15 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
 from PIL import Image, ImageDraw
 from scipy.interpolate import CubicSpline
 from scipy.optimize import linear_sum_assignment
 
-STEPS = 50
+from synth3dlanes.arrays import MaskImage, Polyline2
 
-Polyline = Float[np.ndarray, "_ 2"]
-Mask = Bool[np.ndarray, "h w"]
+STEPS = 50
 
 
 @dataclass(frozen=True)
@@ -34,7 +32,7 @@ class BandScore:
     precision: float
 
 
-def score(frames: Sequence[tuple[Sequence[Polyline], Sequence[Polyline]]], canvas: Canvas) -> BandScore:
+def score(frames: Sequence[tuple[Sequence[Polyline2], Sequence[Polyline2]]], canvas: Canvas) -> BandScore:
     """Frames of (ground truth, prediction); pairs are those of the greatest overlap in all."""
     n_true = sum(len(true) for true, _ in frames)
     n_predicted = sum(len(predicted) for _, predicted in frames)
@@ -43,7 +41,7 @@ def score(frames: Sequence[tuple[Sequence[Polyline], Sequence[Polyline]]], canva
     return BandScore(2 * recall * precision / (recall + precision) if n_matched else 0.0, recall, precision)
 
 
-def _matched(true: Sequence[Polyline], predicted: Sequence[Polyline], canvas: Canvas) -> int:
+def _matched(true: Sequence[Polyline2], predicted: Sequence[Polyline2], canvas: Canvas) -> int:
     bands_true, bands_predicted = ([_band(line, canvas) for line in lines] for lines in (true, predicted))
     overlaps = np.array([[_overlap(a, b) for b in bands_predicted] for a in bands_true])
     overlaps = overlaps.reshape(len(true), len(predicted))
@@ -51,7 +49,7 @@ def _matched(true: Sequence[Polyline], predicted: Sequence[Polyline], canvas: Ca
     return int(np.count_nonzero(overlaps[pairs] > canvas.iou))
 
 
-def _band(line: Polyline, canvas: Canvas) -> Mask:
+def _band(line: Polyline2, canvas: Canvas) -> MaskImage:
     """The pixels of a line: a natural cubic spline through its points, drawn as OpenCV does: between whole pixels, half
     the width to either side of the middle one, with round ends."""
     points = np.rint(_spline(line) if len(line) > 2 else line)
@@ -64,12 +62,12 @@ def _band(line: Polyline, canvas: Canvas) -> Mask:
     return np.asarray(image)
 
 
-def _spline(line: Polyline) -> Polyline:
+def _spline(line: Polyline2) -> Polyline2:
     lengths_px = np.linalg.norm(np.diff(line, axis=0), axis=1)
     knots_px = np.concatenate([[0.0], np.cumsum(lengths_px)])
     at_px = np.interp(np.arange(STEPS * len(lengths_px) + 1) / STEPS, np.arange(len(knots_px)), knots_px)
     return np.asarray(CubicSpline(knots_px, line, bc_type="natural")(at_px))
 
 
-def _overlap(a: Mask, b: Mask) -> float:
+def _overlap(a: MaskImage, b: MaskImage) -> float:
     return float(np.count_nonzero(a & b) / max(1, np.count_nonzero(a | b)))

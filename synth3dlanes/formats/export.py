@@ -30,7 +30,7 @@ from synth3dlanes.formats.openlane_v2 import write as openlane_v2
 from synth3dlanes.formats.plan import Chunk, open_reader, plan
 from synth3dlanes.formats.reading import json_lines, json_object, read_text
 from synth3dlanes.formats.sample_format import SampleFormat
-from synth3dlanes.formats.summary import Summary, readme, summarize
+from synth3dlanes.formats.summary import ExportSummary, readme, summarize
 from synth3dlanes.formats.tusimple import write as tusimple
 from synth3dlanes.formats.writing import Format, Part, PinholeFormat
 from synth3dlanes.formats.yolo import write as yolo
@@ -64,7 +64,7 @@ def export(
     progress: Callable[[int, int], None],
     size_px: tuple[int, int] | None = None,
     cameras: Sequence[str] = (),
-) -> Summary:
+) -> ExportSummary:
     """Export every split under `source`, or the one split or sample that it names; `progress` gets (frames done, frames
     in all). `size_px` is the images' width and height, by default the format's. `cameras` names those of a rig whose
     frames are wanted; by default those that look ahead, and all where the format takes images as they are."""

@@ -11,6 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import linear_sum_assignment
 
+from synth3dlanes.arrays import Polyline3
+
 SAMPLES_Y_M = np.arange(3.0, 103.0)
 NEAR = SAMPLES_Y_M <= 40.0
 HALF_WIDTH_M = 10.0
@@ -18,14 +20,12 @@ LOADED_Y_M = 200.0
 MATCH_M = 1.5
 MATCHED_SHARE = 0.75
 
-Points = Float[np.ndarray, "_ 3"]
-
 
 @dataclass(frozen=True, eq=False)
 class Line3d:
     """A ground-truth line (with visibility) or a predicted one (all visible, with its probability)."""
 
-    points_ground: Points
+    points_ground: Polyline3
     visible: Bool[np.ndarray, " _"]
     category: int = 0
     probability: float = 1.0
@@ -51,7 +51,7 @@ class Score3d:
 
 
 @dataclass(frozen=True)
-class Rules:
+class ScoreRules:
     """Where the two benchmarks differ: what a sample costs that neither line has, the error of a near or far part that
     a pair does not have, and the least cost of a pair that is not identical."""
 
@@ -71,7 +71,7 @@ class SampledLine:
 
 
 @dataclass
-class Tally:
+class LineTally:
     """Counts and errors (x near, x far, z near, z far) of pairs over many frames."""
 
     n_true: int = 0
@@ -124,7 +124,9 @@ def sample_line(line: Line3d) -> SampledLine:
     return SampledLine(sample_x_m, np.interp(SAMPLES_Y_M, y_m, z_m), seen, line.category)
 
 
-def add_frame(tally: Tally, true: Sequence[SampledLine], predicted: Sequence[SampledLine], rules: Rules) -> None:
+def add_frame(
+    tally: LineTally, true: Sequence[SampledLine], predicted: Sequence[SampledLine], rules: ScoreRules
+) -> None:
     """Pair the lines of one frame at the least total cost, and count the pairs."""
     tally.n_true += len(true)
     tally.n_predicted += len(predicted)

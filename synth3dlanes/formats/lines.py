@@ -19,7 +19,7 @@ NEAR_START_M = 20.0
 
 
 @dataclass(frozen=True, eq=False)
-class Line:
+class LaneAhead:
     """The part of a lane ahead of the camera, near to far. `visible` is a prefix: everything up to the last point that
     the image shows, holes and the stretch below the image included; cars hide nothing, the ground does."""
 
@@ -33,12 +33,12 @@ class Line:
         """The lane's id."""
         return self.lane.id
 
-    def part(self, keep: Bool[np.ndarray, " n"] | slice) -> "Line":
+    def part(self, keep: Bool[np.ndarray, " n"] | slice) -> "LaneAhead":
         """The same line with some of its points only."""
-        return Line(self.lane, self.points_cv[keep], self.visible[keep], self.in_view[keep])
+        return LaneAhead(self.lane, self.points_cv[keep], self.visible[keep], self.in_view[keep])
 
 
-def lines_ahead(labels: Labels, pinhole: Pinhole, kind: LaneKind, step_m: float | None = None) -> tuple[Line, ...]:
+def lines_ahead(labels: Labels, pinhole: Pinhole, kind: LaneKind, step_m: float | None = None) -> tuple[LaneAhead, ...]:
     """The lanes of one kind as the foreign camera sees them, the nearest beside the car first.
 
     The order makes every loader's "first n lines" harmless. `step_m` refines the sampling with a cubic spline.
@@ -48,10 +48,10 @@ def lines_ahead(labels: Labels, pinhole: Pinhole, kind: LaneKind, step_m: float 
 
 
 def keep_lines(
-    lines: Sequence[Line], dropped: Counter[str], most: float = np.inf, reason: str = ""
-) -> tuple[Line, ...]:
+    lines: Sequence[LaneAhead], dropped: Counter[str], most: float = np.inf, reason: str = ""
+) -> tuple[LaneAhead, ...]:
     """The first `most` lines that are seen at all and differ from those before them; count the others."""
-    kept: list[Line] = []
+    kept: list[LaneAhead] = []
     for line in lines:
         if np.count_nonzero(line.visible) < 2:
             dropped["not visible in the image (outside it or behind the ground)"] += 1
@@ -64,7 +64,7 @@ def keep_lines(
     return tuple(kept)
 
 
-def columns_of(line: Line, pinhole: Pinhole, rows_px: Int[np.ndarray, " r"]) -> Float[np.ndarray, " r"]:
+def columns_of(line: LaneAhead, pinhole: Pinhole, rows_px: Int[np.ndarray, " r"]) -> Float[np.ndarray, " r"]:
     """The column of the visible line at each row, up to where it turns over in the image; NaN elsewhere."""
     u_px, v_px = pinhole.project(line.points_cv[line.visible]).T
     turns = np.flatnonzero(np.diff(v_px) >= 0)
@@ -74,7 +74,7 @@ def columns_of(line: Line, pinhole: Pinhole, rows_px: Int[np.ndarray, " r"]) -> 
     return np.interp(rows_px, v_px[:n][::-1], u_px[:n][::-1], left=np.nan, right=np.nan)
 
 
-def ego_places(ahead: Sequence[Line], camera: CameraLabel) -> dict[str, int]:
+def ego_places(ahead: Sequence[LaneAhead], camera: CameraLabel) -> dict[str, int]:
     """1 to 4 for the lines left-left, left, right and right-right of the camera, by id: the two nearest on either side
     of those that begin beside it."""
     x_m = {
@@ -115,7 +115,7 @@ def scene_tags(labels: Labels, pinhole: Pinhole) -> frozenset[str]:
     return frozenset(tags)
 
 
-def _line(lane: Lane, camera: CameraLabel, pinhole: Pinhole, step_m: float | None) -> Line:
+def _line(lane: Lane, camera: CameraLabel, pinhole: Pinhole, step_m: float | None) -> LaneAhead:
     points_cv, on_ground = lane.xyz_cam @ CV_FROM_CAM.T, lane.terrain_visible
     if step_m is not None and len(points_cv) >= 3:
         points_cv, on_ground = _refine(points_cv, on_ground, step_m)
@@ -123,11 +123,11 @@ def _line(lane: Lane, camera: CameraLabel, pinhole: Pinhole, step_m: float | Non
     points_cv, on_ground = points_cv[ahead], on_ground[ahead]
     if len(points_cv) < 2:
         nothing = np.zeros(len(points_cv), dtype=bool)
-        return Line(lane, points_cv, nothing, nothing)
+        return LaneAhead(lane, points_cv, nothing, nothing)
     in_view = _in_view(pinhole.project(points_cv), pinhole)
     seen = np.flatnonzero(in_view & on_ground)
     visible = np.arange(len(points_cv)) <= (seen[-1] if len(seen) else -1)
-    return Line(lane, points_cv, visible, in_view)
+    return LaneAhead(lane, points_cv, visible, in_view)
 
 
 def _ahead(camera: CameraLabel, points_cv: Float[np.ndarray, "n 3"]) -> slice:
@@ -164,12 +164,12 @@ def _refine(
     return CubicSpline(knots_m, points_cv)(stations_m), on_ground[below] & on_ground[above]
 
 
-def _same_visible(line: Line, other: Line) -> bool:
+def _same_visible(line: LaneAhead, other: LaneAhead) -> bool:
     mine, theirs = line.points_cv[line.visible], other.points_cv[other.visible]
     n = min(len(mine), len(theirs))
     return abs(len(mine) - len(theirs)) <= 1 and float(np.max(np.abs(mine[:n] - theirs[:n]))) < 0.05
 
 
-def _from_near_to_far(line: Line) -> tuple[bool, float]:
+def _from_near_to_far(line: LaneAhead) -> tuple[bool, float]:
     # Lines that begin further on (behind a split) come after those beside the car.
     return bool(line.points_cv[0, 2] > NEAR_START_M), abs(float(line.points_cv[0, 0]))

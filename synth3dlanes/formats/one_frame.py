@@ -17,7 +17,7 @@ from synth3dlanes.formats.lines import scene_tags
 from synth3dlanes.formats.plan import Chunk
 from synth3dlanes.formats.resample import fitting_pinhole, resample
 from synth3dlanes.formats.sample_format import SampleFormat, SampleFrame
-from synth3dlanes.formats.writing import Annotation, Frame, PinholeFormat, PinholeFrame
+from synth3dlanes.formats.writing import ExportFrame, FrameAnnotation, PinholeFormat, PinholeFrame
 from synth3dlanes.labels import CameraLabel, Labels
 
 Record = dict[str, Any]
@@ -92,17 +92,19 @@ def _cameras(reader: Reader, index: int, labels: Labels, chunk: Chunk) -> dict[s
     return {reader.key(index): labels.camera, **{reader.key(i): reader.labels(i).camera for i in others}}
 
 
-def _frame(reader: Reader, index: int, chunk: Chunk) -> Frame:
+def _frame(reader: Reader, index: int, chunk: Chunk) -> ExportFrame:
     split, key = chunk.split, reader.key(index)
     part = split.part_of(int(reader.scene_of[index]))
-    return Frame(split.name, key, split.number * FRAMES_PER_SPLIT + int(key), part, chunk.parts)
+    return ExportFrame(split.name, key, split.number * FRAMES_PER_SPLIT + int(key), part, chunk.parts)
 
 
-def _left_out(frame: Frame, reason: str) -> Record:
+def _left_out(frame: ExportFrame, reason: str) -> Record:
     return {"split": frame.split, "part": frame.part, "left_out": reason}
 
 
-def _write(out: Path, frame: Frame, annotation: Annotation, write_image: Callable[[BinaryIO, str], None]) -> Record:
+def _write(
+    out: Path, frame: ExportFrame, annotation: FrameAnnotation, write_image: Callable[[BinaryIO, str], None]
+) -> Record:
     """`write_image` writes the image into a stream, in the format that its ending names."""
     folder = Folder(out)
     for path in (*annotation.files, *([] if annotation.image is None else [annotation.image])):

@@ -20,7 +20,7 @@ DEALT_EVERY = 5
 
 
 @dataclass(frozen=True)
-class Split:
+class ExportSplit:
     """A split of the data set and the part that it becomes. Where the data set has training frames only, `is_dealt`:
     those of every fifth scene are test frames."""
 
@@ -46,7 +46,7 @@ class Chunk:
     `cameras` are those that were asked for."""
 
     source: str
-    split: Split
+    split: ExportSplit
     parts: frozenset[Part]
     places: tuple[int, ...]
     mark: str
@@ -83,16 +83,16 @@ def plan(source: str, cameras: Sequence[str] = (), is_per_scene: bool = False, t
     return chunks
 
 
-def assign(names: Sequence[str]) -> tuple[Split, ...]:
+def assign(names: Sequence[str]) -> tuple[ExportSplit, ...]:
     """Splits called val... and test... keep their part; all others are training frames."""
     found: list[Part] = [_part(name) for name in names]
     is_dealt = set(found) == {"train"}
     return tuple(
-        Split(name, number, part, is_dealt) for number, (name, part) in enumerate(zip(names, found, strict=True))
+        ExportSplit(name, number, part, is_dealt) for number, (name, part) in enumerate(zip(names, found, strict=True))
     )
 
 
-def parts_of(splits: Sequence[Split], has_test: bool) -> frozenset[Part]:
+def parts_of(splits: Sequence[ExportSplit], has_test: bool) -> frozenset[Part]:
     """The parts that have frames, those of dealt splits if any scene `has_test` frames."""
     dealt: set[Part] = {"test"} if has_test and any(split.is_dealt for split in splits) else set()
     return frozenset({split.part for split in splits} | dealt)

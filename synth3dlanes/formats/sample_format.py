@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Shaped
 
-from synth3dlanes.formats.writing import Annotation, Format, Frame
+from synth3dlanes.formats.writing import ExportFrame, Format, FrameAnnotation
 from synth3dlanes.labels import CameraLabel, Labels
 from synth3dlanes.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
-class SampleFrame(Frame):
+class SampleFrame(ExportFrame):
     """A frame taken as it is, with its scene, its labels (a rolled camera stays rolled) and its passes by name, if the
     format asks for any. The image is of `image_format`, jpg or png. `cameras` are those of all exported pictures of
     this moment by a rig, itself included, by their keys: for the first of them, none for the others."""
@@ -32,6 +32,6 @@ class SampleFormat(Format):
     Data sets must have the passes `passes`. If it `is_per_scene`, only the first frame of each scene is written.
     """
 
-    annotate: Callable[[SampleFrame], Annotation | None]
+    annotate: Callable[[SampleFrame], FrameAnnotation | None]
     passes: tuple[str, ...] = ()
     is_per_scene: bool = False

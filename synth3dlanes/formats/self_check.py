@@ -14,12 +14,13 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import Field
 
+from synth3dlanes.arrays import Polyline2
 from synth3dlanes.errors import FormatError
-from synth3dlanes.formats.band_score import BandScore, Canvas, Polyline
+from synth3dlanes.formats.band_score import BandScore, Canvas
 from synth3dlanes.formats.line_score import NEAR, Frames, Line3d, Score3d, sample_line
 from synth3dlanes.formats.reading import image_header, read_file
 from synth3dlanes.formats.writing import SIDECAR
-from synth3dlanes.json_arrays import Matrix3
+from synth3dlanes.json_arrays import JsonMatrix3
 from synth3dlanes.schema import Excerpt, Positive, parse, shown
 
 SHIFT_M = 2.0
@@ -27,7 +28,7 @@ TOLERANCE_M = 1e-3
 
 
 @dataclass(frozen=True)
-class Verified:
+class Verification:
     """One list of frames, scored; `problems` is empty where the export is right."""
 
     name: str
@@ -47,7 +48,9 @@ class Benchmark3d:
     missing_m: float
 
 
-def verify_3d(name: str, true: Sequence[Sequence[Line3d]], problems: Sequence[str], benchmark: Benchmark3d) -> Verified:
+def verify_3d(
+    name: str, true: Sequence[Sequence[Line3d]], problems: Sequence[str], benchmark: Benchmark3d
+) -> Verification:
     """Score the lines of each frame against themselves; `problems` are those that were found before."""
     predicted = [[pruned for line in lines if (pruned := benchmark.prune(line))] for lines in true]
     alone: Frames = [([line], [_moved(line)]) for lines in predicted for line in lines]
@@ -63,7 +66,7 @@ def verify_3d(name: str, true: Sequence[Sequence[Line3d]], problems: Sequence[st
                 found.append(f"{name}: expected a {where} x error of {expected_m:.4f} m, got {error_m:.4f}")
         if shifted.f_score > 0.01:
             found.append(f"{name}: expected lines moved {SHIFT_M} m aside to score F = 0, got {shifted.f_score:.3f}")
-    return Verified(name, len(true), n_lines, asdict(perfect), asdict(shifted), tuple(found))
+    return Verification(name, len(true), n_lines, asdict(perfect), asdict(shifted), tuple(found))
 
 
 def moved_aside(points_img: Float[np.ndarray, "*n 2"], sidecar: "Sidecar") -> Float[np.ndarray, "*n 2"]:
@@ -80,7 +83,7 @@ class Sidecar(Excerpt):
     """A frame's line of `sidecar.jsonl`."""
 
     image: str
-    img_from_cv: Matrix3
+    img_from_cv: JsonMatrix3
     camera_height_m: Positive
     camera_pitch_rad: Annotated[float, Field(gt=-1.5, lt=1.5)]
 
@@ -98,7 +101,7 @@ class Sidecars(dict[str, Sidecar]):
         raise FormatError(f"{self.path}: expected a line of the image {image}, got none")
 
 
-def drawable(lines: Sequence[Polyline], where: str) -> tuple[Polyline, ...]:
+def drawable(lines: Sequence[Polyline2], where: str) -> tuple[Polyline2, ...]:
     """Lines that can be drawn as bands; raise FormatError where one has fewer than two points, or the same twice."""
     for line in lines:
         if len(line) < 2 or not np.abs(np.diff(line, axis=0)).max(axis=1).all():
@@ -106,7 +109,9 @@ def drawable(lines: Sequence[Polyline], where: str) -> tuple[Polyline, ...]:
     return tuple(lines)
 
 
-def controls(pairs: Iterable[tuple[Polyline, Polyline]], canvas: Canvas) -> list[tuple[list[Polyline], list[Polyline]]]:
+def controls(
+    pairs: Iterable[tuple[Polyline2, Polyline2]], canvas: Canvas
+) -> list[tuple[list[Polyline2], list[Polyline2]]]:
     """Frames of one line and the same line moved aside. Lines that move by less than a band, as those far ahead, are
     left out: they would match."""
     return [([line], [moved]) for line, moved in pairs if np.abs(moved - line)[:, 0].mean() >= canvas.band_px]

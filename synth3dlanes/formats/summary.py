@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from synth3dlanes.formats.plan import DEALT_EVERY, Split, parts_of
+from synth3dlanes.formats.plan import DEALT_EVERY, ExportSplit, parts_of
 from synth3dlanes.formats.writing import Format, Pinhole, PinholeFormat
 
 MOST_ENLARGED = 1.5
 
 
 @dataclass(frozen=True)
-class Summary:
+class ExportSummary:
     """The widest camera, None if images keep their own; frames by part (train, val, test) and by split; frames left out
     and lanes dropped by reason; focal lengths; how many times images were enlarged at most; frames in each of the
     format's lists."""
@@ -29,7 +29,7 @@ class Summary:
     n_of_list: dict[str, int]
 
 
-def summarize(records: Iterable[dict[str, Any]], foreign: Format) -> Summary:
+def summarize(records: Iterable[dict[str, Any]], foreign: Format) -> ExportSummary:
     """Count what the chunks' records say of their frames."""
     camera = foreign.camera if isinstance(foreign, PinholeFormat) else None
     n_of_list = dict.fromkeys(foreign.lists, 0)
@@ -48,10 +48,12 @@ def summarize(records: Iterable[dict[str, Any]], foreign: Format) -> Summary:
         if camera is not None:
             f_px.add(record["f_px"] or camera.f_px)
             enlarged = max(enlarged, record["enlarged"] or 0.0)
-    return Summary(camera, n_frames, n_of_split, left_out, n_lines, dropped, tuple(sorted(f_px)), enlarged, n_of_list)
+    return ExportSummary(
+        camera, n_frames, n_of_split, left_out, n_lines, dropped, tuple(sorted(f_px)), enlarged, n_of_list
+    )
 
 
-def warnings(out: Path, foreign: Format, summary: Summary) -> tuple[str, ...]:
+def warnings(out: Path, foreign: Format, summary: ExportSummary) -> tuple[str, ...]:
     """What a user should know of the export before training on it."""
     found = []
     words = [word for word in foreign.replaced_words if word in str(out.absolute())]
@@ -65,7 +67,9 @@ def warnings(out: Path, foreign: Format, summary: Summary) -> tuple[str, ...]:
     return tuple(found)
 
 
-def readme(source: str, format_name: str, foreign: Format, splits: Sequence[Split], summary: Summary) -> str:
+def readme(
+    source: str, format_name: str, foreign: Format, splits: Sequence[ExportSplit], summary: ExportSummary
+) -> str:
     """`OUT/README.md`."""
     dropped = [f"| lane: {reason} | {count} |" for reason, count in summary.dropped.most_common()]
     left_out = [f"| frame: {reason} | {count} |" for reason, count in summary.left_out.most_common()]
@@ -92,25 +96,25 @@ def readme(source: str, format_name: str, foreign: Format, splits: Sequence[Spli
     return "\n".join(lines)
 
 
-def _lists(summary: Summary) -> list[str]:
+def _lists(summary: ExportSummary) -> list[str]:
     if not summary.n_of_list:
         return []
     rows = [f"| `{path}` | {count} |" for path, count in summary.n_of_list.items()]
     return ["| list | frames |", "|---|---|", *rows, ""]
 
 
-def _size(summary: Summary, word: str) -> str:
+def _size(summary: ExportSummary, word: str) -> str:
     return "" if summary.camera is None else f" {word} {summary.camera.width_px}x{summary.camera.height_px}"
 
 
-def _focal_lengths(summary: Summary) -> str:
+def _focal_lengths(summary: ExportSummary) -> str:
     if not summary.f_px:
         return ""
     shortest, longest = summary.f_px[0], summary.f_px[-1]
     return f", f = {shortest:g} px" if shortest == longest else f", f = {shortest:g} to {longest:g} px"
 
 
-def _how_parts_were_made(splits: Sequence[Split], summary: Summary) -> list[str]:
+def _how_parts_were_made(splits: Sequence[ExportSplit], summary: ExportSummary) -> list[str]:
     has_test = summary.n_frames["test"] > 0
     parts, sentences = parts_of(splits, has_test), []
     if any(split.is_dealt for split in splits):

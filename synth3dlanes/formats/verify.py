@@ -15,10 +15,10 @@ from synth3dlanes.formats.opendrive import verify as opendrive
 from synth3dlanes.formats.openlane import verify as openlane
 from synth3dlanes.formats.openlane_v2 import verify as openlane_v2
 from synth3dlanes.formats.reading import read_text
-from synth3dlanes.formats.self_check import Verified
+from synth3dlanes.formats.self_check import Verification
 from synth3dlanes.formats.tusimple import verify as tusimple
 from synth3dlanes.formats.yolo import verify as yolo
-from synth3dlanes.schema import Excerpt, Pixels, parse
+from synth3dlanes.schema import Excerpt, PixelCount, parse
 
 CHECKS = {
     "apollo": apollo.verify,
@@ -29,7 +29,7 @@ CHECKS = {
     "curvelanes": curvelanes.verify,
 }
 
-SAMPLE_CHECKS: dict[str, Callable[[Path, int], Iterator[Verified]]] = {
+SAMPLE_CHECKS: dict[str, Callable[[Path, int], Iterator[Verification]]] = {
     "openlane_v2": openlane_v2.verify,
     "opendrive": opendrive.verify,
     "coco": coco.verify,
@@ -40,10 +40,10 @@ SAMPLE_CHECKS: dict[str, Callable[[Path, int], Iterator[Verified]]] = {
 
 
 class _Export(Excerpt):
-    size_px: tuple[Pixels, Pixels] | None
+    size_px: tuple[PixelCount, PixelCount] | None
 
 
-def verify(out: Path, format_name: str, most_frames: int) -> tuple[Verified, ...]:
+def verify(out: Path, format_name: str, most_frames: int) -> tuple[Verification, ...]:
     """Score at most the first `most_frames` frames of every list of an export."""
     about = out / "export.json"
     size_px = parse(_Export, read_text(about), str(about), "an export").size_px
@@ -56,8 +56,8 @@ def verify(out: Path, format_name: str, most_frames: int) -> tuple[Verified, ...
     shared = shared_files(out, format_name)
     gone = [f"{out / path}: expected a list, got no file" for path in shared if not (out / path).is_file()]
     if gone:
-        verified = (*verified, Verified("lists", 0, 0, {}, {}, tuple(gone)))
+        verified = (*verified, Verification("lists", 0, 0, {}, {}, tuple(gone)))
     if not any(result.n_lines for result in verified):
         problem = f"{out}: expected lane lines to score, found none"
-        return (*verified, Verified("all lists", 0, 0, {}, {}, (problem,)))
+        return (*verified, Verification("all lists", 0, 0, {}, {}, (problem,)))
     return verified

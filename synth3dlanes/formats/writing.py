@@ -47,7 +47,7 @@ class Pinhole:
 
 
 @dataclass(frozen=True)
-class Frame:
+class ExportFrame:
     """One of our images and what decides how a format files it: `key` counts within `split`, `number` within the
     export. It is used for `part`; `parts` are all that the data set has."""
 
@@ -69,7 +69,7 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class PinholeFrame(Frame):
+class PinholeFrame(ExportFrame):
     """A frame whose image is resampled: `pinhole` is its camera there; `tags` are the kinds of scene; `illumination` is
     0 (dark) to 2 (bright); `clip` is the number of the first picture of its clip by this camera, None for single
     pictures. `kerbs` are those of formats that have them."""
@@ -82,7 +82,7 @@ class PinholeFrame(Frame):
 
 
 @dataclass(frozen=True)
-class Annotation:
+class FrameAnnotation:
     """A frame in a foreign format: where its image goes, label files of its own, and lines of shared files, each with
     the files that it belongs to. `dropped` counts lanes by reason. Without `image`, none is written."""
 
@@ -139,4 +139,4 @@ class PinholeFormat(Format):
     is_f_free: bool
     is_size_free: bool
     has_kerbs: bool = False
-    annotate: Callable[[Labels, PinholeFrame], Annotation | None]
+    annotate: Callable[[Labels, PinholeFrame], FrameAnnotation | None]

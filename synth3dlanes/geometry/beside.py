@@ -3,16 +3,14 @@
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.arrays import Points2, Scalars
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.solids import Frame
+from synth3dlanes.geometry.solids import GroundFrame
 from synth3dlanes.labels import RoadName
 from synth3dlanes.scene import RoadSide
 
-Values = Float[np.ndarray, " n"]
-Points2 = Float[np.ndarray, "n 2"]
 
-
-def beside(ground: Ground, road: RoadName, side: RoadSide, s: Values, aside_m: Values | float) -> Points2:
+def beside(ground: Ground, road: RoadName, side: RoadSide, s: Scalars, aside_m: Scalars | float) -> Points2:
     """World (x, y) at plan stations, `aside_m` outside an edge of the pavement; of the side `median`, at this plan
     offset of the main road."""
     plan = ground.plan
@@ -24,7 +22,9 @@ def beside(ground: Ground, road: RoadName, side: RoadSide, s: Values, aside_m: V
     return plan.main_xy(s, np.broadcast_to(t, s.shape))
 
 
-def frames_beside(ground: Ground, road: RoadName, side: RoadSide, s: Values, aside_m: Values | float) -> list[Frame]:
+def frames_beside(
+    ground: Ground, road: RoadName, side: RoadSide, s: Scalars, aside_m: Scalars | float
+) -> list[GroundFrame]:
     """Frames on the ground beside a road: y along the road as the host drives."""
     behind, middle, ahead, out = (
         beside(ground, road, side, s + ds, aside_m + da) for ds, da in ((-0.5, 0.0), (0.0, 0.0), (0.5, 0.0), (0.0, 1.0))
@@ -34,7 +34,7 @@ def frames_beside(ground: Ground, road: RoadName, side: RoadSide, s: Values, asi
     out = out - middle
     outward = np.sign(out[:, 0] * forward[:, 1] - out[:, 1] * forward[:, 0])
     origins = np.column_stack([middle, ground.height(middle)])
-    return [Frame(*place) for place in zip(origins, forward, outward.tolist(), strict=True)]
+    return [GroundFrame(*place) for place in zip(origins, forward, outward.tolist(), strict=True)]
 
 
 def on_ground(ground: Ground, xy_world: Points2) -> Float[np.ndarray, "n 3"]:
@@ -42,7 +42,7 @@ def on_ground(ground: Ground, xy_world: Points2) -> Float[np.ndarray, "n 3"]:
     return np.column_stack([xy_world, ground.height(xy_world)])
 
 
-def ground_over(ground: Ground, frame: Frame, places: Float[np.ndarray, "n 2"]) -> Values:
+def ground_over(ground: Ground, frame: GroundFrame, places: Float[np.ndarray, "n 2"]) -> Scalars:
     """Heights of the ground at (x, y) of a frame, in this frame."""
     flat = frame.world(np.column_stack([places, np.zeros(len(places))]))
     return ground.height(flat[:, :2]) - frame.origin[2]

@@ -4,9 +4,9 @@ Camera frame but for the height: x right, y ahead, z up from the bonnet's highes
 """
 
 import numpy as np
-from jaxtyping import Float
 
-from synth3dlanes.frames import Matrix4, turned
+from synth3dlanes.arrays import Matrix4, Numbers
+from synth3dlanes.frames import turned
 from synth3dlanes.geometry.camera import rays
 from synth3dlanes.geometry.meshes import Mesh, grid
 from synth3dlanes.scene import Camera
@@ -19,10 +19,8 @@ SHAPE = (40, 48)
 # least height over the road, and its least distance below the camera.
 WIDEST, LOWEST_M, NEAREST_M = 20.0, 0.8, 0.25
 
-Values = Float[np.ndarray, "..."]
 
-
-def surface_m(x_m: Values, y_m: Values) -> Values:
+def surface_m(x_m: Numbers, y_m: Numbers) -> Numbers:
     """The height of the bonnet, 0 at its highest."""
     along, aside = np.clip((y_m - FROM_M) / (TO_M - FROM_M), 0, 1), np.abs(x_m) / HALF_WIDTH_M
     nose = NOSE[0] * along + NOSE[1] * along**2 + NOSE[2] * along**12

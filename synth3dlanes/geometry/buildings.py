@@ -1,24 +1,23 @@
 """Houses, industrial halls and blocks of flats. World frame, metres."""
 
 import numpy as np
-from jaxtyping import Float
 
+from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.beside import ground_over
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.solids import SINK_M, Body, Frame, Quads
+from synth3dlanes.geometry.solids import SINK_M, Body, GroundFrame, Quads
 from synth3dlanes.scene import Building
 
-Values = Float[np.ndarray, " n"]
 Range = tuple[float, float]
 
 STOREY_M = 3.0
 GLASS = (0.05, 0.06, 0.08, 0.35)
 
 
-def building_frame(building: Building, floor_m: float = 0.0) -> Frame:
+def building_frame(building: Building, floor_m: float = 0.0) -> GroundFrame:
     """The middle of a building's floor, at this height."""
     forward = np.array([-np.sin(building.yaw_rad), np.cos(building.yaw_rad)])
-    return Frame(np.array([building.x_m, building.y_m, floor_m]), forward)
+    return GroundFrame(np.array([building.x_m, building.y_m, floor_m]), forward)
 
 
 def building_body(ground: Ground, building: Building) -> Body:
@@ -55,7 +54,7 @@ def building_body(ground: Ground, building: Building) -> Body:
     return quads.body()
 
 
-def _windows(quads: Quads, frame: Frame, building: Building) -> None:
+def _windows(quads: Quads, frame: GroundFrame, building: Building) -> None:
     """Windows of houses, bands of windows of other buildings, and gates of halls, in front of the walls."""
     x, y, h = building.width_m / 2, building.length_m / 2, building.height_m
     for depth, half, along_y in ((x, y, True), (y, x, False)):
@@ -71,7 +70,7 @@ def _windows(quads: Quads, frame: Frame, building: Building) -> None:
 def _panes(kind: str, half: float, height_m: float) -> list[tuple[Range, Range, bool]]:
     """Where a wall of length 2 half has panes: along it and up, and whether each is a gate."""
 
-    def places(spacing_m: float) -> Values:
+    def places(spacing_m: float) -> Scalars:
         n = max(1, int(2 * half / spacing_m))
         return ((np.arange(n) + 0.5) / n * 2 - 1) * half
 

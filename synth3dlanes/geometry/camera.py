@@ -6,7 +6,8 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import Matrix4, Points, from_axes
+from synth3dlanes.arrays import AnyPoints3, Matrix4
+from synth3dlanes.frames import from_axes
 from synth3dlanes.geometry import terrain
 from synth3dlanes.geometry.lanes import host_segment, path_of_segment
 from synth3dlanes.geometry.road import RoadPlan
@@ -24,12 +25,12 @@ def img_from_cam(camera: Camera) -> Float[np.ndarray, "3 3"]:
     )
 
 
-def project(camera: Camera, points_cam: Points) -> Float[np.ndarray, "*n 2"]:
+def project(camera: Camera, points_cam: AnyPoints3) -> Float[np.ndarray, "*n 2"]:
     """Pixels (u, v) of points through the lens; NaN for those that are not in its field."""
     return camera.lens.project(img_from_cam(camera), points_cam)
 
 
-def rays(camera: Camera, uv: Float[np.ndarray, "*n 2"]) -> Points:
+def rays(camera: Camera, uv: Float[np.ndarray, "*n 2"]) -> AnyPoints3:
     """Unit vectors (camera frame) along which pixels look; NaN where the lens has no picture."""
     return camera.lens.rays(img_from_cam(camera), uv)
 

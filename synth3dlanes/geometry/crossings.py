@@ -10,7 +10,7 @@ from synth3dlanes.geometry.beside import frames_beside, ground_over, on_ground
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.posts import add_board
 from synth3dlanes.geometry.sign_faces import board
-from synth3dlanes.geometry.solids import METAL, SINK_M, Body, Frame, Quads
+from synth3dlanes.geometry.solids import METAL, SINK_M, Body, GroundFrame, Quads
 from synth3dlanes.scene import Crossing
 
 # Least gap between a crossing's supports and any pavement, and how far from its axis supports are looked for.
@@ -32,7 +32,7 @@ class Span:
     top_m: float
 
 
-def crossing_frame(ground: Ground, crossing: Crossing) -> Frame:
+def crossing_frame(ground: Ground, crossing: Crossing) -> GroundFrame:
     return frames_beside(ground, "main", "median", np.array([crossing.s_m]), 0.0)[0]
 
 
@@ -71,7 +71,7 @@ def crossing_body(ground: Ground, crossing: Crossing) -> Body:
     return quads.body()
 
 
-def _gantry(quads: Quads, ground: Ground, crossing: Crossing, frame: Frame, span: Span) -> None:
+def _gantry(quads: Quads, ground: Ground, crossing: Crossing, frame: GroundFrame, span: Span) -> None:
     """Two legs, two chords with verticals between them, and boards in front of these, towards the traffic below."""
     half, (left, right) = crossing.width_m / 2, span.legs_m
     base, rise_m = span.under_m - float(frame.origin[2]) + 0.35, 1.3
@@ -96,7 +96,7 @@ def _gantry(quads: Quads, ground: Ground, crossing: Crossing, frame: Frame, span
     quads.feet.append(on_ground(ground, frame.world(np.column_stack([feet, np.zeros(2)]))[:, :2]))
 
 
-def _bridge(quads: Quads, ground: Ground, crossing: Crossing, frame: Frame, span: Span) -> None:
+def _bridge(quads: Quads, ground: Ground, crossing: Crossing, frame: GroundFrame, span: Span) -> None:
     """A deck with parapets on columns and abutments, and dams of earth behind these."""
     half, color = crossing.width_m / 2, (*crossing.color, 0.0)
     dark = (*(0.8 * channel for channel in crossing.color), 0.0)
@@ -118,7 +118,7 @@ def _bridge(quads: Quads, ground: Ground, crossing: Crossing, frame: Frame, span
     quads.feet.append(on_ground(ground, frame.world(np.column_stack([columns, np.zeros(len(columns))]))[:, :2]))
 
 
-def _dam(quads: Quads, ground: Ground, frame: Frame, x: float, sign: int, half_m: float, top_m: float) -> None:
+def _dam(quads: Quads, ground: Ground, frame: GroundFrame, x: float, sign: int, half_m: float, top_m: float) -> None:
     """The dam of a bridge's road from its abutment outwards, down to the ground or to DAM_M."""
     rows = dam_section(ground, frame, x, sign, half_m, top_m)
     quads.sweep(frame.world(rows), EARTH)
@@ -126,7 +126,7 @@ def _dam(quads: Quads, ground: Ground, frame: Frame, x: float, sign: int, half_m
 
 
 def dam_section(
-    ground: Ground, frame: Frame, x: float, sign: int, half_m: float, top_m: float
+    ground: Ground, frame: GroundFrame, x: float, sign: int, half_m: float, top_m: float
 ) -> Float[np.ndarray, "r 4 3"]:
     """Foot, top, top and foot of a dam at distances behind an abutment, in the crossing's frame."""
     way = np.linspace(0, DAM_M, 12)

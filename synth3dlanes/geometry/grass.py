@@ -9,11 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from synth3dlanes.arrays import Points3, Scalars
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.lanes import Curve
-
-Values = Float[np.ndarray, " n"]
-Points = Float[np.ndarray, "n 3"]
+from synth3dlanes.geometry.lanes import LaneCurve
 
 # Tufts along every edge of the pavement: how many, how far ahead of the host, and how far beside the edge.
 PER_EDGE, AHEAD_M, BESIDE_M = 1200, (2.0, 45.0), (0.25, 3.6)
@@ -34,12 +32,16 @@ class Blades:
     """Triangles: two corners at the foot and a tip, with a shade and a dryness for each blade, both 0 to 1."""
 
     corners_world: Float[np.ndarray, "n 3 3"]
-    shade: Values
-    dryness: Values
+    shade: Scalars
+    dryness: Scalars
 
 
 def blades(
-    ground: Ground, lines: Sequence[Curve], eye_world: Float[np.ndarray, "3"], grass_m: float, rng: np.random.Generator
+    ground: Ground,
+    lines: Sequence[LaneCurve],
+    eye_world: Float[np.ndarray, "3"],
+    grass_m: float,
+    rng: np.random.Generator,
 ) -> Blades:
     """The blades of grass of `grass_m` height that a camera at `eye_world` sees beside the road."""
     feet, height_m = _tufts(ground, grass_m, rng)
@@ -48,7 +50,7 @@ def blades(
     return _grown(feet[free], height_m[free], rng)
 
 
-def lane_points(ground: Ground, lines: Sequence[Curve]) -> Points:
+def lane_points(ground: Ground, lines: Sequence[LaneCurve]) -> Points3:
     """Points of all lane curves around the host, as far apart as those of the labels, and farther."""
     plan = ground.plan
     s = plan.plan_station(np.arange(*ground.range_m(RANGE_M, -STEP_M), STEP_M))
@@ -57,7 +59,7 @@ def lane_points(ground: Ground, lines: Sequence[Curve]) -> Points:
     )
 
 
-def _tufts(ground: Ground, grass_m: float, rng: np.random.Generator) -> tuple[Points, Values]:
+def _tufts(ground: Ground, grass_m: float, rng: np.random.Generator) -> tuple[Points3, Scalars]:
     """Feet and heights of tufts along the edges of the pavement; the nearer to the host, the denser."""
     plan, last_m = ground.plan, ground.near_m + ground.driven_m
     draws = rng.random((4, 4, PER_EDGE))
@@ -97,7 +99,7 @@ def _away(draws: Float[np.ndarray, "4 n"]) -> Float[np.ndarray, "4 n"]:
 
 
 def _in_sight(
-    feet: Points, height_m: Values, eye_world: Float[np.ndarray, "3"], points_world: Float[np.ndarray, "p 3"]
+    feet: Points3, height_m: Scalars, eye_world: Float[np.ndarray, "3"], points_world: Float[np.ndarray, "p 3"]
 ) -> Bool[np.ndarray, " n"]:
     """Which tufts reach into a line of sight from the eye to a point."""
     to_feet, to_points = feet - eye_world, points_world - eye_world
@@ -119,7 +121,7 @@ def _in_sight(
     return hidden
 
 
-def _grown(feet: Points, height_m: Values, rng: np.random.Generator) -> Blades:
+def _grown(feet: Points3, height_m: Scalars, rng: np.random.Generator) -> Blades:
     """BLADES blades for each tuft, which lean to all sides."""
     n = len(feet) * BLADES
     around, lean, size = 2 * np.pi * rng.random(n), LEAN * rng.random(n), 0.3 + 0.7 * rng.random(n) ** 1.5

@@ -11,13 +11,12 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.arrays import AnyPoints2, AnyScalars
 from synth3dlanes.geometry import terrain
 from synth3dlanes.geometry.horizon import FarHills
 from synth3dlanes.geometry.road import S_END_M, RoadPlan
 from synth3dlanes.scene import Markings
 
-Values = Float[np.ndarray, "*n"]
-Points2 = Float[np.ndarray, "*n 2"]
 Spread = Float[np.ndarray, "*#n"]
 
 # Size of the terrain cells near the road. The depths and widths below are for cells of this size; farther away they
@@ -88,7 +87,7 @@ class Ground:
         outer_m = self.markings.width_m * (1.5 if self.markings.left_double else 0.5)
         return min(outer_m + PAINT_ROOM_M, self.plan.shoulder_m)
 
-    def main_right_edge(self, s: Values) -> Values:
+    def main_right_edge(self, s: AnyScalars) -> AnyScalars:
         """Plan offset of the main pavement's right edge; it moves in where a main lane leaves (topology 4)."""
         lost_m = (self.plan.n_lanes - self.plan.n_main_after) * self.plan.width_m
         return np.asarray(self.edge_m - lost_m * np.clip(s / min(TAPER_M, self.plan.nose_m), 0, 1))
@@ -118,7 +117,7 @@ class Ground:
         s = np.union1d(plan.ramp_stations, np.arange(plan.ramp_start_m, max(S_END_M + CREST_BEYOND_M, reach_m)))
         return [plan.lift(plan.exit_xy(s, edge), plan.ramp(s)) for edge in (-self.exit_edge_m, self.exit_edge_m)]
 
-    def cell_scale(self, xy_world: Points2) -> Values:
+    def cell_scale(self, xy_world: AnyPoints2) -> AnyScalars:
         """Terrain cell size as a multiple of CELL_M, as `meshes.terrain_axes` lays it out."""
         x0, y0, x1, y1 = self.fine
         out = np.maximum(
@@ -127,7 +126,7 @@ class Ground:
         )
         return np.clip(1 + np.clip(out, 0, None) * GROWTH / CELL_M, 1, MAX_CELL_SCALE)
 
-    def edge_distances(self, xy_world: Points2) -> tuple[Values, Values, Values, Values]:
+    def edge_distances(self, xy_world: AnyPoints2) -> tuple[AnyScalars, AnyScalars, AnyScalars, AnyScalars]:
         """(main, outside, raised, room): distance from the main pavement and from the exit's (negative inside, infinite
         far away), the exit's height over the terrain at the nearest station, and the width available to its
         embankment on the point's side."""
@@ -146,7 +145,7 @@ class Ground:
                 room[close] = np.where(te < 0, np.clip(main[close] + outside[close], 0, None), np.inf)
         return main, outside, raised, room
 
-    def above_terrain(self, xy_world: Points2) -> Values:
+    def above_terrain(self, xy_world: AnyPoints2) -> AnyScalars:
         """Height of the built ground over the analytic terrain at any points (0 away from roads)."""
         flat = xy_world.reshape(-1, 2)
         above = np.zeros(len(flat))
@@ -166,7 +165,7 @@ class Ground:
         above[near] = np.where(distance <= 0, built, np.maximum(built, -press(distance, scale)))
         return above.reshape(xy_world.shape[:-1])
 
-    def terrain_mesh_height(self, xy_world: Points2) -> Values:
+    def terrain_mesh_height(self, xy_world: AnyPoints2) -> AnyScalars:
         """Height of the terrain mesh: the terrain, lowered under pavement and verges."""
         flat = xy_world.reshape(-1, 2)
         pressed = np.zeros(len(flat))
@@ -176,11 +175,11 @@ class Ground:
         z = terrain.height_at(self.plan.terrain, flat) - pressed
         return np.asarray(z.reshape(xy_world.shape[:-1]))
 
-    def height(self, xy_world: Points2) -> Values:
+    def height(self, xy_world: AnyPoints2) -> AnyScalars:
         """Height of the ground as built."""
         return terrain.height_at(self.plan.terrain, xy_world) + self.above_terrain(xy_world)
 
-    def clearance(self, xy_world: Points2) -> Values:
+    def clearance(self, xy_world: AnyPoints2) -> AnyScalars:
         """Distance from the nearest pavement (shoulders included), negative on it, infinite far away."""
         flat = xy_world.reshape(-1, 2)
         clear = np.full(len(flat), np.inf)
@@ -189,7 +188,7 @@ class Ground:
         clear[near] = np.minimum(main, exits)
         return clear.reshape(xy_world.shape[:-1])
 
-    def _near(self, xy_world: Points2) -> np.ndarray:
+    def _near(self, xy_world: AnyPoints2) -> np.ndarray:
         """Which points are close enough to a road that the ground there may differ from the terrain."""
         xy = xy_world * self.plan.flips
         x, slope, _ = self.plan.main_line(xy[:, 1])
@@ -203,23 +202,23 @@ class Ground:
         return (across > self.left_edge_m - reach) & (across < right)
 
     @cached_property
-    def _exit_y(self) -> Values:
+    def _exit_y(self) -> AnyScalars:
         """Plan y of the exit's reference line at EXIT_STATIONS_M."""
         y = self.plan.exit_xy(EXIT_STATIONS_M, 0.0)[:, 1] * self.plan.flips[1]
         return np.asarray(np.maximum.accumulate(y))
 
-    def _reach_m(self, xy_world: Points2) -> Values:
+    def _reach_m(self, xy_world: AnyPoints2) -> AnyScalars:
         """Largest distance from a shoulder's edge at which the ground may differ from the terrain."""
         return EMBANKMENT_SLOPE * self.plan.road.ramp_height_m + VERGE_M * self.cell_scale(xy_world)
 
 
-def press(distance_m: Values, scale: Values) -> Values:
+def press(distance_m: AnyScalars, scale: AnyScalars) -> AnyScalars:
     """How far the terrain mesh is lowered at a distance from the pavement."""
     fade = (VERGE_M * scale - distance_m) / ((VERGE_M - PRESSED_TO_M) * scale)
     return PRESS_M * scale * np.clip(fade, 0, 1)
 
 
-def embankment_width(raised_m: Values, scale: Values) -> Values:
+def embankment_width(raised_m: AnyScalars, scale: AnyScalars) -> AnyScalars:
     """Full width of the strip from a shoulder's edge down to below the terrain; with less room it is compressed."""
     return np.asarray(EMBANKMENT_SLOPE * raised_m + VERGE_M * scale)
 

@@ -3,7 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import Matrix4, transform
+from synth3dlanes.arrays import Matrix4
+from synth3dlanes.frames import transform
 from synth3dlanes.geometry.ground import Ground
 
 # The paper's top view: 20 m x 80 m, starting below the camera; row 0 is the farthest.

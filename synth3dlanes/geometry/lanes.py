@@ -1,6 +1,6 @@
 """The lane graph and the lane curves of a road plan: lanes, painted lines and successors.
 
-Curves are functions of the plan station (see road.py); their world points come from `Curve.points_world`.
+Curves are functions of the plan station (see road.py); their world points come from `LaneCurve.points_world`.
 The four topologies are the paper's Table 'Road and lane topology'.
 """
 
@@ -11,11 +11,10 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.labels import Direction, LaneGraph, LaneKind, Marking, RoadName, Segment
 from synth3dlanes.scene import Camera
-
-Values = Float[np.ndarray, " n"]
 
 # min(q, width) has a corner at the nose. It is rounded where q is this close to the width, so that the lane is smooth;
 # this moves the lane by at most 1.5 cm.
@@ -23,7 +22,7 @@ CORNER_M = 0.06
 
 
 @dataclass(frozen=True)
-class Curve:
+class LaneCurve:
     """One lane curve over the stations [start_m, end_m].
 
     At stations below 0 its offset is `stem_m` from the main reference line; with `stem_m` None it has no such part.
@@ -47,7 +46,7 @@ class Curve:
     direction: Direction = "same"
     is_inner: bool = False
 
-    def xy_world(self, plan: RoadPlan, s: Values) -> Float[np.ndarray, "n 2"]:
+    def xy_world(self, plan: RoadPlan, s: Scalars) -> Float[np.ndarray, "n 2"]:
         """World (x, y) at plan stations."""
         if self.fork_road == "main":
             return plan.main_xy(s, self.main_offset(plan, s))
@@ -58,15 +57,15 @@ class Curve:
             plan.main_xy(stem, self.main_offset(plan, stem)),
         )
 
-    def points_world(self, plan: RoadPlan, s: Values) -> Float[np.ndarray, "n 3"]:
+    def points_world(self, plan: RoadPlan, s: Scalars) -> Float[np.ndarray, "n 3"]:
         """Points on the road surface at plan stations."""
         return plan.lift(self.xy_world(plan, s), self.raised(plan, s))
 
-    def raised(self, plan: RoadPlan, s: Values) -> Values:
+    def raised(self, plan: RoadPlan, s: Scalars) -> Scalars:
         """Height of the road surface above the terrain at plan stations."""
         return np.where((s >= 0) & (self.fork_road == "exit"), plan.ramp(s), 0.0)
 
-    def main_offset(self, plan: RoadPlan, s: Values) -> Values:
+    def main_offset(self, plan: RoadPlan, s: Scalars) -> Scalars:
         """Offset from the main reference line at stations where the curve runs on the main road."""
         stem_m = self.fork_m if self.stem_m is None else self.stem_m
         if not self.opens:
@@ -84,13 +83,13 @@ def _joint_m(plan: RoadPlan, fork_m: float) -> float:
     return min(0.0, float(plan.project_main(start)[0][0]))
 
 
-def smooth_min(q: Values, width_m: float) -> Values:
+def smooth_min(q: Scalars, width_m: float) -> Scalars:
     """min(q, width) with its corner rounded; equal to min(q, width) outside CORNER_M of it."""
     h = np.clip(CORNER_M - np.abs(q - width_m), 0, None)
     return np.minimum(q, width_m) - h * h / (4 * CORNER_M)
 
 
-def curves(plan: RoadPlan) -> tuple[Curve, ...]:
+def curves(plan: RoadPlan) -> tuple[LaneCurve, ...]:
     """Centre lines, one per path through the graph, then delimiters, one per painted line, from the plan's left.
 
     They refer to each other by id; a flip of x swaps every left and right.
@@ -133,10 +132,10 @@ def seen_from_left(plan: RoadPlan, lane: int, n: int) -> int:
 
 
 @lru_cache(maxsize=8)
-def _centerlines(plan: RoadPlan) -> tuple[Curve, ...]:
-    def center(road: RoadName, lane: int, stem_m: float, fork_m: float, opens: bool = False) -> Curve:
+def _centerlines(plan: RoadPlan) -> tuple[LaneCurve, ...]:
+    def center(road: RoadName, lane: int, stem_m: float, fork_m: float, opens: bool = False) -> LaneCurve:
         left, right = _line_id(plan, road, lane - 1), _line_id(plan, road, lane)
-        return Curve(
+        return LaneCurve(
             _center_id(plan, road, lane), "centerline", road, "none", left, right, stem_m, road, fork_m, opens=opens
         )
 
@@ -155,7 +154,7 @@ def _centerlines(plan: RoadPlan) -> tuple[Curve, ...]:
     return (*main, *exits, *_oncoming_centerlines(plan))
 
 
-def _oncoming_centerlines(plan: RoadPlan) -> list[Curve]:
+def _oncoming_centerlines(plan: RoadPlan) -> list[LaneCurve]:
     n = plan.n_oncoming
     divider = _line_id(plan, "main", 0) if plan.road.median_m == 0 else _oncoming_line_id(plan, n)
     lines = [*(_oncoming_line_id(plan, j) for j in range(n)), divider]
@@ -163,7 +162,7 @@ def _oncoming_centerlines(plan: RoadPlan) -> list[Curve]:
     for lane in range(1, n + 1):
         middle_m = plan.left_m + (lane - 0.5) * plan.width_m
         lanes.append(
-            Curve(
+            LaneCurve(
                 _oncoming_id(plan, lane),
                 "centerline",
                 "main",
@@ -179,7 +178,7 @@ def _oncoming_centerlines(plan: RoadPlan) -> list[Curve]:
     return lanes
 
 
-def _oncoming_delimiters(plan: RoadPlan) -> list[Curve]:
+def _oncoming_delimiters(plan: RoadPlan) -> list[LaneCurve]:
     """The lines of the oncoming lanes; without a median the innermost is the main road's own."""
     n = plan.n_oncoming
     lines = []
@@ -189,24 +188,26 @@ def _oncoming_delimiters(plan: RoadPlan) -> list[Curve]:
         right = _oncoming_id(plan, j + 1) if j < n else None
         at_m = plan.left_m + j * plan.width_m
         name = _oncoming_line_id(plan, j)
-        lines.append(Curve(name, "delimiter", "main", marking, left, right, at_m, "main", at_m, direction="oncoming"))
+        lines.append(
+            LaneCurve(name, "delimiter", "main", marking, left, right, at_m, "main", at_m, direction="oncoming")
+        )
     return lines
 
 
-def _delimiters(plan: RoadPlan) -> list[Curve]:
+def _delimiters(plan: RoadPlan) -> list[LaneCurve]:
     n, topology, half = plan.n_lanes, plan.road.topology, plan.exit_half_m
     divides = plan.n_oncoming > 0 and plan.road.median_m == 0
 
     def line(
         road: RoadName, j: int, marking: Marking, stem_m: float | None, fork_m: float, start_m: float = -np.inf
-    ) -> Curve:
+    ) -> LaneCurve:
         count = plan.n_main_after if road == "main" else plan.n_exit_lanes
         left = _center_id(plan, road, j) if j > 0 else None
         right = _center_id(plan, road, j + 1) if j < count else None
         name = _line_id(plan, road, j)
-        return Curve(name, "delimiter", road, marking, left, right, stem_m, road, fork_m, start_m=start_m)
+        return LaneCurve(name, "delimiter", road, marking, left, right, stem_m, road, fork_m, start_m=start_m)
 
-    def through(j: int) -> Curve:
+    def through(j: int) -> LaneCurve:
         is_dashed = 0 < j < n or (j == 0 and divides and plan.road.divider_dashed)
         found = line("main", j, "dashed" if is_dashed else "solid", plan.boundary_m(j), plan.boundary_m(j))
         return replace(found, left=_oncoming_id(plan, plan.n_oncoming)) if j == 0 and divides else found
@@ -217,7 +218,7 @@ def _delimiters(plan: RoadPlan) -> list[Curve]:
     lines = [through(j) for j in range(kept)]
     if topology == 3:
         # The dashed line between the last two lanes continues along the exit's left side to the nose.
-        stem = Curve(
+        stem = LaneCurve(
             "stem_line", "delimiter", "main", "dashed", _center_id(plan, "main", n), _center_id(plan, "exit", 1),
             plan.boundary_m(n - 1), "exit", -half, end_m=plan.nose_m,
         )  # fmt: skip
@@ -292,7 +293,7 @@ def _segments(
     )
 
 
-def path_of_segment(plan: RoadPlan, segment_id: str) -> Curve:
+def path_of_segment(plan: RoadPlan, segment_id: str) -> LaneCurve:
     """A centre line that runs along a lane segment (for cars)."""
     path_id = segment_id
     if segment_id.startswith("stem_"):

@@ -9,10 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.ground import CELL_M, EMBANKMENT_SLOPE, GROWTH, VERGE_M, Ground, embankment_width, profile
 from synth3dlanes.geometry.horizon import far_dam, on_faces
-
-Values = Float[np.ndarray, " n"]
 
 HORIZON_M = 4000.0
 BEHIND_M = 300.0
@@ -49,7 +48,7 @@ def terrain_mesh(ground: Ground) -> Mesh:
     return grid(vertices, xy, np.zeros(len(xs) - 1, dtype=int))
 
 
-def terrain_axes(ground: Ground) -> tuple[Values, Float[np.ndarray, " m"]]:
+def terrain_axes(ground: Ground) -> tuple[Scalars, Float[np.ndarray, " m"]]:
     """World x of the columns of the terrain's vertices, and world y of their rows."""
     x0, y0, x1, y1 = ground.fine
     behind_m = HORIZON_M if ground.both_ways else BEHIND_M
@@ -61,7 +60,7 @@ def terrain_heights(ground: Ground, xy_world: Float[np.ndarray, "*n 2"]) -> Floa
     return ground.terrain_mesh_height(xy_world) + ground.hills.height(xy_world)
 
 
-def road_stations(ground: Ground) -> Values:
+def road_stations(ground: Ground) -> Scalars:
     """World stations of the rows of road and paint, to beyond the horizon: half a metre apart near the host, more far
     away, less on a ramp that needs it. The split itself is always among them."""
     n_far = int(np.log(2 * HORIZON_M / FAR_ROWS_M) / np.log1p(FAR_ROWS_GROWTH))
@@ -93,7 +92,7 @@ def lift_far(
     return points
 
 
-def _face_height(ground: Ground, xy_world: Float[np.ndarray, "n 2"]) -> Values:
+def _face_height(ground: Ground, xy_world: Float[np.ndarray, "n 2"]) -> Scalars:
     """Height of the terrain mesh's faces, not pressed under pavements: of either way to split a quad into triangles the
     higher one."""
     axes = terrain_axes(ground)
@@ -103,7 +102,7 @@ def _face_height(ground: Ground, xy_world: Float[np.ndarray, "n 2"]) -> Values:
     corners = np.array([[axis[cell], axis[cell + 1]] for axis, cell in zip(axes, cells, strict=True)])
     u, v = (xy_world.T - corners[:, 0]) / (corners[:, 1] - corners[:, 0])
 
-    def height(i: int, j: int) -> Values:
+    def height(i: int, j: int) -> Scalars:
         xy = np.stack([corners[0, i], corners[1, j]], -1)
         return np.asarray(ground.plan.lift(xy, ground.hills.height(xy))[:, 2])
 
@@ -176,18 +175,18 @@ def over_terrain(mesh: Mesh) -> Mesh:
     return replace(mesh, faces=mesh.faces[kept], material=mesh.material[kept])
 
 
-def _axis(low: float, high: float, out_low: float, out_high: float) -> Values:
+def _axis(low: float, high: float, out_low: float, out_high: float) -> Scalars:
     """Coordinates CELL_M apart in [low, high]; outside, cells grow by GROWTH per metre of distance."""
     inner = np.linspace(low, high, int(np.ceil((high - low) / CELL_M)) + 1)
 
-    def outside(reach_m: float) -> Values:
+    def outside(reach_m: float) -> Scalars:
         n = int(np.ceil(np.log1p(reach_m * GROWTH / CELL_M) / np.log1p(GROWTH)))
         return np.asarray(CELL_M / GROWTH * ((1 + GROWTH) ** np.arange(1, n + 1) - 1))
 
     return np.concatenate([low - outside(out_low)[::-1], inner, high + outside(out_high)])
 
 
-def _columns(ground: Ground, half_m: float, edge_m: float, n_lanes: int) -> tuple[Values, Int[np.ndarray, " m"]]:
+def _columns(ground: Ground, half_m: float, edge_m: float, n_lanes: int) -> tuple[Scalars, Int[np.ndarray, " m"]]:
     """Offsets across a pavement whose lanes end at +-half_m and whose shoulders end at +-edge_m, and the material of
     each column of faces."""
     paved_m = half_m + ground.under_paint_m
@@ -198,7 +197,7 @@ def _columns(ground: Ground, half_m: float, edge_m: float, n_lanes: int) -> tupl
     return np.concatenate([-shoulder[::-1], [-paved_m], lanes, [paved_m], shoulder]), material
 
 
-def _main_columns(ground: Ground) -> tuple[Values, Int[np.ndarray, " m"]]:
+def _main_columns(ground: Ground) -> tuple[Scalars, Int[np.ndarray, " m"]]:
     """As `_columns`, for the main road with its oncoming lanes and median."""
     plan = ground.plan
     half_m = ground.edge_m - plan.shoulder_m
@@ -217,7 +216,7 @@ def _main_columns(ground: Ground) -> tuple[Values, Int[np.ndarray, " m"]]:
     )
 
 
-def _median_columns(ground: Ground) -> tuple[Values, Int[np.ndarray, " m"]]:
+def _median_columns(ground: Ground) -> tuple[Scalars, Int[np.ndarray, " m"]]:
     """Offsets inside the median between the inner lane boundaries, and the material of each column of faces there."""
     plan = ground.plan
     width_m = plan.road.median_m
@@ -236,7 +235,7 @@ def median_grass_m(ground: Ground) -> tuple[float, float] | None:
     return (float(offsets[1]), float(offsets[3])) if MEDIAN in surface else None
 
 
-def _main_mesh(ground: Ground, s: Values) -> Mesh:
+def _main_mesh(ground: Ground, s: Scalars) -> Mesh:
     plan, k = ground.plan, SHOULDER_COLUMNS
     t, column_material = _main_columns(ground)
     right = ground.main_right_edge(s)[:, None]
@@ -254,7 +253,7 @@ def _main_mesh(ground: Ground, s: Values) -> Mesh:
     return grid(vertices, np.stack([offsets, stations], -1) * plan.flips, material)
 
 
-def _exit_mesh(ground: Ground, s: Values) -> Mesh:
+def _exit_mesh(ground: Ground, s: Scalars) -> Mesh:
     plan = ground.plan
     t, material = _columns(ground, plan.exit_half_m, ground.exit_edge_m, plan.n_exit_lanes)
     inner = _inner_edge(ground, s)[:, None]
@@ -266,13 +265,13 @@ def _exit_mesh(ground: Ground, s: Values) -> Mesh:
     return grid(vertices, np.stack([offsets, stations], -1) * plan.flips, material)
 
 
-def _inner_edge(ground: Ground, s: Values) -> Values:
+def _inner_edge(ground: Ground, s: Scalars) -> Scalars:
     """Exit offset at which the exit's cross-section leaves the main pavement; its own left edge once they are
     separate."""
     return np.clip(_crossing(ground, s, ground.exit_edge_m), -ground.exit_edge_m, ground.exit_edge_m)
 
 
-def _meets_exit(ground: Ground, s: Values) -> Bool[np.ndarray, " n"]:
+def _meets_exit(ground: Ground, s: Scalars) -> Bool[np.ndarray, " n"]:
     """Where the exit's pavement goes on beyond the main pavement's right edge. A verge would show through the seam."""
     if not ground.plan.has_exit:
         return np.zeros(s.shape, bool)
@@ -280,17 +279,17 @@ def _meets_exit(ground: Ground, s: Values) -> Bool[np.ndarray, " n"]:
     return np.asarray((se > 0) & (np.abs(te) < ground.exit_edge_m - SEAM_M))
 
 
-def _gap(ground: Ground, s: Values) -> Values:
+def _gap(ground: Ground, s: Scalars) -> Scalars:
     """Width available to the exit's inner embankment: from its left edge to the main pavement; 0 while they touch."""
     return np.clip(-ground.exit_edge_m - _crossing(ground, s, -ground.exit_edge_m), 0, None)
 
 
-def _crossing(ground: Ground, s: Values, high: float) -> Values:
+def _crossing(ground: Ground, s: Scalars, high: float) -> Scalars:
     """Exit offset, at most `high`, at which the exit's cross-section at s crosses the main pavement's right edge."""
     plan = ground.plan
     low = -ground.exit_edge_m - EMBANKMENT_SLOPE * plan.road.ramp_height_m - VERGE_M
 
-    def outside(t: Values) -> Values:
+    def outside(t: Scalars) -> Scalars:
         at, main_t = plan.project_main(plan.exit_xy(s, t))
         return np.asarray(main_t - ground.main_right_edge(at))
 
@@ -305,10 +304,10 @@ def _crossing(ground: Ground, s: Values, high: float) -> Values:
 
 def _verge(
     ground: Ground,
-    s: Values,
-    edge_plus: Callable[[Values], Float[np.ndarray, "n 2"]],
-    raised: Values,
-    room_m: Values,
+    s: Scalars,
+    edge_plus: Callable[[Scalars], Float[np.ndarray, "n 2"]],
+    raised: Scalars,
+    room_m: Scalars,
 ) -> Mesh:
     """A strip outwards from an edge, with a row per station; `edge_plus(d)` returns their world points d metres
     outside the edge.

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.errors import InputError
-from synth3dlanes.geometry.lanes import Curve, connections, host_segment, path_of_segment
+from synth3dlanes.geometry.lanes import LaneCurve, connections, host_segment, path_of_segment
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.scene import Camera, Car
 
@@ -39,13 +39,13 @@ def car_at(plan: RoadPlan, car: Car, time_s: float) -> Car:
     return car.model_copy(update={"s_m": s_m, "lane": segment_of(plan, path, s_m)})
 
 
-def station_after(plan: RoadPlan, path: Curve, s_m: float, driven_m: float) -> float:
+def station_after(plan: RoadPlan, path: LaneCurve, s_m: float, driven_m: float) -> float:
     """The world station that traffic on a path reaches after a distance, measured along the path in 3D."""
     return float(stations_after(plan, path, s_m, np.array([driven_m]))[0])
 
 
 def stations_after(
-    plan: RoadPlan, path: Curve, s_m: float, driven_m: Float[np.ndarray, " t"]
+    plan: RoadPlan, path: LaneCurve, s_m: float, driven_m: Float[np.ndarray, " t"]
 ) -> Float[np.ndarray, " t"]:
     """`station_after` for several distances."""
     ahead, farthest_m = 1.0 if path.direction == "same" else -1.0, float(driven_m.max())
@@ -55,7 +55,7 @@ def stations_after(
     return np.interp(driven_m, np.concatenate([[0.0], np.cumsum(steps_m)]), stations)
 
 
-def segment_of(plan: RoadPlan, path: Curve, s_m: float) -> str:
+def segment_of(plan: RoadPlan, path: LaneCurve, s_m: float) -> str:
     """The id of the lane segment that a path runs along at a world station."""
     if path.direction == "oncoming" or not plan.has_exit or s_m * plan.flips[1] >= 0:
         return path.id

@@ -8,10 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.horizon import far_dam
-from synth3dlanes.geometry.lanes import Curve
-from synth3dlanes.geometry.meshes import Mesh, Values, grid, is_facing_up, lift_far, over_terrain, road_stations
+from synth3dlanes.geometry.lanes import LaneCurve
+from synth3dlanes.geometry.meshes import Mesh, grid, is_facing_up, lift_far, over_terrain, road_stations
 from synth3dlanes.geometry.terrain import gradient_at
 from synth3dlanes.labels import Marking, PaintColor, Pair
 from synth3dlanes.scene import Markings
@@ -49,51 +50,51 @@ class Stripe(NamedTuple):
     marking: Marking
 
 
-class Rows(NamedTuple):
+class StripRows(NamedTuple):
     """The rows of a line's strip: plan stations, whether the strip after each row is painted, the strip's width as a
     share of the line's, and the height of its surface over paint (of dots)."""
 
-    s: Values
+    s: Scalars
     painted: Bool[np.ndarray, " m"]
-    share: Values
-    raised_m: Values
+    share: Scalars
+    raised_m: Scalars
 
 
 def paint_meshes(
-    ground: Ground, lines: Sequence[Curve], eye_world: Float[np.ndarray, "3"], streams: Streams
+    ground: Ground, lines: Sequence[LaneCurve], eye_world: Float[np.ndarray, "3"], streams: Streams
 ) -> dict[str, Mesh]:
     """The paint of every delimiter in `lines`, by id, corrected for parallax so that it looks in place from the eye."""
     return {line.id: _paint(ground, line, eye_world, streams) for line in lines if line.kind == "delimiter"}
 
 
-def paint_color(line: Curve, markings: Markings) -> PaintColor | None:
+def paint_color(line: LaneCurve, markings: Markings) -> PaintColor | None:
     """The colour of a delimiter's paint; None for a centre line."""
     if line.kind != "delimiter":
         return None
     return "yellow" if markings.left_yellow and line.is_inner else "white"
 
 
-def is_double(line: Curve, markings: Markings) -> bool | None:
+def is_double(line: LaneCurve, markings: Markings) -> bool | None:
     """Whether a delimiter is painted as two stripes; None for a centre line."""
     return None if line.kind != "delimiter" else markings.left_double and line.is_inner and line.marking == "solid"
 
 
-def is_dotted(line: Curve, markings: Markings) -> bool:
+def is_dotted(line: LaneCurve, markings: Markings) -> bool:
     """Whether a delimiter consists of Botts' dots."""
     return markings.dots and line.marking == "dashed"
 
 
-def line_width_m(line: Curve, markings: Markings) -> float:
+def line_width_m(line: LaneCurve, markings: Markings) -> float:
     """Width of a delimiter's stripes, or diameter of its dots."""
     return DOT_M if is_dotted(line, markings) else markings.width_m
 
 
-def pair_of(line: Curve, markings: Markings) -> Pair | None:
+def pair_of(line: LaneCurve, markings: Markings) -> Pair | None:
     """The stripes of a double line from the left as the host drives, if they differ."""
     return markings.left_pair if is_double(line, markings) and markings.left_pair != "same" else None
 
 
-def stripes(line: Curve, markings: Markings) -> tuple[Stripe, ...]:
+def stripes(line: LaneCurve, markings: Markings) -> tuple[Stripe, ...]:
     """The stripes from the left as the host drives; the gap of a double line is as wide as a stripe."""
     if not is_double(line, markings):
         return (Stripe(0.0, line.marking),)
@@ -104,7 +105,7 @@ def stripes(line: Curve, markings: Markings) -> tuple[Stripe, ...]:
     )
 
 
-def _paint(ground: Ground, curve: Curve, eye_world: Float[np.ndarray, "3"], streams: Streams) -> Mesh:
+def _paint(ground: Ground, curve: LaneCurve, eye_world: Float[np.ndarray, "3"], streams: Streams) -> Mesh:
     plan, markings = ground.plan, ground.markings
     to_right, meshes = int(plan.flips[0]), []
     for right_m, marking in stripes(curve, markings)[::to_right]:
@@ -124,7 +125,9 @@ def _paint(ground: Ground, curve: Curve, eye_world: Float[np.ndarray, "3"], stre
     return over_terrain(_joined(meshes))
 
 
-def _sides(ground: Ground, curve: Curve, offsets_m: Float[np.ndarray, "2"], s: Values) -> Float[np.ndarray, "n 2 3"]:
+def _sides(
+    ground: Ground, curve: LaneCurve, offsets_m: Float[np.ndarray, "2"], s: Scalars
+) -> Float[np.ndarray, "n 2 3"]:
     """Points on the road along both edges of a stripe."""
     plan, lines = ground.plan, [_beside(curve, t) for t in offsets_m]
     return np.stack(
@@ -136,7 +139,7 @@ def _floating(
     eye_world: Float[np.ndarray, "3"],
     sides: Float[np.ndarray, "n 2 3"],
     along: Float[np.ndarray, "n 3"],
-    lift_m: Values,
+    lift_m: Scalars,
 ) -> Float[np.ndarray, "n 2 3"]:
     """A stripe raised by `lift_m` over the road, and moved across the line so that the eye sees it where the line is:
     without this, parallax would show it beside the line. `along` is the line's direction."""
@@ -176,11 +179,11 @@ def _joined(meshes: list[Mesh]) -> Mesh:
     )
 
 
-def _beside(curve: Curve, t: float) -> Curve:
+def _beside(curve: LaneCurve, t: float) -> LaneCurve:
     return replace(curve, stem_m=None if curve.stem_m is None else curve.stem_m + t, fork_m=curve.fork_m + t)
 
 
-def painted_rows(ground: Ground, curve: Curve, streams: Streams, marking: Marking) -> Rows:
+def painted_rows(ground: Ground, curve: LaneCurve, streams: Streams, marking: Marking) -> StripRows:
     """Rows of a line's stripe with this pattern, with a row at every end of paint. Lengths are measured along the line
     from the split, so that dashes and gaps do not move with the camera."""
     plan, markings = ground.plan, ground.markings
@@ -212,10 +215,12 @@ def painted_rows(ground: Ground, curve: Curve, streams: Streams, marking: Markin
         share = np.where(away_m > DOTS_M, np.minimum(share, _dots_cover(markings, away_m)), share)
     painted_share = (markings.dash_fraction if marking == "dashed" else 1.0) * (1 - markings.missing)
     share = np.where(away_m > DASHES_M, painted_share * share, share)
-    return Rows(s, np.concatenate([is_painted[: len(before)], painted, is_painted[: len(behind)]]), share, raised_m)
+    return StripRows(
+        s, np.concatenate([is_painted[: len(before)], painted, is_painted[: len(behind)]]), share, raised_m
+    )
 
 
-def _dashes(markings: Markings, marking: Marking, length: Values) -> Intervals:
+def _dashes(markings: Markings, marking: Marking, length: Scalars) -> Intervals:
     """Painted intervals along a line's length according to a marking."""
     if marking != "dashed":
         return np.array([[-np.inf, np.inf]])
@@ -228,7 +233,7 @@ def _dots_per_dash(markings: Markings) -> int:
     return int(np.clip(markings.dash_cycle_m * markings.dash_fraction / (2 * DOT_M), 1, DOTS))
 
 
-def _dots(markings: Markings, dashes: Intervals, length: Values, away_m: Values) -> tuple[Places, Intervals]:
+def _dots(markings: Markings, dashes: Intervals, length: Scalars, away_m: Scalars) -> tuple[Places, Intervals]:
     """The centres of the dots in place of near dashes, and the painted intervals with these dots. `away_m` is the
     distance from the host at each `length`."""
     is_near = np.interp(dashes[:, 0], length, away_m) < DOTS_M
@@ -238,14 +243,14 @@ def _dots(markings: Markings, dashes: Intervals, length: Values, away_m: Values)
     return centers, painted[np.argsort(painted[:, 0])]
 
 
-def _disc(dots: Places, at: Values) -> tuple[Values, Values]:
+def _disc(dots: Places, at: Scalars) -> tuple[Scalars, Scalars]:
     """Width, as a share of the diameter, and height of octagonal discs at places along the line; width 1 elsewhere."""
     radii = 2 / DOT_M * np.abs(at[:, None] - dots).min(axis=1)
     is_disc, is_top = radii < 1 + 1e-6, radii < OCTAGON + 1e-6
     return np.where(is_disc, np.clip(2**0.5 - radii, OCTAGON, 1), 1.0), np.where(is_top, DOT_HEIGHT_M, 0.0)
 
 
-def _dots_cover(markings: Markings, away_m: Values) -> Values:
+def _dots_cover(markings: Markings, away_m: Scalars) -> Scalars:
     """The share of a dash as wide as a dot that its dots cover in the image, their height included."""
     area_m2 = _dots_per_dash(markings) * 2 * OCTAGON * DOT_M**2
     seen = 1 + DOT_HEIGHT_M / DOT_M * away_m / EYE_M

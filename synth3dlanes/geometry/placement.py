@@ -3,8 +3,9 @@
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.arrays import Matrix4
 from synth3dlanes.assets.catalogue import CarModel
-from synth3dlanes.frames import Matrix4, from_axes, transform
+from synth3dlanes.frames import from_axes, transform
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.lanes import path_of_segment
 from synth3dlanes.geometry.road import RoadPlan
@@ -16,10 +17,10 @@ HOST_SIZE_M = (5.0, 2.0)
 TREE_SINK_M = 0.1
 
 
-Place = tuple[Float[np.ndarray, "*t 2"], Float[np.ndarray, "*t 2"]]
+Placement = tuple[Float[np.ndarray, "*t 2"], Float[np.ndarray, "*t 2"]]
 
 
-def lane_place(plan: RoadPlan, lane: str, s_world: float | Float[np.ndarray, "*t"]) -> Place:
+def lane_place(plan: RoadPlan, lane: str, s_world: float | Float[np.ndarray, "*t"]) -> Placement:
     """World (x, y) on a lane segment's centre line, or on its path beyond it, and the unit heading of its traffic
     there; at each station."""
     path, s = path_of_segment(plan, lane), np.asarray(s_world)
@@ -29,7 +30,7 @@ def lane_place(plan: RoadPlan, lane: str, s_world: float | Float[np.ndarray, "*t
     return middle, along / np.linalg.norm(along, axis=-1, keepdims=True)
 
 
-def car_place(plan: RoadPlan, lane: str, s_world: float | Float[np.ndarray, "*t"], offset_m: float) -> Place:
+def car_place(plan: RoadPlan, lane: str, s_world: float | Float[np.ndarray, "*t"], offset_m: float) -> Placement:
     """World (x, y) of a car `offset_m` to its driver's right of the lane's centre, and its heading."""
     middle, heading = lane_place(plan, lane, s_world)
     return middle + offset_m * np.stack([heading[..., 1], -heading[..., 0]], axis=-1), heading

@@ -5,9 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.arrays import Points3
 from synth3dlanes.geometry.beside import frames_beside
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.sign_faces import FACES, Layer
+from synth3dlanes.geometry.sign_faces import FACES, Patch
 from synth3dlanes.geometry.solids import (
     BLACK,
     DARK_METAL,
@@ -17,19 +18,17 @@ from synth3dlanes.geometry.solids import (
     SINK_M,
     WHITE,
     Body,
-    Frame,
+    GroundFrame,
     Quads,
 )
 from synth3dlanes.scene import Post
 
-Points3 = Float[np.ndarray, "n 3"]
-
 LAMP_ARM_M, LAMP_HEAD_M = 1.8, np.array([0.14, 0.38, 0.06])
 
 
-def post_frames(ground: Ground, posts: Sequence[Post]) -> list[Frame]:
+def post_frames(ground: Ground, posts: Sequence[Post]) -> list[GroundFrame]:
     """Where posts stand."""
-    found: dict[int, Frame] = {}
+    found: dict[int, GroundFrame] = {}
     for road, side in dict.fromkeys((post.road, post.side) for post in posts):
         own = [i for i, post in enumerate(posts) if (post.road, post.side) == (road, side)]
         s, aside_m = np.array([(posts[i].s_m, posts[i].aside_m) for i in own]).T
@@ -37,7 +36,7 @@ def post_frames(ground: Ground, posts: Sequence[Post]) -> list[Frame]:
     return [found[i] for i in range(len(posts))]
 
 
-def post_body(post: Post, frame: Frame) -> Body:
+def post_body(post: Post, frame: GroundFrame) -> Body:
     """A post in its frame."""
     quads = Quads(post.kind, "pole")
     if post.kind == "lamp":
@@ -55,7 +54,7 @@ def post_body(post: Post, frame: Frame) -> Body:
     return quads.body()
 
 
-def _lamp(quads: Quads, frame: Frame, post: Post) -> None:
+def _lamp(quads: Quads, frame: GroundFrame, post: Post) -> None:
     """A tapered pole, with an arm and a head over the road; on a median, with one over either side."""
     h = post.height_m
     quads.tube(frame.world(np.array([(0, 0, -SINK_M), (0, 0, h)])), (0.1, 0.06), METAL)
@@ -74,13 +73,13 @@ def _arms(post: Post) -> tuple[int, ...]:
     return (1, -1) if post.side == "median" else (1,)
 
 
-def lamp_heads_of(frame: Frame, post: Post) -> Points3:
+def lamp_heads_of(frame: GroundFrame, post: Post) -> Points3:
     """The middles of the lower sides of a lamp post's heads."""
     reach, z = LAMP_ARM_M + LAMP_HEAD_M[1], post.height_m + 0.28 - LAMP_HEAD_M[2] - 0.02
     return np.array([frame.world(np.array([-side * frame.outward * reach, 0, z])) for side in _arms(post)])
 
 
-def _sign(quads: Quads, frame: Frame, post: Post) -> None:
+def _sign(quads: Quads, frame: GroundFrame, post: Post) -> None:
     """One or two tubes and a board whose lower edge is at the post's height."""
     layers = FACES[post.face - 1]
     width_m, up_m = np.ptp(layers[0].outline, axis=0)
@@ -91,11 +90,11 @@ def _sign(quads: Quads, frame: Frame, post: Post) -> None:
 
 
 def add_board(
-    quads: Quads, frame: Frame, layers: Sequence[Layer], middle: Float[np.ndarray, "3"], turned: bool
+    quads: Quads, frame: GroundFrame, layers: Sequence[Patch], middle: Float[np.ndarray, "3"], turned: bool
 ) -> None:
     """A board's gray back and the layers of its face, towards the host or, turned, away from it."""
     sign = -1.0 if turned else 1.0
-    for i, layer in enumerate([Layer(layers[0].outline, METAL[:3]), *layers]):
+    for i, layer in enumerate([Patch(layers[0].outline, METAL[:3]), *layers]):
         corners = layer.quads()
         depth = np.full(corners.shape[:2], 0.02 if i == 0 else -0.02 - 0.004 * i)
         local = np.stack([sign * corners[..., 0], sign * depth, corners[..., 1]], -1)

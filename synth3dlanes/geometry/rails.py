@@ -6,12 +6,11 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.beside import beside, frames_beside, on_ground
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.solids import BLACK, SINK_M, Body, Quads
 from synth3dlanes.scene import Rail
-
-Values = Float[np.ndarray, " n"]
 
 # Lengths of a rail's pieces: up to these distances ahead of the host, and beyond.
 PIECES_M = ((60.0, 2.0), (140.0, 4.0), (np.inf, 8.0))
@@ -27,7 +26,7 @@ KERBS = ("kerb", "walkway")
 POLES_M, WIRE_M, SAG_M, CROSSARM_M = 45.0, 0.025, 0.9, 1.1
 
 
-def rail_stations(ground: Ground, rail: Rail) -> Values:
+def rail_stations(ground: Ground, rail: Rail) -> Scalars:
     """Plan stations of the rows of a rail, denser near the host."""
     low, high = sorted((rail.from_m, rail.to_m))
     rows = [low]
@@ -70,7 +69,7 @@ def rail_body(ground: Ground, rail: Rail) -> Body:
 
 
 def _rows(
-    ground: Ground, rail: Rail, s: Values, across_m: Float[np.ndarray, " c"], z: Float[np.ndarray, "*#rows"]
+    ground: Ground, rail: Rail, s: Scalars, across_m: Float[np.ndarray, " c"], z: Float[np.ndarray, "*#rows"]
 ) -> Float[np.ndarray, "r c 3"]:
     """World points at stations and distances outwards from a rail's front, at heights z."""
     z = np.broadcast_to(z, (len(s), len(across_m)))
@@ -78,23 +77,23 @@ def _rows(
     return np.concatenate([np.stack(columns, axis=1), z[..., None]], axis=2)
 
 
-def _edge_height(ground: Ground, rail: Rail, s: Values) -> Values:
+def _edge_height(ground: Ground, rail: Rail, s: Scalars) -> Scalars:
     """Height of the pavement beside a rail: what stands near its edge is as high over the road everywhere."""
     inside = rail.aside_m if rail.side == "median" else -0.02
     return ground.height(beside(ground, rail.road, rail.side, s, inside))
 
 
-def foot_of_front(ground: Ground, rail: Rail, s: Values) -> Float[np.ndarray, "n 3"]:
+def foot_of_front(ground: Ground, rail: Rail, s: Scalars) -> Float[np.ndarray, "n 3"]:
     """World points at the front of a rail, as high as the pavement beside it."""
     xy_world = beside(ground, rail.road, rail.side, s, rail.aside_m)
     return np.column_stack([xy_world, _edge_height(ground, rail, s)])
 
 
-def _foot_height(ground: Ground, rail: Rail, s: Values, across_m: float) -> Values:
+def _foot_height(ground: Ground, rail: Rail, s: Scalars, across_m: float) -> Scalars:
     return ground.height(beside(ground, rail.road, rail.side, s, rail.aside_m + across_m))
 
 
-def _guardrail(quads: Quads, ground: Ground, rail: Rail, s: Values) -> None:
+def _guardrail(quads: Quads, ground: Ground, rail: Rail, s: Scalars) -> None:
     """W-beams before posts; a median's has beams on both sides."""
     color = (*rail.color, 0.5)
     s = np.unique(np.concatenate([s, [rail.from_m + END_M, rail.to_m - END_M]]))
@@ -108,7 +107,7 @@ def _guardrail(quads: Quads, ground: Ground, rail: Rail, s: Values) -> None:
     _posts(quads, ground, rail, behind_m, (0.07, 0.055), rail.height_m - 0.03, color, rail.from_m + END_M)
 
 
-def _noise_wall(quads: Quads, ground: Ground, rail: Rail, s: Values, color: Sequence[float]) -> None:
+def _noise_wall(quads: Quads, ground: Ground, rail: Rail, s: Scalars, color: Sequence[float]) -> None:
     """Panels in bands of two shades between posts, and a light cap."""
     foot = _foot_height(ground, rail, s, WALL_M / 2)[:, None]
     n_bands = max(2, round(rail.height_m / 0.8))

@@ -11,13 +11,10 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.arrays import AnyPoints2, AnyPoints3, AnyScalars
 from synth3dlanes.geometry import terrain as ground
 from synth3dlanes.labels import RoadName
 from synth3dlanes.scene import Road, Terrain
-
-Values = Float[np.ndarray, "*n"]
-Points2 = Float[np.ndarray, "*n 2"]
-Points3 = Float[np.ndarray, "*n 3"]
 
 # Knots of the quartic (paper, Table 'Lane top view geometry'); beyond them roads continue along their tangents.
 S_END_M = 100.0
@@ -104,7 +101,7 @@ class RoadPlan:
         road = self.road
         return np.array([-1.0 if road.flip_longitudinal else 1.0, -1.0 if road.flip_lateral else 1.0])
 
-    def plan_station(self, s_world: Values) -> Values:
+    def plan_station(self, s_world: AnyScalars) -> AnyScalars:
         """Plan station of a world station, and vice versa."""
         return s_world * self.flips[1]
 
@@ -121,7 +118,7 @@ class RoadPlan:
         df = f[1:] * np.arange(1, 5)
         return f.tolist(), df.tolist(), (df[1:] * np.arange(1, 4)).tolist()
 
-    def main_line(self, s: Values) -> tuple[Values, Values, Values]:
+    def main_line(self, s: AnyScalars) -> tuple[AnyScalars, AnyScalars, AnyScalars]:
         """x of the reference line and its first two derivatives; straight beyond the outer knots."""
         # The function that is called most often: on few stations numpy's own overhead counts.
         (a0, a1, a2, a3, a4), (b0, b1, b2, b3), (c0, c1, c2) = self._quartic
@@ -132,7 +129,7 @@ class RoadPlan:
         beyond = s - inside
         return x + beyond * slope, slope, np.where(beyond == 0, bend, 0.0)
 
-    def _main_frame(self, s: Values) -> tuple[Points2, Points2, Values, Values]:
+    def _main_frame(self, s: AnyScalars) -> tuple[AnyPoints2, AnyPoints2, AnyScalars, AnyScalars]:
         """Point, right normal, speed |dM/ds| and turn rate d(heading)/ds (to the right) of the reference line."""
         x, slope, bend = self.main_line(s)
         speed = np.sqrt(1 + slope * slope)
@@ -143,11 +140,11 @@ class RoadPlan:
             bend / (speed * speed),
         )
 
-    def _main_plan(self, s: Values, t: Values | float) -> Points2:
+    def _main_plan(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints2:
         point, normal, _, _ = self._main_frame(s)
         return point + np.asarray(t)[..., None] * normal
 
-    def stations_along(self, road: RoadName, s_world: float, lengths_m: Values) -> Values:
+    def stations_along(self, road: RoadName, s_world: float, lengths_m: AnyScalars) -> AnyScalars:
         """World stations at the given lengths of a road ahead of `s_world`, measured along its reference line; sorted
         lengths, negative behind it."""
         if lengths_m[0] < 0:
@@ -157,7 +154,9 @@ class RoadPlan:
             )
         return self._along(road, s_world, lengths_m)
 
-    def _along(self, road: RoadName, s_world: float, lengths_m: Values, sign: int = 1, reach: float = 1.05) -> Values:
+    def _along(
+        self, road: RoadName, s_world: float, lengths_m: AnyScalars, sign: int = 1, reach: float = 1.05
+    ) -> AnyScalars:
         """World stations at lengths ahead of `s_world`, or behind it with the sign -1."""
         grid = s_world + sign * np.linspace(0, reach * lengths_m[-1], 8 * int(lengths_m[-1]) + 9)
         middle = self.plan_station((grid[1:] + grid[:-1]) / 2)
@@ -172,7 +171,7 @@ class RoadPlan:
 
     # -- the exit in the plan
 
-    def _q_polynomial(self, s: Values) -> tuple[Values, Values]:
+    def _q_polynomial(self, s: AnyScalars) -> tuple[AnyScalars, AnyScalars]:
         road = self.road
         slope = np.tan(road.exit_angle_rad)
         return s * slope + road.exit_offset_m * (s / 60) ** 2, slope + road.exit_offset_m * s / 1800
@@ -186,7 +185,7 @@ class RoadPlan:
         folded = np.flatnonzero(speed - turn * displaced < MIN_STRETCH * speed)
         return float(s[folded[0]]) if folded.size else S_END_M
 
-    def opening(self, s: Values) -> Values:
+    def opening(self, s: AnyScalars) -> AnyScalars:
         """q(s): how far the exit lanes have moved away from the main road, along the main road's normal."""
         inside = np.clip(s, 0, self.exit_end_m)
         q, dq = self._q_polynomial(inside)
@@ -214,7 +213,7 @@ class RoadPlan:
         start = self.station_where_open(self.width_m + 2 * self.shoulder_m)
         return start if start <= S_END_M else None
 
-    def ramp(self, s: Values) -> Values:
+    def ramp(self, s: AnyScalars) -> AnyScalars:
         """Height of the exit above the terrain."""
         if self.ramp_start_m is None:
             return np.zeros(np.shape(s))
@@ -234,7 +233,7 @@ class RoadPlan:
         pieces = int(np.ceil(np.sqrt(6 * self.road.ramp_height_m / (8 * RAMP_SAG_M))))
         return self.ramp_start_m + self._ramp_length_m * np.linspace(0, 1, max(pieces, 1) + 1)
 
-    def _exit_frame(self, s: Values) -> tuple[Points2, Points2, Points2]:
+    def _exit_frame(self, s: AnyScalars) -> tuple[AnyPoints2, AnyPoints2, AnyPoints2]:
         """Point, derivative by station and right normal of the exit's reference line, for s >= 0."""
         inside = np.clip(s, 0, self.exit_end_m)
         point, normal, speed, turn = self._main_frame(inside)
@@ -245,28 +244,28 @@ class RoadPlan:
         right = np.stack([step[..., 1], -step[..., 0]], -1) / np.linalg.norm(step, axis=-1, keepdims=True)
         return point + displaced[..., None] * normal + (s - inside)[..., None] * step, step, right
 
-    def _exit_plan(self, s: Values, t: Values | float) -> Points2:
+    def _exit_plan(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints2:
         point, _, right = self._exit_frame(s)
         return point + np.asarray(t)[..., None] * right
 
     # -- points in the world
 
-    def main_xy(self, s: Values, t: Values | float) -> Points2:
+    def main_xy(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints2:
         """World (x, y) at plan station s and plan offset t of the main road."""
         return self._main_plan(s, t) * self.flips
 
-    def exit_xy(self, s: Values, t: Values | float) -> Points2:
+    def exit_xy(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints2:
         """World (x, y) at plan station s >= 0 and plan offset t of the exit."""
         return self._exit_plan(s, t) * self.flips
 
-    def lift(self, xy_world: Points2, above_m: Values | float = 0.0) -> Points3:
+    def lift(self, xy_world: AnyPoints2, above_m: AnyScalars | float = 0.0) -> AnyPoints3:
         """3D points on the terrain, or `above_m` over it."""
         z = ground.height_at(self.terrain, xy_world) + above_m
         return np.concatenate([xy_world, np.asarray(z)[..., None]], -1)
 
     # -- from the world back to stations
 
-    def project_main(self, xy_world: Points2) -> tuple[Values, Values]:
+    def project_main(self, xy_world: AnyPoints2) -> tuple[AnyScalars, AnyScalars]:
         """Plan (s, t) of world points near the main road (Newton's method on the perpendicular foot)."""
         xy = xy_world * self.flips
         s = xy[..., 1].copy()
@@ -279,7 +278,7 @@ class RoadPlan:
         point, normal, _, _ = self._main_frame(s)
         return s, ((xy - point) * normal).sum(-1)
 
-    def project_exit(self, xy_world: Points2, s: Values) -> tuple[Values, Values]:
+    def project_exit(self, xy_world: AnyPoints2, s: AnyScalars) -> tuple[AnyScalars, AnyScalars]:
         """Plan (s, t) of world points near the exit, from an initial guess of s; the resulting s may be negative."""
         xy = xy_world * self.flips
         for _ in range(NEWTON_STEPS):

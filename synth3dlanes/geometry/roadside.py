@@ -7,8 +7,9 @@ rail, fewer rows and posts far from the host.
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
+from synth3dlanes.arrays import Points2, Points3, Scalars
 from synth3dlanes.geometry.beside import beside
 from synth3dlanes.geometry.buildings import building_body, building_frame
 from synth3dlanes.geometry.crossings import DAM_M, DAM_SLOPE, crossing_body, crossing_frame, crossing_span
@@ -17,10 +18,6 @@ from synth3dlanes.geometry.posts import lamp_heads_of, post_body, post_frames
 from synth3dlanes.geometry.rails import WALKWAY_M, rail_body
 from synth3dlanes.geometry.solids import Body
 from synth3dlanes.scene import Building, Crossing, Rail, Roadside
-
-Values = Float[np.ndarray, " n"]
-Points2 = Float[np.ndarray, "n 2"]
-Points3 = Float[np.ndarray, "n 3"]
 
 
 def bodies(ground: Ground, roadside: Roadside) -> list[Body]:
@@ -47,7 +44,7 @@ class Footprints:
 
     starts: Points2
     ends: Points2
-    radii_m: Values
+    radii_m: Scalars
 
     def clear(self, xy_world: Points2, room_m: float) -> Bool[np.ndarray, " n"]:
         """Which points are at least `room_m` from all of them."""

@@ -7,13 +7,13 @@ Along the road all of it stays inside the lanes, at least CLEAR_M from every lin
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.meshes import Mesh, facing_up
 from synth3dlanes.geometry.paint import towards_eye
 from synth3dlanes.scene import Markings, Road
 from synth3dlanes.streams import Streams
 
-Values = Float[np.ndarray, " n"]
 # A line on the road: plan station, offset and width of each of its points.
 Trace = Float[np.ndarray, "_ 3"]
 
@@ -92,13 +92,13 @@ def inside_lane(road: Road, lane: int, share: float) -> float:
     return (lane + 0.5 - road.n_lanes / 2) * road.lane_width_m + (share - 0.5) * free_m
 
 
-def _wander(along: Values, rng: np.random.Generator) -> Values:
+def _wander(along: Scalars, rng: np.random.Generator) -> Scalars:
     knots = np.arange(along[0], along[-1] + 2 * KNOT_M, KNOT_M)
     slow = np.interp(along, knots, rng.normal(0, WANDER_M, len(knots)))
     return slow + rng.normal(0, JITTER_M, len(along))
 
 
-def _widths(along: Values, rng: np.random.Generator) -> Values:
+def _widths(along: Scalars, rng: np.random.Generator) -> Scalars:
     return rng.uniform(*TAR_WIDTH_M) * rng.uniform(0.6, 1.4, len(along))
 
 

@@ -15,7 +15,7 @@ BLUE, GREEN, BROWN, ORANGE = (0.01, 0.07, 0.33), (0.005, 0.15, 0.07), (0.14, 0.0
 
 
 @dataclass(frozen=True, eq=False)
-class Layer:
+class Patch:
     """A convex shape of one colour; later layers are in front of earlier ones."""
 
     outline: Outline
@@ -47,47 +47,51 @@ def _arrow(x: float, y: float, size_m: float, turn_rad: float) -> list[Outline]:
     return [shape @ np.array([[c, -s], [s, c]]) + [x, y] for shape in (shaft, head)]
 
 
-def board(width_m: float, height_m: float, color: Color, variant: int) -> tuple[Layer, ...]:
+def board(width_m: float, height_m: float, color: Color, variant: int) -> tuple[Patch, ...]:
     """A guide board: a border, lines of text as bars, and an arrow; `variant` changes their lengths and direction (1 up
     to the left, 2 up to the right)."""
     w, h, ink = width_m, height_m, WHITE if sum(color) < 1 else BLACK
     turn = (np.pi, -np.pi / 4, np.pi / 4, 0.0)[variant % 4]
     layers = [
-        Layer(_rectangle(w, h), ink),
-        Layer(_rectangle(w - 0.08, h - 0.08), color),
-        *(Layer(shape, ink) for shape in _arrow(-0.36 * w, -0.05 * h, 0.45 * h, turn)),
+        Patch(_rectangle(w, h), ink),
+        Patch(_rectangle(w - 0.08, h - 0.08), color),
+        *(Patch(shape, ink) for shape in _arrow(-0.36 * w, -0.05 * h, 0.45 * h, turn)),
     ]
     for line in range(2 if h < 1.6 else 3):
         long_m = w * (0.56, 0.38, 0.48, 0.3, 0.52)[(2 * line + variant) % 5]
-        layers.append(Layer(_rectangle(long_m, 0.13 * h, -0.2 * w + long_m / 2, (0.28 - 0.27 * line) * h), ink))
+        layers.append(Patch(_rectangle(long_m, 0.13 * h, -0.2 * w + long_m / 2, (0.28 - 0.27 * line) * h), ink))
     return tuple(layers)
 
 
-def _ringed(fill: Color, *ink: Outline) -> tuple[Layer, ...]:
+def _ringed(fill: Color, *ink: Outline) -> tuple[Patch, ...]:
     """A round sign with a red ring."""
-    return (Layer(_disc(16, 0.38), RED), Layer(_disc(16, 0.29), fill), *(Layer(shape, BLACK) for shape in ink))
+    return (
+        Patch(_disc(16, 0.38), RED),
+        Patch(_disc(16, 0.29), fill),
+        *(Patch(shape, BLACK) for shape in ink),
+    )
 
 
-FACES: tuple[tuple[Layer, ...], ...] = (
+FACES: tuple[tuple[Patch, ...], ...] = (
     _ringed(WHITE, _rectangle(0.13, 0.26, -0.1), _rectangle(0.13, 0.26, 0.1)),
-    (Layer(_disc(3, 0.56), RED), Layer(_disc(3, 0.38), WHITE), Layer(_rectangle(0.08, 0.26, 0, -0.02), BLACK)),
-    (Layer(_disc(4, 0.6), BLACK), Layer(_disc(4, 0.57), YELLOW), *(Layer(s, BLACK) for s in _arrow(0, 0, 0.6, 0.5))),
-    (Layer(_rectangle(0.6, 0.75), BLACK), Layer(_rectangle(0.57, 0.72), WHITE),
-     Layer(_rectangle(0.36, 0.09, 0, 0.22), BLACK),
-     Layer(_rectangle(0.15, 0.28, -0.1, -0.1), BLACK), Layer(_rectangle(0.15, 0.28, 0.1, -0.1), BLACK)),
-    (Layer(_disc(16, 0.38), BLUE), *(Layer(s, WHITE) for s in _arrow(0, 0, 0.55, 0.0))),
-    (Layer(_disc(8, 0.42, 0.5), WHITE), Layer(_disc(8, 0.39, 0.5), RED), Layer(_rectangle(0.5, 0.16), WHITE)),
-    (Layer(_rectangle(0.75, 0.75), WHITE), Layer(_rectangle(0.7, 0.7), BLUE),
-     Layer(_rectangle(0.2, 0.42, 0, -0.02), WHITE)),
+    (Patch(_disc(3, 0.56), RED), Patch(_disc(3, 0.38), WHITE), Patch(_rectangle(0.08, 0.26, 0, -0.02), BLACK)),
+    (Patch(_disc(4, 0.6), BLACK), Patch(_disc(4, 0.57), YELLOW), *(Patch(s, BLACK) for s in _arrow(0, 0, 0.6, 0.5))),
+    (Patch(_rectangle(0.6, 0.75), BLACK), Patch(_rectangle(0.57, 0.72), WHITE),
+     Patch(_rectangle(0.36, 0.09, 0, 0.22), BLACK),
+     Patch(_rectangle(0.15, 0.28, -0.1, -0.1), BLACK), Patch(_rectangle(0.15, 0.28, 0.1, -0.1), BLACK)),
+    (Patch(_disc(16, 0.38), BLUE), *(Patch(s, WHITE) for s in _arrow(0, 0, 0.55, 0.0))),
+    (Patch(_disc(8, 0.42, 0.5), WHITE), Patch(_disc(8, 0.39, 0.5), RED), Patch(_rectangle(0.5, 0.16), WHITE)),
+    (Patch(_rectangle(0.75, 0.75), WHITE), Patch(_rectangle(0.7, 0.7), BLUE),
+     Patch(_rectangle(0.2, 0.42, 0, -0.02), WHITE)),
     board(2.4, 1.5, GREEN, 1),
     board(3.2, 2.0, BLUE, 2),
     board(1.8, 1.0, WHITE, 3),
     board(1.8, 1.3, BROWN, 4),
-    (Layer(_rectangle(0.9, 0.9), ORANGE), *(Layer(s, BLACK) for s in _arrow(0, 0, 0.7, -np.pi / 2))),
+    (Patch(_rectangle(0.9, 0.9), ORANGE), *(Patch(s, BLACK) for s in _arrow(0, 0, 0.7, -np.pi / 2))),
     board(2.4, 1.5, GREEN, 2),
     board(3.2, 2.0, BLUE, 1),
-    (Layer(_rectangle(0.9, 0.9), ORANGE), *(Layer(s, BLACK) for s in _arrow(0, 0, 0.7, np.pi / 2))),
-    (Layer(_disc(4, 0.6), BLACK), Layer(_disc(4, 0.57), YELLOW), *(Layer(s, BLACK) for s in _arrow(0, 0, 0.6, -0.5))),
+    (Patch(_rectangle(0.9, 0.9), ORANGE), *(Patch(s, BLACK) for s in _arrow(0, 0, 0.7, np.pi / 2))),
+    (Patch(_disc(4, 0.6), BLACK), Patch(_disc(4, 0.57), YELLOW), *(Patch(s, BLACK) for s in _arrow(0, 0, 0.6, -0.5))),
 )  # fmt: skip
 assert len(FACES) == N_SIGN_FACES
 

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-Points3 = Float[np.ndarray, "n 3"]
-Corners = Float[np.ndarray, "f 4 3"]
+from synth3dlanes.arrays import Points3
+
+QuadCorners = Float[np.ndarray, "f 4 3"]
 
 # The semantic names of a body's faces; `Body.surface` numbers them.
 SURFACES = ("barrier", "pole", "sign", "bridge", "building", "kerb")
@@ -26,7 +27,7 @@ class Body:
     the points where it stands on the ground."""
 
     kind: str
-    corners_world: Corners
+    corners_world: QuadCorners
     colors: Float[np.ndarray, "f 4"]
     surface: Int[np.ndarray, " f"]
     feet_world: Points3
@@ -37,19 +38,24 @@ class Quads:
 
     def __init__(self, kind: str, surface: str) -> None:
         self.kind, self.default = kind, surface
-        self.corners: list[Corners] = []
+        self.corners: list[QuadCorners] = []
         self.colors: list[Float[np.ndarray, "f 4"]] = []
         self.surfaces: list[Int[np.ndarray, " f"]] = []
         self.feet: list[Points3] = []
 
-    def add(self, corners: Corners, color: Sequence[float], surface: str = "") -> None:
+    def add(self, corners: QuadCorners, color: Sequence[float], surface: str = "") -> None:
         """Quads of one colour."""
         self.corners.append(corners)
         self.colors.append(np.tile(np.array(_glossy(color), dtype=float), (len(corners), 1)))
         self.surfaces.append(np.full(len(corners), SURFACES.index(surface or self.default)))
 
     def box(
-        self, frame: "Frame", low: Sequence[float], high: Sequence[float], color: Sequence[float], surface: str = ""
+        self,
+        frame: "GroundFrame",
+        low: Sequence[float],
+        high: Sequence[float],
+        color: Sequence[float],
+        surface: str = "",
     ) -> None:
         """A box between two corners of a frame."""
         (x0, y0, z0), (x1, y1, z1) = low, high
@@ -88,7 +94,7 @@ class Quads:
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class GroundFrame:
     """A place on the ground: x to the right as the host drives, y forward, z up; `outward` is 1 where the road lies on
     the left of it, and -1 where it lies on the right."""
 

@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.lanes import path_of_segment
 from synth3dlanes.geometry.meshes import Mesh, facing_up
@@ -21,7 +22,6 @@ from synth3dlanes.scene import Symbol
 from synth3dlanes.schema import SymbolKind
 
 Polygon = Float[np.ndarray, "_ 2"]
-Values = Float[np.ndarray, " n"]
 
 # Arrows of 5 m, as painted where traffic is slow: all of them are stretched along the road.
 STRAIGHT = np.array(
@@ -56,7 +56,7 @@ AROUND_M = np.arange(-10.0, 10.01, 0.25)
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class SymbolShape:
     """A symbol's painted polygons and its outline in its own frame, the places of that frame in the world, and the size
     of COLUMN_M in it."""
 
@@ -66,7 +66,7 @@ class Shape:
     column: float
 
 
-def shape(ground: Ground, symbol: Symbol) -> Shape:
+def shape(ground: Ground, symbol: Symbol) -> SymbolShape:
     """The shape of a symbol on its road."""
     if symbol.kind == "gore":
         return _gore(ground, symbol)
@@ -75,7 +75,7 @@ def shape(ground: Ground, symbol: Symbol) -> Shape:
     if symbol.kind not in ARROWS:
         (x0, y0), (x1, y1) = np.min(polygons, axis=(0, 1)), np.max(polygons, axis=(0, 1))
         outline = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
-    return Shape(polygons, _dense(outline, OUTLINE_STEP_M), _along_road(ground.plan, symbol), COLUMN_M)
+    return SymbolShape(polygons, _dense(outline, OUTLINE_STEP_M), _along_road(ground.plan, symbol), COLUMN_M)
 
 
 def symbol_mesh(ground: Ground, symbol: Symbol, eye_world: Float[np.ndarray, "3"]) -> Mesh:
@@ -123,7 +123,7 @@ def _along_road(plan: RoadPlan, symbol: Symbol) -> Callable[[Polygon], Float[np.
     path = None if symbol.lane is None else path_of_segment(plan, symbol.lane)
     on_exit = symbol.lane is not None and symbol.lane.startswith("exit")
 
-    def xy_world(s: Values, aside_m: Values | float) -> Polygon:
+    def xy_world(s: Scalars, aside_m: Scalars | float) -> Polygon:
         t = aside_m * plan.flips[0]
         if path is None:
             return plan.main_xy(s, np.broadcast_to(t, s.shape))
@@ -141,7 +141,7 @@ def _along_road(plan: RoadPlan, symbol: Symbol) -> Callable[[Polygon], Float[np.
     return points_world
 
 
-def _gore(ground: Ground, symbol: Symbol) -> Shape:
+def _gore(ground: Ground, symbol: Symbol) -> SymbolShape:
     """Chevrons that point at the nose."""
     plan = ground.plan
     start_m = float(symbol.s_m * plan.flips[1])
@@ -149,7 +149,7 @@ def _gore(ground: Ground, symbol: Symbol) -> Shape:
     end_m = room[1] if room else start_m
     s = np.arange(start_m, max(end_m, start_m + 1.0), OUTLINE_STEP_M)
 
-    def width_m(s: Values) -> Values:
+    def width_m(s: Scalars) -> Scalars:
         return np.maximum(plan.opening(s) - plan.width_m, 0.01)
 
     def points_world(places: Polygon) -> Float[np.ndarray, "_ 3"]:
@@ -167,7 +167,7 @@ def _gore(ground: Ground, symbol: Symbol) -> Shape:
         for side in (i, 1 - i)
     ]
     outline = np.concatenate([np.column_stack([0 * s, s]), np.column_stack([0 * s + 1, s])[::-1]])
-    return Shape(polygons, outline, points_world, COLUMN_M / float(width_m(s).max()))
+    return SymbolShape(polygons, outline, points_world, COLUMN_M / float(width_m(s).max()))
 
 
 def _quads(polygon: Polygon, column: float) -> Float[np.ndarray, "k 4 2"]:

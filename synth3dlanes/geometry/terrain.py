@@ -1,15 +1,12 @@
 """The terrain: a sum of Gaussians with analytic height and gradient (paper, section 'Terrain 3D'). World frame."""
 
 import numpy as np
-from jaxtyping import Float
 
+from synth3dlanes.arrays import AnyPoints2, AnyScalars
 from synth3dlanes.scene import Gaussian, Terrain
 
-Values = Float[np.ndarray, "*n"]
-Points2 = Float[np.ndarray, "*n 2"]
 
-
-def height_at(terrain: Terrain, xy_world: Points2) -> Values:
+def height_at(terrain: Terrain, xy_world: AnyPoints2) -> AnyScalars:
     """Terrain height in metres: sum of magnitude * exp(-1/2 r' S^-1 r) with rotated axes."""
     z = np.zeros(xy_world.shape[:-1])
     for gaussian in terrain.gaussians:
@@ -19,7 +16,7 @@ def height_at(terrain: Terrain, xy_world: Points2) -> Values:
     return z
 
 
-def gradient_at(terrain: Terrain, xy_world: Points2) -> Points2:
+def gradient_at(terrain: Terrain, xy_world: AnyPoints2) -> AnyPoints2:
     """(dz/dx, dz/dy) of the terrain."""
     gradient = np.zeros(xy_world.shape)
     for gaussian in terrain.gaussians:
@@ -31,7 +28,7 @@ def gradient_at(terrain: Terrain, xy_world: Points2) -> Points2:
     return gradient
 
 
-def _local(gaussian: Gaussian, xy_world: Points2) -> tuple[list[list[float]], float, Values, Values]:
+def _local(gaussian: Gaussian, xy_world: AnyPoints2) -> tuple[list[list[float]], float, AnyScalars, AnyScalars]:
     cos, sin = np.cos(gaussian.orientation_rad), np.sin(gaussian.orientation_rad)
     p, q = 1 / gaussian.sd_m[0] ** 2, 1 / gaussian.sd_m[1] ** 2
     a, b, c = cos * cos * p + sin * sin * q, cos * sin * (p - q), sin * sin * p + cos * cos * q

@@ -16,7 +16,7 @@ from synth3dlanes.imaging.sky import (
     HORIZON,
     LUMINANCE,
     Dome,
-    Rgb,
+    LinearRgb,
     clear_sky,
     cloud_cover,
     cloudy_sky,
@@ -50,7 +50,7 @@ class Daylight:
     film curve: the exposure times (reference / actual daylight) ** metering.
     """
 
-    sun: Rgb
+    sun: LinearRgb
     softness: float
     sky: Float[np.ndarray, "3 H W"]
     airlight: Float[np.ndarray, "3 W"]
@@ -89,7 +89,7 @@ def daylight(scene: Scene, eye_height_m: float) -> Daylight:
     return Daylight(sun, float(hidden), dome, SUN_STRENGTH * airlight, film)
 
 
-def _level(sun: Rgb, sun_zenith_rad: float, upper: Dome) -> float:
+def _level(sun: LinearRgb, sun_zenith_rad: float, upper: Dome) -> float:
     """Luminance of the daylight: the mean of the irradiance on level ground and on walls."""
     ground = sun * np.cos(sun_zenith_rad) + irradiance(upper)
     walls = sun * np.sin(sun_zenith_rad) / np.pi + integral(upper, np.cos(ELEVATION_RAD[HORIZON:]) / np.pi)
@@ -102,7 +102,7 @@ def _reference_level() -> float:
     return _level(SUN_STRENGTH * sun_color(REFERENCE_SUN), REFERENCE_SUN.sun_zenith_rad, SUN_STRENGTH * sky)
 
 
-def _ground(lit: Rgb, airlight: Float[np.ndarray, "3 w"], per_m: float, height_m: float) -> Dome:
+def _ground(lit: LinearRgb, airlight: Float[np.ndarray, "3 w"], per_m: float, height_m: float) -> Dome:
     """The lower half of the dome: the plain beyond the terrain mesh, seen through haze from `height_m`."""
     left = np.exp(-per_m * height_m / np.sin(-ELEVATION_RAD[:HORIZON]))[:, None]
     return np.asarray(left * (GROUND_ALBEDO * lit / np.pi)[:, None, None] + (1 - left) * airlight[:, None])

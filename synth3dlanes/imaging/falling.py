@@ -11,6 +11,7 @@ from jaxtyping import Float
 from PIL import Image as Pillow
 from PIL import ImageDraw
 
+from synth3dlanes.arrays import LinearImage
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.imaging.lens import points_away
 from synth3dlanes.scene import Scene
@@ -27,10 +28,8 @@ FARTHEST_SPRAY_M = 80.0
 OVERSAMPLED = 2
 NEAREST_M = 1.7  # beyond the host's bonnet
 
-Image = Float[np.ndarray, "h w 3"]
 
-
-class Kind(NamedTuple):
+class Precipitation(NamedTuple):
     """What falls: how many at full strength for 480 x 360 pixels, how fast, how large, how opaque, and up to where."""
 
     n: int
@@ -40,18 +39,18 @@ class Kind(NamedTuple):
     farthest_m: float
 
 
-RAIN = Kind(2600, 7.5, (0.0015, 0.004), 0.45, 14.0)
-SNOW = Kind(4000, 1.2, (0.005, 0.014), 0.9, 22.0)
+RAIN = Precipitation(2600, 7.5, (0.0015, 0.004), 0.45, 14.0)
+SNOW = Precipitation(4000, 1.2, (0.005, 0.014), 0.9, 22.0)
 
 
 def add_falling(
-    linear: Image,
+    linear: LinearImage,
     depth_m: Float[np.ndarray, "h w"],
     scene: Scene,
     view: View,
     airlight: Float[np.ndarray, "3"],
     film: float,
-) -> Image:
+) -> LinearImage:
     """The picture with the scene's rain and snow in front of all that is not nearer; where they are follows from seed,
     split and index."""
     weather, rng = scene.weather, scene.picture_stream("falling")
@@ -66,7 +65,7 @@ def add_falling(
 
 
 def _streaks(
-    kind: Kind, strength: float, scene: Scene, view: View, rng: np.random.Generator
+    kind: Precipitation, strength: float, scene: Scene, view: View, rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
     """The share of each pixel that streaks cover, and 1 / distance squared of what covers it."""
     camera = view.camera
@@ -109,8 +108,8 @@ def _shrunk(layer: Pillow.Image) -> Float[np.ndarray, "h w"]:
 
 
 def add_spray(
-    linear: Image, depth_m: Float[np.ndarray, "h w"], scene: Scene, view: View, airlight: Float[np.ndarray, "3"]
-) -> Image:
+    linear: LinearImage, depth_m: Float[np.ndarray, "h w"], scene: Scene, view: View, airlight: Float[np.ndarray, "3"]
+) -> LinearImage:
     """The picture with the spray of the moving cars ahead in the rain; only what is behind the spray is seen through
     it."""
     height_px, width_px = depth_m.shape

@@ -4,6 +4,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
+from synth3dlanes.arrays import LinearImage
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.imaging.lens import cosines
@@ -24,11 +25,10 @@ SHRUNK = 4
 # A lamp's head: radius, and radiance.
 HEAD_M, HEAD_LIGHT = 0.15, 0.01
 
-Image = Float[np.ndarray, "h w 3"]
 Depth = Float[np.ndarray, "h w"]
 
 
-def add_sun_glare(linear: Image, depth_m: Depth, light: Light, daylight: Daylight, view: View) -> Image:
+def add_sun_glare(linear: LinearImage, depth_m: Depth, light: Light, daylight: Daylight, view: View) -> LinearImage:
     """The picture with the stray light of the sun, if it is ahead and not hidden, at full strength."""
     direction_cam = view.world_from_cam[:3, :3].T @ sun_direction(light)
     if direction_cam[1] < np.cos(np.radians(FARTHEST_DEG)) or not daylight.sun.any():
@@ -54,7 +54,7 @@ def _seen_share(depth_m: Depth, u: float, v: float) -> float:
     return float(np.isinf(around).mean())
 
 
-def _ghosts(view: View, u: float, v: float) -> Image:
+def _ghosts(view: View, u: float, v: float) -> LinearImage:
     """Discs of the sun's light, mirrored between the lens's glasses."""
     camera = view.camera
     total = np.zeros((camera.height_px, camera.width_px, 3), np.float32)
@@ -68,8 +68,8 @@ def _ghosts(view: View, u: float, v: float) -> Image:
 
 
 def add_lamp_heads(
-    linear: Image, depth_m: Depth, heads_world: Float[np.ndarray, "n 3"], view: View, film: float
-) -> Image:
+    linear: LinearImage, depth_m: Depth, heads_world: Float[np.ndarray, "n 3"], view: View, film: float
+) -> LinearImage:
     """The picture with the bright heads of lit street lamps, where nothing nearer hides them."""
     heads_cam = transform(invert(view.world_from_cam), heads_world)
     heads_cam = heads_cam[heads_cam[:, 1] > 2]
@@ -91,7 +91,7 @@ def add_lamp_heads(
     return linear
 
 
-def add_glow(linear: Image) -> Image:
+def add_glow(linear: LinearImage) -> LinearImage:
     """The picture with the glow around its bright spots, at full strength."""
     height_px, width_px = linear.shape[:2]
     excess = np.clip(linear - GLOWS_FROM, 0, BRIGHTEST)

@@ -5,7 +5,8 @@ The glass is no object of the scene: masks and passes are those of clear glass.
 
 import numpy as np
 import scipy
-from jaxtyping import Float
+
+from synth3dlanes.arrays import LinearImage
 
 # Drops at full strength, their radii as shares of the image's height, and how much smaller than the picture the upside
 # down view in a drop is.
@@ -13,10 +14,8 @@ N_DROPS, RADII, SMALLER = 90, (0.006, 0.03), 9.0
 # Dirt: grids of smooth noise, the share of light that the dirtiest glass takes, and that of the mean picture it adds.
 DIRT_GRIDS, TAKEN, SCATTERED = ((5, 7), (17, 23), (60, 80)), 0.45, 0.12
 
-Image = Float[np.ndarray, "h w 3"]
 
-
-def add_drops(linear: Image, strength: float, rng: np.random.Generator) -> Image:
+def add_drops(linear: LinearImage, strength: float, rng: np.random.Generator) -> LinearImage:
     """The picture through a glass with drops of water."""
     height_px, width_px = linear.shape[:2]
     blurred = scipy.ndimage.gaussian_filter(linear, (height_px / 180, height_px / 180, 0))
@@ -45,7 +44,7 @@ def add_drops(linear: Image, strength: float, rng: np.random.Generator) -> Image
     return out
 
 
-def add_dirt(linear: Image, strength: float, rng: np.random.Generator) -> Image:
+def add_dirt(linear: LinearImage, strength: float, rng: np.random.Generator) -> LinearImage:
     """The picture through a dusty, smeared glass."""
     shape = linear.shape[:2]
     noise = np.zeros(shape, np.float32)

@@ -6,6 +6,7 @@ Applies to linear radiance, before the tone curve.
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.arrays import LinearImage
 from synth3dlanes.imaging.lens import azimuths, cosines
 from synth3dlanes.imaging.sky import AZIMUTH_RAD
 from synth3dlanes.world import View
@@ -15,8 +16,6 @@ HAZE_LAYER_M = 400.0  # height of the haze layer
 WAVELENGTHS_NM = np.array([680.0, 550.0, 440.0])
 GREEN_NM = 550.0
 
-Image = Float[np.ndarray, "h w 3"]
-
 
 def seen_through_haze(visibility_m: float, up: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     """The share of the sky's light that passes the haze layer at elevations with the sine `up`."""
@@ -24,12 +23,12 @@ def seen_through_haze(visibility_m: float, up: Float[np.ndarray, "*n"]) -> Float
 
 
 def through_air(
-    radiance: Image,
+    radiance: LinearImage,
     haze: Float[np.ndarray, "h w 2"],
     visibility_m: float,
     airlight: Float[np.ndarray, "3 W"],
     view: View,
-) -> Image:
+) -> LinearImage:
     """The radiance that arrives at the camera, per channel: attenuated by the haze, plus airlight.
 
     `haze` is the layer of that name (see `Layers`). The sky's radiance already includes its haze. Where the sky is

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import Matrix4
+from synth3dlanes.arrays import Matrix4
 from synth3dlanes.geometry.camera import rays, rays_of_pixels
 from synth3dlanes.scene import Camera
 

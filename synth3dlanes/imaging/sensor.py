@@ -4,6 +4,7 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float
 
+from synth3dlanes.arrays import LinearImage
 from synth3dlanes.geometry.camera import project
 from synth3dlanes.imaging.film import MIDDLE_GRAY, levels_per_radiance
 from synth3dlanes.imaging.lens import points
@@ -18,18 +19,16 @@ READ_SHARE = 0.1
 # a road in headlights. And how much it amplifies at most, three stops.
 METERED_MEAN, MOST_GAIN = 0.02, 8.0
 
-Image = Float[np.ndarray, "h w 3"]
 
-
-def gain(linear: Image, is_seen: Bool[np.ndarray, "h w"], metering: float) -> float:
+def gain(linear: LinearImage, is_seen: Bool[np.ndarray, "h w"], metering: float) -> float:
     """The amplification of a dark picture, from 1 to MOST_GAIN, by a camera that meters (see `Light`)."""
     mean = float(np.clip(linear[is_seen], 0, 1).mean()) if is_seen.any() else 1.0
     return float(np.clip(METERED_MEAN / max(mean, 1e-9), 1, MOST_GAIN) ** metering)
 
 
 def motion_blur(
-    linear: Image, depth_m: Float[np.ndarray, "h w"], camera: Camera, driven_cam: Float[np.ndarray, "3"]
-) -> Image:
+    linear: LinearImage, depth_m: Float[np.ndarray, "h w"], camera: Camera, driven_cam: Float[np.ndarray, "3"]
+) -> LinearImage:
     """The mean picture over an exposure during which the camera moves by `driven_cam`, half before the labels' instant
     and half after it. Each pixel averages along its own motion; pixels with infinite depth are unchanged."""
     v, u = np.nonzero(np.isfinite(depth_m))
@@ -53,7 +52,7 @@ def motion_blur(
     return blurred
 
 
-def add_noise(linear: Image, levels: float, rng: np.random.Generator, amplified: float = 1.0) -> Image:
+def add_noise(linear: LinearImage, levels: float, rng: np.random.Generator, amplified: float = 1.0) -> LinearImage:
     """The picture with noise whose standard deviation is `levels` (of 255) at middle gray: photon noise, whose variance
     grows with the light, plus constant read-out noise; both were `amplified` with the light."""
     at_gray = levels / levels_per_radiance(MIDDLE_GRAY)

@@ -23,21 +23,22 @@ CLOUD_ALBEDO = 0.75
 DUSK_PER_DEG, DUSK_TINT, BLUE_DEG, SET_DEG = 0.42, np.array([0.55, 0.95, 1.1], np.float32), 2.5, 0.53
 # Skyglow over lit land: radiance at the horizon, and its share at the zenith. Clouds return GLOW_OF_CLOUDS times more.
 GLOW, GLOW_AT_ZENITH, GLOW_OF_CLOUDS = np.array([3.2e-7, 2.5e-7, 1.9e-7]), 0.25, 4.0
+# The weights of red, green and blue in the luminance of linear light (ITU-R BT.709).
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 ELEVATION_RAD = (np.pi * ((np.arange(SKY_SHAPE[0]) + 0.5) / SKY_SHAPE[0] - 0.5)).astype(np.float32)
 AZIMUTH_RAD = np.pi - 2 * np.pi * (np.arange(SKY_SHAPE[1]) + 0.5) / SKY_SHAPE[1]
 
-Rgb = Float[np.ndarray, "3"]
+LinearRgb = Float[np.ndarray, "3"]
 Dome = Float[np.ndarray, "3 h w"]
 
 
-def sun_direction(light: Light) -> Rgb:
+def sun_direction(light: Light) -> LinearRgb:
     """Unit vector towards the sun, world frame."""
     zenith, azimuth = light.sun_zenith_rad, light.sun_azimuth_rad
     return np.array([np.sin(zenith) * np.cos(azimuth), np.sin(zenith) * np.sin(azimuth), np.cos(zenith)])
 
 
-def sun_color(light: Light) -> Rgb:
+def sun_color(light: Light) -> LinearRgb:
     """The sun's irradiance after the atmosphere, as a share of that outside it."""
     table = _sky_table()
     at_sun = _weights(table["sun_zenith_rad"], np.array([light.sun_zenith_rad]))[0]
@@ -50,7 +51,7 @@ def _below_deg(light: Light) -> float:
     return max(float(np.degrees(light.sun_zenith_rad)) - 90, 0.0)
 
 
-def dusk(light: Light) -> Rgb:
+def dusk(light: Light) -> LinearRgb:
     """The share of the horizon's-sun sky that is left; 1 by day."""
     below_deg = _below_deg(light)
     return np.asarray(DUSK_PER_DEG**below_deg * DUSK_TINT ** min(below_deg / BLUE_DEG, 2.0), np.float32)
@@ -98,12 +99,12 @@ def overcast_dome(elevation_rad: Float[np.ndarray, "..."] | float) -> Float[np.n
     return np.asarray(9 / (7 * np.pi) * (1 + 2 * np.sin(elevation_rad)) / 3)
 
 
-def irradiance(upper: Dome) -> Rgb:
+def irradiance(upper: Dome) -> LinearRgb:
     """Irradiance on level ground from an upper hemisphere of radiance."""
     return integral(upper, np.sin(ELEVATION_RAD[HORIZON:]))
 
 
-def integral(upper: Dome, weight: Float[np.ndarray, " h"]) -> Rgb:
+def integral(upper: Dome, weight: Float[np.ndarray, " h"]) -> LinearRgb:
     """The integral of an upper hemisphere over solid angle, each row multiplied by its weight."""
     solid_angle = np.cos(ELEVATION_RAD[HORIZON:]) * np.pi / SKY_SHAPE[0] * 2 * np.pi
     return np.asarray(upper.mean(axis=2) @ (weight * solid_angle))

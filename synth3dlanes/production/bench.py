@@ -46,7 +46,7 @@ class Quality:
 
 
 @dataclass(frozen=True)
-class Naive:
+class DefaultTiming:
     """Seconds of a worker for an image by Blender's defaults, at our samples and at `samples`."""
 
     seconds_same_samples: float
@@ -73,7 +73,7 @@ class Bench:
     peak_memory_mib: float
     memory_mib: list[float]
     quality: Quality | None = None
-    naive: Naive | None = None
+    naive: DefaultTiming | None = None
 
     def document(self) -> dict[str, Any]:
         """As JSON."""
@@ -81,7 +81,7 @@ class Bench:
 
 
 @dataclass(frozen=True)
-class Timed:
+class SampleTiming:
     """One sample's times and the memory of its worker after it. `ended` is on the machine's monotonic clock."""
 
     worker: int
@@ -144,7 +144,7 @@ def measure_quality(recipe: Recipe, notify: Callable[[str], None], samples: int 
     return Quality(psnr_db, ssims)
 
 
-def measure_naive(recipe: Recipe, notify: Callable[[str], None]) -> Naive:
+def measure_naive(recipe: Recipe, notify: Callable[[str], None]) -> DefaultTiming:
     """Time scenes of the same split the naive way, in one worker pinned like the others."""
     seconds: dict[int, list[float]] = {recipe.settings.samples: [], NAIVE_SAMPLES: []}
     with Pool(1, SLOW) as pool:
@@ -152,10 +152,10 @@ def measure_naive(recipe: Recipe, notify: Callable[[str], None]) -> Naive:
             for samples, times in seconds.items():
                 notify(f"naively: scene {index + 1} of {NAIVE_SCENES} at {samples} samples")
                 times.append(_one(pool, time_naive, recipe, index, samples))
-    return Naive(mean(seconds[recipe.settings.samples]), NAIVE_SAMPLES, mean(seconds[NAIVE_SAMPLES]))
+    return DefaultTiming(mean(seconds[recipe.settings.samples]), NAIVE_SAMPLES, mean(seconds[NAIVE_SAMPLES]))
 
 
-def time_sample(recipe: Recipe, shard: Shard, index: int) -> Timed:
+def time_sample(recipe: Recipe, shard: Shard, index: int) -> SampleTiming:
     """In a worker: make and write a sample, watching Cycles."""
     # Loaded here, as in `generate`: only workers carry Blender.
     from synth3dlanes.blender.cycles_timing import cycles_stages
@@ -170,7 +170,7 @@ def time_sample(recipe: Recipe, shard: Shard, index: int) -> Timed:
     stages |= {"sync": inside["sync"], "bvh": inside["bvh"], "path tracing": inside["tracing"]}
     stages["call"] = cycles - inside["sync"] - inside["bvh"] - inside["tracing"]
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-    return Timed(os.getpid(), time.monotonic(), core_seconds, stages, psutil.Process().memory_info().rss, peak)
+    return SampleTiming(os.getpid(), time.monotonic(), core_seconds, stages, psutil.Process().memory_info().rss, peak)
 
 
 def time_denoiser(recipe: Recipe) -> float:
@@ -215,8 +215,8 @@ def ssim(image: UInt8[np.ndarray, "h w 3"], truth: UInt8[np.ndarray, "h w 3"]) -
     )
 
 
-class StoredNaive(BaseModel):
-    """What is compared of a stored `Naive`."""
+class StoredDefaultTiming(BaseModel):
+    """What is compared of a stored `DefaultTiming`."""
 
     seconds_same_samples: PositiveFloat
     seconds: PositiveFloat
@@ -229,7 +229,7 @@ class StoredBench(BaseModel):
     seconds_per_image: PositiveFloat
     floor_seconds_per_image: PositiveFloat
     stages: dict[str, float]
-    naive: StoredNaive | None = None
+    naive: StoredDefaultTiming | None = None
 
 
 def read_bench(path: Path) -> StoredBench:
@@ -250,17 +250,19 @@ def compare(now: Bench, stored: StoredBench) -> list[tuple[str, float, float]]:
     return pairs
 
 
-def _time_samples(pool: Pool, recipe: Recipe, shard: Shard, n: int, notify: Callable[[str], None]) -> list[Timed]:
+def _time_samples(
+    pool: Pool, recipe: Recipe, shard: Shard, n: int, notify: Callable[[str], None]
+) -> list[SampleTiming]:
     """The last warm-up sample of every worker and the `n` samples that follow; all workers stay busy to the end."""
     indices, seen = count(), Counter[int]()
-    timed: dict[int, Timed] = {}
-    warm: list[Timed] = []
+    timed: dict[int, SampleTiming] = {}
+    warm: list[SampleTiming] = []
     while len(warm) < pool.n + n:
         while pool.busy < pool.n:
             index = next(indices)
             pool.start(index, time_sample, recipe, shard, index)
         for outcome in pool.wait(1.0):
-            sample: Timed = outcome.result("bench")
+            sample: SampleTiming = outcome.result("bench")
             seen[sample.worker] += 1
             if warm or (len(seen) == pool.n and min(seen.values()) >= WARM_UP):
                 warm = warm or [other for worker, other in timed.items() if worker != sample.worker]
@@ -273,7 +275,7 @@ def _time_samples(pool: Pool, recipe: Recipe, shard: Shard, n: int, notify: Call
     return warm[: pool.n + n]
 
 
-def _seconds_between(timed: list[Timed]) -> float:
+def _seconds_between(timed: list[SampleTiming]) -> float:
     """Mean time from one end of a sample to the next of the same worker, so that what lies between them counts."""
     ends: dict[int, list[float]] = {}
     for sample in timed:
@@ -281,7 +283,7 @@ def _seconds_between(timed: list[Timed]) -> float:
     return sum(max(times) - min(times) for times in ends.values()) / (len(timed) - len(ends))
 
 
-def _memory_mib(timed: list[Timed]) -> Float[np.ndarray, " n"]:
+def _memory_mib(timed: list[SampleTiming]) -> Float[np.ndarray, " n"]:
     """Resident memory of the first worker after each of its samples."""
     return np.array([sample.rss_bytes / 2**20 for sample in timed if sample.worker == timed[0].worker])
 

@@ -29,7 +29,7 @@ from synth3dlanes.production.forecast import forecast, patience_s
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import make_part, scene_json
 from synth3dlanes.production.room import Room, is_full
-from synth3dlanes.production.tally import Tally
+from synth3dlanes.production.tally import RunTally
 from synth3dlanes.production.workers import Limits, Outcome, Pool
 
 MAX_FAILURES, MAX_KILLS, MAX_IN_A_ROW = 3, 20, 10
@@ -38,7 +38,7 @@ POLL_S = 0.5
 FILES_OF_A_SHARD = 4
 
 
-def make_here(plan: Plan, tally: Tally) -> None:
+def make_here(plan: Plan, tally: RunTally) -> None:
     """Make what a plan's destination lacks; of a store, one shard after the other.
 
     Raises DiskFullError where there is no room to begin, LinkError where a link lies in the way.
@@ -65,7 +65,7 @@ def make_here(plan: Plan, tally: Tally) -> None:
             tally.problem = str(error)
 
 
-def _make_for_store(plan: Plan, number: int, n: int, missing: list[int], tally: Tally, patience: Patience) -> None:
+def _make_for_store(plan: Plan, number: int, n: int, missing: list[int], tally: RunTally, patience: Patience) -> None:
     """Make what a store lacks of the samples below `n` of a shard; of another part's, put what is made already."""
     is_ours = number in plan.shards()
     try:
@@ -86,7 +86,7 @@ def _make_for_store(plan: Plan, number: int, n: int, missing: list[int], tally: 
 class _Run:
     """The making of some shards in the data set at `root`: what is to do, what has failed how often."""
 
-    def __init__(self, plan: Plan, root: Path, shards: dict[int, Shard], tally: Tally) -> None:
+    def __init__(self, plan: Plan, root: Path, shards: dict[int, Shard], tally: RunTally) -> None:
         self.plan, self.root, self.tally = plan, root, tally
         self.shards = {number: shard.claimed() for number, shard in shards.items()}
         missing = {number: shard.missing(plan.n) for number, shard in self.shards.items()}

@@ -13,7 +13,7 @@ from synth3dlanes.dataset.write import Shard
 from synth3dlanes.errors import InputError
 from synth3dlanes.production.devices import WorkerSlots, n_cores, resolve_device
 from synth3dlanes.production.forecast import Forecast, forecast
-from synth3dlanes.production.recipe import Made, Recipe, make_sample
+from synth3dlanes.production.recipe import PackedSample, Recipe, make_sample
 from synth3dlanes.production.workers import Limits
 from synth3dlanes.sampling.traffic import check_way
 from synth3dlanes.settings import MAX_SAMPLES, SPLIT_NAME
@@ -37,7 +37,7 @@ class Plan:
     limits: Limits | None = None
     slots: WorkerSlots = field(default_factory=WorkerSlots)
     shard_size: int = SHARD_SIZE
-    maker: Callable[[Recipe, int], Made] = make_sample
+    maker: Callable[[Recipe, int], PackedSample] = make_sample
 
     def __post_init__(self) -> None:
         (part, parts), split = self.part, self.recipe.scenes.split
@@ -100,9 +100,8 @@ class Plan:
     def expected(self, n_workers: int = 0) -> Forecast:
         """What the missing samples will take. Raises InputError where another recipe's samples are there, and
         DiskFullError where a folder's disk has too little room."""
-        # Before anything else is read there. The device of a cluster is known on the cluster.
-        if self.recipe.settings.device != "auto":
-            self.destination.check_recipe(self.description(), self.recipe.scenes.split, self.n)
+        # Before anything else is read there.
+        self.destination.check_recipe(self.description(), self.recipe.scenes.split, self.n)
         missing = self.n_missing()
         found = forecast(self.recipe, missing, max(1, min(n_workers or self.workers or n_cores(), missing)))
         if not self.destination.is_store:

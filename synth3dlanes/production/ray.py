@@ -21,7 +21,7 @@ from synth3dlanes.production.local import make_here
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import make_sample
 from synth3dlanes.production.signals import stopping_on_signals
-from synth3dlanes.production.tally import GRACE_S, Tally
+from synth3dlanes.production.tally import GRACE_S, RunTally
 
 try:
     import ray
@@ -42,20 +42,20 @@ POLL_S = 1.0
 BOARD_S, IDLE_S = 5.0, 10.0
 BEGUN = "begun"
 
-Post = tuple[str, str, dict[str, Any]]
+BoardMessage = tuple[str, str, dict[str, Any]]
 
 
 class Board:
     """Where tasks post what happens, for the driver to take. An actor on the driver's own node."""
 
     def __init__(self) -> None:
-        self.posts: list[Post] = []
+        self.posts: list[BoardMessage] = []
 
     def post(self, kind: str, message: str, details: dict[str, Any]) -> None:
         """Add an event."""
         self.posts.append((kind, message, details))
 
-    def take(self) -> list[Post]:
+    def take(self) -> list[BoardMessage]:
         """All events since the last time."""
         posts, self.posts = self.posts, []
         return posts
@@ -104,13 +104,13 @@ def make_shard(plan: Plan, board: Any) -> str:
                 if time.monotonic() > until:
                     raise
                 time.sleep(POLL_S)
-        tally = Tally(plan.n_asked(), [], post)
+        tally = RunTally(plan.n_asked(), [], post)
         with stopping_on_signals(tally.interrupt):
             make_here(plan, tally)
     return tally.problem
 
 
-def make_on_ray(plan: Plan, tally: Tally) -> None:
+def make_on_ray(plan: Plan, tally: RunTally) -> None:
     """Make what a plan's destination lacks; a folder must be shared by all nodes."""
     patience = Patience(LIMIT_S, tally.tell, lambda: tally.is_stopping)
     try:
@@ -128,7 +128,7 @@ def make_on_ray(plan: Plan, tally: Tally) -> None:
 class _Tasks:
     """The tasks of a run under way: which shard each makes, and which have begun."""
 
-    def __init__(self, plan: Plan, tally: Tally, todo: list[int]) -> None:
+    def __init__(self, plan: Plan, tally: RunTally, todo: list[int]) -> None:
         self.plan, self.tally = plan, tally
         self.cluster = Cluster()
         here = NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=False)
@@ -172,7 +172,7 @@ class _Tasks:
         """Tell what tasks have posted. Without the board, which Ray starts again where it can, there is only less to
         tell."""
         try:
-            posts: list[Post] = ray.get(self.board.take.remote(), timeout=BOARD_S)
+            posts: list[BoardMessage] = ray.get(self.board.take.remote(), timeout=BOARD_S)
         except ray.exceptions.RayError:
             return
         for kind, message, details in posts:

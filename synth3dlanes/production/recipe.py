@@ -95,7 +95,7 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Made:
+class PackedSample:
     """A sample's members by name, and seconds by stage."""
 
     members: dict[str, bytes]
@@ -112,23 +112,23 @@ def require_blender() -> None:
         )
 
 
-def make_sample(recipe: Recipe, index: int) -> Made:
+def make_sample(recipe: Recipe, index: int) -> PackedSample:
     """Draw, label, render and encode sample `index`."""
     start = time.perf_counter()
     world = recipe.world(index)
     seconds = time.perf_counter() - start
     made = make_image(world, recipe.settings, recipe.image_format, recipe.library)
-    return Made(made.members, {"sample": seconds, **made.timings})
+    return PackedSample(made.members, {"sample": seconds, **made.timings})
 
 
-def make_image(world: World, settings: RenderSettings, image_format: str, library: Library) -> Made:
+def make_image(world: World, settings: RenderSettings, image_format: str, library: Library) -> PackedSample:
     """Take a world's picture and encode it with its labels."""
     shot = take_picture(world, settings, library)
     start = time.perf_counter()
     text = scene_module.to_json(world.scene)
     quality = world.scene.sensor.jpeg_quality
     members = encode(shot.image, shot.labels, text, shot.passes, image_format, quality, shot.sweep)
-    return Made(members, {**shot.timings, "encode": time.perf_counter() - start})
+    return PackedSample(members, {**shot.timings, "encode": time.perf_counter() - start})
 
 
 def take_picture(world: World, settings: RenderSettings, library: Library = BUILT_IN) -> Picture:
@@ -159,7 +159,7 @@ def _passes(world: World, view: View, layers: Layers, names: Sequence[str]) -> d
 
 
 def make_part(
-    maker: Callable[[Recipe, int], Made], recipe: Recipe, shard: Shard, index: int
+    maker: Callable[[Recipe, int], PackedSample], recipe: Recipe, shard: Shard, index: int
 ) -> dict[str, float | dict[str, float]]:
     """What a worker does: make one sample and keep it; returns its size and the seconds by stage."""
     start = time.perf_counter()

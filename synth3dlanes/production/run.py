@@ -14,7 +14,7 @@ from synth3dlanes.production.events import Event
 from synth3dlanes.production.local import make_here
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.signals import stopping_on_signals
-from synth3dlanes.production.tally import Report, Tally, log_name
+from synth3dlanes.production.tally import RunReport, RunTally, log_name
 
 Executor = Literal["local", "ray"]
 EXECUTORS: tuple[Executor, ...] = ("local", "ray")
@@ -22,7 +22,7 @@ EXECUTORS: tuple[Executor, ...] = ("local", "ray")
 
 def generate(
     plan: Plan, notify: Callable[[Event], None], executor: Executor = "local", address: str = "auto"
-) -> Report:
+) -> RunReport:
     """Make what is missing of a plan's samples; `notify` hears of everything that happens.
 
     `address` is that of the Ray cluster. Raises where the run cannot start: MissingPackageError without Blender or Ray,
@@ -42,10 +42,10 @@ def generate(
 def _run(
     plan: Plan,
     notify: Callable[[Event], None],
-    make: Callable[[Plan, Tally], None],
+    make: Callable[[Plan, RunTally], None],
     n_workers: int,
     is_driver: bool = False,
-) -> Report:
+) -> RunReport:
     """Claim, make, report. `n_workers` are all that there are; a driver's are on other machines, and claim shards
     themselves."""
     destination, split = plan.destination, plan.recipe.scenes.split
@@ -54,7 +54,7 @@ def _run(
     with destination.claim(plan.description(), split, plan.n, plan.shards(), is_driver):
         missing = [index for indices in plan.missing().values() for index in indices]
         with destination.log(log_name(split)) as log:
-            tally = Tally(plan.n_asked(), missing, notify, log)
+            tally = RunTally(plan.n_asked(), missing, notify, log)
             device, names = plan.recipe.settings.device, plan.slots.names
             tally.tell(
                 "start", f"{plan.text()}; {expected.text()}", **vars(expected), device=device, device_names=names

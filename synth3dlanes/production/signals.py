@@ -12,7 +12,7 @@ from typing import Any
 STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-class Stopped(KeyboardInterrupt):
+class StopSignal(KeyboardInterrupt):
     """A signal asks to stop at once; `number` is its number."""
 
     def __init__(self, number: int = signal.SIGINT) -> None:
@@ -23,7 +23,7 @@ class Stopped(KeyboardInterrupt):
 def stop(number: int, _: FrameType | None = None) -> None:
     """A signal handler that raises Stopped."""
     leave_closed_terminal(number)
-    raise Stopped(number)
+    raise StopSignal(number)
 
 
 def handle(handler: Callable[[int, FrameType | None], None] | signal.Handlers) -> dict[int, Any]:

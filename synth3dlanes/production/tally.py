@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-from synth3dlanes.dataset.destination import Log
+from synth3dlanes.dataset.destination import RunLog
 from synth3dlanes.production.events import Event, duration
 
 # How long the samples at hand may take once a run is to stop.
@@ -18,7 +18,7 @@ GRACE_S = 20.0
 
 
 @dataclass(frozen=True)
-class Report:
+class RunReport:
     """What a run has done: samples made by it, samples there are now of those asked for, and what went wrong.
     `restarts` counts workers that were replaced for a fault, `stop_signal` is the number of the signal that ended the
     run, 0 for none."""
@@ -48,7 +48,7 @@ class Report:
         return 128 + self.stop_signal if self.stop_signal else 0
 
 
-class Tally:
+class RunTally:
     """Counts what happens in a run by its events, tells `notify` of each, and writes it to the log.
 
     `missing` are the indices of the samples that are to be made, of the `asked` ones. Whoever makes samples calls
@@ -56,7 +56,7 @@ class Tally:
     """
 
     def __init__(
-        self, asked: int, missing: Iterable[int], notify: Callable[[Event], None], log: Log | None = None
+        self, asked: int, missing: Iterable[int], notify: Callable[[Event], None], log: RunLog | None = None
     ) -> None:
         self.asked, self.missing = asked, set(missing)
         self.problem, self.stop_signal, self.stop_by = "", 0, math.inf
@@ -102,9 +102,9 @@ class Tally:
         self.missing = set(missing)
         self._made = set(self._missing_before - self.missing)
 
-    def report(self) -> Report:
+    def report(self) -> RunReport:
         """What has been done until now."""
-        return Report(
+        return RunReport(
             len(self._made),
             self.asked - len(self.missing),
             self.asked,

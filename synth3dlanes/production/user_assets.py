@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from synth3dlanes.assets.catalogue import BUILT_IN, Library
-from synth3dlanes.assets.folder import Checked
+from synth3dlanes.assets.folder import FolderCheck
 from synth3dlanes.errors import InputError
 from synth3dlanes.production.recipe import require_blender
 from synth3dlanes.production.workers import Limits, call
@@ -23,11 +23,11 @@ def open_library(folder: Path | None) -> tuple[Library, tuple[str, ...]]:
     return Library(str(folder.resolve()), checked.assets), checked.warnings
 
 
-def check_assets(folder: Path) -> Checked:
+def check_assets(folder: Path) -> FolderCheck:
     """Look through a folder; raise InputError where there is none, WorkerError where Blender crashes over it."""
     if not folder.is_dir():
         raise InputError(f"assets {folder}: expected a folder, found none")
-    checked: Checked = _in_blender(_check, folder)
+    checked: FolderCheck = _in_blender(_check, folder)
     return checked
 
 
@@ -46,7 +46,7 @@ def _in_blender(function: Callable[[Path], Any], folder: Path) -> Any:
 # Blender's modules are loaded in the worker: this process stays without.
 
 
-def _check(folder: Path) -> Checked:
+def _check(folder: Path) -> FolderCheck:
     from synth3dlanes.blender.check_assets import check_folder
 
     return check_folder(folder)

@@ -1,4 +1,4 @@
-"""Draws of parameters from named random streams, a number each; near those of a given scene with `Like`."""
+"""Draws of parameters from named random streams, a number each; near those of a given scene with `Neighbourhood`."""
 
 import math
 from collections.abc import Callable
@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from synth3dlanes.distributions import Uniform, least
 from synth3dlanes.params import Group, Params
-from synth3dlanes.sampling.like import Drawn, Like, near
+from synth3dlanes.sampling.like import DrawKey, Neighbourhood, near
 from synth3dlanes.streams import stream
 
 # Numbers in a scene are rounded to a micrometre or microradian: readable, and equal on every machine.
@@ -20,7 +20,7 @@ DECIMALS = 6
 Numbers = TypeVar("Numbers", float, np.ndarray)
 
 
-def draws_of(params: Params, group: str, drawn: Drawn, like: Like | None, name: str = "") -> "Draw":
+def draws_of(params: Params, group: str, drawn: DrawKey, like: Neighbourhood | None, name: str = "") -> "Draw":
     """Draws of a group of parameters from the stream `name` of a scene (by default that of the group)."""
     of_group, name = getattr(params, group), name or group
     if like is None:

@@ -18,19 +18,19 @@ Share = Annotated[float, Field(ge=0, le=1)]
 
 
 # A scene's draw, on which its random numbers depend: seed, split and index.
-Drawn = tuple[
+DrawKey = tuple[
     Seed,
     Annotated[str, Field(pattern=f"^{SPLIT_NAME}$", max_length=200)],
     Annotated[int, Field(ge=0, lt=MAX_SAMPLES)],
 ]
 
 
-class Like(Group):
+class Neighbourhood(Group):
     """Scene i of a split is near scene i mod k of the k given ones, drawn from the same parameters. `spread` is the
     share of a parameter's range in which its value lies around the given one; `spreads` are those of single
     parameters, as `camera.pitch_deg`."""
 
-    scenes: Annotated[tuple[Drawn, ...], Field(min_length=1, max_length=MAX_SCENES)]
+    scenes: Annotated[tuple[DrawKey, ...], Field(min_length=1, max_length=MAX_SCENES)]
     spread: Share = SPREAD
     spreads: tuple[tuple[str, Share], ...] = ()
 
@@ -45,7 +45,7 @@ class Like(Group):
                 raise ValueError(f"{path}: expected a parameter such as camera.pitch_deg")
         return spreads
 
-    def given(self, index: int) -> Drawn:
+    def given(self, index: int) -> DrawKey:
         """The given scene that scene `index` is near."""
         return self.scenes[index % len(self.scenes)]
 
@@ -65,7 +65,7 @@ def near(u: Any, spread: float, moved: Any) -> Any:
     return np.clip(u - spread / 2, 0, 1 - spread) + spread * moved
 
 
-def read_like(scenes: Sequence[Drawn], texts: Sequence[str]) -> Like:
+def read_like(scenes: Sequence[DrawKey], texts: Sequence[str]) -> Neighbourhood:
     """Near these scenes, with spreads as `0.1` for all parameters or `camera.pitch_deg=0.3` for one; raise
     InputError."""
     spread: Any = SPREAD
@@ -77,6 +77,6 @@ def read_like(scenes: Sequence[Drawn], texts: Sequence[str]) -> Like:
         else:
             spread = number
     try:
-        return Like(scenes=tuple(scenes), spread=spread, spreads=tuple(spreads))
+        return Neighbourhood(scenes=tuple(scenes), spread=spread, spreads=tuple(spreads))
     except ValidationError as error:
         raise InputError(*(line.removeprefix(": ") for line in validation_problems(error, ""))) from None

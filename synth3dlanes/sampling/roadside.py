@@ -10,6 +10,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.beside import beside
 from synth3dlanes.geometry.buildings import building_frame
 from synth3dlanes.geometry.crossings import crossing_frame, crossing_span, dam_section
@@ -21,9 +22,8 @@ from synth3dlanes.labels import RoadName
 from synth3dlanes.scene import Building, Color, Crossing, Post, Rail, RailKind, RoadSide, Roadside
 from synth3dlanes.world import World
 
-Draw = Callable[[str], Any]
+DrawFunction = Callable[[str], Any]
 Rng = np.random.Generator
-Values = Float[np.ndarray, " n"]
 Place = Literal["left", "right", "inner"]
 
 DECIMALS, TRIES = 3, 30
@@ -75,7 +75,7 @@ class Edge(NamedTuple):
     high_m: float = np.inf
 
 
-def draw_roadside(world: World, draw: Draw, rng: Rng) -> Roadside:
+def draw_roadside(world: World, draw: DrawFunction, rng: Rng) -> Roadside:
     """All structures of one scene; those that find no room in a few tries are left out."""
     ground = world.ground
     kinds = {"left": draw("outer"), "right": draw("outer"), "inner": draw("inner")}
@@ -129,7 +129,7 @@ def _edges(ground: Ground, place: str) -> list[Edge]:
     return [Edge("main", "right", low_m=0.0), Edge("exit", "left", low_m=0.0)]
 
 
-def _stations(ground: Ground, edge: Edge) -> Values:
+def _stations(ground: Ground, edge: Edge) -> Scalars:
     """Plan stations a metre apart where an edge bounds its place, in the range of structures."""
     low, high = np.sort(ground.plan.plan_station(np.array(ground.range_m(AHEAD_M, BEHIND_M))))
     return np.arange(np.ceil(max(low, edge.low_m)), np.floor(min(high, edge.high_m)) + 0.5)
@@ -144,7 +144,7 @@ def _ahead(ground: Ground, rng: Rng, limits_m: tuple[float, float]) -> float:
     return round(float(ground.plan.plan_station(ground.near_m + away_m)[0]), DECIMALS)
 
 
-def _free(ground: Ground, edge: Edge, s: Values, aside_m: float) -> Bool[np.ndarray, " n"]:
+def _free(ground: Ground, edge: Edge, s: Scalars, aside_m: float) -> Bool[np.ndarray, " n"]:
     """At which stations a place `aside_m` outside an edge is as far from every other pavement."""
     return ground.clearance(beside(ground, edge.road, edge.side, s, aside_m)) > aside_m - 0.02
 
@@ -201,7 +201,7 @@ def _median_rail(ground: Ground, kind: str, heights_m: dict[str, float], color: 
     ]
 
 
-def _runs(s: Values, free: Bool[np.ndarray, " n"]) -> Iterator[tuple[float, float]]:
+def _runs(s: Scalars, free: Bool[np.ndarray, " n"]) -> Iterator[tuple[float, float]]:
     """The first and last stations of the free stretches that are long enough."""
     changes = np.flatnonzero(np.diff(np.concatenate([[False], free, [False]]).astype(int)))
     for first, end in zip(changes[::2], changes[1::2], strict=True):

@@ -45,7 +45,7 @@ def median_of(declared: Uniform | Choice[float], n_oncoming: int) -> Uniform | C
     return declared if declared.low >= MIN_MEDIAN_M else None
 
 
-class Rules:
+class ParameterRules:
     """The distributions that parameters have in a scene, by `group.key`."""
 
     def __init__(self, params: Params) -> None:

@@ -23,7 +23,7 @@ REACH_PX = 6
 MAX_PIXELS = 250_000
 
 
-class Part(NamedTuple):
+class ImagePart(NamedTuple):
     """A part of the image, as shares of its width or height, and the least number of borders in it for a verdict."""
 
     name: str
@@ -39,12 +39,12 @@ class Part(NamedTuple):
 MOVED, CLEARLY, BLANK = 1.25, 1.1, 0.9
 LEAST_OF_THING = 20
 ACROSS = (
-    Part("the image", 0, 1, 100),
-    Part("its left third", 0, 1 / 3, 250),
-    Part("its middle third", 1 / 3, 2 / 3, 250),
-    Part("its right third", 2 / 3, 1, 250),
+    ImagePart("the image", 0, 1, 100),
+    ImagePart("its left third", 0, 1 / 3, 250),
+    ImagePart("its middle third", 1 / 3, 2 / 3, 250),
+    ImagePart("its right third", 2 / 3, 1, 250),
 )
-DOWN = (Part("the image", 0, 1, 250),)
+DOWN = (ImagePart("the image", 0, 1, 250),)
 GROUND = [SEMANTIC_IDS[name] for name in ("terrain", "road", "shoulder", "marking", "symbol")]
 # After civil twilight edges beyond the headlights are not seen. Sine of the yaw from which on motion blur runs across
 # the image.
@@ -76,7 +76,7 @@ def _things(passes: Passes, of: tuple[slice, ...] | slice) -> Int[np.ndarray, "r
 
 
 def _judge(
-    luma: Float[np.ndarray, "r c"], things: Int[np.ndarray, "r c"], way: str, parts: tuple[Part, ...]
+    luma: Float[np.ndarray, "r c"], things: Int[np.ndarray, "r c"], way: str, parts: tuple[ImagePart, ...]
 ) -> Iterator[Finding]:
     """Findings along the rows."""
     steps = np.abs(np.diff(luma, axis=1))

@@ -19,7 +19,7 @@ DATA_SET = "data set"
 CHANCE, MIN_SAMPLES = 1e-4, 4
 
 
-class Test(NamedTuple):
+class MeanTest(NamedTuple):
     """The least mean that matters (metres, or a share), and the words of its finding: unit, expectation, direction of
     positive and negative means, possible causes."""
 
@@ -38,9 +38,9 @@ class Test(NamedTuple):
 _WIDTH = "lane width, lane offsets or focal length of images and labels differ"
 _SIDE = "principal point, columns of pixels or the host's place in its lane differ between images and labels"
 TESTS = {
-    "paint_outward_m": Test(0.002, "cm", "paint under its labels", "outward", "inward", _WIDTH),
-    "paint_right_m": Test(0.002, "cm", "paint under its labels", "to the right", "to the left", _SIDE),
-    "exit_opening": Test(
+    "paint_outward_m": MeanTest(0.002, "cm", "paint under its labels", "outward", "inward", _WIDTH),
+    "paint_right_m": MeanTest(0.002, "cm", "paint under its labels", "to the right", "to the left", _SIDE),
+    "exit_opening": MeanTest(
         0.002,
         "cm",
         "the exit's paint under its labels",
@@ -48,7 +48,7 @@ TESTS = {
         "a metre farther in",
         "the exit's angle or course in images and labels differs",
     ),
-    "surface_above_m": Test(
+    "surface_above_m": MeanTest(
         0.002,
         "cm",
         "the rendered road at its labels' height",
@@ -56,11 +56,13 @@ TESTS = {
         "below",
         "depth, camera height, pitch or focal length of passes and labels differ",
     ),
-    "focal_length": Test(
+    "focal_length": MeanTest(
         0.002, "%", "the labels' focal length", "more", "less", "focal lengths of passes and labels differ"
     ),
-    "depth_scale": Test(0.002, "%", "depth in the labels' metres", "more", "less", "scales of depth and labels differ"),
-    "relief": Test(
+    "depth_scale": MeanTest(
+        0.002, "%", "depth in the labels' metres", "more", "less", "scales of depth and labels differ"
+    ),
+    "relief": MeanTest(
         0.003,
         "%",
         "the labels' hills",
@@ -68,16 +70,16 @@ TESTS = {
         "lower ones",
         "heights of the terrain in passes and labels differ",
     ),
-    "ramp": Test(
+    "ramp": MeanTest(
         0.02, "%", "the labels' ramp", "a higher one", "a lower one", "heights of the ramp in passes and labels differ"
     ),
-    "image_outward_m": Test(0.006, "cm", "paint in the image under its labels", "outward", "inward", _WIDTH),
-    "image_right_m": Test(0.006, "cm", "paint in the image under its labels", "to the right", "to the left", _SIDE),
+    "image_outward_m": MeanTest(0.006, "cm", "paint in the image under its labels", "outward", "inward", _WIDTH),
+    "image_right_m": MeanTest(0.006, "cm", "paint in the image under its labels", "to the right", "to the left", _SIDE),
 }
 
 
 @dataclass
-class Mean:
+class RunningMean:
     """A running mean and the sum of squared deviations from it (Welford's algorithm)."""
 
     n: int = 0
@@ -114,7 +116,7 @@ class Mean:
         return {"n": self.n, **numbers, "least": least, "fails": self.fails(least)}
 
 
-def judge(means: Mapping[str, Mean]) -> Iterator[Problem]:
+def judge(means: Mapping[str, RunningMean]) -> Iterator[Problem]:
     """A problem of the data set for each test that fails."""
     for name, test in TESTS.items():
         if name in means and means[name].fails(test.least):

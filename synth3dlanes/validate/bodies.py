@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import ConvexHull
 
+from synth3dlanes.arrays import Points2
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.bonnet import bonnet
 from synth3dlanes.labels import CameraLabel
@@ -32,8 +33,6 @@ CORE_SIDES, CORE_HEIGHT = ((-0.7, -0.7), (0.7, 0.2)), (0.38, 0.5)
 BONNET_CORE = ((-0.6, 0.35, -0.3), (0.6, 1.3, -0.16))
 BONNET = ((-0.78, 0.02, -0.4), (0.78, 1.6, 0.02))
 
-Pixels = Float[np.ndarray, "n 2"]
-
 
 def corners_world(world: World, car: int) -> Float[np.ndarray, "8 3"]:
     """The corners of a car's bounding box."""
@@ -45,7 +44,7 @@ def corners_world(world: World, car: int) -> Float[np.ndarray, "8 3"]:
     return transform(world.view.world_from_cars[car], corners * item.scale)
 
 
-def may_show_cars(world: World, camera: CameraLabel, uv: Pixels, within_m: float) -> Bool[np.ndarray, " n"]:
+def may_show_cars(world: World, camera: CameraLabel, uv: Points2, within_m: float) -> Bool[np.ndarray, " n"]:
     """Which pixels a car or its shadow may cover, counting only those that begin within `within_m` ahead, or the host's
     bonnet."""
     hidden = np.zeros(len(uv), dtype=bool)
@@ -64,7 +63,7 @@ def ahead(points_cam: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
     return np.concatenate([front, (front[:, None] + share * (back - front[:, None])).reshape(-1, 3)])
 
 
-def covers(outline: Float[np.ndarray, "k 2"], uv: Pixels, room_px: float) -> Bool[np.ndarray, " n"]:
+def covers(outline: Float[np.ndarray, "k 2"], uv: Points2, room_px: float) -> Bool[np.ndarray, " n"]:
     """Which pixels are inside the convex hull of an outline or at most so far beside it; none without an area."""
     covered = np.zeros(len(uv), dtype=bool)
     outline = outline[np.isfinite(outline).all(axis=1)]

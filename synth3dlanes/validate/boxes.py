@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from synth3dlanes.arrays import Points3
 from synth3dlanes.frames import from_axes, transform
 from synth3dlanes.geometry.terrain import height_at
 from synth3dlanes.labels import RoadName
@@ -36,7 +37,6 @@ REACH_M, CROSSING_M, DAM_SLOPE = 160.0, 4.0, 1.5
 # A gable's height over half a house's width, and eaves.
 GABLE, EAVES_M = 0.9, 0.8
 
-Points = Float[np.ndarray, "n 3"]
 Corners = Float[np.ndarray, "k 3"]
 
 
@@ -48,14 +48,14 @@ class Boxes(NamedTuple):
     high: Corners
 
 
-class Owned(NamedTuple):
+class StructureBoxes(NamedTuple):
     """Boxes and the number of the structure that each belongs to."""
 
     boxes: Boxes
     owners: Int[np.ndarray, " k"]
 
 
-def meet(boxes: Boxes, eye_world: Float[np.ndarray, "3"], points_world: Points) -> Bool[np.ndarray, " n"]:
+def meet(boxes: Boxes, eye_world: Float[np.ndarray, "3"], points_world: Points3) -> Bool[np.ndarray, " n"]:
     """Which straight lines from the eye to the points meet any of the boxes."""
     rotations, origins = boxes.world_from_boxes[:, :3, :3], boxes.world_from_boxes[:, None, :3, 3]
     eyes, ends = (eye_world - origins) @ rotations, (points_world - origins) @ rotations
@@ -67,7 +67,7 @@ def meet(boxes: Boxes, eye_world: Float[np.ndarray, "3"], points_world: Points) 
     return np.asarray((enters <= leaves).any(axis=0))
 
 
-def inside(owned: Owned, points_world: Points, owners: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+def inside(owned: StructureBoxes, points_world: Points3, owners: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Which points are in a box of their structure, -1 for any structure."""
     found = np.zeros(len(points_world), dtype=bool)
     for pose, low, high, owner in zip(*owned.boxes, owned.owners.tolist(), strict=True):
@@ -77,7 +77,7 @@ def inside(owned: Owned, points_world: Points, owners: Int[np.ndarray, " n"]) ->
     return found
 
 
-def structure_boxes(world: World) -> Owned:
+def structure_boxes(world: World) -> StructureBoxes:
     """The boxes of all structures."""
     roadside = world.scene.roadside
     found = [
@@ -89,10 +89,10 @@ def structure_boxes(world: World) -> Owned:
     boxes = [box for of_one in found for box in of_one]
     poses = np.array([pose for pose, _, _ in boxes]).reshape(-1, 4, 4)
     low, high = (np.array([box[i] for box in boxes]).reshape(-1, 3) for i in (1, 2))
-    return Owned(Boxes(poses, low, high), np.repeat(np.arange(len(found)), [len(of_one) for of_one in found]))
+    return StructureBoxes(Boxes(poses, low, high), np.repeat(np.arange(len(found)), [len(of_one) for of_one in found]))
 
 
-Box = tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "3"], Float[np.ndarray, "3"]]
+PosedBox = tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "3"], Float[np.ndarray, "3"]]
 
 
 def beside_world(
@@ -113,7 +113,7 @@ def _level(xy: Float[np.ndarray, "2"], forward: Float[np.ndarray, "2"]) -> Float
     return from_axes(np.array([fy, -fx, 0]), np.array([fx, fy, 0]), np.array([0, 0, 1.0]), np.array([*xy, 0.0]))
 
 
-def _rail(world: World, rail: Rail) -> list[Box]:
+def _rail(world: World, rail: Rail) -> list[PosedBox]:
     plan = world.plan
     behind_m, half_m, over_m = RAILS_M[rail.kind]
     s = np.linspace(rail.from_m, rail.to_m, 2 + int((rail.to_m - rail.from_m) / PIECE_M))
@@ -138,7 +138,7 @@ def _rail(world: World, rail: Rail) -> list[Box]:
     return boxes
 
 
-def _post(world: World, post: Post) -> Box:
+def _post(world: World, post: Post) -> PosedBox:
     plan, s = world.plan, np.array([post.s_m, post.s_m + 0.5])
     half_m, over_m = POSTS_M[post.kind]
     foot, ahead = beside_world(world, post.road, post.side, s, post.aside_m)
@@ -148,7 +148,7 @@ def _post(world: World, post: Post) -> Box:
     return _level(foot, ahead - foot), low, high
 
 
-def _crossing(world: World, crossing: Crossing) -> list[Box]:
+def _crossing(world: World, crossing: Crossing) -> list[PosedBox]:
     """What is over the road, and all that may stand beside it."""
     plan, ground = world.plan, world.ground
     s = np.array([crossing.s_m, crossing.s_m + 0.5])
@@ -183,7 +183,7 @@ def _crossing(world: World, crossing: Crossing) -> list[Box]:
     ]
 
 
-def _building(world: World, building: Building) -> Box:
+def _building(world: World, building: Building) -> PosedBox:
     forward = np.array([-np.sin(building.yaw_rad), np.cos(building.yaw_rad)])
     pose = _level(np.array([building.x_m, building.y_m]), forward)
     half = np.array([building.width_m / 2 + EAVES_M, building.length_m / 2 + EAVES_M])

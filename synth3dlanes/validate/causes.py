@@ -15,7 +15,8 @@ from scipy.ndimage import affine_transform, distance_transform_edt, uniform_filt
 
 from synth3dlanes.imaging.film import response
 from synth3dlanes.validate.findings import some
-from synth3dlanes.validate.likeness import LUMA, Layer, Pixels, Wrong
+from synth3dlanes.validate.likeness import ErrorMap, LayerPair, Raster
+from synth3dlanes.validate.pixels import luma
 
 # A cause leaves at most this share of what is wrong; a later one must fit so much better; after one that leaves so
 # small a share of all differences, no smaller region is tried.
@@ -31,8 +32,8 @@ STEPS_M = (0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0)
 LIGHT = np.concatenate([[0.0], np.geomspace(1e-4, 20, 500)])
 LEVELS = 255 * response(LIGHT)
 
-Values = Shaped[np.ndarray, "n *c"]
-Fit = Callable[[Values, Values, dict[int, str]], Iterator[tuple[str, Values]]]
+PixelValues = Shaped[np.ndarray, "n *c"]
+Fit = Callable[[PixelValues, PixelValues, dict[int, str]], Iterator[tuple[str, PixelValues]]]
 
 
 class Region(NamedTuple):
@@ -50,7 +51,7 @@ class Cause(NamedTuple):
     is_explained: bool
 
 
-def likely_cause(layer: Layer, wrong: Wrong) -> Cause:
+def likely_cause(layer: LayerPair, wrong: ErrorMap) -> Cause:
     """The guess that explains best what is wrong."""
     total = float(wrong.sum())
     found, at = "", _near(wrong > 0)
@@ -68,7 +69,7 @@ def likely_cause(layer: Layer, wrong: Wrong) -> Cause:
     return Cause(found, True) if found else Cause(_place(layer, wrong), False)
 
 
-def _guesses(layer: Layer, region: Region) -> Iterator[tuple[str, Pixels]]:
+def _guesses(layer: LayerPair, region: Region) -> Iterator[tuple[str, Raster]]:
     """What the layer would be, in words."""
     made, lies = layer.made[region.mask], layer.lies[region.mask]
     fit = FITS[layer.name.rpartition(" ")[2]]
@@ -91,7 +92,7 @@ def _near(mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     return np.asarray(uniform_filter(mask.astype(np.float32), NEAR_PX) > 1e-3)
 
 
-def _regions(layer: Layer, wrong: Wrong) -> Iterator[Region]:
+def _regions(layer: LayerPair, wrong: ErrorMap) -> Iterator[Region]:
     """All, the halves, the wrong objects of each kind, all that is wrong."""
     height, width = wrong.shape
     row, column = np.mgrid[:height, :width]
@@ -107,7 +108,7 @@ def _regions(layer: Layer, wrong: Wrong) -> Iterator[Region]:
     yield Region(THERE, wrong > 0)
 
 
-def _objects(layer: Layer, wrong: Wrong) -> Iterator[Region]:
+def _objects(layer: LayerPair, wrong: ErrorMap) -> Iterator[Region]:
     """Of each kind, as cars, those objects that are wrong."""
     both, twice = np.stack([layer.shown, layer.also]), np.stack([wrong > 0, wrong > 0])
     areas = np.bincount(both.ravel())
@@ -123,7 +124,7 @@ def _objects(layer: Layer, wrong: Wrong) -> Iterator[Region]:
             yield Region(f" at {told}", np.isin(both, those).any(axis=0), is_objects=True)
 
 
-def _place(layer: Layer, wrong: Wrong) -> str:
+def _place(layer: LayerPair, wrong: ErrorMap) -> str:
     """Which objects alone differ; "" if not these alone."""
     total = wrong.sum()
     for region in sorted(_objects(layer, wrong), key=lambda region: region.mask.sum()):
@@ -135,7 +136,7 @@ def _place(layer: Layer, wrong: Wrong) -> str:
     return ""
 
 
-def _moved(layer: Layer, region: Region) -> Iterator[tuple[str, Pixels]]:
+def _moved(layer: LayerPair, region: Region) -> Iterator[tuple[str, Raster]]:
     """The layer mirrored or enlarged, and by the whole pixels that fit best."""
     made, lies, mask = layer.made, layer.lies, region.mask
     if not region.words:
@@ -155,7 +156,7 @@ def _moved(layer: Layer, region: Region) -> Iterator[tuple[str, Pixels]]:
         yield f"moved {_way(*shift)}", np.roll(made, shift, (0, 1))
 
 
-def _unlike(a: Values, b: Values) -> float:
+def _unlike(a: PixelValues, b: PixelValues) -> float:
     """How much two layers differ; a pixel that sees nothing counts as any other that is far off."""
     with np.errstate(invalid="ignore"):
         differ = np.abs(a.astype(np.float32) - b.astype(np.float32))
@@ -167,7 +168,7 @@ def _way(down: int, right: int) -> str:
     return ", ".join([*words, *([f"{abs(down)} px {'down' if down > 0 else 'up'}"] if down else [])])
 
 
-def _enlarged(made: Pixels, factor: float) -> Pixels:
+def _enlarged(made: Raster, factor: float) -> Raster:
     middle = (np.array(made.shape[:2]) - 1) / 2
     order = 1 if made.ndim == 3 else 0
     matrix, offset = np.array([1 / factor, 1 / factor]), middle - middle / factor
@@ -176,18 +177,18 @@ def _enlarged(made: Pixels, factor: float) -> Pixels:
     return np.stack(moved, axis=-1).reshape(made.shape)
 
 
-def _erased(made: Pixels, mask: Bool[np.ndarray, "h w"]) -> Pixels:
+def _erased(made: Raster, mask: Bool[np.ndarray, "h w"]) -> Raster:
     """With the nearest pixels outside instead; rendered edges of an object are partly its own."""
     edge = uniform_filter(mask.astype(np.float32), 3) > 0.05
     row, column = distance_transform_edt(edge, return_distances=False, return_indices=True)
     return np.asarray(made[row, column])
 
 
-def _wide(mask: Bool[np.ndarray, "h w"], of: Pixels) -> Bool[np.ndarray, "h w *d"]:
+def _wide(mask: Bool[np.ndarray, "h w"], of: Raster) -> Bool[np.ndarray, "h w *d"]:
     return mask if of.ndim == mask.ndim else mask[..., None]
 
 
-def _of_colours(made: Values, lies: Values, _: dict[int, str]) -> Iterator[tuple[str, Values]]:
+def _of_colours(made: PixelValues, lies: PixelValues, _: dict[int, str]) -> Iterator[tuple[str, PixelValues]]:
     p, q = made.astype(np.float32), lies.astype(np.float32)
     colour = np.median(q, axis=0)
     if np.median(np.abs(q - colour)) < FLAT:
@@ -201,7 +202,7 @@ def _of_colours(made: Values, lies: Values, _: dict[int, str]) -> Iterator[tuple
         if moved:
             said = f"{moved[0]} and {moved[1]} exchanged" if len(moved) == 2 else "red, green and blue in another order"
             yield said, made[:, order]
-    gray_p, gray_q = (values @ LUMA for values in (p, q))
+    gray_p, gray_q = (luma(values) for values in (p, q))
     chroma_p, chroma_q = p - gray_p[:, None], q - gray_q[:, None]
     share = _ratio(chroma_p, chroma_q)
     said = "gray: without its colours" if abs(share) < 0.05 else f"saturation x {share:.2f}"
@@ -221,7 +222,7 @@ def _of_colours(made: Values, lies: Values, _: dict[int, str]) -> Iterator[tuple
         yield f"contrast x {slope:.2f}", q.mean() + slope * (p - p.mean())
 
 
-def _hue(made: Values, lies: Values) -> tuple[str, Values]:
+def _hue(made: PixelValues, lies: PixelValues) -> tuple[str, PixelValues]:
     """All hues turned by the angle that fits best."""
     pictures = (Image.fromarray(values[None].astype(np.uint8)) for values in (made, lies))
     hsv_p, hsv_q = (np.array(picture.convert("HSV"))[0] for picture in pictures)
@@ -236,7 +237,7 @@ def _ratio(p: Float[np.ndarray, "*n"], q: Float[np.ndarray, "*n"]) -> float:
     return float((p * q).sum() / max(float((p * p).sum()), 1e-9))
 
 
-def _of_metres(made: Values, lies: Values, _: dict[int, str]) -> Iterator[tuple[str, Values]]:
+def _of_metres(made: PixelValues, lies: PixelValues, _: dict[int, str]) -> Iterator[tuple[str, PixelValues]]:
     is_known = np.isfinite(made) & np.isfinite(lies)
     p, q = made[is_known], lies[is_known]
     if not len(p):
@@ -250,7 +251,7 @@ def _of_metres(made: Values, lies: Values, _: dict[int, str]) -> Iterator[tuple[
     yield f"rounded to {100 * step:g} cm", (np.round(made / step) * step).astype(np.float32)
 
 
-def _of_ids(made: Values, lies: Values, names: dict[int, str]) -> Iterator[tuple[str, Values]]:
+def _of_ids(made: PixelValues, lies: PixelValues, names: dict[int, str]) -> Iterator[tuple[str, PixelValues]]:
     """Each id as what most of its pixels are."""
     pairs, counts = np.unique(np.stack([made, lies], axis=-1).astype(int), axis=0, return_counts=True)
     most = {a: b for (a, b), _ in sorted(zip(pairs.tolist(), counts, strict=True), key=lambda pair: pair[1])}
@@ -271,7 +272,7 @@ def _of_ids(made: Values, lies: Values, names: dict[int, str]) -> Iterator[tuple
     yield said, table[made.astype(int)].astype(made.dtype)
 
 
-def _of_normals(made: Values, lies: Values, _: dict[int, str]) -> Iterator[tuple[str, Values]]:
+def _of_normals(made: PixelValues, lies: PixelValues, _: dict[int, str]) -> Iterator[tuple[str, PixelValues]]:
     """Turned or mirrored, as in another frame."""
     left, _values, right = np.linalg.svd(made.T.astype(float) @ lies)
     turn = left @ right

@@ -20,9 +20,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
 from scipy.interpolate import CubicSpline
 
+from synth3dlanes.arrays import Points3, Scalars
 from synth3dlanes.labels import MASKS, CameraLabel, Labels, Lane
 from synth3dlanes.settings import FIRST_DELIMITER_ID
-from synth3dlanes.validate.paint import Paint
+from synth3dlanes.validate.paint import WorldPaint
 
 # Interpolated points per label point: labels are 1 m apart, and a line may bend by millimetres in between.
 STEPS = 4
@@ -35,19 +36,16 @@ MAX_ROWS = 200
 # width of the road beside a line with which its paint is compared.
 IMAGE_RANGE_M, MIN_SLICES, MIN_CONTRAST, BESIDE_M = 30.0, 15, 10.0, 0.12
 
-Values = Float[np.ndarray, " n"]
-Points = Float[np.ndarray, "n 3"]
 
-
-class Offset(NamedTuple):
+class PaintOffset(NamedTuple):
     """The paint of one line by slice, from near to far: its position, its number of paint pixels, and the sum of their
     offsets to the right of the label, as the camera looks, in metres. `image_offsets` gives one slice for the whole
     line, with one pixel per row."""
 
     lane: Lane
-    points_cam: Points
-    n_px: Values
-    moment_m: Values
+    points_cam: Points3
+    n_px: Scalars
+    moment_m: Scalars
 
     @property
     def mean_m(self) -> float:
@@ -60,16 +58,16 @@ class Slices(NamedTuple):
     centre."""
 
     row: Int[np.ndarray, " n"]
-    left_px: Values
-    right_px: Values
-    points_cam: Points
+    left_px: Scalars
+    right_px: Scalars
+    points_cam: Points3
 
     def take(self, kept: np.ndarray) -> "Slices":
         """The selected slices."""
         return Slices(self.row[kept], self.left_px[kept], self.right_px[kept], self.points_cam[kept])
 
 
-class View(NamedTuple):
+class LineView(NamedTuple):
     """A line's slices and the pixels around them: columns, offsets to the right of the line on the road, and whether
     each pixel is within reach, at the edge of the reach, and paint according to the labels."""
 
@@ -88,7 +86,7 @@ class View(NamedTuple):
         return self.slices.row[:, None]
 
 
-def line_views(paint: Paint, labels: Labels) -> list[View]:
+def line_views(paint: WorldPaint, labels: Labels) -> list[LineView]:
     """One view of every delimiter, in the labels' order; of those that come towards the camera, from their ends."""
     return [_view(paint, labels.camera, _going_away(lane)) for lane in labels.lanes if lane.kind == "delimiter"]
 
@@ -101,7 +99,7 @@ def _going_away(lane: Lane) -> Lane:
     return replace(lane, **{name: getattr(lane, name)[::-1] for name in ("xyz_cam", *MASKS)})
 
 
-def paint_offsets(views: Sequence[View], instance: Integer[np.ndarray, "h w"]) -> Iterator[Offset]:
+def paint_offsets(views: Sequence[LineView], instance: Integer[np.ndarray, "h w"]) -> Iterator[PaintOffset]:
     """The offset of every delimiter with visible paint, from instance ids."""
     for number, view in enumerate(views, start=FIRST_DELIMITER_ID):
         ids = instance[view.row, view.column]
@@ -112,10 +110,10 @@ def paint_offsets(views: Sequence[View], instance: Integer[np.ndarray, "h w"]) -
         n_px = is_paint.sum(axis=1)[used].astype(float)
         surplus = is_paint.astype(float) - (view.painted & view.near)
         if n_px.any():
-            yield Offset(view.lane, view.slices.points_cam[used], n_px, (surplus * view.right_m)[used].sum(axis=1))
+            yield PaintOffset(view.lane, view.slices.points_cam[used], n_px, (surplus * view.right_m)[used].sum(axis=1))
 
 
-def image_offsets(views: Sequence[View], luma: Float[np.ndarray, "h w"]) -> Iterator[Offset]:
+def image_offsets(views: Sequence[LineView], luma: Float[np.ndarray, "h w"]) -> Iterator[PaintOffset]:
     """The offset of every line between two lanes whose paint is brighter or darker than the road beside it. Lines at
     the road's edges are skipped, because the surfaces on their two sides differ in brightness."""
     for view in views:
@@ -138,7 +136,7 @@ def image_offsets(views: Sequence[View], luma: Float[np.ndarray, "h w"]) -> Iter
         if abs(area) > MIN_CONTRAST * 2 * view.half_m:
             middle = np.median(slices.points_cam[used], axis=0)[None]
             n = np.array([float(used.sum())])
-            yield Offset(view.lane, middle, n, n * moment / area)
+            yield PaintOffset(view.lane, middle, n, n * moment / area)
 
 
 def _mean(values: Float[np.ndarray, "n k"], of: Bool[np.ndarray, "n k"]) -> Float[np.ndarray, "n 1"]:
@@ -147,7 +145,7 @@ def _mean(values: Float[np.ndarray, "n k"], of: Bool[np.ndarray, "n k"]) -> Floa
         return np.where(of, values, 0.0).sum(axis=1, keepdims=True) / of.sum(axis=1, keepdims=True)
 
 
-def _view(paint: Paint, camera: CameraLabel, lane: Lane) -> View:
+def _view(paint: WorldPaint, camera: CameraLabel, lane: Lane) -> LineView:
     """The slices of a line whose surroundings are fully in the image, with the surrounding pixels."""
     stripes_m = np.array(paint.stripes_m(lane.id))
     half_m = float(np.abs(stripes_m).max()) + paint.width_m(lane.id) / 2
@@ -164,10 +162,10 @@ def _view(paint: Paint, camera: CameraLabel, lane: Lane) -> View:
     right_m = half_m * (2 * center - left - right) / (right - left)
     painted = (np.abs(right_m[..., None] - stripes_m) < paint.width_m(lane.id) / 2).any(axis=-1)
     column = np.clip(column, 0, width_px - 1)
-    return View(lane, slices, column, right_m, beyond < pad, beyond > pad - 1, painted, half_m)
+    return LineView(lane, slices, column, right_m, beyond < pad, beyond > pad - 1, painted, half_m)
 
 
-def _slices(paint: Paint, camera: CameraLabel, lane: Lane, half_m: float) -> Slices:
+def _slices(paint: WorldPaint, camera: CameraLabel, lane: Lane, half_m: float) -> Slices:
     """All slices of a line's visible painted stretches; the paint extends `half_m` to either side."""
     none = Slices(np.zeros(0, dtype=int), np.zeros(0), np.zeros(0), np.zeros((0, 3)))
     seen = lane.visible & (lane.xyz_cam[:, 1] < RANGE_M)

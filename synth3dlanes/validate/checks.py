@@ -122,7 +122,7 @@ CHECKS = (
     Check(
         "boxes",
         check_boxes,
-        "objects that are not those of the scene, or whose boxes do not fit their pixels or the points of the sweep on them",
+        "objects that are not those of the scene, or whose boxes do not fit their pixels or points",
     ),
     Check("bias", signed_values, "nothing by itself: tested over the whole data set", _needs("aim image")),
 )

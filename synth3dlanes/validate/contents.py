@@ -13,13 +13,14 @@ import numpy as np
 
 from synth3dlanes import labels as labels_module
 from synth3dlanes import scene as scene_module
+from synth3dlanes.arrays import RgbImage
 from synth3dlanes.dataset.format import HEIGHT, LABELS, LIDAR, PASSES, SCENE, decode_image, read_passes, read_sweep
 from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
 from synth3dlanes.sensors.sweep import Sweep
 from synth3dlanes.validate.findings import Finding, differences, some
-from synth3dlanes.validate.pixels import Passes, Picture
+from synth3dlanes.validate.pixels import Passes
 
 # First bytes of files of these formats.
 MAGIC = {"jpg": b"\xff\xd8\xff", "png": b"\x89PNG\r\n\x1a\n"}
@@ -32,7 +33,7 @@ class Contents(NamedTuple):
 
     scene: Scene | None
     labels: Labels | None
-    image: Picture | None
+    image: RgbImage | None
     passes: Passes | None
     sweep: Sweep | None
 
@@ -86,7 +87,7 @@ def _require_text(data: bytes, canonical: str, name: str) -> None:
         raise FormatError(f"{name}: {some(wrong)}")
 
 
-def _image(data: bytes, name: str) -> Picture:
+def _image(data: bytes, name: str) -> RgbImage:
     if not data.startswith(MAGIC[name]):
         raise FormatError(f"{name}: expected an image of this format, got another")
     with warnings.catch_warnings():

@@ -6,21 +6,20 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Int
 
+from synth3dlanes.arrays import Points3, RgbImage
 from synth3dlanes.frames import transform
 from synth3dlanes.ground_truth import label
 from synth3dlanes.labels import CameraLabel, Labels, Lane
 from synth3dlanes.scene import Scene
 from synth3dlanes.sensors.sweep import Sweep
-from synth3dlanes.validate.boxes import Owned, structure_boxes
+from synth3dlanes.validate.boxes import StructureBoxes, structure_boxes
 from synth3dlanes.validate.integrity import Entry
-from synth3dlanes.validate.paint import Paint
-from synth3dlanes.validate.pixels import LUMA, Passes, Picture
+from synth3dlanes.validate.paint import WorldPaint
+from synth3dlanes.validate.pixels import Passes, luma
 from synth3dlanes.world import World
 
 # Points this close to the image's border may be on either side of it after rounding.
 BORDER_PX = 0.2
-
-Points = Float[np.ndarray, "n 3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +29,7 @@ class Evidence:
 
     world: World
     labels: Labels
-    image: Picture | None = None
+    image: RgbImage | None = None
     passes: Passes = field(default_factory=dict)
     sweep: Sweep | None = None
     entry: Entry | None = None
@@ -62,17 +61,17 @@ class Evidence:
         return label(self.world, self.world.view)
 
     @cached_property
-    def paint(self) -> Paint:
+    def paint(self) -> WorldPaint:
         """The paint of the scene's lines."""
-        return Paint(self.world)
+        return WorldPaint(self.world)
 
     @cached_property
-    def structures(self) -> Owned:
+    def structures(self) -> StructureBoxes:
         """The boxes of all structures."""
         return structure_boxes(self.world)
 
     @property
-    def picture(self) -> Picture:
+    def picture(self) -> RgbImage:
         """The image, of evidence that has one."""
         assert self.image is not None
         return self.image
@@ -80,14 +79,14 @@ class Evidence:
     @cached_property
     def luma(self) -> Float[np.ndarray, "h w"]:
         """The image's brightness."""
-        return np.asarray(self.picture @ LUMA)
+        return luma(self.picture)
 
-    def points_cam(self, rows: Int[np.ndarray, " n"], columns: Int[np.ndarray, " n"]) -> Points:
+    def points_cam(self, rows: Int[np.ndarray, " n"], columns: Int[np.ndarray, " n"]) -> Points3:
         """The points that the depth pass has at the centres of pixels. Camera frame."""
         depth_m = self.passes["depth"][rows, columns].astype(float)
         return self.camera.points(np.column_stack([columns, rows]) + 0.5, depth_m)
 
-    def points_world(self, rows: Int[np.ndarray, " n"], columns: Int[np.ndarray, " n"]) -> Points:
+    def points_world(self, rows: Int[np.ndarray, " n"], columns: Int[np.ndarray, " n"]) -> Points3:
         """The same in the world frame."""
         return transform(self.camera.world_from_cam, self.points_cam(rows, columns))
 

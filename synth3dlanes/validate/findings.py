@@ -86,7 +86,7 @@ def findings_of(results: Iterable[Result]) -> list[Finding]:
 
 
 @dataclass
-class Distribution:
+class RangeHistogram:
     """A histogram of values for each band of distance."""
 
     counts: Int[np.ndarray, "bands bins"] = field(

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
 from scipy.spatial import cKDTree
 
+from synth3dlanes.arrays import Points3
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.solids import SURFACES
 from synth3dlanes.settings import (
@@ -51,9 +52,6 @@ KINDS = (
     (FIRST_SYMBOL_ID, "symbol", "symbol"),
     (HOST_ID, "host", "host"),
 )
-
-Values = Float[np.ndarray, " n"]
-Points = Float[np.ndarray, "n 3"]
 
 
 def check_ids(evidence: Evidence) -> Iterator[Result]:
@@ -143,7 +141,7 @@ def _bodies(evidence: Evidence) -> Iterator[Finding]:
 
 
 def outside_bodies(
-    evidence: Evidence, source: str, key: str, points_world: Points, ids: Int[np.ndarray, " n"] | None
+    evidence: Evidence, source: str, key: str, points_world: Points3, ids: Int[np.ndarray, " n"] | None
 ) -> Iterator[Finding]:
     """Findings about points seen on cars, trees or structures (keys of THINGS) that are not in the body of their
     instance id, or of none."""
@@ -158,7 +156,7 @@ def outside_bodies(
             yield Finding("", f"{source}: expected {what} of {whose} within its body, got {n_wrong} of {n} outside")
 
 
-def _in_car(evidence: Evidence, points: Points, own: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+def _in_car(evidence: Evidence, points: Points3, own: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Which points are in the box of car `own`, -1 for any car."""
     world, inside = evidence.world, np.zeros(len(points), dtype=bool)
     for i, (car, pose) in enumerate(zip(world.scene.cars, world.view.world_from_cars, strict=True)):
@@ -178,7 +176,7 @@ def _box(world: World, car: int) -> tuple[Float[np.ndarray, "3"], Float[np.ndarr
     return -half - np.array([0, 0, rest_m]), half + np.array([0, 0, model.height_m + rest_m])
 
 
-def _in_tree(evidence: Evidence, points: Points, own: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+def _in_tree(evidence: Evidence, points: Points3, own: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Which points are in the cylinder of tree `own`, -1 for the nearest tree."""
     world, trees = evidence.world, evidence.scene.trees
     if not trees:
@@ -203,7 +201,7 @@ def _in_tree(evidence: Evidence, points: Points, own: Int[np.ndarray, " n"]) -> 
     return known & (np.hypot(up[:, 0], up[:, 1]) < radius[tree]) & (up[:, 2] > -rest) & (up[:, 2] < height[tree])
 
 
-def _in_structure(evidence: Evidence, points: Points, own: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+def _in_structure(evidence: Evidence, points: Points3, own: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Which points are in a box of structure `own`, -1 for any."""
     return boxes.inside(evidence.structures, points, own)
 

@@ -13,8 +13,8 @@ import pyarrow as pa
 
 from synth3dlanes import __version__
 from synth3dlanes.dataset.address import connect, read_file, translate_store_errors
-from synth3dlanes.dataset.card import CARD, MARK, card
 from synth3dlanes.dataset.columns import SCHEMA, index_row
+from synth3dlanes.dataset.companions import COMPANIONS
 from synth3dlanes.dataset.description import DESCRIPTION
 from synth3dlanes.dataset.format import BLOCK, key_of, tar_end, tar_members
 from synth3dlanes.dataset.index import ADDED_SCHEMA, place_columns, read_index, recipe_of, require_columns
@@ -105,16 +105,16 @@ def check_shard(parquet: str, names: Sequence[str], shard_size: int) -> ShardChe
     return ShardCheck(problems, list(whole.values()), indices, recipe_of(table.schema.metadata))
 
 
-def check_card(place: str, description: Mapping[str, Any]) -> Iterator[Problem]:
-    """Problem if the data set's README.md is not what dataset.json gives; one that a user has made their own, or that
+def check_companions(place: str, description: Mapping[str, Any]) -> Iterator[Problem]:
+    """Problems of README.md and croissant.json that are not what dataset.json gives; what a user has made their own, or
     another version wrote, may be any."""
     files, root = connect(place)
-    with translate_store_errors(place):
-        found = files.cat_file(f"{root}/{CARD}") if files.exists(f"{root}/{CARD}") else b""
-    if MARK.encode() in found and description["generator"] == __version__ and found != card(description):
-        yield Problem(
-            CARD, "", f"expected what {DESCRIPTION} gives, got another text: remove its line {MARK!r} to keep it"
-        )
+    for name, (make, mark) in COMPANIONS.items():
+        with translate_store_errors(place):
+            found = files.cat_file(f"{root}/{name}") if files.exists(f"{root}/{name}") else b""
+        if mark.encode() in found and description["generator"] == __version__ and found != make(description):
+            reason = f"expected what {DESCRIPTION} gives, got another text: remove {mark!r} from it to keep it"
+            yield Problem(name, "", reason)
 
 
 def check_presence(split: str, n: int, indices: Set[int]) -> Iterator[Problem]:

@@ -12,9 +12,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 from scipy.ndimage import uniform_filter
 
-Pixels = Shaped[np.ndarray, "h w *c"]
-Ids = Int[np.ndarray, "h w"]
-Wrong = Float[np.ndarray, "h w"]
+from synth3dlanes.arrays import IdImage
+from synth3dlanes.validate.pixels import luma
+
+Raster = Shaped[np.ndarray, "h w *c"]
+ErrorMap = Float[np.ndarray, "h w"]
 
 # Levels of 255 by which means of n pixels may differ: NOISE[0] + NOISE[1] / sqrt(n). Renders by another random seed, or
 # of twice the samples a pixel, stay below 0.8 of it; machines differ far less.
@@ -28,51 +30,50 @@ NORMAL = 0.02
 # Contrast of single pixels in relation to that of the picture made again: blurred below, noisy above.
 CONTRAST = (0.9, 1.1)
 DETAIL_PX, FAINT = 16, 0.25
-LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 
 
-class Layer(NamedTuple):
+class LayerPair(NamedTuple):
     """One array of a sample: its name, what `dataset.json` makes, what lies there, how wrong a guess is of the latter,
     and the numbers of the objects and surfaces that its pixels show, made and lying there, with their names."""
 
     name: str
-    made: Pixels
-    lies: Pixels
-    wrong: Callable[[Pixels, Pixels], Wrong]
-    shown: Ids
-    also: Ids
+    made: Raster
+    lies: Raster
+    wrong: Callable[[Raster, Raster], ErrorMap]
+    shown: IdImage
+    also: IdImage
     names: dict[int, str]
 
 
-def clumps(off: Bool[np.ndarray, "h w"]) -> Wrong:
+def clumps(off: Bool[np.ndarray, "h w"]) -> ErrorMap:
     """Where pixels are off that are more than a few at a seam: none, or all of them."""
     together = off & (uniform_filter(off.astype(np.float32), 3, mode="constant") * 9 > CLUMP - 0.5)
     is_wrong = together.sum() > FEW or off.mean() > SHARE
     return (off if off.mean() > SHARE else together).astype(np.float32) * is_wrong
 
 
-def wrong_ids(guess: Pixels, lies: Pixels) -> Wrong:
+def wrong_ids(guess: Raster, lies: Raster) -> ErrorMap:
     """Of semantic and instance ids."""
     return clumps(guess != lies)
 
 
-def wrong_values(guess: Pixels, lies: Pixels) -> Wrong:
+def wrong_values(guess: Raster, lies: Raster) -> ErrorMap:
     """Of metres, which may be infinite."""
     with np.errstate(invalid="ignore"):
         off = np.abs(guess - lies) > VALUE_M + VALUE_SHARE * np.abs(lies)
     return clumps(np.where(np.isfinite(guess) & np.isfinite(lies), off, guess != lies))
 
 
-def wrong_normals(guess: Pixels, lies: Pixels) -> Wrong:
+def wrong_normals(guess: Raster, lies: Raster) -> ErrorMap:
     """Of unit vectors."""
     return clumps(np.abs(guess - lies).max(axis=-1) > NORMAL)
 
 
-def wrong_colours(shown: Ids) -> Callable[[Pixels, Pixels], Wrong]:
+def wrong_colours(shown: IdImage) -> Callable[[Raster, Raster], ErrorMap]:
     """Of a picture, in levels of 255 beyond what noise explains; `shown` numbers its objects and surfaces from 0."""
     areas = np.bincount(shown.ravel())
 
-    def wrong(guess: Pixels, lies: Pixels) -> Wrong:
+    def wrong(guess: Raster, lies: Raster) -> ErrorMap:
         error = guess.astype(np.float32) - lies
         excess = np.zeros(shown.shape, np.float32)
         for size in BLOCKS:
@@ -96,11 +97,11 @@ def _noise(n: int | Int[np.ndarray, " n"]) -> Float[np.ndarray, "*n"]:
     return np.asarray(NOISE[0] + NOISE[1] / np.sqrt(n))
 
 
-def contrast(made: Pixels, lies: Pixels) -> float:
+def contrast(made: Raster, lies: Raster) -> float:
     """Of single pixels beside their neighbours: how many times that of the picture made again, in the median of
     blocks."""
     squares = []
     for picture in (made, lies):
-        gray = picture.astype(np.float32) @ LUMA
+        gray = luma(picture)
         squares.append(uniform_filter((gray - uniform_filter(gray, 3)) ** 2, DETAIL_PX)[::DETAIL_PX, ::DETAIL_PX])
     return float(np.sqrt(np.median((squares[1] + FAINT) / (squares[0] + FAINT))))

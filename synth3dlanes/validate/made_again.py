@@ -55,8 +55,8 @@ from synth3dlanes.validate.integrity import Entry, read_sample
 from synth3dlanes.validate.like_documents import unlike
 from synth3dlanes.validate.likeness import (
     CONTRAST,
-    Layer,
-    Pixels,
+    LayerPair,
+    Raster,
     contrast,
     wrong_colours,
     wrong_ids,
@@ -79,7 +79,7 @@ FIRST_IDS = (
 CLASSES = {number: name for name, number in SEMANTIC_IDS.items()}
 
 
-class Again(NamedTuple):
+class RemakeResult(NamedTuple):
     """What came of making a sample again: whether its bytes are equal, and how it differs otherwise."""
 
     name: str
@@ -93,7 +93,7 @@ class Again(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Making:
+class RemakePlan:
     """How the samples of a data set are made again on this machine."""
 
     origin: Origin
@@ -101,7 +101,7 @@ class Making:
     slots: WorkerSlots
 
 
-def how_to_make(description: Description, origin: Origin | None, library: Library) -> Making:
+def how_to_make(description: Description, origin: Origin | None, library: Library) -> RemakePlan:
     """How to make a data set's samples again. Raises InputError where this version, its assets or its dataset.json
     cannot, MissingPackageError without Blender."""
     if origin is None:
@@ -120,10 +120,10 @@ def how_to_make(description: Description, origin: Origin | None, library: Librar
         library,
     )
     try:
-        return Making(origin, *resolve_device(recipe))
+        return RemakePlan(origin, *resolve_device(recipe))
     except InputError:
         # Pixels of another device agree within the tolerances.
-        return Making(origin, *resolve_device(replace(recipe, settings=replace(settings, device="auto"))))
+        return RemakePlan(origin, *resolve_device(replace(recipe, settings=replace(settings, device="auto"))))
 
 
 def some_of(entries: Sequence[T], n: int, seed: int) -> list[T]:
@@ -132,7 +132,7 @@ def some_of(entries: Sequence[T], n: int, seed: int) -> list[T]:
     return [entries[i] for i in sorted(chosen)]
 
 
-def make_again(making: Making, entries: Sequence[Entry], workers: int) -> Iterator[Again]:
+def make_again(making: RemakePlan, entries: Sequence[Entry], workers: int) -> Iterator[RemakeResult]:
     """Make samples again in worker processes, as `generate` does."""
     todo, limits = deque(entries), Limits(patience_s(making.recipe))
     with Pool(max(1, min(workers or making.slots.workers, len(todo))), limits, masks=making.slots.masks) as pool:
@@ -141,16 +141,16 @@ def make_again(making: Making, entries: Sequence[Entry], workers: int) -> Iterat
                 entry = todo.popleft()
                 pool.start(entry.name, _make, making.origin, making.recipe, entry)
             for outcome in pool.wait(1.0):
-                failed = Again(outcome.task, False, [f"cannot be made again: {outcome.reason}"])
+                failed = RemakeResult(outcome.task, False, [f"cannot be made again: {outcome.reason}"])
                 yield outcome.value if outcome.status == "done" else failed
 
 
-def _make(origin: Origin, recipe: Recipe, entry: Entry) -> Again:
+def _make(origin: Origin, recipe: Recipe, entry: Entry) -> RemakeResult:
     lies, _ = read_sample(entry)
     try:
         scene = origin.drawn(scene_module.from_json(lies[SCENE], SCENE), entry.split, entry.index)
     except (InputError, FormatError, ValueError, LookupError, ArithmeticError) as error:
-        return Again(entry.name, False, [f"cannot be made again: {' '.join(str(error).split())}"])
+        return RemakeResult(entry.name, False, [f"cannot be made again: {' '.join(str(error).split())}"])
     asked = recipe.settings
     passes = tuple(name for name in (*ALL_PASSES, "lidar") if name in asked.passes or name in IDS)
     world = resolve(scene)
@@ -159,7 +159,7 @@ def _make(origin: Origin, recipe: Recipe, entry: Entry) -> Again:
     text, quality = scene_module.to_json(scene), scene.sensor.jpeg_quality
     members = encode(made.image, made.labels, text, kept, recipe.image_format, quality, made.sweep)
     faults = [f"made again: {fault}" for fault in compare(made, members, lies)]
-    return Again(entry.name, members == lies, faults)
+    return RemakeResult(entry.name, members == lies, faults)
 
 
 def compare(picture: Picture, made: Members, lies: Members) -> Iterator[str]:
@@ -186,7 +186,7 @@ def compare(picture: Picture, made: Members, lies: Members) -> Iterator[str]:
         yield ": ".join(filter(None, [fault.text, "" if fault.is_explained else reason]))
 
 
-def _layers(picture: Picture, name: str, made: Members, lies: Members) -> Iterator[Layer]:
+def _layers(picture: Picture, name: str, made: Members, lies: Members) -> Iterator[LayerPair]:
     """The arrays of a member."""
     if name == LIDAR and picture.labels.lidar is not None:
         sweeps = (vars(read_sweep(members[name], name, picture.labels.lidar)) for members in (made, lies))
@@ -214,10 +214,10 @@ def _layers(picture: Picture, name: str, made: Members, lies: Members) -> Iterat
         elif kind in IDS:
             here, there = pixels.astype(int), other[kind].astype(int)
             known = CLASSES if kind == "semantic" else {**names, 0: "nothing"}
-        yield Layer(f"{prefix}{kind}", pixels, other[kind], test, here, there, known)
+        yield LayerPair(f"{prefix}{kind}", pixels, other[kind], test, here, there, known)
 
 
-def _lying_ids(lies: Members, passes: Mapping[str, Pixels]) -> Mapping[str, Pixels]:
+def _lying_ids(lies: Members, passes: Mapping[str, Raster]) -> Mapping[str, Raster]:
     """The ids that lie there, or else those made again."""
     try:
         found = read_passes(lies[PASSES], PASSES)
@@ -230,18 +230,18 @@ def _lying_ids(lies: Members, passes: Mapping[str, Pixels]) -> Mapping[str, Pixe
 TESTS = {"normal": wrong_normals, "semantic": wrong_ids, "instance": wrong_ids}
 
 
-def _shown(passes: Mapping[str, Pixels]) -> Pixels:
+def _shown(passes: Mapping[str, Raster]) -> Raster:
     """What pixels show: instance ids of objects, numbers of surfaces elsewhere."""
     semantic, instance = (passes[name].astype(int) for name in IDS)
     return np.where(instance > 0, instance, SURFACES + semantic)
 
 
-def _numbered(shown: Pixels) -> Pixels:
+def _numbered(shown: Raster) -> Raster:
     """From 0 on without gaps."""
     return np.unique(shown, return_inverse=True)[1].reshape(shown.shape)
 
 
-def _names(labels: Labels, passes: Mapping[str, Pixels]) -> dict[int, str]:
+def _names(labels: Labels, passes: Mapping[str, Raster]) -> dict[int, str]:
     """Names of objects and surfaces by their numbers."""
     lines = [lane.id for lane in labels.lanes if lane.kind == "delimiter"]
     names = {SURFACES + number: name for number, name in CLASSES.items()}
@@ -262,7 +262,7 @@ class Fault(NamedTuple):
     is_explained: bool
 
 
-def _faults(layer: Layer) -> Iterator[Fault]:
+def _faults(layer: LayerPair) -> Iterator[Fault]:
     """How a layer differs, where, by how much, and why."""
     wrong = layer.wrong(layer.made, layer.lies)
     if not (wrong > 0).any():
@@ -273,7 +273,7 @@ def _faults(layer: Layer) -> Iterator[Fault]:
     yield Fault(layer.name, ": ".join(filter(None, [told, cause.words])), cause.is_explained)
 
 
-def _size(layer: Layer, at: tuple[np.ndarray, ...]) -> str:
+def _size(layer: LayerPair, at: tuple[np.ndarray, ...]) -> str:
     """By how much."""
     made, lies = layer.made[at], layer.lies[at]
     if layer.wrong is wrong_ids:

@@ -15,10 +15,10 @@ from synth3dlanes.object_labels import ObjectLabel, object_document, rectangle_a
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Result, differences, some
 
-# Of points of an object that are outside its box, and how far built-in models reach beyond theirs at most.
-MAX_OUTSIDE, ROOM_M = 0.02, 0.02
-# How far before a side of a box its points may end, besides what a pixel or a beam leaves out.
-MAX_GAP_M = 0.04
+# How far points of an object may be outside its box: built-in models reach at most 2 cm beyond theirs. And how many.
+ROOM_M, MAX_OUTSIDE, MAX_SINGLE = 0.02, 0.002, 2
+# How far before a side of a box its points may end, and which part of what lies between two pixels or beams.
+MAX_GAP_M, MAX_PART = 0.03, 0.75
 # Objects with fewer points are not judged, and sides only of those that are in the image and seen as a whole.
 MIN_POINTS, MIN_SEEN = 150, 0.99
 # The eye is this far beyond a side that it sees. Of the others pixels show the outline, which is as wide and as high.
@@ -29,7 +29,7 @@ RECTANGLES = {"box_px": 0.2, "unclipped_box_px": 0.2}
 MAX_TRUNCATION_OFF = 0.005
 
 
-class Seen(NamedTuple):
+class SeenPart(NamedTuple):
     """Points of an object in its frame, the eye in it, and how far points are from each other at most."""
 
     source: str
@@ -51,7 +51,7 @@ def check_boxes(evidence: Evidence) -> Iterator[Result]:
         if wrong:
             yield Finding("", f"objects.{item.id}: {some(wrong)}")
         yield from _counts(evidence, item)
-        for seen in _seen(evidence, item):
+        for seen in views_of(evidence, item):
             yield from judge(item, seen)
 
 
@@ -80,11 +80,11 @@ def _counts(evidence: Evidence, item: ObjectLabel) -> Iterator[Finding]:
         yield Finding("", f"objects.{item.id}.lidar_points: expected {expected} by the sweep, got {got}")
 
 
-def _seen(evidence: Evidence, item: ObjectLabel) -> Iterator[Seen]:
+def views_of(evidence: Evidence, item: ObjectLabel) -> list[SeenPart]:
     """What pixels and points there are of an object near the camera, if enough."""
-    distance_m = float(np.linalg.norm(item.center_cam))
+    distance_m, views = float(np.linalg.norm(item.center_cam)), []
     if distance_m > PROOF_M:
-        return
+        return []
     object_from_cam = invert(item.cam_from_object)
     if {"depth", "instance"} <= evidence.has:
         at = evidence.passes["instance"] == item.id
@@ -92,7 +92,7 @@ def _seen(evidence: Evidence, item: ObjectLabel) -> Iterator[Seen]:
         if len(rows) >= MIN_POINTS:
             points_cam = evidence.points_cam(rows, columns)
             apart_m = float(points_cam[:, 1].max()) / evidence.camera.img_from_cam[0, 0]
-            yield Seen("pixels", transform(object_from_cam, points_cam), object_from_cam[:3, 3], apart_m)
+            views.append(SeenPart("pixels", transform(object_from_cam, points_cam), object_from_cam[:3, 3], apart_m))
     if evidence.sweep is not None:
         points = evidence.sweep.points()
         own = points.instance == item.id
@@ -100,20 +100,23 @@ def _seen(evidence: Evidence, item: ObjectLabel) -> Iterator[Seen]:
             lidar = evidence.sweep.lidar
             eye = transform(object_from_cam, lidar.cam_from_lidar[:3, 3])
             step_rad = float(np.ptp(lidar.elevations_rad)) / max(1, len(lidar.elevations_rad) - 1)
-            yield Seen("points", transform(object_from_cam, points.xyz_cam[own]), eye, distance_m * step_rad)
+            points_object = transform(object_from_cam, points.xyz_cam[own])
+            views.append(SeenPart("points", points_object, eye, distance_m * step_rad))
+    return views
 
 
-def judge(item: ObjectLabel, seen: Seen) -> Iterator[Result]:
+def judge(item: ObjectLabel, seen: SeenPart) -> Iterator[Result]:
     """Findings where points of an object are outside its box, or end before a side that is seen."""
     half = item.size_m / 2
     beyond_m = np.abs(seen.points) - half
-    outside = float((beyond_m > ROOM_M).any(axis=1).mean())
-    yield Bounded(f"boxes.outside_{seen.source}", outside, most=MAX_OUTSIDE)
-    if outside > MAX_OUTSIDE:
+    n, n_outside = len(seen.points), int((beyond_m > ROOM_M).any(axis=1).sum())
+    most = max(MAX_SINGLE, MAX_OUTSIDE * n)
+    yield Bounded(f"boxes.outside_{seen.source}", n_outside, most=most)
+    if n_outside > most:
         yield Finding(
             "",
-            f"objects.{item.id}: expected its {seen.source} in its box, got {100 * outside:.0f} % of "
-            f"{len(seen.points)} up to {beyond_m.max():.2f} m outside",
+            f"objects.{item.id}: expected its {seen.source} in its box, got {n_outside} of {n} up to "
+            f"{beyond_m.max():.2f} m outside",
         )
         return
     if item.truncation > 0 or (item.visible_fraction or 0.0) < MIN_SEEN:
@@ -123,7 +126,7 @@ def judge(item: ObjectLabel, seen: Seen) -> Iterator[Result]:
             has_outline = seen.source == "pixels" and axis != ALONG
             if has_outline or sign * seen.eye[axis] > half[axis] + BEYOND_M:
                 gap_m = float(half[axis] - (sign * seen.points[:, axis]).max())
-                most_m = MAX_GAP_M + seen.apart_m
+                most_m = MAX_GAP_M + MAX_PART * seen.apart_m
                 yield Bounded(f"boxes.gap_{seen.source}_{side}", gap_m, most=most_m)
                 if gap_m > most_m:
                     yield Finding(

@@ -2,7 +2,7 @@
 
 In a data set made by `split`, scene.json keeps the seed, split and index that the scene was drawn for, and it is drawn
 again with those; so are the scenes of `twins`, to which the recorded change is then applied. Which scene of the source
-a sample of such a set must have is not known, because the source may lack some. `Report` finds duplicate scenes.
+a sample of such a set must have is not known: the source may lack some. `ValidationReport` finds duplicate scenes.
 """
 
 import json
@@ -19,7 +19,7 @@ from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.sample import sample_scene
 from synth3dlanes.scene import Scene
 from synth3dlanes.schema import Excerpt, validation_problems
-from synth3dlanes.shots import Place
+from synth3dlanes.shots import ShotNumbers
 from synth3dlanes.sources import Provenance
 from synth3dlanes.validate.findings import NAMED_AT_MOST, Problem, differences, some
 
@@ -27,7 +27,7 @@ from synth3dlanes.validate.findings import NAMED_AT_MOST, Problem, differences, 
 MANY = 20
 
 
-class Derived(Excerpt):
+class Derivation(Excerpt):
     """How a data set was derived from another: split again (`cut`), or with one factor changed (`of`, `vary`,
     `values`). `derived` says the same of that other data set, if it was derived too."""
 
@@ -35,7 +35,7 @@ class Derived(Excerpt):
     of: str = ""
     vary: str = ""
     values: tuple[str, ...] = ()
-    derived: "Derived | None" = None
+    derived: "Derivation | None" = None
 
     def changes(self, split: str) -> list[str]:
         """All changes to the scenes of a split since they were drawn, in order; see `change_scene`."""
@@ -51,7 +51,7 @@ class Derived(Excerpt):
 class Origin(Provenance):
     """What a data set's scenes were drawn from and how they were changed since, according to its dataset.json."""
 
-    derived: Derived | None = None
+    derived: Derivation | None = None
 
     def fault(self, scene: Scene, split: str, index: int) -> str:
         """How a sample's scene differs from the one drawn again, in one line; "" if they are equal."""
@@ -68,7 +68,7 @@ class Origin(Provenance):
         drawn."""
         if self.derived is None:
             return sample_scene(self.scenes(split), index)
-        index = self.shots.index(Place(scene.index, scene.shot.frame, scene.shot.camera))
+        index = self.shots.index(ShotNumbers(scene.index, scene.shot.frame, scene.shot.camera))
         return change_scene(sample_scene(self.scenes(scene.split), index), self.derived.changes(split))
 
 

@@ -9,14 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from synth3dlanes.arrays import Points3, Scalars
 from synth3dlanes.assets.catalogue import ROAD_MEANS
 from synth3dlanes.frames import transform
-from synth3dlanes.geometry.lanes import Curve
+from synth3dlanes.geometry.lanes import LaneCurve
 from synth3dlanes.geometry.paint import DOTS_M, is_dotted, line_width_m, painted_rows, stripes
 from synth3dlanes.geometry.terrain import gradient_at
 from synth3dlanes.labels import CameraLabel, Lane, Marking, PaintColor
 from synth3dlanes.scene import Scene
-from synth3dlanes.validate.places import Places
+from synth3dlanes.validate.places import RoadPlaces
 from synth3dlanes.world import World
 
 # Paint narrower, or a dash lower in the image, than this may fall between the pixels' single samples.
@@ -24,8 +25,6 @@ RESOLVED_PX = 1.0
 # Paint may appear up to this far beyond its end along the line, because it floats over the road.
 END_M = 0.06
 
-Points = Float[np.ndarray, "n 3"]
-Values = Float[np.ndarray, " n"]
 Stretches = Float[np.ndarray, "m 2"]
 
 
@@ -34,9 +33,9 @@ class Strip:
     """Points along a line, the unit vectors to its right in the surface, the surface normals, and whether all stripes
     are painted at each point and large enough there to appear in single pixels."""
 
-    points_cam: Points
-    across_cam: Points
-    normal_cam: Points
+    points_cam: Points3
+    across_cam: Points3
+    normal_cam: Points3
     painted: Bool[np.ndarray, " n"]
     resolved: Bool[np.ndarray, " n"]
 
@@ -46,7 +45,7 @@ class Strip:
 MAX_WORN, MIN_GRAYSCALE, MAX_WETNESS, MIN_VISIBILITY_M = 0.7, 0.35, 0.8, 300.0
 # Least mean brightness of gray paint that is worn, too, and how many times brighter than the road that must be.
 MIN_LEFT, BRIGHTER = 0.22, 1.6
-LUMA: dict[PaintColor, float] = {"white": 1.0, "yellow": 0.65}
+BRIGHTNESS: dict[PaintColor, float] = {"white": 1.0, "yellow": 0.65}
 MAX_DROPS = 0.3
 
 
@@ -55,7 +54,7 @@ def _albedo(scene: Scene) -> float:
     return 0.0 if scene.assets.roads else float(np.mean(ROAD_MEANS[f"road_{scene.surface.road_texture}"][0]))
 
 
-class Paint:
+class WorldPaint:
     """The paint of a world: painted intervals of plan stations by delimiter id. `shows` is False if the paint may be
     invisible in a correct picture."""
 
@@ -78,7 +77,7 @@ class Paint:
             by_marking = {marking: self._of(curve, marking) for _, marking in stripes(curve, scene.markings)}
             self._stretches[id_] = [by_marking[marking] for _, marking in stripes(curve, scene.markings)]
 
-    def _of(self, curve: Curve, marking: Marking) -> Stretches:
+    def _of(self, curve: LaneCurve, marking: Marking) -> Stretches:
         """Where a stripe of this pattern is painted along a line."""
         world, scene = self.world, self.world.scene
         rows = painted_rows(world.ground, curve, scene.stream, marking)
@@ -90,9 +89,9 @@ class Paint:
     def stands_out(self, color: PaintColor) -> bool:
         """Whether lines of this colour are brighter than the road."""
         markings = self.world.scene.markings
-        return markings.grayscale * LUMA[color] * (1 - markings.wear) >= BRIGHTER * _albedo(self.world.scene)
+        return markings.grayscale * BRIGHTNESS[color] * (1 - markings.wear) >= BRIGHTER * _albedo(self.world.scene)
 
-    def strip(self, camera: CameraLabel, lane: Lane, points_cam: Points) -> Strip:
+    def strip(self, camera: CameraLabel, lane: Lane, points_cam: Points3) -> Strip:
         """The strip of points along a lane; at least two points, in order."""
         points_world = transform(camera.world_from_cam, points_cam)
         steps = np.gradient(points_cam, axis=0)
@@ -129,7 +128,7 @@ class Paint:
         markings = self.world.scene.markings
         return line_width_m(self._curves[id_], markings) if id_ in self._curves else markings.width_m
 
-    def beyond_m(self, id_: str, place: Places) -> Values:
+    def beyond_m(self, id_: str, place: RoadPlaces) -> Scalars:
         """Distance of points on the road outside a line's paint, across it or (reduced by END_M) along it; negative
         inside."""
         curve = self._curves[id_]
@@ -140,14 +139,14 @@ class Paint:
         ]
         return np.min(of_stripes, axis=0)
 
-    def _painted_m(self, id_: str, points_world: Points) -> Values:
+    def _painted_m(self, id_: str, points_world: Points3) -> Scalars:
         """Length of the shortest stripe's painted stretch at each point; 0 where not all are painted."""
         if id_ not in self._curves:
             return np.zeros(len(points_world))
         s = self._stations(self._curves[id_], points_world[:, :2])
         return np.min([_length(stretches, s) for stretches in self._stretches[id_]], axis=0)
 
-    def _stations(self, curve: Curve, xy_world: Float[np.ndarray, "n 2"]) -> Values:
+    def _stations(self, curve: LaneCurve, xy_world: Float[np.ndarray, "n 2"]) -> Scalars:
         """Plan stations of points beside a curve."""
         s, _ = self.world.plan.project_main(xy_world)
         if curve.fork_road == "exit":
@@ -156,7 +155,7 @@ class Paint:
         return s
 
 
-def _length(stretches: Stretches, s: Values) -> Values:
+def _length(stretches: Stretches, s: Scalars) -> Scalars:
     """Length of the stretch that has each station; 0 if none has."""
     if not len(stretches):
         return np.zeros(len(s))
@@ -164,7 +163,7 @@ def _length(stretches: Stretches, s: Values) -> Values:
     return np.where((s >= start) & (s <= end), end - start, 0.0)
 
 
-def _beyond(stretches: Stretches, s: Values) -> Values:
+def _beyond(stretches: Stretches, s: Scalars) -> Scalars:
     """Distance of stations from the nearest stretch; negative inside."""
     if not len(stretches):
         return np.full(s.shape, np.inf)

@@ -7,20 +7,26 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped, UInt8
+from jaxtyping import Bool, Float, Int, Shaped
 
-# Weights of red, green and blue in brightness.
-LUMA = np.array([0.3, 0.6, 0.1])
+from synth3dlanes.arrays import Points2
+
 # At most this many pixels of a kind are used, evenly spread over the image.
 MAX_PIXELS = 10_000
 
 Passes = Mapping[str, Shaped[np.ndarray, "..."]]
-Picture = UInt8[np.ndarray, "h w 3"]
-Pixels = Float[np.ndarray, "n 2"]
 Squares = Int[np.ndarray, "k n"]
 
+# The weights of red, green and blue in the brightness of gamma-coded pixels (ITU-R BT.601).
+_LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 
-class Between(NamedTuple):
+
+def luma(rgb: Shaped[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n"]:
+    """Brightness of gamma-coded pixels, in their own unit."""
+    return np.asarray(rgb.astype(np.float32) @ _LUMA)
+
+
+class InterpolatedDepth(NamedTuple):
     """Depth at points between pixels: interpolated, the share by which it may err because the surface bends, and how
     many times farther the farthest of the four pixels around a point is than the nearest."""
 
@@ -29,7 +35,7 @@ class Between(NamedTuple):
     spread: Float[np.ndarray, " n"]
 
 
-def around(uv: Pixels, shape: tuple[int, ...], reach: int) -> tuple[Squares, Squares]:
+def around(uv: Points2, shape: tuple[int, ...], reach: int) -> tuple[Squares, Squares]:
     """Rows and columns of the square with sides of 2 x reach pixels around each pixel position, row by row (arbitrary
     for positions outside the image)."""
     sizes = np.array([shape[1], shape[0]])
@@ -38,7 +44,7 @@ def around(uv: Pixels, shape: tuple[int, ...], reach: int) -> tuple[Squares, Squ
     return np.clip(i + dy, 0, shape[0] - 1), np.clip(j + dx, 0, shape[1] - 1)
 
 
-def depth_between(depth_m: Float[np.ndarray, "h w"], uv: Pixels) -> Between:
+def depth_between(depth_m: Float[np.ndarray, "h w"], uv: Points2) -> InterpolatedDepth:
     """Depth at positions in the image. The inverse of a plane's depth is linear in the image."""
     rows, columns = around(uv, depth_m.shape, 1)
     right, down = uv[:, 0] - 0.5 - columns[0], uv[:, 1] - 0.5 - rows[0]
@@ -51,7 +57,7 @@ def depth_between(depth_m: Float[np.ndarray, "h w"], uv: Pixels) -> Between:
             np.abs(a - b - c + d).max(axis=0) / 16 for a, b, c, d in (square[:, 1:3], square.swapaxes(0, 1)[:, 1:3])
         )
         four = square[1:3, 1:3].reshape(4, -1)
-        return Between(between, bends * between, four.max(axis=0) / four.min(axis=0))
+        return InterpolatedDepth(between, bends * between, four.max(axis=0) / four.min(axis=0))
 
 
 def some_pixels(

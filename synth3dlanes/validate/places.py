@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from synth3dlanes.arrays import Points3, Scalars
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry import meshes
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.lanes import Curve
+from synth3dlanes.geometry.lanes import LaneCurve
 from synth3dlanes.geometry.terrain import gradient_at, height_at
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.settings import SEMANTIC_IDS
@@ -26,29 +27,26 @@ COVER_M = 2.0
 # Points are moved onto the road along the line of sight by at most this.
 MAX_FLOAT_M = 0.05
 
-Values = Float[np.ndarray, " n"]
-Points = Float[np.ndarray, "n 3"]
-
 
 @dataclass(frozen=True, eq=False)
-class Places:
+class RoadPlaces:
     """Points by station and offset on the main road and on the exit; NaN where the exit is not near."""
 
     ground: Ground
-    s: Values
-    t: Values
-    exit_s: Values
-    exit_t: Values
+    s: Scalars
+    t: Scalars
+    exit_s: Scalars
+    exit_t: Scalars
 
-    def at(self, which: Bool[np.ndarray, " n"]) -> "Places":
+    def at(self, which: Bool[np.ndarray, " n"]) -> "RoadPlaces":
         """The selected points."""
-        return Places(self.ground, self.s[which], self.t[which], self.exit_s[which], self.exit_t[which])
+        return RoadPlaces(self.ground, self.s[which], self.t[which], self.exit_s[which], self.exit_t[which])
 
-    def outside(self) -> Values:
+    def outside(self) -> Scalars:
         """Distance from the nearest pavement, negative on it."""
         return np.fmin(self._outside_main(), self._outside_exit())
 
-    def raised(self) -> Values:
+    def raised(self) -> Scalars:
         """Height of the pavement over the terrain."""
         plan = self.ground.plan
         raised = np.zeros(self.s.shape)
@@ -63,12 +61,12 @@ class Places:
         raised = self.raised()
         return (raised > 0) & (raised < self.ground.plan.road.ramp_height_m)
 
-    def right_of(self, curve: Curve) -> Values:
+    def right_of(self, curve: LaneCurve) -> Scalars:
         """Distance to the right of a curve in the plan."""
         on_main = self.t - curve.main_offset(self.ground.plan, self.s)
         return np.where(self._follows_exit(curve), self.exit_t - curve.fork_m, on_main)
 
-    def station(self, curve: Curve) -> Values:
+    def station(self, curve: LaneCurve) -> Scalars:
         """Stations along a curve."""
         return np.where(self._follows_exit(curve), self.exit_s, self.s)
 
@@ -90,7 +88,7 @@ class Places:
         paved_m = ground.under_paint_m + margin_m
         return np.where(known & (beyond < -margin_m), road, np.where(known & (beyond > paved_m), shoulder, 0))
 
-    def _follows_exit(self, curve: Curve) -> Bool[np.ndarray, " n"]:
+    def _follows_exit(self, curve: LaneCurve) -> Bool[np.ndarray, " n"]:
         return (curve.fork_road == "exit") & (self.s >= 0) & (self.exit_s >= 0)
 
     def _in_median(self) -> Bool[np.ndarray, " n"]:
@@ -104,15 +102,15 @@ class Places:
             return np.zeros(self.t.shape, dtype=bool)
         return (self.t > grass[0] - margin_m) & (self.t < grass[1] + margin_m)
 
-    def _outside_main(self) -> Values:
+    def _outside_main(self) -> Scalars:
         return np.maximum(self.ground.left_edge_m - self.t, self.t - self.ground.main_right_edge(self.s))
 
-    def _outside_exit(self) -> Values:
+    def _outside_exit(self) -> Scalars:
         aside = np.maximum(-meshes.SEAM_M - self.exit_t, self.exit_t) - self.ground.exit_edge_m
         return np.where(self.exit_s >= 0, aside, np.nan)
 
 
-def places(ground: Ground, xy_world: Float[np.ndarray, "n 2"]) -> Places:
+def places(ground: Ground, xy_world: Float[np.ndarray, "n 2"]) -> RoadPlaces:
     """Project points near a road onto it."""
     plan = ground.plan
     s, t = plan.project_main(xy_world)
@@ -120,10 +118,10 @@ def places(ground: Ground, xy_world: Float[np.ndarray, "n 2"]) -> Places:
     if plan.has_exit:
         near = (s > -BEHIND_M) & (t > plan.boundary_m(plan.n_lanes - plan.n_exit_lanes) - ASIDE_M)
         exit_s[near], exit_t[near] = plan.project_exit(xy_world[near], np.maximum(s[near], 0))
-    return Places(ground, s, t, exit_s, exit_t)
+    return RoadPlaces(ground, s, t, exit_s, exit_t)
 
 
-def on_road(world: World, camera: CameraLabel, points_cam: Points) -> tuple[Points, Bool[np.ndarray, " n"]]:
+def on_road(world: World, camera: CameraLabel, points_cam: Points3) -> tuple[Points3, Bool[np.ndarray, " n"]]:
     """Move points that float over the road along the line of sight onto it; also return where this is reliable."""
     terrain, points = world.scene.terrain, transform(camera.world_from_cam, points_cam)
     place = places(world.ground, points[:, :2])

@@ -12,13 +12,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
 from scipy.spatial import cKDTree
 
+from synth3dlanes.arrays import Points2
 from synth3dlanes.geometry.solids import SURFACES
 from synth3dlanes.labels import CameraLabel, Lane
 from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
 from synth3dlanes.validate.paint import Strip
-from synth3dlanes.validate.pixels import Passes, Pixels, Squares, around, depth_between
+from synth3dlanes.validate.pixels import Passes, Squares, around, depth_between
 
 # Label faults affect whole lines: a line fails if more than this share of its points, and more than two
 # points, are off.
@@ -52,11 +53,11 @@ MAX_BEND_M, MIN_NEXT = 0.004, 0.6
 NEARER, NEARER_M = 0.985, 0.05
 
 
-class Marked(NamedTuple):
+class PaintPixels(NamedTuple):
     """The pixels of paint: the image's shape, the pixels' centres, and a search tree of these."""
 
     shape: tuple[int, ...]
-    centers: Pixels
+    centers: Points2
     tree: cKDTree
 
 
@@ -116,18 +117,18 @@ def judge(lane_id: str, measure: Measure) -> Iterator[Result]:
         yield Finding(lane_id, f"passes: expected points within {limit} {words}, got {off}")
 
 
-def _marked(passes: Passes) -> Marked:
+def _marked(passes: Passes) -> PaintPixels:
     if "semantic" in passes:
         is_paint = passes["semantic"] == SEMANTIC_IDS["marking"]
     else:
         is_paint = (passes["instance"] >= FIRST_DELIMITER_ID) & (passes["instance"] < FIRST_TREE_ID)
     v, u = np.nonzero(is_paint)
     centers = np.column_stack([u, v]) + 0.5
-    return Marked(is_paint.shape, centers, cKDTree(centers))
+    return PaintPixels(is_paint.shape, centers, cKDTree(centers))
 
 
 def _paint(
-    camera: CameraLabel, lane: Lane, strip: Strip, stripes_m: tuple[float, ...], marked: Marked, passes: Passes
+    camera: CameraLabel, lane: Lane, strip: Strip, stripes_m: tuple[float, ...], marked: PaintPixels, passes: Passes
 ) -> Measure:
     """Distance in pixels from the stripes at each visible, resolved point to the nearest pixel of paint; 0 inside one.
     Of two stripes the one farther from its paint counts, unless it may be hidden."""
@@ -148,7 +149,7 @@ def _paint(
 
 
 def _may_be_hidden(
-    points_cam: Float[np.ndarray, "n 3"], uv: Pixels, shape: tuple[int, ...], passes: Passes
+    points_cam: Float[np.ndarray, "n 3"], uv: Points2, shape: tuple[int, ...], passes: Passes
 ) -> Bool[np.ndarray, " n"]:
     """Which points have an object, or a nearer surface, in one of the pixels around them."""
     rows, columns = around(uv, shape, 2)
@@ -162,7 +163,7 @@ def _may_be_hidden(
     return hidden
 
 
-def _surface(lane: Lane, strip: Strip, uv: Pixels, passes: Passes) -> list[Measure]:
+def _surface(lane: Lane, strip: Strip, uv: Points2, passes: Passes) -> list[Measure]:
     """Distance of the rendered surface from each visible point, in depth (`depth_m`) and along the surface normal
     (`surface_m`). Only the latter has a limit: at a crest one pixel spans metres of depth."""
     between, y_m = depth_between(passes["depth"], uv), lane.xyz_cam[:, 1]
@@ -192,7 +193,7 @@ def _scale(evidence: Evidence) -> Iterator[Result]:
         yield Finding("", f"depth: expected metres along the viewing direction, got {times:.4g} times the labels'")
 
 
-def _sight(camera: CameraLabel, lane: Lane, strip: Strip, uv: Pixels, passes: Passes) -> Sight:
+def _sight(camera: CameraLabel, lane: Lane, strip: Strip, uv: Points2, passes: Passes) -> Sight:
     """What the passes show of a lane's points. A point counts as visible only if a pixel shows a surface at its depth:
     a crest may hide it between two rows."""
     rows, columns = around(uv, passes["depth"].shape, 2)

@@ -15,26 +15,26 @@ from rich.console import Group, RenderableType
 from rich.markup import escape
 from rich.table import Table
 
+from synth3dlanes.arrays import RgbImage
 from synth3dlanes.dataset.address import connect, translate_store_errors
 from synth3dlanes.errors import FormatError, OutageError
 from synth3dlanes.figures.overlay import draw_overlay, stretches_img
 from synth3dlanes.files import Folder
 from synth3dlanes.labels import Labels
-from synth3dlanes.validate.bias import MIN_SAMPLES, TESTS, Mean, judge
+from synth3dlanes.validate.bias import MIN_SAMPLES, TESTS, RunningMean, judge
 from synth3dlanes.validate.findings import (
     BAND_NAMES,
     BANDS_M,
     EDGES,
     PROOF_M,
     WORST,
-    Distribution,
     Finding,
     Measure,
     Problem,
+    RangeHistogram,
     Result,
     Signed,
 )
-from synth3dlanes.validate.pixels import Picture
 
 MEASURES = {
     "paint_px": "pixels from delimiter points to their paint (semantic pass)",
@@ -61,14 +61,14 @@ WITHIN_PROOF = slice(0, BANDS_M.index(PROOF_M))
 
 
 @dataclass
-class Report:
+class ValidationReport:
     """Collects samples one by one; samples without faults leave only counts and a digest each."""
 
     n_samples: int = 0
     problems: list[Problem] = field(default_factory=list)
-    distributions: dict[str, Distribution] = field(default_factory=dict)
+    distributions: dict[str, RangeHistogram] = field(default_factory=dict)
     worst: dict[str, list[tuple[float, str]]] = field(default_factory=dict)
-    means: dict[str, Mean] = field(default_factory=dict)
+    means: dict[str, RunningMean] = field(default_factory=dict)
     made_again: dict[str, str] = field(default_factory=dict)
     _worlds: dict[str, str] = field(default_factory=dict)
 
@@ -79,7 +79,7 @@ class Report:
             if isinstance(result, Finding):
                 self.problems.append(Problem(name, result.lane, result.reason))
             elif isinstance(result, Signed):
-                self.means.setdefault(result.name, Mean()).add(result.value)
+                self.means.setdefault(result.name, RunningMean()).add(result.value)
             elif isinstance(result, Measure):
                 self._measure(name, result)
         if digest:
@@ -88,7 +88,7 @@ class Report:
                 self.problems.append(Problem(name, "", f"expected a scene of its own, got that of {first}"))
 
     def _measure(self, name: str, measure: Measure) -> None:
-        self.distributions.setdefault(measure.name, Distribution()).add(measure)
+        self.distributions.setdefault(measure.name, RangeHistogram()).add(measure)
         ranking = self.worst.setdefault(measure.name, [])
         heapq.heappush(ranking, (measure.worst(), name))
         if len(ranking) > WORST:
@@ -147,8 +147,13 @@ class Report:
             parts += ["\n[bold]means[/bold]  of the samples' signed values; 0 where all is right", _means(tested)]
         parts += made_again_text(self.made_again)
         parts += ["", *(f"[red]{escape(problem.line())}[/red]" for problem in self.in_order())]
-        verdict = f"[red]{len(self.failed)} failed[/red]" if self.problems else "[green]all right[/green]"
+        verdict = f"[red]{len(self.failed)} failed[/red]" if self.problems else self._praise()
         return Group(*parts, f"{self.n_samples} samples checked: {verdict}")
+
+    def _praise(self) -> str:
+        if self.n_samples == 0:
+            return "[yellow]the files are all right, labels and pixels were not looked at[/yellow]"
+        return "[green]all right[/green]"
 
 
 def made_again_text(verdicts: dict[str, str]) -> list[str]:
@@ -177,7 +182,7 @@ def _shown(value: float) -> str:
     return f"{value:.3g}" if value >= SMALLEST else "0"
 
 
-def _means(means: dict[str, Mean]) -> Table:
+def _means(means: dict[str, RunningMean]) -> Table:
     table = Table(box=None, padding=(0, 2, 0, 0))
     for name in ("mean", "value", "error", "t", "n", "may be", "positive"):
         table.add_column(name, justify="left" if name in ("mean", "positive") else "right", no_wrap=True)
@@ -189,13 +194,13 @@ def _means(means: dict[str, Mean]) -> Table:
     return table
 
 
-def draw(image: Picture, labels: Labels) -> Picture:
+def draw(image: RgbImage, labels: Labels) -> RgbImage:
     """The image with its lanes, if these can be drawn."""
     lines_img = [line for lane in labels.lanes for _, line in stretches_img(labels.camera, lane)]
     return draw_overlay(image, labels) if all((np.abs(line) < MAX_PX).all() for line in lines_img) else image
 
 
-def save_picture(place: str, name: str, picture: Picture) -> None:
+def save_picture(place: str, name: str, picture: RgbImage) -> None:
     """Write a picture into the data set; does nothing if the store or the folder cannot be written."""
     files, root = connect(place)
     stream, path = io.BytesIO(), f"{FOLDER}/{name}.png"

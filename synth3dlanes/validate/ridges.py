@@ -4,7 +4,7 @@ Works without passes. Brightness profiles across the line are sampled at equal d
 perspective does not matter, and their median along the line is judged: shadows, cracks and worn paint affect some
 profiles, but not the median. Profiles that a car, its shadow or a structure may touch are left out. A line without
 contrast is not judged. An image with hardly any line in place is not the labels' image; one whose lines are clearest
-together at an offset was shifted or stretched. Images whose paint may be invisible are skipped (`Paint.shows`), and
+together at an offset was shifted or stretched. Images whose paint may not show (`WorldPaint.shows`) are skipped, and
 those with snow, which lies on the edges of the road.
 """
 
@@ -74,7 +74,7 @@ class Cut(NamedTuple):
     profiles: Float[np.ndarray, "n k"]
 
 
-class Line(NamedTuple):
+class LineProfiles(NamedTuple):
     """One line in the image. For each profile: its column, the pixels per metre along the row, its distance ahead, and
     how much brighter than its surroundings a stripe at each of PLACES_M is."""
 
@@ -147,7 +147,7 @@ def _cut(evidence: Evidence, lane: Lane) -> Iterator[Cut]:
         yield Cut(lane.id, ends_cam[whole], np.asarray(profiles[whole]))
 
 
-def _lines(evidence: Evidence, cuts: Sequence[Cut]) -> Iterator[Line]:
+def _lines(evidence: Evidence, cuts: Sequence[Cut]) -> Iterator[LineProfiles]:
     """Lines with enough profiles clear of cars and glare; ridges beyond the pavement are set to 0."""
     if not cuts:
         return
@@ -175,7 +175,7 @@ def _lines(evidence: Evidence, cuts: Sequence[Cut]) -> Iterator[Line]:
             px_per_m = (u_px[clear, 2] - u_px[clear, 0]) / (2 * REACH_M)
             # A line across the view, as cameras that look aside see it, has its profiles along columns.
             px_per_m = np.where(np.abs(px_per_m) < LEAST_PX_PER_M, LEAST_PX_PER_M, px_per_m)
-            yield Line(cut.lane, u_px[clear, 1], px_per_m, cut.ends_cam[clear, 1, 1], ridges)
+            yield LineProfiles(cut.lane, u_px[clear, 1], px_per_m, cut.ends_cam[clear, 1, 1], ridges)
 
 
 def _beside(
@@ -208,7 +208,7 @@ def _room(at_m: Float[np.ndarray, " n"], end_m: Float[np.ndarray, " n"]) -> floa
     return float(np.nanmin(REACH_M * at_m / (at_m - np.maximum(end_m, 0)), initial=REACH_M))
 
 
-def _contrast(line: Line) -> Contrast:
+def _contrast(line: LineProfiles) -> Contrast:
     strength = np.abs(np.median(line.ridges, axis=0))
     best = int(strength.argmax())
     in_place = float(strength[np.abs(PLACES_M) <= IN_PLACE_M].max())
@@ -216,7 +216,7 @@ def _contrast(line: Line) -> Contrast:
     return Contrast(line.lane, len(line.ridges), float(line.y_m.mean()), ridge_m, ridge, in_place)
 
 
-def check_move(lines: Sequence[Line], width_px: int) -> Iterator[Finding]:
+def check_move(lines: Sequence[LineProfiles], width_px: int) -> Iterator[Finding]:
     """Finding if all lines together are clearer with the image shifted or stretched. At least two lines must agree and
     none contradict: a single line may lie between a bright road and a dark shoulder."""
     strengths = np.array([_strengths(line, width_px) for line in lines])
@@ -237,7 +237,7 @@ def check_move(lines: Sequence[Line], width_px: int) -> Iterator[Finding]:
         )
 
 
-def _strengths(line: Line, width_px: int) -> Float[np.ndarray, "a b"]:
+def _strengths(line: LineProfiles, width_px: int) -> Float[np.ndarray, "a b"]:
     """The line's clarity for each shift and stretch of the image, summed over its profiles."""
     aside_px = MOVES_PX[:, None, None] + STRETCHES[:, None] * (line.u_px - width_px / 2)
     place = np.rint((aside_px / line.px_per_m + SEARCH_M) / STEP_M).astype(int)

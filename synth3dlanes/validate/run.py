@@ -9,10 +9,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from synth3dlanes.arrays import RgbImage
 from synth3dlanes.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.dataset.address import connect, splits_near, translate_store_errors
-from synth3dlanes.dataset.description import DESCRIPTION, Description, data_set_of, parse_description, recipe_text
+from synth3dlanes.dataset.description import DESCRIPTION, Description, parse_description, recipe_text
 from synth3dlanes.dataset.format import SCENE
+from synth3dlanes.dataset.nesting import data_set_of, inner_data_sets, outer_data_sets
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.geometry import height_map
 from synth3dlanes.geometry.camera import rays_of_pixels
@@ -22,11 +24,11 @@ from synth3dlanes.validate.checks import CHECKS
 from synth3dlanes.validate.contents import read_contents
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding, Problem, Result, findings_of, some
-from synth3dlanes.validate.integrity import Entry, check_card, check_presence, check_shard, read_sample
+from synth3dlanes.validate.integrity import Entry, check_companions, check_presence, check_shard, read_sample
 from synth3dlanes.validate.made_again import how_to_make, make_again, some_of
 from synth3dlanes.validate.origin import Origin, drawn_otherwise, made_otherwise, read_origin
-from synth3dlanes.validate.pixels import Passes, Picture
-from synth3dlanes.validate.report import Report, draw, remove_pictures, save_picture
+from synth3dlanes.validate.pixels import Passes
+from synth3dlanes.validate.report import ValidationReport, draw, remove_pictures, save_picture
 from synth3dlanes.validate.structure import check_shape
 from synth3dlanes.world import resolve
 
@@ -41,7 +43,7 @@ SAMPLES_A_START = 8
 Map = Callable[..., Iterator[Any]]
 
 
-class Checked(NamedTuple):
+class SampleCheck(NamedTuple):
     """The results of one sample. `digest` is that of its world, independent of split, seed and index; `redrawn` says
     how the scene differs from the one that dataset.json draws ("" if it does not)."""
 
@@ -58,7 +60,7 @@ def validate(
     progress: Callable[[int, int], None],
     rerender: int = 0,
     library: Library = BUILT_IN,
-) -> Report:
+) -> ValidationReport:
     """Check all shards of a dataset or of one split (a folder or a URL) and its samples, or the first `limit` samples
     of every split.
 
@@ -68,7 +70,7 @@ def validate(
     FormatError if its store cannot be read, MissingPackageError without Blender to make samples again.
     """
     place, only = _data_set(str(place).rstrip("/"))
-    report = Report()
+    report = ValidationReport()
     try:
         document = _read_description(place)
         description = Description.model_validate(document)
@@ -76,6 +78,8 @@ def validate(
         lines = [line.removeprefix(f"{DESCRIPTION}: ") for line in str(error).splitlines()]
         report.problems.append(Problem(DESCRIPTION, "", some(lines)))
         return report
+    nested = [*outer_data_sets(place), *inner_data_sets(place, description.splits)]
+    report.problems += [Problem(DESCRIPTION, "", line) for line in nested]
     try:
         origin = read_origin(document)
     except FormatError as error:
@@ -105,7 +109,7 @@ def validate(
         *made_otherwise(recipes, recipe),
         *drawn_otherwise(redrawn, len(todo), description.generator, recipes, recipe),
     ]
-    report.problems[:0] = [*origins, *check_card(place, document)]
+    report.problems[:0] = [*origins, *check_companions(place, document)]
     report.judge()
     return report
 
@@ -141,7 +145,7 @@ def _shards(place: str) -> list[str]:
 
 
 def _check_shards(
-    place: str, only: str, run: Map, description: Description, report: Report
+    place: str, only: str, run: Map, description: Description, report: ValidationReport
 ) -> tuple[dict[str, list[Entry]], dict[str, str]]:
     """The readable samples of every split (of one, if it is named), in order, and the recipes of all shards by shard
     name."""
@@ -164,7 +168,7 @@ def _check_shards(
     return entries, recipes
 
 
-def check_sample(place: str, origin: Origin | None, description: Description, entry: Entry) -> Checked:
+def check_sample(place: str, origin: Origin | None, description: Description, entry: Entry) -> SampleCheck:
     """All results of one sample; saves its picture if there are findings. Without `origin` its scene is not drawn
     again."""
     members, fault = read_sample(entry)
@@ -173,12 +177,12 @@ def check_sample(place: str, origin: Origin | None, description: Description, en
     digest = "" if scene is None else world_digest(scene)
     redrawn = "" if scene is None or origin is None else origin.fault(scene, entry.split, entry.index)
     if scene is None or labels is None or image is None or passes is None:
-        return Checked(entry.name, digest, redrawn, results)
+        return SampleCheck(entry.name, digest, redrawn, results)
     misshapen = [*_pictures(scene, description, image, passes), *check_shape(scene, labels)]
     results += misshapen or _examine(Evidence(resolve(scene), labels, image, passes, sweep, entry))
     if findings_of(results):
         save_picture(place, entry.name.replace(":", "-"), image if misshapen else draw(image, labels))
-    return Checked(entry.name, digest, redrawn, results)
+    return SampleCheck(entry.name, digest, redrawn, results)
 
 
 def _examine(evidence: Evidence) -> list[Result]:
@@ -204,7 +208,7 @@ def world_digest(scene: Scene) -> str:
     return hashlib.sha256(document.encode()).hexdigest()
 
 
-def _pictures(scene: Scene, description: Description, image: Picture, passes: Passes) -> Iterator[Finding]:
+def _pictures(scene: Scene, description: Description, image: RgbImage, passes: Passes) -> Iterator[Finding]:
     """Findings if passes differ from those in dataset.json, or a picture does not have the camera's size."""
     expected = [name for name in description.render.passes if name != "lidar"]
     if set(passes) != set(expected):

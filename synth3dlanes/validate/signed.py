@@ -3,14 +3,15 @@
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
+from synth3dlanes.arrays import Points3, Scalars
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.terrain import gradient_at, height_at
 from synth3dlanes.labels import Labels
 from synth3dlanes.settings import SEMANTIC_IDS
-from synth3dlanes.validate.centroids import Offset, image_offsets, line_views, paint_offsets
+from synth3dlanes.validate.centroids import PaintOffset, image_offsets, line_views, paint_offsets
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Signed
 from synth3dlanes.validate.pixels import Passes
@@ -35,9 +36,6 @@ MAX_CONDITION, ROUNDS, OUTLIER, OUTLIER_M = 200.0, 4, 3.0, 0.003
 # Excludes paint, which floats over the road.
 PAVEMENT = [SEMANTIC_IDS[name] for name in ("road", "shoulder")]
 
-Values = Float[np.ndarray, " n"]
-Points = Float[np.ndarray, "n 3"]
-
 
 def signed_values(evidence: Evidence) -> Iterator[Signed]:
     """All signed values of this sample that its passes allow, of a clip those of its first frame: its frames are alike,
@@ -56,7 +54,7 @@ def signed_values(evidence: Evidence) -> Iterator[Signed]:
         yield from _surface(plan, labels, passes)
 
 
-def _sides(name: str, lines: Sequence[Offset]) -> Iterator[Signed]:
+def _sides(name: str, lines: Sequence[PaintOffset]) -> Iterator[Signed]:
     """Offsets of paint to the right, and outward, away from the camera's vertical plane."""
     points_cam, n_px, moment_m = _joined(lines)
     side = np.sign(points_cam[:, 0]) * (np.abs(points_cam[:, 0]) > ASIDE_M)
@@ -66,7 +64,7 @@ def _sides(name: str, lines: Sequence[Offset]) -> Iterator[Signed]:
             yield Signed(f"{name}_{which}_m", float(moment_m @ sign) / weight)
 
 
-def _exit(plan: RoadPlan, labels: Labels, lines: Sequence[Offset]) -> Iterator[Signed]:
+def _exit(plan: RoadPlan, labels: Labels, lines: Sequence[PaintOffset]) -> Iterator[Signed]:
     """Increase of the exit paint's offset away from the main road per metre from the split."""
     points_cam, n_px, moment_m = _joined([_as_driven(labels, line) for line in lines])
     s_m, _ = plan.project_main(transform(labels.camera.world_from_cam, points_cam)[:, :2])
@@ -75,7 +73,7 @@ def _exit(plan: RoadPlan, labels: Labels, lines: Sequence[Offset]) -> Iterator[S
         yield Signed("exit_opening", float(plan.flips[0] * (s_m @ moment_m) / (n_px @ s_m**2)))
 
 
-def _as_driven(labels: Labels, line: Offset) -> Offset:
+def _as_driven(labels: Labels, line: PaintOffset) -> PaintOffset:
     """An offset to the right as the host drives."""
     way_cam = line.lane.xyz_cam[-1] - line.lane.xyz_cam[0]
     return line._replace(moment_m=np.sign(labels.camera.road_from_cam[1, :3] @ way_cam) * line.moment_m)
@@ -107,7 +105,7 @@ def _surface(plan: RoadPlan, labels: Labels, passes: Passes) -> Iterator[Signed]
         yield Signed("ramp", _ramp_share(plan, s_m[~level], (raised_m + above_m / upright)[~level]))
 
 
-def _shares(causes: Mapping[str, Values], above_m: Values) -> Iterator[Signed]:
+def _shares(causes: Mapping[str, Scalars], above_m: Scalars) -> Iterator[Signed]:
     """The shares of all causes that together explain the points' heights above the labels, by least squares with less
     weight for outliers. Nothing if causes are indistinguishable, as focal length and depth are on a flat road."""
     found = {name: moved_m for name, moved_m in causes.items() if _size(moved_m) > MIN_HEIGHT_M}
@@ -125,7 +123,7 @@ def _shares(causes: Mapping[str, Values], above_m: Values) -> Iterator[Signed]:
         yield Signed(name, float(share))
 
 
-def _seen(labels: Labels, passes: Passes) -> tuple[Points, Points, Bool[np.ndarray, " n"]]:
+def _seen(labels: Labels, passes: Passes) -> tuple[Points3, Points3, Bool[np.ndarray, " n"]]:
     """The surface points that pixels show at visible label points, in camera and world frame, and which of them are on
     the exit. Delimiters are used on the exit only: paint and road cannot be distinguished without semantic ids."""
     camera = labels.camera
@@ -143,7 +141,7 @@ def _seen(labels: Labels, passes: Passes) -> tuple[Points, Points, Bool[np.ndarr
     return points_cam, transform(camera.world_from_cam, points_cam), on_exit[same]
 
 
-def _exit_stations(plan: RoadPlan, points_world: Points) -> Values:
+def _exit_stations(plan: RoadPlan, points_world: Points3) -> Scalars:
     """Plan stations of points on the exit; negative before the split."""
     s_m, _ = plan.project_main(points_world[:, :2])
     if not plan.has_exit:
@@ -151,7 +149,7 @@ def _exit_stations(plan: RoadPlan, points_world: Points) -> Values:
     return plan.project_exit(points_world[:, :2], np.maximum(s_m, 0))[0]
 
 
-def _ramp_share(plan: RoadPlan, s_m: Values, height_m: Values) -> float:
+def _ramp_share(plan: RoadPlan, s_m: Scalars, height_m: Scalars) -> float:
     """Relative height difference between the scene's ramp and the one that fits the heights over the terrain best. A
     higher ramp is also longer, so it is lower near its start."""
     road = plan.road
@@ -160,13 +158,13 @@ def _ramp_share(plan: RoadPlan, s_m: Values, height_m: Values) -> float:
     return float(RAMP_SHARES[np.argmin([np.abs(height_m - other.ramp(s_m)).sum() for other in plans])])
 
 
-def _joined(lines: Sequence[Offset]) -> tuple[Points, Values, Values]:
+def _joined(lines: Sequence[PaintOffset]) -> tuple[Points3, Scalars, Scalars]:
     """The slices of all lines: points, pixel counts, moments."""
     points_cam = np.concatenate([np.zeros((0, 3)), *(line.points_cam for line in lines)])
     n_px, moment_m = (np.concatenate([np.zeros(0), *(line[i] for line in lines)]) for i in (2, 3))
     return points_cam, n_px, moment_m
 
 
-def _size(values: Values) -> float:
+def _size(values: Scalars) -> float:
     """The root mean square; 0 for no values."""
     return float(np.sqrt(np.mean(values**2))) if values.size else 0.0

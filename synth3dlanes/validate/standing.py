@@ -9,7 +9,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import Matrix4, invert, transform
+from synth3dlanes.arrays import Matrix4, Points2, Points3, Scalars
+from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry import meshes
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.placement import TREE_SINK_M
@@ -32,10 +33,6 @@ MAX_THROUGH = 3
 FEET_STEP = 8
 # Kerbs stand at the very edge.
 ROOM_M = 0.05
-
-Points = Float[np.ndarray, "n 3"]
-Points2 = Float[np.ndarray, "n 2"]
-Values = Float[np.ndarray, " n"]
 
 
 def check_standing(evidence: Evidence) -> Iterator[Result]:
@@ -69,7 +66,7 @@ def check_standing(evidence: Evidence) -> Iterator[Result]:
         yield from _through(evidence)
 
 
-def _wheels(world: World) -> Points:
+def _wheels(world: World) -> Points3:
     """The contact points of all cars' tyres."""
     wheels = [np.zeros((0, 3))]
     for car, world_from_car in zip(world.scene.cars, world.view.world_from_cars, strict=True):
@@ -79,17 +76,17 @@ def _wheels(world: World) -> Points:
     return np.concatenate(wheels)
 
 
-def _ahead(camera: CameraLabel, points_world: Points) -> Float[np.ndarray, "m 3"]:
+def _ahead(camera: CameraLabel, points_world: Points3) -> Float[np.ndarray, "m 3"]:
     """The points that are ahead of the camera."""
     return points_world[_in(camera.world_from_cam, points_world)[:, 1] > 0]
 
 
-def _in(world_from_frame: Matrix4, points_world: Points) -> Points:
+def _in(world_from_frame: Matrix4, points_world: Points3) -> Points3:
     """The points in another frame."""
     return transform(invert(world_from_frame), points_world)
 
 
-def mesh_height(surfaces: Sequence[meshes.Mesh], xy: Points2) -> Values:
+def mesh_height(surfaces: Sequence[meshes.Mesh], xy: Points2) -> Scalars:
     """Height of the highest face at each point, NaN if there is none."""
     height_m = np.full(len(xy), -np.inf)
     for mesh in surfaces:
@@ -104,7 +101,7 @@ def mesh_height(surfaces: Sequence[meshes.Mesh], xy: Points2) -> Values:
     return np.where(np.isfinite(height_m), height_m, np.nan)
 
 
-def _on_triangles(triangles: Float[np.ndarray, "n 3 3"], xy: Points2) -> Values:
+def _on_triangles(triangles: Float[np.ndarray, "n 3 3"], xy: Points2) -> Scalars:
     """Height of each triangle at its point, NaN for points outside the triangle."""
     (ax, ay, az), (bx, by, bz) = np.moveaxis(triangles[:, 1:] - triangles[:, :1], 0, -1)
     x, y = (xy - triangles[:, 0, :2]).T
@@ -115,7 +112,7 @@ def _on_triangles(triangles: Float[np.ndarray, "n 3 3"], xy: Points2) -> Values:
         return np.where(inside, triangles[:, 0, 2] + a * az + b * bz, np.nan)
 
 
-def terrain_height(ground: Ground, xy: Points2) -> Values:
+def terrain_height(ground: Ground, xy: Points2) -> Scalars:
     """Height of the terrain mesh, interpolated bilinearly in its cells."""
     xs, ys = meshes.terrain_axes(ground)
     j = np.clip(np.searchsorted(xs, xy[:, 0]) - 1, 0, len(xs) - 2)

@@ -11,7 +11,8 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import Matrix4, invert, road_from_cam, transform, turned
+from synth3dlanes.arrays import Matrix4
+from synth3dlanes.frames import invert, road_from_cam, transform, turned
 from synth3dlanes.geometry.placement import HOST_SIZE_M, footprint, overlaps_any
 from synth3dlanes.geometry.terrain import height_at
 from synth3dlanes.labels import CameraLabel, Labels, Lane, SymbolLabel

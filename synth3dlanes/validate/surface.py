@@ -8,8 +8,9 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Integer
+from jaxtyping import Bool, Float, Int
 
+from synth3dlanes.arrays import Ids, Points3, Scalars
 from synth3dlanes.geometry.ground import EMBANKMENT_SLOPE, VERGE_M
 from synth3dlanes.geometry.terrain import gradient_at, height_at
 from synth3dlanes.labels import CameraLabel
@@ -17,7 +18,7 @@ from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
 from synth3dlanes.validate.pixels import Passes, some_pixels
-from synth3dlanes.validate.places import Places, places
+from synth3dlanes.validate.places import RoadPlaces, places
 from synth3dlanes.validate.standing import mesh_height, terrain_height
 from synth3dlanes.world import World
 
@@ -48,28 +49,24 @@ AWAY, MAX_AWAY, MIN_OF_KIND = 0.02, 0.25, 50
 PAVEMENT = [SEMANTIC_IDS[name] for name in ("road", "shoulder")]
 KINDS = ("road", "shoulder", "marking", "car")
 
-Values = Float[np.ndarray, " n"]
-Ids = Integer[np.ndarray, " n"]
-Points = Float[np.ndarray, "n 3"]
-
 
 class Pavement(NamedTuple):
     """Points where road or shoulder was seen: their ranges, semantic ids, places on the road and its normals, and their
     distances along the normal above the road (`gap_m`) and below the eye."""
 
-    range_m: Values
+    range_m: Scalars
     semantic: Ids
-    places: Places
-    up_world: Points
-    gap_m: Values
-    below_eye_m: Values
+    places: RoadPlaces
+    up_world: Points3
+    gap_m: Scalars
+    below_eye_m: Scalars
 
 
 def pavement_at(
     world: World,
     eye_world: Float[np.ndarray, "3"],
-    points: Points,
-    range_m: Values,
+    points: Points3,
+    range_m: Scalars,
     semantic: Ids,
 ) -> Pavement:
     """Points of pavement, seen from the eye, beside the scene's."""
@@ -183,7 +180,7 @@ def _depth(pavement: Pavement) -> Iterator[Result]:
             yield Finding("", f"depth: expected the road at the scene's distance, got it {scale:.4f} times as far")
 
 
-def _exactly(world: World, points: Points, pavement: Pavement) -> Iterator[Result]:
+def _exactly(world: World, points: Points3, pavement: Pavement) -> Iterator[Result]:
     """Finding if depth is not exactly, along the pixels' rays, that of the mesh that is rendered."""
     near = np.flatnonzero((pavement.range_m > 0) & (pavement.range_m < NEAR_M))
     near = near[:: 1 + len(near) // MAX_NEAR]
@@ -216,7 +213,7 @@ def misplaced(source: str, pavement: Pavement) -> Iterator[Finding]:
             yield Finding("", f"{source}: expected {name} by the plan, got another at {wrong.sum()} {what}")
 
 
-def _normals(pavement: Pavement, camera: CameraLabel, normals_cam: Points) -> Iterator[Result]:
+def _normals(pavement: Pavement, camera: CameraLabel, normals_cam: Points3) -> Iterator[Result]:
     """Finding if the normals differ from the road's, in the median: they are smoothed where the exit leaves it. A ramp
     has others."""
     level = ~pavement.places.on_slope()

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Bool, Float
 
+from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.lanes import path_of_segment
 from synth3dlanes.geometry.symbols import Polygon, shape
 from synth3dlanes.scene import Symbol
@@ -16,7 +17,7 @@ from synth3dlanes.settings import FIRST_SYMBOL_ID, SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Finding
 from synth3dlanes.validate.pixels import some_pixels
-from synth3dlanes.validate.places import Places, on_road, places
+from synth3dlanes.validate.places import RoadPlaces, on_road, places
 from synth3dlanes.world import World
 
 # Pixels this close to an edge of paint may show either side of it.
@@ -28,8 +29,6 @@ MAX_SINGLE, MAX_SHARE = 3, 0.05
 # Of the search for a station between two lines.
 STEPS = 5
 GROUND = [SEMANTIC_IDS[name] for name in ("road", "shoulder", "marking", "symbol")]
-
-Values = Float[np.ndarray, " n"]
 
 
 def check_symbols(evidence: Evidence) -> Iterator[Finding]:
@@ -56,7 +55,7 @@ def check_symbols(evidence: Evidence) -> Iterator[Finding]:
         yield from _judge(f"symbol {i}" if "instance" in passes else "symbols", number == i, outside_m, margin_m)
 
 
-def _judge(name: str, shown: Bool[np.ndarray, " n"], outside_m: Values, margin_m: Values) -> Iterator[Finding]:
+def _judge(name: str, shown: Bool[np.ndarray, " n"], outside_m: Scalars, margin_m: Scalars) -> Iterator[Finding]:
     strays, gaps = shown & (outside_m > MARGIN_M), ~shown & (outside_m < -margin_m)
     inside = int((outside_m < -MARGIN_M).sum())
     if strays.sum() > max(MAX_SINGLE, MAX_SHARE * shown.sum()):
@@ -65,7 +64,7 @@ def _judge(name: str, shown: Bool[np.ndarray, " n"], outside_m: Values, margin_m
         yield Finding("", f"{name}: expected {inside} pixels of its paint, got another surface at {gaps.sum()} of them")
 
 
-def _beyond_m(world: World, symbol: Symbol, place: Places) -> Values:
+def _beyond_m(world: World, symbol: Symbol, place: RoadPlaces) -> Scalars:
     """Distance of points on the road outside a symbol's paint, negative inside."""
     plan, form = world.plan, shape(world.ground, symbol)
     if symbol.kind == "gore":
@@ -81,7 +80,7 @@ def _beyond_m(world: World, symbol: Symbol, place: Places) -> Values:
     return _outside(form.polygons, np.nan_to_num(np.column_stack([aside * plan.flips[0], ahead]), nan=1e3))
 
 
-def _between_lines(world: World, place: Places) -> tuple[Values, Values]:
+def _between_lines(world: World, place: RoadPlaces) -> tuple[Scalars, Scalars]:
     """Where points are between the main road's line and the exit's: the share of the way, and the plan station at which
     both lines have them between each other."""
     plan, lines = world.plan, {line.id: line for line in world.site.lines}
@@ -99,11 +98,11 @@ def _between_lines(world: World, place: Places) -> tuple[Values, Values]:
     return (to * to_exit).sum(axis=1) / length**2, s
 
 
-def _gap_m(world: World, s: Values) -> Values:
+def _gap_m(world: World, s: Scalars) -> Scalars:
     return np.maximum(world.plan.opening(s) - world.plan.width_m, 0.01)
 
 
-def _outside(polygons: list[Polygon], points: Float[np.ndarray, "n 2"]) -> Values:
+def _outside(polygons: list[Polygon], points: Float[np.ndarray, "n 2"]) -> Scalars:
     """Distance of points from the nearest polygon; inside one, minus the distance from its sides."""
     outside = np.full(len(points), np.inf)
     for polygon in polygons:

@@ -11,7 +11,7 @@ from synth3dlanes_baseline.cache import annotation_file
 from synth3dlanes_baseline.config import train_config
 from synth3dlanes_baseline.lanes import write_predictions
 from synth3dlanes_baseline.overlay import save_overlay
-from synth3dlanes_baseline.progress import Log
+from synth3dlanes_baseline.progress import TrainingLog
 
 from synth3dlanes.errors import LinkError
 
@@ -23,7 +23,7 @@ def writers(out: Path, roads):
     state = checkpoint.Checkpoint(train_config("nano", {}), {}, {"weight": torch.zeros(1)}, None)
 
     def log() -> None:
-        with Log(out, 1, 0, 1, is_shown=True) as history:
+        with TrainingLog(out, 1, 0, 1, is_shown=True) as history:
             history.step(1, 0.1, {"total": torch.zeros(())})
 
     return {

@@ -6,7 +6,7 @@ from synth3dlanes_baseline import progress
 def test_a_log_file_gets_a_line_now_and_then_with_what_is_left(capsys, monkeypatch):
     clock = 0.0
     monkeypatch.setattr(progress.time, "monotonic", lambda: clock)
-    with progress.Line("step", 100, is_shown=True) as line:
+    with progress.ProgressLine("step", 100, is_shown=True) as line:
         for step in range(1, 101):
             clock = step * 2.0
             line.update(step, 100, "8.0 samples/s")
@@ -17,6 +17,6 @@ def test_a_log_file_gets_a_line_now_and_then_with_what_is_left(capsys, monkeypat
 
 def test_other_processes_than_the_first_say_nothing(capsys, monkeypatch):
     monkeypatch.setattr(progress, "LINE_EVERY_S", -1.0)
-    with progress.Line("step", 10, is_shown=False) as line:
+    with progress.ProgressLine("step", 10, is_shown=False) as line:
         line.update(5, 10)
     assert capsys.readouterr().err == ""

@@ -12,7 +12,7 @@ from synth3dlanes_baseline.config import train_config
 from synth3dlanes_baseline.data import annotation_of, intrinsics_of, resize, scale
 from synth3dlanes_baseline.loading import Process, batch_index, sample_order
 from synth3dlanes_baseline.optim import Schedule
-from synth3dlanes_baseline.train import Diverged, train_on
+from synth3dlanes_baseline.train import DivergenceError, train_on
 
 from synth3dlanes.errors import FormatError, InputError
 
@@ -85,7 +85,7 @@ def test_nan_stops_the_run_and_names_the_sample(roads, tmp_path):
     far = np.arange(len(lane.xyz_cam))[:, None] > 60
     broken = dataclasses.replace(lane, xyz_cam=np.where(far & [[True, False, False]], 3.3e38, lane.xyz_cam))
     samples[2] = dataclasses.replace(bad, labels=dataclasses.replace(bad.labels, lanes=(broken,)))
-    with pytest.raises(Diverged, match=r"step \d+: .*from sample 00000002$"):
+    with pytest.raises(DivergenceError, match=r"step \d+: .*from sample 00000002$"):
         train_on(_config(**PLAIN), samples, samples[:1], tmp_path)
 
 

@@ -19,7 +19,7 @@ from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.scene import Building, Car, Post, Tree
 from synth3dlanes.settings import FIRST_STRUCTURE_ID, HOST_ID, SEMANTIC_IDS, RenderSettings
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.paint import Paint
+from synth3dlanes.validate.paint import WorldPaint
 from synth3dlanes.world import resolve
 from tests.scenes import changed, flat_road_places
 from tests.validate.examining import findings
@@ -135,8 +135,8 @@ def test_snow_covers_the_road_between_the_wheel_tracks_and_no_id_changes(oncomin
     in_track, between = abs(abs(right_m) - 0.8) < 0.2, (abs(right_m) < 0.25) | (abs(abs(right_m) - 1.4) < 0.15)
     assert np.mean(gain[road & in_track]) < 1.2
     assert np.mean(gain[road & between]) > 1.6
-    assert not Paint(resolve(snowy)).shows
-    assert Paint(resolve(bare)).shows
+    assert not WorldPaint(resolve(snowy)).shows
+    assert WorldPaint(resolve(bare)).shows
 
 
 @pytest.mark.render

@@ -14,7 +14,7 @@ bpy = pytest.importorskip("bpy")
 from PIL import Image  # noqa: E402
 
 from synth3dlanes.assets.catalogue import BUILT_IN, CARS, TREES, CarModel, Library, TreeModel  # noqa: E402
-from synth3dlanes.assets.folder import Checked, require_assets  # noqa: E402
+from synth3dlanes.assets.folder import FolderCheck, require_assets  # noqa: E402
 from synth3dlanes.blender import example_assets as example  # noqa: E402
 from synth3dlanes.blender import render as renderer  # noqa: E402
 from synth3dlanes.blender.assets import load_meshes  # noqa: E402
@@ -207,7 +207,7 @@ def test_a_file_that_changed_after_the_check_is_noticed(folder: Path, library: L
 
 
 @pytest.fixture(scope="module")
-def bad(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Checked]:
+def bad(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FolderCheck]:
     """A folder in which everything is wrong, each in its own way."""
     root = tmp_path_factory.mktemp("bad")
     for kind in ("cars", "trees", "roads", "terrains", "skies"):
@@ -270,11 +270,11 @@ def bad(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Checked]:
         "assets.yaml: cars.bus: expected the name of a file in cars/",
     ],
 )
-def test_each_problem_is_named(bad: Checked, expected: str) -> None:
+def test_each_problem_is_named(bad: FolderCheck, expected: str) -> None:
     assert sum(problem.startswith(expected) for problem in bad.problems) == 1, "\n".join(bad.problems)
 
 
-def test_what_has_no_meaning_is_listed_and_what_is_right_is_kept(bad: Checked) -> None:
+def test_what_has_no_meaning_is_listed_and_what_is_right_is_kept(bad: FolderCheck) -> None:
     unused = {line.split(":")[0] for line in bad.warnings}
     assert unused == {"cars/broken.fbx", "roads/half_ruoghness.png", "skies/square.png", "decal.png"}
     assert [row.name for row in bad.rows] == ["dome"]

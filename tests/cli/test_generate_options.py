@@ -18,8 +18,6 @@ from synth3dlanes.production.events import LEVEL_OF, Event, duration
         (("--quality", "draft"), 2),
         (("--quality", "high"), 8),
         (("--samples", "7"), 7),
-        (("--samples", "7", "--quality", "high"), 7),
-        (("--quality", "high", "--samples", "7"), 7),
     ],
 )
 def test_quality_is_a_name_for_a_number_of_samples(options, samples):

@@ -1,19 +1,21 @@
 """Ctrl-C, SIGTERM and SIGHUP end every command with the exit code of a shell and one line, never "Aborted!"."""
 
+import os
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 
 import psutil
 import pytest
 from click.testing import CliRunner
 from synth3dlanes_cli.main import main
 
-from synth3dlanes.production.signals import Stopped
+from synth3dlanes.production.signals import StopSignal
 
 
 @pytest.mark.parametrize(
-    ("error", "code"), [(KeyboardInterrupt(), 130), (Stopped(signal.SIGTERM), 143), (Stopped(signal.SIGHUP), 129)]
+    ("error", "code"), [(KeyboardInterrupt(), 130), (StopSignal(signal.SIGTERM), 143), (StopSignal(signal.SIGHUP), 129)]
 )
 @pytest.mark.parametrize(
     ("arguments", "function", "line"),
@@ -63,6 +65,38 @@ def test_a_second_signal_ends_a_run_at_once_in_one_line(tmp_path, signals, code)
         assert stderr.splitlines()[-1].endswith("generate: interrupted; rerun to resume")
     else:
         assert "samples" in stdout
+
+
+def is_shared_process(process: psutil.Process) -> bool:
+    with suppress(psutil.Error):
+        return "spawn_main" in " ".join(process.cmdline())
+    return False
+
+
+@pytest.mark.parametrize(
+    ("command", "is_early"),
+    [
+        (["sample", "--n", "3000"], True),
+        (["sample", "--n", "3000"], False),
+        (["validate", "FOLDER", "--workers", "2"], True),
+    ],
+)
+def test_ctrl_c_in_a_terminal_ends_shared_processes_without_a_word(command, is_early, folder):
+    """The terminal sends it to every process, also to those that have just begun."""
+    words = [word.replace("FOLDER", str(folder)) for word in command]
+    words = [sys.executable, "-m", "synth3dlanes", *words]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    parent = psutil.Process(process.pid)
+    if is_early:
+        while not any(map(is_shared_process, parent.children())):
+            assert process.poll() is None
+    else:
+        assert process.stdout.readline()
+    os.killpg(process.pid, signal.SIGINT)
+    _, stderr = process.communicate(timeout=60)
+    assert process.returncode == 130, stderr
+    assert stderr.splitlines()[-1] == f"python -m synth3dlanes {command[0]}: interrupted"
+    assert "Traceback" not in stderr
 
 
 def test_ctrl_c_while_the_commands_are_imported_ends_in_one_line():

@@ -133,7 +133,7 @@ def test_a_store_gets_the_card_whole(tmp_path, monkeypatch):
     )
     with Destination(tmp_path.as_uri()).claim(DESCRIPTION, "train", 2, [0]):
         pass
-    assert [Path(b).name for _, b in moved] == ["dataset.json", "README.md"]
+    assert [Path(b).name for _, b in moved] == ["dataset.json", "README.md", "croissant.json"]
     assert all(re.fullmatch(rf"\.{Path(b).name}\.[0-9a-f]{{16}}\.tmp", Path(a).name) for a, b in moved)
 
 

@@ -28,8 +28,8 @@ PAGE = Path(__file__).parents[2] / "docs/loaders.md"
 EXAMPLES = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
 
 
-def test_four_examples_of_at_most_fifteen_lines():
-    assert len(EXAMPLES) == 4
+def test_five_examples_of_at_most_fifteen_lines():
+    assert len(EXAMPLES) == 5
     for example in EXAMPLES:
         assert len(example.strip().splitlines()) <= 15
 
@@ -43,7 +43,7 @@ def run(example, dataset, home):
     return done.stdout.splitlines()
 
 
-@pytest.mark.parametrize("example", EXAMPLES[:3], ids=["webdataset", "datasets", "datasets, Json"])
+@pytest.mark.parametrize("example", EXAMPLES[:4], ids=["webdataset", "datasets", "datasets, Json", "croissant"])
 def test_streams_end_at_our_last_sample(example, dataset, tmp_path):
     last = Reader(f"{dataset}/train")[-1]
     assert run(example, dataset, tmp_path) == [f"{last.key} {last.image.shape} {len(last.labels.lanes)}"]
@@ -51,7 +51,7 @@ def test_streams_end_at_our_last_sample(example, dataset, tmp_path):
 
 def test_torch_sees_every_sample_once(dataset, tmp_path):
     # Seven samples in batches of two.
-    assert run(EXAMPLES[3], dataset, tmp_path) == ["(2, 360, 480, 3)"] * 3 + ["(1, 360, 480, 3)"]
+    assert run(EXAMPLES[4], dataset, tmp_path) == ["(2, 360, 480, 3)"] * 3 + ["(1, 360, 480, 3)"]
 
 
 def keys_of(document, path=""):

@@ -10,7 +10,7 @@ from synth3dlanes.errors import InputError
 from synth3dlanes.formats.export import export
 from synth3dlanes.formats.openlane_v2 import score as scoring
 from synth3dlanes.formats.openlane_v2.read import frames, parse
-from synth3dlanes.formats.openlane_v2.score import Lanes, score
+from synth3dlanes.formats.openlane_v2.score import LaneTopology, score
 from synth3dlanes.formats.openlane_v2.write import annotate
 from synth3dlanes.formats.sample_format import SampleFrame
 from synth3dlanes.formats.verify import verify
@@ -212,27 +212,27 @@ def line(y_m, x_m=(0.0, 40.0), n=11):
 
 def test_the_score_by_hand():
     follows = np.array([[0.0, 1.0], [0.0, 0.0]])
-    true = Lanes(((line(0, (0, 20)),), (line(0, (20, 40)),)), follows)
+    true = LaneTopology(((line(0, (0, 20)),), (line(0, (20, 40)),)), follows)
     assert score([(true, true)]) == scoring.LaneScore(1.0, 1.0)
     # 1.5 m aside: beyond the first of three thresholds.
-    aside = Lanes(tuple((points + np.array([0, 1.5, 0]),) for (points,) in true.lanes), follows)
+    aside = LaneTopology(tuple((points + np.array([0, 1.5, 0]),) for (points,) in true.lanes), follows)
     assert score([(true, aside)]).det_l == pytest.approx(2 / 3)
     # Lanes are directed, and the Frechet distance keeps the order.
-    turned = Lanes(tuple((points[::-1],) for (points,) in true.lanes), follows)
+    turned = LaneTopology(tuple((points[::-1],) for (points,) in true.lanes), follows)
     assert score([(true, turned)]).det_l == 0
     assert scoring.frechet_m(line(0), line(0)[::-1]) == 40
     # One of two lanes: recall 0.5 at precision 1, so 6 of the 11 recalls.
-    half = Lanes(true.lanes[:1], np.zeros((1, 1)))
+    half = LaneTopology(true.lanes[:1], np.zeros((1, 1)))
     assert score([(true, half)]).det_l == pytest.approx(6 / 11)
     # A connection that is predicted the wrong way round.
-    assert score([(true, Lanes(true.lanes, follows.T))]) == scoring.LaneScore(1.0, 0.0)
+    assert score([(true, LaneTopology(true.lanes, follows.T))]) == scoring.LaneScore(1.0, 0.0)
     # Lanes far away may be up to 6 m off: 5 m count as 2.5 m from 100 m on.
-    far = Lanes(((line(0, (120, 140)),),), np.zeros((1, 1)))
-    moved = Lanes(((line(5, (120, 140)),),), np.zeros((1, 1)))
+    far = LaneTopology(((line(0, (120, 140)),),), np.zeros((1, 1)))
+    moved = LaneTopology(((line(5, (120, 140)),),), np.zeros((1, 1)))
     assert score([(far, moved)]).det_l == pytest.approx(1 / 3)
     # Segments: half the sum of the centre line's and both boundaries' distances.
-    segment = Lanes(((line(0), line(2), line(-2)),), np.zeros((1, 1)))
-    wider = Lanes(((line(0), line(3.5), line(-3.5)),), np.zeros((1, 1)))
+    segment = LaneTopology(((line(0), line(2), line(-2)),), np.zeros((1, 1)))
+    wider = LaneTopology(((line(0), line(3.5), line(-3.5)),), np.zeros((1, 1)))
     assert score([(segment, wider)]).det_l == pytest.approx(2 / 3)
 
 

@@ -10,7 +10,7 @@ from synth3dlanes.errors import InputError
 from synth3dlanes.formats.export import FORMATS, export
 from synth3dlanes.formats.plan import open_reader
 from synth3dlanes.formats.sample_format import SampleFormat
-from synth3dlanes.formats.writing import Annotation
+from synth3dlanes.formats.writing import FrameAnnotation
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.run import generate
 from synth3dlanes.shots import clips
@@ -26,7 +26,7 @@ def run(monkeypatch, dataset, out, annotate, **changes):
 def test_images_are_copied_byte_for_byte_or_encoded_anew_where_the_path_says_so(monkeypatch, dataset, tmp_path):
     def annotate(frame):
         suffix = "jpg" if int(frame.key) % 2 else "png"
-        return Annotation(f"{frame.split}/{frame.key}.{suffix}", len(frame.labels.lanes))
+        return FrameAnnotation(f"{frame.split}/{frame.key}.{suffix}", len(frame.labels.lanes))
 
     summary = run(monkeypatch, dataset, tmp_path / "out", annotate)
     reader = open_reader(f"{dataset}/train")
@@ -43,7 +43,7 @@ def test_the_writer_gets_the_scene_and_the_labels_of_the_rolled_camera(monkeypat
 
     def annotate(frame):
         frames.append(frame)
-        return Annotation(None, 0, files={"a.txt": "a"})
+        return FrameAnnotation(None, 0, files={"a.txt": "a"})
 
     run(monkeypatch, tmp_path / "data", tmp_path / "out", annotate)
     (frame,) = frames
@@ -60,7 +60,7 @@ def test_a_scene_is_written_once_where_the_format_says_so(monkeypatch, tmp_path)
 
     def annotate(frame):
         keys.append(frame.key)
-        return Annotation(None, 1)
+        return FrameAnnotation(None, 1)
 
     summary = run(monkeypatch, tmp_path / "data", tmp_path / "out", annotate, is_per_scene=True)
     assert keys == ["00000000", "00000003", "00000006"]
@@ -78,7 +78,7 @@ def test_data_sets_without_the_passes_are_refused_before_anything_is_written(mon
 
 def test_shared_lines_become_one_document(monkeypatch, dataset, tmp_path):
     def annotate(frame):
-        return Annotation(None, 1, shared=((json.dumps(frame.key), (f"{frame.split}.json",)),))
+        return FrameAnnotation(None, 1, shared=((json.dumps(frame.key), (f"{frame.split}.json",)),))
 
     def document(path, lines):
         yield json.dumps({"file": path, "keys": [json.loads(line) for line in lines.read_text().splitlines()]})

@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from synth3dlanes.production.bench import Bench, Naive, StoredBench, Timed, _seconds_between, compare, psnr, ssim
+from synth3dlanes.production.bench import (
+    Bench,
+    DefaultTiming,
+    SampleTiming,
+    StoredBench,
+    _seconds_between,
+    compare,
+    psnr,
+    ssim,
+)
 from synth3dlanes.sample import Scenes
 
 
@@ -23,7 +32,7 @@ def test_psnr_and_ssim_of_known_differences(rng):
 
 
 def timed(worker, ended):
-    return Timed(worker, ended, 0.0, {}, 0, 0)
+    return SampleTiming(worker, ended, 0.0, {}, 0, 0)
 
 
 def test_time_between_samples_is_that_of_each_worker():
@@ -36,7 +45,9 @@ def test_time_between_samples_is_that_of_each_worker():
 def test_a_comparison_is_free_of_the_machines_speed():
     """Against itself on a machine that is three times slower, and with one stage twice as long."""
     stages = {"build": 0.1, "path tracing": 0.3, "denoise": 0.1}
-    now = Bench(3, 1, "cpu", 4, (96, 72), 7200, 7200, 0.5, 0.5, 0.4, 1.25, stages, 0, [], None, Naive(0.6, 128, 5.0))
+    now = Bench(
+        3, 1, "cpu", 4, (96, 72), 7200, 7200, 0.5, 0.5, 0.4, 1.25, stages, 0, [], None, DefaultTiming(0.6, 128, 5.0)
+    )
     slower = json.loads(json.dumps(now.document()))
     for group in (slower, slower["stages"], slower["naive"]):
         group.update({name: 3 * group[name] for name in group if name in stages or "seconds" in name})
@@ -94,7 +105,7 @@ def test_the_naive_way_is_timed_at_both_numbers_of_samples(monkeypatch):
     recipe = Recipe(Scenes(load_params("tiny"), 0, "bench"), RenderSettings(2), "jpg")
     assert naive_seconds(recipe.scene(0), recipe.settings, recipe.library, 1) > 0
     monkeypatch.setattr(bench, "_one", lambda pool, function, recipe, index, samples: float(samples))
-    assert bench.measure_naive(recipe, lambda _: None) == Naive(2.0, 128, 128.0)
+    assert bench.measure_naive(recipe, lambda _: None) == DefaultTiming(2.0, 128, 128.0)
 
 
 @pytest.mark.slow

@@ -110,4 +110,7 @@ def test_no_split_is_lost_where_runs_announce_theirs_together(
     assert described["splits"] == {split: {"n": n} for n, split in enumerate(splits)}
     card = files.cat_file(f"{root}/README.md").decode()
     assert all(f"| {split} | {n} |" in card for n, split in enumerate(splits))
-    assert sorted(path.rpartition("/")[2] for path in files.find(root)) == ["README.md", "dataset.json"]
+    for split in splits[1:]:
+        assert f'"@id": "{split}/00000.tar"' in files.cat_file(f"{root}/croissant.json").decode()
+    there = sorted(path.rpartition("/")[2] for path in files.find(root))
+    assert there == ["README.md", "croissant.json", "dataset.json"]

@@ -60,7 +60,13 @@ def test_a_store_is_made_and_continued_on_a_cluster(tmp_path, whole, address):
     for n in (5, N):
         told = finish(begin(url, n, address))
     soak.check(tmp_path, N, whole)
-    assert {path.name for path in tmp_path.iterdir()} == {"README.md", "dataset.json", "logs", "train"}
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "README.md",
+        "croissant.json",
+        "dataset.json",
+        "logs",
+        "train",
+    }
     assert len(list((tmp_path / "logs").iterdir())) == 2
     events = log_of(tmp_path)
     assert len(events) == len(told)

@@ -119,7 +119,9 @@ def test_sigkill_of_the_run_and_of_workers_at_any_moment(tmp_path, whole):
     report, _ = go(plan(tmp_path))
     assert report.exit_code == 0
     assert contents(tmp_path) == whole
-    assert sorted(path.name for path in tmp_path.iterdir()) == [".lock", "README.md", "dataset.json", "logs", "train"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        *(".lock", "README.md", "croissant.json", "dataset.json", "logs", "train")
+    ]
 
 
 def _outlives(worker: psutil.Process) -> bool:
@@ -334,7 +336,7 @@ def test_another_recipe_is_named_and_nothing_advised_before_anything_is_read(tmp
 
 def test_what_killed_writers_left_in_a_folder_goes_when_it_is_claimed(tmp_path, whole):
     tmp_path.joinpath("train").mkdir()
-    left = [".dataset.json.4711.tmp", ".README.md.0123456789abcdef.tmp", ".room.0123456789abcdef.tmp"]
+    left = [f".{name}.0123456789abcdef.tmp" for name in ("dataset.json", "README.md", "croissant.json", "room")]
     for name in left:
         (tmp_path / name).write_text("half")
     (tmp_path / ".mine.tmp").write_text("whole")

@@ -7,12 +7,12 @@ from pathlib import Path
 from synth3dlanes.dataset import stores
 from synth3dlanes.dataset.destination import Destination
 from synth3dlanes.errors import OutageError
-from synth3dlanes.production.tally import Tally
+from synth3dlanes.production.tally import RunTally
 
 
-def told(asked: int = 10, missing: range = range(4, 10), log=None) -> tuple[Tally, list]:
+def told(asked: int = 10, missing: range = range(4, 10), log=None) -> tuple[RunTally, list]:
     events: list = []
-    return Tally(asked, missing, events.append, log), events
+    return RunTally(asked, missing, events.append, log), events
 
 
 def test_samples_count_once_however_often_they_are_told_of():

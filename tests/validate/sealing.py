@@ -6,14 +6,14 @@ from contextlib import suppress
 from pathlib import Path
 
 from synth3dlanes import labels as labels_module
-from synth3dlanes.dataset.card import CARD, updated_card
+from synth3dlanes.dataset.companions import COMPANIONS, updated_companions
 from synth3dlanes.dataset.description import recipe_text
 from synth3dlanes.dataset.format import LABELS, key_of
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.write import Shard
 from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels
-from synth3dlanes.validate.report import Report
+from synth3dlanes.validate.report import ValidationReport
 
 SHARD_SIZE = 1000
 
@@ -47,11 +47,12 @@ def describe(root: Path, change: Callable[[dict], object]) -> None:
     document = json.loads(path.read_text())
     change(document)
     path.write_text(json.dumps(document))
-    readme = root / CARD
-    if readme.exists():
-        # A description that says nothing has no card.
-        with suppress(FormatError):
-            readme.write_bytes(updated_card(readme.read_bytes(), path.read_bytes(), str(path)))
+    beside = {name: (root / name).read_bytes() if (root / name).exists() else None for name in COMPANIONS}
+    # A description that says nothing has no companions.
+    with suppress(FormatError):
+        for name, data in updated_companions(beside, path.read_bytes(), str(path)).items():
+            if beside[name] is not None:
+                (root / name).write_bytes(data)
 
 
 def drop_passes(root: Path) -> None:
@@ -71,7 +72,7 @@ def relabel(index: int, change: Callable[[Labels], Labels]) -> Change:
     return apply
 
 
-def check(root: Path, workers: int = 1) -> Report:
+def check(root: Path, workers: int = 1) -> ValidationReport:
     """Validate all of it."""
     from synth3dlanes.validate.run import validate
 

@@ -195,6 +195,12 @@ def edit_readme(root: Path) -> None:
     path.write_text(path.read_text().replace("Synthetic 3D lanes", "Synthetic 4D lanes"))
 
 
+def edit_croissant(root: Path) -> None:
+    """A shard less in croissant.json."""
+    path = root / "croissant.json"
+    path.write_text(path.read_text().replace("train/00000.tar", "train/00001.tar"))
+
+
 SUBTLE = [
     Fault("car_visible_fraction + 0.08", of_json(LABELS, more_visible), "car_visible_fraction"),
     Fault("image red and green swapped", of_pixels(lambda p: p[..., [1, 0, 2]]), "red over green"),
@@ -213,7 +219,8 @@ SUBTLE = [
     Fault("height map 3 cm up", in_samples(lifted), r"got it \+0.030 m off"),
     Fault("height map one row off", in_samples(one_row_off), "as a map that is moved"),
     Fault("rows of the index reordered", reorder_index, "in the order of their samples"),
-    Fault("README.md edited", edit_readme, "expected what dataset.json gives"),
+    Fault("README.md edited", edit_readme, "README.md: expected what dataset.json gives"),
+    Fault("croissant.json edited", edit_croissant, "croissant.json: expected what dataset.json gives"),
 ]
 
 OF_STREETS = [

@@ -10,13 +10,13 @@ from synth3dlanes.frames import project, transform
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, SEMANTIC_IDS
-from synth3dlanes.validate.bias import TESTS, Mean, judge
-from synth3dlanes.validate.centroids import Offset, image_offsets, line_views, paint_offsets
+from synth3dlanes.validate.bias import TESTS, RunningMean, judge
+from synth3dlanes.validate.centroids import PaintOffset, image_offsets, line_views, paint_offsets
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Measure, Signed
-from synth3dlanes.validate.paint import Paint
-from synth3dlanes.validate.pixels import LUMA
-from synth3dlanes.validate.report import Report
+from synth3dlanes.validate.paint import WorldPaint
+from synth3dlanes.validate.pixels import luma
+from synth3dlanes.validate.report import ValidationReport
 from synth3dlanes.world import resolve
 from tests.scenes import changed, flat_road_places, hill
 from tests.validate.examining import seen
@@ -46,11 +46,11 @@ def instance_ids(scene: Scene, aside_m: float = 0.0, wider: float = 1.0) -> np.n
     return ids
 
 
-def offsets(scene: Scene, ids: np.ndarray) -> list[Offset]:
-    return list(paint_offsets(line_views(Paint(resolve(scene)), seen(ground_truth(scene))), ids))
+def offsets(scene: Scene, ids: np.ndarray) -> list[PaintOffset]:
+    return list(paint_offsets(line_views(WorldPaint(resolve(scene)), seen(ground_truth(scene))), ids))
 
 
-def mean_m(lines: list[Offset]) -> float:
+def mean_m(lines: list[PaintOffset]) -> float:
     return sum(line.moment_m.sum() for line in lines) / sum(line.n_px.sum() for line in lines)
 
 
@@ -96,7 +96,7 @@ def signed(scene: Scene, image: np.ndarray, passes: dict[str, np.ndarray]) -> di
 
 def words(values: dict[str, float]) -> dict[str, str]:
     """What is said of a data set of twelve samples, all about so."""
-    report = Report()
+    report = ValidationReport()
     for i in range(12):
         report.sample(f"train:{i:08d}", "", [Signed(name, value * (1 + i / 50)) for name, value in values.items()])
     report.judge()
@@ -138,7 +138,9 @@ def test_dark_paint_and_a_shadow_across_leave_lines_of_the_image_in_place():
         image = np.where(ids > 0, paint, 110)[..., None].repeat(3, axis=2).astype(float)
         image[250:270] *= 0.4
         lines = list(
-            image_offsets(line_views(Paint(resolve(SOLID)), seen(ground_truth(SOLID))), image.astype(np.uint8) @ LUMA)
+            image_offsets(
+                line_views(WorldPaint(resolve(SOLID)), seen(ground_truth(SOLID))), luma(image.astype(np.uint8))
+            )
         )
         assert {line.lane.id for line in lines} == {"main_line_1", "main_line_2"}, "edges of the road are not asked"
         assert all(abs(line.mean_m) < 4e-3 for line in lines)
@@ -241,7 +243,7 @@ def test_depth_too_far_or_too_near_leaves_the_road_below_or_above(factor, side):
 
 def test_a_running_mean_is_that_of_all_its_values(rng):
     values = rng.normal(0.003, 0.02, 500)
-    mean = Mean()
+    mean = RunningMean()
     for value in values:
         mean.add(float(value))
     error = values.std(ddof=1) / np.sqrt(len(values))
@@ -250,7 +252,7 @@ def test_a_running_mean_is_that_of_all_its_values(rng):
 
 
 def verdict(values: np.ndarray, name: str = "paint_outward_m") -> str:
-    mean = Mean()
+    mean = RunningMean()
     for value in values:
         mean.add(float(value))
     return "".join(problem.line() for problem in judge({name: mean}))
@@ -272,7 +274,7 @@ def test_chance_alone_is_no_fault(rng):
 
 
 def test_means_are_told_in_the_text_and_in_json():
-    report = Report()
+    report = ValidationReport()
     for i in range(8):
         report.sample(f"train:{i:08d}", "", [Signed("paint_outward_m", 0.018 + 0.001 * (i % 3))])
     report.sample("train:00000008", "", [Signed("relief", 0.0)])
@@ -292,7 +294,7 @@ def test_means_are_told_in_the_text_and_in_json():
 
 
 def test_the_text_has_no_rows_that_say_nothing():
-    report = Report()
+    report = ValidationReport()
     report.sample(
         "train:00000000",
         "",

@@ -23,7 +23,7 @@ from synth3dlanes.dataset.columns import index_row
 from synth3dlanes.dataset.format import BLOCK, COLUMN_OF_MEMBER, HEIGHT, LABELS, PASSES, SCENE, tar_bytes, tar_end
 from synth3dlanes.errors import FormatError
 from synth3dlanes.sample import Scenes
-from synth3dlanes.validate.report import Report
+from synth3dlanes.validate.report import ValidationReport
 from tests.validate.sealing import Members, check, describe, read_members
 
 pytestmark = pytest.mark.render
@@ -201,7 +201,7 @@ def rounds(n: int) -> Iterator[tuple[int, Rng]]:
     return ((seed, np.random.default_rng(seed)) for seed in range(n))
 
 
-def expect(report: Report, edited: dict[int, str]) -> None:
+def expect(report: ValidationReport, edited: dict[int, str]) -> None:
     """Every edited sample is named, in lines of text, and no other."""
     assert report.failed == [name(index) for index in sorted(edited)], edited
     json.dumps(report.document())

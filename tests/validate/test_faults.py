@@ -16,7 +16,7 @@ from synth3dlanes.dataset.read import Reader
 from synth3dlanes.labels import Labels, Lane
 from synth3dlanes.validate.findings import Problem
 from synth3dlanes.validate.integrity import walk
-from synth3dlanes.validate.report import Report
+from synth3dlanes.validate.report import ValidationReport
 from tests.validate.conftest import N
 from tests.validate.sealing import Change, check, describe, drop_passes, relabel, seal
 
@@ -36,7 +36,7 @@ def with_lane(labels: Labels, lane: Lane) -> Labels:
     return replace(labels, lanes=tuple(lane if lane.id == old.id else old for old in labels.lanes))
 
 
-def reasons(report: Report, where: str, lane: str) -> str:
+def reasons(report: ValidationReport, where: str, lane: str) -> str:
     return "\n".join(problem.reason for problem in report.problems if (problem.where, problem.lane) == (where, lane))
 
 

@@ -18,9 +18,9 @@ from synth3dlanes.scene import Car, Scene
 from synth3dlanes.settings import FIRST_CAR_ID, SEMANTIC_IDS
 from synth3dlanes.validate.bodies import NEAR_M, ahead, covers
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import BAND_NAMES, Distribution, Finding, Measure
-from synth3dlanes.validate.paint import Paint
-from synth3dlanes.validate.report import Report
+from synth3dlanes.validate.findings import BAND_NAMES, Finding, Measure, RangeHistogram
+from synth3dlanes.validate.paint import WorldPaint
+from synth3dlanes.validate.report import ValidationReport
 from synth3dlanes.world import resolve
 from tests.scenes import FLAT, changed, flat_road_places
 from tests.validate.examining import findings, measures, reasons, seen
@@ -28,7 +28,7 @@ from tests.validate.examining import findings, measures, reasons, seen
 
 @given(st.lists(st.floats(1e-3, 1e3), min_size=20, max_size=200))
 def test_percentiles_of_counts_are_those_of_the_values_to_ten_per_cent(values):
-    found = Distribution()
+    found = RangeHistogram()
     array = np.array(values)
     for part in np.array_split(array, 3):
         found.add(Measure("x_m", np.full(len(part), 15.0), part))
@@ -50,14 +50,14 @@ def test_points_on_dashes_are_told_from_those_between_also_aside_of_the_line():
         points_cam = lane.xyz_cam + np.array([aside_m, 0, 0])
         y_m = scene.camera.y_m + np.arange(len(points_cam))
         near = (np.arange(len(points_cam)) < 15) & (np.abs(np.mod(y_m, 2)) > 0.1)
-        resolved = Paint(resolve(scene)).strip(labels.camera, lane, points_cam).resolved
+        resolved = WorldPaint(resolve(scene)).strip(labels.camera, lane, points_cam).resolved
         np.testing.assert_array_equal(resolved[near], (np.mod(y_m, 4) < 2)[near])
 
 
 def test_across_is_to_the_right_and_the_normal_up():
     labels = ground_truth(FLAT)
     lane = labels.lanes[0]
-    strip = Paint(resolve(FLAT)).strip(labels.camera, lane, lane.xyz_cam)
+    strip = WorldPaint(resolve(FLAT)).strip(labels.camera, lane, lane.xyz_cam)
     assert (strip.across_cam[:, 0] > 0.99).all()
     assert (strip.normal_cam[:, 2] > 0.99).all()
 
@@ -299,7 +299,7 @@ def test_depth_in_another_unit_is_said_first():
 
 
 def test_problems_are_told_in_the_order_of_the_checks():
-    report = Report()
+    report = ValidationReport()
     report.sample("train:00000001", "", [Finding("", "z: the cause"), Finding("", "a: what follows")])
     report.sample("train:00000000", "", [Finding("", "b: another")])
     assert [problem["reason"][0] for problem in report.document()["problems"]] == ["b", "z", "a"]

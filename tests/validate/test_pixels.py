@@ -22,8 +22,8 @@ from synth3dlanes.sample import Scenes
 from synth3dlanes.scene import from_json
 from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS, RenderSettings
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.paint import Paint
-from synth3dlanes.validate.ridges import PLACES_M, Line, check_move
+from synth3dlanes.validate.paint import WorldPaint
+from synth3dlanes.validate.ridges import PLACES_M, LineProfiles, check_move
 from synth3dlanes.world import resolve
 from tests.scenes import changed
 from tests.validate.examining import findings, reasons
@@ -113,7 +113,7 @@ def test_lines_stand_out_that_are_brighter_than_their_road():
 
     def stand_out(road_texture: int, color: PaintColor) -> bool:
         scene = changed(surface={"road_texture": road_texture}, markings={"grayscale": 0.48, "wear": 0.2})
-        return Paint(resolve(scene)).stands_out(color)
+        return WorldPaint(resolve(scene)).stands_out(color)
 
     assert [stand_out(1, "white"), stand_out(1, "yellow")] == [True, True]
     assert [stand_out(3, "white"), stand_out(3, "yellow")] == [True, False]
@@ -123,10 +123,10 @@ def test_lines_stand_out_that_are_brighter_than_their_road():
 def test_paint_has_moved_if_it_has_on_the_road_and_not_in_the_pixels_of_a_large_image_alone(px_per_m, is_shifted):
     """Two lines of paint 12 cm wide whose light edges make it seem 8 px to the right: 3 cm in an image of 1920 px."""
 
-    def line(name: str) -> Line:
+    def line(name: str) -> LineProfiles:
         seen = 30 * np.clip(1 - np.abs(PLACES_M - 8 / px_per_m) / 0.12, 0, 1)
         of_each = np.ones(100)
-        return Line(name, 300 * of_each, px_per_m * of_each, 10 * of_each, np.tile(seen, (100, 1)))
+        return LineProfiles(name, 300 * of_each, px_per_m * of_each, 10 * of_each, np.tile(seen, (100, 1)))
 
     assert bool(list(check_move([line("a"), line("b")], 600))) == is_shifted
 

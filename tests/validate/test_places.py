@@ -16,8 +16,8 @@ from synth3dlanes.params import load_params
 from synth3dlanes.sample import Scenes, sample_world
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.ids import MAX_BEYOND_M
-from synth3dlanes.validate.paint import Paint
-from synth3dlanes.validate.places import Places, on_road, places
+from synth3dlanes.validate.paint import WorldPaint
+from synth3dlanes.validate.places import RoadPlaces, on_road, places
 from synth3dlanes.validate.surface import MAX_ASIDE_M, MAX_GAP_M, RANGE_M
 from synth3dlanes.world import World
 
@@ -45,7 +45,7 @@ def on_faces(mesh: meshes.Mesh, rng: np.random.Generator) -> tuple[np.ndarray, n
     return a + u * (b - a) + v * (c - a), face
 
 
-def is_shown_of_exit(place: Places) -> np.ndarray:
+def is_shown_of_exit(place: RoadPlaces) -> np.ndarray:
     """Points of the exit that are not on its seam, which goes on below the main road or the exit's own verge."""
     ground = place.ground
     return (place.t > ground.main_right_edge(place.s)) & (place.exit_t > -ground.exit_edge_m)
@@ -81,7 +81,7 @@ def test_road_and_shoulder_lie_where_the_formulas_have_them(preset):
 def test_paint_is_seen_within_its_own_line_and_outside_all_others(preset):
     rng, n = np.random.default_rng(0), 0
     for world in worlds(preset):
-        camera, paint = label(world, world.view).camera, Paint(world)
+        camera, paint = label(world, world.view).camera, WorldPaint(world)
         for id_, whole in world.paint(world.view).items():
             mesh = ahead(world, whole, 40.0)
             if not len(mesh.faces):

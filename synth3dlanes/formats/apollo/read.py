@@ -23,12 +23,12 @@ from synth3dlanes.formats.reading import (
 )
 from synth3dlanes.formats.writing import CV_FROM_CAM
 from synth3dlanes.frames import invert, transform
-from synth3dlanes.json_arrays import Points
+from synth3dlanes.json_arrays import JsonPoints
 from synth3dlanes.labels import Labels, LaneKind
 from synth3dlanes.schema import Excerpt, Metres, Number, PathBelow
 
 PointLists = tuple[Float[np.ndarray, "_ 3"], ...]
-Flags = tuple[Bool[np.ndarray, " _"], ...]
+FlagLists = tuple[Bool[np.ndarray, " _"], ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,14 +39,14 @@ class ApolloFrame:
     cam_height_m: float
     cam_pitch_rad: float
     lane_lines_apollo: PointLists
-    lane_lines_visible: Flags
+    lane_lines_visible: FlagLists
     center_lines_apollo: PointLists
-    center_lines_visible: Flags
+    center_lines_visible: FlagLists
 
     def labels(self) -> Labels:
         """The lanes in our camera frame. The camera is h cos p above the plane z = 0."""
         cam_from_apollo = invert(apollo_from_cam(self.cam_height_m, self.cam_pitch_rad))
-        groups: tuple[tuple[LaneKind, PointLists, Flags], ...] = (
+        groups: tuple[tuple[LaneKind, PointLists, FlagLists], ...] = (
             ("delimiter", self.lane_lines_apollo, self.lane_lines_visible),
             ("centerline", self.center_lines_apollo, self.center_lines_visible),
         )
@@ -113,9 +113,9 @@ class _Line(Excerpt):
     raw_file: PathBelow
     cam_height: Metres
     cam_pitch: Annotated[float, Field(gt=-math.pi / 2, lt=math.pi / 2)]
-    laneLines: list[Points]
+    laneLines: list[JsonPoints]
     laneLines_visibility: list[list[Number]]
-    centerLines: list[Points]
+    centerLines: list[JsonPoints]
     centerLines_visibility: list[list[Number]]
 
     @model_validator(mode="after")

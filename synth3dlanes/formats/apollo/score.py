@@ -6,15 +6,15 @@ from synth3dlanes.formats.line_score import (
     MATCH_M,
     Frames,
     Line3d,
-    Rules,
+    LineTally,
     Score3d,
-    Tally,
+    ScoreRules,
     add_frame,
     sample_line,
 )
 from synth3dlanes.formats.line_score import prune as prune_line
 
-RULES = Rules(absent_m=MATCH_M, missing_m=MATCH_M, least_cost=0.0)
+RULES = ScoreRules(absent_m=MATCH_M, missing_m=MATCH_M, least_cost=0.0)
 HALF_WIDTH_M = 30.0
 CONFIDENT = 0.5
 THRESHOLDS = np.linspace(0.05, 0.95, 19)
@@ -31,8 +31,8 @@ def prune(line: Line3d) -> Line3d | None:
     return prune_line(line, HALF_WIDTH_M)
 
 
-def _tally(frames: Frames, threshold: float) -> Tally:
-    tally = Tally()
+def _tally(frames: Frames, threshold: float) -> LineTally:
+    tally = LineTally()
     for true, predicted in frames:
         kept = [sample_line(line) for line in map(prune, true) if line is not None]
         confident = [sample_line(line) for line in predicted if line.probability > threshold]

@@ -8,12 +8,12 @@ from synth3dlanes.formats.apollo.read import ApolloFrame, parse
 from synth3dlanes.formats.apollo.score import RULES, prune, score
 from synth3dlanes.formats.line_score import Line3d
 from synth3dlanes.formats.reading import first_lines
-from synth3dlanes.formats.self_check import Benchmark3d, Verified, image_problems, verify_3d
+from synth3dlanes.formats.self_check import Benchmark3d, Verification, image_problems, verify_3d
 
 BENCHMARK = Benchmark3d(score, prune, RULES.missing_m)
 
 
-def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verified]:
+def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verification]:
     """Lane lines and centre lines of every list."""
     for path in sorted((out / "data_splits").glob("*/*.json")):
         name = str(path.relative_to(out))

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.formats.apollo.convention import CAMERA, ROOT, apollo_from_cam, cam_height_m
-from synth3dlanes.formats.lines import NEAR_START_M, Line, keep_lines, lines_ahead
-from synth3dlanes.formats.writing import CV_FROM_CAM, DECIMALS, Annotation, PinholeFormat, PinholeFrame
+from synth3dlanes.formats.lines import NEAR_START_M, LaneAhead, keep_lines, lines_ahead
+from synth3dlanes.formats.writing import CV_FROM_CAM, DECIMALS, FrameAnnotation, PinholeFormat, PinholeFrame
 from synth3dlanes.frames import transform
 from synth3dlanes.labels import CameraLabel, Labels, LaneKind
 
@@ -37,11 +37,11 @@ README = f"""Apollo Sim-3D / Gen-LaneNet layout.
 """
 
 
-def annotate(labels: Labels, frame: PinholeFrame) -> Annotation:
+def annotate(labels: Labels, frame: PinholeFrame) -> FrameAnnotation:
     """The frame's label line, the lists that it belongs to and its sidecar line."""
     camera, dropped = labels.camera, Counter[str]()
     raw_file = image_path(frame)
-    groups: dict[LaneKind, tuple[Line, ...]] = {
+    groups: dict[LaneKind, tuple[LaneAhead, ...]] = {
         "delimiter": _kept(labels, "delimiter", MAX_LINES, dropped),
         "centerline": _kept(labels, "centerline", len(labels.lanes), dropped),
     }
@@ -58,7 +58,7 @@ def annotate(labels: Labels, frame: PinholeFrame) -> Annotation:
     splits = _splits(frame.is_train, is_rare, is_held_out)
     # Tools open train and test; val is for people.
     parts = {frame.part, "test"} if frame.serves_as("test") else {frame.part}
-    return Annotation(
+    return FrameAnnotation(
         image=f"{ROOT}/{raw_file}",
         n_lines=len(groups["delimiter"]),
         dropped=dropped,
@@ -87,7 +87,7 @@ def apollo_from_cv(points_cv: Float[np.ndarray, "n 3"], camera: CameraLabel) -> 
     return transform(ground_from_cam, points_cv @ CV_FROM_CAM)
 
 
-def _kept(labels: Labels, kind: LaneKind, most: int, dropped: Counter[str]) -> tuple[Line, ...]:
+def _kept(labels: Labels, kind: LaneKind, most: int, dropped: Counter[str]) -> tuple[LaneAhead, ...]:
     near = []
     for line in lines_ahead(labels, CAMERA, kind):
         if line.visible.sum() >= 2 and not _is_evaluated(apollo_from_cv(line.points_cv[line.visible], labels.camera)):
@@ -116,7 +116,7 @@ def _splits(is_train: bool, is_rare: bool, is_held_out: bool) -> tuple[str, ...]
     return tuple(splits)
 
 
-def _sidecar(labels: Labels, frame: PinholeFrame, raw_file: str, groups: dict[LaneKind, tuple[Line, ...]]) -> str:
+def _sidecar(labels: Labels, frame: PinholeFrame, raw_file: str, groups: dict[LaneKind, tuple[LaneAhead, ...]]) -> str:
     camera = labels.camera
     heights_m = [
         apollo_from_cv(line.points_cv[line.visible], camera)[:, 2] for lines in groups.values() for line in lines

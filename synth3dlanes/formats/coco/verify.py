@@ -12,7 +12,7 @@ from pydantic import Field
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.coco.convention import STUFF_IDS, segments_of
 from synth3dlanes.formats.reading import MOST_BYTES, image_size, read_file, read_mask
-from synth3dlanes.formats.self_check import Verified
+from synth3dlanes.formats.self_check import Verification
 from synth3dlanes.schema import MAX_PX, Excerpt, PathBelow, parse
 
 MOVED = 1 / 8  # of the image's width
@@ -55,14 +55,14 @@ class _Instances(Excerpt):
     annotations: list[_Instance]
 
 
-Found = TypeVar("Found", _Panoptic, _Instances)
+Document = TypeVar("Document", _Panoptic, _Instances)
 
 
-def _read(model: type[Found], path: Path) -> Found:
+def _read(model: type[Document], path: Path) -> Document:
     return parse(model, read_file(path), str(path), "annotations of COCO", MOST_BYTES)
 
 
-def verify(out: Path, most_frames: int) -> Iterator[Verified]:
+def verify(out: Path, most_frames: int) -> Iterator[Verification]:
     """The frames of every part."""
     for path in sorted((out / "annotations").glob("panoptic_*.json")):
         part = path.stem.removeprefix("panoptic_")
@@ -99,7 +99,7 @@ def verify(out: Path, most_frames: int) -> Iterator[Verified]:
         if 0 in numbers or any(count > 1 for count in numbers.values()):
             problems.append(f"{part}: expected instances with ids of their own from 1 on, got others")
         n_frames = len(panoptic.annotations[:most_frames])
-        yield Verified(part, n_frames, n_things, {"overlap": perfect}, {"overlap": shifted}, tuple(problems))
+        yield Verification(part, n_frames, n_things, {"overlap": perfect}, {"overlap": shifted}, tuple(problems))
 
 
 def _problems(where: str, segments: np.ndarray, infos: list[_Segment]) -> Iterator[str]:

@@ -11,7 +11,7 @@ from jaxtyping import Int
 from synth3dlanes.formats.coco.convention import CATEGORIES, CLASSES_AT_MOST, STUFF_IDS, rgb_of, segment_id
 from synth3dlanes.formats.sample_format import SampleFormat, SampleFrame
 from synth3dlanes.formats.segments import PASSES, file_name, image_path, png
-from synth3dlanes.formats.writing import PARTS, Annotation
+from synth3dlanes.formats.writing import PARTS, FrameAnnotation
 from synth3dlanes.labels import Lane
 from synth3dlanes.settings import FIRST_DELIMITER_ID
 
@@ -27,7 +27,7 @@ README = """COCO layout.
 """
 
 
-def annotate(frame: SampleFrame) -> Annotation:
+def annotate(frame: SampleFrame) -> FrameAnnotation:
     """The frame's segments."""
     name, image = file_name(frame), image_path(frame)
     height_px, width_px = frame.passes["semantic"].shape
@@ -48,7 +48,7 @@ def annotate(frame: SampleFrame) -> Annotation:
     about = {"id": frame.number, "file_name": image.removeprefix("images/"), "width": width_px, "height": height_px}
     panoptic = {"image_id": frame.number, "file_name": f"{name}.png", "segments_info": infos}
     parts = [part for part in PARTS if frame.serves_as(part)]
-    return Annotation(
+    return FrameAnnotation(
         image,
         len(instances),
         files={f"panoptic/{name}.png": png(rgb_of(segments))},

@@ -2,13 +2,9 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-from jaxtyping import Float
-
+from synth3dlanes.arrays import Polyline2
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.reading import file_below, numbers
-
-Polyline = Float[np.ndarray, "_ 2"]
 
 
 @dataclass(frozen=True)
@@ -21,7 +17,7 @@ class CulaneEntry:
     exists: tuple[bool, ...]
 
 
-def parse_lines(text: str, where: str) -> tuple[Polyline, ...]:
+def parse_lines(text: str, where: str) -> tuple[Polyline2, ...]:
     """A file `.lines.txt`: x and y in turn, one line of text per line; FormatErrors begin with `where`."""
     lines = enumerate(text.splitlines(), start=1)
     return tuple(numbers(line, f"{where}:{number}") for number, line in lines if line.strip())

@@ -6,13 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
+from synth3dlanes.arrays import Polyline2
 from synth3dlanes.formats.band_score import score
 from synth3dlanes.formats.culane.convention import EVALUATED
-from synth3dlanes.formats.culane.read import CulaneEntry, Polyline, lines_path, parse_entry, parse_lines
+from synth3dlanes.formats.culane.read import CulaneEntry, lines_path, parse_entry, parse_lines
 from synth3dlanes.formats.reading import first_lines, read_mask, read_text
 from synth3dlanes.formats.self_check import (
     Sidecars,
-    Verified,
+    Verification,
     band_problems,
     controls,
     drawable,
@@ -21,7 +22,7 @@ from synth3dlanes.formats.self_check import (
 )
 
 
-def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verified]:
+def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verification]:
     """The lines of every list, and the masks of those that have them."""
     sidecars = Sidecars(out)
     for path in sorted((out / "list").rglob("*.txt")):
@@ -42,16 +43,16 @@ def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Ve
         for entry, lines in zip(entries, true, strict=True):
             problems += _mask_problems(out, entry, lines, size_px)
         problems += band_problems(name, perfect, shifted) if pairs else ()
-        yield Verified(name, len(entries), len(pairs), asdict(perfect), asdict(shifted), tuple(problems))
+        yield Verification(name, len(entries), len(pairs), asdict(perfect), asdict(shifted), tuple(problems))
 
 
-def _read(out: Path, entry: CulaneEntry) -> tuple[Polyline, ...]:
+def _read(out: Path, entry: CulaneEntry) -> tuple[Polyline2, ...]:
     path = out / lines_path(entry.image)
     return drawable(parse_lines(read_text(path), str(path)), str(path))
 
 
 def _mask_problems(
-    out: Path, entry: CulaneEntry, lines: tuple[Polyline, ...], size_px: tuple[int, int]
+    out: Path, entry: CulaneEntry, lines: tuple[Polyline2, ...], size_px: tuple[int, int]
 ) -> Iterator[str]:
     """Findings unless the mask has every line, under its number."""
     if entry.mask is None:

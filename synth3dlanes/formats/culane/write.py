@@ -18,8 +18,8 @@ from synth3dlanes.formats.culane.convention import (
     scene_of,
 )
 from synth3dlanes.formats.culane.read import lines_path
-from synth3dlanes.formats.lines import Line, columns_of, ego_places, keep_lines, lines_ahead
-from synth3dlanes.formats.writing import PARTS, Annotation, Pinhole, PinholeFormat, PinholeFrame, sidecar
+from synth3dlanes.formats.lines import LaneAhead, columns_of, ego_places, keep_lines, lines_ahead
+from synth3dlanes.formats.writing import PARTS, FrameAnnotation, Pinhole, PinholeFormat, PinholeFrame, sidecar
 from synth3dlanes.labels import Labels
 
 MIN_POINTS = 3
@@ -43,7 +43,7 @@ README = f"""CULane layout.
 """
 
 
-def annotate(labels: Labels, frame: PinholeFrame) -> Annotation:
+def annotate(labels: Labels, frame: PinholeFrame) -> FrameAnnotation:
     """The frame's lines, its mask and its list entries."""
     dropped = Counter[str]()
     folder, place = divmod(frame.number, FRAMES_PER_FOLDER)
@@ -72,10 +72,10 @@ def annotate(labels: Labels, frame: PinholeFrame) -> Annotation:
         (f"/{image} /{mask} {flags}", tuple(f"list/{part}_gt.txt" for part in parts if part != "test")),
         sidecar(image, labels, frame, [line.id for line in kept]),
     )
-    return Annotation(image, len(kept), dropped, {lines_path(image): text, mask: _mask(lines_px)}, shared)
+    return FrameAnnotation(image, len(kept), dropped, {lines_path(image): text, mask: _mask(lines_px)}, shared)
 
 
-def _points(line: Line, pinhole: Pinhole) -> Float[np.ndarray, "n 2"]:
+def _points(line: LaneAhead, pinhole: Pinhole) -> Float[np.ndarray, "n 2"]:
     """The line's points in the image, at the format's rows from the bottom up."""
     columns_px = columns_of(line, pinhole, ROWS_PX)
     inside = (columns_px >= 0) & (columns_px < pinhole.width_px)

@@ -12,7 +12,7 @@ from synth3dlanes.formats.curvelanes.read import labels_path, parse
 from synth3dlanes.formats.reading import listed_files, read_text
 from synth3dlanes.formats.self_check import (
     Sidecars,
-    Verified,
+    Verification,
     band_problems,
     controls,
     drawable,
@@ -21,7 +21,7 @@ from synth3dlanes.formats.self_check import (
 )
 
 
-def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verified]:
+def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verification]:
     """The lines of every list."""
     sidecars = Sidecars(out)
     scale, finer = (np.array([canvas.width_px, canvas.height_px]) / size_px for canvas in (EVALUATED, FINER))
@@ -40,4 +40,4 @@ def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Ve
         perfect, shifted = score([(lines, lines) for lines in true], EVALUATED), score(controls(pairs, FINER), FINER)
         problems = image_problems([out / image for image in images], size_px)
         problems += band_problems(part, perfect, shifted) if pairs else ()
-        yield Verified(part, len(images), len(pairs), asdict(perfect), asdict(shifted), tuple(problems))
+        yield Verification(part, len(images), len(pairs), asdict(perfect), asdict(shifted), tuple(problems))

@@ -7,8 +7,8 @@ import numpy as np
 
 from synth3dlanes.formats.curvelanes.convention import CAMERA, ROW_STEP_PX
 from synth3dlanes.formats.curvelanes.read import labels_path
-from synth3dlanes.formats.lines import Line, columns_of, keep_lines, lines_ahead
-from synth3dlanes.formats.writing import Annotation, Pinhole, PinholeFormat, PinholeFrame, sidecar
+from synth3dlanes.formats.lines import LaneAhead, columns_of, keep_lines, lines_ahead
+from synth3dlanes.formats.writing import FrameAnnotation, Pinhole, PinholeFormat, PinholeFrame, sidecar
 from synth3dlanes.labels import Labels
 
 MIN_POINTS = 2
@@ -26,7 +26,7 @@ README = """CurveLanes layout.
 """
 
 
-def annotate(labels: Labels, frame: PinholeFrame) -> Annotation:
+def annotate(labels: Labels, frame: PinholeFrame) -> FrameAnnotation:
     """The frame's label file and its list entry."""
     dropped = Counter[str]()
     part = "train" if frame.is_train else "valid" if frame.serves_as("val") else "test"
@@ -42,10 +42,10 @@ def annotate(labels: Labels, frame: PinholeFrame) -> Annotation:
         (image.partition("/")[2], (f"{part}/{part}.txt",)),
         sidecar(image, labels, frame, [line.id for line in kept]),
     )
-    return Annotation(image, len(kept), dropped, {labels_path(image): text}, shared)
+    return FrameAnnotation(image, len(kept), dropped, {labels_path(image): text}, shared)
 
 
-def _points(line: Line, pinhole: Pinhole) -> list[dict[str, str]]:
+def _points(line: LaneAhead, pinhole: Pinhole) -> list[dict[str, str]]:
     rows_px = np.arange(pinhole.height_px, -1, -ROW_STEP_PX)
     columns_px = columns_of(line, pinhole, rows_px)
     inside = (columns_px >= 0) & (columns_px < pinhole.width_px)

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.masks.write import LEAST_POINTS
 from synth3dlanes.formats.reading import image_size, listed_files, numbers, read_mask, read_text
-from synth3dlanes.formats.self_check import Verified
+from synth3dlanes.formats.self_check import Verification
 from synth3dlanes.schema import Excerpt, parse
 from synth3dlanes.settings import SEMANTIC_IDS
 
@@ -32,7 +32,7 @@ class _Lines(RootModel[list[_Line]]):
     """The lines of a frame, in the order of their texts."""
 
 
-def verify(out: Path, most_frames: int) -> Iterator[Verified]:
+def verify(out: Path, most_frames: int) -> Iterator[Verification]:
     """The frames of every part."""
     for path in sorted((out / "lists").glob("*.txt")):
         images = listed_files(path, most_frames)
@@ -56,7 +56,9 @@ def verify(out: Path, most_frames: int) -> Iterator[Verified]:
             problems.append(
                 f"{path.stem}: expected {LEAST_ON_LINE:.0%} of the paint nearest to its own line, got {perfect:.1%}"
             )
-        yield Verified(path.stem, len(images), n_lines, {"own_line": perfect}, {"own_line": shifted}, tuple(problems))
+        yield Verification(
+            path.stem, len(images), n_lines, {"own_line": perfect}, {"own_line": shifted}, tuple(problems)
+        )
 
 
 def _problems(out: Path, image: str, name: str) -> Iterator[str]:

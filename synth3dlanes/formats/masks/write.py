@@ -6,7 +6,7 @@ from pathlib import Path
 
 from synth3dlanes.formats.sample_format import SampleFormat, SampleFrame
 from synth3dlanes.formats.segments import PASSES, delimiter_numbers, file_name, image_path, line_pixels, png
-from synth3dlanes.formats.writing import PARTS, Annotation
+from synth3dlanes.formats.writing import PARTS, FrameAnnotation
 from synth3dlanes.settings import SEMANTIC_IDS
 
 LEAST_POINTS = 2
@@ -26,7 +26,7 @@ README = """Masks as PNG files without palette, of the images' size.
 """
 
 
-def annotate(frame: SampleFrame) -> Annotation:
+def annotate(frame: SampleFrame) -> FrameAnnotation:
     """The frame's masks and lines."""
     name, texts, about = file_name(frame), [], []
     delimiters = [lane for lane in frame.labels.lanes if lane.kind == "delimiter"]
@@ -35,7 +35,7 @@ def annotate(frame: SampleFrame) -> Annotation:
         if len(points) >= LEAST_POINTS:
             texts.append(" ".join(f"{x:.2f} {y:.2f}" for x, y in points.tolist()))
             about.append({"number": index + 1, "id": lane.id, "marking": lane.marking, "color": lane.color})
-    return Annotation(
+    return FrameAnnotation(
         image_path(frame),
         len(texts),
         files={

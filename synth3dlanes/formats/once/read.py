@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes import schema
-from synth3dlanes.json_arrays import Points, Row4
+from synth3dlanes.json_arrays import JsonPoints, Row4
 from synth3dlanes.schema import Excerpt, Number
 
 
@@ -21,7 +21,7 @@ class OnceFrame:
 
 
 class _Frame(Excerpt):
-    lanes: list[Points]
+    lanes: list[JsonPoints]
     calibration: tuple[Row4, Row4, Row4]
     camera_height_m: Number | None = None
     camera_pitch_rad: Number | None = None

@@ -4,11 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 from PIL import Image, ImageDraw
 from scipy.optimize import linear_sum_assignment
 
-Points = Float[np.ndarray, "_ 3"]
+from synth3dlanes.arrays import Polyline3
 
 RASTER_M = 10.0
 RASTER_PX_PER_M = 10
@@ -27,7 +26,7 @@ class OnceScore:
     distance_m: float
 
 
-def score(frames: Sequence[tuple[Sequence[Points], Sequence[Points]]]) -> OnceScore:
+def score(frames: Sequence[tuple[Sequence[Polyline3], Sequence[Polyline3]]]) -> OnceScore:
     """Lines are paired by overlap in a bird's-eye raster of the first 10 m, those without any in the order of the list,
     then matched within 0.3 m in 3D."""
     n_true = sum(len(true) for true, _ in frames)
@@ -45,7 +44,7 @@ def score(frames: Sequence[tuple[Sequence[Points], Sequence[Points]]]) -> OnceSc
     return OnceScore(f_score, recall, precision, float(np.mean(matched_m)) if matched_m else float("nan"))
 
 
-def _raster(points_cv: Points) -> Image.Image:
+def _raster(points_cv: Polyline3) -> Image.Image:
     size_px = int(2 * RASTER_M * RASTER_PX_PER_M), int(RASTER_M * RASTER_PX_PER_M)
     raster = Image.new("1", size_px)
     x_m, z_m = points_cv[:, 0], points_cv[:, 2]
@@ -61,7 +60,7 @@ def _overlap(a: Image.Image, b: Image.Image) -> float:
     return float(np.count_nonzero(cells_a & cells_b) / max(1, np.count_nonzero(cells_a | cells_b)))
 
 
-def _distance_m(true_cv: Points, predicted_cv: Points) -> float:
+def _distance_m(true_cv: Polyline3, predicted_cv: Polyline3) -> float:
     stations_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(true_cv, axis=0), axis=1))])
     wanted_m = np.linspace(0.0, stations_m[-1], N_POINTS)
     points_cv = np.column_stack([np.interp(wanted_m, stations_m, column) for column in true_cv.T])

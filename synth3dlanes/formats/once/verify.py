@@ -12,10 +12,10 @@ from synth3dlanes.formats.once.convention import ROOT
 from synth3dlanes.formats.once.read import parse
 from synth3dlanes.formats.once.score import score
 from synth3dlanes.formats.reading import listed_files, read_text
-from synth3dlanes.formats.self_check import SHIFT_M, TOLERANCE_M, Verified, image_problems
+from synth3dlanes.formats.self_check import SHIFT_M, TOLERANCE_M, Verification, image_problems
 
 
-def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verified]:
+def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verification]:
     """The lanes of every list."""
     root = out / ROOT
     for path in sorted((root / "list").glob("*.txt")):
@@ -31,7 +31,7 @@ def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Ve
             problems.append(f"{part}: expected ground truth to score F = 1 at distance 0, got {perfect}")
         if shifted.f_score > 0.01:
             problems.append(f"{part}: expected lines moved {SHIFT_M} m aside to score F = 0, got {shifted}")
-        yield Verified(part, len(names), len(alone), asdict(perfect), asdict(shifted), tuple(problems))
+        yield Verification(part, len(names), len(alone), asdict(perfect), asdict(shifted), tuple(problems))
 
 
 def _lanes_cv(path: Path) -> tuple[Float[np.ndarray, "_ 3"], ...]:

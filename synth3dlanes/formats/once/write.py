@@ -5,9 +5,9 @@ from collections import Counter
 
 import numpy as np
 
-from synth3dlanes.formats.lines import Line, keep_lines, lines_ahead
+from synth3dlanes.formats.lines import LaneAhead, keep_lines, lines_ahead
 from synth3dlanes.formats.once.convention import CAMERA, ROOT
-from synth3dlanes.formats.writing import DECIMALS, PARTS, Annotation, Pinhole, PinholeFormat, PinholeFrame
+from synth3dlanes.formats.writing import DECIMALS, PARTS, FrameAnnotation, Pinhole, PinholeFormat, PinholeFrame
 from synth3dlanes.labels import Labels
 
 MAX_LINES = 8
@@ -32,7 +32,7 @@ README = f"""ONCE-3DLanes layout.
 """
 
 
-def annotate(labels: Labels, frame: PinholeFrame) -> Annotation:
+def annotate(labels: Labels, frame: PinholeFrame) -> FrameAnnotation:
     """The frame's label file."""
     dropped = Counter[str]()
     parts = [part for part in PARTS if frame.serves_as(part)]
@@ -53,15 +53,15 @@ def annotate(labels: Labels, frame: PinholeFrame) -> Annotation:
         (name, tuple(f"{ROOT}/list/{part}.txt" for part in parts)),
         (f"{name}.jpg", tuple(f"data_lists/{part}.txt" for part in parts) if lines or not frame.is_train else ()),
     )
-    return Annotation(f"{ROOT}/data/{name}.jpg", len(lines), dropped, files, shared)
+    return FrameAnnotation(f"{ROOT}/data/{name}.jpg", len(lines), dropped, files, shared)
 
 
-def _kept(labels: Labels, pinhole: Pinhole, dropped: Counter[str]) -> tuple[Line, ...]:
+def _kept(labels: Labels, pinhole: Pinhole, dropped: Counter[str]) -> tuple[LaneAhead, ...]:
     lines = sorted(lines_ahead(labels, pinhole, "delimiter"), key=lambda line: not _is_rastered(line))
     return keep_lines(lines, dropped, MAX_LINES, f"beyond the {MAX_LINES} nearest (cap of Anchor3DLane)")
 
 
-def _is_rastered(line: Line) -> bool:
+def _is_rastered(line: LaneAhead) -> bool:
     x_m, _, z_m = line.points_cv[line.visible].T
     return np.count_nonzero((z_m < RASTER_DEPTH_M) & (np.abs(x_m) < RASTER_HALF_WIDTH_M)) >= 2
 

@@ -8,12 +8,11 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.formats.opendrive.roads import Road
-from synth3dlanes.geometry.lanes import Curve
+from synth3dlanes.arrays import Scalars
+from synth3dlanes.formats.opendrive.roads import OdrRoad
+from synth3dlanes.geometry.lanes import LaneCurve
 from synth3dlanes.geometry.paint import is_dotted, is_double, line_width_m, paint_color, pair_of
 from synth3dlanes.world import World
-
-Values = Float[np.ndarray, " k"]
 
 # A delimiter runs along an edge where it is this close to it. The exit's lanes turn aside at once at the split, where
 # this moves the lines of a two-lane exit against those of the stem.
@@ -65,7 +64,7 @@ class Mark:
         return 3 * self.width_m if self.is_double else self.width_m
 
 
-def marks(world: World, road: Road) -> dict[int, list[Mark]]:
+def marks(world: World, road: OdrRoad) -> dict[int, list[Mark]]:
     """The marks on the outer edges of all lanes by their numbers, and those of lane 0, which lies between both
     directions or at the inner edge of a road of one direction."""
     edges = {0: road.center_m, **{lane.number: lane.outer_m for lane in road.lanes}}
@@ -74,7 +73,7 @@ def marks(world: World, road: Road) -> dict[int, list[Mark]]:
     return found | ({0: []} if road.is_oncoming and road.in_junction else {})
 
 
-def _along(world: World, road: Road, edge_xy: Float[np.ndarray, "m 2"]) -> list[Mark]:
+def _along(world: World, road: OdrRoad, edge_xy: Float[np.ndarray, "m 2"]) -> list[Mark]:
     """All marks of an edge, and `none` between them; nothing where it is not painted at all."""
     found = sorted(
         (mark for line in world.site.lines for mark in _of(world, road, edge_xy, line)), key=lambda at: at[0].s_m
@@ -90,7 +89,9 @@ def _along(world: World, road: Road, edge_xy: Float[np.ndarray, "m 2"]) -> list[
     return filled
 
 
-def _of(world: World, road: Road, edge_xy: Float[np.ndarray, "m 2"], line: Curve) -> Iterator[tuple[Mark, float]]:
+def _of(
+    world: World, road: OdrRoad, edge_xy: Float[np.ndarray, "m 2"], line: LaneCurve
+) -> Iterator[tuple[Mark, float]]:
     """The marks of a delimiter along an edge, each with its end, if it runs there."""
     at = np.flatnonzero((road.plan_s >= line.start_m - 1e-6) & (road.plan_s <= line.end_m + 1e-6))
     if line.kind != "delimiter" or len(at) < 2 or road.s_m[at[-1]] - road.s_m[at[0]] < SHORT_M:
@@ -126,7 +127,7 @@ def _of(world: World, road: Road, edge_xy: Float[np.ndarray, "m 2"], line: Curve
         yield Mark(float(from_m), kind, *look, *map(float, sizes)), float(next_m)
 
 
-def _lengths(world: World, line: Curve, plan_s: Values) -> Values:
+def _lengths(world: World, line: LaneCurve, plan_s: Scalars) -> Scalars:
     """Lengths along a line, in the order of these stations, from the split."""
     to_split = np.clip(np.linspace(0, plan_s[0], 2 + int(abs(plan_s[0]) / LENGTH_STEP_M)), line.start_m, line.end_m)
     before, along = (

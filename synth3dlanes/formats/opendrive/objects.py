@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.formats.opendrive.roads import Road
+from synth3dlanes.formats.opendrive.roads import OdrRoad
 from synth3dlanes.formats.opendrive.xml import Element, add
 from synth3dlanes.geometry.beside import beside, on_ground
 from synth3dlanes.geometry.buildings import building_frame
@@ -14,8 +14,6 @@ from synth3dlanes.geometry.posts import post_frames
 from synth3dlanes.geometry.symbols import shape
 from synth3dlanes.scene import Rail, Symbol
 from synth3dlanes.world import World
-
-Points3 = Float[np.ndarray, "n 3"]
 
 # The types and subtypes of our things; what is not listed is left out.
 SYMBOLS = {
@@ -39,7 +37,7 @@ RAIL_WIDTH_M = {"guardrail": 0.1, "concrete": 0.6, "noise_wall": 0.2}
 RAIL_STEP_M = 10.0
 
 
-def add_objects(world: World, roads: Sequence[Road], elements: Sequence[Element]) -> None:
+def add_objects(world: World, roads: Sequence[OdrRoad], elements: Sequence[Element]) -> None:
     """Add the objects of a world to the elements of its roads."""
     groups: list[list[Element]] = [[] for _ in roads]
     scene, ground = world.scene, world.ground
@@ -73,7 +71,7 @@ def _object(kind: tuple[str, str], at: Float[np.ndarray, "3"], **attributes: str
     return add(Element("objects"), "object", **name, s=at[0], t=at[1], **attributes)
 
 
-def _add_symbol(world: World, symbol: Symbol, roads: Sequence[Road], groups: list[list[Element]]) -> None:
+def _add_symbol(world: World, symbol: Symbol, roads: Sequence[OdrRoad], groups: list[list[Element]]) -> None:
     form = shape(world.ground, symbol)
     kind = SYMBOLS[symbol.kind]
     outline = form.points_world(form.polygons[0] if symbol.kind.startswith("arrow") else form.outline)
@@ -90,7 +88,7 @@ def _add_symbol(world: World, symbol: Symbol, roads: Sequence[Road], groups: lis
     groups[road].append(element)
 
 
-def _add_rail(world: World, rail: Rail, roads: Sequence[Road], groups: list[list[Element]]) -> None:
+def _add_rail(world: World, rail: Rail, roads: Sequence[OdrRoad], groups: list[list[Element]]) -> None:
     low, high = sorted((rail.from_m, rail.to_m))
     own = ("leaving", "exit") if rail.road == "exit" else ("stem", "through", "main")
     for road, group in zip(roads, groups, strict=True):
@@ -111,7 +109,7 @@ def _add_rail(world: World, rail: Rail, roads: Sequence[Road], groups: list[list
 
 
 def _add_upright(
-    base: Float[np.ndarray, "3"], roads: Sequence[Road], groups: list[list[Element]], kind: tuple[str, str],
+    base: Float[np.ndarray, "3"], roads: Sequence[OdrRoad], groups: list[list[Element]], kind: tuple[str, str],
     heading_rad: float | None = None, **sizes: float,
 ) -> None:  # fmt: skip
     road = _nearest(roads, base)
@@ -123,7 +121,7 @@ def _add_upright(
     groups[road].append(_object(kind, place, zOffset=place[2], orientation="none", **turned, **sizes))
 
 
-def _nearest(roads: Sequence[Road], point: Float[np.ndarray, "3"]) -> int:
+def _nearest(roads: Sequence[OdrRoad], point: Float[np.ndarray, "3"]) -> int:
     """The road whose reference line is nearest; a lane that opens in a junction is none."""
     apart = [
         np.linalg.norm(road.xy_world - point[:2], axis=1).min() if road.name != "opening" else np.inf for road in roads

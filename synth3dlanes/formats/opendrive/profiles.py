@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-Values = Float[np.ndarray, " m"]
+from synth3dlanes.arrays import Scalars
 
 
 class Piece(NamedTuple):
@@ -17,7 +17,7 @@ class Piece(NamedTuple):
     abcd: Float[np.ndarray, "4 k"]
 
 
-def pieces(s: Values, values: Float[np.ndarray, "m k"], tolerance: float, unit_speed: bool = False) -> list[Piece]:
+def pieces(s: Scalars, values: Float[np.ndarray, "m k"], tolerance: float, unit_speed: bool = False) -> list[Piece]:
     """Cubics with equal slopes where they meet, none farther than `tolerance` from the values at the stations `s`: the
     fewest that halving gives. With `unit_speed` the values are points of a curve by its length."""
     slopes = np.gradient(values, s, axis=0, edge_order=2)
@@ -40,7 +40,7 @@ def pieces(s: Values, values: Float[np.ndarray, "m k"], tolerance: float, unit_s
     return cover(0, len(s) - 1)
 
 
-def knots(s: Values, values: Float[np.ndarray, "m k"], tolerance: float) -> list[int]:
+def knots(s: Scalars, values: Float[np.ndarray, "m k"], tolerance: float) -> list[int]:
     """Indices of stations `s`, the first and last among them, between which straight lines are never farther than
     `tolerance` from the values: the fewest that halving gives."""
 

@@ -12,13 +12,10 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.geometry.lanes import CORNER_M, Curve, connections, curves, seen_from_left
+from synth3dlanes.arrays import Points2, Points3, Scalars
+from synth3dlanes.geometry.lanes import CORNER_M, LaneCurve, connections, curves, seen_from_left
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.terrain import height_at
-
-Values = Float[np.ndarray, " m"]
-Points2 = Float[np.ndarray, "m 2"]
-Points3 = Float[np.ndarray, "m 3"]
 
 # Stations of the main road that a file reaches, at least, and the distance of the places that are fitted.
 REACH_M = 250.0
@@ -32,19 +29,19 @@ PLANE_STEPS = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Lane:
+class OdrLane:
     """A strip of a road: its OpenDRIVE number (positive to the left of lane 0), its type, the id of the lane segment
     that it is (None for a shoulder or median), and its edges as t, the inner one first."""
 
     number: int
     kind: str
     segment: str | None
-    inner_m: Values
-    outer_m: Values
+    inner_m: Scalars
+    outer_m: Scalars
 
 
 @dataclass(frozen=True, eq=False)
-class Road:
+class OdrRoad:
     """A road with everything at equal steps along it: stations `s_m`, the plan's stations there, the reference line
     from above, its height and the roll of the plane (positive: the left side is higher), the t of lane 0 and the lanes
     from the left. It runs as the host drives or, if it `is_oncoming`, the other way. `before` and `after` name the
@@ -56,14 +53,14 @@ class Road:
     after: str | None
     is_oncoming: bool
     is_left_hand: bool
-    plan_s: Values
-    s_m: Values
+    plan_s: Scalars
+    s_m: Scalars
     xy_world: Points2
-    elevation_m: Values
-    roll_rad: Values
-    center_m: Values
-    lanes: tuple[Lane, ...]
-    surface_m: Callable[[Points2, Values], Values]
+    elevation_m: Scalars
+    roll_rad: Scalars
+    center_m: Scalars
+    lanes: tuple[OdrLane, ...]
+    surface_m: Callable[[Points2, Scalars], Scalars]
 
     @cached_property
     def line_world(self) -> Points3:
@@ -81,11 +78,11 @@ class Road:
         sin, cos = np.sin(self.roll_rad)[:, None], np.cos(self.roll_rad)[:, None]
         return np.stack([along, cos * left + sin * up, cos * up - sin * left], axis=1)
 
-    def plane_points(self, t_m: Values) -> Points3:
+    def plane_points(self, t_m: Scalars) -> Points3:
         """World points of the banked plane at all stations and these t."""
         return np.asarray(self.line_world + t_m[:, None] * self.axes[:, 1])
 
-    def over_plane(self, t_m: Values) -> Values:
+    def over_plane(self, t_m: Scalars) -> Scalars:
         """Height (z) of the road's surface over the banked plane at all stations and these t."""
         points = self.plane_points(t_m)
         # Where the road climbs, its roll moves these points along it.
@@ -105,7 +102,7 @@ class Road:
         return np.column_stack([s, to[:, 1:]])
 
     @property
-    def driving(self) -> tuple[Lane, ...]:
+    def driving(self) -> tuple[OdrLane, ...]:
         """The lanes of traffic."""
         return tuple(lane for lane in self.lanes if lane.kind == "driving")
 
@@ -116,7 +113,7 @@ class _Strip:
 
     kind: str
     segment: str | None
-    width_m: float | Callable[[Values], Values]
+    width_m: float | Callable[[Scalars], Scalars]
 
 
 @dataclass(frozen=True)
@@ -126,7 +123,7 @@ class _Layout:
 
     name: str
     span_m: tuple[float, float]
-    line: Curve
+    line: LaneCurve
     strips: tuple[_Strip, ...]
     n_left: int
     lane_0_m: float
@@ -135,7 +132,7 @@ class _Layout:
     is_oncoming: bool = False
 
 
-def roads(plan: RoadPlan) -> list[Road]:
+def roads(plan: RoadPlan) -> list[OdrRoad]:
     """All roads of a plan. With an exit these are the stem, the connecting roads of the junction between the split and
     where the lanes have parted, and the two roads beyond; with a median, also a road for the oncoming traffic."""
     return [_road(plan, layout) for layout in _layouts(plan)]
@@ -151,8 +148,8 @@ def _layouts(plan: RoadPlan) -> list[_Layout]:
         names = (f"{prefix}_{seen_from_left(plan, lane, n)}" for lane in range(1, n + 1))
         return tuple(_Strip("driving", name, plan.width_m) for name in names)
 
-    def straight(at_m: float) -> Curve:
-        return Curve("", "centerline", "main", "none", None, None, at_m, "main", at_m)
+    def straight(at_m: float) -> LaneCurve:
+        return LaneCurve("", "centerline", "main", "none", None, None, at_m, "main", at_m)
 
     shoulder = _Strip("shoulder", None, plan.shoulder_m)
     oncoming, beside, found = lanes("oncoming", plan.n_oncoming), (shoulder,), []
@@ -180,7 +177,7 @@ def _layouts(plan: RoadPlan) -> list[_Layout]:
     junction, apart = (0.0, parted_m), (parted_m, end_m)
     # The room between main road and exit is shared until both have their whole shoulders.
     inner = _Strip("shoulder", None, lambda s: np.clip((plan.opening(s) - plan.width_m) / 2, 0, plan.shoulder_m))
-    exit_line, half_m = Curve("", "centerline", "exit", "none", None, None, None, "exit", 0.0), plan.exit_half_m
+    exit_line, half_m = LaneCurve("", "centerline", "exit", "none", None, None, None, "exit", 0.0), plan.exit_half_m
     through = main
     if plan.road.topology == 3:
         # This lane begins on its neighbour's.
@@ -200,7 +197,7 @@ def _layouts(plan: RoadPlan) -> list[_Layout]:
     ]
 
 
-def _road(plan: RoadPlan, layout: _Layout) -> Road:
+def _road(plan: RoadPlan, layout: _Layout) -> OdrRoad:
     ascends = (plan.flips[1] > 0) != layout.is_oncoming
     low_m, high_m = layout.span_m
     s = np.linspace(low_m, high_m, int(np.ceil((high_m - low_m) / STEP_M)) + 1)[:: 1 if ascends else -1]
@@ -216,12 +213,12 @@ def _road(plan: RoadPlan, layout: _Layout) -> Road:
         outward = -1 if i < layout.n_left else 1
         number = i - layout.n_left if i < layout.n_left else i - layout.n_left + 1
         inner, outer = (edges[i + 1], edges[i]) if outward < 0 else (edges[i], edges[i + 1])
-        lanes.append(Lane(int(leftward * number), strip.kind, strip.segment, inner, outer))
+        lanes.append(OdrLane(int(leftward * number), strip.kind, strip.segment, inner, outer))
 
-    def surface_m(xy_world: Points2, plan_s: Values) -> Values:
+    def surface_m(xy_world: Points2, plan_s: Scalars) -> Scalars:
         return height_at(plan.terrain, xy_world) + layout.line.raised(plan, plan_s)
 
-    flat = Road(
+    flat = OdrRoad(
         name=layout.name,
         in_junction=layout.after == "main" or layout.after == "exit",
         before=layout.before if ascends else layout.after,
@@ -240,7 +237,7 @@ def _road(plan: RoadPlan, layout: _Layout) -> Road:
     return _banked(flat)
 
 
-def _banked(road: Road) -> Road:
+def _banked(road: OdrRoad) -> OdrRoad:
     """The road on the plane nearest to its lanes; their edges are still at the same distances from above."""
     lines = [t for lane in road.driving for t in (lane.inner_m, (lane.inner_m + lane.outer_m) / 2, lane.outer_m)]
     aside = np.array(lines)

@@ -9,7 +9,7 @@ import numpy as np
 
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.reading import MOST, read_text
-from synth3dlanes.formats.self_check import Verified
+from synth3dlanes.formats.self_check import Verification
 
 Element = ElementTree.Element
 
@@ -18,7 +18,7 @@ GAP_M = 0.005
 CUBICS = {"elevation": "s", "superelevation": "s", "laneOffset": "s", "width": "sOffset"}
 
 
-def verify(out: Path, most_frames: int) -> Iterator[Verified]:
+def verify(out: Path, most_frames: int) -> Iterator[Verification]:
     """The maps of every split."""
     for folder in sorted({path.parent for path in out.glob("*/*.xodr")}):
         paths = sorted(folder.glob("*.xodr"))[:most_frames]
@@ -34,7 +34,7 @@ def verify(out: Path, most_frames: int) -> Iterator[Verified]:
                 problems.append(f"{where}: expected roads without gaps, got one of {found:.3f} m")
             problems += [f"{where}: {problem}" for problem in _link_problems(root)]
             gap_m = max(gap_m, found)
-        yield Verified(folder.name, len(paths), n_lanes, {"largest_gap_m": gap_m}, {}, tuple(problems))
+        yield Verification(folder.name, len(paths), n_lanes, {"largest_gap_m": gap_m}, {}, tuple(problems))
 
 
 def _read(path: Path) -> Element:

@@ -10,13 +10,11 @@ from synth3dlanes.formats.opendrive.convention import LANE_CHANGES, MAJOR, MARK_
 from synth3dlanes.formats.opendrive.marks import MIRRORED, Mark, marks
 from synth3dlanes.formats.opendrive.objects import add_objects
 from synth3dlanes.formats.opendrive.profiles import knots, pieces
-from synth3dlanes.formats.opendrive.roads import JUNCTION, Lane, Road, roads, stems
+from synth3dlanes.formats.opendrive.roads import JUNCTION, OdrLane, OdrRoad, roads, stems
 from synth3dlanes.formats.opendrive.xml import Element, add
 from synth3dlanes.formats.sample_format import SampleFormat, SampleFrame
-from synth3dlanes.formats.writing import Annotation
+from synth3dlanes.formats.writing import FrameAnnotation
 from synth3dlanes.world import World, resolve
-
-Values = Float[np.ndarray, " m"]
 
 # How far the written reference line, heights and widths (metres) and rolls (radians) may be from the world's.
 LINE_M, HEIGHT_M, WIDTH_M, ROLL_RAD = 1e-3, 1e-3, 1e-3, 1e-4
@@ -33,10 +31,10 @@ README = f"""OpenDRIVE {MAJOR}.{MINOR}: a map of each scene.
 """
 
 
-def annotate(frame: SampleFrame) -> Annotation:
+def annotate(frame: SampleFrame) -> FrameAnnotation:
     """The map of the frame's scene."""
     text = opendrive(resolve(frame.scene), frame.key)
-    return Annotation(None, text.count('type="driving"'), files={f"{frame.split}/{frame.key}.xodr": text})
+    return FrameAnnotation(None, text.count('type="driving"'), files={f"{frame.split}/{frame.key}.xodr": text})
 
 
 def opendrive(world: World, name: str) -> str:
@@ -56,7 +54,7 @@ def opendrive(world: World, name: str) -> str:
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
 
 
-def _add_road(root: Element, world: World, road: Road, found: list[Road], numbers: Mapping[str, int]) -> Element:
+def _add_road(root: Element, world: World, road: OdrRoad, found: list[OdrRoad], numbers: Mapping[str, int]) -> Element:
     by_name = {other.name: other for other in found}
     length = float(road.s_m[-1])
     of = {"junction": str(numbers[JUNCTION]) if road.in_junction else NO_NUMBER}
@@ -96,7 +94,7 @@ def _add_road(root: Element, world: World, road: Road, found: list[Road], number
     return element
 
 
-def _add_line(element: Element, road: Road) -> None:
+def _add_line(element: Element, road: OdrRoad) -> None:
     view = add(element, "planView")
     for piece in pieces(road.s_m, road.xy_world, LINE_M, unit_speed=True):
         (x, y), (dx, dy) = piece.abcd[0], piece.abcd[1]
@@ -110,7 +108,7 @@ def _add_line(element: Element, road: Road) -> None:
         add(geometry, "paramPoly3", **u, **v, pRange="arcLength")
 
 
-def _add_shapes(lateral: Element, road: Road) -> None:
+def _add_shapes(lateral: Element, road: OdrRoad) -> None:
     edges = [t for lane in road.lanes for t in (lane.inner_m, lane.outer_m)]
     low, high = np.min(edges, axis=0), np.max(edges, axis=0)
     shares = np.linspace(0, 1, SHAPE_PLACES)
@@ -124,7 +122,7 @@ def _add_shapes(lateral: Element, road: Road) -> None:
 
 
 def _add_lane(
-    group: Element, road: Road, lane: Lane, found: list[Mark], world: World, by_name: Mapping[str, Road]
+    group: Element, road: OdrRoad, lane: OdrLane, found: list[Mark], world: World, by_name: Mapping[str, OdrRoad]
 ) -> None:
     element = add(group, "lane", id=str(lane.number), type=lane.kind, level="false")
     link = add(element, "link")
@@ -155,7 +153,7 @@ def _add_marks(element: Element, number: int, found: list[Mark]) -> None:
             add(lines, "line", length=dash_m, space=gap_m, **places, color=mark.color)
 
 
-def _number_in(other: Road, world: World, road: Road, lane: Lane) -> int | None:
+def _number_in(other: OdrRoad, world: World, road: OdrRoad, lane: OdrLane) -> int | None:
     """The number that a lane of a connecting road has in the road at its end."""
     if lane.segment is None:
         sign = 1 if other.is_oncoming == road.is_oncoming else -1
@@ -164,7 +162,7 @@ def _number_in(other: Road, world: World, road: Road, lane: Lane) -> int | None:
     return next(there.number for there in other.lanes if there.segment == segment)
 
 
-def _add_junction(root: Element, world: World, found: list[Road], numbers: Mapping[str, int]) -> None:
+def _add_junction(root: Element, world: World, found: list[OdrRoad], numbers: Mapping[str, int]) -> None:
     junction = add(root, "junction", name=JUNCTION, id=str(numbers[JUNCTION]), type="default")
     by_name = {road.name: road for road in found}
     for count, road in enumerate(road for road in found if road.in_junction):

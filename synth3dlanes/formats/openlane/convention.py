@@ -7,8 +7,8 @@ these axes.
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.arrays import Matrix4
 from synth3dlanes.formats.writing import Pinhole
-from synth3dlanes.frames import Matrix4
 from synth3dlanes.labels import Marking, PaintColor, Pair
 
 CAMERA = Pinhole(1920, 1280, 2015.0)

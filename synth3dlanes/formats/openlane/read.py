@@ -21,7 +21,7 @@ from synth3dlanes.formats.reading import (
     read_image,
 )
 from synth3dlanes.formats.writing import CV_FROM_CAM
-from synth3dlanes.json_arrays import Matrix3, Matrix4
+from synth3dlanes.json_arrays import JsonMatrix3, JsonMatrix4
 from synth3dlanes.labels import Labels
 from synth3dlanes.schema import Excerpt, Number, PathBelow
 
@@ -136,8 +136,8 @@ class _Line(Excerpt):
 
 class _Frame(Excerpt):
     file_path: PathBelow
-    intrinsic: Matrix3
-    extrinsic: Matrix4
+    intrinsic: JsonMatrix3
+    extrinsic: JsonMatrix4
     lane_lines: list[_Line]
 
     @model_validator(mode="after")

@@ -6,21 +6,21 @@ from synth3dlanes.formats.line_score import (
     HALF_WIDTH_M,
     Frames,
     Line3d,
-    Rules,
+    LineTally,
     SampledLine,
     Score3d,
-    Tally,
+    ScoreRules,
     add_frame,
     sample_line,
 )
 from synth3dlanes.formats.line_score import prune as prune_line
 
-RULES = Rules(absent_m=0.0, missing_m=float("nan"), least_cost=1.0)
+RULES = ScoreRules(absent_m=0.0, missing_m=float("nan"), least_cost=1.0)
 
 
 def score(frames: Frames) -> Score3d:
     """The evaluator over all frames; it prunes ground truth and prediction alike and has no AP."""
-    tally = Tally()
+    tally = LineTally()
     for true, predicted in frames:
         add_frame(tally, _sampled(true), _sampled(predicted), RULES)
     return tally.score()

@@ -9,13 +9,13 @@ from synth3dlanes.formats.openlane.read import OpenLaneFrame, parse
 from synth3dlanes.formats.openlane.score import prune, score
 from synth3dlanes.formats.openlane.write import CASES
 from synth3dlanes.formats.reading import listed_files, read_text
-from synth3dlanes.formats.self_check import Benchmark3d, Verified, image_problems, verify_3d
+from synth3dlanes.formats.self_check import Benchmark3d, Verification, image_problems, verify_3d
 
 BENCHMARK = Benchmark3d(score, prune, missing_m=0.0)
 CASE_OF_LIST = {name: case for case, name in CASES.items()}
 
 
-def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verified]:
+def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verification]:
     """The lines of every list."""
     for path in sorted([*(out / "lists").glob("*.txt"), *(out / "lane3d_1000/test").glob("*.txt")]):
         case = CASE_OF_LIST.get(path.name)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from synth3dlanes.formats.lines import Line, ego_places, keep_lines, lines_ahead
+from synth3dlanes.formats.lines import LaneAhead, ego_places, keep_lines, lines_ahead
 from synth3dlanes.formats.openlane.convention import (
     CAMERA,
     KERB_LEFT,
@@ -18,7 +18,7 @@ from synth3dlanes.formats.openlane.convention import (
     WAYMO_FROM_CAM,
     vehicle_from_cam_waymo,
 )
-from synth3dlanes.formats.writing import CV_FROM_CAM, DECIMALS, Annotation, PinholeFormat, PinholeFrame
+from synth3dlanes.formats.writing import CV_FROM_CAM, DECIMALS, FrameAnnotation, PinholeFormat, PinholeFrame
 from synth3dlanes.labels import Labels, Lane
 
 MAX_LINES = 20
@@ -58,7 +58,7 @@ README = """OpenLane v1 layout.
 """
 
 
-def annotate(labels: Labels, frame: PinholeFrame) -> Annotation:
+def annotate(labels: Labels, frame: PinholeFrame) -> FrameAnnotation:
     """The frame's label file, copies for the test cases that it belongs to, and its list entries."""
     dropped = Counter[str]()
     folder = "training" if frame.is_train else "validation" if frame.serves_as("val") else "test"
@@ -87,7 +87,7 @@ def annotate(labels: Labels, frame: PinholeFrame) -> Annotation:
     # Anchor3DLane has no cache of training frames without lanes.
     cached = (f"data_lists/{folder}.txt",) if lines or not frame.is_train else ()
     shared = ((file_path, tuple(sorted(listed))), (f"{folder}/{name}", cached))
-    return Annotation(f"images/{file_path}", len(lines), dropped, files, shared)
+    return FrameAnnotation(f"images/{file_path}", len(lines), dropped, files, shared)
 
 
 def _segment(frame: PinholeFrame) -> tuple[str, Callable[[int, str], int]]:
@@ -105,7 +105,7 @@ def category(lane: Lane) -> int:
     return next((number for number, other in PAINTS.items() if other == paint), 0)
 
 
-def _kept(ahead: tuple[Line, ...], dropped: Counter[str]) -> tuple[Line, ...]:
+def _kept(ahead: tuple[LaneAhead, ...], dropped: Counter[str]) -> tuple[LaneAhead, ...]:
     kept = []
     for line in ahead:
         entered = np.flatnonzero(line.in_view & line.visible)
@@ -118,7 +118,7 @@ def _kept(ahead: tuple[Line, ...], dropped: Counter[str]) -> tuple[Line, ...]:
     return keep_lines(kept, dropped, MAX_LINES, f"beyond the {MAX_LINES} nearest (Anchor3DLane drops such frames)")
 
 
-def _line_document(line: Line, frame: PinholeFrame, attribute: int, track_id: int) -> dict[str, Any]:
+def _line_document(line: LaneAhead, frame: PinholeFrame, attribute: int, track_id: int) -> dict[str, Any]:
     points_cv = np.round(line.points_cv, DECIMALS)
     kerb = KERB_LEFT if line.points_cv[0, 0] < 0 else KERB_RIGHT
     return {

@@ -9,15 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from synth3dlanes.geometry.lanes import Curve, path_of_segment
+from synth3dlanes.arrays import Points3, Scalars
+from synth3dlanes.geometry.lanes import LaneCurve, path_of_segment
 from synth3dlanes.geometry.meshes import median_grass_m
 from synth3dlanes.geometry.paint import is_double, paint_color
 from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.labels import Marking, PaintColor, Segment
 from synth3dlanes.world import World
-
-Points3 = Float[np.ndarray, "n 3"]
-Values = Float[np.ndarray, " n"]
 
 STEP_M = 0.5
 REACH_M = 75.0  # beyond the corner of the area that is labelled
@@ -94,7 +92,7 @@ def runs(points: Float[np.ndarray, "n 3"], keep: Bool[np.ndarray, " n"]) -> list
 
 
 def _lines(
-    plan: RoadPlan, path: Curve, s: Values, asides_m: tuple[float, ...], is_stem: bool
+    plan: RoadPlan, path: LaneCurve, s: Scalars, asides_m: tuple[float, ...], is_stem: bool
 ) -> list[Float[np.ndarray, "_ 3"]]:
     """A path's segment and lines beside it, at plan stations in ascending order."""
     beside = [_aside(path, aside_m) for aside_m in asides_m]
@@ -109,20 +107,20 @@ def _lines(
     return lines if s[0] > 0 else [np.concatenate(pair) for pair in zip(starts, lines, strict=True)]
 
 
-def _aside(path: Curve, aside_m: float) -> Curve:
+def _aside(path: LaneCurve, aside_m: float) -> LaneCurve:
     return replace(path, stem_m=_stem_m(path) + aside_m, fork_m=path.fork_m + aside_m)
 
 
-def _stem_m(path: Curve) -> float:
+def _stem_m(path: LaneCurve) -> float:
     assert path.stem_m is not None, "every centre line has a stem"
     return path.stem_m
 
 
-def _delimiter_xy(plan: RoadPlan, line: Curve, s: Values) -> Float[np.ndarray, "_ 2"]:
+def _delimiter_xy(plan: RoadPlan, line: LaneCurve, s: Scalars) -> Float[np.ndarray, "_ 2"]:
     return line.xy_world(plan, s[(s >= line.start_m) & (s <= line.end_m)])
 
 
-def _painted(world: World, points_world: Points3, delimiters: dict[Curve, Float[np.ndarray, "_ 2"]]) -> Boundary:
+def _painted(world: World, points_world: Points3, delimiters: dict[LaneCurve, Float[np.ndarray, "_ 2"]]) -> Boundary:
     best, best_share = None, LEAST_PAINTED
     for line, xy in delimiters.items():
         if len(xy):

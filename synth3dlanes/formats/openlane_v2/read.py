@@ -12,7 +12,7 @@ from synth3dlanes import schema
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.openlane_v2.convention import COLLECTIONS, ROOT
 from synth3dlanes.formats.reading import MOST_BYTES, read_file
-from synth3dlanes.json_arrays import Points
+from synth3dlanes.json_arrays import JsonPoints
 from synth3dlanes.schema import Excerpt, PathBelow
 
 LEAST_POINTS = 11  # what the benchmark compares
@@ -64,7 +64,7 @@ class _Collection(RootModel[dict[PathBelow, dict[PathBelow, list[PathBelow]]]]):
 
 
 class _Centerline(Excerpt):
-    points: Points
+    points: JsonPoints
 
 
 class _Centerlines(Excerpt):
@@ -73,9 +73,9 @@ class _Centerlines(Excerpt):
 
 
 class _Segment(Excerpt):
-    centerline: Points
-    left_laneline: Points
-    right_laneline: Points
+    centerline: JsonPoints
+    left_laneline: JsonPoints
+    right_laneline: JsonPoints
 
 
 class _Segments(Excerpt):

@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.distance import cdist
 
-Points = Float[np.ndarray, "_ 3"]
-Lane = tuple[Points, ...]
+from synth3dlanes.arrays import Polyline3
+
+LanePolylines = tuple[Polyline3, ...]
 
 THRESHOLDS_M = (1.0, 2.0, 3.0)
 RECALLS = np.arange(11) / 10
@@ -23,10 +24,10 @@ LOST = 0.6
 
 
 @dataclass(frozen=True, eq=False)
-class Lanes:
+class LaneTopology:
     """The lanes of a frame, and which lane (column) follows which (row)."""
 
-    lanes: tuple[Lane, ...]
+    lanes: tuple[LanePolylines, ...]
     follows: Float[np.ndarray, "n n"]
 
 
@@ -38,7 +39,7 @@ class LaneScore:
     top_ll: float
 
 
-def score(frames: Sequence[tuple[Lanes, Lanes]]) -> LaneScore:
+def score(frames: Sequence[tuple[LaneTopology, LaneTopology]]) -> LaneScore:
     """Each frame is ground truth and prediction."""
     distances_m = [_distances_m(true.lanes, predicted.lanes) for true, predicted in frames]
     precisions, connected = [], list[float]()
@@ -51,7 +52,7 @@ def score(frames: Sequence[tuple[Lanes, Lanes]]) -> LaneScore:
     return LaneScore(float(np.mean(precisions)), float(np.mean(connected)) if connected else 0.0)
 
 
-def frechet_m(a: Points, b: Points) -> float:
+def frechet_m(a: Polyline3, b: Polyline3) -> float:
     """The discrete Frechet distance of two polylines."""
     between_m = cdist(a, b)
     reach_m = np.maximum.accumulate(between_m[0])
@@ -64,13 +65,13 @@ def frechet_m(a: Points, b: Points) -> float:
     return float(reach_m[-1])
 
 
-def chamfer_m(a: Points, b: Points) -> float:
+def chamfer_m(a: Polyline3, b: Polyline3) -> float:
     """The mean distance of the points of two polylines from the nearest point of the other."""
     between_m = cdist(a, b)
     return float(between_m.min(axis=0).mean() + between_m.min(axis=1).mean()) / 2
 
 
-def _distances_m(true: Sequence[Lane], predicted: Sequence[Lane]) -> Float[np.ndarray, "t p"]:
+def _distances_m(true: Sequence[LanePolylines], predicted: Sequence[LanePolylines]) -> Float[np.ndarray, "t p"]:
     distances_m = np.full((len(true), len(predicted)), np.inf)
     for i, of_true in enumerate(true):
         relaxed = max(LEAST_RELAXED, 1 - RELAXED_PER_M * float(np.linalg.norm(of_true[0], axis=1).min()))
@@ -80,7 +81,7 @@ def _distances_m(true: Sequence[Lane], predicted: Sequence[Lane]) -> Float[np.nd
     return distances_m
 
 
-def _distance_m(true: Lane, predicted: Lane) -> float:
+def _distance_m(true: LanePolylines, predicted: LanePolylines) -> float:
     middle_m = frechet_m(true[0], predicted[0])
     if len(true) == 1:
         return middle_m
@@ -105,7 +106,7 @@ def _average_precision(is_right: np.ndarray, n_true: int) -> float:
     return float(np.mean([precision[recall >= least].max(initial=0.0) for least in RECALLS]))
 
 
-def _connection_precisions(true: Lanes, predicted: Lanes, match: np.ndarray) -> list[float]:
+def _connection_precisions(true: LaneTopology, predicted: LaneTopology, match: np.ndarray) -> list[float]:
     """The average precision of what follows, and of what precedes, each true lane."""
     follows = (1 - true.follows) * LOST
     found = np.flatnonzero(match >= 0)

@@ -9,16 +9,16 @@ import numpy as np
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.openlane_v2.convention import CENTERLINE_POINTS, ROOT
 from synth3dlanes.formats.openlane_v2.read import TopologyFrame, frames, parse
-from synth3dlanes.formats.openlane_v2.score import Lane, Lanes, LaneScore, score
+from synth3dlanes.formats.openlane_v2.score import LanePolylines, LaneScore, LaneTopology, score
 from synth3dlanes.formats.reading import image_size, read_text
-from synth3dlanes.formats.self_check import TOLERANCE_M, Verified
+from synth3dlanes.formats.self_check import TOLERANCE_M, Verification
 
 # The benchmark matches lanes up to 3 m apart, far ones up to 6 m; up, where no lane is, a move leads to no other one.
 RAISED_M = np.array([0.0, 0.0, 7.0])
 SCORED_POINTS = 10
 
 
-def verify(out: Path, most_frames: int) -> Iterator[Verified]:
+def verify(out: Path, most_frames: int) -> Iterator[Verification]:
     """The lanes of every part: its centre lines, then its lane segments."""
     for part, paths in frames(out).items():
         for name, suffix in ((part, ""), (f"{part}, lane segments", "-ls")):
@@ -26,10 +26,11 @@ def verify(out: Path, most_frames: int) -> Iterator[Verified]:
             yield _verified(out, name, [(str(path), parse(read_text(path), str(path))) for path in files])
 
 
-def _verified(out: Path, name: str, found: list[tuple[str, TopologyFrame]]) -> Verified:
-    true = [Lanes(tuple(map(_scored, frame.lanes_ego)), frame.follows) for _, frame in found]
+def _verified(out: Path, name: str, found: list[tuple[str, TopologyFrame]]) -> Verification:
+    true = [LaneTopology(tuple(map(_scored, frame.lanes_ego)), frame.follows) for _, frame in found]
     raised = [
-        Lanes(tuple(tuple(line + RAISED_M for line in lane) for lane in frame.lanes), frame.follows) for frame in true
+        LaneTopology(tuple(tuple(line + RAISED_M for line in lane) for lane in frame.lanes), frame.follows)
+        for frame in true
     ]
     perfect = score([(frame, frame) for frame in true])
     moved = score(list(zip(true, raised, strict=True)))
@@ -38,12 +39,12 @@ def _verified(out: Path, name: str, found: list[tuple[str, TopologyFrame]]) -> V
         problems.append(f"{name}: expected ground truth to score 1, got {perfect}")
     if moved.det_l > 0:
         problems.append(f"{name}: expected lanes moved {RAISED_M[2]:g} m up to score 0, got {moved}")
-    return Verified(
+    return Verification(
         name, len(found), sum(len(frame.lanes) for frame in true), asdict(perfect), asdict(moved), tuple(problems)
     )
 
 
-def _scored(lane: tuple[np.ndarray, ...]) -> Lane:
+def _scored(lane: tuple[np.ndarray, ...]) -> LanePolylines:
     """The points of a lane that the devkit keeps: every 20th of a centre line, ten of a lane segment."""
     step = (CENTERLINE_POINTS - 1) // SCORED_POINTS
     if len(lane) == 1:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from synth3dlanes.arrays import Matrix4
 from synth3dlanes.errors import InputError
 from synth3dlanes.formats.openlane_v2.convention import (
     AHEAD_M,
@@ -27,8 +28,8 @@ from synth3dlanes.formats.openlane_v2.convention import (
 )
 from synth3dlanes.formats.openlane_v2.lane_map import Boundary, LaneSegment, lane_segments, pavement_edges, runs
 from synth3dlanes.formats.sample_format import SampleFormat, SampleFrame
-from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, Annotation
-from synth3dlanes.frames import Matrix4, invert, transform
+from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation
+from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.symbols import shape
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.world import World, resolve
@@ -67,7 +68,7 @@ class _Lane:
     has_end: bool
 
 
-def annotate(frame: SampleFrame) -> Annotation | None:
+def annotate(frame: SampleFrame) -> FrameAnnotation | None:
     """The two label files of a moment, with its first picture; None without any lane in the area."""
     if not frame.labels.camera.lens.is_pinhole:
         raise InputError(
@@ -77,7 +78,7 @@ def annotate(frame: SampleFrame) -> Annotation | None:
     segment, timestamp = f"{frame.number - shot.frame * shot.n_cameras - shot.camera:08d}", round(shot.time_s * 1e9)
     image = f"{frame.part}/{segment}/image/{_name(frame.labels.camera)}/{timestamp}.jpg"
     if not frame.cameras:
-        return Annotation(f"{ROOT}/{image}", 0)
+        return FrameAnnotation(f"{ROOT}/{image}", 0)
     world, world_from_ego = resolve(frame.scene), ego_frame(frame.labels.camera)
     behind_m = AHEAD_M if any(_looks_back(camera, world_from_ego) for camera in frame.cameras.values()) else 0.0
     dropped = Counter[str]()
@@ -115,7 +116,7 @@ def annotate(frame: SampleFrame) -> Annotation | None:
         "topology_lste": nothing,
     }
     parts = [part for part in PARTS if frame.serves_as(part)]
-    return Annotation(
+    return FrameAnnotation(
         f"{ROOT}/{image}",
         len(lanes),
         dropped,

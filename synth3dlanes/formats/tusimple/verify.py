@@ -9,14 +9,14 @@ from jaxtyping import Float
 
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.reading import first_lines
-from synth3dlanes.formats.self_check import SHIFT_M, Sidecar, Sidecars, Verified, image_problems, moved_aside
+from synth3dlanes.formats.self_check import SHIFT_M, Sidecar, Sidecars, Verification, image_problems, moved_aside
 from synth3dlanes.formats.tusimple.convention import ROWS_PX
 from synth3dlanes.formats.tusimple.read import TusimpleFrame, parse
 from synth3dlanes.formats.tusimple.score import TusimpleScore, score, score_frame
 from synth3dlanes.schema import shown
 
 
-def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verified]:
+def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verification]:
     """The lines of every label file."""
     sidecars = Sidecars(out)
     for path in sorted(out.glob("*label*.json")):
@@ -32,7 +32,9 @@ def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Ve
             problems.append(f"{path.name}: expected ground truth to score 1, 0, 0, got {perfect}")
         if shifted.false_negative < 0.95:
             problems.append(f"{path.name}: expected lines moved {SHIFT_M} m aside to be missed, got {shifted}")
-        yield Verified(path.name, len(frames), sum(map(len, true)), asdict(perfect), asdict(shifted), tuple(problems))
+        yield Verification(
+            path.name, len(frames), sum(map(len, true)), asdict(perfect), asdict(shifted), tuple(problems)
+        )
 
 
 def _parse(line: str, where: str) -> TusimpleFrame:

@@ -6,9 +6,9 @@ from collections import Counter
 import numpy as np
 from jaxtyping import Int
 
-from synth3dlanes.formats.lines import Line, columns_of, keep_lines, lines_ahead
+from synth3dlanes.formats.lines import LaneAhead, columns_of, keep_lines, lines_ahead
 from synth3dlanes.formats.tusimple.convention import ABSENT, CAMERA, ROWS_PX
-from synth3dlanes.formats.writing import Annotation, PinholeFormat, PinholeFrame, sidecar
+from synth3dlanes.formats.writing import FrameAnnotation, PinholeFormat, PinholeFrame, sidecar
 from synth3dlanes.labels import Labels
 
 MAX_LINES = 5
@@ -29,7 +29,7 @@ README = """tuSimple layout.
 """
 
 
-def annotate(labels: Labels, frame: PinholeFrame) -> Annotation | None:
+def annotate(labels: Labels, frame: PinholeFrame) -> FrameAnnotation | None:
     """The frame's label line; None for a frame without lines, which the benchmark cannot score."""
     dropped = Counter[str]()
     raw_file = f"clips/{frame.split}/{frame.key}/20.jpg"
@@ -49,7 +49,7 @@ def annotate(labels: Labels, frame: PinholeFrame) -> Annotation | None:
         sidecar(raw_file, labels, frame, [line.id for line in kept]),
         (json.dumps(task), (TEST_TASKS,) if file == TEST_LABELS else ()),
     )
-    return Annotation(raw_file, len(kept), dropped, shared=shared)
+    return FrameAnnotation(raw_file, len(kept), dropped, shared=shared)
 
 
 def label_file(frame: PinholeFrame) -> str:
@@ -63,7 +63,7 @@ def label_file(frame: PinholeFrame) -> str:
     return f"label_data_{dealt.get(int(frame.key) % 10, '0313')}.json"
 
 
-def rows_of(line: Line) -> Int[np.ndarray, " r"]:
+def rows_of(line: LaneAhead) -> Int[np.ndarray, " r"]:
     """The line's column at each row, ABSENT where it has none in the image."""
     columns_px = np.rint(columns_of(line, CAMERA, ROWS_PX))
     return np.where((columns_px >= 0) & (columns_px < CAMERA.width_px), columns_px, ABSENT).astype(int)

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from synth3dlanes.formats.reading import image_size, listed_files, numbers, read_text
-from synth3dlanes.formats.self_check import Verified
+from synth3dlanes.formats.self_check import Verification
 from synth3dlanes.formats.writing import PARTS
 from synth3dlanes.formats.yolo.write import LEAST_PX, NAMES
 
 
-def verify(out: Path, most_frames: int) -> Iterator[Verified]:
+def verify(out: Path, most_frames: int) -> Iterator[Verification]:
     """The frames of every part."""
     for part in PARTS:
         path = out / f"{part}.txt"
@@ -33,7 +33,7 @@ def verify(out: Path, most_frames: int) -> Iterator[Verified]:
                     )
                 elif _area_px(corners * [width_px, height_px]) < LEAST_PX - 0.5:
                     problems.append(f"{where}: expected outlines of {LEAST_PX} pixels and more, got {text:.60}")
-        yield Verified(part, len(images), n_objects, {}, {}, tuple(problems))
+        yield Verification(part, len(images), n_objects, {}, {}, tuple(problems))
 
 
 def _area_px(corners: np.ndarray) -> float:

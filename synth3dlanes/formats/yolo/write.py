@@ -11,7 +11,7 @@ from scipy.ndimage import find_objects, label
 
 from synth3dlanes.formats.sample_format import SampleFormat, SampleFrame
 from synth3dlanes.formats.segments import PASSES, STUFF, file_name, image_path
-from synth3dlanes.formats.writing import PARTS, Annotation
+from synth3dlanes.formats.writing import PARTS, FrameAnnotation
 from synth3dlanes.settings import SEMANTIC_IDS
 
 NAMES = tuple(name for name in SEMANTIC_IDS if name not in STUFF)
@@ -31,7 +31,7 @@ README = f"""YOLO segmentation layout.
 """
 
 
-def annotate(frame: SampleFrame) -> Annotation:
+def annotate(frame: SampleFrame) -> FrameAnnotation:
     """The frame's outlines."""
     semantic, instance = frame.passes["semantic"], frame.passes["instance"]
     height_px, width_px = semantic.shape
@@ -48,7 +48,7 @@ def annotate(frame: SampleFrame) -> Annotation:
                 corners = (outline(piece) + np.array([columns.start, rows.start])) / [width_px, height_px]
                 lines.append(f"{number} " + " ".join(f"{share:.6f}" for share in corners.ravel().tolist()))
     image = image_path(frame)
-    return Annotation(
+    return FrameAnnotation(
         image,
         len(lines),
         dropped,
