@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Bool, Float
 
+from synth3dlanes.arrays import Passes
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.camera import project
 from synth3dlanes.geometry.meshes import road_stations
@@ -18,7 +19,7 @@ from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
 from synth3dlanes.validate.ids import THINGS, disagreement, kind_of, outside_bodies
-from synth3dlanes.validate.pixels import Passes, around, depth_between
+from synth3dlanes.validate.pixels import around, depth_between
 from synth3dlanes.validate.places import places
 from synth3dlanes.validate.surface import MAX_GAP_M, PAVEMENT, misplaced, pavement_at
 from synth3dlanes.world import World
@@ -64,7 +65,7 @@ def check_lidar(evidence: Evidence) -> Iterator[Result]:
 def _is_fine(world: World, points_world: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
     """Which points are where the pavement's rows are close. Far behind a host without rear cameras they are not, and
     the pavement is straight between them."""
-    rows = np.sort(world.plan.plan_station(road_stations(world.ground)))
+    rows = np.sort(world.network.stations(road_stations(world.ground)))
     before = np.searchsorted(rows, places(world.ground, points_world[:, :2]).s) - 1
     return np.asarray(np.diff(rows)[np.clip(before, 0, len(rows) - 2)] < FINE_M)
 

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from synth3dlanes.arrays import Points3, Scalars
 from synth3dlanes.assets.catalogue import ROAD_MEANS
 from synth3dlanes.frames import transform
-from synth3dlanes.geometry.lanes import LaneCurve
+from synth3dlanes.geometry.network import LaneCurve
 from synth3dlanes.geometry.paint import DOTS_M, is_dotted, line_width_m, painted_rows, stripes
 from synth3dlanes.geometry.terrain import gradient_at
 from synth3dlanes.labels import CameraLabel, Lane, Marking, PaintColor
@@ -82,7 +82,7 @@ class WorldPaint:
         world, scene = self.world, self.world.scene
         rows = painted_rows(world.ground, curve, scene.stream, marking)
         # Far dots are merged into dashes that are too narrow to be checked.
-        is_near = np.abs(world.ground.ahead_m(world.plan.plan_station(rows.s[1:]))) < DOTS_M
+        is_near = world.ground.away_m(rows.s[1:]) < DOTS_M
         painted = rows.painted & (is_near | (not is_dotted(curve, scene.markings)))
         return _merged(np.column_stack([rows.s[:-1], rows.s[1:]])[painted])
 
@@ -132,7 +132,7 @@ class WorldPaint:
         """Distance of points on the road outside a line's paint, across it or (reduced by END_M) along it; negative
         inside."""
         curve = self._curves[id_]
-        right_m, s = self.world.plan.flips[0] * place.right_of(curve), place.station(curve)
+        right_m, s = self.world.network.rightward * place.right_of(curve), place.station(curve)
         of_stripes = [
             np.maximum(np.abs(right_m - middle_m) - self.width_m(id_) / 2, _beyond(stretches, s) - END_M)
             for middle_m, stretches in zip(self.stripes_m(id_), self._stretches[id_], strict=True)
@@ -147,11 +147,12 @@ class WorldPaint:
         return np.min([_length(stretches, s) for stretches in self._stretches[id_]], axis=0)
 
     def _stations(self, curve: LaneCurve, xy_world: Float[np.ndarray, "n 2"]) -> Scalars:
-        """Plan stations of points beside a curve."""
-        s, _ = self.world.plan.project_main(xy_world)
-        if curve.fork_road == "exit":
-            on_exit, _ = self.world.plan.project_exit(xy_world, np.maximum(s, 0))
-            s = np.where((s >= 0) & (on_exit >= 0), on_exit, s)
+        """Stations of points beside a curve."""
+        s, _ = self.world.network.main.line.project(xy_world)
+        road = curve.pieces[-1].road
+        if road.parting is not None:
+            on_it, _ = road.line.project(xy_world, np.maximum(s, road.start_m))
+            s = np.where((s >= road.start_m) & (on_it >= road.start_m), on_it, s)
         return s
 
 

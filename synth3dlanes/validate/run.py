@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from synth3dlanes.arrays import RgbImage
+from synth3dlanes.arrays import Passes, RgbImage
 from synth3dlanes.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.dataset.address import connect, splits_near, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION, Description, parse_description, recipe_text
@@ -27,7 +27,6 @@ from synth3dlanes.validate.findings import Finding, Problem, Result, findings_of
 from synth3dlanes.validate.integrity import Entry, check_companions, check_presence, check_shard, read_sample
 from synth3dlanes.validate.made_again import how_to_make, make_again, some_of
 from synth3dlanes.validate.origin import Origin, drawn_otherwise, made_otherwise, read_origin
-from synth3dlanes.validate.pixels import Passes
 from synth3dlanes.validate.report import ValidationReport, draw, remove_pictures, save_picture
 from synth3dlanes.validate.structure import check_shape
 from synth3dlanes.world import resolve

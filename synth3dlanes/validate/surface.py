@@ -10,14 +10,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from synth3dlanes.arrays import Ids, Points3, Scalars
+from synth3dlanes.arrays import Ids, Passes, Points3, Scalars
 from synth3dlanes.geometry.ground import EMBANKMENT_SLOPE, VERGE_M
 from synth3dlanes.geometry.terrain import gradient_at, height_at
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
-from synth3dlanes.validate.pixels import Passes, some_pixels
+from synth3dlanes.validate.pixels import some_pixels
 from synth3dlanes.validate.places import RoadPlaces, places
 from synth3dlanes.validate.standing import mesh_height, terrain_height
 from synth3dlanes.world import World
@@ -98,8 +98,7 @@ def check_hills(evidence: Evidence) -> Iterator[Result]:
     passes, ground = evidence.passes, evidence.world.ground
     is_terrain = (passes["semantic"] == SEMANTIC_IDS["terrain"]) & (passes["depth"] < HILLS_M)
     points = evidence.points_world(*some_pixels(is_terrain, MAX_HILLS))
-    is_raised = evidence.world.plan.ramp_start_m is not None
-    raised_m = EMBANKMENT_SLOPE * evidence.scene.road.ramp_height_m if is_raised else 0.0
+    raised_m = EMBANKMENT_SLOPE * max([road.ramp.height_m for road in ground.network.roads if road.ramp], default=0.0)
     beside_m = VERGES * VERGE_M * ground.cell_scale(points[:, :2]) + raised_m
     points = points[ground.clearance(points[:, :2]) > beside_m]
     if len(points) < MIN_HILLS:

@@ -6,11 +6,11 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from synth3dlanes.geometry.lanes import connections, lane_graph
 
 from synth3dlanes.formats.export import export
 from synth3dlanes.formats.opendrive.write import opendrive
 from synth3dlanes.formats.verify import verify
-from synth3dlanes.geometry.lanes import connections, lane_graph
 from synth3dlanes.geometry.paint import is_double, paint_color, painted_rows
 from synth3dlanes.geometry.symbols import shape
 from synth3dlanes.scene import Building, Post, Rail, Roadside, Symbol, Tree
