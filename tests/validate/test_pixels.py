@@ -267,7 +267,7 @@ def test_seen_shares_of_cars_in_another_order_or_none_are_found_and_the_car_is_n
         shares = np.array(sample.labels.car_visible_fraction)
         for wrong in (shares[::-1], np.zeros_like(shares), np.ones_like(shares)):
             cars = np.flatnonzero(np.abs(wrong - shares) > 0.6)
-            labels = replace(sample.labels, car_visible_fraction=tuple(wrong.tolist()))
+            labels = sample.labels.with_seen_shares(wrong.tolist())
             found = reasons(replace(sample, labels=labels))
             assert all(f"of car {car} by its" in found for car in cars)
             n += len(cars)
