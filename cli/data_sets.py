@@ -11,7 +11,7 @@ from synth3dlanes.settings import SPLIT_NAME
 
 from .options import json_option
 
-# So that thirds may be written as 0.33.
+# The sum of shares may differ from 1 by this much, so that thirds may be written as 0.33.
 SUM_TOLERANCE = 0.015
 
 

@@ -12,7 +12,7 @@ from pydantic import Field, ValidationError
 from synth3dlanes.assets.catalogue import KINDS, AssetKind, Assets, Library
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.files import open_regular
-from synth3dlanes.schema import Part, Positive, validation_problems
+from synth3dlanes.schema import DocumentPart, Positive, validation_problems
 from synth3dlanes.yaml_text import read_yaml, text_of
 
 NOTES = "assets.yaml"
@@ -58,7 +58,7 @@ class AssetFiles:
     unknown: tuple[str, ...]
 
 
-class CarNotes(Part):
+class CarNotes(DocumentPart):
     """A car's wheels, if they cannot be measured from the names of its parts or from its footprint."""
 
     wheelbase_m: Positive
@@ -66,13 +66,13 @@ class CarNotes(Part):
     wheel_radius_m: Positive
 
 
-class SkyNotes(Part):
+class SkyNotes(DocumentPart):
     """The azimuth of the sun in a sky picture: degrees from its middle column to the left."""
 
     sun_azimuth_deg: Annotated[float, Field(ge=-360, le=360)]
 
 
-class Notes(Part):
+class Notes(DocumentPart):
     """`assets.yaml`: values that replace the measured ones, by file name without suffix."""
 
     cars: dict[str, CarNotes] = Field(default_factory=dict)
