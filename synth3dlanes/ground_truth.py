@@ -6,13 +6,13 @@ from jaxtyping import Float
 
 from synth3dlanes.arrays import Scalars
 from synth3dlanes.frames import invert, transform
-from synth3dlanes.geometry.lanes import LaneCurve, host_segment, lane_graph, path_of_segment
 from synth3dlanes.geometry.motion import host_station
+from synth3dlanes.geometry.network import LaneCurve, Network
 from synth3dlanes.geometry.paint import is_double, paint_color, pair_of
-from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.symbols import shape
 from synth3dlanes.geometry.visibility import seen_over_ground
-from synth3dlanes.labels import CameraLabel, Labels, Lane, LidarLabel, RoadName, RoadPlane, SymbolLabel
+from synth3dlanes.labels import CameraLabel, Labels, Lane, LidarLabel, RoadPlane, SymbolLabel
+from synth3dlanes.object_truth import label_objects
 from synth3dlanes.scene import Scene
 from synth3dlanes.world import View, World, resolve
 
@@ -31,7 +31,7 @@ def ground_truth(scene: Scene) -> Labels:
 
 def label(world: World, view: View) -> Labels:
     """The labels of a world for one view."""
-    plan, lens, shot = world.plan, view.camera, world.scene.shot
+    network, lens, shot = world.network, view.camera, world.scene.shot
     camera = CameraLabel(
         width_px=lens.width_px,
         height_px=lens.height_px,
@@ -46,7 +46,7 @@ def label(world: World, view: View) -> Labels:
         lens=lens.lens,
     )
     stations = _stations(world, lens.y_m)
-    sampled = {curve: curve.points_world(plan, s) for curve, s in stations.items()}
+    sampled = {curve: curve.points_world(s) for curve, s in stations.items()}
     known = _known(world, stations)
     forms = [shape(world.ground, symbol) for symbol in world.scene.symbols]
     outlines = [form.points_world(form.outline) for form in forms]
@@ -79,26 +79,26 @@ def label(world: World, view: View) -> Labels:
         SymbolLabel(symbol.kind, xyz, inside, visible, object_visible=None)
         for symbol, (xyz, inside, visible) in zip(world.scene.symbols, parts[len(sampled) :], strict=True)
     )
-    host = path_of_segment(plan, host_segment(plan, lens)).id
+    host = network.path(network.host_lane(lens.lane, lens.y_m).id).id
     centerlines = [curve.id for curve in world.site.lines if curve.kind == "centerline" and curve.id in known]
     return Labels(
         camera,
         lanes,
-        lane_graph(plan, centerlines),
+        network.graph(centerlines),
         horizon_plane(camera, next(lane for lane in lanes if lane.id == host)) if lens.looks_ahead else None,
         symbols=symbols,
         time_s=round(shot.time_s, 9) if shot.n_frames > 1 else None,
         lidar=_lidar(view),
+        objects=label_objects(view, camera),
     )
 
 
 def _stations(world: World, host_m: float) -> dict[LaneCurve, Scalars]:
-    """The plan stations of the points of every line that is in range of a host at a world station."""
-    plan = world.plan
+    """The stations of the points of every line that is in range of a host at a station."""
+    network = world.network
     lengths_m = np.arange(-world.scene.shot.behind_m, RANGE_M + STEP_M / 2, STEP_M)
-    roads: tuple[RoadName, ...] = ("main", "exit")
-    s_world = {road: plan.stations_along(road, host_m, lengths_m) for road in roads}
-    found = {curve: stations_of(plan, curve, s_world[curve.road]) for curve in world.site.lines}
+    driven_m = {road.id: network.stations_along(road, host_m, lengths_m) for road in network.roads}
+    found = {curve: stations_of(network, curve, driven_m[curve.road]) for curve in network.curves}
     return {curve: s for curve, s in found.items() if len(s) > 1}
 
 
@@ -108,7 +108,7 @@ def _known(world: World, stations: dict[LaneCurve, Scalars]) -> set[str]:
     it."""
     scene, shot = world.scene, world.scene.shot
     driven_m = (0.0, shot.speed_m_s * shot.duration_s) if shot.n_frames > 1 else ()
-    ends = (_stations(world, host_station(world.plan, scene.camera, way_m)) for way_m in driven_m)
+    ends = (_stations(world, host_station(world.network, scene.camera, way_m)) for way_m in driven_m)
     return {curve.id for lines in (stations, *ends) for curve in lines}
 
 
@@ -132,13 +132,11 @@ def horizon_plane(camera: CameraLabel, host: Lane) -> RoadPlane | None:
     )
 
 
-def stations_of(plan: RoadPlan, curve: LaneCurve, s_world: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
-    """Plan stations of one curve in driving order: the common stations within it, and its exact ends."""
-    s = plan.plan_station(s_world)
+def stations_of(network: Network, curve: LaneCurve, driven_m: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
+    """Stations of one curve in driving order: the common stations within it, and its exact ends."""
+    s = network.stations(driven_m)
     low, high = min(s[0], s[-1]), max(s[0], s[-1])
     ends = np.array([end for end in (curve.start_m, curve.end_m) if low < end < high])
-    kept = s[(s > curve.start_m) & (s < curve.end_m)]
+    kept = s[curve.has(s)]
     kept = kept[(np.abs(kept[:, None] - ends) > APART_M).all(axis=1)]
-    if curve.fork_road == "exit" and curve.stem_m is not None:
-        kept = kept[(kept >= 0) | (kept <= curve.joint_m(plan))]
-    return np.sort(np.concatenate([kept, ends]))[:: 1 if plan.flips[1] > 0 else -1]
+    return np.sort(np.concatenate([kept, ends]))[:: int(network.onwards)]

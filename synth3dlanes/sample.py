@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from synth3dlanes.assets.catalogue import BUILT_IN, Assets
-from synth3dlanes.geometry.road import is_wide_enough
+from synth3dlanes.geometry.paper_roads import is_wide_enough, paper_network
 from synth3dlanes.params import CameraParams, Params
 from synth3dlanes.processes import process_pool
 from synth3dlanes.sampling.cars import CAR_STREAMS, draw_cars
@@ -18,7 +18,7 @@ from synth3dlanes.sampling.like import Neighbourhood
 from synth3dlanes.sampling.roadside import draw_roadside
 from synth3dlanes.sampling.rules import lane_of_host
 from synth3dlanes.sampling.symbols import draw_symbols
-from synth3dlanes.sampling.traffic import check_way, on_main_road
+from synth3dlanes.sampling.traffic import check_way, on_its_road
 from synth3dlanes.sampling.trees import draw_trees
 from synth3dlanes.sampling.weather import under
 from synth3dlanes.scene import (
@@ -109,20 +109,21 @@ def draw_world(scenes: Scenes, index: int) -> World:
     first = draws_of(params, "weather", drawn, like)
     params = under(params, first("kind"), first("daytime"))
     draws = {name: draws_of(params, name, drawn, like) for name in Params.model_fields}
-    road, shot = _road(draws["road"]), _shot(shots, draws["motion"])
+    terrain, road, shot = _terrain(draws["terrain"]), _road(draws["road"]), _shot(shots, draws["motion"])
+    camera = on_its_road(paper_network(road, terrain), _camera(params.camera, draws["camera"], road), shot)
     bare = Scene(
         format="synth3dlanes.scene",
         version=SCENE_VERSION,
         seed=scenes.seed,
         split=scenes.split,
         index=index,
-        terrain=_terrain(draws["terrain"]),
+        terrain=terrain,
         road=road,
         markings=_plain(Markings, draws["markings"]),
         surface=_plain(Surface, draws["surface"]),
         cars=(),
         trees=(),
-        camera=on_main_road(_camera(params.camera, draws["camera"], road), road, shot),
+        camera=camera,
         light=_plain(Light, draws["light"]),
         air=_plain(Air, draws["air"]),
         sensor=_plain(Sensor, draws["sensor"]),

@@ -17,11 +17,11 @@ from synth3dlanes.geometry.camera import img_from_cam, project, world_from_host
 from synth3dlanes.geometry.grass import Blades, blades
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.horizon import FarHills
-from synth3dlanes.geometry.lanes import LaneCurve, curves
 from synth3dlanes.geometry.motion import car_at, host_at, host_station
+from synth3dlanes.geometry.network import LaneCurve, Network
 from synth3dlanes.geometry.paint import paint_meshes
+from synth3dlanes.geometry.paper_roads import paper_network
 from synth3dlanes.geometry.placement import tree_positions, world_from_car
-from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.geometry.seams import ghost_mesh, tar_mesh
 from synth3dlanes.geometry.solids import Body
 from synth3dlanes.geometry.symbols import symbol_mesh
@@ -37,7 +37,7 @@ class View:
     the image that the host's bonnet fills."""
 
     scene: Scene
-    plan: RoadPlan
+    network: Network
     camera: Camera
     world_from_host: Matrix4
     bonnet: float = 0.0
@@ -46,8 +46,8 @@ class View:
     def world_from_cars(self) -> tuple[Matrix4, ...]:
         """The poses of all cars at that instant, without their scale."""
         models, time_s = self.scene.assets.car_models, self.scene.shot.time_s
-        cars = (car_at(self.plan, car, time_s) for car in self.scene.cars)
-        return tuple(world_from_car(self.plan, car, models[car.model - 1]) for car in cars)
+        cars = (car_at(self.network, car, time_s) for car in self.scene.cars)
+        return tuple(world_from_car(self.network, car, models[car.model - 1]) for car in cars)
 
     @property
     def lidar(self) -> Lidar | None:
@@ -110,14 +110,14 @@ class Site:
     trees: tuple[Tree, ...]
     roadside: Roadside
 
-    @cached_property
+    @property
     def lines(self) -> tuple[LaneCurve, ...]:
         """All centre lines and delimiters."""
-        return curves(self.ground.plan)
+        return self.ground.network.curves
 
     @cached_property
     def pavement(self) -> list[meshes.Mesh]:
-        """Main road and exit with their shoulders."""
+        """All roads with their shoulders."""
         return meshes.road_meshes(self.ground)
 
     @cached_property
@@ -159,18 +159,18 @@ class World:
         return self.site.ground
 
     @property
-    def plan(self) -> RoadPlan:
-        """The road plan."""
-        return self.ground.plan
+    def network(self) -> Network:
+        """The roads."""
+        return self.ground.network
 
     @cached_property
     def view(self) -> View:
         """The view of the scene's camera at the instant of its shot."""
         scene, shot = self.scene, self.scene.shot
-        camera = host_at(self.plan, scene.camera, shot.speed_m_s * shot.time_s)
+        camera = host_at(self.network, scene.camera, shot.speed_m_s * shot.time_s)
         sees_bonnet = camera.looks_ahead and abs(camera.forward_m) <= BEHIND_WINDSCREEN_M
         bonnet = scene.host.bonnet if sees_bonnet else 0.0
-        return View(scene, self.plan, camera, world_from_host(self.plan, camera), bonnet)
+        return View(scene, self.network, camera, world_from_host(self.network, camera), bonnet)
 
     def seen_in(self, scene: Scene) -> "World":
         """Another picture of the same site: the scene differs in camera, shot and lidar alone."""
@@ -211,8 +211,8 @@ class World:
 
 def resolve(scene: Scene) -> World:
     """Resolve a scene into its world."""
-    plan, shot = RoadPlan(scene.road, scene.terrain), scene.shot
+    network, shot = paper_network(scene.road, scene.terrain), scene.shot
     hills = FarHills.draw(scene.stream("far_hills"))
-    driven_m = host_station(plan, scene.camera, shot.speed_m_s * shot.duration_s) - scene.camera.y_m
-    ground = Ground(plan, scene.camera.y_m, scene.markings, hills, driven_m, shot.behind_m > 0)
+    driven_m = host_station(network, scene.camera, shot.speed_m_s * shot.duration_s) - scene.camera.y_m
+    ground = Ground(network, scene.camera.y_m, scene.markings, hills, driven_m, shot.behind_m > 0)
     return World(scene, Site(ground, scene.trees, scene.roadside))

@@ -144,7 +144,7 @@ def build(
 def _stage(studio: Studio, world: World, trees: Sequence[MeshInstance]) -> None:
     """Build what every view of a world shows alike: its ground and what stands still on it."""
     materials = studio.materials
-    set_materials(materials, world.scene)
+    set_materials(materials, world.scene, world.network)
     set_translucency(studio.assets.trees, world.scene.vegetation.translucency)
     set_snow_caps(world.scene.weather.snow)
     road, shoulder, terrain = materials.ground(world.scene.surface)

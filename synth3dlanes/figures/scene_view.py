@@ -10,7 +10,7 @@ from synth3dlanes.arrays import Matrix4, Points3
 from synth3dlanes.figures.colors import Rgb
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.geometry.network import Network
 from synth3dlanes.labels import CameraLabel, Labels
 from synth3dlanes.scene import Car, Scene
 from synth3dlanes.world import World, resolve
@@ -56,8 +56,8 @@ class SceneView:
         return BEHIND_M + self.scene.shot.behind_m
 
     @property
-    def plan(self) -> RoadPlan:
-        return self.world.plan
+    def network(self) -> Network:
+        return self.world.network
 
     @property
     def ground(self) -> Ground:
@@ -69,21 +69,18 @@ class SceneView:
 
     @cached_property
     def _stations(self) -> Float[np.ndarray, " n"]:
-        """Plan stations from behind the host to AHEAD_M, in driving order."""
+        """Stations from behind the host to AHEAD_M, in driving order."""
         y_m = self.world.view.camera.y_m
-        return self.plan.plan_station(np.arange(y_m - self.behind_m, y_m + AHEAD_M + 0.5))
+        return self.network.stations(np.arange(y_m - self.behind_m, y_m + AHEAD_M + 0.5))
 
     @cached_property
     def roads(self) -> dict[str, tuple[Points3, Points3]]:
-        """Both edges of each road, shoulders included: "main" and, if one is in range, "exit"."""
-        plan, s = self.plan, self._stations
-        left, right = plan.main_xy(s, self.ground.left_edge_m), plan.main_xy(s, self.ground.main_right_edge(s))
-        edges_world = {"main": (plan.lift(left), plan.lift(right))}
-        beyond = s[s >= 0]
-        if plan.has_exit and beyond.size > 1:
-            edge_m, ramp_m = self.ground.exit_edge_m, plan.ramp(beyond)
-            left, right = plan.exit_xy(beyond, -edge_m), plan.exit_xy(beyond, edge_m)
-            edges_world["exit"] = (plan.lift(left, ramp_m), plan.lift(right, ramp_m))
+        """Both edges of each road in range, shoulders included, by its id."""
+        edges_world = {}
+        for road in self.network.roads:
+            s = self._stations[(self._stations >= road.start_m) & (self._stations <= road.end_m)]
+            if s.size > 1:
+                edges_world[road.id] = road.points(s, road.left(s)), road.points(s, road.right(s))
         return {
             name: (transform(self.road_from_world, left), transform(self.road_from_world, right))
             for name, (left, right) in edges_world.items()
@@ -92,16 +89,16 @@ class SceneView:
     @cached_property
     def ground_along_main(self) -> Points3:
         """The surface along the main road's reference line."""
-        points_world = self.plan.lift(self.plan.main_xy(self._stations, 0.0))
+        points_world = self.network.main.points(self._stations, 0.0)
         return transform(self.road_from_world, points_world)
 
     @property
     def ramp_foot(self) -> Float[np.ndarray, "3"] | None:
-        """The point where the exit starts to rise from the terrain; None if the labels have no ramp."""
-        start_s_m = self.labels.graph.ramp_start_s_m
-        if start_s_m is None:
+        """The point where a road starts to rise from the terrain; None if the labels have no ramp."""
+        raised = next((road for road in self.network.roads if road.ramp), None)
+        if self.labels.graph.ramp_start_s_m is None or raised is None or raised.ramp is None:
             return None
-        foot_world = self.plan.lift(self.plan.exit_xy(np.array([start_s_m]) * self.plan.flips[1], 0.0))
+        foot_world = raised.points(np.array([raised.ramp.start_m]), 0.0)
         return np.asarray(transform(self.road_from_world, foot_world)[0])
 
     def ground_grid(self, half_width_m: float, step_m: float) -> Float[np.ndarray, "rows columns 3"]:

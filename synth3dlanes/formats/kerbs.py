@@ -23,8 +23,8 @@ def kerb_lanes(scene: Scene, camera: CameraLabel) -> tuple[Lane, ...]:
     host_m = float(camera.world_from_cam[1, 3])
     for i, rail in kerbs.items():
         s = np.arange(min(rail.from_m, rail.to_m), max(rail.from_m, rail.to_m), STEP_M)
-        ahead_m = world.plan.plan_station(s) - host_m
-        s = s[(ahead_m > 0) & (ahead_m < RANGE_M)][:: 1 if world.plan.flips[1] > 0 else -1]
+        ahead_m = world.network.stations(s) - host_m
+        s = s[(ahead_m > 0) & (ahead_m < RANGE_M)][:: int(world.network.onwards)]
         if len(s) < LEAST_POINTS:
             continue
         points_world = foot_of_front(world.ground, rail, s)

@@ -11,15 +11,10 @@ from synth3dlanes.scene import RoadSide
 
 
 def beside(ground: Ground, road: RoadName, side: RoadSide, s: Scalars, aside_m: Scalars | float) -> Points2:
-    """World (x, y) at plan stations, `aside_m` outside an edge of the pavement; of the side `median`, at this plan
-    offset of the main road."""
-    plan = ground.plan
-    if road == "exit":
-        t = ground.exit_edge_m + np.asarray(aside_m)
-        return plan.exit_xy(s, np.broadcast_to(t if side == "right" else -t, s.shape))
-    edges = {"left": ground.left_edge_m - np.asarray(aside_m), "median": np.asarray(aside_m)}
-    t = edges[side] if side in edges else ground.main_right_edge(s) + aside_m
-    return plan.main_xy(s, np.broadcast_to(t, s.shape))
+    """World (x, y) at stations, `aside_m` outside an edge of the pavement; of the side `median`, at this offset."""
+    on = ground.network.road(road)
+    t = np.asarray(aside_m) if side == "median" else on.edge(side, s, aside_m)
+    return on.xy(s, np.broadcast_to(t, s.shape))
 
 
 def frames_beside(
@@ -29,7 +24,7 @@ def frames_beside(
     behind, middle, ahead, out = (
         beside(ground, road, side, s + ds, aside_m + da) for ds, da in ((-0.5, 0.0), (0.0, 0.0), (0.5, 0.0), (0.0, 1.0))
     )
-    forward = (ahead - behind) * ground.plan.flips[1]
+    forward = (ahead - behind) * ground.network.onwards
     forward /= np.linalg.norm(forward, axis=1, keepdims=True)
     out = out - middle
     outward = np.sign(out[:, 0] * forward[:, 1] - out[:, 1] * forward[:, 0])

@@ -9,8 +9,7 @@ from jaxtyping import Float
 from synth3dlanes.arrays import AnyPoints3, Matrix4
 from synth3dlanes.frames import from_axes
 from synth3dlanes.geometry import terrain
-from synth3dlanes.geometry.lanes import host_segment, path_of_segment
-from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.geometry.network import Network
 from synth3dlanes.scene import Camera
 
 TANGENT_STEP_M = 1e-3
@@ -59,14 +58,14 @@ def horizontal_fov_rad(camera: Camera) -> float:
     return float(np.where(np.isnan(angles), camera.lens.field_rad, angles).sum())
 
 
-def world_from_host(plan: RoadPlan, camera: Camera) -> Matrix4:
+def world_from_host(network: Network, camera: Camera) -> Matrix4:
     """The pose of the road frame at the host: origin on the surface at its place, z the surface normal, y along the
     lane."""
-    lane = path_of_segment(plan, host_segment(plan, camera))
-    s = plan.plan_station(camera.y_m + np.array([0.0, -TANGENT_STEP_M, TANGENT_STEP_M]))
-    t = lane.main_offset(plan, s) + camera.offset_m * plan.flips[0]
-    foot, behind, ahead = plan.lift(plan.main_xy(s, t))
-    ((dx, dy),) = terrain.gradient_at(plan.terrain, foot[None, :2])
+    lane = network.host_lane(camera.lane, camera.y_m)
+    s = network.stations(camera.y_m + np.array([0.0, -TANGENT_STEP_M, TANGENT_STEP_M]))
+    t = lane.middle(s) + camera.offset_m * network.rightward
+    foot, behind, ahead = network.road(lane.road).points(s, t)
+    ((dx, dy),) = terrain.gradient_at(network.terrain, foot[None, :2])
     z = np.array([-dx, -dy, 1.0]) / np.sqrt(dx * dx + dy * dy + 1)
     along = ahead - behind
     y = along - (along @ z) * z

@@ -33,7 +33,7 @@ class Span:
 
 
 def crossing_frame(ground: Ground, crossing: Crossing) -> GroundFrame:
-    return frames_beside(ground, "main", "median", np.array([crossing.s_m]), 0.0)[0]
+    return frames_beside(ground, ground.network.main.id, "median", np.array([crossing.s_m]), 0.0)[0]
 
 
 def crossing_span(ground: Ground, crossing: Crossing) -> Span:
@@ -85,14 +85,13 @@ def _gantry(quads: Quads, ground: Ground, crossing: Crossing, frame: GroundFrame
         for i, (a, b) in enumerate(pairwise(ends)):
             low, high = (base, base + rise_m) if i % 2 else (base + rise_m, base)
             quads.tube(frame.world(np.array([(a, y, low), (b, y, high)])), (0.04, 0.04), METAL, n=3)
-    plan, s = ground.plan, np.array([crossing.s_m])
-    edges = np.array([ground.left_edge_m, float(ground.main_right_edge(s)[0])]) * plan.flips[0]
-    middle, width_m = float(edges.mean()), float(np.ptp(edges)) - 2 * plan.shoulder_m
+    road, s, to_right = ground.network.main, np.array([crossing.s_m]), ground.network.rightward
+    edges = np.array([road.left(s)[0], road.right(s)[0]]) * to_right
+    middle, width_m = float(edges.mean()), float(np.ptp(edges)) - 2 * road.shoulder_m
     n = max(1, min(3, round(width_m / 5)))
     for i, x in enumerate(middle + width_m * ((np.arange(n) + 0.5) / n - 0.5)):
         layers = board(0.82 * min(width_m / n, 5.5), 2.0, crossing.color, i + round(10 * abs(crossing.s_m)))
-        is_oncoming = plan.n_oncoming > 0 and x * plan.flips[0] < plan.boundary_m(0) - plan.road.median_m / 2
-        add_board(quads, frame, layers, np.array([x, -half - 0.12, base - 0.35 + 1.0]), bool(is_oncoming))
+        add_board(quads, frame, layers, np.array([x, -half - 0.12, base - 0.35 + 1.0]), road.is_oncoming(x * to_right))
     quads.feet.append(on_ground(ground, frame.world(np.column_stack([feet, np.zeros(2)]))[:, :2]))
 
 

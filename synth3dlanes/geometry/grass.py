@@ -9,12 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from synth3dlanes.arrays import Points3, Scalars
+from synth3dlanes.arrays import Points2, Points3, Scalars
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.lanes import LaneCurve
+from synth3dlanes.geometry.network import SIDES, LaneCurve
 
 # Tufts along every edge of the pavement: how many, how far ahead of the host, and how far beside the edge.
 PER_EDGE, AHEAD_M, BESIDE_M = 1200, (2.0, 45.0), (0.25, 3.6)
+LEAST_EDGES = 4  # that random numbers are drawn for
 # More of them for each metre that the host drives.
 PER_M = 40
 # Grass is mown next to the road: its height grows from this share at the edge to all of it at FULL_AT_M.
@@ -51,39 +52,34 @@ def blades(
 
 
 def lane_points(ground: Ground, lines: Sequence[LaneCurve]) -> Points3:
-    """Points of all lane curves around the host, as far apart as those of the labels, and farther."""
-    plan = ground.plan
-    s = plan.plan_station(np.arange(*ground.range_m(RANGE_M, -STEP_M), STEP_M))
+    """Points3 of all lane curves around the host, as far apart as those of the labels, and farther."""
+    s = ground.network.stations(np.arange(*ground.range_m(RANGE_M, -STEP_M), STEP_M))
     return np.concatenate(
-        [line.points_world(plan, s[(s > line.start_m) & (s < line.end_m)]) for line in lines] + [np.zeros((0, 3))]
+        [line.points_world(s[(s > line.start_m) & (s < line.end_m)]) for line in lines] + [np.zeros((0, 3))]
     )
 
 
 def _tufts(ground: Ground, grass_m: float, rng: np.random.Generator) -> tuple[Points3, Scalars]:
     """Feet and heights of tufts along the edges of the pavement; the nearer to the host, the denser."""
-    plan, last_m = ground.plan, ground.near_m + ground.driven_m
-    draws = rng.random((4, 4, PER_EDGE))
-    s_world = last_m + _away(draws[0])
+    network, last_m = ground.network, ground.near_m + ground.driven_m
+    n_edges = max(LEAST_EDGES, 2 * len(network.roads))
+    draws = rng.random((4, n_edges, PER_EDGE))
+    driven_m = last_m + _away(draws[0])
     if ground.driven_m:
-        more = rng.random((4, 4, int(PER_M * ground.driven_m)))
+        more = rng.random((4, n_edges, int(PER_M * ground.driven_m)))
         draws = np.concatenate([draws, more], axis=2)
-        s_world = np.concatenate([s_world, ground.near_m + AHEAD_M[0] + ground.driven_m * more[0]], axis=1)
+        driven_m = np.concatenate([driven_m, ground.near_m + AHEAD_M[0] + ground.driven_m * more[0]], axis=1)
     if ground.both_ways:
-        more = rng.random((4, 4, PER_EDGE))
+        more = rng.random((4, n_edges, PER_EDGE))
         draws = np.concatenate([draws, more], axis=2)
-        s_world = np.concatenate([s_world, ground.near_m - _away(more[0])], axis=1)
+        driven_m = np.concatenate([driven_m, ground.near_m - _away(more[0])], axis=1)
     beside = BESIDE_M[0] + (BESIDE_M[1] - BESIDE_M[0]) * draws[1]
-    s = plan.plan_station(s_world)
-    xy = [
-        plan.main_xy(s[0], ground.left_edge_m - beside[0]),
-        plan.main_xy(s[1], ground.main_right_edge(s[1]) + beside[1]),
-    ]
-    if plan.has_exit:
-        on_exit = [s[k] >= 0 for k in (2, 3)]
-        xy += [
-            plan.exit_xy(s[2][on_exit[0]], -ground.exit_edge_m - beside[2][on_exit[0]]),
-            plan.exit_xy(s[3][on_exit[1]], ground.exit_edge_m + beside[3][on_exit[1]]),
-        ]
+    s, xy = network.stations(driven_m), list[Points2]()
+    for road in network.roads:
+        for side in SIDES:
+            edge = len(xy)
+            at = s[edge] >= road.start_m
+            xy.append(road.xy(s[edge][at], road.edge(side, s[edge][at], beside[edge][at])))
     places = np.concatenate(xy)
     from_edge_m = ground.clearance(places)
     kept = (from_edge_m > BESIDE_M[0]) & (from_edge_m < BESIDE_M[1])
@@ -93,7 +89,7 @@ def _tufts(ground: Ground, grass_m: float, rng: np.random.Generator) -> tuple[Po
     return np.column_stack([places, ground.height(places) - SINK_M]), height_m
 
 
-def _away(draws: Float[np.ndarray, "4 n"]) -> Float[np.ndarray, "4 n"]:
+def _away(draws: Float[np.ndarray, "e n"]) -> Float[np.ndarray, "e n"]:
     """Distances from the host, from random numbers."""
     return np.asarray(AHEAD_M[0] * (AHEAD_M[1] / AHEAD_M[0]) ** draws)
 

@@ -1,9 +1,8 @@
 """The scene's surfaces as vertex and face arrays, as `ground.py` defines them. World frame.
 
-Each row is one station (world y on the main reference line), shared by road, shoulders and paint.
+Each row is one station, shared by road, shoulders and paint.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.ground import CELL_M, EMBANKMENT_SLOPE, GROWTH, VERGE_M, Ground, embankment_width, profile
 from synth3dlanes.geometry.horizon import far_dam, on_faces
+from synth3dlanes.geometry.network import Road, Side
 
 HORIZON_M = 4000.0
 BEHIND_M = 300.0
@@ -20,13 +20,15 @@ ROAD_BEHIND_M = 30.0
 FAR_ROWS_M, FAR_ROWS_GROWTH = 420.0, 0.03
 # A ramp whose own rows would be closer than this gets them: within the range of labels the road's are no farther apart.
 STEEP_M = 1.0
-# The exit's inner edge extends a little below the main road or its own verge. Their rows differ, so a gap would show
-# the ground otherwise.
+# Where a road begins beside another, its inner edge extends a little below that one or its own verge. Their rows
+# differ, so a gap would show the ground otherwise.
 SEAM_M, SEAM_FALL_M = 0.05, 0.01
 LANE_COLUMNS, SHOULDER_COLUMNS = 4, 4
 ROAD, SHOULDER, MEDIAN = 0, 1, 2
 # A median this wide is grass between inner shoulders; a narrower one is all shoulder.
 GRASS_FROM_M, INNER_SHOULDER_M = 3.0, 0.5
+# Carriageways closer than this share a line.
+LEAST_MEDIAN_M = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +63,8 @@ def terrain_heights(ground: Ground, xy_world: Float[np.ndarray, "*n 2"]) -> Floa
 
 
 def road_stations(ground: Ground) -> Scalars:
-    """World stations of the rows of road and paint, to beyond the horizon: half a metre apart near the host, more far
-    away, less on a ramp that needs it. The split itself is always among them."""
+    """Stations of the rows of road and paint as the host drives, to beyond the horizon: half a metre apart near the
+    host, more far away, less on a ramp that needs it. 0, where roads may begin, is always among them."""
     n_far = int(np.log(2 * HORIZON_M / FAR_ROWS_M) / np.log1p(FAR_ROWS_GROWTH))
     ahead = [
         np.arange(0, 80, 0.5),
@@ -75,16 +77,23 @@ def road_stations(ground: Ground) -> Scalars:
         np.arange(0, ground.driven_m, 0.5),
         *(ground.driven_m + part for part in ahead),
     ]
-    ramp = ground.plan.plan_station(ground.plan.ramp_stations)
-    steep = ramp if ramp.size and np.ptp(ramp) < STEEP_M * len(ramp) else ramp[:0]
-    return np.unique(np.concatenate([ground.near_m + np.concatenate(rows), steep, [0.0]]))
+    ramps = [road.ramp.stations for road in ground.network.roads if road.ramp]
+    steep = [ground.network.stations(ramp) for ramp in ramps if np.ptp(ramp) < STEEP_M * len(ramp)]
+    return np.unique(np.concatenate([ground.near_m + np.concatenate(rows), *steep, [0.0]]))
+
+
+def _rows(ground: Ground, road: Road) -> Scalars:
+    """Stations of a road's rows as the host drives; of a road that begins or ends somewhere, as s grows."""
+    s = ground.network.stations(road_stations(ground))
+    inside = (s >= road.start_m) & (s <= road.end_m)
+    return s if inside.all() else np.sort(s[inside])
 
 
 def lift_far(
     ground: Ground, xy_world: Float[np.ndarray, "*n 2"], above_m: Float[np.ndarray, "*#n"], s: Float[np.ndarray, "*#n"]
 ) -> Float[np.ndarray, "*n 3"]:
     """3D points at stations, `above_m` over the terrain with its far hills; far away over the faces of its mesh."""
-    points = ground.plan.lift(xy_world, above_m + ground.hills.height(xy_world))
+    points = ground.network.lift(xy_world, above_m + ground.hills.height(xy_world))
     share = np.broadcast_to(on_faces(s), points.shape[:-1])
     far = share > 0
     over_m = np.broadcast_to(above_m, share.shape)[far] + _face_height(ground, xy_world[far]) - points[far, 2]
@@ -104,7 +113,7 @@ def _face_height(ground: Ground, xy_world: Float[np.ndarray, "n 2"]) -> Scalars:
 
     def height(i: int, j: int) -> Scalars:
         xy = np.stack([corners[0, i], corners[1, j]], -1)
-        return np.asarray(ground.plan.lift(xy, ground.hills.height(xy))[:, 2])
+        return np.asarray(ground.network.lift(xy, ground.hills.height(xy))[:, 2])
 
     a, b, c, d = height(0, 0), height(1, 0), height(0, 1), height(1, 1)
     one = a + np.where(u > v, (b - a) * u + (d - b) * v, (c - a) * v + (d - c) * u)
@@ -113,32 +122,19 @@ def _face_height(ground: Ground, xy_world: Float[np.ndarray, "n 2"]) -> Scalars:
 
 
 def road_meshes(ground: Ground) -> list[Mesh]:
-    """Pavement of the main road, and of the exit outside the main pavement."""
-    plan = ground.plan
-    s = plan.plan_station(road_stations(ground))
-    meshes = [_main_mesh(ground, s)]
-    if plan.has_exit:
-        meshes.append(_exit_mesh(ground, np.sort(s[s >= 0])))
-    return [over_terrain(mesh) for mesh in meshes]
+    """The pavement of every road, of one that begins beside another outside that one's pavement."""
+    return [over_terrain(_pavement(ground, road, _rows(ground, road))) for road in ground.network.roads]
 
 
 def verge_meshes(ground: Ground) -> list[Mesh]:
     """Verges and embankments along every edge of the pavement, down to below the terrain mesh."""
-    plan = ground.plan
-    s = plan.plan_station(road_stations(ground))
-    raised, free = far_dam(s), np.full(s.shape, np.inf)
-    right = ground.main_right_edge(s)
-    meshes = [
-        _verge(ground, s, lambda d: plan.main_xy(s, ground.left_edge_m - d), raised, free),
-        _verge(ground, s, lambda d: plan.main_xy(s, right + d), raised, np.where(_meets_exit(ground, s), 0.0, np.inf)),
-    ]
-    if plan.has_exit:
-        se = np.sort(s[s >= 0])
-        edge, raised = ground.exit_edge_m, plan.ramp(se) + far_dam(se)
-        meshes += [
-            _verge(ground, se, lambda d: plan.exit_xy(se, edge + d), raised, np.full(se.shape, np.inf)),
-            _verge(ground, se, lambda d: plan.exit_xy(se, -edge - d), raised, _gap(ground, se)),
-        ]
+    meshes = []
+    for road in ground.network.roads:
+        s = _rows(ground, road)
+        free = np.full(s.shape, np.inf)
+        left_m = free if road.parting is None else _gap(road, s)
+        right_m = np.where(_is_continued(ground, road, s), 0.0, np.inf)
+        meshes += [_verge(ground, road, "left", s, left_m), _verge(ground, road, "right", s, right_m)]
     return [mesh for mesh in map(over_terrain, meshes) if len(mesh.faces)]
 
 
@@ -186,140 +182,117 @@ def _axis(low: float, high: float, out_low: float, out_high: float) -> Scalars:
     return np.concatenate([low - outside(out_low)[::-1], inner, high + outside(out_high)])
 
 
-def _columns(ground: Ground, half_m: float, edge_m: float, n_lanes: int) -> tuple[Scalars, Int[np.ndarray, " m"]]:
-    """Offsets across a pavement whose lanes end at +-half_m and whose shoulders end at +-edge_m, and the material of
-    each column of faces."""
-    paved_m = half_m + ground.under_paint_m
-    shoulder = np.linspace(paved_m, edge_m, SHOULDER_COLUMNS + 1)[1:]
-    lanes = np.linspace(-half_m, half_m, n_lanes * LANE_COLUMNS + 1)
-    material = np.full(len(lanes) + 1 + 2 * SHOULDER_COLUMNS, ROAD)
-    material[:SHOULDER_COLUMNS] = material[-SHOULDER_COLUMNS:] = SHOULDER
-    return np.concatenate([-shoulder[::-1], [-paved_m], lanes, [paved_m], shoulder]), material
+def _columns(ground: Ground, road: Road) -> tuple[Scalars, Int[np.ndarray, " m"]]:
+    """Offsets across a road where it begins, and the material of each column of faces."""
+    parts = road.carriageways
+    paved_m = ground.under_paint_m(road)
+    shoulder = np.linspace(paved_m, road.shoulder_m, SHOULDER_COLUMNS + 1)[::-1]
+    offsets, material = [parts[0].left_m - shoulder], [np.full(SHOULDER_COLUMNS, SHOULDER), np.full(1, ROAD)]
+    for i, part in enumerate(parts):
+        across = np.linspace(part.left_m, part.right_m, part.n_lanes * LANE_COLUMNS + 1)
+        if i > 0:
+            median, surface = _median_columns(ground, road, *road.medians[i - 1])
+            # Without a median both carriageways share a column.
+            across = across if len(median) else across[1:]
+            offsets.append(median)
+            material.append(surface)
+        offsets.append(across)
+        material.append(np.full(part.n_lanes * LANE_COLUMNS, ROAD))
+    offsets.append(parts[-1].right_m + shoulder[::-1])
+    material += [np.full(1, ROAD), np.full(SHOULDER_COLUMNS, SHOULDER)]
+    return np.concatenate(offsets), np.concatenate(material)
 
 
-def _main_columns(ground: Ground) -> tuple[Scalars, Int[np.ndarray, " m"]]:
-    """As `_columns`, for the main road with its oncoming lanes and median."""
-    plan = ground.plan
-    half_m = ground.edge_m - plan.shoulder_m
-    t, material = _columns(ground, half_m, ground.edge_m, plan.n_lanes)
-    if not plan.n_oncoming:
-        return t, material
-    # The left part up to the first lane boundary moves out by as much as oncoming lanes and median take.
-    first = SHOULDER_COLUMNS + 1
-    oncoming = np.linspace(plan.left_m, plan.oncoming_inner_m, plan.n_oncoming * LANE_COLUMNS + 1)
-    median, surface = _median_columns(ground)
-    return (
-        np.concatenate(
-            [t[:first] + (plan.left_m + half_m), oncoming, median, t[first if len(median) else first + 1 :]]
-        ),
-        np.concatenate([material[:first], np.full(len(oncoming) - 1, ROAD), surface, material[first:]]),
-    )
-
-
-def _median_columns(ground: Ground) -> tuple[Scalars, Int[np.ndarray, " m"]]:
-    """Offsets inside the median between the inner lane boundaries, and the material of each column of faces there."""
-    plan = ground.plan
-    width_m = plan.road.median_m
-    if width_m == 0:
+def _median_columns(ground: Ground, road: Road, left_m: float, right_m: float) -> tuple[Scalars, Int[np.ndarray, " m"]]:
+    """Offsets inside a median between the inner lane boundaries, and the material of each column of faces there."""
+    width_m = right_m - left_m
+    if width_m < LEAST_MEDIAN_M:
         return np.zeros(0), np.zeros(0, dtype=int)
-    paved_m = min(ground.under_paint_m, width_m / 4)
+    paved_m = min(ground.under_paint_m(road), width_m / 4)
     inner_m = min(paved_m + INNER_SHOULDER_M, 0.45 * width_m)
     across = np.array([paved_m, inner_m, width_m / 2, width_m - inner_m, width_m - paved_m])
     middle = MEDIAN if width_m >= GRASS_FROM_M else SHOULDER
-    return plan.oncoming_inner_m + across, np.array([ROAD, SHOULDER, middle, middle, SHOULDER, ROAD])
+    return left_m + across, np.array([ROAD, SHOULDER, middle, middle, SHOULDER, ROAD])
 
 
-def median_grass_m(ground: Ground) -> tuple[float, float] | None:
-    """Plan offsets between which the median is grass; None without grass."""
-    offsets, surface = _median_columns(ground)
-    return (float(offsets[1]), float(offsets[3])) if MEDIAN in surface else None
+def grass_in_medians(ground: Ground, road: Road) -> list[tuple[float, float]]:
+    """Offsets between which a road's medians are grass."""
+    columns = [_median_columns(ground, road, *median) for median in road.medians]
+    return [(float(offsets[1]), float(offsets[3])) for offsets, surface in columns if MEDIAN in surface]
 
 
-def _main_mesh(ground: Ground, s: Scalars) -> Mesh:
-    plan, k = ground.plan, SHOULDER_COLUMNS
-    t, column_material = _main_columns(ground)
-    right = ground.main_right_edge(s)[:, None]
-    lanes = np.minimum(t[:-k], right - plan.shoulder_m + ground.under_paint_m)
-    offsets = np.concatenate([lanes, t[-k:] - ground.edge_m + right], axis=1)
+def _pavement(ground: Ground, road: Road, s: Scalars) -> Mesh:
+    k, network = SHOULDER_COLUMNS, ground.network
+    t, column_material = _columns(ground, road)
+    right = road.right(s)[:, None]
+    lanes = np.minimum(t[:-k], right - road.shoulder_m + ground.under_paint_m(road))
+    offsets = np.concatenate([lanes, t[-k:] - road.right.base_m + right], axis=1)
+    if road.parting is not None:
+        inner = _inner_edge(road, s)[:, None]
+        offsets = np.concatenate([inner - SEAM_M, np.maximum(offsets, inner)], axis=1)
+        column_material = np.concatenate([column_material[:1], column_material])
     stations = np.broadcast_to(s[:, None], offsets.shape)
-    xy = plan.main_xy(stations, offsets)
+    xy = road.xy(stations, offsets)
     material = np.tile(column_material, (len(s) - 1, 1))
-    if plan.has_exit:
-        # The main shoulder is road where the exit's lanes cross it.
+    for branch in network.branches(road):
+        # The shoulder is road where the lanes of another cross it.
         middle = (xy[:-1, -k - 1 : -1] + xy[:-1, -k:] + xy[1:, -k - 1 : -1] + xy[1:, -k:]) / 4
-        se, te = plan.project_exit(middle, np.broadcast_to((s[:-1, None] + s[1:, None]) / 2, middle.shape[:2]))
-        material[:, -k:][(se >= 0) & (np.abs(te) < plan.exit_half_m)] = ROAD
-    vertices = lift_far(ground, xy, far_dam(stations), stations)
-    return grid(vertices, np.stack([offsets, stations], -1) * plan.flips, material)
+        guess = np.broadcast_to((s[:-1, None] + s[1:, None]) / 2, middle.shape[:2])
+        material[:, -k:][branch.in_lanes(*branch.line.project(middle, guess))] = ROAD
+    vertices = lift_far(ground, xy, road.raised(stations) + far_dam(stations), stations)
+    if road.parting is not None:
+        vertices[:, 0, 2] -= SEAM_FALL_M
+    return grid(vertices, np.stack([offsets, stations], -1) * [network.rightward, network.onwards], material)
 
 
-def _exit_mesh(ground: Ground, s: Scalars) -> Mesh:
-    plan = ground.plan
-    t, material = _columns(ground, plan.exit_half_m, ground.exit_edge_m, plan.n_exit_lanes)
-    inner = _inner_edge(ground, s)[:, None]
-    offsets = np.concatenate([inner - SEAM_M, np.maximum(t, inner)], axis=1)
-    material = np.concatenate([material[:1], material])
-    stations = np.broadcast_to(s[:, None], offsets.shape)
-    vertices = lift_far(ground, plan.exit_xy(stations, offsets), plan.ramp(stations) + far_dam(stations), stations)
-    vertices[:, 0, 2] -= SEAM_FALL_M
-    return grid(vertices, np.stack([offsets, stations], -1) * plan.flips, material)
+def _inner_edge(road: Road, s: Scalars) -> Scalars:
+    """Offset at which a road's cross-section leaves the pavement of the road where it begins; its own left edge once
+    they are separate."""
+    return np.clip(_crossing(road, s, road.right(s)), road.left(s), road.right(s))
 
 
-def _inner_edge(ground: Ground, s: Scalars) -> Scalars:
-    """Exit offset at which the exit's cross-section leaves the main pavement; its own left edge once they are
-    separate."""
-    return np.clip(_crossing(ground, s, ground.exit_edge_m), -ground.exit_edge_m, ground.exit_edge_m)
+def _is_continued(ground: Ground, road: Road, s: Scalars) -> Bool[np.ndarray, " n"]:
+    """Where another road's pavement goes on beyond a road's right edge. A verge would show through the seam."""
+    found = np.zeros(s.shape, bool)
+    for branch in ground.network.branches(road):
+        at, t = branch.line.project(road.xy(s, road.right(s)), s)
+        found |= (at > branch.start_m) & (branch.outside(at, t) < -SEAM_M)
+    return found
 
 
-def _meets_exit(ground: Ground, s: Scalars) -> Bool[np.ndarray, " n"]:
-    """Where the exit's pavement goes on beyond the main pavement's right edge. A verge would show through the seam."""
-    if not ground.plan.has_exit:
-        return np.zeros(s.shape, bool)
-    se, te = ground.plan.project_exit(ground.plan.main_xy(s, ground.main_right_edge(s)), s)
-    return np.asarray((se > 0) & (np.abs(te) < ground.exit_edge_m - SEAM_M))
+def _gap(road: Road, s: Scalars) -> Scalars:
+    """Width available to a road's left embankment: from its edge to the pavement of the road where it begins; 0 while
+    they touch."""
+    return np.clip(road.left(s) - _crossing(road, s, road.left(s)), 0, None)
 
 
-def _gap(ground: Ground, s: Scalars) -> Scalars:
-    """Width available to the exit's inner embankment: from its left edge to the main pavement; 0 while they touch."""
-    return np.clip(-ground.exit_edge_m - _crossing(ground, s, -ground.exit_edge_m), 0, None)
-
-
-def _crossing(ground: Ground, s: Scalars, high: float) -> Scalars:
-    """Exit offset, at most `high`, at which the exit's cross-section at s crosses the main pavement's right edge."""
-    plan = ground.plan
-    low = -ground.exit_edge_m - EMBANKMENT_SLOPE * plan.road.ramp_height_m - VERGE_M
-
-    def outside(t: Scalars) -> Scalars:
-        at, main_t = plan.project_main(plan.exit_xy(s, t))
-        return np.asarray(main_t - ground.main_right_edge(at))
-
-    below, above = np.full(s.shape, low), np.full(s.shape, high)
+def _crossing(road: Road, s: Scalars, high: Scalars) -> Scalars:
+    """Offset, at most `high`, at which a road's cross-section crosses the right edge of the road where it begins."""
+    assert road.parting is not None, "asked only of roads that begin beside another"
+    other = road.parting.road
+    low = road.left(s) - EMBANKMENT_SLOPE * (road.ramp.height_m if road.ramp else 0.0) - VERGE_M
+    below, above = low, high
     for _ in range(24):
         middle = (below + above) / 2
-        is_outside = outside(middle) > 0
+        at, t = other.line.project(road.xy(s, middle))
+        is_outside = t > other.right(at)
         above = np.where(is_outside, middle, above)
         below = np.where(is_outside, below, middle)
     return np.asarray(above)
 
 
-def _verge(
-    ground: Ground,
-    s: Scalars,
-    edge_plus: Callable[[Scalars], Float[np.ndarray, "n 2"]],
-    raised: Scalars,
-    room_m: Scalars,
-) -> Mesh:
-    """A strip outwards from an edge, with a row per station; `edge_plus(d)` returns their world points d metres
-    outside the edge.
+def _verge(ground: Ground, road: Road, side: Side, s: Scalars, room_m: Scalars) -> Mesh:
+    """A strip outwards from an edge, with a row per station.
 
     Faces without room are dropped: single pixels of them would show through the pavement.
     """
-    scale = ground.cell_scale(edge_plus(np.zeros(raised.shape)))
+    raised = road.raised(s) + far_dam(s)
+    scale = ground.cell_scale(road.xy(s, road.edge(side, s)))
     foot = EMBANKMENT_SLOPE * raised
     columns = [0.0 * foot, 0.5 * foot, foot] + [foot + VERGE_M * scale * share for share in (0.33, 0.66, 1.0)]
     distance = np.stack(columns, axis=1)
     squeeze = np.minimum(1.0, room_m / embankment_width(raised, scale))
-    xy = np.stack([edge_plus(distance[:, j] * squeeze) for j in range(distance.shape[1])], axis=1)
+    xy = np.stack([road.xy(s, road.edge(side, s, column * squeeze)) for column in columns], axis=1)
     vertices = lift_far(ground, xy, profile(distance, raised[:, None], scale[:, None]), s[:, None])
     mesh = grid(vertices, _unrolled(vertices), np.zeros(distance.shape[1] - 1, dtype=int))
     is_open = np.repeat((room_m[:-1] > 0) | (room_m[1:] > 0), distance.shape[1] - 1)

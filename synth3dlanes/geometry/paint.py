@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float
 from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.horizon import far_dam
-from synth3dlanes.geometry.lanes import LaneCurve
 from synth3dlanes.geometry.meshes import Mesh, grid, is_facing_up, lift_far, over_terrain, road_stations
+from synth3dlanes.geometry.network import LaneCurve
 from synth3dlanes.geometry.terrain import gradient_at
 from synth3dlanes.labels import Marking, PaintColor, Pair
 from synth3dlanes.scene import Markings
@@ -35,7 +35,7 @@ EYE_M = 1.5  # the camera's height over the road, for the share that far dots co
 # Half the side of a regular octagon, and places of the rows of a disc, in radii.
 OCTAGON = 2**0.5 - 1
 DISC_ROWS = np.array([-1, -OCTAGON, OCTAGON, 1])
-# Missing stretches are 3 to 12 m long and are drawn up to this length of a line to either side of the split.
+# Missing stretches are 3 to 12 m long and are drawn up to this length of a line to either side of station 0.
 GONE_M, GONE_REACH_M = (3.0, 12.0), 600.0
 
 Intervals = Float[np.ndarray, "_ 2"]
@@ -51,7 +51,7 @@ class Stripe(NamedTuple):
 
 
 class StripRows(NamedTuple):
-    """The rows of a line's strip: plan stations, whether the strip after each row is painted, the strip's width as a
+    """The rows of a line's strip: stations, whether the strip after each row is painted, the strip's width as a
     share of the line's, and the height of its surface over paint (of dots)."""
 
     s: Scalars
@@ -106,33 +106,28 @@ def stripes(line: LaneCurve, markings: Markings) -> tuple[Stripe, ...]:
 
 
 def _paint(ground: Ground, curve: LaneCurve, eye_world: Float[np.ndarray, "3"], streams: Streams) -> Mesh:
-    plan, markings = ground.plan, ground.markings
-    to_right, meshes = int(plan.flips[0]), []
+    markings, meshes = ground.markings, []
+    to_right = int(ground.network.rightward)
     for right_m, marking in stripes(curve, markings)[::to_right]:
         rows, painted, share, raised_m = painted_rows(ground, curve, streams, marking)
-        ahead_m = ground.ahead_m(plan.plan_station(rows))
-        lift_m = np.interp(np.abs(ahead_m), PAINT_LIFT_AT_M, PAINT_LIFT_M) + raised_m
+        lift_m = np.interp(ground.away_m(rows), PAINT_LIFT_AT_M, PAINT_LIFT_M) + raised_m
         offsets = to_right * right_m + np.array([-0.5, 0.5]) * line_width_m(curve, markings)
-        sides, onwards = (_sides(ground, curve, offsets, at) for at in (rows, rows + ALONG_M))
+        edges = [curve.shifted(float(t)) for t in offsets]
+        sides, onwards = (_sides(ground, edges, at) for at in (rows, rows + ALONG_M))
         middle = sides.mean(axis=1, keepdims=True)
         narrowed = middle + share[:, None, None] * (sides - middle)
         floating = _floating(eye_world, narrowed, (onwards - sides).mean(axis=1), lift_m)
         uv = np.stack(np.broadcast_arrays(offsets[None, :], rows[:, None]), -1)
         mesh = grid(floating, uv, np.zeros(1, dtype=int))
-        # Where the stem meets the exit, a face of a few millimetres may fold back over the previous one.
+        # Where a line goes on along another road, a face of a few millimetres may fold back over the previous one.
         kept = painted & is_facing_up(mesh)
         meshes.append(replace(mesh, faces=mesh.faces[kept], material=mesh.material[kept]))
     return over_terrain(_joined(meshes))
 
 
-def _sides(
-    ground: Ground, curve: LaneCurve, offsets_m: Float[np.ndarray, "2"], s: Scalars
-) -> Float[np.ndarray, "n 2 3"]:
+def _sides(ground: Ground, edges: Sequence[LaneCurve], s: Scalars) -> Float[np.ndarray, "n 2 3"]:
     """Points on the road along both edges of a stripe."""
-    plan, lines = ground.plan, [_beside(curve, t) for t in offsets_m]
-    return np.stack(
-        [lift_far(ground, line.xy_world(plan, s), line.raised(plan, s) + far_dam(s), s) for line in lines], axis=1
-    )
+    return np.stack([lift_far(ground, edge.xy_world(s), edge.raised(s) + far_dam(s), s) for edge in edges], axis=1)
 
 
 def _floating(
@@ -159,8 +154,7 @@ def towards_eye(
     ground: Ground, points_world: Float[np.ndarray, "n 3"], eye_world: Float[np.ndarray, "3"], share_of_lift: float = 1
 ) -> Float[np.ndarray, "n 3"]:
     """Points of the road raised as paint is, along their lines of sight, so that parallax does not move them."""
-    plan = ground.plan
-    slope = gradient_at(plan.terrain, points_world[:, :2])
+    slope = gradient_at(ground.network.terrain, points_world[:, :2])
     to_eye = eye_world - points_world
     eye_over_road_m = np.clip(to_eye[:, 2] - (to_eye[:, :2] * slope).sum(axis=1), 0, None)
     lift_m = share_of_lift * np.interp(np.abs(ground.ahead_m(points_world[:, 1])), PAINT_LIFT_AT_M, PAINT_LIFT_M)
@@ -179,29 +173,25 @@ def _joined(meshes: list[Mesh]) -> Mesh:
     )
 
 
-def _beside(curve: LaneCurve, t: float) -> LaneCurve:
-    return replace(curve, stem_m=None if curve.stem_m is None else curve.stem_m + t, fork_m=curve.fork_m + t)
-
-
 def painted_rows(ground: Ground, curve: LaneCurve, streams: Streams, marking: Marking) -> StripRows:
     """Rows of a line's stripe with this pattern, with a row at every end of paint. Lengths are measured along the line
-    from the split, so that dashes and gaps do not move with the camera."""
-    plan, markings = ground.plan, ground.markings
-    rows = np.sort(plan.plan_station(road_stations(ground)))
+    from station 0, so that dashes and gaps do not move with the camera."""
+    markings = ground.markings
+    rows = np.sort(ground.network.stations(road_stations(ground)))
     low, high = max(rows[0], curve.start_m), min(rows[-1], curve.end_m)
     rows = np.array([low, low]) if low >= high else np.concatenate([[low], rows[(rows > low) & (rows < high)], [high]])
-    is_far = np.abs(ground.ahead_m(plan.plan_station(rows))) > DASHES_M
+    is_far = ground.away_m(rows) > DASHES_M
     if is_far.all():
         before, rows, behind = rows[:0], rows, rows[:0]
     else:
         before, rows, behind = np.split(rows, np.flatnonzero(~is_far)[[0, -1]] + [0, 1])
-    xyz = curve.points_world(plan, rows)
+    xyz = curve.points_world(rows)
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz, axis=0), axis=1))])
     length -= np.interp(0.0, rows, length)
     dashes, gone = _dashes(markings, marking, length), _gone(markings, streams(f"missing_paint/{curve.id}"))
     dots = np.zeros(0)
     if is_dotted(curve, markings):
-        dots, dashes = _dots(markings, dashes, length, np.abs(ground.ahead_m(plan.plan_station(rows))))
+        dots, dashes = _dots(markings, dashes, length, ground.away_m(rows))
     ends = np.concatenate([dashes.ravel(), gone.ravel(), (dots[:, None] + DISC_ROWS[1:3] * DOT_M / 2).ravel()])
     ends = np.interp(ends[(ends > length[0]) & (ends < length[-1])], length, rows)
     rows_all = np.unique(np.concatenate([rows, ends]))
@@ -209,7 +199,7 @@ def painted_rows(ground: Ground, curve: LaneCurve, streams: Streams, marking: Ma
     painted = _inside(dashes, middle) & ~_inside(gone, middle)
     is_painted = np.full(max(len(before), len(behind)), markings.missing < 1)
     s = np.concatenate([before, rows_all, behind])
-    away_m = np.abs(ground.ahead_m(plan.plan_station(s)))
+    away_m = ground.away_m(s)
     share, raised_m = _disc(dots, np.interp(s, rows, length)) if len(dots) else (np.ones(len(s)), np.zeros(len(s)))
     if is_dotted(curve, markings):
         share = np.where(away_m > DOTS_M, np.minimum(share, _dots_cover(markings, away_m)), share)

@@ -7,8 +7,7 @@ from synth3dlanes.arrays import Matrix4
 from synth3dlanes.assets.catalogue import CarModel
 from synth3dlanes.frames import from_axes, transform
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.lanes import path_of_segment
-from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.geometry.network import Network
 from synth3dlanes.scene import Car, Tree
 
 # Length and width of the host's own body, which is centred on the camera.
@@ -20,36 +19,33 @@ TREE_SINK_M = 0.1
 Placement = tuple[Float[np.ndarray, "*t 2"], Float[np.ndarray, "*t 2"]]
 
 
-def lane_place(plan: RoadPlan, lane: str, s_world: float | Float[np.ndarray, "*t"]) -> Placement:
-    """World (x, y) on a lane segment's centre line, or on its path beyond it, and the unit heading of its traffic
-    there; at each station."""
-    path, s = path_of_segment(plan, lane), np.asarray(s_world)
+def lane_place(network: Network, lane: str, driven_m: float | Float[np.ndarray, "*t"]) -> Placement:
+    """World (x, y) on a lane's centre line, or on its path beyond it, and the unit heading of its traffic there; at
+    each station as the host drives."""
+    path, s = network.path(lane), np.asarray(driven_m)
     stations = s + np.array([-0.5, 0.0, 0.5]).reshape(3, *[1] * s.ndim)
-    behind, middle, ahead = path.xy_world(plan, plan.plan_station(stations.ravel())).reshape(*stations.shape, 2)
+    behind, middle, ahead = path.xy_world(network.stations(stations.ravel())).reshape(*stations.shape, 2)
     along = ahead - behind if path.direction == "same" else behind - ahead
     return middle, along / np.linalg.norm(along, axis=-1, keepdims=True)
 
 
-def car_place(plan: RoadPlan, lane: str, s_world: float | Float[np.ndarray, "*t"], offset_m: float) -> Placement:
+def car_place(network: Network, lane: str, driven_m: float | Float[np.ndarray, "*t"], offset_m: float) -> Placement:
     """World (x, y) of a car `offset_m` to its driver's right of the lane's centre, and its heading."""
-    middle, heading = lane_place(plan, lane, s_world)
+    middle, heading = lane_place(network, lane, driven_m)
     return middle + offset_m * np.stack([heading[..., 1], -heading[..., 0]], axis=-1), heading
 
 
-def world_from_car(plan: RoadPlan, car: Car, model: CarModel) -> Matrix4:
+def world_from_car(network: Network, car: Car, model: CarModel) -> Matrix4:
     """The car's pose (without scale): a least-squares fit of its four tyres to the road surface."""
-    middle, (hx, hy) = car_place(plan, car.lane, car.s_m, car.offset_m)
+    middle, (hx, hy) = car_place(network, car.lane, car.s_m, car.offset_m)
     x, y = model.track_m / 2 * car.scale, model.wheelbase_m / 2 * car.scale
     wheels_car = np.array([[-x, y, 0], [x, y, 0], [-x, -y, 0], [x, -y, 0]])
     pose = from_axes(np.array([hy, -hx, 0]), np.array([hx, hy, 0]), np.array([0, 0, 1.0]), np.array([*middle, 0.0]))
-    on_exit = car.lane.startswith("exit")
+    road, guess = network.road(network.lanes[car.lane].road), np.full(4, car.s_m * network.onwards)
     for _ in range(3):
         wheels = transform(pose, wheels_car)[:, :2]
-        above: Float[np.ndarray, 4] | float = 0.0
-        if on_exit:
-            guess = np.full(4, car.s_m * plan.flips[1])
-            above = plan.ramp(plan.project_exit(wheels, guess)[0])
-        contacts = plan.lift(wheels, above)
+        above = road.raised(road.line.project(wheels, guess)[0]) if road.ramp else 0.0
+        contacts = network.lift(wheels, above)
         slope_x, slope_y, z = np.linalg.lstsq(
             np.column_stack([contacts[:, :2] - middle, np.ones(4)]), contacts[:, 2], rcond=None
         )[0]

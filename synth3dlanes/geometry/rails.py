@@ -27,11 +27,11 @@ POLES_M, WIRE_M, SAG_M, CROSSARM_M = 45.0, 0.025, 0.9, 1.1
 
 
 def rail_stations(ground: Ground, rail: Rail) -> Scalars:
-    """Plan stations of the rows of a rail, denser near the host."""
+    """Stations of the rows of a rail, denser near the host."""
     low, high = sorted((rail.from_m, rail.to_m))
     rows = [low]
     while rows[-1] < high:
-        (away_m,) = np.abs(ground.ahead_m(ground.plan.plan_station(np.array(rows[-1:]))))
+        (away_m,) = ground.away_m(np.array(rows[-1:]))
         step = next(step for reach, step in PIECES_M if away_m < reach)
         rows.append(min(rows[-1] + step, high))
     return np.array(rows)
@@ -135,7 +135,7 @@ def _posts(
 ) -> None:
     """Posts along a rail up to a height over the edge of the pavement (of a noise wall: over the ground)."""
     s = np.arange(first_m, rail.to_m - (first_m - rail.from_m) + 0.01, POSTS_M)
-    away = np.abs(ground.ahead_m(ground.plan.plan_station(s)))
+    away = ground.away_m(s)
     s = s[(away < FAR_POSTS_M) | (np.arange(len(s)) % round(POSTS_FAR_M / POSTS_M) == 0)]
     foot = _foot_height(ground, rail, s, across_m)
     top = foot if rail.kind == "noise_wall" else _edge_height(ground, rail, s)

@@ -1,7 +1,8 @@
 """What looks like lines on the pavement and is none: cracks filled with tar, removed lines, and the joint between old
 and new asphalt. World frame.
 
-Along the road all of it stays inside the lanes, at least CLEAR_M from every line, and on lanes that no exit crosses.
+Along the road all of it stays inside the lanes, at least CLEAR_M from every line, and on lanes that lead to no other
+road.
 """
 
 import numpy as np
@@ -10,16 +11,17 @@ from jaxtyping import Float
 from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.meshes import Mesh, facing_up
+from synth3dlanes.geometry.network import Lane, Network
 from synth3dlanes.geometry.paint import towards_eye
-from synth3dlanes.scene import Markings, Road
+from synth3dlanes.scene import Markings
 from synth3dlanes.streams import Streams
 
-# A line on the road: plan station, offset and width of each of its points.
+# A line on the road: station, offset and width of each of its points.
 Trace = Float[np.ndarray, "_ 3"]
 
 # Distance from lines; up to 1 m is compared with a line's own paint.
 CLEAR_M = 1.1
-# Plan stations with seams. All of it lies below paint, by this share of its height over the road.
+# Stations with seams. All of it lies below paint, by this share of its height over the road.
 REACH_M, LIFT_SHARE = 115.0, 0.6
 # Cracks across the road by the metre where tar is 1, and the share of these that cross all lanes.
 CRACKS_PER_M, ACROSS_ALL = 0.1, 0.6
@@ -31,49 +33,49 @@ OLD_ASPHALT, GHOST_SHADES = 0.6, (0.55, 1.6)
 
 
 def tar_mesh(ground: Ground, amount: float, eye_world: Float[np.ndarray, "3"], streams: Streams) -> Mesh | None:
-    """Cracks along and across the main road, filled with tar; None without any."""
-    plan, rng = ground.plan, streams("tar")
+    """Cracks along and across the host's road, filled with tar; None without any."""
+    network, rng = ground.network, streams("tar")
     traces = []
     for _ in range(rng.poisson(2 * REACH_M * CRACKS_PER_M * amount)):
         at_m = rng.uniform(-REACH_M, REACH_M)
-        lanes = plan.n_lanes if at_m < 0 else plan.n_main_after
+        low_m, width_m, lanes = _lanes_at(network, at_m)
         first, last = (0, lanes) if rng.random() < ACROSS_ALL else sorted(rng.integers(0, lanes + 1, 2))
-        t = np.arange(plan.boundary_m(int(first)), plan.boundary_m(int(last)), STEP_M)
+        t = np.arange(low_m + first * width_m, low_m + last * width_m, STEP_M)
         if len(t) > 1:
             traces.append(np.column_stack([at_m + _wander(t, rng), t, _widths(t, rng)]))
-    for lane in range(clear_lanes(plan.road)):
+    for lane in clear_lanes(network):
         if rng.random() < amount:
             start, length = rng.uniform(-REACH_M, REACH_M / 2), rng.uniform(*CRACK_LENGTH_M)
             s = np.arange(start, start + length, STEP_M)
-            t = inside_lane(plan.road, lane, rng.random()) + np.clip(_wander(s, rng), -WANDER_M, WANDER_M)
+            t = inside_lane(lane, rng.random()) + np.clip(_wander(s, rng), -WANDER_M, WANDER_M)
             traces.append(np.column_stack([s, t, _widths(s, rng)]))
     return _mesh(ground, traces, eye_world)
 
 
 def ghost_mesh(ground: Ground, markings: Markings, eye_world: Float[np.ndarray, "3"], streams: Streams) -> Mesh | None:
     """Lines of an earlier layout of the lanes, beside today's."""
-    road, rng = ground.plan.road, streams("ghost_lines")
+    rng = streams("ghost_lines")
     share, is_dashed, phase = rng.random(3)
     s = np.arange(-REACH_M, REACH_M, GHOST_STEP_M)
     is_painted = (s / markings.dash_cycle_m + phase) % 1 < (markings.dash_fraction if is_dashed < 0.5 else 1.0)
     ends = np.flatnonzero(np.diff(np.concatenate([[False], is_painted, [False]]))).reshape(-1, 2)
     traces = [
-        np.column_stack(np.broadcast_arrays(s[first:last], inside_lane(road, lane, share), markings.width_m))
-        for lane in range(clear_lanes(road))
+        np.column_stack(np.broadcast_arrays(s[first:last], inside_lane(lane, share), markings.width_m))
+        for lane in clear_lanes(ground.network)
         for first, last in ends
         if last - first > 1
     ]
     return _mesh(ground, traces, eye_world)
 
 
-def joint(road: Road, contrast: float, streams: Streams) -> tuple[float, float]:
-    """Where a joint runs, in metres right of the road's middle as the host drives, and by which share the asphalt right
+def joint(network: Network, contrast: float, streams: Streams) -> tuple[float, float]:
+    """Where a joint runs, in metres right of the road's line as the host drives, and by which share the asphalt right
     of it is darker; less than 0 where it is lighter."""
-    rng = streams("joint")
-    lane, share, side = rng.integers(0, max(clear_lanes(road), 1)), rng.random(), rng.random() < 0.5
+    rng, lanes = streams("joint"), clear_lanes(network) or _same(network, -np.inf)[:1]
+    lane, share, side = rng.integers(0, len(lanes)), rng.random(), rng.random() < 0.5
     darker = 1 - OLD_ASPHALT**contrast
-    aside_m = inside_lane(road, int(lane), share)
-    return (-aside_m if road.flip_longitudinal else aside_m), (darker if side else 1 - 1 / (1 - darker))
+    aside_m = inside_lane(lanes[lane], share)
+    return network.rightward * aside_m, (darker if side else 1 - 1 / (1 - darker))
 
 
 def ghost_shade(contrast: float, streams: Streams) -> float:
@@ -81,15 +83,31 @@ def ghost_shade(contrast: float, streams: Streams) -> float:
     return float(GHOST_SHADES[int(streams("ghost_shade").random() < 0.5)] ** contrast)
 
 
-def clear_lanes(road: Road) -> int:
-    """The number of lanes, from the plan's left, whose lines do not move as the exit opens."""
-    return road.n_lanes - max(road.n_exit_lanes, int(road.topology > 1))
+def clear_lanes(network: Network) -> list[Lane]:
+    """The lanes of the host's road and direction, as t grows, that lead to no other road."""
+    road = network.main
+
+    def stays(lane: Lane) -> bool:
+        return all(beyond.road == road.id for beyond in network.joined_to(lane))
+
+    return [lane for lane in _same(network, -np.inf) if stays(lane)]
 
 
-def inside_lane(road: Road, lane: int, share: float) -> float:
-    """A plan offset in lane 0.. from the plan's left, clear of its lines."""
-    free_m = max(road.lane_width_m - 2 * CLEAR_M, 0.0)
-    return (lane + 0.5 - road.n_lanes / 2) * road.lane_width_m + (share - 0.5) * free_m
+def inside_lane(lane: Lane, share: float) -> float:
+    """An offset in a lane, clear of its lines."""
+    free_m = max(lane.width_m - 2 * CLEAR_M, 0.0)
+    return lane.middle.base_m + (share - 0.5) * free_m
+
+
+def _same(network: Network, s: float) -> list[Lane]:
+    """The lanes of the host's road and direction at a station, as t grows."""
+    return [lane for lane in network.main.lanes_at(s) if lane.direction == "same"]
+
+
+def _lanes_at(network: Network, s: float) -> tuple[float, float, int]:
+    """The leftmost edge, the width and the number of these lanes."""
+    lanes = _same(network, s)
+    return lanes[0].middle.base_m - lanes[0].width_m / 2, lanes[0].width_m, len(lanes)
 
 
 def _wander(along: Scalars, rng: np.random.Generator) -> Scalars:
@@ -103,7 +121,7 @@ def _widths(along: Scalars, rng: np.random.Generator) -> Scalars:
 
 
 def _mesh(ground: Ground, traces: list[Trace], eye_world: Float[np.ndarray, "3"]) -> Mesh | None:
-    """Strips along the traces on the main road."""
+    """Strips along the traces on the host's road."""
     if not traces:
         return None
     corners = []
@@ -113,5 +131,5 @@ def _mesh(ground: Ground, traces: list[Trace], eye_world: Float[np.ndarray, "3"]
         left, right = middle - aside, middle + aside
         corners.append(np.stack([left[:-1], right[:-1], right[1:], left[1:]], axis=1))
     places = np.concatenate(corners).reshape(-1, 2)
-    xyz = ground.plan.lift(ground.plan.main_xy(places[:, 0], places[:, 1]))
+    xyz = ground.network.main.points(places[:, 0], places[:, 1])
     return facing_up(towards_eye(ground, xyz, eye_world, LIFT_SHARE), places[:, ::-1].copy())

@@ -2,7 +2,7 @@
 
 Every symbol is a set of polygons in a frame of its own on the road. For arrows, stop lines and crosswalks its
 coordinates are metres to the right and metres ahead of the symbol's middle, as the host drives. For a gore they are the
-share of the way from the main road's line (0) to the exit's (1), and the plan station.
+share of the way from the line of one road (0) to that of the road that parts from it (1), and the station.
 """
 
 from collections.abc import Callable
@@ -14,10 +14,9 @@ from jaxtyping import Float
 
 from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.lanes import path_of_segment
 from synth3dlanes.geometry.meshes import Mesh, facing_up
+from synth3dlanes.geometry.network import Network, Offset, Road
 from synth3dlanes.geometry.paint import towards_eye
-from synth3dlanes.geometry.road import S_END_M, RoadPlan
 from synth3dlanes.scene import Symbol
 from synth3dlanes.schema import SymbolKind
 
@@ -49,6 +48,8 @@ BAR_M = 0.55
 # Chevrons of a gore, along the road: their period and the length of an arm. They begin where the gore is GORE_FROM_M
 # wide, and end GORE_GAP_M beside the lines.
 CHEVRON_PERIOD_M, CHEVRON_M, GORE_FROM_M, GORE_GAP_M = 3.0, 1.1, 1.2, 0.15
+# Without a ramp they end here.
+GORE_TO_M = 100.0
 # Faces are no larger than this across and along the road, so that they follow it; steps along the outlines of labels.
 COLUMN_M, ROW_M, OUTLINE_STEP_M = 0.45, 0.5, 1.0
 # Stations around a symbol for which lengths along the road are measured.
@@ -75,7 +76,7 @@ def shape(ground: Ground, symbol: Symbol) -> SymbolShape:
     if symbol.kind not in ARROWS:
         (x0, y0), (x1, y1) = np.min(polygons, axis=(0, 1)), np.max(polygons, axis=(0, 1))
         outline = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
-    return SymbolShape(polygons, _dense(outline, OUTLINE_STEP_M), _along_road(ground.plan, symbol), COLUMN_M)
+    return SymbolShape(polygons, _dense(outline, OUTLINE_STEP_M), _along_road(ground.network, symbol), COLUMN_M)
 
 
 def symbol_mesh(ground: Ground, symbol: Symbol, eye_world: Float[np.ndarray, "3"]) -> Mesh:
@@ -87,75 +88,85 @@ def symbol_mesh(ground: Ground, symbol: Symbol, eye_world: Float[np.ndarray, "3"
     return facing_up(vertices, places)
 
 
-def gore_range(plan: RoadPlan) -> tuple[float, float] | None:
-    """Plan stations between which a gore has room for hatching; None without a gore, or if it is too narrow."""
-    if not plan.has_exit:
-        return None
-    s = np.arange(0.0, plan.ramp_start_m or S_END_M, 0.5)
-    wide = s[plan.opening(s) - plan.width_m > GORE_FROM_M]
-    return (float(wide[0]), float(wide[-1])) if len(wide) > 2 * CHEVRON_PERIOD_M / 0.5 else None
+def gore_of(network: Network) -> tuple[Road, float, float] | None:
+    """A road that parts from another, and the stations between which there is room for hatching before it rises; None
+    without such a gore."""
+    for road in network.roads:
+        if road.parting is not None:
+            s = np.arange(road.start_m, road.ramp.start_m if road.ramp else GORE_TO_M, 0.5)
+            wide = s[road.parting.gap_m(s) > GORE_FROM_M]
+            if len(wide) > 2 * CHEVRON_PERIOD_M / 0.5:
+                return road, float(wide[0]), float(wide[-1])
+    return None
 
 
 def _crossing(ground: Ground, kind: SymbolKind) -> list[Polygon]:
     """The rectangles of a stop line, which ends at the oncoming lanes, or of a crosswalk, lane by lane, clear of the
     lines between the lanes."""
-    plan, markings, half_m = ground.plan, ground.markings, LENGTHS_M[kind] / 2
-    lefts = [plan.boundary_m(j) for j in range(plan.n_lanes)]
+    road, markings, half_m = ground.network.main, ground.markings, LENGTHS_M[kind] / 2
+    width_m, to_right = road.lane_width_m, ground.network.rightward
     bars, inset = 1, 0.0
     if kind == "crosswalk":
-        lefts += [plan.left_m + j * plan.width_m for j in range(plan.n_oncoming)]
-        bars, inset = max(1, round(plan.width_m / (2 * BAR_M))), 0.25
-    doubles = [-plan.flips[0] * plan.n_lanes / 2 * plan.width_m]
-    if plan.n_oncoming:
-        doubles = [plan.boundary_m(0), plan.oncoming_inner_m]
-    lines = np.array(lefts)[:, None] + [0.0, plan.width_m]
+        bars, inset = max(1, round(width_m / (2 * BAR_M))), 0.25
+    lefts = [
+        part.left_m + lane * width_m
+        for part in sorted(road.carriageways, key=lambda part: part.direction == "oncoming")
+        if kind == "crosswalk" or part.direction == "same"
+        for lane in range(part.n_lanes)
+    ]
+    begun = [line for line in ground.network.delimiters if line.pieces[0].road is road and line.start_m == road.start_m]
+    doubles = [line.pieces[0].offset.base_m for line in begun if line.is_inner]
+    lines = np.array(lefts)[:, None] + [0.0, width_m]
     is_double = np.isclose(lines[..., None], doubles).any(axis=-1) & markings.left_double
     inner = lines + np.where(is_double, 1.5, 0.5) * markings.width_m * [1, -1]
     shares = (np.arange(bars)[:, None] + [inset, 1 - inset]) / bars
     sides = inner[:, :1, None] + (inner[:, 1:, None] - inner[:, :1, None]) * shares
-    rights = np.sort(plan.flips[0] * sides.reshape(-1, 2), axis=1)
+    rights = np.sort(to_right * sides.reshape(-1, 2), axis=1)
     return [np.array([[a, -half_m], [b, -half_m], [b, half_m], [a, half_m]]) for a, b in rights]
 
 
-def _along_road(plan: RoadPlan, symbol: Symbol) -> Callable[[Polygon], Float[np.ndarray, "_ 3"]]:
-    """The places of a symbol's frame in the world: offsets from its lane's centre, or from the road's, and lengths
+def _along_road(network: Network, symbol: Symbol) -> Callable[[Polygon], Float[np.ndarray, "_ 3"]]:
+    """The places of a symbol's frame in the world: offsets from its lane's centre, or from its road's line, and lengths
     along it."""
-    path = None if symbol.lane is None else path_of_segment(plan, symbol.lane)
-    on_exit = symbol.lane is not None and symbol.lane.startswith("exit")
+    lane = None if symbol.lane is None else network.lanes[symbol.lane]
+    road, middle = (network.main, Offset(0.0)) if lane is None else (network.road(lane.road), lane.middle)
 
-    def xy_world(s: Scalars, aside_m: Scalars | float) -> Polygon:
-        t = aside_m * plan.flips[0]
-        if path is None:
-            return plan.main_xy(s, np.broadcast_to(t, s.shape))
-        return plan.exit_xy(s, path.fork_m + t) if on_exit else plan.main_xy(s, path.main_offset(plan, s) + t)
+    def offsets(s: Scalars, aside_m: Scalars | float) -> Scalars:
+        return middle(s) + aside_m * network.rightward
 
-    s_world = symbol.s_m + AROUND_M
-    steps = np.diff(xy_world(plan.plan_station(s_world), 0.0), axis=0)
+    driven_m = symbol.s_m + AROUND_M
+    around = network.stations(driven_m)
+    steps = np.diff(road.xy(around, offsets(around, 0.0)), axis=0)
     length_m = np.concatenate([[0.0], np.cumsum(np.hypot(*steps.T))])
-    length_m -= np.interp(symbol.s_m, s_world, length_m)
+    length_m -= np.interp(symbol.s_m, driven_m, length_m)
 
     def points_world(places: Polygon) -> Float[np.ndarray, "_ 3"]:
-        s = plan.plan_station(np.interp(places[:, 1], length_m, s_world))
-        return plan.lift(xy_world(s, places[:, 0]), plan.ramp(s) if on_exit else 0.0)
+        s = network.stations(np.interp(places[:, 1], length_m, driven_m))
+        return road.points(s, offsets(s, places[:, 0]))
 
     return points_world
 
 
 def _gore(ground: Ground, symbol: Symbol) -> SymbolShape:
-    """Chevrons that point at the nose."""
-    plan = ground.plan
-    start_m = float(symbol.s_m * plan.flips[1])
-    room = gore_range(plan)
-    end_m = room[1] if room else start_m
+    """Chevrons that point to where the roads part."""
+    network = ground.network
+    start_m = float(symbol.s_m * network.onwards)
+    gore = gore_of(network)
+    end_m = gore[2] if gore else start_m
+    branch = gore[0] if gore else network.roads[-1]
+    parting = branch.parting
+    assert parting is not None, "a scene with a gore has a road that parts"
     s = np.arange(start_m, max(end_m, start_m + 1.0), OUTLINE_STEP_M)
+    middles = [float(lane.middle(s[:1])[0]) for lane in parting.road.lanes_at(start_m)]
+    at_m = max(middles) + parting.road.lane_width_m / 2
 
     def width_m(s: Scalars) -> Scalars:
-        return np.maximum(plan.opening(s) - plan.width_m, 0.01)
+        return np.maximum(parting.gap_m(s), 0.01)
 
     def points_world(places: Polygon) -> Float[np.ndarray, "_ 3"]:
         share, s = places.T
-        main = plan.main_xy(s, plan.boundary_m(plan.n_main_after))
-        return plan.lift(main + share[:, None] * (plan.exit_xy(s, -plan.exit_half_m) - main))
+        main = parting.road.xy(s, at_m)
+        return network.lift(main + share[:, None] * (branch.xy(s, branch.carriageways[0].left_m) - main))
 
     apex = np.arange(start_m, end_m, CHEVRON_PERIOD_M)
     inset = np.minimum((ground.markings.width_m / 2 + GORE_GAP_M) / width_m(apex), 0.45)

@@ -8,7 +8,7 @@ from synth3dlanes.assets.car_colors import sold_color
 from synth3dlanes.errors import InputError
 from synth3dlanes.geometry import placement
 from synth3dlanes.geometry.camera import world_from_host
-from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.geometry.network import Network
 from synth3dlanes.sampling.draws import DECIMALS, Draw
 from synth3dlanes.sampling.traffic import SPEED_TRIES, Traffic
 from synth3dlanes.scene import Car
@@ -18,8 +18,8 @@ from synth3dlanes.world import World
 CAR_STREAMS = ("cars", "car_places", "car_saturation", "car_palette", "parked_cars")
 # Free length and width around a car, and draws of a place for each.
 CAR_GAP_M, TRIES = (1.0, 0.3), 300
-# Cars park at least this far before a split, or behind a merge.
-PARKING_BEFORE_EXIT_M = 20.0
+# Cars park at least this far from where roads part.
+PARKING_BEFORE_M = 20.0
 
 
 def draw_cars(world: World, draws: Sequence[Draw], speeds: Draw) -> tuple[Car, ...]:
@@ -28,10 +28,10 @@ def draw_cars(world: World, draws: Sequence[Draw], speeds: Draw) -> tuple[Car, .
 
     Raises InputError where these are fewer than `cars.n` allows.
     """
-    scene = world.scene
+    scene, network = world.scene, world.network
     looks, places, paints, sold, parking = draws
-    taken = [placement.host_footprint(world_from_host(world.plan, scene.camera))]
-    traffic = Traffic(world.plan, scene.camera, scene.shot) if scene.shot.n_frames > 1 else None
+    taken = [placement.host_footprint(world_from_host(network, scene.camera))]
+    traffic = Traffic(network, scene.camera, scene.shot) if scene.shot.n_frames > 1 else None
     parked = parking("parked")
     cars: list[Car] = []
     for number in range(looks("n")):
@@ -44,12 +44,12 @@ def draw_cars(world: World, draws: Sequence[Draw], speeds: Draw) -> tuple[Car, .
         drawn_m_s = [speeds("car_speed_m_s") for _ in range(SPEED_TRIES)] if traffic else []
         for _ in range(TRIES):
             s_m = places("s_m")
-            lanes = (*scene.road.segments_at(s_m), *scene.road.oncoming_segments)
-            lane = lanes[int(places.rng.random() * len(lanes))]
+            lanes = network.lanes_at(s_m * network.onwards)
+            lane = lanes[int(places.rng.random() * len(lanes))].id
             offset_m = 0.0
-            if is_parked and (found := _parking(world.plan, s_m, size[1], parking.rng)):
+            if is_parked and (found := _parking(network, s_m, size[1], parking.rng)):
                 lane, offset_m = found
-            place = placement.footprint(*placement.car_place(world.plan, lane, s_m, offset_m), *size)
+            place = placement.footprint(*placement.car_place(network, lane, s_m, offset_m), *size)
             if placement.overlaps_any(place, np.array(taken)):
                 continue
             speed_m_s = traffic.join(lane, s_m, offset_m, size, [0.0] if offset_m else drawn_m_s) if traffic else 0.0
@@ -69,18 +69,16 @@ def draw_cars(world: World, draws: Sequence[Draw], speeds: Draw) -> tuple[Car, .
     return tuple(cars)
 
 
-def _parking(plan: RoadPlan, s_m: float, width_m: float, rng: np.random.Generator) -> tuple[str, float] | None:
+def _parking(network: Network, s_m: float, width_m: float, rng: np.random.Generator) -> tuple[str, float] | None:
     """A lane at whose outer shoulder a car can stand, and its offset there to the driver's right; None without room.
 
-    Nobody parks where an exit opens.
+    Nobody parks where roads part, or left of the host's lanes.
     """
-    lanes = plan.road.segments_at(s_m)
-    outermost = [lanes[0] if plan.flips[0] < 0 else lanes[-1]]
-    if plan.has_exit and s_m * plan.flips[1] > -PARKING_BEFORE_EXIT_M:
-        outermost = []
-    if plan.n_oncoming:
-        outermost.append(plan.road.oncoming_segments[0 if plan.flips[0] > 0 else -1])
-    if not outermost or plan.shoulder_m < width_m:
+    road, s = network.main, s_m * network.onwards
+    left, right = road.lanes_at(s)[0], road.lanes_at(s)[-1]
+    outermost = [right.id] if all(s <= at.start_m - PARKING_BEFORE_M for at in network.branches(road)) else []
+    outermost += [left.id] if left.direction == "oncoming" else []
+    if not outermost or road.shoulder_m < width_m:
         return None
-    offset_m = float(plan.flips[0]) * (plan.width_m + plan.shoulder_m) / 2
+    offset_m = network.rightward * (road.lane_width_m + road.shoulder_m) / 2
     return outermost[int(rng.random() * len(outermost))], round(offset_m, DECIMALS)

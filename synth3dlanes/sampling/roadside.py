@@ -1,7 +1,7 @@
-"""World -> Roadside: draw what stands beside and over the road, clear of every pavement. Plan stations.
+"""World -> Roadside: draw what stands beside and over the road, clear of every pavement. Stations of the roads' lines.
 
-Rails fill the stretches of an edge that are free: along the outer edges of the roads, and between the main road and
-the exit once there is room for them.
+Rails fill the stretches of an edge that are free: along the outer edges of the roads, and between roads that part once
+there is room for them.
 """
 
 from collections.abc import Callable, Iterator
@@ -15,6 +15,7 @@ from synth3dlanes.geometry.beside import beside
 from synth3dlanes.geometry.buildings import building_frame
 from synth3dlanes.geometry.crossings import crossing_frame, crossing_span, dam_section
 from synth3dlanes.geometry.ground import Ground
+from synth3dlanes.geometry.network import Network, Side
 from synth3dlanes.geometry.rails import WALKWAY_M
 from synth3dlanes.geometry.roadside import Footprints, footprints
 from synth3dlanes.geometry.sign_faces import FACES, SIGNS
@@ -39,7 +40,7 @@ DEPTHS_M = {
     "power_line": 1.5,
 }
 KERBS = ("kerb", "walkway")
-# Barriers on the edge of a raised exit stand this close to it, because the ground falls away there.
+# Barriers on the edge of a raised road stand this close to it, because the ground falls away there.
 RAISED_ASIDE_M, RAISED_FROM_M = 0.3, 0.3
 # Least distance of a rail's back from any pavement, and limits of the ground at its front over its edge.
 BACK_M, LEVEL_M = 0.25, (-0.8, 0.15)
@@ -48,7 +49,7 @@ MEDIAN_GAP_M = 0.3
 # What stands behind a rail has this much room; posts are this far from crossings, signs from each other.
 BEHIND_RAIL_M, APART_M, SIGNS_APART_M = 0.7, 3.0, 8.0
 LAMP_ASIDE_M, SIGN_ASIDE_M, DELINEATOR_ASIDE_M, POLE_ASIDE_M, POLE_M = 1.0, 1.0, 0.4, (6.0, 14.0), (8.0, 11.0)
-# World stations ahead of the host of signs, crossings and buildings; crossings' spacing and half span.
+# Distances ahead of the host of signs, crossings and buildings; crossings' spacing and half span.
 SIGNS_M, CROSSINGS_M, BUILDINGS_M = (10.0, 160.0), (20.0, 240.0), (5.0, 240.0)
 CROSSINGS_APART_M, HALF_SPAN_M = 50.0, 40.0
 # Least distances of a dam's foot and of a building from any pavement.
@@ -67,10 +68,10 @@ SIZES_M: dict[Literal["house", "hall", "block"], tuple[tuple[float, float], ...]
 
 
 class Edge(NamedTuple):
-    """An edge of the pavement and the plan stations where it bounds a place."""
+    """An edge of the pavement and the stations where it bounds a place."""
 
     road: RoadName
-    side: RoadSide
+    side: Side
     low_m: float = -np.inf
     high_m: float = np.inf
 
@@ -85,9 +86,9 @@ def draw_roadside(world: World, draw: DrawFunction, rng: Rng) -> Roadside:
     for place, kind in kinds.items():
         color = _color(rng, WALLS if kind == "noise_wall" else GRAYS)
         on_ramp = kind if kind in ("guardrail", "concrete") else "guardrail"
-        for edge in _edges(ground, place):
+        for edge in _edges(ground.network, place):
             rails += _rails(ground, edge, kind, 0.0 if kind in KERBS else aside_m, heights_m, color, raised=False)
-            if has_ramp_rail and edge.road == "exit":
+            if has_ramp_rail and ground.network.road(edge.road).ramp is not None:
                 rails += _rails(ground, edge, on_ramp, RAISED_ASIDE_M, heights_m, color, raised=True)
     rails += _median_rail(ground, draw("median"), heights_m, _color(rng, GRAYS))
     crossings = _crossings(world, "bridge", draw("n_bridges"), draw("clearance_m"), rng, [])
@@ -107,7 +108,7 @@ def draw_roadside(world: World, draw: DrawFunction, rng: Rng) -> Roadside:
     line, pole_m = draw("power_line"), round(float(rng.uniform(*POLE_M)), DECIMALS)
     pole_aside_m = round(aside_m + float(rng.uniform(*POLE_ASIDE_M)), DECIMALS)
     if line != "none" and not any(crossing.kind == "bridge" for crossing in crossings):
-        for edge in _edges(ground, line):
+        for edge in _edges(ground.network, line):
             rails += _rails(ground, edge, "power_line", pole_aside_m, {"power_line": pole_m}, WOOD, raised=False)
     drawn = Roadside(rails=tuple(rails), posts=tuple(posts), crossings=tuple(crossings))
     taken, buildings = footprints(ground, drawn), list[Building]()
@@ -117,31 +118,38 @@ def draw_roadside(world: World, draw: DrawFunction, rng: Rng) -> Roadside:
     return drawn.model_copy(update={"buildings": tuple(buildings)})
 
 
-def _edges(ground: Ground, place: str) -> list[Edge]:
-    """The edges on the plan's left, on its right, or between the main road and the exit. The main road's right edge is
-    an outer one before the split and an inner one behind it."""
-    if place == "left":
-        return [Edge("main", "left")]
-    if not ground.plan.has_exit:
-        return [Edge("main", "right")] if place == "right" else []
-    if place == "right":
-        return [Edge("main", "right", high_m=0.0), Edge("exit", "right", low_m=0.0)]
-    return [Edge("main", "right", low_m=0.0), Edge("exit", "left", low_m=0.0)]
+def _edges(network: Network, place: str) -> list[Edge]:
+    """The edges on the left or the right (as t grows) of all roads, or between them. Where another road begins beside
+    it, a road's right edge is an outer one before that and an inner one behind it."""
+    found = []
+    for road in network.roads:
+        starts = [branch.start_m for branch in network.branches(road)]
+        is_first = road.parting is None
+        if place == "left":
+            found += [Edge(road.id, "left")] if is_first else []
+        elif place == "right":
+            found.append(Edge(road.id, "right", road.start_m, min(starts, default=np.inf)))
+        else:
+            found += [Edge(road.id, "right", low_m=min(starts))] if starts else []
+            found += [] if is_first else [Edge(road.id, "left", low_m=road.start_m)]
+    return found
 
 
-def _stations(ground: Ground, edge: Edge) -> Scalars:
-    """Plan stations a metre apart where an edge bounds its place, in the range of structures."""
-    low, high = np.sort(ground.plan.plan_station(np.array(ground.range_m(AHEAD_M, BEHIND_M))))
-    return np.arange(np.ceil(max(low, edge.low_m)), np.floor(min(high, edge.high_m)) + 0.5)
+def _stations(ground: Ground, edge: Edge | None = None) -> Scalars:
+    """Stations a metre apart in the range of structures, where an edge bounds its place."""
+    low, high = np.sort(ground.network.stations(np.array(ground.range_m(AHEAD_M, BEHIND_M))))
+    if edge is not None:
+        low, high = max(low, edge.low_m), min(high, edge.high_m)
+    return np.arange(np.ceil(low), np.floor(high) + 0.5)
 
 
 def _ahead(ground: Ground, rng: Rng, limits_m: tuple[float, float]) -> float:
-    """A plan station at a distance ahead of the host where it drives; with `both_ways` ahead or behind."""
+    """A station at a distance ahead of the host where it drives; with `both_ways` ahead or behind."""
     low_m, high_m = limits_m
     away_m = rng.uniform(low_m, high_m + ground.driven_m, size=1)
     if ground.both_ways and rng.random() < 0.5:
         away_m = ground.driven_m - away_m
-    return round(float(ground.plan.plan_station(ground.near_m + away_m)[0]), DECIMALS)
+    return round(float(ground.network.stations(ground.near_m + away_m)[0]), DECIMALS)
 
 
 def _free(ground: Ground, edge: Edge, s: Scalars, aside_m: float) -> Bool[np.ndarray, " n"]:
@@ -161,8 +169,7 @@ def _rails(
     free &= ground.clearance(beside(ground, edge.road, edge.side, s, aside_m + DEPTHS_M[kind])) > BACK_M - 0.2 * (
         kind in KERBS
     )
-    on_ramp = (ground.plan.ramp(s) > RAISED_FROM_M) & (edge.road == "exit")
-    free &= on_ramp == raised
+    free &= (ground.network.road(edge.road).raised(s) > RAISED_FROM_M) == raised
     if kind not in ("noise_wall", "power_line"):
         front, inside = (ground.height(beside(ground, edge.road, edge.side, s, a)) for a in (aside_m, -0.05))
         free &= (front - inside > LEVEL_M[0]) & (front - inside < LEVEL_M[1])
@@ -181,16 +188,17 @@ def _rails(
 
 def _median_rail(ground: Ground, kind: str, heights_m: dict[str, float], color: Color) -> list[Rail]:
     """A barrier along the middle of the median, if it has room there."""
-    plan = ground.plan
-    if kind == "none" or not plan.n_oncoming or plan.road.median_m < DEPTHS_M[kind] + 2 * MEDIAN_GAP_M:
+    road = ground.network.main
+    wide = [median for median in road.medians if median[1] - median[0] >= DEPTHS_M.get(kind, np.inf) + 2 * MEDIAN_GAP_M]
+    if not wide:
         return []
-    s = _stations(ground, Edge("main", "median"))
-    middle_m = round(plan.boundary_m(0) - plan.road.median_m / 2, DECIMALS)
+    s = _stations(ground)
+    middle_m = round((wide[0][0] + wide[0][1]) / 2, DECIMALS)
     rail_kind: RailKind = kind  # type: ignore[assignment]
     return [
         Rail(
             kind=rail_kind,
-            road="main",
+            road=road.id,
             side="median",
             from_m=float(s[0]),
             to_m=float(s[-1]),
@@ -226,7 +234,7 @@ def _row(
 ) -> Iterator[Post]:
     """Posts at equal distances along the outer edges of one side."""
     shift_m = float(rng.random()) * spacing_m
-    for edge in _edges(ground, place):
+    for edge in _edges(ground.network, place):
         s = _stations(ground, edge)
         if not len(s):
             continue
@@ -250,7 +258,7 @@ def _signs(ground: Ground, n: int, behind_m: dict[str, float], rng: Rng, crossin
         for _ in range(TRIES):
             place = "left" if rng.random() < 0.5 else "right"
             sign = SIGNS[int(rng.random() * len(SIGNS))]
-            edges = _edges(ground, place)
+            edges = _edges(ground.network, place)
             edge = edges[int(rng.random() * len(edges))]
             s_m = _ahead(ground, rng, SIGNS_M)
             width_m = float(np.ptp(FACES[sign.right - 1][0].outline[:, 0]))
@@ -259,9 +267,10 @@ def _signs(ground: Ground, n: int, behind_m: dict[str, float], rng: Rng, crossin
             is_here = edge.low_m <= s_m <= edge.high_m and all(abs(s_m - other) > SIGNS_APART_M for other in taken)
             if is_here and _is_apart(s_m, crossings) and _free(ground, edge, np.array([s_m]), aside_m)[0]:
                 taken.append(s_m)
-                is_oncoming = place == "left" and ground.plan.n_oncoming > 0
+                beside_it = ground.network.road(edge.road).carriageways[0 if edge.side == "left" else -1]
+                is_oncoming = beside_it.direction == "oncoming"
                 if not (is_oncoming and sign.forbids_entry):
-                    is_right = ((place == "right") == (ground.plan.flips[0] > 0)) != is_oncoming
+                    is_right = ((edge.side == "right") == (ground.network.rightward > 0)) != is_oncoming
                     yield Post(
                         kind="sign",
                         road=edge.road,
@@ -320,7 +329,7 @@ def _building(
         side: RoadSide = "left" if rng.random() < 0.5 else "right"
         s = _ahead(ground, rng, BUILDINGS_M) + np.array([0.0, 1.0])
         far_m = aside_m + (width_m - sizes_m[0][0]) / 2 + (0.0 if kind == "house" else width_m / 2)
-        (x, y), ahead = beside(ground, "main", side, s, far_m)
+        (x, y), ahead = beside(ground, ground.network.main.id, side, s, far_m)
         turn = rng.normal(0, 0.06) + np.pi / 2 * int(rng.random() * 2)
         yaw_rad = float(np.arctan2(x - ahead[0], ahead[1] - y) + turn)
         building = Building(

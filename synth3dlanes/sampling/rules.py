@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from synth3dlanes.distributions import Choice, Distribution, Integers, Uniform, at_least, at_most
-from synth3dlanes.geometry.road import is_wide_enough
+from synth3dlanes.geometry.paper_roads import is_wide_enough
 from synth3dlanes.params import Params
 from synth3dlanes.sampling.weather import under
 from synth3dlanes.scene import MIN_MEDIAN_M, Road, Scene
@@ -65,7 +65,7 @@ class ParameterRules:
             found["road.median_m"] = median_of(params.road.median_m, road.n_oncoming)
         found["camera.lane"] = lane_of_host(params.camera.lane, road.lanes_present(scene.camera.y_m))
         if scene.shot.n_frames > 1 and road.topology > 2:
-            found["camera.lane"] = None  # a host whose lane leaves the main road gets the lane beside it
+            found["camera.lane"] = None  # a host whose lane leaves its road gets the lane beside it
         return found
 
     def _under(self, kind: str, daytime: str) -> dict[str, Distribution]:

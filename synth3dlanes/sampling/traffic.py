@@ -6,11 +6,10 @@ from jaxtyping import Float
 from synth3dlanes.distributions import Uniform
 from synth3dlanes.errors import InputError
 from synth3dlanes.geometry import placement
-from synth3dlanes.geometry.lanes import host_segment, path_of_segment
 from synth3dlanes.geometry.motion import stations_after
-from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.geometry.network import Network
 from synth3dlanes.params import MotionParams
-from synth3dlanes.scene import Camera, Road, Shot
+from synth3dlanes.scene import Camera, Shot
 from synth3dlanes.shots import Shots
 
 # Between two instants that are checked no car gains more on another than the gap between them.
@@ -34,31 +33,34 @@ def check_way(params: MotionParams, shots: Shots) -> None:
         )
 
 
-def on_main_road(camera: Camera, road: Road, shot: Shot) -> Camera:
-    """The host, in the lane beside its own if its own leads from the main road within the clip."""
+def on_its_road(network: Network, camera: Camera, shot: Shot) -> Camera:
+    """The host, in the lane beside its own if its own leads from its road within the clip."""
+    lane = network.host_lane(camera.lane, camera.y_m)
+    beside = [at for at in network.lanes_at(camera.y_m * network.onwards) if abs(at.number - lane.number) == 1]
     # On the inside of a bend a lane is shorter than its stations.
-    passes_split = not road.flip_lateral and camera.y_m < 0 <= camera.y_m + 2 * shot.speed_m_s * shot.duration_s
-    leaving = 1 if road.flip_longitudinal else road.n_lanes
-    if road.topology < 3 or not passes_split or camera.lane != leaving:
+    reached_m = camera.y_m + 2 * shot.speed_m_s * shot.duration_s
+    after = network.successors(lane.id) if reached_m * network.onwards >= lane.end_m else []
+    if not after or any(at.road == lane.road for at in after):
         return camera
-    return camera.model_copy(update={"lane": 2 if road.flip_longitudinal else road.n_lanes - 1})
+    return camera.model_copy(update={"lane": beside[0].number})
 
 
 class Traffic:
     """Host and cars on their ways through a clip, to which cars are added one by one."""
 
-    def __init__(self, plan: RoadPlan, camera: Camera, shot: Shot) -> None:
-        self.plan = plan
+    def __init__(self, network: Network, camera: Camera, shot: Shot) -> None:
+        self.network = network
         self.times_s = np.linspace(0, shot.duration_s, int(np.ceil(shot.duration_s / CHECK_EVERY_S)) + 1)
-        host = self.way(host_segment(plan, camera), camera.y_m, camera.offset_m, placement.HOST_SIZE_M, shot.speed_m_s)
+        host_lane = network.host_lane(camera.lane, camera.y_m).id
+        host = self.way(host_lane, camera.y_m, camera.offset_m, placement.HOST_SIZE_M, shot.speed_m_s)
         self.ways, self.speeds = [host], [shot.speed_m_s]
 
     def way(self, lane: str, s_m: float, offset_m: float, size_m: tuple[float, float], speed_m_s: float) -> Way:
         """The footprints at all instants of a car of some length and width."""
         stations = np.full(len(self.times_s), s_m)
         if speed_m_s:
-            stations = stations_after(self.plan, path_of_segment(self.plan, lane), s_m, speed_m_s * self.times_s)
-        return placement.footprint(*placement.car_place(self.plan, lane, stations, offset_m), *size_m)
+            stations = stations_after(self.network, self.network.path(lane), s_m, speed_m_s * self.times_s)
+        return placement.footprint(*placement.car_place(self.network, lane, stations, offset_m), *size_m)
 
     def join(
         self, lane: str, s_m: float, offset_m: float, size_m: tuple[float, float], speeds: list[float]

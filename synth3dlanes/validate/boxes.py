@@ -98,13 +98,9 @@ PosedBox = tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "3"], Float[np.ndar
 def beside_world(
     world: World, road: RoadName, side: RoadSide, s: Float[np.ndarray, " n"], aside_m: float
 ) -> Float[np.ndarray, "n 2"]:
-    """World (x, y) at plan stations and a distance from an edge of the pavement (a median: an offset)."""
-    plan, ground = world.plan, world.ground
-    if road == "exit":
-        return plan.exit_xy(s, (1 if side == "right" else -1) * np.full(len(s), ground.exit_edge_m + aside_m))
-    right = ground.main_right_edge(s) + aside_m
-    offsets = {"left": np.full(len(s), ground.left_edge_m - aside_m), "median": np.full(len(s), aside_m)}
-    return plan.main_xy(s, offsets.get(side, right))
+    """World (x, y) at stations and a distance from an edge of the pavement (a median: an offset)."""
+    on = world.network.road(road)
+    return on.xy(s, np.full(len(s), aside_m) if side == "median" else on.edge(side, s, aside_m))
 
 
 def _level(xy: Float[np.ndarray, "2"], forward: Float[np.ndarray, "2"]) -> Float[np.ndarray, "4 4"]:
@@ -114,15 +110,15 @@ def _level(xy: Float[np.ndarray, "2"], forward: Float[np.ndarray, "2"]) -> Float
 
 
 def _rail(world: World, rail: Rail) -> list[PosedBox]:
-    plan = world.plan
+    road = world.network.road(rail.road)
     behind_m, half_m, over_m = RAILS_M[rail.kind]
     s = np.linspace(rail.from_m, rail.to_m, 2 + int((rail.to_m - rail.from_m) / PIECE_M))
     sign = 0.0 if rail.side == "median" else 1.0
     line = beside_world(world, rail.road, rail.side, s, rail.aside_m + sign * behind_m)
-    z = height_at(plan.terrain, line)
+    z = height_at(road.terrain, line)
     # On a slope the edge of the pavement, over which a rail is level, is higher than the rail's foot.
     edge = beside_world(world, rail.road, rail.side, s, (1 - sign) * rail.aside_m)
-    z_edge = np.maximum(z, height_at(plan.terrain, edge)) + (plan.ramp(s) if plan.has_exit else 0.0)
+    z_edge = np.maximum(z, height_at(road.terrain, edge)) + road.raised(s)
     boxes = []
     for i in range(len(s) - 1):
         along = line[i + 1] - line[i]
@@ -139,35 +135,33 @@ def _rail(world: World, rail: Rail) -> list[PosedBox]:
 
 
 def _post(world: World, post: Post) -> PosedBox:
-    plan, s = world.plan, np.array([post.s_m, post.s_m + 0.5])
+    road, s = world.network.road(post.road), np.array([post.s_m, post.s_m + 0.5])
     half_m, over_m = POSTS_M[post.kind]
     foot, ahead = beside_world(world, post.road, post.side, s, post.aside_m)
-    z = float(height_at(plan.terrain, foot[None])[0])
-    raised = float(plan.ramp(s).max()) if plan.has_exit else 0.0
+    z = float(height_at(road.terrain, foot[None])[0])
+    raised = float(road.raised(s).max())
     low, high = np.array([-half_m, -half_m, z - LOW_M]), np.array([half_m, half_m, z + raised + post.height_m + over_m])
     return _level(foot, ahead - foot), low, high
 
 
 def _crossing(world: World, crossing: Crossing) -> list[PosedBox]:
     """What is over the road, and all that may stand beside it."""
-    plan, ground = world.plan, world.ground
+    road = world.network.main
     s = np.array([crossing.s_m, crossing.s_m + 0.5])
-    here, ahead = plan.main_xy(s, 0.0)
+    here, ahead = road.xy(s, 0.0)
     pose = _level(here, ahead - here)
     across = np.arange(-REACH_M, REACH_M + 1, 4.0)
 
     def terrain_at(along_m: float) -> Float[np.ndarray, " n"]:
         strip = transform(pose, np.column_stack([across, np.full(len(across), along_m), np.zeros(len(across))]))
-        return height_at(plan.terrain, strip[:, :2])
+        return height_at(road.terrain, strip[:, :2])
 
     z = terrain_at(0.0)
-    right = float(ground.main_right_edge(s)[0])
-    edges = transform(
-        np.linalg.inv(pose), np.column_stack([plan.main_xy(s[[0, 0]], np.array([ground.left_edge_m, right])), [0, 0]])
-    )
+    offsets = np.array([road.left(s)[0], road.right(s)[0]])
+    edges = transform(np.linalg.inv(pose), np.column_stack([road.xy(s[[0, 0]], offsets), [0, 0]]))
     left, right = np.sort(edges[:, 0])
-    raised = float(plan.road.ramp_height_m) if plan.ramp_start_m is not None else 0.0
-    half_m, road_m = crossing.width_m / 2 + 0.8, float(height_at(plan.terrain, here[None])[0])
+    raised = max([at.ramp.height_m for at in world.network.roads if at.ramp], default=0.0)
+    half_m, road_m = crossing.width_m / 2 + 0.8, float(height_at(road.terrain, here[None])[0])
     top_m = max(float(z[np.abs(across) < REACH_M / 3].max()), road_m) + raised + crossing.clearance_m + CROSSING_M
     reach_m, wide_m, low_m = REACH_M, half_m, z.min()
     if crossing.kind == "bridge":
@@ -188,6 +182,6 @@ def _building(world: World, building: Building) -> PosedBox:
     pose = _level(np.array([building.x_m, building.y_m]), forward)
     half = np.array([building.width_m / 2 + EAVES_M, building.length_m / 2 + EAVES_M])
     x, y = (part.ravel() for part in np.meshgrid(np.array([-1, 0, 1]) * half[0], np.array([-1, 0, 1]) * half[1]))
-    z = height_at(world.plan.terrain, transform(pose, np.column_stack([x, y, np.zeros(9)]))[:, :2])
+    z = height_at(world.network.terrain, transform(pose, np.column_stack([x, y, np.zeros(9)]))[:, :2])
     top_m = z.max() + building.height_m + GABLE * building.width_m / 2 + EAVES_M
     return pose, np.array([*-half, z.min() - LOW_M]), np.array([*half, top_m])

@@ -65,7 +65,7 @@ def check_lidar(evidence: Evidence) -> Iterator[Result]:
 def _is_fine(world: World, points_world: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
     """Which points are where the pavement's rows are close. Far behind a host without rear cameras they are not, and
     the pavement is straight between them."""
-    rows = np.sort(world.plan.plan_station(road_stations(world.ground)))
+    rows = np.sort(world.network.stations(road_stations(world.ground)))
     before = np.searchsorted(rows, places(world.ground, points_world[:, :2]).s) - 1
     return np.asarray(np.diff(rows)[np.clip(before, 0, len(rows) - 2)] < FINE_M)
 

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from synth3dlanes.arrays import Points3, Scalars
 from synth3dlanes.assets.catalogue import ROAD_MEANS
 from synth3dlanes.frames import transform
-from synth3dlanes.geometry.lanes import LaneCurve
+from synth3dlanes.geometry.network import LaneCurve
 from synth3dlanes.geometry.paint import DOTS_M, is_dotted, line_width_m, painted_rows, stripes
 from synth3dlanes.geometry.terrain import gradient_at
 from synth3dlanes.labels import CameraLabel, Lane, Marking, PaintColor
@@ -43,6 +43,8 @@ class Strip:
 # Beyond these limits paint may be invisible: rubbed off, as gray as the road, under water or in fog; so it may be under
 # snow and behind drops on the glass.
 MAX_WORN, MIN_GRAYSCALE, MAX_WETNESS, MIN_VISIBILITY_M = 0.7, 0.35, 0.8, 300.0
+# A wetter road mirrors the sky, in puddles more than its paint.
+MAX_DRY = 0.3
 # Least mean brightness of gray paint that is worn, too, and how many times brighter than the road that must be.
 MIN_LEFT, BRIGHTER = 0.22, 1.6
 BRIGHTNESS: dict[PaintColor, float] = {"white": 1.0, "yellow": 0.65}
@@ -56,7 +58,7 @@ def _albedo(scene: Scene) -> float:
 
 class WorldPaint:
     """The paint of a world: painted intervals of plan stations by delimiter id. `shows` is False if the paint may be
-    invisible in a correct picture."""
+    invisible in a correct picture, `is_dry` if some of its lines may be."""
 
     def __init__(self, world: World) -> None:
         scene = world.scene
@@ -71,6 +73,7 @@ class WorldPaint:
             and scene.weather.snow_on_road == 0
             and scene.sensor.drops <= MAX_DROPS
         )
+        self.is_dry = scene.surface.wetness <= MAX_DRY
         self._curves = {line.id: line for line in world.site.lines if line.kind == "delimiter"}
         self._stretches = {}
         for id_, curve in self._curves.items():
@@ -82,7 +85,7 @@ class WorldPaint:
         world, scene = self.world, self.world.scene
         rows = painted_rows(world.ground, curve, scene.stream, marking)
         # Far dots are merged into dashes that are too narrow to be checked.
-        is_near = np.abs(world.ground.ahead_m(world.plan.plan_station(rows.s[1:]))) < DOTS_M
+        is_near = world.ground.away_m(rows.s[1:]) < DOTS_M
         painted = rows.painted & (is_near | (not is_dotted(curve, scene.markings)))
         return _merged(np.column_stack([rows.s[:-1], rows.s[1:]])[painted])
 
@@ -132,7 +135,7 @@ class WorldPaint:
         """Distance of points on the road outside a line's paint, across it or (reduced by END_M) along it; negative
         inside."""
         curve = self._curves[id_]
-        right_m, s = self.world.plan.flips[0] * place.right_of(curve), place.station(curve)
+        right_m, s = self.world.network.rightward * place.right_of(curve), place.station(curve)
         of_stripes = [
             np.maximum(np.abs(right_m - middle_m) - self.width_m(id_) / 2, _beyond(stretches, s) - END_M)
             for middle_m, stretches in zip(self.stripes_m(id_), self._stretches[id_], strict=True)
@@ -147,11 +150,12 @@ class WorldPaint:
         return np.min([_length(stretches, s) for stretches in self._stretches[id_]], axis=0)
 
     def _stations(self, curve: LaneCurve, xy_world: Float[np.ndarray, "n 2"]) -> Scalars:
-        """Plan stations of points beside a curve."""
-        s, _ = self.world.plan.project_main(xy_world)
-        if curve.fork_road == "exit":
-            on_exit, _ = self.world.plan.project_exit(xy_world, np.maximum(s, 0))
-            s = np.where((s >= 0) & (on_exit >= 0), on_exit, s)
+        """Stations of points beside a curve."""
+        s, _ = self.world.network.main.line.project(xy_world)
+        road = curve.pieces[-1].road
+        if road.parting is not None:
+            on_it, _ = road.line.project(xy_world, np.maximum(s, road.start_m))
+            s = np.where((s >= road.start_m) & (on_it >= road.start_m), on_it, s)
         return s
 
 

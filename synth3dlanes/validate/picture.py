@@ -133,9 +133,9 @@ def _terrain_img(evidence: Evidence) -> Float[np.ndarray, "n 2"]:
     """Pixels that show terrain, unless a tree hides it."""
     world, camera, ground = evidence.world, evidence.camera, evidence.world.ground
     away_m = np.concatenate([-AHEAD_M, AHEAD_M]) if ground.both_ways else AHEAD_M
-    s, ahead = ground.plan.plan_station(world.view.camera.y_m + away_m), len(away_m)
-    aside = np.concatenate([ground.left_edge_m - ASIDE_M, ground.edge_m + ASIDE_M])
-    xy = ground.plan.main_xy(np.tile(s, len(aside)), np.repeat(aside, ahead))
+    road, s, ahead = ground.network.main, ground.network.stations(world.view.camera.y_m + away_m), len(away_m)
+    aside = np.concatenate([road.left.base_m - ASIDE_M, road.right.base_m + ASIDE_M])
+    xy = road.xy(np.tile(s, len(aside)), np.repeat(aside, ahead))
     xy = xy[ground.clearance(xy) > CLEAR_M]
     points_world = np.column_stack([xy, ground.height(xy)])
     eye_world = camera.world_from_cam[:3, 3]

@@ -1,8 +1,9 @@
-"""Positions of points, seen from above, on the roads of a scene, and the surface expected there. Plan frame, metres.
+"""Positions of points, seen from above, on the roads of a scene, and the surface expected there. Metres.
 
 Follows the meshes that Blender renders: surfaces are straight between their rows of vertices.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,17 +13,17 @@ from synth3dlanes.arrays import Points3, Scalars
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry import meshes
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.lanes import LaneCurve
+from synth3dlanes.geometry.network import LaneCurve, Offset, Road
 from synth3dlanes.geometry.terrain import gradient_at, height_at
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.world import World
 
-# Points are projected onto the exit up to this far before the split and this far left of the exit's lanes.
+# Points are projected onto a road that parts from another up to this far before that and this far left of its lanes.
 BEHIND_M, ASIDE_M = 20.0, 1.0
-# The exit's faces are cut where they meet the main pavement; this far outside it no face is cut.
+# Its faces are cut where they meet the pavement of the other; this far outside that no face is cut.
 CUT_M = 0.3
-# Points on the main right shoulder this close to the exit's lanes may be covered by the faces of these.
+# Points on the other's right shoulder this close to its lanes may be covered by the faces of these.
 COVER_M = 2.0
 # Points are moved onto the road along the line of sight by at most this.
 MAX_FLOAT_M = 0.05
@@ -30,95 +31,118 @@ MAX_FLOAT_M = 0.05
 
 @dataclass(frozen=True, eq=False)
 class RoadPlaces:
-    """Points by station and offset on the main road and on the exit; NaN where the exit is not near."""
+    """Points by station and offset on every road; NaN where one that parts from another is not near."""
 
     ground: Ground
-    s: Scalars
-    t: Scalars
-    exit_s: Scalars
-    exit_t: Scalars
+    on: dict[str, tuple[Scalars, Scalars]]
+
+    @property
+    def s(self) -> Scalars:
+        """Stations on the host's road."""
+        return self.on[self.ground.network.main.id][0]
+
+    @property
+    def t(self) -> Scalars:
+        """Offsets on the host's road."""
+        return self.on[self.ground.network.main.id][1]
 
     def at(self, which: Bool[np.ndarray, " n"]) -> "RoadPlaces":
         """The selected points."""
-        return RoadPlaces(self.ground, self.s[which], self.t[which], self.exit_s[which], self.exit_t[which])
+        return RoadPlaces(self.ground, {road: (s[which], t[which]) for road, (s, t) in self.on.items()})
 
     def outside(self) -> Scalars:
         """Distance from the nearest pavement, negative on it."""
-        return np.fmin(self._outside_main(), self._outside_exit())
+        return np.fmin.reduce([self.outside_of(road) for road in self.ground.network.roads])
+
+    def outside_of(self, road: Road) -> Scalars:
+        """Distance from a road's pavement, which overlaps a little with that of one from which it parts."""
+        s, t = self.on[road.id]
+        if road.parting is None:
+            return road.outside(s, t)
+        aside = np.maximum(road.left(s) - meshes.SEAM_M - t, t - road.right(s))
+        return np.where(s >= road.start_m, aside, np.nan)
 
     def raised(self) -> Scalars:
         """Height of the pavement over the terrain."""
-        plan = self.ground.plan
         raised = np.zeros(self.s.shape)
-        on_exit = self._outside_exit() < np.minimum(self._outside_main(), CUT_M)
-        if plan.ramp_start_m is not None and on_exit.any():
-            rows = np.sort(plan.plan_station(meshes.road_stations(self.ground)))
-            raised[on_exit] = np.interp(self.exit_s[on_exit], rows, plan.ramp(rows))
+        for road in self.ground.network.roads:
+            on_it = self._on_branch(road, CUT_M)
+            if road.ramp is not None and on_it.any():
+                rows = np.sort(self.ground.network.stations(meshes.road_stations(self.ground)))
+                raised[on_it] = np.interp(self.on[road.id][0][on_it], rows, road.raised(rows))
         return raised
 
     def on_slope(self) -> Bool[np.ndarray, " n"]:
-        """Which points are on the ramp where it rises."""
+        """Which points are on a ramp where it rises."""
         raised = self.raised()
-        return (raised > 0) & (raised < self.ground.plan.road.ramp_height_m)
+        tops_m = [road.ramp.height_m for road in self.ground.network.roads if road.ramp]
+        return (raised > 0) & (raised < min(tops_m, default=0.0))
 
     def right_of(self, curve: LaneCurve) -> Scalars:
-        """Distance to the right of a curve in the plan."""
-        on_main = self.t - curve.main_offset(self.ground.plan, self.s)
-        return np.where(self._follows_exit(curve), self.exit_t - curve.fork_m, on_main)
+        """Distance beside a curve, as t grows; infinite where it is not near."""
+        return np.nan_to_num(self._along(curve, lambda s, t, offset: t - offset(s)), nan=np.inf)
 
     def station(self, curve: LaneCurve) -> Scalars:
         """Stations along a curve."""
-        return np.where(self._follows_exit(curve), self.exit_s, self.s)
+        found = self._along(curve, lambda s, t, offset: s)
+        return np.where(np.isnan(found), self.s, found)
 
     def surface(self, margin_m: float) -> Int[np.ndarray, " n"]:
         """Semantic id of road or shoulder where only one is possible, given a margin; 0 elsewhere."""
-        plan, ground = self.ground.plan, self.ground
-        main, exits = self._outside_main(), self._outside_exit()
-        right = ground.main_right_edge(self.s) - plan.shoulder_m
-        beyond = np.maximum(plan.left_m - self.t, self.t - right)
-        beyond = np.where(
-            self._in_median(), np.fmin(self.t - plan.oncoming_inner_m, plan.boundary_m(0) - self.t), beyond
-        )
-        is_covered = (self.s > -BEHIND_M) & (np.abs(self.exit_t) < plan.exit_half_m + COVER_M)
-        beyond = np.where((self.t > right - margin_m) & is_covered, 0.0, beyond)
-        on_exit = (main > CUT_M) & (exits < 0)
-        beyond = np.where(on_exit, np.abs(self.exit_t) - plan.exit_half_m, beyond)
-        known = on_exit | ((main < 0) & ~self._on_grass(margin_m))
-        road, shoulder = SEMANTIC_IDS["road"], SEMANTIC_IDS["shoulder"]
-        paved_m = ground.under_paint_m + margin_m
-        return np.where(known & (beyond < -margin_m), road, np.where(known & (beyond > paved_m), shoulder, 0))
+        main = self.ground.network.main
+        right = main.right(self.s) - main.shoulder_m
+        beyond = np.maximum(main.carriageways[0].left_m - self.t, self.t - right)
+        for low_m, high_m in main.medians:
+            beyond = np.where((self.t > low_m) & (self.t < high_m), np.fmin(self.t - low_m, high_m - self.t), beyond)
+        known = (self.outside_of(main) < 0) & ~self._on_grass(margin_m)
+        for road in self.ground.network.branches(main):
+            _, t = self.on[road.id]
+            lanes = np.maximum(road.carriageways[0].left_m - t, t - road.carriageways[-1].right_m)
+            is_covered = (self.s > road.start_m - BEHIND_M) & (lanes < COVER_M)
+            beyond = np.where((self.t > right - margin_m) & is_covered, 0.0, beyond)
+            on_it = (self.outside_of(main) > CUT_M) & (self.outside_of(road) < 0)
+            beyond, known = np.where(on_it, lanes, beyond), known | on_it
+        paved_m = self.ground.under_paint_m(main) + margin_m
+        road_id, shoulder_id = SEMANTIC_IDS["road"], SEMANTIC_IDS["shoulder"]
+        return np.where(known & (beyond < -margin_m), road_id, np.where(known & (beyond > paved_m), shoulder_id, 0))
 
-    def _follows_exit(self, curve: LaneCurve) -> Bool[np.ndarray, " n"]:
-        return (curve.fork_road == "exit") & (self.s >= 0) & (self.exit_s >= 0)
+    def _on_branch(self, road: Road, cut_m: float) -> Bool[np.ndarray, " n"]:
+        """Which points are on a road's pavement, and not on that of one from which it parts."""
+        outside = self.outside_of(road)
+        return outside < (0 if road.parting is None else np.minimum(self.outside_of(road.parting.road), cut_m))
 
-    def _in_median(self) -> Bool[np.ndarray, " n"]:
-        plan = self.ground.plan
-        return (plan.n_oncoming > 0) & (self.t > plan.oncoming_inner_m) & (self.t < plan.boundary_m(0))
+    def _along(self, curve: LaneCurve, value: Callable[[Scalars, Scalars, Offset], Scalars]) -> Scalars:
+        """Values from the places on the roads along which a curve runs."""
+        found = np.full(self.s.shape, np.nan)
+        for piece in curve.pieces:
+            s, t = self.on[piece.road.id]
+            start_m = piece.start_m if piece.road.parting is None else piece.road.start_m
+            found = np.where((self.s >= start_m) & (s >= start_m), value(s, t, piece.offset), found)
+        return found
 
     def _on_grass(self, margin_m: float) -> Bool[np.ndarray, " n"]:
-        """Which points may be on the grass of the median."""
-        grass = meshes.median_grass_m(self.ground)
-        if grass is None:
-            return np.zeros(self.t.shape, dtype=bool)
-        return (self.t > grass[0] - margin_m) & (self.t < grass[1] + margin_m)
-
-    def _outside_main(self) -> Scalars:
-        return np.maximum(self.ground.left_edge_m - self.t, self.t - self.ground.main_right_edge(self.s))
-
-    def _outside_exit(self) -> Scalars:
-        aside = np.maximum(-meshes.SEAM_M - self.exit_t, self.exit_t) - self.ground.exit_edge_m
-        return np.where(self.exit_s >= 0, aside, np.nan)
+        """Which points may be on the grass of a median."""
+        found = np.zeros(self.t.shape, dtype=bool)
+        for low_m, high_m in meshes.grass_in_medians(self.ground, self.ground.network.main):
+            found |= (self.t > low_m - margin_m) & (self.t < high_m + margin_m)
+        return found
 
 
 def places(ground: Ground, xy_world: Float[np.ndarray, "n 2"]) -> RoadPlaces:
     """Project points near a road onto it."""
-    plan = ground.plan
-    s, t = plan.project_main(xy_world)
-    exit_s, exit_t = np.full(s.shape, np.nan), np.full(s.shape, np.nan)
-    if plan.has_exit:
-        near = (s > -BEHIND_M) & (t > plan.boundary_m(plan.n_lanes - plan.n_exit_lanes) - ASIDE_M)
-        exit_s[near], exit_t[near] = plan.project_exit(xy_world[near], np.maximum(s[near], 0))
-    return RoadPlaces(ground, s, t, exit_s, exit_t)
+    on: dict[str, tuple[Scalars, Scalars]] = {}
+    for road in ground.network.roads:
+        if road.parting is None:
+            on[road.id] = road.line.project(xy_world)
+            continue
+        s, t = on[road.parting.road.id]
+        begun, lanes = road.parting.road.carriageways[-1], road.carriageways[0]
+        left_m = begun.right_m - (lanes.right_m - lanes.left_m)
+        near = (s > road.start_m - BEHIND_M) & (t > left_m - ASIDE_M)
+        found = np.full((2, len(s)), np.nan)
+        found[:, near] = road.line.project(xy_world[near], np.maximum(s[near], road.start_m))
+        on[road.id] = found[0], found[1]
+    return RoadPlaces(ground, on)
 
 
 def on_road(world: World, camera: CameraLabel, points_cam: Points3) -> tuple[Points3, Bool[np.ndarray, " n"]]:

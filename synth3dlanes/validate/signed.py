@@ -7,7 +7,7 @@ from jaxtyping import Bool
 
 from synth3dlanes.arrays import Passes, Points3, Scalars
 from synth3dlanes.frames import transform
-from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.geometry.network import Network, Ramp
 from synth3dlanes.geometry.terrain import gradient_at, height_at
 from synth3dlanes.labels import Labels
 from synth3dlanes.settings import SEMANTIC_IDS
@@ -19,8 +19,8 @@ from synth3dlanes.validate.findings import Signed
 MIN_WEIGHT = {"paint": 30.0, "image": 15.0, "exit": 30.0}
 # Lines this close to the camera's vertical plane count as on neither side.
 ASIDE_M = 0.5
-# The exit's opening is measured from this far after the split on.
-MIN_EXIT_M = 5.0
+# The opening of a road is measured from this far after its begin on.
+MIN_OPENING_M = 5.0
 # Range for the surface's height, range for errors that grow with distance, and least number of points.
 NEAR_M, FAR_M, MIN_POINTS = 25.0, 110.0, 10
 # A pixel whose depth differs from its point's by more than this share shows another object.
@@ -41,16 +41,16 @@ def signed_values(evidence: Evidence) -> Iterator[Signed]:
     and the tests over the data set take samples as independent."""
     if evidence.scene.shot.frame:
         return
-    plan, labels, passes = evidence.world.plan, evidence.labels, evidence.passes
+    network, labels, passes = evidence.world.network, evidence.labels, evidence.passes
     views = line_views(evidence.paint, labels)
     if "instance" in passes:
         lines = list(paint_offsets(views, passes["instance"]))
         yield from _sides("paint", lines)
-        yield from _exit(plan, labels, [line for line in lines if line.lane.road == "exit"])
+        yield from _opening(network, labels, [line for line in lines if line.lane.road != network.main.id])
     if evidence.paint.shows:
         yield from _sides("image", list(image_offsets(views, evidence.luma)))
     if "depth" in passes:
-        yield from _surface(plan, labels, passes)
+        yield from _surface(network, labels, passes)
 
 
 def _sides(name: str, lines: Sequence[PaintOffset]) -> Iterator[Signed]:
@@ -63,13 +63,13 @@ def _sides(name: str, lines: Sequence[PaintOffset]) -> Iterator[Signed]:
             yield Signed(f"{name}_{which}_m", float(moment_m @ sign) / weight)
 
 
-def _exit(plan: RoadPlan, labels: Labels, lines: Sequence[PaintOffset]) -> Iterator[Signed]:
-    """Increase of the exit paint's offset away from the main road per metre from the split."""
+def _opening(network: Network, labels: Labels, lines: Sequence[PaintOffset]) -> Iterator[Signed]:
+    """Increase of the offset of a parting road's paint away from the main road per metre from where it begins."""
     points_cam, n_px, moment_m = _joined([_as_driven(labels, line) for line in lines])
-    s_m, _ = plan.project_main(transform(labels.camera.world_from_cam, points_cam)[:, :2])
-    s_m = np.where(s_m > MIN_EXIT_M, s_m, 0.0)
+    s_m, _ = network.main.line.project(transform(labels.camera.world_from_cam, points_cam)[:, :2])
+    s_m = np.where(s_m > MIN_OPENING_M, s_m, 0.0)
     if n_px @ np.sign(s_m) >= MIN_WEIGHT["exit"]:
-        yield Signed("exit_opening", float(plan.flips[0] * (s_m @ moment_m) / (n_px @ s_m**2)))
+        yield Signed("exit_opening", float(network.rightward * (s_m @ moment_m) / (n_px @ s_m**2)))
 
 
 def _as_driven(labels: Labels, line: PaintOffset) -> PaintOffset:
@@ -78,17 +78,19 @@ def _as_driven(labels: Labels, line: PaintOffset) -> PaintOffset:
     return line._replace(moment_m=np.sign(labels.camera.road_from_cam[1, :3] @ way_cam) * line.moment_m)
 
 
-def _surface(plan: RoadPlan, labels: Labels, passes: Passes) -> Iterator[Signed]:
+def _surface(network: Network, labels: Labels, passes: Passes) -> Iterator[Signed]:
     """Height of the rendered road above its labels, and the relative errors of focal length, depth, hills and ramp
     that would explain it."""
-    points_cam, points_world, on_exit = _seen(labels, passes)
-    s_m = _exit_stations(plan, points_world)
-    raised_m = on_exit * plan.ramp(s_m)
-    slope = gradient_at(plan.terrain, points_world[:, :2])
+    points_cam, points_world, on_branch = _seen(network, labels, passes)
+    s_m, branch = network.main.line.project(points_world[:, :2])[0], network.roads[-1]
+    if branch.parting is not None:
+        s_m = branch.line.project(points_world[:, :2], np.maximum(s_m, branch.start_m))[0]
+    raised_m = on_branch * branch.raised(s_m)
+    slope = gradient_at(network.terrain, points_world[:, :2])
     up_world = np.column_stack([-slope, np.ones(len(slope))])
     up_world /= np.linalg.norm(up_world, axis=1, keepdims=True)
     up_cam, upright = up_world @ labels.camera.world_from_cam[:3, :3], up_world[:, 2]
-    above_m = (points_world[:, 2] - height_at(plan.terrain, points_world[:, :2]) - raised_m) * upright
+    above_m = (points_world[:, 2] - height_at(network.terrain, points_world[:, :2]) - raised_m) * upright
     level, near = raised_m == 0, points_cam[:, 1] < NEAR_M
     if (level & near).sum() >= MIN_POINTS:
         yield Signed("surface_above_m", float(np.median(above_m[level & near])))
@@ -99,9 +101,9 @@ def _surface(plan: RoadPlan, labels: Labels, passes: Passes) -> Iterator[Signed]
             "relief": transform(labels.camera.road_from_cam, points_cam)[:, 2] * upright,
         }
         yield from _shares({name: moved_m[level] for name, moved_m in causes.items()}, above_m[level])
-    length_m = plan.road.ramp_height_m * plan.road.ramp_slope
-    if length_m > MIN_RAMP_M and (raised_m > MIN_HEIGHT_M).sum() >= MIN_RAMP_POINTS:
-        yield Signed("ramp", _ramp_share(plan, s_m[~level], (raised_m + above_m / upright)[~level]))
+    ramp = branch.ramp
+    if ramp and ramp.length_m > MIN_RAMP_M and (raised_m > MIN_HEIGHT_M).sum() >= MIN_RAMP_POINTS:
+        yield Signed("ramp", _ramp_share(ramp, s_m[~level], (raised_m + above_m / upright)[~level]))
 
 
 def _shares(causes: Mapping[str, Scalars], above_m: Scalars) -> Iterator[Signed]:
@@ -122,14 +124,14 @@ def _shares(causes: Mapping[str, Scalars], above_m: Scalars) -> Iterator[Signed]
         yield Signed(name, float(share))
 
 
-def _seen(labels: Labels, passes: Passes) -> tuple[Points3, Points3, Bool[np.ndarray, " n"]]:
+def _seen(network: Network, labels: Labels, passes: Passes) -> tuple[Points3, Points3, Bool[np.ndarray, " n"]]:
     """The surface points that pixels show at visible label points, in camera and world frame, and which of them are on
-    the exit. Delimiters are used on the exit only: paint and road cannot be distinguished without semantic ids."""
+    a road that parts. Delimiters are used there only: paint and road cannot be distinguished without semantic ids."""
     camera = labels.camera
-    lanes = [lane for lane in labels.lanes if lane.kind == "centerline" or lane.road == "exit"]
+    lanes = [lane for lane in labels.lanes if lane.kind == "centerline" or lane.road != network.main.id]
     seen = [lane.visible & (lane.xyz_cam[:, 1] > 0) & (lane.xyz_cam[:, 1] < FAR_M) for lane in lanes]
     labelled_cam = np.concatenate([lane.xyz_cam[at] for lane, at in zip(lanes, seen, strict=True)])
-    on_exit = np.repeat([lane.road == "exit" for lane in lanes], [int(at.sum()) for at in seen])
+    on_branch = np.repeat([lane.road != network.main.id for lane in lanes], [int(at.sum()) for at in seen])
     last = [camera.width_px - 1, camera.height_px - 1]
     column, row = np.clip(np.floor(camera.project(labelled_cam)), 0, last).astype(int).T
     depth_m = passes["depth"][row, column].astype(float)
@@ -137,24 +139,14 @@ def _seen(labels: Labels, passes: Passes) -> tuple[Points3, Points3, Bool[np.nda
     if "semantic" in passes:
         same &= np.isin(passes["semantic"][row, column], PAVEMENT)
     points_cam = camera.points(np.column_stack([column, row])[same] + 0.5, depth_m[same])
-    return points_cam, transform(camera.world_from_cam, points_cam), on_exit[same]
+    return points_cam, transform(camera.world_from_cam, points_cam), on_branch[same]
 
 
-def _exit_stations(plan: RoadPlan, points_world: Points3) -> Scalars:
-    """Plan stations of points on the exit; negative before the split."""
-    s_m, _ = plan.project_main(points_world[:, :2])
-    if not plan.has_exit:
-        return s_m
-    return plan.project_exit(points_world[:, :2], np.maximum(s_m, 0))[0]
-
-
-def _ramp_share(plan: RoadPlan, s_m: Scalars, height_m: Scalars) -> float:
+def _ramp_share(ramp: Ramp, s_m: Scalars, height_m: Scalars) -> float:
     """Relative height difference between the scene's ramp and the one that fits the heights over the terrain best. A
     higher ramp is also longer, so it is lower near its start."""
-    road = plan.road
-    raised = [road.model_copy(update={"ramp_height_m": (1 + share) * road.ramp_height_m}) for share in RAMP_SHARES]
-    plans = [RoadPlan(road, plan.terrain) for road in raised]
-    return float(RAMP_SHARES[np.argmin([np.abs(height_m - other.ramp(s_m)).sum() for other in plans])])
+    higher = [Ramp(ramp.start_m, (1 + share) * ramp.length_m, (1 + share) * ramp.height_m) for share in RAMP_SHARES]
+    return float(RAMP_SHARES[np.argmin([np.abs(height_m - other(s_m)).sum() for other in higher])])
 
 
 def _joined(lines: Sequence[PaintOffset]) -> tuple[Points3, Scalars, Scalars]:

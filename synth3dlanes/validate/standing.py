@@ -131,10 +131,9 @@ def _through(evidence: Evidence) -> Iterator[Result]:
     v, u = np.nonzero((semantic == SEMANTIC_IDS["terrain"]) & (depth_m < NEAR_M))
     points = evidence.points_world(STEP * v, STEP * u)
     inside = ground.clearance(points[:, :2]) < -INSIDE_M
-    grass = meshes.median_grass_m(ground)
-    if grass is not None:
-        _, t = ground.plan.project_main(points[:, :2])
-        inside &= (t < grass[0] - INSIDE_M) | (t > grass[1] + INSIDE_M)
+    _, t = ground.network.main.line.project(points[:, :2])
+    for low_m, high_m in meshes.grass_in_medians(ground, ground.network.main):
+        inside &= (t < low_m - INSIDE_M) | (t > high_m + INSIDE_M)
     through = int(inside.sum())
     yield Bounded("standing.through", float(through), most=MAX_THROUGH)
     if through > MAX_THROUGH:

@@ -98,8 +98,7 @@ def check_hills(evidence: Evidence) -> Iterator[Result]:
     passes, ground = evidence.passes, evidence.world.ground
     is_terrain = (passes["semantic"] == SEMANTIC_IDS["terrain"]) & (passes["depth"] < HILLS_M)
     points = evidence.points_world(*some_pixels(is_terrain, MAX_HILLS))
-    is_raised = evidence.world.plan.ramp_start_m is not None
-    raised_m = EMBANKMENT_SLOPE * evidence.scene.road.ramp_height_m if is_raised else 0.0
+    raised_m = EMBANKMENT_SLOPE * max([road.ramp.height_m for road in ground.network.roads if road.ramp], default=0.0)
     beside_m = VERGES * VERGE_M * ground.cell_scale(points[:, :2]) + raised_m
     points = points[ground.clearance(points[:, :2]) > beside_m]
     if len(points) < MIN_HILLS:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from synth3dlanes.arrays import Scalars
-from synth3dlanes.geometry.lanes import path_of_segment
+from synth3dlanes.geometry.network import Parting, Road
 from synth3dlanes.geometry.symbols import Polygon, shape
 from synth3dlanes.scene import Symbol
 from synth3dlanes.settings import FIRST_SYMBOL_ID, SEMANTIC_IDS
@@ -66,40 +66,45 @@ def _judge(name: str, shown: Bool[np.ndarray, " n"], outside_m: Scalars, margin_
 
 def _beyond_m(world: World, symbol: Symbol, place: RoadPlaces) -> Scalars:
     """Distance of points on the road outside a symbol's paint, negative inside."""
-    plan, form = world.plan, shape(world.ground, symbol)
+    network, form = world.network, shape(world.ground, symbol)
     if symbol.kind == "gore":
         share, s = _between_lines(world, place)
         polygons = [polygon * np.column_stack([_gap_m(world, polygon[:, 1]), np.ones(4)]) for polygon in form.polygons]
         return _outside(polygons, np.column_stack([share * _gap_m(world, s), s]))
-    path = None if symbol.lane is None else path_of_segment(plan, symbol.lane)
+    path = None if symbol.lane is None else network.path(symbol.lane)
     aside = place.t if path is None else place.right_of(path)
     s = place.s if path is None else place.station(path)
-    around = plan.plan_station(symbol.s_m + np.array([-0.5, 0.5]))
-    ends = plan.main_xy(around, 0.0) if path is None else path.xy_world(plan, around)
-    ahead = (s * plan.flips[1] - symbol.s_m) * np.hypot(*(ends[1] - ends[0]))
-    return _outside(form.polygons, np.nan_to_num(np.column_stack([aside * plan.flips[0], ahead]), nan=1e3))
+    around = network.stations(symbol.s_m + np.array([-0.5, 0.5]))
+    ends = network.main.xy(around, 0.0) if path is None else path.xy_world(around)
+    ahead = (s * network.onwards - symbol.s_m) * np.hypot(*(ends[1] - ends[0]))
+    return _outside(form.polygons, np.nan_to_num(np.column_stack([aside * network.rightward, ahead]), nan=1e3))
 
 
 def _between_lines(world: World, place: RoadPlaces) -> tuple[Scalars, Scalars]:
-    """Where points are between the main road's line and the exit's: the share of the way, and the plan station at which
-    both lines have them between each other."""
-    plan, lines = world.plan, {line.id: line for line in world.site.lines}
-    right, left = (
-        ("main_line_0", f"exit_line_{plan.n_exit_lanes}")
-        if plan.flips[0] < 0
-        else (f"main_line_{plan.n_main_after}", "exit_line_0")
-    )
-    xy, s = plan.main_xy(place.s, place.t), np.clip(place.s, plan.nose_m, None)
+    """Where points are between the lines of two roads that part: the share of the way, and the station at which both
+    lines have them between each other."""
+    branch, parting = _gore(world)
+    begun = [line for line in world.network.delimiters if line.start_m == parting.station(0.0)]
+    near = next(line for line in reversed(begun) if line.pieces[0].road is parting.road)
+    far = next(line for line in begun if line.pieces[0].road is branch)
+    xy, s = parting.road.xy(place.s, place.t), np.clip(place.s, near.start_m, None)
+    mirrored = -1 if branch.line.is_mirrored else 1
     for _ in range(STEPS):
-        main, to_exit = lines[right].xy_world(plan, s), lines[left].xy_world(plan, s) - lines[right].xy_world(plan, s)
-        to, length = xy - main, np.maximum(np.hypot(*to_exit.T), 1e-3)
-        ahead_m = (to_exit[:, 0] * to[:, 1] - to_exit[:, 1] * to[:, 0]) / length * plan.flips.prod()
-        s = np.clip(s + ahead_m, plan.nose_m, None)
-    return (to * to_exit).sum(axis=1) / length**2, s
+        main, across = near.xy_world(s), far.xy_world(s) - near.xy_world(s)
+        to, length = xy - main, np.maximum(np.hypot(*across.T), 1e-3)
+        ahead_m = (across[:, 0] * to[:, 1] - across[:, 1] * to[:, 0]) / length * mirrored
+        s = np.clip(s + ahead_m, near.start_m, None)
+    return (to * across).sum(axis=1) / length**2, s
 
 
 def _gap_m(world: World, s: Scalars) -> Scalars:
-    return np.maximum(world.plan.opening(s) - world.plan.width_m, 0.01)
+    return np.maximum(_gore(world)[1].gap_m(s), 0.01)
+
+
+def _gore(world: World) -> tuple[Road, Parting]:
+    branch = next(road for road in world.network.roads if road.parting is not None)
+    assert branch.parting is not None, "just asked for"
+    return branch, branch.parting
 
 
 def _outside(polygons: list[Polygon], points: Float[np.ndarray, "n 2"]) -> Scalars:

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-
 from synth3dlanes.geometry.lanes import connections, curves, lane_graph, smooth_min
+
 from synth3dlanes.world import resolve
 from tests.scenes import changed
 

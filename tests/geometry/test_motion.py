@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-
 from synth3dlanes.geometry.lanes import path_of_segment
+
 from synth3dlanes.geometry.motion import car_at, host_at
 from synth3dlanes.scene import Car
 from synth3dlanes.world import resolve

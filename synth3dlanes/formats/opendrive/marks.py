@@ -10,12 +10,12 @@ from jaxtyping import Float
 
 from synth3dlanes.arrays import Scalars
 from synth3dlanes.formats.opendrive.roads import OdrRoad
-from synth3dlanes.geometry.lanes import LaneCurve
+from synth3dlanes.geometry.network import LaneCurve
 from synth3dlanes.geometry.paint import is_dotted, is_double, line_width_m, paint_color, pair_of
 from synth3dlanes.world import World
 
-# A delimiter runs along an edge where it is this close to it. The exit's lanes turn aside at once at the split, where
-# this moves the lines of a two-lane exit against those of the stem.
+# A delimiter runs along an edge where it is this close to it. Lanes that leave a road turn aside at once, which moves
+# the lines of two such lanes against those before.
 NEAR_M = 0.1
 # Shorter stretches are left out.
 SHORT_M = 0.5
@@ -93,12 +93,12 @@ def _of(
     world: World, road: OdrRoad, edge_xy: Float[np.ndarray, "m 2"], line: LaneCurve
 ) -> Iterator[tuple[Mark, float]]:
     """The marks of a delimiter along an edge, each with its end, if it runs there."""
-    at = np.flatnonzero((road.plan_s >= line.start_m - 1e-6) & (road.plan_s <= line.end_m + 1e-6))
+    at = np.flatnonzero((road.network_s >= line.start_m - 1e-6) & (road.network_s <= line.end_m + 1e-6))
     if line.kind != "delimiter" or len(at) < 2 or road.s_m[at[-1]] - road.s_m[at[0]] < SHORT_M:
         return
     probes = at[((len(at) - 1) * PROBES).astype(int)]
-    # Stations of exit and main road differ, so the whole line is looked at.
-    there = line.xy_world(world.plan, np.sort(road.plan_s[at]))
+    # Stations of different roads differ, so the whole line is looked at.
+    there = line.xy_world(np.sort(road.network_s[at]))
     apart_m = np.linalg.norm(edge_xy[probes][:, None] - there, axis=2).min(axis=1)
     if apart_m.max() > NEAR_M:
         return
@@ -113,8 +113,8 @@ def _of(
     if pair:
         kind = MIRRORED[pair] if road.is_oncoming else pair
     cycle_m, dash_m = markings.dash_cycle_m, markings.dash_fraction * markings.dash_cycle_m
-    length_m, ascends = _lengths(world, line, road.plan_s[at]), road.plan_s[at[-1]] > road.plan_s[at[0]]
-    # Dashes begin at multiples of their cycle along the line from the split; seen from behind, they end there.
+    length_m, ascends = _lengths(world, line, road.network_s[at]), road.network_s[at[-1]] > road.network_s[at[0]]
+    # Dashes begin at multiples of their cycle along the line from station 0; seen from behind, they end there.
     first_m = length_m[0] + (-length_m[0] - (0 if ascends else dash_m)) % cycle_m
     # Marks begin with a dash, and are so short that the line is nowhere much longer or shorter than the road.
     begins_m = np.arange(first_m, length_m[-1], cycle_m * max(1, round(MARK_M / cycle_m)))
@@ -127,11 +127,11 @@ def _of(
         yield Mark(float(from_m), kind, *look, *map(float, sizes)), float(next_m)
 
 
-def _lengths(world: World, line: LaneCurve, plan_s: Scalars) -> Scalars:
-    """Lengths along a line, in the order of these stations, from the split."""
-    to_split = np.clip(np.linspace(0, plan_s[0], 2 + int(abs(plan_s[0]) / LENGTH_STEP_M)), line.start_m, line.end_m)
-    before, along = (
-        np.linalg.norm(np.diff(line.points_world(world.plan, s), axis=0), axis=1) for s in (to_split, plan_s)
+def _lengths(world: World, line: LaneCurve, network_s: Scalars) -> Scalars:
+    """Lengths along a line, in the order of these stations, from station 0."""
+    to_start = np.clip(
+        np.linspace(0, network_s[0], 2 + int(abs(network_s[0]) / LENGTH_STEP_M)), line.start_m, line.end_m
     )
-    start_m = np.sign(plan_s[0]) * before.sum() * np.sign(plan_s[-1] - plan_s[0])
+    before, along = (np.linalg.norm(np.diff(line.points_world(s), axis=0), axis=1) for s in (to_start, network_s))
+    start_m = np.sign(network_s[0]) * before.sum() * np.sign(network_s[-1] - network_s[0])
     return np.asarray(start_m + np.concatenate([[0.0], np.cumsum(along)]))

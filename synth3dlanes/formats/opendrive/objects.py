@@ -90,10 +90,9 @@ def _add_symbol(world: World, symbol: Symbol, roads: Sequence[OdrRoad], groups: 
 
 def _add_rail(world: World, rail: Rail, roads: Sequence[OdrRoad], groups: list[list[Element]]) -> None:
     low, high = sorted((rail.from_m, rail.to_m))
-    own = ("leaving", "exit") if rail.road == "exit" else ("stem", "through", "main")
     for road, group in zip(roads, groups, strict=True):
-        start, end = max(low, road.plan_s.min()), min(high, road.plan_s.max())
-        if road.name not in own or end - start < 1.0:
+        start, end = max(low, road.network_s.min()), min(high, road.network_s.max())
+        if road.edges_of != rail.road or end - start < 1.0:
             continue
         stations = np.linspace(start, end, 2 + int((end - start) / RAIL_STEP_M))
         line = on_ground(world.ground, beside(world.ground, rail.road, rail.side, stations, rail.aside_m))

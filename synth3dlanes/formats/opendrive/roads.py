@@ -13,14 +13,15 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.arrays import Points2, Points3, Scalars
-from synth3dlanes.geometry.lanes import CORNER_M, LaneCurve, connections, curves, seen_from_left
-from synth3dlanes.geometry.road import RoadPlan
+from synth3dlanes.geometry.network import Lane, Network, Offset, Road
 from synth3dlanes.geometry.terrain import height_at
 
-# Stations of the main road that a file reaches, at least, and the distance of the places that are fitted.
+# Stations that a file reaches, at least, and the distance of the places that are fitted.
 REACH_M = 250.0
 STEP_M = 0.1
 MIN_END_M = 10.0
+# Where roads part, the junction ends when their lanes are this far from each other.
+APART_M = 0.06
 # Steps to a point's station; in bends, each leaves a share of the way.
 FOOT_STEPS = 20
 JUNCTION = "junction"
@@ -42,10 +43,10 @@ class OdrLane:
 
 @dataclass(frozen=True, eq=False)
 class OdrRoad:
-    """A road with everything at equal steps along it: stations `s_m`, the plan's stations there, the reference line
-    from above, its height and the roll of the plane (positive: the left side is higher), the t of lane 0 and the lanes
-    from the left. It runs as the host drives or, if it `is_oncoming`, the other way. `before` and `after` name the
-    roads or the junction at its ends."""
+    """A road with everything at equal steps along it: stations `s_m`, those of the network's road there, the reference
+    line from above, its height and the roll of the plane (positive: the left side is higher), the t of lane 0 and the
+    lanes from the left. It runs as the host drives or, if it `is_oncoming`, the other way. `before` and `after` name
+    the roads or the junction at its ends; `edges_of` the network's road along whose edges it runs, if it does."""
 
     name: str
     in_junction: bool
@@ -53,7 +54,8 @@ class OdrRoad:
     after: str | None
     is_oncoming: bool
     is_left_hand: bool
-    plan_s: Scalars
+    edges_of: str | None
+    network_s: Scalars
     s_m: Scalars
     xy_world: Points2
     elevation_m: Scalars
@@ -88,8 +90,8 @@ class OdrRoad:
         # Where the road climbs, its roll moves these points along it.
         forward = self.axes[:, 0, :2] / np.linalg.norm(self.axes[:, 0, :2], axis=1, keepdims=True)
         ahead = ((points[:, :2] - self.xy_world) * forward).sum(axis=1)
-        plan_s = np.interp(self.s_m + ahead, self.s_m, self.plan_s)
-        return self.surface_m(points[:, :2], plan_s) - points[:, 2]
+        network_s = np.interp(self.s_m + ahead, self.s_m, self.network_s)
+        return self.surface_m(points[:, :2], network_s) - points[:, 2]
 
     def places(self, points_world: Points3) -> Points3:
         """(s, t, h) of world points; of those before and behind the road, of its ends."""
@@ -109,7 +111,7 @@ class OdrRoad:
 
 @dataclass(frozen=True)
 class _Strip:
-    """A strip in the plan: its type, its segment, its width, which may depend on the station."""
+    """A strip of a road of the network: its type, its lane, its width, which may depend on the station."""
 
     kind: str
     segment: str | None
@@ -118,12 +120,13 @@ class _Strip:
 
 @dataclass(frozen=True)
 class _Layout:
-    """A road in the plan: its stations, its reference line, its strips from the left, the number of those left of lane
-    0, the offset of lane 0 from the line, and what lies before and behind it."""
+    """A part of a road of the network: its stations, its reference line, its strips as t grows, the number of those
+    before lane 0, the offset of lane 0 from the line, and what lies before and behind it."""
 
     name: str
     span_m: tuple[float, float]
-    line: LaneCurve
+    road: Road
+    line: Offset
     strips: tuple[_Strip, ...]
     n_left: int
     lane_0_m: float
@@ -132,79 +135,82 @@ class _Layout:
     is_oncoming: bool = False
 
 
-def roads(plan: RoadPlan) -> list[OdrRoad]:
-    """All roads of a plan. With an exit these are the stem, the connecting roads of the junction between the split and
-    where the lanes have parted, and the two roads beyond; with a median, also a road for the oncoming traffic."""
-    return [_road(plan, layout) for layout in _layouts(plan)]
+def roads(network: Network) -> list[OdrRoad]:
+    """All roads of a network. Where others part from the host's, these are its part before that, the connecting roads
+    of a junction up to where the lanes have parted, and the roads beyond; with a median, also one for oncoming
+    traffic."""
+    return [_road(network, layout) for layout in _layouts(network)]
 
 
-def stems(plan: RoadPlan) -> dict[str, str]:
-    """The lane of the stem that each lane of main road and exit is connected to."""
-    return {fork: stem for stem, fork in connections(plan)}
+def _strips(lanes: list[Lane]) -> tuple[_Strip, ...]:
+    return tuple(_Strip("driving", lane.id, lane.width_m) for lane in lanes)
 
 
-def _layouts(plan: RoadPlan) -> list[_Layout]:
-    def lanes(prefix: str, n: int) -> tuple[_Strip, ...]:
-        names = (f"{prefix}_{seen_from_left(plan, lane, n)}" for lane in range(1, n + 1))
-        return tuple(_Strip("driving", name, plan.width_m) for name in names)
-
-    def straight(at_m: float) -> LaneCurve:
-        return LaneCurve("", "centerline", "main", "none", None, None, at_m, "main", at_m)
-
-    shoulder = _Strip("shoulder", None, plan.shoulder_m)
-    oncoming, beside, found = lanes("oncoming", plan.n_oncoming), (shoulder,), []
-    middle_m = (plan.left_m + plan.boundary_m(plan.n_lanes)) / 2
-    parted_m = plan.station_where_open(plan.width_m + CORNER_M) if plan.has_exit else 0.0
+def _layouts(network: Network) -> list[_Layout]:
+    road, found = network.main, list[_Layout]()
+    partings = [(branch, branch.parting) for branch in network.branches(road) if branch.parting]
+    parted_m = max((parting.station(APART_M) for _, parting in partings), default=0.0)
     end_m = max(REACH_M, parted_m + MIN_END_M)
-    if oncoming and plan.road.median_m > 0:
-        median = _Strip("median", None, plan.road.median_m / 2)
-        line, half_m = straight((plan.left_m + plan.oncoming_inner_m) / 2), plan.n_oncoming * plan.width_m / 2
-        strips = (shoulder, *oncoming, median)
-        found = [_Layout("oncoming", (-REACH_M, end_m), line, strips, len(strips) - 1, half_m, is_oncoming=True)]
-        oncoming, beside, middle_m = (), (median,), 0.0
-    left = (*beside, *oncoming)
+    first, beyond = ([lane for lane in road.lanes_at(s) if lane.direction == "same"] for s in (-REACH_M, parted_m))
+    oncoming = _strips([lane for lane in road.lanes_at(-REACH_M) if lane.direction == "oncoming"])
+    shoulder = _Strip("shoulder", None, road.shoulder_m)
+    facing, own = road.carriageways[0], road.carriageways[-1]
+    left, middle_m = (shoulder, *oncoming), (facing.left_m + own.right_m) / 2
+    if oncoming and own.left_m - facing.right_m > APART_M:
+        median, line = (
+            _Strip("median", None, (own.left_m - facing.right_m) / 2),
+            Offset((facing.left_m + facing.right_m) / 2),
+        )
+        strips, half_m = (*left, median), (facing.right_m - facing.left_m) / 2
+        found = [_Layout("oncoming", (-REACH_M, end_m), road, line, strips, len(strips) - 1, half_m, is_oncoming=True)]
+        oncoming, left, middle_m = (), (median,), (own.left_m + own.right_m) / 2
 
-    def on_main(
+    def part(
         name: str, span_m: tuple[float, float], left: tuple[_Strip, ...], right: tuple[_Strip, ...],
         before: str | None = None, after: str | None = None,
     ) -> _Layout:  # fmt: skip
-        lane_0_m = plan.boundary_m(0) - middle_m
-        return _Layout(name, span_m, straight(middle_m), (*left, *right), len(left), lane_0_m, before, after)
+        return _Layout(
+            name, span_m, road, Offset(middle_m), (*left, *right), len(left), own.left_m - middle_m, before, after
+        )
 
-    if not plan.has_exit:
-        return [*found, on_main("main", (-REACH_M, end_m), left, (*lanes("main", plan.n_lanes), shoulder))]
-    main, exits = lanes("main", plan.n_main_after), lanes("exit", plan.n_exit_lanes)
+    before, after = first[0].section, beyond[0].section
+    if not partings:
+        return [*found, part(before, (-REACH_M, end_m), left, (*_strips(first), shoulder))]
     junction, apart = (0.0, parted_m), (parted_m, end_m)
-    # The room between main road and exit is shared until both have their whole shoulders.
-    inner = _Strip("shoulder", None, lambda s: np.clip((plan.opening(s) - plan.width_m) / 2, 0, plan.shoulder_m))
-    exit_line, half_m = LaneCurve("", "centerline", "exit", "none", None, None, None, "exit", 0.0), plan.exit_half_m
-    through = main
-    if plan.road.topology == 3:
-        # This lane begins on its neighbour's.
-        line = next(curve for curve in curves(plan) if curve.id == main[-1].segment)
-        through = main[:-1]
-        found.append(_Layout("opening", junction, line, main[-1:], 0, -plan.width_m / 2, "stem", "main"))
+    # A lane that opens begins on its neighbour's; connecting roads are for one direction.
+    for lane in beyond:
+        if lane.middle.moves:
+            found.append(
+                _Layout("opening", junction, road, lane.middle, _strips([lane]), 0, -lane.width_m / 2, before, after)
+            )
+    through = _strips([lane for lane in beyond if not lane.middle.moves])
     if oncoming:
-        # Connecting roads are for one direction.
-        found.append(replace(on_main("facing", junction, left, (), "stem", "main"), is_oncoming=True))
+        found.append(replace(part("facing", junction, left, (), before, after), is_oncoming=True))
+    found += [
+        part(before, (-REACH_M, 0.0), left, (*_strips(first), shoulder), None, JUNCTION),
+        part("through", junction, () if oncoming else left, through, before, after),
+    ]
+    branch, parting = partings[0]
+    lanes, line, edge_m = branch.lanes_at(parted_m), Offset(0.0), branch.carriageways[0].left_m
+    # The room between both roads is shared until both have their whole shoulders.
+    inner = _Strip("shoulder", None, lambda s: np.clip(parting.gap_m(s) / 2, 0, road.shoulder_m))
+    name, strips = lanes[0].section, (*_strips(lanes), shoulder)
     return [
         *found,
-        on_main("stem", (-REACH_M, 0.0), left, (*lanes("stem", plan.n_lanes), shoulder), None, JUNCTION),
-        on_main("through", junction, () if oncoming else left, through, "stem", "main"),
-        _Layout("leaving", junction, exit_line, (*exits, shoulder), 0, -half_m, "stem", "exit"),
-        on_main("main", apart, left, (*main, inner), JUNCTION, None),
-        _Layout("exit", apart, exit_line, (inner, *exits, shoulder), 1, -half_m, JUNCTION, None),
+        _Layout("leaving", junction, branch, line, strips, 0, edge_m, before, name),
+        part(after, apart, left, (*_strips(beyond), inner), JUNCTION, None),
+        _Layout(name, apart, branch, line, (inner, *strips), 1, edge_m, JUNCTION, None),
     ]
 
 
-def _road(plan: RoadPlan, layout: _Layout) -> OdrRoad:
-    ascends = (plan.flips[1] > 0) != layout.is_oncoming
+def _road(network: Network, layout: _Layout) -> OdrRoad:
+    ascends = (network.onwards > 0) != layout.is_oncoming
     low_m, high_m = layout.span_m
     s = np.linspace(low_m, high_m, int(np.ceil((high_m - low_m) / STEP_M)) + 1)[:: 1 if ascends else -1]
-    xy = layout.line.xy_world(plan, s)
+    xy = layout.road.xy(s, layout.line(s))
     lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))])
     # To the left of the reference line, seen in its direction.
-    leftward = -plan.flips[0] * (-1 if layout.is_oncoming else 1)
+    leftward = -network.rightward * (-1 if layout.is_oncoming else 1)
     widths = [np.broadcast_to(w(s) if callable(w := strip.width_m) else w, s.shape) for strip in layout.strips]
     edges = np.cumsum([np.zeros(len(s)), *widths], axis=0)
     edges = leftward * (edges - edges[layout.n_left] + layout.lane_0_m)
@@ -215,17 +221,20 @@ def _road(plan: RoadPlan, layout: _Layout) -> OdrRoad:
         inner, outer = (edges[i + 1], edges[i]) if outward < 0 else (edges[i], edges[i + 1])
         lanes.append(OdrLane(int(leftward * number), strip.kind, strip.segment, inner, outer))
 
-    def surface_m(xy_world: Points2, plan_s: Scalars) -> Scalars:
-        return height_at(plan.terrain, xy_world) + layout.line.raised(plan, plan_s)
+    def surface_m(xy_world: Points2, network_s: Scalars) -> Scalars:
+        return height_at(network.terrain, xy_world) + layout.road.raised(network_s)
 
+    ends = layout.before, layout.after
+    is_whole = not layout.is_oncoming and layout.name != "opening"
     flat = OdrRoad(
         name=layout.name,
-        in_junction=layout.after == "main" or layout.after == "exit",
-        before=layout.before if ascends else layout.after,
-        after=layout.after if ascends else layout.before,
+        in_junction=None not in ends and JUNCTION not in ends,
+        before=ends[0] if ascends else ends[1],
+        after=ends[1] if ascends else ends[0],
         is_oncoming=layout.is_oncoming,
-        is_left_hand=bool(plan.flips[0] < 0),
-        plan_s=s,
+        is_left_hand=network.rightward < 0,
+        edges_of=layout.road.id if is_whole else None,
+        network_s=s,
         s_m=lengths,
         xy_world=xy,
         elevation_m=surface_m(xy, s),

@@ -6,13 +6,13 @@ from xml.etree import ElementTree
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.formats.format import SampleFrame
 from synth3dlanes.formats.opendrive.convention import LANE_CHANGES, MAJOR, MARK_TYPES, MINOR, NO_NUMBER, USER_DATA
 from synth3dlanes.formats.opendrive.marks import MIRRORED, Mark, marks
 from synth3dlanes.formats.opendrive.objects import add_objects
 from synth3dlanes.formats.opendrive.profiles import knots, pieces
-from synth3dlanes.formats.opendrive.roads import JUNCTION, OdrLane, OdrRoad, roads, stems
+from synth3dlanes.formats.opendrive.roads import JUNCTION, OdrLane, OdrRoad, roads
 from synth3dlanes.formats.opendrive.xml import Element, add
-from synth3dlanes.formats.sample_format import SampleFormat, SampleFrame
 from synth3dlanes.formats.writing import FrameAnnotation
 from synth3dlanes.world import World, resolve
 
@@ -39,7 +39,7 @@ def annotate(frame: SampleFrame) -> FrameAnnotation:
 
 def opendrive(world: World, name: str) -> str:
     """The OpenDRIVE file of a world; its inertial frame is the world frame."""
-    found = roads(world.plan)
+    found = roads(world.network)
     numbers = {road.name: i for i, road in enumerate(found, 1)} | {JUNCTION: len(found) + 1}
     root = ElementTree.Element("OpenDRIVE")
     xy = np.concatenate([road.xy_world for road in found])
@@ -158,8 +158,9 @@ def _number_in(other: OdrRoad, world: World, road: OdrRoad, lane: OdrLane) -> in
     if lane.segment is None:
         sign = 1 if other.is_oncoming == road.is_oncoming else -1
         return next((n.number for n in other.lanes if n.kind == lane.kind and sign * n.number * lane.number > 0), None)
-    segment = stems(world.plan).get(lane.segment, lane.segment) if other.name == "stem" else lane.segment
-    return next(there.number for there in other.lanes if there.segment == segment)
+    network = world.network
+    segments = {lane.segment} | {joined.id for joined in network.joined_to(network.lanes[lane.segment])}
+    return next(there.number for there in other.lanes if there.segment in segments)
 
 
 def _add_junction(root: Element, world: World, found: list[OdrRoad], numbers: Mapping[str, int]) -> None:
@@ -176,6 +177,3 @@ def _add_junction(root: Element, world: World, found: list[OdrRoad], numbers: Ma
 
 def _abcd(coefficients: Float[np.ndarray, "4"]) -> dict[str, float]:
     return dict(zip("abcd", coefficients.tolist(), strict=True))
-
-
-FORMAT = SampleFormat(readme=README, annotate=annotate, is_per_scene=True, counted="lanes")

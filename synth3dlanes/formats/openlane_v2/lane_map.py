@@ -4,16 +4,15 @@ Segments are those of the lane graph. World frame, metres; lines go as their tra
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from synth3dlanes.arrays import Points3, Scalars
-from synth3dlanes.geometry.lanes import LaneCurve, path_of_segment
-from synth3dlanes.geometry.meshes import median_grass_m
+from synth3dlanes.geometry.meshes import grass_in_medians
+from synth3dlanes.geometry.network import SIDES, Lane, LaneCurve, Network
 from synth3dlanes.geometry.paint import is_double, paint_color
-from synth3dlanes.geometry.road import RoadPlan
 from synth3dlanes.labels import Marking, PaintColor, Segment
 from synth3dlanes.world import World
 
@@ -47,42 +46,33 @@ class LaneSegment:
 
 
 def lane_segments(world: World, segments: tuple[Segment, ...], near_m: float) -> Iterator[LaneSegment]:
-    """The segments of the lane graph within about REACH_M of the world station `near_m`."""
-    plan = world.plan
-    stations = plan.plan_station(near_m + np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M))
-    delimiters = {
-        line: _delimiter_xy(plan, line, np.sort(stations)) for line in world.site.lines if line.kind != "centerline"
-    }
+    """The segments of the lane graph within about REACH_M of the station `near_m` as the host drives."""
+    network = world.network
+    stations = network.stations(near_m + np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M))
+    delimiters = {line: _delimiter_xy(line, np.sort(stations)) for line in network.delimiters}
     for index, segment in enumerate(segments):
-        path = path_of_segment(plan, segment.id)
-        low_m, high_m = np.sort(plan.plan_station(np.array([segment.s_start_m, segment.s_end_m])))
-        # The road goes on beyond the outer ends of the graph.
-        low_m, high_m = low_m if low_m == 0 else -np.inf, high_m if high_m == 0 else np.inf
-        s = np.unique(np.clip(stations, low_m, high_m))
+        lane = network.lanes[segment.id]
+        s = np.unique(np.clip(stations, lane.start_m, lane.end_m))
         if len(s) < 2:
             continue
-        # Offsets grow to the plan's right; the traffic's left is that side after flips and direction.
-        onwards = plan.flips[1] if path.direction == "same" else -plan.flips[1]
-        side_m = float(plan.width_m / 2 * plan.flips[0] * plan.flips[1] * onwards)
-        lines = _lines(plan, path, s, (0.0, -side_m, side_m), is_stem=bool(high_m == 0))
-        middle, left, right = (line[:: 1 if onwards > 0 else -1] for line in lines)
+        # Offsets grow to one side of the line; the traffic's left depends on its direction.
+        sign = 1 if lane.direction == "same" else -1
+        side_m = float(lane.width_m / 2 * network.rightward * sign)
+        lines = _lines(network, lane, s, (0.0, -side_m, side_m))
+        middle, left, right = (line[:: int(network.onwards * sign)] for line in lines)
         yield LaneSegment(index, segment.id, middle, *(_painted(world, side, delimiters) for side in (left, right)))
 
 
 def pavement_edges(world: World, near_m: float) -> Iterator[Points3]:
     """The edges of the pavement, shoulders included, and of a median's grass, within about REACH_M of `near_m`."""
-    ground, plan = world.ground, world.plan
-    s = np.sort(plan.plan_station(near_m + np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M)))
-    offsets = [np.full(len(s), ground.left_edge_m), ground.main_right_edge(s)]
-    offsets += [np.full(len(s), t) for t in median_grass_m(ground) or ()]
-    for t in offsets:
-        xy = plan.main_xy(s, t)
-        yield from runs(plan.lift(xy), ground.edge_distances(xy)[1] > 0)
-    if plan.has_exit:
-        s = s[s >= 0]
-        for edge_m in (-ground.exit_edge_m, ground.exit_edge_m):
-            xy = plan.exit_xy(s, edge_m)
-            yield from runs(plan.lift(xy, plan.ramp(s)), ground.edge_distances(xy)[0] > 0)
+    ground, network = world.ground, world.network
+    stations = np.sort(network.stations(near_m + np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M)))
+    for road in network.roads:
+        s = stations[(stations >= road.start_m) & (stations <= road.end_m)]
+        offsets = [road.edge(side, s) for side in SIDES]
+        offsets += [np.full(len(s), t) for grass in grass_in_medians(ground, road) for t in grass]
+        for t in offsets:
+            yield from runs(road.points(s, t), ~ground.is_on_other(road, road.xy(s, t)))
 
 
 def runs(points: Float[np.ndarray, "n 3"], keep: Bool[np.ndarray, " n"]) -> list[Float[np.ndarray, "_ 3"]]:
@@ -91,33 +81,23 @@ def runs(points: Float[np.ndarray, "n 3"], keep: Bool[np.ndarray, " n"]) -> list
     return [points[a:b] for a, b in ends.reshape(-1, 2) if b - a >= 2]
 
 
-def _lines(
-    plan: RoadPlan, path: LaneCurve, s: Scalars, asides_m: tuple[float, ...], is_stem: bool
-) -> list[Float[np.ndarray, "_ 3"]]:
-    """A path's segment and lines beside it, at plan stations in ascending order."""
-    beside = [_aside(path, aside_m) for aside_m in asides_m]
-    if is_stem or path.fork_road == "main":
-        offsets = [np.full(len(s), line.stem_m) if is_stem else line.main_offset(plan, s) for line in beside]
-        return [plan.lift(plan.main_xy(s, t)) for t in offsets]
-    # An exit begins where its stem ends, on the main road; its own first points may lie behind that.
-    exits = [plan.exit_xy(s, line.fork_m) for line in beside]
-    ahead = np.all([plan.project_main(xy)[0] > s[0] + LEAST_GAP_M for xy in exits], axis=0) | (s[0] > 0)
-    starts = [plan.lift(plan.main_xy(s[:1], _stem_m(line))) for line in beside]
-    lines = [plan.lift(xy, plan.ramp(s))[ahead] for xy in exits]
-    return lines if s[0] > 0 else [np.concatenate(pair) for pair in zip(starts, lines, strict=True)]
+def _lines(network: Network, lane: Lane, s: Scalars, asides_m: tuple[float, ...]) -> list[Float[np.ndarray, "_ 3"]]:
+    """A lane's centre and lines beside it, at stations in ascending order."""
+    road = network.road(lane.road)
+    offsets = [lane.middle(s) + aside_m for aside_m in asides_m]
+    lines = [road.points(s, t) for t in offsets]
+    before = next((at for at in network.joined_to(lane) if at.road != lane.road and at.end_m == lane.start_m), None)
+    if before is None or s[0] > lane.start_m:
+        return lines
+    # It begins where the lane before it ends, on another road; its own first points may lie behind that.
+    other = network.road(before.road)
+    ahead = np.all([other.line.project(road.xy(s, t))[0] > s[0] + LEAST_GAP_M for t in offsets], axis=0)
+    starts = [other.points(s[:1], before.middle(s[:1]) + aside_m) for aside_m in asides_m]
+    return [np.concatenate([start, line[ahead]]) for start, line in zip(starts, lines, strict=True)]
 
 
-def _aside(path: LaneCurve, aside_m: float) -> LaneCurve:
-    return replace(path, stem_m=_stem_m(path) + aside_m, fork_m=path.fork_m + aside_m)
-
-
-def _stem_m(path: LaneCurve) -> float:
-    assert path.stem_m is not None, "every centre line has a stem"
-    return path.stem_m
-
-
-def _delimiter_xy(plan: RoadPlan, line: LaneCurve, s: Scalars) -> Float[np.ndarray, "_ 2"]:
-    return line.xy_world(plan, s[(s >= line.start_m) & (s <= line.end_m)])
+def _delimiter_xy(line: LaneCurve, s: Scalars) -> Float[np.ndarray, "_ 2"]:
+    return line.xy_world(s[(s >= line.start_m) & (s <= line.end_m)])
 
 
 def _painted(world: World, points_world: Points3, delimiters: dict[LaneCurve, Float[np.ndarray, "_ 2"]]) -> Boundary:
