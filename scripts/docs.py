@@ -9,11 +9,12 @@ from pydantic import BaseModel, ValidationError
 from synth3dlanes_cli.main import main
 
 from synth3dlanes.assets.catalogue import BUILT_IN
+from synth3dlanes.distributions import Distribution
 from synth3dlanes.figures.stats import form as written
 from synth3dlanes.labels import LabelsDocument
 from synth3dlanes.params import Params, forms, load_params, preset_names
 from synth3dlanes.params_text import REFERENCE, comments_of
-from synth3dlanes.sampling.weather import DAYTIMES, KINDS, Distribution
+from synth3dlanes.sampling.weather import DAYTIMES, KINDS
 from synth3dlanes.scene import Scene
 from synth3dlanes.validate.checks import ALWAYS, CHECKS
 

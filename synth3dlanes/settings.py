@@ -8,9 +8,9 @@ from synth3dlanes.errors import InputError
 # Passes with the image's pixels, and all passes: these and the height map over the road plane.
 PIXEL_PASSES = ("depth", "normal", "semantic", "instance")
 PASSES = (*PIXEL_PASSES, "height")
-# Of images that nothing else is said of.
+# JPEG quality, 1 to 100, of scenes that do not set one.
 JPEG_QUALITY = 95
-# What splits may be called, and how many samples they and their shards may have: keys have eight digits.
+# Legal names of splits, and the most samples of a split and of a shard: keys have eight digits.
 MAX_SEED = 2**128
 SPLIT_NAME, MAX_SAMPLES, MAX_SHARD_SIZE = "[A-Za-z0-9_-]+", 100_000_000, 1_000_000
 DEVICES = ("auto", "cpu", "cuda", "optix", "hip", "oneapi", "metal")
@@ -20,8 +20,8 @@ QUALITY_SAMPLES = {"draft": 2, "standard": 4, "high": 8}
 
 @dataclass(frozen=True)
 class RenderSettings:
-    """Samples per pixel, passes to render in addition to the image (`lidar` among them of scenes with a lidar), and the
-    Cycles device."""
+    """Samples per pixel, the passes to render in addition to the image, and the Cycles device. `lidar` counts as a pass
+    if scenes have a lidar."""
 
     samples: int = QUALITY_SAMPLES["standard"]
     passes: tuple[str, ...] = ()

@@ -110,8 +110,8 @@ def topology_words(road: Road) -> str:
 
 
 def lane_row(lane: Lane) -> tuple[str, ...]:
-    """A lane's row in `LANE_COLUMNS`: counts of all points, of those in the image, of those among them that the ground
-    does not hide, of those that no object hides either ("-" before rendering), and the farthest visible distance."""
+    """A lane's row in `LANE_COLUMNS`. Four counts of points: all; in the image; of these, not hidden by the ground; of
+    these, not hidden by an object ("-" before rendering). Then the farthest visible distance."""
     objects = "-" if lane.object_visible is None else str(int(lane.visible.sum()))
     reach = f"{lane.xyz_cam[lane.visible, 1].max():.0f} m" if lane.visible.any() else "-"
     in_image, over_ground = int(lane.in_image.sum()), int((lane.in_image & lane.terrain_visible).sum())
