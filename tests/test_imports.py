@@ -14,7 +14,7 @@ PROBE = "import sys; import {}; print(*sorted({{'bpy', 'torch', 'matplotlib', 'p
         ("synth3dlanes", set()),
         ("synth3dlanes.api", {"pyarrow"}),
         ("synth3dlanes_cli.main", set()),
-        ("synth3dlanes.geometry.lanes", set()),
+        ("synth3dlanes.geometry.network", set()),
         ("synth3dlanes.sample", set()),
         ("synth3dlanes.ground_truth", set()),
         ("synth3dlanes.dataset.read", {"pyarrow"}),
