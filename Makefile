@@ -9,7 +9,7 @@ export MPLBACKEND := Agg
 # The tests start hundreds of programs: each would compile all modules anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test check types suite format docs site pictures golden assets bench soak
+.PHONY: help setup demo test check format docs site pictures golden assets bench soak
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -32,22 +32,17 @@ demo: .venv/core  ## 12 labelled 480x360 scenes, a gallery and one scene explain
 	$(BIN)/synth3dlanes inspect $(DEMO)/data/train:00000000 --out $(DEMO)/inspect.png
 	@echo "Look at $(DEMO)/gallery.png and $(DEMO)/inspect.png"
 
-test: .venv/ready  ## the tests (all but slow and gpu)
+test: .venv/ready  ## the tests, in some six minutes on two cores
 	scripts/browser
-	$(MAKE) --no-print-directory suite
+	$(PYTEST)
 
-check: .venv/ready  ## what CI runs: format, lint, imports, types, tests
-	scripts/browser
+check: .venv/ready  ## what CI runs: format, lint, imports, types, `make test`, thorough tests
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
-	$(MAKE) --no-print-directory --jobs 2 types suite
-
-types: .venv/ready
 	$(BIN)/mypy
-
-suite: .venv/ready
-	$(PYTEST)
+	$(MAKE) --no-print-directory test
+	$(PYTEST) -m thorough
 
 format: .venv/ready  ## let ruff repair what it can
 	$(BIN)/ruff format .

@@ -12,10 +12,11 @@ from synth3dlanes.errors import InputError
 from synth3dlanes.files import Folder
 from synth3dlanes.formats.reading import read_image
 from synth3dlanes.labels import Labels
+from synth3dlanes.words import counted
 
 from . import checkpoint as checkpoints
 from .data import Intrinsics, img_from_cam, intrinsics_of, resize, scale, size_of
-from .inference import choose_device
+from .inference import Detector, choose_device
 from .lanes import Prediction, write_predictions
 from .overlay import save_overlay
 from .photographs import open_tusimple
@@ -39,13 +40,13 @@ class PredictionSummary:
     best_score: float = 0.0
 
     def text(self) -> str:
-        """It in words."""
+        """The summary as one line of text."""
         if self.n_lanes:
-            found = f"{self.path}: {self.n_lanes} lanes in {self.n_images} images"
+            found = f"{self.path}: {counted(self.n_lanes, 'lane')} in {counted(self.n_images, 'image')}"
         else:
             found = (
-                f"{self.path}: no lane of confidence {self.threshold:g} in {self.n_images} images; the best has "
-                f"{self.best_score:.2f}, --threshold shows it"
+                f"{self.path}: no lane of confidence {self.threshold:g} in {counted(self.n_images, 'image')}; "
+                f"the best has {self.best_score:.2f}, --threshold shows it"
             )
         assumed = f"; a field of view of {ASSUMED_FOV_DEG:g} degrees was assumed, --intrinsics says otherwise"
         return found + assumed * self.is_assumed
@@ -73,26 +74,32 @@ def _shrunk(picture: _Picture) -> _Picture:
     )
 
 
+def detector_for(
+    source: str | Path, checkpoint: str | Path | None = None, device: str = "auto", own_model: str | None = None
+) -> Detector:
+    """The detector of a checkpoint, or that of the weights in this package which suit the source: `nano` for a split,
+    `streets` for photographs. `own_model` names a network of your own as `module:function`."""
+    are_photographs = bool(image_files(source)) or open_tusimple(source) is not None
+    weights = checkpoint or (checkpoints.STREETS if are_photographs else checkpoints.SHIPPED)
+    return checkpoints.detector(weights, choose_device(device), own_model)
+
+
 def predict(
-    checkpoint: str | Path | None,
+    detector: Detector,
     source: str | Path,
     out_dir: str | Path,
     intrinsics: Intrinsics | None = None,
     n_overlays: int = 16,
-    device: str = "auto",
-    own_model: str | None = None,
     threshold: float = 0.5,
 ) -> PredictionSummary:
-    """Write `predictions.jsonl` and the first `n_overlays` pictures, with lanes of at least this confidence, to
-    `out_dir`.
+    """Write `predictions.jsonl` and pictures of the first `n_overlays` images to `out_dir`; the pictures show lanes of
+    at least this confidence.
 
     `source` is a split of a dataset, an image, a folder of images, or a label file of tuSimple or a folder with one.
-    Without a checkpoint, the weights in the package are used: `nano` for a split, `streets` for photographs.
-    `intrinsics` are those of images (fx, fy, cx, cy in their pixels). None: images are taken for those of a camera with
-    a field of view of 60 degrees, as that of the paper; for tuSimple, only the variant on a fixed plane works."""
+    `intrinsics` (fx, fy, cx, cy, in pixels) are those of image files. Without them a horizontal field of view of 60
+    degrees is assumed, that of the paper's camera; photographs of tuSimple then need a network of the variant on a
+    fixed plane."""
     are_files, are_tusimples = bool(image_files(source)), open_tusimple(source) is not None
-    weights = checkpoint or (checkpoints.STREETS if are_files or are_tusimples else checkpoints.SHIPPED)
-    detector = checkpoints.detector(weights, choose_device(device), own_model)
     pictures = _pictures(source, intrinsics)
     out = Path(out_dir)
     Folder(out).make()

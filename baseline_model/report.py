@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from synth3dlanes.files import replacing
+from synth3dlanes.words import counted
 
 from .curves import METRIC_Y_M
 from .metrics import Errors, EvaluationReport, KindReport
@@ -66,8 +67,8 @@ def to_text(report: EvaluationReport) -> str:
     """The report as text, with every choice that the paper leaves open."""
     config = report.config
     lines = [
-        f"{report.n_images} images; errors in cm, at confidence >= {config.threshold}; frame {config.frame}; "
-        f"weights {config.weights}; match below 1.5 m",
+        f"{counted(report.n_images, 'image')}; errors in cm, at confidence >= {config.threshold}; "
+        f"frame {config.frame}; weights {config.weights}; match below 1.5 m",
         f"{'':14}{'AP':>7}{'95 % interval':>17}{'near 1s':>9}{'near 2s':>9}{'far 1s':>9}{'far 2s':>9}"
         f"{'recall':>8}{'precision':>10}",
     ]

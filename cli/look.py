@@ -7,9 +7,10 @@ import click
 
 from synth3dlanes.files import replacing, write
 from synth3dlanes.settings import PASSES
+from synth3dlanes.words import counted
 
 from .idle import refuse_idle
-from .options import OutputFile, json_option
+from .options import OutputFile, json_option, output_console
 
 
 @click.command()
@@ -32,36 +33,25 @@ def inspect(where: str, image: Path | None, out: Path | None, html: Path | None,
 
     The scene is a scene.json, rendered or not, or a sample of a data set such as DIR/train:00000017.
     """
-    import rich
-
-    from synth3dlanes.dataset.address import SAMPLE
     from synth3dlanes.figures.describe import describe
     from synth3dlanes.figures.inspect import draw_inspect, summary
     from synth3dlanes.figures.page import scene_page
-    from synth3dlanes.sources import load_any, load_clip, load_passes, load_rig_pictures, load_sweep
+    from synth3dlanes.sources import load_shown
 
-    found = load_any(where, image)
-    layers = load_passes(where, image) if passes else {}
-    sweep = load_sweep(where, image, found.labels)
-    is_clip = html and found.scene.shot.n_frames > 1 and SAMPLE.fullmatch(where)
-    frames = load_clip(where).frames if is_clip else []
-    is_of_rig = found.scene.shot.n_cameras > 1 and SAMPLE.fullmatch(where)
-    rig = load_rig_pictures(where) if is_of_rig else []
+    shown = load_shown(where, image, with_passes=passes, with_clip=html is not None)
     written = {}
     if html:
-        page = scene_page(found.scene, found.labels, found.image, layers, sweep, frames, rig)
-        write(html, page.encode())
+        write(html, scene_page(shown).encode())
         written["page"] = str(html)
     if out or not html:
-        path = out or Path(f"{found.name}.inspect.png")
-        figure = draw_inspect(found.scene, found.labels, found.image, layers, sweep, rig)
+        path = out or Path(f"{shown.name}.inspect.png")
         with replacing(path) as stream:
-            figure.savefig(stream, format=path.suffix[1:], dpi=100)
+            draw_inspect(shown).savefig(stream, format=path.suffix[1:], dpi=100)
         written["figure"] = str(path)
     if as_json:
-        click.echo(json.dumps({**written, **describe(found.scene, found.labels)}))
+        click.echo(json.dumps({**written, **describe(shown.scene, shown.labels)}))
         return
-    rich.print(summary(found.scene, found.labels))
+    output_console().print(summary(shown.scene, shown.labels))
     for what, name in written.items():
         click.echo(f"{what.capitalize()}: {name}")
 
@@ -100,21 +90,11 @@ def gallery(
     --where "junction = 'merge' and max_grade > 0.1".
     """
     from synth3dlanes.figures.gallery import draw_gallery
-    from synth3dlanes.figures.passes import pass_picture
-    from synth3dlanes.sources import some_samples
+    from synth3dlanes.sources import shown_samples, some_samples
 
     refuse_idle(show != "height", ["lanes"], "with --show height, which is no view of the camera")
-    samples = some_samples(folder, n, shuffle, where)
-    reader = samples[0][0]
-    if show != "image" and show not in reader.description["render"]["passes"]:
-        raise click.UsageError(f"--show {show}: {reader.url} was made without this pass.")
-    pictures = [
-        reader.image(i) if show == "image" else pass_picture(show, reader.passes(i)[show]) for reader, i in samples
-    ]
-    # A height map is not in the pixels of the image.
-    labels = [reader.labels(i) for reader, i in samples] if lanes and show != "height" else None
-    names = [f"{reader.key(i)} {reader.camera_name(i)}".rstrip() for reader, i in samples]
-    sheet = draw_gallery(pictures, names, labels, columns, width)
+    samples = shown_samples(some_samples(folder, n, shuffle, where), show, lanes)
+    sheet = draw_gallery(samples, columns, width)
     with replacing(out) as stream:
         sheet.save(stream, "PNG" if out.suffix.lower() == ".png" else "JPEG")
     click.echo(f"Gallery: {out}")
@@ -128,13 +108,11 @@ def gallery(
 def clip(where: str, out: Path, lanes: bool, width: int | None) -> None:
     """Write the clip to which a sample belongs, such as DIR/train:00000017, as an animated WebP."""
     from synth3dlanes.figures.clip import draw_clip
-    from synth3dlanes.figures.overlay import draw_overlay
     from synth3dlanes.sources import load_clip
 
     found = load_clip(where)
-    pictures = [draw_overlay(image, labels) if lanes else image for labels, image in found.frames]
-    write(out, draw_clip(pictures, found.fps, width))
-    click.echo(f"Clip: {out}, {len(pictures)} frames")
+    write(out, draw_clip(found.pictures(lanes), found.fps, width))
+    click.echo(f"Clip: {out}, {counted(len(found.frames), 'frame')}")
 
 
 @click.command()

@@ -19,6 +19,7 @@ from synth3dlanes.production.signals import StopSignal, handle, stop
 
 from .assets import assets
 from .bench import bench
+from .benchmark import benchmark
 from .data_sets import info, merge, split
 from .entry import NO_MEMORY, is_lack_of_memory
 from .export import export
@@ -32,7 +33,7 @@ from .twins import twins
 from .validate import validate
 
 # Commands that continue from what they have written.
-RESUMED = ("generate", "twins", "split", "merge", "export", "train", "ablation")
+RESUMED = ("generate", "twins", "split", "merge", "export", "benchmark", "train", "ablation")
 
 # Characters of a line.
 MOST_SHOWN = 400
@@ -82,7 +83,9 @@ class Commands(click.Group):
                 raise
             raise WorkFailure(f"{ctx.command_path} {ctx.invoked_subcommand}: {NO_MEMORY}") from error
         except BrokenPipeError:
-            raise
+            # Whoever read the output has left, as `head` does. What is still buffered goes nowhere.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+            ctx.exit(128 + signal.SIGPIPE)
         except OSError as error:
             place = f"{error.filename}: " if error.filename else ""
             raise BadInput(f"{place}{error.strerror or error}") from error
@@ -138,7 +141,7 @@ for command in (
         validate,
         bench,
     ),
-    *(train, predict, evaluate, ablation, onnx),
+    *(benchmark, train, predict, evaluate, ablation, onnx),
 ):
     main.add_command(command)
 

@@ -110,7 +110,7 @@ def train(
 
     To use several GPUs: torchrun --nproc-per-node 8 -m synth3dlanes train ...
     """
-    _need_torch()
+    need_torch()
     from synth3dlanes_baseline.checkpoint import fine_tuning
     from synth3dlanes_baseline.config import overrides_from, train_config
     from synth3dlanes_baseline.train import plan
@@ -178,13 +178,15 @@ def predict(
 
     Writes OUT/predictions.jsonl, and pictures of the lanes in the image and in 3D.
     """
-    _need_torch()
+    need_torch()
+    from synth3dlanes_baseline.predict import detector_for
     from synth3dlanes_baseline.predict import predict as run
 
     if len(what) > 2:
         raise click.UsageError(f"expected [CHECKPOINT] and one split, image or folder, got {len(what)} arguments")
     checkpoint, source = what if len(what) == 2 else (None, what[0])
-    click.echo(run(checkpoint, source, out, _intrinsics(intrinsics), overlays, device, own_model, threshold).text())
+    detector = detector_for(source, checkpoint, device, own_model)
+    click.echo(run(detector, source, out, _intrinsics(intrinsics), overlays, threshold).text())
 
 
 @click.command()
@@ -250,7 +252,7 @@ def evaluate(
     Without --checkpoint and --predictions, the labels themselves are scored, encoded as the targets of the network and
     decoded again: an upper bound for any network.
     """
-    _need_torch()
+    need_torch()
     import json
 
     refuse_together("checkpoint", "predictions")
@@ -312,7 +314,7 @@ def ablation(
     The table is saved to OUT/table.txt, .md and .json. With --sizes, every network is trained for the same number of
     steps (epochs are passes over the largest size), and OUT/curve.png shows the learning curve. Rerun to resume.
     """
-    _need_torch()
+    need_torch()
     from synth3dlanes_baseline import ablation as comparing
     from synth3dlanes_baseline.config import overrides_from
 
@@ -329,13 +331,13 @@ def ablation(
 @click.argument("path", metavar="FILE.onnx", type=click.Path(dir_okay=False, path_type=Path))
 def onnx(checkpoint: str, path: Path) -> None:
     """Export the network of a checkpoint to ONNX: inputs image and intrinsics; outputs x_m, z_m, score and pose."""
-    _need_torch()
+    need_torch()
     from synth3dlanes_baseline.onnx_export import export_onnx
 
     click.echo(export_onnx(checkpoint, path))
 
 
-def _need_torch() -> None:
+def need_torch() -> None:
     # OpenMP's threads spin while they wait for each other. On cores that others use as well, a training step took
     # 4.8 s with spinning and 0.4 s without; on idle cores it makes no difference. Read when torch is first loaded.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")

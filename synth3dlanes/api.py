@@ -23,6 +23,7 @@ from synth3dlanes.dataset.format import (
     LABELS,
     LIDAR,
     PASSES,
+    Picture,
     decode_image,
     encode,
     read_passes,
@@ -91,7 +92,7 @@ class Rendered:
         path = Path(path)
         image_format = _one_of("path", path.suffix.removeprefix("."), IMAGE_FORMATS)
         text = scene_format.to_json(self.scene)
-        members = encode(self.image, self.labels, text, self.passes, image_format, sweep=self.sweep)
+        members = encode(Picture(self.image, self.labels, self.passes, self.sweep), text, image_format)
         for name, data in members.items():
             write(path.with_suffix(f".{name}"), data)
         return [path.with_suffix(f".{name}") for name in members]

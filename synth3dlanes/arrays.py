@@ -1,7 +1,9 @@
 """Names of array types. A letter stands for one length throughout a signature, `_` for a length of its own."""
 
+from collections.abc import Mapping
+
 import numpy as np
-from jaxtyping import Bool, Float, Int, Integer, UInt8
+from jaxtyping import Bool, Float, Int, Integer, Shaped, UInt8
 
 # One number, or one point, for each of n. Points are in the frame that the variable's name ends in.
 Scalars = Float[np.ndarray, " n"]
@@ -27,3 +29,6 @@ RgbImage = UInt8[np.ndarray, "h w 3"]
 LinearImage = Float[np.ndarray, "h w 3"]
 IdImage = Int[np.ndarray, "h w"]
 MaskImage = Bool[np.ndarray, "h w"]
+
+# The passes of a sample by their names.
+Passes = Mapping[str, Shaped[np.ndarray, "..."]]

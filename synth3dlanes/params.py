@@ -325,7 +325,7 @@ def presets_folder() -> Path:
 
 
 def preset_names(kind: str = "") -> list[str]:
-    """The names of the presets, or of the ready `cameras`, `rigs` or `lidars`."""
+    """The names of the presets, or of the ready `benchmarks`, `cameras`, `rigs` or `lidars`."""
     return sorted(path.stem for path in (presets_folder() / kind).glob("*.yaml"))
 
 

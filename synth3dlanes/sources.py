@@ -3,14 +3,16 @@
 Reads files; no Blender.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from jaxtyping import Shaped, UInt8
+from jaxtyping import Shaped
 from pydantic import BeforeValidator, ValidationError
 
+from synth3dlanes.arrays import RgbImage
 from synth3dlanes.assets.catalogue import Assets
 from synth3dlanes.dataset.address import SAMPLE, splits_near
 from synth3dlanes.dataset.description import DESCRIPTION
@@ -19,6 +21,8 @@ from synth3dlanes.dataset.query import rows_where
 from synth3dlanes.dataset.read import Reader, find
 from synth3dlanes.dataset.splits import readers
 from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.figures.overlay import draw_overlay
+from synth3dlanes.figures.shown import ShownSample, ShownScene
 from synth3dlanes.files import read_bounded
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
@@ -32,16 +36,6 @@ from synth3dlanes.shots import SINGLE, Shots
 
 # Passes of 8192 x 8192 take 1 GB without compression.
 MAX_IMAGE_BYTES = 1 << 30
-
-
-@dataclass(frozen=True, eq=False)
-class LabelledScene:
-    """A scene with its labels, and its image where there is one."""
-
-    name: str
-    scene: Scene
-    labels: Labels
-    image: UInt8[np.ndarray, "h w 3"] | None
 
 
 def scene_name(path: Path) -> str:
@@ -65,22 +59,43 @@ def find_scene(where: str) -> tuple[str, Scene]:
     return scene_name(Path(where)), load_scene(Path(where))
 
 
-def load_any(where: str, image_path: Path | None) -> LabelledScene:
-    """Find a sample by `DIR/SPLIT:KEY`, or a scene by its file, with labels drawn from the scene alone."""
-    if SAMPLE.fullmatch(where):
-        if image_path is not None:
-            raise InputError(f"image {image_path}: expected none beside a sample, which has its own")
-        reader, position = find(where)
-        sample = reader[position]
-        return LabelledScene(sample.key, from_json(sample.scene_json, where), sample.labels, sample.image)
-    name, scene = find_scene(where)
-    size_px = scene.camera.width_px, scene.camera.height_px
-    image = (
-        None
-        if image_path is None
-        else decode_image(read_bounded(image_path, MAX_IMAGE_BYTES), str(image_path), size_px)
+def load_shown(
+    where: str, image_path: Path | None, *, with_passes: bool = False, with_clip: bool = False
+) -> ShownScene:
+    """What there is to be shown of a sample `DIR/SPLIT:KEY`; or of a scene.json, whose labels are drawn from the scene
+    alone, with its rendered image, if there is one, and the files beside that.
+
+    Raises InputError for an image beside a sample, and where passes are asked for and there are none.
+    """
+    is_sample = SAMPLE.fullmatch(where) is not None
+    name, scene, labels, image = _sample(where, image_path) if is_sample else _rendered(where, image_path)
+    return ShownScene(
+        scene,
+        labels,
+        image,
+        load_passes(where, image_path) if with_passes else {},
+        load_sweep(where, image_path, labels),
+        load_clip(where).frames if is_sample and with_clip and scene.shot.n_frames > 1 else (),
+        load_rig_pictures(where) if is_sample and scene.shot.n_cameras > 1 else (),
+        name,
     )
-    return LabelledScene(name, scene, ground_truth(scene), image)
+
+
+def _sample(where: str, image_path: Path | None) -> tuple[str, Scene, Labels, RgbImage]:
+    if image_path is not None:
+        raise InputError(f"image {image_path}: expected none beside a sample, which has its own")
+    reader, position = find(where)
+    sample = reader[position]
+    return sample.key, from_json(sample.scene_json, where), sample.labels, sample.image
+
+
+def _rendered(where: str, image_path: Path | None) -> tuple[str, Scene, Labels, RgbImage | None]:
+    name, scene = find_scene(where)
+    if image_path is None:
+        return name, scene, ground_truth(scene), None
+    size_px = scene.camera.width_px, scene.camera.height_px
+    image = decode_image(read_bounded(image_path, MAX_IMAGE_BYTES), str(image_path), size_px)
+    return name, scene, ground_truth(scene), image
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +103,11 @@ class Clip:
     """Labels and image of each frame, and how many there are a second."""
 
     fps: float
-    frames: list[tuple[Labels, UInt8[np.ndarray, "h w 3"]]]
+    frames: list[tuple[Labels, RgbImage]]
+
+    def pictures(self, with_lanes: bool) -> list[RgbImage]:
+        """The images, with or without their lanes."""
+        return [draw_overlay(image, labels) if with_lanes else image for labels, image in self.frames]
 
 
 def load_clip(where: str) -> Clip:
@@ -102,7 +121,7 @@ def load_clip(where: str) -> Clip:
     return Clip(shot.fps, [(reader.labels(position), reader.image(position)) for position in positions])
 
 
-def load_rig_pictures(where: str) -> list[tuple[Labels, UInt8[np.ndarray, "h w 3"]]]:
+def load_rig_pictures(where: str) -> list[tuple[Labels, RgbImage]]:
     """What all cameras of a rig see in the scene and frame of a sample `DIR/SPLIT:KEY`."""
     reader, i = find(where)
     return [(reader.labels(position), reader.image(position)) for position in reader.rig(i)]
@@ -181,3 +200,24 @@ def some_samples(folder: str, n: int, shuffle: int | None, where: str | None) ->
     if shuffle is not None:
         chosen = np.random.default_rng(shuffle).permutation(chosen)
     return [(reader, int(i)) for i in chosen[:n]]
+
+
+def shown_samples(
+    samples: Sequence[tuple[Reader, int]], show: str = "image", with_lanes: bool = True
+) -> list[ShownSample]:
+    """The images of some samples of a split, or one of their passes, with their keys and labels. A height map has no
+    labels: it is not in the pixels of the image. Raises InputError for a pass that the split was made without."""
+    # Loaded here: matplotlib takes a second.
+    from synth3dlanes.figures.passes import pass_picture
+
+    reader = samples[0][0]
+    if show != "image" and show not in reader.description["render"]["passes"]:
+        raise InputError(f"show {show}: {reader.url} was made without this pass")
+    return [
+        ShownSample(
+            f"{reader.key(i)} {reader.camera_name(i)}".rstrip(),
+            reader.image(i) if show == "image" else pass_picture(show, reader.passes(i)[show]),
+            reader.labels(i) if with_lanes and show != "height" else None,
+        )
+        for reader, i in samples
+    ]

@@ -42,9 +42,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(pytest.mark.skip(reason="there is no bpy for this Python"))
 
 
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    from tests import warm
+
+    warm.use(item.path.parent.name != "production")
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     session.config.stash[EXIT_STATUS] = exitstatus
+    if "tests.warm" in sys.modules:
+        sys.modules["tests.warm"].stop()
 
 
 @pytest.hookimpl(trylast=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from synth3dlanes import scene as scene_module
-from synth3dlanes.dataset.format import encode
+from synth3dlanes.dataset.format import Picture, encode
 from synth3dlanes.ground_truth import label
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph, Segment
 from synth3dlanes.params import load_params
@@ -57,7 +57,7 @@ def make(recipe: Recipe, index: int) -> PackedSample:
     world = {"seed": recipe.scenes.seed, "split": recipe.scenes.split, "index": place.scene, "shot": shot}
     scene = FLAT.model_copy(update={**world, "camera": camera})
     time_s = shot.time_s if shots.frames > 1 else None
-    members = encode(image(index), labels(index, time_s), scene_module.to_json(scene), {}, recipe.image_format)
+    members = encode(Picture(image(index), labels(index, time_s)), scene_module.to_json(scene), recipe.image_format)
     return PackedSample(members, {"fake": 0.0})
 
 
@@ -65,7 +65,7 @@ def make_labelled(recipe: Recipe, index: int) -> PackedSample:
     """Scene and labels are true, the image is black."""
     world = sample_world(recipe.scenes, index)
     black = np.zeros((world.scene.camera.height_px, world.scene.camera.width_px, 3), np.uint8)
-    members = encode(black, label(world, world.view), scene_module.to_json(world.scene), {}, recipe.image_format)
+    members = encode(Picture(black, label(world, world.view)), scene_module.to_json(world.scene), recipe.image_format)
     return PackedSample(members, {"fake": 0.0})
 
 

@@ -6,7 +6,7 @@ Pure bytes: nothing here opens a file. Equal samples give equal bytes.
 import io
 import tarfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from jaxtyping import Shaped, UInt8
 from PIL import Image, UnidentifiedImageError
 
 from synth3dlanes import labels as labels_module
+from synth3dlanes.arrays import Passes
 from synth3dlanes.errors import FormatError
 from synth3dlanes.labels import Labels, LidarLabel
 from synth3dlanes.schema import MAX_PX
@@ -51,6 +52,16 @@ class Sample:
     scene_json: bytes
 
 
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A scene rendered: image and labels, the passes asked for, and the sweep of its lidar, if it has one."""
+
+    image: UInt8[np.ndarray, "h w 3"]
+    labels: Labels
+    passes: Passes = field(default_factory=dict)
+    sweep: Sweep | None = None
+
+
 def key_of(index: int) -> str:
     """The name of scene `index` of a split: eight digits, no dot (webdataset cuts a key at its first dot)."""
     return f"{index:08d}"
@@ -63,28 +74,20 @@ def member_names(image_format: str, passes: Sequence[str]) -> tuple[str, ...]:
     return (image_format, SCENE, LABELS, *pixel_passes, *(member for name, member in own.items() if name in passes))
 
 
-def encode(
-    image: UInt8[np.ndarray, "h w 3"],
-    labels: Labels,
-    scene_json: str,
-    passes: Mapping[str, Shaped[np.ndarray, "..."]],
-    image_format: str,
-    jpeg_quality: int = JPEG_QUALITY,
-    sweep: Sweep | None = None,
-) -> dict[str, bytes]:
+def encode(picture: Picture, scene_json: str, image_format: str, jpeg_quality: int = JPEG_QUALITY) -> dict[str, bytes]:
     """A sample's members, named as `member_names` does."""
     members = {
-        image_format: encode_image(image, image_format, jpeg_quality),
+        image_format: encode_image(picture.image, image_format, jpeg_quality),
         SCENE: scene_json.encode(),
-        LABELS: labels_module.to_json(labels).encode(),
+        LABELS: labels_module.to_json(picture.labels).encode(),
     }
-    of_pixels = {name: values for name, values in passes.items() if name != "height"}
+    of_pixels = {name: values for name, values in picture.passes.items() if name != "height"}
     if of_pixels:
         members[PASSES] = write_passes(of_pixels)
-    if "height" in passes:
-        members[HEIGHT] = write_passes({"height": passes["height"]})
-    if sweep is not None:
-        members[LIDAR] = write_sweep(sweep)
+    if "height" in picture.passes:
+        members[HEIGHT] = write_passes({"height": picture.passes["height"]})
+    if picture.sweep is not None:
+        members[LIDAR] = write_sweep(picture.sweep)
     return members
 
 

@@ -4,13 +4,14 @@ import io
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import UInt8
 from PIL import Image
+
+from synth3dlanes.arrays import RgbImage
 
 WEBP_QUALITY = 80
 
 
-def draw_clip(frames: Sequence[UInt8[np.ndarray, "h w 3"]], fps: float, width_px: int | None = None) -> bytes:
+def draw_clip(frames: Sequence[RgbImage], fps: float, width_px: int | None = None) -> bytes:
     """An animated WebP that repeats the frames; wider ones are shrunk to `width_px`."""
     height, width = frames[0].shape[:2]
     if width_px is not None and width > width_px:

@@ -2,46 +2,38 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from synth3dlanes.figures.overlay import draw_overlay
-from synth3dlanes.labels import Labels
+from synth3dlanes.figures.shown import ShownSample
 
 _GAP_PX = 4
 _TEXT_PX = 12
 
 
-def draw_gallery(
-    images: Sequence[UInt8[np.ndarray, "h w 3"]],
-    names: Sequence[str],
-    labels: Sequence[Labels] | None,
-    columns: int,
-    width_px: int | None = None,
-) -> Image.Image:
-    """A contact sheet, row by row from the top left; draws each name into its cell, and lanes if given.
+def draw_gallery(samples: Sequence[ShownSample], columns: int, width_px: int | None = None) -> Image.Image:
+    """A contact sheet, row by row from the top left, each picture with its name and the lanes of its labels.
 
-    Cells have the first image's size, or fill a sheet of at most `width_px`; images of another shape fit into them.
+    Cells have the first picture's size, or fill a sheet of at most `width_px`; pictures of another shape fit into them.
     """
-    assert images
+    assert samples
     assert columns > 0
-    height, width = images[0].shape[:2]
-    columns = min(columns, len(images))
-    rows = -(-len(images) // columns)
+    height, width = samples[0].image.shape[:2]
+    columns = min(columns, len(samples))
+    rows = -(-len(samples) // columns)
     if width_px is not None and columns * (width + _GAP_PX) + _GAP_PX > width_px:
         shrunk = max(1, (width_px - _GAP_PX) // columns - _GAP_PX)
         width, height = shrunk, max(1, round(height * shrunk / width))
     sheet_size = (columns * (width + _GAP_PX) + _GAP_PX, rows * (height + _GAP_PX) + _GAP_PX)
     sheet = Image.new("RGB", sheet_size, "white")
-    for number, image in enumerate(images):
-        drawn = Image.fromarray(image if labels is None else draw_overlay(image, labels[number]))
+    for number, sample in enumerate(samples):
+        drawn = Image.fromarray(sample.image if sample.labels is None else draw_overlay(sample.image, sample.labels))
         row, column = divmod(number, columns)
         corner = (_GAP_PX + column * (width + _GAP_PX), _GAP_PX + row * (height + _GAP_PX))
         scale = min(width / drawn.width, height / drawn.height)
         size = min(width, round(scale * drawn.width)), min(height, round(scale * drawn.height))
         sheet.paste(drawn.resize(size, Image.Resampling.LANCZOS), corner)
-        _write(sheet, names[number], corner)
+        _write(sheet, sample.name, corner)
     return sheet
 
 

@@ -1,9 +1,5 @@
 """One scene explained: a summary for the terminal, and a figure."""
 
-from collections.abc import Sequence
-
-import numpy as np
-from jaxtyping import UInt8
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -13,12 +9,13 @@ from rich.table import Table
 
 from synth3dlanes.figures import colors, views
 from synth3dlanes.figures.describe import LANE_COLUMNS, describe, lane_row, topology_words
-from synth3dlanes.figures.passes import Passes, draw_pass
+from synth3dlanes.figures.passes import draw_pass
 from synth3dlanes.figures.scene_view import SceneView
+from synth3dlanes.figures.shown import ShownScene
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
-from synth3dlanes.sensors.sweep import Sweep
 from synth3dlanes.settings import PASSES
+from synth3dlanes.words import counted
 
 # Images of a rig's cameras in a row.
 RIG_COLUMNS = 3
@@ -41,22 +38,18 @@ def summary(scene: Scene, labels: Labels) -> RenderableType:
 
 
 def draw_inspect(
-    scene: Scene,
-    labels: Labels,
-    image: UInt8[np.ndarray, "h w 3"] | None,
-    passes: Passes | None = None,
-    sweep: Sweep | None = None,
-    rig: Sequence[tuple[Labels, UInt8[np.ndarray, "h w 3"]]] = (),
+    shown: ShownScene,
 ) -> Figure:
     """One page with the image, its passes, and the scene in 3D, from above with the lidar's points, and from the side;
-    without an image, lanes alone. `rig` has what all cameras of a rig see then, for rows of their images."""
+    without an image, lanes alone. The images of a rig's cameras are in rows of their own."""
+    scene, labels, passes, rig = shown.scene, shown.labels, shown.passes, shown.rig
     view = SceneView(scene, labels)
-    pass_rows = [names for names in (PASSES[:2], PASSES[2:4], PASSES[4:]) if passes and set(names) & set(passes)]
+    pass_rows = [names for names in (PASSES[:2], PASSES[2:4], PASSES[4:]) if set(names) & set(passes)]
     rig_rows = [rig[i : i + RIG_COLUMNS] for i in range(0, len(rig), RIG_COLUMNS)]
     heights = (9.5, *(4.0 for _ in rig_rows), *(7.0 for _ in pass_rows), 8.5, 4)
     figure = Figure(figsize=(15, 14.5 / 22 * sum(heights)), layout="constrained")
     grid = figure.add_gridspec(len(heights), 2, height_ratios=heights, width_ratios=(1, 1))
-    views.draw_image(figure.add_subplot(grid[0, 0]), labels, image)
+    views.draw_image(figure.add_subplot(grid[0, 0]), labels, shown.image)
     space = figure.add_subplot(grid[0, 1], projection="3d", computed_zorder=False)
     views.draw_3d(space, view)
     for row, pictures in enumerate(rig_rows, 1):
@@ -67,13 +60,14 @@ def draw_inspect(
             axes.set_title(seen.camera.name)
     for row, names in enumerate(pass_rows, 1 + len(rig_rows)):
         for column, name in enumerate(names):
-            if passes and name in passes:
+            if name in passes:
                 draw_pass(figure.add_subplot(grid[row, column]), name, passes[name])
-    views.draw_top(figure.add_subplot(grid[-2, :]), view, sweep, [seen.camera for seen, _ in rig])
+    views.draw_top(figure.add_subplot(grid[-2, :]), view, shown.sweep, [seen.camera for seen, _ in rig])
     views.draw_side(figure.add_subplot(grid[-1, :]), view)
     figure.legend(handles=_legend(), loc="outside lower center", ncols=7, frameon=False)
     figure.suptitle(
-        f"seed {scene.seed}, {scene.split} {scene.index}: {scene.road.n_lanes} lanes, {topology_words(scene.road)}",
+        f"seed {scene.seed}, {scene.split} {scene.index}: {counted(scene.road.n_lanes, 'lane')}, "
+        f"{topology_words(scene.road)}",
         fontsize=14, x=0.01, ha="left", color=colors.INK,
     )  # fmt: skip
     return figure

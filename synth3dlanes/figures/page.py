@@ -18,8 +18,9 @@ from synth3dlanes.figures.describe import LANE_COLUMNS, describe, lane_row, topo
 from synth3dlanes.figures.histograms import histograms
 from synth3dlanes.figures.overlay import stretches_img
 from synth3dlanes.figures.page_plots import plot
-from synth3dlanes.figures.passes import WORDS, Passes, pass_picture
+from synth3dlanes.figures.passes import WORDS, pass_picture
 from synth3dlanes.figures.scene_view import SceneView
+from synth3dlanes.figures.shown import ShownScene
 from synth3dlanes.figures.space import triangles
 from synth3dlanes.figures.stats import LabelStatistics, SceneStatistics, is_fine
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneKind
@@ -92,39 +93,32 @@ class ClipFrame(NamedTuple):
 
 
 def scene_page(
-    scene: Scene,
-    labels: Labels,
-    image: RgbImage | None,
-    passes: Passes | None = None,
-    sweep: Sweep | None = None,
-    clip: Sequence[tuple[Labels, RgbImage]] = (),
-    rig: Sequence[tuple[Labels, RgbImage]] = (),
+    shown: ShownScene,
 ) -> str:
     """One scene: the image with lanes and masks that can be switched on and off, a 3D view with the lidar's points, its
     passes, and all parameters; with the frames of its clip, a slider through them (at most MAX_FRAMES, evenly spaced);
     with what all cameras of its rig see then, their images side by side."""
-    step = -(-len(clip) // MAX_FRAMES)
-    shown = [(number, *clip[number]) for number in range(0, len(clip), max(1, step))]
-    frames = [
-        ClipFrame(f"frame {n}, {found.time_s or 0:.2f} s", _drawing(found, picture)) for n, found, picture in shown
-    ]
+    scene, labels = shown.scene, shown.labels
+    step = max(1, -(-len(shown.clip) // MAX_FRAMES))
+    numbers = range(0, len(shown.clip), step)
+    frames = [_frame(number, *shown.clip[number]) for number in numbers]
     return _render(
         "scene.html",
         title=f"seed {scene.seed}, {scene.split} {scene.index}: {topology_words(scene.road)}",
         switches=_switches([labels]),
-        drawn=_drawing(labels, image),
+        drawn=_drawing(labels, shown.image),
         frames=frames,
-        pause_ms=round(1000 / scene.shot.fps * max(1, step)),
-        start=min(range(len(frames)), key=lambda i: abs(shown[i][0] - scene.shot.frame), default=0),
-        rig=[(found.camera.name, _drawing(found, picture)) for found, picture in rig],
+        pause_ms=round(1000 / scene.shot.fps * step),
+        start=min(range(len(frames)), key=lambda i: abs(numbers[i] - scene.shot.frame), default=0),
+        rig=[(found.camera.name, _drawing(found, picture)) for found, picture in shown.rig],
         passes=[
-            PassPicture(name, WORDS[name], _jpeg(pass_picture(name, values))) for name, values in (passes or {}).items()
+            PassPicture(name, WORDS[name], _jpeg(pass_picture(name, values))) for name, values in shown.passes.items()
         ],
         groups=describe(scene, labels),
         lane_columns=LANE_COLUMNS,
         lane_rows=[lane_row(lane) for lane in labels.lanes],
         document=json.dumps(json.loads(to_json(scene)), indent=1),
-        space=_space(SceneView(scene, labels), sweep, [found.camera for found, _ in rig]),
+        space=_space(SceneView(scene, labels), shown.sweep, [found.camera for found, _ in shown.rig]),
     )
 
 
@@ -173,6 +167,10 @@ def _render(template: str, **values: Any) -> str:
     )
     environment.policies["json.dumps_kwargs"] = {"sort_keys": False}
     return environment.get_template(template).render(values)
+
+
+def _frame(number: int, labels: Labels, image: RgbImage) -> ClipFrame:
+    return ClipFrame(f"frame {number}, {labels.time_s or 0:.2f} s", _drawing(labels, image))
 
 
 def _drawing(labels: Labels, image: RgbImage | None) -> Drawing:

@@ -1,7 +1,6 @@
 """Passes as pictures."""
 
 import colorsys
-from collections.abc import Mapping
 
 import numpy as np
 from jaxtyping import Shaped, UInt8
@@ -14,8 +13,6 @@ from matplotlib.patches import Patch
 from synth3dlanes.arrays import RgbImage
 from synth3dlanes.figures import colors
 from synth3dlanes.settings import SEMANTIC_IDS
-
-Passes = Mapping[str, Shaped[np.ndarray, "..."]]
 
 WORDS = {
     "depth": "metres along the viewing direction, from 2 m (yellow) to 500 m (violet); gray: sky",

@@ -7,6 +7,7 @@ from pathlib import Path
 from synth3dlanes.errors import DiskFullError
 from synth3dlanes.production.events import duration
 from synth3dlanes.production.recipe import Recipe
+from synth3dlanes.words import counted
 
 # Measured on scenes of Appendix I at 480x360: core-seconds an image, bytes a pixel, bytes of text.
 SECONDS_PER_PIXEL_SAMPLE, SECONDS_PER_PIXEL, SECONDS_PER_SCENE = 2.3e-6, 1.6e-6, 0.25
@@ -36,8 +37,8 @@ class Forecast:
     def text(self) -> str:
         """The forecast in a line."""
         return (
-            f"{self.samples} samples to make with {self.workers} workers: about {duration(self.seconds)} "
-            f"and {self.bytes_kept / 1e9:.2g} GB"
+            f"{counted(self.samples, 'sample')} to make with {counted(self.workers, 'worker')}: "
+            f"about {duration(self.seconds)} and {self.bytes_kept / 1e9:.2g} GB"
         )
 
     def require_room(self, folder: Path, reserve: int = 0) -> None:
@@ -47,7 +48,8 @@ class Forecast:
         free, needed = shutil.disk_usage(there).free, self.bytes_needed + reserve
         if self.samples and free < needed:
             raise DiskFullError(
-                f"{folder}: {self.samples} samples need {needed / 1e9:.3g} GB, but only {free / 1e9:.3g} GB are free"
+                f"{folder}: {counted(self.samples, 'sample')} need {needed / 1e9:.3g} GB, "
+                f"but only {free / 1e9:.3g} GB are free"
             )
 
 

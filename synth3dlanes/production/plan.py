@@ -16,7 +16,9 @@ from synth3dlanes.production.forecast import Forecast, forecast
 from synth3dlanes.production.recipe import PackedSample, Recipe, make_sample
 from synth3dlanes.production.workers import Limits
 from synth3dlanes.sampling.traffic import check_way
+from synth3dlanes.sensors.cameras import black_pictures
 from synth3dlanes.settings import MAX_SAMPLES, SPLIT_NAME
+from synth3dlanes.words import counted
 
 SHARD_SIZE = 1000
 
@@ -86,14 +88,15 @@ class Plan:
         """What is asked for, in a line."""
         (part, parts), recipe, settings = self.part, self.recipe, self.recipe.settings
         told = [
-            f"{self.destination.place}/{recipe.scenes.split}: {self.n} samples",
+            f"{self.destination.place}/{recipe.scenes.split}: {counted(self.n, 'sample')}",
             *filter(None, [recipe.scenes.shots.text(self.n)]),
             *([f"part {part} of {parts}"] if parts > 1 else []),
             f"seed {recipe.scenes.seed}",
             f"{recipe.sizes} {recipe.image_format}",
-            f"{settings.samples} samples per pixel",
+            f"{counted(settings.samples, 'sample')} per pixel",
             f"device {settings.device}",
             f"passes {', '.join(settings.passes) or 'none'}",
+            *black_pictures(recipe.scenes.shots.cameras),
         ]
         return ", ".join(told)
 

@@ -4,16 +4,15 @@ import importlib.util
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
-from jaxtyping import UInt8
 
 from synth3dlanes import __version__
 from synth3dlanes import scene as scene_module
 from synth3dlanes.assets.catalogue import BUILT_IN, KINDS, Library
-from synth3dlanes.dataset.format import encode, member_names
+from synth3dlanes.dataset.format import Picture, encode, member_names
 from synth3dlanes.dataset.write import Shard
 from synth3dlanes.distributions import form
 from synth3dlanes.errors import MissingPackageError
@@ -22,12 +21,10 @@ from synth3dlanes.ground_truth import label
 from synth3dlanes.imaging.daylight import daylight
 from synth3dlanes.imaging.develop import develop
 from synth3dlanes.imaging.layers import Layers
-from synth3dlanes.labels import Labels
 from synth3dlanes.params import CameraParams
 from synth3dlanes.sample import Scenes, sample_world
 from synth3dlanes.scene import Scene
 from synth3dlanes.sensors.cameras import CameraSpec
-from synth3dlanes.sensors.sweep import Sweep
 from synth3dlanes.settings import RenderSettings
 from synth3dlanes.shots import SINGLE
 from synth3dlanes.world import View, World
@@ -83,15 +80,10 @@ class Recipe:
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
-    """An image, its labels with `object_visible`, the passes asked for, the lidar's sweep if the scene has a lidar, and
-    seconds spent by stage."""
+class TimedPicture(Picture):
+    """A picture, and seconds by stage."""
 
-    image: UInt8[np.ndarray, "h w 3"]
-    labels: Labels
-    passes: dict[str, np.ndarray]
-    sweep: Sweep | None
-    timings: dict[str, float]
+    timings: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -127,11 +119,11 @@ def make_image(world: World, settings: RenderSettings, image_format: str, librar
     start = time.perf_counter()
     text = scene_module.to_json(world.scene)
     quality = world.scene.sensor.jpeg_quality
-    members = encode(shot.image, shot.labels, text, shot.passes, image_format, quality, shot.sweep)
+    members = encode(shot, text, image_format, quality)
     return PackedSample(members, {**shot.timings, "encode": time.perf_counter() - start})
 
 
-def take_picture(world: World, settings: RenderSettings, library: Library = BUILT_IN) -> Picture:
+def take_picture(world: World, settings: RenderSettings, library: Library = BUILT_IN) -> TimedPicture:
     """Label, render and develop a world as its scene's camera sees it."""
     # Loaded here: only the processes that render may carry Blender.
     from synth3dlanes.blender.render import render
@@ -146,7 +138,7 @@ def take_picture(world: World, settings: RenderSettings, library: Library = BUIL
     image = develop(world.scene, view, light, rendering.layers, world.site.street_lamps)
     passes = _passes(world, view, rendering.layers, settings.passes)
     seconds = {"labels": labelled - start, "light": lit - labelled, "develop": time.perf_counter() - rendered}
-    return Picture(image, rendering.labels, passes, rendering.sweep, {**seconds, **rendering.timings})
+    return TimedPicture(image, rendering.labels, passes, rendering.sweep, {**seconds, **rendering.timings})
 
 
 def _passes(world: World, view: View, layers: Layers, names: Sequence[str]) -> dict[str, np.ndarray]:

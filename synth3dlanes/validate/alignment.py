@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from synth3dlanes.arrays import Passes
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding
-from synth3dlanes.validate.pixels import Passes
 
 # Brightness steps are measured up to this many pixels from each border.
 REACH_PX = 6

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Int
 
-from synth3dlanes.arrays import Points3, RgbImage
+from synth3dlanes.arrays import Passes, Points3, RgbImage
 from synth3dlanes.frames import transform
 from synth3dlanes.ground_truth import label
 from synth3dlanes.labels import CameraLabel, Labels, Lane
@@ -15,7 +15,7 @@ from synth3dlanes.sensors.sweep import Sweep
 from synth3dlanes.validate.boxes import StructureBoxes, structure_boxes
 from synth3dlanes.validate.integrity import Entry
 from synth3dlanes.validate.paint import WorldPaint
-from synth3dlanes.validate.pixels import Passes, luma
+from synth3dlanes.validate.pixels import luma
 from synth3dlanes.world import World
 
 # Points this close to the image's border may be on either side of it after rounding.

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Bool, Float
 
+from synth3dlanes.arrays import Passes
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.camera import project
 from synth3dlanes.geometry.meshes import road_stations
@@ -18,7 +19,7 @@ from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
 from synth3dlanes.validate.ids import THINGS, disagreement, kind_of, outside_bodies
-from synth3dlanes.validate.pixels import Passes, around, depth_between
+from synth3dlanes.validate.pixels import around, depth_between
 from synth3dlanes.validate.places import places
 from synth3dlanes.validate.surface import MAX_GAP_M, PAVEMENT, misplaced, pavement_at
 from synth3dlanes.world import World

@@ -25,6 +25,7 @@ from synth3dlanes.dataset.format import (
     LIDAR,
     PASSES,
     SCENE,
+    Picture,
     decode_image,
     encode,
     read_passes,
@@ -34,7 +35,7 @@ from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.labels import Labels
 from synth3dlanes.production.devices import WorkerSlots, resolve_device
 from synth3dlanes.production.forecast import patience_s
-from synth3dlanes.production.recipe import Picture, Recipe, take_picture
+from synth3dlanes.production.recipe import Recipe, take_picture
 from synth3dlanes.production.workers import Limits, Pool
 from synth3dlanes.sample import Scenes
 from synth3dlanes.settings import (
@@ -157,7 +158,7 @@ def _make(origin: Origin, recipe: Recipe, entry: Entry) -> RemakeResult:
     made = take_picture(world, replace(asked, passes=passes), recipe.library)
     kept = {name: pixels for name, pixels in made.passes.items() if name in asked.passes}
     text, quality = scene_module.to_json(scene), scene.sensor.jpeg_quality
-    members = encode(made.image, made.labels, text, kept, recipe.image_format, quality, made.sweep)
+    members = encode(replace(made, passes=kept), text, recipe.image_format, quality)
     faults = [f"made again: {fault}" for fault in compare(made, members, lies)]
     return RemakeResult(entry.name, members == lies, faults)
 
@@ -188,6 +189,7 @@ def compare(picture: Picture, made: Members, lies: Members) -> Iterator[str]:
 
 def _layers(picture: Picture, name: str, made: Members, lies: Members) -> Iterator[LayerPair]:
     """The arrays of a member."""
+    prefix, passes = "", picture.passes
     if name == LIDAR and picture.labels.lidar is not None:
         sweeps = (vars(read_sweep(members[name], name, picture.labels.lidar)) for members in (made, lies))
         own, other = ({key.removesuffix("_m"): sweep[key] for key in ("range_m", *IDS)} for sweep in sweeps)
@@ -197,7 +199,6 @@ def _layers(picture: Picture, name: str, made: Members, lies: Members) -> Iterat
         prefix, passes = "", picture.passes
     else:
         own, other = (read_passes(members[name], name) for members in (made, lies))
-        prefix, passes = "", picture.passes
     if set(own) != set(other):
         raise FormatError(f"expected {', '.join(own)}, got {', '.join(other)}")
     for kind, pixels in own.items():

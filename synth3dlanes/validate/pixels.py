@@ -3,7 +3,6 @@
 A pass has one sample at each pixel's centre: (column, row) + 0.5.
 """
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +13,6 @@ from synth3dlanes.arrays import Points2
 # At most this many pixels of a kind are used, evenly spread over the image.
 MAX_PIXELS = 10_000
 
-Passes = Mapping[str, Shaped[np.ndarray, "..."]]
 Squares = Int[np.ndarray, "k n"]
 
 # The weights of red, green and blue in the brightness of gamma-coded pixels (ITU-R BT.601).

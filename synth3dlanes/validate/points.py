@@ -12,14 +12,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
 from scipy.spatial import cKDTree
 
-from synth3dlanes.arrays import Points2
+from synth3dlanes.arrays import Passes, Points2
 from synth3dlanes.geometry.solids import SURFACES
 from synth3dlanes.labels import CameraLabel, Lane
 from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
 from synth3dlanes.validate.paint import Strip
-from synth3dlanes.validate.pixels import Passes, Squares, around, depth_between
+from synth3dlanes.validate.pixels import Squares, around, depth_between
 
 # Label faults affect whole lines: a line fails if more than this share of its points, and more than two
 # points, are off.

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from synth3dlanes.arrays import RgbImage
+from synth3dlanes.arrays import Passes, RgbImage
 from synth3dlanes.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.dataset.address import connect, splits_near, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION, Description, parse_description, recipe_text
@@ -20,6 +20,7 @@ from synth3dlanes.geometry import height_map
 from synth3dlanes.geometry.camera import rays_of_pixels
 from synth3dlanes.processes import process_pool
 from synth3dlanes.scene import Scene
+from synth3dlanes.sensors.cameras import black_pictures
 from synth3dlanes.validate.checks import CHECKS
 from synth3dlanes.validate.contents import read_contents
 from synth3dlanes.validate.evidence import Evidence
@@ -27,7 +28,6 @@ from synth3dlanes.validate.findings import Finding, Problem, Result, findings_of
 from synth3dlanes.validate.integrity import Entry, check_companions, check_presence, check_shard, read_sample
 from synth3dlanes.validate.made_again import how_to_make, make_again, some_of
 from synth3dlanes.validate.origin import Origin, drawn_otherwise, made_otherwise, read_origin
-from synth3dlanes.validate.pixels import Passes
 from synth3dlanes.validate.report import ValidationReport, draw, remove_pictures, save_picture
 from synth3dlanes.validate.structure import check_shape
 from synth3dlanes.world import resolve
@@ -85,6 +85,7 @@ def validate(
     except FormatError as error:
         report.problems.append(Problem(DESCRIPTION, "", str(error)))
         origin = None
+    report.notes += black_pictures(origin.shots.cameras) if origin else []
     making = how_to_make(description, origin, library) if rerender else None
     remove_pictures(place)
     n = sum(min(split.n, split.n if limit is None else limit) for split in description.splits.values())

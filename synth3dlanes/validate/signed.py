@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from jaxtyping import Bool
 
-from synth3dlanes.arrays import Points3, Scalars
+from synth3dlanes.arrays import Passes, Points3, Scalars
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.network import Network, Ramp
 from synth3dlanes.geometry.terrain import gradient_at, height_at
@@ -14,7 +14,6 @@ from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.centroids import PaintOffset, image_offsets, line_views, paint_offsets
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Signed
-from synth3dlanes.validate.pixels import Passes
 
 # Least amount of paint for a value: pixels, or slices of an image.
 MIN_WEIGHT = {"paint": 30.0, "image": 15.0, "exit": 30.0}

@@ -10,14 +10,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from synth3dlanes.arrays import Ids, Points3, Scalars
+from synth3dlanes.arrays import Ids, Passes, Points3, Scalars
 from synth3dlanes.geometry.ground import EMBANKMENT_SLOPE, VERGE_M
 from synth3dlanes.geometry.terrain import gradient_at, height_at
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
-from synth3dlanes.validate.pixels import Passes, some_pixels
+from synth3dlanes.validate.pixels import some_pixels
 from synth3dlanes.validate.places import RoadPlaces, places
 from synth3dlanes.validate.standing import mesh_height, terrain_height
 from synth3dlanes.world import World

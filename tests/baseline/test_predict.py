@@ -24,7 +24,7 @@ from synth3dlanes_baseline.model import LaneNet, Output
 from synth3dlanes_baseline.onnx_decode import decode
 from synth3dlanes_baseline.onnx_export import OUTPUTS, export_onnx, metadata_of
 from synth3dlanes_baseline.overlay import _curves
-from synth3dlanes_baseline.predict import assumed_intrinsics
+from synth3dlanes_baseline.predict import PredictionSummary, assumed_intrinsics, detector_for, predict
 from synth3dlanes_baseline.report import markdown, save_plots, table_1_cells, to_document, to_text
 from synth3dlanes_baseline.statistics import describe_targets
 
@@ -47,6 +47,11 @@ def _untrained(path, row):
     return path
 
 
+def detected(checkpoint, source, *args, **options) -> PredictionSummary:
+    """What `predict` finds on the CPU."""
+    return predict(detector_for(source, checkpoint, "cpu"), source, *args, **options)
+
+
 @pytest.fixture
 def split(roads, tmp_path, monkeypatch):
     """A split of drawn pictures behind the name DIR/test."""
@@ -59,21 +64,17 @@ def split(roads, tmp_path, monkeypatch):
 
 
 def test_without_a_checkpoint_photographs_get_the_weights_streets_and_splits_nano(split, tmp_path, monkeypatch):
-    from synth3dlanes_baseline.predict import predict
-
     used, detector = [], checkpoints.detector
     monkeypatch.setattr(checkpoints, "detector", lambda file, *rest: used.append(file.stem) or detector(file, *rest))
     (tmp_path / "photographs").mkdir()
     Image.fromarray(split[0].image).save(tmp_path / "photographs/1.jpg")
     for source in (tmp_path / "photographs/1.jpg", tmp_path / "photographs", "DIR/test"):
-        predict(None, source, tmp_path / "out", n_overlays=0, device="cpu")
+        detected(None, source, tmp_path / "out", n_overlays=0)
     assert used == ["streets", "streets", "nano"]
 
 
 def test_a_predictions_file_scores_as_the_checkpoint_does(checkpoint, split, tmp_path):
-    from synth3dlanes_baseline.predict import predict
-
-    path = predict(checkpoint, "DIR/test", tmp_path / "out", n_overlays=2, device="cpu").path
+    path = detected(checkpoint, "DIR/test", tmp_path / "out", n_overlays=2).path
     from_file = to_document(evaluate_predictions(path, "DIR/test"))
     direct = to_document(evaluate_checkpoint(checkpoint, "DIR/test", device="cpu"))
     for kind in ("centerline", "delimiter"):
@@ -134,15 +135,13 @@ def test_wrong_predictions_files_are_refused(split, tmp_path, line, problem):
 
 
 def test_image_files_give_the_same_as_a_split(checkpoint, split, tmp_path):
-    from synth3dlanes_baseline.predict import predict
-
     folder = tmp_path / "images"
     folder.mkdir()
     for sample in split[:2]:
         Image.fromarray(sample.image).save(folder / f"{sample.key}.png")
     intrinsics = intrinsics_of(split[0].labels)
-    of_files = predict(checkpoint, folder, tmp_path / "a", intrinsics, n_overlays=1, device="cpu")
-    of_split = predict(checkpoint, "DIR/test", tmp_path / "b", n_overlays=0, device="cpu")
+    of_files = detected(checkpoint, folder, tmp_path / "a", intrinsics, n_overlays=1)
+    of_split = detected(checkpoint, "DIR/test", tmp_path / "b", n_overlays=0)
     assert (of_files.n_images, of_split.n_images) == (2, 5)
     pairs = list(zip(read_predictions(of_files.path), read_predictions(of_split.path), strict=False))
     assert len(pairs) == 2
@@ -153,25 +152,21 @@ def test_image_files_give_the_same_as_a_split(checkpoint, split, tmp_path):
 
 
 def test_image_files_without_intrinsics_are_taken_for_those_of_the_papers_camera(checkpoint, split, tmp_path):
-    from synth3dlanes_baseline.predict import predict
-
     Image.fromarray(split[0].image).save(tmp_path / "photo.jpg")
     fx, fy, cx, cy = assumed_intrinsics((120, 160))
     assert (cx, cy) == (80, 60)
     assert fx == fy == pytest.approx(80 * np.sqrt(3)), "30 degrees to each side"
-    found = predict(checkpoint, tmp_path / "photo.jpg", tmp_path / "a", device="cpu")
-    given = predict(checkpoint, tmp_path / "photo.jpg", tmp_path / "b", (fx, fy, cx, cy), device="cpu")
+    found = detected(checkpoint, tmp_path / "photo.jpg", tmp_path / "a")
+    given = detected(checkpoint, tmp_path / "photo.jpg", tmp_path / "b", (fx, fy, cx, cy))
     assert found.path.read_bytes() == given.path.read_bytes()
     assert "60 degrees" in found.text()
     assert "60 degrees" not in given.text()
 
 
 def test_a_picture_without_confident_lanes_says_so(checkpoint, split, tmp_path):
-    from synth3dlanes_baseline.predict import predict
-
-    found = predict(checkpoint, "DIR/test", tmp_path, n_overlays=0, device="cpu", threshold=1.0)
+    found = detected(checkpoint, "DIR/test", tmp_path, n_overlays=0, threshold=1.0)
     assert "no lane of confidence 1 in 5 images; the best has 0." in found.text()
-    some = predict(checkpoint, "DIR/test", tmp_path, n_overlays=0, device="cpu", threshold=found.best_score)
+    some = detected(checkpoint, "DIR/test", tmp_path, n_overlays=0, threshold=found.best_score)
     assert some.n_lanes == 1
 
 
@@ -197,6 +192,7 @@ def test_table_puts_the_papers_numbers_beside_ours(roads, split):
     assert "0.566 / 1.000" in table.splitlines()[3]
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore")
 def test_onnx_gives_equal_outputs(tmp_path):
     path = export_onnx(_untrained(tmp_path / "best.pt", "improved"), tmp_path / "m.onnx")
@@ -254,10 +250,8 @@ def test_the_decoder_of_onnx_outputs_needs_numpy_alone():
 
 
 def test_visibility_is_written_and_read_and_changes_no_score(checkpoint, roads, split, tmp_path):
-    from synth3dlanes_baseline.predict import predict
-
     improved = _untrained(tmp_path / "best.pt", "improved")
-    read = list(read_predictions(predict(improved, "DIR/test", tmp_path / "out", n_overlays=0, device="cpu").path))
+    read = list(read_predictions(detected(improved, "DIR/test", tmp_path / "out", n_overlays=0).path))
     lanes = [lane for prediction in read for lane in prediction.lanes]
     assert len(lanes) > 5
     # Linear between the knots: constant before 5 m, and no kink between 60 and 80 m.
@@ -267,7 +261,7 @@ def test_visibility_is_written_and_read_and_changes_no_score(checkpoint, roads, 
         assert (lane.visibility[:6] == lane.visibility[5]).all()
         assert np.diff(lane.visibility[60:81], n=2) == pytest.approx(np.zeros(19), abs=3e-3)
     assert np.ptp([lane.visibility for lane in lanes]) > 1e-3
-    plain = list(read_predictions(predict(checkpoint, "DIR/test", tmp_path / "plain", n_overlays=0, device="cpu").path))
+    plain = list(read_predictions(detected(checkpoint, "DIR/test", tmp_path / "plain", n_overlays=0).path))
     assert all(lane.visibility is None for prediction in plain for lane in prediction.lanes)
 
     found = [roads.as_prediction(sample.labels, sample.key) for sample in split]
@@ -330,7 +324,8 @@ def test_a_picture_of_the_largest_size_takes_less_than_a_gigabyte(tmp_path):
     """67 million pixels, decoded, resized and shown beside two smaller ones, in a process of its own."""
     for number, size_px in enumerate([(8192, 8192), (96, 72), (640, 360)]):
         Image.new("RGB", size_px, (90, 100, 110)).save(tmp_path / f"{number}.png")
-    script = "import sys; from synth3dlanes_baseline.predict import predict; predict(None, *sys.argv[1:])\n"
+    script = "import sys; from synth3dlanes_baseline.predict import detector_for, predict\n"
+    script += "predict(detector_for(sys.argv[1]), *sys.argv[1:])\n"
     # Its own peak: `ru_maxrss` would have that of the process which started it, too.
     script += "sys.stdout.write(open('/proc/self/status').read().split('VmHWM:')[1].split()[0])"
     command = [sys.executable, "-c", script, str(tmp_path), str(tmp_path / "out")]

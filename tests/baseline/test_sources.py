@@ -14,7 +14,7 @@ from synth3dlanes_baseline.tusimple import TusimpleOnPlane
 
 from synth3dlanes import scene as scene_format
 from synth3dlanes.dataset.folder import claim
-from synth3dlanes.dataset.format import encode, member_names
+from synth3dlanes.dataset.format import Picture, encode, member_names
 from synth3dlanes.dataset.write import Shard
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.apollo.read import ApolloSplit
@@ -41,7 +41,7 @@ def split_of(tmp_path_factory):
             for index in range(N):
                 scene = sample_scene(Scenes(load_params("appendix_i", ["trees.n=0", *changes]), 4, "train"), index)
                 labels = ground_truth(scene)
-                shard.write_part(index, encode(_picture(labels), labels, scene_format.to_json(scene), {}, "png"))
+                shard.write_part(index, encode(Picture(_picture(labels), labels), scene_format.to_json(scene), "png"))
             shard.join(N)
         return open_split(root / "train")
 

@@ -14,7 +14,7 @@ from synth3dlanes_baseline.evaluate import evaluate_checkpoint, score_on
 from synth3dlanes_baseline.lanes import Detection, Prediction
 from synth3dlanes_baseline.model import LaneNet
 from synth3dlanes_baseline.poses import Pose, cam_from_road
-from synth3dlanes_baseline.predict import predict
+from synth3dlanes_baseline.predict import detector_for, predict
 from synth3dlanes_baseline.projection import road_from_cam
 from synth3dlanes_baseline.sources import open_split
 from synth3dlanes_baseline.tusimple import POSE, TusimpleOnPlane
@@ -87,4 +87,5 @@ def test_the_image_only_network_is_scored_without_a_camera(tusimple, tmp_path):
     accuracy, _, false_negative = report.tusimple
     assert 0 <= accuracy <= 1
     assert 0 <= false_negative <= 1
-    assert predict(tmp_path / "a.pt", tusimple, tmp_path / "found", n_overlays=0, device="cpu").n_images == 1
+    detector = detector_for(tusimple, tmp_path / "a.pt", "cpu")
+    assert predict(detector, tusimple, tmp_path / "found", n_overlays=0).n_images == 1

@@ -21,7 +21,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A data set of 12 scenes of Appendix I, labelled, on images without contents."""
     from synth3dlanes import scene as scene_module
     from synth3dlanes.dataset.folder import claim
-    from synth3dlanes.dataset.format import encode
+    from synth3dlanes.dataset.format import Picture, encode
     from synth3dlanes.dataset.write import Shard
     from synth3dlanes.ground_truth import ground_truth
     from synth3dlanes.params import load_params
@@ -38,7 +38,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
             for index in shard.indices(12):
                 scene = sample_scene(Scenes(params), index)
                 image = np.full((360, 480, 3), 20 * index, np.uint8)
-                members = encode(image, ground_truth(scene), scene_module.to_json(scene), {}, "png")
+                members = encode(Picture(image, ground_truth(scene)), scene_module.to_json(scene), "png")
                 shard.write_part(index, members)
             shard.join(12)
     return root

@@ -18,6 +18,7 @@ from click.testing import Result
 from PIL import Image
 from synth3dlanes_cli.entry import NO_MEMORY
 
+from synth3dlanes.params import presets_folder
 from tests.hostile import LEAKED
 
 Run = Callable[..., Result]
@@ -220,16 +221,26 @@ def listed(faults: dict[str, str]) -> str:
     return "\n".join(f"{case[:20]!r}: {wrong[:200]}" for case, wrong in faults.items())
 
 
+def some(values: list[str], number: int, every: int) -> list[str]:
+    """One in `every` values, other ones for the next number."""
+    return values[number % every :: every]
+
+
+# Quick: each command meets some of the values, and each value some of the commands.
+at_both_sizes = pytest.mark.parametrize("every", [5, pytest.param(1, marks=pytest.mark.thorough)])
+
+
+@at_both_sizes
 @pytest.mark.parametrize(("name", "command"), CASES)
-def test_strange_files(name: str, command: str, run: Run, around: Path) -> None:
+def test_strange_files(name: str, command: str, every: int, run: Run, around: Path) -> None:
     faults = {}
     place = around / name
     words = command.format(x=name).split()
-    for kind, make in KINDS.items():
+    for kind in some(list(KINDS), CASES.index((name, command)), every):
         if place.is_dir() and not place.is_symlink():
             place.rmdir()
         place.unlink(missing_ok=True)
-        make(place)
+        KINDS[kind](place)
         with bounded():
             wrong = fault(run(*words))
         may_pass = wrong.startswith("ended with 0") and kind in MAY_PASS.get((name, words[0]), ())
@@ -260,13 +271,15 @@ SETTERS = {
     "train d --out e --dry-run --set": ("batch=", "model.grid.rows=", "learning_rate=", "batch.x=", "model=", ""),
     "twins s.json --out e --vary": ("light.exposure=", ""),
 }
+SET = [(command, key) for command, keys in SETTERS.items() for key in keys]
 
 
-@pytest.mark.parametrize(("command", "key"), [(command, key) for command, keys in SETTERS.items() for key in keys])
-def test_strange_values(command: str, key: str, run: Run, around: Path) -> None:
+@at_both_sizes
+@pytest.mark.parametrize(("command", "key"), SET)
+def test_strange_values(command: str, key: str, every: int, run: Run, around: Path) -> None:
     del around
     faults = {}
-    for text in TEXTS:
+    for text in some(TEXTS, SET.index((command, key)), every):
         with bounded():
             wrong = fault(run(*command.split(), f"{key}{text}"), (2,))
         # Some are values, of which the command makes what they say; a scene is not rendered in this process.
@@ -275,21 +288,23 @@ def test_strange_values(command: str, key: str, run: Run, around: Path) -> None:
     assert not faults, listed(faults)
 
 
-@pytest.mark.parametrize("option", ["--params", "--camera", "--rig", "--lidar"])
-def test_strange_values_in_files(option: str, run: Run, around: Path) -> None:
-    from synth3dlanes.params import presets_folder
+FILES = {
+    "--params": ("", "tiny", "exposure"),
+    "--camera": ("cameras", "kitti_raw", "height_m"),
+    "--rig": ("rigs", "nuscenes", "height_m"),
+    "--lidar": ("lidars", "hdl_32e", "max_range_m"),
+}
 
-    kind, name, key = {
-        "--params": ("", "tiny", "exposure"),
-        "--camera": ("cameras", "kitti_raw", "height_m"),
-        "--rig": ("rigs", "nuscenes", "height_m"),
-        "--lidar": ("lidars", "hdl_32e", "max_range_m"),
-    }[option]
+
+@at_both_sizes
+@pytest.mark.parametrize("option", FILES)
+def test_strange_values_in_files(option: str, every: int, run: Run, around: Path) -> None:
+    kind, name, key = FILES[option]
     lines = (presets_folder() / kind / f"{name}.yaml").read_text().splitlines()
     at = next(number for number, line in enumerate(lines) if f"{key}:" in line)
     head = lines[at][: lines[at].index(f"{key}:")]
     faults = {}
-    for text in TEXTS:
+    for text in some(TEXTS, list(FILES).index(option), every):
         edited = [*lines[:at], f"{head}{key}: {text}", *lines[at + 1 :]]
         (around / "x.yaml").write_bytes("\n".join(edited).encode("utf-8", "surrogateescape"))
         command = "generate --n 1 --out e --dry-run --device cpu" if option == "--lidar" else "sample"
@@ -320,11 +335,12 @@ NUMBERED = [
 ]
 
 
+@at_both_sizes
 @pytest.mark.parametrize("command", NUMBERED)
-def test_strange_numbers(command: str, run: Run, around: Path) -> None:
+def test_strange_numbers(command: str, every: int, run: Run, around: Path) -> None:
     del around
     faults = {}
-    for text in NUMBERS:
+    for text in some(NUMBERS, NUMBERED.index(command), every):
         with bounded():
             wrong = fault(run(*(word.replace("{}", text) for word in command.split())))
         if wrong and not wrong.startswith("ended with 0"):

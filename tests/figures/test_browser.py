@@ -14,6 +14,7 @@ from PIL import Image
 from playwright.sync_api import Browser, Locator, Page, expect, sync_playwright
 
 from synth3dlanes.figures.page import report_page, scene_page
+from synth3dlanes.figures.shown import ShownScene
 from synth3dlanes.figures.stats import label_statistics, scene_statistics
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
@@ -132,7 +133,7 @@ def check_switches(page: Page, shown: Locator, names: list[str]) -> None:
 
 
 def test_the_page_of_a_scene(open_page, exit_scene, gray_image):
-    page = open_page(scene_page(exit_scene, some_behind_cars(ground_truth(exit_scene)), gray_image))
+    page = open_page(scene_page(ShownScene(exit_scene, some_behind_cars(ground_truth(exit_scene)), gray_image)))
     masks = [f"points {name}" for name in ("seen", "hidden by the ground", "hidden by objects")]
     check_switches(page, page.locator("svg"), ["centre lines", "delimiters", "hidden parts", *masks])
     canvas = page.locator("#space")
@@ -150,7 +151,7 @@ def test_a_slider_and_a_button_go_through_a_clip(open_page, flat_scene, gray_ima
     shots = [Shot(frame=frame, n_frames=3, fps=10, speed_m_s=30) for frame in range(3)]
     scenes = [flat_scene.model_copy(update={"shot": shot}) for shot in shots]
     clip = [(ground_truth(scene), gray_image) for scene in scenes]
-    page = open_page(scene_page(scenes[1], clip[1][0], gray_image, clip=clip))
+    page = open_page(scene_page(ShownScene(scenes[1], clip[1][0], gray_image, clip=clip)))
     slider, frames = page.locator("#frames"), page.locator(".frame")
 
     def shown() -> list[bool]:
@@ -169,7 +170,7 @@ def test_a_slider_and_a_button_go_through_a_clip(open_page, flat_scene, gray_ima
 
 
 def test_the_mouse_turns_moves_and_zooms_space(open_page, exit_scene):
-    page = open_page(scene_page(exit_scene, ground_truth(exit_scene), None))
+    page = open_page(scene_page(ShownScene(exit_scene, ground_truth(exit_scene), None)))
     canvas = page.locator("#space")
     box = canvas.bounding_box()
     middle = (box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
@@ -199,7 +200,7 @@ def test_the_mouse_turns_moves_and_zooms_space(open_page, exit_scene):
 
 
 def test_the_driver_sees_the_lanes_where_the_image_has_them(open_page, hilly_scene):
-    page = open_page(scene_page(hilly_scene, ground_truth(hilly_scene), None))
+    page = open_page(scene_page(ShownScene(hilly_scene, ground_truth(hilly_scene), None)))
     for group in page.locator("#space-bar label").all():
         if group.inner_text().strip() != "delimiters":
             group.click()
@@ -220,7 +221,7 @@ def test_the_driver_sees_the_lanes_where_the_image_has_them(open_page, hilly_sce
 
 
 def test_the_keyboard_turns_moves_and_zooms_space(open_page, exit_scene):
-    page = open_page(scene_page(exit_scene, ground_truth(exit_scene), None))
+    page = open_page(scene_page(ShownScene(exit_scene, ground_truth(exit_scene), None)))
     canvas = page.locator("#space")
     canvas.focus()
     start = picture(canvas)
@@ -233,7 +234,7 @@ def test_the_keyboard_turns_moves_and_zooms_space(open_page, exit_scene):
 
 
 def test_lanes_light_up_where_the_keyboard_goes(open_page, exit_scene):
-    page = open_page(scene_page(exit_scene, ground_truth(exit_scene), None))
+    page = open_page(scene_page(ShownScene(exit_scene, ground_truth(exit_scene), None)))
     lane = page.locator("svg .lane").first
     start = picture(page.locator("svg"))
     lane.focus()
@@ -257,7 +258,7 @@ def report() -> str:
 def test_pages_fit_their_screen_and_can_be_read_and_operated_by_everybody(
     open_page, exit_scene, gray_image, report, kind, width, scheme
 ):
-    text = report if kind == "report" else scene_page(exit_scene, ground_truth(exit_scene), gray_image)
+    text = report if kind == "report" else scene_page(ShownScene(exit_scene, ground_truth(exit_scene), gray_image))
     page = open_page(text, width, scheme)
     assert page.evaluate("document.documentElement.scrollWidth") == width
     page.locator("details").evaluate_all("all => all.forEach(one => one.open = true)")
@@ -279,7 +280,7 @@ def test_pages_fit_their_screen_and_can_be_read_and_operated_by_everybody(
 @pytest.mark.parametrize("kind", ["clip", "report"])
 def test_axe_finds_no_fault(open_page, exit_scene, gray_image, report, kind, scheme):
     frame = (ground_truth(exit_scene), gray_image)
-    text = report if kind == "report" else scene_page(exit_scene, *frame, clip=[frame] * 2)
+    text = report if kind == "report" else scene_page(ShownScene(exit_scene, *frame, clip=[frame] * 2))
     page = open_page(text, 1400, scheme)
     found = Axe().run(page).response
     assert len(found["passes"]) > 15, "rules that apply and hold"

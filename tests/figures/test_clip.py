@@ -10,6 +10,7 @@ from PIL import Image
 from synth3dlanes.figures.clip import draw_clip
 from synth3dlanes.figures.describe import describe
 from synth3dlanes.figures.page import MAX_FRAMES, scene_page
+from synth3dlanes.figures.shown import ShownScene
 from synth3dlanes.ground_truth import label
 from synth3dlanes.scene import Shot
 from synth3dlanes.world import resolve
@@ -43,19 +44,21 @@ def test_an_animation_has_all_frames_in_order_and_lasts_as_long_as_the_clip(fps)
 def test_a_page_of_a_clip_has_each_frame_and_begins_with_its_own(flat_scene, gray_image):
     clip = [(labelled(shown_in(flat_scene, frame)), gray_image) for frame in range(3)]
     scene = shown_in(flat_scene, 1)
-    page = scene_page(scene, clip[1][0], gray_image, clip=clip)
+    page = scene_page(ShownScene(scene, clip[1][0], gray_image, clip=clip))
     words = re.findall(r'data-words="([^"]*)"', page)
     assert words == ["frame 0, 0.00 s", "frame 1, 0.25 s", "frame 2, 0.50 s"]
     assert re.search(r'max="2" value="1"', page)
     assert 'data-pause-ms="250"' in page
     assert "show frame 1, 0.25 s." in page
-    assert 'id="frames"' not in scene_page(flat_scene, clip[0][0], gray_image)
+    assert 'id="frames"' not in scene_page(ShownScene(flat_scene, clip[0][0], gray_image))
 
 
 def test_a_page_of_a_long_clip_has_some_of_its_frames(flat_scene, gray_image):
     n_frames = 2 * MAX_FRAMES + 1
     labels = labelled(shown_in(flat_scene, 0, n_frames))
-    page = scene_page(shown_in(flat_scene, 100, n_frames), labels, gray_image, clip=[(labels, gray_image)] * n_frames)
+    page = scene_page(
+        ShownScene(shown_in(flat_scene, 100, n_frames), labels, gray_image, clip=[(labels, gray_image)] * n_frames)
+    )
     words = [int(number) for number in re.findall(r'data-words="frame (\d+),', page)]
     assert words == list(range(0, n_frames, 3))
     assert re.search(r'value="33"', page)

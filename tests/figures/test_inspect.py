@@ -9,6 +9,7 @@ from rich.console import Console
 from synth3dlanes.figures.inspect import draw_inspect, summary
 from synth3dlanes.figures.passes import pass_picture
 from synth3dlanes.figures.scene_view import SceneView
+from synth3dlanes.figures.shown import ShownScene
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.settings import SEMANTIC_IDS
 
@@ -22,7 +23,7 @@ def text_of(renderable: object) -> str:
 @pytest.mark.parametrize("with_image", [False, True])
 def test_four_views_with_their_units(with_image, gray_image, exit_scene):
     scene = exit_scene
-    figure = draw_inspect(scene, ground_truth(scene), gray_image if with_image else None)
+    figure = draw_inspect(ShownScene(scene, ground_truth(scene), gray_image if with_image else None))
     assert len(figure.axes) == 4
     units = [{axes.get_xlabel(), axes.get_ylabel()} for axes in figure.axes]
     assert units == [
@@ -70,7 +71,7 @@ def test_roads_reach_from_shoulder_to_shoulder(flat_scene):
 
 def test_the_numbers_of_the_vertical_axis_do_not_overlap_on_flat_ground(flat_scene):
     """Neighbouring numbers of the 3D view's z axis are farther apart than they are high."""
-    figure = draw_inspect(flat_scene, ground_truth(flat_scene), None)
+    figure = draw_inspect(ShownScene(flat_scene, ground_truth(flat_scene), None))
     figure.savefig(io.BytesIO(), dpi=100)
     (space,) = [axes for axes in figure.axes if axes.name == "3d"]
     boxes = [label.get_window_extent() for label in space.get_zticklabels() if label.get_text()]
@@ -80,7 +81,7 @@ def test_the_numbers_of_the_vertical_axis_do_not_overlap_on_flat_ground(flat_sce
 
 
 def test_the_legend_explains_every_kind_of_line_and_shape(exit_scene):
-    figure = draw_inspect(exit_scene, ground_truth(exit_scene), None)
+    figure = draw_inspect(ShownScene(exit_scene, ground_truth(exit_scene), None))
     words = " ".join(text.get_text() for text in figure.legends[0].get_texts())
     for kind in ("centre line", "solid", "dashed", "pale", "dotted", "field of view", "camera"):
         assert kind in words
@@ -93,7 +94,7 @@ def test_passes_are_shown_with_their_scales(exit_scene, gray_image):
         "normal": np.zeros((*shape, 3), np.float32),
         "semantic": np.full(shape, SEMANTIC_IDS["road"], np.uint8),
     }
-    figure = draw_inspect(exit_scene, ground_truth(exit_scene), gray_image, passes)
+    figure = draw_inspect(ShownScene(exit_scene, ground_truth(exit_scene), gray_image, passes))
     named = {axes.get_title(): axes for axes in figure.axes}
     assert set(passes) <= set(named)
     assert "depth y_cam [m]" in {axes.get_ylabel() for axes in figure.axes}

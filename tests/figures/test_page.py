@@ -10,6 +10,7 @@ import pytest
 from matplotlib.tri import Triangulation
 
 from synth3dlanes.figures.page import report_page, scene_page
+from synth3dlanes.figures.shown import ShownScene
 from synth3dlanes.figures.stats import label_statistics, scene_statistics
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.params import load_params
@@ -47,13 +48,13 @@ def check(page: str) -> Wellformed:
 @pytest.mark.parametrize("with_image", [False, True])
 def test_a_scene_page_loads_nothing(with_image, gray_image, exit_scene):
     scene = exit_scene
-    parser = check(scene_page(scene, ground_truth(scene), gray_image if with_image else None))
+    parser = check(scene_page(ShownScene(scene, ground_truth(scene), gray_image if with_image else None)))
     assert len(parser.addresses) == 1 + with_image
 
 
 def test_every_switch_has_something_to_switch(exit_scene):
     scene = exit_scene
-    page = scene_page(scene, ground_truth(scene), None)
+    page = scene_page(ShownScene(scene, ground_truth(scene), None))
     classes = set(" ".join(re.findall(r'class="([^"]*)"', page)).split())
     switches = re.findall(r'data-shows="([^"]*)"', page)
     assert len(switches) == 5
@@ -62,7 +63,9 @@ def test_every_switch_has_something_to_switch(exit_scene):
 
 def spaces(scene):
     """Vertices, their colours and faces of each group of the page's 3D view."""
-    found = re.search(r'id="space-data">(.*?)</script>', scene_page(scene, ground_truth(scene), None), re.DOTALL)
+    found = re.search(
+        r'id="space-data">(.*?)</script>', scene_page(ShownScene(scene, ground_truth(scene), None)), re.DOTALL
+    )
     assert found is not None
     types = {"vertices": "<f4", "colors": "u1", "faces": "<u4"}
     return {

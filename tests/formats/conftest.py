@@ -25,7 +25,7 @@ def write_split():
     labels."""
     from synth3dlanes import scene as scene_format
     from synth3dlanes.dataset.folder import claim
-    from synth3dlanes.dataset.format import encode, member_names
+    from synth3dlanes.dataset.format import Picture, encode, member_names
     from synth3dlanes.dataset.write import Shard
     from synth3dlanes.ground_truth import ground_truth
     from synth3dlanes.params import load_params
@@ -43,7 +43,9 @@ def write_split():
                 scene = sample_scene(Scenes(params, 0, split), index)
                 labels = ground_truth(scene)
                 passes = make_passes(labels) if make_passes else {}
-                shard.write_part(index, encode(_image(labels), labels, scene_format.to_json(scene), passes, "jpg"))
+                shard.write_part(
+                    index, encode(Picture(_image(labels), labels, passes), scene_format.to_json(scene), "jpg")
+                )
             shard.join(n)
 
     return write

@@ -17,13 +17,13 @@ from synth3dlanes.dataset.format import (
     LABELS,
     LIDAR,
     PASSES,
+    Picture,
     decode_image,
     read_passes,
     read_sweep,
     write_passes,
     write_sweep,
 )
-from synth3dlanes.production.recipe import Picture
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS
 from tests.validate.sealing import Members
@@ -46,7 +46,7 @@ def picture_of(members: Members) -> Picture:
     labels = labels_module.from_json(members[LABELS], LABELS)
     passes = read_passes(members[PASSES], PASSES) | read_passes(members[HEIGHT], HEIGHT)
     sweep = read_sweep(members[LIDAR], LIDAR, labels.lidar) if LIDAR in members else None
-    return Picture(decode_image(members["jpg"], "jpg"), labels, passes, sweep, {})
+    return Picture(decode_image(members["jpg"], "jpg"), labels, passes, sweep)
 
 
 # -- pictures

@@ -16,7 +16,7 @@ from synth3dlanes import scene as scene_module
 from synth3dlanes.change import change_scene
 from synth3dlanes.dataset.description import recipe_text
 from synth3dlanes.dataset.folder import claim
-from synth3dlanes.dataset.format import SCENE, encode
+from synth3dlanes.dataset.format import SCENE, Picture, encode
 from synth3dlanes.dataset.index import read_recipe
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import merge, split_dataset
@@ -55,7 +55,7 @@ def draw(root: Path, recipe: Recipe = RECIPE, n: int = N, size: tuple[int, int] 
         for index in range(n):
             scene = recipe.scene(index)
             text, image = scene_module.to_json(scene), np.full((*size, 3), 100, np.uint8)
-            shard.write_part(index, encode(image, seen(scene), text, {}, "png"))
+            shard.write_part(index, encode(Picture(image, seen(scene)), text, "png"))
         shard.join(n)
     return root
 

@@ -8,7 +8,7 @@ import pytest
 from tests.validate.faults import WORLDS, Fault
 from tests.validate.sealing import check, describe, drop_passes, seal
 
-pytestmark = [pytest.mark.render, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.render, pytest.mark.thorough, pytest.mark.timeout(900)]
 
 # Samples for faults that show over many only, for other worlds, and for all else.
 N, FEW, ONE, SEED = 10, 4, 1, 20

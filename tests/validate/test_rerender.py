@@ -23,6 +23,7 @@ from synth3dlanes.shots import SINGLE, Shots
 from synth3dlanes.validate.made_again import compare, some_of
 from synth3dlanes.validate.run import validate
 from synth3dlanes.world import World, resolve
+from tests import warm
 from tests.validate.redone import ALL, SWEEPS, WORLDS, other_rounding, picture_of
 from tests.validate.sealing import Members, describe, read_members, seal
 
@@ -80,6 +81,8 @@ def lidar(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def elsewhere() -> Members:
     """The sample of `clean` with another noise of rendering, as of another machine."""
     recipe = Recipe(Scenes(streets(), SEED, "train"), RenderSettings(4, PASSES), "jpg")
+    # What it does to Blender must not meet other tests.
+    warm.use(is_warm=False)
     members: Members = call(Limits(), _with_other_noise, recipe, pinned=True).result("other noise")
     return members
 

@@ -1,0 +1,77 @@
+"""`synth3dlanes benchmark`: make a named benchmark, check that it is the same for everybody, and score on it."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from .generate import WORKERS_HELP, Workers, progress
+from .model import need_torch
+from .options import json_option
+
+
+@click.command()
+@click.argument("source", metavar="NAME|FILE")
+@click.option("--out", metavar="DIR", required=True, help="The data set: a folder or a URL such as s3://lanes/hills.")
+@click.option("--train", "is_training", is_flag=True, help="Make the images for training and validation too.")
+@click.option("--checkpoint", metavar="FILE|nano|streets", help="Trained network to score on the test images.")
+@click.option(
+    "--predictions",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Predictions to score, as written by predict (JSON lines).",
+)
+@click.option("--workers", metavar="N|auto", type=Workers(), default="auto", help=WORKERS_HELP)
+@json_option
+@click.pass_context
+def benchmark(
+    ctx: click.Context,
+    source: str,
+    out: str,
+    is_training: bool,
+    checkpoint: str | None,
+    predictions: Path | None,
+    workers: int,
+    as_json: bool,
+) -> None:
+    """Make a benchmark (clips, exits, hills, weather, or a file of your own), check that its labels are those of
+    everybody, and score a network on its test images.
+
+    Rerun to resume. docs/benchmarks.md has the benchmarks and the scores of the networks in this package.
+    """
+    from synth3dlanes.production.benchmarks import load_benchmark
+    from synth3dlanes.production.run import generate
+
+    if checkpoint is not None and predictions is not None:
+        raise click.UsageError("--checkpoint and --predictions cannot be used together")
+    found = load_benchmark(source)
+    document: dict[str, Any] = {"benchmark": Path(source).stem, "splits": {}}
+    for split in found.splits if is_training else ["test"]:
+        with progress() as notify:
+            report = generate(found.plan(split, out, workers), notify)
+        problems = [report.problem] if report.exit_code else list(found.problems(split, out))
+        if problems:
+            click.echo("\n".join(problems), err=True)
+            ctx.exit(report.exit_code or 1)
+        document["splits"][split] = vars(found.splits[split])
+        if not as_json:
+            click.echo(f"{out}/{split}: {report.done} samples, labels as those of everybody")
+    if checkpoint is not None or predictions is not None:
+        document["score"], text = _score(f"{out}/test", checkpoint, predictions)
+        if not as_json:
+            click.echo(text)
+    if as_json:
+        click.echo(json.dumps(document))
+
+
+def _score(source: str, checkpoint: str | None, predictions: Path | None) -> tuple[dict[str, Any], str]:
+    need_torch()
+    from synth3dlanes_baseline import report as reporting
+    from synth3dlanes_baseline.evaluate import evaluate_checkpoint, evaluate_predictions
+
+    if predictions is not None:
+        report = evaluate_predictions(predictions, source)
+    else:
+        assert checkpoint is not None
+        report = evaluate_checkpoint(checkpoint, source)
+    return reporting.to_document(report), reporting.to_text(report)

@@ -1,0 +1,31 @@
+"""Write the digests of params/benchmarks anew, after an intended change of roads or labels:
+`python -m scripts.benchmarks [NAME ...]`. Nothing is rendered; 1,200 scenes of a benchmark take minutes.
+"""
+
+import re
+import sys
+
+import click
+
+from synth3dlanes.params import presets_folder
+from synth3dlanes.processes import process_pool
+from synth3dlanes.production.benchmarks import KIND, benchmark_names, load_benchmark
+
+
+def digest(name: str, split: str) -> str:
+    return load_benchmark(name).drawn_digest(split)
+
+
+def main(names: list[str]) -> None:
+    """Draw every split of some benchmarks, and write their digests into their files."""
+    jobs = [(name, split) for name in names or benchmark_names() for split in load_benchmark(name).splits]
+    with process_pool() as pool:
+        for (name, split), found in zip(jobs, pool.map(digest, *zip(*jobs, strict=True)), strict=True):
+            path = presets_folder() / KIND / f"{name}.yaml"
+            text = re.sub(rf'(  {split}:\n    n: \d+\n    labels: )"\w*"', rf'\1"{found}"', path.read_text())
+            path.write_text(text)
+            click.echo(f"{name}/{split} {found}")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

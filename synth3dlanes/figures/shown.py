@@ -1,0 +1,33 @@
+"""What figures show of a scene and of a sample."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from synth3dlanes.arrays import Passes, RgbImage
+from synth3dlanes.labels import Labels
+from synth3dlanes.scene import Scene
+from synth3dlanes.sensors.sweep import Sweep
+
+
+@dataclass(frozen=True, eq=False)
+class ShownScene:
+    """A scene with its name (of a sample: its key) and its labels. What else there is of it: its image, passes and
+    lidar sweep; the frames of its clip; and what all cameras of its rig see at its instant."""
+
+    scene: Scene
+    labels: Labels
+    image: RgbImage | None = None
+    passes: Passes = field(default_factory=dict)
+    sweep: Sweep | None = None
+    clip: Sequence[tuple[Labels, RgbImage]] = ()
+    rig: Sequence[tuple[Labels, RgbImage]] = ()
+    name: str = "scene"
+
+
+@dataclass(frozen=True, eq=False)
+class ShownSample:
+    """A picture of a sample, its name, and the labels to be drawn on it, if any."""
+
+    name: str
+    image: RgbImage
+    labels: Labels | None = None

@@ -1,0 +1,119 @@
+"""Named benchmarks (docs/benchmarks.md): recipes with the digests of their labels, so that all have the same data."""
+
+import hashlib
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, ValidationError
+
+from synth3dlanes.dataset.description import SplitName
+from synth3dlanes.dataset.read import Reader
+from synth3dlanes.errors import InputError
+from synth3dlanes.ground_truth import label
+from synth3dlanes.labels import CameraLabel, Labels, Lane, SymbolLabel
+from synth3dlanes.params import find_preset, load_params, preset_names
+from synth3dlanes.production.plan import Plan
+from synth3dlanes.production.recipe import Recipe
+from synth3dlanes.sample import Scenes, sample_world
+from synth3dlanes.schema import Part, Seed, shown, validation_problems
+from synth3dlanes.sensors.camera_files import read_document
+from synth3dlanes.settings import DEVICES, MAX_SAMPLES, QUALITY_SAMPLES, RenderSettings
+from synth3dlanes.shots import clips
+
+KIND = "benchmarks"
+LANE_KEYS = ("id", "kind", "road", "marking", "color", "double", "pair", "direction", "left", "right")
+
+
+class BenchmarkSplit(Part):
+    """How many samples a split has, and the digest of their labels."""
+
+    n: Annotated[int, Field(ge=1, le=MAX_SAMPLES)]
+    labels: Annotated[str, Field(pattern="^([0-9a-f]{64})?$")] = ""
+
+
+class Benchmark(Part):
+    """A recipe: a preset with changes as of `--set`, a seed, clips of `frames`, and its splits."""
+
+    title: str
+    about: str
+    params: str
+    changes: tuple[str, ...] = ()
+    seed: Seed
+    frames: int = 1
+    fps: float = 10.0
+    splits: dict[SplitName, BenchmarkSplit]
+
+    def scenes(self, split: str) -> Scenes:
+        """The scenes of a split."""
+        return Scenes(load_params(self.params, self.changes), self.seed, split, shots=clips(self.frames, self.fps))
+
+    def plan(self, split: str, out: str | Path, workers: int = 0) -> Plan:
+        """The run that makes a split in the data set `out`."""
+        settings = RenderSettings(QUALITY_SAMPLES["standard"], (), DEVICES[0])
+        return Plan(out, self.splits[split].n, Recipe(self.scenes(split), settings, "jpg"), workers)
+
+    def drawn_digest(self, split: str) -> str:
+        """The digest of a split's labels, drawn without Blender."""
+        scenes = self.scenes(split)
+        worlds = (sample_world(scenes, index) for index in range(self.splits[split].n))
+        return labels_digest(label(world, world.view) for world in worlds)
+
+    def problems(self, split: str, out: str | Path) -> Iterator[str]:
+        """A line where the labels of a split in the data set `out` are not those of the benchmark."""
+        reader, expected = Reader(f"{out}/{split}"), self.splits[split]
+        if len(reader) != expected.n:
+            yield f"{reader.url}: expected {expected.n} samples, got {len(reader)}"
+            return
+        found = labels_digest(reader.labels(i) for i in range(len(reader)))
+        if found != expected.labels:
+            yield (
+                f"{reader.url}: expected labels of digest {expected.labels:.12}..., got {found:.12}...: they are not "
+                "those of the benchmark, so its scores do not compare"
+            )
+
+
+def benchmark_names() -> list[str]:
+    """The names of the benchmarks in the package."""
+    return preset_names(KIND)
+
+
+def load_benchmark(source: str) -> Benchmark:
+    """Read a benchmark of the package (by name) or a YAML file; raise InputError with a line for every problem."""
+    path, where = find_preset(source, KIND)
+    document = read_document(path, where, is_calibration=False)
+    if not isinstance(document, dict):
+        raise InputError(f"{where}: expected the keys of a benchmark, got {shown(document)}")
+    try:
+        return Benchmark.model_validate(document)
+    except ValidationError as error:
+        raise InputError(*validation_problems(error, where)) from None
+
+
+def labels_digest(labels: Iterable[Labels]) -> str:
+    """The SHA-256 of what does not depend on the machine in labels: lanes, symbols and camera, but nothing rendered.
+
+    Points are taken in whole centimetres of the 0.1 mm of `labels.json`: the last digits of two machines may differ.
+    """
+    digest = hashlib.sha256()
+    for one in labels:
+        lanes = [[*(getattr(lane, key) for key in LANE_KEYS), *_curve(lane)] for lane in one.lanes]
+        symbols = [[symbol.kind, *_curve(symbol)] for symbol in one.symbols]
+        line = json.dumps([_camera(one.camera), lanes, symbols], separators=(",", ":"))
+        digest.update(f"{line}\n".encode())
+    return digest.hexdigest()
+
+
+def _curve(of: Lane | SymbolLabel) -> list[list[int]]:
+    points_cm = np.rint(np.round(of.xyz_cam, 4) * 100)
+    return [
+        points_cm.astype(int).ravel().tolist(),
+        *(mask.astype(int).tolist() for mask in (of.in_image, of.terrain_visible)),
+    ]
+
+
+def _camera(camera: CameraLabel) -> list[int]:
+    thousandths = np.rint(np.round(camera.img_from_cam, 6) * 1000).astype(int).ravel().tolist()
+    return [camera.width_px, camera.height_px, *thousandths]

@@ -1,0 +1,84 @@
+"""A worker that outlives its pool: the next pool of this process goes on with it, Blender and assets loaded.
+
+A start of Blender takes some three seconds, and the tests ask for dozens. That bytes do not depend on what a worker has
+made before is a promise of its own (tests/blender/test_clips.py). Tests of the processes themselves have fresh ones.
+"""
+
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from synth3dlanes.production import local, workers
+from synth3dlanes.production.workers import Pool, Worker
+from synth3dlanes.validate import made_again
+
+USERS = (local, made_again, workers)
+# What differs between tests and does not matter to a worker.
+NOT_ASKED = ("PYTEST_CURRENT_TEST", "COLUMNS", "LINES")
+_kept: list[tuple[dict[str, str], Worker]] = []
+
+
+def use(is_warm: bool) -> None:
+    """Have the program's pools be warm ones from now on, or its own."""
+    for module in USERS:
+        module.Pool = Warm if is_warm else Pool  # type: ignore[misc]
+
+
+def stop() -> None:
+    """Kill what is left."""
+    while _kept:
+        _end(_kept.pop()[1])
+
+
+def _end(worker: Worker) -> None:
+    worker.process.kill()
+    worker.process.wait()
+    worker.pipe.close()
+
+
+class Warm(Pool):
+    """A pool that begins with a worker of an earlier one, if its environment was the same, and leaves one to the
+    next."""
+
+    def __enter__(self) -> Pool:
+        # A core of its own would be another pool's at other times.
+        self.pinned = False
+        return super().__enter__()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for slot, worker in enumerate(self._workers):
+            if worker and worker.task is None and worker.process.poll() is None and not _kept and not any(self.masks):
+                _kept.append((_environment(), worker))
+                self._workers[slot] = None
+        super().__exit__(kind, error, trace)
+
+    def start(self, task: Any, function: Callable[..., Any], *args: Any, slot: int | None = None) -> None:
+        """As any pool, in the folder that this process is in by now."""
+        super().start(task, _in_folder, os.getcwd(), function, *args, slot=slot)
+
+    def _launch(self, slot: int) -> Worker:
+        if _kept:
+            environment, worker = _kept.pop()
+            if environment == _environment() and worker.process.poll() is None and not any(self.masks):
+                return worker
+            _end(worker)
+        # What it prints must stay when this pool's own folder goes.
+        self._scratch, scratch = Path(tempfile.mkdtemp()), self._scratch
+        worker = super()._launch(slot)
+        self._scratch = scratch
+        return worker
+
+
+def _environment() -> dict[str, str]:
+    return {name: value for name, value in os.environ.items() if name not in NOT_ASKED} | {"path": str(sys.path)}
+
+
+def _in_folder(folder: str, function: Callable[..., Any], *args: Any) -> Any:
+    os.chdir(folder)
+    return function(*args)
