@@ -14,7 +14,7 @@ from synth3dlanes.geometry.reference_line import LineFrames, ReferenceLine
 # A point's station is looked for among places this far apart.
 GUESS_STEP_M = 4.0
 # Nodes and weights on [0, 1] for integrals along a spiral, exact to a nanometre up to a few turns.
-NODES, WEIGHTS = (part / 2 for part in np.polynomial.legendre.leggauss(40))
+NODES, WEIGHTS = (part / 2 for part in np.polynomial.legendre.leggauss(40))  # type: ignore[no-untyped-call]
 NODES = NODES + 0.5
 
 
@@ -68,8 +68,11 @@ class Cubic(FiniteLine):
 
     def frames(self, s: AnyScalars) -> LineFrames:
         """The line at stations."""
-        xy = np.polynomial.Polynomial(self.x), np.polynomial.Polynomial(self.y)
-        (px, py), (dx, dy), (ddx, ddy) = ([form.deriv(order)(s) for form in xy] for order in (0, 1, 2))
+        values = [
+            (a + s * (b + s * (c + s * d)), b + s * (2 * c + s * 3 * d), 2 * c + s * 6 * d)
+            for a, b, c, d in (self.x, self.y)
+        ]
+        (px, py), (dx, dy), (ddx, ddy) = zip(*values, strict=True)
         speed = np.hypot(dx, dy)
         normals = np.stack([dy, -dx], -1) / speed[..., None]
         return LineFrames(np.stack([px, py], -1), normals, speed, (dy * ddx - dx * ddy) / speed**2)

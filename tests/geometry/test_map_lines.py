@@ -28,7 +28,9 @@ def test_a_spiral_is_the_sum_of_small_steps():
     middle = (s[1:] + s[:-1]) / 2
     heading = -0.4 + 0.01 * middle - 0.0003 * middle**2
     steps = np.diff(s)[:, None] * np.stack([np.cos(heading), np.sin(heading)], -1)
-    np.testing.assert_allclose(SPIRAL.frames(s[-1:]).points_world[0], [1, 5] + steps.sum(axis=0), atol=1e-7)
+    np.testing.assert_allclose(
+        SPIRAL.frames(s[-1:]).points_world[0], np.array([1.0, 5.0]) + steps.sum(axis=0), atol=1e-7
+    )
 
 
 @pytest.mark.parametrize("line", LINES)
