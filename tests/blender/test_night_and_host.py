@@ -78,6 +78,7 @@ def small_patterns(wetness):
     return float(((light - blurred) / blurred)[near].std())
 
 
+@pytest.mark.thorough
 @pytest.mark.render
 def test_rain_lies_on_a_road_in_patches_and_not_in_grains():
     """A film of water covers the grain of the asphalt."""

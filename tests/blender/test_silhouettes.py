@@ -76,6 +76,7 @@ def check(cars):
         assert abs(share * whole - seen) <= MAX_OFF * whole + EDGE_PX, (number, share, seen, whole)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_near_and_long_vehicles(camera, monkeypatch):
     scene = changed(camera={**SMALL, **CAMERAS[camera]}).model_copy(update={"cars": TRAFFIC})
