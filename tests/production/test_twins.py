@@ -53,6 +53,8 @@ def test_twins_share_a_data_set_that_generate_does_not_continue(source: str) -> 
         ("light.exposure=", "vary light.exposure=: expected path=value,value,..."),
         ("light.exposure=1,-2", "vary light.exposure: expected more than 0, got -2"),
         ("light.exposure=[1", "vary light.exposure"),
+        ("camera.pitch_deg=0,99", "vary camera.pitch_deg: expected numbers in [-30, 60]"),
+        ("air.visibility_m=5,1000", "vary air.visibility_m: expected numbers in [20, 1e+06]"),
     ],
 )
 def test_what_cannot_be_varied(source: str, vary: str, expected: str) -> None:

@@ -30,7 +30,7 @@ from synth3dlanes.dataset.format import (
 from synth3dlanes.labels import Labels
 from synth3dlanes.sensors.sweep import Sweep
 from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, SEMANTIC_IDS
-from tests.validate.faults import Fault, in_samples, of_image, of_json, of_pass, of_passes, swapped
+from tests.validate.faults import Fault, in_samples, of_image, of_json, of_pass, of_passes, swapped, with_shares
 from tests.validate.sealing import Members
 
 Pixels = np.ndarray
@@ -122,7 +122,7 @@ def a_point_on(document: dict[str, Any]) -> None:
 
 def more_visible(document: dict[str, Any]) -> None:
     """Every `car_visible_fraction` 0.08 more."""
-    document["car_visible_fraction"] = [min(1.0, round(share + 0.08, 3)) for share in document["car_visible_fraction"]]
+    with_shares(lambda shares: [min(1.0, round(share + 0.08, 3)) for share in shares])(document)
 
 
 def undirected(document: dict[str, Any]) -> None:

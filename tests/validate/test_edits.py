@@ -161,7 +161,7 @@ def in_image(members: Members, rng: Rng) -> str:
 # What hides what is a matter of pixels, and has its own tests.
 EDITS = [
     in_json(SCENE),
-    in_json(LABELS, "object_visible", "car_visible_fraction"),
+    in_json(LABELS, "object_visible", "car_visible_fraction", "visible_fraction"),
     in_exr(PASSES),
     in_exr(HEIGHT),
     in_image,

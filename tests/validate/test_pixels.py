@@ -127,7 +127,7 @@ def test_paint_has_moved_if_it_has_on_the_road_and_not_in_the_pixels_of_a_large_
     def line(name: str) -> LineProfiles:
         seen = 30 * np.clip(1 - np.abs(PLACES_M - 8 / px_per_m) / 0.12, 0, 1)
         of_each = np.ones(100)
-        return LineProfiles(name, 300 * of_each, px_per_m * of_each, 10 * of_each, np.tile(seen, (100, 1)))
+        return LineProfiles(name, 300 * of_each, px_per_m * of_each, 10 * of_each, np.tile(seen, (2, 100, 1)))
 
     assert bool(list(check_move([line("a"), line("b")], 600))) == is_shifted
 
@@ -267,7 +267,7 @@ def test_seen_shares_of_cars_in_another_order_or_none_are_found_and_the_car_is_n
         shares = np.array(sample.labels.car_visible_fraction)
         for wrong in (shares[::-1], np.zeros_like(shares), np.ones_like(shares)):
             cars = np.flatnonzero(np.abs(wrong - shares) > 0.6)
-            labels = replace(sample.labels, car_visible_fraction=tuple(wrong.tolist()))
+            labels = sample.labels.with_seen_shares(wrong.tolist())
             found = reasons(replace(sample, labels=labels))
             assert all(f"of car {car} by its" in found for car in cars)
             n += len(cars)
