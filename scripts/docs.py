@@ -8,6 +8,7 @@ import click
 from pydantic import BaseModel, ValidationError
 from synth3dlanes_cli.main import main
 
+from scripts.results import models_page, with_benchmarks
 from synth3dlanes.assets.catalogue import BUILT_IN
 from synth3dlanes.figures.stats import form as written
 from synth3dlanes.labels import LabelsDocument
@@ -79,6 +80,8 @@ def pages() -> dict[str, str]:
         "scene.schema.json": json.dumps(Scene.model_json_schema(), indent=1) + "\n",
         "labels.schema.json": json.dumps(LabelsDocument.model_json_schema(), indent=1) + "\n",
         "cluster.md": with_files((FOLDER / "cluster.md").read_text()),
+        "benchmarks.md": with_benchmarks((FOLDER / "benchmarks.md").read_text()),
+        "models.md": models_page(),
         "validate.md": with_checks((FOLDER / "validate.md").read_text()),
     }
 
