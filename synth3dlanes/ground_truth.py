@@ -12,6 +12,7 @@ from synth3dlanes.geometry.paint import is_double, paint_color, pair_of
 from synth3dlanes.geometry.symbols import shape
 from synth3dlanes.geometry.visibility import seen_over_ground
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LidarLabel, RoadPlane, SymbolLabel
+from synth3dlanes.object_truth import label_objects
 from synth3dlanes.scene import Scene
 from synth3dlanes.world import View, World, resolve
 
@@ -88,6 +89,7 @@ def label(world: World, view: View) -> Labels:
         symbols=symbols,
         time_s=round(shot.time_s, 9) if shot.n_frames > 1 else None,
         lidar=_lidar(view),
+        objects=label_objects(view, camera),
     )
 
 

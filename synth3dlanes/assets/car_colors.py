@@ -2,13 +2,10 @@
 
 from dataclasses import dataclass
 
-from synth3dlanes.assets.catalogue import CarModel
+from synth3dlanes.assets.catalogue import TALL_M, CarModel
 from synth3dlanes.distributions import Choice
 
 Color = tuple[float, float, float]
-
-# Vans, trucks and buses are taller than any passenger car.
-TALL_M = 2.1
 
 
 @dataclass(frozen=True)

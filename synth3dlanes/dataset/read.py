@@ -42,6 +42,7 @@ from synth3dlanes.dataset.listing import read_shards
 from synth3dlanes.dataset.nesting import inner_data_sets
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.labels import Labels
+from synth3dlanes.object_labels import Objects, stacked
 from synth3dlanes.schema import AHEAD_DEG, validation_problems
 from synth3dlanes.sensors.cameras import CameraSpec
 from synth3dlanes.sensors.sweep import Sweep
@@ -110,6 +111,13 @@ class Reader:
     def labels(self, i: int) -> Labels:
         """The labels of sample i; its image is not read."""
         return labels_module.from_json(self.member(i, LABELS), f"{self._where(i)}.{LABELS}")
+
+    def objects(self, i: int) -> Objects:
+        """The objects of sample i as arrays; raise FormatError where its labels are older than objects."""
+        items = self.labels(i).objects
+        if items is None:
+            raise FormatError(f"{self._where(i)}: expected labels with objects, got older ones; generate them again")
+        return stacked(items)
 
     def passes(self, i: int) -> dict[str, Shaped[np.ndarray, "..."]]:
         """The passes of sample i by name; none where the dataset was made without."""

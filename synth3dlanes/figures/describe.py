@@ -11,11 +11,22 @@ from synth3dlanes.frames import transform
 from synth3dlanes.geometry.camera import horizontal_fov_rad
 from synth3dlanes.labels import Labels, Lane
 from synth3dlanes.lens import COEFFICIENTS, Lens
+from synth3dlanes.object_labels import ObjectLabel
 from synth3dlanes.scene import Camera, Host, Road, Scene, Weather
 
 Facts = dict[str, str]
 
 LANE_COLUMNS = ("lane", "kind", "road", "marking", "points", "image", "ground", "objects", "seen")
+OBJECT_COLUMNS = (
+    "object",
+    "class",
+    "centre x, y, z [m]",
+    "width, length, height [m]",
+    "speed",
+    "seen",
+    "truncated",
+    "lidar",
+)
 
 
 def describe(scene: Scene, labels: Labels) -> dict[str, Facts]:
@@ -106,6 +117,15 @@ def lane_row(lane: Lane) -> tuple[str, ...]:
     in_image, over_ground = int(lane.in_image.sum()), int((lane.in_image & lane.terrain_visible).sum())
     counts = (str(len(lane.xyz_cam)), str(in_image), str(over_ground), objects, reach)
     return (lane.id, lane.kind, lane.road, lane.marking, *counts)
+
+
+def object_row(item: ObjectLabel) -> tuple[str, ...]:
+    """An object's row in `OBJECT_COLUMNS`; "-" for what is not known."""
+    speed = "-" if item.velocity_cam is None else f"{3.6 * np.linalg.norm(item.velocity_cam):.0f} km/h"
+    seen = "-" if item.visible_fraction is None else f"{100 * item.visible_fraction:.0f} %"
+    points = "-" if item.lidar_points is None else str(item.lidar_points)
+    places = (", ".join(f"{value:.2f}" for value in values) for values in (item.center_cam, item.size_m))
+    return (str(item.id), item.category, *places, speed, seen, f"{100 * item.truncation:.0f} %", points)
 
 
 def heights_over_road_plane(labels: Labels) -> tuple[float, float]:

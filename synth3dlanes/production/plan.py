@@ -13,6 +13,7 @@ from synth3dlanes.dataset.write import Shard
 from synth3dlanes.errors import InputError
 from synth3dlanes.production.devices import WorkerSlots, n_cores, resolve_device
 from synth3dlanes.production.forecast import Forecast, forecast
+from synth3dlanes.production.measured import measured
 from synth3dlanes.production.recipe import PackedSample, Recipe, make_sample
 from synth3dlanes.production.workers import Limits
 from synth3dlanes.sampling.traffic import check_way
@@ -106,9 +107,11 @@ class Plan:
         # Before anything else is read there.
         self.destination.check_recipe(self.description(), self.recipe.scenes.split, self.n)
         missing = self.n_missing()
-        found = forecast(self.recipe, missing, max(1, min(n_workers or self.workers or n_cores(), missing)))
-        if not self.destination.is_store:
-            found.require_room(self.destination.folder)
+        here = None if self.destination.is_store else self.destination.folder
+        before = None if here is None else measured(here, self.recipe.scenes.split)
+        found = forecast(self.recipe, missing, max(1, min(n_workers or self.workers or n_cores(), missing)), before)
+        if here is not None:
+            found.require_room(here)
         return found
 
     def n_asked(self) -> int:

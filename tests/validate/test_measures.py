@@ -238,7 +238,7 @@ def test_the_seen_share_of_a_car_that_reaches_behind_the_camera_is_judged_by_its
     sample = semitrailer_alongside()
     instance = np.zeros((360, 480), np.uint16)
     instance.ravel()[:n_px] = FIRST_CAR_ID
-    labels = replace(sample.labels, car_visible_fraction=(share,))
+    labels = sample.labels.with_seen_shares((share,))
     found = reasons(replace(sample, labels=labels, passes={"instance": instance}), "cars")
     assert ("car_visible_fraction: expected" in found) == is_fault
 
