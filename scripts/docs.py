@@ -9,6 +9,7 @@ from pydantic import BaseModel, ValidationError
 from synth3dlanes_cli.documents import Outputs
 from synth3dlanes_cli.main import main
 
+from scripts.results import models_page, with_benchmarks
 from synth3dlanes.assets.catalogue import BUILT_IN
 from synth3dlanes.distributions import Distribution
 from synth3dlanes.figures.stats import form as written
@@ -93,6 +94,8 @@ def pages() -> dict[str, str]:
         "labels.schema.json": json.dumps(LabelsDocument.model_json_schema(), indent=1) + "\n",
         "outputs.schema.json": json.dumps(Outputs.model_json_schema(), indent=1) + "\n",
         "cluster.md": with_files((FOLDER / "cluster.md").read_text()),
+        "benchmarks.md": with_benchmarks((FOLDER / "benchmarks.md").read_text()),
+        "models.md": models_page(),
         "validate.md": with_checks((FOLDER / "validate.md").read_text()),
     }
 
