@@ -12,7 +12,7 @@ from synth3dlanes.words import counted
 
 from .options import json_option, output_console
 
-# So that thirds may be written as 0.33.
+# The sum of shares may differ from 1 by this much, so that thirds may be written as 0.33.
 SUM_TOLERANCE = 0.015
 
 

@@ -9,12 +9,14 @@ from pydantic import BaseModel, ValidationError
 from synth3dlanes_cli.documents import Outputs
 from synth3dlanes_cli.main import main
 
+from scripts.results import models_page, with_benchmarks
 from synth3dlanes.assets.catalogue import BUILT_IN
+from synth3dlanes.distributions import Distribution
 from synth3dlanes.figures.stats import form as written
 from synth3dlanes.labels import LabelsDocument
 from synth3dlanes.params import Params, forms, load_params, preset_names
 from synth3dlanes.params_text import REFERENCE, comments_of
-from synth3dlanes.sampling.weather import DAYTIMES, KINDS, Distribution
+from synth3dlanes.sampling.weather import DAYTIMES, KINDS
 from synth3dlanes.scene import Scene
 from synth3dlanes.validate.checks import ALWAYS, CHECKS
 
@@ -92,6 +94,8 @@ def pages() -> dict[str, str]:
         "labels.schema.json": json.dumps(LabelsDocument.model_json_schema(), indent=1) + "\n",
         "outputs.schema.json": json.dumps(Outputs.model_json_schema(), indent=1) + "\n",
         "cluster.md": with_files((FOLDER / "cluster.md").read_text()),
+        "benchmarks.md": with_benchmarks((FOLDER / "benchmarks.md").read_text()),
+        "models.md": models_page(),
         "validate.md": with_checks((FOLDER / "validate.md").read_text()),
     }
 

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         save_scene,
         split_dataset,
         validate_dataset,
+        verify_export,
     )
     from synth3dlanes.dataset.format import Sample
     from synth3dlanes.dataset.read import Reader
@@ -40,13 +41,14 @@ if TYPE_CHECKING:
         WorkerError,
     )
     from synth3dlanes.figures.overlay import draw_overlay
+    from synth3dlanes.formats.export import Export
     from synth3dlanes.labels import Labels, Lane, SymbolLabel
     from synth3dlanes.params import Params
     from synth3dlanes.scene import Scene
     from synth3dlanes.sensors.cameras import CameraSpec
     from synth3dlanes.sources import read_scene
 else:
-    # Type checkers must not see it: they would take any name for one of ours.
+    # Type checkers must not see this function: they would accept any name.
     def __getattr__(name: str) -> Any:
         if name not in __all__:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
@@ -58,6 +60,7 @@ __version__ = "0.3.0"
 __all__ = [
     "CameraSpec",
     "DiskFullError",
+    "Export",
     "FormatError",
     "InputError",
     "Labels",
@@ -92,13 +95,15 @@ __all__ = [
     "save_scene",
     "split_dataset",
     "validate_dataset",
+    "verify_export",
 ]
 
-# Where names live that are not functions of `api`.
+# The modules of the names that are not functions of `api`.
 _HOMES = {
     **dict.fromkeys(("DiskFullError", "FormatError", "InputError", "MissingPackageError"), "errors"),
     **dict.fromkeys(("Synth3dlanesError", "WorkerError"), "errors"),
     "CameraSpec": "sensors.cameras",
+    "Export": "formats.export",
     "Labels": "labels",
     "Lane": "labels",
     "Params": "params",

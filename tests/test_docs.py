@@ -31,6 +31,8 @@ GENERATED = [
     "outputs.schema.json",
     "cluster.md",
     "validate.md",
+    "benchmarks.md",
+    "models.md",
 ]
 
 

@@ -14,7 +14,7 @@ from synth3dlanes.params_text import preset_of
 
 @dataclass(frozen=True)
 class SplitInfo:
-    """A split: samples asked for; those in finished shards; those in shards in progress; those that were set aside."""
+    """A split: the number of samples asked for, in finished shards, in shards in progress, and set aside."""
 
     name: str
     asked: int
@@ -48,7 +48,7 @@ class DatasetInfo:
 
 
 def dataset_info(url: str) -> DatasetInfo:
-    """Count and weigh the data set at any address that fsspec knows, or one split of it."""
+    """Count the samples and bytes of a data set, or of one split, at any address that fsspec can open."""
     root_url, only = data_set_of(url)
     files, root = connect(root_url)
     where = f"{root_url}/{DESCRIPTION}"

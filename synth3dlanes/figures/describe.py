@@ -12,11 +12,22 @@ from synth3dlanes.frames import transform
 from synth3dlanes.geometry.camera import horizontal_fov_rad
 from synth3dlanes.labels import Labels, Lane
 from synth3dlanes.lens import COEFFICIENTS, Lens
+from synth3dlanes.object_labels import ObjectLabel
 from synth3dlanes.scene import Camera, Host, Road, Scene, Weather
 
 Facts = dict[str, str]
 
 LANE_COLUMNS = ("lane", "kind", "road", "marking", "points", "image", "ground", "objects", "seen")
+OBJECT_COLUMNS = (
+    "object",
+    "class",
+    "centre x, y, z [m]",
+    "width, length, height [m]",
+    "speed",
+    "seen",
+    "truncated",
+    "lidar",
+)
 
 
 def describe(scene: Scene, labels: Labels) -> dict[str, Facts]:
@@ -100,13 +111,22 @@ def topology_words(road: Road) -> str:
 
 
 def lane_row(lane: Lane) -> tuple[str, ...]:
-    """A lane's row in `LANE_COLUMNS`: counts of all points, of those in the image, of those among them that the ground
-    does not hide, of those that no object hides either ("-" before rendering), and the farthest visible distance."""
+    """A lane's row in `LANE_COLUMNS`. Four counts of points: all; in the image; of these, not hidden by the ground; of
+    these, not hidden by an object ("-" before rendering). Then the farthest visible distance."""
     objects = "-" if lane.object_visible is None else str(int(lane.visible.sum()))
     reach = f"{lane.xyz_cam[lane.visible, 1].max():.0f} m" if lane.visible.any() else "-"
     in_image, over_ground = int(lane.in_image.sum()), int((lane.in_image & lane.terrain_visible).sum())
     counts = (str(len(lane.xyz_cam)), str(in_image), str(over_ground), objects, reach)
     return (lane.id, lane.kind, lane.road, lane.marking, *counts)
+
+
+def object_row(item: ObjectLabel) -> tuple[str, ...]:
+    """An object's row in `OBJECT_COLUMNS`; "-" for what is not known."""
+    speed = "-" if item.velocity_cam is None else f"{3.6 * np.linalg.norm(item.velocity_cam):.0f} km/h"
+    seen = "-" if item.visible_fraction is None else f"{100 * item.visible_fraction:.0f} %"
+    points = "-" if item.lidar_points is None else str(item.lidar_points)
+    places = (", ".join(f"{value:.2f}" for value in values) for values in (item.center_cam, item.size_m))
+    return (str(item.id), item.category, *places, speed, seen, f"{100 * item.truncation:.0f} %", points)
 
 
 def scene_document(scene: Scene, labels: Labels) -> dict[str, Any]:

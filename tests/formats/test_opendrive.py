@@ -6,17 +6,17 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from synth3dlanes.geometry.lanes import connections, lane_graph
 
-from synth3dlanes.formats.export import export
+from synth3dlanes.formats.export import Export
+from synth3dlanes.formats.opendrive.read import read_roads as read_file_roads
 from synth3dlanes.formats.opendrive.write import opendrive
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.geometry.paint import is_double, paint_color, painted_rows
 from synth3dlanes.geometry.symbols import shape
 from synth3dlanes.scene import Building, Post, Rail, Roadside, Symbol, Tree
 from synth3dlanes.world import resolve
-from tests.formats.opendrive_rules import read_roads
 from tests.scenes import FLAT, changed, hill
+from tests.thorough import first
 
 BENT = {"offset_m100_m": 6, "offset_m50_m": -4, "offset_p50_m": 7, "offset_p100_m": 3, "ramp_slope": 9}
 # Beside the road: it is banked by up to 13 degrees, and the ground bends across the lanes.
@@ -38,14 +38,17 @@ ROADS = [
 ]
 
 
+def read_roads(text):
+    return read_file_roads(text, "test")
+
+
 def world_of(markings=None, **road):
     return resolve(changed(FLAT, road={**BENT, **road}, terrain=HILLS, markings=markings or {}))
 
 
 def of_segment(world, segment):
     """The curve on which a lane segment lies."""
-    path = next((fork for stem, fork in connections(world.plan) if stem == segment), segment)
-    return next(line for line in world.site.lines if line.id == path)
+    return world.network.path(segment)
 
 
 def apart(points, line):
@@ -65,14 +68,17 @@ def differences(world, text):
         for number, lane in road.lanes.items():
             data = lane.find("userData")
             if data is not None:
-                line = of_segment(world, data.get("value")).points_world(world.plan, stations)
+                line = of_segment(world, data.get("value")).points_world(stations)
                 centers = np.array([road.center(number, s) for s in np.linspace(0, road.length, 14)])
                 aside, above = apart(centers, line)
                 worst = np.maximum(worst, [aside.max(), np.abs(above).max()])
     return worst
 
 
-@pytest.mark.parametrize("road", ROADS, ids=str)
+each_road = pytest.mark.parametrize("road", first(4, sorted(ROADS, key=lambda road: road not in ROADS[::3])), ids=str)
+
+
+@each_road
 def test_lane_centres_are_the_worlds_in_place_and_height(road):
     world = world_of(**road)
     aside, above = differences(world, opendrive(world, "test"))
@@ -101,7 +107,7 @@ def test_a_wrong_sign_or_a_missing_profile_is_seen(pattern, changed_to):
     assert max(differences(world, wrong)) > 0.03
 
 
-@pytest.mark.parametrize("road", ROADS, ids=str)
+@each_road
 def test_lanes_reach_from_end_to_end_of_every_curve(road):
     world = world_of(**road)
     found = read_roads(opendrive(world, "test"))
@@ -115,11 +121,11 @@ def test_lanes_reach_from_end_to_end_of_every_curve(road):
     )
     for line in world.site.lines:
         if line.kind == "centerline":
-            points = line.points_world(world.plan, np.linspace(-249, 249, 160))
+            points = line.points_world(np.linspace(-249, 249, 160))
             assert np.linalg.norm(points[:, None] - centers, axis=2).min(axis=1).max() < 3.0
 
 
-@pytest.mark.parametrize("road", ROADS, ids=str)
+@each_road
 def test_traffic_and_successors_are_those_of_the_lane_graph(road):
     world = world_of(**road)
     root = ElementTree.fromstring(opendrive(world, "test"))
@@ -158,7 +164,7 @@ def test_traffic_and_successors_are_those_of_the_lane_graph(road):
                 assert abs(gap @ along) < 0.5
                 assert np.linalg.norm(gap - (gap @ along) * along) < 0.04
             found.add((segment(incoming, link.get("from")), segment(after.get("elementId"), out)))
-    graph = lane_graph(world.plan, [])
+    graph = world.network.graph([])
     expected = {(a, b) for a, after in graph.successors.items() for b in after}
     if road["topology"] > 1 and not road.get("median_m"):
         expected |= {(f"oncoming_{i}",) * 2 for i in range(1, road.get("n_oncoming", 0) + 1)}
@@ -180,12 +186,12 @@ def marks_of(file_road):
                 yield number, mark, start, end
 
 
-@pytest.mark.parametrize("road", ROADS, ids=str)
+@each_road
 def test_marks_are_the_delimiters_in_place_colour_and_dashes(road):
     world = world_of({"left_yellow": True, "left_double": True, "dash_cycle_m": 9, "dash_fraction": 0.3}, **road)
     lines = {line.id: line for line in world.site.lines if line.kind == "delimiter"}
     stations = {k: np.arange(max(-260, v.start_m), min(300, v.end_m), 0.05) for k, v in lines.items()}
-    dense = {name: line.points_world(world.plan, stations[name]) for name, line in lines.items()}
+    dense = {name: line.points_world(stations[name]) for name, line in lines.items()}
     marked = dict.fromkeys(lines, 0.0)
     n_dashes = 0
     for file_road in read_roads(opendrive(world, "test")).values():
@@ -231,7 +237,7 @@ def test_the_stripes_of_mixed_pairs_lie_on_their_sides_with_their_dashes(road, p
     world = world_of(markings, **road)
     lines = [line for line in world.site.lines if is_double(line, world.scene.markings)]
     s = np.arange(-250, 250, 0.05)
-    dense = {line.id: line.points_world(world.plan, s[(s > line.start_m) & (s < line.end_m)]) for line in lines}
+    dense = {line.id: line.points_world(s[(s > line.start_m) & (s < line.end_m)]) for line in lines}
     found = set()
     for file_road in read_roads(opendrive(world, "test")).values():
         for number, mark, start, end in marks_of(file_road):
@@ -302,11 +308,12 @@ def test_objects_stand_and_lie_where_the_worlds_do():
 
 def test_an_export_has_a_map_of_each_scene_and_its_check_finds_what_is_broken(dataset, tmp_path):
     out = tmp_path / "out"
-    summary = export(str(dataset), out, "opendrive", 1, lambda done, total: None)
+    job = Export(str(dataset), out, "opendrive")
+    summary = job.write()
     assert sorted(summary.n_frames.values()) == [4, 7]
     files = sorted(str(path.relative_to(out)) for path in out.rglob("*.xodr"))
     assert files == [*(f"test/{i:08d}.xodr" for i in range(4)), *(f"train/{i:08d}.xodr" for i in range(7))]
-    assert [result.problems for result in verify(out, "opendrive", 9)] == [(), ()]
+    assert [result.problems for result in verify(job, 9)] == [(), ()]
     path = out / "test/00000002.xodr"
     text = path.read_text()
     for pattern, replacement, expected in (
@@ -315,7 +322,7 @@ def test_an_export_has_a_map_of_each_scene_and_its_check_finds_what_is_broken(da
         (r'<lane id="(-?)1" type="driving"', r'<lane id="\g<1>7" type="driving"', "to be there"),
     ):
         path.write_text(re.sub(pattern, replacement, text))
-        problems = [problem for result in verify(out, "opendrive", 9) for problem in result.problems]
+        problems = [problem for result in verify(job, 9) for problem in result.problems]
         assert problems, pattern
-        assert all(problem.startswith("test/00000002.xodr: ") for problem in problems)
-        assert expected in problems[0]
+        assert all("test/00000002.xodr: " in problem for problem in problems)
+        assert any(expected in problem for problem in problems)

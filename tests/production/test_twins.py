@@ -12,7 +12,7 @@ from synth3dlanes.production.recipe import scene_json
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.twins import twin_recipes
 from synth3dlanes.scene import Scene, from_json
-from tests import fake_samples
+from tests import fake_samples, warm
 
 
 @pytest.fixture
@@ -66,6 +66,7 @@ def test_what_cannot_be_varied(source: str, vary: str, expected: str) -> None:
 
 @pytest.mark.render
 def test_rendered_twins(tmp_path: Path) -> None:
+    warm.use(is_warm=True)
     plan = Plan(tmp_path / "d", 1, fake_samples.recipe(), workers=1)
     assert generate(plan, lambda event: None).exit_code == 0
     original = Reader(f"{tmp_path}/d/train").raw(0)
