@@ -154,6 +154,15 @@ class Benchmark(Document):
     score: dict[str, Any] | None = None
 
 
+class Exported(BaseModel):
+    """`export`: frames and lines written and left out, warnings, and the comparison with the labels of --verify."""
+
+    model_config = ConfigDict(extra="allow")
+
+    warnings: list[str]
+    verified: list[dict[str, Any]]
+
+
 class EvaluatedTargets(BaseModel):
     """`evaluate` without a network: how the labels fit into the targets of a network, and the score of these."""
 
@@ -181,6 +190,7 @@ class Outputs(Document):
     bench: Bench
     benchmark: Benchmark
     evaluate: Evaluation | EvaluatedTargets | EvaluatedPhotographs
+    export: Exported
     generate: RunReport
     generate_dry_run: DryRun
     info: Info
