@@ -1,13 +1,13 @@
 """All hyper-parameters of the baseline, and the named models. Pure data; checkpoints store them as JSON."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
 from synth3dlanes.errors import InputError
-from synth3dlanes.schema import MAX_PX, problem_line
+from synth3dlanes.schema import MAX_PX, problem_line, unknown_key
 from synth3dlanes.yaml_text import read_yaml
 
 from .curves import HALF_WIDTH_M
@@ -380,7 +380,17 @@ def _line(problem: ErrorDetails, where: str) -> str:
     if problem["type"] == "value_error":  # from `_fits`: names the setting itself
         return ".".join(map(str, (where, *loc, problem["ctx"]["error"])))
     problem["loc"] = (where, *loc)
+    if problem["type"] == "extra_forbidden":
+        return f"{'.'.join(map(str, problem['loc']))}: {unknown_key(str(loc[-1]), _known(loc[:-1]))}"
     return problem_line(problem)
+
+
+def _known(path: tuple[int | str, ...]) -> Iterable[str]:
+    """The settings of a part of the configuration."""
+    part: Any = _defaults("compact", is_improved=False) if path else TrainConfig.model_fields
+    for step in path:
+        part = part.get(step, {}) if isinstance(part, dict) else {}
+    return list(part)
 
 
 def _defaults(model: str, *, is_improved: bool) -> dict[str, Any]:

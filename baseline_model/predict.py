@@ -12,6 +12,7 @@ from synth3dlanes.errors import InputError
 from synth3dlanes.files import Folder
 from synth3dlanes.formats.reading import read_image
 from synth3dlanes.labels import Labels
+from synth3dlanes.words import counted
 
 from . import checkpoint as checkpoints
 from .data import Intrinsics, img_from_cam, intrinsics_of, resize, scale, size_of
@@ -19,7 +20,7 @@ from .inference import Detector, choose_device
 from .lanes import Prediction, write_predictions
 from .overlay import save_overlay
 from .photographs import open_tusimple
-from .sources import image_files, open_split
+from .sources import IMAGE_SUFFIXES, image_files, open_split
 from .tusimple import check_plane
 
 ASSUMED_FOV_DEG = 60.0
@@ -41,11 +42,11 @@ class PredictionSummary:
     def text(self) -> str:
         """The summary as one line of text."""
         if self.n_lanes:
-            found = f"{self.path}: {self.n_lanes} lanes in {self.n_images} images"
+            found = f"{self.path}: {counted(self.n_lanes, 'lane')} in {counted(self.n_images, 'image')}"
         else:
             found = (
-                f"{self.path}: no lane of confidence {self.threshold:g} in {self.n_images} images; the best has "
-                f"{self.best_score:.2f}, --threshold shows it"
+                f"{self.path}: no lane of confidence {self.threshold:g} in {counted(self.n_images, 'image')}; "
+                f"the best has {self.best_score:.2f}, --threshold shows it"
             )
         assumed = f"; a field of view of {ASSUMED_FOV_DEG:g} degrees was assumed, --intrinsics says otherwise"
         return found + assumed * self.is_assumed
@@ -140,6 +141,9 @@ def _pictures(source: str | Path, intrinsics: Intrinsics | None) -> Iterator[_Pi
     files = image_files(source)
     if files:
         return (_of_file(file, intrinsics) for file in files)
+    is_here = "://" not in str(source)
+    if is_here and Path(source).suffix.lower() in IMAGE_SUFFIXES:
+        raise InputError(f"{source}: expected an image, got no such file")
     samples = open_split(source)
     if intrinsics is not None:
         raise InputError(f"intrinsics: expected none for {source}, whose labels have them")

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from synth3dlanes.files import replacing
+from synth3dlanes.words import counted
 
 from .curves import METRIC_Y_M
 from .metrics import Errors, EvaluationReport, KindReport
@@ -58,16 +59,22 @@ def summary_line(report: EvaluationReport) -> str:
         errors = kind.at_threshold
         near, far = _cm(errors.near_1sigma_cm), _cm(errors.far_1sigma_cm)
         parts.append(f"{name} AP {kind.ap:.3f} {_why_no_errors(errors) or f'near {near} far {far} cm'}")
-    pose = f"pose {report.pitch_median_deg:.2f} deg {report.height_median_cm:.1f} cm"
-    return "; ".join([*parts, pose])
+    return "; ".join([*parts, *([f"pose {pose}"] if (pose := _pose(report)) else [])])
+
+
+def _pose(report: EvaluationReport) -> str:
+    """The errors of the predicted pose, "" where none was predicted."""
+    if math.isnan(report.pitch_median_deg):
+        return ""
+    return f"{report.pitch_median_deg:.2f} deg {report.height_median_cm:.1f} cm"
 
 
 def to_text(report: EvaluationReport) -> str:
     """The report as text, with every choice that the paper leaves open."""
     config = report.config
     lines = [
-        f"{report.n_images} images; errors in cm, at confidence >= {config.threshold}; frame {config.frame}; "
-        f"weights {config.weights}; match below 1.5 m",
+        f"{counted(report.n_images, 'image')}; errors in cm, at confidence >= {config.threshold}; "
+        f"frame {config.frame}; weights {config.weights}; match below 1.5 m",
         f"{'':14}{'AP':>7}{'95 % interval':>17}{'near 1s':>9}{'near 2s':>9}{'far 1s':>9}{'far 2s':>9}"
         f"{'recall':>8}{'precision':>10}",
     ]
@@ -83,9 +90,7 @@ def to_text(report: EvaluationReport) -> str:
             lines.append(f"  no errors: {why}")
         ap, *paper = papers[name]
         lines.append(f"{'  paper':14}{ap:7.3f}{'':>17}" + "".join(f"{_cm(value):>9}" for value in paper))
-    lines.append(
-        f"pose: median {report.pitch_median_deg:.3f} deg, {report.height_median_cm:.2f} cm (paper: 0.09 deg, 2.4 cm)"
-    )
+    lines.append(f"pose: {f'median {pose}' if (pose := _pose(report)) else 'not predicted'} (paper: 0.09 deg, 2.4 cm)")
     if report.tusimple is not None:
         accuracy, fp, fn = report.tusimple
         lines.append(f"tuSimple: accuracy {accuracy:.4f}, FP {fp:.4f}, FN {fn:.4f} (paper: accuracy 0.951)")

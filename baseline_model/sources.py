@@ -22,6 +22,7 @@ from synth3dlanes.formats.apollo.read import ApolloSplit
 from synth3dlanes.formats.openlane.read import OpenLaneSplit, is_openlane
 from synth3dlanes.formats.tusimple.read import TusimpleSplit, find_labels
 from synth3dlanes.labels import Labels
+from synth3dlanes.words import counted
 
 from .data import FocalLengths, LabelledImage, Samples, intrinsics_of, scale
 from .tusimple import TusimpleOnPlane
@@ -167,7 +168,7 @@ def _scenes(samples: Samples) -> Int[np.ndarray, " n"]:
 
 def describe(validation: Samples) -> str:
     """What `training_and_validation` chose for validation."""
-    what = f"{len(validation):,} images"
+    what = counted(len(validation), "image")
     if not isinstance(validation, Subset):
         return what
     return f"{what} of the training split, as there is no validation split"

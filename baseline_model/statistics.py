@@ -11,6 +11,7 @@ import torch
 
 from synth3dlanes.frames import transform
 from synth3dlanes.labels import Labels, LaneKind
+from synth3dlanes.words import counted
 
 from .anchors import (
     CENTERLINE,
@@ -99,7 +100,7 @@ def decode_targets(key: str, targets: Targets, pose: Pose, model: ModelConfig) -
 
 def to_text(statistics: TargetStatistics) -> str:
     """The statistics as text."""
-    lines = [f"{statistics.n_images} images"]
+    lines = [counted(statistics.n_images, "image")]
     for kind, counts in statistics.counts.items():
         lines.append(f"{kind:11}" + "".join(f"  {name} {n}" for name, n in counts.items()))
     lines.append(f"{'knot [m]':>10}{'visible':>9}{'sd x [m]':>10}{'sd z [m]':>10}")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from .options import json_option
+from .options import json_option, output_console
 
 
 @click.command()
@@ -20,7 +20,6 @@ def assets(ctx: click.Context, folder: Path, example: bool, as_json: bool) -> No
     Lists the models, textures and skies found with their sizes, and every problem; exits with 1 if there is one.
     The layout of the folder is described in docs/assets.md.
     """
-    from rich.console import Console
     from rich.table import Table
 
     from synth3dlanes.production.user_assets import check_assets, write_example
@@ -35,7 +34,7 @@ def assets(ctx: click.Context, folder: Path, example: bool, as_json: bool) -> No
         for row in checked.rows:
             triangles = f"{row.triangles:,}" if row.triangles else ""
             table.add_row(row.kind, str(row.number), row.name, row.size, triangles, row.sha256[:12])
-        Console().print(table)
+        output_console().print(table)
         for line in checked.warnings:
             click.echo(f"warning: {line}", err=True)
         for line in checked.problems:

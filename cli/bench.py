@@ -7,12 +7,15 @@ from typing import TYPE_CHECKING
 
 import click
 
+from synth3dlanes.words import counted
+
 from .generate import WORKERS_HELP, Workers
 from .options import (
     assets_option,
     device_option,
     json_option,
     open_assets,
+    output_console,
     params_option,
     passes_option,
     samples_option,
@@ -64,7 +67,6 @@ def bench(
     The time per image is compared with its lower bound, the "floor": path tracing and denoising alone. Samples are
     written to disk as by `generate`, then deleted.
     """
-    from rich.console import Console
 
     from synth3dlanes.params import load_params
     from synth3dlanes.production import bench as measuring
@@ -77,7 +79,7 @@ def bench(
     library = open_assets(assets)
     params, settings = load_params(source, changes, library.assets), RenderSettings(samples, passes, device)
     recipe, slots = resolve_device(Recipe(Scenes(params, 0, "bench", assets=library.assets), settings, "jpg", library))
-    with Console(stderr=True).status("warming up") as status:
+    with output_console(stderr=True).status("warming up") as status:
         found = measuring.bench(recipe, n, workers or slots.workers, list(slots.masks), status.update)
         if reference:
             found = replace(found, quality=measuring.measure_quality(recipe, status.update))
@@ -92,16 +94,20 @@ def bench(
 
 
 def _print(found: "Bench") -> None:
-    from rich.console import Console
     from rich.table import Table
 
-    table = Table("stage", "seconds", "of the floor", title=f"{found.scenes} scenes, {found.workers} workers")
+    table = Table(
+        "stage",
+        "seconds",
+        "of the floor",
+        title=f"{counted(found.scenes, 'scene')}, {counted(found.workers, 'worker')}",
+    )
     for name, seconds in found.stages.items():
         table.add_row(name, f"{seconds:.4f}", f"{seconds / found.floor_seconds_per_image:.3f}")
     table.add_section()
     table.add_row("all", f"{found.seconds_per_image:.3f}", f"{found.ratio:.3f}")
     table.add_row("floor", f"{found.floor_seconds_per_image:.3f}", "1")
-    console = Console()
+    console = output_console()
     console.print(table)
     width, height = found.size_px
     memory = " ".join(f"{mib:.0f}" for mib in found.memory_mib)
@@ -121,10 +127,9 @@ def _print(found: "Bench") -> None:
 
 
 def _print_comparison(rows: list[tuple[str, float, float]], err: bool) -> None:
-    from rich.console import Console
     from rich.table import Table
 
     table = Table("over the floor", "now", "stored", "now / stored", title="Against the stored result")
     for name, now, before in rows:
         table.add_row(name, f"{now:.4f}", f"{before:.4f}", f"{now / before:.2f}" if before else "-")
-    Console(stderr=err).print(table)
+    output_console(stderr=err).print(table)

@@ -8,8 +8,9 @@ from typing import Any
 import click
 
 from synth3dlanes.settings import SPLIT_NAME
+from synth3dlanes.words import counted
 
-from .options import json_option
+from .options import json_option, output_console
 
 # So that thirds may be written as 0.33.
 SUM_TOLERANCE = 0.015
@@ -42,7 +43,6 @@ def info(folder: str, as_json: bool) -> None:
 
     Prints the recipe, and for each split its samples, its size and whether it is complete.
     """
-    from rich.console import Console
     from rich.table import Table
 
     from synth3dlanes.dataset.description import pictures_per_scene
@@ -56,7 +56,9 @@ def info(folder: str, as_json: bool) -> None:
     recipe = found.recipe
     passes = ", ".join(recipe["render"]["passes"]) or "none"
     click.echo(f"{folder}: synth3dlanes {recipe['generator']}, seed {recipe['seed']}, {recipe['image_format']}")
-    click.echo(f"{recipe['render']['samples']} rays a pixel on {recipe['render']['device']}, passes: {passes}")
+    click.echo(
+        f"{counted(recipe['render']['samples'], 'sample')} per pixel on {recipe['render']['device']}, passes: {passes}"
+    )
     if pictures_per_scene(recipe) > 1:
         shots = recipe["shots"]
         clip = [f"{shots['frames']} frames a scene, {shots['fps']:g} a second"] if shots["frames"] > 1 else []
@@ -70,7 +72,7 @@ def info(folder: str, as_json: bool) -> None:
     for split in found.splits:
         numbers = (split.asked, split.joined, split.waiting, split.set_aside, split.shards, f"{split.bytes / 1e6:.1f}")
         table.add_row(split.name, *map(str, numbers), "complete" if split.is_complete else "incomplete")
-    Console(soft_wrap=True).print(table)
+    output_console(soft_wrap=True).print(table)
 
 
 @click.command()
@@ -111,4 +113,4 @@ def merge(folders: tuple[str, ...], out: str) -> None:
 
 def _tell(out: str, counts: dict[str, int]) -> None:
     for name, count in counts.items():
-        click.echo(f"{out}/{name}: {count} samples")
+        click.echo(f"{out}/{name}: {counted(count, 'sample')}")

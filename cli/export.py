@@ -1,11 +1,28 @@
 """`synth3dlanes export`: write a data set in the format of another data set."""
 
+import json
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from .options import progress_bar
+from .options import json_option, progress_bar
+
+if TYPE_CHECKING:
+    from synth3dlanes.formats.summary import ExportSummary
+    from synth3dlanes.formats.verify import Verification
+
+
+class ExportCommand(click.Command):
+    """A command whose help lists the formats of all installed packages."""
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The formats, which are loaded for this only."""
+        from synth3dlanes.formats.registry import described
+
+        with formatter.section("Formats"):
+            formatter.write_dl(described())
 
 
 def _size(text: str | None) -> tuple[int, int] | None:
@@ -18,51 +35,33 @@ def _size(text: str | None) -> tuple[int, int] | None:
     return int(found[1]), int(found[2])
 
 
-@click.command()
+@click.command(cls=ExportCommand)
 @click.argument("source", metavar="DIR|DIR/SPLIT:KEY")
-@click.option(
-    "--format",
-    "format_name",
-    required=True,
-    type=click.Choice(
-        [
-            "apollo",
-            "openlane",
-            "once",
-            "tusimple",
-            "culane",
-            "curvelanes",
-            "openlane_v2",
-            "opendrive",
-            "coco",
-            "masks",
-            "yolo",
-        ]
-    ),
-    help="Format to write.",
-)
+@click.option("--format", "format_name", metavar="NAME", required=True, help="Format to write: see below.")
 @click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Output folder.")
 @click.option(
     "--verify",
     "is_verified",
     is_flag=True,
-    help="Score the exported ground truth; exit with 1 if the score is not perfect.",
+    help="Read the export back and compare it with the labels; exit with 1 if a line is farther from them than the "
+    "format's own rounding allows.",
 )
 @click.option(
     "--size",
     "size_px",
     metavar="WxH",
     callback=lambda ctx, param, text: _size(text),
-    help="Image size for openlane, once and curvelanes; intrinsics are scaled with it.",
+    help="Image size, for formats of any size; intrinsics are scaled with it.",
 )
 @click.option(
     "--cameras",
     metavar="NAMES",
     default="",
-    help="Cameras of a rig, separated by commas. Default: those that look ahead; all for openlane_v2, coco, masks and "
-    "yolo.",
+    help="Cameras of a rig, separated by commas. Default: those that look ahead; all for formats that take images as "
+    "they are.",
 )
 @click.option("--workers", default=1, show_default=True, type=click.IntRange(min=1), help="Worker processes.")
+@json_option
 def export(
     source: str,
     format_name: str,
@@ -71,37 +70,34 @@ def export(
     size_px: tuple[int, int] | None,
     cameras: str,
     workers: int,
+    as_json: bool,
 ) -> None:
-    """Convert a data set (DIR), one split (DIR/train) or one sample (DIR/train:00000017) to the format of Apollo
-    Sim-3D, OpenLane, ONCE-3DLanes, tuSimple, CULane, CurveLanes, OpenLane-V2, COCO or YOLO, to plain masks, or to an
-    OpenDRIVE map of each scene.
+    """Convert a data set (DIR), one split (DIR/train) or one sample (DIR/train:00000017) to another format: that of a
+    benchmark, masks, or a map of each scene. Other packages may add formats (docs/exports.md).
 
     Rerun to resume, or to add samples generated since. OUT/README.md describes how splits were mapped,
     and which frames and lanes were left out and why.
     """
-    from synth3dlanes.formats.export import FORMATS
-    from synth3dlanes.formats.export import export as export_dataset
-    from synth3dlanes.formats.summary import warnings
-    from synth3dlanes.formats.verify import verify
-    from synth3dlanes.formats.writing import PARTS
+    from synth3dlanes import Export, verify_export
 
+    job = Export(source, out, format_name, size_px, tuple(name for name in cameras.split(",") if name))
     with progress_bar("frames") as move:
-        names = [name for name in cameras.split(",") if name]
-        summary = export_dataset(source, out, format_name, workers, move, size_px, names)
-    frames = ", ".join(f"{summary.n_frames[part]} {part}" for part in PARTS)
-    foreign = FORMATS[format_name]
-    click.echo(f"{out}: {frames} frames, {summary.n_lines} {foreign.counted}")
-    for reason, count in summary.left_out.items():
-        click.echo(f"left out {count} frames: {reason}")
-    for warning in warnings(out, foreign, summary):
+        summary = job.write(workers, move)
+    verified = verify_export(job) if is_verified else ()
+    warnings = job.warnings(summary)
+    for warning in warnings:
         click.echo(f"warning: {warning}", err=True)
-    if is_verified:
-        results = verify(out, format_name, most_frames=500)
-        for result in results:
-            click.echo(f"{result.name}: {result.n_frames} frames, {result.n_lines} {foreign.counted}")
-            for label, score in (("ground truth", result.perfect), ("moved", result.shifted)):
-                if score:
-                    click.echo(f"  {label}: " + "  ".join(f"{key} {value:.4f}" for key, value in score.items()))
-        problems = [problem for result in results for problem in result.problems]
-        if problems:
-            raise click.ClickException("\n".join(problems))
+    if as_json:
+        click.echo(json.dumps(_document(summary, warnings, verified)))
+    else:
+        click.echo("\n".join([f"{out}: {summary.text(job.format.counted)}", *(result.text() for result in verified)]))
+    problems = [problem for result in verified for problem in result.problems]
+    if problems:
+        raise click.ClickException("\n".join(problems))
+
+
+def _document(
+    summary: "ExportSummary", warnings: tuple[str, ...], verified: "tuple[Verification, ...]"
+) -> dict[str, Any]:
+    lists = [result.document() for result in verified]
+    return {**summary.document(), "warnings": list(warnings), "verified": lists}

@@ -7,9 +7,10 @@ import click
 
 from synth3dlanes.files import replacing, write
 from synth3dlanes.settings import PASSES
+from synth3dlanes.words import counted
 
 from .idle import refuse_idle
-from .options import OutputFile, json_option
+from .options import OutputFile, json_option, output_console
 
 
 @click.command()
@@ -32,8 +33,6 @@ def inspect(where: str, image: Path | None, out: Path | None, html: Path | None,
 
     The scene is a scene.json, rendered or not, or a sample of a data set such as DIR/train:00000017.
     """
-    import rich
-
     from synth3dlanes.figures.describe import describe
     from synth3dlanes.figures.inspect import draw_inspect, summary
     from synth3dlanes.figures.page import scene_page
@@ -52,7 +51,7 @@ def inspect(where: str, image: Path | None, out: Path | None, html: Path | None,
     if as_json:
         click.echo(json.dumps({**written, **describe(shown.scene, shown.labels)}))
         return
-    rich.print(summary(shown.scene, shown.labels))
+    output_console().print(summary(shown.scene, shown.labels))
     for what, name in written.items():
         click.echo(f"{what.capitalize()}: {name}")
 
@@ -113,7 +112,7 @@ def clip(where: str, out: Path, lanes: bool, width: int | None) -> None:
 
     found = load_clip(where)
     write(out, draw_clip(found.pictures(lanes), found.fps, width))
-    click.echo(f"Clip: {out}, {len(found.frames)} frames")
+    click.echo(f"Clip: {out}, {counted(len(found.frames), 'frame')}")
 
 
 @click.command()

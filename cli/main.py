@@ -83,7 +83,9 @@ class Commands(click.Group):
                 raise
             raise WorkFailure(f"{ctx.command_path} {ctx.invoked_subcommand}: {NO_MEMORY}") from error
         except BrokenPipeError:
-            raise
+            # Whoever read the output has left, as `head` does. What is still buffered goes nowhere.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+            ctx.exit(128 + signal.SIGPIPE)
         except OSError as error:
             place = f"{error.filename}: " if error.filename else ""
             raise BadInput(f"{place}{error.strerror or error}") from error

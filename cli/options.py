@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from synth3dlanes.assets.catalogue import Library
     from synth3dlanes.shots import Shots
 
+    from .console import OutputConsole
+
 
 class Names(click.ParamType):
     """A comma-separated choice of names."""
@@ -182,6 +184,13 @@ assets_option = click.option(
     type=click.Path(path_type=Path),
     help="Folder of your own cars, trees, textures and skies (docs/assets.md).",
 )
+
+
+def output_console(*, stderr: bool = False, soft_wrap: bool = False) -> "OutputConsole":
+    """Where tables are printed."""
+    from .console import OutputConsole
+
+    return OutputConsole(stderr=stderr, soft_wrap=soft_wrap)
 
 
 @contextmanager

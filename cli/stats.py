@@ -1,7 +1,6 @@
 """`synth3dlanes stats`: drawn values against their declared distributions, and statistics of the labels."""
 
 import json
-import sys
 from pathlib import Path
 
 import click
@@ -9,10 +8,7 @@ import click
 from synth3dlanes.files import replacing
 
 from .idle import refuse_idle, refuse_idle_keys
-from .options import OutputFile, assets_option, json_option, open_assets, seed_option, set_option
-
-# Table width where stdout is not a terminal: wide enough for every column.
-WIDTH = 140
+from .options import OutputFile, assets_option, json_option, open_assets, output_console, seed_option, set_option
 
 
 @click.command()
@@ -47,7 +43,6 @@ def stats(
     Reads a data set (DIR) or one split (DIR/train). With --params, draws scenes without rendering them; these have no
     statistics of labels.
     """
-    from rich.console import Console
 
     from synth3dlanes.api import dataset_stats
     from synth3dlanes.figures.stats_views import draw_statistics, statistics_table, verdict
@@ -68,7 +63,7 @@ def stats(
     if as_json:
         click.echo(json.dumps(found.document(), allow_nan=False))
         return
-    Console(width=None if sys.stdout.isatty() else WIDTH).print(statistics_table(found.scenes, found.labels))
+    output_console().print(statistics_table(found.scenes, found.labels))
     click.echo(verdict(found.scenes))
     if out:
         click.echo(f"Plots: {out}")

@@ -4,6 +4,8 @@ from pathlib import Path
 
 import click
 
+from synth3dlanes.words import counted
+
 from .generate import WORKERS_HELP, Workers, progress
 from .options import assets_option, device_option, open_assets
 
@@ -41,6 +43,7 @@ def twins(
             report = generate(Plan(out, count, recipe, workers), notify)
         if report.problem:
             click.echo(report.problem, err=True)
-        click.echo(f"{out}/{recipe.scenes.split}: {report.done} of {report.asked} samples with {recipe.path} = {value}")
+        made = f"{report.done:,} of {counted(report.asked, 'sample')}"
+        click.echo(f"{out}/{recipe.scenes.split}: {made} with {recipe.path} = {value}")
         if report.exit_code:
             ctx.exit(report.exit_code)

@@ -7,7 +7,7 @@ import click
 
 from .generate import Workers
 from .idle import refuse_idle
-from .options import assets_option, json_option, open_assets, progress_bar
+from .options import assets_option, json_option, open_assets, output_console, progress_bar
 
 
 @click.command()
@@ -38,7 +38,6 @@ def validate(
     Prints one line per problem and exits with 1 if there is one. DIR/validation then has a picture of each sample
     whose labels or pixels failed. docs/validate.md lists the checks.
     """
-    from rich.console import Console
 
     from synth3dlanes.api import validate_dataset
 
@@ -51,5 +50,5 @@ def validate(
     if as_json:
         click.echo(json.dumps(report.document()))
     else:
-        Console(soft_wrap=True).print(report.text())
+        output_console(soft_wrap=True).print(report.text())
     ctx.exit(1 if report.problems else 0)

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
         save_scene,
         split_dataset,
         validate_dataset,
+        verify_export,
     )
     from synth3dlanes.dataset.format import Sample
     from synth3dlanes.dataset.read import Reader
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
         WorkerError,
     )
     from synth3dlanes.figures.overlay import draw_overlay
+    from synth3dlanes.formats.export import Export
     from synth3dlanes.labels import Labels, Lane, SymbolLabel
     from synth3dlanes.params import Params
     from synth3dlanes.scene import Scene
@@ -57,6 +59,7 @@ __version__ = "0.3.0"
 __all__ = [
     "CameraSpec",
     "DiskFullError",
+    "Export",
     "FormatError",
     "InputError",
     "Labels",
@@ -90,6 +93,7 @@ __all__ = [
     "save_scene",
     "split_dataset",
     "validate_dataset",
+    "verify_export",
 ]
 
 # Where names live that are not functions of `api`.
@@ -97,6 +101,7 @@ _HOMES = {
     **dict.fromkeys(("DiskFullError", "FormatError", "InputError", "MissingPackageError"), "errors"),
     **dict.fromkeys(("Synth3dlanesError", "WorkerError"), "errors"),
     "CameraSpec": "sensors.cameras",
+    "Export": "formats.export",
     "Labels": "labels",
     "Lane": "labels",
     "Params": "params",

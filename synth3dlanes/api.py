@@ -35,7 +35,7 @@ from synth3dlanes.dataset.rearrange import split_dataset as _split
 from synth3dlanes.dataset.splits import data_set_name, evenly_spaced, one_reader, readers, split_name
 from synth3dlanes.errors import InputError
 from synth3dlanes.files import write
-from synth3dlanes.formats.export import FORMATS, export
+from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.summary import ExportSummary
 from synth3dlanes.given_scenes import drawn
 from synth3dlanes.ground_truth import ground_truth
@@ -67,6 +67,7 @@ from synth3dlanes.sources import read_scene, scenes_of
 if TYPE_CHECKING:
     # Loaded by the functions that return them: figures and checks take a second.
     import synth3dlanes.figures.stats
+    import synth3dlanes.formats.verify
     import synth3dlanes.validate.report
 
 STANDARD = QUALITY_SAMPLES["standard"]
@@ -190,7 +191,7 @@ def render(
     device: str = "auto",
     assets: Library = BUILT_IN,
 ) -> Rendered:
-    """Render a scene with `samples` rays a pixel, in a process of its own; about five seconds.
+    """Render a scene with `samples` samples per pixel, in a process of its own; about five seconds.
 
     Passes are some of depth, normal, semantic, instance and height. `lidar` is a YAML file or the name of a ready one
     (docs/lidar.md); without it the scene keeps its own, if it has one. Raises InputError for a bad argument and where
@@ -274,11 +275,20 @@ def export_dataset(
 
     `out` is a new folder, or one with the same export: frames that it has are kept. `size_px` is the images' width and
     height, by default the format's. `cameras` are the names of those of a rig; by default those that look ahead, and
-    all where the format takes images as they are. Raises InputError otherwise, and for a size or a camera that is not
-    there.
+    all where the format takes images as they are. Raises InputError otherwise, and for a format, a size or a camera
+    that is not there. With an `Export` of the same arguments, `write` tells its progress.
     """
-    format_name = _one_of("format_name", format_name, FORMATS)
-    return export(str(source), Path(out), format_name, workers, lambda done, total: None, size_px, _several(cameras))
+    return Export(str(source), Path(out), format_name, size_px, tuple(_several(cameras))).write(workers)
+
+
+def verify_export(export: Export, *, most_frames: int = 500) -> "tuple[synth3dlanes.formats.verify.Verification, ...]":
+    """Read a finished export back and compare at most the first `most_frames` frames of each of its lists with the
+    labels of its data set: how far the lines are, and the `problems`, a line each. Raises FormatError for a file that
+    cannot be read."""
+    from synth3dlanes.formats.verify import verify
+
+    _at_least(1, most_frames=most_frames)
+    return verify(export, most_frames)
 
 
 def split_dataset(

@@ -4,13 +4,11 @@ Metres and degrees. Reading a file is the only side effect.
 """
 
 import copy
-import difflib
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError
 
 from synth3dlanes.assets.catalogue import BUILT_IN, AssetKind, Assets
@@ -30,7 +28,7 @@ from synth3dlanes.distributions import (
     reals,
 )
 from synth3dlanes.errors import InputError
-from synth3dlanes.schema import shown
+from synth3dlanes.schema import shown, unknown_key
 from synth3dlanes.settings import JPEG_QUALITY
 from synth3dlanes.yaml_text import read_yaml, text_of
 
@@ -329,6 +327,10 @@ def preset_names(kind: str = "") -> list[str]:
     return sorted(path.stem for path in (presets_folder() / kind).glob("*.yaml"))
 
 
+# The option that takes a kind of preset.
+OPTION_OF = {"": "--params", "cameras": "--camera", "rigs": "--rig", "lidars": "--lidar"}
+
+
 def find_preset(source: str, kind: str = "") -> tuple[Path, str]:
     """The file of a preset of some kind by its name, or a user's own by its path, and what messages call it.
 
@@ -339,7 +341,9 @@ def find_preset(source: str, kind: str = "") -> tuple[Path, str]:
         return presets_folder() / within, str("params" / within)
     if Path(source).suffix in (".yaml", ".yml"):
         return Path(source), source
-    raise InputError(f"{source}: expected one of {', '.join(preset_names(kind))}, or the path of a .yaml file")
+    other = next((other for other in OPTION_OF if other != kind and source in preset_names(other)), None)
+    hint = "" if other is None else f"; {source} is for {OPTION_OF[other]}"
+    raise InputError(f"{source}: expected one of {', '.join(preset_names(kind))}, or the path of a .yaml file{hint}")
 
 
 def load_params(source: str, overrides: Sequence[str] = (), assets: Assets = BUILT_IN.assets) -> Params:
@@ -380,14 +384,23 @@ def check_params(sources: Iterable[str], overrides: Sequence[str] = ()) -> None:
         raise InputError(*dict.fromkeys(problems))
 
 
+def problems_of(params: Params, path: str, value: Any) -> list[str]:
+    """What is wrong with a constant value of the parameter `group.key`, in lines; nothing for other paths."""
+    group, _, key = path.partition(".")
+    if group not in Params.model_fields or key not in _keys((group,)):
+        return []
+    changed = {name: dict(keys) for name, keys in params}
+    changed[group][key] = value
+    try:
+        Params.model_validate(changed)
+    except ValidationError as error:
+        return [f"{path}: {problem['ctx']['error']}, got {shown(value)}" for problem in error.errors()]
+    return []
+
+
 def forms(params: Params) -> dict[str, dict[str, Any]]:
     """The YAML form of every key, by group and key."""
     return {name: {key: form(distribution) for key, distribution in group} for name, group in params}
-
-
-def params_yaml(params: Params) -> str:
-    """The parameters as a YAML file that `load_params` reads back to equal Params."""
-    return yaml.safe_dump(forms(params), sort_keys=False, default_flow_style=None, width=100)
 
 
 def _override(document: dict[Any, Any], overrides: Iterable[str]) -> tuple[set[str], list[str]]:
@@ -437,9 +450,3 @@ def _problems(error: ValidationError, where: str, overridden: set[str]) -> list[
 def _keys(group: tuple[int | str, ...]) -> Iterable[str]:
     model = Params.model_fields[str(group[0])].annotation if group else Params
     return model.model_fields if isinstance(model, type) and issubclass(model, BaseModel) else ()
-
-
-def unknown_key(key: str, known: Iterable[str]) -> str:
-    """What is wrong with a key, with the known one that it is close to."""
-    close = difflib.get_close_matches(key, list(known), n=1)
-    return "unknown key" + (f"; did you mean {close[0]}?" if close else "")

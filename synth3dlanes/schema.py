@@ -1,6 +1,8 @@
 """JSON documents that people may have edited: read by one schema with bounds, and one line per problem."""
 
+import difflib
 import reprlib
+from collections.abc import Iterable
 from pathlib import PurePosixPath
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -151,3 +153,9 @@ def problem_line(problem: ErrorDetails) -> str:
 def shown(value: Any) -> str:
     """A value as a short text on one line, whatever its size."""
     return reprlib.repr(value)[:60]
+
+
+def unknown_key(key: str, known: Iterable[str]) -> str:
+    """What is wrong with a key, with the known one that it is close to."""
+    close = difflib.get_close_matches(key, list(known), n=1)
+    return "unknown key" + (f"; did you mean {close[0]}?" if close else "")

@@ -56,6 +56,8 @@ def find_scene(where: str) -> tuple[str, Scene]:
     if Path(where).is_dir():
         there = splits_near(where)
         raise FormatError(f"{where}: expected a scene.json or a sample, as DIR/train:00000017, got a folder{there}")
+    if ":" in Path(where).name and not Path(where).exists():
+        find(where)  # says what is wrong with the key
     return scene_name(Path(where)), load_scene(Path(where))
 
 

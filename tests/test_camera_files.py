@@ -9,12 +9,19 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from synth3dlanes.dataset.folder import claim
 from synth3dlanes.errors import InputError
+from synth3dlanes.geometry.camera import rays_of_pixels
 from synth3dlanes.params import load_params, preset_names
+from synth3dlanes.production.plan import Plan
+from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.sample import Scenes, sample_scene
-from synth3dlanes.sensors.camera_files import load_camera
-from synth3dlanes.sensors.cameras import CameraSpec
-from synth3dlanes.shots import Shots
+from synth3dlanes.sensors.camera_files import load_camera, read_camera
+from synth3dlanes.sensors.cameras import CameraSpec, black_pictures
+from synth3dlanes.sensors.rig_files import load_rig
+from synth3dlanes.settings import RenderSettings
+from synth3dlanes.shots import Shots, clips
+from synth3dlanes.validate.run import validate
 
 OWN = "width_px: 640\nheight_px: 480\n"
 # What cv2.FileStorage writes.
@@ -212,3 +219,44 @@ def test_every_ready_camera_draws_scenes(name: str) -> None:
 def test_another_name_is_refused() -> None:
     with pytest.raises(InputError, match=r"pinhole: expected one of comma, .*, or the path of a \.yaml file"):
         load_camera("pinhole")
+
+
+NARROW = {"width_px": 480, "height_px": 360, "fx": 200, "model": "opencv", "k1": -0.5}
+
+
+def test_the_black_part_of_a_picture_is_told_before_rendering_and_after(tmp_path: Path) -> None:
+    """Against the rays of every pixel of a scene's camera, and a circle of the radius where the lens turns back."""
+    spec = read_camera(NARROW, "mine.yaml", Path())
+    scene = sample_scene(Scenes(load_params("appendix_i"), shots=clips(1, 10.0, (spec,))), 0)
+    exact = np.isnan(rays_of_pixels(scene.camera)).any(axis=-1).mean()
+    end = 1 / np.sqrt(1.5)
+    radius_px = 200 * end * (1 - 0.5 * end**2)
+    assert exact == pytest.approx(1 - np.pi * radius_px**2 / (480 * 360), abs=0.003)
+    assert spec.black_share() == pytest.approx(exact, abs=0.01)
+    share = f"{spec.black_share():.0%}"
+    assert black_pictures([spec]) == [
+        f"{share} of the picture is black, beyond the lens's field: it ends inside the image"
+    ]
+    plan = Plan("d", 1, Recipe(Scenes(load_params("tiny"), shots=clips(1, 10.0, (spec,))), RenderSettings(), "jpg"))
+    assert black_pictures([spec])[0] in plan.text()
+    with claim(tmp_path / "d", plan.description(), "train", 0, []):
+        pass
+    assert validate(tmp_path / "d", 1, None, lambda done, total: None).notes == black_pictures([spec])
+
+
+def test_no_ready_camera_has_a_black_part() -> None:
+    ready = [load_camera(name) for name in preset_names("cameras")]
+    rigs = [camera for name in preset_names("rigs") for camera in load_rig(name)]
+    assert black_pictures([*ready, *rigs]) == []
+
+
+@pytest.mark.parametrize("count", [12, 14])
+def test_prisms_and_tilts_are_refused_with_what_to_do(count: int) -> None:
+    document = {
+        **{"image_width": 640, "image_height": 480, "camera_matrix": [500, 0, 320, 0, 500, 240, 0, 0, 1]},
+        "distortion_coefficients": [0.1] * count,
+    }
+    with pytest.raises(InputError, match=f"got {count}; thin prism and tilt are not modelled: calibrate"):
+        read_camera(document, "c.yaml", Path())
+    document["distortion_coefficients"] = [0.1] * 8 + [0.0] * (count - 8)
+    assert read_camera(document, "c.yaml", Path()).model == "opencv"

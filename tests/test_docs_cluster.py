@@ -64,7 +64,7 @@ def test_the_slurm_array_makes_a_whole_data_set(tmp_path, run_script):
     assert re.search(r"^#SBATCH --array=1-(\d+)$", script, re.MULTILINE)
     for part in range(1, N + 1):
         array = {"SLURM_ARRAY_TASK_ID": str(part), "SLURM_ARRAY_TASK_COUNT": str(N)}
-        assert "1 of 1 samples, 1 made now" in run_script(script, **array)
+        assert "1 of 1 sample, 1 made now" in run_script(script, **array)
     assert_whole(tmp_path / "lanes", run_script)
 
 

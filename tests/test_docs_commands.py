@@ -49,7 +49,8 @@ def blocks(page: Path) -> list[Block]:
 
 
 def small(words: list[str]) -> list[str]:
-    """The same command at a size for tests: two scenes of 96x72 pixels with little in them, one pass of training.
+    """The same command at a size for tests: two scenes of 96x72 pixels with little in them, rendered in draft;
+    one pass of training.
 
     Shards hold one scene (`shards_of_one`), so that parts of so little have something to do.
     """
@@ -67,6 +68,8 @@ def small(words: list[str]) -> list[str]:
         words += [word for name, value in changes.items() if name not in given for word in ("--set", f"{name}={value}")]
     if words[1] in ("generate", "twins"):
         words += ["--workers", "1"]
+    if words[1] in ("generate", "render"):
+        words += ["--samples", "1"]
     if words[1] == "train":
         words += ["--epochs", "1", "--batch", "1"]
     return words

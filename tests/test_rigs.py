@@ -12,7 +12,7 @@ from synth3dlanes import labels as labels_format
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rectify import rectified_labels
 from synth3dlanes.errors import InputError
-from synth3dlanes.formats.export import export
+from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.plan import plan as export_plan
 from synth3dlanes.frames import invert, project, transform
 from synth3dlanes.ground_truth import label
@@ -175,7 +175,7 @@ def test_an_openlane_v2_frame_has_all_cameras_of_its_moment(tmp_path):
     recipe = fake_samples.recipe(shots=Shots(cameras=pair))
     plan = Plan(str(tmp_path / "data"), 4, recipe, workers=1, maker=fake_samples.make_labelled)
     assert not generate(plan, lambda event: None).problem
-    summary = export(str(tmp_path / "data"), tmp_path / "out", "openlane_v2", 1, lambda done, total: None)
+    summary = Export(str(tmp_path / "data"), tmp_path / "out", "openlane_v2").write()
     assert summary.n_frames["train"] == 4
     frames = sorted(tmp_path.glob("out/OpenLane-V2/train/*/info/*0.json"))
     assert len(frames) == 2

@@ -22,6 +22,7 @@ from synth3dlanes.figures.shown import ShownScene
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import PASSES
+from synth3dlanes.words import counted
 
 # Images of a rig's cameras in a row.
 RIG_COLUMNS = 3
@@ -75,7 +76,8 @@ def draw_inspect(
     views.draw_side(figure.add_subplot(grid[-1, :]), view)
     figure.legend(handles=_legend(), loc="outside lower center", ncols=7, frameon=False)
     figure.suptitle(
-        f"seed {scene.seed}, {scene.split} {scene.index}: {scene.road.n_lanes} lanes, {topology_words(scene.road)}",
+        f"seed {scene.seed}, {scene.split} {scene.index}: {counted(scene.road.n_lanes, 'lane')}, "
+        f"{topology_words(scene.road)}",
         fontsize=14, x=0.01, ha="left", color=colors.INK,
     )  # fmt: skip
     return figure

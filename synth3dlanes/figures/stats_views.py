@@ -12,6 +12,7 @@ from rich.table import Table
 from synth3dlanes.figures import colors
 from synth3dlanes.figures.histograms import Histogram, histograms
 from synth3dlanes.figures.stats import LabelStatistics, SceneStatistics, is_fine
+from synth3dlanes.words import counted
 
 _COLUMNS = 7
 # Inches over and under the plots. Matplotlib's own layouts would take as long as the drawing.
@@ -20,7 +21,9 @@ _TOP, _BOTTOM = 0.65, 0.5
 
 def statistics_table(scenes: SceneStatistics, labels: LabelStatistics | None) -> RenderableType:
     """Tables of the parameters as declared and as drawn, of the topologies, and of the label quantities."""
-    parameters = _table(f"{scenes.n_scenes} scenes", "parameter", "declared", "from", "to", "mean", "n", "test", "p")
+    parameters = _table(
+        counted(scenes.n_scenes, "scene"), "parameter", "declared", "from", "to", "mean", "n", "test", "p"
+    )
     for row in scenes.parameters:
         color = "" if is_fine(row) else "[bold red]"
         numbers = (f"{value:.4g}" for value in (row.minimum, row.maximum, row.mean))
@@ -31,7 +34,9 @@ def statistics_table(scenes: SceneStatistics, labels: LabelStatistics | None) ->
         topologies.add_row(name, str(count))
     if labels is None:
         return Group(parameters, topologies)
-    measured = _table(f"labels of {labels.n_images} images", "quantity", "min", "5 %", "median", "95 %", "max", "mean")
+    measured = _table(
+        f"labels of {counted(labels.n_images, 'image')}", "quantity", "min", "5 %", "median", "95 %", "max", "mean"
+    )
     for summary in labels.summaries:
         values = (summary.minimum, summary.p05, summary.median, summary.p95, summary.maximum, summary.mean)
         measured.add_row(escape(summary.name), *(f"{value:.3g}" for value in values))
@@ -86,5 +91,7 @@ def _table(title: str, *columns: str) -> Table:
     table = Table(title=title, title_justify="left", box=None, padding=(0, 2, 0, 0))
     table.add_column(columns[0], no_wrap=True)
     for name in columns[1:]:
-        table.add_column(name, justify="right", no_wrap=True)
+        # Where a terminal is narrow, what is declared is written in several lines, and the numbers stay whole.
+        is_text = name == "declared"
+        table.add_column(name, justify="left" if is_text else "right", no_wrap=not is_text, overflow="fold")
     return table

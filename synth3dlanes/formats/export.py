@@ -8,32 +8,24 @@ marks at the end, so a run that was killed, or a dataset that has grown, only ne
 import json
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed
-from contextlib import ExitStack
-from dataclasses import replace
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path, PurePath
 from typing import Any
 
 from pydantic import RootModel
 
-from synth3dlanes.errors import InputError
+from synth3dlanes.dataset.locks import LOCK_FILE, locks
+from synth3dlanes.errors import ClaimedError, InputError
 from synth3dlanes.files import Draft, Folder
-from synth3dlanes.formats.apollo import write as apollo
-from synth3dlanes.formats.coco import write as coco
-from synth3dlanes.formats.culane import write as culane
-from synth3dlanes.formats.curvelanes import write as curvelanes
-from synth3dlanes.formats.masks import write as masks
-from synth3dlanes.formats.once import write as once
+from synth3dlanes.formats.format import Format, PinholeFormat, SampleFormat
 from synth3dlanes.formats.one_frame import write_as_it_is, write_resampled
-from synth3dlanes.formats.opendrive import write as opendrive
-from synth3dlanes.formats.openlane import write as openlane
-from synth3dlanes.formats.openlane_v2 import write as openlane_v2
 from synth3dlanes.formats.plan import Chunk, open_reader, plan
 from synth3dlanes.formats.reading import json_lines, json_object, read_text
-from synth3dlanes.formats.sample_format import SampleFormat
-from synth3dlanes.formats.summary import ExportSummary, readme, summarize
-from synth3dlanes.formats.tusimple import write as tusimple
-from synth3dlanes.formats.writing import Format, Part, PinholeFormat
-from synth3dlanes.formats.yolo import write as yolo
+from synth3dlanes.formats.registry import open_format
+from synth3dlanes.formats.summary import ExportSummary, readme, summarize, warnings
+from synth3dlanes.formats.writing import Part
 from synth3dlanes.processes import process_pool
 from synth3dlanes.schema import Excerpt, PathBelow, parse
 
@@ -41,103 +33,123 @@ MARKS = ".parts"
 LAYOUT = 3
 """Exports of an earlier layout are not continued."""
 
-FORMATS: dict[str, PinholeFormat | SampleFormat] = {
-    "apollo": apollo.FORMAT,
-    "openlane": openlane.FORMAT,
-    "once": once.FORMAT,
-    "tusimple": tusimple.FORMAT,
-    "culane": culane.FORMAT,
-    "curvelanes": curvelanes.FORMAT,
-    "openlane_v2": openlane_v2.FORMAT,
-    "opendrive": opendrive.FORMAT,
-    "coco": coco.FORMAT,
-    "masks": masks.FORMAT,
-    "yolo": yolo.FORMAT,
-}
+Progress = Callable[[int, int], None]
 
 
-def export(
-    source: str,
-    out: Path,
-    format_name: str,
-    workers: int,
-    progress: Callable[[int, int], None],
-    size_px: tuple[int, int] | None = None,
-    cameras: Sequence[str] = (),
-) -> ExportSummary:
-    """Export every split under `source`, or the one split or sample that it names; `progress` gets (frames done, frames
-    in all). `size_px` is the images' width and height, by default the format's. `cameras` names those of a rig whose
-    frames are wanted; by default those that look ahead, and all where the format takes images as they are."""
-    foreign = _sized(format_name, size_px)
-    camera = foreign.camera if isinstance(foreign, PinholeFormat) else None
-    is_per_scene = isinstance(foreign, SampleFormat) and foreign.is_per_scene
-    chunks = plan(source, cameras, is_per_scene, isinstance(foreign, SampleFormat))
-    if isinstance(foreign, SampleFormat):
-        _require_passes(foreign, format_name, chunks)
-    splits = {chunk.split.name: chunk.split.part for chunk in chunks}
-    size = None if camera is None else [camera.width_px, camera.height_px]
-    options = {"format": format_name, "layout": LAYOUT, "size_px": size, "source": source, "splits": splits}
-    folder = Folder(out)
-    _claim(folder, options | ({"cameras": list(cameras)} if cameras else {}))
-    marks = out / MARKS
-    for stale in set(folder.names(MARKS)) - {chunk.mark for chunk in chunks}:
-        _remove(folder, stale)
-    waiting = [chunk for chunk in chunks if not (marks / chunk.mark).exists()]
-    total = sum(len(chunk.places) for chunk in chunks)
-    done = total - sum(len(chunk.places) for chunk in waiting)
-    progress(done, total)
-    for n_frames in _run(waiting, out, foreign, workers):
-        done += n_frames
-        progress(done, total)
-    for link, target in foreign.links.items():
-        folder.link(link, target)
-    paths = [marks / chunk.mark for chunk in chunks]
-    _write_shared(folder, paths, foreign)
-    summary = summarize(_records(paths), foreign)
-    text = readme(source, format_name, foreign, [chunk.split for chunk in chunks], summary)
-    folder.write("README.md", text.encode())
-    return summary
+@dataclass(frozen=True)
+class Export:
+    """What is exported where: every split under `source`, or the one split or sample that it names, to folder `out`.
 
+    `size_px` is the images' width and height, by default the format's. `cameras` names those of a rig whose frames are
+    wanted; by default those that look ahead, and all where the format takes images as they are. Raises InputError for
+    a format, size or pass that is not there.
+    """
 
-def _sized(format_name: str, size_px: tuple[int, int] | None) -> PinholeFormat | SampleFormat:
-    """The format with images of this size."""
-    foreign = FORMATS[format_name]
-    kept = "that of the data set's images"
-    if isinstance(foreign, PinholeFormat):
-        own_px = (foreign.camera.width_px, foreign.camera.height_px)
-        if size_px is None or size_px == own_px:
+    source: str
+    out: Path
+    format_name: str
+    size_px: tuple[int, int] | None = None
+    cameras: tuple[str, ...] = ()
+
+    @cached_property
+    def format(self) -> Format:
+        """The format with images of this size."""
+        foreign = open_format(self.format_name)
+        kept = "that of the data set's images"
+        if isinstance(foreign, PinholeFormat):
+            own_px = (foreign.camera.width_px, foreign.camera.height_px)
+            if self.size_px is None or self.size_px == own_px:
+                return foreign
+            if foreign.is_size_free:
+                return replace(foreign, camera=foreign.camera.resized(*self.size_px))
+            kept = f"{own_px[0]}x{own_px[1]}, which the tools of {self.format_name} assume"
+        elif self.size_px is None:
             return foreign
-        if foreign.is_size_free:
-            return replace(foreign, camera=foreign.camera.resized(*size_px))
-        kept = f"{own_px[0]}x{own_px[1]}, which the tools of {format_name} assume"
-    elif size_px is None:
-        return foreign
-    free = ", ".join(name for name, other in FORMATS.items() if isinstance(other, PinholeFormat) and other.is_size_free)
-    raise InputError(f"size: expected {kept} (other sizes: {free}), got {size_px[0]}x{size_px[1]}")
+        got = f"{self.size_px[0]}x{self.size_px[1]}"
+        raise InputError(f"size: expected {kept} (`export --help` names the formats of any size), got {got}")
+
+    @cached_property
+    def chunks(self) -> list[Chunk]:
+        """The frames of the data set, in chunks."""
+        foreign = self.format
+        if not isinstance(foreign, SampleFormat):
+            return plan(self.source, self.cameras)
+        chunks = plan(self.source, self.cameras, foreign.is_per_scene, takes_rigs=True)
+        for url in dict.fromkeys(chunk.url for chunk in chunks):
+            found = open_reader(url).description["render"]["passes"]
+            if set(foreign.passes) - set(found):
+                needed, given = ", ".join(foreign.passes), ", ".join(found) or "none"
+                raise InputError(
+                    f"{url}: expected the passes {needed} (generate --passes) for {self.format_name}, got {given}"
+                )
+        return chunks
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """What `export.json` says of it."""
+        camera = self.format.camera if isinstance(self.format, PinholeFormat) else None
+        return {
+            "format": self.format_name,
+            "layout": LAYOUT,
+            "size_px": None if camera is None else [camera.width_px, camera.height_px],
+            "source": self.source,
+            "splits": {chunk.split.name: chunk.split.part for chunk in self.chunks},
+            **({"cameras": list(self.cameras)} if self.cameras else {}),
+        }
+
+    def write(self, workers: int = 1, progress: Progress = lambda done, total: None) -> ExportSummary:
+        """Write it, or what is missing of it; `progress` gets (frames done, frames in all). Raises ClaimedError while
+        another process or thread writes it."""
+        foreign, chunks, folder = self.format, self.chunks, Folder(self.out)
+        with _claimed(folder, self.options):
+            for stale in set(folder.names(MARKS)) - {chunk.mark for chunk in chunks} - {LOCK_FILE}:
+                _remove(folder, stale)
+            marks = [folder.root / MARKS / chunk.mark for chunk in chunks]
+            waiting = [chunk for chunk, mark in zip(chunks, marks, strict=True) if not mark.exists()]
+            total = sum(len(chunk.places) for chunk in chunks)
+            done = total - sum(len(chunk.places) for chunk in waiting)
+            progress(done, total)
+            for n_frames in _run(waiting, self.out, foreign, workers):
+                done += n_frames
+                progress(done, total)
+            for link, target in foreign.links.items():
+                folder.link(link, target)
+            _write_shared(folder, marks, foreign)
+            summary = summarize(_records(marks), foreign)
+            text = readme(self.source, self.format_name, foreign, [chunk.split for chunk in chunks], summary)
+            folder.write("README.md", text.encode())
+        return summary
+
+    def warnings(self, summary: ExportSummary) -> tuple[str, ...]:
+        """What a user should know of it before training on it."""
+        return warnings(self.out, self.format, summary)
 
 
-def _require_passes(foreign: SampleFormat, format_name: str, chunks: Sequence[Chunk]) -> None:
-    for url in dict.fromkeys(chunk.url for chunk in chunks):
-        found = open_reader(url).description["render"]["passes"]
-        if set(foreign.passes) - set(found):
-            needed, given = ", ".join(foreign.passes), ", ".join(found) or "none"
-            raise InputError(f"{url}: expected the passes {needed} (generate --passes) for {format_name}, got {given}")
-
-
-def _claim(folder: Folder, options: dict[str, Any]) -> None:
-    """Make this export's folder, or check that it is."""
-    out, mark = folder.root, folder.root / "export.json"
-    if mark.exists():
-        found = json_object(read_text(mark), str(mark))
-        if found != options:
-            raise InputError(f"{out}: expected an empty folder or the export {options}, got the export {found}")
-    elif out.exists() and any(out.iterdir()):
-        raise InputError(f"{out}: expected an empty folder or an unfinished export, got a folder with other files")
+@contextmanager
+def _claimed(folder: Folder, options: dict[str, Any]) -> Iterator[None]:
+    """This export's folder, made or checked, while nobody else writes it."""
+    if set(folder.names()) - {MARKS} and not folder.exists("export.json"):
+        raise InputError(
+            f"{folder.root}: expected an empty folder or an unfinished export, got a folder with other files"
+        )
     folder.make(MARKS)
-    folder.write("export.json", json.dumps(options).encode())
+    with locks(folder, MARKS) as held:
+        if not held.take(0):
+            raise ClaimedError(f"{folder.root}: expected no other export at work here, got one; wait until it is done")
+        if folder.exists("export.json"):
+            _require_options(folder.root, options, "an empty folder or the export")
+        folder.write("export.json", json.dumps(options).encode())
+        yield
 
 
-def _run(chunks: Sequence[Chunk], out: Path, foreign: PinholeFormat | SampleFormat, workers: int) -> Iterator[int]:
+def _require_options(out: Path, options: dict[str, Any], expected: str = "the export") -> None:
+    about = out / "export.json"
+    found = json_object(read_text(about), str(about))
+    if found != options:
+        raise InputError(f"{out}: expected {expected} {options}, got the export {found}")
+
+
+def _run(chunks: Sequence[Chunk], out: Path, foreign: Format, workers: int) -> Iterator[int]:
     if workers == 1 or len(chunks) < 2:
         for chunk in chunks:
             yield _export_chunk(chunk, out, foreign)
@@ -147,8 +159,9 @@ def _run(chunks: Sequence[Chunk], out: Path, foreign: PinholeFormat | SampleForm
             yield future.result()
 
 
-def _export_chunk(chunk: Chunk, out: Path, foreign: PinholeFormat | SampleFormat) -> int:
+def _export_chunk(chunk: Chunk, out: Path, foreign: Format) -> int:
     reader = open_reader(chunk.url)
+    assert isinstance(foreign, PinholeFormat | SampleFormat)
     records = [
         write_resampled(reader, place, chunk, out, foreign)
         if isinstance(foreign, PinholeFormat)
@@ -192,12 +205,28 @@ class _Record(RootModel[_LeftOut | _Written]):
     """What a mark says of a frame. The files that it names are removed or written."""
 
 
-def shared_files(out: Path, format_name: str) -> list[str]:
-    """The lists and other files that an export has of many frames, by its marks."""
-    found = dict.fromkeys(FORMATS[format_name].lists)
-    for record in _records(sorted((out / ".parts").glob("*.jsonl"))):
-        found |= dict.fromkeys(path for _, paths in record.get("shared", ()) for path in paths)
-    return sorted(found)
+@dataclass(frozen=True)
+class Written:
+    """What the marks of an export say: the chunk and the place of the sample of each file that a frame has for itself,
+    and the files that many frames share."""
+
+    samples: dict[str, tuple[str, int]]
+    frames: tuple[tuple[str, ...], ...]
+    shared: tuple[str, ...]
+
+
+def written(job: Export) -> Written:
+    """Read the marks of a finished export. Raises FormatError for frames that it lacks, InputError for another
+    export."""
+    _require_options(job.out, job.options)
+    samples, frames, shared = dict[str, tuple[str, int]](), list[tuple[str, ...]](), dict.fromkeys(job.format.lists)
+    for chunk in job.chunks:
+        for place, record in zip(chunk.places, _records([job.out / MARKS / chunk.mark]), strict=True):
+            files = tuple(record.get("files", ()))
+            samples |= {path: (chunk.url, place) for path in files}
+            frames += [files] if files else []
+            shared |= dict.fromkeys(path for _, paths in record.get("shared", ()) for path in paths)
+    return Written(samples, tuple(frames), tuple(sorted(shared)))
 
 
 def _records(marks: Sequence[Path]) -> Iterator[dict[str, Any]]:

@@ -12,12 +12,12 @@ from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rectify import rectified_labels
 from synth3dlanes.files import Folder
 from synth3dlanes.formats.conditions import conditions
+from synth3dlanes.formats.format import PinholeFormat, SampleFormat, SampleFrame
 from synth3dlanes.formats.kerbs import kerb_lanes
 from synth3dlanes.formats.lines import scene_tags
 from synth3dlanes.formats.plan import Chunk
 from synth3dlanes.formats.resample import fitting_pinhole, resample
-from synth3dlanes.formats.sample_format import SampleFormat, SampleFrame
-from synth3dlanes.formats.writing import ExportFrame, FrameAnnotation, PinholeFormat, PinholeFrame
+from synth3dlanes.formats.writing import ExportFrame, FrameAnnotation, PinholeFrame
 from synth3dlanes.labels import CameraLabel, Labels
 
 Record = dict[str, Any]
@@ -35,7 +35,7 @@ def write_resampled(reader: Reader, index: int, chunk: Chunk, out: Path, foreign
     where = f"{chunk.url}:{sample.key}"
     scene, labels = scene_format.from_json(sample.scene_json, where), rectified_labels(sample.labels)
     pinhole = fitting_pinhole(sample.labels.camera, foreign.camera)
-    frame_of, shot = _frame(reader, index, chunk), scene.shot
+    frame_of, shot = _frame(reader, index, chunk, labels), scene.shot
     frame = PinholeFrame(
         **vars(frame_of),
         pinhole=pinhole,
@@ -46,7 +46,7 @@ def write_resampled(reader: Reader, index: int, chunk: Chunk, out: Path, foreign
     )
     if pinhole != foreign.camera and not foreign.is_f_free:
         return _left_out(frame, NARROW)
-    annotation = foreign.annotate(labels, frame)
+    annotation = foreign.write(frame)
     if annotation is None:
         return _left_out(frame, NO_LINES)
     image = resample(sample.image, sample.labels.camera, pinhole, where)
@@ -60,14 +60,14 @@ def write_as_it_is(reader: Reader, index: int, chunk: Chunk, out: Path, foreign:
     scene_json, key, image_format = reader.member(index, SCENE), reader.key(index), reader.description["image_format"]
     where, labels = f"{chunk.url}:{key}", reader.labels(index)
     frame = SampleFrame(
-        **vars(_frame(reader, index, chunk)),
+        **vars(_frame(reader, index, chunk, labels)),
         scene=scene_format.from_json(scene_json, where),
-        labels=labels,
         passes=reader.passes(index) if foreign.passes else {},
         image_format=image_format,
+        sweep=reader.lidar(index) if foreign.takes_sweeps and reader.has_lidar else None,
         cameras=_cameras(reader, index, labels, chunk),
     )
-    annotation = foreign.annotate(frame)
+    annotation = foreign.write(frame)
     if annotation is None:
         return _left_out(frame, NO_LINES)
 
@@ -92,10 +92,16 @@ def _cameras(reader: Reader, index: int, labels: Labels, chunk: Chunk) -> dict[s
     return {reader.key(index): labels.camera, **{reader.key(i): reader.labels(i).camera for i in others}}
 
 
-def _frame(reader: Reader, index: int, chunk: Chunk) -> ExportFrame:
+def _frame(reader: Reader, index: int, chunk: Chunk, labels: Labels) -> ExportFrame:
     split, key = chunk.split, reader.key(index)
-    part = split.part_of(int(reader.scene_of[index]))
-    return ExportFrame(split.name, key, split.number * FRAMES_PER_SPLIT + int(key), part, chunk.parts)
+    return ExportFrame(
+        labels=labels,
+        split=split.name,
+        key=key,
+        number=split.number * FRAMES_PER_SPLIT + int(key),
+        part=split.part_of(int(reader.scene_of[index])),
+        parts=chunk.parts,
+    )
 
 
 def _left_out(frame: ExportFrame, reason: str) -> Record:

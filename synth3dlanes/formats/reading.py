@@ -160,6 +160,14 @@ def numbers(text: str, where: str, columns: int = 2) -> Float[np.ndarray, "n c"]
     return found.reshape(-1, columns)
 
 
+def drawable(lines: Sequence[Float[np.ndarray, "_ 2"]], where: str) -> tuple[Float[np.ndarray, "_ 2"], ...]:
+    """Lines that can be drawn; raise FormatError where one has fewer than two points, or the same twice."""
+    for line in lines:
+        if len(line) < 2 or not np.abs(np.diff(line, axis=0)).max(axis=1).all():
+            raise FormatError(f"{where}: expected lines of two different points or more, got {shown(line.tolist())}")
+    return tuple(lines)
+
+
 def _opened(path: Path) -> BufferedReader:
     try:
         return open_regular(path)

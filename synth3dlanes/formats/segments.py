@@ -6,14 +6,13 @@ import numpy as np
 from jaxtyping import Float, Shaped
 from PIL import Image
 
-from synth3dlanes.formats.sample_format import SampleFrame
+from synth3dlanes.formats.format import SampleFrame
 from synth3dlanes.labels import CameraLabel, Lane
-from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS
+from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_TREE_ID
 
 PASSES = ("semantic", "instance")
 STUFF = ("sky", "terrain", "road", "shoulder")
 """Classes without instances."""
-CLASSES = {number: name for name, number in SEMANTIC_IDS.items()}
 
 STEP_M = 0.1
 NEAREST_M = 0.5

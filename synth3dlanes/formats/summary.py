@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from synth3dlanes.formats.format import Format, PinholeFormat
 from synth3dlanes.formats.plan import DEALT_EVERY, ExportSplit, parts_of
-from synth3dlanes.formats.writing import Format, Pinhole, PinholeFormat
+from synth3dlanes.formats.writing import PARTS, Pinhole
 
 MOST_ENLARGED = 1.5
 
@@ -27,6 +28,17 @@ class ExportSummary:
     f_px: tuple[float, ...]
     enlarged: float
     n_of_list: dict[str, int]
+
+    def text(self, counted: str) -> str:
+        """In lines; `counted` is what a line is called."""
+        frames = ", ".join(f"{self.n_frames[part]} {part}" for part in PARTS)
+        left_out = (f"left out {count} frames: {reason}" for reason, count in self.left_out.items())
+        return "\n".join([f"{frames} frames, {self.n_lines} {counted}", *left_out])
+
+    def document(self) -> dict[str, Any]:
+        """For JSON."""
+        frames = {part: self.n_frames[part] for part in PARTS}
+        return {"frames": frames, "lines": self.n_lines, "left_out": dict(self.left_out), "dropped": dict(self.dropped)}
 
 
 def summarize(records: Iterable[dict[str, Any]], foreign: Format) -> ExportSummary:
@@ -90,7 +102,7 @@ def readme(
         *(left_out + dropped or ["| (nothing was left out) | 0 |"]),
         "",
         *_lists(summary),
-        f"`synth3dlanes export {source} --format {format_name} --out FOLDER --verify` scores the ground truth.",
+        f"`synth3dlanes export {source} --format {format_name} --out FOLDER --verify` compares it with the labels.",
         "",
     ]
     return "\n".join(lines)

@@ -1,63 +1,136 @@
-"""The self-check of an export: its own ground truth must score perfectly, and the same moved aside close to nothing."""
+"""Read an export back and compare it with the labels of the data set: `export --verify`."""
 
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
 
 from synth3dlanes.errors import FormatError
-from synth3dlanes.formats.apollo import verify as apollo
-from synth3dlanes.formats.coco import verify as coco
-from synth3dlanes.formats.culane import verify as culane
-from synth3dlanes.formats.curvelanes import verify as curvelanes
-from synth3dlanes.formats.export import shared_files
-from synth3dlanes.formats.masks import verify as masks
-from synth3dlanes.formats.once import verify as once
-from synth3dlanes.formats.opendrive import verify as opendrive
-from synth3dlanes.formats.openlane import verify as openlane
-from synth3dlanes.formats.openlane_v2 import verify as openlane_v2
-from synth3dlanes.formats.reading import read_text
-from synth3dlanes.formats.self_check import Verification
-from synth3dlanes.formats.tusimple import verify as tusimple
-from synth3dlanes.formats.yolo import verify as yolo
-from synth3dlanes.schema import Excerpt, PixelCount, parse
+from synth3dlanes.formats.comparing import Comparison, Truth
+from synth3dlanes.formats.export import Export, Written, written
+from synth3dlanes.formats.format import FrameList, PinholeFormat, ReadFrame
+from synth3dlanes.formats.plan import open_reader
+from synth3dlanes.formats.reading import image_header
 
-CHECKS = {
-    "apollo": apollo.verify,
-    "openlane": openlane.verify,
-    "once": once.verify,
-    "tusimple": tusimple.verify,
-    "culane": culane.verify,
-    "curvelanes": curvelanes.verify,
-}
-
-SAMPLE_CHECKS: dict[str, Callable[[Path, int], Iterator[Verification]]] = {
-    "openlane_v2": openlane_v2.verify,
-    "opendrive": opendrive.verify,
-    "coco": coco.verify,
-    "masks": masks.verify,
-    "yolo": yolo.verify,
-}
-"""The checks of formats whose images keep their own cameras."""
+MOST_PROBLEMS = 20
 
 
-class _Export(Excerpt):
-    size_px: tuple[PixelCount, PixelCount] | None
+@dataclass(frozen=True)
+class Measure:
+    """How far the lines of some frames are from those of the labels; `unit` is m or px."""
+
+    unit: str
+    worst: float
+    median: float
+    tolerance: float
 
 
-def verify(out: Path, format_name: str, most_frames: int) -> tuple[Verification, ...]:
-    """Score at most the first `most_frames` frames of every list of an export."""
-    about = out / "export.json"
-    size_px = parse(_Export, read_text(about), str(about), "an export").size_px
-    if format_name in SAMPLE_CHECKS:
-        verified = tuple(SAMPLE_CHECKS[format_name](out, most_frames))
-    elif size_px is None:
-        raise FormatError(f"{about}: size_px: expected a width and a height, got null")
-    else:
-        verified = tuple(CHECKS[format_name](out, size_px, most_frames))
-    shared = shared_files(out, format_name)
-    gone = [f"{out / path}: expected a list, got no file" for path in shared if not (out / path).is_file()]
-    if gone:
-        verified = (*verified, Verification("lists", 0, 0, {}, {}, tuple(gone)))
+@dataclass(frozen=True)
+class Verification:
+    """Some frames of an export, compared with the labels; `problems` is empty where the export is right."""
+
+    name: str
+    n_frames: int
+    n_lines: int
+    n_matched: int
+    measures: tuple[Measure, ...]
+    problems: tuple[str, ...]
+
+    def text(self) -> str:
+        """In lines."""
+        lines = [f"{self.name}: {self.n_frames} frames, {self.n_matched} of {self.n_lines} lines as in the labels"]
+        lines += (
+            f"  worst {measure.worst:.4f} {measure.unit}, median {measure.median:.4f} {measure.unit}"
+            f" (at most {measure.tolerance:g} {measure.unit})"
+            for measure in self.measures
+        )
+        return "\n".join(lines)
+
+    def document(self) -> dict[str, Any]:
+        """For JSON."""
+        measures = {measure.unit: {k: v for k, v in vars(measure).items() if k != "unit"} for measure in self.measures}
+        return {**vars(self), "measures": measures, "problems": list(self.problems)}
+
+
+@dataclass
+class _Tally:
+    """What is known of the frames of a list so far."""
+
+    n_frames: int = 0
+    n_lines: int = 0
+    n_matched: int = 0
+    gaps: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    tracks: dict[str, str] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+
+    def add(self, where: str, found: Comparison, tolerances: dict[str, float]) -> None:
+        self.n_frames += 1
+        self.n_lines += found.n_lines
+        self.problems += [f"{where}: {problem}" for problem in found.problems]
+        for gap in found.gaps:
+            self.n_matched += gap.worst <= tolerances[gap.unit]
+            self.gaps.setdefault(gap.unit, []).append((gap.worst, gap.median))
+        for track, lane in found.tracks.items():
+            if self.tracks.setdefault(track, lane) != lane:
+                self.problems.append(f"{where}: track {track}: expected {self.tracks[track]} as before, got {lane}")
+
+
+def verify(job: Export, most_frames: int = 500) -> tuple[Verification, ...]:
+    """Compare at most the first `most_frames` frames of every list of a finished export with the labels."""
+    marks = written(job)
+    seen, verified = set[str](), list[Verification]()
+    for frames in job.format.read(job.out, most_frames):
+        verified.append(_verified(job, frames, marks, seen))
+    gone = [path for path in marks.shared if not (job.out / path).is_file()]
+    problems = [f"{job.out / path}: expected a list, got no file" for path in gone]
+    if all(result.n_frames < most_frames for result in verified):
+        unlisted = [files for files in marks.frames if seen.isdisjoint(files)]
+        problems += [f"{job.out}: expected {files[0]} in a list, got it in none" for files in unlisted]
     if not any(result.n_lines for result in verified):
-        problem = f"{out}: expected lane lines to score, found none"
-        return (*verified, Verification("all lists", 0, 0, {}, {}, (problem,)))
-    return verified
+        problems.append(f"{job.out}: expected {job.format.counted} to compare, found none")
+    return (*verified, *([Verification("lists", 0, 0, 0, (), _shortened(problems))] if problems else []))
+
+
+def _verified(job: Export, frames: FrameList, marks: Written, seen: set[str]) -> Verification:
+    foreign, tally = job.format, _Tally()
+    for frame in frames.frames:
+        if frame.file not in marks.samples:
+            raise FormatError(f"{frame.where}: expected a frame of this export, got {frame.file}")
+        seen.add(frame.file)
+        url, place = marks.samples[frame.file]
+        truth = Truth(open_reader(url), place)
+        tally.problems += _image_problems(job, frame, truth)
+        tally.add(frame.where, foreign.verify(frame, truth), dict(foreign.tolerances))
+    measures = tuple(
+        Measure(
+            unit,
+            max(worst for worst, _ in gaps),
+            float(np.median([median for _, median in gaps])),
+            foreign.tolerances[unit],
+        )
+        for unit, gaps in tally.gaps.items()
+    )
+    counts = tally.n_frames, tally.n_lines, tally.n_matched
+    return Verification(frames.name, *counts, measures, _shortened(tally.problems))
+
+
+def _image_problems(job: Export, frame: ReadFrame, truth: Truth) -> Iterator[str]:
+    """Findings where the image is missing, or of another width, height or kind."""
+    if frame.image is None:
+        return
+    camera = job.format.camera if isinstance(job.format, PinholeFormat) else truth.labels.camera
+    path, expected = job.out / frame.image, f"{camera.width_px}x{camera.height_px}"
+    if not path.is_file():
+        yield f"{frame.where}: expected the image {path}, found no file"
+        return
+    width_px, height_px, kind = image_header(path)
+    if (width_px, height_px) != (camera.width_px, camera.height_px) or kind not in ("JPEG", "PNG"):
+        yield f"{path}: expected a picture of {expected}, got {kind} of {width_px}x{height_px}"
+
+
+def _shortened(problems: list[str]) -> tuple[str, ...]:
+    kept = list(Counter(problems))
+    more = len(kept) - MOST_PROBLEMS
+    return (*kept[:MOST_PROBLEMS], *([f"and {more} more problems"] if more > 0 else []))

@@ -1,10 +1,8 @@
 """What every foreign format's writer takes and returns. Paths are relative to the exported folder."""
 
-import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -46,11 +44,12 @@ class Pinhole:
         return project(self.img_from_cv, points_cv)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ExportFrame:
-    """One of our images and what decides how a format files it: `key` counts within `split`, `number` within the
-    export. It is used for `part`; `parts` are all that the data set has."""
+    """One of our images, its labels, and what decides how a format files it: `key` counts within `split`, `number`
+    within the export. It is used for `part`; `parts` are all that the data set has."""
 
+    labels: Labels
     split: str
     key: str
     number: int
@@ -68,11 +67,11 @@ class ExportFrame:
         return part == self.part or (not self.is_train and part != "train" and part not in self.parts)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class PinholeFrame(ExportFrame):
-    """A frame whose image is resampled: `pinhole` is its camera there; `tags` are the kinds of scene; `illumination` is
-    0 (dark) to 2 (bright); `clip` is the number of the first picture of its clip by this camera, None for single
-    pictures. `kerbs` are those of formats that have them."""
+    """A frame whose image is resampled, with labels without roll: `pinhole` is its camera there; `tags` are the kinds
+    of scene; `illumination` is 0 (dark) to 2 (bright); `clip` is the number of the first picture of its clip by this
+    camera, None for single pictures. `kerbs` are those of formats that have them."""
 
     pinhole: Pinhole
     tags: frozenset[str]
@@ -91,52 +90,3 @@ class FrameAnnotation:
     dropped: Counter[str] = field(default_factory=Counter)
     files: Mapping[str, str | bytes] = field(default_factory=dict)
     shared: tuple[tuple[str, tuple[str, ...]], ...] = ()
-
-
-SIDECAR = "sidecar.jsonl"
-
-
-def sidecar(image: str, labels: Labels, frame: PinholeFrame, lines_ids: Sequence[str]) -> tuple[str, tuple[str, ...]]:
-    """A frame's line of `sidecar.jsonl`, for formats that have pixels only: the camera, and where the frame is from."""
-    document = {
-        "image": image,
-        "source": f"{frame.split}/{frame.key}",
-        "img_from_cv": frame.pinhole.img_from_cv.tolist(),
-        "camera_height_m": labels.camera.height_m,
-        "camera_pitch_rad": labels.camera.pitch_rad,
-        "lines_ids": list(lines_ids),
-    }
-    return json.dumps(document), (SIDECAR,)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Format:
-    """One foreign format: the README of an export, and links within it. `lists` are files that tools open even where no
-    frame belongs there; `replaced_words` what tools replace wherever a path has it; `counted` is what `n_lines` counts.
-
-    A shared file holds the lines of its frames. If it is to be one document, `document` makes that of the file's path
-    in the export and the file of its lines.
-    """
-
-    readme: str
-    links: Mapping[str, str] = field(default_factory=dict)
-    lists: tuple[str, ...] = ()
-    replaced_words: tuple[str, ...] = ()
-    document: Callable[[str, Path], Iterator[str]] | None = None
-    counted: str = "lane lines"
-
-
-@dataclass(frozen=True, kw_only=True)
-class PinholeFormat(Format):
-    """A format with a camera of its own, to which images are resampled, and the function that writes one frame; that
-    returns None where the format has no place for the frame.
-
-    A frame that is too narrow for the camera gets a longer focal length of its own if `is_f_free`, and is left out
-    otherwise; images may have any size if `is_size_free`. Frames come with their kerbs if it `has_kerbs`.
-    """
-
-    camera: Pinhole
-    is_f_free: bool
-    is_size_free: bool
-    has_kerbs: bool = False
-    annotate: Callable[[Labels, PinholeFrame], FrameAnnotation | None]

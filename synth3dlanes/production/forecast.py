@@ -6,7 +6,9 @@ from pathlib import Path
 
 from synth3dlanes.errors import DiskFullError
 from synth3dlanes.production.events import duration
+from synth3dlanes.production.measured import Measured
 from synth3dlanes.production.recipe import Recipe
+from synth3dlanes.words import counted
 
 # Measured on scenes of Appendix I at 480x360: core-seconds an image, bytes a pixel, bytes of text.
 SECONDS_PER_PIXEL_SAMPLE, SECONDS_PER_PIXEL, SECONDS_PER_SCENE = 2.3e-6, 1.6e-6, 0.25
@@ -25,19 +27,21 @@ SHARD_SAMPLES = 1000
 
 @dataclass(frozen=True)
 class Forecast:
-    """What the missing samples will take."""
+    """What the missing samples will take; `is_measured` by those that were made here before."""
 
     samples: int
     workers: int
     seconds: float
     bytes_kept: int
     bytes_needed: int
+    is_measured: bool = False
 
     def text(self) -> str:
         """The forecast in a line."""
         return (
-            f"{self.samples} samples to make with {self.workers} workers: about {duration(self.seconds)} "
-            f"and {self.bytes_kept / 1e9:.2g} GB"
+            f"{counted(self.samples, 'sample')} to make with {counted(self.workers, 'worker')}: "
+            f"about {duration(self.seconds)} and {self.bytes_kept / 1e9:.2g} GB"
+            f"{', as the samples before took' * self.is_measured}"
         )
 
     def require_room(self, folder: Path, reserve: int = 0) -> None:
@@ -47,7 +51,8 @@ class Forecast:
         free, needed = shutil.disk_usage(there).free, self.bytes_needed + reserve
         if self.samples and free < needed:
             raise DiskFullError(
-                f"{folder}: {self.samples} samples need {needed / 1e9:.3g} GB, but only {free / 1e9:.3g} GB are free"
+                f"{folder}: {counted(self.samples, 'sample')} need {needed / 1e9:.3g} GB, "
+                f"but only {free / 1e9:.3g} GB are free"
             )
 
 
@@ -58,16 +63,17 @@ def seconds_per_sample(recipe: Recipe) -> float:
     return seconds + _rays(recipe) * SECONDS_PER_RAY
 
 
-def forecast(recipe: Recipe, samples: int, workers: int) -> Forecast:
-    """Time and size of `samples` more."""
+def forecast(recipe: Recipe, samples: int, workers: int, found: Measured | None = None) -> Forecast:
+    """Time and size of `samples` more: as those before took, where that is known, else from the costs of a pixel."""
     per_pixel = BYTES_PER_PIXEL[recipe.image_format] + sum(
         BYTES_PER_PIXEL_OF_PASS.get(name, 0.0) for name in recipe.settings.passes
     )
     size = BYTES_OF_TEXT + int(_pixels(recipe) * per_pixel + _rays(recipe) * BYTES_PER_RAY)
+    size = size if found is None else int(found.bytes)
     needed = (samples + min(samples, SHARD_SAMPLES)) * size
     start = SECONDS_TO_START if samples else 0.0
-    seconds = start + samples * seconds_per_sample(recipe) / workers
-    return Forecast(samples, workers, seconds, samples * size, needed)
+    seconds = start + samples * (seconds_per_sample(recipe) if found is None else found.seconds) / workers
+    return Forecast(samples, workers, seconds, samples * size, needed, found is not None)
 
 
 def patience_s(recipe: Recipe) -> float:

@@ -13,10 +13,13 @@ from synth3dlanes.dataset.write import Shard
 from synth3dlanes.errors import InputError
 from synth3dlanes.production.devices import WorkerSlots, n_cores, resolve_device
 from synth3dlanes.production.forecast import Forecast, forecast
+from synth3dlanes.production.measured import measured
 from synth3dlanes.production.recipe import PackedSample, Recipe, make_sample
 from synth3dlanes.production.workers import Limits
 from synth3dlanes.sampling.traffic import check_way
+from synth3dlanes.sensors.cameras import black_pictures
 from synth3dlanes.settings import MAX_SAMPLES, SPLIT_NAME
+from synth3dlanes.words import counted
 
 SHARD_SIZE = 1000
 
@@ -86,14 +89,15 @@ class Plan:
         """What is asked for, in a line."""
         (part, parts), recipe, settings = self.part, self.recipe, self.recipe.settings
         told = [
-            f"{self.destination.place}/{recipe.scenes.split}: {self.n} samples",
+            f"{self.destination.place}/{recipe.scenes.split}: {counted(self.n, 'sample')}",
             *filter(None, [recipe.scenes.shots.text(self.n)]),
             *([f"part {part} of {parts}"] if parts > 1 else []),
             f"seed {recipe.scenes.seed}",
             f"{recipe.sizes} {recipe.image_format}",
-            f"{settings.samples} samples per pixel",
+            f"{counted(settings.samples, 'sample')} per pixel",
             f"device {settings.device}",
             f"passes {', '.join(settings.passes) or 'none'}",
+            *black_pictures(recipe.scenes.shots.cameras),
         ]
         return ", ".join(told)
 
@@ -103,9 +107,11 @@ class Plan:
         # Before anything else is read there.
         self.destination.check_recipe(self.description(), self.recipe.scenes.split, self.n)
         missing = self.n_missing()
-        found = forecast(self.recipe, missing, max(1, min(n_workers or self.workers or n_cores(), missing)))
-        if not self.destination.is_store:
-            found.require_room(self.destination.folder)
+        here = None if self.destination.is_store else self.destination.folder
+        before = None if here is None else measured(here, self.recipe.scenes.split)
+        found = forecast(self.recipe, missing, max(1, min(n_workers or self.workers or n_cores(), missing)), before)
+        if here is not None:
+            found.require_room(here)
         return found
 
     def n_asked(self) -> int:

@@ -12,6 +12,7 @@ from typing import Any
 
 from synth3dlanes.dataset.destination import RunLog
 from synth3dlanes.production.events import Event, duration
+from synth3dlanes.words import counted
 
 # How long the samples at hand may take once a run is to stop.
 GRACE_S = 20.0
@@ -37,7 +38,7 @@ class RunReport:
         pace = f" in {duration(self.seconds)} ({3600 * self.made / self.seconds:,.0f} images/h)" if self.made else ""
         faults = {"restarts of workers": self.restarts, "samples set aside": len(self.set_aside)}
         told = "".join(f", {count} {what}" for what, count in faults.items() if count)
-        return f"{self.done} of {self.asked} samples, {self.made} made now{pace}{told}"
+        return f"{self.done:,} of {counted(self.asked, 'sample')}, {self.made:,} made now{pace}{told}"
 
     @property
     def exit_code(self) -> int:

@@ -15,6 +15,7 @@ from synth3dlanes.change import change_scene
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import how_derived
 from synth3dlanes.errors import InputError
+from synth3dlanes.params import problems_of
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.settings import RenderSettings
 from synth3dlanes.sources import read_scene, scenes_of
@@ -50,7 +51,8 @@ def _reader(source: str) -> Reader:
 def twin_recipes(source: str, vary: str, device: str, library: Library = BUILT_IN) -> list[TwinRecipe]:
     """A recipe for every value in `vary`, which is like `light.exposure=1,2,3`; rendered as the source was.
 
-    Raises InputError where a value does not fit the first scene of the source, or `library` is not what that shows.
+    Raises InputError where a value does not fit the first scene of the source or is out of the bounds of the parameter
+    of that name, and where `library` is not what the scene shows.
     """
     path, equals, text = (part.strip() for part in vary.partition("="))
     values, problems = read_yaml(f"[{text}]", f"vary {path}")
@@ -65,11 +67,15 @@ def twin_recipes(source: str, vary: str, device: str, library: Library = BUILT_I
         TwinRecipe(replace(scenes, split=f"twin_{k}"), settings, image_format, library, reader.url, path, shown)
         for k in range(1, len(shown) + 1)
     ]
-    for recipe in recipes:
+    # A camera file has bounds of its own, which those of a scene are.
+    is_of_file = bool(scenes.shots.cameras) and path.startswith("camera.")
+    for recipe, value in zip(recipes, values, strict=True):
         try:
             recipe.scene(0)
         except InputError as error:
-            problems += [line.replace("changes", "vary", 1) for line in error.problems]
+            problems += [line.removeprefix("changes ") for line in error.problems]
+        else:
+            problems += [] if is_of_file else problems_of(scenes.params, path, value)
     if problems:
-        raise InputError(*dict.fromkeys(problems))
+        raise InputError(*(f"vary {line}" for line in dict.fromkeys(problems)))
     return recipes

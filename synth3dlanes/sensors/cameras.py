@@ -4,10 +4,11 @@ Pixels, metres and degrees. The place is relative to the host's own on the road:
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from synth3dlanes.distributions import Choice, Integer, Integers, Real, Uniform, integers, reals
@@ -29,6 +30,8 @@ NAMES = COEFFICIENTS["opencv"]
 # Half the field of view from which on a picture shows what is beside the camera.
 ASIDE_DEG = 85.0
 DECIMALS, COEFFICIENT_DECIMALS = 6, 9
+# The last place of a range; places along each side of an image where its lens is asked; a share that is told.
+LAST, GRID, LEAST_BLACK = 1 - 1e-9, 64, 0.005
 
 
 def left_out() -> Any:
@@ -96,6 +99,11 @@ class CameraSpec(Group):
         radius = max(middle["cx_px"], middle["width_px"] - middle["cx_px"]) / middle["fx_px"]
         return bool(middle["lens"].angle_rad(radius) > math.radians(ASIDE_DEG))
 
+    def black_share(self) -> float:
+        """The share of the picture that lies beyond the lens's field and is black: the most of the ends and the middle
+        of all ranges."""
+        return max(_black_share(self.drawn(partial(float, u))) for u in (0.0, 0.5, LAST))
+
     def drawn(self, u: Callable[[], float]) -> dict[str, Any]:
         """The fields of a scene's camera, with `u` in [0, 1) for each that has no one value.
 
@@ -121,6 +129,26 @@ class CameraSpec(Group):
     def _draw(self, name: str, u: Callable[[], float]) -> Any:
         distribution: Uniform | Integers | Choice[Any] | None = getattr(self, name)
         return None if distribution is None else distribution.draw(u())
+
+
+def black_pictures(cameras: Sequence[CameraSpec]) -> list[str]:
+    """A line for each camera of whose picture more than the corners' rounding is black."""
+    shares = {camera.name: camera.black_share() for camera in cameras}
+    return [
+        f"{share:.0%} of the picture{f' of {name}' * bool(name)} is black, beyond the lens's field: it ends inside the "
+        f"image"
+        for name, share in shares.items()
+        if share > LEAST_BLACK
+    ]
+
+
+def _black_share(drawn: dict[str, Any]) -> float:
+    columns, rows = ((np.arange(GRID) + 0.5) / GRID * drawn[size] for size in ("width_px", "height_px"))
+    img_from_cam = np.array(
+        [[drawn["fx_px"], drawn["cx_px"], 0], [0, drawn["cy_px"], -drawn["fy_px"]], [0, 1, 0]], dtype=float
+    )
+    rays = drawn["lens"].rays(img_from_cam, np.stack(np.meshgrid(columns, rows), axis=-1))
+    return float(np.isnan(rays).any(axis=-1).mean())
 
 
 def _radius(lens: Lens, fov_deg: float) -> float:

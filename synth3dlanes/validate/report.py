@@ -35,6 +35,7 @@ from synth3dlanes.validate.findings import (
     Result,
     Signed,
 )
+from synth3dlanes.words import counted
 
 MEASURES = {
     "paint_px": "pixels from delimiter points to their paint (semantic pass)",
@@ -62,7 +63,8 @@ WITHIN_PROOF = slice(0, BANDS_M.index(PROOF_M))
 
 @dataclass
 class ValidationReport:
-    """Collects samples one by one; samples without faults leave only counts and a digest each."""
+    """Collects samples one by one; samples without faults leave only counts and a digest each. `notes` say what is no
+    fault, but may be unexpected."""
 
     n_samples: int = 0
     problems: list[Problem] = field(default_factory=list)
@@ -70,6 +72,7 @@ class ValidationReport:
     worst: dict[str, list[tuple[float, str]]] = field(default_factory=dict)
     means: dict[str, RunningMean] = field(default_factory=dict)
     made_again: dict[str, str] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
     _worlds: dict[str, str] = field(default_factory=dict)
 
     def sample(self, name: str, digest: str, results: Iterable[Result]) -> None:
@@ -126,11 +129,12 @@ class ValidationReport:
                 for name, ranking in self.worst.items()
             },
             "made_again": self.made_again,
+            "notes": self.notes,
             "means": {name: found.summary(TESTS[name].least) for name, found in self.means.items()},
         }
 
     def text(self) -> RenderableType:
-        """Distributions with their worst samples, means over the data set, then one line per problem."""
+        """Distributions with their worst samples, means over the data set, then one line per note and per problem."""
         document = self.document()
         parts: list[RenderableType] = []
         for name, words in MEASURES.items():
@@ -146,9 +150,10 @@ class ValidationReport:
         if tested:
             parts += ["\n[bold]means[/bold]  of the samples' signed values; 0 where all is right", _means(tested)]
         parts += made_again_text(self.made_again)
-        parts += ["", *(f"[red]{escape(problem.line())}[/red]" for problem in self.in_order())]
+        parts += ["", *(f"[yellow]{escape(note)}[/yellow]" for note in self.notes)]
+        parts += [*(f"[red]{escape(problem.line())}[/red]" for problem in self.in_order())]
         verdict = f"[red]{len(self.failed)} failed[/red]" if self.problems else self._praise()
-        return Group(*parts, f"{self.n_samples} samples checked: {verdict}")
+        return Group(*parts, f"{counted(self.n_samples, 'sample')} checked: {verdict}")
 
     def _praise(self) -> str:
         if self.n_samples == 0:

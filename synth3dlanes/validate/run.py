@@ -20,6 +20,7 @@ from synth3dlanes.geometry import height_map
 from synth3dlanes.geometry.camera import rays_of_pixels
 from synth3dlanes.processes import process_pool
 from synth3dlanes.scene import Scene
+from synth3dlanes.sensors.cameras import black_pictures
 from synth3dlanes.validate.checks import CHECKS
 from synth3dlanes.validate.contents import read_contents
 from synth3dlanes.validate.evidence import Evidence
@@ -84,6 +85,7 @@ def validate(
     except FormatError as error:
         report.problems.append(Problem(DESCRIPTION, "", str(error)))
         origin = None
+    report.notes += black_pictures(origin.shots.cameras) if origin else []
     making = how_to_make(description, origin, library) if rerender else None
     remove_pictures(place)
     n = sum(min(split.n, split.n if limit is None else limit) for split in description.splits.values())

@@ -153,7 +153,7 @@ def test_a_dry_run_says_what_would_be_made_and_makes_nothing(run: Run, in_tmp_pa
     asked, expected = result.stdout.splitlines()
     for words in ("d/train: 1500 samples", "seed 3", "96x72 px jpg", "device cpu", "tiny with light.exposure=2"):
         assert words in asked
-    assert expected.startswith("1500 samples to make with 2 workers: about ")
+    assert expected.startswith("1,500 samples to make with 2 workers: about ")
     assert not list(in_tmp_path.iterdir())
 
 

@@ -7,9 +7,10 @@ from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph
 
 
 def frame(pinhole, **changes):
-    """Training frame 17 of a data set with training and test frames."""
+    """Training frame 17 of a data set with training and test frames, without lanes."""
     parts = frozenset({"train", "test"})
     of_frame = {"split": "train", "key": "00000017", "number": 17, "part": "train", "parts": parts}
+    of_frame["labels"] = labels_of(camera_label())
     return PinholeFrame(**{**of_frame, "pinhole": pinhole, "tags": frozenset(), "illumination": 1, **changes})
 
 

@@ -18,7 +18,7 @@ FRAME = cf.frame(Pinhole(1920, 1080, 2015.0))
 
 
 def apollo_frame(labels, frame=FRAME):
-    return parse(write.annotate(labels, frame).shared[0][0], "test")
+    return parse(write.annotate(replace(frame, labels=labels)).shared[0][0], "test")
 
 
 def project_as_apollo_does(points_apollo, height_m, pitch_rad):
@@ -83,7 +83,7 @@ def test_apollo_lines_come_back_within_rounding(camera, plan):
     labels = cf.road(cf.camera_label(*camera), **plan)
     frame = apollo_frame(labels)
     by_id = {lane.id: lane for lane in labels.lanes}
-    ids = json.loads(write.annotate(labels, FRAME).shared[2][0])
+    ids = json.loads(write.annotate(replace(FRAME, labels=labels)).shared[2][0])
     for lines_apollo, flags, names in (
         (frame.lane_lines_apollo, frame.lane_lines_visible, ids["laneLines_ids"]),
         (frame.center_lines_apollo, frame.center_lines_visible, ids["centerLines_ids"]),
@@ -128,7 +128,7 @@ def test_visibility_bridges_a_hole_between_two_visible_stretches():
 
 
 def test_apollo_line_has_every_key_on_one_physical_line_even_without_lanes():
-    annotation = write.annotate(cf.labels_of(cf.camera_label()), FRAME)
+    annotation = write.annotate(replace(FRAME, labels=cf.labels_of(cf.camera_label())))
     text = annotation.shared[0][0]
     assert "\n" not in text
     assert json.loads(text) == {
@@ -146,7 +146,7 @@ def test_apollo_keeps_the_six_nearest_and_says_what_it_dropped():
     camera = cf.camera_label()
     x_m = [7.0, -5.0, 1.0, -1.0, 3.0, -3.0, 5.5, 14.0]
     labels = cf.labels_of(camera, *(cf.lane(camera, cf.curve(x), f"x{x}") for x in x_m))
-    annotation = write.annotate(labels, FRAME)
+    annotation = write.annotate(replace(FRAME, labels=labels))
     sidecar = json.loads(annotation.shared[2][0])
     assert sidecar["laneLines_ids"] == ["x1.0", "x-1.0", "x3.0", "x-3.0", "x-5.0", "x5.5"]
     assert sum(annotation.dropped.values()) == 2
@@ -183,7 +183,7 @@ def test_two_paths_that_look_alike_are_one_centre_line():
 def test_apollo_splits_follow_the_folder_numbers(is_train, tags, illumination, folder, splits):
     part = "train" if is_train else "test"
     frame = replace(FRAME, part=part, tags=frozenset(tags), illumination=illumination)
-    annotation = write.annotate(cf.road(cf.camera_label()), frame)
+    annotation = write.annotate(replace(frame, labels=cf.road(cf.camera_label())))
     assert f"images/{folder}/" in annotation.image
     assert set(annotation.shared[0][1]) == {f"data_splits/{split}/{part}.json" for split in splits}
     assert set(annotation.shared[1][1]) == {f"data_lists/{split}/{part}.txt" for split in splits}

@@ -2,6 +2,7 @@
 
 import json
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,13 +10,12 @@ import pytest
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.formats.conditions import conditions
 from synth3dlanes.formats.culane.convention import SCENES, scene_list, scene_of
-from synth3dlanes.formats.export import export
+from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.kerbs import kerb_lanes
 from synth3dlanes.formats.openlane import write as openlane
 from synth3dlanes.formats.openlane.convention import WAYMO_FROM_CAM
 from synth3dlanes.formats.openlane.read import parse
 from synth3dlanes.formats.openlane.write import CASES
-from synth3dlanes.formats.verify import verify
 from synth3dlanes.formats.writing import Pinhole
 from synth3dlanes.frames import transform
 from synth3dlanes.ground_truth import ground_truth
@@ -29,6 +29,7 @@ from synth3dlanes.settings import RenderSettings
 from synth3dlanes.shots import SINGLE, clips
 from tests import fake_samples
 from tests.formats import closed_form as cf
+from tests.formats.problems import problems
 from tests.scenes import FLAT, changed
 
 SUN_AHEAD = {"sun_zenith_rad": 1.3, "sun_azimuth_rad": np.pi / 2}
@@ -123,7 +124,7 @@ def test_kerbs_are_lines_of_openlane_at_the_foot_of_their_front(flips, side, kin
     np.testing.assert_allclose(points_world[:, 2], 0, atol=1e-6)
     assert (np.diff(points_world[:, 1]) > 0).all(), "near to far"
     frame = cf.frame(Pinhole(1920, 1280, 1000.0), kerbs=(kerb,))
-    (text,) = openlane.annotate(labels, frame).files.values()
+    (text,) = openlane.annotate(replace(frame, labels=labels)).files.values()
     lines = parse(text, "test").lines
     (found,) = [line for line in lines if line.category in (20, 21)]
     assert found.category == (21 if is_right else 20)
@@ -142,8 +143,8 @@ def made(folder, n, shots=SINGLE, *changes):
 
 def test_lists_of_streets_hold_what_the_scenes_are_and_are_counted(tmp_path):
     data = made(tmp_path / "data", 10, SINGLE, "weather.daytime={day: 1, night: 1}", "roadside.outer=kerb")
-    export(str(data), tmp_path / "culane", "culane", 1, lambda done, total: None)
-    summary = export(str(data), tmp_path / "openlane", "openlane", 1, lambda done, total: None)
+    Export(str(data), tmp_path / "culane", "culane").write()
+    summary = Export(str(data), tmp_path / "openlane", "openlane").write()
     nights = sum(row["weather_daytime"] == "night" for row in Reader(f"{data}/test").index.to_pylist())
     assert 0 < nights < 10
     listed = (tmp_path / "openlane/lane3d_1000/test/1000_night.txt").read_text().splitlines()
@@ -158,13 +159,13 @@ def test_lists_of_streets_hold_what_the_scenes_are_and_are_counted(tmp_path):
     categories = Counter(line["category"] for text in texts for line in json.loads(text)["lane_lines"])
     assert categories[20] + categories[21] > 0
     for name in ("culane", "openlane"):
-        assert not [problem for result in verify(tmp_path / name, name, 20) for problem in result.problems]
+        assert not problems(tmp_path / "data", tmp_path / name, name)
     assert set(CASES) >= {"night", "extreme_weather", "intersection"}
 
 
 def test_a_clip_is_a_segment_of_openlane_and_its_lines_keep_their_tracks(tmp_path):
     data = made(tmp_path / "data", 6, clips(3, 2))
-    export(str(data), tmp_path / "out", "openlane", 1, lambda done, total: None)
+    Export(str(data), tmp_path / "out", "openlane").write()
     folders = sorted((tmp_path / "out/lane3d_1000/validation").iterdir())
     assert [len(list(folder.iterdir())) for folder in folders] == [3, 3]
     reader = Reader(f"{data}/test")

@@ -13,10 +13,10 @@ from PIL import Image
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.culane import write
 from synth3dlanes.formats.culane.read import parse_entry, parse_lines
-from synth3dlanes.formats.export import export
-from synth3dlanes.formats.verify import verify
+from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.writing import Pinhole
 from tests.formats import closed_form as cf
+from tests.formats.problems import problems
 from tests.formats.random_roads import cameras, roads
 
 FRAME = cf.frame(Pinhole(1640, 590, 1420.3, 69.0))
@@ -36,7 +36,7 @@ def mask_of(annotation):
 @settings(max_examples=25, deadline=None)
 def test_culane_points_lie_on_the_projected_lanes(camera, plan):
     labels = cf.road(cf.camera_label(*camera), **plan)
-    annotation = write.annotate(labels, FRAME)
+    annotation = write.annotate(replace(FRAME, labels=labels))
     ids = json.loads(annotation.shared[2][0])["lines_ids"]
     by_id = {lane.id: lane for lane in labels.lanes}
     lines = lines_of(annotation)
@@ -57,7 +57,7 @@ def test_culane_points_lie_on_the_projected_lanes(camera, plan):
 
 def test_culane_line_by_hand():
     camera = cf.camera_label(1.5, 0.0)
-    (line,) = lines_of(write.annotate(cf.labels_of(camera, cf.lane(camera, cf.curve(1.5))), FRAME))
+    (line,) = lines_of(write.annotate(replace(FRAME, labels=cf.labels_of(camera, cf.lane(camera, cf.curve(1.5))))))
     # On level ground 1.5 m below and 1.5 m right of the camera: u - 820 = v - 364. At 110 m, v - 364 is 19 px.
     np.testing.assert_allclose(line[:, 0], line[:, 1] + 456, atol=0.001)
     assert line[:, 1].tolist() == list(range(590, 380, -10))
@@ -77,7 +77,7 @@ def test_culane_line_by_hand():
 def test_culane_has_the_two_nearest_lines_on_either_side_of_the_camera(x_m, flags):
     camera = cf.camera_label()
     lanes = [cf.lane(camera, cf.curve(x), f"d{i}") for i, x in enumerate(x_m)]
-    annotation = write.annotate(cf.labels_of(camera, *lanes[::-1]), FRAME)
+    annotation = write.annotate(replace(FRAME, labels=cf.labels_of(camera, *lanes[::-1])))
     image, mask, *found = annotation.shared[1][0].split()
     assert found == flags.split()
     assert annotation.files.keys() == {image[1:-3] + "lines.txt", mask[1:]}
@@ -102,7 +102,7 @@ def test_culane_has_the_two_nearest_lines_on_either_side_of_the_camera(x_m, flag
 def test_a_line_that_begins_far_ahead_is_not_beside_the_camera():
     camera = cf.camera_label()
     lanes = [cf.lane(camera, cf.curve(1.8), "near"), cf.lane(camera, cf.curve(0.5, start_m=40), "far")]
-    annotation = write.annotate(cf.labels_of(camera, *lanes), FRAME)
+    annotation = write.annotate(replace(FRAME, labels=cf.labels_of(camera, *lanes)))
     assert json.loads(annotation.shared[2][0])["lines_ids"] == ["near"]
     assert sum(annotation.dropped.values()) == 1
 
@@ -127,17 +127,17 @@ def test_a_wrong_line_or_list_is_a_format_error_that_names_it():
 )
 def test_frames_are_in_the_lists_of_their_part(part, parts, lists):
     frame = replace(FRAME, part=part, parts=frozenset(parts))
-    annotation = write.annotate(cf.road(cf.camera_label()), frame)
+    annotation = write.annotate(replace(frame, labels=cf.road(cf.camera_label())))
     listed = {path.rpartition("/")[2] for _, paths in annotation.shared for path in paths}
     assert listed == {f"{name}.txt" for name in lists} | {"sidecar.jsonl"}
-    bent = write.annotate(cf.road(cf.camera_label()), replace(frame, tags=frozenset({"curve"})))
+    bent = write.annotate(replace(replace(frame, tags=frozenset({"curve"})), labels=cf.road(cf.camera_label())))
     assert ("list/test_split/test6_curve.txt" in bent.shared[0][1]) == ("test" in lists)
 
 
 @pytest.fixture(scope="module")
 def root(dataset, tmp_path_factory):
     out = tmp_path_factory.mktemp("culane")
-    export(str(dataset), out, "culane", 1, lambda done, total: None)
+    Export(str(dataset), out, "culane").write()
     return out
 
 
@@ -223,11 +223,11 @@ def test_what_the_evaluators_open(root):
         assert line.split()[0][:-10].endswith(".MP4")
 
 
-def test_a_problem_in_lines_or_masks_is_found(root, tmp_path):
-    assert [result.problems for result in verify(root, "culane", 100) if result.problems] == []
+def test_a_problem_in_lines_or_masks_is_found(dataset, root, tmp_path):
+    assert problems(dataset, root, "culane") == []
     _, mask, *_ = listed(root, "train_gt.txt")[0].split()
     path = root / mask[1:]
     good = path.read_bytes()
     Image.new("L", (1640, 590)).save(path)
-    assert any("expected lines" in problem for result in verify(root, "culane", 9) for problem in result.problems)
+    assert any("points without it" in problem for problem in problems(dataset, root, "culane"))
     path.write_bytes(good)

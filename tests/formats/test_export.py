@@ -12,14 +12,16 @@ from click.testing import CliRunner
 from PIL import Image
 
 from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.formats.export import FORMATS, export
+from synth3dlanes.formats.export import Export
+from synth3dlanes.formats.format import PinholeFormat
 from synth3dlanes.formats.plan import assign, open_reader, parts_of
-from synth3dlanes.formats.summary import warnings
+from synth3dlanes.formats.registry import format_names, open_format
 from synth3dlanes.formats.verify import verify
-from synth3dlanes.formats.writing import PinholeFormat
 from tests.formats import closed_form as cf
+from tests.formats.problems import problems
 
 N_TRAIN, N_TEST = 7, 4
+FORMATS = {name: open_format(name) for name in format_names()}
 PINHOLE = [name for name, foreign in FORMATS.items() if isinstance(foreign, PinholeFormat)]
 SIZE_PX = {
     "apollo": (1920, 1080),
@@ -35,7 +37,7 @@ SIZE_PX = {
 def exported(request, dataset, tmp_path_factory):
     out = tmp_path_factory.mktemp("exports") / request.param
     seen = []
-    summary = export(str(dataset), out, request.param, 1, lambda done, total: seen.append((done, total)))
+    summary = Export(str(dataset), out, request.param).write(progress=lambda done, total: seen.append((done, total)))
     assert seen[0] == (0, N_TRAIN + N_TEST)
     assert seen[-1] == (N_TRAIN + N_TEST, N_TRAIN + N_TEST)
     return request.param, out, summary
@@ -56,17 +58,18 @@ def assert_every_line_ends(out):
 
 def test_files_of_lines_can_be_joined(dataset, tmp_path):
     # As tools of tuSimple do: each file's lines, one after the other.
-    export(str(dataset), tmp_path, "tusimple", 1, lambda done, total: None)
+    Export(str(dataset), tmp_path, "tusimple").write()
     joined = "".join(path.read_text() for path in sorted(tmp_path.glob("*label*.json")))
     frames = [json.loads(line)["raw_file"] for line in joined.splitlines()]
     assert len(frames) == len(set(frames)) == sum(1 for path in tmp_path.rglob("20.jpg")) > N_TRAIN
 
 
-def test_every_list_scores_perfectly_and_moved_aside_not_at_all(exported):
+def test_every_line_of_every_list_is_that_of_the_labels(exported, dataset):
     format_name, out, summary = exported
-    results = verify(out, format_name, most_frames=100)
+    results = verify(Export(str(dataset), out, format_name), most_frames=100)
     assert sum(result.n_lines for result in results) >= summary.n_lines > 20
     assert [result.problems for result in results] == [()] * len(results)
+    assert all(result.n_matched >= result.n_lines for result in results)
 
 
 def test_counts_add_up_and_the_readme_names_every_reason(exported):
@@ -88,12 +91,12 @@ def test_images_have_the_formats_size_and_every_line_of_text_ends(exported):
     assert_every_line_ends(out)
 
 
-def test_a_problem_is_found_when_there_is_one(exported, tmp_path):
+def test_a_problem_is_found_when_there_is_one(exported, dataset, tmp_path):
     format_name, out, _ = exported
     if format_name != "apollo":
         image = next(path for path in out.rglob("*.jpg"))
         image.rename(tmp_path / "moved.jpg")
-        assert any(result.problems for result in verify(out, format_name, 100))
+        assert problems(dataset, out, format_name)
         (tmp_path / "moved.jpg").rename(image)
     else:
         path = out / "data_splits/standard/test.json"
@@ -103,23 +106,23 @@ def test_a_problem_is_found_when_there_is_one(exported, tmp_path):
         document["laneLines"].append([[15.0, y, 0.0] for y in range(1, 100)])
         document["laneLines_visibility"].append([1.0] * 99)
         path.write_text(json.dumps(document))
-        assert any(result.problems for result in verify(out, format_name, 100))
+        assert problems(dataset, out, format_name)
         path.write_text(good)
 
 
 def test_running_again_and_running_in_parallel_give_the_same_bytes(exported, dataset, tmp_path):
     format_name, out, _ = exported
     before = files_of(out)
-    export(str(dataset), out, format_name, 1, lambda done, total: None)
+    Export(str(dataset), out, format_name).write()
     assert files_of(out) == before
     if format_name == "tusimple":
-        export(str(dataset), tmp_path / "parallel", format_name, 2, lambda done, total: None)
+        Export(str(dataset), tmp_path / "parallel", format_name).write(2)
         assert files_of(tmp_path / "parallel") == before
 
 
 def test_a_sample_is_exported_as_with_all_others(dataset, tmp_path):
     for name, source in (("all", f"{dataset}/train"), ("one", f"{dataset}/train:2")):
-        export(source, tmp_path / name, "openlane", 1, lambda done, total: None)
+        Export(source, tmp_path / name, "openlane").write()
     one, every = files_of(tmp_path / "one"), files_of(tmp_path / "all")
     of_frames = {path for path in one if "00000002" in path and not path.startswith(".parts/")}
     assert {path.rpartition(".")[2] for path in of_frames} >= {"jpg", "json"}
@@ -138,29 +141,30 @@ def test_an_interrupted_export_continues_and_a_grown_dataset_is_added(write_spli
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        export(str(root), out, "openlane", 1, stop_after_three)
+        Export(str(root), out, "openlane").write(progress=stop_after_three)
     assert not (out / "lists").exists(), "an unfinished export has no list"
     progress = []
-    export(str(root), out, "openlane", 1, lambda done, total: progress.append(done))
+    Export(str(root), out, "openlane").write(progress=lambda done, total: progress.append(done))
     assert progress[0] == 4, "two chunks were kept"
     write_split(root, "train", 6)
     open_reader.cache_clear()
-    summary = export(str(root), out, "openlane", 1, lambda done, total: None)
+    summary = Export(str(root), out, "openlane").write()
     assert summary.n_frames == {"train": 5, "test": 1}
     fresh = tmp_path / "fresh"
-    export(str(root), fresh, "openlane", 1, lambda done, total: None)
+    Export(str(root), fresh, "openlane").write()
     assert files_of(out) == files_of(fresh)
 
 
 def test_frames_without_lanes_come_last(dataset, tmp_path, monkeypatch):
     foreign = FORMATS["apollo"]
 
-    def first_frame_is_bare(labels, frame):
-        bare = cf.labels_of(labels.camera)
-        return foreign.annotate(bare if frame.key == "00000000" else labels, frame)
+    def first_frame_is_bare(frame):
+        bare = replace(frame, labels=cf.labels_of(frame.labels.camera))
+        return foreign.write(bare if frame.key == "00000000" else frame)
 
-    monkeypatch.setitem(FORMATS, "apollo", replace(foreign, annotate=first_frame_is_bare))
-    export(str(dataset), tmp_path / "out", "apollo", 1, lambda done, total: None)
+    bare_once = replace(foreign, write=first_frame_is_bare)
+    monkeypatch.setattr("synth3dlanes.formats.export.open_format", lambda name: bare_once)
+    Export(str(dataset), tmp_path / "out", "apollo").write()
     lines = (tmp_path / "out/data_splits/standard/train.json").read_text().splitlines()
     assert [bool(json.loads(line)["laneLines"]) for line in lines] == [True] * (N_TRAIN - 1) + [False]
 
@@ -168,13 +172,13 @@ def test_frames_without_lanes_come_last(dataset, tmp_path, monkeypatch):
 def test_a_folder_of_something_else_is_refused(dataset, tmp_path):
     (tmp_path / "precious.txt").write_text("mine")
     with pytest.raises(InputError, match="expected an empty folder"):
-        export(str(dataset), tmp_path, "once", 1, lambda done, total: None)
+        Export(str(dataset), tmp_path, "once").write()
     out = tmp_path / "out"
-    export(str(dataset), out, "once", 1, lambda done, total: None)
+    Export(str(dataset), out, "once").write()
     with pytest.raises(InputError, match="got the export"):
-        export(str(dataset), out, "tusimple", 1, lambda done, total: None)
+        Export(str(dataset), out, "tusimple").write()
     with pytest.raises(FormatError, match="expected a split of a data set"):
-        export(str(tmp_path / "out"), tmp_path / "other", "once", 1, lambda done, total: None)
+        Export(str(tmp_path / "out"), tmp_path / "other", "once").write()
 
 
 def test_the_command_exports_and_verifies(dataset, tmp_path):
@@ -185,7 +189,7 @@ def test_the_command_exports_and_verifies(dataset, tmp_path):
     )
     assert result.exit_code == 0, result.output
     assert f"{N_TRAIN} train, 0 val, {N_TEST} test frames" in result.output
-    assert "ground truth: f_score 1.0000" in result.output
+    assert "worst 0.0000 m, median 0.0000 m (at most 0.001 m)" in result.output
 
 
 def test_a_rolled_camera_exports_the_labels_of_one_without_roll(write_split, tmp_path):
@@ -196,8 +200,12 @@ def test_a_rolled_camera_exports_the_labels_of_one_without_roll(write_split, tmp
     for name in ("level", "rolled"):
         for format_name in PINHOLE:
             out = tmp_path / f"{name}-{format_name}"
-            export(str(tmp_path / name), out, format_name, 1, lambda done, total: None)
-            assert [result.problems for result in verify(out, format_name, 10) if result.problems] == []
+            Export(str(tmp_path / name), out, format_name).write()
+            assert [
+                result.problems
+                for result in verify(Export(str(tmp_path / name), out, format_name), 10)
+                if result.problems
+            ] == []
             texts = {path.relative_to(out): path.read_text() for path in sorted(out.rglob("*.json"))}
             # A rolled image covers a narrower upright one.
             texts = {path: re.sub(r'"calibration": .*?]], ', "", text) for path, text in texts.items()}
@@ -220,7 +228,7 @@ def test_narrow_frames_get_their_own_intrinsics_or_are_left_out_and_counted(writ
     ]
     narrow = [f_px for f_px in own_f_px if f_px > 500]
     assert 0 < len(narrow) < 3, "some frames are narrow and some are not"
-    summaries = {name: export(str(root), tmp_path / name, name, 1, lambda done, total: None) for name in PINHOLE}
+    summaries = {name: Export(str(root), tmp_path / name, name).write() for name in PINHOLE}
     for name in ("openlane", "once"):
         assert sum(summaries[name].n_frames.values()) == 3
     for name in ("apollo", "tusimple"):
@@ -228,7 +236,12 @@ def test_narrow_frames_get_their_own_intrinsics_or_are_left_out_and_counted(writ
         assert f"narrower than the format's one camera | {len(narrow)} |" in (tmp_path / name / "README.md").read_text()
     found = [json.loads(path.read_text())["intrinsic"][0][0] for path in tmp_path.glob("openlane/lane3d_1000/*/seg*/*")]
     assert sorted(found) == pytest.approx([2015.0] * (3 - len(narrow)) + [4 * f_px for f_px in narrow], abs=0.2)
-    assert [result.problems for name in PINHOLE for result in verify(tmp_path / name, name, 9) if result.problems] == []
+    assert [
+        result.problems
+        for name in PINHOLE
+        for result in verify(Export(str(root), tmp_path / name, name), 9)
+        if result.problems
+    ] == []
 
 
 @pytest.mark.parametrize("format_name", ["openlane", "once"])
@@ -238,9 +251,10 @@ def test_images_of_another_size_have_pixels_and_intrinsics_to_match(
 ):
     root, out = tmp_path / "data", tmp_path / "out"
     write_split(root, "train", 2, ["camera.roll_deg={-1: 1, 1: 1}"])
-    summary = export(str(root), out, format_name, 1, lambda done, total: None, (width_px, height_px))
-    assert warnings(Path("/elsewhere"), FORMATS[format_name], summary) == ()
-    assert [result.problems for result in verify(out, format_name, 9) if result.problems] == []
+    job = Export(str(root), out, format_name, (width_px, height_px))
+    summary = job.write()
+    assert replace(job, out=Path("/elsewhere")).warnings(summary) == ()
+    assert [result.problems for result in verify(job, 9) if result.problems] == []
     paths = sorted([*out.glob("lane3d_1000/training/seg*/*.json"), *out.glob("ONCE_3DLanes/train/*/cam01/*.json")])
     for index, path in enumerate(paths):
         document = json.loads(path.read_text())
@@ -273,7 +287,7 @@ def test_images_of_another_size_have_pixels_and_intrinsics_to_match(
 @pytest.mark.parametrize("format_name", ["apollo", "tusimple"])
 def test_formats_of_one_size_refuse_another(dataset, tmp_path, format_name):
     with pytest.raises(InputError, match=r"size: expected \d+x\d+, which the tools of"):
-        export(str(dataset), tmp_path / "out", format_name, 1, lambda done, total: None, (960, 640))
+        Export(str(dataset), tmp_path / "out", format_name, (960, 640)).write()
     assert not (tmp_path / "out").exists()
 
 
@@ -294,7 +308,7 @@ def test_categories_are_those_of_the_scenes_paint(write_split, tmp_path):
     # The leftmost line of the road, and no other, is yellow and double.
     changes = ["markings.left_yellow=true", "markings.left_double=true", "road.topology=1", "camera.roll_deg=0"]
     write_split(tmp_path / "data", "train", 2, changes)
-    export(str(tmp_path / "data"), tmp_path / "out", "openlane", 1, lambda done, total: None)
+    Export(str(tmp_path / "data"), tmp_path / "out", "openlane").write()
     labels = open_reader(f"{tmp_path}/data/train").labels(0)
     leftmost = min((lane for lane in labels.lanes if lane.kind == "delimiter"), key=lambda lane: lane.xyz_cam[0, 0])
     (path,) = (tmp_path / "out/lane3d_1000/training").glob("*/train-00000000.json")
@@ -334,7 +348,7 @@ def test_the_readme_says_how_scenes_were_dealt(write_split, tmp_path):
         ("few", "with more scenes, those of every fifth scene (numbers that end in 4 and 9) become test frames."),
         ("more", "those of every fifth scene (numbers that end in 4 and 9) were made test frames."),
     ):
-        summary = export(str(tmp_path / name), tmp_path / f"{name}-out", "once", 1, lambda done, total: None)
+        summary = Export(str(tmp_path / name), tmp_path / f"{name}-out", "once").write()
         assert bool(summary.n_frames["test"]) == (name == "more")
         readme = (tmp_path / f"{name}-out/README.md").read_text()
         assert f"The data set has neither val nor test frames: {said}" in readme
@@ -345,13 +359,13 @@ def test_an_unfinished_data_set_says_to_go_on(write_split, tmp_path):
     write_split(tmp_path / "data", "train", 1)
     (tmp_path / "data/train/00000.parquet").unlink()
     with pytest.raises(FormatError, match=r"expected finished shards .*, got none; run generate again$"):
-        export(str(tmp_path / "data"), tmp_path / "out", "once", 1, lambda done, total: None)
+        Export(str(tmp_path / "data"), tmp_path / "out", "once").write()
 
 
 def test_a_set_for_tests_alone_gives_no_training_frames(write_split, tmp_path):
     write_split(tmp_path / "data", "test", 6)
     for name in PINHOLE:
-        summary = export(str(tmp_path / "data"), tmp_path / name, name, 1, lambda done, total: None)
+        summary = Export(str(tmp_path / "data"), tmp_path / name, name).write()
         assert set(summary.n_frames) == {"test"}
         assert "tools that open val find the test frames" in (tmp_path / name / "README.md").read_text()
     assert not (tmp_path / "apollo/data_splits/standard/train.json").exists()
@@ -373,13 +387,13 @@ def test_a_set_for_tests_alone_gives_no_training_frames(write_split, tmp_path):
 def test_frames_that_were_made_again_are_exported_again(format_name, write_split, tmp_path):
     root, out, fresh = tmp_path / "data", tmp_path / "out", tmp_path / "fresh"
     write_split(root, "train", 5)
-    export(str(root), out, format_name, 1, lambda done, total: None)
+    Export(str(root), out, format_name).write()
     before = files_of(out)
     shutil.rmtree(root)
     open_reader.cache_clear()
     write_split(root, "train", 2, ["camera.height_m=1.77"])
     for folder in (out, fresh):
-        export(str(root), folder, format_name, 1, lambda done, total: None)
+        Export(str(root), folder, format_name).write()
     assert files_of(out) == files_of(fresh)
     assert before.keys() - files_of(out).keys(), "images and lists of the frames that are gone"
 
@@ -388,10 +402,10 @@ def test_warnings_of_replaced_words_and_of_enlarged_images(write_split, tmp_path
     write_split(tmp_path / "data", "train", 2)
     monkeypatch.chdir(tmp_path)
     for out, n_words in (("evaluation", 1), ("plain", 0)):
-        summary = export("data", Path(out), "once", 1, lambda done, total: None)
+        summary = Export("data", Path(out), "once").write()
         # 480 px become 1920 px.
         assert summary.enlarged == pytest.approx(4, abs=0.01)
-        found = warnings(Path("/elsewhere") / out, FORMATS["once"], summary)
+        found = Export("data", Path("/elsewhere") / out, "once").warnings(summary)
         assert len([line for line in found if line.endswith("replace val in the whole path: move it")]) == n_words
         assert [line for line in found if "enlarged 4.0 times to 1920x1020" in line]
 
@@ -401,14 +415,14 @@ def test_marks_of_an_export_name_no_file_elsewhere(dataset, tmp_path, place):
     """Of a chunk that is not wanted any more, the files are removed: only those of the export."""
     out, mine = tmp_path / "out", tmp_path / "mine.txt"
     mine.write_text("mine")
-    export(str(dataset), out, "apollo", 1, lambda done, total: None)
+    Export(str(dataset), out, "apollo").write()
     record = {"left_out": None, "n_lines": 0, "files": [], "shared": []}
     for path in ("../mine.txt", str(mine)):
         named = {"files": [path]} if place == "files" else {"shared": [["text", [path]]]}
         (out / ".parts/stale").write_text(json.dumps(record | named))
         with pytest.raises(FormatError, match=r"stale:1: .*expected a path below the folder, got "):
-            export(str(dataset), out, "apollo", 1, lambda done, total: None)
+            Export(str(dataset), out, "apollo").write()
         assert mine.read_text() == "mine"
     (out / "export.json").write_text("[" * 10_000)
     with pytest.raises(FormatError, match=r"export\.json: expected a JSON document"):
-        export(str(dataset), out, "apollo", 1, lambda done, total: None)
+        Export(str(dataset), out, "apollo").write()

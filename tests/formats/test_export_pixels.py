@@ -100,9 +100,9 @@ def curvelanes(out):
 @pytest.mark.render
 @pytest.mark.parametrize("read", [apollo, openlane, once, tusimple, culane, curvelanes])
 def test_exported_lines_lie_on_paint(rendered, tmp_path, read):
-    from synth3dlanes.formats.export import export
+    from synth3dlanes.formats.export import Export
 
-    export(str(rendered), tmp_path, read.__name__, 1, lambda done, total: None)
+    Export(str(rendered), tmp_path, read.__name__).write()
     frames = list(read(tmp_path))
     assert len(frames) == N
     for path, lines in frames:

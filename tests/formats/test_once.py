@@ -17,7 +17,7 @@ FRAME = cf.frame(Pinhole(1920, 1020, 2015.0))
 
 
 def once_frame(labels, frame=FRAME):
-    text, *_ = write.annotate(labels, frame).files.values()
+    text, *_ = write.annotate(replace(frame, labels=labels)).files.values()
     return parse(text, "test")
 
 
@@ -55,7 +55,7 @@ def test_once_axes_are_right_down_forward():
 )
 def test_once_layout_is_that_of_its_loaders(part, parts, folders):
     frame = replace(FRAME, part=part, parts=frozenset(parts))
-    annotation = write.annotate(cf.road(cf.camera_label()), frame)
+    annotation = write.annotate(replace(frame, labels=cf.road(cf.camera_label())))
     # PersFormer opens train/ and test/, LATR train/ and val/: <folder>/*/*/*.json
     assert set(annotation.files) == {f"ONCE_3DLanes/{folder}/000000/cam01/00000017.json" for folder in folders}
     for path, text in annotation.files.items():
@@ -72,7 +72,7 @@ def test_once_layout_is_that_of_its_loaders(part, parts, folders):
 
 def test_once_frames_without_lanes_are_there_but_not_for_anchor3dlane_to_train_on():
     for part, n_lists in (("train", 0), ("test", 2)):
-        annotation = write.annotate(cf.labels_of(cf.camera_label()), replace(FRAME, part=part))
+        annotation = write.annotate(replace(replace(FRAME, part=part), labels=cf.labels_of(cf.camera_label())))
         for text in annotation.files.values():
             assert json.loads(text)["lanes"] == []
         # Its converter leaves out training frames without lanes; its loader opens what data_lists name.

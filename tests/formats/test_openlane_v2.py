@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from synth3dlanes.errors import InputError
-from synth3dlanes.formats.export import export
+from synth3dlanes.formats.export import Export
+from synth3dlanes.formats.format import SampleFrame
 from synth3dlanes.formats.openlane_v2 import score as scoring
 from synth3dlanes.formats.openlane_v2.read import frames, parse
 from synth3dlanes.formats.openlane_v2.score import LaneTopology, score
 from synth3dlanes.formats.openlane_v2.write import annotate
-from synth3dlanes.formats.sample_format import SampleFrame
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.ground_truth import ground_truth
@@ -28,8 +28,8 @@ def frame_of(seed, *changes):
     scene = sample_scene(Scenes(load_params("appendix_i", [*CHANGES, *changes]), seed, "train"), 0)
     labels = ground_truth(scene)
     return SampleFrame(
-        "train", "00000007", 7, "train", frozenset({"train"}), scene=scene, labels=labels, passes={},
-        image_format="jpg", cameras={"00000007": labels.camera},
+        split="train", key="00000007", number=7, part="train", parts=frozenset({"train"}), scene=scene, labels=labels,
+        passes={}, image_format="jpg", cameras={"00000007": labels.camera},
     )  # fmt: skip
 
 
@@ -238,9 +238,10 @@ def test_the_score_by_hand():
 
 def test_an_export_verifies_and_names_what_is_wrong(dataset, tmp_path):
     out = tmp_path / "out"
-    summary = export(str(dataset), out, "openlane_v2", 1, lambda done, total: None)
+    job = Export(str(dataset), out, "openlane_v2")
+    summary = job.write()
     assert summary.n_frames == {"train": 7, "test": 4}
-    assert [result.problems for result in verify(out, "openlane_v2", 9)] == [()] * 6
+    assert [result.problems for result in verify(job, 9)] == [()] * 6
     # The devkit's preprocess.py takes every JSON in this folder for a collection {part: {segment: [names]}}.
     (listed,) = (out / "OpenLane-V2").glob("*.json")
     parts = json.loads(listed.read_text())
@@ -259,5 +260,5 @@ def test_an_export_verifies_and_names_what_is_wrong(dataset, tmp_path):
     document["annotation"]["lane_centerline"][0]["points"] = [[0, 0, 0]] * 201
     path.write_text(json.dumps(document))
     (out / "OpenLane-V2" / frame.images["ring_front_center"]).unlink()
-    problems = [problem for result in verify(out, "openlane_v2", 9) for problem in result.problems]
+    problems = [problem for result in verify(job, 9) for problem in result.problems]
     assert any("expected the image" in problem for problem in problems)

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from synth3dlanes.errors import InputError
-from synth3dlanes.formats.export import FORMATS
+from synth3dlanes.formats.format import PinholeFormat
+from synth3dlanes.formats.registry import format_names, open_format
 from synth3dlanes.formats.resample import fitting_pinhole, resample, source_pixels
-from synth3dlanes.formats.writing import Pinhole, PinholeFormat
+from synth3dlanes.formats.writing import Pinhole
 from synth3dlanes.lens import Lens
 from tests.formats import closed_form as cf
 
+FORMATS = {name: open_format(name) for name in format_names()}
 APOLLO, OPENLANE = (FORMATS[name].camera for name in ("apollo", "openlane"))
 
 

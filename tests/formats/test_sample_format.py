@@ -7,9 +7,9 @@ import pytest
 from PIL import Image
 
 from synth3dlanes.errors import InputError
-from synth3dlanes.formats.export import FORMATS, export
+from synth3dlanes.formats.export import Export
+from synth3dlanes.formats.format import SampleFormat
 from synth3dlanes.formats.plan import open_reader
-from synth3dlanes.formats.sample_format import SampleFormat
 from synth3dlanes.formats.writing import FrameAnnotation
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.run import generate
@@ -18,9 +18,11 @@ from tests import fake_samples
 
 
 def run(monkeypatch, dataset, out, annotate, **changes):
-    foreign = SampleFormat(readme="As it is.", annotate=annotate, **changes)
-    monkeypatch.setitem(FORMATS, "as_it_is", foreign)
-    return export(str(dataset), out, "as_it_is", 1, lambda done, total: None)
+    foreign = SampleFormat(
+        title="As it is", readme="As it is.", write=annotate, read=None, verify=None, tolerances={}, **changes
+    )
+    monkeypatch.setattr("synth3dlanes.formats.export.open_format", lambda name: foreign)
+    return Export(str(dataset), out, "as_it_is").write()
 
 
 def test_images_are_copied_byte_for_byte_or_encoded_anew_where_the_path_says_so(monkeypatch, dataset, tmp_path):
@@ -91,6 +93,7 @@ def test_shared_lines_become_one_document(monkeypatch, dataset, tmp_path):
 
 
 def test_a_size_is_refused(monkeypatch, dataset, tmp_path):
-    monkeypatch.setitem(FORMATS, "as_it_is", SampleFormat(readme="", annotate=lambda frame: None))
+    empty = SampleFormat(title="", readme="", write=lambda frame: None, read=None, verify=None, tolerances={})
+    monkeypatch.setattr("synth3dlanes.formats.export.open_format", lambda name: empty)
     with pytest.raises(InputError, match=r"expected that of the data set's images \(other sizes: openlane, once"):
-        export(str(dataset), tmp_path / "out", "as_it_is", 1, lambda done, total: None, (96, 64))
+        Export(str(dataset), tmp_path / "out", "as_it_is", (96, 64)).write()

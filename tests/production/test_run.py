@@ -177,8 +177,8 @@ def test_a_second_run_in_the_folder_is_refused(tmp_path):
         (fake_samples.crash_on_bad, Limits(), {3: "worker ended with 1"}),
         (
             fake_samples.hang_on_bad_and_spin_on_the_next,
-            Limits(seconds=4.0),
-            {3: "no progress for 4 s", 4: "no end after 4 s of CPU time"},
+            Limits(seconds=2.5),
+            {3: "no progress for 2.5 s", 4: "no end after 2.5 s of CPU time"},
         ),
         (fake_samples.eat_memory_on_bad, Limits(rss_bytes=1 << 30), {3: "more than 1024 MiB of memory"}),
     ],

@@ -219,8 +219,8 @@ SUBTLE = [
     Fault("height map 3 cm up", in_samples(lifted), r"got it \+0.030 m off"),
     Fault("height map one row off", in_samples(one_row_off), "as a map that is moved"),
     Fault("rows of the index reordered", reorder_index, "in the order of their samples"),
-    Fault("README.md edited", edit_readme, "README.md: expected what dataset.json gives"),
-    Fault("croissant.json edited", edit_croissant, "croissant.json: expected what dataset.json gives"),
+    Fault("README.md edited", edit_readme, "expected what dataset.json gives"),
+    Fault("croissant.json edited", edit_croissant, "expected what dataset.json gives"),
 ]
 
 OF_STREETS = [

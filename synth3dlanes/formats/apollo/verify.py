@@ -1,33 +1,89 @@
-"""The self-check of an Apollo export."""
+"""Read an Apollo Sim-3D export back and compare it with our labels."""
 
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import Float
+
 from synth3dlanes.formats.apollo.convention import ROOT
-from synth3dlanes.formats.apollo.read import ApolloFrame, parse
-from synth3dlanes.formats.apollo.score import RULES, prune, score
-from synth3dlanes.formats.line_score import Line3d
+from synth3dlanes.formats.apollo.read import ApolloFrame, FlagLists, PointLists, parse
+from synth3dlanes.formats.comparing import (
+    Comparison,
+    OurLine,
+    Rule,
+    Truth,
+    UprightLane,
+    View,
+    camera_problems,
+    compare,
+)
+from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.reading import first_lines
-from synth3dlanes.formats.self_check import Benchmark3d, Verification, image_problems, verify_3d
+from synth3dlanes.formats.sidecar import Sidecars
+from synth3dlanes.schema import Excerpt
 
-BENCHMARK = Benchmark3d(score, prune, RULES.missing_m)
+# Coordinates have six decimals, those of the labels four.
+LINES, CENTERS = (Rule("m", 0.001, most=most, name=name) for most, name in ((6, "lane line"), (np.inf, "center line")))
+# The evaluator looks at lines in this band only, of which a line may have little.
+ASIDE_M, NEAR_M, FAR_M = 9.0, 5.0, 95.0
+VIEW = View(np.array([[2015.0, 0, 960], [0, 2015, 540], [0, 0, 1]]), (1920, 1080))
 
 
-def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verification]:
-    """Lane lines and centre lines of every list."""
+class _Sidecar(Excerpt):
+    raw_file: str
+    laneLines_ids: list[str]
+    centerLines_ids: list[str]
+
+
+def read(out: Path, most_frames: int) -> Iterator[FrameList]:
+    """Every list."""
+    ids = Sidecars(out, _Sidecar, "raw_file")
     for path in sorted((out / "data_splits").glob("*/*.json")):
-        name = str(path.relative_to(out))
-        lines = enumerate(first_lines(path, most_frames), start=1)
-        frames = [parse(line, f"{path}:{number}") for number, line in lines]
-        if not frames:
-            continue
-        problems = image_problems([out / ROOT / frame.raw_file for frame in frames], size_px)
-        for kind in ("lane", "center"):
-            true = [_lines(frame, is_center=kind == "center") for frame in frames]
-            yield verify_3d(f"{name} {kind} lines", true, problems, BENCHMARK)
+        yield FrameList(str(path.relative_to(out)), _frames(path, most_frames, ids))
 
 
-def _lines(frame: ApolloFrame, is_center: bool) -> list[Line3d]:
-    lines = (frame.lane_lines_apollo, frame.lane_lines_visible)
-    centers = (frame.center_lines_apollo, frame.center_lines_visible)
-    return [Line3d(points, visible) for points, visible in zip(*(centers if is_center else lines), strict=True)]
+def _frames(path: Path, most_frames: int, ids: Sidecars[_Sidecar]) -> Iterator[ReadFrame]:
+    for number, line in enumerate(first_lines(path, most_frames), start=1):
+        where = f"{path}:{number}"
+        frame = parse(line, where)
+        image = f"{ROOT}/{frame.raw_file}"
+        yield ReadFrame(image, where, image, (frame, ids[frame.raw_file]))
+
+
+def verify(frame: ReadFrame, truth: Truth) -> Comparison:
+    """Lane lines and centre lines in metres."""
+    found, sidecar = frame.content
+    height_m = found.cam_height_m * np.cos(found.cam_pitch_rad)
+    compared = Comparison(0, (), tuple(camera_problems(truth, height_m, found.cam_pitch_rad)))
+    lines = found.lane_lines_apollo, found.lane_lines_visible
+    centers = found.center_lines_apollo, found.center_lines_visible
+    compared += _compared(found, lines, truth.lanes("delimiter"), LINES, sidecar.laneLines_ids)
+    return compared + _compared(found, centers, truth.lanes("centerline"), CENTERS, sidecar.centerLines_ids)
+
+
+def _compared(
+    found: ApolloFrame, lines: tuple[PointLists, FlagLists], lanes: list[UprightLane], rule: Rule, ids: list[str]
+) -> Comparison:
+    points, flags = lines
+    compared, _ = compare([upright(found, line) for line in points], [_ours(lane) for lane in lanes], rule, ids)
+    return compared.because(
+        f"{rule.name} {i}: expected visible points first, got a hidden one before them"
+        for i, visible in enumerate(flags)
+        if (np.diff(visible.astype(int)) > 0).any()
+    )
+
+
+def upright(frame: ApolloFrame, points_apollo: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """Their ground points before the camera, by their projection: the camera is h sin p ahead and h cos p above."""
+    h, c, s = frame.cam_height_m, np.cos(frame.cam_pitch_rad), np.sin(frame.cam_pitch_rad)
+    x, y, z = points_apollo.T
+    down, ahead = h - s * y - c * z, c * y - s * z
+    return np.column_stack([x, ahead, -down])
+
+
+def _ours(lane: UprightLane) -> OurLine:
+    line = lane.in_metres(VIEW)
+    x, y, _ = line.wanted.T
+    in_band = (np.abs(x) < ASIDE_M) & (y > NEAR_M) & (y < FAR_M)
+    return line if in_band.sum() >= 3 else OurLine(line.id, line.points, line.wanted[:0])

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from synth3dlanes.formats.apollo.convention import CAMERA, ROOT, apollo_from_cam, cam_height_m
 from synth3dlanes.formats.lines import NEAR_START_M, LaneAhead, keep_lines, lines_ahead
-from synth3dlanes.formats.writing import CV_FROM_CAM, DECIMALS, FrameAnnotation, PinholeFormat, PinholeFrame
+from synth3dlanes.formats.writing import CV_FROM_CAM, DECIMALS, FrameAnnotation, PinholeFrame
 from synth3dlanes.frames import transform
 from synth3dlanes.labels import CameraLabel, Labels, LaneKind
 
@@ -37,9 +37,9 @@ README = f"""Apollo Sim-3D / Gen-LaneNet layout.
 """
 
 
-def annotate(labels: Labels, frame: PinholeFrame) -> FrameAnnotation:
+def annotate(frame: PinholeFrame) -> FrameAnnotation:
     """The frame's label line, the lists that it belongs to and its sidecar line."""
-    camera, dropped = labels.camera, Counter[str]()
+    labels, camera, dropped = frame.labels, frame.labels.camera, Counter[str]()
     raw_file = image_path(frame)
     groups: dict[LaneKind, tuple[LaneAhead, ...]] = {
         "delimiter": _kept(labels, "delimiter", MAX_LINES, dropped),
@@ -136,13 +136,3 @@ def _sidecar(labels: Labels, frame: PinholeFrame, raw_file: str, groups: dict[La
         "starts_beyond_20_m": [bool(line.points_cv[0, 2] > NEAR_START_M) for line in groups["delimiter"]],
     }
     return json.dumps(document)
-
-
-FORMAT = PinholeFormat(
-    camera=CAMERA,
-    is_f_free=False,
-    is_size_free=False,
-    readme=README,
-    annotate=annotate,
-    links={"images": f"{ROOT}/images"},
-)

@@ -1,5 +1,4 @@
-"""The self-check of a COCO export: the masks of the instances must be those of the panoptic PNGs, every pixel of which
-must have its segment."""
+"""Read a COCO export back and compare it with the passes of our samples."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -7,15 +6,17 @@ from pathlib import Path
 from typing import Annotated, TypeVar
 
 import numpy as np
+from jaxtyping import Shaped
 from pydantic import Field
 
 from synth3dlanes.errors import FormatError
-from synth3dlanes.formats.coco.convention import STUFF_IDS, segments_of
+from synth3dlanes.formats.comparing import Comparison, Truth
+from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.reading import MOST_BYTES, image_size, read_file, read_mask
-from synth3dlanes.formats.self_check import Verification
+from synth3dlanes.formats.segments import STUFF
+from synth3dlanes.formats.things import Mask, compare_masks, most_shared, things
 from synth3dlanes.schema import MAX_PX, Excerpt, PathBelow, parse
-
-MOVED = 1 / 8  # of the image's width
+from synth3dlanes.settings import SEMANTIC_IDS
 
 
 class _Image(Excerpt):
@@ -45,10 +46,16 @@ class _Runs(Excerpt):
     counts: list[Annotated[int, Field(ge=0, le=MAX_PX**2)]]
 
 
+class _Lane(Excerpt):
+    id: str
+
+
 class _Instance(Excerpt):
     id: int
     image_id: int
+    category_id: int
     segmentation: _Runs
+    lane: _Lane | None = None
 
 
 class _Instances(Excerpt):
@@ -58,65 +65,77 @@ class _Instances(Excerpt):
 Document = TypeVar("Document", _Panoptic, _Instances)
 
 
-def _read(model: type[Document], path: Path) -> Document:
+def read(out: Path, most_frames: int) -> Iterator[FrameList]:
+    """The frames of every part."""
+    for path in sorted((out / "annotations").glob("panoptic_*.json")):
+        yield FrameList(path.stem.removeprefix("panoptic_"), _frames(out, path, most_frames))
+
+
+def _frames(out: Path, path: Path, most_frames: int) -> Iterator[ReadFrame]:
+    panoptic, beside = _parsed(_Panoptic, path), path.with_name(path.name.replace("panoptic", "instances", 1))
+    instances = _parsed(_Instances, beside).annotations
+    if any(count > 1 or number < 1 for number, count in Counter(instance.id for instance in instances).items()):
+        raise FormatError(f"{beside}: expected instances with ids of their own from 1 on, got others")
+    files = {image.id: image.file_name for image in panoptic.images}
+    for frame in panoptic.annotations[:most_frames]:
+        if frame.image_id not in files:
+            raise FormatError(f"{path}: expected an image {frame.image_id}, got none")
+        image, file = f"images/{files[frame.image_id]}", f"panoptic/{frame.file_name}"
+        pixels = read_mask(out / file, image_size(out / image), "RGB").astype(np.int64) @ np.array([1, 256, 65536])
+        mine = [instance for instance in instances if instance.image_id == frame.image_id]
+        yield ReadFrame(image, str(out / file), image, (frame.segments_info, pixels, mine))
+
+
+def _parsed(model: type[Document], path: Path) -> Document:
     return parse(model, read_file(path), str(path), "annotations of COCO", MOST_BYTES)
 
 
-def verify(out: Path, most_frames: int) -> Iterator[Verification]:
-    """The frames of every part."""
-    for path in sorted((out / "annotations").glob("panoptic_*.json")):
-        part = path.stem.removeprefix("panoptic_")
-        panoptic = _read(_Panoptic, path)
-        with_instances = _read(_Instances, path.with_name(f"instances_{part}.json"))
-        files = {image.id: image.file_name for image in panoptic.images}
-        instances: dict[int, list[_Instance]] = {}
-        for instance in with_instances.annotations:
-            instances.setdefault(instance.image_id, []).append(instance)
-        problems, overlaps, moved, n_things = list[str](), list[float](), list[float](), 0
-        for frame in panoptic.annotations[:most_frames]:
-            where, things = out / "panoptic" / frame.file_name, instances.get(frame.image_id, [])
-            n_things += len(things)
-            if frame.image_id not in files:
-                raise FormatError(f"{path}: expected an image {frame.image_id}, got none")
-            size_px = image_size(out / "images" / files[frame.image_id])
-            segments = segments_of(read_mask(where, size_px, "RGB"))
-            problems += _problems(str(where), segments, frame.segments_info)
-            of_things = [info for info in frame.segments_info if info.category_id not in STUFF_IDS]
-            if len(of_things) != len(things):
-                problems.append(f"{where}: expected {len(of_things)} instances as segments, got {len(things)}")
-            for info, thing in zip(of_things, things, strict=False):
-                mask = _decoded(thing.segmentation, size_px)
-                if mask is None:
-                    problems.append(f"{where}: expected run lengths of an image of {size_px}, got others")
-                    continue
-                overlaps.append(_overlap(mask, segments == info.id))
-                aside = np.roll(mask, round(MOVED * mask.shape[1]), axis=1)
-                moved.append(_overlap(aside, segments == info.id))
-        perfect, shifted = float(np.mean(overlaps or [1.0])), float(np.mean(moved or [0.0]))
-        if perfect < 1:
-            problems.append(f"{part}: expected instances to be panoptic segments, got a mean overlap of {perfect:.4f}")
-        numbers = Counter(instance.id for instance in with_instances.annotations)
-        if 0 in numbers or any(count > 1 for count in numbers.values()):
-            problems.append(f"{part}: expected instances with ids of their own from 1 on, got others")
-        n_frames = len(panoptic.annotations[:most_frames])
-        yield Verification(part, n_frames, n_things, {"overlap": perfect}, {"overlap": shifted}, tuple(problems))
+def verify(frame: ReadFrame, truth: Truth) -> Comparison:
+    """The mask of each instance, and the segment of each pixel."""
+    infos, pixels, instances = frame.content
+    ours, classes = things(truth), {number + 1: name for name, number in SEMANTIC_IDS.items()}
+    found, problems = dict[str, Mask](), list[str]()
+    for instance in instances:
+        mask = _decoded(instance.segmentation, pixels.shape)
+        if mask is None or not len(mask):
+            problems.append(f"instance {instance.id}: expected run lengths of pixels of this image, got others")
+            continue
+        of_class = classes.get(instance.category_id)
+        alike = {name: thing.mask for name, thing in ours.items() if thing.of_class == of_class and name not in found}
+        own = instance.lane.id if instance.lane else most_shared(mask, alike, pixels.shape)
+        name = own or f"instance {instance.id} of category {instance.category_id}"
+        if name in found:
+            problems.append(f"instance {instance.id}: expected one of {name}, got another")
+        elif name in ours and ours[name].of_class != of_class:
+            expected = SEMANTIC_IDS[ours[name].of_class] + 1
+            problems.append(f"{name}: expected the category {expected}, got {instance.category_id}")
+        found[name] = mask
+    compared = compare_masks(found, {name: thing.mask for name, thing in ours.items()}, pixels.shape)
+    return compared.because([*problems, *_segment_problems(infos, pixels, truth)])
 
 
-def _problems(where: str, segments: np.ndarray, infos: list[_Segment]) -> Iterator[str]:
-    ids, areas = np.unique(segments, return_counts=True)
-    found, listed = dict(zip(ids.tolist(), areas.tolist(), strict=True)), {info.id: info.area for info in infos}
-    if found != listed:
-        yield f"{where}: expected the segments and areas of its annotation, got others"
+def _segment_problems(infos: list[_Segment], pixels: Shaped[np.ndarray, "h w"], truth: Truth) -> Iterator[str]:
+    """Findings unless segments and objects divide the picture in the same way, and categories and areas are theirs."""
+    semantic, instance = (truth.passes[name].astype(np.int64) for name in ("semantic", "instance"))
+    is_stuff = np.isin(semantic, [SEMANTIC_IDS[name] for name in STUFF])
+    ours = semantic << 32 | np.where(is_stuff, 0, instance)
+    of_theirs, of_ours = (np.unique(x, return_inverse=True)[1].ravel() for x in (pixels, ours))
+    pairs, counts = np.unique(np.column_stack([of_theirs, of_ours]), axis=0, return_counts=True)
+    n_same = sum(counts[pairs[:, 0] == k].max() for k in np.unique(pairs[:, 0]))
+    if len(pairs) != len(np.unique(pairs[:, 0])) or len(pairs) != len(np.unique(pairs[:, 1])):
+        yield f"expected the segments to be the objects of the passes, got {pixels.size - n_same} pixels of others"
+    ids, areas = np.unique(pixels, return_counts=True)
+    if dict(zip(ids.tolist(), areas.tolist(), strict=True)) != {info.id: info.area for info in infos}:
+        yield "expected the segments and areas of its annotation, got others"
+    for info in infos:
+        classes = np.unique(semantic[pixels == info.id])
+        if len(classes) == 1 and classes[0] + 1 != info.category_id:
+            yield f"segment {info.id}: expected the category {classes[0] + 1}, got {info.category_id}"
 
 
-def _decoded(runs: _Runs, size_px: tuple[int, int]) -> np.ndarray | None:
-    """The mask of run lengths; None where they are not those of an image of this size."""
-    width_px, height_px = size_px
-    if runs.size != (height_px, width_px) or sum(runs.counts) != height_px * width_px:
+def _decoded(runs: _Runs, shape: tuple[int, int]) -> Mask | None:
+    """The mask of run lengths, which go down the columns; None where they are not those of an image of this size."""
+    if runs.size != shape or sum(runs.counts) != shape[0] * shape[1]:
         return None
     values = np.arange(len(runs.counts)) % 2 == 1
-    return np.repeat(values, runs.counts).reshape(height_px, width_px, order="F")
-
-
-def _overlap(a: np.ndarray, b: np.ndarray) -> float:
-    return float(np.count_nonzero(a & b) / max(1, np.count_nonzero(a | b)))
+    return np.flatnonzero(np.repeat(values, runs.counts).reshape(shape, order="F"))

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Int
 
 from synth3dlanes.formats.coco.convention import CATEGORIES, CLASSES_AT_MOST, STUFF_IDS, rgb_of, segment_id
-from synth3dlanes.formats.sample_format import SampleFormat, SampleFrame
-from synth3dlanes.formats.segments import PASSES, file_name, image_path, png
+from synth3dlanes.formats.format import SampleFrame
+from synth3dlanes.formats.segments import file_name, image_path, png
 from synth3dlanes.formats.writing import PARTS, FrameAnnotation
 from synth3dlanes.labels import Lane
 from synth3dlanes.settings import FIRST_DELIMITER_ID
@@ -104,6 +104,3 @@ def _frames(lines: Path) -> Iterator[tuple[dict[str, Any], list[dict[str, Any]]]
         for line in file:
             image, annotations = json.loads(line)
             yield image, annotations
-
-
-FORMAT = SampleFormat(readme=README, annotate=annotate, document=document, passes=PASSES, counted="objects")

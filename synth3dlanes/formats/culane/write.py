@@ -13,14 +13,13 @@ from synth3dlanes.formats.culane.convention import (
     MASKS,
     MAX_LINES,
     ROWS_PX,
-    SCENES,
     scene_list,
     scene_of,
 )
 from synth3dlanes.formats.culane.read import lines_path
 from synth3dlanes.formats.lines import LaneAhead, columns_of, ego_places, keep_lines, lines_ahead
-from synth3dlanes.formats.writing import PARTS, FrameAnnotation, Pinhole, PinholeFormat, PinholeFrame, sidecar
-from synth3dlanes.labels import Labels
+from synth3dlanes.formats.sidecar import sidecar
+from synth3dlanes.formats.writing import PARTS, FrameAnnotation, Pinhole, PinholeFrame
 
 MIN_POINTS = 3
 FRAMES_PER_FOLDER = 1000
@@ -43,9 +42,9 @@ README = f"""CULane layout.
 """
 
 
-def annotate(labels: Labels, frame: PinholeFrame) -> FrameAnnotation:
+def annotate(frame: PinholeFrame) -> FrameAnnotation:
     """The frame's lines, its mask and its list entries."""
-    dropped = Counter[str]()
+    labels, dropped = frame.labels, Counter[str]()
     folder, place = divmod(frame.number, FRAMES_PER_FOLDER)
     name = f"driver_{folder:06d}_30frame/{place // 100:02d}.MP4/{place % 100:05d}"
     image, mask = f"{name}.jpg", f"{MASKS}/{name}.png"
@@ -70,7 +69,7 @@ def annotate(labels: Labels, frame: PinholeFrame) -> FrameAnnotation:
     shared = (
         (f"/{image}", tuple(lists)),
         (f"/{image} /{mask} {flags}", tuple(f"list/{part}_gt.txt" for part in parts if part != "test")),
-        sidecar(image, labels, frame, [line.id for line in kept]),
+        sidecar(image, frame, [line.id for line in kept]),
     )
     return FrameAnnotation(image, len(kept), dropped, {lines_path(image): text, mask: _mask(lines_px)}, shared)
 
@@ -93,17 +92,3 @@ def _mask(lines_px: dict[int, Float[np.ndarray, "_ 2"]]) -> bytes:
     stream = io.BytesIO()
     image.resize((CAMERA.width_px, CAMERA.height_px), Image.Resampling.NEAREST).save(stream, "PNG")
     return stream.getvalue()
-
-
-FORMAT = PinholeFormat(
-    camera=CAMERA,
-    is_f_free=True,
-    is_size_free=False,
-    readme=README,
-    annotate=annotate,
-    lists=(
-        *(f"list/{part}.txt" for part in PARTS),
-        *(f"list/{part}_gt.txt" for part in PARTS if part != "test"),
-        *map(scene_list, SCENES),
-    ),
-)

@@ -5,11 +5,11 @@ from collections import Counter
 
 import numpy as np
 
-from synth3dlanes.formats.curvelanes.convention import CAMERA, ROW_STEP_PX
+from synth3dlanes.formats.curvelanes.convention import ROW_STEP_PX
 from synth3dlanes.formats.curvelanes.read import labels_path
 from synth3dlanes.formats.lines import LaneAhead, columns_of, keep_lines, lines_ahead
-from synth3dlanes.formats.writing import FrameAnnotation, Pinhole, PinholeFormat, PinholeFrame, sidecar
-from synth3dlanes.labels import Labels
+from synth3dlanes.formats.sidecar import sidecar
+from synth3dlanes.formats.writing import FrameAnnotation, Pinhole, PinholeFrame
 
 MIN_POINTS = 2
 DECIMALS = 2
@@ -26,9 +26,9 @@ README = """CurveLanes layout.
 """
 
 
-def annotate(labels: Labels, frame: PinholeFrame) -> FrameAnnotation:
+def annotate(frame: PinholeFrame) -> FrameAnnotation:
     """The frame's label file and its list entry."""
-    dropped = Counter[str]()
+    labels, dropped = frame.labels, Counter[str]()
     part = "train" if frame.is_train else "valid" if frame.serves_as("val") else "test"
     image = f"{part}/images/{frame.split}_{frame.key}.jpg"
     ahead = lines_ahead(labels, frame.pinhole, "delimiter")
@@ -40,7 +40,7 @@ def annotate(labels: Labels, frame: PinholeFrame) -> FrameAnnotation:
     text = json.dumps({"Lines": [points[line.id] for line in kept]})
     shared = (
         (image.partition("/")[2], (f"{part}/{part}.txt",)),
-        sidecar(image, labels, frame, [line.id for line in kept]),
+        sidecar(image, frame, [line.id for line in kept]),
     )
     return FrameAnnotation(image, len(kept), dropped, {labels_path(image): text}, shared)
 
@@ -51,13 +51,3 @@ def _points(line: LaneAhead, pinhole: Pinhole) -> list[dict[str, str]]:
     inside = (columns_px >= 0) & (columns_px < pinhole.width_px)
     pixels = zip(columns_px[inside].tolist(), rows_px[inside].tolist(), strict=True)
     return [{"y": f"{y:.{DECIMALS}f}", "x": f"{x:.{DECIMALS}f}"} for x, y in pixels]
-
-
-FORMAT = PinholeFormat(
-    camera=CAMERA,
-    is_f_free=True,
-    is_size_free=True,
-    readme=README,
-    annotate=annotate,
-    lists=("train/train.txt", "valid/valid.txt", "test/test.txt"),
-)

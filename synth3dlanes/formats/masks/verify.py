@@ -1,93 +1,99 @@
-"""The self-check of an export of masks: the lines, which come from the labels, must run through their paint, which
-comes from the rendered passes."""
+"""Read an export of masks back and compare it with the passes and the labels of our samples."""
 
 from collections.abc import Iterator
-from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from jaxtyping import Float
 from pydantic import Field, RootModel
-from scipy.spatial import cKDTree
 
 from synth3dlanes.errors import FormatError
+from synth3dlanes.formats.comparing import Comparison, OurLine, Rule, Truth, compare
+from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.masks.write import LEAST_POINTS
 from synth3dlanes.formats.reading import image_size, listed_files, numbers, read_mask, read_text
-from synth3dlanes.formats.self_check import Verification
+from synth3dlanes.formats.things import compare_masks
+from synth3dlanes.labels import CameraLabel, Lane
 from synth3dlanes.schema import Excerpt, parse
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_TREE_ID
 
-# Shares of the image's width: paint is at most this far from its line, and the control moves lines by the other.
-NEAR, MOVED = 1 / 12, 1 / 8
-LEAST_ON_LINE = 0.97
+# Points have two decimals and lie on straight pieces of a decimetre, which a lens bends.
+RULE = Rule("px", 0.05, spacing=12.0)
 MODES = {"semantic": "L", "instance": "I;16", "lines": "L"}
+STEP_M, NEAREST_M, BORDER_PX = 0.05, 1.0, 2.0
 
 
 class _Line(Excerpt):
     number: Annotated[int, Field(ge=1, le=255)]
+    id: str
+    marking: str
+    color: str | None
 
 
 class _Lines(RootModel[list[_Line]]):
     """The lines of a frame, in the order of their texts."""
 
 
-def verify(out: Path, most_frames: int) -> Iterator[Verification]:
+def read(out: Path, most_frames: int) -> Iterator[FrameList]:
     """The frames of every part."""
     for path in sorted((out / "lists").glob("*.txt")):
-        images = listed_files(path, most_frames)
-        problems, n_lines, n_paint, n_own, n_moved = list[str](), 0, 0, 0, 0
-        for image in images:
-            name = image.rpartition(".")[0]
-            problems += _problems(out, image, name)
-            if problems:
-                continue
-            marks = read_mask(out / f"lines/{name}.png", image_size(out / "images" / image), "L")
-            lines, most_px = _lines(out, name), NEAR * marks.shape[1]
-            n_lines += len(lines)
-            for number in lines:
-                paint = np.argwhere(marks == number)[:, ::-1] + 0.5
-                aside = {**lines, number: lines[number] + np.array([MOVED * marks.shape[1], 0.0])}
-                n_paint += len(paint)
-                n_own += _nearest_to(paint, lines, number, most_px)
-                n_moved += _nearest_to(paint, aside, number, most_px)
-        perfect, shifted = n_own / max(1, n_paint), n_moved / max(1, n_paint)
-        if n_paint and perfect < LEAST_ON_LINE:
-            problems.append(
-                f"{path.stem}: expected {LEAST_ON_LINE:.0%} of the paint nearest to its own line, got {perfect:.1%}"
-            )
-        yield Verification(
-            path.stem, len(images), n_lines, {"own_line": perfect}, {"own_line": shifted}, tuple(problems)
-        )
+        yield FrameList(path.stem, _frames(out, path, most_frames))
 
 
-def _problems(out: Path, image: str, name: str) -> Iterator[str]:
-    size_px = image_size(out / "images" / image)
-    semantic, _, lines = (read_mask(out / folder / f"{name}.png", size_px, mode) for folder, mode in MODES.items())
-    if semantic.max() >= len(SEMANTIC_IDS):
-        yield f"{out}/semantic/{name}.png: expected classes up to {len(SEMANTIC_IDS) - 1}, got {semantic.max()}"
-    if (semantic[lines > 0] != SEMANTIC_IDS["marking"]).any():
-        yield f"{out}/lines/{name}.png: expected lines on marking only, got others"
+def _frames(out: Path, path: Path, most_frames: int) -> Iterator[ReadFrame]:
+    for image in listed_files(path, most_frames):
+        name, size_px = image.rpartition(".")[0], image_size(out / "images" / image)
+        masks = {folder: read_mask(out / f"{folder}/{name}.png", size_px, mode) for folder, mode in MODES.items()}
+        where = out / f"lines/{name}.lines.txt"
+        yield ReadFrame(f"images/{image}", str(where), f"images/{image}", (masks, *_lines(where)))
 
 
-def _lines(out: Path, name: str) -> dict[int, Float[np.ndarray, "_ 2"]]:
-    """The lines of a frame by their numbers in its mask."""
-    path, told = out / f"lines/{name}.lines.txt", out / f"lines/{name}.json"
-    texts = read_text(path).splitlines()
+def _lines(path: Path) -> tuple[list[_Line], list[np.ndarray]]:
+    """What is told of the lines of a frame, and their points."""
+    told = path.with_name(path.name.replace(".lines.txt", ".json"))
+    lines = [numbers(text, str(path)) for text in read_text(path).splitlines()]
     about = parse(_Lines, read_text(told), str(told), "the lines of a mask").root
-    if len(about) != len(texts):
-        raise FormatError(f"{told}: expected {len(texts)} lines as in {path.name}, got {len(about)}")
-    lines = {line.number: numbers(text, str(path)) for line, text in zip(about, texts, strict=True)}
-    if any(len(points) < LEAST_POINTS for points in lines.values()):
+    if len(about) != len(lines):
+        raise FormatError(f"{told}: expected {len(lines)} lines as in {path.name}, got {len(about)}")
+    if any(len(points) < LEAST_POINTS for points in lines):
         raise FormatError(f"{path}: expected lines of {LEAST_POINTS} points or more, got fewer")
-    return lines
+    return about, lines
 
 
-def _nearest_to(
-    paint: Float[np.ndarray, "n 2"], lines: dict[int, Float[np.ndarray, "_ 2"]], number: int, most_px: float
-) -> int:
-    """How many pixels are near this line and nearer than to any other; lines have a point every few pixels."""
-    fine = {k: np.concatenate([np.linspace(a, b, 9) for a, b in pairwise(line)]) for k, line in lines.items()}
-    gaps_px = {k: np.asarray(cKDTree(points).query(paint)[0]) for k, points in fine.items()}
-    nearest_px = np.stack(list(gaps_px.values())).min(axis=0)
-    return int(np.count_nonzero(gaps_px[number] <= np.minimum(nearest_px, most_px)))
+def verify(frame: ReadFrame, truth: Truth) -> Comparison:
+    """Lines in pixels; every mask pixel by pixel."""
+    masks, about, lines = frame.content
+    delimiters = [lane for lane in truth.labels.lanes if lane.kind == "delimiter"]
+    ours = [_in_image(lane, truth.labels.camera) for lane in delimiters]
+    compared, _ = compare(lines, ours, RULE, [line.id for line in about])
+    expected = {i: (lane.id, lane.marking, lane.color) for i, lane in enumerate(delimiters, start=1)}
+    compared = compared.because(
+        f"line {i}: expected {line.number} to be {expected.get(line.number)}, got {(line.id, line.marking, line.color)}"
+        for i, line in enumerate(about)
+        if expected.get(line.number) != (line.id, line.marking, line.color)
+    )
+    instance = truth.passes["instance"].astype(int)
+    is_line = (instance >= FIRST_DELIMITER_ID) & (instance < FIRST_TREE_ID)
+    numbered = {**truth.passes, "lines": np.where(is_line, instance - FIRST_DELIMITER_ID + 1, 0)}
+    for name, found in masks.items():
+        if not np.array_equal(found, numbered[name]):
+            called = {i: lane for i, (lane, *_) in expected.items()} if name == "lines" else {}
+            of_file, of_passes = (
+                {called.get(i, f"{name} {i}"): np.flatnonzero(pixels == i) for i in np.unique(pixels).tolist()}
+                for pixels in (found, numbered[name])
+            )
+            compared = compared.because(compare_masks(of_file, of_passes, found.shape).problems)
+    return compared
+
+
+def _in_image(lane: Lane, camera: CameraLabel) -> OurLine:
+    """The line as the camera sees it, a point every few centimetres."""
+    lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(lane.xyz_cam, axis=0), axis=1))])
+    fine = np.union1d(lengths, np.arange(0, lengths[-1], STEP_M))
+    points = np.column_stack([np.interp(fine, lengths, column) for column in lane.xyz_cam.T])
+    uv = camera.project(points[points[:, 1] > NEAREST_M / 4])
+    uv = uv[~np.isnan(uv).any(axis=1)]
+    own = camera.project(lane.xyz_cam)
+    with np.errstate(invalid="ignore"):
+        sure = ((own > BORDER_PX) & (own < np.array([camera.width_px, camera.height_px]) - BORDER_PX)).all(axis=1)
+    return OurLine(lane.id, uv, own[sure & lane.terrain_visible & (lane.xyz_cam[:, 1] > NEAREST_M)])

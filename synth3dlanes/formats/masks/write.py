@@ -4,8 +4,8 @@ import json
 from collections.abc import Iterator
 from pathlib import Path
 
-from synth3dlanes.formats.sample_format import SampleFormat, SampleFrame
-from synth3dlanes.formats.segments import PASSES, delimiter_numbers, file_name, image_path, line_pixels, png
+from synth3dlanes.formats.format import SampleFrame
+from synth3dlanes.formats.segments import delimiter_numbers, file_name, image_path, line_pixels, png
 from synth3dlanes.formats.writing import PARTS, FrameAnnotation
 from synth3dlanes.settings import SEMANTIC_IDS
 
@@ -61,6 +61,3 @@ def document(path: str, lines: Path) -> Iterator[str]:
         yield json.dumps(SEMANTIC_IDS, indent=1) + "\n"
     else:
         yield lines.read_text()
-
-
-FORMAT = SampleFormat(readme=README, annotate=annotate, document=document, passes=PASSES)

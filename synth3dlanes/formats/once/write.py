@@ -6,8 +6,8 @@ from collections import Counter
 import numpy as np
 
 from synth3dlanes.formats.lines import LaneAhead, keep_lines, lines_ahead
-from synth3dlanes.formats.once.convention import CAMERA, ROOT
-from synth3dlanes.formats.writing import DECIMALS, PARTS, FrameAnnotation, Pinhole, PinholeFormat, PinholeFrame
+from synth3dlanes.formats.once.convention import ROOT
+from synth3dlanes.formats.writing import DECIMALS, PARTS, FrameAnnotation, Pinhole, PinholeFrame
 from synth3dlanes.labels import Labels
 
 MAX_LINES = 8
@@ -32,9 +32,9 @@ README = f"""ONCE-3DLanes layout.
 """
 
 
-def annotate(labels: Labels, frame: PinholeFrame) -> FrameAnnotation:
+def annotate(frame: PinholeFrame) -> FrameAnnotation:
     """The frame's label file."""
-    dropped = Counter[str]()
+    labels, dropped = frame.labels, Counter[str]()
     parts = [part for part in PARTS if frame.serves_as(part)]
     name = f"{frame.number // FRAMES_PER_SEQUENCE:06d}/cam01/{frame.number:08d}"
     lines = _kept(labels, frame.pinhole, dropped)
@@ -64,14 +64,3 @@ def _kept(labels: Labels, pinhole: Pinhole, dropped: Counter[str]) -> tuple[Lane
 def _is_rastered(line: LaneAhead) -> bool:
     x_m, _, z_m = line.points_cv[line.visible].T
     return np.count_nonzero((z_m < RASTER_DEPTH_M) & (np.abs(x_m) < RASTER_HALF_WIDTH_M)) >= 2
-
-
-FORMAT = PinholeFormat(
-    camera=CAMERA,
-    is_f_free=True,
-    is_size_free=True,
-    readme=README,
-    annotate=annotate,
-    links={"annotations": ROOT, "raw_data": f"{ROOT}/data"},
-    replaced_words=PARTS,
-)

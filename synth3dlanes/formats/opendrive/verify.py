@@ -1,86 +1,87 @@
-"""The self-check of an OpenDRIVE export: roads without gaps, and links to lanes that are there."""
+"""Read an export of maps back: its lanes are those of the labels, roads have no gaps, links lead somewhere."""
 
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 
 from synth3dlanes.errors import FormatError
-from synth3dlanes.formats.reading import MOST, read_text
-from synth3dlanes.formats.self_check import Verification
+from synth3dlanes.formats.comparing import Comparison, Rule, Truth, compare_map
+from synth3dlanes.formats.format import FrameList, ReadFrame
+from synth3dlanes.formats.opendrive.read import FileRoad, number, read_roads, read_xml
+from synth3dlanes.formats.opendrive.xml import Element
+from synth3dlanes.formats.reading import read_text
 
-Element = ElementTree.Element
-
+# Shapes are heights square to the banked plane, so where the ground bends they move points aside.
+RULE = Rule("m", 0.15, name="lane", slack=0.3)
 # The cubics of lines, heights and widths are within a millimetre of the same functions.
 GAP_M = 0.005
 CUBICS = {"elevation": "s", "superelevation": "s", "laneOffset": "s", "width": "sOffset"}
+STEP_M = 1.0
 
 
-def verify(out: Path, most_frames: int) -> Iterator[Verification]:
+def read(out: Path, most_frames: int) -> Iterator[FrameList]:
     """The maps of every split."""
     for folder in sorted({path.parent for path in out.glob("*/*.xodr")}):
-        paths = sorted(folder.glob("*.xodr"))[:most_frames]
-        n_lanes, problems, gap_m = 0, [], 0.0
-        for path in paths:
-            root, where = _read(path), f"{folder.name}/{path.name}"
-            n_lanes += sum(lane.get("type") == "driving" for lane in root.iter("lane"))
-            try:
-                found = float(np.max([_largest_gap(road) for road in root.iter("road")]))
-            except (KeyError, ValueError, IndexError, OverflowError):
-                raise FormatError(f"{path}: expected roads with a reference line of numbers, got others") from None
-            if not found <= GAP_M:
-                problems.append(f"{where}: expected roads without gaps, got one of {found:.3f} m")
-            problems += [f"{where}: {problem}" for problem in _link_problems(root)]
-            gap_m = max(gap_m, found)
-        yield Verification(folder.name, len(paths), n_lanes, {"largest_gap_m": gap_m}, {}, tuple(problems))
+        yield FrameList(folder.name, _frames(out, sorted(folder.glob("*.xodr"))[:most_frames]))
 
 
-def _read(path: Path) -> Element:
-    text = read_text(path)
-    if "<!" in text:  # document types define entities, which may be huge
-        raise FormatError(f"{path}: expected a map without a document type or comments, got one")
+def _frames(out: Path, paths: list[Path]) -> Iterator[ReadFrame]:
+    for path in paths:
+        text, name = read_text(path), str(path.relative_to(out))
+        yield ReadFrame(name, str(path), None, (read_xml(text, str(path)), read_roads(text, str(path))))
+
+
+def verify(frame: ReadFrame, truth: Truth) -> Comparison:
+    """Lane centres in metres, in the world frame."""
+    root, roads = frame.content
     try:
-        return ElementTree.fromstring(text)
-    except (ElementTree.ParseError, ValueError) as error:
-        raise FormatError(f"{path}: expected a map, got {error}") from None
+        largest_m = float(np.max([_largest_gap(road) for road in root.iter("road")]))
+        lanes = [lane for road in roads.values() for lane in _lanes(road)]
+    except (KeyError, ValueError, IndexError, OverflowError):
+        raise FormatError(f"{frame.where}: expected roads with a reference line of numbers, got others") from None
+    problems = [] if largest_m <= GAP_M else [f"expected roads without gaps, got one of {largest_m:.3f} m"]
+    return compare_map(lanes, truth, RULE).because([*problems, *_link_problems(root)])
+
+
+def _lanes(road: FileRoad) -> Iterator[tuple[str, np.ndarray]]:
+    """The segments that lanes of traffic are, and points of their middle in the direction of that traffic."""
+    stations = np.linspace(0, road.length, 2 + int(road.length / STEP_M))
+    is_right = road.element.get("rule") == "RHT"
+    for lane, element in road.lanes.items():
+        segment = road.segment(lane)
+        if element.get("type") == "driving" and segment is not None:
+            yield segment, road.center(lane, stations)[:: 1 if (lane < 0) == is_right else -1]
 
 
 def _largest_gap(road: Element) -> float:
     """The largest jump of a road's reference line, its heights or its widths."""
     geometries = list(road.iter("geometry"))
     ends = [_end(geometry) for geometry in geometries]
-    starts = [[_value(geometry, key) for key in ("s", "x", "y")] for geometry in geometries[1:]]
-    gaps = [abs(ends[-1][0] - _value(road, "length"))]
+    starts = [[number(geometry, key) for key in ("s", "x", "y")] for geometry in geometries[1:]]
+    gaps = [abs(ends[-1][0] - number(road, "length"))]
     gaps += [float(np.abs(np.subtract(a, b)).max()) for a, b in zip(ends, starts, strict=False)]
     for tag, key in CUBICS.items():
         for parent in road.iter():
             for one, other in pairwise(parent.findall(tag)):
-                u = _value(other, key) - _value(one, key)
-                gaps.append(abs(_cubic(one, "{}", u) - _value(other, "a")))
+                u = number(other, key) - number(one, key)
+                gaps.append(abs(_cubic(one, "{}", u) - number(other, "a")))
     return float(np.max(gaps))
 
 
 def _end(geometry: Element) -> list[float]:
     """s, x and y at the end of a piece of a reference line."""
-    length, heading = _value(geometry, "length"), _value(geometry, "hdg")
+    length, heading = number(geometry, "length"), number(geometry, "hdg")
     poly = geometry[0]
     u, v = _cubic(poly, "{}U", length), _cubic(poly, "{}V", length)
-    x = _value(geometry, "x") + np.cos(heading) * u - np.sin(heading) * v
-    y = _value(geometry, "y") + np.sin(heading) * u + np.cos(heading) * v
-    return [_value(geometry, "s") + length, x, y]
+    x = number(geometry, "x") + np.cos(heading) * u - np.sin(heading) * v
+    y = number(geometry, "y") + np.sin(heading) * u + np.cos(heading) * v
+    return [number(geometry, "s") + length, x, y]
 
 
 def _cubic(element: Element, key: str, at: float) -> float:
-    return sum(_value(element, key.format(letter)) * at**power for power, letter in enumerate("abcd"))
-
-
-def _value(element: Element, key: str) -> float:
-    value = float(element.attrib[key])
-    if not abs(value) <= MOST:
-        raise ValueError(f"{key}: expected a number up to {MOST:g}, got {value}")
-    return value
+    return sum(number(element, key.format(letter)) * at**power for power, letter in enumerate("abcd"))
 
 
 def _link_problems(root: Element) -> Iterator[str]:

@@ -6,13 +6,13 @@ from xml.etree import ElementTree
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.formats.format import SampleFrame
 from synth3dlanes.formats.opendrive.convention import LANE_CHANGES, MAJOR, MARK_TYPES, MINOR, NO_NUMBER, USER_DATA
 from synth3dlanes.formats.opendrive.marks import MIRRORED, Mark, marks
 from synth3dlanes.formats.opendrive.objects import add_objects
 from synth3dlanes.formats.opendrive.profiles import knots, pieces
 from synth3dlanes.formats.opendrive.roads import JUNCTION, OdrLane, OdrRoad, roads
 from synth3dlanes.formats.opendrive.xml import Element, add
-from synth3dlanes.formats.sample_format import SampleFormat, SampleFrame
 from synth3dlanes.formats.writing import FrameAnnotation
 from synth3dlanes.world import World, resolve
 
@@ -177,6 +177,3 @@ def _add_junction(root: Element, world: World, found: list[OdrRoad], numbers: Ma
 
 def _abcd(coefficients: Float[np.ndarray, "4"]) -> dict[str, float]:
     return dict(zip("abcd", coefficients.tolist(), strict=True))
-
-
-FORMAT = SampleFormat(readme=README, annotate=annotate, is_per_scene=True, counted="lanes")

@@ -28,6 +28,15 @@ PAINTS: dict[int, tuple[Marking, PaintColor, bool, Pair | None]] = {
 }
 """Marking, colour, whether the line is double, and its stripes if they differ, by the field `category`."""
 KERB_LEFT, KERB_RIGHT = 20, 21
+CASES = {
+    "curve": "1000_curve.txt",
+    "extreme_weather": "1000_extreme_weather.txt",
+    "intersection": "1000_intersection.txt",
+    "merge_split": "1000_merge_split_case.txt",
+    "night": "1000_night.txt",
+    "up_down": "1000_updown.txt",
+}
+"""The lists that evaluation scripts open, by kind of scene."""
 WAYMO_FROM_CAM = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 

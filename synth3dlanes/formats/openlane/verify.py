@@ -1,44 +1,97 @@
-"""The self-check of an OpenLane export."""
+"""Read an OpenLane export back and compare it with our labels."""
 
 from collections.abc import Iterator
-from pathlib import Path
+from dataclasses import replace
+from pathlib import Path, PurePath
 
-from synth3dlanes.formats.line_score import Line3d
-from synth3dlanes.formats.openlane.convention import ground_from_waymo
-from synth3dlanes.formats.openlane.read import OpenLaneFrame, parse
-from synth3dlanes.formats.openlane.score import prune, score
-from synth3dlanes.formats.openlane.write import CASES
+import numpy as np
+
+from synth3dlanes.formats.comparing import (
+    NEAR_START_M,
+    Comparison,
+    Gap,
+    Rule,
+    Truth,
+    UprightLane,
+    View,
+    camera_problems,
+    compare,
+    pixels,
+    places_beside,
+    upright,
+)
+from synth3dlanes.formats.format import FrameList, ReadFrame
+from synth3dlanes.formats.kerbs import kerb_lanes
+from synth3dlanes.formats.openlane.convention import CASES, PAINTS
+from synth3dlanes.formats.openlane.read import OpenLaneFrame, OpenLaneLine, parse
 from synth3dlanes.formats.reading import listed_files, read_text
-from synth3dlanes.formats.self_check import Benchmark3d, Verification, image_problems, verify_3d
+from synth3dlanes.labels import Lane
 
-BENCHMARK = Benchmark3d(score, prune, missing_m=0.0)
-CASE_OF_LIST = {name: case for case, name in CASES.items()}
+# Points between those of the labels lie on a spline.
+RULE = Rule("m", 0.001, most=20, slack=0.2)
+# Pixels have four decimals.
+TOLERANCE_PX = 0.001
 
 
-def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verification]:
-    """The lines of every list."""
+def read(out: Path, most_frames: int) -> Iterator[FrameList]:
+    """Every list."""
     for path in sorted([*(out / "lists").glob("*.txt"), *(out / "lane3d_1000/test").glob("*.txt")]):
-        case = CASE_OF_LIST.get(path.name)
-        images = listed_files(path, most_frames)
-        if not images:
-            continue
-        labels = [image.replace("jpg", "json") for image in images]
+        yield FrameList(str(path.relative_to(out)), _frames(out, path, most_frames))
+
+
+def _frames(out: Path, path: Path, most_frames: int) -> Iterator[ReadFrame]:
+    case = {name: case for case, name in CASES.items()}.get(path.name)
+    for image in listed_files(path, most_frames):
+        label = image.replace("jpg", "json")
         if case is not None:
-            labels = [f"test/{case}_case/{label.partition('/')[2]}" for label in labels]
-        files = [out / "lane3d_1000" / label for label in labels]
-        frames = [parse(read_text(file), str(file)) for file in files]
-        problems = image_problems([out / "images" / image for image in images], size_px)
-        problems += [
-            f"{image}: file_path is {frame.file_path}"
-            for image, frame in zip(images, frames, strict=True)
-            if frame.file_path != image
-        ]
-        true = [_lines(frame) for frame in frames]
-        yield verify_3d(str(path.relative_to(out)), true, problems, BENCHMARK)
+            label = f"test/{case}_case/{label.partition('/')[2]}"
+        file = f"lane3d_1000/{label}"
+        frame = parse(read_text(out / file), str(out / file))
+        yield ReadFrame(file, str(out / file), f"images/{image}", frame)
 
 
-def _lines(frame: OpenLaneFrame) -> list[Line3d]:
-    vehicle_from_cam = frame.vehicle_from_cam_waymo
-    return [
-        Line3d(ground_from_waymo(line.xyz_waymo, vehicle_from_cam), line.visible, line.category) for line in frame.lines
-    ]
+def verify(frame: ReadFrame, truth: Truth) -> Comparison:
+    """Lines in metres; their pixels; category, place beside the camera and track."""
+    found: OpenLaneFrame = frame.content
+    camera, to_vehicle = truth.labels.camera, found.vehicle_from_cam_waymo
+    kerbs = kerb_lanes(truth.scene, camera)
+    delimiters = truth.lanes("delimiter")
+    curbs = [UprightLane(camera, kerb.id, upright(camera, kerb.xyz_cam), kerb.terrain_visible) for kerb in kerbs]
+    view = View(found.img_from_cv, (round(2 * found.img_from_cv[0, 2]), round(2 * found.img_from_cv[1, 2])))
+    ours = [lane.in_metres(view) for lane in (*delimiters, *curbs)]
+    # Waymo's axes: x ahead, y to the left, z up.
+    lines = [line.xyz_waymo @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]) for line in found.lines]
+    compared, ids = compare(lines, ours, RULE)
+    problems = list(camera_problems(truth, to_vehicle[2, 3], float(np.arcsin(-to_vehicle[2, 0]))))
+    if PurePath(frame.image or "").relative_to("images") != PurePath(found.file_path):
+        problems.append(f"expected the file_path {frame.image}, got {found.file_path}")
+    by_id: dict[str, Lane] = {lane.id: lane for lane in (*truth.labels.lanes, *kerbs)}
+    places, gaps, tracks = places_beside(delimiters, NEAR_START_M), list[Gap](), dict[str, str]()
+    for i, (line, name) in enumerate(zip(found.lines, ids, strict=False)):
+        seen = pixels(found.img_from_cv, lines[i][line.visible])
+        if len(seen) != len(line.uv_img):
+            problems.append(f"line {i}: expected {len(seen)} uv, one for each visible point, got {len(line.uv_img)}")
+        elif len(seen):
+            apart = np.linalg.norm(seen - line.uv_img, axis=1)
+            gaps.append(Gap(name, "px", float(apart.max()), float(np.median(apart))))
+            if not apart.max() <= TOLERANCE_PX:
+                problems.append(f"line {i} ({name}): expected uv where xyz is seen, got it {apart.max():.3g} px away")
+        problems += (f"line {i}: {text}" for text in _attribute_problems(line, by_id[name], lines[i], places))
+        scene = f"{truth.scene.split}:{truth.scene.index} {name}"
+        tracks[f"{PurePath(found.file_path).parent.name}/{line.track_id}"] = scene
+    if len(tracks) < len(found.lines) == len(ids):
+        problems.append(f"expected a track_id for each of {len(found.lines)} lines, got {len(tracks)} different ones")
+    return replace(compared, tracks=tracks) + Comparison(0, tuple(gaps), tuple(problems))
+
+
+def _attribute_problems(line: OpenLaneLine, lane: Lane, points_up: np.ndarray, places: dict[str, int]) -> Iterator[str]:
+    """Findings where a line is not called what our lane is."""
+    if lane.id.startswith("kerb_"):
+        expected = {20 if points_up[0, 0] < 0 else 21}
+    else:
+        paint = (lane.marking, lane.color or "white", bool(lane.double), lane.pair)
+        expected = {number for number, other in PAINTS.items() if other == paint} or {0}
+    if line.category not in expected:
+        yield f"expected the category {min(expected)} of {lane.id}, got {line.category}"
+    if line.attribute != places.get(lane.id, 0):
+        yield f"expected the attribute {places.get(lane.id, 0)} of {lane.id}, got {line.attribute}"

@@ -11,31 +11,21 @@ import numpy as np
 
 from synth3dlanes.formats.lines import LaneAhead, ego_places, keep_lines, lines_ahead
 from synth3dlanes.formats.openlane.convention import (
-    CAMERA,
+    CASES,
     KERB_LEFT,
     KERB_RIGHT,
     PAINTS,
     WAYMO_FROM_CAM,
     vehicle_from_cam_waymo,
 )
-from synth3dlanes.formats.writing import CV_FROM_CAM, DECIMALS, FrameAnnotation, PinholeFormat, PinholeFrame
-from synth3dlanes.labels import Labels, Lane
+from synth3dlanes.formats.writing import CV_FROM_CAM, DECIMALS, FrameAnnotation, PinholeFrame
+from synth3dlanes.labels import Lane
 
 MAX_LINES = 20
 MIN_LENGTH_M = 5.0
 STEP_M = 0.5
 FRAMES_PER_SEGMENT = 100
 UV_DECIMALS = 4
-CASES = {
-    "curve": "1000_curve.txt",
-    "extreme_weather": "1000_extreme_weather.txt",
-    "intersection": "1000_intersection.txt",
-    "merge_split": "1000_merge_split_case.txt",
-    "night": "1000_night.txt",
-    "up_down": "1000_updown.txt",
-}
-"""The lists that evaluation scripts open, by kind of scene."""
-
 README = """OpenLane v1 layout.
 
 - `images/{training,validation}/segment-*_with_camera_labels/`. Loaders assume 1920x1280 unless they are told another
@@ -58,9 +48,9 @@ README = """OpenLane v1 layout.
 """
 
 
-def annotate(labels: Labels, frame: PinholeFrame) -> FrameAnnotation:
+def annotate(frame: PinholeFrame) -> FrameAnnotation:
     """The frame's label file, copies for the test cases that it belongs to, and its list entries."""
-    dropped = Counter[str]()
+    labels, dropped = frame.labels, Counter[str]()
     folder = "training" if frame.is_train else "validation" if frame.serves_as("val") else "test"
     segment, track_ids = _segment(frame)
     # Loaders look for "/segment-(.*)_with_camera_labels"; they cut at the first dot and replace every "jpg".
@@ -129,14 +119,3 @@ def _line_document(line: LaneAhead, frame: PinholeFrame, attribute: int, track_i
         "attribute": attribute,
         "track_id": track_id,
     }
-
-
-FORMAT = PinholeFormat(
-    camera=CAMERA,
-    is_f_free=True,
-    is_size_free=True,
-    has_kerbs=True,
-    readme=README,
-    annotate=annotate,
-    lists=tuple(f"lane3d_1000/test/{name}" for name in CASES.values()),
-)

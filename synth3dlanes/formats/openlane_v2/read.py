@@ -12,7 +12,7 @@ from synth3dlanes import schema
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.openlane_v2.convention import COLLECTIONS, ROOT
 from synth3dlanes.formats.reading import MOST_BYTES, read_file
-from synth3dlanes.json_arrays import JsonPoints
+from synth3dlanes.json_arrays import JsonMatrix3, JsonPoints, Row3
 from synth3dlanes.schema import Excerpt, PathBelow
 
 LEAST_POINTS = 11  # what the benchmark compares
@@ -20,12 +20,15 @@ LEAST_POINTS = 11  # what the benchmark compares
 
 @dataclass(frozen=True, eq=False)
 class TopologyFrame:
-    """One label file: images by camera, the polylines of each lane (the centre line, and in `-ls` files left and right
-    boundary) in the vehicle frame, and which lane (column) follows which (row)."""
+    """One label file: images by camera, the ids of the lanes, the polylines of each (the centre line, and in `-ls`
+    files left and right boundary) in the vehicle frame, which lane (column) follows which (row), the vehicle's pose.
+    """
 
     images: dict[str, str]
+    ids: tuple[int, ...]
     lanes_ego: tuple[tuple[Float[np.ndarray, "_ 3"], ...], ...]
     follows: Float[np.ndarray, "n n"]
+    world_from_ego: Float[np.ndarray, "4 4"]
 
 
 def frames(out: Path) -> dict[str, list[Path]]:
@@ -45,10 +48,13 @@ def parse(text: str, where: str) -> TopologyFrame:
     found = schema.parse(_Frame, text, where, "a frame of OpenLane-V2")
     annotation = found.annotation
     lanes: tuple[tuple[Float[np.ndarray, "_ 3"], ...], ...]
+    ids: tuple[int, ...]
     if isinstance(annotation, _Segments):
+        ids = tuple(lane.id for lane in annotation.lane_segment)
         lanes = tuple((lane.centerline, lane.left_laneline, lane.right_laneline) for lane in annotation.lane_segment)
         follows = annotation.topology_lsls
     else:
+        ids = tuple(lane.id for lane in annotation.lane_centerline)
         lanes = tuple((lane.points,) for lane in annotation.lane_centerline)
         follows = annotation.topology_lclc
     if {len(lanes)} != {len(follows), *map(len, follows)} and (lanes or follows):
@@ -56,7 +62,10 @@ def parse(text: str, where: str) -> TopologyFrame:
     if any(len(line) < LEAST_POINTS for lane in lanes for line in lane):
         raise FormatError(f"{where}: expected lanes of {LEAST_POINTS} points or more, got fewer")
     images = {name: sensor.image_path for name, sensor in found.sensor.items()}
-    return TopologyFrame(images, lanes, np.array(follows, dtype=float).reshape(len(lanes), len(lanes)))
+    world_from_ego = np.eye(4)
+    world_from_ego[:3] = np.column_stack([found.pose.rotation, found.pose.translation])
+    follows_of = np.array(follows, dtype=float).reshape(len(lanes), len(lanes))
+    return TopologyFrame(images, ids, lanes, follows_of, world_from_ego)
 
 
 class _Collection(RootModel[dict[PathBelow, dict[PathBelow, list[PathBelow]]]]):
@@ -64,6 +73,7 @@ class _Collection(RootModel[dict[PathBelow, dict[PathBelow, list[PathBelow]]]]):
 
 
 class _Centerline(Excerpt):
+    id: int
     points: JsonPoints
 
 
@@ -73,6 +83,7 @@ class _Centerlines(Excerpt):
 
 
 class _Segment(Excerpt):
+    id: int
     centerline: JsonPoints
     left_laneline: JsonPoints
     right_laneline: JsonPoints
@@ -87,6 +98,12 @@ class _Sensor(Excerpt):
     image_path: PathBelow
 
 
+class _Pose(Excerpt):
+    rotation: JsonMatrix3
+    translation: Row3
+
+
 class _Frame(Excerpt):
+    pose: _Pose
     sensor: dict[str, _Sensor]
     annotation: _Segments | _Centerlines

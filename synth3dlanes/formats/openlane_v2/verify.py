@@ -1,64 +1,91 @@
-"""The self-check of an OpenLane-V2 export."""
+"""Read an OpenLane-V2 export back and compare it with our labels."""
 
 from collections.abc import Iterator
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from synth3dlanes.errors import FormatError
-from synth3dlanes.formats.openlane_v2.convention import CENTERLINE_POINTS, ROOT
+from synth3dlanes.formats.comparing import Comparison, Rule, Truth, compare_map
+from synth3dlanes.formats.format import FrameList, ReadFrame
+from synth3dlanes.formats.openlane_v2.convention import AHEAD_M, ASIDE_M, ROOT
 from synth3dlanes.formats.openlane_v2.read import TopologyFrame, frames, parse
-from synth3dlanes.formats.openlane_v2.score import LanePolylines, LaneScore, LaneTopology, score
 from synth3dlanes.formats.reading import image_size, read_text
-from synth3dlanes.formats.self_check import TOLERANCE_M, Verification
+from synth3dlanes.frames import transform
 
-# The benchmark matches lanes up to 3 m apart, far ones up to 6 m; up, where no lane is, a move leads to no other one.
-RAISED_M = np.array([0.0, 0.0, 7.0])
-SCORED_POINTS = 10
+# A curve that is sampled every metre and one that is sampled every half are some millimetres apart.
+RULE = Rule("m", 0.05, name="lane", slack=0.3)
+GAP_M = 1e-3
+SIDE_M = 0.05
+# What is this near to the area's border may be out of it.
+BORDER_M = 2.0
 
 
-def verify(out: Path, most_frames: int) -> Iterator[Verification]:
-    """The lanes of every part: its centre lines, then its lane segments."""
+def read(out: Path, most_frames: int) -> Iterator[FrameList]:
+    """The frames of every part: their centre lines, then their lane segments."""
     for part, paths in frames(out).items():
         for name, suffix in ((part, ""), (f"{part}, lane segments", "-ls")):
-            files = [path.with_name(f"{path.stem}{suffix}.json") for path in paths[:most_frames]]
-            yield _verified(out, name, [(str(path), parse(read_text(path), str(path))) for path in files])
+            files = (path.with_name(f"{path.stem}{suffix}.json") for path in paths[:most_frames])
+            yield FrameList(name, _frames(out, files))
 
 
-def _verified(out: Path, name: str, found: list[tuple[str, TopologyFrame]]) -> Verification:
-    true = [LaneTopology(tuple(map(_scored, frame.lanes_ego)), frame.follows) for _, frame in found]
-    raised = [
-        LaneTopology(tuple(tuple(line + RAISED_M for line in lane) for lane in frame.lanes), frame.follows)
-        for frame in true
-    ]
-    perfect = score([(frame, frame) for frame in true])
-    moved = score(list(zip(true, raised, strict=True)))
-    problems = [problem for where, frame in found for problem in _problems(out, where, frame)]
-    if perfect != LaneScore(1.0, 1.0):
-        problems.append(f"{name}: expected ground truth to score 1, got {perfect}")
-    if moved.det_l > 0:
-        problems.append(f"{name}: expected lanes moved {RAISED_M[2]:g} m up to score 0, got {moved}")
-    return Verification(
-        name, len(found), sum(len(frame.lanes) for frame in true), asdict(perfect), asdict(moved), tuple(problems)
-    )
+def _frames(out: Path, files: Iterator[Path]) -> Iterator[ReadFrame]:
+    for path in files:
+        frame = parse(read_text(path), str(path))
+        image, *others = frame.images.values()
+        problems = tuple(_image_problems(out, others))
+        yield ReadFrame(str(path.relative_to(out)), str(path), f"{ROOT}/{image}", (frame, problems))
 
 
-def _scored(lane: tuple[np.ndarray, ...]) -> LanePolylines:
-    """The points of a lane that the devkit keeps: every 20th of a centre line, ten of a lane segment."""
-    step = (CENTERLINE_POINTS - 1) // SCORED_POINTS
-    if len(lane) == 1:
-        return (lane[0][::step],)
-    return tuple(line[np.linspace(0, len(line) - 1, SCORED_POINTS).round().astype(int)] for line in lane)
-
-
-def _problems(out: Path, where: str, frame: TopologyFrame) -> Iterator[str]:
-    for image in frame.images.values():
+def _image_problems(out: Path, images: list[str]) -> Iterator[str]:
+    for image in images:
         try:
             image_size(out / ROOT / image)
         except FormatError as error:
-            yield f"{where}: expected the image {image}: {error}"
-    for i, j in np.argwhere(frame.follows):
-        gap_m = float(np.linalg.norm(frame.lanes_ego[i][0][-1] - frame.lanes_ego[j][0][0]))
-        if gap_m > TOLERANCE_M:
-            yield f"{where}: expected lane {j} to begin where lane {i} ends, got a gap of {gap_m:.3f} m"
+            yield f"expected the image {image}: {error}"
+
+
+def verify(frame: ReadFrame, truth: Truth) -> Comparison:
+    """Lanes in metres, in the world frame; boundaries by their side and distance; what follows what."""
+    found, problems = frame.content
+    graph = truth.labels.graph
+    if any(not 0 <= i < len(graph.segments) for i in found.ids) or len({*found.ids}) < len(found.ids):
+        text = f"expected ids of their own below {len(graph.segments)}, got {list(found.ids)}"
+        return Comparison(len(found.ids), (), (*problems, text))
+    names = [graph.segments[i].id for i in found.ids]
+    lanes = [
+        (name, transform(found.world_from_ego, lines[0])) for name, lines in zip(names, found.lanes_ego, strict=True)
+    ]
+
+    def is_in_area(points_world: Float[np.ndarray, "n 3"]) -> np.ndarray:
+        x, y, _ = ((points_world - found.world_from_ego[:3, 3]) @ found.world_from_ego[:3, :3]).T
+        return np.asarray((x < AHEAD_M - BORDER_M) & (np.abs(y) < ASIDE_M - BORDER_M))
+
+    compared = compare_map(lanes, truth, RULE, is_in_area)
+    sides = _side_problems(found, names, truth.scene.road.lane_width_m / 2)
+    return compared.because([*problems, *sides, *_topology_problems(found, names, graph.successors)])
+
+
+def _side_problems(found: TopologyFrame, names: list[str], half_m: float) -> Iterator[str]:
+    """Findings where a boundary is on the other side of its lane, or not half a lane's width from its middle, seen from
+    above."""
+    for name, lines in zip(names, found.lanes_ego, strict=True):
+        middle, *sides = (transform(found.world_from_ego, line)[:, :2] for line in lines)
+        along = np.gradient(middle, axis=0)
+        for side, sign, line in zip(("left", "right"), (1, -1), sides, strict=False):
+            (x, y), (dx, dy) = (line - middle).T, along.T
+            got_m = float(np.median(sign * (dx * y - dy * x) / np.maximum(np.hypot(dx, dy), 1e-9)))
+            if not abs(got_m - half_m) <= SIDE_M:
+                yield f"lane {name}: expected its {side} boundary {half_m:.3f} m on that side, got {got_m:.3f} m"
+
+
+def _topology_problems(found: TopologyFrame, names: list[str], successors: dict[str, tuple[str, ...]]) -> Iterator[str]:
+    for i, lane in enumerate(names):
+        for j, other in enumerate(names):
+            gap_m = float(np.linalg.norm(found.lanes_ego[i][0][-1] - found.lanes_ego[j][0][0]))
+            follows = other in successors.get(lane, ())
+            if found.follows[i, j] and not (follows and gap_m <= GAP_M):
+                yield f"lane {other}: expected it not to follow {lane}, got it {gap_m:.3f} m from its end"
+            if not found.follows[i, j] and follows and gap_m <= GAP_M:
+                yield f"lane {other}: expected it to follow {lane}, whose end it touches, got it not to"

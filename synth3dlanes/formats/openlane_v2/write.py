@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 
 from synth3dlanes.arrays import Matrix4
 from synth3dlanes.errors import InputError
+from synth3dlanes.formats.format import SampleFrame
 from synth3dlanes.formats.openlane_v2.convention import (
     AHEAD_M,
     ASIDE_M,
@@ -27,7 +28,6 @@ from synth3dlanes.formats.openlane_v2.convention import (
     collection,
 )
 from synth3dlanes.formats.openlane_v2.lane_map import Boundary, LaneSegment, lane_segments, pavement_edges, runs
-from synth3dlanes.formats.sample_format import SampleFormat, SampleFrame
 from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.symbols import shape
@@ -268,6 +268,3 @@ def document(path: str, lines: Path) -> Iterator[str]:
         part, segment, name = json.loads(line)
         frames.setdefault(part, {}).setdefault(segment, []).append(name)
     yield json.dumps(frames, indent=1) + "\n"
-
-
-FORMAT = SampleFormat(readme=README, annotate=annotate, document=document, counted="lane segments")

@@ -1,70 +1,46 @@
-"""The self-check of a tuSimple export."""
+"""Read a tuSimple export back and compare it with our labels."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, astuple
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
 from synth3dlanes.errors import FormatError
+from synth3dlanes.formats.comparing import Comparison, Rule, Truth, View, camera_problems, compare
+from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.reading import first_lines
-from synth3dlanes.formats.self_check import SHIFT_M, Sidecar, Sidecars, Verification, image_problems, moved_aside
+from synth3dlanes.formats.sidecar import Sidecar, Sidecars
 from synth3dlanes.formats.tusimple.convention import ROWS_PX
-from synth3dlanes.formats.tusimple.read import TusimpleFrame, parse
-from synth3dlanes.formats.tusimple.score import TusimpleScore, score, score_frame
+from synth3dlanes.formats.tusimple.read import parse
 from synth3dlanes.schema import shown
 
+# Columns are whole pixels.
+RULE = Rule("px", 0.51, most=5)
+VIEW = View(np.array([[4030 / 3, 0, 640], [0, 4030 / 3, 360], [0, 0, 1]]), (1280, 720))
 
-def verify(out: Path, size_px: tuple[int, int], most_frames: int) -> Iterator[Verification]:
-    """The lines of every label file."""
-    sidecars = Sidecars(out)
+
+def read(out: Path, most_frames: int) -> Iterator[FrameList]:
+    """Every label file."""
+    sidecars = Sidecars(out, Sidecar)
     for path in sorted(out.glob("*label*.json")):
-        lines = enumerate(first_lines(path, most_frames), start=1)
-        frames = [_parse(line, f"{path}:{number}") for number, line in lines]
-        if not frames:
-            continue
-        true = [frame.lanes_u_px for frame in frames]
-        perfect = score([(lanes, lanes.copy()) for lanes in true], ROWS_PX.astype(float))
-        shifted = _score_shifted(frames, sidecars)
-        problems = image_problems([out / frame.raw_file for frame in frames], size_px)
-        if perfect != TusimpleScore(1.0, 0.0, 0.0):
-            problems.append(f"{path.name}: expected ground truth to score 1, 0, 0, got {perfect}")
-        if shifted.false_negative < 0.95:
-            problems.append(f"{path.name}: expected lines moved {SHIFT_M} m aside to be missed, got {shifted}")
-        yield Verification(
-            path.name, len(frames), sum(map(len, true)), asdict(perfect), asdict(shifted), tuple(problems)
-        )
+        yield FrameList(path.name, _frames(path, most_frames, sidecars))
 
 
-def _parse(line: str, where: str) -> TusimpleFrame:
-    frame = parse(line, where)
-    if not np.array_equal(frame.rows_px, ROWS_PX):
-        raise FormatError(
-            f"{where}: h_samples: expected the rows of the benchmark, got {shown(frame.rows_px.tolist())}"
-        )
-    return frame
+def _frames(path: Path, most_frames: int, sidecars: Sidecars[Sidecar]) -> Iterator[ReadFrame]:
+    for number, line in enumerate(first_lines(path, most_frames), start=1):
+        where = f"{path}:{number}"
+        frame = parse(line, where)
+        if not np.array_equal(frame.rows_px, ROWS_PX):
+            got = shown(frame.rows_px.tolist())
+            raise FormatError(f"{where}: h_samples: expected the rows of the benchmark, got {got}")
+        yield ReadFrame(frame.raw_file, where, frame.raw_file, (frame, sidecars[frame.raw_file]))
 
 
-def _score_shifted(frames: Sequence[TusimpleFrame], sidecars: Sidecars) -> TusimpleScore:
-    """Every line alone and moved, scored on its own rows, by which it counts.
-
-    The official score takes rows where both lines are absent for right, so over all rows nobody can miss a short line.
-    """
-    scores, weights = [], []
-    for frame in frames:
-        moved_u_px = _moved_rows(frame.lanes_u_px, sidecars[frame.raw_file])
-        for true, moved in zip(frame.lanes_u_px, moved_u_px, strict=True):
-            own = true >= 0
-            if not own.any():
-                continue
-            scores.append(astuple(score_frame(true[None, own], moved[None, own], frame.rows_px[own].astype(float))))
-            weights.append(np.count_nonzero(own))
-    if not scores:
-        return TusimpleScore(0.0, 1.0, 1.0)
-    return TusimpleScore(*np.average(scores, axis=0, weights=weights))
-
-
-def _moved_rows(lanes_u_px: Float[np.ndarray, "l r"], sidecar: Sidecar) -> Float[np.ndarray, "l r"]:
-    points_img = np.stack(np.broadcast_arrays(lanes_u_px, ROWS_PX.astype(float)), axis=-1)
-    return np.where(lanes_u_px >= 0, moved_aside(points_img, sidecar)[..., 0], lanes_u_px)
+def verify(frame: ReadFrame, truth: Truth) -> Comparison:
+    """Lines in pixels."""
+    (found, sidecar) = frame.content
+    rows_px = found.rows_px[::-1]
+    lines = [np.column_stack([u_px[::-1], rows_px])[u_px[::-1] >= 0] for u_px in found.lanes_u_px]
+    ours = [lane.at_rows(VIEW, rows_px) for lane in truth.lanes("delimiter")]
+    compared, _ = compare(lines, ours, RULE, sidecar.lines_ids)
+    return compared.because(camera_problems(truth, sidecar.camera_height_m, sidecar.camera_pitch_rad))

@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Int
 
 from synth3dlanes.formats.lines import LaneAhead, columns_of, keep_lines, lines_ahead
+from synth3dlanes.formats.sidecar import sidecar
 from synth3dlanes.formats.tusimple.convention import ABSENT, CAMERA, ROWS_PX
-from synth3dlanes.formats.writing import FrameAnnotation, PinholeFormat, PinholeFrame, sidecar
-from synth3dlanes.labels import Labels
+from synth3dlanes.formats.writing import FrameAnnotation, PinholeFrame
 
 MAX_LINES = 5
 TEST_LABELS, TEST_TASKS = "test_label.json", "test_tasks_0627.json"
@@ -29,9 +29,9 @@ README = """tuSimple layout.
 """
 
 
-def annotate(labels: Labels, frame: PinholeFrame) -> FrameAnnotation | None:
+def annotate(frame: PinholeFrame) -> FrameAnnotation | None:
     """The frame's label line; None for a frame without lines, which the benchmark cannot score."""
-    dropped = Counter[str]()
+    labels, dropped = frame.labels, Counter[str]()
     raw_file = f"clips/{frame.split}/{frame.key}/20.jpg"
     rows = [(line, rows_of(line)) for line in lines_ahead(labels, CAMERA, "delimiter")]
     crossing = [line for line, u_px in rows if np.count_nonzero(u_px != ABSENT) >= 2]
@@ -46,7 +46,7 @@ def annotate(labels: Labels, frame: PinholeFrame) -> FrameAnnotation | None:
     file = label_file(frame)
     shared = (
         (json.dumps(document), (file,)),
-        sidecar(raw_file, labels, frame, [line.id for line in kept]),
+        sidecar(raw_file, frame, [line.id for line in kept]),
         (json.dumps(task), (TEST_TASKS,) if file == TEST_LABELS else ()),
     )
     return FrameAnnotation(raw_file, len(kept), dropped, shared=shared)
@@ -67,13 +67,3 @@ def rows_of(line: LaneAhead) -> Int[np.ndarray, " r"]:
     """The line's column at each row, ABSENT where it has none in the image."""
     columns_px = np.rint(columns_of(line, CAMERA, ROWS_PX))
     return np.where((columns_px >= 0) & (columns_px < CAMERA.width_px), columns_px, ABSENT).astype(int)
-
-
-FORMAT = PinholeFormat(
-    camera=CAMERA,
-    is_f_free=False,
-    is_size_free=False,
-    readme=README,
-    annotate=annotate,
-    lists=LABEL_FILES,
-)

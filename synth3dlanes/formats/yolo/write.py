@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Bool
 from scipy.ndimage import find_objects, label
 
-from synth3dlanes.formats.sample_format import SampleFormat, SampleFrame
-from synth3dlanes.formats.segments import PASSES, STUFF, file_name, image_path
+from synth3dlanes.formats.format import SampleFrame
+from synth3dlanes.formats.segments import STUFF, file_name, image_path
 from synth3dlanes.formats.writing import PARTS, FrameAnnotation
 from synth3dlanes.settings import SEMANTIC_IDS
 
@@ -89,6 +89,3 @@ def document(path: str, lines: Path) -> Iterator[str]:
     # Without `path`, ultralytics looks beside the file; with one, from the working directory.
     yield "".join(f"{part}: {part}.txt\n" for part in parts)
     yield "names:\n" + "".join(f"  {number}: {json.dumps(name)}\n" for number, name in enumerate(NAMES))
-
-
-FORMAT = SampleFormat(readme=README, annotate=annotate, document=document, passes=PASSES, counted="objects")

@@ -1,0 +1,397 @@
+"""How far the lines of an export are from our labels: in metres or pixels, line by line.
+
+Nothing here is shared with the writers. Labels are taken upright (frame `_up`: x right in the road plane, y along the
+view, z up) by the axes of their own road plane, and projected by the intrinsics that the export itself names.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+
+from synth3dlanes import scene as scene_format
+from synth3dlanes.dataset.format import SCENE
+from synth3dlanes.dataset.read import Reader
+from synth3dlanes.frames import transform
+from synth3dlanes.labels import CameraLabel, Labels, LaneKind
+from synth3dlanes.scene import Scene
+from synth3dlanes.sensors.sweep import Sweep
+
+Points = Float[np.ndarray, "_ d"]
+Values = Float[np.ndarray, " _"]
+Mask = Bool[np.ndarray, " _"]
+
+# A line must be in an export if this many of its points are sure to be seen: at a border, rounding decides.
+SURE_POINTS = 8
+BORDER_PX = 2.0
+# Lines that begin farther ahead are not beside the camera.
+NEAR_START_M = 20.0
+LEAST_M = 0.5
+# |du/dv| beyond which a step in the image counts as level.
+MOST_LEVEL = 15.0
+ANGLE_RAD, HEIGHT_M = 1e-6, 1e-6
+ROUNDING = 1e-3
+
+
+class Truth:
+    """The sample of the data set that a frame of an export was made from."""
+
+    def __init__(self, reader: Reader, place: int) -> None:
+        self.reader, self.place = reader, place
+
+    @cached_property
+    def labels(self) -> Labels:
+        """Its labels as they are."""
+        return self.reader.labels(self.place)
+
+    @cached_property
+    def scene(self) -> Scene:
+        """Its scene."""
+        where = f"{self.reader.url}:{self.reader.key(self.place)}"
+        return scene_format.from_json(self.reader.member(self.place, SCENE), where)
+
+    @cached_property
+    def passes(self) -> dict[str, Shaped[np.ndarray, "..."]]:
+        """Its passes by name."""
+        return self.reader.passes(self.place)
+
+    @cached_property
+    def sweep(self) -> Sweep | None:
+        """The sweep of its lidar, if it has one."""
+        return self.reader.lidar(self.place) if self.reader.has_lidar else None
+
+    def lanes(self, kind: LaneKind) -> "list[UprightLane]":
+        """The lanes of a kind, upright."""
+        camera = self.labels.camera
+        return [
+            UprightLane(camera, lane.id, upright(camera, lane.xyz_cam), lane.terrain_visible)
+            for lane in self.labels.lanes
+            if lane.kind == kind
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class UprightLane:
+    """A lane of the labels, from near to far, as the camera would have it without roll; where the ground does not hide
+    it."""
+
+    camera: CameraLabel
+    id: str
+    points_up: Float[np.ndarray, "n 3"]
+    on_ground: Mask
+
+    @property
+    def ahead(self) -> slice:
+        """Its points ahead of the camera, up to where it comes back: seen from the camera or along the road."""
+        pitch = np.arcsin(-self.camera.road_from_cam[2, 1])
+        along = self.points_up[:, 1:] @ np.array([[1.0, np.cos(pitch)], [0.0, np.sin(pitch)]])
+        in_front = np.flatnonzero((along > LEAST_M).all(axis=1))
+        if not len(in_front):
+            return slice(0, 0)
+        start = int(in_front[0])
+        back = np.flatnonzero((np.diff(along[start:], axis=0) <= 0).any(axis=1))
+        return slice(start, start + int(back[0]) + 1 if len(back) else len(along))
+
+    def sure(self, view: "View") -> Mask:
+        """Which of its points are sure to be in the image and on ground that is seen, one after the other."""
+        uv = pixels(view.img_from_cv, self.points_up[self.ahead])
+        sure = np.zeros(len(self.points_up), dtype=bool)
+        if len(uv) >= 2:
+            du, dv = np.diff(uv, axis=0).T
+            is_rising = (dv < 0) & (np.abs(du) < 0.9 * MOST_LEVEL * -dv)
+            rises = np.logical_and.accumulate(np.concatenate([is_rising[:1], is_rising]))
+            inside = ((uv > BORDER_PX) & (uv < np.array(view.size_px) - BORDER_PX)).all(axis=1)
+            sure[self.ahead] = inside & rises & self.on_ground[self.ahead]
+        return sure
+
+    def in_metres(self, view: "View") -> "OurLine":
+        """The line in space."""
+        return OurLine(self.id, self.points_up, self.points_up[self.sure(view)])
+
+    def at_rows(self, view: "View", rows_px: Sequence[int] | Int[np.ndarray, " _"]) -> "OurLine":
+        """The line in the image; it must be found at the rows, from the bottom up, that it is sure to cross."""
+        uv, sure = pixels(view.img_from_cv, self.points_up), np.flatnonzero(self.sure(view))
+        rows = np.sort(rows_px)[::-1]
+        wanted = np.zeros((0, 2))
+        if len(sure) >= 2:
+            u, v = uv[sure[0] : sure[-1] + 1][::-1].T
+            wanted = np.column_stack([np.interp(rows, v, u, left=np.nan, right=np.nan), rows])
+            with np.errstate(invalid="ignore"):
+                wanted = wanted[(wanted[:, 0] > BORDER_PX) & (wanted[:, 0] < view.size_px[0] - BORDER_PX)]
+        return OurLine(self.id, uv[~np.isnan(uv[:, 0])], wanted)
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """An upright pinhole camera, as an export says: its matrix K and the size of its image."""
+
+    img_from_cv: Float[np.ndarray, "3 _"]
+    size_px: tuple[int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class OurLine:
+    """A line of the labels where it is compared, and which points an export of it must have."""
+
+    id: str
+    points: Points
+    wanted: Points
+
+
+@dataclass(frozen=True)
+class Gap:
+    """How far a line of an export is from one of ours."""
+
+    lane: str
+    unit: str
+    worst: float
+    median: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A frame compared with our labels: how many lines it has, how far they are, and what is wrong. `tracks` are the
+    lanes by the ids that must name one lane only in all frames."""
+
+    n_lines: int
+    gaps: tuple[Gap, ...]
+    problems: tuple[str, ...]
+    tracks: Mapping[str, str] = field(default_factory=dict)
+
+    def __add__(self, other: "Comparison") -> "Comparison":
+        return Comparison(
+            self.n_lines + other.n_lines,
+            self.gaps + other.gaps,
+            self.problems + other.problems,
+            {**self.tracks, **other.tracks},
+        )
+
+    def because(self, problems: Iterable[str]) -> "Comparison":
+        """With more problems."""
+        return self + Comparison(0, (), tuple(problems))
+
+
+@dataclass(frozen=True)
+class Rule:
+    """How lines of an export are compared: the unit, how far they may be; whether their points run from near to far (1)
+    or from far to near (-1); the most lines that a frame may have; what one is called. `spacing` is how far the nearest
+    point may be from one that is wanted: 0 where the points are ours. `slack` is how much farther points may be between
+    those of the labels, and in maps heights: where ramps begin, a straight metre is that far from the road."""
+
+    unit: str
+    limit: float
+    direction: int = 1
+    most: float = np.inf
+    name: str = "line"
+    spacing: float = 0.0
+    slack: float = 0.0
+
+
+def compare(
+    found: Sequence[Points], ours: Sequence[OurLine], rule: Rule, ids: Sequence[str] | None = None
+) -> tuple[Comparison, list[str]]:
+    """Each line of a frame beside the nearest of ours, or that of its id, and ours that have none; and the ids of those
+    nearest."""
+    gaps, problems, lanes = list[Gap](), list[str](), list[str]()
+    if ids is not None and len(ids) != len(found):
+        problems.append(f"expected {len(ids)} {rule.name}s as its ids say, got {len(found)}")
+        ids = None
+    by_id = {line.id: line for line in ours}
+    for i, points in enumerate(found):
+        line = nearest(points, ours, rule) if ids is None else by_id.get(ids[i])
+        if line is None:
+            problems.append(f"{rule.name} {i}: expected a line of the labels, got none of this kind")
+            continue
+        gap = _gap(points, line, rule)
+        gaps.append(gap)
+        lanes.append(line.id)
+        if not gap.worst <= rule.limit:
+            problems.append(f"{rule.name} {i}: {_too_far(points, gap, ours, rule)}")
+        problems += (f"{rule.name} {i} ({line.id}): {text}" for text in _order_problems(points, line, rule))
+    twice = {lane for lane in lanes if lanes.count(lane) > 1}
+    problems += (f"{rule.name}s: expected one of {lane}, got {lanes.count(lane)}" for lane in sorted(twice))
+    if len(found) < rule.most:
+        problems += (
+            f"{rule.name} of {line.id}: expected one, got none nearer than {apart:.3g} {rule.unit}"
+            for line in ours
+            if line.id not in lanes and len(line.wanted) >= SURE_POINTS
+            if (apart := _apart(found, line)) > MISSING[rule.unit]
+        )
+    return Comparison(len(found), tuple(gaps), tuple(problems)), lanes
+
+
+MISSING = {"m": 0.1, "px": 4.0}
+"""Lines whose visible parts coincide are exported once: what is this near to another line is not missing."""
+
+
+def nearest(points: Points, ours: Sequence[OurLine], rule: Rule) -> OurLine | None:
+    """The line that is nearest to all of these points, and of which they have most."""
+    if not ours or not len(points):
+        return None
+    some = points[np.unique(np.linspace(0, len(points) - 1, 9).astype(int))]
+    rough = [distances(some, line.points).max() for line in ours]
+    close = [line for line, apart in zip(ours, rough, strict=True) if apart <= min(rough) + 0.1]
+    return min(close, key=lambda line: _gap(points, line, rule).worst) if len(close) > 1 else close[0]
+
+
+def distances(points: Points, line: Points) -> Values:
+    """How far points are from a polyline."""
+    return _feet(points, line)[0]
+
+
+def stations(points: Points, line: Points) -> Values:
+    """Where along a polyline the nearest places to points are, by its length."""
+    _, at, share = _feet(points, line)
+    lengths = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    return np.asarray(np.concatenate([[0.0], np.cumsum(lengths)])[at] + share * np.append(lengths, 0.0)[at])
+
+
+def upright(camera: CameraLabel, points_cam: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """Points as a camera at the same place has them that does not roll."""
+    up_cam, view_cam = camera.road_from_cam[2, :3], np.array([0.0, 1.0, 0.0])
+    right_cam = np.cross(view_cam, up_cam)
+    right_cam /= np.linalg.norm(right_cam)
+    return points_cam @ np.stack([right_cam, view_cam, np.cross(right_cam, view_cam)]).T
+
+
+def pixels(img_from_cv: Float[np.ndarray, "3 _"], points_up: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
+    """Where an upright pinhole of this matrix K sees points; NaN for those that are not ahead."""
+    right, ahead, up = points_up.T
+    ahead = np.where(ahead > LEAST_M / 2, ahead, np.nan)
+    (fx, _, cx, *_), (_, fy, cy, *_), _ = img_from_cv
+    return np.column_stack([cx + fx * right / ahead, cy - fy * up / ahead])
+
+
+def places_beside(lanes: Sequence[UprightLane], most_ahead_m: float) -> dict[str, int]:
+    """1 to 4 for the two nearest lines on either side of the camera, from left to right, of those that begin beside
+    it."""
+    starts = dict[str, float]()
+    for lane in lanes:
+        ahead_up = lane.points_up[lane.ahead]
+        if len(ahead_up) >= 2 and ahead_up[0, 1] <= most_ahead_m:
+            starts[lane.id] = float(ahead_up[0, 0])
+    left = sorted((name for name in starts if starts[name] < 0), key=lambda name: -starts[name])[:2]
+    right = sorted((name for name in starts if starts[name] >= 0), key=lambda name: starts[name])[:2]
+    return dict(zip((*left, *right), (2, 1)[: len(left)] + (3, 4)[: len(right)], strict=True))
+
+
+def camera_problems(truth: Truth, height_m: float | None, pitch_rad: float | None) -> Iterator[str]:
+    """Findings where an export has another height or pitch of the camera than the labels."""
+    pose = truth.labels.camera.road_from_cam
+    for name, got, expected, limit in (
+        ("height", height_m, pose[2, 3], HEIGHT_M),
+        ("pitch", pitch_rad, np.arcsin(-pose[2, 1]), ANGLE_RAD),
+    ):
+        if got is not None and not abs(got - expected) <= limit:
+            yield f"camera: expected a {name} of {expected:.6f} as in the labels, got {got:.6f}"
+
+
+def _gap(points: Points, line: OurLine, rule: Rule) -> Gap:
+    there, back = distances(points, line.points), np.zeros(0)
+    if len(line.wanted):
+        back = np.linalg.norm(line.wanted[:, None] - points, axis=2).min(axis=1) - rule.spacing
+    worst = max(there.max() - rule.slack, back.max(initial=0.0))
+    return Gap(line.id, rule.unit, float(worst), float(np.median(np.maximum(there - rule.slack, 0))))
+
+
+def _too_far(points: Points, gap: Gap, ours: Sequence[OurLine], rule: Rule) -> str:
+    other = nearest(points, ours, rule)
+    there = "" if other is None or other.id == gap.lane or _gap(points, other, rule).worst > rule.limit else other.id
+    return _too_far_from(gap, rule) + (f" (it lies on {there})" if there else "")
+
+
+def _too_far_from(gap: Gap, rule: Rule) -> str:
+    unit = rule.unit
+    return f"expected {gap.lane} within {rule.limit:g} {unit} of the labels, got it {gap.worst:.3g} {unit} away"
+
+
+def _apart(found: Sequence[Points], line: OurLine) -> float:
+    return min((float(distances(line.wanted, points).max()) for points in found), default=np.inf)
+
+
+def _order_problems(points: Points, line: OurLine, rule: Rule) -> Iterator[str]:
+    at = stations(points, line.points) * rule.direction
+    back = float(np.max(at[:-1] - at[1:], initial=0.0))
+    if back > max(rule.limit, ROUNDING):
+        order = "near to far" if rule.direction > 0 else "far to near"
+        yield f"expected points from {order}, got a step of {back:.3g} {rule.unit} back"
+
+
+def _feet(points: Points, line: Points) -> tuple[Values, Int[np.ndarray, " _"], Values]:
+    """Distances from a polyline, the steps of it that are nearest, and where on these."""
+    starts, steps = (line[:-1], np.diff(line, axis=0)) if len(line) > 1 else (line, np.zeros_like(line))
+    to = points[:, None] - starts
+    share = np.clip((to * steps).sum(axis=2) / np.maximum((steps**2).sum(axis=1), 1e-12), 0, 1)
+    apart = np.linalg.norm(to - share[..., None] * steps, axis=2)
+    at = apart.argmin(axis=1)
+    every = np.arange(len(points))
+    return apart[every, at], at, share[every, at]
+
+
+def compare_map(
+    found: Sequence[tuple[str, Points]],
+    truth: Truth,
+    rule: Rule,
+    is_in_area: Callable[[Points], Mask] = lambda points: np.ones(len(points), dtype=bool),
+) -> Comparison:
+    """Lanes of a map by the segments of the lane graph that they are, in the world frame, beside the centre lines that
+    follow these segments, seen from above, and in height. Only what the labels reach is compared: ahead of the camera,
+    in the area."""
+    labels = truth.labels
+    ours = {
+        lane.id: (transform(labels.camera.world_from_cam, lane.xyz_cam), lane.direction)
+        for lane in labels.lanes
+        if lane.kind == "centerline"
+    }
+    segments = labels.graph.segments
+    paths = {segment.id: [name for name in segment.centerlines if name in ours] for segment in segments}
+    gaps, problems, covered = (
+        list[Gap](),
+        list[str](),
+        {name: np.zeros(len(ours[name][0]), dtype=bool) for name in ours},
+    )
+    for name, points in found:
+        if name not in paths:
+            problems.append(f"{rule.name} {name}: expected a segment of the lane graph, got none of this name")
+        gap, wrong = _nearest_path(points, [(path, *ours[path]) for path in paths.get(name, ())], rule)
+        for path in paths.get(name, ()):
+            covered[path] |= distances(ours[path][0], points) < COVERED_M
+        if gap is None:
+            continue
+        gaps.append(gap)
+        if not gap.worst <= rule.limit:
+            problems.append(f"{rule.name} {name}: {_too_far_from(gap, rule)}")
+        problems += (f"{rule.name} {name}: {problem}" for problem in wrong)
+    for name, (points, _) in ours.items():
+        bare = is_in_area(points) & ~covered[name]
+        if bare.sum() >= SURE_POINTS:
+            apart = min((float(distances(points[bare], line).max()) for _, line in found), default=np.inf)
+            problems.append(f"{rule.name} along {name}: expected one, got none nearer than {apart:.3g} m")
+    return Comparison(len(found), tuple(gaps), tuple(problems))
+
+
+COVERED_M = 0.5
+"""A centre line of ours has a lane of the map where one is this near."""
+
+
+def _nearest_path(points: Points, paths: Sequence[tuple[str, Points, str]], rule: Rule) -> tuple[Gap | None, list[str]]:
+    """How far points are aside of the nearest path, where it reaches, and what is wrong with height and direction."""
+    found = list[tuple[Gap, list[str]]]()
+    for name, line, direction in paths:
+        apart, at, share = _feet(points[:, :2], line[:, :2])
+        inner = (at + share > 0) & (at + share < len(line) - 1)
+        if inner.sum() < 2:
+            continue
+        problems, feet = [], line[at] + share[:, None] * np.diff(line, axis=0, append=line[-1:])[at]
+        above = float(np.abs(points - feet)[inner, 2].max())
+        if not above <= rule.slack:
+            problems.append(f"expected {name} within {rule.slack:g} m of the labels' height, got it {above:.3g} m away")
+        back = -float(
+            np.diff((at + share)[inner]).min() if direction == "same" else -np.diff((at + share)[inner]).max()
+        )
+        if back > COVERED_M:
+            problems.append(f"expected points as its traffic goes, got a step of about {back:.3g} m back")
+        found.append((Gap(name, "m", float(apart[inner].max()), float(np.median(apart[inner]))), problems))
+    return min(found, key=lambda pair: pair[0].worst, default=(None, []))

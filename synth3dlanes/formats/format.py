@@ -1,0 +1,119 @@
+"""What a format is: how its frames are written, read back, and compared with the data set; docs/exports.md says how to
+add one."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Shaped
+
+from synth3dlanes.formats.comparing import Comparison, Truth
+from synth3dlanes.formats.writing import ExportFrame, FrameAnnotation, Pinhole, PinholeFrame
+from synth3dlanes.labels import CameraLabel
+from synth3dlanes.scene import Scene
+from synth3dlanes.sensors.sweep import Sweep
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SampleFrame(ExportFrame):
+    """A frame taken as it is (a rolled camera stays rolled), with its scene, its passes by name if the format asks for
+    any, and the sweep of its lidar if there is one and the format takes it. The image is of `image_format`, jpg or png.
+    `cameras` are those of all exported pictures of this moment by a rig, itself included, by their keys: for the first
+    of them, none for the others."""
+
+    scene: Scene
+    passes: Mapping[str, Shaped[np.ndarray, "..."]]
+    image_format: str
+    sweep: Sweep | None = None
+    cameras: Mapping[str, CameraLabel] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class ReadFrame:
+    """A frame as the files of an export say. `file` is one that this frame alone has, by its path in the export;
+    `where` is what messages begin with; `content` is what the format's `verify` takes. Without `image`, there is none.
+    """
+
+    file: str
+    where: str
+    image: str | None
+    content: Any
+
+
+@dataclass(frozen=True, eq=False)
+class FrameList:
+    """Some frames of an export, such as those of one of its lists."""
+
+    name: str
+    frames: Iterator[ReadFrame]
+
+
+@dataclass(frozen=True)
+class Rates:
+    """What a benchmark gives the predictions for a list of frames: its own numbers by name."""
+
+    name: str
+    n_frames: int
+    rates: Mapping[str, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Format:
+    """A format. `title` says in a line what it is, `readme` is part of the README of an export.
+
+    - `write` gives the files of a frame; None where the format has no place for it.
+    - `read` gives the lists of an export, each with at most so many frames. Raises FormatError.
+    - `verify` says how far a frame that was read is from the sample that it was made from; `tolerances` are how far it
+      may be, by unit (m, px), because of the format's own grid.
+    - `score` gives the benchmark's rates of predictions (a file or folder) for an export, if there is a benchmark.
+
+    `links` are links within an export; `lists` are files that tools open even where no frame belongs there;
+    `replaced_words` what tools replace wherever a path has it; `counted` is what `n_lines` counts. A shared file holds
+    the lines of its frames. If it is to be one document, `document` makes that of the file's path in the export and the
+    file of its lines.
+    """
+
+    title: str
+    readme: str
+    write: Callable[[Any], FrameAnnotation | None]
+    read: Callable[[Path, int], Iterator[FrameList]]
+    verify: Callable[[ReadFrame, Truth], Comparison]
+    tolerances: Mapping[str, float]
+    score: Callable[[Path, Path], Iterator[Rates]] | None = None
+    links: Mapping[str, str] = field(default_factory=dict)
+    lists: tuple[str, ...] = ()
+    replaced_words: tuple[str, ...] = ()
+    document: Callable[[str, Path], Iterator[str]] | None = None
+    counted: str = "lane lines"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PinholeFormat(Format):
+    """A format with a camera of its own, to which images are resampled.
+
+    A frame that is too narrow for the camera gets a longer focal length of its own if `is_f_free`, and is left out
+    otherwise; images may have any size if `is_size_free`. Frames come with their kerbs if it `has_kerbs`.
+    """
+
+    camera: Pinhole
+    is_f_free: bool
+    is_size_free: bool
+    has_kerbs: bool = False
+    write: Callable[[PinholeFrame], FrameAnnotation | None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampleFormat(Format):
+    """A format that takes samples as they are. Images are copied byte for byte, and encoded anew only if their path
+    asks for the other image format.
+
+    Data sets must have the passes `passes`; frames come with their sweeps if it `takes_sweeps`. If it `is_per_scene`,
+    only the first frame of each scene is written.
+    """
+
+    passes: tuple[str, ...] = ()
+    takes_sweeps: bool = False
+    is_per_scene: bool = False
+    write: Callable[[SampleFrame], FrameAnnotation | None]

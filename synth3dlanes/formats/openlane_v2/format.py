@@ -1,0 +1,16 @@
+"""The format openlane_v2."""
+
+from synth3dlanes.formats.format import SampleFormat
+from synth3dlanes.formats.openlane_v2.verify import RULE, read, verify
+from synth3dlanes.formats.openlane_v2.write import README, annotate, document
+
+FORMAT = SampleFormat(
+    title="OpenLane-V2: lanes as a map, and which follows which",
+    readme=README,
+    write=annotate,
+    read=read,
+    verify=verify,
+    tolerances={RULE.unit: RULE.limit},
+    document=document,
+    counted="lane segments",
+)

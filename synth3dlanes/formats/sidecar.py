@@ -1,0 +1,53 @@
+"""`sidecar.jsonl` of exports whose format has no place for the camera or for our ids: a line of JSON for each image."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Generic, TypeVar
+
+from synth3dlanes.errors import FormatError
+from synth3dlanes.formats.reading import read_file
+from synth3dlanes.formats.writing import PinholeFrame
+from synth3dlanes.json_arrays import JsonMatrix3
+from synth3dlanes.schema import Excerpt, Positive, parse
+
+SIDECAR = "sidecar.jsonl"
+
+
+def sidecar(image: str, frame: PinholeFrame, lines_ids: Sequence[str]) -> tuple[str, tuple[str, ...]]:
+    """A frame's line of `sidecar.jsonl`, for formats that have pixels only: the camera, and where the frame is from."""
+    document = {
+        "image": image,
+        "source": f"{frame.split}/{frame.key}",
+        "img_from_cv": frame.pinhole.img_from_cv.tolist(),
+        "camera_height_m": frame.labels.camera.height_m,
+        "camera_pitch_rad": frame.labels.camera.pitch_rad,
+        "lines_ids": list(lines_ids),
+    }
+    return json.dumps(document), (SIDECAR,)
+
+
+class Sidecar(Excerpt):
+    """A frame's line, of formats that have pixels only."""
+
+    image: str
+    img_from_cv: JsonMatrix3
+    camera_height_m: Positive
+    camera_pitch_rad: float
+    lines_ids: list[str]
+
+
+Line = TypeVar("Line", bound=Excerpt)
+
+
+class Sidecars(dict[str, Line], Generic[Line]):
+    """The lines of an export by the images that `key` names; FormatError for an image without one."""
+
+    def __init__(self, out: Path, model: type[Line], key: str = "image") -> None:
+        self.path = out / SIDECAR
+        for number, line in enumerate(read_file(self.path).splitlines(), start=1):
+            found = parse(model, line, f"{self.path}:{number}", "a frame of an export")
+            self[getattr(found, key)] = found
+
+    def __missing__(self, image: str) -> Line:
+        raise FormatError(f"{self.path}: expected a line of the image {image}, got none")

@@ -1,0 +1,86 @@
+"""The objects of a sample's passes, and how far the masks of an export are from them. Masks are the sorted numbers of
+their pixels, row by row."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.ndimage import distance_transform_edt
+
+from synth3dlanes.formats.comparing import Comparison, Gap, Truth
+from synth3dlanes.formats.segments import STUFF
+from synth3dlanes.settings import FIRST_DELIMITER_ID, SEMANTIC_IDS
+
+Mask = Int[np.ndarray, " _"]
+
+LIMIT_PX = 0.5
+"""Masks are exact."""
+
+
+@dataclass(frozen=True, eq=False)
+class Thing:
+    """An object: its class and its pixels."""
+
+    of_class: str
+    mask: Mask
+
+
+def things(truth: Truth) -> dict[str, Thing]:
+    """All objects of a sample by their names: paint by the id of its line."""
+    semantic, instance = (truth.passes[name].ravel().astype(np.int64) for name in ("semantic", "instance"))
+    names = {number: name for name, number in SEMANTIC_IDS.items()}
+    delimiters = [lane.id for lane in truth.labels.lanes if lane.kind == "delimiter"]
+    pairs = semantic << 32 | instance
+    values, counts = np.unique(pairs, return_counts=True)
+    masks = np.split(np.argsort(pairs, kind="stable"), np.cumsum(counts)[:-1])
+    found = dict[str, Thing]()
+    for pair, mask in zip(values.tolist(), masks, strict=True):
+        of_class, number = names[pair >> 32], pair & 0xFFFFFFFF
+        line = number - FIRST_DELIMITER_ID
+        is_line = of_class == "marking" and 0 <= line < len(delimiters)
+        if of_class not in STUFF:
+            found[delimiters[line] if is_line else f"{of_class} {number}"] = Thing(of_class, mask)
+    return found
+
+
+def compare_masks(found: Mapping[str, Mask], ours: Mapping[str, Mask], shape: tuple[int, int]) -> Comparison:
+    """Masks of pictures of this shape by the names of their objects."""
+    gaps = [_gap(name, mask, ours[name], shape) for name, mask in found.items() if name in ours]
+    problems = [f"{name}: expected an object of the passes, got none of it" for name in found.keys() - ours.keys()]
+    problems += [f"{name}: expected a mask of it, got none" for name in ours.keys() - found.keys()]
+    problems += (
+        f"{gap.lane}: expected its pixels as in the passes, got some {gap.worst:.3g} px away"
+        for gap in gaps
+        if gap.worst > LIMIT_PX
+    )
+    return Comparison(len(found), tuple(gaps), tuple(sorted(problems)))
+
+
+def most_shared(mask: Mask, ours: Mapping[str, Mask], shape: tuple[int, int]) -> str | None:
+    """The one of ours that has most of the pixels; the nearest one where none has any."""
+    if not ours:
+        return None
+    shares = {name: len(np.intersect1d(mask, other, assume_unique=True)) for name, other in ours.items()}
+    if max(shares.values()):
+        return max(shares, key=lambda name: shares[name])
+    middles = {name: np.mean(np.unravel_index(other, shape), axis=1) for name, other in ours.items()}
+    middle = np.mean(np.unravel_index(mask, shape), axis=1)
+    return min(middles, key=lambda name: float(np.linalg.norm(middles[name] - middle)))
+
+
+def _gap(name: str, found: Mask, ours: Mask, shape: tuple[int, int]) -> Gap:
+    """How far pixels that only one of two masks has are from the other."""
+    if np.array_equal(found, ours):
+        return Gap(name, "px", 0.0, 0.0)
+    apart = np.concatenate([_beyond(found, ours, shape), _beyond(ours, found, shape)])
+    return Gap(name, "px", float(apart.max()), float(np.median(apart)))
+
+
+def _beyond(mask: Mask, other: Mask, shape: tuple[int, int]) -> Float[np.ndarray, " _"]:
+    """Distances of the pixels that the other mask lacks from it."""
+    if not len(other):
+        return np.full(1, float(np.hypot(*shape)))
+    off = np.ones(shape, dtype=bool)
+    off.ravel()[other] = False
+    return np.asarray(distance_transform_edt(off)).ravel()[np.setdiff1d(mask, other, assume_unique=True)]

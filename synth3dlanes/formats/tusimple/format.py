@@ -1,0 +1,19 @@
+"""The format tusimple."""
+
+from synth3dlanes.formats.format import PinholeFormat
+from synth3dlanes.formats.tusimple.convention import CAMERA
+from synth3dlanes.formats.tusimple.verify import RULE, read, verify
+from synth3dlanes.formats.tusimple.write import LABEL_FILES, README, annotate
+
+FORMAT = PinholeFormat(
+    title="tuSimple: up to five lane lines in the image, by row",
+    readme=README,
+    write=annotate,
+    read=read,
+    verify=verify,
+    tolerances={RULE.unit: RULE.limit},
+    camera=CAMERA,
+    is_f_free=False,
+    is_size_free=False,
+    lists=LABEL_FILES,
+)
