@@ -60,7 +60,7 @@ def info(folder: str, as_json: bool) -> None:
     click.echo(
         f"{counted(recipe['render']['samples'], 'sample')} per pixel on {recipe['render']['device']}, passes: {passes}"
     )
-    clip = f"; {counted(found.frames_per_scene, 'frame')} per scene, {found.frames_per_second:g} per second"
+    clip = f"; {counted(found.frames_per_scene, 'frame')} per scene, {found.frames_per_second or 0:g} per second"
     cameras = f", cameras {', '.join(found.cameras)}" if found.cameras else ""
     click.echo(f"{found.preset}: {', '.join(found.image_sizes)} px{cameras}{clip * (found.frames_per_scene > 1)}")
     if "derived" in recipe:

@@ -63,16 +63,22 @@ def dataset_info(url: str) -> DatasetInfo:
         found = tuple(_split(root_url, recipe, name, asked) for name, asked in splits.items())
     shots = recipe.get("shots", {})
     own, frames = shots.get("cameras", []), int(shots.get("frames", 1))
-    sizes = (f"{camera['width_px']}x{camera['height_px']}" for camera in own or [recipe["params"]["camera"]])
+    # People may have edited them: what is no camera is left out.
+    cameras = [camera for camera in own or [recipe["params"].get("camera")] if isinstance(camera, dict)]
+    sizes = (f"{camera.get('width_px')}x{camera.get('height_px')}" for camera in cameras)
     return DatasetInfo(
         {key: value for key, value in recipe.items() if key != "splits"},
         preset_of(recipe["params"]),
         tuple(dict.fromkeys(sizes)),
-        tuple(camera["name"] for camera in own if camera.get("name")),
+        tuple(str(camera["name"]) for camera in cameras if camera.get("name")),
         frames,
-        float(shots["fps"]) if frames > 1 else None,
+        _number(shots.get("fps")) if frames > 1 else None,
         found,
     )
+
+
+def _number(value: object) -> float | None:
+    return float(value) if isinstance(value, int | float) else None
 
 
 def _split(place: str, description: dict[str, Any], name: str, asked: int) -> SplitInfo:
