@@ -68,6 +68,12 @@ def index_row(
     return row | _topology(scene, labels) | _summary(labels)
 
 
+def numbers_of(scene: Scene, labels: Labels) -> dict[str, Any]:
+    """What a row of the index says of a scene and its labels, wherever these lie."""
+    row = index_row("0", {}, "", scene, labels)
+    return {name: value for name, value in row.items() if name not in ("key", "index", "sha256")}
+
+
 def table(rows: list[dict[str, Any]], recipe: str = "") -> pa.Table:
     """The index of a shard. All shards of a data set have the same columns. `recipe` is the recipe of the rows, "" if
     unknown."""

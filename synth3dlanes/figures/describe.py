@@ -2,6 +2,7 @@
 
 import math
 from collections import Counter
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -126,6 +127,24 @@ def object_row(item: ObjectLabel) -> tuple[str, ...]:
     points = "-" if item.lidar_points is None else str(item.lidar_points)
     places = (", ".join(f"{value:.2f}" for value in values) for values in (item.center_cam, item.size_m))
     return (str(item.id), item.category, *places, speed, seen, f"{100 * item.truncation:.0f} %", points)
+
+
+def scene_document(scene: Scene, labels: Labels) -> dict[str, Any]:
+    """The lanes of a scene and its summary in words, for JSON."""
+    return {"lanes": [lane_document(lane) for lane in labels.lanes], "summary": describe(scene, labels)}
+
+
+def lane_document(lane: Lane) -> dict[str, Any]:
+    """A lane's row for JSON, with numbers as such; None for what is not known before rendering."""
+    in_image, seen = lane.in_image, lane.visible
+    return {
+        **{"id": lane.id, "kind": lane.kind, "road": lane.road, "marking": lane.marking},
+        "n_points": len(lane.xyz_cam),
+        "n_in_image": int(in_image.sum()),
+        "n_over_ground": int((in_image & lane.terrain_visible).sum()),
+        "n_visible": None if lane.object_visible is None else int(seen.sum()),
+        "seen_to_m": round(float(lane.xyz_cam[seen, 1].max()), 3) if seen.any() else None,
+    }
 
 
 def heights_over_road_plane(labels: Labels) -> tuple[float, float]:

@@ -70,7 +70,7 @@ class Benchmark(DocumentPart):
         found = labels_digest(reader.labels(i) for i in range(len(reader)))
         if found != expected.labels:
             yield (
-                f"{reader.url}: expected labels of digest {expected.labels:.12}..., got {found:.12}...: they are not "
+                f"{reader.url}: expected labels of digest {expected.labels or 'none yet'}, got {found}: they are not "
                 "those of the benchmark, so its scores do not compare"
             )
 
