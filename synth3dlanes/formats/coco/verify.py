@@ -10,11 +10,11 @@ from jaxtyping import Shaped
 from pydantic import Field
 
 from synth3dlanes.errors import FormatError
-from synth3dlanes.formats.comparing import Comparison, Truth
+from synth3dlanes.formats.comparing import Comparison, SourceSample
 from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.reading import MOST_BYTES, image_size, read_file, read_mask
 from synth3dlanes.formats.segments import STUFF
-from synth3dlanes.formats.things import Mask, compare_masks, most_shared, things
+from synth3dlanes.formats.things import PixelNumbers, compare_masks, most_shared, things
 from synth3dlanes.schema import MAX_PX, Excerpt, PathBelow, parse
 from synth3dlanes.settings import SEMANTIC_IDS
 
@@ -90,11 +90,11 @@ def _parsed(model: type[Document], path: Path) -> Document:
     return parse(model, read_file(path), str(path), "annotations of COCO", MOST_BYTES)
 
 
-def verify(frame: ReadFrame, truth: Truth) -> Comparison:
+def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     """The mask of each instance, and the segment of each pixel."""
     infos, pixels, instances = frame.content
     ours, classes = things(truth), {number + 1: name for name, number in SEMANTIC_IDS.items()}
-    found, problems = dict[str, Mask](), list[str]()
+    found, problems = dict[str, PixelNumbers](), list[str]()
     for instance in instances:
         mask = _decoded(instance.segmentation, pixels.shape)
         if mask is None or not len(mask):
@@ -114,7 +114,7 @@ def verify(frame: ReadFrame, truth: Truth) -> Comparison:
     return compared.because([*problems, *_segment_problems(infos, pixels, truth)])
 
 
-def _segment_problems(infos: list[_Segment], pixels: Shaped[np.ndarray, "h w"], truth: Truth) -> Iterator[str]:
+def _segment_problems(infos: list[_Segment], pixels: Shaped[np.ndarray, "h w"], truth: SourceSample) -> Iterator[str]:
     """Findings unless segments and objects divide the picture in the same way, and categories and areas are theirs."""
     semantic, instance = (truth.passes[name].astype(np.int64) for name in ("semantic", "instance"))
     is_stuff = np.isin(semantic, [SEMANTIC_IDS[name] for name in STUFF])
@@ -133,7 +133,7 @@ def _segment_problems(infos: list[_Segment], pixels: Shaped[np.ndarray, "h w"], 
             yield f"segment {info.id}: expected the category {classes[0] + 1}, got {info.category_id}"
 
 
-def _decoded(runs: _Runs, shape: tuple[int, int]) -> Mask | None:
+def _decoded(runs: _Runs, shape: tuple[int, int]) -> PixelNumbers | None:
     """The mask of run lengths, which go down the columns; None where they are not those of an image of this size."""
     if runs.size != shape or sum(runs.counts) != shape[0] * shape[1]:
         return None
