@@ -19,7 +19,8 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from synth3dlanes.errors import FormatError
 from synth3dlanes.files import Folder, open_regular
 from synth3dlanes.frames import transform
-from synth3dlanes.labels import JsonPoints, LaneKind
+from synth3dlanes.json_arrays import JsonPoints
+from synth3dlanes.labels import LaneKind
 from synth3dlanes.schema import MAX_BYTES, Excerpt, Metres, Number, Unit, parse
 
 from .poses import Pose, cam_from_road
@@ -111,7 +112,7 @@ def to_line(prediction: Prediction) -> str:
 
 
 def write_predictions(path: Path, predictions: Iterable[Prediction]) -> None:
-    """A killed run leaves no partial file."""
+    """Write predictions as JSON lines. A killed process leaves no partial file."""
     folder = Folder(path.parent)
     folder.remove_unfinished(path.name)
     with folder.replacing(path.name) as file:

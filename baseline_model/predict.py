@@ -20,7 +20,7 @@ from .inference import Detector, choose_device
 from .lanes import Prediction, write_predictions
 from .overlay import save_overlay
 from .photographs import open_tusimple
-from .sources import image_files, open_split
+from .sources import IMAGE_SUFFIXES, image_files, open_split
 from .tusimple import check_plane
 
 ASSUMED_FOV_DEG = 60.0
@@ -62,7 +62,7 @@ class _Picture:
 
 
 def _shrunk(picture: _Picture) -> _Picture:
-    """The picture at no more pixels than are shown of it."""
+    """The picture, reduced to the number of pixels that are shown."""
     from_px = size_of(picture.image)
     height, width = (max(1, round(size * min(1.0, MOST_SHOWN_PX / max(from_px)))) for size in from_px)
     to_px = height, width
@@ -141,6 +141,9 @@ def _pictures(source: str | Path, intrinsics: Intrinsics | None) -> Iterator[_Pi
     files = image_files(source)
     if files:
         return (_of_file(file, intrinsics) for file in files)
+    is_here = "://" not in str(source)
+    if is_here and Path(source).suffix.lower() in IMAGE_SUFFIXES:
+        raise InputError(f"{source}: expected an image, got no such file")
     samples = open_split(source)
     if intrinsics is not None:
         raise InputError(f"intrinsics: expected none for {source}, whose labels have them")

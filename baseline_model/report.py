@@ -59,8 +59,14 @@ def summary_line(report: EvaluationReport) -> str:
         errors = kind.at_threshold
         near, far = _cm(errors.near_1sigma_cm), _cm(errors.far_1sigma_cm)
         parts.append(f"{name} AP {kind.ap:.3f} {_why_no_errors(errors) or f'near {near} far {far} cm'}")
-    pose = f"pose {report.pitch_median_deg:.2f} deg {report.height_median_cm:.1f} cm"
-    return "; ".join([*parts, pose])
+    return "; ".join([*parts, *([f"pose {pose}"] if (pose := _pose(report)) else [])])
+
+
+def _pose(report: EvaluationReport) -> str:
+    """The errors of the predicted pose, "" where none was predicted."""
+    if math.isnan(report.pitch_median_deg):
+        return ""
+    return f"{report.pitch_median_deg:.2f} deg {report.height_median_cm:.1f} cm"
 
 
 def to_text(report: EvaluationReport) -> str:
@@ -84,9 +90,7 @@ def to_text(report: EvaluationReport) -> str:
             lines.append(f"  no errors: {why}")
         ap, *paper = papers[name]
         lines.append(f"{'  paper':14}{ap:7.3f}{'':>17}" + "".join(f"{_cm(value):>9}" for value in paper))
-    lines.append(
-        f"pose: median {report.pitch_median_deg:.3f} deg, {report.height_median_cm:.2f} cm (paper: 0.09 deg, 2.4 cm)"
-    )
+    lines.append(f"pose: {f'median {pose}' if (pose := _pose(report)) else 'not predicted'} (paper: 0.09 deg, 2.4 cm)")
     if report.tusimple is not None:
         accuracy, fp, fn = report.tusimple
         lines.append(f"tuSimple: accuracy {accuracy:.4f}, FP {fp:.4f}, FN {fn:.4f} (paper: accuracy 0.951)")

@@ -11,7 +11,7 @@ import click
 from synth3dlanes.errors import InputError, MissingPackageError
 
 from .idle import is_given, refuse_idle, refuse_idle_keys, refuse_repeated, refuse_together
-from .options import json_option
+from .options import OutputFile, json_option
 
 if TYPE_CHECKING:
     from synth3dlanes_baseline.photographs import Photographs
@@ -328,7 +328,7 @@ def ablation(
 
 @click.command()
 @click.argument("checkpoint", metavar="CHECKPOINT|nano|streets")
-@click.argument("path", metavar="FILE.onnx", type=click.Path(dir_okay=False, path_type=Path))
+@click.argument("path", metavar="FILE.onnx", type=OutputFile(".onnx"))
 def onnx(checkpoint: str, path: Path) -> None:
     """Export the network of a checkpoint to ONNX: inputs image and intrinsics; outputs x_m, z_m, score and pose."""
     need_torch()

@@ -17,20 +17,23 @@ def params() -> None:
 @set_option
 @json_option
 def show(source: str, changes: tuple[str, ...], as_json: bool) -> None:
-    """Print a preset or a parameter file, with changes applied, as a complete parameter file."""
-    from synth3dlanes.params import load_params, params_yaml
+    """Print a preset or a parameter file, with changes applied, as a complete parameter file with its comments."""
+    from synth3dlanes.params import forms, load_params
+    from synth3dlanes.params_text import params_yaml
 
     loaded = load_params(source, changes)
-    click.echo(json.dumps(loaded.model_dump(mode="json")) if as_json else params_yaml(loaded), nl=as_json)
+    click.echo(json.dumps(forms(loaded)) if as_json else params_yaml(loaded, source), nl=as_json)
 
 
 @params.command()
 @click.argument("sources", metavar="NAME|FILE...", nargs=-1, required=True)
 @set_option
 def check(sources: tuple[str, ...], changes: tuple[str, ...]) -> None:
-    """Check parameter files and list every problem in them."""
+    """Check parameter files and list every problem in them, and the keys that they leave out."""
     from synth3dlanes.params import check_params
+    from synth3dlanes.params_text import keys_left_out
 
     check_params(sources, changes)
     for source in sources:
-        click.echo(f"{source}: ok")
+        left_out = ", ".join(keys_left_out(source))
+        click.echo(f"{source}: ok" + (f"; left out, so as they are by default: {left_out}" if left_out else ""))

@@ -6,13 +6,17 @@ from pathlib import Path
 
 import click
 from pydantic import BaseModel, ValidationError
+from synth3dlanes_cli.documents import Outputs
 from synth3dlanes_cli.main import main
 
+from scripts.results import models_page, with_benchmarks
 from synth3dlanes.assets.catalogue import BUILT_IN
+from synth3dlanes.distributions import Distribution
 from synth3dlanes.figures.stats import form as written
 from synth3dlanes.labels import LabelsDocument
-from synth3dlanes.params import Params, forms, load_params, presets_folder
-from synth3dlanes.sampling.weather import DAYTIMES, KINDS, Distribution
+from synth3dlanes.params import Params, forms, load_params, preset_names
+from synth3dlanes.params_text import REFERENCE, comments_of
+from synth3dlanes.sampling.weather import DAYTIMES, KINDS
 from synth3dlanes.scene import Scene
 from synth3dlanes.validate.checks import ALWAYS, CHECKS
 
@@ -21,7 +25,8 @@ FOLDER = Path(__file__).parents[1] / "docs"
 CLI_HEAD = r"""# Commands
 
 This page is the output of `synth3dlanes COMMAND --help`. `python -m synth3dlanes COMMAND` runs the same program when
-the `synth3dlanes` script is not on your PATH. Commands whose results other programs may want have `--json`.
+the `synth3dlanes` script is not on your PATH. Commands whose results other programs may want have `--json`;
+[outputs.schema.json](outputs.schema.json) is the JSON Schema of what each prints, under the command's name.
 
 | exit code | meaning |
 |---|---|
@@ -45,23 +50,32 @@ file of your shell:
 
 PARAMS_HEAD = """# Parameters
 
-A parameter file is a YAML file with all of the keys below. Each value has one of three forms:
+A parameter file is a YAML file with the keys below. Each value has one of these forms:
 
 ```yaml
 lane_width_m: [3.2, 4.0]      # uniform; integers include both ends
+lane_width_m: 3.6 +- 0.4      # the same: value +- spread
 n_lanes: {2: 0.5, 3: 0.3}     # value: weight
 height_m: 1.5                 # constant
 ```
 
 Start from a preset: `synth3dlanes params show realistic > mine.yaml`. Check the file with `synth3dlanes params check
 mine.yaml` and use it with `--params mine.yaml`. To change a single key, use `--set camera.pitch_deg=3`. Fixing one key
-does not change the random values of the others. Lengths are in metres, angles in degrees.
+does not change the random values of the others. Lengths are in metres, angles in degrees. A file may leave out keys and
+groups that were added after version 0.1.0, which have the constants of `appendix_i` then; `params check` names them.
 
 Four rules change what is drawn: weather and time of day replace ranges (below); topologies 3 and 4 have at least two
 lanes; a median needs oncoming lanes and at least a metre; the host's lane is one of those present. Oncoming lanes that
 would fold on the inside of a sharp bend are left out. `synth3dlanes stats` tests what was drawn against these rules.
 
 "ours" marks what the paper does not specify; [decisions.md](decisions.md) has the reasons.
+"""
+
+# Presets with a column of their own; the others are one of these but for some keys.
+PRESETS = (REFERENCE, "realistic", "diverse", "streets")
+Forms = dict[str, dict[str, object]]
+
+OTHERS_HEAD = """## Other presets
 """
 
 WEATHER_HEAD = """## Weather and time of day
@@ -78,7 +92,10 @@ def pages() -> dict[str, str]:
         "params.md": params_page(),
         "scene.schema.json": json.dumps(Scene.model_json_schema(), indent=1) + "\n",
         "labels.schema.json": json.dumps(LabelsDocument.model_json_schema(), indent=1) + "\n",
+        "outputs.schema.json": json.dumps(Outputs.model_json_schema(), indent=1) + "\n",
         "cluster.md": with_files((FOLDER / "cluster.md").read_text()),
+        "benchmarks.md": with_benchmarks((FOLDER / "benchmarks.md").read_text()),
+        "models.md": models_page(),
         "validate.md": with_checks((FOLDER / "validate.md").read_text()),
     }
 
@@ -125,18 +142,31 @@ def commands() -> list[tuple[str, click.Command]]:
 
 
 def params_page() -> str:
-    """Every key: what it may be, what two presets say, what it means."""
-    paper, realistic = (forms(load_params(name)) for name in ("appendix_i", "realistic"))
+    """Every key: what it may be, what the presets say, what it means."""
+    presets = {name: forms(load_params(name)) for name in PRESETS}
     legal, comments = legal_values(), preset_comments()
     parts = [PARAMS_HEAD]
-    for group, keys in paper.items():
-        parts += [f"## {group}\n", "| key | legal values | appendix_i | realistic | meaning |", "|---|---|---|---|---|"]
-        for key, form in keys.items():
-            cells = (f"`{key}`", legal[group, key], shown(form), shown(realistic[group][key]), comments[group, key])
-            parts.append(f"| {' | '.join(cells)} |")
+    for group, keys in presets[REFERENCE].items():
+        parts += [f"## {group}\n", f"| key | legal values | {' | '.join(PRESETS)} | meaning |"]
+        parts.append(f"|---|---|{'---|' * len(PRESETS)}---|")
+        for key in keys:
+            values = (shown(preset[group][key]) for preset in presets.values())
+            parts.append(f"| {' | '.join((f'`{key}`', legal[group, key], *values, comments[group, key]))} |")
         parts.append("")
     parts += [WEATHER_HEAD, *weather_table("kind", KINDS), "", *weather_table("daytime", DAYTIMES), ""]
-    return "\n".join(parts)
+    parts += [OTHERS_HEAD, "| preset | is | but |", "|---|---|---|"]
+    others = {name: forms(load_params(name)) for name in preset_names() if name not in PRESETS}
+    for name, values_of in others.items():
+        base = min(PRESETS, key=lambda preset: len(differing(presets[preset], values_of)))
+        told = (f"`{key}` {shown(value)}" for key, value in differing(presets[base], values_of).items())
+        parts.append(f"| {name} | {base} | {', '.join(told)} |")
+    return "\n".join([*parts, ""])
+
+
+def differing(base: Forms, other: Forms) -> dict[str, object]:
+    """The values of the keys that differ from those of another preset."""
+    keys = [(group, key) for group in base for key in base[group]]
+    return {f"{group}.{key}": other[group][key] for group, key in keys if base[group][key] != other[group][key]}
 
 
 def weather_table(name: str, table: dict[str, dict[str, Distribution]]) -> list[str]:
@@ -182,12 +212,14 @@ def legal_values() -> dict[tuple[str, str], str]:
 
 def preset_comments() -> dict[tuple[str, str], str]:
     """What the comment beside each key of the reference preset says."""
-    comments, group = {}, ""
-    for line in (presets_folder() / "appendix_i.yaml").read_text().splitlines():
-        if found := re.match(r"(\w+):", line):
-            group = found[1]
-        elif found := re.match(r"  (\w+):[^#]*(?:# (.*))?$", line):
-            comments[group, found[1]] = found[2] or ""
+    comments = {(group, key): comment for (group, key), comment in comments_of(REFERENCE).items() if key}
+    wanted = [(group, key) for group, keys in forms(load_params(REFERENCE)).items() for key in keys]
+    missing = [f"{group}.{key}" for group, key in wanted if (group, key) not in comments]
+    if missing:
+        raise SystemExit(
+            f"params/{REFERENCE}.yaml: expected a line with a comment for every parameter, got none for "
+            f"{', '.join(missing)}; add it to the group there (CONTRIBUTING.md lists the other places)"
+        )
     return comments
 
 

@@ -24,6 +24,7 @@ ELSEWHERE = {
     "ARCHITECTURE.md": "architecture.md",
     "CONTRIBUTING.md": "contributing.md",
     "CHANGELOG.md": "changelog.md",
+    "examples/README.md": "examples.md",
     "examples/first_steps.ipynb": "notebook.md",
 }
 # The page of docstrings, and the group that it is in.

@@ -4,6 +4,7 @@ Each has one method, `draw(u)`. No side effects.
 """
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
@@ -14,6 +15,8 @@ from pydantic import PlainSerializer, PlainValidator
 from synth3dlanes.yaml_text import value_of
 
 MAX_WEIGHT = 1e12
+NUMBER = r"([-+]?[\d.]+(?:[eE][-+]?\d+)?)"
+SPREAD = re.compile(rf"\s*{NUMBER}\s*(?:\+-|\+/-|±)\s*{NUMBER}\s*")
 
 Value = TypeVar("Value", bool, int, float, str)
 
@@ -58,8 +61,11 @@ class Choice(Generic[Value]):
         )
 
     def mapped(self, change: Callable[[Value], Value]) -> "Choice[Value]":
-        """The distribution of changed values, of which several may be equal; at every u its draw is the changed one."""
+        """The distribution whose draw at u is `change(value)` of the draw here; several values may become equal."""
         return Choice(tuple(map(change, self.values)), self.weights)
+
+
+Distribution = Uniform | Integers | Choice[Any]
 
 
 def least(distribution: Integers | Choice[int]) -> int:
@@ -78,15 +84,15 @@ def at_most(distribution: Integers | Choice[int], high: int) -> Choice[int]:
 
 
 def as_choice(distribution: Integers | Choice[int]) -> Choice[int]:
-    """The same distribution as a list of values."""
+    """The same distribution as a `Choice`."""
     if isinstance(distribution, Choice):
         return distribution
     values = tuple(range(distribution.low, distribution.high + 1))
     return Choice(values, (1.0,) * len(values))
 
 
-def form(distribution: Uniform | Integers | Choice[Any]) -> Any:
-    """The YAML form that a distribution was read from."""
+def form(distribution: Distribution) -> Any:
+    """The YAML form that the distribution was read from."""
     if not isinstance(distribution, Choice):
         return [distribution.low, distribution.high]
     if len(distribution.values) == 1:
@@ -123,8 +129,20 @@ def _between(low: float, high: float, is_number: Callable[[object], bool], above
     return lambda value: is_number(value) and (low < value if above else low <= value) and value <= high
 
 
+def spread_as_pair(form: Any) -> Any:
+    """`[low, high]` for the text `value +- spread`; whole numbers stay whole. Everything else as it is."""
+    found = SPREAD.fullmatch(form) if isinstance(form, str) else None
+    if found is None:
+        return form
+    try:
+        value, by = (value_of(number) for number in found.groups())
+        return [value - by, value + by]
+    except TypeError:
+        return form
+
+
 def is_pair(form: object) -> bool:
-    """Whether a parameter is written as a list: `[low, high]`."""
+    """Whether a value is written as a list: `[low, high]`."""
     return isinstance(form, list | tuple)
 
 
@@ -136,6 +154,7 @@ def reals(low: float, high: float, above: bool = False) -> PlainValidator:
     def parse(form: Any) -> Uniform | Choice[float]:
         if isinstance(form, Uniform | Choice):
             return form
+        form = spread_as_pair(form)
         if not is_pair(form):
             choice = _choice(form, is_legal, legal)
             return Choice(tuple(map(float, choice.values)), choice.weights)
@@ -154,6 +173,7 @@ def parse_integers(form: Any, low: int, high: int) -> Integers | Choice[int]:
     """Read an integer parameter with these limits."""
     if isinstance(form, Integers | Choice):
         return form
+    form = spread_as_pair(form)
     is_legal = _between(low, high, _is_integer, above=False)
     legal = f"integers from {low} to {high} as [low, high], {{value: weight}} or a constant"
     return Integers(*_checked_pair(form, is_legal, legal)) if is_pair(form) else _choice(form, is_legal, legal)
@@ -174,7 +194,7 @@ def _parse_flag(form: Any) -> Choice[bool]:
 
 
 def names(*legal: str) -> PlainValidator:
-    """The legal names of a parameter that is one of several kinds."""
+    """The legal names of a parameter that is a choice of names."""
 
     def parse(form: Any) -> Choice[str]:
         return form if isinstance(form, Choice) else _choice(form, legal.__contains__, f"one of {', '.join(legal)}")

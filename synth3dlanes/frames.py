@@ -29,6 +29,34 @@ def from_axes(x: AnyPoints3, y: AnyPoints3, z: AnyPoints3, origin: AnyPoints3) -
     return outer_from_inner
 
 
+def quaternion(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"]:
+    """The unit quaternion (w, x, y, z), w >= 0, of a rotation."""
+    (a, b, c), (d, e, f), (g, h, i) = rotation
+    # Four forms of the same, each times another of its components: the largest is the most exact.
+    forms = np.array(
+        [
+            [1 + a + e + i, h - f, c - g, d - b],
+            [h - f, 1 + a - e - i, b + d, c + g],
+            [c - g, b + d, 1 - a + e - i, f + h],
+            [d - b, c + g, f + h, 1 - a - e + i],
+        ]
+    )
+    form = forms[forms.diagonal().argmax()]
+    return np.asarray(form / np.linalg.norm(form) * (1 if form[0] >= 0 else -1))
+
+
+def rotation(wxyz: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
+    """The rotation of a quaternion (w, x, y, z) of any length but 0."""
+    w, x, y, z = wxyz / np.linalg.norm(wxyz)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
 def road_from_cam(height_m: float, pitch_rad: float, roll_rad: float = 0.0, yaw_rad: float = 0.0) -> Matrix4:
     """The camera's pose over the road plane: `height_m` above its foot, turned by `yaw_rad` (positive =
     counter-clockwise seen from above: to the left), then pitched by `pitch_rad` (positive = down) and rolled about its

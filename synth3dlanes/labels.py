@@ -4,17 +4,19 @@ Points are in camera coordinates (x right, y along the viewing direction, z up),
 """
 
 import json
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal, TypeAlias
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
-from pydantic import FailFast, Field, GetCoreSchemaHandler, with_config
-from pydantic_core import CoreSchema, core_schema
+from pydantic import Field, with_config
 
 from synth3dlanes.frames import inside_image
+from synth3dlanes.json_arrays import JsonMask, JsonMatrix3, JsonMatrix4, JsonPoints, rounded
 from synth3dlanes.lens import PINHOLE, Lens
-from synth3dlanes.schema import STRICT, Name, Number, Part, PixelCount, Positive, SymbolKind, Unit, parse
+from synth3dlanes.object_labels import ObjectLabel, object_document
+from synth3dlanes.schema import STRICT, DocumentPart, Name, Number, PixelCount, Positive, SymbolKind, Unit, parse
 
 LABELS_FORMAT, LABELS_VERSION = "synth3dlanes.labels", 1
 
@@ -28,37 +30,14 @@ Pair = Literal["solid_dashed", "dashed_solid"]
 Direction = Literal["same", "oncoming"]
 
 
-@dataclass(frozen=True)
-class _Json:
-    """The JSON form of an array, and its shape and type."""
-
-    form: Any
-    shape: tuple[int, ...]
-    dtype: type
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        form = handler.generate_schema(Annotated[self.form, FailFast()])
-        return core_schema.no_info_after_validator_function(self._array, form)
-
-    def _array(self, values: Any) -> np.ndarray:
-        return np.array(values, self.dtype).reshape(self.shape)
-
-
-Row3: TypeAlias = tuple[Number, Number, Number]
-Row4: TypeAlias = tuple[Number, Number, Number, Number]
-JsonMatrix3 = Annotated[Float[np.ndarray, "3 3"], _Json(tuple[Row3, Row3, Row3], (3, 3), float)]
-JsonMatrix4 = Annotated[Float[np.ndarray, "4 4"], _Json(tuple[Row4, Row4, Row4, Row4], (4, 4), float)]
-JsonPoints = Annotated[Float[np.ndarray, "n 3"], _Json(list[Row3], (-1, 3), float)]
-JsonMask = Annotated[Bool[np.ndarray, " n"], _Json(list[Literal[0, 1]], (-1,), bool)]
-
-
 @with_config(STRICT)
 @dataclass(frozen=True, eq=False)
 class CameraLabel:
-    """The camera whose frame the points are in; `img_from_cam` acts on (x, y, z) of that frame. `roll_rad` is about
-    the viewing axis, positive clockwise as the driver sees it; older labels lack it. `yaw_rad` turns that axis from the
-    host's, positive to the left. `lens` bends what `img_from_cam` makes pixels of; `project` and `rays` go through
-    both. Labels made before version 0.3.0 lack a yaw of 0, an empty `name` and a pinhole's lens."""
+    """The camera that took the image. `img_from_cam` maps (x, y, z) of the camera frame to pixels. `roll_rad` is about
+    the viewing axis, positive clockwise as the driver sees it. `yaw_rad` is the angle from the host's direction to that
+    axis, positive to the left. `lens` is the distortion that `img_from_cam` lacks; `project` and `rays` apply it.
+    Labels made before version 0.3.0 lack `yaw_rad`, `name` and `lens` if these are 0, "" and a pinhole; older ones also
+    lack `roll_rad`."""
 
     width_px: PixelCount
     height_px: PixelCount
@@ -73,19 +52,19 @@ class CameraLabel:
     lens: Lens = PINHOLE
 
     def project(self, points_cam: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
-        """Pixels (u, v) of points; NaN for points that are behind the camera or out of its lens's field."""
+        """Pixels (u, v) of points; NaN for points behind the camera or outside the lens's field."""
         return self.lens.project(self.img_from_cam, points_cam)
 
     def shows(self, points_cam: Float[np.ndarray, "*n 3"]) -> Bool[np.ndarray, "*n"]:
-        """Which points lie within the borders of the image."""
+        """Whether each point is within the borders of the image."""
         return inside_image(self.project(points_cam), self.width_px, self.height_px)
 
     def rays(self, uv: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 3"]:
-        """Unit vectors along which pixels (u, v) look; NaN where the lens has no picture."""
+        """Unit vectors along which pixels (u, v) look; NaN outside the lens's field."""
         return self.lens.rays(self.img_from_cam, uv)
 
     def points(self, uv: Float[np.ndarray, "*n 2"], depth_m: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n 3"]:
-        """The points that pixels (u, v) see at depths y, as the pass `depth` has them."""
+        """The points that pixels (u, v) see at these planar depths, which are those of the pass `depth`."""
         rays = self.rays(uv)
         return np.asarray(rays * (depth_m / rays[..., 1])[..., None])
 
@@ -130,8 +109,8 @@ class Lane:
 @with_config(STRICT)
 @dataclass(frozen=True, eq=False)
 class SymbolLabel:
-    """Paint on the road that bounds no lane: its outline, a closed polygon whose last point is not repeated. For a
-    crosswalk or a gore it is the outline of the whole area. Masks as for lanes."""
+    """Paint on the road that bounds no lane: its outline as a closed polygon, whose last point is not the first one
+    again. The outline of a crosswalk or a gore encloses its whole area. Masks are as for lanes."""
 
     kind: SymbolKind
     xyz_cam: JsonPoints
@@ -200,8 +179,8 @@ class RoadPlane:
 @with_config(STRICT)
 @dataclass(frozen=True, eq=False)
 class LidarLabel:
-    """The lidar beside the camera: its beams from the top one down, the azimuths of a turn, the ranges within which it
-    measures, and its place."""
+    """The lidar beside the camera: the elevations of its beams from the top down, the azimuths of a turn, the ranges
+    that it measures, and its place."""
 
     name: Name
     elevations_rad: Annotated[tuple[Number, ...], Field(min_length=1, max_length=256)]
@@ -218,19 +197,34 @@ class Labels:
     `camera` holds pitch and height over the plane that touches the road at the host; `horizon` is the plane through the
     farthest visible point of the host lane (the paper's 'horizon' variant), None if no point is visible or the camera
     does not look ahead.
-    `car_visible_fraction` is, for each car, the share of the pixels that it would fill, were it alone, in which it is
-    seen; 0 without any such pixel, None until rendered. `symbols` are those of the scene, in its order: arrows, stop
-    lines, crosswalks and gores, none of which is a lane. `lidar` is that of the scene, if it has one.
+    `symbols` are those of the scene, in its order: arrows, stop lines, crosswalks and gores, none of which is a lane.
+    `lidar` is that of the scene, if it has one. `objects` are its cars, in its order; None in older labels, whose
+    seen shares of cars are `older_shares`.
     """
 
     camera: CameraLabel
     lanes: tuple[Lane, ...]
     graph: LaneGraph
     horizon: RoadPlane | None = None
-    car_visible_fraction: tuple[float, ...] | None = None
     symbols: tuple[SymbolLabel, ...] = ()
     time_s: float | None = None
     lidar: LidarLabel | None = None
+    objects: tuple[ObjectLabel, ...] | None = None
+    older_shares: tuple[float, ...] | None = None
+
+    @property
+    def car_visible_fraction(self) -> tuple[float, ...] | None:
+        """For each car, the share of the pixels that it would fill, were it alone, in which it is seen; 0 without any
+        such pixel, None until rendered."""
+        if self.objects is None:
+            return self.older_shares
+        shares = tuple(item.visible_fraction for item in self.objects if item.visible_fraction is not None)
+        return shares if len(shares) == len(self.objects) else None
+
+    def with_seen_shares(self, shares: Sequence[float]) -> "Labels":
+        """The labels with these seen shares of the cars, in the scene's order."""
+        items = zip(self.objects or (), shares, strict=True)
+        return replace(self, objects=tuple(replace(item, visible_fraction=share) for item, share in items))
 
 
 def to_json(labels: Labels) -> str:
@@ -243,12 +237,12 @@ def to_json(labels: Labels) -> str:
         "camera": {
             "width_px": camera.width_px,
             "height_px": camera.height_px,
-            "img_from_cam": _rounded(camera.img_from_cam, 9),
+            "img_from_cam": rounded(camera.img_from_cam, 9),
             "height_m": camera.height_m,
             "pitch_rad": camera.pitch_rad,
             "roll_rad": camera.roll_rad,
-            "road_from_cam": _rounded(camera.road_from_cam, 9),
-            "world_from_cam": _rounded(camera.world_from_cam, 9),
+            "road_from_cam": rounded(camera.road_from_cam, 9),
+            "world_from_cam": rounded(camera.world_from_cam, 9),
             "yaw_rad": camera.yaw_rad,
             "name": camera.name,
             "lens": camera.lens.model_dump(mode="json"),
@@ -265,12 +259,13 @@ def to_json(labels: Labels) -> str:
         "car_visible_fraction": labels.car_visible_fraction,
         "symbols": [_points_document(symbol) for symbol in labels.symbols],
         "time_s": labels.time_s,
-        "lidar": lidar and {**vars(lidar), "cam_from_lidar": _rounded(lidar.cam_from_lidar, 9)},
+        "lidar": lidar and {**vars(lidar), "cam_from_lidar": rounded(lidar.cam_from_lidar, 9)},
+        "objects": None if labels.objects is None else [object_document(item) for item in labels.objects],
     }
     return json.dumps(document, separators=(",", ":"), allow_nan=False)
 
 
-class LabelsDocument(Part):
+class LabelsDocument(DocumentPart):
     """What a network must predict from one image: the whole of `labels.json`. Points in camera coordinates (x right, y
     along the viewing direction, z up), metres. Its JSON Schema is docs/labels.schema.json."""
 
@@ -284,6 +279,7 @@ class LabelsDocument(Part):
     symbols: tuple[SymbolLabel, ...] = ()
     time_s: Annotated[float, Field(ge=0, le=1e6)] | None = None
     lidar: LidarLabel | None = None
+    objects: tuple[ObjectLabel, ...] | None = None
 
 
 def from_json(text: str | bytes, where: str) -> Labels:
@@ -294,21 +290,17 @@ def from_json(text: str | bytes, where: str) -> Labels:
         read.lanes,
         read.graph,
         read.horizon,
-        read.car_visible_fraction,
         read.symbols,
         read.time_s,
         read.lidar,
+        read.objects,
+        None if read.objects is not None else read.car_visible_fraction,
     )
-
-
-def _rounded(values: Float[np.ndarray, "..."], decimals: int) -> Any:
-    # Adding 0.0 turns -0.0 into 0.0, so that equal numbers give equal text.
-    return (np.round(values, decimals) + 0.0).tolist()
 
 
 def _points_document(of: Lane | SymbolLabel) -> dict[str, Any]:
     document = dict(vars(of))
-    document["xyz_cam"] = _rounded(of.xyz_cam, 4)
+    document["xyz_cam"] = rounded(of.xyz_cam, 4)
     for name in MASKS:
         mask = document[name]
         document[name] = None if mask is None else mask.astype(int).tolist()

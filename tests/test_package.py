@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy
 import pytest
 
+pytestmark = pytest.mark.thorough
+
 ROOT = Path(__file__).parents[1]
 NOT_COPIED = (".git", ".venv", ".*_cache", ".hypothesis", "demo", "build", "dist", "*.egg-info")
 BUILD = "import sys; from setuptools import build_meta; print(getattr(build_meta, f'build_{sys.argv[1]}')(sys.argv[2]))"
@@ -91,7 +93,8 @@ def test_the_wheel_has_packages_of_our_names_alone(wheel: Path) -> None:
 
 
 def test_commands_run(python: Path, tmp_path: Path) -> None:
-    from synth3dlanes.params import load_params, params_yaml
+    from synth3dlanes.params import load_params
+    from synth3dlanes.params_text import params_yaml
 
     shown = params_yaml(load_params("appendix_i"))
     assert output([python, "-m", "synth3dlanes", "params", "show"], tmp_path) == shown

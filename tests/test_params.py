@@ -1,5 +1,6 @@
 """Parameter files: every preset loads, and every kind of mistake names its file and key."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,8 @@ from hypothesis import strategies as st
 from synth3dlanes.assets.catalogue import CARS, Assets
 from synth3dlanes.distributions import Choice, Integers, Uniform
 from synth3dlanes.errors import InputError
-from synth3dlanes.params import Params, check_params, forms, load_params, params_yaml, preset_names, presets_folder
+from synth3dlanes.params import Params, check_params, forms, load_params, preset_names, presets_folder
+from synth3dlanes.params_text import keys_left_out, params_yaml
 
 APPENDIX_I = (presets_folder() / "appendix_i.yaml").read_text()
 UNIT = st.floats(0, 1, exclude_max=True)
@@ -202,3 +204,73 @@ def test_all_built_in_models_mean_all_of_a_users(form: str) -> None:
 def test_other_numbers_must_exist_among_a_users() -> None:
     with pytest.raises(InputError, match=r"cars\.model: expected integers from 1 to 3"):
         load_params("appendix_i", ["cars.model=[1, 7]"], Assets(cars=CARS[:3]))
+
+
+@pytest.mark.parametrize("name", preset_names())
+def test_a_shown_preset_is_complete_equal_and_explained(name: str, tmp_path: Path) -> None:
+    """Also where a value was changed, and when it is shown again."""
+    overrides = ["light.exposure=2", "camera.pitch_deg=1 +- 0.5"]
+    changed = load_params(name, overrides)
+    path = tmp_path / "mine.yaml"
+    path.write_text(params_yaml(changed, name))
+    assert load_params(str(path)) == changed
+    assert keys_left_out(str(path)) == []
+    shown = params_yaml(changed, str(path))
+    assert shown == path.read_text()
+    lines = shown.splitlines()
+    meaning = {line.split(":")[0].strip(): line.partition("#")[2] for line in lines if line.startswith("  ")}
+    assert "number of Gaussians" in meaning["n_gaussians"]
+    preset = (presets_folder() / f"{name}.yaml").read_text()
+    assert shown.startswith(preset[: preset.index("\n\n")])
+    assert len([line for line in lines if "#" in line]) > 90
+
+
+def test_the_order_of_choices_stays() -> None:
+    """Draws depend on it."""
+    params = load_params("tiny", ["road.n_lanes={4: 1, 2: 3}", "road.flip_lateral={true: 1, false: 2}"])
+    assert "  n_lanes: {4: 1, 2: 3} " in params_yaml(params)
+    assert "  flip_lateral: {true: 1, false: 2} " in params_yaml(params)
+
+
+def test_params_of_json_have_every_key() -> None:
+    from click.testing import CliRunner
+    from synth3dlanes_cli.main import main
+
+    for name in preset_names():
+        document = json.loads(CliRunner().invoke(main, ["params", "show", name, "--json"]).stdout)
+        assert {group: list(keys) for group, keys in document.items()} == {
+            group: list(keys) for group, keys in forms(load_params("appendix_i")).items()
+        }
+        assert Params.model_validate(document) == load_params(name)
+
+
+def test_what_a_file_leaves_out_is_told(tmp_path: Path) -> None:
+    from click.testing import CliRunner
+    from synth3dlanes_cli.main import main
+
+    path = tmp_path / "mine.yaml"
+    text = params_yaml(load_params("streets"), "streets")
+    start, end = text.index("\nhost:"), text.index("\nvegetation:")
+    path.write_text((text[:start] + text[end:]).replace("  dots:", "  #dots:"))
+    assert keys_left_out(str(path)) == ["markings.dots", "host.*"]
+    told = CliRunner().invoke(main, ["params", "check", str(path), "streets"])
+    assert (told.exit_code, told.stdout) == (
+        0,
+        f"{path}: ok; left out, so as they are by default: markings.dots, host.*\nstreets: ok\n",
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "low", "high"),
+    [("camera.pitch_deg=2 +- 0.5", 1.5, 2.5), ("cars.n=5+-2", 3, 7), ("light.exposure=2 ± 1e-1", 1.9, 2.1)],
+)
+def test_a_value_and_its_spread_are_a_range(change: str, low: float, high: float) -> None:
+    group, key = change.partition("=")[0].split(".")
+    found = getattr(getattr(load_params("tiny", [change]), group), key)
+    assert (found.low, found.high, type(found.low)) == (low, high, type(low))
+
+
+def test_a_spread_out_of_bounds_or_of_no_numbers_is_named() -> None:
+    for change in ("camera.pitch_deg=59 +- 2", "cars.n=5 +- 0.5", "light.exposure=1..2 +- 1", "light.exposure=2 +- -1"):
+        with pytest.raises(InputError, match="expected"):
+            load_params("tiny", [change])

@@ -18,6 +18,7 @@ from synth3dlanes.errors import FormatError
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels, SymbolLabel
 from synth3dlanes.lens import Lens, LensModel
+from synth3dlanes.object_labels import as_seen
 from synth3dlanes.params import load_params, preset_names
 from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.sample import Scenes, sample_scene
@@ -129,14 +130,15 @@ def small() -> Labels:
     points: dict[str, Any] = {"xyz_cam": xyz, **dict.fromkeys(label_file.MASKS, mask)}
     kinds = {lane.kind: lane for lane in labels.lanes}
     fisheye = Lens(model="fisheye", coefficients=(0.1, 0, 0, 0))
-    return replace(
+    small = replace(
         labels,
         camera=replace(labels.camera, yaw_rad=0.1, name="left", lens=fisheye),
         lanes=tuple(replace(lane, **points, direction="oncoming") for lane in kinds.values()),
         horizon=label_file.RoadPlane(0.1, 1.5),
-        car_visible_fraction=(0.5, 1.0),
+        objects=as_seen(labels.objects[:2], np.array([[0, 1], [2, 1]], np.uint16), np.array([1, 1], np.uint16)),
         symbols=(SymbolLabel("gore", **points),),
     )
+    return small.with_seen_shares((0.5, 1.0))
 
 
 def edits(document: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[str, tuple[Any, ...], Any]]:

@@ -4,6 +4,7 @@
 `blender.check_assets` measures a user's files in the same way. Metres.
 """
 
+import re
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import ConfigDict, Field
@@ -13,13 +14,22 @@ AssetKind = Literal["cars", "trees", "roads", "terrains", "skies"]
 KINDS: tuple[AssetKind, ...] = ("cars", "trees", "roads", "terrains", "skies")
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 PositiveMetres = Annotated[float, Field(gt=0)]
+# What detectors call vehicles. A `trailer` is a tractor with its semitrailer.
+VehicleClass = Literal["car", "van", "truck", "bus", "trailer"]
+# Words in the names of a user's files that tell the class, and sizes that do where none is there: all cars are lower
+# than vans, vans than trucks, and only a tractor with its semitrailer is as long.
+CLASS_WORDS: tuple[tuple[str, VehicleClass], ...] = (
+    ("trailer", "trailer"), ("bus", "bus"), ("coach", "bus"), ("truck", "truck"), ("lorry", "truck"), ("van", "van")
+)  # fmt: skip
+TALL_M, TRUCK_M, TRAILER_M = 2.1, 2.8, 13.5
 
 
 @dataclass(frozen=True, config=STRICT)
 class CarModel:
     """Body size and wheels: axles at y = +-wheelbase/2 from the origin, wheels at x = +-track/2, tyres on z = 0. Where
     there are more axles, these are the middles of the front and the rear ones.
-    `sha256` is the digest of a user's file, empty for a built-in model."""
+    `sha256` is the digest of a user's file, empty for a built-in model. Scenes of older versions call all models of a
+    user cars."""
 
     name: str
     length_m: PositiveMetres
@@ -29,6 +39,7 @@ class CarModel:
     track_m: PositiveMetres
     wheel_radius_m: PositiveMetres
     sha256: str = ""
+    category: VehicleClass = "car"
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -64,14 +75,23 @@ CARS = (
     CarModel("sedan", 4.75, 1.83, 1.45, 2.80, 1.58, 0.33),
     CarModel("suv", 4.65, 1.88, 1.70, 2.70, 1.60, 0.36),
     CarModel("pickup", 5.35, 1.92, 1.80, 3.25, 1.64, 0.38),
-    CarModel("van", 5.50, 2.00, 2.35, 3.40, 1.72, 0.35),
-    CarModel("truck", 8.20, 2.45, 3.30, 4.60, 2.05, 0.48),
+    CarModel("van", 5.50, 2.00, 2.35, 3.40, 1.72, 0.35, category="van"),
+    CarModel("truck", 8.20, 2.45, 3.30, 4.60, 2.05, 0.48, category="truck"),
     CarModel("compact", 4.40, 1.78, 1.46, 2.65, 1.54, 0.31),
     CarModel("estate", 4.80, 1.84, 1.50, 2.85, 1.59, 0.33),
     CarModel("crossover", 4.35, 1.82, 1.58, 2.64, 1.56, 0.34),
-    CarModel("semitrailer", 16.50, 2.55, 4.00, 10.10, 2.10, 0.50),
-    CarModel("bus", 12.00, 2.55, 3.10, 5.90, 2.10, 0.48),
+    CarModel("semitrailer", 16.50, 2.55, 4.00, 10.10, 2.10, 0.50, category="trailer"),
+    CarModel("bus", 12.00, 2.55, 3.10, 5.90, 2.10, 0.48, category="bus"),
 )
+
+
+def vehicle_class(name: str, length_m: float, height_m: float) -> VehicleClass:
+    """The class of a model, by its name or else its size; a pickup is a car, as it is among the built-in ones."""
+    found = re.findall("[a-z]+", name.lower())
+    words = (category for word, category in CLASS_WORDS if {word, f"semi{word}", f"mini{word}"} & {*found})
+    by_size: VehicleClass = "trailer" if length_m > TRAILER_M else "truck" if height_m > TRUCK_M else "van"
+    return next(words, by_size if height_m > TALL_M else "car")
+
 
 TREES = (
     TreeModel("broadleaf", 9.0, 3.2),

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
-from synth3dlanes.assets.catalogue import KINDS, AssetKind, Assets, Library
+from synth3dlanes.assets.catalogue import KINDS, AssetKind, Assets, Library, VehicleClass
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.files import open_regular
-from synth3dlanes.schema import Part, Positive, validation_problems
+from synth3dlanes.schema import DocumentPart, Positive, validation_problems
 from synth3dlanes.yaml_text import read_yaml, text_of
 
 NOTES = "assets.yaml"
@@ -58,21 +58,36 @@ class AssetFiles:
     unknown: tuple[str, ...]
 
 
-class CarNotes(Part):
-    """A car's wheels, if they cannot be measured from the names of its parts or from its footprint."""
+class CarNotes(DocumentPart):
+    """A car's wheels, if they cannot be measured from the names of its parts or from its footprint, and its class, if
+    neither its name nor its size tells."""
 
-    wheelbase_m: Positive
-    track_m: Positive
-    wheel_radius_m: Positive
+    wheelbase_m: Positive | None = None
+    track_m: Positive | None = None
+    wheel_radius_m: Positive | None = None
+    category: VehicleClass | None = None
+
+    @model_validator(mode="after")
+    def _has_all_wheels(self) -> "CarNotes":
+        """Check that the wheels have all three measures or none."""
+        missing = [name for name, value in self.wheels.items() if value is None]
+        if 0 < len(missing) < len(self.wheels):
+            raise ValueError(f"{missing[0]}: expected all of {', '.join(self.wheels)} or none, got it missing")
+        return self
+
+    @property
+    def wheels(self) -> dict[str, float | None]:
+        """The measures of the wheels by name."""
+        return {name: getattr(self, name) for name in ("wheelbase_m", "track_m", "wheel_radius_m")}
 
 
-class SkyNotes(Part):
+class SkyNotes(DocumentPart):
     """The azimuth of the sun in a sky picture: degrees from its middle column to the left."""
 
     sun_azimuth_deg: Annotated[float, Field(ge=-360, le=360)]
 
 
-class Notes(Part):
+class Notes(DocumentPart):
     """`assets.yaml`: values that replace the measured ones, by file name without suffix."""
 
     cars: dict[str, CarNotes] = Field(default_factory=dict)

@@ -13,10 +13,11 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image, UnidentifiedImageError
 
-from synth3dlanes.assets.catalogue import AssetKind, Assets, CarModel, Sky, Texture, TreeModel
+from synth3dlanes.assets.catalogue import AssetKind, Assets, CarModel, Sky, Texture, TreeModel, vehicle_class
 from synth3dlanes.assets.folder import (
     AssetFiles,
     AssetRow,
+    CarNotes,
     FolderCheck,
     Notes,
     digest,
@@ -85,10 +86,9 @@ def _car(name: str, path: Path, notes: Notes, found: AssetFindings) -> CarModel 
     found.problems += problems
     if problems:
         return None
-    noted = notes.cars.get(name)
-    wheelbase_m, track_m, radius_m = (
-        (noted.wheelbase_m, noted.track_m, noted.wheel_radius_m) if noted else _wheels(points, imported.wheels)
-    )
+    noted = notes.cars.get(name, CarNotes())
+    measured = [value for value in noted.wheels.values() if value is not None]
+    wheelbase_m, track_m, radius_m = measured or _wheels(points, imported.wheels)
     model = CarModel(
         name,
         length_m=round(length_m, DECIMALS),
@@ -98,8 +98,10 @@ def _car(name: str, path: Path, notes: Notes, found: AssetFindings) -> CarModel 
         track_m=round(track_m, DECIMALS),
         wheel_radius_m=round(radius_m, DECIMALS),
         sha256=digest(path),
+        category=noted.category or vehicle_class(name, length_m, height_m),
     )
-    size = f"{model.length_m:.2f} x {model.width_m:.2f} x {model.height_m:.2f} m, wheelbase {model.wheelbase_m:.2f} m"
+    size = f"{model.category}, "
+    size += f"{model.length_m:.2f} x {model.width_m:.2f} x {model.height_m:.2f} m, wheelbase {model.wheelbase_m:.2f} m"
     _add_row(found, "cars", model, size, _triangles(imported.mesh))
     return model
 
@@ -150,7 +152,7 @@ def _model(path: Path, kind: ModelKind, where: str, found: AssetFindings) -> Imp
 
 
 def _lost_pictures(where: str) -> Iterator[str]:
-    """Pictures that are not packed into the file; they would be missing on another machine."""
+    """The pictures that are not packed into the file, and so would be missing on another machine."""
     for image in bpy.data.images:
         if image.source in ("FILE", "SEQUENCE", "TILED", "MOVIE") and not image.packed_files:
             yield f"{where}: expected its pictures packed (File > External Data > Pack Resources), got {image.filepath}"

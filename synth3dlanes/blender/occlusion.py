@@ -46,13 +46,11 @@ def hidden_by_objects(
 def _meets(
     tree: BVHTree, eye: Float[np.ndarray, "3"], points: Float[np.ndarray, "n 3"], end: float
 ) -> Bool[np.ndarray, " n"]:
-    """Which straight lines from the eye meet a mesh before they come this close to their points."""
+    """Which straight lines from the eye hit a mesh before they are this near to their points."""
     to = points - eye
     reach, origin = np.linalg.norm(to, axis=1), Vector(eye)
-    hits = (
-        tree.ray_cast(origin, Vector(direction), distance)[0] is not None
-        for direction, distance in zip(to / reach[:, None], reach - end, strict=True)
-    )
+    rays = zip((to / reach[:, None]).tolist(), (reach - end).tolist(), strict=True)
+    hits = (tree.ray_cast(origin, direction, distance)[0] is not None for direction, distance in rays)
     return np.fromiter(hits, dtype=bool, count=len(to))
 
 
@@ -71,8 +69,9 @@ def _rays_near(
     to = points_world - eye_world
     reach = np.linalg.norm(to, axis=1)
     offset = centers - eye_world
-    along = np.clip(offset @ (to / reach[:, None]).T, 0, reach)
-    squared = (offset**2).sum(axis=1)[:, None] - 2 * along * (offset @ (to / reach[:, None]).T) + along**2
+    ahead = offset @ (to / reach[:, None]).T
+    along = np.clip(ahead, 0, reach)
+    squared = (offset**2).sum(axis=1)[:, None] - 2 * along * ahead + along**2
     return np.asarray(squared < (radii**2)[:, None])
 
 

@@ -24,6 +24,7 @@ from synth3dlanes.geometry.visibility import seen_over_ground
 from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.imaging.layers import Layers
 from synth3dlanes.labels import Labels
+from synth3dlanes.object_labels import as_seen
 from synth3dlanes.sensors.sweep import Sweep
 from synth3dlanes.settings import RenderSettings
 from synth3dlanes.world import View, World
@@ -34,7 +35,8 @@ LENS_BOUNCES = 2
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
-    """Layers, the labels with `object_visible`, the sweep if the view has a lidar, and the seconds per stage."""
+    """The layers, the labels with `object_visible`, the sweep if the view has a lidar, and the seconds of each
+    stage."""
 
     layers: Layers
     labels: Labels
@@ -64,7 +66,7 @@ def render(
     placed = build(studio(library), world, view, light, lines)
     clock.append(time.perf_counter())
     configure(settings, light.film)
-    # Only for further renders of the same scene, because persistent data ignores changes between scenes.
+    # For further renders of the same scene only: persistent data ignores changes between scenes.
     bpy.context.scene.render.use_persistent_data = "normal" in settings.passes or labels.lidar is not None
     own = studio(library)
     is_bent = not view.camera.lens.is_pinhole
@@ -76,11 +78,13 @@ def render(
         layers = replace(layers, normal=_normals(view.world_from_cam, own.lens if is_bent else own.plain))
     if is_bent:
         layers = layers.only(np.isfinite(rays_of_pixels(view.camera)).all(axis=-1))
-    # The last one, as it turns the camera away.
+    # The sweep comes last, because it moves the camera.
     sweep = None if labels.lidar is None else scan(own.camera, labels.lidar, view.world_from_lidar)
     bpy.context.scene.render.use_persistent_data = False
     clock.append(time.perf_counter())
     seen = with_object_visibility(world, view, labels, placed)
+    objects = as_seen(seen.objects or (), layers.instance, None if sweep is None else sweep.points().instance)
+    seen = replace(seen, objects=objects)
     clock.append(time.perf_counter())
     stages = ("build", "cycles", "passes", "occlusion")
     return Rendering(layers, seen, sweep, dict(zip(stages, np.diff(clock).tolist(), strict=True)))
@@ -96,8 +100,8 @@ def with_object_visibility(world: World, view: View, labels: Labels, placed: lis
     lanes = tuple(replace(lane, object_visible=next(masks)) for lane in labels.lanes)
     symbols = tuple(replace(symbol, object_visible=next(masks)) for symbol in labels.symbols)
     over_ground = partial(seen_over_ground, world.ground, eye)
-    cars = seen_fractions(placed[: len(world.scene.cars)], placed, structures, labels.camera, over_ground)
-    return replace(labels, lanes=lanes, symbols=symbols, car_visible_fraction=cars)
+    shares = seen_fractions(placed[: len(world.scene.cars)], placed, structures, labels.camera, over_ground)
+    return replace(labels, lanes=lanes, symbols=symbols).with_seen_shares(shares)
 
 
 def configure(settings: RenderSettings, film: float) -> None:
@@ -129,7 +133,7 @@ def configure(settings: RenderSettings, film: float) -> None:
     options.film_exposure = film
     layer = blender.view_layers[0]
     layer.use_pass_z = True
-    layer.use_pass_object_index = "instance" in settings.passes
+    layer.use_pass_object_index = True
     layer.use_pass_material_index = True
 
 
@@ -140,7 +144,7 @@ def read_layers(passes: dict[str, np.ndarray], film: float) -> Layers:
         haze=passes[HAZE_PASS][..., :2],
         depth_m=distances(passes),
         semantic=passes["IndexMA"][..., 0].astype(np.uint8),
-        instance=passes["IndexOB"][..., 0].astype(np.uint16) if "IndexOB" in passes else None,
+        instance=passes["IndexOB"][..., 0].astype(np.uint16),
     )
 
 

@@ -13,10 +13,11 @@ from synth3dlanes.blender.occlusion import Bounds, bounding_box, hidden_by_objec
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.labels import CameraLabel
 
-# Rays towards a car's box, most of which hit the car: so many for every car, more for one that is seen in part.
-SOME_RAYS, MORE_RAYS = 100, 400
-# Pixels among which these rays are chosen, and the columns and rows of the grid over the image that finds the boxes.
-CANDIDATES, GRID = 1000, (40, 30)
+# Of the rays towards a car, so many for every car, the others for one that is seen in part.
+SOME_RAYS = 100
+# Rays go through the centres of all pixels in a car's box, or of so many of more; and the columns and rows of the grid
+# over the image that finds the boxes.
+MAX_RAYS, GRID = 1000, (40, 30)
 # Steps of a lattice that is even however many of its points are taken, and leaves no gaps along upright edges, as rows
 # and columns would.
 LATTICE = np.array([0.7548776662466927, 0.5698402909980532])
@@ -44,7 +45,7 @@ def seen_fractions(
 
     found = seen(list(range(len(cars))), 0, SOME_RAYS)
     partly = [i for i, share in enumerate(found) if share.any() and not share.all()]
-    for i, more in zip(partly, seen(partly, SOME_RAYS, MORE_RAYS), strict=True):
+    for i, more in zip(partly, seen(partly, SOME_RAYS, MAX_RAYS), strict=True):
         found[i] = np.concatenate([found[i], more])
     return tuple(round(float(share.mean()), 3) if share.size else 0.0 for share in found)
 
@@ -61,7 +62,8 @@ def _grid(camera: CameraLabel) -> tuple[Points2, Points3]:
 
 
 def _rays(car: MeshInstance, camera: CameraLabel, grid: Points2, grid_rays: Points3) -> Float[np.ndarray, "m 3"]:
-    """Unit vectors in the car's frame from the eye to the car's bounding box, evenly spread over it in the image."""
+    """Unit vectors in the car's frame from the eye through pixels of the car's bounding box; any number of the first of
+    them is evenly spread over it."""
     box = bounding_box(car.mesh.name)
     car_from_cam = invert(car.world_from_object) @ camera.world_from_cam
     turn, eye = car_from_cam[:3, :3].T, car_from_cam[:3, 3] / car.scale
@@ -72,9 +74,17 @@ def _rays(car: MeshInstance, camera: CameraLabel, grid: Points2, grid_rays: Poin
     uv = np.clip(uv[np.isfinite(uv).all(axis=1)], 0, _size(camera))
     if not len(uv) or not np.ptp(uv, axis=0).all():
         return np.zeros((0, 3))
-    pixels = uv.min(axis=0) + np.ptp(uv, axis=0) * (np.arange(CANDIDATES)[:, None] * LATTICE % 1)
-    rays = camera.rays(pixels) @ turn
-    return np.asarray(rays[_meets(box, eye, rays)][:MORE_RAYS])
+    rays = camera.rays(_pixels(np.floor(uv.min(axis=0)), np.ceil(uv.max(axis=0)))) @ turn
+    return np.asarray(rays[_meets(box, eye, rays)])
+
+
+def _pixels(low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"]) -> Points2:
+    """The centres of the pixels of a rectangle, or of MAX_RAYS of them: any number of the first is evenly spread."""
+    columns, rows = (high - low).astype(int)
+    if columns * rows > MAX_RAYS:
+        return low + np.floor((high - low) * (np.arange(MAX_RAYS)[:, None] * LATTICE % 1)) + 0.5
+    pixels = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
+    return low + pixels[np.argsort((pixels @ LATTICE) % 1, kind="stable")] + 0.5
 
 
 def _meets(box: Bounds, eye: Float[np.ndarray, "3"], rays: Points3) -> Bool[np.ndarray, " n"]:

@@ -7,6 +7,8 @@ Rgb = tuple[int, int, int]
 KINDS: dict[LaneKind, Rgb] = {"centerline": (0, 190, 255), "delimiter": (255, 45, 110)}
 """Blue and red: visible on asphalt, grass and sky, and distinguishable with colour blindness."""
 
+OBJECT: Rgb = (255, 196, 0)
+
 ROAD = "#c9ced6"
 GROUND = "#a9c29a"
 TREE = "#4c8a4a"

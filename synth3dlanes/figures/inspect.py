@@ -8,7 +8,14 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 
 from synth3dlanes.figures import colors, views
-from synth3dlanes.figures.describe import LANE_COLUMNS, describe, lane_row, topology_words
+from synth3dlanes.figures.describe import (
+    LANE_COLUMNS,
+    OBJECT_COLUMNS,
+    describe,
+    lane_row,
+    object_row,
+    topology_words,
+)
 from synth3dlanes.figures.passes import draw_pass
 from synth3dlanes.figures.scene_view import SceneView
 from synth3dlanes.figures.shown import ShownScene
@@ -22,7 +29,7 @@ RIG_COLUMNS = 3
 
 
 def summary(scene: Scene, labels: Labels) -> RenderableType:
-    """The scene in words and its lanes in a table, for `rich.print`."""
+    """The scene in words, its lanes in a table and its objects in another, for `rich.print`."""
     facts = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
     for group, values in describe(scene, labels).items():
         for number, (name, value) in enumerate(values.items()):
@@ -34,14 +41,17 @@ def summary(scene: Scene, labels: Labels) -> RenderableType:
         lanes.add_column(name, justify="right", no_wrap=True)
     for lane in labels.lanes:
         lanes.add_row(*lane_row(lane))
-    return Group(facts, lanes)
+    objects = Table(*OBJECT_COLUMNS, box=None, padding=(0, 2, 0, 0))
+    for item in labels.objects or ():
+        objects.add_row(*object_row(item))
+    return Group(facts, lanes, objects) if labels.objects else Group(facts, lanes)
 
 
 def draw_inspect(
     shown: ShownScene,
 ) -> Figure:
-    """One page with the image, its passes, and the scene in 3D, from above with the lidar's points, and from the side;
-    without an image, lanes alone. The images of a rig's cameras are in rows of their own."""
+    """One page: the image, its passes, the scene in 3D, from above with the lidar's points, and from the side. Without
+    an image, the lanes alone are drawn. The images of a rig's cameras have rows of their own."""
     scene, labels, passes, rig = shown.scene, shown.labels, shown.passes, shown.rig
     view = SceneView(scene, labels)
     pass_rows = [names for names in (PASSES[:2], PASSES[2:4], PASSES[4:]) if set(names) & set(passes)]
@@ -82,6 +92,7 @@ def _legend() -> list[Artist]:
         Line2D([], [], color=red, linewidth=2, linestyle=views.DASHES, label="delimiter, dashed"),
         Line2D([], [], color=red, alpha=views.HIDDEN_OPACITY, linewidth=1, label="pale: hidden or outside the image"),
         Line2D([], [], color=red, linewidth=1, linestyle=":", label="dotted, in the image: hidden"),
+        Line2D([], [], color=colors.hexadecimal(colors.OBJECT), linewidth=0.8, label="object"),
         Patch(facecolor=colors.FRUSTUM, alpha=views.FRUSTUM_OPACITY, label="field of view"),
         Line2D([], [], color=colors.FRUSTUM, markeredgecolor=colors.INK, marker="o", linestyle="", label="camera"),
     ]

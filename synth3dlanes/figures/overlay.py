@@ -1,13 +1,14 @@
-"""Draw lanes on an image, where the labels' camera projects them."""
+"""Draw lanes and the boxes of objects on an image, where the labels' camera projects them."""
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 from PIL import Image, ImageDraw
 
-from synth3dlanes.figures.colors import KINDS
+from synth3dlanes.figures.boxes import objects_in_image
+from synth3dlanes.figures.colors import KINDS, OBJECT
 from synth3dlanes.labels import CameraLabel, Labels, Lane
 
 NEAR_M = 0.5
@@ -21,7 +22,8 @@ _HIDDEN_OPACITY = 0.6
 
 
 def draw_overlay(image: UInt8[np.ndarray, "h w 3"], labels: Labels) -> UInt8[np.ndarray, "h w 3"]:
-    """The image with its lanes: solid where they are visible, dotted where the ground or an object hides them.
+    """The image with its lanes, solid where they are visible, dotted where the ground or an object hides them, and the
+    boxes of the objects that are seen.
 
     The image may be resized; the lines are scaled with it. Delimiters are drawn over centre lines.
     """
@@ -29,6 +31,8 @@ def draw_overlay(image: UInt8[np.ndarray, "h w 3"], labels: Labels) -> UInt8[np.
     scale = np.array([width_px / labels.camera.width_px, height_px / labels.camera.height_px])
     thickness_px = max(1.2, width_px / 320)
     drawn = Image.fromarray(image)
+    boxes = [line * scale for _, lines in objects_in_image(labels) for line in lines]
+    drawn.paste(OBJECT, mask=_mask(drawn, boxes, thickness_px / 2))
     for kind, color in KINDS.items():
         mask = Image.new("L", (width_px * _SUPERSAMPLING, height_px * _SUPERSAMPLING))
         draw = ImageDraw.Draw(mask)
@@ -37,6 +41,16 @@ def draw_overlay(image: UInt8[np.ndarray, "h w 3"], labels: Labels) -> UInt8[np.
                 _draw_lane(draw, labels.camera, lane, scale, thickness_px)
         drawn.paste(color, mask=mask.reduce(_SUPERSAMPLING))
     return np.asarray(drawn)
+
+
+def _mask(image: Image.Image, lines: Iterable[Float[np.ndarray, "n 2"]], thickness_px: float) -> Image.Image:
+    """Where thin lines cover an image."""
+    mask = Image.new("L", (image.width * _SUPERSAMPLING, image.height * _SUPERSAMPLING))
+    draw = ImageDraw.Draw(mask)
+    for line in lines:
+        points = np.floor(line * _SUPERSAMPLING).tolist()
+        draw.line([tuple(point) for point in points], fill=255, width=round(thickness_px * _SUPERSAMPLING))
+    return mask.reduce(_SUPERSAMPLING)
 
 
 def stretches_img(camera: CameraLabel, lane: Lane) -> Iterator[tuple[bool, Float[np.ndarray, "n 2"]]]:
@@ -58,7 +72,7 @@ def stretches_img(camera: CameraLabel, lane: Lane) -> Iterator[tuple[bool, Float
 def _curve(
     camera: CameraLabel, points_cam: Float[np.ndarray, "n 3"], points_img: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "m 2"]:
-    """The polyline of points in the image; what is straight between them is bent by a lens."""
+    """Points in the image as a polyline, with additional points where the lens bends the line between them."""
     if camera.lens.is_pinhole:
         return points_img
     finer = np.arange(CURVE_STEPS * (len(points_cam) - 1) + 1) / CURVE_STEPS

@@ -14,7 +14,15 @@ from PIL import Image
 
 from synth3dlanes.arrays import RgbImage
 from synth3dlanes.figures import colors
-from synth3dlanes.figures.describe import LANE_COLUMNS, describe, lane_row, topology_words
+from synth3dlanes.figures.boxes import objects_in_image
+from synth3dlanes.figures.describe import (
+    LANE_COLUMNS,
+    OBJECT_COLUMNS,
+    describe,
+    lane_row,
+    object_row,
+    topology_words,
+)
 from synth3dlanes.figures.histograms import histograms
 from synth3dlanes.figures.overlay import stretches_img
 from synth3dlanes.figures.page_plots import plot
@@ -51,6 +59,13 @@ class DrawnLane(NamedTuple):
     stretches: list[tuple[bool, str]]
 
 
+class DrawnObject(NamedTuple):
+    """An object in the image: its class and number, and the polylines of its box."""
+
+    name: str
+    lines: list[str]
+
+
 class DrawnMask(NamedTuple):
     """The label points in the image to which a mask applies, in pixels."""
 
@@ -60,12 +75,13 @@ class DrawnMask(NamedTuple):
 
 
 class Drawing(NamedTuple):
-    """An image with its lanes and masks, as an SVG needs them; `jpeg` is a data URL, None without an image."""
+    """An image with its lanes, objects and masks, as an SVG needs them; `jpeg` is a data URL, None without an image."""
 
     width: int
     height: int
     jpeg: str | None
     lanes: list[DrawnLane]
+    objects: list[DrawnObject]
     masks: list[DrawnMask]
 
 
@@ -95,9 +111,9 @@ class ClipFrame(NamedTuple):
 def scene_page(
     shown: ShownScene,
 ) -> str:
-    """One scene: the image with lanes and masks that can be switched on and off, a 3D view with the lidar's points, its
-    passes, and all parameters; with the frames of its clip, a slider through them (at most MAX_FRAMES, evenly spaced);
-    with what all cameras of its rig see then, their images side by side."""
+    """A page of one scene: the image, with lanes and masks that can be switched on and off; a 3D view with the lidar's
+    points; the passes; and all parameters. A clip adds a slider through its frames (at most MAX_FRAMES, evenly spaced),
+    a rig the images of all its cameras."""
     scene, labels = shown.scene, shown.labels
     step = max(1, -(-len(shown.clip) // MAX_FRAMES))
     numbers = range(0, len(shown.clip), step)
@@ -117,6 +133,8 @@ def scene_page(
         groups=describe(scene, labels),
         lane_columns=LANE_COLUMNS,
         lane_rows=[lane_row(lane) for lane in labels.lanes],
+        object_columns=OBJECT_COLUMNS,
+        object_rows=[object_row(item) for item in labels.objects or ()],
         document=json.dumps(json.loads(to_json(scene)), indent=1),
         space=_space(SceneView(scene, labels), shown.sweep, [found.camera for found, _ in shown.rig]),
     )
@@ -179,6 +197,10 @@ def _drawing(labels: Labels, image: RgbImage | None) -> Drawing:
         labels.camera.height_px,
         None if image is None else _jpeg(image),
         [_lane(labels, lane) for lane in labels.lanes],
+        [
+            DrawnObject(f"{item.category} {item.id}", [_points(line) for line in lines])
+            for item, lines in objects_in_image(labels)
+        ],
         [DrawnMask(_class(name), color, _dots(labels, name)) for name, color in _MASKS.items()],
     )
 
@@ -204,7 +226,7 @@ def _dots(labels: Labels, mask: str) -> list[tuple[str, str]]:
 
 
 def _switches(labels: Iterable[Labels]) -> list[Switch]:
-    """Check boxes for the images: lanes by kind, hidden stretches, and one for each mask (initially off)."""
+    """Check boxes for the images: lanes by kind, hidden stretches, objects, and one for each mask (initially off)."""
     masks = dict(_MASKS)
     if any(lane.object_visible is None for one in labels for lane in one.lanes):
         del masks["hidden by objects"]
@@ -214,6 +236,7 @@ def _switches(labels: Iterable[Labels]) -> list[Switch]:
             for name, kind in _LAYERS.items()
         ),
         Switch(".lane .hidden", "hidden parts", "currentColor", is_on=True),
+        Switch(".object", "objects", colors.hexadecimal(colors.OBJECT), is_on=True),
         *(Switch(f".mask.{_class(name)}", f"points {name}", color, is_on=False) for name, color in masks.items()),
     ]
 

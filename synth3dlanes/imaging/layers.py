@@ -15,14 +15,14 @@ class Layers:
     `radiance` is linear and denoised, in the daylight's units. `haze` holds 1 - exp(-distance x extinction) and the
     share of the pixel that is not sky, antialiased as the radiance is. The others are sampled at the pixels' centres:
     depth along the viewing direction, infinite in the sky; ids as in `settings`; unit normals in the camera frame, zero
-    in the sky. Layers that were not requested are None.
+    in the sky, None unless requested.
     """
 
     radiance: Float[np.ndarray, "h w 3"]
     haze: Float[np.ndarray, "h w 2"]
     depth_m: Float[np.ndarray, "h w"]
     semantic: UInt8[np.ndarray, "h w"]
-    instance: UInt16[np.ndarray, "h w"] | None = None
+    instance: UInt16[np.ndarray, "h w"]
     normal: Float[np.ndarray, "h w 3"] | None = None
 
     def only(self, is_seen: Bool[np.ndarray, "h w"]) -> "Layers":
@@ -36,6 +36,6 @@ class Layers:
             haze=np.where(seen, self.haze, np.float32(0)),
             depth_m=np.where(is_seen, self.depth_m, np.float32(NO_HIT_DEPTH_M)),
             semantic=self.semantic * is_seen,
-            instance=None if self.instance is None else self.instance * is_seen,
+            instance=self.instance * is_seen,
             normal=None if self.normal is None else np.where(seen, self.normal, np.float32(0)),
         )

@@ -3,7 +3,6 @@
 Reading a file is the only side effect.
 """
 
-import re
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -12,14 +11,13 @@ from typing import Any
 from pydantic import ValidationError
 
 from synth3dlanes.errors import InputError
-from synth3dlanes.params import find_preset, unknown_key
-from synth3dlanes.schema import MAX_PROBLEMS, problem_line, shown
+from synth3dlanes.params import find_preset
+from synth3dlanes.schema import MAX_PROBLEMS, problem_line, shown, unknown_key
 from synth3dlanes.sensors.cameras import LAST, NAMES, CameraSpec
 from synth3dlanes.yaml_text import read_yaml, text_of
 
 # Short names of keys in files.
 SHORT = {name: f"{name}_px" for name in ("fx", "fy", "cx", "cy")}
-SPREAD = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(?:\+-|\+/-|±)\s*([\d.]+(?:[eE][-+]?\d+)?)\s*")
 # OpenCV, ROS and Kalibr put (0, 0) at the centre of the first pixel, we at its corner.
 CENTER_PX = 0.5
 OPENCV_COUNTS, OPENCV_COUNTS_OF_PRISM_AND_TILT, FISHEYE_COUNT = (4, 5, 8), (9, 10, 11, 12, 13, 14), 4
@@ -77,21 +75,13 @@ def read_document(path: Path, where: str, *, is_calibration: bool = True) -> Any
 
 
 def _own(document: Mapping[Any, Any], where: str) -> tuple[dict[str, Any], list[str]]:
-    """The keys of `CameraSpec`: K and short names are resolved, "value +- spread" is a range."""
+    """The keys of `CameraSpec`: K and short names are resolved."""
     keys: dict[str, Any] = {}
     problems: list[str] = []
     for key, value in document.items():
         if not isinstance(key, str) or not key.isidentifier():
             problems.append(f"{where}: {shown(key)}: unknown key")
             continue
-        spread = SPREAD.fullmatch(value) if isinstance(value, str) else None
-        if spread is not None:
-            try:
-                value, by = float(spread[1]), float(spread[2])
-            except ValueError:
-                problems.append(f"{where}: {key}: expected value +- spread, got {shown(value)}")
-                continue
-            value = [value - by, value + by]
         if key == "K":
             matrix = _numbers(value)
             if len(matrix) != 9 or matrix[1] or matrix[3] or matrix[6] or matrix[7] or matrix[8] != 1:

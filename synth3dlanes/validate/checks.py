@@ -12,6 +12,7 @@ from synth3dlanes.validate.height import check_height
 from synth3dlanes.validate.ids import check_bonnet, check_ids
 from synth3dlanes.validate.integrity import check_row
 from synth3dlanes.validate.lidar import check_lidar
+from synth3dlanes.validate.object_boxes import check_boxes
 from synth3dlanes.validate.picture import check_colours, check_frame, check_sharpness
 from synth3dlanes.validate.points import check_points
 from synth3dlanes.validate.ridges import check_ridges
@@ -118,5 +119,10 @@ CHECKS = (
     Check("normals", check_normals, "normals of another length, or facing away", _needs("aim normal")),
     Check("ids", check_ids, "ids of another car, tree, structure, surface or line, or of another kind", _needs("aim")),
     Check("cars", check_cars, "a `car_visible_fraction` that does not match the car's pixels", _needs("aim instance")),
+    Check(
+        "boxes",
+        check_boxes,
+        "objects that are not those of the scene, or whose boxes do not fit their pixels or points",
+    ),
     Check("bias", signed_values, "nothing by itself: tested over the whole data set", _needs("aim image")),
 )

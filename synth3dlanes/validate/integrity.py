@@ -24,6 +24,7 @@ from synth3dlanes.scene import Scene
 from synth3dlanes.validate.findings import Finding, Problem, differences, some
 
 NAMED_AT_MOST = 5
+CANNOT_BE_READ = "cannot be read"
 KEY = re.compile("[0-9]{8}")
 
 
@@ -89,12 +90,13 @@ def check_shard(parquet: str, names: Sequence[str], shard_size: int) -> ShardChe
         first = next(i for i, (one, other) in enumerate(zip(numbers, sorted(numbers), strict=True)) if one != other)
         reason = f"expected rows in the order of their samples, got {key_of(numbers[first])} in row {first}"
         problems.append(Problem(_place(parquet), "", reason))
+    got = "a cut or changed tar" if found or CANNOT_BE_READ not in fault else f"one that {CANNOT_BE_READ}"
     first, whole = int(_stem(parquet)) * shard_size, {}
     for entry in entries:
         missing = sorted(entry.parts() - set(found))
         if missing:
             name, offset, size = missing[0]
-            reason = f"expected {size} bytes of {name} at byte {offset} of {_place(tar)}, got a cut or changed tar"
+            reason = f"expected {size} bytes of {name} at byte {offset} of {_place(tar)}, got {got}"
             problems.append(Problem(entry.name, "", reason))
         elif not first <= entry.index < first + shard_size:
             reason = f"expected samples {first} to {first + shard_size - 1} in {_place(parquet)}, got this one"
@@ -156,7 +158,7 @@ def walk(tar: str) -> tuple[list[tuple[str, int, int]], str]:
     found: list[tuple[str, int, int]] = []
     files, path = connect(tar)
     try:
-        with translate_store_errors(_place(tar), "cannot be read"):
+        with translate_store_errors(_place(tar), CANNOT_BE_READ):
             if not files.exists(path):
                 return [], "expected a whole tar, got none"
             with files.open(path, "rb") as stream:

@@ -11,6 +11,11 @@ from synth3dlanes.validate.findings import NAMED_AT_MOST, shown
 
 # Points of labels are rounded to 0.1 mm; shares of cars are counted by rays, some of which graze.
 POINT_M, NUMBER, SHARE, OF_RAYS = 1.5e-4, 1e-5, 1e-6, 0.03
+# What else may differ, by its key: of rounded places, of pixels at an object's edges, of points that graze it.
+LEAST = dict.fromkeys(("xyz_cam", "center_cam", "size_m"), POINT_M)
+LEAST |= dict.fromkeys(("car_visible_fraction", "visible_fraction"), OF_RAYS)
+LEAST |= {"velocity_cam": 1.5e-3, "truncation": 3e-3, "seen_box_px": 2.0, "lidar_points": 3.0}
+LEAST |= dict.fromkeys(("box_px", "unclipped_box_px"), 0.15)
 # Points that graze an object may be seen by one machine and not by another: one, or this share of the masks' ends.
 GRAZING = 0.05
 
@@ -58,7 +63,7 @@ def _entries(leaves: Mapping[str, Any]) -> set[str]:
 def _alike(key: str, made: Any, lies: Any) -> bool:
     if _is_numbers(made) and _is_numbers(lies):
         a, b = np.array(made, float), np.array(lies, float)
-        least = {"xyz_cam": POINT_M, "car_visible_fraction": OF_RAYS}.get(key, NUMBER)
+        least = LEAST.get(key, NUMBER)
         return a.shape == b.shape and bool((np.abs(a - b) <= least + SHARE * np.abs(a)).all())
     return type(made) is type(lies) and made == lies
 

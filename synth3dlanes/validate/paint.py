@@ -43,6 +43,8 @@ class Strip:
 # Beyond these limits paint may be invisible: rubbed off, as gray as the road, under water or in fog; so it may be under
 # snow and behind drops on the glass.
 MAX_WORN, MIN_GRAYSCALE, MAX_WETNESS, MIN_VISIBILITY_M = 0.7, 0.35, 0.8, 300.0
+# A wetter road mirrors the sky, in puddles more than its paint.
+MAX_DRY = 0.3
 # Least mean brightness of gray paint that is worn, too, and how many times brighter than the road that must be.
 MIN_LEFT, BRIGHTER = 0.22, 1.6
 BRIGHTNESS: dict[PaintColor, float] = {"white": 1.0, "yellow": 0.65}
@@ -56,7 +58,7 @@ def _albedo(scene: Scene) -> float:
 
 class WorldPaint:
     """The paint of a world: painted intervals of plan stations by delimiter id. `shows` is False if the paint may be
-    invisible in a correct picture."""
+    invisible in a correct picture, `is_dry` if some of its lines may be."""
 
     def __init__(self, world: World) -> None:
         scene = world.scene
@@ -71,6 +73,7 @@ class WorldPaint:
             and scene.weather.snow_on_road == 0
             and scene.sensor.drops <= MAX_DROPS
         )
+        self.is_dry = scene.surface.wetness <= MAX_DRY
         self._curves = {line.id: line for line in world.site.lines if line.kind == "delimiter"}
         self._stretches = {}
         for id_, curve in self._curves.items():

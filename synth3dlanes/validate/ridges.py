@@ -3,9 +3,11 @@
 Works without passes. Brightness profiles across the line are sampled at equal distances on the road, so that
 perspective does not matter, and their median along the line is judged: shadows, cracks and worn paint affect some
 profiles, but not the median. Profiles that a car, its shadow or a structure may touch are left out. A line without
-contrast is not judged. An image with hardly any line in place is not the labels' image; one whose lines are clearest
-together at an offset was shifted or stretched. Images whose paint may not show (`WorldPaint.shows`) are skipped, and
-those with snow, which lies on the edges of the road.
+contrast is not judged. A line elsewhere must differ from the road on both of its sides alike: the edge of a shadow, of
+a puddle or of a new surface does so on one. An image with hardly any line in place is not the labels' image; one whose
+lines are clearest together at an offset was shifted or stretched. On a wet road lines without contrast are not asked
+for. Images whose paint may not show (`WorldPaint.shows`) are skipped, and those with snow, which lies on the edges of
+the road.
 """
 
 from collections.abc import Iterator, Sequence
@@ -76,18 +78,23 @@ class Cut(NamedTuple):
 
 class LineProfiles(NamedTuple):
     """One line in the image. For each profile: its column, the pixels per metre along the row, its distance ahead, and
-    how much brighter than its surroundings a stripe at each of PLACES_M is."""
+    how much brighter than the road to its left and to its right a stripe at each of PLACES_M is."""
 
     lane: str
     u_px: Float[np.ndarray, " n"]
     px_per_m: Float[np.ndarray, " n"]
     y_m: Float[np.ndarray, " n"]
-    ridges: Float[np.ndarray, "n m"]
+    over: Float[np.ndarray, "2 n m"]
+
+    @property
+    def ridges(self) -> Float[np.ndarray, "n m"]:
+        """How much brighter than its surroundings a stripe is."""
+        return np.asarray(self.over.mean(axis=0))
 
 
 class Contrast(NamedTuple):
-    """The median of one line's profiles: their number and distance, the ridge's offset and strength, and the strength
-    in place."""
+    """The median of one line's profiles: their number and distance, the ridge's offset and strength, the strength in
+    place, and the offset and strength of the clearest stripe that differs from both sides alike."""
 
     lane: str
     n: int
@@ -95,11 +102,13 @@ class Contrast(NamedTuple):
     ridge_m: float
     ridge: float
     in_place: float
+    stripe_m: float
+    stripe: float
 
     @property
     def verdict(self) -> Literal["in place", "elsewhere", "unclear"]:
         """Where the image shows the line."""
-        if self.ridge >= CONTRAST and self.in_place * STRONGER < self.ridge:
+        if self.stripe >= CONTRAST and self.in_place * STRONGER < self.stripe:
             return "elsewhere"
         if abs(self.ridge_m) <= IN_PLACE_M:
             return "in place" if self.ridge >= FAINTEST else "unclear"
@@ -119,10 +128,11 @@ def check_ridges(evidence: Evidence) -> Iterator[Result]:
         if line.verdict == "elsewhere":
             yield Finding(
                 line.lane,
-                f"image: expected the line's paint within {IN_PLACE_M} m, got it {line.ridge_m:+.2f} m aside "
-                f"(contrast {line.ridge:.0f} there, {line.in_place:.0f} in place, {line.n} profiles)",
+                f"image: expected the line's paint within {IN_PLACE_M} m, got it {line.stripe_m:+.2f} m aside "
+                f"(contrast {line.stripe:.0f} there, {line.in_place:.0f} in place, {line.n} profiles)",
             )
-    n, in_place = sum(line.n for line in contrasts), sum(line.n for line in contrasts if line.verdict == "in place")
+    asked = [line for line in contrasts if paint.is_dry or line.verdict != "unclear"]
+    n, in_place = sum(line.n for line in asked), sum(line.n for line in asked if line.verdict == "in place")
     if n >= MIN_IMAGE_PROFILES:
         yield Bounded("ridges.in_place", in_place / n, MIN_SHARE)
         if in_place < MIN_SHARE * n:
@@ -170,12 +180,12 @@ def _lines(evidence: Evidence, cuts: Sequence[Cut]) -> Iterator[LineProfiles]:
         reach_m = BESIDE[1] * width_m + max(stripes_m)
         left_m, right_m = (_room(beyond_m[:, 1], beyond_m[:, side]) - reach_m for side in (0, 2))
         if clear.sum() >= MIN_PROFILES and min(left_m, right_m) > 0:
-            ridges = _ridges(cut.profiles[clear], width_m, stripes_m)
-            ridges[:, (-left_m > PLACES_M) | (right_m < PLACES_M)] = 0.0
+            over = _over(cut.profiles[clear], width_m, stripes_m)
+            over[..., (-left_m > PLACES_M) | (right_m < PLACES_M)] = 0.0
             px_per_m = (u_px[clear, 2] - u_px[clear, 0]) / (2 * REACH_M)
             # A line across the view, as cameras that look aside see it, has its profiles along columns.
             px_per_m = np.where(np.abs(px_per_m) < LEAST_PX_PER_M, LEAST_PX_PER_M, px_per_m)
-            yield LineProfiles(cut.lane, u_px[clear, 1], px_per_m, cut.ends_cam[clear, 1, 1], ridges)
+            yield LineProfiles(cut.lane, u_px[clear, 1], px_per_m, cut.ends_cam[clear, 1, 1], over)
 
 
 def _beside(
@@ -212,8 +222,11 @@ def _contrast(line: LineProfiles) -> Contrast:
     strength = np.abs(np.median(line.ridges, axis=0))
     best = int(strength.argmax())
     in_place = float(strength[np.abs(PLACES_M) <= IN_PLACE_M].max())
-    ridge_m, ridge = float(PLACES_M[best]), float(strength[best])
-    return Contrast(line.lane, len(line.ridges), float(line.y_m.mean()), ridge_m, ridge, in_place)
+    left, right = np.median(line.over, axis=1)
+    stripe = np.where(left * right > 0, np.minimum(np.abs(left), np.abs(right)), 0.0)
+    at = int(stripe.argmax())
+    ridges = PLACES_M[best], strength[best], in_place, PLACES_M[at], stripe[at]
+    return Contrast(line.lane, len(line.u_px), float(line.y_m.mean()), *map(float, ridges))
 
 
 def check_move(lines: Sequence[LineProfiles], width_px: int) -> Iterator[Finding]:
@@ -276,13 +289,16 @@ def _profiles(camera: CameraLabel, strip: Strip, luma: Float[np.ndarray, "h w"])
     return values.reshape(points.shape[:2])
 
 
-def _ridges(
+def _over(
     profiles: Float[np.ndarray, "n k"], width_m: float, stripes_m: tuple[float, ...]
-) -> Float[np.ndarray, "n m"]:
-    """How much brighter stripes of the paint's width are than both sides, for lines at the offsets PLACES_M."""
-    weights = np.zeros((len(OFFSETS_M), len(PLACES_M)))
+) -> Float[np.ndarray, "2 n m"]:
+    """How much brighter stripes of the paint's width are than their left and right, for lines at the offsets
+    PLACES_M."""
+    weights = np.zeros((2, len(OFFSETS_M), len(PLACES_M)))
     for j, place_m in enumerate(PLACES_M):
-        away = np.abs(OFFSETS_M - place_m - np.array(stripes_m)[:, None]).min(axis=0) / width_m
+        aside_m = OFFSETS_M - place_m - np.array(stripes_m)[:, None]
+        away, right = np.abs(aside_m).min(axis=0) / width_m, aside_m.mean(axis=0) > 0
         stripe, beside = away < 0.5, (away > BESIDE[0]) & (away < BESIDE[1])
-        weights[:, j] = stripe / stripe.sum() - beside / beside.sum()
+        for side, of in enumerate((beside & ~right, beside & right)):
+            weights[side, :, j] = stripe / max(stripe.sum(), 1) - of / max(of.sum(), 1)
     return profiles @ weights

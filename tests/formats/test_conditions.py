@@ -89,7 +89,7 @@ def test_conditions_follow_from_the_scene(scene, expected):
 
 def test_cars_that_are_hidden_make_no_crowd():
     scene = with_cars(6)
-    seen = replace(ground_truth(scene), car_visible_fraction=(1.0, 1.0, 0.1, 0.1, 0.0, 0.0))
+    seen = ground_truth(scene).with_seen_shares((1.0, 1.0, 0.1, 0.1, 0.0, 0.0))
     assert conditions(scene, seen) == set()
 
 

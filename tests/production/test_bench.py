@@ -5,7 +5,10 @@ import json
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from synth3dlanes_cli.main import main
 
+from synth3dlanes.params import load_params
+from synth3dlanes.production import bench
 from synth3dlanes.production.bench import (
     Bench,
     DefaultTiming,
@@ -16,7 +19,9 @@ from synth3dlanes.production.bench import (
     psnr,
     ssim,
 )
+from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.sample import Scenes
+from synth3dlanes.settings import RenderSettings
 
 
 def test_psnr_and_ssim_of_known_differences(rng):
@@ -62,8 +67,6 @@ def test_a_comparison_is_free_of_the_machines_speed():
 
 @pytest.mark.render
 def test_the_bench_adds_up_and_compares(tmp_path):
-    from synth3dlanes_cli.main import main
-
     command = ["bench", "--n", "3", "--params", "tiny", "--workers", "1", "--device", "cpu", "--samples", "1", "--json"]
     result = CliRunner().invoke(main, command)
     assert result.exit_code == 0, result.output
@@ -74,21 +77,18 @@ def test_the_bench_adds_up_and_compares(tmp_path):
     assert sum(found["stages"].values()) == pytest.approx(found["seconds_per_image"], rel=1e-3)
     assert {"sample", "labels", "build", "sync", "bvh", "passes", "encode", "write"} <= set(found["stages"])
     (tmp_path / "stored.json").write_text(result.stdout)
-    again = CliRunner().invoke(main, [*command[:-1], "--against", str(tmp_path / "stored.json")])
+    again = CliRunner().invoke(main, [*command[:-1], "--n", "1", "--against", str(tmp_path / "stored.json")])
     assert again.exit_code == 0, again.output
     assert "now / stored" in again.stdout
     assert "end to end" in again.stdout
 
 
+@pytest.mark.thorough
 @pytest.mark.render
-def test_more_samples_come_closer_to_the_reference():
-    from synth3dlanes.params import load_params
-    from synth3dlanes.production.bench import measure_quality
-    from synth3dlanes.production.recipe import Recipe
-    from synth3dlanes.settings import RenderSettings
-
+def test_more_samples_come_closer_to_the_reference(monkeypatch):
+    monkeypatch.setattr(bench, "REFERENCE_SCENES", 1)
     recipes = [Recipe(Scenes(load_params("tiny"), 0, "bench"), RenderSettings(samples), "jpg") for samples in (1, 8)]
-    rough, fine = (measure_quality(recipe, lambda _: None, samples=64) for recipe in recipes)
+    rough, fine = (bench.measure_quality(recipe, lambda _: None, samples=64) for recipe in recipes)
     assert all(a < b for a, b in zip(rough.psnr_db + rough.ssim, fine.psnr_db + fine.ssim, strict=True))
     assert min(fine.psnr_db) > 28
 
@@ -97,10 +97,6 @@ def test_more_samples_come_closer_to_the_reference():
 def test_the_naive_way_is_timed_at_both_numbers_of_samples(monkeypatch):
     """The number of samples stands in for the seconds; one scene is rendered in earnest."""
     from synth3dlanes.blender.benchmark_renders import naive_seconds
-    from synth3dlanes.params import load_params
-    from synth3dlanes.production import bench
-    from synth3dlanes.production.recipe import Recipe
-    from synth3dlanes.settings import RenderSettings
 
     recipe = Recipe(Scenes(load_params("tiny"), 0, "bench"), RenderSettings(2), "jpg")
     assert naive_seconds(recipe.scene(0), recipe.settings, recipe.library, 1) > 0
@@ -113,12 +109,7 @@ def test_the_naive_way_is_timed_at_both_numbers_of_samples(monkeypatch):
 @pytest.mark.timeout(3600)
 def test_memory_stays_flat():
     """A thousand small scenes in one worker."""
-    from synth3dlanes.params import load_params
-    from synth3dlanes.production.bench import bench
-    from synth3dlanes.production.recipe import Recipe
-    from synth3dlanes.settings import RenderSettings
-
     size = ("camera.width_px=96", "camera.height_px=72")
     recipe = Recipe(Scenes(load_params("appendix_i", size), 0, "bench"), RenderSettings(1), "jpg")
-    third, fourth = bench(recipe, 1000, 1, [{}], lambda _: None).memory_mib[2:]
+    third, fourth = bench.bench(recipe, 1000, 1, [{}], lambda _: None).memory_mib[2:]
     assert fourth < 1.02 * third

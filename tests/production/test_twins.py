@@ -12,7 +12,7 @@ from synth3dlanes.production.recipe import scene_json
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.twins import twin_recipes
 from synth3dlanes.scene import Scene, from_json
-from tests import fake_samples
+from tests import fake_samples, warm
 
 
 @pytest.fixture
@@ -53,6 +53,8 @@ def test_twins_share_a_data_set_that_generate_does_not_continue(source: str) -> 
         ("light.exposure=", "vary light.exposure=: expected path=value,value,..."),
         ("light.exposure=1,-2", "vary light.exposure: expected more than 0, got -2"),
         ("light.exposure=[1", "vary light.exposure"),
+        ("camera.pitch_deg=0,99", "vary camera.pitch_deg: expected numbers in [-30, 60]"),
+        ("air.visibility_m=5,1000", "vary air.visibility_m: expected numbers in [20, 1e+06]"),
     ],
 )
 def test_what_cannot_be_varied(source: str, vary: str, expected: str) -> None:
@@ -64,6 +66,7 @@ def test_what_cannot_be_varied(source: str, vary: str, expected: str) -> None:
 
 @pytest.mark.render
 def test_rendered_twins(tmp_path: Path) -> None:
+    warm.use(is_warm=True)
     plan = Plan(tmp_path / "d", 1, fake_samples.recipe(), workers=1)
     assert generate(plan, lambda event: None).exit_code == 0
     original = Reader(f"{tmp_path}/d/train").raw(0)

@@ -107,6 +107,17 @@ def of_json(member: str, change: Callable[[dict[str, Any]], object]) -> Callable
     return in_samples(spoil)
 
 
+def with_shares(change: Callable[[list[float]], list[float]]) -> Callable[[dict[str, Any]], None]:
+    """Change the seen shares of cars, in the list of them and in the objects."""
+
+    def of_labels(document: dict[str, Any]) -> None:
+        document["car_visible_fraction"] = change(document["car_visible_fraction"])
+        for item, share in zip(document["objects"], document["car_visible_fraction"], strict=True):
+            item["visible_fraction"] = share
+
+    return of_labels
+
+
 def to_the_right(pixels: np.ndarray, by: int) -> np.ndarray:
     """The same picture `by` pixels to the right; its left border is repeated."""
     return np.concatenate([np.repeat(pixels[:, :1], by, axis=1), pixels[:, :-by]], axis=1)
@@ -210,8 +221,7 @@ def wider_exit(scene: Scene) -> list[str]:
 
 def higher_ramp(scene: Scene) -> list[str]:
     """A ramp of 10 % more height, where it is used."""
-    plan = resolve(scene).plan
-    is_used = plan.has_exit and plan.ramp_start_m is not None
+    is_used = any(road.ramp for road in resolve(scene).network.roads)
     return scaled("road.ramp_height_m", 1.1)(scene) if is_used else []
 
 
@@ -236,7 +246,7 @@ FAULTS = [
     Fault("instance ids off by one", of_pass("instance", off_by_one), "instance"),
     Fault(
         "car_visible_fraction reversed",
-        of_json(LABELS, lambda document: document["car_visible_fraction"].reverse()),
+        of_json(LABELS, with_shares(lambda shares: shares[::-1])),
         "car_visible_fraction|visible fraction",
     ),
     Fault("ids of car and tree swapped", of_pass("semantic", partial(swapped, "car", "tree")), "car|tree"),

@@ -26,6 +26,7 @@ from synth3dlanes.dataset.format import (
 )
 from synth3dlanes.scene import Scene
 from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS
+from tests.validate.faults import with_shares
 from tests.validate.sealing import Members
 
 Change = Callable[[Members], None]
@@ -256,7 +257,7 @@ def aside(document: dict[str, Any]) -> None:
 
 
 def of_cars(document: dict[str, Any]) -> None:
-    document["car_visible_fraction"] = [round(min(1, share + 0.08), 4) for share in document["car_visible_fraction"]]
+    with_shares(lambda shares: [min(1.0, round(share + 0.08, 4)) for share in shares])(document)
 
 
 def moved_symbols(document: dict[str, Any]) -> None:

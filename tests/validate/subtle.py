@@ -30,7 +30,7 @@ from synth3dlanes.dataset.format import (
 from synth3dlanes.labels import Labels
 from synth3dlanes.sensors.sweep import Sweep
 from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, SEMANTIC_IDS
-from tests.validate.faults import Fault, in_samples, of_image, of_json, of_pass, of_passes, swapped
+from tests.validate.faults import Fault, in_samples, of_image, of_json, of_pass, of_passes, swapped, with_shares
 from tests.validate.sealing import Members
 
 Pixels = np.ndarray
@@ -122,7 +122,7 @@ def a_point_on(document: dict[str, Any]) -> None:
 
 def more_visible(document: dict[str, Any]) -> None:
     """Every `car_visible_fraction` 0.08 more."""
-    document["car_visible_fraction"] = [min(1.0, round(share + 0.08, 3)) for share in document["car_visible_fraction"]]
+    with_shares(lambda shares: [min(1.0, round(share + 0.08, 3)) for share in shares])(document)
 
 
 def undirected(document: dict[str, Any]) -> None:
@@ -219,8 +219,8 @@ SUBTLE = [
     Fault("height map 3 cm up", in_samples(lifted), r"got it \+0.030 m off"),
     Fault("height map one row off", in_samples(one_row_off), "as a map that is moved"),
     Fault("rows of the index reordered", reorder_index, "in the order of their samples"),
-    Fault("README.md edited", edit_readme, "README.md: expected what dataset.json gives"),
-    Fault("croissant.json edited", edit_croissant, "croissant.json: expected what dataset.json gives"),
+    Fault("README.md edited", edit_readme, "expected what dataset.json gives"),
+    Fault("croissant.json edited", edit_croissant, "expected what dataset.json gives"),
 ]
 
 OF_STREETS = [

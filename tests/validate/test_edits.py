@@ -22,8 +22,15 @@ from synth3dlanes import scene as scene_module
 from synth3dlanes.dataset.columns import index_row
 from synth3dlanes.dataset.format import BLOCK, COLUMN_OF_MEMBER, HEIGHT, LABELS, PASSES, SCENE, tar_bytes, tar_end
 from synth3dlanes.errors import FormatError
+from synth3dlanes.params import load_params
+from synth3dlanes.production.plan import Plan
+from synth3dlanes.production.recipe import Recipe
+from synth3dlanes.production.run import generate
 from synth3dlanes.sample import Scenes
+from synth3dlanes.settings import PASSES as ALL_PASSES
+from synth3dlanes.settings import RenderSettings
 from synth3dlanes.validate.report import ValidationReport
+from synth3dlanes.validate.run import validate
 from tests.validate.sealing import Members, check, describe, read_members
 
 pytestmark = pytest.mark.render
@@ -40,14 +47,8 @@ VALUES: list[Any] = [
 
 @pytest.fixture(scope="module")
 def clean(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    from synth3dlanes.params import load_params
-    from synth3dlanes.production.plan import Plan
-    from synth3dlanes.production.recipe import Recipe
-    from synth3dlanes.production.run import generate
-    from synth3dlanes.settings import PASSES, RenderSettings
-
     root = tmp_path_factory.mktemp("edits") / "data"
-    recipe = Recipe(Scenes(load_params("tiny"), 3, "train"), RenderSettings(2, PASSES), "jpg")
+    recipe = Recipe(Scenes(load_params("tiny"), 3, "train"), RenderSettings(2, ALL_PASSES), "jpg")
     assert generate(Plan(root, N, recipe, workers=1), lambda event: None).exit_code == 0
     return root
 
@@ -160,7 +161,7 @@ def in_image(members: Members, rng: Rng) -> str:
 # What hides what is a matter of pixels, and has its own tests.
 EDITS = [
     in_json(SCENE),
-    in_json(LABELS, "object_visible", "car_visible_fraction"),
+    in_json(LABELS, "object_visible", "car_visible_fraction", "visible_fraction"),
     in_exr(PASSES),
     in_exr(HEIGHT),
     in_image,
@@ -218,7 +219,7 @@ def test_the_data_set_is_clean(clean: Path) -> None:
     assert check(clean).problems == []
 
 
-@pytest.mark.parametrize("n", [8, pytest.param(60, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("n", [5, pytest.param(60, marks=pytest.mark.thorough)])
 def test_an_edit_of_any_member_is_found_and_names_its_sample(dataset: Path, n: int) -> None:
     before = read_members(dataset)
     for _, rng in rounds(n):
@@ -234,7 +235,7 @@ def test_an_edit_of_any_member_is_found_and_names_its_sample(dataset: Path, n: i
         expect(check(dataset), edited)
 
 
-@pytest.mark.parametrize("n", [3, pytest.param(60, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("n", [2, pytest.param(30, marks=pytest.mark.thorough)])
 def test_an_edit_of_any_cell_of_the_index_is_found_and_names_its_sample(dataset: Path, n: int) -> None:
     path = dataset / "train/00000.parquet"
     table = pq.read_table(path)
@@ -286,10 +287,8 @@ def test_columns_of_another_kind_are_problems_of_their_shard(
     assert any(words in problem.reason for problem in check(dataset).problems)
 
 
-@pytest.mark.parametrize("n", [60, pytest.param(600, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("n", [30, pytest.param(300, marks=pytest.mark.thorough)])
 def test_an_edit_of_dataset_json_is_found(dataset: Path, n: int) -> None:
-    from synth3dlanes.validate.run import validate
-
     text = (dataset / "dataset.json").read_text()
     # A licence is what its owner says.
     kept = ("license",)
@@ -303,13 +302,12 @@ def test_an_edit_of_dataset_json_is_found(dataset: Path, n: int) -> None:
             json.dumps(report.document())
 
 
+@pytest.mark.parametrize("n", [6, pytest.param(60, marks=pytest.mark.thorough)])
 @pytest.mark.parametrize("file", ["dataset.json", "train/00000.parquet", "train/00000.tar"])
-def test_files_of_damaged_bytes_give_a_report(dataset: Path, file: str) -> None:
-    from synth3dlanes.validate.run import validate
-
+def test_files_of_damaged_bytes_give_a_report(dataset: Path, file: str, n: int) -> None:
     path = dataset / file
     whole = path.read_bytes()
-    for seed, rng in rounds(25):
+    for seed, rng in rounds(n):
         data = bytearray(whole)
         for at in rng.integers(len(data), size=3):
             data[at] ^= int(rng.integers(1, 256))

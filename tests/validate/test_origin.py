@@ -44,7 +44,7 @@ RECIPE = Recipe(Scenes(load_params("tiny"), SEED, "train"), RenderSettings(), "p
 
 def seen(scene: Scene) -> Labels:
     """The labels of a scene in which nothing hides anything."""
-    return replace(examining.seen(ground_truth(scene)), car_visible_fraction=(1.0,) * len(scene.cars))
+    return examining.seen(ground_truth(scene)).with_seen_shares((1.0,) * len(scene.cars))
 
 
 def draw(root: Path, recipe: Recipe = RECIPE, n: int = N, size: tuple[int, int] = (8, 8)) -> Path:

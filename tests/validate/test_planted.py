@@ -5,10 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from tests.validate.faults import WORLDS, Fault
+from synth3dlanes.params import load_params
+from tests.validate import planted
+from tests.validate.faults import FAULTS, WORLDS, Fault
 from tests.validate.sealing import check, describe, drop_passes, seal
+from tests.validate.subtle import SUBTLE
 
-pytestmark = [pytest.mark.render, pytest.mark.thorough, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.render, pytest.mark.timeout(900)]
 
 # Samples for faults that show over many only, for other worlds, and for all else.
 N, FEW, ONE, SEED = 10, 4, 1, 20
@@ -18,6 +21,13 @@ CHANGES = ["camera.width_px=320", "camera.height_px=240", "camera.y_m=[-36, -28]
 CHANGES += ["road.topology=[2, 4]", "road.exit_angle_deg=[3, 5]", "road.exit_offset_m=[5, 10]"]
 CHANGES += ["road.shoulder_factor=0.2", "road.ramp_slope=[4, 4.5]", "markings.grayscale=0.9", "markings.width_m=0.15"]
 CHANGES += ["terrain.magnitude_m=[-20, 20]", "terrain.sd_m=[80, 250]"]
+# One for each check that finds one of them in a sample, and some of files.
+ONE_OF_EACH = (
+    *("lane_width_m edited in the index", "n_lanes edited in the scene", "bonnet missing", "image BGR"),
+    *("rear half of the sweep three columns on", "object_visible moved by a point", "height map 3 cm up"),
+    *("image 3 px to the right", "depth 1 cm too long", "normals negated", "barriers and kerbs swapped"),
+    *("car_visible_fraction + 0.08", "white lines yellow", "params edited in dataset.json"),
+)
 NEED_SOME = ("world:", "height map one row", "rows of the index")
 NEED_MANY = ("passes 1 px", "depth x", *(world.name for world in WORLDS if world.needs_many))
 
@@ -25,11 +35,13 @@ NEED_MANY = ("passes 1 px", "depth x", *(world.name for world in WORLDS if world
 @pytest.fixture(scope="module")
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> tuple:
     """The clean data set, and the faults to plant in it."""
-    from synth3dlanes.params import load_params
-    from tests.validate.planted import render
-
     folder = tmp_path_factory.mktemp("planted")
-    return render(folder, load_params("appendix_i", CHANGES), SEED, N, workers=1, few=FEW)
+    return planted.render(folder, load_params("appendix_i", CHANGES), SEED, N, workers=1, few=FEW)
+
+
+@pytest.fixture
+def small_streets(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(planted, "STREETS", [*planted.STREETS, "camera.width_px=320", "camera.height_px=240"])
 
 
 def first(clean: Path, n: int, to: Path) -> Path:
@@ -40,16 +52,24 @@ def first(clean: Path, n: int, to: Path) -> Path:
     return root
 
 
-def test_every_planted_fault_is_found_and_named(rendered, tmp_path):
-    from tests.validate.planted import table
+def test_a_fault_of_each_kind_is_found_and_named(small_streets, tmp_path):
+    clean, faults = planted.render_streets(tmp_path, STREETS_SEED, 1, 1)
+    chosen = [fault for fault in (*FAULTS, *SUBTLE, *faults) if fault.name in ONE_OF_EACH]
+    assert len(chosen) == len(ONE_OF_EACH)
+    assert missed(list(planted.table(clean, chosen, tmp_path))) == []
 
+
+@pytest.mark.thorough
+def test_every_planted_fault_is_found_and_named(rendered, tmp_path):
     clean, faults = rendered
     by_n: dict[int, list[Fault]] = {N: [], FEW: [], ONE: []}
     for fault in faults:
         n = N if fault.name.startswith(NEED_MANY) else FEW if fault.name.startswith(NEED_SOME) else ONE
         by_n[n].append(fault)
     results = [
-        result for n, those in by_n.items() for result in table(first(clean, n, tmp_path / str(n)), those, tmp_path)
+        result
+        for n, those in by_n.items()
+        for result in planted.table(first(clean, n, tmp_path / str(n)), those, tmp_path)
     ]
     assert len(results) == len(faults)
     assert missed(results) == []
@@ -60,14 +80,13 @@ def missed(results: list) -> list[str]:
     return [result.row() for result in results if not result.is_found]
 
 
-def test_every_fault_of_what_streets_have_is_found_and_named(tmp_path, monkeypatch):
-    from tests.validate import planted
-
-    monkeypatch.setattr(planted, "STREETS", [*planted.STREETS, "camera.width_px=320", "camera.height_px=240"])
+@pytest.mark.thorough
+def test_every_fault_of_what_streets_have_is_found_and_named(small_streets, tmp_path):
     clean, faults = planted.render_streets(tmp_path, STREETS_SEED, STREETS_N, 1)
     assert missed(list(planted.table(clean, faults, tmp_path))) == []
 
 
+@pytest.mark.thorough
 def test_the_image_alone_tells_other_lanes(rendered, tmp_path):
     """Without passes, the tests over the set go by the ridge of brightness."""
     clean, faults = rendered

@@ -23,7 +23,8 @@ from synth3dlanes.formats.reading import (
 )
 from synth3dlanes.formats.writing import CV_FROM_CAM
 from synth3dlanes.frames import invert, transform
-from synth3dlanes.labels import JsonPoints, Labels, LaneKind
+from synth3dlanes.json_arrays import JsonPoints
+from synth3dlanes.labels import Labels, LaneKind
 from synth3dlanes.schema import Excerpt, Metres, Number, PathBelow
 
 PointLists = tuple[Float[np.ndarray, "_ 3"], ...]

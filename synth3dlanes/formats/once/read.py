@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes import schema
-from synth3dlanes.labels import JsonPoints, Row4
+from synth3dlanes.json_arrays import JsonPoints, Row4
 from synth3dlanes.schema import Excerpt, Number
 
 

@@ -21,7 +21,8 @@ from synth3dlanes.formats.reading import (
     read_image,
 )
 from synth3dlanes.formats.writing import CV_FROM_CAM
-from synth3dlanes.labels import JsonMatrix3, JsonMatrix4, Labels
+from synth3dlanes.json_arrays import JsonMatrix3, JsonMatrix4
+from synth3dlanes.labels import Labels
 from synth3dlanes.schema import Excerpt, Number, PathBelow
 
 

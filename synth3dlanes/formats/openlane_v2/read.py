@@ -12,7 +12,7 @@ from synth3dlanes import schema
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.openlane_v2.convention import COLLECTIONS, ROOT
 from synth3dlanes.formats.reading import MOST_BYTES, read_file
-from synth3dlanes.labels import JsonMatrix3, JsonPoints, Row3
+from synth3dlanes.json_arrays import JsonMatrix3, JsonPoints, Row3
 from synth3dlanes.schema import Excerpt, PathBelow
 
 LEAST_POINTS = 11  # what the benchmark compares

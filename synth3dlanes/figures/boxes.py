@@ -1,0 +1,50 @@
+"""The boxes of objects as lines in the image: twelve edges, and a line on the floor from the middle to the front."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.arrays import Polyline2
+from synth3dlanes.frames import transform
+from synth3dlanes.labels import CameraLabel, Labels
+from synth3dlanes.object_labels import CORNERS, ObjectLabel
+
+# Nearer parts of lines cannot be projected. Pieces of a line, which a lens bends.
+NEAR_M, PIECES = 0.3, 12
+# Ends of all lines in the frame of a box of size 2.
+LINES = np.array(
+    [
+        *((CORNERS[i], CORNERS[j]) for i in range(8) for j in range(i) if (CORNERS[i] != CORNERS[j]).sum() == 1),
+        ((0, 0, -1), (0, 1, -1)),
+    ]
+)
+
+
+def objects_in_image(labels: Labels) -> Iterator[tuple[ObjectLabel, list[Polyline2]]]:
+    """The objects of which something is in the image, but for those that are hidden, with the lines of their boxes."""
+    for item in labels.objects or ():
+        if item.box_px is not None and item.visible_fraction != 0:
+            yield item, list(lines_img(labels.camera, item))
+
+
+def lines_img(camera: CameraLabel, item: ObjectLabel) -> Iterator[Polyline2]:
+    """The lines of a box, as far as they are ahead of the camera and in its lens's field."""
+    for first, second in transform(item.cam_from_object, LINES * item.size_m / 2):
+        share = np.linspace(0, 1, (1 if camera.lens.is_pinhole else PIECES) + 1)[:, None]
+        points_cam = first + share * (second - first)
+        if camera.lens.is_pinhole:
+            points_cam = _ahead(*points_cam)
+        uv = camera.project(points_cam)
+        uv = uv[np.isfinite(uv).all(axis=1)]
+        if len(uv) > 1:
+            yield uv
+
+
+def _ahead(first: Float[np.ndarray, "3"], second: Float[np.ndarray, "3"]) -> Float[np.ndarray, "n 3"]:
+    """The part of a straight line that is ahead of the camera."""
+    near, far = sorted((first, second), key=lambda point: float(point[1]))
+    if far[1] <= NEAR_M:
+        return np.zeros((0, 3))
+    share = max(0.0, (NEAR_M - near[1]) / (far[1] - near[1])) if far[1] > near[1] else 0.0
+    return np.stack([near + share * (far - near), far])

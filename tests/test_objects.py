@@ -1,0 +1,215 @@
+"""Boxes of objects: places by closed forms, rectangles by dense points, ids and velocities through clips and rigs."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from synth3dlanes import labels as label_file
+from synth3dlanes.assets.catalogue import CARS, Assets, vehicle_class
+from synth3dlanes.frames import quaternion, road_from_cam, rotation, transform
+from synth3dlanes.ground_truth import ground_truth, label
+from synth3dlanes.lens import Lens
+from synth3dlanes.object_labels import as_seen, stacked
+from synth3dlanes.object_truth import rectangle, rectangle_in_image, truncation
+from synth3dlanes.params import load_params
+from synth3dlanes.sample import Scenes, sample_scene, sample_world
+from synth3dlanes.scene import Car
+from synth3dlanes.sensors.rig_files import load_rig
+from synth3dlanes.shots import Shots
+from tests.scenes import FLAT, changed
+
+FISHEYE = Lens(model="fisheye", coefficients=(0.02, 0, 0, 0))
+
+
+def car(lane: str, s_m: float, model: int = 2, **other: float) -> Car:
+    return Car(model=model, scale=1.0, color=(1, 0, 0), gloss=0.5, lane=lane, s_m=s_m, **other)
+
+
+def with_cars(*cars: Car, **camera: object):
+    return changed(FLAT.model_copy(update={"cars": cars}), camera=camera)
+
+
+def test_a_car_straight_ahead_is_where_its_numbers_say():
+    """On a flat road, 30 m ahead in the host's lane, seen from 1.6 m without pitch."""
+    (item,) = ground_truth(with_cars(car("main_2", -20), pitch_rad=0)).objects
+    width, length, height = CARS[1].width_m, CARS[1].length_m, CARS[1].height_m
+    assert item.id == 1
+    assert item.category == "car"
+    assert item.velocity_cam is None
+    np.testing.assert_allclose(item.size_m, (width, length, height))
+    np.testing.assert_allclose(item.center_cam, (0, 30, height / 2 - 1.6), atol=1e-9)
+    np.testing.assert_allclose(rotation(item.rotation_wxyz), np.eye(3), atol=1e-9)
+    front_left_top, rear_right_bottom = item.corners_cam[0], item.corners_cam[6]
+    np.testing.assert_allclose(front_left_top, (-width / 2, 30 + length / 2, height - 1.6), atol=1e-9)
+    np.testing.assert_allclose(rear_right_bottom, (width / 2, 30 - length / 2, -1.6), atol=1e-9)
+    near_m, far_m = 30 - length / 2, 30 + length / 2
+    half_px, bottom, top = 415.7 * width / 2 / near_m, 415.7 * 1.6 / near_m, 415.7 * (1.6 - height) / far_m
+    expected = (240 - half_px, 180 + top, 240 + half_px, 180 + bottom)
+    np.testing.assert_allclose(item.unclipped_box_px, expected, atol=1e-6)
+    np.testing.assert_allclose(item.box_px, expected, atol=1e-6)
+    assert item.truncation == 0
+
+
+def test_an_oncoming_car_looks_at_the_host():
+    scene = changed(FLAT, road={"n_oncoming": 1})
+    (item,) = ground_truth(scene.model_copy(update={"cars": (car("oncoming_1", -20),)})).objects
+    ahead = rotation(item.rotation_wxyz)[:, 1]
+    assert ahead[1] < -0.99
+    assert (item.corners_cam[:4, 1] < item.corners_cam[4:, 1]).all()
+
+
+def test_cars_behind_and_beside_the_camera():
+    behind, beside = ground_truth(with_cars(car("main_2", -90), car("main_3", -47, 10))).objects
+    assert (behind.box_px, behind.unclipped_box_px, behind.truncation) == (None, None, 1)
+    assert beside.unclipped_box_px is None
+    assert 0 < beside.truncation < 1
+    assert beside.box_px[2] == FLAT.camera.width_px
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        {},
+        {"roll_rad": 0.3, "pitch_rad": 0.1},
+        {"fx_px": 90, "fy_px": 90, "lens": FISHEYE},
+        {"yaw_rad": -1.4, "right_m": 0.9, "forward_m": 1.5},
+        {"width_px": 40, "height_px": 30, "cx_px": 20, "cy_px": 15},
+    ],
+)
+def test_rectangles_and_truncation_are_those_of_the_points_of_the_box(camera):
+    """Of 200,000 points of a box's surface, and of 100,000 in it. A camera of 40 px sees but the middle of a van."""
+    rng = np.random.default_rng(0)
+    scene = with_cars(car("main_2", -42, 5), car("main_3", -44, 10), car("main_1", -30), car("main_3", -52), **camera)
+    labels = ground_truth(scene)
+    for item in labels.objects:
+        inside = rng.uniform(-1, 1, (100_000, 3))
+        share = 1 - labels.camera.shows(transform(item.cam_from_object, inside * item.size_m / 2)).mean()
+        assert item.truncation == pytest.approx(share, abs=0.02)
+        surface = rng.uniform(-1, 1, (200_000, 3))
+        axis = np.repeat([0, 1, 2], (66_000, 67_000, 67_000))
+        surface[np.arange(200_000), axis] = np.sign(surface[np.arange(200_000), axis])
+        points_cam = transform(item.cam_from_object, surface * item.size_m / 2)
+        uv = labels.camera.project(points_cam)
+        shown = labels.camera.shows(points_cam)
+        if not shown.any():
+            assert item.box_px is None
+            continue
+        expected = np.concatenate([uv[shown].min(axis=0), uv[shown].max(axis=0)])
+        np.testing.assert_allclose(item.box_px, expected, atol=2.5)
+        outward = np.array([-1, -1, 1, 1]) * (item.box_px - expected)
+        assert (outward > -0.01).all()
+        if item.unclipped_box_px is not None:
+            assert np.isfinite(uv).all()
+            np.testing.assert_allclose(item.unclipped_box_px, [*uv.min(axis=0), *uv.max(axis=0)], rtol=0.05, atol=2.5)
+
+
+def test_a_box_around_the_whole_view_fills_the_image():
+    camera = ground_truth(FLAT).camera
+    pose = np.eye(4)
+    pose[1, 3] = 6
+    size_m = np.array([50.0, 4.0, 50.0])
+    np.testing.assert_allclose(rectangle_in_image(camera, pose, size_m), (0, 0, 480, 360))
+    assert rectangle(camera, pose, size_m)[0] < -1000
+    assert truncation(camera, pose, size_m) > 0.9
+
+
+def test_quaternions_are_those_of_rotations():
+    rng = np.random.default_rng(1)
+    for angles in rng.uniform(-3, 3, (200, 3)):
+        turn = road_from_cam(0, *angles)[:3, :3]
+        wxyz = quaternion(turn)
+        assert np.linalg.norm(wxyz) == pytest.approx(1)
+        assert wxyz[0] >= 0
+        np.testing.assert_allclose(rotation(wxyz), turn, atol=1e-12)
+    half = np.deg2rad(15)
+    np.testing.assert_allclose(quaternion(road_from_cam(0, 0, 0, 2 * half)[:3, :3]), (np.cos(half), 0, 0, np.sin(half)))
+
+
+def test_the_velocity_of_a_clip_is_what_a_car_drives_from_frame_to_frame():
+    scenes = Scenes(load_params("streets"), 3, "train", shots=Shots(frames=6, fps=20.0))
+    n = 0
+    for first in (0, 6, 12):
+        frames = [ground_truth(sample_scene(scenes, first + i)) for i in range(3)]
+        poses = [[frame.camera.world_from_cam @ item.cam_from_object for item in frame.objects] for frame in frames]
+        for i, item in enumerate(frames[1].objects):
+            moved = (poses[2][i][:3, 3] - poses[0][i][:3, 3]) * 10
+            got = frames[1].camera.world_from_cam[:3, :3] @ item.velocity_cam
+            # The middle of the box is over the road, so on crests and in hollows it is a little faster or slower.
+            assert np.linalg.norm(moved - got) < 0.02 + 0.02 * np.linalg.norm(moved)
+            assert [frame.objects[i].id for frame in frames] == [i + 1] * 3
+            n += np.linalg.norm(moved) > 3
+    assert n > 20
+
+
+def test_all_cameras_of_a_rig_see_the_same_boxes_in_the_world():
+    rig = load_rig("nuscenes")
+    scenes = Scenes(load_params("streets"), 3, "train", shots=Shots(cameras=rig))
+    views = [ground_truth(sample_scene(scenes, i)) for i in range(len(rig))]
+    worlds = [view.camera.world_from_cam @ stacked(view.objects).cam_from_object for view in views]
+    assert len({tuple((item.id, item.category) for item in view.objects) for view in views}) == 1
+    for world in worlds[1:]:
+        np.testing.assert_allclose(world, worlds[0], atol=1e-9)
+
+
+def test_what_pixels_and_points_tell():
+    labels = ground_truth(with_cars(car("main_2", -20), car("main_1", -20), car("main_3", -20)))
+    ids = np.zeros((20, 30), np.uint16)
+    ids[3:5, 7:11], ids[9, 2], ids[10:, :] = 1, 3, 205
+    seen = as_seen(labels.objects, ids, np.array([0, 3, 3, 205, 9000], np.uint16))
+    found = [None if item.seen_box_px is None else item.seen_box_px.tolist() for item in seen]
+    assert found == [[7, 3, 11, 5], None, [2, 9, 3, 10]]
+    assert [item.lidar_points for item in seen] == [0, 0, 2]
+    assert [item.lidar_points for item in as_seen(labels.objects, ids)] == [None] * 3
+    arrays = stacked(seen)
+    assert np.isnan(arrays.seen_box_px[1]).all()
+    assert np.isnan(arrays.velocity_cam).all()
+    assert arrays.corners_cam.shape == (3, 8, 3)
+    assert stacked(()).corners_cam.shape == (0, 8, 3)
+
+
+def test_labels_read_back_are_the_same_text_and_older_ones_keep_their_shares():
+    labels = ground_truth(with_cars(car("main_2", -20), car("main_1", -21))).with_seen_shares((0.25, 1.0))
+    text = label_file.to_json(labels)
+    read = label_file.from_json(text, "")
+    assert label_file.to_json(read) == text
+    assert read.car_visible_fraction == (0.25, 1.0)
+    for item, own in zip(read.objects, labels.objects, strict=True):
+        np.testing.assert_allclose(item.corners_cam, own.corners_cam, atol=1.5e-4)
+    document = json.loads(text)
+    del document["objects"]
+    older = label_file.from_json(json.dumps(document), "")
+    assert older.objects is None
+    assert older.car_visible_fraction == (0.25, 1.0)
+    assert ground_truth(with_cars(car("main_2", -20))).car_visible_fraction is None
+
+
+def test_classes_of_a_users_models_follow_from_names_or_sizes():
+    assert all(vehicle_class(model.name, model.length_m, model.height_m) == model.category for model in CARS)
+    by_size = {model.name: vehicle_class("x", model.length_m, model.height_m) for model in CARS}
+    assert {name for name in by_size if by_size[name] != dict((m.name, m.category) for m in CARS)[name]} == {"bus"}
+    names = {"School_Bus": "bus", "busy": "car", "minivan2": "van", "my-semitrailer": "trailer", "avante": "car"}
+    assert {name: vehicle_class(name, 4, 1.5) for name in names} == names
+    own = replace(CARS[0], name="mine", sha256="0" * 64, category="van")
+    scene = with_cars(car("main_2", -20, 1)).model_copy(update={"assets": Assets(cars=(own,))})
+    assert [item.category for item in ground_truth(scene).objects] == ["van"]
+
+
+@pytest.mark.parametrize("preset", ["appendix_i", "streets"])
+def test_labels_grow_by_less_than_15_percent(preset):
+    """With every object in the image that is in it at all seen, and a velocity: the most that is written."""
+    scenes, before, after = Scenes(load_params(preset), 0, "train", shots=Shots(frames=2)), 0, 0
+    for index in range(0, 40, 2):
+        world = sample_world(scenes, index)
+        labels = label(world, world.view)
+        lanes = (replace(lane, object_visible=np.ones(len(lane.xyz_cam), bool)) for lane in labels.lanes)
+        items = (
+            replace(item, seen_box_px=None if item.box_px is None else item.box_px.astype(int), visible_fraction=0.123)
+            for item in labels.objects
+        )
+        full = label_file.to_json(replace(labels, lanes=tuple(lanes), objects=tuple(items)))
+        document = json.loads(full)
+        del document["objects"]
+        before, after = before + len(json.dumps(document, separators=(",", ":"))), after + len(full)
+    assert after < 1.15 * before
