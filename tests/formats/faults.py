@@ -194,7 +194,7 @@ def yolo(out, fault):
     if fault == "mirrored":
         objects = [(name, np.column_stack([1 - corners[:, 0], corners[:, 1]])) for name, corners in objects]
     elif fault == "shifted":
-        objects = [(name, np.clip(corners + [5 / 480, 0], 0, 1)) for name, corners in objects]
+        objects = [(name, np.clip(corners + np.array([5 / 480, 0]), 0, 1)) for name, corners in objects]
     elif fault == "dropped":
         objects = objects[1:]
     elif fault == "reordered":

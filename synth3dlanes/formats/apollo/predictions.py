@@ -12,7 +12,7 @@ from synth3dlanes.formats.apollo.verify import read
 from synth3dlanes.formats.format import Rates, ReadFrame
 from synth3dlanes.formats.line_score import Line3d
 from synth3dlanes.formats.scoring import EVERY, lines_by, predicted, rates
-from synth3dlanes.labels import JsonPoints
+from synth3dlanes.json_arrays import JsonPoints
 from synth3dlanes.schema import Excerpt, Unit
 
 

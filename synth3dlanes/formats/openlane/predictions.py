@@ -13,7 +13,7 @@ from synth3dlanes.formats.openlane.score import score as score_lines
 from synth3dlanes.formats.openlane.verify import read
 from synth3dlanes.formats.reading import read_text
 from synth3dlanes.formats.scoring import EVERY, predicted, rates
-from synth3dlanes.labels import JsonPoints
+from synth3dlanes.json_arrays import JsonPoints
 from synth3dlanes.schema import Excerpt, parse
 
 
