@@ -58,6 +58,14 @@ class Rates:
     n_frames: int
     rates: Mapping[str, float]
 
+    def text(self) -> str:
+        """In lines."""
+        return f"{self.name}: {self.n_frames} frames\n  " + "  ".join(f"{k} {v:.4f}" for k, v in self.rates.items())
+
+    def document(self) -> dict[str, Any]:
+        """For JSON."""
+        return {"name": self.name, "frames": self.n_frames, "rates": dict(self.rates)}
+
 
 @dataclass(frozen=True, kw_only=True)
 class Format:
