@@ -165,9 +165,9 @@ def test_the_host_stands_in_its_lane_and_in_no_car(preset, n):
         assert found_m == pytest.approx(asked_m, abs=5e-3), index
         y = world_from_road[:2, 1] / np.linalg.norm(world_from_road[:2, 1])
         body = foot + along.reshape(-1, 1) * y + across.reshape(-1, 1) * [y[1], -y[0]]
-        plan = resolve(drawn).plan
+        network = resolve(drawn).network
         for car in drawn.cars:
-            model, place = CARS[car.model - 1], car_place(plan, car.lane, car.s_m, car.offset_m)
+            model, place = CARS[car.model - 1], car_place(network, car.lane, car.s_m, car.offset_m)
             assert not in_body(body, *place, model.length_m * car.scale, model.width_m * car.scale).any(), index
         road = scene["road"]
         leaving = {1: 0, 2: 1, 3: 1, 4: 2}[road["topology"]]

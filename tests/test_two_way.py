@@ -114,7 +114,7 @@ def test_cars_drive_as_their_lanes_do_and_park_on_shoulders(index):
     world = resolve(scene)
     labels = ground_truth(scene)
     for car, pose in zip(scene.cars, world.view.world_from_cars, strict=True):
-        middle, heading = lane_place(world.plan, car.lane, car.s_m)
+        middle, heading = lane_place(world.network, car.lane, car.s_m)
         assert (pose[1, 1] < 0) == car.lane.startswith("oncoming"), "the host drives towards +y"
         assert pose[:2, 1] @ heading > 0.9
         if car.offset_m == 0:
