@@ -146,6 +146,23 @@ class EvaluationOutput(BaseModel):
     delimiter: dict[str, Any] | None = None
 
 
+class Benchmark(Document):
+    """`benchmark`: what each split is made of, and the score of the network or predictions that were given."""
+
+    benchmark: str
+    splits: dict[str, dict[str, Any]]
+    score: dict[str, Any] | None = None
+
+
+class Exported(BaseModel):
+    """`export`: frames and lines written and left out, warnings, and the comparison with the labels of --verify."""
+
+    model_config = ConfigDict(extra="allow")
+
+    warnings: list[str]
+    verified: list[dict[str, Any]]
+
+
 class EvaluatedTargets(BaseModel):
     """`evaluate` without a network: how the labels fit into the targets of a network, and the score of these."""
 
@@ -171,8 +188,9 @@ class Outputs(Document):
 
     assets: FolderCheck
     bench: Bench
-    benchmark: dict[str, Any] = Field(description="`benchmark`: as docs/benchmarks.md says.")
+    benchmark: Benchmark
     evaluate: EvaluationOutput | EvaluatedTargets | EvaluatedPhotographs
+    export: Exported
     generate: RunReport
     generate_dry_run: DryRun
     info: Info

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from synth3dlanes import scene as scene_format
+from synth3dlanes.arrays import Scalars
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.frames import transform
@@ -318,7 +319,7 @@ def _order_problems(points: Points, line: OurLine, rule: Rule) -> Iterator[str]:
         yield f"expected points from {order}, got {back:.3g} {rule.unit} back"
 
 
-def _back(at: Values) -> float:
+def _back(at: Scalars) -> float:
     """How far places along a line, which should increase, go back."""
     return float(np.max(np.maximum.accumulate(at) - at, initial=0.0))
 
