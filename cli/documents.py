@@ -166,6 +166,36 @@ class EvaluatedPhotographs(BaseModel):
     kitti: dict[str, float | None] | None = None
 
 
+class DistanceOutput(Document):
+    """How far the lines of some frames of an export are from those of the labels, in m or px."""
+
+    worst: float
+    median: float
+    tolerance: float
+
+
+class VerificationOutput(Document):
+    """A list of frames of an export, compared with the labels; `measures` are by unit."""
+
+    name: str
+    n_frames: int
+    n_lines: int
+    n_matched: int
+    measures: dict[str, DistanceOutput]
+    problems: list[str]
+
+
+class ExportOutput(Document):
+    """What an export wrote: frames by part, lines, and how many frames and lines were left out, by reason."""
+
+    frames: dict[str, int]
+    lines: int
+    left_out: dict[str, int]
+    dropped: dict[str, int]
+    warnings: list[str]
+    verified: list[VerificationOutput]
+
+
 class Outputs(Document):
     """What each command prints with `--json`; `params show` prints groups of keys in the forms of parameter files."""
 
@@ -173,6 +203,7 @@ class Outputs(Document):
     bench: Bench
     benchmark: dict[str, Any] = Field(description="`benchmark`: as docs/benchmarks.md says.")
     evaluate: EvaluationOutput | EvaluatedTargets | EvaluatedPhotographs
+    export: ExportOutput
     generate: RunReport
     generate_dry_run: DryRun
     info: Info
