@@ -39,7 +39,7 @@ class Verification:
     problems: tuple[str, ...]
 
     def text(self) -> str:
-        """In lines."""
+        """The result as lines of text."""
         lines = [f"{self.name}: {self.n_frames} frames, {self.n_matched} of {self.n_lines} lines as in the labels"]
         lines += (
             f"  worst {measure.worst:.4f} {measure.unit}, median {measure.median:.4f} {measure.unit}"
@@ -49,7 +49,7 @@ class Verification:
         return "\n".join(lines)
 
     def document(self) -> dict[str, Any]:
-        """For JSON."""
+        """The result as JSON values."""
         measures = {measure.unit: {k: v for k, v in vars(measure).items() if k != "unit"} for measure in self.measures}
         return {**vars(self), "measures": measures, "problems": list(self.problems)}
 

@@ -57,7 +57,7 @@ def test_every_switch_has_something_to_switch(exit_scene):
     page = scene_page(ShownScene(scene, ground_truth(scene), None))
     classes = set(" ".join(re.findall(r'class="([^"]*)"', page)).split())
     switches = re.findall(r'data-shows="([^"]*)"', page)
-    assert len(switches) == 5
+    assert len(switches) == 6
     assert all(name in classes for switch in switches for name in re.findall(r"[\w-]+", switch))
 
 
