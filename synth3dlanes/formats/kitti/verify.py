@@ -77,7 +77,7 @@ def verify(frame: ReadFrame, truth: Truth) -> Comparison:
     content: Content = frame.content
     objects, calib, points = content
     camera, items = truth.labels.camera, truth.labels.objects or ()
-    sides = np.array([camera.width_px, camera.height_px, camera.width_px, camera.height_px])
+    sides = np.array([camera.width_px, camera.height_px, camera.width_px, camera.height_px], float)
     wanted = [item for item in items if item.box_px is not None and item.seen_box_px is not None]
     gaps, problems, left = list[Gap](), list[str](), {item.id: item for item in wanted}
     for number, found in enumerate(objects):
@@ -93,9 +93,7 @@ def verify(frame: ReadFrame, truth: Truth) -> Comparison:
     problems += (f"expected {item.category} {item.id}, got it in no line" for item in left.values())
     gaps += _of_points(points, calib, truth, problems)
     bad = [gap for gap in gaps if not gap.worst <= (LIMIT_M if gap.unit == "m" else LIMIT_PX)]
-    problems += (
-        f"{gap.lane}: expected it where the labels have it, got it {gap.worst:.3g} {gap.unit} off" for gap in bad
-    )
+    problems += (f"{gap.lane}: expected it as in the labels, got it {gap.worst:.3g} {gap.unit} off" for gap in bad)
     return Comparison(len(gaps), tuple(gaps), tuple(problems))
 
 
