@@ -23,7 +23,17 @@ def generated() -> dict[str, str]:
     return pages
 
 
-GENERATED = ["cli.md", "params.md", "scene.schema.json", "labels.schema.json", "cluster.md", "validate.md"]
+GENERATED = [
+    "cli.md",
+    "params.md",
+    "scene.schema.json",
+    "labels.schema.json",
+    "outputs.schema.json",
+    "cluster.md",
+    "validate.md",
+    "benchmarks.md",
+    "models.md",
+]
 
 
 @pytest.mark.parametrize("name", GENERATED)

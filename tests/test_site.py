@@ -16,6 +16,9 @@ from playwright.sync_api import Browser, sync_playwright
 
 import synth3dlanes
 
+pytestmark = pytest.mark.thorough
+
+
 ROOT = Path(__file__).parents[1]
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
