@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby, pairwise
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, cast
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -83,7 +83,7 @@ class NetworkLane:
     Its traffic drives as the host does, or is `oncoming`."""
 
     id: str
-    road: RoadName
+    road: str
     section: str
     number: int
     middle: Offset
@@ -126,7 +126,7 @@ class Road:
     """A road on its reference line over the stations [start_m, end_m]. Its cross-section, as t grows: the left edge of
     its pavement, a shoulder, lanes and perhaps a median between them, a shoulder, and the right edge."""
 
-    id: RoadName
+    id: str
     line: ReferenceLine
     terrain: Terrain
     left: Offset
@@ -225,7 +225,7 @@ class LaneCurve:
 
     id: str
     kind: LaneKind
-    road: RoadName
+    road: str
     marking: Marking
     left: str | None
     right: str | None
@@ -394,7 +394,9 @@ class Network:
             names = {n: f"{lane.section}_{n}" for n in (lane.number - 1, lane.number + 1)}
             left, right = (name if name in self.lanes else None for name in names.values())
             along = [path.id for path in self.paths if lane in path.lanes and path.id in centerlines]
-            segments.append(Segment(lane.id, lane.road, lane.number, start_m, end_m, left, right, tuple(along)))
+            segments.append(
+                Segment(lane.id, cast(RoadName, lane.road), lane.number, start_m, end_m, left, right, tuple(along))
+            )
         successors = {before: tuple(lane.id for lane in self.successors(before)) for before, _ in sorted(self.links)}
         starts = [round(float(road.ramp.start_m * self.onwards), 4) + 0.0 for road in self.roads if road.ramp]
         return LaneGraph(tuple(segments), successors, starts[0] if starts else None)
@@ -427,7 +429,7 @@ class Network:
         masks = {road.id: road.may_reach(xy_world, reach_m) for road in self.roads}
         near = np.logical_or.reduce(list(masks.values()))
         xy = xy_world[near]
-        found: dict[RoadName, Nearby] = {}
+        found: dict[str, Nearby] = {}
         for road in self.roads:
             if road.parting is None:
                 which = np.logical_or.reduce([masks[at.id][near] for at in (road, *self.branches(road))])
@@ -447,8 +449,9 @@ class Network:
         near = ((low < xy_world + reach_m) & (high > xy_world - reach_m)).all(axis=1)
         if near.all():
             return self
-        roads = tuple(road for road, is_near in zip(self.roads, near, strict=True) if is_near)
-        kept = {road.id for road in roads}
+        chosen = [road for road, is_near in zip(self.roads, near, strict=True) if is_near]
+        kept = {road.id for road in chosen} | {road.parting.road.id for road in chosen if road.parting}
+        roads = tuple(road for road in self.roads if road.id in kept)
         delimiters = tuple(line for line in self.delimiters if all(piece.road.id in kept for piece in line.pieces))
         links = tuple(link for link in self.links if all(self.lanes[lane].road in kept for lane in link))
         return replace(self, roads=roads, delimiters=delimiters, links=links)
