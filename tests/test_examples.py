@@ -74,6 +74,7 @@ def test_the_loader_mirrors_images_and_lanes_alike(tiny: Path) -> None:
     assert run("torch_loader", tiny, "--batch", 2).splitlines()[0].startswith("(2, 3, 72, 96) (2, 3, 3) [")
 
 
+@pytest.mark.thorough
 @pytest.mark.render
 def test_twins_score_each_value(in_tmp_path: Path) -> None:
     words = ("--n", 2, "--params", "tiny", "--vary", "light.exposure=1,3")
@@ -92,6 +93,7 @@ def test_the_fisheye_sees_wider_than_a_pinhole_could(in_tmp_path: Path) -> None:
     assert (picture == (0, 191, 255)).all(axis=-1).sum() > 20, "centre lines are deepskyblue"
 
 
+@pytest.mark.thorough
 @pytest.mark.render
 def test_hard_cases_are_near_the_worst(in_tmp_path: Path) -> None:
     printed = run("hard_cases", "out", "--n", 2, "--params", "tiny").splitlines()
@@ -101,6 +103,7 @@ def test_hard_cases_are_near_the_worst(in_tmp_path: Path) -> None:
     assert len(s3d.open_dataset("out/hard")) == 2
 
 
+@pytest.mark.thorough
 @pytest.mark.render
 def test_a_clip_becomes_a_video_of_its_frames(in_tmp_path: Path) -> None:
     run("clip_to_video", "out", "--frames", 3, "--params", "tiny")
@@ -109,6 +112,7 @@ def test_a_clip_becomes_a_video_of_its_frames(in_tmp_path: Path) -> None:
         assert video.info["duration"] == 100
 
 
+@pytest.mark.thorough
 @pytest.mark.render
 def test_the_host_is_on_a_road_of_the_map(in_tmp_path: Path) -> None:
     """Its place, in the map that was written, is in a lane of its own height and heading."""

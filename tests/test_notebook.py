@@ -33,6 +33,7 @@ def execute(notebook: Any, folder: Path) -> None:
     NotebookClient(notebook, timeout=1200, resources={"metadata": {"path": str(folder)}}).execute()
 
 
+@pytest.mark.thorough
 @pytest.mark.render
 @pytest.mark.timeout(600)
 @pytest.mark.filterwarnings("default")
