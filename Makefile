@@ -42,7 +42,7 @@ check: .venv/ready  ## what CI runs: format, lint, imports, types, `make test`, 
 	$(BIN)/lint-imports
 	$(BIN)/mypy
 	$(MAKE) --no-print-directory test
-	$(PYTEST) -m thorough
+	$(PYTEST) -m "thorough and not slow"
 
 format: .venv/ready  ## let ruff repair what it can
 	$(BIN)/ruff format .

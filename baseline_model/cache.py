@@ -1,7 +1,7 @@
-"""What the data loader has prepared, kept for later epochs: annotations in a file beside the run, pixels in memory.
+"""Caches of the data loader for later epochs: annotations in a file beside the run, decoded images in memory.
 
-Both are slots of equal size, one for each sample, filled by whichever process comes first. Every slot has a checksum,
-so a slot that is empty or was half written when a run was killed is just made anew.
+Both have slots of equal size, one for each sample, which the first process that needs a sample fills. Every slot has a
+checksum, so a slot that is empty, or half written when a run was killed, is filled again.
 """
 
 import os
@@ -46,7 +46,7 @@ class Slots:
         return record if size and len(record) == size and zlib.crc32(record) == checksum else None
 
     def put(self, index: int, record: bytes) -> None:
-        """Keep a record, if it has room in a slot, and the slot on the disk; nothing depends on it."""
+        """Store a record if it fits into a slot and onto the disk. Nothing depends on it being stored."""
         if HEADER.size + len(record) <= self._slot_bytes:
             slot = HEADER.pack(len(record), zlib.crc32(record)) + record
             with suppress(OSError):
@@ -67,12 +67,12 @@ def annotation_file(path: Path, source: str) -> Slots:
 
 
 def has_pixel_memory() -> bool:
-    """Whether the system has memory that forked processes share without counting it as theirs; Linux has."""
+    """Whether the system has memory that forked processes share without each being charged for it, as Linux has."""
     return hasattr(os, "memfd_create")
 
 
 def pixel_memory(size_px: tuple[int, int]) -> Slots:
-    """Room in memory for decoded images of (height, width); only images that are put there take it."""
+    """Slots in memory for decoded images of (height, width); only images that are stored take memory."""
     return Slots(os.memfd_create("pixels"), HEADER.size + slot_bytes_of(size_px))
 
 

@@ -66,7 +66,8 @@ class _Stored(Excerpt):
 
 
 def save(path: Path, checkpoint: Checkpoint) -> None:
-    """A killed run leaves either the old or the new file; what it leaves of the new one goes here."""
+    """Write a checkpoint. A killed process leaves either the old or the new file; earlier unfinished files are
+    removed."""
     document = {
         "format": FORMAT,
         "version": VERSION,
@@ -100,7 +101,8 @@ def load(path: Path) -> Checkpoint:
 
 
 def _without_former(settings: dict[str, Any]) -> dict[str, Any]:
-    """Without settings that are gone, where they changed nothing; others stay, and are refused."""
+    """The configuration without settings that later versions dropped, if they had no effect; settings that had one
+    stay, and are refused."""
     for path, idle in FORMER.items():
         *above, name = path.split(".")
         group: Any = settings
@@ -117,7 +119,7 @@ def place(source: str | Path) -> Path:
 
 
 def fine_tuning(source: str, overrides: dict[str, Any]) -> TrainConfig:
-    """The settings that a checkpoint was trained with, changed by dotted keys, to start again from its weights."""
+    """The settings of a checkpoint, changed by dotted keys, for a training that starts from its weights."""
     return changed(load(place(source)).config, {"pretrained": None, "max_images": None, **overrides, "init": source})
 
 

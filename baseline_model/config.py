@@ -15,7 +15,7 @@ from .curves import HALF_WIDTH_M
 Variant = Literal["full", "image_view", "top_view", "early_ipm", "late_ipm"]
 PoseTarget = Literal["plane", "horizon", "fixed"]
 LaneType = Literal["c1", "c2", "d"]
-Positive = Annotated[float, Field(gt=0)]
+PositiveNumber = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]
 Size = Annotated[int, Field(ge=1, le=MAX_PX)]
 Few = Annotated[int, Field(ge=0, le=100)]
@@ -42,8 +42,8 @@ class Grid(Strict):
 
     rows: Size = 208
     columns: Size = 128
-    cell_x_m: Positive = 0.16
-    cell_y_m: Positive = 0.384
+    cell_x_m: PositiveNumber = 0.16
+    cell_y_m: PositiveNumber = 0.384
     y_min_m: float = 0.0
 
 
@@ -74,7 +74,7 @@ class ModelConfig(Strict):
     spline: Literal["natural", "pchip"] = "natural"
     pose_target: PoseTarget = "plane"
     fixed_pitch_deg: float = 2.5
-    fixed_height_m: Positive = 1.65
+    fixed_height_m: PositiveNumber = 1.65
     grid_gradient: bool = False
     """Whether the lane loss is backpropagated to the pose through the sampling grid; the paper supervises the pose."""
     batch_norm: bool = True
@@ -159,7 +159,7 @@ class LossConfig(Strict):
     detection: float = 1.0
     geometry: float = 1.0
     pose: float = 1.0
-    knot_sigma_m: tuple[Positive, ...] | None = None
+    knot_sigma_m: tuple[PositiveNumber, ...] | None = None
     """Divisor of each knot's error (our addition; favours near points). None: the paper's L1 in metres."""
     supervise_occluded: bool = False
     visibility: float = 0.2
@@ -176,15 +176,15 @@ class TrainConfig(Strict):
     augmentation: Augmentation = Augmentation()
     seed: int = 0
     batch: Count = 16
-    epochs: Positive = 20.0
+    epochs: PositiveNumber = 20.0
     optimizer: Literal["adamw", "adam"] = "adamw"
     schedule: Literal["cosine", "cyclic"] = "cosine"
-    learning_rate: Positive = 1e-3
-    min_learning_rate: Positive = 1e-6
+    learning_rate: PositiveNumber = 1e-3
+    min_learning_rate: PositiveNumber = 1e-6
     warmup_fraction: Annotated[float, Field(ge=0, lt=1)] = 0.04
-    cycle_epochs: Positive = 2.0
+    cycle_epochs: PositiveNumber = 2.0
     weight_decay: Annotated[float, Field(ge=0)] = 0.02
-    clip_norm: Positive = 10.0
+    clip_norm: PositiveNumber = 10.0
     ema_decay: Annotated[float, Field(ge=0, lt=1)] = 0.999
     label_pose_fraction: Annotated[float, Field(ge=0, le=1)] = 0.1
     """Share of the first steps that warp by the label's pose with noise, as in the paper; later steps use the predicted
@@ -194,7 +194,7 @@ class TrainConfig(Strict):
     target_frame: Literal["label", "grid"] = "label"
     """Frame of the lane targets: the road frame of the label's pose (paper), or of the pose used in the warp."""
     fov_mask: bool = False
-    validate_every_epochs: Positive = 1.0
+    validate_every_epochs: PositiveNumber = 1.0
     train_split: str = "train"
     val_split: str = "val"
     max_images: Count | None = None

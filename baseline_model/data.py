@@ -29,14 +29,15 @@ FOCAL_TOLERANCE = 1.05
 
 
 class FocalLengths(NamedTuple):
-    """Those of the images that a network was trained on, in pixels of its input: the range of fx, and fy / fx."""
+    """The focal lengths of the images that a network was trained on, in pixels of its input: the range of fx, and fy /
+    fx."""
 
     least_px: float
     most_px: float
     fy_by_fx: float
 
     def nearest(self, fx: float, fy: float) -> tuple[float, float]:
-        """The fx and fy of training that are nearest to these, or these themselves if training had such."""
+        """The fx and fy seen in training that are nearest to these; these themselves if they are within that range."""
         nearest_px = min(max(fx, self.least_px), self.most_px)
         pairs = ((fx, nearest_px), (fy, fx * self.fy_by_fx))
         if all(max(a, b) <= min(a, b) * FOCAL_TOLERANCE for a, b in pairs):
@@ -151,7 +152,7 @@ def intrinsics_of(labels: Labels) -> Intrinsics:
 
 
 def checked_intrinsics(intrinsics: Intrinsics, where: str) -> Intrinsics:
-    """The intrinsics of a camera that somebody gave; raise InputError where they cannot be one's."""
+    """Intrinsics given by a user. Raises InputError if no camera can have them."""
     fx, fy, cx, cy = intrinsics
     if not (all(1 <= f_px <= 1e6 for f_px in (fx, fy)) and all(abs(c_px) <= 1e6 for c_px in (cx, cy))):
         given = ",".join(f"{value:g}" for value in intrinsics)
@@ -160,7 +161,7 @@ def checked_intrinsics(intrinsics: Intrinsics, where: str) -> Intrinsics:
 
 
 def img_from_cam(intrinsics: Intrinsics) -> Float[np.ndarray, "3 3"]:
-    """The labels' matrix for these intrinsics."""
+    """The projection matrix, as labels have it, of these intrinsics."""
     fx, fy, cx, cy = intrinsics
     return np.array([[fx, cx, 0.0], [0.0, cy, -fy], [0.0, 1.0, 0.0]])
 
@@ -182,10 +183,10 @@ def resize(image: RgbImage, size_px: tuple[int, int]) -> UInt8[np.ndarray, "h2 w
 def fit(
     image: RgbImage, intrinsics: Intrinsics, size_px: tuple[int, int], trained: FocalLengths | None = None
 ) -> tuple[UInt8[np.ndarray, "h2 w2 3"], Intrinsics]:
-    """The image as a network takes it, of `size_px` (height, width), and the intrinsics of that.
+    """The image of `size_px` (height, width) that a network takes, and its intrinsics.
 
-    It is resized. If that gives focal lengths that training did not have, it is resized to the nearest that it had and
-    cropped, or extended by its border, so that lanes look as wide and as long as in training.
+    The image is resized. If that gives focal lengths that training did not have, it is resized to the nearest that
+    training had, and cropped or extended by its border pixels, so that lanes appear as wide and as long as in training.
     """
     (height, width), from_px = size_px, size_of(image)
     fx, fy, cx, cy = scale(intrinsics, from_px, size_px)

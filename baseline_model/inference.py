@@ -75,8 +75,8 @@ def run(model: LaneNet, images: Float[Tensor, "b 3 h w"], intrinsics: Float[Tens
 
 @dataclass(frozen=True, eq=False)
 class Detector:
-    """A trained network, ours or a user's, the (height, width) of the images that it takes, and the focal lengths of
-    those it was trained on, if they are known."""
+    """A trained network, ours or a user's; the (height, width) of its input images; and the focal lengths that it was
+    trained on, if known."""
 
     network: nn.Module
     size_px: tuple[int, int]
@@ -116,8 +116,8 @@ class Detector:
     def in_samples(
         self, samples: Samples, batch: int = 16, workers: int | None = None
     ) -> Iterator[tuple[Labels, Prediction]]:
-        """The lanes of labelled images beside the labels, of which only the intrinsics are used. Worker processes
-        decode; None: as many as there are cores to spare."""
+        """The lanes of labelled images, of whose labels only the intrinsics are used, with these labels. Worker
+        processes decode the images; None means one for each spare core."""
         for several in labelled_batches(samples, self.size_px, self.trained, batch, workers, self.device):
             yield from zip(several.labels, self.in_batch(several.keys, several.image, several.intrinsics), strict=True)
 

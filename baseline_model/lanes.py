@@ -112,7 +112,7 @@ def to_line(prediction: Prediction) -> str:
 
 
 def write_predictions(path: Path, predictions: Iterable[Prediction]) -> None:
-    """A killed run leaves no partial file."""
+    """Write predictions as JSON lines. A killed process leaves no partial file."""
     folder = Folder(path.parent)
     folder.remove_unfinished(path.name)
     with folder.replacing(path.name) as file:

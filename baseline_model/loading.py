@@ -111,7 +111,8 @@ class Examples:
 
 @dataclass(frozen=True)
 class Decoding:
-    """What happens to the images of a split: `is_once` if all of them are kept in memory once decoded."""
+    """Whether the images of a split are decoded once and kept in memory (`is_once`), and the figures behind that
+    decision."""
 
     n_images: int
     n_bytes: int
@@ -119,7 +120,7 @@ class Decoding:
     is_once: bool
 
     def text(self) -> str:
-        """It in words, with figures."""
+        """The decision and its figures, as one line of text."""
         what = f"{self.n_images:,} images, {self.n_bytes / 1e9:,.1f} GB when decoded"
         if self.is_once:
             return f"{what}: kept in memory"

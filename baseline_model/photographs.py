@@ -26,7 +26,7 @@ BESIDE_M = 10.0
 
 @dataclass(frozen=True)
 class ImageReport:
-    """The figures of a benchmark, and how many images and lines they are of; NaN where nothing was found."""
+    """The figures of a benchmark, and the number of images and lines that they cover; NaN where nothing was found."""
 
     benchmark: str
     figures: Mapping[str, float]
@@ -35,13 +35,13 @@ class ImageReport:
     threshold: float
 
     def document(self) -> dict[str, Any]:
-        """It as JSON values, names in lower case; NaN becomes null."""
+        """The report as JSON values, with names in lower case and null for NaN."""
         figures = {name.lower(): None if np.isnan(value) else value for name, value in self.figures.items()}
         settings = {"n_images": self.n_images, "n_lines": self.n_lines, "threshold": self.threshold}
         return {self.benchmark.lower(): figures, "settings": settings}
 
     def text(self) -> str:
-        """It in a line."""
+        """The report as one line of text."""
         figures = ", ".join(f"{name} {value:.4f}" for name, value in self.figures.items())
         lines = f"{self.n_lines} lines of confidence {self.threshold:g} or more"
         return f"{self.benchmark}: {figures} ({self.n_images} images, {lines})"

@@ -62,7 +62,7 @@ class _Picture:
 
 
 def _shrunk(picture: _Picture) -> _Picture:
-    """The picture at no more pixels than are shown of it."""
+    """The picture, reduced to the number of pixels that are shown."""
     from_px = size_of(picture.image)
     height, width = (max(1, round(size * min(1.0, MOST_SHOWN_PX / max(from_px)))) for size in from_px)
     to_px = height, width

@@ -38,7 +38,7 @@ def load_weights(network: nn.Module, weights: dict[str, torch.Tensor], where: st
 
 
 def state_dict(found: Any, path: Path) -> dict[str, torch.Tensor]:
-    """It as tensors by their names; raise FormatError where it is anything else."""
+    """The checked tensors of a state dict by name. Raises FormatError for anything else."""
     if not isinstance(found, dict):
         raise FormatError(f"{path}: expected a state dict, got {type(found).__name__}")
     for name, value in found.items():

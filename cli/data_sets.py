@@ -12,7 +12,7 @@ from synth3dlanes.words import counted
 
 from .options import json_option, output_console
 
-# So that thirds may be written as 0.33.
+# The sum of shares may differ from 1 by this much, so that thirds may be written as 0.33.
 SUM_TOLERANCE = 0.015
 
 
@@ -41,17 +41,18 @@ class Shares(click.ParamType):
 def info(folder: str, as_json: bool) -> None:
     """Summarise a data set (DIR) or one split (DIR/train).
 
-    Prints the recipe, and for each split its samples, its size and whether it is complete.
+    Prints the recipe with its preset, image sizes, cameras and frames, and for each split its samples, its size and
+    whether it is complete.
     """
     from rich.table import Table
 
-    from synth3dlanes.dataset.description import pictures_per_scene
     from synth3dlanes.dataset.info import dataset_info
 
     found = dataset_info(folder)
     if as_json:
         splits = [{**asdict(split), "complete": split.is_complete} for split in found.splits]
-        click.echo(json.dumps({"recipe": found.recipe, "splits": splits}))
+        told = {name: value for name, value in vars(found).items() if name != "splits"}
+        click.echo(json.dumps({**told, "splits": splits}))
         return
     recipe = found.recipe
     passes = ", ".join(recipe["render"]["passes"]) or "none"
@@ -59,11 +60,9 @@ def info(folder: str, as_json: bool) -> None:
     click.echo(
         f"{counted(recipe['render']['samples'], 'sample')} per pixel on {recipe['render']['device']}, passes: {passes}"
     )
-    if pictures_per_scene(recipe) > 1:
-        shots = recipe["shots"]
-        clip = [f"{shots['frames']} frames a scene, {shots['fps']:g} a second"] if shots["frames"] > 1 else []
-        rig = [f"cameras {', '.join(camera['name'] for camera in shots['cameras'])}"] if shots["cameras"] else []
-        click.echo("; ".join([*clip, *rig]))
+    clip = f"; {counted(found.frames_per_scene, 'frame')} per scene, {found.frames_per_second:g} per second"
+    cameras = f", cameras {', '.join(found.cameras)}" if found.cameras else ""
+    click.echo(f"{found.preset}: {', '.join(found.image_sizes)} px{cameras}{clip * (found.frames_per_scene > 1)}")
     if "derived" in recipe:
         click.echo(f"derived: {json.dumps(recipe['derived'])}")
     table = Table(box=None, padding=(0, 2, 0, 0))

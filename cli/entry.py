@@ -10,7 +10,7 @@ from typing import NoReturn
 NO_MEMORY = "not enough memory; close other programs, raise the limit (ulimit -v), or use fewer workers"
 # `sample` takes 400 MB on two cores. With less, OpenBLAS aborts the process or waits for ever for its threads.
 LEAST_BYTES = 1 << 29
-# What libraries raise for want of memory that is no MemoryError: Python's threads, torch on CPUs and GPUs, the linker.
+# Messages of errors for lack of memory other than MemoryError: of Python's threads, torch on CPUs and GPUs, the linker.
 WORDS = ("can't start new thread", "DefaultCPUAllocator", "CUDA out of memory", "Cannot allocate memory", "map segment")
 
 

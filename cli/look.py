@@ -33,7 +33,8 @@ def inspect(where: str, image: Path | None, out: Path | None, html: Path | None,
 
     The scene is a scene.json, rendered or not, or a sample of a data set such as DIR/train:00000017.
     """
-    from synth3dlanes.figures.describe import describe
+    from synth3dlanes.dataset.columns import numbers_of
+    from synth3dlanes.figures.describe import scene_document
     from synth3dlanes.figures.inspect import draw_inspect, summary
     from synth3dlanes.figures.page import scene_page
     from synth3dlanes.sources import load_shown
@@ -49,7 +50,8 @@ def inspect(where: str, image: Path | None, out: Path | None, html: Path | None,
             draw_inspect(shown).savefig(stream, format=path.suffix[1:], dpi=100)
         written["figure"] = str(path)
     if as_json:
-        click.echo(json.dumps({**written, **describe(shown.scene, shown.labels)}))
+        columns = numbers_of(shown.scene, shown.labels)
+        click.echo(json.dumps({**written, "columns": columns, **scene_document(shown.scene, shown.labels)}))
         return
     output_console().print(summary(shown.scene, shown.labels))
     for what, name in written.items():

@@ -152,7 +152,7 @@ def run() -> None:
     try:
         main()
     except SystemExit as leaving:
-        # What is done is done. As it ends, Python would let a signal kill the process, whatever its exit code.
+        # Python, as it exits, would let a signal kill the process and replace its exit code.
         handle(signal.SIG_IGN)
         if "bpy" not in sys.modules or not isinstance(leaving.code, int):
             raise

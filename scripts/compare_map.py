@@ -14,7 +14,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from synth3dlanes.formats.opendrive.convention import USER_DATA
-from synth3dlanes.formats.opendrive.roads import stems
 from synth3dlanes.scene import from_json
 from synth3dlanes.world import resolve
 
@@ -31,15 +30,12 @@ def differences(scene: Path, road_map: Path, lines: list[str]) -> np.ndarray:
         for data in lane.iter("userData")
         if data.get("code") == USER_DATA
     }
-    paths = {stem: fork for fork, stem in stems(world.plan).items()}
-    curves = {
-        line.id: line.points_world(world.plan, STATIONS_M) for line in world.site.lines if line.kind == "centerline"
-    }
+    curves = {line.id: line.points_world(STATIONS_M) for line in world.site.lines if line.kind == "centerline"}
     points = defaultdict(list)
     for line in lines:
         road, lane, *xyz = line.split()
         segment = segments[road, lane]
-        points[paths.get(segment, segment)].append([float(value) for value in xyz])
+        points[world.network.path(segment).id].append([float(value) for value in xyz])
     return np.concatenate([_apart(np.array(read), curves[path]) for path, read in points.items()])
 
 

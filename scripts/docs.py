@@ -6,15 +6,17 @@ from pathlib import Path
 
 import click
 from pydantic import BaseModel, ValidationError
+from synth3dlanes_cli.documents import Outputs
 from synth3dlanes_cli.main import main
 
 from scripts.results import models_page, with_benchmarks
 from synth3dlanes.assets.catalogue import BUILT_IN
+from synth3dlanes.distributions import Distribution
 from synth3dlanes.figures.stats import form as written
 from synth3dlanes.labels import LabelsDocument
 from synth3dlanes.params import Params, forms, load_params, preset_names
 from synth3dlanes.params_text import REFERENCE, comments_of
-from synth3dlanes.sampling.weather import DAYTIMES, KINDS, Distribution
+from synth3dlanes.sampling.weather import DAYTIMES, KINDS
 from synth3dlanes.scene import Scene
 from synth3dlanes.validate.checks import ALWAYS, CHECKS
 
@@ -23,7 +25,8 @@ FOLDER = Path(__file__).parents[1] / "docs"
 CLI_HEAD = r"""# Commands
 
 This page is the output of `synth3dlanes COMMAND --help`. `python -m synth3dlanes COMMAND` runs the same program when
-the `synth3dlanes` script is not on your PATH. Commands whose results other programs may want have `--json`.
+the `synth3dlanes` script is not on your PATH. Commands whose results other programs may want have `--json`;
+[outputs.schema.json](outputs.schema.json) is the JSON Schema of what each prints, under the command's name.
 
 | exit code | meaning |
 |---|---|
@@ -89,6 +92,7 @@ def pages() -> dict[str, str]:
         "params.md": params_page(),
         "scene.schema.json": json.dumps(Scene.model_json_schema(), indent=1) + "\n",
         "labels.schema.json": json.dumps(LabelsDocument.model_json_schema(), indent=1) + "\n",
+        "outputs.schema.json": json.dumps(Outputs.model_json_schema(), indent=1) + "\n",
         "cluster.md": with_files((FOLDER / "cluster.md").read_text()),
         "benchmarks.md": with_benchmarks((FOLDER / "benchmarks.md").read_text()),
         "models.md": models_page(),

@@ -234,21 +234,24 @@ def arrow(
 
 def draw_plan(axes: Axes, view: SceneView) -> None:
     """Stations and offsets of the scene from above, in the world frame."""
-    plan = view.plan
+    main, *branches = view.network.roads
     s = np.linspace(-100, 100, 201)
-    half_m = plan.n_lanes * plan.width_m / 2
-    edges = plan.main_xy(s, -half_m), plan.main_xy(s, half_m)
-    behind = s[s >= 0]
-    exit_edges = plan.exit_xy(behind, -plan.exit_half_m), plan.exit_xy(behind, plan.exit_half_m)
-    for left, right in (edges, exit_edges):
+    half_m = main.carriageways[-1].right_m
+    edges = [(main.xy(s, -half_m), main.xy(s, half_m))]
+    for branch in branches:
+        beyond = s[s >= branch.start_m]
+        edges.append(
+            (branch.xy(beyond, branch.carriageways[0].left_m), branch.xy(beyond, branch.carriageways[-1].right_m))
+        )
+    for left, right in edges:
         axes.add_patch(Polygon(np.concatenate([left, right[::-1]]), color=colors.ROAD, zorder=1))
-    axes.plot(*plan.main_xy(s, 0.0).T, color=colors.INK, linewidth=1.4, zorder=2)
+    axes.plot(*main.xy(s, 0.0).T, color=colors.INK, linewidth=1.4, zorder=2)
     for station in range(-100, 101, 50):
-        ((x, y),) = plan.main_xy(np.array([float(station)]), 0.0)
+        ((x, y),) = main.xy(np.array([float(station)]), 0.0)
         axes.plot(x, y, "o", color=colors.INK, markersize=4, zorder=3)
         axes.text(x - half_m - 3, y, f"s = {station}", ha="right", va="center")
     station = np.array([72.0])
-    (start,), (end,) = plan.main_xy(station, 0.0), plan.main_xy(station, 14.0)
+    (start,), (end,) = main.xy(station, 0.0), main.xy(station, 14.0)
     arrow(axes, start, end, "$t$", MARK, (9, 0))
     for letter, tip, shift in (("x", (16.0, 0), (18, 0)), ("y", (0, 16.0), (0, 12))):
         arrow(axes, np.zeros(2), np.array(tip), f"${letter}_{{world}}$", WORLD, shift)

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from synth3dlanes.sensors.cameras import CameraSpec
     from synth3dlanes.sources import read_scene
 else:
-    # Type checkers must not see it: they would take any name for one of ours.
+    # Type checkers must not see this function: they would accept any name.
     def __getattr__(name: str) -> Any:
         if name not in __all__:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
@@ -96,7 +96,7 @@ __all__ = [
     "verify_export",
 ]
 
-# Where names live that are not functions of `api`.
+# The modules of the names that are not functions of `api`.
 _HOMES = {
     **dict.fromkeys(("DiskFullError", "FormatError", "InputError", "MissingPackageError"), "errors"),
     **dict.fromkeys(("Synth3dlanesError", "WorkerError"), "errors"),

@@ -2,6 +2,6 @@
 
 from synth3dlanes_cli.entry import run
 
-# Processes that many scenes are drawn in import this module too.
+# Worker processes that draw scenes import this module too.
 if __name__ == "__main__":
     run()

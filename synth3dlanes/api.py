@@ -1,6 +1,6 @@
-"""The functions of `import synth3dlanes` (docs/api.md): each joins a few functions of the modules below.
+"""The functions of `import synth3dlanes` (docs/api.md).
 
-Nothing here loads Blender: `render` and `generate_dataset` do so in worker processes.
+No function loads Blender into this process: `render` and `generate_dataset` start worker processes for it.
 """
 
 import warnings
@@ -75,8 +75,8 @@ STANDARD = QUALITY_SAMPLES["standard"]
 
 @dataclass(frozen=True, eq=False)
 class Rendered:
-    """A rendered scene. Image, labels, passes and the lidar's sweep are those that a data set of PNG images has of the
-    scene; the last is None without a lidar."""
+    """A rendered scene. The image, labels, passes and lidar sweep equal those of the same scene in a data set of PNG
+    images. `sweep` is None for a scene without a lidar."""
 
     scene: Scene
     image: UInt8[np.ndarray, "h w 3"]
@@ -85,10 +85,10 @@ class Rendered:
     sweep: Sweep | None = None
 
     def save(self, path: str | Path) -> list[Path]:
-        """Write the image (.png or .jpg) and beside it the labels, the scene and the passes; return the files.
+        """Write the image (.png or .jpg), and beside it the labels, the scene and the passes. Returns the paths.
 
-        The files beside `scene.png` are `scene.labels.json`, `scene.scene.json` and `scene.passes.exr`. Raises
-        InputError for another ending.
+        For `scene.png` the other files are `scene.labels.json`, `scene.scene.json` and `scene.passes.exr`. Raises
+        InputError for another suffix.
         """
         path = Path(path)
         image_format = _one_of("path", path.suffix.removeprefix("."), IMAGE_FORMATS)
@@ -100,9 +100,11 @@ class Rendered:
 
 
 def open_assets(folder: str | Path) -> Library:
-    """Check a folder of your own cars, trees, textures and skies (docs/assets.md), for every `assets` below.
+    """Check a folder of your own cars, trees, textures and skies (docs/assets.md). The result is the `assets` argument
+    of other functions.
 
-    Warns of what is odd; raises InputError with every problem, and where there is no Blender.
+    Issues a Python warning for each file that is usable but unusual. Raises InputError with a line for every problem,
+    and where Blender is not installed.
     """
     library, found = open_library(Path(folder))
     for warning in found:
@@ -121,7 +123,8 @@ def load_params(
 
 
 def load_camera(source: str | Path) -> CameraSpec:
-    """Read a camera: a YAML file, also of OpenCV or Kalibr, or the name of a ready one (docs/camera.md).
+    """Read a camera (docs/camera.md): a YAML file of ours, a calibration file of OpenCV or Kalibr, or the name of a
+    ready camera.
 
     Raises InputError with a line for every problem.
     """
@@ -129,7 +132,7 @@ def load_camera(source: str | Path) -> CameraSpec:
 
 
 def load_rig(source: str | Path) -> tuple[CameraSpec, ...]:
-    """Read the cameras of a rig: a YAML file, or the name of a ready one (docs/camera.md).
+    """Read the cameras of a rig (docs/camera.md): a YAML file, or the name of a ready rig.
 
     Raises InputError with a line for every problem.
     """
@@ -148,10 +151,11 @@ def sample_scene(
     fps: float = 10.0,
     assets: Library = BUILT_IN,
 ) -> Scene:
-    """Draw the scene of sample `index` of a split, of clips of `frames` frames, with a camera or the cameras of a rig
-    in place of that of the parameters; equal arguments give equal scenes.
+    """Draw the scene of sample `index` of a split. Equal arguments give equal scenes.
 
-    Raises InputError for a bad argument, and where the least number of cars, or trees, find no room in their ranges.
+    `camera`, or the cameras of a `rig`, replace the camera of the parameters. With `frames` above 1, samples are frames
+    of clips at `fps` frames per second. Raises InputError for a wrong argument, and if there is no room for the least
+    number of cars or trees in their ranges.
     """
     _within(0, MAX_SEED, seed=seed)
     _within(0, MAX_SAMPLES - 1, index=index)
@@ -160,9 +164,10 @@ def sample_scene(
 
 
 def change_scene(scene: Scene, changes: str | Sequence[str]) -> Scene:
-    """The scene with changes such as `light.sun_azimuth_deg=200`, `cars.0.lane=2` or `cars=[]`.
+    """Return a copy of the scene with changes such as `light.sun_azimuth_deg=200`, `cars.0.lane=2` or `cars=[]`.
 
-    Keys are those of `scene.json`; angles may be given in degrees. Raises InputError with a line for every problem.
+    The keys are those of `scene.json`; an angle may be given in degrees. Raises InputError with a line for every
+    problem.
     """
     return _change_scene(scene, _several(changes))
 
@@ -173,12 +178,13 @@ def load_scene(path: str | Path) -> Scene:
 
 
 def save_scene(scene: Scene, path: str | Path) -> None:
-    """Write a `scene.json`, which `load_scene` and `synth3dlanes render` read."""
+    """Write a `scene.json` file, which `load_scene` and `synth3dlanes render` read."""
     write(Path(path), f"{scene_format.to_json(scene)}\n".encode())
 
 
 def label(scene: Scene) -> Labels:
-    """The exact labels of a scene, without rendering it. `object_visible` is None: it needs `render`."""
+    """Compute the exact labels of a scene without rendering it. `object_visible` is None, because only `render`
+    computes it."""
     return ground_truth(scene)
 
 
@@ -191,11 +197,12 @@ def render(
     device: str = "auto",
     assets: Library = BUILT_IN,
 ) -> Rendered:
-    """Render a scene with `samples` samples per pixel, in a process of its own; about five seconds.
+    """Render a scene with `samples` samples per pixel, in a process of its own. This takes about five seconds.
 
-    Passes are some of depth, normal, semantic, instance and height. `lidar` is a YAML file or the name of a ready one
-    (docs/lidar.md); without it the scene keeps its own, if it has one. Raises InputError for a bad argument and where
-    `assets` are not those of the scene; MissingPackageError without Blender; WorkerError where Blender fails.
+    `passes` are some of depth, normal, semantic, instance and height. `lidar` is a YAML file or the name of a ready
+    lidar (docs/lidar.md); without it, the scene's own lidar is used, if it has one. Raises InputError for a wrong
+    argument, or if `assets` are not those that the scene was drawn with; MissingPackageError without Blender;
+    WorkerError if Blender fails.
     """
     settings = _settings(samples, passes, device)
     require_assets(scene.assets, assets, "scene")
@@ -232,14 +239,16 @@ def generate_dataset(
     assets: Library = BUILT_IN,
     notify: Callable[[Event], None] | None = None,
 ) -> RunReport:
-    """Make samples 0 to n - 1 of a split in `out`, a folder or a URL; what is there already is kept.
+    """Make samples 0 to n - 1 of a split in `out`, a folder or a URL. Samples that are already there are kept.
 
-    With `frames` above 1 they are the frames of clips, `fps` a second: the first clip is samples 0 to frames - 1.
-    With scenes to be `like`, drawn from the same parameters, new scenes are drawn near these; `spreads` are shares of
-    the parameters' ranges, as `0.1` for all or `camera.pitch_deg=0.4` for one (docs/like.md).
-    `workers` 0 is one for each core; `notify` is called with every event, whose `message` is a line of text. A problem
-    on the way does not raise: see `problem`, `done` and `asked` of the result. Raises InputError, MissingPackageError
-    or DiskFullError where it cannot start.
+    With `frames` above 1, samples are frames of clips at `fps` frames per second: the first clip is samples 0 to frames
+    - 1. With `like`, scenes that were drawn from the same parameters, every new scene is drawn near one of these;
+    `spreads` sets how near, as shares of the parameters' ranges: `0.1` for all parameters, or `camera.pitch_deg=0.4`
+    for one (docs/like.md). `workers` is the number of processes, 0 for one per core. `notify` is called with every
+    event of the run; `event.message` is a line of text.
+
+    Raises InputError, MissingPackageError or DiskFullError if the run cannot start. A later problem does not raise: see
+    `problem`, `done` and `asked` of the result.
     """
     _within(0, MAX_SEED, seed=seed)
     settings = _settings(samples, passes, device)
@@ -271,12 +280,14 @@ def export_dataset(
     cameras: str | Sequence[str] = (),
     workers: int = 1,
 ) -> ExportSummary:
-    """Write a data set, a split or a sample (`DIR/train:00000017`) in a format of `export`; return what was written.
+    """Write a data set, a split or a sample (`DIR/train:00000017`) in a format of the command `export`. Returns a
+    summary of what was written.
 
-    `out` is a new folder, or one with the same export: frames that it has are kept. `size_px` is the images' width and
-    height, by default the format's. `cameras` are the names of those of a rig; by default those that look ahead, and
-    all where the format takes images as they are. Raises InputError otherwise, and for a format, a size or a camera
-    that is not there. With an `Export` of the same arguments, `write` tells its progress.
+    `out` is a new folder, or the folder of an earlier export of the same data, whose frames are kept. `size_px` is
+    (width, height) of the images, by default that of the format. `cameras` are names of cameras of a rig; by default
+    those that look ahead, or all cameras for formats that keep images unchanged. Raises InputError for a wrong
+    argument, and for a format, a size or a camera that does not exist. `Export(...).write` does the same and reports
+    its progress.
     """
     return Export(str(source), Path(out), format_name, size_px, tuple(_several(cameras))).write(workers)
 
@@ -294,8 +305,11 @@ def verify_export(export: Export, *, most_frames: int = 500) -> "tuple[synth3dla
 def split_dataset(
     source: str | Path, out: str | Path, shares: Mapping[str, float] | None = None, *, seed: int = 0
 ) -> dict[str, int]:
-    """Divide a split (or a data set that has one) at random into new ones, in a new data set `out`; return their
-    numbers of samples. Clips stay whole. `shares` are those of the new splits, by default train 0.8, val and test 0.1.
+    """Divide a split at random into new splits, in a new data set `out`. Returns the number of samples of each new
+    split.
+
+    `source` is a split, or a data set with one split. The frames of a clip stay together. `shares` maps the names of
+    the new splits to their shares, by default train 0.8, val 0.1, test 0.1.
     """
     _within(0, MAX_SEED, seed=seed)
     wanted = {"train": 0.8, "val": 0.1, "test": 0.1} if shares is None else shares
@@ -303,8 +317,11 @@ def split_dataset(
 
 
 def merge_datasets(sources: Sequence[str | Path], out: str | Path) -> dict[str, int]:
-    """Merge data sets of one recipe, such as parts made on several machines; return the number of samples of each
-    split. Samples keep their numbers, and none may occur twice."""
+    """Merge data sets of one recipe, such as parts made on several machines. Returns the number of samples of each
+    split.
+
+    Samples keep their numbers. Raises InputError if two data sets have a sample of the same number.
+    """
     return _merge([str(source) for source in sources], str(out))
 
 
@@ -317,11 +334,12 @@ def validate_dataset(
     assets: Library = BUILT_IN,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> "synth3dlanes.validate.report.ValidationReport":
-    """Check every file and sample of a data set or a split, and its labels against its images (docs/validate.md); or
-    the first `limit` samples of every split. `rerender` samples are made again and compared with what is there.
+    """Check every file and sample of a data set or a split, and compare its labels with its images (docs/validate.md).
 
-    `workers` 0 is one for each core. `problems` of the result has a line for each fault; PLACE/validation has a picture
-    of each sample that failed. Raises InputError where there is no data set, or samples cannot be made again here.
+    `limit` checks only the first samples of every split. `rerender` is the number of samples that are made again and
+    compared with those in the data set. `workers` is the number of processes, 0 for one per core. `problems` of the
+    result has a line for each fault, and PLACE/validation a picture of each sample that failed. Raises InputError where
+    there is no data set, and where samples cannot be made again on this machine.
     """
     from synth3dlanes.validate.run import validate
 
@@ -332,8 +350,11 @@ def validate_dataset(
 def dataset_stats(
     source: str | Path | Params, *, n: int = 2000, seed: int = 0, assets: Library = BUILT_IN
 ) -> "synth3dlanes.figures.stats.Statistics":
-    """Statistics of at most `n` scenes and of their labels in a data set or a split, evenly spaced; or of `n` scenes
-    drawn from parameters, without labels. `document()` of the result is for JSON."""
+    """Compute statistics of at most `n` samples, evenly spaced, of a data set or a split: of their scenes and their
+    labels. Given parameters, draw `n` scenes and compute statistics of these, without labels.
+
+    `document()` of the result returns JSON values.
+    """
     from synth3dlanes.figures.stats import Statistics, label_statistics, scene_statistics
 
     _at_least(1, n=n)
@@ -347,8 +368,8 @@ def dataset_stats(
 
 
 def report_dataset(place: str | Path, path: str | Path, *, n: int = 2000, samples: int = 12) -> None:
-    """Write an HTML page about a data set or a split: `samples` samples with their lanes, and the statistics of at most
-    `n` scenes. It loads nothing else."""
+    """Write an HTML page about a data set or a split: `samples` samples with their lanes, and statistics of at most `n`
+    scenes. The page is one file and loads no other."""
     from synth3dlanes.figures.page import report_page
 
     _at_least(1, samples=samples)
@@ -368,7 +389,7 @@ def _shots(camera: CameraSpec | None, rig: Sequence[CameraSpec], frames: int, fp
 
 
 def _settings(samples: int, passes: str | Sequence[str], device: str) -> RenderSettings:
-    """Checked, with the passes in their usual order."""
+    """The checked render settings, with the passes in the order of `PASSES`."""
     _at_least(1, samples=samples)
     asked = [_one_of("passes", name, PASS_NAMES) for name in _several(passes)]
     ordered = tuple(name for name in PASS_NAMES if name in asked)
@@ -376,7 +397,7 @@ def _settings(samples: int, passes: str | Sequence[str], device: str) -> RenderS
 
 
 def _several(values: str | Sequence[str]) -> Sequence[str]:
-    """A single text is a list of one."""
+    """The values as a sequence: a single text becomes a list with one item."""
     return [values] if isinstance(values, str) else values
 
 

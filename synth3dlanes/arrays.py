@@ -11,7 +11,7 @@ Points2 = Float[np.ndarray, "n 2"]
 Points3 = Float[np.ndarray, "n 3"]
 Ids = Integer[np.ndarray, " n"]
 
-# The same in any shape, one throughout a signature; and numbers in any shape of their own.
+# The same for arrays of any shape, which is one throughout a signature; `Numbers` may have any shapes.
 AnyScalars = Float[np.ndarray, "*n"]
 AnyPoints2 = Float[np.ndarray, "*n 2"]
 AnyPoints3 = Float[np.ndarray, "*n 3"]
@@ -24,7 +24,7 @@ Polyline3 = Float[np.ndarray, "_ 3"]
 # A transform of homogeneous points, named `b_from_a`.
 Matrix4 = Float[np.ndarray, "4 4"]
 
-# Images: as files have them, in linear light, of ids, of flags.
+# Images: 8-bit colours as in files, colours in linear light, ids, flags.
 RgbImage = UInt8[np.ndarray, "h w 3"]
 LinearImage = Float[np.ndarray, "h w 3"]
 IdImage = Int[np.ndarray, "h w"]

@@ -47,7 +47,7 @@ def change_scene(scene: Scene, changes: Sequence[str]) -> Scene:
 
 
 def _as_given(problem: ErrorDetails, degrees: dict[str, Any]) -> ErrorDetails:
-    """A problem of an angle that was given in degrees, in degrees again."""
+    """A problem of an angle that was given in degrees, with its numbers in degrees."""
     path = ".".join(str(step) for step in problem["loc"])
     if path not in degrees:
         return problem
@@ -56,7 +56,7 @@ def _as_given(problem: ErrorDetails, degrees: dict[str, Any]) -> ErrorDetails:
 
 
 def _put(document: dict[str, Any], path: str, value: Any, degrees: dict[str, Any]) -> list[str]:
-    """Set the value at a path, and note it in `degrees` by its path in radians if it is an angle in degrees."""
+    """Set the value at a path. If it is an angle in degrees, record it in `degrees` by its path in radians."""
     *steps, last = path.split(".")
     place: Any = document
     for step in steps:

@@ -61,8 +61,11 @@ class Choice(Generic[Value]):
         )
 
     def mapped(self, change: Callable[[Value], Value]) -> "Choice[Value]":
-        """The distribution of changed values, of which several may be equal; at every u its draw is the changed one."""
+        """The distribution whose draw at u is `change(value)` of the draw here; several values may become equal."""
         return Choice(tuple(map(change, self.values)), self.weights)
+
+
+Distribution = Uniform | Integers | Choice[Any]
 
 
 def least(distribution: Integers | Choice[int]) -> int:
@@ -81,15 +84,15 @@ def at_most(distribution: Integers | Choice[int], high: int) -> Choice[int]:
 
 
 def as_choice(distribution: Integers | Choice[int]) -> Choice[int]:
-    """The same distribution as a list of values."""
+    """The same distribution as a `Choice`."""
     if isinstance(distribution, Choice):
         return distribution
     values = tuple(range(distribution.low, distribution.high + 1))
     return Choice(values, (1.0,) * len(values))
 
 
-def form(distribution: Uniform | Integers | Choice[Any]) -> Any:
-    """The YAML form that a distribution was read from."""
+def form(distribution: Distribution) -> Any:
+    """The YAML form that the distribution was read from."""
     if not isinstance(distribution, Choice):
         return [distribution.low, distribution.high]
     if len(distribution.values) == 1:
@@ -139,7 +142,7 @@ def spread_as_pair(form: Any) -> Any:
 
 
 def is_pair(form: object) -> bool:
-    """Whether a parameter is written as a list: `[low, high]`."""
+    """Whether a value is written as a list: `[low, high]`."""
     return isinstance(form, list | tuple)
 
 
@@ -191,7 +194,7 @@ def _parse_flag(form: Any) -> Choice[bool]:
 
 
 def names(*legal: str) -> PlainValidator:
-    """The legal names of a parameter that is one of several kinds."""
+    """The legal names of a parameter that is a choice of names."""
 
     def parse(form: Any) -> Choice[str]:
         return form if isinstance(form, Choice) else _choice(form, legal.__contains__, f"one of {', '.join(legal)}")

@@ -1,7 +1,7 @@
-"""Files of this machine: written below a folder that the user named, never through a link; read up to a bound.
+"""Files of this machine: written below a folder that the user named, never through a link; read up to a size limit.
 
-Whoever may write to a folder can put a link there. A link given as the folder itself is followed; one below it is an
-LinkError, and what it points to stays as it is.
+Anyone who may write to a folder can put a link there. A link given as the folder itself is followed. A link below it
+raises LinkError, and what it points to is not changed.
 """
 
 import errno
@@ -28,13 +28,13 @@ KINDS = {
     stat.S_IFBLK: "a device",
 }
 FOLDER_FLAGS = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
-# Without O_NONBLOCK, a pipe is waited for.
+# Without O_NONBLOCK, opening a pipe would block.
 FILE_FLAGS = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 
 
 @dataclass(frozen=True)
 class Draft:
-    """A file that is being written; until it is whole it lies at `path`, to be read there."""
+    """A file that is being written. Until it is complete it is at `path`, where it can be read."""
 
     stream: BinaryIO
     path: Path
@@ -42,12 +42,13 @@ class Draft:
     _final: tuple[int, str]
 
     def sync(self) -> None:
-        """Write what the stream has got to the disk."""
+        """Flush the stream's bytes to the disk."""
         self.stream.flush()
         os.fsync(self.stream.fileno())
 
     def appear(self) -> None:
-        """Put the whole file in its place, at once. A link that has come there meanwhile is replaced, not followed."""
+        """Move the complete file to its place, in one step. A link that was put there meanwhile is replaced, not
+        followed."""
         self.sync()
         (beside, temporary), (folder, name) = self._temporary, self._final
         os.replace(temporary, name, src_dir_fd=beside, dst_dir_fd=folder)
@@ -94,9 +95,9 @@ class Folder:
 
     @contextmanager
     def draft(self, path: str | PurePath, unfinished: str | PurePath | None = None) -> Iterator[Draft]:
-        """A file for `path` that is there once it `appear`s, and removed otherwise; until then it lies in the folder
-        `unfinished`, or beside. Whoever else writes there does not matter. What a killed process leaves is found by
-        `remove_unfinished`."""
+        """A file for `path`, which is put there when it `appear`s, and removed otherwise. Until then it is in the
+        folder `unfinished`, or beside `path`. Other writers of the same path do not interfere. `remove_unfinished`
+        removes what a killed process leaves."""
         above = _parts(path)[:-1] if unfinished is None else _parts(unfinished)
         with self._parent(path) as (folder, name), self._folder(above) as beside:
             self._expect_file(folder, name, path)
@@ -120,7 +121,7 @@ class Folder:
             stream.write(data)
 
     def take(self, path: str | PurePath, source: Path) -> None:
-        """Put the file at `source` at `path` too: a second name of it where the file system can, or a copy."""
+        """Put the file at `source` at `path` too: as a hard link where the file system allows it, else as a copy."""
         with self._parent(path) as (folder, name):
             self._expect_file(folder, name, path)
             temporary = _temporary(name)
@@ -139,24 +140,24 @@ class Folder:
             return _created(folder, name)
 
     def renew(self, path: str | PurePath) -> BinaryIO:
-        """A new, empty file in the place of one that may be there; whoever is killed leaves half of it."""
+        """A new, empty file that replaces any file there. A writer that is killed leaves a part of it."""
         with self._parent(path) as (folder, name):
             self._expect_file(folder, name, path)
             _removed(folder, name)
             return _created(folder, name)
 
     def append(self, path: str | PurePath) -> BinaryIO:
-        """The file at `path`, or a new one, unbuffered, open to be written at its end. A file with a second name,
-        perhaps elsewhere, raises LinkError."""
+        """The file at `path`, made if missing, unbuffered, opened for writing at its end. Raises LinkError for a file
+        with a second hard link, which may be outside."""
         return open(self._opened(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT), "ab", buffering=0)
 
     def update(self, path: str | PurePath) -> BinaryIO:
-        """The file at `path`, unbuffered, open to be read and written in place. A file with a second name, perhaps
-        elsewhere, raises LinkError."""
+        """The file at `path`, unbuffered, opened for reading and writing in place. Raises LinkError for a file with a
+        second hard link, which may be outside."""
         return open(self._opened(path, os.O_RDWR), "r+b", buffering=0)
 
     def link(self, path: str | PurePath, target: str) -> None:
-        """Have a link to `target` at `path`; raise LinkError where there is anything else."""
+        """Make a link to `target` at `path`. Raises LinkError if anything else is there."""
         with self._parent(path) as (folder, name):
             try:
                 os.symlink(target, name, dir_fd=folder)
@@ -180,14 +181,15 @@ class Folder:
                     raise
 
     def remove_tree(self, path: str | PurePath) -> None:
-        """Remove the folder at `path`, if there is one, with all that is in it; links in it, not what they point to."""
+        """Remove the folder at `path`, if there is one, with its contents. Links in it are removed, not what they point
+        to."""
         with suppress(FileNotFoundError), self._parent(path) as (folder, name):
             if _kind(folder, name) == stat.S_IFLNK:
                 raise self._is_link(path)
             shutil.rmtree(name, dir_fd=folder)
 
     def remove_unfinished(self, path: str | PurePath) -> None:
-        """Remove what killed writers of the file at `path` have left beside it; nobody may be writing it."""
+        """Remove the unfinished files that killed writers of `path` left beside it. No process may be writing it."""
         with suppress(FileNotFoundError), self._parent(path) as (folder, name):
             for found in os.listdir(folder):
                 if found.startswith(f".{name}.") and found.endswith(".tmp"):
@@ -274,9 +276,9 @@ def write(path: Path, data: bytes) -> None:
 
 
 def open_regular(path: Path) -> BufferedReader:
-    """A stream from a regular file, or from what a link to one points to. Raises FormatError for any other kind of
-    file, OSError as `open` does."""
-    # Without O_NONBLOCK, a pipe is waited for.
+    """A stream from a regular file; a link to one is followed. Raises FormatError for any other kind of file, OSError
+    like `open`."""
+    # Without O_NONBLOCK, opening a pipe would block.
     file = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     kind = stat.S_IFMT(os.fstat(file).st_mode)
     if kind != stat.S_IFREG:
@@ -286,7 +288,8 @@ def open_regular(path: Path) -> BufferedReader:
 
 
 def read_bounded(path: Path, most: int) -> bytes:
-    """The contents of a regular file. Raises FormatError as `open_regular` and for one of more than `most` bytes."""
+    """The contents of a regular file. Raises FormatError like `open_regular`, and for a file of more than `most`
+    bytes."""
     with open_regular(path) as stream:
         size = os.fstat(stream.fileno()).st_size
         data = stream.read(most + 1) if size <= most else b""
@@ -300,7 +303,7 @@ def _parts(path: str | PurePath) -> tuple[str, ...]:
 
 
 def _kind(folder: int, name: str) -> int | None:
-    """What a name stands for, as in KINDS; None where there is nothing."""
+    """The kind of file at a name, as in KINDS; None where there is nothing."""
     try:
         return stat.S_IFMT(os.stat(name, dir_fd=folder, follow_symlinks=False).st_mode)
     except FileNotFoundError:
@@ -308,7 +311,7 @@ def _kind(folder: int, name: str) -> int | None:
 
 
 def _temporary(name: str) -> str:
-    """A name that nobody can foresee; `remove_unfinished` finds it."""
+    """An unpredictable name, which `remove_unfinished` recognises."""
     return f".{name}.{secrets.token_hex(8)}.tmp"
 
 

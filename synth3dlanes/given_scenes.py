@@ -1,5 +1,5 @@
-"""Scenes to draw others near; those that `generate --like FILE` names: as JSON, by their samples, or as the worst of an
-evaluation."""
+"""The scenes of `generate --like FILE`, which new scenes are drawn near: scenes as JSON, names of samples, or the worst
+samples of an evaluation."""
 
 import json
 from collections.abc import Iterable, Iterator
@@ -21,32 +21,32 @@ from synth3dlanes.scene import Scene, from_json
 from synth3dlanes.schema import Excerpt, parse
 from synth3dlanes.sources import read_scene
 
-# 100,000 scenes of 5 kB.
+# Room for 100,000 scenes of 5 kB.
 MAX_FILE_BYTES = 512 << 20
-# Of the samples of an evaluation, the worst of each WORST are taken.
+# The worst 1 / WORST of the samples of an evaluation is used.
 WORST = 10
-# So many scenes are drawn again, to see that they are of the parameters; and the parts that are compared.
+# The number of scenes that are drawn again to check that they fit the parameters, and the parts that are compared.
 CHECKED, PARTS = 5, ("terrain", "road", "markings", "surface", "light", "air")
 
 
 class EvaluatedSample(Excerpt):
-    """A sample of an evaluation."""
+    """One sample in a stored evaluation."""
 
     key: Annotated[str, Field(pattern=r"^\d{8}$")]
 
 
 class StoredEvaluation(Excerpt):
-    """What `evaluate --json` says of a split of ours: its samples, the worst first."""
+    """The part of the result of `evaluate --json` on a split of ours that names its samples, the worst first."""
 
     source: Annotated[str, Field(max_length=1000)]
     samples: Annotated[tuple[EvaluatedSample, ...], Field(min_length=1)]
 
 
 def given_scenes(path: Path, params: Params, assets: Assets) -> tuple[DrawKey, ...]:
-    """The draws of the scenes in a file: a line for each, a scene.json or a sample as DIR/test:00000017; or the result
-    of `evaluate --json`, of which the worst tenth is taken.
+    """The draws of the scenes in a file: either one scene per line, as scene.json or as a sample such as
+    DIR/test:00000017; or a result of `evaluate --json`, whose worst tenth is used.
 
-    Raises InputError or FormatError with a line for each problem, also where a scene is not one of the parameters.
+    Raises InputError or FormatError with a line for each problem, also for a scene that other parameters draw.
     """
     try:
         text = read_bounded(path, MAX_FILE_BYTES).decode()
@@ -58,7 +58,8 @@ def given_scenes(path: Path, params: Params, assets: Assets) -> tuple[DrawKey, .
 
 
 def drawn(scenes: Iterable[Scene], params: Params, assets: Assets, where: str) -> tuple[DrawKey, ...]:
-    """The draws of scenes, each once; raise InputError where there are none, or one is not of the parameters."""
+    """The draws of scenes, each once. Raises InputError if there are none, and for a scene that these parameters do not
+    draw."""
     found: dict[DrawKey, None] = {}
     for scene in scenes:
         if len(found) < CHECKED:
@@ -85,7 +86,7 @@ def _scenes(text: str, where: str) -> Iterator[Scene]:
 
 
 def _scores(text: str, where: str) -> StoredEvaluation | None:
-    """The result of an evaluation, None for other files."""
+    """The result of an evaluation, None for another file."""
     try:
         document: Any = json.loads(text)
     except (ValueError, RecursionError):
@@ -105,7 +106,7 @@ def _reader(url: str) -> Reader:
 
 
 def _check(scene: Scene, params: Params, assets: Assets, where: str) -> None:
-    """Raise InputError unless the parameters draw the scene."""
+    """Raise InputError unless these parameters draw the scene."""
     again = sample_scene(Scenes(params, scene.seed, scene.split, assets=assets), scene.index)
     wrong = [name for name in PARTS if getattr(again, name) != getattr(scene, name)]
     if wrong:

@@ -94,7 +94,7 @@ def label(world: World, view: View) -> Labels:
 
 
 def _stations(world: World, host_m: float) -> dict[LaneCurve, Scalars]:
-    """The stations of the points of every line that has some around a host at a station."""
+    """The stations of the points of every line that is in range of a host at a station."""
     network = world.network
     lengths_m = np.arange(-world.scene.shot.behind_m, RANGE_M + STEP_M / 2, STEP_M)
     driven_m = {road.id: network.stations_along(road, host_m, lengths_m) for road in network.roads}
@@ -103,8 +103,9 @@ def _stations(world: World, host_m: float) -> dict[LaneCurve, Scalars]:
 
 
 def _known(world: World, stations: dict[LaneCurve, Scalars]) -> set[str]:
-    """The ids of the lines of a picture, and in a clip of those of all its frames, so that neighbours are named alike
-    in each. A line comes into range or is passed, but not both, so the first frame or the last has it."""
+    """The ids of the lines that a picture has, or that any frame of its clip has, so that lines name the same
+    neighbours in every frame. A line comes into range or is passed, never both, so the first or the last frame has
+    it."""
     scene, shot = world.scene, world.scene.shot
     driven_m = (0.0, shot.speed_m_s * shot.duration_s) if shot.n_frames > 1 else ()
     ends = (_stations(world, host_station(world.network, scene.camera, way_m)) for way_m in driven_m)

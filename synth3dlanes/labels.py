@@ -16,7 +16,7 @@ from synth3dlanes.frames import inside_image
 from synth3dlanes.json_arrays import JsonMask, JsonMatrix3, JsonMatrix4, JsonPoints, rounded
 from synth3dlanes.lens import PINHOLE, Lens
 from synth3dlanes.object_labels import ObjectLabel, object_document
-from synth3dlanes.schema import STRICT, Name, Number, Part, PixelCount, Positive, SymbolKind, Unit, parse
+from synth3dlanes.schema import STRICT, DocumentPart, Name, Number, PixelCount, Positive, SymbolKind, Unit, parse
 
 LABELS_FORMAT, LABELS_VERSION = "synth3dlanes.labels", 1
 
@@ -33,10 +33,11 @@ Direction = Literal["same", "oncoming"]
 @with_config(STRICT)
 @dataclass(frozen=True, eq=False)
 class CameraLabel:
-    """The camera whose frame the points are in; `img_from_cam` acts on (x, y, z) of that frame. `roll_rad` is about
-    the viewing axis, positive clockwise as the driver sees it; older labels lack it. `yaw_rad` turns that axis from the
-    host's, positive to the left. `lens` bends what `img_from_cam` makes pixels of; `project` and `rays` go through
-    both. Labels made before version 0.3.0 lack a yaw of 0, an empty `name` and a pinhole's lens."""
+    """The camera that took the image. `img_from_cam` maps (x, y, z) of the camera frame to pixels. `roll_rad` is about
+    the viewing axis, positive clockwise as the driver sees it. `yaw_rad` is the angle from the host's direction to that
+    axis, positive to the left. `lens` is the distortion that `img_from_cam` lacks; `project` and `rays` apply it.
+    Labels made before version 0.3.0 lack `yaw_rad`, `name` and `lens` if these are 0, "" and a pinhole; older ones also
+    lack `roll_rad`."""
 
     width_px: PixelCount
     height_px: PixelCount
@@ -51,19 +52,19 @@ class CameraLabel:
     lens: Lens = PINHOLE
 
     def project(self, points_cam: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
-        """Pixels (u, v) of points; NaN for points that are behind the camera or out of its lens's field."""
+        """Pixels (u, v) of points; NaN for points behind the camera or outside the lens's field."""
         return self.lens.project(self.img_from_cam, points_cam)
 
     def shows(self, points_cam: Float[np.ndarray, "*n 3"]) -> Bool[np.ndarray, "*n"]:
-        """Which points lie within the borders of the image."""
+        """Whether each point is within the borders of the image."""
         return inside_image(self.project(points_cam), self.width_px, self.height_px)
 
     def rays(self, uv: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 3"]:
-        """Unit vectors along which pixels (u, v) look; NaN where the lens has no picture."""
+        """Unit vectors along which pixels (u, v) look; NaN outside the lens's field."""
         return self.lens.rays(self.img_from_cam, uv)
 
     def points(self, uv: Float[np.ndarray, "*n 2"], depth_m: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n 3"]:
-        """The points that pixels (u, v) see at depths y, as the pass `depth` has them."""
+        """The points that pixels (u, v) see at these planar depths, which are those of the pass `depth`."""
         rays = self.rays(uv)
         return np.asarray(rays * (depth_m / rays[..., 1])[..., None])
 
@@ -108,8 +109,8 @@ class Lane:
 @with_config(STRICT)
 @dataclass(frozen=True, eq=False)
 class SymbolLabel:
-    """Paint on the road that bounds no lane: its outline, a closed polygon whose last point is not repeated. For a
-    crosswalk or a gore it is the outline of the whole area. Masks as for lanes."""
+    """Paint on the road that bounds no lane: its outline as a closed polygon, whose last point is not the first one
+    again. The outline of a crosswalk or a gore encloses its whole area. Masks are as for lanes."""
 
     kind: SymbolKind
     xyz_cam: JsonPoints
@@ -178,8 +179,8 @@ class RoadPlane:
 @with_config(STRICT)
 @dataclass(frozen=True, eq=False)
 class LidarLabel:
-    """The lidar beside the camera: its beams from the top one down, the azimuths of a turn, the ranges within which it
-    measures, and its place."""
+    """The lidar beside the camera: the elevations of its beams from the top down, the azimuths of a turn, the ranges
+    that it measures, and its place."""
 
     name: Name
     elevations_rad: Annotated[tuple[Number, ...], Field(min_length=1, max_length=256)]
@@ -264,7 +265,7 @@ def to_json(labels: Labels) -> str:
     return json.dumps(document, separators=(",", ":"), allow_nan=False)
 
 
-class LabelsDocument(Part):
+class LabelsDocument(DocumentPart):
     """What a network must predict from one image: the whole of `labels.json`. Points in camera coordinates (x right, y
     along the viewing direction, z up), metres. Its JSON Schema is docs/labels.schema.json."""
 

@@ -13,10 +13,10 @@ from pydantic import Field, model_validator
 
 from synth3dlanes.arrays import AnyPoints2, AnyPoints3, Numbers
 from synth3dlanes.frames import project
-from synth3dlanes.schema import Part
+from synth3dlanes.schema import DocumentPart
 
 LensModel = Literal["pinhole", "opencv", "fisheye"]
-# What the coefficients of each model are called, in their order.
+# The names of the coefficients of each model, in order.
 COEFFICIENTS: dict[LensModel, tuple[str, ...]] = {
     "pinhole": (),
     "opencv": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
@@ -27,13 +27,13 @@ MAX_COEFFICIENT = 1e4
 WIDEST_RAD: dict[LensModel, float] = {"pinhole": np.pi / 2, "opencv": np.radians(89.0), "fisheye": np.pi}
 # Newton's steps, the knots that they start from, and the largest error of an inverse, in units of x/y.
 STEPS, KNOTS, TOLERANCE = 20, 512, 1e-10
-# A step of Newton's that needs no other after it.
+# A Newton step this small is the last one.
 ENOUGH = 1e-9
-# Coefficients of polynomials that are taken as 0.
+# Coefficients of polynomials below this count as 0.
 NEGLIGIBLE = 1e-15
 
 
-class Lens(Part):
+class Lens(DocumentPart):
     """A distortion model and its coefficients: none for a pinhole, k1 k2 p1 p2 k3 k4 k5 k6 for OpenCV's, k1 to k4 for
     the Kannala-Brandt fisheye."""
 

@@ -35,20 +35,18 @@ from synth3dlanes.yaml_text import read_yaml, text_of
 Fraction = Annotated[Real, reals(0, 1)]
 Orientation = Annotated[Real, reals(-360, 360)]
 Offset = Annotated[Real, reals(-50, 50)]
-# Of models or textures of one kind, if the assets are unknown.
+# The largest number of a model or texture if the assets are unknown.
 MAX_NUMBER = 9999
 # Groups that were added later; parameters without them have their defaults.
 OPTIONAL: tuple[str, ...] = ("symbols", "weather", "host", "vegetation", "roadside", "motion")
-# With more keys missing there is one line for all.
+# If more keys than this are missing, one line names them all.
 MAX_MISSING = 3
 
 
 def numbers(kind: AssetKind) -> PlainValidator:
-    """Legal numbers of models or textures of one kind: those of the `Assets` in the validation's context.
-
-    The range or weights of all built-in ones, as in the presets, stand for all of a user's own. Without a context, as
-    in `dataset.json`, any number is legal.
-    """
+    """The legal numbers of models or textures of one kind, which are those of the `Assets` in the validation's context.
+    A range or weights over all built-in ones, as in the presets, mean all of a user's own. Without a context, as in
+    `dataset.json`, any number is legal."""
     return PlainValidator(lambda read, info: _parse_numbers(read, kind, info.context))
 
 
@@ -67,7 +65,8 @@ def _is_whole(read: Any, kind: AssetKind) -> bool:
 
 
 def added(default: Any) -> Any:
-    """A key that was added later: parameters without it have this constant, and `dataset.json` leaves it out then."""
+    """A field that a later version added. Parameters without it have this constant; `dataset.json` leaves it out if it
+    has this value."""
     constant = Choice((default,), (1.0,))
     return Field(default=constant, exclude_if=lambda value: value == constant)
 
@@ -89,8 +88,8 @@ class TerrainParams(Group):
 
 
 class RoadParams(Group):
-    """Topology, top view and ramp, and the oncoming lanes. Topologies 3 and 4 need two lanes and have at least two; a
-    `median_m` below 1 is none, and a bend too sharp for the oncoming lanes leaves them out."""
+    """Topology, top view and ramp, and the oncoming lanes. Topologies 3 and 4 need two lanes, so they have at least
+    two. A `median_m` below 1 counts as none. Oncoming lanes are left out where a bend is too sharp for them."""
 
     topology: Annotated[Integer, integers(1, 4)]
     flip_longitudinal: Flag
@@ -154,8 +153,8 @@ class SymbolParams(Group):
 
 
 class CarParams(Group):
-    """Cars; `color` is drawn once per channel, `saturation` and `parked` per car. With `palette` sold, colour and
-    saturation give way to the colours of new cars, and to liveries for trucks and buses."""
+    """Cars. `color` is drawn once per channel, `saturation` and `parked` once per car. With `palette` sold, `color` and
+    `saturation` are ignored: cars have the colours of new cars, trucks and buses have liveries."""
 
     n: Annotated[Integer, integers(0, 100)]
     model: Annotated[Integer, numbers("cars")]
@@ -187,7 +186,7 @@ class VegetationParams(Group):
 
 
 class CameraParams(Group):
-    """The host's camera. A `lane` beyond the lanes present is cut to them before the draw; `principal_offset_px` is
+    """The host's camera. The range of `lane` is cut to the lanes that exist before the draw. `principal_offset_px` is
     drawn once for x and once for y."""
 
     lane: Annotated[Integer, integers(1, 8)]
@@ -203,7 +202,7 @@ class CameraParams(Group):
 
 
 class LightParams(Group):
-    """Sun and film exposure; `metering` is how far the exposure makes up for the scene's daylight."""
+    """Sun and film exposure. `metering` says how far the exposure compensates for the scene's daylight, from 0 to 1."""
 
     sun_zenith_deg: Annotated[Real, reals(0, 110)]
     sun_azimuth_deg: Orientation
@@ -212,7 +211,7 @@ class LightParams(Group):
 
 
 class AirParams(Group):
-    """Haze or fog by its meteorological visibility, and the share of the sun behind a closed layer of clouds."""
+    """Haze or fog, by its meteorological visibility, and the share of the sun that a closed layer of clouds hides."""
 
     visibility_m: Annotated[Real, reals(20, 1_000_000)]
     overcast: Fraction
@@ -231,7 +230,8 @@ class SensorParams(Group):
 
 
 class WeatherParams(Group):
-    """Weather and time of day. A `kind` or `daytime` other than any replaces what the other keys say (`weather`)."""
+    """Weather and time of day. A `kind` or `daytime` other than any replaces the distributions of other keys
+    (`sampling.weather`)."""
 
     kind: Annotated[Named, names("any", "clear", "cloudy", "fog", "rain", "snow")] = added("any")
     daytime: Annotated[Named, names("any", "day", "dusk", "night")] = added("any")
@@ -255,8 +255,8 @@ Barrier = Annotated[Named, names(*RAIL_NAMES)]
 
 
 class RoadsideParams(Group):
-    """What stands beside and over the road. `outer` and `inner` say what is along the outermost edges of the pavement
-    (drawn for each side), between the main road and the exit, and in a median with room for it."""
+    """What stands beside and over the road. `outer` is along the outermost edges of the pavement (drawn for each side),
+    `inner` between the main road and the exit, `median` in a median that has room for it."""
 
     outer: Barrier = added("none")
     inner: Barrier = added("none")
@@ -284,7 +284,7 @@ Speed = Annotated[Real, reals(0, 60)]
 
 
 class MotionParams(Group):
-    """Speeds in clips, constant through a clip; single pictures do not use them. Parked cars stand."""
+    """Speeds in clips, constant through a clip; a single picture does not use them. Parked cars do not move."""
 
     host_speed_m_s: Speed = Uniform(20.0, 33.0)
     car_speed_m_s: Speed = Uniform(17.0, 36.0)
@@ -332,10 +332,8 @@ OPTION_OF = {"": "--params", "cameras": "--camera", "rigs": "--rig", "lidars": "
 
 
 def find_preset(source: str, kind: str = "") -> tuple[Path, str]:
-    """The file of a preset of some kind by its name, or a user's own by its path, and what messages call it.
-
-    Raises InputError for what is neither.
-    """
+    """The path of a preset of some kind, by its name, or of a user's own file, by its path; and its name in messages.
+    Raises InputError if there is neither."""
     if source in preset_names(kind):
         within = Path(kind, f"{source}.yaml")
         return presets_folder() / within, str("params" / within)
@@ -368,7 +366,7 @@ def load_params(source: str, overrides: Sequence[str] = (), assets: Assets = BUI
 
 @lru_cache(maxsize=16)
 def _parsed(text: str, where: str) -> tuple[Any, list[str]]:
-    """`read_yaml`, which takes most of the time of loading, once for each file."""
+    """The result of `read_yaml`, which takes most of the time of loading, computed once for each file."""
     return read_yaml(text, where)
 
 

@@ -4,16 +4,20 @@ Reading a file is the only side effect.
 """
 
 import re
+from collections.abc import Mapping
 from typing import Any
 
 import yaml
+from pydantic import ValidationError
 
-from synth3dlanes.params import Params, find_preset, forms
+from synth3dlanes.params import Params, find_preset, forms, load_params, preset_names
 from synth3dlanes.yaml_text import read_yaml, text_of
 
 REFERENCE = "appendix_i"
 # The column of comments, as in the presets.
 COMMENT_COLUMN = 32
+# Parameters with more changes are not called by their preset.
+MOST_CHANGES, OWN = 8, "own parameters"
 # Larger whole numbers are written as numbers with a point, as they are.
 MOST_SHORT = 1e15
 
@@ -51,6 +55,26 @@ def comments_of(source: str) -> Comments:
             group = named["key"]
         found[group, named["key"] * bool(named["indent"])] = (named["comment"] or "").strip()
     return found
+
+
+def preset_of(document: Mapping[str, Any]) -> str:
+    """What parameters are called, as `dataset.json` has them: `streets`, or `tiny with cars.n=3`, by the preset that
+    they differ least from; "own parameters" where they differ from all in many keys or cannot be read."""
+    try:
+        own = forms(Params.model_validate(document))
+    except ValidationError:
+        return OWN
+    changes = {name: _changes(forms(load_params(name)), own) for name in preset_names()}
+    name = min(changes, key=lambda name: len(changes[name]))
+    if len(changes[name]) > MOST_CHANGES:
+        return OWN
+    return f"{name} with {', '.join(changes[name])}" if changes[name] else name
+
+
+def _changes(base: dict[str, dict[str, Any]], own: dict[str, dict[str, Any]]) -> list[str]:
+    return [
+        f"{group}.{key}={_flow(form)}" for group in own for key, form in own[group].items() if form != base[group][key]
+    ]
 
 
 def keys_left_out(source: str) -> list[str]:

@@ -58,8 +58,8 @@ def _die_of_ctrl_c() -> None:
 
 @contextmanager
 def process_pool(workers: int | None = None) -> Iterator[ProcessPoolExecutor]:
-    """A pool of fresh processes, by default one per core; what is not begun when it is left is dropped. Raises
-    WorkerError where somebody kills one of them."""
+    """A pool of fresh processes, by default one per core. Tasks that have not begun when the pool closes are dropped.
+    Raises WorkerError if one of the processes is killed."""
     pool = QuietPool(workers, mp_context=get_context("spawn"), initializer=_die_of_ctrl_c)
     try:
         yield pool

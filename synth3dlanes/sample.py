@@ -55,7 +55,7 @@ WORTH_PROCESSES, CHUNK = 200, 25
 
 @dataclass(frozen=True)
 class Scenes:
-    """All that decides the scenes of a split, each with its pictures; equal ones are drawn equal."""
+    """All values that decide the scenes of a split and their pictures. Equal values give equal scenes."""
 
     params: Params
     seed: int = 0
@@ -66,7 +66,7 @@ class Scenes:
 
 
 def sample_scene(scenes: Scenes, index: int) -> Scene:
-    """Draw the scene of sample `index`; it depends on these arguments alone.
+    """Draw the scene of sample `index`, which depends on these arguments alone.
 
     Raises InputError if there is no room for the least number of cars, or for the trees, in their ranges.
     """
@@ -74,14 +74,14 @@ def sample_scene(scenes: Scenes, index: int) -> Scene:
 
 
 def sample_world(scenes: Scenes, index: int) -> World:
-    """Draw and resolve what sample `index` shows."""
+    """Draw and resolve the scene that sample `index` shows."""
     place = scenes.shots.place(index)
     draw = draw_world if scenes.shots.per_scene == 1 else _latest
     return world_in_shot(draw(scenes, place.scene), scenes.shots, place)
 
 
 def world_in_shot(world: World, shots: Shots, place: ShotNumbers) -> World:
-    """A drawn world as one frame and camera show it."""
+    """A drawn world as one frame and one camera see it."""
     if shots == SINGLE:
         return world
     scene = world.scene
@@ -94,7 +94,7 @@ def world_in_shot(world: World, shots: Shots, place: ShotNumbers) -> World:
 
 
 def with_lidar(scene: Scene, spec: LidarSpec | None) -> Scene:
-    """The scene with a user's lidar on its host; without one, the scene itself."""
+    """The scene with a lidar on its host; the scene itself if `lidar` is None."""
     if spec is None:
         return scene
     return scene.model_copy(update={"lidar": _lidar(spec, Draw(spec, scene.stream("lidar")))})
@@ -167,7 +167,7 @@ def _scene_text(scenes: Scenes, index: int) -> str:
 
 
 def _plain(part: type[P], draw: Draw) -> P:
-    """Draw a part each of whose fields is one parameter."""
+    """Draw a part of the scene whose fields are one parameter each."""
     return part(**{field: draw(field.replace("_rad", "_deg")) for field in part.model_fields})
 
 
@@ -227,12 +227,12 @@ def _camera(params: CameraParams, draw: Draw, road: Road) -> Camera:
 
 
 def _mounted(spec: CameraSpec, host: Camera, rng: np.random.Generator) -> Camera:
-    """A user's camera at the host's place."""
+    """A user's camera, at the host's place."""
     return Camera(lane=host.lane, y_m=host.y_m, offset_m=host.offset_m, **spec.drawn(rng.random))
 
 
 def _lidar(spec: LidarSpec, draw: Draw) -> Lidar:
-    """A user's lidar at its place on the host."""
+    """A user's lidar, at its place on the host."""
     place = ("height_m", "right_m", "forward_m", "yaw_deg", "pitch_deg", "roll_deg")
     fixed = {name: getattr(spec, name) for name in ("name", "azimuths", "min_range_m", "max_range_m")}
     elevations_rad = tuple(np.round(np.radians(spec.elevations_deg), LIDAR_DECIMALS).tolist())

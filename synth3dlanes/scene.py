@@ -13,7 +13,19 @@ from pydantic import Field, model_validator
 
 from synth3dlanes.assets.catalogue import AssetKind, Assets
 from synth3dlanes.lens import PINHOLE, Lens
-from synth3dlanes.schema import AHEAD_DEG, MAX_PX, Metres, Name, Number, Part, Positive, Seed, SymbolKind, Unit, parse
+from synth3dlanes.schema import (
+    AHEAD_DEG,
+    MAX_PX,
+    DocumentPart,
+    Metres,
+    Name,
+    Number,
+    Positive,
+    Seed,
+    SymbolKind,
+    Unit,
+    parse,
+)
 from synth3dlanes.settings import FIRST_SYMBOL_ID, HOST_ID, JPEG_QUALITY, MAX_SAMPLES
 from synth3dlanes.streams import stream
 
@@ -21,9 +33,9 @@ SCENE_VERSION = 1
 
 
 Color = tuple[Unit, Unit, Unit]
-# Of models, textures and skies of one kind.
+# The most models, textures or skies of one kind.
 MAX_ASSETS = 9999
-# Narrower medians have no room for the edge lines at both sides.
+# A narrower median has no room for an edge line at each side.
 MIN_MEDIAN_M = 1.0
 # Instance ids of symbols end where the host's begins.
 MAX_SYMBOLS = HOST_ID - FIRST_SYMBOL_ID
@@ -33,7 +45,7 @@ MAX_BEAMS = 256
 AssetNumber = Annotated[int, Field(ge=1, le=MAX_ASSETS)]
 
 
-class Gaussian(Part):
+class Gaussian(DocumentPart):
     """One hill or hollow of the terrain (paper, Appendix I, Table 'Terrain 3D')."""
 
     center_m: tuple[Number, Number]
@@ -42,13 +54,13 @@ class Gaussian(Part):
     orientation_rad: Number
 
 
-class Terrain(Part):
+class Terrain(DocumentPart):
     """A sum of Gaussians."""
 
     gaussians: Annotated[tuple[Gaussian, ...], Field(max_length=100)]
 
 
-class Road(Part):
+class Road(DocumentPart):
     """Top view and ramp of the main road and its exit (Appendix I, Tables 'Topology' to 'Lane 3D').
 
     `n_oncoming` lanes of traffic the other way lie on the side opposite the exit, beyond a median of `median_m` between
@@ -113,7 +125,7 @@ class Road(Part):
         return sum(not segment.startswith("exit") for segment in self.segments_at(s_m))
 
 
-class Markings(Part):
+class Markings(DocumentPart):
     """Paint: `dash_fraction` is the painted share of `dash_cycle_m`, `wear` the share of paint that is rubbed off,
     `missing` the share of each line's length without paint, in stretches. `left_yellow` and `left_double` (two stripes
     of `width_m`, `width_m` apart) apply to the leftmost line as the host drives. `left_pair` says which of two stripes,
@@ -133,10 +145,11 @@ class Markings(Part):
     left_pair: Literal["same", "solid_dashed", "dashed_solid"] = "same"
 
 
-class Surface(Part):
-    """Textures of road and terrain, numbered from 1; `wetness` of the pavement is 0 when dry, 1 under water. What is
-    seen on the pavement without being paint: `tar` is the amount of cracks filled with bitumen (0 none, 1 a net of
-    them), `joint` the contrast of old and new asphalt beside each other, `ghost_lines` that of removed paint."""
+class Surface(DocumentPart):
+    """Textures of road and terrain, numbered from 1. `wetness` of the pavement is from 0 (dry) to 1 (under water).
+    Three values describe what is visible on the pavement but is no paint: `tar` is the amount of cracks filled with
+    bitumen, from 0 (none) to 1 (a net of them); `joint` is the contrast between old and new asphalt beside each other;
+    `ghost_lines` is the contrast of removed paint."""
 
     road_texture: AssetNumber
     road_texture_scale: Positive
@@ -151,7 +164,7 @@ class Surface(Part):
     ghost_lines: Unit = 0.0
 
 
-class Symbol(Part):
+class Symbol(DocumentPart):
     """Paint that bounds no lane. The middle of an arrow is on the centre of lane segment `lane` at station `s_m`. Stop
     lines (`lane` is None) cross the lanes of the main road there, crosswalks also the oncoming ones. The hatching of a
     gore fills the area between main road and exit from station `s_m` to where the ramp begins."""
@@ -161,7 +174,7 @@ class Symbol(Part):
     s_m: Metres
 
 
-class Car(Part):
+class Car(DocumentPart):
     """A car in lane segment `lane` (its id in the lane graph) at station `s_m` (world y on the main reference line),
     heading as the lane does, `offset_m` to its driver's right of the lane's centre: parked cars stand on a shoulder.
     This is its place at the start of a clip, through which it keeps its lane and speed. Models are numbered from 1.
@@ -178,7 +191,7 @@ class Car(Part):
     speed_m_s: Annotated[float, Field(ge=0, le=100)] = 0.0
 
 
-class Tree(Part):
+class Tree(DocumentPart):
     """A tree at a world position off the roads. Models are numbered from 1."""
 
     model: AssetNumber
@@ -188,19 +201,19 @@ class Tree(Part):
     scale: Positive
 
 
-class Vegetation(Part):
-    """The light that leaves let through, as a share of a real leaf's, and the height of the grass beside the road near
-    the host."""
+class Vegetation(DocumentPart):
+    """The share of light that leaves let through, relative to real leaves, and the height in metres of the grass beside
+    the road near the host."""
 
     translucency: Unit = 0.0
     grass_m: Annotated[float, Field(ge=0, le=1)] = 0.0
 
 
-class Camera(Part):
-    """The host's place and its camera. The host: lane counted from the left as it drives, station `y_m` (at the start
-    of a clip), lateral offset positive to the right. The camera: `right_m` and `forward_m` of the host's place, in its
-    road frame, and `height_m` over the plane of that; yaw positive counter-clockwise seen from above, roll about the
-    viewing axis positive clockwise as the driver sees it."""
+class Camera(DocumentPart):
+    """The host's place and its camera. The host: `lane` is counted from the left in driving direction, station `y_m`
+    (at the start of a clip), lateral offset positive to the right. The camera: `right_m` and `forward_m` are relative
+    to the host's place in the host's road frame, `height_m` is over the plane of that frame; yaw is positive
+    counter-clockwise seen from above, roll about the viewing axis is positive clockwise as the driver sees it."""
 
     lane: Annotated[int, Field(ge=1, le=8)]
     y_m: Metres
@@ -226,10 +239,10 @@ class Camera(Part):
         return abs(math.degrees(self.yaw_rad)) <= AHEAD_DEG
 
 
-class Shot(Part):
-    """Which picture of the world a scene is: frame `frame` of a clip of `n_frames` at `fps`, by camera `camera` of a
-    rig of `n_cameras`. In a clip the host keeps its lane and drives `speed_m_s`. Lanes are labelled from `behind_m`
-    behind the host."""
+class Shot(DocumentPart):
+    """Which picture of the world a scene describes: frame `frame` of a clip of `n_frames` frames at `fps` frames per
+    second, by camera `camera` of a rig of `n_cameras`. In a clip the host keeps its lane and drives at `speed_m_s`.
+    Lanes are labelled from `behind_m` metres behind the host."""
 
     frame: Annotated[int, Field(ge=0, lt=MAX_FRAMES)] = 0
     n_frames: Annotated[int, Field(ge=1, le=MAX_FRAMES)] = 1
@@ -259,9 +272,10 @@ class Shot(Part):
         return (self.n_frames - 1) / self.fps
 
 
-class Lidar(Part):
-    """A spinning lidar on the host: its beams' elevations from the top one down, all from one point; the number of
-    azimuths of a turn; the ranges within which it measures; and its place, as of a camera."""
+class Lidar(DocumentPart):
+    """A spinning lidar on the host. All beams start at one point; their elevations are listed from the top beam down.
+    The other values are the number of azimuths per turn, the ranges (metres) that it measures, and its place, given as
+    for a camera."""
 
     name: Name = ""
     elevations_rad: Annotated[
@@ -285,7 +299,7 @@ class Lidar(Part):
         return self
 
 
-class Light(Part):
+class Light(DocumentPart):
     """The sun, its azimuth counter-clockwise from world x, its zenith beyond pi/2 at night; the exposure factor; and
     `metering`, the exponent with which the exposure compensates for the scene's daylight (0 not at all, 1 fully)."""
 
@@ -295,16 +309,17 @@ class Light(Part):
     metering: Unit = 0.0
 
 
-class Air(Part):
-    """Meteorological visibility, at which 2 % of the contrast is left, and the share of the sun that clouds hide."""
+class Air(DocumentPart):
+    """The meteorological visibility, which is the distance where 2 % of the contrast is left, and the share of the sun
+    that clouds hide."""
 
     visibility_m: Positive = 1e6
     overcast: Unit = 0.0
 
 
-class Sensor(Part):
-    """Metres driven during the exposure, and the noise's standard deviation at middle gray in 8-bit levels; from 0 to 1
-    the flare of lights in the lens, and the dirt and the drops of water on the glass; the quality of JPEG images."""
+class Sensor(DocumentPart):
+    """Metres driven during the exposure; the standard deviation of the noise at middle gray, in 8-bit levels; lens
+    flare, dirt and drops of water on the glass, each from 0 to 1; and the quality of JPEG images."""
 
     motion_blur_m: Annotated[float, Field(ge=0, le=1000)] = 0.0
     noise: Annotated[float, Field(ge=0, le=1000)] = 0.0
@@ -314,10 +329,10 @@ class Sensor(Part):
     jpeg_quality: Annotated[int, Field(ge=1, le=100)] = JPEG_QUALITY
 
 
-class Weather(Part):
-    """What the scene was drawn as, "any" without a condition, and what falls and lies: `rain` and `snowfall` in the air
-    from 0 to 1, the share of the terrain under snow, and of the road, whose wheel tracks stay clear longest.
-    `headlights` are those of the host and of all cars."""
+class Weather(DocumentPart):
+    """The weather and the time of day that the scene was drawn for ("any" for none), and their effects: `rain` and
+    `snowfall` in the air, from 0 to 1; the share of the terrain, and of the road, that snow covers (wheel tracks stay
+    clear longest); `headlights` of the host and of all cars."""
 
     kind: Literal["any", "clear", "cloudy", "fog", "rain", "snow"] = "any"
     daytime: Literal["any", "day", "dusk", "night"] = "any"
@@ -328,8 +343,9 @@ class Weather(Part):
     headlights: bool = False
 
 
-class Host(Part):
-    """The host's own bonnet: the share of the image's height that it fills (0: none), its gray and gloss."""
+class Host(DocumentPart):
+    """The host's own bonnet: the share of the image's height that it covers (0 for none), its gray value and its
+    gloss."""
 
     bonnet: Annotated[float, Field(ge=0, le=0.3)] = 0.0
     gray: Unit = 0.0
@@ -342,7 +358,7 @@ PostKind = Literal["lamp", "sign", "delineator"]
 N_SIGN_FACES = 16
 
 
-class Rail(Part):
+class Rail(DocumentPart):
     """A barrier, wall, kerb or power line along a road between two plan stations. Its front is `aside_m` from the edge
     of the pavement on a side of the plan; on the side `median` its middle is at plan offset `aside_m` of the main
     road. A `walkway` is a kerb with a paved path behind it."""
@@ -357,7 +373,7 @@ class Rail(Part):
     color: Color
 
 
-class Post(Part):
+class Post(DocumentPart):
     """A lamp post, sign or delineator at a plan station, placed like a `Rail`. `face` numbers the picture of a sign
     from 1; a `turned` sign shows it to the traffic in the other direction."""
 
@@ -371,8 +387,8 @@ class Post(Part):
     turned: bool = False
 
 
-class Crossing(Part):
-    """A gantry or bridge across all roads at a plan station of the main road: `clearance_m` of free height over every
+class Crossing(DocumentPart):
+    """A gantry or bridge across all roads at a plan station of the main road: its free height `clearance_m` over every
     pavement, and its width along the road."""
 
     kind: Literal["gantry", "bridge"]
@@ -382,7 +398,7 @@ class Crossing(Part):
     color: Color
 
 
-class Building(Part):
+class Building(DocumentPart):
     """A house with a gable, an industrial hall or a block of flats: the middle of its floor plan, the direction of its
     length (counter-clockwise from world y), and the height of its walls."""
 
@@ -397,9 +413,9 @@ class Building(Part):
     roof: Color
 
 
-class Roadside(Part):
-    """What stands beside and over the road. Structure i of the passes is number i of all rails, posts, crossings and
-    buildings, in this order."""
+class Roadside(DocumentPart):
+    """What stands beside and over the road. In the instance pass, structures are numbered in this order: rails, posts,
+    crossings, buildings."""
 
     rails: Annotated[tuple[Rail, ...], Field(max_length=100)] = ()
     posts: Annotated[tuple[Post, ...], Field(max_length=1000)] = ()
@@ -407,9 +423,9 @@ class Roadside(Part):
     buildings: Annotated[tuple[Building, ...], Field(max_length=200)] = ()
 
 
-class Scene(Part):
-    """One picture of one world. `(seed, split, index)` identify the world's draw; `sky` numbers a user's skies from 1,
-    0 is the built-in one."""
+class Scene(DocumentPart):
+    """One picture of one world. `(seed, split, index)` identify the random draw of the world. `sky` is 0 for the
+    built-in sky, or the number of a user's sky, counted from 1."""
 
     format: Literal["synth3dlanes.scene"]
     version: Literal[1]

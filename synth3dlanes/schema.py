@@ -11,9 +11,9 @@ from pydantic_core import ErrorDetails
 
 from synth3dlanes.errors import FormatError
 
-# Far above any document of ours: labels take 30 kB, a scene with 5000 trees 1 MB.
+# The most bytes of a document, far above ours: labels take 30 kB, a scene with 5000 trees 1 MB.
 MAX_BYTES = 16 << 20
-# Lines of problems to show.
+# The most lines of problems that are shown.
 MAX_PROBLEMS = 8
 # An image's longest side.
 MAX_PX = 8192
@@ -48,12 +48,13 @@ def _below(path: str) -> str:
     return path
 
 
-# A file beside a document that names it; it cannot be anywhere else.
+# The path of a file below the folder of the document that names it.
 PathBelow = Annotated[str, Field(min_length=1, max_length=1000), AfterValidator(_below)]
 
 Document = TypeVar("Document", bound=BaseModel)
 
-# What was expected, by pydantic's type of error; the rest of its name is what its context holds.
+# What was expected, as text, by the start of pydantic's error type. The rest of the type's name is a key of the error's
+# context.
 EXPECTED = {
     "missing": "missing",
     "extra_forbidden": "unknown key",
@@ -89,13 +90,13 @@ EXPECTED = {
 WITHOUT_VALUE = ("missing", "extra_forbidden", "unexpected_keyword_argument", "json_invalid", "value_error")
 
 
-class Part(BaseModel):
+class DocumentPart(BaseModel):
     """A frozen part of a document; unknown keys, missing keys, NaN and infinity are errors."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class Excerpt(Part):
+class Excerpt(DocumentPart):
     """What we need of a document that has more; other keys are left alone."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)

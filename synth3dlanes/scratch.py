@@ -1,4 +1,4 @@
-"""Folders of this process for what need not last. Those of processes that were killed go with the next one."""
+"""Temporary folders of this process. The next process that asks for one removes those of processes that were killed."""
 
 import fcntl
 import os
@@ -15,7 +15,7 @@ OWNER = ".owner"
 
 @contextmanager
 def scratch() -> Iterator[Path]:
-    """A new folder, removed at the end. Its owner is this process, however it ends."""
+    """A new folder, removed at the end. It belongs to this process, however that ends."""
     _sweep(Path(tempfile.gettempdir()))
     # Under its own name only once it is locked: a folder of that name without a lock belongs to nobody.
     made = Path(tempfile.mkdtemp(prefix=f".{PREFIX}"))
@@ -29,7 +29,7 @@ def scratch() -> Iterator[Path]:
 
 
 def _sweep(temporary: Path) -> None:
-    """Remove this user's folders whose owners are gone. Links in them are not followed, nor are links to them."""
+    """Remove this user's folders whose processes have ended. Links in them, and links to them, are not followed."""
     for folder in temporary.glob(f"{PREFIX}*"):
         with suppress(OSError):
             if folder.is_symlink() or folder.stat().st_uid != os.geteuid():

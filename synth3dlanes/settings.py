@@ -8,9 +8,9 @@ from synth3dlanes.errors import InputError
 # Passes with the image's pixels, and all passes: these and the height map over the road plane.
 PIXEL_PASSES = ("depth", "normal", "semantic", "instance")
 PASSES = (*PIXEL_PASSES, "height")
-# Of images that nothing else is said of.
+# JPEG quality, 1 to 100, of scenes that do not set one.
 JPEG_QUALITY = 95
-# What splits may be called, and how many samples they and their shards may have: keys have eight digits.
+# Legal names of splits, and the most samples of a split and of a shard: keys have eight digits.
 MAX_SEED = 2**128
 SPLIT_NAME, MAX_SAMPLES, MAX_SHARD_SIZE = "[A-Za-z0-9_-]+", 100_000_000, 1_000_000
 DEVICES = ("auto", "cpu", "cuda", "optix", "hip", "oneapi", "metal")
@@ -20,8 +20,8 @@ QUALITY_SAMPLES = {"draft": 2, "standard": 4, "high": 8}
 
 @dataclass(frozen=True)
 class RenderSettings:
-    """Samples per pixel, passes to render in addition to the image (`lidar` among them of scenes with a lidar), and the
-    Cycles device."""
+    """Samples per pixel, the passes to render in addition to the image, and the Cycles device. `lidar` counts as a pass
+    if scenes have a lidar."""
 
     samples: int = QUALITY_SAMPLES["standard"]
     passes: tuple[str, ...] = ()
@@ -51,15 +51,10 @@ SEMANTIC_IDS = {"sky": 0, "terrain": 1, "road": 2, "shoulder": 3, "marking": 4, 
 # dots are markings, tar lines are road, grass is terrain.
 SEMANTIC_IDS |= {"symbol": 7, "barrier": 8, "pole": 9, "sign": 10, "bridge": 11, "building": 12, "kerb": 13, "host": 14}
 
-# Instance ids of pixels: car i has FIRST_CAR_ID + i, delimiter i (in the order of the labels) FIRST_DELIMITER_ID + i,
-# tree i FIRST_TREE_ID + i, structure i beside the road FIRST_STRUCTURE_ID + i, symbol i FIRST_SYMBOL_ID + i, the host's
-# bonnet HOST_ID, everything else 0.
-FIRST_CAR_ID = 1
-FIRST_DELIMITER_ID = 200
-FIRST_TREE_ID = 300
-FIRST_STRUCTURE_ID = 6000
-FIRST_SYMBOL_ID = 9000
-HOST_ID = 10_000
+# Instance ids of pixels: thing i of a kind has the kind's first id + i, everything else 0. Delimiters are in the order
+# of the labels, structures stand beside the road, and the host has one bonnet.
+FIRST_IDS = {"car": 1, "delimiter": 200, "tree": 300, "structure": 6000, "symbol": 9000, "bonnet": 10_000}
+FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_TREE_ID, FIRST_STRUCTURE_ID, FIRST_SYMBOL_ID, HOST_ID = FIRST_IDS.values()
 
 # Depth of a pixel that hits nothing.
 NO_HIT_DEPTH_M = float("inf")

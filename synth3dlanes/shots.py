@@ -13,7 +13,7 @@ from synth3dlanes.sensors.lidars import LidarSpec
 
 
 class ShotNumbers(NamedTuple):
-    """What a sample of a split shows: the number of its scene, of the frame and of the camera."""
+    """The numbers of the scene, the frame and the camera that a sample shows."""
 
     scene: int
     frame: int
@@ -21,8 +21,8 @@ class ShotNumbers(NamedTuple):
 
 
 class Shots(Group):
-    """Every scene is seen in `frames` frames, `fps` a second, by each of the cameras of a rig; without any, by the
-    camera of the parameters. Each of its samples has the sweep of the lidar, if there is one."""
+    """How each scene is seen: in `frames` frames, `fps` a second, by each camera of `cameras`. Without `cameras`, the
+    camera of the parameters is used. With a `lidar`, every sample has its sweep."""
 
     frames: Annotated[int, Field(ge=1, le=MAX_FRAMES)] = 1
     fps: Annotated[float, Field(gt=0, le=1000)] = 10.0
@@ -36,25 +36,27 @@ class Shots(Group):
 
     @property
     def behind_m(self) -> float:
-        """How far behind the host lanes are labelled: as far as ahead, where a camera looks aside or back."""
+        """How far behind the host lanes are labelled, in metres: as far as ahead if a camera looks sideways or back,
+        else 0."""
         return 0.0 if all(spec.looks_ahead for spec in self.cameras) else MAX_BEHIND_M
 
     @property
     def per_scene(self) -> int:
-        """How many samples show one scene."""
+        """The number of samples that show one scene."""
         return self.frames * self.n_cameras
 
     def place(self, index: int) -> ShotNumbers:
-        """What sample `index` shows: index = (scene x frames + frame) x cameras + camera."""
+        """The numbers of scene, frame and camera of sample `index`, where index = (scene x frames + frame) x cameras +
+        camera."""
         of_frame, camera = divmod(index, self.n_cameras)
         return ShotNumbers(*divmod(of_frame, self.frames), camera)
 
     def index(self, place: ShotNumbers) -> int:
-        """The sample that shows a place, as opposed to `place`."""
+        """The index of the sample with these numbers: the inverse of `place`."""
         return (place.scene * self.frames + place.frame) * self.n_cameras + place.camera
 
     def text(self, n: int) -> str:
-        """What `n` samples show, in words; "" for single pictures."""
+        """What `n` samples show, as text for a person; "" for single pictures."""
         if self.frames == 1:
             return ""
         n_frames = -(-n // self.n_cameras)
@@ -67,8 +69,8 @@ SINGLE = Shots()
 
 
 def clips(frames: int, fps: float, cameras: tuple[CameraSpec, ...] = ()) -> Shots:
-    """Clips of so many frames, or single pictures for 1, by these cameras; raise InputError for numbers out of
-    range."""
+    """Clips of `frames` frames, or single pictures if `frames` is 1, taken by these cameras. Raises InputError for
+    numbers out of range."""
     if frames == 1:
         return Shots(cameras=cameras)
     try:

@@ -1,6 +1,6 @@
-"""From what a user types to what is there: a scene.json, `DIR/train:00000017`, or some samples of a data set.
+"""Find what a user names: a scene.json, a sample such as `DIR/train:00000017`, or some samples of a data set.
 
-Reads files; no Blender.
+Reads files; needs no Blender.
 """
 
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ MAX_IMAGE_BYTES = 1 << 30
 
 
 def scene_name(path: Path) -> str:
-    """What the files made from a scene are called: 00000017 for 00000017.scene.json, scene for scene.json."""
+    """The stem of the files that are made from a scene: 00000017 for 00000017.scene.json, scene for scene.json."""
     return path.name.removesuffix(".json").removesuffix(".scene")
 
 
@@ -49,7 +49,7 @@ def load_scene(path: Path) -> Scene:
 
 
 def find_scene(where: str) -> tuple[str, Scene]:
-    """A scene and its name, by its file or as a sample of a data set: `DIR/SPLIT:KEY`."""
+    """A scene and its name. `where` is a scene file or a sample `DIR/SPLIT:KEY`."""
     if SAMPLE.fullmatch(where):
         reader, position = find(where)
         return reader.key(position), read_scene(reader, position)
@@ -64,10 +64,11 @@ def find_scene(where: str) -> tuple[str, Scene]:
 def load_shown(
     where: str, image_path: Path | None, *, with_passes: bool = False, with_clip: bool = False
 ) -> ShownScene:
-    """What there is to be shown of a sample `DIR/SPLIT:KEY`; or of a scene.json, whose labels are drawn from the scene
-    alone, with its rendered image, if there is one, and the files beside that.
+    """Load what figures show of a sample `DIR/SPLIT:KEY` or of a scene file.
 
-    Raises InputError for an image beside a sample, and where passes are asked for and there are none.
+    The labels of a scene file are computed from the scene; `image_path` is its rendered image, and passes and sweep are
+    read from the files beside it. Raises InputError if an image is given for a sample, or if passes are asked for and
+    there are none.
     """
     is_sample = SAMPLE.fullmatch(where) is not None
     name, scene, labels, image = _sample(where, image_path) if is_sample else _rendered(where, image_path)
@@ -102,7 +103,7 @@ def _rendered(where: str, image_path: Path | None) -> tuple[str, Scene, Labels, 
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """Labels and image of each frame, and how many there are a second."""
+    """The labels and the image of each frame, and the number of frames per second."""
 
     fps: float
     frames: list[tuple[Labels, RgbImage]]
@@ -113,7 +114,7 @@ class Clip:
 
 
 def load_clip(where: str) -> Clip:
-    """The frames of the clip to which a sample `DIR/SPLIT:KEY` belongs, by the same camera; raise InputError for a
+    """The frames, by the same camera, of the clip that a sample `DIR/SPLIT:KEY` belongs to. Raises InputError for a
     single picture."""
     reader, i = find(where)
     shot = read_scene(reader, i).shot
@@ -124,13 +125,13 @@ def load_clip(where: str) -> Clip:
 
 
 def load_rig_pictures(where: str) -> list[tuple[Labels, RgbImage]]:
-    """What all cameras of a rig see in the scene and frame of a sample `DIR/SPLIT:KEY`."""
+    """Labels and image of every camera of the rig, for the scene and frame of a sample `DIR/SPLIT:KEY`."""
     reader, i = find(where)
     return [(reader.labels(position), reader.image(position)) for position in reader.rig(i)]
 
 
 def load_passes(where: str, image_path: Path | None) -> dict[str, Shaped[np.ndarray, "..."]]:
-    """The passes of a sample, or those in the files beside a rendered image; raise InputError where there are none."""
+    """The passes of a sample, or of the files beside a rendered image. Raises InputError where there are none."""
     passes: dict[str, Shaped[np.ndarray, ...]] = {}
     if SAMPLE.fullmatch(where):
         reader, position = find(where)
@@ -145,7 +146,7 @@ def load_passes(where: str, image_path: Path | None) -> dict[str, Shaped[np.ndar
 
 
 def load_sweep(where: str, image_path: Path | None, labels: Labels) -> Sweep | None:
-    """The lidar's sweep of a sample, or that in the file beside a rendered image; None where there is none."""
+    """The lidar sweep of a sample, or of the file beside a rendered image; None where there is none."""
     if labels.lidar is None:
         return None
     if SAMPLE.fullmatch(where):
@@ -156,19 +157,19 @@ def load_sweep(where: str, image_path: Path | None, labels: Labels) -> Sweep | N
 
 
 def read_scene(reader: Reader, i: int) -> Scene:
-    """The scene of one sample; nothing else of it is read."""
+    """The scene of one sample, read without its image and labels."""
     return from_json(reader.member(i, SCENE), f"{reader.url}:{reader.key(i)}")
 
 
 def _in_order(document: Any) -> Any:
-    """Assets as tuples, as scenes have them; dataset.json has them by name, in the same order."""
+    """Assets as tuples, as a scene has them. dataset.json has them as mappings by name, in the same order."""
     if not isinstance(document, dict):
         return document
     return {kind: tuple(own.values()) if isinstance(own, dict) else own for kind, own in document.items()}
 
 
 class Provenance(Excerpt):
-    """What the scenes of a data set were drawn from, as its dataset.json says."""
+    """The part of a dataset.json that says how its scenes were drawn."""
 
     seed: Seed
     params: Params
@@ -182,7 +183,7 @@ class Provenance(Excerpt):
 
 
 def scenes_of(reader: Reader) -> Scenes:
-    """What a split was drawn from."""
+    """How the scenes of a split were drawn, from its dataset.json. Raises FormatError with a line for every problem."""
     try:
         provenance = Provenance.model_validate(reader.description)
     except ValidationError as error:
@@ -191,9 +192,10 @@ def scenes_of(reader: Reader) -> Scenes:
 
 
 def some_samples(folder: str, n: int, shuffle: int | None, where: str | None) -> list[tuple[Reader, int]]:
-    """The first `n` samples of a split, or `n` at random by a seed, of those that `where` selects by the index.
+    """At most `n` samples of a split, as (reader, position): the first ones, or a random choice with the seed
+    `shuffle`. `where` is a query on the index that selects samples.
 
-    Of a data set, its first split is taken. Raises InputError where no sample is left.
+    For a data set, its first split is used. Raises InputError if no sample is left.
     """
     reader = readers(folder)[0]
     chosen = np.arange(len(reader)) if where is None else rows_where(reader.index, where)
@@ -207,8 +209,11 @@ def some_samples(folder: str, n: int, shuffle: int | None, where: str | None) ->
 def shown_samples(
     samples: Sequence[tuple[Reader, int]], show: str = "image", with_lanes: bool = True
 ) -> list[ShownSample]:
-    """The images of some samples of a split, or one of their passes, with their keys and labels. A height map has no
-    labels: it is not in the pixels of the image. Raises InputError for a pass that the split was made without."""
+    """Some samples of a split with their keys and labels: their images, or the pass `show`.
+
+    A height map gets no labels, because it is not in the pixels of the image. Raises InputError for a pass that the
+    split does not have.
+    """
     # Loaded here: matplotlib takes a second.
     from synth3dlanes.figures.passes import pass_picture
 

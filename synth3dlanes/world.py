@@ -103,7 +103,7 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """What stands still: the ground as built, and what is drawn, grows and is built on it. It knows no camera and no
+    """What does not move: the ground as built, and what is drawn, grows and is built on it. It knows no camera and no
     instant, so all views of a world share it. Values are computed on first access and kept."""
 
     ground: Ground
@@ -148,7 +148,7 @@ class Site:
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """A scene, and the site where it is; one for each picture of the site."""
+    """A scene and its site. All pictures of a site have a world each."""
 
     scene: Scene
     site: Site

@@ -14,9 +14,9 @@ import yaml
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.files import read_bounded
 
-# Far above any file of ours: a preset takes 8 kB and has 400 values, 2 deep.
+# Limits of a file, far above ours: a preset takes 8 kB and has 400 values, 2 levels deep.
 MAX_BYTES, MAX_VALUES, MAX_DEPTH = 1 << 20, 20_000, 20
-# Of a whole number; seeds have up to 39.
+# The most digits of an integer; seeds have up to 39.
 MAX_DIGITS = 40
 PLAIN = "null, true, false, numbers, text, lists and mappings"
 
@@ -136,7 +136,7 @@ def read_yaml(text: str, where: str, *, is_calibration: bool = False) -> tuple[A
     if len(text) > MAX_BYTES:
         return None, [f"{where}: expected at most {MAX_BYTES:,} characters, got {len(text):,}"]
     if is_calibration:
-        # What OpenCV writes first is no directive of YAML.
+        # The first line that OpenCV writes is no valid YAML directive.
         text = re.sub(r"\A\s*%YAML:[\d.]+", "", text)
     try:
         loader = (_CalibrationLoader if is_calibration else _Loader)(text)

@@ -28,6 +28,7 @@ GENERATED = [
     "params.md",
     "scene.schema.json",
     "labels.schema.json",
+    "outputs.schema.json",
     "cluster.md",
     "validate.md",
     "benchmarks.md",

@@ -21,9 +21,13 @@ import click
 import pytest
 from click.testing import CliRunner
 
+from tests.thorough import first
+
 ROOT = Path(__file__).parents[1]
 GENERATED = ("cli.md", "params.md", "decisions.md")
 PAGES = [ROOT / "README.md", *sorted(page for page in (ROOT / "docs").glob("*.md") if page.name not in GENERATED)]
+# Those that `make test` runs. Of the others it looks up the commands and their options.
+FIRST = [ROOT / "README.md", *(ROOT / "docs" / name for name in ("api.md", "quickstart.md", "recipes.md"))]
 BLOCK = re.compile(r"(?:<!-- (not run|file)[ :]*(.*?) -->\n)?^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 # Programs that prepare machines: of these lines only our own part is looked at.
 FOREIGN = (".", "cd", "docker", "hf", "pip", "python", "torchrun")
@@ -42,6 +46,10 @@ class Block:
         """The words of every command, without comments."""
         lines = self.text.replace("\\\n", " ").splitlines()
         return [found for found in (shlex.split(line, comments=True) for line in lines) if found]
+
+
+def name_of(page: Path) -> str:
+    return page.name
 
 
 def blocks(page: Path) -> list[Block]:
@@ -149,7 +157,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.render
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", first(len(FIRST), sorted(PAGES, key=lambda page: page not in FIRST)), ids=name_of)
 def test_a_page_runs(page: Path, made: Path, in_tmp_path: Path) -> None:
     found = blocks(page)
     for name in ("data", "demo/data"):
@@ -177,7 +185,7 @@ def test_a_page_runs(page: Path, made: Path, in_tmp_path: Path) -> None:
             rows_where(names["Reader"]("data/train").index, block.text.split("where", 1)[1].strip())
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_blocks_and_inline_commands(page: Path) -> None:
     from synth3dlanes_cli.main import main
 
@@ -185,6 +193,9 @@ def test_blocks_and_inline_commands(page: Path) -> None:
         command = re.search(r"^(synth3dlanes|make|ray|python) ", block.text, re.MULTILINE)
         assert not command or block.language in ("sh", "yaml", "python"), f"mark this block as sh:\n{block.text}"
         assert block.mark != "not run" or block.why, "say why it is not run"
+        for words in block.lines() if block.language == "sh" else []:
+            if words[0] == "synth3dlanes":
+                look_up(main, redirected(words)[0])
     prose = BLOCK.sub("", page.read_text())
     for line in re.findall(r"`(synth3dlanes [^`]+)`", prose):
         words = shlex.split(line)

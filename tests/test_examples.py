@@ -82,6 +82,7 @@ def test_twins_score_each_value(in_tmp_path: Path) -> None:
     assert found == ["1", "3"]
 
 
+@pytest.mark.thorough
 @pytest.mark.render
 def test_the_fisheye_sees_wider_than_a_pinhole_could(in_tmp_path: Path) -> None:
     assert run("own_fisheye", "out", "--params", "tiny", "--width", 160) == "out/fisheye.png fisheye\n"

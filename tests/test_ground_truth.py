@@ -73,7 +73,7 @@ def test_lines_of_a_split_begin_exactly_at_the_nose():
 
     lanes = {lane.id: lane for lane in labels.lanes}
     points_world = transform(labels.camera.world_from_cam, lanes["main_line_3"].xyz_cam)
-    assert points_world[0, 1] == pytest.approx(resolve(scene).plan.nose_m, abs=1e-6)
+    assert points_world[0, 1] == pytest.approx(resolve(scene).network.roads[-1].parting.station(0.0), abs=1e-6)
 
 
 def test_every_reference_names_a_lane_that_exists():

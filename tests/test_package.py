@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy
 import pytest
 
+pytestmark = pytest.mark.thorough
+
 ROOT = Path(__file__).parents[1]
 NOT_COPIED = (".git", ".venv", ".*_cache", ".hypothesis", "demo", "build", "dist", "*.egg-info")
 BUILD = "import sys; from setuptools import build_meta; print(getattr(build_meta, f'build_{sys.argv[1]}')(sys.argv[2]))"

@@ -138,10 +138,10 @@ def test_cars_keep_apart(scenes):
     from synth3dlanes.geometry.placement import lane_place
 
     for scene in scenes[:60]:
-        plan = resolve(scene).plan
+        network = resolve(scene).network
         circles, owners = [], []
         for i, car in enumerate(scene.cars):
-            middle, heading = lane_place(plan, car.lane, car.s_m)
+            middle, heading = lane_place(network, car.lane, car.s_m)
             model = CARS[car.model - 1]
             reach = (model.length_m - model.width_m) / 2 * car.scale
             for along in np.linspace(-reach, reach, 7):

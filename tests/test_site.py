@@ -17,6 +17,9 @@ from playwright.sync_api import Browser, sync_playwright
 import synth3dlanes
 from synth3dlanes.formats.registry import format_names
 
+pytestmark = pytest.mark.thorough
+
+
 ROOT = Path(__file__).parents[1]
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 

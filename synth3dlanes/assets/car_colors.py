@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from synth3dlanes.assets.catalogue import TALL_M, CarModel
 from synth3dlanes.distributions import Choice
 
-Color = tuple[float, float, float]
+DisplayColor = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -14,10 +14,10 @@ class CarColor:
 
     name: str
     share: float
-    dark: Color
-    light: Color
+    dark: DisplayColor
+    light: DisplayColor
 
-    def shade(self, u: float) -> Color:
+    def shade(self, u: float) -> DisplayColor:
         """The shade at u in [0, 1)."""
         red, green, blue = (round(low + (high - low) * u, 6) for low, high in zip(self.dark, self.light, strict=True))
         return red, green, blue
@@ -48,7 +48,7 @@ COMMERCIAL = (
 )
 
 
-def sold_color(model: CarModel, u_paint: float, u_shade: float) -> Color:
+def sold_color(model: CarModel, u_paint: float, u_shade: float) -> DisplayColor:
     """The colour of a vehicle as sold, from two numbers in [0, 1): that of a passenger car, or a livery."""
     paints = COMMERCIAL if model.height_m > TALL_M else PASSENGER
     number = Choice(tuple(range(len(paints))), tuple(paint.share for paint in paints)).draw(u_paint)

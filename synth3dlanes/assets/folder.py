@@ -12,7 +12,7 @@ from pydantic import Field, ValidationError, model_validator
 from synth3dlanes.assets.catalogue import KINDS, AssetKind, Assets, Library, VehicleClass
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.files import open_regular
-from synth3dlanes.schema import Part, Positive, validation_problems
+from synth3dlanes.schema import DocumentPart, Positive, validation_problems
 from synth3dlanes.yaml_text import read_yaml, text_of
 
 NOTES = "assets.yaml"
@@ -58,7 +58,7 @@ class AssetFiles:
     unknown: tuple[str, ...]
 
 
-class CarNotes(Part):
+class CarNotes(DocumentPart):
     """A car's wheels, if they cannot be measured from the names of its parts or from its footprint, and its class, if
     neither its name nor its size tells."""
 
@@ -81,13 +81,13 @@ class CarNotes(Part):
         return {name: getattr(self, name) for name in ("wheelbase_m", "track_m", "wheel_radius_m")}
 
 
-class SkyNotes(Part):
+class SkyNotes(DocumentPart):
     """The azimuth of the sun in a sky picture: degrees from its middle column to the left."""
 
     sun_azimuth_deg: Annotated[float, Field(ge=-360, le=360)]
 
 
-class Notes(Part):
+class Notes(DocumentPart):
     """`assets.yaml`: values that replace the measured ones, by file name without suffix."""
 
     cars: dict[str, CarNotes] = Field(default_factory=dict)

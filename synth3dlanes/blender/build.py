@@ -118,7 +118,7 @@ def build(
     if studio.ground is world.ground:
         _clear(studio, OF_VIEW)
     else:
-        # Until it stands: a build that fails leaves no world that another view could be added to.
+        # No world until the build succeeds: another view cannot be added to one that failed.
         studio.ground = None
         _clear(studio, COLLECTIONS)
         _stage(studio, world, trees)

@@ -152,7 +152,7 @@ def _model(path: Path, kind: ModelKind, where: str, found: AssetFindings) -> Imp
 
 
 def _lost_pictures(where: str) -> Iterator[str]:
-    """Pictures that are not packed into the file; they would be missing on another machine."""
+    """The pictures that are not packed into the file, and so would be missing on another machine."""
     for image in bpy.data.images:
         if image.source in ("FILE", "SEQUENCE", "TILED", "MOVIE") and not image.packed_files:
             yield f"{where}: expected its pictures packed (File > External Data > Pack Resources), got {image.filepath}"

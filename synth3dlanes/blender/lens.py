@@ -1,7 +1,8 @@
-"""Lenses in Cycles: a screen right before the camera sends each camera ray on along the lens's own ray.
+"""Lenses in Cycles: a screen directly before the camera redirects each camera ray along the ray of the lens.
 
-Cycles' pinhole has the lens's pixels; the screen's material (a ray portal) looks up where a pixel looks. Nothing is
-resampled: the first sample of a pixel, from which depth and ids come, goes exactly along the ray of its centre.
+Cycles renders a pinhole with the lens's pixels; the screen's material, a ray portal, looks up the direction of each
+pixel. Nothing is resampled: the first sample of a pixel, which gives depth and ids, follows the ray of the pixel's
+centre exactly.
 """
 
 import bpy

@@ -16,7 +16,7 @@ from synth3dlanes.labels import LidarLabel
 from synth3dlanes.sensors.sweep import Sweep
 from synth3dlanes.settings import NO_HIT_DEPTH_M
 
-# Beams this close to even spacing are rendered at once: Cycles' directions are no more exact.
+# Beams whose spacing is even to this tolerance are rendered in one image: Cycles' directions are no more exact.
 EVEN_RAD = 1e-7
 # Blender renders no image of fewer rows. A beam that is rendered alone has more, this far apart, below it.
 MIN_ROWS, SPARE_ROWS_RAD = 4, 1e-3

@@ -46,7 +46,7 @@ def hidden_by_objects(
 def _meets(
     tree: BVHTree, eye: Float[np.ndarray, "3"], points: Float[np.ndarray, "n 3"], end: float
 ) -> Bool[np.ndarray, " n"]:
-    """Which straight lines from the eye meet a mesh before they come this close to their points."""
+    """Which straight lines from the eye hit a mesh before they are this near to their points."""
     to = points - eye
     reach, origin = np.linalg.norm(to, axis=1), Vector(eye)
     rays = zip((to / reach[:, None]).tolist(), (reach - end).tolist(), strict=True)

@@ -35,7 +35,8 @@ LENS_BOUNCES = 2
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
-    """Layers, the labels with `object_visible`, the sweep if the view has a lidar, and the seconds per stage."""
+    """The layers, the labels with `object_visible`, the sweep if the view has a lidar, and the seconds of each
+    stage."""
 
     layers: Layers
     labels: Labels
@@ -65,7 +66,7 @@ def render(
     placed = build(studio(library), world, view, light, lines)
     clock.append(time.perf_counter())
     configure(settings, light.film)
-    # Only for further renders of the same scene, because persistent data ignores changes between scenes.
+    # For further renders of the same scene only: persistent data ignores changes between scenes.
     bpy.context.scene.render.use_persistent_data = "normal" in settings.passes or labels.lidar is not None
     own = studio(library)
     is_bent = not view.camera.lens.is_pinhole
@@ -77,7 +78,7 @@ def render(
         layers = replace(layers, normal=_normals(view.world_from_cam, own.lens if is_bent else own.plain))
     if is_bent:
         layers = layers.only(np.isfinite(rays_of_pixels(view.camera)).all(axis=-1))
-    # The last one, as it turns the camera away.
+    # The sweep comes last, because it moves the camera.
     sweep = None if labels.lidar is None else scan(own.camera, labels.lidar, view.world_from_lidar)
     bpy.context.scene.render.use_persistent_data = False
     clock.append(time.perf_counter())

@@ -63,8 +63,8 @@ def connect(url: str) -> tuple[Any, str]:
 
 @contextmanager
 def translate_store_errors(place: str, problem: str = "cannot be reached") -> Iterator[None]:
-    """Whatever a file system raises becomes a line that names the place and the problem: an OutageError where it may
-    help to wait, a FormatError where the file system refuses."""
+    """Turn every error of a file system into one line with the place and the problem: OutageError if a retry can help,
+    FormatError if the file system refuses."""
     try:
         yield
     except Synth3dlanesError:
@@ -75,7 +75,7 @@ def translate_store_errors(place: str, problem: str = "cannot be reached") -> It
 
 
 def is_outage(error: BaseException) -> bool:
-    """Whether an error of a file system is one of the connection or of the server, which may be gone in a minute."""
+    """Whether an error is a failure of the connection or of the server, which a retry may not meet again."""
     if isinstance(error, _loaded(REFUSALS)):
         return False
     response = getattr(error, "response", None)
@@ -96,12 +96,13 @@ def can_list(files: Any) -> bool:
 
 
 def kinds(files: Any) -> set[str]:
-    """What the addresses of a file system begin with."""
+    """The protocols of a file system, such as s3 and s3a."""
     return {files.protocol} if isinstance(files.protocol, str) else set(files.protocol)
 
 
 def read_file(files: Any, path: str) -> bytes | None:
-    """The bytes of a file, None where there is none. Asks the store itself: what was listed before may have changed."""
+    """The bytes of a file, or None where there is none. Asks the store again, because its cached listing may be out of
+    date."""
     try:
         return bytes(files.cat_file(path))
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
@@ -109,8 +110,8 @@ def read_file(files: Any, path: str) -> bytes | None:
 
 
 def splits_near(place: str) -> str:
-    """What to name instead of a wrong place, as in "; there is DIR/train, DIR/val": the splits of the data set at or
-    above it; "" where there is none."""
+    """A hint for the message about a wrong place, such as "; there is DIR/train, DIR/val": the splits of the data set
+    at or above it. "" where there is none."""
     files, root = connect(place)
     place, root = (re.sub(r":\d*$", "", path.rstrip("/")) for path in (place, root))
     for _ in range(2):
@@ -124,7 +125,7 @@ def splits_near(place: str) -> str:
 
 
 def _loaded(names: Mapping[str, tuple[str, ...]]) -> tuple[type[BaseException], ...]:
-    """Those of the exceptions whose packages are loaded: others have not been raised."""
+    """Those of the exception classes whose packages are loaded; others cannot have been raised."""
     modules = ((sys.modules.get(module), kinds) for module, kinds in names.items())
     return tuple(getattr(module, kind) for module, kinds in modules for kind in kinds if hasattr(module, kind))
 

@@ -8,7 +8,7 @@ import yaml
 from synth3dlanes.dataset.format import member_names
 
 CARD = "README.md"
-# Only a card with this line is written anew when a data set grows.
+# A card is rewritten when the data set grows only if it has this line.
 MARK = "<!-- Written by synth3dlanes. Remove this line to keep changes of your own. -->"
 # Size categories of the hub: (name, below).
 SIZES = (
@@ -80,7 +80,7 @@ _MEMBERS = {
 
 
 def card(description: Mapping[str, Any]) -> bytes:
-    """The card of a data set by the contents of its `dataset.json`; equal contents give equal bytes."""
+    """The text of the card, from the contents of `dataset.json`. Equal contents give equal bytes."""
     splits = {name: int(split["n"]) for name, split in description["splits"].items()}
     licence = description.get("license")
     render = description["render"]
@@ -106,7 +106,7 @@ def card(description: Mapping[str, Any]) -> bytes:
 
 
 def _shots(description: Mapping[str, Any]) -> Iterator[str]:
-    """What a sample shows of its scene, where that is not one picture by the camera of the parameters."""
+    """What a sample shows of its scene, as text; "" for a single picture by the camera of the parameters."""
     shots = description.get("shots", {})
     frames, n_cameras = shots.get("frames", 1), len(shots.get("cameras", ()))
     if frames > 1:

@@ -1,7 +1,7 @@
-"""The columns of a shard's index: where each sample's members lie, its scene's parameters, a summary of its labels.
+"""The columns of a shard's index: the bytes of each sample, the parameters of its scene, a summary of its labels.
 
-Columns are named as in `scene.json`; those of the markings and the camera begin with `marking_` and `camera_`.
-So one writes `flip_lateral and n_lanes = 4`, or `junction = 'merge' and max_grade > 0.1`.
+Columns have the names of `scene.json`; those of markings and camera begin with `marking_` and `camera_`. So a query
+reads `flip_lateral and n_lanes = 4`, or `junction = 'merge' and max_grade > 0.1`.
 """
 
 from typing import Any
@@ -52,8 +52,8 @@ LIDAR_SCHEMA = pa.schema([(name, pa.int64()) for name in place_columns([LIDAR])]
 def index_row(
     key: str, places: dict[str, tuple[int, int]], sha256: str, scene: Scene, labels: Labels
 ) -> dict[str, Any]:
-    """One row of the index; `places` gives offset and size in the tar of each member by its name, `sha256` is of all
-    the sample's bytes there, from its first header to its last block."""
+    """One row of the index. `places` maps the name of each member to its offset and size in the tar. `sha256` is the
+    digest of all bytes of the sample in the tar, from its first header to its last block."""
     row: dict[str, Any] = {"key": key, "index": int(key), "sha256": sha256}
     if scene.shot.n_frames * scene.shot.n_cameras > 1:
         row |= {"scene": scene.index, "frame": scene.shot.frame, "camera": scene.shot.camera}
@@ -68,9 +68,15 @@ def index_row(
     return row | _topology(scene, labels) | _summary(labels)
 
 
+def numbers_of(scene: Scene, labels: Labels) -> dict[str, Any]:
+    """What a row of the index says of a scene and its labels, wherever these lie."""
+    row = index_row("0", {}, "", scene, labels)
+    return {name: value for name, value in row.items() if name not in ("key", "index", "sha256")}
+
+
 def table(rows: list[dict[str, Any]], recipe: str = "") -> pa.Table:
-    """The index of a shard; all shards of a data set have the same columns. `recipe` is what the rows were made from,
-    "" where nobody says."""
+    """The index of a shard. All shards of a data set have the same columns. `recipe` is the recipe of the rows, "" if
+    unknown."""
     added = [SHOT_SCHEMA] if rows and "scene" in rows[0] else []
     added += [LIDAR_SCHEMA] if rows and LIDAR_SCHEMA.names[0] in rows[0] else []
     schema = pa.unify_schemas([SCHEMA, *added, ADDED_SCHEMA])

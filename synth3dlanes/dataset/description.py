@@ -1,6 +1,6 @@
-"""`dataset.json`: what the samples of a data set are made from, and how many each split shall have.
+"""`dataset.json`: how the samples of a data set are made, and how many samples each split shall have.
 
-The one place that reads it and decides its bytes. People may have edited it, so everything in it is checked.
+This module alone reads it and decides its bytes. People may have edited it, so every value is checked.
 """
 
 import json
@@ -11,26 +11,26 @@ from pydantic import ConfigDict, Field
 
 from synth3dlanes.dataset.format import member_names
 from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.schema import Part, Seed, parse
+from synth3dlanes.schema import DocumentPart, Seed, parse
 from synth3dlanes.settings import MAX_SAMPLES, MAX_SHARD_SIZE, SPLIT_NAME
 
 DESCRIPTION = "dataset.json"
 DATASET_FORMAT = "synth3dlanes.dataset"
 DATASET_VERSION = 1
-# Of the images and labels that are made with the built-in assets.
+# The licence of images and labels made with the built-in assets.
 DATA_LICENSE = "CC0-1.0"
 
 SplitName = Annotated[str, Field(pattern=f"^{SPLIT_NAME}$", max_length=200)]
 
 
-class Split(Part):
-    """How many samples a split shall have."""
+class Split(DocumentPart):
+    """The number of samples that a split shall have."""
 
     n: Annotated[int, Field(ge=0, le=MAX_SAMPLES)]
 
 
-class RenderPart(Part):
-    """How images were rendered: samples a pixel, passes beside the image, the device."""
+class RenderPart(DocumentPart):
+    """How images were rendered: samples per pixel, the passes beside the image, the device."""
 
     samples: Annotated[int, Field(ge=1, le=1_000_000)]
     passes: Annotated[
@@ -39,8 +39,8 @@ class RenderPart(Part):
     device: str
 
 
-class ShotsPart(Part):
-    """How many frames and cameras see each scene. What they are like is read by those who draw scenes."""
+class ShotsPart(DocumentPart):
+    """The number of frames and of cameras that see each scene. `sources.Provenance` reads the rest."""
 
     model_config = ConfigDict(frozen=True, extra="allow")
 
@@ -48,8 +48,8 @@ class ShotsPart(Part):
     cameras: list[Any] = Field(default_factory=list)
 
 
-class Description(Part):
-    """The schema of dataset.json. Parameters and own assets are read by those who draw scenes from them."""
+class Description(DocumentPart):
+    """The schema of dataset.json. Parameters and own assets are read by `sources.Provenance` alone."""
 
     format: Literal["synth3dlanes.dataset"]
     version: Literal[1]
@@ -87,7 +87,7 @@ def parse_description(data: bytes, where: str) -> dict[str, Any]:
 
 
 def pictures_per_scene(description: Mapping[str, Any]) -> int:
-    """How many samples show one scene, by `dataset.json`."""
+    """The number of samples that show one scene, from the contents of `dataset.json`."""
     shots = description.get("shots", {})
     return int(shots.get("frames", 1)) * max(1, len(shots.get("cameras", ())))
 
@@ -115,8 +115,7 @@ def updated_description(before: bytes | None, recipe: dict[str, Any], split: str
 
 
 def differences(found: Any, asked: Any, name: str = "") -> Iterator[str]:
-    """A line for every key of a recipe that differs from what a data set has; one of the two may have no licence,
-    and which device `auto` is may not be known yet."""
+    """One line for every key where a recipe differs from that of the data set. A missing licence is no difference."""
     if (name == "license" and None in (found, asked)) or (name == "render.device" and asked == "auto"):
         return
     if isinstance(found, dict) and isinstance(asked, dict):

@@ -1,9 +1,8 @@
-"""Where a data set is written: a folder of this machine, or the URL of a store. What differs between them is here.
+"""Where a data set is written: a folder of this machine, or the URL of a store. This module hides the difference.
 
-In a folder, runs lock their shards and continue them in place (`folder`). In a store nothing is locked or continued in
-place: a shard is fetched, worked on in a folder of this machine (`spool`), and put back whole (`stores`).
-
-Shards are given relative to the data set: `Shard(Path("train"), ...)`.
+In a folder, a run locks its shards and continues them in place (`folder`). In a store nothing is locked or continued in
+place: a shard is fetched, continued in a folder of this machine (`spool`), and put back whole (`stores`). Shards are
+relative to the data set: `Shard(Path("train"), ...)`.
 """
 
 import fcntl
@@ -24,7 +23,7 @@ from synth3dlanes.errors import FormatError, OutageError
 from synth3dlanes.files import Folder
 
 NO_PATIENCE = Patience()
-# How long a run waits for its log.
+# Seconds that a run waits for its log to be copied to a store.
 SAVE_S = 10.0
 
 
@@ -66,7 +65,7 @@ class Destination:
         return folder.claim(self.folder, recipe, split, n, shards, is_driver)
 
     def begun(self, split: str, shards: Iterable[int]) -> set[int]:
-        """Those of the shards that anything may be there of; of a store, all."""
+        """Those of the shards that may have samples already; for a store, all of them."""
         if self.is_store:
             # Another process may have changed what was listed here before.
             connect(self.place)[0].invalidate_cache()
@@ -75,7 +74,7 @@ class Destination:
         return {int(name) for name in names if name.isdecimal()} & set(shards)
 
     def missing(self, shard: Shard, n: int) -> list[int]:
-        """The indices below `n` of a shard's samples that are not there."""
+        """The indices below `n` of the samples that a shard lacks."""
         if not self.is_store:
             return shard.within(self.folder).missing(n)
         there = stores.indices(self.place, shard)
@@ -86,15 +85,16 @@ class Destination:
         return not self.is_store and shard.within(self.folder).needs_join(n)
 
     def spooled(self, split: str, recipe: str) -> list[int]:
-        """The shards of a split and recipe, by number, that this machine keeps something of for a store."""
+        """The numbers of the shards of this split and recipe that this machine still holds something of for a store."""
         return spooled(self.place, split, recipe) if self.is_store else []
 
     @contextmanager
     def working_copy(self, shard: Shard, patience: Patience = NO_PATIENCE) -> Iterator[Shard]:
-        """The shard as files of this machine, to be added to; a store gets it back, if it has changed.
+        """The shard as files of this machine, to which samples can be added. At the end, a store gets it back if it has
+        changed.
 
-        Raises OutageError where the store cannot be reached or does not take it; what is finished stays on this machine
-        (`spool`), is in the next working copy, and goes to the store with that.
+        Raises OutageError if the store cannot be reached or refuses it. Finished samples then stay on this machine
+        (`spool`), are part of the next working copy, and are put with it.
         """
         if not self.is_store:
             yield shard.within(self.folder)
@@ -115,7 +115,7 @@ class Destination:
 
     @contextmanager
     def log(self, name: str) -> Iterator["RunLog"]:
-        """A new log of this name."""
+        """A new log with this name."""
         if not self.is_store:
             with RunLog(self.folder, name) as log:
                 yield log
@@ -125,8 +125,8 @@ class Destination:
 
 
 class RunLog:
-    """A file under `logs`, each line written out at once; that of a store lies here until `save` has copied it there
-    for the last time."""
+    """A log file under `logs`. Each line is written at once. For a store, the file is on this machine until `save`
+    copies it there."""
 
     def __init__(self, root: Path, name: str, url: str = "") -> None:
         folder = Folder(root)
@@ -144,15 +144,15 @@ class RunLog:
         self._stream.close()
 
     def write(self, line: bytes) -> None:
-        """Add a line."""
+        """Write one line."""
         self._stream.write(line)
 
     def save(self, is_last: bool = False) -> str:
-        """Copy it to its store; returns why that has failed, "" otherwise. No run waits long for it."""
+        """Copy the log to its store. Returns why that failed, or "". It gives up soon, so that no run waits for it."""
         if not self._url:
             return ""
         until = time.monotonic() + SAVE_S
-        # In the end those of killed runs too.
+        # Last, the logs of killed runs too.
         paths = [self._path, *(_unlocked(self._path.parent) if is_last else [])]
         names = [str(path.relative_to(self._root)) for path in paths]
         try:
@@ -168,13 +168,13 @@ class RunLog:
 def _announced(url: str, recipe: dict[str, Any], split: str, n: int) -> Iterator[None]:
     stores.announce(url, recipe, split, n)
     yield
-    # Once more: a run that began with this one may have written over it since.
+    # Again: a run that began at the same time may have overwritten it.
     with suppress(OutageError, FormatError):
         stores.announce(url, recipe, split, n)
 
 
 def _unlocked(folder: Path) -> list[Path]:
-    """The files in a folder that no process holds."""
+    """The files of a folder that no process has locked."""
     found = []
     for path in sorted(folder.glob("*")):
         with path.open("rb") as file, suppress(BlockingIOError):

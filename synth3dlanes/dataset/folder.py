@@ -22,11 +22,11 @@ PROBE = "room"
 def claim(
     root: Path, recipe: dict[str, Any], split: str, n: int, shards: Iterable[int], is_driver: bool = False
 ) -> Iterator[Path]:
-    """Make or enter a dataset folder and hold the lock on some of a split's shards; yields the split's folder.
+    """Make or enter the folder of a data set, and lock some shards of a split. Yields the split's folder.
 
-    Raises InputError where the folder cannot be written or holds another recipe's samples, ClaimedError where another
-    run, also one of this process, holds one of these shards. The locks go when this process does, however it ends. A
-    driver's locks keep other drivers out, and leave each shard to the process that makes it; nobody may be making one
+    Raises InputError if the folder cannot be written or holds samples of another recipe; ClaimedError if another run,
+    also one of this process, has locked one of the shards. The locks end with this process, however it ends. The locks
+    of a driver keep other drivers out, but leave each shard to the process that makes it; no process may be making one
     when the driver begins.
     """
     data_set, numbers = Folder(root), list(shards)
@@ -53,8 +53,8 @@ def _take(held: Locks, shards: list[int], root: Path, first: int = 0) -> None:
 
 
 def _enter(data_set: Folder, recipe: dict[str, Any], split: str, n: int) -> None:
-    """Write `dataset.json` and its companions, or check that it names the same recipe; note the largest `n` asked for.
-    What killed runs have left beside them goes."""
+    """Write `dataset.json` and its card, or check that they name the same recipe, and raise the split's number of
+    samples to `n`. Unfinished files of killed runs are removed."""
     path = data_set.root / DESCRIPTION
     before = _read(path)
     if before is None and any(data_set.root.glob("*/*.parquet")):

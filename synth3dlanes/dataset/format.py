@@ -1,6 +1,6 @@
-"""Sample <-> tar members: their names, their bytes, and how a tar holds them (docs/format.md).
+"""The members of a sample: their names, their bytes, and how a tar holds them (docs/format.md).
 
-Pure bytes: nothing here opens a file. Equal samples give equal bytes.
+Nothing here opens a file. Equal samples give equal bytes.
 """
 
 import io
@@ -44,7 +44,8 @@ CHANNEL_TYPES = {
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One labelled image as read back; `scene_json` is the text that `synth3dlanes render` takes."""
+    """One labelled image as read from a data set. `scene_json` is the scene as text, which `synth3dlanes render`
+    reads."""
 
     key: str
     image: UInt8[np.ndarray, "h w 3"]
@@ -63,19 +64,20 @@ class Picture:
 
 
 def key_of(index: int) -> str:
-    """The name of scene `index` of a split: eight digits, no dot (webdataset cuts a key at its first dot)."""
+    """The key of sample `index` of a split: eight digits, without a dot, because webdataset cuts a key at its first
+    dot."""
     return f"{index:08d}"
 
 
 def member_names(image_format: str, passes: Sequence[str]) -> tuple[str, ...]:
-    """What follows `{key}.` in the names of a sample's members, in their order in the tar."""
+    """The names of a sample's members without their key, in the order of the tar."""
     own = {"height": HEIGHT, "lidar": LIDAR}
     pixel_passes = [PASSES] if set(passes) - set(own) else []
     return (image_format, SCENE, LABELS, *pixel_passes, *(member for name, member in own.items() if name in passes))
 
 
 def encode(picture: Picture, scene_json: str, image_format: str, jpeg_quality: int = JPEG_QUALITY) -> dict[str, bytes]:
-    """A sample's members, named as `member_names` does."""
+    """The bytes of a sample's members, by the names that `member_names` gives."""
     members = {
         image_format: encode_image(picture.image, image_format, jpeg_quality),
         SCENE: scene_json.encode(),
@@ -92,7 +94,7 @@ def encode(picture: Picture, scene_json: str, image_format: str, jpeg_quality: i
 
 
 def encode_image(image: UInt8[np.ndarray, "h w 3"], image_format: str, jpeg_quality: int = JPEG_QUALITY) -> bytes:
-    """The image as JPEG, or as PNG, which is exact."""
+    """The image as JPEG, or as PNG, which is lossless."""
     stream = io.BytesIO()
     if image_format == "jpg":
         Image.fromarray(image).save(stream, "JPEG", quality=jpeg_quality)
@@ -104,9 +106,10 @@ def encode_image(image: UInt8[np.ndarray, "h w 3"], image_format: str, jpeg_qual
 def decode_image(
     data: bytes, where: str, size_px: tuple[int, int] | None = None, kinds: tuple[str, ...] = ("JPEG", "PNG")
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """The pixels of an image of one of these kinds and of `size_px` (width, height), None for any up to 8192 x 8192.
+    """The pixels of an image file of one of these kinds. `size_px` is the expected (width, height); None allows any
+    size up to 8192 x 8192.
 
-    Raises FormatError, its message beginning with `where`; the size is checked before any pixel is decoded.
+    Raises FormatError, whose message begins with `where`. The size is checked before pixels are decoded.
     """
     expected = f"expected a {' or '.join(kinds)} image"
     try:
@@ -133,7 +136,8 @@ def _pixels_of(image: Image.Image) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def _check_size(found: tuple[int, int], expected: tuple[int, int] | None, where: str) -> None:
-    """Raise FormatError for a picture of another size than is expected, or of more pixels than any of ours."""
+    """Raise FormatError for an image of another size than expected, or, if none is expected, for one above 8192
+    pixels."""
     if found != expected and (expected or max(found) > MAX_PX):
         width, height = expected or (MAX_PX, MAX_PX)
         most = "" if expected else "at most "
@@ -141,11 +145,11 @@ def _check_size(found: tuple[int, int], expected: tuple[int, int] | None, where:
 
 
 def write_passes(passes: Mapping[str, Shaped[np.ndarray, "..."]]) -> bytes:
-    """The passes as one OpenEXR image with ZIP compression, which is exact.
+    """The passes as one OpenEXR image with ZIP compression, which is lossless.
 
-    Channels: `depth`, `height` and `range` float32, the first planar y_cam in metres at the pixel's centre, infinite
-    where nothing is hit, the second metres over the road plane (`geometry.height_map`), the third that of a `Sweep`;
-    `normal.X`, `.Y`, `.Z` half; `semantic` and `instance` half, or float32 where an id is beyond 2048.
+    Channels in float32: `depth` is planar y_cam in metres at the pixel's centre, infinite where nothing is hit;
+    `height` is metres over the road plane (`geometry.height_map`); `range` is that of a `Sweep`. Channels in half
+    precision: `normal.X`, `normal.Y`, `normal.Z`; `semantic` and `instance`, which are float32 if an id exceeds 2048.
     """
     channels: dict[str, np.ndarray] = {}
     for name, values in passes.items():
@@ -164,10 +168,12 @@ def write_passes(passes: Mapping[str, Shaped[np.ndarray, "..."]]) -> bytes:
 def read_passes(
     data: bytes, where: str, size_px: tuple[int, int] | None = None
 ) -> dict[str, Shaped[np.ndarray, "..."]]:
-    """The passes by name: `depth`, `height`, `range` and `normal` float32, `semantic` uint8, `instance` uint16.
+    """The passes by name: `depth`, `height`, `range` and `normal` as float32, `semantic` as uint8, `instance` as
+    uint16.
 
-    Raises FormatError, its message beginning with `where`, for what `write_passes` does not write, and for a picture
-    whose size is not `size_px` (width, height; None: any up to 8192 x 8192) before any pixel is decoded.
+    Raises FormatError, whose message begins with `where`, for a file that `write_passes` does not write, and for
+    another size than `size_px` (width, height; None allows any size up to 8192 x 8192). The size is checked before
+    pixels are decoded.
     """
     try:
         _check_size(_exr_size(data), size_px, where)
@@ -194,12 +200,13 @@ def read_passes(
 
 
 def write_sweep(sweep: Sweep) -> bytes:
-    """A sweep as OpenEXR of a row for each beam and a column for each azimuth."""
+    """A sweep as OpenEXR: a row for each beam, a column for each azimuth."""
     return write_passes({"range": sweep.range_m, "semantic": sweep.semantic, "instance": sweep.instance})
 
 
 def read_sweep(data: bytes, where: str, lidar: LidarLabel) -> Sweep:
-    """The sweep of a lidar; raise FormatError as `read_passes` does, and for ranges that it cannot measure."""
+    """Read the sweep of a lidar. Raises FormatError like `read_passes`, and for ranges that the lidar cannot
+    measure."""
     channels = read_passes(data, where, (lidar.azimuths, len(lidar.elevations_rad)))
     if set(channels) != {"range", "semantic", "instance"}:
         raise FormatError(f"{where}: expected channels range, semantic, instance, got {', '.join(channels)}")
@@ -213,14 +220,14 @@ def read_sweep(data: bytes, where: str, lidar: LidarLabel) -> Sweep:
 
 
 def _exr_size(data: bytes) -> tuple[int, int]:
-    """Width and height of an OpenEXR image by its header."""
+    """Width and height of an OpenEXR image, from its header."""
     low, high = OpenEXR.File(io.BytesIO(data), separate_channels=True, header_only=True).header()["dataWindow"]
     width, height = (int(size) for size in high.astype(int) - low + 1)
     return width, height
 
 
 def _ids(values: Shaped[np.ndarray, "h w"], dtype: type[np.unsignedinteger], where: str) -> Shaped[np.ndarray, "h w"]:
-    """Whole numbers that were written as floats."""
+    """Integers that were stored as floats."""
     with np.errstate(invalid="ignore"):
         ids = values.astype(dtype)
     if not np.array_equal(ids, values):
@@ -229,7 +236,8 @@ def _ids(values: Shaped[np.ndarray, "h w"], dtype: type[np.unsignedinteger], whe
 
 
 def tar_bytes(key: str, members: Mapping[str, bytes]) -> bytes:
-    """The members as they stand in a tar: time, owner and mode fixed. Joined, such pieces are a tar but for its end."""
+    """The members as the bytes of a tar without its end, with fixed time, owner and mode. Several such pieces may be
+    joined."""
     pieces = []
     for name, data in members.items():
         header = tarfile.TarInfo(f"{key}.{name}")
@@ -239,20 +247,18 @@ def tar_bytes(key: str, members: Mapping[str, bytes]) -> bytes:
 
 
 def tar_end(size: int) -> bytes:
-    """What closes a tar of `size` bytes: two empty blocks, then up to a whole record as every tar does."""
+    """The bytes that end a tar of `size` bytes: two empty blocks, and padding to a whole record."""
     return bytes(2 * BLOCK + -(size + 2 * BLOCK) % tarfile.RECORDSIZE)
 
 
 def member_name(header: bytes) -> str:
-    """The file name in a tar header, for checking that an index points where it should."""
+    """The file name in a tar header, to check that an index points at the right member."""
     return header[:100].rstrip(b"\0").decode("utf-8", "replace")
 
 
 def read_header(block: bytes) -> tuple[str, int]:
-    """Name and size of the member that a tar header announces; ("", 0) for the block that ends a tar.
-
-    Raises FormatError for anything but a plain file: nothing else is in our tars.
-    """
+    """Name and size of the member that a tar header describes; ("", 0) for the empty block that ends a tar. Raises
+    FormatError for anything but a plain file."""
     if not any(block):
         return "", 0
     try:
@@ -265,7 +271,7 @@ def read_header(block: bytes) -> tuple[str, int]:
 
 
 def tar_members(stream: Any, size: int) -> Iterator[tuple[str, int, int]]:
-    """Name, offset and size of each whole member of an open tar of `size` bytes; raise FormatError at its first
+    """Name, offset and size of each complete member of an open tar of `size` bytes. Raises FormatError at the first
     fault."""
     offset = 0
     while offset < size:

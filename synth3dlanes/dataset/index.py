@@ -1,4 +1,5 @@
-"""Reading the indices of shards. Every reader of a shard's parquet comes through here; `columns` says what is in it."""
+"""Read the indices of shards. Every reader of a shard's parquet file uses this module; `columns` defines its
+content."""
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
@@ -62,11 +63,11 @@ MAX_TAR_BYTES = 1 << 50
 
 
 def read_index(data: bytes, where: str, columns: Sequence[str] = ()) -> pa.Table:
-    """The index in a parquet file's bytes, or these columns of it; those that were added later have their defaults in
-    older files.
+    """The index, or some columns of it, from the bytes of a parquet file. Columns that older versions lack get their
+    defaults.
 
-    Raises FormatError, its message beginning with `where`, where it is no parquet, has more rows than a shard may have,
-    or lacks one of the columns.
+    Raises FormatError, whose message begins with `where`, for bytes that are no parquet file, for more rows than a
+    shard may have, and for a missing column.
     """
     try:
         # By this thread and from memory: a process that ends while Arrow's threads hold its files is aborted.
@@ -144,10 +145,10 @@ def _place_columns(name: str) -> tuple[str, str]:
 
 
 def read_recipe(data: bytes, where: str) -> str:
-    """The recipe that a shard was made from, by its index; "" where it does not say. Raises as `read_index` does."""
+    """The recipe of a shard, from its index; "" if the index has none. Raises FormatError like `read_index`."""
     return recipe_of(read_index(data, where, ["index"]).schema.metadata)
 
 
 def recipe_of(metadata: Mapping[bytes, bytes] | None) -> str:
-    """`read_recipe` from the metadata of an index that has been read."""
+    """The recipe from the metadata of an index that has been read."""
     return (metadata or {}).get(RECIPE, b"").decode("utf-8", "replace")

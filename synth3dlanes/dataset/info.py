@@ -9,11 +9,12 @@ from synth3dlanes.dataset.index import read_indices
 from synth3dlanes.dataset.listing import read_shards
 from synth3dlanes.dataset.nesting import data_set_of, inner_data_sets
 from synth3dlanes.errors import FormatError
+from synth3dlanes.params_text import preset_of
 
 
 @dataclass(frozen=True)
 class SplitInfo:
-    """A split: samples asked for; those in finished shards; those in shards in progress; those that were set aside."""
+    """A split: the number of samples asked for, in finished shards, in shards in progress, and set aside."""
 
     name: str
     asked: int
@@ -31,14 +32,23 @@ class SplitInfo:
 
 @dataclass(frozen=True, eq=False)
 class DatasetInfo:
-    """A data set: the recipe of its samples, and its splits."""
+    """A data set: the recipe of its samples and what it says in short, and its splits.
+
+    `preset` is what the parameters are called, `image_sizes` are as "480x360", `cameras` the names of a rig's, and
+    `frames_per_second` is None where scenes have one frame.
+    """
 
     recipe: dict[str, Any]
+    preset: str
+    image_sizes: tuple[str, ...]
+    cameras: tuple[str, ...]
+    frames_per_scene: int
+    frames_per_second: float | None
     splits: tuple[SplitInfo, ...]
 
 
 def dataset_info(url: str) -> DatasetInfo:
-    """Count and weigh the data set at any address that fsspec knows, or one split of it."""
+    """Count the samples and bytes of a data set, or of one split, at any address that fsspec can open."""
     root_url, only = data_set_of(url)
     files, root = connect(root_url)
     where = f"{root_url}/{DESCRIPTION}"
@@ -51,7 +61,18 @@ def dataset_info(url: str) -> DatasetInfo:
         raise FormatError(line)
     with translate_store_errors(url):
         found = tuple(_split(root_url, recipe, name, asked) for name, asked in splits.items())
-    return DatasetInfo({key: value for key, value in recipe.items() if key != "splits"}, found)
+    shots = recipe.get("shots", {})
+    own, frames = shots.get("cameras", []), int(shots.get("frames", 1))
+    sizes = (f"{camera['width_px']}x{camera['height_px']}" for camera in own or [recipe["params"]["camera"]])
+    return DatasetInfo(
+        {key: value for key, value in recipe.items() if key != "splits"},
+        preset_of(recipe["params"]),
+        tuple(dict.fromkeys(sizes)),
+        tuple(camera["name"] for camera in own if camera.get("name")),
+        frames,
+        float(shots["fps"]) if frames > 1 else None,
+        found,
+    )
 
 
 def _split(place: str, description: dict[str, Any], name: str, asked: int) -> SplitInfo:

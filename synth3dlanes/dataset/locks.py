@@ -1,8 +1,8 @@
 """Locks on the shards of a split, against other processes and against other threads of this one.
 
-They are POSIX locks, which work on network file systems too. A process has each of them once, and loses all that it has
-on a file with the first descriptor of it that it closes. So a process opens the file of a split once, and notes which
-of its locks are held.
+They are POSIX locks, which work on network file systems too. A process holds each lock once, and loses all its locks on
+a file when it closes any descriptor of that file. So a process opens the file of a split once, and records which locks
+are held.
 """
 
 import fcntl
@@ -20,7 +20,7 @@ LOCK_FILE = ".lock"
 
 @dataclass
 class _File:
-    """The lock file of a split, as long as anybody in this process uses it."""
+    """The lock file of a split, open as long as a holder in this process uses it."""
 
     stream: BinaryIO
     users: int = 0
@@ -38,7 +38,7 @@ class Locks:
         self._file, self._mine = file, set[int]()
 
     def take(self, byte: int) -> bool:
-        """Take a lock; False where another process or another holder of this one has it."""
+        """Take a lock. Returns False if another process, or another holder in this process, has it."""
         with _GUARD:
             if byte in self._file.held:
                 return False
@@ -51,7 +51,7 @@ class Locks:
             return True
 
     def release(self) -> None:
-        """Give all of them back."""
+        """Release all locks of this holder."""
         with _GUARD:
             for byte in self._mine:
                 fcntl.lockf(self._file.stream, fcntl.LOCK_UN, 1, byte)
@@ -83,7 +83,8 @@ def locks(data_set: Folder, split: str) -> Iterator[Locks]:
 
 @contextmanager
 def locked(data_set: Folder) -> Iterator[None]:
-    """While nobody else is in here with the same folder, a process or a thread; waits until they are out."""
+    """Hold the lock of a folder: no other process and no other thread is inside at the same time. Waits for the
+    lock."""
     with _ENTERING, data_set.append(LOCK_FILE) as stream:
         fcntl.lockf(stream, fcntl.LOCK_EX)
         yield

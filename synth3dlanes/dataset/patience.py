@@ -1,4 +1,4 @@
-"""What is done while a store cannot be reached: wait with growing pauses, say so, and give up in the end."""
+"""What to do while a store cannot be reached: wait with growing pauses, report it, and give up in the end."""
 
 import math
 import time
@@ -25,17 +25,17 @@ def _silent(kind: str, message: str, /) -> None:
 
 @dataclass(frozen=True)
 class Patience:
-    """How long outages are waited for (0: not at all), who is told ("pause" and "resume", with a message), and whether
-    the run shall end instead."""
+    """How long to wait for an outage to end (0: not at all); the function that is told, with "pause" or "resume" and a
+    message; and the function that says whether the run shall end."""
 
     limit_s: float = 0.0
     tell: Callable[[str, str], None] = _silent
     is_stopping: Callable[[], bool] = bool
 
     def insist(self, place: str, call: Callable[[], Result], kept: str) -> Result:
-        """The result of `call`, again and again while the store is out; `kept` says where samples are meanwhile.
+        """The result of `call`, repeated while the store cannot be reached. `kept` says where samples are meanwhile.
 
-        Raises OutageError after the limit, or at once where the run is to end; all else that `call` raises.
+        Raises OutageError after the limit, or at once if the run is to end; passes on all other errors of `call`.
         """
         began, stop_by, pause_s, is_waiting = time.monotonic(), math.inf, FIRST_PAUSE_S, False
 
@@ -72,13 +72,13 @@ class Patience:
 
 
 def since(began: float) -> str:
-    """When it was `began` by `time.monotonic`, in words."""
+    """The time since `began` (of `time.monotonic`), as text."""
     return f"since {datetime.now(UTC) - timedelta(seconds=time.monotonic() - began):%H:%M:%S} UTC"
 
 
 def attempt(place: str, call: Callable[[], Result], gives_up: Callable[[], bool]) -> Result:
-    """The result of `call`, or an OutageError of this place once nobody waits for it any more. A store that is silent
-    can hold a call for minutes, so that it runs in a thread that this process leaves behind."""
+    """The result of `call`. Raises OutageError for this place once waiting is over. A silent store can block a call for
+    minutes, so the call runs in a thread that this process can abandon."""
     results: list[Result] = []
     errors: list[BaseException] = []
 

@@ -1,4 +1,5 @@
-"""Which samples? `flip_lateral and n_lanes = 4` over the columns of the index (`docs/format.md`). Nothing is run."""
+"""Select samples by a query on the columns of the index (`docs/format.md`), such as `flip_lateral and n_lanes = 4`. No
+code of the query is executed."""
 
 import ast
 import difflib
@@ -15,7 +16,7 @@ from jaxtyping import Int
 
 from synth3dlanes.errors import InputError
 
-Kind = Literal["a truth value", "a number", "text"]
+ValueKind = Literal["a truth value", "a number", "text"]
 COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.Eq: operator.eq,
     ast.NotEq: operator.ne,
@@ -31,7 +32,7 @@ GRAMMAR = "columns, numbers, 'text', = != < <= > >=, and, or, not, parentheses"
 class _Term(NamedTuple):
     """A piece of a query: what kind of value it has, and how pyarrow computes it."""
 
-    kind: Kind
+    kind: ValueKind
     value: pc.Expression
 
 
@@ -52,7 +53,7 @@ def rows_where(index: pa.Table, where: str) -> Int[np.ndarray, " k"]:
 
 
 def _with_double_equals(where: str) -> str:
-    """Python's parser reads `==`; people write `=`."""
+    """The query with `==` for `=`, which Python's parser needs."""
     tokens = tokenize.generate_tokens(io.StringIO(" ".join(where.splitlines()).strip()).readline)
     return tokenize.untokenize((kind, "==" if text == "=" else text) for kind, text, *_ in tokens)
 
@@ -106,13 +107,13 @@ def _column(name: str, index: pa.Table, where: str) -> _Term:
     return _Term("text" if pa.types.is_string(kind) else "a number", pc.field(name))
 
 
-def _kind_of(value: bool | int | float | str) -> Kind:
+def _kind_of(value: bool | int | float | str) -> ValueKind:
     if isinstance(value, bool):
         return "a truth value"
     return "text" if isinstance(value, str) else "a number"
 
 
-def _expect(term: _Term, kind: Kind, where: str) -> pc.Expression:
+def _expect(term: _Term, kind: ValueKind, where: str) -> pc.Expression:
     if term.kind != kind:
         raise _problem(where, f"expected {kind}, got {term.kind}: {term.value}")
     return term.value

@@ -52,12 +52,13 @@ SIZE_COLUMNS = ("camera_width_px", "camera_height_px")
 
 
 class Reader:
-    """The samples of `DIR/train` in the order of their keys. Raises FormatError where a file is not what it should be.
+    """The samples of a split, such as `DIR/train`, in the order of their keys. Raises FormatError for files that do not
+    follow the format.
 
-    `index` is the table of all samples: places, scene parameters, label summary (`docs/format.md`), or only the places
-    and `columns`: of 300,000 samples these take 20 MB, the whole table 200 MB. `recipes` are those that its shards were
-    made from, by their indices ("" where one does not say). `scene_of`, `frame_of` and `camera_of` are the numbers of
-    the scene, the frame and the camera that each sample shows.
+    `index` is a table with a row for each sample: byte offsets, scene parameters and a summary of the labels
+    (`docs/format.md`); with `columns`, only the offsets and these columns. Of 300,000 samples, offsets take 20 MB and
+    the whole table 200 MB. `scene_of`, `frame_of` and `camera_of` are arrays with the scene, the frame and the camera
+    of each sample. `recipes` are the recipes of the shards, as their indices have them ("" for none).
     """
 
     def __init__(self, url: str, columns: Sequence[str] | None = None) -> None:
@@ -104,12 +105,12 @@ class Reader:
         return str(self.index["key"][self._position(i)])
 
     def image(self, i: int) -> UInt8[np.ndarray, "h w 3"]:
-        """The image of sample i alone."""
+        """The image of sample i."""
         name = self._names[0]
         return decode_image(self.member(i, name), f"{self._where(i)}.{name}", self._size_px(i))
 
     def labels(self, i: int) -> Labels:
-        """The labels of sample i; its image is not read."""
+        """The labels of sample i, read without its image."""
         return labels_module.from_json(self.member(i, LABELS), f"{self._where(i)}.{LABELS}")
 
     def objects(self, i: int) -> Objects:
@@ -120,7 +121,7 @@ class Reader:
         return stacked(items)
 
     def passes(self, i: int) -> dict[str, Shaped[np.ndarray, "..."]]:
-        """The passes of sample i by name; none where the dataset was made without."""
+        """The passes of sample i by name; empty if the data set has none."""
         found: dict[str, Shaped[np.ndarray, ...]] = {}
         for name in (PASSES, HEIGHT):
             if name in self._names:
@@ -128,24 +129,29 @@ class Reader:
                 found |= read_passes(self.member(i, name), f"{self._where(i)}.{name}", size_px)
         return found
 
+    @property
+    def has_lidar(self) -> bool:
+        """Whether its samples have the sweep of a lidar."""
+        return LIDAR in self._names
+
     def lidar(self, i: int) -> Sweep:
-        """The lidar's sweep of sample i; raise FormatError where the dataset was made without."""
+        """The lidar sweep of sample i. Raises FormatError if the data set has none."""
         where = self._where(i)
         lidar = self.labels(i).lidar
-        if LIDAR not in self._names or lidar is None:
+        if not self.has_lidar or lidar is None:
             raise FormatError(f"{where}: expected a data set with a lidar (generate --lidar), got one without")
         return read_sweep(self.member(i, LIDAR), f"{where}.{LIDAR}", lidar)
 
     def raw(self, i: int) -> dict[str, bytes]:
-        """The bytes of each member of sample i by its name without the key, in one read."""
+        """The bytes of every member of sample i, by name without the key, in one read."""
         return self._members(i, self._names)
 
     def member(self, i: int, name: str) -> bytes:
-        """The bytes of one member of sample i, for example `scene.json`."""
+        """The bytes of one member of sample i, such as `scene.json`."""
         return self._members(i, (name,))[name]
 
     def position(self, key: str) -> int:
-        """The i of the sample with this key."""
+        """The position of the sample with this key."""
         is_number = key.isdecimal() and len(key) <= KEY_DIGITS
         i = int(np.searchsorted(self._indices, int(key))) if is_number else len(self)
         if i == len(self) or self._indices[i] != int(key):
@@ -155,11 +161,12 @@ class Reader:
 
     @property
     def scenes(self) -> list[int]:
-        """The numbers of the scenes that there are, in order: those of clips, or of single pictures."""
+        """The numbers of all scenes in the split, in order. A clip or a single picture is one scene."""
         return [int(scene) for scene in np.unique(self.scene_of)]
 
     def clip(self, scene: int, camera: int | None = None) -> list[int]:
-        """Where the pictures of a scene are, frame by frame; of one camera, or of all cameras of each frame in turn."""
+        """The positions of a scene's samples, frame by frame: by one camera, or by all cameras of each frame in
+        turn."""
         is_asked = (self.scene_of == scene) & ((self.camera_of == camera) if camera is not None else True)
         if not is_asked.any():
             by = "" if camera is None else f" by camera {camera}"
@@ -167,7 +174,8 @@ class Reader:
         return [int(i) for i in np.flatnonzero(is_asked)]
 
     def rig(self, i: int) -> list[int]:
-        """Where the pictures by all cameras of the scene and frame of sample i are, in the rig's order."""
+        """The positions of the samples by all cameras of the rig, at the scene and frame of sample i, in the rig's
+        order."""
         i, n = self._position(i), max(1, len(self.cameras))
         near = range(max(0, i - n + 1), min(len(self), i + n))
         moment = self.scene_of[i], self.frame_of[i]
@@ -175,8 +183,8 @@ class Reader:
 
     @cached_property
     def cameras(self) -> tuple[CameraSpec, ...]:
-        """The cameras of the rig that the data set was made with, or its own camera; none where it has that of its
-        parameters."""
+        """The cameras of the rig, or the user's camera, that the data set was made with; empty if it was made with the
+        camera of the parameters."""
         try:
             specs = self.description.get("shots", {}).get("cameras", ())
             return tuple(CameraSpec.model_validate(spec) for spec in specs)
@@ -185,11 +193,11 @@ class Reader:
             raise FormatError("\n".join(problems)) from None
 
     def camera_name(self, i: int) -> str:
-        """The name of the camera that took sample i; "" for one without."""
+        """The name of the camera of sample i; "" for a camera without a name."""
         return self.cameras[self.camera_of[self._position(i)]].name if self.cameras else ""
 
     def taken_by(self, names: Sequence[str] = ()) -> Int[np.ndarray, " n"]:
-        """Where the samples of some cameras are, by the cameras' names; without names, those of all that look ahead.
+        """The positions of the samples by these cameras; without names, by all cameras that look ahead.
 
         Raises InputError where there is no such camera.
         """
@@ -207,15 +215,15 @@ class Reader:
         return np.flatnonzero(np.isin(self.camera_of, chosen))
 
     def positions(self, scenes: Sequence[int]) -> list[int]:
-        """Where all pictures of some scenes are, in order."""
+        """The positions of all samples of these scenes, in order."""
         return [int(i) for i in np.flatnonzero(np.isin(self.scene_of, scenes))]
 
     def shuffled(self, seed: int) -> Iterator[Sample]:
-        """Every sample once, in an order that depends on the seed alone."""
+        """Every sample once, in a random order that depends on the seed alone."""
         return (self[int(i)] for i in np.random.default_rng(seed).permutation(len(self)))
 
     def _members(self, i: int, names: tuple[str, ...]) -> dict[str, bytes]:
-        """Read from the first of these members to the last; each one's tar header must carry its name."""
+        """Read these adjacent members in one request, and check that the tar header before each has its name."""
         i = self._position(i)
         places = {name: (int(self._columns[name][0][i]), int(self._columns[name][1][i])) for name in names}
         start = min(offset for offset, _ in places.values()) - BLOCK
@@ -237,7 +245,8 @@ class Reader:
         return members
 
     def _describe(self) -> dict[str, Any]:
-        """The contents of `dataset.json` beside the split, whose folder must be there."""
+        """The checked contents of the `dataset.json` beside the split. Raises FormatError if the split's folder is
+        missing."""
         files, root = connect(self.url)
         where = f"{root.rpartition('/')[0]}/{DESCRIPTION}"
         with translate_store_errors(self.url):
@@ -269,7 +278,7 @@ class Reader:
             return bytes(connect(self.url)[0].cat_file(path, start=start, end=end))
 
     def _size_px(self, i: int) -> tuple[int, int]:
-        """Width and height of image i by the index."""
+        """Width and height of image i, from the index."""
         width, height = (int(self.index[name][self._position(i)].as_py()) for name in SIZE_COLUMNS)
         return width, height
 
@@ -283,13 +292,13 @@ class Reader:
 
 
 def _require_parts_of_files(files: Any, path: str) -> None:
-    """Raise FormatError where a server sends whole files only: a sample would cost its shard."""
+    """Raise FormatError for a server that sends whole files only: reading one sample would transfer its whole shard."""
     if len(files.cat_file(path, start=0, end=1)) != 1:
         raise FormatError(f"{path}: expected a server that sends parts of files (range requests), got the whole file")
 
 
 def find(place: str) -> tuple[Reader, int]:
-    """The split and the position in it of the sample that `DIR/train:00000017` names."""
+    """The reader of the split, and the position in it, of a sample named like `DIR/train:00000017`."""
     url, colon, key = place.rpartition(":")
     if not (url and colon and key.isdecimal()):
         raise FormatError(f"{place}: expected a split's folder, a colon and a key, as in DIR/train:00000017")

@@ -1,6 +1,6 @@
-"""Data sets made of data sets: one split divided into several, parts merged. Samples are copied as bytes.
+"""Make data sets from data sets: divide one split into several, merge parts. Samples are copied as bytes.
 
-Call either again to resume. Both read and write folders and URLs.
+Calling either function again resumes it. Both read and write folders and URLs.
 """
 
 from collections.abc import Mapping, Sequence
@@ -76,7 +76,7 @@ def merge(sources: Sequence[str], out: str) -> dict[str, int]:
 
 
 def how_derived(source: Reader) -> dict[str, Any]:
-    """The `derived` of a data set that was made of another itself, for that of one made of it."""
+    """The key `derived` for a new data set that is made from one that was itself derived."""
     return {key: value for key, value in source.description.items() if key == "derived"}
 
 
@@ -96,8 +96,8 @@ def _union(several: Sequence[Reader]) -> SampleSources:
 
 
 def _put(out: str, recipe: dict[str, Any], split: str, n: int, places: SampleSources) -> None:
-    """Write the samples that are not there yet, shard by shard. Their recipe is noted there where that of all sources
-    is."""
+    """Write the samples that are not there yet, shard by shard. A shard records the recipe of its sources if they all
+    have the same."""
     size, names = int(recipe["shard_size"]), member_names(recipe["image_format"], recipe["render"]["passes"])
     sources = {id(reader): reader for reader, _ in places.values()}.values()
     is_known = all(reader.recipes == {recipe_text(reader.description)} for reader in sources)
@@ -125,7 +125,7 @@ def _fill(shard: Shard, members: SampleSources, n: int) -> None:
 
 
 def _adopt_whole(shard: Shard, members: SampleSources) -> None:
-    """Take over the files of a shard that lies on this file system just as it shall be."""
+    """Link or copy the files of a finished shard of this file system that is already as it shall be."""
     sources = {id(reader): reader for reader, _ in members.values()}
     positions = sorted(i for _, i in members.values())
     reader = next(iter(sources.values()))

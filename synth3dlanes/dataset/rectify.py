@@ -1,6 +1,7 @@
-"""Images and labels of any camera as a pinhole without roll has them, for networks and formats that know no other.
+"""Images and labels of any camera, converted to those of a pinhole camera without roll, for networks and formats that
+know no other camera.
 
-Both cameras have the same optical centre, so every pixel's place in the other image is exact, whatever its depth.
+Both cameras have the same optical centre, so the place of every pixel in the other image is exact, whatever its depth.
 """
 
 from dataclasses import replace
@@ -29,11 +30,9 @@ def level_from_cam(camera: CameraLabel) -> Float[np.ndarray, "3 3"]:
 
 
 def rectified_labels(labels: Labels) -> Labels:
-    """The labels as a pinhole without roll would have them: same place, viewing axis and matrix. The y axis of its road
-    frame is the viewing direction, also where the camera does not look along its lane.
-
-    What either picture does not show is not in the image.
-    """
+    """The labels of a pinhole camera without roll, with the same place, viewing axis and matrix. The y axis of its road
+    frame is the viewing direction, also if the camera does not look along its lane. Points that are in only one of the
+    two images count as outside."""
     camera = labels.camera
     if camera.roll_rad == 0 and camera.yaw_rad == 0 and camera.lens.is_pinhole:
         return labels
@@ -58,8 +57,8 @@ def rectified_labels(labels: Labels) -> Labels:
 
 
 def rectified_image(image: RgbImage, camera: CameraLabel) -> RgbImage:
-    """The picture that belongs to `rectified_labels`; what the camera did not see repeats its border, and is black out
-    of the field of its lens."""
+    """The image for `rectified_labels`. What the camera did not see repeats its border, and is black outside the lens's
+    field."""
     rows, columns = image.shape[:2]
     if not camera.lens.is_pinhole:
         grid = np.stack(np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5), axis=-1)
@@ -82,13 +81,15 @@ def rolled_from_level(camera: CameraLabel, img_from_level: Float[np.ndarray, "3 
 def bent_pixels(
     camera: CameraLabel, img_from_level: Float[np.ndarray, "3 3"], uv: Float[np.ndarray, "*n 2"]
 ) -> Float[np.ndarray, "*n 2"]:
-    """Where the camera, through its lens, has what pixels of a level pinhole show; NaN out of the lens's field."""
+    """The pixels of the camera, with its lens, that show what these pixels of a level pinhole show; NaN outside the
+    lens's field."""
     homogeneous = np.concatenate([uv, np.ones((*uv.shape[:-1], 1))], axis=-1)
     return camera.project(homogeneous @ (level_from_cam(camera).T @ np.linalg.inv(img_from_level)).T)
 
 
 def warp(image: RgbImage, source_from_target: Float[np.ndarray, "3 3"], size: tuple[int, int]) -> Image.Image:
-    """The picture of `size` (width, height) whose pixels lie in the image where the homography says."""
+    """An image of `size` (width, height) whose pixels are taken from `image` at the places that the homography
+    gives."""
     coefficients = (source_from_target / source_from_target[2, 2]).ravel()[:8]
     return Image.fromarray(image).transform(
         size, Image.Transform.PERSPECTIVE, coefficients.tolist(), Image.Resampling.BICUBIC
@@ -96,7 +97,7 @@ def warp(image: RgbImage, source_from_target: Float[np.ndarray, "3 3"], size: tu
 
 
 def remap(image: RgbImage, uv: Float[np.ndarray, "h2 w2 2"]) -> UInt8[np.ndarray, "h2 w2 3"]:
-    """The picture whose pixels lie at (u, v) in the image, by cubic splines; black for NaN."""
+    """An image whose pixels are taken from `image` at (u, v), by cubic splines; black for NaN."""
     columns, rows = np.moveaxis(np.nan_to_num(uv, nan=-1.0), -1, 0).astype(np.float32) - np.float32(0.5)
     found = np.stack(
         [

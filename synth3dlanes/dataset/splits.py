@@ -1,4 +1,4 @@
-"""All splits of a data set at once, or the one that is named. Reads indices; the address may be any of fsspec's."""
+"""The splits of a data set, or the one that is named. Reads indices; addresses are those of fsspec."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -28,7 +28,8 @@ def readers(folder: str) -> list[Reader]:
 
 
 def only_split(place: str) -> str:
-    """`DIR/SPLIT` for a data set that has one split, others as they are; raise InputError where there are several."""
+    """`DIR/SPLIT` for a data set with one split; other places unchanged. Raises InputError if there are several
+    splits."""
     splits = splits_with_shards(place) or []
     if len(splits) > 1:
         raise InputError(f"{place}: expected one split, got {len(splits)}{splits_near(place)}")
@@ -36,7 +37,7 @@ def only_split(place: str) -> str:
 
 
 def one_reader(place: str, columns: Sequence[str] | None = None) -> Reader:
-    """The reader of the split that is named, or of a data set's only one, with these columns of its index."""
+    """The reader of the split that is named, or of the only split of a data set, with these columns of its index."""
     return Reader(only_split(place), columns)
 
 
@@ -48,7 +49,8 @@ def has_split(folder: str, split: str) -> bool:
 
 
 def evenly_spaced(found: Sequence[Reader], n: int, is_once_a_scene: bool = False) -> list[tuple[Reader, int]]:
-    """At most `n` samples, evenly over all splits: where each is to be read; of each scene all or its first alone."""
+    """At most `n` samples, evenly spaced over all splits, as (reader, position). `is_once_a_scene` takes the first
+    sample of each scene only."""
     of_reader = (np.unique(one.scene_of, return_index=True)[1] if is_once_a_scene else range(len(one)) for one in found)
     places = [(reader, int(i)) for reader, chosen in zip(found, of_reader, strict=True) for i in chosen]
     count = min(n, len(places))
@@ -56,7 +58,7 @@ def evenly_spaced(found: Sequence[Reader], n: int, is_once_a_scene: bool = False
 
 
 def split_size(reader: Reader) -> int:
-    """How many samples the split shall have; raise FormatError where `dataset.json` does not name it."""
+    """The number of samples that the split shall have. Raises FormatError if `dataset.json` does not name it."""
     name, splits = split_name(reader), reader.description["splits"]
     if name not in splits:
         raise FormatError(f"{reader.url}: {DESCRIPTION} has no split {name}, only {', '.join(splits) or 'none'}")
@@ -64,11 +66,11 @@ def split_size(reader: Reader) -> int:
 
 
 def split_name(reader: Reader) -> str:
-    """What the split is called: its folder's name."""
+    """The name of the split, which is that of its folder."""
     return reader.url.rpartition("/")[2]
 
 
 def data_set_name(reader: Reader) -> str:
-    """The name of the data set: that of the folder above the split's."""
+    """The name of the data set, which is that of the folder above the split's."""
     place = reader.url if is_url(reader.url) else str(Path(reader.url).resolve())
     return place.rsplit("/", 2)[-2]

@@ -28,13 +28,13 @@ LOCK = ".lock"
 
 
 def spool_root() -> Path:
-    """The folder for what is on its way to stores."""
+    """The folder for samples that are not yet in their store."""
     state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local/state"
     return Path(os.environ.get(SPOOL) or Path(state) / "synth3dlanes" / "spool")
 
 
 def spool_of(url: str, recipe: str) -> Path:
-    """The folder for one store and recipe: samples of different recipes never meet."""
+    """The folder for one store and one recipe, so that samples of different recipes never mix."""
     url = url.rstrip("/")
     # Without the user and password that an address may have.
     name = re.sub(r"[^A-Za-z0-9]+", "-", re.sub(r"//.*@", "//", url))[-60:].strip("-")
@@ -42,7 +42,7 @@ def spool_of(url: str, recipe: str) -> Path:
 
 
 def made(folder: Path) -> Folder:
-    """A folder of the spool, which is made if it is missing; raise InputError where that cannot be."""
+    """The path of a folder of the spool, made if it is missing. Raises InputError if it cannot be made."""
     try:
         Folder(folder).make()
     except OSError as error:
@@ -52,7 +52,7 @@ def made(folder: Path) -> Folder:
 
 
 def spooled(url: str, split: str, recipe: str) -> list[int]:
-    """The numbers of the shards of a split of which killed or failed runs have left something here, in order."""
+    """The numbers, in order, of the shards of a split of which earlier runs left something here."""
     numbers = set()
     for path in spool_of(url, recipe).glob(f"{split}-*"):
         name = re.fullmatch(rf"{re.escape(split)}-(\d+)(-\d+)?", path.name)
@@ -63,7 +63,7 @@ def spooled(url: str, split: str, recipe: str) -> list[int]:
 
 @contextmanager
 def spool(url: str, shard: Shard) -> Iterator[Path]:
-    """The folder of a shard in the hands of this process, with what was left there. Raises InputError where the folder
+    """The folder of a shard, locked by this process, with what earlier runs left of it. Raises InputError if the folder
     cannot be written."""
     store = made(spool_of(url, shard.recipe))
     name = f"{shard.folder.name}-{shard.number:05d}"
@@ -82,12 +82,12 @@ def spool(url: str, shard: Shard) -> Iterator[Path]:
 
 
 def is_empty(root: Path) -> bool:
-    """Whether a shard's folder holds nothing that the store lacks; what has been put is removed before."""
+    """Whether the folder of a shard holds nothing that the store lacks. Files that the store has are removed first."""
     return not any(path.is_file() and path.name != LOCK for path in root.rglob("*"))
 
 
 def _is_held(path: Path) -> bool:
-    """Whether a run works in a shard's folder."""
+    """Whether a run has locked the folder of a shard."""
     with suppress(FileNotFoundError), (path / LOCK).open("rb") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -97,7 +97,7 @@ def _is_held(path: Path) -> bool:
 
 
 def _take_over(store: Folder, name: str, shard: Shard) -> None:
-    """Move what other runs have left of a shard, and hold no more, into its folder `name`."""
+    """Move what ended runs left of a shard into its folder `name`."""
     here = shard.within(store.root / name)
     for other in sorted(store.root.glob(f"{shard.folder.name}-{shard.number:05d}*")):
         if other.name == name or not (lock := _locked(store, other.name)):

@@ -1,8 +1,8 @@
-"""Data sets at a URL (fsspec: s3://, gs://, sftp://, ...). A shard is there once its parquet is.
+"""Data sets at a URL (fsspec: s3://, gs://, sftp://, ...). A shard exists once its parquet file does.
 
 A store is no file system: nothing there is locked or continued in place. A shard is fetched, continued on this
 machine's own disk (`spool`), and put back whole: the tar first, the index last. Two runs that make the same shard put
-the same bytes; one that has more samples of it keeps them.
+the same bytes; if one has more samples, it keeps them.
 """
 
 import os
@@ -53,13 +53,13 @@ def announce(url: str, recipe: dict[str, Any], split: str, n: int) -> None:
 
 
 def indices(url: str, shard: Shard) -> set[int]:
-    """The indices of the samples that a store has in a shard; none where there is no such shard."""
+    """The indices of the samples of a shard in the store; none if the shard does not exist."""
     data = _index(url, shard)
     return set() if data is None else read_indices(data, f"{url}/{_names(shard)[1]}")
 
 
 def take(url: str, shard: Shard) -> None:
-    """Bring what the store has of a shard into `shard` on this machine, beside the samples that are here."""
+    """Copy what the store has of a shard into `shard` on this machine, beside the samples that are here."""
     theirs, index = _index(url, shard), shard.path("parquet")
     if theirs is None or (index.exists() and index.read_bytes() == theirs):
         return
@@ -80,8 +80,8 @@ def take(url: str, shard: Shard) -> None:
 
 
 def put_shard(url: str, shard: Shard) -> None:
-    """Copy out a shard: the index last, and the old one gone before the new tar comes. What the store has got meanwhile
-    from another run is kept."""
+    """Copy a shard to the store: the old index is removed before the new tar is put, and the new index is put last.
+    Samples that another run has put meanwhile are kept."""
     files, root = connect(url)
     tar, name = _names(shard)
     for _ in range(MAX_ROUNDS):
@@ -102,7 +102,7 @@ def put_shard(url: str, shard: Shard) -> None:
 
 
 def unjoin(shard: Shard, into: Shard, but: set[int]) -> None:
-    """Write the samples in a shard's tar as parts of `into`, but for those with some indices."""
+    """Write the samples of a shard's tar as parts of `into`, except those with some indices."""
     tar = shard.path("tar")
     if not tar.exists():
         return
@@ -118,13 +118,13 @@ def unjoin(shard: Shard, into: Shard, but: set[int]) -> None:
 
 
 def put(url: str, names: list[str], folder: Path) -> None:
-    """Copy files out of a folder, in this order; each appears whole."""
+    """Copy files of a folder in this order. Each appears whole."""
     for name in names:
         _put(url, name, lambda files, path, source=folder / name: files.put_file(str(source), path))
 
 
 def put_bytes(url: str, name: str, data: bytes) -> None:
-    """Write a file, which appears whole."""
+    """Write a file. It appears whole."""
     _put(url, name, lambda files, path: files.pipe_file(path, data))
 
 
@@ -149,7 +149,7 @@ def _put(url: str, name: str, write: Any) -> None:
 
 
 def _description(files: Any, url: str, root: str) -> bytes | None:
-    """`dataset.json` as it is now, None where the store is new."""
+    """The current `dataset.json`, None for a new store."""
     found = read_file(files, f"{root}/{DESCRIPTION}")
     if found is None:
         files.invalidate_cache()
@@ -162,7 +162,7 @@ def _description(files: Any, url: str, root: str) -> bytes | None:
 
 
 def _index(url: str, shard: Shard) -> bytes | None:
-    """The index of a shard as the store has it now, None where it has none."""
+    """The current index of a shard in the store, None if the shard does not exist."""
     files, root = connect(url)
     name = _names(shard)[1]
     with translate_store_errors(f"{url}/{name}"):

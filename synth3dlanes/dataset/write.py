@@ -36,7 +36,7 @@ REMEDY = "remove this shard's tar and parquet and run again to make it anew"
 
 @dataclass(frozen=True)
 class TarSpan:
-    """Where a sample lies: the bytes `offset` to `end` of a tar, and offset and size of each member."""
+    """The bytes of a sample in a tar, from `offset` to `end`, and the offset and size of each member."""
 
     path: Path
     offset: int
@@ -70,21 +70,21 @@ class Shard:
         return range(self.number * self.size, max(self.number * self.size, min(n, (self.number + 1) * self.size)))
 
     def claimed(self) -> "Shard":
-        """The shard in the hands of a new run, which holds its lock. From here on no worker of another run adds to it:
-        all that a worker writes comes by the folder of its run."""
+        """The shard for a new run, which holds its lock. From now on no worker of another run can add to it, because
+        workers write through the folder of their run."""
         for name in self._data_set.names(self._at("parts")):
             if name.endswith(".run"):
                 self._remove(self._at("parts") / name)
         return replace(self, run=uuid.uuid4().hex)
 
     def open(self) -> None:
-        """Let workers write parts; for their run alone."""
+        """Allow the workers of this run to write parts."""
         self._data_set.make_in(self._at("parts"))
         if self.run:
             self._data_set.make_in(self._unfinished)
 
     def close(self) -> None:
-        """Remove what workers that are gone have not finished."""
+        """Remove unfinished files of workers that have ended."""
         if self.run:
             self._data_set.remove_tree(self._unfinished)
         self._data_set.remove_empty(self._at("parts"))
@@ -100,7 +100,7 @@ class Shard:
         return len(data)
 
     def parts(self) -> dict[int, Path]:
-        """The samples kept one by one."""
+        """The samples that are stored as single files."""
         names = map(PurePath, self._data_set.names(self._at("parts")))
         return {int(name.stem): self.path("parts") / name for name in names if _is_part(name)}
 
@@ -109,14 +109,15 @@ class Shard:
         return self._joined_by_index() if self.path("parquet").exists() else set(self._places_in_tar())
 
     def needs_join(self, n: int) -> bool:
-        """Whether there are samples below `n` outside the tar, a tar without its index, or what a killed join left."""
+        """Whether there are samples below `n` outside the tar, a tar without an index, or files that a killed join
+        left."""
         parts = self.parts()
         is_left_over = any(index < n for index in parts) or (not parts and self._data_set.exists(self._at("parts")))
         return is_left_over or (self.path("tar").exists() and not self.path("parquet").exists())
 
     def join(self, n: int) -> None:
-        """Join the tar and the parts below `n`. A sample that cannot be read is left out, and is missing still; one of
-        a finished shard raises FormatError."""
+        """Join the tar and the parts below `n`. A sample that cannot be read is left out and stays missing; in a
+        finished shard it raises FormatError."""
         places = self._places_in_tar()
         parts = {index: path for index, path in self.parts().items() if index < n and index not in places}
         rows, is_finished = [], self.path("parquet").exists()
@@ -148,8 +149,7 @@ class Shard:
         self.clean()
 
     def clean(self) -> None:
-        """Remove what a finished or killed join has left over; parts that are not in the tar stay for a run that wants
-        them."""
+        """Remove what a finished or killed join left. Parts that are not in the tar are kept."""
         joined = self.joined()
         for name in map(PurePath, self._data_set.names(self._at("parts"))):
             if not _is_part(name) or int(name.stem) in joined:
@@ -157,13 +157,13 @@ class Shard:
         self._data_set.remove_empty(self._at("parts"))
 
     def adopt(self, theirs: "Shard") -> None:
-        """Take over the files of a finished shard: as second names of them where the file system can."""
+        """Take over the files of a finished shard, as hard links where the file system allows it, else as copies."""
         for suffix in ("tar", "parquet"):
             self._data_set.remove_unfinished(self._at(suffix))
             self._data_set.take(self._at(suffix), theirs.path(suffix))
 
     def missing(self, n: int) -> list[int]:
-        """The indices below `n` of samples that are nowhere yet."""
+        """The indices below `n` of samples that are neither in the tar nor a part."""
         found = self.joined() | self.parts().keys()
         return [index for index in self.indices(n) if index not in found]
 
@@ -173,7 +173,7 @@ class Shard:
 
     @property
     def _unfinished(self) -> PurePath:
-        """Where files are written before they appear, in the data set."""
+        """The folder, in the data set, for files that are being written."""
         return self._at("parts") / (f"{self.run}.run" if self.run else "")
 
     def _at(self, suffix: str) -> PurePath:
@@ -202,7 +202,7 @@ class Shard:
         return set(rows["index"].to_pylist())
 
     def _expect_recipe(self, index: bytes) -> None:
-        """Raise InputError where the shard was made from another recipe, however that came here."""
+        """Raise InputError if the shard was made with another recipe."""
         try:
             found, path = read_recipe(index, str(self.path("parquet"))), self.path("parquet")
             lines = list(differences(json.loads(found), json.loads(self.recipe))) if found and self.recipe else []
@@ -265,7 +265,7 @@ def scan(path: Path, names: tuple[str, ...]) -> tuple[dict[int, TarSpan], str]:
 
 
 def _place(path: Path, names: tuple[str, ...], group: Sequence[tuple[str, int, int]]) -> tuple[int, TarSpan]:
-    """The index of a sample and where it lies, by its members in a tar; raise FormatError where they are others."""
+    """The index and the bytes of a sample, from its members in a tar. Raises FormatError for unexpected members."""
     found = [name for name, _, _ in group]
     key = found[0].partition(".")[0]
     if not key.isdecimal() or found != [f"{key_of(int(key))}.{name}" for name in names]:

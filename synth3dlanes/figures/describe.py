@@ -2,6 +2,7 @@
 
 import math
 from collections import Counter
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -110,8 +111,8 @@ def topology_words(road: Road) -> str:
 
 
 def lane_row(lane: Lane) -> tuple[str, ...]:
-    """A lane's row in `LANE_COLUMNS`: counts of all points, of those in the image, of those among them that the ground
-    does not hide, of those that no object hides either ("-" before rendering), and the farthest visible distance."""
+    """A lane's row in `LANE_COLUMNS`. Four counts of points: all; in the image; of these, not hidden by the ground; of
+    these, not hidden by an object ("-" before rendering). Then the farthest visible distance."""
     objects = "-" if lane.object_visible is None else str(int(lane.visible.sum()))
     reach = f"{lane.xyz_cam[lane.visible, 1].max():.0f} m" if lane.visible.any() else "-"
     in_image, over_ground = int(lane.in_image.sum()), int((lane.in_image & lane.terrain_visible).sum())
@@ -126,6 +127,24 @@ def object_row(item: ObjectLabel) -> tuple[str, ...]:
     points = "-" if item.lidar_points is None else str(item.lidar_points)
     places = (", ".join(f"{value:.2f}" for value in values) for values in (item.center_cam, item.size_m))
     return (str(item.id), item.category, *places, speed, seen, f"{100 * item.truncation:.0f} %", points)
+
+
+def scene_document(scene: Scene, labels: Labels) -> dict[str, Any]:
+    """The lanes of a scene and its summary in words, for JSON."""
+    return {"lanes": [lane_document(lane) for lane in labels.lanes], "summary": describe(scene, labels)}
+
+
+def lane_document(lane: Lane) -> dict[str, Any]:
+    """A lane's row for JSON, with numbers as such; None for what is not known before rendering."""
+    in_image, seen = lane.in_image, lane.visible
+    return {
+        **{"id": lane.id, "kind": lane.kind, "road": lane.road, "marking": lane.marking},
+        "n_points": len(lane.xyz_cam),
+        "n_in_image": int(in_image.sum()),
+        "n_over_ground": int((in_image & lane.terrain_visible).sum()),
+        "n_visible": None if lane.object_visible is None else int(seen.sum()),
+        "seen_to_m": round(float(lane.xyz_cam[seen, 1].max()), 3) if seen.any() else None,
+    }
 
 
 def heights_over_road_plane(labels: Labels) -> tuple[float, float]:

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.arrays import Scalars
-from synth3dlanes.distributions import Choice, Integers, Uniform
+from synth3dlanes.distributions import Choice, Distribution, Integers, Uniform
 from synth3dlanes.figures.stats import Cases, LabelStatistics, ParameterStatistics, SceneStatistics, is_fine, numbers
-from synth3dlanes.sampling.rules import CONDITIONED, Distribution
+from synth3dlanes.sampling.rules import CONDITIONED
 
 _UNITS = {"m": "m", "deg": "°", "px": "px"}
 # Discrete parameters with at most this many values get a bin for each.

@@ -50,8 +50,8 @@ def summary(scene: Scene, labels: Labels) -> RenderableType:
 def draw_inspect(
     shown: ShownScene,
 ) -> Figure:
-    """One page with the image, its passes, and the scene in 3D, from above with the lidar's points, and from the side;
-    without an image, lanes alone. The images of a rig's cameras are in rows of their own."""
+    """One page: the image, its passes, the scene in 3D, from above with the lidar's points, and from the side. Without
+    an image, the lanes alone are drawn. The images of a rig's cameras have rows of their own."""
     scene, labels, passes, rig = shown.scene, shown.labels, shown.passes, shown.rig
     view = SceneView(scene, labels)
     pass_rows = [names for names in (PASSES[:2], PASSES[2:4], PASSES[4:]) if set(names) & set(passes)]

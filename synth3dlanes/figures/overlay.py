@@ -72,7 +72,7 @@ def stretches_img(camera: CameraLabel, lane: Lane) -> Iterator[tuple[bool, Float
 def _curve(
     camera: CameraLabel, points_cam: Float[np.ndarray, "n 3"], points_img: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "m 2"]:
-    """The polyline of points in the image; what is straight between them is bent by a lens."""
+    """Points in the image as a polyline, with additional points where the lens bends the line between them."""
     if camera.lens.is_pinhole:
         return points_img
     finer = np.arange(CURVE_STEPS * (len(points_cam) - 1) + 1) / CURVE_STEPS

@@ -111,9 +111,9 @@ class ClipFrame(NamedTuple):
 def scene_page(
     shown: ShownScene,
 ) -> str:
-    """One scene: the image with lanes and masks that can be switched on and off, a 3D view with the lidar's points, its
-    passes, and all parameters; with the frames of its clip, a slider through them (at most MAX_FRAMES, evenly spaced);
-    with what all cameras of its rig see then, their images side by side."""
+    """A page of one scene: the image, with lanes and masks that can be switched on and off; a 3D view with the lidar's
+    points; the passes; and all parameters. A clip adds a slider through its frames (at most MAX_FRAMES, evenly spaced),
+    a rig the images of all its cameras."""
     scene, labels = shown.scene, shown.labels
     step = max(1, -(-len(shown.clip) // MAX_FRAMES))
     numbers = range(0, len(shown.clip), step)

@@ -17,7 +17,7 @@ from synth3dlanes.world import World, resolve
 
 BEHIND_M = 10.0
 AHEAD_M = 120.0
-# Farthest aside that a frustum is drawn.
+# A frustum is drawn at most this far to the side, in metres.
 WIDEST_RAD = 1.3
 
 

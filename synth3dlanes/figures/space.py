@@ -19,7 +19,7 @@ from synth3dlanes.geometry.solids import Body
 from synth3dlanes.labels import CameraLabel, LaneKind
 from synth3dlanes.sensors.sweep import Sweep
 
-# How far aside of the camera the area reaches that is shown.
+# The area shown extends this far to each side of the camera, in metres.
 _ASIDE_M = 70.0
 _LANE_HALF_WIDTH_M = 0.06
 _LANE_OVER_PAINT_M = 0.006

@@ -11,13 +11,13 @@ import numpy as np
 from scipy import stats
 
 from synth3dlanes.arrays import Scalars
-from synth3dlanes.distributions import Choice, Uniform
+from synth3dlanes.distributions import Choice, Distribution, Uniform
 from synth3dlanes.figures.describe import topology_words
 from synth3dlanes.figures.shape import bends, grades
 from synth3dlanes.geometry.camera import horizontal_fov_rad
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import OPTIONAL, Params
-from synth3dlanes.sampling.rules import CONDITIONED, Distribution, ParameterRules
+from synth3dlanes.sampling.rules import CONDITIONED, ParameterRules
 from synth3dlanes.scene import Scene
 
 # The distributions of a parameter by the rules, with the number of values drawn from each.
@@ -32,12 +32,10 @@ _ROUNDING = 1e-4
 
 @dataclass(frozen=True)
 class ParameterStatistics:
-    """One parameter: what was declared, what was drawn, and how well they agree.
-
-    `test` is "KS" (continuous), "chi2" (discrete), "equal" (constant) or the reason why there is none. Where the rules
-    give it several distributions, `low` and `high` are those of all, the test is that of the values that agree least,
-    and the p value is theirs times the number of tests.
-    """
+    """One parameter: its declared distribution, its drawn values, and how well they agree. `test` is "KS" (continuous),
+    "chi2" (discrete), "equal" (constant), or the reason why there is no test. If the rules give the parameter several
+    distributions, `low` and `high` cover all of them, the test is that of the values that agree least, and its p value
+    is multiplied by the number of tests."""
 
     key: str
     declared: str
@@ -55,7 +53,7 @@ class ParameterStatistics:
 
 @dataclass(frozen=True)
 class QuantitySummary:
-    """A measured quantity of labels: its range, mean and percentiles."""
+    """The range, mean and percentiles of one quantity of labels."""
 
     name: str
     count: int
@@ -69,8 +67,8 @@ class QuantitySummary:
 
 @dataclass(frozen=True, eq=False)
 class SceneStatistics:
-    """Statistics of scenes; `drawn` keeps the values in the declared units, and `declared` their distributions, for
-    plots."""
+    """Statistics of scenes. For plots, `drawn` keeps the values in the declared units, and `declared` their
+    distributions."""
 
     n_scenes: int
     parameters: tuple[ParameterStatistics, ...]
@@ -90,7 +88,7 @@ class LabelStatistics:
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """Statistics of scenes and, where these were rendered, of their labels."""
+    """Statistics of scenes and, if these were rendered, of their labels."""
 
     scenes: SceneStatistics
     labels: LabelStatistics | None = None
@@ -153,8 +151,8 @@ def is_fine(parameter: ParameterStatistics) -> bool:
 
 
 def drawn_values(scene: Scene, params: Params) -> dict[str, list[float]]:
-    """All values of each parameter in a scene, by the parameter's key and in its units; of names that vary, their
-    places in the declared lists."""
+    """All values of each parameter in a scene, in the parameter's unit, by its key. A name counts as its place in the
+    declared list."""
     values: dict[str, list[float]] = {}
     for group in ("road", "markings", "surface", "camera", "light", "air", "sensor", "weather", "host", "vegetation"):
         part = getattr(scene, group)
@@ -195,7 +193,7 @@ def label_statistics(labels: Iterable[Labels]) -> LabelStatistics:
 
 
 def form(distribution: Distribution) -> str:
-    """A distribution as it is written in parameter files."""
+    """A distribution as parameter files write it."""
     if isinstance(distribution, Choice):
         if len(distribution.values) == 1:
             return str(distribution.values[0]).lower()
@@ -242,7 +240,7 @@ def _parameter(
 
 
 def _is_named(distribution: Distribution) -> bool:
-    """Whether the parameter is one of several names, which have no range."""
+    """Whether the parameter is one of several names, and so has no range."""
     return isinstance(distribution, Choice) and isinstance(distribution.values[0], str)
 
 
@@ -254,7 +252,7 @@ def _limits(distribution: Distribution) -> tuple[float, float]:
 
 
 def numbers(choice: Choice[Any]) -> Scalars:
-    """The values of a choice, of names their places in the list."""
+    """The values of a choice as numbers; a name counts as its place in the list."""
     is_named = _is_named(choice)
     return np.array([i if is_named else value for i, value in enumerate(choice.values)], dtype=float)
 

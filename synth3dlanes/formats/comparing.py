@@ -17,6 +17,7 @@ from synth3dlanes.dataset.read import Reader
 from synth3dlanes.frames import transform
 from synth3dlanes.labels import CameraLabel, Labels, LaneKind
 from synth3dlanes.scene import Scene
+from synth3dlanes.sensors.sweep import Sweep
 
 Points = Float[np.ndarray, "_ d"]
 Values = Float[np.ndarray, " _"]
@@ -55,6 +56,11 @@ class Truth:
     def passes(self) -> dict[str, Shaped[np.ndarray, "..."]]:
         """Its passes by name."""
         return self.reader.passes(self.place)
+
+    @cached_property
+    def sweep(self) -> Sweep | None:
+        """The sweep of its lidar, if it has one."""
+        return self.reader.lidar(self.place) if self.reader.has_lidar else None
 
     def lanes(self, kind: LaneKind) -> "list[UprightLane]":
         """The lanes of a kind, upright."""

@@ -113,21 +113,17 @@ def _bridge(quads: Quads, ground: Ground, crossing: Crossing, frame: GroundFrame
         low = float(ground_over(ground, frame, wall).min()) - 1.0
         back = x + sign * (ABUTMENT_WALL_M + 0.1)
         quads.box(frame, (min(x, back), -half, min(low, under - 0.5)), (max(x, back), half, top - 0.35), color)
-        _dam(quads, ground, frame, x + sign * ABUTMENT_WALL_M, sign, half, top)
+        rows = dam_section(ground, frame, x + sign * ABUTMENT_WALL_M, sign, half, top)
+        quads.sweep(frame.world(rows), EARTH)
+        quads.add(frame.world(rows[:1]), EARTH)
     quads.feet.append(on_ground(ground, frame.world(np.column_stack([columns, np.zeros(len(columns))]))[:, :2]))
-
-
-def _dam(quads: Quads, ground: Ground, frame: GroundFrame, x: float, sign: int, half_m: float, top_m: float) -> None:
-    """The dam of a bridge's road from its abutment outwards, down to the ground or to DAM_M."""
-    rows = dam_section(ground, frame, x, sign, half_m, top_m)
-    quads.sweep(frame.world(rows), EARTH)
-    quads.add(frame.world(rows[:1]), EARTH)
 
 
 def dam_section(
     ground: Ground, frame: GroundFrame, x: float, sign: int, half_m: float, top_m: float
 ) -> Float[np.ndarray, "r 4 3"]:
-    """Foot, top, top and foot of a dam at distances behind an abutment, in the crossing's frame."""
+    """Rows of foot, top, top and foot of the dam of a bridge's road, from its abutment outwards to DAM_M, in the
+    crossing's frame."""
     way = np.linspace(0, DAM_M, 12)
     middle = np.column_stack([x + sign * way, np.zeros(12)])
     low = ground_over(ground, frame, middle)

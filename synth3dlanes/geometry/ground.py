@@ -186,7 +186,7 @@ class Ground:
 
     def _reach_m(self, xy_world: AnyPoints2) -> AnyScalars:
         """Distance from a pavement within which the ground may differ from the terrain."""
-        highest_m = max([road.ramp.height_m for road in self.network.roads if road.ramp], default=0.0)
+        highest_m = max([road.parting.rise_m for road in self.network.roads if road.parting], default=0.0)
         return max(EMBANKMENT_SLOPE * highest_m, NEAR_M) + VERGE_M * self.cell_scale(xy_world)
 
 

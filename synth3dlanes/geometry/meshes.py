@@ -270,7 +270,7 @@ def _crossing(road: Road, s: Scalars, high: Scalars) -> Scalars:
     """Offset, at most `high`, at which a road's cross-section crosses the right edge of the road where it begins."""
     assert road.parting is not None, "asked only of roads that begin beside another"
     other = road.parting.road
-    low = road.left(s) - EMBANKMENT_SLOPE * (road.ramp.height_m if road.ramp else 0.0) - VERGE_M
+    low = road.left(s) - EMBANKMENT_SLOPE * road.parting.rise_m - VERGE_M
     below, above = low, high
     for _ in range(24):
         middle = (below + above) / 2

@@ -29,6 +29,8 @@ GRAPH_END_M = 100.0
 # Where roads part, places of the branch are looked for up to this far behind the station on the other road, this deep
 # in that one's pavement, and up to so many times its opening beside it.
 BEFORE_M, OVERLAP_M, WIDER = 20.0, 1.0, 1.5
+# An offset this close to the middle between two carriageways counts as on it, and that as of the right one.
+HAIR_M = 1e-6
 # Steps along a road in which its extent is measured.
 EXTENT_STEP_M = 10.0
 
@@ -103,11 +105,13 @@ class Carriageway(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class Parting:
     """Where a road begins: beside another, on whose right side (as t grows) it leaves. `gap_m` is the free width
-    between the lanes of both at stations, and `station` the first one with such a gap, as opposed to `gap_m`."""
+    between the lanes of both at stations, and `station` the first one with such a gap, as opposed to `gap_m`.
+    `rise_m` is how high the road may rise there: its embankment has room for it."""
 
     road: "Road"
     gap_m: Callable[[AnyScalars], AnyScalars]
     station: Callable[[float], float]
+    rise_m: float
 
     def may_hold(self, branch: "Road", s: AnyScalars, t: AnyScalars, reach_m: AnyScalars) -> Bool[np.ndarray, " n"]:
         """Which places of the road may be within `reach_m` of a branch's pavement, and are not deep in its own."""
@@ -158,8 +162,8 @@ class Road:
 
     def is_oncoming(self, t: float) -> bool:
         """Whether the traffic next to an offset is oncoming."""
-        nearest = min(self.carriageways, key=lambda part: max(part.left_m - t, t - part.right_m))
-        return nearest.direction == "oncoming"
+        beyond = sum(t + HAIR_M > (low_m + high_m) / 2 for low_m, high_m in self.medians)
+        return self.carriageways[beyond].direction == "oncoming"
 
     def lanes_at(self, s: float) -> list[Lane]:
         """Its lanes at a station, as t grows."""

@@ -376,7 +376,10 @@ class _Plan:
             start_m=0.0,
             ramp=Ramp(start_m, length_m, road.ramp_height_m) if start_m <= S_END_M else None,
             parting=Parting(
-                self.main_road, lambda s: self.opening(s) - width_m, lambda gap_m: self.opening.station(gap_m + width_m)
+                self.main_road,
+                lambda s: self.opening(s) - width_m,
+                lambda gap_m: self.opening.station(gap_m + width_m),
+                road.ramp_height_m,
             ),
         )
 

@@ -1,7 +1,8 @@
 """Rails along the edges of the pavement: guardrails, barriers, noise walls, kerbs, power lines. World frame, metres."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -10,7 +11,7 @@ from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.beside import beside, frames_beside, on_ground
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.solids import BLACK, SINK_M, Body, Quads
-from synth3dlanes.scene import Rail
+from synth3dlanes.scene import Rail, RailKind
 
 # Lengths of a rail's pieces: up to these distances ahead of the host, and beyond.
 PIECES_M = ((60.0, 2.0), (140.0, 4.0), (np.inf, 8.0))
@@ -22,7 +23,6 @@ END_M = 6.0
 # Half of a concrete barrier's section (Jersey shape) as shares of its height, from the bottom.
 JERSEY = np.array([(0.37, 0.0), (0.37, 0.1), (0.2, 0.4), (0.1, 1.0)])
 KERB_M, WALKWAY_M, WALL_M = 0.15, 1.8, 0.14
-KERBS = ("kerb", "walkway")
 POLES_M, WIRE_M, SAG_M, CROSSARM_M = 45.0, 0.025, 0.9, 1.1
 
 
@@ -39,32 +39,11 @@ def rail_stations(ground: Ground, rail: Rail) -> Scalars:
 
 def rail_body(ground: Ground, rail: Rail) -> Body:
     """A rail from its first station to its last."""
-    s = rail_stations(ground, rail)
-    color = (*rail.color, 0.0)
-    if rail.kind == "power_line":
-        return _power_line(ground, rail, color)
-    quads = Quads(rail.kind, "kerb" if rail.kind in KERBS else "barrier")
-    if rail.kind == "guardrail":
-        _guardrail(quads, ground, rail, s)
-    elif rail.kind == "noise_wall":
-        _noise_wall(quads, ground, rail, s, color)
-    else:
-        if rail.kind == "concrete":
-            half = JERSEY * rail.height_m
-            section = np.concatenate(
-                [half[:1] - [0, SINK_M], half, half[::-1] * [-1, 1], half[:1] * [-1, 1] - [0, SINK_M]]
-            )
-            section[:, 0] += half[0, 0] if rail.side != "median" else 0.0
-        else:
-            back_m = KERB_M if rail.kind == "kerb" else WALKWAY_M
-            up = rail.height_m
-            section = np.array(
-                [(0, -SINK_M), (0, up - 0.02), (0.02, up), (KERB_M, up), (back_m, up), (back_m, -SINK_M - 0.3)]
-            )
-        rows = _rows(ground, rail, s, section[:, 0], section[:, 1] + _edge_height(ground, rail, s)[:, None])
-        quads.sweep(rows, color)
-        quads.add(rows[[0, -1]][:, [0, 2, 3, -1]], color)
-    quads.feet.append(on_ground(ground, _rows(ground, rail, s, np.zeros(1), np.zeros((len(s), 1)))[:, 0, :2]))
+    form, s = RAILS[rail.kind], rail_stations(ground, rail)
+    quads = Quads(rail.kind, form.surface)
+    form.add(quads, ground, rail, s)
+    if not quads.feet:
+        quads.feet.append(on_ground(ground, _rows(ground, rail, s, np.zeros(1), np.zeros((len(s), 1)))[:, 0, :2]))
     return quads.body()
 
 
@@ -104,12 +83,34 @@ def _guardrail(quads: Quads, ground: Ground, rail: Rail, s: Scalars) -> None:
         offset = -0.2 if rail.side == "median" else 0.0
         quads.sweep(_rows(ground, rail, s, sign * (W_BEAM_M[:, 0] + offset), top[:, None] + W_BEAM_M[:, 1]), color)
     behind_m = 0.0 if rail.side == "median" else 0.16
-    _posts(quads, ground, rail, behind_m, (0.07, 0.055), rail.height_m - 0.03, color, rail.from_m + END_M)
+    _posts(quads, ground, rail, RailPosts(behind_m, (0.07, 0.055), rail.height_m - 0.03, END_M), color)
 
 
-def _noise_wall(quads: Quads, ground: Ground, rail: Rail, s: Scalars, color: Sequence[float]) -> None:
+def _concrete(quads: Quads, ground: Ground, rail: Rail, s: Scalars) -> None:
+    """A Jersey barrier; in a median its middle is at the rail's place."""
+    half = JERSEY * rail.height_m
+    section = np.concatenate([half[:1] - [0, SINK_M], half, half[::-1] * [-1, 1], half[:1] * [-1, 1] - [0, SINK_M]])
+    section[:, 0] += half[0, 0] if rail.side != "median" else 0.0
+    _sweep(quads, ground, rail, s, section)
+
+
+def _kerb(quads: Quads, ground: Ground, rail: Rail, s: Scalars) -> None:
+    """A kerb, of a walkway with its paved path."""
+    back_m, up = (WALKWAY_M if rail.kind == "walkway" else KERB_M), rail.height_m
+    section = [(0, -SINK_M), (0, up - 0.02), (0.02, up), (KERB_M, up), (back_m, up), (back_m, -SINK_M - 0.3)]
+    _sweep(quads, ground, rail, s, np.array(section))
+
+
+def _sweep(quads: Quads, ground: Ground, rail: Rail, s: Scalars, section: Float[np.ndarray, "c 2"]) -> None:
+    """A section (across, up) along a rail, and its ends."""
+    rows = _rows(ground, rail, s, section[:, 0], section[:, 1] + _edge_height(ground, rail, s)[:, None])
+    quads.sweep(rows, (*rail.color, 0.0))
+    quads.add(rows[[0, -1]][:, [0, 2, 3, -1]], (*rail.color, 0.0))
+
+
+def _noise_wall(quads: Quads, ground: Ground, rail: Rail, s: Scalars) -> None:
     """Panels in bands of two shades between posts, and a light cap."""
-    foot = _foot_height(ground, rail, s, WALL_M / 2)[:, None]
+    foot, color = _foot_height(ground, rail, s, WALL_M / 2)[:, None], (*rail.color, 0.0)
     n_bands = max(2, round(rail.height_m / 0.8))
     levels = np.linspace(0, rail.height_m, n_bands + 1)
     for band, (low, high) in enumerate(pairwise(levels)):
@@ -120,34 +121,35 @@ def _noise_wall(quads: Quads, ground: Ground, rail: Rail, s: Scalars, color: Seq
             quads.sweep(_rows(ground, rail, s, np.full(2, across), foot + np.array([low, high])), tone)
     quads.sweep(_rows(ground, rail, s, np.array([-0.03, WALL_M + 0.03]), foot + rail.height_m + 0.03), color)
     dark = (*(0.75 * channel for channel in color[:3]), 0.0)
-    _posts(quads, ground, rail, WALL_M / 2, (0.11, 0.09), rail.height_m + 0.05, dark, rail.from_m)
+    _posts(quads, ground, rail, RailPosts(WALL_M / 2, (0.11, 0.09), rail.height_m + 0.05, 0.0), dark)
 
 
-def _posts(
-    quads: Quads,
-    ground: Ground,
-    rail: Rail,
-    across_m: float,
-    half_m: tuple[float, float],
-    height_m: float,
-    color: Sequence[float],
-    first_m: float,
-) -> None:
-    """Posts along a rail up to a height over the edge of the pavement (of a noise wall: over the ground)."""
+class RailPosts(NamedTuple):
+    """A rail's posts: their middle behind its front, half their section, their height over the edge of the pavement (of
+    a noise wall: over the ground), and how far from the rail's ends they begin."""
+
+    across_m: float
+    half_m: tuple[float, float]
+    height_m: float
+    from_ends_m: float
+
+
+def _posts(quads: Quads, ground: Ground, rail: Rail, posts: RailPosts, color: Sequence[float]) -> None:
+    first_m = rail.from_m + posts.from_ends_m
     s = np.arange(first_m, rail.to_m - (first_m - rail.from_m) + 0.01, POSTS_M)
     away = ground.away_m(s)
     s = s[(away < FAR_POSTS_M) | (np.arange(len(s)) % round(POSTS_FAR_M / POSTS_M) == 0)]
-    foot = _foot_height(ground, rail, s, across_m)
+    foot = _foot_height(ground, rail, s, posts.across_m)
     top = foot if rail.kind == "noise_wall" else _edge_height(ground, rail, s)
-    frames = frames_beside(ground, rail.road, rail.side, s, rail.aside_m + across_m)
-    for frame, rise_m in zip(frames, (top - foot + height_m).tolist(), strict=True):
-        x, y = half_m
+    frames = frames_beside(ground, rail.road, rail.side, s, rail.aside_m + posts.across_m)
+    for frame, rise_m in zip(frames, (top - foot + posts.height_m).tolist(), strict=True):
+        x, y = posts.half_m
         quads.box(frame, (-x, -y, -SINK_M), (x, y, rise_m), color)
 
 
-def _power_line(ground: Ground, rail: Rail, color: Sequence[float]) -> Body:
+def _power_line(quads: Quads, ground: Ground, rail: Rail, s: Scalars) -> None:
     """Wooden poles with a crossarm and three wires."""
-    quads = Quads(rail.kind, "pole")
+    color = (*rail.color, 0.0)
     n = max(1, round((rail.to_m - rail.from_m) / POLES_M))
     frames = frames_beside(ground, rail.road, rail.side, np.linspace(rail.from_m, rail.to_m, n + 1), rail.aside_m)
     h = rail.height_m
@@ -163,4 +165,25 @@ def _power_line(ground: Ground, rail: Rail, color: Sequence[float]) -> Body:
             for piece in pairwise(wire):
                 quads.tube(np.array(piece), (WIRE_M, WIRE_M), BLACK, n=3)
     quads.feet.append(on_ground(ground, np.array([frame.origin[:2] for frame in frames])))
-    return quads.body()
+
+
+class RailForm(NamedTuple):
+    """What is fixed of a kind of rail: the semantic name of its faces, its depth, its height if that is not drawn,
+    whether it stands on ground about as high as the pavement's edge, and what adds its quads."""
+
+    surface: Literal["barrier", "kerb", "pole"]
+    depth_m: float
+    height_m: float | None
+    is_level: bool
+    add: Callable[[Quads, Ground, Rail, Scalars], None]
+
+
+RAILS: dict[RailKind, RailForm] = {
+    "guardrail": RailForm("barrier", 0.25, 0.75, True, _guardrail),
+    "concrete": RailForm("barrier", 0.7, 0.9, True, _concrete),
+    "noise_wall": RailForm("barrier", 0.3, None, False, _noise_wall),
+    "kerb": RailForm("kerb", KERB_M, 0.12, True, _kerb),
+    "walkway": RailForm("kerb", WALKWAY_M, 0.13, True, _kerb),
+    "power_line": RailForm("pole", 1.5, None, False, _power_line),
+}
+KERBS = tuple(kind for kind, form in RAILS.items() if form.surface == "kerb")

@@ -17,7 +17,7 @@ from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.world import View
 
 NO_LAMPS = np.zeros((0, 3))
-# They drive at the host's speed.
+# Cars are assumed to drive at the host's speed.
 MOVING_ALONG = (SEMANTIC_IDS["car"], SEMANTIC_IDS["host"])
 
 

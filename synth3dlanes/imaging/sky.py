@@ -18,8 +18,9 @@ SKY_SHAPE = (512, 1024)
 HORIZON = SKY_SHAPE[0] // 2
 N_CLOUD_MAPS = 4
 CLOUD_ALBEDO = 0.75
-# Of the sky's light at sunset each degree of the sun below the horizon leaves this share (3.4 lx of 600 at the end of
-# civil twilight, at 6 degrees); its red turns to blue within twice BLUE_DEG. The sun's disc sets within SET_DEG.
+# The share of the sky's light that is left for each degree of the sun below the horizon: 600 lx at sunset become 3.4 lx
+# at the end of civil twilight, at 6 degrees. Its red turns to blue within twice BLUE_DEG. The sun's disc sets within
+# SET_DEG.
 DUSK_PER_DEG, DUSK_TINT, BLUE_DEG, SET_DEG = 0.42, np.array([0.55, 0.95, 1.1], np.float32), 2.5, 0.53
 # Skyglow over lit land: radiance at the horizon, and its share at the zenith. Clouds return GLOW_OF_CLOUDS times more.
 GLOW, GLOW_AT_ZENITH, GLOW_OF_CLOUDS = np.array([3.2e-7, 2.5e-7, 1.9e-7]), 0.25, 4.0

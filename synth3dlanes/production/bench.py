@@ -1,8 +1,8 @@
-"""How fast this machine makes samples, where the time goes, and how good the pictures are.
+"""Measure how fast this machine makes samples, where the time goes, and how good the pictures are.
 
-The samples are real ones, made by the workers that `generate` uses. The floor is what no care can take away: path
-tracing and denoising. A machine's load and make move the seconds; the ratios to the floor stay, so that stored
-results of another machine can be compared by them.
+The samples are made by the workers that `generate` uses. The "floor" is the time of path tracing and denoising alone,
+which no other code can lower. Seconds depend on the machine and its load. Ratios to the floor do not, so they can be
+compared with stored results of another machine.
 """
 
 import os
@@ -32,14 +32,14 @@ from synth3dlanes.scratch import scratch
 
 WARM_UP = 2
 REFERENCE_SAMPLES, REFERENCE_SCENES = 1024, 3
-# What a naive user sets, who finds Blender's 4096 too slow.
+# Samples per pixel that a user may set who finds Blender's 4096 too slow.
 NAIVE_SAMPLES, NAIVE_SCENES = 128, 2
 SLOW = Limits(seconds=24 * 3600.0)
 
 
 @dataclass(frozen=True)
 class Quality:
-    """The default picture against a converged one, by scene."""
+    """The picture at default settings compared with a converged one, by scene."""
 
     psnr_db: list[float]
     ssim: list[float]
@@ -47,7 +47,8 @@ class Quality:
 
 @dataclass(frozen=True)
 class DefaultTiming:
-    """Seconds of a worker for an image by Blender's defaults, at our samples and at `samples`."""
+    """Seconds that a worker takes for an image with Blender's default settings, at our number of samples per pixel and
+    at `samples`."""
 
     seconds_same_samples: float
     samples: int
@@ -56,7 +57,8 @@ class DefaultTiming:
 
 @dataclass(frozen=True)
 class Bench:
-    """What was measured. Seconds are a worker's, for one image; `memory_mib` is the mean of each quarter of a run."""
+    """The result of `bench`. Seconds are those of one worker for one image. `memory_mib` is the mean of each quarter of
+    the run."""
 
     scenes: int
     workers: int
@@ -76,13 +78,13 @@ class Bench:
     naive: DefaultTiming | None = None
 
     def document(self) -> dict[str, Any]:
-        """As JSON."""
+        """The result as JSON values."""
         return asdict(self)
 
 
 @dataclass(frozen=True)
 class SampleTiming:
-    """One sample's times and the memory of its worker after it. `ended` is on the machine's monotonic clock."""
+    """The times of one sample, and the memory of its worker after it. `ended` is on the machine's monotonic clock."""
 
     worker: int
     ended: float
@@ -93,7 +95,7 @@ class SampleTiming:
 
 
 def bench(recipe: Recipe, n: int, workers: int, masks: list[dict[str, str]], notify: Callable[[str], None]) -> Bench:
-    """Make `n` samples with warm workers, and throw them away."""
+    """Make `n` samples with warm workers, measure them, and delete them."""
     with scratch() as folder:
         shard = Shard(folder, 0, 1 << 30, recipe.names)
         with Pool(workers, SLOW, masks=masks) as pool:
@@ -129,7 +131,7 @@ def bench(recipe: Recipe, n: int, workers: int, masks: list[dict[str, str]], not
 
 
 def measure_quality(recipe: Recipe, notify: Callable[[str], None], samples: int = REFERENCE_SAMPLES) -> Quality:
-    """Compare three fixed scenes with their references; takes minutes."""
+    """Compare three fixed scenes with their references. Takes minutes."""
     recipe = replace(recipe, scenes=replace(recipe.scenes, split="quality"), image_format="png")
     converged = replace(recipe, settings=replace(recipe.settings, samples=samples, passes=()))
     psnr_db, ssims = [], []
@@ -145,7 +147,7 @@ def measure_quality(recipe: Recipe, notify: Callable[[str], None], samples: int 
 
 
 def measure_naive(recipe: Recipe, notify: Callable[[str], None]) -> DefaultTiming:
-    """Time scenes of the same split the naive way, in one worker pinned like the others."""
+    """Time scenes of the same split with Blender's default settings, in one worker that is pinned like the others."""
     seconds: dict[int, list[float]] = {recipe.settings.samples: [], NAIVE_SAMPLES: []}
     with Pool(1, SLOW) as pool:
         for index in range(NAIVE_SCENES):
@@ -156,7 +158,7 @@ def measure_naive(recipe: Recipe, notify: Callable[[str], None]) -> DefaultTimin
 
 
 def time_sample(recipe: Recipe, shard: Shard, index: int) -> SampleTiming:
-    """In a worker: make and write a sample, watching Cycles."""
+    """In a worker: make and write a sample, and record the stages of Cycles."""
     # Loaded here, as in `generate`: only workers carry Blender.
     from synth3dlanes.blender.cycles_timing import cycles_stages
     from synth3dlanes.blender.render import studio
@@ -174,14 +176,14 @@ def time_sample(recipe: Recipe, shard: Shard, index: int) -> SampleTiming:
 
 
 def time_denoiser(recipe: Recipe) -> float:
-    """In a worker: seconds of the denoiser."""
+    """In a worker: the seconds that the denoiser takes."""
     from synth3dlanes.blender.benchmark_renders import denoise_seconds
 
     return denoise_seconds(recipe.scene(0), recipe.settings, recipe.library)
 
 
 def time_naive(recipe: Recipe, index: int, samples: int) -> float:
-    """In a worker: seconds of a naive render."""
+    """In a worker: the seconds of a render with Blender's default settings."""
     from synth3dlanes.blender.benchmark_renders import naive_seconds
 
     return naive_seconds(recipe.scene(index), recipe.settings, recipe.library, samples)
@@ -216,14 +218,14 @@ def ssim(image: UInt8[np.ndarray, "h w 3"], truth: UInt8[np.ndarray, "h w 3"]) -
 
 
 class StoredDefaultTiming(BaseModel):
-    """What is compared of a stored `DefaultTiming`."""
+    """The part of a stored `DefaultTiming` that is compared."""
 
     seconds_same_samples: PositiveFloat
     seconds: PositiveFloat
 
 
 class StoredBench(BaseModel):
-    """What is compared of a stored `Bench`."""
+    """The part of a stored `Bench` that is compared."""
 
     ratio: PositiveFloat
     seconds_per_image: PositiveFloat
@@ -238,7 +240,7 @@ def read_bench(path: Path) -> StoredBench:
 
 
 def compare(now: Bench, stored: StoredBench) -> list[tuple[str, float, float]]:
-    """Name, value now and stored value of everything that does not depend on the machine: shares of the floor."""
+    """Name, current value and stored value of each share of the floor; these do not depend on the machine."""
     pairs = [("end to end", now.ratio, stored.ratio)]
     for name, seconds in now.stages.items():
         share = stored.stages.get(name, 0.0) / stored.floor_seconds_per_image
@@ -276,7 +278,8 @@ def _time_samples(
 
 
 def _seconds_between(timed: list[SampleTiming]) -> float:
-    """Mean time from one end of a sample to the next of the same worker, so that what lies between them counts."""
+    """The mean time from the end of one sample to the end of the next by the same worker, which includes what happens
+    between them."""
     ends: dict[int, list[float]] = {}
     for sample in timed:
         ends.setdefault(sample.worker, []).append(sample.ended)

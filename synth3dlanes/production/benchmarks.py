@@ -18,7 +18,7 @@ from synth3dlanes.params import find_preset, load_params, preset_names
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.sample import Scenes, sample_world
-from synth3dlanes.schema import Part, Seed, shown, validation_problems
+from synth3dlanes.schema import DocumentPart, Seed, shown, validation_problems
 from synth3dlanes.sensors.camera_files import read_document
 from synth3dlanes.settings import DEVICES, MAX_SAMPLES, QUALITY_SAMPLES, RenderSettings
 from synth3dlanes.shots import clips
@@ -27,14 +27,14 @@ KIND = "benchmarks"
 LANE_KEYS = ("id", "kind", "road", "marking", "color", "double", "pair", "direction", "left", "right")
 
 
-class BenchmarkSplit(Part):
+class BenchmarkSplit(DocumentPart):
     """How many samples a split has, and the digest of their labels."""
 
     n: Annotated[int, Field(ge=1, le=MAX_SAMPLES)]
     labels: Annotated[str, Field(pattern="^([0-9a-f]{64})?$")] = ""
 
 
-class Benchmark(Part):
+class Benchmark(DocumentPart):
     """A recipe: a preset with changes as of `--set`, a seed, clips of `frames`, and its splits."""
 
     title: str

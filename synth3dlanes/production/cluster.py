@@ -1,4 +1,4 @@
-"""A Ray cluster seen from the process that drives a run: whether it is there, what it has, and when it is lost."""
+"""A Ray cluster, seen from the process that drives a run: whether it answers, what it has, and when it is lost."""
 
 import io
 import os
@@ -27,9 +27,9 @@ Answer = TypeVar("Answer")
 
 @contextmanager
 def connected(address: str) -> Iterator[None]:
-    """While this process is part of the cluster at `address`; what Ray prints goes to stderr.
+    """Connect this process to the cluster at `address` for the duration of the block. Ray's output goes to stderr.
 
-    Raises InputError where there is no cluster, OutageError where its machine does not answer.
+    Raises InputError if there is no cluster, OutageError if its machine does not answer.
     """
     _check(address)
     with redirect_stdout(_OwnOutput(sys.stdout)):
@@ -42,7 +42,7 @@ def connected(address: str) -> Iterator[None]:
             yield
         finally:
             until = time.monotonic() + SHUTDOWN_S
-            # Without a control store it would take a minute.
+            # Without a control store this would take a minute.
             with redirect_stdout(sys.stderr), suppress(OutageError):
                 attempt("Ray", ray.shutdown, lambda: time.monotonic() > until)
 
@@ -55,7 +55,7 @@ class Cluster:
         self._looked = self._seen = time.monotonic()
 
     def lost(self) -> str:
-        """That the control store has not answered for long, "" otherwise."""
+        """A problem text if the control store has not answered for long, else ""."""
         now = time.monotonic()
         if now - self._looked < LOOK_EVERY_S:
             return ""
@@ -67,12 +67,12 @@ class Cluster:
         return f"the Ray cluster is lost: its control store at {self._address} has not answered {since(self._seen)}"
 
     def uses(self, n_cores: int) -> bool:
-        """Whether so many cores are in use, by whomever, or that is not known."""
+        """Whether at least so many cores are in use, by anyone, or this is not known."""
         found = _asked(lambda: (ray.cluster_resources(), ray.available_resources()))
         return found is None or found[0].get("CPU", 0) - found[1].get("CPU", 0) >= n_cores
 
     def text(self) -> str:
-        """The nodes that there are, and what is free, in words."""
+        """The nodes and the free cores, as text."""
         found = _asked(lambda: (ray.nodes(), ray.available_resources()))
         if found is None:
             return "the cluster does not say what it has"
@@ -84,7 +84,7 @@ class Cluster:
 
 
 def _asked(question: Callable[[], Answer]) -> Answer | None:
-    """What the control store answers, None where it does not."""
+    """The answer of the control store, None if it does not answer."""
     until = time.monotonic() + CONNECT_S
     try:
         return attempt("Ray", question, lambda: time.monotonic() > until)
@@ -93,7 +93,8 @@ def _asked(question: Callable[[], Answer]) -> Answer | None:
 
 
 class _OwnOutput(io.TextIOBase):
-    """The stdout of the thread that made it; that of others, in which Ray prints, is stderr."""
+    """A stdout that only the thread that made it writes to. What other threads, which are Ray's, print goes to
+    stderr."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream, self._thread = stream, current_thread()
@@ -115,7 +116,7 @@ class _OwnOutput(io.TextIOBase):
 
 
 def _check(address: str) -> None:
-    """Raise InputError or OutageError, within half a minute, where no cluster answers."""
+    """Raise InputError or OutageError within half a minute if no cluster answers."""
     if address == "local":
         return
     place = address.removeprefix("ray://")
@@ -144,7 +145,7 @@ def _check(address: str) -> None:
 
 
 def _connection_problem(place: str) -> str:
-    """Why nothing answers at HOST:PORT, "" where something does; raise OSError where the host is not known."""
+    """Why nothing answers at HOST:PORT, or "" if something does. Raises OSError for an unknown host."""
     host, _, port = place.rpartition(":")
     try:
         with socket.create_connection((host.strip("[]"), int(port)), CONNECT_S):

@@ -1,4 +1,4 @@
-"""What this machine renders on: asks Blender, in a process of its own, before anything else is begun."""
+"""The device that this machine renders on. A process of its own asks Blender for it before a run begins."""
 
 import os
 import sys
@@ -17,7 +17,7 @@ MASK = {
     "hip": "HIP_VISIBLE_DEVICES",
     "oneapi": "ZE_AFFINITY_MASK",
 }
-# On Linux, where every GPU has one: NVIDIA's, in Windows (WSL), AMD's, and all others'.
+# Device files of GPUs on Linux: NVIDIA's, those in Windows (WSL), AMD's, and all others'.
 GPU_FILES = ("nvidia*", "dxg", "kfd", "dri/render*")
 # At a few rays a pixel a GPU waits for the scene to be built most of the time.
 WORKERS_PER_GPU = 4
@@ -25,7 +25,8 @@ WORKERS_PER_GPU = 4
 
 @dataclass(frozen=True)
 class WorkerSlots:
-    """The places for workers on this machine: a mask for each GPU (see `masks`), and how many workers fill it."""
+    """The workers that this machine has room for: an environment mask for each GPU (see `masks`), and the number of
+    workers."""
 
     masks: tuple[dict[str, str], ...] = ({},)
     workers: int = 1
@@ -33,10 +34,11 @@ class WorkerSlots:
 
 
 def resolve_device(recipe: Recipe) -> tuple[Recipe, WorkerSlots]:
-    """The recipe with the device that it will be made on, and the slots there; raise InputError without that device.
+    """The recipe with the device that it will be rendered on, and this machine's slots for workers. Raises InputError
+    if the device is not there.
 
-    Pixels differ a little between devices, so the device found is part of the recipe: `dataset.json` records it, and
-    samples of two devices do not mix.
+    Pixels differ a little between devices, so the device is part of the recipe: `dataset.json` records it, and samples
+    of two devices do not mix.
     """
     require_blender()
     asked = recipe.settings.device
@@ -49,15 +51,13 @@ def resolve_device(recipe: Recipe) -> tuple[Recipe, WorkerSlots]:
 
 
 def may_have_gpu(system: str = sys.platform, folder: Path = Path("/dev")) -> bool:
-    """Whether to ask Blender, which takes a second: not on Linux without a device file of a GPU."""
+    """Whether it is worth the second that asking Blender takes: on Linux, only if there is the device file of a GPU."""
     return system != "linux" or any(any(folder.glob(pattern)) for pattern in GPU_FILES)
 
 
 def masks(kind: str, found: Sequence[Device], environment: Mapping[str, str]) -> list[dict[str, str]]:
-    """For each GPU of this kind the environment of a process that is to see it alone; of the CPU, one empty one.
-
-    A mask that is there already, as schedulers set them, is divided and never widened.
-    """
+    """The environment variables that show a process one GPU alone, for each GPU of this kind; for the CPU, one empty
+    mapping. A mask that is set already, as by a scheduler, is divided and never widened."""
     count = sum(device.kind == kind for device in found)
     variable = MASK.get(kind)
     if variable is None:
@@ -67,7 +67,7 @@ def masks(kind: str, found: Sequence[Device], environment: Mapping[str, str]) ->
 
 
 def default_workers(kind: str, n_gpus: int, n_cores: int) -> int:
-    """One a core; on GPUs so many that they do not wait."""
+    """The default number of workers: one per core; on GPUs, as many as keep them busy."""
     return n_cores if kind == "cpu" else min(n_cores, WORKERS_PER_GPU * n_gpus)
 
 
@@ -77,7 +77,7 @@ def n_cores() -> int:
 
 
 def list_devices() -> tuple[Device, ...]:
-    """What Cycles finds; for a process that may carry Blender."""
+    """The devices that Cycles finds. Loads Blender into this process."""
     from synth3dlanes.blender.devices import found_devices
 
     return found_devices()

@@ -1,11 +1,11 @@
-"""What a run tells while it goes. Plain data, quick to import."""
+"""What a run reports while it works. Plain data; quick to import."""
 
 import json
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-# How much it matters that something happened, as the levels of `logging` are called; these are all kinds of events.
+# All kinds of events, and the severity of each, named as in `logging`.
 LEVELS = ("debug", "info", "warning", "error")
 LEVEL_OF = {
     **dict.fromkeys(("sample", "shard"), "debug"),
@@ -17,10 +17,8 @@ LEVEL_OF = {
 
 @dataclass(frozen=True)
 class Event:
-    """One thing that happened, and where the run stands; `eta_s` is None until there is something to go by.
-
-    Kinds are those of LEVEL_OF.
-    """
+    """One event, and the state of the run at that time. `eta_s` is None until there is a rate. Kinds are those of
+    LEVEL_OF."""
 
     kind: str
     message: str
@@ -33,7 +31,7 @@ class Event:
     details: dict[str, Any]
 
     def matters(self, level: str) -> bool:
-        """Whether it is of this level or a graver one."""
+        """Whether the event is of this level or a more severe one."""
         return LEVELS.index(LEVEL_OF[self.kind]) >= LEVELS.index(level)
 
     def line(self) -> str:
@@ -42,5 +40,5 @@ class Event:
 
 
 def duration(seconds: float) -> str:
-    """Hours, minutes and seconds, as 0:01:05."""
+    """Seconds as hours, minutes and seconds, such as 0:01:05."""
     return str(timedelta(seconds=round(seconds)))

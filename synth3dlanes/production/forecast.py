@@ -1,4 +1,4 @@
-"""What samples will cost in time and room, before a run starts."""
+"""The time and the disk space that samples will take, estimated before a run starts."""
 
 import shutil
 from dataclasses import dataclass
@@ -15,19 +15,20 @@ SECONDS_PER_PIXEL_SAMPLE, SECONDS_PER_PIXEL, SECONDS_PER_SCENE = 2.3e-6, 1.6e-6,
 BYTES_PER_PIXEL = {"jpg": 0.45, "png": 1.6}
 BYTES_PER_PIXEL_OF_PASS = {"depth": 2.4, "normal": 3.0, "semantic": 0.2, "instance": 0.4, "height": 0.3}
 BYTES_OF_TEXT = 80_000
-# Of a lidar.
+# The same for a lidar sweep.
 SECONDS_PER_RAY, BYTES_PER_RAY = 7e-6, 2.5
-# Until a worker has loaded Blender and its first scene.
+# Seconds until a worker has loaded Blender and its first scene.
 SECONDS_TO_START = 3.0
-# A sample is given up after so many times the expected seconds; slow machines and large cameras need them.
+# A sample is given up after this many times the expected seconds, which slow machines and large cameras need.
 PATIENCE, LEAST_PATIENCE_S = 60.0, 120.0
-# A joined shard lies there twice for a moment.
+# While a shard is joined, it is on the disk twice.
 SHARD_SAMPLES = 1000
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """What the missing samples will take; `is_measured` by those that were made here before."""
+    """The time and the disk space that the missing samples will take; `is_measured` if it follows from the samples that
+    this machine made before."""
 
     samples: int
     workers: int
@@ -37,7 +38,7 @@ class Forecast:
     is_measured: bool = False
 
     def text(self) -> str:
-        """The forecast in a line."""
+        """The forecast as one line of text."""
         return (
             f"{counted(self.samples, 'sample')} to make with {counted(self.workers, 'worker')}: "
             f"about {duration(self.seconds)} and {self.bytes_kept / 1e9:.2g} GB"
@@ -45,8 +46,8 @@ class Forecast:
         )
 
     def require_room(self, folder: Path, reserve: int = 0) -> None:
-        """Raise DiskFullError unless the disk of a folder (or of the folder it will be made in) has room for all and
-        the reserve."""
+        """Raise DiskFullError unless the disk of a folder (or of the folder where it will be made) has room for all
+        samples and a reserve."""
         there = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
         free, needed = shutil.disk_usage(there).free, self.bytes_needed + reserve
         if self.samples and free < needed:
@@ -77,17 +78,17 @@ def forecast(recipe: Recipe, samples: int, workers: int, found: Measured | None 
 
 
 def patience_s(recipe: Recipe) -> float:
-    """How many core-seconds a sample may take before it is given up."""
+    """The core-seconds that a sample may take before it is given up."""
     return max(LEAST_PATIENCE_S, PATIENCE * seconds_per_sample(recipe))
 
 
 def _pixels(recipe: Recipe) -> float:
-    """Of an image, on average."""
+    """The mean number of pixels of an image."""
     cameras = recipe.cameras
     return sum(camera.width_px.draw(0.5) * camera.height_px.draw(0.5) for camera in cameras) / len(cameras)
 
 
 def _rays(recipe: Recipe) -> int:
-    """Of a lidar's sweep."""
+    """The number of rays of a lidar sweep."""
     lidar = recipe.scenes.shots.lidar
     return len(lidar.elevations_deg) * lidar.azimuths if lidar else 0

@@ -1,13 +1,13 @@
-"""Samples made on this machine, by worker processes that are supervised.
+"""Make samples on this machine, with supervised worker processes.
 
-What is done is what lies on disk (`dataset.write`): the samples that are nowhere are given to workers one by one, and
-a shard is joined once all its samples are there. Workers write their finished samples themselves, whole or not at all,
-so nothing that anyone holds in memory matters: killing a worker, this process or the machine costs the samples at hand
-and no other.
+The state of a run is what is on disk (`dataset.write`). Each missing sample is given to a worker; a shard is joined
+when all its samples are there. A worker writes its finished sample itself, whole or not at all. So killing a worker,
+this process or the machine costs the samples in progress and no other.
 
-A sample that fails three times (or whose worker others kill twenty times) is set aside under DIR/failed with its scene
-and the worker's last words; its shard is joined without it, and the next run tries it again. Ten in a row mean that
-the machine is at fault, and stop the run, as do missing files and libraries. A full disk makes it wait.
+A sample that fails three times, or whose worker is killed from outside twenty times, is set aside under DIR/failed with
+its scene and the worker's last words. Its shard is joined without it, and the next run tries it again. Ten failures in
+a row mean that the machine is at fault, and stop the run, as do missing files and libraries. While the disk is full,
+the run waits.
 """
 
 import time
@@ -34,14 +34,14 @@ from synth3dlanes.production.workers import Limits, Outcome, Pool
 
 MAX_FAILURES, MAX_KILLS, MAX_IN_A_ROW = 3, 20, 10
 POLL_S = 0.5
-# Besides one for each worker: for the folders of a shard, its tar and its index.
+# Files beside one per worker: the folders of a shard, its tar and its index.
 FILES_OF_A_SHARD = 4
 
 
 def make_here(plan: Plan, tally: RunTally) -> None:
-    """Make what a plan's destination lacks; of a store, one shard after the other.
+    """Make the samples that a plan's destination lacks; for a store, one shard after the other.
 
-    Raises DiskFullError where there is no room to begin, LinkError where a link lies in the way.
+    Raises DiskFullError if there is no room to begin, LinkError if a link is in the way.
     """
     destination, shards = plan.destination, plan.shards()
     if not destination.is_store:
@@ -52,7 +52,7 @@ def make_here(plan: Plan, tally: RunTally) -> None:
     left = set(destination.spooled(plan.recipe.scenes.split, recipe_text(plan.description())))
     try:
         for number in sorted(left | shards.keys()):
-            # Of another part's shard, all that an earlier run has left.
+            # Of a shard of another part, everything that an earlier run left.
             n = plan.n if number in shards else (number + 1) * plan.shard_size
             asked = partial(destination.missing, plan.shard(number), n)
             missing = patience.insist(destination.place, asked, "what is finished is there")
@@ -140,8 +140,8 @@ class _Run:
                     break
 
     def _next(self, slot: int) -> tuple[str, int]:
-        """Take the next task for a worker: of the scene that it has, else of one that no other has. What a worker has
-        drawn and built serves all pictures of a scene."""
+        """The next task for a worker: of the scene that it made last, else of a scene that no other worker makes. What
+        a worker has drawn and built serves all pictures of a scene."""
         shots, others = self.plan.recipe.scenes.shots, {scene for at, scene in self.scenes.items() if at != slot}
         scenes = [shots.place(index).scene for _, index in islice(self.todo, (len(others) + 1) * shots.per_scene + 1)]
         free = (at for at, scene in enumerate(scenes) if scene not in others)
@@ -220,7 +220,7 @@ class _Run:
         self.joins[number] = self.joiner.submit(_join_shard, self.shards[number], self.plan.n)
 
     def _joined(self, number: int, join: Future[list[int]]) -> None:
-        """A part that was found broken is missing again; a full disk is waited for."""
+        """Join a shard. A part that proves broken counts as missing again; a full disk is waited for."""
         error = join.exception()
         if is_full(error):
             self.unjoined.append(number)
@@ -249,22 +249,22 @@ class _Run:
         return not self.room.is_waiting
 
     def _sample_bytes(self) -> int:
-        """What the samples that all workers have at hand take, about."""
+        """About how many bytes the samples in progress take."""
         return self.n_workers * self.expected.bytes_kept // max(1, self.expected.samples)
 
     def _shard_bytes(self, shard: Shard) -> int:
-        """What a shard takes beside its parts while it is joined."""
+        """The bytes that a shard takes beside its parts while it is joined."""
         return sum(path.stat().st_size for path in (*shard.parts().values(), shard.path("tar")) if path.exists())
 
     def _shard(self, index: int) -> Shard:
         return self.shards[index // self.plan.shard_size]
 
     def _failed(self, index: int) -> PurePath:
-        """Where the data set keeps what is known of a sample that failed."""
+        """The folder of the data set for what is known about a failed sample."""
         return PurePath("failed") / self.plan.recipe.scenes.split / key_of(index)
 
     def _place(self, path: Path) -> str:
-        """Where people find a file: at the destination."""
+        """The path of a file at the destination, for messages."""
         return f"{self.plan.destination.place.rstrip('/')}/{path.relative_to(self.root).as_posix()}"
 
 
@@ -274,7 +274,7 @@ def _join_shard(shard: Shard, n: int) -> list[int]:
 
 
 def _make_part(*args: Any) -> Any:
-    """`make_part`, or the link that lies in its way: no other worker would fare better."""
+    """Like `make_part`, but returns the problem if a link is in the way: every other worker would meet it too."""
     try:
         return make_part(*args)
     except LinkError as error:

@@ -26,11 +26,9 @@ SHARD_SIZE = 1000
 
 @dataclass(frozen=True)
 class Plan:
-    """Samples 0 to n - 1 of the recipe's split, in the folder or at the URL `out`.
-
-    `workers` 0 is one for each core. `part` (i, k) is the i-th of k parts, counted from 1. Without `limits`, how long a
-    worker may take depends on the size of the images.
-    """
+    """Samples 0 to n - 1 of the recipe's split, in the folder or at the URL `out`. `workers` 0 means one per core.
+    `part` (i, k) means part i of k, counted from 1. Without `limits`, the time that a worker may take depends on the
+    size of the images."""
 
     out: str | Path
     n: int
@@ -56,29 +54,29 @@ class Plan:
 
     @property
     def destination(self) -> Destination:
-        """Where the samples go."""
+        """The destination of the samples."""
         return Destination(self.out)
 
     def shards(self) -> dict[int, Shard]:
-        """This part's shards by number, relative to the data set."""
+        """The shards of this part by number, relative to the data set."""
         part, parts = self.part
         numbers = range(part - 1, math.ceil(self.n / self.shard_size), parts)
         first = self.shard(0)
         return {number: replace(first, number=number) for number in numbers}
 
     def shard(self, number: int) -> Shard:
-        """A shard of the split, of this part or not, relative to the data set."""
+        """Any shard of the split, relative to the data set."""
         return Shard(
             Path(self.recipe.scenes.split), number, self.shard_size, self.recipe.names, recipe_text(self.description())
         )
 
     def missing(self) -> dict[int, list[int]]:
-        """The indices of the samples that are not there yet, by shard."""
+        """The indices of the missing samples, by shard."""
         destination = self.destination
         return {number: destination.missing(shard, self.n) for number, shard in self.shards().items()}
 
     def n_missing(self) -> int:
-        """How many samples are not there yet; of a folder's shards that are not begun, none is listed."""
+        """The number of missing samples. In a folder, shards that have not begun are counted without being listed."""
         begun = self.destination.begun(self.recipe.scenes.split, self.shards())
         return sum(
             len(self.destination.missing(shard, self.n)) if number in begun else len(shard.indices(self.n))
@@ -86,7 +84,7 @@ class Plan:
         )
 
     def text(self) -> str:
-        """What is asked for, in a line."""
+        """The plan as one line of text."""
         (part, parts), recipe, settings = self.part, self.recipe, self.recipe.settings
         told = [
             f"{self.destination.place}/{recipe.scenes.split}: {counted(self.n, 'sample')}",
@@ -102,9 +100,12 @@ class Plan:
         return ", ".join(told)
 
     def expected(self, n_workers: int = 0) -> Forecast:
-        """What the missing samples will take. Raises InputError where another recipe's samples are there, and
-        DiskFullError where a folder's disk has too little room."""
-        # Before anything else is read there.
+        """The time and the disk space that the missing samples will take.
+
+        Raises InputError if the destination has samples of another recipe, DiskFullError if its disk has too little
+        room.
+        """
+        # Checked before anything else is read there.
         self.destination.check_recipe(self.description(), self.recipe.scenes.split, self.n)
         missing = self.n_missing()
         here = None if self.destination.is_store else self.destination.folder
@@ -115,27 +116,25 @@ class Plan:
         return found
 
     def n_asked(self) -> int:
-        """How many samples this part has."""
+        """The number of samples of this part."""
         return sum(len(shard.indices(self.n)) for shard in self.shards().values())
 
     def only(self, number: int) -> "Plan":
-        """The plan for one shard alone."""
+        """The plan for one shard."""
         return replace(self, part=(number + 1, math.ceil(self.n / self.shard_size)))
 
     def description(self) -> dict[str, Any]:
-        """What `dataset.json` says about the recipe and the layout."""
+        """The contents of `dataset.json` about the recipe and the layout."""
         return {**self.recipe.description(), "shard_size": self.shard_size}
 
     def resolved(self) -> "Plan":
-        """The plan with this machine's device and workers.
-
-        Raises MissingPackageError without Blender, InputError without the device that is asked for.
-        """
+        """The plan with the device and the number of workers of this machine. Raises MissingPackageError without
+        Blender, InputError without the device asked for."""
         if self.maker is not make_sample:
             return self
         recipe, slots = resolve_device(self.recipe)
         return replace(self, recipe=recipe, slots=slots, workers=self.workers or slots.workers)
 
     def n_workers(self, n_tasks: int) -> int:
-        """How many workers there is work and room for."""
+        """The number of workers that have work and room."""
         return max(1, min(self.workers or n_cores(), n_tasks))

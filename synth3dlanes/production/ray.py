@@ -1,9 +1,9 @@
-"""Shards as tasks of a Ray cluster, each made on one node by the workers that a run on one machine has.
+"""Shards as tasks of a Ray cluster. One node makes each shard, with the workers that a run on one machine has.
 
-Blender stays in those workers: Ray's own process only supervises. A task whose node dies is made again elsewhere; on a
-shared folder it goes on where it was. The truth is at the destination, never in a task's answer, so executors may
-follow one another on the same data set. Nor does progress decide: what tasks tell may be lost, and is counted in the
-end by what is there.
+Blender stays in those workers; Ray's own process only supervises them. If the node of a task dies, another node makes
+the shard; in a shared folder it continues where the first one was. The state of a run is what is at the destination,
+never the answer of a task, so different executors may continue the same data set. Progress reports of tasks may be
+lost: at the end, samples are counted at the destination.
 """
 
 import math
@@ -38,7 +38,7 @@ MAX_NODE_DEATHS = 20
 # The lock of a task whose node died can outlive it on a network file system.
 CLAIM_PATIENCE_S = 300.0
 POLL_S = 1.0
-# How long the board may take to answer; after how long without a running task the run says what it waits for.
+# Seconds that the board may take to answer; seconds without a running task until the run says what it waits for.
 BOARD_S, IDLE_S = 5.0, 10.0
 BEGUN = "begun"
 
@@ -46,7 +46,7 @@ BoardMessage = tuple[str, str, dict[str, Any]]
 
 
 class Board:
-    """Where tasks post what happens, for the driver to take. An actor on the driver's own node."""
+    """A Ray actor on the driver's node, where tasks post events for the driver."""
 
     def __init__(self) -> None:
         self.posts: list[BoardMessage] = []
@@ -85,7 +85,7 @@ def count_cores() -> int:
 
 
 def make_shard(plan: Plan, board: Any) -> str:
-    """A task: make the one shard of a plan on this node; returns why it could not go on, "" for nothing."""
+    """A Ray task: make the one shard of a plan on this node. Returns the problem that stopped it, or ""."""
 
     def post(event: Event) -> None:
         board.post.remote(event.kind, event.message, {**event.details, "node": os.uname().nodename})
@@ -111,7 +111,7 @@ def make_shard(plan: Plan, board: Any) -> str:
 
 
 def make_on_ray(plan: Plan, tally: RunTally) -> None:
-    """Make what a plan's destination lacks; a folder must be shared by all nodes."""
+    """Make the samples that a plan's destination lacks. All nodes must share the destination if it is a folder."""
     patience = Patience(LIMIT_S, tally.tell, lambda: tally.is_stopping)
     try:
         shards, destination = plan.shards(), plan.destination
@@ -169,8 +169,8 @@ class _Tasks:
             self.tally.problem = f"shard {number}: {problem}"
 
     def _pass_on(self) -> None:
-        """Tell what tasks have posted. Without the board, which Ray starts again where it can, there is only less to
-        tell."""
+        """Pass on the events that tasks have posted. If the board is lost, Ray restarts it if it can; until then events
+        are lost."""
         try:
             posts: list[BoardMessage] = ray.get(self.board.take.remote(), timeout=BOARD_S)
         except ray.exceptions.RayError:
@@ -182,7 +182,7 @@ class _Tasks:
                 self.tally.tell(kind, message, **details)
 
     def _tell_of_waiting(self) -> None:
-        """Say what is waited for where no task has run in a while, and that one runs."""
+        """Report what the run waits for if no task has run for a while, and report when one runs again."""
         is_idle = not self.begun & set(self.tasks.values()) or not self.cluster.uses(self.plan.workers)
         if not is_idle:
             self.idle_since = time.monotonic()
@@ -196,7 +196,7 @@ class _Tasks:
 
 
 def _problem(reference: Any) -> str:
-    """What a task that has ended says, or what ended it; "" for one that was cancelled."""
+    """The problem that an ended task reports, or that ended it; "" for a cancelled task."""
     try:
         return str(ray.get(reference))
     except ray.exceptions.TaskCancelledError:

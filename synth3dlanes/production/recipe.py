@@ -1,4 +1,4 @@
-"""One sample: scene -> labels -> image -> bytes -> disk. Blender is loaded with the first sample."""
+"""Make one sample: scene -> labels -> image -> bytes -> disk. The first sample loads Blender."""
 
 import importlib.util
 import sys
@@ -32,7 +32,7 @@ from synth3dlanes.world import View, World
 
 @dataclass(frozen=True)
 class Recipe:
-    """All that decides the bytes of a split's samples, but for their index: what is drawn, and how it is rendered.
+    """All values that decide the bytes of a split's samples, except the index: what is drawn, and how it is rendered.
     `library` has the files of the assets."""
 
     scenes: Scenes
@@ -49,7 +49,7 @@ class Recipe:
         return self.world(index).scene
 
     def description(self) -> dict[str, Any]:
-        """What `dataset.json` says about it; samples of two recipes that differ here do not mix."""
+        """The part of `dataset.json` that identifies the recipe. Samples of recipes that differ here do not mix."""
         scenes = self.scenes
         return {
             "generator": __version__,
@@ -81,14 +81,14 @@ class Recipe:
 
 @dataclass(frozen=True, eq=False)
 class TimedPicture(Picture):
-    """A picture, and seconds by stage."""
+    """A picture, and the seconds of each stage."""
 
     timings: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class PackedSample:
-    """A sample's members by name, and seconds by stage."""
+    """The bytes of a sample's members by name, and the seconds of each stage."""
 
     members: dict[str, bytes]
     timings: dict[str, float]
@@ -125,7 +125,7 @@ def make_image(world: World, settings: RenderSettings, image_format: str, librar
 
 def take_picture(world: World, settings: RenderSettings, library: Library = BUILT_IN) -> TimedPicture:
     """Label, render and develop a world as its scene's camera sees it."""
-    # Loaded here: only the processes that render may carry Blender.
+    # Loaded here: only processes that render may load Blender.
     from synth3dlanes.blender.render import render
 
     view, start = world.view, time.perf_counter()
@@ -153,7 +153,7 @@ def _passes(world: World, view: View, layers: Layers, names: Sequence[str]) -> d
 def make_part(
     maker: Callable[[Recipe, int], PackedSample], recipe: Recipe, shard: Shard, index: int
 ) -> dict[str, float | dict[str, float]]:
-    """What a worker does: make one sample and keep it; returns its size and the seconds by stage."""
+    """In a worker: make one sample and store it. Returns its bytes and the seconds of each stage."""
     start = time.perf_counter()
     made = maker(recipe, index)
     before = time.perf_counter()

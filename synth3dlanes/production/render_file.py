@@ -1,4 +1,4 @@
-"""scene.json -> image, labels and passes as files: the very bytes that a data set has of the scene."""
+"""Render scene.json to image, labels and passes as files, with the same bytes that a data set has for the scene."""
 
 import math
 from collections.abc import Sequence
@@ -31,10 +31,10 @@ def render_file(
     library: Library,
     lidar: LidarSpec | None = None,
 ) -> list[Path]:
-    """Render the scene of a file or of a sample (`DIR/SPLIT:KEY`), some factors changed or with another lidar; return
-    the files written, the image first.
+    """Render the scene of a file or of a sample (`DIR/SPLIT:KEY`), with some values changed or with another lidar.
+    Returns the files written, the image first.
 
-    They are named as the members of a sample. The scene is among them only where it was changed.
+    The files are named like the members of a sample. The scene is written only if it was changed.
     """
     require_blender()
     name, scene = find_scene(source)
@@ -47,7 +47,7 @@ def render_file(
         raise InputError(f"out {image_path}: expected a name that ends in .png or .jpg")
     if is_changed and image_path.with_suffix(f".{SCENE}").resolve() == Path(source).resolve():
         raise InputError(f"out {image_path}: would overwrite {source} with the changed scene; name another")
-    # Pinned as all workers are: on one core more than another, Cycles rounds some sums otherwise.
+    # Pinned to one core like all workers: with another number of cores, Cycles rounds some sums differently.
     members = render_members(scene, settings, image_format, library, source)
     files = {image_path.with_suffix(f".{name}"): data for name, data in members.items() if is_changed or name != SCENE}
     for path, data in files.items():
@@ -58,10 +58,10 @@ def render_file(
 def render_members(
     scene: Scene, settings: RenderSettings, image_format: str, library: Library, where: str
 ) -> dict[str, bytes]:
-    """The members of a sample of the scene, made in a worker of its own.
+    """The members of a sample of the scene, made in a worker process.
 
-    Raises MissingPackageError without Blender, InputError for a device that is not there, WorkerError where Blender
-    fails; the message begins with `where`.
+    Raises MissingPackageError without Blender, InputError for a device that is not there, WorkerError if Blender fails;
+    the message begins with `where`.
     """
     require_blender()
     outcome = call(PATIENCE, _make, scene, settings, image_format, library, pinned=True)

@@ -1,5 +1,8 @@
-"""Room on the disk of a data set. Whether there is any again is asked by trying to write: bytes that are free are of no
-use where the number of files or a user's quota is at its end."""
+"""Free space on the disk of a data set.
+
+Whether there is space again is tested by writing: free bytes are of no use if the number of files, or a user's quota,
+is at its limit.
+"""
 
 import os
 import shutil
@@ -12,23 +15,20 @@ from synth3dlanes.files import Folder
 from synth3dlanes.production.workers import DISK_FULL
 
 FREE_MARK_SHARE, FREE_MARK_BYTES = 0.01, 1 << 30
-# Between two tries; doubled up to the second.
+# Seconds between two tries: the first value, doubled up to the second.
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 16.0
 CHUNK_BYTES = 1 << 20
 
 
 def is_full(error: BaseException | None) -> bool:
-    """Whether an error says that a disk, or a user's share of it, is full."""
+    """Whether an error says that a disk or a user's quota is full."""
     return isinstance(error, OSError) and error.errno in DISK_FULL
 
 
 class Room:
-    """The room in the folder of a data set: too little since something could not be written, or since few bytes are
-    free, until there is enough for what comes next (`n_files` and some bytes).
-
-    At so few free bytes as `mark` a run stops to write, so that the disk is not filled to the last byte; it goes on at
-    twice as many.
-    """
+    """The free space in the folder of a data set. It is too low once a write fails or few bytes are free; then it is
+    waited for until there is enough for the next step (`n_files` files and some bytes). A run stops writing at `mark`
+    free bytes, so that the disk is never quite full, and continues at twice as many."""
 
     def __init__(self, root: Path, n_files: int) -> None:
         self.root, self.mark = root, min(FREE_MARK_BYTES, int(shutil.disk_usage(root).total * FREE_MARK_SHARE))
@@ -43,18 +43,18 @@ class Room:
 
     @property
     def free(self) -> int:
-        """The bytes that are free, by the file system's count."""
+        """The free bytes, according to the file system."""
         return shutil.disk_usage(self.root).free
 
     def wait(self, n_bytes: int) -> None:
-        """There is no room: from now on wait until `n_bytes` can be written."""
+        """Start waiting until `n_bytes` can be written."""
         if not self.is_waiting:
             self._n_bytes = 0
         self.is_waiting, self._n_bytes, self._is_low = True, max(n_bytes, self._n_bytes), self.is_low
         self._try_at = time.monotonic() + self._pause_s
 
     def is_back(self) -> bool:
-        """While waiting: whether there is room again. Tries now and then, and says False in between."""
+        """Whether there is space again, while waiting. Tests this now and then, and returns False in between."""
         if time.monotonic() < self._try_at:
             return False
         self._pause_s = min(2 * self._pause_s, LONGEST_PAUSE_S)
@@ -65,7 +65,7 @@ class Room:
         return True
 
     def has_been_of_use(self) -> None:
-        """Something was written: the next wait begins with a short pause."""
+        """Record that something was written, so that the next wait begins with a short pause."""
         self._pause_s = FIRST_PAUSE_S
 
     def _can_write(self) -> bool:
@@ -74,7 +74,7 @@ class Room:
             with ExitStack() as stack:
                 first, *_ = [stack.enter_context(folder.draft(PROBE)) for _ in range(self._n_files)]
                 for done in range(0, self._n_bytes, CHUNK_BYTES):
-                    # Not zeros, which some file systems keep in no room.
+                    # Not zeros, which some file systems store without using space.
                     first.stream.write(os.urandom(min(CHUNK_BYTES, self._n_bytes - done)))
                 first.sync()
         except OSError as error:

@@ -1,9 +1,9 @@
-"""A run: make what is missing of a plan's samples, on this machine or on a Ray cluster, and report.
+"""A run: make the missing samples of a plan, on this machine or on a Ray cluster, and report.
 
-What is done is what lies at the destination, so running again continues, with either executor. Bytes depend on the
-recipe and the index alone: whoever makes a sample, and when, makes the same one. SIGINT, SIGTERM and SIGHUP let the
-samples at hand finish. `part` i of n takes the shards whose number is i - 1 modulo n, so parts never meet: they may
-share a folder (each shard has its lock) or have their folders copied together.
+The state of a run is what is at the destination, so running again continues it, with either executor. The bytes of a
+sample depend on the recipe and its index alone, not on the process or the time. SIGINT, SIGTERM and SIGHUP let the
+samples in progress finish. `part` i of n takes the shards whose number is i - 1 modulo n, so parts never overlap: they
+may share a folder (each shard has its lock), or their folders may be merged.
 """
 
 from collections.abc import Callable
@@ -17,17 +17,16 @@ from synth3dlanes.production.signals import stopping_on_signals
 from synth3dlanes.production.tally import RunReport, RunTally, log_name
 
 Executor = Literal["local", "ray"]
-EXECUTORS: tuple[Executor, ...] = ("local", "ray")
 
 
 def generate(
     plan: Plan, notify: Callable[[Event], None], executor: Executor = "local", address: str = "auto"
 ) -> RunReport:
-    """Make what is missing of a plan's samples; `notify` hears of everything that happens.
+    """Make the missing samples of a plan. `notify` is called with every event. `address` is that of the Ray cluster.
 
-    `address` is that of the Ray cluster. Raises where the run cannot start: MissingPackageError without Blender or Ray,
-    DiskFullError without room, InputError without such a device or cluster or where another recipe's samples are
-    there, ClaimedError where another run is making one of the shards.
+    Raises if the run cannot start: MissingPackageError without Blender or Ray, DiskFullError without room, InputError
+    without the device or the cluster, or if the destination has samples of another recipe, ClaimedError if another run
+    makes one of the shards.
     """
     if executor == "local":
         plan = plan.resolved()
@@ -46,10 +45,10 @@ def _run(
     n_workers: int,
     is_driver: bool = False,
 ) -> RunReport:
-    """Claim, make, report. `n_workers` are all that there are; a driver's are on other machines, and claim shards
-    themselves."""
+    """Lock the shards, make the samples, report. `n_workers` is the number of workers in total; those of a driver are
+    on other machines, which lock their shards themselves."""
     destination, split = plan.destination, plan.recipe.scenes.split
-    # First: a run that is refused leaves nothing behind.
+    # Checked first, so that a refused run leaves nothing behind.
     expected = plan.expected(n_workers)
     with destination.claim(plan.description(), split, plan.n, plan.shards(), is_driver):
         missing = [index for indices in plan.missing().values() for index in indices]

@@ -1,4 +1,4 @@
-"""SIGINT, SIGTERM and SIGHUP as a request to stop in order."""
+"""SIGINT, SIGTERM and SIGHUP as requests to stop in order."""
 
 import os
 import signal
@@ -21,13 +21,14 @@ class StopSignal(KeyboardInterrupt):
 
 
 def stop(number: int, _: FrameType | None = None) -> None:
-    """A signal handler that raises Stopped."""
+    """A signal handler that raises StopSignal."""
     leave_closed_terminal(number)
     raise StopSignal(number)
 
 
 def handle(handler: Callable[[int, FrameType | None], None] | signal.Handlers) -> dict[int, Any]:
-    """Install a handler for all stopping signals but those that are ignored, as nohup does; returns those before."""
+    """Install a handler for all stopping signals, except those that are ignored, as nohup does. Returns the handlers
+    before."""
     before: dict[int, Any] = {number: signal.getsignal(number) for number in STOPPING}
     for number, old in before.items():
         if old is not signal.SIG_IGN:
@@ -37,7 +38,7 @@ def handle(handler: Callable[[int, FrameType | None], None] | signal.Handlers) -
 
 @contextmanager
 def stopping_on_signals(request: Callable[[int], None]) -> Iterator[None]:
-    """Call `request` with the number of the first stopping signal; the second raises Stopped."""
+    """Call `request` with the number of the first stopping signal. The second one raises StopSignal."""
     stopped = False
 
     def handler(number: int, _: FrameType | None) -> None:
@@ -60,7 +61,7 @@ def stopping_on_signals(request: Callable[[int], None]) -> Iterator[None]:
 
 
 def leave_closed_terminal(number: int) -> None:
-    """After SIGHUP, let output to the terminal that was closed go nowhere: writing there fails."""
+    """After SIGHUP, discard output to the terminal that was closed, because writing to it fails."""
     if number != signal.SIGHUP:
         return
     nowhere = os.open(os.devnull, os.O_WRONLY)

@@ -1,4 +1,4 @@
-"""What a run has done so far: every kind of run counts, logs and reports here."""
+"""Count, log and report what a run has done; every kind of run uses this."""
 
 import math
 import os
@@ -14,15 +14,15 @@ from synth3dlanes.dataset.destination import RunLog
 from synth3dlanes.production.events import Event, duration
 from synth3dlanes.words import counted
 
-# How long the samples at hand may take once a run is to stop.
+# Seconds that samples in progress may take once a run is to stop.
 GRACE_S = 20.0
 
 
 @dataclass(frozen=True)
 class RunReport:
-    """What a run has done: samples made by it, samples there are now of those asked for, and what went wrong.
-    `restarts` counts workers that were replaced for a fault, `stop_signal` is the number of the signal that ended the
-    run, 0 for none."""
+    """The result of a run: the samples that it made, the samples that are there of those asked for, and what went
+    wrong. `restarts` counts workers that were replaced after a fault. `stop_signal` is the number of the signal that
+    ended the run, 0 for none."""
 
     made: int
     done: int
@@ -34,7 +34,7 @@ class RunReport:
     seconds: float
 
     def text(self) -> str:
-        """What a person wants to know of it, in a line."""
+        """The report as one line of text."""
         pace = f" in {duration(self.seconds)} ({3600 * self.made / self.seconds:,.0f} images/h)" if self.made else ""
         faults = {"restarts of workers": self.restarts, "samples set aside": len(self.set_aside)}
         told = "".join(f", {count} {what}" for what, count in faults.items() if count)
@@ -42,18 +42,18 @@ class RunReport:
 
     @property
     def exit_code(self) -> int:
-        """0 all is there; 1 something is missing; 128 plus the signal that stopped the run: 129 SIGHUP, 130 SIGINT, 143
-        SIGTERM."""
+        """0 if all samples are there; 1 if some are missing; 128 plus the number of the signal that stopped the run:
+        129 SIGHUP, 130 SIGINT, 143 SIGTERM."""
         if self.problem or self.set_aside:
             return 1
         return 128 + self.stop_signal if self.stop_signal else 0
 
 
 class RunTally:
-    """Counts what happens in a run by its events, tells `notify` of each, and writes it to the log.
+    """Counts the events of a run, passes each to `notify`, and writes it to the log.
 
-    `missing` are the indices of the samples that are to be made, of the `asked` ones. Whoever makes samples calls
-    `tell`, sets `problem` where the run cannot go on, and ends once `is_stopping`, or at `stop_by` at the latest.
+    `missing` are the indices of the samples to be made, out of `asked`. The code that makes samples calls `tell`, sets
+    `problem` if the run cannot go on, and ends once `is_stopping` is true, at the latest at `stop_by`.
     """
 
     def __init__(
@@ -69,23 +69,23 @@ class RunTally:
 
     @property
     def is_stopping(self) -> bool:
-        """Whether no further sample is to be begun."""
+        """Whether no further sample shall be begun."""
         return bool(self.stop_signal or self.problem)
 
     def interrupt(self, number: int = signal.SIGINT) -> None:
-        """Ask the run to end, on a signal; safe in a signal handler."""
+        """Ask the run to end, because of a signal. Safe in a signal handler."""
         self.stop_signal = number
         self.stop_by = time.monotonic() + GRACE_S
 
     def acknowledge(self) -> None:
-        """Tell once that the run is about to end, if it was interrupted; called by whoever makes samples."""
+        """Report once that the run is about to end, if it was interrupted. The code that makes samples calls it."""
         if self.stop_signal and not self._is_acknowledged:
             self._is_acknowledged = True
             self.tell("stop", "interrupted: finishing the samples in progress; Ctrl-C again stops at once")
 
     def tell(self, kind: str, message: str, /, **details: Any) -> None:
-        """Something has happened. Details that count: `index` of a "sample" or "set_aside", `lost`, the indices that a
-        "shard" turned out not to have, and `found`, those that a "resume" has from an earlier run."""
+        """Record an event. Details that are counted: `index` of a "sample" or "set_aside"; `lost`, the indices that a
+        "shard" proved to lack; `found`, the indices that a "resume" has from an earlier run."""
         self._count(kind, details)
         event = self._event(kind, message, details)
         # A full disk may cost lines of the log, not the run.
@@ -99,12 +99,12 @@ class RunTally:
                 self._notify(self._event("pause", f"the log is not in the store: {self._log_problem}", {}))
 
     def recount(self, missing: Iterable[int]) -> None:
-        """Count by what is there in the end, where events may have been lost on their way."""
+        """Count the samples at the destination, because events may have been lost."""
         self.missing = set(missing)
         self._made = set(self._missing_before - self.missing)
 
     def report(self) -> RunReport:
-        """What has been done until now."""
+        """The report of what has been done so far."""
         return RunReport(
             len(self._made),
             self.asked - len(self.missing),
@@ -132,7 +132,8 @@ class RunTally:
             self.missing.difference_update(details.get("found", ()))
 
     def _event(self, kind: str, message: str, details: dict[str, Any]) -> Event:
-        """The rate counts from the first sample on, so that starting up does not."""
+        """An event with the rate, which counts from the first sample on, so that the start of workers does not lower
+        it."""
         made, now = len(self._made), time.monotonic()
         rate = (made - 1) / (now - self._first) if made > 1 else None
         eta_s = (len(self.missing) - len(self._set_aside)) / rate if rate else None
@@ -141,5 +142,5 @@ class RunTally:
 
 
 def log_name(split: str) -> str:
-    """The name of a new log: the split, when, and which process."""
+    """The name of a new log: the split, the time and the process."""
     return f"{split}-{datetime.now(UTC):%Y%m%dT%H%M%S}-{os.uname().nodename}-{os.getpid()}.jsonl"

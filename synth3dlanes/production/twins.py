@@ -1,7 +1,9 @@
-"""Twins: the scenes of a split rendered again with one factor changed and nothing else, a split for each value.
+"""Twins: the scenes of a split rendered again with one factor changed and nothing else; each value of the factor gives
+a split.
 
-Sample i of every split is the same world but for that factor, so what a network answers differently it owes to the
-factor alone. Labels are drawn anew from the changed scene; where the factor moves nothing, they are equal bytes.
+Sample i shows the same world in every split, except for the factor. So a network whose answers differ between the
+splits reacts to the factor alone. Labels are computed from the changed scene; if the factor does not affect them, their
+bytes are equal.
 """
 
 import json
@@ -37,22 +39,22 @@ class TwinRecipe(Recipe):
         return resolve(change_scene(read_scene(_reader(self.source), index), [f"{self.path}={value}"]))
 
     def description(self) -> dict[str, Any]:
-        """As of any recipe, and what was varied."""
+        """The description of the recipe, with the factor that was varied."""
         varied = {"of": self.source, "vary": self.path, "values": list(self.values)}
         return {**super().description(), "derived": {**varied, **how_derived(_reader(self.source))}}
 
 
 @lru_cache(maxsize=1)
 def _reader(source: str) -> Reader:
-    """One for all samples of a process: opening it reads every index of the source."""
+    """The reader of the source, one for all samples of a process, because opening it reads every index."""
     return Reader(source)
 
 
 def twin_recipes(source: str, vary: str, device: str, library: Library = BUILT_IN) -> list[TwinRecipe]:
-    """A recipe for every value in `vary`, which is like `light.exposure=1,2,3`; rendered as the source was.
+    """A recipe for every value in `vary`, such as `light.exposure=1,2,3`, rendered as the source was.
 
-    Raises InputError where a value does not fit the first scene of the source or is out of the bounds of the parameter
-    of that name, and where `library` is not what the scene shows.
+    Raises InputError if a value does not fit the first scene of the source, or is out of the bounds of the parameter of
+    that name, and if `library` is not the one that the source was made with.
     """
     path, equals, text = (part.strip() for part in vary.partition("="))
     values, problems = read_yaml(f"[{text}]", f"vary {path}")

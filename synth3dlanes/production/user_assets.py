@@ -1,4 +1,4 @@
-"""A user's folder of assets, checked and measured once before a run, in a process of its own that carries Blender."""
+"""A user's folder of assets, checked and measured once before a run, in a process of its own that loads Blender."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +14,8 @@ PATIENCE = Limits(seconds=1800.0, rss_bytes=16 << 30)
 
 
 def open_library(folder: Path | None) -> tuple[Library, tuple[str, ...]]:
-    """What a folder holds and what is worth a warning; no folder is ours. Raises InputError with every problem."""
+    """The assets in a folder, and the warnings about them; without a folder, the built-in assets. Raises InputError
+    with every problem."""
     if folder is None:
         return BUILT_IN, ()
     checked = check_assets(folder)
@@ -24,7 +25,7 @@ def open_library(folder: Path | None) -> tuple[Library, tuple[str, ...]]:
 
 
 def check_assets(folder: Path) -> FolderCheck:
-    """Look through a folder; raise InputError where there is none, WorkerError where Blender crashes over it."""
+    """Check a folder. Raises InputError if it does not exist, WorkerError if Blender crashes on its files."""
     if not folder.is_dir():
         raise InputError(f"assets {folder}: expected a folder, found none")
     checked: FolderCheck = _in_blender(_check, folder)
@@ -32,7 +33,7 @@ def check_assets(folder: Path) -> FolderCheck:
 
 
 def write_example(folder: Path) -> None:
-    """Make an example of such a folder; raise InputError where something is there."""
+    """Write an example of such a folder. Raises InputError if something is there already."""
     if folder.exists():
         raise InputError(f"{folder}: already exists")
     _in_blender(_example, folder)
@@ -43,7 +44,7 @@ def _in_blender(function: Callable[[Path], Any], folder: Path) -> Any:
     return call(PATIENCE, function, folder).result(f"assets {folder}")
 
 
-# Blender's modules are loaded in the worker: this process stays without.
+# The worker loads Blender's modules; this process does not.
 
 
 def _check(folder: Path) -> FolderCheck:

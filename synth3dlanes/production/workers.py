@@ -1,10 +1,10 @@
 """Supervised worker processes, each with one task at a time. This file is also the program that a worker runs.
 
-A worker is a fresh process (never a fork: Blender would not survive one) with a pipe of its own, so that whoever kills
-it, and whenever, breaks nothing but its own task. (Pebble's and concurrent.futures' workers share one pipe and its
-locks: a worker killed while it holds them stops all of them.) A task that fails lets its worker crash, the traceback
-going to its stderr; the next task starts a fresh worker. A worker is pinned to one core before it imports anything.
-It dies with its parent, and leaves the signals that stop a run to it.
+A worker is a fresh process (never a fork, which Blender would not survive) with a pipe of its own. So killing a worker,
+at any time, affects its own task alone. (Workers of Pebble and concurrent.futures share one pipe and its locks: a
+worker that is killed while it holds them stops all others.) A task that fails ends its worker, with the traceback on
+its stderr; the next task starts a fresh worker. A worker is pinned to one core before it imports anything. It ends with
+its parent, and ignores the signals that stop a run.
 """
 
 import ctypes
@@ -34,15 +34,16 @@ STDERR_TAIL = 8000
 PROGRESS = 0.01
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 PR_SET_PDEATHSIG = 1
-# Environment variable with the process that a worker works for.
+# Environment variable with the id of the process that a worker works for.
 PARENT = "SYNTH3DLANES_PARENT"
-# Folders that Blender adds to sys.path where it is loaded; with them a worker would load it by halves.
+# Folders that Blender adds to sys.path when it is loaded. With them, a worker would import only a part of bpy.
 BLENDERS_PATH = re.compile(r"/bpy/\d+\.\d+/scripts")
 
 
 @dataclass(frozen=True)
 class Limits:
-    """When a worker is replaced: a task of more CPU seconds, or as long without progress; more memory; more tasks."""
+    """When a worker is replaced: after a task that takes more CPU seconds, or makes no progress for as long; above a
+    memory limit; after a number of tasks."""
 
     seconds: float = 120.0
     rss_bytes: int = 4 << 30
@@ -51,11 +52,9 @@ class Limits:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a task.
-
-    "done": `value` is what it returned. "full": the disk is. "broken": this machine cannot do it (a file or library is
-    missing). "killed": somebody killed the worker. "failed": it crashed, hung or took too much memory.
-    """
+    """How a task ended. "done": `value` is its result. "full": the disk is full. "broken": this machine cannot do it,
+    because a file or a library is missing. "killed": the worker was killed from outside. "failed": it crashed, hung or
+    took too much memory."""
 
     task: Any
     status: Literal["done", "full", "broken", "killed", "failed"]
@@ -64,8 +63,8 @@ class Outcome:
     stderr: str = ""
 
     def result(self, what: str) -> Any:
-        """What the task returned. Raises DiskFullError or WorkerError where it did not; the message begins with `what`,
-        and what the worker printed is a note."""
+        """The result of the task. Raises DiskFullError or WorkerError if there is none; the message begins with `what`,
+        and the worker's output is a note of the error."""
         if self.status == "done":
             return self.value
         # Not at the top: the worker's program imports nothing of ours before it is pinned.
@@ -78,8 +77,8 @@ class Outcome:
 
 @dataclass
 class Worker:
-    """A process, its pipe, and its task, which began at CPU second `started` of the process. `moved` is when it was
-    last seen to make progress, by the clock and in CPU seconds."""
+    """A process, its pipe, and its task, which began at CPU second `started` of the process. `moved` is the time of its
+    latest progress, by the clock and in CPU seconds."""
 
     process: subprocess.Popen[bytes]
     pipe: Connection
@@ -91,26 +90,26 @@ class Worker:
 
     @property
     def rss_bytes(self) -> int:
-        """Its resident memory; 0 once it is gone."""
+        """The resident memory of the worker; 0 once it has ended."""
         with suppress(psutil.Error):
             return int(psutil.Process(self.process.pid).memory_info().rss)
         return 0
 
     @property
     def cpu_s(self) -> float:
-        """The CPU seconds that it has used; as last seen once it is gone."""
+        """The CPU seconds of the worker; once it has ended, those that were seen last."""
         with suppress(psutil.Error):
             used = psutil.Process(self.process.pid).cpu_times()
             return float(used.user + used.system)
         return self.moved[1]
 
     def begin(self, task: Any) -> None:
-        """Note its task."""
+        """Record the worker's task."""
         self.task, self.started = task, self.cpu_s
         self.moved = time.monotonic(), self.started
 
     def endless(self, seconds: float) -> str:
-        """Why its task will not end; "" as long as it may. Time by the clock says little on a busy machine."""
+        """Why the task is taken to be endless, or "". Time by the clock says little on a busy machine."""
         now, used = time.monotonic(), self.cpu_s
         if used - self.started > seconds:
             return f"no end after {seconds:g} s of CPU time"
@@ -121,10 +120,8 @@ class Worker:
 
 @dataclass
 class Pool:
-    """Up to `n` workers; use it as a context manager, which kills them at the end.
-
-    `masks` are what their environments have besides ours, in turns: each shows its worker one GPU alone.
-    """
+    """Up to `n` workers, as a context manager that kills them at the end. `masks` are environment variables that
+    workers get in turn; each shows a worker one GPU alone."""
 
     n: int
     limits: Limits
@@ -179,7 +176,7 @@ class Pool:
         with suppress(FileNotFoundError):
             os.truncate(worker.stderr, 0)
         worker.begin(task)
-        # A worker that has died meanwhile is found out by `wait`.
+        # `wait` notices a worker that has died meanwhile.
         with suppress(BrokenPipeError, ConnectionResetError):
             worker.pipe.send((function, args))
 
@@ -254,7 +251,7 @@ class Pool:
 
 
 def call(limits: Limits, function: Callable[..., Any], *args: Any, pinned: bool = False) -> Outcome:
-    """Run `function(*args)` in a worker of its own, so that this process stays without Blender."""
+    """Run `function(*args)` in a worker process, so that this process does not load Blender."""
     with Pool(1, limits, pinned) as pool:
         pool.start(function.__name__, function, *args)
         while True:
@@ -268,7 +265,7 @@ def _lease(n: int, cores: Sequence[int]) -> tuple[list[int], list[int]]:
     leases: dict[int, int] = {}
     for core in cores:
         path = Path(tempfile.gettempdir(), f"synth3dlanes-{os.getuid()}-core-{core}")
-        # Others may write there: a link, or a file of theirs, counts as a core that another has.
+        # Other users may write there: a link, or a file of theirs, counts as a core in use.
         with suppress(OSError):
             lease = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
             try:
@@ -298,7 +295,7 @@ def _work(pipe: Connection) -> None:
 
 
 def _crash(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """Print what happened and leave at once: Blender may crash or hang in an orderly exit."""
+    """Print what happened and exit at once: Blender may crash or hang in an orderly exit."""
     traceback.print_exception(kind, error, trace)
     sys.stderr.flush()
     os._exit(1)

@@ -10,13 +10,13 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from synth3dlanes.arrays import Scalars
+from synth3dlanes.arrays import Points2, Scalars
 from synth3dlanes.geometry.beside import beside
 from synth3dlanes.geometry.buildings import building_frame
 from synth3dlanes.geometry.crossings import crossing_frame, crossing_span, dam_section
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.network import Network, Side
-from synth3dlanes.geometry.rails import WALKWAY_M
+from synth3dlanes.geometry.network import SIDES, Network, Side
+from synth3dlanes.geometry.rails import KERBS, RAILS
 from synth3dlanes.geometry.roadside import Footprints, footprints
 from synth3dlanes.geometry.sign_faces import FACES, SIGNS
 from synth3dlanes.labels import RoadName
@@ -30,16 +30,6 @@ Place = Literal["left", "right", "inner"]
 DECIMALS, TRIES = 3, 30
 # Stations from behind the host to where rails cannot be told from the road, and the least length of a rail.
 BEHIND_M, AHEAD_M, MIN_RAIL_M = 30.0, 330.0, 14.0
-HEIGHTS_M = {"guardrail": 0.75, "concrete": 0.9, "kerb": 0.12, "walkway": 0.13}
-DEPTHS_M = {
-    "guardrail": 0.25,
-    "concrete": 0.7,
-    "noise_wall": 0.3,
-    "kerb": 0.15,
-    "walkway": WALKWAY_M,
-    "power_line": 1.5,
-}
-KERBS = ("kerb", "walkway")
 # Barriers on the edge of a raised road stand this close to it, because the ground falls away there.
 RAISED_ASIDE_M, RAISED_FROM_M = 0.3, 0.3
 # Least distance of a rail's back from any pavement, and limits of the ground at its front over its edge.
@@ -67,6 +57,25 @@ SIZES_M: dict[Literal["house", "hall", "block"], tuple[tuple[float, float], ...]
 }
 
 
+class RailDraw(NamedTuple):
+    """What is drawn of rails of one kind."""
+
+    kind: RailKind
+    aside_m: float
+    height_m: float
+    color: Color
+
+
+class PostRow(NamedTuple):
+    """Posts at equal distances along the outer edges of one side."""
+
+    kind: Literal["lamp", "delineator"]
+    place: Place
+    aside_m: float
+    spacing_m: float
+    height_m: float
+
+
 class Edge(NamedTuple):
     """An edge of the pavement and the stations where it bounds a place."""
 
@@ -79,42 +88,45 @@ class Edge(NamedTuple):
 def draw_roadside(world: World, draw: DrawFunction, rng: Rng) -> Roadside:
     """All structures of one scene; those that find no room in a few tries are left out."""
     ground = world.ground
-    kinds = {"left": draw("outer"), "right": draw("outer"), "inner": draw("inner")}
+    kinds: dict[Place, Any] = {"left": draw("outer"), "right": draw("outer"), "inner": draw("inner")}
     has_ramp_rail, aside_m = draw("ramp_rail"), draw("rail_aside_m")
-    heights_m = HEIGHTS_M | {"noise_wall": draw("wall_height_m")}
+    wall_m = draw("wall_height_m")
     rails: list[Rail] = []
     for place, kind in kinds.items():
         color = _color(rng, WALLS if kind == "noise_wall" else GRAYS)
-        on_ramp = kind if kind in ("guardrail", "concrete") else "guardrail"
+        on_ramp: RailKind = kind if kind in ("guardrail", "concrete") else "guardrail"
         for edge in _edges(ground.network, place):
-            rails += _rails(ground, edge, kind, 0.0 if kind in KERBS else aside_m, heights_m, color, raised=False)
+            if kind != "none":
+                beside_m = 0.0 if kind in KERBS else aside_m
+                rails += _rails(ground, edge, RailDraw(kind, beside_m, RAILS[kind].height_m or wall_m, color), False)
             if has_ramp_rail and ground.network.road(edge.road).ramp is not None:
-                rails += _rails(ground, edge, on_ramp, RAISED_ASIDE_M, heights_m, color, raised=True)
-    rails += _median_rail(ground, draw("median"), heights_m, _color(rng, GRAYS))
+                height_m = RAILS[on_ramp].height_m or wall_m
+                rails += _rails(ground, edge, RailDraw(on_ramp, RAISED_ASIDE_M, height_m, color), True)
+    rails += _median_rail(ground, draw("median"), _color(rng, GRAYS))
     crossings = _crossings(world, "bridge", draw("n_bridges"), draw("clearance_m"), rng, [])
     crossings += _crossings(world, "gantry", draw("n_gantries"), draw("clearance_m"), rng, crossings)
     behind_m = {place: _behind(kind, aside_m) for place, kind in kinds.items()}
     lamp_sides, spacing_m, height_m = draw("lamps"), draw("lamp_spacing_m"), draw("lamp_height_m")
     posts: list[Post] = []
-    for side in ("left", "right"):
+    for side in SIDES:
         if lamp_sides in (side, "both"):
             lamp_m = round(max(LAMP_ASIDE_M, behind_m[side]), DECIMALS)
-            posts += _row(ground, side, "lamp", lamp_m, spacing_m, height_m, rng, crossings)
+            posts += _row(ground, PostRow("lamp", side, lamp_m, spacing_m, height_m), rng, crossings)
     has_delineators, spacing_m = draw("delineators"), draw("delineator_spacing_m")
-    for side in ("left", "right"):
+    for side in SIDES:
         if has_delineators and kinds[side] == "none":
-            posts += _row(ground, side, "delineator", DELINEATOR_ASIDE_M, spacing_m, 1.0, rng, crossings)
+            posts += _row(ground, PostRow("delineator", side, DELINEATOR_ASIDE_M, spacing_m, 1.0), rng, crossings)
     posts += _signs(ground, draw("n_signs"), behind_m, rng, crossings)
     line, pole_m = draw("power_line"), round(float(rng.uniform(*POLE_M)), DECIMALS)
     pole_aside_m = round(aside_m + float(rng.uniform(*POLE_ASIDE_M)), DECIMALS)
     if line != "none" and not any(crossing.kind == "bridge" for crossing in crossings):
         for edge in _edges(ground.network, line):
-            rails += _rails(ground, edge, "power_line", pole_aside_m, {"power_line": pole_m}, WOOD, raised=False)
+            rails += _rails(ground, edge, RailDraw("power_line", pole_aside_m, pole_m, WOOD), False)
     drawn = Roadside(rails=tuple(rails), posts=tuple(posts), crossings=tuple(crossings))
     taken, buildings = footprints(ground, drawn), list[Building]()
-    for kind, sizes_m in SIZES_M.items():
+    for kind in SIZES_M:
         for _ in range(draw(f"n_{kind}s")):
-            buildings += _building(ground, taken, buildings, kind, sizes_m, draw("building_aside_m"), rng)
+            buildings += _building(ground, taken, buildings, kind, draw("building_aside_m"), rng)
     return drawn.model_copy(update={"buildings": tuple(buildings)})
 
 
@@ -157,56 +169,37 @@ def _free(ground: Ground, edge: Edge, s: Scalars, aside_m: float) -> Bool[np.nda
     return ground.clearance(beside(ground, edge.road, edge.side, s, aside_m)) > aside_m - 0.02
 
 
-def _rails(
-    ground: Ground, edge: Edge, kind: str, aside_m: float, heights_m: dict[str, float], color: Color, raised: bool
-) -> Iterator[Rail]:
+def _rails(ground: Ground, edge: Edge, rail: RailDraw, raised: bool) -> Iterator[Rail]:
     """Rails of one kind along the free stretches of an edge, where its road is raised or where it is not."""
-    s = _stations(ground, edge)
-    if kind == "none" or len(s) < 2:
+    s, form = _stations(ground, edge), RAILS[rail.kind]
+    if len(s) < 2:
         return
-    rail_kind: RailKind = kind  # type: ignore[assignment]
-    free = _free(ground, edge, s, aside_m)
-    free &= ground.clearance(beside(ground, edge.road, edge.side, s, aside_m + DEPTHS_M[kind])) > BACK_M - 0.2 * (
-        kind in KERBS
-    )
+
+    def at(aside_m: float) -> Points2:
+        return beside(ground, edge.road, edge.side, s, aside_m)
+
+    free = _free(ground, edge, s, rail.aside_m)
+    free &= ground.clearance(at(rail.aside_m + form.depth_m)) > BACK_M - 0.2 * (rail.kind in KERBS)
     free &= (ground.network.road(edge.road).raised(s) > RAISED_FROM_M) == raised
-    if kind not in ("noise_wall", "power_line"):
-        front, inside = (ground.height(beside(ground, edge.road, edge.side, s, a)) for a in (aside_m, -0.05))
+    if form.is_level:
+        front, inside = (ground.height(at(aside_m)) for aside_m in (rail.aside_m, -0.05))
         free &= (front - inside > LEVEL_M[0]) & (front - inside < LEVEL_M[1])
     for from_m, to_m in _runs(s, free):
-        yield Rail(
-            kind=rail_kind,
-            road=edge.road,
-            side=edge.side,
-            from_m=from_m,
-            to_m=to_m,
-            aside_m=aside_m,
-            height_m=heights_m[kind],
-            color=color,
-        )
+        yield Rail(road=edge.road, side=edge.side, from_m=from_m, to_m=to_m, **rail._asdict())
 
 
-def _median_rail(ground: Ground, kind: str, heights_m: dict[str, float], color: Color) -> list[Rail]:
-    """A barrier along the middle of the median, if it has room there."""
+def _median_rail(ground: Ground, kind: Literal["none", "guardrail", "concrete"], color: Color) -> list[Rail]:
+    """A barrier along the middle of the first median that has room for it."""
     road = ground.network.main
-    wide = [median for median in road.medians if median[1] - median[0] >= DEPTHS_M.get(kind, np.inf) + 2 * MEDIAN_GAP_M]
-    if not wide:
+    if kind == "none":
         return []
-    s = _stations(ground)
-    middle_m = round((wide[0][0] + wide[0][1]) / 2, DECIMALS)
-    rail_kind: RailKind = kind  # type: ignore[assignment]
-    return [
-        Rail(
-            kind=rail_kind,
-            road=road.id,
-            side="median",
-            from_m=float(s[0]),
-            to_m=float(s[-1]),
-            aside_m=middle_m,
-            height_m=heights_m[kind],
-            color=color,
-        )
-    ]
+    form, s = RAILS[kind], _stations(ground)
+    assert form.height_m is not None, "barriers have a height of their own"
+    for left_m, right_m in road.medians:
+        if right_m - left_m >= form.depth_m + 2 * MEDIAN_GAP_M:
+            drawn = RailDraw(kind, round((left_m + right_m) / 2, DECIMALS), form.height_m, color)
+            return [Rail(road=road.id, side="median", from_m=float(s[0]), to_m=float(s[-1]), **drawn._asdict())]
+    return []
 
 
 def _runs(s: Scalars, free: Bool[np.ndarray, " n"]) -> Iterator[tuple[float, float]]:
@@ -222,27 +215,18 @@ def _behind(kind: str, aside_m: float) -> float:
     return 0.0 if kind in ("none", *KERBS) else aside_m + BEHIND_RAIL_M
 
 
-def _row(
-    ground: Ground,
-    place: str,
-    kind: Literal["lamp", "delineator"],
-    aside_m: float,
-    spacing_m: float,
-    height_m: float,
-    rng: Rng,
-    crossings: list[Crossing],
-) -> Iterator[Post]:
-    """Posts at equal distances along the outer edges of one side."""
-    shift_m = float(rng.random()) * spacing_m
-    for edge in _edges(ground.network, place):
+def _row(ground: Ground, row: PostRow, rng: Rng, crossings: list[Crossing]) -> Iterator[Post]:
+    """The posts of a row, clear of every pavement and all crossings."""
+    shift_m = float(rng.random()) * row.spacing_m
+    for edge in _edges(ground.network, row.place):
         s = _stations(ground, edge)
         if not len(s):
             continue
-        s = np.round(np.arange(s[0] + (shift_m - s[0]) % spacing_m, s[-1], spacing_m), DECIMALS)
-        free = _free(ground, edge, s, aside_m)
-        for s_m in s[free].tolist():
+        s = np.round(np.arange(s[0] + (shift_m - s[0]) % row.spacing_m, s[-1], row.spacing_m), DECIMALS)
+        places = {"kind": row.kind, "road": edge.road, "side": edge.side, "aside_m": row.aside_m}
+        for s_m in s[_free(ground, edge, s, row.aside_m)].tolist():
             if _is_apart(s_m, crossings):
-                yield Post(kind=kind, road=edge.road, side=edge.side, s_m=s_m, aside_m=aside_m, height_m=height_m)
+                yield Post(s_m=s_m, height_m=row.height_m, **places)
 
 
 def _is_apart(s_m: float, crossings: list[Crossing]) -> bool:
@@ -250,13 +234,13 @@ def _is_apart(s_m: float, crossings: list[Crossing]) -> bool:
     return all(abs(crossing.s_m - s_m) > crossing.width_m / 2 + APART_M for crossing in crossings)
 
 
-def _signs(ground: Ground, n: int, behind_m: dict[str, float], rng: Rng, crossings: list[Crossing]) -> Iterator[Post]:
+def _signs(ground: Ground, n: int, behind_m: dict[Place, float], rng: Rng, crossings: list[Crossing]) -> Iterator[Post]:
     """Signs beside the outer edges, for the traffic there; guide boards stand farther away. None beside oncoming lanes
     forbids entry: it would face the host."""
     taken: list[float] = []
     for _ in range(n):
         for _ in range(TRIES):
-            place = "left" if rng.random() < 0.5 else "right"
+            place: Place = "left" if rng.random() < 0.5 else "right"
             sign = SIGNS[int(rng.random() * len(SIGNS))]
             edges = _edges(ground.network, place)
             edge = edges[int(rng.random() * len(edges))]
@@ -319,11 +303,11 @@ def _building(
     taken: Footprints,
     others: list[Building],
     kind: Literal["house", "hall", "block"],
-    sizes_m: tuple[tuple[float, float], ...],
     aside_m: float,
     rng: Rng,
 ) -> Iterator[Building]:
     """A building along the road on nearly level ground, clear of all pavements and structures."""
+    sizes_m = SIZES_M[kind]
     for _ in range(TRIES):
         width_m, length_m, height_m = (round(float(rng.uniform(*limits)), DECIMALS) for limits in sizes_m)
         side: RoadSide = "left" if rng.random() < 0.5 else "right"

@@ -4,13 +4,11 @@ without oncoming lanes, of the lanes there are."""
 from collections.abc import Mapping
 from typing import Any
 
-from synth3dlanes.distributions import Choice, Integers, Uniform, at_least, at_most
+from synth3dlanes.distributions import Choice, Distribution, Integers, Uniform, at_least, at_most
 from synth3dlanes.geometry.paper_roads import is_wide_enough
 from synth3dlanes.params import Params
 from synth3dlanes.sampling.weather import under
 from synth3dlanes.scene import MIN_MEDIAN_M, Road, Scene
-
-Distribution = Uniform | Integers | Choice[Any]
 
 # Parameters of which the rules keep only the range, with the reason.
 CONDITIONED = {

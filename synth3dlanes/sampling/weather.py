@@ -5,10 +5,8 @@ So fog comes with a closed sky, rain with a wet road, and night with headlights,
 
 from typing import Any
 
-from synth3dlanes.distributions import Choice, Uniform
+from synth3dlanes.distributions import Choice, Distribution, Uniform
 from synth3dlanes.params import Params
-
-Distribution = Uniform | Choice[Any]
 
 
 def _always(value: Any) -> Choice[Any]:

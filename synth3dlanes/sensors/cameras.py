@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, model_validator
 
-from synth3dlanes.distributions import Choice, Integer, Integers, Real, Uniform, integers, reals
+from synth3dlanes.distributions import Choice, Distribution, Integer, Real, Uniform, integers, reals
 from synth3dlanes.errors import InputError
 from synth3dlanes.lens import COEFFICIENTS, MAX_COEFFICIENT, Lens, LensModel
 from synth3dlanes.params import Group
@@ -27,7 +27,7 @@ ZERO = Choice((0.0,), (1.0,))
 # Without a calibration of the place: in the middle of the host, level.
 HEIGHT_M = Choice((1.5,), (1.0,))
 NAMES = COEFFICIENTS["opencv"]
-# Half the field of view from which on a picture shows what is beside the camera.
+# From this half field of view on, a picture shows what is beside the camera.
 ASIDE_DEG = 85.0
 DECIMALS, COEFFICIENT_DECIMALS = 6, 9
 # The last place of a range; places along each side of an image where its lens is asked; a share that is told.
@@ -127,7 +127,7 @@ class CameraSpec(Group):
         return {**rounded, "name": self.name, "lens": lens}
 
     def _draw(self, name: str, u: Callable[[], float]) -> Any:
-        distribution: Uniform | Integers | Choice[Any] | None = getattr(self, name)
+        distribution: Distribution | None = getattr(self, name)
         return None if distribution is None else distribution.draw(u())
 
 

@@ -14,7 +14,7 @@ from synth3dlanes.scene import MAX_BEAMS
 from synth3dlanes.schema import MAX_PX, Name
 from synth3dlanes.sensors.cameras import ZERO, Angle, Mount
 
-# Of elevations: no beam points straight up or down.
+# The largest elevation in degrees: no beam points straight up or down.
 MAX_DEG = 85.0
 
 

@@ -13,15 +13,7 @@ from scipy.spatial import cKDTree
 from synth3dlanes.arrays import Points3
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.solids import SURFACES
-from synth3dlanes.settings import (
-    FIRST_CAR_ID,
-    FIRST_DELIMITER_ID,
-    FIRST_STRUCTURE_ID,
-    FIRST_SYMBOL_ID,
-    FIRST_TREE_ID,
-    HOST_ID,
-    SEMANTIC_IDS,
-)
+from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_IDS, FIRST_STRUCTURE_ID, SEMANTIC_IDS
 from synth3dlanes.validate import boxes
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
@@ -43,15 +35,8 @@ MAX_BONNET = 0.03
 
 # All structures count as one kind here, the first of SURFACES.
 STRUCTURE, STRUCTURES = SURFACES[0], [SEMANTIC_IDS[name] for name in SURFACES]
-# First instance id, semantic name and what to call it, by instance id.
-KINDS = (
-    (FIRST_CAR_ID, "car", "car"),
-    (FIRST_DELIMITER_ID, "marking", "marking"),
-    (FIRST_TREE_ID, "tree", "tree"),
-    (FIRST_STRUCTURE_ID, STRUCTURE, "structure"),
-    (FIRST_SYMBOL_ID, "symbol", "symbol"),
-    (HOST_ID, "host", "host"),
-)
+# Semantic names of the kinds of instance ids.
+NAMES = {kind: {"delimiter": "marking", "structure": STRUCTURE, "bonnet": "host"}.get(kind, kind) for kind in FIRST_IDS}
 
 
 def check_ids(evidence: Evidence) -> Iterator[Result]:
@@ -69,8 +54,8 @@ def check_ids(evidence: Evidence) -> Iterator[Result]:
 
 def kind_of(instance: Integer[np.ndarray, "*n"]) -> Integer[np.ndarray, "*n"]:
     """Kinds that follow from instance ids; 0 for pixels without one."""
-    kinds = np.array([0, *(SEMANTIC_IDS[name] for _, name, _ in KINDS)], dtype=np.uint8)
-    return kinds[np.searchsorted([first for first, _, _ in KINDS], instance, side="right")]
+    kinds = np.array([0, *(SEMANTIC_IDS[name] for name in NAMES.values())], dtype=np.uint8)
+    return kinds[np.searchsorted(list(FIRST_IDS.values()), instance, side="right")]
 
 
 def _folded(semantic: Integer[np.ndarray, "*n"]) -> Integer[np.ndarray, "*n"]:
@@ -88,7 +73,7 @@ def disagreement(
 ) -> Iterator[Finding]:
     """Findings where semantic and instance ids disagree about the kind of object."""
     kind, semantic = kind_of(instance), _folded(semantic)
-    wrong = {(int((is_of(name, semantic) != is_of(name, kind)).sum()), name, thing) for _, name, thing in KINDS}
+    wrong = {(int((is_of(name, semantic) != is_of(name, kind)).sum()), name, thing) for thing, name in NAMES.items()}
     for n_wrong, name, thing in sorted(wrong, reverse=True):
         is_semantic, is_instance = is_of(name, semantic), is_of(name, kind)
         if n_wrong > MAX_SINGLE:
@@ -208,9 +193,9 @@ def _in_structure(evidence: Evidence, points: Points3, own: Int[np.ndarray, " n"
 
 # What has a body: what to call it, its first instance id, and which points are in it.
 THINGS = {
-    "car": ("car", FIRST_CAR_ID, _in_car),
-    "tree": ("tree", FIRST_TREE_ID, _in_tree),
-    STRUCTURE: ("structure", FIRST_STRUCTURE_ID, _in_structure),
+    "car": ("car", FIRST_IDS["car"], _in_car),
+    "tree": ("tree", FIRST_IDS["tree"], _in_tree),
+    STRUCTURE: ("structure", FIRST_IDS["structure"], _in_structure),
 }
 
 

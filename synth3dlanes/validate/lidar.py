@@ -8,7 +8,7 @@ the sixteen around it show one surface without an edge.
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from synth3dlanes.arrays import Passes
 from synth3dlanes.frames import transform
@@ -20,7 +20,7 @@ from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
 from synth3dlanes.validate.ids import THINGS, disagreement, kind_of, outside_bodies
 from synth3dlanes.validate.pixels import around, depth_between
-from synth3dlanes.validate.places import places
+from synth3dlanes.validate.places import RoadPlaces
 from synth3dlanes.validate.surface import MAX_GAP_M, PAVEMENT, misplaced, pavement_at
 from synth3dlanes.world import World
 
@@ -40,10 +40,10 @@ def check_lidar(evidence: Evidence) -> Iterator[Result]:
     points, world = sweep.points(), evidence.world
     points_world = transform(world.view.world_from_lidar, points.xyz_lidar)
     paved = np.isin(points.semantic, PAVEMENT) & (points.range_m < PROOF_M)
-    paved[paved] = _is_fine(world, points_world[paved])
     eye_world, range_m = world.view.world_from_lidar[:3, 3], points.range_m[paved].astype(float)
     pavement = pavement_at(world, eye_world, points_world[paved], range_m, points.semantic[paved])
-    ground = Measure("lidar_ground_m", range_m, np.abs(pavement.gap_m))
+    pavement = pavement.at(_is_fine(world, pavement.places))
+    ground = Measure("lidar_ground_m", pavement.range_m, np.abs(pavement.gap_m))
     yield ground
     yield from _judge(ground, MAX_GAP_M, "the pavement of the scene")
     yield from misplaced("lidar", pavement)
@@ -62,11 +62,11 @@ def check_lidar(evidence: Evidence) -> Iterator[Result]:
         yield Finding("", f"lidar: expected the ids of the passes, got others at {n_otherwise} of {n} points")
 
 
-def _is_fine(world: World, points_world: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-    """Which points are where the pavement's rows are close. Far behind a host without rear cameras they are not, and
+def _is_fine(world: World, at: RoadPlaces) -> Bool[np.ndarray, " n"]:
+    """Which places are where the pavement's rows are close. Far behind a host without rear cameras they are not, and
     the pavement is straight between them."""
     rows = np.sort(world.network.stations(road_stations(world.ground)))
-    before = np.searchsorted(rows, places(world.ground, points_world[:, :2]).s) - 1
+    before = np.searchsorted(rows, at.s) - 1
     return np.asarray(np.diff(rows)[np.clip(before, 0, len(rows) - 2)] < FINE_M)
 
 

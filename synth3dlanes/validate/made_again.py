@@ -38,19 +38,8 @@ from synth3dlanes.production.forecast import patience_s
 from synth3dlanes.production.recipe import Recipe, take_picture
 from synth3dlanes.production.workers import Limits, Pool
 from synth3dlanes.sample import Scenes
-from synth3dlanes.settings import (
-    FIRST_CAR_ID,
-    FIRST_DELIMITER_ID,
-    FIRST_STRUCTURE_ID,
-    FIRST_SYMBOL_ID,
-    FIRST_TREE_ID,
-    HOST_ID,
-    SEMANTIC_IDS,
-    RenderSettings,
-)
-from synth3dlanes.settings import (
-    PASSES as ALL_PASSES,
-)
+from synth3dlanes.settings import FIRST_IDS, SEMANTIC_IDS, RenderSettings
+from synth3dlanes.settings import PASSES as ALL_PASSES
 from synth3dlanes.validate.causes import likely_cause
 from synth3dlanes.validate.integrity import Entry, read_sample
 from synth3dlanes.validate.like_documents import unlike
@@ -73,10 +62,7 @@ Members = Mapping[str, bytes]
 # Passes that say what each pixel of a picture is of.
 IDS = ("semantic", "instance")
 SURFACES = 20_000  # numbers of surfaces beside those of objects
-FIRST_IDS = (
-    ("bonnet", HOST_ID), ("symbol", FIRST_SYMBOL_ID), ("structure", FIRST_STRUCTURE_ID), ("tree", FIRST_TREE_ID),
-    ("line", FIRST_DELIMITER_ID), ("car", FIRST_CAR_ID),
-)  # fmt: skip
+STARTS = {"nothing": 0, **FIRST_IDS}
 CLASSES = {number: name for name, number in SEMANTIC_IDS.items()}
 
 
@@ -247,10 +233,10 @@ def _names(labels: Labels, passes: Mapping[str, Raster]) -> dict[int, str]:
     lines = [lane.id for lane in labels.lanes if lane.kind == "delimiter"]
     names = {SURFACES + number: name for number, name in CLASSES.items()}
     for number in np.unique(passes["instance"]).tolist():
-        kind, first = next(((kind, first) for kind, first in FIRST_IDS if number >= first), ("nothing", 0))
+        kind, first = max((first, kind) for kind, first in STARTS.items() if number >= first)[::-1]
         if kind == "structure":
             kind = CLASSES.get(int(np.bincount(passes["semantic"][passes["instance"] == number]).argmax()), kind)
-        is_line = kind == "line" and number - first < len(lines)
+        is_line = kind == "delimiter" and number - first < len(lines)
         names[number] = f"line {lines[number - first]}" if is_line else f"{kind} {number - first}"
     return names
 

@@ -41,6 +41,8 @@ STEEPEST, MOST = 0.01, 20.0
 MIN_EVENNESS, MAX_COARSENESS = 0.8, 1.33
 # Coarser JPEG has no detail of single pixels, nor has dense fog.
 SHARP_JPEG, FOG_M = 90, 150.0
+# Nor has what passes a camera that looks aside: the host's motion blurs all that is so far away, by so many pixels.
+ASIDE_BLUR_M, MAX_BLUR_PX = 10.0, 1.0
 
 
 class Detail(NamedTuple):
@@ -112,6 +114,8 @@ def check_sharpness(evidence: Evidence) -> Iterator[Result]:
     """Finding if the image has been upscaled or blurred."""
     scene = evidence.scene
     is_clear = scene.sensor.jpeg_quality >= SHARP_JPEG and scene.air.visibility_m >= FOG_M
+    aside_m = scene.sensor.motion_blur_m * abs(np.sin(scene.camera.yaw_rad))
+    is_clear &= bool(scene.camera.fx_px * aside_m / ASIDE_BLUR_M <= MAX_BLUR_PX)
     # Clouds are soft, and the back of a van is smooth.
     if not is_clear or not any(lane.visible.any() for lane in evidence.labels.lanes):
         return

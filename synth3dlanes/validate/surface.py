@@ -61,6 +61,11 @@ class Pavement(NamedTuple):
     gap_m: Scalars
     below_eye_m: Scalars
 
+    def at(self, which: Bool[np.ndarray, " n"]) -> "Pavement":
+        """The selected points."""
+        range_m, semantic, place, *others = self
+        return Pavement(range_m[which], semantic[which], place.at(which), *(values[which] for values in others))
+
 
 def pavement_at(
     world: World,

@@ -201,5 +201,5 @@ def test_suppression_keeps_one_of_a_plateau():
 def test_the_default_spline_is_the_natural_cubic():
     knots = np.array([5.0, 20, 40, 60, 80, 100])
     row_at_zero = interpolate(knots, np.eye(6), np.array([0.0]), "natural")
-    # The notes' noise gain at y = 0: 1.48 for natural ends, 2.15 for not-a-knot.
+    # By how much noise of the knots grows at y = 0: 1.48 with natural ends, 2.15 with not-a-knot ones.
     assert math.hypot(*row_at_zero[0]) == pytest.approx(1.48, abs=0.005)

@@ -320,6 +320,7 @@ def test_devices_that_are_not(monkeypatch, n_gpus, name, problem):
         choose_device(name)
 
 
+@pytest.mark.thorough
 def test_a_picture_of_the_largest_size_takes_less_than_a_gigabyte(tmp_path):
     """67 million pixels, decoded, resized and shown beside two smaller ones, in a process of its own."""
     for number, size_px in enumerate([(8192, 8192), (96, 72), (640, 360)]):

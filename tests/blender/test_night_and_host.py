@@ -22,6 +22,7 @@ from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.paint import WorldPaint
 from synth3dlanes.world import resolve
 from tests.scenes import changed, flat_road_places
+from tests.thorough import first
 from tests.validate.examining import findings
 
 NIGHT = {"sun_zenith_rad": np.radians(105), "metering": 1}
@@ -44,7 +45,7 @@ def ratio_of_paint(shot, scene, far_m):
 
 
 @pytest.mark.render
-@pytest.mark.parametrize("yaw_deg", [70, 180])
+@pytest.mark.parametrize("yaw_deg", first(1, [70, 180]))
 def test_cameras_that_look_where_no_headlights_shine_are_not_black(yaw_deg):
     """Without lamps, under a closed sky, in fog: noise and a dim road, as a camera would show it."""
     air = {"visibility_m": 150.0, "overcast": 1.0}
@@ -78,6 +79,7 @@ def small_patterns(wetness):
     return float(((light - blurred) / blurred)[near].std())
 
 
+@pytest.mark.thorough
 @pytest.mark.render
 def test_rain_lies_on_a_road_in_patches_and_not_in_grains():
     """A film of water covers the grain of the asphalt."""
@@ -121,7 +123,7 @@ def test_the_nearest_street_lamps_are_lit_at_night_only():
 
 
 @pytest.mark.render
-@pytest.mark.parametrize(("oncoming", "lane_m"), [({}, 0.0), ({"n_oncoming": 2, "median_m": 4.0}, -11.0)])
+@pytest.mark.parametrize(("oncoming", "lane_m"), first(1, [({}, 0.0), ({"n_oncoming": 2, "median_m": 4.0}, -11.0)]))
 def test_snow_covers_the_road_between_the_wheel_tracks_and_no_id_changes(oncoming, lane_m):
     stage = changed(air={"overcast": 1}, road=oncoming)
     bare, snowy = (changed(stage, weather={"snow": s, "snow_on_road": s}) for s in (0.0, 0.6))

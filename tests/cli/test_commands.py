@@ -76,6 +76,7 @@ def test_from_nothing_to_pictures(run: Run, in_tmp_path: Path) -> None:
     assert json.loads((in_tmp_path / "new/bright.scene.json").read_text())["light"]["exposure"] == 3
 
 
+@pytest.mark.thorough
 @pytest.mark.render
 def test_render_makes_the_very_bytes_that_the_data_set_has(in_tmp_path: Path) -> None:
     """A worker has one core, a user's process all of them; at full size every rounding shows."""

@@ -85,6 +85,7 @@ def test_every_command_that_reads_reads_a_store(store: s3fs.S3FileSystem, run: R
     assert len(list(Path("exported/clips").glob("train/*/20.jpg"))) == 12
 
 
+@pytest.mark.thorough
 def test_train_reads_a_store(store: s3fs.S3FileSystem, run: Run, folder: Path) -> None:
     pytest.importorskip("torch")
     url = "s3://lanes/trained"

@@ -97,7 +97,7 @@ def test_lanes_behind_on_the_inside_of_a_bend_go_on_to_their_end():
     road = {"topology": 2, "flip_lateral": True, "offset_m50_m": -0.2, "offset_p50_m": -1.4, "offset_m100_m": 3.4}
     road |= {"offset_p100_m": 2.2, "exit_angle_rad": 0.0867, "exit_offset_m": 1.7, "lane_width_m": 3.73}
     world = resolve(changed(road=road, camera={"y_m": -79.3, "lane": 3}, shot={"behind_m": 110.0}))
-    stations = world.plan.stations_along("exit", -79.3, np.arange(-110.0, 111.0))
+    stations = world.network.stations_along(world.network.road("exit"), -79.3, np.arange(-110.0, 111.0))
     assert np.diff(stations).min() > 0.5
     for lane in label(world, world.view).lanes:
         assert np.linalg.norm(np.diff(lane.xyz_cam, axis=0), axis=1).min() > 0.01

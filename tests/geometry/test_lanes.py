@@ -2,22 +2,30 @@
 
 import numpy as np
 import pytest
-from synth3dlanes.geometry.lanes import connections, curves, lane_graph, smooth_min
 
+from synth3dlanes.geometry.paper_roads import smooth_min
 from synth3dlanes.world import resolve
 from tests.scenes import changed
 
 
-def plan_of(topology, n=3, **road):
-    return resolve(changed(road={"topology": topology, "n_lanes": n, **road})).plan
+def network_of(topology, n=3, **road):
+    return resolve(changed(road={"topology": topology, "n_lanes": n, **road})).network
 
 
-def by_id(plan):
-    return {curve.id: curve for curve in curves(plan)}
+def by_id(network):
+    return {curve.id: curve for curve in network.curves}
 
 
-def x_at(plan, curve, s):
-    return float(curve.xy_world(plan, np.array([s]))[0, 0])
+def x_at(curve, s):
+    return float(curve.xy_world(np.array([s]))[0, 0])
+
+
+def width_m(network):
+    return network.main.lane_width_m
+
+
+def nose_m(network):
+    return network.roads[-1].parting.station(0.0)
 
 
 @pytest.mark.parametrize(
@@ -29,21 +37,21 @@ def x_at(plan, curve, s):
     ],
 )
 def test_who_leads_where(topology, expected):
-    assert set(connections(plan_of(topology))) == expected
+    assert set(network_of(topology).links) == expected
 
 
 def test_a_left_exit_takes_the_left_lanes_and_numbers_still_count_from_the_left():
-    plan = plan_of(4, flip_longitudinal=True)
-    assert set(connections(plan)) == {
+    network = network_of(4, flip_longitudinal=True)
+    assert set(network.links) == {
         ("stem_3", "main_2"), ("stem_2", "main_1"), ("stem_2", "exit_2"), ("stem_1", "exit_1")
     }  # fmt: skip
-    places = [x_at(plan, by_id(plan)[name], 90.0) for name in ("exit_1", "exit_2", "main_1", "main_2")]
+    places = [x_at(by_id(network)[name], 90.0) for name in ("exit_1", "exit_2", "main_1", "main_2")]
     assert places == sorted(places), "from left to right: the exit's lanes, then the main road's"
 
 
 @pytest.mark.parametrize(("topology", "n_lines"), [(1, 4), (2, 6), (3, 7), (4, 6)])
 def test_every_painted_line_once(topology, n_lines):
-    lines = [curve for curve in curves(plan_of(topology)) if curve.kind == "delimiter"]
+    lines = [curve for curve in network_of(topology).curves if curve.kind == "delimiter"]
     assert len(lines) == n_lines
     solid = {line.id for line in lines if line.marking == "solid"}
     outer = {1: {"main_line_0", "main_line_3"}}.get(topology)
@@ -55,40 +63,40 @@ def test_every_painted_line_once(topology, n_lines):
 @pytest.mark.parametrize("topology", [2, 3, 4])
 @pytest.mark.parametrize("n", [2, 3, 4])
 def test_lines_that_begin_at_the_nose_begin_together(topology, n):
-    plan = plan_of(topology, n)
-    lines = by_id(plan)
-    main_right = lines[f"main_line_{plan.n_main_after}"]
+    network = network_of(topology, n)
+    lines = by_id(network)
+    main_right = lines[f"main_line_{n - (topology == 4)}"]
     exit_left = lines["exit_line_0"]
-    assert main_right.start_m == exit_left.start_m == plan.nose_m
-    ends = [line.xy_world(plan, np.array([plan.nose_m]))[0] for line in (main_right, exit_left)]
+    assert main_right.start_m == exit_left.start_m == nose_m(network)
+    ends = [line.xy_world(np.array([nose_m(network)]))[0] for line in (main_right, exit_left)]
     # The exit's edge is offset along its own normal, which leans by the angle between the two roads.
     assert np.linalg.norm(ends[1] - ends[0]) < 1.2
 
 
 @pytest.mark.parametrize("topology", [2, 3, 4])
 def test_curves_run_on_without_a_break_through_the_split(topology):
-    plan = plan_of(topology, n=4, offset_p50_m=9, offset_m50_m=-6)
-    for curve in curves(plan):
-        if curve.stem_m is None:
+    network = network_of(topology, n=4, offset_p50_m=9, offset_m50_m=-6)
+    for curve in network.curves:
+        if curve.pieces[0].start_m > -np.inf:
             continue
         s = np.linspace(-3, min(3, curve.end_m), 601)
-        steps = np.linalg.norm(np.diff(curve.xy_world(plan, s), axis=0), axis=1)
+        steps = np.linalg.norm(np.diff(curve.xy_world(s), axis=0), axis=1)
         assert steps.max() < 0.45, curve.id
-        across = [plan.project_main(curve.xy_world(plan, s))[1]]
+        across = [network.main.line.project(curve.xy_world(s))[1]]
         assert np.abs(np.diff(across)).max() < 0.03, f"{curve.id} jumps sideways"
 
 
 def test_lane_centres_are_where_the_specification_puts_them():
-    plan = plan_of(3, n=4)
-    w = plan.width_m
-    lines = by_id(plan)
+    network = network_of(3, n=4)
+    w = width_m(network)
+    lines = by_id(network)
     for lane in (1, 2, 3):
-        assert x_at(plan, lines[f"main_{lane}"], -30.0) == pytest.approx((lane - 2.5) * w)
-    assert x_at(plan, lines["main_4"], -30.0) == pytest.approx(0.5 * w), "before the split it is lane 3"
-    assert x_at(plan, lines["main_4"], 90.0) == pytest.approx(1.5 * w), "after it, lane 4"
-    q = float(plan.opening(np.array([20.0]))[0])
-    assert x_at(plan, lines["main_4"], 20.0) == pytest.approx(0.5 * w + min(q, w), abs=0.02)
-    assert x_at(plan, lines["exit_1"], 20.0) == pytest.approx(1.5 * w + q)
+        assert x_at(lines[f"main_{lane}"], -30.0) == pytest.approx((lane - 2.5) * w)
+    assert x_at(lines["main_4"], -30.0) == pytest.approx(0.5 * w), "before the split it is lane 3"
+    assert x_at(lines["main_4"], 90.0) == pytest.approx(1.5 * w), "after it, lane 4"
+    q = float(network.road("exit").parting.gap_m(np.array([20.0]))[0]) + w
+    assert x_at(lines["main_4"], 20.0) == pytest.approx(0.5 * w + min(q, w), abs=0.02)
+    assert x_at(lines["exit_1"], 20.0) == pytest.approx(1.5 * w + q)
 
 
 def test_the_rounded_minimum_stays_within_two_centimetres_and_has_no_corner():
@@ -100,8 +108,8 @@ def test_the_rounded_minimum_stays_within_two_centimetres_and_has_no_corner():
 
 @pytest.mark.parametrize("merge", [False, True])
 def test_the_graph_runs_in_driving_direction(merge):
-    plan = plan_of(2, flip_lateral=merge)
-    graph = lane_graph(plan, [curve.id for curve in curves(plan)])
+    network = network_of(2, flip_lateral=merge)
+    graph = network.graph([curve.id for curve in network.curves])
     if merge:
         assert graph.successors["exit_1"] == ("stem_3",)
         assert {x.id: x.s_start_m for x in graph.segments}["stem_1"] == 0
@@ -115,13 +123,13 @@ def test_the_graph_runs_in_driving_direction(merge):
 @pytest.mark.parametrize("flip", [False, True])
 @pytest.mark.parametrize("topology", [1, 2, 3, 4])
 def test_what_is_called_left_lies_to_the_left(topology, flip):
-    plan = plan_of(topology, flip_longitudinal=flip)
-    lines = by_id(plan)
+    network = network_of(topology, flip_longitudinal=flip)
+    lines = by_id(network)
     for curve in lines.values():
         s = 30.0 if curve.id == "stem_line" else 80.0
         if curve.id == "stem_line":
-            s = plan.nose_m - 1
+            s = nose_m(network) - 1
         for side, sign in ((curve.left, -1), (curve.right, 1)):
             if side in lines:
-                gap = x_at(plan, lines[side], s) - x_at(plan, curve, s)
-                assert 0 < sign * gap < 1.2 * plan.width_m, (curve.id, side)
+                gap = x_at(lines[side], s) - x_at(curve, s)
+                assert 0 < sign * gap < 1.2 * width_m(network), (curve.id, side)

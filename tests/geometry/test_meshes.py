@@ -77,7 +77,7 @@ def test_label_points_of_drawn_scenes_lie_on_the_pavement(overrides, shots, indi
     steepest = 0
     for index in indices:
         world = sample_world(Scenes(params, 4, "test", shots=shots), index)
-        steepest += world.plan.ramp_stations.size > 0
+        steepest += world.network.roads[-1].ramp is not None
         gaps, away_m = gaps_m(world)
         assert gaps[away_m < 40].max() < 0.005, index
         assert gaps.max() < 0.01, (index, away_m[gaps.argmax()])
@@ -95,22 +95,22 @@ def test_an_exit_that_rises_far_away_lies_on_its_ramp():
 @pytest.mark.parametrize("height_m", [2, 6])
 @pytest.mark.parametrize("slope", [0.5, 1, 4.5, 10])
 def test_rows_follow_a_ramp(height_m, slope):
-    plan = world_of(2, ramp_height_m=height_m, ramp_slope=slope).plan
-    s, start_m = np.linspace(-40, 90, 40_001), plan.ramp_start_m
-    off_m = np.interp(s, plan.ramp_stations, plan.ramp(plan.ramp_stations)) - plan.ramp(s)
+    ramp = world_of(2, ramp_height_m=height_m, ramp_slope=slope).network.road("exit").ramp
+    s = np.linspace(-40, 90, 40_001)
+    off_m = np.interp(s, ramp.stations, ramp(ramp.stations)) - ramp(s)
     assert 0.0004 < np.abs(off_m).max() < 0.0011, "as few rows as do"
-    assert plan.ramp_stations[[0, -1]] == pytest.approx([start_m, start_m + height_m * slope])
+    assert ramp.stations[[0, -1]] == pytest.approx([ramp.start_m, ramp.start_m + height_m * slope])
 
 
 @pytest.mark.parametrize("flip", [False, True])
 @pytest.mark.parametrize("topology", [1, 2, 3, 4])
 def test_every_label_point_lies_on_the_pavement(topology, flip):
     world = world_of(topology, flip_lateral=flip, flip_longitudinal=flip)
-    plan, pavement = world.plan, world.site.pavement
-    s = plan.plan_station(np.arange(-49.0, 45, 3.7))
+    pavement = world.site.pavement
+    s = world.network.stations(np.arange(-49.0, 45, 3.7))
     for curve in world.site.lines:
         stations = s[(s > curve.start_m) & (s < curve.end_m)]
-        points = curve.points_world(plan, stations)
+        points = curve.points_world(stations)
         gaps = np.abs([heights_at(mesh, points[:, :2]) - points[:, 2] for mesh in pavement])
         gaps = np.nanmin(np.where(np.isnan(gaps), np.inf, gaps), axis=0)
         assert gaps.max() < 0.02, (curve.id, stations[gaps.argmax()], gaps.max())
@@ -160,21 +160,23 @@ def test_dashes_cover_their_share_and_do_not_move_with_the_camera():
 
 def _spans(world, line):
     mesh = world.paint(world.view)[line]
-    y = world.plan.plan_station(mesh.uv_m[mesh.faces][:, :, 1])
+    y = world.network.stations(mesh.uv_m[mesh.faces][:, :, 1])
     return y.min(axis=1), y.max(axis=1)
 
 
 def test_paint_is_seen_as_wide_as_the_scene_says_and_centred_on_the_delimiter():
     """Though it floats over the road: there it would be seen outside of its place by its height over the camera's."""
     world = resolve(changed(road={**CURVED, "topology": 2}))
-    plan, mesh = world.plan, world.paint(world.view)["main_line_0"]
+    mesh = world.paint(world.view)["main_line_0"]
     near = (mesh.uv_m[:, 1] > -45) & (mesh.uv_m[:, 1] < 10)
     seen = seen_on_flat_ground(world, mesh.vertices_world[near])
     left, right = seen[0::2], seen[1::2]
     np.testing.assert_allclose(np.linalg.norm((right - left)[:, :2], axis=1), 0.12, atol=5e-4)
-    _, t = plan.project_main(((left + right) / 2)[:, :2])
-    np.testing.assert_allclose(t, plan.boundary_m(0), atol=1e-4)
-    _, straight_above = plan.project_main(((left + right) / 2 + mesh.vertices_world[near][0::2] - left)[:, :2])
+    _, t = world.network.main.line.project(((left + right) / 2)[:, :2])
+    np.testing.assert_allclose(t, -world.scene.road.n_lanes / 2 * world.scene.road.lane_width_m, atol=1e-4)
+    _, straight_above = world.network.main.line.project(
+        ((left + right) / 2 + mesh.vertices_world[near][0::2] - left)[:, :2]
+    )
     assert (np.abs(straight_above - t) > 1e-3).all(), "for which it had to be moved"
     assert (mesh.vertices_world[near, 2] > 0.0014).all(), "and it floats, or the road would show through"
 
@@ -183,7 +185,7 @@ def test_the_eye_sees_paint_in_its_place_on_hills_and_ramps():
     """Across its line, within a tenth of a pixel, wherever the road is not seen edge on."""
     for topology in (2, 3, 4):
         world = world_of(topology)
-        plan, view = world.plan, world.view
+        view = world.view
         strips = world.paint(view)
         for curve in world.site.lines:
             if curve.kind == "delimiter" and len(strips[curve.id].faces):
@@ -193,7 +195,7 @@ def test_the_eye_sees_paint_in_its_place_on_hills_and_ramps():
                 near = (s > -47) & (s < 10)
                 on_road, onwards, floating = (
                     project(view.img_from_cam, transform(invert(view.world_from_cam), points[near]))
-                    for points in (curve.points_world(plan, s), curve.points_world(plan, s + 0.01), middle)
+                    for points in (curve.points_world(s), curve.points_world(s + 0.01), middle)
                 )
                 along = onwards - on_road
                 off = floating - on_road
@@ -206,11 +208,11 @@ def test_the_eye_sees_paint_in_its_place_on_hills_and_ramps():
 def test_no_verge_begins_where_the_exits_pavement_meets_the_main_one(topology):
     """It would show through the seam, as single pixels of terrain on the road."""
     world = world_of(topology)
-    plan, ground = world.plan, world.ground
-    s = np.arange(5.0, plan.nose_m - 5, 0.25)
-    se, te = plan.project_exit(plan.main_xy(s, ground.main_right_edge(s)), s)
-    s = s[(se > 0) & (np.abs(te) < ground.exit_edge_m - 0.5)]
-    seam = plan.main_xy(s, ground.main_right_edge(s) + 1e-3)
+    main, branch = world.network.roads
+    s = np.arange(5.0, branch.parting.station(0.0) - 5, 0.25)
+    at, t = branch.line.project(main.xy(s, main.right(s)), s)
+    s = s[(at > 0) & (branch.outside(at, t) < -0.5)]
+    seam = main.xy(s, main.right(s) + 1e-3)
     assert len(s) > 20
     for verge in world.site.verges:
         corners = verge.vertices_world[verge.faces][..., :2]
@@ -267,15 +269,15 @@ def test_far_roads_lie_on_the_ground_and_not_above_it(index):
 @pytest.mark.parametrize("topology", [2, 3, 4])
 def test_the_exit_goes_on_below_the_main_road_so_that_no_ground_shows_between(topology):
     world = world_of(topology)
-    plan, ground = world.plan, world.ground
+    main, branch = world.network.roads
     road, exit_road = world.site.pavement
     s = exit_road.uv_m[:, 1]
-    touching = (s > 1) & (s < 0.8 * plan.nose_m)
+    touching = (s > 1) & (s < 0.8 * branch.parting.station(0.0))
     first = np.flatnonzero(touching & (np.diff(s, prepend=-1) != 0))
     assert len(first) > 20
     seam, edge = exit_road.vertices_world[first], exit_road.vertices_world[first + 1]
-    at, t = plan.project_main(edge[:, :2])
-    np.testing.assert_allclose(t, ground.main_right_edge(at), atol=1e-3)
+    at, t = main.line.project(edge[:, :2])
+    np.testing.assert_allclose(t, main.right(at), atol=1e-3)
     assert (heights_at(road, seam[:, :2]) - seam[:, 2] > 0.005).all()
 
 
@@ -284,13 +286,13 @@ def test_the_exit_goes_on_below_the_main_road_so_that_no_ground_shows_between(to
 def test_all_paint_of_an_edge_line_lies_on_the_lanes_pavement(topology, is_double):
     scene = changed(road={**CURVED, "topology": topology}, markings={"left_double": is_double, "width_m": 0.15})
     world = resolve(scene)
-    plan, road = world.plan, world.site.pavement[0]
+    road = world.site.pavement[0]
     paved = road.uv_m[road.faces[road.material == meshes.ROAD]]
     widest = [0.0, 0.0]
-    for name in ("main_line_0", f"main_line_{plan.n_main_after}"):
+    for name in ("main_line_0", f"main_line_{scene.road.n_main_after}"):
         mesh = world.paint(world.view)[name]
         s = mesh.uv_m[:, 1]
-        _, t = plan.project_main(mesh.vertices_world[(s > -45) & (s < -2), :2])
+        _, t = world.network.main.line.project(mesh.vertices_world[(s > -45) & (s < -2), :2])
         widest = [min(widest[0], t.min(initial=0)), max(widest[1], t.max(initial=0))]
     behind = paved[(paved[..., 1] < -2).all(axis=1)]
     assert behind[..., 0].min() < widest[0]

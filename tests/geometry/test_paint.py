@@ -13,7 +13,7 @@ from tests.scenes import changed, seen_on_flat_ground
 def painted_share(world, name, low=-40, high=90):
     """Painted metres of a straight road's line per metre, by the ends of its faces."""
     mesh = world.paint(world.view)[name]
-    y = world.plan.plan_station(mesh.uv_m[mesh.faces][:, :, 1])
+    y = world.network.stations(mesh.uv_m[mesh.faces][:, :, 1])
     return (np.clip(y.max(axis=1), low, high) - np.clip(y.min(axis=1), low, high)).sum() / (high - low)
 
 
@@ -35,7 +35,7 @@ def test_a_double_line_is_two_stripes_about_the_left_edge_and_nothing_else_chang
 def painted_at(world, mesh, x_m, at_m):
     """Where a straight flat road has paint x_m to the right of its middle, by the faces of a line."""
     x = seen_on_flat_ground(world, mesh.vertices_world)[mesh.faces][:, :, 0].T
-    y = world.plan.plan_station(mesh.uv_m[mesh.faces][:, :, 1]).T
+    y = world.network.stations(mesh.uv_m[mesh.faces][:, :, 1]).T
     there = (
         (x.min(axis=0) < x_m) & (x.max(axis=0) > x_m) & (y.min(axis=0) > at_m[0] - 9) & (y.max(axis=0) < at_m[-1] + 99)
     )
@@ -117,7 +117,7 @@ def test_dashed_lines_are_dots_where_they_were_dashes_and_solid_lines_stay():
         np.testing.assert_array_equal(after[name].vertices_world, before[name].vertices_world)
     mesh = after["main_line_1"]
     corners = seen_on_flat_ground(dotted, mesh.vertices_world)[mesh.faces]
-    y = dotted.plan.plan_station(mesh.uv_m[mesh.faces][:, :, 1])
+    y = dotted.network.stations(mesh.uv_m[mesh.faces][:, :, 1])
     near = (y.max(axis=1) < dotted.scene.camera.y_m + DOTS_M) & (y.min(axis=1) > -44.5)
     assert np.ptp(corners[near, :, 0]) == pytest.approx(DOT_M, abs=0.004), "as wide as a dot, about the line"
     assert corners[near, :, 0].mean() == pytest.approx(-1.75, abs=0.002)

@@ -62,23 +62,23 @@ def test_scenes_have_every_kind_and_every_road(worlds):
     assert {(road, side) for _, road, side in rails} >= {("main", "left"), ("main", "right"), ("exit", "right")}
     kinds = {body.kind for world in worlds for body in world.site.structures}
     assert kinds >= {"lamp", "sign", "gantry", "bridge", "house", "hall", "block"}
-    assert len({(w.scene.road.topology > 1, *w.plan.flips.tolist()) for w in worlds}) >= 5
+    assert len({(len(w.network.roads), w.network.onwards, w.network.rightward) for w in worlds}) >= 5
 
 
 def lane_points(world):
     """World points over all lanes of both roads: across them every half metre, and along them."""
-    plan, points = world.plan, []
-    s = plan.plan_station(world.scene.camera.y_m + np.arange(-20, 140, 1.0))
-    low, high = plan.boundary_m(0), plan.boundary_m(plan.n_main_after)
-    points = [plan.main_xy(s, t) for t in np.arange(low, high + 0.1, 0.5)]
+    network, drawn = world.network, world.scene.road
+    s = network.stations(world.scene.camera.y_m + np.arange(-20, 140, 1.0))
+    low = -drawn.n_lanes / 2 * drawn.lane_width_m
+    points = [network.main.xy(s, t) for t in np.arange(low, low + drawn.n_main_after * drawn.lane_width_m + 0.1, 0.5)]
     raised = [np.zeros(len(s))] * len(points)
-    if plan.has_exit:
-        beyond = s[s >= 0]
-        offsets = np.arange(-plan.exit_half_m, plan.exit_half_m + 0.1, 0.5)
-        points += [plan.exit_xy(beyond, t) for t in offsets]
-        raised += [plan.ramp(beyond)] * len(offsets)
+    for branch in network.roads[1:]:
+        beyond, half_m = s[s >= 0], drawn.n_exit_lanes * drawn.lane_width_m / 2
+        offsets = np.arange(-half_m, half_m + 0.1, 0.5)
+        points += [branch.xy(beyond, t) for t in offsets]
+        raised += [branch.raised(beyond)] * len(offsets)
     xy = np.concatenate(points)
-    return plan.lift(xy, np.concatenate(raised))
+    return network.lift(xy, np.concatenate(raised))
 
 
 def test_nothing_is_over_or_on_a_lane_below_the_clearance(worlds):
@@ -135,9 +135,9 @@ def test_a_guardrail_is_as_high_over_the_ramp_as_over_the_road():
     corners = body.corners_world.reshape(-1, 3)
     for (x, y), station in zip(line, s, strict=True):
         near = corners[np.hypot(corners[:, 0] - x, corners[:, 1] - y) < 2.5]
-        road_z = world.plan.lift(np.array([[x, y]]), world.plan.ramp(np.array([station])))[0, 2]
+        road_z = world.network.lift(np.array([[x, y]]), world.network.road("exit").raised(np.array([station])))[0, 2]
         assert near[:, 2].max() == pytest.approx(road_z + 0.8, abs=0.5)
-    assert world.plan.ramp(s).max() > 2
+    assert world.network.road("exit").raised(s).max() > 2
 
 
 @pytest.mark.parametrize("kind", ["gantry", "bridge"])

@@ -23,8 +23,8 @@ def worlds(road, seeds=range(6)):
 
 def distance_from_lines(world, xy_world):
     """Of points to the nearest delimiter."""
-    s = world.plan.plan_station(np.arange(-150, 150, 0.1))
-    lines = [line.xy_world(world.plan, s[(s > line.start_m) & (s < line.end_m)]) for line in world.site.lines
+    s = world.network.stations(np.arange(-150, 150, 0.1))
+    lines = [line.xy_world(s[(s > line.start_m) & (s < line.end_m)]) for line in world.site.lines
              if line.kind == "delimiter"]  # fmt: skip
     return np.min([np.hypot(*(xy_world[:, None] - line).T).min(axis=0) for line in lines], axis=0)
 
@@ -50,10 +50,11 @@ def test_seams_lie_on_the_main_road_below_the_paint(road):
             near = np.abs(mesh.vertices_world[:, 1] - world.ground.near_m) < 40
             assert z.min() > 0
             assert z[near].max() < 0.7 * PAINT_LIFT_M[1]
-            s, t = world.plan.project_main(seen_on_flat_ground(world, mesh.vertices_world)[:, :2])
-            plan = world.plan
-            right = np.where(s < 0, plan.boundary_m(plan.n_lanes), plan.boundary_m(plan.n_main_after))
-            assert ((t > plan.boundary_m(0) - 0.3) & (t < right + 0.3)).all()
+            s, t = world.network.main.line.project(seen_on_flat_ground(world, mesh.vertices_world)[:, :2])
+            drawn = world.scene.road
+            half_m = drawn.n_lanes * drawn.lane_width_m / 2
+            right = np.where(s < 0, half_m, drawn.n_main_after * drawn.lane_width_m - half_m)
+            assert ((t > -half_m - 0.3) & (t < right + 0.3)).all()
 
 
 def test_tar_and_ghost_lines_are_off_by_default_and_differ_by_scene():
@@ -67,9 +68,7 @@ def test_tar_and_ghost_lines_are_off_by_default_and_differ_by_scene():
 
 @pytest.mark.parametrize("flip", [False, True])
 def test_a_joint_lies_inside_a_lane_and_either_side_may_be_older(flip):
-    found = [
-        joint(world.scene.road, 1.0, world.scene.stream) for world in worlds({"flip_longitudinal": flip}, range(40))
-    ]
+    found = [joint(world.network, 1.0, world.scene.stream) for world in worlds({"flip_longitudinal": flip}, range(40))]
     aside, darker = np.array(found).T
     assert (np.abs(aside[:, None] - [-5.25, -1.75, 1.75, 5.25]).min(axis=1) > CLEAR_M - 1e-6).all()
     assert np.unique(np.round(darker, 6)).tolist() == pytest.approx([1 - 1 / OLD_ASPHALT, 1 - OLD_ASPHALT])

@@ -52,11 +52,11 @@ def facing(body):
 
 def nearest_traffic(world, post, body):
     """The id of the lane segment nearest to a sign, the middle of the lane there, and the way of its traffic."""
-    s_m = post.s_m * world.plan.flips[1]
+    s_m = post.s_m * world.network.onwards
     road = world.scene.road
     places = []
     for lane in (*road.segments_at(s_m), *road.oncoming_segments):
-        xy, heading = (np.asarray(part)[..., :2].reshape(-1, 2)[0] for part in car_place(world.plan, lane, s_m, 0.0))
+        xy, heading = (np.asarray(part)[..., :2].reshape(-1, 2)[0] for part in car_place(world.network, lane, s_m, 0.0))
         places.append((np.linalg.norm(body.feet_world[0][:2] - xy), lane, xy, heading))
     return min(places, key=lambda place: place[0])[1:]
 

@@ -94,7 +94,7 @@ def test_crosswalks_cross_the_oncoming_lanes_and_stop_lines_do_not(kind, n_lanes
     scene = changed(road=road, markings={"left_double": True, "width_m": 0.2})
     world = resolve(with_symbols(scene, (kind, None, -40)))
     mesh = world.symbols(world.view)[0]
-    x = seen_on_flat_ground(world, mesh.vertices_world)[:, 0] * world.plan.flips[0]
+    x = seen_on_flat_ground(world, mesh.vertices_world)[:, 0] * world.network.rightward
     assert x.max() < 5.25 < x.max() + 0.5
     assert x.min() > 5.25 - 3.5 * n_lanes > x.min() - 0.7
     double_m = 0.3
@@ -106,27 +106,31 @@ def test_crosswalks_cross_the_oncoming_lanes_and_stop_lines_do_not(kind, n_lanes
 def test_a_gore_is_hatched_between_its_lines_before_the_ramp_rises(topology, across, along):
     road = {"topology": topology, "flip_longitudinal": across, "flip_lateral": along, "exit_angle_rad": 0.08}
     scene = changed(road=road | {"shoulder_factor": 0.7}, camera={"lane": 1})
-    plan = resolve(scene).plan
-    start = float(plan.nose_m + 8) * plan.flips[1]
+    network = resolve(scene).network
+    main, branch = network.roads
+    nose_m = branch.parting.station(0.0)
+    start = float(nose_m + 8) * network.onwards
     world = resolve(with_symbols(scene, ("gore", None, start)))
     (mesh,) = world.symbols(world.view)
     seen = seen_on_flat_ground(world, mesh.vertices_world)[:, :2]
-    s, t = plan.project_main(seen)
-    _, exit_t = plan.project_exit(seen, s)
+    s, t = main.line.project(seen)
+    _, branch_t = branch.line.project(seen, s)
     assert (face_areas(mesh) > -1e-9).all()
     assert len(mesh.faces) > 20
-    assert s.min() > plan.nose_m
-    assert s.max() < plan.ramp_start_m + 0.5
+    assert s.min() > nose_m
+    assert s.max() < branch.ramp.start_m + 0.5
     half_m = scene.markings.width_m / 2
-    assert (t > plan.boundary_m(plan.n_main_after) + half_m).all(), "right of the main road's line, in the plan"
-    assert (exit_t < -plan.exit_half_m - half_m).all(), "left of the exit's line"
+    assert (t > (scene.road.n_main_after - scene.road.n_lanes / 2) * scene.road.lane_width_m + half_m).all(), (
+        "right of the main road's line, in the plan"
+    )
+    assert (branch_t < -scene.road.n_exit_lanes * scene.road.lane_width_m / 2 - half_m).all(), "left of the exit's line"
 
 
 def test_symbols_do_not_overlap_and_stand_clear_of_the_split():
     counts, params = [], streets(*MANY)
     for index in range(60):
         world = resolve(sample_scene(Scenes(params), index))
-        scene, plan = world.scene, world.plan
+        scene, network = world.scene, world.network
         counts.append(len(scene.symbols))
         rows = {
             (s.kind.startswith("arrow") or s.kind, s.s_m): LENGTHS_M[s.kind] for s in scene.symbols if s.kind != "gore"
@@ -135,10 +139,9 @@ def test_symbols_do_not_overlap_and_stand_clear_of_the_split():
         for (a, la), (b, lb) in pairwise(places):
             assert b - a > (la + lb) / 2
         for symbol in scene.symbols:
-            s = symbol.s_m * plan.flips[1]
-            if plan.has_exit and symbol.kind in ("stop_line", "crosswalk"):
-                assert s < -8
-            assert not plan.has_exit or s < -8 or s > plan.nose_m
+            s = symbol.s_m * network.onwards
+            for branch in network.roads[1:]:
+                assert s < -8 or (s > branch.parting.station(0.0) and symbol.kind not in ("stop_line", "crosswalk"))
     assert np.mean(counts) > 8
 
 

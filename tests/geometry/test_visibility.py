@@ -40,9 +40,9 @@ def test_raising_the_terrain_between_a_fixed_eye_and_fixed_points_never_reveals(
 def test_a_raised_exit_hides_the_ground_behind_it():
     """From the main road, what lies beyond the exit's embankment at ground level is hidden; above it is not."""
     road = {"topology": 2, "exit_offset_m": 10, "ramp_height_m": 4, "ramp_slope": 2}
-    plan = resolve(changed(road=road)).plan
-    s = np.array([plan.ramp_start_m + 15])
-    beyond = plan.exit_xy(s, 20.0)[0]
+    raised = resolve(changed(road=road)).network.road("exit")
+    s = np.array([raised.ramp.start_m + 15])
+    beyond = raised.xy(s, 20.0)[0]
     eye = [0, s[0], 1.5]
     low, high = seen(changed(road=road), eye, [[*beyond, 0.0], [*beyond, 12.0]])
     assert high

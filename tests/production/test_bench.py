@@ -83,6 +83,7 @@ def test_the_bench_adds_up_and_compares(tmp_path):
     assert "end to end" in again.stdout
 
 
+@pytest.mark.thorough
 @pytest.mark.render
 def test_more_samples_come_closer_to_the_reference(monkeypatch):
     monkeypatch.setattr(bench, "REFERENCE_SCENES", 1)

@@ -73,6 +73,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.thorough
 def test_parts_that_start_together_in_a_new_store(store: s3fs.S3FileSystem, whole: Path) -> None:
     at_once("s3://lanes/parts", [(part, 3) for part in (1, 2, 3)])
     check(store, "lanes/parts", whole)

@@ -156,7 +156,7 @@ def test_a_python_without_ray_is_told_what_to_install(tmp_path, monkeypatch):
 def test_a_run_goes_on_without_the_actor_that_tells_of_progress_and_past_a_killed_task(
     cluster: soak.Cluster, tmp_path: Path
 ) -> None:
-    run = begin_telling(tmp_path, cluster.address)
+    run = begin_telling(tmp_path / "out", cluster.address)
     wait_for(run, "sample ")
     (board,) = processes(cluster, "ray::Board")
     board.kill()
@@ -167,7 +167,7 @@ def test_a_run_goes_on_without_the_actor_that_tells_of_progress_and_past_a_kille
     report = json.loads(stdout)
     assert (report["exit_code"], report["done"], report["problem"]) == (0, MORE, ""), stderr
     assert "Traceback" not in stderr
-    soak.check(tmp_path, MORE, soak.undisturbed(tmp_path / "whole", MORE))
+    soak.check(tmp_path / "out", MORE, soak.undisturbed(tmp_path / "whole", MORE))
 
 
 @pytest.mark.thorough

@@ -30,6 +30,7 @@ from synth3dlanes.production.run import generate
 from synth3dlanes.production.workers import Limits, Worker
 from synth3dlanes.settings import RenderSettings
 from tests import fake_samples
+from tests.thorough import first
 
 N = 23
 
@@ -96,6 +97,7 @@ def test_parts_are_disjoint_and_make_the_whole(tmp_path, whole):
     assert (report.made, report.done) == (0, N)
 
 
+@pytest.mark.thorough
 @pytest.mark.timeout(900)
 def test_sigkill_of_the_run_and_of_workers_at_any_moment(tmp_path, whole):
     rng = np.random.default_rng(5)
@@ -142,7 +144,7 @@ def test_a_worker_whose_run_is_gone_makes_nothing():
     ours.close()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", first(1, [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]))
 def test_a_signal_stops_in_order_within_seconds(tmp_path, whole, number):
     command = [sys.executable, "-m", "tests.fake_samples", str(tmp_path), str(N), "2"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
@@ -173,15 +175,18 @@ def test_a_second_run_in_the_folder_is_refused(tmp_path):
 
 @pytest.mark.parametrize(
     ("maker", "limits", "reasons"),
-    [
-        (fake_samples.crash_on_bad, Limits(), {3: "worker ended with 1"}),
-        (
-            fake_samples.hang_on_bad_and_spin_on_the_next,
-            Limits(seconds=2.5),
-            {3: "no progress for 2.5 s", 4: "no end after 2.5 s of CPU time"},
-        ),
-        (fake_samples.eat_memory_on_bad, Limits(rss_bytes=1 << 30), {3: "more than 1024 MiB of memory"}),
-    ],
+    first(
+        1,
+        [
+            (fake_samples.crash_on_bad, Limits(), {3: "worker ended with 1"}),
+            (
+                fake_samples.hang_on_bad_and_spin_on_the_next,
+                Limits(seconds=2.5),
+                {3: "no progress for 2.5 s", 4: "no end after 2.5 s of CPU time"},
+            ),
+            (fake_samples.eat_memory_on_bad, Limits(rss_bytes=1 << 30), {3: "more than 1024 MiB of memory"}),
+        ],
+    ),
 )
 def test_a_bad_scene_is_set_aside_and_blocks_nothing(tmp_path, whole, maker, limits, reasons):
     report, events = go(plan(tmp_path, workers=2, maker=maker, limits=limits))

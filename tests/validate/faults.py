@@ -221,8 +221,7 @@ def wider_exit(scene: Scene) -> list[str]:
 
 def higher_ramp(scene: Scene) -> list[str]:
     """A ramp of 10 % more height, where it is used."""
-    plan = resolve(scene).plan
-    is_used = plan.has_exit and plan.ramp_start_m is not None
+    is_used = any(road.ramp for road in resolve(scene).network.roads)
     return scaled("road.ramp_height_m", 1.1)(scene) if is_used else []
 
 

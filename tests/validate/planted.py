@@ -1,11 +1,13 @@
 """Faults planted in copies of a small clean data set, and what validate says of each.
 
-    python -m tests.validate.planted --params diverse --n 12      # the table of docs/validate.md
+    python -m tests.validate.planted --write docs/validate.md     # the table of this page, whole and anew
+    python -m tests.validate.planted --params diverse --only ids  # some of it elsewhere
     python -m tests.validate.planted --clean DIR DIR ...          # false alarms and speed on clean data sets
 
 A fault is planted in all samples that have what it changes. It is found in a sample where a problem of that sample
 says one of its words, and over the whole set where a problem of the set does. Faults that files do not tell are
-compared with the clean samples too, as `validate --rerender` does, which makes these again byte by byte.
+compared with the clean samples too, as `validate --rerender` does, which makes these again byte by byte. The command
+exits with 1 if neither tells of a fault.
 """
 
 import argparse
@@ -73,6 +75,11 @@ class Result(NamedTuple):
     def is_found(self) -> bool:
         """Over the whole set, or in most samples that have it: it may be out of sight in some."""
         return self.over_all or 2 * max(self.samples, self.again or 0) > self.planted > 0
+
+    @property
+    def is_silent(self) -> bool:
+        """Neither files nor samples made again tell of it."""
+        return not (self.over_all or self.samples or self.again)
 
     def row(self) -> str:
         """A row of the table."""
@@ -211,15 +218,26 @@ def false_alarms(root: Path) -> str:
     return f"| {root.name} | {report.n_samples} | {len(report.failed)} | {per_s:.1f} |"
 
 
-def tell(lines: Iterable[str], header: str) -> None:
-    """Print a table row by row."""
+def tell(lines: Iterable[str], header: str) -> list[str]:
+    """Print a table row by row; the table."""
+    told = [header]
     print(header)  # noqa: T201
     for line in lines:
         print(line, flush=True)  # noqa: T201
+        told.append(line)
+    return told
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Print a table."""
+def fill(page: Path, table: Sequence[str]) -> None:
+    """Put a table in the place of that below the mark of a page."""
+    text = page.read_text()
+    filled, n = re.subn(r"(?<=<!-- planted -->\n).*?(?=\n\n)", lambda _: "\n".join(table), text, flags=re.DOTALL)
+    assert n == 1, f"{page}: expected one mark <!-- planted -->, got {n}"
+    page.write_text(filled)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print a table, write it if asked; 1 if nothing tells of one of its faults."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--params", default="appendix_i", help="the preset in which faults are planted")
     parser.add_argument("--n", type=int, default=12, help="its number of samples")
@@ -228,26 +246,33 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--only", default="", help="plant faults with this in their names alone")
     parser.add_argument("--workers", type=int, default=1, help="processes that render")
     parser.add_argument("--data", type=Path, help="a folder that keeps what is rendered for the next time")
+    parser.add_argument("--write", type=Path, help="the page that has the table")
     parser.add_argument("--clean", nargs="+", type=Path, help="clean data sets, for false alarms")
     options = parser.parse_args(arguments)
     if options.clean:
         tell(map(false_alarms, options.clean), HEADER_CLEAN)
-        return
+        return 0
     with tempfile.TemporaryDirectory(prefix="planted-") as folder:
         rendered = options.data or Path(folder, "rendered")
         clean, faults = render(rendered, load_params(options.params), options.seed, options.n, options.workers)
         of_streets, more = render_streets(rendered, options.seed, options.n_streets, options.workers)
         unseen = render_unseen(rendered, options.seed, options.n_streets, options.workers)
-        results = (
-            result
-            for root, planted in ((clean, faults), (of_streets, [*more, *unseen]))
-            for result in table(root, [f for f in planted if options.only in f.name], Path(folder))
-        )
-        tell((result.row() for result in results), HEADER)
+        results = []
+
+        def rows() -> Iterator[str]:
+            for root, planted in ((clean, faults), (of_streets, [*more, *unseen])):
+                for result in table(root, [fault for fault in planted if options.only in fault.name], Path(folder)):
+                    results.append(result)
+                    yield result.row()
+
+        told = tell(rows(), HEADER)
+    if options.write:
+        fill(options.write, told)
+    return int(any(result.is_silent for result in results))
 
 
 if __name__ == "__main__":
     # Workers must find the recipe under the module's own name, not as __main__.
     from tests.validate.planted import main as main_of_module
 
-    main_of_module()
+    raise SystemExit(main_of_module())

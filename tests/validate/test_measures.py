@@ -141,6 +141,26 @@ def test_what_is_bright_beside_the_pavement_or_about_a_car_is_not_paint_aside():
         assert blamed, "the lines that are clear of both are asked"
 
 
+def test_the_edge_of_a_bright_stretch_beside_faint_paint_is_not_paint_aside():
+    """As that of a shadow, a puddle or a new surface: brighter on one side alone."""
+    scene = changed(markings={"dash_fraction": 1.0}, road={"shoulder_factor": 0.4})
+    faint = painted_picture(scene, 0.0, 92.0, 0)
+    bright = np.max([painted_picture(scene, -aside_m, 200.0, 0) for aside_m in np.arange(0.35, 1.6, 0.05)], axis=0)
+    found = reasons(picture_of(scene, np.maximum(faint, bright)), "ridges")
+    assert "m aside" not in found
+    strip = painted_picture(scene, -0.5, 200.0, 0)
+    assert "m aside" in reasons(picture_of(scene, np.maximum(faint, strip)), "ridges")
+
+
+@pytest.mark.parametrize(("yaw_rad", "is_asked"), [(0.0, True), (1.9, False)])
+def test_what_passes_a_camera_that_looks_aside_is_not_asked_for_sharpness(yaw_rad, is_asked):
+    scene = changed(camera={"yaw_rad": yaw_rad}, sensor={"motion_blur_m": 0.1})
+    size = scene.camera.width_px, scene.camera.height_px
+    noise = np.random.default_rng(0).integers(0, 255, (size[1] // 4, size[0] // 4, 3), dtype=np.uint8)
+    image = np.array(Image.fromarray(noise).resize(size))
+    assert ("detail of single pixels" in reasons(picture_of(scene, image), "sharpness")) == is_asked
+
+
 def test_a_stripe_behind_a_car_is_not_asked_where_the_other_is_seen():
     scene = changed(markings={"dash_fraction": 1.0, "left_double": True, "width_m": 0.2}, camera={"lane": 1})
     labels = seen(ground_truth(scene))

@@ -47,8 +47,9 @@ def on_faces(mesh: meshes.Mesh, rng: np.random.Generator) -> tuple[np.ndarray, n
 
 def is_shown_of_exit(place: RoadPlaces) -> np.ndarray:
     """Points of the exit that are not on its seam, which goes on below the main road or the exit's own verge."""
-    ground = place.ground
-    return (place.t > ground.main_right_edge(place.s)) & (place.exit_t > -ground.exit_edge_m)
+    main, branch = place.ground.network.roads
+    s, t = place.on[branch.id]
+    return (place.t > main.right(place.s)) & (t > branch.left(s))
 
 
 @pytest.mark.parametrize("preset", ["appendix_i", "diverse"])

@@ -107,6 +107,7 @@ def rerender(root: Path, n: int) -> tuple[list[str], dict[str, str]]:
     return [problem.line() for problem in report.problems if "made again" in problem.reason], report.made_again
 
 
+@pytest.mark.thorough
 def test_samples_made_again_are_equal_bytes(clean, lidar):
     for root, n in ((clean, 1), (lidar, 2)):
         faults, verdicts = rerender(root, n)
@@ -115,6 +116,7 @@ def test_samples_made_again_are_equal_bytes(clean, lidar):
         assert len(verdicts) == n
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("passes", [(), ("height",)])
 def test_frames_of_clips_by_a_rig_are_equal_bytes(tmp_path, passes):
     """Also without the passes that say what pixels show, which are then made beside."""
@@ -127,6 +129,7 @@ def test_frames_of_clips_by_a_rig_are_equal_bytes(tmp_path, passes):
     assert list(verdicts.values()) == ["equal bytes"] * 3
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ALL)
 def test_a_fault_is_found_and_its_cause_named(clean, lidar, elsewhere, name):
     before = read_members(lidar if name in SWEEPS else clean)[0]
@@ -138,6 +141,7 @@ def test_a_fault_is_found_and_its_cause_named(clean, lidar, elsewhere, name):
         assert any(re.search(ALL[name].words, fault) for fault in faults), faults
 
 
+@pytest.mark.thorough
 def test_another_machine_raises_no_alarm(clean, elsewhere):
     before = read_members(clean)[0]
     assert before["jpg"] != elsewhere["jpg"]
@@ -148,6 +152,7 @@ def test_another_machine_raises_no_alarm(clean, elsewhere):
     assert not list(compare(picture_of(before), before, lies))
 
 
+@pytest.mark.thorough
 def test_a_picture_of_another_scene_is_found_and_said_to_be_one(clean, elsewhere, tmp_path):
     before = read_members(clean)[0]
     recipe = Recipe(Scenes(streets(), SEED, "train"), RenderSettings(4, PASSES), "jpg")
@@ -178,7 +183,7 @@ def test_the_command_names_the_sample_the_layer_and_the_cause(lidar, tmp_path):
     assert "not equal: train:00000001\n" in result.stdout
 
 
-def test_the_choice_is_repeated_and_grows(clean):
+def test_the_choice_is_repeated_and_grows():
     some = [some_of(list(range(100)), n, seed=5) for n in (4, 4, 8, 200)]
     assert some[0] == some[1]
     assert set(some[0]) < set(some[2])
@@ -186,10 +191,10 @@ def test_the_choice_is_repeated_and_grows(clean):
     assert some_of(list(range(100)), 4, seed=6) != some[0]
 
 
-def test_what_cannot_be_made_again_is_refused_in_a_line(clean, tmp_path, monkeypatch):
+def test_what_cannot_be_made_again_is_refused_in_a_line(lidar, tmp_path, monkeypatch):
     from synth3dlanes_cli.main import main
 
-    root = Path(shutil.copytree(clean, tmp_path / "data"))
+    root = Path(shutil.copytree(lidar, tmp_path / "data"))
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(MissingPackageError, match="bpy is not installed"):
         validate(root, 1, None, lambda done, total: None, rerender=1)

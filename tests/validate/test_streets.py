@@ -16,7 +16,7 @@ from synth3dlanes.scene import from_json
 from synth3dlanes.settings import FIRST_STRUCTURE_ID, FIRST_SYMBOL_ID, SEMANTIC_IDS, RenderSettings
 from tests.validate.sealing import Members, check, read_members, seal
 
-pytestmark = pytest.mark.render
+pytestmark = [pytest.mark.render, pytest.mark.thorough]
 N = 4
 
 

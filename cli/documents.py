@@ -1,0 +1,182 @@
+"""What `--json` prints, command by command, as docs/outputs.schema.json says it; the tests hold both together."""
+
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from synth3dlanes.assets.folder import FolderCheck
+from synth3dlanes.figures.stats import ParameterStatistics, QuantitySummary
+from synth3dlanes.production.bench import Bench
+from synth3dlanes.production.tally import RunReport
+
+Value = bool | int | float | str | None
+
+
+class Document(BaseModel):
+    """A JSON document without other keys than these."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+class Split(Document):
+    """A split: samples asked for, in finished shards, in shards in progress, set aside; its shards and bytes."""
+
+    name: str
+    asked: int
+    joined: int
+    waiting: int
+    set_aside: int
+    shards: int
+    bytes: int
+    complete: bool
+
+
+class Info(Document):
+    """`info`: `recipe` is dataset.json without its splits; `preset` is the parameters' name, with what was changed."""
+
+    recipe: dict[str, Any]
+    preset: str
+    image_sizes: list[str]
+    cameras: list[str]
+    frames_per_scene: int
+    frames_per_second: float | None
+    splits: list[Split]
+
+
+class InspectedLane(Document):
+    """A lane: counts of its points, of those in the image, of those among them that the ground does not hide, and of
+    those that no object hides either (null before rendering); the farthest visible one, in metres ahead."""
+
+    id: str
+    kind: str
+    road: str
+    marking: str
+    n_points: int
+    n_in_image: int
+    n_over_ground: int
+    n_visible: int | None
+    seen_to_m: float | None
+
+
+class Inspected(Document):
+    """`inspect`: the files written, the numbers of the index (docs/format.md), the lanes, and a summary in words."""
+
+    figure: str | None = None
+    page: str | None = None
+    columns: dict[str, Value]
+    lanes: list[InspectedLane]
+    summary: dict[str, dict[str, str]]
+
+
+class DryRun(Document):
+    """`generate --dry-run`: the plan in words, and what it takes."""
+
+    plan: str
+    samples: int
+    workers: int
+    seconds: float
+    bytes_kept: int
+    bytes_needed: int
+    is_measured: bool
+
+
+class Stats(Document):
+    """`stats`: every parameter as declared and as drawn; the quantities of the labels of a data set."""
+
+    n_scenes: int
+    topologies: dict[str, int]
+    parameters: list[ParameterStatistics]
+    labels: list[QuantitySummary] | None = None
+
+
+class Fault(Document):
+    """A problem: the sample or file, the lane ("" for none), and what was expected and found."""
+
+    where: str
+    lane: str
+    reason: str
+
+
+class WorstSample(Document):
+    """A sample and its largest value."""
+
+    sample: str
+    value: float
+
+
+class Validation(Document):
+    """`validate`: problems, the distributions of all measures by distance, and notes of what is no fault."""
+
+    samples: int
+    failed: list[str]
+    problems: list[Fault]
+    notes: list[str]
+    distributions: dict[str, dict[str, dict[str, float | int | None]]]
+    worst: dict[str, list[WorstSample]]
+    made_again: dict[str, str]
+    means: dict[str, dict[str, Any]]
+
+
+class ScoredImage(Document):
+    """An image's F1 and mean error, null where nothing was there to be measured."""
+
+    key: str
+    f1: float
+    error_cm: float | None
+
+
+class Pose(Document):
+    """Median errors of the predicted pose, null where none is predicted."""
+
+    pitch_median_deg: float | None
+    height_median_cm: float | None
+
+
+class Evaluation(BaseModel):
+    """`evaluate` with a network or predictions: the score of each kind (centerline, delimiter), of the pose and of each
+    image, the worst first."""
+
+    model_config = ConfigDict(extra="allow")
+
+    source: str
+    pose: Pose
+    settings: dict[str, Value]
+    samples: list[ScoredImage]
+    centerline: dict[str, Any] | None = None
+    delimiter: dict[str, Any] | None = None
+
+
+class EvaluatedTargets(BaseModel):
+    """`evaluate` without a network: how the labels fit into the targets of a network, and the score of these."""
+
+    model_config = ConfigDict(extra="allow")
+
+    n_images: int
+    counts: dict[str, dict[str, int]]
+    ceiling: dict[str, Any]
+
+
+class EvaluatedPhotographs(BaseModel):
+    """`evaluate` on photographs: the figures of their benchmark."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    settings: dict[str, Value]
+    tusimple: dict[str, float | None] | None = None
+    kitti: dict[str, float | None] | None = None
+
+
+class Outputs(Document):
+    """What each command prints with `--json`; `params show` prints groups of keys in the forms of parameter files."""
+
+    assets: FolderCheck
+    bench: Bench
+    benchmark: dict[str, Any] = Field(description="`benchmark`: as docs/benchmarks.md says.")
+    evaluate: Evaluation | EvaluatedTargets | EvaluatedPhotographs
+    generate: RunReport
+    generate_dry_run: DryRun
+    info: Info
+    inspect: Inspected
+    params_show: dict[str, dict[str, Any]] = Field(description="`params show`: every key, by group.")
+    stats: Stats
+    validate_: Validation = Field(alias="validate")

@@ -1,0 +1,108 @@
+"""Reference lines of maps: spirals, with straight lines and arcs among them, cubics, polylines, and chains of these.
+World frame, metres; stations are lengths, of a cubic its parameter."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.arrays import AnyPoints2, AnyScalars, Polyline2
+from synth3dlanes.geometry.reference_line import LineFrames, ReferenceLine
+
+# A point's station is looked for among places this far apart.
+GUESS_STEP_M = 4.0
+# Nodes and weights on [0, 1] for integrals along a spiral, exact to a nanometre up to a few turns.
+NODES, WEIGHTS = (part / 2 for part in np.polynomial.legendre.leggauss(40))  # type: ignore[no-untyped-call]
+NODES = NODES + 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class FiniteLine(ReferenceLine):
+    """A line over the stations [0, length_m]; before and behind them it goes on by its own formula."""
+
+    length_m: float
+
+    @cached_property
+    def _samples(self) -> tuple[Float[np.ndarray, " k"], Polyline2]:
+        s = np.linspace(0, self.length_m, 2 + int(self.length_m / GUESS_STEP_M))
+        return s, self.frames(s).points_world
+
+    def guess(self, xy_world: AnyPoints2) -> AnyScalars:
+        """The station of the nearest of some places."""
+        s, places = self._samples
+        apart = xy_world[..., None, :] - places
+        return np.asarray(s[(apart * apart).sum(-1).argmin(-1)])
+
+
+@dataclass(frozen=True, eq=False)
+class Spiral(FiniteLine):
+    """A line whose curvature (to the left, 1/m) changes evenly by `bends` per metre: a straight line if both are 0, an
+    arc if `bends` is. `heading_rad` is counter-clockwise from world x."""
+
+    start_world: tuple[float, float]
+    heading_rad: float
+    curvature: float = 0.0
+    bends: float = 0.0
+
+    def frames(self, s: AnyScalars) -> LineFrames:
+        """The line at stations."""
+        u = s[..., None] * NODES
+        along = np.stack([np.cos(self._heading(u)), np.sin(self._heading(u))], -1)
+        points = self.start_world + s[..., None] * (WEIGHTS[:, None] * along).sum(axis=-2)
+        heading = self._heading(s)
+        normals = np.stack([np.sin(heading), -np.cos(heading)], -1)
+        return LineFrames(points, normals, np.ones(s.shape), -(self.curvature + self.bends * s))
+
+    def _heading(self, s: AnyScalars) -> AnyScalars:
+        return np.asarray(self.heading_rad + s * (self.curvature + self.bends * s / 2))
+
+
+@dataclass(frozen=True, eq=False)
+class Cubic(FiniteLine):
+    """A line of two cubics of its parameter, each by its coefficients from the constant on."""
+
+    x: tuple[float, float, float, float]
+    y: tuple[float, float, float, float]
+
+    def frames(self, s: AnyScalars) -> LineFrames:
+        """The line at stations."""
+        values = [
+            (a + s * (b + s * (c + s * d)), b + s * (2 * c + s * 3 * d), 2 * c + s * 6 * d)
+            for a, b, c, d in (self.x, self.y)
+        ]
+        (px, py), (dx, dy), (ddx, ddy) = zip(*values, strict=True)
+        speed = np.hypot(dx, dy)
+        normals = np.stack([dy, -dx], -1) / speed[..., None]
+        return LineFrames(np.stack([px, py], -1), normals, speed, (dy * ddx - dx * ddy) / speed**2)
+
+
+@dataclass(frozen=True, eq=False)
+class Chain(FiniteLine):
+    """Lines one after the other, each from where the previous one ends; the outer ones go on."""
+
+    lines: Sequence[FiniteLine]
+
+    @classmethod
+    def of(cls, lines: Sequence[FiniteLine]) -> "Chain":
+        """The chain of these lines."""
+        return cls(sum(line.length_m for line in lines), lines)
+
+    @classmethod
+    def through(cls, points_world: Polyline2) -> "Chain":
+        """A polyline."""
+        steps = np.diff(points_world, axis=0)
+        ways = zip(points_world.tolist(), steps.tolist(), strict=False)
+        return cls.of([Spiral(float(np.hypot(dx, dy)), (x, y), float(np.arctan2(dy, dx))) for (x, y), (dx, dy) in ways])
+
+    def frames(self, s: AnyScalars) -> LineFrames:
+        """The line at stations."""
+        starts = np.cumsum([0.0, *(line.length_m for line in self.lines[:-1])])
+        which = np.clip(np.searchsorted(starts, s, side="right") - 1, 0, None)
+        found = LineFrames(np.zeros((*s.shape, 2)), np.zeros((*s.shape, 2)), np.ones(s.shape), np.zeros(s.shape))
+        for i in np.unique(which):
+            at = which == i
+            for whole, part in zip(found, self.lines[i].frames(s[at] - starts[i]), strict=True):
+                whole[at] = part
+        return found

@@ -1,0 +1,12 @@
+"""Cases of one property, of which `make test` runs some and `make check` all."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import pytest
+
+
+def first(n: int, cases: Iterable[Any]) -> list[Any]:
+    """The cases as parameters of a test; those after the first `n` are thorough."""
+    values = [case if isinstance(case, tuple) else (case,) for case in cases]
+    return [pytest.param(*value, marks=[pytest.mark.thorough] * (i >= n)) for i, value in enumerate(values)]
