@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from synth3dlanes.api import (
         Rendered,
+        Renderer,
         change_scene,
         dataset_stats,
         export_dataset,
@@ -69,6 +70,7 @@ __all__ = [
     "Params",
     "Reader",
     "Rendered",
+    "Renderer",
     "Sample",
     "Scene",
     "SymbolLabel",

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Shaped
 
-from synth3dlanes.formats.comparing import Comparison, Truth
+from synth3dlanes.formats.comparing import Comparison, SourceSample
 from synth3dlanes.formats.writing import ExportFrame, FrameAnnotation, Pinhole, PinholeFrame
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.scene import Scene
@@ -87,7 +87,7 @@ class Format:
     readme: str
     write: Callable[[Any], FrameAnnotation | None]
     read: Callable[[Path, int], Iterator[FrameList]]
-    verify: Callable[[ReadFrame, Truth], Comparison]
+    verify: Callable[[ReadFrame, SourceSample], Comparison]
     tolerances: Mapping[str, float]
     score: Callable[[Path, Path], Iterator[Rates]] | None = None
     links: Mapping[str, str] = field(default_factory=dict)

@@ -10,12 +10,12 @@ from synth3dlanes.arrays import Polyline3
 from synth3dlanes.formats.comparing import (
     NEAR_START_M,
     Comparison,
+    ExportView,
     Gap,
     OurLine,
     Rule,
-    Truth,
+    SourceSample,
     UprightLane,
-    View,
     camera_problems,
     compare,
     distances,
@@ -53,14 +53,14 @@ def _frames(out: Path, path: Path, most_frames: int) -> Iterator[ReadFrame]:
         yield ReadFrame(file, str(out / file), f"images/{image}", frame)
 
 
-def verify(frame: ReadFrame, truth: Truth) -> Comparison:
+def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     """Lines in metres; their pixels; category, place beside the camera and track."""
     found: OpenLaneFrame = frame.content
     camera, to_vehicle = truth.labels.camera, found.vehicle_from_cam_waymo
     kerbs = kerb_lanes(truth.scene, camera)
     delimiters = truth.lanes("delimiter")
     curbs = [UprightLane(camera, kerb.id, upright(camera, kerb.xyz_cam), kerb.terrain_visible) for kerb in kerbs]
-    view = View(found.img_from_cv, (round(2 * found.img_from_cv[0, 2]), round(2 * found.img_from_cv[1, 2])))
+    view = ExportView(found.img_from_cv, (round(2 * found.img_from_cv[0, 2]), round(2 * found.img_from_cv[1, 2])))
     ours = [lane.in_metres(view) for lane in (*delimiters, *curbs)]
     # Waymo's axes: x ahead, y to the left, z up.
     lines = [line.xyz_waymo @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]) for line in found.lines]
