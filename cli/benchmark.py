@@ -55,7 +55,8 @@ def benchmark(
             ctx.exit(report.exit_code or 1)
         document["splits"][split] = vars(found.splits[split])
         if not as_json:
-            click.echo(f"{out}/{split}: {report.done} samples, labels as those of everybody")
+            compared = "as those of everybody" if found.splits[split].labels else "of no digest to compare with"
+            click.echo(f"{out}/{split}: {report.done} samples, labels {compared}")
     if checkpoint is not None or predictions is not None:
         document["score"], text = _score(f"{out}/test", checkpoint, predictions)
         if not as_json:

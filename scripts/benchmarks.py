@@ -17,8 +17,10 @@ def digest(name: str, split: str) -> str:
 
 
 def main(names: list[str]) -> None:
-    """Draw every split of some benchmarks, and write their digests into their files."""
-    jobs = [(name, split) for name in names or benchmark_names() for split in load_benchmark(name).splits]
+    """Draw every split of some benchmarks, the small ones first, and write their digests into their files."""
+    benchmarks = {name: load_benchmark(name) for name in names or benchmark_names()}
+    sizes = {(name, split): part.n for name, found in benchmarks.items() for split, part in found.splits.items()}
+    jobs = sorted(sizes, key=sizes.__getitem__)
     with process_pool() as pool:
         for (name, split), found in zip(jobs, pool.map(digest, *zip(*jobs, strict=True)), strict=True):
             path = presets_folder() / KIND / f"{name}.yaml"

@@ -15,6 +15,8 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 import synth3dlanes
+from synth3dlanes.formats.format import PinholeFormat, SampleFormat
+from synth3dlanes.formats.registry import format_names, open_format
 
 ROOT = Path(__file__).parents[1]
 # Pages of the site, by the files of the repository that they show.
@@ -27,8 +29,8 @@ ELSEWHERE = {
     "examples/README.md": "examples.md",
     "examples/first_steps.ipynb": "notebook.md",
 }
-# The page of docstrings, and the group that it is in.
-REFERENCE, REFERENCES = "reference.md", "Reference"
+# The page of docstrings, and the folder with a page for each export format.
+REFERENCE, FORMATS = "reference.md", "formats"
 # The end of a link or picture, [words](target), with its words if these are plain.
 LINK = re.compile(r"(\[[^\[\]]*)?\]\(([^)#\s]*)((?:#[^)\s]*)?)\)")
 FENCED = re.compile(r"(^```.*?^```$|`[^`\n]+`)", re.MULTILINE | re.DOTALL)
@@ -53,7 +55,9 @@ def navigation(index: str) -> list[dict[str, Any]]:
     for title, text in re.findall(r"^## (.+?)$(.*?)(?=^## |\Z)", index, re.MULTILINE | re.DOTALL):
         rows = re.findall(r"^\| \[(.+?)\]\((\S+?)\)", text, re.MULTILINE)
         groups.append({title: [{name: page_of(f"docs/{target}")} for name, target in rows]})
-    next(group[REFERENCES] for group in groups if REFERENCES in group).append({"Docstrings": REFERENCE})
+    pages = {title: page for group in groups for title, page in group.items()}
+    pages["Reference"].append({"Docstrings": REFERENCE})
+    pages["Data sets"].append({"Formats": [{name: f"{FORMATS}/{name}.md"} for name in format_names()]})
     groups.append({"All pages": page_of("docs/README.md")})
     return groups
 
@@ -71,6 +75,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         text = (ROOT / path).read_text()
         files.append(File.generated(config, page, content=notebook(text) if path.endswith(".ipynb") else text))
     files.append(File.generated(config, REFERENCE, content=reference()))
+    exports = (ROOT / "docs/exports.md").read_text()
+    for name in format_names():
+        files.append(File.generated(config, f"{FORMATS}/{name}.md", content=format_page(name, exports)))
     return files
 
 
@@ -82,6 +89,33 @@ def reference() -> str:
     for title, found in kinds.items():
         parts += [f"## {title}", *(f"::: synth3dlanes.{name}" for name in found)]
     return "\n\n".join(parts)
+
+
+def format_page(name: str, exports: str) -> str:
+    """What a format is, where its files lie, and what is in them; `exports` is the page of all formats."""
+    found = open_format(name)
+    listed = exports.partition("\n## Files\n")[2].partition("\n## ")[0].replace("](#", "](../exports.md#")
+    # Rows of one format follow each other; only the first names it.
+    rows = re.search(rf"^\| `{name}` \|.*\n(?:\| \|.*\n)*", listed, re.MULTILINE)
+    table = [f"|{row.split('|', 2)[2]}" for row in rows[0].splitlines()] if rows else []
+    passes = found.passes if isinstance(found, SampleFormat) else ()
+    facts = [f"- Passes that the data set must have: {', '.join(passes)}."] if passes else []
+    if isinstance(found, PinholeFormat):
+        camera = found.camera
+        size = f"{camera.width_px}x{camera.height_px} px" + (", or any other `--size`" if found.is_size_free else "")
+        facts.append(f"- Images of {size}, resampled to a pinhole of f = {camera.f_px:g} px.")
+    limits = ", ".join(f"{limit:g} {unit}" for unit, limit in found.tolerances.items()) or "nothing"
+    facts.append(f"- Read back, nothing is off by more than {limits}: `--verify` checks it.")
+    facts += ["- `synth3dlanes evaluate --format` scores predictions by its benchmark."] if found.score else []
+    return "\n".join(
+        [
+            f"# {name}\n\n{found.title}. [Exports](../exports.md) has what all formats share.\n",
+            f"```sh\nsynth3dlanes export DIR --format {name} --out OUT --verify\n```\n",
+            *facts,
+            *(["\n| files | read by |", "|---|---|", *table] if table else []),
+            f"\n## What an export says of itself\n\n{found.readme}",
+        ]
+    )
 
 
 def notebook(text: str) -> str:
@@ -119,6 +153,6 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
 
 def pages_in(group: dict[str, Any]) -> list[tuple[str, str]]:
-    """Title and page of all in a group of the navigation."""
-    (found,) = group.items()
-    return [found] if isinstance(found[1], str) else [pair for page in found[1] for pair in page.items()]
+    """Title and page of all in a group of the navigation, however deep."""
+    ((title, below),) = group.items()
+    return [(title, below)] if isinstance(below, str) else [pair for page in below for pair in pages_in(page)]

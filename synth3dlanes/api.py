@@ -69,6 +69,7 @@ from synth3dlanes.sources import read_scene, scenes_of
 if TYPE_CHECKING:
     # Loaded by the functions that return them: figures and checks take a second.
     import synth3dlanes.figures.stats
+    import synth3dlanes.formats.format
     import synth3dlanes.formats.verify
     import synth3dlanes.validate.report
 
@@ -342,6 +343,17 @@ def verify_export(export: Export, *, most_frames: int = 500) -> "tuple[synth3dla
 
     _at_least(1, most_frames=most_frames)
     return verify(export, most_frames)
+
+
+def score_predictions(
+    export: str | Path, format_name: str, predictions: str | Path
+) -> "tuple[synth3dlanes.formats.format.Rates, ...]":
+    """Score predictions, a file or folder as the benchmark of this format takes it, for an export, by the benchmark's
+    rule; return its rates for each list that they are for (docs/exports.md). Raises InputError for a format without
+    one, FormatError for predictions that cannot be read or that lack a frame."""
+    from synth3dlanes.formats.scoring import score_predictions
+
+    return score_predictions(Path(export), format_name, Path(predictions))
 
 
 def split_dataset(

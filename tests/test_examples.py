@@ -94,6 +94,7 @@ def test_the_fisheye_sees_wider_than_a_pinhole_could(in_tmp_path: Path) -> None:
     assert (picture == (0, 191, 255)).all(axis=-1).sum() > 20, "centre lines are deepskyblue"
 
 
+@pytest.mark.thorough
 @pytest.mark.render
 def test_hard_cases_are_near_the_worst(in_tmp_path: Path) -> None:
     printed = run("hard_cases", "out", "--n", 2, "--params", "tiny").splitlines()

@@ -12,6 +12,7 @@ from synth3dlanes.assets.catalogue import Assets
 from synth3dlanes.errors import InputError, Synth3dlanesError
 from synth3dlanes.given_scenes import given_scenes
 from synth3dlanes.params import load_params, presets_folder
+from synth3dlanes.production.benchmarks import load_benchmark
 from synth3dlanes.sensors.camera_files import load_camera
 from synth3dlanes.sensors.lidar_files import load_lidar
 from synth3dlanes.sensors.rig_files import load_rig
@@ -22,6 +23,7 @@ READERS = {
     "cameras/kitti_raw.yaml": load_camera,
     "rigs/nuscenes.yaml": load_rig,
     "lidars/hdl_32e.yaml": load_lidar,
+    "benchmarks/weather.yaml": load_benchmark,
 }
 VALUE = re.compile(rb"(?<=[:\[, ])[\w.+-]+(?=[,\]\n }])")
 # Anchors, tags, documents and characters of YAML.

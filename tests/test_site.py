@@ -15,6 +15,7 @@ import pytest
 from playwright.sync_api import Browser, sync_playwright
 
 import synth3dlanes
+from synth3dlanes.formats.registry import format_names
 
 pytestmark = pytest.mark.thorough
 
@@ -42,11 +43,14 @@ def test_every_page_and_every_public_name_is_there(site: Path) -> None:
     assert pages | {"index", "contents", "reference", "notebook", "architecture"} <= {
         p.stem for p in site.glob("*.html")
     }
+    assert {path.stem for path in (site / "formats").glob("*.html")} == set(format_names())
+    assert "lane3d_1000" in (site / "formats/openlane.html").read_text()
     reference = (site / "reference.html").read_text()
     assert {name for name in synth3dlanes.__all__ if f'id="synth3dlanes.{name}"' not in reference} == set()
     assert "the image's border" in (site / "format.html").read_text()
 
 
+@pytest.mark.thorough
 def test_dead_links_and_anchors_fail(tmp_path: Path) -> None:
     for path in ROOT.glob("[!.]*"):
         if path.name in ("docs", "scripts"):
