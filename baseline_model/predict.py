@@ -1,13 +1,14 @@
 """Detect lanes in a split, in image files or in folders of images; write predictions and pictures."""
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from PIL import Image
 
+from synth3dlanes.arrays import Polyline2, RgbImage
 from synth3dlanes.errors import InputError
 from synth3dlanes.files import Folder
 from synth3dlanes.formats.reading import read_image
@@ -15,17 +16,15 @@ from synth3dlanes.labels import Labels
 from synth3dlanes.words import counted
 
 from . import checkpoint as checkpoints
-from .data import Intrinsics, img_from_cam, intrinsics_of, resize, scale, size_of
+from .data import Intrinsics, LabelledImage, img_from_cam, intrinsics_of, size_of
 from .inference import Detector, choose_device
 from .lanes import Prediction, write_predictions
-from .overlay import save_overlay
+from .overlay import save_pictures
 from .photographs import open_tusimple
 from .sources import IMAGE_SUFFIXES, image_files, open_split
 from .tusimple import check_plane
 
 ASSUMED_FOV_DEG = 60.0
-MOST_SHOWN_PX = 1600
-"""Of an image in a picture, which has 1100 pixels for two views."""
 
 
 @dataclass(eq=False)
@@ -55,23 +54,17 @@ class PredictionSummary:
 @dataclass(frozen=True, eq=False)
 class _Picture:
     key: str
-    image: UInt8[np.ndarray, "h w 3"]
+    image: RgbImage
     intrinsics: Intrinsics
-    labels: Labels | None
-    lines_px: Sequence[Float[np.ndarray, "_ 2"]] = ()
+    truth: Labels | Sequence[Polyline2] = ()
 
 
-def _shrunk(picture: _Picture) -> _Picture:
-    """The picture, reduced to the number of pixels that are shown."""
-    from_px = size_of(picture.image)
-    height, width = (max(1, round(size * min(1.0, MOST_SHOWN_PX / max(from_px)))) for size in from_px)
-    to_px = height, width
-    return replace(
-        picture,
-        image=resize(picture.image, to_px),
-        intrinsics=scale(picture.intrinsics, from_px, to_px),
-        lines_px=[line_px * np.divide(to_px, from_px)[::-1] for line_px in picture.lines_px],
-    )
+@dataclass(frozen=True, eq=False)
+class _Pictures:
+    """A source's images, each read when it is asked for: one may take 200 MB."""
+
+    n: int
+    read: Callable[[int], _Picture]
 
 
 def detector_for(
@@ -92,8 +85,8 @@ def predict(
     n_overlays: int = 16,
     threshold: float = 0.5,
 ) -> PredictionSummary:
-    """Write `predictions.jsonl` and pictures of the first `n_overlays` images to `out_dir`; the pictures show lanes of
-    at least this confidence.
+    """Write `predictions.jsonl` to `out_dir`, and of each of the first `n_overlays` images a figure and the image in
+    full size with the lanes of at least this confidence (`overlay.save_pictures`).
 
     `source` is a split of a dataset, an image, a folder of images, or a label file of tuSimple or a folder with one.
     `intrinsics` (fx, fy, cx, cy, in pixels) are those of image files. Without them a horizontal field of view of 60
@@ -106,23 +99,17 @@ def predict(
     summary = PredictionSummary(out / "predictions.jsonl", threshold)
     summary.is_assumed = intrinsics is None and are_files
     needs_plane = intrinsics is None and not are_files and are_tusimples
-    shown: list[_Picture] = []
 
-    def seen(picture: _Picture) -> tuple[str, UInt8[np.ndarray, "h w 3"], Intrinsics]:
-        if len(shown) < n_overlays:
-            shown.append(_shrunk(picture))
+    def seen(index: int) -> tuple[str, RgbImage, Intrinsics]:
+        picture = pictures.read(index)
         return picture.key, picture.image, picture.intrinsics
 
     def kept() -> Iterator[Prediction]:
-        for number, prediction in enumerate(detector.in_images(map(seen, pictures))):
+        for number, prediction in enumerate(detector.in_images(map(seen, range(pictures.n)))):
             if needs_plane:
                 check_plane(prediction, source)
             if number < n_overlays:
-                picture = shown[number]
-                name = picture.key.replace("/", "_").rsplit(".", 1)[0]
-                matrix = img_from_cam(picture.intrinsics)
-                truth = picture.labels if picture.labels is not None else picture.lines_px
-                save_overlay(out / f"{name}.png", picture.image, matrix, prediction, truth, threshold)
+                _save(out, pictures.read(number), prediction, threshold)
             summary.n_images += 1
             summary.n_lanes += sum(lane.score >= threshold for lane in prediction.lanes)
             summary.best_score = max([summary.best_score, *(lane.score for lane in prediction.lanes)])
@@ -132,28 +119,37 @@ def predict(
     return summary
 
 
-def _pictures(source: str | Path, intrinsics: Intrinsics | None) -> Iterator[_Picture]:
-    """The source's images; the source is opened at once, images are read on iteration."""
+def _save(out: Path, picture: _Picture, prediction: Prediction, threshold: float) -> None:
+    name = picture.key.replace("/", "_").rsplit(".", 1)[0]
+    matrix = img_from_cam(picture.intrinsics)
+    save_pictures(out / f"{name}.png", Image.fromarray(picture.image), matrix, prediction, picture.truth, threshold)
+
+
+def _pictures(source: str | Path, intrinsics: Intrinsics | None) -> _Pictures:
+    """The source's images; the source is opened at once."""
     frames = None if intrinsics is None else open_tusimple(source)
     if intrinsics is not None and frames is not None:
-        keys = enumerate(frames.keys())
-        return (_Picture(key, frames.image(i), intrinsics, None, frames.lines_px(i)) for i, key in keys)
+        keys = frames.keys()
+        return _Pictures(len(keys), lambda i: _Picture(keys[i], frames.image(i), intrinsics, frames.lines_px(i)))
     files = image_files(source)
     if files:
-        return (_of_file(file, intrinsics) for file in files)
+        return _Pictures(len(files), lambda i: _of_file(files[i], intrinsics))
     is_here = "://" not in str(source)
     if is_here and Path(source).suffix.lower() in IMAGE_SUFFIXES:
         raise InputError(f"{source}: expected an image, got no such file")
     samples = open_split(source)
     if intrinsics is not None:
         raise InputError(f"intrinsics: expected none for {source}, whose labels have them")
-    chosen = (samples[index] for index in range(len(samples)))
-    return (_Picture(s.key, np.array(s.image), intrinsics_of(s.labels), s.labels) for s in chosen)
+    return _Pictures(len(samples), lambda i: _of_sample(samples[i]))
 
 
 def _of_file(file: Path, intrinsics: Intrinsics | None) -> _Picture:
     image = read_image(file)
-    return _Picture(file.name, image, intrinsics or assumed_intrinsics(size_of(image)), None)
+    return _Picture(file.name, image, intrinsics or assumed_intrinsics(size_of(image)))
+
+
+def _of_sample(sample: LabelledImage) -> _Picture:
+    return _Picture(sample.key, np.asarray(sample.image), intrinsics_of(sample.labels), sample.labels)
 
 
 def assumed_intrinsics(size_px: tuple[int, int]) -> Intrinsics:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from synth3dlanes.figures.colors import KIND_WORDS, KINDS, hexadecimal
 from synth3dlanes.files import replacing
 from synth3dlanes.words import counted
 
@@ -135,16 +136,17 @@ def save_curve(rows: dict[str, EvaluationReport], path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9, 3.6), layout="constrained")
+    figure = Figure(figsize=(9, 4.0), layout="constrained")
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
     sizes = [int(name) for name in rows]
-    for kind, colour in (("centerline", "tab:blue"), ("delimiter", "tab:orange")):
+    for kind, rgb in KINDS.items():
+        colour, words = hexadecimal(rgb), f"{KIND_WORDS[kind]}s"
         found = [report.kinds[kind] for report in rows.values()]
-        left.plot(sizes, [k.ap for k in found], "o-", color=colour, label=kind)
+        left.plot(sizes, [k.ap for k in found], "o-", color=colour, label=words)
         left.fill_between(sizes, *zip(*(k.ap_interval for k in found), strict=True), color=colour, alpha=0.2)
-        right.plot(sizes, [k.at_threshold.near_1sigma_cm for k in found], "o-", color=colour, label=f"{kind}, near")
-        right.plot(sizes, [k.at_threshold.far_1sigma_cm for k in found], "o:", color=colour, label=f"{kind}, far")
+        right.plot(sizes, [k.at_threshold.near_1sigma_cm for k in found], "o-", color=colour, label=f"{words}, near")
+        right.plot(sizes, [k.at_threshold.far_1sigma_cm for k in found], "o:", color=colour, label=f"{words}, far")
     left.set(ylabel="AP", ylim=(0, 1))
     right.set(ylabel="error, 1 sigma [cm]")
     right.set_ylim(bottom=0)
@@ -152,7 +154,7 @@ def save_curve(rows: dict[str, EvaluationReport], path: Path) -> None:
         axes.set(xlabel="training images", xscale="log", xticks=sizes, xticklabels=sizes)
         axes.minorticks_off()
         axes.grid(alpha=0.3)
-        axes.legend()
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, frameon=False)
     with replacing(path) as stream:
         figure.savefig(stream, dpi=120)
 
@@ -161,20 +163,24 @@ def save_plots(report: EvaluationReport, path: Path) -> None:
     """Plot precision against recall, and error against distance."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogFormatter
 
-    figure = Figure(figsize=(10, 4), layout="constrained")
+    figure = Figure(figsize=(10, 4.6), layout="constrained")
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
-    for (name, kind), colour in zip(report.kinds.items(), ("tab:blue", "tab:orange"), strict=True):
-        left.plot(kind.recalls, kind.precisions, color=colour, label=f"{name}, AP {kind.ap:.3f}")
+    for name, rgb in KINDS.items():
+        kind, colour, words = report.kinds[name], hexadecimal(rgb), f"{KIND_WORDS[name]}s"
+        left.plot(kind.recalls, kind.precisions, color=colour, label=f"{words}, AP {kind.ap:.3f}")
         one, two = kind.error_by_y_cm
-        right.plot(METRIC_Y_M, one, color=colour, label=f"{name}, 1 sigma")
-        right.plot(METRIC_Y_M, two, color=colour, linestyle=":", label=f"{name}, 2 sigma")
+        right.plot(METRIC_Y_M, one, color=colour, label=f"{words}, 1 sigma")
+        right.plot(METRIC_Y_M, two, color=colour, linestyle=":", label=f"{words}, 2 sigma")
     left.set(xlabel="recall", ylabel="precision", xlim=(0, 1.02), ylim=(0, 1.02))
     right.set(xlabel="distance [m]", ylabel="error [cm]", yscale="log")
+    right.yaxis.set_major_formatter("{x:g}")
+    right.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 1)))
     for axes in (left, right):
         axes.grid(alpha=0.3)
-        axes.legend()
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, frameon=False)
     with replacing(path) as stream:
         figure.savefig(stream, dpi=120)
 

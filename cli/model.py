@@ -159,7 +159,7 @@ def train(
     help="Least confidence of the lanes in the pictures; the file has all.",
 )
 @click.option(
-    "--overlays", type=click.IntRange(min=0), default=16, show_default=True, help="Number of pictures to draw."
+    "--overlays", type=click.IntRange(min=0), default=16, show_default=True, help="Number of images to draw."
 )
 @own_model_option
 @device_option
@@ -176,7 +176,8 @@ def predict(
     the network of a checkpoint or, without one, with weights in this package: `streets` for photographs, `nano` for a
     split.
 
-    Writes OUT/predictions.jsonl, and pictures of the lanes in the image and in 3D.
+    Writes OUT/predictions.jsonl, and two pictures of each image: NAME.png, with the lanes in the image and in 3D, and
+    NAME.overlay.jpg, the image in full size with the lanes.
     """
     need_torch()
     from synth3dlanes_baseline.predict import detector_for

@@ -208,14 +208,20 @@ def _camera(scene: Scene, labels: Labels) -> Facts:
         **clip,
         f"place{' at the start' * (shot.n_frames > 1)}": f"lane {camera.lane} at y = {camera.y_m:.1f} m, "
         f"{abs(camera.offset_m):.2f} m {side} of its centre",
-        "height, pitch, roll": f"{camera.height_m:.3f} m, {math.degrees(camera.pitch_rad):.2f}° down, "
-        f"{math.degrees(camera.roll_rad):.2f}° clockwise"
-        + (f", turned {math.degrees(camera.yaw_rad):+.1f}° (positive: to the left)" if camera.yaw_rad else ""),
+        "height, pitch, roll": f"{camera.height_m:.3f} m, {_turn('pitch', camera.pitch_rad, 'down', 'up')}, "
+        f"{_turn('roll', camera.roll_rad, 'clockwise', 'counter-clockwise')}"
+        + (f", turned {_turn('yaw', camera.yaw_rad, 'to the left', 'to the right')}" if camera.yaw_rad else ""),
         "image": f"{camera.width_px} x {camera.height_px} px, "
         f"{math.degrees(horizontal_fov_rad(camera)):.0f}° wide (fx = {camera.fx_px:.1f}), "
         f"centre at ({camera.cx_px:.1f}, {camera.cy_px:.1f}){_lens(camera.lens)}",
         "lanes in labels": _counted([f"{lane.kind} {lane.road}" for lane in labels.lanes]),
     }
+
+
+def _turn(name: str, angle_rad: float, positive: str, negative: str) -> str:
+    """An angle in words, such as "0.93° counter-clockwise" or "no roll"."""
+    angle_deg = round(math.degrees(angle_rad), 2)
+    return f"{abs(angle_deg):.2f}° {positive if angle_deg > 0 else negative}" if angle_deg else f"no {name}"
 
 
 def _mount(camera: Camera) -> str:

@@ -49,7 +49,8 @@ def histograms(scenes: SceneStatistics, labels: LabelStatistics | None) -> list[
 
 
 def _of_labels(name: str, values: Scalars) -> Histogram:
-    low, high = np.percentile(values, [0.5, 99.5])
+    # Of few values, these are the first and the last.
+    low, high = np.percentile(values, [0.5, 99.5], method="closest_observation")
     is_whole = bool((values % 1 == 0).all()) and high - low < _MAX_SINGLE_BINS
     edges = _single_bins(low, high) if is_whole else np.linspace(low, max(high, low + 1e-6), 41)
     return Histogram(name.partition(" [")[0], name, edges, np.histogram(values, edges)[0].astype(float), None, True)

@@ -74,7 +74,7 @@ def draw_inspect(
                 draw_pass(figure.add_subplot(grid[row, column]), name, passes[name])
     views.draw_top(figure.add_subplot(grid[-2, :]), view, shown.sweep, [seen.camera for seen, _ in rig])
     views.draw_side(figure.add_subplot(grid[-1, :]), view)
-    figure.legend(handles=_legend(), loc="outside lower center", ncols=7, frameon=False)
+    figure.legend(handles=_legend(), loc="outside lower center", ncols=4, frameon=False)
     figure.suptitle(
         f"seed {scene.seed}, {scene.split} {scene.index}: {counted(scene.road.n_lanes, 'lane')}, "
         f"{topology_words(scene.road)}",

@@ -37,8 +37,6 @@ from synth3dlanes.sensors.sweep import Sweep
 
 MAX_FRAMES = 60
 _JPEG_QUALITY = 92
-_LAYERS: dict[str, LaneKind] = {"centre lines": "centerline", "delimiters": "delimiter"}
-_MASKS = {"seen": "#17a34a", "hidden by the ground": "#f59e0b", "hidden by objects": "#a21caf"}
 
 
 class Switch(NamedTuple):
@@ -63,6 +61,7 @@ class DrawnObject(NamedTuple):
     """An object in the image: its class and number, and the polylines of its box."""
 
     name: str
+    color: str
     lines: list[str]
 
 
@@ -192,16 +191,17 @@ def _frame(number: int, labels: Labels, image: RgbImage) -> ClipFrame:
 
 
 def _drawing(labels: Labels, image: RgbImage | None) -> Drawing:
+    color_of_objects = colors.hexadecimal(colors.OBJECT)
     return Drawing(
         labels.camera.width_px,
         labels.camera.height_px,
         None if image is None else _jpeg(image),
         [_lane(labels, lane) for lane in labels.lanes],
         [
-            DrawnObject(f"{item.category} {item.id}", [_points(line) for line in lines])
+            DrawnObject(f"{item.category} {item.id}", color_of_objects, [_points(line) for line in lines])
             for item, lines in objects_in_image(labels)
         ],
-        [DrawnMask(_class(name), color, _dots(labels, name)) for name, color in _MASKS.items()],
+        [DrawnMask(_class(name), color, _dots(labels, name)) for name, color in colors.MASKS.items()],
     )
 
 
@@ -227,13 +227,13 @@ def _dots(labels: Labels, mask: str) -> list[tuple[str, str]]:
 
 def _switches(labels: Iterable[Labels]) -> list[Switch]:
     """Check boxes for the images: lanes by kind, hidden stretches, objects, and one for each mask (initially off)."""
-    labels, masks = list(labels), dict(_MASKS)
+    labels, masks = list(labels), dict(colors.MASKS)
     if any(lane.object_visible is None for one in labels for lane in one.lanes):
         del masks["hidden by objects"]
     return [
         *(
-            Switch(f".lane.{kind}", name, colors.hexadecimal(colors.KINDS[kind]), is_on=True)
-            for name, kind in _LAYERS.items()
+            Switch(f".lane.{kind}", f"{colors.KIND_WORDS[kind]}s", colors.hexadecimal(color), is_on=True)
+            for kind, color in colors.KINDS.items()
         ),
         Switch(".lane .hidden", "hidden parts", "currentColor", is_on=True),
         *(

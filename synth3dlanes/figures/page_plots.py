@@ -9,7 +9,8 @@ from matplotlib.ticker import MaxNLocator
 from synth3dlanes.figures.histograms import Histogram
 
 _WIDTH, _HEIGHT = 260, 160
-_LEFT, _RIGHT, _TOP, _BOTTOM = 40, 8, 6, 32
+# Half of the longest number fits beside the last tick.
+_LEFT, _RIGHT, _TOP, _BOTTOM = 44, 20, 8, 32
 
 Ticks = list[tuple[float, str]]
 

@@ -62,8 +62,7 @@ def triangles(view: SceneView, sweep: Sweep | None = None, others: Sequence[Came
         _merge("terrain", [_mesh(view, world.site.terrain, _GRASS), *surfaces]),
         _merge("road", roads),
         _merge("paint", paint),
-        _merge("centre lines", _lanes(view, "centerline")),
-        _merge("delimiters", _lanes(view, "delimiter")),
+        *(_merge(f"{colors.KIND_WORDS[kind]}s", _lanes(view, kind)) for kind in colors.KINDS),
         _merge(
             "cars",
             [
@@ -178,7 +177,7 @@ def _camera(view: SceneView, camera: CameraLabel) -> Triangles:
     road_from_cam = view.road_from_world @ camera.world_from_cam
     vertices = transform(road_from_cam, np.concatenate([np.zeros((1, 3)), rays_cam]))
     faces = np.array([[0, i, j] for i, j in pairwise([1, 2, 3, 4, 1])])
-    return Triangles("", vertices, np.tile([242, 183, 5], (5, 1)), faces)
+    return Triangles("", vertices, np.tile(np.array(colors.CAMERA), (5, 1)), faces)
 
 
 def _merge(name: str, parts: list[Triangles]) -> Triangles:

@@ -94,9 +94,7 @@ def draw_side(axes: Axes, view: SceneView) -> None:
         axes.axvline(foot[1], color=colors.FAINT, linestyle="--", linewidth=1)
         words = "ramp of the exit ends" if view.scene.road.flip_lateral else "ramp of the exit begins"
         side, gap = ("left", 4) if foot[1] < AHEAD_M / 2 else ("right", -4)
-        axes.annotate(
-            words, (foot[1], 0.05), (gap, 0), ("data", "axes fraction"), "offset points", ha=side, va="bottom"
-        )
+        axes.annotate(words, (foot[1], 0.95), (gap, 0), ("data", "axes fraction"), "offset points", ha=side, va="top")
     height_m = view.labels.camera.height_m
     axes.plot(0, height_m, "o", color=colors.FRUSTUM, markeredgecolor=colors.INK, zorder=6)
     axes.axhline(0, color=colors.FAINT, linewidth=0.8, zorder=0)
@@ -136,7 +134,11 @@ def draw_3d(axes: Axes3D, view: SceneView) -> None:
     axes.zaxis.set_major_locator(MaxNLocator(min(6, round((high - low) / 5) + 1)))
     axes.set(xlim=(-_HALF_WIDTH_3D_M, _HALF_WIDTH_3D_M), ylim=(-view.behind_m, AHEAD_M), zlim=(low, high))
     axes.set_box_aspect((2 * _HALF_WIDTH_3D_M, AHEAD_M + view.behind_m, _HEIGHT_FACTOR_3D * (high - low)), zoom=1.4)
+    axes.xaxis.set_major_locator(MaxNLocator(4))
+    axes.yaxis.set_major_locator(MaxNLocator(6))
     axes.set(xlabel="x right [m]", ylabel="y forward [m]", zlabel="z up [m]")
+    # Beside the numbers along the long axis, of up to four characters.
+    axes.yaxis.labelpad = 18
     axes.view_init(elev=24, azim=-112)
     axes.set_title(f"in space (heights x {_HEIGHT_FACTOR_3D:g})")
 

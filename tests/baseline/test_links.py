@@ -3,14 +3,14 @@
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
+from PIL import Image
 from synth3dlanes_baseline import checkpoint
 from synth3dlanes_baseline.cache import annotation_file
 from synth3dlanes_baseline.config import train_config
 from synth3dlanes_baseline.lanes import write_predictions
-from synth3dlanes_baseline.overlay import save_overlay
+from synth3dlanes_baseline.overlay import save_pictures
 from synth3dlanes_baseline.progress import TrainingLog
 
 from synth3dlanes.errors import LinkError
@@ -19,8 +19,11 @@ from synth3dlanes.errors import LinkError
 def writers(out: Path, roads):
     labels = roads.labels([lambda y: (0 * y, 0 * y)])
     prediction = roads.as_prediction(labels)
-    image = np.zeros((360, 480, 3), np.uint8)
+    image = Image.new("RGB", (480, 360))
     state = checkpoint.Checkpoint(train_config("nano", {}), {}, {"weight": torch.zeros(1)}, None)
+
+    def pictures() -> None:
+        save_pictures(out / "00000000.png", image, labels.camera.img_from_cam, prediction, labels, 0.5)
 
     def log() -> None:
         with TrainingLog(out, 1, 1, 0, 1, is_shown=True) as history:
@@ -31,15 +34,17 @@ def writers(out: Path, roads):
         "best.pt": lambda: checkpoint.save(out / "best.pt", state),
         "annotations.cache": lambda: annotation_file(out / "annotations.cache", "here"),
         "predictions.jsonl": lambda: write_predictions(out / "predictions.jsonl", [prediction]),
-        "00000000.png": lambda: save_overlay(
-            out / "00000000.png", image, labels.camera.img_from_cam, prediction, labels, 0.5
-        ),
+        "00000000.png": pictures,
+        "00000000.overlay.jpg": pictures,
         "history.jsonl": log,
         "tensorboard": log,
     }
 
 
-NAMES = ["last.pt", "best.pt", "annotations.cache", "predictions.jsonl", "00000000.png", "history.jsonl", "tensorboard"]
+NAMES = [
+    *("last.pt", "best.pt", "annotations.cache", "predictions.jsonl", "00000000.png", "00000000.overlay.jpg"),
+    *("history.jsonl", "tensorboard"),
+]
 
 
 @pytest.mark.parametrize("name", NAMES)

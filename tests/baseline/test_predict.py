@@ -23,12 +23,14 @@ from synth3dlanes_baseline.lanes import read_predictions, write_predictions
 from synth3dlanes_baseline.model import LaneNet, Output
 from synth3dlanes_baseline.onnx_decode import decode
 from synth3dlanes_baseline.onnx_export import OUTPUTS, export_onnx, metadata_of
-from synth3dlanes_baseline.overlay import _curves
+from synth3dlanes_baseline.overlay import _lines, save_pictures
 from synth3dlanes_baseline.predict import PredictionSummary, assumed_intrinsics, detector_for, predict
 from synth3dlanes_baseline.report import markdown, save_plots, table_1_cells, to_document, to_text
 from synth3dlanes_baseline.statistics import describe_targets
 
 from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.figures.colors import KINDS
+from synth3dlanes.frames import project
 
 
 @pytest.fixture(scope="module")
@@ -281,12 +283,45 @@ def test_visibility_is_written_and_read_and_changes_no_score(checkpoint, roads, 
 
 def test_lanes_are_drawn_as_far_as_they_are_visible(roads):
     prediction = roads.as_prediction(roads.labels([lambda y: (0 * y, 0 * y)]))
-    (_, _, whole) = next(iter(_curves(prediction, None, 0.5)))
-    assert np.isfinite(whole).all()
-    visibility = np.where(np.arange(len(whole)) < 40, 0.8, 0.3)
-    lane = dataclasses.replace(prediction.lanes[0], visibility=visibility)
-    (_, _, drawn) = next(iter(_curves(dataclasses.replace(prediction, lanes=(lane,)), None, 0.5)))
-    assert np.isfinite(drawn).all(axis=1).tolist() == (visibility > 0.5).tolist()
+    camera = np.array([[200.0, 240, 0], [0, 180, -200], [0, 1, 0]])
+    (whole,) = _lines(prediction, None, camera, 0.5)
+    lane = prediction.lanes[0]
+    visibility = np.where(np.arange(len(lane.xyz_cam)) % 30 < 20, 0.8, 0.3)
+    part_seen = dataclasses.replace(prediction, lanes=(dataclasses.replace(lane, visibility=visibility),))
+    drawn = [line.xyz_road for line in _lines(part_seen, None, camera, 0.5)]
+    reach_m, is_ahead = lane.xyz_cam[:, 1], lane.xyz_cam[:, 1] > 0.5
+    assert whole.xyz_road[:, 1].max() == pytest.approx(min(80.0, reach_m.max()))
+    is_drawn = visibility[is_ahead][: len(whole.xyz_road)] > 0.5
+    assert len(drawn) > 1
+    np.testing.assert_array_equal(np.concatenate(drawn), whole.xyz_road[is_drawn])
+
+
+@pytest.mark.parametrize(("size_px", "is_beside"), [((1640, 590), False), ((1280, 960), True), ((720, 1280), True)])
+def test_pictures_follow_the_shape_of_the_image_and_one_has_its_size(roads, tmp_path, size_px, is_beside):
+    """The lines have the colours of labels' overlays: a label of each kind is hollow, a detection full in it."""
+    labels = roads.labels([lambda y: (0 * y - 1, 0 * y), lambda y: (0 * y + 2, 0 * y)])
+    lanes = (labels.lanes[0], dataclasses.replace(labels.lanes[1], kind="delimiter"))
+    labels = dataclasses.replace(labels, lanes=lanes)
+    prediction = roads.as_prediction(labels)
+    width, height = size_px
+    camera = np.array([[width / 2, width / 2, 0], [0, height / 2, -width / 2], [0, 1.0, 0]])
+    for truth in (labels, ()):
+        save_pictures(tmp_path / "a.png", Image.new("RGB", size_px, "black"), camera, prediction, truth)
+        with Image.open(tmp_path / "a.overlay.jpg") as picture:
+            assert picture.size == size_px
+            overlay = np.asarray(picture).astype(int)
+        for lane, found in zip(lanes, prediction.lanes, strict=True):
+            assert lane.kind == found.kind
+            points_img = project(camera, found.xyz_cam[10:12])
+            u, v = np.floor(points_img.mean(axis=0)).astype(int)
+            row, color = overlay[v], np.array(KINDS[lane.kind])
+            assert abs(row[u] - color).max() < 60, "full"
+            is_line = abs(row - color).max(axis=1) < 90
+            n_lines = np.count_nonzero(np.diff(is_line.astype(int)) == 1)
+            assert n_lines == (3 if truth else 1), "a line between the two of the label"
+        with Image.open(tmp_path / "a.png") as figure:
+            assert (figure.width > 100 * (5 * width / height + 5)) == is_beside
+            assert min(figure.size) > 500
 
 
 def test_statistics_count_every_lane(split):

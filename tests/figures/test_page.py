@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from matplotlib.tri import Triangulation
 
+from synth3dlanes.figures.histograms import Histogram
 from synth3dlanes.figures.page import report_page, scene_page
+from synth3dlanes.figures.page_plots import plot
 from synth3dlanes.figures.shown import ShownScene
 from synth3dlanes.figures.stats import label_statistics, scene_statistics
 from synth3dlanes.ground_truth import ground_truth
@@ -154,3 +156,15 @@ def test_a_report_shows_samples_and_distributions(gray_image):
     assert [address for address in addresses if address.startswith("#train")] == [f"#train:{i:08d}" for i in range(6)]
     assert page.count('<figure id="train:') == 6
     assert "road.lane_width_m: 6 values from 3.2 to 4" in page
+
+
+@pytest.mark.parametrize(("low", "high"), [(20.0, 250.0), (0.0, 100.0), (-100.0, 60000.0), (0.0, 0.005)])
+def test_the_numbers_of_a_plot_are_in_its_picture(low, high):
+    """Digits of the font are 6.4 of its 10 pixels wide; what is beyond the picture is cut away."""
+    counts = np.array([1.0, 250000.0])
+    drawn = plot(Histogram("", "", np.linspace(low, high, 3), counts, None, True))
+    assert len(drawn.ticks_x) >= 2
+    for place, text in drawn.ticks_x:
+        assert 0 <= place - 3.2 * len(text) < place + 3.2 * len(text) <= drawn.width
+    assert max(len(text) for _, text in drawn.ticks_y) == 6
+    assert all(drawn.left - 4 - 6.4 * len(text) >= 0 for _, text in drawn.ticks_y)

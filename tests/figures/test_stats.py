@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from synth3dlanes.distributions import Choice, Integers, Uniform
-from synth3dlanes.figures.histograms import declared_shares, histograms
+from synth3dlanes.figures.histograms import _of_labels, declared_shares, histograms
 from synth3dlanes.figures.stats import Statistics, is_fine, label_statistics, scene_statistics
 from synth3dlanes.figures.stats_views import draw_statistics, statistics_table
 from synth3dlanes.ground_truth import ground_truth
@@ -150,3 +150,9 @@ def test_counts_and_the_declared_line_have_the_same_sum(scenes):
     for histogram in histograms(scene_statistics(scenes[1], scenes[0]), None):
         assert histogram.expected is not None
         assert histogram.counts.sum() == pytest.approx(histogram.expected.sum()), histogram.title
+
+
+def test_few_values_are_in_their_histogram():
+    for values in ([70.0, 99.5], [3.0], [66.5, 80.0, 100.0]):
+        histogram = _of_labels("points [%]", np.array(values))
+        assert histogram.counts.sum() == len(values)
