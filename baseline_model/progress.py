@@ -22,7 +22,8 @@ LINE_EVERY_S = 30.0
 
 
 class ProgressLine(ExitStack):
-    """Progress and remaining time: a progress bar on a terminal, otherwise a new line every LINE_EVERY_S."""
+    """Progress and remaining time: a progress bar on a terminal, which goes with the end, otherwise a new line every
+    LINE_EVERY_S."""
 
     def __init__(self, what: str, total: int, done: int = 0, *, is_shown: bool) -> None:
         super().__init__()
@@ -31,22 +32,23 @@ class ProgressLine(ExitStack):
             TextColumn(f"{what} {{task.completed:.0f}}/{{task.total:.0f}}"),
             BarColumn(),
             TextColumn("{task.fields[note]}"),
-            TimeRemainingColumn(),
+            TimeRemainingColumn(compact=True),
+            TextColumn("left"),
         )
         self.what, is_bar = what, is_shown and self.console.is_terminal
-        bar = Progress(*columns, console=self.console, get_time=time.monotonic, disable=not is_bar)
+        bar = Progress(*columns, console=self.console, get_time=time.monotonic, transient=True, disable=not is_bar)
         self.bar = self.enter_context(bar)
         self.task = self.bar.add_task("", total=total, completed=done, note="")
 
-    def update(self, done: int, total: int, note: str = "") -> None:
-        """Set the progress to `done` of `total`."""
-        self.bar.update(self.task, completed=done, total=total, note=note)
+    def update(self, done: int, total: int, note: str | None = None) -> None:
+        """Set the progress to `done` of `total`, with a new note unless it is None."""
+        self.bar.update(self.task, completed=done, total=total, **({} if note is None else {"note": note}))
         is_due = time.monotonic() - self.printed_at > LINE_EVERY_S
         if self.is_shown and self.bar.disable and is_due:
             self.printed_at = time.monotonic()
             left_s = self.bar.tasks[0].time_remaining
             left = "" if left_s is None else f"  {timedelta(seconds=round(left_s))} left"
-            self.say(f"{self.what} {done}/{total}  {note}{left}")
+            self.say(f"{self.what} {done}/{total}  {self.bar.tasks[0].fields['note']}{left}")
 
     def say(self, text: str) -> None:
         """Print a permanent line."""
@@ -77,12 +79,13 @@ class TrainingLog(ExitStack):
         self._loss = terms["total"] if self._loss is None else self._loss + terms["total"]
         self._steps_of_loss += 1
         now = time.monotonic()
+        self.line.update(step, self.n_steps)
         if not self.is_shown or (now - self.written_at < WRITE_EVERY_S and step < self.n_steps):
             return
         self.written_at = now
         speed = self._images_per_s(step)
         values = {name: float(value) for name, value in terms.items()}
-        self.line.update(step, self.n_steps, f"{speed:.1f} images/s  loss {values['total']:.3f}")
+        self.line.update(step, self.n_steps, f"{speed:.1f} images/s  loss {values['total']:.4g}")
         scalars = {f"loss/{name}": value for name, value in values.items()}
         scalars |= {"learning_rate": learning_rate, "samples_per_s": speed}
         self._write(step, {"step": step, **scalars}, scalars)
@@ -110,10 +113,10 @@ class TrainingLog(ExitStack):
         of, speed = self.steps_per_epoch, self._images_per_s(step)
         left = timedelta(seconds=round((self.n_steps - step) * self.batch / speed))
         told = [
-            f"loss {loss:.3f}",
+            f"loss {loss:.4g}",
             *([summary_line(report)] if report else []),
             f"{speed:.1f} images/s",
-            f"{left} left",
+            *([f"{left} left"] if step < self.n_steps else []),
         ]
         self.line.say(f"epoch {step / of:.3g}/{self.n_steps / of:.3g}: {', '.join(told)}")
 

@@ -54,12 +54,12 @@ def samples_document(report: EvaluationReport) -> list[dict[str, Any]]:
 
 
 def summary_line(report: EvaluationReport) -> str:
-    """One line for a log; errors are "-" where no detection matched a label."""
+    """One line for a log; without errors where no detection matched a label, "-" where none did at that distance."""
     parts = []
     for name, kind in report.kinds.items():
-        errors = kind.at_threshold
-        near, far = _cm(errors.near_1sigma_cm), _cm(errors.far_1sigma_cm)
-        parts.append(f"{name} AP {kind.ap:.3f} near {near} far {far} cm")
+        near, far = _cm(kind.at_threshold.near_1sigma_cm), _cm(kind.at_threshold.far_1sigma_cm)
+        errors = "" if near == far == "-" else f" near {near} far {far} cm"
+        parts.append(f"{name} AP {kind.ap:.3f}{errors}")
     return ", ".join([*parts, *([f"pose {pose}"] if (pose := _pose(report)) else [])])
 
 

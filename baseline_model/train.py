@@ -16,6 +16,7 @@ from torch.nn.parallel import DistributedDataParallel
 
 from synth3dlanes.errors import Synth3dlanesError
 from synth3dlanes.files import Folder
+from synth3dlanes.words import counted
 
 from . import checkpoint as checkpoints
 from .augment import AugmentedBatch, augment, generator_for
@@ -143,7 +144,8 @@ def _plan(trainee: TrainingRun, decoding: Decoding, validation: str) -> list[str
         f"{name} ({parameters:.1f} M parameters) on {process.device}{processes}, seed {config.seed}",
         f"training: {decoding.text()}",
         f"validation: {validation}",
-        f"{length.n_steps:,} steps of {config.batch} images, {config.epochs:g} epochs{start}",
+        f"{counted(length.n_steps, 'step')} of {counted(config.batch, 'image')}, {config.epochs:g} "
+        f"epoch{'s' * (config.epochs != 1)}{start}",
     ]
 
 

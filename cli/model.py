@@ -158,9 +158,7 @@ def train(
     show_default=True,
     help="Least confidence of the lanes in the pictures; the file has all.",
 )
-@click.option(
-    "--overlays", type=click.IntRange(min=0), default=16, show_default=True, help="Number of images to draw."
-)
+@click.option("--overlays", type=click.IntRange(min=0), default=16, show_default=True, help="Number of images to draw.")
 @own_model_option
 @device_option
 def predict(

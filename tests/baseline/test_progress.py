@@ -1,6 +1,10 @@
-"""What a training tells where there is no terminal, as in a cluster's log."""
+"""What a training tells: on a terminal, and where there is none, as in a cluster's log."""
+
+import io
+import re
 
 import torch
+from rich.console import Console
 from synth3dlanes_baseline import progress
 
 
@@ -40,8 +44,43 @@ def test_an_epoch_is_one_line_with_loss_validation_speed_and_time_left(capsys, m
                 log.epoch(step, report if step in (5, 20) else None)
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("epoch")]
     assert [line.split(":")[0] for line in lines] == ["epoch 0.5/2", "epoch 1/2", "epoch 2/2"]
-    assert [line.split(", ")[0].split(": ")[1] for line in lines] == ["loss 3.000", "loss 8.000", "loss 15.500"]
-    assert lines[1] == "epoch 1/2: loss 8.000, 8.0 images/s, 0:00:05 left"
-    assert lines[2].endswith("8.0 images/s, 0:00:00 left")
+    assert [line.split(", ")[0].split(": ")[1] for line in lines] == ["loss 3", "loss 8", "loss 15.5"]
+    assert lines[1] == "epoch 1/2: loss 8, 8.0 images/s, 0:00:05 left"
+    assert lines[2].endswith("8.0 images/s")
     assert "centerline AP" in lines[0]
     assert "reaches confidence" not in "".join(lines)
+
+
+def screen_after(written):
+    """The lines of a terminal after a text with the codes that a bar uses: to the line's start, erase, up, down."""
+    lines, row = [""], 0
+    for code, text in re.findall(r"(\x1b\[[0-9;?]*[A-Za-z]|[\r\n])|([^\x1b\r\n]+)", written):
+        if code == "\n":
+            row += 1
+            lines += [""] * (row == len(lines))
+        elif code == "\x1b[1A":
+            row -= 1
+        elif code == "\x1b[2K" or text:
+            lines[row] = text
+    return [line.rstrip() for line in lines if line.strip()]
+
+
+def test_on_a_terminal_the_bar_moves_with_every_step_and_goes_with_the_end(monkeypatch, tmp_path):
+    terminal, clock = io.StringIO(), 100.0
+    monkeypatch.setattr(progress.time, "monotonic", lambda: clock)
+    monkeypatch.setattr(
+        progress, "Console", lambda stderr: Console(file=terminal, force_terminal=True, width=100, color_system=None)
+    )
+    with progress.TrainingLog(tmp_path, 6, 2, 0, 4, is_shown=True) as log:
+        for step in range(1, 7):
+            clock += 0.5
+            log.step(step, 1e-3, {"total": torch.tensor(float(step))})
+            if step % 2 == 0:
+                log.epoch(step, None)
+                log.line.bar.refresh()  # as its thread does ten times a second
+                bar = screen_after(terminal.getvalue())[-1]
+                assert bar.startswith(f"step {step}/6 ")
+                assert "images/s  loss " in bar
+                assert bar.endswith("left")
+    whole = screen_after(terminal.getvalue())
+    assert [line.split(":")[0] for line in whole] == ["epoch 1/3", "epoch 2/3", "epoch 3/3"]
