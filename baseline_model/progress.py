@@ -42,13 +42,14 @@ class ProgressLine(ExitStack):
 
     def update(self, done: int, total: int, note: str | None = None) -> None:
         """Set the progress to `done` of `total`, with a new note unless it is None."""
-        self.bar.update(self.task, completed=done, total=total, **({} if note is None else {"note": note}))
+        note = self.bar.tasks[0].fields["note"] if note is None else note
+        self.bar.update(self.task, completed=done, total=total, note=note)
         is_due = time.monotonic() - self.printed_at > LINE_EVERY_S
         if self.is_shown and self.bar.disable and is_due:
             self.printed_at = time.monotonic()
             left_s = self.bar.tasks[0].time_remaining
             left = "" if left_s is None else f"  {timedelta(seconds=round(left_s))} left"
-            self.say(f"{self.what} {done}/{total}  {self.bar.tasks[0].fields['note']}{left}")
+            self.say(f"{self.what} {done}/{total}  {note}{left}")
 
     def say(self, text: str) -> None:
         """Print a permanent line."""
