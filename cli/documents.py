@@ -146,6 +146,23 @@ class EvaluationOutput(BaseModel):
     delimiter: dict[str, Any] | None = None
 
 
+class BenchmarkOutput(Document):
+    """`benchmark`: what each split is made of, and the score of the network or predictions that were given."""
+
+    benchmark: str
+    splits: dict[str, dict[str, Any]]
+    score: dict[str, Any] | None = None
+
+
+class ExportOutput(BaseModel):
+    """`export`: frames and lines written and left out, warnings, and the comparison with the labels of --verify."""
+
+    model_config = ConfigDict(extra="allow")
+
+    warnings: list[str]
+    verified: list[dict[str, Any]]
+
+
 class EvaluatedTargets(BaseModel):
     """`evaluate` without a network: how the labels fit into the targets of a network, and the score of these."""
 
@@ -166,42 +183,12 @@ class EvaluatedPhotographs(BaseModel):
     kitti: dict[str, float | None] | None = None
 
 
-class DistanceOutput(Document):
-    """How far the lines of some frames of an export are from those of the labels, in m or px."""
-
-    worst: float
-    median: float
-    tolerance: float
-
-
-class VerificationOutput(Document):
-    """A list of frames of an export, compared with the labels; `measures` are by unit."""
-
-    name: str
-    n_frames: int
-    n_lines: int
-    n_matched: int
-    measures: dict[str, DistanceOutput]
-    problems: list[str]
-
-
-class ExportOutput(Document):
-    """What an export wrote: frames by part, lines, and how many frames and lines were left out, by reason."""
-
-    frames: dict[str, int]
-    lines: int
-    left_out: dict[str, int]
-    dropped: dict[str, int]
-    warnings: list[str]
-    verified: list[VerificationOutput]
-
-
 class Outputs(Document):
     """What each command prints with `--json`; `params show` prints groups of keys in the forms of parameter files."""
 
     assets: FolderCheck
     bench: Bench
-    benchmark: dict[str, Any] = Field(description="`benchmark`: as docs/benchmarks.md says.")
+    benchmark: BenchmarkOutput
     evaluate: EvaluationOutput | EvaluatedTargets | EvaluatedPhotographs
     export: ExportOutput
     generate: RunReport

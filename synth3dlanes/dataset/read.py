@@ -129,11 +129,16 @@ class Reader:
                 found |= read_passes(self.member(i, name), f"{self._where(i)}.{name}", size_px)
         return found
 
+    @property
+    def has_lidar(self) -> bool:
+        """Whether its samples have the sweep of a lidar."""
+        return LIDAR in self._names
+
     def lidar(self, i: int) -> Sweep:
         """The lidar sweep of sample i. Raises FormatError if the data set has none."""
         where = self._where(i)
         lidar = self.labels(i).lidar
-        if LIDAR not in self._names or lidar is None:
+        if not self.has_lidar or lidar is None:
             raise FormatError(f"{where}: expected a data set with a lidar (generate --lidar), got one without")
         return read_sweep(self.member(i, LIDAR), f"{where}.{LIDAR}", lidar)
 

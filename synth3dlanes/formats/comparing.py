@@ -12,11 +12,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from synth3dlanes import scene as scene_format
+from synth3dlanes.arrays import Scalars
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.frames import transform
 from synth3dlanes.labels import CameraLabel, Labels, LaneKind
 from synth3dlanes.scene import Scene
+from synth3dlanes.sensors.sweep import Sweep
 
 Points = Float[np.ndarray, "_ d"]
 Distances = Float[np.ndarray, " _"]
@@ -55,6 +57,11 @@ class SourceSample:
     def passes(self) -> dict[str, Shaped[np.ndarray, "..."]]:
         """Its passes by name."""
         return self.reader.passes(self.place)
+
+    @cached_property
+    def sweep(self) -> Sweep | None:
+        """The sweep of its lidar, if it has one."""
+        return self.reader.lidar(self.place) if self.reader.has_lidar else None
 
     def lanes(self, kind: LaneKind) -> "list[UprightLane]":
         """The lanes of a kind, upright."""
@@ -306,11 +313,15 @@ def _apart(found: Sequence[Points], line: OurLine) -> float:
 
 
 def _order_problems(points: Points, line: OurLine, rule: Rule) -> Iterator[str]:
-    at = stations(points, line.points) * rule.direction
-    back = float(np.max(at[:-1] - at[1:], initial=0.0))
+    back = _back(stations(points, line.points) * rule.direction)
     if back > max(rule.limit, ROUNDING):
         order = "near to far" if rule.direction > 0 else "far to near"
-        yield f"expected points from {order}, got a step of {back:.3g} {rule.unit} back"
+        yield f"expected points from {order}, got {back:.3g} {rule.unit} back"
+
+
+def _back(at: Scalars) -> float:
+    """How far places along a line, which should increase, go back."""
+    return float(np.max(np.maximum.accumulate(at) - at, initial=0.0))
 
 
 def _feet(points: Points, line: Points) -> tuple[Distances, Int[np.ndarray, " _"], Distances]:
@@ -382,10 +393,8 @@ def _nearest_path(points: Points, paths: Sequence[tuple[str, Points, str]], rule
         above = float(np.abs(points - feet)[inner, 2].max())
         if not above <= rule.slack:
             problems.append(f"expected {name} within {rule.slack:g} m of the labels' height, got it {above:.3g} m away")
-        back = -float(
-            np.diff((at + share)[inner]).min() if direction == "same" else -np.diff((at + share)[inner]).max()
-        )
+        back = _back((at + share)[inner] * (1 if direction == "same" else -1))
         if back > COVERED_M:
-            problems.append(f"expected points as its traffic goes, got a step of about {back:.3g} m back")
+            problems.append(f"expected points of {name} as its traffic goes, got about {back:.3g} m back")
         found.append((Gap(name, "m", float(apart[inner].max()), float(np.median(apart[inner]))), problems))
     return min(found, key=lambda pair: pair[0].worst, default=(None, []))

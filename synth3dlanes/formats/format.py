@@ -13,17 +13,20 @@ from synth3dlanes.formats.comparing import Comparison, SourceSample
 from synth3dlanes.formats.writing import ExportFrame, FrameAnnotation, Pinhole, PinholeFrame
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.scene import Scene
+from synth3dlanes.sensors.sweep import Sweep
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SampleFrame(ExportFrame):
-    """A frame taken as it is (a rolled camera stays rolled), with its scene, and its passes by name if the format asks
-    for any. The image is of `image_format`, jpg or png. `cameras` are those of all exported pictures of this moment by
-    a rig, itself included, by their keys: for the first of them, none for the others."""
+    """A frame taken as it is (a rolled camera stays rolled), with its scene, its passes by name if the format asks for
+    any, and the sweep of its lidar if there is one and the format takes it. The image is of `image_format`, jpg or png.
+    `cameras` are those of all exported pictures of this moment by a rig, itself included, by their keys: for the first
+    of them, none for the others."""
 
     scene: Scene
     passes: Mapping[str, Shaped[np.ndarray, "..."]]
     image_format: str
+    sweep: Sweep | None = None
     cameras: Mapping[str, CameraLabel] = field(default_factory=dict)
 
 
@@ -54,6 +57,14 @@ class Rates:
     name: str
     n_frames: int
     rates: Mapping[str, float]
+
+    def text(self) -> str:
+        """In lines."""
+        return f"{self.name}: {self.n_frames} frames\n  " + "  ".join(f"{k} {v:.4f}" for k, v in self.rates.items())
+
+    def document(self) -> dict[str, Any]:
+        """For JSON."""
+        return {"name": self.name, "frames": self.n_frames, "rates": dict(self.rates)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,9 +117,11 @@ class SampleFormat(Format):
     """A format that takes samples as they are. Images are copied byte for byte, and encoded anew only if their path
     asks for the other image format.
 
-    Data sets must have the passes `passes`. If it `is_per_scene`, only the first frame of each scene is written.
+    Data sets must have the passes `passes`; frames come with their sweeps if it `takes_sweeps`. If it `is_per_scene`,
+    only the first frame of each scene is written.
     """
 
     passes: tuple[str, ...] = ()
+    takes_sweeps: bool = False
     is_per_scene: bool = False
     write: Callable[[SampleFrame], FrameAnnotation | None]

@@ -64,6 +64,7 @@ def write_as_it_is(reader: Reader, index: int, chunk: Chunk, out: Path, foreign:
         scene=scene_format.from_json(scene_json, where),
         passes=reader.passes(index) if foreign.passes else {},
         image_format=image_format,
+        sweep=reader.lidar(index) if foreign.takes_sweeps and reader.has_lidar else None,
         cameras=_cameras(reader, index, labels, chunk),
     )
     annotation = foreign.write(frame)

@@ -50,7 +50,10 @@ def compare_masks(
     """Masks of pictures of this shape by the names of their objects."""
     gaps = [_gap(name, mask, ours[name], shape) for name, mask in found.items() if name in ours]
     problems = [f"{name}: expected an object of the passes, got none of it" for name in found.keys() - ours.keys()]
-    problems += [f"{name}: expected a mask of it, got none" for name in ours.keys() - found.keys()]
+    every = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *found.values()]))
+    for name in ours.keys() - found.keys():
+        apart = _beyond(ours[name], every, shape).max(initial=0)
+        problems.append(f"{name}: expected a mask of it, got pixels of it {apart:.3g} px from all masks")
     problems += (
         f"{gap.lane}: expected its pixels as in the passes, got some {gap.worst:.3g} px away"
         for gap in gaps

@@ -1,21 +1,24 @@
 """Read an OpenLane export back and compare it with our labels."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePath
 
 import numpy as np
 
+from synth3dlanes.arrays import Polyline3
 from synth3dlanes.formats.comparing import (
     NEAR_START_M,
     Comparison,
     ExportView,
     Gap,
+    OurLine,
     Rule,
     SourceSample,
     UprightLane,
     camera_problems,
     compare,
+    distances,
     pixels,
     places_beside,
     upright,
@@ -76,7 +79,8 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
             gaps.append(Gap(name, "px", float(apart.max()), float(np.median(apart))))
             if not apart.max() <= TOLERANCE_PX:
                 problems.append(f"line {i} ({name}): expected uv where xyz is seen, got it {apart.max():.3g} px away")
-        problems += (f"line {i}: {text}" for text in _attribute_problems(line, by_id[name], lines[i], places))
+        problems += (f"line {i}: {text}" for text in _paint_problems(line, by_id[name], lines[i]))
+        problems += (f"line {i}: {text}" for text in _place_problems(line, name, lines[i], places, ours))
         scene = f"{truth.scene.split}:{truth.scene.index} {name}"
         tracks[f"{PurePath(found.file_path).parent.name}/{line.track_id}"] = scene
     if len(tracks) < len(found.lines) == len(ids):
@@ -84,8 +88,8 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     return replace(compared, tracks=tracks) + Comparison(0, tuple(gaps), tuple(problems))
 
 
-def _attribute_problems(line: OpenLaneLine, lane: Lane, points_up: np.ndarray, places: dict[str, int]) -> Iterator[str]:
-    """Findings where a line is not called what our lane is."""
+def _paint_problems(line: OpenLaneLine, lane: Lane, points_up: Polyline3) -> Iterator[str]:
+    """Findings where a line has another category than our lane."""
     if lane.id.startswith("kerb_"):
         expected = {20 if points_up[0, 0] < 0 else 21}
     else:
@@ -93,5 +97,13 @@ def _attribute_problems(line: OpenLaneLine, lane: Lane, points_up: np.ndarray, p
         expected = {number for number, other in PAINTS.items() if other == paint} or {0}
     if line.category not in expected:
         yield f"expected the category {min(expected)} of {lane.id}, got {line.category}"
-    if line.attribute != places.get(lane.id, 0):
-        yield f"expected the attribute {places.get(lane.id, 0)} of {lane.id}, got {line.attribute}"
+
+
+def _place_problems(
+    line: OpenLaneLine, name: str, points_up: Polyline3, places: dict[str, int], ours: Sequence[OurLine]
+) -> Iterator[str]:
+    """Findings where a line is said to be elsewhere beside the camera."""
+    if line.attribute != places.get(name, 0):
+        there = [other for other in ours if line.attribute and places.get(other.id) == line.attribute]
+        apart = (f": that of {other.id}, {distances(points_up, other.points).max():.3g} m away" for other in there)
+        yield f"expected the attribute {places.get(name, 0)} of {name}, got {line.attribute}{''.join(apart)}"
