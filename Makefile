@@ -54,8 +54,9 @@ docs: .venv/ready  ## rewrite the generated pages of docs/
 site: .venv/ready  ## the documentation as a site in site/; dead links fail
 	PYTHONPATH=. NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 
-pictures: .venv/ready  ## draw docs/pictures/frames.png anew
+pictures: .venv/ready  ## draw the pictures of frames and of the network anew
 	$(BIN)/python -m scripts.frames_picture
+	$(BIN)/python -m scripts.network_picture
 
 golden: .venv/ready  ## rewrite tests/golden from the code; review the diff
 	$(BIN)/python -m tests.golden.make

@@ -57,9 +57,14 @@ class ProgressLine(ExitStack):
 class TrainingLog(ExitStack):
     """The training log. Only the process of rank 0 prints and writes."""
 
-    def __init__(self, out_dir: Path, n_steps: int, step: int, batch: int, *, is_shown: bool) -> None:
+    def __init__(
+        self, out_dir: Path, n_steps: int, steps_per_epoch: int, step: int, batch: int, *, is_shown: bool
+    ) -> None:
         super().__init__()
-        self.out_dir, self.batch, self.is_shown, self.n_steps = out_dir, batch, is_shown, n_steps
+        self.out_dir, self.batch, self.is_shown = out_dir, batch, is_shown
+        self.n_steps, self.steps_per_epoch = n_steps, steps_per_epoch
+        self._loss: Float[Tensor, ""] | None = None
+        self._steps_of_loss = 0
         self.line = self.enter_context(ProgressLine("step", n_steps, step, is_shown=is_shown))
         self.board = _tensorboard(out_dir) if is_shown else None
         if self.board is not None:
@@ -68,19 +73,22 @@ class TrainingLog(ExitStack):
 
     def step(self, step: int, learning_rate: float, terms: dict[str, Float[Tensor, ""]]) -> None:
         """Log an optimiser step, every two seconds and at the end: reading values from the GPU waits for it."""
+        # Summed where it is: reading it would wait for the GPU.
+        self._loss = terms["total"] if self._loss is None else self._loss + terms["total"]
+        self._steps_of_loss += 1
         now = time.monotonic()
         if not self.is_shown or (now - self.written_at < WRITE_EVERY_S and step < self.n_steps):
             return
         self.written_at = now
-        speed = (step - self.first_step) * self.batch / max(now - self.started_at, 1e-6)
+        speed = self._images_per_s(step)
         values = {name: float(value) for name, value in terms.items()}
-        self.line.update(step, self.n_steps, f"{speed:.1f} samples/s  loss {values['total']:.3f}")
+        self.line.update(step, self.n_steps, f"{speed:.1f} images/s  loss {values['total']:.3f}")
         scalars = {f"loss/{name}": value for name, value in values.items()}
         scalars |= {"learning_rate": learning_rate, "samples_per_s": speed}
         self._write(step, {"step": step, **scalars}, scalars)
 
     def validation(self, step: int, report: EvaluationReport | None) -> None:
-        """Log a validation."""
+        """Log a validation, which no process but the first has."""
         if report is None:
             return
         document = to_document(report)
@@ -91,7 +99,26 @@ class TrainingLog(ExitStack):
             if isinstance(value, float)
         }
         self._write(step, {"step": step, "val": document}, scalars)
-        self.line.say(f"step {step}: {summary_line(report)}")
+
+    def epoch(self, step: int, report: EvaluationReport | None) -> None:
+        """Print the line of an epoch, or of a part of one that ends in a validation: the mean loss since the last line,
+        the validation, the speed and the time left."""
+        if self._loss is None or not self.is_shown:
+            return
+        loss, self._loss = float(self._loss) / self._steps_of_loss, None
+        self._steps_of_loss = 0
+        of, speed = self.steps_per_epoch, self._images_per_s(step)
+        left = timedelta(seconds=round((self.n_steps - step) * self.batch / speed))
+        told = [
+            f"loss {loss:.3f}",
+            *([summary_line(report)] if report else []),
+            f"{speed:.1f} images/s",
+            f"{left} left",
+        ]
+        self.line.say(f"epoch {step / of:.3g}/{self.n_steps / of:.3g}: {', '.join(told)}")
+
+    def _images_per_s(self, step: int) -> float:
+        return max(step - self.first_step, 1) * self.batch / max(time.monotonic() - self.started_at, 1e-6)
 
     def _write(self, step: int, document: dict[str, Any], scalars: dict[str, float]) -> None:
         with Folder(self.out_dir).append("history.jsonl") as file:

@@ -53,13 +53,13 @@ def samples_document(report: EvaluationReport) -> list[dict[str, Any]]:
 
 
 def summary_line(report: EvaluationReport) -> str:
-    """One line for a log."""
+    """One line for a log; errors are "-" where no detection matched a label."""
     parts = []
     for name, kind in report.kinds.items():
         errors = kind.at_threshold
         near, far = _cm(errors.near_1sigma_cm), _cm(errors.far_1sigma_cm)
-        parts.append(f"{name} AP {kind.ap:.3f} {_why_no_errors(errors) or f'near {near} far {far} cm'}")
-    return "; ".join([*parts, *([f"pose {pose}"] if (pose := _pose(report)) else [])])
+        parts.append(f"{name} AP {kind.ap:.3f} near {near} far {far} cm")
+    return ", ".join([*parts, *([f"pose {pose}"] if (pose := _pose(report)) else [])])
 
 
 def _pose(report: EvaluationReport) -> str:

@@ -95,7 +95,7 @@ def train_on(config: TrainConfig, train_samples: Samples, val_samples: Samples, 
         trainee.model.compile()
     distributed = DistributedDataParallel(task) if process.world > 1 else task
     saved_at = time.monotonic()
-    with TrainingLog(out_dir, length.n_steps, trainee.step, config.batch, is_shown=process.rank == 0) as log:
+    with _log(out_dir, length, trainee) as log:
         for line in _plan(trainee, decoding, describe(val_samples)):
             log.line.say(line)
         for batch in training_batches(examples, config, process, trainee.step, length.n_steps):
@@ -103,6 +103,7 @@ def train_on(config: TrainConfig, train_samples: Samples, val_samples: Samples, 
             terms = _step(trainee, distributed, task, batch, rate, trainee.step / length.n_steps)
             trainee.step += 1
             log.step(trainee.step, rate, terms)
+            report = None
             if trainee.step % length.validate_every == 0 or trainee.step == length.n_steps:
                 report = _validate(trainee, val_samples)
                 log.validation(trainee.step, report)
@@ -110,11 +111,20 @@ def train_on(config: TrainConfig, train_samples: Samples, val_samples: Samples, 
             elif time.monotonic() - saved_at > SAVE_EVERY_S:
                 save(trainee, out_dir, about)
                 saved_at = time.monotonic()
+            if report is not None or trainee.step % length.steps_per_epoch == 0:
+                log.epoch(trainee.step, report)
     if process.world > 1:
         torch.distributed.barrier()
         torch.distributed.destroy_process_group()
     Folder(out_dir).remove(ANNOTATIONS)
     return out_dir / "best.pt"
+
+
+def _log(out_dir: Path, length: RunLength, trainee: TrainingRun) -> TrainingLog:
+    is_shown = trainee.process.rank == 0
+    return TrainingLog(
+        out_dir, length.n_steps, length.steps_per_epoch, trainee.step, trainee.config.batch, is_shown=is_shown
+    )
 
 
 def _splits(config: TrainConfig, data_dir: str | Path) -> tuple[Samples, Samples]:

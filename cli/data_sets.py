@@ -60,9 +60,10 @@ def info(folder: str, as_json: bool) -> None:
     click.echo(
         f"{counted(recipe['render']['samples'], 'sample')} per pixel on {recipe['render']['device']}, passes: {passes}"
     )
-    clip = f"; {counted(found.frames_per_scene, 'frame')} per scene, {found.frames_per_second:g} per second"
+    is_clips = found.frames_per_scene > 1
+    clip = f"; {found.frames_per_scene} frames per scene, {found.frames_per_second:g} per second" if is_clips else ""
     cameras = f", cameras {', '.join(found.cameras)}" if found.cameras else ""
-    click.echo(f"{found.preset}: {', '.join(found.image_sizes)} px{cameras}{clip * (found.frames_per_scene > 1)}")
+    click.echo(f"{found.preset}: {', '.join(found.image_sizes)} px{cameras}{clip}")
     if "derived" in recipe:
         click.echo(f"derived: {json.dumps(recipe['derived'])}")
     table = Table(box=None, padding=(0, 2, 0, 0))

@@ -18,7 +18,7 @@ class Document(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
-class Split(Document):
+class SplitOutput(Document):
     """A split: samples asked for, in finished shards, in shards in progress, set aside; its shards and bytes."""
 
     name: str
@@ -40,7 +40,7 @@ class Info(Document):
     cameras: list[str]
     frames_per_scene: int
     frames_per_second: float | None
-    splits: list[Split]
+    splits: list[SplitOutput]
 
 
 class InspectedLane(Document):
@@ -58,7 +58,7 @@ class InspectedLane(Document):
     seen_to_m: float | None
 
 
-class Inspected(Document):
+class InspectionOutput(Document):
     """`inspect`: the files written, the numbers of the index (docs/format.md), the lanes, and a summary in words."""
 
     figure: str | None = None
@@ -89,7 +89,7 @@ class Stats(Document):
     labels: list[QuantitySummary] | None = None
 
 
-class Fault(Document):
+class FaultOutput(Document):
     """A problem: the sample or file, the lane ("" for none), and what was expected and found."""
 
     where: str
@@ -109,7 +109,7 @@ class Validation(Document):
 
     samples: int
     failed: list[str]
-    problems: list[Fault]
+    problems: list[FaultOutput]
     notes: list[str]
     distributions: dict[str, dict[str, dict[str, float | int | None]]]
     worst: dict[str, list[WorstSample]]
@@ -125,25 +125,33 @@ class ScoredImage(Document):
     error_cm: float | None
 
 
-class Pose(Document):
+class PoseOutput(Document):
     """Median errors of the predicted pose, null where none is predicted."""
 
     pitch_median_deg: float | None
     height_median_cm: float | None
 
 
-class Evaluation(BaseModel):
+class EvaluationOutput(BaseModel):
     """`evaluate` with a network or predictions: the score of each kind (centerline, delimiter), of the pose and of each
     image, the worst first."""
 
     model_config = ConfigDict(extra="allow")
 
     source: str
-    pose: Pose
+    pose: PoseOutput
     settings: dict[str, Value]
     samples: list[ScoredImage]
     centerline: dict[str, Any] | None = None
     delimiter: dict[str, Any] | None = None
+
+
+class Benchmark(Document):
+    """`benchmark`: what each split is made of, and the score of the network or predictions that were given."""
+
+    benchmark: str
+    splits: dict[str, dict[str, Any]]
+    score: dict[str, Any] | None = None
 
 
 class EvaluatedTargets(BaseModel):
@@ -166,17 +174,48 @@ class EvaluatedPhotographs(BaseModel):
     kitti: dict[str, float | None] | None = None
 
 
+class DistanceOutput(Document):
+    """How far the lines of some frames of an export are from those of the labels, in m or px."""
+
+    worst: float
+    median: float
+    tolerance: float
+
+
+class VerificationOutput(Document):
+    """A list of frames of an export, compared with the labels; `measures` are by unit."""
+
+    name: str
+    n_frames: int
+    n_lines: int
+    n_matched: int
+    measures: dict[str, DistanceOutput]
+    problems: list[str]
+
+
+class ExportOutput(Document):
+    """What an export wrote: frames by part, lines, and how many frames and lines were left out, by reason."""
+
+    frames: dict[str, int]
+    lines: int
+    left_out: dict[str, int]
+    dropped: dict[str, int]
+    warnings: list[str]
+    verified: list[VerificationOutput]
+
+
 class Outputs(Document):
     """What each command prints with `--json`; `params show` prints groups of keys in the forms of parameter files."""
 
     assets: FolderCheck
     bench: Bench
-    benchmark: dict[str, Any] = Field(description="`benchmark`: as docs/benchmarks.md says.")
-    evaluate: Evaluation | EvaluatedTargets | EvaluatedPhotographs
+    benchmark: Benchmark
+    evaluate: EvaluationOutput | EvaluatedTargets | EvaluatedPhotographs
+    export: ExportOutput
     generate: RunReport
     generate_dry_run: DryRun
     info: Info
-    inspect: Inspected
+    inspect: InspectionOutput
     params_show: dict[str, dict[str, Any]] = Field(description="`params show`: every key, by group.")
     stats: Stats
     validate_: Validation = Field(alias="validate")

@@ -79,10 +79,15 @@ def export(
     and which frames and lanes were left out and why.
     """
     from synth3dlanes import Export, verify_export
+    from synth3dlanes.formats.one_frame import NARROW
 
     job = Export(source, out, format_name, size_px, tuple(name for name in cameras.split(",") if name))
     with progress_bar("frames") as move:
         summary = job.write(workers, move)
+    if not any(summary.n_frames.values()):
+        reasons = "; ".join(f"{count} {reason}" for reason, count in summary.left_out.items()) or "there are none"
+        hint = "; generate with a wider camera (--camera, docs/camera.md)" if NARROW in summary.left_out else ""
+        raise click.ClickException(f"{out}: expected a frame to export, got none: {reasons}{hint} (docs/exports.md)")
     verified = verify_export(job) if is_verified else ()
     warnings = job.warnings(summary)
     for warning in warnings:

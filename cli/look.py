@@ -104,16 +104,21 @@ def gallery(
 
 @click.command()
 @click.argument("where", metavar="DIR/SPLIT:KEY")
-@click.option("--out", type=OutputFile(".webp"), default="clip.webp", help="Animated image to write.")
+@click.option(
+    "--out",
+    type=OutputFile(".webp", ".gif", ".png"),
+    default="clip.webp",
+    help="Animated image to write: WebP, GIF or PNG.",
+)
 @click.option("--lanes/--no-lanes", default=True, help="Draw the labels on the frames.")
 @click.option("--width", metavar="PX", type=click.IntRange(min=100), help="Shrink the frames to this width in pixels.")
 def clip(where: str, out: Path, lanes: bool, width: int | None) -> None:
-    """Write the clip to which a sample belongs, such as DIR/train:00000017, as an animated WebP."""
+    """Write the clip to which a sample belongs, such as DIR/train:00000017, as an animated WebP, GIF or PNG."""
     from synth3dlanes.figures.clip import draw_clip
     from synth3dlanes.sources import load_clip
 
     found = load_clip(where)
-    write(out, draw_clip(found.pictures(lanes), found.fps, width))
+    write(out, draw_clip(found.pictures(lanes), found.fps, width, out.suffix[1:].lower()))
     click.echo(f"Clip: {out}, {counted(len(found.frames), 'frame')}")
 
 

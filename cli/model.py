@@ -189,8 +189,11 @@ def predict(
     click.echo(run(detector, source, out, _intrinsics(intrinsics), overlays, threshold).text())
 
 
+OF_NETWORKS = ("checkpoint", "own_model", "device", "threshold", "frame", "plots", "intrinsics", "lane_masks")
+
+
 @click.command()
-@click.argument("source", metavar="DIR[/SPLIT[:KEY]]|FOLDER")
+@click.argument("source", metavar="DIR[/SPLIT[:KEY]]|FOLDER|EXPORT")
 @click.option(
     "--checkpoint",
     metavar="FILE|nano|streets",
@@ -199,8 +202,15 @@ def predict(
 @own_model_option
 @click.option(
     "--predictions",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="Predictions to score, as written by predict (JSON lines).",
+    type=click.Path(exists=True, path_type=Path),
+    help="Predictions to score: a file as written by predict (JSON lines); with --format, the file or folder that the "
+    "benchmark takes.",
+)
+@click.option(
+    "--format",
+    "format_name",
+    metavar="NAME",
+    help="Score predictions in this format, by the rule of its benchmark, for an export (docs/exports.md).",
 )
 @click.option(
     "--threshold",
@@ -238,6 +248,7 @@ def evaluate(
     checkpoint: str | None,
     own_model: str | None,
     predictions: Path | None,
+    format_name: str | None,
     threshold: float,
     frame: Literal["camera", "road_raw"],
     intrinsics: str | None,
@@ -247,15 +258,28 @@ def evaluate(
     device: str,
 ) -> None:
     """Score a checkpoint or a file of predictions on DIR/SPLIT with the paper's metric, or with --intrinsics on
-    photographs that have labels in the image: a folder or label file of tuSimple, or images with --lane-masks.
+    photographs that have labels in the image: a folder or label file of tuSimple, or images with --lane-masks. With
+    --format, score predictions for an export by the rule of its benchmark.
 
     Without --checkpoint and --predictions, the labels themselves are scored, encoded as the targets of the network and
     decoded again: an upper bound for any network.
     """
-    need_torch()
     import json
 
     refuse_together("checkpoint", "predictions")
+    if format_name is not None:
+        refuse_idle(False, OF_NETWORKS, "with --format")
+        if predictions is None:
+            raise click.UsageError("--format needs --predictions to score")
+        from synth3dlanes import score_predictions
+
+        scores = score_predictions(source, format_name, predictions)
+        lists = [score.document() for score in scores]
+        click.echo(json.dumps(lists) if as_json else "\n".join(score.text() for score in scores))
+        return
+    if predictions is not None and predictions.is_dir():
+        raise click.UsageError(f"--predictions: expected a file, got the folder {predictions} (which needs --format)")
+    need_torch()
     are_photographs, is_scored = intrinsics is not None or lane_masks is not None, checkpoint or predictions
     refuse_idle(checkpoint, ["own_model", "device"], "without --checkpoint")
     refuse_idle(is_scored, ["threshold", "frame", "plots"], "without --checkpoint or --predictions")

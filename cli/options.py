@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Names(click.ParamType):
-    """A comma-separated choice of names."""
+    """A comma-separated choice of names, or `all`."""
 
     name = "names"
 
@@ -33,6 +33,8 @@ class Names(click.ParamType):
         """Split and check, in the order of the known names."""
         if isinstance(value, tuple):
             return value
+        if value.strip() == "all":
+            return self.known
         names = [name.strip() for name in value.split(",") if name.strip()]
         for name in names:
             if name not in self.known:
@@ -145,7 +147,7 @@ passes_option = click.option(
     type=Names(PASSES),
     default="",
     metavar="NAMES",
-    help=f"Extra images to write as OpenEXR, separated by commas: {', '.join(PASSES)}.",
+    help=f"Extra images to write as OpenEXR, separated by commas, or all: {', '.join(PASSES)}.",
 )
 lidar_option = click.option(
     "--lidar", metavar="FILE", help="Lidar on the host: a YAML file or the name of a ready one (docs/lidar.md)."

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from synth3dlanes.api import (
         Rendered,
+        Renderer,
         change_scene,
         dataset_stats,
         export_dataset,
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
         report_dataset,
         sample_scene,
         save_scene,
+        score_predictions,
         split_dataset,
         validate_dataset,
         verify_export,
@@ -68,6 +70,7 @@ __all__ = [
     "Params",
     "Reader",
     "Rendered",
+    "Renderer",
     "Sample",
     "Scene",
     "SymbolLabel",
@@ -91,6 +94,7 @@ __all__ = [
     "report_dataset",
     "sample_scene",
     "save_scene",
+    "score_predictions",
     "split_dataset",
     "validate_dataset",
     "verify_export",

@@ -5,6 +5,7 @@ No function loads Blender into this process: `render` and `generate_dataset` sta
 
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -45,10 +46,11 @@ from synth3dlanes.params import load_params as _load_params
 from synth3dlanes.production.events import Event
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
-from synth3dlanes.production.render_file import render_members
+from synth3dlanes.production.render_file import PATIENCE, render_members
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.tally import RunReport
 from synth3dlanes.production.user_assets import open_library
+from synth3dlanes.production.workers import Pool
 from synth3dlanes.sample import Scenes, with_lidar
 from synth3dlanes.sample import sample_scene as _sample_scene
 from synth3dlanes.sampling.like import read_like
@@ -67,6 +69,7 @@ from synth3dlanes.sources import read_scene, scenes_of
 if TYPE_CHECKING:
     # Loaded by the functions that return them: figures and checks take a second.
     import synth3dlanes.figures.stats
+    import synth3dlanes.formats.format
     import synth3dlanes.formats.verify
     import synth3dlanes.validate.report
 
@@ -188,6 +191,54 @@ def label(scene: Scene) -> Labels:
     return ground_truth(scene)
 
 
+class Renderer:
+    """Renders scenes one after the other in one process of its own, so that only the first waits for Blender to start.
+
+    Use it as a context manager, or call `close`. Arguments and errors are those of `render`; pictures are equal bytes.
+    """
+
+    def __init__(
+        self,
+        *,
+        samples: int = STANDARD,
+        passes: str | Sequence[str] = (),
+        device: str = "auto",
+        assets: Library = BUILT_IN,
+    ) -> None:
+        self._settings, self._assets = _settings(samples, passes, device), assets
+        self._open: ExitStack | None = None
+        self._pool = Pool(1, PATIENCE)
+
+    def __enter__(self) -> "Renderer":
+        if self._open is None:
+            self._open = ExitStack()
+            self._open.enter_context(self._pool)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the process; the next call of `render` starts another."""
+        if self._open is not None:
+            self._open.close()
+            self._open = None
+
+    def render(self, scene: Scene, *, lidar: str | Path | None = None) -> Rendered:
+        """Render a scene."""
+        require_assets(scene.assets, self._assets, "scene")
+        scene = with_lidar(scene, None if lidar is None else load_lidar(str(lidar)))
+        self.__enter__()
+        members = render_members(scene, self._settings, "png", self._assets, "render", self._pool)
+        found: dict[str, Shaped[np.ndarray, ...]] = {}
+        for name in (PASSES, HEIGHT):
+            if name in members:
+                found |= read_passes(members[name], name)
+        labels = labels_format.from_json(members[LABELS], LABELS)
+        sweep = None if labels.lidar is None else read_sweep(members[LIDAR], LIDAR, labels.lidar)
+        return Rendered(scene, decode_image(members["png"], "png"), labels, found, sweep)
+
+
 def render(
     scene: Scene,
     *,
@@ -197,24 +248,16 @@ def render(
     device: str = "auto",
     assets: Library = BUILT_IN,
 ) -> Rendered:
-    """Render a scene with `samples` samples per pixel, in a process of its own. This takes about five seconds.
+    """Render a scene with `samples` samples per pixel, in a process of its own. This takes about five seconds; for
+    several scenes a `Renderer` is faster.
 
-    `passes` are some of depth, normal, semantic, instance and height. `lidar` is a YAML file or the name of a ready
-    lidar (docs/lidar.md); without it, the scene's own lidar is used, if it has one. Raises InputError for a wrong
+    `passes` are some of depth, normal, semantic, instance and height, or "all". `lidar` is a YAML file or the name of a
+    ready lidar (docs/lidar.md); without it, the scene's own lidar is used, if it has one. Raises InputError for a wrong
     argument, or if `assets` are not those that the scene was drawn with; MissingPackageError without Blender;
     WorkerError if Blender fails.
     """
-    settings = _settings(samples, passes, device)
-    require_assets(scene.assets, assets, "scene")
-    scene = with_lidar(scene, None if lidar is None else load_lidar(str(lidar)))
-    members = render_members(scene, settings, "png", assets, "render")
-    found: dict[str, Shaped[np.ndarray, ...]] = {}
-    for name in (PASSES, HEIGHT):
-        if name in members:
-            found |= read_passes(members[name], name)
-    labels = labels_format.from_json(members[LABELS], LABELS)
-    sweep = None if labels.lidar is None else read_sweep(members[LIDAR], LIDAR, labels.lidar)
-    return Rendered(scene, decode_image(members["png"], "png"), labels, found, sweep)
+    with Renderer(samples=samples, passes=passes, device=device, assets=assets) as renderer:
+        return renderer.render(scene, lidar=lidar)
 
 
 def generate_dataset(
@@ -300,6 +343,17 @@ def verify_export(export: Export, *, most_frames: int = 500) -> "tuple[synth3dla
 
     _at_least(1, most_frames=most_frames)
     return verify(export, most_frames)
+
+
+def score_predictions(
+    export: str | Path, format_name: str, predictions: str | Path
+) -> "tuple[synth3dlanes.formats.format.Rates, ...]":
+    """Score predictions, a file or folder as the benchmark of this format takes it, for an export, by the benchmark's
+    rule; return its rates for each list that they are for (docs/exports.md). Raises InputError for a format without
+    one, FormatError for predictions that cannot be read or that lack a frame."""
+    from synth3dlanes.formats.scoring import score_predictions
+
+    return score_predictions(Path(export), format_name, Path(predictions))
 
 
 def split_dataset(
@@ -391,7 +445,7 @@ def _shots(camera: CameraSpec | None, rig: Sequence[CameraSpec], frames: int, fp
 def _settings(samples: int, passes: str | Sequence[str], device: str) -> RenderSettings:
     """The checked render settings, with the passes in the order of `PASSES`."""
     _at_least(1, samples=samples)
-    asked = [_one_of("passes", name, PASS_NAMES) for name in _several(passes)]
+    asked = PASS_NAMES if passes == "all" else [_one_of("passes", name, PASS_NAMES) for name in _several(passes)]
     ordered = tuple(name for name in PASS_NAMES if name in asked)
     return RenderSettings(samples, ordered, _one_of("device", device, DEVICES))
 

@@ -134,11 +134,6 @@ class Folder:
             finally:
                 _removed(folder, temporary)
 
-    def create(self, path: str | PurePath) -> BinaryIO:
-        """A new, empty file; raise FileExistsError if there is anything at `path`."""
-        with self._parent(path) as (folder, name):
-            return _created(folder, name)
-
     def renew(self, path: str | PurePath) -> BinaryIO:
         """A new, empty file that replaces any file there. A writer that is killed leaves a part of it."""
         with self._parent(path) as (folder, name):

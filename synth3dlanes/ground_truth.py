@@ -1,6 +1,8 @@
 """World and View -> Labels: every lane curve and symbol in camera coordinates with its masks, except `object_visible`
 (None)."""
 
+from typing import cast
+
 import numpy as np
 from jaxtyping import Float
 
@@ -11,7 +13,7 @@ from synth3dlanes.geometry.network import LaneCurve, Network
 from synth3dlanes.geometry.paint import is_double, paint_color, pair_of
 from synth3dlanes.geometry.symbols import shape
 from synth3dlanes.geometry.visibility import seen_over_ground
-from synth3dlanes.labels import CameraLabel, Labels, Lane, LidarLabel, RoadPlane, SymbolLabel
+from synth3dlanes.labels import CameraLabel, Labels, Lane, LidarLabel, RoadName, RoadPlane, SymbolLabel
 from synth3dlanes.object_truth import label_objects
 from synth3dlanes.scene import Scene
 from synth3dlanes.world import View, World, resolve
@@ -60,7 +62,7 @@ def label(world: World, view: View) -> Labels:
         Lane(
             id=curve.id,
             kind=curve.kind,
-            road=curve.road,
+            road=cast(RoadName, curve.road),
             marking=curve.marking,
             left=curve.left if curve.left in known else None,
             right=curve.right if curve.right in known else None,

@@ -27,7 +27,7 @@ class _Json:
         return np.array(values, self.dtype).reshape(self.shape)
 
 
-Edge = Annotated[int, Field(ge=0, le=MAX_PX)]
+PixelEdge = Annotated[int, Field(ge=0, le=MAX_PX)]
 Row3: TypeAlias = tuple[Number, Number, Number]
 Row4: TypeAlias = tuple[Number, Number, Number, Number]
 JsonMatrix3 = Annotated[Float[np.ndarray, "3 3"], _Json(tuple[Row3, Row3, Row3], (3, 3), float)]
@@ -37,7 +37,9 @@ JsonMask = Annotated[Bool[np.ndarray, " n"], _Json(list[Literal[0, 1]], (-1,), b
 JsonVector3 = Annotated[Float[np.ndarray, "3"], _Json(Row3, (3,), float)]
 JsonSize3 = Annotated[Float[np.ndarray, "3"], _Json(tuple[Positive, Positive, Positive], (3,), float)]
 JsonRectangle = Annotated[Float[np.ndarray, "4"], _Json(Row4, (4,), float)]
-JsonPixelRectangle = Annotated[Int[np.ndarray, "4"], _Json(tuple[Edge, Edge, Edge, Edge], (4,), int)]
+JsonPixelRectangle = Annotated[
+    Int[np.ndarray, "4"], _Json(tuple[PixelEdge, PixelEdge, PixelEdge, PixelEdge], (4,), int)
+]
 JsonQuaternion = Annotated[Float[np.ndarray, "4"], _Json(Row4, (4,), float)]
 
 

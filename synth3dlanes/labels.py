@@ -105,6 +105,14 @@ class Lane:
         """Inside the image, not hidden by the ground and, if `object_visible` is known, not hidden by an object."""
         return _visible(self)
 
+    def visible_parts(self) -> list[Float[np.ndarray, "_ 3"]]:
+        """The visible points in the camera frame, in metres, as a polyline for each unbroken stretch of them.
+
+        `xyz_cam[visible]` would join what lies before and behind a hidden stretch.
+        """
+        ends = np.flatnonzero(np.diff(np.concatenate([[0], self.visible.astype(int), [0]])))
+        return [self.xyz_cam[first:end] for first, end in ends.reshape(-1, 2)]
+
 
 @with_config(STRICT)
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ from synth3dlanes.schema import STRICT, Unit
 # one on, clockwise as seen from behind.
 CORNERS = np.array([[x, y, z] for y in (1.0, -1.0) for x, z in ((-1, 1), (1, 1), (1, -1), (-1, -1))])
 
-Count = Annotated[int, Field(ge=0)]
+NonNegative = Annotated[int, Field(ge=0)]
 
 
 @with_config(STRICT)
@@ -51,7 +51,7 @@ class ObjectLabel:
     truncation: Unit
     seen_box_px: JsonPixelRectangle | None = None
     visible_fraction: Unit | None = None
-    lidar_points: Count | None = None
+    lidar_points: NonNegative | None = None
 
     @property
     def cam_from_object(self) -> Matrix4:

@@ -34,7 +34,7 @@ from synth3dlanes.yaml_text import read_yaml, text_of
 
 Fraction = Annotated[Real, reals(0, 1)]
 Orientation = Annotated[Real, reals(-360, 360)]
-Offset = Annotated[Real, reals(-50, 50)]
+OffsetRange = Annotated[Real, reals(-50, 50)]
 # The largest number of a model or texture if the assets are unknown.
 MAX_NUMBER = 9999
 # Groups that were added later; parameters without them have their defaults.
@@ -97,10 +97,10 @@ class RoadParams(Group):
     n_lanes: Annotated[Integer, integers(1, 8)]
     lane_width_m: Annotated[Real, reals(2, 6)]
     shoulder_factor: Annotated[Real, reals(0, 2)]
-    offset_m100_m: Offset
-    offset_m50_m: Offset
-    offset_p50_m: Offset
-    offset_p100_m: Offset
+    offset_m100_m: OffsetRange
+    offset_m50_m: OffsetRange
+    offset_p50_m: OffsetRange
+    offset_p100_m: OffsetRange
     exit_angle_deg: Annotated[Real, reals(0, 15, above=True)]
     exit_offset_m: Annotated[Real, reals(0, 50)]
     ramp_height_m: Annotated[Real, reals(0, 20)]

@@ -31,7 +31,7 @@ from synth3dlanes.scene import (
     Lidar,
     Light,
     Markings,
-    Road,
+    PaperRoad,
     Scene,
     Sensor,
     Shot,
@@ -187,13 +187,13 @@ def _terrain(draw: Draw) -> Terrain:
     return Terrain(gaussians=tuple(gaussian() for _ in range(draw("n_gaussians"))))
 
 
-def _road(draw: Draw) -> Road:
-    drawn = {field: draw(field.replace("_rad", "_deg")) for field in Road.model_fields}
+def _road(draw: Draw) -> PaperRoad:
+    drawn = {field: draw(field.replace("_rad", "_deg")) for field in PaperRoad.model_fields}
     if drawn["topology"] > 2:
         drawn["n_lanes"] = max(drawn["n_lanes"], 2)
     if drawn["n_oncoming"] == 0 or drawn["median_m"] < MIN_MEDIAN_M:
         drawn["median_m"] = 0.0
-    road = Road(**drawn)
+    road = PaperRoad(**drawn)
     return road if is_wide_enough(road) else road.model_copy(update={"n_oncoming": 0, "median_m": 0.0})
 
 
@@ -205,7 +205,7 @@ def _shot(shots: Shots, draw: Draw) -> Shot:
     )
 
 
-def _camera(params: CameraParams, draw: Draw, road: Road) -> Camera:
+def _camera(params: CameraParams, draw: Draw, road: PaperRoad) -> Camera:
     u_lane = draw.rng.random()
     y_m = draw("y_m")
     width_px, height_px = draw("width_px"), draw("height_px")

@@ -60,7 +60,7 @@ class Terrain(DocumentPart):
     gaussians: Annotated[tuple[Gaussian, ...], Field(max_length=100)]
 
 
-class Road(DocumentPart):
+class PaperRoad(DocumentPart):
     """Top view and ramp of the main road and its exit (Appendix I, Tables 'Topology' to 'Lane 3D').
 
     `n_oncoming` lanes of traffic the other way lie on the side opposite the exit, beyond a median of `median_m` between
@@ -86,7 +86,7 @@ class Road(DocumentPart):
     divider_dashed: bool = False
 
     @model_validator(mode="after")
-    def _has_room(self) -> "Road":
+    def _has_room(self) -> "PaperRoad":
         """Check that there are enough lanes for the topology, that the exit opens, and room for the median."""
         if self.n_lanes < 2 and self.topology > 2:
             raise ValueError(f"n_lanes: expected at least 2 with topology {self.topology}, got {self.n_lanes}")
@@ -433,7 +433,7 @@ class Scene(DocumentPart):
     split: Annotated[str, Field(max_length=200)]
     index: Annotated[int, Field(ge=0, lt=MAX_SAMPLES)]
     terrain: Terrain
-    road: Road
+    road: PaperRoad
     markings: Markings
     surface: Surface
     cars: Annotated[tuple[Car, ...], Field(max_length=1000)]

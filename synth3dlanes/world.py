@@ -29,6 +29,8 @@ from synth3dlanes.scene import Camera, Lidar, Roadside, Scene, Tree
 
 # Only cameras this close to the host's middle, along it, look over the bonnet.
 BEHIND_WINDSCREEN_M = 1.0
+# Roads farther from the host than this are left out.
+AROUND_HOST_M = 450.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,6 +214,9 @@ class World:
 def resolve(scene: Scene) -> World:
     """Resolve a scene into its world."""
     network, shot = paper_network(scene.road, scene.terrain), scene.shot
+    lane = network.host_lane(scene.camera.lane, scene.camera.y_m)
+    s = network.stations(np.array([scene.camera.y_m]))
+    network = network.around(network.road(lane.road).xy(s, lane.middle(s))[0], AROUND_HOST_M)
     hills = FarHills.draw(scene.stream("far_hills"))
     driven_m = host_station(network, scene.camera, shot.speed_m_s * shot.duration_s) - scene.camera.y_m
     ground = Ground(network, scene.camera.y_m, scene.markings, hills, driven_m, shot.behind_m > 0)

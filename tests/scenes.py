@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from synth3dlanes.scene import Air, Camera, Gaussian, Light, Markings, Road, Scene, Sensor, Surface, Terrain
+from synth3dlanes.scene import Air, Camera, Gaussian, Light, Markings, PaperRoad, Scene, Sensor, Surface, Terrain
 from synth3dlanes.world import World
 
 FLAT = Scene(
@@ -14,7 +14,7 @@ FLAT = Scene(
     split="test",
     index=0,
     terrain=Terrain(gaussians=()),
-    road=Road(
+    road=PaperRoad(
         topology=1,
         flip_longitudinal=False,
         flip_lateral=False,

@@ -139,3 +139,38 @@ def test_an_image_is_saved_as_png_or_jpg_alone(flat_scene: Any, in_tmp_path: Pat
     with pytest.raises(synth3dlanes.InputError, match="path: expected one of jpg, png, got 'gif'"):
         rendered.save("scene.gif")
     assert not list(in_tmp_path.iterdir())
+
+
+def test_a_lanes_visible_parts_are_unbroken(flat_scene: Any) -> None:
+    from dataclasses import replace
+
+    whole = synth3dlanes.label(flat_scene).lanes[0]
+    n = len(whole.xyz_cam)
+    seen = np.zeros(n, bool)
+    seen[[0, 5, 6, 7, n - 2, n - 1]] = True
+    lane = replace(whole, in_image=seen, terrain_visible=np.ones(n, bool), object_visible=None)
+    parts = lane.visible_parts()
+    assert [len(part) for part in parts] == [1, 3, 2]
+    np.testing.assert_array_equal(np.concatenate(parts), lane.xyz_cam[lane.visible])
+    np.testing.assert_array_equal(parts[1], lane.xyz_cam[5:8])
+    assert replace(lane, in_image=np.zeros(n, bool)).visible_parts() == []
+
+
+@pytest.mark.render
+def test_a_renderer_keeps_its_process_and_makes_the_same_pictures() -> None:
+    params = synth3dlanes.load_params("tiny")
+    scenes = [synth3dlanes.sample_scene(params, index=index) for index in range(2)]
+    with synth3dlanes.Renderer(passes="all", samples=1, device="cpu") as renderer:
+        first = renderer.render(scenes[0])
+        pids = renderer._pool.pids
+        second = renderer.render(scenes[1])
+        assert renderer._pool.pids == pids
+        assert set(second.passes) == {"depth", "normal", "semantic", "instance", "height"}
+    assert renderer._pool.pids == []
+    alone = synth3dlanes.render(scenes[1], passes="all", samples=1, device="cpu")
+    np.testing.assert_array_equal(second.image, alone.image)
+    assert not np.array_equal(first.image, second.image)
+    again = renderer.render(scenes[0])
+    np.testing.assert_array_equal(again.image, first.image)
+    renderer.close()
+    renderer.close()

@@ -21,7 +21,6 @@ WRITERS: dict[str, Callable[[Folder, str], object]] = {
     "remove_tree": lambda folder, path: folder.remove_tree(path),
 }
 BELOW = WRITERS | {
-    "create": lambda folder, path: folder.create(path).close(),
     "remove": lambda folder, path: folder.remove(path),
     "remove_empty": lambda folder, path: folder.remove_empty(path),
     "make_in": lambda folder, path: folder.make_in(path),

@@ -8,6 +8,7 @@ import pytest
 
 from synth3dlanes import labels as label_file
 from synth3dlanes.assets.catalogue import CARS, Assets, vehicle_class
+from synth3dlanes.assets.folder import CarNotes
 from synth3dlanes.frames import quaternion, road_from_cam, rotation, transform
 from synth3dlanes.ground_truth import ground_truth, label
 from synth3dlanes.lens import Lens
@@ -213,3 +214,15 @@ def test_labels_grow_by_less_than_15_percent(preset):
         del document["objects"]
         before, after = before + len(json.dumps(document, separators=(",", ":"))), after + len(full)
     assert after < 1.15 * before
+
+
+def test_notes_of_a_users_model_have_its_class_its_wheels_or_both():
+    assert CarNotes.model_validate({"category": "bus"}).wheels == dict.fromkeys(
+        ("wheelbase_m", "track_m", "wheel_radius_m")
+    )
+    wheels = {"wheelbase_m": 2.6, "track_m": 1.5, "wheel_radius_m": 0.3}
+    assert CarNotes.model_validate({**wheels, "category": "van"}).wheels == wheels
+    with pytest.raises(ValueError, match="track_m: expected all of wheelbase_m, track_m, wheel_radius_m or none"):
+        CarNotes.model_validate({"wheelbase_m": 2.6})
+    with pytest.raises(ValueError, match="'car', 'van', 'truck', 'bus' or 'trailer'"):
+        CarNotes.model_validate({"category": "tram"})

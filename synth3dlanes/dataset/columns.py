@@ -13,11 +13,11 @@ from pydantic import BaseModel
 from synth3dlanes.dataset.format import COLUMN_OF_MEMBER, LIDAR
 from synth3dlanes.dataset.index import ADDED, ADDED_SCHEMA, ARROW_TYPES, RECIPE, SHOT_COLUMNS, place_columns
 from synth3dlanes.labels import Labels, Lane
-from synth3dlanes.scene import Air, Camera, Light, Markings, Road, Scene, Sensor, Surface
+from synth3dlanes.scene import Air, Camera, Light, Markings, PaperRoad, Scene, Sensor, Surface
 
 PREFIXES = {"markings": "marking_", "camera": "camera_", "weather": "weather_", "host": "host_"}
 PARTS: dict[str, type[BaseModel]] = {
-    "road": Road,
+    "road": PaperRoad,
     "markings": Markings,
     "surface": Surface,
     "camera": Camera,

@@ -13,7 +13,7 @@ from synth3dlanes.geometry.camera import horizontal_fov_rad
 from synth3dlanes.labels import Labels, Lane
 from synth3dlanes.lens import COEFFICIENTS, Lens
 from synth3dlanes.object_labels import ObjectLabel
-from synth3dlanes.scene import Camera, Host, Road, Scene, Weather
+from synth3dlanes.scene import Camera, Host, PaperRoad, Scene, Weather
 
 Facts = dict[str, str]
 
@@ -92,7 +92,7 @@ def _weather(scene: Scene) -> Facts:
     }
 
 
-def topology_words(road: Road) -> str:
+def topology_words(road: PaperRoad) -> str:
     """The road's topology after its flips, as the host sees it: "merge from the left, two-lane exit"."""
     if road.topology == 1:
         return "one road, no exit"

@@ -227,7 +227,7 @@ def _dots(labels: Labels, mask: str) -> list[tuple[str, str]]:
 
 def _switches(labels: Iterable[Labels]) -> list[Switch]:
     """Check boxes for the images: lanes by kind, hidden stretches, objects, and one for each mask (initially off)."""
-    masks = dict(_MASKS)
+    labels, masks = list(labels), dict(_MASKS)
     if any(lane.object_visible is None for one in labels for lane in one.lanes):
         del masks["hidden by objects"]
     return [
@@ -236,7 +236,11 @@ def _switches(labels: Iterable[Labels]) -> list[Switch]:
             for name, kind in _LAYERS.items()
         ),
         Switch(".lane .hidden", "hidden parts", "currentColor", is_on=True),
-        Switch(".object", "objects", colors.hexadecimal(colors.OBJECT), is_on=True),
+        *(
+            [Switch(".object", "objects", colors.hexadecimal(colors.OBJECT), is_on=True)]
+            if any(True for one in labels for _ in objects_in_image(one))
+            else []
+        ),
         *(Switch(f".mask.{_class(name)}", f"points {name}", color, is_on=False) for name, color in masks.items()),
     ]
 

@@ -1,4 +1,5 @@
-"""Foreign data set formats, a folder each: its convention (camera, axes), writer, reader, score and self-check.
+"""Foreign data set formats, a folder each: its convention (camera, axes), writer, reader and check.
 
-`export` writes a whole data set, `verify` checks what it wrote. Foreign frames and keys exist here and nowhere else.
+`export` writes a whole data set, `verify` compares it with the labels, `scoring` scores predictions; `registry` finds
+the formats. Foreign frames and keys exist here and nowhere else.
 """

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from synth3dlanes import scene as scene_format
+from synth3dlanes.arrays import Scalars
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.frames import transform
@@ -20,8 +21,8 @@ from synth3dlanes.scene import Scene
 from synth3dlanes.sensors.sweep import Sweep
 
 Points = Float[np.ndarray, "_ d"]
-Values = Float[np.ndarray, " _"]
-Mask = Bool[np.ndarray, " _"]
+Distances = Float[np.ndarray, " _"]
+Flags = Bool[np.ndarray, " _"]
 
 # A line must be in an export if this many of its points are sure to be seen: at a border, rounding decides.
 SURE_POINTS = 8
@@ -35,7 +36,7 @@ ANGLE_RAD, HEIGHT_M = 1e-6, 1e-6
 ROUNDING = 1e-3
 
 
-class Truth:
+class SourceSample:
     """The sample of the data set that a frame of an export was made from."""
 
     def __init__(self, reader: Reader, place: int) -> None:
@@ -80,7 +81,7 @@ class UprightLane:
     camera: CameraLabel
     id: str
     points_up: Float[np.ndarray, "n 3"]
-    on_ground: Mask
+    on_ground: Flags
 
     @property
     def ahead(self) -> slice:
@@ -94,7 +95,7 @@ class UprightLane:
         back = np.flatnonzero((np.diff(along[start:], axis=0) <= 0).any(axis=1))
         return slice(start, start + int(back[0]) + 1 if len(back) else len(along))
 
-    def sure(self, view: "View") -> Mask:
+    def sure(self, view: "ExportView") -> Flags:
         """Which of its points are sure to be in the image and on ground that is seen, one after the other."""
         uv = pixels(view.img_from_cv, self.points_up[self.ahead])
         sure = np.zeros(len(self.points_up), dtype=bool)
@@ -106,11 +107,11 @@ class UprightLane:
             sure[self.ahead] = inside & rises & self.on_ground[self.ahead]
         return sure
 
-    def in_metres(self, view: "View") -> "OurLine":
+    def in_metres(self, view: "ExportView") -> "OurLine":
         """The line in space."""
         return OurLine(self.id, self.points_up, self.points_up[self.sure(view)])
 
-    def at_rows(self, view: "View", rows_px: Sequence[int] | Int[np.ndarray, " _"]) -> "OurLine":
+    def at_rows(self, view: "ExportView", rows_px: Sequence[int] | Int[np.ndarray, " _"]) -> "OurLine":
         """The line in the image; it must be found at the rows, from the bottom up, that it is sure to cross."""
         uv, sure = pixels(view.img_from_cv, self.points_up), np.flatnonzero(self.sure(view))
         rows = np.sort(rows_px)[::-1]
@@ -124,7 +125,7 @@ class UprightLane:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class ExportView:
     """An upright pinhole camera, as an export says: its matrix K and the size of its image."""
 
     img_from_cv: Float[np.ndarray, "3 _"]
@@ -236,12 +237,12 @@ def nearest(points: Points, ours: Sequence[OurLine], rule: Rule) -> OurLine | No
     return min(close, key=lambda line: _gap(points, line, rule).worst) if len(close) > 1 else close[0]
 
 
-def distances(points: Points, line: Points) -> Values:
+def distances(points: Points, line: Points) -> Distances:
     """How far points are from a polyline."""
     return _feet(points, line)[0]
 
 
-def stations(points: Points, line: Points) -> Values:
+def stations(points: Points, line: Points) -> Distances:
     """Where along a polyline the nearest places to points are, by its length."""
     _, at, share = _feet(points, line)
     lengths = np.linalg.norm(np.diff(line, axis=0), axis=1)
@@ -277,7 +278,7 @@ def places_beside(lanes: Sequence[UprightLane], most_ahead_m: float) -> dict[str
     return dict(zip((*left, *right), (2, 1)[: len(left)] + (3, 4)[: len(right)], strict=True))
 
 
-def camera_problems(truth: Truth, height_m: float | None, pitch_rad: float | None) -> Iterator[str]:
+def camera_problems(truth: SourceSample, height_m: float | None, pitch_rad: float | None) -> Iterator[str]:
     """Findings where an export has another height or pitch of the camera than the labels."""
     pose = truth.labels.camera.road_from_cam
     for name, got, expected, limit in (
@@ -312,14 +313,18 @@ def _apart(found: Sequence[Points], line: OurLine) -> float:
 
 
 def _order_problems(points: Points, line: OurLine, rule: Rule) -> Iterator[str]:
-    at = stations(points, line.points) * rule.direction
-    back = float(np.max(at[:-1] - at[1:], initial=0.0))
+    back = _back(stations(points, line.points) * rule.direction)
     if back > max(rule.limit, ROUNDING):
         order = "near to far" if rule.direction > 0 else "far to near"
-        yield f"expected points from {order}, got a step of {back:.3g} {rule.unit} back"
+        yield f"expected points from {order}, got {back:.3g} {rule.unit} back"
 
 
-def _feet(points: Points, line: Points) -> tuple[Values, Int[np.ndarray, " _"], Values]:
+def _back(at: Scalars) -> float:
+    """How far places along a line, which should increase, go back."""
+    return float(np.max(np.maximum.accumulate(at) - at, initial=0.0))
+
+
+def _feet(points: Points, line: Points) -> tuple[Distances, Int[np.ndarray, " _"], Distances]:
     """Distances from a polyline, the steps of it that are nearest, and where on these."""
     starts, steps = (line[:-1], np.diff(line, axis=0)) if len(line) > 1 else (line, np.zeros_like(line))
     to = points[:, None] - starts
@@ -332,9 +337,9 @@ def _feet(points: Points, line: Points) -> tuple[Values, Int[np.ndarray, " _"], 
 
 def compare_map(
     found: Sequence[tuple[str, Points]],
-    truth: Truth,
+    truth: SourceSample,
     rule: Rule,
-    is_in_area: Callable[[Points], Mask] = lambda points: np.ones(len(points), dtype=bool),
+    is_in_area: Callable[[Points], Flags] = lambda points: np.ones(len(points), dtype=bool),
 ) -> Comparison:
     """Lanes of a map by the segments of the lane graph that they are, in the world frame, beside the centre lines that
     follow these segments, seen from above, and in height. Only what the labels reach is compared: ahead of the camera,
@@ -388,10 +393,8 @@ def _nearest_path(points: Points, paths: Sequence[tuple[str, Points, str]], rule
         above = float(np.abs(points - feet)[inner, 2].max())
         if not above <= rule.slack:
             problems.append(f"expected {name} within {rule.slack:g} m of the labels' height, got it {above:.3g} m away")
-        back = -float(
-            np.diff((at + share)[inner]).min() if direction == "same" else -np.diff((at + share)[inner]).max()
-        )
+        back = _back((at + share)[inner] * (1 if direction == "same" else -1))
         if back > COVERED_M:
-            problems.append(f"expected points as its traffic goes, got a step of about {back:.3g} m back")
+            problems.append(f"expected points of {name} as its traffic goes, got about {back:.3g} m back")
         found.append((Gap(name, "m", float(apart[inner].max()), float(np.median(apart[inner]))), problems))
     return min(found, key=lambda pair: pair[0].worst, default=(None, []))

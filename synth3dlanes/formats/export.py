@@ -146,7 +146,9 @@ def _require_options(out: Path, options: dict[str, Any], expected: str = "the ex
     about = out / "export.json"
     found = json_object(read_text(about), str(about))
     if found != options:
-        raise InputError(f"{out}: expected {expected} {options}, got the export {found}")
+        keys = [key for key in {**options, **found} if options.get(key) != found.get(key)]
+        wanted, got = (", ".join(f"{key} {side.get(key)}" for key in keys) for side in (options, found))
+        raise InputError(f"{out}: expected {expected} of {wanted}, got that of {got}; choose another folder")
 
 
 def _run(chunks: Sequence[Chunk], out: Path, foreign: Format, workers: int) -> Iterator[int]:

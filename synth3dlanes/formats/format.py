@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Shaped
 
-from synth3dlanes.formats.comparing import Comparison, Truth
+from synth3dlanes.formats.comparing import Comparison, SourceSample
 from synth3dlanes.formats.writing import ExportFrame, FrameAnnotation, Pinhole, PinholeFrame
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.scene import Scene
@@ -58,6 +58,14 @@ class Rates:
     n_frames: int
     rates: Mapping[str, float]
 
+    def text(self) -> str:
+        """In lines."""
+        return f"{self.name}: {self.n_frames} frames\n  " + "  ".join(f"{k} {v:.4f}" for k, v in self.rates.items())
+
+    def document(self) -> dict[str, Any]:
+        """For JSON."""
+        return {"name": self.name, "frames": self.n_frames, "rates": dict(self.rates)}
+
 
 @dataclass(frozen=True, kw_only=True)
 class Format:
@@ -79,7 +87,7 @@ class Format:
     readme: str
     write: Callable[[Any], FrameAnnotation | None]
     read: Callable[[Path, int], Iterator[FrameList]]
-    verify: Callable[[ReadFrame, Truth], Comparison]
+    verify: Callable[[ReadFrame, SourceSample], Comparison]
     tolerances: Mapping[str, float]
     score: Callable[[Path, Path], Iterator[Rates]] | None = None
     links: Mapping[str, str] = field(default_factory=dict)

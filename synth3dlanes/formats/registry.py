@@ -22,7 +22,7 @@ def open_format(name: str) -> Format:
     entries = _entries()
     if name not in entries:
         raise InputError(
-            f"format: expected one of {', '.join(entries) or 'those of an installed package'}, got {name!r}"
+            f"format_name: expected one of {', '.join(entries) or 'those of an installed package'}, got {name!r}"
         )
     found = entries[name]
     first, *others = dict.fromkeys(map(_package, found))
@@ -30,7 +30,7 @@ def open_format(name: str) -> Format:
         raise InputError(f"format {name}: expected it of one package, got it of {', '.join((first, *others))}")
     try:
         loaded = found[0].load()
-    except Exception as error:  # noqa: BLE001 whatever another package raises
+    except (Exception, SystemExit) as error:  # noqa: BLE001 whatever another package raises
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise InputError(f"format {name}: the package {first} cannot be loaded: {reason}") from None
     if not isinstance(loaded, Format):

@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.ndimage import distance_transform_edt
 
-from synth3dlanes.formats.comparing import Comparison, Gap, Truth
+from synth3dlanes.formats.comparing import Comparison, Gap, SourceSample
 from synth3dlanes.formats.segments import STUFF
 from synth3dlanes.settings import FIRST_DELIMITER_ID, SEMANTIC_IDS
 
-Mask = Int[np.ndarray, " _"]
+PixelNumbers = Int[np.ndarray, " _"]
 
 LIMIT_PX = 0.5
 """Masks are exact."""
@@ -23,10 +23,10 @@ class Thing:
     """An object: its class and its pixels."""
 
     of_class: str
-    mask: Mask
+    mask: PixelNumbers
 
 
-def things(truth: Truth) -> dict[str, Thing]:
+def things(truth: SourceSample) -> dict[str, Thing]:
     """All objects of a sample by their names: paint by the id of its line."""
     semantic, instance = (truth.passes[name].ravel().astype(np.int64) for name in ("semantic", "instance"))
     names = {number: name for name, number in SEMANTIC_IDS.items()}
@@ -44,11 +44,16 @@ def things(truth: Truth) -> dict[str, Thing]:
     return found
 
 
-def compare_masks(found: Mapping[str, Mask], ours: Mapping[str, Mask], shape: tuple[int, int]) -> Comparison:
+def compare_masks(
+    found: Mapping[str, PixelNumbers], ours: Mapping[str, PixelNumbers], shape: tuple[int, int]
+) -> Comparison:
     """Masks of pictures of this shape by the names of their objects."""
     gaps = [_gap(name, mask, ours[name], shape) for name, mask in found.items() if name in ours]
     problems = [f"{name}: expected an object of the passes, got none of it" for name in found.keys() - ours.keys()]
-    problems += [f"{name}: expected a mask of it, got none" for name in ours.keys() - found.keys()]
+    every = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *found.values()]))
+    for name in ours.keys() - found.keys():
+        apart = _beyond(ours[name], every, shape).max(initial=0)
+        problems.append(f"{name}: expected a mask of it, got pixels of it {apart:.3g} px from all masks")
     problems += (
         f"{gap.lane}: expected its pixels as in the passes, got some {gap.worst:.3g} px away"
         for gap in gaps
@@ -57,7 +62,7 @@ def compare_masks(found: Mapping[str, Mask], ours: Mapping[str, Mask], shape: tu
     return Comparison(len(found), tuple(gaps), tuple(sorted(problems)))
 
 
-def most_shared(mask: Mask, ours: Mapping[str, Mask], shape: tuple[int, int]) -> str | None:
+def most_shared(mask: PixelNumbers, ours: Mapping[str, PixelNumbers], shape: tuple[int, int]) -> str | None:
     """The one of ours that has most of the pixels; the nearest one where none has any."""
     if not ours:
         return None
@@ -69,7 +74,7 @@ def most_shared(mask: Mask, ours: Mapping[str, Mask], shape: tuple[int, int]) ->
     return min(middles, key=lambda name: float(np.linalg.norm(middles[name] - middle)))
 
 
-def _gap(name: str, found: Mask, ours: Mask, shape: tuple[int, int]) -> Gap:
+def _gap(name: str, found: PixelNumbers, ours: PixelNumbers, shape: tuple[int, int]) -> Gap:
     """How far pixels that only one of two masks has are from the other."""
     if np.array_equal(found, ours):
         return Gap(name, "px", 0.0, 0.0)
@@ -77,7 +82,7 @@ def _gap(name: str, found: Mask, ours: Mask, shape: tuple[int, int]) -> Gap:
     return Gap(name, "px", float(apart.max()), float(np.median(apart)))
 
 
-def _beyond(mask: Mask, other: Mask, shape: tuple[int, int]) -> Float[np.ndarray, " _"]:
+def _beyond(mask: PixelNumbers, other: PixelNumbers, shape: tuple[int, int]) -> Float[np.ndarray, " _"]:
     """Distances of the pixels that the other mask lacks from it."""
     if not len(other):
         return np.full(1, float(np.hypot(*shape)))

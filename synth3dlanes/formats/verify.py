@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from synth3dlanes.errors import FormatError
-from synth3dlanes.formats.comparing import Comparison, Truth
+from synth3dlanes.formats.comparing import Comparison, SourceSample
 from synth3dlanes.formats.export import Export, Written, written
 from synth3dlanes.formats.format import FrameList, PinholeFormat, ReadFrame
 from synth3dlanes.formats.plan import open_reader
@@ -18,7 +18,7 @@ MOST_PROBLEMS = 20
 
 
 @dataclass(frozen=True)
-class Measure:
+class DistanceMeasure:
     """How far the lines of some frames are from those of the labels; `unit` is m or px."""
 
     unit: str
@@ -35,11 +35,11 @@ class Verification:
     n_frames: int
     n_lines: int
     n_matched: int
-    measures: tuple[Measure, ...]
+    measures: tuple[DistanceMeasure, ...]
     problems: tuple[str, ...]
 
     def text(self) -> str:
-        """In lines."""
+        """The result as lines of text."""
         lines = [f"{self.name}: {self.n_frames} frames, {self.n_matched} of {self.n_lines} lines as in the labels"]
         lines += (
             f"  worst {measure.worst:.4f} {measure.unit}, median {measure.median:.4f} {measure.unit}"
@@ -49,7 +49,7 @@ class Verification:
         return "\n".join(lines)
 
     def document(self) -> dict[str, Any]:
-        """For JSON."""
+        """The result as JSON values."""
         measures = {measure.unit: {k: v for k, v in vars(measure).items() if k != "unit"} for measure in self.measures}
         return {**vars(self), "measures": measures, "problems": list(self.problems)}
 
@@ -100,11 +100,11 @@ def _verified(job: Export, frames: FrameList, marks: Written, seen: set[str]) ->
             raise FormatError(f"{frame.where}: expected a frame of this export, got {frame.file}")
         seen.add(frame.file)
         url, place = marks.samples[frame.file]
-        truth = Truth(open_reader(url), place)
+        truth = SourceSample(open_reader(url), place)
         tally.problems += _image_problems(job, frame, truth)
         tally.add(frame.where, foreign.verify(frame, truth), dict(foreign.tolerances))
     measures = tuple(
-        Measure(
+        DistanceMeasure(
             unit,
             max(worst for worst, _ in gaps),
             float(np.median([median for _, median in gaps])),
@@ -116,7 +116,7 @@ def _verified(job: Export, frames: FrameList, marks: Written, seen: set[str]) ->
     return Verification(frames.name, *counts, measures, _shortened(tally.problems))
 
 
-def _image_problems(job: Export, frame: ReadFrame, truth: Truth) -> Iterator[str]:
+def _image_problems(job: Export, frame: ReadFrame, truth: SourceSample) -> Iterator[str]:
     """Findings where the image is missing, or of another width, height or kind."""
     if frame.image is None:
         return

@@ -6,20 +6,17 @@ from jaxtyping import Float
 from synth3dlanes.arrays import Points2, Scalars
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.solids import GroundFrame
-from synth3dlanes.labels import RoadName
 from synth3dlanes.scene import RoadSide
 
 
-def beside(ground: Ground, road: RoadName, side: RoadSide, s: Scalars, aside_m: Scalars | float) -> Points2:
+def beside(ground: Ground, road: str, side: RoadSide, s: Scalars, aside_m: Scalars | float) -> Points2:
     """World (x, y) at stations, `aside_m` outside an edge of the pavement; of the side `median`, at this offset."""
     on = ground.network.road(road)
     t = np.asarray(aside_m) if side == "median" else on.edge(side, s, aside_m)
     return on.xy(s, np.broadcast_to(t, s.shape))
 
 
-def frames_beside(
-    ground: Ground, road: RoadName, side: RoadSide, s: Scalars, aside_m: Scalars | float
-) -> list[GroundFrame]:
+def frames_beside(ground: Ground, road: str, side: RoadSide, s: Scalars, aside_m: Scalars | float) -> list[GroundFrame]:
     """Frames on the ground beside a road: y along the road as the host drives."""
     behind, middle, ahead, out = (
         beside(ground, road, side, s + ds, aside_m + da) for ds, da in ((-0.5, 0.0), (0.0, 0.0), (0.5, 0.0), (0.0, 1.0))

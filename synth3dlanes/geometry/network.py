@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby, pairwise
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, cast
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -78,12 +78,12 @@ class Ramp:
 
 
 @dataclass(frozen=True)
-class Lane:
+class NetworkLane:
     """A lane between two stations of its road, a node of the lane graph: `number` of its section from the host's left.
     Its traffic drives as the host does, or is `oncoming`."""
 
     id: str
-    road: RoadName
+    road: str
     section: str
     number: int
     middle: Offset
@@ -126,13 +126,13 @@ class Road:
     """A road on its reference line over the stations [start_m, end_m]. Its cross-section, as t grows: the left edge of
     its pavement, a shoulder, lanes and perhaps a median between them, a shoulder, and the right edge."""
 
-    id: RoadName
+    id: str
     line: ReferenceLine
     terrain: Terrain
     left: Offset
     right: Offset
     shoulder_m: float
-    lanes: tuple[Lane, ...]
+    lanes: tuple[NetworkLane, ...]
     start_m: float = -np.inf
     end_m: float = np.inf
     ramp: Ramp | None = None
@@ -165,7 +165,7 @@ class Road:
         beyond = sum(t + HAIR_M > (low_m + high_m) / 2 for low_m, high_m in self.medians)
         return self.carriageways[beyond].direction == "oncoming"
 
-    def lanes_at(self, s: float) -> list[Lane]:
+    def lanes_at(self, s: float) -> list[NetworkLane]:
         """Its lanes at a station, as t grows."""
         here = [lane for lane in self.lanes if lane.start_m <= s < lane.end_m]
         return sorted(here, key=lambda lane: lane.middle.order)
@@ -225,7 +225,7 @@ class LaneCurve:
 
     id: str
     kind: LaneKind
-    road: RoadName
+    road: str
     marking: Marking
     left: str | None
     right: str | None
@@ -234,7 +234,7 @@ class LaneCurve:
     end_m: float = np.inf
     direction: Direction = "same"
     is_inner: bool = False
-    lanes: tuple[Lane, ...] = ()
+    lanes: tuple[NetworkLane, ...] = ()
 
     def xy_world(self, s: AnyScalars) -> Float[np.ndarray, "n 2"]:
         """World (x, y) at stations."""
@@ -271,7 +271,7 @@ class LaneCurve:
             inside &= (s >= b.start_m) | (s <= a.end_m)
         return np.asarray(inside)
 
-    def lane_at(self, s: float) -> Lane:
+    def lane_at(self, s: float) -> NetworkLane:
         """The lane of a path at a station."""
         return next(lane for lane in reversed(self.lanes) if s >= lane.start_m)
 
@@ -314,7 +314,7 @@ class Network:
         return -self.onwards if self.main.line.is_mirrored else self.onwards
 
     @cached_property
-    def lanes(self) -> dict[str, Lane]:
+    def lanes(self) -> dict[str, NetworkLane]:
         """All lanes by id: the host's, then oncoming ones; a section's from the host's left."""
         lanes = (lane for road in self.roads for lane in road.lanes)
         return {lane.id: lane for lane in sorted(lanes, key=lambda lane: lane.direction == "oncoming")}
@@ -327,7 +327,7 @@ class Network:
         at = -1 if len({way[-1].id for way in ways}) >= len({way[0].id for way in ways}) else 0
         return tuple(self._path(way[at], sorted(way, key=lambda lane: lane.start_m)) for way in ways)
 
-    def _path(self, named: Lane, lanes: list[Lane]) -> LaneCurve:
+    def _path(self, named: NetworkLane, lanes: list[NetworkLane]) -> LaneCurve:
         beside = [line for line in self.delimiters if line.end_m >= named.end_m]
         left = next((line.id for line in beside if line.right == named.id), None)
         right = next((line.id for line in beside if line.left == named.id), None)
@@ -365,19 +365,19 @@ class Network:
         """Stations of stations as the host drives, and vice versa."""
         return s * self.onwards
 
-    def lanes_at(self, s: float) -> list[Lane]:
+    def lanes_at(self, s: float) -> list[NetworkLane]:
         """The lanes of all roads at a station: the host's from its left, then oncoming ones."""
         return [lane for lane in self.lanes.values() if lane.start_m <= s < lane.end_m]
 
-    def host_lane(self, number: int, driven_m: float) -> Lane:
+    def host_lane(self, number: int, driven_m: float) -> NetworkLane:
         """The host's lane `number` from its left, at a station as it drives."""
         return self.lanes_at(driven_m * self.onwards)[number - 1]
 
-    def successors(self, lane: str) -> list[Lane]:
+    def successors(self, lane: str) -> list[NetworkLane]:
         """The lanes that follow a lane."""
         return [self.lanes[after] for before, after in self.links if before == lane]
 
-    def joined_to(self, lane: Lane) -> list[Lane]:
+    def joined_to(self, lane: NetworkLane) -> list[NetworkLane]:
         """The lanes that a lane is linked to."""
         return [self.lanes[name] for link in self.links if lane.id in link for name in link if name != lane.id]
 
@@ -394,7 +394,9 @@ class Network:
             names = {n: f"{lane.section}_{n}" for n in (lane.number - 1, lane.number + 1)}
             left, right = (name if name in self.lanes else None for name in names.values())
             along = [path.id for path in self.paths if lane in path.lanes and path.id in centerlines]
-            segments.append(Segment(lane.id, lane.road, lane.number, start_m, end_m, left, right, tuple(along)))
+            segments.append(
+                Segment(lane.id, cast(RoadName, lane.road), lane.number, start_m, end_m, left, right, tuple(along))
+            )
         successors = {before: tuple(lane.id for lane in self.successors(before)) for before, _ in sorted(self.links)}
         starts = [round(float(road.ramp.start_m * self.onwards), 4) + 0.0 for road in self.roads if road.ramp]
         return LaneGraph(tuple(segments), successors, starts[0] if starts else None)
@@ -427,7 +429,7 @@ class Network:
         masks = {road.id: road.may_reach(xy_world, reach_m) for road in self.roads}
         near = np.logical_or.reduce(list(masks.values()))
         xy = xy_world[near]
-        found: dict[RoadName, Nearby] = {}
+        found: dict[str, Nearby] = {}
         for road in self.roads:
             if road.parting is None:
                 which = np.logical_or.reduce([masks[at.id][near] for at in (road, *self.branches(road))])
@@ -447,8 +449,9 @@ class Network:
         near = ((low < xy_world + reach_m) & (high > xy_world - reach_m)).all(axis=1)
         if near.all():
             return self
-        roads = tuple(road for road, is_near in zip(self.roads, near, strict=True) if is_near)
-        kept = {road.id for road in roads}
+        chosen = [road for road, is_near in zip(self.roads, near, strict=True) if is_near]
+        kept = {road.id for road in chosen} | {road.parting.road.id for road in chosen if road.parting}
+        roads = tuple(road for road in self.roads if road.id in kept)
         delimiters = tuple(line for line in self.delimiters if all(piece.road.id in kept for piece in line.pieces))
         links = tuple(link for link in self.links if all(self.lanes[lane].road in kept for lane in link))
         return replace(self, roads=roads, delimiters=delimiters, links=links)
@@ -490,17 +493,17 @@ def joined(parts: Iterable[tuple[Road, Offset, float]]) -> tuple[Piece, ...]:
     return (*pieces, Piece(road, offset, start_m, np.inf))
 
 
-def _as_t_grows(network: Network) -> Iterator[Lane]:
+def _as_t_grows(network: Network) -> Iterator[NetworkLane]:
     """All lanes, those of a section as t grows."""
     for _, group in groupby(network.lanes.values(), key=lambda lane: lane.section):
         yield from list(group)[:: int(network.rightward)]
 
 
-def _ways(lanes: Sequence[Lane], links: Sequence[tuple[str, str]]) -> Iterator[list[Lane]]:
+def _ways(lanes: Sequence[NetworkLane], links: Sequence[tuple[str, str]]) -> Iterator[list[NetworkLane]]:
     """All ways from lanes that follow no other to lanes that no other follows."""
     by_id = {lane.id: lane for lane in lanes}
 
-    def onward(way: list[Lane]) -> Iterator[list[Lane]]:
+    def onward(way: list[NetworkLane]) -> Iterator[list[NetworkLane]]:
         after = [by_id[b] for a, b in links if a == way[-1].id and by_id[b] not in way]
         if not after:
             yield way

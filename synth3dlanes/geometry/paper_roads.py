@@ -12,15 +12,25 @@ import numpy as np
 from jaxtyping import Bool
 
 from synth3dlanes.arrays import AnyPoints2, AnyScalars
-from synth3dlanes.geometry.network import BEFORE_M, WIDER, Lane, LaneCurve, Network, Offset, Parting, Ramp, joined
-from synth3dlanes.geometry.network import Road as NetworkRoad
+from synth3dlanes.geometry.network import (
+    BEFORE_M,
+    WIDER,
+    LaneCurve,
+    Network,
+    NetworkLane,
+    Offset,
+    Parting,
+    Ramp,
+    Road,
+    joined,
+)
 from synth3dlanes.geometry.reference_line import MAX_STEP_M, NEWTON_STEPS, LineFrames, ReferenceLine
 from synth3dlanes.labels import Direction, Marking, RoadName
-from synth3dlanes.scene import Road, Terrain
+from synth3dlanes.scene import PaperRoad, Terrain
 
 # Of a painted line: the lanes beside it as t grows; roads, offsets there, and stations where each of these begins.
-Beside = tuple[str | None, str | None]
-Parts = list[tuple[NetworkRoad, Offset, float]]
+LanesBeside = tuple[str | None, str | None]
+Parts = list[tuple[Road, Offset, float]]
 
 # Knots of the quartic (paper, Table 'Lane top view geometry'); beyond them roads continue along their tangents.
 S_END_M = 100.0
@@ -48,7 +58,7 @@ class Flips(NamedTuple):
 class Quartic(ReferenceLine):
     """The main road's line: x = f(y), straight beyond the outer knots. A station is y in the plan."""
 
-    def __init__(self, road: Road, flips: Flips) -> None:
+    def __init__(self, road: PaperRoad, flips: Flips) -> None:
         self.flips, self.is_mirrored = flips, flips.x * flips.y < 0
         ys = np.array([-100.0, -50.0, 50.0, 100.0])
         xs = [road.offset_m50_m + road.offset_m100_m, road.offset_m50_m]
@@ -190,12 +200,12 @@ def smooth_min(q: AnyScalars, width_m: float) -> AnyScalars:
     return np.minimum(q, width_m) - h * h / (4 * CORNER_M)
 
 
-def paper_network(road: Road, terrain: Terrain) -> Network:
+def paper_network(road: PaperRoad, terrain: Terrain) -> Network:
     """The roads of the paper's numbers over a terrain."""
     return _Plan(road, terrain).network
 
 
-def is_wide_enough(road: Road) -> bool:
+def is_wide_enough(road: PaperRoad) -> bool:
     """Whether the bends of a road leave room for its oncoming lanes: on the inside of a sharp one they would fold."""
     plan = _Plan(road, Terrain(gaussians=()))
     _, _, speed, turn = plan.line.frames(np.linspace(-S_END_M, S_END_M, 401))
@@ -207,7 +217,7 @@ class _Plan:
     """The paper's numbers, and what is made of them step by step. Lanes 1..n and lines 0..n count from the plan's
     left."""
 
-    road: Road
+    road: PaperRoad
     terrain: Terrain
 
     @cached_property
@@ -289,10 +299,10 @@ class _Plan:
         middles: list[Offset],
         span_m: tuple[float, float],
         direction: Direction = "same",
-    ) -> list[Lane]:
+    ) -> list[NetworkLane]:
         """The lanes of a section, from the host's left."""
         lanes = [
-            Lane(
+            NetworkLane(
                 self.lane_id(name, k),
                 road,
                 name,
@@ -307,7 +317,7 @@ class _Plan:
         return sorted(lanes, key=lambda lane: lane.number)
 
     @cached_property
-    def main_lanes(self) -> list[Lane]:
+    def main_lanes(self) -> list[NetworkLane]:
         """The lanes of the main road: of its stem before the split, beyond it, and oncoming ones."""
         road, whole = self.road, (-np.inf, np.inf)
         middles = [Offset(self.middle_m(lane)) for lane in range(1, road.n_lanes + 1)]
@@ -325,7 +335,7 @@ class _Plan:
         return smooth_min(self.opening(np.maximum(s, 0)), self.road.lane_width_m)
 
     @cached_property
-    def exit_lanes(self) -> list[Lane]:
+    def exit_lanes(self) -> list[NetworkLane]:
         road, first = self.road, self.road.n_lanes - self.road.n_exit_lanes
         middles = [Offset(self.middle_m(first + lane) - self.exit_base_m) for lane in range(1, road.n_exit_lanes + 1)]
         return self.section("exit", "exit", middles, (0.0, np.inf))
@@ -346,7 +356,7 @@ class _Plan:
     # -- roads
 
     @cached_property
-    def main_road(self) -> NetworkRoad:
+    def main_road(self) -> Road:
         road = self.road
         edge_m, lost_m = (
             road.n_lanes * road.lane_width_m / 2 + self.shoulder_m,
@@ -358,14 +368,14 @@ class _Plan:
 
         right = Offset(edge_m, tapers if lost_m else None)
         left = Offset(self.left_m - self.shoulder_m)
-        return NetworkRoad("main", self.line, self.terrain, left, right, self.shoulder_m, tuple(self.main_lanes))
+        return Road("main", self.line, self.terrain, left, right, self.shoulder_m, tuple(self.main_lanes))
 
     @cached_property
-    def exit_road(self) -> NetworkRoad:
+    def exit_road(self) -> Road:
         road, width_m = self.road, self.road.lane_width_m
         edge_m, start_m = self.exit_half_m + self.shoulder_m, self.opening.station(width_m + 2 * self.shoulder_m)
         length_m = max(road.ramp_height_m * road.ramp_slope, MIN_RAMP_LENGTH_M)
-        return NetworkRoad(
+        return Road(
             "exit",
             Displaced(self.line, self.exit_base_m, self.opening),
             self.terrain,
@@ -406,7 +416,13 @@ class _Plan:
         return self._painted(self.line_id(section, j), marking, beside, parts, start_m, end_m)
 
     def _painted(
-        self, name: str, marking: Marking, beside: Beside, parts: Parts, start_m: float = -np.inf, end_m: float = np.inf
+        self,
+        name: str,
+        marking: Marking,
+        beside: LanesBeside,
+        parts: Parts,
+        start_m: float = -np.inf,
+        end_m: float = np.inf,
     ) -> LaneCurve:
         left, right = beside[:: int(self.flips.x)]
         road: RoadName = "exit" if name.startswith("exit") else "main"
@@ -438,7 +454,7 @@ class _Plan:
             return [self._through(j) for j in range(n + 1)]
         main, half_m, nose_m = self.main_road, self.exit_half_m, self.nose_m
 
-        def beyond(road: NetworkRoad, t_m: float) -> Parts:
+        def beyond(road: Road, t_m: float) -> Parts:
             return [(road, Offset(t_m), nose_m)]
 
         def leaving(stem_m: float, t_m: float) -> Parts:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.meshes import Mesh, facing_up
-from synth3dlanes.geometry.network import Lane, Network
+from synth3dlanes.geometry.network import Network, NetworkLane
 from synth3dlanes.geometry.paint import towards_eye
 from synth3dlanes.scene import Markings
 from synth3dlanes.streams import Streams
@@ -83,23 +83,23 @@ def ghost_shade(contrast: float, streams: Streams) -> float:
     return float(GHOST_SHADES[int(streams("ghost_shade").random() < 0.5)] ** contrast)
 
 
-def clear_lanes(network: Network) -> list[Lane]:
+def clear_lanes(network: Network) -> list[NetworkLane]:
     """The lanes of the host's road and direction, as t grows, that lead to no other road."""
     road = network.main
 
-    def stays(lane: Lane) -> bool:
+    def stays(lane: NetworkLane) -> bool:
         return all(beyond.road == road.id for beyond in network.joined_to(lane))
 
     return [lane for lane in _same(network, -np.inf) if stays(lane)]
 
 
-def inside_lane(lane: Lane, share: float) -> float:
+def inside_lane(lane: NetworkLane, share: float) -> float:
     """An offset in a lane, clear of its lines."""
     free_m = max(lane.width_m - 2 * CLEAR_M, 0.0)
     return lane.middle.base_m + (share - 0.5) * free_m
 
 
-def _same(network: Network, s: float) -> list[Lane]:
+def _same(network: Network, s: float) -> list[NetworkLane]:
     """The lanes of the host's road and direction at a station, as t grows."""
     return [lane for lane in network.main.lanes_at(s) if lane.direction == "same"]
 

@@ -11,7 +11,7 @@ from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.errors import InputError
 from synth3dlanes.files import write
 from synth3dlanes.production.recipe import make_image, require_blender
-from synth3dlanes.production.workers import Limits, call
+from synth3dlanes.production.workers import Limits, Pool, ask, call
 from synth3dlanes.sample import with_lidar
 from synth3dlanes.scene import Scene
 from synth3dlanes.sensors.lidars import LidarSpec
@@ -56,15 +56,21 @@ def render_file(
 
 
 def render_members(
-    scene: Scene, settings: RenderSettings, image_format: str, library: Library, where: str
+    scene: Scene,
+    settings: RenderSettings,
+    image_format: str,
+    library: Library,
+    where: str,
+    pool: Pool | None = None,
 ) -> dict[str, bytes]:
-    """The members of a sample of the scene, made in a worker process.
+    """The members of a sample of the scene, made in a worker process: a new one, or that of a pool.
 
     Raises MissingPackageError without Blender, InputError for a device that is not there, WorkerError if Blender fails;
     the message begins with `where`.
     """
     require_blender()
-    outcome = call(PATIENCE, _make, scene, settings, image_format, library, pinned=True)
+    task = (_make, scene, settings, image_format, library)
+    outcome = call(PATIENCE, *task, pinned=True) if pool is None else ask(pool, *task)
     members: dict[str, bytes] | InputError = outcome.result(where)
     if isinstance(members, InputError):
         raise members

@@ -253,10 +253,15 @@ class Pool:
 def call(limits: Limits, function: Callable[..., Any], *args: Any, pinned: bool = False) -> Outcome:
     """Run `function(*args)` in a worker process, so that this process does not load Blender."""
     with Pool(1, limits, pinned) as pool:
-        pool.start(function.__name__, function, *args)
-        while True:
-            for outcome in pool.wait(1.0):
-                return outcome
+        return ask(pool, function, *args)
+
+
+def ask(pool: Pool, function: Callable[..., Any], *args: Any) -> Outcome:
+    """Run `function(*args)` in a free worker of a pool, and wait for it alone."""
+    pool.start(function.__name__, function, *args)
+    while True:
+        for outcome in pool.wait(1.0):
+            return outcome
 
 
 def _lease(n: int, cores: Sequence[int]) -> tuple[list[int], list[int]]:

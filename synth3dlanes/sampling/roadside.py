@@ -19,7 +19,6 @@ from synth3dlanes.geometry.network import SIDES, Network, Side
 from synth3dlanes.geometry.rails import KERBS, RAILS
 from synth3dlanes.geometry.roadside import Footprints, footprints
 from synth3dlanes.geometry.sign_faces import FACES, SIGNS
-from synth3dlanes.labels import RoadName
 from synth3dlanes.scene import Building, Color, Crossing, Post, Rail, RailKind, RoadSide, Roadside
 from synth3dlanes.world import World
 
@@ -79,7 +78,7 @@ class PostRow(NamedTuple):
 class Edge(NamedTuple):
     """An edge of the pavement and the stations where it bounds a place."""
 
-    road: RoadName
+    road: str
     side: Side
     low_m: float = -np.inf
     high_m: float = np.inf

@@ -8,7 +8,7 @@ from synth3dlanes.distributions import Choice, Distribution, Integers, Uniform, 
 from synth3dlanes.geometry.paper_roads import is_wide_enough
 from synth3dlanes.params import Params
 from synth3dlanes.sampling.weather import under
-from synth3dlanes.scene import MIN_MEDIAN_M, Road, Scene
+from synth3dlanes.scene import MIN_MEDIAN_M, PaperRoad, Scene
 
 # Parameters of which the rules keep only the range, with the reason.
 CONDITIONED = {
@@ -75,7 +75,7 @@ class ParameterRules:
             self._by_weather[kind, daytime] = {f"{name}.{key}": form for name, group in changed for key, form in group}
         return self._by_weather[kind, daytime]
 
-    def _has_room(self, road: Road) -> bool:
+    def _has_room(self, road: PaperRoad) -> bool:
         """Whether the bends of a road have room for the most oncoming lanes and the widest median declared: then none
         were left out."""
         declared = self.params.road

@@ -1,6 +1,6 @@
 """The paint of a scene that bounds no lane: crosswalks, stop lines, arrows, a gore."""
 
-from synth3dlanes.geometry.network import Lane, Network
+from synth3dlanes.geometry.network import Network, NetworkLane
 from synth3dlanes.geometry.symbols import LENGTHS_M, gore_of
 from synth3dlanes.sampling.draws import DECIMALS, Draw
 from synth3dlanes.scene import Symbol
@@ -57,7 +57,7 @@ def draw_symbols(world: World, draw: Draw) -> tuple[Symbol, ...]:
     return tuple(symbols)
 
 
-def _arrow(network: Network, lane: Lane, turns: list[float]) -> SymbolKind:
+def _arrow(network: Network, lane: NetworkLane, turns: list[float]) -> SymbolKind:
     """The arrow of a lane: where its successors lead, or as before a junction where no roads part, where `turns` in
     [0, 1) decide what the outer lanes may do."""
     if not network.links:

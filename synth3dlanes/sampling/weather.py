@@ -71,11 +71,6 @@ DAYTIMES: dict[str, dict[str, Distribution]] = {
 }
 
 
-def replaced(kind: str, daytime: str) -> set[str]:
-    """The keys, as group.key, that scenes in this weather and at this time of day draw from the tables."""
-    return set(KINDS[kind] | DAYTIMES[daytime])
-
-
 def under(params: Params, kind: str, daytime: str) -> Params:
     """The parameters of scenes in this weather and at this time of day."""
     changes: dict[str, dict[str, Distribution]] = {}

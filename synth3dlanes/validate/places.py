@@ -116,7 +116,8 @@ class RoadPlaces:
         found = np.full(self.s.shape, np.nan)
         for piece in curve.pieces:
             s, t = self.on[piece.road.id]
-            start_m = piece.start_m if piece.road.parting is None else piece.road.start_m
+            start_m = -np.inf if piece is curve.pieces[0] else piece.start_m
+            start_m = start_m if piece.road.parting is None else piece.road.start_m
             found = np.where((self.s >= start_m) & (s >= start_m), value(s, t, piece.offset), found)
         return found
 

@@ -23,7 +23,7 @@ def writers(out: Path, roads):
     state = checkpoint.Checkpoint(train_config("nano", {}), {}, {"weight": torch.zeros(1)}, None)
 
     def log() -> None:
-        with TrainingLog(out, 1, 0, 1, is_shown=True) as history:
+        with TrainingLog(out, 1, 1, 0, 1, is_shown=True) as history:
             history.step(1, 0.1, {"total": torch.zeros(())})
 
     return {

@@ -1,5 +1,6 @@
 """What a training tells where there is no terminal, as in a cluster's log."""
 
+import torch
 from synth3dlanes_baseline import progress
 
 
@@ -20,3 +21,27 @@ def test_other_processes_than_the_first_say_nothing(capsys, monkeypatch):
     with progress.ProgressLine("step", 10, is_shown=False) as line:
         line.update(5, 10)
     assert capsys.readouterr().err == ""
+
+
+def test_an_epoch_is_one_line_with_loss_validation_speed_and_time_left(capsys, monkeypatch, tmp_path):
+    """As trainers print it: the mean loss since the line before, also where a validation comes within an epoch."""
+    from synth3dlanes_baseline.metrics import Evaluation, MetricConfig
+
+    clock = 100.0
+    monkeypatch.setattr(progress.time, "monotonic", lambda: clock)
+    report = Evaluation(MetricConfig()).report()
+    with progress.TrainingLog(tmp_path, 20, 10, 0, 4, is_shown=True) as log:
+        for step in range(1, 21):
+            clock += 0.5
+            log.step(step, 1e-3, {"total": torch.tensor(float(step))})
+            if step in (5, 20):
+                log.validation(step, report)
+            if step in (5, 10, 20):
+                log.epoch(step, report if step in (5, 20) else None)
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("epoch")]
+    assert [line.split(":")[0] for line in lines] == ["epoch 0.5/2", "epoch 1/2", "epoch 2/2"]
+    assert [line.split(", ")[0].split(": ")[1] for line in lines] == ["loss 3.000", "loss 8.000", "loss 15.500"]
+    assert lines[1] == "epoch 1/2: loss 8.000, 8.0 images/s, 0:00:05 left"
+    assert lines[2].endswith("8.0 images/s, 0:00:00 left")
+    assert "centerline AP" in lines[0]
+    assert "reaches confidence" not in "".join(lines)

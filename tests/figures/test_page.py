@@ -55,9 +55,11 @@ def test_a_scene_page_loads_nothing(with_image, gray_image, exit_scene):
 def test_every_switch_has_something_to_switch(exit_scene):
     scene = exit_scene
     page = scene_page(ShownScene(scene, ground_truth(scene), None))
+    empty = scene.model_copy(update={"cars": ()})
+    assert 'data-shows=".object"' not in scene_page(ShownScene(empty, ground_truth(empty), None))
     classes = set(" ".join(re.findall(r'class="([^"]*)"', page)).split())
     switches = re.findall(r'data-shows="([^"]*)"', page)
-    assert len(switches) == 5
+    assert len(switches) == 6
     assert all(name in classes for switch in switches for name in re.findall(r"[\w-]+", switch))
 
 

@@ -175,7 +175,7 @@ def test_a_folder_of_something_else_is_refused(dataset, tmp_path):
         Export(str(dataset), tmp_path, "once").write()
     out = tmp_path / "out"
     Export(str(dataset), out, "once").write()
-    with pytest.raises(InputError, match="got the export"):
+    with pytest.raises(InputError, match="got that of"):
         Export(str(dataset), out, "tusimple").write()
     with pytest.raises(FormatError, match="expected a split of a data set"):
         Export(str(tmp_path / "out"), tmp_path / "other", "once").write()

@@ -9,9 +9,7 @@ import pytest
 from synth3dlanes.errors import InputError
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.format import SampleFrame
-from synth3dlanes.formats.openlane_v2 import score as scoring
 from synth3dlanes.formats.openlane_v2.read import frames, parse
-from synth3dlanes.formats.openlane_v2.score import LaneTopology, score
 from synth3dlanes.formats.openlane_v2.write import annotate
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.frames import invert, transform
@@ -19,6 +17,8 @@ from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.lens import Lens
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import Scenes, sample_scene
+from tests.formats import openlane_v2_score as scoring
+from tests.formats.openlane_v2_score import LaneTopology, score
 
 FLIPS = [(a, b) for a in ("true", "false") for b in ("true", "false")]
 CHANGES = ["camera.roll_deg={-2: 1, 2: 1}", "camera.principal_offset_px=[-8, 8]", "road.n_oncoming={0: 1, 2: 1}"]

@@ -9,6 +9,7 @@ import pytest
 import yaml
 from PIL import Image, ImageDraw
 
+from synth3dlanes.dataset.read import Reader
 from synth3dlanes.errors import InputError
 from synth3dlanes.formats.coco.write import run_lengths
 from synth3dlanes.formats.export import Export
@@ -175,6 +176,33 @@ def test_lines_with_each_others_numbers_are_found(with_passes, masks, tmp_path):
     about[0]["number"], about[1]["number"] = about[1]["number"], about[0]["number"]
     path.write_text(json.dumps(about))
     assert any("line 0: expected 2 to be (" in problem for problem in problems(with_passes, out, "masks"))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda box: box["center_cam"].__setitem__(0, box["center_cam"][0] + 0.1), "expected the 3D box of"),
+        (lambda box: box.update(id=2), "expected the 3D box of"),
+        (lambda box: box.update(category="bus"), "expected the 3D box of"),
+        (None, "got none"),
+    ],
+)
+def test_3d_boxes_are_those_of_the_labels_and_others_are_found(change, words, with_passes, coco, tmp_path):
+    out = shutil.copytree(coco, tmp_path / "coco")
+    path = out / "annotations/instances_train.json"
+    document, reader = json.loads(path.read_text()), Reader(str(with_passes / "train"))
+    cars = [item for item in document["annotations"] if item["category_id"] == SEMANTIC_IDS["car"] + 1]
+    assert len(cars) == 3
+    for car, labels in zip(cars, map(reader.labels, range(3)), strict=True):
+        own = labels.objects[0]
+        assert (car["object"]["id"], car["object"]["category"]) == (1, own.category)
+        np.testing.assert_allclose(car["object"]["center_cam"], own.center_cam, atol=1e-4)
+    if change is None:
+        del cars[0]["object"]
+    else:
+        change(cars[0]["object"])
+    path.write_text(json.dumps(document))
+    assert any(words in problem for problem in problems(with_passes, out, "coco"))
 
 
 def test_segments_a_pixel_aside_are_found(with_passes, coco, tmp_path):

@@ -187,7 +187,7 @@ def test_lamp_heads_are_over_the_road_and_on_both_sides_of_a_median():
     one, left, right = world.site.street_lamps[
         np.argsort(world.site.street_lamps[:, 1] * 1000 + world.site.street_lamps[:, 0])
     ]
-    edge_m = world.ground.edge_m
+    edge_m = world.network.main.right.base_m
     assert one[0] == pytest.approx(edge_m + 1.2 - 2.18, abs=0.05)
     assert one[2] == pytest.approx(world.ground.height(np.array([[edge_m + 1.2, 0.0]]))[0] + 8.2, abs=0.1)
     assert left[0] == pytest.approx(-right[0])

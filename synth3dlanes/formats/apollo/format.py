@@ -1,6 +1,7 @@
 """The format apollo."""
 
 from synth3dlanes.formats.apollo.convention import CAMERA, ROOT
+from synth3dlanes.formats.apollo.predictions import score
 from synth3dlanes.formats.apollo.verify import LINES, read, verify
 from synth3dlanes.formats.apollo.write import README, annotate
 from synth3dlanes.formats.format import PinholeFormat
@@ -11,6 +12,7 @@ FORMAT = PinholeFormat(
     write=annotate,
     read=read,
     verify=verify,
+    score=score,
     tolerances={LINES.unit: LINES.limit},
     camera=CAMERA,
     is_f_free=False,

@@ -10,11 +10,11 @@ from synth3dlanes.formats.apollo.convention import ROOT
 from synth3dlanes.formats.apollo.read import ApolloFrame, FlagLists, PointLists, parse
 from synth3dlanes.formats.comparing import (
     Comparison,
+    ExportView,
     OurLine,
     Rule,
-    Truth,
+    SourceSample,
     UprightLane,
-    View,
     camera_problems,
     compare,
 )
@@ -27,7 +27,7 @@ from synth3dlanes.schema import Excerpt
 LINES, CENTERS = (Rule("m", 0.001, most=most, name=name) for most, name in ((6, "lane line"), (np.inf, "center line")))
 # The evaluator looks at lines in this band only, of which a line may have little.
 ASIDE_M, NEAR_M, FAR_M = 9.0, 5.0, 95.0
-VIEW = View(np.array([[2015.0, 0, 960], [0, 2015, 540], [0, 0, 1]]), (1920, 1080))
+VIEW = ExportView(np.array([[2015.0, 0, 960], [0, 2015, 540], [0, 0, 1]]), (1920, 1080))
 
 
 class _Sidecar(Excerpt):
@@ -51,7 +51,7 @@ def _frames(path: Path, most_frames: int, ids: Sidecars[_Sidecar]) -> Iterator[R
         yield ReadFrame(image, where, image, (frame, ids[frame.raw_file]))
 
 
-def verify(frame: ReadFrame, truth: Truth) -> Comparison:
+def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     """Lane lines and centre lines in metres."""
     found, sidecar = frame.content
     height_m = found.cam_height_m * np.cos(found.cam_pitch_rad)

@@ -10,11 +10,12 @@ from jaxtyping import Shaped
 from pydantic import Field
 
 from synth3dlanes.errors import FormatError
-from synth3dlanes.formats.comparing import Comparison, Truth
+from synth3dlanes.formats.comparing import Comparison, SourceSample
 from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.reading import MOST_BYTES, image_size, read_file, read_mask
 from synth3dlanes.formats.segments import STUFF
-from synth3dlanes.formats.things import Mask, compare_masks, most_shared, things
+from synth3dlanes.formats.things import PixelNumbers, compare_masks, most_shared, things
+from synth3dlanes.json_arrays import Row3, Row4
 from synth3dlanes.schema import MAX_PX, Excerpt, PathBelow, parse
 from synth3dlanes.settings import SEMANTIC_IDS
 
@@ -50,17 +51,29 @@ class _Lane(Excerpt):
     id: str
 
 
+class _Object(Excerpt):
+    id: int
+    category: str
+    size_m: Row3
+    center_cam: Row3
+    rotation_wxyz: Row4
+
+
 class _Instance(Excerpt):
     id: int
     image_id: int
     category_id: int
     segmentation: _Runs
     lane: _Lane | None = None
+    object: _Object | None = None
 
 
 class _Instances(Excerpt):
     annotations: list[_Instance]
 
+
+# Boxes are rounded as in the labels.
+BOX_M = 2e-4
 
 Document = TypeVar("Document", _Panoptic, _Instances)
 
@@ -90,11 +103,11 @@ def _parsed(model: type[Document], path: Path) -> Document:
     return parse(model, read_file(path), str(path), "annotations of COCO", MOST_BYTES)
 
 
-def verify(frame: ReadFrame, truth: Truth) -> Comparison:
+def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     """The mask of each instance, and the segment of each pixel."""
     infos, pixels, instances = frame.content
     ours, classes = things(truth), {number + 1: name for name, number in SEMANTIC_IDS.items()}
-    found, problems = dict[str, Mask](), list[str]()
+    found, problems = dict[str, PixelNumbers](), list[str]()
     for instance in instances:
         mask = _decoded(instance.segmentation, pixels.shape)
         if mask is None or not len(mask):
@@ -110,11 +123,31 @@ def verify(frame: ReadFrame, truth: Truth) -> Comparison:
             expected = SEMANTIC_IDS[ours[name].of_class] + 1
             problems.append(f"{name}: expected the category {expected}, got {instance.category_id}")
         found[name] = mask
+    problems += _object_problems(instances, truth)
     compared = compare_masks(found, {name: thing.mask for name, thing in ours.items()}, pixels.shape)
     return compared.because([*problems, *_segment_problems(infos, pixels, truth)])
 
 
-def _segment_problems(infos: list[_Segment], pixels: Shaped[np.ndarray, "h w"], truth: Truth) -> Iterator[str]:
+def _object_problems(instances: list[_Instance], truth: SourceSample) -> Iterator[str]:
+    """Findings unless each car has the 3D box of the object whose pixels it has."""
+    boxes = {item.id: item for item in truth.labels.objects or ()}
+    ids = truth.passes["instance"]
+    for instance in instances:
+        mask = _decoded(instance.segmentation, (ids.shape[0], ids.shape[1]))
+        if instance.category_id != SEMANTIC_IDS["car"] + 1 or mask is None or not len(mask):
+            continue
+        own = boxes.get(int(np.bincount(ids.ravel()[mask].astype(int)).argmax()))
+        if own is None or instance.object is None:
+            if own is not None:
+                yield f"instance {instance.id}: expected the 3D box of {own.category} {own.id}, got none"
+            continue
+        box = instance.object
+        found, expected = (np.concatenate([item.size_m, item.center_cam, item.rotation_wxyz]) for item in (box, own))
+        if (box.id, box.category) != (own.id, own.category) or not np.abs(found - expected).max() <= BOX_M:
+            yield f"instance {instance.id}: expected the 3D box of {own.category} {own.id}, got another"
+
+
+def _segment_problems(infos: list[_Segment], pixels: Shaped[np.ndarray, "h w"], truth: SourceSample) -> Iterator[str]:
     """Findings unless segments and objects divide the picture in the same way, and categories and areas are theirs."""
     semantic, instance = (truth.passes[name].astype(np.int64) for name in ("semantic", "instance"))
     is_stuff = np.isin(semantic, [SEMANTIC_IDS[name] for name in STUFF])
@@ -133,7 +166,7 @@ def _segment_problems(infos: list[_Segment], pixels: Shaped[np.ndarray, "h w"], 
             yield f"segment {info.id}: expected the category {classes[0] + 1}, got {info.category_id}"
 
 
-def _decoded(runs: _Runs, shape: tuple[int, int]) -> Mask | None:
+def _decoded(runs: _Runs, shape: tuple[int, int]) -> PixelNumbers | None:
     """The mask of run lengths, which go down the columns; None where they are not those of an image of this size."""
     if runs.size != shape or sum(runs.counts) != shape[0] * shape[1]:
         return None

@@ -13,6 +13,7 @@ from synth3dlanes.formats.format import SampleFrame
 from synth3dlanes.formats.segments import file_name, image_path, png
 from synth3dlanes.formats.writing import PARTS, FrameAnnotation
 from synth3dlanes.labels import Lane
+from synth3dlanes.object_labels import ObjectLabel, object_document
 from synth3dlanes.settings import FIRST_DELIMITER_ID
 
 README = """COCO layout.
@@ -24,6 +25,8 @@ README = """COCO layout.
   stuff, all others are things: each lane line, car, tree, symbol and structure is one.
 - A lane line's paint is one instance, with all its dashes. `lane` has the line's id in the labels, its `marking` and
   its `color`; lines that begin more than 110 m ahead have none. There are no crowds.
+- Cars have the key `object` with their 3D box: `id`, `category`, `size_m`, `center_cam` and `rotation_wxyz` as in the
+  labels of the data set (camera frame: x right, y along the viewing direction, z up).
 """
 
 
@@ -36,15 +39,16 @@ def annotate(frame: SampleFrame) -> FrameAnnotation:
     ids, areas = np.unique(down, return_counts=True)
     places = np.split(np.argsort(down, kind="stable"), np.cumsum(areas)[:-1])
     delimiters = [lane for lane in frame.labels.lanes if lane.kind == "delimiter"]
+    boxes = {item.id: {"object": box_3d(item)} for item in frame.labels.objects or ()}
     infos, instances = [], []
     for segment, at in zip(ids.tolist(), places, strict=True):
         category = segment % CLASSES_AT_MOST
         info = {"category_id": category, "area": len(at), "bbox": _box(at, height_px), "iscrowd": 0}
         infos.append({"id": segment, **info})
         if category not in STUFF_IDS:
-            lane = _lane(delimiters, segment // CLASSES_AT_MOST)
+            more = _lane(delimiters, segment // CLASSES_AT_MOST) | boxes.get(segment // CLASSES_AT_MOST, {})
             runs = {"size": [height_px, width_px], "counts": run_lengths(at, down.size)}
-            instances.append({"image_id": frame.number, **info, "segmentation": runs, **lane})
+            instances.append({"image_id": frame.number, **info, "segmentation": runs, **more})
     about = {"id": frame.number, "file_name": image.removeprefix("images/"), "width": width_px, "height": height_px}
     panoptic = {"image_id": frame.number, "file_name": f"{name}.png", "segments_info": infos}
     parts = [part for part in PARTS if frame.serves_as(part)]
@@ -57,6 +61,12 @@ def annotate(frame: SampleFrame) -> FrameAnnotation:
             for kind, found in (("instances", instances), ("panoptic", [panoptic]))
         ),
     )
+
+
+def box_3d(item: ObjectLabel) -> dict[str, Any]:
+    """The keys of an object's class and 3D box."""
+    document = object_document(item)
+    return {name: document[name] for name in ("id", "category", "size_m", "center_cam", "rotation_wxyz")}
 
 
 def run_lengths(places: Int[np.ndarray, " n"], size: int) -> list[int]:

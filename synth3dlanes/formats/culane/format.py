@@ -1,6 +1,7 @@
 """The format culane."""
 
 from synth3dlanes.formats.culane.convention import CAMERA, SCENES, scene_list
+from synth3dlanes.formats.culane.predictions import score
 from synth3dlanes.formats.culane.verify import RULE, read, verify
 from synth3dlanes.formats.culane.write import README, annotate
 from synth3dlanes.formats.format import PinholeFormat
@@ -12,6 +13,7 @@ FORMAT = PinholeFormat(
     write=annotate,
     read=read,
     verify=verify,
+    score=score,
     tolerances={RULE.unit: RULE.limit},
     camera=CAMERA,
     is_f_free=True,

@@ -9,11 +9,11 @@ from jaxtyping import Shaped
 from synth3dlanes.formats.comparing import (
     NEAR_START_M,
     Comparison,
+    ExportView,
     Gap,
     OurLine,
     Rule,
-    Truth,
-    View,
+    SourceSample,
     camera_problems,
     compare,
     distances,
@@ -47,10 +47,10 @@ def _frames(out: Path, path: Path, most_frames: int, sidecars: Sidecars[Sidecar]
         yield ReadFrame(entry.image, where, entry.image, (lines, entry, mask, sidecars[entry.image]))
 
 
-def verify(frame: ReadFrame, truth: Truth) -> Comparison:
+def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     """Lines in pixels, from left to right; the flags and the mask, where a line has its place as number."""
     lines, entry, mask, sidecar = frame.content
-    view, lanes = View(sidecar.img_from_cv, (CAMERA.width_px, CAMERA.height_px)), truth.lanes("delimiter")
+    view, lanes = ExportView(sidecar.img_from_cv, (CAMERA.width_px, CAMERA.height_px)), truth.lanes("delimiter")
     places = places_beside(lanes, NEAR_START_M)
     ours = [lane.at_rows(view, ROWS_PX) for lane in lanes if lane.id in places]
     compared, ids = compare(lines, ours, RULE, sidecar.lines_ids)

@@ -1,6 +1,7 @@
 """The format curvelanes."""
 
 from synth3dlanes.formats.curvelanes.convention import CAMERA
+from synth3dlanes.formats.curvelanes.predictions import score
 from synth3dlanes.formats.curvelanes.verify import RULE, read, verify
 from synth3dlanes.formats.curvelanes.write import README, annotate
 from synth3dlanes.formats.format import PinholeFormat
@@ -11,6 +12,7 @@ FORMAT = PinholeFormat(
     write=annotate,
     read=read,
     verify=verify,
+    score=score,
     tolerances={RULE.unit: RULE.limit},
     camera=CAMERA,
     is_f_free=True,

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from synth3dlanes.formats.comparing import Comparison, Rule, Truth, View, camera_problems, compare
+from synth3dlanes.formats.comparing import Comparison, ExportView, Rule, SourceSample, camera_problems, compare
 from synth3dlanes.formats.curvelanes.convention import CAMERA, ROW_STEP_PX
 from synth3dlanes.formats.curvelanes.read import labels_path, parse
 from synth3dlanes.formats.format import FrameList, ReadFrame
@@ -32,12 +32,12 @@ def _frames(out: Path, path: Path, most_frames: int, sidecars: Sidecars[Sidecar]
         yield ReadFrame(image, where, image, (lines, sidecars[image]))
 
 
-def verify(frame: ReadFrame, truth: Truth) -> Comparison:
+def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     """Lines in pixels."""
     lines, sidecar = frame.content
     width_px = round(2 * sidecar.img_from_cv[0, 2])
     height_px = round(width_px * CAMERA.height_px / CAMERA.width_px)
-    view = View(sidecar.img_from_cv, (width_px, height_px))
+    view = ExportView(sidecar.img_from_cv, (width_px, height_px))
     ours = [lane.at_rows(view, np.arange(height_px, -1, -ROW_STEP_PX)) for lane in truth.lanes("delimiter")]
     compared, _ = compare(lines, ours, RULE, sidecar.lines_ids)
     return compared.because(camera_problems(truth, sidecar.camera_height_m, sidecar.camera_pitch_rad))

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.errors import FormatError
-from synth3dlanes.formats.comparing import Comparison, Gap, Truth
+from synth3dlanes.formats.comparing import Comparison, Gap, SourceSample
 from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.kitti.convention import (
     DONT_CARE,
@@ -72,12 +72,12 @@ def _points(path: Path) -> Float[np.ndarray, "n 4"]:
     return np.frombuffer(data, "<f4").reshape(-1, 4).astype(float)
 
 
-def verify(frame: ReadFrame, truth: Truth) -> Comparison:
+def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     """Each object of a frame beside the one of the labels that it is, those that it lacks, and the points."""
     content: Content = frame.content
     objects, calib, points = content
     camera, items = truth.labels.camera, truth.labels.objects or ()
-    sides = np.array([camera.width_px, camera.height_px, camera.width_px, camera.height_px])
+    sides = np.array([camera.width_px, camera.height_px, camera.width_px, camera.height_px], float)
     wanted = [item for item in items if item.box_px is not None and item.seen_box_px is not None]
     gaps, problems, left = list[Gap](), list[str](), {item.id: item for item in wanted}
     for number, found in enumerate(objects):
@@ -93,9 +93,7 @@ def verify(frame: ReadFrame, truth: Truth) -> Comparison:
     problems += (f"expected {item.category} {item.id}, got it in no line" for item in left.values())
     gaps += _of_points(points, calib, truth, problems)
     bad = [gap for gap in gaps if not gap.worst <= (LIMIT_M if gap.unit == "m" else LIMIT_PX)]
-    problems += (
-        f"{gap.lane}: expected it where the labels have it, got it {gap.worst:.3g} {gap.unit} off" for gap in bad
-    )
+    problems += (f"{gap.lane}: expected it as in the labels, got it {gap.worst:.3g} {gap.unit} off" for gap in bad)
     return Comparison(len(gaps), tuple(gaps), tuple(problems))
 
 
@@ -128,7 +126,7 @@ def _box(item: ObjectLabel, sides: Float[np.ndarray, "4"]) -> Float[np.ndarray, 
     return np.clip(item.box_px - 0.5, 0, sides - 1)
 
 
-def _gaps(found: KittiObject, item: ObjectLabel, calib: dict[str, np.ndarray], truth: Truth) -> Iterator[Gap]:
+def _gaps(found: KittiObject, item: ObjectLabel, calib: dict[str, np.ndarray], truth: SourceSample) -> Iterator[Gap]:
     """Distances of corners in space, but for the slope that the format does not have; and of the foot in the image."""
     corners_cv = item.corners_cam[:, [0, 2, 1]] * [1, -1, 1]
     foot_cv, size_m = _foot_cv(item), item.size_m
@@ -169,7 +167,7 @@ def _problems(found: KittiObject, item: ObjectLabel) -> Iterator[str]:
 
 
 def _of_points(
-    points: Float[np.ndarray, "n 4"] | None, calib: dict[str, np.ndarray], truth: Truth, problems: list[str]
+    points: Float[np.ndarray, "n 4"] | None, calib: dict[str, np.ndarray], truth: SourceSample, problems: list[str]
 ) -> Iterator[Gap]:
     """How far points of the lidar are from those of the sweep, in the camera's frame."""
     ours = np.zeros((0, 3)) if truth.sweep is None else truth.sweep.points().xyz_cam

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, RootModel
 
 from synth3dlanes.errors import FormatError
-from synth3dlanes.formats.comparing import Comparison, OurLine, Rule, Truth, compare
+from synth3dlanes.formats.comparing import Comparison, OurLine, Rule, SourceSample, compare
 from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.masks.write import LEAST_POINTS
 from synth3dlanes.formats.reading import image_size, listed_files, numbers, read_mask, read_text
@@ -60,7 +60,7 @@ def _lines(path: Path) -> tuple[list[_Line], list[np.ndarray]]:
     return about, lines
 
 
-def verify(frame: ReadFrame, truth: Truth) -> Comparison:
+def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     """Lines in pixels; every mask pixel by pixel."""
     masks, about, lines = frame.content
     delimiters = [lane for lane in truth.labels.lanes if lane.kind == "delimiter"]

@@ -2,6 +2,7 @@
 
 from synth3dlanes.formats.format import PinholeFormat
 from synth3dlanes.formats.once.convention import CAMERA, ROOT
+from synth3dlanes.formats.once.predictions import score
 from synth3dlanes.formats.once.verify import RULE, read, verify
 from synth3dlanes.formats.once.write import README, annotate
 from synth3dlanes.formats.writing import PARTS
@@ -12,6 +13,7 @@ FORMAT = PinholeFormat(
     write=annotate,
     read=read,
     verify=verify,
+    score=score,
     tolerances={RULE.unit: RULE.limit},
     camera=CAMERA,
     is_f_free=True,

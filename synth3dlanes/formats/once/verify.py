@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from synth3dlanes.errors import FormatError
-from synth3dlanes.formats.comparing import Comparison, Rule, Truth, View, camera_problems, compare
+from synth3dlanes.formats.comparing import Comparison, ExportView, Rule, SourceSample, camera_problems, compare
 from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.once.convention import ROOT
 from synth3dlanes.formats.once.read import OnceFrame, parse
@@ -31,11 +31,11 @@ def _frames(out: Path, path: Path, most_frames: int) -> Iterator[ReadFrame]:
         yield ReadFrame(file, str(out / file), f"{ROOT}/data/{name}.jpg", frame)
 
 
-def verify(frame: ReadFrame, truth: Truth) -> Comparison:
+def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     """Lines in metres, and their order: those that the evaluator can pair by their place come first."""
     found: OnceFrame = frame.content
     k = found.img_from_cv
-    view = View(k, (round(2 * k[0, 2]), round(2 * k[1, 2])))
+    view = ExportView(k, (round(2 * k[0, 2]), round(2 * k[1, 2])))
     # OpenCV's axes: x to the right, y down, z ahead.
     lines = [np.column_stack([x, z, -y]) for x, y, z in (points_cv.T for points_cv in found.lanes_cv)]
     compared, _ = compare(lines, [lane.in_metres(view) for lane in truth.lanes("delimiter")], RULE)

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from synth3dlanes.arrays import Scalars
 
 
-class Piece(NamedTuple):
+class CubicPiece(NamedTuple):
     """A cubic in the distance from `s`: rows are constant, linear, quadratic and cubic coefficients, one column per
     function; it ends at `end`."""
 
@@ -17,14 +17,16 @@ class Piece(NamedTuple):
     abcd: Float[np.ndarray, "4 k"]
 
 
-def pieces(s: Scalars, values: Float[np.ndarray, "m k"], tolerance: float, unit_speed: bool = False) -> list[Piece]:
+def pieces(
+    s: Scalars, values: Float[np.ndarray, "m k"], tolerance: float, unit_speed: bool = False
+) -> list[CubicPiece]:
     """Cubics with equal slopes where they meet, none farther than `tolerance` from the values at the stations `s`: the
     fewest that halving gives. With `unit_speed` the values are points of a curve by its length."""
     slopes = np.gradient(values, s, axis=0, edge_order=2)
     if unit_speed:
         slopes /= np.linalg.norm(slopes, axis=1, keepdims=True)
 
-    def cover(first: int, last: int) -> list[Piece]:
+    def cover(first: int, last: int) -> list[CubicPiece]:
         length, change = s[last] - s[first], values[last] - values[first]
         constant, linear, mean, end = values[first], slopes[first], change / length, slopes[last]
         abcd = np.stack(
@@ -33,7 +35,7 @@ def pieces(s: Scalars, values: Float[np.ndarray, "m k"], tolerance: float, unit_
         u = s[first : last + 1] - s[first]
         error = np.linalg.norm(u[:, None] ** np.arange(4) @ abcd - values[first : last + 1], axis=1)
         if last == first + 1 or error.max() <= tolerance:
-            return [Piece(float(s[first]), float(s[last]), abcd)]
+            return [CubicPiece(float(s[first]), float(s[last]), abcd)]
         middle = (first + last) // 2
         return cover(first, middle) + cover(middle, last)
 

@@ -14,12 +14,12 @@ from xml.etree import ElementTree
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.arrays import AnyScalars
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.opendrive.convention import USER_DATA
 from synth3dlanes.formats.opendrive.xml import Element
 from synth3dlanes.formats.reading import MOST
 
-Values = Float[np.ndarray, "*n"]
 PROFILES = ("elevation", "superelevation", "laneOffset")
 AT_M = 1e-9
 
@@ -46,7 +46,7 @@ class FileRoad:
         """The segment of our lane graph that a lane is."""
         return next((d.get("value") for d in self.lanes[lane].iter("userData") if d.get("code") == USER_DATA), None)
 
-    def line(self, s: Values | float) -> tuple[Values, Values, Values]:
+    def line(self, s: AnyScalars | float) -> tuple[AnyScalars, AnyScalars, AnyScalars]:
         """x, y and heading of the reference line."""
         i = np.clip(np.searchsorted(self.geometries[:, 0], np.asarray(s) + AT_M, side="right") - 1, 0, None)
         start, x, y, heading = np.moveaxis(self.geometries[i], -1, 0)
@@ -58,11 +58,11 @@ class FileRoad:
         cos, sin = np.cos(heading), np.sin(heading)
         return x + cos * u - sin * v, y + sin * u + cos * v, heading + np.arctan2(dv, du)
 
-    def cubic(self, tag: str, s: Values | float, slope: bool = False) -> Values:
+    def cubic(self, tag: str, s: AnyScalars | float, slope: bool = False) -> AnyScalars:
         """A profile along the road."""
         return self.profiles[tag].at(s, slope)
 
-    def shape(self, s: Values | float, t: Values | float) -> Values:
+    def shape(self, s: AnyScalars | float, t: AnyScalars | float) -> AnyScalars:
         """Height over the banked plane."""
         s, t = np.broadcast_arrays(np.asarray(s, dtype=float), np.asarray(t, dtype=float))
         heights = np.zeros(s.shape)
@@ -78,7 +78,7 @@ class FileRoad:
             heights[here] = low + np.clip(share, 0, 1) * (high - low)
         return heights
 
-    def edges(self, lane: int, s: Values | float) -> tuple[Values, Values]:
+    def edges(self, lane: int, s: AnyScalars | float) -> tuple[AnyScalars, AnyScalars]:
         """t of the inner and outer edge of a lane."""
         inner = outer = self.cubic("laneOffset", s)
         step = int(np.sign(lane))
@@ -86,15 +86,17 @@ class FileRoad:
             inner, outer = outer, outer + step * self.widths[other].at(s)
         return inner, outer
 
-    def center(self, lane: int, s: Values | float) -> Float[np.ndarray, "*n 3"]:
+    def center(self, lane: int, s: AnyScalars | float) -> Float[np.ndarray, "*n 3"]:
         """The middle of a lane."""
         return self.point(s, np.mean(self.edges(lane, s), axis=0))
 
-    def point(self, s: Values | float, t: Values | float) -> Float[np.ndarray, "*n 3"]:
+    def point(self, s: AnyScalars | float, t: AnyScalars | float) -> Float[np.ndarray, "*n 3"]:
         """The place of the road's surface at (s, t)."""
         return self.on_plane(s, t, self.shape(s, t))
 
-    def on_plane(self, s: Values | float, t: Values | float, h: Values | float) -> Float[np.ndarray, "*n 3"]:
+    def on_plane(
+        self, s: AnyScalars | float, t: AnyScalars | float, h: AnyScalars | float
+    ) -> Float[np.ndarray, "*n 3"]:
         """The place at a height over the banked plane. Its axes are those of the road after heading, pitch (up along
         the road) and roll (about the pitched s axis)."""
         x, y, heading = self.line(s)
@@ -140,7 +142,7 @@ class _Cubics:
         rows = [[number(e, name) for name in (key, *letters)] for e in elements]
         self.rows = np.array(rows).reshape(-1, 1 + len(letters))
 
-    def at(self, places: Values | float, slope: bool = False) -> Values:
+    def at(self, places: AnyScalars | float, slope: bool = False) -> AnyScalars:
         """Values, or slopes."""
         places = np.asarray(places, dtype=float)
         if not len(self.rows):

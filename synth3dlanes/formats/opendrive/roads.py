@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.arrays import Points2, Points3, Scalars
-from synth3dlanes.geometry.network import Lane, Network, Offset, Road
+from synth3dlanes.geometry.network import Network, NetworkLane, Offset, Road
 from synth3dlanes.geometry.terrain import height_at
 
 # Stations that a file reaches, at least, and the distance of the places that are fitted.
@@ -142,7 +142,7 @@ def roads(network: Network) -> list[OdrRoad]:
     return [_road(network, layout) for layout in _layouts(network)]
 
 
-def _strips(lanes: list[Lane]) -> tuple[_Strip, ...]:
+def _strips(lanes: list[NetworkLane]) -> tuple[_Strip, ...]:
     return tuple(_Strip("driving", lane.id, lane.width_m) for lane in lanes)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from synth3dlanes.errors import FormatError
-from synth3dlanes.formats.comparing import Comparison, Rule, Truth, compare_map
+from synth3dlanes.formats.comparing import Comparison, Rule, SourceSample, compare_map
 from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.opendrive.read import FileRoad, number, read_roads, read_xml
 from synth3dlanes.formats.opendrive.xml import Element
@@ -33,7 +33,7 @@ def _frames(out: Path, paths: list[Path]) -> Iterator[ReadFrame]:
         yield ReadFrame(name, str(path), None, (read_xml(text, str(path)), read_roads(text, str(path))))
 
 
-def verify(frame: ReadFrame, truth: Truth) -> Comparison:
+def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     """Lane centres in metres, in the world frame."""
     root, roads = frame.content
     try:

@@ -2,6 +2,7 @@
 
 from synth3dlanes.formats.format import PinholeFormat
 from synth3dlanes.formats.openlane.convention import CAMERA, CASES
+from synth3dlanes.formats.openlane.predictions import score
 from synth3dlanes.formats.openlane.verify import RULE, TOLERANCE_PX, read, verify
 from synth3dlanes.formats.openlane.write import README, annotate
 
@@ -11,6 +12,7 @@ FORMAT = PinholeFormat(
     write=annotate,
     read=read,
     verify=verify,
+    score=score,
     tolerances={RULE.unit: RULE.limit, "px": TOLERANCE_PX},
     camera=CAMERA,
     is_f_free=True,

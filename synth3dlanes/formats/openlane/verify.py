@@ -1,21 +1,24 @@
 """Read an OpenLane export back and compare it with our labels."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePath
 
 import numpy as np
 
+from synth3dlanes.arrays import Polyline3
 from synth3dlanes.formats.comparing import (
     NEAR_START_M,
     Comparison,
+    ExportView,
     Gap,
+    OurLine,
     Rule,
-    Truth,
+    SourceSample,
     UprightLane,
-    View,
     camera_problems,
     compare,
+    distances,
     pixels,
     places_beside,
     upright,
@@ -50,14 +53,14 @@ def _frames(out: Path, path: Path, most_frames: int) -> Iterator[ReadFrame]:
         yield ReadFrame(file, str(out / file), f"images/{image}", frame)
 
 
-def verify(frame: ReadFrame, truth: Truth) -> Comparison:
+def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     """Lines in metres; their pixels; category, place beside the camera and track."""
     found: OpenLaneFrame = frame.content
     camera, to_vehicle = truth.labels.camera, found.vehicle_from_cam_waymo
     kerbs = kerb_lanes(truth.scene, camera)
     delimiters = truth.lanes("delimiter")
     curbs = [UprightLane(camera, kerb.id, upright(camera, kerb.xyz_cam), kerb.terrain_visible) for kerb in kerbs]
-    view = View(found.img_from_cv, (round(2 * found.img_from_cv[0, 2]), round(2 * found.img_from_cv[1, 2])))
+    view = ExportView(found.img_from_cv, (round(2 * found.img_from_cv[0, 2]), round(2 * found.img_from_cv[1, 2])))
     ours = [lane.in_metres(view) for lane in (*delimiters, *curbs)]
     # Waymo's axes: x ahead, y to the left, z up.
     lines = [line.xyz_waymo @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]) for line in found.lines]
@@ -76,7 +79,8 @@ def verify(frame: ReadFrame, truth: Truth) -> Comparison:
             gaps.append(Gap(name, "px", float(apart.max()), float(np.median(apart))))
             if not apart.max() <= TOLERANCE_PX:
                 problems.append(f"line {i} ({name}): expected uv where xyz is seen, got it {apart.max():.3g} px away")
-        problems += (f"line {i}: {text}" for text in _attribute_problems(line, by_id[name], lines[i], places))
+        problems += (f"line {i}: {text}" for text in _paint_problems(line, by_id[name], lines[i]))
+        problems += (f"line {i}: {text}" for text in _place_problems(line, name, lines[i], places, ours))
         scene = f"{truth.scene.split}:{truth.scene.index} {name}"
         tracks[f"{PurePath(found.file_path).parent.name}/{line.track_id}"] = scene
     if len(tracks) < len(found.lines) == len(ids):
@@ -84,8 +88,8 @@ def verify(frame: ReadFrame, truth: Truth) -> Comparison:
     return replace(compared, tracks=tracks) + Comparison(0, tuple(gaps), tuple(problems))
 
 
-def _attribute_problems(line: OpenLaneLine, lane: Lane, points_up: np.ndarray, places: dict[str, int]) -> Iterator[str]:
-    """Findings where a line is not called what our lane is."""
+def _paint_problems(line: OpenLaneLine, lane: Lane, points_up: Polyline3) -> Iterator[str]:
+    """Findings where a line has another category than our lane."""
     if lane.id.startswith("kerb_"):
         expected = {20 if points_up[0, 0] < 0 else 21}
     else:
@@ -93,5 +97,13 @@ def _attribute_problems(line: OpenLaneLine, lane: Lane, points_up: np.ndarray, p
         expected = {number for number, other in PAINTS.items() if other == paint} or {0}
     if line.category not in expected:
         yield f"expected the category {min(expected)} of {lane.id}, got {line.category}"
-    if line.attribute != places.get(lane.id, 0):
-        yield f"expected the attribute {places.get(lane.id, 0)} of {lane.id}, got {line.attribute}"
+
+
+def _place_problems(
+    line: OpenLaneLine, name: str, points_up: Polyline3, places: dict[str, int], ours: Sequence[OurLine]
+) -> Iterator[str]:
+    """Findings where a line is said to be elsewhere beside the camera."""
+    if line.attribute != places.get(name, 0):
+        there = [other for other in ours if line.attribute and places.get(other.id) == line.attribute]
+        apart = (f": that of {other.id}, {distances(points_up, other.points).max():.3g} m away" for other in there)
+        yield f"expected the attribute {places.get(name, 0)} of {name}, got {line.attribute}{''.join(apart)}"

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 
 from synth3dlanes.arrays import Points3, Scalars
 from synth3dlanes.geometry.meshes import grass_in_medians
-from synth3dlanes.geometry.network import SIDES, Lane, LaneCurve, Network
+from synth3dlanes.geometry.network import SIDES, LaneCurve, Network, NetworkLane
 from synth3dlanes.geometry.paint import is_double, paint_color
 from synth3dlanes.labels import Marking, PaintColor, Segment
 from synth3dlanes.world import World
@@ -81,7 +81,9 @@ def runs(points: Float[np.ndarray, "n 3"], keep: Bool[np.ndarray, " n"]) -> list
     return [points[a:b] for a, b in ends.reshape(-1, 2) if b - a >= 2]
 
 
-def _lines(network: Network, lane: Lane, s: Scalars, asides_m: tuple[float, ...]) -> list[Float[np.ndarray, "_ 3"]]:
+def _lines(
+    network: Network, lane: NetworkLane, s: Scalars, asides_m: tuple[float, ...]
+) -> list[Float[np.ndarray, "_ 3"]]:
     """A lane's centre and lines beside it, at stations in ascending order."""
     road = network.road(lane.road)
     offsets = [lane.middle(s) + aside_m for aside_m in asides_m]

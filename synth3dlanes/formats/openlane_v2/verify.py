@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.errors import FormatError
-from synth3dlanes.formats.comparing import Comparison, Rule, Truth, compare_map
+from synth3dlanes.formats.comparing import Comparison, Rule, SourceSample, compare_map
 from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.openlane_v2.convention import AHEAD_M, ASIDE_M, ROOT
 from synth3dlanes.formats.openlane_v2.read import TopologyFrame, frames, parse
@@ -46,7 +46,7 @@ def _image_problems(out: Path, images: list[str]) -> Iterator[str]:
             yield f"expected the image {image}: {error}"
 
 
-def verify(frame: ReadFrame, truth: Truth) -> Comparison:
+def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     """Lanes in metres, in the world frame; boundaries by their side and distance; what follows what."""
     found, problems = frame.content
     graph = truth.labels.graph

@@ -2,6 +2,7 @@
 
 from synth3dlanes.formats.format import PinholeFormat
 from synth3dlanes.formats.tusimple.convention import CAMERA
+from synth3dlanes.formats.tusimple.predictions import score
 from synth3dlanes.formats.tusimple.verify import RULE, read, verify
 from synth3dlanes.formats.tusimple.write import LABEL_FILES, README, annotate
 
@@ -11,6 +12,7 @@ FORMAT = PinholeFormat(
     write=annotate,
     read=read,
     verify=verify,
+    score=score,
     tolerances={RULE.unit: RULE.limit},
     camera=CAMERA,
     is_f_free=False,

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from synth3dlanes.errors import FormatError
-from synth3dlanes.formats.comparing import Comparison, Rule, Truth, View, camera_problems, compare
+from synth3dlanes.formats.comparing import Comparison, ExportView, Rule, SourceSample, camera_problems, compare
 from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.reading import first_lines
 from synth3dlanes.formats.sidecar import Sidecar, Sidecars
@@ -16,7 +16,7 @@ from synth3dlanes.schema import shown
 
 # Columns are whole pixels.
 RULE = Rule("px", 0.51, most=5)
-VIEW = View(np.array([[4030 / 3, 0, 640], [0, 4030 / 3, 360], [0, 0, 1]]), (1280, 720))
+VIEW = ExportView(np.array([[4030 / 3, 0, 640], [0, 4030 / 3, 360], [0, 0, 1]]), (1280, 720))
 
 
 def read(out: Path, most_frames: int) -> Iterator[FrameList]:
@@ -36,7 +36,7 @@ def _frames(path: Path, most_frames: int, sidecars: Sidecars[Sidecar]) -> Iterat
         yield ReadFrame(frame.raw_file, where, frame.raw_file, (frame, sidecars[frame.raw_file]))
 
 
-def verify(frame: ReadFrame, truth: Truth) -> Comparison:
+def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     """Lines in pixels."""
     (found, sidecar) = frame.content
     rows_px = found.rows_px[::-1]

@@ -7,11 +7,11 @@ import numpy as np
 from scipy.ndimage import binary_fill_holes, find_objects, label
 
 from synth3dlanes.errors import FormatError
-from synth3dlanes.formats.comparing import Comparison, Truth
+from synth3dlanes.formats.comparing import Comparison, SourceSample
 from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.reading import image_size, listed_files, numbers, read_text
 from synth3dlanes.formats.segments import STUFF
-from synth3dlanes.formats.things import Mask, Thing, compare_masks, most_shared, things
+from synth3dlanes.formats.things import PixelNumbers, Thing, compare_masks, most_shared, things
 from synth3dlanes.formats.writing import PARTS
 from synth3dlanes.settings import SEMANTIC_IDS
 
@@ -43,12 +43,12 @@ def _frames(out: Path, path: Path, most_frames: int) -> Iterator[ReadFrame]:
         yield ReadFrame(image.removeprefix("./"), where, image, (objects, size_px))
 
 
-def verify(frame: ReadFrame, truth: Truth) -> Comparison:
+def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     """Each outline beside the piece of an object that it goes around."""
     objects, (width_px, height_px) = frame.content
     shape = (height_px, width_px)
     ours = dict(_pieces(truth, shape))
-    found, problems = dict[str, Mask](), list[str]()
+    found, problems = dict[str, PixelNumbers](), list[str]()
     for i, (of_class, corners) in enumerate(objects):
         if np.abs(corners - np.rint(corners)).max() > ROUNDING_PX:
             problems.append(f"object {i} ({of_class}): expected corners between pixels, got others")
@@ -58,7 +58,7 @@ def verify(frame: ReadFrame, truth: Truth) -> Comparison:
     return compare_masks(found, {name: piece.mask for name, piece in ours.items()}, shape).because(problems)
 
 
-def _pieces(truth: Truth, shape: tuple[int, int]) -> Iterator[tuple[str, Thing]]:
+def _pieces(truth: SourceSample, shape: tuple[int, int]) -> Iterator[tuple[str, Thing]]:
     """The connected pieces of all objects, with their holes filled, by names."""
     for name, thing in things(truth).items():
         whole = np.zeros(shape, dtype=bool)
@@ -72,7 +72,7 @@ def _pieces(truth: Truth, shape: tuple[int, int]) -> Iterator[tuple[str, Thing]]
                 yield f"{name}, piece {k}", Thing(thing.of_class, places)
 
 
-def _inside(corners: np.ndarray, shape: tuple[int, int]) -> Mask:
+def _inside(corners: np.ndarray, shape: tuple[int, int]) -> PixelNumbers:
     """The pixels inside an outline: each upright side switches all pixels to its right."""
     (left, top), (right, bottom) = corners.min(axis=0), corners.max(axis=0)
     switches = np.zeros((bottom - top, right - left + 1), dtype=int)

@@ -1,0 +1,59 @@
+"""`verify` finds every fault of tests/formats/faults.py in every format, and says in which file, of which lane, how
+far."""
+
+import re
+import shutil
+
+import pytest
+
+from synth3dlanes.formats.export import Export
+from synth3dlanes.formats.plan import open_reader
+from synth3dlanes.formats.registry import format_names
+from synth3dlanes.formats.verify import verify
+from tests.formats.faults import FAULTS, PLANTED
+from tests.formats.problems import problems
+from tests.formats.test_segmentation import passes_of
+
+
+@pytest.fixture(scope="module")
+def two_frames(tmp_path_factory, write_split):
+    root = tmp_path_factory.mktemp("two_frames")
+    # Neither the road nor the camera's place on it is symmetric.
+    write_split(root, "test", 2, ["road.topology=1", "road.n_lanes=3", "camera.width_px=480"], passes_of)
+    return root
+
+
+@pytest.fixture(scope="module", params=format_names())
+def exported(request, two_frames, tmp_path_factory):
+    job = Export(str(two_frames), tmp_path_factory.mktemp("faults") / request.param, request.param)
+    job.write()
+    return job
+
+
+def test_a_clean_export_is_as_the_labels_say(exported):
+    results = verify(exported)
+    assert [problem for result in results for problem in result.problems] == []
+    assert sum(result.n_matched for result in results) >= 6
+    for measure in (measure for result in results for measure in result.measures):
+        assert measure.median <= measure.worst <= measure.tolerance
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_planted_fault_is_told_with_its_file_its_lane_and_how_far(exported, fault, two_frames, tmp_path):
+    out = tmp_path / "out"
+    shutil.copytree(exported.out, out, symlinks=True)
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    PLANTED[exported.format_name](out, fault)
+    changed = [path.name for path, data in before.items() if path.read_bytes() != data]
+    assert changed
+    found = problems(two_frames, out, exported.format_name)
+    lanes = {lane.id for i in range(2) for lane in open_reader(f"{two_frames}/test").labels(i).lanes}
+    lanes |= {segment.id for segment in open_reader(f"{two_frames}/test").labels(0).graph.segments}
+    told = [
+        problem
+        for problem in found
+        if any(lane in problem for lane in lanes)
+        and re.search(r"\d(\.\d+)? (m|px)\b", problem)
+        and any(name.split(".")[0] in problem or "00000000" in problem for name in changed)
+    ]
+    assert told, found

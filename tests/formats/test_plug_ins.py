@@ -1,0 +1,175 @@
+"""Formats of other packages: real packages with entry points on the path."""
+
+import json
+import sys
+import threading
+
+import pytest
+from click.testing import CliRunner
+
+from synth3dlanes.errors import ClaimedError, InputError
+from synth3dlanes.formats.export import Export
+from synth3dlanes.formats.registry import format_names, open_format
+from tests.formats.problems import problems
+
+CODE = '''
+"""Centres of lanes as JSON."""
+
+import json
+
+import numpy as np
+
+from synth3dlanes.formats.comparing import Rule, View, compare
+from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat
+from synth3dlanes.formats.writing import FrameAnnotation
+
+RULE = Rule("m", 0.001)
+
+
+def write(frame):
+    lanes = [lane.xyz_cam.tolist() for lane in frame.labels.lanes if lane.kind == "delimiter"]
+    name = f"{frame.split}-{frame.key}"
+    image = f"images/{name}.{frame.image_format}"
+    return FrameAnnotation(image, len(lanes), files={f"{name}.json": json.dumps(lanes)}, shared=((name, ("all.txt",)),))
+
+
+def read(out, most_frames):
+    def frames():
+        for name in (out / "all.txt").read_text().split()[:most_frames]:
+            lanes = [np.array(lane) for lane in json.loads((out / f"{name}.json").read_text())]
+            yield ReadFrame(f"{name}.json", name, f"images/{name}.jpg", lanes)
+
+    yield FrameList("all", frames())
+
+
+def verify(frame, truth):
+    camera = truth.labels.camera
+    k = np.array([[400.0, 0, camera.width_px / 2], [0, 400.0, camera.height_px / 2], [0, 0, 1]])
+    ours = [lane.in_metres(View(k, (camera.width_px, camera.height_px))) for lane in truth.lanes("delimiter")]
+    return compare(frame.content, ours, RULE)[0]
+
+
+FORMAT = SampleFormat(
+    title="Acme: lane lines before the camera",
+    readme="Acme's lines.",
+    write=write,
+    read=read,
+    verify=verify,
+    tolerances={"m": RULE.limit},
+)
+'''
+
+
+@pytest.fixture
+def install(tmp_path, monkeypatch):
+    """Puts packages on the path as pip does: a module, and beside it metadata with entry points."""
+    site = tmp_path / "site"
+    site.mkdir()
+    monkeypatch.syspath_prepend(str(site))
+    open_format.cache_clear()
+
+    def put(package, code, **entries):
+        monkeypatch.delitem(sys.modules, package, raising=False)
+        (site / f"{package}.py").write_text(code)
+        about = site / f"{package}-1.0.dist-info"
+        about.mkdir()
+        (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
+        lines = "".join(f"{name} = {value}\n" for name, value in entries.items())
+        (about / "entry_points.txt").write_text(f"[synth3dlanes.formats]\n{lines}")
+
+    yield put
+    open_format.cache_clear()
+
+
+def command(*options):
+    from cli.main import main
+
+    return CliRunner().invoke(main, ["export", *map(str, options)])
+
+
+def test_a_format_of_another_package_is_listed_written_and_verified(install, dataset, tmp_path):
+    install("acme_lanes", CODE, acme="acme_lanes:FORMAT")
+    assert format_names()[-1] == "acme"
+    shown = command("--help").output
+    assert "acme         Acme: lane lines before the camera" in shown
+    assert "apollo       Apollo Sim-3D" in shown
+    out = tmp_path / "out"
+    done = command(dataset, "--format", "acme", "--out", out, "--verify", "--json")
+    assert done.exit_code == 0, done.output
+    document = json.loads(done.stdout)
+    assert document["frames"] == {"train": 7, "val": 0, "test": 4}
+    (verified,) = document["verified"]
+    assert verified["n_matched"] == verified["n_lines"] == document["lines"] > 30
+    assert verified["measures"]["m"]["worst"] < 1e-3
+    path = out / "train-00000003.json"
+    lanes = json.loads(path.read_text())
+    path.write_text(json.dumps([[[x + 0.3, y, z] for x, y, z in lane] for lane in lanes]))
+    told = problems(dataset, out, "acme")
+    assert all(problem.startswith("train-00000003: line ") for problem in told)
+    assert any("within 0.001 m of the labels, got it 0.3" in problem for problem in told)
+
+
+@pytest.mark.parametrize(
+    ("code", "value", "expected"),
+    [
+        ("import no_such_module", "acme_broken:FORMAT", "ModuleNotFoundError: No module named 'no_such_module'"),
+        ("1 / 0", "acme_broken:FORMAT", "ZeroDivisionError: division by zero"),
+        ("raise SystemExit(3)", "acme_broken:FORMAT", "SystemExit: 3"),
+        ("", "acme_broken:FORMAT", "AttributeError: module 'acme_broken' has no attribute 'FORMAT'"),
+        ("FORMAT = 3", "acme_broken:FORMAT", "to be a Format, got a int"),
+    ],
+)
+def test_a_broken_format_is_a_line_that_names_its_package(install, dataset, tmp_path, code, value, expected):
+    install("acme_broken", code, acme=value)
+    install("acme_lanes", CODE, other="acme_lanes:FORMAT")
+    shown = " ".join(command("--help").output.split())
+    assert "acme cannot be used: format acme: " in shown
+    assert "other Acme: lane lines before the camera" in shown
+    assert "yolo YOLO segmentation" in shown
+    refused = command(dataset, "--format", "acme", "--out", tmp_path / "out")
+    assert refused.exit_code == 2
+    assert refused.output.count("\n") == 1
+    assert "acme_broken" in refused.output
+    assert expected in refused.output
+    assert not (tmp_path / "out").exists()
+    assert open_format("other").title.startswith("Acme")
+
+
+def test_names_that_two_packages_use(install):
+    install("acme_lanes", CODE, acme="acme_lanes:FORMAT", apollo="acme_lanes:FORMAT")
+    install("acme_maps", CODE, acme="acme_maps:FORMAT")
+    with pytest.raises(InputError, match=r"format acme: expected it of one package, got it of acme_\w+, acme_\w+$"):
+        open_format("acme")
+    assert open_format("apollo").title.startswith("Apollo")
+    assert "of the package acme_lanes: hidden by ours" in " ".join(command("--help").output.split())
+
+
+def test_an_unknown_format_is_a_line_with_all_names(dataset, tmp_path):
+    refused = command(dataset, "--format", "acme", "--out", tmp_path / "out")
+    assert refused.exit_code == 2
+    assert refused.output.startswith("--format: expected one of apollo, ")
+    assert refused.output.endswith("got 'acme'\n")
+
+
+def test_of_two_exports_into_a_folder_at_once_one_is_refused(dataset, tmp_path):
+    out, is_writing, is_refused, said = tmp_path / "out", threading.Event(), threading.Event(), []
+
+    def wait(done, total):
+        is_writing.set()
+        assert is_refused.wait(60)
+
+    def write():
+        said.append(Export(str(dataset), out, "once").write(progress=wait))
+
+    thread = threading.Thread(target=write)
+    thread.start()
+    try:
+        assert is_writing.wait(60)
+        with pytest.raises(
+            ClaimedError, match=r"expected no other export at work here, got one; wait until it is done$"
+        ):
+            Export(str(dataset), out, "once").write()
+    finally:
+        is_refused.set()
+        thread.join()
+    assert Export(str(dataset), out, "once").write() == said[0]
