@@ -17,9 +17,13 @@ from synth3dlanes.shots import clips
 from tests import fake_samples
 
 
+def unused(*arguments):
+    raise AssertionError("nothing is read here")
+
+
 def run(monkeypatch, dataset, out, annotate, **changes):
     foreign = SampleFormat(
-        title="As it is", readme="As it is.", write=annotate, read=None, verify=None, tolerances={}, **changes
+        title="As it is", readme="As it is.", write=annotate, read=unused, verify=unused, tolerances={}, **changes
     )
     monkeypatch.setattr("synth3dlanes.formats.export.open_format", lambda name: foreign)
     return Export(str(dataset), out, "as_it_is").write()
@@ -93,7 +97,7 @@ def test_shared_lines_become_one_document(monkeypatch, dataset, tmp_path):
 
 
 def test_a_size_is_refused(monkeypatch, dataset, tmp_path):
-    empty = SampleFormat(title="", readme="", write=lambda frame: None, read=None, verify=None, tolerances={})
+    empty = SampleFormat(title="", readme="", write=lambda frame: None, read=unused, verify=unused, tolerances={})
     monkeypatch.setattr("synth3dlanes.formats.export.open_format", lambda name: empty)
-    with pytest.raises(InputError, match=r"expected that of the data set's images \(other sizes: openlane, once"):
+    with pytest.raises(InputError, match=r"images \(`export --help` names the formats of any size"):
         Export(str(dataset), tmp_path / "out", "as_it_is", (96, 64)).write()
