@@ -1,8 +1,8 @@
 """What each command prints and writes."""
 
 import json
-import re
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable

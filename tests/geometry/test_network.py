@@ -6,7 +6,7 @@ import pytest
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.horizon import FarHills
 from synth3dlanes.geometry.map_lines import Spiral
-from synth3dlanes.geometry.network import Lane, Network, Offset, Road
+from synth3dlanes.geometry.network import Network, NetworkLane, Offset, Road
 from synth3dlanes.scene import Terrain
 from tests.scenes import FLAT, hill
 
@@ -25,7 +25,7 @@ class Counted(Spiral):
 
 
 def street(name, start, heading_rad=np.pi / 2, length_m=200.0):
-    lane = Lane(f"{name}_1", name, name, 1, Offset(0.0), 3.5, 0.0, length_m)
+    lane = NetworkLane(f"{name}_1", name, name, 1, Offset(0.0), 3.5, 0.0, length_m)
     line = Counted(length_m, start, heading_rad)
     return Road(name, line, TERRAIN, Offset(-2.5), Offset(2.5), 0.75, (lane,), 0.0, length_m)
 
