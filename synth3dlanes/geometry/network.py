@@ -425,22 +425,24 @@ class Network:
     def nearby(
         self, xy_world: Float[np.ndarray, "n 2"], reach_m: AnyScalars
     ) -> tuple[Bool[np.ndarray, " n"], list[Nearby]]:
-        """Which points may be within `reach_m` of a pavement, and where these are along every road."""
+        """Which points may be within `reach_m` of a pavement, and where these are along every road that any may be
+        near."""
         masks = {road.id: road.may_reach(xy_world, reach_m) for road in self.roads}
         near = np.logical_or.reduce(list(masks.values()))
         xy = xy_world[near]
         found: dict[str, Nearby] = {}
         for road in self.roads:
+            guess = None
             if road.parting is None:
                 which = np.logical_or.reduce([masks[at.id][near] for at in (road, *self.branches(road))])
-                s, t = road.line.project(xy[which])
-            else:
-                beside = found[road.parting.road.id]
+            elif beside := found.get(road.parting.road.id):
                 close = road.parting.may_hold(road, beside.s, beside.t, reach_m[near][beside.which])
-                which = beside.which.copy()
+                which, guess = beside.which.copy(), beside.s[close]
                 which[which] = close
-                s, t = road.line.project(xy[which], beside.s[close])
-            found[road.id] = Nearby(road, which, s, t)
+            else:
+                continue
+            if which.any():
+                found[road.id] = Nearby(road, which, *road.line.project(xy[which], guess))
         return near, list(found.values())
 
     def around(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> "Network":
