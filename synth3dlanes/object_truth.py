@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from synth3dlanes.arrays import Matrix4, Points2, Points3
 from synth3dlanes.assets.catalogue import CarModel
-from synth3dlanes.frames import invert, quaternion, transform
+from synth3dlanes.frames import inside_image, invert, quaternion, transform
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.object_labels import CORNERS, ObjectLabel
 from synth3dlanes.scene import Car
@@ -67,14 +67,19 @@ def rectangle_in_image(
 ) -> Float[np.ndarray, "4"] | None:
     """The rectangle of what of a box is inside the image; None if nothing is."""
     edges = _edges(cam_from_box, size_m)
-    shown = camera.shows(edges)
-    crossing = shown[:, 1:] != shown[:, :-1]
-    ends = [np.where(shown[:, 1:, None] == side, edges[:, 1:], edges[:, :-1])[crossing] for side in (True, False)]
+    uv_of_edges = camera.project(edges)
+    shown = inside_image(uv_of_edges, camera.width_px, camera.height_px)
+    if shown.all():
+        return _around(uv_of_edges[shown])
     size_px = np.array([camera.width_px, camera.height_px], float)
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * size_px
-    before = meets_box(camera.rays(corners), cam_from_box, size_m)
-    uv = np.concatenate([camera.project(edges[shown]), camera.project(_border(camera, *ends)), corners[before]])
-    return np.clip(_around(uv), 0, np.tile(size_px, 2)) if len(uv) else None
+    uv = [uv_of_edges[shown], corners[meets_box(camera.rays(corners), cam_from_box, size_m)]]
+    if shown.any():
+        crossing = shown[:, 1:] != shown[:, :-1]
+        ends = [np.where(shown[:, 1:, None] == side, edges[:, 1:], edges[:, :-1])[crossing] for side in (True, False)]
+        uv.append(camera.project(_border(camera, *ends)))
+    found = np.concatenate(uv)
+    return np.clip(_around(found), 0, np.tile(size_px, 2)) if len(found) else None
 
 
 def truncation(camera: CameraLabel, cam_from_box: Matrix4, size_m: Float[np.ndarray, "3"]) -> float:
