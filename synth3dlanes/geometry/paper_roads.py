@@ -5,7 +5,7 @@ point on the main road's line. The world is the plan with x and y mirrored as th
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -198,8 +198,9 @@ def smooth_min(q: AnyScalars, width_m: float) -> AnyScalars:
     return np.minimum(q, width_m) - h * h / (4 * CORNER_M)
 
 
+@lru_cache(maxsize=1)
 def paper_network(road: PaperRoad, terrain: Terrain) -> Network:
-    """The roads of the paper's numbers over a terrain."""
+    """The roads of the paper's numbers over a terrain; drawing and resolving a scene ask for the same."""
     return _Plan(road, terrain).network
 
 
