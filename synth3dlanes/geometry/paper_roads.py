@@ -12,19 +12,10 @@ import numpy as np
 from jaxtyping import Bool
 
 from synth3dlanes.arrays import AnyPoints2, AnyScalars
-from synth3dlanes.geometry.network import (
-    BEFORE_M,
-    WIDER,
-    LaneCurve,
-    Network,
-    NetworkLane,
-    Offset,
-    Parting,
-    Ramp,
-    Road,
-    joined,
-)
+from synth3dlanes.geometry.lane_curves import LaneCurve, joined
+from synth3dlanes.geometry.network import Network
 from synth3dlanes.geometry.reference_line import MAX_STEP_M, NEWTON_STEPS, LineFrames, ReferenceLine, dot, paired
+from synth3dlanes.geometry.roads import BEFORE_M, WIDER, NetworkLane, Offset, Parting, Ramp, Road
 from synth3dlanes.labels import Direction, Marking, RoadName
 from synth3dlanes.scene import PaperRoad, Terrain
 

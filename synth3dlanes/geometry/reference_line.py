@@ -29,7 +29,7 @@ class LineFrames(NamedTuple):
 
 def paired(x: AnyScalars, y: AnyScalars) -> AnyPoints2:
     """Vectors by their components. Of few, as of most queries, np.stack takes ten times as long."""
-    both = np.empty((*x.shape, 2))
+    both = np.zeros((*x.shape, 2))
     both[..., 0], both[..., 1] = x, y
     return both
 

@@ -6,7 +6,8 @@ import pytest
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.horizon import FarHills
 from synth3dlanes.geometry.map_lines import Spiral
-from synth3dlanes.geometry.network import Lane, Network, Offset, Road
+from synth3dlanes.geometry.network import Lane, Network
+from synth3dlanes.geometry.roads import Offset, Road
 from synth3dlanes.scene import Terrain
 from tests.scenes import FLAT, hill
 
