@@ -146,7 +146,7 @@ class EvaluationOutput(BaseModel):
     delimiter: dict[str, Any] | None = None
 
 
-class Benchmark(Document):
+class BenchmarkOutput(Document):
     """`benchmark`: what each split is made of, and the score of the network or predictions that were given."""
 
     benchmark: str
@@ -209,7 +209,7 @@ class Outputs(Document):
 
     assets: FolderCheck
     bench: Bench
-    benchmark: Benchmark
+    benchmark: BenchmarkOutput
     evaluate: EvaluationOutput | EvaluatedTargets | EvaluatedPhotographs
     export: ExportOutput
     generate: RunReport

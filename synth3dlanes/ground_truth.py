@@ -8,8 +8,9 @@ from jaxtyping import Float
 
 from synth3dlanes.arrays import Scalars
 from synth3dlanes.frames import invert, transform
+from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.motion import host_station
-from synth3dlanes.geometry.network import LaneCurve, Network
+from synth3dlanes.geometry.network import Network
 from synth3dlanes.geometry.paint import is_double, paint_color, pair_of
 from synth3dlanes.geometry.symbols import shape
 from synth3dlanes.geometry.visibility import seen_over_ground

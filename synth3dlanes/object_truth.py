@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from synth3dlanes.arrays import Matrix4, Points2, Points3
 from synth3dlanes.assets.catalogue import CarModel
-from synth3dlanes.frames import invert, quaternion, transform
+from synth3dlanes.frames import inside_image, invert, quaternion, transform
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.object_labels import CORNERS, ObjectLabel
 from synth3dlanes.scene import Car
@@ -41,6 +41,7 @@ def _object(view: View, camera: CameraLabel, number: int, placed: tuple[Car, Car
     world_from_object = world_from_car.copy()
     world_from_object[:3, 3] += world_from_car[:3, 2] * size_m[2] / 2
     cam_from_object = invert(camera.world_from_cam) @ world_from_object
+    inside, whole = rectangles(camera, cam_from_object, size_m)
     return ObjectLabel(
         id=FIRST_CAR_ID + number,
         category=model.category,
@@ -48,33 +49,32 @@ def _object(view: View, camera: CameraLabel, number: int, placed: tuple[Car, Car
         center_cam=cam_from_object[:3, 3],
         rotation_wxyz=quaternion(cam_from_object[:3, :3]),
         velocity_cam=cam_from_object[:3, 1] * car.speed_m_s if view.scene.shot.n_frames > 1 else None,
-        box_px=rectangle_in_image(camera, cam_from_object, size_m),
-        unclipped_box_px=rectangle(camera, cam_from_object, size_m),
+        box_px=inside,
+        unclipped_box_px=whole,
         truncation=truncation(camera, cam_from_object, size_m),
     )
 
 
-def rectangle(
+def rectangles(
     camera: CameraLabel, cam_from_box: Matrix4, size_m: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "4"] | None:
-    """The rectangle of a whole box, beyond the image's border too; None where a part of it has no place there."""
-    uv = camera.project(_edges(cam_from_box, size_m).reshape(-1, 3))
-    return _around(uv) if np.isfinite(uv).all() else None
-
-
-def rectangle_in_image(
-    camera: CameraLabel, cam_from_box: Matrix4, size_m: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "4"] | None:
-    """The rectangle of what of a box is inside the image; None if nothing is."""
+) -> tuple[Float[np.ndarray, "4"] | None, Float[np.ndarray, "4"] | None]:
+    """The rectangle of what of a box is inside the image, None if nothing is; and that of the whole box, beyond the
+    image's border too, None where a part of it has no place there."""
     edges = _edges(cam_from_box, size_m)
-    shown = camera.shows(edges)
-    crossing = shown[:, 1:] != shown[:, :-1]
-    ends = [np.where(shown[:, 1:, None] == side, edges[:, 1:], edges[:, :-1])[crossing] for side in (True, False)]
+    uv = camera.project(edges)
+    whole = _around(uv.reshape(-1, 2)) if np.isfinite(uv).all() else None
+    shown = inside_image(uv, camera.width_px, camera.height_px)
+    if shown.all():
+        return whole, whole
     size_px = np.array([camera.width_px, camera.height_px], float)
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * size_px
-    before = meets_box(camera.rays(corners), cam_from_box, size_m)
-    uv = np.concatenate([camera.project(edges[shown]), camera.project(_border(camera, *ends)), corners[before]])
-    return np.clip(_around(uv), 0, np.tile(size_px, 2)) if len(uv) else None
+    found = [uv[shown], corners[meets_box(camera.rays(corners), cam_from_box, size_m)]]
+    if shown.any():
+        crossing = shown[:, 1:] != shown[:, :-1]
+        ends = [np.where(shown[:, 1:, None] == side, edges[:, 1:], edges[:, :-1])[crossing] for side in (True, False)]
+        found.append(camera.project(_border(camera, *ends)))
+    inside = np.concatenate(found)
+    return np.clip(_around(inside), 0, np.tile(size_px, 2)) if len(inside) else None, whole
 
 
 def truncation(camera: CameraLabel, cam_from_box: Matrix4, size_m: Float[np.ndarray, "3"]) -> float:

@@ -17,8 +17,9 @@ from synth3dlanes.geometry.camera import img_from_cam, project, world_from_host
 from synth3dlanes.geometry.grass import Blades, blades
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.horizon import FarHills
+from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.motion import car_at, host_at, host_station
-from synth3dlanes.geometry.network import LaneCurve, Network
+from synth3dlanes.geometry.network import Network
 from synth3dlanes.geometry.paint import paint_meshes
 from synth3dlanes.geometry.paper_roads import paper_network
 from synth3dlanes.geometry.placement import tree_positions, world_from_car

@@ -118,7 +118,7 @@ def test_a_data_set_states_the_scenes_that_its_own_are_like(tmp_path: Path) -> N
         ("generate_dataset", {"out": "o", "n": 1, "image_format": "bmp"}, "image_format: expected one of jpg, png"),
         ("generate_dataset", {"out": "o", "n": 1, "spreads": "0.1"}, "spreads: expected none without scenes"),
         ("generate_dataset", {"out": "o", "n": -1}, "n: expected 0 to 100000000, got -1"),
-        ("export_dataset", {"source": "d", "out": "o", "format_name": "kitti"}, "format_name: expected one of apollo"),
+        ("export_dataset", {"source": "d", "out": "o", "format_name": "kitty"}, "format_name: expected one of apollo"),
     ],
 )
 def test_a_wrong_argument_is_named(

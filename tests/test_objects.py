@@ -13,7 +13,7 @@ from synth3dlanes.frames import quaternion, road_from_cam, rotation, transform
 from synth3dlanes.ground_truth import ground_truth, label
 from synth3dlanes.lens import Lens
 from synth3dlanes.object_labels import as_seen, stacked
-from synth3dlanes.object_truth import rectangle, rectangle_in_image, truncation
+from synth3dlanes.object_truth import rectangles, truncation
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import Scenes, sample_scene, sample_world
 from synth3dlanes.scene import Car
@@ -111,8 +111,9 @@ def test_a_box_around_the_whole_view_fills_the_image():
     pose = np.eye(4)
     pose[1, 3] = 6
     size_m = np.array([50.0, 4.0, 50.0])
-    np.testing.assert_allclose(rectangle_in_image(camera, pose, size_m), (0, 0, 480, 360))
-    assert rectangle(camera, pose, size_m)[0] < -1000
+    inside, whole = rectangles(camera, pose, size_m)
+    np.testing.assert_allclose(inside, (0, 0, 480, 360))
+    assert whole[0] < -1000
     assert truncation(camera, pose, size_m) > 0.9
 
 

@@ -10,7 +10,7 @@ from jaxtyping import UInt8
 from synth3dlanes.assets.catalogue import Library
 from synth3dlanes.blender.build import build, open_studio
 from synth3dlanes.blender.cycles_timing import cycles_stages
-from synth3dlanes.blender.render import configure, opened, read_layers, studio
+from synth3dlanes.blender.render import configure, opened, read_layers, studio, want_passes
 from synth3dlanes.blender.trace import run_cycles
 from synth3dlanes.imaging.daylight import Daylight, daylight
 from synth3dlanes.imaging.develop import develop
@@ -55,8 +55,7 @@ def naive_seconds(scene: Scene, settings: RenderSettings, library: Library, samp
     bpy.context.scene.world.cycles.sampling_method = "AUTOMATIC"
     bpy.context.scene.render.engine = "CYCLES"
     bpy.context.scene.cycles.samples = samples
-    layer = bpy.context.scene.view_layers[0]
-    layer.use_pass_z = layer.use_pass_material_index = True  # required by `read_layers`
+    want_passes(bpy.context.scene.view_layers[0])
     develop(scene, world.view, light, read_layers(run_cycles(), light.film))
     seconds = time.perf_counter() - start
     opened.cache_clear()

@@ -131,10 +131,12 @@ def configure(settings: RenderSettings, film: float) -> None:
     options.use_auto_tile = False
     options.debug_use_spatial_splits = True
     options.film_exposure = film
-    layer = blender.view_layers[0]
-    layer.use_pass_z = True
-    layer.use_pass_object_index = True
-    layer.use_pass_material_index = True
+    want_passes(blender.view_layers[0])
+
+
+def want_passes(layer: bpy.types.ViewLayer) -> None:
+    """Make Cycles give the passes that `read_layers` takes."""
+    layer.use_pass_z = layer.use_pass_object_index = layer.use_pass_material_index = True
 
 
 def read_layers(passes: dict[str, np.ndarray], film: float) -> Layers:

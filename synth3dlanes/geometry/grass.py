@@ -11,7 +11,8 @@ from jaxtyping import Bool, Float
 
 from synth3dlanes.arrays import Points2, Points3, Scalars
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.network import SIDES, LaneCurve
+from synth3dlanes.geometry.lane_curves import LaneCurve
+from synth3dlanes.geometry.roads import SIDES
 
 # Tufts along every edge of the pavement: how many, how far ahead of the host, and how far beside the edge.
 PER_EDGE, AHEAD_M, BESIDE_M = 1200, (2.0, 45.0), (0.25, 3.6)

@@ -15,7 +15,8 @@ from jaxtyping import Bool, Float
 from synth3dlanes.arrays import AnyPoints2, AnyScalars
 from synth3dlanes.geometry import terrain
 from synth3dlanes.geometry.horizon import FarHills
-from synth3dlanes.geometry.network import Network, Road
+from synth3dlanes.geometry.network import Network
+from synth3dlanes.geometry.roads import Road
 from synth3dlanes.scene import Markings
 
 Spread = Float[np.ndarray, "*#n"]

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.arrays import AnyPoints2, AnyScalars, Polyline2
-from synth3dlanes.geometry.reference_line import LineFrames, ReferenceLine
+from synth3dlanes.geometry.reference_line import LineFrames, ReferenceLine, dot, paired
 
 # A point's station is looked for among places this far apart.
 GUESS_STEP_M = 4.0
@@ -33,7 +33,7 @@ class FiniteLine(ReferenceLine):
         """The station of the nearest of some places."""
         s, places = self._samples
         apart = xy_world[..., None, :] - places
-        return np.asarray(s[(apart * apart).sum(-1).argmin(-1)])
+        return np.asarray(s[dot(apart, apart).argmin(-1)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,10 +49,10 @@ class Spiral(FiniteLine):
     def frames(self, s: AnyScalars) -> LineFrames:
         """The line at stations."""
         u = s[..., None] * NODES
-        along = np.stack([np.cos(self._heading(u)), np.sin(self._heading(u))], -1)
+        along = paired(np.cos(self._heading(u)), np.sin(self._heading(u)))
         points = self.start_world + s[..., None] * (WEIGHTS[:, None] * along).sum(axis=-2)
         heading = self._heading(s)
-        normals = np.stack([np.sin(heading), -np.cos(heading)], -1)
+        normals = paired(np.sin(heading), -np.cos(heading))
         return LineFrames(points, normals, np.ones(s.shape), -(self.curvature + self.bends * s))
 
     def _heading(self, s: AnyScalars) -> AnyScalars:
@@ -74,8 +74,8 @@ class Cubic(FiniteLine):
         ]
         (px, py), (dx, dy), (ddx, ddy) = zip(*values, strict=True)
         speed = np.hypot(dx, dy)
-        normals = np.stack([dy, -dx], -1) / speed[..., None]
-        return LineFrames(np.stack([px, py], -1), normals, speed, (dy * ddx - dx * ddy) / speed**2)
+        normals = paired(dy, -dx) / speed[..., None]
+        return LineFrames(paired(px, py), normals, speed, (dy * ddx - dx * ddy) / speed**2)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.ground import CELL_M, EMBANKMENT_SLOPE, GROWTH, VERGE_M, Ground, embankment_width, profile
 from synth3dlanes.geometry.horizon import far_dam, on_faces
-from synth3dlanes.geometry.network import Road, Side
+from synth3dlanes.geometry.roads import Road, Side
 
 HORIZON_M = 4000.0
 BEHIND_M = 300.0

@@ -4,7 +4,8 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.errors import InputError
-from synth3dlanes.geometry.network import LaneCurve, Network
+from synth3dlanes.geometry.lane_curves import LaneCurve
+from synth3dlanes.geometry.network import Network
 from synth3dlanes.scene import Camera, Car
 
 STEP_M = 0.25

@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float
 from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.horizon import far_dam
+from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.meshes import Mesh, grid, is_facing_up, lift_far, over_terrain, road_stations
-from synth3dlanes.geometry.network import LaneCurve
 from synth3dlanes.geometry.terrain import gradient_at
 from synth3dlanes.labels import Marking, PaintColor, Pair
 from synth3dlanes.scene import Markings

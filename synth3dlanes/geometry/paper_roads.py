@@ -5,26 +5,17 @@ point on the main road's line. The world is the plan with x and y mirrored as th
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool
 
 from synth3dlanes.arrays import AnyPoints2, AnyScalars
-from synth3dlanes.geometry.network import (
-    BEFORE_M,
-    WIDER,
-    LaneCurve,
-    Network,
-    NetworkLane,
-    Offset,
-    Parting,
-    Ramp,
-    Road,
-    joined,
-)
-from synth3dlanes.geometry.reference_line import MAX_STEP_M, NEWTON_STEPS, LineFrames, ReferenceLine
+from synth3dlanes.geometry.lane_curves import LaneCurve, joined
+from synth3dlanes.geometry.network import Network
+from synth3dlanes.geometry.reference_line import MAX_STEP_M, NEWTON_STEPS, LineFrames, ReferenceLine, dot, paired
+from synth3dlanes.geometry.roads import BEFORE_M, WIDER, NetworkLane, Offset, Parting, Ramp, Road
 from synth3dlanes.labels import Direction, Marking, RoadName
 from synth3dlanes.scene import PaperRoad, Terrain
 
@@ -83,8 +74,8 @@ class Quartic(ReferenceLine):
         """The line at stations."""
         x, slope, bend = self._plan(s)
         speed = np.sqrt(1 + slope * slope)
-        points = np.stack([self.flips.x * x, self.flips.y * s], -1)
-        normals = np.stack([self.flips.x / speed, -self.flips.y * slope / speed], -1)
+        points = paired(self.flips.x * x, self.flips.y * s)
+        normals = paired(self.flips.x / speed, -self.flips.y * slope / speed)
         return LineFrames(points, normals, speed, bend / (speed * speed))
 
     def guess(self, xy_world: AnyPoints2) -> AnyScalars:
@@ -150,17 +141,15 @@ class Displaced(ReferenceLine):
         q, dq = self.opening.polynomial(inside)
         displaced = self.base_m + q
         sign = self.base.flips.x * self.base.flips.y
-        tangents = np.stack([-sign * normals[..., 1], sign * normals[..., 0]], -1)
+        tangents = paired(-sign * normals[..., 1], sign * normals[..., 0])
         steps = (speed - turn * displaced)[..., None] * tangents + dq[..., None] * normals
-        aside = np.stack([sign * steps[..., 1], -sign * steps[..., 0]], -1) / np.linalg.norm(
-            steps, axis=-1, keepdims=True
-        )
+        aside = paired(sign * steps[..., 1], -sign * steps[..., 0]) / np.sqrt(dot(steps, steps))[..., None]
         return points + displaced[..., None] * normals + (s - inside)[..., None] * steps, steps, aside
 
     def frames(self, s: AnyScalars) -> LineFrames:
         """The line at stations; its turn is not needed by its own projection."""
         points, steps, aside = self._steps(s)
-        return LineFrames(points, aside, np.linalg.norm(steps, axis=-1), np.zeros(np.shape(s)))
+        return LineFrames(points, aside, np.sqrt(dot(steps, steps)), np.zeros(np.shape(s)))
 
     def xy(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints2:
         """World (x, y) of places."""
@@ -176,10 +165,10 @@ class Displaced(ReferenceLine):
         s = self.guess(xy_world) if guess is None else guess
         for _ in range(NEWTON_STEPS):
             points, steps, _ = self._steps(s)
-            ahead = ((xy_world - points) * steps).sum(-1) / (steps * steps).sum(-1)
+            ahead = dot(xy_world - points, steps) / dot(steps, steps)
             s = s + np.clip(ahead, -MAX_STEP_M, MAX_STEP_M)
         points, _, aside = self._steps(s)
-        return s, ((xy_world - points) * aside).sum(-1)
+        return s, dot(xy_world - points, aside)
 
     @cached_property
     def _plan_y(self) -> AnyScalars:
@@ -200,8 +189,9 @@ def smooth_min(q: AnyScalars, width_m: float) -> AnyScalars:
     return np.minimum(q, width_m) - h * h / (4 * CORNER_M)
 
 
+@lru_cache(maxsize=1)
 def paper_network(road: PaperRoad, terrain: Terrain) -> Network:
-    """The roads of the paper's numbers over a terrain."""
+    """The roads of the paper's numbers over a terrain; drawing and resolving a scene ask for the same."""
     return _Plan(road, terrain).network
 
 

@@ -5,7 +5,7 @@ from jaxtyping import Float
 
 from synth3dlanes.arrays import Matrix4
 from synth3dlanes.assets.catalogue import CarModel
-from synth3dlanes.frames import from_axes, transform
+from synth3dlanes.frames import cross, from_axes, transform
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.network import Network
 from synth3dlanes.scene import Car, Tree
@@ -53,7 +53,7 @@ def world_from_car(network: Network, car: Car, model: CarModel) -> Matrix4:
         up /= np.linalg.norm(up)
         forward = np.array([hx, hy, slope_x * hx + slope_y * hy])
         forward /= np.linalg.norm(forward)
-        pose = from_axes(np.cross(forward, up), forward, up, np.array([*middle, z]))
+        pose = from_axes(cross(forward, up), forward, up, np.array([*middle, z]))
     return pose
 
 

@@ -27,6 +27,18 @@ class LineFrames(NamedTuple):
     turn: AnyScalars
 
 
+def paired(x: AnyScalars, y: AnyScalars) -> AnyPoints2:
+    """Vectors by their components. Of few, as of most queries, np.stack takes ten times as long."""
+    both = np.zeros((*x.shape, 2))
+    both[..., 0], both[..., 1] = x, y
+    return both
+
+
+def dot(a: AnyPoints2, b: AnyPoints2) -> AnyScalars:
+    """The scalar products of vectors; as a sum along an axis they take longer, too."""
+    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1])
+
+
 class ReferenceLine:
     """A line by its frames, and by a first guess of the station next to a point."""
 
@@ -57,10 +69,10 @@ class ReferenceLine:
             points, normals, speed, turn = self.frames(s)
             to = xy_world - points
             along = sign * (to[..., 1] * normals[..., 0] - to[..., 0] * normals[..., 1])
-            t = (to * normals).sum(-1)
+            t = dot(to, normals)
             s = s + np.clip(along / np.maximum(speed - turn * t, MIN_SHARE * speed), -MAX_STEP_M, MAX_STEP_M)
         points, normals, _, _ = self.frames(s)
-        return s, ((xy_world - points) * normals).sum(-1)
+        return s, dot(xy_world - points, normals)
 
     def near(self, xy_world: AnyPoints2, low_m: AnyScalars, high_m: AnyScalars) -> Bool[np.ndarray, "*n"]:
         """Which points may lie between these offsets."""

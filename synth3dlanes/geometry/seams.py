@@ -11,8 +11,9 @@ from jaxtyping import Float
 from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.meshes import Mesh, facing_up
-from synth3dlanes.geometry.network import Network, NetworkLane
+from synth3dlanes.geometry.network import Network
 from synth3dlanes.geometry.paint import towards_eye
+from synth3dlanes.geometry.roads import NetworkLane
 from synth3dlanes.scene import Markings
 from synth3dlanes.streams import Streams
 

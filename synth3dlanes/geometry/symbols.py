@@ -15,8 +15,9 @@ from jaxtyping import Float
 from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.meshes import Mesh, facing_up
-from synth3dlanes.geometry.network import Network, Offset, Road
+from synth3dlanes.geometry.network import Network
 from synth3dlanes.geometry.paint import towards_eye
+from synth3dlanes.geometry.roads import Offset, Road
 from synth3dlanes.scene import Symbol
 from synth3dlanes.schema import SymbolKind
 

@@ -15,8 +15,9 @@ from synth3dlanes.geometry.beside import beside
 from synth3dlanes.geometry.buildings import building_frame
 from synth3dlanes.geometry.crossings import crossing_frame, crossing_span, dam_section
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.network import SIDES, Network, Side
+from synth3dlanes.geometry.network import Network
 from synth3dlanes.geometry.rails import KERBS, RAILS
+from synth3dlanes.geometry.roads import SIDES, Side
 from synth3dlanes.geometry.roadside import Footprints, footprints
 from synth3dlanes.geometry.sign_faces import FACES, SIGNS
 from synth3dlanes.scene import Building, Color, Crossing, Post, Rail, RailKind, RoadSide, Roadside

@@ -1,6 +1,7 @@
 """The paint of a scene that bounds no lane: crosswalks, stop lines, arrows, a gore."""
 
-from synth3dlanes.geometry.network import Network, NetworkLane
+from synth3dlanes.geometry.network import Network
+from synth3dlanes.geometry.roads import NetworkLane
 from synth3dlanes.geometry.symbols import LENGTHS_M, gore_of
 from synth3dlanes.sampling.draws import DECIMALS, Draw
 from synth3dlanes.scene import Symbol

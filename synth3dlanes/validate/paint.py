@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from synth3dlanes.arrays import Points3, Scalars
 from synth3dlanes.assets.catalogue import ROAD_MEANS
 from synth3dlanes.frames import transform
-from synth3dlanes.geometry.network import LaneCurve
+from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.paint import DOTS_M, is_dotted, line_width_m, painted_rows, stripes
 from synth3dlanes.geometry.terrain import gradient_at
 from synth3dlanes.labels import CameraLabel, Lane, Marking, PaintColor

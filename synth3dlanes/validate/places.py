@@ -13,7 +13,8 @@ from synth3dlanes.arrays import Points3, Scalars
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry import meshes
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.network import LaneCurve, Offset, Road
+from synth3dlanes.geometry.lane_curves import LaneCurve
+from synth3dlanes.geometry.roads import Offset, Road
 from synth3dlanes.geometry.terrain import gradient_at, height_at
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.settings import SEMANTIC_IDS

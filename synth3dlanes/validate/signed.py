@@ -7,7 +7,8 @@ from jaxtyping import Bool
 
 from synth3dlanes.arrays import Passes, Points3, Scalars
 from synth3dlanes.frames import transform
-from synth3dlanes.geometry.network import Network, Ramp
+from synth3dlanes.geometry.network import Network
+from synth3dlanes.geometry.roads import Ramp
 from synth3dlanes.geometry.terrain import gradient_at, height_at
 from synth3dlanes.labels import Labels
 from synth3dlanes.settings import SEMANTIC_IDS

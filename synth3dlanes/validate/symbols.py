@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from synth3dlanes.arrays import Scalars
-from synth3dlanes.geometry.network import Parting, Road
+from synth3dlanes.geometry.roads import Parting, Road
 from synth3dlanes.geometry.symbols import Polygon, shape
 from synth3dlanes.scene import Symbol
 from synth3dlanes.settings import FIRST_SYMBOL_ID, SEMANTIC_IDS

@@ -33,7 +33,7 @@ def test_predict_finds_the_hosts_lane_in_a_picture_without_further_words(rendere
     Image.fromarray(rendered.image).save(tmp_path / "photo.jpg", quality=95)
     result = CliRunner().invoke(main, ["predict", str(tmp_path / "photo.jpg"), "--out", str(tmp_path / "out")])
     assert result.exit_code == 0, result.output
-    assert "lanes in 1 images" in result.output
+    assert "lanes in 1 image;" in result.output
     (line,) = (tmp_path / "out/predictions.jsonl").read_text().splitlines()
     lanes = [lane for lane in json.loads(line)["lanes"] if lane["score"] >= 0.5 and lane["kind"] == "centerline"]
     at_15_m = [_x_at(np.array(lane["xyz_cam"]), 15.0) for lane in lanes]

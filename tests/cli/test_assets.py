@@ -26,7 +26,7 @@ def test_a_folder_of_own_assets_from_check_to_picture(run: Run, in_tmp_path: Pat
     assert [car["name"] for car in scene["assets"]["cars"]] == ["box"]
     (in_tmp_path / "scene.json").write_text(drawn.stdout)
     explained = json.loads(run("inspect", "scene.json", "--json").stdout)
-    assert explained["objects"]["cars"] == "1: 1 box"
+    assert explained["summary"]["objects"]["cars"] == "1: 1 box"
 
     forgotten = run("render", "scene.json")
     assert (forgotten.exit_code, forgotten.stdout) == (2, "")

@@ -46,8 +46,8 @@ Run = Callable[..., Result]
         ("inspect d/train:3 --image file", "--image file: expected none beside a sample, which has its own"),
         ("split d --out e --into train=0.5,val=0.6", "expected shares whose sum is 1, got 1.1"),
         ("generate --n 1000000000 --out d", "--n: expected 0 to 100000000, got 1000000000"),
-        ("generate --n 90000000 --out d --device cpu", "d: 90000000 samples need "),
-        ("generate --n 90000000 --out d --device cpu --dry-run", "d: 90000000 samples need "),
+        ("generate --n 90000000 --out d --device cpu", "d: 90,000,000 samples need "),
+        ("generate --n 90000000 --out d --device cpu --dry-run", "d: 90,000,000 samples need "),
         (
             "params check partial.yaml",
             "partial.yaml: 10 missing keys: terrain, road, markings, ...; a file has all keys",
@@ -151,7 +151,7 @@ def test_a_dry_run_says_what_would_be_made_and_makes_nothing(run: Run, in_tmp_pa
     result = run(*command, "--dry-run", "--set", "light.exposure=2")
     assert result.exit_code == 0, result.output
     asked, expected = result.stdout.splitlines()
-    for words in ("d/train: 1500 samples", "seed 3", "96x72 px jpg", "device cpu", "tiny with light.exposure=2"):
+    for words in ("d/train: 1,500 samples", "seed 3", "96x72 px jpg", "device cpu", "tiny with light.exposure=2"):
         assert words in asked
     assert expected.startswith("1,500 samples to make with 2 workers: about ")
     assert not list(in_tmp_path.iterdir())

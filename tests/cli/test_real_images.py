@@ -102,7 +102,10 @@ def test_predict_and_evaluate_take_the_same_camera(run, exported):
         (("--checkpoint", "nano"), "labels.json: expected --intrinsics FX,FY,CX,CY of its camera"),
         (("--checkpoint", "nano", "--intrinsics", "1,2,3"), "expected FX,FY,CX,CY or a calibration file, got '1,2,3'"),
         (("--intrinsics", "1,1,1,1"), "expected --checkpoint or --predictions"),
-        (("--checkpoint", "nano", "--intrinsics", "1,1,1,1", "--plots", "x.png"), "--plots needs labels in 3D"),
+        (
+            ("--checkpoint", "nano", "--intrinsics", "1,1,1,1", "--plots", "x.png"),
+            "--plots has no effect on photographs",
+        ),
     ],
 )
 def test_what_is_missing_is_said_in_a_line(run, exported, arguments, problem):

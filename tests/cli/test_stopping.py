@@ -22,7 +22,7 @@ from synth3dlanes.production.signals import StopSignal
     [
         (
             ["export", "d", "--format", "apollo", "--out", "e"],
-            "synth3dlanes.formats.export.export",
+            "synth3dlanes.formats.export.Export.write",
             "; rerun to resume",
         ),
         (["validate", "d"], "synth3dlanes.validate.run.validate", ""),

@@ -136,7 +136,7 @@ def check_switches(page: Page, shown: Locator, names: list[str]) -> None:
 def test_the_page_of_a_scene(open_page, exit_scene, gray_image):
     page = open_page(scene_page(ShownScene(exit_scene, some_behind_cars(ground_truth(exit_scene)), gray_image)))
     masks = [f"points {name}" for name in ("seen", "hidden by the ground", "hidden by objects")]
-    check_switches(page, page.locator("svg"), ["centre lines", "delimiters", "hidden parts", *masks])
+    check_switches(page, page.locator("svg"), ["centre lines", "delimiters", "hidden parts", "objects", *masks])
     canvas = page.locator("#space")
     groups = page.locator("#space-bar label").all()
     assert len(groups) == 8
@@ -304,5 +304,5 @@ def test_a_sample_of_a_report_is_a_link_that_enlarges_it(open_page, report):
 def test_the_page_of_a_data_set(open_page, report):
     page = open_page(report)
     masks = [f"points {name}" for name in ("seen", "hidden by the ground", "hidden by objects")]
-    check_switches(page, page.locator(".cards"), ["centre lines", "delimiters", "hidden parts", *masks])
+    check_switches(page, page.locator(".cards"), ["centre lines", "delimiters", "hidden parts", "objects", *masks])
     assert page.locator(".plot").count() > 40

@@ -67,7 +67,7 @@ UNREAD = {".parts", "README.md", "classes.json", "data.yaml", "data_lists"}
 @pytest.fixture(scope="module")
 def small(tmp_path_factory, write_split):
     root = tmp_path_factory.mktemp("small")
-    write_split(root, "test", 1, ["road.topology=1", "camera.width_px=480"], passes_of)
+    write_split(root, "test", 1, ["road.topology=1", "camera.width_px=480", "cars.n=12"], passes_of)
     return root
 
 

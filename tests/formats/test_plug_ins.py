@@ -19,7 +19,7 @@ import json
 
 import numpy as np
 
-from synth3dlanes.formats.comparing import Rule, View, compare
+from synth3dlanes.formats.comparing import Rule, ExportView, compare
 from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat
 from synth3dlanes.formats.writing import FrameAnnotation
 
@@ -45,7 +45,7 @@ def read(out, most_frames):
 def verify(frame, truth):
     camera = truth.labels.camera
     k = np.array([[400.0, 0, camera.width_px / 2], [0, 400.0, camera.height_px / 2], [0, 0, 1]])
-    ours = [lane.in_metres(View(k, (camera.width_px, camera.height_px))) for lane in truth.lanes("delimiter")]
+    ours = [lane.in_metres(ExportView(k, (camera.width_px, camera.height_px))) for lane in truth.lanes("delimiter")]
     return compare(frame.content, ours, RULE)[0]
 
 

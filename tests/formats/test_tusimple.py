@@ -7,6 +7,7 @@ import numpy as np
 from hypothesis import given, settings
 
 from synth3dlanes.formats.tusimple import write
+from synth3dlanes.formats.tusimple.format import FORMAT
 from synth3dlanes.formats.tusimple.read import parse
 from synth3dlanes.formats.writing import Pinhole
 from tests.formats import closed_form as cf
@@ -72,7 +73,7 @@ def test_tusimple_label_files_are_those_that_loaders_open():
     dealt = files_of("train", {"train", "test"})
     assert set(dealt) == LABEL_FILES - {"test_label.json"}
     assert dealt.count("label_data_0313.json") == 16
-    assert set(write.FORMAT.lists) >= LABEL_FILES, "they are there even when empty"
+    assert set(FORMAT.lists) >= LABEL_FILES, "they are there even when empty"
 
 
 def test_the_list_of_test_images_has_no_lanes():

@@ -1,12 +1,15 @@
 """A network of many roads, made by hand: what is far away costs nothing and changes nothing; ids follow from links."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.horizon import FarHills
 from synth3dlanes.geometry.map_lines import Spiral
-from synth3dlanes.geometry.network import Lane, Network, Offset, Road
+from synth3dlanes.geometry.network import Network
+from synth3dlanes.geometry.roads import NetworkLane, Offset, Road
 from synth3dlanes.scene import Terrain
 from tests.scenes import FLAT, hill
 
@@ -25,7 +28,7 @@ class Counted(Spiral):
 
 
 def street(name, start, heading_rad=np.pi / 2, length_m=200.0):
-    lane = Lane(f"{name}_1", name, name, 1, Offset(0.0), 3.5, 0.0, length_m)
+    lane = NetworkLane(f"{name}_1", name, name, 1, Offset(0.0), 3.5, 0.0, length_m)
     line = Counted(length_m, start, heading_rad)
     return Road(name, line, TERRAIN, Offset(-2.5), Offset(2.5), 0.75, (lane,), 0.0, length_m)
 
@@ -54,18 +57,21 @@ def test_a_network_of_two_hundred_roads_costs_what_the_near_ones_cost():
 
 def test_paths_neighbours_and_successors_follow_from_links():
     """A street that splits into two, and one of the two that another joins."""
-    first, left, right = street("a", (0.0, 0.0)), street("b", (0.0, 200.0), 1.7), street("c", (0.0, 200.0), 1.4)
-    split = Network(TERRAIN, (first, left, right), (), (("a_1", "b_1"), ("a_1", "c_1")))
+    spans = {"stem": (0.0, 200.0), "main": (200.0, 400.0)}
+    lanes = [NetworkLane(f"{name}_1", "main", name, 1, Offset(0.0), 3.5, *span) for name, span in spans.items()]
+    main = replace(street("main", (0.0, 0.0), length_m=400.0), lanes=tuple(lanes))
+    roads = main, street("exit", (0.0, 200.0), 1.4)
+    split = Network(TERRAIN, roads, (), (("stem_1", "main_1"), ("stem_1", "exit_1")))
     assert [(path.id, [lane.id for lane in path.lanes]) for path in split.paths] == [
-        ("b_1", ["a_1", "b_1"]), ("c_1", ["a_1", "c_1"])
+        ("main_1", ["stem_1", "main_1"]), ("exit_1", ["stem_1", "exit_1"])
     ]  # fmt: skip
-    graph = split.graph(["b_1", "c_1"])
-    assert graph.successors == {"a_1": ("b_1", "c_1")}
+    graph = split.graph(["main_1", "exit_1"])
+    assert graph.successors == {"stem_1": ("main_1", "exit_1")}
     assert {at.id: at.centerlines for at in graph.segments} == {
-        "a_1": ("b_1", "c_1"), "b_1": ("b_1",), "c_1": ("c_1",)
+        "stem_1": ("main_1", "exit_1"), "main_1": ("main_1",), "exit_1": ("exit_1",)
     }  # fmt: skip
-    merge = Network(TERRAIN, (first, left, right), (), (("b_1", "a_1"), ("c_1", "a_1")))
-    assert [path.id for path in merge.paths] == ["b_1", "c_1"]
+    merge = Network(TERRAIN, roads, (), (("main_1", "stem_1"), ("exit_1", "stem_1")))
+    assert [path.id for path in merge.paths] == ["main_1", "exit_1"]
 
 
 def test_where_pavements_overlap_the_ground_is_theirs_and_clearance_is_to_the_nearest():

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from synth3dlanes.arrays import Scalars
 from synth3dlanes.formats.opendrive.roads import OdrRoad
-from synth3dlanes.geometry.network import LaneCurve
+from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.paint import is_dotted, is_double, line_width_m, paint_color, pair_of
 from synth3dlanes.world import World
 

@@ -56,7 +56,8 @@ class FileRoad:
         u, v = np.moveaxis((self.polys[i] * powers[..., None, :]).sum(axis=-1), -1, 0)
         du, dv = np.moveaxis((self.polys[i] * slopes[..., None, :]).sum(axis=-1), -1, 0)
         cos, sin = np.cos(heading), np.sin(heading)
-        return x + cos * u - sin * v, y + sin * u + cos * v, heading + np.arctan2(dv, du)
+        x, y = x + cos * u - sin * v, y + sin * u + cos * v
+        return np.asarray(x), np.asarray(y), np.asarray(heading + np.arctan2(dv, du))
 
     def cubic(self, tag: str, s: AnyScalars | float, slope: bool = False) -> AnyScalars:
         """A profile along the road."""
@@ -78,12 +79,17 @@ class FileRoad:
             heights[here] = low + np.clip(share, 0, 1) * (high - low)
         return heights
 
+    def missing(self, lane: int) -> list[int]:
+        """Lanes that should lie between a lane and the reference line, and do not."""
+        step = 1 if lane > 0 else -1
+        return [other for other in range(step, lane, step) if other not in self.widths]
+
     def edges(self, lane: int, s: AnyScalars | float) -> tuple[AnyScalars, AnyScalars]:
         """t of the inner and outer edge of a lane."""
         inner = outer = self.cubic("laneOffset", s)
         step = int(np.sign(lane))
         for other in range(step, lane + step, step):
-            inner, outer = outer, outer + step * self.widths[other].at(s)
+            inner, outer = outer, np.asarray(outer + step * self.widths[other].at(s))
         return inner, outer
 
     def center(self, lane: int, s: AnyScalars | float) -> Float[np.ndarray, "*n 3"]:

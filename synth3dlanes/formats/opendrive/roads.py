@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.arrays import Points2, Points3, Scalars
-from synth3dlanes.geometry.network import Network, NetworkLane, Offset, Road
+from synth3dlanes.geometry.network import Network
+from synth3dlanes.geometry.roads import NetworkLane, Offset, Road
 from synth3dlanes.geometry.terrain import height_at
 
 # Stations that a file reaches, at least, and the distance of the places that are fitted.

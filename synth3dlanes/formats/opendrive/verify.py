@@ -42,6 +42,9 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     except (KeyError, ValueError, IndexError, OverflowError):
         raise FormatError(f"{frame.where}: expected roads with a reference line of numbers, got others") from None
     problems = [] if largest_m <= GAP_M else [f"expected roads without gaps, got one of {largest_m:.3f} m"]
+    for road in roads.values():
+        gone = {other for lane in road.lanes for other in road.missing(lane)}
+        problems += [f"road {road.id}: expected lane {lane} between others, got none" for lane in sorted(gone)]
     return compare_map(lanes, truth, RULE).because([*problems, *_link_problems(root)])
 
 
@@ -51,7 +54,7 @@ def _lanes(road: FileRoad) -> Iterator[tuple[str, np.ndarray]]:
     is_right = road.element.get("rule") == "RHT"
     for lane, element in road.lanes.items():
         segment = road.segment(lane)
-        if element.get("type") == "driving" and segment is not None:
+        if element.get("type") == "driving" and segment is not None and not road.missing(lane):
             yield segment, road.center(lane, stations)[:: 1 if (lane < 0) == is_right else -1]
 
 

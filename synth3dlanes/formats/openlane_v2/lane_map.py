@@ -10,9 +10,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from synth3dlanes.arrays import Points3, Scalars
+from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.meshes import grass_in_medians
-from synth3dlanes.geometry.network import SIDES, LaneCurve, Network, NetworkLane
+from synth3dlanes.geometry.network import Network
 from synth3dlanes.geometry.paint import is_double, paint_color
+from synth3dlanes.geometry.roads import SIDES, NetworkLane
 from synth3dlanes.labels import Marking, PaintColor, Segment
 from synth3dlanes.world import World
 

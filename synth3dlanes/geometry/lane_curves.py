@@ -1,0 +1,105 @@
+"""The curves of lanes along roads: centre lines of paths, and painted lines. World frame, metres."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from synth3dlanes.arrays import AnyScalars
+from synth3dlanes.geometry.roads import NetworkLane, Offset, Road, lift
+from synth3dlanes.labels import Direction, LaneKind, Marking
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A line from one station of a road to another."""
+
+    road: Road
+    offset: Offset
+    start_m: float
+    end_m: float
+
+
+@dataclass(frozen=True)
+class LaneCurve:
+    """The centre line of a path through the lanes, or a painted line, from `start_m` to `end_m`; its pieces follow each
+    other. `direction` is as in the labels; `is_inner` says whether a delimiter faces the oncoming traffic, or is the
+    left edge of a road without any. `lanes` are those of a path, as s grows."""
+
+    id: str
+    kind: LaneKind
+    road: str
+    marking: Marking
+    left: str | None
+    right: str | None
+    pieces: tuple[Piece, ...]
+    start_m: float = -np.inf
+    end_m: float = np.inf
+    direction: Direction = "same"
+    is_inner: bool = False
+    lanes: tuple[NetworkLane, ...] = ()
+
+    def xy_world(self, s: AnyScalars) -> Float[np.ndarray, "n 2"]:
+        """World (x, y) at stations."""
+        if len(self.pieces) == 1:
+            piece = self.pieces[0]
+            return piece.road.xy(s, piece.offset(s))
+        xy = np.zeros((*s.shape, 2))
+        for at, piece in self._parts(s):
+            on = np.minimum(s[at], piece.end_m)
+            xy[at] = piece.road.xy(on, piece.offset(on))
+        return xy
+
+    def points_world(self, s: AnyScalars) -> Float[np.ndarray, "n 3"]:
+        """Points on the road surface at stations."""
+        return lift(self.pieces[0].road.terrain, self.xy_world(s), self.raised(s))
+
+    def raised(self, s: AnyScalars) -> AnyScalars:
+        """Height of the road surface above the terrain at stations."""
+        height_m = np.zeros(s.shape)
+        for at, piece in self._parts(s):
+            height_m[at] = piece.road.raised(s[at])
+        return height_m
+
+    def shifted(self, t_m: float) -> "LaneCurve":
+        """The curve `t_m` beside it."""
+        return replace(
+            self, pieces=joined((piece.road, piece.offset.shifted(t_m), piece.start_m) for piece in self.pieces)
+        )
+
+    def has(self, s: AnyScalars) -> Bool[np.ndarray, "*n"]:
+        """At which stations it is: within its ends, and not between two of its pieces."""
+        inside = (s > self.start_m) & (s < self.end_m)
+        for a, b in pairwise(self.pieces):
+            inside &= (s >= b.start_m) | (s <= a.end_m)
+        return np.asarray(inside)
+
+    def lane_at(self, s: float) -> NetworkLane:
+        """The lane of a path at a station."""
+        return next(lane for lane in reversed(self.lanes) if s >= lane.start_m)
+
+    def _parts(self, s: AnyScalars) -> Iterator[tuple[Bool[np.ndarray, "*n"], Piece]]:
+        """Which stations lie on each piece; the first and the last one have no outer ends."""
+        ends = [-np.inf, *(piece.start_m for piece in self.pieces[1:]), np.inf]
+        for piece, (low, high) in zip(self.pieces, pairwise(ends), strict=True):
+            yield (s >= low) & (s < high), piece
+
+
+def joined(parts: Iterable[tuple[Road, Offset, float]]) -> tuple[Piece, ...]:
+    """The pieces of a curve from where each begins. One ends where the next begins or, on another road, beside that
+    place."""
+    merged: list[tuple[Road, Offset, float]] = []
+    for road, offset, start_m in parts:
+        if not merged or (road, offset) != merged[-1][:2]:
+            merged.append((road, offset, start_m))
+    pieces = []
+    for (road, offset, start_m), (after, beyond, next_m) in pairwise(merged):
+        end_m = next_m
+        if after is not road:
+            at = np.array([next_m])
+            end_m = min(next_m, float(road.line.project(after.xy(at, beyond(at)))[0][0]))
+        pieces.append(Piece(road, offset, start_m, end_m))
+    road, offset, start_m = merged[-1]
+    return (*pieces, Piece(road, offset, start_m, np.inf))
