@@ -67,11 +67,12 @@ UNREAD = {".parts", "README.md", "classes.json", "data.yaml", "data_lists"}
 @pytest.fixture(scope="module")
 def small(tmp_path_factory, write_split):
     root = tmp_path_factory.mktemp("small")
-    write_split(root, "test", 1, ["road.topology=1", "camera.width_px=480", "cars.n=12"], passes_of)
+    write_split(root, "test", 1, ["road.topology=1", "camera.width_px=480"], passes_of)
     return root
 
 
-@pytest.fixture(scope="module", params=format_names())
+# KITTI has objects only where somebody has seen them: test_kitti.py has rendered ones.
+@pytest.fixture(scope="module", params=[name for name in format_names() if name != "kitti"])
 def exported(request, small, tmp_path_factory):
     out = tmp_path_factory.mktemp("damaged") / request.param
     Export(str(small), out, request.param).write()
@@ -101,10 +102,15 @@ def told(job):
 @pytest.mark.parametrize("every", [4, pytest.param(1, marks=pytest.mark.thorough)])
 def test_damaged_files_are_told_in_lines(exported, every):
     """One in four kinds of damage to each file, other ones to the next file; or all."""
+    check_damaged_files(exported, every)
+
+
+def check_damaged_files(exported, every):
+    """Damage one of each kind of file of an export, in one of `every` ways of those for its kind."""
     out = exported.out
     for number, path in enumerate(files_to_damage(out)):
         whole = path.read_bytes()
-        for name in OF_KIND[path.suffix][number % every :: every]:
+        for name in OF_KIND.get(path.suffix, ANY)[number % every :: every]:
             damaged = DAMAGE[name](whole)
             if damaged == whole:
                 continue

@@ -28,6 +28,7 @@ from synth3dlanes.scene import Car
 from synth3dlanes.sensors.lidar_files import load_lidar
 from synth3dlanes.settings import RenderSettings
 from synth3dlanes.shots import Shots
+from tests.formats.test_damaged_exports import check_damaged_files
 from tests.scenes import FLAT, changed
 
 N = 5
@@ -120,6 +121,12 @@ def exported(data: Path, tmp_path: Path) -> Export:
 
 def problems(job: Export) -> str:
     return "\n".join(problem for result in verify(job) for problem in result.problems)
+
+
+@pytest.mark.render
+@pytest.mark.parametrize("every", [4, pytest.param(1, marks=pytest.mark.thorough)])
+def test_damaged_files_are_told_in_lines(exported, every):
+    check_damaged_files(exported, every)
 
 
 @pytest.mark.render
