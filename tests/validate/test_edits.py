@@ -108,8 +108,9 @@ def said(steps: list[Any], kept: tuple[str, ...], old: Any, new: Any) -> str:
 
 def has_default(key: Any, value: Any) -> bool:
     """Keys that came later may lack, and then have these values."""
-    is_none = key in ("color", "double", "lidar") and value is None
-    return is_none or key in ("air", "sensor", "assets", "overcast", "shot") or value in (0, False, [], 1, 1e6)
+    if isinstance(value, dict):
+        return key in ("air", "sensor", "assets", "shot") or all(has_default(*item) for item in value.items())
+    return value is None or key in ("overcast", "shot") or value in (0, False, [], 1, 1e6)
 
 
 def in_exr(member: str) -> Edit:
@@ -219,7 +220,7 @@ def test_the_data_set_is_clean(clean: Path) -> None:
     assert check(clean).problems == []
 
 
-@pytest.mark.parametrize("n", [5, pytest.param(60, marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("n", [5, pytest.param(60, marks=pytest.mark.slow)])
 def test_an_edit_of_any_member_is_found_and_names_its_sample(dataset: Path, n: int) -> None:
     before = read_members(dataset)
     for _, rng in rounds(n):
@@ -235,7 +236,7 @@ def test_an_edit_of_any_member_is_found_and_names_its_sample(dataset: Path, n: i
         expect(check(dataset), edited)
 
 
-@pytest.mark.parametrize("n", [2, pytest.param(30, marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("n", [2, pytest.param(30, marks=pytest.mark.slow)])
 def test_an_edit_of_any_cell_of_the_index_is_found_and_names_its_sample(dataset: Path, n: int) -> None:
     path = dataset / "train/00000.parquet"
     table = pq.read_table(path)
@@ -287,7 +288,7 @@ def test_columns_of_another_kind_are_problems_of_their_shard(
     assert any(words in problem.reason for problem in check(dataset).problems)
 
 
-@pytest.mark.parametrize("n", [30, pytest.param(300, marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("n", [30, pytest.param(300, marks=pytest.mark.slow)])
 def test_an_edit_of_dataset_json_is_found(dataset: Path, n: int) -> None:
     text = (dataset / "dataset.json").read_text()
     # A licence is what its owner says.
@@ -302,7 +303,7 @@ def test_an_edit_of_dataset_json_is_found(dataset: Path, n: int) -> None:
             json.dumps(report.document())
 
 
-@pytest.mark.parametrize("n", [6, pytest.param(60, marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("n", [6, pytest.param(60, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("file", ["dataset.json", "train/00000.parquet", "train/00000.tar"])
 def test_files_of_damaged_bytes_give_a_report(dataset: Path, file: str, n: int) -> None:
     path = dataset / file
