@@ -95,14 +95,14 @@ def meets_box(rays_cam: Points3, cam_from_box: Matrix4, size_m: Float[np.ndarray
 
 
 def _edges(cam_from_box: Matrix4, size_m: Float[np.ndarray, "3"]) -> Float[np.ndarray, "12 p 3"]:
-    """Points3 along the edges of a box."""
+    """Points along the edges of a box."""
     first, second = (transform(cam_from_box, CORNERS[EDGES[:, end]] * size_m / 2)[:, None] for end in (0, 1))
     share = np.linspace(0, 1, PIECES + 1)[:, None]
     return np.asarray(first + share * (second - first))
 
 
 def _border(camera: CameraLabel, shown: Points3, other: Points3) -> Points3:
-    """Points3 in the image next to where straight lines from it to points out of it cross its border."""
+    """Points in the image next to where straight lines from it to points out of it cross its border."""
     for _ in range(HALVINGS):
         middle = (shown + other) / 2
         is_shown = camera.shows(middle)[:, None]

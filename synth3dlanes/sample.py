@@ -110,7 +110,8 @@ def draw_world(scenes: Scenes, index: int) -> World:
     params = under(params, first("kind"), first("daytime"))
     draws = {name: draws_of(params, name, drawn, like) for name in Params.model_fields}
     terrain, road, shot = _terrain(draws["terrain"]), _road(draws["road"]), _shot(shots, draws["motion"])
-    camera = on_its_road(paper_network(road, terrain), _camera(params.camera, draws["camera"], road), shot)
+    network = paper_network(road, terrain)
+    camera = on_its_road(network, _camera(params.camera, draws["camera"], road), shot)
     bare = Scene(
         format="synth3dlanes.scene",
         version=SCENE_VERSION,
@@ -134,7 +135,7 @@ def draw_world(scenes: Scenes, index: int) -> World:
         vegetation=_plain(Vegetation, draws["vegetation"]),
         shot=shot,
     )
-    world = resolve(bare)
+    world = resolve(bare, network)
     roadside = draw_roadside(world, draws["roadside"], draws["roadside"].rng)
     world = world.furnished(bare.model_copy(update={"roadside": roadside}))
     tree_places = draws_of(params, "trees", drawn, like, "tree_places")

@@ -212,9 +212,9 @@ class World:
         )
 
 
-def resolve(scene: Scene) -> World:
-    """Resolve a scene into its world."""
-    network, shot = paper_network(scene.road, scene.terrain), scene.shot
+def resolve(scene: Scene, network: Network | None = None) -> World:
+    """Resolve a scene into its world; `network` is that of its road, where it is known."""
+    network, shot = network or paper_network(scene.road, scene.terrain), scene.shot
     lane = network.host_lane(scene.camera.lane, scene.camera.y_m)
     s = network.stations(np.array([scene.camera.y_m]))
     network = network.around(network.road(lane.road).xy(s, lane.middle(s))[0], AROUND_HOST_M)

@@ -12,6 +12,8 @@ from synth3dlanes.object_labels import CORNERS, ObjectLabel
 
 # Nearer parts of lines cannot be projected. Pieces of a line, which a lens bends.
 NEAR_M, PIECES = 0.3, 12
+# Objects of which less is seen have no box: it would stand before what hides them.
+LEAST_SEEN = 0.05
 # Ends of all lines in the frame of a box of size 2.
 LINES = np.array(
     [
@@ -22,9 +24,9 @@ LINES = np.array(
 
 
 def objects_in_image(labels: Labels) -> Iterator[tuple[ObjectLabel, list[Polyline2]]]:
-    """The objects of which something is in the image, but for those that are hidden, with the lines of their boxes."""
+    """The objects in the image with the lines of their boxes, but for those that are hidden."""
     for item in labels.objects or ():
-        if item.box_px is not None and item.visible_fraction != 0:
+        if item.box_px is not None and (item.visible_fraction is None or item.visible_fraction >= LEAST_SEEN):
             yield item, list(lines_img(labels.camera, item))
 
 

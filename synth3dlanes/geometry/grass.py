@@ -53,7 +53,7 @@ def blades(
 
 
 def lane_points(ground: Ground, lines: Sequence[LaneCurve]) -> Points3:
-    """Points3 of all lane curves around the host, as far apart as those of the labels, and farther."""
+    """Points of all lane curves around the host, as far apart as those of the labels, and farther."""
     s = ground.network.stations(np.arange(*ground.range_m(RANGE_M, -STEP_M), STEP_M))
     return np.concatenate(
         [line.points_world(s[(s > line.start_m) & (s < line.end_m)]) for line in lines] + [np.zeros((0, 3))]

@@ -5,7 +5,7 @@ point on the main road's line. The world is the plan with x and y mirrored as th
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -50,7 +50,7 @@ class Quartic(ReferenceLine):
     """The main road's line: x = f(y), straight beyond the outer knots. A station is y in the plan."""
 
     def __init__(self, road: PaperRoad, flips: Flips) -> None:
-        self.flips, self.is_mirrored = flips, flips.x * flips.y < 0
+        self.flips = flips
         ys = np.array([-100.0, -50.0, 50.0, 100.0])
         xs = [road.offset_m50_m + road.offset_m100_m, road.offset_m50_m]
         xs += [road.offset_p50_m, road.offset_p50_m + road.offset_p100_m]
@@ -58,6 +58,11 @@ class Quartic(ReferenceLine):
         df = f[1:] * np.arange(1, 5)
         # The polynomial and its first two derivatives, the constant first.
         self._f, self._df, self._d2f = f.tolist(), df.tolist(), (df[1:] * np.arange(1, 4)).tolist()
+
+    @property
+    def is_mirrored(self) -> bool:
+        """As one of its two flips makes it."""
+        return self.flips.x * self.flips.y < 0
 
     def _plan(self, s: AnyScalars) -> tuple[AnyScalars, AnyScalars, AnyScalars]:
         """x in the plan and its first two derivatives."""
@@ -130,7 +135,7 @@ class Displaced(ReferenceLine):
     opening: Opening
 
     @property
-    def is_mirrored(self) -> bool:  # type: ignore[override]
+    def is_mirrored(self) -> bool:
         """As the main road's line."""
         return self.base.is_mirrored
 
@@ -189,7 +194,6 @@ def smooth_min(q: AnyScalars, width_m: float) -> AnyScalars:
     return np.minimum(q, width_m) - h * h / (4 * CORNER_M)
 
 
-@lru_cache(maxsize=1)
 def paper_network(road: PaperRoad, terrain: Terrain) -> Network:
     """The roads of the paper's numbers over a terrain; drawing and resolving a scene ask for the same."""
     return _Plan(road, terrain).network

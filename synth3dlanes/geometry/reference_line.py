@@ -4,6 +4,7 @@ A place on a line is (s, t): its station s, and t metres beside the line along i
 growing s; on a mirrored line to the left.
 """
 
+from abc import ABC, abstractmethod
 from typing import NamedTuple
 
 import numpy as np
@@ -39,18 +40,21 @@ def dot(a: AnyPoints2, b: AnyPoints2) -> AnyScalars:
     return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1])
 
 
-class ReferenceLine:
+class ReferenceLine(ABC):
     """A line by its frames, and by a first guess of the station next to a point."""
 
-    is_mirrored: bool = False
-
+    @abstractmethod
     def frames(self, s: AnyScalars) -> LineFrames:
         """The line at stations."""
-        raise NotImplementedError
 
+    @abstractmethod
     def guess(self, xy_world: AnyPoints2) -> AnyScalars:
         """Stations near those of points, for the first step of `project`."""
-        raise NotImplementedError
+
+    @property
+    def is_mirrored(self) -> bool:
+        """Whether t grows to the left of growing s."""
+        return False
 
     def xy(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints2:
         """World (x, y) of places."""

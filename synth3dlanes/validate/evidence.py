@@ -11,7 +11,7 @@ from synth3dlanes.frames import transform
 from synth3dlanes.ground_truth import label
 from synth3dlanes.labels import CameraLabel, Labels, Lane
 from synth3dlanes.scene import Scene
-from synth3dlanes.sensors.sweep import Sweep
+from synth3dlanes.sensors.sweep import LidarPoints, Sweep
 from synth3dlanes.validate.boxes import StructureBoxes, structure_boxes
 from synth3dlanes.validate.integrity import Entry
 from synth3dlanes.validate.paint import WorldPaint
@@ -75,6 +75,11 @@ class Evidence:
         """The image, of evidence that has one."""
         assert self.image is not None
         return self.image
+
+    @cached_property
+    def returns(self) -> LidarPoints | None:
+        """The points of the sweep, if there is one."""
+        return None if self.sweep is None else self.sweep.points()
 
     @cached_property
     def luma(self) -> Float[np.ndarray, "h w"]:

@@ -35,9 +35,8 @@ FINE_M = 1.5
 
 def check_lidar(evidence: Evidence) -> Iterator[Result]:
     """Findings, and distances of points from the pavement and from the depth pass."""
-    sweep = evidence.sweep
-    assert sweep is not None
-    points, world = sweep.points(), evidence.world
+    points, world = evidence.returns, evidence.world
+    assert points is not None
     points_world = transform(world.view.world_from_lidar, points.xyz_lidar)
     paved = np.isin(points.semantic, PAVEMENT) & (points.range_m < PROOF_M)
     eye_world, range_m = world.view.world_from_lidar[:3, 3], points.range_m[paved].astype(float)

@@ -74,7 +74,7 @@ def _counts(evidence: Evidence, item: ObjectLabel) -> Iterator[Finding]:
         shown = [None if box is None else box.tolist() for box in (there, item.seen_box_px)]
         if shown[0] != shown[1]:
             yield Finding("", f"objects.{item.id}.seen_box_px: expected {shown[0]} by its pixels, got {shown[1]}")
-    n = None if evidence.sweep is None else int((evidence.sweep.points().instance == item.id).sum())
+    n = None if evidence.returns is None else int((evidence.returns.instance == item.id).sum())
     if item.lidar_points != n:
         expected, got = ("none" if count is None else count for count in (n, item.lidar_points))
         yield Finding("", f"objects.{item.id}.lidar_points: expected {expected} by the sweep, got {got}")
@@ -93,8 +93,8 @@ def views_of(evidence: Evidence, item: ObjectLabel) -> list[SeenPart]:
             points_cam = evidence.points_cam(rows, columns)
             apart_m = float(points_cam[:, 1].max()) / evidence.camera.img_from_cam[0, 0]
             views.append(SeenPart("pixels", transform(object_from_cam, points_cam), object_from_cam[:3, 3], apart_m))
-    if evidence.sweep is not None:
-        points = evidence.sweep.points()
+    points = evidence.returns
+    if evidence.sweep is not None and points is not None:
         own = points.instance == item.id
         if own.sum() >= MIN_POINTS:
             lidar = evidence.sweep.lidar
