@@ -50,9 +50,7 @@ def info(folder: str, as_json: bool) -> None:
 
     found = dataset_info(folder)
     if as_json:
-        splits = [{**asdict(split), "complete": split.is_complete} for split in found.splits]
-        told = {name: value for name, value in vars(found).items() if name != "splits"}
-        click.echo(json.dumps({**told, "splits": splits}))
+        click.echo(json.dumps(asdict(found)))
         return
     recipe = found.recipe
     passes = ", ".join(recipe["render"]["passes"]) or "none"
@@ -75,7 +73,7 @@ def info(folder: str, as_json: bool) -> None:
         table.add_column(name, justify="left" if name in ("split", "") else "right")
     for split in found.splits:
         numbers = (split.asked, split.joined, split.waiting, split.set_aside, split.shards, f"{split.bytes / 1e6:.1f}")
-        table.add_row(split.name, *map(str, numbers), "complete" if split.is_complete else "incomplete")
+        table.add_row(split.name, *map(str, numbers), "complete" if split.complete else "incomplete")
     output_console(soft_wrap=True).print(table)
 
 

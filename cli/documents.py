@@ -5,6 +5,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from synth3dlanes.assets.folder import FolderCheck
+from synth3dlanes.dataset.info import DatasetInfo
 from synth3dlanes.figures.stats import ParameterStatistics, QuantitySummary
 from synth3dlanes.production.bench import Bench
 from synth3dlanes.production.tally import RunReport
@@ -16,31 +17,6 @@ class Document(BaseModel):
     """A JSON document without other keys than these."""
 
     model_config = ConfigDict(extra="forbid")
-
-
-class SplitOutput(Document):
-    """A split: samples asked for, in finished shards, in shards in progress, set aside; its shards and bytes."""
-
-    name: str
-    asked: int
-    joined: int
-    waiting: int
-    set_aside: int
-    shards: int
-    bytes: int
-    complete: bool
-
-
-class Info(Document):
-    """`info`: `recipe` is dataset.json without its splits; `preset` is the parameters' name, with what was changed."""
-
-    recipe: dict[str, Any]
-    preset: str
-    image_sizes: list[str]
-    cameras: list[str]
-    frames_per_scene: int
-    frames_per_second: float | None
-    splits: list[SplitOutput]
 
 
 class InspectedLane(Document):
@@ -214,7 +190,7 @@ class Outputs(Document):
     export: ExportOutput
     generate: RunReport
     generate_dry_run: DryRun
-    info: Info
+    info: DatasetInfo
     inspect: InspectionOutput
     params_show: dict[str, dict[str, Any]] = Field(description="`params show`: every key, by group.")
     stats: Stats

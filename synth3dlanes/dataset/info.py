@@ -14,7 +14,8 @@ from synth3dlanes.params_text import preset_of
 
 @dataclass(frozen=True)
 class SplitInfo:
-    """A split: the number of samples asked for, in finished shards, in shards in progress, and set aside."""
+    """A split: the number of samples asked for, in finished shards, in shards in progress, and set aside; its shards
+    and bytes; `complete` if every sample asked for is in a finished shard."""
 
     name: str
     asked: int
@@ -23,11 +24,7 @@ class SplitInfo:
     set_aside: int
     shards: int
     bytes: int
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether every sample asked for is in a finished shard."""
-        return self.joined >= self.asked
+    complete: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +62,9 @@ def dataset_info(url: str) -> DatasetInfo:
     own, frames = shots.get("cameras", []), int(shots.get("frames", 1))
     # People may have edited them: what is no camera is left out.
     cameras = [camera for camera in own or [recipe["params"].get("camera")] if isinstance(camera, dict)]
-    sizes = (f"{camera.get('width_px')}x{camera.get('height_px')}" for camera in cameras)
+    sizes = (
+        f"{camera['width_px']}x{camera['height_px']}" for camera in cameras if {"width_px", "height_px"} <= {*camera}
+    )
     return DatasetInfo(
         {key: value for key, value in recipe.items() if key != "splits"},
         preset_of(recipe["params"]),
@@ -96,4 +95,5 @@ def _split(place: str, description: dict[str, Any], name: str, asked: int) -> Sp
     keys = {path.rpartition("/")[2].removesuffix(".tar") for path in parts}
     waiting = {int(key) for key in keys if key.isdecimal()} - indices
     joined = sum(index < asked for index in indices)
-    return SplitInfo(name, asked, joined, len(waiting), len(failed), len(shards), sum(sizes.values()))
+    counts = asked, joined, len(waiting), len(failed), len(shards), sum(sizes.values())
+    return SplitInfo(name, *counts, complete=joined >= asked)

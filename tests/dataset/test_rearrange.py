@@ -65,7 +65,7 @@ def test_a_cut_split_is_a_data_set(tmp_path):
             came[index] = name
     assert sorted(came) == list(range(8))
     info = dataset_info(str(tmp_path / "b"))
-    assert [(split.name, split.asked, split.is_complete) for split in info.splits] == [
+    assert [(split.name, split.asked, split.complete) for split in info.splits] == [
         ("train", 6, True),
         ("val", 2, True),
     ]
@@ -144,7 +144,7 @@ def test_info_counts_what_is_there(tmp_path):
     Shard(root / "train", 2, SIZE, recipe.names).write_part(6, fake_samples.make(recipe, 6).members)
     (root / "failed/train/00000005").mkdir(parents=True)
     (split,) = dataset_info(str(root)).splits
-    counts = (split.asked, split.joined, split.waiting, split.set_aside, split.shards, split.is_complete)
+    counts = (split.asked, split.joined, split.waiting, split.set_aside, split.shards, split.complete)
     assert counts == (8, 4, 1, 1, 2, False)
     assert split.bytes == sum(path.stat().st_size for path in (root / "train").rglob("*") if path.is_file())
 
