@@ -12,6 +12,7 @@ from synth3dlanes.arrays import RgbImage
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.formats.reading import read_image, read_text
 from synth3dlanes.formats.tusimple.read import TusimpleSplit, find_labels
+from synth3dlanes.words import counted
 
 from . import checkpoint as checkpoints
 from .data import Intrinsics, checked_intrinsics, img_from_cam
@@ -44,7 +45,7 @@ class ImageReport:
         """The report as one line of text."""
         figures = ", ".join(f"{name} {value:.4f}" for name, value in self.figures.items())
         lines = f"{self.n_lines} lines of confidence {self.threshold:g} or more"
-        return f"{self.benchmark}: {figures} ({self.n_images} images, {lines})"
+        return f"{self.benchmark}: {figures} ({counted(self.n_images, 'image')}, {lines})"
 
 
 @dataclass(frozen=True, eq=False)

@@ -113,15 +113,16 @@ def _print(found: "Bench") -> None:
     memory = " ".join(f"{mib:.0f}" for mib in found.memory_mib)
     console.print(
         f"{found.images_per_hour:,.0f} images/h, {found.images_per_hour_per_worker:,.0f} a worker "
-        f"({width}x{height}, {found.samples} samples, {found.device}); {found.core_seconds_per_image:.2f} core-seconds"
-        f" an image\nmemory of a worker, MiB: peak {found.peak_memory_mib:.0f}; by quarters of the run {memory}"
+        f"({width}x{height}, {counted(found.samples, 'sample')}, {found.device}); "
+        f"{found.core_seconds_per_image:.2f} core-seconds an image\n"
+        f"memory of a worker, MiB: peak {found.peak_memory_mib:.0f}; by quarters of the run {memory}"
     )
     if found.quality:
         pairs = zip(found.quality.psnr_db, found.quality.ssim, strict=True)
         console.print("against the reference: " + "; ".join(f"{a:.2f} dB, SSIM {b:.4f}" for a, b in pairs))
     if found.naive:
         console.print(
-            f"naively: {found.naive.seconds_same_samples:.1f} s at {found.samples} samples, "
+            f"naively: {found.naive.seconds_same_samples:.1f} s at {counted(found.samples, 'sample')}, "
             f"{found.naive.seconds:.1f} s at {found.naive.samples}"
         )
 

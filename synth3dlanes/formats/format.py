@@ -14,6 +14,7 @@ from synth3dlanes.formats.writing import ExportFrame, FrameAnnotation, Pinhole, 
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.scene import Scene
 from synth3dlanes.sensors.sweep import Sweep
+from synth3dlanes.words import counted
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -60,7 +61,8 @@ class Rates:
 
     def text(self) -> str:
         """In lines."""
-        return f"{self.name}: {self.n_frames} frames\n  " + "  ".join(f"{k} {v:.4f}" for k, v in self.rates.items())
+        rates = "  ".join(f"{name} {rate:.4f}" for name, rate in self.rates.items())
+        return f"{self.name}: {counted(self.n_frames, 'frame')}\n  {rates}"
 
     def document(self) -> dict[str, Any]:
         """For JSON."""

@@ -13,6 +13,7 @@ from synth3dlanes.formats.export import Export, Written, written
 from synth3dlanes.formats.format import FrameList, PinholeFormat, ReadFrame
 from synth3dlanes.formats.plan import open_reader
 from synth3dlanes.formats.reading import image_header
+from synth3dlanes.words import counted
 
 MOST_PROBLEMS = 20
 
@@ -40,7 +41,8 @@ class Verification:
 
     def text(self) -> str:
         """The result as lines of text."""
-        lines = [f"{self.name}: {self.n_frames} frames, {self.n_matched} of {self.n_lines} lines as in the labels"]
+        frames, compared = counted(self.n_frames, "frame"), counted(self.n_lines, "line")
+        lines = [f"{self.name}: {frames}, {self.n_matched} of {compared} as in the labels"]
         lines += (
             f"  worst {measure.worst:.4f} {measure.unit}, median {measure.median:.4f} {measure.unit}"
             f" (at most {measure.tolerance:g} {measure.unit})"

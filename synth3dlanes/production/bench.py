@@ -29,6 +29,7 @@ from synth3dlanes.production.recipe import Recipe, make_part, make_sample
 from synth3dlanes.production.workers import Limits, Pool
 from synth3dlanes.schema import MAX_BYTES, parse
 from synth3dlanes.scratch import scratch
+from synth3dlanes.words import counted
 
 WARM_UP = 2
 REFERENCE_SAMPLES, REFERENCE_SCENES = 1024, 3
@@ -152,7 +153,7 @@ def measure_naive(recipe: Recipe, notify: Callable[[str], None]) -> DefaultTimin
     with Pool(1, SLOW) as pool:
         for index in range(NAIVE_SCENES):
             for samples, times in seconds.items():
-                notify(f"naively: scene {index + 1} of {NAIVE_SCENES} at {samples} samples")
+                notify(f"naively: scene {index + 1} of {NAIVE_SCENES} at {counted(samples, 'sample')}")
                 times.append(_one(pool, time_naive, recipe, index, samples))
     return DefaultTiming(mean(seconds[recipe.settings.samples]), NAIVE_SAMPLES, mean(seconds[NAIVE_SAMPLES]))
 
