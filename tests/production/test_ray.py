@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import psutil
@@ -56,9 +57,15 @@ def wait_for(process: subprocess.Popen[str], word: str) -> str:
 
 
 def processes(cluster: soak.Cluster, word: str) -> list[psutil.Process]:
-    """Those of the cluster whose command has this word."""
-    below = [child for root in cluster.processes() for child in root.children(recursive=True)]
-    return [process for process in below if word in " ".join(process.cmdline())]
+    """Those of the cluster that run and whose command has this word."""
+    found = []
+    for root in cluster.processes():
+        for process in root.children(recursive=True):
+            # A process that has just ended has no command.
+            with suppress(psutil.NoSuchProcess):
+                if word in " ".join(process.cmdline()):
+                    found.append(process)
+    return found
 
 
 @pytest.fixture(scope="module")
@@ -162,7 +169,8 @@ def test_a_run_goes_on_without_the_actor_that_tells_of_progress_and_past_a_kille
     board.kill()
     wait_for(run, "sample ")
     for task in processes(cluster, "ray::make_shard"):
-        task.kill()
+        with suppress(psutil.NoSuchProcess):
+            task.kill()
     stdout, stderr = run.communicate()
     report = json.loads(stdout)
     assert (report["exit_code"], report["done"], report["problem"]) == (0, MORE, ""), stderr
