@@ -17,7 +17,7 @@ MAX_ROADS, MAX_LANES = 2000, 20
 Station = Annotated[float, Field(ge=-1e5, le=1e5)]
 Length = Annotated[float, Field(gt=0, le=1e5)]
 Width = Annotated[float, Field(ge=0, le=100)]
-Place = tuple[Number, Number]
+GroundPoint = tuple[Number, Number]
 # A lane by ROAD.SECTION.NUMBER, such as `12.0.-1`.
 LaneName = Name
 
@@ -105,7 +105,7 @@ class MapJunction(DocumentPart):
     the first of which yields to the second."""
 
     id: Name
-    outline: tuple[Place, ...] = ()
+    outline: tuple[GroundPoint, ...] = ()
     yields: tuple[tuple[LaneName, LaneName], ...] = ()
 
 
@@ -117,13 +117,13 @@ class MapPaint(DocumentPart):
     kind: SymbolKind | Literal["give_way_line"]
     lane: LaneName | None = None
     s_m: Station = 0.0
-    outline: tuple[Place, ...] = ()
+    outline: tuple[GroundPoint, ...] = ()
 
 
 class MapIsland(DocumentPart):
     """A raised area on the pavement with a kerb around it: a traffic island, or the middle of a roundabout."""
 
-    outline: Annotated[tuple[Place, ...], Field(min_length=3, max_length=1000)]
+    outline: Annotated[tuple[GroundPoint, ...], Field(min_length=3, max_length=1000)]
     height_m: Annotated[float, Field(ge=0, le=1)] = 0.12
     surface: Literal["paved", "grass"] = "paved"
 
