@@ -13,7 +13,7 @@ from synth3dlanes.figures.shape import bends, grades
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.camera import horizontal_fov_rad
 from synth3dlanes.labels import Labels, Lane
-from synth3dlanes.lens import COEFFICIENTS, Lens
+from synth3dlanes.lens import Lens
 from synth3dlanes.object_labels import ObjectLabel
 from synth3dlanes.scene import Camera, Host, PaperRoad, Scene, Weather
 
@@ -253,8 +253,7 @@ def _mount(camera: Camera) -> str:
 def _lens(lens: Lens) -> str:
     if lens.is_pinhole:
         return ""
-    named = zip(COEFFICIENTS[lens.model], lens.coefficients, strict=True)
-    return f"; {lens.model} lens, " + " ".join(f"{name} {value:g}" for name, value in named if value)
+    return f"; {lens.model} lens, " + " ".join(f"{name} {value:g}" for name, value in lens.named.items() if value)
 
 
 def _counted(names: list[str]) -> str:
