@@ -78,6 +78,8 @@ def open_studio(library: Library = BUILT_IN) -> Studio:
     camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
     for name in (STUDIO, *COLLECTIONS):
         bpy.context.scene.collection.children.link(bpy.data.collections.new(name))
+        # Nobody looks at a viewport; Blender would bring it up to date before and after every render.
+        bpy.data.collections[name].hide_viewport = True
     bpy.data.collections[STUDIO].objects.link(camera)
     bpy.context.scene.camera = camera
     make_world()
