@@ -71,7 +71,8 @@ class MeshInstance:
 
 def open_studio(library: Library = BUILT_IN) -> Studio:
     """Reset Blender and load the assets, once per process."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    # The module bpy begins with factory settings; read_factory_settings would load all add-ons again.
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     drop_scratch()
     bpy.context.preferences.edit.use_global_undo = False
     camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
