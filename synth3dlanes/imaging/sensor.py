@@ -22,7 +22,8 @@ METERED_MEAN, MOST_GAIN = 0.02, 8.0
 
 def gain(linear: LinearImage, is_seen: Bool[np.ndarray, "h w"], metering: float) -> float:
     """The amplification of a dark picture, from 1 to MOST_GAIN, by a camera that meters (see `Light`)."""
-    mean = float(np.clip(linear[is_seen], 0, 1).mean()) if is_seen.any() else 1.0
+    seen = linear if is_seen.all() else linear[is_seen]
+    mean = float(np.clip(seen, 0, 1).mean()) if seen.size else 1.0
     return float(np.clip(METERED_MEAN / max(mean, 1e-9), 1, MOST_GAIN) ** metering)
 
 
