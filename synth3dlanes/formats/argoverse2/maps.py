@@ -21,7 +21,7 @@ LINE_M, DECIMALS = 0.005, 3
 """How far written lines may be from those with all points."""
 SAME_LINE_M = 0.2
 
-Lines = Float[np.ndarray, "n k 3"]
+Lines = Float[np.ndarray, "_ k 3"]
 
 
 def map_files(world: World, graph: LaneGraph, files: LogFiles) -> tuple[dict[str, str | bytes], int]:
@@ -54,7 +54,10 @@ def _lanes(lanes: Sequence[LaneSegment], graph: LaneGraph, world: World) -> Iter
         left, right = _neighbours(graph.segments[lane.index], world)
         after = [name for name in graph.successors.get(lane.id, ()) if name in number]
         before = [name for name in number if lane.id in graph.successors.get(name, ())]
-        sides = thinned(np.stack([lane.left.points_world, lane.right.points_world], axis=1))
+        sides = np.stack([lane.left.points_world, lane.right.points_world], axis=1)
+        # A line between both directions has the same points from either side, as in the original: MapTRv2 leaves such
+        # lines out, and would take the pieces of one that has others.
+        sides = sides if lane.id in opposite else thinned(sides)
         paint = [mark_type(side.marking, side.color, side.double, side.pair) for side in (lane.left, lane.right)]
         yield {
             "id": number[lane.id],

@@ -87,8 +87,8 @@ class LogMap:
     """The map of a log. Heights are NaN where there are none."""
 
     lanes: tuple[MapLane, ...]
-    areas: tuple[Float[np.ndarray, "n 3"], ...]
-    crossings: tuple[Float[np.ndarray, "n 3"], ...]
+    areas: tuple[Float[np.ndarray, "_ 3"], ...]
+    crossings: tuple[Float[np.ndarray, "_ 3"], ...]
     heights: Float[np.ndarray, "rows columns"]
     cell_from_city: Float[np.ndarray, "2 3"]
 
