@@ -138,11 +138,12 @@ def argoverse2(out, fault):
     document = json.loads(path.read_text())
     lanes = list(document["lane_segments"].values())
     for side in ("left_lane_boundary", "right_lane_boundary"):
-        lines = moved([[[p[axis] for axis in "xyz"] for p in lane[side]] for lane in lanes], fault)
-        for lane, line in zip(lanes[fault == "dropped" :], lines, strict=True):
+        lines = [[[p[axis] for axis in "xyz"] for p in lane[side]] for lane in lanes]
+        for lane, line in zip(lanes, lines if fault == "dropped" else moved(lines, fault), strict=True):
             lane[side] = [dict(zip("xyz", point, strict=True)) for point in line]
     if fault == "dropped":
-        del document["lane_segments"][str(lanes[0]["id"])]
+        first = min(document["lane_segments"])[:-3]
+        document["lane_segments"] = {i: lane for i, lane in document["lane_segments"].items() if i[:-3] != first}
     path.write_text(json.dumps(document))
 
 

@@ -31,6 +31,7 @@ START_NS, ROOM_NS = 10**18, 4 * 10**9
 """The first timestamp of an export, and how much later the next picture's log begins at least: tools name frames by
 timestamps alone, which must differ between logs and have equal numbers of digits."""
 CITY = "SYN"
+MOST_PIECES = 1000
 CELL_M, MARGIN_M = 0.3, 5.0
 """Size of the cells of the ground's heights, and how far beyond the pavement there are any."""
 
@@ -114,6 +115,17 @@ class LogFiles:
 def log_name(first: int) -> str:
     """The log whose first picture has this number in the export."""
     return f"{first:09d}"
+
+
+def piece_id(segment: int, number: int) -> int:
+    """The id of a piece of a lane segment by its place in the lane graph, from 0, and its number along it."""
+    return (segment + 1) * MOST_PIECES + number
+
+
+def place_of(lane_id: int) -> tuple[int, int]:
+    """The inverse of `piece_id`."""
+    segment, number = divmod(lane_id, MOST_PIECES)
+    return segment - 1, number
 
 
 def mark_type(marking: Marking, color: PaintColor | None, double: bool | None, pair: Pair | None = None) -> str:

@@ -3,13 +3,15 @@
 import io
 import json
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.arrays import Points3
-from synth3dlanes.formats.argoverse2.convention import CELL_M, MARGIN_M, LogFiles, mark_type
+from synth3dlanes.formats.argoverse2.convention import CELL_M, MARGIN_M, LogFiles, mark_type, piece_id
 from synth3dlanes.formats.lane_map import LaneSegment, lane_segments, pavement_strips
 from synth3dlanes.geometry.symbols import shape
 from synth3dlanes.labels import LaneGraph, Segment
@@ -17,6 +19,8 @@ from synth3dlanes.world import World
 
 REACH_M, STEP_M = 150.0, 0.5
 """How far the map reaches before the host's first place and beyond its last."""
+PIECE_M = 30.0
+"""The API draws the middle of a lane segment with ten points, however long it is."""
 LINE_M, DECIMALS = 0.005, 3
 """How far written lines may be from those with all points."""
 SAME_LINE_M = 0.2
@@ -30,9 +34,10 @@ def map_files(world: World, graph: LaneGraph, files: LogFiles) -> tuple[dict[str
     driven_m = np.arange(low_m, high_m + STEP_M / 2, STEP_M)
     strips = [np.stack(edges, axis=1) for edges in pavement_strips(world, driven_m)]
     lanes = list(lane_segments(world, graph.segments, driven_m))
+    rows = list(_lanes(lanes, graph, world))
     vectors = {
         "pedestrian_crossings": {str(row["id"]): row for row in _crossings(world)},
-        "lane_segments": {str(row["id"]): row for row in _lanes(lanes, graph, world)},
+        "lane_segments": {str(row["id"]): row for row in rows},
         "drivable_areas": {str(i): {"area_boundary": _outline(strip), "id": i} for i, strip in enumerate(strips, 1)},
     }
     heights, west_south = _heights(world, np.concatenate([strip.reshape(-1, 3)[:, :2] for strip in strips]))
@@ -44,34 +49,71 @@ def map_files(world: World, graph: LaneGraph, files: LogFiles) -> tuple[dict[str
         files.heights: stream.getvalue(),
         files.cells: json.dumps(cells),
     }
-    return own, len(lanes)
+    return own, len(rows)
+
+
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    """A piece of a lane segment of the lane graph, as long as lane segments of the original are."""
+
+    lane: LaneSegment
+    first: int
+    last: int
+    number: int
+
+    @property
+    def id(self) -> int:
+        """Its id in the map."""
+        return piece_id(self.lane.index, self.number)
+
+    @property
+    def middle(self) -> Float[np.ndarray, "3"]:
+        """The middle of it."""
+        return np.asarray(self.lane.points_world[(self.first + self.last) // 2])
+
+
+def _pieces(lane: LaneSegment) -> list[_Piece]:
+    """Lanes beside each other, with as many points, are cut at the same places."""
+    length_m = float(np.linalg.norm(np.diff(lane.points_world, axis=0), axis=1).sum())
+    ends = np.rint(np.linspace(0, len(lane.points_world) - 1, 1 + int(np.ceil(length_m / PIECE_M)))).astype(int)
+    return [_Piece(lane, *pair, number) for number, pair in enumerate(pairwise(ends.tolist()))]
 
 
 def _lanes(lanes: Sequence[LaneSegment], graph: LaneGraph, world: World) -> Iterator[dict[str, Any]]:
-    number = {lane.id: lane.index + 1 for lane in lanes}
-    opposite = dict(_opposite(lanes, world))
+    pieces = {lane.id: _pieces(lane) for lane in lanes}
     for lane in lanes:
         left, right = _neighbours(graph.segments[lane.index], world)
-        after = [name for name in graph.successors.get(lane.id, ()) if name in number]
-        before = [name for name in number if lane.id in graph.successors.get(name, ())]
-        sides = np.stack([lane.left.points_world, lane.right.points_world], axis=1)
-        # A line between both directions has the same points from either side, as in the original: MapTRv2 leaves such
-        # lines out, and would take the pieces of one that has others.
-        sides = sides if lane.id in opposite else thinned(sides)
+        opposite = [] if left else _opposite(lane, lanes, world)
+        after = [pieces[name][0].id for name in graph.successors.get(lane.id, ()) if name in pieces]
+        before = [pieces[name][-1].id for name in pieces if lane.id in graph.successors.get(name, ())]
         paint = [mark_type(side.marking, side.color, side.double, side.pair) for side in (lane.left, lane.right)]
-        yield {
-            "id": number[lane.id],
-            "is_intersection": False,
-            "lane_type": "VEHICLE",
-            "left_lane_boundary": _points(sides[:, 0]),
-            "left_lane_mark_type": paint[0],
-            "right_lane_boundary": _points(sides[:, 1]),
-            "right_lane_mark_type": paint[1],
-            "successors": [number[name] for name in after],
-            "predecessors": [number[name] for name in before],
-            "right_neighbor_id": number.get(right or ""),
-            "left_neighbor_id": number.get(left or opposite.get(lane.id, "")),
-        }
+        sides = np.stack([lane.left.points_world, lane.right.points_world], axis=1)
+        own = pieces[lane.id]
+        for piece in own:
+            lines = sides[piece.first : piece.last + 1]
+            # A line between both directions has the same points from either side, as in the original: MapTRv2 leaves
+            # such lines out, and would take the pieces of one that has others.
+            lines = lines if opposite else thinned(lines)
+            yield {
+                "id": piece.id,
+                "is_intersection": False,
+                "lane_type": "VEHICLE",
+                "left_lane_boundary": _points(lines[:, 0]),
+                "left_lane_mark_type": paint[0],
+                "right_lane_boundary": _points(lines[:, 1]),
+                "right_lane_mark_type": paint[1],
+                "successors": after if piece is own[-1] else [piece.id + 1],
+                "predecessors": before if piece is own[0] else [piece.id - 1],
+                "right_neighbor_id": _beside(piece, pieces.get(right or "", ())),
+                "left_neighbor_id": _beside(
+                    piece, [of for name in opposite or [left or ""] for of in pieces.get(name, ())]
+                ),
+            }
+
+
+def _beside(piece: _Piece, others: Sequence[_Piece]) -> int | None:
+    """The piece of another lane that is nearest to the middle of one."""
+    return min(others, key=lambda other: float(np.linalg.norm(other.middle - piece.middle))).id if others else None
 
 
 def _neighbours(segment: Segment, world: World) -> tuple[str | None, str | None]:
@@ -80,15 +122,17 @@ def _neighbours(segment: Segment, world: World) -> tuple[str | None, str | None]
     return (segment.right, segment.left) if is_oncoming else (segment.left, segment.right)
 
 
-def _opposite(lanes: Sequence[LaneSegment], world: World) -> Iterator[tuple[str, str]]:
-    """Pairs of lanes of the two directions whose left boundaries are one line."""
-    directions = {lane.id: world.network.lanes[lane.id].direction for lane in lanes}
-    for lane in lanes:
-        for other in lanes:
-            if directions[lane.id] != directions[other.id]:
-                apart = lane.left.points_world[::10, None, :2] - other.left.points_world[None, :, :2]
-                if np.median(np.linalg.norm(apart, axis=2).min(axis=1)) < SAME_LINE_M:
-                    yield lane.id, other.id
+def _opposite(lane: LaneSegment, lanes: Sequence[LaneSegment], world: World) -> list[str]:
+    """The lanes of the other direction whose left boundaries are one line with that of a lane."""
+    directions = {other.id: world.network.lanes[other.id].direction for other in lanes}
+    found = []
+    for other in lanes:
+        if directions[lane.id] != directions[other.id]:
+            short, long = sorted((lane.left.points_world, other.left.points_world), key=len)
+            apart = np.linalg.norm(short[::10, None, :2] - long[None, :, :2], axis=2).min(axis=1)
+            if np.median(apart) < SAME_LINE_M:
+                found.append(other.id)
+    return found
 
 
 def _crossings(world: World) -> Iterator[dict[str, Any]]:

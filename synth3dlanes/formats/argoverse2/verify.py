@@ -2,6 +2,7 @@
 lanes in metres."""
 
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ from jaxtyping import Float
 from matplotlib.path import Path as Outline
 
 from synth3dlanes.errors import FormatError
-from synth3dlanes.formats.argoverse2.convention import CATEGORIES, LogFiles, mark_type
+from synth3dlanes.formats.argoverse2.convention import CATEGORIES, LogFiles, mark_type, place_of
 from synth3dlanes.formats.argoverse2.read import IMAGE, Log, LogMap, MapLane, matrices
 from synth3dlanes.formats.comparing import Comparison, Gap, Rule, SourceSample, compare_map, distances
 from synth3dlanes.formats.format import FrameList, ReadFrame
@@ -18,6 +19,8 @@ from synth3dlanes.frames import invert, transform
 from synth3dlanes.labels import Lane, Segment
 from synth3dlanes.object_labels import CORNERS
 
+# The pieces of each segment, in order.
+Lanes = dict[str, list[MapLane]]
 # Lanes are within this of the labels from above; heights within the slack. Labels of boxes and points are rounded.
 RULE = Rule("m", 0.05, name="lane", slack=0.3)
 LIMIT_PX, BOX_M, POINT_M = 0.02, 0.001, 0.001
@@ -134,22 +137,19 @@ def _sweep(log: Log, timestamp_ns: int, city_from_ego: Float[np.ndarray, "4 4"],
 def _map(found: LogMap, truth: SourceSample) -> Comparison:
     """Lanes in metres; sides, links, neighbours and paint; crossings, areas and heights."""
     segments = truth.labels.graph.segments
-    numbers = [lane.id for lane in found.lanes]
-    if any(not 1 <= i <= len(segments) for i in numbers) or len({*numbers}) < len(numbers):
-        text = f"expected ids of lanes of their own up to {len(segments)}, got {numbers[:20]}"
-        return Comparison(len(numbers), (), (text,))
-    lanes = {segments[lane.id - 1].id: lane for lane in found.lanes}
-    middles = [(name, _middle(lane)) for name, lane in lanes.items()]
+    pieces = {place_of(lane.id): lane for lane in found.lanes}
+    if any(not 0 <= i < len(segments) for i, _ in pieces) or len(pieces) < len(found.lanes):
+        text = f"expected ids of lanes of their own, those of {len(segments)} segments, got {[*pieces][:20]}"
+        return Comparison(len(pieces), (), (text,))
+    lanes: Lanes = {}
+    for i, number in sorted(pieces):
+        lanes.setdefault(segments[i].id, []).append(pieces[i, number])
+    middles = [(name, np.concatenate([_middle(piece) for piece in lane])) for name, lane in lanes.items()]
     compared = compare_map(middles, truth, RULE)
-    half_m = truth.scene.road.lane_width_m / 2
-    sides = (text for name, lane in lanes.items() for text in _side_problems(name, lane, half_m))
-    problems = [
-        *sides,
-        *_link_problems(lanes, truth),
-        *_neighbour_problems(lanes, truth),
-        *_paint_problems(lanes, truth),
-    ]
-    return compared.because([*problems, *_crossing_problems(found, truth), *_ground_problems(found, truth)])
+    of_lanes = (_side_problems, _link_problems, _neighbour_problems, _paint_problems)
+    of_map = (_crossing_problems, _ground_problems)
+    problems = [text for find in of_lanes for text in find(lanes, truth)]
+    return compared.because([*problems, *(text for look in of_map for text in look(found, truth))])
 
 
 def _middle(lane: MapLane) -> Float[np.ndarray, "n 3"]:
@@ -165,76 +165,89 @@ def _resampled(line: Float[np.ndarray, "n 3"], n: int) -> Float[np.ndarray, "m 3
     return np.column_stack([np.interp(np.linspace(0, at[-1], n), at, column) for column in line.T])
 
 
-def _side_problems(name: str, lane: MapLane, half_m: float) -> Iterator[str]:
+def _side_problems(lanes: Lanes, truth: SourceSample) -> Iterator[str]:
     """Findings where a boundary is on the other side, or not half a lane's width from the middle."""
-    middle = _middle(lane)[:, :2]
-    dx, dy = np.gradient(middle, axis=0).T
-    for side, sign, line in (("left", 1, lane.left), ("right", -1, lane.right)):
-        if len(line) == len(middle):
-            x, y = (line[:, :2] - middle).T
-            got_m = float(np.median(sign * (dx * y - dy * x) / np.maximum(np.hypot(dx, dy), 1e-9)))
-            if not abs(got_m - half_m) <= SIDE_M:
-                yield f"lane {name}: expected its {side} boundary {half_m:.3f} m on that side, got {got_m:.3f} m"
+    half_m = truth.scene.road.lane_width_m / 2
+    for name, pieces in lanes.items():
+        for lane in pieces:
+            middle = _middle(lane)[:, :2]
+            dx, dy = np.gradient(middle, axis=0).T
+            for side, sign, line in (("left", 1, lane.left), ("right", -1, lane.right)):
+                if len(line) != len(middle):
+                    continue
+                x, y = (line[:, :2] - middle).T
+                got_m = float(np.median(sign * (dx * y - dy * x) / np.maximum(np.hypot(dx, dy), 1e-9)))
+                if not abs(got_m - half_m) <= SIDE_M:
+                    yield f"lane {name}: expected its {side} boundary {half_m:.3f} m on that side, got {got_m:.3f} m"
 
 
-def _link_problems(lanes: dict[str, MapLane], truth: SourceSample) -> Iterator[str]:
-    """Findings where links are not those of the lane graph, or lanes do not meet."""
+def _link_problems(lanes: Lanes, truth: SourceSample) -> Iterator[str]:
+    """Findings where links are not those of the lane graph and between pieces, or lanes do not meet."""
     graph = truth.labels.graph
-    names = {lane.id: name for name, lane in lanes.items()}
-    for name, lane in lanes.items():
-        after = {other for other in graph.successors.get(name, ()) if other in lanes}
-        before = {other for other in lanes if name in graph.successors.get(other, ())}
+    links = [pair for pieces in lanes.values() for pair in pairwise(pieces)]
+    links += (
+        (pieces[-1], lanes[after][0])
+        for name, pieces in lanes.items()
+        for after in graph.successors.get(name, ())
+        if after in lanes
+    )
+    for name, lane in ((name, piece) for name, pieces in lanes.items() for piece in pieces):
+        after = {to.id for one, to in links if one is lane}
+        before = {one.id for one, to in links if to is lane}
         for word, got, expected in (("follow", lane.successors, after), ("precede", lane.predecessors, before)):
-            if {names.get(i, str(i)) for i in got} != expected or len(got) != len(expected):
-                told = [names.get(i, i) for i in got]
-                yield f"lane {name}: expected {sorted(expected) or 'none'} to {word} it, got {told or 'none'}"
-        for other in after:
-            gap_m = float(np.linalg.norm(_middle(lane)[-1] - _middle(lanes[other])[0]))
+            if sorted(got) != sorted(expected):
+                yield f"lane {name}: expected {sorted(expected) or 'none'} to {word} {lane.id}, got {got or 'none'}"
+        for other in (to for one, to in links if one is lane):
+            gap_m = float(np.linalg.norm(_middle(lane)[-1] - _middle(other)[0]))
             if not gap_m <= GAP_M:
-                yield f"lane {other}: expected it to begin where {name} ends, got it {gap_m:.3f} m from there"
+                yield f"lane {name}: expected {other.id} to begin where {lane.id} ends, got it {gap_m:.3f} m away"
 
 
-def _neighbour_problems(lanes: dict[str, MapLane], truth: SourceSample) -> Iterator[str]:
+def _neighbour_problems(lanes: Lanes, truth: SourceSample) -> Iterator[str]:
     """Findings where a lane has another neighbour than in the lane graph: to the left it may have an oncoming one,
     across a line that both share."""
-    names = {lane.id: name for name, lane in lanes.items()}
+    owner = {piece.id: (name, piece) for name, pieces in lanes.items() for piece in pieces}
     by_id = {segment.id: segment for segment in truth.labels.graph.segments}
-    for name, lane in lanes.items():
+    for name, lane in ((name, piece) for name, pieces in lanes.items() for piece in pieces):
         segment, is_oncoming = by_id[name], _is_oncoming(by_id[name])
         sides = (segment.right, segment.left) if is_oncoming else (segment.left, segment.right)
         for side, number, wanted in zip(
             ("left", "right"), (lane.left_neighbor_id, lane.right_neighbor_id), sides, strict=True
         ):
-            got = None if number is None else names.get(number, str(number))
-            if got == (wanted if wanted in lanes else None):
-                continue
-            apart_m = np.inf
-            if wanted is None and side == "left" and got in lanes and is_oncoming != _is_oncoming(by_id[got]):
-                apart_m = float(np.median(distances(lane.left, lanes[got].left)))
-            if not apart_m <= RULE.slack:
-                yield f"lane {name}: expected {wanted} on its {side}, got {got}"
+            got, other = (None, None) if number is None else owner.get(number, (str(number), None))
+            apart_m = 0.0 if got is None else np.inf
+            if other is not None:
+                own, its = (lane.left, other.left if wanted is None else other.right)
+                own, its = (own, its) if side == "left" else (lane.right, other.left)
+                apart_m = float(distances(own, its).min())
+            is_across = wanted is None and side == "left" and got in lanes
+            is_across = is_across and is_oncoming != _is_oncoming(by_id[str(got)])
+            # Where a lane opens, it is beside its neighbour only farther on.
+            most_m = RULE.slack if is_across else truth.scene.road.lane_width_m
+            if not (got == (wanted if wanted in lanes else None) or is_across) or not apart_m <= most_m:
+                yield f"lane {name}: expected {wanted} on its {side}, got {got}, {apart_m:.3g} m off"
 
 
 def _is_oncoming(segment: Segment) -> bool:
     return segment.s_start_m > segment.s_end_m
 
 
-def _paint_problems(lanes: dict[str, MapLane], truth: SourceSample) -> Iterator[str]:
+def _paint_problems(lanes: Lanes, truth: SourceSample) -> Iterator[str]:
     """Findings where a boundary that lies on one delimiter has other paint."""
     ours = [(lane, transform(truth.labels.camera.world_from_cam, lane.xyz_cam)) for lane in truth.labels.lanes
             if lane.kind == "delimiter"]  # fmt: skip
     by_id = {segment.id: segment for segment in truth.labels.graph.segments}
-    for name, lane in lanes.items():
+    for name, pieces in lanes.items():
         is_oncoming = _is_oncoming(by_id[name])
-        for side, line, got in (
-            ("left", lane.left, lane.left_lane_mark_type),
-            ("right", lane.right, lane.right_lane_mark_type),
-        ):
-            fine = _resampled(line, 200)
+        for side in ("left", "right"):
+            fine = _resampled(np.concatenate([getattr(piece, side) for piece in pieces]), 200)
             near = {paint.id: distances(fine, points) < ON_LINE_M for paint, points in ours if len(points) > 1}
             close = [paint for paint, _ in ours if near.get(paint.id, np.zeros(1)).sum() >= LEAST_POINTS]
-            if len(close) == 1 and got != (expected := _mark_type(close[0], is_oncoming)):
-                yield f"lane {name}: expected {expected} on its {side}, as {close[0].id} is painted, got {got}"
+            expected = _mark_type(close[0], is_oncoming) if len(close) == 1 else ""
+            got = {getattr(piece, f"{side}_lane_mark_type") for piece in pieces}
+            if expected and got != {expected}:
+                told = ", ".join(sorted(got))
+                yield f"lane {name}: expected {expected} on its {side}, as {close[0].id} is painted, got {told}"
 
 
 def _mark_type(paint: Lane, is_oncoming: bool) -> str:

@@ -33,7 +33,7 @@ from synth3dlanes.formats.argoverse2.convention import (
     LogFiles,
     log_name,
 )
-from synth3dlanes.formats.argoverse2.maps import map_files
+from synth3dlanes.formats.argoverse2.maps import PIECE_M, map_files
 from synth3dlanes.formats.format import SampleFrame
 from synth3dlanes.formats.writing import CV_FROM_CAM, FrameAnnotation
 from synth3dlanes.frames import from_axes, invert, quaternion, transform, turned
@@ -53,8 +53,9 @@ README = f"""Argoverse 2's sensor data set: a log for each scene, its frames tho
 - Without a lidar, sweeps have no points: tools step through their timestamps. One lidar is both `up_lidar` and
   `down_lidar`; points have 4 bytes a coordinate, where the original has 2.
 - Boxes are those of all cars of the labels, seen or not, with the points of the sweep on them.
-- Lane segments are those of the lane graph, their ids the places there, from 1. Boundaries are half a lane's width
-  beside the middle; their mark type is the paint along most of them. An oncoming lane across one line is a neighbour.
+- Lane segments are those of the lane graph, cut into pieces of at most {PIECE_M:g} m: ids count the segment from 1 and
+  its pieces from 0, as 2003. Boundaries are half a lane's width beside the middle; their mark type is the paint along
+  most of the segment. An oncoming lane across one line is a neighbour.
 """
 
 
