@@ -4,6 +4,7 @@ top view. Every frame of reference is x right, y forward, z up, metres; pixels a
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -42,11 +43,12 @@ class DriveCamera:
 class DriveFrame:
     """One instant of a drive: the host's pose then, the lanes marked in its image as lines of pixels, and its image and
     scan, which `load_image` and `load_scan` read when they are asked for (None where there is none). The image is read
-    as the bytes of its file, JPEG or PNG."""
+    as the bytes of its file, JPEG or PNG; `image` is the path by which files of lanes name it."""
 
     name: str
     time_s: float
     world_from_host: Matrix4
+    image: Path | None = None
     load_image: Callable[[], bytes] | None = None
     load_scan: Callable[[], Scan] | None = None
     lanes_px: tuple[Polyline2, ...] = ()
@@ -72,7 +74,8 @@ class MarkedLane:
 class Drive:
     """What one drive recorded. `frames` are in the order of their times; a sequence may make each when it is asked for,
     so that a drive of any length fits. The world's origin is near the drive: points keep their millimetres. It is at
-    `origin_m` of the frame that the drive's own poses, maps and markings are in, which has the same axes."""
+    `origin_m` of the frame that the drive's own poses, maps and markings are in, which has the same axes. `notes` are
+    what a reader left out, one line each."""
 
     name: str
     frames: Sequence[DriveFrame]
@@ -80,3 +83,4 @@ class Drive:
     host_from_lidar: Matrix4
     marked: tuple[MarkedLane, ...] = ()
     origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    notes: tuple[str, ...] = ()
