@@ -1,8 +1,8 @@
 """Argoverse 2: a log of its sensor data set. The host's frame is that of its vehicle, at the middle of the rear axle.
 
 Sources: Wilson et al., "Argoverse 2: Next generation datasets for self-driving perception and forecasting", 2021, and
-the package av2. Points and vehicle look along x, y is to their left; scans are in the vehicle's frame, the car's motion
-within a turn undone; images are undistorted.
+the package av2. Points and vehicle look along x, y is to their left. Files of scans are in the vehicle's frame, of both
+lidars, the car's motion within a turn undone; here they are in the upper lidar's. Images are undistorted.
 """
 
 from pathlib import Path
@@ -19,9 +19,10 @@ from synth3dlanes.drives.poses import NANO, UNIT, read_pose_feather
 from synth3dlanes.drives.tables import numeric, read_feather
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.reading import image_size
+from synth3dlanes.frames import invert
 
 POSES = "city_SE3_egovehicle.feather"
-DEFAULT_CAMERA = "ring_front_center"
+DEFAULT_CAMERA, LIDAR = "ring_front_center", "up_lidar"
 PLACE = ("qx", "qy", "qz", "qw", "tx_m", "ty_m", "tz_m")
 LENS = ("fx_px", "fy_px", "cx_px", "cy_px", "width_px", "height_px")
 HALF_PX = 0.5
@@ -40,7 +41,9 @@ def read_argoverse(folder: Path, camera: str = "") -> Drive:
     images = _by_time(folder / "sensors" / "cameras" / camera, ".jpg")
     found = _camera(folder / "calibration", camera, images)
     track = read_pose_feather(folder / POSES)
-    return gather(folder.resolve().name, Recording(scans, images, track, np.eye(4), OURS_FROM["flu"]), found)
+    host_from_lidar = in_ours(_place(folder / "calibration", LIDAR), "flu", "flu")
+    lidar_from_file = invert(host_from_lidar) @ OURS_FROM["flu"]
+    return gather(folder.resolve().name, Recording(scans, images, track, host_from_lidar, lidar_from_file), found)
 
 
 def _by_time(folder: Path, ending: str) -> TimedFiles:

@@ -1,6 +1,7 @@
 """A drive in closed form, and its files as the formats define them: written here with numpy and pyarrow alone, in the
 axes of vehicles (x forward, y left, z up) and of cameras (x right, y down, z forward)."""
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -188,7 +189,7 @@ def twisted(points: np.ndarray, poses: list[np.ndarray], number: int) -> np.ndar
     return np.column_stack([found, points[:, 3]]).astype(np.float32)
 
 
-EGO_FROM_LIDAR = pose(0.0, 1.35, 0.0, 1.64)
+EGO_FROM_LIDAR = pose(0.0, 1.35, 0.0, 1.35)
 CITY_M = np.array([4210.0, -1507.0, 12.0])
 NS0 = 315_968_112_437_425_433
 
@@ -232,3 +233,62 @@ def ego_from_camera() -> np.ndarray:
     found = pose(0.02, 1.63, 0.0, 1.43, 0.01)
     found[:3, :3] = found[:3, :3] @ CAMERA_FLU.T
     return found
+
+
+CAMERA_HEIGHT_M, FOCAL_PX, MIDDLE_PX = 1.5, 500.0, (320.0, 200.0)
+CAMERA_YAML = f"""name: front
+width_px: 640
+height_px: 400
+fx: {FOCAL_PX}
+cx: {MIDDLE_PX[0]}
+cy: {MIDDLE_PX[1]}
+height_m: {CAMERA_HEIGHT_M}
+"""
+DRIVE_YAML = """name: monday
+lidar:
+  files: lidar/*.npy
+  times: times.txt
+  axes: flu
+  host_from_lidar: [[1, 0, 0, 0.5], [0, 1, 0, 0], [0, 0, 1, 1.73]]
+images:
+  files: front/*.png
+  times: times.txt
+  camera: camera.yaml
+poses:
+  file: poses.txt
+lanes: lanes.json
+marked: lanes.geojson
+"""
+HOST_FROM_LIDAR = pose(0, 0.5, 0, LIDAR_HEIGHT_M)
+LANES_M = (-1.75, 1.75, 5.25)
+
+
+def lanes_px() -> list[list[list[float]]]:
+    """Straight lanes beside the host, as the level camera sees them: to its left where y > 0."""
+    ahead = np.linspace(6, 40, 12)
+    u = [MIDDLE_PX[0] - FOCAL_PX * y / ahead for y in LANES_M]
+    v = MIDDLE_PX[1] + FOCAL_PX * CAMERA_HEIGHT_M / ahead
+    inside = [(columns >= 0) & (columns <= 640) & (v <= 400) for columns in u]
+    return [np.stack([columns, v], -1)[kept].tolist() for columns, kept in zip(u, inside, strict=True)]
+
+
+def write_described(folder: Path, drive: Road) -> Path:
+    """A drive as our own file describes it: poses of the host in TUM's form, lanes in our JSON."""
+    (folder / "lidar").mkdir()
+    lines, times, lanes = [], [], {}
+    for number, at in enumerate(drive.lidar_poses):
+        np.save(folder / "lidar" / f"{number:04d}.npy", drive.seen(number))
+        image(folder / "front" / f"{number:04d}.png", (640, 400))
+        host = at @ np.linalg.inv(HOST_FROM_LIDAR)
+        lines.append(f"{number * DT_S:.3f} {words(host[:3, 3])} {words(quaternion(host[:3, :3]))}")
+        times.append(f"{number * DT_S:.3f}")
+        lanes[f"front/{number:04d}.png"] = lanes_px()
+    (folder / "poses.txt").write_text("# time x y z qx qy qz qw\n" + "\n".join(lines) + "\n")
+    (folder / "times.txt").write_text("\n".join(times) + "\n")
+    (folder / "lanes.json").write_text(json.dumps({"format": "synth3dlanes.lines", "version": 1, "images": lanes}))
+    line = {"type": "LineString", "coordinates": [[0, 1], [10, 5.5], [20, 10]]}
+    feature = {"type": "Feature", "properties": {"color": "yellow"}, "geometry": line}
+    (folder / "lanes.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+    (folder / "camera.yaml").write_text(CAMERA_YAML)
+    (folder / "drive.yaml").write_text(DRIVE_YAML)
+    return folder

@@ -88,7 +88,8 @@ def test_a_log_of_argoverse_2(tmp_path, truth):
     assert drive.origin_m == tuple(
         np.round(made.CITY_M + (truth.lidar_poses[0] @ np.linalg.inv(made.EGO_FROM_LIDAR))[:3, 3])
     )
-    check_points(drive, truth, made.EGO_FROM_LIDAR, 0.03)
+    check_points(drive, truth, np.eye(4), 0.03)
+    assert drive.host_from_lidar[:3, 3] == pytest.approx([0, 1.35, 1.35])
     scan = drive.frames[4].scan()
     assert scan.intensity == pytest.approx(0.2)
     # A frame is at its image's time, 7 ms after its scan.
