@@ -1,0 +1,80 @@
+"""Tracks and a frame -> Labels: every lane ahead of the host in camera coordinates, with its masks and its standard
+deviations."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from synth3dlanes.drives.drive import DriveCamera, DriveFrame
+from synth3dlanes.frames import invert, transform
+from synth3dlanes.ground_truth import RANGE_M, horizon_plane
+from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph
+from synth3dlanes.lift.cast import seen_over
+from synth3dlanes.lift.curves import STEP_M
+from synth3dlanes.lift.ground import GroundMap
+from synth3dlanes.lift.host_camera import camera_label
+from synth3dlanes.lift.path import Path
+from synth3dlanes.lift.precision import Precision
+from synth3dlanes.lift.tracks import Track
+
+# A stretch of fewer points is no lane.
+MIN_POINTS = 3
+
+
+def label_frame(
+    frame: DriveFrame,
+    camera: DriveCamera,
+    tracks: Sequence[Track],
+    stretch: tuple[GroundMap, Path],
+    precision: Precision,
+) -> Labels:
+    """The labels of a frame from the tracks of its stretch of road."""
+    ground, path = stretch
+    world_from_cam = frame.world_from_host @ camera.host_from_cam
+    label = camera_label(camera, world_from_cam, ground, path)
+    host = float(path.to_plan(world_from_cam[None, :2, 3])[0, 0])
+    lanes = [lane for track in tracks for lane in _lanes(track, host, label, ground, precision)]
+    own = _host_lane(tracks, host)
+    centre = next((lane for lane in lanes if lane.id == own), None)
+    horizon = None if centre is None else horizon_plane(label, centre)
+    return Labels(label, tuple(lanes), LaneGraph((), {}, None), horizon, time_s=round(frame.time_s, 9), objects=None)
+
+
+def _lanes(track: Track, host: float, camera: CameraLabel, ground: GroundMap, precision: Precision) -> list[Lane]:
+    """A track ahead of the host: a lane for each stretch without a gap. The first has the track's id."""
+    ahead = np.flatnonzero((track.s >= host) & (track.s <= host + RANGE_M))
+    stretches = np.split(ahead, np.flatnonzero(np.diff(track.s[ahead]) > 1.5 * STEP_M) + 1)
+    found: list[Lane] = []
+    for at in stretches:
+        if len(at) < MIN_POINTS:
+            continue
+        xyz_world = track.xyz_world[at]
+        xyz_cam = transform(invert(camera.world_from_cam), xyz_world)
+        off = precision.pose_at(np.linalg.norm(xyz_cam, axis=1))
+        found.append(
+            Lane(
+                id=track.id if not found else f"{track.id}.{len(found) + 1}",
+                kind=track.kind,
+                road="main",
+                marking=track.marking,
+                left=track.left,
+                right=track.right,
+                xyz_cam=xyz_cam,
+                in_image=camera.shows(xyz_cam),
+                terrain_visible=seen_over(ground, camera.world_from_cam[:3, 3], xyz_world),
+                object_visible=None,
+                color=track.color,
+                direction=track.direction,
+                std_m=np.hypot(track.std_m[at], off[:, None]),
+            )
+        )
+    return found
+
+
+def _host_lane(tracks: Sequence[Track], host: float) -> str | None:
+    """The centre line nearest to the host just ahead of it."""
+    centres = [track for track in tracks if track.kind == "centerline"]
+    aside = [
+        (float(np.abs(np.interp(host + 5, track.s, track.d))), track.id) for track in centres if track.has(host + 5)
+    ]
+    return min(aside)[1] if aside else None
