@@ -3,7 +3,7 @@ top view. Every frame of reference is x right, y forward, z up, metres; pixels a
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -41,13 +41,15 @@ class DriveCamera:
 
 @dataclass(frozen=True, eq=False)
 class DriveFrame:
-    """One instant of a drive: the host's pose then, the image (None where there is none), the lanes marked in it as
-    lines of pixels, and its scan, which is read by `load_scan` when it is asked for (None where there is none)."""
+    """One instant of a drive: the host's pose then, the lanes marked in its image as lines of pixels, and its image and
+    scan, which `load_image` and `load_scan` read when they are asked for (None where there is none). The image is read
+    as the bytes of its file, JPEG or PNG; `image` is the path by which files of lanes name it."""
 
     name: str
     time_s: float
     world_from_host: Matrix4
     image: Path | None = None
+    load_image: Callable[[], bytes] | None = None
     load_scan: Callable[[], Scan] | None = None
     lanes_px: tuple[Polyline2, ...] = ()
 
@@ -71,10 +73,14 @@ class MarkedLane:
 @dataclass(frozen=True, eq=False)
 class Drive:
     """What one drive recorded. `frames` are in the order of their times; a sequence may make each when it is asked for,
-    so that a drive of any length fits. The world's origin is near the drive: points keep their millimetres."""
+    so that a drive of any length fits. The world's origin is near the drive: points keep their millimetres. It is at
+    `origin_m` of the frame that the drive's own poses, maps and markings are in, which has the same axes. `notes` are
+    what a reader left out, one line each."""
 
     name: str
     frames: Sequence[DriveFrame]
     camera: DriveCamera
     host_from_lidar: Matrix4
-    marked: tuple[MarkedLane, ...] = field(default=())
+    marked: tuple[MarkedLane, ...] = ()
+    origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    notes: tuple[str, ...] = ()
