@@ -46,7 +46,8 @@ class Sight(NamedTuple):
 
     def at(self, kept: Bool[np.ndarray, " n"]) -> "Sight":
         """Some of the places."""
-        return Sight(*(values[kept] for values in self[:5]), self.picture)
+        s, d, std, shifts, shared = (values[kept] for values in self[:5])
+        return Sight(s, d, std, shifts, shared, self.picture)
 
     @property
     def total_std(self) -> Scalars:

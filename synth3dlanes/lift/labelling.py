@@ -50,7 +50,9 @@ def _lanes(track: Track, host: float, camera: CameraLabel, ground: GroundMap, pr
             continue
         xyz_world = track.xyz_world[at]
         xyz_cam = transform(invert(camera.world_from_cam), xyz_world)
-        off = precision.pose_at(np.linalg.norm(xyz_cam, axis=1))
+        # The lane is known in the world; this frame's pose and the camera's place bring it into the camera's frame.
+        far_m = np.linalg.norm(xyz_cam, axis=1)
+        off = np.hypot(precision.pose_at(far_m), precision.calibration_at(far_m))
         found.append(
             Lane(
                 id=track.id if not found else f"{track.id}.{len(found) + 1}",

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline, splev, splprep
+from scipy.interpolate import CubicSpline, make_splprep
 from scipy.spatial import cKDTree
 
 from synth3dlanes.arrays import Matrix4, Points2, Points3, Scalars
@@ -74,9 +74,9 @@ def path_of(poses: list[Matrix4]) -> Path:
     found = places[kept]
     s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(found[:, :2], axis=0), axis=1))])
     length_m = float(s[-1])
-    smooth = splprep(found.T, u=s, k=min(3, len(kept) - 1), s=len(kept) * MISSES_M**2)[0]
+    smooth, _ = make_splprep(found.T, u=s, k=min(3, len(kept) - 1), s=len(kept) * MISSES_M**2)
     knots = np.linspace(0.0, length_m, max(3, round(length_m / KNOTS_M)))
-    middle = np.stack(splev(knots, smooth), axis=1)
+    middle = np.asarray(smooth(knots), float).T
     straight = np.arange(0.0, BEYOND_M + 1, 10.0)[1:]
     starts, ends = middle[0] - middle[1], middle[-1] - middle[-2]
     before = middle[0] + straight[:, None] * starts / np.linalg.norm(starts[:2])

@@ -64,7 +64,8 @@ def errors_of(lifted: Sequence[Labels], truth: Sequence[Labels]) -> LiftErrors:
             seen.append(_covered(line, road, lines))
     values = np.concatenate(rows) if rows else np.zeros((0, 5))
     truths = np.concatenate(seen) if seen else np.zeros((0, 2))
-    return LiftErrors(*values.T, truths[:, 0], truths[:, 1] > 0, strays)
+    ahead, lateral, height, lateral_std, height_std = values.T
+    return LiftErrors(ahead, lateral, height, lateral_std, height_std, truths[:, 0], truths[:, 1] > 0, strays)
 
 
 def _offsets(points: np.ndarray, road: np.ndarray) -> tuple[Scalars, Scalars]:
