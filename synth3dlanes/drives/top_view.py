@@ -25,8 +25,8 @@ CELL_M, TILE_PX = 0.1, 256
 REACH_M, OFF_PLANE_M = 25.0, 0.4
 # Three numbers for each cell of so many tiles take 200 MB: 3 km of road.
 MAX_TILES = 256
-# Of the values shown, so much is darker than black and brighter than white.
-CUT = 0.02
+# Of the values shown, so much is darker than black and brighter than white, which differ by so much at least.
+DARKER, BRIGHTER, LEAST_CONTRAST = 0.01, 0.005, 0.05
 # How dark slopes are drawn: half of all gray for so many metres per metre.
 SHADE_SLOPE = 0.5
 # Cells along a side of the square from which an empty one is filled.
@@ -69,13 +69,13 @@ def top_view(drive: Drive, frames: Sequence[DriveFrame] | None = None, cell_m: f
         raise InputError(f"{drive.name}: expected scans with ground in them, got none")
     filled = {place: _filled(tile) for place, tile in tiles.items()}
     shares = np.concatenate([_mean(tile[1], tile[0])[tile[0] > 0] for tile in filled.values()])
-    low, high = np.quantile(shares, [CUT, 1 - CUT])
+    low, high = np.quantile(shares, [DARKER, 1 - BRIGHTER])
     tile_m = TILE_PX * cell_m
     made = [
         Tile(
             column * tile_m,
             row * tile_m,
-            _gray((_mean(tile[1], tile[0]) - low) / max(high - low, 1e-9), tile[0] > 0),
+            _gray((_mean(tile[1], tile[0]) - low) / max(high - low, LEAST_CONTRAST), tile[0] > 0),
             _gray(_shade(_mean(tile[2], tile[0]), cell_m), tile[0] > 0),
         )
         for (column, row), tile in sorted(filled.items())
