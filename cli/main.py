@@ -24,6 +24,7 @@ from .data_sets import info, merge, split
 from .entry import NO_MEMORY, is_lack_of_memory
 from .export import export
 from .generate import generate
+from .lift import lift
 from .look import clip, gallery, inspect, report
 from .model import ablation, evaluate, onnx, predict, train
 from .params import params
@@ -33,7 +34,7 @@ from .twins import twins
 from .validate import validate
 
 # Commands that continue from what they have written.
-RESUMED = ("generate", "twins", "split", "merge", "export", "benchmark", "train", "ablation")
+RESUMED = ("generate", "twins", "split", "merge", "export", "lift", "benchmark", "train", "ablation")
 
 # Characters of a line.
 MOST_SHOWN = 400
@@ -138,6 +139,7 @@ for command in (
         params,
         assets,
         export,
+        lift,
         validate,
         bench,
     ),

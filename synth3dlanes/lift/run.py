@@ -28,7 +28,7 @@ class LiftedFrame:
     stretch: Stretch
 
 
-def lift_drive(drive: Drive, precision: Precision | None = None, around: int = AROUND) -> Iterator[LiftedFrame]:
+def lifted_frames(drive: Drive, precision: Precision | None = None, around: int = AROUND) -> Iterator[LiftedFrame]:
     """The labels of every frame of a drive, in order.
 
     Each is made from the scans and 2D lanes of at least `around` frames before and after it. A lane keeps its id
