@@ -49,7 +49,7 @@ def lifted_frames(drive: Drive, precision: Precision | None = None, around: int 
             stretch = lift_stretch(drive, frames, precision)
             stretch, ids = _renamed(stretch, before, ids)
             for frame in frames[start - first : end - first]:
-                labels = label_frame(frame, drive.camera, stretch.tracks, (stretch.ground, stretch.path), precision)
+                labels = label_frame(drive, frame, stretch, precision)
                 yield LiftedFrame(frame, labels, stretch)
         except InputError as error:
             where = f"{drive.name}: frames {frames[0].name} to {frames[-1].name}"
