@@ -16,7 +16,7 @@ TRUNCATE = 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class Grid:
+class GroundGrid:
     """Square cells from `corner` on: the first index counts along x, the second along y."""
 
     corner: Float[np.ndarray, "2"]
@@ -24,14 +24,14 @@ class Grid:
     shape: tuple[int, int]
 
     @staticmethod
-    def around(xy_world: Points2, cell_m: float) -> "Grid":
+    def around(xy_world: Points2, cell_m: float) -> "GroundGrid":
         """The least grid that holds all points. Raises InputError where it is too large."""
         low = np.floor(xy_world.min(axis=0) / cell_m)
         size = np.floor(xy_world.max(axis=0) / cell_m) - low + 1
         if size.prod() > MAX_CELLS:
             extent = " x ".join(f"{n * cell_m:,.0f}" for n in size)
             raise InputError(f"poses: expected a stretch of road of 2 x 2 km at most, got one of {extent} m")
-        return Grid(low * cell_m, cell_m, (int(size[0]), int(size[1])))
+        return GroundGrid(low * cell_m, cell_m, (int(size[0]), int(size[1])))
 
     @property
     def centre(self) -> Float[np.ndarray, "2"]:

@@ -19,7 +19,7 @@ SQUARE_M, IN_SQUARE = 0.25, 3
 ABOVE_M = 12.0
 
 
-class Cloud(NamedTuple):
+class WorldPoints(NamedTuple):
     """Points in the world: how strongly each reflects, how far from its lidar it is, and the number of its scan."""
 
     xyz_world: Points3
@@ -28,7 +28,7 @@ class Cloud(NamedTuple):
     scan: Int[np.ndarray, " n"]
 
 
-def cloud_of(scan: Scan, host_from_lidar: Matrix4, path: Path, number: int) -> Cloud:
+def cloud_of(scan: Scan, host_from_lidar: Matrix4, path: Path, number: int) -> WorldPoints:
     """A scan's points near the path, in the world."""
     range_m = np.linalg.norm(scan.xyz_lidar, axis=1)
     chosen = np.flatnonzero(range_m < MAX_RANGE_M)
@@ -38,12 +38,12 @@ def cloud_of(scan: Scan, host_from_lidar: Matrix4, path: Path, number: int) -> C
     chosen, xyz = chosen[kept], xyz[kept]
     order = _thinned(np.floor(xyz / [SQUARE_M, SQUARE_M, 0.5]).astype(int))
     chosen, xyz = chosen[order], xyz[order]
-    return Cloud(xyz, scan.intensity[chosen].astype(float), range_m[chosen], np.full(len(xyz), number))
+    return WorldPoints(xyz, scan.intensity[chosen].astype(float), range_m[chosen], np.full(len(xyz), number))
 
 
-def together(clouds: Sequence[Cloud]) -> Cloud:
+def together(clouds: Sequence[WorldPoints]) -> WorldPoints:
     """All points of several clouds."""
-    return Cloud(*(np.concatenate(parts) for parts in zip(*clouds, strict=True)))
+    return WorldPoints(*(np.concatenate(parts) for parts in zip(*clouds, strict=True)))
 
 
 def _thinned(cells: Int[np.ndarray, "n 3"]) -> Int[np.ndarray, " m"]:

@@ -32,7 +32,7 @@ MAX_STD_M = 1.0
 LEAST_STD_M = 0.003
 
 
-class Sight(NamedTuple):
+class SeenLine(NamedTuple):
     """A line as one picture shows it, beside the path: stations and offsets of its places; the standard deviations of
     their offsets by errors of their own; what the line's shifts, each of standard deviation one, move each by; its
     error that all pictures share; and the number of the picture."""
@@ -44,10 +44,10 @@ class Sight(NamedTuple):
     shared: Scalars
     picture: int = 0
 
-    def at(self, kept: Bool[np.ndarray, " n"]) -> "Sight":
+    def at(self, kept: Bool[np.ndarray, " n"]) -> "SeenLine":
         """Some of the places."""
         s, d, std, shifts, shared = (values[kept] for values in self[:5])
-        return Sight(s, d, std, shifts, shared, self.picture)
+        return SeenLine(s, d, std, shifts, shared, self.picture)
 
     @property
     def total_std(self) -> Scalars:
@@ -64,78 +64,94 @@ class Smooth(NamedTuple):
     supported: Bool[np.ndarray, " n"]
 
 
-def smooth(sights: list[Sight]) -> Smooth | None:
-    """The curve through the sights of one line; None for places of less than four stations."""
-    s, d, std, shifts, shared = (
-        np.concatenate(values) for values in zip(*(sight[:5] for sight in sights), strict=True)
-    )
-    of = np.repeat(np.arange(len(sights)), [len(sight.s) for sight in sights])
-    low = np.floor(s.min())
-    n = int(np.ceil(s.max()) - low) + 1
+def smooth(lines: list[SeenLine]) -> Smooth | None:
+    """The curve through what pictures show of one line; None for places of less than four stations."""
+    places = _places(lines)
+    n, k = int(places.at.max()) + 1, len(lines)
     if n < 4:
         return None
-    stations = low + np.arange(n) * STEP_M
-    at, of, mean = _by_station(np.round(s - low).astype(int), of, np.column_stack([s, d, std, shifts, shared]))
-    s, d, std, first, second, shared = mean.T
-    shifts = np.column_stack([first, second])
-    precision = 1 / (std**2 + LEAST_STD_M**2) / TOGETHER
-    base = _third_differences(n) + np.eye(n) / ASIDE_M**2
-    curve, moves, weight, scale = np.zeros(n), np.zeros((len(sights), 2)), np.ones(len(d)), 1.0
-    spread = np.ones(2)
+    stations = np.floor(min(line.s.min() for line in lines)) + np.arange(n) * STEP_M
+    solved, weight, scale, spread = (
+        _Solved(np.zeros(n), np.zeros((k, 2)), np.zeros(n), np.zeros(2)),
+        1.0,
+        1.0,
+        np.ones(2),
+    )
     for _ in range(ROUNDS):
-        w = weight * precision / scale**2
         # To the station of each place along the curve found so far.
-        target = d - np.gradient(curve)[at] * (s - stations[at])
-        system, side, blocks, sides = _normal(n, len(sights), at, of, w, shifts, spread, target)
-        inner = np.linalg.inv(blocks)
-        joint = base + np.diag(system)
-        # The shifts of each sight are eliminated: two unknowns each.
-        across = np.zeros((n, len(sights), 2))
-        np.add.at(across, (at, of), w[:, None] * shifts)
-        carried = np.einsum("nki,kij->nkj", across, inner)
-        joint -= np.einsum("nki,mki->nm", carried, across, optimize=True)
-        factor = cho_factor(joint, lower=True)
-        curve = cho_solve(factor, side - np.einsum("nki,ki->n", carried, sides))
-        moves = np.einsum("kij,kj->ki", inner, sides - np.einsum("nki,n->ki", across, curve))
-        gap = np.abs(target - curve[at] - (shifts * moves[of]).sum(axis=1)) * np.sqrt(precision * TOGETHER)
+        target = places.d - np.gradient(solved.curve)[places.at] * places.beyond_m
+        solved = _solved(places, target, weight * places.precision / TOGETHER / scale**2, spread)
+        left = target - solved.curve[places.at] - (places.shifts * solved.shifts[places.of]).sum(axis=1)
+        gap = np.abs(left) * np.sqrt(places.precision)
         # How large shifts are is found from those of this very line, as they are and as they may be.
-        spread = np.sqrt((moves**2).mean(axis=0) + inner.diagonal(axis1=1, axis2=2).mean(axis=0))
-        spread = np.clip(spread, *SCALES)
-        scale = max(1.4826 * float(np.median(gap)), OWN_SHARE * float(spread.max()))
-        scale = min(scale, SCALES[1])
+        spread = np.clip(np.sqrt((solved.shifts**2).mean(axis=0) + solved.shift_variance), *SCALES)
+        scale = min(max(1.4826 * float(np.median(gap)), OWN_SHARE * float(spread.max())), SCALES[1])
         weight = np.clip(1 - (gap / (TUKEY * scale)) ** 2, 1e-6, None) ** 2
-    variance = cho_solve(factor, np.eye(n)).diagonal()
-    total = np.bincount(at, weight, minlength=n)
-    common = np.sqrt(np.bincount(at, weight * shared**2, minlength=n) / np.maximum(total, 1e-9))
+    total = np.bincount(places.at, weight, minlength=n)
     seen = np.flatnonzero(total > 0.1)
     if not len(seen):
         return None
-    common = np.interp(np.arange(n), seen, common[seen])
-    nearest = np.abs(np.arange(n)[:, None] - seen[None]).min(axis=1) * STEP_M
-    std = np.sqrt(variance + common**2 + LEAST_STD_M**2)
-    return Smooth(stations, curve, std, (nearest <= GAP_M) & (std < MAX_STD_M))
+    shared = np.sqrt(np.bincount(places.at, weight * places.shared**2, minlength=n)[seen] / total[seen])
+    nearest_m = np.abs(np.arange(n)[:, None] - seen[None]).min(axis=1) * STEP_M
+    std = np.sqrt(solved.variance + np.interp(np.arange(n), seen, shared) ** 2 + LEAST_STD_M**2)
+    return Smooth(stations, solved.curve, std, (nearest_m <= GAP_M) & (std < MAX_STD_M))
 
 
-def _by_station(
-    station: Int[np.ndarray, " n"], of: Int[np.ndarray, " n"], values: Float[np.ndarray, "n k"]
-) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"], Float[np.ndarray, "m k"]]:
-    """The means of each sight's values at each station: pixels of one sight there are not independent."""
-    pairs, which = np.unique(np.stack([station, of], axis=1), axis=0, return_inverse=True)
+class _Places(NamedTuple):
+    """One place of each picture at each station: the station's index, the line's; its offset; how far beyond the
+    station it is; the inverse of the variance of its own error; its shifts and shared error."""
+
+    at: Int[np.ndarray, " n"]
+    of: Int[np.ndarray, " n"]
+    d: Scalars
+    beyond_m: Scalars
+    precision: Scalars
+    shifts: Float[np.ndarray, "n 2"]
+    shared: Scalars
+
+
+class _Solved(NamedTuple):
+    """A curve at its stations, the shifts of all lines, and the variances of both."""
+
+    curve: Scalars
+    shifts: Float[np.ndarray, "k 2"]
+    variance: Scalars
+    shift_variance: Float[np.ndarray, "2"]
+
+
+def _places(lines: list[SeenLine]) -> _Places:
+    """The means of each line's places at each station: pixels of one line there are not independent."""
+    s, d, std, shifts, shared = (np.concatenate(values) for values in zip(*(line[:5] for line in lines), strict=True))
+    of = np.repeat(np.arange(len(lines)), [len(line.s) for line in lines])
+    low = np.floor(s.min())
+    at = np.round((s - low) / STEP_M).astype(int)
+    pairs, which = np.unique(np.stack([at, of], axis=1), axis=0, return_inverse=True)
     which = which.ravel()
     count = np.bincount(which)
-    mean = np.stack([np.bincount(which, column) / count for column in values.T], axis=1)
-    return pairs[:, 0], pairs[:, 1], mean
+    columns = np.column_stack([d, s - low - at * STEP_M, std, shifts, shared])
+    d, beyond_m, std, first, second, shared = (np.bincount(which, column) / count for column in columns.T)
+    precision = 1 / (std**2 + LEAST_STD_M**2)
+    return _Places(pairs[:, 0], pairs[:, 1], d, beyond_m, precision, np.column_stack([first, second]), shared)
 
 
-def _normal(
-    n: int, k: int, at: np.ndarray, of: np.ndarray, w: Scalars, shifts: np.ndarray, spread: np.ndarray, target: Scalars
-) -> tuple[Scalars, Scalars, Float[np.ndarray, "k 2 2"], Float[np.ndarray, "k 2"]]:
-    """The parts of the normal equations: stations, their right sides, and the same of the shifts."""
-    blocks = np.repeat(np.diag(1 / spread**2)[None], k, axis=0)
-    np.add.at(blocks, of, w[:, None, None] * shifts[:, :, None] * shifts[:, None, :])
-    sides = np.zeros((k, 2))
-    np.add.at(sides, of, (w * target)[:, None] * shifts)
-    return np.bincount(at, w, minlength=n), np.bincount(at, w * target, minlength=n), blocks, sides
+def _solved(places: _Places, target: Scalars, weight: Scalars, spread: Float[np.ndarray, "2"]) -> _Solved:
+    """The likeliest curve and shifts. The shifts of each line are two unknowns, which are eliminated."""
+    n, k = int(places.at.max()) + 1, int(places.of.max()) + 1
+    shifts = places.shifts
+    blocks, sides, across = np.repeat(np.diag(1 / spread**2)[None], k, axis=0), np.zeros((k, 2)), np.zeros((n, k, 2))
+    np.add.at(blocks, places.of, weight[:, None, None] * shifts[:, :, None] * shifts[:, None, :])
+    np.add.at(sides, places.of, (weight * target)[:, None] * shifts)
+    np.add.at(across, (places.at, places.of), weight[:, None] * shifts)
+    inner = np.linalg.inv(blocks)
+    carried = np.einsum("nki,kij->nkj", across, inner)
+    system = _third_differences(n) + np.eye(n) / ASIDE_M**2 + np.diag(np.bincount(places.at, weight, minlength=n))
+    system -= carried.reshape(n, -1) @ across.reshape(n, -1).T
+    side = np.bincount(places.at, weight * target, minlength=n) - np.einsum("nki,ki->n", carried, sides)
+    factor = cho_factor(system, lower=True)
+    curve = cho_solve(factor, side)
+    moved = np.einsum("kij,kj->ki", inner, sides - np.einsum("nki,n->ki", across, curve))
+    variance = cho_solve(factor, np.eye(n)).diagonal()
+    return _Solved(curve, moved, variance, inner.diagonal(axis1=1, axis2=2).mean(axis=0))
 
 
 def _third_differences(n: int) -> Float[np.ndarray, "n n"]:

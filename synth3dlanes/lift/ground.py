@@ -11,8 +11,8 @@ from scipy import ndimage
 
 from synth3dlanes.arrays import Points2, Points3, Scalars
 from synth3dlanes.errors import InputError
-from synth3dlanes.lift.cells import Grid
-from synth3dlanes.lift.cloud import Cloud
+from synth3dlanes.lift.cells import GroundGrid
+from synth3dlanes.lift.cloud import WorldPoints
 from synth3dlanes.lift.path import Path
 from synth3dlanes.lift.precision import Precision
 from synth3dlanes.lift.rough import above_ground
@@ -39,7 +39,7 @@ class GroundMap:
     """A grid of planes: for each cell the height at its middle and the slopes along x and y, and the standard deviation
     of that height; NaN without support. `intensity` is the mean of the points on the ground."""
 
-    grid: Grid
+    grid: GroundGrid
     plane: Float[np.ndarray, "rows cols 3"]
     std_m: Float[np.ndarray, "rows cols"]
     intensity: Float[np.ndarray, "rows cols"]
@@ -84,7 +84,7 @@ class GroundMap:
         return np.where(self.grid.holds(cells)[:, None], slopes, np.nan)
 
 
-def fit_ground(cloud: Cloud, path: Path, precision: Precision) -> GroundMap:
+def fit_ground(cloud: WorldPoints, path: Path, precision: Precision) -> GroundMap:
     """The ground below a path from the points of many scans, whose poses and lidar are of a precision.
 
     Raises InputError where there are no points on it.
@@ -94,7 +94,7 @@ def fit_ground(cloud: Cloud, path: Path, precision: Precision) -> GroundMap:
     if near.sum() < MIN_POINTS:
         raise InputError(f"scans: expected points on the ground along the path, got {near.sum()} of {len(near)} points")
     xyz, scan, range_m = cloud.xyz_world[near], cloud.scan[near], cloud.range_m[near]
-    grid = Grid.around(xyz[:, :2], CELL_M)
+    grid = GroundGrid.around(xyz[:, :2], CELL_M)
     number = grid.numbers(grid.cells(xyz[:, :2]))
     # Sums of squares stay exact for places near the grid's middle.
     origin = np.array([*grid.centre, np.median(xyz[:, 2])])
@@ -141,7 +141,7 @@ def _trusted(gap_m: Scalars, limit_m: float) -> Scalars:
 
 
 def _planes(
-    grid: Grid,
+    grid: GroundGrid,
     number: Int[np.ndarray, " n"],
     local: Points3,
     weight: Scalars,

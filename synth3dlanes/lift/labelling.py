@@ -2,42 +2,53 @@
 deviations."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from synth3dlanes.drives.drive import DriveCamera, DriveFrame
+from synth3dlanes.arrays import Matrix4
+from synth3dlanes.drives.drive import Drive, DriveFrame, Scan
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.ground_truth import RANGE_M, horizon_plane
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph
 from synth3dlanes.lift.cast import seen_over
 from synth3dlanes.lift.curves import STEP_M
 from synth3dlanes.lift.ground import GroundMap
+from synth3dlanes.lift.hidden import seen_past_things
 from synth3dlanes.lift.host_camera import camera_label
-from synth3dlanes.lift.path import Path
 from synth3dlanes.lift.precision import Precision
+from synth3dlanes.lift.stretch import Stretch
 from synth3dlanes.lift.tracks import Track
 
 # A stretch of fewer points is no lane.
 MIN_POINTS = 3
 
 
-def label_frame(
-    frame: DriveFrame,
-    camera: DriveCamera,
-    tracks: Sequence[Track],
-    stretch: tuple[GroundMap, Path],
-    precision: Precision,
-) -> Labels:
-    """The labels of a frame from the tracks of its stretch of road."""
-    ground, path = stretch
-    world_from_cam = frame.world_from_host @ camera.host_from_cam
-    label = camera_label(camera, world_from_cam, ground, path)
+def label_frame(drive: Drive, frame: DriveFrame, stretch: Stretch, precision: Precision) -> Labels:
+    """The labels of a frame of a drive from the tracks of its stretch of road."""
+    ground, path, tracks = stretch.ground, stretch.path, stretch.tracks
+    world_from_cam = frame.world_from_host @ drive.camera.host_from_cam
+    label = camera_label(drive.camera, world_from_cam, ground, path)
     host = float(path.to_plan(world_from_cam[None, :2, 3])[0, 0])
     lanes = [lane for track in tracks for lane in _lanes(track, host, label, ground, precision)]
+    scan = frame.scan()
+    if scan is not None and lanes:
+        lanes = _past_things(lanes, label, scan, drive.host_from_lidar, ground)
     own = _host_lane(tracks, host)
     centre = next((lane for lane in lanes if lane.id == own), None)
     horizon = None if centre is None else horizon_plane(label, centre)
     return Labels(label, tuple(lanes), LaneGraph((), {}, None), horizon, time_s=round(frame.time_s, 9), objects=None)
+
+
+def _past_things(
+    lanes: list[Lane], camera: CameraLabel, scan: Scan, host_from_lidar: Matrix4, ground: GroundMap
+) -> list[Lane]:
+    """The lanes with what things hide of them."""
+    points = np.concatenate([lane.xyz_cam for lane in lanes])
+    world_from_lidar = scan.world_from_host @ host_from_lidar
+    seen = seen_past_things(scan, world_from_lidar, camera.world_from_cam, ground, points)
+    ends = np.cumsum([len(lane.xyz_cam) for lane in lanes])[:-1]
+    return [replace(lane, object_visible=own) for lane, own in zip(lanes, np.split(seen, ends), strict=True)]
 
 
 def _lanes(track: Track, host: float, camera: CameraLabel, ground: GroundMap, precision: Precision) -> list[Lane]:

@@ -1,10 +1,14 @@
 """How exact a drive is said to be: what its calibration, its poses and its 2D lanes are off by."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from synth3dlanes.arrays import Scalars
+from synth3dlanes.errors import InputError
+
+MOST = 1000.0
 
 
 @dataclass(frozen=True)
@@ -19,6 +23,16 @@ class Precision:
     calibration_m: float = 0.01
     calibration_deg: float = 0.05
     marked_m: float = 0.05
+
+    @staticmethod
+    def of(values: Mapping[str, float]) -> "Precision":
+        """The usual precision but for these values. Raises InputError for a name or a number that cannot be."""
+        names = [item.name for item in fields(Precision)]
+        for name, value in values.items():
+            if name not in names or not 0 <= value <= MOST:
+                expected = f"numbers from 0 to {MOST:g} for {', '.join(names)}"
+                raise InputError(f"precision: expected {expected}, got {name}={value}")
+        return Precision(**values)
 
     def pose_at(self, far_m: Scalars) -> Scalars:
         """What an error of the pose moves a point by that is so far from the host."""

@@ -10,8 +10,8 @@ from scipy import ndimage
 
 from synth3dlanes.arrays import Scalars
 from synth3dlanes.errors import InputError
-from synth3dlanes.lift.cells import Grid
-from synth3dlanes.lift.cloud import Cloud
+from synth3dlanes.lift.cells import GroundGrid
+from synth3dlanes.lift.cloud import WorldPoints
 from synth3dlanes.lift.path import Path
 
 SQUARE_M = 1.0
@@ -28,13 +28,13 @@ UNDER_M = 1.5
 MIN_POINTS = 20
 
 
-def above_ground(cloud: Cloud, path: Path) -> Scalars:
+def above_ground(cloud: WorldPoints, path: Path) -> Scalars:
     """How far each point is above the rough ground; infinite where that is not known."""
     at, far_m = path.nearest(cloud.xyz_world[:, :2])
     rise = cloud.xyz_world[:, 2] - at[:, 2]
     rise = rise + frame_height(rise[far_m < UNDER_M], at[far_m < UNDER_M])
     in_band = np.abs(rise) < BAND_M + BAND_PER_M * far_m
-    grid = Grid.around(cloud.xyz_world[:, :2], SQUARE_M)
+    grid = GroundGrid.around(cloud.xyz_world[:, :2], SQUARE_M)
     number = grid.numbers(grid.cells(cloud.xyz_world[:, :2]))
     low = _lowest(grid, number[in_band], rise[in_band])
     around = ndimage.percentile_filter(np.where(np.isnan(low), 0.0, low), 50, 5)
@@ -63,7 +63,7 @@ def frame_height(rise: Scalars, at: Float[np.ndarray, "n 3"]) -> float:
     return -float(np.median(rise[order][start + (LOW_SHARE * (n - 1)).astype(int)]))
 
 
-def _lowest(grid: Grid, number: np.ndarray, rise: Scalars) -> Float[np.ndarray, "rows cols"]:
+def _lowest(grid: GroundGrid, number: np.ndarray, rise: Scalars) -> Float[np.ndarray, "rows cols"]:
     """A low height of each square, NaN without points."""
     order = np.lexsort([rise, number])
     found = number[order]

@@ -28,7 +28,7 @@ class LiftedFrame:
     stretch: Stretch
 
 
-def lift_drive(drive: Drive, precision: Precision | None = None, around: int = AROUND) -> Iterator[LiftedFrame]:
+def lifted_frames(drive: Drive, precision: Precision | None = None, around: int = AROUND) -> Iterator[LiftedFrame]:
     """The labels of every frame of a drive, in order.
 
     Each is made from the scans and 2D lanes of at least `around` frames before and after it. A lane keeps its id
@@ -49,7 +49,7 @@ def lift_drive(drive: Drive, precision: Precision | None = None, around: int = A
             stretch = lift_stretch(drive, frames, precision)
             stretch, ids = _renamed(stretch, before, ids)
             for frame in frames[start - first : end - first]:
-                labels = label_frame(frame, drive.camera, stretch.tracks, (stretch.ground, stretch.path), precision)
+                labels = label_frame(drive, frame, stretch, precision)
                 yield LiftedFrame(frame, labels, stretch)
         except InputError as error:
             where = f"{drive.name}: frames {frames[0].name} to {frames[-1].name}"

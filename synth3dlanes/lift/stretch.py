@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from synth3dlanes.drives.drive import Drive, DriveFrame
 from synth3dlanes.errors import InputError
 from synth3dlanes.lift.centres import with_centres
-from synth3dlanes.lift.cloud import Cloud, cloud_of, together
+from synth3dlanes.lift.cloud import WorldPoints, cloud_of, together
 from synth3dlanes.lift.ground import GroundMap, fit_ground
 from synth3dlanes.lift.path import Path, path_of
 from synth3dlanes.lift.precision import Precision
@@ -39,9 +39,9 @@ def lift_stretch(drive: Drive, frames: Sequence[DriveFrame], precision: Precisio
     return Stretch(path, ground, tuple(with_centres(tracks, ground, path)))
 
 
-def scans_along(drive: Drive, frames: Sequence[DriveFrame], path: Path) -> Cloud:
+def scans_along(drive: Drive, frames: Sequence[DriveFrame], path: Path) -> WorldPoints:
     """The points of the frames' scans near their path, thinned. Raises InputError where there are none."""
-    clouds: list[Cloud] = []
+    clouds: list[WorldPoints] = []
     last = None
     for number, frame in enumerate(frames):
         place = frame.world_from_host[:2, 3]
@@ -55,4 +55,4 @@ def scans_along(drive: Drive, frames: Sequence[DriveFrame], path: Path) -> Cloud
         raise InputError(f"{drive.name}: expected scans with points near the host's path, got none")
     points = together(clouds)
     every = -(-len(points.scan) // MOST_POINTS)
-    return Cloud(*(values[::every] for values in points))
+    return WorldPoints(*(values[::every] for values in points))

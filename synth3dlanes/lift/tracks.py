@@ -10,7 +10,7 @@ from synth3dlanes.arrays import Points3, Scalars
 from synth3dlanes.drives.drive import Drive, DriveFrame, MarkedLane
 from synth3dlanes.labels import Direction, LaneKind, Marking, PaintColor
 from synth3dlanes.lift.cast import CastPoints, cast
-from synth3dlanes.lift.curves import GAP_M, STEP_M, Sight, smooth
+from synth3dlanes.lift.curves import GAP_M, STEP_M, SeenLine, smooth
 from synth3dlanes.lift.ground import GroundMap
 from synth3dlanes.lift.path import Path
 from synth3dlanes.lift.precision import Precision
@@ -61,10 +61,10 @@ class Track:
 class _Gathered:
     """The sights of one track so far: at each station the sum of their weights, and that of their weighted offsets."""
 
-    sights: list[Sight] = field(default_factory=list)
+    sights: list[SeenLine] = field(default_factory=list)
     sums: dict[int, Float[np.ndarray, "2"]] = field(default_factory=dict)
 
-    def is_beside(self, sights: list[Sight]) -> bool:
+    def is_beside(self, sights: list[SeenLine]) -> bool:
         """Whether one picture shows the track and these sights as two lines beside each other."""
         spans: dict[int, list[tuple[float, float]]] = {}
         for sight in self.sights:
@@ -75,7 +75,7 @@ class _Gathered:
             for low, high in spans.get(sight.picture, ())
         )
 
-    def add(self, sights: list[Sight], sums: dict[int, Float[np.ndarray, "2"]]) -> None:
+    def add(self, sights: list[SeenLine], sums: dict[int, Float[np.ndarray, "2"]]) -> None:
         self.sights += sights
         for station, value in sums.items():
             self.sums[station] = self.sums.get(station, np.zeros(2)) + value
@@ -97,7 +97,7 @@ class _Gathered:
 
 def seen_lines(
     drive: Drive, frames: Iterable[DriveFrame], ground: GroundMap, path: Path, precision: Precision
-) -> Iterator[Sight]:
+) -> Iterator[SeenLine]:
     """The 2D lanes of frames, cast on the ground."""
     camera = drive.camera
     focal_px = float(np.sqrt(np.abs(np.linalg.det(camera.img_from_cam[np.ix_([0, 1], [0, 2])]))))
@@ -117,15 +117,17 @@ def seen_lines(
                 yield sight._replace(picture=picture)
 
 
-def marked_lines(marked: Sequence[MarkedLane], path: Path, precision: Precision) -> Iterator[tuple[MarkedLane, Sight]]:
+def marked_lines(
+    marked: Sequence[MarkedLane], path: Path, precision: Precision
+) -> Iterator[tuple[MarkedLane, SeenLine]]:
     """The lanes marked in the top view, beside the path."""
     for lane in marked:
         plan = path.to_plan(_resampled(lane.xy_world, STEP_M))
         none, own = np.zeros((len(plan), 2)), np.full(len(plan), precision.marked_m)
-        yield lane, Sight(plan[:, 0], plan[:, 1], own, none, none[:, 0], picture=-1)
+        yield lane, SeenLine(plan[:, 0], plan[:, 1], own, none, none[:, 0], picture=-1)
 
 
-def joined(sights: Iterable[Sight]) -> list[list[Sight]]:
+def joined(sights: Iterable[SeenLine]) -> list[list[SeenLine]]:
     """Sights of the same line, joined."""
     tracks: list[_Gathered] = []
     for sight in sights:
@@ -137,7 +139,7 @@ def joined(sights: Iterable[Sight]) -> list[list[Sight]]:
     return [track.sights for track in kept]
 
 
-def _give(tracks: list[_Gathered], sights: list[Sight], sums: dict[int, Float[np.ndarray, "2"]]) -> None:
+def _give(tracks: list[_Gathered], sights: list[SeenLine], sums: dict[int, Float[np.ndarray, "2"]]) -> None:
     """Add sights of one line to the track that they fit best, or as a track of their own."""
     fitting = sorted((track.apart(sums), i) for i, track in enumerate(tracks))
     for apart, i in fitting:
@@ -147,7 +149,7 @@ def _give(tracks: list[_Gathered], sights: list[Sight], sums: dict[int, Float[np
     tracks.append(_Gathered(list(sights), dict(sums)))
 
 
-def curve_of(name: str, sights: Sequence[Sight], ground: GroundMap, path: Path) -> Track | None:
+def curve_of(name: str, sights: Sequence[SeenLine], ground: GroundMap, path: Path) -> Track | None:
     """The smooth curve of a track on the ground; None where there is too little of it."""
     curve = smooth(list(sights))
     if curve is None or curve.supported.sum() * STEP_M < MIN_LENGTH_M:
@@ -203,7 +205,7 @@ def on_ground(track: Track, ground: GroundMap, path: Path) -> Track | None:
 
 def _sight(
     found: CastPoints, eye_world: Float[np.ndarray, "3"], path: Path, precision: Precision, focal_px: float
-) -> Sight | None:
+) -> SeenLine | None:
     """What one line of a picture says; None where its places are too few or too uncertain."""
     with np.errstate(invalid="ignore"):
         has = found.grazing > LEAST_GRAZING
@@ -220,12 +222,12 @@ def _sight(
     off = np.hypot(precision.pose_at(far_m), far_m * precision.lanes_px / focal_px)
     shifts = np.column_stack([off * across, off / grazing * along])
     own = OWN_SHARE * np.hypot(*shifts.T)
-    sight = Sight(plan[:, 0], plan[:, 1], own, shifts, np.abs(height_std / grazing * along))
+    sight = SeenLine(plan[:, 0], plan[:, 1], own, shifts, np.abs(height_std / grazing * along))
     kept = sight.total_std < MAX_STD_M
     return sight.at(kept) if kept.sum() > 1 else None
 
 
-def _stations(sight: Sight) -> dict[int, Float[np.ndarray, "2"]]:
+def _stations(sight: SeenLine) -> dict[int, Float[np.ndarray, "2"]]:
     """A sight's weight and weighted offset at whole stations, one place for each."""
     at = np.round(sight.s).astype(int)
     low = at.min()

@@ -19,7 +19,7 @@ from synth3dlanes.drives.drive import Drive, DriveCamera, DriveFrame
 from synth3dlanes.errors import InputError
 from synth3dlanes.lift.placeholder import placeholder_scene
 from synth3dlanes.lift.precision import Precision
-from synth3dlanes.lift.run import AROUND, LiftedFrame, lift_drive
+from synth3dlanes.lift.run import AROUND, LiftedFrame, lifted_frames
 from synth3dlanes.production.plan import SHARD_SIZE
 from synth3dlanes.scene import MAX_FRAMES, Shot
 from synth3dlanes.shots import SINGLE, Shots
@@ -49,12 +49,12 @@ def lift_to(
     split: str = "train",
     precision: Precision | None = None,
     around: int = AROUND,
-    notify: Callable[[int, int, LiftedFrame], None] | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> LiftReport:
     """Write a drive's frames with their lifted lanes as a split of a data set.
 
-    `notify` is called after each frame with its number, counted from 1, the number of all, and what was found. Frames
-    that are already there are kept. Raises InputError as `lift_drive` does, and for an `out` that holds something else.
+    `progress` is called with (frames done, all frames). Frames that are already there are kept. Raises InputError as
+    `lifted_frames` does, and for an `out` that holds something else.
     """
     n = len(drive.frames)
     if not n:
@@ -69,7 +69,7 @@ def lift_to(
     destination = Destination(out)
     with destination.claim(recipe, split, n, numbers):
         shard, missing = None, set[int]()
-        for index, lifted in enumerate(lift_drive(drive, precision, around)):
+        for index, lifted in enumerate(lifted_frames(drive, precision, around)):
             if shard is None or index // SHARD_SIZE != shard.number:
                 _finish(shard, n)
                 shard = Shard(Path(split), index // SHARD_SIZE, SHARD_SIZE, names, text).within(Path(out))
@@ -77,8 +77,7 @@ def lift_to(
             if index in missing:
                 shard.write_part(index, _members(lifted, drive.camera, (image_format, split), shots, index))
             tally.add(lifted)
-            if notify is not None:
-                notify(index + 1, n, lifted)
+            progress(index + 1, n)
         _finish(shard, n)
     return tally.report()
 
