@@ -21,6 +21,7 @@ from .assets import assets
 from .bench import bench
 from .benchmark import benchmark
 from .data_sets import info, merge, split
+from .drive import drive
 from .entry import NO_MEMORY, is_lack_of_memory
 from .export import export
 from .generate import generate
@@ -142,6 +143,7 @@ for command in (
         lift,
         validate,
         bench,
+        drive,
     ),
     *(benchmark, train, predict, evaluate, ablation, onnx),
 ):

@@ -46,9 +46,9 @@ def read_clip(reader: Reader, scene: int, camera: str = "") -> Drive:
             time_s,
             pose,
             Path(f"{reader.key(at)}.{image_format}"),
-            partial(reader.member, at, image_format),
             partial(_scan, reader, at, time_s, pose),
             lanes_in_image(labels),
+            partial(reader.member, at, image_format),
         )
 
     return Drive(f"{reader.url}:{reader.key(positions[0])}", MadeFrames(len(positions), make), found, host_from_lidar)

@@ -97,7 +97,10 @@ def read_described(path: Path) -> Drive:
 def _files(folder: Path, told: _Sensor, what: str, lines: ImageLines | None = None) -> TimedFiles:
     """The files of a pattern in the order of their names, or the images that a file of lanes lists, with their
     times."""
-    paths = sorted(folder.glob(told.files))
+    try:
+        paths = sorted(folder.glob(told.files))
+    except (ValueError, NotImplementedError) as error:
+        raise InputError(f"{folder / told.files}: expected a pattern of files, got {error}") from None
     if not paths and lines is not None:
         paths = [folder / name for name in lines.names]
     if not 0 < len(paths) <= MAX_FILES:
@@ -128,8 +131,8 @@ def _track(path: Path, axes: AxesName, of_files: TimedFiles) -> PoseTrack:
         return read_pose_feather(path, axes)
     if path.suffix == ".json":
         return read_pose_json(path)
-    lines = read_lines(path)
-    columns = len(lines[0][1].replace(",", " ").split()) if lines else 0
+    _, first = next(read_lines(path), ("", ""))
+    columns = len(first.replace(",", " ").split())
     return read_kitti_poses(path, of_files.times_s, axes) if columns == KITTI_COLUMNS else read_tum(path, axes)
 
 

@@ -49,9 +49,9 @@ class DriveFrame:
     time_s: float
     world_from_host: Matrix4
     image: Path | None = None
-    load_image: Callable[[], bytes] | None = None
     load_scan: Callable[[], Scan] | None = None
     lanes_px: tuple[Polyline2, ...] = ()
+    load_image: Callable[[], bytes] | None = None
 
     def scan(self) -> Scan | None:
         """The scan of this instant, read anew each time."""

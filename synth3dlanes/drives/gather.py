@@ -99,9 +99,9 @@ def gather(name: str, recording: Recording, camera: DriveCamera, marked: Sequenc
             float(times_s[at]),
             pose,
             image,
-            partial(read_bytes, image, MAX_CLOUD_BYTES) if image is not None and image.exists() else None,
             partial(_scan, moved, of_lidar, scan) if scan >= 0 else None,
             recording.lanes_px(image) if recording.lanes_px is not None and image is not None else (),
+            partial(read_bytes, image, MAX_CLOUD_BYTES) if image is not None and image.exists() else None,
         )
 
     x, y, z = origin.tolist()

@@ -4,6 +4,7 @@ Sources: Geiger et al., "Vision meets robotics: The KITTI dataset", IJRR 2013, a
 kits. Images are rectified; pixels count from the middle of the first one. Points look along x, y is to their left.
 """
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +23,11 @@ from synth3dlanes.frames import invert
 from synth3dlanes.lens import PINHOLE
 
 EARTH_M = 6378137.0
+# Where a Mercator projection ends.
+MOST_LATITUDE_DEG = 89.0
 HALF_PX = 0.5
 N_OXTS = 30
+STAMP = re.compile(r"(\d{4}-\d\d-\d\d) (\d\d:\d\d:\d\d(?:\.\d{1,9})?)", re.ASCII)
 RAW_SCANS, OXTS, STAMPS = "velodyne_points", "oxts", "timestamps.txt"
 DEFAULT_CAMERA = "2"
 
@@ -123,7 +127,7 @@ def _camera(
     projection = _numbers(calibration, key, 12, where).reshape(3, 4)
     matrix = projection[:, :3]
     fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
-    if not (fx > 0 and fy > 0 and cx > 0 and cy > 0):
+    if not (min(fx, fy, cx, cy) > 0 and matrix[2].tolist() == [0, 0, 1]):
         raise FormatError(f"{where}: {key}: expected [fx 0 cx; 0 fy cy; 0 0 1] and a column, got {matrix.tolist()}")
     from_first = np.eye(4)
     from_first[:3, 3] = np.linalg.inv(matrix) @ projection[:, 3]
@@ -160,7 +164,9 @@ def _files(folder: Path, endings: tuple[str, ...]) -> list[Path]:
 def _of_sequence(folder: Path, endings: tuple[str, ...], times_s: Scalars, what: str) -> TimedFiles:
     """Files whose names are numbers of lines of `times.txt`."""
     paths = _files(folder, endings)
-    unnumbered = [path for path in paths if not path.stem.isdecimal() or int(path.stem[:9]) >= len(times_s)]
+    unnumbered = [
+        path for path in paths if not (path.stem.isdecimal() and len(path.stem) < 19 and int(path.stem) < len(times_s))
+    ]
     if unnumbered:
         told = f"the number of one of {len(times_s)} times as its name"
         raise FormatError(f"{unnumbered[0]}: expected {told}, got {unnumbered[0].stem[:40]}")
@@ -178,10 +184,13 @@ def _stamps(path: Path) -> Scalars:
     """A line of date and time for each file, as seconds since 1970."""
     times = []
     for where, line in read_lines(path):
+        told = STAMP.fullmatch(line)
         try:
-            times.append(np.datetime64(line.replace(" ", "T"), "ns").astype(np.int64))
-        except ValueError:
-            raise FormatError(f"{where}: expected a date and a time, got {line[:60]!r}") from None
+            times.append(np.datetime64(f"{told[1]}T{told[2]}" if told else "", "ns").astype(np.int64))
+        except (ValueError, OverflowError):
+            told = None
+        if told is None:
+            raise FormatError(f"{where}: expected a date and a time, got {line[:60]!r}")
     return np.array(times, float) * 1e-9
 
 
@@ -190,13 +199,15 @@ def _oxts_track(folder: Path) -> PoseTrack:
     files = _of_sequence(folder / "data", ("txt",), _stamps(folder / STAMPS), "packets of the IMU")
     rows = []
     for path in files.paths:
-        lines = read_lines(path)
+        lines = list(read_lines(path))
         if len(lines) != 1:
             raise FormatError(f"{path}: expected one line of {N_OXTS} numbers, got {len(lines)} lines")
         rows.append(floats(lines[0][1], str(path), N_OXTS, "latitude, longitude, altitude, roll, pitch, yaw and so on"))
     if not rows:
         raise FormatError(f"{folder}: expected data/*.txt, got none")
     latitude, longitude, up, roll, pitch, yaw = np.array(rows)[:, :6].T
+    if not (np.abs(latitude) < MOST_LATITUDE_DEG).all():
+        raise FormatError(f"{folder}: expected latitudes of less than {MOST_LATITUDE_DEG:g} degrees, got others")
     scale = np.cos(np.radians(latitude[0]))
     east = scale * EARTH_M * np.radians(longitude)
     north = scale * EARTH_M * np.log(np.tan(np.radians(90 + latitude) / 2))

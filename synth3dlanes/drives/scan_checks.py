@@ -21,7 +21,9 @@ GROUND_REACH_M, GROUND_OFF_M, TRIES = 15.0, 0.12, 200
 LOWEST_M, HIGHEST_M, MOST_TILT_DEG = 0.3, 4.5, 12.0
 # Pairs of scans, how far apart they are, and what of them is compared: what stands on the ground.
 PAIRS, LEAST_APART_M, MOST_APART_M = 6, 1.5, 8.0
-REACH_M, STANDING_M, HIGHEST_STANDING_M, MOST_POINTS, LEAST_STANDING = 35.0, 0.4, 5.0, 3000, 60
+REACH_M, STANDING_M, HIGHEST_STANDING_M, MOST_POINTS, LEAST_STANDING = 35.0, 0.3, 5.0, 3000, 40
+# What stands upright has so much height within so small a square.
+UPRIGHT_M = 0.6
 # Scans that fit together are a few centimetres apart, sparse ones some decimetres; distances count up to 1 m. Another
 # reading is named where it fits so much better.
 CAP_M, FITS_M, BETTER = 1.0, 0.2, 0.65
@@ -165,12 +167,18 @@ def _pairs(drive: Drive, scale: float, plane: GroundPlane) -> list[ScanPair]:
 
 
 def _standing(xyz_lidar: Points3, plane: GroundPlane) -> Float[np.ndarray, "_ 3"]:
-    """Points that stand over the ground, within reach."""
+    """Points within reach of what stands upright: seen at several heights over one place."""
     over = xyz_lidar @ plane.normal + plane.height_m
     reached = np.linalg.norm(xyz_lidar, axis=1) < REACH_M
-    kept = xyz_lidar[(over > STANDING_M) & (over < HIGHEST_STANDING_M) & reached]
-    chosen = np.random.default_rng(0).permutation(len(kept))[:MOST_POINTS]
-    return kept[chosen]
+    chosen = (over > STANDING_M) & (over < HIGHEST_STANDING_M) & reached
+    points, over = xyz_lidar[chosen], over[chosen]
+    _, cell = np.unique(np.floor(points[:, :2] / UPRIGHT_M).astype(int), axis=0, return_inverse=True)
+    cell = cell.reshape(-1)
+    low, high = np.full((2, cell.max(initial=0) + 1), np.inf)
+    np.minimum.at(low, cell, over)
+    np.minimum.at(high, cell, -over)
+    kept = points[(-high - low)[cell] > UPRIGHT_M]
+    return kept[np.random.default_rng(0).permutation(len(kept))[:MOST_POINTS]]
 
 
 def _misfit(drive: Drive, pairs: Sequence[ScanPair], reading: Reading) -> float:
@@ -189,7 +197,9 @@ def _misfit(drive: Drive, pairs: Sequence[ScanPair], reading: Reading) -> float:
 
 
 def _apart(pair: ScanPair, a_from_b: Matrix4) -> float:
-    distance, _ = cKDTree(pair.points_a).query(transform(a_from_b, pair.points_b), distance_upper_bound=CAP_M)
+    # From above: beams meet a pole at other heights.
+    plan_a, plan_b = pair.points_a[:, :2], transform(a_from_b, pair.points_b)[:, :2]
+    distance, _ = cKDTree(plan_a).query(plan_b, distance_upper_bound=CAP_M)
     return float(np.minimum(distance, CAP_M).mean())
 
 

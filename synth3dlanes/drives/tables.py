@@ -1,6 +1,7 @@
 """Files of numbers that the readers of drives share: lines of text, and tables in feather files, within bounds."""
 
-from collections.abc import Sequence
+from array import array
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,8 @@ from synth3dlanes.errors import FormatError
 from synth3dlanes.files import read_bounded
 from synth3dlanes.schema import shown
 
-# A pose every 10 ms for ten hours takes 500 MB as text and 3.6 million rows.
-MAX_TEXT_BYTES, MAX_TABLE_BYTES, MAX_ROWS = 512 << 20, 256 << 20, 1 << 23
+# A pose every 10 ms for three hours takes 100 MB as text.
+MAX_TEXT_BYTES, MAX_TABLE_BYTES, MAX_ROWS = 128 << 20, 256 << 20, 1 << 23
 
 
 def read_bytes(path: Path, most: int) -> bytes:
@@ -25,22 +26,26 @@ def read_bytes(path: Path, most: int) -> bytes:
         raise FormatError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
 
 
-def read_lines(path: Path) -> list[tuple[str, str]]:
-    """The lines of a text file that are neither empty nor comments (#), each after the place where it is."""
+def read_lines(path: Path) -> Iterator[tuple[str, str]]:
+    """The lines of a text file that are neither empty nor comments (#), each after the place where it is. Raises
+    FormatError at the first where the file cannot be read."""
     try:
         text = read_bytes(path, MAX_TEXT_BYTES).decode()
     except UnicodeDecodeError:
         raise FormatError(f"{path}: expected text, got other bytes") from None
-    lines = ((f"{path}:{number}", line.strip()) for number, line in enumerate(text.splitlines(), start=1))
-    return [(where, line) for where, line in lines if line and not line.startswith("#")]
+    for number, line in enumerate(text.splitlines(), start=1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            yield f"{path}:{number}", line.strip()
 
 
 def read_rows(path: Path, columns: int, what: str) -> Float[np.ndarray, "n c"]:
     """The numbers of a text file, so many in each line, between spaces or commas; `what` names them."""
-    rows = [floats(line.replace(",", " "), where, columns, what) for where, line in read_lines(path)]
-    if not rows:
+    found = array("d")
+    for where, line in read_lines(path):
+        found.extend(floats(line.replace(",", " "), where, columns, what))
+    if not found:
         raise FormatError(f"{path}: expected lines of {what}, got none")
-    return np.array(rows)
+    return np.frombuffer(found).reshape(-1, columns)
 
 
 def floats(text: str, where: str, count: int, what: str) -> list[float]:

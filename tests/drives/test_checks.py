@@ -9,6 +9,7 @@ import pytest
 from synth3dlanes.drives.checks import drive_findings
 from synth3dlanes.drives.open import open_drive
 from tests.drives import road as made
+from tests.thorough import first
 
 
 def edit(folder, name, *changes):
@@ -138,7 +139,7 @@ FAULTS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("fault", first(8, FAULTS))
 def test_a_planted_fault_is_named(tmp_path, fault):
     plant, message = FAULTS[fault]
     plant(made.write_described(tmp_path, made.road(12)))
@@ -147,7 +148,11 @@ def test_a_planted_fault_is_named(tmp_path, fault):
     assert all(len(line.splitlines()) == 1 and line.startswith("monday: ") for line in findings)
 
 
-@pytest.mark.parametrize("turn", [0.0, 0.02, -0.03])
-@pytest.mark.parametrize("layout", [made.write_described, made.write_sequence, made.write_raw, made.write_argoverse])
+WRITERS = (made.write_described, made.write_sequence, made.write_raw, made.write_argoverse)
+
+
+@pytest.mark.parametrize(
+    ("layout", "turn"), first(4, [(layout, turn) for turn in (0.02, 0.0, -0.03) for layout in WRITERS])
+)
 def test_a_drive_without_a_fault_has_no_finding(tmp_path, layout, turn):
     assert drive_findings(open_drive(str(layout(tmp_path, made.road(12, turn))))) == []
