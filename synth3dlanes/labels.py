@@ -12,8 +12,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from pydantic import Field, with_config
 
+from synth3dlanes.element_labels import ElementLabel, element_document
 from synth3dlanes.frames import inside_image
-from synth3dlanes.json_arrays import JsonMask, JsonMatrix3, JsonMatrix4, JsonPoints, rounded
+from synth3dlanes.json_arrays import JsonMask, JsonMatrix3, JsonMatrix4, JsonPairs, JsonPoints, rounded
 from synth3dlanes.lens import PINHOLE, Lens
 from synth3dlanes.object_labels import ObjectLabel, object_document
 from synth3dlanes.schema import STRICT, DocumentPart, Name, Number, PixelCount, Positive, SymbolKind, Unit, parse
@@ -79,7 +80,8 @@ class Lane:
     are None for centre lines and in older labels. `object_visible` is None until the scene has been rendered.
     `direction` is that of the traffic in a centre line's lane; a delimiter is `oncoming` if it bounds only such lanes.
     Older labels may lack `same`. `pair` names the stripes of a double line, from the left, where they differ: its
-    `marking` is `solid` then. Older labels have none."""
+    `marking` is `solid` then. Older labels have none. `std_m` is how certain each point is: standard deviations across
+    the lane, level, and in height. Only labels that were measured (`lift`) have it: those of scenes are exact."""
 
     id: Name
     kind: LaneKind
@@ -95,10 +97,13 @@ class Lane:
     double: bool | None = None
     direction: Direction = "same"
     pair: Pair | None = None
+    std_m: JsonPairs | None = None
 
     def __post_init__(self) -> None:
         """Check that each mask has a value for every point; raise ValueError."""
         _check_masks(self)
+        if self.std_m is not None and len(self.std_m) != len(self.xyz_cam):
+            raise ValueError(f"std_m: expected a pair for each of {len(self.xyz_cam)} points, got {len(self.std_m)}")
 
     @property
     def visible(self) -> Bool[np.ndarray, " n"]:
@@ -207,7 +212,8 @@ class Labels:
     does not look ahead.
     `symbols` are those of the scene, in its order: arrows, stop lines, crosswalks and gores, none of which is a lane.
     `lidar` is that of the scene, if it has one. `objects` are its cars, in its order; None in older labels, whose
-    seen shares of cars are `older_shares`.
+    seen shares of cars are `older_shares`. `traffic_elements` are the heads of signals and faces of signs near the
+    camera, in the order of their ids; None in older labels.
     """
 
     camera: CameraLabel
@@ -219,6 +225,7 @@ class Labels:
     lidar: LidarLabel | None = None
     objects: tuple[ObjectLabel, ...] | None = None
     older_shares: tuple[float, ...] | None = None
+    traffic_elements: tuple[ElementLabel, ...] | None = None
 
     @property
     def car_visible_fraction(self) -> tuple[float, ...] | None:
@@ -269,6 +276,9 @@ def to_json(labels: Labels) -> str:
         "time_s": labels.time_s,
         "lidar": lidar and {**vars(lidar), "cam_from_lidar": rounded(lidar.cam_from_lidar, 9)},
         "objects": None if labels.objects is None else [object_document(item) for item in labels.objects],
+        "traffic_elements": None
+        if labels.traffic_elements is None
+        else [element_document(item) for item in labels.traffic_elements],
     }
     return json.dumps(document, separators=(",", ":"), allow_nan=False)
 
@@ -288,6 +298,7 @@ class LabelsDocument(DocumentPart):
     time_s: Annotated[float, Field(ge=0, le=1e6)] | None = None
     lidar: LidarLabel | None = None
     objects: tuple[ObjectLabel, ...] | None = None
+    traffic_elements: tuple[ElementLabel, ...] | None = None
 
 
 def from_json(text: str | bytes, where: str) -> Labels:
@@ -303,6 +314,7 @@ def from_json(text: str | bytes, where: str) -> Labels:
         read.lidar,
         read.objects,
         None if read.objects is not None else read.car_visible_fraction,
+        read.traffic_elements,
     )
 
 
@@ -312,4 +324,9 @@ def _points_document(of: Lane | SymbolLabel) -> dict[str, Any]:
     for name in MASKS:
         mask = document[name]
         document[name] = None if mask is None else mask.astype(int).tolist()
+    # Exact labels have no such key.
+    if document.get("std_m", ()) is None:
+        del document["std_m"]
+    elif "std_m" in document:
+        document["std_m"] = rounded(document["std_m"], 4)
     return document

@@ -14,11 +14,13 @@ from PIL import Image
 
 from synth3dlanes.arrays import RgbImage
 from synth3dlanes.figures import colors
-from synth3dlanes.figures.boxes import objects_in_image
+from synth3dlanes.figures.boxes import elements_in_image, objects_in_image
 from synth3dlanes.figures.describe import (
+    ELEMENT_COLUMNS,
     LANE_COLUMNS,
     OBJECT_COLUMNS,
     describe,
+    element_row,
     lane_row,
     object_row,
     topology_words,
@@ -58,8 +60,9 @@ class DrawnLane(NamedTuple):
 
 
 class DrawnObject(NamedTuple):
-    """An object in the image: its class and number, and the polylines of its box."""
+    """An object or traffic element in the image: its CSS class, its name, and the polylines of its box or face."""
 
+    of_class: str
     name: str
     color: str
     lines: list[str]
@@ -74,7 +77,8 @@ class DrawnMask(NamedTuple):
 
 
 class Drawing(NamedTuple):
-    """An image with its lanes, objects and masks, as an SVG needs them; `jpeg` is a data URL, None without an image."""
+    """An image with its lanes, objects, traffic elements and masks, as an SVG needs them; `jpeg` is a data URL, None
+    without an image."""
 
     width: int
     height: int
@@ -117,15 +121,15 @@ def scene_page(
     step = max(1, -(-len(shown.clip) // MAX_FRAMES))
     numbers = range(0, len(shown.clip), step)
     frames = [_frame(number, *shown.clip[number]) for number in numbers]
-    return _render(
+    return render(
         "scene.html",
         title=f"seed {scene.seed}, {scene.split} {scene.index}: {topology_words(scene.road)}",
         switches=_switches([labels]),
-        drawn=_drawing(labels, shown.image),
+        drawn=drawing(labels, shown.image),
         frames=frames,
         pause_ms=round(1000 / scene.shot.fps * step),
         start=min(range(len(frames)), key=lambda i: abs(numbers[i] - scene.shot.frame), default=0),
-        rig=[(found.camera.name, _drawing(found, picture)) for found, picture in shown.rig],
+        rig=[(found.camera.name, drawing(found, picture)) for found, picture in shown.rig],
         passes=[
             PassPicture(name, WORDS[name], _jpeg(pass_picture(name, values))) for name, values in shown.passes.items()
         ],
@@ -134,6 +138,8 @@ def scene_page(
         lane_rows=[lane_row(lane) for lane in labels.lanes],
         object_columns=OBJECT_COLUMNS,
         object_rows=[object_row(item) for item in labels.objects or ()],
+        element_columns=ELEMENT_COLUMNS,
+        element_rows=[element_row(item) for item in labels.traffic_elements or ()],
         document=json.dumps(json.loads(to_json(scene)), indent=1),
         space=_space(SceneView(scene, labels), shown.sweep, [found.camera for found, _ in shown.rig]),
     )
@@ -147,13 +153,13 @@ def report_page(
 ) -> str:
     """A data set: some of its samples (name, scene, labels, image), its distributions, and its parameters as declared
     and as drawn."""
-    return _render(
+    return render(
         "report.html",
         title=title,
         n_scenes=scenes.n_scenes,
         switches=_switches(sample for _, _, sample, _ in samples),
         cards=[
-            Card(name, topology_words(scene.road), _drawing(sample, image)) for name, scene, sample, image in samples
+            Card(name, topology_words(scene.road), drawing(sample, image)) for name, scene, sample, image in samples
         ],
         topologies=scenes.topologies.items(),
         measured=[
@@ -176,7 +182,7 @@ def report_page(
     )
 
 
-def _render(template: str, **values: Any) -> str:
+def render(template: str, **values: Any) -> str:
     """The text of a template in `web/`; values are escaped."""
     loader = PackageLoader("synth3dlanes.figures", "web")
     environment = Environment(
@@ -187,19 +193,28 @@ def _render(template: str, **values: Any) -> str:
 
 
 def _frame(number: int, labels: Labels, image: RgbImage) -> ClipFrame:
-    return ClipFrame(f"frame {number}, {labels.time_s or 0:.2f} s", _drawing(labels, image))
+    return ClipFrame(f"frame {number}, {labels.time_s or 0:.2f} s", drawing(labels, image))
 
 
-def _drawing(labels: Labels, image: RgbImage | None) -> Drawing:
-    color_of_objects = colors.hexadecimal(colors.OBJECT)
+def drawing(labels: Labels, image: RgbImage | None) -> Drawing:
+    """An image with its lanes, its objects and its masks, as the macro `drawing` of `web/parts.html` shows them."""
+    color_of_objects, color_of_elements = (colors.hexadecimal(color) for color in (colors.OBJECT, colors.ELEMENT))
     return Drawing(
         labels.camera.width_px,
         labels.camera.height_px,
         None if image is None else _jpeg(image),
         [_lane(labels, lane) for lane in labels.lanes],
         [
-            DrawnObject(f"{item.category} {item.id}", color_of_objects, [_points(line) for line in lines])
-            for item, lines in objects_in_image(labels)
+            *(
+                DrawnObject("object", f"{item.category} {item.id}", color_of_objects, [_points(line) for line in lines])
+                for item, lines in objects_in_image(labels)
+            ),
+            *(
+                DrawnObject(
+                    "element", " ".join(element_row(item)[:3]), color_of_elements, [_points(line) for line in lines]
+                )
+                for item, lines in elements_in_image(labels)
+            ),
         ],
         [DrawnMask(_class(name), color, _dots(labels, name)) for name, color in colors.MASKS.items()],
     )
@@ -226,7 +241,8 @@ def _dots(labels: Labels, mask: str) -> list[tuple[str, str]]:
 
 
 def _switches(labels: Iterable[Labels]) -> list[Switch]:
-    """Check boxes for the images: lanes by kind, hidden stretches, objects, and one for each mask (initially off)."""
+    """Check boxes for the images: lanes by kind, hidden stretches, objects, traffic elements, and one for each mask
+    (initially off)."""
     labels, masks = list(labels), dict(colors.MASKS)
     if any(lane.object_visible is None for one in labels for lane in one.lanes):
         del masks["hidden by objects"]
@@ -239,6 +255,11 @@ def _switches(labels: Iterable[Labels]) -> list[Switch]:
         *(
             [Switch(".object", "objects", colors.hexadecimal(colors.OBJECT), is_on=True)]
             if any(True for one in labels for _ in objects_in_image(one))
+            else []
+        ),
+        *(
+            [Switch(".element", "traffic elements", colors.hexadecimal(colors.ELEMENT), is_on=True)]
+            if any(True for one in labels for _ in elements_in_image(one))
             else []
         ),
         *(Switch(f".mask.{_class(name)}", f"points {name}", color, is_on=False) for name, color in masks.items()),

@@ -128,6 +128,7 @@ def openlane_v2(out, fault):
     if fault == "dropped":
         del lanes[0]
         found["topology_lclc"] = [row[1:] for row in found["topology_lclc"][1:]]
+        del found["topology_lcte"][0]
     for lane, line in zip(lanes, points, strict=True):
         lane["points"] = line
     path.write_text(json.dumps(document))

@@ -1,0 +1,168 @@
+"""RoadMap: roads, junctions and the paint on them, as a scene of a town or of a given map keeps them.
+
+World frame, metres and radians. Pure data in the terms of OpenDRIVE: a road is a plan of pieces, a place on it is
+(s, t) with t to the left of growing s, lanes are numbered from the reference line outwards, positive on its left.
+`geometry/map_roads.py` makes the network of it.
+"""
+
+from itertools import pairwise
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from synth3dlanes.schema import DocumentPart, Name, Number, SymbolKind
+
+# The most roads of the part of a map that a scene keeps, and lanes on one side of a road.
+MAX_ROADS, MAX_LANES = 2000, 20
+Station = Annotated[float, Field(ge=-1e5, le=1e5)]
+Length = Annotated[float, Field(gt=0, le=1e5)]
+Width = Annotated[float, Field(ge=0, le=100)]
+GroundPoint = tuple[Number, Number]
+# A lane by ROAD.SECTION.NUMBER, such as `12.0.-1`.
+LaneName = Name
+
+MapLaneKind = Literal[
+    "driving", "shoulder", "border", "parking", "walkway", "cycle", "median", "restricted", "kerb", "none"
+]
+MapMarkKind = Literal["none", "solid", "dashed", "solid_solid", "solid_dashed", "dashed_solid", "dashed_dashed", "dots"]
+
+
+class Polynomial(DocumentPart):
+    """A value along a road: from station `s_m` on, a + b x + c x^2 + d x^3 of the distance x from it."""
+
+    s_m: Station
+    a: Number
+    b: Number = 0.0
+    c: Number = 0.0
+    d: Number = 0.0
+
+
+class PlanPiece(DocumentPart):
+    """A piece of a road's reference line from above: its start, its heading there (counter-clockwise from world x) and
+    its length. Its curvature (1/m, to the left) changes evenly from one end to the other; or, with `u` and `v`, it is
+    two cubics in the frame of its start (u ahead, v to the left) of a parameter from 0 to `parameter_end`."""
+
+    x_m: Number
+    y_m: Number
+    heading_rad: Number
+    length_m: Length
+    curvature: Number = 0.0
+    curvature_end: Number = 0.0
+    u: tuple[Number, Number, Number, Number] | None = None
+    v: tuple[Number, Number, Number, Number] | None = None
+    parameter_end: Length = 1.0
+
+
+class MapMark(DocumentPart):
+    """The paint on the outer edge of a lane (of lane 0: on the reference line), from a station of its section on."""
+
+    s_m: Station = 0.0
+    kind: MapMarkKind
+    yellow: bool = False
+    width_m: Annotated[float, Field(gt=0, le=2)] = 0.12
+
+
+class MapLane(DocumentPart):
+    """A lane of a section: its number, and its width by stations of the section. Traffic in a driving lane goes with
+    growing s on the right of the reference line where traffic keeps right; `against` says that it goes the other
+    way."""
+
+    number: Annotated[int, Field(ge=-MAX_LANES, le=MAX_LANES)]
+    kind: MapLaneKind
+    widths: tuple[Polynomial, ...] = ()
+    marks: tuple[MapMark, ...] = ()
+    against: bool = False
+
+
+class MapSection(DocumentPart):
+    """The lanes of a road from a station on, from the left: positive numbers, 0 without a width, negative ones."""
+
+    s_m: Station
+    lanes: Annotated[tuple[MapLane, ...], Field(max_length=2 * MAX_LANES + 1)]
+
+
+class MapRoad(DocumentPart):
+    """A road. Without `heights` it lies on the terrain; with them its reference line has these world heights. `banks`
+    are angles, positive where the right side is lower. `junction` is the junction that it connects roads in."""
+
+    id: Name
+    plan: Annotated[tuple[PlanPiece, ...], Field(min_length=1, max_length=10_000)]
+    sections: Annotated[tuple[MapSection, ...], Field(min_length=1, max_length=1000)]
+    lane_offsets: tuple[Polynomial, ...] = ()
+    heights: tuple[Polynomial, ...] = ()
+    banks: tuple[Polynomial, ...] = ()
+    junction: Name | None = None
+    keeps_left: bool = False
+
+    @property
+    def length_m(self) -> float:
+        """Length of the reference line."""
+        return sum(piece.length_m for piece in self.plan)
+
+
+class MapJunction(DocumentPart):
+    """A junction: the outline of its pavement from above (empty: that of its roads together), and pairs of its lanes,
+    the first of which yields to the second."""
+
+    id: Name
+    outline: tuple[GroundPoint, ...] = ()
+    yields: tuple[tuple[LaneName, LaneName], ...] = ()
+
+
+class MapPaint(DocumentPart):
+    """Paint that bounds no lane. An arrow is in the middle of `lane` at station `s_m` of its road, in the direction of
+    its traffic; a stop or give-way line crosses the lane there. A crosswalk fills `outline`, its bars along the first
+    side."""
+
+    kind: SymbolKind | Literal["give_way_line"]
+    lane: LaneName | None = None
+    s_m: Station = 0.0
+    outline: tuple[GroundPoint, ...] = ()
+
+
+class MapIsland(DocumentPart):
+    """A raised area on the pavement with a kerb around it: a traffic island, or the middle of a roundabout."""
+
+    outline: Annotated[tuple[GroundPoint, ...], Field(min_length=3, max_length=1000)]
+    height_m: Annotated[float, Field(ge=0, le=1)] = 0.12
+    surface: Literal["paved", "grass"] = "paved"
+
+
+class RoadMap(DocumentPart):
+    """The part of a map around a host. `links` are pairs of lanes (one, the next) as traffic drives. The host drives
+    along `route`, lanes each linked to the next; its station is the length from the beginning of the first one.
+    `source` and `digest` name the file of a given map and its SHA-256."""
+
+    roads: Annotated[tuple[MapRoad, ...], Field(min_length=1, max_length=MAX_ROADS)]
+    links: tuple[tuple[LaneName, LaneName], ...] = ()
+    junctions: tuple[MapJunction, ...] = ()
+    paint: tuple[MapPaint, ...] = ()
+    islands: tuple[MapIsland, ...] = ()
+    route: Annotated[tuple[LaneName, ...], Field(min_length=1)]
+    source: str = ""
+    digest: str = ""
+
+    @model_validator(mode="after")
+    def _names_its_lanes(self) -> "RoadMap":
+        """Check that ids are unique and that all lanes that are named exist."""
+        roads = [road.id for road in self.roads]
+        if len(set(roads)) < len(roads):
+            raise ValueError("roads: expected ids that differ")
+        lanes = {
+            f"{road.id}.{i}.{lane.number}"
+            for road in self.roads
+            for i, section in enumerate(road.sections)
+            for lane in section.lanes
+        }
+        named = [("route", name) for name in self.route]
+        named += [("links", name) for link in self.links for name in link]
+        named += [("paint", paint.lane) for paint in self.paint if paint.lane is not None]
+        named += [("junctions.yields", name) for at in self.junctions for pair in at.yields for name in pair]
+        for where, name in named:
+            if name not in lanes:
+                raise ValueError(f"{where}: expected lanes of the roads, got {name}")
+        links = set(self.links)
+        for a, b in pairwise(self.route):
+            if (a, b) not in links:
+                raise ValueError(f"route: expected linked lanes, got {a} and {b}")
+        return self
