@@ -11,7 +11,7 @@ from matplotlib.path import Path as Outline
 
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.argoverse2.convention import CATEGORIES, LogFiles, mark_type, place_of
-from synth3dlanes.formats.argoverse2.read import IMAGE, Log, LogMap, MapLane, matrices
+from synth3dlanes.formats.argoverse2.read import IMAGE, Log, LogLane, LogMap, matrices
 from synth3dlanes.formats.comparing import Comparison, Gap, Rule, SourceSample, compare_map, distances
 from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.writing import PARTS
@@ -20,7 +20,7 @@ from synth3dlanes.labels import Lane, Segment
 from synth3dlanes.object_labels import CORNERS
 
 # The pieces of each segment, in order.
-PiecesOf = dict[str, list[MapLane]]
+PiecesOf = dict[str, list[LogLane]]
 # Lanes are within this of the labels from above; heights within the slack. Labels of boxes and points are rounded.
 RULE = Rule("m", 0.05, name="lane", slack=0.3)
 LIMIT_PX, BOX_M, POINT_M = 0.02, 0.001, 0.001
@@ -152,7 +152,7 @@ def _map(found: LogMap, truth: SourceSample) -> Comparison:
     return compared.because([*problems, *(text for look in of_map for text in look(found, truth))])
 
 
-def _middle(lane: MapLane) -> Float[np.ndarray, "n 3"]:
+def _middle(lane: LogLane) -> Float[np.ndarray, "n 3"]:
     """The middle between boundaries with a point on each side; otherwise each is cut anew at equal shares."""
     left, right = lane.left, lane.right
     if len(left) != len(right):
