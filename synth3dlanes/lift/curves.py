@@ -15,7 +15,7 @@ from synth3dlanes.arrays import Scalars
 STEP_M = 1.0
 # How a lane's curvature beside the path changes: the standard deviation in 1/m of its changes over a metre. Lanes are
 # nearly parallel to the path, but hosts change lanes.
-BEND = 2e-4
+BEND = 5e-4
 # Offsets are within this of the path, as a standard deviation.
 ASIDE_M = 30.0
 # Stations farther from any place than this have no curve.

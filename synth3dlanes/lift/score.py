@@ -2,7 +2,7 @@
 hold. In each frame's road frame, metres."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -30,6 +30,13 @@ class LiftErrors:
     true_ahead_m: Scalars
     covered: np.ndarray
     strays: int = 0
+
+
+def together(several: Sequence[LiftErrors]) -> LiftErrors:
+    """The errors of several drives as one."""
+    names = [item.name for item in fields(LiftErrors) if item.name != "strays"]
+    joined = {name: np.concatenate([getattr(errors, name) for errors in several]) for name in names}
+    return LiftErrors(**joined, strays=sum(errors.strays for errors in several))
 
 
 def errors_of(lifted: Sequence[Labels], truth: Sequence[Labels]) -> LiftErrors:

@@ -26,8 +26,8 @@ OWN_SHARE = 0.3
 SHARED, CLOSE_M, CLOSE_STD, NEXT_M = 4, 0.4, 2.0, 1.4
 # A track shorter than this is noise.
 MIN_LENGTH_M = 5.0
-# A track of fewer sights than this share of those of the one beside it is none.
-STRAY_SHARE = 0.5
+# A track of fewer sights than this share of those of one that is beside it, nearer than any lane is wide, is none.
+STRAY_SHARE, NARROWEST_M = 0.5, 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +175,7 @@ def _is_stray(track: Track, other: Track) -> bool:
     if track.sights > STRAY_SHARE * other.sights or len(i) < len(track.s) / 2:
         return False
     gap = np.abs(track.d[i] - other.d[j])
-    return bool(np.median(gap) < np.maximum(NEXT_M, 3 * np.median(np.hypot(track.std_m[i, 0], other.std_m[j, 0]))))
+    return bool(np.median(gap) < np.maximum(NARROWEST_M, 3 * np.median(np.hypot(track.std_m[i, 0], other.std_m[j, 0]))))
 
 
 def on_ground(track: Track, ground: GroundMap, path: Path) -> Track | None:
