@@ -25,7 +25,7 @@ LINE_M, DECIMALS = 0.005, 3
 """How far written lines may be from those with all points."""
 SAME_LINE_M = 0.2
 
-Lines = Float[np.ndarray, "_ k 3"]
+Sides = Float[np.ndarray, "_ k 3"]
 
 
 def map_files(world: World, graph: LaneGraph, files: LogFiles) -> tuple[dict[str, str | bytes], int]:
@@ -145,7 +145,7 @@ def _crossings(world: World) -> Iterator[dict[str, Any]]:
             yield {**{f"edge{i}": _points(edge) for i, edge in enumerate(edges, start=1)}, "id": index}
 
 
-def _outline(strip: Lines) -> list[dict[str, float]]:
+def _outline(strip: Sides) -> list[dict[str, float]]:
     """A strip between two lines as a polygon, whose last point is not the first one again."""
     kept = thinned(strip)
     return _points(np.concatenate([kept[:, 0], kept[::-1, 1]]))
@@ -165,7 +165,7 @@ def _heights(
     return heights.reshape(rows, columns), low
 
 
-def thinned(lines: Lines, most_m: float = LINE_M) -> Lines:
+def thinned(lines: Sides, most_m: float = LINE_M) -> Sides:
     """Places of lines beside each other without those between which all lines stay within `most_m`."""
     kept, stack = {0, len(lines) - 1}, [(0, len(lines) - 1)]
     while stack:

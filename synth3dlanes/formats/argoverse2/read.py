@@ -36,7 +36,7 @@ class _Point(Excerpt):
     z: Number
 
 
-class MapLane(Excerpt):
+class LogLane(Excerpt):
     """A lane segment as its file says."""
 
     id: int
@@ -71,7 +71,7 @@ class _Crossing(Excerpt):
 
 
 class _Vectors(Excerpt):
-    lane_segments: dict[str, MapLane]
+    lane_segments: dict[str, LogLane]
     drivable_areas: dict[str, _Area]
     pedestrian_crossings: dict[str, _Crossing]
 
@@ -86,7 +86,7 @@ class _Cells(Excerpt):
 class LogMap:
     """The map of a log. Heights are NaN where there are none."""
 
-    lanes: tuple[MapLane, ...]
+    lanes: tuple[LogLane, ...]
     areas: tuple[Float[np.ndarray, "_ 3"], ...]
     crossings: tuple[Float[np.ndarray, "_ 3"], ...]
     heights: Float[np.ndarray, "rows columns"]

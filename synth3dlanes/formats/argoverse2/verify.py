@@ -11,7 +11,7 @@ from matplotlib.path import Path as Outline
 
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.argoverse2.convention import CATEGORIES, LogFiles, mark_type, place_of
-from synth3dlanes.formats.argoverse2.read import IMAGE, Log, LogMap, MapLane, matrices
+from synth3dlanes.formats.argoverse2.read import IMAGE, Log, LogLane, LogMap, matrices
 from synth3dlanes.formats.comparing import Comparison, Gap, Rule, SourceSample, compare_map, distances
 from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.writing import PARTS
@@ -20,7 +20,7 @@ from synth3dlanes.labels import Lane, Segment
 from synth3dlanes.object_labels import CORNERS
 
 # The pieces of each segment, in order.
-Lanes = dict[str, list[MapLane]]
+PiecesOf = dict[str, list[LogLane]]
 # Lanes are within this of the labels from above; heights within the slack. Labels of boxes and points are rounded.
 RULE = Rule("m", 0.05, name="lane", slack=0.3)
 LIMIT_PX, BOX_M, POINT_M = 0.02, 0.001, 0.001
@@ -141,7 +141,7 @@ def _map(found: LogMap, truth: SourceSample) -> Comparison:
     if any(not 0 <= i < len(segments) for i, _ in pieces) or len(pieces) < len(found.lanes):
         text = f"expected ids of lanes of their own, those of {len(segments)} segments, got {[*pieces][:20]}"
         return Comparison(len(pieces), (), (text,))
-    lanes: Lanes = {}
+    lanes: PiecesOf = {}
     for i, number in sorted(pieces):
         lanes.setdefault(segments[i].id, []).append(pieces[i, number])
     middles = [(name, np.concatenate([_middle(piece) for piece in lane])) for name, lane in lanes.items()]
@@ -152,7 +152,7 @@ def _map(found: LogMap, truth: SourceSample) -> Comparison:
     return compared.because([*problems, *(text for look in of_map for text in look(found, truth))])
 
 
-def _middle(lane: MapLane) -> Float[np.ndarray, "n 3"]:
+def _middle(lane: LogLane) -> Float[np.ndarray, "n 3"]:
     """The middle between boundaries with a point on each side; otherwise each is cut anew at equal shares."""
     left, right = lane.left, lane.right
     if len(left) != len(right):
@@ -165,7 +165,7 @@ def _resampled(line: Float[np.ndarray, "n 3"], n: int) -> Float[np.ndarray, "m 3
     return np.column_stack([np.interp(np.linspace(0, at[-1], n), at, column) for column in line.T])
 
 
-def _side_problems(lanes: Lanes, truth: SourceSample) -> Iterator[str]:
+def _side_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
     """Findings where a boundary is on the other side, or not half a lane's width from the middle."""
     half_m = truth.scene.road.lane_width_m / 2
     for name, pieces in lanes.items():
@@ -181,7 +181,7 @@ def _side_problems(lanes: Lanes, truth: SourceSample) -> Iterator[str]:
                     yield f"lane {name}: expected its {side} boundary {half_m:.3f} m on that side, got {got_m:.3f} m"
 
 
-def _link_problems(lanes: Lanes, truth: SourceSample) -> Iterator[str]:
+def _link_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
     """Findings where links are not those of the lane graph and between pieces, or lanes do not meet."""
     graph = truth.labels.graph
     links = [pair for pieces in lanes.values() for pair in pairwise(pieces)]
@@ -203,7 +203,7 @@ def _link_problems(lanes: Lanes, truth: SourceSample) -> Iterator[str]:
                 yield f"lane {name}: expected {other.id} to begin where {lane.id} ends, got it {gap_m:.3f} m away"
 
 
-def _neighbour_problems(lanes: Lanes, truth: SourceSample) -> Iterator[str]:
+def _neighbour_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
     """Findings where a lane has another neighbour than in the lane graph: to the left it may have an oncoming one,
     across a line that both share."""
     owner = {piece.id: (name, piece) for name, pieces in lanes.items() for piece in pieces}
@@ -232,7 +232,7 @@ def _is_oncoming(segment: Segment) -> bool:
     return segment.s_start_m > segment.s_end_m
 
 
-def _paint_problems(lanes: Lanes, truth: SourceSample) -> Iterator[str]:
+def _paint_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
     """Findings where a boundary that lies on one delimiter has other paint."""
     ours = [(lane, transform(truth.labels.camera.world_from_cam, lane.xyz_cam)) for lane in truth.labels.lanes
             if lane.kind == "delimiter"]  # fmt: skip
