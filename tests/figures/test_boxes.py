@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from synth3dlanes.figures.boxes import lines_img, objects_in_image
-from synth3dlanes.figures.colors import OBJECT
-from synth3dlanes.figures.describe import OBJECT_COLUMNS, object_row
+from synth3dlanes.figures.boxes import elements_in_image, lines_img, objects_in_image
+from synth3dlanes.figures.colors import ELEMENT, OBJECT
+from synth3dlanes.figures.describe import ELEMENT_COLUMNS, OBJECT_COLUMNS, element_row, object_row
 from synth3dlanes.figures.overlay import draw_overlay
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.lens import Lens
 from tests.scenes import changed
+from tests.signals import signals_scene
 
 
 def test_lines_connect_the_projected_corners(flat_scene):
@@ -56,3 +57,27 @@ def test_rows_of_the_table(flat_scene):
     assert len(row) == len(OBJECT_COLUMNS)
     assert row[:2] == ("2", "truck")
     assert row[4:] == ("-", "50 %", "0 %", "-")
+
+
+def test_faces_of_traffic_elements_are_drawn_where_their_corners_are_but_for_hidden_ones():
+    labels = replace(ground_truth(signals_scene()), lanes=())
+    drawn = list(elements_in_image(labels))
+    assert len(drawn) == 9
+    for item, lines in drawn:
+        corners = labels.camera.project(item.corners_cam[4:])
+        ends = np.concatenate([line[[0, -1]] for line in lines])
+        for corner in corners:
+            assert (np.abs(ends - corner).max(axis=1) < 1e-6).sum() == 2
+    gray = np.full((labels.camera.height_px, labels.camera.width_px, 3), 90, np.uint8)
+    overlay = draw_overlay(gray, labels)
+    assert (np.abs(overlay.astype(int) - ELEMENT).max(axis=2) < 60).sum() > 20
+    hidden = tuple(replace(item, visible_fraction=0.0) for item in labels.traffic_elements)
+    assert (draw_overlay(gray, replace(labels, traffic_elements=hidden)) == gray).all()
+
+
+def test_rows_of_traffic_elements():
+    items = ground_truth(signals_scene()).traffic_elements
+    rows = [element_row(item) for item in items]
+    assert {len(row) for row in rows} == {len(ELEMENT_COLUMNS)}
+    assert ("lane signal", "lane: red cross", "main_1") in [row[1:4] for row in rows]
+    assert ("road sign", "stop", "main_3") in [row[1:4] for row in rows]
