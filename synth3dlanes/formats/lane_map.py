@@ -51,15 +51,13 @@ class LaneSegment:
     right: Boundary
 
 
-def around(near_m: float) -> Scalars:
-    """Stations as the host drives within REACH_M of one."""
-    return np.arange(near_m - REACH_M, near_m + REACH_M + STEP_M / 2, STEP_M)
-
-
-def lane_segments(world: World, segments: tuple[Segment, ...], driven_m: Scalars) -> Iterator[LaneSegment]:
-    """The segments of the lane graph at these stations as the host drives."""
+def lane_segments(
+    world: World, segments: tuple[Segment, ...], at_world: Float[np.ndarray, "3"], reach_m: float = REACH_M
+) -> Iterator[LaneSegment]:
+    """The segments of the lane graph within about `reach_m` of a place of the host."""
     network = world.network
-    stations = network.stations(driven_m)
+    near_m = float(at_world[1])
+    stations = network.stations(near_m + np.arange(-reach_m, reach_m + STEP_M / 2, STEP_M))
     delimiters = {line: _delimiter_xy(line, np.sort(stations)) for line in network.delimiters}
     for index, segment in enumerate(segments):
         lane = network.lanes[segment.id]
@@ -75,24 +73,30 @@ def lane_segments(world: World, segments: tuple[Segment, ...], driven_m: Scalars
         yield LaneSegment(index, segment.id, middle, *sides)
 
 
-def pavement_edges(world: World, driven_m: Scalars) -> Iterator[Points3]:
-    """The edges of the pavement, shoulders included, and of a median's grass, at these stations as the host drives."""
-    for road, s, (left, *grass, right) in _pavement_lines(world, driven_m):
+def pavement_edges(world: World, at_world: Float[np.ndarray, "3"]) -> Iterator[Points3]:
+    """The edges of the pavement, shoulders included, and of a median's grass, within about REACH_M of a place."""
+    for road, s, (left, *grass, right) in _pavement_lines(world, at_world, REACH_M):
         for t in (left, right, *grass):
             yield from runs(road.points(s, t), ~world.ground.is_on_other(road, road.xy(s, t)))
 
 
-def pavement_strips(world: World, driven_m: Scalars) -> Iterator[tuple[Points3, Points3]]:
-    """Both edges of each strip of pavement at these stations: of every road, and on both sides of a median's grass."""
-    for road, s, offsets in _pavement_lines(world, driven_m):
+def pavement_strips(
+    world: World, at_world: Float[np.ndarray, "3"], reach_m: float
+) -> Iterator[tuple[Points3, Points3]]:
+    """Both edges of each strip of pavement within about `reach_m` of a place: of every road, and on both sides of a
+    median's grass."""
+    for road, s, offsets in _pavement_lines(world, at_world, reach_m):
         for low, high in zip(offsets[::2], offsets[1::2], strict=True):
             if len(s) > 1:
                 yield road.points(s, low), road.points(s, high)
 
 
-def _pavement_lines(world: World, driven_m: Scalars) -> Iterator[tuple[Road, Scalars, list[Scalars]]]:
+def _pavement_lines(
+    world: World, at_world: Float[np.ndarray, "3"], reach_m: float
+) -> Iterator[tuple[Road, Scalars, list[Scalars]]]:
     """Of every road the stations, and the offsets where pavement begins and ends in turn, as t grows."""
-    stations = np.sort(world.network.stations(driven_m))
+    near_m = float(at_world[1])
+    stations = np.sort(world.network.stations(near_m + np.arange(-reach_m, reach_m + STEP_M / 2, STEP_M)))
     for road in world.network.roads:
         s = stations[(stations >= road.start_m) & (stations <= road.end_m)]
         grass = [np.full(len(s), t) for median in grass_in_medians(world.ground, road) for t in median]

@@ -17,8 +17,8 @@ from synth3dlanes.geometry.symbols import shape
 from synth3dlanes.labels import LaneGraph, Segment
 from synth3dlanes.world import World
 
-REACH_M, STEP_M = 150.0, 0.5
-"""How far the map reaches before the host's first place and beyond its last."""
+REACH_M = 150.0
+"""How far the map reaches beyond all places of the host in the clip, and as far the other way."""
 PIECE_M = 30.0
 """The API draws the middle of a lane segment with ten points, however long it is."""
 LINE_M, DECIMALS = 0.005, 3
@@ -30,10 +30,10 @@ Sides = Float[np.ndarray, "_ k 3"]
 
 def map_files(world: World, graph: LaneGraph, files: LogFiles) -> tuple[dict[str, str | bytes], int]:
     """The files of the map of a world, and how many lane segments are in it."""
-    low_m, high_m = world.ground.range_m(REACH_M, REACH_M)
-    driven_m = np.arange(low_m, high_m + STEP_M / 2, STEP_M)
-    strips = [np.stack(edges, axis=1) for edges in pavement_strips(world, driven_m)]
-    lanes = list(lane_segments(world, graph.segments, driven_m))
+    place, shot = world.view.world_from_host[:3, 3], world.scene.shot
+    reach_m = REACH_M + shot.speed_m_s * shot.duration_s
+    strips = [np.stack(edges, axis=1) for edges in pavement_strips(world, place, reach_m)]
+    lanes = list(lane_segments(world, graph.segments, place, reach_m))
     rows = list(_lanes(lanes, graph, world))
     vectors = {
         "pedestrian_crossings": {str(row["id"]): row for row in _crossings(world)},

@@ -14,7 +14,7 @@ from synth3dlanes.arrays import Matrix4
 from synth3dlanes.element_labels import ElementLabel
 from synth3dlanes.errors import InputError
 from synth3dlanes.formats.format import SampleFrame
-from synth3dlanes.formats.lane_map import Boundary, LaneSegment, around, lane_segments, pavement_edges, runs
+from synth3dlanes.formats.lane_map import Boundary, LaneSegment, lane_segments, pavement_edges, runs
 from synth3dlanes.formats.openlane_v2.convention import (
     AHEAD_M,
     ASIDE_M,
@@ -177,7 +177,7 @@ def _lanes(
     frame: SampleFrame, world: World, world_from_ego: Matrix4, behind_m: float, dropped: Counter[str]
 ) -> list[_Lane]:
     ego_from_world, lanes = invert(world_from_ego), []
-    for segment in lane_segments(world, frame.labels.graph.segments, around(float(world_from_ego[1, 3]))):
+    for segment in lane_segments(world, frame.labels.graph.segments, world_from_ego[:3, 3]):
         middle_ego = transform(ego_from_world, segment.points_world)
         first, last = _longest(_in_area(middle_ego, behind_m))
         if last - first < 2 or _length_m(middle_ego[first:last]) < LEAST_LENGTH_M:
@@ -261,7 +261,7 @@ def _areas(world: World, frame: SampleFrame, world_from_ego: Matrix4, behind_m: 
             if _in_area(quad_ego, behind_m).all():
                 yield {"id": index, "category": PEDESTRIAN_CROSSING, "points": _rounded(quad_ego)}
                 index += 1
-    for edge_world in pavement_edges(world, around(float(world_from_ego[1, 3]))):
+    for edge_world in pavement_edges(world, world_from_ego[:3, 3]):
         edge_ego = transform(ego_from_world, edge_world)
         for run in runs(edge_ego, _in_area(edge_ego, behind_m)):
             if _length_m(run) >= LEAST_LENGTH_M:
