@@ -42,7 +42,7 @@ def off_road(ground: GroundMap, y: np.ndarray) -> np.ndarray:
 
 
 def test_the_ground_is_that_of_the_hill(ground: GroundMap) -> None:
-    off = off_road(ground, np.arange(2.0, 55.0, 0.7))
+    off = off_road(ground, np.arange(2.0, 45.0, 0.7))
     assert np.isfinite(off).all()
     assert np.quantile(np.abs(off), 0.95) < 0.005
     assert np.abs(off).max() < 0.02
@@ -195,7 +195,7 @@ def test_noisy_poses_make_lanes_less_certain(lifted: list) -> None:
 
 
 def test_standard_deviations_hold() -> None:
-    """Lines of 20 pictures, each off as a whole and everywhere by known amounts, around a known curve."""
+    """Lines of 20 pictures around a known curve, each off by known amounts: as a whole, and every four metres."""
     inside, total = 0, 0
     for seed in range(12):
         rng = np.random.default_rng(seed)
@@ -204,9 +204,10 @@ def test_standard_deviations_hold() -> None:
             s = np.arange(2.0 * picture, 2.0 * picture + 50)
             grown = 0.002 * (s - s[0] + 5)
             shifts = np.column_stack([grown, np.zeros(len(s))])
-            off = rng.standard_normal() * grown + rng.standard_normal(len(s)) * 0.3 * grown
+            own = np.repeat(rng.standard_normal(13), 4)[: len(s)] * 0.5 * grown
+            off = rng.standard_normal() * grown + own
             truth = 1.75 + 0.5 * np.sin(s / 40)
-            lines.append(SeenLine(s, truth + off, 0.3 * grown, shifts, 0 * s, picture))
+            lines.append(SeenLine(s, truth + off, 0.5 * grown, shifts, 0 * s, picture))
         found = smooth(lines)
         off = np.abs(found.d - 1.75 - 0.5 * np.sin(found.s / 40))
         inside, total = inside + (off < found.std).sum(), total + len(off)
