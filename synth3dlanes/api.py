@@ -3,11 +3,15 @@
 No function loads Blender into this process: `render` and `generate_dataset` start worker processes for it.
 """
 
+import atexit
+import os
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
+from threading import Lock
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -220,6 +224,11 @@ class Renderer:
             self._open.enter_context(self._pool)
         return self
 
+    def _with(self, pool: Pool) -> "Renderer":
+        """This renderer, with a process that others open and close."""
+        self._pool, self._open = pool, ExitStack()
+        return self
+
     def __exit__(self, *_: object) -> None:
         self.close()
 
@@ -253,16 +262,29 @@ def render(
     device: str = "auto",
     assets: Library = BUILT_IN,
 ) -> Rendered:
-    """Render a scene with `samples` samples per pixel, in a process of its own. This takes about five seconds; for
-    several scenes a `Renderer` is faster.
+    """Render a scene with `samples` samples per pixel, in a process of its own, which stays until this one ends: only
+    the first call waits for Blender to start. A `Renderer` ends its process when it is closed.
 
     `passes` are some of depth, normal, semantic, instance and height, or "all". `lidar` is a YAML file or the name of a
     ready lidar (docs/lidar.md); without it, the scene's own lidar is used, if it has one. Raises InputError for a wrong
     argument, or if `assets` are not those that the scene was drawn with; MissingPackageError without Blender;
     WorkerError if Blender fails.
     """
-    with Renderer(samples=samples, passes=passes, device=device, assets=assets) as renderer:
-        return renderer.render(scene, lidar=lidar)
+    renderer = Renderer(samples=samples, passes=passes, device=device, assets=assets)
+    with _ONE_AT_A_TIME:
+        return renderer._with(_kept_pool(os.getpid())).render(scene, lidar=lidar)
+
+
+_ONE_AT_A_TIME = Lock()
+
+
+@cache
+def _kept_pool(pid: int) -> Pool:
+    """The pool of `render` in the process of this number. A fork neither uses nor ends the one of its parent."""
+    stack, pool = ExitStack(), Pool(1, PATIENCE)
+    stack.enter_context(pool)
+    atexit.register(lambda: stack.close() if os.getpid() == pid else None)
+    return pool
 
 
 def generate_dataset(

@@ -85,16 +85,17 @@ def label(world: World, view: View) -> Labels:
     )
     host = network.path(network.host_lane(lens.lane, lens.y_m).id).id
     centerlines = [curve.id for curve in world.site.lines if curve.kind == "centerline" and curve.id in known]
+    graph = network.graph(centerlines)
     return Labels(
         camera,
         lanes,
-        network.graph(centerlines),
+        graph,
         horizon_plane(camera, next(lane for lane in lanes if lane.id == host)) if lens.looks_ahead else None,
         symbols=symbols,
         time_s=round(shot.time_s, 9) if shot.n_frames > 1 else None,
         lidar=_lidar(view),
         objects=label_objects(view, camera),
-        traffic_elements=label_elements(world.site, view, camera),
+        traffic_elements=label_elements(world.site, view, camera, graph),
     )
 
 

@@ -91,7 +91,7 @@ def _way(drive: Drive, times_s: Scalars, poses: Float[np.ndarray, "n 4 4"]) -> l
         return [f"{where}: the host jumps {told}: a pose is wrong there, or belongs to another time"]
     way_m = float(moves_m.sum())
     if len(moves_m) and way_m < LEAST_WAY_M:
-        return [f"{where}: the host moves {way_m:.3g} m in all: are its places in kilometres, or all of one pose?"]
+        return [f"{where}: the host moves {way_m:.3g} m in all: does it stand still, or are places in kilometres?"]
     return []
 
 

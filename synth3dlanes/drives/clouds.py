@@ -2,6 +2,7 @@
 
 import io
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +20,17 @@ MAX_COORDINATE = 1e7
 ENDINGS = (".bin", ".npy", ".pcd", ".feather")
 # The names that files give to what a point reflects.
 INTENSITIES = ("intensity", "i", "reflectance", "reflectivity", "remission")
+# What numpy raises for headers that are none; it takes some for those of Python 2, and warns of them.
+HEADER_ERRORS = (
+    ValueError,
+    TypeError,
+    SyntaxError,
+    RecursionError,
+    MemoryError,
+    OverflowError,
+    TokenError,
+    UserWarning,
+)
 # What floats between 0 and more than 1 are parts of.
 BYTE = 255.0
 
@@ -87,7 +99,7 @@ def _read_npy(path: Path) -> dict[str, Shaped[np.ndarray, " n"]]:
         is_first = version == (1, 0)
         read = numpy_format.read_array_header_1_0 if is_first else numpy_format.read_array_header_2_0
         shape, is_fortran, dtype = read(stream)
-    except (ValueError, TypeError, SyntaxError, RecursionError, MemoryError, OverflowError):
+    except HEADER_ERRORS:
         raise FormatError(f"{path}: expected an array of numpy, got other or damaged bytes") from None
     data = stream.getvalue()[stream.tell() :]
     size = dtype.itemsize

@@ -46,7 +46,7 @@ def marking_page(drive: Drive, view: TopView) -> str:
 
 def review_page(source: str, frames: Iterable[ReviewedFrame]) -> str:
     """A page on which frames are accepted or rejected; it saves JSON that `read_review` reads."""
-    shown = [(frame.name, frame.words, drawing(frame.labels, frame.image)) for frame in frames]
+    shown = [(frame.name, frame.words, drawing(frame.labels, frame.image)._replace(masks=[])) for frame in frames]
     data = {
         "format": REVIEW_FORMAT,
         "version": REVIEW_VERSION,

@@ -26,7 +26,7 @@ REACH_M, OFF_PLANE_M = 25.0, 0.4
 # Three numbers for each cell of so many tiles take 200 MB: 3 km of road.
 MAX_TILES = 256
 # Of the values shown, so much is darker than black and brighter than white, which differ by so much at least.
-DARKER, BRIGHTER, LEAST_CONTRAST = 0.01, 0.005, 0.05
+DARKER, BRIGHTER, LEAST_CONTRAST = 0.01, 0.01, 0.05
 # How dark slopes are drawn: half of all gray for so many metres per metre.
 SHADE_SLOPE = 0.5
 # Cells along a side of the square from which an empty one is filled.
@@ -75,7 +75,7 @@ def top_view(drive: Drive, frames: Sequence[DriveFrame] | None = None, cell_m: f
         Tile(
             column * tile_m,
             row * tile_m,
-            _gray((_mean(tile[1], tile[0]) - low) / max(high - low, LEAST_CONTRAST), tile[0] > 0),
+            _gray(_lightened((_mean(tile[1], tile[0]) - low) / max(high - low, LEAST_CONTRAST)), tile[0] > 0),
             _gray(_shade(_mean(tile[2], tile[0]), cell_m), tile[0] > 0),
         )
         for (column, row), tile in sorted(filled.items())
@@ -136,6 +136,11 @@ def _shade(height: Float[np.ndarray, "h w"], cell_m: float) -> Float[np.ndarray,
     """Slopes as light from the top left would show them, from 0 to 1."""
     down, right = np.gradient(height, cell_m)
     return 0.5 + (right + down) / 2 / SHADE_SLOPE
+
+
+def _lightened(shares: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """Asphalt reflects little: differences between dark values are stretched."""
+    return np.sqrt(np.clip(shares, 0, 1))
 
 
 def _gray(values: Float[np.ndarray, "h w"], is_seen: np.ndarray) -> UInt8[np.ndarray, "h w 2"]:

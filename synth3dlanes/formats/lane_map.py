@@ -13,9 +13,9 @@ from synth3dlanes.arrays import Points3, Scalars
 from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.meshes import grass_in_medians
 from synth3dlanes.geometry.network import Network
-from synth3dlanes.geometry.paint import is_double, paint_color
-from synth3dlanes.geometry.roads import SIDES, NetworkLane
-from synth3dlanes.labels import Marking, PaintColor, Segment
+from synth3dlanes.geometry.paint import is_double, paint_color, pair_of
+from synth3dlanes.geometry.roads import SIDES, NetworkLane, Road
+from synth3dlanes.labels import Marking, PaintColor, Pair, Segment
 from synth3dlanes.world import World
 
 STEP_M = 0.5
@@ -23,16 +23,20 @@ REACH_M = 75.0  # beyond the corner of the area that is labelled
 ON_LINE_M = 0.4  # from a point of a delimiter, of which there is one every half metre
 LEAST_PAINTED = 0.5
 LEAST_GAP_M = 0.25
+MIRRORED: dict[Pair, Pair] = {"solid_dashed": "dashed_solid", "dashed_solid": "solid_dashed"}
+"""A pair as the traffic sees it that comes from the other side."""
 
 
 @dataclass(frozen=True, eq=False)
 class Boundary:
-    """One side of a lane segment, and the paint along most of it; `none` where there is none."""
+    """One side of a lane segment, and the paint along most of it; `none` where there is none. `pair` names stripes that
+    differ, from the left as the lane's traffic drives."""
 
     points_world: Points3
     marking: Marking
     color: PaintColor | None
     double: bool | None
+    pair: Pair | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,10 +51,15 @@ class LaneSegment:
     right: Boundary
 
 
-def lane_segments(world: World, segments: tuple[Segment, ...], near_m: float) -> Iterator[LaneSegment]:
-    """The segments of the lane graph within about REACH_M of the station `near_m` as the host drives."""
+def around(near_m: float) -> Scalars:
+    """Stations as the host drives within REACH_M of one."""
+    return np.arange(near_m - REACH_M, near_m + REACH_M + STEP_M / 2, STEP_M)
+
+
+def lane_segments(world: World, segments: tuple[Segment, ...], driven_m: Scalars) -> Iterator[LaneSegment]:
+    """The segments of the lane graph at these stations as the host drives."""
     network = world.network
-    stations = network.stations(near_m + np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M))
+    stations = network.stations(driven_m)
     delimiters = {line: _delimiter_xy(line, np.sort(stations)) for line in network.delimiters}
     for index, segment in enumerate(segments):
         lane = network.lanes[segment.id]
@@ -62,19 +71,33 @@ def lane_segments(world: World, segments: tuple[Segment, ...], near_m: float) ->
         side_m = float(lane.width_m / 2 * network.rightward * sign)
         lines = _lines(network, lane, s, (0.0, -side_m, side_m))
         middle, left, right = (line[:: int(network.onwards * sign)] for line in lines)
-        yield LaneSegment(index, segment.id, middle, *(_painted(world, side, delimiters) for side in (left, right)))
+        sides = (_painted(world, side, delimiters, lane) for side in (left, right))
+        yield LaneSegment(index, segment.id, middle, *sides)
 
 
-def pavement_edges(world: World, near_m: float) -> Iterator[Points3]:
-    """The edges of the pavement, shoulders included, and of a median's grass, within about REACH_M of `near_m`."""
-    ground, network = world.ground, world.network
-    stations = np.sort(network.stations(near_m + np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M)))
-    for road in network.roads:
+def pavement_edges(world: World, driven_m: Scalars) -> Iterator[Points3]:
+    """The edges of the pavement, shoulders included, and of a median's grass, at these stations as the host drives."""
+    for road, s, (left, *grass, right) in _pavement_lines(world, driven_m):
+        for t in (left, right, *grass):
+            yield from runs(road.points(s, t), ~world.ground.is_on_other(road, road.xy(s, t)))
+
+
+def pavement_strips(world: World, driven_m: Scalars) -> Iterator[tuple[Points3, Points3]]:
+    """Both edges of each strip of pavement at these stations: of every road, and on both sides of a median's grass."""
+    for road, s, offsets in _pavement_lines(world, driven_m):
+        for low, high in zip(offsets[::2], offsets[1::2], strict=True):
+            if len(s) > 1:
+                yield road.points(s, low), road.points(s, high)
+
+
+def _pavement_lines(world: World, driven_m: Scalars) -> Iterator[tuple[Road, Scalars, list[Scalars]]]:
+    """Of every road the stations, and the offsets where pavement begins and ends in turn, as t grows."""
+    stations = np.sort(world.network.stations(driven_m))
+    for road in world.network.roads:
         s = stations[(stations >= road.start_m) & (stations <= road.end_m)]
-        offsets = [road.edge(side, s) for side in SIDES]
-        offsets += [np.full(len(s), t) for grass in grass_in_medians(ground, road) for t in grass]
-        for t in offsets:
-            yield from runs(road.points(s, t), ~ground.is_on_other(road, road.xy(s, t)))
+        grass = [np.full(len(s), t) for median in grass_in_medians(world.ground, road) for t in median]
+        left, right = (road.edge(side, s) for side in SIDES)
+        yield road, s, [left, *grass, right]
 
 
 def runs(points: Float[np.ndarray, "n 3"], keep: Bool[np.ndarray, " n"]) -> list[Float[np.ndarray, "_ 3"]]:
@@ -104,7 +127,12 @@ def _delimiter_xy(line: LaneCurve, s: Scalars) -> Float[np.ndarray, "_ 2"]:
     return line.xy_world(s[(s >= line.start_m) & (s <= line.end_m)])
 
 
-def _painted(world: World, points_world: Points3, delimiters: dict[LaneCurve, Float[np.ndarray, "_ 2"]]) -> Boundary:
+def _painted(
+    world: World,
+    points_world: Points3,
+    delimiters: dict[LaneCurve, Float[np.ndarray, "_ 2"]],
+    lane: NetworkLane,
+) -> Boundary:
     best, best_share = None, LEAST_PAINTED
     for line, xy in delimiters.items():
         if len(xy):
@@ -115,4 +143,7 @@ def _painted(world: World, points_world: Points3, delimiters: dict[LaneCurve, Fl
     if best is None:
         return Boundary(points_world, "none", None, None)
     markings = world.scene.markings
-    return Boundary(points_world, best.marking, paint_color(best, markings), is_double(best, markings))
+    pair = pair_of(best, markings)
+    if pair is not None and lane.direction == "oncoming":
+        pair = MIRRORED[pair]
+    return Boundary(points_world, best.marking, paint_color(best, markings), is_double(best, markings), pair)
