@@ -193,6 +193,17 @@ class DriveCheck(Document):
     findings: list[str]
 
 
+class LiftOutput(Document):
+    """`lift`: frames, those without lanes, different lanes, and the middle standard deviations up to 40 m (null without
+    lanes)."""
+
+    frames: int
+    frames_without_lanes: int
+    lanes: int
+    lateral_std_m: float | None
+    height_std_m: float | None
+
+
 class Outputs(Document):
     """What each command prints with `--json`; `params show` prints groups of keys in the forms of parameter files."""
 
@@ -206,6 +217,7 @@ class Outputs(Document):
     generate_dry_run: DryRun
     info: DatasetInfo
     inspect: InspectionOutput
+    lift: LiftOutput
     params_show: dict[str, dict[str, Any]] = Field(description="`params show`: every key, by group.")
     stats: Stats
     validate_: Validation = Field(alias="validate")

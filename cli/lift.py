@@ -83,7 +83,7 @@ def lift(
         return
     lost = f", {counted(report.frames_without_lanes, 'frame')} without any" * (report.frames_without_lanes > 0)
     click.echo(f"{out}/{split}: {counted(report.frames, 'frame')}, {counted(report.lanes, 'lane')}{lost}")
-    if report.lanes:
+    if report.lateral_std_m is not None and report.height_std_m is not None:
         click.echo(
             f"up to 40 m ahead, standard deviations in the middle: {100 * report.lateral_std_m:.1f} cm across, "
             f"{100 * report.height_std_m:.1f} cm in height"

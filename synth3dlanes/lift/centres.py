@@ -8,7 +8,7 @@ import numpy as np
 from synth3dlanes.lift.curves import STEP_M
 from synth3dlanes.lift.ground import GroundMap
 from synth3dlanes.lift.path import Path
-from synth3dlanes.lift.tracks import Track, on_ground
+from synth3dlanes.lift.tracks import Track, on_ground, unplaced
 
 # Delimiters this far apart bound a lane.
 WIDTHS_M = (2.2, 5.0)
@@ -48,12 +48,11 @@ def _between(left: Track, right: Track, lines: Sequence[Track]) -> Track | None:
     if is_lane.sum() * STEP_M < MIN_LENGTH_M:
         return None
     std = np.hypot(left.std_m[i, 0], right.std_m[j, 0]) / 2
-    nothing = np.zeros((0, 3))
     return Track(
         id=f"centre_{left.id}",
         s=shared[is_lane],
         d=middle[is_lane],
-        xyz_world=nothing,
+        xyz_world=unplaced(int(is_lane.sum())),
         std_m=std[is_lane, None],
         kind="centerline",
         marking="none",

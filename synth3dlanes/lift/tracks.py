@@ -155,9 +155,13 @@ def curve_of(name: str, sights: Sequence[SeenLine], ground: GroundMap, path: Pat
     if curve is None or curve.supported.sum() * STEP_M < MIN_LENGTH_M:
         return None
     kept = curve.supported
-    nothing = np.zeros((0, 3))
-    found = Track(name, curve.s[kept], curve.d[kept], nothing, curve.std[kept, None], len(sights))
+    found = Track(name, curve.s[kept], curve.d[kept], unplaced(int(kept.sum())), curve.std[kept, None], len(sights))
     return on_ground(found, ground, path)
+
+
+def unplaced(n: int) -> Points3:
+    """The places in the world of a track's stations before they are on the ground."""
+    return np.full((n, 3), np.nan)
 
 
 def without_strays(tracks: Sequence[Track]) -> list[Track]:

@@ -34,13 +34,13 @@ FORMATS = {b"\xff\xd8\xff": "jpg", b"\x89PNG\r\n\x1a\n": "png"}
 @dataclass(frozen=True)
 class LiftReport:
     """What a lifted data set holds: its frames, those without any lane, its lanes (each once, however many frames show
-    it), and the median standard deviations of their visible points up to 40 m across and in height (NaN without)."""
+    it), and the median standard deviations of their visible points up to 40 m across and in height (None without)."""
 
     frames: int
     frames_without_lanes: int
     lanes: int
-    lateral_std_m: float
-    height_std_m: float
+    lateral_std_m: float | None
+    height_std_m: float | None
 
 
 def lift_to(
@@ -166,5 +166,5 @@ class _Tally:
 
     def report(self) -> LiftReport:
         """The result."""
-        lateral, height = np.median(self.std, axis=0) if self.std else (np.nan, np.nan)
-        return LiftReport(self.frames, self.without, len(self.ids), float(lateral), float(height))
+        lateral, height = np.median(self.std, axis=0).tolist() if self.std else (None, None)
+        return LiftReport(self.frames, self.without, len(self.ids), lateral, height)
