@@ -19,6 +19,7 @@ from synth3dlanes.sampling.roadside import draw_roadside
 from synth3dlanes.sampling.rules import lane_of_host
 from synth3dlanes.sampling.symbols import draw_symbols
 from synth3dlanes.sampling.traffic import check_way, on_its_road
+from synth3dlanes.sampling.traffic_elements import draw_elements
 from synth3dlanes.sampling.trees import draw_trees
 from synth3dlanes.sampling.weather import under
 from synth3dlanes.scene import (
@@ -137,6 +138,7 @@ def draw_world(scenes: Scenes, index: int) -> World:
     )
     world = resolve(bare, network)
     roadside = draw_roadside(world, draws["roadside"], draws["roadside"].rng)
+    roadside = draw_elements(world, roadside, draws_of(params, "roadside", drawn, like, "traffic_elements"))
     world = world.furnished(bare.model_copy(update={"roadside": roadside}))
     tree_places = draws_of(params, "trees", drawn, like, "tree_places")
     speeds = draws_of(params, "motion", drawn, like, "car_speeds")
