@@ -11,11 +11,15 @@ from jaxtyping import Bool, Float
 
 from synth3dlanes.arrays import Points3, Scalars
 from synth3dlanes.geometry.lane_curves import LaneCurve
+from synth3dlanes.geometry.map_ground import MapGround
+from synth3dlanes.geometry.map_network import MapNetwork
+from synth3dlanes.geometry.map_roads import map_network
 from synth3dlanes.geometry.meshes import grass_in_medians
 from synth3dlanes.geometry.network import Network
 from synth3dlanes.geometry.paint import is_double, paint_color, pair_of
 from synth3dlanes.geometry.roads import SIDES, NetworkLane, Road
 from synth3dlanes.labels import Marking, PaintColor, Pair, Segment
+from synth3dlanes.scene import Scene
 from synth3dlanes.world import World
 
 STEP_M = 0.5
@@ -49,6 +53,7 @@ class LaneSegment:
     points_world: Points3
     left: Boundary
     right: Boundary
+    is_connector: bool = False
 
 
 def lane_segments(
@@ -56,6 +61,9 @@ def lane_segments(
 ) -> Iterator[LaneSegment]:
     """The segments of the lane graph within about `reach_m` of a place of the host."""
     network = world.network
+    if isinstance(network, MapNetwork):
+        yield from _map_segments(world, network, segments, at_world[:2], 2 * reach_m)
+        return
     near_m = float(at_world[1])
     stations = network.stations(near_m + np.arange(-reach_m, reach_m + STEP_M / 2, STEP_M))
     delimiters = {line: _delimiter_xy(line, np.sort(stations)) for line in network.delimiters}
@@ -69,12 +77,35 @@ def lane_segments(
         side_m = float(lane.width_m / 2 * network.rightward * sign)
         lines = _lines(network, lane, s, (0.0, -side_m, side_m))
         middle, left, right = (line[:: int(network.onwards * sign)] for line in lines)
-        sides = (_painted(world, side, delimiters, lane) for side in (left, right))
-        yield LaneSegment(index, segment.id, middle, *sides)
+        left_side, right_side = (_painted(world, side, delimiters, lane) for side in (left, right))
+        yield LaneSegment(index, segment.id, middle, left_side, right_side)
+
+
+def _map_segments(
+    world: World, network: MapNetwork, segments: tuple[Segment, ...], at_xy: Float[np.ndarray, "2"], reach_m: float
+) -> Iterator[LaneSegment]:
+    """Those of a map: as wide as its lanes are, and those through a junction named as connectors."""
+    points = {line: network.sampled_xy(line) for line in network.delimiters}
+    delimiters = {
+        line: xy for line, xy in points.items() if (np.linalg.norm(xy - at_xy, axis=1) < reach_m).any()
+    }
+    for index, segment in enumerate(segments):
+        lane = network.lanes[segment.id]
+        first_m, last_m = lane.driven
+        s = np.linspace(first_m, last_m, max(2 + int(abs(last_m - first_m) / STEP_M), 3))
+        left, right = (edge(s) for edge in network.road(lane.road).edges_of(lane)[:: 1 if lane.ascends else -1])
+        middle, *sides = (network.road(lane.road).points(s, t) for t in (lane.middle(s), left, right))
+        if (np.linalg.norm(middle[:, :2] - at_xy, axis=1) < reach_m).any():
+            left_side, right_side = (_painted(world, side, delimiters, lane) for side in sides)
+            yield LaneSegment(index, segment.id, middle, left_side, right_side, lane.junction is not None)
 
 
 def pavement_edges(world: World, at_world: Float[np.ndarray, "3"]) -> Iterator[Points3]:
     """The edges of the pavement, shoulders included, and of a median's grass, within about REACH_M of a place."""
+    if isinstance(world.ground, MapGround):
+        for ring in world.ground.rings(at_world[:2], 2 * REACH_M):
+            yield np.column_stack([ring, world.ground.under(ring)])
+        return
     for road, s, (left, *grass, right) in _pavement_lines(world, at_world, REACH_M):
         for t in (left, right, *grass):
             yield from runs(road.points(s, t), ~world.ground.is_on_other(road, road.xy(s, t)))
@@ -85,6 +116,9 @@ def pavement_strips(
 ) -> Iterator[tuple[Points3, Points3]]:
     """Both edges of each strip of pavement within about `reach_m` of a place: of every road, and on both sides of a
     median's grass."""
+    if isinstance(world.ground, MapGround):
+        yield from world.ground.paved_strips(at_world[:2], 2 * reach_m)
+        return
     for road, s, offsets in _pavement_lines(world, at_world, reach_m):
         for low, high in zip(offsets[::2], offsets[1::2], strict=True):
             if len(s) > 1:
@@ -148,6 +182,31 @@ def _painted(
         return Boundary(points_world, "none", None, None)
     markings = world.scene.markings
     pair = pair_of(best, markings)
-    if pair is not None and lane.direction == "oncoming":
+    if pair is not None and _is_against(best, delimiters[best], points_world, lane):
         pair = MIRRORED[pair]
     return Boundary(points_world, best.marking, paint_color(best, markings), is_double(best, markings), pair)
+
+
+def _is_against(line: LaneCurve, xy: Float[np.ndarray, "_ 2"], points_world: Points3, lane: NetworkLane) -> bool:
+    """Whether a line goes the other way than the points of a lane beside it; those of the paper's roads go as the host
+    drives."""
+    if not line.is_measured:
+        return lane.direction == "oncoming"
+    first, last = (int(np.linalg.norm(xy - end, axis=1).argmin()) for end in points_world[[0, -1], :2])
+    return last < first
+
+
+def half_widths(scene: Scene, names: list[str]) -> list[tuple[float, float]]:
+    """Half the least and the greatest width of each lane."""
+    if scene.map is None:
+        half_m = scene.paper_road.lane_width_m / 2
+        return [(half_m, half_m)] * len(names)
+    found = []
+    network = map_network(scene.map, scene.terrain, scene.camera.y_m)
+    for name in names:
+        lane = network.lanes[name]
+        left, right = network.road(lane.road).edges_of(lane)
+        s = np.linspace(lane.start_m, lane.end_m, 50)
+        widths_m = right(s) - left(s)
+        found.append((float(widths_m.min()) / 2, float(widths_m.max()) / 2))
+    return found

@@ -12,7 +12,7 @@ from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.horizon import far_dam
 from synth3dlanes.geometry.lane_curves import LaneCurve
-from synth3dlanes.geometry.meshes import Mesh, grid, is_facing_up, lift_far, over_terrain, road_stations
+from synth3dlanes.geometry.meshes import Mesh, curve_rows, grid, is_facing_up, lift_far, over_terrain
 from synth3dlanes.geometry.terrain import gradient_at
 from synth3dlanes.labels import Marking, PaintColor, Pair
 from synth3dlanes.scene import Markings
@@ -64,33 +64,46 @@ def paint_meshes(
     ground: Ground, lines: Sequence[LaneCurve], eye_world: Float[np.ndarray, "3"], streams: Streams
 ) -> dict[str, Mesh]:
     """The paint of every delimiter in `lines`, by id, corrected for parallax so that it looks in place from the eye."""
-    return {line.id: _paint(ground, line, eye_world, streams) for line in lines if line.kind == "delimiter"}
+    return {
+        line.id: _paint(ground, line, eye_world, streams)
+        for line in lines
+        if line.kind == "delimiter" and ground.shows(line)
+    }
 
 
 def paint_color(line: LaneCurve, markings: Markings) -> PaintColor | None:
     """The colour of a delimiter's paint; None for a centre line."""
     if line.kind != "delimiter":
         return None
+    if line.paint is not None:
+        return "yellow" if line.paint.yellow else "white"
     return "yellow" if markings.left_yellow and line.is_inner else "white"
 
 
 def is_double(line: LaneCurve, markings: Markings) -> bool | None:
     """Whether a delimiter is painted as two stripes; None for a centre line."""
+    if line.paint is not None:
+        return line.paint.is_double
     return None if line.kind != "delimiter" else markings.left_double and line.is_inner and line.marking == "solid"
 
 
 def is_dotted(line: LaneCurve, markings: Markings) -> bool:
     """Whether a delimiter consists of Botts' dots."""
+    if line.paint is not None:
+        return line.paint.is_dotted
     return markings.dots and line.marking == "dashed"
 
 
 def line_width_m(line: LaneCurve, markings: Markings) -> float:
     """Width of a delimiter's stripes, or diameter of its dots."""
-    return DOT_M if is_dotted(line, markings) else markings.width_m
+    width_m = markings.width_m if line.paint is None else line.paint.width_m
+    return DOT_M if is_dotted(line, markings) else width_m
 
 
 def pair_of(line: LaneCurve, markings: Markings) -> Pair | None:
     """The stripes of a double line from the left as the host drives, if they differ."""
+    if line.paint is not None:
+        return line.paint.pair
     return markings.left_pair if is_double(line, markings) and markings.left_pair != "same" else None
 
 
@@ -98,10 +111,10 @@ def stripes(line: LaneCurve, markings: Markings) -> tuple[Stripe, ...]:
     """The stripes from the left as the host drives; the gap of a double line is as wide as a stripe."""
     if not is_double(line, markings):
         return (Stripe(0.0, line.marking),)
-    pair = pair_of(line, markings)
+    pair, width_m = pair_of(line, markings), line_width_m(line, markings)
     return (
-        Stripe(-markings.width_m, "dashed" if pair == "dashed_solid" else "solid"),
-        Stripe(markings.width_m, "dashed" if pair == "solid_dashed" else "solid"),
+        Stripe(-width_m, "dashed" if pair == "dashed_solid" else line.marking),
+        Stripe(width_m, "dashed" if pair == "solid_dashed" else line.marking),
     )
 
 
@@ -110,10 +123,15 @@ def _paint(ground: Ground, curve: LaneCurve, eye_world: Float[np.ndarray, "3"], 
     to_right = int(ground.network.rightward)
     for right_m, marking in stripes(curve, markings)[::to_right]:
         rows, painted, share, raised_m = painted_rows(ground, curve, streams, marking)
-        lift_m = np.interp(ground.away_m(rows), PAINT_LIFT_AT_M, PAINT_LIFT_M) + raised_m
+        lift_m = np.interp(ground.away_on(curve, rows), PAINT_LIFT_AT_M, PAINT_LIFT_M) + raised_m
         offsets = to_right * right_m + np.array([-0.5, 0.5]) * line_width_m(curve, markings)
         edges = [curve.shifted(float(t)) for t in offsets]
         sides, onwards = (_sides(ground, edges, at) for at in (rows, rows + ALONG_M))
+        if curve.is_measured:
+            # Behind its end a curve has no points.
+            onwards = np.where(
+                rows[:, None, None] + ALONG_M > curve.end_m, 2 * sides - _sides(ground, edges, rows - ALONG_M), onwards
+            )
         middle = sides.mean(axis=1, keepdims=True)
         narrowed = middle + share[:, None, None] * (sides - middle)
         floating = _floating(eye_world, narrowed, (onwards - sides).mean(axis=1), lift_m)
@@ -127,6 +145,8 @@ def _paint(ground: Ground, curve: LaneCurve, eye_world: Float[np.ndarray, "3"], 
 
 def _sides(ground: Ground, edges: Sequence[LaneCurve], s: Scalars) -> Float[np.ndarray, "n 2 3"]:
     """Points on the road along both edges of a stripe."""
+    if edges[0].is_measured:
+        return np.stack([edge.points_world(s) for edge in edges], axis=1)
     return np.stack([lift_far(ground, edge.xy_world(s), edge.raised(s) + far_dam(s), s) for edge in edges], axis=1)
 
 
@@ -157,7 +177,7 @@ def towards_eye(
     slope = gradient_at(ground.network.terrain, points_world[:, :2])
     to_eye = eye_world - points_world
     eye_over_road_m = np.clip(to_eye[:, 2] - (to_eye[:, :2] * slope).sum(axis=1), 0, None)
-    lift_m = share_of_lift * np.interp(np.abs(ground.ahead_m(points_world[:, 1])), PAINT_LIFT_AT_M, PAINT_LIFT_M)
+    lift_m = share_of_lift * np.interp(ground.away_at(points_world[:, :2]), PAINT_LIFT_AT_M, PAINT_LIFT_M)
     # lift / height, which falls to 0 where the eye is near the road's plane or below it
     share = lift_m * eye_over_road_m / (eye_over_road_m**2 + (lift_m / MAX_SHARE) ** 2)
     return np.asarray(points_world + share[:, None] * to_eye)
@@ -177,10 +197,10 @@ def painted_rows(ground: Ground, curve: LaneCurve, streams: Streams, marking: Ma
     """Rows of a line's stripe with this pattern, with a row at every end of paint. Lengths are measured along the line
     from station 0, so that dashes and gaps do not move with the camera."""
     markings = ground.markings
-    rows = np.sort(ground.network.stations(road_stations(ground)))
+    rows = curve_rows(ground, curve)
     low, high = max(rows[0], curve.start_m), min(rows[-1], curve.end_m)
     rows = np.array([low, low]) if low >= high else np.concatenate([[low], rows[(rows > low) & (rows < high)], [high]])
-    is_far = ground.away_m(rows) > DASHES_M
+    is_far = ground.away_on(curve, rows) > DASHES_M
     if is_far.all():
         before, rows, behind = rows[:0], rows, rows[:0]
     else:
@@ -191,7 +211,7 @@ def painted_rows(ground: Ground, curve: LaneCurve, streams: Streams, marking: Ma
     dashes, gone = _dashes(markings, marking, length), _gone(markings, streams(f"missing_paint/{curve.id}"))
     dots = np.zeros(0)
     if is_dotted(curve, markings):
-        dots, dashes = _dots(markings, dashes, length, ground.away_m(rows))
+        dots, dashes = _dots(markings, dashes, length, ground.away_on(curve, rows))
     ends = np.concatenate([dashes.ravel(), gone.ravel(), (dots[:, None] + DISC_ROWS[1:3] * DOT_M / 2).ravel()])
     ends = np.interp(ends[(ends > length[0]) & (ends < length[-1])], length, rows)
     rows_all = np.unique(np.concatenate([rows, ends]))
@@ -199,7 +219,7 @@ def painted_rows(ground: Ground, curve: LaneCurve, streams: Streams, marking: Ma
     painted = _inside(dashes, middle) & ~_inside(gone, middle)
     is_painted = np.full(max(len(before), len(behind)), markings.missing < 1)
     s = np.concatenate([before, rows_all, behind])
-    away_m = ground.away_m(s)
+    away_m = ground.away_on(curve, s)
     share, raised_m = _disc(dots, np.interp(s, rows, length)) if len(dots) else (np.ones(len(s)), np.zeros(len(s)))
     if is_dotted(curve, markings):
         share = np.where(away_m > DOTS_M, np.minimum(share, _dots_cover(markings, away_m)), share)

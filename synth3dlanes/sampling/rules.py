@@ -58,6 +58,8 @@ class ParameterRules:
         found |= dict.fromkeys(CONDITIONED)
         if "sold" in params.cars.palette.values:
             del found["cars.color"], found["cars.saturation"]  # not drawn from these keys
+        if road is None:
+            return found
         found["road.n_lanes"] = lanes_of(params.road.n_lanes, road.topology)
         if not self._has_room(road):
             found |= {"road.n_oncoming": None, "road.median_m": None}

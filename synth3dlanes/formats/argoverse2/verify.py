@@ -14,6 +14,7 @@ from synth3dlanes.formats.argoverse2.convention import CATEGORIES, LogFiles, mar
 from synth3dlanes.formats.argoverse2.read import IMAGE, Log, LogLane, LogMap, matrices
 from synth3dlanes.formats.comparing import Comparison, Gap, Rule, SourceSample, compare_map, distances
 from synth3dlanes.formats.format import FrameList, ReadFrame
+from synth3dlanes.formats.lane_map import half_widths
 from synth3dlanes.formats.writing import PARTS
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.labels import Lane, Segment
@@ -167,8 +168,7 @@ def _resampled(line: Float[np.ndarray, "n 3"], n: int) -> Float[np.ndarray, "m 3
 
 def _side_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
     """Findings where a boundary is on the other side, or not half a lane's width from the middle."""
-    half_m = truth.scene.road.lane_width_m / 2
-    for name, pieces in lanes.items():
+    for (name, pieces), (least_m, most_m) in zip(lanes.items(), half_widths(truth.scene, list(lanes)), strict=True):
         for lane in pieces:
             middle = _middle(lane)[:, :2]
             dx, dy = np.gradient(middle, axis=0).T
@@ -177,8 +177,8 @@ def _side_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
                     continue
                 x, y = (line[:, :2] - middle).T
                 got_m = float(np.median(sign * (dx * y - dy * x) / np.maximum(np.hypot(dx, dy), 1e-9)))
-                if not abs(got_m - half_m) <= SIDE_M:
-                    yield f"lane {name}: expected its {side} boundary {half_m:.3f} m on that side, got {got_m:.3f} m"
+                if not least_m - SIDE_M <= got_m <= most_m + SIDE_M:
+                    yield f"lane {name}: expected its {side} boundary {most_m:.3f} m on that side, got {got_m:.3f} m"
 
 
 def _link_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
@@ -208,6 +208,9 @@ def _neighbour_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
     across a line that both share."""
     owner = {piece.id: (name, piece) for name, pieces in lanes.items() for piece in pieces}
     by_id = {segment.id: segment for segment in truth.labels.graph.segments}
+    widths_m = {
+        name: 2 * most_m for name, (_, most_m) in zip(lanes, half_widths(truth.scene, list(lanes)), strict=True)
+    }
     for name, lane in ((name, piece) for name, pieces in lanes.items() for piece in pieces):
         segment, is_oncoming = by_id[name], _is_oncoming(by_id[name])
         sides = (segment.right, segment.left) if is_oncoming else (segment.left, segment.right)
@@ -223,7 +226,7 @@ def _neighbour_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
             is_across = wanted is None and side == "left" and got in lanes
             is_across = is_across and is_oncoming != _is_oncoming(by_id[str(got)])
             # Where a lane opens, it is beside its neighbour only farther on.
-            most_m = RULE.slack if is_across else truth.scene.road.lane_width_m
+            most_m = RULE.slack if is_across else widths_m[name]
             if not (got == (wanted if wanted in lanes else None) or is_across) or not apart_m <= most_m:
                 yield f"lane {name}: expected {wanted} on its {side}, got {got}, {apart_m:.3g} m off"
 

@@ -10,6 +10,7 @@ from synth3dlanes.element_labels import ElementLabel
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.comparing import Comparison, Rule, SourceSample, compare_map
 from synth3dlanes.formats.format import FrameList, ReadFrame
+from synth3dlanes.formats.lane_map import half_widths
 from synth3dlanes.formats.openlane_v2.convention import AHEAD_M, ASIDE_M, ROOT, category_and_attribute
 from synth3dlanes.formats.openlane_v2.read import TopologyFrame, frames, parse
 from synth3dlanes.formats.reading import image_size, read_text
@@ -66,22 +67,22 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
         return np.asarray((x < AHEAD_M - BORDER_M) & (np.abs(y) < ASIDE_M - BORDER_M))
 
     compared = compare_map(lanes, truth, RULE, is_in_area)
-    sides = _side_problems(found, names, truth.scene.road.lane_width_m / 2)
+    sides = _side_problems(found, names, half_widths(truth.scene, names))
     elements = _element_problems(found, names, truth.labels.traffic_elements or ())
     return compared.because([*problems, *sides, *_topology_problems(found, names, graph.successors), *elements])
 
 
-def _side_problems(found: TopologyFrame, names: list[str], half_m: float) -> Iterator[str]:
+def _side_problems(found: TopologyFrame, names: list[str], halves_m: list[tuple[float, float]]) -> Iterator[str]:
     """Findings where a boundary is on the other side of its lane, or not half a lane's width from its middle, seen from
     above."""
-    for name, lines in zip(names, found.lanes_ego, strict=True):
+    for name, lines, (least_m, most_m) in zip(names, found.lanes_ego, halves_m, strict=True):
         middle, *sides = (transform(found.world_from_ego, line)[:, :2] for line in lines)
         along = np.gradient(middle, axis=0)
         for side, sign, line in zip(("left", "right"), (1, -1), sides, strict=False):
             (x, y), (dx, dy) = (line - middle).T, along.T
             got_m = float(np.median(sign * (dx * y - dy * x) / np.maximum(np.hypot(dx, dy), 1e-9)))
-            if not abs(got_m - half_m) <= SIDE_M:
-                yield f"lane {name}: expected its {side} boundary {half_m:.3f} m on that side, got {got_m:.3f} m"
+            if not least_m - SIDE_M <= got_m <= most_m + SIDE_M:
+                yield f"lane {name}: expected its {side} boundary {most_m:.3f} m on that side, got {got_m:.3f} m"
 
 
 def _topology_problems(found: TopologyFrame, names: list[str], successors: dict[str, tuple[str, ...]]) -> Iterator[str]:

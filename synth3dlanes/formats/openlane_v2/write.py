@@ -34,7 +34,6 @@ from synth3dlanes.formats.openlane_v2.convention import (
 )
 from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation
 from synth3dlanes.frames import invert, transform
-from synth3dlanes.geometry.symbols import shape
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.world import World, resolve
 
@@ -230,7 +229,7 @@ def _segment_document(lane: _Lane) -> dict[str, Any]:
     document = {
         "id": lane.segment.index,
         "centerline": _resampled(lane.middle_ego, POINTS),
-        "is_intersection_or_connector": False,
+        "is_intersection_or_connector": lane.segment.is_connector,
     }
     for name, points_ego, side in (
         ("left", lane.left_ego, lane.segment.left),
@@ -252,9 +251,8 @@ def _side_document(name: str, points_ego: Float[np.ndarray, "n 3"], side: Bounda
 def _areas(world: World, frame: SampleFrame, world_from_ego: Matrix4, behind_m: float) -> Iterator[dict[str, Any]]:
     """Crosswalks as closed quads, one of whose long sides comes first; edges of the pavement in the area."""
     ego_from_world, index = invert(world_from_ego), len(frame.labels.graph.segments)
-    for symbol in world.scene.symbols:
-        if symbol.kind == "crosswalk":
-            form = shape(world.ground, symbol)
+    for form in world.symbol_shapes:
+        if form.kind == "crosswalk":
             (x0, y0), (x1, y1) = form.outline.min(axis=0), form.outline.max(axis=0)
             corners = form.points_world(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]]))
             quad_ego = transform(ego_from_world, corners)

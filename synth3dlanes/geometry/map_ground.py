@@ -1,0 +1,376 @@
+"""The ground of a map as built: roads and junctions on the terrain or at their own heights, with embankments and cuts
+beside these. World frame.
+
+The pavement of roads that connect others in a junction is one area. Terrain meets the pavement at its edges.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from jaxtyping import Bool, Float
+from scipy.spatial import cKDTree
+from shapely.geometry.base import BaseGeometry
+
+from synth3dlanes.arrays import AnyPoints2, AnyScalars, Points2, Points3, Scalars
+from synth3dlanes.geometry.ground import CELL_M, EMBANKMENT_SLOPE, FINE_M, GROWTH, MAX_CELL_SCALE, Ground
+from synth3dlanes.geometry.lane_curves import LaneCurve
+from synth3dlanes.geometry.map_network import Junction, MapNetwork
+from synth3dlanes.geometry.roads import Road
+from synth3dlanes.geometry.section_road import KERB_M, RAISED, CrossSection, SectionRoad
+from synth3dlanes.geometry.terrain import height_at
+from synth3dlanes.road_map import MapIsland
+
+# Places along the host's way from which distances are measured, and rows along roads by their distance from it.
+WAY_STEP_M = 5.0
+ROW_STEPS_M, ROW_STEPS_AT_M = (0.5, 0.5, 1.0, 2.0, 6.0), (0.0, 60.0, 120.0, 200.0, 450.0)
+# Holes in a junction's pavement that are smaller than this are paved.
+LEAST_HOLE_M2 = 150.0
+# Points this close to grass may show it.
+GRASS_ROOM_M = 0.1
+# Roads with heights are looked for this far from points of areas.
+NEAR_M = 3.0
+# The terrain under the edges of the pavement is so much lower than that, times the size of its cells.
+UNDER_FALL_M = 0.03
+# Kerbs this near to the host's way hide what is labelled; as lines that are simplified by so much, in such steps.
+CREST_REACH_M, CREST_SLACK_M, CREST_STEP_M = 110.0, 0.005, 4.0
+# Paint farther than this from the host's way is not drawn; places along a line that are asked.
+PAINT_M, PAINT_STEP_M = 250.0, 20.0
+# How far beyond a raised road's edge its embankment may reach.
+EMBANKMENT_M = 40.0
+# Level ground beside it: wider than a cell of the terrain, so that no cut covers the edge of the pavement.
+BERM_M = 1.5
+
+
+class GroundArea(NamedTuple):
+    """A part of the ground from above, raised over its pavement; `kind` is what it shows."""
+
+    polygon: BaseGeometry
+    raised_m: float
+    kind: str
+
+
+@dataclass(frozen=True, eq=False)
+class MapGround(Ground):
+    """The ground of a map. Distances ahead are those from the host's way, from above."""
+
+    roads: MapNetwork | None = None
+    islands: tuple[MapIsland, ...] = ()
+
+    @property
+    def map(self) -> MapNetwork:
+        """The roads."""
+        assert self.roads is not None, "a map's ground has its network"
+        return self.roads
+
+    # -- distances from the host
+
+    @cached_property
+    def _way(self) -> Points2:
+        s = np.linspace(self.near_m, self.near_m + self.driven_m, 1 + int(np.ceil(self.driven_m / WAY_STEP_M)))
+        return self.map.way.xy_world(s)
+
+    @cached_property
+    def _way_tree(self) -> cKDTree:
+        return cKDTree(self._way)
+
+    def away_at(self, xy_world: AnyPoints2) -> AnyScalars:
+        """How far points are from the host's way."""
+        return np.asarray(self._way_tree.query(xy_world)[0])
+
+    def away_along(self, road: Road, s: AnyScalars) -> AnyScalars:
+        """How far places on a road's line are from the host's way."""
+        return self.away_at(road.xy(s, 0.0))
+
+    def away_on(self, curve: LaneCurve, s: AnyScalars) -> AnyScalars:
+        """How far places on a curve are from the host's way."""
+        return self.away_at(curve.xy_world(s))
+
+    def measured_rows(self, curve: LaneCurve) -> Scalars:
+        """The stations of the rows of a curve's paint."""
+        return self.rows(curve.end_m, lambda s: self.away_on(curve, s))
+
+    def road_rows(self, road: Road) -> Scalars:
+        """The stations of the rows of a road."""
+        rows = self.rows(road.end_m, lambda s: self.away_along(road, s))
+        starts = [section.start_m for section in road.sections] if isinstance(road, SectionRoad) else []
+        return np.union1d(rows, [start for start in starts if 0 < start < road.end_m])
+
+    def section_rows(self, road: SectionRoad, section: CrossSection) -> Scalars:
+        """The stations of the rows of a section of a road."""
+        s = self.road_rows(road)
+        return np.union1d(s[(s > section.start_m) & (s < section.end_m)], [section.start_m, section.end_m])
+
+    def rows(self, end_m: float, away_m) -> Scalars:  # type: ignore[no-untyped-def]
+        """Stations from 0 to an end, closer to each other near the host."""
+        coarse = np.linspace(0.0, end_m, 2 + int(end_m / 4.0))
+        step = np.interp(away_m(coarse), ROW_STEPS_AT_M, ROW_STEPS_M)
+        count = np.concatenate([[0.0], np.cumsum(np.diff(coarse) * 2 / (step[1:] + step[:-1]))])
+        n = max(int(np.ceil(count[-1])), 1)
+        return np.interp(np.linspace(0.0, count[-1], n + 1), count, coarse)
+
+    @cached_property
+    def fine(self) -> tuple[float, float, float, float]:
+        """(x0, y0, x1, y1) of the area with fine terrain cells: around the host's way, and as far as it looks."""
+        ahead = self.map.way.xy_world(np.array([self.near_m, self.near_m + 1.0]))
+        angle = np.arctan2(*(ahead[1] - ahead[0])[::-1]) + np.linspace(-0.9, 0.9, 9)
+        reach = FINE_M * np.stack([np.cos(angle), np.sin(angle)], -1)
+        far = (
+            [self._way[0] + reach]
+            if self.driven_m == 0 and not self.both_ways
+            else [self._way - FINE_M, self._way + FINE_M]
+        )
+        points = np.concatenate([self._way - 15.0, self._way + 15.0, *far])
+        (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
+        return float(x0), float(y0), float(x1), float(y1)
+
+    def cell_scale(self, xy_world: AnyPoints2) -> AnyScalars:
+        """Terrain cell size as a multiple of CELL_M."""
+        x0, y0, x1, y1 = self.fine
+        x, y = xy_world[..., 0], xy_world[..., 1]
+        out = np.maximum(np.maximum(x0 - x, x - x1), np.maximum(y0 - y, y - y1))
+        return np.clip(1 + np.clip(out, 0, None) * GROWTH / CELL_M, 1, MAX_CELL_SCALE)
+
+    # -- areas
+
+    def strip(self, road: SectionRoad, first: int | None = None, last: int | None = None) -> BaseGeometry:
+        """The pavement of a road from above."""
+        s = self.road_rows(road)
+        return _polygon(road.xy(s, road.left(s)), road.xy(s, road.right(s)))
+
+    @cached_property
+    def arms(self) -> BaseGeometry:
+        """The pavement of all roads outside junctions."""
+        return shapely.union_all([self.strip(road) for road in self.outside])
+
+    @property
+    def outside(self) -> list[SectionRoad]:
+        """The roads that are in no junction."""
+        known = {at.id for at in self.map.junctions}
+        return [self.map.road(at.id) for at in self.map.roads if self.map.road(at.id).junction not in known]
+
+    @cached_property
+    def areas(self) -> list[GroundArea]:
+        """The surfaces of junctions and islands."""
+        found = []
+        for at in self.map.junctions:
+            paved, raised = self._junction(at)
+            found.append(GroundArea(paved, 0.0, "road"))
+            if not raised.is_empty:
+                found.append(GroundArea(raised, KERB_M, "walkway"))
+        for island in self.islands:
+            polygon = shapely.make_valid(shapely.Polygon(island.outline))
+            found.append(GroundArea(polygon, island.height_m, island.surface))
+        return found
+
+    def _junction(self, at: Junction) -> tuple[BaseGeometry, BaseGeometry]:
+        """The pavement of a junction, and its raised walkways."""
+        lanes, raised = list[BaseGeometry](), list[BaseGeometry]()
+        for road in at.roads:
+            for section in road.sections:
+                s = self.section_rows(road, section)
+                for i, lane in enumerate(section.lanes):
+                    if lane.kind != "none":
+                        xy = [road.xy(s, section.edge(edge, s)) for edge in (i, i + 1)]
+                        (raised if lane.kind in RAISED else lanes).append(_polygon(*xy))
+        outline = [shapely.make_valid(shapely.Polygon(at.outline))] if len(at.outline) > 2 else []
+        paved = shapely.difference(_filled(shapely.union_all([*lanes, *outline])), self.arms)
+        walkways = shapely.difference(shapely.union_all(raised), shapely.union(paved, self.arms))
+        return paved, walkways
+
+    @cached_property
+    def pavement(self) -> BaseGeometry:
+        """All of the pavement from above, walkways included."""
+        whole = shapely.union_all([self.arms, *(area.polygon for area in self.areas)])
+        shapely.prepare(whole)
+        return whole
+
+    def rings(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> list[Points2]:
+        """The edges of the pavement of traffic, walkways left out, within a box around a place: lines with a point a
+        metre apart."""
+        (x0, y0), (x1, y1) = xy_world - reach_m, xy_world + reach_m
+        lines = shapely.clip_by_rect(shapely.boundary(self.carriageways), *(x0, y0, x1, y1))
+        merged = shapely.get_parts(shapely.line_merge(lines))
+        return [shapely.get_coordinates(shapely.segmentize(line, 1.0)) for line in merged if not line.is_empty]
+
+    @cached_property
+    def _raised_strips(self) -> list[BaseGeometry]:
+        """The raised lanes of roads outside junctions."""
+        found = []
+        for road in self.outside:
+            for section in road.sections:
+                s = self.section_rows(road, section)
+                for a, b in section.raised:
+                    found.append(_polygon(*(road.xy(s, section.edge(edge, s)) for edge in (a, b))))
+        return found
+
+    def paved_strips(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Iterator[tuple[Points3, Points3]]:
+        """Both edges of the pavement of every road within a distance of a place, those in junctions included."""
+        for at in self.map.roads:
+            road = self.map.road(at.id)
+            s = self.road_rows(road)
+            left, right = (road.points(s, edge(s)) for edge in (road.left, road.right))
+            if (np.hypot(*(left[:, :2] - xy_world).T) < reach_m).any():
+                yield left, right
+
+    @cached_property
+    def carriageways(self) -> BaseGeometry:
+        """The pavement without raised lanes and islands."""
+        raised = [area.polygon for area in self.areas if area.raised_m] + self._raised_strips
+        # Rows of strips beside each other differ by less than this.
+        slack = shapely.buffer(shapely.union_all(raised), 0.01, join_style="mitre")
+        return shapely.difference(self.pavement, slack)
+
+    @cached_property
+    def _grass(self) -> BaseGeometry:
+        found = [area.polygon for area in self.areas if area.kind == "grass"]
+        for road in self.outside:
+            for section in road.sections:
+                s = self.section_rows(road, section)
+                for i, lane in enumerate(section.lanes):
+                    if lane.kind == "median":
+                        found.append(_polygon(*(road.xy(s, section.edge(edge, s)) for edge in (i, i + 1))))
+        grass = shapely.buffer(shapely.union_all(found), GRASS_ROOM_M)
+        shapely.prepare(grass)
+        return grass
+
+    def is_grass(self, xy_world: Points2) -> Bool[np.ndarray, " n"]:
+        """Which points may be on the grass of medians and islands."""
+        return np.asarray(shapely.contains_xy(self._grass, xy_world[:, 0], xy_world[:, 1]))
+
+    # -- heights and distances
+
+    @cached_property
+    def _raised(self) -> list[tuple[BaseGeometry, float]]:
+        """What is raised over the pavement, by how much: walkways, those of junctions, and islands."""
+        walkways = [area.polygon for area in self.areas if area.kind == "walkway"]
+        found = [(shapely.union_all([*self._raised_strips, *walkways]), KERB_M)]
+        found += [(area.polygon, area.raised_m) for area in self.areas if area.raised_m and area.kind != "walkway"]
+        for polygon, _ in found:
+            shapely.prepare(polygon)
+        return found
+
+    def above_terrain(self, xy_world: AnyPoints2) -> AnyScalars:
+        """Height of the built ground over the analytic terrain at any points (0 away from roads)."""
+        flat = xy_world.reshape(-1, 2)
+        above = self._built(flat) if self._has_heights else np.zeros(len(flat))
+        for polygon, raised_m in self._raised:
+            above[shapely.contains_xy(polygon, flat[:, 0], flat[:, 1])] += raised_m
+        return above.reshape(xy_world.shape[:-1])
+
+    def _built(self, flat: Points2) -> Scalars:
+        """Height over the terrain of roads with heights of their own, without kerbs, and of what they are laid on:
+        the ground falls or rises from the edges of their pavement until it meets the terrain."""
+        above = np.zeros(len(flat))
+        near, roads = self.network.nearby(flat, np.full(len(flat), EMBANKMENT_M))
+        n = int(near.sum())
+        low, high, paved = np.full(n, -np.inf), np.full(n, np.inf), np.full(n, -np.inf)
+        for road, which, s, t in roads:
+            own, at = self.map.road(road.id), np.flatnonzero(which)
+            if own.heights is None:
+                continue
+            on, across = np.clip(s, own.start_m, own.end_m), np.clip(t, own.left(s), own.right(s))
+            base = own.base_points(on, across)
+            raised = base[:, 2] - height_at(self.network.terrain, base[:, :2])
+            away = np.hypot(s - on, t - across)
+            inside, slope = away == 0, np.maximum(away - BERM_M, 0.0) / EMBANKMENT_SLOPE
+            low[at] = np.maximum(low[at], np.where(inside, -np.inf, raised - slope))
+            high[at] = np.minimum(high[at], np.where(inside, np.inf, raised + slope))
+            paved[at[inside]] = np.maximum(paved[at[inside]], raised[inside])
+        above[near] = np.where(np.isfinite(paved), paved, np.minimum(np.maximum(0.0, low), np.maximum(high, low)))
+        return above
+
+    @cached_property
+    def _has_heights(self) -> bool:
+        return any(self.map.road(road.id).heights is not None for road in self.network.roads)
+
+    def area_height(self, area: GroundArea, xy_world: Points2) -> Scalars:
+        """Height of an area's surface: on the terrain, or between the heights of its roads there."""
+        z = height_at(self.network.terrain, xy_world)
+        if self._has_heights:
+            z = z + self._own_raised(xy_world)
+        return np.asarray(z + area.raised_m)
+
+    def under(self, xy_world: Points2) -> Scalars:
+        """Height of the lower side of the pavement."""
+        z = height_at(self.network.terrain, xy_world)
+        return np.asarray(z + self._own_raised(xy_world) if self._has_heights else z)
+
+    def _own_raised(self, xy_world: Points2) -> Scalars:
+        """Height over the terrain of roads with heights of their own, without kerbs: the mean of those around points,
+        the nearer the heavier."""
+        near, roads = self.network.nearby(xy_world, np.full(len(xy_world), NEAR_M))
+        total, weights = np.zeros((2, len(xy_world)))
+        rows = np.flatnonzero(near)
+        for road, which, s, t in roads:
+            own = self.map.road(road.id)
+            on, across = np.clip(s, own.start_m, own.end_m), np.clip(t, own.left(s), own.right(s))
+            base = own.base_points(on, across)
+            raised = base[:, 2] - height_at(self.network.terrain, base[:, :2])
+            off = np.hypot(np.maximum(np.maximum(own.left(s) - t, t - own.right(s)), 0), s - on)
+            weight = 1 / (0.05 + off) ** 2
+            at = rows[which]
+            total[at] += weight * raised
+            weights[at] += weight
+        return total / np.maximum(weights, 1e-12)
+
+    def way_box(self, reach_m: float) -> tuple[float, float, float, float]:
+        """(x0, y0, x1, y1) around all that is this near to the host's way."""
+        (x0, y0), (x1, y1) = self._way.min(axis=0) - reach_m, self._way.max(axis=0) + reach_m
+        return float(x0), float(y0), float(x1), float(y1)
+
+    def terrain_mesh_height(self, xy_world: AnyPoints2) -> AnyScalars:
+        """Height of the terrain mesh, which goes on a little under the edges of the pavement."""
+        flat = xy_world.reshape(-1, 2)
+        z, inside = self.height(flat), shapely.contains_xy(self.pavement, flat[:, 0], flat[:, 1])
+        z[inside] = self.under(flat[inside]) - UNDER_FALL_M * self.cell_scale(flat[inside])
+        return z.reshape(xy_world.shape[:-1])
+
+    def clearance(self, xy_world: AnyPoints2) -> AnyScalars:
+        """Distance from the nearest pavement, negative on it."""
+        flat = shapely.points(xy_world.reshape(-1, 2))
+        inside = shapely.contains_properly(self.pavement, flat)
+        distance = np.where(
+            inside, -shapely.distance(shapely.boundary(self.pavement), flat), shapely.distance(self.pavement, flat)
+        )
+        return np.asarray(distance.reshape(xy_world.shape[:-1]))
+
+    def shows(self, curve: LaneCurve) -> bool:
+        """Whether a line's paint is near enough to be drawn."""
+        s = np.linspace(0.0, curve.end_m, 2 + int(curve.end_m / PAINT_STEP_M))
+        return bool((self.away_on(curve, s) < PAINT_M).any())
+
+    def crests(self) -> list[Float[np.ndarray, "m 3"]]:
+        """The upper edges of kerbs within reach of the labels: they hide what lies close behind them."""
+        near = shapely.box(*self.way_box(CREST_REACH_M))
+        walkways = self._raised[0][0]
+        lines = shapely.intersection(shapely.boundary(walkways), near)
+        found = []
+        for line in shapely.get_parts(shapely.line_merge(shapely.simplify(lines, CREST_SLACK_M))):
+            xy = shapely.get_coordinates(shapely.segmentize(line, CREST_STEP_M))
+            if len(xy) > 1:
+                found.append(np.column_stack([xy, self.under(xy) + KERB_M]))
+        return found
+
+
+def _polygon(left: Points2, right: Points2) -> BaseGeometry:
+    """The polygon between two lines; of a road that folds, what it covers."""
+    ring = np.concatenate([left, right[::-1]])
+    polygon = shapely.Polygon(ring)
+    if polygon.is_valid:
+        return polygon
+    quads = shapely.polygons(np.stack([left[:-1], right[:-1], right[1:], left[1:]], axis=1))
+    return shapely.union_all(shapely.make_valid(quads))
+
+
+def _filled(area: BaseGeometry) -> BaseGeometry:
+    """An area without its small holes."""
+    parts = [
+        shapely.Polygon(part.exterior, [hole for hole in part.interiors if shapely.Polygon(hole).area > LEAST_HOLE_M2])
+        for part in shapely.get_parts(area)
+        if isinstance(part, shapely.Polygon)
+    ]
+    return shapely.union_all(parts)
