@@ -28,6 +28,7 @@ from synth3dlanes.schema import (
 )
 from synth3dlanes.settings import FIRST_SYMBOL_ID, HOST_ID, JPEG_QUALITY, MAX_SAMPLES
 from synth3dlanes.streams import stream
+from synth3dlanes.traffic_elements import MAX_FREE, MAX_LANES, LaneSignal, TrafficSign, TrafficSignal
 
 SCENE_VERSION = 1
 
@@ -114,6 +115,12 @@ class PaperRoad(DocumentPart):
             return tuple(f"stem_{lane}" for lane in range(1, self.n_lanes + 1))
         main = (f"main_{lane}" for lane in range(1, self.n_main_after + 1))
         return (*main, *(f"exit_{lane}" for lane in range(1, self.n_exit_lanes + 1)))
+
+    @property
+    def segments(self) -> tuple[str, ...]:
+        """The ids of all lane segments."""
+        ends = (*self.segments_at(-1.0), *self.segments_at(1.0), *self.oncoming_segments)
+        return tuple(dict.fromkeys(ends))
 
     @property
     def oncoming_segments(self) -> tuple[str, ...]:
@@ -389,13 +396,14 @@ class Post(DocumentPart):
 
 class Crossing(DocumentPart):
     """A gantry or bridge across all roads at a plan station of the main road: its free height `clearance_m` over every
-    pavement, and its width along the road."""
+    pavement, and its width along the road. A gantry has boards, or else the signals over lanes that are listed."""
 
     kind: Literal["gantry", "bridge"]
     s_m: Metres
     clearance_m: Annotated[float, Field(ge=4.7, le=30)]
     width_m: Annotated[float, Field(gt=0, le=100)]
     color: Color
+    signals: Annotated[tuple[LaneSignal, ...], Field(max_length=MAX_LANES)] = ()
 
 
 class Building(DocumentPart):
@@ -415,12 +423,19 @@ class Building(DocumentPart):
 
 class Roadside(DocumentPart):
     """What stands beside and over the road. In the instance pass, structures are numbered in this order: rails, posts,
-    crossings, buildings."""
+    crossings, buildings, poles of signals and of signs, then the heads of signals and the signs that these hold."""
 
     rails: Annotated[tuple[Rail, ...], Field(max_length=100)] = ()
     posts: Annotated[tuple[Post, ...], Field(max_length=1000)] = ()
     crossings: Annotated[tuple[Crossing, ...], Field(max_length=20)] = ()
     buildings: Annotated[tuple[Building, ...], Field(max_length=200)] = ()
+    signals: Annotated[tuple[TrafficSignal, ...], Field(max_length=MAX_FREE)] = ()
+    signs: Annotated[tuple[TrafficSign, ...], Field(max_length=MAX_FREE)] = ()
+
+    @property
+    def free_elements(self) -> tuple[TrafficSignal | TrafficSign, ...]:
+        """The signals and signs that have places of their own."""
+        return (*self.signals, *self.signs)
 
 
 class Scene(DocumentPart):
@@ -478,6 +493,24 @@ class Scene(DocumentPart):
         for path, kind, number in used:
             if number > self.assets.count(kind):
                 raise ValueError(f"{path}: expected at most {self.assets.count(kind)}, got {number}")
+        return self
+
+    @model_validator(mode="after")
+    def _governs_its_lanes(self) -> "Scene":
+        """Check that the lanes that signals and signs govern exist."""
+        beside, segments = self.roadside, self.road.segments
+        governed = [
+            *((f"roadside.signals.{i}.lanes", item.lanes) for i, item in enumerate(beside.signals)),
+            *((f"roadside.signs.{i}.lanes", item.lanes) for i, item in enumerate(beside.signs)),
+            *(
+                (f"roadside.crossings.{i}.signals", tuple(signal.lane for signal in item.signals))
+                for i, item in enumerate(beside.crossings)
+            ),
+        ]
+        for path, lanes in governed:
+            for lane in lanes:
+                if lane not in segments:
+                    raise ValueError(f"{path}: expected lanes among {', '.join(segments)}, got {lane}")
         return self
 
     @model_validator(mode="after")

@@ -14,6 +14,7 @@ from synth3dlanes.frames import road_from_cam, turned
 from synth3dlanes.geometry import meshes, roadside
 from synth3dlanes.geometry.bonnet import cam_from_bonnet
 from synth3dlanes.geometry.camera import img_from_cam, project, world_from_host
+from synth3dlanes.geometry.elements import TrafficElement, elements
 from synth3dlanes.geometry.grass import Blades, blades
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.horizon import FarHills
@@ -140,8 +141,19 @@ class Site:
 
     @cached_property
     def structures(self) -> list[Body]:
-        """What stands beside and over the road, in the order of instance ids."""
-        return roadside.bodies(self.ground, self.roadside)
+        """What stands beside and over the road, in the order of instance ids; traffic elements come last."""
+        return [*roadside.bodies(self.ground, self.roadside), *(element.body for element in self.elements)]
+
+    @cached_property
+    def elements(self) -> list[TrafficElement]:
+        """The traffic elements: heads of signals and faces of signs."""
+        return elements(self.ground, self.roadside)
+
+    def lights(self, time_s: float) -> dict[int, Body]:
+        """What shines of signals at a time of a clip, by the number of the structure that it belongs to."""
+        first = len(self.structures) - len(self.elements)
+        lit = ((first + i, element.light(time_s)) for i, element in enumerate(self.elements))
+        return {number: body for number, body in lit if body is not None}
 
     @cached_property
     def street_lamps(self) -> Float[np.ndarray, "n 3"]:

@@ -57,7 +57,9 @@ TERRAIN_MEANS = {"terrain_1": (0.103, 0.109, 0.052), "terrain_2": (0.249, 0.179,
 # Woods on far terrain (linear): patches of hundreds of metres that fade in from this distance to twice it.
 WOODS, WOODS_LENGTH_M, WOODS_FROM_M = (0.035, 0.045, 0.025), 2900.0, 220.0
 # What snow lies on, beside the ground.
-CAPPED = {SEMANTIC_IDS[name] for name in ("car", "tree", "barrier", "pole", "sign", "bridge", "building", "kerb")}
+CAPPED = {
+    SEMANTIC_IDS[name] for name in ("car", "tree", "barrier", "pole", "sign", "bridge", "building", "kerb", "signal")
+}
 
 
 @dataclass(frozen=True, eq=False)
