@@ -150,7 +150,7 @@ def crossing(id: str, middle: Pose, arms: Sequence[Arm], corner_m: float) -> Jun
             (back_j - at_j - tangent_m, 0.0, 0.0),
         ]
         corners.append(Corner(chain(start, parts), walkways_m))
-    return Junction(id, middle, tuple(arms), tuple(_connectors(id, arms)), tuple(corners))
+    return Junction(id, middle, tuple(arms), tuple(_connectors(id, arms, corner_m)), tuple(corners))
 
 
 def turn_of(heading_in: float, heading_out: float) -> Turn:
@@ -185,7 +185,7 @@ def allowed_turns(lanes: Sequence[LaneAt], ways: set[Turn]) -> list[set[Turn]]:
     return [turns & ways for turns in found]
 
 
-def _connectors(junction: str, arms: Sequence[Arm]) -> list[Connector]:
+def _connectors(junction: str, arms: Sequence[Arm], corner_m: float) -> list[Connector]:
     """All connectors of a junction."""
     found: list[Connector] = []
     for i, arm in enumerate(arms):
@@ -201,10 +201,13 @@ def _connectors(junction: str, arms: Sequence[Arm]) -> list[Connector]:
                 at = len(outgoing) - len(users) + place if turn == "right" else place
                 out = outgoing[min(max(at, 0), len(outgoing) - 1)]
                 start, end = arm.lane_pose(lane, incoming=True), arms[j].lane_pose(out, incoming=False)
+                # A right turn goes round the kerb.
+                beside_m = arm.cross.edge("left") - lane.offset_m
+                widest_m = corner_m + beside_m if turn == "right" else np.inf
                 found.append(
                     Connector(
                         f"{junction}c{len(found)}",
-                        connection(start, end),
+                        connection(start, end, widest_m),
                         (lane.width_m, out.width_m),
                         (lane.name,),
                         (out.name,),

@@ -101,17 +101,17 @@ def chain(start: Pose, parts: Iterable[tuple[float, float, float]]) -> tuple[Pla
     return tuple(found)
 
 
-def connection(start: Pose, end: Pose) -> tuple[PlanPiece, ...]:
+def connection(start: Pose, end: Pose, widest_m: float = np.inf) -> tuple[PlanPiece, ...]:
     """From one pose to another without a corner: a line, a turn of spiral, arc and spiral, and a line, where the lines
-    through both meet between them; else one cubic."""
+    through both meet between them; else one cubic. The turn is no longer than a circle of the radius `widest_m`."""
     ahead, left, turn = start.seen(end)
     if ARC_FROM_RAD < abs(turn) < ARC_TO_RAD:
         # Lengths from both ends to where the lines meet.
         after_m = left / np.sin(turn)
         before_m = ahead - after_m * np.cos(turn)
-        tangent_m = min(before_m, after_m)
+        angle = abs(turn)
+        tangent_m = min(before_m, after_m, widest_m * float(np.tan(angle / 2)))
         if tangent_m > 0:
-            angle = abs(turn)
             unit = _turn(Pose(0.0, 0.0, 0.0), angle, 1.0)
             reach = end_of(unit)
             radius_m = tangent_m / (reach.x - reach.y / np.tan(angle))

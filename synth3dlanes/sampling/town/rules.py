@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -51,6 +50,12 @@ class JunctionRules:
     control: Control
     major: tuple[int, ...]
 
+    def has_arrow(self, arm: int) -> bool:
+        """Whether the left turn lane of an arm has a signal of its own, an arrow."""
+        if self.control != "signals" or arm not in self.major:
+            return False
+        return "turn_left" in self.junction.arms[arm].cross.left
+
     @cached_property
     def conflicts(self) -> tuple[Conflict, ...]:
         """All pairs of lanes that cross or merge, each both ways."""
@@ -90,7 +95,7 @@ class JunctionRules:
         opposite = RIGHT_RAD[1] <= angle <= 2 * np.pi - RIGHT_RAD[1]
         gives_way = opposite and one.turn == "left" and other.turn != "left"
         if self.control == "signals":
-            return bool(gives_way)
+            return bool(gives_way) and not self.has_arrow(one.from_arm)
         if self.control == "equal":
             return bool(gives_way or RIGHT_RAD[0] < angle < RIGHT_RAD[1])
         ranks = one.from_arm not in self.major, other.from_arm not in self.major
@@ -156,8 +161,3 @@ def links_of(junction: Junction) -> list[tuple[str, str]]:
     for at in junction.connectors:
         found |= {(name, at.lane) for name in at.before} | {(at.lane, name) for name in at.after}
     return sorted(found)
-
-
-def route_links(lanes: Sequence[str]) -> list[tuple[str, str]]:
-    """The links along a route."""
-    return list(pairwise(lanes))
