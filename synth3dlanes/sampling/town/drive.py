@@ -19,6 +19,8 @@ SIDEWAYS, LOOK_M = 2.6, 70.0
 BEFORE_LINE_M, BEFORE_ZONE_M, APART_S = 0.6, 1.0, 1.0
 # A car that has stood for so long goes before others that stand.
 PATIENCE_S, STANDING = 3.0, 0.3
+# A car that stands farther before the line waits for those in front of it.
+NEXT_M = 6.0
 # A car that cannot stop within this deceleration goes on at amber.
 AMBER_STOP = 3.0
 
@@ -262,6 +264,8 @@ class Traffic:
                 return False
         if other.stood_s == 0:
             return True
+        if gate.line_m - other.at_m - other.length_m / 2 > NEXT_M:
+            return False
         mine = (driver.stood_s - PATIENCE_S, -self.drivers.index(driver))
         return driver.stood_s < PATIENCE_S or mine < (other.stood_s - PATIENCE_S, -self.drivers.index(other))
 
