@@ -8,7 +8,7 @@ import numpy as np
 from synth3dlanes.arrays import Scalars
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.lane_curves import LaneCurve
-from synth3dlanes.geometry.motion import host_station
+from synth3dlanes.geometry.motion import host_driven, host_station
 from synth3dlanes.geometry.paint import is_double, paint_color, pair_of
 from synth3dlanes.geometry.symbols import shape
 from synth3dlanes.geometry.visibility import seen_over_ground
@@ -109,7 +109,7 @@ def _known(world: World, stations: dict[LaneCurve, Scalars]) -> set[str]:
     n = world.network.known_at(shot.n_frames) if shot.n_frames > 1 else 0
     hosts = [
         scene.camera.model_copy(update={"y_m": host_station(world.network, scene.camera, float(way_m))})
-        for way_m in np.linspace(0.0, shot.speed_m_s * shot.duration_s, n)
+        for way_m in np.linspace(0.0, host_driven(shot, shot.duration_s), n)
     ]
     return {curve.id for lines in (stations, *(_stations(world, host) for host in hosts)) for curve in lines}
 

@@ -9,18 +9,21 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.arrays import Points2, Scalars
+from synth3dlanes.geometry.terrain import height_at
 from synth3dlanes.sampling.town.layout import TownMap
 from synth3dlanes.sampling.town.plan import poses
 from synth3dlanes.sampling.town.streets import LANES, Street
+from synth3dlanes.scene import Terrain
 
 STEP_M = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class LaneLine:
-    """The middle of a lane as its traffic drives: points at lengths, and headings there."""
+    """The middle of a lane as its traffic drives: points at lengths, the stations of its road and headings there."""
 
     lengths_m: Scalars
+    stations: Scalars
     points: Points2
     headings: Scalars
 
@@ -54,7 +57,7 @@ class LaneLines:
             plan, length_m = self.connectors[name].plan, self.connectors[name].length_m
             s = np.linspace(0, length_m, 2 + int(length_m / STEP_M))
             points, headings = poses(plan, s)
-            return _measured(points, np.unwrap(headings))
+            return _measured(points, np.unwrap(headings), s)
         road, section, number = name.rsplit(".", 2)
         return strip_line(self.streets[road], int(section), int(number))
 
@@ -66,7 +69,8 @@ def strip_line(street: Street, section: int, number: int) -> LaneLine:
     piece, start_m = street.pieces[section], street.stations[section]
     u = np.linspace(0, 1, 2 + int(piece.length_m / STEP_M))
     share, slope = u * u * (3 - 2 * u), 6 * u * (1 - u) / piece.length_m
-    points, headings = poses(street.plan, np.minimum(start_m + u * piece.length_m, street.length_m))
+    s = np.minimum(start_m + u * piece.length_m, street.length_m)
+    points, headings = poses(street.plan, s)
 
     def offset_m(at_end: bool) -> float:
         widths = [street.width(section, side, key, at_end) for key in keys[: abs(number)]]
@@ -79,13 +83,13 @@ def strip_line(street: Street, section: int, number: int) -> LaneLine:
     points = points + (offset_m(False) + share * by)[:, None] * left
     headings = np.unwrap(headings + np.arctan(slope * by))
     if number > 0:
-        return _measured(points[::-1], np.unwrap(headings[::-1] + np.pi))
-    return _measured(points, headings)
+        return _measured(points[::-1], np.unwrap(headings[::-1] + np.pi), s[::-1])
+    return _measured(points, headings, s)
 
 
-def _measured(points: Points2, headings: Scalars) -> LaneLine:
+def _measured(points: Points2, headings: Scalars, stations: Scalars) -> LaneLine:
     lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    return LaneLine(lengths, points, headings)
+    return LaneLine(lengths, stations, points, headings)
 
 
 class Route:
@@ -103,6 +107,19 @@ class Route:
     def length_m(self) -> float:
         """Its length."""
         return float(self.starts[-1])
+
+    def place_at(self, length_m: float) -> tuple[int, float]:
+        """The number of the lane at a length, and the station of its road there."""
+        k = min(int(np.searchsorted(self.starts, length_m, side="right")) - 1, len(self.lanes) - 1)
+        own = self._own[k]
+        return k, float(np.interp(length_m - self.starts[k], own.lengths_m, own.stations))
+
+    def climbed(self, terrain: Terrain, lengths_m: Scalars) -> Scalars:
+        """Lengths along the terrain at lengths seen from above."""
+        lengths, points, _ = self._points
+        steps = np.diff(lengths)
+        rises = np.diff(height_at(terrain, points))
+        return np.interp(lengths_m, lengths, np.concatenate([[0.0], np.cumsum(np.hypot(steps, rises))]))
 
     @cached_property
     def _points(self) -> tuple[Scalars, Points2, Scalars]:
