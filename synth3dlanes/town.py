@@ -13,10 +13,14 @@ HostPlace = Literal["before", "in", "behind"]
 HostTurn = Literal["left", "straight", "right"]
 
 
+# Lanes of the rings of roundabouts, and of the main streets there.
+ROUNDABOUTS: dict[str, int] = {"roundabout": 1, "roundabout_2": 2}
+
+
 class Town(DocumentPart):
     """A town: its first junction, the streets there, and the host's way through it (docs/town.md). `angle_rad` is how far
-    the side street is from a right angle. `host_m` is the host's distance to the junction, or from it; in it, its share
-    of HOST_REACH_M is that of the way through it."""
+    the side street is from a right angle. `host_m` is the host's distance to the junction, or from it; in it, 60 m
+    are the whole way through it."""
 
     junction: JunctionKind
     angle_rad: Number
@@ -37,6 +41,3 @@ class Town(DocumentPart):
     host_place: HostPlace
     host_turn: HostTurn
     host_m: Annotated[float, Field(ge=0, le=100)]
-
-
-HOST_REACH_M = 60.0

@@ -12,10 +12,10 @@ from synth3dlanes.sampling.town.layout import TownMap, lay_out
 from synth3dlanes.sampling.town.streets import LANES, PARKING_M, Street
 from synth3dlanes.sampling.town.traffic import Body, Drive, HostPlan, Moving, plan_host, simulate
 from synth3dlanes.scene import Assets, Car, Markings, Shot, Terrain
-from synth3dlanes.town import Town
+from synth3dlanes.town import ROUNDABOUTS, Town
 
 # A parked car takes so much of the kerb; it stands so far from the end of the parking lane.
-BAY_M, BAY_END_M = 6.6, 4.0
+BAY_M, BAY_END_M, SHORT_M = 6.6, 4.0, 5.4
 N_BENDS = 4
 # Draws of a model until one is short enough.
 TRIES = 30
@@ -42,8 +42,8 @@ def ruled(drawn: dict[str, object]) -> dict[str, object]:
     """The values of a town by its rules."""
     kind, n_lanes, n_side = drawn["junction"], drawn["n_lanes"], drawn["n_side"]
     assert isinstance(n_lanes, int) and isinstance(n_side, int), "counts of lanes"
-    if kind in ("roundabout", "roundabout_2"):
-        n_lanes = 1 if kind == "roundabout" else 2
+    if kind in ROUNDABOUTS:
+        n_lanes = ROUNDABOUTS[str(kind)]
         drawn = drawn | {"turn_lanes": "none", "control": "priority"}
     if drawn["control"] == "equal":
         drawn = drawn | ({"turn_lanes": "none"} if n_lanes == 1 else {"control": "priority"})
@@ -113,7 +113,7 @@ def parked_cars(streets: Sequence[Street], share: float, looks: Draw, assets: As
                         continue
                     body = _short(looks, assets)
                     if body is not None:
-                        moved_m = float(rng.uniform(-0.5, 0.5))
+                        moved_m = float(rng.uniform(-0.4, 0.4))
                         offset_m = (street.profile.lane_m + PARKING_M) / 2 + float(rng.uniform(-0.05, 0.12))
                         place = {"lane": names[lane], "s_m": round(s_m + moved_m, DECIMALS)}
                         cars.append(Car(**_look(looks, body, assets), **place, offset_m=round(offset_m, DECIMALS)))
@@ -124,7 +124,7 @@ def _short(looks: Draw, assets: Assets) -> Body | None:
     for _ in range(TRIES):
         model, scale = looks("model"), looks("scale")
         own = assets.car_models[model - 1]
-        if own.length_m * scale < BAY_M - 1.3 and own.width_m * scale < PARKING_M:
+        if own.length_m < SHORT_M and own.width_m < PARKING_M:
             return Body(model, scale, own.length_m * scale, own.width_m * scale)
     return None
 
