@@ -47,7 +47,7 @@ MAX_SYMBOLS = HOST_ID - FIRST_SYMBOL_ID
 MAX_FRAMES, MAX_CAMERAS, MAX_BEHIND_M = 1000, 64, 110.0
 MAX_BEAMS = 256
 Seconds = Annotated[float, Field(ge=0, le=1e6)]
-Length = Annotated[float, Field(ge=0, le=1e6)]
+Driven = Annotated[float, Field(ge=0, le=1e6)]
 AssetNumber = Annotated[int, Field(ge=1, le=MAX_ASSETS)]
 
 
@@ -227,7 +227,19 @@ class Car(DocumentPart):
     offset_m: Metres = 0.0
     speed_m_s: Annotated[float, Field(ge=0, le=100)] = 0.0
     route: Annotated[tuple[LaneName, ...], Field(max_length=1000, exclude_if=_is_empty)] = ()
+<<<<<<< HEAD
     track: Track = ()
+=======
+    track: Annotated[tuple[tuple[Seconds, Driven], ...], Field(max_length=10_000, exclude_if=_is_empty)] = ()
+
+    @model_validator(mode="after")
+    def _never_backs(self) -> "Car":
+        """Check that the track goes on in time and along the way."""
+        for (time_s, length_m), (next_s, next_m) in pairwise(self.track):
+            if next_s <= time_s or next_m < length_m:
+                raise ValueError(f"track: expected instants in order and no way back, got {next_s:g} s, {next_m:g} m")
+        return self
+>>>>>>> roads
 
 
 class Tree(DocumentPart):
@@ -590,6 +602,8 @@ def _road_problem(scene: Scene, road: PaperRoad) -> str:
         if symbol.lane not in named:
             wanted = ", ".join(lane or "null" for lane in named)
             return f"symbols.{i}.lane: expected one of {wanted}, got {symbol.lane or 'null'}"
+        if symbol.kind == "give_way_line":
+            return f"symbols.{i}.kind: expected no give_way_line, which only maps have, got one"
         if symbol.kind == "gore" and road.topology == 1:
             return f"symbols.{i}.kind: expected a road with an exit for a gore, got topology 1"
     return _governed_problem(scene.roadside, road.segments)

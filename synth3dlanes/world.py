@@ -22,6 +22,7 @@ from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.map_ground import MapGround
 from synth3dlanes.geometry.map_network import MapNetwork
 from synth3dlanes.geometry.map_roads import map_network
+from synth3dlanes.geometry.map_symbols import map_symbols
 from synth3dlanes.geometry.motion import car_at, host_at, host_driven, host_station
 from synth3dlanes.geometry.network import Network
 from synth3dlanes.geometry.paint import paint_meshes
@@ -29,7 +30,7 @@ from synth3dlanes.geometry.paper_roads import paper_network
 from synth3dlanes.geometry.placement import tree_positions, world_from_car
 from synth3dlanes.geometry.seams import ghost_mesh, tar_mesh
 from synth3dlanes.geometry.solids import Body
-from synth3dlanes.geometry.symbols import symbol_mesh
+from synth3dlanes.geometry.symbols import SymbolShape, shape, symbol_mesh
 from synth3dlanes.scene import Camera, Lidar, Roadside, Scene, Tree
 
 # Only cameras this close to the host's middle, along it, look over the bonnet.
@@ -229,16 +230,23 @@ class World:
 
     def symbols(self, view: View) -> list[meshes.Mesh]:
         """The paint of every symbol, corrected for parallax so that it looks in place from a view."""
-        return [symbol_mesh(self.ground, symbol, view.eye_world) for symbol in self.scene.symbols]
+        return [symbol_mesh(self.ground, form, view.eye_world) for form in self.symbol_shapes]
+
+    @cached_property
+    def symbol_shapes(self) -> list[SymbolShape]:
+        """The shapes of all symbols on the road, in the order of their labels."""
+        if self.scene.map is not None and isinstance(self.network, MapNetwork):
+            return map_symbols(self.ground, self.network, self.scene.map.paint)
+        return [shape(self.ground, symbol) for symbol in self.scene.symbols]
 
     def tar(self, view: View) -> meshes.Mesh | None:
         """Cracks filled with tar, raised less than paint; None without any."""
-        amount = self.scene.surface.tar
+        amount = self.scene.surface.tar if self.scene.map is None else 0.0
         return tar_mesh(self.ground, amount, view.eye_world, self.scene.stream) if amount else None
 
     def ghost_lines(self, view: View) -> meshes.Mesh | None:
         """Removed lines, raised less than paint; None without any."""
-        if not self.scene.surface.ghost_lines:
+        if not self.scene.surface.ghost_lines or self.scene.map is not None:
             return None
         return ghost_mesh(self.ground, self.scene.markings, view.eye_world, self.scene.stream)
 

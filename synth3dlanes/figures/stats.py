@@ -12,7 +12,7 @@ from scipy import stats
 
 from synth3dlanes.arrays import Scalars
 from synth3dlanes.distributions import Choice, Distribution, Uniform
-from synth3dlanes.figures.describe import roads_words
+from synth3dlanes.figures.describe import road_words
 from synth3dlanes.figures.shape import bends, grades
 from synth3dlanes.geometry.camera import horizontal_fov_rad
 from synth3dlanes.labels import Labels
@@ -114,7 +114,7 @@ def scene_statistics(scenes: Iterable[Scene], params: Params, own_camera: bool =
     topologies: Counter[str] = Counter()
     drawn: dict[str, dict[Distribution | None, list[float]]] = defaultdict(lambda: defaultdict(list))
     for scene in scenes:
-        topologies[roads_words(scene)] += 1
+        topologies[road_words(scene)] += 1
         of_scene = rules.of(scene)
         for key, values in drawn_values(scene, params).items():
             if key in of_scene:
