@@ -204,7 +204,7 @@ def _goes_on(track: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float
 
 # Instants (seconds of a clip), and lengths driven by then.
 Track = Annotated[
-    tuple[tuple[Seconds, Length], ...], AfterValidator(_goes_on), Field(max_length=10_000, exclude_if=_is_empty)
+    tuple[tuple[Seconds, Driven], ...], AfterValidator(_goes_on), Field(max_length=10_000, exclude_if=_is_empty)
 ]
 
 
@@ -227,19 +227,7 @@ class Car(DocumentPart):
     offset_m: Metres = 0.0
     speed_m_s: Annotated[float, Field(ge=0, le=100)] = 0.0
     route: Annotated[tuple[LaneName, ...], Field(max_length=1000, exclude_if=_is_empty)] = ()
-<<<<<<< HEAD
     track: Track = ()
-=======
-    track: Annotated[tuple[tuple[Seconds, Driven], ...], Field(max_length=10_000, exclude_if=_is_empty)] = ()
-
-    @model_validator(mode="after")
-    def _never_backs(self) -> "Car":
-        """Check that the track goes on in time and along the way."""
-        for (time_s, length_m), (next_s, next_m) in pairwise(self.track):
-            if next_s <= time_s or next_m < length_m:
-                raise ValueError(f"track: expected instants in order and no way back, got {next_s:g} s, {next_m:g} m")
-        return self
->>>>>>> roads
 
 
 class Tree(DocumentPart):
