@@ -1,5 +1,5 @@
 """A small simulation of traffic: cars follow each other, keep to speeds that bends allow, obey signals and priority,
-and enter a junction only where their way is free. World frame, metres and seconds; a length is that of a car's middle."""
+and enter a junction only where their way is free. World frame, metres and seconds; lengths are of cars' middles."""
 
 import math
 from dataclasses import dataclass, field

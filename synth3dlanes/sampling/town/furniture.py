@@ -8,6 +8,7 @@ import numpy as np
 
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.placement import overlaps_any
+from synth3dlanes.geometry.terrain import height_at
 from synth3dlanes.sampling.draws import DECIMALS, Draw
 from synth3dlanes.sampling.roadside import FRONTS, ROOFS, SIZES_M
 from synth3dlanes.sampling.town.junctions import Arm
@@ -27,8 +28,9 @@ BEHIND_KERB_M, BESIDE_M = 0.5, 0.8
 HEAD_M, OVERHEAD_M, SIGN_M = 2.3, 5.2, 2.1
 # From the junction to the signs of the priority road and of speed.
 PRIORITY_M, SPEED_M = 16.0, 62.0
-# Buildings begin so far from where an arm does; gaps between them; their fronts behind walkways, by kind.
-FIRST_M, GAPS_M = 1.0, (0.6, 9.0)
+# Buildings begin so far from where an arm does (before it: at the corner); steps where there is no room; gaps; fronts
+# behind walkways, by kind.
+FIRST_M, STEP_M, GAPS_M = -12.0, 4.0, (0.6, 9.0)
 SETBACK_M = {"house": (3.0, 8.0), "block": (0.4, 3.0), "hall": (6.0, 14.0)}
 KINDS: tuple[Literal["house", "hall", "block"], ...] = ("block", "house", "hall")
 ROOM_M, MOST_BUILDINGS = 0.35, 110
@@ -193,24 +195,30 @@ def _buildings(town_map: TownMap, ground: Ground, share: float, rng: Rng) -> lis
     usual = KINDS[int(rng.choice(3, p=[0.55, 0.35, 0.1]))]
     for street in town_map.streets:
         for side in ("left", "right"):
-            s_m = FIRST_M + float(rng.uniform(0, 3))
+            s_m = FIRST_M + float(rng.uniform(0, 2))
             while s_m < street.length_m - 8 and len(found) < MOST_BUILDINGS:
-                kind = usual if rng.random() < 0.8 else KINDS[int(rng.random() * 3)]
-                width_m, length_m, height_m = (float(rng.uniform(*limits)) for limits in SIZES_M[kind])
-                has = rng.random() < share
-                if has:
-                    sizes_m = width_m, length_m, height_m
-                    building = _building(street, side, s_m, (kind, *sizes_m), rng)
-                    outline = _outline(building)
-                    heights = ground.height(outline)
-                    is_level = np.ptp(heights) < 0.3 * height_m + 1.0
-                    corners = outline[[0, 6, 48, 42]]
-                    free = not taken or not overlaps_any(corners, np.array(taken))
-                    if is_level and free and (ground.clearance(outline) > ROOM_M).all():
-                        found.append(building)
-                        taken.append(corners)
-                s_m += length_m + float(rng.uniform(*GAPS_M)) ** (1.0 if kind != "block" else 0.5)
+                kind = usual if rng.random() < 0.85 else KINDS[int(rng.random() * 3)]
+                form = kind, *(float(rng.uniform(*limits)) for limits in SIZES_M[kind])
+                if rng.random() >= share:
+                    s_m += form[2] + float(rng.uniform(*GAPS_M))
+                    continue
+                building = _building(street, side, s_m, form, rng)
+                outline = _outline(building)
+                corners = outline[[0, 6, 48, 42]]
+                if _has_room(ground, outline, form[3]) and not (taken and overlaps_any(corners, np.array(taken))):
+                    found.append(building)
+                    taken.append(corners)
+                    s_m += form[2] + float(rng.uniform(*GAPS_M)) * (0.3 if kind == "block" else 1.0)
+                else:
+                    s_m += STEP_M
     return found
+
+
+def _has_room(ground: Ground, outline: np.ndarray, height_m: float) -> bool:
+    """Whether a building stands off all pavements and on nearly level ground."""
+    is_level = np.ptp(height_at(ground.network.terrain, outline)) < 0.3 * height_m + 1.0
+    rim = np.concatenate([outline[:7], outline[-7:], outline[7:-7:7], outline[13:-7:7]])
+    return bool(is_level) and bool((ground.clearance(rim) > ROOM_M).all())
 
 
 def _building(

@@ -105,8 +105,10 @@ class _Growth:
         town = self.town
         kind: JunctionKind = "t" if town.junction == "staggered" else town.junction
         planned, control = self._planned(kind, town.control, town.turn_lanes != "none"), town.control
-        first = self._place(Pose(0.0, 0.0, 0.0), planned, control, None)
         mains = [i for i, arm in enumerate(planned) if arm.is_main]
+        if town.junction == "staggered":
+            planned[mains[1]] = planned[mains[1]]._replace(pocket=NO_POCKET)
+        first = self._place(Pose(0.0, 0.0, 0.0), planned, control, None)
         linked = {}
         if town.junction == "staggered":
             linked[mains[1]] = "stagger"
@@ -190,6 +192,7 @@ class _Growth:
         low, high = {"": OPEN_M, "link": LINK_M, "stagger": STAGGER_M}[link]
         length_m = round(float(self.rng.uniform(low, high)), 3)
         pocket = NO_POCKET if link == "stagger" else arm.pocket
+        length_m += pocket.length_m if pocket.left or pocket.right else 0.0
         plan = _plan(pose, length_m, bend if link != "stagger" else 0.0)
         street = Street(f"s{len(self.streets)}", arm.profile, plan, pocket, NO_POCKET if link else None)
         self.streets.append(street)
