@@ -21,8 +21,8 @@ from synth3dlanes.road_map import MapLaneKind
 COLUMN_M, CELL_M, FAR_CELL_M, FAR_M = 0.9, 0.75, 3.0, 150.0
 # What lies beside a surface extends this far under it, this much lower, and kerbs reach this far down.
 SEAM_M, SEAM_FALL_M, FOOT_M = 0.08, 0.015, 0.05
-# The terrain's hole under the pavement is so much smaller, and its edge so much lower, times the size of cells.
-UNDER_M, UNDER_FALL_M = 0.15, 0.03
+# The terrain's hole under the pavement is so much smaller.
+UNDER_M = 0.15
 # Pavement farther than this from the host's way is left out.
 REACH_M = 480.0
 SURFACES: dict[MapLaneKind, int] = {"shoulder": SHOULDER, "border": SHOULDER, "median": MEDIAN, "walkway": SHOULDER,
@@ -73,6 +73,10 @@ def _strips(ground: MapGround, road: SectionRoad, section: CrossSection, s: Scal
             vertices = np.concatenate([feet[:, :1], vertices, feet[:, 1:]], axis=1)
             uv = np.concatenate([uv[:, :1] - [0.2, 0], uv, uv[:, -1:] + [0.2, 0]], axis=1)
             surfaces = [surfaces[0], *surfaces, surfaces[-1]]
+            ends = vertices[[0, -1]]
+            ends[:, 1:-1, 2] -= KERB_M + FOOT_M
+            vertices = np.concatenate([ends[:1], vertices, ends[1:]])
+            uv = np.concatenate([uv[:1], uv, uv[-1:]])
         found.append(grid(vertices, uv, np.array(surfaces)))
         i = end
     return found
@@ -83,7 +87,10 @@ def _area_meshes(ground: MapGround, area: GroundArea) -> list[Mesh]:
     what lies beside it."""
     if area.polygon.is_empty:
         return []
-    wide = area.polygon if area.raised_m else shapely.buffer(area.polygon, SEAM_M, join_style="mitre")
+    wide = area.polygon
+    if not area.raised_m:
+        seam = shapely.buffer(area.polygon, SEAM_M, join_style="mitre")
+        wide = shapely.union(area.polygon, shapely.intersection(seam, ground.pavement))
     x0, y0, x1, y1 = shapely.bounds(wide)
     away_m = float(ground.away_at(np.array([[(x0 + x1) / 2, (y0 + y1) / 2]]))[0]) - np.hypot(x1 - x0, y1 - y0) / 2
     cell_m = CELL_M if away_m < FAR_M else FAR_CELL_M
@@ -141,8 +148,7 @@ def terrain_mesh(ground: MapGround) -> Mesh:
 
     def lifted(at: Points2) -> Points3:
         z = terrain_heights(ground, at)
-        inside = shapely.contains_xy(ground.pavement, at[:, 0], at[:, 1])
-        return np.column_stack([at, np.where(inside, ground.under(at) - UNDER_FALL_M * ground.cell_scale(at), z)])
+        return np.column_stack([at, z])
 
     border = _shared(rest, lifted, 0)
     return Mesh(

@@ -19,9 +19,10 @@ from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
 from synth3dlanes.validate.ids import THINGS, disagreement, kind_of, outside_bodies
+from synth3dlanes.validate.map_places import MapPlaces
 from synth3dlanes.validate.pixels import around, depth_between
 from synth3dlanes.validate.places import RoadPlaces
-from synth3dlanes.validate.surface import MAX_GAP_M, PAVEMENT, misplaced, pavement_at
+from synth3dlanes.validate.surface import MAX_GAP_M, PAVEMENT, is_firm, misplaced, pavement_at
 from synth3dlanes.world import World
 
 # Of the points, and of those that may be wrong.
@@ -39,6 +40,7 @@ def check_lidar(evidence: Evidence) -> Iterator[Result]:
     assert points is not None
     points_world = transform(world.view.world_from_lidar, points.xyz_lidar)
     paved = np.isin(points.semantic, PAVEMENT) & (points.range_m < PROOF_M)
+    paved[paved] = is_firm(world, points_world[paved])
     eye_world, range_m = world.view.world_from_lidar[:3, 3], points.range_m[paved].astype(float)
     pavement = pavement_at(world, eye_world, points_world[paved], range_m, points.semantic[paved])
     pavement = pavement.at(_is_fine(world, pavement.places))
@@ -61,9 +63,11 @@ def check_lidar(evidence: Evidence) -> Iterator[Result]:
         yield Finding("", f"lidar: expected the ids of the passes, got others at {n_otherwise} of {n} points")
 
 
-def _is_fine(world: World, at: RoadPlaces) -> Bool[np.ndarray, " n"]:
+def _is_fine(world: World, at: RoadPlaces | MapPlaces) -> Bool[np.ndarray, " n"]:
     """Which places are where the pavement's rows are close. Far behind a host without rear cameras they are not, and
     the pavement is straight between them."""
+    if isinstance(at, MapPlaces):
+        return np.ones(len(at.xy_world), dtype=bool)
     rows = np.sort(world.network.stations(road_stations(world.ground)))
     before = np.searchsorted(rows, at.s) - 1
     return np.asarray(np.diff(rows)[np.clip(before, 0, len(rows) - 2)] < FINE_M)

@@ -13,6 +13,7 @@ from synth3dlanes.arrays import Matrix4, Points2, Points3, Scalars
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry import meshes
 from synth3dlanes.geometry.ground import Ground
+from synth3dlanes.geometry.map_ground import MapGround
 from synth3dlanes.geometry.placement import TREE_SINK_M
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.settings import SEMANTIC_IDS
@@ -131,6 +132,8 @@ def _through(evidence: Evidence) -> Iterator[Result]:
     v, u = np.nonzero((semantic == SEMANTIC_IDS["terrain"]) & (depth_m < NEAR_M))
     points = evidence.points_world(STEP * v, STEP * u)
     inside = ground.clearance(points[:, :2]) < -INSIDE_M
+    if isinstance(ground, MapGround):
+        inside &= ~ground.is_grass(points[:, :2])
     _, t = ground.network.main.line.project(points[:, :2])
     for low_m, high_m in meshes.grass_in_medians(ground, ground.network.main):
         inside &= (t < low_m - INSIDE_M) | (t > high_m + INSIDE_M)
@@ -162,8 +165,12 @@ def _feet(evidence: Evidence) -> Iterator[tuple[str, Float[np.ndarray, "n 2"]]]:
     for i, post in enumerate(roadside.posts):
         if post.side != "median":
             yield f"posts.{i}", beside_world(world, post.road, post.side, np.array([post.s_m]), post.aside_m)
-    boxes = evidence.structures.boxes
-    first = len(boxes.low) - len(roadside.buildings)
+    for name in ("signals", "signs"):
+        for i, item in enumerate(getattr(roadside, name)):
+            yield f"{name}.{i}", np.array([[item.x_m, item.y_m]])
+    first_owner = len(roadside.rails) + len(roadside.posts) + len(roadside.crossings)
+    first = int(np.searchsorted(evidence.structures.owners, first_owner))
+    boxes = [values[first : first + len(roadside.buildings)] for values in evidence.structures.boxes]
     share = np.stack(np.meshgrid(np.linspace(0, 1, 9), np.linspace(0, 1, 9), [0.0]), -1).reshape(-1, 3)
-    for i, (pose, low, high) in enumerate(zip(*(values[first:] for values in boxes), strict=True)):
+    for i, (pose, low, high) in enumerate(zip(*boxes, strict=True)):
         yield f"buildings.{i}", transform(pose, low + share * (high - low))[:, :2]
