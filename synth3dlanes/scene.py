@@ -5,7 +5,6 @@ added later; older scenes can still be read and render as before. New ones have 
 """
 
 import math
-from collections.abc import Collection
 from itertools import pairwise
 from typing import Annotated, Literal
 
@@ -540,32 +539,42 @@ class Scene(DocumentPart):
         return self.road
 
     @model_validator(mode="after")
-    def _has_its_lanes(self) -> "Scene":
-        """Check that the lanes of host and cars exist at their stations."""
+    def _has_roads(self) -> "Scene":
+        """Check that the roads are given once."""
         if (self.road is None) == (self.map is None):
             raise ValueError("road: expected either a road or a map")
+        return self
+
+    @model_validator(mode="after")
+    def _governs_its_lanes(self) -> "Scene":
+        """Check that the lanes that signals and signs govern exist."""
+        beside = self.roadside
+        if self.map is not None:
+            segments, among = self.map.driving_lanes, "the driving lanes of the map"
+        else:
+            segments = frozenset(self.paper_road.segments)
+            among = ", ".join(self.paper_road.segments)
+        governed = [
+            *((f"roadside.signals.{i}.lanes", item.lanes) for i, item in enumerate(beside.signals)),
+            *((f"roadside.signs.{i}.lanes", item.lanes) for i, item in enumerate(beside.signs)),
+            *(
+                (f"roadside.crossings.{i}.signals", tuple(signal.lane for signal in item.signals))
+                for i, item in enumerate(beside.crossings)
+            ),
+        ]
+        for path, lanes in governed:
+            for lane in lanes:
+                if lane not in segments:
+                    raise ValueError(f"{path}: expected lanes among {among}, got {lane}")
+        return self
+
+    @model_validator(mode="after")
+    def _has_its_lanes(self) -> "Scene":
+        """Check that the lanes of host and cars exist at their stations."""
         problem = _map_problem(self, self.map) if self.map is not None else _road_problem(self, self.paper_road)
         if problem:
             raise ValueError(problem)
         return self
-
-
-def _governed_problem(beside: Roadside, lanes: Collection[str]) -> str:
-    """What signals and signs govern that is no lane; "" if there is nothing."""
-    governed = [
-        *((f"roadside.signals.{i}.lanes", item.lanes) for i, item in enumerate(beside.signals)),
-        *((f"roadside.signs.{i}.lanes", item.lanes) for i, item in enumerate(beside.signs)),
-        *(
-            (f"roadside.crossings.{i}.signals", tuple(signal.lane for signal in item.signals))
-            for i, item in enumerate(beside.crossings)
-        ),
-    ]
-    for path, its in governed:
-        for lane in its:
-            if lane not in lanes:
-                among = f"lanes among {', '.join(lanes)}" if len(lanes) < 20 else "driving lanes of the map"
-                return f"{path}: expected {among}, got {lane}"
-    return ""
 
 
 def _road_problem(scene: Scene, road: PaperRoad) -> str:
@@ -594,7 +603,7 @@ def _road_problem(scene: Scene, road: PaperRoad) -> str:
             return f"symbols.{i}.kind: expected no give_way_line, which only maps have, got one"
         if symbol.kind == "gore" and road.topology == 1:
             return f"symbols.{i}.kind: expected a road with an exit for a gore, got topology 1"
-    return _governed_problem(scene.roadside, road.segments)
+    return ""
 
 
 def _map_problem(scene: Scene, roads: RoadMap) -> str:
@@ -614,7 +623,7 @@ def _map_problem(scene: Scene, roads: RoadMap) -> str:
         for pair in pairwise((car.lane, *car.route)):
             if pair not in roads.all_links:
                 return f"cars.{i}.route: expected linked lanes, got {pair[0]} and {pair[1]}"
-    return _governed_problem(scene.roadside, roads.driving_lanes)
+    return ""
 
 
 def to_json(scene: Scene) -> str:
