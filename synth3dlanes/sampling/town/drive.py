@@ -112,7 +112,7 @@ def gates_of(route: Route, rules: tuple[JunctionRules, ...], has_crosswalks: boo
     return tuple(found)
 
 
-class Traffic:
+class TownTraffic:
     """All cars on the streets of a town."""
 
     def __init__(self, lines: LaneLines, lights: dict[str, Lights]) -> None:

@@ -15,7 +15,7 @@ from synth3dlanes.sampling.town.junctions import Arm
 from synth3dlanes.sampling.town.layout import TownMap
 from synth3dlanes.sampling.town.lights import Lights, group_of
 from synth3dlanes.sampling.town.paint import line_m
-from synth3dlanes.sampling.town.plan import Pose, poses
+from synth3dlanes.sampling.town.plan import PlanPose, poses
 from synth3dlanes.sampling.town.rules import JunctionRules
 from synth3dlanes.sampling.town.streets import LaneAt, Street
 from synth3dlanes.scene import Building, Color, Post, Roadside, Tree
@@ -57,7 +57,7 @@ def furnish(town_map: TownMap, lights: dict[str, Lights], ground: Ground, draw: 
     return drawn.model_copy(update={"buildings": tuple(buildings)})
 
 
-def _beside(arm: Arm, back_m: float) -> Pose:
+def _beside(arm: Arm, back_m: float) -> PlanPose:
     """The place of a pole on the right of the traffic that comes in, at a distance before the junction; its heading is
     that of the traffic."""
     cross = arm.cross
@@ -65,7 +65,7 @@ def _beside(arm: Arm, back_m: float) -> Pose:
     return arm.pose.moved(back_m, out_m, np.pi)
 
 
-def _yaw(pose: Pose) -> float:
+def _yaw(pose: PlanPose) -> float:
     return round(float((pose.heading - np.pi / 2 + np.pi) % (2 * np.pi) - np.pi), DECIMALS)
 
 
@@ -82,7 +82,7 @@ def _signals(rules: JunctionRules, number: int, lights: Lights, style: tuple[boo
     over = far or (near if is_wide else None)
     main = "minor" if "minor" in groups else "major"
 
-    def head(at: Pose, group: str, height_m: float, reach_m: float, has_pole: bool) -> TrafficSignal:
+    def head(at: PlanPose, group: str, height_m: float, reach_m: float, has_pole: bool) -> TrafficSignal:
         form: LensForm = "left" if group == "major_left" else "ball"
         return TrafficSignal(
             x_m=round(at.x, DECIMALS),
@@ -101,7 +101,7 @@ def _signals(rules: JunctionRules, number: int, lights: Lights, style: tuple[boo
     if over is None:
         return
     # As its traffic drives, a place's distance to the right of the arm's axis is its offset to the left, looking away.
-    right_m = -over.seen(arm.pose)[1]
+    right_m = over.seen(arm.pose)[1]
     reaches = {group: float(np.mean([lane.offset_m for lane in lanes])) - right_m for group, lanes in groups.items()}
     order = sorted(reaches, key=lambda group: -abs(reaches[group]))
     for i, group in enumerate(order):
@@ -109,7 +109,7 @@ def _signals(rules: JunctionRules, number: int, lights: Lights, style: tuple[boo
             yield head(over, group, OVERHEAD_M, reaches[group], i == 0)
 
 
-def _far(rules: JunctionRules, number: int) -> Pose | None:
+def _far(rules: JunctionRules, number: int) -> PlanPose | None:
     """The place of a pole behind the junction, on the right of the street straight ahead; None without one."""
     arms = rules.junction.arms
     heading = arms[number].pose.heading + np.pi
@@ -119,7 +119,7 @@ def _far(rules: JunctionRules, number: int) -> Pose | None:
             cross = other.cross
             out_m = cross.edge("right") - (BEHIND_KERB_M if "walkway" in cross.right else BESIDE_M)
             at = other.pose.moved(1.0, out_m)
-            return Pose(at.x, at.y, heading)
+            return PlanPose(at.x, at.y, heading)
     return None
 
 
@@ -136,7 +136,7 @@ def _signs(rules: JunctionRules, number: int, back_m: float) -> Iterator[Traffic
             yield _sign(_beside(arm, back_m), "stop" if rules.control == "stop" else "give_way", lanes)
 
 
-def _sign(at: Pose, kind: SignKind, lanes: tuple[str, ...]) -> TrafficSign:
+def _sign(at: PlanPose, kind: SignKind, lanes: tuple[str, ...]) -> TrafficSign:
     place = {"x_m": round(at.x, DECIMALS), "y_m": round(at.y, DECIMALS), "yaw_rad": _yaw(at)}
     return TrafficSign(**place, height_m=SIGN_M, kind=kind, lanes=lanes)
 
@@ -154,12 +154,12 @@ def _speed_signs(town_map: TownMap, kind: SignKind) -> Iterator[TrafficSign]:
         at = pose.moved(0.0, -(out_m + aside_m) if side == "right" else out_m + aside_m)
         section = min(int(np.searchsorted(street.stations, s_m, side="right")) - 1, len(street.pieces) - 1)
         lanes = tuple(name for key, name in street.names(section)[side].items() if key.startswith("lane"))
-        yield _sign(Pose(at.x, at.y, pose.heading + (0.0 if side == "right" else np.pi)), kind, lanes)
+        yield _sign(PlanPose(at.x, at.y, pose.heading + (0.0 if side == "right" else np.pi)), kind, lanes)
 
 
-def _at(street: Street, s_m: float) -> Pose:
+def _at(street: Street, s_m: float) -> PlanPose:
     points, headings = poses(street.plan, np.array([s_m]))
-    return Pose(float(points[0, 0]), float(points[0, 1]), float(headings[0]))
+    return PlanPose(float(points[0, 0]), float(points[0, 1]), float(headings[0]))
 
 
 def _paved(street: Street, s_m: float, side: str) -> float:
