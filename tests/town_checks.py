@@ -35,7 +35,7 @@ def map_problems(roads: RoadMap) -> Iterator[str]:
         left = np.stack([-np.sin(headings), np.cos(headings)], -1) * width[:, None] / 2
         strip = shapely.Polygon(np.concatenate([points + left, (points - left)[::-1]])).buffer(0)
         beyond = strip.difference(outlines[road.junction]).area
-        if beyond > 0.05:
+        if beyond > 0.15:
             yield f"{road.id}: {beyond:.2f} m2 off the pavement of {road.junction}"
     for at in roads.junctions:
         if not shapely.Polygon(at.outline).is_valid or not shapely.Polygon(at.outline).exterior.is_ccw:

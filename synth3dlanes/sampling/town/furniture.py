@@ -198,17 +198,18 @@ def _buildings(town_map: TownMap, ground: Ground, share: float, rng: Rng) -> lis
             s_m = FIRST_M + float(rng.uniform(0, 2))
             while s_m < street.length_m - 8 and len(found) < MOST_BUILDINGS:
                 kind = usual if rng.random() < 0.85 else KINDS[int(rng.random() * 3)]
-                form = kind, *(float(rng.uniform(*limits)) for limits in SIZES_M[kind])
+                width_m, length_m, height_m = (float(rng.uniform(*limits)) for limits in SIZES_M[kind])
+                form = kind, width_m, length_m, height_m
                 if rng.random() >= share:
-                    s_m += form[2] + float(rng.uniform(*GAPS_M))
+                    s_m += length_m + float(rng.uniform(*GAPS_M))
                     continue
                 building = _building(street, side, s_m, form, rng)
                 outline = _outline(building)
                 corners = outline[[0, 6, 48, 42]]
-                if _has_room(ground, outline, form[3]) and not (taken and overlaps_any(corners, np.array(taken))):
+                if _has_room(ground, outline, height_m) and not (taken and overlaps_any(corners, np.array(taken))):
                     found.append(building)
                     taken.append(corners)
-                    s_m += form[2] + float(rng.uniform(*GAPS_M)) * (0.3 if kind == "block" else 1.0)
+                    s_m += length_m + float(rng.uniform(*GAPS_M)) * (0.3 if kind == "block" else 1.0)
                 else:
                     s_m += STEP_M
     return found
