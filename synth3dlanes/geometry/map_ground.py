@@ -42,6 +42,8 @@ CREST_REACH_M, CREST_SLACK_M, CREST_STEP_M = 110.0, 0.005, 4.0
 PAINT_M, PAINT_STEP_M = 250.0, 20.0
 # How far beyond a raised road's edge its embankment may reach.
 EMBANKMENT_M = 40.0
+# Level ground beside it: wider than a cell of the terrain, so that no cut covers the edge of the pavement.
+BERM_M = 1.5
 
 
 class GroundArea(NamedTuple):
@@ -265,7 +267,7 @@ class MapGround(Ground):
             base = own.base_points(on, across)
             raised = base[:, 2] - height_at(self.network.terrain, base[:, :2])
             away = np.hypot(s - on, t - across)
-            inside, slope = away == 0, away / EMBANKMENT_SLOPE
+            inside, slope = away == 0, np.maximum(away - BERM_M, 0.0) / EMBANKMENT_SLOPE
             low[at] = np.maximum(low[at], np.where(inside, -np.inf, raised - slope))
             high[at] = np.minimum(high[at], np.where(inside, np.inf, raised + slope))
             paved[at[inside]] = np.maximum(paved[at[inside]], raised[inside])
