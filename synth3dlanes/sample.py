@@ -139,7 +139,7 @@ def _town_world(scenes: Scenes, index: int, of: DrawsOf) -> World:
     roadside = furnish(town.map, traffic.lights, world.ground, of("town", "town_fronts"), of("roadside"))
     looks = of("cars", "town_cars")
     cars = cars_of(town, traffic, terrain, looks, assets)
-    cars += parked_cars(town.map.streets, flow("parked"), looks, assets)
+    cars += parked_cars(town, flow("parked"), looks, assets)
     world = world.furnished(bare.model_copy(update={"roadside": roadside, "cars": cars}))
     trees = street_trees(town.map, world.ground, roadside, of("town", "town_trees"), of("trees", "street_trees"))
     trees += draw_trees(world, of("trees"), of("trees", "tree_places"))

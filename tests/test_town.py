@@ -15,7 +15,7 @@ from synth3dlanes.world import World
 from tests.town_checks import SIDEWAYS, bodies, line_stations, map_problems, standing_problems, touching
 
 TOWN = load_params("town")
-CLIP = Shots(frames=41, fps=10.0)
+CLIP = Shots(frames=16, fps=5.0)
 
 
 def town(index: int, *overrides: str, shots: Shots | None = None) -> World:
@@ -51,10 +51,10 @@ def test_planted_faults_of_a_map_are_found() -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("index", range(2))
-def test_traffic_of_a_clip_obeys(index: int) -> None:
+def test_traffic_of_a_clip_obeys() -> None:
     """At every frame no bodies touch; nobody drives through a red light; sideways nobody is faster than the law."""
-    world = town(index, "town.control=signals", "town.junction=crossing", "town.traffic=0.8", shots=CLIP)
+    busy = "town.traffic=0.8", "town.parking=false", "town.n_more=0"
+    world = town(0, "town.control=signals", "town.junction=crossing", *busy, shots=CLIP)
     assert list(clip_problems(world)) == []
 
 
@@ -75,7 +75,7 @@ def clip_problems(world: World):  # type: ignore[no-untyped-def]
     turned = np.diff(np.unwrap(np.array(headings), axis=0), axis=0) * CLIP.fps
     speed = np.linalg.norm(np.diff(xy, axis=0), axis=-1) * CLIP.fps
     # Over half a second: the frames' own differences are noisy.
-    sideways = np.abs(np.array([np.convolve(row, np.ones(5) / 5, "valid") for row in (turned * speed).T]))
+    sideways = np.abs(np.array([np.convolve(row, np.ones(3) / 3, "valid") for row in (turned * speed).T]))
     yield from (
         f"body {i}: {row.max():.1f} m/s2 sideways" for i, row in enumerate(sideways) if row.max() > SIDEWAYS + 0.3
     )
@@ -110,7 +110,7 @@ def _reds(scene: Scene, lanes: list[list[tuple[str, float, float]]]):  # type: i
 def test_the_host_of_a_clip_drives_its_track() -> None:
     world = town(3, "town.host_place=before", "town.host_m=15", "town.control=priority", shots=CLIP)
     shot = world.scene.shot
-    ways = [world_in_shot(world, CLIP, CLIP.place(frame)).view.world_from_host[:3, 3] for frame in (0, 40)]
+    ways = [world_in_shot(world, CLIP, CLIP.place(frame)).view.world_from_host[:3, 3] for frame in (0, 15)]
     # The way is no shorter than the chord, and no car is faster than a town allows.
     driven_m = host_driven(shot, shot.duration_s)
     assert float(np.linalg.norm(ways[1] - ways[0])) <= driven_m + 0.05 <= 15 * shot.duration_s
@@ -118,7 +118,7 @@ def test_the_host_of_a_clip_drives_its_track() -> None:
 
 @pytest.mark.thorough
 def test_values_are_as_declared() -> None:
-    scenes = (sample_scene(Scenes(TOWN, 8), i) for i in range(60))
+    scenes = (sample_scene(Scenes(TOWN, 8), i) for i in range(40))
     found = scene_statistics(scenes, TOWN)
     wrong = [(at.key, at.p_value, at.outside) for at in found.parameters if not is_fine(at)]
     assert wrong == []

@@ -10,7 +10,8 @@ from synth3dlanes.assets.catalogue import Assets
 from synth3dlanes.sampling.draws import DECIMALS, Draw
 from synth3dlanes.sampling.town.lanes import LaneLines, Route
 from synth3dlanes.sampling.town.layout import TownMap, lay_out
-from synth3dlanes.sampling.town.streets import LANES, PARKING_M, Street
+from synth3dlanes.sampling.town.plan import poses
+from synth3dlanes.sampling.town.streets import LANES, PARKING_M
 from synth3dlanes.sampling.town.traffic import CarBody, HostPlan, MovingCar, TownDrive, plan_host, simulate
 from synth3dlanes.scene import Car, Markings, Shot, Terrain
 from synth3dlanes.town import ROUNDABOUTS, Town
@@ -18,6 +19,8 @@ from synth3dlanes.town import ROUNDABOUTS, Town
 # A parked car takes so much of the kerb; it stands so far from the end of the parking lane.
 BAY_M, BAY_END_M, SHORT_M = 6.6, 4.0, 5.4
 N_BENDS = 4
+# Cars that are farther from the host's place are left out: parked ones, and those that drive.
+PARKED_M, MOVING_M = 90.0, 160.0
 # Draws of a model until one is short enough.
 TRIES = 30
 LONG_M = 6.5
@@ -87,8 +90,12 @@ def cars_of(drawn: DrawnTown, found: TownDrive, terrain: Terrain, looks: Draw, a
     """The cars of the traffic."""
     lines = LaneLines(drawn.map)
     cars = []
+    host = Route(drawn.host.lanes, lines).at(np.array([drawn.host.at_m]))[0]
     for moving in found.cars:
         route = Route(moving.lanes, lines)
+        ends = route.at(np.array([moving.track[0][1], moving.track[-1][1]]))[0]
+        if np.linalg.norm(ends - host, axis=1).min() > MOVING_M:
+            continue
         k, s_m = route.place_at(moving.track[0][1])
         values = _look(looks, moving.body, assets) | {"lane": route.lanes[k], "s_m": round(s_m, DECIMALS)}
         if len(moving.track) > 1:
@@ -98,10 +105,11 @@ def cars_of(drawn: DrawnTown, found: TownDrive, terrain: Terrain, looks: Draw, a
     return tuple(cars)
 
 
-def parked_cars(streets: Sequence[Street], share: float, looks: Draw, assets: Assets) -> tuple[Car, ...]:
-    """Cars in the parking lanes, which stand beside the outermost lanes."""
+def parked_cars(drawn: DrawnTown, share: float, looks: Draw, assets: Assets) -> tuple[Car, ...]:
+    """Cars in the parking lanes near the host, which stand beside the outermost lanes."""
     cars, rng = list[Car](), looks.rng
-    for street in streets:
+    host = Route(drawn.host.lanes, LaneLines(drawn.map)).at(np.array([drawn.host.at_m]))[0]
+    for street in drawn.map.streets:
         for i, piece in enumerate(street.pieces):
             for side in ("left", "right"):
                 names = street.names(i)[side]
@@ -110,8 +118,9 @@ def parked_cars(streets: Sequence[Street], share: float, looks: Draw, assets: As
                 lane = [key for key in LANES if key in names][-1]
                 start_m = street.stations[i]
                 places = np.arange(start_m + BAY_END_M, start_m + piece.length_m - BAY_END_M, BAY_M)
-                for s_m in places.tolist():
-                    if rng.random() >= share:
+                away_m = np.linalg.norm(poses(street.plan, places)[0] - host, axis=1)
+                for s_m, its_away_m in zip(places.tolist(), away_m.tolist(), strict=True):
+                    if rng.random() >= share or its_away_m > PARKED_M:
                         continue
                     body = _short(looks, assets)
                     if body is not None:
