@@ -201,9 +201,9 @@ def _connectors(junction: str, arms: Sequence[Arm], corner_m: float) -> list[Con
                 at = len(outgoing) - len(users) + place if turn == "right" else place
                 out = outgoing[min(max(at, 0), len(outgoing) - 1)]
                 start, end = arm.lane_pose(lane, incoming=True), arms[j].lane_pose(out, incoming=False)
-                # A right turn goes round the kerb.
-                beside_m = arm.cross.edge("left") - lane.offset_m
-                widest_m = corner_m + beside_m if turn == "right" else np.inf
+                # A turn goes round the kerb on its side.
+                side = arm.cross.edge("left" if turn == "right" else "right")
+                widest_m = np.inf if turn == "straight" else corner_m + abs(side - lane.offset_m)
                 found.append(
                     Connector(
                         f"{junction}c{len(found)}",
