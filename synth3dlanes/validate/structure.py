@@ -194,7 +194,7 @@ def _against_ground_truth(expected: Labels, labels: Labels) -> Iterator[Finding]
     # Older labels do not have the paint of their lines.
     paint = ("color", "double", "pair") if any(lane.color for lane in labels.lanes) else ()
     for lane, true in zip(labels.lanes, expected.lanes, strict=True):
-        for name in ("kind", "road", "direction", "marking", "left", "right", *paint):
+        for name in ("kind", "road", "direction", "marking", "left", "right", "connector", "junction", *paint):
             if getattr(lane, name) != getattr(true, name):
                 yield Finding(
                     lane.id, f"{name}: expected {getattr(true, name)} by its scene, got {getattr(lane, name)}"
