@@ -2,6 +2,7 @@
 metres."""
 
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -33,7 +34,7 @@ PRIORITY_M, SPEED_M = 16.0, 62.0
 FIRST_M, STEP_M, GAPS_M = -12.0, 4.0, (0.6, 9.0)
 SETBACK_M = {"house": (3.0, 8.0), "block": (0.4, 3.0), "hall": (6.0, 14.0)}
 KINDS: tuple[Literal["house", "hall", "block"], ...] = ("block", "house", "hall")
-ROOM_M, MOST_BUILDINGS = 0.35, 110
+ROOM_M, RIM_M, MOST_BUILDINGS = 0.35, 1.5, 110
 TREES_APART_M, TREE_BEHIND_M = 11.0, 1.2
 
 
@@ -218,7 +219,11 @@ def _buildings(town_map: TownMap, ground: Ground, share: float, rng: Rng) -> lis
 def _has_room(ground: Ground, outline: np.ndarray, height_m: float) -> bool:
     """Whether a building stands off all pavements and on nearly level ground."""
     is_level = np.ptp(height_at(ground.network.terrain, outline)) < 0.3 * height_m + 1.0
-    rim = np.concatenate([outline[:7], outline[-7:], outline[7:-7:7], outline[13:-7:7]])
+    corners = outline[[0, 6, 48, 42, 0]]
+    sides = [
+        a + (b - a) * np.linspace(0, 1, 2 + int(np.linalg.norm(b - a) / RIM_M))[:, None] for a, b in pairwise(corners)
+    ]
+    rim = np.concatenate(sides)
     return bool(is_level) and bool((ground.clearance(rim) > ROOM_M).all())
 
 

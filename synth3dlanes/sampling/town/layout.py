@@ -6,7 +6,9 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
+from synth3dlanes.arrays import Points2
 from synth3dlanes.road_map import MapIsland, MapJunction, MapMarkKind, MapPaint, MapRoad, PlanPiece, RoadMap
 from synth3dlanes.sampling.town.junctions import Arm, crossing, setbacks, turn_of
 from synth3dlanes.sampling.town.paint import islands_of, paint_of
@@ -255,16 +257,19 @@ def _plan(pose: PlanPose, length_m: float, bend_rad: float) -> tuple[PlanPiece, 
 
 def _are_apart(streets: Sequence[Street]) -> bool:
     """Whether streets are apart from each other, but near the junctions that they share."""
-    points = [sampled(street.plan, 8.0) for street in streets]
-    for i, one in enumerate(points):
-        for other in points[:i]:
-            shared = [a for a in (one[0], one[-1]) for b in (other[0], other[-1]) if np.linalg.norm(a - b) < SHARED_M]
-            far = [
-                each[np.all([np.linalg.norm(each - at, axis=1) > SHARED_M for at in shared], axis=0)]
-                if shared
-                else each
-                for each in (one, other)
-            ]
+    lines = [sampled(street.plan, 8.0) for street in streets]
+    ends = [line[:1] if street.end is None else line[[0, -1]] for street, line in zip(streets, lines, strict=True)]
+    for i, one in enumerate(lines):
+        for j, other in enumerate(lines[:i]):
+            shared = [a for a in ends[i] for b in ends[j] if np.linalg.norm(a - b) < SHARED_M]
+            far = [_beyond(line, shared) for line in (one, other)]
             if all(map(len, far)) and np.linalg.norm(far[0][:, None] - far[1], axis=-1).min() < APART_M:
                 return False
     return True
+
+
+def _beyond(line: Points2, places: Sequence[Float[np.ndarray, "2"]]) -> Points2:
+    """The points of a line that are away from some places."""
+    for place in places:
+        line = line[np.linalg.norm(line - place, axis=1) > SHARED_M]
+    return line
