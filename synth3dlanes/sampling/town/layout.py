@@ -27,6 +27,8 @@ STRAIGHT_M, SPIRAL_M, ARC_M = 20.0, 25.0, 30.0
 # Middles of streets keep this far apart, away from the junctions that they share.
 APART_M, SHARED_M = 42.0, 55.0
 LEAST_ISLAND_M = 6.0
+# Shares of the bends, and whether there are further junctions, of one attempt after the other.
+ATTEMPTS = (*[(1.0, True)] * 6, *[(0.5, True)] * 3, *[(0.0, True)] * 3, (1.0, False), (0.5, False), (0.0, False))
 QUARTER = np.pi / 2
 
 
@@ -80,15 +82,14 @@ class TownMap:
 
 
 def lay_out(town: Town, markings: Markings, rng: Rng) -> TownMap:
-    """The map of a town. Where streets come too close to each other, their bends become less, at last none."""
-    seed = rng.integers(2**63)
-    for share in (1.0, 0.6, 0.3, 0.0):
-        bends = tuple(round(share * bend, 6) for bend in town.bends_rad)
-        n_more = town.n_more if share else 0
-        changed = town.model_copy(update={"bends_rad": bends, "n_more": n_more})
-        found = _Growth(changed, markings, np.random.default_rng(seed)).grown()
+    """The map of a town. Where streets come too close to each other, they are drawn anew, then with smaller bends, at
+    last with none and without further junctions."""
+    for bend, has_more in ATTEMPTS:
+        bends = tuple(round(bend * angle, 6) for angle in town.bends_rad)
+        changed = town.model_copy(update={"bends_rad": bends, "n_more": town.n_more if has_more else 0})
+        found = _Growth(changed, markings, rng).grown()
         if _are_apart(found.streets):
-            return replace(found, town=town)
+            break
     return replace(found, town=town)
 
 
