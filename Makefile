@@ -9,7 +9,7 @@ export MPLBACKEND := Agg
 # The tests start hundreds of programs: each would compile all modules anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test check format docs site pictures golden assets bench soak
+.PHONY: help setup demo test check format docs site pictures golden assets bench bench-rows soak
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -66,6 +66,9 @@ assets: .venv/ready  ## rebuild cars, trees, textures and skies from their scrip
 
 bench: .venv/ready  ## seconds by stage over the render floor, against docs/bench.json and a naive pipeline
 	$(BIN)/synth3dlanes bench --naive --against docs/bench.json
+
+bench-rows: .venv/ready  ## measure every row of docs/bench.json anew, on a quiet machine
+	$(BIN)/python -m scripts.bench
 
 soak: .venv/ready  ## 50 SIGKILLs here and 50 on a Ray cluster of two nodes; the same bytes in the end
 	$(BIN)/python -m tests.soak --kills 50

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from synth3dlanes.production.bench import Bench
 
 
+FPS = 10.0
+
+
 @click.command()
 @click.option("--n", type=click.IntRange(min=1), default=30, help="Number of scenes to time, after a warm-up.")
 @params_option
@@ -35,6 +38,7 @@ if TYPE_CHECKING:
 @device_option
 @samples_option
 @passes_option
+@click.option("--frames", type=click.IntRange(min=1), default=1, help="Time frames of clips of so many, not pictures.")
 @click.option(
     "--reference",
     is_flag=True,
@@ -57,6 +61,7 @@ def bench(
     device: str,
     samples: int,
     passes: tuple[str, ...],
+    frames: int,
     reference: bool,
     naive: bool,
     against: Path | None,
@@ -74,13 +79,15 @@ def bench(
     from synth3dlanes.production.recipe import Recipe
     from synth3dlanes.sample import Scenes
     from synth3dlanes.settings import RenderSettings
+    from synth3dlanes.shots import clips
 
-    stored = measuring.read_bench(against) if against else None
+    stored = measuring.read_bench(against, source, samples, frames) if against else None
     library = open_assets(assets)
     params, settings = load_params(source, changes, library.assets), RenderSettings(samples, passes, device)
-    recipe, slots = resolve_device(Recipe(Scenes(params, 0, "bench", assets=library.assets), settings, "jpg", library))
+    scenes = Scenes(params, 0, "bench", assets=library.assets, shots=clips(frames, FPS))
+    recipe, slots = resolve_device(Recipe(scenes, settings, "jpg", library))
     with output_console(stderr=True).status("warming up") as status:
-        found = measuring.bench(recipe, n, workers or slots.workers, list(slots.masks), status.update)
+        found = measuring.bench(source, recipe, n, workers or slots.workers, list(slots.masks), status.update)
         if reference:
             found = replace(found, quality=measuring.measure_quality(recipe, status.update))
         if naive:
@@ -100,7 +107,8 @@ def _print(found: "Bench") -> None:
         "stage",
         "seconds",
         "of the floor",
-        title=f"{counted(found.scenes, 'scene')}, {counted(found.workers, 'worker')}",
+        title=f"{found.params}{f', clips of {found.frames} frames' * (found.frames > 1)}: "
+        f"{counted(found.scenes, 'image')}, {counted(found.workers, 'worker')}",
     )
     for name, seconds in found.stages.items():
         table.add_row(name, f"{seconds:.4f}", f"{seconds / found.floor_seconds_per_image:.3f}")

@@ -180,12 +180,26 @@ class ExportOutput(Document):
     verified: list[VerificationOutput]
 
 
+class DriveCheck(Document):
+    """`drive check`: what a drive holds, what its reader left out, and what looks wrong, one line each."""
+
+    name: str
+    frames: int
+    seconds: float
+    camera: str
+    image_px: list[int]
+    marked_lanes: int
+    notes: list[str]
+    findings: list[str]
+
+
 class Outputs(Document):
     """What each command prints with `--json`; `params show` prints groups of keys in the forms of parameter files."""
 
     assets: FolderCheck
     bench: Bench
     benchmark: BenchmarkOutput
+    drive_check: DriveCheck
     evaluate: EvaluationOutput | EvaluatedTargets | EvaluatedPhotographs
     export: ExportOutput
     generate: RunReport

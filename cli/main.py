@@ -21,9 +21,11 @@ from .assets import assets
 from .bench import bench
 from .benchmark import benchmark
 from .data_sets import info, merge, split
+from .drive import drive
 from .entry import NO_MEMORY, is_lack_of_memory
 from .export import export
 from .generate import generate
+from .lift import lift
 from .look import clip, gallery, inspect, report
 from .model import ablation, evaluate, onnx, predict, train
 from .params import params
@@ -33,7 +35,7 @@ from .twins import twins
 from .validate import validate
 
 # Commands that continue from what they have written.
-RESUMED = ("generate", "twins", "split", "merge", "export", "benchmark", "train", "ablation")
+RESUMED = ("generate", "twins", "split", "merge", "export", "lift", "benchmark", "train", "ablation")
 
 # Characters of a line.
 MOST_SHOWN = 400
@@ -138,8 +140,10 @@ for command in (
         params,
         assets,
         export,
+        lift,
         validate,
         bench,
+        drive,
     ),
     *(benchmark, train, predict, evaluate, ablation, onnx),
 ):

@@ -3,11 +3,15 @@
 No function loads Blender into this process: `render` and `generate_dataset` start worker processes for it.
 """
 
+import atexit
+import os
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
+from threading import Lock
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,6 +38,9 @@ from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import merge as _merge
 from synth3dlanes.dataset.rearrange import split_dataset as _split
 from synth3dlanes.dataset.splits import data_set_name, evenly_spaced, one_reader, readers, split_name
+from synth3dlanes.drives.checks import drive_findings
+from synth3dlanes.drives.drive import Drive
+from synth3dlanes.drives.open import open_drive as _open_drive
 from synth3dlanes.errors import InputError
 from synth3dlanes.files import write
 from synth3dlanes.formats.export import Export
@@ -41,6 +48,8 @@ from synth3dlanes.formats.summary import ExportSummary
 from synth3dlanes.given_scenes import drawn
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
+from synth3dlanes.lift.precision import Precision
+from synth3dlanes.lift.write import LiftReport, lift_to
 from synth3dlanes.params import Params
 from synth3dlanes.params import load_params as _load_params
 from synth3dlanes.production.events import Event
@@ -215,6 +224,11 @@ class Renderer:
             self._open.enter_context(self._pool)
         return self
 
+    def _with(self, pool: Pool) -> "Renderer":
+        """This renderer, with a process that others open and close."""
+        self._pool, self._open = pool, ExitStack()
+        return self
+
     def __exit__(self, *_: object) -> None:
         self.close()
 
@@ -248,16 +262,29 @@ def render(
     device: str = "auto",
     assets: Library = BUILT_IN,
 ) -> Rendered:
-    """Render a scene with `samples` samples per pixel, in a process of its own. This takes about five seconds; for
-    several scenes a `Renderer` is faster.
+    """Render a scene with `samples` samples per pixel, in a process of its own, which stays until this one ends: only
+    the first call waits for Blender to start. A `Renderer` ends its process when it is closed.
 
     `passes` are some of depth, normal, semantic, instance and height, or "all". `lidar` is a YAML file or the name of a
     ready lidar (docs/lidar.md); without it, the scene's own lidar is used, if it has one. Raises InputError for a wrong
     argument, or if `assets` are not those that the scene was drawn with; MissingPackageError without Blender;
     WorkerError if Blender fails.
     """
-    with Renderer(samples=samples, passes=passes, device=device, assets=assets) as renderer:
-        return renderer.render(scene, lidar=lidar)
+    renderer = Renderer(samples=samples, passes=passes, device=device, assets=assets)
+    with _ONE_AT_A_TIME:
+        return renderer._with(_kept_pool(os.getpid())).render(scene, lidar=lidar)
+
+
+_ONE_AT_A_TIME = Lock()
+
+
+@cache
+def _kept_pool(pid: int) -> Pool:
+    """The pool of `render` in the process of this number. A fork neither uses nor ends the one of its parent."""
+    stack, pool = ExitStack(), Pool(1, PATIENCE)
+    stack.enter_context(pool)
+    atexit.register(lambda: stack.close() if os.getpid() == pid else None)
+    return pool
 
 
 def generate_dataset(
@@ -377,6 +404,45 @@ def merge_datasets(sources: Sequence[str | Path], out: str | Path) -> dict[str, 
     Samples keep their numbers. Raises InputError if two data sets have a sample of the same number.
     """
     return _merge([str(source) for source in sources], str(out))
+
+
+def open_drive(source: str | Path, *, camera: str = "", lanes: str | Path = "", marked: str | Path = "") -> Drive:
+    """Open a real drive (docs/lift.md): a folder of KITTI or Argoverse 2, a file `drive.yaml`, or a clip of a data set
+    with a lidar (`DIR/train:0`). Its frames are read when they are asked for.
+
+    `camera` names one of its cameras; `lanes` is a file of 2D lanes of its images, `marked` one of lanes marked in its
+    top view. Raises InputError for anything else, FormatError for a file that cannot be read.
+    """
+    return _open_drive(str(source), camera, str(lanes), str(marked))
+
+
+def check_drive(drive: Drive) -> None:
+    """Check the times, poses, points and 2D lanes of a drive against each other: wrong units, mirrored axes, sensors or
+    clocks that do not fit. Raises InputError with a line for every problem."""
+    problems = drive_findings(drive)
+    if problems:
+        raise InputError(*problems)
+
+
+def lift_drive(
+    drive: Drive,
+    out: str | Path,
+    *,
+    split: str = "train",
+    precision: Mapping[str, float] | None = None,
+    around: int = 50,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> LiftReport:
+    """Lift the lanes of a drive into 3D (docs/lift.md): a data set `out` with its images and their measured lanes,
+    whose labels say how certain each point is.
+
+    `precision` is how exact the drive is, as standard deviations by name: `lanes_px`, `pose_m`, `pose_deg`,
+    `calibration_m`, `calibration_deg`, `marked_m`. Each frame is lifted with the scans and lanes of `around` frames
+    before and after it. `progress` is called with (frames done, all frames). Raises InputError where points, poses and
+    lanes do not fit each other.
+    """
+    _at_least(1, around=around)
+    return lift_to(drive, out, split, Precision.of(precision or {}), around, progress)
 
 
 def validate_dataset(

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Integer
 from synth3dlanes.arrays import Points3
 from synth3dlanes.element_labels import ElementLabel
 from synth3dlanes.frames import invert, quaternion, transform
-from synth3dlanes.labels import CameraLabel
+from synth3dlanes.labels import CameraLabel, LaneGraph
 from synth3dlanes.object_labels import rectangle_around
 from synth3dlanes.object_truth import rectangles
 from synth3dlanes.settings import FIRST_STRUCTURE_ID
@@ -25,9 +25,10 @@ NEAR_M = 200.0
 AHEAD_M, MAX_PIXELS = 0.1, 1000
 
 
-def label_elements(site: Site, view: View, camera: CameraLabel) -> tuple[ElementLabel, ...]:
-    """The labels of all traffic elements near a view, in the order of their ids."""
+def label_elements(site: Site, view: View, camera: CameraLabel, graph: LaneGraph) -> tuple[ElementLabel, ...]:
+    """The labels of all traffic elements near a view, in the order of their ids, with the lanes that are in a graph."""
     cam_from_world, found = invert(camera.world_from_cam), []
+    known = {segment.id for segment in graph.segments}
     first, time_s = FIRST_STRUCTURE_ID + site.first_element, view.scene.shot.time_s
     for number, element in enumerate(site.elements):
         cam_from_element = cam_from_world @ element.place.world_from_face
@@ -40,7 +41,7 @@ def label_elements(site: Site, view: View, camera: CameraLabel) -> tuple[Element
                 category=element.category,
                 kind=element.kind,
                 state=element.state(time_s),
-                lanes=element.lanes,
+                lanes=tuple(lane for lane in element.lanes if lane in known),
                 size_m=element.place.size_m,
                 center_cam=cam_from_element[:3, 3],
                 rotation_wxyz=quaternion(cam_from_element[:3, :3]),

@@ -83,16 +83,17 @@ def label(world: World, view: View) -> Labels:
     named = {lane.id: lane for lane in lanes}
     hosts = [named[name] for name in network.host_lines(lens) if name in named]
     centerlines = [curve.id for curve in world.site.lines if curve.kind == "centerline" and curve.id in known]
+    graph = network.graph(centerlines)
     return Labels(
         camera,
         lanes,
-        network.graph(centerlines),
+        graph,
         horizon_plane(camera, hosts) if lens.looks_ahead else None,
         symbols=symbols,
         time_s=round(shot.time_s, 9) if shot.n_frames > 1 else None,
         lidar=_lidar(view),
         objects=label_objects(view, camera),
-        traffic_elements=label_elements(world.site, view, camera),
+        traffic_elements=label_elements(world.site, view, camera, graph),
     )
 
 

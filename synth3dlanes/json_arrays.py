@@ -28,11 +28,13 @@ class _Json:
 
 
 PixelEdge = Annotated[int, Field(ge=0, le=MAX_PX)]
+Deviation = Annotated[float, Field(ge=0, le=1e6)]
 Row3: TypeAlias = tuple[Number, Number, Number]
 Row4: TypeAlias = tuple[Number, Number, Number, Number]
 JsonMatrix3 = Annotated[Float[np.ndarray, "3 3"], _Json(tuple[Row3, Row3, Row3], (3, 3), float)]
 JsonMatrix4 = Annotated[Float[np.ndarray, "4 4"], _Json(tuple[Row4, Row4, Row4, Row4], (4, 4), float)]
 JsonPoints = Annotated[Float[np.ndarray, "n 3"], _Json(list[Row3], (-1, 3), float)]
+JsonPairs = Annotated[Float[np.ndarray, "n 2"], _Json(list[tuple[Deviation, Deviation]], (-1, 2), float)]
 JsonMask = Annotated[Bool[np.ndarray, " n"], _Json(list[Literal[0, 1]], (-1,), bool)]
 JsonVector3 = Annotated[Float[np.ndarray, "3"], _Json(Row3, (3,), float)]
 JsonSize3 = Annotated[Float[np.ndarray, "3"], _Json(tuple[Positive, Positive, Positive], (3,), float)]

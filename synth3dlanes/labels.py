@@ -14,7 +14,7 @@ from pydantic import Field, with_config
 
 from synth3dlanes.element_labels import ElementLabel, element_document
 from synth3dlanes.frames import inside_image
-from synth3dlanes.json_arrays import JsonMask, JsonMatrix3, JsonMatrix4, JsonPoints, rounded
+from synth3dlanes.json_arrays import JsonMask, JsonMatrix3, JsonMatrix4, JsonPairs, JsonPoints, rounded
 from synth3dlanes.lens import PINHOLE, Lens
 from synth3dlanes.object_labels import ObjectLabel, object_document
 from synth3dlanes.schema import STRICT, DocumentPart, Name, Number, PixelCount, Positive, SymbolKind, Unit, parse
@@ -81,7 +81,8 @@ class Lane:
     are None for centre lines and in older labels. `object_visible` is None until the scene has been rendered.
     `direction` is that of the traffic in a centre line's lane; a delimiter is `oncoming` if it bounds only such lanes.
     Older labels may lack `same`. `pair` names the stripes of a double line, from the left, where they differ: its
-    `marking` is `solid` then. Older labels have none.
+    `marking` is `solid` then. Older labels have none. `std_m` is how certain each point is: standard deviations across
+    the lane, level, and in height. Only labels that were measured (`lift`) have it: those of scenes are exact.
 
     In labels of a map, points of a `crossing` line go as its traffic does (docs/network.md). `junction` is the one that
     the line is in, and `connector` says whether it is the way of a lane through a junction. Both are None in labels
@@ -101,12 +102,15 @@ class Lane:
     double: bool | None = None
     direction: Direction = "same"
     pair: Pair | None = None
+    std_m: JsonPairs | None = None
     connector: bool | None = None
     junction: Name | None = None
 
     def __post_init__(self) -> None:
         """Check that each mask has a value for every point; raise ValueError."""
         _check_masks(self)
+        if self.std_m is not None and len(self.std_m) != len(self.xyz_cam):
+            raise ValueError(f"std_m: expected a pair for each of {len(self.xyz_cam)} points, got {len(self.std_m)}")
 
     @property
     def visible(self) -> Bool[np.ndarray, " n"]:
@@ -338,4 +342,9 @@ def _points_document(of: Lane | SymbolLabel) -> dict[str, Any]:
     for name in MASKS:
         mask = document[name]
         document[name] = None if mask is None else mask.astype(int).tolist()
+    # Exact labels have no such key.
+    if document.get("std_m", ()) is None:
+        del document["std_m"]
+    elif "std_m" in document:
+        document["std_m"] = rounded(document["std_m"], 4)
     return document

@@ -250,6 +250,7 @@ class HostParams(Group):
     gloss: Fraction = added(0.0)
 
 
+LANE_STATES = ("green_arrow", "red_cross", "amber_left", "amber_right", "off")
 RAIL_NAMES = ("none", "guardrail", "concrete", "noise_wall", "kerb", "walkway")
 Barrier = Annotated[Named, names(*RAIL_NAMES)]
 
@@ -278,6 +279,9 @@ class RoadsideParams(Group):
     n_halls: Annotated[Integer, integers(0, 20)] = added(0)
     n_blocks: Annotated[Integer, integers(0, 20)] = added(0)
     building_aside_m: Annotated[Real, reals(8, 200)] = added(40.0)
+    lane_signals: Flag = added(False)
+    lane_state: Annotated[Named, names(*LANE_STATES)] = added("green_arrow")
+    exit_signs: Flag = added(False)
 
 
 Speed = Annotated[Real, reals(0, 60)]

@@ -21,6 +21,7 @@ from synth3dlanes.sampling.symbols import draw_symbols
 from synth3dlanes.sampling.town.draw import cars_of, draw_map, drive, parked_cars, shot_of
 from synth3dlanes.sampling.town.furniture import furnish, street_trees
 from synth3dlanes.sampling.traffic import check_way, on_its_road
+from synth3dlanes.sampling.traffic_elements import draw_elements
 from synth3dlanes.sampling.trees import draw_trees
 from synth3dlanes.sampling.weather import under
 from synth3dlanes.scene import (
@@ -119,7 +120,8 @@ def draw_world(scenes: Scenes, index: int) -> World:
     bare = _bare(scenes, index, of, {"terrain": terrain, "road": road, "camera": camera, "shot": shot})
     world = resolve(bare, network)
     draw = of("roadside")
-    world = world.furnished(bare.model_copy(update={"roadside": draw_roadside(world, draw, draw.rng)}))
+    roadside = draw_elements(world, draw_roadside(world, draw, draw.rng), of("roadside", "traffic_elements"))
+    world = world.furnished(bare.model_copy(update={"roadside": roadside}))
     cars = draw_cars(world, [of("cars", name) for name in CAR_STREAMS], of("motion", "car_speeds"))
     trees = draw_trees(world, of("trees"), of("trees", "tree_places"))
     symbols = draw_symbols(world, of("symbols"))

@@ -2,6 +2,7 @@
 
 import ast
 import json
+import os
 import pkgutil
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 import synth3dlanes
+from synth3dlanes import api
 
 ROOT = Path(__file__).parents[1]
 
@@ -168,6 +170,9 @@ def test_a_renderer_keeps_its_process_and_makes_the_same_pictures() -> None:
         assert set(second.passes) == {"depth", "normal", "semantic", "instance", "height"}
     assert renderer._pool.pids == []
     alone = synth3dlanes.render(scenes[1], passes="all", samples=1, device="cpu")
+    (process,) = api._kept_pool(os.getpid()).pids
+    synth3dlanes.render(scenes[1], samples=1)
+    assert api._kept_pool(os.getpid()).pids == [process]
     np.testing.assert_array_equal(second.image, alone.image)
     assert not np.array_equal(first.image, second.image)
     again = renderer.render(scenes[0])

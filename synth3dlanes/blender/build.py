@@ -1,6 +1,6 @@
 """World and View -> Blender data: the world's surfaces, and instances of the assets. World frame."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import bpy
@@ -18,7 +18,6 @@ from synth3dlanes.blender.materials import Materials, make_materials, set_materi
 from synth3dlanes.blender.polygons import polygons
 from synth3dlanes.blender.shaders import car_paint, new_material
 from synth3dlanes.blender.structures import structure_mesh
-from synth3dlanes.frames import from_axes
 from synth3dlanes.geometry.bonnet import bonnet
 from synth3dlanes.geometry.grass import Blades
 from synth3dlanes.geometry.ground import Ground
@@ -72,12 +71,15 @@ class MeshInstance:
 
 def open_studio(library: Library = BUILT_IN) -> Studio:
     """Reset Blender and load the assets, once per process."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    # The module bpy begins with factory settings; read_factory_settings would load all add-ons again.
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     drop_scratch()
     bpy.context.preferences.edit.use_global_undo = False
     camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
     for name in (STUDIO, *COLLECTIONS):
         bpy.context.scene.collection.children.link(bpy.data.collections.new(name))
+        # Nobody looks at a viewport; Blender would bring it up to date before and after every render.
+        bpy.data.collections[name].hide_viewport = True
     bpy.data.collections[STUDIO].objects.link(camera)
     bpy.context.scene.camera = camera
     make_world()
@@ -114,51 +116,66 @@ def build(
     Instance ids number the delimiters in `labelled` first, in that order, then those beyond the labels' range. Of the
     world that was built last, as another shot sees it (`World.seen_in`), only what depends on the view is built anew.
     """
-    scene, trees = world.scene, _trees(studio.assets, world)
-    if studio.ground is world.ground:
-        _clear(studio, OF_VIEW)
-    else:
-        # No world until the build succeeds: another view cannot be added to one that failed.
-        studio.ground = None
-        _clear(studio, COLLECTIONS)
-        _stage(studio, world, trees)
-    _add_paint(studio.materials, world, view, labelled)
-    cars = _cars(studio.assets, world, view)
-    for item, car in zip(cars, scene.cars, strict=True):
-        _add_placed("cars", item, (*body_color(car), car.gloss))
-    host = []
-    if view.world_from_bonnet is not None:
-        host = [MeshInstance(studio.bonnet, view.world_from_bonnet, 1.0, HOST_ID)]
-        _add_placed("host", host[0], (*[scene.host.gray] * 3, scene.host.gloss))
-    grass = world.grass(view)
-    if grass is not None:
-        _add_object("grass", _grass_mesh(grass, studio.materials.grass), 0)
-    for number, body in world.site.lights(scene.shot.time_s).items():
-        _add_object("lights", structure_mesh(body, studio.materials.structures), FIRST_STRUCTURE_ID + number)
+    scene, materials = world.scene, studio.materials
+    cars, trees, host = _cars(studio.assets, world, view), _trees(studio.assets, world), _host(studio, view)
+    add: dict[str, Callable[[], None]] = {
+        "ground": lambda: _add_ground(materials, world),
+        "paint": lambda: _add_paint(materials, world, view, labelled),
+        "structures": lambda: _add_structures(materials, world),
+        "cars": lambda: _add_placed("cars", cars, [(*body_color(car), car.gloss) for car in scene.cars]),
+        "trees": lambda: _add_placed("trees", trees),
+        "host": lambda: _add_placed("host", host, [(*[scene.host.gray] * 3, scene.host.gloss)] * len(host)),
+        "grass": lambda: _add_grass(materials, world, view),
+        "lens": lambda: _add_lens(studio, view),
+        "lights": lambda: _add_lights(materials, world),
+    }
+    is_built = studio.ground is world.ground
+    # No world until the build succeeds: another view cannot be added to one that failed.
+    studio.ground = None
+    missing = OF_VIEW if is_built else COLLECTIONS
+    _clear(missing, studio.kept)
+    if not is_built:
+        set_materials(materials, scene, world.network)
+        set_translucency(studio.assets.trees, scene.vegetation.translucency)
+        set_snow_caps(scene.weather.snow)
+    # In this order Blender itself gives most of them their names.
+    for name in COLLECTIONS:
+        if name in missing:
+            add[name]()
+    studio.ground = world.ground
     set_camera(studio.camera, view.camera, view.world_from_cam)
-    if not view.camera.lens.is_pinhole:
-        set_lens(studio.lens, view, bpy.data.collections["lens"])
     _name_in_order()
     set_light(scene, light, studio.assets.skies, view.world_from_host, world.site.street_lamps)
     return [*cars, *trees, *host]
 
 
-def _stage(studio: Studio, world: World, trees: Sequence[MeshInstance]) -> None:
-    """Build what every view of a world shows alike: its ground and what stands still on it."""
-    materials = studio.materials
-    set_materials(materials, world.scene, world.network)
-    set_translucency(studio.assets.trees, world.scene.vegetation.translucency)
-    set_snow_caps(world.scene.weather.snow)
+def _add_ground(materials: Materials, world: World) -> None:
     road, shoulder, terrain = materials.ground(world.scene.surface)
     for mesh in [world.site.terrain, *world.site.verges]:
         _add_object("ground", new_mesh(mesh, [terrain]), 0)
     for mesh in world.site.pavement:
         _add_object("ground", new_mesh(mesh, [road, shoulder, terrain]), 0)
+
+
+def _add_structures(materials: Materials, world: World) -> None:
     for i, body in enumerate(world.site.structures):
         _add_object("structures", structure_mesh(body, materials.structures), FIRST_STRUCTURE_ID + i)
-    for tree in trees:
-        _add_placed("trees", tree)
-    studio.ground = world.ground
+
+
+def _add_grass(materials: Materials, world: World, view: View) -> None:
+    grass = world.grass(view)
+    if grass is not None:
+        _add_object("grass", _grass_mesh(grass, materials.grass), 0)
+
+
+def _add_lights(materials: Materials, world: World) -> None:
+    for number, body in world.site.lights(world.scene.shot.time_s).items():
+        _add_object("lights", structure_mesh(body, materials.structures), FIRST_STRUCTURE_ID + number)
+
+
+def _add_lens(studio: Studio, view: View) -> None:
+    if not view.camera.lens.is_pinhole:
+        set_lens(studio.lens, view, bpy.data.collections["lens"])
 
 
 def body_color(car: Car) -> tuple[float, float, float]:
@@ -167,10 +184,11 @@ def body_color(car: Car) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def _clear(studio: Studio, collections: Sequence[str]) -> None:
-    """Remove the objects of some collections, and their meshes; memory would grow otherwise."""
+def _clear(collections: Sequence[str], kept: frozenset[str]) -> None:
+    """Remove the objects of some collections, and their meshes but those of these names; memory would grow
+    otherwise."""
     bpy.data.batch_remove([item for name in collections for item in bpy.data.collections[name].objects])
-    bpy.data.batch_remove([mesh for mesh in bpy.data.meshes if not mesh.users and mesh.name not in studio.kept])
+    bpy.data.batch_remove([mesh for mesh in bpy.data.meshes if not mesh.users and mesh.name not in kept])
 
 
 def _name_in_order() -> None:
@@ -207,12 +225,21 @@ def _cars(assets: LoadedAssets, world: World, view: View) -> list[MeshInstance]:
 
 
 def _trees(assets: LoadedAssets, world: World) -> list[MeshInstance]:
-    trees = []
-    for i, (tree, foot) in enumerate(zip(world.scene.trees, world.site.trees_world, strict=True)):
-        c, s = np.cos(tree.yaw_rad), np.sin(tree.yaw_rad)
-        pose = from_axes(np.array([c, s, 0]), np.array([-s, c, 0]), np.array([0, 0, 1.0]), foot)
-        trees.append(MeshInstance(assets.trees[tree.model - 1], pose, tree.scale, FIRST_TREE_ID + i))
-    return trees
+    trees = world.scene.trees
+    yaw_rad = np.array([tree.yaw_rad for tree in trees], dtype=float)
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    poses = np.tile(np.eye(4), (len(trees), 1, 1))
+    poses[:, 0, 0], poses[:, 0, 1], poses[:, 1, 0], poses[:, 1, 1] = c, -s, s, c
+    poses[:, :3, 3] = world.site.trees_world
+    return [
+        MeshInstance(assets.trees[tree.model - 1], pose, tree.scale, FIRST_TREE_ID + i)
+        for i, (tree, pose) in enumerate(zip(trees, poses, strict=True))
+    ]
+
+
+def _host(studio: Studio, view: View) -> list[MeshInstance]:
+    pose = view.world_from_bonnet
+    return [] if pose is None else [MeshInstance(studio.bonnet, pose, 1.0, HOST_ID)]
 
 
 def new_mesh(mesh: Mesh, materials: list[bpy.types.Material]) -> bpy.types.Mesh:
@@ -239,9 +266,13 @@ def _grass_mesh(grass: Blades, material: bpy.types.Material) -> bpy.types.Mesh:
     return data
 
 
-def _add_placed(collection: str, item: MeshInstance, color: tuple[float, ...] | None = None) -> None:
-    scaled = item.world_from_object @ np.diag([item.scale] * 3 + [1.0])
-    _add_object(collection, item.mesh, item.instance_id, mathutils.Matrix(scaled.tolist()), color)
+def _add_placed(
+    collection: str, items: Sequence[MeshInstance], colors: Sequence[tuple[float, ...]] | None = None
+) -> None:
+    for i, item in enumerate(items):
+        scaled = item.world_from_object * [item.scale, item.scale, item.scale, 1.0]
+        color = colors[i] if colors else None
+        _add_object(collection, item.mesh, item.instance_id, mathutils.Matrix(scaled.tolist()), color)
 
 
 def _add_object(

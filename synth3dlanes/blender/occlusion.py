@@ -32,8 +32,8 @@ def hidden_by_objects(
     if structures is not None:
         hidden = _meets(structures, eye_world, points_world, END_M)
     near = _rays_near(placed, eye_world, points_world)
-    for item, candidates in zip(placed, near, strict=True):
-        rays = np.flatnonzero(candidates & ~hidden)
+    for number in np.flatnonzero(near.any(axis=1)):
+        item, rays = placed[number], np.flatnonzero(near[number] & ~hidden)
         if not rays.size:
             continue
         object_from_world = invert(item.world_from_object)
@@ -59,13 +59,11 @@ def _rays_near(
 ) -> Bool[np.ndarray, "o n"]:
     """Which rays pass through each object's bounding sphere before they end."""
     spheres = [bounding_sphere(item.mesh.name) for item in placed]
-    centers = np.array(
-        [
-            transform(item.world_from_object, item.scale * center)
-            for item, (center, _) in zip(placed, spheres, strict=True)
-        ]
-    ).reshape(-1, 3)
-    radii = np.array([item.scale * radius for item, (_, radius) in zip(placed, spheres, strict=True)])
+    poses = np.array([item.world_from_object for item in placed]).reshape(-1, 4, 4)
+    scales, middles = np.array([item.scale for item in placed]), np.array([center for center, _ in spheres])
+    offsets = poses[:, :3, :3] @ (scales[:, None] * middles.reshape(-1, 3))[..., None]
+    centers = poses[:, :3, 3] + offsets[..., 0]
+    radii = scales * np.array([radius for _, radius in spheres])
     to = points_world - eye_world
     reach = np.linalg.norm(to, axis=1)
     offset = centers - eye_world

@@ -4,10 +4,12 @@ Columns have the names of `scene.json`; those of markings and camera begin with 
 reads `flip_lateral and n_lanes = 4`, or `junction = 'merge' and max_grade > 0.1`.
 """
 
+import json
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.json as pj
 from pydantic import BaseModel
 
 from synth3dlanes.dataset.format import COLUMN_OF_MEMBER, LIDAR
@@ -81,7 +83,13 @@ def table(rows: list[dict[str, Any]], recipe: str = "") -> pa.Table:
     added = [SHOT_SCHEMA] if rows and "scene" in rows[0] else []
     added += [LIDAR_SCHEMA] if rows and LIDAR_SCHEMA.names[0] in rows[0] else []
     schema = pa.unify_schemas([SCHEMA, *added, ADDED_SCHEMA])
-    return pa.Table.from_pylist(rows, schema=schema.with_metadata({RECIPE: recipe}) if recipe else schema)
+    schema = schema.with_metadata({RECIPE: recipe}) if recipe else schema
+    if not rows:
+        return schema.empty_table()
+    # As JSON, because Table.from_pylist imports pandas wherever it is installed: a second, for nothing.
+    lines = "\n".join(map(json.dumps, rows)).encode()
+    wanted = pj.ParseOptions(explicit_schema=schema, unexpected_field_behavior="ignore")
+    return pj.read_json(pa.BufferReader(lines), parse_options=wanted).cast(schema).combine_chunks()
 
 
 def _topology(scene: Scene, labels: Labels) -> dict[str, Any]:

@@ -92,15 +92,22 @@ def pictures_per_scene(description: Mapping[str, Any]) -> int:
     return int(shots.get("frames", 1)) * max(1, len(shots.get("cameras", ())))
 
 
+def is_lifted(description: Mapping[str, Any]) -> bool:
+    """Whether the labels were measured in a real drive (`lift`): scenes are placeholders then."""
+    return "lifted" in (description.get("derived") or {})
+
+
 def updated_description(before: bytes | None, recipe: dict[str, Any], split: str, n: int, where: str) -> bytes:
     """`dataset.json` once a split of `n` is asked for; `before` is what it holds now, None where there is none.
 
-    A data set keeps the licence that it has. A new one made with a user's own assets gets none: theirs is not known.
+    A data set keeps the licence that it has. A new one made with a user's own assets, or lifted from a user's drive,
+    gets none: theirs is not known.
     Raises InputError with a line for each key of the recipe that differs from the one there, and FormatError as
     `parse_description` does.
     """
     found = None if before is None else parse_description(before, where)
-    new = {} if any(recipe.get("assets", {}).values()) else {"license": DATA_LICENSE}
+    is_theirs = any(recipe.get("assets", {}).values()) or is_lifted(recipe)
+    new = {} if is_theirs else {"license": DATA_LICENSE}
     licence = {key: value for key, value in (found or new).items() if key == "license"}
     asked = {"format": DATASET_FORMAT, "version": DATASET_VERSION, **licence, **recipe}
     splits: dict[str, Any] = {}

@@ -121,15 +121,15 @@ def scene_page(
     step = max(1, -(-len(shown.clip) // MAX_FRAMES))
     numbers = range(0, len(shown.clip), step)
     frames = [_frame(number, *shown.clip[number]) for number in numbers]
-    return _render(
+    return render(
         "scene.html",
         title=f"seed {scene.seed}, {scene.split} {scene.index}: {road_words(scene)}",
         switches=_switches([labels]),
-        drawn=_drawing(labels, shown.image),
+        drawn=drawing(labels, shown.image),
         frames=frames,
         pause_ms=round(1000 / scene.shot.fps * step),
         start=min(range(len(frames)), key=lambda i: abs(numbers[i] - scene.shot.frame), default=0),
-        rig=[(found.camera.name, _drawing(found, picture)) for found, picture in shown.rig],
+        rig=[(found.camera.name, drawing(found, picture)) for found, picture in shown.rig],
         passes=[
             PassPicture(name, WORDS[name], _jpeg(pass_picture(name, values))) for name, values in shown.passes.items()
         ],
@@ -153,12 +153,12 @@ def report_page(
 ) -> str:
     """A data set: some of its samples (name, scene, labels, image), its distributions, and its parameters as declared
     and as drawn."""
-    return _render(
+    return render(
         "report.html",
         title=title,
         n_scenes=scenes.n_scenes,
         switches=_switches(sample for _, _, sample, _ in samples),
-        cards=[Card(name, road_words(scene), _drawing(sample, image)) for name, scene, sample, image in samples],
+        cards=[Card(name, road_words(scene), drawing(sample, image)) for name, scene, sample, image in samples],
         topologies=scenes.topologies.items(),
         measured=[
             (row.name, *_short(row.minimum, row.p05, row.median, row.p95, row.maximum, row.mean))
@@ -180,7 +180,7 @@ def report_page(
     )
 
 
-def _render(template: str, **values: Any) -> str:
+def render(template: str, **values: Any) -> str:
     """The text of a template in `web/`; values are escaped."""
     loader = PackageLoader("synth3dlanes.figures", "web")
     environment = Environment(
@@ -191,10 +191,11 @@ def _render(template: str, **values: Any) -> str:
 
 
 def _frame(number: int, labels: Labels, image: RgbImage) -> ClipFrame:
-    return ClipFrame(f"frame {number}, {labels.time_s or 0:.2f} s", _drawing(labels, image))
+    return ClipFrame(f"frame {number}, {labels.time_s or 0:.2f} s", drawing(labels, image))
 
 
-def _drawing(labels: Labels, image: RgbImage | None) -> Drawing:
+def drawing(labels: Labels, image: RgbImage | None) -> Drawing:
+    """An image with its lanes, its objects and its masks, as the macro `drawing` of `web/parts.html` shows them."""
     color_of_objects, color_of_elements = (colors.hexadecimal(color) for color in (colors.OBJECT, colors.ELEMENT))
     return Drawing(
         labels.camera.width_px,

@@ -30,6 +30,8 @@ from synth3dlanes.processes import process_pool
 from synth3dlanes.schema import Excerpt, PathBelow, parse
 
 MARKS = ".parts"
+MOST_OPEN = 200
+"""Shared files that are written at a time."""
 LAYOUT = 3
 """Exports of an earlier layout are not continued."""
 
@@ -113,7 +115,8 @@ class Export:
                 done += n_frames
                 progress(done, total)
             for link, target in foreign.links.items():
-                folder.link(link, target)
+                if folder.exists(target) and not folder.is_folder(link):
+                    folder.link(link, target)
             _write_shared(folder, marks, foreign)
             summary = summarize(_records(marks), foreign)
             text = readme(self.source, self.format_name, foreign, [chunk.split for chunk in chunks], summary)
@@ -238,31 +241,34 @@ def _records(marks: Sequence[Path]) -> Iterator[dict[str, Any]]:
 
 
 def _write_shared(folder: Folder, marks: Sequence[Path], foreign: Format) -> None:
+    found = dict.fromkeys(foreign.lists)
+    for record in _records(marks):
+        found |= dict.fromkeys(path for _, paths in record.get("shared", ()) for path in paths)
+    for start in range(0, len(found), MOST_OPEN):
+        _write_some(folder, marks, foreign, list(found)[start : start + MOST_OPEN])
+
+
+def _write_some(folder: Folder, marks: Sequence[Path], foreign: Format, shared: Sequence[str]) -> None:
     # Frames with lines come first: Anchor3DLane fails on a list whose first frame has none. Every line ends in a
     # newline, also the last: tools join files, and read them by line.
     with ExitStack() as stack:
         files: dict[str, Draft] = {}
-
-        def opened(path: str) -> Draft:
-            if path not in files:
-                folder.make(PurePath(path).parent)
-                folder.remove_unfinished(path)
-                files[path] = stack.enter_context(folder.draft(path))
-            return files[path]
-
-        for path in foreign.lists:
-            opened(path)
+        for path in shared:
+            folder.make(PurePath(path).parent)
+            folder.remove_unfinished(path)
+            files[path] = stack.enter_context(folder.draft(path))
         for with_lines in (True, False):
             for record in _records(marks):
                 if record["left_out"] or (record["n_lines"] > 0) != with_lines:
                     continue
                 for text, paths in record["shared"]:
-                    for path in paths:
-                        opened(path).stream.write(f"{text}\n".encode())
+                    for path in files.keys() & paths:
+                        files[path].stream.write(f"{text}\n".encode())
         for path, draft in files.items():
             if foreign.document is None:
                 draft.appear()
                 continue
             draft.stream.flush()
             with folder.replacing(path) as document:
-                document.writelines(text.encode() for text in foreign.document(path, draft.path))
+                pieces = foreign.document(path, draft.path)
+                document.writelines(piece.encode() if isinstance(piece, str) else piece for piece in pieces)

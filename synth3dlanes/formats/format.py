@@ -22,13 +22,14 @@ class SampleFrame(ExportFrame):
     """A frame taken as it is (a rolled camera stays rolled), with its scene, its passes by name if the format asks for
     any, and the sweep of its lidar if there is one and the format takes it. The image is of `image_format`, jpg or png.
     `cameras` are those of all exported pictures of this moment by a rig, itself included, by their keys: for the first
-    of them, none for the others."""
+    of them, none for the others. `is_first` says whether it is the first exported picture of its scene."""
 
     scene: Scene
     passes: Mapping[str, Shaped[np.ndarray, "..."]]
     image_format: str
     sweep: Sweep | None = None
     cameras: Mapping[str, CameraLabel] = field(default_factory=dict)
+    is_first: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,10 +80,10 @@ class Format:
       may be, by unit (m, px), because of the format's own grid.
     - `score` gives the benchmark's rates of predictions (a file or folder) for an export, if there is a benchmark.
 
-    `links` are links within an export; `lists` are files that tools open even where no frame belongs there;
-    `replaced_words` what tools replace wherever a path has it; `counted` is what `n_lines` counts. A shared file holds
-    the lines of its frames. If it is to be one document, `document` makes that of the file's path in the export and the
-    file of its lines.
+    `links` are links within an export, made where their target is and nothing is in their place; `lists` are files that
+    tools open even where no frame belongs there; `replaced_words` what tools replace wherever a path has it; `counted`
+    is what `n_lines` counts. A shared file holds the lines of its frames. If it is to be one document, `document` makes
+    that, in pieces, of the file's path in the export and the file of its lines.
     """
 
     title: str
@@ -95,7 +96,7 @@ class Format:
     links: Mapping[str, str] = field(default_factory=dict)
     lists: tuple[str, ...] = ()
     replaced_words: tuple[str, ...] = ()
-    document: Callable[[str, Path], Iterator[str]] | None = None
+    document: Callable[[str, Path], Iterator[str] | Iterator[bytes]] | None = None
     counted: str = "lane lines"
 
 

@@ -66,6 +66,7 @@ def write_as_it_is(reader: Reader, index: int, chunk: Chunk, out: Path, foreign:
         image_format=image_format,
         sweep=reader.lidar(index) if foreign.takes_sweeps and reader.has_lidar else None,
         cameras=_cameras(reader, index, labels, chunk),
+        is_first=index in chunk.firsts,
     )
     annotation = foreign.write(frame)
     if annotation is None:

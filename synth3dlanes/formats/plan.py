@@ -43,7 +43,7 @@ def is_test_scene(scene: int | Int[np.ndarray, " n"]) -> Any:
 class Chunk:
     """Some frames of one split, by their places in it. `mark` names the file that says that the chunk is done; it
     depends on the frames' bytes, so a chunk of other frames is a new one. `parts` are all that the data set has;
-    `cameras` are those that were asked for."""
+    `cameras` are those that were asked for. `firsts` are the places of the first exported pictures of scenes."""
 
     source: str
     split: ExportSplit
@@ -51,6 +51,7 @@ class Chunk:
     places: tuple[int, ...]
     mark: str
     cameras: tuple[str, ...]
+    firsts: frozenset[int]
 
     @property
     def url(self) -> str:
@@ -74,12 +75,14 @@ def plan(source: str, cameras: Sequence[str] = (), is_per_scene: bool = False, t
     for split, reader in zip(splits, found, strict=True):
         names = tuple(cameras) or (tuple(camera.name for camera in reader.cameras) if takes_rigs else ())
         taken = reader.taken_by(names) if moment is None else _of_moment(reader, moment, names)
+        firsts = taken[np.unique(reader.scene_of[taken], return_index=True)[1]]
         if is_per_scene:
-            taken = taken[np.unique(reader.scene_of[taken], return_index=True)[1]]
+            taken = firsts
         for start in range(0, len(taken), FRAMES_PER_CHUNK):
             places = taken[start : start + FRAMES_PER_CHUNK]
             mark = f"{split.name}-{reader.key(int(places[0]))}-{_digest(reader, places)}.jsonl"
-            chunks.append(Chunk(folder, split, parts, tuple(places.tolist()), mark, names))
+            here = frozenset(np.intersect1d(places, firsts).tolist())
+            chunks.append(Chunk(folder, split, parts, tuple(places.tolist()), mark, names, here))
     return chunks
 
 

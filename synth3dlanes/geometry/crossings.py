@@ -121,7 +121,7 @@ def gantry_boards(ground: Ground, crossing: Crossing) -> list[GantryBoard]:
         place = Mounted(own, np.array([0.0, -before_m, base - 0.35 + 1.0]), board_size(layers))
         below = [
             lane.id
-            for lane in road.lanes_at(crossing.s_m)
+            for lane in sorted(road.lanes_at(crossing.s_m), key=lambda lane: to_right * lane.middle.base_m)
             if abs(float(lane.middle(s)[0]) * to_right - x) <= width_m / n / 2 + HAIR_M
             and (lane.direction == "oncoming") == is_oncoming
         ]

@@ -88,4 +88,5 @@ def _beside(network: Network, post: Post) -> tuple[str, ...]:
         return ()
     road = network.road(post.road)
     direction = road.carriageways[0 if post.side == "left" else -1].direction
-    return tuple(lane.id for lane in road.lanes_at(post.s_m) if lane.direction == direction)
+    here = {lane.id for lane in road.lanes_at(post.s_m) if lane.direction == direction}
+    return tuple(lane for lane in network.lanes if lane in here)

@@ -4,6 +4,7 @@ beside these. World frame.
 The pavement of roads that connect others in a junction is one area. Terrain meets the pavement at its edges.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -14,7 +15,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
-from synth3dlanes.arrays import AnyPoints2, AnyScalars, Points2, Scalars
+from synth3dlanes.arrays import AnyPoints2, AnyScalars, Points2, Points3, Scalars
 from synth3dlanes.geometry.ground import CELL_M, EMBANKMENT_SLOPE, FINE_M, GROWTH, MAX_CELL_SCALE, Ground
 from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.map_network import Junction, MapNetwork
@@ -206,6 +207,15 @@ class MapGround(Ground):
                 for a, b in section.raised:
                     found.append(_polygon(*(road.xy(s, section.edge(edge, s)) for edge in (a, b))))
         return found
+
+    def paved_strips(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Iterator[tuple[Points3, Points3]]:
+        """Both edges of the pavement of every road within a distance of a place, those in junctions included."""
+        for at in self.map.roads:
+            road = self.map.road(at.id)
+            s = self.road_rows(road)
+            left, right = (road.points(s, edge(s)) for edge in (road.left, road.right))
+            if (np.hypot(*(left[:, :2] - xy_world).T) < reach_m).any():
+                yield left, right
 
     @cached_property
     def carriageways(self) -> BaseGeometry:

@@ -11,8 +11,9 @@ from synth3dlanes.frames import from_axes
 from synth3dlanes.geometry.sign_faces import Patch
 from synth3dlanes.geometry.solids import METAL, SHEETING_GLOSS, Body, GroundFrame, Quads
 
-# A board: its depth, and where its back and the first layer of its face are in it; each further layer is nearer.
-BOARD_M, BACK_M, FACE_M, LAYER_M = 0.08, 0.03, -0.01, 0.004
+# A board: its depth, and where its back and the first layer of its face are in it; each further layer is nearer. All
+# are close together: a rim of the face that shows beside the back would shine in headlights.
+BOARD_M, BACK_M, FACE_M, LAYER_M = 0.08, 0.0, -0.002, 0.003
 
 
 class Mounted(NamedTuple):

@@ -53,7 +53,8 @@ def develop(
         linear = add_drops(linear, sensor.drops, scene.glass_stream("drops"))
     if sensor.dirt > 0:
         linear = add_dirt(linear, sensor.dirt, scene.glass_stream("dirt"))
-    linear = np.where(is_seen[..., None], linear, np.float32(0))
+    if not view.camera.lens.is_pinhole:
+        linear = np.where(is_seen[..., None], linear, np.float32(0))
     if sensor.noise > 0:
         linear = add_noise(linear, sensor.noise, scene.picture_stream("sensor_noise"), amplified)
     return tonemap(linear)

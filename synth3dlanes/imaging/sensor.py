@@ -10,8 +10,8 @@ from synth3dlanes.imaging.film import MIDDLE_GRAY, levels_per_radiance
 from synth3dlanes.imaging.lens import points
 from synth3dlanes.scene import Camera
 
-# Largest distance between samples along a pixel's motion, the shortest motion that is blurred, and most samples.
-TAP_PX, SHORTEST_PX, MAX_TAPS = 2.5, 0.3, 32
+# Largest distance between samples along a pixel's motion, the shortest motion that is blurred, and numbers of samples.
+TAP_PX, SHORTEST_PX, TAPS = 2.5, 0.3, (2, 3, 4, 6, 8, 12, 16, 24, 32)
 # Share of the variance at middle gray that is read-out noise; the rest is photon noise, which grows with the light.
 READ_SHARE = 0.1
 
@@ -22,7 +22,8 @@ METERED_MEAN, MOST_GAIN = 0.02, 8.0
 
 def gain(linear: LinearImage, is_seen: Bool[np.ndarray, "h w"], metering: float) -> float:
     """The amplification of a dark picture, from 1 to MOST_GAIN, by a camera that meters (see `Light`)."""
-    mean = float(np.clip(linear[is_seen], 0, 1).mean()) if is_seen.any() else 1.0
+    seen = linear if is_seen.all() else linear[is_seen]
+    mean = float(np.clip(seen, 0, 1).mean()) if seen.size else 1.0
     return float(np.clip(METERED_MEAN / max(mean, 1e-9), 1, MOST_GAIN) ** metering)
 
 
@@ -35,21 +36,33 @@ def motion_blur(
     uv = np.column_stack([u, v]) + 0.5
     points_cam = points(camera, uv, depth_m[v, u].astype(float))
     way_px = np.hypot(*(project(camera, points_cam + driven_cam / 2) - project(camera, points_cam - driven_cam / 2)).T)
-    moving = way_px > SHORTEST_PX
-    if not moving.any():
-        return linear
-    points_cam, (v, u) = points_cam[moving], (v[moving], u[moving])
-    n_taps = min(int(np.ceil(way_px[moving].max() / TAP_PX)) + 1, MAX_TAPS)
-    total = np.zeros((len(u), 3), np.float32)
+    blurred, channels = linear.copy(), np.ascontiguousarray(np.moveaxis(linear, -1, 0))
+    # Most pixels move little, and need few samples.
+    least_px = SHORTEST_PX
+    for n_taps in TAPS:
+        most_px = np.inf if n_taps == TAPS[-1] else (n_taps - 1) * TAP_PX
+        at = np.flatnonzero((way_px > least_px) & (way_px <= most_px))
+        if at.size:
+            blurred[v[at], u[at]] = _mean_along(channels, camera, points_cam[at], driven_cam, n_taps)
+        least_px = most_px
+    return blurred
+
+
+def _mean_along(
+    channels: Float[np.ndarray, "3 h w"],
+    camera: Camera,
+    points_cam: Float[np.ndarray, "n 3"],
+    driven_cam: Float[np.ndarray, "3"],
+    n_taps: int,
+) -> Float[np.ndarray, "n 3"]:
+    """The mean light of a picture at `n_taps` places along each point's motion."""
+    total = np.zeros((3, len(points_cam)), np.float32)
     for share in (np.arange(n_taps) + 0.5) / n_taps - 0.5:
         columns, rows = project(camera, points_cam + share * driven_cam).T - 0.5
-        for channel in range(3):
-            total[:, channel] += scipy.ndimage.map_coordinates(
-                linear[..., channel], [rows, columns], order=1, mode="nearest"
-            )
-    blurred = linear.copy()
-    blurred[v, u] = total / n_taps
-    return blurred
+        places = np.stack([rows, columns])
+        for channel, light in zip(total, channels, strict=True):
+            channel += scipy.ndimage.map_coordinates(light, places, order=1, mode="nearest")
+    return (total / n_taps).T
 
 
 def add_noise(linear: LinearImage, levels: float, rng: np.random.Generator, amplified: float = 1.0) -> LinearImage:

@@ -24,6 +24,7 @@ from scipy.ndimage import gaussian_filter
 
 from synth3dlanes.dataset.format import decode_image
 from synth3dlanes.dataset.write import Shard
+from synth3dlanes.errors import FormatError
 from synth3dlanes.files import read_bounded
 from synth3dlanes.production.recipe import Recipe, make_part, make_sample
 from synth3dlanes.production.workers import Limits, Pool
@@ -58,9 +59,11 @@ class DefaultTiming:
 
 @dataclass(frozen=True)
 class Bench:
-    """The result of `bench`. Seconds are those of one worker for one image. `memory_mib` is the mean of each quarter of
-    the run."""
+    """The result of `bench`. Seconds are those of one worker for one image, which is one of `frames` of a clip.
+    `memory_mib` is the mean of each quarter of the run."""
 
+    params: str
+    frames: int
     scenes: int
     workers: int
     device: str
@@ -95,8 +98,10 @@ class SampleTiming:
     peak_bytes: int
 
 
-def bench(recipe: Recipe, n: int, workers: int, masks: list[dict[str, str]], notify: Callable[[str], None]) -> Bench:
-    """Make `n` samples with warm workers, measure them, and delete them."""
+def bench(
+    params: str, recipe: Recipe, n: int, workers: int, masks: list[dict[str, str]], notify: Callable[[str], None]
+) -> Bench:
+    """Make `n` samples of the recipe with the parameters `params` with warm workers, measure them, and delete them."""
     with scratch() as folder:
         shard = Shard(folder, 0, 1 << 30, recipe.names)
         with Pool(workers, SLOW, masks=masks) as pool:
@@ -114,6 +119,8 @@ def bench(recipe: Recipe, n: int, workers: int, masks: list[dict[str, str]], not
     camera = recipe.scenes.params.camera
     quarters = np.array_split(_memory_mib(timed), 4)
     return Bench(
+        params,
+        recipe.scenes.shots.frames,
         n,
         workers,
         recipe.settings.device,
@@ -228,6 +235,9 @@ class StoredDefaultTiming(BaseModel):
 class StoredBench(BaseModel):
     """The part of a stored `Bench` that is compared."""
 
+    params: str = ""
+    frames: int = 1
+    samples: int
     ratio: PositiveFloat
     seconds_per_image: PositiveFloat
     floor_seconds_per_image: PositiveFloat
@@ -235,9 +245,26 @@ class StoredBench(BaseModel):
     naive: StoredDefaultTiming | None = None
 
 
-def read_bench(path: Path) -> StoredBench:
-    """A stored `Bench.document`; raise FormatError with a line for each problem."""
-    return parse(StoredBench, read_bounded(path, MAX_BYTES), str(path), "a result of bench --json")
+class StoredRows(BaseModel):
+    """Stored results of several recipes."""
+
+    rows: list[StoredBench]
+
+
+def read_bench(path: Path, params: str, samples: int, frames: int) -> StoredBench:
+    """A stored `Bench.document`, or of `rows` of these the one with these parameters, samples and frames; raise
+    FormatError with a line for each problem."""
+    data, what = read_bounded(path, MAX_BYTES), "a result of bench --json"
+    if b'"rows"' not in data:
+        return parse(StoredBench, data, str(path), what)
+    rows = parse(StoredRows, data, str(path), what).rows
+    found = [row for row in rows if (row.params, row.samples, row.frames) == (params, samples, frames)]
+    if not found:
+        among = "; ".join(f"{row.params}, {counted(row.samples, 'sample')}, frames {row.frames}" for row in rows)
+        raise FormatError(
+            f"{path}: expected a row of {params}, {counted(samples, 'sample')}, frames {frames}, found {among}"
+        )
+    return found[0]
 
 
 def compare(now: Bench, stored: StoredBench) -> list[tuple[str, float, float]]:

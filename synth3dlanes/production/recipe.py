@@ -19,7 +19,6 @@ from synth3dlanes.errors import MissingPackageError
 from synth3dlanes.geometry.height_map import height_map
 from synth3dlanes.ground_truth import label
 from synth3dlanes.imaging.daylight import daylight
-from synth3dlanes.imaging.develop import develop
 from synth3dlanes.imaging.layers import Layers
 from synth3dlanes.params import CameraParams
 from synth3dlanes.sample import Scenes, sample_world
@@ -125,8 +124,9 @@ def make_image(world: World, settings: RenderSettings, image_format: str, librar
 
 def take_picture(world: World, settings: RenderSettings, library: Library = BUILT_IN) -> TimedPicture:
     """Label, render and develop a world as its scene's camera sees it."""
-    # Loaded here: only processes that render may load Blender.
+    # Loaded here: only processes that render may load Blender, and scipy would slow the start of all others.
     from synth3dlanes.blender.render import render
+    from synth3dlanes.imaging.develop import develop
 
     view, start = world.view, time.perf_counter()
     labels = label(world, view)

@@ -36,6 +36,12 @@ DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 PR_SET_PDEATHSIG = 1
 # Environment variable with the id of the process that a worker works for.
 PARENT = "SYNTH3DLANES_PARENT"
+# For the C library: a worker keeps the memory that a picture frees, in huge pages, for the next one. Without the second
+# value, which is as large as the third, large blocks would go back to the system at once.
+MEMORY = {
+    "GLIBC_TUNABLES": "glibc.malloc.hugetlb=1:glibc.malloc.mmap_threshold=4294967296"
+    ":glibc.malloc.trim_threshold=4294967296"
+}
 # Folders that Blender adds to sys.path when it is loaded. With them, a worker would import only a part of bpy.
 BLENDERS_PATH = re.compile(r"/bpy/\d+\.\d+/scripts")
 
@@ -210,6 +216,7 @@ class Pool:
                 stderr=stream,
                 pass_fds=[theirs.fileno()],
                 env={
+                    **MEMORY,
                     **os.environ,
                     PARENT: str(os.getpid()),
                     # What a killed worker leaves goes with the rest.

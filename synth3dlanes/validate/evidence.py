@@ -96,7 +96,12 @@ class Evidence:
         return transform(self.camera.world_from_cam, self.points_cam(rows, columns))
 
     def inside_px(self, lane: Lane) -> Float[np.ndarray, " n"]:
-        """Distance of a lane's projected points from the nearest border of the image, negative outside; NaN behind the
-        camera."""
-        uv = self.camera.project(lane.xyz_cam)
-        return np.asarray(np.minimum(uv, [self.camera.width_px, self.camera.height_px] - uv).min(axis=1))
+        """As the function `inside_px`, in the sample's camera."""
+        return inside_px(self.camera, lane)
+
+
+def inside_px(camera: CameraLabel, lane: Lane) -> Float[np.ndarray, " n"]:
+    """Distance of a lane's projected points from the nearest border of the image, negative outside; NaN behind the
+    camera."""
+    uv = camera.project(lane.xyz_cam)
+    return np.asarray(np.minimum(uv, [camera.width_px, camera.height_px] - uv).min(axis=1))

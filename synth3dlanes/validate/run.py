@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from synth3dlanes.arrays import Passes, RgbImage
 from synth3dlanes.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.dataset.address import connect, splits_near, translate_store_errors
-from synth3dlanes.dataset.description import DESCRIPTION, Description, parse_description, recipe_text
+from synth3dlanes.dataset.description import DESCRIPTION, Description, is_lifted, parse_description, recipe_text
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.dataset.nesting import data_set_of, inner_data_sets, outer_data_sets
 from synth3dlanes.errors import FormatError, InputError
@@ -25,11 +25,11 @@ from synth3dlanes.validate.checks import CHECKS
 from synth3dlanes.validate.contents import read_contents
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding, Problem, Result, findings_of, some
-from synth3dlanes.validate.integrity import Entry, check_companions, check_presence, check_shard, read_sample
+from synth3dlanes.validate.integrity import Entry, check_companions, check_presence, check_row, check_shard, read_sample
 from synth3dlanes.validate.made_again import how_to_make, make_again, some_of
 from synth3dlanes.validate.origin import Origin, drawn_otherwise, made_otherwise, read_origin
 from synth3dlanes.validate.report import ValidationReport, draw, remove_pictures, save_picture
-from synth3dlanes.validate.structure import check_shape
+from synth3dlanes.validate.structure import check_measured, check_shape
 from synth3dlanes.world import resolve
 
 # Exceptions of geometry computed from invalid scenes or labels. Samples of a correct data set raise none.
@@ -81,11 +81,13 @@ def validate(
     nested = [*outer_data_sets(place), *inner_data_sets(place, description.splits)]
     report.problems += [Problem(DESCRIPTION, "", line) for line in nested]
     try:
-        origin = read_origin(document)
+        origin = None if is_lifted(document) else read_origin(document)
     except FormatError as error:
         report.problems.append(Problem(DESCRIPTION, "", str(error)))
         origin = None
     report.notes += black_pictures(origin.shots.cameras) if origin else []
+    if rerender and is_lifted(document):
+        raise InputError(f"rerender: expected a data set of scenes, got one lifted from a drive: {place}")
     making = how_to_make(description, origin, library) if rerender else None
     remove_pictures(place)
     n = sum(min(split.n, split.n if limit is None else limit) for split in description.splits.values())
@@ -175,12 +177,18 @@ def check_sample(place: str, origin: Origin | None, description: Description, en
     members, fault = read_sample(entry)
     (scene, labels, image, passes, sweep), unread = read_contents(members)
     results: list[Result] = [*([Finding("", fault)] if fault else []), *unread]
-    digest = "" if scene is None else world_digest(scene)
+    is_measured = is_lifted({"derived": description.derived})
+    digest = "" if scene is None or is_measured else world_digest(scene)
     redrawn = "" if scene is None or origin is None else origin.fault(scene, entry.split, entry.index)
     if scene is None or labels is None or image is None or passes is None:
         return SampleCheck(entry.name, digest, redrawn, results)
-    misshapen = [*_pictures(scene, description, image, passes), *check_shape(scene, labels)]
-    results += misshapen or _examine(Evidence(resolve(scene), labels, image, passes, sweep, entry))
+    misshapen = [*_pictures(scene, description, image, passes)]
+    if is_measured:
+        # Its scene is a placeholder.
+        results += [*misshapen, *check_measured(labels), *check_row(entry, scene, labels)]
+    else:
+        misshapen += check_shape(scene, labels)
+        results += misshapen or _examine(Evidence(resolve(scene), labels, image, passes, sweep, entry))
     if findings_of(results):
         save_picture(place, entry.name.replace(":", "-"), image if misshapen else draw(image, labels))
     return SampleCheck(entry.name, digest, redrawn, results)

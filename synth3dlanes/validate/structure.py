@@ -19,7 +19,7 @@ from synth3dlanes.labels import CameraLabel, Labels, Lane, SymbolLabel
 from synth3dlanes.scene import Scene
 from synth3dlanes.validate.bodies import cores, outlines
 from synth3dlanes.validate.boxes import meet
-from synth3dlanes.validate.evidence import BORDER_PX, Evidence
+from synth3dlanes.validate.evidence import BORDER_PX, Evidence, inside_px
 from synth3dlanes.validate.findings import Finding, shown
 
 # labels.json rounds points to 0.1 mm and matrices to 1e-9.
@@ -58,18 +58,47 @@ def check_shape(scene: Scene, labels: Labels) -> Iterator[Finding]:
         yield Finding("", reason)
 
 
+def check_measured(labels: Labels) -> Iterator[Finding]:
+    """Check labels that were lifted from a real drive, as far as they can be without a world: ids, order, projection,
+    rotations, and that every point says how certain it is."""
+    for id_, count in Counter(lane.id for lane in labels.lanes).items():
+        if count > 1:
+            yield Finding(id_, f"expected unique ids of lanes, got {count} lanes with this one")
+    yield from _references(labels)
+    camera = labels.camera
+    for name in ("world_from_cam", "road_from_cam"):
+        turn = getattr(camera, name)[:3, :3]
+        if not np.allclose(turn @ turn.T, np.eye(3), atol=MATRIX) or np.linalg.det(turn) < 0:
+            yield Finding("", f"camera.{name}: expected a rotation, got another matrix")
+    pose = road_from_cam(camera.height_m, camera.pitch_rad, camera.roll_rad, camera.yaw_rad)
+    if not np.allclose(camera.road_from_cam, pose, atol=MATRIX):
+        yield Finding("", "camera.road_from_cam: expected its height and angles, got another transform")
+    for lane in labels.lanes:
+        if len(lane.xyz_cam) < 2:
+            yield Finding(lane.id, f"expected two points or more, got {len(lane.xyz_cam)}")
+            continue
+        yield from _order(camera, lane)
+        yield from _masked(lane, inside_px(camera, lane))
+        if lane.std_m is None or not (lane.std_m > 0).all():
+            yield Finding(lane.id, "std_m: expected how certain each point is, above 0, got none or 0")
+
+
 def check_labels(evidence: Evidence) -> Iterator[Finding]:
     """Check camera, and every lane's order, projection and labels, against the scene."""
     labels, truth = evidence.labels, evidence.truth
     yield from _camera(evidence.scene, labels)
     for lane in labels.lanes:
         yield from _order(labels.camera, lane)
-        inside_px = evidence.inside_px(lane)
-        wrong = np.where(lane.in_image, ~(inside_px > -BORDER_PX), inside_px > BORDER_PX)
-        if wrong.any():
-            yield Finding(lane.id, f"in_image: expected the mask of our projection, got another at {_at(wrong)}")
+        yield from _masked(lane, evidence.inside_px(lane))
     yield from _against_ground_truth(truth, labels)
     yield from _symbols(truth, labels)
+
+
+def _masked(lane: Lane, inside_px: Float[np.ndarray, " n"]) -> Iterator[Finding]:
+    """A finding if points are not in the image where the mask says so."""
+    wrong = np.where(lane.in_image, ~(inside_px > -BORDER_PX), inside_px > BORDER_PX)
+    if wrong.any():
+        yield Finding(lane.id, f"in_image: expected the mask of our projection, got another at {_at(wrong)}")
 
 
 def check_host(evidence: Evidence) -> Iterator[Finding]:

@@ -152,9 +152,9 @@ def over_its_lane(evidence: Evidence, item: ElementLabel) -> Iterator[Result]:
     lines = [lane.xyz_cam for lane in evidence.labels.lanes if lane.id in names]
     if not lines:
         return
-    road_from_cam = evidence.camera.road_from_cam
-    x, y, _ = transform(road_from_cam, item.center_cam)
-    points = transform(road_from_cam, np.concatenate(lines))
+    world_from_cam = evidence.camera.world_from_cam
+    x, y, _ = transform(world_from_cam, item.center_cam)
+    points = transform(world_from_cam, np.concatenate(lines))
     if not points[:, 1].min() <= y <= points[:, 1].max():
         return
     off_m = float(np.hypot(points[:, 0] - x, points[:, 1] - y).min())

@@ -53,6 +53,27 @@ def test_bytes_do_not_depend_on_what_was_made_before():
     assert len({members["png"] for members in in_order}) == 6
 
 
+@pytest.mark.thorough
+def test_scenes_of_all_weathers_in_any_order_give_the_bytes_of_each_alone():
+    """What a studio keeps (materials, lamps, sky, names of objects) must not show in the next scene."""
+    weathers = (
+        ["light.sun_zenith_deg=40", "markings.wear=0.5", "host.bonnet=0"],
+        ["light.sun_zenith_deg=100", "weather.headlights=true", "weather.rain=0.8", "surface.wetness=0.9"],
+        ["weather.snow=0.8", "weather.snowfall=0.5", "weather.snow_on_road=0.4", "vegetation.grass_m=0"],
+    )
+    recipes = [
+        replace(RECIPE, scenes=Scenes(load_params("tiny", [*STREET, *changes]), 7 + i, "train"))
+        for i, changes in enumerate(weathers)
+    ]
+    alone = []
+    for recipe in recipes:
+        renderer.opened.cache_clear()
+        alone.append(make_sample(recipe, 0).members)
+    assert len({members["png"] for members in alone}) == 3
+    for i in (1, 0, 2, 1, 2, 0):
+        assert make_sample(recipes[i], 0).members == alone[i], i
+
+
 def test_two_cameras_and_two_frames_in_any_order_give_the_bytes_of_each_alone(tmp_path):
     """What stands still is shared; what one camera or frame sees must not show in another's."""
     (tmp_path / "rig.yaml").write_text(

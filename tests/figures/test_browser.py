@@ -1,17 +1,13 @@
 """The pages in a headless Chromium: they load in silence, every switch works, and space is turned by the mouse."""
 
 import io
-import shutil
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from PIL import Image
-from playwright.sync_api import Browser, Locator, Page, expect, sync_playwright
+from playwright.sync_api import Locator, Page, expect
 
 from synth3dlanes.figures.page import report_page, scene_page
 from synth3dlanes.figures.shown import ShownScene
@@ -23,9 +19,6 @@ from synth3dlanes.sample import Scenes, sample_scene
 from synth3dlanes.scene import Shot
 from tests.thorough import first
 
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-# WebGL without a graphics card; root has no sandbox.
-ARGUMENTS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 AFTER_DRAWING = "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
 IS_OFF = (
     "box => [...document.querySelectorAll(box.dataset.shows)].map(part => getComputedStyle(part).display == 'none')"
@@ -65,41 +58,6 @@ DRAWN_ONCE_TURNED = """async canvas => {
 }"""
 # Pixels of the canvas: the lines are a few wide, and a polyline of the image has a vertex every metre.
 REACH_PX = 3
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    path = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if path is None:
-        pytest.fail(f"expected one of {', '.join(BROWSERS)} on the PATH, got none: sudo apt-get install chromium")
-    with sync_playwright() as playwright:
-        started = playwright.chromium.launch(executable_path=path, args=ARGUMENTS)
-        yield started
-        started.close()
-
-
-@pytest.fixture
-def open_page(browser: Browser, tmp_path: Path):
-    """Opens the text of a page; in the end it must have said nothing and asked for nothing."""
-    context = browser.new_context()
-    said, asked = [], []
-
-    def open_(text: str, width: int = 920, scheme: Literal["light", "dark"] = "light") -> Page:
-        path = tmp_path / "page.html"
-        path.write_text(text, encoding="utf-8")
-        page = context.new_page()
-        page.emulate_media(color_scheme=scheme)
-        page.set_viewport_size({"width": width, "height": 800})
-        page.on("console", lambda message: said.append(message.text))
-        page.on("pageerror", lambda error: said.append(str(error)))
-        page.on("request", lambda request: asked.append(request.url))
-        page.goto(path.as_uri())
-        return page
-
-    yield open_
-    context.close()
-    assert said == []
-    assert {url for url in asked if not url.startswith("data:")} == {(tmp_path / "page.html").as_uri()}
 
 
 def some_behind_cars(labels: Labels) -> Labels:

@@ -128,8 +128,23 @@ def openlane_v2(out, fault):
     if fault == "dropped":
         del lanes[0]
         found["topology_lclc"] = [row[1:] for row in found["topology_lclc"][1:]]
+        del found["topology_lcte"][0]
     for lane, line in zip(lanes, points, strict=True):
         lane["points"] = line
+    path.write_text(json.dumps(document))
+
+
+def argoverse2(out, fault):
+    path = sorted(out.glob("test/*/map/log_map_archive_*.json"))[0]
+    document = json.loads(path.read_text())
+    lanes = list(document["lane_segments"].values())
+    for side in ("left_lane_boundary", "right_lane_boundary"):
+        lines = [[[p[axis] for axis in "xyz"] for p in lane[side]] for lane in lanes]
+        for lane, line in zip(lanes, lines if fault == "dropped" else moved(lines, fault), strict=True):
+            lane[side] = [dict(zip("xyz", point, strict=True)) for point in line]
+    if fault == "dropped":
+        first = min(document["lane_segments"])[:-3]
+        document["lane_segments"] = {i: lane for i, lane in document["lane_segments"].items() if i[:-3] != first}
     path.write_text(json.dumps(document))
 
 
@@ -216,6 +231,7 @@ PLANTED = {
     "culane": texts("driver_*/*.MP4/*.lines.txt", 1640.0),
     "curvelanes": curvelanes,
     "openlane_v2": openlane_v2,
+    "argoverse2": argoverse2,
     "opendrive": opendrive,
     "coco": coco,
     "masks": texts("lines/test-*.lines.txt", 480.0),

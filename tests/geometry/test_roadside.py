@@ -105,6 +105,8 @@ def test_nothing_is_over_or_on_a_lane_below_the_clearance(worlds):
 def test_feet_are_on_the_ground_and_bodies_reach_into_it(worlds):
     for world in worlds:
         for body in world.site.structures:
+            if body.kind in ("face", "head"):
+                continue
             xy, z = body.feet_world[:, :2], body.feet_world[:, 2]
             assert np.abs(world.ground.height(xy) - z).max() < 0.02
             if body.kind in ("lamp", "sign", "delineator"):

@@ -7,6 +7,7 @@ import pytest
 from click.testing import CliRunner
 from synth3dlanes_cli.main import main
 
+from synth3dlanes.errors import FormatError
 from synth3dlanes.params import load_params
 from synth3dlanes.production import bench
 from synth3dlanes.production.bench import (
@@ -51,7 +52,24 @@ def test_a_comparison_is_free_of_the_machines_speed():
     """Against itself on a machine that is three times slower, and with one stage twice as long."""
     stages = {"build": 0.1, "path tracing": 0.3, "denoise": 0.1}
     now = Bench(
-        3, 1, "cpu", 4, (96, 72), 7200, 7200, 0.5, 0.5, 0.4, 1.25, stages, 0, [], None, DefaultTiming(0.6, 128, 5.0)
+        "tiny",
+        1,
+        3,
+        1,
+        "cpu",
+        4,
+        (96, 72),
+        7200,
+        7200,
+        0.5,
+        0.5,
+        0.4,
+        1.25,
+        stages,
+        0,
+        [],
+        None,
+        DefaultTiming(0.6, 128, 5.0),
     )
     slower = json.loads(json.dumps(now.document()))
     for group in (slower, slower["stages"], slower["naive"]):
@@ -83,6 +101,20 @@ def test_the_bench_adds_up_and_compares(tmp_path):
     assert "end to end" in again.stdout
 
 
+def test_of_stored_rows_the_one_of_the_same_recipe_is_compared(tmp_path):
+    row = {"ratio": 1.5, "seconds_per_image": 3.0, "floor_seconds_per_image": 2.0, "stages": {}}
+    keys = [("streets", 4, 1), ("streets", 1, 1), ("streets", 1, 12)]
+    rows = [
+        {**row, "params": params, "samples": samples, "frames": frames, "ratio": 1.0 + k}
+        for k, (params, samples, frames) in enumerate(keys)
+    ]
+    path = tmp_path / "rows.json"
+    path.write_text(json.dumps({"rows": rows}))
+    assert [bench.read_bench(path, *key).ratio for key in keys] == [1.0, 2.0, 3.0]
+    with pytest.raises(FormatError, match="expected a row of tiny, 1 sample, frames 1, found streets, 4 samples"):
+        bench.read_bench(path, "tiny", 1, 1)
+
+
 @pytest.mark.thorough
 @pytest.mark.render
 def test_more_samples_come_closer_to_the_reference(monkeypatch):
@@ -111,5 +143,5 @@ def test_memory_stays_flat():
     """A thousand small scenes in one worker."""
     size = ("camera.width_px=96", "camera.height_px=72")
     recipe = Recipe(Scenes(load_params("appendix_i", size), 0, "bench"), RenderSettings(1), "jpg")
-    third, fourth = bench.bench(recipe, 1000, 1, [{}], lambda _: None).memory_mib[2:]
+    third, fourth = bench.bench("appendix_i", recipe, 1000, 1, [{}], lambda _: None).memory_mib[2:]
     assert fourth < 1.02 * third

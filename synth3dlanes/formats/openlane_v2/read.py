@@ -2,26 +2,37 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import RootModel
+from pydantic import Field, RootModel
 
 from synth3dlanes import schema
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.openlane_v2.convention import COLLECTIONS, ROOT
 from synth3dlanes.formats.reading import MOST_BYTES, read_file
 from synth3dlanes.json_arrays import JsonMatrix3, JsonPoints, Row3
-from synth3dlanes.schema import Excerpt, PathBelow
+from synth3dlanes.schema import Excerpt, Number, PathBelow
 
 LEAST_POINTS = 11  # what the benchmark compares
 
 
 @dataclass(frozen=True, eq=False)
+class FoundElement:
+    """A traffic element of a label file: its codes, and left, top, right and bottom in the first image."""
+
+    id: int
+    category: int
+    attribute: int
+    box_px: Float[np.ndarray, "4"]
+
+
+@dataclass(frozen=True, eq=False)
 class TopologyFrame:
     """One label file: images by camera, the ids of the lanes, the polylines of each (the centre line, and in `-ls`
-    files left and right boundary) in the vehicle frame, which lane (column) follows which (row), the vehicle's pose.
+    files left and right boundary) in the vehicle frame, which lane (column) follows which (row), the vehicle's pose;
+    the traffic elements, and which of them (column) governs which lane (row).
     """
 
     images: dict[str, str]
@@ -29,6 +40,8 @@ class TopologyFrame:
     lanes_ego: tuple[tuple[Float[np.ndarray, "_ 3"], ...], ...]
     follows: Float[np.ndarray, "n n"]
     world_from_ego: Float[np.ndarray, "4 4"]
+    elements: tuple[FoundElement, ...]
+    governs: Float[np.ndarray, "n t"]
 
 
 def frames(out: Path) -> dict[str, list[Path]]:
@@ -52,24 +65,43 @@ def parse(text: str, where: str) -> TopologyFrame:
     if isinstance(annotation, _Segments):
         ids = tuple(lane.id for lane in annotation.lane_segment)
         lanes = tuple((lane.centerline, lane.left_laneline, lane.right_laneline) for lane in annotation.lane_segment)
-        follows = annotation.topology_lsls
+        follows, governs = annotation.topology_lsls, annotation.topology_lste
     else:
         ids = tuple(lane.id for lane in annotation.lane_centerline)
         lanes = tuple((lane.points,) for lane in annotation.lane_centerline)
-        follows = annotation.topology_lclc
+        follows, governs = annotation.topology_lclc, annotation.topology_lcte
     if {len(lanes)} != {len(follows), *map(len, follows)} and (lanes or follows):
         raise FormatError(f"{where}: topology: expected a row and a column for each of {len(lanes)} lanes, got others")
     if any(len(line) < LEAST_POINTS for lane in lanes for line in lane):
         raise FormatError(f"{where}: expected lanes of {LEAST_POINTS} points or more, got fewer")
+    elements = tuple(
+        FoundElement(item.id, item.category, item.attribute, np.array(item.points).ravel())
+        for item in annotation.traffic_element
+    )
+    if len(governs) != len(lanes) or any(len(row) != len(elements) for row in governs):
+        raise FormatError(
+            f"{where}: topology: expected {len(lanes)} rows of {len(elements)} traffic elements, got others"
+        )
     images = {name: sensor.image_path for name, sensor in found.sensor.items()}
     world_from_ego = np.eye(4)
     world_from_ego[:3] = np.column_stack([found.pose.rotation, found.pose.translation])
     follows_of = np.array(follows, dtype=float).reshape(len(lanes), len(lanes))
-    return TopologyFrame(images, ids, lanes, follows_of, world_from_ego)
+    governs_of = np.array(governs, dtype=float).reshape(len(lanes), len(elements))
+    return TopologyFrame(images, ids, lanes, follows_of, world_from_ego, elements, governs_of)
 
 
 class _Collection(RootModel[dict[PathBelow, dict[PathBelow, list[PathBelow]]]]):
     """Names of label files by part and segment."""
+
+
+Row2 = tuple[Number, Number]
+
+
+class _Element(Excerpt):
+    id: int
+    category: Literal[1, 2]
+    attribute: Annotated[int, Field(ge=0, le=12)]
+    points: tuple[Row2, Row2]
 
 
 class _Centerline(Excerpt):
@@ -80,6 +112,8 @@ class _Centerline(Excerpt):
 class _Centerlines(Excerpt):
     lane_centerline: list[_Centerline]
     topology_lclc: list[list[Literal[0, 1]]]
+    traffic_element: list[_Element]
+    topology_lcte: list[list[Literal[0, 1]]]
 
 
 class _Segment(Excerpt):
@@ -92,6 +126,8 @@ class _Segment(Excerpt):
 class _Segments(Excerpt):
     lane_segment: list[_Segment]
     topology_lsls: list[list[Literal[0, 1]]]
+    traffic_element: list[_Element]
+    topology_lste: list[list[Literal[0, 1]]]
 
 
 class _Sensor(Excerpt):

@@ -1,20 +1,20 @@
 """Read an OpenLane-V2 export back and compare it with our labels."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.element_labels import ElementLabel
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.comparing import Comparison, Rule, SourceSample, compare_map
 from synth3dlanes.formats.format import FrameList, ReadFrame
-from synth3dlanes.formats.openlane_v2.convention import AHEAD_M, ASIDE_M, ROOT
+from synth3dlanes.formats.lane_map import half_widths
+from synth3dlanes.formats.openlane_v2.convention import AHEAD_M, ASIDE_M, ROOT, category_and_attribute
 from synth3dlanes.formats.openlane_v2.read import TopologyFrame, frames, parse
 from synth3dlanes.formats.reading import image_size, read_text
 from synth3dlanes.frames import transform
-from synth3dlanes.geometry.map_roads import map_network
-from synth3dlanes.scene import Scene
 
 # A curve that is sampled every metre and one that is sampled every half are some millimetres apart.
 RULE = Rule("m", 0.05, name="lane", slack=0.3)
@@ -22,6 +22,8 @@ GAP_M = 1e-3
 SIDE_M = 0.05
 # What is this near to the area's border may be out of it.
 BORDER_M = 2.0
+# Rectangles are rounded. What must be in an export: so much of it seen, of so many pixels, at less than 84 degrees.
+BOX_PX, CLEAR, CLEAR_PX, CLEAR_COS = 0.2, 0.3, 4.0, 0.1
 
 
 def read(out: Path, most_frames: int) -> Iterator[FrameList]:
@@ -65,24 +67,9 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
         return np.asarray((x < AHEAD_M - BORDER_M) & (np.abs(y) < ASIDE_M - BORDER_M))
 
     compared = compare_map(lanes, truth, RULE, is_in_area)
-    sides = _side_problems(found, names, _half_widths(truth.scene, names))
-    return compared.because([*problems, *sides, *_topology_problems(found, names, graph.successors)])
-
-
-def _half_widths(scene: Scene, names: list[str]) -> list[tuple[float, float]]:
-    """Half the least and the greatest width of each lane."""
-    if scene.map is None:
-        half_m = scene.paper_road.lane_width_m / 2
-        return [(half_m, half_m)] * len(names)
-    found = []
-    network = map_network(scene.map, scene.terrain, scene.camera.y_m)
-    for name in names:
-        lane = network.lanes[name]
-        left, right = network.road(lane.road).edges_of(lane)
-        s = np.linspace(lane.start_m, lane.end_m, 50)
-        widths_m = right(s) - left(s)
-        found.append((float(widths_m.min()) / 2, float(widths_m.max()) / 2))
-    return found
+    sides = _side_problems(found, names, half_widths(truth.scene, names))
+    elements = _element_problems(found, names, truth.labels.traffic_elements or ())
+    return compared.because([*problems, *sides, *_topology_problems(found, names, graph.successors), *elements])
 
 
 def _side_problems(found: TopologyFrame, names: list[str], halves_m: list[tuple[float, float]]) -> Iterator[str]:
@@ -107,3 +94,37 @@ def _topology_problems(found: TopologyFrame, names: list[str], successors: dict[
                 yield f"lane {other}: expected it not to follow {lane}, got it {gap_m:.3f} m from its end"
             if not found.follows[i, j] and follows and gap_m <= GAP_M:
                 yield f"lane {other}: expected it to follow {lane}, whose end it touches, got it not to"
+
+
+def _element_problems(found: TopologyFrame, names: list[str], items: Sequence[ElementLabel]) -> Iterator[str]:
+    """Findings about traffic elements that are not those of the labels, or govern other lanes than these say."""
+    ours, there = {item.id: item for item in items}, [element.id for element in found.elements]
+    if len({*there, *found.ids}) < len(there) + len(found.ids):
+        yield f"traffic elements: expected ids of their own, got {there}"
+    for id_, item in ours.items():
+        if is_clear(item) and id_ not in there:
+            yield f"traffic element {id_}: expected it, because {item.visible_fraction:.0%} of it are seen, got none"
+    for j, element in enumerate(found.elements):
+        own = ours.get(element.id)
+        if own is None or own.box_px is None:
+            yield f"traffic element {element.id}: expected one of the labels in the image, got another"
+            continue
+        codes, expected = (element.category, element.attribute), category_and_attribute(own)
+        if codes != expected:
+            yield f"traffic element {element.id}: expected category and attribute {expected}, got {codes}"
+        off_px = float(np.abs(element.box_px - own.box_px).max())
+        if not off_px <= BOX_PX:
+            yield f"traffic element {element.id}: expected its rectangle within {BOX_PX} px, got it {off_px:.1f} px off"
+        for i, lane in enumerate(names):
+            if bool(found.governs[i, j]) != (lane in own.lanes):
+                words = ("it to govern", "got it not to") if lane in own.lanes else ("it not to govern", "got it to")
+                yield f"traffic element {element.id}: expected {words[0]} {lane}, {words[1]}"
+
+
+def is_clear(item: ElementLabel) -> bool:
+    """Whether an element must be in an export: the first camera sees most of it, from its front, and not too small."""
+    if item.box_px is None or item.visible_fraction is None or item.visible_fraction < CLEAR:
+        return False
+    width_px, height_px = item.box_px[2:] - item.box_px[:2]
+    away_m = float(np.linalg.norm(item.center_cam))
+    return min(width_px, height_px) >= CLEAR_PX and bool(item.normal_cam @ item.center_cam < -CLEAR_COS * away_m)

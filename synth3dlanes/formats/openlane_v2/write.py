@@ -11,23 +11,27 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from synth3dlanes.arrays import Matrix4
+from synth3dlanes.element_labels import ElementLabel
 from synth3dlanes.errors import InputError
 from synth3dlanes.formats.format import SampleFrame
+from synth3dlanes.formats.lane_map import Boundary, LaneSegment, around, lane_segments, pavement_edges, runs
 from synth3dlanes.formats.openlane_v2.convention import (
     AHEAD_M,
     ASIDE_M,
     CENTERLINE_POINTS,
     COLLECTIONS,
     FRONT_CAMERA,
+    LEAST_PX,
+    LEAST_SEEN,
     LINE_TYPES,
     PEDESTRIAN_CROSSING,
     POINTS,
     ROAD_BOUNDARY,
     ROAD_FROM_EGO,
     ROOT,
+    category_and_attribute,
     collection,
 )
-from synth3dlanes.formats.openlane_v2.lane_map import Boundary, LaneSegment, lane_segments, pavement_edges, runs
 from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.labels import CameraLabel
@@ -51,7 +55,9 @@ README = f"""OpenLane-V2 layout: subset B with the rig of nuScenes, subset A oth
   your training code their number, and do not let it crop the front image as that of the original (which is upright).
 - Labels cover {AHEAD_M:g} m ahead (and behind, with a camera that looks back) and {ASIDE_M:g} m to each side, also
   what the ground or cars hide, as in the original. Lines have the extra keys `left_laneline_color`,
-  `left_laneline_double` and the same of the right. There are no traffic elements.
+  `left_laneline_double` and the same of the right.
+- Traffic elements are the signals and signs that the first camera sees from their front: rectangles in its image, and
+  ids that are the same in all frames of a clip.
 """
 
 
@@ -98,21 +104,23 @@ def annotate(frame: SampleFrame) -> FrameAnnotation | None:
         },
         "pose": _pose(world_from_ego),
     }
-    nothing: list[list[int]] = [[] for _ in lanes]
+    elements = [item for item in frame.labels.traffic_elements or () if _is_seen(item)]
+    governed = [[int(lane.segment.id in item.lanes) for item in elements] for lane in lanes]
+    traffic_elements = [_element_document(item) for item in elements]
     centerlines = {
         "lane_centerline": [
             {"id": lane.segment.index, "points": _resampled(lane.middle_ego, CENTERLINE_POINTS)} for lane in lanes
         ],
-        "traffic_element": [],
+        "traffic_element": traffic_elements,
         "topology_lclc": topology,
-        "topology_lcte": nothing,
+        "topology_lcte": governed,
     }
     segments = {
         "lane_segment": [_segment_document(lane) for lane in lanes],
-        "traffic_element": [],
+        "traffic_element": traffic_elements,
         "area": list(_areas(world, frame, world_from_ego, behind_m)),
         "topology_lsls": topology,
-        "topology_lste": nothing,
+        "topology_lste": governed,
     }
     parts = [part for part in PARTS if frame.serves_as(part)]
     return FrameAnnotation(
@@ -168,7 +176,7 @@ def _lanes(
     frame: SampleFrame, world: World, world_from_ego: Matrix4, behind_m: float, dropped: Counter[str]
 ) -> list[_Lane]:
     ego_from_world, lanes = invert(world_from_ego), []
-    for segment in lane_segments(world, frame.labels.graph.segments, world_from_ego[:3, 3]):
+    for segment in lane_segments(world, frame.labels.graph.segments, around(float(world_from_ego[1, 3]))):
         middle_ego = transform(ego_from_world, segment.points_world)
         first, last = _longest(_in_area(middle_ego, behind_m))
         if last - first < 2 or _length_m(middle_ego[first:last]) < LEAST_LENGTH_M:
@@ -200,6 +208,21 @@ def _topology(lanes: Sequence[_Lane], successors: dict[str, tuple[str, ...]]) ->
         [int(b.segment.id in successors.get(a.segment.id, ()) and a.has_end and b.has_start) for b in lanes]
         for a in lanes
     ]
+
+
+def _is_seen(item: ElementLabel) -> bool:
+    """Whether the first camera sees the front of an element, and enough of it."""
+    if item.box_px is None or item.normal_cam @ item.center_cam >= 0:
+        return False
+    is_large = min(item.box_px[2:] - item.box_px[:2]) >= LEAST_PX
+    return bool(is_large) and (item.visible_fraction is None or item.visible_fraction >= LEAST_SEEN)
+
+
+def _element_document(item: ElementLabel) -> dict[str, Any]:
+    assert item.box_px is not None, "only those that are seen"
+    category, attribute = category_and_attribute(item)
+    corners_px = np.round(item.box_px.reshape(2, 2), 1).tolist()
+    return {"id": item.id, "category": category, "attribute": attribute, "points": corners_px}
 
 
 def _segment_document(lane: _Lane) -> dict[str, Any]:
@@ -236,7 +259,7 @@ def _areas(world: World, frame: SampleFrame, world_from_ego: Matrix4, behind_m: 
             if _in_area(quad_ego, behind_m).all():
                 yield {"id": index, "category": PEDESTRIAN_CROSSING, "points": _rounded(quad_ego)}
                 index += 1
-    for edge_world in pavement_edges(world, world_from_ego[:3, 3]):
+    for edge_world in pavement_edges(world, around(float(world_from_ego[1, 3]))):
         edge_ego = transform(ego_from_world, edge_world)
         for run in runs(edge_ego, _in_area(edge_ego, behind_m)):
             if _length_m(run) >= LEAST_LENGTH_M:

@@ -1,0 +1,137 @@
+"""`synth3dlanes drive`: check the files of a real drive; pages to mark lanes in its top view and to review frames."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from synth3dlanes.files import write
+from synth3dlanes.words import counted
+
+from .options import OutputFile, json_option
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from synth3dlanes.dataset.read import Reader
+    from synth3dlanes.drives.pages import ReviewedFrame
+
+camera_option = click.option(
+    "--camera", metavar="NAME", default="", help="Which camera of the drive. Default: its front camera."
+)
+marked_option = click.option(
+    "--marked", metavar="FILE", default="", help="Lanes marked in its top view: a GeoJSON file."
+)
+
+
+class FrameRange(click.ParamType):
+    """First and last frame, as in 0:200; the last is left out."""
+
+    name = "first:end"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> slice:
+        """Read it."""
+        first, colon, end = str(value).partition(":")
+        if not colon or not all(part.isdecimal() and len(part) < 10 for part in (first or "0", end or "0")):
+            self.fail(f"expected FIRST:END, as in 0:200, got {value!r}", param, ctx)
+        return slice(int(first or 0), int(end) if end else None)
+
+
+@click.group()
+def drive() -> None:
+    """Check real drives, mark lanes in their top views, review frames."""
+
+
+@drive.command()
+@click.argument("source", metavar="DRIVE")
+@camera_option
+@click.option("--lanes", metavar="FILE", default="", help="2D lanes of its images: tuSimple, CULane or our JSON.")
+@marked_option
+@json_option
+@click.pass_context
+def check(ctx: click.Context, source: str, camera: str, lanes: str, marked: str, as_json: bool) -> None:
+    """Say what a drive holds and what looks wrong in it; exits with 1 if anything does.
+
+    DRIVE is a folder of KITTI (raw or odometry), a log of Argoverse 2, a file drive.yaml, or a clip of a data set with
+    a lidar (DIR/train:0). Checked are its times, speed and heading, where the ground is, whether scans fit together,
+    and whether lanes are on the ground ahead (docs/drives.md).
+    """
+    from synth3dlanes.drives.checks import drive_findings
+    from synth3dlanes.drives.open import open_drive
+
+    opened = open_drive(source, camera, lanes, marked)
+    findings = drive_findings(opened)
+    first, last = opened.frames[0], opened.frames[-1]
+    held = {
+        "name": opened.name,
+        "frames": len(opened.frames),
+        "seconds": round(last.time_s - first.time_s, 3),
+        "camera": opened.camera.name,
+        "image_px": [opened.camera.width_px, opened.camera.height_px],
+        "marked_lanes": len(opened.marked),
+        "notes": list(opened.notes),
+        "findings": findings,
+    }
+    if as_json:
+        click.echo(json.dumps(held))
+    else:
+        size = f"{opened.camera.width_px}x{opened.camera.height_px}"
+        seen = f"camera {opened.camera.name or 'without a name'} of {size}"
+        click.echo(f"{opened.name}: {counted(len(opened.frames), 'frame')} in {held['seconds']:g} s, {seen}")
+        for line in (*opened.notes, *findings):
+            click.echo(line)
+        click.echo("nothing looks wrong" if not findings else f"{counted(len(findings), 'finding')}")
+    ctx.exit(1 if findings else 0)
+
+
+@drive.command()
+@click.argument("source", metavar="DRIVE")
+@click.option("--out", type=OutputFile(".html"), default="marking.html", help="HTML page to write.")
+@camera_option
+@marked_option
+@click.option("--frames", type=FrameRange(), default=":", help="Show what these frames saw.", show_default="all")
+@click.option(
+    "--cell", "cell_m", metavar="METRES", type=click.FloatRange(0.02, 2), default=0.1, help="Size of a pixel."
+)
+def mark(source: str, out: Path, camera: str, marked: str, frames: slice, cell_m: float) -> None:
+    """Write a page on which lanes are marked in the drive's top view.
+
+    Open it in a browser, draw lines, and save them as a file; `lift --marked FILE` and `drive mark --marked FILE` read
+    it. The page is one file that loads nothing.
+    """
+    from synth3dlanes.drives.open import open_drive
+    from synth3dlanes.drives.pages import marking_page
+    from synth3dlanes.drives.top_view import top_view
+
+    opened = open_drive(source, camera, marked=marked)
+    view = top_view(opened, opened.frames[frames], cell_m)
+    write(out, marking_page(opened, view).encode())
+    click.echo(f"Page: {out}, {len(view.tiles) * view.tile_m**2:,.0f} m2 of ground")
+
+
+@drive.command()
+@click.argument("split", metavar="DIR/SPLIT")
+@click.option("--out", type=OutputFile(".html"), default="review.html", help="HTML page to write.")
+@click.option("--every", type=click.IntRange(min=1), default=1, help="Show every Nth frame.")
+@click.option("--limit", type=click.IntRange(min=1), default=300, help="Most frames on the page.")
+def review(split: str, out: Path, every: int, limit: int) -> None:
+    """Write a page on which the frames of a split are accepted or rejected.
+
+    Open it in a browser and save the verdicts as a file (docs/drives.md).
+    """
+    from synth3dlanes.dataset.read import Reader
+    from synth3dlanes.drives.pages import review_page
+
+    reader = Reader(split)
+    chosen = range(0, len(reader), every)[:limit]
+    write(out, review_page(reader.url, _reviewed(reader, chosen)).encode())
+    click.echo(f"Page: {out}, {counted(len(chosen), 'frame')} of {len(reader)}")
+
+
+def _reviewed(reader: "Reader", chosen: range) -> "Iterator[ReviewedFrame]":
+    from synth3dlanes.drives.pages import ReviewedFrame
+
+    for i in chosen:
+        labels = reader.labels(i)
+        yield ReviewedFrame(reader.key(i), counted(len(labels.lanes), "lane"), labels, reader.image(i))

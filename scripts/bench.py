@@ -1,0 +1,36 @@
+"""Measure every row of docs/bench.json on a quiet machine: `python -m scripts.bench`. Takes some twenty minutes."""
+
+import json
+import sys
+from pathlib import Path
+
+from synth3dlanes.files import write
+from synth3dlanes.params import load_params
+from synth3dlanes.production.bench import bench
+from synth3dlanes.production.recipe import Recipe
+from synth3dlanes.sample import Scenes
+from synth3dlanes.settings import RenderSettings
+from synth3dlanes.shots import clips
+
+# Parameters, samples per pixel, frames of a clip.
+ROWS = (("appendix_i", 4, 1), ("appendix_i", 1, 1), ("streets", 4, 1), ("streets", 1, 1), ("streets", 1, 12))
+N, WORKERS, FPS = 40, 2, 10.0
+
+
+def _say(text: str) -> None:
+    sys.stderr.write(f"{text}\n")
+
+
+def main() -> None:
+    """Measure the rows and write them."""
+    found = []
+    for params, samples, frames in ROWS:
+        scenes = Scenes(load_params(params), 0, "bench", shots=clips(frames, FPS))
+        recipe = Recipe(scenes, RenderSettings(samples), "jpg")
+        found.append(bench(params, recipe, N, WORKERS, [{}], _say).document())
+    path = Path(__file__).parents[1] / "docs" / "bench.json"
+    write(path, f"{json.dumps({'rows': found}, indent=1)}\n".encode())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Drives of real cars: what their sensors saw, where they were, and where their lanes were marked."""

@@ -1,0 +1,83 @@
+"""2D lanes of a drive's images: tuSimple's and CULane's files, and our own JSON."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from synth3dlanes.arrays import Polyline2
+from synth3dlanes.drives.tables import MAX_TEXT_BYTES, read_bytes
+from synth3dlanes.errors import FormatError
+from synth3dlanes.formats.culane.read import lines_path, parse_lines
+from synth3dlanes.formats.reading import read_text
+from synth3dlanes.formats.tusimple.read import is_tusimple
+from synth3dlanes.formats.tusimple.read import parse as parse_tusimple
+from synth3dlanes.schema import DocumentPart, PathBelow, parse
+
+LINES_FORMAT, LINES_VERSION = "synth3dlanes.lines", 1
+
+_Pixel = Annotated[float, Field(ge=-1e5, le=1e5)]
+_Line = Annotated[list[tuple[_Pixel, _Pixel]], Field(min_length=2)]
+
+
+class _Lines(DocumentPart):
+    format: Literal["synth3dlanes.lines"]
+    version: Literal[1]
+    images: dict[PathBelow, list[_Line]]
+
+
+@dataclass(frozen=True, eq=False)
+class ImageLines:
+    """The lines of a drive's images. `names` are the images that a file of lines lists, in its order; empty where each
+    image has a file of its own. `of` gives the lines of an image by its path."""
+
+    names: tuple[str, ...]
+    of: Callable[[Path], tuple[Polyline2, ...]]
+
+
+def read_lines_of(path: Path) -> ImageLines:
+    """The lines in a file of tuSimple (JSON lines), in our own file, or, of CULane, beside each image below a folder.
+    Raises FormatError, here or when an image's lines are asked for."""
+    if path.is_dir():
+        return ImageLines((), _of_culane)
+    if path.suffix in (".json", ".jsonl") and is_tusimple(path):
+        return _listed(_tusimple(path), path)
+    what = f"lanes of tuSimple or {LINES_FORMAT} version {LINES_VERSION}"
+    found = parse(_Lines, read_bytes(path, MAX_TEXT_BYTES), str(path), what, MAX_TEXT_BYTES)
+    return _listed({name: tuple(np.array(line) for line in lines) for name, lines in found.images.items()}, path)
+
+
+def _tusimple(path: Path) -> dict[str, tuple[Polyline2, ...]]:
+    found: dict[str, tuple[Polyline2, ...]] = {}
+    lines = read_bytes(path, MAX_TEXT_BYTES).split(b"\n")
+    for number, line in enumerate(lines, start=1):
+        if line.strip():
+            frame = parse_tusimple(line, f"{path}:{number}")
+            columns = (np.stack([lane, frame.rows_px.astype(float)], axis=-1)[lane >= 0] for lane in frame.lanes_u_px)
+            # tuSimple's rows go down; ours go away from the car.
+            found[frame.raw_file] = tuple(lane[::-1] for lane in columns if len(lane) > 1)
+    return found
+
+
+def _listed(lines: dict[str, tuple[Polyline2, ...]], path: Path) -> ImageLines:
+    """Lines by image, found by the longest common end of the paths."""
+    by_name: dict[str, list[str]] = {}
+    for name in lines:
+        by_name.setdefault(Path(name).name, []).append(name)
+
+    def of(image: Path) -> tuple[Polyline2, ...]:
+        names = by_name.get(image.name, [])
+        fitting = names if len(names) == 1 else [name for name in names if image.as_posix().endswith(f"/{name}")]
+        if len(fitting) > 1:
+            raise FormatError(f"{path}: expected one entry for {image}, got {len(fitting)}")
+        return lines[fitting[0]] if fitting else ()
+
+    return ImageLines(tuple(lines), of)
+
+
+def _of_culane(image: Path) -> tuple[Polyline2, ...]:
+    path = Path(lines_path(str(image.with_suffix(".jpg"))))
+    return tuple(line for line in parse_lines(read_text(path), str(path)) if len(line) > 1) if path.exists() else ()

@@ -1,0 +1,99 @@
+"""Files of numbers that the readers of drives share: lines of text, and tables in feather files, within bounds."""
+
+from array import array
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+from jaxtyping import Float, Shaped
+
+from synth3dlanes.errors import FormatError
+from synth3dlanes.files import read_bounded
+from synth3dlanes.schema import shown
+
+# A pose every 10 ms for three hours takes 100 MB as text.
+MAX_TEXT_BYTES, MAX_TABLE_BYTES, MAX_ROWS = 128 << 20, 256 << 20, 1 << 23
+
+
+def read_bytes(path: Path, most: int) -> bytes:
+    """The bytes of a file; raise FormatError where there is none or it has more than `most`."""
+    try:
+        return read_bounded(path, most)
+    except FormatError:
+        raise
+    except (OSError, ValueError) as error:
+        raise FormatError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+
+
+def read_lines(path: Path) -> Iterator[tuple[str, str]]:
+    """The lines of a text file that are neither empty nor comments (#), each after the place where it is. Raises
+    FormatError at the first where the file cannot be read."""
+    try:
+        text = read_bytes(path, MAX_TEXT_BYTES).decode()
+    except UnicodeDecodeError:
+        raise FormatError(f"{path}: expected text, got other bytes") from None
+    for number, line in enumerate(text.splitlines(), start=1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            yield f"{path}:{number}", line.strip()
+
+
+def read_rows(path: Path, columns: int, what: str) -> Float[np.ndarray, "n c"]:
+    """The numbers of a text file, so many in each line, between spaces or commas; `what` names them."""
+    found = array("d")
+    for where, line in read_lines(path):
+        found.extend(floats(line.replace(",", " "), where, columns, what))
+    if not found:
+        raise FormatError(f"{path}: expected lines of {what}, got none")
+    return np.frombuffer(found).reshape(-1, columns)
+
+
+def floats(text: str, where: str, count: int, what: str) -> list[float]:
+    """So many finite numbers in a text; raise FormatError for others."""
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError:
+        values = []
+    if len(values) != count or not np.isfinite(values).all():
+        raise FormatError(f"{where}: expected {count} numbers ({what}), got {shown(text)}")
+    return values
+
+
+def read_feather(
+    path: Path, columns: Sequence[str], optional: Sequence[str] = ()
+) -> dict[str, Shaped[np.ndarray, " n"]]:
+    """Columns of a feather file (Arrow's own format, version 2), by name; raise FormatError where one of `columns` is
+    missing, or has no value in a row."""
+    data = read_bytes(path, MAX_TABLE_BYTES)
+    try:
+        with pa.ipc.open_file(pa.BufferReader(data)) as file:
+            known = file.schema.names
+            missing = [name for name in columns if name not in known]
+            if missing:
+                raise FormatError(f"{path}: expected a column {missing[0]}, got {', '.join(known)[:80] or 'none'}")
+            wanted = [name for name in (*columns, *optional) if name in known]
+        chosen = pa.ipc.IpcReadOptions(included_fields=[known.index(name) for name in wanted], use_threads=False)
+        with pa.ipc.open_file(pa.BufferReader(data), options=chosen) as file:
+            batches, rows = [], 0
+            for number in range(file.num_record_batches):
+                batches.append(file.get_batch(number))
+                rows += batches[-1].num_rows
+                if rows > MAX_ROWS:
+                    raise FormatError(f"{path}: expected at most {MAX_ROWS:,} rows, got more")
+            table = pa.Table.from_batches(batches, file.schema)
+            table.validate(full=True)
+        found = {name: table[name] for name in wanted}
+        if any(column.null_count for column in found.values()):
+            raise FormatError(f"{path}: expected a value in every row, got an empty one")
+        return {name: column.to_numpy() for name, column in found.items()}
+    except FormatError:
+        raise
+    except (pa.ArrowException, ValueError, OSError, MemoryError):
+        raise FormatError(f"{path}: expected a feather file (Arrow IPC), got other or damaged bytes") from None
+
+
+def numeric(values: Shaped[np.ndarray, " n"], where: str) -> Float[np.ndarray, " n"]:
+    """A column as floats; raise FormatError where it holds anything but numbers."""
+    if values.dtype.kind not in "fiu":
+        raise FormatError(f"{where}: expected numbers, got {values.dtype}")
+    return values.astype(float)

@@ -1,0 +1,64 @@
+"""The centre lines between neighbouring delimiters, and the neighbours of all lanes."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from synth3dlanes.lift.curves import STEP_M
+from synth3dlanes.lift.ground import GroundMap
+from synth3dlanes.lift.path import Path
+from synth3dlanes.lift.tracks import Track, on_ground
+
+# Delimiters this far apart bound a lane.
+WIDTHS_M = (2.2, 5.0)
+MIN_LENGTH_M = 10.0
+
+
+def with_centres(tracks: Sequence[Track], ground: GroundMap, path: Path) -> list[Track]:
+    """The tracks, and a centre line between each two delimiters that bound a lane."""
+    lines = [track for track in tracks if track.kind == "delimiter"]
+    centres = []
+    for left in lines:
+        for right in lines:
+            centre = _between(left, right, lines)
+            placed = None if centre is None else on_ground(centre, ground, path)
+            if placed is not None:
+                centres.append(placed)
+    left_of = {centre.right: centre.id for centre in centres}
+    right_of = {centre.left: centre.id for centre in centres}
+    bounded = [replace(line, left=left_of.get(line.id), right=right_of.get(line.id)) for line in lines]
+    others = [track for track in tracks if track.kind != "delimiter"]
+    return [*bounded, *others, *centres]
+
+
+def _between(left: Track, right: Track, lines: Sequence[Track]) -> Track | None:
+    """The centre line between two delimiters, where they bound a lane and no other is between them."""
+    shared, i, j = np.intersect1d(left.s, right.s, return_indices=True)
+    width = right.d[j] - left.d[i]
+    is_lane = (width > WIDTHS_M[0]) & (width < WIDTHS_M[1])
+    if is_lane.sum() * STEP_M < MIN_LENGTH_M:
+        return None
+    middle = (left.d[i] + right.d[j]) / 2
+    for other in lines:
+        if other.id not in (left.id, right.id):
+            _, mine, theirs = np.intersect1d(shared, other.s, return_indices=True)
+            inside = (other.d[theirs] > left.d[i][mine]) & (other.d[theirs] < right.d[j][mine])
+            is_lane[mine[inside]] = False
+    if is_lane.sum() * STEP_M < MIN_LENGTH_M:
+        return None
+    std = np.hypot(left.std_m[i, 0], right.std_m[j, 0]) / 2
+    nothing = np.zeros((0, 3))
+    return Track(
+        id=f"centre_{left.id}",
+        s=shared[is_lane],
+        d=middle[is_lane],
+        xyz_world=nothing,
+        std_m=std[is_lane, None],
+        kind="centerline",
+        marking="none",
+        color=None,
+        direction=left.direction if left.direction == right.direction else "same",
+        left=left.id,
+        right=right.id,
+    )

@@ -1,0 +1,170 @@
+"""Lift a drive into a data set: its images with their measured 3D lanes, as samples of clips."""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from synth3dlanes import __version__
+from synth3dlanes import labels as labels_format
+from synth3dlanes import scene as scene_format
+from synth3dlanes.assets.catalogue import KINDS
+from synth3dlanes.dataset.description import recipe_text
+from synth3dlanes.dataset.destination import Destination
+from synth3dlanes.dataset.format import LABELS, SCENE, decode_image, encode_image, member_names
+from synth3dlanes.dataset.write import Shard
+from synth3dlanes.drives.drive import Drive, DriveCamera, DriveFrame
+from synth3dlanes.errors import InputError
+from synth3dlanes.lift.placeholder import placeholder_scene
+from synth3dlanes.lift.precision import Precision
+from synth3dlanes.lift.run import AROUND, LiftedFrame, lifted_frames
+from synth3dlanes.production.plan import SHARD_SIZE
+from synth3dlanes.scene import MAX_FRAMES, Shot
+from synth3dlanes.shots import SINGLE, Shots
+
+# The picture of a frame without an image.
+BLANK = 128
+# The report tells of points up to here.
+NEAR_M = 40.0
+FORMATS = {b"\xff\xd8\xff": "jpg", b"\x89PNG\r\n\x1a\n": "png"}
+
+
+@dataclass(frozen=True)
+class LiftReport:
+    """What a lifted data set holds: its frames, those without any lane, its lanes (each once, however many frames show
+    it), and the median standard deviations of their visible points up to 40 m across and in height (NaN without)."""
+
+    frames: int
+    frames_without_lanes: int
+    lanes: int
+    lateral_std_m: float
+    height_std_m: float
+
+
+def lift_to(
+    drive: Drive,
+    out: str | Path,
+    split: str = "train",
+    precision: Precision | None = None,
+    around: int = AROUND,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> LiftReport:
+    """Write a drive's frames with their lifted lanes as a split of a data set.
+
+    `progress` is called with (frames done, all frames). Frames that are already there are kept. Raises InputError as
+    `lifted_frames` does, and for an `out` that holds something else.
+    """
+    n = len(drive.frames)
+    if not n:
+        raise InputError(f"{drive.name}: expected frames, got none")
+    precision = precision or Precision()
+    shots = _shots(drive)
+    image_format = _format(drive.frames[0])
+    recipe = _recipe(drive, image_format, shots, precision, around)
+    numbers = range(-(-n // SHARD_SIZE))
+    names, text = member_names(image_format, ()), recipe_text(recipe)
+    tally = _Tally()
+    destination = Destination(out)
+    with destination.claim(recipe, split, n, numbers):
+        shard, missing = None, set[int]()
+        for index, lifted in enumerate(lifted_frames(drive, precision, around)):
+            if shard is None or index // SHARD_SIZE != shard.number:
+                _finish(shard, n)
+                shard = Shard(Path(split), index // SHARD_SIZE, SHARD_SIZE, names, text).within(Path(out))
+                missing = set(shard.missing(n))
+            if index in missing:
+                shard.write_part(index, _members(lifted, drive.camera, (image_format, split), shots, index))
+            tally.add(lifted)
+            progress(index + 1, n)
+        _finish(shard, n)
+    return tally.report()
+
+
+def _finish(shard: Shard | None, n: int) -> None:
+    if shard is not None and shard.needs_join(n):
+        shard.join(n)
+
+
+def _members(
+    lifted: LiftedFrame, camera: DriveCamera, named: tuple[str, str], shots: Shots, index: int
+) -> dict[str, bytes]:
+    """The members of a sample."""
+    image_format, split = named
+    place = shots.place(index)
+    shot = Shot(frame=place.frame, n_frames=shots.frames, fps=shots.fps) if shots.frames > 1 else Shot()
+    scene = placeholder_scene(lifted.labels.camera, shot, split, place.scene)
+    return {
+        image_format: _image(lifted.frame, camera, image_format),
+        SCENE: scene_format.to_json(scene).encode(),
+        LABELS: labels_format.to_json(lifted.labels).encode(),
+    }
+
+
+def _image(frame: DriveFrame, camera: DriveCamera, image_format: str) -> bytes:
+    """The frame's image as it is, if it is of the format and whole; without one, a gray picture."""
+    size_px = camera.width_px, camera.height_px
+    if frame.load_image is None:
+        return encode_image(np.full((size_px[1], size_px[0], 3), BLANK, np.uint8), image_format)
+    data = frame.load_image()
+    pixels = decode_image(data, str(frame.image or frame.name), size_px)
+    return data if _kind(data) == image_format else encode_image(pixels, image_format)
+
+
+def _format(frame: DriveFrame) -> str:
+    """The image format of a data set whose first frame this is."""
+    return "jpg" if frame.load_image is None else _kind(frame.load_image()) or "jpg"
+
+
+def _kind(data: bytes) -> str:
+    return next((kind for start, kind in FORMATS.items() if data.startswith(start)), "")
+
+
+def _shots(drive: Drive) -> Shots:
+    """Clips of at most 1,000 frames: the drive as one clip, or as several of equal length and a shorter last one."""
+    n = len(drive.frames)
+    if n == 1:
+        return SINGLE
+    steps_s = np.diff([drive.frames[i].time_s for i in range(min(n, MAX_FRAMES))])
+    clips = -(-n // MAX_FRAMES)
+    return Shots(frames=-(-n // clips), fps=float(np.clip(1 / max(float(np.median(steps_s)), 1e-3), 1e-3, 1000.0)))
+
+
+def _recipe(drive: Drive, image_format: str, shots: Shots, precision: Precision, around: int) -> dict[str, Any]:
+    """What `dataset.json` says of how the labels were made."""
+    return {
+        "generator": __version__,
+        "seed": 0,
+        "image_format": image_format,
+        "render": {"samples": 1, "passes": [], "device": "cpu"},
+        "params": {},
+        "assets": {kind: {} for kind in KINDS},
+        **({} if shots == SINGLE else {"shots": shots.model_dump(mode="json")}),
+        "shard_size": SHARD_SIZE,
+        "derived": {"lifted": drive.name, "around": around, "precision": asdict(precision)},
+    }
+
+
+class _Tally:
+    """Counts what was lifted."""
+
+    def __init__(self) -> None:
+        self.frames = self.without = 0
+        self.ids: set[str] = set()
+        self.std: list[np.ndarray] = []
+
+    def add(self, lifted: LiftedFrame) -> None:
+        """Count a frame."""
+        self.frames += 1
+        self.without += not lifted.labels.lanes
+        for lane in lifted.labels.lanes:
+            self.ids.add(lane.id.partition(".")[0])
+            if lane.std_m is not None:
+                near = lane.std_m[lane.visible & (lane.xyz_cam[:, 1] < NEAR_M)]
+                self.std += [np.median(near, axis=0)] * bool(len(near))
+
+    def report(self) -> LiftReport:
+        """The result."""
+        lateral, height = np.median(self.std, axis=0) if self.std else (np.nan, np.nan)
+        return LiftReport(self.frames, self.without, len(self.ids), float(lateral), float(height))

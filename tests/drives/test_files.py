@@ -1,0 +1,221 @@
+"""The other files of a drive: poses, 2D lanes, marks, `drive.yaml`; every form gives the same, bad ones one line."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from synth3dlanes.drives.drive import MarkedLane
+from synth3dlanes.drives.lines import read_lines_of
+from synth3dlanes.drives.marks import marks_text, read_marks
+from synth3dlanes.drives.open import open_drive
+from synth3dlanes.drives.poses import read_kitti_poses, read_pose_feather, read_pose_json, read_tum
+from synth3dlanes.drives.review import read_review
+from synth3dlanes.errors import FormatError, InputError
+from tests.drives import road as made
+from tests.hostile import files, mutated, refused_or_read
+
+OURS_FROM_FLU = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+
+
+@pytest.fixture(scope="module")
+def truth() -> made.Road:
+    return made.road(5)
+
+
+def test_every_form_of_poses_gives_the_same_track(tmp_path, truth):
+    poses, times_s = truth.lidar_poses, np.arange(5) * 0.1
+    xyzw = [made.quaternion(at[:3, :3]) for at in poses]
+    rows = [[t, *at[:3, 3], *q] for t, at, q in zip(times_s, poses, xyzw, strict=True)]
+    (tmp_path / "tum.txt").write_text("# a comment\n" + "\n".join(" ".join(map(repr, map(float, row))) for row in rows))
+    (tmp_path / "kitti.txt").write_text("\n".join(made.words(at[:3]) for at in poses))
+    names = ("timestamp_ns", "tx_m", "ty_m", "tz_m", "qx", "qy", "qz", "qw")
+    columns = {name: [row[i] for row in rows] for i, name in enumerate(names)}
+    columns["timestamp_ns"] = [round(t * 1e9) for t in times_s]
+    made.write_feather(tmp_path / "poses.feather", columns)
+    ours = []
+    for t, at in zip(times_s, poses, strict=True):
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = at[:3, :3] @ OURS_FROM_FLU.T, at[:3, 3]
+        ours.append({"time_s": t, "world_from_host": matrix.tolist()})
+    (tmp_path / "ours.json").write_text(json.dumps({"format": "synth3dlanes.poses", "version": 1, "poses": ours}))
+
+    expected = [pose["world_from_host"] for pose in ours]
+    for track in (
+        read_tum(tmp_path / "tum.txt", "flu"),
+        read_pose_feather(tmp_path / "poses.feather"),
+        read_pose_json(tmp_path / "ours.json"),
+    ):
+        assert np.abs(track.at(times_s) - expected).max() < 1e-9
+    # KITTI's form has the world's axes turned as the body's are.
+    kitti = read_kitti_poses(tmp_path / "kitti.txt", times_s, "flu").at(times_s)
+    turned = np.eye(4)
+    turned[:3, :3] = OURS_FROM_FLU
+    assert np.abs(kitti - turned @ expected).max() < 1e-9
+
+
+def test_between_poses_the_car_drives_straight_and_turns_evenly(tmp_path):
+    (tmp_path / "p.txt").write_text("10 0 0 0 0 0 0 1\n10.5 4 2 0 0 0 0.70710678 0.70710678\n13 9 9 0 0 0 0 1\n")
+    track = read_tum(tmp_path / "p.txt", "flu")
+    pose = track.at(np.array([10.25]))[0]
+    assert pose[:3, 3] == pytest.approx([2, 1, 0])
+    assert pose[:3, 1] == pytest.approx([np.sqrt(0.5), np.sqrt(0.5), 0]), "forward, half of a quarter turn to the left"
+    known = track.knows(np.array([9.9, 9.99, 10.3, 10.51, 11.7, 12.99, 13.1]))
+    assert known.tolist() == [False, True, True, True, False, True, False], "2.5 s apart is too far"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("1 0 0 0 0 0 0 1\n0.5 0 0 0 0 0 0 1", r"got 0\.500000 s after 1\.000000 s \(pose 2\)"),
+        ("1 0 0 0 1 1 0 1", r"expected unit quaternions, got one of length 1\.732"),
+        ("1 2 3", "1: expected 8 numbers"),
+        ("1 0 0 0 0 0 0 nan", "1: expected 8 numbers"),
+        ("", "expected lines of time, x, y, z, qx, qy, qz, qw, got none"),
+    ],
+)
+def test_bad_poses_are_told_in_one_line(tmp_path, text, message):
+    (tmp_path / "p.txt").write_text(text)
+    with pytest.raises(FormatError, match=message) as caught:
+        read_tum(tmp_path / "p.txt", "flu")
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_every_form_of_2d_lanes_gives_the_same_lines(tmp_path):
+    line = [[300.5, 700.0], [420.25, 500.0], [500.0, 400.0]]
+    (tmp_path / "ours.json").write_text(
+        json.dumps({"format": "synth3dlanes.lines", "version": 1, "images": {"clips/a/1.jpg": [line]}})
+    )
+    frame = {
+        "raw_file": "clips/a/1.jpg",
+        "h_samples": [300, 400, 500, 600, 700],
+        "lanes": [[-2, 500, 420.25, -2, 300.5]],
+    }
+    other = frame | {"raw_file": "clips/b/1.jpg", "lanes": []}
+    (tmp_path / "tusimple.json").write_text(f"{json.dumps(frame)}\n{json.dumps(other)}\n")
+    image = tmp_path / "clips" / "a" / "1.jpg"
+    image.parent.mkdir(parents=True)
+    image.with_name("1.lines.txt").write_text("300.5 700 420.25 500 500 400\n5 5\n")
+    for source in (tmp_path / "ours.json", tmp_path / "tusimple.json", tmp_path / "clips"):
+        (found,) = read_lines_of(source).of(image)
+        assert found.tolist() == line
+        assert read_lines_of(source).of(tmp_path / "clips" / "c" / "9.jpg") == ()
+    assert read_lines_of(tmp_path / "tusimple.json").names == ("clips/a/1.jpg", "clips/b/1.jpg")
+
+
+def test_a_described_drive_has_its_lanes_and_marks(tmp_path, truth):
+    drive = open_drive(str(made.write_described(tmp_path, truth) / "drive.yaml"))
+    assert (drive.name, len(drive.frames), drive.camera.name) == ("monday", 5, "front")
+    assert [line.tolist() for line in drive.frames[2].lanes_px] == made.lanes_px()
+    (lane,) = drive.marked
+    assert (lane.id, lane.color, lane.xy_world.tolist()) == ("marked1", "yellow", [[0, 1], [10, 5.5], [20, 10]])
+    # The lanes of the level camera, cast on the ground, are the straight lanes beside the host.
+    rays = drive.camera.lens.rays(drive.camera.img_from_cam, drive.frames[2].lanes_px[1])
+    ground = rays * (-made.CAMERA_HEIGHT_M / rays[:, 2])[:, None]
+    assert ground[:, 0] == pytest.approx(-made.LANES_M[1], abs=1e-6), "left is x < 0"
+    assert drive.host_from_lidar[:3, 3] == pytest.approx([0, 0.5, 1.73])
+
+
+def test_a_drive_of_lanes_without_images(tmp_path, truth):
+    folder = made.write_described(tmp_path, truth)
+    for path in (folder / "front").iterdir():
+        path.unlink()
+    drive = open_drive(str(folder))
+    assert len(drive.frames) == 5
+    assert drive.frames[1].load_image is None
+    assert len(drive.frames[1].lanes_px) == 3
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "message"),
+    [
+        (
+            "drive.yaml",
+            "axes: flu",
+            "axes: ned",
+            r"drive\.yaml: lidar\.axes: expected 'rfu', 'flu' or 'rdf', got 'ned'",
+        ),
+        ("drive.yaml", "files: lidar", "file: lidar", r"lidar\.files: missing"),
+        ("drive.yaml", r"lidar/\*.npy", "nothing/*.npy", "expected 1 to .* scans, got none"),
+        ("drive.yaml", r"lidar/\*.npy", "../*.npy", "expected a path below the folder"),
+        ("drive.yaml", "camera: camera.yaml", "camera: kamera", "kamera"),
+        ("drive.yaml", "poses.txt", "posen.txt", r"posen\.txt: cannot be read: No such file"),
+        ("times.txt", r"0\.400\n", "", r"times\.txt: expected a time for each of 5 images, got 4"),
+        ("times.txt", r"0\.200", "0.100", r"times of images that increase, got 0\.100000 s after 0\.100000 s"),
+        ("camera.yaml", "width_px: 640", "width_px: 800", "expected the size of its camera, 800x400, got 640x400"),
+        ("lanes.json", "version", "verson", "lanes"),
+        ("lanes.geojson", "LineString", "Point", "LineString"),
+        ("poses.txt", r"(?m)^0\.", "1000.", "expected poses around the frames of monday"),
+    ],
+)
+def test_bad_files_of_a_described_drive_are_told(tmp_path, truth, name, old, new, message):
+    folder = made.write_described(tmp_path, truth)
+    text = (folder / name).read_text()
+    assert re.search(old, text)
+    (folder / name).write_text(re.sub(old, new, text))
+    with pytest.raises((FormatError, InputError), match=message) as caught:
+        open_drive(str(folder))
+    assert len(str(caught.value).splitlines()) <= 3
+
+
+def test_marks_are_written_as_they_are_read(tmp_path):
+    lanes = (
+        MarkedLane("a", np.array([[0.0, 1.0], [5.125, 2.0]]), "centerline", "none", None, "oncoming"),
+        MarkedLane("b", np.array([[1e6, 5e6], [1e6 + 0.001, 5e6]]), "delimiter", "dashed", "yellow"),
+    )
+    (tmp_path / "m.geojson").write_text(marks_text(lanes, "monday"))
+    read = read_marks(tmp_path / "m.geojson")
+    assert [vars(lane) | {"xy_world": lane.xy_world.tolist()} for lane in read] == [
+        vars(lane) | {"xy_world": lane.xy_world.tolist()} for lane in lanes
+    ]
+
+
+def test_marks_of_another_program_are_read(tmp_path):
+    deep, twice = [[0, 1, 9], [2, 3, 9]], [[0, 1], [0, 1], [2, 3]]
+    features = [
+        {"type": "Feature", "geometry": {"type": "LineString", "coordinates": points}, **rest}
+        for points, rest in ((deep, {"id": 7, "properties": {"fid": 1}}), (twice, {"properties": None}))
+    ]
+    document = {"type": "FeatureCollection", "crs": {"type": "name"}, "features": features}
+    (tmp_path / "m.geojson").write_text(json.dumps(document))
+    assert [(lane.id, lane.xy_world.tolist()) for lane in read_marks(tmp_path / "m.geojson")] == [
+        ("7", [[0, 1], [2, 3]]),
+        ("marked2", [[0, 1], [2, 3]]),
+    ]
+    document["features"][1]["id"] = "7"
+    (tmp_path / "m.geojson").write_text(json.dumps(document))
+    with pytest.raises(FormatError, match="expected every id once, got 7 twice"):
+        read_marks(tmp_path / "m.geojson")
+
+
+LINES = json.dumps({"format": "synth3dlanes.lines", "version": 1, "images": {"1.jpg": [[[1, 2], [3, 4]]]}}).encode()
+REVIEW = b'{"format": "synth3dlanes.review", "version": 1, "source": "d", "frames": {"1": "accepted"}}'
+MARKS = marks_text([MarkedLane("a", np.array([[0.0, 1.0], [5.0, 2.0]]))], "monday").encode()
+READERS = {
+    "lines.json": (LINES, lambda path: read_lines_of(path), True),
+    "review.json": (REVIEW, read_review, True),
+    "marks.geojson": (MARKS, read_marks, True),
+    "tum.txt": (b"1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n", lambda path: read_tum(path, "flu"), False),
+    "kitti.txt": (b"1 0 0 0 0 1 0 0 0 0 1 0\n" * 2, lambda path: read_kitti_poses(path, np.arange(2.0), "rdf"), False),
+}
+
+
+@files
+@given(data=st.data(), name=st.sampled_from(list(READERS)))
+def test_damaged_files_are_refused_or_read(tmp_path, data, name):
+    good, read, is_json = READERS[name]
+    path = tmp_path / name
+    path.write_bytes(data.draw(mutated(good, is_json)))
+    refused_or_read(lambda: read(path), str(path), error=(FormatError, InputError))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("source", ["nothing", "x.yaml", "", "a:b", "nothing/train:0"])
+def test_what_is_no_drive_is_told_in_one_line(tmp_path, monkeypatch, source):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "x.yaml").write_text("{a: 1")
+    with pytest.raises((InputError, FormatError)) as caught:
+        open_drive(source)
+    assert len(str(caught.value).splitlines()) == 1

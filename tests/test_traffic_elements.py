@@ -1,0 +1,226 @@
+"""Traffic elements: places by closed forms, states by phases, lanes that exist, ids through clips and rigs, and what
+presets draw."""
+
+import json
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from synth3dlanes import labels as label_file
+from synth3dlanes.element_labels import element_arrays
+from synth3dlanes.element_truth import meets_quads, seen_elements
+from synth3dlanes.frames import rotation, transform
+from synth3dlanes.geometry.sign_faces import SIGN_FACES
+from synth3dlanes.ground_truth import ground_truth, label
+from synth3dlanes.params import load_params
+from synth3dlanes.sample import Scenes, sample_scene, sample_world
+from synth3dlanes.scene import Crossing, Roadside, Scene, from_json, to_json
+from synth3dlanes.sensors.rig_files import load_rig
+from synth3dlanes.settings import FIRST_STRUCTURE_ID
+from synth3dlanes.shots import Shots
+from synth3dlanes.traffic_elements import LaneSignal, Phase, SignKind, TrafficSign, TrafficSignal
+from synth3dlanes.world import resolve
+from tests.scenes import FLAT, changed
+from tests.signals import light, sign, signals_scene
+
+
+def with_roadside(**parts: object) -> Scene:
+    return FLAT.model_copy(update={"roadside": Roadside(**parts)})
+
+
+def test_a_sign_straight_ahead_is_where_its_numbers_say():
+    """30 m ahead in the host's lane, its lower edge 2 m up, seen from 1.6 m without pitch."""
+    (item,) = ground_truth(
+        changed(with_roadside(signs=(sign("stop", 0.0, -20.0),)), camera={"pitch_rad": 0})
+    ).traffic_elements
+    size_m = np.ptp(SIGN_FACES["stop"][0].outline, axis=0)
+    assert (item.id, item.category, item.kind, item.state) == (FIRST_STRUCTURE_ID + 1, "road_sign", "stop", None)
+    assert item.lanes == ("main_3",)
+    np.testing.assert_allclose(item.size_m[[0, 2]], size_m)
+    assert item.center_cam[0] == pytest.approx(0, abs=1e-9)
+    assert 29.7 < item.center_cam[1] < 30
+    assert item.center_cam[2] == pytest.approx(2 + size_m[1] / 2 - 1.6)
+    np.testing.assert_allclose(item.normal_cam, (0, -1, 0), atol=1e-9)
+    np.testing.assert_allclose(
+        item.corners_cam[4], item.center_cam + np.array([-1, -1, 1]) * item.size_m / 2, atol=1e-9
+    )
+
+
+def test_the_yaw_is_the_way_of_the_traffic_and_an_arm_reaches_to_its_right():
+    """One for traffic that drives to the left (world -x): its face looks to the right, and its right is ahead."""
+    for_left = light(0.0, "red", yaw_rad=np.pi / 2, reach_m=3.0)
+    (item,) = ground_truth(changed(with_roadside(signals=(for_left,)), camera={"pitch_rad": 0})).traffic_elements
+    np.testing.assert_allclose(item.normal_cam, (1, 0, 0), atol=1e-9)
+    assert item.center_cam[1] == pytest.approx(33.0)
+    assert item.center_cam[0] > 0.2, "before its pole, towards its traffic"
+
+
+def test_phases_follow_each_other_and_begin_again():
+    one = TrafficSignal(
+        x_m=0, y_m=0, yaw_rad=0, height_m=2.4, lanes=(), shift_s=4.5,
+        phases=tuple(Phase(state=state, seconds=s) for state, s in (("red", 4.0), ("red_amber", 1.0), ("green", 5.0))),
+    )  # fmt: skip
+    at = {0.0: "red_amber", 0.6: "green", 5.4: "green", 5.6: "red", 9.4: "red", 9.6: "red_amber", 105.0: "green"}
+    assert {time_s: one.state_at(time_s) for time_s in at} == at
+
+
+def test_the_lights_of_a_head_are_those_of_its_state_at_the_time_of_the_picture():
+    """Heights of the lit lenses: red above amber above green."""
+    site = resolve(with_roadside(signals=(light(5.0, "red", "red_amber", "amber", "green", "off"),))).site
+    heights = []
+    for second in range(5):
+        lit = site.lights(second + 0.5)
+        corners = [body.corners_world[..., 2] for body in lit.values()]
+        heights.append(sorted({round(float(z.mean()), 2) for body in corners for z in np.split(body, len(body) // 12)}))
+    red, both, amber, green, off = heights
+    assert (len(red), len(both), len(amber), len(green), off) == (1, 2, 1, 1, [])
+    assert red[0] > amber[0] > green[0]
+    assert both == sorted([amber[0], red[0]])
+    assert {*site.lights(0.5)} == {site.first_element}, "of the head, in the numbers of structures"
+
+
+def test_lanes_that_are_not_there_are_refused():
+    with pytest.raises(ValidationError, match=r"roadside.signs.0.lanes: expected lanes among main_1, .*got main_4"):
+        Scene.model_validate(with_roadside(signs=(sign("stop", 9.0, lanes=("main_4",)),)).model_dump())
+    gantry = Crossing(
+        kind="gantry",
+        s_m=0,
+        clearance_m=5,
+        width_m=1,
+        color=(0, 0, 0),
+        signals=(LaneSignal(lane="exit_1", state="off"),),
+    )
+    with pytest.raises(ValidationError, match=r"roadside.crossings.0.signals: expected lanes among"):
+        Scene.model_validate(with_roadside(crossings=(gantry,)).model_dump())
+
+
+def test_scenes_and_labels_are_read_as_written():
+    scene = signals_scene()
+    assert from_json(to_json(scene), "scene") == scene
+    labels = ground_truth(scene)
+    text = label_file.to_json(labels)
+    again = label_file.from_json(text, "labels")
+    assert label_file.to_json(again) == text
+    for found, expected in zip(again.traffic_elements, labels.traffic_elements, strict=True):
+        np.testing.assert_allclose(found.corners_cam, expected.corners_cam, atol=1.5e-4)
+        assert found.lanes == expected.lanes
+    older = json.loads(text)
+    del older["traffic_elements"]
+    assert label_file.from_json(json.dumps(older), "labels").traffic_elements is None
+
+
+def test_labels_stay_small():
+    """Nine elements among the labels of a road of three lanes, and 400 bytes each at most."""
+    labels = ground_truth(signals_scene())
+    bytes_, without = (len(label_file.to_json(one)) for one in (labels, replace(labels, traffic_elements=())))
+    assert (bytes_ - without) / len(labels.traffic_elements) < 400
+    assert bytes_ < 1.2 * without
+
+
+def test_arrays_have_what_labels_have():
+    labels = ground_truth(signals_scene())
+    segments = [segment.id for segment in labels.graph.segments]
+    arrays = element_arrays(labels.traffic_elements, segments)
+    assert len(arrays) == 9
+    for i, item in enumerate(labels.traffic_elements):
+        assert [segments[k] for k in np.flatnonzero(arrays.governs[i])] == list(item.lanes)
+        np.testing.assert_allclose(arrays.cam_from_element[i][:3, :3], rotation(item.rotation_wxyz))
+        np.testing.assert_allclose(arrays.corners_cam[i], item.corners_cam)
+    assert np.isnan(arrays.visible_fraction).all()
+
+
+def test_a_share_is_that_of_the_pixels_that_a_body_fills():
+    """A board whose right half another thing hides, in ids made here: rays by the rectangle, by hand."""
+    scene = with_roadside(signs=(sign("exit_left", 0.0, -30.0, height_m=1.0),))
+    world = resolve(scene)
+    labels = label(world, world.view)
+    (item,) = labels.traffic_elements
+    camera = labels.camera
+    v, u = np.mgrid[: camera.height_px, : camera.width_px]
+    rays = camera.rays(np.column_stack([u.ravel(), v.ravel()]) + 0.5)
+    board = transform(
+        item.cam_from_element, item.size_m / 2 * np.array([[-1, 0, -1], [1, 0, -1], [1, 0, 1], [-1, 0, 1]])
+    )
+    is_board = meets_quads(rays, board[None]).reshape(v.shape)
+    is_left = u < 240
+    for shown, share in ((is_board, 1.0), (is_board & is_left, 0.5), (is_board & False, 0.0)):
+        instance = np.where(shown, item.id, 0).astype(np.uint16)
+        (seen,) = seen_elements((item,), world.site, camera, instance)
+        assert seen.visible_fraction == pytest.approx(share, abs=0.03)
+        rows, columns = np.nonzero(shown)
+        expected = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1] if rows.size else None
+        assert (seen.seen_box_px is None) if expected is None else (seen.seen_box_px.tolist() == expected)
+
+
+def test_ids_and_places_are_the_same_through_clips_and_rigs():
+    params = load_params("streets", ["roadside.n_gantries=1", "roadside.lane_signals=true", "roadside.n_signs=6"])
+    clip = Scenes(params, 5, "train", shots=Shots(frames=3, fps=2.0))
+    rig = Scenes(params, 5, "train", shots=Shots(cameras=load_rig("nuscenes")))
+    for scenes, n in ((clip, 3), (rig, 6)):
+        places = [
+            {
+                item.id: (item.kind, item.lanes, (one.camera.world_from_cam @ [*item.center_cam, 1])[:3])
+                for item in one.traffic_elements
+            }
+            for one in (ground_truth(sample_scene(scenes, index)) for index in range(n))
+        ]
+        assert len(places[0]) >= 5
+        for other in places[1:]:
+            common = places[0].keys() & other.keys()
+            assert len(common) >= len(places[0]) - 2, "some come within 200 m, or leave"
+            for id_ in common:
+                assert other[id_][:2] == places[0][id_][:2]
+                np.testing.assert_allclose(other[id_][2], places[0][id_][2], atol=1e-6)
+
+
+def test_other_presets_have_none():
+    for preset in ("appendix_i", "tiny", "diverse", "realistic"):
+        roadside = sample_scene(Scenes(load_params(preset, ["trees.n=0"])), 0).roadside
+        assert (roadside.signals, roadside.signs) == ((), ())
+
+
+@pytest.mark.parametrize("n", [4, pytest.param(30, marks=pytest.mark.thorough)])
+def test_streets_draws_what_it_says(n):
+    params = load_params("streets", ["roadside.n_gantries=1", "trees.n=0", "cars.n=0", "road.flip_lateral=false"])
+    states, n_signs, n_exits = Counter[str](), 0, 0
+    for index in range(n):
+        world = sample_world(Scenes(params, 1, "train"), index)
+        graph = ground_truth(world.scene).graph
+        lanes = {segment.id: segment for segment in graph.segments}
+        for crossing in world.scene.roadside.crossings:
+            for signal in crossing.signals:
+                states[signal.state] += 1
+                own = lanes[signal.lane]
+                beside = {"amber_left": own.left, "amber_right": own.right}
+                if signal.state in beside and not signal.lane.startswith("oncoming"):
+                    assert beside[signal.state] is not None, "an arrow sends the traffic to a lane"
+        n_exits += world.scene.road.topology > 1
+        for board in world.scene.roadside.signs:
+            n_signs += 1
+            assert board.kind == ("exit_left" if world.scene.road.flip_longitudinal else "exit_right")
+            exits = [lane for lane in board.lanes if lane.startswith("exit")]
+            assert exits
+            before = [lane for lane in board.lanes if lane not in exits]
+            assert {after for lane in before for after in graph.successors[lane]} >= {*exits}
+            station = board.y_m
+            assert station < min(lanes[lane].s_start_m for lane in exits)
+    assert 0 < n_signs <= n_exits
+    assert states["green_arrow"]
+    if n == 30:
+        assert 0.3 < n_signs / n_exits < 0.95
+        assert states["green_arrow"] > states["red_cross"] > 3
+
+
+def test_every_kind_of_sign_has_a_face_whose_lower_edge_is_at_its_height():
+    (ground_m,) = resolve(FLAT).ground.height(np.array([[9.0, 0.0]]))
+    assert set(SIGN_FACES) == set(SignKind.__args__)
+    for kind in SIGN_FACES:
+        body = resolve(
+            with_roadside(signs=(TrafficSign(x_m=9, y_m=0, yaw_rad=0, height_m=2, kind=kind, lanes=()),))
+        ).site
+        low, high = (getattr(body.structures[-1].corners_world[..., 2], name)() for name in ("min", "max"))
+        assert low == pytest.approx(2 + ground_m, abs=0.001)
+        assert 0.5 < high - low < 2
