@@ -202,7 +202,7 @@ def _goes_on(track: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float
 
 
 # Instants (seconds of a clip), and lengths driven by then.
-Track = Annotated[
+DrivenTrack = Annotated[
     tuple[tuple[Seconds, Driven], ...], AfterValidator(_goes_on), Field(max_length=10_000, exclude_if=_is_empty)
 ]
 
@@ -226,7 +226,7 @@ class Car(DocumentPart):
     offset_m: Metres = 0.0
     speed_m_s: Annotated[float, Field(ge=0, le=100)] = 0.0
     route: Annotated[tuple[LaneName, ...], Field(max_length=1000, exclude_if=_is_empty)] = ()
-    track: Track = ()
+    track: DrivenTrack = ()
 
 
 class Tree(DocumentPart):
@@ -291,7 +291,7 @@ class Shot(DocumentPart):
     camera: Annotated[int, Field(ge=0, lt=MAX_CAMERAS)] = 0
     n_cameras: Annotated[int, Field(ge=1, le=MAX_CAMERAS)] = 1
     behind_m: Annotated[float, Field(ge=0, le=MAX_BEHIND_M)] = 0.0
-    track: Track = ()
+    track: DrivenTrack = ()
 
     @model_validator(mode="after")
     def _is_one_of_them(self) -> "Shot":

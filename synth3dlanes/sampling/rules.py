@@ -74,19 +74,16 @@ class ParameterRules:
 
     def _of_town(self, found: dict[str, Distribution | None], town: Town) -> dict[str, Distribution | None]:
         """Those of a town: of the road of the paper there is none, and lanes and control are as its junction allows."""
-        unused = ("camera.lane", "camera.y_m", "cars.n", "cars.s_m", "trees.n", "trees.model")
-        found = {key: form for key, form in found.items() if key not in unused and not key.startswith("road.")}
+        unused = {"camera.lane", "camera.y_m", "cars.n", "cars.s_m", "trees.n", "trees.model", "trees.x_m", "trees.y_m"}
         found["cars.model"] = None  # those that turn or park are short
         declared = self.params.town
         if town.junction in ROUNDABOUTS:
-            found |= {"town.n_lanes": Choice((ROUNDABOUTS[town.junction],), (1.0,))}
-            found |= {"town.turn_lanes": Choice(("none",), (1.0,)), "town.control": Choice(("priority",), (1.0,))}
-        else:
-            turn_lanes, control = declared.turn_lanes, declared.control
-            if town.n_lanes > 1:
-                found["town.control"] = control.mapped(lambda name: "priority" if name == "equal" else name)
-            if town.control == "equal":
-                found["town.turn_lanes"] = turn_lanes.mapped(lambda _: "none")
+            unused |= {"town.n_lanes", "town.turn_lanes", "town.control"}
+        elif town.control == "equal":
+            unused.add("town.turn_lanes")
+        elif town.n_lanes > 1:
+            found["town.control"] = None  # only streets of one lane are equal
+        found = {key: form for key, form in found.items() if key not in unused and not key.startswith("road.")}
         found["town.n_side"] = at_most(declared.n_side, town.n_lanes)
         return found
 

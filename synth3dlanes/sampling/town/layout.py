@@ -269,7 +269,7 @@ def _are_apart(streets: Sequence[Street]) -> bool:
     return True
 
 
-def _beyond(line: Points2, places: Sequence[Float[np.ndarray, "2"]]) -> Points2:
+def _beyond(line: Points2, places: Sequence[Float[np.ndarray, "2"]]) -> Float[np.ndarray, "_ 2"]:
     """The points of a line that are away from some places."""
     for place in places:
         line = line[np.linalg.norm(line - place, axis=1) > SHARED_M]

@@ -50,7 +50,7 @@ class Ring(NamedTuple):
         return self.radii_m[-1] - self.lane_m / 2 - EDGE_M
 
 
-def touch(offset_m: float, radius_m: float, ring_m: float) -> Touch:
+def arc_to_ring(offset_m: float, radius_m: float, ring_m: float) -> Touch:
     """The arc from a line beside an arm's axis that touches a circle from outside."""
     ahead_m = np.sqrt((ring_m + radius_m) ** 2 - (offset_m + radius_m) ** 2)
     return Touch(float(ahead_m), float(np.arctan2(offset_m + radius_m, ahead_m)), radius_m)
@@ -99,7 +99,7 @@ def _touches(ring: Ring, cross: Cross, side: str) -> list[tuple[Touch, int]]:
     levels = [min(len(offsets_m) - 1 - i, len(ring.radii_m) - 1) for i in range(len(offsets_m))]
     centre_m = ENTRY_M + offsets_m[-1]
     return [
-        (touch(offset_m, centre_m - offset_m, ring.radii_m[level]), level)
+        (arc_to_ring(offset_m, centre_m - offset_m, ring.radii_m[level]), level)
         for offset_m, level in zip(offsets_m, levels, strict=True)
     ]
 
@@ -154,7 +154,7 @@ def _linked(id: str, connectors: Sequence[Connector], events: Events) -> list[Co
 def _kerbs(ring: Ring, cross: Cross) -> tuple[Touch, Touch]:
     """The arcs of the kerbs on the left and the right of an arm, looking away."""
     left, right = cross.edge("left"), -cross.edge("right")
-    return touch(left, KERB_ENTRY_M, ring.outer_m), touch(right, KERB_ENTRY_M, ring.outer_m)
+    return arc_to_ring(left, KERB_ENTRY_M, ring.outer_m), arc_to_ring(right, KERB_ENTRY_M, ring.outer_m)
 
 
 def _has_room(ring: Ring, angles: Sequence[float], crosses: Sequence[Cross]) -> bool:
