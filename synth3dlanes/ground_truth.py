@@ -9,7 +9,7 @@ from synth3dlanes.arrays import Scalars
 from synth3dlanes.element_truth import label_elements
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.lane_curves import LaneCurve
-from synth3dlanes.geometry.motion import host_stations
+from synth3dlanes.geometry.motion import host_driven, host_stations
 from synth3dlanes.geometry.paint import is_double, paint_color, pair_of
 from synth3dlanes.geometry.visibility import seen_over_ground
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LidarLabel, RoadPlane, SymbolLabel
@@ -108,7 +108,7 @@ def _known(world: World, stations: dict[LaneCurve, Scalars]) -> set[str]:
     neighbours in every frame."""
     known, camera, shot = {curve.id for curve in stations}, world.scene.camera, world.scene.shot
     if shot.n_frames > 1:
-        driven_m = np.linspace(0.0, shot.speed_m_s * shot.duration_s, world.network.known_at(shot.n_frames))
+        driven_m = np.linspace(0.0, host_driven(shot, shot.duration_s), world.network.known_at(shot.n_frames))
         places_m = host_stations(world.network, camera, driven_m)
         known |= world.network.known(camera, places_m, _lengths(world))
     return known

@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from synth3dlanes.assets.catalogue import AssetKind, Assets
 from synth3dlanes.lens import PINHOLE, Lens
@@ -29,6 +29,7 @@ from synth3dlanes.schema import (
 )
 from synth3dlanes.settings import FIRST_SYMBOL_ID, HOST_ID, JPEG_QUALITY, MAX_SAMPLES
 from synth3dlanes.streams import stream
+from synth3dlanes.town import Town
 from synth3dlanes.traffic_elements import MAX_FREE, MAX_LANES, LaneSignal, TrafficSign, TrafficSignal
 
 SCENE_VERSION = 1
@@ -192,6 +193,20 @@ def _is_empty(value: tuple[object, ...]) -> bool:
     return not value
 
 
+def _goes_on(track: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+    """Check that a track goes on in time and along the way."""
+    for (time_s, length_m), (next_s, next_m) in pairwise(track):
+        if next_s <= time_s or next_m < length_m:
+            raise ValueError(f"expected instants in order and no way back, got {next_s:g} s, {next_m:g} m")
+    return track
+
+
+# Instants (seconds of a clip), and lengths driven by then.
+DrivenTrack = Annotated[
+    tuple[tuple[Seconds, Driven], ...], AfterValidator(_goes_on), Field(max_length=10_000, exclude_if=_is_empty)
+]
+
+
 class Car(DocumentPart):
     """A car in lane segment `lane` (its id in the lane graph) at station `s_m` (world y on the main reference line; of
     a map the lane's road's own), heading as the lane does, `offset_m` to its driver's right of the lane's centre:
@@ -211,15 +226,7 @@ class Car(DocumentPart):
     offset_m: Metres = 0.0
     speed_m_s: Annotated[float, Field(ge=0, le=100)] = 0.0
     route: Annotated[tuple[LaneName, ...], Field(max_length=1000, exclude_if=_is_empty)] = ()
-    track: Annotated[tuple[tuple[Seconds, Driven], ...], Field(max_length=10_000, exclude_if=_is_empty)] = ()
-
-    @model_validator(mode="after")
-    def _never_backs(self) -> "Car":
-        """Check that the track goes on in time and along the way."""
-        for (time_s, length_m), (next_s, next_m) in pairwise(self.track):
-            if next_s <= time_s or next_m < length_m:
-                raise ValueError(f"track: expected instants in order and no way back, got {next_s:g} s, {next_m:g} m")
-        return self
+    track: DrivenTrack = ()
 
 
 class Tree(DocumentPart):
@@ -273,8 +280,9 @@ class Camera(DocumentPart):
 
 class Shot(DocumentPart):
     """Which picture of the world a scene describes: frame `frame` of a clip of `n_frames` frames at `fps` frames per
-    second, by camera `camera` of a rig of `n_cameras`. In a clip the host keeps its lane and drives at `speed_m_s`.
-    Lanes are labelled from `behind_m` metres behind the host."""
+    second, by camera `camera` of a rig of `n_cameras`. In a clip the host keeps its lane and drives at `speed_m_s`; on
+    a map its `track` may say how far it has driven (metres) at instants (seconds) of the clip. Lanes are labelled from
+    `behind_m` metres behind the host."""
 
     frame: Annotated[int, Field(ge=0, lt=MAX_FRAMES)] = 0
     n_frames: Annotated[int, Field(ge=1, le=MAX_FRAMES)] = 1
@@ -283,6 +291,7 @@ class Shot(DocumentPart):
     camera: Annotated[int, Field(ge=0, lt=MAX_CAMERAS)] = 0
     n_cameras: Annotated[int, Field(ge=1, le=MAX_CAMERAS)] = 1
     behind_m: Annotated[float, Field(ge=0, le=MAX_BEHIND_M)] = 0.0
+    track: DrivenTrack = ()
 
     @model_validator(mode="after")
     def _is_one_of_them(self) -> "Shot":
@@ -466,7 +475,7 @@ class Roadside(DocumentPart):
 class Scene(DocumentPart):
     """One picture of one world. `(seed, split, index)` identify the random draw of the world. `sky` is 0 for the
     built-in sky, or the number of a user's sky, counted from 1. Its roads are either `road`, those of the paper, or
-    `map`."""
+    `map`; of a town's map `town` has the values that it was drawn from."""
 
     format: Literal["synth3dlanes.scene"]
     version: Literal[1]
@@ -493,6 +502,7 @@ class Scene(DocumentPart):
     shot: Shot = Shot()
     lidar: Lidar | None = None
     map: Annotated[RoadMap | None, Field(exclude_if=_is_none)] = None
+    town: Annotated[Town | None, Field(exclude_if=_is_none)] = None
 
     def stream(self, name: str) -> np.random.Generator:
         """Random numbers for details of the world that the scene does not store, such as `clouds`."""

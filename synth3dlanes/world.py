@@ -23,7 +23,7 @@ from synth3dlanes.geometry.map_ground import MapGround
 from synth3dlanes.geometry.map_network import MapNetwork
 from synth3dlanes.geometry.map_roads import map_network
 from synth3dlanes.geometry.map_symbols import map_symbols
-from synth3dlanes.geometry.motion import car_at, host_at, host_station
+from synth3dlanes.geometry.motion import car_at, host_at, host_driven, host_station
 from synth3dlanes.geometry.network import Network
 from synth3dlanes.geometry.paint import paint_meshes
 from synth3dlanes.geometry.paper_roads import paper_network
@@ -216,7 +216,7 @@ class World:
     def view(self) -> View:
         """The view of the scene's camera at the instant of its shot."""
         scene, shot = self.scene, self.scene.shot
-        camera = host_at(self.network, scene.camera, shot.speed_m_s * shot.time_s)
+        camera = host_at(self.network, scene.camera, host_driven(shot, shot.time_s))
         sees_bonnet = camera.looks_ahead and abs(camera.forward_m) <= BEHIND_WINDSCREEN_M
         bonnet = scene.host.bonnet if sees_bonnet else 0.0
         return View(scene, self.network, camera, world_from_host(self.network, camera), bonnet)
@@ -270,7 +270,7 @@ def resolve(scene: Scene, network: Network | None = None) -> World:
     network, shot, camera = network or scene_network(scene), scene.shot, scene.camera
     network = network.around(network.host_points(camera, np.zeros(1))[0, :2], AROUND_HOST_M)
     hills = FarHills.draw(scene.stream("far_hills"))
-    driven_m = host_station(network, camera, shot.speed_m_s * shot.duration_s) - camera.y_m
+    driven_m = host_station(network, camera, host_driven(shot, shot.duration_s)) - camera.y_m
     if isinstance(network, MapNetwork):
         x, y = network.host_points(camera, np.zeros(1))[0, :2].tolist()
         hills = replace(hills, center_world=(x, y))

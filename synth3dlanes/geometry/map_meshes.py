@@ -12,7 +12,7 @@ from jaxtyping import Float
 from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.arrays import Points2, Points3, Scalars
-from synth3dlanes.geometry.map_ground import GroundArea, MapGround
+from synth3dlanes.geometry.map_ground import GroundArea, MapGround, clipped
 from synth3dlanes.geometry.meshes import MEDIAN, ROAD, SHOULDER, Mesh, facing_up, grid, terrain_axes, terrain_heights
 from synth3dlanes.geometry.section_road import KERB_M, CrossSection, SectionRoad
 from synth3dlanes.road_map import MapLaneKind
@@ -167,7 +167,7 @@ def _cut(
     columns, rows, parts = [], [], []
     x0, y0, x1, y1 = shapely.bounds(area) if not area.is_empty else (0.0, 0.0, 0.0, 0.0)
     for i in range(max(int(np.searchsorted(xs, x0)) - 1, 0), min(int(np.searchsorted(xs, x1)), len(xs) - 1)):
-        column = shapely.clip_by_rect(area, xs[i], y0 - 1, xs[i + 1], y1 + 1)
+        column = clipped(area, (xs[i], y0 - 1, xs[i + 1], y1 + 1))
         if column.is_empty:
             continue
         _, low, _, high = shapely.bounds(column)
@@ -178,7 +178,7 @@ def _cut(
         meets = shapely.intersects(column, cells) & ~covered
         taken = covered
         for k in np.flatnonzero(meets):
-            part = shapely.clip_by_rect(column, xs[i], ys[j[k]], xs[i + 1], ys[j[k] + 1])
+            part = clipped(column, (xs[i], ys[j[k]], xs[i + 1], ys[j[k] + 1]))
             if part.is_empty or part.area < 1e-9:
                 continue
             if keep_outside:
