@@ -1,0 +1,88 @@
+"""Values along a road as cubic pieces: read from a file, moved along the road, subtracted."""
+
+import math
+from bisect import bisect_right
+from collections.abc import Iterable, Sequence
+from xml.etree.ElementTree import Element
+
+from synth3dlanes.maps.document import number
+from synth3dlanes.road_map import Polynomial
+
+Cubics = tuple[Polynomial, ...]
+# Pieces that begin this close to each other begin at one station.
+SAME_M = 1e-6
+
+
+def read_cubics(elements: Iterable[Element], key: str, where: str) -> Cubics:
+    """The pieces that elements with a, b, c and d describe, by the station in `key`; of those at one station the last
+    one holds."""
+    found: dict[float, Polynomial] = {}
+    for element in elements:
+        a, b, c, d = (number(element, name, where, 0.0) for name in "abcd")
+        station = number(element, key, where, 0.0)
+        found[station] = Polynomial(s_m=station, a=a, b=b, c=c, d=d)
+    return tuple(found[station] for station in sorted(found))
+
+
+def piece_at(cubics: Sequence[Polynomial], s_m: float) -> Polynomial | None:
+    """The piece that holds at a station: the last that begins at or before it, the first before that."""
+    if not cubics:
+        return None
+    return cubics[max(0, bisect_right([piece.s_m for piece in cubics], s_m + SAME_M) - 1)]
+
+
+def value(cubics: Sequence[Polynomial], s_m: float) -> float:
+    """The value at a station; 0 without any piece."""
+    piece = piece_at(cubics, s_m)
+    if piece is None:
+        return 0.0
+    x = s_m - piece.s_m
+    return piece.a + x * (piece.b + x * (piece.c + x * piece.d))
+
+
+def slope(cubics: Sequence[Polynomial], s_m: float) -> float:
+    """The slope at a station; 0 without any piece."""
+    piece = piece_at(cubics, s_m)
+    if piece is None:
+        return 0.0
+    x = s_m - piece.s_m
+    return piece.b + x * (2 * piece.c + x * 3 * piece.d)
+
+
+def begun_at(piece: Polynomial, s_m: float) -> Polynomial:
+    """The same cubic, told from another station on."""
+    x, (a, b, c, d) = s_m - piece.s_m, (piece.a, piece.b, piece.c, piece.d)
+    moved = a + x * (b + x * (c + x * d)), b + x * (2 * c + x * 3 * d), c + 3 * d * x
+    return Polynomial(s_m=s_m, a=moved[0], b=moved[1], c=moved[2], d=d)
+
+
+def moved(cubics: Sequence[Polynomial], by_m: float) -> Cubics:
+    """The pieces with all stations greater by `by_m`."""
+    return tuple(piece.model_copy(update={"s_m": piece.s_m + by_m}) for piece in cubics)
+
+
+def part(cubics: Sequence[Polynomial], from_m: float, to_m: float) -> Cubics:
+    """The pieces that hold between two stations, the first one told from `from_m` on; stations count from there."""
+    first = piece_at(cubics, from_m)
+    if first is None:
+        return ()
+    inside = [piece for piece in cubics if from_m + SAME_M < piece.s_m < to_m - SAME_M]
+    return moved((begun_at(first, from_m), *inside), -from_m)
+
+
+def difference(one: Sequence[Polynomial], other: Sequence[Polynomial], sign: float = 1.0) -> Cubics:
+    """`sign` times the first less the second; where there are no pieces, 0."""
+    stations = sorted({piece.s_m for piece in (*one, *other)})
+    zero = Polynomial(s_m=0.0, a=0.0)
+    found = []
+    for s in stations:
+        p, q = (begun_at(piece_at(cubics, s) or zero, s) for cubics in (one, other))
+        found.append(
+            Polynomial(s_m=s, **{name: sign * (getattr(p, name) - getattr(q, name)) for name in ("a", "b", "c", "d")})
+        )
+    return tuple(found)
+
+
+def is_zero(cubics: Iterable[Polynomial]) -> bool:
+    """Whether the value is 0 everywhere, to 0.1 mm and 1 microradian."""
+    return all(math.hypot(piece.a, piece.b, 100 * piece.c, 1e4 * piece.d) < 1e-5 for piece in cubics)
