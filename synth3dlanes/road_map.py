@@ -18,6 +18,8 @@ Station = Annotated[float, Field(ge=-1e5, le=1e5)]
 Length = Annotated[float, Field(gt=0, le=1e5)]
 Width = Annotated[float, Field(ge=0, le=100)]
 GroundPoint = tuple[Number, Number]
+# Of a file, whose coordinates may be those of a UTM grid.
+Coordinate = Annotated[float, Field(ge=-1e8, le=1e8)]
 # A lane by ROAD.SECTION.NUMBER, such as `12.0.-1`.
 LaneName = Name
 
@@ -83,7 +85,8 @@ class MapSection(DocumentPart):
 
 class MapRoad(DocumentPart):
     """A road. Without `heights` it lies on the terrain; with them its reference line has these world heights. `banks`
-    are angles, positive where the right side is lower. `junction` is the junction that it connects roads in."""
+    are angles, positive where the right side is lower. `junction` is the junction that it connects roads in. Of a road
+    of a given map this is the part from station `given_from_m` on, with the sections from number `given_section` on."""
 
     id: Name
     plan: Annotated[tuple[PlanPiece, ...], Field(min_length=1, max_length=10_000)]
@@ -93,6 +96,8 @@ class MapRoad(DocumentPart):
     banks: tuple[Polynomial, ...] = ()
     junction: Name | None = None
     keeps_left: bool = False
+    given_from_m: Station = 0.0
+    given_section: Annotated[int, Field(ge=0, le=1000)] = 0
 
     @property
     def length_m(self) -> float:
@@ -131,7 +136,8 @@ class MapIsland(DocumentPart):
 class RoadMap(DocumentPart):
     """The part of a map around a host. `links` are pairs of lanes (one, the next) as traffic drives. The host drives
     along `route`, lanes each linked to the next; its station is the length from the beginning of the first one.
-    `source` and `digest` name the file of a given map and its SHA-256."""
+    `source` and `digest` name the file of a given map and its SHA-256; `given_frame` is where the world's origin lies
+    in it: x, y, z and the heading of world x."""
 
     roads: Annotated[tuple[MapRoad, ...], Field(min_length=1, max_length=MAX_ROADS)]
     links: tuple[tuple[LaneName, LaneName], ...] = ()
@@ -141,6 +147,7 @@ class RoadMap(DocumentPart):
     route: Annotated[tuple[LaneName, ...], Field(min_length=1)]
     source: str = ""
     digest: str = ""
+    given_frame: tuple[Coordinate, Coordinate, Number, Number] | None = None
 
     @model_validator(mode="after")
     def _names_its_lanes(self) -> "RoadMap":

@@ -21,7 +21,17 @@ def read_cubics(elements: Iterable[Element], key: str, where: str) -> Cubics:
         a, b, c, d = (number(element, name, where, 0.0) for name in "abcd")
         station = number(element, key, where, 0.0)
         found[station] = Polynomial(s_m=station, a=a, b=b, c=c, d=d)
-    return tuple(found[station] for station in sorted(found))
+    return _plain([found[station] for station in sorted(found)])
+
+
+def _plain(cubics: Iterable[Polynomial]) -> Cubics:
+    """The pieces without those that only go on as the one before."""
+    kept: list[Polynomial] = []
+    for piece in cubics:
+        goes_on = begun_at(kept[-1], piece.s_m) if kept else None
+        if goes_on is None or not is_zero(difference([piece], [goes_on])):
+            kept.append(piece)
+    return tuple(kept)
 
 
 def piece_at(cubics: Sequence[Polynomial], s_m: float) -> Polynomial | None:
@@ -84,5 +94,19 @@ def difference(one: Sequence[Polynomial], other: Sequence[Polynomial], sign: flo
 
 
 def is_zero(cubics: Iterable[Polynomial]) -> bool:
-    """Whether the value is 0 everywhere, to 0.1 mm and 1 microradian."""
-    return all(math.hypot(piece.a, piece.b, 100 * piece.c, 1e4 * piece.d) < 1e-5 for piece in cubics)
+    """Whether the value is 0, to a micrometre within ten metres."""
+    return all(math.hypot(piece.a, 10 * piece.b, 100 * piece.c, 1e3 * piece.d) < 1e-6 for piece in cubics)
+
+
+def rounded(cubics: Iterable[Polynomial]) -> Cubics:
+    """The pieces without digits that change nothing by more than a tenth of a millimetre in a kilometre."""
+    return tuple(
+        Polynomial(
+            s_m=round(piece.s_m, 6),
+            a=round(piece.a, 6),
+            b=round(piece.b, 9),
+            c=round(piece.c, 12),
+            d=round(piece.d, 15),
+        )
+        for piece in cubics
+    )

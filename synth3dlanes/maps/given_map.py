@@ -29,6 +29,8 @@ FAR_M, ROUND_M = 1e5, 1000.0
 # Places of a road that say how near it is.
 NEAR_STEP_M = 20.0
 MAX_MAP_ROADS = 100_000
+# Ways are followed no farther than this.
+FAR_ENOUGH_M = 600.0
 
 
 class LanePlace(NamedTuple):
@@ -58,12 +60,13 @@ class LanePlace(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class GivenMap:
-    """A map file, read. `origin` is where (0, 0) lies in the file. `left_out` counts what has no counterpart here, by
-    what it is."""
+    """A map file, read. `origin` is where (0, 0) lies in the file, `names` are our ids of its roads by its own.
+    `left_out` counts what has no counterpart here, by what it is."""
 
     source: str
     digest: str
     origin: tuple[float, float]
+    names: dict[str, Name]
     roads: dict[Name, MapRoad]
     links: tuple[tuple[LaneName, LaneName], ...]
     junctions: tuple[MapJunction, ...]
@@ -96,6 +99,21 @@ class GivenMap:
         found: dict[LaneName, list[LaneName]] = {}
         for one, other in self.links:
             found.setdefault(other, []).append(one)
+        return found
+
+    @cached_property
+    def reach_m(self) -> dict[LaneName, float]:
+        """How far traffic gets from the beginning of each lane, at most FAR_ENOUGH_M; in a circle it gets as far."""
+        found = dict.fromkeys(self.lanes, 0.0)
+        waiting = dict.fromkeys(self.lanes)
+        while waiting:
+            name = next(iter(waiting))
+            del waiting[name]
+            beyond = max((found[after] for after in self.following.get(name, ())), default=0.0)
+            reach = min(self.lanes[name].length_m + beyond, FAR_ENOUGH_M)
+            if reach > found[name]:
+                found[name] = reach
+                waiting |= dict.fromkeys(self.preceding.get(name, ()))
         return found
 
     @cached_property
@@ -165,7 +183,7 @@ def _read(root: Element, digest: str, source: str, where: str) -> GivenMap:
     for tag in ("controller", "junctionGroup", "station"):
         left_out[f"{tag}s"] += len(root.findall(tag))
     counts = {what: n for what, n in left_out.items() if n}
-    return GivenMap(source, digest, origin, roads, links, junctions, tuple(paint), tuple(islands), counts)
+    return GivenMap(source, digest, origin, names, roads, links, junctions, tuple(paint), tuple(islands), counts)
 
 
 def _origin(elements: list[Element], where: str) -> tuple[float, float]:
