@@ -1,28 +1,24 @@
 """World and View -> Labels: every lane curve and symbol in camera coordinates with its masks, except `object_visible`
 (None)."""
 
-from typing import cast
+from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
 
 from synth3dlanes.arrays import Scalars
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.motion import host_station
-from synth3dlanes.geometry.network import Network
 from synth3dlanes.geometry.paint import is_double, paint_color, pair_of
 from synth3dlanes.geometry.symbols import shape
 from synth3dlanes.geometry.visibility import seen_over_ground
-from synth3dlanes.labels import CameraLabel, Labels, Lane, LidarLabel, RoadName, RoadPlane, SymbolLabel
+from synth3dlanes.labels import CameraLabel, Labels, Lane, LidarLabel, RoadPlane, SymbolLabel
 from synth3dlanes.object_truth import label_objects
-from synth3dlanes.scene import Scene
+from synth3dlanes.scene import Camera, Scene
 from synth3dlanes.world import View, World, resolve
 
 STEP_M = 1.0
 RANGE_M = 110.0
-# A common station this close to a line's own end is left out: two coinciding points have no direction.
-APART_M = 0.01
 
 
 def ground_truth(scene: Scene) -> Labels:
@@ -48,7 +44,7 @@ def label(world: World, view: View) -> Labels:
         name=lens.name,
         lens=lens.lens,
     )
-    stations = _stations(world, lens.y_m)
+    stations = _stations(world, lens)
     sampled = {curve: curve.points_world(s) for curve, s in stations.items()}
     known = _known(world, stations)
     forms = [shape(world.ground, symbol) for symbol in world.scene.symbols]
@@ -63,7 +59,7 @@ def label(world: World, view: View) -> Labels:
         Lane(
             id=curve.id,
             kind=curve.kind,
-            road=cast(RoadName, curve.road),
+            road=curve.road,
             marking=curve.marking,
             left=curve.left if curve.left in known else None,
             right=curve.right if curve.right in known else None,
@@ -75,6 +71,8 @@ def label(world: World, view: View) -> Labels:
             double=is_double(curve, world.scene.markings),
             direction=curve.direction,
             pair=pair_of(curve, world.scene.markings),
+            connector=curve.connector,
+            junction=curve.junction,
         )
         for curve, (xyz, inside, visible) in zip(sampled, parts[: len(sampled)], strict=True)
     )
@@ -82,13 +80,14 @@ def label(world: World, view: View) -> Labels:
         SymbolLabel(symbol.kind, xyz, inside, visible, object_visible=None)
         for symbol, (xyz, inside, visible) in zip(world.scene.symbols, parts[len(sampled) :], strict=True)
     )
-    host = network.path(network.host_lane(lens.lane, lens.y_m).id).id
+    named = {lane.id: lane for lane in lanes}
+    hosts = [named[name] for name in network.host_lines(lens) if name in named]
     centerlines = [curve.id for curve in world.site.lines if curve.kind == "centerline" and curve.id in known]
     return Labels(
         camera,
         lanes,
         network.graph(centerlines),
-        horizon_plane(camera, next(lane for lane in lanes if lane.id == host)) if lens.looks_ahead else None,
+        horizon_plane(camera, hosts) if lens.looks_ahead else None,
         symbols=symbols,
         time_s=round(shot.time_s, 9) if shot.n_frames > 1 else None,
         lidar=_lidar(view),
@@ -96,23 +95,23 @@ def label(world: World, view: View) -> Labels:
     )
 
 
-def _stations(world: World, host_m: float) -> dict[LaneCurve, Scalars]:
-    """The stations of the points of every line that is in range of a host at a station."""
-    network = world.network
+def _stations(world: World, host: Camera) -> dict[LaneCurve, Scalars]:
+    """The stations of the points of every line that is in range of a host."""
     lengths_m = np.arange(-world.scene.shot.behind_m, RANGE_M + STEP_M / 2, STEP_M)
-    driven_m = {road.id: network.stations_along(road, host_m, lengths_m) for road in network.roads}
-    found = {curve: stations_of(network, curve, driven_m[curve.road]) for curve in network.curves}
+    found = world.network.in_range(host, lengths_m)
     return {curve: s for curve, s in found.items() if len(s) > 1}
 
 
 def _known(world: World, stations: dict[LaneCurve, Scalars]) -> set[str]:
     """The ids of the lines that a picture has, or that any frame of its clip has, so that lines name the same
-    neighbours in every frame. A line comes into range or is passed, never both, so the first or the last frame has
-    it."""
+    neighbours in every frame."""
     scene, shot = world.scene, world.scene.shot
-    driven_m = (0.0, shot.speed_m_s * shot.duration_s) if shot.n_frames > 1 else ()
-    ends = (_stations(world, host_station(world.network, scene.camera, way_m)) for way_m in driven_m)
-    return {curve.id for lines in (stations, *ends) for curve in lines}
+    n = world.network.known_at(shot.n_frames) if shot.n_frames > 1 else 0
+    hosts = [
+        scene.camera.model_copy(update={"y_m": host_station(world.network, scene.camera, float(way_m))})
+        for way_m in np.linspace(0.0, shot.speed_m_s * shot.duration_s, n)
+    ]
+    return {curve.id for lines in (stations, *(_stations(world, host) for host in hosts)) for curve in lines}
 
 
 def _lidar(view: View) -> LidarLabel | None:
@@ -123,23 +122,15 @@ def _lidar(view: View) -> LidarLabel | None:
     return LidarLabel(**{name: getattr(view.lidar, name) for name in fields}, cam_from_lidar=cam_from_lidar)
 
 
-def horizon_plane(camera: CameraLabel, host: Lane) -> RoadPlane | None:
-    """The plane through the camera's foot and the farthest point of the host's lane that the ground does not hide."""
-    seen = np.flatnonzero(host.in_image & host.terrain_visible)
-    if not seen.size:
-        return None
-    _, y, z = transform(camera.road_from_cam, host.xyz_cam[seen[-1]])
-    slope_rad = float(np.arctan2(z, y))
-    return RoadPlane(
-        pitch_rad=round(camera.pitch_rad + slope_rad, 9), height_m=round(camera.height_m * float(np.cos(slope_rad)), 9)
-    )
-
-
-def stations_of(network: Network, curve: LaneCurve, driven_m: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
-    """Stations of one curve in driving order: the common stations within it, and its exact ends."""
-    s = network.stations(driven_m)
-    low, high = min(s[0], s[-1]), max(s[0], s[-1])
-    ends = np.array([end for end in (curve.start_m, curve.end_m) if low < end < high])
-    kept = s[curve.has(s)]
-    kept = kept[(np.abs(kept[:, None] - ends) > APART_M).all(axis=1)]
-    return np.sort(np.concatenate([kept, ends]))[:: int(network.onwards)]
+def horizon_plane(camera: CameraLabel, ways: Sequence[Lane]) -> RoadPlane | None:
+    """The plane through the camera's foot and the farthest point of the host's way that the ground does not hide; the
+    way is one centre line after the other."""
+    for lane in reversed(ways):
+        seen = np.flatnonzero(lane.in_image & lane.terrain_visible)
+        if seen.size:
+            _, y, z = transform(camera.road_from_cam, lane.xyz_cam[seen[-1]])
+            slope_rad, height_m = float(np.arctan2(z, y)), camera.height_m
+            return RoadPlane(
+                pitch_rad=round(camera.pitch_rad + slope_rad, 9), height_m=round(height_m * float(np.cos(slope_rad)), 9)
+            )
+    return None

@@ -21,13 +21,14 @@ from synth3dlanes.schema import STRICT, DocumentPart, Name, Number, PixelCount, 
 LABELS_FORMAT, LABELS_VERSION = "synth3dlanes.labels", 1
 
 MASKS = ("in_image", "terrain_visible", "object_visible")
+# Keys of lanes and segments that only labels of maps have.
+OF_MAPS = ("connector", "junction")
 
 LaneKind = Literal["centerline", "delimiter"]
-RoadName = Literal["main", "exit"]
 Marking = Literal["none", "solid", "dashed"]
 PaintColor = Literal["white", "yellow"]
 Pair = Literal["solid_dashed", "dashed_solid"]
-Direction = Literal["same", "oncoming"]
+Direction = Literal["same", "oncoming", "crossing"]
 
 
 @with_config(STRICT)
@@ -79,11 +80,15 @@ class Lane:
     are None for centre lines and in older labels. `object_visible` is None until the scene has been rendered.
     `direction` is that of the traffic in a centre line's lane; a delimiter is `oncoming` if it bounds only such lanes.
     Older labels may lack `same`. `pair` names the stripes of a double line, from the left, where they differ: its
-    `marking` is `solid` then. Older labels have none."""
+    `marking` is `solid` then. Older labels have none.
+
+    In labels of a map, points of a `crossing` line go as its traffic does (docs/network.md). `junction` is the one that
+    the line is in, and `connector` says whether it is the way of a lane through a junction. Both are None in labels
+    of the paper's roads, whose document lacks them."""
 
     id: Name
     kind: LaneKind
-    road: RoadName
+    road: Name
     marking: Marking
     left: Name | None
     right: Name | None
@@ -95,6 +100,8 @@ class Lane:
     double: bool | None = None
     direction: Direction = "same"
     pair: Pair | None = None
+    connector: bool | None = None
+    junction: Name | None = None
 
     def __post_init__(self) -> None:
         """Check that each mask has a value for every point; raise ValueError."""
@@ -153,26 +160,30 @@ def _visible(of: Lane | SymbolLabel) -> Bool[np.ndarray, " n"]:
 @dataclass(frozen=True)
 class Segment:
     """A lane between two junctions: its number from the left as the host drives, the stations (world y on the main
-    reference line) where it starts and ends in driving order, its neighbours, and the centre lines that follow it."""
+    reference line) where it starts and ends in driving order, its neighbours, and the centre lines that follow it. Of a
+    map: its number from the left as its traffic drives, stations of its own road, and the junction that it is in."""
 
     id: Name
-    road: RoadName
+    road: Name
     lane: Annotated[int, Field(ge=1, le=100)]
     s_start_m: Number
     s_end_m: Number
     left: Name | None
     right: Name | None
     centerlines: tuple[Name, ...]
+    junction: Name | None = None
 
 
 @with_config(STRICT)
 @dataclass(frozen=True)
 class LaneGraph:
-    """Segments and their successors in driving direction. `ramp_start_s_m` is None if the scene has no ramp."""
+    """Segments and their successors in driving direction. `ramp_start_s_m` is None if the scene has no ramp. Of a map,
+    `yields` are pairs of segments, the first of which yields to the second; None without one."""
 
     segments: tuple[Segment, ...]
     successors: dict[Name, tuple[Name, ...]]
     ramp_start_s_m: Number | None
+    yields: tuple[tuple[Name, Name], ...] | None = None
 
 
 @with_config(STRICT)
@@ -237,8 +248,8 @@ class Labels:
 
 def to_json(labels: Labels) -> str:
     """The labels as one line of JSON: points rounded to 0.1 mm, matrices to 1e-9; equal labels give equal text.
-    Every key is there, so that all labels of a data set are of one schema."""
-    camera, lidar = labels.camera, labels.lidar
+    Every key is there, but those of maps in labels without one, so that all labels of a kind are of one schema."""
+    camera, lidar, of_map = labels.camera, labels.lidar, labels.graph.yields is not None
     document: dict[str, Any] = {
         "format": LABELS_FORMAT,
         "version": LABELS_VERSION,
@@ -255,13 +266,15 @@ def to_json(labels: Labels) -> str:
             "name": camera.name,
             "lens": camera.lens.model_dump(mode="json"),
         },
-        "lanes": [_points_document(lane) for lane in labels.lanes],
+        "lanes": [_document(_points_document(lane), of_map) for lane in labels.lanes],
         "graph": {
             "segments": [
-                {**vars(segment), "centerlines": list(segment.centerlines)} for segment in labels.graph.segments
+                _document({**vars(segment), "centerlines": list(segment.centerlines)}, of_map)
+                for segment in labels.graph.segments
             ],
             "successors": {key: list(value) for key, value in labels.graph.successors.items()},
             "ramp_start_s_m": labels.graph.ramp_start_s_m,
+            **({"yields": labels.graph.yields} if of_map else {}),
         },
         "horizon": None if labels.horizon is None else vars(labels.horizon),
         "car_visible_fraction": labels.car_visible_fraction,
@@ -304,6 +317,11 @@ def from_json(text: str | bytes, where: str) -> Labels:
         read.objects,
         None if read.objects is not None else read.car_visible_fraction,
     )
+
+
+def _document(values: dict[str, Any], of_map: bool) -> dict[str, Any]:
+    """The values of a document, without those of maps alone if it is of none."""
+    return {key: value for key, value in values.items() if of_map or key not in OF_MAPS}
 
 
 def _points_document(of: Lane | SymbolLabel) -> dict[str, Any]:

@@ -5,6 +5,7 @@ World frame, metres and radians. Pure data in the terms of OpenDRIVE: a road is 
 `geometry/map_roads.py` makes the network of it.
 """
 
+from functools import cached_property
 from itertools import pairwise
 from typing import Annotated, Literal
 
@@ -56,7 +57,8 @@ class PlanPiece(DocumentPart):
 
 
 class MapMark(DocumentPart):
-    """The paint on the outer edge of a lane (of lane 0: on the reference line), from a station of its section on."""
+    """The paint on the outer edge of a lane (of lane 0: on the reference line), from a station of its section on. Of
+    two stripes that differ the first is the inner one; of lane 0 the left one."""
 
     s_m: Station = 0.0
     kind: MapMarkKind
@@ -149,18 +151,37 @@ class RoadMap(DocumentPart):
     digest: str = ""
     given_frame: tuple[Coordinate, Coordinate, Number, Number] | None = None
 
-    @model_validator(mode="after")
-    def _names_its_lanes(self) -> "RoadMap":
-        """Check that ids are unique and that all lanes that are named exist."""
-        roads = [road.id for road in self.roads]
-        if len(set(roads)) < len(roads):
-            raise ValueError("roads: expected ids that differ")
-        lanes = {
-            f"{road.id}.{i}.{lane.number}"
+    @cached_property
+    def road_ids(self) -> frozenset[str]:
+        """The ids of all roads."""
+        return frozenset(road.id for road in self.roads)
+
+    @cached_property
+    def all_links(self) -> frozenset[tuple[str, str]]:
+        """The links, to ask whether there is one."""
+        return frozenset(self.links)
+
+    @cached_property
+    def lanes(self) -> dict[str, MapLane]:
+        """All lanes by their names."""
+        return {
+            f"{road.id}.{i}.{lane.number}": lane
             for road in self.roads
             for i, section in enumerate(road.sections)
             for lane in section.lanes
         }
+
+    @cached_property
+    def driving_lanes(self) -> frozenset[str]:
+        """The names of the lanes of traffic."""
+        return frozenset(name for name, lane in self.lanes.items() if lane.kind == "driving" and lane.number)
+
+    @model_validator(mode="after")
+    def _names_its_lanes(self) -> "RoadMap":
+        """Check that ids are unique and that all lanes that are named exist."""
+        if len(self.road_ids) < len(self.roads):
+            raise ValueError("roads: expected ids that differ")
+        lanes = self.lanes
         named = [("route", name) for name in self.route]
         named += [("links", name) for link in self.links for name in link]
         named += [("paint", paint.lane) for paint in self.paint if paint.lane is not None]
@@ -168,8 +189,15 @@ class RoadMap(DocumentPart):
         for where, name in named:
             if name not in lanes:
                 raise ValueError(f"{where}: expected lanes of the roads, got {name}")
-        links = set(self.links)
+        links = self.all_links
         for a, b in pairwise(self.route):
             if (a, b) not in links:
                 raise ValueError(f"route: expected linked lanes, got {a} and {b}")
+        for name in self.route:
+            if name not in self.driving_lanes:
+                raise ValueError(f"route: expected driving lanes, got {name}")
+        known = {at.id for at in self.junctions}
+        for road in self.roads:
+            if road.junction is not None and road.junction not in known:
+                raise ValueError(f"roads: expected a junction of the map, got {road.junction}")
         return self

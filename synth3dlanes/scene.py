@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 
 from synth3dlanes.assets.catalogue import AssetKind, Assets
 from synth3dlanes.lens import PINHOLE, Lens
+from synth3dlanes.road_map import LaneName, RoadMap, Station
 from synth3dlanes.schema import (
     AHEAD_DEG,
     MAX_PX,
@@ -42,6 +43,8 @@ MAX_SYMBOLS = HOST_ID - FIRST_SYMBOL_ID
 # Frames of a clip, cameras of a rig, and how far behind the host lanes may be labelled.
 MAX_FRAMES, MAX_CAMERAS, MAX_BEHIND_M = 1000, 64, 110.0
 MAX_BEAMS = 256
+Seconds = Annotated[float, Field(ge=0, le=1e6)]
+Length = Annotated[float, Field(ge=0, le=1e6)]
 AssetNumber = Annotated[int, Field(ge=1, le=MAX_ASSETS)]
 
 
@@ -174,21 +177,42 @@ class Symbol(DocumentPart):
     s_m: Metres
 
 
+def _is_none(value: object) -> bool:
+    return value is None
+
+
+def _is_empty(value: tuple[object, ...]) -> bool:
+    return not value
+
+
 class Car(DocumentPart):
-    """A car in lane segment `lane` (its id in the lane graph) at station `s_m` (world y on the main reference line),
-    heading as the lane does, `offset_m` to its driver's right of the lane's centre: parked cars stand on a shoulder.
-    This is its place at the start of a clip, through which it keeps its lane and speed. Models are numbered from 1.
-    `saturation` mixes the body's colour (1) with the gray of its first channel (0)."""
+    """A car in lane segment `lane` (its id in the lane graph) at station `s_m` (world y on the main reference line; of
+    a map the lane's road's own), heading as the lane does, `offset_m` to its driver's right of the lane's centre:
+    parked cars stand on a shoulder. This is its place at the start of a clip, through which it keeps its lane and
+    speed. Models are numbered from 1. `saturation` mixes the body's colour (1) with the gray of its first channel (0).
+
+    On a map it drives through the lanes of `route` behind its own. `track` are instants (seconds of the clip) and the
+    lengths that it has driven then; without them it keeps its speed, which is otherwise that at the clip's start."""
 
     model: AssetNumber
     scale: Positive
     color: Color
     gloss: Unit
     lane: Name
-    s_m: Metres
+    s_m: Station
     saturation: Unit = 1.0
     offset_m: Metres = 0.0
     speed_m_s: Annotated[float, Field(ge=0, le=100)] = 0.0
+    route: Annotated[tuple[LaneName, ...], Field(max_length=1000, exclude_if=_is_empty)] = ()
+    track: Annotated[tuple[tuple[Seconds, Length], ...], Field(max_length=10_000, exclude_if=_is_empty)] = ()
+
+    @model_validator(mode="after")
+    def _never_backs(self) -> "Car":
+        """Check that the track goes on in time and along the way."""
+        for (time_s, length_m), (next_s, next_m) in pairwise(self.track):
+            if next_s <= time_s or next_m < length_m:
+                raise ValueError(f"track: expected instants in order and no way back, got {next_s:g} s, {next_m:g} m")
+        return self
 
 
 class Tree(DocumentPart):
@@ -211,7 +235,8 @@ class Vegetation(DocumentPart):
 
 class Camera(DocumentPart):
     """The host's place and its camera. The host: `lane` is counted from the left in driving direction, station `y_m`
-    (at the start of a clip), lateral offset positive to the right. The camera: `right_m` and `forward_m` are relative
+    (at the start of a clip), lateral offset positive to the right; on a map, lane 1 and the length `y_m` along its
+    route. The camera: `right_m` and `forward_m` are relative
     to the host's place in the host's road frame, `height_m` is over the plane of that frame; yaw is positive
     counter-clockwise seen from above, roll about the viewing axis is positive clockwise as the driver sees it."""
 
@@ -359,12 +384,12 @@ N_SIGN_FACES = 16
 
 
 class Rail(DocumentPart):
-    """A barrier, wall, kerb or power line along a road between two plan stations. Its front is `aside_m` from the edge
-    of the pavement on a side of the plan; on the side `median` its middle is at plan offset `aside_m` of the main
-    road. A `walkway` is a kerb with a paved path behind it."""
+    """A barrier, wall, kerb or power line along a road (`main`, `exit`, or one of a map) between two plan stations. Its
+    front is `aside_m` from the edge of the pavement on a side of the plan; on the side `median` its middle is at plan
+    offset `aside_m` of the road. A `walkway` is a kerb with a paved path behind it."""
 
     kind: RailKind
-    road: Literal["main", "exit"]
+    road: Name
     side: RoadSide
     from_m: Metres
     to_m: Metres
@@ -378,7 +403,7 @@ class Post(DocumentPart):
     from 1; a `turned` sign shows it to the traffic in the other direction."""
 
     kind: PostKind
-    road: Literal["main", "exit"]
+    road: Name
     side: RoadSide
     s_m: Metres
     aside_m: Metres
@@ -425,7 +450,8 @@ class Roadside(DocumentPart):
 
 class Scene(DocumentPart):
     """One picture of one world. `(seed, split, index)` identify the random draw of the world. `sky` is 0 for the
-    built-in sky, or the number of a user's sky, counted from 1."""
+    built-in sky, or the number of a user's sky, counted from 1. Its roads are either `road`, those of the paper, or
+    `map`."""
 
     format: Literal["synth3dlanes.scene"]
     version: Literal[1]
@@ -433,7 +459,7 @@ class Scene(DocumentPart):
     split: Annotated[str, Field(max_length=200)]
     index: Annotated[int, Field(ge=0, lt=MAX_SAMPLES)]
     terrain: Terrain
-    road: PaperRoad
+    road: PaperRoad | None
     markings: Markings
     surface: Surface
     cars: Annotated[tuple[Car, ...], Field(max_length=1000)]
@@ -451,6 +477,7 @@ class Scene(DocumentPart):
     roadside: Roadside = Roadside()
     shot: Shot = Shot()
     lidar: Lidar | None = None
+    map: Annotated[RoadMap | None, Field(exclude_if=_is_none)] = None
 
     def stream(self, name: str) -> np.random.Generator:
         """Random numbers for details of the world that the scene does not store, such as `clouds`."""
@@ -480,32 +507,68 @@ class Scene(DocumentPart):
                 raise ValueError(f"{path}: expected at most {self.assets.count(kind)}, got {number}")
         return self
 
+    @property
+    def paper_road(self) -> PaperRoad:
+        """The paper's road, of a scene that has one."""
+        assert self.road is not None, "asked only of scenes without a map"
+        return self.road
+
     @model_validator(mode="after")
     def _has_its_lanes(self) -> "Scene":
         """Check that the lanes of host and cars exist at their stations."""
-        present = self.road.lanes_present(self.camera.y_m)
-        if self.camera.lane > present:
-            raise ValueError(
-                f"camera.lane: expected at most {present} at y_m = {self.camera.y_m:g}, got {self.camera.lane}"
-            )
-        for kind in ("rails", "posts"):
-            for i, item in enumerate(getattr(self.roadside, kind)):
-                if item.road == "exit" and (self.road.topology == 1 or item.side == "median"):
-                    raise ValueError(f"roadside.{kind}.{i}: expected a side of a road that is there, got its exit's")
-        for i, car in enumerate(self.cars):
-            lanes = (*self.road.segments_at(car.s_m), *self.road.oncoming_segments)
-            if car.lane not in lanes:
-                raise ValueError(
-                    f"cars.{i}.lane: expected one of {', '.join(lanes)} at s_m = {car.s_m:g}, got {car.lane}"
-                )
-        for i, symbol in enumerate(self.symbols):
-            named = self.road.segments_at(symbol.s_m) if symbol.kind.startswith("arrow") else (None,)
-            if symbol.lane not in named:
-                wanted = ", ".join(lane or "null" for lane in named)
-                raise ValueError(f"symbols.{i}.lane: expected one of {wanted}, got {symbol.lane or 'null'}")
-            if symbol.kind == "gore" and self.road.topology == 1:
-                raise ValueError(f"symbols.{i}.kind: expected a road with an exit for a gore, got topology 1")
+        if (self.road is None) == (self.map is None):
+            raise ValueError("road: expected either a road or a map")
+        problem = _map_problem(self, self.map) if self.map is not None else _road_problem(self, self.paper_road)
+        if problem:
+            raise ValueError(problem)
         return self
+
+
+def _road_problem(scene: Scene, road: PaperRoad) -> str:
+    """What is missing on the paper's road; "" if nothing is."""
+    present = road.lanes_present(scene.camera.y_m)
+    if scene.camera.lane > present:
+        return f"camera.lane: expected at most {present} at y_m = {scene.camera.y_m:g}, got {scene.camera.lane}"
+    for kind in ("rails", "posts"):
+        for i, item in enumerate(getattr(scene.roadside, kind)):
+            if item.road not in ("main", "exit"):
+                return f"roadside.{kind}.{i}.road: expected main or exit, got {item.road}"
+            if item.road == "exit" and (road.topology == 1 or item.side == "median"):
+                return f"roadside.{kind}.{i}: expected a side of a road that is there, got its exit's"
+    for i, car in enumerate(scene.cars):
+        lanes = (*road.segments_at(car.s_m), *road.oncoming_segments)
+        if car.lane not in lanes:
+            return f"cars.{i}.lane: expected one of {', '.join(lanes)} at s_m = {car.s_m:g}, got {car.lane}"
+        if car.route or car.track:
+            return f"cars.{i}.route: expected none without a map, got one"
+    for i, symbol in enumerate(scene.symbols):
+        named = road.segments_at(symbol.s_m) if symbol.kind.startswith("arrow") else (None,)
+        if symbol.lane not in named:
+            wanted = ", ".join(lane or "null" for lane in named)
+            return f"symbols.{i}.lane: expected one of {wanted}, got {symbol.lane or 'null'}"
+        if symbol.kind == "gore" and road.topology == 1:
+            return f"symbols.{i}.kind: expected a road with an exit for a gore, got topology 1"
+    return ""
+
+
+def _map_problem(scene: Scene, roads: RoadMap) -> str:
+    """What is missing on the map; "" if nothing is."""
+    if scene.camera.lane != 1:
+        return f"camera.lane: expected 1 on a map, got {scene.camera.lane}"
+    if scene.symbols:
+        return f"symbols: expected none beside a map, whose paint they are, got {len(scene.symbols)}"
+    for kind in ("rails", "posts"):
+        for i, item in enumerate(getattr(scene.roadside, kind)):
+            if item.road not in roads.road_ids:
+                return f"roadside.{kind}.{i}.road: expected a road of the map, got {item.road}"
+    for i, car in enumerate(scene.cars):
+        for name in (car.lane, *car.route):
+            if name not in roads.driving_lanes:
+                return f"cars.{i}.lane: expected driving lanes of the map, got {name}"
+        for pair in pairwise((car.lane, *car.route)):
+            if pair not in roads.all_links:
+                return f"cars.{i}.route: expected linked lanes, got {pair[0]} and {pair[1]}"
+    return ""
 
 
 def to_json(scene: Scene) -> str:

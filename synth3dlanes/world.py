@@ -3,7 +3,7 @@
 World frame, metres. Labels, meshes, masks and light are all computed from a world and a view.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,13 +11,16 @@ from jaxtyping import Float
 
 from synth3dlanes.arrays import Matrix4
 from synth3dlanes.frames import road_from_cam, turned
-from synth3dlanes.geometry import meshes, roadside
+from synth3dlanes.geometry import map_meshes, meshes, roadside
 from synth3dlanes.geometry.bonnet import cam_from_bonnet
 from synth3dlanes.geometry.camera import img_from_cam, project, world_from_host
 from synth3dlanes.geometry.grass import Blades, blades
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.horizon import FarHills
 from synth3dlanes.geometry.lane_curves import LaneCurve
+from synth3dlanes.geometry.map_ground import MapGround
+from synth3dlanes.geometry.map_network import MapNetwork
+from synth3dlanes.geometry.map_roads import map_network
 from synth3dlanes.geometry.motion import car_at, host_at, host_station
 from synth3dlanes.geometry.network import Network
 from synth3dlanes.geometry.paint import paint_meshes
@@ -150,6 +153,31 @@ class Site:
 
 
 @dataclass(frozen=True, eq=False)
+class MapSite(Site):
+    """The site of a map: its roads, junctions and islands, and the terrain around them."""
+
+    @property
+    def _built(self) -> MapGround:
+        assert isinstance(self.ground, MapGround), "a map's site is on its ground"
+        return self.ground
+
+    @cached_property
+    def pavement(self) -> list[meshes.Mesh]:
+        """All roads, junctions and islands."""
+        return map_meshes.pavement_meshes(self._built)
+
+    @cached_property
+    def verges(self) -> list[meshes.Mesh]:
+        """None: the terrain meets the pavement."""
+        return []
+
+    @cached_property
+    def terrain(self) -> meshes.Mesh:
+        """The terrain around the pavement, up to the horizon."""
+        return map_meshes.terrain_mesh(self._built)
+
+
+@dataclass(frozen=True, eq=False)
 class World:
     """A scene and its site. All pictures of a site have a world each."""
 
@@ -181,7 +209,7 @@ class World:
 
     def furnished(self, scene: Scene) -> "World":
         """Other things on the same ground: the scene differs in what stands and drives there."""
-        return World(scene, Site(self.ground, scene.trees, scene.roadside))
+        return World(scene, replace(self.site, trees=scene.trees, roadside=scene.roadside))
 
     def paint(self, view: View) -> dict[str, meshes.Mesh]:
         """The paint of every delimiter by id, corrected for parallax so that it looks in place from a view."""
@@ -214,11 +242,22 @@ class World:
 
 def resolve(scene: Scene, network: Network | None = None) -> World:
     """Resolve a scene into its world; `network` is that of its road, where it is known."""
-    network, shot = network or paper_network(scene.road, scene.terrain), scene.shot
-    lane = network.host_lane(scene.camera.lane, scene.camera.y_m)
-    s = network.stations(np.array([scene.camera.y_m]))
-    network = network.around(network.road(lane.road).xy(s, lane.middle(s))[0], AROUND_HOST_M)
+    network, shot, camera = network or scene_network(scene), scene.shot, scene.camera
+    network = network.around(network.host_points(camera, np.zeros(1))[0, :2], AROUND_HOST_M)
     hills = FarHills.draw(scene.stream("far_hills"))
-    driven_m = host_station(network, scene.camera, shot.speed_m_s * shot.duration_s) - scene.camera.y_m
-    ground = Ground(network, scene.camera.y_m, scene.markings, hills, driven_m, shot.behind_m > 0)
+    driven_m = host_station(network, camera, shot.speed_m_s * shot.duration_s) - camera.y_m
+    if isinstance(network, MapNetwork):
+        x, y = network.host_points(camera, np.zeros(1))[0, :2].tolist()
+        hills = replace(hills, center_world=(x, y))
+        islands = scene.map.islands if scene.map is not None else ()
+        place = network, camera.y_m, scene.markings, hills, driven_m, shot.behind_m > 0
+        return World(scene, MapSite(MapGround(*place, roads=network, islands=islands), scene.trees, scene.roadside))
+    ground = Ground(network, camera.y_m, scene.markings, hills, driven_m, shot.behind_m > 0)
     return World(scene, Site(ground, scene.trees, scene.roadside))
+
+
+def scene_network(scene: Scene) -> Network:
+    """The roads of a scene."""
+    if scene.map is not None:
+        return map_network(scene.map, scene.terrain, scene.camera.y_m)
+    return paper_network(scene.paper_road, scene.terrain)

@@ -8,7 +8,6 @@ from jaxtyping import Float
 
 from synth3dlanes.arrays import AnyPoints3, Matrix4
 from synth3dlanes.frames import from_axes
-from synth3dlanes.geometry import terrain
 from synth3dlanes.geometry.network import Network
 from synth3dlanes.scene import Camera
 
@@ -61,12 +60,8 @@ def horizontal_fov_rad(camera: Camera) -> float:
 def world_from_host(network: Network, camera: Camera) -> Matrix4:
     """The pose of the road frame at the host: origin on the surface at its place, z the surface normal, y along the
     lane."""
-    lane = network.host_lane(camera.lane, camera.y_m)
-    s = network.stations(camera.y_m + np.array([0.0, -TANGENT_STEP_M, TANGENT_STEP_M]))
-    t = lane.middle(s) + camera.offset_m * network.rightward
-    foot, behind, ahead = network.road(lane.road).points(s, t)
-    ((dx, dy),) = terrain.gradient_at(network.terrain, foot[None, :2])
-    z = np.array([-dx, -dy, 1.0]) / np.sqrt(dx * dx + dy * dy + 1)
+    foot, behind, ahead = network.host_points(camera, np.array([0.0, -TANGENT_STEP_M, TANGENT_STEP_M]))
+    z = network.up(camera, foot)
     along = ahead - behind
     y = along - (along @ z) * z
     y /= np.linalg.norm(y)

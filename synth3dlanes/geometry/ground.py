@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 from synth3dlanes.arrays import AnyPoints2, AnyScalars
 from synth3dlanes.geometry import terrain
 from synth3dlanes.geometry.horizon import FarHills
+from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.network import Network
 from synth3dlanes.geometry.roads import Road
 from synth3dlanes.scene import Markings
@@ -75,6 +76,18 @@ class Ground:
     def away_m(self, s: Spread) -> Spread:
         """How far stations are from the host's way."""
         return np.abs(self.ahead_m(self.network.stations(s)))
+
+    def away_at(self, xy_world: AnyPoints2) -> AnyScalars:
+        """How far points are from the host's way, along the road."""
+        return np.abs(self.ahead_m(xy_world[..., 1]))
+
+    def away_along(self, road: Road, s: Spread) -> Spread:
+        """How far stations of a road are from the host's way."""
+        return self.away_m(s)
+
+    def away_on(self, curve: LaneCurve, s: Spread) -> Spread:
+        """How far stations of a curve are from the host's way."""
+        return self.away_m(s)
 
     def range_m(self, ahead_m: float, behind_m: float) -> tuple[float, float]:
         """Stations as the host drives from `behind_m` behind its first place to `ahead_m` ahead of its last; with

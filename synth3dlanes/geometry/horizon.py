@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-# Distances from the world's origin at which the hills begin and at which they reach their full height.
+# Distances from the world's origin, on a map from the host, at which the hills begin and reach their full height.
 BEGIN_M, WHOLE_M = 500.0, 1600.0
 N_WAVES = 14
 LENGTHS_M = np.geomspace(600.0, 3000.0, N_WAVES)
@@ -25,6 +25,7 @@ class FarHills:
     height_m: float
     waves: Float[np.ndarray, "2 k"]
     phases: Float[np.ndarray, " k"]
+    center_world: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> "FarHills":
@@ -35,7 +36,8 @@ class FarHills:
 
     def height(self, xy_world: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
         """Metres to add to the terrain; 0 near the roads."""
-        share = np.clip((np.hypot(xy_world[..., 0], xy_world[..., 1]) - BEGIN_M) / (WHOLE_M - BEGIN_M), 0, 1)
+        x, y = self.center_world
+        share = np.clip((np.hypot(xy_world[..., 0] - x, xy_world[..., 1] - y) - BEGIN_M) / (WHOLE_M - BEGIN_M), 0, 1)
         far, heights_m = share > 0, np.zeros_like(share)
         rolling = 0.4 + 2.5 * (np.sin(xy_world[far] @ self.waves + self.phases) @ (LENGTHS_M / LENGTHS_M.sum()))
         heights_m[far] = self.height_m * share[far] ** 2 * (3 - 2 * share[far]) * np.maximum(rolling, 0)

@@ -3,30 +3,59 @@
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from synth3dlanes.arrays import AnyScalars
 from synth3dlanes.geometry.roads import NetworkLane, Offset, Road, lift
-from synth3dlanes.labels import Direction, LaneKind, Marking
+from synth3dlanes.labels import Direction, LaneKind, Marking, Pair
+
+# Lengths along a curve of a map are measured in steps of this length.
+KNOT_M = 0.5
+
+
+class LinePaint(NamedTuple):
+    """The paint of a line that has its own, as those of maps: other ones are as the scene's `Markings` say."""
+
+    yellow: bool
+    width_m: float
+    is_double: bool = False
+    pair: Pair | None = None
+    is_dotted: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A line from one station of a road to another."""
+    """A line along a road from one station of its curve to another. They are the road's own or, with `knots`, lengths:
+    some of these, and the road's stations there, which fall where `along` is -1."""
 
     road: Road
     offset: Offset
     start_m: float
     end_m: float
+    knots: tuple[AnyScalars, AnyScalars] | None = None
+    along: float = 1.0
+
+    def on(self, s: AnyScalars) -> AnyScalars:
+        """Stations of the road."""
+        return s if self.knots is None else np.interp(s, *self.knots)
+
+    def station(self, road_s: float) -> float:
+        """The curve's station at one of the road's."""
+        if self.knots is None:
+            return road_s
+        lengths_m, stations = self.knots
+        return float(np.interp(road_s * self.along, stations * self.along, lengths_m))
 
 
 @dataclass(frozen=True)
 class LaneCurve:
     """The centre line of a path through the lanes, or a painted line, from `start_m` to `end_m`; its pieces follow each
     other. `direction` is as in the labels; `is_inner` says whether a delimiter faces the oncoming traffic, or is the
-    left edge of a road without any. `lanes` are those of a path, as s grows."""
+    left edge of a road without any. `lanes` are those of a path, as s grows. In a map, stations are lengths along the
+    curve; `connector` and `junction` are as in the labels, and lines have their own `paint`."""
 
     id: str
     kind: LaneKind
@@ -40,15 +69,19 @@ class LaneCurve:
     direction: Direction = "same"
     is_inner: bool = False
     lanes: tuple[NetworkLane, ...] = ()
+    connector: bool | None = None
+    junction: str | None = None
+    paint: LinePaint | None = None
 
     def xy_world(self, s: AnyScalars) -> Float[np.ndarray, "n 2"]:
         """World (x, y) at stations."""
         if len(self.pieces) == 1:
             piece = self.pieces[0]
-            return piece.road.xy(s, piece.offset(s))
+            on = piece.on(s)
+            return piece.road.xy(on, piece.offset(on))
         xy = np.zeros((*s.shape, 2))
         for at, piece in self._parts(s):
-            on = np.minimum(s[at], piece.end_m)
+            on = piece.on(np.minimum(s[at], piece.end_m))
             xy[at] = piece.road.xy(on, piece.offset(on))
         return xy
 
@@ -60,14 +93,17 @@ class LaneCurve:
         """Height of the road surface above the terrain at stations."""
         height_m = np.zeros(s.shape)
         for at, piece in self._parts(s):
-            height_m[at] = piece.road.raised(s[at])
+            on = piece.on(s[at])
+            height_m[at] = piece.road.raised(on, piece.offset(on))
         return height_m
 
     def shifted(self, t_m: float) -> "LaneCurve":
-        """The curve `t_m` beside it."""
-        return replace(
-            self, pieces=joined((piece.road, piece.offset.shifted(t_m), piece.start_m) for piece in self.pieces)
-        )
+        """The curve `t_m` beside it; of a map, to the right of its own direction, at the same stations."""
+        if self.pieces[0].knots is None:
+            parts = ((piece.road, piece.offset.shifted(t_m), piece.start_m) for piece in self.pieces)
+            return replace(self, pieces=joined(parts))
+        aside = (replace(piece, offset=piece.offset.shifted(t_m * piece.along)) for piece in self.pieces)
+        return replace(self, pieces=tuple(aside))
 
     def has(self, s: AnyScalars) -> Bool[np.ndarray, "*n"]:
         """At which stations it is: within its ends, and not between two of its pieces."""
@@ -78,7 +114,13 @@ class LaneCurve:
 
     def lane_at(self, s: float) -> NetworkLane:
         """The lane of a path at a station."""
-        return next(lane for lane in reversed(self.lanes) if s >= lane.start_m)
+        if self.pieces[0].knots is None:
+            return next(lane for lane in reversed(self.lanes) if s >= lane.start_m)
+        return self.lanes[self.piece_at(s)]
+
+    def piece_at(self, s: float) -> int:
+        """The number of the piece at a station; before the first one it, too."""
+        return max(sum(s >= piece.start_m for piece in self.pieces) - 1, 0)
 
     def _parts(self, s: AnyScalars) -> Iterator[tuple[Bool[np.ndarray, "*n"], Piece]]:
         """Which stations lie on each piece; the first and the last one have no outer ends."""
@@ -103,3 +145,17 @@ def joined(parts: Iterable[tuple[Road, Offset, float]]) -> tuple[Piece, ...]:
         pieces.append(Piece(road, offset, start_m, end_m))
     road, offset, start_m = merged[-1]
     return (*pieces, Piece(road, offset, start_m, np.inf))
+
+
+def measured(parts: Iterable[tuple[Road, Offset, float, float]]) -> tuple[Piece, ...]:
+    """The pieces of a curve whose stations are lengths from above, of a road, an offset, and its road's stations where
+    it begins and ends there."""
+    pieces, length_m = [], 0.0
+    for road, offset, first, last in parts:
+        stations = np.linspace(first, last, 2 + int(abs(last - first) / KNOT_M))
+        steps = np.diff(road.xy(stations, offset(stations)), axis=0)
+        lengths_m = length_m + np.concatenate([[0.0], np.cumsum(np.hypot(*steps.T))])
+        along = 1.0 if last > first else -1.0
+        pieces.append(Piece(road, offset, length_m, float(lengths_m[-1]), (lengths_m, stations), along))
+        length_m = float(lengths_m[-1])
+    return tuple(pieces)

@@ -7,15 +7,20 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial import cKDTree
 
 from synth3dlanes.arrays import AnyPoints2, AnyScalars, Polyline2
-from synth3dlanes.geometry.reference_line import LineFrames, ReferenceLine, dot, paired
+from synth3dlanes.geometry.reference_line import LineFrames, ReferenceLine, paired
 
 # A point's station is looked for among places this far apart.
 GUESS_STEP_M = 4.0
 # Nodes and weights on [0, 1] for integrals along a spiral, exact to a nanometre up to a few turns.
 NODES, WEIGHTS = (part / 2 for part in np.polynomial.legendre.leggauss(40))  # type: ignore[no-untyped-call]
 NODES = NODES + 0.5
+# An arc of less curvature (1/m) is a parabola here, to a tenth of a millimetre in a kilometre.
+STRAIGHT = 1e-9
+# Lengths along a cubic are measured in so many steps.
+CUBIC_STEPS = 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,9 +36,18 @@ class FiniteLine(ReferenceLine):
 
     def guess(self, xy_world: AnyPoints2) -> AnyScalars:
         """The station of the nearest of some places."""
-        s, places = self._samples
-        apart = xy_world[..., None, :] - places
-        return np.asarray(s[dot(apart, apart).argmin(-1)])
+        s, _ = self._samples
+        return np.asarray(s[self.tree.query(xy_world)[1]])
+
+    @property
+    def stations(self) -> Float[np.ndarray, " k"]:
+        """The stations of its places."""
+        return self._samples[0]
+
+    @cached_property
+    def tree(self) -> cKDTree:
+        """Its places GUESS_STEP_M apart or closer, to look for near ones."""
+        return cKDTree(self._samples[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,12 +62,21 @@ class Spiral(FiniteLine):
 
     def frames(self, s: AnyScalars) -> LineFrames:
         """The line at stations."""
-        u = s[..., None] * NODES
-        along = paired(np.cos(self._heading(u)), np.sin(self._heading(u)))
-        points = self.start_world + s[..., None] * (WEIGHTS[:, None] * along).sum(axis=-2)
         heading = self._heading(s)
         normals = paired(np.sin(heading), -np.cos(heading))
-        return LineFrames(points, normals, np.ones(s.shape), -(self.curvature + self.bends * s))
+        return LineFrames(self._points(s, normals), normals, np.ones(s.shape), -(self.curvature + self.bends * s))
+
+    def _points(self, s: AnyScalars, normals: AnyPoints2) -> AnyPoints2:
+        first = np.array([np.sin(self.heading_rad), -np.cos(self.heading_rad)])
+        if self.bends:
+            u = self._heading(s[..., None] * NODES)
+            way = s[..., None] * (WEIGHTS[:, None] * paired(np.cos(u), np.sin(u))).sum(axis=-2)
+        elif abs(self.curvature) > STRAIGHT:
+            way = (normals - first) / self.curvature
+        else:
+            # To the second order, below which an arc so wide does not differ.
+            way = s[..., None] * np.array([-first[1], first[0]]) - (self.curvature * s * s / 2)[..., None] * first
+        return np.asarray(self.start_world + way)
 
     def _heading(self, s: AnyScalars) -> AnyScalars:
         return np.asarray(self.heading_rad + s * (self.curvature + self.bends * s / 2))
@@ -79,6 +102,39 @@ class Cubic(FiniteLine):
 
 
 @dataclass(frozen=True, eq=False)
+class MeasuredCubic(FiniteLine):
+    """A cubic by the length along it, scaled to `length_m`."""
+
+    cubic: Cubic
+
+    @cached_property
+    def _knots(self) -> tuple[AnyScalars, AnyScalars]:
+        """Parameters, and the stations there."""
+        parameter = np.linspace(0, self.cubic.length_m, CUBIC_STEPS + 1)
+        speed = self.cubic.frames((parameter[1:] + parameter[:-1]) / 2).speed
+        lengths_m = np.concatenate([[0.0], np.cumsum(speed)])
+        return parameter, lengths_m * (self.length_m / lengths_m[-1])
+
+    def frames(self, s: AnyScalars) -> LineFrames:
+        """The line at stations."""
+        parameter, stations = self._knots
+        ends = np.array([0, -1])
+        per_m = np.diff(parameter)[ends] / np.diff(stations)[ends]
+        at = np.interp(s, stations, parameter)
+        at = at + np.minimum(s, 0) * per_m[0] + np.maximum(s - self.length_m, 0) * per_m[1]
+        points, normals, speed, turn = self.cubic.frames(at)
+        # The cubic's own length per metre of station, which is 1 where the given length is right.
+        scale = self._scale
+        return LineFrames(points, normals, np.full(s.shape, scale), turn / speed * scale)
+
+    @cached_property
+    def _scale(self) -> float:
+        parameter = np.linspace(0, self.cubic.length_m, CUBIC_STEPS + 1)
+        speed = self.cubic.frames((parameter[1:] + parameter[:-1]) / 2).speed
+        return float(speed.mean() * self.cubic.length_m / self.length_m)
+
+
+@dataclass(frozen=True, eq=False)
 class Chain(FiniteLine):
     """Lines one after the other, each from where the previous one ends; the outer ones go on."""
 
@@ -96,9 +152,15 @@ class Chain(FiniteLine):
         ways = zip(points_world.tolist(), steps.tolist(), strict=False)
         return cls.of([Spiral(float(np.hypot(dx, dy)), (x, y), float(np.arctan2(dy, dx))) for (x, y), (dx, dy) in ways])
 
+    @cached_property
+    def _starts(self) -> Float[np.ndarray, " k"]:
+        return np.cumsum([0.0, *(line.length_m for line in self.lines[:-1])])
+
     def frames(self, s: AnyScalars) -> LineFrames:
         """The line at stations."""
-        starts = np.cumsum([0.0, *(line.length_m for line in self.lines[:-1])])
+        if len(self.lines) == 1:
+            return self.lines[0].frames(s)
+        starts = self._starts
         which = np.clip(np.searchsorted(starts, s, side="right") - 1, 0, None)
         found = LineFrames(np.zeros((*s.shape, 2)), np.zeros((*s.shape, 2)), np.ones(s.shape), np.zeros(s.shape))
         for i in np.unique(which):

@@ -5,19 +5,23 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from synth3dlanes.arrays import AnyPoints2, AnyPoints3, AnyScalars
+from synth3dlanes.arrays import AnyPoints2, AnyPoints3, AnyScalars, Scalars
+from synth3dlanes.errors import InputError
 from synth3dlanes.geometry.lane_curves import LaneCurve, joined
 from synth3dlanes.geometry.roads import NetworkLane, Road, lift
-from synth3dlanes.labels import LaneGraph, RoadName, Segment
-from synth3dlanes.scene import Terrain
+from synth3dlanes.geometry.terrain import gradient_at
+from synth3dlanes.labels import LaneGraph, Segment
+from synth3dlanes.scene import Camera, Car, Terrain
 
 # The lane graph ends at these stations.
 GRAPH_END_M = 100.0
+# A common station this close to a line's own end is left out: two coinciding points have no direction.
+APART_M = 0.01
 # Steps along a road in which its extent is measured.
 EXTENT_STEP_M = 10.0
 
@@ -125,6 +129,64 @@ class Network:
         """3D points on the terrain, or `above_m` over it."""
         return lift(self.terrain, xy_world, above_m)
 
+    def up(self, camera: Camera, foot_world: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+        """The unit normal of the surface at the host's place."""
+        ((dx, dy),) = gradient_at(self.terrain, foot_world[None, :2])
+        return np.asarray(np.array([-dx, -dy, 1.0]) / np.sqrt(dx * dx + dy * dy + 1))
+
+    def host_points(self, camera: Camera, ahead_m: AnyScalars) -> AnyPoints3:
+        """Points on the host's way, its offset from its lane included, at stations ahead of its place."""
+        lane = self.host_lane(camera.lane, camera.y_m)
+        s = self.stations(camera.y_m + ahead_m)
+        return self.road(lane.road).points(s, lane.middle(s) + camera.offset_m * self.rightward)
+
+    def host_way(self, camera: Camera) -> LaneCurve:
+        """The path that the host drives on."""
+        return self.path(self.host_lane(camera.lane, camera.y_m).id)
+
+    def host_lines(self, camera: Camera) -> list[str]:
+        """The centre lines that the host drives along, from its place on."""
+        return [self.host_way(camera).id]
+
+    def host_on(self, camera: Camera, driven_m: float) -> Camera:
+        """The host at another station of its way; raise InputError where that leaves its road."""
+        before = self.host_lane(camera.lane, camera.y_m)
+        lane = self.path(before.id).lane_at(driven_m * self.onwards)
+        if lane.road != before.road:
+            raise InputError(f"camera.lane: expected a lane that stays on the main road in a clip, got {camera.lane}")
+        return camera.model_copy(update={"y_m": driven_m, "lane": lane.number})
+
+    def car_way(self, car: Car) -> tuple[LaneCurve, float]:
+        """The path that a car drives on, and its station there as the host drives."""
+        return self.path(car.lane), car.s_m
+
+    def car_on(self, car: Car, driven_m: float) -> Car:
+        """A car at another station of its way."""
+        return car.model_copy(update={"s_m": driven_m, "lane": self.path(car.lane).lane_at(driven_m * self.onwards).id})
+
+    def in_lane(self, lane: str, driven_m: AnyScalars) -> tuple[LaneCurve, AnyScalars]:
+        """The first centre line along a lane, and its stations, as the host drives, at stations of cars in it."""
+        return self.path(lane), driven_m
+
+    def in_range(self, camera: Camera, lengths_m: Scalars) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
+        """The stations of the points of every line, at these lengths of road ahead of the host and at its ends between
+        them, in driving order."""
+        driven_m = {road.id: self.stations_along(road, camera.y_m, lengths_m) for road in self.roads}
+        return {curve: self._points_of(curve, driven_m[curve.road]) for curve in self.curves}
+
+    def _points_of(self, curve: LaneCurve, driven_m: Scalars) -> Float[np.ndarray, " m"]:
+        s = self.stations(driven_m)
+        low, high = min(s[0], s[-1]), max(s[0], s[-1])
+        ends = np.array([end for end in (curve.start_m, curve.end_m) if low < end < high])
+        kept = s[curve.has(s)]
+        kept = kept[(np.abs(kept[:, None] - ends) > APART_M).all(axis=1)]
+        return np.sort(np.concatenate([kept, ends]))[:: int(self.onwards)]
+
+    def known_at(self, n_frames: int) -> int:
+        """The number of instants of a clip, from its first frame to its last, that have between them all lines of any
+        frame: a line comes into range or is passed, never both."""
+        return min(n_frames, 2)
+
     def graph(self, centerlines: Sequence[str]) -> LaneGraph:
         """The lane graph of the labels; its segments list those of their centre lines that are given."""
         segments = []
@@ -134,9 +196,7 @@ class Network:
             names = {n: f"{lane.section}_{n}" for n in (lane.number - 1, lane.number + 1)}
             left, right = (name if name in self.lanes else None for name in names.values())
             along = [path.id for path in self.paths if lane in path.lanes and path.id in centerlines]
-            segments.append(
-                Segment(lane.id, cast(RoadName, lane.road), lane.number, start_m, end_m, left, right, tuple(along))
-            )
+            segments.append(Segment(lane.id, lane.road, lane.number, start_m, end_m, left, right, tuple(along)))
         successors = {before: tuple(lane.id for lane in self.successors(before)) for before, _ in sorted(self.links)}
         starts = [round(float(road.ramp.start_m * self.onwards), 4) + 0.0 for road in self.roads if road.ramp]
         return LaneGraph(tuple(segments), successors, starts[0] if starts else None)

@@ -71,26 +71,35 @@ def paint_color(line: LaneCurve, markings: Markings) -> PaintColor | None:
     """The colour of a delimiter's paint; None for a centre line."""
     if line.kind != "delimiter":
         return None
+    if line.paint is not None:
+        return "yellow" if line.paint.yellow else "white"
     return "yellow" if markings.left_yellow and line.is_inner else "white"
 
 
 def is_double(line: LaneCurve, markings: Markings) -> bool | None:
     """Whether a delimiter is painted as two stripes; None for a centre line."""
+    if line.paint is not None:
+        return line.paint.is_double
     return None if line.kind != "delimiter" else markings.left_double and line.is_inner and line.marking == "solid"
 
 
 def is_dotted(line: LaneCurve, markings: Markings) -> bool:
     """Whether a delimiter consists of Botts' dots."""
+    if line.paint is not None:
+        return line.paint.is_dotted
     return markings.dots and line.marking == "dashed"
 
 
 def line_width_m(line: LaneCurve, markings: Markings) -> float:
     """Width of a delimiter's stripes, or diameter of its dots."""
-    return DOT_M if is_dotted(line, markings) else markings.width_m
+    width_m = markings.width_m if line.paint is None else line.paint.width_m
+    return DOT_M if is_dotted(line, markings) else width_m
 
 
 def pair_of(line: LaneCurve, markings: Markings) -> Pair | None:
     """The stripes of a double line from the left as the host drives, if they differ."""
+    if line.paint is not None:
+        return line.paint.pair
     return markings.left_pair if is_double(line, markings) and markings.left_pair != "same" else None
 
 
@@ -98,10 +107,10 @@ def stripes(line: LaneCurve, markings: Markings) -> tuple[Stripe, ...]:
     """The stripes from the left as the host drives; the gap of a double line is as wide as a stripe."""
     if not is_double(line, markings):
         return (Stripe(0.0, line.marking),)
-    pair = pair_of(line, markings)
+    pair, width_m = pair_of(line, markings), line_width_m(line, markings)
     return (
-        Stripe(-markings.width_m, "dashed" if pair == "dashed_solid" else "solid"),
-        Stripe(markings.width_m, "dashed" if pair == "solid_dashed" else "solid"),
+        Stripe(-width_m, "dashed" if pair == "dashed_solid" else line.marking),
+        Stripe(width_m, "dashed" if pair == "solid_dashed" else line.marking),
     )
 
 

@@ -16,7 +16,7 @@ from synth3dlanes.geometry.lane_curves import LaneCurve, joined
 from synth3dlanes.geometry.network import Network
 from synth3dlanes.geometry.reference_line import MAX_STEP_M, NEWTON_STEPS, LineFrames, ReferenceLine, dot, paired
 from synth3dlanes.geometry.roads import BEFORE_M, WIDER, NetworkLane, Offset, Parting, Ramp, Road
-from synth3dlanes.labels import Direction, Marking, RoadName
+from synth3dlanes.labels import Direction, Marking
 from synth3dlanes.scene import PaperRoad, Terrain
 
 # Of a painted line: the lanes beside it as t grows; roads, offsets there, and stations where each of these begins.
@@ -289,7 +289,7 @@ class _Plan:
     def section(
         self,
         name: str,
-        road: RoadName,
+        road: str,
         middles: list[Offset],
         span_m: tuple[float, float],
         direction: Direction = "same",
@@ -419,7 +419,7 @@ class _Plan:
         end_m: float = np.inf,
     ) -> LaneCurve:
         left, right = beside[:: int(self.flips.x)]
-        road: RoadName = "exit" if name.startswith("exit") else "main"
+        road = "exit" if name.startswith("exit") else "main"
         direction: Direction = "oncoming" if name.startswith("oncoming") else "same"
         return LaneCurve(name, "delimiter", road, marking, left, right, joined(parts), start_m, end_m, direction)
 

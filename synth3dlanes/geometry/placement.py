@@ -22,10 +22,10 @@ Placement = tuple[Float[np.ndarray, "*t 2"], Float[np.ndarray, "*t 2"]]
 def lane_place(network: Network, lane: str, driven_m: float | Float[np.ndarray, "*t"]) -> Placement:
     """World (x, y) on a lane's centre line, or on its path beyond it, and the unit heading of its traffic there; at
     each station as the host drives."""
-    path, s = network.path(lane), np.asarray(driven_m)
+    path, s = network.in_lane(lane, np.asarray(driven_m))
     stations = s + np.array([-0.5, 0.0, 0.5]).reshape(3, *[1] * s.ndim)
     behind, middle, ahead = path.xy_world(network.stations(stations.ravel())).reshape(*stations.shape, 2)
-    along = ahead - behind if path.direction == "same" else behind - ahead
+    along = behind - ahead if path.direction == "oncoming" else ahead - behind
     return middle, along / np.linalg.norm(along, axis=-1, keepdims=True)
 
 
@@ -44,7 +44,7 @@ def world_from_car(network: Network, car: Car, model: CarModel) -> Matrix4:
     road, guess = network.road(network.lanes[car.lane].road), np.full(4, car.s_m * network.onwards)
     for _ in range(3):
         wheels = transform(pose, wheels_car)[:, :2]
-        above = road.raised(road.line.project(wheels, guess)[0]) if road.ramp else 0.0
+        above = road.raised(*road.line.project(wheels, guess)) if road.is_raised else 0.0
         contacts = network.lift(wheels, above)
         slope_x, slope_y, z = np.linalg.lstsq(
             np.column_stack([contacts[:, :2] - middle, np.ones(4)]), contacts[:, 2], rcond=None

@@ -75,7 +75,8 @@ class Ramp:
 @dataclass(frozen=True)
 class NetworkLane:
     """A lane between two stations of its road, a node of the lane graph: `number` of its section from the host's left.
-    Its traffic drives as the host does, or is `oncoming`."""
+    Its traffic drives as the host does, or is `oncoming`; on a map it may be neither, and `ascends` says whether it
+    goes with growing s. `junction` is the one that the lane is in."""
 
     id: str
     road: str
@@ -86,6 +87,13 @@ class NetworkLane:
     start_m: float
     end_m: float
     direction: Direction = "same"
+    ascends: bool = True
+    junction: str | None = None
+
+    @property
+    def driven(self) -> tuple[float, float]:
+        """Its first and its last station, as its traffic drives."""
+        return (self.start_m, self.end_m) if self.ascends else (self.end_m, self.start_m)
 
 
 class Carriageway(NamedTuple):
@@ -134,6 +142,11 @@ class Road:
     parting: Parting | None = None
 
     @property
+    def is_raised(self) -> bool:
+        """Whether it leaves the terrain anywhere."""
+        return self.ramp is not None
+
+    @property
     def lane_width_m(self) -> float:
         """Width of its lanes."""
         return self.lanes[0].width_m
@@ -171,10 +184,10 @@ class Road:
 
     def points(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints3:
         """Points on its surface."""
-        return lift(self.terrain, self.xy(s, t), self.raised(s))
+        return lift(self.terrain, self.xy(s, t), self.raised(s, t))
 
-    def raised(self, s: AnyScalars) -> AnyScalars:
-        """Height of its surface over the terrain at stations."""
+    def raised(self, s: AnyScalars, t: AnyScalars | float = 0.0) -> AnyScalars:
+        """Height of its surface over the terrain at places."""
         return np.zeros(np.shape(s)) if self.ramp is None else self.ramp(s)
 
     def edge(self, side: Side, s: AnyScalars, out_m: AnyScalars | float = 0.0) -> AnyScalars:

@@ -12,7 +12,6 @@ from jaxtyping import Bool, Float, Int
 from synth3dlanes.arrays import Points3
 from synth3dlanes.frames import from_axes, transform
 from synth3dlanes.geometry.terrain import height_at
-from synth3dlanes.labels import RoadName
 from synth3dlanes.scene import Building, Crossing, Post, Rail, RoadSide
 from synth3dlanes.world import World
 
@@ -96,7 +95,7 @@ PosedBox = tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "3"], Float[np.ndar
 
 
 def beside_world(
-    world: World, road: RoadName, side: RoadSide, s: Float[np.ndarray, " n"], aside_m: float
+    world: World, road: str, side: RoadSide, s: Float[np.ndarray, " n"], aside_m: float
 ) -> Float[np.ndarray, "n 2"]:
     """World (x, y) at stations and a distance from an edge of the pavement (a median: an offset)."""
     on = world.network.road(road)

@@ -1,0 +1,265 @@
+"""The ground of a map as built: roads and junctions on the terrain or at their own heights, with embankments and cuts
+beside these. World frame.
+
+The pavement of roads that connect others in a junction is one area. Terrain meets the pavement at its edges.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from synth3dlanes.arrays import AnyPoints2, AnyScalars, Points2, Scalars
+from synth3dlanes.geometry import terrain
+from synth3dlanes.geometry.ground import CELL_M, EMBANKMENT_SLOPE, FINE_M, GROWTH, MAX_CELL_SCALE, Ground
+from synth3dlanes.geometry.lane_curves import LaneCurve
+from synth3dlanes.geometry.map_network import Junction, MapNetwork
+from synth3dlanes.geometry.roads import Road
+from synth3dlanes.geometry.section_road import KERB_M, RAISED, SectionRoad
+from synth3dlanes.road_map import MapIsland
+
+# Places along the host's way from which distances are measured, and rows along roads by their distance from it.
+WAY_STEP_M = 5.0
+ROW_STEPS_M, ROW_STEPS_AT_M = (0.5, 0.5, 1.0, 2.0, 6.0), (0.0, 60.0, 120.0, 200.0, 450.0)
+# Holes in a junction's pavement that are smaller than this are paved.
+LEAST_HOLE_M2 = 150.0
+# How far beyond a raised road's edge its embankment may reach.
+EMBANKMENT_M = 40.0
+
+
+class Area(NamedTuple):
+    """A part of the ground from above, raised over its pavement; `kind` is what it shows."""
+
+    polygon: shapely.Geometry
+    raised_m: float
+    kind: str
+
+
+@dataclass(frozen=True, eq=False)
+class MapGround(Ground):
+    """The ground of a map. Distances ahead are those from the host's way, from above."""
+
+    roads: MapNetwork | None = None
+    islands: tuple[MapIsland, ...] = ()
+
+    @property
+    def map(self) -> MapNetwork:
+        """The roads."""
+        assert self.roads is not None, "a map's ground has its network"
+        return self.roads
+
+    # -- distances from the host
+
+    @cached_property
+    def _way(self) -> Points2:
+        s = np.linspace(self.near_m, self.near_m + self.driven_m, 1 + int(np.ceil(self.driven_m / WAY_STEP_M)))
+        return self.map.way.xy_world(s)
+
+    @cached_property
+    def _way_tree(self) -> cKDTree:
+        return cKDTree(self._way)
+
+    def away_at(self, xy_world: AnyPoints2) -> AnyScalars:
+        """How far points are from the host's way."""
+        return np.asarray(self._way_tree.query(xy_world)[0])
+
+    def away_along(self, road: Road, s: AnyScalars) -> AnyScalars:
+        """How far places on a road's line are from the host's way."""
+        return self.away_at(road.xy(s, 0.0))
+
+    def away_on(self, curve: LaneCurve, s: AnyScalars) -> AnyScalars:
+        """How far places on a curve are from the host's way."""
+        return self.away_at(curve.xy_world(s))
+
+    def curve_rows(self, curve: LaneCurve) -> Scalars:
+        """The stations of the rows of a curve's paint."""
+        return self.rows(curve.end_m, lambda s: self.away_on(curve, s))
+
+    def road_rows(self, road: Road) -> Scalars:
+        """The stations of the rows of a road."""
+        rows = self.rows(road.end_m, lambda s: self.away_along(road, s))
+        starts = [section.start_m for section in road.sections] if isinstance(road, SectionRoad) else []
+        return np.union1d(rows, [start for start in starts if 0 < start < road.end_m])
+
+    def rows(self, end_m: float, away_m) -> Scalars:  # type: ignore[no-untyped-def]
+        """Stations from 0 to an end, closer to each other near the host."""
+        coarse = np.linspace(0.0, end_m, 2 + int(end_m / 4.0))
+        step = np.interp(away_m(coarse), ROW_STEPS_AT_M, ROW_STEPS_M)
+        count = np.concatenate([[0.0], np.cumsum(np.diff(coarse) * 2 / (step[1:] + step[:-1]))])
+        n = max(int(np.ceil(count[-1])), 1)
+        return np.interp(np.linspace(0.0, count[-1], n + 1), count, coarse)
+
+    @cached_property
+    def fine(self) -> tuple[float, float, float, float]:
+        """(x0, y0, x1, y1) of the area with fine terrain cells: around the host's way, and as far as it looks."""
+        ahead = self.map.way.xy_world(np.array([self.near_m, self.near_m + 1.0]))
+        angle = np.arctan2(*(ahead[1] - ahead[0])[::-1]) + np.linspace(-0.9, 0.9, 9)
+        reach = FINE_M * np.stack([np.cos(angle), np.sin(angle)], -1)
+        far = (
+            [self._way[0] + reach]
+            if self.driven_m == 0 and not self.both_ways
+            else [self._way - FINE_M, self._way + FINE_M]
+        )
+        points = np.concatenate([self._way - 15.0, self._way + 15.0, *far])
+        (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
+        return float(x0), float(y0), float(x1), float(y1)
+
+    def cell_scale(self, xy_world: AnyPoints2) -> AnyScalars:
+        """Terrain cell size as a multiple of CELL_M."""
+        x0, y0, x1, y1 = self.fine
+        x, y = xy_world[..., 0], xy_world[..., 1]
+        out = np.maximum(np.maximum(x0 - x, x - x1), np.maximum(y0 - y, y - y1))
+        return np.clip(1 + np.clip(out, 0, None) * GROWTH / CELL_M, 1, MAX_CELL_SCALE)
+
+    # -- areas
+
+    def strip(self, road: SectionRoad, first: int | None = None, last: int | None = None) -> shapely.Geometry:
+        """The pavement of a road from above."""
+        s = self.road_rows(road)
+        return _polygon(road.xy(s, road.left(s)), road.xy(s, road.right(s)))
+
+    @cached_property
+    def arms(self) -> shapely.Geometry:
+        """The pavement of all roads outside junctions."""
+        return shapely.union_all([self.strip(road) for road in self._outside])
+
+    @property
+    def _outside(self) -> list[SectionRoad]:
+        known = {at.id for at in self.map.junctions}
+        return [self.map.road(at.id) for at in self.map.roads if self.map.road(at.id).junction not in known]
+
+    @cached_property
+    def areas(self) -> list[Area]:
+        """The surfaces of junctions and islands."""
+        found = []
+        for at in self.map.junctions:
+            paved, raised = self._junction(at)
+            found.append(Area(paved, 0.0, "road"))
+            if not raised.is_empty:
+                found.append(Area(raised, KERB_M, "walkway"))
+        for island in self.islands:
+            polygon = shapely.make_valid(shapely.Polygon(island.outline))
+            found.append(Area(polygon, island.height_m, island.surface))
+        return found
+
+    def _junction(self, at: Junction) -> tuple[shapely.Geometry, shapely.Geometry]:
+        """The pavement of a junction, and its raised walkways."""
+        lanes, raised = [], []
+        for road in at.roads:
+            for section in road.sections:
+                s = self.road_rows(road)
+                s = np.union1d(s[(s > section.start_m) & (s < section.end_m)], [section.start_m, section.end_m])
+                for i, lane in enumerate(section.lanes):
+                    if lane.kind != "none":
+                        xy = [road.xy(s, section.edge(edge, s)) for edge in (i, i + 1)]
+                        (raised if lane.kind in RAISED else lanes).append(_polygon(*xy))
+        outline = [shapely.make_valid(shapely.Polygon(at.outline))] if len(at.outline) > 2 else []
+        paved = shapely.difference(_filled(shapely.union_all([*lanes, *outline])), self.arms)
+        walkways = shapely.difference(shapely.union_all(raised), shapely.union(paved, self.arms))
+        return paved, walkways
+
+    @cached_property
+    def pavement(self) -> shapely.Geometry:
+        """All of the pavement from above, walkways included."""
+        whole = shapely.union_all([self.arms, *(area.polygon for area in self.areas)])
+        shapely.prepare(whole)
+        return whole
+
+    # -- heights and distances
+
+    @cached_property
+    def _raised_areas(self) -> list[Area]:
+        areas = [area for area in self.areas if area.raised_m]
+        for area in areas:
+            shapely.prepare(area.polygon)
+        return areas
+
+    @cached_property
+    def _is_flat(self) -> bool:
+        return not self._raised_areas and not any(road.is_raised for road in self.network.roads)
+
+    def above_terrain(self, xy_world: AnyPoints2) -> AnyScalars:
+        """Height of the built ground over the analytic terrain at any points (0 away from roads)."""
+        flat = xy_world.reshape(-1, 2)
+        above = np.zeros(len(flat))
+        if self._is_flat:
+            return above.reshape(xy_world.shape[:-1])
+        near, roads = self.network.nearby(flat, np.full(len(flat), EMBANKMENT_M if self._has_heights else 0.5))
+        built = np.zeros(int(near.sum()))
+        low, high = np.full((2, len(built)), np.array([[-np.inf], [np.inf]]))
+        paved = np.full(len(built), -np.inf)
+        for road, which, s, t in roads:
+            outside = road.outside(np.clip(s, road.start_m, road.end_m), t)
+            along = np.maximum(np.maximum(road.start_m - s, s - road.end_m), 0.0)
+            own = self.map.road(road.id)
+            is_area = own.junction is not None
+            inside = (outside <= 0) & (along == 0)
+            at = np.flatnonzero(which)
+            if own.heights is not None:
+                edge = np.clip(t, own.left(s), own.right(s))
+                raised = own.raised(np.clip(s, own.start_m, own.end_m), edge)
+                distance = np.hypot(np.maximum(outside, 0), along)
+                slope = distance / EMBANKMENT_SLOPE
+                low[at] = np.maximum(low[at], np.where(inside, -np.inf, raised - slope))
+                high[at] = np.minimum(high[at], np.where(inside, np.inf, raised + slope))
+                paved[at[inside]] = np.maximum(paved[at[inside]], raised[inside])
+            elif not is_area:
+                paved[at[inside]] = np.maximum(paved[at[inside]], own.raised(s[inside], t[inside]))
+            else:
+                paved[at[inside]] = np.maximum(paved[at[inside]], 0.0)
+        built = np.where(np.isfinite(paved), paved, np.minimum(np.maximum(built, low), np.maximum(high, low)))
+        above[near] = built
+        for area in self._raised_areas:
+            inside = shapely.contains_xy(area.polygon, flat[:, 0], flat[:, 1])
+            above[inside] += area.raised_m
+        return above.reshape(xy_world.shape[:-1])
+
+    @cached_property
+    def _has_heights(self) -> bool:
+        return any(self.map.road(road.id).heights is not None for road in self.network.roads)
+
+    def terrain_mesh_height(self, xy_world: AnyPoints2) -> AnyScalars:
+        """Height of the terrain mesh, which has no faces under the pavement."""
+        return self.height(xy_world)
+
+    def clearance(self, xy_world: AnyPoints2) -> AnyScalars:
+        """Distance from the nearest pavement, negative on it."""
+        flat = shapely.points(xy_world.reshape(-1, 2))
+        inside = shapely.contains_properly(self.pavement, flat)
+        distance = np.where(
+            inside, -shapely.distance(shapely.boundary(self.pavement), flat), shapely.distance(self.pavement, flat)
+        )
+        return np.asarray(distance.reshape(xy_world.shape[:-1]))
+
+    def crests(self) -> list[Float[np.ndarray, "m 3"]]:
+        """None: the ground itself hides what lies behind a raised road."""
+        return []
+
+
+def _polygon(left: Points2, right: Points2) -> shapely.Geometry:
+    """The polygon between two lines; of a road that folds, what it covers."""
+    ring = np.concatenate([left, right[::-1]])
+    polygon = shapely.Polygon(ring)
+    if polygon.is_valid:
+        return polygon
+    quads = shapely.polygons(np.stack([left[:-1], right[:-1], right[1:], left[1:]], axis=1))
+    return shapely.union_all(shapely.make_valid(quads))
+
+
+def _filled(area: shapely.Geometry) -> shapely.Geometry:
+    """An area without its small holes."""
+    parts = [
+        shapely.Polygon(part.exterior, [hole for hole in part.interiors if shapely.Polygon(hole).area > LEAST_HOLE_M2])
+        for part in shapely.get_parts(area)
+        if isinstance(part, shapely.Polygon)
+    ]
+    return shapely.union_all(parts)
+
+
+def terrain_at(ground: MapGround, xy_world: AnyPoints2) -> AnyScalars:
+    """Height of the bare terrain."""
+    return terrain.height_at(ground.network.terrain, xy_world)

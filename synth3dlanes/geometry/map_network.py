@@ -1,0 +1,237 @@
+"""The network of a map: its roads have stations of their own, and the host drives along a route. World frame, metres;
+the rules are in docs/network.md."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from synth3dlanes.arrays import AnyPoints3, AnyScalars, Points2, Scalars
+from synth3dlanes.frames import cross
+from synth3dlanes.geometry.lane_curves import LaneCurve
+from synth3dlanes.geometry.network import APART_M, Nearby, Network
+from synth3dlanes.geometry.roads import NetworkLane
+from synth3dlanes.geometry.section_road import SectionRoad
+from synth3dlanes.labels import LaneGraph, Segment
+from synth3dlanes.scene import Camera, Car
+
+# Points of the labels are this far apart, measured along each line from its beginning.
+STEP_M = 1.0
+# The surface's normal is measured over this length to both sides.
+ACROSS_M = 0.5
+
+
+class Junction(NamedTuple):
+    """A junction: its connecting roads, the outline of its pavement where the map has one, and pairs of lanes, the
+    first of which yields to the second."""
+
+    id: str
+    roads: tuple[SectionRoad, ...]
+    outline: Points2
+    yields: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class MapNetwork(Network):
+    """Roads with stations of their own. `given_paths` are its centre lines: on through links where there is only one
+    way, up to a junction, and every connector through one. `route` is the host's way."""
+
+    given_paths: tuple[LaneCurve, ...] = ()
+    junctions: tuple[Junction, ...] = ()
+    route: LaneCurve | None = None
+
+    @property
+    def paths(self) -> tuple[LaneCurve, ...]:  # type: ignore[override]
+        """The centre lines."""
+        return self.given_paths
+
+    @property
+    def way(self) -> LaneCurve:
+        """The host's way."""
+        assert self.route is not None, "every map has a route"
+        return self.route
+
+    @cached_property
+    def lanes(self) -> dict[str, NetworkLane]:
+        """All lanes by id."""
+        return {lane.id: lane for road in self.roads for lane in road.lanes}
+
+    @cached_property
+    def _path_of(self) -> dict[str, LaneCurve]:
+        return {lane.id: path for path in self.paths for lane in path.lanes}
+
+    @cached_property
+    def _road_of(self) -> dict[str, SectionRoad]:
+        return {road.id: road for road in self.roads if isinstance(road, SectionRoad)}
+
+    def road(self, name: str) -> SectionRoad:
+        """A road by its id."""
+        return self._road_of[name]
+
+    def path(self, lane: str) -> LaneCurve:
+        """The centre line along a lane."""
+        return self._path_of[lane]
+
+    # -- the host and the cars
+
+    def host_points(self, camera: Camera, ahead_m: AnyScalars) -> AnyPoints3:
+        """Points on the host's way, its offset from its lane included, at lengths ahead of its place."""
+        way = self.way.shifted(camera.offset_m) if camera.offset_m else self.way
+        return way.points_world(camera.y_m + ahead_m)
+
+    def up(self, camera: Camera, foot_world: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+        """The unit normal of the surface at the host's place."""
+        s = np.array([camera.y_m])
+        left, right = (self.way.shifted(camera.offset_m + t_m).points_world(s)[0] for t_m in (-ACROSS_M, ACROSS_M))
+        behind, ahead = self.host_points(camera, np.array([-ACROSS_M, ACROSS_M]))
+        normal = cross(right - left, ahead - behind)
+        return np.asarray(normal / np.linalg.norm(normal))
+
+    def host_way(self, camera: Camera) -> LaneCurve:
+        """The host's way."""
+        return self.way
+
+    def host_lines(self, camera: Camera) -> list[str]:
+        """The centre lines that the host drives along, from its place on."""
+        lanes = self.way.lanes[self.way.piece_at(camera.y_m) :]
+        return list(dict.fromkeys(self.path(lane.id).id for lane in lanes))
+
+    def host_on(self, camera: Camera, driven_m: float) -> Camera:
+        """The host at another length of its way."""
+        return camera.model_copy(update={"y_m": driven_m})
+
+    def car_way(self, car: Car) -> tuple[LaneCurve, float]:
+        """The way of a car through its lanes, as it drives, and the length along it of its place."""
+        lanes = [self.lanes[name] for name in (car.lane, *car.route) if name in self.lanes]
+        way = self.way_through(lanes)
+        return way, way.pieces[0].station(car.s_m)
+
+    def car_on(self, car: Car, driven_m: float) -> Car:
+        """A car at another length of its way."""
+        way, _ = self.car_way(car)
+        at = way.piece_at(driven_m)
+        piece = way.pieces[at]
+        s_m = float(piece.on(np.array([min(driven_m, piece.end_m)]))[0])
+        return car.model_copy(update={"s_m": s_m, "lane": way.lanes[at].id, "route": car.route[at:]})
+
+    def way_through(self, lanes: Sequence[NetworkLane]) -> LaneCurve:
+        """The centre line along lanes that follow each other, as their traffic drives."""
+        from synth3dlanes.geometry.lane_curves import measured
+
+        pieces = measured((self.road(lane.road), lane.middle, *lane.driven) for lane in lanes)
+        first = lanes[0]
+        ends = 0.0, pieces[-1].end_m
+        return LaneCurve(first.id, "centerline", first.road, "none", None, None, pieces, *ends, lanes=tuple(lanes))
+
+    def in_lane(self, lane: str, driven_m: AnyScalars) -> tuple[LaneCurve, AnyScalars]:
+        """The centre line along a lane, and the lengths along it at stations of the lane's road."""
+        path = self.path(lane)
+        piece = next(piece for at, piece in zip(path.lanes, path.pieces, strict=True) if at.id == lane)
+        return path, np.vectorize(piece.station, otypes=[float])(driven_m)
+
+    # -- labels
+
+    @cached_property
+    def _sampled(self) -> dict[LaneCurve, tuple[Scalars, Points2]]:
+        """Lengths and points of every line STEP_M apart, and its end."""
+        found = {}
+        for curve in self.curves:
+            s = np.arange(0.0, curve.end_m - APART_M, STEP_M)
+            s = np.append(s, curve.end_m)
+            found[curve] = s, curve.xy_world(s)
+        return found
+
+    def in_range(self, camera: Camera, lengths_m: Scalars) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
+        """The lengths of the points of every line that are within the greatest of these lengths of the host, and not
+        farther behind it than the least, with those between them, in the line's order."""
+        foot, behind, ahead = self.host_points(camera, np.array([0.0, -0.01, 0.01]))[:, :2]
+        forward = (ahead - behind) / np.linalg.norm(ahead - behind)
+        found = {}
+        for curve, (s, xy) in self._sampled.items():
+            to = xy - foot
+            inside = np.flatnonzero((to @ forward >= lengths_m[0]) & (np.hypot(*to.T) <= lengths_m[-1]))
+            if inside.size:
+                found[curve] = s[inside[0] : inside[-1] + 1]
+        return found
+
+    def known_at(self, n_frames: int) -> int:
+        """The number of instants of a clip that have between them all lines of any frame: all."""
+        return n_frames
+
+    def graph(self, centerlines: Sequence[str]) -> LaneGraph:
+        """The lane graph of the labels: the lanes of the given centre lines."""
+        given = set(centerlines)
+        kept = {lane.id: path.id for path in self.paths if path.id in given for lane in path.lanes}
+        numbered = {(lane.section, lane.number): lane.id for lane in self.lanes.values()}
+        segments = []
+        for lane in self.lanes.values():
+            if lane.id in kept:
+                left, right = (numbered.get((lane.section, lane.number + step)) for step in (-1, 1))
+                segments.append(
+                    Segment(
+                        lane.id,
+                        lane.road,
+                        lane.number,
+                        *lane.driven,
+                        left if left in kept else None,
+                        right if right in kept else None,
+                        (kept[lane.id],),
+                        lane.junction,
+                    )
+                )
+        successors: dict[str, tuple[str, ...]] = {}
+        for before, after in sorted(self.links):
+            if before in kept and after in kept:
+                successors[before] = (*successors.get(before, ()), after)
+        yields = tuple(pair for at in self.junctions for pair in at.yields if pair[0] in kept and pair[1] in kept)
+        return LaneGraph(tuple(segments), successors, None, yields)
+
+    # -- places
+
+    def nearby(
+        self, xy_world: Float[np.ndarray, "n 2"], reach_m: AnyScalars
+    ) -> tuple[Bool[np.ndarray, " n"], list[Nearby]]:
+        """Which points may be within `reach_m` of a pavement, and where these are along every road that any may be
+        near."""
+        found, near = [], np.zeros(len(xy_world), dtype=bool)
+        reach_m = np.broadcast_to(reach_m, near.shape)
+        for road, low, high, half_m in self._boxes:
+            room = reach_m[:, None]
+            at = np.flatnonzero(((xy_world > low - room) & (xy_world < high + room)).all(axis=1))
+            if not at.size:
+                continue
+            apart_m, place = road.line.tree.query(xy_world[at])
+            close = apart_m < half_m + reach_m[at]
+            at = at[close]
+            if at.size:
+                guess = road.line.stations[place[close]]
+                found.append((road, at, *road.line.project(xy_world[at], guess)))
+                near[at] = True
+        rows = np.cumsum(near) - 1
+        listed = []
+        for road, at, s, t in found:
+            which = np.zeros(int(near.sum()), dtype=bool)
+            which[rows[at]] = True
+            listed.append(Nearby(road, which, s, t))
+        return near, listed
+
+    @cached_property
+    def _boxes(self) -> list[tuple[SectionRoad, Float[np.ndarray, "2"], Float[np.ndarray, "2"], float]]:
+        """Of every road: the corners of a box around its pavement, and the farthest that this is from a place of its
+        line."""
+        found = []
+        for road in self._road_of.values():
+            s = road.line.stations
+            left, right = road.left(s), road.right(s)
+            xy = np.concatenate([road.xy(s, left), road.xy(s, right)])
+            step_m = float(s[1] - s[0])
+            half_m = float(max(np.abs(left).max(), np.abs(right).max())) + step_m
+            found.append((road, xy.min(axis=0) - step_m, xy.max(axis=0) + step_m, half_m))
+        return found
+
+    def around(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> "MapNetwork":
+        """Itself: it has been read around its host."""
+        return replace(self)

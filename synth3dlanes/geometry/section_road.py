@@ -1,0 +1,173 @@
+"""Roads of maps: sections of lanes of many kinds, with widths that change, heights and banks of their own. World frame,
+metres; t grows to the right of growing s."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.arrays import AnyPoints3, AnyScalars, Numbers
+from synth3dlanes.geometry.roads import Offset, Road
+from synth3dlanes.geometry.terrain import height_at
+from synth3dlanes.road_map import MapLane, MapLaneKind, Polynomial
+
+# Lanes of these kinds are raised over the pavement by so much, but for a seam at edges where they are alone.
+KERB_M, SEAM_M = 0.12, 0.005
+RAISED: frozenset[MapLaneKind] = frozenset({"walkway", "kerb"})
+# Width that is assumed where a road has no lanes of traffic.
+LANE_WIDTH_M = 3.5
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """A value along a road, by cubics of the distance from where each begins; before the first one it goes on."""
+
+    pieces: tuple[Polynomial, ...]
+
+    @cached_property
+    def _table(self) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k 4"]]:
+        pieces = sorted(self.pieces, key=lambda piece: piece.s_m) or [Polynomial(s_m=0.0, a=0.0)]
+        rows = [[piece.a, piece.b, piece.c, piece.d] for piece in pieces]
+        return np.array([piece.s_m for piece in pieces]), np.array(rows, float)
+
+    def __call__(self, s: AnyScalars) -> AnyScalars:
+        """Values at stations."""
+        starts, rows = self._table
+        which = np.clip(np.searchsorted(starts, s, side="right") - 1, 0, None)
+        x, (a, b, c, d) = s - starts[which], np.moveaxis(rows[which], -1, 0)
+        return np.asarray(a + x * (b + x * (c + x * d)))
+
+
+@dataclass(frozen=True, eq=False)
+class CrossSection:
+    """The lanes of a road between two stations, from the left. Edge i is on the left of lane i."""
+
+    start_m: float
+    end_m: float
+    lanes: tuple[MapLane, ...]
+    offset: Profile
+
+    @classmethod
+    def of(cls, lanes: Sequence[MapLane], span_m: tuple[float, float], offset: Profile) -> "CrossSection":
+        """The section of these lanes of a map, among which is perhaps one of number 0, which has no width."""
+        across = sorted((lane for lane in lanes if lane.number), key=lambda lane: -lane.number)
+        return cls(*span_m, tuple(across), offset)
+
+    @cached_property
+    def _widths(self) -> list[Profile]:
+        return [Profile(lane.widths) for lane in self.lanes]
+
+    @property
+    def n_left(self) -> int:
+        """How many lanes are left of the reference line; also the number of the edge on that line."""
+        return sum(lane.number > 0 for lane in self.lanes)
+
+    def edges(self, s: AnyScalars) -> Numbers:
+        """Offsets of all edges (the first axis), from the left; none lies left of its left neighbour."""
+        x = s - self.start_m
+        widths = np.array([np.maximum(width(x), 0.0) for width in self._widths]).reshape(len(self.lanes), *s.shape)
+        edges = np.concatenate([np.zeros((1, *s.shape)), np.cumsum(widths, axis=0)])
+        return np.asarray(edges - edges[self.n_left] - self.offset(s))
+
+    def edge(self, number: int, s: AnyScalars) -> AnyScalars:
+        """Offsets of one of them."""
+        low, high = sorted((number, self.n_left))
+        x, sign = s - self.start_m, 1 if number > self.n_left else -1
+        across = sum((np.maximum(width(x), 0.0) for width in self._widths[low:high]), np.zeros(s.shape))
+        return np.asarray(sign * across - self.offset(s))
+
+    def edge_line(self, number: int) -> Offset:
+        """The line of an edge."""
+        return Offset(0.0, partial(self.edge, number))
+
+    def middle_line(self, lane: int) -> Offset:
+        """The line of the middle of a lane."""
+        return Offset(0.0, partial(self._middle, lane))
+
+    def _middle(self, lane: int, s: AnyScalars) -> AnyScalars:
+        return (self.edge(lane, s) + self.edge(lane + 1, s)) / 2
+
+    @cached_property
+    def paved(self) -> tuple[int, int]:
+        """The numbers of the outermost edges of its pavement."""
+        found = [i for i, lane in enumerate(self.lanes) if lane.kind != "none"] or [self.n_left]
+        return found[0], found[-1] + 1 if self.lanes else found[-1]
+
+    @cached_property
+    def raised(self) -> list[tuple[int, int]]:
+        """Runs of lanes that are raised beside each other: the numbers of their outer edges."""
+        runs: list[tuple[int, int]] = []
+        for i, lane in enumerate(self.lanes):
+            if lane.kind in RAISED:
+                runs[-1:] = [(runs[-1][0], i + 1)] if runs and runs[-1][1] == i else [*runs[-1:], (i, i + 1)]
+        return runs
+
+
+@dataclass(frozen=True, eq=False)
+class SectionRoad(Road):
+    """A road of sections over the stations [0, end_m], on the terrain or at `heights` (world z of its line), turned
+    about that by `banks` (radians, positive where its right side is lower)."""
+
+    sections: tuple[CrossSection, ...] = ()
+    heights: Profile | None = None
+    banks: Profile | None = None
+    junction: str | None = None
+
+    @property
+    def lane_width_m(self) -> float:
+        """Width of its first lane of traffic."""
+        return self.lanes[0].width_m if self.lanes else LANE_WIDTH_M
+
+    @cached_property
+    def is_raised(self) -> bool:
+        """Whether it leaves the terrain anywhere."""
+        return self.heights is not None or any(section.raised for section in self.sections)
+
+    def section_at(self, s: AnyScalars) -> np.ndarray:
+        """The numbers of the sections at stations."""
+        starts = np.array([section.start_m for section in self.sections])
+        return np.clip(np.searchsorted(starts, s, side="right") - 1, 0, None)
+
+    def paved(self, which: int, s: AnyScalars) -> AnyScalars:
+        """Offsets of the left (0) or right (1) edge of its pavement."""
+        found, at = np.zeros(s.shape), self.section_at(s)
+        for i in np.unique(at):
+            here, section = at == i, self.sections[i]
+            found[here] = section.edge(section.paved[which], s[here])
+        return found
+
+    def points(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints3:
+        """Points on its surface."""
+        if self.heights is None:
+            return super().points(s, t)
+        xy = self.xy(s, t)
+        z = self._own_height(s, t) + self.kerb(s, t)
+        return np.concatenate([xy, z[..., None]], -1)
+
+    def raised(self, s: AnyScalars, t: AnyScalars | float = 0.0) -> AnyScalars:
+        """Height of its surface over the terrain at places."""
+        kerb_m = self.kerb(s, t)
+        if self.heights is None:
+            return kerb_m
+        return np.asarray(self._own_height(s, t) + kerb_m - height_at(self.terrain, self.xy(s, t)))
+
+    def _own_height(self, s: AnyScalars, t: AnyScalars | float) -> AnyScalars:
+        assert self.heights is not None, "asked only of roads with heights"
+        inside = np.clip(s, self.start_m, self.end_m)
+        z = self.heights(inside)
+        return np.asarray(z if self.banks is None else z - np.tan(self.banks(inside)) * t)
+
+    def kerb(self, s: AnyScalars, t: AnyScalars | float) -> AnyScalars:
+        """Height of raised lanes over the pavement at places."""
+        found = np.zeros(np.shape(s))
+        if not any(section.raised for section in self.sections):
+            return found
+        t, at = np.broadcast_to(t, found.shape), self.section_at(s)
+        for i in np.unique(at):
+            here, section = at == i, self.sections[i]
+            for left, right in section.raised:
+                low, high = section.edge(left, s[here]) + SEAM_M, section.edge(right, s[here]) - SEAM_M
+                found[here] = np.where((t[here] > low) & (t[here] < high), KERB_M, found[here])
+        return found
