@@ -8,9 +8,8 @@ import numpy as np
 from synth3dlanes.arrays import Scalars
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.lane_curves import LaneCurve
-from synth3dlanes.geometry.motion import host_station
+from synth3dlanes.geometry.motion import host_driven, host_station
 from synth3dlanes.geometry.paint import is_double, paint_color, pair_of
-from synth3dlanes.geometry.symbols import shape
 from synth3dlanes.geometry.visibility import seen_over_ground
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LidarLabel, RoadPlane, SymbolLabel
 from synth3dlanes.object_truth import label_objects
@@ -47,7 +46,7 @@ def label(world: World, view: View) -> Labels:
     stations = _stations(world, lens)
     sampled = {curve: curve.points_world(s) for curve, s in stations.items()}
     known = _known(world, stations)
-    forms = [shape(world.ground, symbol) for symbol in world.scene.symbols]
+    forms = world.symbol_shapes
     outlines = [form.points_world(form.outline) for form in forms]
     points_world = np.concatenate([*sampled.values(), *outlines])
     points_cam = transform(invert(view.world_from_cam), points_world)
@@ -77,8 +76,8 @@ def label(world: World, view: View) -> Labels:
         for curve, (xyz, inside, visible) in zip(sampled, parts[: len(sampled)], strict=True)
     )
     symbols = tuple(
-        SymbolLabel(symbol.kind, xyz, inside, visible, object_visible=None)
-        for symbol, (xyz, inside, visible) in zip(world.scene.symbols, parts[len(sampled) :], strict=True)
+        SymbolLabel(form.kind, xyz, inside, visible, object_visible=None)
+        for form, (xyz, inside, visible) in zip(forms, parts[len(sampled) :], strict=True)
     )
     named = {lane.id: lane for lane in lanes}
     hosts = [named[name] for name in network.host_lines(lens) if name in named]
@@ -109,7 +108,7 @@ def _known(world: World, stations: dict[LaneCurve, Scalars]) -> set[str]:
     n = world.network.known_at(shot.n_frames) if shot.n_frames > 1 else 0
     hosts = [
         scene.camera.model_copy(update={"y_m": host_station(world.network, scene.camera, float(way_m))})
-        for way_m in np.linspace(0.0, shot.speed_m_s * shot.duration_s, n)
+        for way_m in np.linspace(0.0, host_driven(shot, shot.duration_s), n)
     ]
     return {curve.id for lines in (stations, *(_stations(world, host) for host in hosts)) for curve in lines}
 

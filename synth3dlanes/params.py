@@ -38,7 +38,7 @@ OffsetRange = Annotated[Real, reals(-50, 50)]
 # The largest number of a model or texture if the assets are unknown.
 MAX_NUMBER = 9999
 # Groups that were added later; parameters without them have their defaults.
-OPTIONAL: tuple[str, ...] = ("symbols", "weather", "host", "vegetation", "roadside", "motion")
+OPTIONAL: tuple[str, ...] = ("symbols", "weather", "host", "vegetation", "roadside", "motion", "town")
 # If more keys than this are missing, one line names them all.
 MAX_MISSING = 3
 
@@ -290,6 +290,35 @@ class MotionParams(Group):
     car_speed_m_s: Speed = Uniform(17.0, 36.0)
 
 
+class TownParams(Group):
+    """A town in place of the road: what its map is drawn from (docs/town.md). `junction` is the first one, which the host
+    drives through. `bend_deg` is drawn for each of its streets."""
+
+    junction: Annotated[Named, names("none", "t", "crossing", "staggered", "roundabout", "roundabout_2")] = added("none")
+    angle_deg: Annotated[Real, reals(-35, 35)] = added(0.0)
+    n_lanes: Annotated[Integer, integers(1, 3)] = added(1)
+    n_side: Annotated[Integer, integers(1, 3)] = added(1)
+    lane_width_m: Annotated[Real, reals(2.75, 4)] = added(3.25)
+    median_m: Annotated[Real, reals(0, 10)] = added(0.0)
+    turn_lanes: Annotated[Named, names("none", "left", "both")] = added("none")
+    pocket_m: Annotated[Real, reals(25, 80)] = added(40.0)
+    corner_m: Annotated[Real, reals(6, 15)] = added(8.0)
+    walkway_m: Annotated[Real, reals(0, 4)] = added(2.5)
+    parking: Flag = added(False)
+    control: Annotated[Named, names("signals", "priority", "stop", "equal")] = added("priority")
+    crosswalks: Flag = added(False)
+    island_m: Annotated[Real, reals(6, 20)] = added(9.0)
+    bend_deg: Annotated[Real, reals(-40, 40)] = added(0.0)
+    n_more: Annotated[Integer, integers(0, 3)] = added(0)
+    host_place: Annotated[Named, names("before", "in", "behind")] = added("before")
+    host_turn: Annotated[Named, names("left", "straight", "right")] = added("straight")
+    host_m: Annotated[Real, reals(0, 60)] = added(30.0)
+    traffic: Fraction = added(0.5)
+    parked: Fraction = added(0.5)
+    fronts: Fraction = added(0.7)
+    street_trees: Fraction = added(0.3)
+
+
 class Params(Group):
     """The distribution of every parameter of a scene. Names are as in `scene.json`, with degrees instead of radians.
 
@@ -314,6 +343,12 @@ class Params(Group):
     )
     roadside: RoadsideParams = Field(default=RoadsideParams(), exclude_if=lambda group: group == RoadsideParams())
     motion: MotionParams = Field(default=MotionParams(), exclude_if=lambda group: group == MotionParams())
+    town: TownParams = Field(default=TownParams(), exclude_if=lambda group: group == TownParams())
+
+    @property
+    def is_town(self) -> bool:
+        """Whether scenes are towns, all or some of them."""
+        return self.town.junction.values != ("none",)
 
 
 def presets_folder() -> Path:

@@ -118,10 +118,10 @@ class MapJunction(DocumentPart):
 
 class MapPaint(DocumentPart):
     """Paint that bounds no lane. An arrow is in the middle of `lane` at station `s_m` of its road, in the direction of
-    its traffic; a stop or give-way line crosses the lane there. A crosswalk fills `outline`, its bars along the first
-    side."""
+    its traffic; a stop or give-way line crosses the lane there. A crosswalk fills `outline`, four
+    corners, with bars from its first side to the third."""
 
-    kind: SymbolKind | Literal["give_way_line"]
+    kind: SymbolKind
     lane: LaneName | None = None
     s_m: Station = 0.0
     outline: tuple[GroundPoint, ...] = ()

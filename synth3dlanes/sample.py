@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -13,11 +13,13 @@ from synth3dlanes.geometry.paper_roads import is_wide_enough, paper_network
 from synth3dlanes.params import CameraParams, Params
 from synth3dlanes.processes import process_pool
 from synth3dlanes.sampling.cars import CAR_STREAMS, draw_cars
-from synth3dlanes.sampling.draws import DECIMALS, Draw, draws_of
+from synth3dlanes.sampling.draws import DECIMALS, Draw, DrawsOf, draws_of
 from synth3dlanes.sampling.like import Neighbourhood
 from synth3dlanes.sampling.roadside import draw_roadside
 from synth3dlanes.sampling.rules import lane_of_host
 from synth3dlanes.sampling.symbols import draw_symbols
+from synth3dlanes.sampling.town.draw import cars_of, draw_map, drive, parked_cars, shot_of
+from synth3dlanes.sampling.town.furniture import furnish, street_trees
 from synth3dlanes.sampling.traffic import check_way, on_its_road
 from synth3dlanes.sampling.trees import draw_trees
 from synth3dlanes.sampling.weather import under
@@ -103,47 +105,71 @@ def with_lidar(scene: Scene, spec: LidarSpec | None) -> Scene:
 def draw_world(scenes: Scenes, index: int) -> World:
     """Draw and resolve scene `index`: first the road and the host, then what stands beside it, then cars and trees,
     then symbols. With `like`, every draw is near that of a given scene."""
-    params, assets, shots, like = scenes.params, scenes.assets, scenes.shots, scenes.like
-    check_way(params.motion, shots)
+    params, shots, like = scenes.params, scenes.shots, scenes.like
     drawn = scenes.seed, scenes.split, index
     first = draws_of(params, "weather", drawn, like)
     params = under(params, first("kind"), first("daytime"))
-    draws = {name: draws_of(params, name, drawn, like) for name in Params.model_fields}
-    terrain, road, shot = _terrain(draws["terrain"]), _road(draws["road"]), _shot(shots, draws["motion"])
+    of = DrawsOf(params, drawn, like)
+    if params.is_town:
+        return _town_world(scenes, index, of)
+    check_way(params.motion, shots)
+    terrain, road, shot = _terrain(of("terrain")), _road(of("road")), _shot(shots, of("motion"))
     network = paper_network(road, terrain)
-    camera = on_its_road(network, _camera(params.camera, draws["camera"], road), shot)
-    bare = Scene(
+    camera = on_its_road(network, _host_camera(params.camera, of("camera"), road), shot)
+    bare = _bare(scenes, index, of, {"terrain": terrain, "road": road, "camera": camera, "shot": shot})
+    world = resolve(bare, network)
+    draw = of("roadside")
+    world = world.furnished(bare.model_copy(update={"roadside": draw_roadside(world, draw, draw.rng)}))
+    cars = draw_cars(world, [of("cars", name) for name in CAR_STREAMS], of("motion", "car_speeds"))
+    trees = draw_trees(world, of("trees"), of("trees", "tree_places"))
+    symbols = draw_symbols(world, of("symbols"))
+    return world.furnished(world.scene.model_copy(update={"cars": cars, "trees": trees, "symbols": symbols}))
+
+
+def _town_world(scenes: Scenes, index: int, of: DrawsOf) -> World:
+    """Draw and resolve a town: its map and the host's way, the traffic, then what stands along the streets."""
+    terrain, markings, assets = _terrain(of("terrain")), _plain(Markings, of("markings")), scenes.assets
+    town = draw_map(of("town"), of("town", "town_layout").rng, markings)
+    shot, flow = _shot(scenes.shots, None), of("town", "town_flow")
+    traffic = drive(town, of("cars", "town_traffic"), assets, flow("traffic"), shot.duration_s)
+    place = {"terrain": terrain, "road": None, "map": town.map.road_map(town.host.lanes), "town": town.map.town}
+    camera = _camera(of("camera"), {"lane": 1, "y_m": round(town.host.at_m, DECIMALS)})
+    bare = _bare(scenes, index, of, place | {"camera": camera, "shot": shot_of(town, traffic, shot, terrain)})
+    world = resolve(bare)
+    roadside = furnish(town.map, traffic.lights, world.ground, of("town", "town_fronts"), of("roadside"))
+    looks = of("cars", "town_cars")
+    cars = cars_of(town, traffic, terrain, looks, assets)
+    cars += parked_cars(town.map.streets, flow("parked"), looks, assets)
+    world = world.furnished(bare.model_copy(update={"roadside": roadside, "cars": cars}))
+    trees = street_trees(town.map, world.ground, roadside, of("town", "town_trees"), of("trees", "street_trees"))
+    trees += draw_trees(world, of("trees"), of("trees", "tree_places"))
+    return world.furnished(world.scene.model_copy(update={"trees": trees}))
+
+
+def _bare(scenes: Scenes, index: int, of: DrawsOf, place: dict[str, Any]) -> Scene:
+    """A scene of these roads and this host, on which nothing stands or drives yet."""
+    like = scenes.like
+    given = like.given(index) if like else (scenes.seed, scenes.split, index)
+    return Scene(
         format="synth3dlanes.scene",
         version=SCENE_VERSION,
         seed=scenes.seed,
         split=scenes.split,
         index=index,
-        terrain=terrain,
-        road=road,
-        markings=_plain(Markings, draws["markings"]),
-        surface=_plain(Surface, draws["surface"]),
+        markings=_plain(Markings, of("markings")),
+        surface=_plain(Surface, of("surface")),
         cars=(),
         trees=(),
-        camera=camera,
-        light=_plain(Light, draws["light"]),
-        air=_plain(Air, draws["air"]),
-        sensor=_plain(Sensor, draws["sensor"]),
-        weather=_plain(Weather, draws["weather"]),
-        host=_plain(Host, draws["host"]),
-        sky=_sky(assets, stream(*(like.given(index) if like else drawn), "sky")),
-        assets=assets,
-        vegetation=_plain(Vegetation, draws["vegetation"]),
-        shot=shot,
+        light=_plain(Light, of("light")),
+        air=_plain(Air, of("air")),
+        sensor=_plain(Sensor, of("sensor")),
+        weather=_plain(Weather, of("weather")),
+        host=_plain(Host, of("host")),
+        sky=_sky(scenes.assets, stream(*given, "sky")),
+        assets=scenes.assets,
+        vegetation=_plain(Vegetation, of("vegetation")),
+        **place,
     )
-    world = resolve(bare, network)
-    roadside = draw_roadside(world, draws["roadside"], draws["roadside"].rng)
-    world = world.furnished(bare.model_copy(update={"roadside": roadside}))
-    tree_places = draws_of(params, "trees", drawn, like, "tree_places")
-    speeds = draws_of(params, "motion", drawn, like, "car_speeds")
-    cars = draw_cars(world, [draws_of(params, "cars", drawn, like, name) for name in CAR_STREAMS], speeds)
-    trees = draw_trees(world, draws["trees"], tree_places)
-    symbols = draw_symbols(world, draws["symbols"])
-    return world.furnished(world.scene.model_copy(update={"cars": cars, "trees": trees, "symbols": symbols}))
 
 
 # The pictures of one scene are made one after the other.
@@ -198,22 +224,26 @@ def _road(draw: Draw) -> PaperRoad:
     return road if is_wide_enough(road) else road.model_copy(update={"n_oncoming": 0, "median_m": 0.0})
 
 
-def _shot(shots: Shots, draw: Draw) -> Shot:
-    """The first picture of a scene."""
-    speed_m_s = draw("host_speed_m_s") if shots.frames > 1 else 0.0
+def _shot(shots: Shots, draw: Draw | None) -> Shot:
+    """The first picture of a scene; the host's speed is drawn, but in towns."""
+    speed_m_s = draw("host_speed_m_s") if draw is not None and shots.frames > 1 else 0.0
     return Shot(
         n_frames=shots.frames, fps=shots.fps, n_cameras=shots.n_cameras, speed_m_s=speed_m_s, behind_m=shots.behind_m
     )
 
 
-def _camera(params: CameraParams, draw: Draw, road: PaperRoad) -> Camera:
-    u_lane = draw.rng.random()
-    y_m = draw("y_m")
+def _host_camera(params: CameraParams, draw: Draw, road: PaperRoad) -> Camera:
+    """The host on the paper's road."""
+    u_lane, y_m = draw.rng.random(), draw("y_m")
+    return _camera(draw, {"lane": lane_of_host(params.lane, road.lanes_present(y_m)).draw(u_lane), "y_m": y_m})
+
+
+def _camera(draw: Draw, place: dict[str, Any]) -> Camera:
+    """The host at a place."""
     width_px, height_px = draw("width_px"), draw("height_px")
     focal_px = round(width_px / 2 / math.tan(draw("horizontal_fov_deg") / 2), DECIMALS)
     return Camera(
-        lane=lane_of_host(params.lane, road.lanes_present(y_m)).draw(u_lane),
-        y_m=y_m,
+        **place,
         offset_m=draw("offset_m"),
         height_m=draw("height_m"),
         pitch_rad=draw("pitch_deg"),

@@ -5,11 +5,12 @@ added later; older scenes can still be read and render as before. New ones have 
 """
 
 import math
+from collections.abc import Collection
 from itertools import pairwise
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from synth3dlanes.assets.catalogue import AssetKind, Assets
 from synth3dlanes.lens import PINHOLE, Lens
@@ -29,6 +30,8 @@ from synth3dlanes.schema import (
 )
 from synth3dlanes.settings import FIRST_SYMBOL_ID, HOST_ID, JPEG_QUALITY, MAX_SAMPLES
 from synth3dlanes.streams import stream
+from synth3dlanes.town import Town
+from synth3dlanes.traffic_elements import MAX_FREE, MAX_LANES, LaneSignal, TrafficSign, TrafficSignal
 
 SCENE_VERSION = 1
 
@@ -44,7 +47,7 @@ MAX_SYMBOLS = HOST_ID - FIRST_SYMBOL_ID
 MAX_FRAMES, MAX_CAMERAS, MAX_BEHIND_M = 1000, 64, 110.0
 MAX_BEAMS = 256
 Seconds = Annotated[float, Field(ge=0, le=1e6)]
-Length = Annotated[float, Field(ge=0, le=1e6)]
+Driven = Annotated[float, Field(ge=0, le=1e6)]
 AssetNumber = Annotated[int, Field(ge=1, le=MAX_ASSETS)]
 
 
@@ -119,6 +122,12 @@ class PaperRoad(DocumentPart):
         return (*main, *(f"exit_{lane}" for lane in range(1, self.n_exit_lanes + 1)))
 
     @property
+    def segments(self) -> tuple[str, ...]:
+        """The ids of all lane segments."""
+        ends = (*self.segments_at(-1.0), *self.segments_at(1.0), *self.oncoming_segments)
+        return tuple(dict.fromkeys(ends))
+
+    @property
     def oncoming_segments(self) -> tuple[str, ...]:
         """The ids of the lane segments of oncoming traffic, from the host's left."""
         return tuple(f"oncoming_{lane}" for lane in range(1, self.n_oncoming + 1))
@@ -185,6 +194,20 @@ def _is_empty(value: tuple[object, ...]) -> bool:
     return not value
 
 
+def _goes_on(track: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+    """Check that a track goes on in time and along the way."""
+    for (time_s, length_m), (next_s, next_m) in pairwise(track):
+        if next_s <= time_s or next_m < length_m:
+            raise ValueError(f"expected instants in order and no way back, got {next_s:g} s, {next_m:g} m")
+    return track
+
+
+# Instants (seconds of a clip), and lengths driven by then.
+Track = Annotated[
+    tuple[tuple[Seconds, Driven], ...], AfterValidator(_goes_on), Field(max_length=10_000, exclude_if=_is_empty)
+]
+
+
 class Car(DocumentPart):
     """A car in lane segment `lane` (its id in the lane graph) at station `s_m` (world y on the main reference line; of
     a map the lane's road's own), heading as the lane does, `offset_m` to its driver's right of the lane's centre:
@@ -204,15 +227,7 @@ class Car(DocumentPart):
     offset_m: Metres = 0.0
     speed_m_s: Annotated[float, Field(ge=0, le=100)] = 0.0
     route: Annotated[tuple[LaneName, ...], Field(max_length=1000, exclude_if=_is_empty)] = ()
-    track: Annotated[tuple[tuple[Seconds, Length], ...], Field(max_length=10_000, exclude_if=_is_empty)] = ()
-
-    @model_validator(mode="after")
-    def _never_backs(self) -> "Car":
-        """Check that the track goes on in time and along the way."""
-        for (time_s, length_m), (next_s, next_m) in pairwise(self.track):
-            if next_s <= time_s or next_m < length_m:
-                raise ValueError(f"track: expected instants in order and no way back, got {next_s:g} s, {next_m:g} m")
-        return self
+    track: Track = ()
 
 
 class Tree(DocumentPart):
@@ -266,8 +281,9 @@ class Camera(DocumentPart):
 
 class Shot(DocumentPart):
     """Which picture of the world a scene describes: frame `frame` of a clip of `n_frames` frames at `fps` frames per
-    second, by camera `camera` of a rig of `n_cameras`. In a clip the host keeps its lane and drives at `speed_m_s`.
-    Lanes are labelled from `behind_m` metres behind the host."""
+    second, by camera `camera` of a rig of `n_cameras`. In a clip the host keeps its lane and drives at `speed_m_s`; on a
+    map its `track` may say how far it has driven (metres) at instants (seconds) of the clip. Lanes are labelled from
+    `behind_m` metres behind the host."""
 
     frame: Annotated[int, Field(ge=0, lt=MAX_FRAMES)] = 0
     n_frames: Annotated[int, Field(ge=1, le=MAX_FRAMES)] = 1
@@ -276,6 +292,7 @@ class Shot(DocumentPart):
     camera: Annotated[int, Field(ge=0, lt=MAX_CAMERAS)] = 0
     n_cameras: Annotated[int, Field(ge=1, le=MAX_CAMERAS)] = 1
     behind_m: Annotated[float, Field(ge=0, le=MAX_BEHIND_M)] = 0.0
+    track: Track = ()
 
     @model_validator(mode="after")
     def _is_one_of_them(self) -> "Shot":
@@ -414,13 +431,14 @@ class Post(DocumentPart):
 
 class Crossing(DocumentPart):
     """A gantry or bridge across all roads at a plan station of the main road: its free height `clearance_m` over every
-    pavement, and its width along the road."""
+    pavement, and its width along the road. A gantry has boards, or else the signals over lanes that are listed."""
 
     kind: Literal["gantry", "bridge"]
     s_m: Metres
     clearance_m: Annotated[float, Field(ge=4.7, le=30)]
     width_m: Annotated[float, Field(gt=0, le=100)]
     color: Color
+    signals: Annotated[tuple[LaneSignal, ...], Field(max_length=MAX_LANES)] = ()
 
 
 class Building(DocumentPart):
@@ -440,18 +458,25 @@ class Building(DocumentPart):
 
 class Roadside(DocumentPart):
     """What stands beside and over the road. In the instance pass, structures are numbered in this order: rails, posts,
-    crossings, buildings."""
+    crossings, buildings, poles of signals and of signs, then the heads of signals and the signs that these hold."""
 
     rails: Annotated[tuple[Rail, ...], Field(max_length=100)] = ()
     posts: Annotated[tuple[Post, ...], Field(max_length=1000)] = ()
     crossings: Annotated[tuple[Crossing, ...], Field(max_length=20)] = ()
     buildings: Annotated[tuple[Building, ...], Field(max_length=200)] = ()
+    signals: Annotated[tuple[TrafficSignal, ...], Field(max_length=MAX_FREE)] = ()
+    signs: Annotated[tuple[TrafficSign, ...], Field(max_length=MAX_FREE)] = ()
+
+    @property
+    def free_elements(self) -> tuple[TrafficSignal | TrafficSign, ...]:
+        """The signals and signs that have places of their own."""
+        return (*self.signals, *self.signs)
 
 
 class Scene(DocumentPart):
     """One picture of one world. `(seed, split, index)` identify the random draw of the world. `sky` is 0 for the
     built-in sky, or the number of a user's sky, counted from 1. Its roads are either `road`, those of the paper, or
-    `map`."""
+    `map`; of a town's map `town` has the values that it was drawn from."""
 
     format: Literal["synth3dlanes.scene"]
     version: Literal[1]
@@ -478,6 +503,7 @@ class Scene(DocumentPart):
     shot: Shot = Shot()
     lidar: Lidar | None = None
     map: Annotated[RoadMap | None, Field(exclude_if=_is_none)] = None
+    town: Annotated[Town | None, Field(exclude_if=_is_none)] = None
 
     def stream(self, name: str) -> np.random.Generator:
         """Random numbers for details of the world that the scene does not store, such as `clouds`."""
@@ -524,6 +550,24 @@ class Scene(DocumentPart):
         return self
 
 
+def _governed_problem(beside: Roadside, lanes: Collection[str]) -> str:
+    """What signals and signs govern that is no lane; "" if there is nothing."""
+    governed = [
+        *((f"roadside.signals.{i}.lanes", item.lanes) for i, item in enumerate(beside.signals)),
+        *((f"roadside.signs.{i}.lanes", item.lanes) for i, item in enumerate(beside.signs)),
+        *(
+            (f"roadside.crossings.{i}.signals", tuple(signal.lane for signal in item.signals))
+            for i, item in enumerate(beside.crossings)
+        ),
+    ]
+    for path, its in governed:
+        for lane in its:
+            if lane not in lanes:
+                among = f"lanes among {', '.join(lanes)}" if len(lanes) < 20 else "driving lanes of the map"
+                return f"{path}: expected {among}, got {lane}"
+    return ""
+
+
 def _road_problem(scene: Scene, road: PaperRoad) -> str:
     """What is missing on the paper's road; "" if nothing is."""
     present = road.lanes_present(scene.camera.y_m)
@@ -546,9 +590,11 @@ def _road_problem(scene: Scene, road: PaperRoad) -> str:
         if symbol.lane not in named:
             wanted = ", ".join(lane or "null" for lane in named)
             return f"symbols.{i}.lane: expected one of {wanted}, got {symbol.lane or 'null'}"
+        if symbol.kind == "give_way_line":
+            return f"symbols.{i}.kind: expected no give_way_line, which only maps have, got one"
         if symbol.kind == "gore" and road.topology == 1:
             return f"symbols.{i}.kind: expected a road with an exit for a gore, got topology 1"
-    return ""
+    return _governed_problem(scene.roadside, road.segments)
 
 
 def _map_problem(scene: Scene, roads: RoadMap) -> str:
@@ -568,7 +614,7 @@ def _map_problem(scene: Scene, roads: RoadMap) -> str:
         for pair in pairwise((car.lane, *car.route)):
             if pair not in roads.all_links:
                 return f"cars.{i}.route: expected linked lanes, got {pair[0]} and {pair[1]}"
-    return ""
+    return _governed_problem(scene.roadside, roads.driving_lanes)
 
 
 def to_json(scene: Scene) -> str:

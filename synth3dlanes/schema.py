@@ -37,6 +37,7 @@ SymbolKind = Literal[
     "arrow_straight_left",
     "arrow_straight_right",
     "stop_line",
+    "give_way_line",
     "crosswalk",
     "gore",
 ]

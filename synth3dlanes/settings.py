@@ -48,8 +48,9 @@ def choose_device(asked: str, found: Sequence[Device]) -> str:
 # Semantic ids of pixels; a material carries its id as its pass index.
 SEMANTIC_IDS = {"sky": 0, "terrain": 1, "road": 2, "shoulder": 3, "marking": 4, "car": 5, "tree": 6}
 # `symbol` is paint that bounds no lane (arrows, stop lines, crosswalks, gores), `host` the host's own bonnet. Botts'
-# dots are markings, tar lines are road, grass is terrain.
+# dots are markings, tar lines are road, grass is terrain. `signal` is the head of a signal with its lenses.
 SEMANTIC_IDS |= {"symbol": 7, "barrier": 8, "pole": 9, "sign": 10, "bridge": 11, "building": 12, "kerb": 13, "host": 14}
+SEMANTIC_IDS |= {"signal": 15}
 
 # Instance ids of pixels: thing i of a kind has the kind's first id + i, everything else 0. Delimiters are in the order
 # of the labels, structures stand beside the road, and the host has one bonnet.

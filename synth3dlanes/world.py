@@ -14,6 +14,7 @@ from synth3dlanes.frames import road_from_cam, turned
 from synth3dlanes.geometry import map_meshes, meshes, roadside
 from synth3dlanes.geometry.bonnet import cam_from_bonnet
 from synth3dlanes.geometry.camera import img_from_cam, project, world_from_host
+from synth3dlanes.geometry.elements import TrafficElement, elements
 from synth3dlanes.geometry.grass import Blades, blades
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.horizon import FarHills
@@ -21,14 +22,15 @@ from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.map_ground import MapGround
 from synth3dlanes.geometry.map_network import MapNetwork
 from synth3dlanes.geometry.map_roads import map_network
-from synth3dlanes.geometry.motion import car_at, host_at, host_station
+from synth3dlanes.geometry.map_symbols import map_symbols
+from synth3dlanes.geometry.motion import car_at, host_at, host_driven, host_station
 from synth3dlanes.geometry.network import Network
 from synth3dlanes.geometry.paint import paint_meshes
 from synth3dlanes.geometry.paper_roads import paper_network
 from synth3dlanes.geometry.placement import tree_positions, world_from_car
 from synth3dlanes.geometry.seams import ghost_mesh, tar_mesh
 from synth3dlanes.geometry.solids import Body
-from synth3dlanes.geometry.symbols import symbol_mesh
+from synth3dlanes.geometry.symbols import SymbolShape, shape, symbol_mesh
 from synth3dlanes.scene import Camera, Lidar, Roadside, Scene, Tree
 
 # Only cameras this close to the host's middle, along it, look over the bonnet.
@@ -143,8 +145,19 @@ class Site:
 
     @cached_property
     def structures(self) -> list[Body]:
-        """What stands beside and over the road, in the order of instance ids."""
-        return roadside.bodies(self.ground, self.roadside)
+        """What stands beside and over the road, in the order of instance ids; traffic elements come last."""
+        return [*roadside.bodies(self.ground, self.roadside), *(element.body for element in self.elements)]
+
+    @cached_property
+    def elements(self) -> list[TrafficElement]:
+        """The traffic elements: heads of signals and faces of signs."""
+        return elements(self.ground, self.roadside)
+
+    def lights(self, time_s: float) -> dict[int, Body]:
+        """What shines of signals at a time of a clip, by the number of the structure that it belongs to."""
+        first = len(self.structures) - len(self.elements)
+        lit = ((first + i, element.light(time_s)) for i, element in enumerate(self.elements))
+        return {number: body for number, body in lit if body is not None}
 
     @cached_property
     def street_lamps(self) -> Float[np.ndarray, "n 3"]:
@@ -198,7 +211,7 @@ class World:
     def view(self) -> View:
         """The view of the scene's camera at the instant of its shot."""
         scene, shot = self.scene, self.scene.shot
-        camera = host_at(self.network, scene.camera, shot.speed_m_s * shot.time_s)
+        camera = host_at(self.network, scene.camera, host_driven(shot, shot.time_s))
         sees_bonnet = camera.looks_ahead and abs(camera.forward_m) <= BEHIND_WINDSCREEN_M
         bonnet = scene.host.bonnet if sees_bonnet else 0.0
         return View(scene, self.network, camera, world_from_host(self.network, camera), bonnet)
@@ -217,16 +230,23 @@ class World:
 
     def symbols(self, view: View) -> list[meshes.Mesh]:
         """The paint of every symbol, corrected for parallax so that it looks in place from a view."""
-        return [symbol_mesh(self.ground, symbol, view.eye_world) for symbol in self.scene.symbols]
+        return [symbol_mesh(self.ground, form, view.eye_world) for form in self.symbol_shapes]
+
+    @cached_property
+    def symbol_shapes(self) -> list[SymbolShape]:
+        """The shapes of all symbols on the road, in the order of their labels."""
+        if self.scene.map is not None and isinstance(self.network, MapNetwork):
+            return map_symbols(self.ground, self.network, self.scene.map.paint)
+        return [shape(self.ground, symbol) for symbol in self.scene.symbols]
 
     def tar(self, view: View) -> meshes.Mesh | None:
         """Cracks filled with tar, raised less than paint; None without any."""
-        amount = self.scene.surface.tar
+        amount = self.scene.surface.tar if self.scene.map is None else 0.0
         return tar_mesh(self.ground, amount, view.eye_world, self.scene.stream) if amount else None
 
     def ghost_lines(self, view: View) -> meshes.Mesh | None:
         """Removed lines, raised less than paint; None without any."""
-        if not self.scene.surface.ghost_lines:
+        if not self.scene.surface.ghost_lines or self.scene.map is not None:
             return None
         return ghost_mesh(self.ground, self.scene.markings, view.eye_world, self.scene.stream)
 
@@ -245,7 +265,7 @@ def resolve(scene: Scene, network: Network | None = None) -> World:
     network, shot, camera = network or scene_network(scene), scene.shot, scene.camera
     network = network.around(network.host_points(camera, np.zeros(1))[0, :2], AROUND_HOST_M)
     hills = FarHills.draw(scene.stream("far_hills"))
-    driven_m = host_station(network, camera, shot.speed_m_s * shot.duration_s) - camera.y_m
+    driven_m = host_station(network, camera, host_driven(shot, shot.duration_s)) - camera.y_m
     if isinstance(network, MapNetwork):
         x, y = network.host_points(camera, np.zeros(1))[0, :2].tolist()
         hills = replace(hills, center_world=(x, y))

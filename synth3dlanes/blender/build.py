@@ -38,8 +38,8 @@ from synth3dlanes.settings import (
 from synth3dlanes.world import View, World
 
 # The collections of a world's objects, in the order in which Cycles gets them, and those that depend on the view.
-COLLECTIONS = ("ground", "paint", "structures", "cars", "trees", "host", "grass", "lens")
-OF_VIEW = ("paint", "cars", "host", "grass", "lens")
+COLLECTIONS = ("ground", "paint", "structures", "cars", "trees", "host", "grass", "lens", "lights")
+OF_VIEW = ("paint", "cars", "host", "grass", "lens", "lights")
 # Shade of a blade of grass at both corners of its foot and at its tip.
 FOOT_TO_TIP = np.array([0.5, 0.5, 1.0])
 
@@ -133,6 +133,8 @@ def build(
     grass = world.grass(view)
     if grass is not None:
         _add_object("grass", _grass_mesh(grass, studio.materials.grass), 0)
+    for number, body in world.site.lights(scene.shot.time_s).items():
+        _add_object("lights", structure_mesh(body, studio.materials.structures), FIRST_STRUCTURE_ID + number)
     set_camera(studio.camera, view.camera, view.world_from_cam)
     if not view.camera.lens.is_pinhole:
         set_lens(studio.lens, view, bpy.data.collections["lens"])

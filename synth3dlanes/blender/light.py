@@ -12,7 +12,7 @@ from synth3dlanes.arrays import Matrix4, Points3
 from synth3dlanes.blender.shaders import ShaderGraph, Socket, set_value
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.buildings import GLASS
-from synth3dlanes.geometry.solids import REFLECTOR_GLOSS, SHEETING_GLOSS
+from synth3dlanes.geometry.solids import LIT_GLOSS, REFLECTOR_GLOSS, SHEETING_GLOSS
 from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.imaging.haze import KOSCHMIEDER
 from synth3dlanes.imaging.sky import SKY_SHAPE, sun_direction
@@ -40,6 +40,8 @@ WINDOW, WINDOW_COLOR, LIT = 0.0006, (1.0, 0.72, 0.42), 0.3
 # them. Signs hang above the beam's edge, reflectors stand at it.
 THROWN_BACK = {"sign": (SHEETING_GLOSS - 0.02, 250 * BEAM * STRAY), "pole": (REFLECTOR_GLOSS - 0.02, 300 * BEAM * 0.1)}
 NEAREST_M = 4.0
+# Radiance of lit lenses of signals by day (about 6000 cd/m2), and the share of it in the dark.
+SIGNAL, SIGNAL_IN_THE_DARK = 0.15, 0.03
 
 
 def make_world() -> None:
@@ -123,7 +125,10 @@ def add_lights() -> None:
     _add_shine(graph, WINDOW_COLOR, graph.math("MULTIPLY", is_glass, is_lit))
     for name, (gloss_from, _) in THROWN_BACK.items():
         _throw_back(ShaderGraph(bpy.data.materials[name].node_tree), gloss_from)
-    for name in (*CAR_LAMPS, "building", *THROWN_BACK):
+    graph = ShaderGraph(bpy.data.materials["signal"].node_tree)
+    paint = graph.node("ShaderNodeAttribute", attribute_name="paint").outputs
+    _add_shine(graph, paint["Color"], graph.math("GREATER_THAN", paint["Alpha"], 0.99 * LIT_GLOSS))
+    for name in (*CAR_LAMPS, "building", "signal", *THROWN_BACK):
         if name in bpy.data.materials:
             bpy.data.materials[name].cycles.emission_sampling = "NONE"
 
@@ -207,6 +212,7 @@ def _set_lamps(scene: Scene, world_from_host: Matrix4, street_lamps: Points3) ->
     for i in range(N_STREET_LAMPS):
         _place(f"street_lamp_{i}", nearest[i] if i < len(nearest) else None, mathutils.Quaternion())
     shines = {name: is_lit * max(radiance) for name, radiance in CAR_LAMPS.items()}
+    shines["signal"] = SIGNAL * (SIGNAL_IN_THE_DARK if is_dark else 1.0)
     shines |= {"building": is_dark * WINDOW, **{name: is_lit * gain for name, (_, gain) in THROWN_BACK.items()}}
     for name, radiance in shines.items():
         if name in bpy.data.materials:

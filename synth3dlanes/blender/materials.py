@@ -57,7 +57,9 @@ TERRAIN_MEANS = {"terrain_1": (0.103, 0.109, 0.052), "terrain_2": (0.249, 0.179,
 # Woods on far terrain (linear): patches of hundreds of metres that fade in from this distance to twice it.
 WOODS, WOODS_LENGTH_M, WOODS_FROM_M = (0.035, 0.045, 0.025), 2900.0, 220.0
 # What snow lies on, beside the ground.
-CAPPED = {SEMANTIC_IDS[name] for name in ("car", "tree", "barrier", "pole", "sign", "bridge", "building", "kerb")}
+CAPPED = {
+    SEMANTIC_IDS[name] for name in ("car", "tree", "barrier", "pole", "sign", "bridge", "building", "kerb", "signal")
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,9 +110,8 @@ def make_materials(roads: Sequence[TextureFiles], terrains: Sequence[TextureFile
 def set_materials(materials: Materials, scene: Scene, network: Network) -> None:
     """Set the values of one scene: texture scale and direction, gloss, lane width, paint, wetness."""
     surface, weather, angle_rad = scene.surface, scene.weather, scene.surface.texture_orientation_rad
-    main, own = network.main, network.main.carriageways[-1]
-    lane_width_m, parity = main.lane_width_m, own.n_lanes % 2
-    median_m = sum(right_m - left_m for left_m, right_m in main.medians)
+    lanes = network.across
+    lane_width_m, parity, median_m = lanes.width_m, lanes.parity, lanes.median_m
     road, shoulder, terrain = materials.ground(surface)
     paved_shoulder = materials.shoulders[1]
     _orient(road, surface.road_texture_scale, angle_rad)
@@ -119,9 +120,9 @@ def set_materials(materials: Materials, scene: Scene, network: Network) -> None:
     wear = road.node_tree.nodes["wear"].texture_mapping
     wear.scale = (0.5 / lane_width_m, 1 / WEAR_LENGTH_M, 1)
     wear.translation = (0.25 * parity, 0, 0)
-    set_value(road, "median_at_m", own.left_m - median_m / 2)
+    set_value(road, "median_at_m", lanes.median_at_m)
     set_value(road, "median_m", median_m)
-    joint_m, darker = joint(network, surface.joint, scene.stream)
+    joint_m, darker = joint(network, surface.joint, scene.stream) if scene.map is None else (0.0, 0.0)
     set_value(road, "gloss", surface.road_gloss)
     set_value(road, "joint_m", joint_m)
     set_value(road, "darker", darker if surface.joint else 0.0)

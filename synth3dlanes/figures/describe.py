@@ -92,6 +92,13 @@ def _weather(scene: Scene) -> Facts:
     }
 
 
+def road_words(scene: Scene) -> str:
+    """The roads of a scene in a few words."""
+    if scene.map is None:
+        return topology_words(scene.paper_road)
+    return f"map {scene.map.source}" if scene.map.source else "town"
+
+
 def topology_words(road: PaperRoad) -> str:
     """The road's topology after its flips, as the host sees it: "merge from the left, two-lane exit"."""
     if road.topology == 1:

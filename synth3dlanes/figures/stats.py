@@ -12,13 +12,14 @@ from scipy import stats
 
 from synth3dlanes.arrays import Scalars
 from synth3dlanes.distributions import Choice, Distribution, Uniform
-from synth3dlanes.figures.describe import topology_words
+from synth3dlanes.figures.describe import road_words
 from synth3dlanes.figures.shape import bends, grades
 from synth3dlanes.geometry.camera import horizontal_fov_rad
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import OPTIONAL, Params
 from synth3dlanes.sampling.rules import CONDITIONED, ParameterRules
 from synth3dlanes.scene import Scene
+from synth3dlanes.town import Town
 
 # The distributions of a parameter by the rules, with the number of values drawn from each.
 Cases = tuple[tuple[Distribution, int], ...]
@@ -113,7 +114,7 @@ def scene_statistics(scenes: Iterable[Scene], params: Params, own_camera: bool =
     topologies: Counter[str] = Counter()
     drawn: dict[str, dict[Distribution | None, list[float]]] = defaultdict(lambda: defaultdict(list))
     for scene in scenes:
-        topologies[topology_words(scene.road)] += 1
+        topologies[road_words(scene)] += 1
         of_scene = rules.of(scene)
         for key, values in drawn_values(scene, params).items():
             if key in of_scene:
@@ -155,12 +156,12 @@ def drawn_values(scene: Scene, params: Params) -> dict[str, list[float]]:
     declared list."""
     values: dict[str, list[float]] = {}
     for group in ("road", "markings", "surface", "camera", "light", "air", "sensor", "weather", "host", "vegetation"):
-        part = getattr(scene, group)
         values |= {
             _key(group, field): [_declared_unit(field, value)]
-            for field, value in part
+            for field, value in getattr(scene, group) or ()
             if isinstance(value, int | float)
         }
+    values |= _town_values(scene.town, params) if scene.town is not None else {}
     values["camera.horizontal_fov_deg"] = [math.degrees(horizontal_fov_rad(scene.camera))]
     offsets_px = scene.camera.cx_px - scene.camera.width_px / 2, scene.camera.cy_px - scene.camera.height_px / 2
     values["camera.principal_offset_px"] = list(offsets_px)
@@ -177,6 +178,20 @@ def drawn_values(scene: Scene, params: Params) -> dict[str, list[float]]:
                     continue
                 several = value if isinstance(value, tuple) else (value,)
                 values.setdefault(_key(group, field), []).extend(_declared_unit(field, one) for one in several)
+    return values
+
+
+def _town_values(town: Town, params: Params) -> dict[str, list[float]]:
+    """The values of a town."""
+    values: dict[str, list[float]] = {}
+    for field, value in town:
+        if isinstance(value, str):
+            names = getattr(params.town, field).values
+            values |= {f"town.{field}": [names.index(value)]} if len(names) > 1 and value in names else {}
+        elif isinstance(value, tuple):
+            values["town.bend_deg"] = [math.degrees(bend) for bend in value]
+        else:
+            values[_key("town", field)] = [_declared_unit(field, value)]
     return values
 
 

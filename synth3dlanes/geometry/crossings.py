@@ -9,7 +9,9 @@ from jaxtyping import Float
 from synth3dlanes.geometry.beside import frames_beside, ground_over, on_ground
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.posts import add_board
+from synth3dlanes.geometry.roads import NetworkLane
 from synth3dlanes.geometry.sign_faces import board
+from synth3dlanes.geometry.signals import LANE_HEAD_M, Mounted
 from synth3dlanes.geometry.solids import METAL, SINK_M, Body, GroundFrame, Quads
 from synth3dlanes.scene import Crossing
 
@@ -85,14 +87,55 @@ def _gantry(quads: Quads, ground: Ground, crossing: Crossing, frame: GroundFrame
         for i, (a, b) in enumerate(pairwise(ends)):
             low, high = (base, base + rise_m) if i % 2 else (base + rise_m, base)
             quads.tube(frame.world(np.array([(a, y, low), (b, y, high)])), (0.04, 0.04), METAL, n=3)
-    road, s, to_right = ground.network.main, np.array([crossing.s_m]), ground.network.rightward
+    quads.feet.append(on_ground(ground, frame.world(np.column_stack([feet, np.zeros(2)]))[:, :2]))
+    if not crossing.signals:
+        _boards(quads, ground, crossing, frame, base)
+
+
+def _boards(quads: Quads, ground: Ground, crossing: Crossing, frame: GroundFrame, base: float) -> None:
+    """Boards in front of a gantry, towards the traffic below."""
+    half, road, s, to_right = (
+        crossing.width_m / 2,
+        ground.network.main,
+        np.array([crossing.s_m]),
+        ground.network.rightward,
+    )
     edges = np.array([road.left(s)[0], road.right(s)[0]]) * to_right
     middle, width_m = float(edges.mean()), float(np.ptp(edges)) - 2 * road.shoulder_m
     n = max(1, min(3, round(width_m / 5)))
     for i, x in enumerate(middle + width_m * ((np.arange(n) + 0.5) / n - 0.5)):
         layers = board(0.82 * min(width_m / n, 5.5), 2.0, crossing.color, i + round(10 * abs(crossing.s_m)))
         add_board(quads, frame, layers, np.array([x, -half - 0.12, base - 0.35 + 1.0]), road.is_oncoming(x * to_right))
-    quads.feet.append(on_ground(ground, frame.world(np.column_stack([feet, np.zeros(2)]))[:, :2]))
+
+
+def lane_signal_places(ground: Ground, crossing: Crossing) -> list[Mounted]:
+    """Where the signals of a gantry hang: over the middles of their lanes, towards the traffic of these."""
+    if not crossing.signals:
+        return []
+    network, frame = ground.network, crossing_frame(ground, crossing)
+    low_m = crossing_span(ground, crossing).under_m - float(frame.origin[2]) + 0.05
+    found = []
+    for signal in crossing.signals:
+        lane = network.lanes[signal.lane]
+        road = network.road(lane.road)
+        s = _station_below(ground, crossing, lane)
+        sign = 1.0 if lane.direction == "same" else -1.0
+        at = frame.of_world(np.array([*road.xy(s, lane.middle(s))[0], 0.0]))
+        own = GroundFrame(frame.world(np.array([at[0], 0.0, 0.0])), sign * frame.forward)
+        own_half = crossing.width_m / 2 + 0.12 + LANE_HEAD_M[1] / 2
+        middle = np.array([0.0, -own_half, low_m + LANE_HEAD_M[2] / 2])
+        found.append(Mounted(own, middle, LANE_HEAD_M))
+    return found
+
+
+def _station_below(ground: Ground, crossing: Crossing, lane: NetworkLane) -> Float[np.ndarray, "1"]:
+    """The station of a lane's road below a crossing, which is at a station of the main road."""
+    road, frame = ground.network.road(lane.road), crossing_frame(ground, crossing)
+    s = np.array([crossing.s_m])
+    for _ in range(6):
+        ahead_m = frame.of_world(np.array([*road.xy(s, lane.middle(s))[0], 0.0]))[1]
+        s = s - ahead_m * ground.network.onwards
+    return s
 
 
 def _bridge(quads: Quads, ground: Ground, crossing: Crossing, frame: GroundFrame, span: Span) -> None:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from synth3dlanes.arrays import AnyPoints2, AnyScalars
+from synth3dlanes.arrays import AnyPoints2, AnyScalars, Scalars
 from synth3dlanes.geometry import terrain
 from synth3dlanes.geometry.horizon import FarHills
 from synth3dlanes.geometry.lane_curves import LaneCurve
@@ -84,6 +84,10 @@ class Ground:
     def away_along(self, road: Road, s: Spread) -> Spread:
         """How far stations of a road are from the host's way."""
         return self.away_m(s)
+
+    def measured_rows(self, curve: LaneCurve) -> Scalars:
+        """The stations of the rows of the paint of a map's curve."""
+        raise NotImplementedError
 
     def away_on(self, curve: LaneCurve, s: Spread) -> Spread:
         """How far stations of a curve are from the host's way."""

@@ -73,6 +73,11 @@ class LaneCurve:
     junction: str | None = None
     paint: LinePaint | None = None
 
+    @property
+    def is_measured(self) -> bool:
+        """Whether its stations are lengths along it, as those of maps are."""
+        return self.pieces[0].knots is not None
+
     def xy_world(self, s: AnyScalars) -> Float[np.ndarray, "n 2"]:
         """World (x, y) at stations."""
         if len(self.pieces) == 1:
@@ -87,7 +92,17 @@ class LaneCurve:
 
     def points_world(self, s: AnyScalars) -> Float[np.ndarray, "n 3"]:
         """Points on the road surface at stations."""
+        if self.is_measured:
+            return self.points_beside(s, np.zeros(s.shape))
         return lift(self.pieces[0].road.terrain, self.xy_world(s), self.raised(s))
+
+    def points_beside(self, s: AnyScalars, right_m: AnyScalars) -> Float[np.ndarray, "n 3"]:
+        """Points on the road surface beside a measured curve, to the right of its own direction."""
+        found = np.zeros((*s.shape, 3))
+        for at, piece in self._parts(s):
+            on = piece.on(s[at])
+            found[at] = piece.road.points(on, piece.offset(on) + right_m[at] * piece.along)
+        return found
 
     def raised(self, s: AnyScalars) -> AnyScalars:
         """Height of the road surface above the terrain at stations."""
@@ -99,7 +114,7 @@ class LaneCurve:
 
     def shifted(self, t_m: float) -> "LaneCurve":
         """The curve `t_m` beside it; of a map, to the right of its own direction, at the same stations."""
-        if self.pieces[0].knots is None:
+        if not self.is_measured:
             parts = ((piece.road, piece.offset.shifted(t_m), piece.start_m) for piece in self.pieces)
             return replace(self, pieces=joined(parts))
         aside = (replace(piece, offset=piece.offset.shifted(t_m * piece.along)) for piece in self.pieces)
@@ -114,7 +129,7 @@ class LaneCurve:
 
     def lane_at(self, s: float) -> NetworkLane:
         """The lane of a path at a station."""
-        if self.pieces[0].knots is None:
+        if not self.is_measured:
             return next(lane for lane in reversed(self.lanes) if s >= lane.start_m)
         return self.lanes[self.piece_at(s)]
 

@@ -14,12 +14,12 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from synth3dlanes.arrays import AnyPoints2, AnyScalars, Points2, Scalars
-from synth3dlanes.geometry import terrain
 from synth3dlanes.geometry.ground import CELL_M, EMBANKMENT_SLOPE, FINE_M, GROWTH, MAX_CELL_SCALE, Ground
 from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.map_network import Junction, MapNetwork
 from synth3dlanes.geometry.roads import Road
 from synth3dlanes.geometry.section_road import KERB_M, RAISED, SectionRoad
+from synth3dlanes.geometry.terrain import height_at
 from synth3dlanes.road_map import MapIsland
 
 # Places along the host's way from which distances are measured, and rows along roads by their distance from it.
@@ -27,11 +27,13 @@ WAY_STEP_M = 5.0
 ROW_STEPS_M, ROW_STEPS_AT_M = (0.5, 0.5, 1.0, 2.0, 6.0), (0.0, 60.0, 120.0, 200.0, 450.0)
 # Holes in a junction's pavement that are smaller than this are paved.
 LEAST_HOLE_M2 = 150.0
+# Roads with heights are looked for this far from points of areas.
+NEAR_M = 3.0
 # How far beyond a raised road's edge its embankment may reach.
 EMBANKMENT_M = 40.0
 
 
-class Area(NamedTuple):
+class GroundArea(NamedTuple):
     """A part of the ground from above, raised over its pavement; `kind` is what it shows."""
 
     polygon: shapely.Geometry
@@ -75,7 +77,7 @@ class MapGround(Ground):
         """How far places on a curve are from the host's way."""
         return self.away_at(curve.xy_world(s))
 
-    def curve_rows(self, curve: LaneCurve) -> Scalars:
+    def measured_rows(self, curve: LaneCurve) -> Scalars:
         """The stations of the rows of a curve's paint."""
         return self.rows(curve.end_m, lambda s: self.away_on(curve, s))
 
@@ -125,25 +127,26 @@ class MapGround(Ground):
     @cached_property
     def arms(self) -> shapely.Geometry:
         """The pavement of all roads outside junctions."""
-        return shapely.union_all([self.strip(road) for road in self._outside])
+        return shapely.union_all([self.strip(road) for road in self.outside])
 
     @property
-    def _outside(self) -> list[SectionRoad]:
+    def outside(self) -> list[SectionRoad]:
+        """The roads that are in no junction."""
         known = {at.id for at in self.map.junctions}
         return [self.map.road(at.id) for at in self.map.roads if self.map.road(at.id).junction not in known]
 
     @cached_property
-    def areas(self) -> list[Area]:
+    def areas(self) -> list[GroundArea]:
         """The surfaces of junctions and islands."""
         found = []
         for at in self.map.junctions:
             paved, raised = self._junction(at)
-            found.append(Area(paved, 0.0, "road"))
+            found.append(GroundArea(paved, 0.0, "road"))
             if not raised.is_empty:
-                found.append(Area(raised, KERB_M, "walkway"))
+                found.append(GroundArea(raised, KERB_M, "walkway"))
         for island in self.islands:
             polygon = shapely.make_valid(shapely.Polygon(island.outline))
-            found.append(Area(polygon, island.height_m, island.surface))
+            found.append(GroundArea(polygon, island.height_m, island.surface))
         return found
 
     def _junction(self, at: Junction) -> tuple[shapely.Geometry, shapely.Geometry]:
@@ -172,7 +175,7 @@ class MapGround(Ground):
     # -- heights and distances
 
     @cached_property
-    def _raised_areas(self) -> list[Area]:
+    def _raised_areas(self) -> list[GroundArea]:
         areas = [area for area in self.areas if area.raised_m]
         for area in areas:
             shapely.prepare(area.polygon)
@@ -222,6 +225,41 @@ class MapGround(Ground):
     def _has_heights(self) -> bool:
         return any(self.map.road(road.id).heights is not None for road in self.network.roads)
 
+    def area_height(self, area: GroundArea, xy_world: Points2) -> Scalars:
+        """Height of an area's surface: on the terrain, or between the heights of its roads there."""
+        z = height_at(self.network.terrain, xy_world)
+        if self._has_heights:
+            z = z + self._own_raised(xy_world)
+        return np.asarray(z + area.raised_m)
+
+    def under(self, xy_world: Points2) -> Scalars:
+        """Height of the lower side of the pavement."""
+        z = height_at(self.network.terrain, xy_world)
+        return np.asarray(z + self._own_raised(xy_world) if self._has_heights else z)
+
+    def _own_raised(self, xy_world: Points2) -> Scalars:
+        """Height over the terrain of roads with heights of their own, without kerbs: the mean of those around points,
+        the nearer the heavier."""
+        near, roads = self.network.nearby(xy_world, np.full(len(xy_world), NEAR_M))
+        total, weights = np.zeros((2, len(xy_world)))
+        rows = np.flatnonzero(near)
+        for road, which, s, t in roads:
+            own = self.map.road(road.id)
+            on, across = np.clip(s, own.start_m, own.end_m), np.clip(t, own.left(s), own.right(s))
+            base = own.base_points(on, across)
+            raised = base[:, 2] - height_at(self.network.terrain, base[:, :2])
+            off = np.hypot(np.maximum(np.maximum(own.left(s) - t, t - own.right(s)), 0), s - on)
+            weight = 1 / (0.05 + off) ** 2
+            at = rows[which]
+            total[at] += weight * raised
+            weights[at] += weight
+        return total / np.maximum(weights, 1e-12)
+
+    def way_box(self, reach_m: float) -> tuple[float, float, float, float]:
+        """(x0, y0, x1, y1) around all that is this near to the host's way."""
+        (x0, y0), (x1, y1) = self._way.min(axis=0) - reach_m, self._way.max(axis=0) + reach_m
+        return float(x0), float(y0), float(x1), float(y1)
+
     def terrain_mesh_height(self, xy_world: AnyPoints2) -> AnyScalars:
         """Height of the terrain mesh, which has no faces under the pavement."""
         return self.height(xy_world)
@@ -258,8 +296,3 @@ def _filled(area: shapely.Geometry) -> shapely.Geometry:
         if isinstance(part, shapely.Polygon)
     ]
     return shapely.union_all(parts)
-
-
-def terrain_at(ground: MapGround, xy_world: AnyPoints2) -> AnyScalars:
-    """Height of the bare terrain."""
-    return terrain.height_at(ground.network.terrain, xy_world)

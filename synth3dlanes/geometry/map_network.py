@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float
 
 from synth3dlanes.arrays import AnyPoints3, AnyScalars, Points2, Scalars
 from synth3dlanes.frames import cross
-from synth3dlanes.geometry.lane_curves import LaneCurve
-from synth3dlanes.geometry.network import APART_M, Nearby, Network
+from synth3dlanes.geometry.lane_curves import LaneCurve, measured
+from synth3dlanes.geometry.network import APART_M, LanePattern, Nearby, Network
 from synth3dlanes.geometry.roads import NetworkLane
 from synth3dlanes.geometry.section_road import SectionRoad
 from synth3dlanes.labels import LaneGraph, Segment
@@ -53,6 +53,21 @@ class MapNetwork(Network):
         """The host's way."""
         assert self.route is not None, "every map has a route"
         return self.route
+
+    @property
+    def lane_width_m(self) -> float:
+        """Width of the host's lane where its way begins."""
+        return self.way.lanes[0].width_m
+
+    @property
+    def across(self) -> LanePattern:
+        """Lanes lie one beside the other across the texture of every road."""
+        return LanePattern(self.lane_width_m, 0)
+
+    @property
+    def main(self) -> SectionRoad:
+        """The road where the host's way begins."""
+        return self.road(self.way.lanes[0].road)
 
     @cached_property
     def lanes(self) -> dict[str, NetworkLane]:
@@ -119,8 +134,6 @@ class MapNetwork(Network):
 
     def way_through(self, lanes: Sequence[NetworkLane]) -> LaneCurve:
         """The centre line along lanes that follow each other, as their traffic drives."""
-        from synth3dlanes.geometry.lane_curves import measured
-
         pieces = measured((self.road(lane.road), lane.middle, *lane.driven) for lane in lanes)
         first = lanes[0]
         ends = 0.0, pieces[-1].end_m

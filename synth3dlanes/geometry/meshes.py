@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.ground import CELL_M, EMBANKMENT_SLOPE, GROWTH, VERGE_M, Ground, embankment_width, profile
 from synth3dlanes.geometry.horizon import far_dam, on_faces
+from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.roads import Road, Side
 
 HORIZON_M = 4000.0
@@ -80,6 +81,13 @@ def road_stations(ground: Ground) -> Scalars:
     ramps = [road.ramp.stations for road in ground.network.roads if road.ramp]
     steep = [ground.network.stations(ramp) for ramp in ramps if np.ptp(ramp) < STEEP_M * len(ramp)]
     return np.unique(np.concatenate([ground.near_m + np.concatenate(rows), *steep, [0.0]]))
+
+
+def curve_rows(ground: Ground, curve: LaneCurve) -> Scalars:
+    """Stations of the rows of a curve's paint, as s grows."""
+    if curve.is_measured:
+        return ground.measured_rows(curve)
+    return np.sort(ground.network.stations(road_stations(ground)))
 
 
 def _rows(ground: Ground, road: Road) -> Scalars:

@@ -6,7 +6,7 @@ from scipy.interpolate import PchipInterpolator
 
 from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.network import Network
-from synth3dlanes.scene import Camera, Car
+from synth3dlanes.scene import Camera, Car, Shot
 
 STEP_M = 0.25
 
@@ -27,7 +27,7 @@ def car_at(network: Network, car: Car, time_s: float) -> Car:
     """A car some seconds after the clip's start, with its speed then."""
     driven_m, speed_m_s = car.speed_m_s * time_s, car.speed_m_s
     if car.track:
-        driven_m, speed_m_s = _on_track(car, time_s)
+        driven_m, speed_m_s = _on_track(car.track, time_s)
         car = car.model_copy(update={"speed_m_s": speed_m_s})
     if driven_m == 0:
         return car
@@ -35,9 +35,14 @@ def car_at(network: Network, car: Car, time_s: float) -> Car:
     return network.car_on(car, station_after(network, way, start_m, driven_m))
 
 
-def _on_track(car: Car, time_s: float) -> tuple[float, float]:
+def host_driven(shot: Shot, time_s: float) -> float:
+    """How far the host has driven at a time of its clip."""
+    return _on_track(shot.track, time_s)[0] if shot.track else shot.speed_m_s * time_s
+
+
+def _on_track(track: tuple[tuple[float, float], ...], time_s: float) -> tuple[float, float]:
     """How far a car has driven, and its speed; it stands before its first instant and behind its last."""
-    times_s, lengths_m = np.array(car.track).T
+    times_s, lengths_m = np.array(track).T
     if len(times_s) == 1 or not times_s[0] <= time_s <= times_s[-1]:
         return float(lengths_m[0 if time_s < times_s[0] else -1]), 0.0
     driven = PchipInterpolator(times_s, lengths_m)

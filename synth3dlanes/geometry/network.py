@@ -35,6 +35,16 @@ class Nearby(NamedTuple):
     t: AnyScalars
 
 
+class LanePattern(NamedTuple):
+    """How the lanes lie across the pavement's texture coordinates: their width, 1 where the middle of a lane is at 0
+    and 0 where an edge is, and where a median of which width is."""
+
+    width_m: float
+    parity: int
+    median_at_m: float = -1e6
+    median_m: float = 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class Network:
     """Roads, the first of which is the host's, with their painted lines, and links (lane, lane) as traffic drives. A
@@ -51,6 +61,12 @@ class Network:
     def main(self) -> Road:
         """The road whose stations scenes use."""
         return self.roads[0]
+
+    @property
+    def across(self) -> LanePattern:
+        """The lanes of the main road across its texture."""
+        own, median_m = self.main.carriageways[-1], sum(right_m - left_m for left_m, right_m in self.main.medians)
+        return LanePattern(self.main.lane_width_m, own.n_lanes % 2, own.left_m - median_m / 2, median_m)
 
     @property
     def rightward(self) -> float:

@@ -12,7 +12,7 @@ from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.horizon import far_dam
 from synth3dlanes.geometry.lane_curves import LaneCurve
-from synth3dlanes.geometry.meshes import Mesh, grid, is_facing_up, lift_far, over_terrain, road_stations
+from synth3dlanes.geometry.meshes import Mesh, curve_rows, grid, is_facing_up, lift_far, over_terrain
 from synth3dlanes.geometry.terrain import gradient_at
 from synth3dlanes.labels import Marking, PaintColor, Pair
 from synth3dlanes.scene import Markings
@@ -119,10 +119,15 @@ def _paint(ground: Ground, curve: LaneCurve, eye_world: Float[np.ndarray, "3"], 
     to_right = int(ground.network.rightward)
     for right_m, marking in stripes(curve, markings)[::to_right]:
         rows, painted, share, raised_m = painted_rows(ground, curve, streams, marking)
-        lift_m = np.interp(ground.away_m(rows), PAINT_LIFT_AT_M, PAINT_LIFT_M) + raised_m
+        lift_m = np.interp(ground.away_on(curve, rows), PAINT_LIFT_AT_M, PAINT_LIFT_M) + raised_m
         offsets = to_right * right_m + np.array([-0.5, 0.5]) * line_width_m(curve, markings)
         edges = [curve.shifted(float(t)) for t in offsets]
         sides, onwards = (_sides(ground, edges, at) for at in (rows, rows + ALONG_M))
+        if curve.is_measured:
+            # Behind its end a curve has no points.
+            onwards = np.where(
+                rows[:, None, None] + ALONG_M > curve.end_m, 2 * sides - _sides(ground, edges, rows - ALONG_M), onwards
+            )
         middle = sides.mean(axis=1, keepdims=True)
         narrowed = middle + share[:, None, None] * (sides - middle)
         floating = _floating(eye_world, narrowed, (onwards - sides).mean(axis=1), lift_m)
@@ -136,6 +141,8 @@ def _paint(ground: Ground, curve: LaneCurve, eye_world: Float[np.ndarray, "3"], 
 
 def _sides(ground: Ground, edges: Sequence[LaneCurve], s: Scalars) -> Float[np.ndarray, "n 2 3"]:
     """Points on the road along both edges of a stripe."""
+    if edges[0].is_measured:
+        return np.stack([edge.points_world(s) for edge in edges], axis=1)
     return np.stack([lift_far(ground, edge.xy_world(s), edge.raised(s) + far_dam(s), s) for edge in edges], axis=1)
 
 
@@ -166,7 +173,7 @@ def towards_eye(
     slope = gradient_at(ground.network.terrain, points_world[:, :2])
     to_eye = eye_world - points_world
     eye_over_road_m = np.clip(to_eye[:, 2] - (to_eye[:, :2] * slope).sum(axis=1), 0, None)
-    lift_m = share_of_lift * np.interp(np.abs(ground.ahead_m(points_world[:, 1])), PAINT_LIFT_AT_M, PAINT_LIFT_M)
+    lift_m = share_of_lift * np.interp(ground.away_at(points_world[:, :2]), PAINT_LIFT_AT_M, PAINT_LIFT_M)
     # lift / height, which falls to 0 where the eye is near the road's plane or below it
     share = lift_m * eye_over_road_m / (eye_over_road_m**2 + (lift_m / MAX_SHARE) ** 2)
     return np.asarray(points_world + share[:, None] * to_eye)
@@ -186,10 +193,10 @@ def painted_rows(ground: Ground, curve: LaneCurve, streams: Streams, marking: Ma
     """Rows of a line's stripe with this pattern, with a row at every end of paint. Lengths are measured along the line
     from station 0, so that dashes and gaps do not move with the camera."""
     markings = ground.markings
-    rows = np.sort(ground.network.stations(road_stations(ground)))
+    rows = curve_rows(ground, curve)
     low, high = max(rows[0], curve.start_m), min(rows[-1], curve.end_m)
     rows = np.array([low, low]) if low >= high else np.concatenate([[low], rows[(rows > low) & (rows < high)], [high]])
-    is_far = ground.away_m(rows) > DASHES_M
+    is_far = ground.away_on(curve, rows) > DASHES_M
     if is_far.all():
         before, rows, behind = rows[:0], rows, rows[:0]
     else:
@@ -200,7 +207,7 @@ def painted_rows(ground: Ground, curve: LaneCurve, streams: Streams, marking: Ma
     dashes, gone = _dashes(markings, marking, length), _gone(markings, streams(f"missing_paint/{curve.id}"))
     dots = np.zeros(0)
     if is_dotted(curve, markings):
-        dots, dashes = _dots(markings, dashes, length, ground.away_m(rows))
+        dots, dashes = _dots(markings, dashes, length, ground.away_on(curve, rows))
     ends = np.concatenate([dashes.ravel(), gone.ravel(), (dots[:, None] + DISC_ROWS[1:3] * DOT_M / 2).ravel()])
     ends = np.interp(ends[(ends > length[0]) & (ends < length[-1])], length, rows)
     rows_all = np.unique(np.concatenate([rows, ends]))
@@ -208,7 +215,7 @@ def painted_rows(ground: Ground, curve: LaneCurve, streams: Streams, marking: Ma
     painted = _inside(dashes, middle) & ~_inside(gone, middle)
     is_painted = np.full(max(len(before), len(behind)), markings.missing < 1)
     s = np.concatenate([before, rows_all, behind])
-    away_m = ground.away_m(s)
+    away_m = ground.away_on(curve, s)
     share, raised_m = _disc(dots, np.interp(s, rows, length)) if len(dots) else (np.ones(len(s)), np.zeros(len(s)))
     if is_dotted(curve, markings):
         share = np.where(away_m > DOTS_M, np.minimum(share, _dots_cover(markings, away_m)), share)

@@ -92,11 +92,14 @@ def _sign(quads: Quads, frame: GroundFrame, post: Post) -> None:
 def add_board(
     quads: Quads, frame: GroundFrame, layers: Sequence[Patch], middle: Float[np.ndarray, "3"], turned: bool
 ) -> None:
-    """A board's gray back and the layers of its face, towards the host or, turned, away from it."""
+    """A board's gray back and the layers of its face, towards the host or, turned, away from it. Consecutive shapes of
+    one colour are one layer: thick faces would cast shadows on themselves."""
     sign = -1.0 if turned else 1.0
+    level, before = 0, METAL[:3]
     for i, layer in enumerate([Patch(layers[0].outline, METAL[:3]), *layers]):
         corners = layer.quads()
-        depth = np.full(corners.shape[:2], 0.02 if i == 0 else -0.02 - 0.004 * i)
+        level, before = level + (layer.color != before), layer.color
+        depth = np.full(corners.shape[:2], 0.02 if i == 0 else -0.02 - 0.004 * level)
         local = np.stack([sign * corners[..., 0], sign * depth, corners[..., 1]], -1)
         gloss = METAL[3] if i == 0 else SHEETING_GLOSS
         quads.add(frame.world(local + middle * [1, sign, 1]), (*layer.color, gloss), "sign")

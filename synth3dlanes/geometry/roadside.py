@@ -16,18 +16,20 @@ from synth3dlanes.geometry.crossings import DAM_M, DAM_SLOPE, crossing_body, cro
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.posts import lamp_heads_of, post_body, post_frames
 from synth3dlanes.geometry.rails import WALKWAY_M, rail_body
+from synth3dlanes.geometry.signals import pole_body
 from synth3dlanes.geometry.solids import Body
 from synth3dlanes.scene import Building, Crossing, Rail, Roadside
 
 
 def bodies(ground: Ground, roadside: Roadside) -> list[Body]:
-    """All structures in the order of their instance ids."""
+    """All structures but the traffic elements that they hold, in the order of their instance ids."""
     frames = post_frames(ground, roadside.posts)
     return [
         *(rail_body(ground, rail) for rail in roadside.rails),
         *(post_body(post, frame) for post, frame in zip(roadside.posts, frames, strict=True)),
         *(crossing_body(ground, crossing) for crossing in roadside.crossings),
         *(building_body(ground, building) for building in roadside.buildings),
+        *(pole_body(ground, item) for item in roadside.free_elements if item.has_pole),
     ]
 
 
@@ -62,6 +64,7 @@ def footprints(ground: Ground, roadside: Roadside) -> Footprints:
         *((frame.origin[None, :2],) * 2 + (1.0,) for frame in post_frames(ground, roadside.posts)),
         *(_crossing_footprint(ground, crossing) for crossing in roadside.crossings),
         *(_building_footprint(building) for building in roadside.buildings),
+        *((np.array([[item.x_m, item.y_m]]),) * 2 + (1.0,) for item in roadside.free_elements),
     ]
     nothing = np.zeros((0, 2))
     return Footprints(

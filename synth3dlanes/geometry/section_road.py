@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.arrays import AnyPoints3, AnyScalars, Numbers
-from synth3dlanes.geometry.roads import Offset, Road
+from synth3dlanes.geometry.roads import Offset, Road, lift
 from synth3dlanes.geometry.terrain import height_at
 from synth3dlanes.road_map import MapLane, MapLaneKind, Polynomial
 
@@ -123,7 +123,7 @@ class SectionRoad(Road):
     @cached_property
     def is_raised(self) -> bool:
         """Whether it leaves the terrain anywhere."""
-        return self.heights is not None or any(section.raised for section in self.sections)
+        return self.heights is not None or self._has_kerbs
 
     def section_at(self, s: AnyScalars) -> np.ndarray:
         """The numbers of the sections at stations."""
@@ -140,11 +140,21 @@ class SectionRoad(Road):
 
     def points(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints3:
         """Points on its surface."""
-        if self.heights is None:
-            return super().points(s, t)
+        points = self.base_points(s, t)
+        if self._has_kerbs:
+            points[..., 2] += self.kerb(s, t)
+        return points
+
+    def base_points(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints3:
+        """Points on its surface without raised lanes."""
         xy = self.xy(s, t)
-        z = self._own_height(s, t) + self.kerb(s, t)
-        return np.concatenate([xy, z[..., None]], -1)
+        if self.heights is None:
+            return lift(self.terrain, xy)
+        return np.concatenate([xy, self._own_height(s, t)[..., None]], -1)
+
+    @cached_property
+    def _has_kerbs(self) -> bool:
+        return any(section.raised for section in self.sections)
 
     def raised(self, s: AnyScalars, t: AnyScalars | float = 0.0) -> AnyScalars:
         """Height of its surface over the terrain at places."""
@@ -162,7 +172,7 @@ class SectionRoad(Road):
     def kerb(self, s: AnyScalars, t: AnyScalars | float) -> AnyScalars:
         """Height of raised lanes over the pavement at places."""
         found = np.zeros(np.shape(s))
-        if not any(section.raised for section in self.sections):
+        if not self._has_kerbs:
             return found
         t, at = np.broadcast_to(t, found.shape), self.section_at(s)
         for i in np.unique(at):

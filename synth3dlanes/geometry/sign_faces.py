@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.scene import N_SIGN_FACES, Color
+from synth3dlanes.traffic_elements import SignKind
 
 Outline = Float[np.ndarray, "n 2"]
 
@@ -29,7 +30,7 @@ class Patch:
         return np.concatenate([flat, np.zeros((len(flat), 4, 1))], axis=2)
 
 
-def _disc(n: int, radius_m: float, turn: float = 0.0) -> Outline:
+def disc(n: int, radius_m: float, turn: float = 0.0) -> Outline:
     """A regular polygon; its first corner is up, or turned from there by a share of a corner."""
     angles = 2 * np.pi * (np.arange(n) + turn) / n
     return radius_m * np.stack([np.sin(angles), np.cos(angles)], -1)
@@ -39,9 +40,15 @@ def _rectangle(width_m: float, height_m: float, x: float = 0.0, y: float = 0.0) 
     return np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * [width_m / 2, height_m / 2] + [x, y]
 
 
-def _arrow(x: float, y: float, size_m: float, turn_rad: float) -> list[Outline]:
+def bar(width_m: float, height_m: float, turn_rad: float) -> Outline:
+    """A rectangle, turned clockwise."""
+    c, s = np.cos(turn_rad), np.sin(turn_rad)
+    return np.asarray(_rectangle(width_m, height_m) @ np.array([[c, -s], [s, c]]))
+
+
+def arrow(x: float, y: float, size_m: float, turn_rad: float) -> list[Outline]:
     """The shaft and the head of an arrow that points up, turned clockwise."""
-    shaft = _rectangle(0.18 * size_m, 0.6 * size_m, 0, -0.2 * size_m)
+    shaft = _rectangle(0.18 * size_m, 0.5 * size_m, 0, -0.25 * size_m)
     head = np.array([(-0.3, 0.0), (0.3, 0.0), (0.0, 0.5)]) * size_m
     c, s = np.cos(turn_rad), np.sin(turn_rad)
     return [shape @ np.array([[c, -s], [s, c]]) + [x, y] for shape in (shaft, head)]
@@ -55,7 +62,7 @@ def board(width_m: float, height_m: float, color: Color, variant: int) -> tuple[
     layers = [
         Patch(_rectangle(w, h), ink),
         Patch(_rectangle(w - 0.08, h - 0.08), color),
-        *(Patch(shape, ink) for shape in _arrow(-0.36 * w, -0.05 * h, 0.45 * h, turn)),
+        *(Patch(shape, ink) for shape in arrow(-0.36 * w, -0.05 * h, 0.45 * h, turn)),
     ]
     for line in range(2 if h < 1.6 else 3):
         long_m = w * (0.56, 0.38, 0.48, 0.3, 0.52)[(2 * line + variant) % 5]
@@ -66,34 +73,102 @@ def board(width_m: float, height_m: float, color: Color, variant: int) -> tuple[
 def _ringed(fill: Color, *ink: Outline) -> tuple[Patch, ...]:
     """A round sign with a red ring."""
     return (
-        Patch(_disc(16, 0.38), RED),
-        Patch(_disc(16, 0.29), fill),
+        Patch(disc(16, 0.38), RED),
+        Patch(disc(16, 0.29), fill),
         *(Patch(shape, BLACK) for shape in ink),
     )
 
 
 FACES: tuple[tuple[Patch, ...], ...] = (
     _ringed(WHITE, _rectangle(0.13, 0.26, -0.1), _rectangle(0.13, 0.26, 0.1)),
-    (Patch(_disc(3, 0.56), RED), Patch(_disc(3, 0.38), WHITE), Patch(_rectangle(0.08, 0.26, 0, -0.02), BLACK)),
-    (Patch(_disc(4, 0.6), BLACK), Patch(_disc(4, 0.57), YELLOW), *(Patch(s, BLACK) for s in _arrow(0, 0, 0.6, 0.5))),
+    (Patch(disc(3, 0.56), RED), Patch(disc(3, 0.38), WHITE), Patch(_rectangle(0.08, 0.26, 0, -0.02), BLACK)),
+    (Patch(disc(4, 0.6), BLACK), Patch(disc(4, 0.57), YELLOW), *(Patch(s, BLACK) for s in arrow(0, 0, 0.6, 0.5))),
     (Patch(_rectangle(0.6, 0.75), BLACK), Patch(_rectangle(0.57, 0.72), WHITE),
      Patch(_rectangle(0.36, 0.09, 0, 0.22), BLACK),
      Patch(_rectangle(0.15, 0.28, -0.1, -0.1), BLACK), Patch(_rectangle(0.15, 0.28, 0.1, -0.1), BLACK)),
-    (Patch(_disc(16, 0.38), BLUE), *(Patch(s, WHITE) for s in _arrow(0, 0, 0.55, 0.0))),
-    (Patch(_disc(8, 0.42, 0.5), WHITE), Patch(_disc(8, 0.39, 0.5), RED), Patch(_rectangle(0.5, 0.16), WHITE)),
+    (Patch(disc(16, 0.38), BLUE), *(Patch(s, WHITE) for s in arrow(0, 0, 0.55, 0.0))),
+    (Patch(disc(8, 0.42, 0.5), WHITE), Patch(disc(8, 0.39, 0.5), RED), Patch(_rectangle(0.5, 0.16), WHITE)),
     (Patch(_rectangle(0.75, 0.75), WHITE), Patch(_rectangle(0.7, 0.7), BLUE),
      Patch(_rectangle(0.2, 0.42, 0, -0.02), WHITE)),
     board(2.4, 1.5, GREEN, 1),
     board(3.2, 2.0, BLUE, 2),
     board(1.8, 1.0, WHITE, 3),
     board(1.8, 1.3, BROWN, 4),
-    (Patch(_rectangle(0.9, 0.9), ORANGE), *(Patch(s, BLACK) for s in _arrow(0, 0, 0.7, -np.pi / 2))),
+    (Patch(_rectangle(0.9, 0.9), ORANGE), *(Patch(s, BLACK) for s in arrow(0, 0, 0.7, -np.pi / 2))),
     board(2.4, 1.5, GREEN, 2),
     board(3.2, 2.0, BLUE, 1),
-    (Patch(_rectangle(0.9, 0.9), ORANGE), *(Patch(s, BLACK) for s in _arrow(0, 0, 0.7, np.pi / 2))),
-    (Patch(_disc(4, 0.6), BLACK), Patch(_disc(4, 0.57), YELLOW), *(Patch(s, BLACK) for s in _arrow(0, 0, 0.6, -0.5))),
+    (Patch(_rectangle(0.9, 0.9), ORANGE), *(Patch(s, BLACK) for s in arrow(0, 0, 0.7, np.pi / 2))),
+    (Patch(disc(4, 0.6), BLACK), Patch(disc(4, 0.57), YELLOW), *(Patch(s, BLACK) for s in arrow(0, 0, 0.6, -0.5))),
 )  # fmt: skip
 assert len(FACES) == N_SIGN_FACES
+
+# Rows of the letters on signs from the top, three bits each.
+GLYPHS = {
+    "0": (7, 5, 5, 5, 7), "1": (2, 6, 2, 2, 7), "2": (7, 1, 7, 4, 7), "3": (7, 1, 7, 1, 7), "4": (5, 5, 7, 1, 1),
+    "5": (7, 4, 7, 1, 7), "6": (7, 4, 7, 5, 7), "7": (7, 1, 1, 1, 1), "8": (7, 5, 7, 5, 7), "9": (7, 5, 7, 1, 7),
+    "S": (7, 4, 7, 1, 7), "T": (7, 2, 2, 2, 2), "O": (7, 5, 5, 5, 7), "P": (7, 5, 7, 4, 4),
+}  # fmt: skip
+# Bits of a row -> its runs, as first column and length.
+RUNS = {1: ((2, 1),), 2: ((1, 1),), 4: ((0, 1),), 5: ((0, 1), (2, 1)), 6: ((0, 2),), 7: ((0, 3),)}
+
+
+def _text(text: str, height_m: float) -> list[Outline]:
+    """Letters in the middle of a sign; a cell of theirs is as wide as high."""
+    cell, found = height_m / 5, []
+    left = -cell * (4 * len(text) - 1) / 2
+    for number, letter in enumerate(text):
+        for row, bits in enumerate(GLYPHS[letter]):
+            for first, n in RUNS[bits]:
+                x = left + cell * (4 * number + first + n / 2)
+                found.append(_rectangle(n * cell, cell, x, (2 - row) * cell))
+    return found
+
+
+def _round(fill: Color, ink: Color, shapes: list[Outline]) -> tuple[Patch, ...]:
+    """A round sign with a white edge."""
+    return (Patch(disc(24, 0.38), WHITE), Patch(disc(24, 0.36), fill), *(Patch(shape, ink) for shape in shapes))
+
+
+def _ring(shapes: list[Outline], is_barred: bool = False) -> tuple[Patch, ...]:
+    """A round sign with a red ring, with a bar through what it forbids."""
+    return (
+        Patch(disc(24, 0.38), RED),
+        Patch(disc(24, 0.3), WHITE),
+        *(Patch(shape, BLACK) for shape in shapes),
+        *((Patch(bar(0.7, 0.075, np.pi / 4), RED),) if is_barred else ()),
+    )
+
+
+def _around() -> list[Outline]:
+    """An arrow that turns back to the left."""
+    head = np.array([(-0.26, -0.02), (-0.02, -0.02), (-0.14, -0.16)])
+    bars = ((0.07, 0.36, 0.12, -0.03), (0.33, 0.07, 0.0, 0.16), (0.07, 0.2, -0.14, 0.07))
+    return [*(_rectangle(*bar) for bar in bars), head]
+
+
+LEFT_RAD, RIGHT_RAD = -np.pi / 2, np.pi / 2
+SIGN_FACES: dict[SignKind, tuple[Patch, ...]] = {
+    "stop": (
+        Patch(disc(8, 0.45, 0.5), WHITE),
+        Patch(disc(8, 0.42, 0.5), RED),
+        *(Patch(shape, WHITE) for shape in _text("STOP", 0.23)),
+    ),
+    "give_way": (Patch(disc(3, 0.55, 0.5), RED), Patch(disc(3, 0.36, 0.5), WHITE)),
+    "priority": (Patch(disc(4, 0.5), BLACK), Patch(disc(4, 0.485), WHITE), Patch(disc(4, 0.36), YELLOW)),
+    "no_entry": _round(RED, WHITE, [_rectangle(0.52, 0.13)]),
+    "speed_30": _ring(_text("30", 0.28)),
+    "speed_50": _ring(_text("50", 0.28)),
+    "speed_70": _ring(_text("70", 0.28)),
+    "speed_100": _ring(_text("100", 0.22)),
+    "ahead_only": _round(BLUE, WHITE, arrow(0, -0.02, 0.55, 0.0)),
+    "left_only": _round(BLUE, WHITE, arrow(0, 0, 0.55, LEFT_RAD)),
+    "right_only": _round(BLUE, WHITE, arrow(0, 0, 0.55, RIGHT_RAD)),
+    "no_left_turn": _ring(arrow(0, 0, 0.45, LEFT_RAD), is_barred=True),
+    "no_right_turn": _ring(arrow(0, 0, 0.45, RIGHT_RAD), is_barred=True),
+    "no_u_turn": _ring(_around(), is_barred=True),
+    "exit_left": board(2.4, 1.5, GREEN, 1),
+    "exit_right": board(2.4, 1.5, GREEN, 2),
+}
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from synth3dlanes.arrays import Points3
 QuadCorners = Float[np.ndarray, "f 4 3"]
 
 # The semantic names of a body's faces; `Body.surface` numbers them.
-SURFACES = ("barrier", "pole", "sign", "bridge", "building", "kerb")
+SURFACES = ("barrier", "pole", "sign", "bridge", "building", "kerb", "signal")
 # How far bodies reach into the ground, so that none floats on a slope.
 SINK_M = 0.4
 # Linear red, green and blue, and gloss.
@@ -19,6 +19,8 @@ METAL, DARK_METAL = (0.36, 0.37, 0.38, 0.5), (0.2, 0.21, 0.22, 0.4)
 WHITE, BLACK = (0.7, 0.7, 0.68, 0.3), (0.02, 0.02, 0.02, 0.2)
 # The gloss of what throws headlights back, by which it is known at night: faces of signs, and reflectors of posts.
 SHEETING_GLOSS, REFLECTOR_GLOSS = 0.55, 1.0
+# The gloss of lit lenses of signals, by which they are known.
+LIT_GLOSS = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +109,12 @@ class GroundFrame:
         fx, fy = self.forward
         x, y = points[..., 0], points[..., 1]
         return self.origin + np.stack([x * fy + y * fx, y * fy - x * fx, points[..., 2]], -1)
+
+    def of_world(self, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+        """Points of this frame of world points."""
+        fx, fy = self.forward
+        x, y, z = np.moveaxis(points - self.origin, -1, 0)
+        return np.stack([x * fy - y * fx, x * fx + y * fy, z], -1)
 
 
 def _glossy(color: Sequence[float]) -> tuple[float, ...]:

@@ -59,9 +59,10 @@ AROUND_M = np.arange(-10.0, 10.01, 0.25)
 
 @dataclass(frozen=True, eq=False)
 class SymbolShape:
-    """A symbol's painted polygons and its outline in its own frame, the places of that frame in the world, and the size
-    of COLUMN_M in it."""
+    """A kind, painted polygons and an outline in a frame of its own, the places of that frame in the world, and
+    the size of COLUMN_M in it."""
 
+    kind: SymbolKind
     polygons: list[Polygon]
     outline: Polygon
     points_world: Callable[[Polygon], Float[np.ndarray, "_ 3"]]
@@ -77,12 +78,12 @@ def shape(ground: Ground, symbol: Symbol) -> SymbolShape:
     if symbol.kind not in ARROWS:
         (x0, y0), (x1, y1) = np.min(polygons, axis=(0, 1)), np.max(polygons, axis=(0, 1))
         outline = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
-    return SymbolShape(polygons, _dense(outline, OUTLINE_STEP_M), _along_road(ground.network, symbol), COLUMN_M)
+    places = _along_road(ground.network, symbol)
+    return SymbolShape(symbol.kind, polygons, dense(outline, OUTLINE_STEP_M), places, COLUMN_M)
 
 
-def symbol_mesh(ground: Ground, symbol: Symbol, eye_world: Float[np.ndarray, "3"]) -> Mesh:
+def symbol_mesh(ground: Ground, form: SymbolShape, eye_world: Float[np.ndarray, "3"]) -> Mesh:
     """The paint of a symbol over the road, moved towards the eye so that it looks in place from there."""
-    form = shape(ground, symbol)
     quads = np.concatenate([_quads(polygon, form.column) for polygon in form.polygons])
     places = quads.reshape(-1, 2)
     vertices = towards_eye(ground, form.points_world(places), eye_world)
@@ -179,7 +180,7 @@ def _gore(ground: Ground, symbol: Symbol) -> SymbolShape:
         for side in (i, 1 - i)
     ]
     outline = np.concatenate([np.column_stack([0 * s, s]), np.column_stack([0 * s + 1, s])[::-1]])
-    return SymbolShape(polygons, outline, points_world, COLUMN_M / float(width_m(s).max()))
+    return SymbolShape(symbol.kind, polygons, outline, points_world, COLUMN_M / float(width_m(s).max()))
 
 
 def _quads(polygon: Polygon, column: float) -> Float[np.ndarray, "k 4 2"]:
@@ -202,7 +203,7 @@ def _quads(polygon: Polygon, column: float) -> Float[np.ndarray, "k 4 2"]:
     return np.concatenate(quads)
 
 
-def _dense(polygon: Polygon, step: float) -> Polygon:
+def dense(polygon: Polygon, step: float) -> Polygon:
     """A closed polygon with further points on its longer sides."""
     sides = zip(polygon, np.roll(polygon, -1, axis=0), strict=True)
     return np.concatenate(

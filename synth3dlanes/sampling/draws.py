@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -27,6 +27,18 @@ def draws_of(params: Params, group: str, drawn: DrawKey, like: Neighbourhood | N
         return Draw(of_group, stream(*drawn, name))
     given = stream(*like.given(drawn[-1]), name)
     return NearDraw(of_group, given, partial(like.spread_of, group), stream(*drawn, name))
+
+
+class DrawsOf(NamedTuple):
+    """The draws of a scene: `of(group)`, or from a stream of another name."""
+
+    params: Params
+    drawn: DrawKey
+    like: Neighbourhood | None
+
+    def __call__(self, group: str, name: str = "") -> "Draw":
+        """Draws of a group from a stream, from its beginning."""
+        return draws_of(self.params, group, self.drawn, self.like, name)
 
 
 class Draw:

@@ -9,6 +9,7 @@ from synth3dlanes.geometry.paper_roads import is_wide_enough
 from synth3dlanes.params import Params
 from synth3dlanes.sampling.weather import under
 from synth3dlanes.scene import MIN_MEDIAN_M, PaperRoad, Scene
+from synth3dlanes.town import ROUNDABOUTS, Town
 
 # Parameters of which the rules keep only the range, with the reason.
 CONDITIONED = {
@@ -54,10 +55,13 @@ class ParameterRules:
         """The distribution of every parameter in scenes with the weather, the topology and the lanes of this one; None
         where the rules leave only its range, no key where it is not used."""
         found: dict[str, Distribution | None] = dict(self._under(scene.weather.kind, scene.weather.daytime))
-        params, road = self.params, scene.road
+        params = self.params
         found |= dict.fromkeys(CONDITIONED)
         if "sold" in params.cars.palette.values:
             del found["cars.color"], found["cars.saturation"]  # not drawn from these keys
+        if scene.map is not None:
+            return found if scene.town is None else self._of_town(found, scene.town)
+        road = scene.paper_road
         found["road.n_lanes"] = lanes_of(params.road.n_lanes, road.topology)
         if not self._has_room(road):
             found |= {"road.n_oncoming": None, "road.median_m": None}
@@ -66,6 +70,24 @@ class ParameterRules:
         found["camera.lane"] = lane_of_host(params.camera.lane, road.lanes_present(scene.camera.y_m))
         if scene.shot.n_frames > 1 and road.topology > 2:
             found["camera.lane"] = None  # a host whose lane leaves its road gets the lane beside it
+        return found
+
+    def _of_town(self, found: dict[str, Distribution | None], town: Town) -> dict[str, Distribution | None]:
+        """Those of a town: of the road of the paper there is none, and lanes and control are as its junction allows."""
+        unused = ("camera.lane", "camera.y_m", "cars.n", "cars.s_m", "trees.n", "trees.model")
+        found = {key: form for key, form in found.items() if key not in unused and not key.startswith("road.")}
+        found["cars.model"] = None  # those that turn or park are short
+        declared = self.params.town
+        if town.junction in ROUNDABOUTS:
+            found |= {"town.n_lanes": Choice((ROUNDABOUTS[town.junction],), (1.0,))}
+            found |= {"town.turn_lanes": Choice(("none",), (1.0,)), "town.control": Choice(("priority",), (1.0,))}
+        else:
+            turn_lanes, control = declared.turn_lanes, declared.control
+            if town.n_lanes > 1:
+                found["town.control"] = control.mapped(lambda name: "priority" if name == "equal" else name)
+            if town.control == "equal":
+                found["town.turn_lanes"] = turn_lanes.mapped(lambda _: "none")
+        found["town.n_side"] = at_most(declared.n_side, town.n_lanes)
         return found
 
     def _under(self, kind: str, daytime: str) -> dict[str, Distribution]:

@@ -1,0 +1,152 @@
+"""How a town is drawn: its values, its map with the host's way, and the cars on it."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from synth3dlanes.assets.car_colors import sold_color
+from synth3dlanes.sampling.draws import DECIMALS, Draw
+from synth3dlanes.sampling.town.lanes import LaneLines, Route
+from synth3dlanes.sampling.town.layout import TownMap, lay_out
+from synth3dlanes.sampling.town.streets import LANES, PARKING_M, Street
+from synth3dlanes.sampling.town.traffic import Body, Drive, HostPlan, Moving, plan_host, simulate
+from synth3dlanes.scene import Assets, Car, Markings, Shot, Terrain
+from synth3dlanes.town import ROUNDABOUTS, Town
+
+# A parked car takes so much of the kerb; it stands so far from the end of the parking lane.
+BAY_M, BAY_END_M, SHORT_M = 6.6, 4.0, 5.4
+N_BENDS = 4
+# Draws of a model until one is short enough.
+TRIES = 30
+LONG_M = 6.5
+
+
+class DrawnTown(NamedTuple):
+    """A town with the host's way and its place on it."""
+
+    map: TownMap
+    host: HostPlan
+
+
+def town_of(draw: Draw) -> Town:
+    """The values of a town. Roundabouts have their own number of lanes and no turn lanes; side streets are no wider than
+    the main one; only streets of one lane are equal."""
+    keys = [key for key in Town.model_fields if key != "bends_rad"]
+    drawn = {key: draw(key.replace("_rad", "_deg")) for key in keys}
+    drawn["bends_rad"] = tuple(draw("bend_deg") for _ in range(N_BENDS))
+    return Town(**ruled(drawn))
+
+
+def ruled(drawn: dict[str, object]) -> dict[str, object]:
+    """The values of a town by its rules."""
+    kind, n_lanes, n_side = drawn["junction"], drawn["n_lanes"], drawn["n_side"]
+    assert isinstance(n_lanes, int) and isinstance(n_side, int), "counts of lanes"
+    if kind in ROUNDABOUTS:
+        n_lanes = ROUNDABOUTS[str(kind)]
+        drawn = drawn | {"turn_lanes": "none", "control": "priority"}
+    if drawn["control"] == "equal":
+        drawn = drawn | ({"turn_lanes": "none"} if n_lanes == 1 else {"control": "priority"})
+    return drawn | {"n_lanes": n_lanes, "n_side": min(n_side, n_lanes)}
+
+
+def draw_map(draw: Draw, layout: np.random.Generator, markings: Markings) -> DrawnTown:
+    """A town, laid out, and the host's way."""
+    town_map = lay_out(town_of(draw), markings, layout)
+    return DrawnTown(town_map, plan_host(town_map, LaneLines(town_map), layout))
+
+
+def drive(drawn: DrawnTown, looks: Draw, assets: Assets, flow: float, duration_s: float) -> Drive:
+    """The traffic of a town; `flow` is the share of the densest."""
+
+    def body(may_be_long: bool) -> Body:
+        found: Body | None = None
+        for _ in range(TRIES):
+            model, scale = looks("model"), looks("scale")
+            own = assets.car_models[model - 1]
+            found = Body(model, scale, own.length_m * scale, own.width_m * scale)
+            if may_be_long or found.length_m <= LONG_M:
+                break
+        assert found is not None, "some draws were made"
+        return found
+
+    return simulate(drawn.map, drawn.host, body, flow, duration_s, looks.rng)
+
+
+def shot_of(drawn: DrawnTown, found: Drive, shot: Shot, terrain: Terrain) -> Shot:
+    """The host's shot, with its track in a clip."""
+    if shot.n_frames == 1:
+        return shot
+    track = _driven(Route(found.host.lanes, LaneLines(drawn.map)), found.host, terrain)
+    return shot.model_copy(update={"speed_m_s": _speed(track), "track": track})
+
+
+def cars_of(drawn: DrawnTown, found: Drive, terrain: Terrain, looks: Draw, assets: Assets) -> tuple[Car, ...]:
+    """The cars of the traffic."""
+    lines = LaneLines(drawn.map)
+    cars = []
+    for moving in found.cars:
+        route = Route(moving.lanes, lines)
+        k, s_m = route.place_at(moving.track[0][1])
+        values = _look(looks, moving.body, assets) | {"lane": route.lanes[k], "s_m": round(s_m, DECIMALS)}
+        if len(moving.track) > 1:
+            track = _driven(route, moving, terrain)
+            values |= {"speed_m_s": _speed(track), "track": track, "route": route.lanes[k + 1 :]}
+        cars.append(Car(**values))
+    return tuple(cars)
+
+
+def parked_cars(streets: Sequence[Street], share: float, looks: Draw, assets: Assets) -> tuple[Car, ...]:
+    """Cars in the parking lanes, which stand beside the outermost lanes."""
+    cars, rng = list[Car](), looks.rng
+    for street in streets:
+        for i, piece in enumerate(street.pieces):
+            for side in ("left", "right"):
+                names = street.names(i)[side]
+                if piece.near or "parking" not in piece.start.left or "parking" not in piece.end.left:
+                    continue
+                lane = [key for key in LANES if key in names][-1]
+                start_m = street.stations[i]
+                places = np.arange(start_m + BAY_END_M, start_m + piece.length_m - BAY_END_M, BAY_M)
+                for s_m in places.tolist():
+                    if rng.random() >= share:
+                        continue
+                    body = _short(looks, assets)
+                    if body is not None:
+                        moved_m = float(rng.uniform(-0.4, 0.4))
+                        offset_m = (street.profile.lane_m + PARKING_M) / 2 + float(rng.uniform(-0.05, 0.12))
+                        place = {"lane": names[lane], "s_m": round(s_m + moved_m, DECIMALS)}
+                        cars.append(Car(**_look(looks, body, assets), **place, offset_m=round(offset_m, DECIMALS)))
+    return tuple(cars)
+
+
+def _short(looks: Draw, assets: Assets) -> Body | None:
+    for _ in range(TRIES):
+        model, scale = looks("model"), looks("scale")
+        own = assets.car_models[model - 1]
+        if own.length_m < SHORT_M and own.width_m < PARKING_M:
+            return Body(model, scale, own.length_m * scale, own.width_m * scale)
+    return None
+
+
+def _look(looks: Draw, body: Body, assets: Assets) -> dict[str, object]:
+    """Model and colours of a car."""
+    (color,) = zip(*looks.rows(("color",), 3), strict=True)
+    gloss, saturation, palette = looks("gloss"), looks("saturation"), looks("palette")
+    u_paint, u_shade = looks.rng.random(2)
+    if palette == "sold":
+        color, saturation = sold_color(assets.car_models[body.model - 1], u_paint, u_shade), 1.0
+    return {"model": body.model, "scale": body.scale, "color": color, "gloss": gloss, "saturation": saturation}
+
+
+def _driven(route: Route, moving: Moving, terrain: Terrain) -> tuple[tuple[float, float], ...]:
+    """How far a car has driven along the ground at instants."""
+    times, lengths = np.array(moving.track).T
+    driven = route.climbed(terrain, lengths)
+    driven = np.maximum.accumulate(np.round(driven - driven[0], 4))
+    return tuple(zip(times.tolist(), driven.tolist(), strict=True))
+
+
+def _speed(track: Sequence[tuple[float, float]]) -> float:
+    (start_s, start_m), (end_s, end_m) = track[:2]
+    return round((end_m - start_m) / (end_s - start_s), DECIMALS)
