@@ -28,12 +28,12 @@ from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.scene import Car
 from synth3dlanes.settings import (
     FIRST_CAR_ID,
-    FIRST_DELIMITER_ID,
     FIRST_STRUCTURE_ID,
     FIRST_SYMBOL_ID,
     FIRST_TREE_ID,
     HOST_ID,
     SEMANTIC_IDS,
+    delimiter_id,
 )
 from synth3dlanes.world import View, World
 
@@ -194,7 +194,7 @@ def _add_paint(materials: Materials, world: World, view: View, labelled: Sequenc
     for number, name in enumerate([*labelled, *(name for name in strips if name not in labelled)]):
         if len(strips[name].faces):
             material = materials.yellow_marking if colors[name] == "yellow" else materials.marking
-            _add_object("paint", new_mesh(strips[name], [material]), FIRST_DELIMITER_ID + number)
+            _add_object("paint", new_mesh(strips[name], [material]), delimiter_id(number))
     for number, mesh in enumerate(world.symbols(view)):
         _add_object("paint", new_mesh(mesh, [materials.symbol]), FIRST_SYMBOL_ID + number)
 

@@ -63,8 +63,9 @@ def index_row(
     row |= {"n_gaussians": len(scene.terrain.gaussians), "n_cars": len(scene.cars), "n_trees": len(scene.trees)}
     for group in (*PARTS, *ADDED_PARTS):
         prefix = PREFIXES.get(group, "")
-        row |= {prefix + name: value for name, value in vars(getattr(scene, group)).items() if name != "lens"}
-    row |= {"n_symbols": len(scene.symbols)} | {f"n_{name}": len(getattr(scene.roadside, name)) for name in ROADSIDE}
+        part = getattr(scene, group)
+        row |= {prefix + name: value for name, value in (vars(part) if part else {}).items() if name != "lens"}
+    row |= {"n_symbols": len(labels.symbols)} | {f"n_{name}": len(getattr(scene.roadside, name)) for name in ROADSIDE}
     return row | _topology(scene, labels) | _summary(labels)
 
 
@@ -84,6 +85,9 @@ def table(rows: list[dict[str, Any]], recipe: str = "") -> pa.Table:
 
 
 def _topology(scene: Scene, labels: Labels) -> dict[str, Any]:
+    if scene.road is None:
+        is_crossing = any(lane.connector for lane in labels.lanes)
+        return {"junction": "crossing" if is_crossing else "none", "exit_side": "none", "ramp_used": False}
     if scene.road.topology == 1:
         return {"junction": "none", "exit_side": "none", "ramp_used": False}
     return {
@@ -112,7 +116,8 @@ def _summary(labels: Labels) -> dict[str, Any]:
 
 
 def max_grade(labels: Labels) -> float:
-    """The steepest grade (rise over run, up or down) of the main road's centre lines ahead; 0.1 is 10 %."""
+    """The steepest grade (rise over run, up or down) of the main road's centre lines ahead, on a map of all;
+    0.1 is 10 %."""
     rotation = labels.camera.world_from_cam[:3, :3]
 
     def steepest(lane: Lane) -> float:
@@ -121,5 +126,9 @@ def max_grade(labels: Labels) -> float:
         steps_world, runs_m = steps_world[runs_m > 0], runs_m[runs_m > 0]
         return float(np.abs(steps_world[:, 2] / runs_m).max(initial=0.0))
 
-    main = [steepest(lane) for lane in labels.lanes if lane.kind == "centerline" and lane.road == "main"]
+    main = [
+        steepest(lane)
+        for lane in labels.lanes
+        if lane.kind == "centerline" and (lane.road == "main" or lane.connector is not None)
+    ]
     return round(max(main, default=0.0), 4)

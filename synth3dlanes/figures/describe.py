@@ -64,11 +64,11 @@ def describe(scene: Scene, labels: Labels) -> dict[str, Facts]:
             "width": f"{100 * scene.markings.width_m:.1f} cm",
             "gray, gloss": f"{scene.markings.grayscale:.2f}, {scene.markings.gloss:.2f}",
             "inner line"
-            if scene.road.n_oncoming
+            if scene.road is not None and scene.road.n_oncoming
             else "leftmost line": f"{'double' if scene.markings.left_double else 'single'}, "
             f"{'yellow' if scene.markings.left_yellow else 'white'}",
             "rubbed off, missing": f"{100 * scene.markings.wear:.0f} %, {100 * scene.markings.missing:.0f} %",
-            "symbols": _counted([symbol.kind for symbol in scene.symbols]),
+            "symbols": _counted([item.kind for item in (scene.map.paint if scene.map else scene.symbols)]),
         },
         "surface": {
             "road": f"texture {scene.surface.road_texture}, scale {scene.surface.road_texture_scale:.1f}, "
@@ -162,7 +162,14 @@ def heights_over_road_plane(labels: Labels) -> tuple[float, float]:
 
 
 def _road(scene: Scene, labels: Labels) -> Facts:
-    road = scene.road
+    if scene.map is not None:
+        connectors = sum(lane.connector is True for lane in labels.lanes)
+        return {
+            "map": road_words(scene),
+            "roads, junctions": f"{len(scene.map.roads)}, {len(scene.map.junctions)}",
+            "connectors in range": str(connectors),
+        }
+    road = scene.paper_road
     facts = {
         "topology": f"{road.topology}: {topology_words(road)}",
         "lanes": f"{road.n_lanes}, each {road.lane_width_m:.2f} m wide",

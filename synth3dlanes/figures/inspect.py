@@ -14,7 +14,7 @@ from synth3dlanes.figures.describe import (
     describe,
     lane_row,
     object_row,
-    topology_words,
+    road_words,
 )
 from synth3dlanes.figures.passes import draw_pass
 from synth3dlanes.figures.scene_view import SceneView
@@ -76,8 +76,8 @@ def draw_inspect(
     views.draw_side(figure.add_subplot(grid[-1, :]), view)
     figure.legend(handles=_legend(), loc="outside lower center", ncols=4, frameon=False)
     figure.suptitle(
-        f"seed {scene.seed}, {scene.split} {scene.index}: {counted(scene.road.n_lanes, 'lane')}, "
-        f"{topology_words(scene.road)}",
+        f"seed {scene.seed}, {scene.split} {scene.index}: "
+        f"{counted(scene.road.n_lanes, 'lane') + ', ' if scene.road else ''}{road_words(scene)}",
         fontsize=14, x=0.01, ha="left", color=colors.INK,
     )  # fmt: skip
     return figure

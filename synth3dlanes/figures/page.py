@@ -21,7 +21,7 @@ from synth3dlanes.figures.describe import (
     describe,
     lane_row,
     object_row,
-    topology_words,
+    road_words,
 )
 from synth3dlanes.figures.histograms import histograms
 from synth3dlanes.figures.overlay import stretches_img
@@ -119,7 +119,7 @@ def scene_page(
     frames = [_frame(number, *shown.clip[number]) for number in numbers]
     return _render(
         "scene.html",
-        title=f"seed {scene.seed}, {scene.split} {scene.index}: {topology_words(scene.road)}",
+        title=f"seed {scene.seed}, {scene.split} {scene.index}: {road_words(scene)}",
         switches=_switches([labels]),
         drawn=_drawing(labels, shown.image),
         frames=frames,
@@ -152,9 +152,7 @@ def report_page(
         title=title,
         n_scenes=scenes.n_scenes,
         switches=_switches(sample for _, _, sample, _ in samples),
-        cards=[
-            Card(name, topology_words(scene.road), _drawing(sample, image)) for name, scene, sample, image in samples
-        ],
+        cards=[Card(name, road_words(scene), _drawing(sample, image)) for name, scene, sample, image in samples],
         topologies=scenes.topologies.items(),
         measured=[
             (row.name, *_short(row.minimum, row.p05, row.median, row.p95, row.maximum, row.mean))

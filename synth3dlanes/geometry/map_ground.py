@@ -12,13 +12,14 @@ import numpy as np
 import shapely
 from jaxtyping import Float
 from scipy.spatial import cKDTree
+from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.arrays import AnyPoints2, AnyScalars, Points2, Scalars
 from synth3dlanes.geometry.ground import CELL_M, EMBANKMENT_SLOPE, FINE_M, GROWTH, MAX_CELL_SCALE, Ground
 from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.map_network import Junction, MapNetwork
 from synth3dlanes.geometry.roads import Road
-from synth3dlanes.geometry.section_road import KERB_M, RAISED, SectionRoad
+from synth3dlanes.geometry.section_road import KERB_M, RAISED, CrossSection, SectionRoad
 from synth3dlanes.geometry.terrain import height_at
 from synth3dlanes.road_map import MapIsland
 
@@ -36,7 +37,7 @@ EMBANKMENT_M = 40.0
 class GroundArea(NamedTuple):
     """A part of the ground from above, raised over its pavement; `kind` is what it shows."""
 
-    polygon: shapely.Geometry
+    polygon: BaseGeometry
     raised_m: float
     kind: str
 
@@ -87,6 +88,11 @@ class MapGround(Ground):
         starts = [section.start_m for section in road.sections] if isinstance(road, SectionRoad) else []
         return np.union1d(rows, [start for start in starts if 0 < start < road.end_m])
 
+    def section_rows(self, road: SectionRoad, section: CrossSection) -> Scalars:
+        """The stations of the rows of a section of a road."""
+        s = self.road_rows(road)
+        return np.union1d(s[(s > section.start_m) & (s < section.end_m)], [section.start_m, section.end_m])
+
     def rows(self, end_m: float, away_m) -> Scalars:  # type: ignore[no-untyped-def]
         """Stations from 0 to an end, closer to each other near the host."""
         coarse = np.linspace(0.0, end_m, 2 + int(end_m / 4.0))
@@ -119,13 +125,13 @@ class MapGround(Ground):
 
     # -- areas
 
-    def strip(self, road: SectionRoad, first: int | None = None, last: int | None = None) -> shapely.Geometry:
+    def strip(self, road: SectionRoad, first: int | None = None, last: int | None = None) -> BaseGeometry:
         """The pavement of a road from above."""
         s = self.road_rows(road)
         return _polygon(road.xy(s, road.left(s)), road.xy(s, road.right(s)))
 
     @cached_property
-    def arms(self) -> shapely.Geometry:
+    def arms(self) -> BaseGeometry:
         """The pavement of all roads outside junctions."""
         return shapely.union_all([self.strip(road) for road in self.outside])
 
@@ -149,13 +155,12 @@ class MapGround(Ground):
             found.append(GroundArea(polygon, island.height_m, island.surface))
         return found
 
-    def _junction(self, at: Junction) -> tuple[shapely.Geometry, shapely.Geometry]:
+    def _junction(self, at: Junction) -> tuple[BaseGeometry, BaseGeometry]:
         """The pavement of a junction, and its raised walkways."""
-        lanes, raised = [], []
+        lanes, raised = list[BaseGeometry](), list[BaseGeometry]()
         for road in at.roads:
             for section in road.sections:
-                s = self.road_rows(road)
-                s = np.union1d(s[(s > section.start_m) & (s < section.end_m)], [section.start_m, section.end_m])
+                s = self.section_rows(road, section)
                 for i, lane in enumerate(section.lanes):
                     if lane.kind != "none":
                         xy = [road.xy(s, section.edge(edge, s)) for edge in (i, i + 1)]
@@ -166,11 +171,32 @@ class MapGround(Ground):
         return paved, walkways
 
     @cached_property
-    def pavement(self) -> shapely.Geometry:
+    def pavement(self) -> BaseGeometry:
         """All of the pavement from above, walkways included."""
         whole = shapely.union_all([self.arms, *(area.polygon for area in self.areas)])
         shapely.prepare(whole)
         return whole
+
+    def rings(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> list[Points2]:
+        """The edges of the pavement of traffic, walkways left out, within a box around a place: lines with a point a
+        metre apart."""
+        (x0, y0), (x1, y1) = xy_world - reach_m, xy_world + reach_m
+        lines = shapely.clip_by_rect(shapely.boundary(self.carriageways), *(x0, y0, x1, y1))
+        merged = shapely.get_parts(shapely.line_merge(lines))
+        return [shapely.get_coordinates(shapely.segmentize(line, 1.0)) for line in merged if not line.is_empty]
+
+    @cached_property
+    def carriageways(self) -> BaseGeometry:
+        """The pavement without raised lanes and islands."""
+        raised = [area.polygon for area in self.areas if area.raised_m]
+        for road in self.outside:
+            for section in road.sections:
+                s = self.section_rows(road, section)
+                for a, b in section.raised:
+                    raised.append(_polygon(*(road.xy(s, section.edge(edge, s)) for edge in (a, b))))
+        # Rows of strips beside each other differ by less than this.
+        slack = shapely.buffer(shapely.union_all(raised), 0.01, join_style="mitre")
+        return shapely.difference(self.pavement, slack)
 
     # -- heights and distances
 
@@ -278,7 +304,7 @@ class MapGround(Ground):
         return []
 
 
-def _polygon(left: Points2, right: Points2) -> shapely.Geometry:
+def _polygon(left: Points2, right: Points2) -> BaseGeometry:
     """The polygon between two lines; of a road that folds, what it covers."""
     ring = np.concatenate([left, right[::-1]])
     polygon = shapely.Polygon(ring)
@@ -288,7 +314,7 @@ def _polygon(left: Points2, right: Points2) -> shapely.Geometry:
     return shapely.union_all(shapely.make_valid(quads))
 
 
-def _filled(area: shapely.Geometry) -> shapely.Geometry:
+def _filled(area: BaseGeometry) -> BaseGeometry:
     """An area without its small holes."""
     parts = [
         shapely.Polygon(part.exterior, [hole for hole in part.interiors if shapely.Polygon(hole).area > LEAST_HOLE_M2])

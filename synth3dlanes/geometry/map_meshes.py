@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import shapely
 from jaxtyping import Float
+from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.arrays import Points2, Points3, Scalars
 from synth3dlanes.geometry.map_ground import GroundArea, MapGround
@@ -33,11 +34,9 @@ def pavement_meshes(ground: MapGround) -> list[Mesh]:
     """The strips of all roads outside junctions, and the areas of junctions and islands."""
     found = []
     for road in ground.outside:
-        rows = ground.road_rows(road)
         for section in road.sections:
-            s = np.union1d(rows[(rows > section.start_m) & (rows < section.end_m)], [section.start_m, section.end_m])
             if section.end_m > section.start_m and section.lanes:
-                found += _strips(ground, road, section, s)
+                found += _strips(ground, road, section, ground.section_rows(road, section))
     for area in ground.areas:
         found += _area_meshes(ground, area)
     near = (_near(ground, mesh) for mesh in found)
@@ -129,7 +128,7 @@ def _kerb(ground: MapGround, area: GroundArea) -> Mesh:
 def terrain_mesh(ground: MapGround) -> Mesh:
     """A grid with fine cells near the host, which grow to the horizon, without what lies under the pavement."""
     xs, ys = terrain_axes(ground)
-    hole = shapely.buffer(ground.pavement, -UNDER_M, join_style="mitre")
+    hole: BaseGeometry = shapely.buffer(ground.pavement, -UNDER_M, join_style="mitre")
     near = shapely.box(*(ground.way_box(REACH_M - 20.0)))
     hole = shapely.intersection(hole, near)
     xy = np.stack(np.meshgrid(xs, ys), -1)
@@ -155,8 +154,8 @@ def terrain_mesh(ground: MapGround) -> Mesh:
 
 
 def _cut(
-    xs: Scalars, ys: Float[np.ndarray, " m"], area: shapely.Geometry, keep_outside: bool = False
-) -> tuple[np.ndarray, list[shapely.Geometry]]:
+    xs: Scalars, ys: Float[np.ndarray, " m"], area: BaseGeometry, keep_outside: bool = False
+) -> tuple[np.ndarray, list[BaseGeometry]]:
     """The cells of a grid that an area covers, by column and row, and its parts in those that it covers partly. With
     `keep_outside`: the cells that it meets at all, and what it leaves of them."""
     columns, rows, parts = [], [], []
@@ -185,7 +184,7 @@ def _cut(
     return np.array([columns, rows], dtype=int).reshape(2, -1), parts
 
 
-def _quads(parts: list[shapely.Geometry]) -> Float[np.ndarray, "q 4 2"]:
+def _quads(parts: list[BaseGeometry]) -> Float[np.ndarray, "q 4 2"]:
     """Polygons as quads: triangles, each as three from its corners to its middle."""
     polygons = [part for geometry in parts for part in shapely.get_parts(geometry) if part.geom_type == "Polygon"]
     if not polygons:

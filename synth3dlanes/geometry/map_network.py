@@ -44,7 +44,7 @@ class MapNetwork(Network):
     route: LaneCurve | None = None
 
     @property
-    def paths(self) -> tuple[LaneCurve, ...]:  # type: ignore[override]
+    def paths(self) -> tuple[LaneCurve, ...]:
         """The centre lines."""
         return self.given_paths
 
@@ -114,6 +114,10 @@ class MapNetwork(Network):
         lanes = self.way.lanes[self.way.piece_at(camera.y_m) :]
         return list(dict.fromkeys(self.path(lane.id).id for lane in lanes))
 
+    def host_lane(self, number: int, driven_m: float) -> NetworkLane:
+        """The lane of the host's way at a length along it."""
+        return self.way.lanes[self.way.piece_at(driven_m)]
+
     def host_on(self, camera: Camera, driven_m: float) -> Camera:
         """The host at another length of its way."""
         return camera.model_copy(update={"y_m": driven_m})
@@ -156,6 +160,10 @@ class MapNetwork(Network):
             s = np.append(s, curve.end_m)
             found[curve] = s, curve.xy_world(s)
         return found
+
+    def sampled_xy(self, curve: LaneCurve) -> Float[np.ndarray, "_ 2"]:
+        """Places along a curve, half of STEP_M apart."""
+        return curve.xy_world(np.linspace(0.0, curve.end_m, 2 + int(2 * curve.end_m / STEP_M)))
 
     def in_range(self, camera: Camera, lengths_m: Scalars) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
         """The lengths of the points of every line that are within the greatest of these lengths of the host, and not
@@ -216,11 +224,11 @@ class MapNetwork(Network):
             at = np.flatnonzero(((xy_world > low - room) & (xy_world < high + room)).all(axis=1))
             if not at.size:
                 continue
-            apart_m, place = road.line.tree.query(xy_world[at])
+            apart_m, place = road.plan.tree.query(xy_world[at])
             close = apart_m < half_m + reach_m[at]
             at = at[close]
             if at.size:
-                guess = road.line.stations[place[close]]
+                guess = road.plan.stations[np.asarray(place)[close]]
                 found.append((road, at, *road.line.project(xy_world[at], guess)))
                 near[at] = True
         rows = np.cumsum(near) - 1
@@ -237,7 +245,7 @@ class MapNetwork(Network):
         line."""
         found = []
         for road in self._road_of.values():
-            s = road.line.stations
+            s = road.plan.stations
             left, right = road.left(s), road.right(s)
             xy = np.concatenate([road.xy(s, left), road.xy(s, right)])
             step_m = float(s[1] - s[0])

@@ -159,6 +159,7 @@ class _Reading:
             start_m=0.0,
             end_m=line.length_m,
             sections=sections,
+            chain=line,
             heights=Profile(road.heights) if road.heights else None,
             banks=Profile(road.banks) if road.banks else None,
             junction=road.junction,
@@ -177,8 +178,10 @@ class _Reading:
         first = lanes[0]
         if first.direction == "oncoming":
             lanes = lanes[::-1]
-        spans = [lane.driven[:: -1 if first.direction == "oncoming" else 1] for lane in lanes]
-        pieces = measured((roads[lane.road], lane.middle, *span) for lane, span in zip(lanes, spans, strict=True))
+        parts = [(roads[lane.road], lane.middle, *lane.driven) for lane in lanes]
+        if first.direction == "oncoming":
+            parts = [(road, middle, end_m, start_m) for road, middle, start_m, end_m in parts]
+        pieces = measured(parts)
         return LaneCurve(
             first.id,
             "centerline",

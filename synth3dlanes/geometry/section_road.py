@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.arrays import AnyPoints3, AnyScalars, Numbers
-from synth3dlanes.geometry.roads import Offset, Road, lift
+from synth3dlanes.geometry.map_lines import Chain
+from synth3dlanes.geometry.roads import NetworkLane, Offset, Road, lift
 from synth3dlanes.geometry.terrain import height_at
 from synth3dlanes.road_map import MapLane, MapLaneKind, Polynomial
 
@@ -111,9 +112,16 @@ class SectionRoad(Road):
     about that by `banks` (radians, positive where its right side is lower)."""
 
     sections: tuple[CrossSection, ...] = ()
+    chain: Chain | None = None
     heights: Profile | None = None
     banks: Profile | None = None
     junction: str | None = None
+
+    @property
+    def plan(self) -> Chain:
+        """Its reference line."""
+        assert self.chain is not None, "every road of a map has one"
+        return self.chain
 
     @property
     def lane_width_m(self) -> float:
@@ -124,6 +132,13 @@ class SectionRoad(Road):
     def is_raised(self) -> bool:
         """Whether it leaves the terrain anywhere."""
         return self.heights is not None or self._has_kerbs
+
+    def edges_of(self, lane: NetworkLane) -> tuple[Offset, Offset]:
+        """The lines of a lane's left and right edge, as s grows."""
+        _, section, number = lane.id.rsplit(".", 2)
+        across = self.sections[int(section)]
+        at = next(i for i, given in enumerate(across.lanes) if given.number == int(number))
+        return across.edge_line(at), across.edge_line(at + 1)
 
     def section_at(self, s: AnyScalars) -> np.ndarray:
         """The numbers of the sections at stations."""

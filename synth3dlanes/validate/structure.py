@@ -73,7 +73,7 @@ def check_labels(evidence: Evidence) -> Iterator[Finding]:
 def check_host(evidence: Evidence) -> Iterator[Finding]:
     """Findings about the host's position."""
     world, labels, camera = evidence.world, evidence.labels, evidence.world.view.camera
-    segment = world.scene.road.segments_at(camera.y_m)[camera.lane - 1]
+    segment = world.network.host_lane(camera.lane, camera.y_m).id
     paths = next((found.centerlines for found in labels.graph.segments if found.id == segment), ())
     lanes = [lane for lane in labels.lanes if lane.id in paths]
     world_from_host = _host_of(world.scene, labels.camera)

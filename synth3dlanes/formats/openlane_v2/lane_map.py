@@ -11,6 +11,8 @@ from jaxtyping import Bool, Float
 
 from synth3dlanes.arrays import Points3, Scalars
 from synth3dlanes.geometry.lane_curves import LaneCurve
+from synth3dlanes.geometry.map_ground import MapGround
+from synth3dlanes.geometry.map_network import MapNetwork
 from synth3dlanes.geometry.meshes import grass_in_medians
 from synth3dlanes.geometry.network import Network
 from synth3dlanes.geometry.paint import is_double, paint_color
@@ -45,11 +47,18 @@ class LaneSegment:
     points_world: Points3
     left: Boundary
     right: Boundary
+    is_connector: bool = False
 
 
-def lane_segments(world: World, segments: tuple[Segment, ...], near_m: float) -> Iterator[LaneSegment]:
-    """The segments of the lane graph within about REACH_M of the station `near_m` as the host drives."""
+def lane_segments(
+    world: World, segments: tuple[Segment, ...], at_world: Float[np.ndarray, "3"]
+) -> Iterator[LaneSegment]:
+    """The segments of the lane graph within about REACH_M of a place of the host."""
     network = world.network
+    if isinstance(network, MapNetwork):
+        yield from _map_segments(world, network, segments, at_world)
+        return
+    near_m = float(at_world[1])
     stations = network.stations(near_m + np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M))
     delimiters = {line: _delimiter_xy(line, np.sort(stations)) for line in network.delimiters}
     for index, segment in enumerate(segments):
@@ -62,12 +71,37 @@ def lane_segments(world: World, segments: tuple[Segment, ...], near_m: float) ->
         side_m = float(lane.width_m / 2 * network.rightward * sign)
         lines = _lines(network, lane, s, (0.0, -side_m, side_m))
         middle, left, right = (line[:: int(network.onwards * sign)] for line in lines)
-        yield LaneSegment(index, segment.id, middle, *(_painted(world, side, delimiters) for side in (left, right)))
+        left_side, right_side = (_painted(world, side, delimiters) for side in (left, right))
+        yield LaneSegment(index, segment.id, middle, left_side, right_side)
 
 
-def pavement_edges(world: World, near_m: float) -> Iterator[Points3]:
-    """The edges of the pavement, shoulders included, and of a median's grass, within about REACH_M of `near_m`."""
+def _map_segments(
+    world: World, network: MapNetwork, segments: tuple[Segment, ...], at_world: Float[np.ndarray, "3"]
+) -> Iterator[LaneSegment]:
+    """Those of a map: as wide as its lanes are, and those through a junction named as connectors."""
+    points = {line: network.sampled_xy(line) for line in network.delimiters}
+    delimiters = {
+        line: xy for line, xy in points.items() if (np.linalg.norm(xy - at_world[:2], axis=1) < 2 * REACH_M).any()
+    }
+    for index, segment in enumerate(segments):
+        lane = network.lanes[segment.id]
+        first_m, last_m = lane.driven
+        s = np.linspace(first_m, last_m, max(2 + int(abs(last_m - first_m) / STEP_M), 3))
+        left, right = (edge(s) for edge in network.road(lane.road).edges_of(lane)[:: 1 if lane.ascends else -1])
+        middle, *sides = (network.road(lane.road).points(s, t) for t in (lane.middle(s), left, right))
+        if (np.linalg.norm(middle[:, :2] - at_world[:2], axis=1) < 2 * REACH_M).any():
+            left_side, right_side = (_painted(world, side, delimiters) for side in sides)
+            yield LaneSegment(index, segment.id, middle, left_side, right_side, lane.junction is not None)
+
+
+def pavement_edges(world: World, at_world: Float[np.ndarray, "3"]) -> Iterator[Points3]:
+    """The edges of the pavement, shoulders included, and of a median's grass, within about REACH_M of a place."""
     ground, network = world.ground, world.network
+    if isinstance(ground, MapGround):
+        for ring in ground.rings(at_world[:2], 2 * REACH_M):
+            yield np.column_stack([ring, ground.under(ring)])
+        return
+    near_m = float(at_world[1])
     stations = np.sort(network.stations(near_m + np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M)))
     for road in network.roads:
         s = stations[(stations >= road.start_m) & (stations <= road.end_m)]

@@ -13,6 +13,8 @@ from synth3dlanes.formats.openlane_v2.convention import AHEAD_M, ASIDE_M, ROOT
 from synth3dlanes.formats.openlane_v2.read import TopologyFrame, frames, parse
 from synth3dlanes.formats.reading import image_size, read_text
 from synth3dlanes.frames import transform
+from synth3dlanes.geometry.map_roads import map_network
+from synth3dlanes.scene import Scene
 
 # A curve that is sampled every metre and one that is sampled every half are some millimetres apart.
 RULE = Rule("m", 0.05, name="lane", slack=0.3)
@@ -63,21 +65,37 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
         return np.asarray((x < AHEAD_M - BORDER_M) & (np.abs(y) < ASIDE_M - BORDER_M))
 
     compared = compare_map(lanes, truth, RULE, is_in_area)
-    sides = _side_problems(found, names, truth.scene.road.lane_width_m / 2)
+    sides = _side_problems(found, names, _half_widths(truth.scene, names))
     return compared.because([*problems, *sides, *_topology_problems(found, names, graph.successors)])
 
 
-def _side_problems(found: TopologyFrame, names: list[str], half_m: float) -> Iterator[str]:
+def _half_widths(scene: Scene, names: list[str]) -> list[tuple[float, float]]:
+    """Half the least and the greatest width of each lane."""
+    if scene.map is None:
+        half_m = scene.paper_road.lane_width_m / 2
+        return [(half_m, half_m)] * len(names)
+    found = []
+    network = map_network(scene.map, scene.terrain, scene.camera.y_m)
+    for name in names:
+        lane = network.lanes[name]
+        left, right = network.road(lane.road).edges_of(lane)
+        s = np.linspace(lane.start_m, lane.end_m, 50)
+        widths_m = right(s) - left(s)
+        found.append((float(widths_m.min()) / 2, float(widths_m.max()) / 2))
+    return found
+
+
+def _side_problems(found: TopologyFrame, names: list[str], halves_m: list[tuple[float, float]]) -> Iterator[str]:
     """Findings where a boundary is on the other side of its lane, or not half a lane's width from its middle, seen from
     above."""
-    for name, lines in zip(names, found.lanes_ego, strict=True):
+    for name, lines, (least_m, most_m) in zip(names, found.lanes_ego, halves_m, strict=True):
         middle, *sides = (transform(found.world_from_ego, line)[:, :2] for line in lines)
         along = np.gradient(middle, axis=0)
         for side, sign, line in zip(("left", "right"), (1, -1), sides, strict=False):
             (x, y), (dx, dy) = (line - middle).T, along.T
             got_m = float(np.median(sign * (dx * y - dy * x) / np.maximum(np.hypot(dx, dy), 1e-9)))
-            if not abs(got_m - half_m) <= SIDE_M:
-                yield f"lane {name}: expected its {side} boundary {half_m:.3f} m on that side, got {got_m:.3f} m"
+            if not least_m - SIDE_M <= got_m <= most_m + SIDE_M:
+                yield f"lane {name}: expected its {side} boundary {most_m:.3f} m on that side, got {got_m:.3f} m"
 
 
 def _topology_problems(found: TopologyFrame, names: list[str], successors: dict[str, tuple[str, ...]]) -> Iterator[str]:

@@ -30,7 +30,6 @@ from synth3dlanes.formats.openlane_v2.convention import (
 from synth3dlanes.formats.openlane_v2.lane_map import Boundary, LaneSegment, lane_segments, pavement_edges, runs
 from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation
 from synth3dlanes.frames import invert, transform
-from synth3dlanes.geometry.symbols import shape
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.world import World, resolve
 
@@ -169,7 +168,7 @@ def _lanes(
     frame: SampleFrame, world: World, world_from_ego: Matrix4, behind_m: float, dropped: Counter[str]
 ) -> list[_Lane]:
     ego_from_world, lanes = invert(world_from_ego), []
-    for segment in lane_segments(world, frame.labels.graph.segments, float(world_from_ego[1, 3])):
+    for segment in lane_segments(world, frame.labels.graph.segments, world_from_ego[:3, 3]):
         middle_ego = transform(ego_from_world, segment.points_world)
         first, last = _longest(_in_area(middle_ego, behind_m))
         if last - first < 2 or _length_m(middle_ego[first:last]) < LEAST_LENGTH_M:
@@ -207,7 +206,7 @@ def _segment_document(lane: _Lane) -> dict[str, Any]:
     document = {
         "id": lane.segment.index,
         "centerline": _resampled(lane.middle_ego, POINTS),
-        "is_intersection_or_connector": False,
+        "is_intersection_or_connector": lane.segment.is_connector,
     }
     for name, points_ego, side in (
         ("left", lane.left_ego, lane.segment.left),
@@ -229,16 +228,15 @@ def _side_document(name: str, points_ego: Float[np.ndarray, "n 3"], side: Bounda
 def _areas(world: World, frame: SampleFrame, world_from_ego: Matrix4, behind_m: float) -> Iterator[dict[str, Any]]:
     """Crosswalks as closed quads, one of whose long sides comes first; edges of the pavement in the area."""
     ego_from_world, index = invert(world_from_ego), len(frame.labels.graph.segments)
-    for symbol in world.scene.symbols:
-        if symbol.kind == "crosswalk":
-            form = shape(world.ground, symbol)
+    for form in world.symbol_shapes:
+        if form.kind == "crosswalk":
             (x0, y0), (x1, y1) = form.outline.min(axis=0), form.outline.max(axis=0)
             corners = form.points_world(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]]))
             quad_ego = transform(ego_from_world, corners)
             if _in_area(quad_ego, behind_m).all():
                 yield {"id": index, "category": PEDESTRIAN_CROSSING, "points": _rounded(quad_ego)}
                 index += 1
-    for edge_world in pavement_edges(world, float(world_from_ego[1, 3])):
+    for edge_world in pavement_edges(world, world_from_ego[:3, 3]):
         edge_ego = transform(ego_from_world, edge_world)
         for run in runs(edge_ego, _in_area(edge_ego, behind_m)):
             if _length_m(run) >= LEAST_LENGTH_M:
