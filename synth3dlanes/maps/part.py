@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,10 +41,18 @@ class _Cut:
     n_sections: int
 
 
-def part_around(given: GivenMap, at: HostPlace, rng: np.random.Generator) -> tuple[RoadMap, float]:
-    """The map around a place, and how far the host is along its route, measured along reference lines. The world's
-    origin is at the host's place on its reference line, and world y is the direction of its lane there."""
-    route, host_m = draw_route(given, at, rng)
+class MapPart(NamedTuple):
+    """A part of a map, and where the host is on it: the number of its lane on the route, and a station of its road."""
+
+    map: RoadMap
+    lane: int
+    s_m: float
+
+
+def part_around(given: GivenMap, at: HostPlace, rng: np.random.Generator) -> MapPart:
+    """The map around a place. The world's origin is at the host's place on its reference line, and world y is the
+    direction of its lane there."""
+    route, number = draw_route(given, at, rng)
     lane = given.lanes[at.lane]
     x, y, heading = plan_points(lane.road.plan, np.array([at.s_m]))[0].tolist()
     z = round(value(lane.road.heights, at.s_m), 3)
@@ -76,7 +85,7 @@ def part_around(given: GivenMap, at: HostPlace, rng: np.random.Generator) -> tup
         "digest": given.digest,
         "given_frame": (frame.x + given.origin[0], frame.y + given.origin[1], frame.z, frame.turn),
     }
-    return RoadMap.model_validate(found), host_m
+    return MapPart(RoadMap.model_validate(found), number, round(at.s_m - cuts[lane.road.id].from_m, DECIMALS))
 
 
 def _renamed(

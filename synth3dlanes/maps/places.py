@@ -89,9 +89,9 @@ def read_place(given: GivenMap, text: str) -> HostPlace:
     return HostPlace(lane, s_m)
 
 
-def draw_route(given: GivenMap, at: HostPlace, rng: np.random.Generator) -> tuple[tuple[LaneName, ...], float]:
-    """The lanes that the host drives along, some of them behind it, and how far from the beginning of the first one it
-    is, along the reference lines. Where ways part, each that goes on far enough is as likely."""
+def draw_route(given: GivenMap, at: HostPlace, rng: np.random.Generator) -> tuple[tuple[LaneName, ...], int]:
+    """The lanes that the host drives along, some of them behind it, and the number of its own among them. Where ways
+    part, each that goes on far enough is as likely."""
     place = given.lanes[at.lane]
     low, high = place.span_m
     driven_m = at.s_m - low if place.ascends else high - at.s_m
@@ -102,7 +102,7 @@ def draw_route(given: GivenMap, at: HostPlace, rng: np.random.Generator) -> tupl
             break
         route.appendleft(ways[int(rng.random() * len(ways))])
         before_m += given.lanes[route[0]].length_m
-    ahead_m = place.length_m - driven_m
+    number, ahead_m = len(route) - 1, place.length_m - driven_m
     while ahead_m < AHEAD_M and len(route) < 2 * MAX_ROUTE:
         ways = given.following.get(route[-1], [])
         wanted_m = min(AHEAD_M - ahead_m, max((given.reach_m[name] for name in ways), default=0.0))
@@ -111,4 +111,4 @@ def draw_route(given: GivenMap, at: HostPlace, rng: np.random.Generator) -> tupl
             break
         route.append(ways[int(rng.random() * len(ways))])
         ahead_m += given.lanes[route[-1]].length_m
-    return tuple(route), before_m
+    return tuple(route), number

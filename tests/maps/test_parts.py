@@ -11,7 +11,7 @@ from synth3dlanes.errors import InputError
 from synth3dlanes.maps.cubics import value
 from synth3dlanes.maps.furniture import edges_at, section_index
 from synth3dlanes.maps.given_map import GivenMap, read_opendrive
-from synth3dlanes.maps.part import KEPT_M, part_around
+from synth3dlanes.maps.part import KEPT_M, MapPart, part_around
 from synth3dlanes.maps.places import HostPlace, draw_place, read_place
 from synth3dlanes.maps.plan import places, plan_points
 from synth3dlanes.road_map import MapRoad, RoadMap
@@ -87,7 +87,7 @@ def surface(road: MapRoad, s: float) -> dict[int, np.ndarray]:
 @pytest.mark.parametrize("station", [5.0, 1300.0, 2390.0])
 def test_a_part_is_the_map_in_another_frame_and_names_its_stations(station: float) -> None:
     at = HostPlace(f"7.{int(station > 700)}.-1", station)
-    part, _ = part_around(LONG, at, np.random.default_rng(1))
+    part, *_ = part_around(LONG, at, np.random.default_rng(1))
     kept = {found.id: found for found in part.roads}
     cut = kept["7"]
     assert (cut.given_from_m, cut.given_section) == {5.0: (0, 0), 1300.0: (800, 1), 2390.0: (1600, 1)}[station]
@@ -103,7 +103,7 @@ def test_a_part_is_the_map_in_another_frame_and_names_its_stations(station: floa
 
 def test_the_world_begins_at_the_host_and_looks_along_its_lane() -> None:
     for number, sign in ((-1, 1), (1, -1)):
-        part, _ = part_around(LONG, HostPlace(f"7.0.{number}", 300.0), np.random.default_rng(1))
+        part, *_ = part_around(LONG, HostPlace(f"7.0.{number}", 300.0), np.random.default_rng(1))
         x, y, heading = plan_points(part.roads[0].plan, np.array([300.0]))[0]
         assert np.hypot(x, y) < 1e-3
         assert np.cos(heading - sign * np.pi / 2) == pytest.approx(1)
@@ -111,12 +111,13 @@ def test_the_world_begins_at_the_host_and_looks_along_its_lane() -> None:
 
 
 def test_a_route_follows_links_behind_and_ahead() -> None:
-    part, host_m = part_around(LONG, HostPlace("7.1.-1", 2390.0), np.random.default_rng(1))
-    assert part.route == ("7.0.-1", "8.0.-1")
-    assert host_m == pytest.approx(2390 - 700)
-    against, host_m = part_around(LONG, HostPlace("8.0.1", 290.0), np.random.default_rng(1))
-    assert against.route == ("8.0.1", "7.0.1")
-    assert host_m == pytest.approx(10)
+    part, number, s_m = part_around(LONG, HostPlace("7.1.-1", 2390.0), np.random.default_rng(1))
+    assert (part.route, number) == (("7.0.-1", "8.0.-1"), 0)
+    assert s_m + part.roads[0].given_from_m == pytest.approx(2390)
+    against, number, _ = part_around(LONG, HostPlace("8.0.1", 290.0), np.random.default_rng(1))
+    assert (against.route, number) == (("8.0.1", "7.0.1"), 0)
+    behind, number, _ = part_around(LONG, HostPlace("8.0.-1", 10.0), np.random.default_rng(1))
+    assert (behind.route, number) == (("7.0.-1", "8.0.-1"), 1)
 
 
 def fork() -> GivenMap:
@@ -135,7 +136,7 @@ def fork() -> GivenMap:
 def test_where_ways_part_each_that_goes_on_far_enough_is_taken() -> None:
     given = fork()
     taken = Counter(
-        part_around(given, HostPlace("1.0.-1", 40.0), np.random.default_rng(seed))[0].route[-1] for seed in range(60)
+        part_around(given, HostPlace("1.0.-1", 40.0), np.random.default_rng(seed)).map.route[-1] for seed in range(60)
     )
     assert set(taken) == {"3.0.-1", "4.0.-1"}
     assert min(taken.values()) > 15
@@ -153,7 +154,7 @@ def test_places_are_drawn_by_length_where_the_way_goes_on() -> None:
 
 
 def test_equal_streams_give_equal_parts() -> None:
-    def drawn(seed: int) -> tuple[RoadMap, float]:
+    def drawn(seed: int) -> MapPart:
         rng = np.random.default_rng(seed)
         return part_around(LONG, draw_place(LONG, rng), rng)
 
@@ -168,7 +169,7 @@ def test_a_ring_goes_on_and_ends() -> None:
         link=link("1:end", "1:start"),
     )
     given = read_opendrive(opendrive(ring), "ring.xodr", "map ring.xodr")
-    part, _ = part_around(given, HostPlace("1.0.-1", 3.0), np.random.default_rng(1))
+    part, *_ = part_around(given, HostPlace("1.0.-1", 3.0), np.random.default_rng(1))
     assert 4 <= len(part.route) < 12
     assert all(pair == ("1.0.-1", "1.0.-1") for pair in pairwise(part.route))
 
@@ -198,5 +199,5 @@ def test_far_roads_are_left_out() -> None:
     far = road(plan(("<line/>", 90.0), start=(0.0, KEPT_M + 50, 0.0)), name="far")
     near = road(plan(("<line/>", 90.0), start=(0.0, KEPT_M - 50, 0.0)), name="near")
     given = read_opendrive(opendrive(road(plan(("<line/>", 90.0))), far, near), "x.xodr", "map x.xodr")
-    part, _ = part_around(given, HostPlace("1.0.-1", 45.0), np.random.default_rng(1))
+    part, *_ = part_around(given, HostPlace("1.0.-1", 45.0), np.random.default_rng(1))
     assert {found.id for found in part.roads} == {"1", "near"}
