@@ -291,10 +291,12 @@ class MotionParams(Group):
 
 
 class TownParams(Group):
-    """A town in place of the road: what its map is drawn from (docs/town.md). `junction` is the first one, which the host
-    drives through. `bend_deg` is drawn for each of its streets."""
+    """A town in place of the road: what its map is drawn from (docs/town.md). `junction` is the first one, which the
+    host drives through. `bend_deg` is drawn for each of its streets."""
 
-    junction: Annotated[Named, names("none", "t", "crossing", "staggered", "roundabout", "roundabout_2")] = added("none")
+    junction: Annotated[Named, names("none", "t", "crossing", "staggered", "roundabout", "roundabout_2")] = added(
+        "none"
+    )
     angle_deg: Annotated[Real, reals(-35, 35)] = added(0.0)
     n_lanes: Annotated[Integer, integers(1, 3)] = added(1)
     n_side: Annotated[Integer, integers(1, 3)] = added(1)

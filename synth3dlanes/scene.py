@@ -303,8 +303,8 @@ class Camera(DocumentPart):
 
 class Shot(DocumentPart):
     """Which picture of the world a scene describes: frame `frame` of a clip of `n_frames` frames at `fps` frames per
-    second, by camera `camera` of a rig of `n_cameras`. In a clip the host keeps its lane and drives at `speed_m_s`; on a
-    map its `track` may say how far it has driven (metres) at instants (seconds) of the clip. Lanes are labelled from
+    second, by camera `camera` of a rig of `n_cameras`. In a clip the host keeps its lane and drives at `speed_m_s`; on
+    a map its `track` may say how far it has driven (metres) at instants (seconds) of the clip. Lanes are labelled from
     `behind_m` metres behind the host."""
 
     frame: Annotated[int, Field(ge=0, lt=MAX_FRAMES)] = 0

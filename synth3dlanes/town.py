@@ -18,8 +18,8 @@ ROUNDABOUTS: dict[str, int] = {"roundabout": 1, "roundabout_2": 2}
 
 
 class Town(DocumentPart):
-    """A town: its first junction, the streets there, and the host's way through it (docs/town.md). `angle_rad` is how far
-    the side street is from a right angle. `host_m` is the host's distance to the junction, or from it; in it, 60 m
+    """A town: its first junction, the streets there, and the host's way through it (docs/town.md). `angle_rad` is how
+    far the side street is from a right angle. `host_m` is the host's distance to the junction, or from it; in it, 60 m
     are the whole way through it."""
 
     junction: JunctionKind

@@ -114,7 +114,9 @@ def sections_road() -> RoadMap:
     plan = (
         PlanPiece(x_m=5.0, y_m=-80.0, heading_rad=1.4, length_m=60.0),
         PlanPiece(x_m=15.198028574, y_m=-20.873016201, heading_rad=1.4, length_m=40.0, curvature_end=0.02),
-        PlanPiece(x_m=16.692766799, y_m=18.815123842, heading_rad=1.8, length_m=50.0, curvature=0.02, curvature_end=0.02),
+        PlanPiece(
+            x_m=16.692766799, y_m=18.815123842, heading_rad=1.8, length_m=50.0, curvature=0.02, curvature_end=0.02
+        ),
     )
     opening = (Polynomial(s_m=0.0, a=0.0, c=3 * 3.2 / 900, d=-2 * 3.2 / 27_000), Polynomial(s_m=30.0, a=3.2))
 

@@ -1,6 +1,7 @@
-"""An own reading of RoadMaps for tests: lanes as points and headings by summing small steps, without the sampler's code."""
+"""An own reading of RoadMaps for tests: lanes as points and headings by summing small steps, without the sampler's
+code."""
 
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 
@@ -63,7 +64,7 @@ class MapReader:
         turns = np.unwrap(np.concatenate(headings))
         return np.concatenate(s), np.concatenate(points), turns
 
-    @lru_cache(maxsize=None)  # noqa: B019
+    @cache  # noqa: B019
     def lane(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Points, headings and widths along a lane's middle, as its traffic drives."""
         road_id, section, number_text = name.rsplit(".", 2)

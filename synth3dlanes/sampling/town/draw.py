@@ -6,12 +6,13 @@ from typing import NamedTuple
 import numpy as np
 
 from synth3dlanes.assets.car_colors import sold_color
+from synth3dlanes.assets.catalogue import Assets
 from synth3dlanes.sampling.draws import DECIMALS, Draw
 from synth3dlanes.sampling.town.lanes import LaneLines, Route
 from synth3dlanes.sampling.town.layout import TownMap, lay_out
 from synth3dlanes.sampling.town.streets import LANES, PARKING_M, Street
 from synth3dlanes.sampling.town.traffic import Body, Drive, HostPlan, Moving, plan_host, simulate
-from synth3dlanes.scene import Assets, Car, Markings, Shot, Terrain
+from synth3dlanes.scene import Car, Markings, Shot, Terrain
 from synth3dlanes.town import ROUNDABOUTS, Town
 
 # A parked car takes so much of the kerb; it stands so far from the end of the parking lane.
@@ -30,8 +31,8 @@ class DrawnTown(NamedTuple):
 
 
 def town_of(draw: Draw) -> Town:
-    """The values of a town. Roundabouts have their own number of lanes and no turn lanes; side streets are no wider than
-    the main one; only streets of one lane are equal."""
+    """The values of a town. Roundabouts have their own number of lanes and no turn lanes; side streets are no wider
+    than the main one; only streets of one lane are equal."""
     keys = [key for key in Town.model_fields if key != "bends_rad"]
     drawn = {key: draw(key.replace("_rad", "_deg")) for key in keys}
     drawn["bends_rad"] = tuple(draw("bend_deg") for _ in range(N_BENDS))
@@ -41,7 +42,8 @@ def town_of(draw: Draw) -> Town:
 def ruled(drawn: dict[str, object]) -> dict[str, object]:
     """The values of a town by its rules."""
     kind, n_lanes, n_side = drawn["junction"], drawn["n_lanes"], drawn["n_side"]
-    assert isinstance(n_lanes, int) and isinstance(n_side, int), "counts of lanes"
+    assert isinstance(n_lanes, int), "a count of lanes"
+    assert isinstance(n_side, int), "a count of lanes"
     if kind in ROUNDABOUTS:
         n_lanes = ROUNDABOUTS[str(kind)]
         drawn = drawn | {"turn_lanes": "none", "control": "priority"}

@@ -1,5 +1,5 @@
-"""A small simulation of traffic: cars follow each other, keep to speeds that bends allow, obey signals and priority, and
-enter a junction only where their way is free. World frame, metres and seconds; lengths are those of cars' middles."""
+"""A small simulation of traffic: cars follow each other, keep to speeds that bends allow, obey signals and priority,
+and enter a junction only where their way is free. World frame, metres and seconds; a length is that of a car's middle."""
 
 import math
 from dataclasses import dataclass, field
@@ -34,7 +34,7 @@ class Zone(NamedTuple):
 
 
 class Gate(NamedTuple):
-    """The line before a junction on a route: where bodies stop, where its lanes end, the zones in it, and the signal."""
+    """The line before a junction on a route: where bodies stop, where its lanes end, the zones in it, the signal."""
 
     line_m: float
     end_m: float
@@ -225,10 +225,10 @@ class Traffic:
         room_m = driver.length_m + GAP_M
         for lane in (*gate.lanes, driver.route.lanes[place]):
             for other, at_m in self._on.get(lane, ()):
-                ahead_m = driver.route.starts[driver.route.place[lane]] + at_m - other.length_m / 2 - gate.end_m
-                if other is not driver and other.speed < 2.0 and ahead_m < room_m and at_m > -other.length_m:
-                    if driver.route.starts[driver.route.place[lane]] + at_m > driver.at_m:
-                        return False
+                its_m = driver.route.starts[driver.route.place[lane]] + at_m
+                is_ahead = other is not driver and its_m > driver.at_m and at_m > -other.length_m
+                if is_ahead and other.speed < 2.0 and its_m - other.length_m / 2 - gate.end_m < room_m:
+                    return False
         return True
 
     def _is_free(self, driver: Driver, gate: Gate, zone: Zone) -> bool:
@@ -287,7 +287,9 @@ class Traffic:
 def _following(speed: float, limit: float, gap_m: float, leader: float) -> float:
     """The acceleration of the intelligent driver model."""
     free = 1 - (speed / max(limit, 0.5)) ** 4
-    wanted_m = GAP_M + max(0.0, speed * HEADWAY_S + speed * (speed - leader) / (2 * math.sqrt(ACCELERATION * DECELERATION)))
+    wanted_m = GAP_M + max(
+        0.0, speed * HEADWAY_S + speed * (speed - leader) / (2 * math.sqrt(ACCELERATION * DECELERATION))
+    )
     return ACCELERATION * (free - (wanted_m / max(gap_m, 0.1)) ** 2)
 
 

@@ -1,4 +1,5 @@
-"""What stands along the streets of a town: signals and signs at junctions, lamps, buildings, trees. World frame, metres."""
+"""What stands along the streets of a town: signals and signs at junctions, lamps, buildings, trees. World frame,
+metres."""
 
 from collections.abc import Iterator
 from typing import Literal
@@ -99,9 +100,7 @@ def _signals(rules: JunctionRules, number: int, lights: Lights, style: tuple[boo
         return
     # As its traffic drives, a place's distance to the right of the arm's axis is its offset to the left, looking away.
     right_m = -over.seen(arm.pose)[1]
-    reaches = {
-        group: float(np.mean([lane.offset_m for lane in lanes])) - right_m for group, lanes in groups.items()
-    }
+    reaches = {group: float(np.mean([lane.offset_m for lane in lanes])) - right_m for group, lanes in groups.items()}
     order = sorted(reaches, key=lambda group: -abs(reaches[group]))
     for i, group in enumerate(order):
         if abs(reaches[group]) < 19:
@@ -158,7 +157,7 @@ def _speed_signs(town_map: TownMap, kind: SignKind) -> Iterator[TrafficSign]:
 
 def _at(street: Street, s_m: float) -> Pose:
     points, headings = poses(street.plan, np.array([s_m]))
-    return Pose(*points[0].tolist(), float(headings[0]))
+    return Pose(float(points[0, 0]), float(points[0, 1]), float(headings[0]))
 
 
 def _paved(street: Street, s_m: float, side: str) -> float:

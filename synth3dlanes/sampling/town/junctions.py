@@ -237,6 +237,4 @@ def _meeting(alpha: float, left: float, right: float) -> tuple[float, float]:
 def _even(start: float, end: float, length_m: float) -> Polynomial:
     """A value that changes without a corner along a road."""
     by = end - start
-    return Polynomial(
-        s_m=0.0, a=round(start, 9), c=round(3 * by / length_m**2, 12), d=round(-2 * by / length_m**3, 12)
-    )
+    return Polynomial(s_m=0.0, a=round(start, 9), c=round(3 * by / length_m**2, 12), d=round(-2 * by / length_m**3, 12))

@@ -1,5 +1,5 @@
-"""The middles of a town's lanes as points, and routes along them. World frame, metres; lengths are those seen from above.
-"""
+"""The middles of a town's lanes as points, and routes along them. World frame, metres; lengths are those seen from
+above."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -11,9 +11,9 @@ from synth3dlanes.road_map import MapIsland, MapJunction, MapMarkKind, MapPaint,
 from synth3dlanes.sampling.town.junctions import Arm, crossing, setbacks, turn_of
 from synth3dlanes.sampling.town.paint import islands_of, paint_of
 from synth3dlanes.sampling.town.plan import Pose, chain, end_of, sampled
-from synth3dlanes.sampling.town.roundabouts import ring_for, ring_setbacks, roundabout
+from synth3dlanes.sampling.town.roundabouts import Ring, ring_for, ring_setbacks, roundabout
 from synth3dlanes.sampling.town.rules import JunctionRules, links_of
-from synth3dlanes.sampling.town.streets import Pocket, Profile, Street
+from synth3dlanes.sampling.town.streets import NO_POCKET, Pocket, Profile, Street
 from synth3dlanes.scene import Markings
 from synth3dlanes.town import Control, JunctionKind, Town
 
@@ -139,7 +139,9 @@ class _Growth:
         four = kind == "crossing" or (kind.startswith("roundabout") and self.rng.random() < 0.7)
         side = town.angle_rad + (np.pi if not four and self.rng.random() < 0.5 else 0.0)
         sides = [side, side + np.pi] if four else [side]
-        angles = sorted([(-QUARTER, True), (QUARTER, True), *(((at + QUARTER) % (2 * np.pi) - QUARTER, False) for at in sides)])
+        angles = sorted(
+            [(-QUARTER, True), (QUARTER, True), *(((at + QUARTER) % (2 * np.pi) - QUARTER, False) for at in sides)]
+        )
         found = []
         for angle, is_main in angles:
             ways = {turn_of(angle + np.pi, other) for other, _ in angles if other != angle}
@@ -147,7 +149,7 @@ class _Growth:
             right = has and town.turn_lanes == "both" and "right" in ways and "straight" in ways
             pocket = Pocket(has and "left" in ways and "straight" in ways, right, town.pocket_m)
             plain = kind.startswith("roundabout") or not (pocket.left or pocket.right)
-            found.append(Planned(angle, self.main if is_main else self.side, Pocket() if plain else pocket, is_main))
+            found.append(Planned(angle, self.main if is_main else self.side, NO_POCKET if plain else pocket, is_main))
         return found
 
     def _place(self, at: Pose, planned: Sequence[Planned], control: Control, came: Street | None) -> "_Placed":
@@ -187,11 +189,9 @@ class _Growth:
         bend = bends[i] if placed.number == 0 and i < len(bends) else 0.0
         low, high = {"": OPEN_M, "link": LINK_M, "stagger": STAGGER_M}[link]
         length_m = round(float(self.rng.uniform(low, high)), 3)
-        pocket = Pocket() if link == "stagger" else arm.pocket
+        pocket = NO_POCKET if link == "stagger" else arm.pocket
         plan = _plan(pose, length_m, bend if link != "stagger" else 0.0)
-        if link:
-            length_m += 0.0
-        street = Street(f"s{len(self.streets)}", arm.profile, plan, pocket, Pocket() if link else None)
+        street = Street(f"s{len(self.streets)}", arm.profile, plan, pocket, NO_POCKET if link else None)
         self.streets.append(street)
         placed.streets[i] = street
         if not link:
@@ -207,27 +207,20 @@ class _Growth:
         self.junctions[child.number] = self._built(child, beyond, control)
 
     def _beyond(self, came: Planned, kind: JunctionKind, first: Sequence[Planned] | None) -> list[Planned]:
-        """The arms of a junction at the end of a street, from that one on; of the second part of a staggered one with the
-        side street on the other side."""
+        """The arms of a junction at the end of a street, from that one on; of the second part of a staggered one with
+        the side street on the other side than at the first."""
         if first is not None:
-            left = all(abs(arm.angle) > QUARTER + 1e-9 or arm.is_main for arm in first)
-            angle = float(-QUARTER if not left else QUARTER) * -1.0
-            sides = [Planned(self._away(first), self.side, Pocket(), False)]
-            del angle
+            # The main street leaves the first part at 90 degrees.
+            side = next(arm.angle for arm in first if not arm.is_main)
+            angles = [float((side + QUARTER) % (2 * np.pi))]
+        elif kind == "crossing":
+            angles = [QUARTER, -QUARTER]
         else:
-            both = [QUARTER, -QUARTER] if kind == "crossing" else [QUARTER if self.rng.random() < 0.5 else -QUARTER]
-            sides = [Planned(at, self.side, Pocket(), False) for at in both]
-        ahead = Planned(0.0, came.profile, Pocket(), came.is_main)
-        here = Planned(np.pi, came.profile, Pocket(), came.is_main)
-        others = sorted([ahead, *sides], key=lambda arm: (arm.angle - np.pi) % (2 * np.pi))
-        return [here, *others]
-
-    @staticmethod
-    def _away(first: Sequence[Planned]) -> float:
-        """The angle of a side street opposite that of the first part, seen along the main road (at 90 degrees there)."""
-        side = next(arm.angle for arm in first if not arm.is_main)
-        relative = (side - QUARTER) % (2 * np.pi)
-        return float((relative + np.pi) % (2 * np.pi))
+            angles = [QUARTER if self.rng.random() < 0.5 else -QUARTER]
+        sides = [Planned(angle, self.side, NO_POCKET, False) for angle in angles]
+        ahead = Planned(0.0, came.profile, NO_POCKET, came.is_main)
+        here = Planned(np.pi, came.profile, NO_POCKET, came.is_main)
+        return [here, *sorted([ahead, *sides], key=lambda arm: (arm.angle - np.pi) % (2 * np.pi))]
 
 
 @dataclass
@@ -237,7 +230,7 @@ class _Placed:
     number: int
     middle: Pose
     poses: list[Pose]
-    ring: object
+    ring: Ring | None
     streets: list[Street | None]
 
 
@@ -264,7 +257,9 @@ def _are_apart(streets: Sequence[Street]) -> bool:
         for other in points[:i]:
             shared = [a for a in (one[0], one[-1]) for b in (other[0], other[-1]) if np.linalg.norm(a - b) < SHARED_M]
             far = [
-                each[np.all([np.linalg.norm(each - at, axis=1) > SHARED_M for at in shared], axis=0)] if shared else each
+                each[np.all([np.linalg.norm(each - at, axis=1) > SHARED_M for at in shared], axis=0)]
+                if shared
+                else each
                 for each in (one, other)
             ]
             if all(map(len, far)) and np.linalg.norm(far[0][:, None] - far[1], axis=-1).min() < APART_M:

@@ -2,7 +2,7 @@
 World frame, metres and radians; curvature is positive to the left."""
 
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -50,9 +50,9 @@ def line_of(piece: PlanPiece) -> FiniteLine:
         bends = (piece.curvature_end - piece.curvature) / piece.length_m
         return Spiral(piece.length_m, start, piece.heading_rad, piece.curvature, bends)
     cos, sin = np.cos(piece.heading_rad), np.sin(piece.heading_rad)
-    x = tuple(float(cos * u - sin * v) for u, v in zip(piece.u, piece.v, strict=True))
-    y = tuple(float(sin * u + cos * v) for u, v in zip(piece.u, piece.v, strict=True))
-    return Cubic(piece.parameter_end, (x[0] + start[0], *x[1:]), (y[0] + start[1], *y[1:]))
+    x, y = ([float(a * u + b * v) for u, v in zip(piece.u, piece.v, strict=True)] for a, b in ((cos, -sin), (sin, cos)))
+    x[0], y[0] = x[0] + start[0], y[0] + start[1]
+    return Cubic(piece.parameter_end, (x[0], x[1], x[2], x[3]), (y[0], y[1], y[2], y[3]))
 
 
 def poses(pieces: Sequence[PlanPiece], s: Scalars) -> tuple[Points2, Scalars]:
@@ -162,11 +162,11 @@ def _rounded(values: tuple[float, ...]) -> tuple[float, ...]:
     return tuple(round(value, ANGLE_DECIMALS) for value in values)
 
 
-def _piece(at: Pose, length_m: float, **fields: object) -> PlanPiece:
+def _piece(at: Pose, length_m: float, **fields: Any) -> PlanPiece:
     return PlanPiece(
         x_m=round(at.x, POINT_DECIMALS),
         y_m=round(at.y, POINT_DECIMALS),
         heading_rad=round(at.heading, ANGLE_DECIMALS),
         length_m=round(length_m, POINT_DECIMALS),
-        **fields,  # type: ignore[arg-type]
+        **fields,
     )

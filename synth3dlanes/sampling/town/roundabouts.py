@@ -2,6 +2,7 @@
 touches the ring. World frame, metres."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -126,10 +127,12 @@ def _ways(id: str, middle: Pose, arms: Sequence[Arm], ring: Ring) -> tuple[Event
                 else:
                     start = Pose(middle.x, middle.y, angle).moved(ring.radii_m[level], 0.0, np.pi / 2)
                     plan, widths = chain(start, [arc, line]), (ring.lane_m, lane.width_m)
-                arm_of = (i, None) if incoming else (None, i)
-                names = ((lane.name,), ()) if incoming else ((), (lane.name,))
+                before, after = ((lane.name,), ()) if incoming else ((), (lane.name,))
+                arms_of = (i, None) if incoming else (None, i)
                 events[level].append((angle, len(found), incoming))
-                found.append(Connector(f"{id}c{len(found)}", plan, widths, *names, *arm_of, "right"))
+                found.append(
+                    Connector(f"{id}c{len(found)}", plan, widths, before, after, arms_of[0], arms_of[1], "right")
+                )
     return events, found
 
 
@@ -145,20 +148,7 @@ def _linked(id: str, connectors: Sequence[Connector], events: Events) -> list[Co
             for one, other in pairs:
                 after[one].append(f"{other}.0.-1")
                 before[other].append(f"{one}.0.-1")
-    return [
-        Connector(
-            at.id,
-            at.plan,
-            at.widths_m,
-            tuple(before[at.id]),
-            tuple(after[at.id]),
-            at.from_arm,
-            at.to_arm,
-            at.turn,
-            at.marks,
-        )
-        for at in connectors
-    ]
+    return [replace(at, before=tuple(before[at.id]), after=tuple(after[at.id])) for at in connectors]
 
 
 def _kerbs(ring: Ring, cross: Cross) -> tuple[Touch, Touch]:

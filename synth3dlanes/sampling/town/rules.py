@@ -87,7 +87,8 @@ class JunctionRules:
     def _yields(self, one: Connector, other: Connector) -> bool:
         if self.junction.is_roundabout:
             return one.from_arm is not None and other.from_arm is None and other.to_arm is None
-        assert one.from_arm is not None and other.from_arm is not None, "lanes of crossings come from arms"
+        assert one.from_arm is not None, "lanes of crossings come from arms"
+        assert other.from_arm is not None, "lanes of crossings come from arms"
         if one.from_arm == other.from_arm:
             return False
         arms = self.junction.arms

@@ -1,7 +1,7 @@
 """Streets: their cross sections, and the sections of lanes along them, with turn lanes that open before junctions.
 
-A cross section is told looking away from a junction: traffic that comes in is on its left, as traffic keeps right. World
-frame, metres.
+A cross section is told looking away from a junction: traffic that comes in is on its left, as traffic keeps right.
+World frame, metres.
 """
 
 from dataclasses import dataclass, field
@@ -34,6 +34,9 @@ class Pocket(NamedTuple):
     left: bool = False
     right: bool = False
     length_m: float = 0.0
+
+
+NO_POCKET = Pocket()
 
 
 class Cross(NamedTuple):
@@ -76,7 +79,7 @@ class Profile:
     yellow: bool
     edge_lines: bool
 
-    def cross(self, pocket: Pocket = Pocket(), near: bool = False) -> Cross:
+    def cross(self, pocket: Pocket = NO_POCKET, near: bool = False) -> Cross:
         """The cross section, near a junction or along the street."""
         outer = {f"lane{i + 1}": self.lane_m for i in range(self.n_lanes)}
         ends = {"kerb": KERB_M, "walkway": self.walkway_m} if self.walkway_m else {"shoulder": SHOULDER_M}

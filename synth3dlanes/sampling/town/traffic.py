@@ -48,8 +48,8 @@ class Moving:
 
 
 class Drive(NamedTuple):
-    """What a simulation leaves: the host's route and track, all other cars, and the lights of the junctions, whose shifts
-    are those at the scene's instant."""
+    """What a simulation leaves: the host's route and track, all other cars, and the lights of the junctions, whose
+    shifts are those at the scene's instant."""
 
     host: Moving
     cars: tuple[Moving, ...]
@@ -92,8 +92,8 @@ def plan_host(town_map: TownMap, lines: LaneLines, rng: Rng) -> HostPlan:
 def simulate(
     town_map: TownMap, host: HostPlan, draw_body: Callable[[bool], Body], flow: float, duration_s: float, rng: Rng
 ) -> Drive:
-    """Traffic until the host is at its place, and from then on for a clip. Where the host does not get there, with fewer
-    cars. `draw_body` draws a car that is long only if it may be; `flow` is the share of the most traffic."""
+    """Traffic until the host is at its place, and from then on for a clip. Where the host does not get there, with
+    fewer cars. `draw_body` draws a car that is long only if it may be; `flow` is the share of the most traffic."""
     lines = LaneLines(town_map)
     seed = int(rng.integers(2**62))
     for share in (1.0, 0.4, 0.0):
