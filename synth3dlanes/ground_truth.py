@@ -8,7 +8,7 @@ import numpy as np
 from synth3dlanes.arrays import Scalars
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.lane_curves import LaneCurve
-from synth3dlanes.geometry.motion import host_driven, host_station
+from synth3dlanes.geometry.motion import host_driven, host_stations
 from synth3dlanes.geometry.paint import is_double, paint_color, pair_of
 from synth3dlanes.geometry.visibility import seen_over_ground
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LidarLabel, RoadPlane, SymbolLabel
@@ -96,21 +96,24 @@ def label(world: World, view: View) -> Labels:
 
 def _stations(world: World, host: Camera) -> dict[LaneCurve, Scalars]:
     """The stations of the points of every line that is in range of a host."""
-    lengths_m = np.arange(-world.scene.shot.behind_m, RANGE_M + STEP_M / 2, STEP_M)
-    found = world.network.in_range(host, lengths_m)
+    found = world.network.in_range(host, _lengths(world))
     return {curve: s for curve, s in found.items() if len(s) > 1}
 
 
 def _known(world: World, stations: dict[LaneCurve, Scalars]) -> set[str]:
     """The ids of the lines that a picture has, or that any frame of its clip has, so that lines name the same
     neighbours in every frame."""
-    scene, shot = world.scene, world.scene.shot
-    n = world.network.known_at(shot.n_frames) if shot.n_frames > 1 else 0
-    hosts = [
-        scene.camera.model_copy(update={"y_m": host_station(world.network, scene.camera, float(way_m))})
-        for way_m in np.linspace(0.0, host_driven(shot, shot.duration_s), n)
-    ]
-    return {curve.id for lines in (stations, *(_stations(world, host) for host in hosts)) for curve in lines}
+    known, camera, shot = {curve.id for curve in stations}, world.scene.camera, world.scene.shot
+    if shot.n_frames > 1:
+        driven_m = np.linspace(0.0, host_driven(shot, shot.duration_s), world.network.known_at(shot.n_frames))
+        places_m = host_stations(world.network, camera, driven_m)
+        known |= world.network.known(camera, places_m, _lengths(world))
+    return known
+
+
+def _lengths(world: World) -> Scalars:
+    """The lengths ahead of the host at which lines are sampled."""
+    return np.arange(-world.scene.shot.behind_m, RANGE_M + STEP_M / 2, STEP_M)
 
 
 def _lidar(view: View) -> LidarLabel | None:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 import shapely
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
@@ -28,8 +28,12 @@ WAY_STEP_M = 5.0
 ROW_STEPS_M, ROW_STEPS_AT_M = (0.5, 0.5, 1.0, 2.0, 6.0), (0.0, 60.0, 120.0, 200.0, 450.0)
 # Holes in a junction's pavement that are smaller than this are paved.
 LEAST_HOLE_M2 = 150.0
+# Points this close to grass may show it.
+GRASS_ROOM_M = 0.1
 # Roads with heights are looked for this far from points of areas.
 NEAR_M = 3.0
+# The terrain under the edges of the pavement is so much lower than that, times the size of its cells.
+UNDER_FALL_M = 0.03
 # How far beyond a raised road's edge its embankment may reach.
 EMBANKMENT_M = 40.0
 
@@ -198,6 +202,23 @@ class MapGround(Ground):
         slack = shapely.buffer(shapely.union_all(raised), 0.01, join_style="mitre")
         return shapely.difference(self.pavement, slack)
 
+    @cached_property
+    def _grass(self) -> BaseGeometry:
+        found = [area.polygon for area in self.areas if area.kind == "grass"]
+        for road in self.outside:
+            for section in road.sections:
+                s = self.section_rows(road, section)
+                for i, lane in enumerate(section.lanes):
+                    if lane.kind == "median":
+                        found.append(_polygon(*(road.xy(s, section.edge(edge, s)) for edge in (i, i + 1))))
+        grass = shapely.buffer(shapely.union_all(found), GRASS_ROOM_M)
+        shapely.prepare(grass)
+        return grass
+
+    def is_grass(self, xy_world: Points2) -> Bool[np.ndarray, " n"]:
+        """Which points may be on the grass of medians and islands."""
+        return np.asarray(shapely.contains_xy(self._grass, xy_world[:, 0], xy_world[:, 1]))
+
     # -- heights and distances
 
     @cached_property
@@ -287,8 +308,11 @@ class MapGround(Ground):
         return float(x0), float(y0), float(x1), float(y1)
 
     def terrain_mesh_height(self, xy_world: AnyPoints2) -> AnyScalars:
-        """Height of the terrain mesh, which has no faces under the pavement."""
-        return self.height(xy_world)
+        """Height of the terrain mesh, which goes on a little under the edges of the pavement."""
+        flat = xy_world.reshape(-1, 2)
+        z, inside = self.height(flat), shapely.contains_xy(self.pavement, flat[:, 0], flat[:, 1])
+        z[inside] = self.under(flat[inside]) - UNDER_FALL_M * self.cell_scale(flat[inside])
+        return z.reshape(xy_world.shape[:-1])
 
     def clearance(self, xy_world: AnyPoints2) -> AnyScalars:
         """Distance from the nearest pavement, negative on it."""

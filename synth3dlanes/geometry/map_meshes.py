@@ -21,8 +21,8 @@ from synth3dlanes.road_map import MapLaneKind
 COLUMN_M, CELL_M, FAR_CELL_M, FAR_M = 0.9, 0.75, 3.0, 150.0
 # What lies beside a surface extends this far under it, this much lower, and kerbs reach this far down.
 SEAM_M, SEAM_FALL_M, FOOT_M = 0.08, 0.015, 0.05
-# The terrain's hole under the pavement is so much smaller, and its edge so much lower, times the size of cells.
-UNDER_M, UNDER_FALL_M = 0.15, 0.03
+# The terrain's hole under the pavement is so much smaller.
+UNDER_M = 0.15
 # Pavement farther than this from the host's way is left out.
 REACH_M = 480.0
 SURFACES: dict[MapLaneKind, int] = {"shoulder": SHOULDER, "border": SHOULDER, "median": MEDIAN, "walkway": SHOULDER,
@@ -83,7 +83,10 @@ def _area_meshes(ground: MapGround, area: GroundArea) -> list[Mesh]:
     what lies beside it."""
     if area.polygon.is_empty:
         return []
-    wide = area.polygon if area.raised_m else shapely.buffer(area.polygon, SEAM_M, join_style="mitre")
+    wide = area.polygon
+    if not area.raised_m:
+        seam = shapely.buffer(area.polygon, SEAM_M, join_style="mitre")
+        wide = shapely.union(area.polygon, shapely.intersection(seam, ground.pavement))
     x0, y0, x1, y1 = shapely.bounds(wide)
     away_m = float(ground.away_at(np.array([[(x0 + x1) / 2, (y0 + y1) / 2]]))[0]) - np.hypot(x1 - x0, y1 - y0) / 2
     cell_m = CELL_M if away_m < FAR_M else FAR_CELL_M
@@ -141,8 +144,7 @@ def terrain_mesh(ground: MapGround) -> Mesh:
 
     def lifted(at: Points2) -> Points3:
         z = terrain_heights(ground, at)
-        inside = shapely.contains_xy(ground.pavement, at[:, 0], at[:, 1])
-        return np.column_stack([at, np.where(inside, ground.under(at) - UNDER_FALL_M * ground.cell_scale(at), z)])
+        return np.column_stack([at, z])
 
     border = _shared(rest, lifted, 0)
     return Mesh(

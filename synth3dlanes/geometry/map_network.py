@@ -1,13 +1,14 @@
 """The network of a map: its roads have stations of their own, and the host drives along a route. World frame, metres;
 the rules are in docs/network.md."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.arrays import AnyPoints3, AnyScalars, Points2, Scalars
 from synth3dlanes.frames import cross
@@ -22,6 +23,8 @@ from synth3dlanes.scene import Camera, Car
 STEP_M = 1.0
 # The surface's normal is measured over this length to both sides.
 ACROSS_M = 0.5
+# The host's direction is measured over this length to both sides.
+TANGENT_M = 0.01
 
 
 class Junction(NamedTuple):
@@ -32,6 +35,14 @@ class Junction(NamedTuple):
     roads: tuple[SectionRoad, ...]
     outline: Points2
     yields: tuple[tuple[str, str], ...]
+
+
+class _Samples(NamedTuple):
+    """Points of lines one after the other: their lengths along them, their places, and where each line starts."""
+
+    s: Scalars
+    xy_world: Float[np.ndarray, "n 2"]
+    starts: Int[np.ndarray, " _"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,14 +163,16 @@ class MapNetwork(Network):
     # -- labels
 
     @cached_property
-    def _sampled(self) -> dict[LaneCurve, tuple[Scalars, Points2]]:
-        """Lengths and points of every line STEP_M apart, and its end."""
-        found = {}
+    def _samples(self) -> "_Samples":
+        """Points of all lines STEP_M apart, and their ends."""
+        parts = []
         for curve in self.curves:
-            s = np.arange(0.0, curve.end_m - APART_M, STEP_M)
-            s = np.append(s, curve.end_m)
-            found[curve] = s, curve.xy_world(s)
-        return found
+            s = np.append(np.arange(0.0, curve.end_m - APART_M, STEP_M), curve.end_m)
+            parts.append((s, curve.xy_world(s)))
+        starts = np.cumsum([0, *(len(s) for s, _ in parts)])
+        nothing = np.zeros(0), np.zeros((0, 2))
+        lengths, points = zip(nothing, *parts, strict=True)
+        return _Samples(np.concatenate(lengths), np.concatenate(points), starts)
 
     def sampled_xy(self, curve: LaneCurve) -> Float[np.ndarray, "_ 2"]:
         """Places along a curve, half of STEP_M apart."""
@@ -168,15 +181,31 @@ class MapNetwork(Network):
     def in_range(self, camera: Camera, lengths_m: Scalars) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
         """The lengths of the points of every line that are within the greatest of these lengths of the host, and not
         farther behind it than the least, with those between them, in the line's order."""
-        foot, behind, ahead = self.host_points(camera, np.array([0.0, -0.01, 0.01]))[:, :2]
-        forward = (ahead - behind) / np.linalg.norm(ahead - behind)
-        found = {}
-        for curve, (s, xy) in self._sampled.items():
-            to = xy - foot
-            inside = np.flatnonzero((to @ forward >= lengths_m[0]) & (np.hypot(*to.T) <= lengths_m[-1]))
+        (near,), found = self._near(camera, np.array([camera.y_m]), lengths_m), {}
+        for curve, (first, end) in zip(self.curves, pairwise(self._samples.starts), strict=True):
+            inside = np.flatnonzero(near[first:end])
             if inside.size:
-                found[curve] = s[inside[0] : inside[-1] + 1]
+                found[curve] = self._samples.s[first + inside[0] : first + inside[-1] + 1]
         return found
+
+    def known(self, camera: Camera, places_m: Scalars, lengths_m: Float[np.ndarray, " _"]) -> set[str]:
+        """The ids of the lines that are in range of the host at any of some lengths of its way."""
+        seen, starts = np.zeros(len(self.curves), dtype=bool), self._samples.starts[:-1]
+        for near in self._near(camera, places_m, lengths_m):
+            seen |= np.add.reduceat(near.astype(int), starts) > 1
+        return {curve.id for curve, is_seen in zip(self.curves, seen, strict=True) if is_seen}
+
+    def _near(
+        self, camera: Camera, places_m: Scalars, lengths_m: Float[np.ndarray, " _"]
+    ) -> Iterator[Bool[np.ndarray, " _"]]:
+        """For each length of the host's way: which samples are in range."""
+        xy = self._samples.xy_world
+        steps = np.array([-TANGENT_M, TANGENT_M])
+        feet = self.host_points(camera, places_m - camera.y_m)[:, :2]
+        for foot, y_m in zip(feet, places_m.tolist(), strict=True):
+            behind, ahead = self.host_points(camera, y_m - camera.y_m + steps)[:, :2]
+            forward, to = (ahead - behind) / np.linalg.norm(ahead - behind), xy - foot
+            yield (to @ forward >= lengths_m[0]) & (np.hypot(*to.T) <= lengths_m[-1])
 
     def known_at(self, n_frames: int) -> int:
         """The number of instants of a clip that have between them all lines of any frame: all."""

@@ -23,6 +23,13 @@ def host_station(network: Network, camera: Camera, driven_m: float) -> float:
     return station_after(network, network.host_way(camera), camera.y_m, driven_m)
 
 
+def host_stations(network: Network, camera: Camera, driven_m: Float[np.ndarray, " t"]) -> Float[np.ndarray, " t"]:
+    """`host_station` for several distances."""
+    if not driven_m.any():
+        return np.full(driven_m.shape, camera.y_m)
+    return stations_after(network, network.host_way(camera), camera.y_m, driven_m)
+
+
 def car_at(network: Network, car: Car, time_s: float) -> Car:
     """A car some seconds after the clip's start, with its speed then."""
     driven_m, speed_m_s = car.speed_m_s * time_s, car.speed_m_s

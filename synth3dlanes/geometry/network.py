@@ -198,6 +198,11 @@ class Network:
         kept = kept[(np.abs(kept[:, None] - ends) > APART_M).all(axis=1)]
         return np.sort(np.concatenate([kept, ends]))[:: int(self.onwards)]
 
+    def known(self, camera: Camera, places_m: Scalars, lengths_m: Float[np.ndarray, " _"]) -> set[str]:
+        """The ids of the lines that are in range of the host at any of some stations."""
+        hosts = (camera.model_copy(update={"y_m": float(y_m)}) for y_m in places_m)
+        return {curve.id for host in hosts for curve, s in self.in_range(host, lengths_m).items() if len(s) > 1}
+
     def known_at(self, n_frames: int) -> int:
         """The number of instants of a clip, from its first frame to its last, that have between them all lines of any
         frame: a line comes into range or is passed, never both."""

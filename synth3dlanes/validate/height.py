@@ -22,12 +22,17 @@ MIN_ON_MAP, MAX_MAP_M, MAX_MAP_CELLS, MIN_MAP_SLOPE_M = 30, 0.005, 0.2, 0.004
 
 def check_height(evidence: Evidence) -> Iterator[Result]:
     """Findings about lines and about the whole map, and measure `height_m`."""
-    lanes = [lane for lane in evidence.labels.lanes if lane.road == "main"]
+    lanes = [lane for lane in evidence.labels.lanes if _on_main(lane)]
     measures = [_height(evidence.camera, lane, evidence.passes["height"]) for lane in lanes]
     for lane, measure in zip(lanes, measures, strict=True):
         yield from judge(lane.id, measure)
     yield from _moved(evidence)
     yield from joined(measures)
+
+
+def _on_main(lane: Lane) -> bool:
+    """Whether a lane is on the main road, or on any of a map."""
+    return lane.road == "main" or lane.connector is not None
 
 
 def _on_map(
@@ -54,7 +59,7 @@ def _moved(evidence: Evidence) -> Iterator[Result]:
     """Findings if the whole height map is too high or low, or some rows or columns off: a map that is moved by one cell
     is off by its own slope everywhere."""
     height_m = evidence.passes["height"]
-    lanes = [lane for lane in evidence.labels.lanes if lane.road == "main"]
+    lanes = [lane for lane in evidence.labels.lanes if _on_main(lane)]
     found = [_on_map(evidence.camera, lane, height_m)[1:] for lane in lanes]
     cells, z_m = (np.concatenate([part[i] for part in found], axis=-1) for i in (0, 1))
     if len(z_m) < MIN_ON_MAP:

@@ -19,6 +19,7 @@ from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
 from synth3dlanes.validate.ids import THINGS, disagreement, kind_of, outside_bodies
+from synth3dlanes.validate.map_places import MapPlaces
 from synth3dlanes.validate.pixels import around, depth_between
 from synth3dlanes.validate.places import RoadPlaces
 from synth3dlanes.validate.surface import MAX_GAP_M, PAVEMENT, misplaced, pavement_at
@@ -61,9 +62,11 @@ def check_lidar(evidence: Evidence) -> Iterator[Result]:
         yield Finding("", f"lidar: expected the ids of the passes, got others at {n_otherwise} of {n} points")
 
 
-def _is_fine(world: World, at: RoadPlaces) -> Bool[np.ndarray, " n"]:
+def _is_fine(world: World, at: RoadPlaces | MapPlaces) -> Bool[np.ndarray, " n"]:
     """Which places are where the pavement's rows are close. Far behind a host without rear cameras they are not, and
     the pavement is straight between them."""
+    if isinstance(at, MapPlaces):
+        return np.ones(len(at.xy_world), dtype=bool)
     rows = np.sort(world.network.stations(road_stations(world.ground)))
     before = np.searchsorted(rows, at.s) - 1
     return np.asarray(np.diff(rows)[np.clip(before, 0, len(rows) - 2)] < FINE_M)

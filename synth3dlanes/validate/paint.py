@@ -13,10 +13,12 @@ from synth3dlanes.arrays import Points3, Scalars
 from synth3dlanes.assets.catalogue import ROAD_MEANS
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.lane_curves import LaneCurve
+from synth3dlanes.geometry.map_ground import MapGround
 from synth3dlanes.geometry.paint import DOTS_M, is_dotted, line_width_m, painted_rows, stripes
 from synth3dlanes.geometry.terrain import gradient_at
 from synth3dlanes.labels import CameraLabel, Lane, Marking, PaintColor
 from synth3dlanes.scene import Scene
+from synth3dlanes.validate.map_places import MapPlaces, stations_beside
 from synth3dlanes.validate.places import RoadPlaces
 from synth3dlanes.world import World
 
@@ -85,7 +87,7 @@ class WorldPaint:
         world, scene = self.world, self.world.scene
         rows = painted_rows(world.ground, curve, scene.stream, marking)
         # Far dots are merged into dashes that are too narrow to be checked.
-        is_near = world.ground.away_m(rows.s[1:]) < DOTS_M
+        is_near = world.ground.away_on(curve, rows.s[1:]) < DOTS_M
         painted = rows.painted & (is_near | (not is_dotted(curve, scene.markings)))
         return _merged(np.column_stack([rows.s[:-1], rows.s[1:]])[painted])
 
@@ -131,7 +133,7 @@ class WorldPaint:
         markings = self.world.scene.markings
         return line_width_m(self._curves[id_], markings) if id_ in self._curves else markings.width_m
 
-    def beyond_m(self, id_: str, place: RoadPlaces) -> Scalars:
+    def beyond_m(self, id_: str, place: RoadPlaces | MapPlaces) -> Scalars:
         """Distance of points on the road outside a line's paint, across it or (reduced by END_M) along it; negative
         inside."""
         curve = self._curves[id_]
@@ -151,6 +153,8 @@ class WorldPaint:
 
     def _stations(self, curve: LaneCurve, xy_world: Float[np.ndarray, "n 2"]) -> Scalars:
         """Stations of points beside a curve."""
+        if isinstance(self.world.ground, MapGround):
+            return stations_beside(self.world.ground, curve, xy_world)
         s, _ = self.world.network.main.line.project(xy_world)
         road = curve.pieces[-1].road
         if road.parting is not None:

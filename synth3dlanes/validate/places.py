@@ -14,10 +14,12 @@ from synth3dlanes.frames import transform
 from synth3dlanes.geometry import meshes
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.lane_curves import LaneCurve
+from synth3dlanes.geometry.map_ground import MapGround
 from synth3dlanes.geometry.roads import Offset, Road
 from synth3dlanes.geometry.terrain import gradient_at, height_at
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.validate.map_places import MapPlaces
 from synth3dlanes.world import World
 
 # Points are projected onto a road that parts from another up to this far before that and this far left of its lanes.
@@ -130,8 +132,10 @@ class RoadPlaces:
         return found
 
 
-def places(ground: Ground, xy_world: Float[np.ndarray, "n 2"]) -> RoadPlaces:
+def places(ground: Ground, xy_world: Float[np.ndarray, "n 2"]) -> RoadPlaces | MapPlaces:
     """Project points near a road onto it."""
+    if isinstance(ground, MapGround):
+        return MapPlaces(ground, xy_world)
     on: dict[str, tuple[Scalars, Scalars]] = {}
     for road in ground.network.roads:
         if road.parting is None:

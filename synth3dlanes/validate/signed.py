@@ -7,6 +7,7 @@ from jaxtyping import Bool
 
 from synth3dlanes.arrays import Passes, Points3, Scalars
 from synth3dlanes.frames import transform
+from synth3dlanes.geometry.map_ground import MapGround
 from synth3dlanes.geometry.network import Network
 from synth3dlanes.geometry.roads import Ramp
 from synth3dlanes.geometry.terrain import gradient_at, height_at
@@ -15,6 +16,7 @@ from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.centroids import PaintOffset, image_offsets, line_views, paint_offsets
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Signed
+from synth3dlanes.world import World
 
 # Least amount of paint for a value: pixels, or slices of an image.
 MIN_WEIGHT = {"paint": 30.0, "image": 15.0, "exit": 30.0}
@@ -47,11 +49,12 @@ def signed_values(evidence: Evidence) -> Iterator[Signed]:
     if "instance" in passes:
         lines = list(paint_offsets(views, passes["instance"]))
         yield from _sides("paint", lines)
-        yield from _opening(network, labels, [line for line in lines if line.lane.road != network.main.id])
+        if any(road.parting for road in network.roads):
+            yield from _opening(network, labels, [line for line in lines if line.lane.road != network.main.id])
     if evidence.paint.shows:
         yield from _sides("image", list(image_offsets(views, evidence.luma)))
     if "depth" in passes:
-        yield from _surface(network, labels, passes)
+        yield from _surface(evidence.world, labels, passes)
 
 
 def _sides(name: str, lines: Sequence[PaintOffset]) -> Iterator[Signed]:
@@ -79,14 +82,17 @@ def _as_driven(labels: Labels, line: PaintOffset) -> PaintOffset:
     return line._replace(moment_m=np.sign(labels.camera.road_from_cam[1, :3] @ way_cam) * line.moment_m)
 
 
-def _surface(network: Network, labels: Labels, passes: Passes) -> Iterator[Signed]:
+def _surface(world: World, labels: Labels, passes: Passes) -> Iterator[Signed]:
     """Height of the rendered road above its labels, and the relative errors of focal length, depth, hills and ramp
     that would explain it."""
+    network = world.network
     points_cam, points_world, on_branch = _seen(network, labels, passes)
     s_m, branch = network.main.line.project(points_world[:, :2])[0], network.roads[-1]
     if branch.parting is not None:
         s_m = branch.line.project(points_world[:, :2], np.maximum(s_m, branch.start_m))[0]
     raised_m = on_branch * branch.raised(s_m)
+    if isinstance(world.ground, MapGround):
+        raised_m = world.ground.above_terrain(points_world[:, :2])
     slope = gradient_at(network.terrain, points_world[:, :2])
     up_world = np.column_stack([-slope, np.ones(len(slope))])
     up_world /= np.linalg.norm(up_world, axis=1, keepdims=True)

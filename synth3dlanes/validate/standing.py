@@ -13,6 +13,7 @@ from synth3dlanes.arrays import Matrix4, Points2, Points3, Scalars
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry import meshes
 from synth3dlanes.geometry.ground import Ground
+from synth3dlanes.geometry.map_ground import MapGround
 from synth3dlanes.geometry.placement import TREE_SINK_M
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.settings import SEMANTIC_IDS
@@ -131,6 +132,8 @@ def _through(evidence: Evidence) -> Iterator[Result]:
     v, u = np.nonzero((semantic == SEMANTIC_IDS["terrain"]) & (depth_m < NEAR_M))
     points = evidence.points_world(STEP * v, STEP * u)
     inside = ground.clearance(points[:, :2]) < -INSIDE_M
+    if isinstance(ground, MapGround):
+        inside &= ~ground.is_grass(points[:, :2])
     _, t = ground.network.main.line.project(points[:, :2])
     for low_m, high_m in meshes.grass_in_medians(ground, ground.network.main):
         inside &= (t < low_m - INSIDE_M) | (t > high_m + INSIDE_M)

@@ -17,6 +17,7 @@ from synth3dlanes.labels import CameraLabel
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
+from synth3dlanes.validate.map_places import MapPlaces
 from synth3dlanes.validate.pixels import some_pixels
 from synth3dlanes.validate.places import RoadPlaces, places
 from synth3dlanes.validate.standing import mesh_height, terrain_height
@@ -56,7 +57,7 @@ class Pavement(NamedTuple):
 
     range_m: Scalars
     semantic: Ids
-    places: RoadPlaces
+    places: RoadPlaces | MapPlaces
     up_world: Points3
     gap_m: Scalars
     below_eye_m: Scalars

@@ -9,13 +9,14 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Bool, Float
 
-from synth3dlanes.arrays import Scalars
+from synth3dlanes.arrays import Points2, Scalars
 from synth3dlanes.geometry.roads import Parting, Road
-from synth3dlanes.geometry.symbols import Polygon, shape
+from synth3dlanes.geometry.symbols import Polygon, SymbolShape, dense, shape
 from synth3dlanes.scene import Symbol
 from synth3dlanes.settings import FIRST_SYMBOL_ID, SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Finding
+from synth3dlanes.validate.map_places import MapPlaces
 from synth3dlanes.validate.pixels import some_pixels
 from synth3dlanes.validate.places import RoadPlaces, on_road, places
 from synth3dlanes.world import World
@@ -28,6 +29,8 @@ LINE_M = 0.15
 MAX_SINGLE, MAX_SHARE = 3, 0.05
 # Of the search for a station between two lines.
 STEPS = 5
+# Sides of symbols are straight over this length from above.
+SIDE_M = 0.5
 GROUND = [SEMANTIC_IDS[name] for name in ("road", "shoulder", "marking", "symbol")]
 
 
@@ -36,7 +39,7 @@ def check_symbols(evidence: Evidence) -> Iterator[Finding]:
     world, passes = evidence.world, evidence.passes
     near = passes["depth"] < PROOF_M
     is_symbol = passes["semantic"] == SEMANTIC_IDS["symbol"]
-    if not world.scene.symbols:
+    if not world.symbol_shapes:
         if is_symbol.sum() > MAX_SINGLE:
             yield Finding("", f"semantic: expected no symbols as in the scene, got {is_symbol.sum()} pixels of them")
         return
@@ -48,7 +51,10 @@ def check_symbols(evidence: Evidence) -> Iterator[Finding]:
     number = np.where(shown, 0, -1)
     if "instance" in passes:
         number = passes["instance"][rows, columns].astype(int) - FIRST_SYMBOL_ID
-    beyond_m = np.stack([_beyond_m(world, symbol, place) for symbol in world.scene.symbols])
+    if isinstance(place, MapPlaces):
+        beyond_m = np.stack([_beyond_from_above(form, place.xy_world) for form in world.symbol_shapes])
+    else:
+        beyond_m = np.stack([_beyond_m(world, symbol, place) for symbol in world.scene.symbols])
     if "instance" not in passes:
         beyond_m = beyond_m.min(axis=0, keepdims=True)
     for i, outside_m in enumerate(beyond_m):
@@ -78,6 +84,11 @@ def _beyond_m(world: World, symbol: Symbol, place: RoadPlaces) -> Scalars:
     ends = network.main.xy(around, 0.0) if path is None else path.xy_world(around)
     ahead = (s * network.onwards - symbol.s_m) * np.hypot(*(ends[1] - ends[0]))
     return _outside(form.polygons, np.nan_to_num(np.column_stack([aside * network.rightward, ahead]), nan=1e3))
+
+
+def _beyond_from_above(form: SymbolShape, xy_world: Points2) -> Scalars:
+    """The same of a map's symbol, seen from above."""
+    return _outside([form.points_world(dense(polygon, SIDE_M))[:, :2] for polygon in form.polygons], xy_world)
 
 
 def _between_lines(world: World, place: RoadPlaces) -> tuple[Scalars, Scalars]:

@@ -1,0 +1,98 @@
+"""Positions of points, seen from above, on the roads and junctions of a map, and the surface expected there. Metres."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from synth3dlanes.arrays import Points2, Scalars
+from synth3dlanes.geometry.lane_curves import LaneCurve
+from synth3dlanes.geometry.map_ground import MapGround
+from synth3dlanes.geometry.map_meshes import SURFACES
+from synth3dlanes.geometry.meshes import MEDIAN, ROAD, SHOULDER
+from synth3dlanes.settings import SEMANTIC_IDS
+
+# A kerb may be this far from a point.
+KERB_ROOM_M = 0.08
+# Points farther than this beside a curve are not near it.
+BESIDE_M = 30.0
+IDS = {ROAD: SEMANTIC_IDS["road"], SHOULDER: SEMANTIC_IDS["shoulder"], MEDIAN: SEMANTIC_IDS["terrain"]}
+
+
+@dataclass(frozen=True, eq=False)
+class MapPlaces:
+    """Points on the ground of a map, by the questions that `RoadPlaces` answers for the paper's roads."""
+
+    map_ground: MapGround
+    xy_world: Points2
+    memory: dict[str, Scalars] = field(default_factory=dict)
+
+    def at(self, which: Bool[np.ndarray, " n"]) -> "MapPlaces":
+        """The selected points."""
+        return replace(self, xy_world=self.xy_world[which], memory={})
+
+    def outside(self) -> Scalars:
+        """Distance from the nearest pavement, negative on it."""
+        return self.map_ground.clearance(self.xy_world)
+
+    def raised(self) -> Scalars:
+        """Height of the pavement over the terrain."""
+        if "raised" not in self.memory:
+            self.memory["raised"] = self.map_ground.above_terrain(self.xy_world)
+        return self.memory["raised"]
+
+    def on_slope(self) -> Bool[np.ndarray, " n"]:
+        """Which points are beside a kerb, or where a road leaves the terrain."""
+        steps = KERB_ROOM_M * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+        around = [self.map_ground.above_terrain(self.xy_world + step) for step in steps]
+        return np.ptp([self.raised(), *around], axis=0) > KERB_ROOM_M / 4
+
+    def right_of(self, curve: LaneCurve) -> Scalars:
+        """Distance to the right of a curve; infinite where it is not near."""
+        return self._beside(curve)[1]
+
+    def station(self, curve: LaneCurve) -> Scalars:
+        """Stations along a curve."""
+        return self._beside(curve)[0]
+
+    def _beside(self, curve: LaneCurve) -> tuple[Scalars, Scalars]:
+        """Stations and distances to the right: of the piece to which a point is nearest."""
+        station, right = np.zeros(len(self.xy_world)), np.full(len(self.xy_world), np.inf)
+        best = np.full(len(self.xy_world), BESIDE_M)
+        for piece in curve.pieces:
+            low, high = np.sort(piece.on(np.array([piece.start_m, piece.end_m])))
+            s, t = piece.road.line.project(self.xy_world)
+            on = np.clip(s, low, high)
+            aside = (t - piece.offset(on)) * piece.along
+            apart = np.hypot(aside, s - on)
+            nearer = apart < best
+            station = np.where(nearer, np.vectorize(piece.station, otypes=[float])(on), station)
+            right, best = np.where(nearer, aside, right), np.where(nearer, apart, best)
+        return station, right
+
+    def surface(self, margin_m: float) -> Int[np.ndarray, " n"]:
+        """Semantic id of what a lane is paved with, given a margin, on roads outside junctions; 0 elsewhere."""
+        found, taken = np.zeros((2, len(self.xy_world)), dtype=int)
+        inner = {road.id for road in self.map_ground.outside}
+        near, roads = self.map_ground.network.nearby(self.xy_world, np.full(len(self.xy_world), 0.5))
+        rows = np.flatnonzero(near)
+        for road, which, s, t in roads:
+            at = rows[which]
+            inside = road.outside(s, t) < margin_m
+            taken[at[inside]] += 1
+            if road.id not in inner:
+                continue
+            own = self.map_ground.map.road(road.id)
+            sections = own.section_at(s)
+            for i in np.unique(sections):
+                section, here = own.sections[i], np.flatnonzero(sections == i)
+                edges = section.edges(s[here])
+                for k, lane in enumerate(section.lanes):
+                    within = (t[here] > edges[k] + margin_m) & (t[here] < edges[k + 1] - margin_m)
+                    found[at[here[within]]] = 0 if lane.kind == "none" else IDS[SURFACES.get(lane.kind, ROAD)]
+        return np.where(taken == 1, found, 0)
+
+
+def stations_beside(ground: MapGround, curve: LaneCurve, xy_world: Float[np.ndarray, "n 2"]) -> Scalars:
+    """Stations of points beside a curve."""
+    return MapPlaces(ground, xy_world).station(curve)
