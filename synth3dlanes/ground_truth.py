@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from synth3dlanes.arrays import Scalars
+from synth3dlanes.element_truth import label_elements
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.motion import host_driven, host_stations
@@ -91,6 +92,7 @@ def label(world: World, view: View) -> Labels:
         time_s=round(shot.time_s, 9) if shot.n_frames > 1 else None,
         lidar=_lidar(view),
         objects=label_objects(view, camera),
+        traffic_elements=label_elements(world.site, view, camera),
     )
 
 

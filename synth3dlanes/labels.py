@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from pydantic import Field, with_config
 
+from synth3dlanes.element_labels import ElementLabel, element_document
 from synth3dlanes.frames import inside_image
 from synth3dlanes.json_arrays import JsonMask, JsonMatrix3, JsonMatrix4, JsonPoints, rounded
 from synth3dlanes.lens import PINHOLE, Lens
@@ -218,7 +219,8 @@ class Labels:
     does not look ahead.
     `symbols` are those of the scene, in its order: arrows, stop lines, crosswalks and gores, none of which is a lane.
     `lidar` is that of the scene, if it has one. `objects` are its cars, in its order; None in older labels, whose
-    seen shares of cars are `older_shares`.
+    seen shares of cars are `older_shares`. `traffic_elements` are the heads of signals and faces of signs near the
+    camera, in the order of their ids; None in older labels.
     """
 
     camera: CameraLabel
@@ -230,6 +232,7 @@ class Labels:
     lidar: LidarLabel | None = None
     objects: tuple[ObjectLabel, ...] | None = None
     older_shares: tuple[float, ...] | None = None
+    traffic_elements: tuple[ElementLabel, ...] | None = None
 
     @property
     def car_visible_fraction(self) -> tuple[float, ...] | None:
@@ -282,6 +285,9 @@ def to_json(labels: Labels) -> str:
         "time_s": labels.time_s,
         "lidar": lidar and {**vars(lidar), "cam_from_lidar": rounded(lidar.cam_from_lidar, 9)},
         "objects": None if labels.objects is None else [object_document(item) for item in labels.objects],
+        "traffic_elements": None
+        if labels.traffic_elements is None
+        else [element_document(item) for item in labels.traffic_elements],
     }
     return json.dumps(document, separators=(",", ":"), allow_nan=False)
 
@@ -301,6 +307,7 @@ class LabelsDocument(DocumentPart):
     time_s: Annotated[float, Field(ge=0, le=1e6)] | None = None
     lidar: LidarLabel | None = None
     objects: tuple[ObjectLabel, ...] | None = None
+    traffic_elements: tuple[ElementLabel, ...] | None = None
 
 
 def from_json(text: str | bytes, where: str) -> Labels:
@@ -316,6 +323,7 @@ def from_json(text: str | bytes, where: str) -> Labels:
         read.lidar,
         read.objects,
         None if read.objects is not None else read.car_visible_fraction,
+        read.traffic_elements,
     )
 
 

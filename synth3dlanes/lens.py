@@ -22,7 +22,10 @@ COEFFICIENTS: dict[LensModel, tuple[str, ...]] = {
     "opencv": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
     "fisheye": ("k1", "k2", "k3", "k4"),
 }
+# What OpenCV's model may have beside these: a thin prism, and a sensor tilted about its axes.
+PRISM_AND_TILT = ("s1", "s2", "s3", "s4", "tau_x", "tau_y")
 MAX_COEFFICIENT = 1e4
+MAX_TILT_RAD = 0.5
 # Widest angle from the viewing direction, less than 90 degrees for models that are defined in x/y and z/y.
 WIDEST_RAD: dict[LensModel, float] = {"pinhole": np.pi / 2, "opencv": np.radians(89.0), "fisheye": np.pi}
 # Newton's steps, the knots that they start from, and the largest error of an inverse, in units of x/y.
@@ -34,8 +37,8 @@ NEGLIGIBLE = 1e-15
 
 
 class Lens(DocumentPart):
-    """A distortion model and its coefficients: none for a pinhole, k1 k2 p1 p2 k3 k4 k5 k6 for OpenCV's, k1 to k4 for
-    the Kannala-Brandt fisheye."""
+    """A distortion model and its coefficients: none for a pinhole, k1 k2 p1 p2 k3 k4 k5 k6 for OpenCV's, after which
+    s1 s2 s3 s4 tau_x tau_y may follow, k1 to k4 for the Kannala-Brandt fisheye."""
 
     model: LensModel = "pinhole"
     coefficients: tuple[Annotated[float, Field(ge=-MAX_COEFFICIENT, le=MAX_COEFFICIENT)], ...] = ()
@@ -43,11 +46,25 @@ class Lens(DocumentPart):
     @model_validator(mode="after")
     def _has_its_coefficients(self) -> "Lens":
         """Check that there are as many as the model has."""
-        names = COEFFICIENTS[self.model]
-        if len(self.coefficients) != len(names):
-            wanted = " ".join(names) or "none"
-            raise ValueError(f"coefficients: expected {wanted} for {self.model}, got {len(self.coefficients)} values")
+        wanted = [COEFFICIENTS[self.model]]
+        if self.model == "opencv":
+            wanted.append(wanted[0] + PRISM_AND_TILT)
+        if len(self.coefficients) not in {len(names) for names in wanted}:
+            told = " or ".join(" ".join(names) or "none" for names in wanted)
+            raise ValueError(f"coefficients: expected {told} for {self.model}, got {len(self.coefficients)} values")
+        if any(abs(tilt_rad) > MAX_TILT_RAD for tilt_rad in self.prism_and_tilt[4:]):
+            raise ValueError(f"coefficients: expected tau_x and tau_y of at most {MAX_TILT_RAD:g}, in radians")
         return self
+
+    @property
+    def named(self) -> dict[str, float]:
+        """The coefficients by name."""
+        return dict(zip(COEFFICIENTS[self.model] + PRISM_AND_TILT, self.coefficients, strict=False))
+
+    @property
+    def prism_and_tilt(self) -> tuple[float, ...]:
+        """s1 s2 s3 s4 tau_x tau_y."""
+        return (self.coefficients[8:] if self.model == "opencv" else ()) or (0.0,) * len(PRISM_AND_TILT)
 
     @property
     def is_pinhole(self) -> bool:
@@ -94,7 +111,7 @@ def _radial(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
     """Numerator and denominator of the radial factor as polynomials of the squared radius (or angle), its highest power
     first."""
     if lens.model == "opencv":
-        k1, k2, _, _, k3, k4, k5, k6 = lens.coefficients
+        k1, k2, _, _, k3, k4, k5, k6 = lens.coefficients[:8]
         return np.array([k3, k2, k1, 1.0]), np.array([k6, k5, k4, 1.0])
     return np.array([*lens.coefficients[::-1], 1.0]), np.ones(1)
 
@@ -142,32 +159,64 @@ def _bent(lens: Lens, points_cam: AnyPoints3) -> AnyPoints2:
             scale = np.where(aside > 0, _radius(lens, angle)[0] / np.where(aside > 0, aside, 1), 0.0) + 0 * angle
             return np.stack([x * scale, z * scale], axis=-1)
         y = np.where(np.isnan(angle), np.nan, y)
-        return _tangential(lens, np.stack([x / y, z / y], axis=-1))[0]
+        return _tilted(_tilt(lens), _tangential(lens, np.stack([x / y, z / y], axis=-1))[0])
+
+
+def _tilt(lens: Lens) -> Float[np.ndarray, "3 3"] | None:
+    """The homography onto a tilted sensor, of points right and up; None where it is not tilted."""
+    x_rad, y_rad = lens.prism_and_tilt[4:]
+    if not (x_rad or y_rad):
+        return None
+    about_x = np.array([[1, 0, 0], [0, np.cos(x_rad), np.sin(x_rad)], [0, -np.sin(x_rad), np.cos(x_rad)]])
+    about_y = np.array([[np.cos(y_rad), 0, -np.sin(y_rad)], [0, 1, 0], [np.sin(y_rad), 0, np.cos(y_rad)]])
+    turn = about_y @ about_x
+    onto = np.array([[turn[2, 2], 0, -turn[0, 2]], [0, turn[2, 2], -turn[1, 2]], [0, 0, 1]])
+    # OpenCV's second axis points down.
+    down = np.diag([1.0, -1.0, 1.0])
+    return np.asarray(down @ onto @ turn @ down)
+
+
+def _tilted(tilt: Float[np.ndarray, "3 3"] | None, points: AnyPoints2) -> AnyPoints2:
+    """Points through a homography; NaN for those behind the sensor."""
+    if tilt is None:
+        return points
+    found = np.concatenate([points, np.ones((*points.shape[:-1], 1))], axis=-1) @ tilt.T
+    return np.asarray(found[..., :2] / np.where(found[..., 2:] > 0, found[..., 2:], np.nan))
 
 
 def _tangential(lens: Lens, straight: AnyPoints2) -> tuple[AnyPoints2, Float[np.ndarray, "*n 2 2"]]:
-    """OpenCV's model on (x/y, z/y), and its Jacobian. Its own second axis points down: -z/y."""
+    """OpenCV's model without tilt on (x/y, z/y), and its Jacobian. Its own second axis points down: -z/y."""
     p1, p2 = lens.coefficients[2:4]
+    s1, s2, s3, s4, _, _ = lens.prism_and_tilt
     a, b = straight[..., 0], -straight[..., 1]
     s = a * a + b * b
     factor, slope = _factor(lens, s)
-    bent = np.stack(
-        [a * factor + 2 * p1 * a * b + p2 * (s + 2 * a * a), -(b * factor + p1 * (s + 2 * b * b) + 2 * p2 * a * b)],
-        axis=-1,
-    )
-    aa = factor + 2 * slope * a * a + 2 * p1 * b + 6 * p2 * a
-    bb = factor + 2 * slope * b * b + 6 * p1 * b + 2 * p2 * a
+    across = a * factor + 2 * p1 * a * b + p2 * (s + 2 * a * a) + s * (s1 + s2 * s)
+    down = b * factor + p1 * (s + 2 * b * b) + 2 * p2 * a * b + s * (s3 + s4 * s)
+    # The derivatives of what the prism adds, by s.
+    across_by_s, down_by_s = s1 + 2 * s2 * s, s3 + 2 * s4 * s
+    aa = factor + 2 * slope * a * a + 2 * p1 * b + 6 * p2 * a + 2 * a * across_by_s
+    bb = factor + 2 * slope * b * b + 6 * p1 * b + 2 * p2 * a + 2 * b * down_by_s
     ab = 2 * slope * a * b + 2 * p1 * a + 2 * p2 * b
-    return bent, np.stack([np.stack([aa, -ab], axis=-1), np.stack([-ab, bb], axis=-1)], axis=-2)
+    jacobian = np.stack(
+        [
+            np.stack([aa, -(ab + 2 * b * across_by_s)], axis=-1),
+            np.stack([-(ab + 2 * a * down_by_s), bb], axis=-1),
+        ],
+        axis=-2,
+    )
+    return np.stack([across, -down], axis=-1), jacobian
 
 
 def _straight(lens: Lens, bent: AnyPoints2) -> AnyPoints3:
     """Unit vectors to what the lens has at these points; NaN where that is nothing."""
+    tilt = _tilt(lens)
+    bent = _tilted(None if tilt is None else np.linalg.inv(tilt), bent)
     radius = np.hypot(bent[..., 0], bent[..., 1])
     angle = _angle(lens, radius)
     with np.errstate(invalid="ignore"):
         outward = bent / np.where(radius > 0, radius, 1)[..., None]
-    if lens.model == "fisheye" or not any(lens.coefficients[2:4]):
+    if lens.model == "fisheye" or not any(lens.coefficients[2:4] + lens.prism_and_tilt[:4]):
         return np.concatenate(
             [
                 outward[..., :1] * np.sin(angle)[..., None],
@@ -176,7 +225,7 @@ def _straight(lens: Lens, bent: AnyPoints2) -> AnyPoints3:
             ],
             axis=-1,
         )
-    # p1 and p2 may move a point into the field whose radius is just out of it.
+    # p1, p2 and a prism may move a point into the field whose radius is just out of it.
     start = np.where(np.isnan(angle), 0.98 * lens.field_rad, angle)
     straight = outward * np.tan(start)[..., None]
     with np.errstate(all="ignore"):

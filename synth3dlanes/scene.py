@@ -562,10 +562,38 @@ class Scene(DocumentPart):
         return self.road
 
     @model_validator(mode="after")
-    def _has_its_lanes(self) -> "Scene":
-        """Check that the lanes of host and cars exist at their stations."""
+    def _has_roads(self) -> "Scene":
+        """Check that the roads are given once."""
         if (self.road is None) == (self.map is None):
             raise ValueError("road: expected either a road or a map")
+        return self
+
+    @model_validator(mode="after")
+    def _governs_its_lanes(self) -> "Scene":
+        """Check that the lanes that signals and signs govern exist."""
+        beside = self.roadside
+        if self.map is not None:
+            segments, among = self.map.driving_lanes, "the driving lanes of the map"
+        else:
+            segments = frozenset(self.paper_road.segments)
+            among = ", ".join(self.paper_road.segments)
+        governed = [
+            *((f"roadside.signals.{i}.lanes", item.lanes) for i, item in enumerate(beside.signals)),
+            *((f"roadside.signs.{i}.lanes", item.lanes) for i, item in enumerate(beside.signs)),
+            *(
+                (f"roadside.crossings.{i}.signals", tuple(signal.lane for signal in item.signals))
+                for i, item in enumerate(beside.crossings)
+            ),
+        ]
+        for path, lanes in governed:
+            for lane in lanes:
+                if lane not in segments:
+                    raise ValueError(f"{path}: expected lanes among {among}, got {lane}")
+        return self
+
+    @model_validator(mode="after")
+    def _has_its_lanes(self) -> "Scene":
+        """Check that the lanes of host and cars exist at their stations."""
         problem = _map_problem(self, self.map) if self.map is not None else _road_problem(self, self.paper_road)
         if problem:
             raise ValueError(problem)

@@ -35,6 +35,24 @@ SignKind = Literal[
     "exit_left",
     "exit_right",
 ]
+# What the numbered faces of signs beside the road and the boards of gantries are, beside those above.
+FaceKind = Literal[
+    "speed_limit",
+    "warning",
+    "bend_left",
+    "bend_right",
+    "information",
+    "direction_left",
+    "direction_right",
+    "direction_ahead",
+    "direction_down",
+    "roadworks_left",
+    "roadworks_right",
+]
+ElementCategory = Literal["traffic_light", "lane_signal", "road_sign"]
+# What an element is within its category: the form of a light's lenses, `lane` over a lane, or what a sign shows.
+ElementKind = LensForm | Literal["lane"] | SignKind | FaceKind
+ElementState = SignalState | LaneState
 GovernedLanes = Annotated[tuple[Name, ...], Field(max_length=MAX_LANES)]
 Mounting = Annotated[float, Field(gt=0, le=12)]
 Reach = Annotated[float, Field(ge=-20, le=20)]

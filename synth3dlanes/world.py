@@ -14,7 +14,7 @@ from synth3dlanes.frames import road_from_cam, turned
 from synth3dlanes.geometry import map_meshes, meshes, roadside
 from synth3dlanes.geometry.bonnet import cam_from_bonnet
 from synth3dlanes.geometry.camera import img_from_cam, project, world_from_host
-from synth3dlanes.geometry.elements import TrafficElement, elements
+from synth3dlanes.geometry.elements import TrafficElement, traffic_elements
 from synth3dlanes.geometry.grass import Blades, blades
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.horizon import FarHills
@@ -151,11 +151,16 @@ class Site:
     @cached_property
     def elements(self) -> list[TrafficElement]:
         """The traffic elements: heads of signals and faces of signs."""
-        return elements(self.ground, self.roadside)
+        return traffic_elements(self.ground, self.roadside)
+
+    @property
+    def first_element(self) -> int:
+        """The number of the first traffic element among the structures."""
+        return len(self.structures) - len(self.elements)
 
     def lights(self, time_s: float) -> dict[int, Body]:
         """What shines of signals at a time of a clip, by the number of the structure that it belongs to."""
-        first = len(self.structures) - len(self.elements)
+        first = self.first_element
         lit = ((first + i, element.light(time_s)) for i, element in enumerate(self.elements))
         return {number: body for number, body in lit if body is not None}
 

@@ -164,7 +164,7 @@ def test_a_calibration_gets_its_place_from_an_own_file(tmp_path: Path) -> None:
         ("a: [", "line 1: not YAML"),
         (OPENCV.replace("image_width", "breadth"), "image_width: missing key"),
         (OPENCV.replace("700., ", ""), "camera_matrix: expected 9 numbers, got"),
-        (OPENCV.replace("-0.34999999999999998, ", "0, 0, "), "distortion: expected 4, 5 or 8 coefficients"),
+        (OPENCV.replace("-0.34999999999999998, ", "0, 0, "), "distortion: expected 4, 5, 8, 12 or 14 coefficients"),
         (KALIBR.replace("pinhole", "omni"), "camera_model: expected pinhole, got 'omni'"),
         (KALIBR.replace("equidistant", "fov"), "distortion_model: expected one of none, radtan, equidistant, got"),
         ("calibration: none.yaml", "calibration none.yaml: cannot read: No such file"),
@@ -251,12 +251,19 @@ def test_no_ready_camera_has_a_black_part() -> None:
 
 
 @pytest.mark.parametrize("count", [12, 14])
-def test_prisms_and_tilts_are_refused_with_what_to_do(count: int) -> None:
+def test_prisms_and_tilts_of_opencv(count: int) -> None:
+    values = [round(0.01 * i, 2) for i in range(1, count + 1)]
     document = {
         **{"image_width": 640, "image_height": 480, "camera_matrix": [500, 0, 320, 0, 500, 240, 0, 0, 1]},
-        "distortion_coefficients": [0.1] * count,
+        "distortion_coefficients": values,
     }
-    with pytest.raises(InputError, match=f"got {count}; thin prism and tilt are not modelled: calibrate"):
+    lens = middle(read_camera(document, "c.yaml", Path()))["lens"]
+    assert lens.coefficients == tuple(values + [0.0] * (14 - count))
+    document["distortion_coefficients"] = values[:8] + [0.0] * (count - 8)
+    assert middle(read_camera(document, "c.yaml", Path()))["lens"].coefficients == tuple(values[:8])
+
+
+def test_a_tilt_beyond_its_bound_is_refused() -> None:
+    document = {"width_px": 640, "height_px": 480, "fx": 500, "model": "opencv", "k1": 0.1, "tau_x": 0.6}
+    with pytest.raises(InputError, match=r"c\.yaml: tau_x: expected numbers in \[-0\.5, 0\.5\]"):
         read_camera(document, "c.yaml", Path())
-    document["distortion_coefficients"] = [0.1] * 8 + [0.0] * (count - 8)
-    assert read_camera(document, "c.yaml", Path()).model == "opencv"

@@ -19,7 +19,8 @@ IMG_FROM_CAM = np.array([[FX, CX, 0], [0, CY, -FY], [0, 1, 0]])
 
 
 def lens(model: LensModel, k: list[float]) -> Lens:
-    return Lens(model=model, coefficients=tuple(k + [0.0] * ((8 if model == "opencv" else 4) - len(k))))
+    wanted = 4 if model == "fisheye" else 8 if len(k) <= 8 else 14
+    return Lens(model=model, coefficients=tuple(k + [0.0] * (wanted - len(k))))
 
 
 def cases() -> list[tuple[str, Lens, np.ndarray, np.ndarray]]:
@@ -108,9 +109,9 @@ def test_barrel_draws_points_in_and_pincushion_out() -> None:
     assert CY < barrel[1] < straight[1] < pincushion[1]
 
 
-@given(st.lists(st.floats(-1e4, 1e4), min_size=8, max_size=8), st.sampled_from(["opencv", "fisheye"]))
-def test_any_coefficients_give_numbers_or_nan(k: list[float], model: LensModel) -> None:
-    any_lens = lens(model, k[: 8 if model == "opencv" else 4])
+@given(st.lists(st.floats(-1e4, 1e4), min_size=12, max_size=12), st.sampled_from([4, 8, 12]))
+def test_any_coefficients_give_numbers_or_nan(k: list[float], count: int) -> None:
+    any_lens = lens("fisheye" if count == 4 else "opencv", k[:count])
     assert 0 < any_lens.field_rad <= np.pi
     uv = np.random.default_rng(1).uniform(0, 1280, (20, 2))
     rays = any_lens.rays(IMG_FROM_CAM, uv)
@@ -122,3 +123,8 @@ def test_any_coefficients_give_numbers_or_nan(k: list[float], model: LensModel) 
 def test_a_wrong_number_of_coefficients_is_refused(model: LensModel, n: int) -> None:
     with pytest.raises(ValueError, match="coefficients: expected"):
         Lens(model=model, coefficients=(0.0,) * n)
+
+
+def test_a_sensor_tilted_too_far_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"expected tau_x and tau_y of at most 0\.5, in radians"):
+        lens("opencv", [0.0] * 13 + [0.6])

@@ -18,6 +18,7 @@ from synth3dlanes.blender.occlusion import hidden_by_objects
 from synth3dlanes.blender.silhouettes import seen_fractions
 from synth3dlanes.blender.structures import search_tree
 from synth3dlanes.blender.trace import distances, run_cycles
+from synth3dlanes.element_truth import seen_elements
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.camera import rays_of_pixels
 from synth3dlanes.geometry.visibility import seen_over_ground
@@ -84,7 +85,8 @@ def render(
     clock.append(time.perf_counter())
     seen = with_object_visibility(world, view, labels, placed)
     objects = as_seen(seen.objects or (), layers.instance, None if sweep is None else sweep.points().instance)
-    seen = replace(seen, objects=objects)
+    elements = seen_elements(seen.traffic_elements or (), world.site, seen.camera, layers.instance)
+    seen = replace(seen, objects=objects, traffic_elements=elements)
     clock.append(time.perf_counter())
     stages = ("build", "cycles", "passes", "occlusion")
     return Rendering(layers, seen, sweep, dict(zip(stages, np.diff(clock).tolist(), strict=True)))

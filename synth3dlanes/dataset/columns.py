@@ -104,6 +104,7 @@ def _summary(labels: Labels) -> dict[str, Any]:
     count = max(int(in_image.sum()), 1)
     over_ground = in_image & terrain_visible
     summary: dict[str, Any] = {
+        "n_traffic_elements": len(labels.traffic_elements or ()),
         "max_grade": max_grade(labels),
         "terrain_hidden_fraction": int((in_image & ~terrain_visible).sum()) / count,
         "object_hidden_fraction": int((over_ground & ~visible).sum()) / count,

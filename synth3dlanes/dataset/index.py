@@ -19,6 +19,7 @@ SHOT_COLUMNS = ("scene", "frame", "camera")
 # Columns that were added later, and what they are in older shards: the defaults of `scene.json`.
 ADDED: dict[str, int | float | bool | str] = {
     "n_oncoming": 0,
+    "n_traffic_elements": 0,
     "median_m": 0.0,
     "divider_dashed": False,
     "marking_dots": False,

@@ -40,6 +40,7 @@ from synth3dlanes.dataset.index import (
 )
 from synth3dlanes.dataset.listing import read_shards
 from synth3dlanes.dataset.nesting import inner_data_sets
+from synth3dlanes.element_labels import TrafficElements, element_arrays
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.labels import Labels
 from synth3dlanes.object_labels import Objects, stacked
@@ -119,6 +120,15 @@ class Reader:
         if items is None:
             raise FormatError(f"{self._where(i)}: expected labels with objects, got older ones; generate them again")
         return stacked(items)
+
+    def traffic_elements(self, i: int) -> TrafficElements:
+        """The traffic elements of sample i as arrays; raise FormatError where its labels are older than these."""
+        labels = self.labels(i)
+        if labels.traffic_elements is None:
+            raise FormatError(
+                f"{self._where(i)}: expected labels with traffic elements, got older ones; generate them again"
+            )
+        return element_arrays(labels.traffic_elements, [segment.id for segment in labels.graph.segments])
 
     def passes(self, i: int) -> dict[str, Shaped[np.ndarray, "..."]]:
         """The passes of sample i by name; empty if the data set has none."""

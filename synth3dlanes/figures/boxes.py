@@ -1,4 +1,5 @@
-"""The boxes of objects as lines in the image: twelve edges, and a line on the floor from the middle to the front."""
+"""The boxes of objects as lines in the image: twelve edges, and a line on the floor from the middle to the front; and
+the edges of the faces of traffic elements."""
 
 from collections.abc import Iterator
 
@@ -6,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.arrays import Polyline2
+from synth3dlanes.element_labels import ElementLabel
 from synth3dlanes.frames import transform
 from synth3dlanes.labels import CameraLabel, Labels
 from synth3dlanes.object_labels import CORNERS, ObjectLabel
@@ -23,6 +25,19 @@ LINES = np.array(
 )
 
 
+# The edges of the face of a traffic element.
+FACE = np.array(
+    [((x, -1, z), (x2, -1, z2)) for x, z, x2, z2 in ((-1, 1, 1, 1), (1, 1, 1, -1), (1, -1, -1, -1), (-1, -1, -1, 1))]
+)
+
+
+def elements_in_image(labels: Labels) -> Iterator[tuple[ElementLabel, list[Polyline2]]]:
+    """The traffic elements in the image with the edges of their faces, but for those that are hidden."""
+    for item in labels.traffic_elements or ():
+        if item.box_px is not None and (item.visible_fraction is None or item.visible_fraction >= LEAST_SEEN):
+            yield item, list(_drawn(labels.camera, transform(item.cam_from_element, FACE * item.size_m / 2)))
+
+
 def objects_in_image(labels: Labels) -> Iterator[tuple[ObjectLabel, list[Polyline2]]]:
     """The objects in the image with the lines of their boxes, but for those that are hidden."""
     for item in labels.objects or ():
@@ -32,7 +47,11 @@ def objects_in_image(labels: Labels) -> Iterator[tuple[ObjectLabel, list[Polylin
 
 def lines_img(camera: CameraLabel, item: ObjectLabel) -> Iterator[Polyline2]:
     """The lines of a box, as far as they are ahead of the camera and in its lens's field."""
-    for first, second in transform(item.cam_from_object, LINES * item.size_m / 2):
+    yield from _drawn(camera, transform(item.cam_from_object, LINES * item.size_m / 2))
+
+
+def _drawn(camera: CameraLabel, lines_cam: Float[np.ndarray, "n 2 3"]) -> Iterator[Polyline2]:
+    for first, second in lines_cam:
         share = np.linspace(0, 1, (1 if camera.lens.is_pinhole else PIECES) + 1)[:, None]
         points_cam = first + share * (second - first)
         if camera.lens.is_pinhole:

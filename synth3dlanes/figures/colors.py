@@ -21,6 +21,8 @@ KINDS: dict[LaneKind, Rgb] = {"centerline": (0, 190, 255), "delimiter": (255, 45
 KIND_WORDS: dict[LaneKind, str] = {"centerline": "centre line", "delimiter": "delimiter"}
 
 OBJECT: Rgb = (255, 196, 0)
+ELEMENT: Rgb = (196, 120, 255)
+"""Yellow boxes of objects, violet faces of traffic elements."""
 
 MASKS = {"seen": "#17a34a", "hidden by the ground": "#f59e0b", "hidden by objects": "#a21caf"}
 """Single points of labels, by what hides them."""

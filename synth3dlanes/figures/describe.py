@@ -2,16 +2,18 @@
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.element_labels import ElementLabel
 from synth3dlanes.figures.shape import bends, grades
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.camera import horizontal_fov_rad
 from synth3dlanes.labels import Labels, Lane
-from synth3dlanes.lens import COEFFICIENTS, Lens
+from synth3dlanes.lens import Lens
 from synth3dlanes.object_labels import ObjectLabel
 from synth3dlanes.scene import Camera, Host, PaperRoad, Scene, Weather
 
@@ -28,6 +30,9 @@ OBJECT_COLUMNS = (
     "truncated",
     "lidar",
 )
+ELEMENT_COLUMNS = (
+    "element", "class", "shows", "governs", "centre x, y, z [m]", "width, height [m]", "seen"
+)  # fmt: skip
 
 
 def describe(scene: Scene, labels: Labels) -> dict[str, Facts]:
@@ -54,7 +59,8 @@ def describe(scene: Scene, labels: Labels) -> dict[str, Facts]:
         "objects": {
             "cars": _counted([scene.assets.car_models[car.model - 1].name for car in scene.cars]),
             "trees": _counted([scene.assets.tree_models[tree.model - 1].name for tree in scene.trees]),
-            "roadside": _counted([item.kind for _, items in scene.roadside for item in items]),
+            "roadside": _counted([item.kind for name, items in scene.roadside if name != "signals" for item in items]),
+            **({"traffic elements": _elements(labels.traffic_elements)} if labels.traffic_elements else {}),
         },
         "paint": {
             "dots"
@@ -77,6 +83,11 @@ def describe(scene: Scene, labels: Labels) -> dict[str, Facts]:
             f"turned {math.degrees(scene.surface.texture_orientation_rad):.0f}°",
         },
     }
+
+
+def _elements(items: Sequence[ElementLabel]) -> str:
+    """What signals show and signs say, as far as they are labelled."""
+    return _counted([f"{item.category} {item.state or item.kind}".replace("_", " ") for item in items])
 
 
 def _weather(scene: Scene) -> Facts:
@@ -134,6 +145,15 @@ def object_row(item: ObjectLabel) -> tuple[str, ...]:
     points = "-" if item.lidar_points is None else str(item.lidar_points)
     places = (", ".join(f"{value:.2f}" for value in values) for values in (item.center_cam, item.size_m))
     return (str(item.id), item.category, *places, speed, seen, f"{100 * item.truncation:.0f} %", points)
+
+
+def element_row(item: ElementLabel) -> tuple[str, ...]:
+    """A traffic element's row in `ELEMENT_COLUMNS`; "-" for what is not known."""
+    seen = "-" if item.visible_fraction is None else f"{100 * item.visible_fraction:.0f} %"
+    shows = item.kind if item.state is None else f"{item.kind}: {item.state}"
+    center, size = (", ".join(f"{value:.2f}" for value in values) for values in (item.center_cam, item.size_m[[0, 2]]))
+    category = item.category.replace("_", " ")
+    return (str(item.id), category, shows.replace("_", " "), ", ".join(item.lanes) or "-", center, size, seen)
 
 
 def scene_document(scene: Scene, labels: Labels) -> dict[str, Any]:
@@ -247,8 +267,7 @@ def _mount(camera: Camera) -> str:
 def _lens(lens: Lens) -> str:
     if lens.is_pinhole:
         return ""
-    named = zip(COEFFICIENTS[lens.model], lens.coefficients, strict=True)
-    return f"; {lens.model} lens, " + " ".join(f"{name} {value:g}" for name, value in named if value)
+    return f"; {lens.model} lens, " + " ".join(f"{name} {value:g}" for name, value in lens.named.items() if value)
 
 
 def _counted(names: list[str]) -> str:

@@ -9,9 +9,11 @@ from rich.table import Table
 
 from synth3dlanes.figures import colors, views
 from synth3dlanes.figures.describe import (
+    ELEMENT_COLUMNS,
     LANE_COLUMNS,
     OBJECT_COLUMNS,
     describe,
+    element_row,
     lane_row,
     object_row,
     road_words,
@@ -29,7 +31,7 @@ RIG_COLUMNS = 3
 
 
 def summary(scene: Scene, labels: Labels) -> RenderableType:
-    """The scene in words, its lanes in a table and its objects in another, for `rich.print`."""
+    """The scene in words, its lanes, objects and traffic elements in a table each, for `rich.print`."""
     facts = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
     for group, values in describe(scene, labels).items():
         for number, (name, value) in enumerate(values.items()):
@@ -44,7 +46,10 @@ def summary(scene: Scene, labels: Labels) -> RenderableType:
     objects = Table(*OBJECT_COLUMNS, box=None, padding=(0, 2, 0, 0))
     for item in labels.objects or ():
         objects.add_row(*object_row(item))
-    return Group(facts, lanes, objects) if labels.objects else Group(facts, lanes)
+    elements = Table(*ELEMENT_COLUMNS, box=None, padding=(0, 2, 0, 0))
+    for element in labels.traffic_elements or ():
+        elements.add_row(*element_row(element))
+    return Group(facts, lanes, *([objects] if labels.objects else []), *([elements] if labels.traffic_elements else []))
 
 
 def draw_inspect(

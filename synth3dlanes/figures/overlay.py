@@ -1,4 +1,4 @@
-"""Draw lanes and the boxes of objects on an image, where the labels' camera projects them."""
+"""Draw lanes, boxes of objects and faces of traffic elements on an image, where the labels' camera projects them."""
 
 from collections.abc import Iterator
 
@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image
 
-from synth3dlanes.figures.boxes import objects_in_image
-from synth3dlanes.figures.colors import KINDS, OBJECT
+from synth3dlanes.figures.boxes import elements_in_image, objects_in_image
+from synth3dlanes.figures.colors import ELEMENT, KINDS, OBJECT
 from synth3dlanes.figures.strokes import Style, draw_lines, line_width_px, runs
 from synth3dlanes.labels import CameraLabel, Labels, Lane
 
@@ -20,7 +20,7 @@ CURVE_STEPS = 8
 
 def draw_overlay(image: UInt8[np.ndarray, "h w 3"], labels: Labels) -> UInt8[np.ndarray, "h w 3"]:
     """The image with its lanes, solid where they are visible, dotted where the ground or an object hides them, and the
-    boxes of the objects that are seen.
+    boxes of the objects and the faces of the traffic elements that are seen.
 
     The image may be resized; the lines are scaled with it. Delimiters are drawn over centre lines.
     """
@@ -30,6 +30,8 @@ def draw_overlay(image: UInt8[np.ndarray, "h w 3"], labels: Labels) -> UInt8[np.
     drawn = Image.fromarray(image)
     boxes = [line * scale for _, lines in objects_in_image(labels) for line in lines]
     draw_lines(drawn, boxes, OBJECT, thickness_px / 2)
+    faces = [line * scale for _, lines in elements_in_image(labels) for line in lines]
+    draw_lines(drawn, faces, ELEMENT, thickness_px / 2)
     for kind, color in KINDS.items():
         lanes = [lane for lane in labels.lanes if lane.kind == kind]
         stretches = [found for lane in lanes for found in stretches_img(labels.camera, lane)]

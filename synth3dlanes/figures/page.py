@@ -14,11 +14,13 @@ from PIL import Image
 
 from synth3dlanes.arrays import RgbImage
 from synth3dlanes.figures import colors
-from synth3dlanes.figures.boxes import objects_in_image
+from synth3dlanes.figures.boxes import elements_in_image, objects_in_image
 from synth3dlanes.figures.describe import (
+    ELEMENT_COLUMNS,
     LANE_COLUMNS,
     OBJECT_COLUMNS,
     describe,
+    element_row,
     lane_row,
     object_row,
     road_words,
@@ -58,8 +60,9 @@ class DrawnLane(NamedTuple):
 
 
 class DrawnObject(NamedTuple):
-    """An object in the image: its class and number, and the polylines of its box."""
+    """An object or traffic element in the image: its CSS class, its name, and the polylines of its box or face."""
 
+    of_class: str
     name: str
     color: str
     lines: list[str]
@@ -74,7 +77,8 @@ class DrawnMask(NamedTuple):
 
 
 class Drawing(NamedTuple):
-    """An image with its lanes, objects and masks, as an SVG needs them; `jpeg` is a data URL, None without an image."""
+    """An image with its lanes, objects, traffic elements and masks, as an SVG needs them; `jpeg` is a data URL, None
+    without an image."""
 
     width: int
     height: int
@@ -134,6 +138,8 @@ def scene_page(
         lane_rows=[lane_row(lane) for lane in labels.lanes],
         object_columns=OBJECT_COLUMNS,
         object_rows=[object_row(item) for item in labels.objects or ()],
+        element_columns=ELEMENT_COLUMNS,
+        element_rows=[element_row(item) for item in labels.traffic_elements or ()],
         document=json.dumps(json.loads(to_json(scene)), indent=1),
         space=_space(SceneView(scene, labels), shown.sweep, [found.camera for found, _ in shown.rig]),
     )
@@ -189,15 +195,23 @@ def _frame(number: int, labels: Labels, image: RgbImage) -> ClipFrame:
 
 
 def _drawing(labels: Labels, image: RgbImage | None) -> Drawing:
-    color_of_objects = colors.hexadecimal(colors.OBJECT)
+    color_of_objects, color_of_elements = (colors.hexadecimal(color) for color in (colors.OBJECT, colors.ELEMENT))
     return Drawing(
         labels.camera.width_px,
         labels.camera.height_px,
         None if image is None else _jpeg(image),
         [_lane(labels, lane) for lane in labels.lanes],
         [
-            DrawnObject(f"{item.category} {item.id}", color_of_objects, [_points(line) for line in lines])
-            for item, lines in objects_in_image(labels)
+            *(
+                DrawnObject("object", f"{item.category} {item.id}", color_of_objects, [_points(line) for line in lines])
+                for item, lines in objects_in_image(labels)
+            ),
+            *(
+                DrawnObject(
+                    "element", " ".join(element_row(item)[:3]), color_of_elements, [_points(line) for line in lines]
+                )
+                for item, lines in elements_in_image(labels)
+            ),
         ],
         [DrawnMask(_class(name), color, _dots(labels, name)) for name, color in colors.MASKS.items()],
     )
@@ -224,7 +238,8 @@ def _dots(labels: Labels, mask: str) -> list[tuple[str, str]]:
 
 
 def _switches(labels: Iterable[Labels]) -> list[Switch]:
-    """Check boxes for the images: lanes by kind, hidden stretches, objects, and one for each mask (initially off)."""
+    """Check boxes for the images: lanes by kind, hidden stretches, objects, traffic elements, and one for each mask
+    (initially off)."""
     labels, masks = list(labels), dict(colors.MASKS)
     if any(lane.object_visible is None for one in labels for lane in one.lanes):
         del masks["hidden by objects"]
@@ -237,6 +252,11 @@ def _switches(labels: Iterable[Labels]) -> list[Switch]:
         *(
             [Switch(".object", "objects", colors.hexadecimal(colors.OBJECT), is_on=True)]
             if any(True for one in labels for _ in objects_in_image(one))
+            else []
+        ),
+        *(
+            [Switch(".element", "traffic elements", colors.hexadecimal(colors.ELEMENT), is_on=True)]
+            if any(True for one in labels for _ in elements_in_image(one))
             else []
         ),
         *(Switch(f".mask.{_class(name)}", f"points {name}", color, is_on=False) for name, color in masks.items()),

@@ -44,6 +44,7 @@ _CLASSES: dict[str, colors.Rgb] = {
     "building": (200, 130, 90),
     "kerb": (205, 205, 160),
     "host": (20, 20, 24),
+    "signal": (250, 120, 20),
 }
 # Successive multiples of the golden ratio are far apart on the colour circle.
 _GOLDEN = 0.618034

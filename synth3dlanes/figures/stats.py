@@ -309,6 +309,11 @@ def _measure(labels: Labels) -> dict[str, Scalars]:
         "centre lines an image": np.array([sum(lane.in_image.any() for lane in centerlines)], dtype=float),
         "seen to [m]": np.array(reach_m, dtype=float),
     }
+    if labels.traffic_elements:
+        shown = [item for item in labels.traffic_elements if item.box_px is not None]
+        measured["traffic elements an image"] = np.array([len(shown)], dtype=float)
+        heights_px = [item.box_px[3] - item.box_px[1] for item in shown if item.box_px is not None]
+        measured["height of a traffic element [px]"] = np.array(heights_px, dtype=float)
     if in_image.any():
         measured["points over the ground [%]"] = np.array([100 * over_ground.mean()])
         if all(lane.object_visible is not None for lane in labels.lanes):

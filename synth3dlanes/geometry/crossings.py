@@ -2,16 +2,17 @@
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.geometry.beside import frames_beside, ground_over, on_ground
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.posts import add_board
+from synth3dlanes.geometry.mounted import Mounted, board_size
 from synth3dlanes.geometry.roads import NetworkLane
-from synth3dlanes.geometry.sign_faces import board
-from synth3dlanes.geometry.signals import LANE_HEAD_M, Mounted
+from synth3dlanes.geometry.sign_faces import Patch, board
+from synth3dlanes.geometry.signals import LANE_HEAD_M
 from synth3dlanes.geometry.solids import METAL, SINK_M, Body, GroundFrame, Quads
 from synth3dlanes.scene import Crossing
 
@@ -20,7 +21,18 @@ SUPPORT_GAP_M, MAX_SPAN_M = 0.8, 90.0
 # From a bridge's outer columns to its abutments, the slope and the fall of the dams behind these, and their length.
 ABUTMENT_M, DAM_SLOPE, DAM_FALL, DAM_M = 7.0, 1.5, 0.05, 110.0
 DECK_M, PARAPET_M, ABUTMENT_WALL_M = 1.1, 0.95, 1.0
+# From the front of a gantry to the middle of its boards.
+BOARD_BEFORE_M, HAIR_M = 0.13, 1e-6
 EARTH = (0.1, 0.1, 0.05, 0.0)
+
+
+class GantryBoard(NamedTuple):
+    """A board of a gantry: its place and picture, the number of its variant, and the lanes below it."""
+
+    place: Mounted
+    layers: tuple[Patch, ...]
+    variant: int
+    lanes: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -74,9 +86,9 @@ def crossing_body(ground: Ground, crossing: Crossing) -> Body:
 
 
 def _gantry(quads: Quads, ground: Ground, crossing: Crossing, frame: GroundFrame, span: Span) -> None:
-    """Two legs, two chords with verticals between them, and boards in front of these, towards the traffic below."""
+    """Two legs, and two chords with struts between them."""
     half, (left, right) = crossing.width_m / 2, span.legs_m
-    base, rise_m = span.under_m - float(frame.origin[2]) + 0.35, 1.3
+    base, rise_m = _gantry_base(ground, crossing, frame), 1.3
     feet = np.array([(left, 0.0), (right, 0.0)])
     for (x, _), z in zip(feet, ground_over(ground, frame, feet), strict=True):
         quads.box(frame, (x - 0.16, -0.16, z - SINK_M), (x + 0.16, 0.16, base + rise_m + 0.1), METAL)
@@ -88,24 +100,38 @@ def _gantry(quads: Quads, ground: Ground, crossing: Crossing, frame: GroundFrame
             low, high = (base, base + rise_m) if i % 2 else (base + rise_m, base)
             quads.tube(frame.world(np.array([(a, y, low), (b, y, high)])), (0.04, 0.04), METAL, n=3)
     quads.feet.append(on_ground(ground, frame.world(np.column_stack([feet, np.zeros(2)]))[:, :2]))
-    if not crossing.signals:
-        _boards(quads, ground, crossing, frame, base)
 
 
-def _boards(quads: Quads, ground: Ground, crossing: Crossing, frame: GroundFrame, base: float) -> None:
-    """Boards in front of a gantry, towards the traffic below."""
-    half, road, s, to_right = (
-        crossing.width_m / 2,
-        ground.network.main,
-        np.array([crossing.s_m]),
-        ground.network.rightward,
-    )
+def gantry_boards(ground: Ground, crossing: Crossing) -> list[GantryBoard]:
+    """The boards in front of a gantry without signals, towards the traffic below."""
+    if crossing.kind != "gantry" or crossing.signals:
+        return []
+    frame, road, to_right = crossing_frame(ground, crossing), ground.network.main, ground.network.rightward
+    base, s = _gantry_base(ground, crossing, frame), np.array([crossing.s_m])
     edges = np.array([road.left(s)[0], road.right(s)[0]]) * to_right
     middle, width_m = float(edges.mean()), float(np.ptp(edges)) - 2 * road.shoulder_m
     n = max(1, min(3, round(width_m / 5)))
-    for i, x in enumerate(middle + width_m * ((np.arange(n) + 0.5) / n - 0.5)):
-        layers = board(0.82 * min(width_m / n, 5.5), 2.0, crossing.color, i + round(10 * abs(crossing.s_m)))
-        add_board(quads, frame, layers, np.array([x, -half - 0.12, base - 0.35 + 1.0]), road.is_oncoming(x * to_right))
+    found = []
+    for i, x in enumerate((middle + width_m * ((np.arange(n) + 0.5) / n - 0.5)).tolist()):
+        variant = i + round(10 * abs(crossing.s_m))
+        layers = board(0.82 * min(width_m / n, 5.5), 2.0, crossing.color, variant)
+        is_oncoming = road.is_oncoming(x * to_right)
+        before_m = crossing.width_m / 2 + BOARD_BEFORE_M
+        own = GroundFrame(frame.world(np.array([x, 0.0, 0.0])), -frame.forward if is_oncoming else frame.forward)
+        place = Mounted(own, np.array([0.0, -before_m, base - 0.35 + 1.0]), board_size(layers))
+        below = [
+            lane.id
+            for lane in road.lanes_at(crossing.s_m)
+            if abs(float(lane.middle(s)[0]) * to_right - x) <= width_m / n / 2 + HAIR_M
+            and (lane.direction == "oncoming") == is_oncoming
+        ]
+        found.append(GantryBoard(place, layers, variant, tuple(below)))
+    return found
+
+
+def _gantry_base(ground: Ground, crossing: Crossing, frame: GroundFrame) -> float:
+    """The height of a gantry's lower chords in its frame."""
+    return crossing_span(ground, crossing).under_m - float(frame.origin[2]) + 0.35
 
 
 def lane_signal_places(ground: Ground, crossing: Crossing) -> list[Mounted]:

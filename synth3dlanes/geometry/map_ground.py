@@ -34,6 +34,8 @@ GRASS_ROOM_M = 0.1
 NEAR_M = 3.0
 # The terrain under the edges of the pavement is so much lower than that, times the size of its cells.
 UNDER_FALL_M = 0.03
+# Kerbs this near to the host's way hide what is labelled; as lines that are simplified by so much, in such steps.
+CREST_REACH_M, CREST_SLACK_M, CREST_STEP_M = 110.0, 0.005, 4.0
 # How far beyond a raised road's edge its embankment may reach.
 EMBANKMENT_M = 40.0
 
@@ -190,14 +192,20 @@ class MapGround(Ground):
         return [shapely.get_coordinates(shapely.segmentize(line, 1.0)) for line in merged if not line.is_empty]
 
     @cached_property
-    def carriageways(self) -> BaseGeometry:
-        """The pavement without raised lanes and islands."""
-        raised = [area.polygon for area in self.areas if area.raised_m]
+    def _raised_strips(self) -> list[BaseGeometry]:
+        """The raised lanes of roads outside junctions."""
+        found = []
         for road in self.outside:
             for section in road.sections:
                 s = self.section_rows(road, section)
                 for a, b in section.raised:
-                    raised.append(_polygon(*(road.xy(s, section.edge(edge, s)) for edge in (a, b))))
+                    found.append(_polygon(*(road.xy(s, section.edge(edge, s)) for edge in (a, b))))
+        return found
+
+    @cached_property
+    def carriageways(self) -> BaseGeometry:
+        """The pavement without raised lanes and islands."""
+        raised = [area.polygon for area in self.areas if area.raised_m] + self._raised_strips
         # Rows of strips beside each other differ by less than this.
         slack = shapely.buffer(shapely.union_all(raised), 0.01, join_style="mitre")
         return shapely.difference(self.pavement, slack)
@@ -324,8 +332,16 @@ class MapGround(Ground):
         return np.asarray(distance.reshape(xy_world.shape[:-1]))
 
     def crests(self) -> list[Float[np.ndarray, "m 3"]]:
-        """None: the ground itself hides what lies behind a raised road."""
-        return []
+        """The upper edges of kerbs within reach of the labels: they hide what lies close behind them."""
+        near = shapely.box(*self.way_box(CREST_REACH_M))
+        raised = [area.polygon for area in self._raised_areas] + self._raised_strips
+        lines = shapely.intersection(shapely.boundary(np.array(raised, dtype=object)), near)
+        found = []
+        for line in shapely.get_parts(shapely.line_merge(shapely.simplify(lines, CREST_SLACK_M))):
+            xy = shapely.get_coordinates(shapely.segmentize(line, CREST_STEP_M))
+            if len(xy) > 1:
+                found.append(np.column_stack([xy, self.under(xy) + KERB_M]))
+        return found
 
 
 def _polygon(left: Points2, right: Points2) -> BaseGeometry:

@@ -73,6 +73,10 @@ def _strips(ground: MapGround, road: SectionRoad, section: CrossSection, s: Scal
             vertices = np.concatenate([feet[:, :1], vertices, feet[:, 1:]], axis=1)
             uv = np.concatenate([uv[:, :1] - [0.2, 0], uv, uv[:, -1:] + [0.2, 0]], axis=1)
             surfaces = [surfaces[0], *surfaces, surfaces[-1]]
+            ends = vertices[[0, -1]]
+            ends[:, 1:-1, 2] -= KERB_M + FOOT_M
+            vertices = np.concatenate([ends[:1], vertices, ends[1:]])
+            uv = np.concatenate([uv[:1], uv, uv[-1:]])
         found.append(grid(vertices, uv, np.array(surfaces)))
         i = end
     return found

@@ -3,18 +3,17 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
 
 from synth3dlanes.arrays import Points3
 from synth3dlanes.geometry.beside import frames_beside
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.sign_faces import FACES, Patch
+from synth3dlanes.geometry.mounted import Mounted, board_size
+from synth3dlanes.geometry.sign_faces import FACES
 from synth3dlanes.geometry.solids import (
     BLACK,
     DARK_METAL,
     METAL,
     REFLECTOR_GLOSS,
-    SHEETING_GLOSS,
     SINK_M,
     WHITE,
     Body,
@@ -23,6 +22,8 @@ from synth3dlanes.geometry.solids import (
 )
 from synth3dlanes.scene import Post
 
+# From the middle of a post to that of its board.
+SIGN_BEFORE_M = 0.07
 LAMP_ARM_M, LAMP_HEAD_M = 1.8, np.array([0.14, 0.38, 0.06])
 
 
@@ -80,26 +81,14 @@ def lamp_heads_of(frame: GroundFrame, post: Post) -> Points3:
 
 
 def _sign(quads: Quads, frame: GroundFrame, post: Post) -> None:
-    """One or two tubes and a board whose lower edge is at the post's height."""
-    layers = FACES[post.face - 1]
-    width_m, up_m = np.ptp(layers[0].outline, axis=0)
+    """One or two tubes behind the board of a sign."""
+    width_m, up_m = np.ptp(FACES[post.face - 1][0].outline, axis=0)
     for x in (-0.3 * width_m, 0.3 * width_m) if width_m > 1.3 else (0.0,):
         quads.tube(frame.world(np.array([(x, 0, -SINK_M), (x, 0, post.height_m + 0.9 * up_m)])), (0.04, 0.04), METAL)
-    low = float(layers[0].outline[:, 1].min())
-    add_board(quads, frame, layers, np.array([0, -0.06, post.height_m - low]), post.turned)
 
 
-def add_board(
-    quads: Quads, frame: GroundFrame, layers: Sequence[Patch], middle: Float[np.ndarray, "3"], turned: bool
-) -> None:
-    """A board's gray back and the layers of its face, towards the host or, turned, away from it. Consecutive shapes of
-    one colour are one layer: thick faces would cast shadows on themselves."""
-    sign = -1.0 if turned else 1.0
-    level, before = 0, METAL[:3]
-    for i, layer in enumerate([Patch(layers[0].outline, METAL[:3]), *layers]):
-        corners = layer.quads()
-        level, before = level + (layer.color != before), layer.color
-        depth = np.full(corners.shape[:2], 0.02 if i == 0 else -0.02 - 0.004 * level)
-        local = np.stack([sign * corners[..., 0], sign * depth, corners[..., 1]], -1)
-        gloss = METAL[3] if i == 0 else SHEETING_GLOSS
-        quads.add(frame.world(local + middle * [1, sign, 1]), (*layer.color, gloss), "sign")
+def sign_place(frame: GroundFrame, post: Post) -> Mounted:
+    """Where the board of a sign hangs: its lower edge is at the post's height."""
+    size_m = board_size(FACES[post.face - 1])
+    middle = np.array([0, -SIGN_BEFORE_M, post.height_m + size_m[2] / 2])
+    return Mounted(frame.turned_round() if post.turned else frame, middle, size_m)

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.scene import N_SIGN_FACES, Color
-from synth3dlanes.traffic_elements import SignKind
+from synth3dlanes.traffic_elements import FaceKind, SignKind
 
 Outline = Float[np.ndarray, "n 2"]
 
@@ -87,7 +87,7 @@ FACES: tuple[tuple[Patch, ...], ...] = (
      Patch(_rectangle(0.36, 0.09, 0, 0.22), BLACK),
      Patch(_rectangle(0.15, 0.28, -0.1, -0.1), BLACK), Patch(_rectangle(0.15, 0.28, 0.1, -0.1), BLACK)),
     (Patch(disc(16, 0.38), BLUE), *(Patch(s, WHITE) for s in arrow(0, 0, 0.55, 0.0))),
-    (Patch(disc(8, 0.42, 0.5), WHITE), Patch(disc(8, 0.39, 0.5), RED), Patch(_rectangle(0.5, 0.16), WHITE)),
+    (Patch(disc(16, 0.42), WHITE), Patch(disc(16, 0.39), RED), Patch(_rectangle(0.5, 0.16), WHITE)),
     (Patch(_rectangle(0.75, 0.75), WHITE), Patch(_rectangle(0.7, 0.7), BLUE),
      Patch(_rectangle(0.2, 0.42, 0, -0.02), WHITE)),
     board(2.4, 1.5, GREEN, 1),
@@ -100,7 +100,14 @@ FACES: tuple[tuple[Patch, ...], ...] = (
     (Patch(_rectangle(0.9, 0.9), ORANGE), *(Patch(s, BLACK) for s in arrow(0, 0, 0.7, np.pi / 2))),
     (Patch(disc(4, 0.6), BLACK), Patch(disc(4, 0.57), YELLOW), *(Patch(s, BLACK) for s in arrow(0, 0, 0.6, -0.5))),
 )  # fmt: skip
-assert len(FACES) == N_SIGN_FACES
+FACE_KINDS: tuple[FaceKind | SignKind, ...] = (
+    "speed_limit", "warning", "bend_right", "speed_limit", "ahead_only", "no_entry", "information",
+    "direction_left", "direction_right", "direction_ahead", "direction_down", "roadworks_left",
+    "direction_right", "direction_left", "roadworks_right", "bend_left",
+)  # fmt: skip
+# What boards of a gantry are, by variant.
+BOARD_KINDS: tuple[FaceKind, ...] = ("direction_down", "direction_left", "direction_right", "direction_ahead")
+assert len(FACES) == len(FACE_KINDS) == N_SIGN_FACES
 
 # Rows of the letters on signs from the top, three bits each.
 GLYPHS = {

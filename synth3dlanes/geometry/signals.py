@@ -1,16 +1,11 @@
 """Signals and signs at free places, and signals over the lanes of a gantry: poles, heads and lit lenses. World frame,
 metres."""
 
-from collections.abc import Sequence
-from typing import NamedTuple
-
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.arrays import Matrix4
-from synth3dlanes.frames import from_axes
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.posts import add_board
+from synth3dlanes.geometry.mounted import Mounted, board_size
 from synth3dlanes.geometry.sign_faces import SIGN_FACES, Outline, Patch, arrow, bar, disc
 from synth3dlanes.geometry.solids import DARK_METAL, LIT_GLOSS, METAL, SINK_M, Body, GroundFrame, Quads
 from synth3dlanes.scene import Color
@@ -18,8 +13,9 @@ from synth3dlanes.traffic_elements import LaneState, LensForm, SignalState, Traf
 
 HOUSING, DARK_LENS = (0.012, 0.014, 0.012, 0.25), (0.03, 0.03, 0.03, 0.5)
 RED_LIGHT, AMBER_LIGHT, GREEN_LIGHT = (1.0, 0.02, 0.012), (1.0, 0.36, 0.01), (0.02, 1.0, 0.38)
-# A head with three lights: its size, the radius of its lenses, how far apart these are, and the depth of their hoods.
-HEAD_M, LENS_M, LENSES_APART_M, HOOD_M = np.array([0.42, 0.22, 1.24]), 0.15, 0.39, 0.2
+# A head with three lights: its size with the hoods of its lenses, their radius, how far apart they are, and the depth
+# of the hoods.
+HEAD_M, LENS_M, LENSES_APART_M, HOOD_M = np.array([0.42, 0.42, 1.24]), 0.15, 0.39, 0.2
 # A signal over a lane, and how far the pole is behind what it carries.
 LANE_HEAD_M, BEHIND_M = np.array([0.95, 0.2, 0.95]), 0.1
 BESIDE_POLE_M = 0.05
@@ -39,21 +35,6 @@ LANE_LIGHTS: dict[LaneState, tuple[Color, list[Outline]]] = {
 }
 
 
-class Mounted(NamedTuple):
-    """The middle of a head or a board in the frame of its foot, and its size: width, depth and height."""
-
-    frame: GroundFrame
-    middle: Float[np.ndarray, "3"]
-    size_m: Float[np.ndarray, "3"]
-
-    @property
-    def world_from_face(self) -> Matrix4:
-        """Its pose: x to the right and y ahead as its traffic drives, z up, in its middle."""
-        forward = np.array([*self.frame.forward, 0.0])
-        up = np.array([0.0, 0.0, 1.0])
-        return from_axes(np.cross(forward, up), forward, up, self.frame.world(self.middle))
-
-
 def foot_frame(ground: Ground, item: TrafficSignal | TrafficSign) -> GroundFrame:
     """The frame on the ground at the foot of a signal or sign: y as its traffic drives."""
     xy_world = np.array([[item.x_m, item.y_m]])
@@ -66,12 +47,6 @@ def mounted(ground: Ground, item: TrafficSignal | TrafficSign) -> Mounted:
     size_m = HEAD_M if isinstance(item, TrafficSignal) else board_size(SIGN_FACES[item.kind])
     middle = np.array([item.reach_m, -BEHIND_M - size_m[1] / 2, item.height_m + size_m[2] / 2])
     return Mounted(foot_frame(ground, item), middle, size_m)
-
-
-def board_size(layers: Sequence[Patch]) -> Float[np.ndarray, "3"]:
-    """Width, depth and height of a board."""
-    width_m, height_m = np.ptp(layers[0].outline, axis=0)
-    return np.array([width_m, 0.06, height_m])
 
 
 def pole_body(ground: Ground, item: TrafficSignal | TrafficSign) -> Body:
@@ -91,19 +66,11 @@ def pole_body(ground: Ground, item: TrafficSignal | TrafficSign) -> Body:
     return quads.body()
 
 
-def sign_body(ground: Ground, item: TrafficSign) -> Body:
-    """The board of a sign."""
-    quads, (frame, middle, _) = Quads("sign", "sign"), mounted(ground, item)
-    layers = SIGN_FACES[item.kind]
-    own_middle = (layers[0].outline.max(axis=0) + layers[0].outline.min(axis=0))[1] / 2
-    add_board(quads, frame, layers, middle - [0, 0, own_middle], turned=False)
-    return quads.body()
-
-
 def head_body(place: Mounted) -> Body:
     """The head of a signal with three lights, all of them off."""
-    quads, (frame, middle, size_m) = Quads("signal", "signal"), place
-    quads.box(frame, (middle - size_m / 2).tolist(), (middle + size_m / 2).tolist(), HOUSING)
+    quads, (frame, middle, size_m) = Quads("head", "signal"), place
+    low = middle - size_m / 2 + [0, HOOD_M, 0]
+    quads.box(frame, low.tolist(), (middle + size_m / 2).tolist(), HOUSING)
     for at in _lenses(place):
         _add_patch(quads, frame, Patch(disc(12, LENS_M), DARK_LENS[:3]), at - [0, 0.004, 0], DARK_LENS[3])
         angles = np.linspace(-0.6 * np.pi, 0.6 * np.pi, 7)
@@ -114,14 +81,14 @@ def head_body(place: Mounted) -> Body:
 
 def lane_head_body(place: Mounted) -> Body:
     """A signal over a lane, off."""
-    quads, (frame, middle, size_m) = Quads("signal", "signal"), place
+    quads, (frame, middle, size_m) = Quads("head", "signal"), place
     quads.box(frame, (middle - size_m / 2).tolist(), (middle + size_m / 2).tolist(), HOUSING)
     return quads.body()
 
 
 def head_light(place: Mounted, form: LensForm, state: SignalState) -> Body:
     """The lit lenses of a head with three lights."""
-    quads = Quads("signal", "signal")
+    quads = Quads("head", "signal")
     shapes = [disc(12, LENS_M)] if form == "ball" else arrow(0, 0, 1.7 * LENS_M, TURNS_RAD[form])
     for number in SHINING[state]:
         for shape in shapes:
@@ -132,7 +99,7 @@ def head_light(place: Mounted, form: LensForm, state: SignalState) -> Body:
 
 def lane_light(place: Mounted, state: LaneState) -> Body:
     """The lit shape of a signal over a lane."""
-    quads, (color, shapes) = Quads("signal", "signal"), LANE_LIGHTS[state]
+    quads, (color, shapes) = Quads("head", "signal"), LANE_LIGHTS[state]
     for number, shape in enumerate(shapes):
         at = place.middle - [0, place.size_m[1] / 2 + 0.01 + 0.002 * number, 0]
         _add_patch(quads, place.frame, Patch(shape, color), at, LIT_GLOSS)
@@ -142,7 +109,7 @@ def lane_light(place: Mounted, state: LaneState) -> Body:
 def _lenses(place: Mounted) -> Float[np.ndarray, "3 3"]:
     """The middles of the lenses from the top, on the front of a head."""
     down = np.array([1.0, 0.0, -1.0])[:, None] * [0, 0, LENSES_APART_M]
-    return np.asarray(place.middle - [0, place.size_m[1] / 2, 0] + down)
+    return np.asarray(place.middle - [0, place.size_m[1] / 2 - HOOD_M, 0] + down)
 
 
 def _add_patch(quads: Quads, frame: GroundFrame, patch: Patch, at: Float[np.ndarray, "3"], gloss: float) -> None:

@@ -110,6 +110,10 @@ class GroundFrame:
         x, y = points[..., 0], points[..., 1]
         return self.origin + np.stack([x * fy + y * fx, y * fy - x * fx, points[..., 2]], -1)
 
+    def turned_round(self) -> "GroundFrame":
+        """The same place as one sees it who drives the other way."""
+        return GroundFrame(self.origin, -self.forward, -self.outward)
+
     def of_world(self, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
         """Points of this frame of world points."""
         fx, fy = self.forward

@@ -20,7 +20,7 @@ from synth3dlanes.yaml_text import read_yaml, text_of
 SHORT = {name: f"{name}_px" for name in ("fx", "fy", "cx", "cy")}
 # OpenCV, ROS and Kalibr put (0, 0) at the centre of the first pixel, we at its corner.
 CENTER_PX = 0.5
-OPENCV_COUNTS, OPENCV_COUNTS_OF_PRISM_AND_TILT, FISHEYE_COUNT = (4, 5, 8), (9, 10, 11, 12, 13, 14), 4
+OPENCV_COUNTS, FISHEYE_COUNT = (4, 5, 8, 12, 14), 4
 KALIBR_MODELS = {"none": "pinhole", "radtan": "opencv", "equidistant": "fisheye"}
 ROS_MODELS = {
     "plumb_bob": "opencv",
@@ -149,20 +149,13 @@ def _centered(fx: float, fy: float, cx: float, cy: float) -> dict[str, Any]:
 
 
 def _lens(model: str, values: list[float], where: str) -> dict[str, Any]:
-    """The coefficients by name; those that are 0 at the end may be more than ours."""
+    """The coefficients by name."""
     if model == "pinhole" or not any(values):
         return {"model": model if model == "fisheye" else "pinhole"}
-    while len(values) > 8 and not values[-1]:
-        values = values[:-1]
     names = NAMES if model == "opencv" else ("k1", "k2", "k3", "k4")
     if len(values) not in (OPENCV_COUNTS if model == "opencv" else (FISHEYE_COUNT,)):
-        wanted = "4, 5 or 8" if model == "opencv" else "4"
-        hint = (
-            "; thin prism and tilt are not modelled: calibrate without CALIB_THIN_PRISM_MODEL and CALIB_TILTED_MODEL"
-            if len(values) in OPENCV_COUNTS_OF_PRISM_AND_TILT and model == "opencv"
-            else ""
-        )
-        told = f"expected {wanted} coefficients of the model {model}, got {len(values)}{hint}"
+        wanted = "4, 5, 8, 12 or 14" if model == "opencv" else "4"
+        told = f"expected {wanted} coefficients of the model {model}, got {len(values)}"
         raise InputError(f"{where}: distortion: {told}")
     return {"model": model, **dict(zip(names, values, strict=False))}
 

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from synth3dlanes.distributions import Choice, Distribution, Integer, Real, Uniform, integers, reals
 from synth3dlanes.errors import InputError
-from synth3dlanes.lens import COEFFICIENTS, MAX_COEFFICIENT, Lens, LensModel
+from synth3dlanes.lens import COEFFICIENTS, MAX_COEFFICIENT, MAX_TILT_RAD, PRISM_AND_TILT, Lens, LensModel
 from synth3dlanes.params import Group
 from synth3dlanes.schema import AHEAD_DEG, MAX_PX, Name
 
@@ -23,10 +23,11 @@ Focal = Annotated[Real, reals(1, 1e5)]
 Center = Annotated[Real, reals(-1e5, 1e5)]
 Fov = Annotated[Real, reals(1, 359)]
 Coefficient = Annotated[Real, reals(-MAX_COEFFICIENT, MAX_COEFFICIENT)]
+Tilt = Annotated[Real, reals(-MAX_TILT_RAD, MAX_TILT_RAD)]
 ZERO = Choice((0.0,), (1.0,))
 # Without a calibration of the place: in the middle of the host, level.
 HEIGHT_M = Choice((1.5,), (1.0,))
-NAMES = COEFFICIENTS["opencv"]
+NAMES = COEFFICIENTS["opencv"] + PRISM_AND_TILT
 # From this half field of view on, a picture shows what is beside the camera.
 ASIDE_DEG = 85.0
 DECIMALS, COEFFICIENT_DECIMALS = 6, 9
@@ -74,15 +75,22 @@ class CameraSpec(Group):
     k4: Coefficient = coefficient()
     k5: Coefficient = coefficient()
     k6: Coefficient = coefficient()
+    s1: Coefficient = coefficient()
+    s2: Coefficient = coefficient()
+    s3: Coefficient = coefficient()
+    s4: Coefficient = coefficient()
+    tau_x: Tilt = coefficient()
+    tau_y: Tilt = coefficient()
 
     @model_validator(mode="after")
     def _has_one_focal_length(self) -> "CameraSpec":
         """Check that the focal length is given once, and no coefficient that the model does not have."""
         if (self.fx_px is None) == (self.horizontal_fov_deg is None):
             raise ValueError("expected either fx (or K) or horizontal_fov_deg")
-        foreign = [name for name in NAMES if getattr(self, name) != ZERO and name not in COEFFICIENTS[self.model]]
+        names = NAMES if self.model == "opencv" else COEFFICIENTS[self.model]
+        foreign = [name for name in NAMES if getattr(self, name) != ZERO and name not in names]
         if foreign:
-            wanted = " ".join(COEFFICIENTS[self.model]) or "no coefficients"
+            wanted = " ".join(names) or "no coefficients"
             raise ValueError(f"expected {wanted} for the model {self.model}, got {' '.join(foreign)}")
         return self
 
@@ -110,9 +118,9 @@ class CameraSpec(Group):
         Raises InputError where the field of view is wider than the lens's.
         """
         values = {name: self._draw(name, u) for name in type(self).model_fields if name not in ("name", "model")}
-        coefficients = tuple(round(values.pop(name), COEFFICIENT_DECIMALS) for name in NAMES)
-        by_name = dict(zip(NAMES, coefficients, strict=True))
-        lens = Lens(model=self.model, coefficients=tuple(by_name[name] for name in COEFFICIENTS[self.model]))
+        by_name = {name: round(values.pop(name), COEFFICIENT_DECIMALS) for name in NAMES}
+        names = NAMES if any(by_name[name] for name in PRISM_AND_TILT) else COEFFICIENTS[self.model]
+        lens = Lens(model=self.model, coefficients=tuple(by_name[name] for name in names))
         fov_deg = values.pop("horizontal_fov_deg")
         if fov_deg is not None:
             values["fx_px"] = values["width_px"] / 2 / _radius(lens, fov_deg)

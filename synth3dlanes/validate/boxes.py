@@ -13,6 +13,7 @@ from synth3dlanes.arrays import Points3
 from synth3dlanes.frames import from_axes, transform
 from synth3dlanes.geometry.terrain import height_at
 from synth3dlanes.scene import Building, Crossing, Post, Rail, RoadSide
+from synth3dlanes.traffic_elements import TrafficSign, TrafficSignal
 from synth3dlanes.world import World
 
 # Length of the pieces of rails, and how far these overlap.
@@ -29,6 +30,8 @@ RAILS_M = {
 }
 # Half the width of posts, and the room over their height.
 POSTS_M = {"lamp": (2.8, 0.6), "sign": (2.2, 2.6), "delineator": (0.3, 0.2)}
+# Half the size of a board or head.
+FREE_M = 1.3
 # Bodies may reach this far below the ground, whose verges lie up to LOW_M below the terrain.
 LOW_M = 1.2
 # Crossings: reach to both sides, height of gantries and decks with parapets, and slope of dams.
@@ -84,7 +87,13 @@ def structure_boxes(world: World) -> StructureBoxes:
         *([_post(world, post)] for post in roadside.posts),
         *(_crossing(world, crossing) for crossing in roadside.crossings),
         *([_building(world, building)] for building in roadside.buildings),
+        *([_free(world, item)] for item in roadside.free_elements if item.has_pole),
+        *([_post(world, post)] for post in roadside.posts if post.kind == "sign"),
     ]
+    on_gantries = [_crossing(world, crossing)[0] for crossing in roadside.crossings if crossing.kind == "gantry"]
+    n_free = len(roadside.free_elements)
+    found += [on_gantries] * (len(world.site.structures) - len(found) - n_free)
+    found += [[_free(world, item)] for item in roadside.free_elements]
     boxes = [box for of_one in found for box in of_one]
     poses = np.array([pose for pose, _, _ in boxes]).reshape(-1, 4, 4)
     low, high = (np.array([box[i] for box in boxes]).reshape(-1, 3) for i in (1, 2))
@@ -141,6 +150,16 @@ def _post(world: World, post: Post) -> PosedBox:
     raised = float(road.raised(s).max())
     low, high = np.array([-half_m, -half_m, z - LOW_M]), np.array([half_m, half_m, z + raised + post.height_m + over_m])
     return _level(foot, ahead - foot), low, high
+
+
+def _free(world: World, item: TrafficSignal | TrafficSign) -> PosedBox:
+    """A signal or sign with its pole and arm."""
+    foot, reach_m = np.array([item.x_m, item.y_m]), abs(item.reach_m) + FREE_M
+    z = float(height_at(world.network.terrain, foot[None])[0])
+    raised = max([at.ramp.height_m for at in world.network.roads if at.ramp], default=0.0)
+    pose = _level(foot, np.array([-np.sin(item.yaw_rad), np.cos(item.yaw_rad)]))
+    top_m = z + raised + item.height_m + 2 * FREE_M
+    return pose, np.array([-reach_m, -FREE_M, z - LOW_M]), np.array([reach_m, FREE_M, top_m])
 
 
 def _crossing(world: World, crossing: Crossing) -> list[PosedBox]:

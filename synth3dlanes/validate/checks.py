@@ -21,6 +21,7 @@ from synth3dlanes.validate.standing import check_roadside, check_standing
 from synth3dlanes.validate.structure import check_host, check_labels, check_objects
 from synth3dlanes.validate.surface import check_hills, check_normals, check_pavement
 from synth3dlanes.validate.symbols import check_symbols
+from synth3dlanes.validate.traffic_elements import check_elements
 
 
 class Check(NamedTuple):
@@ -123,6 +124,12 @@ CHECKS = (
         "boxes",
         check_boxes,
         "objects that are not those of the scene, or whose boxes do not fit their pixels or points",
+    ),
+    Check(
+        "elements",
+        check_elements,
+        "signals and signs that are not those of the scene, not where their pixels are, without a label, in another "
+        "state than their lights show, or over another lane than they govern",
     ),
     Check("bias", signed_values, "nothing by itself: tested over the whole data set", _needs("aim image")),
 )

@@ -22,7 +22,7 @@ from synth3dlanes.validate.ids import THINGS, disagreement, kind_of, outside_bod
 from synth3dlanes.validate.map_places import MapPlaces
 from synth3dlanes.validate.pixels import around, depth_between
 from synth3dlanes.validate.places import RoadPlaces
-from synth3dlanes.validate.surface import MAX_GAP_M, PAVEMENT, misplaced, pavement_at
+from synth3dlanes.validate.surface import MAX_GAP_M, PAVEMENT, is_firm, misplaced, pavement_at
 from synth3dlanes.world import World
 
 # Of the points, and of those that may be wrong.
@@ -40,6 +40,7 @@ def check_lidar(evidence: Evidence) -> Iterator[Result]:
     assert points is not None
     points_world = transform(world.view.world_from_lidar, points.xyz_lidar)
     paved = np.isin(points.semantic, PAVEMENT) & (points.range_m < PROOF_M)
+    paved[paved] = is_firm(world, points_world[paved])
     eye_world, range_m = world.view.world_from_lidar[:3, 3], points.range_m[paved].astype(float)
     pavement = pavement_at(world, eye_world, points_world[paved], range_m, points.semantic[paved])
     pavement = pavement.at(_is_fine(world, pavement.places))

@@ -88,7 +88,7 @@ class MapPlaces:
                 section, here = own.sections[i], np.flatnonzero(sections == i)
                 edges = section.edges(s[here])
                 for k, lane in enumerate(section.lanes):
-                    within = (t[here] > edges[k] + margin_m) & (t[here] < edges[k + 1] - margin_m)
+                    within = inside[here] & (t[here] > edges[k] + margin_m) & (t[here] < edges[k + 1] - margin_m)
                     found[at[here[within]]] = 0 if lane.kind == "none" else IDS[SURFACES.get(lane.kind, ROAD)]
         return np.where(taken == 1, found, 0)
 

@@ -22,7 +22,9 @@ MAX_GAP_M, MAX_PART = 0.03, 0.75
 # Objects with fewer points are not judged, and sides only of those that are in the image and seen as a whole.
 MIN_POINTS, MIN_SEEN = 150, 0.99
 # The eye is this far beyond a side that it sees. Of the others pixels show the outline, which is as wide and as high.
-BEYOND_M, ALONG = 0.5, 1
+BEYOND_M, ALONG, UP = 0.5, 1, 2
+# The lowest and highest parts are this share of half the length behind the nearer end, at most.
+SET_BACK = 0.25
 # Numbers of a label that follow from the scene are rounded in files; the projection of those adds to that.
 PLACES = {"size_m": 2e-4, "center_cam": 2e-4, "rotation_wxyz": 2e-6, "velocity_cam": 2e-3}
 RECTANGLES = {"box_px": 0.2, "unclipped_box_px": 0.2}
@@ -126,7 +128,7 @@ def judge(item: ObjectLabel, seen: SeenPart) -> Iterator[Result]:
             has_outline = seen.source == "pixels" and axis != ALONG
             if has_outline or sign * seen.eye[axis] > half[axis] + BEYOND_M:
                 gap_m = float(half[axis] - (sign * seen.points[:, axis]).max())
-                most_m = MAX_GAP_M + MAX_PART * seen.apart_m
+                most_m = MAX_GAP_M + MAX_PART * seen.apart_m + (_hidden_m(half, seen.eye, sign) if axis == UP else 0.0)
                 yield Bounded(f"boxes.gap_{seen.source}_{side}", gap_m, most=most_m)
                 if gap_m > most_m:
                     yield Finding(
@@ -134,3 +136,10 @@ def judge(item: ObjectLabel, seen: SeenPart) -> Iterator[Result]:
                         f"objects.{item.id}: expected its {seen.source} to reach the {side} side of its box, got them "
                         f"{gap_m:.2f} m before it",
                     )
+
+
+def _hidden_m(half: Float[np.ndarray, "3"], eye: Float[np.ndarray, "3"], sign: int) -> float:
+    """How much of the height of parts that are set back from an object's nearer end this end may hide: of wheels under
+    a bumper from an eye above it, of what stands on a roof from one below it."""
+    away_m, back_m = max(abs(float(eye[ALONG])) - half[ALONG], 0.0), SET_BACK * half[ALONG]
+    return float(max(half[UP] - sign * eye[UP], 0.0) * back_m / (away_m + back_m))

@@ -173,7 +173,12 @@ def _surface(lane: Lane, strip: Strip, uv: Points2, passes: Passes) -> list[Meas
         is_plane = between.bend * y_m / between.depth_m * across_m < MAX_BEND_M
         smooth = lane.visible & is_plane & (between.spread < SMOOTH)
     if "semantic" in passes:
-        smooth &= ~_of_objects(passes["semantic"][around(uv, passes["depth"].shape, 1)]).any(axis=0)
+        semantic = passes["semantic"][around(uv, passes["depth"].shape, 1)]
+        smooth &= ~_of_objects(semantic).any(axis=0)
+        if lane.connector is not None:
+            # On a map the edge of a shoulder or walkway may be a kerb.
+            raised = semantic == SEMANTIC_IDS["shoulder"]
+            smooth &= raised.all(axis=0) | ~raised.any(axis=0)
     y_m, error = y_m[smooth], error[smooth]
     gap_m = np.abs(error) * across_m[smooth]
     return [Measure("depth_m", y_m, np.abs(error * y_m)), Measure("surface_m", y_m, gap_m)]

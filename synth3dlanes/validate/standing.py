@@ -165,8 +165,12 @@ def _feet(evidence: Evidence) -> Iterator[tuple[str, Float[np.ndarray, "n 2"]]]:
     for i, post in enumerate(roadside.posts):
         if post.side != "median":
             yield f"posts.{i}", beside_world(world, post.road, post.side, np.array([post.s_m]), post.aside_m)
-    boxes = evidence.structures.boxes
-    first = len(boxes.low) - len(roadside.buildings)
+    for name in ("signals", "signs"):
+        for i, item in enumerate(getattr(roadside, name)):
+            yield f"{name}.{i}", np.array([[item.x_m, item.y_m]])
+    first_owner = len(roadside.rails) + len(roadside.posts) + len(roadside.crossings)
+    first = int(np.searchsorted(evidence.structures.owners, first_owner))
+    boxes = [values[first : first + len(roadside.buildings)] for values in evidence.structures.boxes]
     share = np.stack(np.meshgrid(np.linspace(0, 1, 9), np.linspace(0, 1, 9), [0.0]), -1).reshape(-1, 3)
-    for i, (pose, low, high) in enumerate(zip(*(values[first:] for values in boxes), strict=True)):
+    for i, (pose, low, high) in enumerate(zip(*boxes, strict=True)):
         yield f"buildings.{i}", transform(pose, low + share * (high - low))[:, :2]

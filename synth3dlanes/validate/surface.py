@@ -83,12 +83,20 @@ def pavement_at(
     return Pavement(range_m, semantic, place, up, gap_m, ((eye_world - points) * up).sum(axis=1))
 
 
+def is_firm(world: World, points: Points3) -> Bool[np.ndarray, " n"]:
+    """Which points have one height from above: those at the kerbs of a map do not."""
+    place = places(world.ground, points[:, :2])
+    return ~place.on_slope() if isinstance(place, MapPlaces) else np.ones(len(points), dtype=bool)
+
+
 def check_pavement(evidence: Evidence) -> Iterator[Result]:
     """Findings about depth, semantic ids and normals on the road, and measure `pavement_m`: distances from the road."""
     passes = evidence.passes
     rows, columns = _pixels_of_pavement(passes)
     y_m = passes["depth"][rows, columns].astype(float)
     eye_world, points = evidence.camera.world_from_cam[:3, 3], evidence.points_world(rows, columns)
+    firm = is_firm(evidence.world, points)
+    rows, columns, y_m, points = rows[firm], columns[firm], y_m[firm], points[firm]
     pavement = pavement_at(evidence.world, eye_world, points, y_m, passes["semantic"][rows, columns])
     yield from _sky(passes)
     yield from _depth(pavement)

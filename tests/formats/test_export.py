@@ -229,13 +229,17 @@ def test_narrow_frames_get_their_own_intrinsics_or_are_left_out_and_counted(writ
     narrow = [f_px for f_px in own_f_px if f_px > 500]
     assert 0 < len(narrow) < 3, "some frames are narrow and some are not"
     summaries = {name: Export(str(root), tmp_path / name, name).write() for name in PINHOLE}
-    for name in ("openlane", "once"):
+    for name in ("openlane", "once", "tusimple"):
         assert sum(summaries[name].n_frames.values()) == 3
-    for name in ("apollo", "tusimple"):
-        assert list(summaries[name].left_out.values()) == [len(narrow)]
-        assert f"narrower than the format's one camera | {len(narrow)} |" in (tmp_path / name / "README.md").read_text()
+    assert list(summaries["apollo"].left_out.values()) == [len(narrow)]
+    assert f"narrower than the format's one camera | {len(narrow)} |" in (tmp_path / "apollo/README.md").read_text()
     found = [json.loads(path.read_text())["intrinsic"][0][0] for path in tmp_path.glob("openlane/lane3d_1000/*/seg*/*")]
     assert sorted(found) == pytest.approx([2015.0] * (3 - len(narrow)) + [4 * f_px for f_px in narrow], abs=0.2)
+    beside = [
+        json.loads(line)["img_from_cv"][0][0] for line in (tmp_path / "tusimple/sidecar.jsonl").read_text().splitlines()
+    ]
+    own = [1280 / 480 * f_px for f_px in narrow]
+    assert sorted(beside) == pytest.approx([2015 * 2 / 3] * (3 - len(narrow)) + own, abs=0.2)
     assert [
         result.problems
         for name in PINHOLE

@@ -147,9 +147,8 @@ def test_a_crossing_leaves_its_clearance_over_hills_and_ramps(kind, topology):
     for s_m in (-30.0, 12.0, 45.0):
         crossing = Crossing(kind=kind, s_m=s_m, clearance_m=5.0, width_m=10.0 if kind == "bridge" else 0.9, color=GRAY)
         world = resolve(with_roadside(scene, crossings=(crossing,)))
-        (body,) = world.site.structures
         lanes = lane_points(world)
-        corners = body.corners_world
+        corners = np.concatenate([body.corners_world for body in world.site.structures])
         low, high = corners.min(axis=1), corners.max(axis=1)
         # Every face whose box seen from above holds a lane's point is at least 5 m over it.
         holds = ((lanes[:, None, :2] > low[:, :2]) & (lanes[:, None, :2] < high[:, :2])).all(axis=2)

@@ -31,15 +31,17 @@ ONLY_SIGNS = [
 
 @pytest.fixture(scope="module")
 def signs():
-    """(world, post, its body) of many signs, at roads of all kinds."""
+    """(world, post, its element, its foot) of many signs, at roads of all kinds."""
     found = []
     params = load_params("streets", ONLY_SIGNS)
     for index in range(14):
         world = sample_world(Scenes(params, 3, "test"), index)
         roadside = world.scene.roadside
         first = len(roadside.rails)
-        found += [(world, post, world.site.structures[first + i]) for i, post in enumerate(roadside.posts)]
-    assert {post.face for _, post, _ in found} == set(range(1, len(FACES) + 1))
+        feet = [world.site.structures[first + i].feet_world[0] for i in range(len(roadside.posts))]
+        places = zip(roadside.posts, world.site.elements, feet, strict=False)
+        found += [(world, post, element, foot) for post, element, foot in places if post.kind == "sign"]
+    assert {post.face for _, post, _, _ in found} == set(range(1, len(FACES) + 1))
     return found
 
 
@@ -50,26 +52,30 @@ def facing(body):
     return normal[:2] / np.linalg.norm(normal[:2])
 
 
-def nearest_traffic(world, post, body):
+def nearest_traffic(world, post, foot):
     """The id of the lane segment nearest to a sign, the middle of the lane there, and the way of its traffic."""
     s_m = post.s_m * world.network.onwards
     road = world.scene.road
     places = []
     for lane in (*road.segments_at(s_m), *road.oncoming_segments):
         xy, heading = (np.asarray(part)[..., :2].reshape(-1, 2)[0] for part in car_place(world.network, lane, s_m, 0.0))
-        places.append((np.linalg.norm(body.feet_world[0][:2] - xy), lane, xy, heading))
+        places.append((np.linalg.norm(foot[:2] - xy), lane, xy, heading))
     return min(places, key=lambda place: place[0])[1:]
 
 
 def test_a_sign_faces_the_traffic_beside_it_and_no_entry_that_which_would_come_the_wrong_way(signs):
     oncoming = set()
-    for world, post, body in signs:
-        lane, _, way = nearest_traffic(world, post, body)
-        towards = -float(facing(body) @ way)
+    for world, post, element, foot in signs:
+        lane, _, way = nearest_traffic(world, post, foot)
+        towards = -float(facing(element.body) @ way)
+        np.testing.assert_allclose(facing(element.body), -element.place.world_from_face[:2, 1], atol=1e-6)
+        assert (lane in element.lanes) == (post.face != NO_ENTRY)
+        assert all(name.startswith("oncoming") == lane.startswith("oncoming") for name in element.lanes)
         assert abs(towards) > 0.8
         assert (towards < 0) == (post.face == NO_ENTRY), (post, lane)
         if post.face == NO_ENTRY:
-            assert facing(body)[1] > 0, "the host sees its back"
+            assert element.lanes == ()
+            assert facing(element.body)[1] > 0, "the host sees its back"
         oncoming.add(lane.startswith("oncoming"))
     assert oncoming == {True, False}
 
@@ -85,11 +91,11 @@ def pointing(face):
 
 def test_arrows_point_to_where_the_sign_stands_but_for_those_that_lead_back_to_the_road(signs):
     seen = set()
-    for world, post, body in signs:
-        _, xy, way = nearest_traffic(world, post, body)
+    for world, post, _, foot in signs:
+        _, xy, way = nearest_traffic(world, post, foot)
         if post.face == NO_ENTRY or not pointing(post.face):
             continue
-        out = body.feet_world[0][:2] - xy
+        out = foot[:2] - xy
         is_right = way[1] * out[0] - way[0] * out[1] > 0
         assert (pointing(post.face) > 0) == (is_right != (post.face in TO_THE_ROAD)), post
         seen.add(post.face)
@@ -111,14 +117,17 @@ def test_boards_of_a_gantry_face_the_traffic_below_them(flip):
     road = {"n_lanes": 2, "n_oncoming": 2, "median_m": 4.0, "flip_longitudinal": flip}
     gantry = Crossing(kind="gantry", s_m=0.0, clearance_m=5.5, width_m=0.9, color=(0.0, 0.1, 0.3))
     world = resolve(changed(FLAT, road=road).model_copy(update={"roadside": Roadside(crossings=(gantry,))}))
-    body = world.site.structures[0]
-    boards = body.corners_world[np.array(body.surface) == SURFACES.index("sign")]
-    white = np.all(np.array(body.colors)[np.array(body.surface) == SURFACES.index("sign")][:, :3] > 0.6, axis=1)
     ways = set()
-    for a, b, c, d in boards[white]:
-        way = np.sign(np.cross(b - a, d - a)[1])
-        right_of_median_m = ((a + c)[0] / 2) * (-1 if flip else 1) + 5.5
+    for board in world.site.elements:
+        way = np.sign(-board.place.world_from_face[1, 1])
+        assert way == np.sign(facing(board.body)[1])
+        right_of_median_m = board.place.world_from_face[0, 3] * (-1 if flip else 1) + 5.5
         if abs(right_of_median_m) > 4.0:  # the board in the middle spans both ways
             assert way == (-1 if right_of_median_m > 0 else 1)
             ways.add(way)
+        for name in board.lanes:
+            lane = world.network.lanes[name]
+            x, _ = world.network.road(lane.road).xy(np.zeros(1), lane.middle(np.zeros(1)))[0]
+            assert abs(x - board.place.world_from_face[0, 3]) < 5
+            assert (lane.direction == "same") == (way < 0)
     assert ways == {-1, 1}

@@ -14,7 +14,7 @@ from synth3dlanes.scene import Car, Lidar
 from synth3dlanes.settings import RenderSettings
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding
-from synth3dlanes.validate.object_boxes import judge, views_of
+from synth3dlanes.validate.object_boxes import SeenPart, judge, views_of
 from synth3dlanes.world import resolve
 from tests.scenes import changed
 from tests.validate.examining import findings, reasons
@@ -149,3 +149,14 @@ def test_what_is_seen_of_a_hidden_car_is_what_is_left_of_it(sample):
     assert hidden.seen_box_px is not None
     assert (hidden.seen_box_px[:2] >= hidden.box_px[:2] - 1).all()
     assert (hidden.seen_box_px[2:] <= hidden.box_px[2:] + 1).all()
+
+
+@pytest.mark.parametrize(("eye_up_m", "is_told"), [(-1.5, False), (1.6, True)])
+def test_a_nearer_end_may_hide_the_top_of_a_roof_from_below_alone(sample, eye_up_m, is_told):
+    bus = replace(sample.labels.objects[0], size_m=np.array([2.5, 11.8, 3.06]), truncation=0.0, visible_fraction=1.0)
+    half = bus.size_m / 2
+    seen = np.array([[-half[0], -half[1], -half[2]], [half[0], -half[1], half[2] - 0.12]])
+    told = list(judge(bus, SeenPart("pixels", seen, np.array([0, -35.0, eye_up_m]), 0.04)))
+    problems = [result.reason for result in told if isinstance(result, Finding)]
+    assert bool(problems) == is_told
+    assert all("upper side of its box, got them 0.12 m before it" in problem for problem in problems)

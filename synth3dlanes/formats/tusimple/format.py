@@ -15,7 +15,7 @@ FORMAT = PinholeFormat(
     score=score,
     tolerances={RULE.unit: RULE.limit},
     camera=CAMERA,
-    is_f_free=False,
+    is_f_free=True,
     is_size_free=False,
     lists=LABEL_FILES,
 )

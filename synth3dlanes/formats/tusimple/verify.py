@@ -16,7 +16,7 @@ from synth3dlanes.schema import shown
 
 # Columns are whole pixels.
 RULE = Rule("px", 0.51, most=5)
-VIEW = ExportView(np.array([[4030 / 3, 0, 640], [0, 4030 / 3, 360], [0, 0, 1]]), (1280, 720))
+SIZE_PX = (1280, 720)
 
 
 def read(out: Path, most_frames: int) -> Iterator[FrameList]:
@@ -41,6 +41,7 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     (found, sidecar) = frame.content
     rows_px = found.rows_px[::-1]
     lines = [np.column_stack([u_px[::-1], rows_px])[u_px[::-1] >= 0] for u_px in found.lanes_u_px]
-    ours = [lane.at_rows(VIEW, rows_px) for lane in truth.lanes("delimiter")]
+    view = ExportView(sidecar.img_from_cv, SIZE_PX)
+    ours = [lane.at_rows(view, rows_px) for lane in truth.lanes("delimiter")]
     compared, _ = compare(lines, ours, RULE, sidecar.lines_ids)
     return compared.because(camera_problems(truth, sidecar.camera_height_m, sidecar.camera_pitch_rad))

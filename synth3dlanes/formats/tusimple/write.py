@@ -8,8 +8,8 @@ from jaxtyping import Int
 
 from synth3dlanes.formats.lines import LaneAhead, columns_of, keep_lines, lines_ahead
 from synth3dlanes.formats.sidecar import sidecar
-from synth3dlanes.formats.tusimple.convention import ABSENT, CAMERA, ROWS_PX
-from synth3dlanes.formats.writing import FrameAnnotation, PinholeFrame
+from synth3dlanes.formats.tusimple.convention import ABSENT, ROWS_PX
+from synth3dlanes.formats.writing import FrameAnnotation, Pinhole, PinholeFrame
 
 MAX_LINES = 5
 TEST_LABELS, TEST_TASKS = "test_label.json", "test_tasks_0627.json"
@@ -25,7 +25,8 @@ README = """tuSimple layout.
 - One to five lines a frame, the nearest to the camera (the official accuracy fails on none and exceeds 1 on more);
   a line ends where it would come back to a row that it has crossed. Frames without lines are left out.
 - Terrain hides lines, cars do not. `sidecar.jsonl` holds the camera (f = 1343.3, c = (640, 360)), its height over
-  the road and its pitch (radians, positive = down).
+  the road and its pitch (radians, positive = down). f is longer where the frame's own field of view is narrower
+  than that of the others.
 """
 
 
@@ -33,14 +34,14 @@ def annotate(frame: PinholeFrame) -> FrameAnnotation | None:
     """The frame's label line; None for a frame without lines, which the benchmark cannot score."""
     labels, dropped = frame.labels, Counter[str]()
     raw_file = f"clips/{frame.split}/{frame.key}/20.jpg"
-    rows = [(line, rows_of(line)) for line in lines_ahead(labels, CAMERA, "delimiter")]
+    rows = [(line, rows_of(line, frame.pinhole)) for line in lines_ahead(labels, frame.pinhole, "delimiter")]
     crossing = [line for line, u_px in rows if np.count_nonzero(u_px != ABSENT) >= 2]
     if len(crossing) < len(rows):
         dropped["its visible part crosses fewer than two rows of the image"] += len(rows) - len(crossing)
     kept = keep_lines(crossing, dropped, MAX_LINES, f"beyond the {MAX_LINES} nearest (the score exceeds 1 with more)")
     if not kept:
         return None
-    lanes = [rows_of(line).tolist() for line in kept]
+    lanes = [rows_of(line, frame.pinhole).tolist() for line in kept]
     document = {"lanes": lanes, "h_samples": ROWS_PX.tolist(), "raw_file": raw_file}
     task = {"raw_file": raw_file, "h_samples": ROWS_PX.tolist(), "lanes": []}
     file = label_file(frame)
@@ -63,7 +64,7 @@ def label_file(frame: PinholeFrame) -> str:
     return f"label_data_{dealt.get(int(frame.key) % 10, '0313')}.json"
 
 
-def rows_of(line: LaneAhead) -> Int[np.ndarray, " r"]:
+def rows_of(line: LaneAhead, pinhole: Pinhole) -> Int[np.ndarray, " r"]:
     """The line's column at each row, ABSENT where it has none in the image."""
-    columns_px = np.rint(columns_of(line, CAMERA, ROWS_PX))
-    return np.where((columns_px >= 0) & (columns_px < CAMERA.width_px), columns_px, ABSENT).astype(int)
+    columns_px = np.rint(columns_of(line, pinhole, ROWS_PX))
+    return np.where((columns_px >= 0) & (columns_px < pinhole.width_px), columns_px, ABSENT).astype(int)

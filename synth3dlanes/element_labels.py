@@ -1,0 +1,126 @@
+"""Traffic elements in labels: the head of every signal and the face of every sign, what they show, and the lanes that
+they govern. Pure data.
+
+The frame of an element has its origin in the middle of its box, x to the right and y ahead as the traffic that it is
+for drives, z up: its face looks along -y. Rectangles are as in `object_labels`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from pydantic import Field, with_config
+
+from synth3dlanes.arrays import Matrix4
+from synth3dlanes.frames import from_axes, rotation, transform
+from synth3dlanes.json_arrays import JsonPixelRectangle, JsonQuaternion, JsonRectangle, JsonSize3, JsonVector3, rounded
+from synth3dlanes.object_labels import CORNERS
+from synth3dlanes.schema import STRICT, Unit
+from synth3dlanes.traffic_elements import ElementCategory, ElementKind, ElementState, GovernedLanes
+
+
+@with_config(STRICT)
+@dataclass(frozen=True, eq=False)
+class ElementLabel:
+    """One traffic element.
+
+    `id` is its number in the pass `instance`; it is the same in all pictures of a scene. `kind` is the form of a
+    light's lenses, `lane` over a lane, or what a sign shows; `state` is what a signal shows in this picture, None of a
+    sign. `lanes` are ids of segments of the lane graph. `size_m` is width, depth and height. `box_px`,
+    `unclipped_box_px`, `seen_box_px` and `visible_fraction` are as those of an object, but that `visible_fraction` is
+    measured on the image's pixels."""
+
+    id: Annotated[int, Field(ge=1)]
+    category: ElementCategory
+    kind: ElementKind
+    state: ElementState | None
+    lanes: GovernedLanes
+    size_m: JsonSize3
+    center_cam: JsonVector3
+    rotation_wxyz: JsonQuaternion
+    box_px: JsonRectangle | None
+    unclipped_box_px: JsonRectangle | None
+    seen_box_px: JsonPixelRectangle | None = None
+    visible_fraction: Unit | None = None
+
+    @property
+    def cam_from_element(self) -> Matrix4:
+        """The pose of its frame."""
+        x, y, z = rotation(self.rotation_wxyz).T
+        return from_axes(x, y, z, self.center_cam)
+
+    @property
+    def corners_cam(self) -> Float[np.ndarray, "8 3"]:
+        """The corners of its box in the order of CORNERS: the back, then the face."""
+        return transform(self.cam_from_element, CORNERS * self.size_m / 2)
+
+    @property
+    def normal_cam(self) -> Float[np.ndarray, "3"]:
+        """The unit vector along which its face looks."""
+        return -rotation(self.rotation_wxyz)[:, 1]
+
+
+@dataclass(frozen=True, eq=False)
+class TrafficElements:
+    """The traffic elements of a sample as arrays, one row for each, with the fields of `ElementLabel`. NaN where these
+    are None; `governs[i, k]` says whether element i governs segment k of the lane graph."""
+
+    id: Int[np.ndarray, " n"]
+    category: tuple[ElementCategory, ...]
+    kind: tuple[ElementKind, ...]
+    state: tuple[ElementState | None, ...]
+    lanes: tuple[tuple[str, ...], ...]
+    governs: Int[np.ndarray, "n k"]
+    size_m: Float[np.ndarray, "n 3"]
+    cam_from_element: Float[np.ndarray, "n 4 4"]
+    corners_cam: Float[np.ndarray, "n 8 3"]
+    normal_cam: Float[np.ndarray, "n 3"]
+    box_px: Float[np.ndarray, "n 4"]
+    unclipped_box_px: Float[np.ndarray, "n 4"]
+    seen_box_px: Float[np.ndarray, "n 4"]
+    visible_fraction: Float[np.ndarray, " n"]
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+
+def element_arrays(items: Sequence[ElementLabel], segments: Sequence[str]) -> TrafficElements:
+    """Traffic elements as arrays; `segments` are the ids of the lane graph in its order."""
+
+    def rows(name: str, *shape: int) -> Float[np.ndarray, "..."]:
+        values = (getattr(item, name) for item in items)
+        filled = [np.full(shape, np.nan) if value is None else np.asarray(value, float) for value in values]
+        return np.array(filled).reshape(len(items), *shape)
+
+    governs = [[int(segment in item.lanes) for segment in segments] for item in items]
+    return TrafficElements(
+        id=np.array([item.id for item in items], int),
+        category=tuple(item.category for item in items),
+        kind=tuple(item.kind for item in items),
+        state=tuple(item.state for item in items),
+        lanes=tuple(item.lanes for item in items),
+        governs=np.array(governs, int).reshape(len(items), len(segments)),
+        size_m=rows("size_m", 3),
+        cam_from_element=rows("cam_from_element", 4, 4),
+        corners_cam=rows("corners_cam", 8, 3),
+        normal_cam=rows("normal_cam", 3),
+        box_px=rows("box_px", 4),
+        unclipped_box_px=rows("unclipped_box_px", 4),
+        seen_box_px=rows("seen_box_px", 4),
+        visible_fraction=rows("visible_fraction"),
+    )
+
+
+# Decimals in the JSON form: corners are off by less than 0.1 mm.
+DECIMALS = {"size_m": 4, "center_cam": 4, "rotation_wxyz": 6, "box_px": 1, "unclipped_box_px": 1}
+
+
+def element_document(item: ElementLabel) -> dict[str, Any]:
+    """The JSON form of a traffic element."""
+    document = dict(vars(item))
+    for name, decimals in DECIMALS.items():
+        document[name] = None if document[name] is None else rounded(document[name], decimals)
+    seen = item.seen_box_px
+    return {**document, "lanes": list(item.lanes), "seen_box_px": None if seen is None else seen.tolist()}

@@ -1,0 +1,206 @@
+"""Check traffic elements: against the scene, and against what depth, ids and colours show.
+
+Pixels of an element must be in its box and reach its sides; no pixels of a sign or signal may be without a label; the
+lights of a signal must shine where its state says; and a signal over a lane must hang over the lane that it governs.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from synth3dlanes.arrays import Points3
+from synth3dlanes.element_labels import ElementLabel, element_document
+from synth3dlanes.frames import invert, transform
+from synth3dlanes.object_labels import rectangle_around
+from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.validate.evidence import Evidence
+from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Result, differences, some
+
+# How far pixels may be outside a box, and how many; how far before a side they may end, and which part of the distance
+# between two pixels.
+ROOM_M, MAX_OUTSIDE, MAX_SINGLE, MAX_GAP_M, MAX_PART = 0.02, 0.01, 2, 0.03, 1.0
+# Elements of fewer pixels are not judged by these, and sides only of those that are seen as a whole.
+MIN_PIXELS, MIN_SEEN = 60, 0.99
+# Pixels without a label: more than these, at most so far away.
+MAX_UNLABELLED, FARTHEST_M = 4, 190.0
+# Numbers of a label that follow from the scene are rounded in files; the projection of those adds to that.
+PLACES = {"size_m": 2e-4, "center_cam": 2e-4, "rotation_wxyz": 2e-6, "box_px": 0.2, "unclipped_box_px": 0.2}
+# How far a signal may hang beside the middle of its lane, seen from above; points of a lane are a metre apart.
+BESIDE_LANE_M = 0.6
+# Heads of which fewer rows are seen are not judged by their colours; how much brighter a dark light may be than a lit
+# one, and how far a red cross may be from red, in levels.
+MIN_ROWS, BRIGHTER, LEAST_HUE = 18, 50.0, 12.0
+LIT = {"off": (), "red": (0,), "red_amber": (0, 1), "amber": (1,), "green": (2,)}
+# Signs of red minus green of the lights over lanes.
+HUES = {"red_cross": 1, "green_arrow": -1}
+
+
+def check_elements(evidence: Evidence) -> Iterator[Result]:
+    """Findings about traffic elements that are not those of the scene, or not where and what pixels show."""
+    items, truth = evidence.labels.traffic_elements, evidence.truth.traffic_elements
+    if items is None or truth is None:
+        return
+    yield from _unlabelled(evidence, items)
+    segments = {segment.id for segment in evidence.labels.graph.segments}
+    for item in items:
+        yield from judge(evidence, item)
+        unknown = [lane for lane in item.lanes if lane not in segments]
+        if unknown:
+            yield Finding("", f"traffic_elements.{item.id}.lanes: expected segments of the graph, got {unknown[0]}")
+        yield from over_its_lane(evidence, item)
+        yield from shining(evidence, item)
+    if [item.id for item in items] != [item.id for item in truth]:
+        ids = ", ".join(str(item.id) for item in truth[:5])
+        yield Finding("", f"traffic_elements: expected the {len(truth)} of the scene ({ids} ...), got other ids")
+        return
+    for item, true in zip(items, truth, strict=True):
+        wrong = list(_otherwise(item, true))
+        if wrong:
+            yield Finding("", f"traffic_elements.{item.id}: {some(wrong)}")
+
+
+def _otherwise(item: ElementLabel, true: ElementLabel) -> Iterator[str]:
+    """How an element differs from the scene's, by more than rounding."""
+    found, expected = element_document(item), element_document(true)
+    for name in ("category", "kind", "state", "lanes", *PLACES):
+        a, b = expected[name], found[name]
+        if name not in PLACES or a is None or b is None or not np.allclose(a, b, rtol=1e-6, atol=PLACES[name]):
+            yield from differences(a, b, name)
+
+
+def _unlabelled(evidence: Evidence, items: tuple[ElementLabel, ...]) -> Iterator[Finding]:
+    """Pixels of signs and signals near the camera whose id has no label."""
+    if not {"instance", "semantic", "depth"} <= evidence.has:
+        return
+    semantic, instance = evidence.passes["semantic"], evidence.passes["instance"]
+    is_it = np.isin(semantic, [SEMANTIC_IDS["sign"], SEMANTIC_IDS["signal"]])
+    is_it &= np.abs(evidence.passes["depth"]) < FARTHEST_M
+    ids, counts = np.unique(instance[is_it], return_counts=True)
+    known = {item.id for item in items}
+    for id_, count in zip(ids.tolist(), counts.tolist(), strict=True):
+        if id_ not in known and count > MAX_UNLABELLED:
+            yield Finding("", f"traffic_elements: expected one with id {id_}, which {count} pixels show, got none")
+
+
+def judge(evidence: Evidence, item: ElementLabel) -> Iterator[Result]:
+    """Findings where pixels with an element's id are not in its rectangles and box, or end before a side of it."""
+    if "instance" not in evidence.has:
+        return
+    at = evidence.passes["instance"] == item.id
+    there = rectangle_around(*np.nonzero(at))
+    shown = [None if box is None else box.tolist() for box in (there, item.seen_box_px)]
+    if shown[0] != shown[1]:
+        yield Finding("", f"traffic_elements.{item.id}.seen_box_px: expected {shown[0]} by its pixels, got {shown[1]}")
+    if item.visible_fraction is not None and (item.visible_fraction > 0) != bool(at.any()) and at.sum() != 1:
+        yield Finding(
+            "",
+            f"traffic_elements.{item.id}.visible_fraction: expected a share of its {at.sum()} pixels, "
+            f"got {item.visible_fraction:g}",
+        )
+    if "depth" not in evidence.has or np.linalg.norm(item.center_cam) > PROOF_M:
+        return
+    rows, columns = np.nonzero(at & np.isfinite(evidence.passes["depth"]))
+    if len(rows) >= MIN_PIXELS:
+        points_cam = evidence.points_cam(rows, columns)
+        apart_m = float(points_cam[:, 1].max()) / evidence.camera.img_from_cam[0, 0]
+        yield from _in_box(item, transform(invert(item.cam_from_element), points_cam), apart_m)
+
+
+def _in_box(item: ElementLabel, points: Points3, apart_m: float) -> Iterator[Result]:
+    """Findings where points of an element, in its frame and so far from each other, are not in its box, or end before
+    a side of one that is seen as a whole."""
+    half = item.size_m / 2
+    beyond_m = np.abs(points) - half
+    n, n_outside = len(points), int((beyond_m > ROOM_M).any(axis=1).sum())
+    most = max(MAX_SINGLE, MAX_OUTSIDE * n)
+    yield Bounded("elements.outside", n_outside, most=most)
+    if n_outside > most:
+        yield Finding(
+            "",
+            f"traffic_elements.{item.id}: expected its pixels in its box, got {n_outside} of {n} up to "
+            f"{beyond_m.max():.2f} m outside",
+        )
+        return
+    box, whole = item.box_px, item.unclipped_box_px
+    if box is None or whole is None or not np.allclose(box, whole) or (item.visible_fraction or 0.0) < MIN_SEEN:
+        return
+    for axis, name in ((0, "left right"), (2, "lower upper")):
+        for sign, side in zip((-1, 1), name.split(), strict=True):
+            gap_m = float(half[axis] - (sign * points[:, axis]).max())
+            most_m = MAX_GAP_M + MAX_PART * apart_m + _corner_m(item, apart_m)
+            yield Bounded(f"elements.gap_{side}", gap_m, most=most_m)
+            if gap_m > most_m:
+                yield Finding(
+                    "",
+                    f"traffic_elements.{item.id}: expected its pixels to reach the {side} side of its box, got them "
+                    f"{gap_m:.2f} m before it",
+                )
+
+
+def _corner_m(item: ElementLabel, apart_m: float) -> float:
+    """How far before a side the pixels of a board may end that reaches it in a corner alone."""
+    return 1.5 * apart_m if item.category == "road_sign" else 0.0
+
+
+def over_its_lane(evidence: Evidence, item: ElementLabel) -> Iterator[Result]:
+    """A signal over a lane that does not hang over the middle of the lane that it governs."""
+    if item.category != "lane_signal" or len(item.lanes) != 1:
+        return
+    graph = evidence.labels.graph
+    names = {name for segment in graph.segments if segment.id == item.lanes[0] for name in segment.centerlines}
+    lines = [lane.xyz_cam for lane in evidence.labels.lanes if lane.id in names]
+    if not lines:
+        return
+    road_from_cam = evidence.camera.road_from_cam
+    x, y, _ = transform(road_from_cam, item.center_cam)
+    points = transform(road_from_cam, np.concatenate(lines))
+    if not points[:, 1].min() <= y <= points[:, 1].max():
+        return
+    off_m = float(np.hypot(points[:, 0] - x, points[:, 1] - y).min())
+    yield Bounded("elements.beside_lane", off_m, most=BESIDE_LANE_M)
+    if off_m > BESIDE_LANE_M:
+        yield Finding(
+            "",
+            f"traffic_elements.{item.id}.lanes: expected the lane below it, got {item.lanes[0]}, which is "
+            f"{off_m:.2f} m beside it",
+        )
+
+
+def shining(evidence: Evidence, item: ElementLabel) -> Iterator[Result]:
+    """A signal whose dark lights are much brighter than its lit ones, or a cross or arrow of the other colour."""
+    if evidence.image is None or item.state is None or item.seen_box_px is None or "instance" not in evidence.has:
+        return
+    left, top, right, bottom = item.seen_box_px.tolist()
+    faces_us = float(item.normal_cam @ item.center_cam) < -0.7 * float(np.linalg.norm(item.center_cam))
+    if bottom - top < MIN_ROWS or (item.visible_fraction or 0.0) < MIN_SEEN or not faces_us:
+        return
+    own = evidence.passes["instance"][top:bottom, left:right] == item.id
+    pixels = np.where(own[..., None], evidence.image[top:bottom, left:right], 0).astype(float)
+    if item.category == "traffic_light":
+        lights = [_brightest(part, part.any(axis=2)) for part in np.array_split(pixels, 3, axis=0)]
+        lit = LIT[item.state]
+        dark = [level for number, level in enumerate(lights) if number not in lit]
+        off = max(dark, default=0.0) - min((lights[number] for number in lit), default=np.inf)
+        yield Bounded("elements.dark_light", off, most=BRIGHTER)
+        if off > BRIGHTER:
+            levels = ", ".join(f"{level:.0f}" for level in lights)
+            yield Finding(
+                "",
+                f"traffic_elements.{item.id}.state: expected {item.state} lights, got levels of {levels} from the top",
+            )
+    elif item.state in HUES:
+        chosen = pixels[pixels.max(axis=2) >= np.percentile(pixels.max(axis=2), 90)]
+        hue = HUES[item.state] * float((chosen[:, 0] - chosen[:, 1]).mean())
+        yield Bounded("elements.hue", hue, least=-LEAST_HUE)
+        if hue < -LEAST_HUE:
+            yield Finding(
+                "",
+                f"traffic_elements.{item.id}.state: expected the colour of {item.state}, got {-hue:.0f} levels of the "
+                "other",
+            )
+
+
+def _brightest(part: Float[np.ndarray, "h w 3"], own: Bool[np.ndarray, "h w"]) -> float:
+    """The level of the brightest tenth of the pixels of an element, by their strongest channel."""
+    return float(np.percentile(part[own].max(axis=1), 90)) if own.any() else 0.0

@@ -1,0 +1,113 @@
+"""Traffic elements that are not what pixels show are found, and those of another scene."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from synth3dlanes.element_labels import ElementLabel
+from synth3dlanes.production.recipe import take_picture
+from synth3dlanes.settings import RenderSettings
+from synth3dlanes.validate.evidence import Evidence
+from synth3dlanes.validate.findings import findings_of
+from synth3dlanes.validate.traffic_elements import check_elements, judge, over_its_lane, shining
+from synth3dlanes.world import resolve
+from tests.signals import signals_scene
+
+pytestmark = pytest.mark.render
+
+
+@pytest.fixture(scope="module")
+def sample() -> Evidence:
+    world = resolve(signals_scene())
+    picture = take_picture(world, RenderSettings(samples=1, passes=("depth", "semantic", "instance")))
+    return Evidence(world, picture.labels, picture.image, picture.passes)
+
+
+def with_elements(sample: Evidence, items: list[ElementLabel]) -> Evidence:
+    labels = replace(sample.labels, traffic_elements=tuple(items))
+    return Evidence(sample.world, labels, sample.image, dict(sample.passes))
+
+
+def item_of(sample: Evidence, category: str, **other: object) -> ElementLabel:
+    return next(
+        item
+        for item in sample.labels.traffic_elements
+        if item.category == category and all(getattr(item, name) == value for name, value in other.items())
+    )
+
+
+def test_a_right_sample_has_no_findings(sample):
+    items = sample.labels.traffic_elements
+    assert len(items) == 9
+    assert [item.visible_fraction for item in items if item.kind != "information"] == pytest.approx([1] * 8, abs=0.01)
+    assert findings_of(check_elements(sample)) == []
+
+
+def move(*by_m: float) -> Callable[[ElementLabel], ElementLabel]:
+    return lambda item: replace(item, center_cam=item.center_cam + item.cam_from_element[:3, :3] @ np.array(by_m))
+
+
+def scale(*by: float) -> Callable[[ElementLabel], ElementLabel]:
+    return lambda item: replace(item, size_m=item.size_m * np.array(by))
+
+
+PLACES = {
+    **{f"{by} m aside": move(by, 0, 0) for by in (0.15, -0.15)},
+    **{f"{by} m up": move(0, 0, by) for by in (0.15, -0.15)},
+    **{f"{by} m on": move(0, by, 0) for by in (0.15, -0.15)},
+    **{f"width times {by}": scale(by, 1, 1) for by in (0.8, 1.3)},
+    **{f"height times {by}": scale(1, 1, by) for by in (0.8, 1.3)},
+}
+
+
+@pytest.mark.parametrize("fault", PLACES)
+def test_pixels_alone_tell_a_wrong_place_or_size(sample, fault):
+    for item in (item_of(sample, "road_sign", kind="speed_50"), item_of(sample, "lane_signal")):
+        assert findings_of(judge(sample, item)) == []
+        assert findings_of(judge(sample, PLACES[fault](item))), item.kind
+
+
+@pytest.mark.parametrize("state", ["green", "amber"])
+def test_lights_alone_tell_a_wrong_state(sample, state):
+    for item in (item_of(sample, "traffic_light", state="red"), item_of(sample, "traffic_light", state="green")):
+        found = findings_of(shining(sample, replace(item, state=state)))
+        assert bool(found) == (state != item.state)
+
+
+def test_colours_alone_tell_a_cross_from_an_arrow(sample):
+    for state, other in (("red_cross", "green_arrow"), ("green_arrow", "red_cross")):
+        item = item_of(sample, "lane_signal", state=state)
+        assert findings_of(shining(sample, item)) == []
+        assert findings_of(shining(sample, replace(item, state=other)))
+
+
+def test_places_alone_tell_that_a_signal_hangs_over_another_lane(sample):
+    item = item_of(sample, "lane_signal", lanes=("main_2",))
+    assert findings_of(over_its_lane(sample, item)) == []
+    for lane in ("main_1", "main_3"):
+        assert findings_of(over_its_lane(sample, replace(item, lanes=(lane,))))
+
+
+def test_elements_that_are_not_those_of_the_scene_are_found(sample):
+    items = list(sample.labels.traffic_elements)
+    stop = next(number for number, item in enumerate(items) if item.kind == "stop")
+
+    def reasons(changed: ElementLabel) -> str:
+        found = with_elements(sample, [*items[:stop], changed, *items[stop + 1 :]])
+        return " ".join(finding.reason for finding in findings_of(check_elements(found)))
+
+    assert "kind: expected" in reasons(replace(items[stop], kind="give_way"))
+    assert "category: expected" in reasons(replace(items[stop], category="traffic_light"))
+    assert "lanes.0: expected" in reasons(replace(items[stop], lanes=("main_1",)))
+    assert "expected segments of the graph, got main_9" in reasons(replace(items[stop], lanes=("main_9",)))
+    assert "center_cam" in reasons(move(0.01, 0, 0)(items[stop]))
+    assert "seen_box_px" in reasons(replace(items[stop], seen_box_px=items[stop].seen_box_px + 1))
+
+
+def test_a_dropped_element_is_found_by_its_pixels_and_by_the_scene(sample):
+    items = list(sample.labels.traffic_elements)
+    found = findings_of(check_elements(with_elements(sample, items[1:])))
+    assert any(f"expected one with id {items[0].id}" in finding.reason for finding in found)
+    assert any("of the scene" in finding.reason for finding in found)
