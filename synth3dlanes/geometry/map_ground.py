@@ -38,6 +38,8 @@ UNDER_FALL_M = 0.03
 CREST_REACH_M, CREST_SLACK_M, CREST_STEP_M = 110.0, 0.005, 4.0
 # How far beyond a raised road's edge its embankment may reach.
 EMBANKMENT_M = 40.0
+# Smaller areas are slivers.
+LEAST_AREA_M2 = 0.02
 
 
 class GroundArea(NamedTuple):
@@ -152,13 +154,15 @@ class MapGround(Ground):
         """The surfaces of junctions and islands."""
         found = []
         for at in self.map.junctions:
-            paved, raised = self._junction(at)
-            found.append(GroundArea(paved, 0.0, "road"))
+            paved, raised = map(_solid, self._junction(at))
+            if not paved.is_empty:
+                found.append(GroundArea(paved, 0.0, "road"))
             if not raised.is_empty:
                 found.append(GroundArea(raised, KERB_M, "walkway"))
         for island in self.islands:
-            polygon = shapely.make_valid(shapely.Polygon(island.outline))
-            found.append(GroundArea(polygon, island.height_m, island.surface))
+            polygon = _solid(shapely.Polygon(island.outline))
+            if not polygon.is_empty:
+                found.append(GroundArea(polygon, island.height_m, island.surface))
         return found
 
     def _junction(self, at: Junction) -> tuple[BaseGeometry, BaseGeometry]:
@@ -342,6 +346,13 @@ class MapGround(Ground):
             if len(xy) > 1:
                 found.append(np.column_stack([xy, self.under(xy) + KERB_M]))
         return found
+
+
+def _solid(area: BaseGeometry) -> BaseGeometry:
+    """The polygons of an area, without slivers."""
+    parts = shapely.get_parts(shapely.make_valid(area))
+    polygons = [part for part in parts if shapely.get_dimensions(part) == 2 and shapely.area(part) > LEAST_AREA_M2]
+    return shapely.MultiPolygon([at for part in polygons for at in shapely.get_parts(part)])
 
 
 def _polygon(left: Points2, right: Points2) -> BaseGeometry:

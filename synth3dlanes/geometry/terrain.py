@@ -4,7 +4,7 @@ smooth grid of heights. World frame."""
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from synth3dlanes.arrays import AnyPoints2, AnyScalars
 from synth3dlanes.scene import Gaussian, HeightGrid, Terrain
@@ -40,12 +40,12 @@ def gradient_at(terrain: Terrain, xy_world: AnyPoints2) -> AnyPoints2:
 def grid_weights(grid: HeightGrid, xy_world: AnyPoints2) -> tuple[Float[np.ndarray, "*n 2 4"], np.ndarray]:
     """The weights of a grid's coefficients along x and y at points, and the numbers of the first of these: a point's
     height is the sum over four columns and four rows. Beyond the grid, those of its edge."""
-    at, inside = _places(grid, xy_world)
+    at, _ = _places(grid, xy_world)
     first = at.astype(int)
     return _b_spline(at - first, slope=False), first
 
 
-def _places(grid: HeightGrid, xy_world: AnyPoints2) -> tuple[AnyPoints2, AnyPoints2]:
+def _places(grid: HeightGrid, xy_world: AnyPoints2) -> tuple[AnyPoints2, Bool[np.ndarray, "*n 2"]]:
     """Places in steps from the second coefficient on, kept within the grid, and whether they were within it."""
     most = np.array([len(grid.rows[0]), len(grid.rows)]) - 3 - 1e-9
     at = (xy_world - np.array(grid.corner_m)) / grid.step_m - 1

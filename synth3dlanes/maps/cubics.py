@@ -2,8 +2,11 @@
 
 import math
 from bisect import bisect_right
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from itertools import pairwise
 from xml.etree.ElementTree import Element
+
+import numpy as np
 
 from synth3dlanes.maps.document import number
 from synth3dlanes.road_map import Polynomial
@@ -11,6 +14,8 @@ from synth3dlanes.road_map import Polynomial
 Cubics = tuple[Polynomial, ...]
 # Pieces that begin this close to each other begin at one station.
 SAME_M = 1e-6
+# Products are told by cubics so long.
+STEP_M = 5.0
 
 
 def read_cubics(elements: Iterable[Element], key: str, where: str) -> Cubics:
@@ -78,6 +83,29 @@ def part(cubics: Sequence[Polynomial], from_m: float, to_m: float) -> Cubics:
         return ()
     inside = [piece for piece in cubics if from_m + SAME_M < piece.s_m < to_m - SAME_M]
     return moved((begun_at(first, from_m), *inside), -from_m)
+
+
+def times(cubics: Sequence[Polynomial], factor: Callable[[float], float], to_m: float) -> Cubics:
+    """A value times another that changes slowly, from station 0 to `to_m`: cubics with its values and slopes at places
+    STEP_M apart."""
+    if not cubics:
+        return ()
+    stations = sorted({*np.arange(0.0, to_m, STEP_M).tolist(), to_m, *(p.s_m for p in cubics if 0 < p.s_m < to_m)})
+    found = []
+    for low, high in pairwise(stations):
+        piece, h = begun_at(piece_at(cubics, low) or cubics[0], low), high - low
+        if h < SAME_M:
+            continue
+        ends = []
+        for x in (0.0, h):
+            e = min(1e-3, h / 4)
+            rate = (factor(low + x + e) - factor(low + x - e)) / (2 * e)
+            at, bend = value([piece], low + x), slope([piece], low + x)
+            ends.append((at * factor(low + x), bend * factor(low + x) + at * rate))
+        (a, b), (end, rise) = ends
+        c, d = (3 * (end - a) / h - 2 * b - rise) / h, (b + rise - 2 * (end - a) / h) / h**2
+        found.append(Polynomial(s_m=low, a=a, b=b, c=c, d=d))
+    return _plain(found)
 
 
 def difference(one: Sequence[Polynomial], other: Sequence[Polynomial], sign: float = 1.0) -> Cubics:

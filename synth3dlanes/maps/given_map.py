@@ -1,6 +1,7 @@
 """GivenMap: what an OpenDRIVE file has of roads, junctions and paint, and what is left out. Map frame, metres."""
 
 import hashlib
+import math
 from collections import Counter
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -14,7 +15,7 @@ from pydantic import ValidationError
 from synth3dlanes.arrays import Points2
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.files import read_bounded
-from synth3dlanes.maps.cubics import is_zero, read_cubics
+from synth3dlanes.maps.cubics import is_zero, read_cubics, times, value
 from synth3dlanes.maps.document import MAX_FILE_BYTES, number, parse_xml
 from synth3dlanes.maps.furniture import read_furniture
 from synth3dlanes.maps.lanes import read_sections
@@ -246,7 +247,30 @@ def _road(
         keeps_left=keeps_left,
     )
     before, after = read_end(element, "predecessor", left_out), read_end(element, "successor", left_out)
+    if not is_zero(banks):
+        road = _from_above(road)
     return road, LinkedRoad(name, sections, before, after, element.get("junction"), keeps_left)
+
+
+def _from_above(road: MapRoad) -> MapRoad:
+    """A banked road, whose widths in the file lie on its banked plane, with those seen from above."""
+
+    def seen(s_m: float) -> float:
+        return math.cos(value(road.banks, s_m))
+
+    sections = []
+    ends = [section.s_m for section in road.sections[1:]] + [road.length_m]
+    for section, end_m in zip(road.sections, ends, strict=True):
+
+        def here(x_m: float, from_m: float = section.s_m) -> float:
+            return seen(from_m + x_m)
+
+        lanes = tuple(
+            lane.model_copy(update={"widths": times(lane.widths, here, end_m - section.s_m)}) for lane in section.lanes
+        )
+        sections.append(section.model_copy(update={"lanes": lanes}))
+    offsets = times(road.lane_offsets, seen, road.length_m)
+    return road.model_copy(update={"sections": tuple(sections), "lane_offsets": offsets})
 
 
 def _yields(
