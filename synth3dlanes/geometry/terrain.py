@@ -52,7 +52,7 @@ def _places(grid: HeightGrid, xy_world: AnyPoints2) -> tuple[AnyPoints2, Bool[np
     return np.clip(at, 0, most), (at >= 0) & (at <= most)
 
 
-def _b_spline(u: AnyPoints2, slope: bool) -> Float[np.ndarray, "*n 4"]:
+def _b_spline(u: AnyScalars, slope: bool) -> Float[np.ndarray, "*n 4"]:
     """Weights of the four coefficients around places u in [0, 1) between the middle two, or their slopes."""
     v = 1 - u
     if slope:
