@@ -81,7 +81,7 @@ def check(world: World) -> None:
         assert height_m < HEIGHT_M, name
 
 
-@pytest.mark.parametrize("preset", first(PRESETS, 2))
+@pytest.mark.parametrize("preset", first(2, PRESETS))
 def test_scenes_of_presets_come_back(preset: str) -> None:
     for index in range(2):
         check(sample_world(Scenes(load_params(preset), 5, "round"), index))
