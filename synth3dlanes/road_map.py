@@ -85,6 +85,22 @@ class MapSection(DocumentPart):
     lanes: Annotated[tuple[MapLane, ...], Field(max_length=2 * MAX_LANES + 1)]
 
 
+class MapShape(DocumentPart):
+    """Height of a road's surface over its banked plane at a station: a cubic of the distance to the left of `t_m` on
+    that plane, up to the next `t_m` of the station. Between stations it changes evenly."""
+
+    s_m: Station
+    t_m: Annotated[float, Field(ge=-1000, le=1000)]
+    a: Number
+    b: Number = 0.0
+    c: Number = 0.0
+    d: Number = 0.0
+
+
+def _is_empty(value: tuple[object, ...]) -> bool:
+    return not value
+
+
 class MapRoad(DocumentPart):
     """A road. Without `heights` it lies on the terrain; with them its reference line has these world heights. `banks`
     are angles, positive where the right side is lower. `junction` is the junction that it connects roads in. Of a road
@@ -96,6 +112,7 @@ class MapRoad(DocumentPart):
     lane_offsets: tuple[Polynomial, ...] = ()
     heights: tuple[Polynomial, ...] = ()
     banks: tuple[Polynomial, ...] = ()
+    shapes: Annotated[tuple[MapShape, ...], Field(max_length=100_000, exclude_if=_is_empty)] = ()
     junction: Name | None = None
     keeps_left: bool = False
     given_from_m: Station = 0.0

@@ -21,7 +21,7 @@ from synth3dlanes.maps.furniture import read_furniture
 from synth3dlanes.maps.lanes import read_sections
 from synth3dlanes.maps.links import LinkedRoad, ascends, lane_links, read_end
 from synth3dlanes.maps.plan import places, read_plan
-from synth3dlanes.road_map import LaneName, MapIsland, MapJunction, MapLane, MapPaint, MapRoad
+from synth3dlanes.road_map import LaneName, MapIsland, MapJunction, MapLane, MapPaint, MapRoad, MapShape
 from synth3dlanes.schema import Name, shown, validation_problems
 from synth3dlanes.words import counted
 
@@ -219,7 +219,8 @@ def _names(elements: list[Element], where: str) -> dict[str, Name]:
 
 def _has_heights(element: Element, where: str) -> bool:
     profiles = (("elevationProfile/elevation", "s"), ("lateralProfile/superelevation", "s"))
-    return not all(is_zero(read_cubics(element.iterfind(path), key, where)) for path, key in profiles)
+    is_level = all(is_zero(read_cubics(element.iterfind(path), key, where)) for path, key in profiles)
+    return not is_level or element.find("lateralProfile/shape") is not None
 
 
 def _road(
@@ -228,7 +229,7 @@ def _road(
     plan = read_plan(element, where, origin)
     length_m = sum(piece.length_m for piece in plan)
     sections = read_sections(element, length_m, where, left_out)
-    for tag in ("shape", "crossfall", "crossSectionSurface"):
+    for tag in ("crossfall", "crossSectionSurface"):
         left_out[f"{tag} of lateral profiles"] += len(element.findall(f"lateralProfile/{tag}"))
     heights = read_cubics(element.iterfind("elevationProfile/elevation"), "s", where)
     if has_heights and not heights:
@@ -244,12 +245,18 @@ def _road(
         lane_offsets=read_cubics(element.iterfind("lanes/laneOffset"), "s", where),
         heights=heights if has_heights else (),
         banks=banks if has_heights else (),
+        shapes=tuple(_shape(shape, where) for shape in element.iterfind("lateralProfile/shape")),
         keeps_left=keeps_left,
     )
     before, after = read_end(element, "predecessor", left_out), read_end(element, "successor", left_out)
     if not is_zero(banks):
         road = _from_above(road)
     return road, LinkedRoad(name, sections, before, after, element.get("junction"), keeps_left)
+
+
+def _shape(element: Element, where: str) -> MapShape:
+    s, t, a, b, c, d = (number(element, key, where, 0.0) for key in ("s", "t", "a", "b", "c", "d"))
+    return MapShape(s_m=s, t_m=t, a=a, b=b, c=c, d=d)
 
 
 def _from_above(road: MapRoad) -> MapRoad:

@@ -21,6 +21,7 @@ from synth3dlanes.road_map import (
     MapPaint,
     MapRoad,
     MapSection,
+    MapShape,
     PlanPiece,
     RoadMap,
 )
@@ -144,10 +145,20 @@ def _shortened(road: MapRoad, cut: _Cut) -> MapRoad:
             "lane_offsets": part(road.lane_offsets, cut.from_m, cut.to_m),
             "heights": part(road.heights, cut.from_m, cut.to_m),
             "banks": part(road.banks, cut.from_m, cut.to_m),
+            "shapes": _shapes(road.shapes, cut),
             "given_from_m": round(cut.from_m, DECIMALS),
             "given_section": cut.sections_before,
         }
     )
+
+
+def _shapes(shapes: Sequence[MapShape], cut: _Cut) -> tuple[MapShape, ...]:
+    """The shapes at the stations of a part, with those next to its ends."""
+    stations = sorted({shape.s_m for shape in shapes})
+    low = max((s for s in stations if s <= cut.from_m), default=cut.from_m)
+    high = min((s for s in stations if s >= cut.to_m), default=cut.to_m)
+    kept = (shape for shape in shapes if low <= shape.s_m <= high)
+    return tuple(shape.model_copy(update={"s_m": shape.s_m - cut.from_m}) for shape in kept)
 
 
 def _begun(section: MapSection, from_m: float) -> MapSection:

@@ -238,6 +238,8 @@ def _add_heights(element: Element, road: MapRoad, own: SectionRoad) -> Callable[
     if road.heights:
         _add_cubics(profile, "elevation", road.heights)
         _add_cubics(lateral, "superelevation", road.banks)
+        for shape in road.shapes:
+            add(lateral, "shape", s=shape.s_m, t=shape.t_m, a=shape.a, b=shape.b, c=shape.c, d=shape.d)
         return partial(_share, road.banks) if road.banks else None
     s = np.linspace(0, road.length_m, max(4, 1 + int(road.length_m / STEP_M)))
     low, high = own.left(s), own.right(s)
