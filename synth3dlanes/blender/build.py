@@ -192,7 +192,7 @@ def _add_paint(materials: Materials, world: World, view: View, labelled: Sequenc
     strips = world.paint(view)
     colors = {line.id: paint_color(line, world.scene.markings) for line in world.site.lines}
     for number, name in enumerate([*labelled, *(name for name in strips if name not in labelled)]):
-        if len(strips[name].faces):
+        if name in strips and len(strips[name].faces):
             material = materials.yellow_marking if colors[name] == "yellow" else materials.marking
             _add_object("paint", new_mesh(strips[name], [material]), delimiter_id(number))
     for number, mesh in enumerate(world.symbols(view)):

@@ -85,6 +85,10 @@ class Ground:
         """How far stations of a road are from the host's way."""
         return self.away_m(s)
 
+    def shows(self, curve: LaneCurve) -> bool:
+        """Whether a line's paint is drawn at all."""
+        return True
+
     def measured_rows(self, curve: LaneCurve) -> Scalars:
         """The stations of the rows of the paint of a map's curve."""
         raise NotImplementedError

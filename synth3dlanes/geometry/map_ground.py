@@ -36,10 +36,14 @@ NEAR_M = 3.0
 UNDER_FALL_M = 0.03
 # Kerbs this near to the host's way hide what is labelled; as lines that are simplified by so much, in such steps.
 CREST_REACH_M, CREST_SLACK_M, CREST_STEP_M = 110.0, 0.005, 4.0
+# Paint farther than this from the host's way is not drawn; places along a line that are asked.
+PAINT_M, PAINT_STEP_M = 250.0, 20.0
 # How far beyond a raised road's edge its embankment may reach.
 EMBANKMENT_M = 40.0
 # Smaller areas are slivers.
 LEAST_AREA_M2 = 0.02
+# Level ground beside it: wider than a cell of the terrain, so that no cut covers the edge of the pavement.
+BERM_M = 1.5
 
 
 class GroundArea(NamedTuple):
@@ -234,51 +238,44 @@ class MapGround(Ground):
     # -- heights and distances
 
     @cached_property
-    def _raised_areas(self) -> list[GroundArea]:
-        areas = [area for area in self.areas if area.raised_m]
-        for area in areas:
-            shapely.prepare(area.polygon)
-        return areas
-
-    @cached_property
-    def _is_flat(self) -> bool:
-        return not self._raised_areas and not any(road.is_raised for road in self.network.roads)
+    def _raised(self) -> list[tuple[BaseGeometry, float]]:
+        """What is raised over the pavement, by how much: walkways, those of junctions, and islands."""
+        walkways = [area.polygon for area in self.areas if area.kind == "walkway"]
+        found = [(shapely.union_all([*self._raised_strips, *walkways]), KERB_M)]
+        found += [(area.polygon, area.raised_m) for area in self.areas if area.raised_m and area.kind != "walkway"]
+        for polygon, _ in found:
+            shapely.prepare(polygon)
+        return found
 
     def above_terrain(self, xy_world: AnyPoints2) -> AnyScalars:
         """Height of the built ground over the analytic terrain at any points (0 away from roads)."""
         flat = xy_world.reshape(-1, 2)
-        above = np.zeros(len(flat))
-        if self._is_flat:
-            return above.reshape(xy_world.shape[:-1])
-        near, roads = self.network.nearby(flat, np.full(len(flat), EMBANKMENT_M if self._has_heights else 0.5))
-        built = np.zeros(int(near.sum()))
-        low, high = np.full((2, len(built)), np.array([[-np.inf], [np.inf]]))
-        paved = np.full(len(built), -np.inf)
-        for road, which, s, t in roads:
-            outside = road.outside(np.clip(s, road.start_m, road.end_m), t)
-            along = np.maximum(np.maximum(road.start_m - s, s - road.end_m), 0.0)
-            own = self.map.road(road.id)
-            is_area = own.junction is not None
-            inside = (outside <= 0) & (along == 0)
-            at = np.flatnonzero(which)
-            if own.heights is not None:
-                edge = np.clip(t, own.left(s), own.right(s))
-                raised = own.raised(np.clip(s, own.start_m, own.end_m), edge)
-                distance = np.hypot(np.maximum(outside, 0), along)
-                slope = distance / EMBANKMENT_SLOPE
-                low[at] = np.maximum(low[at], np.where(inside, -np.inf, raised - slope))
-                high[at] = np.minimum(high[at], np.where(inside, np.inf, raised + slope))
-                paved[at[inside]] = np.maximum(paved[at[inside]], raised[inside])
-            elif not is_area:
-                paved[at[inside]] = np.maximum(paved[at[inside]], own.raised(s[inside], t[inside]))
-            else:
-                paved[at[inside]] = np.maximum(paved[at[inside]], 0.0)
-        built = np.where(np.isfinite(paved), paved, np.minimum(np.maximum(built, low), np.maximum(high, low)))
-        above[near] = built
-        for area in self._raised_areas:
-            inside = shapely.contains_xy(area.polygon, flat[:, 0], flat[:, 1])
-            above[inside] += area.raised_m
+        above = self._built(flat) if self._has_heights else np.zeros(len(flat))
+        for polygon, raised_m in self._raised:
+            above[shapely.contains_xy(polygon, flat[:, 0], flat[:, 1])] += raised_m
         return above.reshape(xy_world.shape[:-1])
+
+    def _built(self, flat: Points2) -> Scalars:
+        """Height over the terrain of roads with heights of their own, without kerbs, and of what they are laid on:
+        the ground falls or rises from the edges of their pavement until it meets the terrain."""
+        above = np.zeros(len(flat))
+        near, roads = self.network.nearby(flat, np.full(len(flat), EMBANKMENT_M))
+        n = int(near.sum())
+        low, high, paved = np.full(n, -np.inf), np.full(n, np.inf), np.full(n, -np.inf)
+        for road, which, s, t in roads:
+            own, at = self.map.road(road.id), np.flatnonzero(which)
+            if own.heights is None:
+                continue
+            on, across = np.clip(s, own.start_m, own.end_m), np.clip(t, own.left(s), own.right(s))
+            base = own.base_points(on, across)
+            raised = base[:, 2] - height_at(self.network.terrain, base[:, :2])
+            away = np.hypot(s - on, t - across)
+            inside, slope = away == 0, np.maximum(away - BERM_M, 0.0) / EMBANKMENT_SLOPE
+            low[at] = np.maximum(low[at], np.where(inside, -np.inf, raised - slope))
+            high[at] = np.minimum(high[at], np.where(inside, np.inf, raised + slope))
+            paved[at[inside]] = np.maximum(paved[at[inside]], raised[inside])
+        above[near] = np.where(np.isfinite(paved), paved, np.minimum(np.maximum(0.0, low), np.maximum(high, low)))
+        return above
 
     @cached_property
     def _has_heights(self) -> bool:
@@ -335,11 +332,16 @@ class MapGround(Ground):
         )
         return np.asarray(distance.reshape(xy_world.shape[:-1]))
 
+    def shows(self, curve: LaneCurve) -> bool:
+        """Whether a line's paint is near enough to be drawn."""
+        s = np.linspace(0.0, curve.end_m, 2 + int(curve.end_m / PAINT_STEP_M))
+        return bool((self.away_on(curve, s) < PAINT_M).any())
+
     def crests(self) -> list[Float[np.ndarray, "m 3"]]:
         """The upper edges of kerbs within reach of the labels: they hide what lies close behind them."""
         near = shapely.box(*self.way_box(CREST_REACH_M))
-        raised = [area.polygon for area in self._raised_areas] + self._raised_strips
-        lines = shapely.intersection(shapely.boundary(np.array(raised, dtype=object)), near)
+        walkways = self._raised[0][0]
+        lines = shapely.intersection(shapely.boundary(walkways), near)
         found = []
         for line in shapely.get_parts(shapely.line_merge(shapely.simplify(lines, CREST_SLACK_M))):
             xy = shapely.get_coordinates(shapely.segmentize(line, CREST_STEP_M))

@@ -20,7 +20,7 @@ from synth3dlanes.road_map import MapLaneKind
 # Faces of lanes are no wider than this; cells of junctions, near the host and far from it.
 COLUMN_M, CELL_M, FAR_CELL_M, FAR_M = 0.9, 0.75, 3.0, 150.0
 # What lies beside a surface extends this far under it, this much lower, and kerbs reach this far down.
-SEAM_M, SEAM_FALL_M, FOOT_M = 0.08, 0.015, 0.05
+SEAM_M, SEAM_FALL_M, FOOT_M = 0.08, 0.006, 0.05
 # The terrain's hole under the pavement is so much smaller.
 UNDER_M = 0.15
 # Pavement farther than this from the host's way is left out.

@@ -248,9 +248,14 @@ class MapNetwork(Network):
         near."""
         found, near = [], np.zeros(len(xy_world), dtype=bool)
         reach_m = np.broadcast_to(reach_m, near.shape)
+        farthest_m = float(reach_m.max(initial=0.0))
+        order = np.argsort(xy_world[:, 0])
+        x = xy_world[order, 0]
         for road, low, high, half_m in self._boxes:
-            room = reach_m[:, None]
-            at = np.flatnonzero(((xy_world > low - room) & (xy_world < high + room)).all(axis=1))
+            first, end = np.searchsorted(x, [low[0] - farthest_m, high[0] + farthest_m])
+            at = order[first:end]
+            y = xy_world[at, 1]
+            at = np.sort(at[(y > low[1] - farthest_m) & (y < high[1] + farthest_m)])
             if not at.size:
                 continue
             apart_m, place = road.plan.tree.query(xy_world[at])

@@ -64,7 +64,11 @@ def paint_meshes(
     ground: Ground, lines: Sequence[LaneCurve], eye_world: Float[np.ndarray, "3"], streams: Streams
 ) -> dict[str, Mesh]:
     """The paint of every delimiter in `lines`, by id, corrected for parallax so that it looks in place from the eye."""
-    return {line.id: _paint(ground, line, eye_world, streams) for line in lines if line.kind == "delimiter"}
+    return {
+        line.id: _paint(ground, line, eye_world, streams)
+        for line in lines
+        if line.kind == "delimiter" and ground.shows(line)
+    }
 
 
 def paint_color(line: LaneCurve, markings: Markings) -> PaintColor | None:

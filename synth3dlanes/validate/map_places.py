@@ -14,6 +14,8 @@ from synth3dlanes.settings import SEMANTIC_IDS
 
 # A kerb may be this far from a point.
 KERB_ROOM_M = 0.08
+# Slopes are measured over this length to both sides.
+STEP_M = 0.05
 # Points farther than this beside a curve are not near it.
 BESIDE_M = 30.0
 IDS = {ROAD: SEMANTIC_IDS["road"], SHOULDER: SEMANTIC_IDS["shoulder"], MEDIAN: SEMANTIC_IDS["terrain"]}
@@ -46,6 +48,14 @@ class MapPlaces:
         steps = KERB_ROOM_M * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
         around = [self.map_ground.above_terrain(self.xy_world + step) for step in steps]
         return np.ptp([self.raised(), *around], axis=0) > KERB_ROOM_M / 4
+
+    def slope(self) -> Points2:
+        """Rise of the pavement along world x and y."""
+        height = self.map_ground.height
+        steps = [
+            (height(self.xy_world + step) - height(self.xy_world - step)) / (2 * STEP_M) for step in STEP_M * np.eye(2)
+        ]
+        return np.stack(steps, axis=-1)
 
     def right_of(self, curve: LaneCurve) -> Scalars:
         """Distance to the right of a curve; infinite where it is not near."""

@@ -42,6 +42,10 @@ MIN_MOVED, MOVED = 3, 2
 OTHER_UNIT, MIN_SCALED = 1.5, 10
 # Pixels whose depths differ by a larger factor show two surfaces, or one at too flat an angle to interpolate.
 SMOOTH = 1.2
+# A shoulder so much nearer than a point, in depth, may be a kerb before it.
+KERB_NEARER_M = 0.3
+# Farther away a kerb is thinner than a pixel.
+KERBS_M = 80.0
 # Pixels of an object whose depths differ by a smaller factor show one surface without a gap.
 ONE_SURFACE = 1.05
 # Depth is interpolated between pixels as on a plane. A point is left out if pixels are too large to judge it: if the
@@ -208,6 +212,10 @@ def _sight(camera: CameraLabel, lane: Lane, strip: Strip, uv: Points2, passes: P
     objects = _of_objects(passes["semantic"][rows, columns])
     y_m = strip.points_cam[:, 1]
     shown = ((depth < SMOOTH * y_m) & (depth > y_m / SMOOTH)).any(axis=0)
+    if lane.connector is not None:
+        # On a map a kerb may hide what is close behind it.
+        kerb = (passes["semantic"][rows, columns] == SEMANTIC_IDS["shoulder"]) & (depth < own_depth - KERB_NEARER_M)
+        shown &= ~kerb.any(axis=0) & (y_m < KERBS_M)
     asked = lane.in_image & (own_depth.min(axis=0) > MIN_NEXT * y_m)
     # Pixels of several bodies, or of several parts of one, may have a slit between them that shows the point.
     is_one = depth.max(axis=0) < ONE_SURFACE * depth.min(axis=0)

@@ -77,7 +77,8 @@ def pavement_at(
 ) -> Pavement:
     """Points of pavement, seen from the eye, beside the scene's."""
     terrain, place = world.scene.terrain, places(world.ground, points[:, :2])
-    up = np.column_stack([-gradient_at(terrain, points[:, :2]), np.ones(len(points))])
+    slope = place.slope() if isinstance(place, MapPlaces) else gradient_at(terrain, points[:, :2])
+    up = np.column_stack([-slope, np.ones(len(points))])
     up /= np.linalg.norm(up, axis=1, keepdims=True)
     gap_m = (points[:, 2] - height_at(terrain, points[:, :2]) - place.raised()) * up[:, 2]
     return Pavement(range_m, semantic, place, up, gap_m, ((eye_world - points) * up).sum(axis=1))

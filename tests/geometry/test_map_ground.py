@@ -1,0 +1,134 @@
+"""The ground of maps: one surface without steps, terrain that meets it, kerbs, heights; OpenLane-V2's map."""
+
+import numpy as np
+import pytest
+
+from synth3dlanes.formats.openlane_v2.lane_map import lane_segments, pavement_edges
+from synth3dlanes.geometry.terrain import height_at
+from synth3dlanes.ground_truth import label
+from synth3dlanes.road_map import MapIsland, Polynomial, RoadMap
+from synth3dlanes.validate.standing import mesh_height
+from synth3dlanes.world import resolve
+from tests.map_scenes import ARM_M, FOUR_WAY, HALF_M, HILLS, WIDTH_M, crossing, map_scene, sections_road
+
+ISLAND = MapIsland(outline=((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)), height_m=0.2, surface="grass")
+
+
+@pytest.fixture(scope="module")
+def world():
+    roads = crossing(("south", "north", "east", "west"), ("south", "north"), islands=(ISLAND,))
+    return resolve(map_scene(roads, 95.0, terrain=HILLS.model_dump()))
+
+
+def lane_points(world, aside_m):
+    """Places along all lanes of traffic, so far from their middles."""
+    found = []
+    for lane in world.network.lanes.values():
+        s = np.arange(lane.start_m + 0.05, lane.end_m, 0.31)
+        found.append(world.network.road(lane.road).xy(s, lane.middle(s) + aside_m))
+    xy = np.concatenate(found)
+    near = np.hypot(xy[:, 0], xy[:, 1] + HALF_M) < 60
+    island = np.abs(xy).max(axis=1) < 1.1
+    return xy[near & ~island]
+
+
+@pytest.mark.parametrize("aside_m", [-1.7, -0.6, 0.0, 1.7])
+def test_the_pavement_is_one_surface_on_the_terrain_without_steps(world, aside_m):
+    xy = lane_points(world, aside_m)
+    z = mesh_height(world.site.pavement, xy)
+    assert np.isfinite(z).all(), "lanes are paved throughout"
+    np.testing.assert_allclose(z, height_at(HILLS, xy), atol=0.01)
+    np.testing.assert_allclose(world.ground.height(xy), height_at(HILLS, xy), atol=1e-9)
+
+
+def test_the_terrain_has_a_hole_under_the_pavement_and_meets_its_edges(world):
+    terrain = [world.site.terrain]
+    xy = lane_points(world, 0.0)
+    assert np.isnan(mesh_height(terrain, xy[::7])).all()
+    s = np.linspace(3, 60, 40)
+    arm = world.network.road("south")
+    beside = arm.xy(s, arm.right(s) + 0.4)
+    np.testing.assert_allclose(mesh_height(terrain, beside), height_at(HILLS, beside), atol=0.04)
+    edge = arm.xy(s, arm.right(s) - 0.02)
+    gap_m = mesh_height(world.site.pavement, edge) - mesh_height(terrain, edge)
+    assert (np.abs(gap_m - 0.12) < 0.06).all(), "a kerb above the terrain that goes on under it"
+
+
+def test_walkways_and_islands_are_raised(world):
+    arm, s = world.network.road("north"), np.linspace(2, 40, 20)
+    middle = arm.xy(s, arm.right(s) - 1.0)
+    np.testing.assert_allclose(world.ground.above_terrain(middle), 0.12)
+    np.testing.assert_allclose(mesh_height(world.site.pavement, middle) - height_at(HILLS, middle), 0.12, atol=0.01)
+    on = np.array([[0.0, 0.0], [0.7, -0.6]])
+    np.testing.assert_allclose(world.ground.above_terrain(on), 0.2)
+    np.testing.assert_allclose(mesh_height(world.site.pavement, on) - height_at(HILLS, on), 0.2, atol=0.01)
+
+
+def test_clearance_is_the_distance_from_the_nearest_edge(world):
+    half_m = WIDTH_M + 0.4 + 2.0
+    xy = np.array([[half_m + 1.5, -60.0], [0.0, -60.0], [-60.0, half_m + 3.0], [1.0, HALF_M + ARM_M + 4.0]])
+    assert world.ground.clearance(xy) == pytest.approx([1.5, -half_m, 3.0, 4.0], abs=0.01)
+
+
+def test_kerbs_hide_what_is_close_behind_them(world):
+    labels = label(world, world.view)
+    lanes = {lane.id: lane for lane in labels.lanes}
+    seen = lanes["south.0.1.line"]
+    assert seen.terrain_visible[1:20].all(), "in front of its own kerb"
+
+
+def test_roads_with_heights_leave_the_terrain_and_fall_to_it_beside_their_edges():
+    values = sections_road().model_dump()
+    values["roads"][0]["heights"] = (Polynomial(s_m=0.0, a=2.0, b=0.03).model_dump(),)
+    values["roads"][0]["banks"] = (Polynomial(s_m=0.0, a=0.02).model_dump(),)
+    world = resolve(map_scene(RoadMap.model_validate(values), 9.0))
+    road, s = world.network.road("r"), np.linspace(2, 45, 30)
+    for t in (-2.0, 0.0, 2.5):
+        expected = 2 + 0.03 * s - np.tan(0.02) * t
+        xy = road.xy(s, t)
+        np.testing.assert_allclose(road.points(s, t)[:, 2], expected, atol=1e-9)
+        np.testing.assert_allclose(world.ground.height(xy), expected, atol=1e-6)
+        np.testing.assert_allclose(mesh_height(world.site.pavement, xy), expected, atol=0.01)
+    edge = road.right(s)
+    for away_m in (1.0, 3.0, 20.0):
+        top = 2 + 0.03 * s - np.tan(0.02) * edge
+        expected = np.maximum(top - max(away_m - 1.5, 0) / 1.5, 0)
+        np.testing.assert_allclose(world.ground.height(road.xy(s, edge + away_m)), expected, atol=0.01)
+    pose = world.view.world_from_host
+    assert pose[2, 3] == pytest.approx(2 + 0.03 * 9 - np.tan(0.02) * 1.8, abs=0.01)
+    assert pose[2, 1] == pytest.approx(0.03, abs=2e-3), "it climbs"
+    assert pose[2, 0] == pytest.approx(-0.02, abs=2e-3), "and leans to the right"
+
+
+def test_lane_segments_have_their_boundaries_and_are_connectors_in_junctions(world):
+    labels = label(world, world.view)
+    found = list(lane_segments(world, labels.graph.segments, world.view.world_from_host[:3, 3]))
+    assert {at.id for at in found if at.is_connector} == {at.id for at in labels.graph.segments if at.junction}
+    for at in found:
+        for side, sign in ((at.left, 1), (at.right, -1)):
+            along = np.gradient(at.points_world[:, :2], axis=0)
+            to = (side.points_world - at.points_world)[:, :2]
+            left_m = (along[:, 0] * to[:, 1] - along[:, 1] * to[:, 0]) / np.linalg.norm(along, axis=1)
+            np.testing.assert_allclose(sign * left_m, WIDTH_M / 2, atol=0.01)
+        painted = (at.left.marking, at.right.marking)
+        assert painted == (("none", "none") if at.is_connector else ("dashed", "solid")), at.id
+    ends = {at.id: at.points_world[[0, -1]] for at in found}
+    for lane, beyond in labels.graph.successors.items():
+        for name in beyond:
+            assert np.linalg.norm(ends[lane][1] - ends[name][0]) < 0.01
+    for edge in pavement_edges(world, world.view.world_from_host[:3, 3]):
+        at_island = np.abs(edge[:, :2]).max(axis=1) < 1.1
+        inside_m = np.abs(world.ground.clearance(edge[:, :2]))
+        assert (at_island | (inside_m < 2.1)).all(), "at the walkways' inner edges or at their own"
+
+
+def test_what_is_far_from_the_host_is_left_out():
+    values = FOUR_WAY.model_dump()
+    far = [dict(road, id=f"far_{road['id']}", junction=None) for road in values["roads"] if not road["junction"]]
+    for road in far:
+        road["plan"] = tuple(dict(piece, x_m=piece["x_m"] + 3000) for piece in road["plan"])
+    both = RoadMap.model_validate(values | {"roads": (*values["roads"], *far)})
+    near, more = (resolve(map_scene(roads, 95.0)) for roads in (FOUR_WAY, both))
+    assert [road.id for road in more.network.roads] == [road.id for road in near.network.roads]
+    xy = np.random.default_rng(0).uniform(-80, 80, (500, 2))
+    np.testing.assert_array_equal(near.ground.height(xy), more.ground.height(xy))
