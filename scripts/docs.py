@@ -66,13 +66,15 @@ groups that were added after version 0.1.0, which have the constants of `appendi
 
 Four rules change what is drawn: weather and time of day replace ranges (below); topologies 3 and 4 have at least two
 lanes; a median needs oncoming lanes and at least a metre; the host's lane is one of those present. Oncoming lanes that
-would fold on the inside of a sharp bend are left out. `synth3dlanes stats` tests what was drawn against these rules.
+would fold on the inside of a sharp bend are left out. Towns have rules of their own ([town.md](town.md)); they use
+neither `road`, `symbols`, `motion` nor most of `cars` and `roadside`. `synth3dlanes stats` tests what was drawn against
+these rules.
 
 "ours" marks what the paper does not specify; [decisions.md](decisions.md) has the reasons.
 """
 
 # Presets with a column of their own; the others are one of these but for some keys.
-PRESETS = (REFERENCE, "realistic", "diverse", "streets")
+PRESETS = (REFERENCE, "realistic", "diverse", "streets", "town")
 Forms = dict[str, dict[str, object]]
 
 OTHERS_HEAD = """## Other presets

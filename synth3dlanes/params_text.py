@@ -80,11 +80,14 @@ def _changes(base: dict[str, dict[str, Any]], own: dict[str, dict[str, Any]]) ->
 def keys_left_out(source: str) -> list[str]:
     """The keys that a preset or file leaves out, which have their defaults: `group.key`, or `group.*` for all of one.
 
-    Files of earlier versions lack the keys that were added since.
+    Files of earlier versions lack the keys that were added since. Those of towns are for presets of towns alone.
     """
     document, _ = read_yaml(_text_of(source), source)
     told: list[str] = []
-    for group, keys in forms(Params.model_validate(document)).items():
+    params = Params.model_validate(document)
+    for group, keys in forms(params).items():
+        if group == "town" and not params.is_town:
+            continue
         there = document.get(group, {})
         missing = [f"{group}.{key}" for key in keys if key not in there]
         told += [f"{group}.*"] if len(missing) == len(keys) else missing

@@ -5,7 +5,6 @@ added later; older scenes can still be read and render as before. New ones have 
 """
 
 import math
-from collections.abc import Collection
 from itertools import pairwise
 from typing import Annotated, Literal
 
@@ -600,24 +599,6 @@ class Scene(DocumentPart):
         return self
 
 
-def _governed_problem(beside: Roadside, lanes: Collection[str]) -> str:
-    """What signals and signs govern that is no lane; "" if there is nothing."""
-    governed = [
-        *((f"roadside.signals.{i}.lanes", item.lanes) for i, item in enumerate(beside.signals)),
-        *((f"roadside.signs.{i}.lanes", item.lanes) for i, item in enumerate(beside.signs)),
-        *(
-            (f"roadside.crossings.{i}.signals", tuple(signal.lane for signal in item.signals))
-            for i, item in enumerate(beside.crossings)
-        ),
-    ]
-    for path, its in governed:
-        for lane in its:
-            if lane not in lanes:
-                among = f"lanes among {', '.join(lanes)}" if len(lanes) < 20 else "driving lanes of the map"
-                return f"{path}: expected {among}, got {lane}"
-    return ""
-
-
 def _road_problem(scene: Scene, road: PaperRoad) -> str:
     """What is missing on the paper's road; "" if nothing is."""
     present = road.lanes_present(scene.camera.y_m)
@@ -644,7 +625,7 @@ def _road_problem(scene: Scene, road: PaperRoad) -> str:
             return f"symbols.{i}.kind: expected no give_way_line, which only maps have, got one"
         if symbol.kind == "gore" and road.topology == 1:
             return f"symbols.{i}.kind: expected a road with an exit for a gore, got topology 1"
-    return _governed_problem(scene.roadside, road.segments)
+    return ""
 
 
 def _map_problem(scene: Scene, roads: RoadMap) -> str:
@@ -664,7 +645,7 @@ def _map_problem(scene: Scene, roads: RoadMap) -> str:
         for pair in pairwise((car.lane, *car.route)):
             if pair not in roads.all_links:
                 return f"cars.{i}.route: expected linked lanes, got {pair[0]} and {pair[1]}"
-    return _governed_problem(scene.roadside, roads.driving_lanes)
+    return ""
 
 
 def to_json(scene: Scene) -> str:

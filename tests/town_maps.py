@@ -7,7 +7,7 @@ import numpy as np
 
 from synth3dlanes.road_map import MapLane, MapRoad, PlanPiece, Polynomial, RoadMap
 
-STEPS = 400
+STEPS = 150
 
 
 def _piece(piece: PlanPiece) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

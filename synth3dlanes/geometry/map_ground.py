@@ -28,6 +28,8 @@ WAY_STEP_M = 5.0
 ROW_STEPS_M, ROW_STEPS_AT_M = (0.5, 0.5, 1.0, 2.0, 6.0), (0.0, 60.0, 120.0, 200.0, 450.0)
 # Holes in a junction's pavement that are smaller than this are paved.
 LEAST_HOLE_M2 = 150.0
+# Smaller parts of raised areas are left out.
+SLIVER_M2 = 0.01
 # Points this close to grass may show it.
 GRASS_ROOM_M = 0.1
 # Roads with heights are looked for this far from points of areas.
@@ -161,12 +163,10 @@ class MapGround(Ground):
             paved, raised = map(_solid, self._junction(at))
             if not paved.is_empty:
                 found.append(GroundArea(paved, 0.0, "road"))
-            if not raised.is_empty:
-                found.append(GroundArea(raised, KERB_M, "walkway"))
+            found += [GroundArea(part, KERB_M, "walkway") for part in _polygons(raised)]
         for island in self.islands:
             polygon = _solid(shapely.Polygon(island.outline))
-            if not polygon.is_empty:
-                found.append(GroundArea(polygon, island.height_m, island.surface))
+            found += [GroundArea(part, island.height_m, island.surface) for part in _polygons(polygon)]
         return found
 
     def _junction(self, at: Junction) -> tuple[BaseGeometry, BaseGeometry]:
@@ -195,7 +195,7 @@ class MapGround(Ground):
         """The edges of the pavement of traffic, walkways left out, within a box around a place: lines with a point a
         metre apart."""
         (x0, y0), (x1, y1) = xy_world - reach_m, xy_world + reach_m
-        lines = shapely.clip_by_rect(shapely.boundary(self.carriageways), *(x0, y0, x1, y1))
+        lines = clipped(shapely.boundary(self.carriageways), (x0, y0, x1, y1))
         merged = shapely.get_parts(shapely.line_merge(lines))
         return [shapely.get_coordinates(shapely.segmentize(line, 1.0)) for line in merged if not line.is_empty]
 
@@ -365,6 +365,20 @@ def _polygon(left: Points2, right: Points2) -> BaseGeometry:
         return polygon
     quads = shapely.polygons(np.stack([left[:-1], right[:-1], right[1:], left[1:]], axis=1))
     return shapely.union_all(shapely.make_valid(quads))
+
+
+def clipped(area: BaseGeometry, box: tuple[float, float, float, float]) -> BaseGeometry:
+    """What of an area is within (x0, y0, x1, y1)."""
+    try:
+        return shapely.clip_by_rect(area, *box)
+    except shapely.errors.GEOSException:
+        # The fast way refuses parts that only touch the box.
+        return shapely.intersection(area, shapely.box(*box))
+
+
+def _polygons(area: BaseGeometry) -> list[shapely.Polygon]:
+    """The polygons that an area consists of, without slivers."""
+    return [part for part in shapely.get_parts(area) if isinstance(part, shapely.Polygon) and part.area > SLIVER_M2]
 
 
 def _filled(area: BaseGeometry) -> BaseGeometry:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.arrays import Points2, Points3, Scalars
-from synth3dlanes.geometry.map_ground import GroundArea, MapGround
+from synth3dlanes.geometry.map_ground import GroundArea, MapGround, clipped
 from synth3dlanes.geometry.meshes import MEDIAN, ROAD, SHOULDER, Mesh, facing_up, grid, terrain_axes, terrain_heights
 from synth3dlanes.geometry.section_road import KERB_M, CrossSection, SectionRoad
 from synth3dlanes.road_map import MapLaneKind
@@ -159,14 +159,6 @@ def terrain_mesh(ground: MapGround) -> Mesh:
     )
 
 
-def _clipped(area: BaseGeometry, x0: float, y0: float, x1: float, y1: float) -> BaseGeometry:
-    """The part of an area in a rectangle."""
-    try:
-        return shapely.clip_by_rect(area, x0, y0, x1, y1)
-    except shapely.errors.GEOSException:  # a corner that it only touches
-        return shapely.intersection(shapely.make_valid(area), shapely.box(x0, y0, x1, y1))
-
-
 def _cut(
     xs: Scalars, ys: Float[np.ndarray, " m"], area: BaseGeometry, keep_outside: bool = False
 ) -> tuple[np.ndarray, list[BaseGeometry]]:
@@ -175,7 +167,7 @@ def _cut(
     columns, rows, parts = [], [], []
     x0, y0, x1, y1 = shapely.bounds(area) if not area.is_empty else (0.0, 0.0, 0.0, 0.0)
     for i in range(max(int(np.searchsorted(xs, x0)) - 1, 0), min(int(np.searchsorted(xs, x1)), len(xs) - 1)):
-        column = _clipped(area, xs[i], y0 - 1, xs[i + 1], y1 + 1)
+        column = clipped(area, (xs[i], y0 - 1, xs[i + 1], y1 + 1))
         if column.is_empty:
             continue
         _, low, _, high = shapely.bounds(column)
@@ -186,7 +178,7 @@ def _cut(
         meets = shapely.intersects(column, cells) & ~covered
         taken = covered
         for k in np.flatnonzero(meets):
-            part = _clipped(column, xs[i], ys[j[k]], xs[i + 1], ys[j[k] + 1])
+            part = clipped(column, (xs[i], ys[j[k]], xs[i + 1], ys[j[k] + 1]))
             if part.is_empty or part.area < 1e-9:
                 continue
             if keep_outside:

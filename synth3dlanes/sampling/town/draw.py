@@ -11,7 +11,7 @@ from synth3dlanes.sampling.draws import DECIMALS, Draw
 from synth3dlanes.sampling.town.lanes import LaneLines, Route
 from synth3dlanes.sampling.town.layout import TownMap, lay_out
 from synth3dlanes.sampling.town.streets import LANES, PARKING_M, Street
-from synth3dlanes.sampling.town.traffic import Body, Drive, HostPlan, Moving, plan_host, simulate
+from synth3dlanes.sampling.town.traffic import CarBody, HostPlan, MovingCar, TownDrive, plan_host, simulate
 from synth3dlanes.scene import Car, Markings, Shot, Terrain
 from synth3dlanes.town import ROUNDABOUTS, Town
 
@@ -58,15 +58,15 @@ def draw_map(draw: Draw, layout: np.random.Generator, markings: Markings) -> Dra
     return DrawnTown(town_map, plan_host(town_map, LaneLines(town_map), layout))
 
 
-def drive(drawn: DrawnTown, looks: Draw, assets: Assets, flow: float, duration_s: float) -> Drive:
+def drive(drawn: DrawnTown, looks: Draw, assets: Assets, flow: float, duration_s: float) -> TownDrive:
     """The traffic of a town; `flow` is the share of the densest."""
 
-    def body(may_be_long: bool) -> Body:
-        found: Body | None = None
+    def body(may_be_long: bool) -> CarBody:
+        found: CarBody | None = None
         for _ in range(TRIES):
             model, scale = looks("model"), looks("scale")
             own = assets.car_models[model - 1]
-            found = Body(model, scale, own.length_m * scale, own.width_m * scale)
+            found = CarBody(model, scale, own.length_m * scale, own.width_m * scale)
             if may_be_long or found.length_m <= LONG_M:
                 break
         assert found is not None, "some draws were made"
@@ -75,7 +75,7 @@ def drive(drawn: DrawnTown, looks: Draw, assets: Assets, flow: float, duration_s
     return simulate(drawn.map, drawn.host, body, flow, duration_s, looks.rng)
 
 
-def shot_of(drawn: DrawnTown, found: Drive, shot: Shot, terrain: Terrain) -> Shot:
+def shot_of(drawn: DrawnTown, found: TownDrive, shot: Shot, terrain: Terrain) -> Shot:
     """The host's shot, with its track in a clip."""
     if shot.n_frames == 1:
         return shot
@@ -83,7 +83,7 @@ def shot_of(drawn: DrawnTown, found: Drive, shot: Shot, terrain: Terrain) -> Sho
     return shot.model_copy(update={"speed_m_s": _speed(track), "track": track})
 
 
-def cars_of(drawn: DrawnTown, found: Drive, terrain: Terrain, looks: Draw, assets: Assets) -> tuple[Car, ...]:
+def cars_of(drawn: DrawnTown, found: TownDrive, terrain: Terrain, looks: Draw, assets: Assets) -> tuple[Car, ...]:
     """The cars of the traffic."""
     lines = LaneLines(drawn.map)
     cars = []
@@ -122,16 +122,16 @@ def parked_cars(streets: Sequence[Street], share: float, looks: Draw, assets: As
     return tuple(cars)
 
 
-def _short(looks: Draw, assets: Assets) -> Body | None:
+def _short(looks: Draw, assets: Assets) -> CarBody | None:
     for _ in range(TRIES):
         model, scale = looks("model"), looks("scale")
         own = assets.car_models[model - 1]
         if own.length_m < SHORT_M and own.width_m < PARKING_M:
-            return Body(model, scale, own.length_m * scale, own.width_m * scale)
+            return CarBody(model, scale, own.length_m * scale, own.width_m * scale)
     return None
 
 
-def _look(looks: Draw, body: Body, assets: Assets) -> dict[str, object]:
+def _look(looks: Draw, body: CarBody, assets: Assets) -> dict[str, object]:
     """Model and colours of a car."""
     (color,) = zip(*looks.rows(("color",), 3), strict=True)
     gloss, saturation, palette = looks("gloss"), looks("saturation"), looks("palette")
@@ -141,7 +141,7 @@ def _look(looks: Draw, body: Body, assets: Assets) -> dict[str, object]:
     return {"model": body.model, "scale": body.scale, "color": color, "gloss": gloss, "saturation": saturation}
 
 
-def _driven(route: Route, moving: Moving, terrain: Terrain) -> tuple[tuple[float, float], ...]:
+def _driven(route: Route, moving: MovingCar, terrain: Terrain) -> tuple[tuple[float, float], ...]:
     """How far a car has driven along the ground at instants."""
     times, lengths = np.array(moving.track).T
     driven = route.climbed(terrain, lengths)

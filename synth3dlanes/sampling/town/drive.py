@@ -1,5 +1,5 @@
 """A small simulation of traffic: cars follow each other, keep to speeds that bends allow, obey signals and priority,
-and enter a junction only where their way is free. World frame, metres and seconds; a length is that of a car's middle."""
+and enter a junction only where their way is free. World frame, metres and seconds; lengths are of cars' middles."""
 
 import math
 from dataclasses import dataclass, field
@@ -112,7 +112,7 @@ def gates_of(route: Route, rules: tuple[JunctionRules, ...], has_crosswalks: boo
     return tuple(found)
 
 
-class Traffic:
+class TownTraffic:
     """All cars on the streets of a town."""
 
     def __init__(self, lines: LaneLines, lights: dict[str, Lights]) -> None:

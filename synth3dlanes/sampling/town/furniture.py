@@ -8,13 +8,14 @@ import numpy as np
 
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.placement import overlaps_any
+from synth3dlanes.geometry.terrain import height_at
 from synth3dlanes.sampling.draws import DECIMALS, Draw
 from synth3dlanes.sampling.roadside import FRONTS, ROOFS, SIZES_M
 from synth3dlanes.sampling.town.junctions import Arm
 from synth3dlanes.sampling.town.layout import TownMap
 from synth3dlanes.sampling.town.lights import Lights, group_of
 from synth3dlanes.sampling.town.paint import line_m
-from synth3dlanes.sampling.town.plan import Pose, poses
+from synth3dlanes.sampling.town.plan import PlanPose, poses
 from synth3dlanes.sampling.town.rules import JunctionRules
 from synth3dlanes.sampling.town.streets import LaneAt, Street
 from synth3dlanes.scene import Building, Color, Post, Roadside, Tree
@@ -27,8 +28,9 @@ BEHIND_KERB_M, BESIDE_M = 0.5, 0.8
 HEAD_M, OVERHEAD_M, SIGN_M = 2.3, 5.2, 2.1
 # From the junction to the signs of the priority road and of speed.
 PRIORITY_M, SPEED_M = 16.0, 62.0
-# Buildings begin so far from where an arm does; gaps between them; their fronts behind walkways, by kind.
-FIRST_M, GAPS_M = 1.0, (0.6, 9.0)
+# Buildings begin so far from where an arm does (before it: at the corner); steps where there is no room; gaps; fronts
+# behind walkways, by kind.
+FIRST_M, STEP_M, GAPS_M = -12.0, 4.0, (0.6, 9.0)
 SETBACK_M = {"house": (3.0, 8.0), "block": (0.4, 3.0), "hall": (6.0, 14.0)}
 KINDS: tuple[Literal["house", "hall", "block"], ...] = ("block", "house", "hall")
 ROOM_M, MOST_BUILDINGS = 0.35, 110
@@ -55,7 +57,7 @@ def furnish(town_map: TownMap, lights: dict[str, Lights], ground: Ground, draw: 
     return drawn.model_copy(update={"buildings": tuple(buildings)})
 
 
-def _beside(arm: Arm, back_m: float) -> Pose:
+def _beside(arm: Arm, back_m: float) -> PlanPose:
     """The place of a pole on the right of the traffic that comes in, at a distance before the junction; its heading is
     that of the traffic."""
     cross = arm.cross
@@ -63,7 +65,7 @@ def _beside(arm: Arm, back_m: float) -> Pose:
     return arm.pose.moved(back_m, out_m, np.pi)
 
 
-def _yaw(pose: Pose) -> float:
+def _yaw(pose: PlanPose) -> float:
     return round(float((pose.heading - np.pi / 2 + np.pi) % (2 * np.pi) - np.pi), DECIMALS)
 
 
@@ -80,7 +82,7 @@ def _signals(rules: JunctionRules, number: int, lights: Lights, style: tuple[boo
     over = far or (near if is_wide else None)
     main = "minor" if "minor" in groups else "major"
 
-    def head(at: Pose, group: str, height_m: float, reach_m: float, has_pole: bool) -> TrafficSignal:
+    def head(at: PlanPose, group: str, height_m: float, reach_m: float, has_pole: bool) -> TrafficSignal:
         form: LensForm = "left" if group == "major_left" else "ball"
         return TrafficSignal(
             x_m=round(at.x, DECIMALS),
@@ -99,7 +101,7 @@ def _signals(rules: JunctionRules, number: int, lights: Lights, style: tuple[boo
     if over is None:
         return
     # As its traffic drives, a place's distance to the right of the arm's axis is its offset to the left, looking away.
-    right_m = -over.seen(arm.pose)[1]
+    right_m = over.seen(arm.pose)[1]
     reaches = {group: float(np.mean([lane.offset_m for lane in lanes])) - right_m for group, lanes in groups.items()}
     order = sorted(reaches, key=lambda group: -abs(reaches[group]))
     for i, group in enumerate(order):
@@ -107,7 +109,7 @@ def _signals(rules: JunctionRules, number: int, lights: Lights, style: tuple[boo
             yield head(over, group, OVERHEAD_M, reaches[group], i == 0)
 
 
-def _far(rules: JunctionRules, number: int) -> Pose | None:
+def _far(rules: JunctionRules, number: int) -> PlanPose | None:
     """The place of a pole behind the junction, on the right of the street straight ahead; None without one."""
     arms = rules.junction.arms
     heading = arms[number].pose.heading + np.pi
@@ -117,7 +119,7 @@ def _far(rules: JunctionRules, number: int) -> Pose | None:
             cross = other.cross
             out_m = cross.edge("right") - (BEHIND_KERB_M if "walkway" in cross.right else BESIDE_M)
             at = other.pose.moved(1.0, out_m)
-            return Pose(at.x, at.y, heading)
+            return PlanPose(at.x, at.y, heading)
     return None
 
 
@@ -134,7 +136,7 @@ def _signs(rules: JunctionRules, number: int, back_m: float) -> Iterator[Traffic
             yield _sign(_beside(arm, back_m), "stop" if rules.control == "stop" else "give_way", lanes)
 
 
-def _sign(at: Pose, kind: SignKind, lanes: tuple[str, ...]) -> TrafficSign:
+def _sign(at: PlanPose, kind: SignKind, lanes: tuple[str, ...]) -> TrafficSign:
     place = {"x_m": round(at.x, DECIMALS), "y_m": round(at.y, DECIMALS), "yaw_rad": _yaw(at)}
     return TrafficSign(**place, height_m=SIGN_M, kind=kind, lanes=lanes)
 
@@ -152,12 +154,12 @@ def _speed_signs(town_map: TownMap, kind: SignKind) -> Iterator[TrafficSign]:
         at = pose.moved(0.0, -(out_m + aside_m) if side == "right" else out_m + aside_m)
         section = min(int(np.searchsorted(street.stations, s_m, side="right")) - 1, len(street.pieces) - 1)
         lanes = tuple(name for key, name in street.names(section)[side].items() if key.startswith("lane"))
-        yield _sign(Pose(at.x, at.y, pose.heading + (0.0 if side == "right" else np.pi)), kind, lanes)
+        yield _sign(PlanPose(at.x, at.y, pose.heading + (0.0 if side == "right" else np.pi)), kind, lanes)
 
 
-def _at(street: Street, s_m: float) -> Pose:
+def _at(street: Street, s_m: float) -> PlanPose:
     points, headings = poses(street.plan, np.array([s_m]))
-    return Pose(float(points[0, 0]), float(points[0, 1]), float(headings[0]))
+    return PlanPose(float(points[0, 0]), float(points[0, 1]), float(headings[0]))
 
 
 def _paved(street: Street, s_m: float, side: str) -> float:
@@ -193,24 +195,31 @@ def _buildings(town_map: TownMap, ground: Ground, share: float, rng: Rng) -> lis
     usual = KINDS[int(rng.choice(3, p=[0.55, 0.35, 0.1]))]
     for street in town_map.streets:
         for side in ("left", "right"):
-            s_m = FIRST_M + float(rng.uniform(0, 3))
+            s_m = FIRST_M + float(rng.uniform(0, 2))
             while s_m < street.length_m - 8 and len(found) < MOST_BUILDINGS:
-                kind = usual if rng.random() < 0.8 else KINDS[int(rng.random() * 3)]
+                kind = usual if rng.random() < 0.85 else KINDS[int(rng.random() * 3)]
                 width_m, length_m, height_m = (float(rng.uniform(*limits)) for limits in SIZES_M[kind])
-                has = rng.random() < share
-                if has:
-                    sizes_m = width_m, length_m, height_m
-                    building = _building(street, side, s_m, (kind, *sizes_m), rng)
-                    outline = _outline(building)
-                    heights = ground.height(outline)
-                    is_level = np.ptp(heights) < 0.3 * height_m + 1.0
-                    corners = outline[[0, 6, 48, 42]]
-                    free = not taken or not overlaps_any(corners, np.array(taken))
-                    if is_level and free and (ground.clearance(outline) > ROOM_M).all():
-                        found.append(building)
-                        taken.append(corners)
-                s_m += length_m + float(rng.uniform(*GAPS_M)) ** (1.0 if kind != "block" else 0.5)
+                form = kind, width_m, length_m, height_m
+                if rng.random() >= share:
+                    s_m += length_m + float(rng.uniform(*GAPS_M))
+                    continue
+                building = _building(street, side, s_m, form, rng)
+                outline = _outline(building)
+                corners = outline[[0, 6, 48, 42]]
+                if _has_room(ground, outline, height_m) and not (taken and overlaps_any(corners, np.array(taken))):
+                    found.append(building)
+                    taken.append(corners)
+                    s_m += length_m + float(rng.uniform(*GAPS_M)) * (0.3 if kind == "block" else 1.0)
+                else:
+                    s_m += STEP_M
     return found
+
+
+def _has_room(ground: Ground, outline: np.ndarray, height_m: float) -> bool:
+    """Whether a building stands off all pavements and on nearly level ground."""
+    is_level = np.ptp(height_at(ground.network.terrain, outline)) < 0.3 * height_m + 1.0
+    rim = np.concatenate([outline[:7], outline[-7:], outline[7:-7:7], outline[13:-7:7]])
+    return bool(is_level) and bool((ground.clearance(rim) > ROOM_M).all())
 
 
 def _building(

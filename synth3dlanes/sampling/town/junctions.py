@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from synth3dlanes.road_map import GroundPoint, MapIsland, MapLane, MapMark, MapRoad, MapSection, PlanPiece, Polynomial
-from synth3dlanes.sampling.town.plan import Pose, chain, connection, sampled, wrapped
+from synth3dlanes.sampling.town.plan import PlanPose, chain, connection, sampled, wrapped
 from synth3dlanes.sampling.town.streets import KERB_M, Cross, LaneAt, Street
 
 Turn = Literal["left", "straight", "right"]
@@ -25,7 +25,7 @@ class Arm(NamedTuple):
 
     street: Street
     at_start: bool
-    pose: Pose
+    pose: PlanPose
 
     @property
     def cross(self) -> Cross:
@@ -36,11 +36,11 @@ class Arm(NamedTuple):
         """The lanes of one direction, from the driver's left."""
         return self.street.lanes_at(self.at_start, incoming)
 
-    def lane_pose(self, lane: LaneAt, incoming: bool) -> Pose:
+    def lane_pose(self, lane: LaneAt, incoming: bool) -> PlanPose:
         """Where a lane ends or begins, and its traffic's heading there."""
         return self.pose.moved(0.0, lane.offset_m, np.pi if incoming else 0.0)
 
-    def edge(self, side: str) -> Pose:
+    def edge(self, side: str) -> PlanPose:
         """The pavement's edge on a side, looking away."""
         return self.pose.moved(0.0, self.cross.edge(side))
 
@@ -98,11 +98,11 @@ class Corner(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Junction:
+class TownJunction:
     """A junction as built."""
 
     id: str
-    middle: Pose
+    middle: PlanPose
     arms: tuple[Arm, ...]
     connectors: tuple[Connector, ...]
     corners: tuple[Corner, ...]
@@ -131,7 +131,7 @@ def setbacks(angles: Sequence[float], crosses: Sequence[Cross], corner_m: float)
     return [float(setback) for setback in found]
 
 
-def crossing(id: str, middle: Pose, arms: Sequence[Arm], corner_m: float) -> Junction:
+def crossing(id: str, middle: PlanPose, arms: Sequence[Arm], corner_m: float) -> TownJunction:
     """The junction of some arms, whose poses are `setbacks` from its middle."""
     angles, crosses = [arm.pose.heading for arm in arms], [arm.cross for arm in arms]
     corners = []
@@ -150,7 +150,7 @@ def crossing(id: str, middle: Pose, arms: Sequence[Arm], corner_m: float) -> Jun
             (back_j - at_j - tangent_m, 0.0, 0.0),
         ]
         corners.append(Corner(chain(start, parts), walkways_m))
-    return Junction(id, middle, tuple(arms), tuple(_connectors(id, arms, corner_m)), tuple(corners))
+    return TownJunction(id, middle, tuple(arms), tuple(_connectors(id, arms, corner_m)), tuple(corners))
 
 
 def turn_of(heading_in: float, heading_out: float) -> Turn:

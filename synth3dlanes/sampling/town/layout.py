@@ -10,10 +10,10 @@ import numpy as np
 from synth3dlanes.road_map import MapIsland, MapJunction, MapMarkKind, MapPaint, MapRoad, PlanPiece, RoadMap
 from synth3dlanes.sampling.town.junctions import Arm, crossing, setbacks, turn_of
 from synth3dlanes.sampling.town.paint import islands_of, paint_of
-from synth3dlanes.sampling.town.plan import Pose, chain, end_of, sampled
+from synth3dlanes.sampling.town.plan import PlanPose, chain, end_of, sampled
 from synth3dlanes.sampling.town.roundabouts import Ring, ring_for, ring_setbacks, roundabout
 from synth3dlanes.sampling.town.rules import JunctionRules, links_of
-from synth3dlanes.sampling.town.streets import NO_POCKET, Pocket, Profile, Street
+from synth3dlanes.sampling.town.streets import NO_POCKET, Pocket, Street, StreetForm
 from synth3dlanes.scene import Markings
 from synth3dlanes.town import Control, JunctionKind, Town
 
@@ -32,7 +32,7 @@ class Planned(NamedTuple):
     """An arm before its street is laid out: its angle at the junction, its street's profile and turn lanes there."""
 
     angle: float
-    profile: Profile
+    profile: StreetForm
     pocket: Pocket
     is_main: bool
 
@@ -105,8 +105,10 @@ class _Growth:
         town = self.town
         kind: JunctionKind = "t" if town.junction == "staggered" else town.junction
         planned, control = self._planned(kind, town.control, town.turn_lanes != "none"), town.control
-        first = self._place(Pose(0.0, 0.0, 0.0), planned, control, None)
         mains = [i for i, arm in enumerate(planned) if arm.is_main]
+        if town.junction == "staggered":
+            planned[mains[1]] = planned[mains[1]]._replace(pocket=NO_POCKET)
+        first = self._place(PlanPose(0.0, 0.0, 0.0), planned, control, None)
         linked = {}
         if town.junction == "staggered":
             linked[mains[1]] = "stagger"
@@ -117,12 +119,12 @@ class _Growth:
         self.junctions[0] = self._built(first, planned, control)
         return TownMap(town, tuple(self.streets), tuple(self.junctions))
 
-    def _profile(self, n_lanes: int, median_m: float, markings: Markings) -> Profile:
+    def _profile(self, n_lanes: int, median_m: float, markings: Markings) -> StreetForm:
         town = self.town
         double: tuple[MapMarkKind, ...] = ("solid_solid",)
         single: tuple[MapMarkKind, ...] = ("dashed", "solid") if n_lanes == 1 else ("solid",)
         among = double if markings.left_double else single
-        return Profile(
+        return StreetForm(
             n_lanes=n_lanes,
             lane_m=town.lane_width_m,
             median_m=median_m,
@@ -152,7 +154,7 @@ class _Growth:
             found.append(Planned(angle, self.main if is_main else self.side, NO_POCKET if plain else pocket, is_main))
         return found
 
-    def _place(self, at: Pose, planned: Sequence[Planned], control: Control, came: Street | None) -> "_Placed":
+    def _place(self, at: PlanPose, planned: Sequence[Planned], control: Control, came: Street | None) -> "_Placed":
         """Reserve a junction's place in the list, and the setbacks of its arms. `at` is its middle, or, with a street
         that came there, the end of that one."""
         crosses = [arm.profile.cross(arm.pocket, near=True) for arm in planned]
@@ -190,6 +192,7 @@ class _Growth:
         low, high = {"": OPEN_M, "link": LINK_M, "stagger": STAGGER_M}[link]
         length_m = round(float(self.rng.uniform(low, high)), 3)
         pocket = NO_POCKET if link == "stagger" else arm.pocket
+        length_m += pocket.length_m if pocket.left or pocket.right else 0.0
         plan = _plan(pose, length_m, bend if link != "stagger" else 0.0)
         street = Street(f"s{len(self.streets)}", arm.profile, plan, pocket, NO_POCKET if link else None)
         self.streets.append(street)
@@ -228,13 +231,13 @@ class _Placed:
     """A junction that is being built: its number, middle, the poses of its arms, its ring, and its streets so far."""
 
     number: int
-    middle: Pose
-    poses: list[Pose]
+    middle: PlanPose
+    poses: list[PlanPose]
     ring: Ring | None
     streets: list[Street | None]
 
 
-def _plan(pose: Pose, length_m: float, bend_rad: float) -> tuple[PlanPiece, ...]:
+def _plan(pose: PlanPose, length_m: float, bend_rad: float) -> tuple[PlanPiece, ...]:
     """A street's plan: straight at both ends, a bend between where there is room for it."""
     rest_m = length_m - 2 * STRAIGHT_M - 2 * SPIRAL_M - ARC_M
     if not bend_rad or rest_m < 0:

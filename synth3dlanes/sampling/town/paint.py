@@ -6,7 +6,7 @@ import numpy as np
 
 from synth3dlanes.road_map import GroundPoint, MapIsland, MapPaint
 from synth3dlanes.sampling.town.junctions import Arm, Turn
-from synth3dlanes.sampling.town.plan import Pose, poses
+from synth3dlanes.sampling.town.plan import PlanPose, poses
 from synth3dlanes.sampling.town.rules import JunctionRules, turns_of_lane
 from synth3dlanes.sampling.town.streets import LANES, LaneAt, Street
 from synth3dlanes.schema import SymbolKind
@@ -114,7 +114,7 @@ def _around(street: Street, s: np.ndarray, edges: np.ndarray) -> tuple[GroundPoi
     """The outline of a raised median with rounded ends."""
     points, headings = poses(street.plan, s)
     middles, halves = edges.mean(axis=1), (edges[:, 0] - edges[:, 1]) / 2 - MEDIAN_GAP_M
-    at = [Pose(float(x), float(y), float(heading)) for (x, y), heading in zip(points, headings, strict=True)]
+    at = [PlanPose(float(x), float(y), float(heading)) for (x, y), heading in zip(points, headings, strict=True)]
     right = [pose.moved(0.0, float(m - h)) for pose, m, h in zip(at, middles, halves, strict=True)]
     left = [pose.moved(0.0, float(m + h)) for pose, m, h in zip(at, middles, halves, strict=True)]
     turns = np.linspace(-np.pi / 2, np.pi / 2, 7)[1:-1]
@@ -123,7 +123,7 @@ def _around(street: Street, s: np.ndarray, edges: np.ndarray) -> tuple[GroundPoi
     return tuple(_point(pose) for pose in (*right, *nose, *reversed(left), *tail))
 
 
-def _point(pose: Pose) -> GroundPoint:
+def _point(pose: PlanPose) -> GroundPoint:
     return round(pose.x, 6), round(pose.y, 6)
 
 

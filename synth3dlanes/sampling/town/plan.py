@@ -19,20 +19,20 @@ POINT_DECIMALS, ANGLE_DECIMALS = 6, 9
 CUBIC_NODES = 400
 
 
-class Pose(NamedTuple):
+class PlanPose(NamedTuple):
     """A place and a heading (counter-clockwise from world x)."""
 
     x: float
     y: float
     heading: float
 
-    def moved(self, ahead_m: float, left_m: float = 0.0, turn_rad: float = 0.0) -> "Pose":
+    def moved(self, ahead_m: float, left_m: float = 0.0, turn_rad: float = 0.0) -> "PlanPose":
         """The pose so far ahead and to the left, turned counter-clockwise."""
         cos, sin = np.cos(self.heading), np.sin(self.heading)
         x, y = self.x + ahead_m * cos - left_m * sin, self.y + ahead_m * sin + left_m * cos
-        return Pose(float(x), float(y), self.heading + turn_rad)
+        return PlanPose(float(x), float(y), self.heading + turn_rad)
 
-    def seen(self, other: "Pose") -> tuple[float, float, float]:
+    def seen(self, other: "PlanPose") -> tuple[float, float, float]:
         """How far another pose is ahead, to the left, and turned to the left, in (-pi, pi]."""
         cos, sin, dx, dy = np.cos(self.heading), np.sin(self.heading), other.x - self.x, other.y - self.y
         return float(dx * cos + dy * sin), float(dy * cos - dx * sin), wrapped(other.heading - self.heading)
@@ -73,13 +73,13 @@ def poses(pieces: Sequence[PlanPiece], s: Scalars) -> tuple[Points2, Scalars]:
     return points, headings
 
 
-def end_of(pieces: Sequence[PlanPiece]) -> Pose:
+def end_of(pieces: Sequence[PlanPiece]) -> PlanPose:
     """The pose at the end of the last piece."""
     last = pieces[-1]
     frames = line_of(last).frames(np.array([last.length_m if last.u is None else last.parameter_end]))
     normal = frames.normals[0]
     heading = float(np.arctan2(normal[0], -normal[1]))
-    return Pose(float(frames.points_world[0, 0]), float(frames.points_world[0, 1]), heading)
+    return PlanPose(float(frames.points_world[0, 0]), float(frames.points_world[0, 1]), heading)
 
 
 def sampled(pieces: Sequence[PlanPiece], step_m: float) -> Float[np.ndarray, "n 2"]:
@@ -88,7 +88,7 @@ def sampled(pieces: Sequence[PlanPiece], step_m: float) -> Float[np.ndarray, "n 
     return poses(pieces, np.linspace(0, length, 2 + int(length / step_m)))[0]
 
 
-def chain(start: Pose, parts: Iterable[tuple[float, float, float]]) -> tuple[PlanPiece, ...]:
+def chain(start: PlanPose, parts: Iterable[tuple[float, float, float]]) -> tuple[PlanPiece, ...]:
     """Pieces by length and curvature at both ends, one after the other; those without a length are left out."""
     found: list[PlanPiece] = []
     at = start
@@ -101,7 +101,7 @@ def chain(start: Pose, parts: Iterable[tuple[float, float, float]]) -> tuple[Pla
     return tuple(found)
 
 
-def connection(start: Pose, end: Pose, widest_m: float = np.inf) -> tuple[PlanPiece, ...]:
+def connection(start: PlanPose, end: PlanPose, widest_m: float = np.inf) -> tuple[PlanPiece, ...]:
     """From one pose to another without a corner: a line, a turn of spiral, arc and spiral, and a line, where the lines
     through both meet between them; else one cubic. The turn is no longer than a circle of the radius `widest_m`."""
     ahead, left, turn = start.seen(end)
@@ -112,7 +112,7 @@ def connection(start: Pose, end: Pose, widest_m: float = np.inf) -> tuple[PlanPi
         angle = abs(turn)
         tangent_m = min(before_m, after_m, widest_m * float(np.tan(angle / 2)))
         if tangent_m > 0:
-            unit = _turn(Pose(0.0, 0.0, 0.0), angle, 1.0)
+            unit = _turn(PlanPose(0.0, 0.0, 0.0), angle, 1.0)
             reach = end_of(unit)
             radius_m = tangent_m / (reach.x - reach.y / np.tan(angle))
             own = [
@@ -142,12 +142,12 @@ def _turn_parts(angle: float, radius_m: float, sign: float) -> list[tuple[float,
     return [(spiral_m, 0.0, curvature), (arc_m, curvature, curvature), (spiral_m, curvature, 0.0)]
 
 
-def _turn(start: Pose, angle: float, radius_m: float) -> tuple[PlanPiece, ...]:
+def _turn(start: PlanPose, angle: float, radius_m: float) -> tuple[PlanPiece, ...]:
     return chain(start, _turn_parts(angle, radius_m, 1.0))
 
 
-def _cubic(start: Pose, ahead: float, left: float, turn: float) -> PlanPiece:
-    """The Hermite cubic between two poses, the second given as `Pose.seen` gives it."""
+def _cubic(start: PlanPose, ahead: float, left: float, turn: float) -> PlanPiece:
+    """The Hermite cubic between two poses, the second given as `PlanPose.seen` gives it."""
     pull = float(np.hypot(ahead, left))
     du, dv = pull * float(np.cos(turn)), pull * float(np.sin(turn))
     u = (0.0, pull, 3 * ahead - 2 * pull - du, -2 * ahead + pull + du)
@@ -162,7 +162,7 @@ def _rounded(values: tuple[float, ...]) -> tuple[float, ...]:
     return tuple(round(value, ANGLE_DECIMALS) for value in values)
 
 
-def _piece(at: Pose, length_m: float, **fields: Any) -> PlanPiece:
+def _piece(at: PlanPose, length_m: float, **fields: Any) -> PlanPiece:
     return PlanPiece(
         x_m=round(at.x, POINT_DECIMALS),
         y_m=round(at.y, POINT_DECIMALS),

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from synth3dlanes.road_map import MapIsland, MapMark
-from synth3dlanes.sampling.town.junctions import Arm, Connector, Corner, Junction
-from synth3dlanes.sampling.town.plan import Pose, chain
+from synth3dlanes.sampling.town.junctions import Arm, Connector, Corner, TownJunction
+from synth3dlanes.sampling.town.plan import PlanPose, chain
 from synth3dlanes.sampling.town.streets import LANES, Cross
 
 # The ring's lanes by their number, and the pavement beyond them on both sides.
@@ -72,7 +72,7 @@ def ring_setbacks(ring: Ring, crosses: Sequence[Cross]) -> list[float]:
     return [max(at.begins_m for at in _kerbs(ring, cross)) + SETBACK_M for cross in crosses]
 
 
-def roundabout(id: str, middle: Pose, arms: Sequence[Arm], ring: Ring) -> Junction:
+def roundabout(id: str, middle: PlanPose, arms: Sequence[Arm], ring: Ring) -> TownJunction:
     """The roundabout of some arms, whose poses are `ring_setbacks` from its middle."""
     events, ways = _ways(id, middle, arms, ring)
     connectors = [*ways]
@@ -80,7 +80,7 @@ def roundabout(id: str, middle: Pose, arms: Sequence[Arm], ring: Ring) -> Juncti
         on_ring = sorted(events[level])
         for k, (angle, _, _) in enumerate(on_ring):
             by = (on_ring[(k + 1) % len(on_ring)][0] - angle) % (2 * np.pi)
-            pose = Pose(middle.x, middle.y, angle).moved(radius_m, 0.0, np.pi / 2)
+            pose = PlanPose(middle.x, middle.y, angle).moved(radius_m, 0.0, np.pi / 2)
             plan = chain(pose, [(by * radius_m, 1 / radius_m, 1 / radius_m)])
             marks = (MapMark(kind="dashed"),) if level == 0 and len(ring.radii_m) > 1 else ()
             name = f"{id}r{level}_{k}"
@@ -88,7 +88,7 @@ def roundabout(id: str, middle: Pose, arms: Sequence[Arm], ring: Ring) -> Juncti
     connectors = _linked(id, connectors, events)
     corners = [_corner(middle, ring, arms[i], arms[(i + 1) % len(arms)]) for i in range(len(arms))]
     islands = [_middle_island(middle, ring), *_splitters(middle, ring, arms)]
-    return Junction(id, middle, tuple(arms), tuple(connectors), tuple(corners), tuple(islands), is_roundabout=True)
+    return TownJunction(id, middle, tuple(arms), tuple(connectors), tuple(corners), tuple(islands), is_roundabout=True)
 
 
 def _touches(ring: Ring, cross: Cross, side: str) -> list[tuple[Touch, int]]:
@@ -108,7 +108,7 @@ def _touches(ring: Ring, cross: Cross, side: str) -> list[tuple[Touch, int]]:
 Events = list[list[tuple[float, int, bool]]]
 
 
-def _ways(id: str, middle: Pose, arms: Sequence[Arm], ring: Ring) -> tuple[Events, list[Connector]]:
+def _ways(id: str, middle: PlanPose, arms: Sequence[Arm], ring: Ring) -> tuple[Events, list[Connector]]:
     """The connectors into the ring and out of it, and where they touch it."""
     events: Events = [[] for _ in ring.radii_m]
     found: list[Connector] = []
@@ -125,7 +125,7 @@ def _ways(id: str, middle: Pose, arms: Sequence[Arm], ring: Ring) -> tuple[Event
                     plan = chain(pose, [line, arc])
                     widths = (lane.width_m, ring.lane_m)
                 else:
-                    start = Pose(middle.x, middle.y, angle).moved(ring.radii_m[level], 0.0, np.pi / 2)
+                    start = PlanPose(middle.x, middle.y, angle).moved(ring.radii_m[level], 0.0, np.pi / 2)
                     plan, widths = chain(start, [arc, line]), (ring.lane_m, lane.width_m)
                 before, after = ((lane.name,), ()) if incoming else ((), (lane.name,))
                 arms_of = (i, None) if incoming else (None, i)
@@ -169,7 +169,7 @@ def _has_room(ring: Ring, angles: Sequence[float], crosses: Sequence[Cross]) -> 
     return True
 
 
-def _corner(middle: Pose, ring: Ring, arm: Arm, other: Arm) -> Corner:
+def _corner(middle: PlanPose, ring: Ring, arm: Arm, other: Arm) -> Corner:
     """The kerb from one arm to the next: in along the arm, round the ring, and out again."""
     first, last = _kerbs(ring, arm.cross)[0], _kerbs(ring, other.cross)[1]
     backs = [float(np.hypot(at.pose.x - middle.x, at.pose.y - middle.y)) for at in (arm, other)]
@@ -187,13 +187,13 @@ def _corner(middle: Pose, ring: Ring, arm: Arm, other: Arm) -> Corner:
     return Corner(chain(start, parts), walkways_m)
 
 
-def _middle_island(middle: Pose, ring: Ring) -> MapIsland:
+def _middle_island(middle: PlanPose, ring: Ring) -> MapIsland:
     angles = np.linspace(0, 2 * np.pi, 48, endpoint=False)
     x, y = middle.x + ring.inner_m * np.cos(angles), middle.y + ring.inner_m * np.sin(angles)
     return MapIsland(outline=tuple(zip(x.round(6).tolist(), y.round(6).tolist(), strict=True)), surface="grass")
 
 
-def _splitters(middle: Pose, ring: Ring, arms: Sequence[Arm]) -> list[MapIsland]:
+def _splitters(middle: PlanPose, ring: Ring, arms: Sequence[Arm]) -> list[MapIsland]:
     """Islands between the traffic that enters and that which leaves."""
     found = []
     for arm in arms:
@@ -214,7 +214,7 @@ def _splitters(middle: Pose, ring: Ring, arms: Sequence[Arm]) -> list[MapIsland]
         area = np.abs(np.sum(np.cross(outline, np.roll(outline, -1, axis=0)))) / 2
         if area < LEAST_SPLITTER_M2:
             continue
-        axis = Pose(middle.x, middle.y, arm.pose.heading)
+        axis = PlanPose(middle.x, middle.y, arm.pose.heading)
         places = [axis.moved(float(a), float(b)) for a, b in outline]
         found.append(MapIsland(outline=tuple((round(at.x, 6), round(at.y, 6)) for at in places)))
     return found

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from synth3dlanes.sampling.town.junctions import Connector, Junction, Turn, turn_of
+from synth3dlanes.sampling.town.junctions import Connector, TownJunction, Turn, turn_of
 from synth3dlanes.sampling.town.plan import sampled
 from synth3dlanes.town import Control
 
@@ -28,7 +28,7 @@ class Conflict(NamedTuple):
     other_to_m: float
 
 
-class Way(NamedTuple):
+class JunctionWay(NamedTuple):
     """A way through a junction: the arms, the lane before it, its lanes, the lane behind it, and its turn."""
 
     from_arm: int
@@ -46,7 +46,7 @@ class Way(NamedTuple):
 class JunctionRules:
     """A junction with its control. `major` are the arms of the priority road."""
 
-    junction: Junction
+    junction: TownJunction
     control: Control
     major: tuple[int, ...]
 
@@ -103,7 +103,7 @@ class JunctionRules:
         return ranks[0] if ranks[0] != ranks[1] else bool(gives_way)
 
     @cached_property
-    def ways(self) -> tuple[Way, ...]:
+    def ways(self) -> tuple[JunctionWay, ...]:
         """All ways from an arm to another one."""
         connectors = self.junction.connectors
         by_lane = {at.lane: at for at in connectors}
@@ -118,7 +118,7 @@ class JunctionRules:
                 turn = turn_of(arms[start.from_arm].pose.heading + np.pi, arms[last.to_arm].pose.heading)
                 if start.from_arm != last.to_arm and self._is_usual(start, turn):
                     lanes = (*start.before, *(at.lane for at in chain), *last.after)
-                    found.append(Way(start.from_arm, last.to_arm, lanes, turn))
+                    found.append(JunctionWay(start.from_arm, last.to_arm, lanes, turn))
         return tuple(found)
 
     def _onward(self, chain: list[Connector], by_lane: dict[str, Connector]) -> list[list[Connector]]:
@@ -142,7 +142,7 @@ class JunctionRules:
         return len(lanes) == 1 or turn == "straight" or (turn == "left") == (place == 0)
 
 
-def turns_of_lane(ways: Sequence[Way], lane: str) -> set[Turn]:
+def turns_of_lane(ways: Sequence[JunctionWay], lane: str) -> set[Turn]:
     """What the traffic of a lane before a junction may do."""
     return {way.turn for way in ways if way.lanes[0] == lane}
 
@@ -156,7 +156,7 @@ def _span(connector: Connector, at: np.ndarray, n: int) -> tuple[float, float]:
     return max(0.0, (int(at[0]) - 1) * step_m), min(connector.length_m, (int(at[-1]) + 1) * step_m)
 
 
-def links_of(junction: Junction) -> list[tuple[str, str]]:
+def links_of(junction: TownJunction) -> list[tuple[str, str]]:
     """The links of a junction's lanes."""
     found: set[tuple[str, str]] = set()
     for at in junction.connectors:

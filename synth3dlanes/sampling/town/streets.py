@@ -66,7 +66,7 @@ class Cross(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Profile:
+class StreetForm:
     """A street: lanes of each direction and their width, a median, parked cars at its sides, walkways behind kerbs
     (0 for shoulders without them), and the line between its directions."""
 
@@ -100,7 +100,7 @@ class Profile:
         return Cross(shift_m, left, inner | outer | parking | ends)
 
 
-class Piece(NamedTuple):
+class StreetPiece(NamedTuple):
     """A section of a street: its length, cross sections at its start and end, and whether it is near a junction."""
 
     length_m: float
@@ -124,11 +124,11 @@ class Street:
     """A street on its plan. `ends` are the pockets of its start and its end; None where it leads to no junction."""
 
     id: str
-    profile: Profile
+    profile: StreetForm
     plan: tuple[PlanPiece, ...]
     start: Pocket
     end: Pocket | None = None
-    pieces: tuple[Piece, ...] = field(init=False)
+    pieces: tuple[StreetPiece, ...] = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pieces", tuple(_pieces(self.profile, self.length_m, self.start, self.end)))
@@ -232,13 +232,13 @@ class Street:
         left, right = sides
         return [*reversed(left), MapLane(number=0, kind="none", marks=self._divider(piece)), *right]
 
-    def _divider(self, piece: Piece) -> tuple[MapMark, ...]:
+    def _divider(self, piece: StreetPiece) -> tuple[MapMark, ...]:
         if "median" in piece.start.left or "median" in piece.end.left:
             return ()
         kind = "solid" if piece.near and self.profile.divider == "dashed" else self.profile.divider
         return (MapMark(kind=kind, yellow=self.profile.yellow),)
 
-    def _marks(self, piece: Piece, keys: list[str], i: int) -> tuple[MapMark, ...]:
+    def _marks(self, piece: StreetPiece, keys: list[str], i: int) -> tuple[MapMark, ...]:
         """The paint on the outer edge of a strip."""
         key, outer = keys[i], keys[i + 1] if i + 1 < len(keys) else ""
         if key == "median":
@@ -250,7 +250,7 @@ class Street:
         return ()
 
 
-def _pieces(profile: Profile, length_m: float, start: Pocket, end: Pocket | None) -> list[Piece]:
+def _pieces(profile: StreetForm, length_m: float, start: Pocket, end: Pocket | None) -> list[StreetPiece]:
     """The sections of a street: near its junctions, where widths change, and between."""
     along = profile.cross()
 
@@ -262,17 +262,17 @@ def _pieces(profile: Profile, length_m: float, start: Pocket, end: Pocket | None
     need_m = sum(zone(start)) + (0.0 if end is None else sum(zone(end))) + 5.0
     if need_m > length_m:
         plain = profile.cross(near=True)
-        return [Piece(length_m, plain, plain, True)]
+        return [StreetPiece(length_m, plain, plain, True)]
     near_m, taper_m = zone(start)
-    pieces = [Piece(near_m, near_start, near_start, True), Piece(taper_m, near_start, along, False)]
+    pieces = [StreetPiece(near_m, near_start, near_start, True), StreetPiece(taper_m, near_start, along, False)]
     used_m = near_m + taper_m
-    tail: list[Piece] = []
+    tail: list[StreetPiece] = []
     if end is not None and near_end is not None:
         near_m, taper_m = zone(end)
         flipped = near_end.flipped
-        tail = [Piece(taper_m, along, flipped, False), Piece(near_m, flipped, flipped, True)]
+        tail = [StreetPiece(taper_m, along, flipped, False), StreetPiece(near_m, flipped, flipped, True)]
         used_m += near_m + taper_m
-    return [*pieces, Piece(length_m - used_m, along, along, False), *tail]
+    return [*pieces, StreetPiece(length_m - used_m, along, along, False), *tail]
 
 
 def _smooth(s_m: float, length_m: float, start: float, end: float) -> Polynomial:

@@ -7,12 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from synth3dlanes.geometry.placement import HOST_SIZE_M, footprint
-from synth3dlanes.sampling.town.drive import STEP_S, Driver, Gate, Traffic, gates_of
+from synth3dlanes.sampling.town.drive import STEP_S, Driver, Gate, TownTraffic, gates_of
 from synth3dlanes.sampling.town.lanes import LaneLines, Route, lanes_along, street_lanes
 from synth3dlanes.sampling.town.layout import TownMap
 from synth3dlanes.sampling.town.lights import Lights
 from synth3dlanes.sampling.town.paint import line_m
-from synth3dlanes.sampling.town.rules import Way
+from synth3dlanes.sampling.town.rules import JunctionWay
 from synth3dlanes.sampling.town.streets import Street
 
 Rng = np.random.Generator
@@ -29,7 +29,7 @@ WEIGHTS = {"left": 1.0, "straight": 2.5, "right": 1.2}
 MOST_JUNCTIONS = 4
 
 
-class Body(NamedTuple):
+class CarBody(NamedTuple):
     """A car's model and size."""
 
     model: int
@@ -39,20 +39,20 @@ class Body(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Moving:
+class MovingCar:
     """A car of a scene: its body, its route, and its length along it at times from the scene's instant on."""
 
-    body: Body
+    body: CarBody
     lanes: tuple[str, ...]
     track: tuple[tuple[float, float], ...]
 
 
-class Drive(NamedTuple):
+class TownDrive(NamedTuple):
     """What a simulation leaves: the host's route and track, all other cars, and the lights of the junctions, whose
     shifts are those at the scene's instant."""
 
-    host: Moving
-    cars: tuple[Moving, ...]
+    host: MovingCar
+    cars: tuple[MovingCar, ...]
     lights: dict[str, Lights]
 
 
@@ -90,8 +90,8 @@ def plan_host(town_map: TownMap, lines: LaneLines, rng: Rng) -> HostPlan:
 
 
 def simulate(
-    town_map: TownMap, host: HostPlan, draw_body: Callable[[bool], Body], flow: float, duration_s: float, rng: Rng
-) -> Drive:
+    town_map: TownMap, host: HostPlan, draw_body: Callable[[bool], CarBody], flow: float, duration_s: float, rng: Rng
+) -> TownDrive:
     """Traffic until the host is at its place, and from then on for a clip. Where the host does not get there, with
     fewer cars. `draw_body` draws a car that is long only if it may be; `flow` is the share of the most traffic."""
     lines = LaneLines(town_map)
@@ -109,7 +109,7 @@ class _Simulation:
         town_map: TownMap,
         lines: LaneLines,
         host: HostPlan,
-        draw_body: Callable[[bool], Body],
+        draw_body: Callable[[bool], CarBody],
         flow: float,
         rng: Rng,
     ) -> None:
@@ -120,8 +120,8 @@ class _Simulation:
             each.junction.id: Lights.draw(each, rng) for each in town_map.junctions if each.control == "signals"
         }
         self.wish = float(rng.choice([8.3, 11.0, 13.9]))
-        self.traffic = Traffic(lines, self.lights)
-        self.bodies: dict[int, Body] = {}
+        self.traffic = TownTraffic(lines, self.lights)
+        self.bodies: dict[int, CarBody] = {}
         self._gates: dict[tuple[str, ...], tuple[Route, tuple[Gate, ...]]] = {}
         start_m = max(host.at_m - RUN_UP_M, 6.0)
         self.host = self._driver(host.lanes, start_m, HOST_SIZE_M[0], 0.0)
@@ -131,7 +131,7 @@ class _Simulation:
         self.at_m = host.at_m
         self._fill()
 
-    def run(self, duration_s: float) -> Drive | None:
+    def run(self, duration_s: float) -> TownDrive | None:
         """Drive; None if the host does not get to its place."""
         entries = self._entries()
         waits = {entry: float(self.rng.exponential(COMES_S / max(self.flow, 0.05))) for entry in entries}
@@ -159,12 +159,12 @@ class _Simulation:
             name: at._replace(shift_s=round((at.shift_s + shift_s) % at.cycle_s, 3)) for name, at in self.lights.items()
         }
         moving = [self._moving(driver, tracks[id(driver)]) for driver in keep]
-        return Drive(moving[0], tuple(moving[1:]), lights)
+        return TownDrive(moving[0], tuple(moving[1:]), lights)
 
-    def _moving(self, driver: Driver, track: Sequence[tuple[float, float]]) -> Moving:
+    def _moving(self, driver: Driver, track: Sequence[tuple[float, float]]) -> MovingCar:
         rounded = tuple((time_s, round(at_m, 4)) for time_s, at_m in track)
-        body = self.bodies.get(id(driver), Body(0, 1.0, *HOST_SIZE_M))
-        return Moving(body, driver.route.lanes, rounded)
+        body = self.bodies.get(id(driver), CarBody(0, 1.0, *HOST_SIZE_M))
+        return MovingCar(body, driver.route.lanes, rounded)
 
     def _driver(self, lanes: tuple[str, ...], at_m: float, length_m: float, speed: float) -> Driver:
         if lanes not in self._gates:
@@ -262,7 +262,7 @@ class _Simulation:
         return [driver for driver, bad in zip(on, _touching(places), strict=True) if not bad]
 
     def _bodies_at(self, driver: Driver, lengths_m: np.ndarray) -> np.ndarray:
-        body = self.bodies.get(id(driver), Body(0, 1.0, *HOST_SIZE_M))
+        body = self.bodies.get(id(driver), CarBody(0, 1.0, *HOST_SIZE_M))
         size = body.length_m + 2 * APART_M, body.width_m + 2 * APART_M
         return footprint(*driver.route.at(lengths_m), *size)
 
@@ -304,7 +304,7 @@ def _before(town_map: TownMap, lane: str) -> list[str]:
 def _onward(town_map: TownMap, lanes: list[str], rng: Rng) -> list[str]:
     """A route from its lanes on: along streets, and at junctions by ways drawn by their turns."""
     after = {a: b for street in town_map.streets for a, b in street.links}
-    ways: dict[str, list[Way]] = {}
+    ways: dict[str, list[JunctionWay]] = {}
     for rules in town_map.junctions:
         for way in rules.ways:
             ways.setdefault(way.lanes[0], []).append(way)

@@ -1,0 +1,136 @@
+"""Towns: lanes that go on, turns with room, bodies that never touch, traffic that obeys, values as declared."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from synth3dlanes.figures.stats import is_fine, scene_statistics
+from synth3dlanes.geometry.motion import host_driven
+from synth3dlanes.params import load_params
+from synth3dlanes.sample import Scenes, draw_world, sample_scene, world_in_shot
+from synth3dlanes.scene import Scene, from_json, to_json
+from synth3dlanes.shots import Shots
+from synth3dlanes.world import World
+from tests.town_checks import SIDEWAYS, bodies, line_stations, map_problems, standing_problems, touching
+
+TOWN = load_params("town")
+CLIP = Shots(frames=41, fps=10.0)
+
+
+def town(index: int, *overrides: str, shots: Shots | None = None) -> World:
+    """A town of the preset."""
+    params = load_params("town", overrides) if overrides else TOWN
+    return draw_world(Scenes(params, 5, shots=shots) if shots else Scenes(params, 5), index)
+
+
+@pytest.mark.parametrize(
+    "junction", ["t", "crossing", pytest.param("staggered", marks=pytest.mark.thorough), "roundabout", "roundabout_2"]
+)
+def test_lanes_go_on_and_nothing_touches(junction: str) -> None:
+    world = town(1, f"town.junction={junction}")
+    assert world.scene.map is not None
+    assert [*map_problems(world.scene.map), *standing_problems(world)] == []
+
+
+def test_a_town_is_a_document_and_the_same_each_time() -> None:
+    scene = town(2).scene
+    text = to_json(scene)
+    assert from_json(text, "scene") == scene
+    assert to_json(sample_scene(Scenes(TOWN, 5), 2)) == text
+
+
+def test_planted_faults_of_a_map_are_found() -> None:
+    roads = town(1, "town.junction=crossing", "town.n_more=0").scene.map
+    assert roads is not None
+    connector = next(road for road in roads.roads if road.id == "j0c0")
+    moved = connector.plan[0].model_copy(update={"x_m": connector.plan[0].x_m + 0.02})
+    broken = connector.model_copy(update={"plan": (moved, *connector.plan[1:])})
+    changed = roads.model_copy(update={"roads": tuple(broken if at.id == "j0c0" else at for at in roads.roads)})
+    assert any("j0c0.0.-1" in line for line in map_problems(changed))
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("index", range(2))
+def test_traffic_of_a_clip_obeys(index: int) -> None:
+    """At every frame no bodies touch; nobody drives through a red light; sideways nobody is faster than the law."""
+    world = town(index, "town.control=signals", "town.junction=crossing", "town.traffic=0.8", shots=CLIP)
+    assert list(clip_problems(world)) == []
+
+
+def clip_problems(world: World):  # type: ignore[no-untyped-def]
+    """What is wrong in the frames of a clip."""
+    scene = world.scene
+    places, headings, lanes = [], [], []
+    for frame in range(CLIP.frames):
+        now = world_in_shot(world, CLIP, CLIP.place(frame))
+        shapes = bodies(now)
+        yield from (f"frame {frame}: bodies {i} and {j} touch" for i, j in touching(shapes))
+        places.append([shape.centroid.coords[0] for shape in shapes])
+        fronts = [np.subtract(shape.exterior.coords[2], shape.exterior.coords[1]) for shape in shapes]
+        headings.append([float(np.arctan2(y, x)) for x, y in fronts])
+        lanes.append(_lanes(now))
+    yield from _reds(scene, lanes)
+    xy = np.array(places)
+    turned = np.diff(np.unwrap(np.array(headings), axis=0), axis=0) * CLIP.fps
+    speed = np.linalg.norm(np.diff(xy, axis=0), axis=-1) * CLIP.fps
+    # Over half a second: the frames' own differences are noisy.
+    sideways = np.abs(np.array([np.convolve(row, np.ones(5) / 5, "valid") for row in (turned * speed).T]))
+    yield from (
+        f"body {i}: {row.max():.1f} m/s2 sideways" for i, row in enumerate(sideways) if row.max() > SIDEWAYS + 0.3
+    )
+
+
+def _lanes(world: World) -> list[tuple[str, float, float]]:
+    from synth3dlanes.geometry.motion import car_at
+
+    found = []
+    for car in world.scene.cars:
+        now = car_at(world.network, car, world.scene.shot.time_s)
+        found.append((now.lane, now.s_m, world.scene.assets.car_models[car.model - 1].length_m * car.scale))
+    return found
+
+
+def _reds(scene: Scene, lanes: list[list[tuple[str, float, float]]]):  # type: ignore[no-untyped-def]
+    lines = line_stations(scene)
+    signals = {lane: signal for signal in scene.roadside.signals for lane in signal.lanes}
+    for frame, (before, now) in enumerate(itertools.pairwise(lanes)):
+        for i, ((lane, s_m, length_m), (after, now_m, _)) in enumerate(zip(before, now, strict=True)):
+            if lane not in lines or after != lane:
+                continue
+            # Positive before the line, for the front.
+            sign = np.sign(s_m - now_m)
+            left, right = ((s - lines[lane]) * sign - length_m / 2 for s in (s_m, now_m))
+            state = signals[lane].state_at((frame + 1) / CLIP.fps)
+            if left > 0 >= right and state in ("red", "red_amber"):
+                yield f"car {i} passes the line of {lane} at {state}, frame {frame + 1}"
+
+
+@pytest.mark.thorough
+def test_the_host_of_a_clip_drives_its_track() -> None:
+    world = town(3, "town.host_place=before", "town.host_m=15", "town.control=priority", shots=CLIP)
+    shot = world.scene.shot
+    ways = [world_in_shot(world, CLIP, CLIP.place(frame)).view.world_from_host[:3, 3] for frame in (0, 40)]
+    # The way is no shorter than the chord, and no car is faster than a town allows.
+    driven_m = host_driven(shot, shot.duration_s)
+    assert float(np.linalg.norm(ways[1] - ways[0])) <= driven_m + 0.05 <= 15 * shot.duration_s
+
+
+@pytest.mark.thorough
+def test_values_are_as_declared() -> None:
+    scenes = (sample_scene(Scenes(TOWN, 8), i) for i in range(60))
+    found = scene_statistics(scenes, TOWN)
+    wrong = [(at.key, at.p_value, at.outside) for at in found.parameters if not is_fine(at)]
+    assert wrong == []
+    assert {at.key for at in found.parameters} >= {"town.junction", "town.bend_deg", "town.host_m"}
+
+
+@pytest.mark.slow
+def test_2000_towns() -> None:
+    """All are made, and nothing is wrong in any."""
+    problems = []
+    for index in range(2000):
+        world = town(index)
+        assert world.scene.map is not None
+        problems += [f"{index}: {line}" for line in (*map_problems(world.scene.map), *standing_problems(world))]
+    assert problems == []

@@ -1,0 +1,93 @@
+"""What must hold in every town, told as lines of problems; written without the sampler's own geometry."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import shapely
+
+from synth3dlanes.road_map import RoadMap
+from synth3dlanes.scene import Scene
+from synth3dlanes.world import World
+from tests.town_maps import MapReader, off
+
+APART_M, TURNED_RAD, LEAST_RADIUS_M, SIDEWAYS = 0.01, np.radians(0.1), 4.0, 3.0
+HOST_M = 5.0, 2.0
+
+
+def map_problems(roads: RoadMap) -> Iterator[str]:
+    """Lanes that do not go on, turns without room, lanes off the pavement of their junction, yielding in a circle."""
+    reader = MapReader(roads)
+    for a, b in roads.links:
+        (end, heading, width), (start, other, its) = reader.lane(a), reader.lane(b)
+        apart_m, turned = float(np.linalg.norm(end[-1] - start[0])), off(heading[-1], other[0])
+        if apart_m > APART_M or turned > TURNED_RAD or abs(width[-1] - its[0]) > APART_M:
+            yield f"{a} to {b}: {apart_m:.4f} m, {np.degrees(turned):.3f} degrees, widths {width[-1]:.3f}, {its[0]:.3f}"
+    outlines = {at.id: shapely.Polygon(at.outline).buffer(0.06) for at in roads.junctions}
+    for road in roads.roads:
+        if road.junction is None or f"{road.id}.0.-1" not in roads.driving_lanes:
+            continue
+        points, headings, width = reader.lane(f"{road.id}.0.-1")
+        steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        fine = steps > 1e-6
+        bend = float((np.abs(np.diff(headings))[fine] / steps[fine]).max())
+        if bend > 1 / LEAST_RADIUS_M:
+            yield f"{road.id}: radius {1 / bend:.2f} m"
+        left = np.stack([-np.sin(headings), np.cos(headings)], -1) * width[:, None] / 2
+        strip = shapely.Polygon(np.concatenate([points + left, (points - left)[::-1]])).buffer(0)
+        beyond = strip.difference(outlines[road.junction]).area
+        if beyond > 0.15:
+            yield f"{road.id}: {beyond:.2f} m2 off the pavement of {road.junction}"
+    for at in roads.junctions:
+        if not shapely.Polygon(at.outline).is_valid or not shapely.Polygon(at.outline).exterior.is_ccw:
+            yield f"{at.id}: outline crosses itself or is clockwise"
+        both = {pair for pair in at.yields if pair[::-1] in at.yields}
+        yield from (f"{at.id}: {a} and {b} yield to each other" for a, b in both)
+
+
+def bodies(world: World) -> list[shapely.Polygon]:
+    """The host and all cars from above at the instant of a world's shot, by the poses that are rendered."""
+    view, scene = world.view, world.scene
+    sizes = [HOST_M]
+    for car in scene.cars:
+        model = scene.assets.car_models[car.model - 1]
+        sizes.append((model.length_m * car.scale, model.width_m * car.scale))
+    found = []
+    for pose, (length_m, width_m) in zip((view.world_from_host, *view.world_from_cars), sizes, strict=True):
+        corners = np.array([[x * width_m / 2, y * length_m / 2, 0, 1] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+        found.append(shapely.Polygon((corners @ pose.T)[:, :2]))
+    return found
+
+
+def touching(polygons: list[shapely.Polygon]) -> list[tuple[int, int]]:
+    """Pairs of bodies that touch, by their places in the list."""
+    if len(polygons) < 2:
+        return []
+    tree = shapely.STRtree(polygons)
+    pairs = tree.query(polygons, predicate="intersects").T.tolist()
+    return [(i, j) for i, j in pairs if i < j]
+
+
+def standing_problems(world: World) -> Iterator[str]:
+    """Bodies in each other or in buildings, buildings on the pavement or in each other."""
+    cars = bodies(world)
+    yield from (f"bodies {i} and {j} touch" for i, j in touching(cars))
+    houses = []
+    for at in world.scene.roadside.buildings:
+        x, y = at.width_m / 2, at.length_m / 2
+        cos, sin = np.cos(at.yaw_rad), np.sin(at.yaw_rad)
+        places = [(a * x, b * y) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+        houses.append(shapely.Polygon([(at.x_m + cos * u - sin * v, at.y_m + sin * u + cos * v) for u, v in places]))
+    yield from (f"buildings {i} and {j} touch" for i, j in touching(houses))
+    everything = shapely.union_all(houses)
+    yield from (f"body {i} is in a building" for i, car in enumerate(cars) if car.intersects(everything))
+    if houses:
+        paved = shapely.intersection(world.ground.pavement, everything).area  # type: ignore[attr-defined]
+        if paved > 0.01:
+            yield f"buildings on {paved:.2f} m2 of pavement"
+
+
+def line_stations(scene: Scene) -> dict[str, float]:
+    """Where traffic waits for signals, by the lanes that these govern."""
+    assert scene.map is not None, "towns have maps"
+    governed = {lane for signal in scene.roadside.signals for lane in signal.lanes}
+    return {at.lane: at.s_m for at in scene.map.paint if at.lane in governed and at.kind == "stop_line"}
