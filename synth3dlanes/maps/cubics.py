@@ -108,6 +108,17 @@ def times(cubics: Sequence[Polynomial], factor: Callable[[float], float], to_m: 
     return _plain(found)
 
 
+def steepened(banks: Sequence[Polynomial], heights: Sequence[Polynomial], to_m: float, power: int) -> Cubics:
+    """Banks with their tangents divided (`power` 1) or multiplied (-1) by the cosine of the road's climb. A file's roll
+    turns a plane that climbs already, which moves its places along the road: from above its fall is steeper."""
+
+    def factor(s_m: float) -> float:
+        bank, rise = value(banks, s_m), math.hypot(1.0, slope(heights, s_m)) ** power
+        return math.atan(math.tan(bank) * rise) / bank if abs(bank) > 1e-6 else rise
+
+    return times(banks, factor, to_m)
+
+
 def difference(one: Sequence[Polynomial], other: Sequence[Polynomial], sign: float = 1.0) -> Cubics:
     """`sign` times the first less the second; where there are no pieces, 0."""
     stations = sorted({piece.s_m for piece in (*one, *other)})

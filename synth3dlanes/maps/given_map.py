@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from synth3dlanes.arrays import Points2
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.files import read_bounded
-from synth3dlanes.maps.cubics import is_zero, read_cubics, times, value
+from synth3dlanes.maps.cubics import is_zero, read_cubics, steepened, times, value
 from synth3dlanes.maps.document import MAX_FILE_BYTES, number, parse_xml
 from synth3dlanes.maps.furniture import read_furniture
 from synth3dlanes.maps.lanes import read_sections
@@ -260,7 +260,7 @@ def _shape(element: Element, where: str) -> MapShape:
 
 
 def _from_above(road: MapRoad) -> MapRoad:
-    """A banked road, whose widths in the file lie on its banked plane, with those seen from above."""
+    """A banked road, whose widths in the file lie on its banked plane, with those and the fall seen from above."""
 
     def seen(s_m: float) -> float:
         return math.cos(value(road.banks, s_m))
@@ -277,7 +277,8 @@ def _from_above(road: MapRoad) -> MapRoad:
         )
         sections.append(section.model_copy(update={"lanes": lanes}))
     offsets = times(road.lane_offsets, seen, road.length_m)
-    return road.model_copy(update={"sections": tuple(sections), "lane_offsets": offsets})
+    banks = steepened(road.banks, road.heights, road.length_m, 1)
+    return road.model_copy(update={"sections": tuple(sections), "lane_offsets": offsets, "banks": banks})
 
 
 def _yields(

@@ -66,7 +66,7 @@ def off(points: Points3, world: World, segment: str) -> tuple[float, float]:
     apart, nearest = cKDTree(line[:, :2]).query(points[:, :2])
     step = float(np.max(np.hypot(*np.diff(line[:, :2], axis=0).T)))
     aside = np.sqrt(np.maximum(apart**2 - (step / 2) ** 2, 0.0))
-    # The paper's steepest ramps climb by more than their length: there a banked plane moves points along the road.
+    # The paper's steepest ramps climb by more than their length; a rolled plane there moves places along the road.
     along = np.hypot(*np.gradient(line[:, :2], axis=0).T)
     level = np.abs(np.gradient(line[:, 2]))[nearest] < STEEP * along[nearest]
     return float(aside.max()), float(np.abs(points[:, 2] - line[nearest, 2])[level].max(initial=0.0))

@@ -14,7 +14,7 @@ from synth3dlanes.formats.opendrive.profiles import knots, pieces
 from synth3dlanes.formats.opendrive.xml import Element, add
 from synth3dlanes.geometry.map_network import MapNetwork
 from synth3dlanes.geometry.section_road import SectionRoad
-from synth3dlanes.maps.cubics import times, value
+from synth3dlanes.maps.cubics import steepened, times, value
 from synth3dlanes.road_map import LaneName, MapLane, MapLaneKind, MapMark, MapRoad, PlanPiece, Polynomial, RoadMap
 from synth3dlanes.world import World
 
@@ -237,10 +237,11 @@ def _add_heights(element: Element, road: MapRoad, own: SectionRoad) -> Callable[
     profile, lateral = add(element, "elevationProfile"), add(element, "lateralProfile")
     if road.heights:
         _add_cubics(profile, "elevation", road.heights)
-        _add_cubics(lateral, "superelevation", road.banks)
+        given = steepened(road.banks, road.heights, road.length_m, -1)
+        _add_cubics(lateral, "superelevation", given)
         for shape in road.shapes:
             add(lateral, "shape", s=shape.s_m, t=shape.t_m, a=shape.a, b=shape.b, c=shape.c, d=shape.d)
-        return partial(_share, road.banks) if road.banks else None
+        return partial(_share, given) if given else None
     s = np.linspace(0, road.length_m, max(4, 1 + int(road.length_m / STEP_M)))
     low, high = own.left(s), own.right(s)
     high = np.maximum(high, low + 0.5)
@@ -251,13 +252,15 @@ def _add_heights(element: Element, road: MapRoad, own: SectionRoad) -> Callable[
     fall = ((t - mean_t) * (z - mean_z)).sum(axis=0) / ((t - mean_t) ** 2).sum(axis=0)
     # Here t grows to the right, in OpenDRIVE to the left; rolls are positive with the left side higher.
     heights = tuple(_polynomials(s, mean_z - fall * mean_t, HEIGHT_M))
-    banks = tuple(_polynomials(s, -np.arctan(fall), ROLL_RAD))
+    # They turn a plane that climbs already, which is steeper across than it looks from above.
+    level = 1 / np.hypot(1.0, np.gradient(mean_z - fall * mean_t, s))
+    banks = tuple(_polynomials(s, -np.arctan(fall * level), ROLL_RAD))
     _add_cubics(profile, "elevation", heights)
     _add_cubics(lateral, "superelevation", banks)
-    over = (z - mean_z - fall * (t - mean_t)).T * np.cos(np.arctan(fall))[:, None]
+    flat = np.cos(np.arctan(fall * level))
+    over = (z - mean_z - fall * (t - mean_t)).T * flat[:, None]
     if np.abs(over).max() > SHAPE_M:
-        left = -high / np.cos(np.arctan(fall))
-        wide = (high - low) / np.cos(np.arctan(fall))
+        left, wide = -high / flat, (high - low) / flat
         for i in knots(s, over, SHAPE_M):
             rows = np.vander(wide[i] * share, 4, increasing=True)
             abcd = np.linalg.lstsq(rows, over[i, ::-1], rcond=None)[0].tolist()
