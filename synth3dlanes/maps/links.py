@@ -104,12 +104,12 @@ def _lane(roads: Mapping[str, LinkedRoad], place: LaneKey) -> MapLane | None:
     return found.lane if found else None
 
 
-Touch = tuple[LaneKey, End, LaneKey, End]
+LanePair = tuple[LaneKey, End, LaneKey, End]
 
 
 def _touching(
     roads: Mapping[str, LinkedRoad], junctions: Mapping[str, Element], left_out: Counter[str]
-) -> Iterator[Touch]:
+) -> Iterator[LanePair]:
     """Pairs of lanes that touch, each with the end of it that does."""
     for road in roads.values():
         yield from _within(road)
@@ -135,7 +135,7 @@ def _touching(
             yield from _connected(roads, name, connection, left_out)
 
 
-def _within(road: LinkedRoad) -> Iterator[Touch]:
+def _within(road: LinkedRoad) -> Iterator[LanePair]:
     """The lanes of sections that follow each other."""
     for i, (section, following) in enumerate(pairwise(road.sections)):
         pairs = {(number, other) for number, lane in section.lanes.items() for other in lane.after}
@@ -146,7 +146,7 @@ def _within(road: LinkedRoad) -> Iterator[Touch]:
 
 def _connected(
     roads: Mapping[str, LinkedRoad], junction: str, connection: Element, left_out: Counter[str]
-) -> Iterator[Touch]:
+) -> Iterator[LanePair]:
     """The lanes that a connection of a junction links; in a direct one, of two roads without another between them."""
     incoming = roads.get(connection.get("incomingRoad", ""))
     other = roads.get(connection.get("connectingRoad", connection.get("linkedRoad", "")))

@@ -11,7 +11,7 @@ import numpy as np
 from synth3dlanes.errors import InputError
 from synth3dlanes.maps.cubics import SAME_M, moved, part, rounded, value
 from synth3dlanes.maps.given_map import GivenMap
-from synth3dlanes.maps.places import HostPlace, draw_route
+from synth3dlanes.maps.places import MapStation, draw_route
 from synth3dlanes.maps.plan import plan_points
 from synth3dlanes.road_map import (
     MAX_ROADS,
@@ -50,7 +50,7 @@ class MapPart(NamedTuple):
     s_m: float
 
 
-def part_around(given: GivenMap, at: HostPlace, rng: np.random.Generator) -> MapPart:
+def part_around(given: GivenMap, at: MapStation, rng: np.random.Generator) -> MapPart:
     """The map around a place. The world's origin is at the host's place on its reference line, and world y is the
     direction of its lane there."""
     route, number = draw_route(given, at, rng)

@@ -20,30 +20,30 @@ TRIES, MAX_ROUTE = 200, 1000
 DECIMALS = 3
 
 
-class HostPlace(NamedTuple):
+class MapStation(NamedTuple):
     """A lane, and a station of its road."""
 
     lane: LaneName
     s_m: float
 
 
-def draw_place(given: GivenMap, rng: np.random.Generator) -> HostPlace:
+def draw_place(given: GivenMap, rng: np.random.Generator) -> MapStation:
     """A place in a driving lane, each metre of which is as likely as any other. Raises InputError for a map without
     driving lanes."""
     names = list(given.lanes)
     if not names:
         raise InputError(f"map {given.source}: expected driving lanes, got none")
     ends = np.cumsum([given.lanes[name].length_m for name in names])
-    best, most_m = HostPlace(names[0], given.lanes[names[0]].span_m[0]), -1.0
+    best, most_m = MapStation(names[0], given.lanes[names[0]].span_m[0]), -1.0
     for _ in range(TRIES):
         at = float(rng.random() * ends[-1])
         i = min(int(np.searchsorted(ends, at, side="right")), len(names) - 1)
         place = given.lanes[names[i]]
         low, high = place.span_m
         s_m = min(round(high - (float(ends[i]) - at), DECIMALS), high)
-        left_m = onward_m(given, HostPlace(names[i], s_m)) if width_m(place, s_m) >= WIDE_M else 0.0
+        left_m = onward_m(given, MapStation(names[i], s_m)) if width_m(place, s_m) >= WIDE_M else 0.0
         if left_m > most_m:
-            best, most_m = HostPlace(names[i], max(s_m, low)), left_m
+            best, most_m = MapStation(names[i], max(s_m, low)), left_m
         if most_m >= ONWARD_M:
             break
     return best
@@ -54,7 +54,7 @@ def width_m(place: LanePlace, s_m: float) -> float:
     return value(place.lane.widths, s_m - place.span_m[0])
 
 
-def onward_m(given: GivenMap, at: HostPlace) -> float:
+def onward_m(given: GivenMap, at: MapStation) -> float:
     """How far the way goes on from a place, as far as ways are followed."""
     place = given.lanes[at.lane]
     low, high = place.span_m
@@ -62,7 +62,7 @@ def onward_m(given: GivenMap, at: HostPlace) -> float:
     return (high - at.s_m if place.ascends else at.s_m - low) + beyond
 
 
-def read_place(given: GivenMap, text: str) -> HostPlace:
+def read_place(given: GivenMap, text: str) -> MapStation:
     """The place that ROAD:s:lane says. Raises InputError for one that is not there."""
     parts = text.rsplit(":", 2)
     try:
@@ -86,10 +86,10 @@ def read_place(given: GivenMap, text: str) -> HostPlace:
         raise InputError(
             f"at: expected a driving lane of road {road_id} there ({', '.join(there) or 'none'}), got {number}"
         )
-    return HostPlace(lane, s_m)
+    return MapStation(lane, s_m)
 
 
-def draw_route(given: GivenMap, at: HostPlace, rng: np.random.Generator) -> tuple[tuple[LaneName, ...], int]:
+def draw_route(given: GivenMap, at: MapStation, rng: np.random.Generator) -> tuple[tuple[LaneName, ...], int]:
     """The lanes that the host drives along, some of them behind it, and the number of its own among them. Where ways
     part, each that goes on far enough is as likely."""
     place = given.lanes[at.lane]

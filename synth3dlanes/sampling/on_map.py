@@ -15,7 +15,7 @@ from synth3dlanes.geometry.roads import NetworkLane
 from synth3dlanes.geometry.section_road import CrossSection, Profile
 from synth3dlanes.maps.given_map import GivenMap
 from synth3dlanes.maps.part import MapPart, part_around
-from synth3dlanes.maps.places import HostPlace, draw_place
+from synth3dlanes.maps.places import MapStation, draw_place
 from synth3dlanes.road_map import LaneName, MapRoad
 from synth3dlanes.sampling.cars import CAR_GAP_M
 from synth3dlanes.sampling.draws import DECIMALS, Draw
@@ -35,7 +35,7 @@ class MapPlace(NamedTuple):
     """A map file, and a place on it for all scenes; None where each scene has one of its own."""
 
     map: GivenMap
-    at: HostPlace | None = None
+    at: MapStation | None = None
 
     def draw(self, rng: np.random.Generator) -> MapPart:
         """The part of the map around the place, or around one that is drawn."""

@@ -12,7 +12,7 @@ from synth3dlanes.maps.cubics import value
 from synth3dlanes.maps.furniture import edges_at, section_index
 from synth3dlanes.maps.given_map import GivenMap, read_opendrive
 from synth3dlanes.maps.part import KEPT_M, MapPart, part_around
-from synth3dlanes.maps.places import HostPlace, draw_place, read_place
+from synth3dlanes.maps.places import MapStation, draw_place, read_place
 from synth3dlanes.maps.plan import places, plan_points
 from synth3dlanes.road_map import MapRoad, RoadMap
 from tests.maps.files import lane, opendrive, plan, road, section
@@ -86,7 +86,7 @@ def surface(road: MapRoad, s: float) -> dict[int, np.ndarray]:
 
 @pytest.mark.parametrize("station", [5.0, 1300.0, 2390.0])
 def test_a_part_is_the_map_in_another_frame_and_names_its_stations(station: float) -> None:
-    at = HostPlace(f"7.{int(station > 700)}.-1", station)
+    at = MapStation(f"7.{int(station > 700)}.-1", station)
     part, *_ = part_around(LONG, at, np.random.default_rng(1))
     kept = {found.id: found for found in part.roads}
     cut = kept["7"]
@@ -103,7 +103,7 @@ def test_a_part_is_the_map_in_another_frame_and_names_its_stations(station: floa
 
 def test_the_world_begins_at_the_host_and_looks_along_its_lane() -> None:
     for number, sign in ((-1, 1), (1, -1)):
-        part, *_ = part_around(LONG, HostPlace(f"7.0.{number}", 300.0), np.random.default_rng(1))
+        part, *_ = part_around(LONG, MapStation(f"7.0.{number}", 300.0), np.random.default_rng(1))
         x, y, heading = plan_points(part.roads[0].plan, np.array([300.0]))[0]
         assert np.hypot(x, y) < 1e-3
         assert np.cos(heading - sign * np.pi / 2) == pytest.approx(1)
@@ -111,12 +111,12 @@ def test_the_world_begins_at_the_host_and_looks_along_its_lane() -> None:
 
 
 def test_a_route_follows_links_behind_and_ahead() -> None:
-    part, number, s_m = part_around(LONG, HostPlace("7.1.-1", 2390.0), np.random.default_rng(1))
+    part, number, s_m = part_around(LONG, MapStation("7.1.-1", 2390.0), np.random.default_rng(1))
     assert (part.route, number) == (("7.0.-1", "8.0.-1"), 0)
     assert s_m + part.roads[0].given_from_m == pytest.approx(2390)
-    against, number, _ = part_around(LONG, HostPlace("8.0.1", 290.0), np.random.default_rng(1))
+    against, number, _ = part_around(LONG, MapStation("8.0.1", 290.0), np.random.default_rng(1))
     assert (against.route, number) == (("8.0.1", "7.0.1"), 0)
-    behind, number, _ = part_around(LONG, HostPlace("8.0.-1", 10.0), np.random.default_rng(1))
+    behind, number, _ = part_around(LONG, MapStation("8.0.-1", 10.0), np.random.default_rng(1))
     assert (behind.route, number) == (("7.0.-1", "8.0.-1"), 1)
 
 
@@ -136,7 +136,7 @@ def fork() -> GivenMap:
 def test_where_ways_part_each_that_goes_on_far_enough_is_taken() -> None:
     given = fork()
     taken = Counter(
-        part_around(given, HostPlace("1.0.-1", 40.0), np.random.default_rng(seed)).map.route[-1] for seed in range(60)
+        part_around(given, MapStation("1.0.-1", 40.0), np.random.default_rng(seed)).map.route[-1] for seed in range(60)
     )
     assert set(taken) == {"3.0.-1", "4.0.-1"}
     assert min(taken.values()) > 15
@@ -169,7 +169,7 @@ def test_a_ring_goes_on_and_ends() -> None:
         link=link("1:end", "1:start"),
     )
     given = read_opendrive(opendrive(ring), "ring.xodr", "map ring.xodr")
-    part, *_ = part_around(given, HostPlace("1.0.-1", 3.0), np.random.default_rng(1))
+    part, *_ = part_around(given, MapStation("1.0.-1", 3.0), np.random.default_rng(1))
     assert 4 <= len(part.route) < 12
     assert all(pair == ("1.0.-1", "1.0.-1") for pair in pairwise(part.route))
 
@@ -192,12 +192,12 @@ def test_a_place_that_is_not_there(text: str, message: str) -> None:
 
 
 def test_a_place_as_told() -> None:
-    assert read_place(LONG, "7:900.5:-1") == HostPlace("7.1.-1", 900.5)
+    assert read_place(LONG, "7:900.5:-1") == MapStation("7.1.-1", 900.5)
 
 
 def test_far_roads_are_left_out() -> None:
     far = road(plan(("<line/>", 90.0), start=(0.0, KEPT_M + 50, 0.0)), name="far")
     near = road(plan(("<line/>", 90.0), start=(0.0, KEPT_M - 50, 0.0)), name="near")
     given = read_opendrive(opendrive(road(plan(("<line/>", 90.0))), far, near), "x.xodr", "map x.xodr")
-    part, *_ = part_around(given, HostPlace("1.0.-1", 45.0), np.random.default_rng(1))
+    part, *_ = part_around(given, MapStation("1.0.-1", 45.0), np.random.default_rng(1))
     assert {found.id for found in part.roads} == {"1", "near"}

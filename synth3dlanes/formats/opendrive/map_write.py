@@ -47,7 +47,7 @@ MARKS = {
 SIDES = {"left": 1, "center": 0, "right": -1}
 
 
-class Touch(NamedTuple):
+class LaneJoint(NamedTuple):
     """A lane that traffic leaves, and one that it enters there: their road, section, number, and end."""
 
     one: tuple[str, int, int]
@@ -90,12 +90,12 @@ def opendrive_of_map(world: World, name: str) -> str:
 # -- links
 
 
-def _touches(roads: RoadMap, found: Mapping[str, MapRoad]) -> Iterable[Touch]:
+def _touches(roads: RoadMap, found: Mapping[str, MapRoad]) -> Iterable[LaneJoint]:
     for a, b in roads.links:
         (one, i, m), (other, j, n) = (_key(name) for name in (a, b))
         if one in found and other in found:
             ends = [_ascends(found[one], i, m), _ascends(found[other], j, n)]
-            yield Touch((one, i, m), "end" if ends[0] else "start", (other, j, n), "start" if ends[1] else "end")
+            yield LaneJoint((one, i, m), "end" if ends[0] else "start", (other, j, n), "start" if ends[1] else "end")
 
 
 def _key(name: LaneName) -> tuple[str, int, int]:
@@ -108,13 +108,13 @@ def _ascends(road: MapRoad, section: int, number: int) -> bool:
     return (number < 0) ^ road.keeps_left ^ lane.against
 
 
-def _is_within(touch: Touch) -> bool:
+def _is_within(touch: LaneJoint) -> bool:
     """Whether it is between two sections of a road."""
     (one, i, _), (other, j, _) = touch.one, touch.other
     return one == other and abs(i - j) == 1 and touch.leaves != touch.enters and (i < j) == (touch.leaves == "end")
 
 
-def _beyond(road: str, end: str, touches: Iterable[Touch]) -> dict[tuple[str, str], None]:
+def _beyond(road: str, end: str, touches: Iterable[LaneJoint]) -> dict[tuple[str, str], None]:
     """The ends of other roads that lanes lead to or come from at an end of a road."""
     found: dict[tuple[str, str], None] = {}
     for touch in touches:
@@ -127,7 +127,7 @@ def _beyond(road: str, end: str, touches: Iterable[Touch]) -> dict[tuple[str, st
     return found
 
 
-def _direct_junctions(found: Mapping[str, MapRoad], touches: list[Touch]) -> dict[tuple[str, str], str]:
+def _direct_junctions(found: Mapping[str, MapRoad], touches: list[LaneJoint]) -> dict[tuple[str, str], str]:
     """The ids of direct junctions by ends of roads: where lanes lead from one road to several without connecting
     roads."""
     groups: dict[tuple[str, str], str] = {}
@@ -144,7 +144,7 @@ def _add_links(
     element: Element,
     road: MapRoad,
     found: Mapping[str, MapRoad],
-    touches: list[Touch],
+    touches: list[LaneJoint],
     direct: Mapping[tuple[str, str], str],
 ) -> None:
     for tag, end in (("predecessor", "start"), ("successor", "end")):
@@ -159,7 +159,7 @@ def _add_links(
             add(element, tag, elementType="road", elementId=name, contactPoint=contact)
 
 
-def _linked(road: str, i: int, number: int, end: str, touches: list[Touch]) -> list[tuple[str, int]]:
+def _linked(road: str, i: int, number: int, end: str, touches: list[LaneJoint]) -> list[tuple[str, int]]:
     """The lanes, by road and number, that follow or precede a lane at an end of it."""
     here, found = (road, i, number), []
     for touch in touches:
@@ -174,7 +174,7 @@ def _add_junctions(
     root: Element,
     roads: RoadMap,
     found: Mapping[str, MapRoad],
-    touches: list[Touch],
+    touches: list[LaneJoint],
     direct: Mapping[tuple[str, str], str],
 ) -> None:
     for at in roads.junctions:
@@ -291,7 +291,9 @@ def _add_cubics(parent: Element, tag: str, cubics: Iterable[Polynomial], key: st
 # -- lanes
 
 
-def _add_lanes(element: Element, road: MapRoad, touches: list[Touch], roll: Callable[[float], float] | None) -> None:
+def _add_lanes(
+    element: Element, road: MapRoad, touches: list[LaneJoint], roll: Callable[[float], float] | None
+) -> None:
     offsets = times(road.lane_offsets, roll, road.length_m) if roll else road.lane_offsets
     _add_cubics(element, "laneOffset", offsets or [Polynomial(s_m=0.0, a=0.0)])
     ends = [section.s_m for section in road.sections[1:]] + [road.length_m]
@@ -308,7 +310,7 @@ def _add_lanes(element: Element, road: MapRoad, touches: list[Touch], roll: Call
                 _add_lane(group, road, i, lane.model_copy(update={"widths": widths}), touches)
 
 
-def _add_lane(group: Element, road: MapRoad, i: int, lane: MapLane, touches: list[Touch]) -> None:
+def _add_lane(group: Element, road: MapRoad, i: int, lane: MapLane, touches: list[LaneJoint]) -> None:
     element = add(group, "lane", id=str(lane.number), type=KINDS[lane.kind], level="false")
     if lane.against:
         element.set("direction", "reversed")
